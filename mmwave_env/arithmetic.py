@@ -1,0 +1,94 @@
+"""Elementary functions of numbers, whatever a number is: a float, an array, or eight lanes.
+
+The mathematics of this package is written once, as plain functions of numbers. On floats
+it is the reference that tests call; on arrays it describes whole trajectories; on
+:class:`~mmwave_env.estimator.lanes.Lanes` it becomes one SIMD kernel. Python's own
+operators serve all three; this module holds the few functions that need to look.
+
+Functions of numbers follow three rules: no branch on a value (use :func:`where`), lists
+instead of arrays, and no call to ``math`` or ``numpy`` but through this module.
+"""
+
+import math
+from collections.abc import Sequence
+from typing import Any, TypeAlias
+
+import numpy as np
+
+Number: TypeAlias = Any  # float, numpy array or Lanes
+Vector: TypeAlias = Sequence[Any]  # of Number
+Matrix: TypeAlias = Sequence[Sequence[Any]]
+
+PI = math.pi
+
+
+def _is_float(a: Number) -> bool:
+    return isinstance(a, (float, int))
+
+
+def sqrt(a: Number) -> Number:
+    """Square root."""
+    if _is_float(a):
+        return math.sqrt(a)
+    return np.sqrt(a) if isinstance(a, np.ndarray) else a.sqrt()
+
+
+def log(a: Number) -> Number:
+    """Natural logarithm of a positive number."""
+    if _is_float(a):
+        return math.log(a)
+    return np.log(a) if isinstance(a, np.ndarray) else a.log()
+
+
+def exp(a: Number) -> Number:
+    """Exponential function."""
+    if _is_float(a):
+        return math.exp(a)
+    return np.exp(a) if isinstance(a, np.ndarray) else a.exp()
+
+
+def atan2(y: Number, x: Number) -> Number:
+    """Angle of the vector (x, y) in radians, in [-pi, pi]."""
+    if _is_float(y) and _is_float(x):
+        return math.atan2(y, x)
+    if isinstance(y, np.ndarray) or isinstance(x, np.ndarray):
+        return np.arctan2(y, x)
+    return y.atan2(x)
+
+
+def where(condition: Any, a: Number, b: Number) -> Number:
+    """``a`` where the condition holds, else ``b``: the only branch on a value there is."""
+    if isinstance(condition, (bool, np.bool_)):
+        return a if condition else b
+    if isinstance(condition, np.ndarray):
+        return np.where(condition, a, b)
+    return condition.select(a, b)
+
+
+def minimum(a: Number, b: Number) -> Number:
+    """The smaller of two numbers."""
+    return where(a < b, a, b)
+
+
+def maximum(a: Number, b: Number) -> Number:
+    """The larger of two numbers."""
+    return where(a > b, a, b)
+
+
+def clip(a: Number, low: float, high: float) -> Number:
+    """The number, moved into [low, high]."""
+    return minimum(maximum(a, low), high)
+
+
+def wrap(angle: Number) -> Number:
+    """An angle in (-3 pi, 3 pi) moved into [-pi, pi]: the difference of two angles, wrapped."""
+    angle = where(angle > PI, angle - 2 * PI, angle)
+    return where(angle < -PI, angle + 2 * PI, angle)
+
+
+def polynomial(z: Number, coefficients: Sequence[float]) -> Number:
+    """Horner's rule, highest power first."""
+    value: Number = coefficients[0]
+    for c in coefficients[1:]:
+        value = value * z + c
+    return value

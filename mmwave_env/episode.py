@@ -1,0 +1,275 @@
+"""An episode: everything that happens, complete before the first step.
+
+Nothing an agent does changes truth, measurements or noise, so an episode is data: arrays
+over epochs, drawn from a simulation or taken from a recording. Everything downstream treats
+both alike.
+"""
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mmwave_env.arithmetic import PI
+from mmwave_env.measurement import Layout, direction, range_rate
+from mmwave_env.mobility import mobilities_of, trajectory
+from mmwave_env.radio import Radio, simulate_channel
+from mmwave_env.scene import Scene
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Episode:
+    """T epochs of one user.
+
+    Missing groups are a mask, never a magic value: where ``visible`` is False the numbers
+    mean nothing. Measurements that are NaN or infinite are marked missing and counted.
+
+    Attributes:
+        name: what it is, for results and messages.
+        scene_anchors_m: (L, 3) anchors, the physical gNB first.
+        hz_per_mps: carrier frequency over the speed of light.
+        time_s: (T,) increasing.
+        measurement: (T, rows) in the order of ``layout``: m, rad, Hz, m/s.
+        sigma: (T, rows) standard deviations, same units, positive.
+        visible: (T, groups) bool.
+        snr_db: (T, L).
+        doppler_spread_hz: (T,).
+        prior_mean: (7,) state at the first epoch.
+        prior_covariance: (7, 7), positive definite.
+        truth_position_m: (T, 3), or None where nobody knows.
+        truth_velocity_mps: (T, 3), or None.
+        layout: rows and groups.
+    """
+
+    name: str
+    scene_anchors_m: Array
+    hz_per_mps: float
+    time_s: Array
+    measurement: Array
+    sigma: Array
+    visible: NDArray[np.bool_]
+    snr_db: Array
+    doppler_spread_hz: Array
+    prior_mean: Array
+    prior_covariance: Array
+    truth_position_m: Array | None
+    truth_velocity_mps: Array | None
+    layout: Layout
+
+    def __post_init__(self) -> None:
+        T, layout = len(self.time_s), self.layout
+        groups = len(layout.groups)
+        shapes: dict[str, tuple[int, ...]] = {
+            "scene_anchors_m": (layout.anchors, 3), "time_s": (T,),
+            "measurement": (T, layout.size), "sigma": (T, layout.size), "visible": (T, groups),
+            "snr_db": (T, layout.anchors), "doppler_spread_hz": (T,), "prior_mean": (7,),
+            "prior_covariance": (7, 7), "truth_position_m": (T, 3), "truth_velocity_mps": (T, 3),
+        }  # fmt: skip
+        for field, shape in shapes.items():
+            value = getattr(self, field)
+            if value is not None and value.shape != shape:
+                self._refuse(field, f"shape {value.shape}", f"shape {shape}")
+        if T < 1 or not (np.diff(self.time_s) > 0.0).all():
+            self._refuse("time_s", "times that do not increase", "at least one, increasing")
+        if not (self.sigma > 0.0).all():
+            self._refuse("sigma", f"{np.nanmin(self.sigma)}", "> 0 everywhere")
+        if not np.isfinite(self.prior_mean).all():
+            self._refuse("prior_mean", f"{self.prior_mean}", "finite numbers")
+        P = self.prior_covariance
+        if not (np.allclose(P, P.T) and np.linalg.eigvalsh(P)[0] > 0.0):
+            self._refuse("prior_covariance", f"{P.tolist()}", "a positive definite matrix")
+
+    def _refuse(self, field: str, found: str, expected: str) -> None:
+        raise ValueError(f"{field} of episode {self.name!r}: found {found}, expected {expected}")
+
+    def __len__(self) -> int:
+        return len(self.time_s)
+
+    @cached_property
+    def usable(self) -> NDArray[np.bool_]:
+        """(T, groups) visible, and every number of the group finite."""
+        finite = np.isfinite(self.measurement) & np.isfinite(self.sigma)
+        starts = [rows.start for rows in self.layout.groups]
+        usable: NDArray[np.bool_] = self.visible & np.logical_and.reduceat(
+            finite, starts, axis=1
+        )
+        return usable
+
+    @property
+    def nonfinite(self) -> int:
+        """Groups marked visible whose numbers are NaN or infinite; they count as missing."""
+        return int((self.visible & ~self.usable).sum())
+
+    @property
+    def has_truth(self) -> bool:
+        """Whether errors, rewards and metrics can be computed."""
+        return self.truth_position_m is not None
+
+    def table(self, epochs: int) -> Array:
+        """(epochs, columns) as the engine loads it; blank past the end of the episode.
+
+        Columns: dt, rows, standard deviations, visible groups, SNR, Doppler spread, true
+        position and velocity.
+        """
+        T, rows = len(self), self.layout.size
+        groups = len(self.layout.groups)
+        out = np.zeros((epochs, 1 + 2 * rows + groups + self.layout.anchors + 1 + 6))
+        out[:, 1 + rows : 1 + 2 * rows] = 1.0
+        body = out[:T]
+        keep = np.repeat(self.usable, [r.stop - r.start for r in self.layout.groups], axis=1)
+        body[1:, 0] = np.diff(self.time_s)
+        at = 1
+        body[:, at : at + rows] = np.where(keep, self.measurement, 0.0)
+        at += rows
+        body[:, at : at + rows] = np.where(keep, self.sigma, 1.0)
+        at += rows
+        body[:, at : at + groups] = self.usable
+        at += groups
+        body[:, at : at + self.layout.anchors] = np.where(
+            self.usable[:, : self.layout.anchors], self.snr_db, 0.0
+        )
+        at += self.layout.anchors
+        body[:, at] = self.doppler_spread_hz
+        for truth in (self.truth_position_m, self.truth_velocity_mps):
+            body[:, at + 1 : at + 4] = np.nan if truth is None else truth
+            at += 3
+        return out
+
+    def site(self) -> Array:
+        """Anchors, carrier and packed prior as one row of numbers, as the engine loads it."""
+        packed = self.prior_covariance[np.tril_indices(7)]
+        return np.concatenate(
+            [self.scene_anchors_m.ravel(), [self.hz_per_mps], self.prior_mean, packed]
+        )
+
+
+class EpisodeSource(Protocol):
+    """Where episodes come from.
+
+    Attributes:
+        layout: rows of every episode's measurements.
+        epochs: length of every episode.
+        name: for results.
+    """
+
+    @property
+    def layout(self) -> Layout: ...  # noqa: D102
+    @property
+    def epochs(self) -> int: ...  # noqa: D102
+    @property
+    def name(self) -> str: ...  # noqa: D102
+
+    def sample(self, rng: np.random.Generator) -> Episode:
+        """Draw one episode; all randomness comes from ``rng``."""
+        ...
+
+
+def geometry(position: Array, velocity: Array, scene: Scene, layout: Layout) -> Array:
+    """Noise-free measurements (T, rows) along a track; bias and odometry rows included."""
+    out = np.empty((len(position), layout.size))
+    for a, anchor in enumerate(scene.anchors_m):
+        d = list((position - anchor).T)
+        distance, azimuth, elevation = direction(d)
+        departure = np.where(azimuth > 0.0, azimuth - PI, azimuth + PI)
+        out[:, layout.link(a)] = np.stack([distance, azimuth, elevation, departure], axis=1)
+    d = list((position - scene.anchors_m[0]).T)
+    out[:, layout.doppler] = scene.hz_per_mps * range_rate(d, list(velocity.T))
+    if layout.odometry:
+        out[:, layout.doppler + 1] = np.linalg.norm(velocity, axis=1)
+        out[:, layout.doppler + 2] = np.arctan2(velocity[:, 1], velocity[:, 0])
+    return out
+
+
+def draw_prior(
+    truth: Array, radio: Radio, scene: Scene, rng: np.random.Generator
+) -> tuple[Array, Array]:
+    """Mean (7,) drawn around the true state (7,), and covariance (7, 7)."""
+    covariance = radio.prior_covariance(scene)
+    return truth + np.sqrt(np.diag(covariance)) * rng.standard_normal(7), covariance
+
+
+@dataclass(frozen=True)
+class SimulatedSource:
+    """Episodes of simulated users in a street scene.
+
+    Attributes:
+        scene: geometry and carrier.
+        radio: noise, blockage, multipath.
+        scenario: kind of user, or "mixed".
+        dt: seconds between epochs.
+        epochs: length of an episode.
+        odometry: whether the user also reports speed and heading.
+    """
+
+    scene: Scene
+    radio: Radio
+    scenario: str = "mixed"
+    dt: float = 1.0
+    epochs: int = 200
+    odometry: bool = False
+
+    def __post_init__(self) -> None:
+        mobilities_of(self.scenario)
+        if not 0.0 < self.dt < float("inf"):
+            raise ValueError(f"dt: found {self.dt}, expected a positive number of seconds")
+        if self.epochs < 1:
+            raise ValueError(f"epochs: found {self.epochs}, expected at least 1")
+
+    @property
+    def layout(self) -> Layout:
+        """Rows of every episode's measurements."""
+        return Layout(len(self.scene.walls) + 1, self.odometry)
+
+    @property
+    def name(self) -> str:
+        """The scenario."""
+        return self.scenario
+
+    def sample(self, rng: np.random.Generator) -> Episode:
+        """Draw one episode; all randomness comes from ``rng``."""
+        scene, radio, layout = self.scene, self.radio, self.layout
+        choices = mobilities_of(self.scenario)
+        mobility = choices[int(rng.random() * len(choices))]
+        position, velocity = trajectory(mobility, scene.streets, self.dt, self.epochs, rng)
+        speed = np.linalg.norm(velocity, axis=1)
+        exact = geometry(position, velocity, scene, layout)
+        distance = exact[:, 0 : layout.doppler : 4]
+        channel = simulate_channel(radio, scene, distance, speed, self.dt, rng)
+        sigma = radio.sigma(channel.snr_db, scene, layout)
+        measurement = exact + sigma * rng.standard_normal(exact.shape)
+        links = measurement[:, : layout.doppler].reshape(self.epochs, layout.anchors, 4)
+        links[..., 0] += channel.range_bias_m
+        links[..., 1:] += channel.angle_bias_rad
+        drift = radio.drift_mps * scene.hz_per_mps * np.sqrt(self.dt)
+        first_bias = radio.prior_bias_mps * scene.hz_per_mps * rng.standard_normal()
+        steps = drift * rng.standard_normal(self.epochs)
+        bias = first_bias + np.concatenate([[0.0], np.cumsum(steps[1:])])
+        measurement[:, layout.doppler] += bias
+        measurement[:, layout.angles] = np.remainder(
+            measurement[:, layout.angles] + PI, 2.0 * PI
+        ) - PI
+        visible = np.column_stack([channel.detected, channel.detected[:, 0]])
+        if self.odometry:
+            visible = np.column_stack([visible, speed >= radio.odometry_slowest_mps])
+        state = np.concatenate([position[0], velocity[0], bias[:1]])
+        prior_mean, prior_covariance = draw_prior(state, radio, scene, rng)
+        return Episode(
+            name=mobility.name,
+            scene_anchors_m=scene.anchors_m,
+            hz_per_mps=scene.hz_per_mps,
+            time_s=self.dt * np.arange(self.epochs),
+            measurement=measurement,
+            sigma=sigma,
+            visible=visible,
+            snr_db=channel.snr_db,
+            doppler_spread_hz=channel.doppler_spread_hz,
+            prior_mean=prior_mean,
+            prior_covariance=prior_covariance,
+            truth_position_m=position,
+            truth_velocity_mps=velocity,
+            layout=layout,
+        )

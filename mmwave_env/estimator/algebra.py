@@ -1,0 +1,71 @@
+"""Small linear algebra on lists of numbers.
+
+Matrices are lists of rows. A symmetric matrix is stored *packed*: its lower triangle, row
+by row. An entry that is the plain constant ``0.0`` is a structural zero (a coordinate that
+is known exactly, say): it costs nothing on lanes and never divides.
+"""
+
+from collections.abc import Callable, Sequence
+
+from mmwave_env.arithmetic import Matrix, Number, Vector, sqrt
+
+
+def dot(a: Vector, b: Vector) -> Number:
+    """Inner product of two vectors of one length (the shorter, if they differ)."""
+    total: Number = 0.0
+    for u, v in zip(a, b):  # noqa: B905 - rows of a triangle meet longer vectors on purpose
+        total = total + u * v
+    return total
+
+
+def symmetric(n: int, entry: Callable[[int, int], Number]) -> list[list[Number]]:
+    """The (n, n) matrix with ``entry(i, j)``, i >= j, on both sides of the diagonal."""
+    m: list[list[Number]] = [[0.0] * n for _ in range(n)]
+    for i in range(n):
+        for j in range(i + 1):
+            m[i][j] = m[j][i] = entry(i, j)
+    return m
+
+
+def pack(m: Matrix) -> list[Number]:
+    """Lower triangle of a symmetric matrix, row by row: n (n + 1) / 2 numbers."""
+    return [m[i][j] for i in range(len(m)) for j in range(i + 1)]
+
+
+def unpack(packed: Vector, zero: Sequence[int] = ()) -> list[list[Number]]:
+    """The symmetric matrix of a packed triangle; rows and columns in ``zero`` are structural zeros."""
+    n = round((2 * len(packed) + 0.25) ** 0.5 - 0.5)
+    return symmetric(
+        n, lambda i, j: 0.0 if i in zero or j in zero else packed[i * (i + 1) // 2 + j]
+    )
+
+
+def cholesky(a: Matrix) -> list[list[Number]]:
+    """Lower-triangular L with L L' = a; the column of a structural zero stays zero."""
+    n = len(a)
+    factor: list[list[Number]] = [[0.0] * n for _ in range(n)]
+    for j in range(n):
+        pivot = a[j][j] - dot(factor[j][:j], factor[j][:j])
+        if isinstance(pivot, float) and pivot == 0.0:
+            continue
+        factor[j][j] = sqrt(pivot)
+        inverse = 1.0 / factor[j][j]
+        for i in range(j + 1, n):
+            factor[i][j] = (a[i][j] - dot(factor[i][:j], factor[j][:j])) * inverse
+    return factor
+
+
+def forward(factor: Matrix, b: Vector) -> list[Number]:
+    """Solve ``factor y = b`` for a lower-triangular factor; structural zeros give zero."""
+    y: list[Number] = []
+    for i in range(len(b)):
+        pivot = factor[i][i]
+        zero = isinstance(pivot, float) and pivot == 0.0
+        y.append(0.0 if zero else (b[i] - dot(factor[i][:i], y)) * (1.0 / pivot))
+    return y
+
+
+def quadratic(m: Matrix, b: Vector) -> Number:
+    """b' m^-1 b for a symmetric positive definite m."""
+    y = forward(cholesky(m), b)
+    return dot(y, y)

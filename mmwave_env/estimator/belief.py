@@ -1,0 +1,49 @@
+"""A Gaussian belief about the state, and how far from the truth it is."""
+
+import math
+from typing import NamedTuple
+
+from mmwave_env.arithmetic import Matrix, Number, Vector, log, sqrt
+from mmwave_env.estimator.algebra import cholesky, dot, forward
+
+
+class Belief(NamedTuple):
+    """What an estimator believes, as a reward sees it.
+
+    Attributes:
+        x: (7,) mean: position (m), velocity (m/s), oscillator bias (Hz).
+        P: (7, 7) covariance.
+        axes: the estimated position components: (0, 1, 2), or (0, 1) on flat terrain.
+    """
+
+    x: list[Number]
+    P: Matrix
+    axes: tuple[int, ...] = (0, 1, 2)
+
+    def error(self, truth: Vector) -> list[Number]:
+        """Estimated minus true position (3,), metres; ``truth`` starts with the position."""
+        return [self.x[i] - truth[i] for i in range(3)]
+
+    def distance(self, truth: Vector) -> Number:
+        """Length of the position error, metres."""
+        e = self.error(truth)
+        return sqrt(dot(e, e))
+
+    def nees(self, truth: Vector) -> Number:
+        """Normalised estimation error squared of the position, expected ``len(axes)``."""
+        return self._whiten(truth)[0]
+
+    def log_density(self, truth: Vector) -> Number:
+        """Log density of the true position under the belief, a proper score (nats)."""
+        nees, determinant = self._whiten(truth)
+        return -0.5 * (nees + log(determinant) + len(self.axes) * math.log(2.0 * math.pi))
+
+    def _whiten(self, truth: Vector) -> tuple[Number, Number]:
+        """NEES and determinant of the position covariance."""
+        factor = cholesky([[self.P[i][j] for j in self.axes] for i in self.axes])
+        error = self.error(truth)
+        y = forward(factor, [error[i] for i in self.axes])
+        pivots: Number = 1.0
+        for i in range(len(self.axes)):
+            pivots = pivots * factor[i][i]
+        return dot(y, y), pivots * pivots

@@ -1,0 +1,140 @@
+"""Interacting multiple models: all modes at once, weighed by how well they explain the data.
+
+Blom and Bar-Shalom 1988; Bar-Shalom, Li and Kirubarajan 2001, Sec. 11.6.6. The modes are
+the same pipelines that an agent switches between, each with its own gates and scaling.
+"""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+from mmwave_env.arithmetic import Matrix, Number, Vector, exp, maximum
+from mmwave_env.estimator.algebra import dot, pack, unpack
+from mmwave_env.estimator.pipeline import (
+    Epoch,
+    Memory,
+    Pipeline,
+    Site,
+    anticipate,
+    commit,
+    consider,
+    start,
+)
+from mmwave_env.estimator.trees import select
+from mmwave_env.measurement import STATE_SIZE
+
+DEFAULT_STAY = 0.95  # probability of a mode to stay from one epoch to the next
+_LEAST = 1e-12  # keeps the probability of a mode off zero, from which it could not return
+
+
+class Track(NamedTuple):
+    """One mode's filter within the IMM.
+
+    Attributes:
+        x, P: (7,), (28,) its belief.
+        memory: of its gates and scaling.
+    """
+
+    x: list[Number]
+    P: list[Number]
+    memory: Memory
+
+
+class Mixture(NamedTuple):
+    """The IMM's belief.
+
+    Attributes:
+        tracks: one per mode.
+        probability: (modes,) of each mode.
+    """
+
+    tracks: list[Track]
+    probability: list[Number]
+
+
+def single(pipeline: Pipeline) -> list[Pipeline]:
+    """A pipeline of one mode for each mode."""
+    return [pipeline._replace(modes=(mode,)) for mode in pipeline.modes]
+
+
+def begin(pipeline: Pipeline, x: Vector, P: Vector) -> Mixture:
+    """All modes at the prior (7,), (28,), equally probable."""
+    tracks = [Track(list(x), list(P), start(one)) for one in single(pipeline)]
+    return Mixture(tracks, [1.0 / len(tracks)] * len(tracks))
+
+
+def stay_matrix(modes: int, stay: float = DEFAULT_STAY) -> tuple[tuple[float, ...], ...]:
+    """Transition probabilities (from, to): stay, or move to any other mode alike."""
+    if not 0.0 < stay <= 1.0:
+        raise ValueError(f"stay: found {stay}, expected a probability in (0, 1]")
+    if modes == 1:
+        return ((1.0,),)
+    move = (1.0 - stay) / (modes - 1)
+    return tuple(tuple(stay if i == j else move for j in range(modes)) for i in range(modes))
+
+
+def moments(
+    weights: Sequence[Number], x: Sequence[Vector], P: Sequence[Vector]
+) -> tuple[list[Number], list[Number]]:
+    """Mean (7,) and packed covariance (28,) of a Gaussian mixture."""
+    mean = [dot(weights, [xi[i] for xi in x]) for i in range(STATE_SIZE)]
+    offset = [[xi[i] - mean[i] for i in range(STATE_SIZE)] for xi in x]
+    spread = pack(
+        [
+            [dot(weights, [d[i] * d[j] for d in offset]) for j in range(STATE_SIZE)]
+            for i in range(STATE_SIZE)
+        ]
+    )
+    return mean, [
+        dot(weights, [Pi[k] for Pi in P]) + value for k, value in enumerate(spread)
+    ]
+
+
+def mix(mixture: Mixture, transition: Matrix) -> tuple[list[Number], list[tuple[Vector, Vector]]]:
+    """Predicted mode probabilities, and each mode's mixed initial belief."""
+    modes = range(len(mixture.tracks))
+    predicted = [dot([row[j] for row in transition], mixture.probability) for j in modes]
+    x = [track.x for track in mixture.tracks]
+    P = [track.P for track in mixture.tracks]
+    mixed = []
+    for j in modes:
+        weights = [transition[i][j] * mixture.probability[i] / predicted[j] for i in modes]
+        mixed.append(moments(weights, x, P))
+    return predicted, mixed
+
+
+def imm_epoch(
+    pipeline: Pipeline, transition: Matrix, mixture: Mixture, epoch: Epoch, site: Site
+) -> Mixture:
+    """One epoch: mix, run every mode, weigh them by their likelihood."""
+    predicted, mixed = mix(mixture, transition)
+    tracks, likelihoods = [], []
+    for one, track, (x, P) in zip(single(pipeline), mixture.tracks, mixed, strict=True):
+        candidate = consider(one, one.modes[0], x, P, track.memory, epoch, site)
+        memory = anticipate(track.memory, [candidate], epoch)
+        memory = commit(one, 0.0, x, candidate, memory, epoch.dt, epoch.visible)
+        tracks.append(Track(candidate.x, candidate.P, memory))
+        likelihoods.append(candidate.log_likelihood)
+    best = likelihoods[0]
+    for likelihood in likelihoods[1:]:
+        best = maximum(best, likelihood)
+    weights = [
+        maximum(p * exp(likelihood - best), _LEAST)
+        for p, likelihood in zip(predicted, likelihoods, strict=True)
+    ]
+    total = dot(weights, [1.0] * len(weights))
+    return Mixture(tracks, [w / total for w in weights])
+
+
+def estimate(mixture: Mixture) -> tuple[list[Number], list[list[Number]]]:
+    """Mean (7,) and covariance (7, 7) of the whole mixture."""
+    x, P = moments(
+        mixture.probability,
+        [track.x for track in mixture.tracks],
+        [track.P for track in mixture.tracks],
+    )
+    return x, unpack(P)
+
+
+def restart(condition: Number, pipeline: Pipeline, site: Site, mixture: Mixture) -> Mixture:
+    """The mixture at the prior where the condition holds, else unchanged."""
+    return select(condition, begin(pipeline, site.prior_x, site.prior_P), mixture)

@@ -1,0 +1,228 @@
+"""A number that stands for eight environments.
+
+Arithmetic on :class:`Lanes` emits LLVM ``<8 x double>`` instructions, so that a plain
+scalar function called with Lanes inside a numba ``@intrinsic`` becomes straight-line SIMD
+code; called with floats it is itself. :func:`kernel` does the wrapping.
+"""
+
+import math
+import operator
+from collections.abc import Callable
+from typing import Any
+
+from llvmlite import ir
+from numba import types
+from numba.core import cgutils
+from numba.extending import intrinsic
+
+from mmwave_env.arithmetic import polynomial, where
+
+WIDTH = 8
+_VECTOR = ir.VectorType(ir.DoubleType(), WIDTH)
+_BITS = ir.VectorType(ir.IntType(64), WIDTH)
+_FLAGS = ("contract", "nsz", "arcp")  # not "nnan": comparisons with NaN stay defined
+
+# arctan(q) = q + q^3 p(q^2) for |q| <= tan(pi/8): Chebyshev fit, error below 2e-16.
+_ARCTAN = (
+    0.022493317041519877,
+    -0.04462310184914474,
+    0.05729090419200224,
+    -0.06648248301435489,
+    0.07690901995337751,
+    -0.09090842158974809,
+    0.11111109221182906,
+    -0.14285714257092566,
+    0.19999999999809506,
+    -0.33333333333332993,
+)
+_TAN_PI_8 = math.sqrt(2.0) - 1.0
+# log((1 + s) / (1 - s)) = 2 s p(s^2), |s| <= 0.172: Taylor series of atanh.
+_ATANH = tuple(1.0 / k for k in range(19, 0, -2))
+# exp(r) for |r| <= ln(2) / 2: Taylor series, error below 1e-17.
+_EXP = tuple(1.0 / math.factorial(k) for k in range(14, -1, -1))
+_LN2_HIGH, _LN2_LOW = 0.693147180369123816490, 1.90821492927058770002e-10
+
+
+def _no_value(what: str) -> TypeError:
+    return TypeError(
+        f"{what} needs the value of a number that stands for {WIDTH} environments: write "
+        "where(condition, a, b) instead of a branch, and mmwave_env.arithmetic instead of "
+        "math or numpy"
+    )
+
+
+class Mask:
+    """A truth value per lane, from comparing Lanes; combine with ``&`` and ``|``."""
+
+    __slots__ = ("builder", "value")
+
+    def __init__(self, builder: Any, value: Any) -> None:
+        self.builder, self.value = builder, value
+
+    def __and__(self, other: "Mask") -> "Mask":
+        return Mask(self.builder, self.builder.and_(self.value, other.value))
+
+    def __or__(self, other: "Mask") -> "Mask":
+        return Mask(self.builder, self.builder.or_(self.value, other.value))
+
+    def __bool__(self) -> bool:
+        raise _no_value("a branch")
+
+    def select(self, a: Any, b: Any) -> "Lanes":
+        """``a`` in the lanes where the mask holds, else ``b``."""
+        return Lanes(self.builder, self.builder.select(self.value, _lift(a), _lift(b)))
+
+
+class Lanes:
+    """Eight doubles in one SIMD value of the function being built."""
+
+    __slots__ = ("builder", "value")
+
+    def __init__(self, builder: Any, value: Any) -> None:
+        self.builder, self.value = builder, value
+
+    def __bool__(self) -> bool:
+        raise _no_value("a branch")
+
+    def __float__(self) -> float:
+        raise _no_value("a conversion to float")
+
+    def __array__(self, *_: Any, **__: Any) -> Any:
+        raise _no_value("numpy")
+
+    def __neg__(self) -> "Lanes":
+        return Lanes(self.builder, self.builder.fneg(self.value, flags=_FLAGS))
+
+    def __abs__(self) -> "Lanes":
+        return self._call("fabs")
+
+    def sqrt(self) -> "Lanes":
+        """Square root per lane, correctly rounded."""
+        return self._call("sqrt")
+
+    def _call(self, name: str) -> "Lanes":
+        signature = ir.FunctionType(_VECTOR, [_VECTOR])
+        full = f"llvm.{name}.v{WIDTH}f64"
+        function = cgutils.get_or_insert_function(self.builder.module, signature, full)
+        return Lanes(self.builder, self.builder.call(function, [self.value], fastmath=_FLAGS))
+
+    def atan2(self, x: Any) -> "Lanes":
+        """Angle of (x, self): reduced to |angle| < pi / 8, then a polynomial; error 2e-16."""
+        ax, ay = abs(x), abs(self)
+        steep = ay > ax
+        low, high = where(steep, ax, ay), where(steep, ay, ax)
+        large = low > _TAN_PI_8 * high
+        q = where(large, low - high, low) / where(large, low + high, high)
+        z = q * q
+        angle = q + q * z * polynomial(z, _ARCTAN)
+        angle = where(large, angle + math.pi / 4, angle)
+        angle = where(steep, math.pi / 2 - angle, angle)
+        angle = where(x < 0.0, math.pi - angle, angle)
+        result: Lanes = where(self < 0.0, -angle, angle)
+        return result
+
+    def log(self) -> "Lanes":
+        """Natural logarithm of positive normal numbers, by mantissa and exponent."""
+        b = self.builder
+        bits = b.bitcast(self.value, _BITS)
+        mantissa_bits = b.or_(b.and_(bits, _bits(0xFFFFFFFFFFFFF)), _bits(0x3FF0000000000000))
+        m = Lanes(b, b.bitcast(mantissa_bits, _VECTOR))
+        e = Lanes(b, b.sitofp(b.sub(b.lshr(bits, _bits(52)), _bits(1023)), _VECTOR))
+        high = m > math.sqrt(2.0)
+        m, e = where(high, 0.5 * m, m), where(high, e + 1.0, e)
+        s = (m - 1.0) / (m + 1.0)
+        result: Lanes = e * math.log(2.0) + 2.0 * s * polynomial(s * s, _ATANH)
+        return result
+
+    def exp(self) -> "Lanes":
+        """Exponential of numbers in [-708, 708] (clipped there)."""
+        b = self.builder
+        x = where(self < -708.0, -708.0, where(self > 708.0, 708.0, self))
+        shifted = x * (1.0 / math.log(2.0)) + 1023.5  # positive: truncation is floor
+        k = b.fptosi(shifted.value, _BITS)
+        n = Lanes(b, b.sitofp(k, _VECTOR)) - 1023.0
+        r = (x - n * _LN2_HIGH) - n * _LN2_LOW
+        power = Lanes(b, b.bitcast(b.shl(k, _bits(52)), _VECTOR))
+        result: Lanes = polynomial(r, _EXP) * power
+        return result
+
+
+def _bits(value: int) -> Any:
+    return ir.Constant(_BITS, [value] * WIDTH)
+
+
+def _lift(a: Any) -> Any:
+    return a.value if isinstance(a, Lanes) else ir.Constant(_VECTOR, [float(a)] * WIDTH)
+
+
+def _settled(op: str, a: Any, b: Any) -> Any:
+    """The result where a constant 0 or 1 settles it without an instruction, else None."""
+    if op == "fmul":
+        for u, v in ((a, b), (b, a)):
+            if not isinstance(u, Lanes) and u in (0.0, 1.0):
+                return v if u else 0.0
+    if op in ("fadd", "fsub") and not isinstance(b, Lanes) and b == 0.0:
+        return a
+    if op == "fadd" and not isinstance(a, Lanes) and a == 0.0:
+        return b
+    if op == "fdiv" and not isinstance(a, Lanes) and a == 0.0:
+        return 0.0
+    return None
+
+
+def _emit(op: str, a: Any, b: Any) -> Any:
+    settled = _settled(op, a, b)
+    if settled is not None:
+        return settled
+    builder = (a if isinstance(a, Lanes) else b).builder
+    return Lanes(builder, getattr(builder, op)(_lift(a), _lift(b), flags=_FLAGS))
+
+
+def _define_operators() -> None:
+    for name, op in {"add": "fadd", "sub": "fsub", "mul": "fmul", "truediv": "fdiv"}.items():
+        setattr(Lanes, f"__{name}__", lambda a, b, op=op: _emit(op, a, b))
+        setattr(Lanes, f"__r{name}__", lambda a, b, op=op: _emit(op, b, a))
+    for name, op in {"lt": "<", "le": "<=", "gt": ">", "ge": ">="}.items():
+
+        def compare(a: Lanes, b: Any, op: str = op) -> Mask:
+            return Mask(a.builder, a.builder.fcmp_ordered(op, a.value, _lift(b)))
+
+        setattr(Lanes, f"__{name}__", compare)
+
+
+_define_operators()
+
+
+class _Rows:
+    """Rows of a workspace block: reading loads eight lanes, writing stores them."""
+
+    def __init__(self, builder: Any, base: Any) -> None:
+        self.builder, self.base = builder, base
+
+    def _at(self, row: int) -> Any:
+        return self.builder.gep(self.base, [ir.Constant(ir.IntType(64), operator.index(row))])
+
+    def __getitem__(self, row: int) -> Lanes:
+        return Lanes(self.builder, self.builder.load(self._at(row), align=8))
+
+    def __setitem__(self, row: int, value: Any) -> None:
+        self.builder.store(_lift(value), self._at(row), align=8)
+
+
+def kernel(function: Callable[[Any], None]) -> Any:
+    """A numba function of one (rows, 8) float64 workspace block that runs ``function(rows)``.
+
+    ``rows[i]`` reads row i as Lanes and ``rows[i] = value`` writes it. The function is
+    called once, when numba compiles the caller.
+    """
+
+    @intrinsic  # type: ignore[untyped-decorator]
+    def run(typing_context: Any, block: Any) -> Any:
+        def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+            array = context.make_array(signature.args[0])(context, builder, arguments[0])
+            function(_Rows(builder, builder.bitcast(array.data, _VECTOR.as_pointer())))
+            return context.get_dummy_value()
+
+        return types.void(block), generate
+
+    return run

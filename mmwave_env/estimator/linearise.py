@@ -1,0 +1,140 @@
+"""Two ways to see a curved measurement from a Gaussian prior: tangent or sigma points.
+
+The prior is x = m + L xi with xi ~ N(0, I) and L the lower Cholesky factor. Either way a
+group of measurements becomes linear in *latents*:
+
+    h(x) = h(m) + mean shift + V eta + noise,   eta = (xi, kappa)
+
+The tangent (EKF) has V = dh/dx L and no curvature latents kappa. Sigma points m +- s L_j
+give V_j = (up - down) / 2s and, per curved column, one curvature latent with
+V_kappa_j = up + down, because the 2n + 1 points' covariance is exactly V cov(eta) V' with
+cov(kappa) = (w / 2) I + bend w^2 1 1'. So both filters are one computation.
+
+Only columns 0 to 2 of L move the position, so latents are kept in the order
+[xi_0..2, kappa, xi_3..6]: the links depend on the first 3 + len(kappa) alone.
+
+Source: Julier and Uhlmann 2004, Sec. IV (scaled sigma points as in van der Merwe 2004).
+The cubature filter (Arasaratnam and Haykin 2009) is alpha = 1, beta = 0, kappa = 0.
+"""
+
+from dataclasses import dataclass
+
+from mmwave_env.arithmetic import Matrix, Number
+from mmwave_env.estimator.algebra import dot
+from mmwave_env.measurement import STATE_SIZE, Group
+
+
+@dataclass(frozen=True)
+class Tangent:
+    """First-order expansion at the prior mean: the extended Kalman filter's view."""
+
+    def latents(self, curved: int) -> "Latents":
+        """Moments of the latents; the tangent has no curvature latents."""
+        return Latents(0, 0.0, 0.0)
+
+    def rows(self, group: Group, L: Matrix, latents: "Latents") -> list[list[Number]]:
+        """V (k, 7): the Jacobian along each column of L."""
+        columns = _columns(L)
+        return [[dot(gradient, column) for column in columns] for gradient in group.jacobian]
+
+
+@dataclass(frozen=True)
+class SigmaPoints:
+    """Scaled symmetric sigma points (2 n + 1 of them, n = 7).
+
+    Attributes:
+        alpha, beta, kappa: the usual parameters; positive alpha^2 (n + kappa).
+    """
+
+    alpha: float = 1.0
+    beta: float = 2.0
+    kappa: float = 0.0
+
+    def __post_init__(self) -> None:
+        if not self.alpha > 0.0 or not STATE_SIZE + self.kappa > 0.0:
+            raise ValueError(
+                f"alpha, kappa: found {self.alpha}, {self.kappa}, expected alpha > 0 and "
+                f"kappa > -{STATE_SIZE}"
+            )
+
+    @property
+    def reach(self) -> float:
+        """Distance of the points from the mean, in columns of L."""
+        return self.alpha * float((STATE_SIZE + self.kappa) ** 0.5)
+
+    def latents(self, curved: int) -> "Latents":
+        """Moments of the latents with one curvature latent per curved column."""
+        weight = 0.5 / self.reach**2
+        return Latents(curved, weight, self.beta - self.alpha**2)
+
+    def rows(self, group: Group, L: Matrix, latents: "Latents") -> list[list[Number]]:
+        """V (k, 7 + curvatures) from central and second differences along the columns of L."""
+        s, k = self.reach, len(group.jacobian)
+        columns = _columns(L)
+        odd: list[list[Number]] = [[] for _ in range(k)]
+        even: list[list[Number]] = [[] for _ in range(k)]
+        for column in columns[: group.curved]:
+            up = group.change([s * c for c in column])
+            down = group.change([-s * c for c in column])
+            for i in range(k):
+                odd[i].append((up[i] - down[i]) * (0.5 / s))
+                even[i].append(up[i] + down[i])
+        rows = []
+        for i in range(k):
+            linear = [dot(group.jacobian[i], column) for column in columns[group.curved :]]
+            xi = odd[i] + linear
+            flat = [0.0] * (latents.curvatures - group.curved)
+            rows.append(xi[:3] + even[i] + flat + xi[3:])
+        return rows
+
+
+Linearisation = Tangent | SigmaPoints
+
+
+@dataclass(frozen=True)
+class Latents:
+    """Moments of eta = [xi_0..2, kappa, xi_3..6].
+
+    Attributes:
+        curvatures: number of curvature latents.
+        weight: w, the weight of an outer sigma point.
+        bend: weight of the outer product of the mean shift, beta - alpha^2.
+    """
+
+    curvatures: int
+    weight: float
+    bend: float
+
+    @property
+    def coupled(self) -> int:
+        """Latents that the links depend on: the first 3 + curvatures."""
+        return 3 + self.curvatures
+
+    @property
+    def variance(self) -> list[float]:
+        """Variances of eta, but for the part of kappa that the mean shift carries."""
+        return [1.0] * 3 + [self.weight / 2] * self.curvatures + [1.0] * 4
+
+    @property
+    def precision(self) -> list[list[float]]:
+        """Inverse covariance of the coupled latents (Sherman-Morrison)."""
+        n, m = self.coupled, self.curvatures
+        result = [[float(i == j) for j in range(n)] for i in range(n)]
+        if m:
+            own, shared = self.weight / 2, self.bend * self.weight**2
+            correction = -shared / own**2 / (1.0 + m * shared / own)
+            for i in range(3, n):
+                for j in range(3, n):
+                    result[i][j] = correction + (1.0 / own if i == j else 0.0)
+        return result
+
+    def shift(self, row: list[Number]) -> Number:
+        """Mean shift of a row: the weighted sum of its curvatures."""
+        total: Number = 0.0
+        for v in row[3 : self.coupled]:
+            total = total + v
+        return self.weight * total
+
+
+def _columns(L: Matrix) -> list[list[Number]]:
+    return [[L[i][j] for i in range(STATE_SIZE)] for j in range(STATE_SIZE)]

@@ -1,0 +1,62 @@
+"""Constant-velocity motion: process noise and prediction (paper, Sec. II-A and III-B)."""
+
+from typing import NamedTuple
+
+from mmwave_env.arithmetic import Matrix, Number, Vector
+from mmwave_env.estimator.algebra import symmetric
+from mmwave_env.measurement import STATE_SIZE
+
+
+class ProcessNoise(NamedTuple):
+    """Q as its non-zero entries.
+
+    Attributes:
+        diagonal: (7,) variances, m^2, (m/s)^2 and Hz^2.
+        coupling: (3,) covariances of position and velocity per axis, m^2/s.
+    """
+
+    diagonal: list[Number]
+    coupling: list[Number]
+
+
+def white_noise_acceleration(
+    position: Vector, velocity: Vector, bias: Number, dt: Number, coupled: bool
+) -> ProcessNoise:
+    """Q over a step from variances per second.
+
+    With ``coupled`` the velocity noise q = velocity dt moves the position as a constant
+    acceleration over the step does, [[q dt^2 / 4, q dt / 2], [q dt / 2, q]] (discrete
+    white-noise acceleration, Bar-Shalom et al. 2001, Sec. 6.3.2), on top of the position
+    noise, so Q is positive semidefinite for any variances. Without, Q is the paper's plain
+    diagonal, which at dt = 1 s underestimates how position uncertainty grows.
+
+    Args:
+        position: (3,) m^2 per second.
+        velocity: (3,) (m/s)^2 per second.
+        bias: Hz^2 per second.
+        dt: step, seconds.
+        coupled: whether velocity noise also moves the position within the step.
+    """
+    q = [v * dt for v in velocity]
+    half = 0.5 * dt if coupled else 0.0
+    spread = [p * dt + v * (half * half) for p, v in zip(position, q, strict=True)]
+    return ProcessNoise([*spread, *q, bias * dt], [v * half for v in q])
+
+
+def move(x: Vector, dt: Number) -> list[Number]:
+    """F x: the mean one step on."""
+    return [x[i] + dt * x[i + 3] if i < 3 else x[i] for i in range(STATE_SIZE)]
+
+
+def predict_covariance(P: Matrix, noise: ProcessNoise, dt: Number) -> list[list[Number]]:
+    """F P F' + Q."""
+    n = STATE_SIZE
+    FP = [[P[i][j] + dt * P[i + 3][j] if i < 3 else P[i][j] for j in range(n)] for i in range(n)]
+
+    def entry(i: int, j: int) -> Number:
+        value = FP[i][j] + FP[i][j + 3] * dt if j < 3 else FP[i][j]
+        if i == j:
+            return value + noise.diagonal[i]
+        return value + noise.coupling[j] if i == j + 3 and j < 3 else value
+
+    return symmetric(n, entry)

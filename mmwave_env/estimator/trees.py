@@ -1,0 +1,35 @@
+"""Nested tuples and lists of numbers: flattening them and choosing between two of them.
+
+A *tree* is a number, or a list or NamedTuple of trees. The state of a track is one; the
+rows of a SIMD workspace hold its leaves in order.
+"""
+
+from collections.abc import Iterator
+from typing import Any, TypeVar
+
+from mmwave_env.arithmetic import Number, where
+
+Tree = TypeVar("Tree")
+
+
+def leaves(tree: Any) -> list[Number]:
+    """The numbers of a tree, in order."""
+    if isinstance(tree, (list, tuple)):
+        return [leaf for branch in tree for leaf in leaves(branch)]
+    return [tree]
+
+
+def rebuild(template: Tree, numbers: Iterator[Number]) -> Tree:
+    """A tree of the template's shape with the next numbers as leaves."""
+    if isinstance(template, list):
+        return [rebuild(branch, numbers) for branch in template]  # type: ignore[return-value]
+    if isinstance(template, tuple):
+        branches = [rebuild(branch, numbers) for branch in template]
+        return type(template)(*branches)
+    return next(numbers)  # type: ignore[no-any-return]
+
+
+def select(condition: Any, a: Tree, b: Tree) -> Tree:
+    """Leaf by leaf ``where(condition, a, b)``."""
+    chosen = [where(condition, u, v) for u, v in zip(leaves(a), leaves(b), strict=True)]
+    return rebuild(a, iter(chosen))

@@ -1,0 +1,218 @@
+"""The measurement update shared by EKF, UKF and CKF, with gates (paper, Sec. III-C and III-D)."""
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+from scipy.special import chdtri
+
+from mmwave_env.arithmetic import Matrix, Number, Vector, log, where
+from mmwave_env.estimator.algebra import cholesky, dot, forward, symmetric
+from mmwave_env.estimator.linearise import Latents, Linearisation, SigmaPoints, Tangent
+from mmwave_env.measurement import STATE_SIZE, Group, Measurement, groups_of
+
+ROBUST_ONSET = 1.5  # a group's NIS over its dimension from which a robust update doubts it
+
+
+class Gate(NamedTuple):
+    """How an update treats measurements that look wrong.
+
+    Attributes:
+        quantile: chi-square quantile up to which a group is accepted; None accepts all.
+        force: 1 where the links are accepted whatever their NIS (lock-out recovery), else 0.
+        robust: inflate the noise of a doubtful link instead of rejecting it.
+    """
+
+    quantile: float | None
+    force: Number = 0.0
+    robust: bool = False
+
+
+class Posterior(NamedTuple):
+    """What an update returns.
+
+    Attributes:
+        x: (7,) mean.
+        P: (7, 7) covariance.
+        nis: (groups,) normalised innovation squared at the prior, also of missing groups.
+        accepted: (groups,) 1 where the group was used, else 0.
+        log_likelihood: sum over the visible groups, accepted or not, of the log density of
+            each group's innovation on its own, without the constant -(rows / 2) log(2 pi).
+    """
+
+    x: list[Number]
+    P: list[list[Number]]
+    nis: list[Number]
+    accepted: list[Number]
+    log_likelihood: Number
+
+
+Algorithm = Callable[[Vector, Matrix, Measurement, Gate], Posterior]
+
+
+class _Row(NamedTuple):
+    """One scalar row that sees all latents, after the links and the rows before it."""
+
+    white: list[Number]  # C^-1 times its coupled latents
+    free: list[Number]  # over xi_3..6
+    links: list[Number]  # conditional covariances with the rows before it
+    cross: list[Number]  # covariance with xi
+    innovation: Number
+    gain: Number  # 0 where not accepted
+
+
+def innovation_statistics(group: Group, V: Matrix, latents: Latents) -> tuple[Number, Number]:
+    """NIS and determinant of a group's innovation covariance S at the prior."""
+    shift = [latents.shift(row) for row in V]
+    variance = latents.variance
+
+    def entry(i: int, j: int) -> Number:
+        value = dot(variance, [a * b for a, b in zip(V[i], V[j], strict=True)])
+        value = value + latents.bend * (shift[i] * shift[j])
+        return value + group.variance[i] if i == j else value
+
+    factor = cholesky(symmetric(len(V), entry))
+    e = forward(factor, [y - s for y, s in zip(group.innovation, shift, strict=True)])
+    pivots: Number = 1.0
+    for i in range(len(V)):
+        pivots = pivots * factor[i][i]
+    return dot(e, e) + group.spare_nis, pivots * pivots * group.spare_determinant
+
+
+def _accept(nis: Number, rows: int, visible: Number, gate: Gate, is_link: bool) -> Number:
+    if gate.quantile is None or (gate.robust and is_link):
+        return visible
+    threshold = float(chdtri(rows, 1.0 - gate.quantile))  # chi-square quantile
+    return visible * where(nis <= threshold, 1.0, gate.force if is_link else 0.0)
+
+
+def _doubt(nis: Number, rows: int) -> Number:
+    """Factor on the noise variance of a link with a NIS too large for its dimension."""
+    ratio = nis * (1.0 / (ROBUST_ONSET * rows))
+    return where(ratio > 1.0, ratio * ratio, 1.0)
+
+
+def _condition(
+    row: Vector, noise: Number, innovation: Number, accepted: Number, before: list[_Row],
+    C: Matrix, information: Vector, unit: Matrix,
+) -> _Row:  # fmt: skip
+    """Condition on one scalar row, given the links and the rows before it."""
+    n = len(information)
+    white, free = forward(C, row[:n]), list(row[n:])
+    cross = [dot(u, white) for u in unit] + free
+    s = noise + dot(white, white) + dot(free, free)
+    e = innovation - dot(white, information)
+    links: list[Number] = []
+    for j, earlier in enumerate(before):
+        c = dot(white, earlier.white) + dot(free, earlier.free)
+        for i in range(j):
+            c = c - before[i].gain * links[i] * earlier.links[i]
+        links.append(c)
+        k = earlier.gain * c
+        s = s - k * c
+        e = e - k * earlier.innovation
+        cross = [a - k * b for a, b in zip(cross, earlier.cross, strict=True)]
+    return _Row(white, free, links, cross, e, accepted / s)
+
+
+def update(
+    x: Vector, P: Matrix, measurement: Measurement, gate: Gate, linearisation: Linearisation
+) -> Posterior:
+    """Gate every group at the prior N(x, P), then condition on the groups that passed.
+
+    The links see the first three columns of the factor L of P (and their curvatures) alone,
+    so they add up to a small information matrix B over those latents, with posterior
+    covariance B^-1; the rows that see the velocity follow one by one. The new covariance is
+    L B^-1 L' + sum over free columns L_j L_j' - sum gain c c', a sum of squares but for
+    those last scalar rows. It equals the textbook update with all rows at once.
+
+    Args:
+        x: (7,) prior mean.
+        P: (7, 7) prior covariance, positive definite but for structural zeros.
+        measurement: the epoch.
+        gate: what to accept.
+        linearisation: tangent (EKF) or sigma points (UKF, CKF).
+    """
+    layout = measurement.layout
+    latents = linearisation.latents(6 if layout.odometry else 3)
+    n = latents.coupled
+    L = cholesky(P)
+    groups = groups_of(x, measurement)
+    V = [linearisation.rows(group, L, latents) for group in groups]
+    B, b = latents.precision, [0.0] * n
+    nis, accepted, noise = [], [], []
+    density: Number = 1.0
+    exponent: Number = 0.0
+    for g, (group, visible) in enumerate(zip(groups, measurement.visible, strict=True)):
+        rows = layout.groups[g].stop - layout.groups[g].start
+        is_link = g < layout.anchors
+        value, determinant = innovation_statistics(group, V[g], latents)
+        nis.append(value)
+        accepted.append(_accept(value, rows, visible, gate, is_link))
+        density = density * where(visible > 0.5, determinant, 1.0)
+        exponent = exponent + visible * value
+        doubt = _doubt(value, rows) if gate.robust and is_link else 1.0
+        noise.append([v * doubt for v in group.variance])
+
+    shifted = [
+        [y - latents.shift(row) for y, row in zip(group.innovation, rows, strict=True)]
+        for group, rows in zip(groups, V, strict=True)
+    ]
+    for g in range(layout.anchors):
+        for row, y, variance in zip(V[g], shifted[g], noise[g], strict=True):
+            w = accepted[g] / variance
+            for i in range(n):
+                weighted = w * row[i]
+                b[i] = b[i] + weighted * y
+                for j in range(i + 1):
+                    B[i][j] = B[i][j] + weighted * row[j]
+    C = cholesky(B)
+    information = forward(C, b)
+    unit = [forward(C, [float(i == c) for i in range(n)]) for c in range(3)]
+    conditioned: list[_Row] = []
+    for g in range(layout.anchors, len(groups)):
+        for row, y, variance in zip(V[g], shifted[g], noise[g], strict=True):
+            conditioned.append(
+                _condition(row, variance, y, accepted[g], conditioned, C, information, unit)
+            )
+    mean = [dot(u, information) for u in unit]
+    covariance = symmetric(3, lambda i, j: dot(unit[i], unit[j]))
+    posterior_x, posterior_P = _recompose(x, L, mean, covariance, conditioned)
+    likelihood = -0.5 * (exponent + log(density))
+    return Posterior(posterior_x, posterior_P, nis, accepted, likelihood)
+
+
+def _recompose(
+    x: Vector, L: Matrix, mean: Vector, covariance: Matrix, rows: list[_Row]
+) -> tuple[list[Number], list[list[Number]]]:
+    """Mean and covariance of the state from those of xi_0..2 and the scalar rows."""
+    spread = [[dot(L[i][:3], covariance[c]) for c in range(3)] for i in range(STATE_SIZE)]
+    moves = [[dot(L[i][: i + 1], row.cross) for i in range(STATE_SIZE)] for row in rows]
+    new_x = []
+    for i in range(STATE_SIZE):
+        value = x[i] + dot(L[i][:3], mean)
+        for row, step in zip(rows, moves, strict=True):
+            value = value + step[i] * (row.gain * row.innovation)
+        new_x.append(value)
+
+    def entry(i: int, j: int) -> Number:
+        value = dot(spread[i], L[j][:3]) + dot(L[i][3:], L[j][3:])
+        for row, step in zip(rows, moves, strict=True):
+            value = value - row.gain * (step[i] * step[j])
+        return value
+
+    return new_x, symmetric(STATE_SIZE, entry)
+
+
+def ekf(x: Vector, P: Matrix, measurement: Measurement, gate: Gate) -> Posterior:
+    """Extended Kalman filter update (paper, Sec. III-C.1)."""
+    return update(x, P, measurement, gate, Tangent())
+
+
+def ukf(x: Vector, P: Matrix, measurement: Measurement, gate: Gate) -> Posterior:
+    """Unscented Kalman filter update, alpha 1, beta 2, kappa 0 (paper, Sec. III-C.2)."""
+    return update(x, P, measurement, gate, SigmaPoints(1.0, 2.0, 0.0))
+
+
+def ckf(x: Vector, P: Matrix, measurement: Measurement, gate: Gate) -> Posterior:
+    """Cubature Kalman filter update (Arasaratnam and Haykin 2009)."""
+    return update(x, P, measurement, gate, SigmaPoints(1.0, 0.0, 0.0))

@@ -1,0 +1,254 @@
+"""What an epoch measures: the layout of the vector and the geometry behind it (paper, Sec. II-B).
+
+For each anchor l = 1..L a *link* of four rows [range, azimuth and elevation of arrival,
+azimuth of departure], then the Doppler shift of anchor 1, then, optionally, odometry
+[speed, heading]. Inside the package time of arrival is carried as range c tau in metres,
+angles are in radians and the Doppler shift is in hertz:
+
+    d = (f_c / c) v . (p - p1) / |p - p1| + b
+
+The paper prints the first term in m/s and adds b in hertz; we scale it to hertz and keep
+its sign (positive while the range grows).
+
+Each *group* (a link, the Doppler, the odometry) is gated on its own and is present or
+missing as a whole. A group is described by three things: its value, its Jacobian, and its
+exact change under a finite step of the state, which sigma points need and which never
+crosses the cut of an angle.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import NamedTuple
+
+from mmwave_env.arithmetic import PI, Matrix, Number, Vector, atan2, maximum, sqrt, wrap
+
+SPEED_OF_LIGHT = 299_792_458.0  # m/s
+STATE = ("px", "py", "pz", "vx", "vy", "vz", "b")  # m, m/s, Hz
+STATE_SIZE = len(STATE)
+LINK = ("range_m", "aoa_azimuth_rad", "aoa_elevation_rad", "aod_azimuth_rad")
+_SLOWEST_ODOMETRY = 1e-3  # m/s; keeps heading and speed differentiable at rest
+
+
+@dataclass(frozen=True)
+class Layout:
+    """Where each number of a measurement vector stands.
+
+    Attributes:
+        anchors: number of anchors L >= 1, the physical gNB first.
+        odometry: whether two rows of odometry follow the Doppler shift.
+    """
+
+    anchors: int = 3
+    odometry: bool = False
+
+    def __post_init__(self) -> None:
+        if self.anchors < 1:
+            raise ValueError(f"anchors: found {self.anchors}, expected at least 1")
+
+    @property
+    def size(self) -> int:
+        """Number of rows: 4 L + 1, and 2 more with odometry."""
+        return 4 * self.anchors + 1 + 2 * self.odometry
+
+    @property
+    def doppler(self) -> int:
+        """Row of the Doppler shift."""
+        return 4 * self.anchors
+
+    def link(self, anchor: int) -> slice:
+        """Rows of an anchor's link, counted from 0."""
+        return slice(4 * anchor, 4 * anchor + 4)
+
+    @property
+    def groups(self) -> list[slice]:
+        """Rows of each group, in order: links, Doppler, odometry."""
+        rows = [self.link(a) for a in range(self.anchors)]
+        rows.append(slice(self.doppler, self.doppler + 1))
+        if self.odometry:
+            rows.append(slice(self.doppler + 1, self.doppler + 3))
+        return rows
+
+    @property
+    def group_names(self) -> list[str]:
+        """A name for each group, for tables and messages."""
+        names = [f"anchor {a + 1}" for a in range(self.anchors)]
+        return names + ["Doppler"] + ["odometry"] * self.odometry
+
+    @property
+    def angles(self) -> list[int]:
+        """Rows that are angles, whose differences wrap."""
+        rows = [4 * a + i for a in range(self.anchors) for i in (1, 2, 3)]
+        return rows + [self.doppler + 2] * self.odometry
+
+
+class Measurement(NamedTuple):
+    """One epoch as an estimator sees it; ``layout`` says where its rows stand.
+
+    Attributes:
+        anchors: (L, 3) positions, metres.
+        hz_per_mps: carrier frequency over the speed of light, hertz per m/s.
+        z: (rows,) values; anything finite where missing.
+        variance: (rows,) noise variances, squared units of z; positive, also where missing.
+        visible: (groups,) 1 where the group was measured, else 0.
+        layout: where each row stands.
+    """
+
+    anchors: Matrix
+    hz_per_mps: Number
+    z: Vector
+    variance: Vector
+    visible: Vector
+    layout: Layout
+
+
+class Group(NamedTuple):
+    """One group's measurement function h, seen from the prior mean x.
+
+    Attributes:
+        innovation: (k,) z - h(x), angles wrapped.
+        variance: (k,) noise variances.
+        jacobian: (k, 7) dh/dx; structural zeros where h does not depend on the state.
+        change: the exact h(x + step) - h(x) for a step of the state (7,).
+        curved: h is linear in the state but for its first ``curved`` components.
+        spare_nis, spare_determinant: NIS and determinant of what was fused away.
+    """
+
+    innovation: Vector
+    variance: Vector
+    jacobian: Matrix
+    change: Callable[[Vector], list[Number]]
+    curved: int
+    spare_nis: Number = 0.0
+    spare_determinant: Number = 1.0
+
+
+def norms(d: Vector) -> tuple[Number, Number]:
+    """Horizontal and full length of a vector (3,)."""
+    squared = d[0] * d[0] + d[1] * d[1]
+    return sqrt(squared), sqrt(squared + d[2] * d[2])
+
+
+def direction(d: Vector) -> tuple[Number, Number, Number]:
+    """Range (m), azimuth and elevation (rad) of p - anchor (paper, eqs. for ToA and AoA)."""
+    horizontal, distance = norms(d)
+    return distance, atan2(d[1], d[0]), atan2(d[2], horizontal)
+
+
+def range_rate(d: Vector, velocity: Vector) -> Number:
+    """Rate of change of |d|, m/s, for an anchor at rest."""
+    return (d[0] * velocity[0] + d[1] * velocity[1] + d[2] * velocity[2]) / norms(d)[1]
+
+
+def link_group(x: Vector, anchor: Vector, z: Vector, variance: Vector) -> Group:
+    """The four rows of a link as three: range, one azimuth, elevation.
+
+    Azimuths of arrival and departure (which differ by pi, paper Sec. II-B) are two looks at
+    one bearing; fused, they are one row with variance ra rd / (ra + rd). What fusing drops
+    is their disagreement, with variance ra + rd, which no state explains.
+    """
+    d = [x[i] - anchor[i] for i in range(3)]
+    distance, azimuth, elevation = direction(d)
+    horizontal = norms(d)[0]
+    range_variance, arrival_variance, elevation_variance, departure_variance = variance
+    arrival = wrap(z[1] - azimuth)
+    departure = wrap(wrap(z[3] - azimuth + PI))
+    total = arrival_variance + departure_variance
+    bearing = (arrival * departure_variance + departure * arrival_variance) / total
+    inverse, inverse_horizontal = 1.0 / distance, 1.0 / horizontal
+    slope = d[2] * inverse_horizontal * inverse * inverse
+    across = inverse_horizontal * inverse_horizontal
+    still = [0.0] * 4
+    disagreement = arrival - departure
+
+    def change(step: Vector) -> list[Number]:
+        q = [d[i] + step[i] for i in range(3)]
+        q_horizontal, q_distance = norms(q)
+        vertical = all(isinstance(s, float) and s == 0.0 for s in step[:2])
+        turn = 0.0 if vertical else atan2(q[1] * d[0] - q[0] * d[1], q[0] * d[0] + q[1] * d[1])
+        rise = atan2(
+            q[2] * horizontal - q_horizontal * d[2], q_horizontal * horizontal + q[2] * d[2]
+        )
+        return [q_distance - distance, turn, rise]
+
+    return Group(
+        innovation=[z[0] - distance, bearing, wrap(z[2] - elevation)],
+        variance=[
+            range_variance,
+            arrival_variance * departure_variance / total,
+            elevation_variance,
+        ],
+        jacobian=[
+            [d[0] * inverse, d[1] * inverse, d[2] * inverse, *still],
+            [-d[1] * across, d[0] * across, 0.0, *still],
+            [-d[0] * slope, -d[1] * slope, horizontal * inverse * inverse, *still],
+        ],
+        change=change,
+        curved=3,
+        spare_nis=disagreement * disagreement / total,
+        spare_determinant=total,
+    )
+
+
+def doppler_group(
+    x: Vector, anchor: Vector, hz_per_mps: Number, z: Vector, variance: Vector
+) -> Group:
+    """The Doppler shift of the physical anchor, hertz; linear in velocity and bias."""
+    d = [x[i] - anchor[i] for i in range(3)]
+    inverse = 1.0 / norms(d)[1]
+    u = [d[i] * inverse for i in range(3)]
+    rate = range_rate(d, x[3:6])
+
+    def change(step: Vector) -> list[Number]:
+        q = [d[i] + step[i] for i in range(3)]
+        velocity = [x[3 + i] + step[3 + i] for i in range(3)]
+        return [hz_per_mps * (range_rate(q, velocity) - rate) + step[6]]
+
+    transverse = [hz_per_mps * inverse * (x[3 + i] - u[i] * rate) for i in range(3)]
+    radial = [hz_per_mps * u[i] for i in range(3)]
+    return Group(
+        innovation=[z[0] - (hz_per_mps * rate + x[6])],
+        variance=variance,
+        jacobian=[[*transverse, *radial, 1.0]],
+        change=change,
+        curved=3,
+    )
+
+
+def odometry_group(x: Vector, z: Vector, variance: Vector) -> Group:
+    """Speed |v| (m/s) and heading atan2(vy, vx) (rad) of the user's own odometry."""
+    v = x[3:6]
+    horizontal, speed = norms(v)
+    speed_inverse = 1.0 / maximum(speed, _SLOWEST_ODOMETRY)
+    horizontal_inverse = 1.0 / maximum(horizontal, _SLOWEST_ODOMETRY)
+    across = horizontal_inverse * horizontal_inverse
+
+    def change(step: Vector) -> list[Number]:
+        q = [v[i] + step[3 + i] for i in range(3)]
+        turn = atan2(q[1] * v[0] - q[0] * v[1], q[0] * v[0] + q[1] * v[1])
+        return [norms(q)[1] - speed, turn]
+
+    fixed = [0.0] * 3
+    return Group(
+        innovation=[z[0] - speed, wrap(z[1] - atan2(v[1], v[0]))],
+        variance=variance,
+        jacobian=[
+            [*fixed, *(v[i] * speed_inverse for i in range(3)), 0.0],
+            [*fixed, -v[1] * across, v[0] * across, 0.0, 0.0],
+        ],
+        change=change,
+        curved=6,
+    )
+
+
+def groups_of(x: Vector, m: Measurement) -> list[Group]:
+    """Every group of an epoch, seen from the prior mean x (7,): links, Doppler, odometry."""
+    rows = m.layout.groups
+    links = [
+        link_group(x, anchor, m.z[r], m.variance[r])
+        for anchor, r in zip(m.anchors, rows, strict=False)
+    ]
+    r = rows[m.layout.anchors]
+    groups = [*links, doppler_group(x, m.anchors[0], m.hz_per_mps, m.z[r], m.variance[r])]
+    if m.layout.odometry:
+        groups.append(odometry_group(x, m.z[rows[-1]], m.variance[rows[-1]]))
+    return groups

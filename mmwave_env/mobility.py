@@ -1,0 +1,266 @@
+"""Truth: how pedestrians, vehicles and others move through the streets.
+
+A traveller walks or drives along a net of streets, turns at crossings on circular arcs,
+waits at red lights, and follows gaits (target speeds that change now and then) within
+limits of acceleration, braking, lateral acceleration and jerk. Simulated at 0.1 s.
+"""
+
+from dataclasses import astuple, dataclass, field, replace
+
+import numba
+import numpy as np
+from numpy.typing import NDArray
+
+from mmwave_env.names import choose
+from mmwave_env.scene import Streets
+
+FINEST_STEP_S = 0.1
+Range = tuple[float, float]
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Gait:
+    """A target speed that is kept for a while.
+
+    Attributes:
+        low_mps, high_mps: the target is uniform between these.
+        mean_s: mean duration, exponential.
+        weight: how often it is chosen next, relative to the others.
+    """
+
+    low_mps: float
+    high_mps: float
+    mean_s: float
+    weight: float = 1.0
+
+
+@dataclass(frozen=True)
+class Limits:
+    """What a traveller can do; ranges are drawn once per episode.
+
+    Attributes:
+        acceleration_mps2, braking_mps2, lateral_mps2: ranges.
+        jerk_mps3: limit of the change of acceleration.
+        corner_radius_m: of the arcs at crossings.
+        red_light_probability: of waiting at a crossing.
+        red_light_s: range of the wait.
+    """
+
+    acceleration_mps2: Range
+    braking_mps2: Range
+    lateral_mps2: Range
+    jerk_mps3: float
+    corner_radius_m: float
+    red_light_probability: float = 0.0
+    red_light_s: Range = (5.0, 25.0)
+
+
+@dataclass(frozen=True)
+class Phase:
+    """A stretch of an episode with one way of moving.
+
+    Attributes:
+        limits: what is possible.
+        gaits: what is wanted.
+        duration_s: range of its length; infinite for the rest of the episode.
+    """
+
+    limits: Limits
+    gaits: tuple[Gait, ...]
+    duration_s: Range = (np.inf, np.inf)
+
+
+@dataclass(frozen=True)
+class Mobility:
+    """A kind of user.
+
+    Attributes:
+        name: of the scenario.
+        phases: in order of time; the first of a last-and-first pair also ends the episode.
+        blocks: how many times finer than the streets' blocks the crossings lie.
+        ends_as_it_began: whether the first phase returns at the end.
+    """
+
+    name: str
+    phases: tuple[Phase, ...]
+    blocks: int = 1
+    ends_as_it_began: bool = field(default=False)
+
+
+_ON_FOOT = Limits((0.5, 1.0), (0.8, 1.5), (1.0, 2.0), 2.0, 1.0)
+_WALK = (Gait(0.4, 1.9, 20.0, 3.0), Gait(0.0, 0.0, 10.0, 1.0))
+_DRIVING = Limits((1.5, 3.0), (2.0, 3.5), (2.0, 3.5), 2.5, 8.0, 0.4)
+_DRIVE = (Gait(9.0, 20.0, np.inf),)
+_JAM = (Gait(0.0, 0.0, 8.0, 1.0), Gait(0.5, 2.5, 8.0, 1.5), Gait(3.0, 7.0, 6.0, 1.0))
+_CYCLING = Limits((0.6, 1.2), (1.5, 2.5), (1.5, 2.5), 2.0, 4.0, 0.2, (5.0, 15.0))
+_CYCLE = (Gait(2.0, 6.5, 25.0),)
+
+MOBILITIES: dict[str, Mobility] = {
+    "pedestrian": Mobility("pedestrian", (Phase(_ON_FOOT, _WALK),), blocks=4),
+    "vehicle": Mobility("vehicle", (Phase(_DRIVING, _DRIVE),)),
+    "walk-ride": Mobility(
+        "walk-ride",
+        (Phase(_ON_FOOT, _WALK, (45.0, 75.0)), Phase(_DRIVING, _DRIVE)),
+        ends_as_it_began=True,
+    ),
+    "jam": Mobility(
+        "jam", (Phase(replace(_DRIVING, red_light_probability=0.0), _JAM),)
+    ),
+    "cyclist": Mobility("cyclist", (Phase(_CYCLING, _CYCLE),)),
+}
+MIXED = "mixed"
+SCENARIOS = (*MOBILITIES, MIXED)
+
+
+def mobilities_of(scenario: str) -> tuple[Mobility, ...]:
+    """The mobilities a scenario draws from, in equal shares.
+
+    Raises:
+        ValueError: unknown scenario; the message lists the valid ones.
+    """
+    names = {name: (mobility,) for name, mobility in MOBILITIES.items()}
+    names[MIXED] = tuple(MOBILITIES.values())  # type: ignore[assignment]
+    return choose(names, scenario, "scenario")
+
+
+def trajectory(
+    mobility: Mobility, streets: Streets, dt: float, epochs: int, rng: np.random.Generator
+) -> tuple[Array, Array]:
+    """Positions (epochs, 3) in m and velocities (epochs, 3) in m/s at steps of ``dt`` seconds."""
+    stride = max(1, round(dt / FINEST_STEP_S))
+    step = dt / stride
+    phases = mobility.phases
+    ends = np.cumsum([rng.uniform(*p.duration_s) if np.isfinite(p.duration_s[0]) else np.inf
+                      for p in phases])  # fmt: skip
+    if mobility.ends_as_it_began:
+        ends[-1] = epochs * dt - rng.uniform(*phases[0].duration_s)
+        phases, ends = (*phases, phases[0]), np.append(ends, np.inf)
+    limits = np.array([
+        [rng.uniform(*p.limits.acceleration_mps2), rng.uniform(*p.limits.braking_mps2),
+         rng.uniform(*p.limits.lateral_mps2), p.limits.jerk_mps3, p.limits.corner_radius_m,
+         p.limits.red_light_probability, *p.limits.red_light_s]
+        for p in phases
+    ])  # fmt: skip
+    gaits = np.zeros((len(phases), max(len(p.gaits) for p in phases), 4))
+    for row, p in zip(gaits, phases, strict=True):
+        row[: len(p.gaits)] = [astuple(g) for g in p.gaits]
+    block = streets.block_m / mobility.blocks
+    origin = np.array([streets.x_m[0], streets.y_m[0]])
+    counts = np.array([
+        round((high - low) / block) for low, high in (streets.x_m, streets.y_m)
+    ])  # fmt: skip
+    path = _travel(rng, ends, limits, gaits, origin, counts, block, step, stride, epochs)
+    position = np.empty((epochs, 3))
+    velocity = np.zeros((epochs, 3))
+    position[:, :2], position[:, 2] = path[:, :2], streets.height_m
+    velocity[:, :2] = path[:, 2:]
+    return position, velocity
+
+
+@numba.njit(cache=True)  # type: ignore[untyped-decorator]
+def _draw_gait(rng, gaits):  # type: ignore[no-untyped-def]
+    """Target speed and duration of the next gait; gaits (n, 4) as in Gait, zero rows unused."""
+    left = rng.random() * gaits[:, 3].sum()
+    chosen = 0
+    for i in range(len(gaits)):
+        if left < gaits[i, 3]:
+            chosen = i
+            break
+        left -= gaits[i, 3]
+    speed = gaits[chosen, 0] + (gaits[chosen, 1] - gaits[chosen, 0]) * rng.random()
+    return speed, gaits[chosen, 2] * rng.standard_exponential()
+
+
+@numba.njit(cache=True)  # type: ignore[untyped-decorator]
+def _draw_turn(rng, node, heading, counts):  # type: ignore[no-untyped-def]
+    """Quarter turns to the left at a node: 0, 1, -1, or 2 (back) where nothing else stays in."""
+    options = np.empty(3, np.int64)
+    n = 0
+    for turn in (0, 1, -1):
+        way = (heading + turn) % 4
+        x = node[0] + (1 if way == 0 else -1 if way == 2 else 0)
+        y = node[1] + (1 if way == 1 else -1 if way == 3 else 0)
+        if 0 <= x <= counts[0] and 0 <= y <= counts[1]:
+            options[n] = turn
+            n += 1
+    return options[int(rng.random() * n)] if n else 2
+
+
+@numba.njit(cache=True)  # type: ignore[untyped-decorator]
+def _travel(  # type: ignore[no-untyped-def]
+    rng, ends, limits, gaits, origin, counts, block, step, stride, epochs
+):
+    """x, y, vx, vy (epochs, 4) of one traveller; arguments as :func:`trajectory` makes them."""
+    out = np.empty((epochs, 4))
+    node = np.array([int(rng.random() * (counts[0] + 1)), int(rng.random() * (counts[1] + 1))])
+    heading = int(rng.random() * 4)
+    heading = (heading + _draw_turn(rng, node, heading, counts)) % 4
+    x, y = origin[0] + block * node[0], origin[1] + block * node[1]
+    phase = 0
+    target, gait_left = _draw_gait(rng, gaits[0])
+    v, a = target * rng.random(), 0.0
+    # Along the current street: distance since the last crossing's arc, and the crossing ahead.
+    travelled = 0.0
+    stretch = 0.0  # straight metres to the arc; 0 asks for a new crossing
+    turn, arc, red_left = 0, 0.0, 0.0
+    fresh = True
+    for k in range(epochs * stride):
+        if k % stride == 0:
+            angle = heading * np.pi / 2
+            if travelled > stretch and turn != 0:
+                radius = arc / (abs(turn) * np.pi / 2)
+                angle += np.sign(turn) * (travelled - stretch) / radius
+            out[k // stride] = x, y, v * np.cos(angle), v * np.sin(angle)
+        if k * step >= ends[phase]:
+            phase += 1
+            gait_left = 0.0
+        if fresh or travelled >= stretch + arc:  # past a crossing: plan the next
+            overshoot = 0.0 if fresh else travelled - stretch - arc
+            heading = (heading + turn) % 4
+            radius = limits[phase, 4]
+            node[0] += 1 if heading == 0 else -1 if heading == 2 else 0
+            node[1] += 1 if heading == 1 else -1 if heading == 3 else 0
+            ahead_x = origin[0] + block * node[0] - x
+            ahead_y = origin[1] + block * node[1] - y
+            distance = max(ahead_x * np.cos(heading * np.pi / 2)
+                           + ahead_y * np.sin(heading * np.pi / 2), 1.0)  # fmt: skip
+            turn = _draw_turn(rng, node, heading, counts)
+            arc = abs(turn) * np.pi / 2 * radius
+            stretch = max(distance - (radius if turn != 0 else 0.0), 0.5)
+            travelled = overshoot if fresh else 0.0
+            red_left = 0.0
+            if rng.random() < limits[phase, 5]:
+                red_left = limits[phase, 6] + (limits[phase, 7] - limits[phase, 6]) * rng.random()
+            fresh = False
+        if gait_left <= 0.0:
+            target, gait_left = _draw_gait(rng, gaits[phase])
+        gait_left -= step
+        # Speed that still allows to stop at a red light or to slow down for the arc.
+        braking, lateral, radius = limits[phase, 1], limits[phase, 2], limits[phase, 4]
+        wanted = target
+        left = stretch - travelled
+        if turn != 0:
+            in_arc = np.sqrt(lateral * radius)
+            wanted = min(wanted, in_arc if left <= 0.0
+                         else np.sqrt(in_arc**2 + 1.4 * braking * left))  # fmt: skip
+        if red_left > 0.0 and left > 0.0:
+            wanted = min(wanted, np.sqrt(1.4 * braking * max(left - 1.0, 0.0)))
+            if v < 0.3 and left < 3.0:
+                red_left -= step
+        pull = min(max((wanted - v) / 0.5, -braking), limits[phase, 0])
+        a += min(max(pull - a, -limits[phase, 3] * step), limits[phase, 3] * step)
+        new_v = max(v + a * step, 0.0)
+        if new_v == 0.0:
+            a = max(a, 0.0)
+        moved = 0.5 * (v + new_v) * step
+        middle = heading * np.pi / 2
+        if travelled + 0.5 * moved > stretch and turn != 0:
+            radius = arc / (abs(turn) * np.pi / 2)
+            bent = min(travelled + 0.5 * moved - stretch, arc)
+            middle += np.sign(turn) * bent / radius
+        x += moved * np.cos(middle)
+        y += moved * np.sin(middle)
+        travelled += moved
+        v = new_v
+    return out

@@ -1,0 +1,63 @@
+"""Rewards: functions of a belief and the truth, written on numbers.
+
+A reward is called as ``reward(belief, truth)`` with a
+:class:`~mmwave_env.estimator.belief.Belief` and the true (6,) position and velocity, and
+returns one number. Pass your own to ``MmWaveLoc-v0`` as ``reward=``; it follows the rules
+of :mod:`mmwave_env.arithmetic`, so it runs on SIMD lanes like everything else.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from mmwave_env.arithmetic import Number, Vector, log, maximum, minimum
+from mmwave_env.estimator.belief import Belief
+from mmwave_env.names import choose
+
+Reward = Callable[[Belief, Vector], Number]
+
+_SMALLEST_NEES = 1e-12
+
+
+@dataclass(frozen=True)
+class TrackingReward:
+    """-(error_weight min(error, error_limit_m) + nees_weight min(|ln(NEES / d)|, nees_limit)).
+
+    Penalises distance from the truth and inconsistency either way; NEES is taken per epoch,
+    so inflating the covariance does not pay. d is the number of estimated position axes.
+    """
+
+    error_weight: float = 1.0
+    error_limit_m: float = 10.0
+    nees_weight: float = 0.2
+    nees_limit: float = 3.0
+
+    @property
+    def worst(self) -> float:
+        """The lowest reward there is."""
+        return -(self.error_weight * self.error_limit_m + self.nees_weight * self.nees_limit)
+
+    def __call__(self, belief: Belief, truth: Vector) -> Number:
+        """Reward of one epoch."""
+        error = minimum(belief.distance(truth), self.error_limit_m)
+        ratio = maximum(belief.nees(truth), _SMALLEST_NEES) * (1.0 / len(belief.axes))
+        inconsistency = minimum(abs(log(ratio)), self.nees_limit)
+        return -(self.error_weight * error + self.nees_weight * inconsistency)
+
+
+@dataclass(frozen=True)
+class LogScore:
+    """Log density of the true position, a proper score in nats, no lower than ``worst``."""
+
+    worst: float = -30.0
+
+    def __call__(self, belief: Belief, truth: Vector) -> Number:
+        """Reward of one epoch."""
+        return maximum(belief.log_density(truth), self.worst)
+
+
+REWARDS: dict[str, Reward] = {"tracking": TrackingReward(), "log-score": LogScore()}
+
+
+def reward_from(reward: str | Reward) -> Reward:
+    """The reward of a ``reward=`` argument: a name or a function of (belief, truth)."""
+    return reward if callable(reward) else choose(REWARDS, reward, "reward")

@@ -1,0 +1,163 @@
+"""Streets: the base station, the walls that mirror it, and where users move.
+
+A flat wall turns the physical anchor into a *virtual anchor*, its mirror image: a path with
+one reflection measures range and angles as if it came from there (paper, Sec. II).
+"""
+
+import json
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mmwave_env.measurement import SPEED_OF_LIGHT
+from mmwave_env.names import choose
+
+Point = tuple[float, float, float]
+
+
+@dataclass(frozen=True)
+class Wall:
+    """A vertical plane ``normal . (x, y) = offset_m``.
+
+    Attributes:
+        normal: horizontal direction (2,), any length but zero.
+        offset_m: distance of the plane from the origin along the unit normal, m.
+    """
+
+    normal: tuple[float, float]
+    offset_m: float
+
+    def __post_init__(self) -> None:
+        if not np.hypot(*self.normal) > 0.0:
+            raise ValueError(f"normal: found {self.normal}, expected a direction")
+
+    def mirror(self, point: Point) -> Point:
+        """The mirror image of a point."""
+        length = float(np.hypot(*self.normal))
+        nx, ny = self.normal[0] / length, self.normal[1] / length
+        step = 2.0 * (self.offset_m - nx * point[0] - ny * point[1])
+        return (point[0] + step * nx, point[1] + step * ny, point[2])
+
+
+@dataclass(frozen=True)
+class Streets:
+    """A rectangular net of streets to move on.
+
+    Attributes:
+        x_m: west-east extent (low, high), m.
+        y_m: south-north extent (low, high), m.
+        block_m: distance of parallel streets, m; extents hold a whole number of blocks.
+        height_m: height of the user equipment, m.
+    """
+
+    x_m: tuple[float, float] = (0.0, 160.0)
+    y_m: tuple[float, float] = (-160.0, 0.0)
+    block_m: float = 80.0
+    height_m: float = 1.5
+
+    def __post_init__(self) -> None:
+        for name, extent in (("x_m", self.x_m), ("y_m", self.y_m)):
+            if extent[1] < extent[0]:
+                raise ValueError(f"{name}: found {extent}, expected (low, high)")
+        if not self.block_m > 0.0:
+            raise ValueError(f"block_m: found {self.block_m}, expected > 0")
+
+
+@dataclass(frozen=True)
+class Scene:
+    """A base station among walls.
+
+    Attributes:
+        name: shown in results.
+        base_station_m: position of the physical gNB.
+        walls: each adds one virtual anchor.
+        streets: where simulated users move.
+        carrier_hz: carrier frequency f_c.
+        bandwidth_hz: signal bandwidth B.
+    """
+
+    name: str
+    base_station_m: Point
+    walls: tuple[Wall, ...] = ()
+    streets: Streets = field(default_factory=Streets)
+    carrier_hz: float = 28e9
+    bandwidth_hz: float = 100e6
+
+    def __post_init__(self) -> None:
+        if not self.carrier_hz > 0.0 or not self.bandwidth_hz > 0.0:
+            raise ValueError(
+                f"carrier_hz, bandwidth_hz: found {self.carrier_hz}, {self.bandwidth_hz}, "
+                "expected > 0"
+            )
+
+    @property
+    def anchors_m(self) -> NDArray[np.float64]:
+        """Anchors (L, 3): the gNB, then its image in each wall."""
+        images = [wall.mirror(self.base_station_m) for wall in self.walls]
+        return np.array([self.base_station_m, *images], float)
+
+    @property
+    def hz_per_mps(self) -> float:
+        """Doppler shift of 1 m/s, f_c / c."""
+        return self.carrier_hz / SPEED_OF_LIGHT
+
+
+SCENES: dict[str, Scene] = {
+    # Design of this project: gNB over a crossing, a facade to the north and one to the east.
+    "street": Scene("street", (10.0, 10.0, 10.0), (Wall((0, 1), 25.0), Wall((1, 0), 185.0))),
+    # After DeepMIMO O1 (28 GHz): main street 600 x 40 m, facades 52 m apart, BS3, users at 2 m.
+    # The building that closes the street to the north is this project's assumption.
+    "o1": Scene(
+        "o1",
+        (235.504, 489.504, 6.0),
+        (Wall((1, 0), 286.504), Wall((0, 1), 845.0)),
+        Streets((260.5, 260.5), (240.0, 840.0), block_m=120.0, height_m=2.0),
+    ),
+    # After DeepMIMO Dynamic Doppler (28 GHz): main street 430 x 15 m, first base station; one
+    # cross street each 215 m. The facades' distance from the kerb is this project's assumption.
+    "dynamic-doppler": Scene(
+        "dynamic-doppler",
+        (7.0, 14.0, 4.5),
+        (Wall((0, 1), -15.0), Wall((1, 0), 225.0)),
+        Streets((-215.0, 215.0), (-107.5, 107.5), block_m=107.5),
+    ),
+}
+
+
+def scene_from(scene: "str | Path | Scene") -> Scene:
+    """The scene of a ``scene=`` argument: a name, a JSON file or a Scene.
+
+    Raises:
+        ValueError: unknown name, or a file that lacks a field or holds something else there.
+    """
+    if isinstance(scene, Scene):
+        return scene
+    if str(scene).endswith(".json"):
+        return read_scene(Path(scene))
+    return choose(SCENES, str(scene), "scene")
+
+
+def read_scene(path: Path) -> Scene:
+    """A scene from JSON: name, base_station_m, walls [{normal, offset_m}], streets, carrier_hz,
+    bandwidth_hz; the last four may be left out.
+
+    Raises:
+        ValueError: naming the file and what is wrong in it.
+        FileNotFoundError: there is no such file.
+    """
+    try:
+        fields = json.loads(path.read_text())
+        fields["base_station_m"] = tuple(float(v) for v in fields["base_station_m"])
+        fields["walls"] = tuple(
+            Wall(tuple(wall["normal"]), float(wall["offset_m"]))
+            for wall in fields.get("walls", [])
+        )
+        if "streets" in fields:
+            streets = {k: tuple(v) if isinstance(v, list) else v
+                       for k, v in fields["streets"].items()}  # fmt: skip
+            fields["streets"] = Streets(**streets)
+        return Scene(**{"name": path.stem, **fields})
+    except (TypeError, KeyError, AttributeError, ValueError) as error:
+        raise ValueError(f"{path}: not a scene: {error!r}") from error
