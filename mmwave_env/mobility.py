@@ -90,7 +90,7 @@ class Mobility:
 
 _ON_FOOT = Limits((0.5, 1.0), (0.8, 1.5), (1.0, 2.0), 2.0, 1.0)
 _WALK = (Gait(0.4, 1.9, 20.0, 3.0), Gait(0.0, 0.0, 10.0, 1.0))
-_DRIVING = Limits((1.5, 3.0), (2.0, 3.5), (2.0, 3.5), 2.5, 8.0, 0.4)
+_DRIVING = Limits((1.5, 3.0), (2.0, 3.5), (2.0, 3.5), 4.0, 8.0, 0.4)
 _DRIVE = (Gait(9.0, 20.0, np.inf),)
 _JAM = (Gait(0.0, 0.0, 8.0, 1.0), Gait(0.5, 2.5, 8.0, 1.5), Gait(3.0, 7.0, 6.0, 1.0))
 _CYCLING = Limits((0.6, 1.2), (1.5, 2.5), (1.5, 2.5), 2.0, 4.0, 0.2, (5.0, 15.0))
@@ -188,6 +188,50 @@ def _draw_turn(rng, node, heading, counts):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(cache=True)  # type: ignore[untyped-decorator]
+def _draw_crossing(rng, node, heading, counts, limits):  # type: ignore[no-untyped-def]
+    """Move ``node`` to the next crossing; what to do there: the turn, and seconds of red light."""
+    node[0] += 1 if heading == 0 else -1 if heading == 2 else 0
+    node[1] += 1 if heading == 1 else -1 if heading == 3 else 0
+    turn = _draw_turn(rng, node, heading, counts)
+    red = 0.0
+    if rng.random() < limits[5]:
+        red = limits[6] + (limits[7] - limits[6]) * rng.random()
+    return turn, red
+
+
+@numba.njit(cache=True)  # type: ignore[untyped-decorator]
+def _pull(v, a, target, limits, cap, left):  # type: ignore[no-untyped-def]
+    """Wanted acceleration: towards the target, and down to ``cap`` within ``left`` metres."""
+    acceleration, braking, jerk = limits[0], limits[1], limits[3]
+    wanted = min(target, np.sqrt(cap * cap + braking * max(left, 0.0)))
+    pull = min(max((wanted - v) / 0.5, -braking), acceleration)
+    if left > 0.0 and v > cap:
+        reaction_s = 0.6 * (max(a, 0.0) + braking) / jerk  # until braking has built up
+        need = (v * v - cap * cap) / (2.0 * max(left - reaction_s * v, 0.5))
+        if need > 0.7 * braking:
+            pull = min(pull, -min(need, braking))
+    return pull
+
+
+@numba.njit(cache=True)  # type: ignore[untyped-decorator]
+def _drive(v, a, target, limits, turn, red, radius, left):  # type: ignore[no-untyped-def]
+    """Wanted acceleration with a crossing ``left`` metres ahead."""
+    pull = _pull(v, a, target, limits, np.inf, 0.0)
+    if turn != 0:
+        pull = min(pull, _pull(v, a, target, limits, np.sqrt(limits[2] * radius), left))
+    if red > 0.0 and left > 0.0:
+        pull = min(pull, _pull(v, a, target, limits, 0.0, max(left - 1.0, 0.0)))
+    return pull
+
+
+@numba.njit(cache=True)  # type: ignore[untyped-decorator]
+def _course(heading, turn, bent, arc):  # type: ignore[no-untyped-def]
+    """Direction of travel (rad), ``bent`` metres into an arc of ``arc`` metres."""
+    share = min(max(bent / arc, 0.0), 1.0) if turn != 0 else 0.0
+    return (heading + turn * share) * (np.pi / 2)
+
+
+@numba.njit(cache=True)  # type: ignore[untyped-decorator]
 def _travel(  # type: ignore[no-untyped-def]
     rng, ends, limits, gaits, origin, counts, block, step, stride, epochs
 ):
@@ -196,71 +240,57 @@ def _travel(  # type: ignore[no-untyped-def]
     node = np.array([int(rng.random() * (counts[0] + 1)), int(rng.random() * (counts[1] + 1))])
     heading = int(rng.random() * 4)
     heading = (heading + _draw_turn(rng, node, heading, counts)) % 4
-    x, y = origin[0] + block * node[0], origin[1] + block * node[1]
+    along = origin + block * node
     phase = 0
     target, gait_left = _draw_gait(rng, gaits[0])
     v, a = target * rng.random(), 0.0
-    # Along the current street: distance since the last crossing's arc, and the crossing ahead.
-    travelled = 0.0
-    stretch = 0.0  # straight metres to the arc; 0 asks for a new crossing
-    turn, arc, red_left = 0, 0.0, 0.0
-    fresh = True
+    # The way ahead is a straight stretch, then an arc over a crossing (none if turn is 0);
+    # the crossing after that is known too, for braking over a crossing that is driven straight.
+    travelled, stretch, arc, turn, red = 0.0, 0.0, 0.0, 0, 0.0
+    radius = limits[0, 4]
+    turn_after, red_after = _draw_crossing(rng, node, heading, counts, limits[0])
     for k in range(epochs * stride):
         if k % stride == 0:
-            angle = heading * np.pi / 2
-            if travelled > stretch and turn != 0:
-                radius = arc / (abs(turn) * np.pi / 2)
-                angle += np.sign(turn) * (travelled - stretch) / radius
-            out[k // stride] = x, y, v * np.cos(angle), v * np.sin(angle)
+            angle = _course(heading, turn, travelled - stretch, arc)
+            out[k // stride] = along[0], along[1], v * np.cos(angle), v * np.sin(angle)
         if k * step >= ends[phase]:
-            phase += 1
-            gait_left = 0.0
-        if fresh or travelled >= stretch + arc:  # past a crossing: plan the next
-            overshoot = 0.0 if fresh else travelled - stretch - arc
-            heading = (heading + turn) % 4
-            radius = limits[phase, 4]
-            node[0] += 1 if heading == 0 else -1 if heading == 2 else 0
-            node[1] += 1 if heading == 1 else -1 if heading == 3 else 0
-            ahead_x = origin[0] + block * node[0] - x
-            ahead_y = origin[1] + block * node[1] - y
-            distance = max(ahead_x * np.cos(heading * np.pi / 2)
-                           + ahead_y * np.sin(heading * np.pi / 2), 1.0)  # fmt: skip
-            turn = _draw_turn(rng, node, heading, counts)
-            arc = abs(turn) * np.pi / 2 * radius
-            stretch = max(distance - (radius if turn != 0 else 0.0), 0.5)
-            travelled = overshoot if fresh else 0.0
-            red_left = 0.0
-            if rng.random() < limits[phase, 5]:
-                red_left = limits[phase, 6] + (limits[phase, 7] - limits[phase, 6]) * rng.random()
-            fresh = False
+            target, gait_left = 0.0, 1.0  # stop the ride before walking on
+            if v <= 2.0:
+                phase, gait_left = phase + 1, 0.0
+                wider = limits[phase, 4] - radius
+                if turn != 0 and stretch - travelled > wider + 1.0:
+                    radius, stretch = radius + wider, stretch - wider
+                    arc = abs(turn) * (np.pi / 2) * radius
         if gait_left <= 0.0:
             target, gait_left = _draw_gait(rng, gaits[phase])
         gait_left -= step
-        # Speed that still allows to stop at a red light or to slow down for the arc.
-        braking, lateral, radius = limits[phase, 1], limits[phase, 2], limits[phase, 4]
-        wanted = target
+        if travelled >= stretch + arc:  # over the crossing: on to the next
+            heading = (heading + turn) % 4
+            ahead = heading % 2
+            distance = abs(origin[ahead] + block * node[ahead] - along[ahead])
+            turn, red, radius = turn_after, red_after, limits[phase, 4]
+            arc = abs(turn) * (np.pi / 2) * radius
+            stretch, travelled = max(distance - (radius if turn != 0 else 0.0), 0.5), 0.0
+            turn_after, red_after = _draw_crossing(
+                rng, node, (heading + turn) % 4, counts, limits[phase]
+            )
         left = stretch - travelled
-        if turn != 0:
-            in_arc = np.sqrt(lateral * radius)
-            wanted = min(wanted, in_arc if left <= 0.0
-                         else np.sqrt(in_arc**2 + 1.4 * braking * left))  # fmt: skip
-        if red_left > 0.0 and left > 0.0:
-            wanted = min(wanted, np.sqrt(1.4 * braking * max(left - 1.0, 0.0)))
-            if v < 0.3 and left < 3.0:
-                red_left -= step
-        pull = min(max((wanted - v) / 0.5, -braking), limits[phase, 0])
-        a += min(max(pull - a, -limits[phase, 3] * step), limits[phase, 3] * step)
-        new_v = max(v + a * step, 0.0)
-        if new_v == 0.0:
+        pull = _drive(v, a, target, limits[phase], turn, red, radius, left)
+        if turn == 0:
+            beyond = left + block - (radius if turn_after != 0 else 0.0)
+            then = _drive(v, a, target, limits[phase], turn_after, red_after, radius, beyond)
+            pull = min(pull, then)
+        if v < 0.3 and left < 3.0:
+            red -= step
+        jerk = limits[phase, 3]
+        a += min(max(pull - a, -jerk * step), jerk * step)
+        faster = max(v + a * step, 0.0)
+        if faster == 0.0:
             a = max(a, 0.0)
-        moved = 0.5 * (v + new_v) * step
-        middle = heading * np.pi / 2
-        if travelled + 0.5 * moved > stretch and turn != 0:
-            radius = arc / (abs(turn) * np.pi / 2)
-            bent = min(travelled + 0.5 * moved - stretch, arc)
-            middle += np.sign(turn) * bent / radius
-        x += moved * np.cos(middle)
-        y += moved * np.sin(middle)
+        moved = 0.5 * (v + faster) * step
+        angle = _course(heading, turn, travelled + 0.5 * moved - stretch, arc)
+        along[0] += moved * np.cos(angle)
+        along[1] += moved * np.sin(angle)
         travelled += moved
-        v = new_v
+        v = faster
     return out
