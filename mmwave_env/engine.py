@@ -144,7 +144,7 @@ def _program(pipeline: Pipeline, kind: str, reward: Reward) -> Program[Workspace
     def function(w: Workspace) -> Workspace:
         return epoch(w, pipeline, observation, reward)
 
-    return Program(function, pipeline.layout, _template(pipeline, len(observation)))
+    return Program(function, _template(pipeline, len(observation)))
 
 
 class Engine:
@@ -168,8 +168,10 @@ class Engine:
     ) -> None:
         self.pipeline = pipeline
         self.observation = Observation(pipeline, observation)
-        self._batch = Batch(_program(pipeline, observation, reward), n, on_floats)
-        self.at, self.read = self._batch.at, self._batch.read
+        self._batch = Batch(_program(pipeline, observation, reward), pipeline.layout, n, on_floats)
+        self.size = self._batch.program.size
+        self.at, self.span = self._batch.at, self._batch.span
+        self.read, self.column = self._batch.read, self._batch.column
 
     def reset(self, episodes: Sequence[Episode]) -> NDArray[np.float32]:
         """Start over with one episode each; returns observations (n, features)."""
@@ -234,7 +236,7 @@ def _imm_program(
     template = ImmWorkspace(
         incoming, site, 1.0, mixture, site.prior_x, site.prior_P, 0.0, [0.0] * 3, 0.0
     )
-    return Program(function, pipeline.layout, template)
+    return Program(function, template)
 
 
 class ImmEngine:
@@ -257,7 +259,7 @@ class ImmEngine:
     ) -> None:
         transition = transition or stay_matrix(len(pipeline.modes))
         self.pipeline = pipeline
-        self._batch = Batch(_imm_program(pipeline, transition, reward), n)
+        self._batch = Batch(_imm_program(pipeline, transition, reward), pipeline.layout, n)
         self.at, self.read = self._batch.at, self._batch.read
 
     def reset(self, episodes: Sequence[Episode]) -> None:

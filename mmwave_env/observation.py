@@ -148,6 +148,16 @@ def _context(pipeline: Pipeline) -> list[Feature]:
             lambda v: v.epoch.doppler_spread_hz / v.site.hz_per_mps,
         ),
     ]  # fmt: skip
+    if layout.odometry:
+        table.append(
+            Feature(
+                "odometry speed", "of the coming epoch; predicted speed where missing", "m/s", 10,
+                0, 5,
+                lambda v: where(
+                    v.epoch.visible[-1] > 0.5, v.epoch.z[layout.doppler + 1], _speed(v)
+                ),
+            )
+        )  # fmt: skip
     for g, name in enumerate(layout.group_names):
         table.append(
             Feature(

@@ -65,7 +65,15 @@ def forward(factor: Matrix, b: Vector) -> list[Number]:
     return y
 
 
-def quadratic(m: Matrix, b: Vector) -> Number:
-    """b' m^-1 b for a symmetric positive definite m."""
-    y = forward(cholesky(m), b)
-    return dot(y, y)
+def backward(factor: Matrix, b: Vector) -> list[Number]:
+    """Solve ``factor' y = b`` for a lower-triangular factor; structural zeros give zero."""
+    n = len(b)
+    y: list[Number] = [0.0] * n
+    for i in reversed(range(n)):
+        pivot = factor[i][i]
+        if isinstance(pivot, float) and pivot == 0.0:
+            continue
+        rest = dot([factor[k][i] for k in range(i + 1, n)], y[i + 1 :])
+        y[i] = (b[i] - rest) * (1.0 / pivot)
+    return y
+

@@ -1,9 +1,10 @@
 """Run a function of numbers for a batch of environments, on SIMD lanes or on floats.
 
 A program maps a workspace tree to a workspace tree. Its leaves are rows of an array
-(blocks, rows, 8), eight environments to a block. A workspace begins with three fields that
-the batch fills in: ``incoming``, the coming :class:`Incoming` epoch, loaded before each run
-from a table of whole episodes; ``site``; and ``fresh``, 1 where an episode begins.
+(blocks, rows, 8), eight environments to a block. The first field of a workspace,
+``incoming``, is loaded before each run from a table of whole tracks. A :class:`Batch` loads
+:class:`Incoming` epochs of episodes and fills in the next two fields as well: ``site``, and
+``fresh``, 1 where an episode begins.
 """
 
 from collections.abc import Callable, Sequence
@@ -55,14 +56,11 @@ class Program(Generic[Workspace]):
 
     Args:
         function: from a workspace tree to a workspace tree of the same shape.
-        layout: rows of the measurements.
         template: a workspace of floats, the initial value.
     """
 
-    def __init__(
-        self, function: Callable[[Workspace], Workspace], layout: Layout, template: Workspace
-    ) -> None:
-        self.function, self.layout, self.template = function, layout, template
+    def __init__(self, function: Callable[[Workspace], Workspace], template: Workspace) -> None:
+        self.function, self.template = function, template
         self.size = len(leaves(template))
         self.incoming = len(leaves(template[0]))
         self.index: Workspace = rebuild(template, iter(range(self.size)))
@@ -120,13 +118,16 @@ class Batch(Generic[Workspace]):
 
     Attributes:
         program: what runs.
+        layout: rows of the measurements.
         n: number of environments.
         at: the workspace tree with row numbers as leaves, to say what to read.
         epoch: (n,) the epoch each environment has loaded.
     """
 
-    def __init__(self, program: Program[Workspace], n: int, on_floats: bool = False) -> None:
-        self.program, self.n = program, n
+    def __init__(
+        self, program: Program[Workspace], layout: Layout, n: int, on_floats: bool = False
+    ) -> None:
+        self.program, self.layout, self.n = program, layout, n
         self.at = program.index
         self.epoch = np.zeros(n, np.int64)
         blocks = -(-n // WIDTH)
@@ -139,15 +140,15 @@ class Batch(Generic[Workspace]):
         """Load one episode each and run their first epoch.
 
         Raises:
-            ValueError: another number of episodes, or another layout than the program's.
+            ValueError: another number of episodes, or another layout than the batch's.
         """
         if len(episodes) != self.n:
             raise ValueError(f"episodes: found {len(episodes)}, expected {self.n}")
         for episode in episodes:
-            if episode.layout != self.program.layout:
+            if episode.layout != self.layout:
                 raise ValueError(
                     f"layout of episode {episode.name!r}: found {episode.layout}, expected "
-                    f"{self.program.layout}"
+                    f"{self.layout}"
                 )
         epochs = max(len(episode) for episode in episodes) + 1
         self._table = np.stack([episode.table(epochs) for episode in episodes])
@@ -163,12 +164,22 @@ class Batch(Generic[Workspace]):
         np.minimum(self.epoch + 1, self._table.shape[1] - 1, out=self.epoch)
         self._run(self._rows, self._table, self.epoch)
 
+    def span(self, tree: Any) -> slice:
+        """The rows of a subtree of ``at``; leaves of a subtree lie side by side."""
+        numbers = leaves(tree)
+        return slice(numbers[0], numbers[-1] + 1)
+
     def read(self, tree: Any) -> Array:
         """The rows named by a subtree of ``at``, as a copy: (n,) of a leaf, else (n, leaves)."""
         if isinstance(tree, int):
             return self._rows[:, tree, :].reshape(-1)[: self.n].copy()
-        chosen = self._rows[:, leaves(tree), :].transpose(0, 2, 1)
+        chosen = self._rows[:, self.span(tree), :].transpose(0, 2, 1)
         return np.ascontiguousarray(chosen).reshape(-1, chosen.shape[2])[: self.n]
+
+    def column(self, environment: int) -> Array:
+        """All rows of one environment (size,), as a copy; :meth:`span` says where what is."""
+        block, lane = divmod(environment, WIDTH)
+        return self._rows[block, :, lane].copy()
 
     def write(self, tree: Any, values: Any) -> None:
         """Set the rows named by a subtree of ``at``: values (n,) of a leaf, else (n, leaves)."""
@@ -179,4 +190,4 @@ class Batch(Generic[Workspace]):
             self._rows[:, tree, :] = lanes.reshape(-1, WIDTH)
         else:
             shaped = lanes.reshape(-1, WIDTH, lanes.shape[1])
-            self._rows[:, leaves(tree), :] = shaped.transpose(0, 2, 1)
+            self._rows[:, self.span(tree), :] = shaped.transpose(0, 2, 1)

@@ -1,0 +1,1 @@
+"""Commands: thin pages over mmwave_env and policies."""

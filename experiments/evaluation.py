@@ -1,0 +1,235 @@
+"""Run contenders on the same episodes and compare them (design: evaluation protocol).
+
+A contender is a policy with the modes it chooses from, or the IMM. All see the same
+episodes, so differences are paired; intervals are 95 % percentile bootstraps over episodes.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from rich.progress import Progress
+
+from mmwave_env.engine import Engine, ImmEngine
+from mmwave_env.episode import Episode, EpisodeSource
+from mmwave_env.estimator.modes import Mode, default_modes, named_modes
+from mmwave_env.estimator.pipeline import Pipeline
+from mmwave_env.metrics import METRICS, summary
+from mmwave_env.names import choose
+from mmwave_env.observation import Observation
+from mmwave_env.reward import Reward, TrackingReward
+from policies import (
+    FixedMode,
+    LikelihoodRule,
+    Policy,
+    RandomMode,
+    SpeedRule,
+    tuned_threshold,
+)
+
+Array = NDArray[np.float64]
+Scores = dict[str, Array]  # metric -> (episodes,)
+
+CHUNK = 1000  # episodes in memory at once
+RESAMPLES = 4000
+POLICY_SEED = 0
+
+
+@dataclass(frozen=True)
+class Contender:
+    """Something that localises.
+
+    Attributes:
+        name: as on the command line and in results.
+        modes: what it works with.
+        policy: from the observation table to a policy; None for the IMM over the modes.
+    """
+
+    name: str
+    modes: tuple[Mode, ...]
+    policy: Callable[[Observation], Policy] | None
+
+
+def contenders(radio: str) -> dict[str, Contender]:
+    """Every contender there is for a radio profile, by name."""
+    two, named = default_modes(radio), named_modes(radio)
+    names = [mode.name for mode in two]
+    return {
+        c.name: c
+        for c in (
+            Contender("fixed-ekf", two, lambda table: FixedMode(0)),
+            Contender("fixed-ukf", two, lambda table: FixedMode(1)),
+            Contender("fixed-ckf", (named["ckf"],), lambda table: FixedMode(0)),
+            Contender("speed-rule", two, SpeedRule),
+            Contender(
+                "speed-rule-tuned", two, lambda table: SpeedRule(table, tuned_threshold(radio))
+            ),
+            Contender("likelihood-rule", two, lambda table: LikelihoodRule(table, names)),
+            Contender("random", two, lambda table: RandomMode(len(two), POLICY_SEED)),
+            Contender("imm", two, None),
+        )
+    }
+
+
+def contender_from(name: str, radio: str) -> Contender:
+    """A contender by name.
+
+    Raises:
+        ValueError: unknown name; the message lists the valid ones.
+    """
+    return choose(contenders(radio), name, "policy")
+
+
+def draw_episodes(source: EpisodeSource, seeds: Sequence[int]) -> list[Episode]:
+    """One episode per seed, the same that ``env.reset(seed=...)`` draws."""
+    return [source.sample(np.random.default_rng(seed)) for seed in seeds]
+
+
+def run(
+    contender: Contender, episodes: Sequence[Episode], reward: Reward | None = None
+) -> Scores:
+    """Run a contender through episodes of one length; metrics per episode."""
+    reward = reward or TrackingReward()
+    pipeline = Pipeline(contender.modes, episodes[0].layout)
+    n, T = len(episodes), len(episodes[0])
+    rewards, errors, nees = np.empty((n, T)), np.empty((n, T, 3)), np.empty((n, T))
+    if contender.policy is None:
+        imm = ImmEngine(pipeline, n, reward)
+        imm.reset(episodes)
+        for t in range(T):
+            if t:
+                imm.step()
+            rewards[:, t], nees[:, t] = imm.read(imm.at.reward), imm.read(imm.at.nees)
+            errors[:, t] = imm.read(imm.at.error)
+    else:
+        engine = Engine(pipeline, n, reward)
+        policy = contender.policy(engine.observation)
+        observation = engine.reset(episodes)
+        policy.reset(np.ones(n, bool))
+        for t in range(T):
+            observation = engine.step(policy(observation))
+            rewards[:, t], nees[:, t] = engine.read(engine.at.reward), engine.read(engine.at.nees)
+            errors[:, t] = engine.read(engine.at.error)
+    step_s = float(np.median(np.diff(episodes[0].time_s))) if T > 1 else 1.0
+    return summary(rewards, errors, nees, 1.0 / step_s)
+
+
+def evaluate(
+    names: Sequence[str], source: EpisodeSource, radio: str, episodes: int, seed: int
+) -> dict[str, Scores]:
+    """Scores of contenders on the same episodes, seeds ``seed .. seed + episodes - 1``.
+
+    Raises:
+        ValueError: unknown contender, or fewer than one episode.
+    """
+    if episodes < 1:
+        raise ValueError(f"episodes: found {episodes}, expected at least 1")
+    chosen = [contender_from(name, radio) for name in names]
+    parts: dict[str, list[Scores]] = {c.name: [] for c in chosen}
+    with Progress(transient=True) as progress:
+        task = progress.add_task(source.name, total=episodes * (1 + len(chosen)))
+        for first in range(0, episodes, CHUNK):
+            seeds = range(seed + first, seed + min(first + CHUNK, episodes))
+            batch = []
+            for one in seeds:
+                batch += draw_episodes(source, [one])
+                progress.advance(task)
+            for contender in chosen:
+                parts[contender.name].append(run(contender, batch))
+                progress.advance(task, len(batch))
+    return {
+        name: {m: np.concatenate([part[m] for part in scores]) for m in METRICS}
+        for name, scores in parts.items()
+    }
+
+
+@dataclass(frozen=True)
+class Interval:
+    """A mean with its 95 % bootstrap interval."""
+
+    mean: float
+    low: float
+    high: float
+
+    @property
+    def json(self) -> dict[str, Any]:
+        """As results files hold it."""
+        return {"mean": self.mean, "ci95": [self.low, self.high]}
+
+    def __str__(self) -> str:
+        return f"{self.mean:.3f} [{self.low:.3f}, {self.high:.3f}]"
+
+
+def bootstrap(values: Array, seed: int = 0) -> list[Interval]:
+    """Means of columns (episodes, k) with 95 % percentile intervals over episodes.
+
+    All columns share the resamples.
+    """
+    rng = np.random.default_rng(seed)
+    n = len(values)
+    means = np.empty((RESAMPLES, values.shape[1]))
+    for row in range(0, RESAMPLES, 100):
+        weights = rng.multinomial(n, np.full(n, 1.0 / n), size=min(100, RESAMPLES - row)) / n
+        means[row : row + len(weights)] = weights @ values
+    low, high = np.percentile(means, [2.5, 97.5], axis=0)
+    columns = zip(values.mean(axis=0), low, high, strict=True)
+    return [Interval(float(m), float(a), float(b)) for m, a, b in columns]
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """Contenders on one source of episodes.
+
+    Attributes:
+        scenario, radio, episodes, seed: what was run.
+        policies: per contender and metric.
+        paired: the same for differences "A - B", episode by episode.
+    """
+
+    scenario: str
+    radio: str
+    episodes: int
+    seed: int
+    policies: dict[str, dict[str, Interval]]
+    paired: dict[str, dict[str, Interval]]
+
+    @property
+    def json(self) -> dict[str, Any]:
+        """As results files hold it."""
+        def table(rows: dict[str, dict[str, Interval]]) -> dict[str, Any]:
+            return {k: {m: i.json for m, i in row.items()} for k, row in rows.items()}
+
+        return {
+            "scenario": self.scenario, "radio": self.radio, "episodes": self.episodes,
+            "seed": self.seed, "policies": table(self.policies), "paired": table(self.paired),
+        }  # fmt: skip
+
+
+def references(scores: dict[str, Scores]) -> list[str]:
+    """What others are compared with: best fixed mode by reward, the paper's rule, the IMM."""
+    fixed = [name for name in scores if name.startswith("fixed-")]
+    best = max(fixed, key=lambda name: scores[name]["reward"].mean(), default=None)
+    return [name for name in (best, "speed-rule", "imm") if name is not None and name in scores]
+
+
+def compare(scores: dict[str, Scores], **what: Any) -> Comparison:
+    """Intervals of every contender, and paired differences against the references."""
+    metrics = list(METRICS)
+
+    def rows(table: dict[str, Array]) -> dict[str, dict[str, Interval]]:
+        intervals = bootstrap(np.concatenate(list(table.values()), axis=1))
+        return {
+            name: dict(zip(metrics, intervals[i * len(metrics) :], strict=False))
+            for i, name in enumerate(table)
+        }
+
+    stacked = {name: np.stack([s[m] for m in metrics], axis=1) for name, s in scores.items()}
+    pairs = {}
+    for reference in references(scores):
+        for name in scores:
+            if name != reference and f"{reference} - {name}" not in pairs:
+                pairs[f"{name} - {reference}"] = stacked[name] - stacked[reference]
+    return Comparison(policies=rows(stacked), paired=rows(pairs) if pairs else {}, **what)
+

@@ -1,0 +1,37 @@
+"""What the commands that run episodes have in common."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from mmwave_env.episode import EpisodeSource, SimulatedSource
+from mmwave_env.radio import radio_from
+from mmwave_env.recording import RecordedSource, recording_from
+from mmwave_env.scene import scene_from
+
+
+@dataclass
+class EpisodeArgs:
+    """Which episodes to run."""
+
+    scenario: str = "mixed"
+    """pedestrian, vehicle, walk-ride, jam, cyclist or mixed (equal shares)"""
+    radio: str = "handset"
+    """handset, standard or high"""
+    scene: str = "street"
+    """street, o1, dynamic-doppler or a JSON file"""
+    episodes: int = 1000
+    """how many; 1000 or more to publish"""
+    seed: int = 0
+    """seed of the first episode; test seeds start at 0, tuning seeds at 5000000"""
+    data: str | None = None
+    """recorded data instead of a simulation: canyon28_vehicle, canyon28_pedestrian, or the
+    folder of a DeepMIMO scenario; each seed draws receiver noise and prior anew"""
+    json: Path | None = None
+    """write every figure to this file"""
+
+    def source(self) -> EpisodeSource:
+        """Where the episodes come from."""
+        radio = radio_from(self.radio)
+        if self.data is not None:
+            return RecordedSource(recording_from(self.data), radio)
+        return SimulatedSource(scene_from(self.scene), radio, self.scenario)

@@ -1,0 +1,10 @@
+"""MmWaveLoc-v0: an agent chooses which Kalman filter pipeline localises a mobile user.
+
+Importing this package registers the environment; nothing heavy is loaded before it is made.
+"""
+
+import gymnasium
+
+__version__ = "0.1.0"
+
+gymnasium.register(id="MmWaveLoc-v0", entry_point="mmwave_env.env:MmWaveLocEnv")

@@ -1,0 +1,287 @@
+"""The environment: ``gymnasium.make("MmWaveLoc-v0")``."""
+
+from collections.abc import Sequence
+from typing import Any, ClassVar
+
+import gymnasium as gym
+import numpy as np
+from gymnasium import spaces
+from gymnasium.error import InvalidAction, ResetNeeded
+from numpy.typing import NDArray
+
+from mmwave_env.engine import Engine
+from mmwave_env.episode import Episode, EpisodeSource, SimulatedSource
+from mmwave_env.estimator.modes import Mode, modes_from
+from mmwave_env.estimator.pipeline import Pipeline
+from mmwave_env.estimator.smoother import smooth
+from mmwave_env.metrics import DIVERGENCE_M, ate, scored, summary
+from mmwave_env.names import choose
+from mmwave_env.observation import Observation
+from mmwave_env.radio import Radio, radio_from
+from mmwave_env.recording import RecordedSource, recording_from
+from mmwave_env.reward import Reward, reward_from
+from mmwave_env.scene import Scene, scene_from
+
+BACKENDS = {"lanes": "SIMD lanes", "filterpy": "filterpy's filters, slow, independent"}
+EPISODE_STEPS = 200
+
+
+class MmWaveLocEnv(gym.Env[NDArray[np.float32], np.int64]):
+    """
+    ## Description
+
+    A pedestrian or a vehicle moves through a street with three 28 GHz anchors: a base station
+    (gNB) and its mirror images in two building walls. Every epoch (1 s) brings, per anchor,
+    time of arrival, azimuth and elevation of arrival and azimuth of departure, and one Doppler
+    shift. The agent chooses which Kalman filter pipeline, or *mode*, processes the epoch.
+    What it chooses changes the estimate, never the world.
+
+    Source: "Mobility-Aware Localization in mmWave Channel: Adaptive Hybrid Filtering Approach",
+    whose rule is the EKF up to 2 m/s and the UKF above.
+
+    ## Action Space
+
+    `Discrete(len(modes))`: the mode that processes the current epoch. By default
+
+    | action | mode | algorithm | horizontal velocity noise |
+    |---|---|---|---|
+    | 0 | low mobility | EKF | 0.3 m/s handset, 0.5 m/s standard and high, per epoch of 1 s |
+    | 1 | high mobility | UKF (alpha 1, beta 2, kappa 0) | 1.8 m/s per epoch of 1 s |
+
+    Both gate each anchor and the Doppler at the 99 % chi-square quantile, recover from
+    lock-out after two epochs, and scale Q and R by the windowed mean of NIS.
+
+    ## Observation Space
+
+    `Box(float32)` of the features below: what the estimator knows, never the truth. It already
+    shows the next epoch's measurement as each mode would see it; `observation="prior"` leaves
+    those last features ("coming ...", "preference ...") out. With the default arguments:
+
+    {table}
+
+    ## Rewards
+
+    `reward="tracking"` (default): -(1.0 min(error, 10 m) + 0.2 min(|ln(NEES / 3)|, 3)), with
+    the position error and the position's NEES after the epoch. `reward="log-score"`: log
+    density of the true position, at least -30. Any function of (belief, truth) works too, see
+    `mmwave_env.reward`. A mode's `cost` is subtracted in every epoch that runs it.
+
+    ## Starting State
+
+    An episode is drawn from the scenario: trajectory, channel, measurements, and a prior
+    belief around the true state (4 m handset, 3 m standard, 2 m high in each horizontal axis).
+    `reset(seed=s)` gives the same episode everywhere.
+
+    ## Episode End
+
+    Truncation after `episode_steps` epochs (default 200; a recording: all its epochs). With
+    `terminate_on_divergence=True` an episode terminates when the error exceeds 50 m, and that
+    step pays the worst reward for every epoch left, so that failing fast does not pay.
+
+    ## Information
+
+    Every step: `position_error_m`, `nees`, `nis`, `accepted`, `rejected` (per anchor, then
+    Doppler), `mode`, `gamma`, `truth` (position, velocity), `estimate` (position, velocity,
+    bias). `reset`: `episode`, `nonfinite` (measurements that were NaN or infinite and count
+    as missing), `truth`, `estimate`. The last step adds `ate_m`, `rmse_m`, `rpe_m`,
+    `mean_nees`, `in_bounds`, `divergence` (without the first 10 epochs) and `smoothed_ate_m`
+    (Rauch-Tung-Striebel over the episode).
+
+    ## Arguments
+
+    * `scenario`: "pedestrian", "vehicle", "walk-ride", "jam", "cyclist" or "mixed" (default).
+    * `radio`: "handset" (default), "standard", "high", or a `Radio`.
+    * `scene`: "street" (default), "o1", "dynamic-doppler", a JSON file, or a `Scene`.
+    * `modes`: list of modes, each a name ("ekf", "ukf", "ckf") or a `Mode`.
+    * `reward`: "tracking", "log-score" or a function.
+    * `observation`: "full" or "prior".
+    * `episode_steps`, `dt`: epochs per episode and seconds per epoch.
+    * `episodes`: recorded data instead of a simulation: "canyon28_vehicle",
+      "canyon28_pedestrian", the folder of a DeepMIMO scenario, or any episode source.
+    * `planar`: flat terrain: z and vz are known.
+    * `odometry`: the user also measures speed and heading.
+    * `terminate_on_divergence`: see Episode End.
+    * `backend`: "lanes", or "filterpy" for the same modes on filterpy's filters (slow).
+
+    ```python
+    >>> import gymnasium as gym
+    >>> env = gym.make("mmwave_env:MmWaveLoc-v0", scenario="vehicle")
+    >>> observation, info = env.reset(seed=0)
+    >>> observation, reward, terminated, truncated, info = env.step(1)
+
+    ```
+
+    ## Vectorized environment
+
+    `gym.make_vec("MmWaveLoc-v0", num_envs=8, vectorization_mode="sync")`.
+
+    ## Version History
+
+    * v0: initial version.
+    """
+
+    metadata: ClassVar[dict[str, Any]] = {"render_modes": []}
+
+    def __init__(
+        self,
+        scenario: str | None = None,
+        radio: str | Radio = "handset",
+        scene: str | Scene | None = None,
+        modes: Sequence[Mode | str] | None = None,
+        reward: str | Reward = "tracking",
+        observation: str = "full",
+        episode_steps: int | None = None,
+        dt: float | None = None,
+        episodes: str | EpisodeSource | None = None,
+        planar: bool = False,
+        odometry: bool = False,
+        terminate_on_divergence: bool = False,
+        backend: str = "lanes",
+        render_mode: str | None = None,
+    ) -> None:
+        self.render_mode = render_mode
+        self.radio = radio_from(radio)
+        if episodes is None:
+            self.source: EpisodeSource = SimulatedSource(
+                scene_from("street" if scene is None else scene),
+                self.radio,
+                "mixed" if scenario is None else scenario,
+                1.0 if dt is None else dt,
+                EPISODE_STEPS if episode_steps is None else episode_steps,
+                odometry,
+            )
+        else:
+            for name, value in (("scenario", scenario), ("scene", scene), ("dt", dt)):
+                if value is not None:
+                    raise ValueError(f"{name}: found {value!r}, but recorded episodes= bring it")
+            self.source = (
+                RecordedSource(recording_from(episodes), self.radio, epochs=episode_steps)
+                if isinstance(episodes, str)
+                else episodes
+            )
+        self.reward = reward_from(reward)
+        self._worst = getattr(self.reward, "worst", None) if terminate_on_divergence else None
+        if terminate_on_divergence and self._worst is None:
+            raise ValueError("terminate_on_divergence: the reward needs an attribute `worst`")
+        choose(BACKENDS, backend, "backend")
+        pipeline = Pipeline(modes_from(modes, self.radio.name), self.source.layout, planar)
+        if backend == "filterpy":
+            from mmwave_env.estimator.filterpy_twin import filterpy_pipeline
+
+            pipeline = filterpy_pipeline(pipeline)
+        self._engine = Engine(pipeline, 1, self.reward, observation, backend == "filterpy")
+        self.modes, self.observation = pipeline.modes, self._engine.observation
+        self.observation_space = self.observation.space
+        self.action_space = spaces.Discrete(len(self.modes))  # type: ignore[assignment]
+        self._axes = len(pipeline.position_axes)
+        at, span = self._engine.at, self._engine.span
+        self._spans = {
+            "observation": span(at.observation), "error": span(at.error), "x": span(at.x),
+            "P": span(at.P), "P_predicted": span(at.P_predicted), "nis": span(at.memory.nis),
+            "accepted": span(at.memory.accepted), "rejected": span(at.memory.rejected),
+        }  # fmt: skip
+        self._episode: Episode | None = None
+        self._over = True
+        self._steps = 0
+        self._history = np.empty((0, 0))
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[NDArray[np.float32], dict[str, Any]]:
+        """Draw an episode; the same seed gives the same one. See Gymnasium's `Env.reset`."""
+        super().reset(seed=seed, options=options)
+        episode = self.source.sample(self.np_random)
+        if not episode.has_truth:
+            raise ValueError(
+                f"episode {episode.name!r}: found no truth, which reward and metrics need"
+            )
+        observation = self._engine.reset([episode])[0]
+        self._episode, self._over, self._steps = episode, False, 0
+        self._history = np.empty((len(episode), self._engine.size))
+        column = self._engine.column(0)
+        return observation, {
+            "episode": episode.name,
+            "nonfinite": episode.nonfinite,
+            "truth": self._truth(episode, 0),
+            "estimate": column[self._spans["x"]],
+        }
+
+    def step(
+        self, action: np.int64
+    ) -> tuple[NDArray[np.float32], float, bool, bool, dict[str, Any]]:
+        """Process the epoch with a mode. See Gymnasium's `Env.step`."""
+        episode = self._episode
+        if episode is None or self._over:
+            raise ResetNeeded("Call reset before step: there is no episode under way.")
+        if not self.action_space.contains(action):
+            raise InvalidAction(
+                f"action: found {action!r} ({type(action)}), expected an integer in "
+                f"{self.action_space}"
+            )
+        self._engine.step(np.array([action]))
+        at, spans = self._engine.at, self._spans
+        column = self._engine.column(0)
+        self._history[self._steps] = column
+        reward = float(column[at.reward])
+        distance = float(np.linalg.norm(column[spans["error"]]))
+        info: dict[str, Any] = {
+            "position_error_m": distance,
+            "nees": float(column[at.nees]),
+            "nis": column[spans["nis"]],
+            "accepted": column[spans["accepted"]] > 0.5,
+            "rejected": column[spans["rejected"]] > 0.5,
+            "mode": int(action),
+            "gamma": float(column[at.memory.gamma]),
+            "truth": self._truth(episode, self._steps),
+            "estimate": column[spans["x"]],
+        }
+        self._steps += 1
+        terminated = False
+        if self._worst is not None and distance > DIVERGENCE_M:
+            terminated = True
+            reward += self._worst * (len(episode) - self._steps)
+        truncated = not terminated and self._steps == len(episode)
+        if terminated or truncated:
+            self._over = True
+            info |= self._episode_info(episode)
+        return column[spans["observation"]].astype(np.float32), reward, terminated, truncated, info
+
+    @staticmethod
+    def _truth(episode: Episode, epoch: int) -> NDArray[np.float64]:
+        assert episode.truth_position_m is not None and episode.truth_velocity_mps is not None
+        return np.concatenate([episode.truth_position_m[epoch], episode.truth_velocity_mps[epoch]])
+
+    def _episode_info(self, episode: Episode) -> dict[str, float]:
+        """Metrics of the epochs stepped through, and what smoothing would make of them."""
+        at, spans = self._engine.at, self._spans
+        track = self._history[: self._steps]
+        time_s = episode.time_s[: self._steps]
+        rate = 1.0 if len(time_s) < 2 else 1.0 / float(np.median(np.diff(time_s)))
+        metrics = summary(
+            track[:, at.reward], track[:, spans["error"]], track[:, at.nees], rate, self._axes
+        )
+        x = track[None, :, spans["x"]]
+        smoothed, _ = smooth(
+            x, track[None, :, spans["P"]], track[None, :, spans["P_predicted"]], time_s,
+            planar=self._axes == 2,
+        )  # fmt: skip
+        error = smoothed[0, :, :3] - x[0, :, :3] + track[:, spans["error"]]
+        return {
+            "ate_m": float(metrics["ate_m"]),
+            "rmse_m": float(metrics["rmse_m"]),
+            "rpe_m": float(metrics["rpe_m"]),
+            "mean_nees": float(metrics["nees"]),
+            "in_bounds": float(metrics["in_bounds"]),
+            "divergence": float(metrics["divergence_rate"]),
+            "smoothed_ate_m": float(ate(error[scored(len(error))])),
+        }
+
+
+def _with_table(docstring: str | None) -> str | None:
+    """The docstring with the observation table of the default environment in it."""
+    pipeline = Pipeline(modes_from(None), SimulatedSource(scene_from("street"), radio_from("handset")).layout)
+    table = Observation(pipeline).table().replace("\n", "\n    ")
+    return docstring and docstring.replace("{table}", table)
+
+
+MmWaveLocEnv.__doc__ = _with_table(MmWaveLocEnv.__doc__)

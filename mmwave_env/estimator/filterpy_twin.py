@@ -1,0 +1,300 @@
+"""The modes on filterpy's own filters: slow, and independent of the filters of this package.
+
+Prediction, sigma points, innovation, gain and covariance are filterpy's; the measurement
+function and its Jacobian are written here a second time, in plain numpy, row by row as the
+textbook has them (no fused azimuths, no latents). Tests, the benchmark and a doubting user
+compare the two. It runs on floats: ``Engine(filterpy_pipeline(pipeline), ..., on_floats=True)``.
+
+An update works in coordinates relative to the prior mean, dx = x - m and dz = z - h(m): the
+differences of angles stay far from their cut, so filterpy's plain subtraction is right, and
+nothing cancels in the CKF's covariance, which filterpy computes from raw second moments.
+"""
+
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple, Protocol
+
+import numpy as np
+from filterpy.kalman import (
+    CubatureKalmanFilter,
+    ExtendedKalmanFilter,
+    MerweScaledSigmaPoints,
+    UnscentedKalmanFilter,
+)
+from filterpy.kalman.CubatureKalmanFilter import spherical_radial_sigmas
+from numpy.typing import NDArray
+from scipy.stats import chi2
+
+from mmwave_env.arithmetic import Matrix, Vector
+from mmwave_env.estimator.modes import Mode
+from mmwave_env.estimator.motion import ProcessNoise
+from mmwave_env.estimator.pipeline import Pipeline
+from mmwave_env.estimator.update import ROBUST_ONSET, Algorithm, Gate, Posterior
+from mmwave_env.measurement import Layout, Measurement
+from mmwave_env.names import choose
+
+Array = NDArray[np.float64]
+Rows = NDArray[np.int64]
+_STATES = 7
+_AT_REST_MPS = 1e-3  # below it the odometry's Jacobian is that of this speed
+
+
+def transition(dt: float) -> Array:
+    """F (7, 7): constant velocity over dt seconds."""
+    F = np.eye(_STATES)
+    F[:3, 3:6] = dt * np.eye(3)
+    return F
+
+
+def full_noise(noise: ProcessNoise) -> Array:
+    """Q (7, 7) from its non-zero entries."""
+    Q = np.diag(np.array(noise.diagonal, float))
+    for axis, covariance in enumerate(noise.coupling):
+        Q[axis, axis + 3] = Q[axis + 3, axis] = covariance
+    return Q
+
+
+def measure(x: Array, anchors: Array, hz_per_mps: float, odometry: bool) -> Array:
+    """h(x): every row of a measurement without noise (paper, Sec. II-B), m, rad, Hz, m/s."""
+    d = x[:3] - anchors
+    distance = np.linalg.norm(d, axis=1)
+    azimuth = np.arctan2(d[:, 1], d[:, 0])
+    elevation = np.arctan2(d[:, 2], np.hypot(d[:, 0], d[:, 1]))
+    links = np.column_stack([distance, azimuth, elevation, azimuth + np.pi])
+    doppler = hz_per_mps * (x[3:6] @ d[0]) / distance[0] + x[6]
+    rows = [*links.ravel(), doppler]
+    if odometry:
+        rows += [np.linalg.norm(x[3:6]), np.arctan2(x[4], x[3])]
+    return np.array(rows)
+
+
+def jacobian(x: Array, anchors: Array, hz_per_mps: float, odometry: bool) -> Array:
+    """H = dh/dx (rows, 7)."""
+    links = np.zeros((len(anchors), 4, _STATES))
+    for rows, (dx, dy, dz) in zip(links, x[:3] - anchors, strict=True):
+        horizontal, distance = np.hypot(dx, dy), np.sqrt(dx**2 + dy**2 + dz**2)
+        rows[0, :3] = np.array([dx, dy, dz]) / distance
+        rows[1, :2] = rows[3, :2] = np.array([-dy, dx]) / horizontal**2
+        rows[2, :3] = np.array([-dx * dz, -dy * dz, horizontal**2]) / (horizontal * distance**2)
+    doppler = np.zeros((1, _STATES))
+    d, v = x[:3] - anchors[0], x[3:6]
+    distance = np.linalg.norm(d)
+    doppler[0, :3] = hz_per_mps * (v / distance - (v @ d) * d / distance**3)
+    doppler[0, 3:6] = hz_per_mps * d / distance
+    doppler[0, 6] = 1.0
+    H = [*links.reshape(-1, _STATES), *doppler]
+    if odometry:
+        speed_row, heading_row = np.zeros(_STATES), np.zeros(_STATES)
+        speed_row[3:6] = v / max(float(np.linalg.norm(v)), _AT_REST_MPS)
+        heading_row[3:5] = np.array([-v[1], v[0]]) / max(np.hypot(v[0], v[1]), _AT_REST_MPS) ** 2
+        H += [speed_row, heading_row]
+    return np.array(H)
+
+
+class _Sight:
+    """An epoch seen from the prior mean m."""
+
+    def __init__(self, mean: Array, measurement: Measurement) -> None:
+        self._mean, self._layout = mean, measurement.layout
+        self._anchors = np.array(measurement.anchors, float)
+        self._hz_per_mps = float(measurement.hz_per_mps)
+        self._at_mean = self._measure(mean)
+        self.innovation = self._difference(np.array(measurement.z, float))
+        self.variance = np.array(measurement.variance, float)
+
+    def change(self, dx: Array) -> Array:
+        """h(m + dx) - h(m)."""
+        return self._difference(self._measure(self._mean + dx))
+
+    def jacobian(self) -> Array:
+        """dh/dx at m."""
+        return jacobian(self._mean, self._anchors, self._hz_per_mps, self._layout.odometry)
+
+    def _measure(self, x: Array) -> Array:
+        return measure(x, self._anchors, self._hz_per_mps, self._layout.odometry)
+
+    def _difference(self, z: Array) -> Array:
+        """z - h(m), angles in [-pi, pi]."""
+        dz = z - self._at_mean
+        angles = self._layout.angles
+        dz[angles] = np.remainder(dz[angles] + np.pi, 2.0 * np.pi) - np.pi
+        return dz
+
+
+class _Filtered(NamedTuple):
+    """What a filterpy filter holds after an update: step of the mean, covariance, y and S."""
+
+    step: Array
+    P: Array
+    y: Array
+    S: Array
+
+
+class _Filter(Protocol):
+    def predict(self, x: Array, P: Array, Q: Array, dt: float) -> tuple[Array, Array]:
+        """F x and F P F' + Q, in filterpy's way."""
+
+    def update(self, P: Array, sight: _Sight, rows: Rows, R: Array) -> _Filtered:
+        """Condition N(0, P) on the chosen rows, with their noise covariance R."""
+
+
+class _Ekf:
+    def __init__(self) -> None:
+        self._filter: Any = ExtendedKalmanFilter(_STATES, 1)
+
+    def predict(self, x: Array, P: Array, Q: Array, dt: float) -> tuple[Array, Array]:
+        f = self._filter
+        f.x, f.P, f.F, f.Q = x, P, transition(dt), Q
+        f.predict()
+        return f.x, f.P
+
+    def update(self, P: Array, sight: _Sight, rows: Rows, R: Array) -> _Filtered:
+        f = self._filter
+        f.x, f.P = np.zeros(_STATES), P
+        f.update(
+            sight.innovation[rows],
+            HJacobian=lambda _: sight.jacobian()[rows],
+            Hx=lambda dx: sight.change(dx)[rows],
+            R=R,
+        )
+        return _Filtered(f.x, f.P, f.y, f.S)
+
+
+class _Ukf:
+    def __init__(self) -> None:
+        self._points: Any = MerweScaledSigmaPoints(_STATES, alpha=1.0, beta=2.0, kappa=0.0)
+        self._filter: Any = UnscentedKalmanFilter(_STATES, 1, 1.0, None, None, self._points)
+
+    def predict(self, x: Array, P: Array, Q: Array, dt: float) -> tuple[Array, Array]:
+        f, F = self._filter, transition(dt)
+        f.x, f.P, f.Q = np.zeros(_STATES), P, Q
+        f.predict(fx=lambda dx, _: F @ (x + dx) - x)
+        return x + f.x, f.P
+
+    def update(self, P: Array, sight: _Sight, rows: Rows, R: Array) -> _Filtered:
+        f = self._filter
+        f.x, f.P = np.zeros(_STATES), P
+        f.sigmas_f = self._points.sigma_points(f.x, P)
+        f.update(sight.innovation[rows], R=R, hx=lambda dx: sight.change(dx)[rows])
+        return _Filtered(f.x, f.P, f.y, f.S)
+
+
+class _Ckf:
+    """filterpy's CKF wants columns, a fixed number of rows, and points redrawn by its caller."""
+
+    def __init__(self) -> None:
+        self._filter: Any = CubatureKalmanFilter(_STATES, 1, 1.0, None, None)
+
+    def predict(self, x: Array, P: Array, Q: Array, dt: float) -> tuple[Array, Array]:
+        f, F = self._filter, transition(dt)
+        f.x, f.P, f.Q = np.zeros((_STATES, 1)), P, Q
+        f.fx = lambda dx, _: F @ (x + dx) - x
+        f.predict()
+        return x + f.x.ravel(), f.P
+
+    def update(self, P: Array, sight: _Sight, rows: Rows, R: Array) -> _Filtered:
+        f = self._filter
+        f.x, f.P = np.zeros((_STATES, 1)), P
+        f.sigmas_f = spherical_radial_sigmas(f.x, P)
+        f.sigmas_h = np.zeros((2 * _STATES, len(R)))
+        f.hx = lambda dx: sight.change(dx)[rows]
+        f.update(sight.innovation[rows, None], R=R)
+        return _Filtered(f.x.ravel(), f.P, f.y.ravel(), f.S)
+
+
+_FILTERS: dict[str, Callable[[], _Filter]] = {"ekf": _Ekf, "ukf": _Ukf, "ckf": _Ckf}
+
+
+def filterpy_pipeline(pipeline: Pipeline) -> Pipeline:
+    """The pipeline with filterpy's filters at work.
+
+    Raises:
+        ValueError: the pipeline needs what filterpy's filters cannot do: flat terrain (they
+            need a covariance of full rank), algorithms of one's own, or a prediction or
+            update that has already been replaced.
+    """
+    if pipeline.planar:
+        raise ValueError(
+            "planar: found True, but filterpy's filters need a covariance of full rank; use "
+            "planar=False or this package's own filters"
+        )
+    for field in ("predict", "update"):
+        if getattr(pipeline, field) is not Pipeline._field_defaults[field]:
+            raise ValueError(
+                f"{field}: found {getattr(pipeline, field)!r}, expected a pipeline whose filters "
+                "have not been replaced"
+            )
+    twin = _Twin(pipeline.modes)
+    return pipeline._replace(predict=twin.predict, update=twin.update)
+
+
+class _Twin:
+    """One filterpy filter per mode; its state is set anew for every step."""
+
+    def __init__(self, modes: Sequence[Mode]) -> None:
+        self._filters = {mode: _filter_of(mode) for mode in modes}
+
+    def predict(
+        self, mode: Mode, x: Vector, P: Matrix, noise: ProcessNoise, dt: float
+    ) -> tuple[list[float], list[list[float]]]:
+        """The mode's prediction; a :data:`~mmwave_env.estimator.pipeline.Predictor`."""
+        mean, covariance = self._filters[mode].predict(
+            np.array(x, float), np.array(P, float), full_noise(noise), float(dt)
+        )
+        return mean.tolist(), _symmetric(covariance).tolist()
+
+    def update(self, mode: Mode) -> Algorithm:
+        """The mode's measurement update."""
+        filter_ = self._filters[mode]
+
+        def algorithm(x: Vector, P: Matrix, measurement: Measurement, gate: Gate) -> Posterior:
+            return _update(filter_, np.array(x, float), np.array(P, float), measurement, gate)
+
+        return algorithm
+
+
+def _filter_of(mode: Mode) -> _Filter:
+    name: Any = mode.algorithm  # a function is refused like an unknown name
+    return choose(_FILTERS, name, f"algorithm of mode {mode.name!r} on filterpy")()
+
+
+def _update(
+    filter_: _Filter, x: Array, P: Array, measurement: Measurement, gate: Gate
+) -> Posterior:
+    """Gate every group on the innovation of all rows at the prior, then update with the rest."""
+    layout, sight = measurement.layout, _Sight(x, measurement)
+    R = np.diag(sight.variance)
+    everything = np.arange(layout.size)
+    prior = filter_.update(P, sight, everything, R)
+    nis, accepted, log_likelihood = [], [], 0.0
+    for g, group in enumerate(layout.groups):
+        y, S = prior.y[group], prior.S[group, group]
+        nis.append(float(y @ np.linalg.solve(S, y)))
+        visible = measurement.visible[g] > 0.5
+        accepted.append(visible and _passes(nis[g], g, layout, gate))
+        if visible:
+            log_likelihood -= 0.5 * (nis[g] + float(np.linalg.slogdet(S)[1]))
+        if gate.robust and g < layout.anchors:
+            R[group, group] *= max(nis[g] / (ROBUST_ONSET * len(y)), 1.0) ** 2
+    keep = np.concatenate(
+        [everything[group] for group, a in zip(layout.groups, accepted, strict=True) if a]
+        or [everything[:0]]
+    )
+    if len(keep):
+        posterior = filter_.update(P, sight, keep, R[np.ix_(keep, keep)])
+        x, P = x + posterior.step, _symmetric(posterior.P)
+    return Posterior(x.tolist(), P.tolist(), nis, [float(a) for a in accepted], log_likelihood)
+
+
+def _passes(nis: float, g: int, layout: Layout, gate: Gate) -> bool:
+    """Whether a visible group is used."""
+    is_link = g < layout.anchors
+    if gate.quantile is None or (is_link and (gate.robust or gate.force > 0.5)):
+        return True
+    rows = layout.groups[g]
+    return nis <= float(chi2.ppf(gate.quantile, rows.stop - rows.start))
+
+
+def _symmetric(P: Array) -> Array:
+    """P without the asymmetry that rounding left."""
+    half: Array = 0.5 * (P + P.T)
+    return half

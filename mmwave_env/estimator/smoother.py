@@ -1,0 +1,124 @@
+"""Rauch-Tung-Striebel smoothing of a finished track (paper, Sec. III-F)."""
+
+from functools import lru_cache
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mmwave_env.arithmetic import Number, Vector
+from mmwave_env.estimator.algebra import backward, cholesky, dot, forward, pack, symmetric, unpack
+from mmwave_env.estimator.batch import Program
+from mmwave_env.estimator.lanes import WIDTH
+from mmwave_env.estimator.motion import move
+from mmwave_env.estimator.pipeline import VERTICAL
+from mmwave_env.estimator.trees import select
+from mmwave_env.measurement import STATE_SIZE
+
+Array = NDArray[np.float64]
+
+
+class Filtered(NamedTuple):
+    """One epoch of a finished track.
+
+    Attributes:
+        x, P: (7,), (28,) belief after the epoch.
+        P_predicted: (28,) covariance predicted for the *next* epoch.
+        dt: seconds to the next epoch.
+    """
+
+    x: list[Number]
+    P: list[Number]
+    P_predicted: list[Number]
+    dt: Number
+
+
+class Workspace(NamedTuple):
+    """The smoother between two epochs, going backwards.
+
+    Attributes:
+        incoming: the epoch before.
+        last: 1 at the last epoch of the track, whose belief is already smooth.
+        x, P: (7,), (28,) smoothed belief of the epoch at hand.
+    """
+
+    incoming: Filtered
+    last: Number
+    x: list[Number]
+    P: list[Number]
+
+
+def rts_step(
+    now: Filtered, x_next: Vector, P_next: Vector, pinned: tuple[int, ...] = ()
+) -> tuple[list[Number], list[Number]]:
+    """Smoothed belief of an epoch from that of the next: C = P F' P_predicted^-1 (Sec. III-F).
+
+    Args:
+        now: the epoch.
+        x_next, P_next: (7,), (28,) smoothed belief of the next epoch.
+        pinned: state components that are known exactly.
+    """
+    P = unpack(now.P, zero=pinned)
+    P_predicted = unpack(now.P_predicted, zero=pinned)
+    FP = [
+        [P[i][j] + now.dt * P[i + 3][j] if i < 3 else P[i][j] for j in range(STATE_SIZE)]
+        for i in range(STATE_SIZE)
+    ]
+    factor = cholesky(P_predicted)
+    # Row i of the gain: P_predicted^-1 times column i of F P.
+    gain = [
+        backward(factor, forward(factor, [FP[k][i] for k in range(STATE_SIZE)]))
+        for i in range(STATE_SIZE)
+    ]
+    predicted = move(now.x, now.dt)
+    step = [a - b for a, b in zip(x_next, predicted, strict=True)]
+    change = [
+        [a - b for a, b in zip(u, v, strict=True)]
+        for u, v in zip(unpack(P_next, zero=pinned), P_predicted, strict=True)
+    ]
+    half = [[dot(gain[i], [change[k][j] for k in range(STATE_SIZE)])
+             for j in range(STATE_SIZE)] for i in range(STATE_SIZE)]  # fmt: skip
+    smoothed = symmetric(STATE_SIZE, lambda i, j: P[i][j] + dot(half[i], gain[j]))
+    return [a + dot(row, step) for a, row in zip(now.x, gain, strict=True)], pack(smoothed)
+
+
+@lru_cache(maxsize=2)
+def _program(pinned: tuple[int, ...]) -> Program[Workspace]:
+    def function(w: Workspace) -> Workspace:
+        x, P = rts_step(w.incoming, w.x, w.P, pinned)
+        last = w.last > 0.5
+        return w._replace(x=select(last, w.incoming.x, x), P=select(last, w.incoming.P, P))
+
+    identity = [float(i == j) for i in range(STATE_SIZE) for j in range(i + 1)]
+    mean = [0.0] * STATE_SIZE
+    return Program(function, Workspace(Filtered(mean, identity, identity, 1.0), 1.0, mean, identity))
+
+
+def smooth(
+    x: Array, P: Array, P_predicted: Array, time_s: Array, planar: bool = False
+) -> tuple[Array, Array]:
+    """Smoothed means (N, T, 7) and packed covariances (N, T, 28) of finished tracks.
+
+    Args:
+        x: (N, T, 7) filtered means.
+        P: (N, T, 28) filtered covariances, packed.
+        P_predicted: (N, T, 28) covariances predicted for each epoch, before its update.
+        time_s: (T,) of the epochs.
+        planar: z and vz are known exactly.
+    """
+    program = _program(VERTICAL if planar else ())
+    N, T, _ = x.shape
+    dt = np.append(np.diff(time_s), 0.0)
+    coming = np.concatenate([P_predicted[:, 1:], P_predicted[:, -1:]], axis=1)
+    dt_column = np.broadcast_to(dt[None, :, None], (N, T, 1))
+    table = np.concatenate([x, P, coming, dt_column], axis=2)
+    rows = np.zeros((-(-N // WIDTH), program.size, WIDTH))
+    out_x, out_P = np.empty_like(x), np.empty_like(P)
+    at = program.index
+    rows[:, at.last] = 1.0
+    for t in reversed(range(T)):
+        program.run_on_lanes(rows, table, np.full(N, t, np.int64))
+        rows[:, at.last] = 0.0
+        flat = rows.transpose(0, 2, 1).reshape(-1, program.size)[:N]
+        out_x[:, t], out_P[:, t] = flat[:, at.x], flat[:, at.P]
+    return out_x, out_P

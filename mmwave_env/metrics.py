@@ -1,0 +1,84 @@
+"""How good a track is: position errors and consistency (paper, Sec. IV; design: fixed protocol).
+
+Errors are unaligned because the frame is known, so ATE, RMSE and RPE equal what evo computes
+from the translation part without alignment. NEES is that of the position; with 3 axes its
+expectation is 3 and 95 % of the epochs lie in the two-sided chi-square interval [0.22, 9.35].
+(The paper gates a 3-D NEES at 5.99, the one-sided 95 % quantile for 2 axes; for 3 it is 7.81.)
+"""
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import chdtri
+
+Array = NDArray[np.float64]
+
+BURN_IN = 10  # epochs dropped from averages, while the prior still shows
+DIVERGENCE_M = 50.0  # an episode in which the error exceeds this has diverged
+METRICS = {
+    "reward": "mean reward per epoch",
+    "ate_m": "mean position error, m",
+    "rmse_m": "root mean square position error, m",
+    "rpe_m": "mean change of the position error over 1 s, m",
+    "nees": "mean NEES of the position",
+    "in_bounds": "share of epochs with NEES in its two-sided 95 % interval",
+    "divergence_rate": f"share of episodes with an error above {DIVERGENCE_M:g} m",
+}
+
+
+def ate(error: Array) -> Array:
+    """Absolute trajectory error (...,) of errors (..., T, 3): mean length, m."""
+    return np.linalg.norm(error, axis=-1).mean(axis=-1)  # type: ignore[no-any-return]
+
+
+def rmse(error: Array) -> Array:
+    """Root mean square (...,) of errors (..., T, 3), m."""
+    return np.sqrt(np.square(error).sum(axis=-1).mean(axis=-1))  # type: ignore[no-any-return]
+
+
+def rpe(error: Array, delta: int = 1) -> Array:
+    """Relative pose error (...,): mean |e_k - e_(k - delta)| of errors (..., T, 3), m.
+
+    Zero for tracks no longer than ``delta`` epochs.
+    """
+    change = error[..., delta:, :] - error[..., :-delta, :]
+    if change.shape[-2] == 0:
+        return np.zeros(error.shape[:-2])
+    return ate(change)
+
+
+def nees_interval(axes: int = 3, share: float = 0.95) -> tuple[float, float]:
+    """Two-sided interval that holds the NEES of a consistent filter in ``share`` of epochs."""
+    tail = (1.0 - share) / 2.0
+    return float(chdtri(axes, 1.0 - tail)), float(chdtri(axes, tail))
+
+
+def scored(epochs: int) -> slice:
+    """The epochs that count in averages: all but the burn-in, and at least the last."""
+    return slice(min(BURN_IN, epochs - 1), None)
+
+
+def summary(
+    reward: Array, error: Array, nees: Array, epochs_per_s: float = 1.0, axes: int = 3
+) -> dict[str, Array]:
+    """Every metric of :data:`METRICS` per episode, without the burn-in.
+
+    Args:
+        reward: (..., T) per epoch.
+        error: (..., T, 3) estimated minus true position, m.
+        nees: (..., T).
+        epochs_per_s: for the second over which RPE looks.
+        axes: position axes that NEES covers.
+    """
+    count = scored(reward.shape[-1])
+    reward, error, nees = reward[..., count], error[..., count, :], nees[..., count]
+    low, high = nees_interval(axes)
+    distance = np.linalg.norm(error, axis=-1)
+    return {
+        "reward": reward.mean(axis=-1),
+        "ate_m": ate(error),
+        "rmse_m": rmse(error),
+        "rpe_m": rpe(error, max(1, round(epochs_per_s))),
+        "nees": nees.mean(axis=-1),
+        "in_bounds": ((nees >= low) & (nees <= high)).mean(axis=-1),
+        "divergence_rate": (distance.max(axis=-1) > DIVERGENCE_M).astype(float),
+    }

@@ -1,0 +1,111 @@
+"""Scripted policies: the paper's speed rule and honest baselines."""
+
+import warnings
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mmwave_env.observation import Observation
+
+DESIGN_LIMIT_MPS = 20.0  # paper, Algorithm 1: above it the speed is outside the design window
+
+
+class FixedMode:
+    """Always the same mode.
+
+    Args:
+        action: its number.
+    """
+
+    def __init__(self, action: int) -> None:
+        self.action = action
+
+    def reset(self, mask: NDArray[np.bool_]) -> None:
+        """Nothing to forget."""
+
+    def __call__(self, observation: NDArray[np.float32]) -> NDArray[np.int64]:
+        """Actions (n,)."""
+        return np.full(len(observation), self.action, np.int64)
+
+
+class RandomMode:
+    """Any mode, uniformly.
+
+    Args:
+        modes: how many there are.
+        seed: of the draws.
+    """
+
+    def __init__(self, modes: int, seed: int = 0) -> None:
+        self.modes = modes
+        self._rng = np.random.default_rng(seed)
+
+    def reset(self, mask: NDArray[np.bool_]) -> None:
+        """Nothing to forget."""
+
+    def __call__(self, observation: NDArray[np.float32]) -> NDArray[np.int64]:
+        """Actions (n,)."""
+        return self._rng.integers(self.modes, size=len(observation))
+
+
+class SpeedRule:
+    """The paper's rule (Sec. III-A): mode 0 up to the threshold, mode 1 above.
+
+    Above 20 m/s the speed is outside the paper's design window: one warning, and mode 1.
+
+    Args:
+        observation: the environment's table of features.
+        threshold: metres per second; the paper's is 2.
+        feature: "predicted speed", or "odometry speed" where the user measures it.
+    """
+
+    def __init__(
+        self,
+        observation: Observation,
+        threshold: float = 2.0,
+        feature: str = "predicted speed",
+    ) -> None:
+        if not threshold >= 0.0:
+            raise ValueError(f"threshold: found {threshold}, expected >= 0 m/s")
+        self.observation, self.threshold, self.feature = observation, threshold, feature
+        self._warned = False
+
+    def reset(self, mask: NDArray[np.bool_]) -> None:
+        """Nothing to forget."""
+
+    def __call__(self, observation: NDArray[np.float32]) -> NDArray[np.int64]:
+        """Actions (n,)."""
+        speed = self.observation.read(observation, self.feature)
+        if not self._warned and (speed > DESIGN_LIMIT_MPS).any():
+            self._warned = True
+            warnings.warn(
+                f"speed {speed.max():.1f} m/s is outside the design window of the speed rule "
+                f"(up to {DESIGN_LIMIT_MPS:g} m/s); keeping mode 1",
+                stacklevel=2,
+            )
+        return (speed > self.threshold).astype(np.int64)
+
+
+class LikelihoodRule:
+    """The mode that explained the latest measurements, the coming one included, best.
+
+    Compares moving averages of the modes' log-likelihoods.
+
+    Args:
+        observation: the environment's table of features; must show the coming epoch.
+        modes: names of the modes, in order.
+        pace: "fast" or "slow" average.
+    """
+
+    def __init__(self, observation: Observation, modes: list[str], pace: str = "fast") -> None:
+        self.observation = observation
+        self._features = [f"preference {pace} {name}" for name in modes[:-1]]
+
+    def reset(self, mask: NDArray[np.bool_]) -> None:
+        """Nothing to forget: the averages are part of the observation."""
+
+    def __call__(self, observation: NDArray[np.float32]) -> NDArray[np.int64]:
+        """Actions (n,)."""
+        against_last = [self.observation.read(observation, name) for name in self._features]
+        scores = np.stack([*against_last, np.zeros(len(observation))], axis=-1)
+        return scores.argmax(axis=-1).astype(np.int64)
