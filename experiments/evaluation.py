@@ -106,10 +106,10 @@ def run(
     else:
         engine = Engine(pipeline, n, reward)
         policy = contender.policy(engine.observation)
-        observation = engine.reset(episodes)
+        engine.reset(episodes)
         policy.reset(np.ones(n, bool))
         for t in range(T):
-            observation = engine.step(policy(observation))
+            engine.step(policy(engine.observations()))
             rewards[:, t], nees[:, t] = engine.read(engine.at.reward), engine.read(engine.at.nees)
             errors[:, t] = engine.read(engine.at.error)
     step_s = float(np.median(np.diff(episodes[0].time_s))) if T > 1 else 1.0

@@ -173,16 +173,14 @@ class Engine:
         self.at, self.span = self._batch.at, self._batch.span
         self.read, self.column = self._batch.read, self._batch.column
 
-    def reset(self, episodes: Sequence[Episode]) -> NDArray[np.float32]:
-        """Start over with one episode each; returns observations (n, features)."""
+    def reset(self, episodes: Sequence[Episode]) -> None:
+        """Start over with one episode each and consider its first epoch."""
         self._batch.begin(episodes)
-        return self.observations()
 
-    def step(self, actions: NDArray[np.int64]) -> NDArray[np.float32]:
-        """Commit each environment to a mode (n,); returns observations (n, features)."""
+    def step(self, actions: NDArray[np.int64] | np.int64) -> None:
+        """Commit every environment to its mode (n,), or all to one, and consider the next epoch."""
         self._batch.write(self.at.action, actions)
         self._batch.advance()
-        return self.observations()
 
     def observations(self) -> NDArray[np.float32]:
         """The current observations (n, features), a copy."""

@@ -195,11 +195,11 @@ class MmWaveLocEnv(gym.Env[NDArray[np.float32], np.int64]):
             raise ValueError(
                 f"episode {episode.name!r}: found no truth, which reward and metrics need"
             )
-        observation = self._engine.reset([episode])[0]
+        self._engine.reset([episode])
         self._episode, self._over, self._steps = episode, False, 0
         self._history = np.empty((len(episode), self._engine.size))
         column = self._engine.column(0)
-        return observation, {
+        return column[self._spans["observation"]].astype(np.float32), {
             "episode": episode.name,
             "nonfinite": episode.nonfinite,
             "truth": self._truth(episode, 0),
@@ -218,7 +218,7 @@ class MmWaveLocEnv(gym.Env[NDArray[np.float32], np.int64]):
                 f"action: found {action!r} ({type(action)}), expected an integer in "
                 f"{self.action_space}"
             )
-        self._engine.step(np.array([action]))
+        self._engine.step(action)
         at, spans = self._engine.at, self._spans
         column = self._engine.column(0)
         self._history[self._steps] = column

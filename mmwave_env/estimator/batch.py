@@ -183,11 +183,8 @@ class Batch(Generic[Workspace]):
 
     def write(self, tree: Any, values: Any) -> None:
         """Set the rows named by a subtree of ``at``: values (n,) of a leaf, else (n, leaves)."""
-        values = np.asarray(values, float)
-        padding = self._rows.shape[0] * WIDTH - self.n
-        lanes = np.concatenate([values, np.repeat(values[:1], padding, axis=0)])
         if isinstance(tree, int):
-            self._rows[:, tree, :] = lanes.reshape(-1, WIDTH)
-        else:
-            shaped = lanes.reshape(-1, WIDTH, lanes.shape[1])
-            self._rows[:, self.span(tree), :] = shaped.transpose(0, 2, 1)
+            self._rows[:, tree, :].flat[: self.n] = values
+            return
+        for row, column in zip(leaves(tree), values.T, strict=True):
+            self._rows[:, row, :].flat[: self.n] = column

@@ -1,0 +1,47 @@
+"""mmwave-loc demo: the README's tables, on simulated and on ray-traced streets."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import tyro
+
+from experiments.compare import DEFAULT
+from experiments.evaluation import compare, evaluate
+from experiments.files import write_json, write_text
+from experiments.options import EpisodeArgs
+from experiments.tables import markdown, show
+from mmwave_env.recording import sample_names
+
+
+@dataclass
+class Args:
+    """Compare every policy on `mixed` and on the shipped ray-traced scenarios."""
+
+    episodes: int = 1000
+    """simulated episodes"""
+    draws: int = 200
+    """draws of receiver noise on each ray-traced scenario"""
+    out: Path = Path("results")
+    """folder for tables.md and one JSON file a comparison"""
+
+
+def main(args: Args) -> None:
+    """Run the command."""
+    runs = [EpisodeArgs(episodes=args.episodes)]
+    runs += [EpisodeArgs(data=name, episodes=args.draws) for name in sample_names()]
+    tables = []
+    for one in runs:
+        source = one.source()
+        scores = evaluate(DEFAULT, source, one.radio, one.episodes, one.seed)
+        result = compare(
+            scores, scenario=source.name, radio=one.radio, episodes=one.episodes, seed=one.seed
+        )
+        show(result)
+        tables.append(markdown(result))
+        write_json(args.out / f"{source.name}.json", result.json)
+    write_text(args.out / "tables.md", "\n".join(tables))
+    print(f"written to {args.out}/")
+
+
+if __name__ == "__main__":
+    main(tyro.cli(Args))

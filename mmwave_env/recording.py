@@ -1,0 +1,285 @@
+"""Recorded episodes: one track through a known scene, measured anew at every draw.
+
+A ray tracer (or a survey) says which paths exist and what a perfect receiver would read
+there. A :class:`Recording` holds that; :class:`RecordedSource` adds what a radio profile
+says about the receiver: noise, the oscillator's bias and the prior. Blockage and multipath
+are not simulated on top, because the recording knows which paths there are.
+"""
+
+import os
+from dataclasses import dataclass, replace
+from importlib import resources
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mmwave_env.arithmetic import PI, wrap
+from mmwave_env.episode import Episode, draw_prior
+from mmwave_env.measurement import Layout
+from mmwave_env.radio import Radio
+from mmwave_env.scene import Scene
+
+Array = NDArray[np.float64]
+
+_NO_PATH_DB = -200.0  # gain of a missing path: as good as none, yet its sigmas stay finite
+# Horizontal, per axis, of a user nobody knows: twice that is the 20 m/s the filters are made for.
+_UNKNOWN_VELOCITY_MPS = 10.0
+
+
+@dataclass(frozen=True, eq=False)
+class Recording:
+    """T epochs of one user, as a perfect receiver would measure them.
+
+    Where ``visible`` is False (for gains: where the link is not visible) numbers mean nothing.
+
+    Attributes:
+        name: what it is, for results and messages.
+        anchors_m: (L, 3) the physical gNB first, then virtual anchors.
+        carrier_hz: carrier frequency f_c.
+        bandwidth_hz: signal bandwidth B, for the receiver's noise.
+        time_s: (T,) increasing.
+        measurement: (T, rows) exact, in the order of ``layout``: m, rad, Hz, m/s.
+        visible: (T, groups) bool.
+        path_gain_db: (T, L) of every link, negative.
+        position_m: (T, 3) truth, or None where nobody knows.
+        velocity_mps: (T, 3) truth, or None.
+        layout: rows and groups.
+    """
+
+    name: str
+    anchors_m: Array
+    carrier_hz: float
+    bandwidth_hz: float
+    time_s: Array
+    measurement: Array
+    visible: NDArray[np.bool_]
+    path_gain_db: Array
+    position_m: Array | None
+    velocity_mps: Array | None
+    layout: Layout
+
+    def __post_init__(self) -> None:
+        T, L = len(self.time_s), self.layout.anchors
+        groups = self.layout.groups
+        shapes: dict[str, tuple[int, ...]] = {
+            "anchors_m": (L, 3), "time_s": (T,), "measurement": (T, self.layout.size),
+            "visible": (T, len(groups)), "path_gain_db": (T, L), "position_m": (T, 3),
+            "velocity_mps": (T, 3),
+        }  # fmt: skip
+        for field, shape in shapes.items():
+            value = getattr(self, field)
+            if value is not None and value.shape != shape:
+                self._refuse(field, f"shape {value.shape}", f"shape {shape}")
+        if T < 1 or not (np.diff(self.time_s) > 0.0).all():
+            self._refuse("time_s", "times that do not increase", "at least one, increasing")
+        for field in ("anchors_m", "time_s", "position_m", "velocity_mps"):
+            value = getattr(self, field)
+            if value is not None and not np.isfinite(value).all():
+                self._refuse(field, "NaN or infinity", "finite numbers")
+        widths = [rows.stop - rows.start for rows in groups]
+        if not np.isfinite(self.measurement[np.repeat(self.visible, widths, axis=1)]).all():
+            self._refuse("measurement", "NaN or infinity in a visible group", "finite numbers")
+        if not np.isfinite(self.path_gain_db[self.visible[:, :L]]).all():
+            self._refuse("path_gain_db", "NaN or infinity on a visible link", "finite numbers")
+        self.scene  # noqa: B018  refuses a carrier or bandwidth that is not positive
+
+    def _refuse(self, field: str, found: str, expected: str) -> None:
+        raise ValueError(f"{field} of recording {self.name!r}: found {found}, expected {expected}")
+
+    def __len__(self) -> int:
+        return len(self.time_s)
+
+    @property
+    def scene(self) -> Scene:
+        """The gNB and its carrier, as radio profiles want them; walls are not known."""
+        x, y, z = (float(c) for c in self.anchors_m[0])
+        return Scene(self.name, (x, y, z), (), carrier_hz=self.carrier_hz,
+                     bandwidth_hz=self.bandwidth_hz)  # fmt: skip
+
+    @property
+    def has_truth(self) -> bool:
+        """Whether both position and velocity are known."""
+        return self.position_m is not None and self.velocity_mps is not None
+
+    def window(self, first: int, epochs: int) -> "Recording":
+        """The recording of ``epochs`` epochs from epoch ``first`` on; times stay as they are."""
+        cut = slice(first, first + epochs)
+        position, velocity = self.position_m, self.velocity_mps
+        return replace(
+            self,
+            time_s=self.time_s[cut],
+            measurement=self.measurement[cut],
+            visible=self.visible[cut],
+            path_gain_db=self.path_gain_db[cut],
+            position_m=None if position is None else position[cut],
+            velocity_mps=None if velocity is None else velocity[cut],
+        )
+
+
+class RecordedSource:
+    """Episodes of one recording; every draw has its own noise, oscillator, prior and window.
+
+    Without truth (position and velocity), the prior is the first epoch's line-of-sight fix
+    with an unknown velocity; that link then counts as missing in the first epoch, so that it
+    is not used twice.
+
+    Args:
+        recording: the exact measurements.
+        radio: profile of the receiver: standard deviations, oscillator, prior.
+        noise: False for exact measurements without oscillator bias; the standard deviations
+            handed to the filters stay the profile's.
+        epochs: length of an episode, a contiguous window drawn at random; None for the whole
+            recording.
+
+    Raises:
+        ValueError: a window longer than the recording or empty, or no line of sight to take
+            the prior from.
+    """
+
+    def __init__(
+        self, recording: Recording, radio: Radio, noise: bool = True, epochs: int | None = None
+    ) -> None:
+        self.recording, self.radio, self.noise = recording, radio, noise
+        self.epochs = len(recording) if epochs is None else epochs
+        if not 1 <= self.epochs <= len(recording):
+            raise ValueError(
+                f"epochs: found {epochs}, expected 1 to {len(recording)}, the length of "
+                f"recording {recording.name!r}"
+            )
+        starts = np.arange(len(recording) - self.epochs + 1)
+        self._starts = starts if recording.has_truth else starts[recording.visible[starts, 0]]
+        if not len(self._starts):
+            raise ValueError(
+                f"recording {recording.name!r}: found no line of sight at the first epoch, "
+                "expected one, because without truth the prior comes from it"
+            )
+
+    @property
+    def layout(self) -> Layout:
+        """Rows of every episode's measurements."""
+        return self.recording.layout
+
+    @property
+    def name(self) -> str:
+        """The recording's."""
+        return self.recording.name
+
+    def sample(self, rng: np.random.Generator) -> Episode:
+        """Draw one episode; all randomness comes from ``rng``."""
+        recording = self.recording.window(int(rng.choice(self._starts)), self.epochs)
+        radio, scene, layout = self.radio, recording.scene, self.layout
+        seen = recording.visible[:, : layout.anchors]
+        gain = np.where(seen, recording.path_gain_db, _NO_PATH_DB)
+        snr = radio.snr_db(gain, recording.bandwidth_hz)
+        sigma = radio.sigma(snr, scene, layout)
+        measurement = recording.measurement.copy()
+        bias = np.zeros(self.epochs)
+        if self.noise:
+            measurement += sigma * rng.standard_normal(measurement.shape)
+            bias = _oscillator_bias(radio, scene.hz_per_mps, recording.time_s, rng)
+            measurement[:, layout.doppler] += bias
+            measurement[:, layout.angles] = (
+                np.remainder(measurement[:, layout.angles] + PI, 2.0 * PI) - PI
+            )
+        spread = self._doppler_spread_mps(recording, rng) * scene.hz_per_mps
+        visible = recording.visible
+        if recording.position_m is not None and recording.velocity_mps is not None:
+            state = [recording.position_m[0], recording.velocity_mps[0], bias[:1]]
+            mean, covariance = draw_prior(np.concatenate(state), radio, scene, rng)
+        else:
+            link = layout.link(0)
+            mean, covariance = _prior_from_fix(
+                recording.anchors_m[0], measurement[0, link], sigma[0, link], radio, scene
+            )
+            visible = visible.copy()
+            visible[0, 0] = False
+        return Episode(
+            name=recording.name,
+            scene_anchors_m=recording.anchors_m,
+            hz_per_mps=scene.hz_per_mps,
+            time_s=recording.time_s,
+            measurement=measurement,
+            sigma=sigma,
+            visible=visible,
+            snr_db=snr,
+            doppler_spread_hz=spread,
+            prior_mean=mean,
+            prior_covariance=covariance,
+            truth_position_m=recording.position_m,
+            truth_velocity_mps=recording.velocity_mps,
+            layout=layout,
+        )
+
+    def _doppler_spread_mps(self, recording: Recording, rng: np.random.Generator) -> Array:
+        """Doppler spread (T,), m/s; where the velocity is not known, of a user at rest."""
+        radio, velocity = self.radio, recording.velocity_mps
+        speed = np.zeros(self.epochs) if velocity is None else np.linalg.norm(velocity, axis=1)
+        spread: Array = radio.spread_gain * speed
+        if self.noise:
+            spread *= np.exp(radio.spread_sigma * rng.standard_normal(self.epochs))
+            spread += radio.spread_floor_mps * np.abs(rng.standard_normal(self.epochs))
+        return spread
+
+
+def _oscillator_bias(
+    radio: Radio, hz_per_mps: float, time_s: Array, rng: np.random.Generator
+) -> Array:
+    """The residual carrier offset (T,), Hz: a random walk."""
+    first = radio.prior_bias_mps * rng.standard_normal()
+    steps = radio.drift_mps * np.sqrt(np.diff(time_s)) * rng.standard_normal(len(time_s) - 1)
+    return hz_per_mps * (first + np.concatenate([[0.0], np.cumsum(steps)]))
+
+
+def _prior_from_fix(
+    anchor: Array, link: Array, sigma: Array, radio: Radio, scene: Scene
+) -> tuple[Array, Array]:
+    """Mean (7,) and covariance (7, 7) from one link (4,) to an anchor (3,); at rest.
+
+    Position a + r (cos el cos az, cos el sin az, sin el), noise propagated to first order.
+    """
+    distance, azimuth, elevation, departure = link
+    arrival_variance, departure_variance = sigma[1] ** 2, sigma[3] ** 2
+    share = arrival_variance / (arrival_variance + departure_variance)
+    azimuth = azimuth + share * wrap(departure - azimuth + PI)
+    cos_az, sin_az, cos_el, sin_el = (
+        np.cos(azimuth), np.sin(azimuth), np.cos(elevation), np.sin(elevation)
+    )  # fmt: skip
+    along = np.array([cos_el * cos_az, cos_el * sin_az, sin_el])
+    across = np.array([-cos_el * sin_az, cos_el * cos_az, 0.0])
+    up = np.array([-sin_el * cos_az, -sin_el * sin_az, cos_el])
+    jacobian = np.column_stack([along, distance * across, distance * up])
+    variance = [sigma[0] ** 2, share * departure_variance, sigma[2] ** 2]
+    covariance = radio.prior_covariance(scene)
+    covariance[:3, :3] = jacobian @ np.diag(variance) @ jacobian.T
+    covariance[3, 3] = covariance[4, 4] = _UNKNOWN_VELOCITY_MPS**2
+    return np.concatenate([anchor + distance * along, np.zeros(4)]), covariance
+
+
+def _samples() -> Path:
+    return Path(str(resources.files("mmwave_env"))) / "data" / "deepmimo_canyon28"
+
+
+def sample_names() -> tuple[str, ...]:
+    """Names of the recordings that come with the package, for :func:`recording_from`."""
+    return tuple(sorted(folder.name for folder in _samples().iterdir() if folder.is_dir()))
+
+
+def recording_from(name: str | os.PathLike[str]) -> Recording:
+    """The recording of a name in :func:`sample_names`, or of a DeepMIMO v4 scenario's folder.
+
+    Raises:
+        ValueError: neither; or a folder that does not hold a scenario, naming the file.
+        FileNotFoundError: a file of the scenario is missing.
+    """
+    # Readers build Recordings, so this module can't import them while it is being loaded.
+    from mmwave_env.io.deepmimo import read_deepmimo
+
+    names = sample_names()
+    folder = _samples() / name if name in names else Path(name)
+    if not folder.is_dir():
+        raise ValueError(
+            f"recording: found {os.fspath(name)!r}, expected one of {', '.join(names)}, or the "
+            "folder of a DeepMIMO v4 scenario"
+        )
+    return read_deepmimo(folder)
