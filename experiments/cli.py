@@ -2,6 +2,8 @@
 
 import importlib
 import sys
+import warnings
+from typing import Any
 
 import tyro
 
@@ -14,8 +16,13 @@ COMMANDS = {
 }
 
 
+def _show_warning(message: Warning | str, *_: Any, **__: Any) -> None:
+    print(f"warning: {message}", file=sys.stderr)
+
+
 def main() -> None:
     """Run a command; bad input ends with one line and exit code 2."""
+    warnings.showwarning = _show_warning
     arguments = sys.argv[1:]
     if not arguments or arguments[0] in ("-h", "--help"):
         print("usage: mmwave-loc <command> [options]; --help after a command lists its options\n")
@@ -33,3 +40,7 @@ def main() -> None:
     except (ValueError, OSError) as error:
         print(f"mmwave-loc {name}: {error}", file=sys.stderr)
         sys.exit(2)
+
+
+if __name__ == "__main__":
+    main()

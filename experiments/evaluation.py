@@ -229,7 +229,7 @@ def compare(scores: dict[str, Scores], **what: Any) -> Comparison:
     pairs = {}
     for reference in references(scores):
         for name in scores:
-            if name != reference and f"{reference} - {name}" not in pairs:
+            if name != reference:
                 pairs[f"{name} - {reference}"] = stacked[name] - stacked[reference]
     return Comparison(policies=rows(stacked), paired=rows(pairs) if pairs else {}, **what)
 

@@ -1,5 +1,7 @@
 """Comparisons as Markdown, and as tables on a terminal."""
 
+import math
+
 from rich.console import Console
 from rich.markdown import Markdown
 
@@ -12,22 +14,50 @@ HEADERS = {
 }  # fmt: skip
 
 
-def table(rows: dict[str, dict[str, Interval]], first: str) -> str:
-    """A Markdown table of intervals, one row a name."""
-    lines = [f"| {first} | " + " | ".join(HEADERS[m] for m in METRICS) + " |"]
-    lines.append("|---" * (len(METRICS) + 1) + "|")
-    for name, row in rows.items():
-        lines.append(f"| {name} | " + " | ".join(str(row[m]) for m in METRICS) + " |")
-    return "\n".join(lines)
+def rounded(interval: Interval) -> str:
+    """Mean and half the width of the interval, to the digits that the interval supports."""
+    half = (interval.high - interval.low) / 2.0
+    digits = 3 if half <= 0.0 else min(4, max(0, 1 - math.floor(math.log10(half))))
+    return f"{interval.mean:.{digits}f} ± {half:.{digits}f}"
+
+
+def _grid(header: list[str], rows: list[list[str]]) -> str:
+    lines = ["| " + " | ".join(cells) + " |" for cells in (header, *rows)]
+    return "\n".join([lines[0], "|---" * len(header) + "|", *lines[1:]])
+
+
+def policies_table(comparison: Comparison) -> str:
+    """Every policy's metrics with 95 % half-widths."""
+    rows = [
+        [name, *(rounded(row[metric]) for metric in METRICS)]
+        for name, row in comparison.policies.items()
+    ]
+    return _grid(["policy", *(HEADERS[metric] for metric in METRICS)], rows)
+
+
+def paired_table(comparison: Comparison) -> str:
+    """Paired differences of the reward: each policy minus the references."""
+    pairs = [pair.split(" - ") for pair in comparison.paired]
+    references = list(dict.fromkeys(reference for _, reference in pairs))
+    rows = []
+    for name in comparison.policies:
+        cells = []
+        for reference in references:
+            pair = comparison.paired.get(f"{name} - {reference}")
+            cells.append(str(pair["reward"]) if pair else "")
+        rows.append([name, *cells])
+    return _grid(["reward of", *(f"minus {reference}" for reference in references)], rows)
 
 
 def markdown(comparison: Comparison) -> str:
-    """A comparison as Markdown: every policy, then the paired differences."""
+    """A comparison as Markdown: every policy, then the paired differences of the reward."""
     c = comparison
-    title = f"### {c.scenario}, {c.radio}, {c.episodes} episodes, seeds {c.seed} and up\n"
-    parts = [title, table(c.policies, "policy")]
+    parts = [
+        f"### {c.scenario}, {c.radio}, {c.episodes} episodes, seeds {c.seed} and up\n",
+        policies_table(c),
+    ]
     if c.paired:
-        parts += ["\nPaired differences, episode by episode:\n", table(c.paired, "difference")]
+        parts += ["\nPaired differences of the reward, 95 % intervals:\n", paired_table(c)]
     return "\n".join(parts) + "\n"
 
 

@@ -19,6 +19,7 @@ from mmwave_env.names import choose
 from mmwave_env.observation import Observation
 from mmwave_env.radio import Radio, radio_from
 from mmwave_env.recording import RecordedSource, recording_from
+from mmwave_env.rendering import FRAMES_PER_SECOND, Picture, blank_picture
 from mmwave_env.reward import Reward, reward_from
 from mmwave_env.scene import Scene, scene_from
 
@@ -101,6 +102,7 @@ class MmWaveLocEnv(gym.Env[NDArray[np.float32], np.int64]):
     * `planar`: flat terrain: z and vz are known.
     * `odometry`: the user also measures speed and heading.
     * `terminate_on_divergence`: see Episode End.
+    * `render_mode`: "rgb_array" (480 x 480) or "human"; needs the extra `render`.
     * `backend`: "lanes", or "filterpy" for the same modes on filterpy's filters (slow).
 
     ```python
@@ -120,7 +122,10 @@ class MmWaveLocEnv(gym.Env[NDArray[np.float32], np.int64]):
     * v0: initial version.
     """
 
-    metadata: ClassVar[dict[str, Any]] = {"render_modes": []}
+    metadata: ClassVar[dict[str, Any]] = {
+        "render_modes": ["human", "rgb_array"],
+        "render_fps": FRAMES_PER_SECOND,
+    }
 
     def __init__(
         self,
@@ -139,7 +144,10 @@ class MmWaveLocEnv(gym.Env[NDArray[np.float32], np.int64]):
         backend: str = "lanes",
         render_mode: str | None = None,
     ) -> None:
+        if render_mode not in (None, *self.metadata["render_modes"]):
+            choose(dict.fromkeys(self.metadata["render_modes"]), render_mode, "render_mode")
         self.render_mode = render_mode
+        self._picture: Picture | None = None
         self.radio = radio_from(radio)
         if episodes is None:
             self.source: EpisodeSource = SimulatedSource(
@@ -198,6 +206,8 @@ class MmWaveLocEnv(gym.Env[NDArray[np.float32], np.int64]):
         self._engine.reset([episode])
         self._episode, self._over, self._steps = episode, False, 0
         self._history = np.empty((len(episode), self._engine.size))
+        if self._picture is not None:
+            self._picture.begin(episode.scene_anchors_m, self._true_positions(episode))
         column = self._engine.column(0)
         return column[self._spans["observation"]].astype(np.float32), {
             "episode": episode.name,
@@ -244,12 +254,46 @@ class MmWaveLocEnv(gym.Env[NDArray[np.float32], np.int64]):
         if terminated or truncated:
             self._over = True
             info |= self._episode_info(episode)
+        if self.render_mode == "human":
+            self.render()
         return column[spans["observation"]].astype(np.float32), reward, terminated, truncated, info
+
+    def render(self) -> NDArray[np.uint8] | None:  # type: ignore[override]
+        """The epoch just processed, from above: (480, 480, 3) for "rgb_array"."""
+        episode, steps, spans = self._episode, self._steps, self._spans
+        if self.render_mode is None or episode is None or steps == 0:
+            return None if self.render_mode != "rgb_array" else blank_picture()
+        truth = self._true_positions(episode)
+        if self._picture is None:
+            self._picture = Picture([m.name for m in self.modes], self.render_mode == "human")
+            self._picture.begin(episode.scene_anchors_m, truth)
+        now = self._history[steps - 1]
+        variances = now[spans["P"]]  # packed: xx, xy, yy first
+        picture = self._picture.draw(
+            truth[:steps],
+            self._history[:steps, spans["x"]][:, :3],
+            np.array([[variances[0], variances[1]], [variances[1], variances[2]]]),
+            self._history[:steps, self._engine.at.memory.mode].astype(np.int64),
+            now[spans["accepted"]] > 0.5,
+            now[spans["rejected"]] > 0.5,
+        )
+        return picture if self.render_mode == "rgb_array" else None
+
+    def close(self) -> None:
+        """Close the window, if there is one."""
+        if self._picture is not None:
+            self._picture.close()
+            self._picture = None
 
     @staticmethod
     def _truth(episode: Episode, epoch: int) -> NDArray[np.float64]:
         assert episode.truth_position_m is not None and episode.truth_velocity_mps is not None
         return np.concatenate([episode.truth_position_m[epoch], episode.truth_velocity_mps[epoch]])
+
+    @staticmethod
+    def _true_positions(episode: Episode) -> NDArray[np.float64]:
+        assert episode.truth_position_m is not None
+        return episode.truth_position_m
 
     def _episode_info(self, episode: Episode) -> dict[str, float]:
         """Metrics of the epochs stepped through, and what smoothing would make of them."""

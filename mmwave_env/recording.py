@@ -82,7 +82,9 @@ class Recording:
             self._refuse("measurement", "NaN or infinity in a visible group", "finite numbers")
         if not np.isfinite(self.path_gain_db[self.visible[:, :L]]).all():
             self._refuse("path_gain_db", "NaN or infinity on a visible link", "finite numbers")
-        self.scene  # noqa: B018  refuses a carrier or bandwidth that is not positive
+        for field in ("carrier_hz", "bandwidth_hz"):
+            if not 0.0 < getattr(self, field) < np.inf:
+                self._refuse(field, f"{getattr(self, field)}", "> 0")
 
     def _refuse(self, field: str, found: str, expected: str) -> None:
         raise ValueError(f"{field} of recording {self.name!r}: found {found}, expected {expected}")
