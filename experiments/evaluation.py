@@ -87,9 +87,7 @@ def draw_episodes(source: EpisodeSource, seeds: Sequence[int]) -> list[Episode]:
     return [source.sample(np.random.default_rng(seed)) for seed in seeds]
 
 
-def run(
-    contender: Contender, episodes: Sequence[Episode], reward: Reward | None = None
-) -> Scores:
+def run(contender: Contender, episodes: Sequence[Episode], reward: Reward | None = None) -> Scores:
     """Run a contender through episodes of one length; metrics per episode."""
     reward = reward or TrackingReward()
     pipeline = Pipeline(contender.modes, episodes[0].layout)
@@ -198,6 +196,7 @@ class Comparison:
     @property
     def json(self) -> dict[str, Any]:
         """As results files hold it."""
+
         def table(rows: dict[str, dict[str, Interval]]) -> dict[str, Any]:
             return {k: {m: i.json for m, i in row.items()} for k, row in rows.items()}
 
@@ -232,4 +231,3 @@ def compare(scores: dict[str, Scores], **what: Any) -> Comparison:
             if name != reference:
                 pairs[f"{name} - {reference}"] = stacked[name] - stacked[reference]
     return Comparison(policies=rows(stacked), paired=rows(pairs) if pairs else {}, **what)
-

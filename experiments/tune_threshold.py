@@ -3,6 +3,7 @@
 import shlex
 import sys
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -48,7 +49,7 @@ def main(args: Args) -> None:
         rule = contender_from("speed-rule", radio)
         rewards = []
         for threshold in args.thresholds:
-            tried = replace(rule, policy=lambda t, at=threshold: SpeedRule(t, at))
+            tried = replace(rule, policy=partial(SpeedRule, threshold=threshold))
             rewards.append(run(tried, episodes)["reward"])
         intervals = bootstrap(np.stack(rewards, axis=1))
         best = int(np.argmax([i.mean for i in intervals]))

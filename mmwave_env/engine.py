@@ -99,9 +99,7 @@ def _template(pipeline: Pipeline, features: int) -> Workspace:
     )
 
 
-def epoch(
-    w: Workspace, pipeline: Pipeline, observation: Observation, reward: Reward
-) -> Workspace:
+def epoch(w: Workspace, pipeline: Pipeline, observation: Observation, reward: Reward) -> Workspace:
     """One step of an environment, on numbers."""
     chosen = w.candidates[0]
     cost: Number = pipeline.modes[0].cost

@@ -1,7 +1,8 @@
 """The environment: ``gymnasium.make("MmWaveLoc-v0")``."""
 
+import os
 from collections.abc import Sequence
-from typing import Any, ClassVar
+from typing import Any, cast
 
 import gymnasium as gym
 import numpy as np
@@ -28,7 +29,8 @@ EPISODE_STEPS = 200
 
 
 class MmWaveLocEnv(gym.Env[NDArray[np.float32], np.int64]):
-    """
+    """An agent chooses which Kalman filter pipeline localises a mobile user.
+
     ## Description
 
     A pedestrian or a vehicle moves through a street with three 28 GHz anchors: a base station
@@ -122,7 +124,7 @@ class MmWaveLocEnv(gym.Env[NDArray[np.float32], np.int64]):
     * v0: initial version.
     """
 
-    metadata: ClassVar[dict[str, Any]] = {
+    metadata: dict[str, Any] = {  # noqa: RUF012 - Gymnasium's own declaration
         "render_modes": ["human", "rgb_array"],
         "render_fps": FRAMES_PER_SECOND,
     }
@@ -137,14 +139,14 @@ class MmWaveLocEnv(gym.Env[NDArray[np.float32], np.int64]):
         observation: str = "full",
         episode_steps: int | None = None,
         dt: float | None = None,
-        episodes: str | EpisodeSource | None = None,
+        episodes: str | os.PathLike[str] | EpisodeSource | None = None,
         planar: bool = False,
         odometry: bool = False,
         terminate_on_divergence: bool = False,
         backend: str = "lanes",
         render_mode: str | None = None,
     ) -> None:
-        if render_mode not in (None, *self.metadata["render_modes"]):
+        if render_mode is not None:
             choose(dict.fromkeys(self.metadata["render_modes"]), render_mode, "render_mode")
         self.render_mode = render_mode
         self._picture: Picture | None = None
@@ -164,7 +166,7 @@ class MmWaveLocEnv(gym.Env[NDArray[np.float32], np.int64]):
                     raise ValueError(f"{name}: found {value!r}, but recorded episodes= bring it")
             self.source = (
                 RecordedSource(recording_from(episodes), self.radio, epochs=episode_steps)
-                if isinstance(episodes, str)
+                if isinstance(episodes, (str, os.PathLike))
                 else episodes
             )
         self.reward = reward_from(reward)
@@ -179,8 +181,8 @@ class MmWaveLocEnv(gym.Env[NDArray[np.float32], np.int64]):
             pipeline = filterpy_pipeline(pipeline)
         self._engine = Engine(pipeline, 1, self.reward, observation, backend == "filterpy")
         self.modes, self.observation = pipeline.modes, self._engine.observation
-        self.observation_space = self.observation.space
-        self.action_space = spaces.Discrete(len(self.modes))  # type: ignore[assignment]
+        self.observation_space = cast(Any, self.observation.space)
+        self.action_space = spaces.Discrete(len(self.modes))
         self._axes = len(pipeline.position_axes)
         at, span = self._engine.at, self._engine.span
         self._spans = {
@@ -258,7 +260,7 @@ class MmWaveLocEnv(gym.Env[NDArray[np.float32], np.int64]):
             self.render()
         return column[spans["observation"]].astype(np.float32), reward, terminated, truncated, info
 
-    def render(self) -> NDArray[np.uint8] | None:  # type: ignore[override]
+    def render(self) -> NDArray[np.uint8] | None:
         """The epoch just processed, from above: (480, 480, 3) for "rgb_array"."""
         episode, steps, spans = self._episode, self._steps, self._spans
         if self.render_mode is None or episode is None or steps == 0:
@@ -323,9 +325,9 @@ class MmWaveLocEnv(gym.Env[NDArray[np.float32], np.int64]):
 
 def _with_table(docstring: str | None) -> str | None:
     """The docstring with the observation table of the default environment in it."""
-    pipeline = Pipeline(modes_from(None), SimulatedSource(scene_from("street"), radio_from("handset")).layout)
-    table = Observation(pipeline).table().replace("\n", "\n    ")
-    return docstring and docstring.replace("{table}", table)
+    source = SimulatedSource(scene_from("street"), radio_from("handset"))
+    table = Observation(Pipeline(modes_from(None), source.layout)).table()
+    return docstring and docstring.replace("{table}", table.replace("\n", "\n    "))
 
 
 MmWaveLocEnv.__doc__ = _with_table(MmWaveLocEnv.__doc__)

@@ -13,9 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mmwave_env.arithmetic import PI
-from mmwave_env.measurement import Layout, direction, range_rate
+from mmwave_env.measurement import Layout, direction, range_rate, wrap_angles
 from mmwave_env.mobility import mobilities_of, trajectory
-from mmwave_env.radio import Radio, simulate_channel
+from mmwave_env.radio import Radio, oscillator_bias, simulate_channel
 from mmwave_env.scene import Scene
 
 Array = NDArray[np.float64]
@@ -94,9 +94,7 @@ class Episode:
         """(T, groups) visible, and every number of the group finite."""
         finite = np.isfinite(self.measurement) & np.isfinite(self.sigma)
         starts = [rows.start for rows in self.layout.groups]
-        usable: NDArray[np.bool_] = self.visible & np.logical_and.reduceat(
-            finite, starts, axis=1
-        )
+        usable: NDArray[np.bool_] = self.visible & np.logical_and.reduceat(finite, starts, axis=1)
         return usable
 
     @property
@@ -244,14 +242,10 @@ class SimulatedSource:
         links = measurement[:, : layout.doppler].reshape(self.epochs, layout.anchors, 4)
         links[..., 0] += channel.range_bias_m
         links[..., 1:] += channel.angle_bias_rad
-        drift = radio.drift_mps * scene.hz_per_mps * np.sqrt(self.dt)
-        first_bias = radio.prior_bias_mps * scene.hz_per_mps * rng.standard_normal()
-        steps = drift * rng.standard_normal(self.epochs)
-        bias = first_bias + np.concatenate([[0.0], np.cumsum(steps[1:])])
+        time_s = self.dt * np.arange(self.epochs, dtype=np.float64)
+        bias = oscillator_bias(radio, scene.hz_per_mps, time_s, rng)
         measurement[:, layout.doppler] += bias
-        measurement[:, layout.angles] = np.remainder(
-            measurement[:, layout.angles] + PI, 2.0 * PI
-        ) - PI
+        wrap_angles(measurement, layout)
         visible = np.column_stack([channel.detected, channel.detected[:, 0]])
         if self.odometry:
             visible = np.column_stack([visible, speed >= radio.odometry_slowest_mps])
@@ -261,7 +255,7 @@ class SimulatedSource:
             name=mobility.name,
             scene_anchors_m=scene.anchors_m,
             hz_per_mps=scene.hz_per_mps,
-            time_s=self.dt * np.arange(self.epochs),
+            time_s=time_s,
             measurement=measurement,
             sigma=sigma,
             visible=visible,

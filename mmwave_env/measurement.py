@@ -20,6 +20,9 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import NamedTuple
 
+import numpy as np
+from numpy.typing import NDArray
+
 from mmwave_env.arithmetic import PI, Matrix, Number, Vector, atan2, maximum, sqrt, wrap
 
 SPEED_OF_LIGHT = 299_792_458.0  # m/s
@@ -79,6 +82,12 @@ class Layout:
         """Rows that are angles, whose differences wrap."""
         rows = [4 * a + i for a in range(self.anchors) for i in (1, 2, 3)]
         return rows + [self.doppler + 2] * self.odometry
+
+
+def wrap_angles(measurement: NDArray[np.float64], layout: Layout) -> None:
+    """Move the angles of measurements (T, rows) into [-pi, pi), in place."""
+    rows = layout.angles
+    measurement[:, rows] = np.remainder(measurement[:, rows] + PI, 2.0 * PI) - PI
 
 
 class Measurement(NamedTuple):

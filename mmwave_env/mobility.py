@@ -104,9 +104,7 @@ MOBILITIES: dict[str, Mobility] = {
         (Phase(_ON_FOOT, _WALK, (45.0, 75.0)), Phase(_DRIVING, _DRIVE)),
         ends_as_it_began=True,
     ),
-    "jam": Mobility(
-        "jam", (Phase(replace(_DRIVING, red_light_probability=0.0), _JAM),)
-    ),
+    "jam": Mobility("jam", (Phase(replace(_DRIVING, red_light_probability=0.0), _JAM),)),
     "cyclist": Mobility("cyclist", (Phase(_CYCLING, _CYCLE),)),
 }
 MIXED = "mixed"
@@ -158,7 +156,7 @@ def trajectory(
     return position, velocity
 
 
-@numba.njit(cache=True)  # type: ignore[untyped-decorator]
+@numba.njit(cache=True)
 def _draw_gait(rng, gaits):  # type: ignore[no-untyped-def]
     """Target speed and duration of the next gait; gaits (n, 4) as in Gait, zero rows unused."""
     left = rng.random() * gaits[:, 3].sum()
@@ -172,7 +170,7 @@ def _draw_gait(rng, gaits):  # type: ignore[no-untyped-def]
     return speed, gaits[chosen, 2] * rng.standard_exponential()
 
 
-@numba.njit(cache=True)  # type: ignore[untyped-decorator]
+@numba.njit(cache=True)
 def _draw_turn(rng, node, heading, counts):  # type: ignore[no-untyped-def]
     """Quarter turns to the left at a node: 0, 1, -1, or 2 (back) where nothing else stays in."""
     options = np.empty(3, np.int64)
@@ -187,7 +185,7 @@ def _draw_turn(rng, node, heading, counts):  # type: ignore[no-untyped-def]
     return options[int(rng.random() * n)] if n else 2
 
 
-@numba.njit(cache=True)  # type: ignore[untyped-decorator]
+@numba.njit(cache=True)
 def _draw_crossing(rng, node, heading, counts, limits):  # type: ignore[no-untyped-def]
     """Move ``node`` to the next crossing; what to do there: the turn, and seconds of red light."""
     node[0] += 1 if heading == 0 else -1 if heading == 2 else 0
@@ -199,7 +197,7 @@ def _draw_crossing(rng, node, heading, counts, limits):  # type: ignore[no-untyp
     return turn, red
 
 
-@numba.njit(cache=True)  # type: ignore[untyped-decorator]
+@numba.njit(cache=True)
 def _pull(v, a, target, limits, cap, left):  # type: ignore[no-untyped-def]
     """Wanted acceleration: towards the target, and down to ``cap`` within ``left`` metres."""
     acceleration, braking, jerk = limits[0], limits[1], limits[3]
@@ -213,7 +211,7 @@ def _pull(v, a, target, limits, cap, left):  # type: ignore[no-untyped-def]
     return pull
 
 
-@numba.njit(cache=True)  # type: ignore[untyped-decorator]
+@numba.njit(cache=True)
 def _drive(v, a, target, limits, turn, red, radius, left):  # type: ignore[no-untyped-def]
     """Wanted acceleration with a crossing ``left`` metres ahead."""
     pull = _pull(v, a, target, limits, np.inf, 0.0)
@@ -224,14 +222,14 @@ def _drive(v, a, target, limits, turn, red, radius, left):  # type: ignore[no-un
     return pull
 
 
-@numba.njit(cache=True)  # type: ignore[untyped-decorator]
+@numba.njit(cache=True)
 def _course(heading, turn, bent, arc):  # type: ignore[no-untyped-def]
     """Direction of travel (rad), ``bent`` metres into an arc of ``arc`` metres."""
     share = min(max(bent / arc, 0.0), 1.0) if turn != 0 else 0.0
     return (heading + turn * share) * (np.pi / 2)
 
 
-@numba.njit(cache=True)  # type: ignore[untyped-decorator]
+@numba.njit(cache=True)
 def _travel(  # type: ignore[no-untyped-def]
     rng, ends, limits, gaits, origin, counts, block, step, stride, epochs
 ):

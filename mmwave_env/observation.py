@@ -6,7 +6,7 @@ are functions of numbers, so they are computed inside the SIMD kernel.
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 from gymnasium import spaces
@@ -16,6 +16,8 @@ from mmwave_env.arithmetic import Matrix, Number, Vector, clip, log, sqrt, where
 from mmwave_env.estimator.algebra import dot
 from mmwave_env.estimator.motion import move
 from mmwave_env.estimator.pipeline import Candidate, Epoch, Memory, Pipeline, Site
+
+Index = TypeVar("Index")
 
 OBSERVATIONS = {"full": "everything", "prior": "nothing of how each mode sees the coming epoch"}
 
@@ -114,6 +116,11 @@ class Observation:
         return "\n".join(lines)
 
 
+def _at(function: Callable[[View, Index], Number], index: Index) -> Callable[[View], Number]:
+    """The formula of one anchor, group or mode."""
+    return lambda view: function(view, index)
+
+
 def _speed(view: View) -> Number:
     v = view.x[3:6]
     return sqrt(dot(v, v))
@@ -162,14 +169,14 @@ def _context(pipeline: Pipeline) -> list[Feature]:
         table.append(
             Feature(
                 f"NIS {name}", "ln(1 + NIS) of the last epoch", "", 1, 0, 10,
-                lambda v, g=g: log(1.0 + v.memory.nis[g]),
+                _at(lambda v, g: log(1.0 + v.memory.nis[g]), g),
             )
         )  # fmt: skip
     for g, name in enumerate(layout.group_names):
         table.append(
             Feature(
                 f"verdict {name}", "last epoch: 1 accepted, -1 gated, 0 missing", "", 1, -1, 1,
-                lambda v, g=g: v.memory.accepted[g] - v.memory.rejected[g],
+                _at(lambda v, g: v.memory.accepted[g] - v.memory.rejected[g], g),
             )
         )  # fmt: skip
     table += [
@@ -187,28 +194,28 @@ def _context(pipeline: Pipeline) -> list[Feature]:
             Feature(
                 f"SNR anchor {a + 1}", "of the coming epoch; -20 dB where missing", "dB", 20, -1,
                 4,
-                lambda v, a=a: where(v.epoch.visible[a] > 0.5, v.epoch.snr_db[a], -20.0),
+                _at(lambda v, a: where(v.epoch.visible[a] > 0.5, v.epoch.snr_db[a], -20.0), a),
             )
         )  # fmt: skip
     for m, mode in enumerate(pipeline.modes):
         table.append(
             Feature(
                 f"previous mode {mode.name}", "1 if it ran in the last epoch", "", 1, 0, 1,
-                lambda v, m=m: where(abs(v.memory.mode - float(m)) < 0.5, 1.0, 0.0),
+                _at(lambda v, m: where(abs(v.memory.mode - float(m)) < 0.5, 1.0, 0.0), m),
             )
         )  # fmt: skip
     for i, pace in enumerate(("fast", "slow")):
         table.append(
             Feature(
                 f"NIS {pace} average", "of NIS / dof of what was accepted", "", 1, 0, 10,
-                lambda v, i=i: v.memory.nis_average[i],
+                _at(lambda v, i: v.memory.nis_average[i], i),
             )
         )  # fmt: skip
     for i, way in enumerate(("along", "across")):
         table.append(
             Feature(
                 f"correction {way}", f"average position correction {way} the velocity", "m", 1,
-                -10, 10, lambda v, i=i: v.memory.correction[i],
+                -10, 10, _at(lambda v, i: v.memory.correction[i], i),
             )
         )  # fmt: skip
     table += [
@@ -236,22 +243,24 @@ def _coming(pipeline: Pipeline) -> list[Feature]:
         table += [
             Feature(
                 f"coming NIS {name}", "ln(1 + NIS / dof) over the visible groups", "", 1, 0, 10,
-                lambda v, m=m: log(1.0 + _mean_nis(rows, v.candidates[m], v.epoch)),
+                _at(lambda v, m: log(1.0 + _mean_nis(rows, v.candidates[m], v.epoch)), m),
             ),
             Feature(
                 f"coming rejected {name}", "links it would reject", "links", 1, 0,
                 layout.anchors,
-                lambda v, m=m: (
-                    dot(links, v.epoch.visible) - dot(links, v.candidates[m].accepted)
+                _at(
+                    lambda v, m: dot(links, v.epoch.visible)
+                    - dot(links, v.candidates[m].accepted),
+                    m,
                 ),
             ),
             Feature(
                 f"coming correction along {name}", "of its position, along the velocity", "m", 1,
-                -10, 10, lambda v, m=m: _along(v, v.candidates[m], across=False),
+                -10, 10, _at(lambda v, m: _along(v, v.candidates[m], across=False), m),
             ),
             Feature(
                 f"coming correction across {name}", "of its position, to the left", "m", 1,
-                -10, 10, lambda v, m=m: _along(v, v.candidates[m], across=True),
+                -10, 10, _at(lambda v, m: _along(v, v.candidates[m], across=True), m),
             ),
         ]  # fmt: skip
         if m == len(pipeline.modes) - 1:
@@ -259,8 +268,10 @@ def _coming(pipeline: Pipeline) -> list[Feature]:
         table.append(
             Feature(
                 f"coming log-likelihood {name}", f"minus that of {last}", "nats", 5, -6, 6,
-                lambda v, m=m: (
-                    v.candidates[m].log_likelihood - v.candidates[-1].log_likelihood
+                _at(
+                    lambda v, m: v.candidates[m].log_likelihood
+                    - v.candidates[-1].log_likelihood,
+                    m,
                 ),
             )
         )  # fmt: skip
@@ -269,7 +280,7 @@ def _coming(pipeline: Pipeline) -> list[Feature]:
                 Feature(
                     f"preference {pace} {name}",
                     f"{pace} average of its log-likelihood minus that of {last}", "nats", 5, -6,
-                    6, lambda v, m=m, i=i: v.memory.preference[i][m],
+                    6, _at(lambda v, at: v.memory.preference[at[0]][at[1]], (i, m)),
                 )
             )  # fmt: skip
     return table

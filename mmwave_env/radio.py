@@ -155,9 +155,7 @@ class Radio:
         links = sigma[:, : 4 * layout.anchors].reshape(len(snr), layout.anchors, 4)
         links[..., 0] = np.hypot(floor, bound)
         links[..., 1] = np.hypot(self.aoa_floor_rad, self._angle_bound(snr, self.ue_elements))
-        links[..., 2] = np.hypot(
-            self.elevation_floor_rad, self._angle_bound(snr, self.ue_elements)
-        )
+        links[..., 2] = np.hypot(self.elevation_floor_rad, self._angle_bound(snr, self.ue_elements))
         links[..., 3] = np.hypot(self.aod_floor_rad, self._angle_bound(snr, self.gnb_elements))
         doppler_bound = np.sqrt(6.0 / snr[:, 0]) / (2.0 * math.pi * self.doppler_window_s)
         sigma[:, layout.doppler] = np.hypot(
@@ -211,6 +209,24 @@ RADIOS: dict[str, Radio] = {
 def radio_from(radio: str | Radio) -> Radio:
     """The profile of a ``radio=`` argument: a name or a Radio."""
     return radio if isinstance(radio, Radio) else choose(RADIOS, radio, "radio")
+
+
+def oscillator_bias(
+    radio: Radio, hz_per_mps: float, time_s: Array, rng: np.random.Generator
+) -> Array:
+    """The residual carrier offset (T,) at times (T,), Hz: a random walk."""
+    first = radio.prior_bias_mps * rng.standard_normal()
+    steps = radio.drift_mps * np.sqrt(np.diff(time_s)) * rng.standard_normal(len(time_s) - 1)
+    return hz_per_mps * (first + np.concatenate([[0.0], np.cumsum(steps)]))
+
+
+def doppler_spread(
+    radio: Radio, hz_per_mps: float, speed_mps: Array, rng: np.random.Generator
+) -> Array:
+    """Measured Doppler spread (T,) at speeds (T,), Hz; blind below about 1 m/s."""
+    scatter = np.exp(radio.spread_sigma * rng.standard_normal(len(speed_mps)))
+    floor = radio.spread_floor_mps * np.abs(rng.standard_normal(len(speed_mps)))
+    return hz_per_mps * (radio.spread_gain * speed_mps * scatter + floor)
 
 
 class Channel(NamedTuple):
@@ -280,12 +296,11 @@ def simulate_channel(
     snr = radio.snr_db(-loss + shadowing - radio.blockage_loss_db * blocked, scene.bandwidth_hz)
     chance = 1.0 / (1.0 + np.exp(-(snr - radio.detection_snr_db) / radio.detection_slope_db))
     detected = (rng.random((T, L)) < chance) & ~lost
-    spread = radio.spread_gain * speed_mps * np.exp(radio.spread_sigma * rng.standard_normal(T))
-    spread += radio.spread_floor_mps * np.abs(rng.standard_normal(T))
-    return Channel(snr, detected, range_bias, angle_bias, spread * scene.hz_per_mps)
+    spread_hz = doppler_spread(radio, scene.hz_per_mps, speed_mps, rng)
+    return Channel(snr, detected, range_bias, angle_bias, spread_hz)
 
 
-@numba.njit(cache=True)  # type: ignore[untyped-decorator]
+@numba.njit(cache=True)
 def _autoregress(noise, rho):  # type: ignore[no-untyped-def]
     """Stationary AR(1) of unit variance per column, from white noise (T, L)."""
     out = noise.copy()
@@ -296,7 +311,7 @@ def _autoregress(noise, rho):  # type: ignore[no-untyped-def]
     return out
 
 
-@numba.njit(cache=True)  # type: ignore[untyped-decorator]
+@numba.njit(cache=True)
 def _spells(uniform, onset, leave, first):  # type: ignore[no-untyped-def]
     """A two-state Markov chain per column: whether it is on (T, L), and since which epoch."""
     T, L = uniform.shape

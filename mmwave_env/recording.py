@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 
 from mmwave_env.arithmetic import PI, wrap
 from mmwave_env.episode import Episode, draw_prior
-from mmwave_env.measurement import Layout
-from mmwave_env.radio import Radio
+from mmwave_env.measurement import Layout, wrap_angles
+from mmwave_env.radio import Radio, doppler_spread, oscillator_bias
 from mmwave_env.scene import Scene
 
 Array = NDArray[np.float64]
@@ -179,12 +179,15 @@ class RecordedSource:
         bias = np.zeros(self.epochs)
         if self.noise:
             measurement += sigma * rng.standard_normal(measurement.shape)
-            bias = _oscillator_bias(radio, scene.hz_per_mps, recording.time_s, rng)
+            bias = oscillator_bias(radio, scene.hz_per_mps, recording.time_s, rng)
             measurement[:, layout.doppler] += bias
-            measurement[:, layout.angles] = (
-                np.remainder(measurement[:, layout.angles] + PI, 2.0 * PI) - PI
-            )
-        spread = self._doppler_spread_mps(recording, rng) * scene.hz_per_mps
+            wrap_angles(measurement, layout)
+        velocity = recording.velocity_mps  # where nobody knows it, the spread is that at rest
+        speed = np.zeros(self.epochs) if velocity is None else np.linalg.norm(velocity, axis=1)
+        if self.noise:
+            spread_hz = doppler_spread(radio, scene.hz_per_mps, speed, rng)
+        else:
+            spread_hz = radio.spread_gain * scene.hz_per_mps * speed
         visible = recording.visible
         if recording.position_m is not None and recording.velocity_mps is not None:
             state = [recording.position_m[0], recording.velocity_mps[0], bias[:1]]
@@ -205,32 +208,13 @@ class RecordedSource:
             sigma=sigma,
             visible=visible,
             snr_db=snr,
-            doppler_spread_hz=spread,
+            doppler_spread_hz=spread_hz,
             prior_mean=mean,
             prior_covariance=covariance,
             truth_position_m=recording.position_m,
             truth_velocity_mps=recording.velocity_mps,
             layout=layout,
         )
-
-    def _doppler_spread_mps(self, recording: Recording, rng: np.random.Generator) -> Array:
-        """Doppler spread (T,), m/s; where the velocity is not known, of a user at rest."""
-        radio, velocity = self.radio, recording.velocity_mps
-        speed = np.zeros(self.epochs) if velocity is None else np.linalg.norm(velocity, axis=1)
-        spread: Array = radio.spread_gain * speed
-        if self.noise:
-            spread *= np.exp(radio.spread_sigma * rng.standard_normal(self.epochs))
-            spread += radio.spread_floor_mps * np.abs(rng.standard_normal(self.epochs))
-        return spread
-
-
-def _oscillator_bias(
-    radio: Radio, hz_per_mps: float, time_s: Array, rng: np.random.Generator
-) -> Array:
-    """The residual carrier offset (T,), Hz: a random walk."""
-    first = radio.prior_bias_mps * rng.standard_normal()
-    steps = radio.drift_mps * np.sqrt(np.diff(time_s)) * rng.standard_normal(len(time_s) - 1)
-    return hz_per_mps * (first + np.concatenate([[0.0], np.cumsum(steps)]))
 
 
 def _prior_from_fix(

@@ -7,6 +7,7 @@ one reflection measures range and angles as if it came from there (paper, Sec. I
 import json
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -151,12 +152,13 @@ def read_scene(path: Path) -> Scene:
         fields = json.loads(path.read_text())
         fields["base_station_m"] = tuple(float(v) for v in fields["base_station_m"])
         fields["walls"] = tuple(
-            Wall(tuple(wall["normal"]), float(wall["offset_m"]))
-            for wall in fields.get("walls", [])
+            Wall(tuple(wall["normal"]), float(wall["offset_m"])) for wall in fields.get("walls", [])
         )
         if "streets" in fields:
-            streets = {k: tuple(v) if isinstance(v, list) else v
-                       for k, v in fields["streets"].items()}  # fmt: skip
+            streets: dict[str, Any] = {
+                key: tuple(value) if isinstance(value, list) else value
+                for key, value in fields["streets"].items()
+            }
             fields["streets"] = Streets(**streets)
         return Scene(**{"name": path.stem, **fields})
     except (TypeError, KeyError, AttributeError, ValueError) as error:

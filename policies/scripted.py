@@ -108,4 +108,5 @@ class LikelihoodRule:
         """Actions (n,)."""
         against_last = [self.observation.read(observation, name) for name in self._features]
         scores = np.stack([*against_last, np.zeros(len(observation))], axis=-1)
-        return scores.argmax(axis=-1).astype(np.int64)
+        best: NDArray[np.int64] = scores.argmax(axis=-1)
+        return best

@@ -33,7 +33,7 @@ def pack(m: Matrix) -> list[Number]:
 
 
 def unpack(packed: Vector, zero: Sequence[int] = ()) -> list[list[Number]]:
-    """The symmetric matrix of a packed triangle; rows and columns in ``zero`` are structural zeros."""
+    """The symmetric matrix of a packed triangle; rows in ``zero`` become structural zeros."""
     n = round((2 * len(packed) + 0.25) ** 0.5 - 0.5)
     return symmetric(
         n, lambda i, j: 0.0 if i in zero or j in zero else packed[i * (i + 1) // 2 + j]
@@ -76,4 +76,3 @@ def backward(factor: Matrix, b: Vector) -> list[Number]:
         rest = dot([factor[k][i] for k in range(i + 1, n)], y[i + 1 :])
         y[i] = (b[i] - rest) * (1.0 / pivot)
     return y
-

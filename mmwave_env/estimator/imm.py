@@ -84,18 +84,16 @@ def moments(
             for i in range(STATE_SIZE)
         ]
     )
-    return mean, [
-        dot(weights, [Pi[k] for Pi in P]) + value for k, value in enumerate(spread)
-    ]
+    return mean, [dot(weights, [Pi[k] for Pi in P]) + value for k, value in enumerate(spread)]
 
 
-def mix(mixture: Mixture, transition: Matrix) -> tuple[list[Number], list[tuple[Vector, Vector]]]:
+def mix(mixture: Mixture, transition: Matrix) -> tuple[Vector, list[tuple[Vector, Vector]]]:
     """Predicted mode probabilities, and each mode's mixed initial belief."""
     modes = range(len(mixture.tracks))
     predicted = [dot([row[j] for row in transition], mixture.probability) for j in modes]
     x = [track.x for track in mixture.tracks]
     P = [track.P for track in mixture.tracks]
-    mixed = []
+    mixed: list[tuple[Vector, Vector]] = []
     for j in modes:
         weights = [transition[i][j] * mixture.probability[i] / predicted[j] for i in modes]
         mixed.append(moments(weights, x, P))

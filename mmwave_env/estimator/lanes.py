@@ -90,6 +90,45 @@ class Lanes:
     def __array__(self, *_: Any, **__: Any) -> Any:
         raise _no_value("numpy")
 
+    def __add__(self, other: Any) -> Any:
+        return _emit("fadd", self, other)
+
+    def __radd__(self, other: Any) -> Any:
+        return _emit("fadd", other, self)
+
+    def __sub__(self, other: Any) -> Any:
+        return _emit("fsub", self, other)
+
+    def __rsub__(self, other: Any) -> Any:
+        return _emit("fsub", other, self)
+
+    def __mul__(self, other: Any) -> Any:
+        return _emit("fmul", self, other)
+
+    def __rmul__(self, other: Any) -> Any:
+        return _emit("fmul", other, self)
+
+    def __truediv__(self, other: Any) -> Any:
+        return _emit("fdiv", self, other)
+
+    def __rtruediv__(self, other: Any) -> Any:
+        return _emit("fdiv", other, self)
+
+    def __lt__(self, other: Any) -> Mask:
+        return self._compare("<", other)
+
+    def __le__(self, other: Any) -> Mask:
+        return self._compare("<=", other)
+
+    def __gt__(self, other: Any) -> Mask:
+        return self._compare(">", other)
+
+    def __ge__(self, other: Any) -> Mask:
+        return self._compare(">=", other)
+
+    def _compare(self, op: str, other: Any) -> Mask:
+        return Mask(self.builder, self.builder.fcmp_ordered(op, self.value, _lift(other)))
+
     def __neg__(self) -> "Lanes":
         return Lanes(self.builder, self.builder.fneg(self.value, flags=_FLAGS))
 
@@ -103,7 +142,9 @@ class Lanes:
     def _call(self, name: str) -> "Lanes":
         signature = ir.FunctionType(_VECTOR, [_VECTOR])
         full = f"llvm.{name}.v{WIDTH}f64"
-        function = cgutils.get_or_insert_function(self.builder.module, signature, full)
+        function = cgutils.get_or_insert_function(  # type: ignore[no-untyped-call]
+            self.builder.module, signature, full
+        )
         return Lanes(self.builder, self.builder.call(function, [self.value], fastmath=_FLAGS))
 
     def atan2(self, x: Any) -> "Lanes":
@@ -126,8 +167,8 @@ class Lanes:
         b = self.builder
         bits = b.bitcast(self.value, _BITS)
         mantissa_bits = b.or_(b.and_(bits, _bits(0xFFFFFFFFFFFFF)), _bits(0x3FF0000000000000))
-        m = Lanes(b, b.bitcast(mantissa_bits, _VECTOR))
-        e = Lanes(b, b.sitofp(b.sub(b.lshr(bits, _bits(52)), _bits(1023)), _VECTOR))
+        m: Any = Lanes(b, b.bitcast(mantissa_bits, _VECTOR))
+        e: Any = Lanes(b, b.sitofp(b.sub(b.lshr(bits, _bits(52)), _bits(1023)), _VECTOR))
         high = m > math.sqrt(2.0)
         m, e = where(high, 0.5 * m, m), where(high, e + 1.0, e)
         s = (m - 1.0) / (m + 1.0)
@@ -137,7 +178,7 @@ class Lanes:
     def exp(self) -> "Lanes":
         """Exponential of numbers in [-708, 708] (clipped there)."""
         b = self.builder
-        x = where(self < -708.0, -708.0, where(self > 708.0, 708.0, self))
+        x: Any = where(self < -708.0, -708.0, where(self > 708.0, 708.0, self))
         shifted = x * (1.0 / math.log(2.0)) + 1023.5  # positive: truncation is floor
         k = b.fptosi(shifted.value, _BITS)
         n = Lanes(b, b.sitofp(k, _VECTOR)) - 1023.0
@@ -178,21 +219,6 @@ def _emit(op: str, a: Any, b: Any) -> Any:
     return Lanes(builder, getattr(builder, op)(_lift(a), _lift(b), flags=_FLAGS))
 
 
-def _define_operators() -> None:
-    for name, op in {"add": "fadd", "sub": "fsub", "mul": "fmul", "truediv": "fdiv"}.items():
-        setattr(Lanes, f"__{name}__", lambda a, b, op=op: _emit(op, a, b))
-        setattr(Lanes, f"__r{name}__", lambda a, b, op=op: _emit(op, b, a))
-    for name, op in {"lt": "<", "le": "<=", "gt": ">", "ge": ">="}.items():
-
-        def compare(a: Lanes, b: Any, op: str = op) -> Mask:
-            return Mask(a.builder, a.builder.fcmp_ordered(op, a.value, _lift(b)))
-
-        setattr(Lanes, f"__{name}__", compare)
-
-
-_define_operators()
-
-
 class _Rows:
     """Rows of a workspace block: reading loads eight lanes, writing stores them."""
 
@@ -216,7 +242,7 @@ def kernel(function: Callable[[Any], None]) -> Any:
     called once, when numba compiles the caller.
     """
 
-    @intrinsic  # type: ignore[untyped-decorator]
+    @intrinsic
     def run(typing_context: Any, block: Any) -> Any:
         def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
             array = context.make_array(signature.args[0])(context, builder, arguments[0])

@@ -19,7 +19,7 @@ The cubature filter (Arasaratnam and Haykin 2009) is alpha = 1, beta = 0, kappa 
 
 from dataclasses import dataclass
 
-from mmwave_env.arithmetic import Matrix, Number
+from mmwave_env.arithmetic import Matrix, Number, Vector
 from mmwave_env.estimator.algebra import dot
 from mmwave_env.measurement import STATE_SIZE, Group
 
@@ -128,7 +128,7 @@ class Latents:
                     result[i][j] = correction + (1.0 / own if i == j else 0.0)
         return result
 
-    def shift(self, row: list[Number]) -> Number:
+    def shift(self, row: Vector) -> Number:
         """Mean shift of a row: the weighted sum of its curvatures."""
         total: Number = 0.0
         for v in row[3 : self.coupled]:

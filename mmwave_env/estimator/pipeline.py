@@ -19,7 +19,7 @@ from mmwave_env.estimator.motion import (
     white_noise_acceleration,
 )
 from mmwave_env.estimator.update import Algorithm, Gate
-from mmwave_env.measurement import STATE_SIZE, Layout, Measurement
+from mmwave_env.measurement import Layout, Measurement
 
 WINDOW = 10  # epochs of the adaptive scaling's window
 GAMMA_LIMITS = (0.5, 2.0)  # paper, Sec. III-E
@@ -268,9 +268,7 @@ def anticipate(memory: Memory, candidates: Sequence[Candidate], epoch: Epoch) ->
     for past, keep in zip(memory.preference, PREFERENCE_MEMORY, strict=True):
         row = []
         for old, candidate in zip(past, candidates, strict=True):
-            now = clip(
-                candidate.log_likelihood - reference, -PREFERENCE_LIMIT, PREFERENCE_LIMIT
-            )
+            now = clip(candidate.log_likelihood - reference, -PREFERENCE_LIMIT, PREFERENCE_LIMIT)
             row.append(keep * old + (1.0 - keep) * now)
         preference.append(row)
     return memory._replace(snr_mean_db=snr, preference=preference)

@@ -91,7 +91,8 @@ def _program(pinned: tuple[int, ...]) -> Program[Workspace]:
 
     identity = [float(i == j) for i in range(STATE_SIZE) for j in range(i + 1)]
     mean = [0.0] * STATE_SIZE
-    return Program(function, Workspace(Filtered(mean, identity, identity, 1.0), 1.0, mean, identity))
+    incoming = Filtered(mean, identity, identity, 1.0)
+    return Program(function, Workspace(incoming, 1.0, mean, identity))
 
 
 def smooth(
