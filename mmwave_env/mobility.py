@@ -230,6 +230,14 @@ def _course(heading, turn, bent, arc):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(cache=True)
+def _widen(turn, travelled, stretch, arc, radius, wanted):  # type: ignore[no-untyped-def]
+    """Corner radius, straight stretch and arc ahead, for another radius if there is room."""
+    if turn == 0 or stretch - travelled <= wanted - radius + 1.0:
+        return radius, stretch, arc
+    return wanted, stretch - (wanted - radius), abs(turn) * (np.pi / 2) * wanted
+
+
+@numba.njit(cache=True)
 def _travel(  # type: ignore[no-untyped-def]
     rng, ends, limits, gaits, origin, counts, block, step, stride, epochs
 ):
@@ -255,10 +263,9 @@ def _travel(  # type: ignore[no-untyped-def]
             target, gait_left = 0.0, 1.0  # stop the ride before walking on
             if v <= 2.0:
                 phase, gait_left = phase + 1, 0.0
-                wider = limits[phase, 4] - radius
-                if turn != 0 and stretch - travelled > wider + 1.0:
-                    radius, stretch = radius + wider, stretch - wider
-                    arc = abs(turn) * (np.pi / 2) * radius
+                radius, stretch, arc = _widen(
+                    turn, travelled, stretch, arc, radius, limits[phase, 4]
+                )
         if gait_left <= 0.0:
             target, gait_left = _draw_gait(rng, gaits[phase])
         gait_left -= step

@@ -26,8 +26,10 @@ def _degrees(value: float) -> float:
 
 @dataclass(frozen=True)
 class Radio:
-    """A radio profile. Sources: [3GPP] TR 38.901, UMi line of sight; [CRB] Cramer-Rao bounds of
-    Kay 1993, Secs. 3.11 and 15; all else is this project's model (docs/architecture.md).
+    """A radio profile.
+
+    Sources: path loss of 3GPP TR 38.901, Table 7.4.1-1 (UMi, line of sight); Cramer-Rao bounds
+    of Kay 1993, Secs. 3.11 and 15.10; all other figures are this project's model.
 
     Attributes:
         name: of the profile.

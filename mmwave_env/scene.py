@@ -141,8 +141,10 @@ def scene_from(scene: "str | Path | Scene") -> Scene:
 
 
 def read_scene(path: Path) -> Scene:
-    """A scene from JSON: name, base_station_m, walls [{normal, offset_m}], streets, carrier_hz,
-    bandwidth_hz; the last four may be left out.
+    """A scene from a JSON file.
+
+    Keys: base_station_m [x, y, z]; and, where they differ from the defaults, name, walls (a
+    list of {"normal": [x, y], "offset_m": d}), streets, carrier_hz and bandwidth_hz.
 
     Raises:
         ValueError: naming the file and what is wrong in it.

@@ -98,7 +98,7 @@ class Program(Generic[Workspace]):
 
         run = kernel(build)
 
-        @numba.njit(nogil=True)
+        @numba.njit(nogil=True)  # type: ignore[untyped-decorator]
         def advance(rows: Array, table: Array, epoch: NDArray[np.int64]) -> None:
             for b in range(rows.shape[0]):
                 block = rows[b]

@@ -242,7 +242,7 @@ def kernel(function: Callable[[Any], None]) -> Any:
     called once, when numba compiles the caller.
     """
 
-    @intrinsic
+    @intrinsic  # type: ignore[untyped-decorator]
     def run(typing_context: Any, block: Any) -> Any:
         def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
             array = context.make_array(signature.args[0])(context, builder, arguments[0])

@@ -1,0 +1,62 @@
+# Every check and its set-up in one command each. Virtual environments are made on first use.
+
+PYTHON ?= python3
+BIN := .venv/bin
+TORCH := $(shell grep '^torch==' constraints.txt)
+OLDEST_GYMNASIUM := $(shell sed -n 's/.*"gymnasium>=\([0-9.]*\),.*/gymnasium==\1/p' pyproject.toml)
+
+.PHONY: help demo test test-slow lint format types coverage gymnasium-oldest clean
+
+help: ## list these targets
+	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "make %-18s %s\n", $$1, $$2 }' Makefile
+
+demo: .venv/.base ## compare every policy; prints tables and writes results/
+	$(BIN)/mmwave-loc demo
+
+test: .venv/.dev ## all tests but the slow ones
+	$(BIN)/python -m pytest -m "not slow" -n auto --cov --cov-report=
+
+test-slow: .venv/.dev ## the slow tests, one at a time
+	$(BIN)/python -m pytest -m slow --durations=5
+
+lint: .venv/.dev ## ruff: rules and formatting
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+
+format: .venv/.dev ## ruff: sort imports and format
+	$(BIN)/ruff check --select I --fix .
+	$(BIN)/ruff format .
+
+types: .venv/.dev ## mypy, strict
+	$(BIN)/mypy mmwave_env policies
+
+coverage: test ## lines and branches that `make test` missed; at least 90 % must be covered
+	$(BIN)/coverage report --fail-under=90
+
+gymnasium-oldest: .venv-oldest/.ready ## the environment on the oldest Gymnasium supported
+	.venv-oldest/bin/python -m pytest -m "not slow and not torch" tests/test_env.py
+
+clean: ## remove environments, caches and build outputs; results/ and runs/ stay
+	rm -rf .venv .venv-oldest build dist *.egg-info .coverage coverage.xml
+	rm -rf .pytest_cache .mypy_cache .ruff_cache .hypothesis
+	find . -name __pycache__ -type d -prune -exec rm -rf {} +
+
+.venv/.base: pyproject.toml constraints.txt
+	@echo "Setting up .venv: the base install, about 450 MB"
+	@$(PYTHON) -m venv .venv
+	@$(BIN)/python -m pip install --quiet -c constraints.txt --editable .
+	@touch $@
+
+.venv/.dev: .venv/.base
+	@echo "Setting up .venv: PyTorch and what the tests need, about 1 GB more"
+	@$(BIN)/python -m pip install $(TORCH)
+	@$(BIN)/python -m pip install --quiet -c constraints.txt --editable '.[dev]'
+	@touch $@
+
+.venv-oldest/.ready: pyproject.toml constraints.txt
+	@echo "Setting up .venv-oldest: $(OLDEST_GYMNASIUM)"
+	@$(PYTHON) -m venv .venv-oldest
+	@echo '*' > .venv-oldest/.gitignore
+	@.venv-oldest/bin/python -m pip install --quiet -c constraints.txt \
+		--editable '.[render]' $(OLDEST_GYMNASIUM) pytest hypothesis
+	@touch $@
