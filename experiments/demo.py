@@ -10,7 +10,7 @@ from experiments.evaluation import compare, evaluate
 from experiments.files import write_json, write_text
 from experiments.options import EpisodeArgs
 from experiments.tables import markdown, show
-from mmwave_env.recording import sample_names
+from mmwave_env.io.samples import sample_names
 
 
 @dataclass

@@ -4,8 +4,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from mmwave_env.episode import EpisodeSource, SimulatedSource
+from mmwave_env.io.samples import recording_from
 from mmwave_env.radio import radio_from
-from mmwave_env.recording import RecordedSource, recording_from
+from mmwave_env.recording import RecordedSource
 from mmwave_env.scene import scene_from
 
 

@@ -15,11 +15,12 @@ from mmwave_env.episode import Episode, EpisodeSource, SimulatedSource
 from mmwave_env.estimator.modes import Mode, modes_from
 from mmwave_env.estimator.pipeline import Pipeline
 from mmwave_env.estimator.smoother import smooth
+from mmwave_env.io.samples import recording_from
 from mmwave_env.metrics import DIVERGENCE_M, ate, scored, summary
 from mmwave_env.names import choose
 from mmwave_env.observation import Observation
 from mmwave_env.radio import Radio, radio_from
-from mmwave_env.recording import RecordedSource, recording_from
+from mmwave_env.recording import RecordedSource
 from mmwave_env.rendering import FRAMES_PER_SECOND, Picture, blank_picture
 from mmwave_env.reward import Reward, reward_from
 from mmwave_env.scene import Scene, scene_from

@@ -6,10 +6,7 @@ says about the receiver: noise, the oscillator's bias and the prior. Blockage an
 are not simulated on top, because the recording knows which paths there are.
 """
 
-import os
 from dataclasses import dataclass, replace
-from importlib import resources
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -240,32 +237,3 @@ def _prior_from_fix(
     covariance[:3, :3] = jacobian @ np.diag(variance) @ jacobian.T
     covariance[3, 3] = covariance[4, 4] = _UNKNOWN_VELOCITY_MPS**2
     return np.concatenate([anchor + distance * along, np.zeros(4)]), covariance
-
-
-def _samples() -> Path:
-    return Path(str(resources.files("mmwave_env"))) / "data" / "deepmimo_canyon28"
-
-
-def sample_names() -> tuple[str, ...]:
-    """Names of the recordings that come with the package, for :func:`recording_from`."""
-    return tuple(sorted(folder.name for folder in _samples().iterdir() if folder.is_dir()))
-
-
-def recording_from(name: str | os.PathLike[str]) -> Recording:
-    """The recording of a name in :func:`sample_names`, or of a DeepMIMO v4 scenario's folder.
-
-    Raises:
-        ValueError: neither; or a folder that does not hold a scenario, naming the file.
-        FileNotFoundError: a file of the scenario is missing.
-    """
-    # Readers build Recordings, so this module can't import them while it is being loaded.
-    from mmwave_env.io.deepmimo import read_deepmimo
-
-    names = sample_names()
-    folder = _samples() / name if name in names else Path(name)
-    if not folder.is_dir():
-        raise ValueError(
-            f"recording: found {os.fspath(name)!r}, expected one of {', '.join(names)}, or the "
-            "folder of a DeepMIMO v4 scenario"
-        )
-    return read_deepmimo(folder)
