@@ -113,6 +113,9 @@ def main(args: Args) -> None:
         running[name] = make()
         next(running[name])
         first_step_s[name] = time.perf_counter() - begin
+    for steps in running.values():  # past the end of an episode, so that all is compiled
+        for _ in range(len(episodes[0])):
+            next(steps)
     measured: dict[str, list[float]] = {name: [] for name in kinds}
     for _ in range(args.repeats):  # in turn, so that a drifting machine hits all alike
         for name, steps in running.items():

@@ -1,6 +1,6 @@
 """The measurement update shared by EKF, UKF and CKF, with gates (paper, Sec. III-C and III-D)."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 from scipy.special import chdtri
@@ -114,6 +114,56 @@ def _condition(
     return _Row(white, free, links, cross, e, accepted / s)
 
 
+class _Verdict(NamedTuple):
+    """What the gates say of the groups, at the prior."""
+
+    nis: list[Number]
+    accepted: list[Number]
+    noise: list[list[Number]]  # variances (k,) of each group, inflated where doubtful
+    log_likelihood: Number
+
+
+def _judge(
+    groups: Sequence[Group],
+    V: Sequence[Matrix],
+    latents: Latents,
+    measurement: Measurement,
+    gate: Gate,
+) -> _Verdict:
+    """Gate every group; the arguments are as in :func:`update`."""
+    layout = measurement.layout
+    nis, accepted, noise = [], [], []
+    density: Number = 1.0
+    exponent: Number = 0.0
+    for g, (group, visible) in enumerate(zip(groups, measurement.visible, strict=True)):
+        rows = layout.groups[g].stop - layout.groups[g].start
+        is_link = g < layout.anchors
+        value, determinant = innovation_statistics(group, V[g], latents)
+        nis.append(value)
+        accepted.append(_accept(value, rows, visible, gate, is_link))
+        density = density * where(visible > 0.5, determinant, 1.0)
+        exponent = exponent + visible * value
+        doubt = _doubt(value, rows) if gate.robust and is_link else 1.0
+        noise.append([v * doubt for v in group.variance])
+    return _Verdict(nis, accepted, noise, -0.5 * (exponent + log(density)))
+
+
+def _inform(
+    B: Matrix, V: Matrix, innovation: Vector, noise: Vector, accepted: Number, b: Vector
+) -> tuple[list[list[Number]], list[Number]]:
+    """Information matrix and vector of the coupled latents, with one more link."""
+    n = len(b)
+    precision, vector = [list(row) for row in B], list(b)
+    for row, y, variance in zip(V, innovation, noise, strict=True):
+        w = accepted / variance
+        for i in range(n):
+            weighted = w * row[i]
+            vector[i] = vector[i] + weighted * y
+            for j in range(i + 1):
+                precision[i][j] = precision[i][j] + weighted * row[j]
+    return precision, vector
+
+
 def update(
     x: Vector, P: Matrix, measurement: Measurement, gate: Gate, linearisation: Linearisation
 ) -> Posterior:
@@ -132,53 +182,33 @@ def update(
         gate: what to accept.
         linearisation: tangent (EKF) or sigma points (UKF, CKF).
     """
-    layout = measurement.layout
-    latents = linearisation.latents(6 if layout.odometry else 3)
+    anchors = measurement.layout.anchors
+    latents = linearisation.latents(6 if measurement.layout.odometry else 3)
     n = latents.coupled
     L = cholesky(P)
     groups = groups_of(x, measurement)
     V = [linearisation.rows(group, L, latents) for group in groups]
-    B, b = latents.precision, [0.0] * n
-    nis, accepted, noise = [], [], []
-    density: Number = 1.0
-    exponent: Number = 0.0
-    for g, (group, visible) in enumerate(zip(groups, measurement.visible, strict=True)):
-        rows = layout.groups[g].stop - layout.groups[g].start
-        is_link = g < layout.anchors
-        value, determinant = innovation_statistics(group, V[g], latents)
-        nis.append(value)
-        accepted.append(_accept(value, rows, visible, gate, is_link))
-        density = density * where(visible > 0.5, determinant, 1.0)
-        exponent = exponent + visible * value
-        doubt = _doubt(value, rows) if gate.robust and is_link else 1.0
-        noise.append([v * doubt for v in group.variance])
-
-    shifted = [
+    verdict = _judge(groups, V, latents, measurement, gate)
+    innovations = [
         [y - latents.shift(row) for y, row in zip(group.innovation, rows, strict=True)]
         for group, rows in zip(groups, V, strict=True)
     ]
-    for g in range(layout.anchors):
-        for row, y, variance in zip(V[g], shifted[g], noise[g], strict=True):
-            w = accepted[g] / variance
-            for i in range(n):
-                weighted = w * row[i]
-                b[i] = b[i] + weighted * y
-                for j in range(i + 1):
-                    B[i][j] = B[i][j] + weighted * row[j]
+    seen = list(zip(V, innovations, verdict.noise, verdict.accepted, strict=True))
+    B: list[list[Number]] = latents.precision
+    b: list[Number] = [0.0] * n
+    for rows, innovation, noise, accepted in seen[:anchors]:
+        B, b = _inform(B, rows, innovation, noise, accepted, b)
     C = cholesky(B)
     information = forward(C, b)
     unit = [forward(C, [float(i == c) for i in range(n)]) for c in range(3)]
-    conditioned: list[_Row] = []
-    for g in range(layout.anchors, len(groups)):
-        for row, y, variance in zip(V[g], shifted[g], noise[g], strict=True):
-            conditioned.append(
-                _condition(row, variance, y, accepted[g], conditioned, C, information, unit)
-            )
+    scalars: list[_Row] = []
+    for rows, innovation, noise, accepted in seen[anchors:]:
+        for row, y, variance in zip(rows, innovation, noise, strict=True):
+            scalars.append(_condition(row, variance, y, accepted, scalars, C, information, unit))
     mean = [dot(u, information) for u in unit]
     covariance = symmetric(3, lambda i, j: dot(unit[i], unit[j]))
-    posterior_x, posterior_P = _recompose(x, L, mean, covariance, conditioned)
-    likelihood = -0.5 * (exponent + log(density))
-    return Posterior(posterior_x, posterior_P, nis, accepted, likelihood)
+    new_x, new_P = _recompose(x, L, mean, covariance, scalars)
+    return Posterior(new_x, new_P, verdict.nis, verdict.accepted, verdict.log_likelihood)
 
 
 def _recompose(
