@@ -1,0 +1,82 @@
+"""Whole episodes on filterpy's filters and on ours."""
+
+import numpy as np
+import pytest
+
+from mmwave_env.estimator.filterpy_twin import filterpy_pipeline
+from mmwave_env.estimator.modes import Mode
+from mmwave_env.estimator.pipeline import Pipeline
+from mmwave_env.estimator.update import ekf
+from mmwave_env.measurement import Layout
+
+from .tracks import assert_same_beliefs, pipeline_of, simulated, track, with_anchors
+
+EPOCHS = 200
+TUNINGS = {
+    "plain": {"gate": None, "adaptive": False},
+    "adaptive": {"gate": None},
+    "gated": {"adaptive": False, "recovery": None},
+    "adaptive and gated": {},
+    "locked out and recovered": {"sigma_v": 0.1, "sigma_p": 0.01},
+    "robust": {"robust": True, "blockage_aware": True},
+    "widened": {"widen_p": 3.0, "widen_v": 3.0, "coupling": False},
+}
+algorithms = pytest.mark.parametrize("algorithm", ["ekf", "ukf", "ckf"])
+
+
+def both(pipeline, episodes, actions, what):
+    """The track on our filters and on filterpy's, both on floats."""
+    epochs = len(episodes[0])
+    return [
+        track(p, episodes, actions, epochs, what, on_floats=True)
+        for p in (pipeline, filterpy_pipeline(pipeline))
+    ]
+
+
+@algorithms
+@pytest.mark.parametrize("tuning", TUNINGS.values(), ids=TUNINGS)
+def test_whole_episodes_agree(algorithm, tuning):
+    pipeline = pipeline_of(algorithms=[algorithm], **tuning)
+    kept = ("x", "P", "P_predicted", "memory", "observation", "memory.lockout")
+    ours, twin = both(pipeline, simulated(1, EPOCHS), 0, kept)
+    assert_same_beliefs(twin, ours, rtol=1e-9)
+    predicted = [{"x": t["x"], "P": t["P_predicted"]} for t in (twin, ours)]
+    assert_same_beliefs(*predicted, rtol=1e-9)
+    for name in ("memory", "observation"):
+        np.testing.assert_allclose(twin[name], ours[name], rtol=1e-7, atol=1e-7)
+    if tuning is TUNINGS["locked out and recovered"]:
+        assert ours["memory.lockout"].max() == 2.0
+
+
+@algorithms
+@pytest.mark.parametrize("anchors", [1, 3])
+def test_odometry_and_any_number_of_anchors_agree(algorithm, anchors):
+    episodes = [with_anchors(e, anchors) for e in simulated(1, epochs=100, odometry=True)]
+    pipeline = pipeline_of(episodes[0].layout, [algorithm])
+    ours, twin = both(pipeline, episodes, 0, ("x", "P"))
+    assert_same_beliefs(twin, ours, rtol=1e-9)
+
+
+def test_switching_between_twins_carries_the_belief():
+    actions = np.random.default_rng(0).integers(3, size=(60, 2))
+    ours, twin = both(pipeline_of(), simulated(2, epochs=60), actions, ("x", "P"))
+    assert_same_beliefs(twin, ours, rtol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("pipeline", "message"),
+    [
+        (pipeline_of(planar=True), "planar: found True"),
+        (Pipeline((Mode("mine", ekf),), Layout(3)), "algorithm of mode 'mine' on filterpy"),
+        (filterpy_pipeline(pipeline_of()), "predict: found"),
+    ],
+    ids=["flat terrain", "own algorithm", "replaced filters"],
+)
+def test_what_filterpy_cannot_do_is_refused(pipeline, message):
+    with pytest.raises(ValueError, match=message):
+        filterpy_pipeline(pipeline)
+
+
+def test_twin_does_not_run_on_lanes():
+    with pytest.raises(Exception, match="numpy needs the value"):
+        track(filterpy_pipeline(pipeline_of()), simulated(1, epochs=2), 0, 1, ("x",))

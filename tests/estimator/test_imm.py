@@ -1,0 +1,144 @@
+"""The interacting multiple model against single filters and against numpy."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from mmwave_env.engine import ImmEngine
+from mmwave_env.estimator.imm import stay_matrix
+from mmwave_env.estimator.modes import Mode, default_modes
+from mmwave_env.estimator.pipeline import Pipeline
+from mmwave_env.measurement import Layout
+from mmwave_env.reward import TrackingReward
+
+from . import textbook
+from .tracks import assert_same_beliefs, pipeline_of, simulated, track, unpacked
+
+EPOCHS = 60
+
+
+def imm_track(pipeline, episodes, transition=None):
+    """x, P, probabilities and NEES of the mixture at every epoch."""
+    engine = ImmEngine(pipeline, len(episodes), TrackingReward(), transition)
+    engine.reset(episodes)
+    history = []
+    for epoch in range(len(episodes[0])):
+        if epoch:
+            engine.step()
+        at = engine.at
+        history.append(
+            {"x": engine.read(at.x), "P": engine.read(at.P), "nees": engine.read(at.nees),
+             "probability": engine.read(at.mixture.probability)}
+        )  # fmt: skip
+    return {name: np.array([row[name] for row in history]) for name in history[0]}
+
+
+@pytest.mark.parametrize("algorithm", ["ekf", "ukf"])
+def test_one_mode_is_that_mode(algorithm):
+    pipeline, episodes = pipeline_of(algorithms=[algorithm]), simulated(9, EPOCHS)
+    imm = imm_track(pipeline, episodes)
+    single = track(pipeline, episodes, 0, EPOCHS, ("x", "P", "nees"))
+    assert_same_beliefs(imm, single, rtol=1e-12)
+    np.testing.assert_allclose(imm["nees"], single["nees"], rtol=1e-9)
+    np.testing.assert_array_equal(imm["probability"], 1.0)
+
+
+def test_identical_modes_are_the_single_filter_and_stay_equally_probable():
+    episodes = simulated(9, EPOCHS)
+    twins = Pipeline((Mode("a", "ukf"), Mode("b", "ukf")), Layout(3))
+    imm = imm_track(twins, episodes)
+    single = track(Pipeline(twins.modes[:1], Layout(3)), episodes, 0, EPOCHS, ("x", "P"))
+    assert_same_beliefs(imm, single, rtol=1e-11)
+    np.testing.assert_allclose(imm["probability"], 0.5, rtol=1e-9)
+
+
+def test_probabilities_sum_to_one_and_never_die():
+    probability = imm_track(Pipeline(default_modes(), Layout(3)), simulated(16, 200))["probability"]
+    np.testing.assert_allclose(probability.sum(axis=-1), 1.0, rtol=1e-12)
+    assert probability.min() > 0.0
+    assert probability.std() > 0.1
+
+
+def test_planar_mixture_keeps_height_and_climb():
+    level = [1.0, 1.0, 1.0, 1.0, 1.0, 0.0, 1.0]
+    episodes = [replace(e, prior_mean=e.prior_mean * level) for e in simulated(8, EPOCHS)]
+    imm = imm_track(Pipeline(default_modes(), Layout(3), planar=True), episodes)
+    height = [episode.prior_mean[2] for episode in episodes]
+    np.testing.assert_allclose(imm["x"][..., 2], np.broadcast_to(height, (EPOCHS, 8)), rtol=1e-12)
+    assert not imm["x"][..., 5].any()
+    assert np.isfinite(imm["x"]).all()
+
+
+def textbook_imm(episode, modes, transition):
+    """Bar-Shalom, Li and Kirubarajan 2001, Sec. 11.6.6: plain modes without gates and scaling.
+
+    ``modes`` are (method, Q of one second); returns x (T, 7), P (T, 7, 7), probabilities (T, M).
+    """
+    sensor = textbook.Sensor(episode.scene_anchors_m, episode.hz_per_mps)
+    M, probability = len(modes), np.full(len(modes), 1.0 / len(modes))
+    x = np.tile(episode.prior_mean, (M, 1))
+    P = np.tile(episode.prior_covariance, (M, 1, 1))
+    out = []
+    for t in range(len(episode)):
+        dt = episode.time_s[t] - episode.time_s[t - 1] if t else 0.0
+        joint = transition * probability[:, None]
+        predicted = joint.sum(axis=0)
+        weights = joint / predicted
+        mixed_x = weights.T @ x
+        mixed_P = np.array(
+            [sum(weights[i, j] * (P[i] + np.outer(*2 * [x[i] - mixed_x[j]])) for i in range(M))
+             for j in range(M)]
+        )  # fmt: skip
+        log_likelihood = np.empty(M)
+        for j, (method, Q) in enumerate(modes):
+            prior = textbook.predict(mixed_x[j], mixed_P[j], Q * dt, dt)
+            step = textbook.update(
+                textbook.METHODS[method], sensor, sensor.groups, sensor.links, *prior,
+                episode.table(len(episode))[t, 1:14], episode.sigma[t] ** 2, episode.usable[t],
+            )  # fmt: skip
+            x[j], P[j], log_likelihood[j] = step.x, step.P, step.log_likelihood
+        probability = predicted * np.exp(log_likelihood - log_likelihood.max())
+        probability /= probability.sum()
+        mean = probability @ x
+        covariance = sum(
+            p * (Pj + np.outer(xj - mean, xj - mean))
+            for p, xj, Pj in zip(probability, x, P, strict=True)
+        )
+        out.append((mean, covariance, probability))
+    return [np.array(column) for column in zip(*out, strict=True)]
+
+
+def test_equals_textbook_mixture():
+    plain = {"gate": None, "adaptive": False, "coupling": False}
+    tunings = [("ekf", 0.3), ("ukf", 1.8), ("ckf", 4.0)]
+    modes = tuple(Mode(a, a, sigma_v=sigma_v, **plain) for a, sigma_v in tunings)
+    transition = ((0.9, 0.08, 0.02), (0.1, 0.8, 0.1), (0.3, 0.3, 0.4))
+    episodes = simulated(4, epochs=30)
+    ours = imm_track(Pipeline(modes, Layout(3)), episodes, transition)
+    for e, episode in enumerate(episodes):
+        drift = modes[0].sigma_b_mps * episode.hz_per_mps
+        Q = [
+            np.diag(np.square([0.1, 0.1, 0.02, sigma_v, sigma_v, 0.03, drift]))
+            for _, sigma_v in tunings
+        ]
+        per_mode = [(name, q) for (name, _), q in zip(tunings, Q, strict=True)]
+        x, P, probability = textbook_imm(episode, per_mode, np.array(transition))
+        sigma = np.sqrt(np.einsum("...ii->...i", P))
+        np.testing.assert_allclose((ours["x"][:, e] - x) / sigma, 0.0, atol=1e-8)
+        scale = sigma[..., :, None] * sigma[..., None, :]
+        np.testing.assert_allclose((unpacked(ours["P"][:, e]) - P) / scale, 0.0, atol=1e-8)
+        np.testing.assert_allclose(ours["probability"][:, e], probability, rtol=1e-7, atol=1e-11)
+
+
+def test_stay_matrix_rows_sum_to_one():
+    for modes in (1, 2, 5):
+        matrix = np.array(stay_matrix(modes, 0.9))
+        np.testing.assert_allclose(matrix.sum(axis=1), 1.0)
+        assert modes == 1 or np.all(np.diag(matrix) == 0.9)
+
+
+@pytest.mark.parametrize("stay", [0.0, -0.1, 1.1])
+def test_stay_that_is_no_probability_is_refused(stay):
+    with pytest.raises(ValueError, match="stay: found"):
+        stay_matrix(2, stay)

@@ -1,0 +1,65 @@
+"""The covariance stays symmetric, finite and positive definite, whatever happens."""
+
+import numpy as np
+import pytest
+
+from mmwave_env.engine import Engine
+from mmwave_env.estimator.modes import Mode
+from mmwave_env.estimator.pipeline import Pipeline
+from mmwave_env.measurement import Layout
+from mmwave_env.reward import TrackingReward
+
+from .tracks import simulated, unpacked
+
+MODES = (
+    Mode("tight ekf", "ekf", sigma_p=0.01, sigma_v=0.05),
+    Mode("ukf", "ukf", sigma_v=1.8),
+    Mode("ckf", "ckf", sigma_v=1.8),
+    Mode("wide ukf", "ukf", sigma_v=5.0, spread_gain=0.01, coupling=False),
+    Mode("robust ekf", "ekf", sigma_v=0.3, robust=True, blockage_aware=True),
+    Mode("robust ckf", "ckf", sigma_v=1.0, robust=True, blockage_aware=True),
+    Mode("re-acquire", "ukf", sigma_v=1.8, gate=None, widen_p=3.0, widen_v=3.0),
+)
+
+
+@pytest.fixture(scope="module")
+def pipeline():
+    """Modes of every kind, compiled once."""
+    return Pipeline(MODES, Layout(3))
+
+
+def smallest_eigenvalues(pipeline, episodes, actions):
+    """Smallest eigenvalue of every P and of its correlation matrix; all must be finite."""
+    engine = Engine(pipeline, len(episodes), TrackingReward(), "prior")
+    engine.reset(episodes)
+    smallest, smallest_scaled = np.inf, np.inf
+    for action in actions:
+        engine.step(action)
+        P = unpacked(engine.read(engine.at.P))
+        assert np.isfinite(engine.read(engine.at.x)).all()
+        assert np.isfinite(P).all()
+        sigma = np.sqrt(np.einsum("...ii->...i", P))
+        correlation = P / (sigma[..., :, None] * sigma[..., None, :])
+        smallest = min(smallest, np.linalg.eigvalsh(P).min())
+        smallest_scaled = min(smallest_scaled, np.linalg.eigvalsh(correlation).min())
+    return smallest, smallest_scaled
+
+
+@pytest.mark.parametrize(
+    ("n", "epochs"),
+    [
+        pytest.param(50, 400, id="20 thousand epochs"),
+        pytest.param(1000, 1000, id="a million epochs", marks=pytest.mark.slow),
+        pytest.param(1, 50_000, id="one long track", marks=pytest.mark.slow),
+    ],
+)
+def test_covariance_stays_positive_definite_under_random_modes(pipeline, n, epochs):
+    episodes = simulated(n, epochs)
+    # A mode is kept for a while, as a policy would, so that tight modes get to be tight.
+    rng = np.random.default_rng(0)
+    actions = np.repeat(rng.integers(len(MODES), size=(-(-epochs // 20), n)), 20, axis=0)[:epochs]
+    every_epoch = rng.random((epochs, n)) < 0.2
+    actions = np.where(every_epoch, rng.integers(len(MODES), size=(epochs, n)), actions)
+    smallest, smallest_scaled = smallest_eigenvalues(pipeline, episodes, actions)
+    assert smallest > 0.0
+    assert smallest_scaled > 1e-12

@@ -1,0 +1,131 @@
+"""The smoother against filterpy's on a linear model, and against numpy on tracks of our own."""
+
+import numpy as np
+import pytest
+from filterpy.kalman import KalmanFilter
+
+from mmwave_env.engine import Engine
+from mmwave_env.episode import SimulatedSource
+from mmwave_env.estimator.modes import modes_from
+from mmwave_env.estimator.pipeline import Pipeline
+from mmwave_env.estimator.smoother import smooth
+from mmwave_env.radio import RADIOS
+from mmwave_env.reward import TrackingReward
+from mmwave_env.scene import SCENES
+
+TOLERANCE = 1e-9
+LOWER = np.tril_indices(7)
+
+
+def transition(dt):
+    F = np.eye(7)
+    F[[0, 1, 2], [3, 4, 5]] = dt
+    return F
+
+
+def packed(P):
+    return P[..., LOWER[0], LOWER[1]]
+
+
+def unpacked(rows):
+    P = np.zeros((*rows.shape[:-1], 7, 7))
+    P[..., LOWER[0], LOWER[1]] = rows
+    return np.where(np.tri(7, dtype=bool), P, np.swapaxes(P, -1, -2))
+
+
+def rts(x, P, P_predicted, time_s, free):
+    """Rauch-Tung-Striebel over one track; only the ``free`` components are uncertain."""
+    x, P = x.copy(), P.copy()
+    block = np.ix_(free, free)
+    for t in reversed(range(len(x) - 1)):
+        F = transition(time_s[t + 1] - time_s[t])
+        gain = np.zeros((7, 7))
+        gain[block] = (P[t] @ F.T)[block] @ np.linalg.inv(P_predicted[t + 1][block])
+        x[t] += gain @ (x[t + 1] - F @ x[t])
+        P[t] += gain @ (P[t + 1] - P_predicted[t + 1]) @ gain.T
+    return x, P
+
+
+@pytest.mark.parametrize("dt", [0.1, 1.0, 3.0])
+def test_a_linear_model_is_smoothed_as_by_filterpy(dt):
+    rng = np.random.default_rng(0)
+    epochs = 60
+    root = rng.normal(size=(7, 7))
+    kf = KalmanFilter(7, 4)
+    kf.F, kf.Q = transition(dt), dt * (0.1 * root @ root.T + 0.05 * np.eye(7))
+    kf.H, kf.R = rng.normal(size=(4, 7)), np.diag([0.5, 1.0, 2.0, 4.0])
+    kf.x, kf.P = rng.normal(size=(7, 1)), 10.0 * np.eye(7)
+    x, P, P_predicted = [], [], []
+    for t in range(epochs):
+        if t:
+            kf.predict()
+        P_predicted.append(kf.P.copy())
+        kf.update(rng.normal(0.0, 5.0, (4, 1)))
+        x.append(kf.x.copy())
+        P.append(kf.P.copy())
+    expected_x, expected_P, *_ = kf.rts_smoother(np.array(x), np.array(P))
+
+    found_x, found_P = smooth(
+        np.array(x)[None, ..., 0],
+        packed(np.array(P))[None],
+        packed(np.array(P_predicted))[None],
+        dt * np.arange(epochs),
+    )
+    np.testing.assert_allclose(found_x[0], expected_x[..., 0], rtol=TOLERANCE, atol=TOLERANCE)
+    np.testing.assert_allclose(unpacked(found_P[0]), expected_P, rtol=TOLERANCE, atol=TOLERANCE)
+
+
+def tracks(planar, n=9, epochs=120):
+    """Filtered tracks (n, epochs, ...) of an EKF, over two blocks of lanes: x, P, predicted P."""
+    source = SimulatedSource(SCENES["street"], RADIOS["handset"], epochs=epochs)
+    episodes = [source.sample(np.random.default_rng(seed)) for seed in range(n)]
+    pipeline = Pipeline(modes_from(["ekf"]), source.layout, planar)
+    engine = Engine(pipeline, n, TrackingReward())
+    engine.reset(episodes)
+    columns = []
+    for _ in range(epochs):
+        engine.step(np.zeros(n, np.int64))
+        at = engine.at
+        columns.append([engine.read(tree) for tree in (at.x, at.P, at.P_predicted)])
+    return [np.stack(column, axis=1) for column in zip(*columns, strict=True)]
+
+
+@pytest.mark.parametrize("planar", [False, True])
+def test_our_tracks_are_smoothed_as_by_numpy(planar):
+    x, P, P_predicted = tracks(planar)
+    time_s = np.arange(x.shape[1], dtype=float)
+    free = [0, 1, 3, 4, 6] if planar else list(range(7))
+    found_x, found_P = smooth(x, P, P_predicted, time_s, planar)
+    for e in range(len(x)):
+        expected_x, expected_P = rts(x[e], unpacked(P[e]), unpacked(P_predicted[e]), time_s, free)
+        np.testing.assert_allclose(found_x[e], expected_x, rtol=TOLERANCE, atol=TOLERANCE)
+        block = np.ix_(range(len(time_s)), free, free)
+        np.testing.assert_allclose(
+            unpacked(found_P[e])[block], expected_P[block], rtol=1e-8, atol=TOLERANCE
+        )
+
+
+def test_uneven_epochs_are_smoothed_with_their_own_steps():
+    rng = np.random.default_rng(0)
+    roots = rng.normal(size=(2, 30, 7, 7))
+    P, P_predicted = roots @ np.swapaxes(roots, -1, -2) + np.eye(7)
+    x, time_s = rng.normal(size=(30, 7)), rng.uniform(0.2, 2.0, 30).cumsum()
+    found_x, _ = smooth(x[None], packed(P)[None], packed(P_predicted)[None], time_s)
+    expected_x, _ = rts(x, P, P_predicted, time_s, list(range(7)))
+    # Arbitrary covariances make the backward recursion grow, so compare to its size.
+    assert np.abs(found_x[0] - expected_x).max() <= TOLERANCE * np.abs(expected_x).max()
+
+
+def test_the_last_epoch_is_smooth_already():
+    x, P, P_predicted = (part[:2] for part in tracks(planar=False))
+    found_x, found_P = smooth(x, P, P_predicted, np.arange(x.shape[1], dtype=float))
+    np.testing.assert_array_equal(found_x[:, -1], x[:, -1])
+    np.testing.assert_array_equal(found_P[:, -1], P[:, -1])
+    assert (found_P[:, :-1, 0] < P[:, :-1, 0]).all()  # and earlier ones gain from later ones
+
+
+def test_one_epoch_is_smooth_already():
+    x, P, P_predicted = (part[:1, :1] for part in tracks(planar=False))
+    found_x, found_P = smooth(x, P, P_predicted, np.zeros(1))
+    np.testing.assert_array_equal(found_x, x)
+    np.testing.assert_array_equal(found_P, P)

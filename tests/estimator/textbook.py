@@ -1,0 +1,209 @@
+"""Kalman filters as the textbook has them: numpy, every row at once, nothing from the package.
+
+Rows of a measurement, for anchors l = 1..L: [range, azimuth and elevation of arrival, azimuth
+of departure] each, then the Doppler shift of anchor 1, then, optionally, [speed, heading].
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from scipy.stats import chi2
+
+
+@dataclass(frozen=True)
+class Sensor:
+    """Where the anchors (L, 3) stand, f_c / c in Hz per m/s, and whether there is odometry."""
+
+    anchors: np.ndarray
+    hz_per_mps: float
+    odometry: bool = False
+
+    @property
+    def links(self):
+        return len(self.anchors)
+
+    @property
+    def groups(self):
+        rows = [slice(4 * i, 4 * i + 4) for i in range(self.links)]
+        rows.append(slice(4 * self.links, 4 * self.links + 1))
+        if self.odometry:
+            rows.append(slice(4 * self.links + 1, 4 * self.links + 3))
+        return rows
+
+    @property
+    def angles(self):
+        angles = np.tile([False, True, True, True], self.links).tolist() + [False]
+        return np.array(angles + [False, True] * self.odometry)
+
+    def h(self, x):
+        z = []
+        for anchor in self.anchors:
+            east, north, up = x[:3] - anchor
+            azimuth = np.arctan2(north, east)
+            elevation = np.arctan2(up, np.hypot(east, north))
+            z += [np.sqrt(east**2 + north**2 + up**2), azimuth, elevation, azimuth + np.pi]
+        d = x[:3] - self.anchors[0]
+        z.append(self.hz_per_mps * (d @ x[3:6]) / np.sqrt(d @ d) + x[6])
+        if self.odometry:
+            z += [np.sqrt(x[3:6] @ x[3:6]), np.arctan2(x[4], x[3])]
+        return np.array(z)
+
+    def jacobian(self, x):
+        H = []
+        for anchor in self.anchors:
+            d = x[:3] - anchor
+            (east, north, up), r2 = d, d @ d
+            rho2 = east**2 + north**2
+            rho = np.sqrt(rho2)
+            azimuth = [-north / rho2, east / rho2, 0, 0, 0, 0, 0]
+            elevation = [-east * up / (r2 * rho), -north * up / (r2 * rho), rho / r2, 0, 0, 0, 0]
+            H += [[*(d / np.sqrt(r2)), 0, 0, 0, 0], azimuth, elevation, azimuth]
+        d, v = x[:3] - self.anchors[0], x[3:6]
+        r = np.sqrt(d @ d)
+        u = d / r
+        across = (np.eye(3) - np.outer(u, u)) @ v / r
+        H.append([*(self.hz_per_mps * across), *(self.hz_per_mps * u), 1])
+        if self.odometry:
+            vx, vy, _ = v
+            H.append([0, 0, 0, *(v / np.sqrt(v @ v)), 0])
+            H.append([0, 0, 0, -vy / (vx**2 + vy**2), vx / (vx**2 + vy**2), 0, 0])
+        return np.array(H)
+
+    def difference(self, a, b):
+        """a - b, angles in [-pi, pi)."""
+        wrapped = (a - b + np.pi) % (2 * np.pi) - np.pi
+        return np.where(self.angles, wrapped, a - b)
+
+
+@dataclass(frozen=True)
+class Restricted:
+    """A sensor of some components of the state, the others being known exactly."""
+
+    sensor: Sensor
+    known: np.ndarray
+    free: list[int]
+
+    def _whole(self, x):
+        whole = self.known.copy()
+        whole[self.free] = x
+        return whole
+
+    def h(self, x):
+        return self.sensor.h(self._whole(x))
+
+    def jacobian(self, x):
+        return self.sensor.jacobian(self._whole(x))[:, self.free]
+
+    def difference(self, a, b):
+        return self.sensor.difference(a, b)
+
+
+def F(dt):
+    return np.eye(7) + dt * np.eye(7, k=3) * (np.arange(7) < 3)[:, None]
+
+
+def predict(x, P, Q, dt):
+    return F(dt) @ x, F(dt) @ P @ F(dt).T + Q
+
+
+class Moments(NamedTuple):
+    """Of the predicted measurement: mean, covariance without noise, covariance with the state."""
+
+    mean: np.ndarray
+    S: np.ndarray
+    C: np.ndarray
+
+
+def tangent(sensor, x, P):
+    """Extended Kalman filter."""
+    H = sensor.jacobian(x)
+    return Moments(sensor.h(x), H @ P @ H.T, P @ H.T)
+
+
+def unscented(alpha, beta, kappa):
+    """Scaled unscented transform (van der Merwe 2004)."""
+
+    def moments(sensor, x, P):
+        n = len(x)
+        scale = alpha**2 * (n + kappa)
+        columns = np.linalg.cholesky(scale * P).T
+        points = np.vstack([x, x + columns, x - columns])
+        mean_weights = np.full(2 * n + 1, 0.5 / scale)
+        mean_weights[0] = 1.0 - n / scale
+        weights = mean_weights.copy()
+        weights[0] += 1.0 - alpha**2 + beta
+        return _moments(sensor, x, points, mean_weights, weights)
+
+    return moments
+
+
+def cubature(sensor, x, P):
+    """Third-degree spherical-radial rule (Arasaratnam and Haykin 2009)."""
+    n = len(x)
+    columns = np.sqrt(n) * np.linalg.cholesky(P).T
+    weights = np.full(2 * n, 0.5 / n)
+    return _moments(sensor, x, np.vstack([x + columns, x - columns]), weights, weights)
+
+
+def _moments(sensor, x, points, mean_weights, weights):
+    center = sensor.h(x)
+    relative = np.array([sensor.difference(sensor.h(point), center) for point in points])
+    shift = mean_weights @ relative
+    spread = relative - shift
+    S = (spread.T * weights) @ spread
+    return Moments(center + shift, S, ((points - x).T * weights) @ spread)
+
+
+METHODS: dict[str, Callable[..., Moments]] = {
+    "ekf": tangent,
+    "ukf": unscented(1.0, 2.0, 0.0),
+    "ckf": cubature,
+}
+
+
+class Update(NamedTuple):
+    x: np.ndarray
+    P: np.ndarray
+    nis: np.ndarray
+    accepted: np.ndarray
+    log_likelihood: float
+
+
+def statistics(moments, sensor, groups, x, P, z, R):
+    """Innovation covariance (rows, rows), and NIS and log det S of every group."""
+    mean, S, _ = moments(sensor, x, P)
+    S = S + np.diag(R)
+    y = sensor.difference(z, mean)
+    nis = np.array([y[g] @ np.linalg.inv(S[g, g]) @ y[g] for g in groups])
+    return S, nis, np.array([np.log(np.linalg.det(S[g, g])) for g in groups])
+
+
+def update(
+    moments, sensor, groups, links, x, P, z, R, visible, quantile=None, force=False, robust=False
+):  # fmt: skip
+    """Gate each group at the prior, then condition on all rows of those that passed."""
+    _, nis, log_det = statistics(moments, sensor, groups, x, P, z, R)
+    sizes = np.array([g.stop - g.start for g in groups])
+    is_link = np.arange(len(groups)) < links
+    passed = np.ones(len(groups), bool) if quantile is None else nis <= chi2.ppf(quantile, sizes)
+    if force or robust:
+        passed = passed | is_link
+    accepted = visible & passed
+    if robust:
+        doubt = np.where(is_link, np.maximum(nis / (1.5 * sizes), 1.0) ** 2, 1.0)
+        R = R * np.repeat(doubt, sizes)
+    log_likelihood = -0.5 * np.sum((nis + log_det)[visible])
+
+    keep = np.repeat(accepted, sizes)
+    mean, S, C = moments(sensor, x, P)
+    S = (S + np.diag(R))[np.ix_(keep, keep)]
+    K = np.linalg.solve(S, C[:, keep].T).T
+    new_x = x + K @ sensor.difference(z, mean)[keep]
+    if moments is tangent:
+        A = np.eye(len(x)) - K @ sensor.jacobian(x)[keep]
+        new_P = A @ P @ A.T + (K * R[keep]) @ K.T
+    else:
+        new_P = P - K @ S @ K.T
+    return Update(new_x, new_P, nis, accepted, log_likelihood)

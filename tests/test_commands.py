@@ -1,0 +1,173 @@
+"""The command line, as it is typed."""
+
+import json
+import os
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from experiments.cli import COMMANDS
+
+ROOT = Path(__file__).parent.parent
+CLI = ("experiments.cli",)
+METRICS = ["reward", "ate_m", "rmse_m", "rpe_m", "nees", "in_bounds", "divergence_rate"]
+
+
+def command(*words, cwd=ROOT):
+    """Run ``python -m <words>``."""
+    path = os.pathsep.join([str(ROOT), os.environ.get("PYTHONPATH", "")])
+    return subprocess.run(
+        [sys.executable, "-m", *map(str, words)],
+        env=os.environ | {"PYTHONPATH": path, "COLUMNS": "200"},
+        capture_output=True,
+        text=True,
+        cwd=cwd,
+    )
+
+
+def succeed(*words):
+    done = command(*words)
+    assert done.returncode == 0, done.stderr
+    return done.stdout
+
+
+def assert_intervals(row):
+    assert list(row) == METRICS
+    for interval in row.values():
+        assert set(interval) == {"mean", "ci95"}
+        low, high = interval["ci95"]
+        assert low <= interval["mean"] <= high
+
+
+# --- results
+
+
+def test_evaluate_writes_the_same_results_every_time(tmp_path):
+    options = ("--policy", "fixed-ckf", "--scenario", "vehicle", "--episodes", 3, "--seed", 5)
+    files = [tmp_path / "first.json", tmp_path / "new" / "second.json"]
+    through_cli = succeed(*CLI, "evaluate", *options, "--json", files[0])
+    directly = succeed("experiments.evaluate", *options, "--json", files[1])
+    assert through_cli == directly and "fixed-ckf" in through_cli
+    assert files[0].read_bytes() == files[1].read_bytes()
+    result = json.loads(files[0].read_text())
+    what = {"scenario": "vehicle", "radio": "handset", "episodes": 3, "seed": 5}
+    assert list(result) == [*what, "policies", "paired"]
+    assert {key: result[key] for key in what} == what
+    assert list(result["policies"]) == ["fixed-ckf"]
+    assert_intervals(result["policies"]["fixed-ckf"])
+    assert [p.name for p in tmp_path.iterdir() if p.is_file()] == ["first.json"]  # nothing beside
+
+
+def test_compare_pairs_policies_with_the_references(tmp_path):
+    policies = ("speed-rule", "fixed-ekf", "fixed-ukf", "imm")
+    file = tmp_path / "compare.json"
+    shown = succeed(*CLI, "compare", "--policies", *policies, "--episodes", 4, "--json", file)
+    result = json.loads(file.read_text())
+    assert list(result["policies"]) == list(policies)
+    rewards = {name: row["reward"]["mean"] for name, row in result["policies"].items()}
+    best = max("fixed-ekf", "fixed-ukf", key=rewards.get)
+    references = [best, "speed-rule", "imm"]
+    assert list(result["paired"]) == [
+        f"{name} - {reference}"
+        for reference in references
+        for name in policies
+        if name != reference
+    ]
+    for row in (result["policies"] | result["paired"]).values():
+        assert_intervals(row)
+    assert all(name in shown for name in policies)
+    difference = result["paired"]["imm - speed-rule"]["ate_m"]["mean"]
+    ate = {name: row["ate_m"]["mean"] for name, row in result["policies"].items()}
+    assert difference == pytest.approx(ate["imm"] - ate["speed-rule"])
+
+
+def test_evaluate_runs_on_recorded_data(tmp_path):
+    file = tmp_path / "recorded.json"
+    options = ("--data", "canyon28_vehicle", "--policy", "fixed-ckf", "--episodes", 2)
+    succeed(*CLI, "evaluate", *options, "--json", file)
+    result = json.loads(file.read_text())
+    assert result["scenario"] == "canyon28_vehicle"
+    assert_intervals(result["policies"]["fixed-ckf"])
+
+
+def test_tune_threshold_writes_a_file_that_says_how_it_was_made(tmp_path):
+    file = tmp_path / "thresholds.json"
+    options = ("--radios", "handset", "--thresholds", "0.5", "2.0", "--episodes", 2)
+    succeed(*CLI, "tune-threshold", *options, "--json", file)
+    result = json.loads(file.read_text())
+    words = " ".join(map(str, options))
+    assert result["command"].startswith(f"mmwave-loc tune-threshold {words}")
+    assert result["seed"] >= 5_000_000 and result["episodes"] == 2
+    tuned = result["radios"]["handset"]
+    rewards = {float(t): r["mean"] for t, r in tuned["reward"].items()}
+    assert set(rewards) == {0.5, 2.0}
+    assert tuned["threshold_mps"] == max(rewards, key=rewards.get)
+
+
+# --- help and mistakes
+
+
+def test_without_a_command_the_commands_are_listed():
+    helped, bare = command(*CLI, "--help"), command(*CLI)
+    assert helped.returncode == 0 and bare.returncode == 2
+    assert all(name in helped.stdout for name in COMMANDS) and helped.stdout == bare.stdout
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_every_command_explains_its_options(name):
+    shown = succeed(*CLI, name, "--help")
+    assert f"mmwave-loc {name}" in shown and "--" in shown
+
+
+MISTAKES = {
+    "unknown policy": (("evaluate", "--policy", "oracle"), "'oracle'.*fixed-ekf.*imm"),
+    "unknown policies": (("compare", "--policies", "imm", "oracle"), "'oracle'.*fixed-ekf.*imm"),
+    "unknown scenario": (("evaluate", "--scenario", "train"), "'train'.*pedestrian.*mixed"),
+    "unknown radio": (("evaluate", "--radio", "lab"), "'lab'.*handset, standard, high"),
+    "unknown scene": (("evaluate", "--scene", "plaza"), "'plaza'.*street.*o1"),
+    "missing scene": (("evaluate", "--scene", "plaza.json"), "plaza.json"),
+    "unknown data": (("evaluate", "--data", "canyon29"), "'canyon29'.*canyon28_vehicle"),
+    "no episodes": (("evaluate", "--episodes", "0"), "episodes.*0"),
+    "test seeds": (("tune-threshold", "--seed", "0"), "seed.*0.*5000000"),
+    "unknown tuned radio": (("tune-threshold", "--radios", "lab"), "'lab'.*handset"),
+}
+
+
+def assert_one_clear_line(done, message):
+    assert done.returncode == 2
+    assert done.stdout == ""
+    (line,) = done.stderr.strip().splitlines()
+    assert re.search(message, line), line
+
+
+@pytest.mark.parametrize("mistake", MISTAKES)
+def test_a_mistake_ends_with_one_clear_line(mistake):
+    words, message = MISTAKES[mistake]
+    assert_one_clear_line(command(*CLI, *words), f"^mmwave-loc {words[0]}: .*{message}")
+
+
+def test_a_mistake_ends_with_one_clear_line_without_the_cli_too():
+    (_, *words), message = MISTAKES["unknown policy"]
+    assert_one_clear_line(command("experiments.evaluate", *words), message)
+
+
+def test_an_unknown_command_lists_the_valid_ones():
+    assert_one_clear_line(command(*CLI, "fly"), "'fly'.*evaluate, compare")
+
+
+def test_an_unknown_option_is_named():
+    done = command(*CLI, "evaluate", "--colour", "red")
+    assert done.returncode == 2 and "--colour" in done.stderr and "Traceback" not in done.stderr
+
+
+@pytest.mark.slow
+def test_results_that_cannot_be_written_are_named(tmp_path):
+    blocked = tmp_path / "file"
+    blocked.write_text("")
+    options = ("--policy", "fixed-ckf", "--episodes", 1, "--json", blocked / "result.json")
+    done = command(*CLI, "evaluate", *options)
+    assert done.returncode == 2 and "Traceback" not in done.stderr
+    assert str(blocked) in done.stderr

@@ -1,0 +1,497 @@
+"""MmWaveLoc-v0 as Gymnasium and its users expect it. Runs without PyTorch, and on Gymnasium 1.1."""
+
+import inspect
+import math
+import subprocess
+import sys
+import warnings
+from dataclasses import replace
+from types import SimpleNamespace
+
+import gymnasium as gym
+import numpy as np
+import pytest
+from gymnasium.envs.registration import EnvSpec
+from gymnasium.error import InvalidAction, ResetNeeded
+from gymnasium.utils.env_checker import check_env
+from scipy.stats import chi2
+
+import mmwave_env  # noqa: F401  registers the environment
+from mmwave_env.engine import Engine
+from mmwave_env.env import MmWaveLocEnv
+from mmwave_env.episode import SimulatedSource
+from mmwave_env.estimator.modes import Mode, modes_from
+from mmwave_env.estimator.pipeline import Pipeline
+from mmwave_env.radio import RADIOS
+from mmwave_env.reward import TrackingReward
+from mmwave_env.scene import SCENES
+
+ID = "MmWaveLoc-v0"
+EKF = {"modes": ["ekf"]}  # one mode alone compiles fastest
+
+STEP_KEYS = {
+    "position_error_m", "nees", "nis", "accepted", "rejected", "mode", "gamma", "truth",
+    "estimate",
+}  # fmt: skip
+END_KEYS = {
+    "ate_m", "rmse_m", "rpe_m", "mean_nees", "in_bounds", "divergence", "smoothed_ate_m",
+}  # fmt: skip
+
+
+def draw(seed=0, **changes):
+    source = SimulatedSource(SCENES["street"], RADIOS["handset"], **changes)
+    return source.sample(np.random.default_rng(seed))
+
+
+def replay(episode):
+    """An episode source that knows one episode."""
+    return SimpleNamespace(
+        layout=episode.layout, epochs=len(episode), name=episode.name, sample=lambda rng: episode
+    )
+
+
+def adrift(drift_mps, epochs=200):
+    """Nothing is measured of a user at rest whose prior velocity is wrong by ``drift_mps``."""
+    episode = draw(epochs=epochs)
+    position = np.tile(episode.truth_position_m[0], (epochs, 1))
+    return replay(
+        replace(
+            episode,
+            visible=np.zeros_like(episode.visible),
+            truth_position_m=position,
+            truth_velocity_mps=np.zeros_like(position),
+            prior_mean=np.array([*position[0], drift_mps, 0.0, 0.0, 0.0]),
+        )
+    )
+
+
+def roll(env, seed=0, steps=200, actions=None):
+    """(observation, reward, terminated, truncated, info) of every step; modes in turn."""
+    env.reset(seed=seed)
+    done = []
+    for t in range(steps):
+        action = t % env.action_space.n if actions is None else actions[t]
+        done.append(env.step(np.int64(action)))
+        if done[-1][2] or done[-1][3]:
+            break
+    return done
+
+
+def assert_same(found, expected):
+    """The same numbers, in arrays, tuples and dicts."""
+    if isinstance(expected, dict):
+        assert found.keys() == expected.keys()
+        for key, value in expected.items():
+            assert_same(found[key], value)
+    elif isinstance(expected, (tuple, list)):
+        assert len(found) == len(expected)
+        for a, b in zip(found, expected, strict=True):
+            assert_same(a, b)
+    else:
+        np.testing.assert_array_equal(found, expected)
+
+
+# --- checkers and registration
+
+CONFIGURATIONS = {
+    "default": {},
+    "vehicle": {"scenario": "vehicle", "radio": "standard", "scene": "o1", "modes": ["ukf"]},
+    "prior": {"observation": "prior", "reward": "log-score"} | EKF,
+    "flat": {"planar": True, "odometry": True, "dt": 0.5} | EKF,
+    "own modes": {
+        "modes": ["ekf", Mode("robust", robust=True, blockage_aware=True, cost=0.1),
+                  Mode("re-acquire", gate=None, recovery=None, widen_p=3.0, widen_v=3.0)],
+    },
+    "recorded": {"episodes": "canyon28_vehicle", "episode_steps": 40} | EKF,
+    "filterpy": {"backend": "filterpy", "episode_steps": 5} | EKF,
+    "ends early": {"terminate_on_divergence": True, "episode_steps": 30} | EKF,
+}  # fmt: skip
+
+
+@pytest.fixture(params=CONFIGURATIONS)
+def configuration(request):
+    return CONFIGURATIONS[request.param]
+
+
+def test_gymnasium_s_checker_is_content(configuration, monkeypatch):
+    monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")
+    env = gym.make(ID, disable_env_checker=True, **configuration)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        check_env(env.unwrapped)
+    env.close()
+
+
+def test_the_prefixed_id_needs_no_import():
+    code = (
+        "import gymnasium, sys; env = gymnasium.make('mmwave_env:MmWaveLoc-v0', modes=['ekf']);"
+        "env.reset(seed=0); print(env.step(0)[0].shape);"
+        "assert not {'torch', 'stable_baselines3', 'matplotlib'} & set(sys.modules)"
+    )
+    done = subprocess.run(
+        [sys.executable, "-W", "error::UserWarning", "-c", code], capture_output=True, text=True
+    )
+    assert done.returncode == 0, done.stderr
+    env = gym.make(ID, **EKF)
+    assert done.stdout.strip() == str(env.observation_space.shape)
+
+
+def test_the_specification_goes_through_json():
+    arguments = {"scenario": "vehicle", "radio": "high", "episode_steps": 12} | EKF
+    spec = gym.make(ID, **arguments).spec
+    again = gym.make(EnvSpec.from_json(spec.to_json()))
+    assert again.spec.kwargs == arguments
+    assert again.unwrapped.source == gym.make(ID, **arguments).unwrapped.source
+
+
+@pytest.mark.parametrize(
+    "section",
+    ["Description", "Action Space", "Observation Space", "Rewards", "Starting State",
+     "Episode End", "Arguments", "Vectorized environment", "Version History"],
+)  # fmt: skip
+def test_the_docstring_is_the_documentation_page(section):
+    assert f"\n## {section}\n\n" in inspect.cleandoc(MmWaveLocEnv.__doc__)
+
+
+def test_the_docstring_explains_every_argument_and_every_info():
+    page = inspect.cleandoc(MmWaveLocEnv.__doc__)
+    arguments = page.split("## Arguments")[1].split("## Vectorized")[0]
+    for name in inspect.signature(MmWaveLocEnv).parameters:
+        assert f"`{name}`" in arguments
+    information = page.split("## Information")[1].split("## Arguments")[0]
+    for key in STEP_KEYS | END_KEYS | {"episode", "nonfinite"}:
+        assert f"`{key}`" in information
+
+
+def test_the_docstring_shows_the_observation_table():
+    page = inspect.cleandoc(MmWaveLocEnv.__doc__)
+    assert gym.make(ID).unwrapped.observation.table() in page
+
+
+# --- seeds
+
+
+def test_a_seed_is_a_run(configuration):
+    first, again = gym.make(ID, **configuration), gym.make(ID, **configuration)
+    assert_same(first.reset(seed=3), again.reset(seed=3))
+    assert_same(roll(first, seed=3, steps=20), roll(again, seed=3, steps=20))
+    assert_same(roll(first, seed=3, steps=20), roll(again, seed=3, steps=20))
+    other = roll(again, seed=4, steps=20)[-1]
+    assert not np.array_equal(other[0], roll(first, seed=3, steps=20)[-1][0])
+
+
+def test_without_a_seed_the_next_episode_is_another_and_repeatable():
+    runs = []
+    for _ in range(2):
+        env = gym.make(ID, **EKF)
+        runs.append([env.reset(seed=0), env.reset(), env.reset()])
+    assert_same(runs[0], runs[1])
+    assert not np.array_equal(runs[0][1][0], runs[0][2][0])
+
+
+def test_vector_environments_draw_the_same_episodes():
+    n, seed = 3, 5
+    vector = gym.make_vec(ID, num_envs=n, vectorization_mode="sync", **EKF)
+    singles = [gym.make(ID, **EKF) for _ in range(n)]
+    observations, info = vector.reset(seed=seed)
+    for i, env in enumerate(singles):
+        observation, single_info = env.reset(seed=seed + i)
+        np.testing.assert_array_equal(observations[i], observation)
+        np.testing.assert_array_equal(info["truth"][i], single_info["truth"])
+    for _ in range(10):
+        observations, rewards, *_, info = vector.step(np.zeros(n, np.int64))
+        for i, env in enumerate(singles):
+            observation, reward, *_, single_info = env.step(np.int64(0))
+            np.testing.assert_array_equal(observations[i], observation)
+            assert rewards[i] == reward
+            np.testing.assert_array_equal(info["estimate"][i], single_info["estimate"])
+    vector.close()
+
+
+# --- steps
+
+
+@pytest.mark.parametrize(
+    "action",
+    [2, -1, np.int64(7), 0.0, 1.0, np.float64(0.0), float("nan"), np.nan, None, "ekf",
+     np.array([0]), np.array([0, 1]), np.zeros((1, 1), np.int64)],
+    ids=repr,
+)  # fmt: skip
+def test_a_bad_action_is_refused_and_changes_nothing(action):
+    env, twin = gym.make(ID), gym.make(ID)
+    env.reset(seed=0)
+    twin.reset(seed=0)
+    with pytest.raises(InvalidAction, match=r"action: found .* expected an integer in Discrete\(2"):
+        env.step(action)
+    assert_same(env.step(np.int64(1)), twin.step(np.int64(1)))
+
+
+@pytest.mark.parametrize("action", [0, 1, np.int64(1), np.int32(0), np.uint8(1), np.array(1)])
+def test_any_integer_in_range_is_an_action(action):
+    env = gym.make(ID)
+    env.reset(seed=0)
+    assert env.step(action)[-1]["mode"] == int(action)
+
+
+@pytest.mark.parametrize("wrapped", [True, False])
+def test_a_step_before_reset_is_refused(wrapped):
+    env = gym.make(ID, **EKF)
+    with pytest.raises(ResetNeeded):
+        (env if wrapped else env.unwrapped).step(np.int64(0))
+
+
+def test_a_step_after_the_end_is_refused_until_reset():
+    env = gym.make(ID, episode_steps=3, **EKF)
+    roll(env)
+    with pytest.raises(ResetNeeded, match="reset"):
+        env.step(np.int64(0))
+    env.reset()
+    env.step(np.int64(0))
+
+
+@pytest.mark.parametrize("episode_steps", [None, 1, 2, 7, 250])
+def test_an_episode_is_truncated_after_its_steps(episode_steps):
+    env = gym.make(ID, episode_steps=episode_steps, **EKF)
+    done = roll(env, steps=1000)
+    assert len(done) == (episode_steps or 200)
+    assert not any(terminated for _, _, terminated, _, _ in done)
+    assert [truncated for *_, truncated, _ in done] == [False] * (len(done) - 1) + [True]
+    assert all(math.isfinite(value) for value in (done[-1][4][key] for key in END_KEYS))
+
+
+def test_info_holds_what_is_documented():
+    env = gym.make(ID, episode_steps=5)
+    _, info = env.reset(seed=0)
+    assert set(info) == {"episode", "nonfinite", "truth", "estimate"}
+    assert info["episode"] in ("pedestrian", "vehicle", "walk-ride", "jam", "cyclist")
+    assert info["nonfinite"] == 0
+    done = roll(env)
+    for *_, info in done[:-1]:
+        assert set(info) == STEP_KEYS
+    assert set(done[-1][-1]) == STEP_KEYS | END_KEYS
+    for t, (*_, info) in enumerate(done):
+        assert info["mode"] == t % 2
+        assert info["nis"].shape == info["accepted"].shape == info["rejected"].shape == (4,)
+        assert info["accepted"].dtype == info["rejected"].dtype == bool
+        assert not (info["accepted"] & info["rejected"]).any()
+        assert info["truth"].shape == (6,) and info["estimate"].shape == (7,)
+        assert 0.5 <= info["gamma"] <= 2.0 and info["nees"] >= 0.0
+        error = np.linalg.norm(info["estimate"][:3] - info["truth"][:3])
+        assert info["position_error_m"] == pytest.approx(error, abs=1e-9)
+
+
+def test_info_tells_the_episode_s_truth_and_prior():
+    episode = draw(9)
+    env = gym.make(ID, **EKF)
+    _, info = env.reset(seed=9)
+    assert info["episode"] == episode.name
+    np.testing.assert_array_equal(info["estimate"], episode.prior_mean)
+    states = np.hstack([episode.truth_position_m, episode.truth_velocity_mps])
+    np.testing.assert_array_equal(info["truth"], states[0])
+    np.testing.assert_array_equal([i["truth"] for *_, i in roll(env, seed=9)], states)
+
+
+def test_nonfinite_measurements_are_counted_in_info():
+    episode = draw(0)
+    measurement = episode.measurement.copy()
+    seen = np.argwhere(episode.visible[:, :3])[:5]
+    measurement[seen[:, 0], 4 * seen[:, 1]] = np.nan
+    env = gym.make(ID, episodes=replay(replace(episode, measurement=measurement)), **EKF)
+    assert env.reset(seed=0)[1]["nonfinite"] == 5
+    assert all(np.isfinite(obs).all() and math.isfinite(r) for obs, r, *_ in roll(env))
+
+
+def arrays(step):
+    """The arrays in what ``reset`` or ``step`` returned."""
+    for part in step:
+        if isinstance(part, np.ndarray):
+            yield part
+        elif isinstance(part, dict):
+            yield from (value for value in part.values() if isinstance(value, np.ndarray))
+
+
+def test_what_a_step_returned_stays_as_it_is():
+    env, twin = gym.make(ID), gym.make(ID)
+    returned = [env.reset(seed=0), *(env.step(np.int64(t % 2)) for t in range(5))]
+    for i, earlier in enumerate(returned):
+        for later in returned[i + 1 :]:
+            assert not any(np.shares_memory(a, b) for a in arrays(earlier) for b in arrays(later))
+    for step in returned:
+        for array in arrays(step):
+            array.fill(1)
+    roll(twin, steps=5)
+    assert_same(env.step(np.int64(1)), twin.step(np.int64(1)))
+
+
+# --- arguments
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"scenario": "train"}, "scenario: found 'train'.*pedestrian, vehicle.*mixed"),
+        ({"radio": "lab"}, "radio: found 'lab'.*handset, standard, high"),
+        ({"scene": "plaza"}, "scene: found 'plaza'.*street, o1, dynamic-doppler"),
+        ({"modes": ["ekf", "pf"]}, "mode: found 'pf'.*ekf, ukf, ckf"),
+        ({"modes": "ekf"}, "modes: found the string 'ekf'"),
+        ({"modes": []}, "modes: found .*at least one"),
+        ({"modes": ["ekf", "ekf"]}, "modes: found .*no name twice"),
+        ({"reward": "speed"}, "reward: found 'speed'.*tracking, log-score"),
+        ({"observation": "none"}, "observation: found 'none'.*full.*prior"),
+        ({"backend": "matlab"}, "backend: found 'matlab'.*lanes, filterpy"),
+        ({"episodes": "canyon29"}, "found 'canyon29'.*canyon28_pedestrian, canyon28_vehicle"),
+        ({"render_mode": "ascii"}, "render_mode: found 'ascii'.*human, rgb_array"),
+        ({"dt": 0.0}, "dt: found 0.0"),
+        ({"dt": -1.0}, "dt: found -1.0"),
+        ({"episode_steps": 0}, "epochs: found 0|episode_steps: found 0"),
+        ({"episodes": "canyon28_vehicle", "episode_steps": 0}, "found 0"),
+        ({"episodes": "canyon28_vehicle", "episode_steps": 10_000}, "found 10000.*1 to "),
+        ({"episodes": "canyon28_vehicle", "scenario": "jam"}, "scenario: found 'jam'.*recorded"),
+        ({"episodes": "canyon28_vehicle", "scene": "o1"}, "scene: found 'o1'.*recorded"),
+        ({"episodes": "canyon28_vehicle", "dt": 1.0}, "dt: found 1.0.*recorded"),
+        ({"episodes": "canyon28_vehicle", "odometry": True}, "odometry"),
+        ({"reward": lambda belief, truth: 0.0, "terminate_on_divergence": True}, "worst"),
+    ],
+)
+@pytest.mark.filterwarnings("ignore:.*render_mode")  # Gymnasium warns before we refuse
+def test_wrong_arguments_are_refused_with_the_valid_ones(arguments, message):
+    with pytest.raises(ValueError, match=message):
+        gym.make(ID, **arguments)
+
+
+@pytest.mark.parametrize("name", ["ekf", "ukf", "ckf"])
+def test_modes_can_be_any_list(name):
+    env = gym.make(ID, modes=[name])
+    assert env.action_space.n == 1
+    assert np.mean([info["position_error_m"] for *_, info in roll(env)]) < 20.0
+
+
+def test_the_action_space_follows_the_modes():
+    env = gym.make(ID, **CONFIGURATIONS["own modes"])
+    assert env.action_space.n == 3
+    assert [mode.name for mode in env.unwrapped.modes] == ["ekf", "robust", "re-acquire"]
+    assert [info["mode"] for *_, info in roll(env, steps=6)] == [0, 1, 2, 0, 1, 2]
+
+
+@pytest.mark.parametrize("odometry", [False, True])
+def test_flat_terrain_pins_the_height(odometry):
+    env = gym.make(ID, planar=True, odometry=odometry, **EKF)
+    for seed in range(5):
+        env.reset(seed=seed)
+        for *_, info in roll(env, seed=seed):
+            np.testing.assert_allclose(info["estimate"][[2, 5]], [1.5, 0.0], atol=1e-12)
+    assert info["nees"] < 1e3
+
+
+def test_odometry_adds_a_group():
+    env = gym.make(ID, odometry=True, **EKF)
+    plain = gym.make(ID, **EKF)
+    assert env.observation_space.shape[0] > plain.observation_space.shape[0]
+    done = roll(env)
+    accepted = np.array([info["accepted"] for *_, info in done])
+    assert accepted.shape == (200, 5) and accepted[:, 4].mean() > 0.3
+
+
+def test_odometry_helps():
+    errors = {}
+    for odometry in (False, True):
+        env = gym.make(ID, odometry=odometry, scenario="vehicle", **EKF)
+        errors[odometry] = np.mean([roll(env, seed)[-1][-1]["ate_m"] for seed in range(20)])
+    assert errors[True] < errors[False]
+
+
+# --- the end of an episode
+
+
+def test_divergence_pays_the_worst_reward_for_every_epoch_left():
+    source = adrift(drift_mps=4.9)
+    surviving = roll(gym.make(ID, episodes=source, **EKF))
+    ended = roll(gym.make(ID, episodes=source, terminate_on_divergence=True, **EKF))
+    assert len(surviving) == 200 and len(ended) == 12  # 53.9 m, eleven seconds after the prior
+    assert_same(ended[:-1], surviving[:11])
+    _, reward, terminated, truncated, info = ended[-1]
+    assert terminated and not truncated
+    assert reward == pytest.approx(surviving[11][1] - 10.6 * 188)
+    assert set(info) == STEP_KEYS | END_KEYS and info["divergence"] == 1.0
+
+
+@pytest.mark.parametrize("cost", [0.0, 1.0])
+@pytest.mark.parametrize("drift_mps", [1.0, 40.0])
+def test_failing_never_beats_surviving(cost, drift_mps):
+    source = adrift(drift_mps=drift_mps)
+    modes = [Mode("ekf", sigma_v=0.3, cost=cost)]
+    returns = [
+        sum(reward for _, reward, *_ in roll(gym.make(ID, episodes=source, modes=modes, **end)))
+        for end in ({"terminate_on_divergence": True}, {})
+    ]
+    assert returns[0] <= returns[1]
+
+
+def test_divergence_in_the_last_epoch_pays_nothing_more():
+    source = adrift(drift_mps=4.9, epochs=12)
+    (*_, last) = roll(gym.make(ID, episodes=source, terminate_on_divergence=True, **EKF))
+    (*_, plain) = roll(gym.make(ID, episodes=source, **EKF))
+    assert last[1] == plain[1] and last[2] and not last[3]
+
+
+def rts(x, P, P_predicted, dt):
+    """Rauch-Tung-Striebel: smoothed means (T, 7)."""
+    F = np.eye(7)
+    F[[0, 1, 2], [3, 4, 5]] = dt
+    x, P = x.copy(), P.copy()
+    for t in reversed(range(len(x) - 1)):
+        gain = P[t] @ F.T @ np.linalg.inv(P_predicted[t + 1])
+        x[t] += gain @ (x[t + 1] - F @ x[t])
+        P[t] += gain @ (P[t + 1] - P_predicted[t + 1]) @ gain.T
+    return x
+
+
+def full(packed):
+    """(7, 7) from its lower triangle."""
+    P = np.zeros((7, 7))
+    P[np.tril_indices(7)] = packed
+    return P + np.tril(P, -1).T
+
+
+@pytest.mark.parametrize("dt", [0.5, 1.0])
+def test_the_end_sums_up_the_steps(dt):
+    env = gym.make(ID, dt=dt)
+    infos = [info for *_, info in roll(env, seed=2)]
+    truth = np.array([info["truth"][:3] for info in infos])
+    error = np.array([info["estimate"][:3] for info in infos]) - truth
+    nees = np.array([info["nees"] for info in infos])[10:]
+    distance = np.sqrt((error[10:] ** 2).sum(axis=1))
+    second = round(1.0 / dt)
+    change = error[10 + second :] - error[10:-second]
+    low, high = chi2.ppf([0.025, 0.975], 3)
+
+    episode = draw(2, dt=dt)
+    engine = Engine(Pipeline(modes_from(None), episode.layout), 1, TrackingReward())
+    engine.reset([episode])
+    x, P, P_predicted = [], [], []
+    for t in range(200):
+        engine.step(np.int64(t % 2))
+        x.append(engine.read(engine.at.x)[0])
+        P.append(full(engine.read(engine.at.P)[0]))
+        P_predicted.append(full(engine.read(engine.at.P_predicted)[0]))
+    smoothed = rts(np.array(x), np.array(P), np.array(P_predicted), dt)
+
+    expected = {
+        "ate_m": distance.mean(),
+        "rmse_m": np.sqrt((distance**2).mean()),
+        "rpe_m": np.sqrt((change**2).sum(axis=1)).mean(),
+        "mean_nees": nees.mean(),
+        "in_bounds": ((nees >= low) & (nees <= high)).mean(),
+        "divergence": float(distance.max() > 50.0),
+        "smoothed_ate_m": np.linalg.norm(smoothed[:, :3] - truth, axis=1)[10:].mean(),
+    }
+    found = {key: infos[-1][key] for key in END_KEYS}
+    assert found == pytest.approx(expected, rel=1e-9)
+    assert found["smoothed_ate_m"] < found["ate_m"]
+
+
+def test_an_episode_without_truth_is_refused():
+    unknown = replace(draw(0), truth_position_m=None, truth_velocity_mps=None)
+    env = gym.make(ID, episodes=replay(unknown), **EKF)
+    with pytest.raises(ValueError, match="truth"):
+        env.reset(seed=0)

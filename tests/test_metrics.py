@@ -1,0 +1,137 @@
+"""Metrics against evo's and scipy's."""
+
+import numpy as np
+import pytest
+from evo.core import metrics as evo
+from evo.tools import file_interface
+from scipy.stats import chi2
+
+from mmwave_env.metrics import METRICS, ate, nees_interval, rmse, rpe, scored, summary
+
+EPOCHS = 200
+TOLERANCE = 1e-9
+
+
+def random_walk(seed, scale):
+    return np.random.default_rng(seed).normal(0.0, scale, (EPOCHS, 3)).cumsum(axis=0)
+
+
+@pytest.fixture(scope="module")
+def tracks():
+    """True and estimated positions (EPOCHS, 3), m."""
+    truth = random_walk(0, 5.0) + [1000.0, -2000.0, 1.5]
+    return truth, truth + random_walk(1, 0.3)
+
+
+@pytest.fixture(scope="module")
+def through_evo(tracks, tmp_path_factory):
+    """The same, as evo reads them from TUM files: time, position, quaternion of no rotation."""
+    folder = tmp_path_factory.mktemp("tum")
+    read = []
+    for name, position in zip(("truth", "estimate"), tracks, strict=True):
+        still = np.tile([0.0, 0.0, 0.0, 1.0], (EPOCHS, 1))
+        rows = np.column_stack([np.arange(EPOCHS, dtype=float), position, still])
+        np.savetxt(folder / f"{name}.tum", rows, fmt="%.17g")
+        read.append(file_interface.read_tum_trajectory_file(folder / f"{name}.tum"))
+    return tuple(read)
+
+
+def test_ate_and_rmse_are_evo_s_absolute_pose_error(tracks, through_evo):
+    metric = evo.APE(evo.PoseRelation.translation_part)
+    metric.process_data(through_evo)
+    error = tracks[1] - tracks[0]
+    mean = metric.get_statistic(evo.StatisticsType.mean)
+    root = metric.get_statistic(evo.StatisticsType.rmse)
+    assert ate(error) == pytest.approx(mean, abs=TOLERANCE)
+    assert rmse(error) == pytest.approx(root, abs=TOLERANCE)
+
+
+@pytest.mark.parametrize("delta", [1, 10])
+def test_rpe_is_evo_s_relative_pose_error(tracks, through_evo, delta):
+    metric = evo.RPE(evo.PoseRelation.translation_part, delta, evo.Unit.frames, all_pairs=delta > 1)
+    metric.process_data(through_evo)
+    assert len(metric.error) == EPOCHS - delta
+    mean = metric.get_statistic(evo.StatisticsType.mean)
+    assert rpe(tracks[1] - tracks[0], delta) == pytest.approx(mean, abs=TOLERANCE)
+
+
+def test_metrics_take_leading_axes(tracks):
+    error = tracks[1] - tracks[0]
+    batch = np.stack([error, 2.0 * error])
+    for metric in (ate, rmse, rpe):
+        np.testing.assert_allclose(metric(batch), [metric(error), 2.0 * metric(error)])
+
+
+def test_rpe_of_a_track_no_longer_than_its_step_is_zero():
+    np.testing.assert_array_equal(rpe(np.ones((2, 5, 3)), 5), [0.0, 0.0])
+
+
+@pytest.mark.parametrize("axes", [2, 3])
+@pytest.mark.parametrize("share", [0.95, 0.5])
+def test_nees_interval_is_chi_square_s(axes, share):
+    tail = (1.0 - share) / 2.0
+    expected = chi2.ppf([tail, 1.0 - tail], axes)
+    np.testing.assert_allclose(nees_interval(axes, share), expected, rtol=1e-12)
+
+
+def test_default_nees_interval_is_95_percent_of_three_axes():
+    np.testing.assert_allclose(nees_interval(), [0.2158, 9.3484], atol=1e-4)
+
+
+@pytest.mark.parametrize(("epochs", "counted"), [(200, 190), (11, 1), (10, 1), (3, 1), (1, 1)])
+def test_the_first_ten_epochs_do_not_count(epochs, counted):
+    assert len(np.arange(epochs)[scored(epochs)]) == counted
+
+
+def columns(seed=0, episodes=3):
+    """Reward, error and NEES of a few episodes."""
+    rng = np.random.default_rng(seed)
+    return (
+        rng.normal(size=(episodes, EPOCHS)),
+        rng.normal(size=(episodes, EPOCHS, 3)),
+        rng.chisquare(3, (episodes, EPOCHS)),
+    )
+
+
+def test_summary_averages_what_counts():
+    reward, error, nees = columns()
+    found = summary(reward, error, nees)
+    assert set(found) == set(METRICS)
+    np.testing.assert_allclose(found["reward"], reward[:, 10:].mean(axis=1))
+    np.testing.assert_allclose(found["ate_m"], ate(error[:, 10:]))
+    np.testing.assert_allclose(found["rmse_m"], rmse(error[:, 10:]))
+    np.testing.assert_allclose(found["rpe_m"], rpe(error[:, 10:]))
+    np.testing.assert_allclose(found["nees"], nees[:, 10:].mean(axis=1))
+    low, high = chi2.ppf([0.025, 0.975], 3)
+    inside = (nees[:, 10:] > low) & (nees[:, 10:] < high)
+    np.testing.assert_allclose(found["in_bounds"], inside.mean(axis=1))
+
+
+def test_burn_in_changes_nothing():
+    reward, error, nees = columns()
+    expected = summary(reward, error, nees)
+    for array in (reward, error, nees):
+        array[:, :10] = 1e6
+    for name, values in summary(reward, error, nees).items():
+        np.testing.assert_array_equal(values, expected[name])
+
+
+def test_bounds_of_flat_terrain_have_two_axes():
+    reward, error, _ = columns()
+    nees = np.full(reward.shape, 8.0)  # within the bounds of 3 axes, beyond those of 2
+    assert (summary(reward, error, nees)["in_bounds"] == 1.0).all()
+    assert (summary(reward, error, nees, axes=2)["in_bounds"] == 0.0).all()
+
+
+@pytest.mark.parametrize(("rate", "delta"), [(0.5, 1), (1.0, 1), (2.0, 2), (10.0, 10)])
+def test_rpe_looks_over_a_second(rate, delta):
+    reward, error, nees = columns()
+    found = summary(reward, error, nees, epochs_per_s=rate)["rpe_m"]
+    np.testing.assert_allclose(found, rpe(error[:, 10:], delta))
+
+
+@pytest.mark.parametrize(("error_m", "diverged"), [(49.9, 0.0), (50.1, 1.0)])
+def test_one_epoch_beyond_50_m_is_divergence(error_m, diverged):
+    reward, error, nees = columns(episodes=1)
+    error[0, 100] = [error_m, 0.0, 0.0]
+    assert summary(reward, error, nees)["divergence_rate"] == [diverged]

@@ -1,0 +1,319 @@
+"""The observation: one table makes space and values, and the values say what they promise."""
+
+from dataclasses import replace
+from itertools import pairwise
+from types import SimpleNamespace
+from typing import NamedTuple
+
+import gymnasium as gym
+import numpy as np
+import pytest
+from gymnasium import spaces
+
+import mmwave_env  # noqa: F401  registers the environment
+from mmwave_env.engine import Engine
+from mmwave_env.env import MmWaveLocEnv
+from mmwave_env.episode import SimulatedSource
+from mmwave_env.estimator.modes import modes_from
+from mmwave_env.estimator.pipeline import Pipeline
+from mmwave_env.measurement import Layout
+from mmwave_env.observation import Observation
+from mmwave_env.radio import RADIOS
+from mmwave_env.reward import TrackingReward
+from mmwave_env.scene import SCENES
+
+PIPELINES = {
+    "default": Pipeline(modes_from(None), Layout()),
+    "odometry": Pipeline(modes_from(None), Layout(odometry=True)),
+    "one anchor": Pipeline(modes_from(["ukf"]), Layout(1)),
+    "three modes": Pipeline(modes_from(["ekf", "ukf", "ckf"]), Layout(5, True), planar=True),
+}
+COMING = ("coming ", "preference ")
+
+every_pipeline = pytest.mark.parametrize("pipeline", PIPELINES.values(), ids=PIPELINES)
+every_kind = pytest.mark.parametrize("kind", ["full", "prior"])
+
+
+def names(table):
+    return [feature.name for feature in table.features]
+
+
+def draw(seed, radio="handset", **changes):
+    source = SimulatedSource(SCENES["street"], RADIOS[radio], **changes)
+    return source.sample(np.random.default_rng(seed))
+
+
+def replay(episode):
+    """An episode source that knows one episode."""
+    return SimpleNamespace(
+        layout=episode.layout, epochs=len(episode), name=episode.name, sample=lambda rng: episode
+    )
+
+
+def blinded(episode, first, last):
+    """The same with nothing measured from epoch ``first`` to before ``last``."""
+    visible = episode.visible.copy()
+    visible[first:last] = False
+    return replace(episode, visible=visible)
+
+
+# --- the table
+
+
+@every_kind
+@every_pipeline
+def test_names_are_unique(pipeline, kind):
+    table = Observation(pipeline, kind)
+    assert len(set(names(table))) == len(table) == len(table.features)
+
+
+@every_kind
+@every_pipeline
+def test_the_table_makes_the_space(pipeline, kind):
+    table = Observation(pipeline, kind)
+    space = table.space
+    assert isinstance(space, spaces.Box) and space.dtype == np.float32
+    assert space.shape == (len(table),)
+    np.testing.assert_array_equal(space.low, np.float32([f.low for f in table.features]))
+    np.testing.assert_array_equal(space.high, np.float32([f.high for f in table.features]))
+    assert (space.low < space.high).all() and space.is_bounded()
+    assert all(f.scale > 0.0 and f.meaning for f in table.features)
+
+
+@every_pipeline
+def test_prior_leaves_out_how_modes_see_the_coming_epoch(pipeline):
+    full, prior = names(Observation(pipeline)), names(Observation(pipeline, "prior"))
+    assert prior == [name for name in full if not name.startswith(COMING)]
+    assert len(prior) < len(full)
+
+
+@every_kind
+@every_pipeline
+def test_the_documented_table_lists_every_feature_in_order(pipeline, kind):
+    table = Observation(pipeline, kind)
+    head, rule, *rows = table.table().splitlines()
+    cells = [[cell.strip() for cell in row.strip("|").split("|")] for row in rows]
+    assert [(int(number), name) for number, name, *_ in cells] == list(enumerate(names(table)))
+    assert all(len(row) == 7 == head.count("|") - 1 == rule.count("|") - 1 for row in cells)
+
+
+def test_the_environment_s_docstring_holds_the_table():
+    documented = MmWaveLocEnv.__doc__.replace("\n    ", "\n")
+    assert Observation(PIPELINES["default"]).table() in documented
+
+
+def test_reading_a_feature_inverts_its_scale():
+    table = Observation(PIPELINES["default"])
+    observation = np.arange(3 * len(table), dtype=np.float32).reshape(3, -1)
+    for i, feature in enumerate(table.features):
+        read = table.read(observation, feature.name)
+        assert read.dtype == np.float64
+        np.testing.assert_allclose(read, observation[:, i].astype(float) * feature.scale)
+        assert table.read(observation[0], feature.name) == read[0]
+
+
+def test_an_unknown_feature_lists_the_valid_ones():
+    table = Observation(PIPELINES["default"], "prior")
+    with pytest.raises(KeyError, match="'colour'.*predicted speed.*time since fix"):
+        table.read(np.zeros((1, len(table)), np.float32), "colour")
+
+
+def test_an_unknown_kind_lists_the_valid_ones():
+    with pytest.raises(ValueError, match="'none'.*full.*prior"):
+        Observation(PIPELINES["default"], "none")
+
+
+# --- the values
+
+
+def absurd(episode):
+    """Measurements, SNR and spread that no radio gives, and a prior from another planet."""
+    measurement = episode.measurement.copy()
+    measurement[::7] *= 1e6
+    return replace(
+        episode,
+        measurement=measurement,
+        snr_db=np.where(np.arange(len(episode))[:, None] % 5, episode.snr_db, 1e9),
+        doppler_spread_hz=episode.doppler_spread_hz * 1e9,
+        prior_mean=episode.prior_mean * 1e3,
+    )
+
+
+def test_values_are_finite_and_within_their_bounds_whatever_happens():
+    episodes = [draw(seed) for seed in range(12)]
+    episodes += [blinded(draw(seed), first, 200) for seed, first in ((12, 0), (13, 0), (14, 50))]
+    episodes += [blinded(draw(15), 50, 190), absurd(draw(16)), absurd(blinded(draw(17), 0, 9))]
+    engine = Engine(PIPELINES["default"], len(episodes), TrackingReward())
+    engine.reset(episodes)
+    space = engine.observation.space
+    rng = np.random.default_rng(0)
+    for _ in range(200):
+        observations = engine.observations()
+        assert observations.dtype == np.float32
+        assert np.isfinite(observations).all()
+        assert all(space.contains(one) for one in observations)
+        engine.step(rng.integers(2, size=len(episodes)))
+
+
+class Rollout(NamedTuple):
+    """An episode in the default environment, modes at random.
+
+    Observations and infos have 201 entries: what ``reset`` and every step returned.
+    """
+
+    episode: object
+    table: Observation
+    observations: np.ndarray
+    infos: list
+
+    def read(self, name):
+        return self.table.read(self.observations, name)
+
+
+@pytest.fixture(scope="module", params=["as drawn", "with a gap"])
+def rollout(request):
+    episode = draw(0)
+    if request.param == "with a gap":
+        episode = blinded(episode, 60, 130)
+    return roll(episode)
+
+
+def roll(episode, **kwargs):
+    env = gym.make("MmWaveLoc-v0", episodes=replay(episode), **kwargs)
+    observation, info = env.reset(seed=0)
+    observations, infos = [observation], [info]
+    rng = np.random.default_rng(0)
+    for _ in range(len(episode)):
+        observation, _, _, _, info = env.step(rng.integers(env.action_space.n))
+        observations.append(observation)
+        infos.append(info)
+    return Rollout(episode, env.unwrapped.observation, np.array(observations), infos)
+
+
+def close(found, expected, tolerance=1e-5):
+    """Equal up to the rounding of float32."""
+    np.testing.assert_allclose(found, expected, rtol=tolerance, atol=tolerance)
+
+
+def test_predicted_speed_is_the_estimate_s(rollout):
+    speed = [np.linalg.norm(info["estimate"][3:6]) for info in rollout.infos]
+    close(rollout.read("predicted speed"), np.minimum(speed, 50.0))
+
+
+def test_nis_and_verdicts_are_those_of_the_last_epoch(rollout):
+    for g, name in enumerate(["anchor 1", "anchor 2", "anchor 3", "Doppler"]):
+        nis = [info["nis"][g] for info in rollout.infos[1:]]
+        close(rollout.read(f"NIS {name}")[1:], np.minimum(np.log1p(nis), 10.0))
+        verdict = [
+            int(info["accepted"][g]) - int(info["rejected"][g]) for info in rollout.infos[1:]
+        ]
+        np.testing.assert_array_equal(rollout.read(f"verdict {name}")[1:], verdict)
+        seen = rollout.episode.usable[:, g]
+        np.testing.assert_array_equal(np.array(verdict) != 0, seen)
+    assert rollout.read("NIS Doppler")[0] == 0.0 == rollout.read("verdict Doppler")[0]
+
+
+def test_snr_is_that_of_the_coming_epoch(rollout):
+    for a in range(3):
+        seen, snr = rollout.episode.usable[:, a], rollout.episode.snr_db[:, a]
+        coming = np.clip(np.where(seen, snr, -20.0), -20.0, 80.0)
+        close(rollout.read(f"SNR anchor {a + 1}"), [*coming, -20.0])
+
+
+def test_doppler_spread_is_that_of_the_coming_epoch(rollout):
+    spread = rollout.episode.doppler_spread_hz / rollout.episode.hz_per_mps
+    close(rollout.read("Doppler spread"), [*np.minimum(spread, 50.0), 0.0])
+
+
+def test_gamma_is_the_windowed_mean_of_nis_over_dof(rollout):
+    window, expected = [1.0] * 10, [1.0]
+    for info in rollout.infos[1:]:
+        used, dof = info["accepted"], np.array([4, 4, 4, 1])
+        if used.any():
+            window = [*window[1:], info["nis"][used].sum() / dof[used].sum()]
+        expected.append(np.clip(np.mean(window), 0.5, 2.0))
+    close(rollout.read("gamma"), expected)
+    close([info["gamma"] for info in rollout.infos[1:]], expected[1:], 1e-12)
+
+
+def test_nis_averages_forget_exponentially(rollout):
+    for pace, keep in (("fast", 0.6), ("slow", 0.9)):
+        average, expected = 1.0, [1.0]
+        for info in rollout.infos[1:]:
+            used, dof = info["accepted"], np.array([4, 4, 4, 1])
+            if used.any():
+                ratio = info["nis"][used].sum() / dof[used].sum()
+                average = keep * average + (1.0 - keep) * ratio
+            expected.append(min(average, 10.0))
+        close(rollout.read(f"NIS {pace} average"), expected)
+
+
+def test_the_previous_mode_is_marked(rollout):
+    ran = [info["mode"] for info in rollout.infos[1:]]
+    for mode, name in enumerate(("ekf", "ukf")):
+        np.testing.assert_array_equal(
+            rollout.read(f"previous mode {name}")[1:], np.array(ran) == mode
+        )
+
+
+def test_lock_out_and_time_since_fix_count(rollout):
+    lockout, unfixed_s = [0.0], [0.0]
+    for t, info in enumerate(rollout.infos[1:]):
+        fixed, seen = info["accepted"][:3].any(), rollout.episode.usable[t, :3].any()
+        lockout.append(0.0 if fixed else lockout[-1] + seen)
+        unfixed_s.append(0.0 if fixed else unfixed_s[-1] + (1.0 if t else 0.0))
+    close(rollout.read("lock-out"), np.minimum(lockout, 10.0))
+    close(rollout.read("time since fix"), np.minimum(unfixed_s, 50.0))
+
+
+def test_what_a_mode_would_make_of_the_coming_epoch_is_what_it_makes_of_it(rollout):
+    dof = np.array([4, 4, 4, 1])
+    for t, (before, info) in enumerate(pairwise(rollout.infos)):
+        name = ("ekf", "ukf")[info["mode"]]
+
+        def coming(what, name=name, t=t):
+            return rollout.read(f"coming {what} {name}")[t]
+
+        seen = rollout.episode.usable[t]
+        mean_nis = info["nis"][seen].sum() / max(dof[seen].sum(), 1)
+        close(coming("NIS"), min(np.log1p(mean_nis), 10.0))
+        assert coming("rejected") == info["rejected"][:3].sum()
+        x, dt = before["estimate"], float(t > 0)
+        step = info["estimate"][:2] - (x[:2] + dt * x[3:5])
+        ahead = x[3:5] / np.sqrt(x[3:5] @ x[3:5] + 1e-6)
+        left = np.array([-ahead[1], ahead[0]])
+        close(coming("correction along"), np.clip(step @ ahead, -10.0, 10.0), 1e-4)
+        close(coming("correction across"), np.clip(step @ left, -10.0, 10.0), 1e-4)
+
+
+def test_corrections_are_averaged(rollout):
+    along, across, expected = 0.0, 0.0, [(0.0, 0.0)]
+    for t, (before, info) in enumerate(pairwise(rollout.infos)):
+        x, dt = before["estimate"], float(t > 0)
+        step = info["estimate"][:2] - (x[:2] + dt * x[3:5])
+        ahead = x[3:5] / np.sqrt(x[3:5] @ x[3:5] + 1e-6)
+        along = 0.8 * along + 0.2 * step @ ahead
+        across = 0.8 * across + 0.2 * (step[1] * ahead[0] - step[0] * ahead[1])
+        expected.append((along, across))
+    found = np.stack([rollout.read(f"correction {way}") for way in ("along", "across")], axis=1)
+    close(found, np.clip(expected, -10.0, 10.0), 1e-4)
+
+
+def test_preferences_average_the_log_likelihood_difference(rollout):
+    difference = rollout.read("coming log-likelihood ekf")  # both are clipped at 30 nats
+    for pace, keep in (("fast", 0.6), ("slow", 0.85)):
+        average, expected = 0.0, []
+        for now in difference:
+            average = keep * average + (1.0 - keep) * now
+            expected.append(average)
+        close(rollout.read(f"preference {pace} ekf"), expected, 1e-4)
+    assert (np.abs(difference) <= 30.0).all() and (difference != 0.0).any()
+
+
+def test_odometry_speed_is_measured_or_else_predicted():
+    done = roll(draw(0, odometry=True), modes=["ekf"])
+    seen, speed = done.episode.usable[:, -1], done.episode.measurement[:, 13]
+    assert seen.any() and not seen.all()
+    predicted = done.read("predicted speed")
+    expected = np.clip(np.where(seen, speed, predicted[:-1]), 0.0, 50.0)
+    close(done.read("odometry speed"), [*expected, predicted[-1]])

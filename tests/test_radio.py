@@ -1,0 +1,261 @@
+"""The radio against formulas written afresh; statistics at 99.9 % confidence each."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.stats import binom, chi2, kstest, lognorm, norm
+
+from mmwave_env.measurement import Layout
+from mmwave_env.radio import RADIOS, Radio, radio_from, simulate_channel
+from mmwave_env.scene import SCENES
+
+STREET = SCENES["street"]
+CONFIDENCE = 0.999
+Z = norm.ppf(0.5 + CONFIDENCE / 2.0)
+CLEAR = replace(
+    RADIOS["standard"], shadowing_db=0.0, blockage_scale=0.0, multipath_rate_hz=0.0,
+    outage_rate_hz=0.0,
+)  # fmt: skip
+
+every_radio = pytest.mark.parametrize("name", RADIOS)
+
+
+def channel(radio, epochs, links, distance_m=100.0, speed_mps=0.0, dt=1.0, seed=0):
+    """At constant distance and speed; ``links`` need not be three."""
+    distance, speed = np.full((epochs, links), distance_m), np.full(epochs, speed_mps)
+    return simulate_channel(radio, STREET, distance, speed, dt, np.random.default_rng(seed))
+
+
+def assert_share(events, chance):
+    """The number of events is within the binomial interval of their chance."""
+    low, high = binom.interval(CONFIDENCE, events.size, chance)
+    assert low <= events.sum() <= high
+
+
+def assert_mean(values, mean, deviation):
+    assert abs(values.mean() - mean) <= Z * deviation / np.sqrt(values.size)
+
+
+def assert_variance(values, variance):
+    """The variance of independent normals of mean zero."""
+    low, high = chi2.interval(CONFIDENCE, values.size)
+    assert low <= np.square(values).sum() / variance <= high
+
+
+def changes(on):
+    """Of spells (T, L): whether each epoch spent on ends, whether each spent off is the last."""
+    before, after = on[:-1], on[1:]
+    return ~after[before], after[~before]
+
+
+# --- link budget and noise
+
+
+@every_radio
+def test_snr_at_100_m_by_hand(name):
+    # Path loss 32.4 + 21 log10(100) + 20 log10(28) = 32.4 + 42 + 28.943 dB; 27 dBm + 21 + 12 - 10
+    # less that, over -174 + 80 + 8 dBm of noise. Virtual anchors lose 8 dB.
+    radio = replace(RADIOS[name], shadowing_db=0.0, blockage_scale=0.0)
+    snr = channel(radio, 1, 3).snr_db
+    np.testing.assert_allclose(snr, [[32.657, 24.657, 24.657]], atol=1e-3)
+
+
+def test_blockage_costs_25_db():
+    found = channel(replace(CLEAR, blockage_scale=0.5), 200, 3)
+    blocked = found.range_bias_m > 0.0
+    assert blocked.any() and not blocked.all()
+    loss = channel(CLEAR, 200, 3).snr_db - found.snr_db
+    np.testing.assert_allclose(loss, np.where(blocked, 25.0, 0.0), atol=1e-9)
+
+
+PROFILES = {  # elements a side gNB / UE; range floors, m; AoA, elevation, AoD, deg; Doppler, m/s
+    "handset": (4, 2, 0.5, 0.8, 3.0, 2.0, 2.0, 0.1),
+    "standard": (8, 4, 0.2, 0.4, 1.0, 0.7, 0.5, 0.1),
+    "high": (16, 8, 0.1, 0.2, 0.5, 0.4, 0.25, 0.05),
+}
+
+
+@every_radio
+@pytest.mark.parametrize("snr_db", [-10.0, 3.0, 20.0, 45.0])
+def test_sigma_is_floor_and_cramer_rao_bound_in_quadrature(name, snr_db):
+    gnb, ue, direct, reflected, aoa, elevation, aod, doppler = PROFILES[name]
+    snr = 10.0 ** (snr_db / 10.0)
+    effective_bandwidth = 100e6 / np.sqrt(12.0)
+    range_bound = 299_792_458.0 / (2 * np.pi * effective_bandwidth * np.sqrt(2 * snr))
+
+    def angle(floor_deg, elements):
+        variance = 6.0 / (snr * (elements**2 - 1) * np.pi**2)
+        return np.sqrt(np.deg2rad(floor_deg) ** 2 + variance)
+
+    doppler_bound_hz = np.sqrt(6.0 / snr) / (2 * np.pi * 10e-3)
+    angles = [angle(aoa, ue), angle(elevation, ue), angle(aod, gnb)]
+    expected = []
+    for floor in (direct, reflected, reflected):
+        expected += [np.sqrt(floor**2 + range_bound**2), *angles]
+    expected.append(np.sqrt((doppler * 28e9 / 299_792_458.0) ** 2 + doppler_bound_hz**2))
+    sigma = RADIOS[name].sigma(np.full((2, 3), snr_db), STREET, Layout())
+    np.testing.assert_allclose(sigma, [expected] * 2, rtol=1e-12)
+
+
+def test_doppler_noise_follows_the_snr_of_the_physical_anchor():
+    snr = np.array([[30.0, 0.0, 0.0], [0.0, 30.0, 30.0]])
+    sigma = RADIOS["standard"].sigma(snr, STREET, Layout())
+    assert sigma[0, 12] < sigma[1, 12]
+    assert sigma[0, 0] < sigma[1, 0] and sigma[0, 4] > sigma[1, 4]
+
+
+def test_odometry_noise_is_the_profile_s():
+    sigma = RADIOS["standard"].sigma(np.zeros((1, 3)), STREET, Layout(odometry=True))
+    np.testing.assert_allclose(sigma[0, 13:], [0.1, np.deg2rad(3.0)])
+
+
+@every_radio
+def test_prior_covariance(name):
+    position = {"handset": 4.0, "standard": 3.0, "high": 2.0}[name]
+    P = RADIOS[name].prior_covariance(STREET)
+    np.testing.assert_allclose(np.sqrt(np.diag(P)[:2]), position)
+    np.testing.assert_array_equal(P, np.diag(np.diag(P)))
+    assert (np.diag(P) > 0.0).all()
+
+
+# --- shadowing, detection, spread
+
+
+@pytest.mark.parametrize("dt", [0.5, 1.0, 2.0])
+def test_shadowing_is_a_stationary_autoregression(dt):
+    clear = channel(CLEAR, 40, 4000).snr_db
+    x = channel(replace(CLEAR, shadowing_db=3.0), 40, 4000, dt=dt).snr_db - clear
+    rho = 0.9**dt
+    assert_variance(x[0], 3.0**2)
+    assert_variance(x[-1], 3.0**2)
+    assert_variance(x[1:] - rho * x[:-1], 3.0**2 * (1.0 - rho**2))
+    innovation = (x[1:] - rho * x[:-1]) * x[:-1]
+    assert_mean(innovation, 0.0, 3.0**2 * np.sqrt(1.0 - rho**2))
+
+
+@pytest.mark.parametrize("snr_db", [1.0, 4.0, 5.5, 10.0])
+def test_detection_is_logistic_in_the_snr(snr_db):
+    at_100_m = channel(CLEAR, 1, 1).snr_db.item()
+    radio = replace(
+        CLEAR, transmit_dbm=CLEAR.transmit_dbm + snr_db - at_100_m, reflection_loss_db=0
+    )
+    found = channel(radio, 100, 200)
+    np.testing.assert_allclose(found.snr_db, snr_db)
+    assert_share(found.detected, 1.0 / (1.0 + np.exp(-(snr_db - 4.0) / 1.5)))
+
+
+def test_doppler_spread_of_a_moving_user_is_lognormal_around_0_3_v():
+    radio = replace(CLEAR, spread_floor_mps=0.0)
+    spread = channel(radio, 20_000, 1, speed_mps=10.0).doppler_spread_hz / STREET.hz_per_mps
+    assert kstest(spread, lognorm(0.2, scale=3.0).cdf).pvalue > 1.0 - CONFIDENCE
+
+
+def test_doppler_spread_of_a_standing_user_is_the_floor():
+    spread = channel(CLEAR, 20_000, 1).doppler_spread_hz / STREET.hz_per_mps
+    assert kstest(spread, "halfnorm", (0.0, 0.3)).pvalue > 1.0 - CONFIDENCE
+
+
+# --- blockage, multipath, outage
+
+
+@pytest.mark.parametrize(
+    ("distance_m", "chance"), [(50.0, 0.045), (100.0, 0.075), (300.0, 0.175), (900.0, 0.175)]
+)
+def test_blockage_is_stationary_with_its_probability(distance_m, chance):
+    radio = replace(CLEAR, blockage_scale=0.5)
+    blocked = channel(radio, 60, 4000, distance_m).range_bias_m > 0.0
+    assert_share(blocked[0], chance)
+    assert_share(blocked[-1], chance)
+
+
+@pytest.mark.parametrize("dt", [0.1, 1.0])
+def test_a_blockage_lasts_4_s_on_average(dt):
+    radio = replace(CLEAR, blockage_scale=0.5)
+    blocked = channel(radio, 1000, 200, dt=dt).range_bias_m > 0.0
+    ends, begins = changes(blocked)
+    leave = 1.0 - np.exp(-dt / 4.0)  # a memoryless length, seen every dt
+    assert_share(ends, leave)
+    assert_share(begins, leave * 0.075 / (1.0 - 0.075))
+
+
+@pytest.mark.parametrize("dt", [0.1, 1.0])
+def test_multipath_comes_and_goes_at_its_rates(dt):
+    found = channel(replace(CLEAR, multipath_rate_hz=0.008), 2000, 200, dt=dt)
+    reflected = found.range_bias_m > 0.0
+    ends, begins = changes(reflected)
+    assert_share(begins, 1.0 - np.exp(-0.008 * dt))
+    assert_share(ends, 1.0 - np.exp(-dt / 3.3))
+    np.testing.assert_array_equal(found.snr_db, channel(CLEAR, 2000, 200).snr_db)  # silent
+
+
+def test_an_outage_takes_every_link():
+    radio = replace(CLEAR, outage_rate_hz=0.003, transmit_dbm=100.0)
+    detected = channel(radio, 200_000, 3).detected
+    np.testing.assert_array_equal(detected, detected[:, :1].repeat(3, axis=1))
+    ends, begins = changes(~detected[:, :1])
+    assert_share(begins, 1.0 - np.exp(-0.003))
+    assert_share(ends, 1.0 - np.exp(-1.0 / 3.0))
+
+
+BIASES = {
+    "blockage": (replace(CLEAR, blockage_scale=0.5), 0.0, 3.0, 3.0),
+    "multipath": (replace(CLEAR, multipath_rate_hz=0.008), 1.0, 4.0, 5.0),
+}
+
+
+@pytest.mark.parametrize("kind", BIASES)
+def test_biases_are_drawn_once_a_spell(kind):
+    radio, least_m, mean_m, angle_deg = BIASES[kind]
+    found = channel(radio, 1000, 100)
+    bias, angle = found.range_bias_m, found.angle_bias_rad
+    on = bias > 0.0
+    assert ((angle != 0.0) == on[..., None]).all()
+    within = on[1:] & on[:-1]
+    np.testing.assert_array_equal(bias[1:][within], bias[:-1][within])
+    np.testing.assert_array_equal(angle[1:][within], angle[:-1][within])
+    first = on.copy()
+    first[1:] &= ~on[:-1]
+    assert len(np.unique(bias[first])) == first.sum()
+    assert kstest(bias[first], "expon", (least_m, mean_m)).pvalue > 1.0 - CONFIDENCE
+    assert_variance(angle[first], np.deg2rad(angle_deg) ** 2)
+
+
+# --- arguments
+
+POSITIVE = [
+    "gnb_elements", "ue_elements", "aoa_floor_rad", "aod_floor_rad", "elevation_floor_rad",
+    "doppler_floor_mps", "prior_position_m", "prior_height_m", "prior_velocity_mps",
+    "prior_vertical_mps", "prior_bias_mps", "detection_slope_db", "doppler_window_s",
+    "blockage_mean_s", "multipath_mean_s", "outage_mean_s", "odometry_speed_mps",
+    "odometry_heading_rad",
+]  # fmt: skip
+NOT_NEGATIVE = [
+    "shadowing_db", "shadowing_correlation", "blockage_scale", "blockage_base",
+    "blockage_per_100m", "blockage_limit", "blockage_range_m", "blockage_angle_rad",
+    "multipath_rate_hz", "multipath_angle_rad", "outage_rate_hz", "spread_gain", "spread_sigma",
+    "spread_floor_mps", "drift_mps",
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("field", "value"),
+    [(field, value) for field in POSITIVE for value in (0.0, -1.0, float("nan"))]
+    + [(field, value) for field in NOT_NEGATIVE for value in (-1.0, float("nan"))]
+    + [("range_floor_m", (0.0, 0.4)), ("range_floor_m", (0.2, -0.4)), ("range_floor_m", (0.2,)),
+       ("multipath_range_m", (1.0, -4.0)), ("shadowing_correlation", 1.5)],
+)  # fmt: skip
+def test_impossible_parameters_are_refused_by_name(field, value):
+    with pytest.raises(ValueError, match=f"{field}.*'lab'"):
+        Radio("lab", **{field: value})
+
+
+@pytest.mark.parametrize("field", NOT_NEGATIVE)
+def test_what_may_vanish_may_be_zero(field):
+    assert getattr(Radio("lab", **{field: 0.0}), field) == 0.0
+
+
+def test_radio_by_name_or_by_itself():
+    assert radio_from("high") is RADIOS["high"] and radio_from(CLEAR) is CLEAR
+    with pytest.raises(ValueError, match="'lab'.*handset, standard, high"):
+        radio_from("lab")

@@ -1,0 +1,179 @@
+"""Rewards by hand, against scipy, and of the user's own making."""
+
+import math
+
+import gymnasium as gym
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as hnp
+from scipy.stats import multivariate_normal
+
+import mmwave_env  # noqa: F401  registers the environment
+from mmwave_env.arithmetic import maximum
+from mmwave_env.engine import Engine
+from mmwave_env.episode import SimulatedSource
+from mmwave_env.estimator.belief import Belief
+from mmwave_env.estimator.modes import Mode
+from mmwave_env.estimator.pipeline import Pipeline
+from mmwave_env.radio import radio_from
+from mmwave_env.reward import REWARDS, LogScore, TrackingReward, reward_from
+from mmwave_env.scene import scene_from
+
+ORIGIN = [0.0] * 6
+
+
+def belief(error_m=(0.0, 0.0, 0.0), variance_m2=1.0, axes=(0, 1, 2)):
+    """About a user at the origin, equally sure along all axes."""
+    P = (variance_m2 * np.eye(7)).tolist()
+    return Belief([*map(float, error_m), 0.0, 0.0, 0.0, 0.0], P, axes)
+
+
+# Error 3 m with 1 m^2 per axis: NEES 9, |ln(9 / 3)| = 1.0986; and so on.
+@pytest.mark.parametrize(
+    ("error_m", "variance_m2", "expected"),
+    [
+        ((0.0, 3.0, 0.0), 1.0, -(3.0 + 0.2 * 1.0986122886681098)),
+        ((2.0, 1.0, 2.0), 3.0, -3.0),  # NEES 3, as it should be
+        ((1.0, 0.0, 0.0), 4.0, -(1.0 + 0.2 * math.log(12.0))),
+        ((6.0, 8.0, 0.0), 100.0 / 3.0, -10.0),
+        ((60.0, 80.0, 0.0), 10000.0 / 3.0, -10.0),  # the error counts up to 10 m
+        ((0.0, 0.0, 0.0), 1.0, -0.6),  # and the inconsistency up to 3
+        ((1e3, 0.0, 0.0), 1e-3, -10.6),
+    ],
+)
+def test_tracking_reward_by_hand(error_m, variance_m2, expected):
+    assert TrackingReward()(belief(error_m, variance_m2), ORIGIN) == pytest.approx(expected)
+
+
+def test_weights_and_limits_are_arguments():
+    reward = TrackingReward(error_weight=2.0, error_limit_m=5.0, nees_weight=1.0, nees_limit=0.5)
+    assert reward(belief((3.0, 0.0, 0.0)), ORIGIN) == pytest.approx(-6.5)
+    assert reward.worst == -10.5 == reward(belief((1e3, 0.0, 0.0)), ORIGIN)
+
+
+def test_on_flat_terrain_two_axes_are_expected():
+    flat = belief((1.0, 1.0, 0.0), axes=(0, 1))  # NEES 2
+    assert TrackingReward()(flat, ORIGIN) == pytest.approx(-math.sqrt(2.0))
+
+
+@pytest.mark.parametrize("name", REWARDS)
+def test_no_reward_is_below_the_worst(name):
+    reward = REWARDS[name]
+    for error in (0.0, 1.0, 1e3, 1e6):
+        for variance in (1e-6, 1.0, 1e6):
+            assert reward(belief((error, error, error), variance), ORIGIN) >= reward.worst
+    assert reward(belief((1e6, 0.0, 0.0), 1e-6), ORIGIN) == reward.worst
+
+
+def test_inflating_the_covariance_does_not_pay():
+    honest = TrackingReward()(belief((1.0, 1.0, 1.0), 1.0), ORIGIN)
+    assert all(
+        TrackingReward()(belief((1.0, 1.0, 1.0), v), ORIGIN) < honest for v in (0.5, 2.0, 10.0)
+    )
+
+
+@settings(derandomize=True, deadline=None)
+@given(
+    hnp.arrays(float, (7, 7), elements=st.floats(-1.0, 1.0)),
+    hnp.arrays(float, 3, elements=st.floats(-5.0, 5.0)),
+    st.sampled_from([(0, 1, 2), (0, 1)]),
+)
+def test_log_score_is_the_log_density_of_the_truth(root, error, axes):
+    P = root @ root.T + 0.1 * np.eye(7)
+    x = np.concatenate([error, np.zeros(4)])
+    at = list(axes)
+    expected = multivariate_normal(x[at], P[np.ix_(at, at)]).logpdf(np.zeros(len(at)))
+    score = LogScore(worst=-1e6)(Belief(x.tolist(), P.tolist(), axes), ORIGIN)
+    assert score == pytest.approx(expected, rel=1e-9, abs=1e-9)
+
+
+def test_log_score_ends_at_its_worst():
+    assert LogScore()(belief((1e3, 0.0, 0.0)), ORIGIN) == -30.0
+    assert LogScore(worst=-7.0)(belief((1e3, 0.0, 0.0)), ORIGIN) == -7.0
+
+
+def test_reward_by_name_or_by_itself():
+    assert reward_from("tracking") == TrackingReward() and reward_from("log-score") == LogScore()
+    assert reward_from(capped) is capped
+    with pytest.raises(ValueError, match="'speed'.*tracking, log-score"):
+        reward_from("speed")
+
+
+# --- in the environment
+
+
+def capped(belief, truth):
+    return maximum(-belief.distance(truth), -2.0)
+
+
+def steps(epochs=20, **kwargs):
+    """(reward, info) of the first epochs, modes in turn."""
+    env = gym.make("MmWaveLoc-v0", **kwargs)
+    env.reset(seed=0)
+    for t in range(epochs):
+        _, reward, _, _, info = env.step(t % env.action_space.n)
+        yield reward, info
+    env.close()
+
+
+def tracking(info):
+    error = min(info["position_error_m"], 10.0)
+    return -(error + 0.2 * min(abs(math.log(info["nees"] / 3.0)), 3.0))
+
+
+def test_the_environment_pays_the_tracking_reward():
+    for reward, info in steps():
+        assert reward == pytest.approx(tracking(info), abs=1e-9)
+
+
+def test_the_environment_pays_a_function_of_one_s_own():
+    for reward, info in steps(reward=capped, modes=["ekf"]):
+        assert reward == pytest.approx(max(-info["position_error_m"], -2.0), abs=1e-12)
+
+
+def test_the_cost_of_a_mode_is_subtracted():
+    modes = [Mode("free", sigma_v=0.3), Mode("dear", sigma_v=1.8, cost=0.25)]
+    for reward, info in steps(modes=modes):
+        cost = 0.25 * info["mode"]
+        assert reward == pytest.approx(tracking(info) - cost, abs=1e-9)
+
+
+def test_the_engine_pays_the_log_score_of_its_belief():
+    source = SimulatedSource(scene_from("street"), radio_from("handset"))
+    episode = source.sample(np.random.default_rng(0))
+    engine = Engine(Pipeline((Mode("ekf"),), episode.layout), 1, LogScore())
+    engine.reset([episode])
+    for t in range(20):
+        engine.step(np.int64(0))
+        packed = engine.read(engine.at.P)[0]
+        P = np.zeros((7, 7))
+        P[np.tril_indices(7)] = packed
+        mean = engine.read(engine.at.x)[0, :3]
+        density = multivariate_normal(mean, P[:3, :3] + np.tril(P[:3, :3], -1).T)
+        expected = max(density.logpdf(episode.truth_position_m[t]), -30.0)
+        assert engine.read(engine.at.reward)[0] == pytest.approx(expected, abs=1e-9)
+
+
+def branch(belief, truth):
+    return 0.0 if belief.distance(truth) < 1.0 else -1.0
+
+
+def to_float(belief, truth):
+    return float(belief.distance(truth))
+
+
+def through_math(belief, truth):
+    return math.sqrt(belief.nees(truth))
+
+
+def through_numpy(belief, truth):
+    return np.sqrt(belief.nees(truth))
+
+
+@pytest.mark.parametrize("own", [branch, to_float, through_math, through_numpy])
+def test_a_reward_that_looks_at_values_is_told_what_to_write(own):
+    env = gym.make("MmWaveLoc-v0", reward=own, modes=["ekf"])
+    with pytest.raises(TypeError, match=r"where\(condition, a, b\).*mmwave_env.arithmetic"):
+        env.reset(seed=0)

@@ -1,0 +1,136 @@
+"""Scenes: mirror images, the shipped streets, and scenes from files."""
+
+import json
+from dataclasses import asdict
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from mmwave_env.scene import SCENES, Scene, Streets, Wall, scene_from
+
+coordinates = st.floats(-1e3, 1e3, allow_subnormal=False)
+points = st.tuples(coordinates, coordinates, coordinates)
+normals = st.tuples(coordinates, coordinates).filter(lambda n: np.hypot(*n) > 1e-2)
+walls = st.builds(Wall, normals, coordinates)
+
+MINIMAL = {"base_station_m": [10, 10, 10]}
+
+
+def write(folder, content):
+    path = folder / "plaza.json"
+    path.write_text(content if isinstance(content, str) else json.dumps(content))
+    return path
+
+
+@settings(derandomize=True, deadline=None)
+@given(walls, points)
+def test_mirroring_twice_is_the_identity(wall, point):
+    assert wall.mirror(wall.mirror(point)) == pytest.approx(point, rel=1e-9, abs=1e-8)
+
+
+@settings(derandomize=True, deadline=None)
+@given(walls, st.floats(0.1, 500.0), st.floats(0.1, 500.0), points, points)
+def test_a_reflection_is_as_long_as_the_line_from_the_mirror_image(wall, ahead, behind, a, b):
+    # Source and user at distances `ahead` and `behind` before the wall, anywhere along it; the
+    # specular point divides the way along the wall in the ratio of the distances.
+    normal = np.array([*wall.normal, 0.0]) / np.hypot(*wall.normal)
+    on_wall = [p - (p @ normal - wall.offset_m) * normal for p in (np.array(a), np.array(b))]
+    source, user = on_wall[0] + ahead * normal, on_wall[1] + behind * normal
+    specular = (behind * on_wall[0] + ahead * on_wall[1]) / (ahead + behind)
+    path = np.linalg.norm(source - specular) + np.linalg.norm(specular - user)
+    image = np.array(wall.mirror(tuple(source)))
+    assert np.linalg.norm(user - image) == pytest.approx(path, rel=1e-9)
+
+
+def test_anchors_of_the_default_street():
+    np.testing.assert_allclose(
+        SCENES["street"].anchors_m, [[10, 10, 10], [10, 40, 10], [360, 10, 10]], atol=1e-12
+    )
+
+
+@pytest.mark.parametrize(
+    ("name", "base_station", "width_m", "length_m", "user_height_m"),
+    [("o1", (235.504, 489.504, 6.0), 0.0, 600.0, 2.0),
+     ("dynamic-doppler", (7.0, 14.0, 4.5), 430.0, 215.0, 1.5)],
+)  # fmt: skip
+def test_public_reference_scenes(name, base_station, width_m, length_m, user_height_m):
+    scene = scene_from(name)
+    assert scene.base_station_m == base_station
+    assert np.ptp(scene.streets.x_m) == width_m and np.ptp(scene.streets.y_m) == length_m
+    assert scene.streets.height_m == user_height_m
+    assert scene.carrier_hz == 28e9 and len(scene.anchors_m) == 3
+
+
+def test_doppler_scale_is_carrier_over_speed_of_light():
+    assert Scene("a", (0, 0, 0), carrier_hz=28e9).hz_per_mps == pytest.approx(28e9 / 299_792_458)
+
+
+def test_unknown_scene_lists_the_valid_ones():
+    with pytest.raises(ValueError, match="'plaza'.*street, o1, dynamic-doppler"):
+        scene_from("plaza")
+
+
+@pytest.mark.parametrize("name", SCENES)
+def test_a_scene_survives_a_file(tmp_path, name):
+    scene = SCENES[name]
+    assert scene_from(write(tmp_path, asdict(scene))) == scene
+    assert scene_from(str(write(tmp_path, asdict(scene)))) == scene
+
+
+def test_a_scene_file_may_leave_out_all_but_the_base_station(tmp_path):
+    assert scene_from(write(tmp_path, MINIMAL)) == Scene("plaza", (10.0, 10.0, 10.0))
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        "{",
+        "[]",
+        "null",
+        {},
+        {"base_station_m": 10},
+        {"base_station_m": [10, 10]},
+        {"base_station_m": [10, 10, 10, 10]},
+        {"base_station_m": [10, 10, "high"]},
+        {"base_station_m": [10, 10, float("nan")]},
+        MINIMAL | {"walls": {"normal": [0, 1], "offset_m": 25}},
+        MINIMAL | {"walls": [{"normal": [0, 1]}]},
+        MINIMAL | {"walls": [{"normal": [0, 0], "offset_m": 25}]},
+        MINIMAL | {"walls": [{"normal": [0, 1, 0], "offset_m": 25}]},
+        MINIMAL | {"walls": [{"normal": [0, 1], "offset_m": float("nan")}]},
+        MINIMAL | {"streets": {"x_m": [160, 0]}},
+        MINIMAL | {"streets": {"x_m": [0]}},
+        MINIMAL | {"streets": {"x_m": "ab"}},
+        MINIMAL | {"streets": {"block_m": 0}},
+        MINIMAL | {"streets": {"x_m": [0, 100], "block_m": 80}},
+        MINIMAL | {"streets": {"height_m": "tall"}},
+        MINIMAL | {"streets": {"lanes": 2}},
+        MINIMAL | {"carrier_hz": -28e9},
+        MINIMAL | {"bandwidth_hz": "wide"},
+        MINIMAL | {"colour": "red"},
+    ],
+    ids=lambda content: content if isinstance(content, str) else json.dumps(content),
+)
+def test_a_damaged_scene_file_is_refused_by_name(tmp_path, content):
+    path = write(tmp_path, content)
+    with pytest.raises(ValueError, match="plaza.json"):
+        scene_from(path)
+
+
+def test_a_scene_file_that_is_not_text_is_refused_by_name(tmp_path):
+    path = tmp_path / "plaza.json"
+    path.write_bytes(b"\xff\xfe\x00")
+    with pytest.raises(ValueError, match="plaza.json"):
+        scene_from(path)
+
+
+def test_a_missing_scene_file_is_named(tmp_path):
+    with pytest.raises(FileNotFoundError, match="plaza.json"):
+        scene_from(tmp_path / "plaza.json")
+
+
+def test_streets_refuse_extents_that_are_the_wrong_way_round():
+    with pytest.raises(ValueError, match="y_m"):
+        Streets(y_m=(0.0, -160.0))
