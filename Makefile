@@ -42,13 +42,13 @@ clean: ## remove environments, caches and build outputs; results/ and runs/ stay
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +
 
 .venv/.base: pyproject.toml constraints.txt
-	@echo "Setting up .venv: the base install, about 450 MB"
+	@echo "Setting up .venv: the base install, about 600 MB"
 	@$(PYTHON) -m venv .venv
 	@$(BIN)/python -m pip install --quiet -c constraints.txt --editable .
 	@touch $@
 
 .venv/.dev: .venv/.base
-	@echo "Setting up .venv: PyTorch and what the tests need, about 1 GB more"
+	@echo "Setting up .venv: PyTorch and what the tests need, about 1.3 GB more"
 	@$(BIN)/python -m pip install $(TORCH)
 	@$(BIN)/python -m pip install --quiet -c constraints.txt --editable '.[dev]'
 	@touch $@

@@ -53,7 +53,7 @@ def atan2(y: Number, x: Number) -> Number:
         return math.atan2(y, x)
     if isinstance(y, np.ndarray) or isinstance(x, np.ndarray):
         return np.arctan2(y, x)
-    return y.atan2(x)
+    return (x.constant(y) if _is_float(y) else y).atan2(x)
 
 
 def where(condition: Any, a: Number, b: Number) -> Number:

@@ -206,6 +206,8 @@ class MmWaveLocEnv(gym.Env[NDArray[np.float32], np.int64]):
             raise ValueError(
                 f"episode {episode.name!r}: found no truth, which reward and metrics need"
             )
+        if self._axes == 2:
+            episode = episode.on_flat_ground(float(self._true_positions(episode)[0, 2]))
         self._engine.reset([episode])
         self._episode, self._over, self._steps = episode, False, 0
         self._history = np.empty((len(episode), self._engine.size))

@@ -5,7 +5,7 @@ over epochs, drawn from a simulation or taken from a recording. Everything downs
 both alike.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Protocol
 
@@ -106,6 +106,12 @@ class Episode:
     def has_truth(self) -> bool:
         """Whether errors, rewards and metrics can be computed."""
         return self.truth_position_m is not None
+
+    def on_flat_ground(self, height_m: float) -> "Episode":
+        """The same episode with the height known: z is that of the ground, vz is 0."""
+        mean = self.prior_mean.copy()
+        mean[2], mean[5] = height_m, 0.0
+        return replace(self, prior_mean=mean)
 
     def table(self, epochs: int) -> Array:
         """(epochs, columns) as the engine loads it; blank past the end of the episode.

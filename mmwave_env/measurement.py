@@ -23,7 +23,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from mmwave_env.arithmetic import PI, Matrix, Number, Vector, atan2, maximum, sqrt, wrap
+from mmwave_env.arithmetic import PI, Matrix, Number, Vector, atan2, maximum, sqrt, where, wrap
 
 SPEED_OF_LIGHT = 299_792_458.0  # m/s
 STATE = ("px", "py", "pz", "vx", "vy", "vz", "b")  # m, m/s, Hz
@@ -224,21 +224,26 @@ def doppler_group(
 
 
 def odometry_group(x: Vector, z: Vector, variance: Vector) -> Group:
-    """Speed |v| (m/s) and heading atan2(vy, vx) (rad) of the user's own odometry."""
+    """Speed |v| (m/s) and heading atan2(vy, vx) (rad) of the user's own odometry.
+
+    At rest, where a heading means nothing, it counts as 0.
+    """
     v = x[3:6]
     horizontal, speed = norms(v)
+    moving = horizontal > _SLOWEST_ODOMETRY
+    ahead = [where(moving, v[0], 1.0), where(moving, v[1], 0.0)]
     speed_inverse = 1.0 / maximum(speed, _SLOWEST_ODOMETRY)
     horizontal_inverse = 1.0 / maximum(horizontal, _SLOWEST_ODOMETRY)
     across = horizontal_inverse * horizontal_inverse
 
     def change(step: Vector) -> list[Number]:
         q = [v[i] + step[3 + i] for i in range(3)]
-        turn = atan2(q[1] * v[0] - q[0] * v[1], q[0] * v[0] + q[1] * v[1])
+        turn = atan2(q[1] * ahead[0] - q[0] * ahead[1], q[0] * ahead[0] + q[1] * ahead[1])
         return [norms(q)[1] - speed, turn]
 
     fixed = [0.0] * 3
     return Group(
-        innovation=[z[0] - speed, wrap(z[1] - atan2(v[1], v[0]))],
+        innovation=[z[0] - speed, wrap(z[1] - atan2(ahead[1], ahead[0]))],
         variance=variance,
         jacobian=[
             [*fixed, *(v[i] * speed_inverse for i in range(3)), 0.0],

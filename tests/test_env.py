@@ -490,8 +490,8 @@ def test_the_end_sums_up_the_steps(dt):
     assert found["smoothed_ate_m"] < found["ate_m"]
 
 
-def test_an_episode_without_truth_is_refused():
-    unknown = replace(draw(0), truth_position_m=None, truth_velocity_mps=None)
-    env = gym.make(ID, episodes=replay(unknown), **EKF)
+@pytest.mark.parametrize("unknown", ["truth_position_m", "truth_velocity_mps"])
+def test_an_episode_without_whole_truth_is_refused(unknown):
+    env = gym.make(ID, episodes=replay(replace(draw(0), **{unknown: None})), **EKF)
     with pytest.raises(ValueError, match="truth"):
         env.reset(seed=0)

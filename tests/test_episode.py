@@ -291,11 +291,6 @@ def test_a_number_that_is_none_is_refused_where_none_may_miss(episode, field, va
         replace(episode, **{field: damaged})
 
 
-def test_half_a_truth_is_no_truth(episode):
-    assert not replace(episode, truth_position_m=None, truth_velocity_mps=None).has_truth
-    assert not replace(episode, truth_velocity_mps=None).has_truth
-
-
 @pytest.mark.parametrize(
     ("changes", "field"),
     [({"dt": 0.0}, "dt"), ({"dt": -1.0}, "dt"), ({"dt": np.nan}, "dt"), ({"dt": np.inf}, "dt"),

@@ -11,6 +11,7 @@ nothing cancels in the CKF's covariance, which filterpy computes from raw second
 """
 
 from collections.abc import Callable, Sequence
+from functools import cache
 from typing import Any, NamedTuple, Protocol
 
 import numpy as np
@@ -291,7 +292,12 @@ def _passes(nis: float, g: int, layout: Layout, gate: Gate) -> bool:
     if gate.quantile is None or (is_link and (gate.robust or gate.force > 0.5)):
         return True
     rows = layout.groups[g]
-    return nis <= float(chi2.ppf(gate.quantile, rows.stop - rows.start))
+    return nis <= _threshold(gate.quantile, rows.stop - rows.start)
+
+
+@cache
+def _threshold(quantile: float, rows: int) -> float:
+    return float(chi2.ppf(quantile, rows))
 
 
 def _symmetric(P: Array) -> Array:

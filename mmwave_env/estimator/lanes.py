@@ -126,6 +126,11 @@ class Lanes:
     def __ge__(self, other: Any) -> Mask:
         return self._compare(">=", other)
 
+    def __eq__(self, other: object) -> bool:
+        raise _no_value("a comparison by ==")
+
+    __hash__ = None  # type: ignore[assignment]
+
     def _compare(self, op: str, other: Any) -> Mask:
         return Mask(self.builder, self.builder.fcmp_ordered(op, self.value, _lift(other)))
 
@@ -134,6 +139,10 @@ class Lanes:
 
     def __abs__(self) -> "Lanes":
         return self._call("fabs")
+
+    def constant(self, value: float) -> "Lanes":
+        """The same value in every lane."""
+        return Lanes(self.builder, _lift(value))
 
     def sqrt(self) -> "Lanes":
         """Square root per lane, correctly rounded."""
@@ -153,7 +162,8 @@ class Lanes:
         steep = ay > ax
         low, high = where(steep, ax, ay), where(steep, ay, ax)
         large = low > _TAN_PI_8 * high
-        q = where(large, low - high, low) / where(large, low + high, high)
+        over = where(large, low + high, high)
+        q = where(large, low - high, low) / where(over > 0.0, over, 1.0)  # 0 for (0, 0)
         z = q * q
         angle = q + q * z * polynomial(z, _ARCTAN)
         angle = where(large, angle + math.pi / 4, angle)
@@ -163,7 +173,7 @@ class Lanes:
         return result
 
     def log(self) -> "Lanes":
-        """Natural logarithm of positive normal numbers, by mantissa and exponent."""
+        """Natural logarithm of positive normal numbers, by mantissa and exponent; NaN of NaN."""
         b = self.builder
         bits = b.bitcast(self.value, _BITS)
         mantissa_bits = b.or_(b.and_(bits, _bits(0xFFFFFFFFFFFFF)), _bits(0x3FF0000000000000))
@@ -172,7 +182,7 @@ class Lanes:
         high = m > math.sqrt(2.0)
         m, e = where(high, 0.5 * m, m), where(high, e + 1.0, e)
         s = (m - 1.0) / (m + 1.0)
-        result: Lanes = e * math.log(2.0) + 2.0 * s * polynomial(s * s, _ATANH)
+        result: Lanes = e * math.log(2.0) + 2.0 * s * polynomial(s * s, _ATANH) + (self - self)
         return result
 
     def exp(self) -> "Lanes":

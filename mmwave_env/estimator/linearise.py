@@ -56,6 +56,13 @@ class SigmaPoints:
                 f"alpha, kappa: found {self.alpha}, {self.kappa}, expected alpha > 0 and "
                 f"kappa > -{STATE_SIZE}"
             )
+        spread = self.alpha**2 * (STATE_SIZE + self.kappa)
+        if not spread + STATE_SIZE * (self.beta - self.alpha**2) >= 0.0:
+            raise ValueError(
+                f"beta: found {self.beta}, expected at least "
+                f"{self.alpha**2 - spread / STATE_SIZE:g} for alpha {self.alpha} and kappa "
+                f"{self.kappa}, or the curvature has no covariance"
+            )
 
     @property
     def reach(self) -> float:

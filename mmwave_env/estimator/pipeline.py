@@ -138,7 +138,8 @@ class Pipeline(NamedTuple):
     Attributes:
         modes: the modes to choose from.
         layout: rows of the measurement vector.
-        planar: flat terrain: z and vz stay at their prior values (paper, Sec. II-A).
+        planar: flat terrain: z and vz stay at their prior values (paper, Sec. II-A). Sigma
+            points keep the spacing of seven state components.
         predict, update: the filter at work; replaced by the filterpy twin.
     """
 
@@ -235,6 +236,7 @@ def consider(
     x_predicted, P_predicted = pipeline.predict(
         mode, x, unpack(P, zero=pipeline.pinned), noise, epoch.dt
     )
+    x_predicted = [x[i] if i in pipeline.pinned else v for i, v in enumerate(x_predicted)]
     if mode.widen_p or mode.widen_v:
         widening = [mode.widen_p**2] * 3 + [mode.widen_v**2] * 3 + [0.0]
         P_predicted = [

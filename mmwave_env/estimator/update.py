@@ -10,6 +10,7 @@ from mmwave_env.estimator.algebra import cholesky, dot, forward, symmetric
 from mmwave_env.estimator.linearise import Latents, Linearisation, SigmaPoints, Tangent
 from mmwave_env.measurement import STATE_SIZE, Group, Measurement, groups_of
 
+_GROUPS_PER_LOG = 8  # determinants multiplied before their log is taken: few enough for doubles
 ROBUST_ONSET = 1.5  # a group's NIS over its dimension from which a robust update doubts it
 
 
@@ -134,7 +135,7 @@ def _judge(
     layout = measurement.layout
     nis, accepted, noise = [], [], []
     density: Number = 1.0
-    exponent: Number = 0.0
+    likelihood: Number = 0.0
     for g, (group, visible) in enumerate(zip(groups, measurement.visible, strict=True)):
         rows = layout.groups[g].stop - layout.groups[g].start
         is_link = g < layout.anchors
@@ -142,10 +143,12 @@ def _judge(
         nis.append(value)
         accepted.append(_accept(value, rows, visible, gate, is_link))
         density = density * where(visible > 0.5, determinant, 1.0)
-        exponent = exponent + visible * value
+        likelihood = likelihood - 0.5 * (visible * value)
+        if g % _GROUPS_PER_LOG == _GROUPS_PER_LOG - 1 or g == len(groups) - 1:
+            likelihood, density = likelihood - 0.5 * log(density), 1.0
         doubt = _doubt(value, rows) if gate.robust and is_link else 1.0
         noise.append([v * doubt for v in group.variance])
-    return _Verdict(nis, accepted, noise, -0.5 * (exponent + log(density)))
+    return _Verdict(nis, accepted, noise, likelihood)
 
 
 def _inform(

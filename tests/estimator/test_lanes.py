@@ -111,7 +111,6 @@ class TestElementaryFunctions:
         y = np.array([1e-300, -1e-300, 1e-17, -1e-17])
         close(on_lanes(atan2, y, -1.0), [math.pi, -math.pi, math.pi, -math.pi])
 
-    @pytest.mark.xfail(reason="Lanes.atan2 divides 0 by 0")
     def test_atan2_of_nothing_is_zero(self):
         assert on_lanes(atan2, [0.0], [0.0]) == math.atan2(0.0, 0.0)
 
@@ -261,7 +260,6 @@ def test_odometry_on_lanes_equals_odometry_on_floats(planar):
     assert_same_tracks(*lanes_and_floats(pipeline, episodes, np.arange(3)))
 
 
-@pytest.mark.xfail(reason="the heading of a velocity of exactly zero: NaN on lanes")
 def test_a_user_at_rest_with_odometry_starts_on_lanes_as_on_floats():
     episodes = [
         replace(e, prior_mean=e.prior_mean * [1, 1, 1, 0, 0, 0, 1])

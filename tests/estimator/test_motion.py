@@ -90,7 +90,6 @@ def test_what_is_known_exactly_stays_known():
     assert not predicted[[2, 5]].any()
 
 
-@pytest.mark.xfail(reason="z drifts with the vertical velocity that the prior was drawn with")
 def test_flat_terrain_keeps_height_and_climb_at_their_prior_values():
     episodes = simulated(2, epochs=30)
     x = track(pipeline_of(planar=True), episodes, 0, 30, ("x",), on_floats=True)["x"]
