@@ -14,8 +14,8 @@ from typing import Any
 
 import gymnasium as gym
 import numpy as np
-import tyro
 
+from experiments.cli import run
 from experiments.evaluation import draw_episodes
 from experiments.files import write_json
 from mmwave_env.engine import Engine
@@ -145,4 +145,4 @@ def main(args: Args) -> None:
 
 
 if __name__ == "__main__":
-    main(tyro.cli(Args))
+    run("benchmark")

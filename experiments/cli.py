@@ -3,9 +3,12 @@
 import importlib
 import sys
 import warnings
+from collections.abc import Sequence
 from typing import Any
 
 import tyro
+
+from experiments.files import require_writable
 
 COMMANDS = {
     "evaluate": "one policy, its metrics with intervals",
@@ -20,26 +23,38 @@ def _show_warning(message: Warning | str, *_: Any, **__: Any) -> None:
     print(f"warning: {message}", file=sys.stderr)
 
 
-def main() -> None:
-    """Run a command; bad input ends with one line and exit code 2."""
+def run(name: str, arguments: Sequence[str] | None = None) -> None:
+    """Run one command; bad input ends with one line and exit code 2.
+
+    Args:
+        name: of the command.
+        arguments: its options; None for those the program was started with.
+    """
     warnings.showwarning = _show_warning
+    command = importlib.import_module(f"experiments.{name.replace('-', '_')}")
+    args = tyro.cli(command.Args, args=arguments, prog=f"mmwave-loc {name}")
+    try:
+        if args.json is not None:
+            require_writable(args.json)
+        command.main(args)
+    except (ValueError, OSError) as error:
+        print(f"mmwave-loc {name}: {error}", file=sys.stderr)
+        sys.exit(2)
+
+
+def main() -> None:
+    """The program: the first argument names the command."""
     arguments = sys.argv[1:]
     if not arguments or arguments[0] in ("-h", "--help"):
         print("usage: mmwave-loc <command> [options]; --help after a command lists its options\n")
         for name, what in COMMANDS.items():
             print(f"  {name:16} {what}")
         sys.exit(0 if arguments else 2)
-    name = arguments[0]
-    if name not in COMMANDS:
-        print(f"command: found {name!r}, expected one of {', '.join(COMMANDS)}", file=sys.stderr)
+    if arguments[0] not in COMMANDS:
+        known = ", ".join(COMMANDS)
+        print(f"command: found {arguments[0]!r}, expected one of {known}", file=sys.stderr)
         sys.exit(2)
-    command = importlib.import_module(f"experiments.{name.replace('-', '_')}")
-    args = tyro.cli(command.Args, args=arguments[1:], prog=f"mmwave-loc {name}")
-    try:
-        command.main(args)
-    except (ValueError, OSError) as error:
-        print(f"mmwave-loc {name}: {error}", file=sys.stderr)
-        sys.exit(2)
+    run(arguments[0], arguments[1:])
 
 
 if __name__ == "__main__":

@@ -3,8 +3,7 @@
 from dataclasses import dataclass
 from pathlib import Path
 
-import tyro
-
+from experiments.cli import run
 from experiments.compare import DEFAULT
 from experiments.evaluation import compare, evaluate
 from experiments.files import write_json, write_text
@@ -23,13 +22,15 @@ class Args:
     """draws of receiver noise on each ray-traced scenario"""
     out: Path = Path("results")
     """folder for tables.md and one JSON file a comparison"""
+    json: Path | None = None
+    """write all comparisons to one file, too"""
 
 
 def main(args: Args) -> None:
     """Run the command."""
     runs = [EpisodeArgs(episodes=args.episodes)]
     runs += [EpisodeArgs(data=name, episodes=args.draws) for name in sample_names()]
-    tables = []
+    tables, everything = [], {}
     for one in runs:
         source = one.source()
         scores = evaluate(DEFAULT, source, one.radio, one.episodes, one.seed)
@@ -38,10 +39,13 @@ def main(args: Args) -> None:
         )
         show(result)
         tables.append(markdown(result))
+        everything[source.name] = result.json
         write_json(args.out / f"{source.name}.json", result.json)
     write_text(args.out / "tables.md", "\n".join(tables))
+    if args.json:
+        write_json(args.json, everything)
     print(f"written to {args.out}/")
 
 
 if __name__ == "__main__":
-    main(tyro.cli(Args))
+    run("demo")

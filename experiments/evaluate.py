@@ -2,8 +2,7 @@
 
 from dataclasses import dataclass
 
-import tyro
-
+from experiments.cli import run
 from experiments.evaluation import compare, evaluate
 from experiments.files import write_json
 from experiments.options import EpisodeArgs
@@ -32,4 +31,4 @@ def main(args: Args) -> None:
 
 
 if __name__ == "__main__":
-    main(tyro.cli(Args))
+    run("evaluate")

@@ -16,6 +16,7 @@ from mmwave_env.engine import Engine, ImmEngine
 from mmwave_env.episode import Episode, EpisodeSource
 from mmwave_env.estimator.modes import Mode, default_modes, named_modes
 from mmwave_env.estimator.pipeline import Pipeline
+from mmwave_env.measurement import Layout
 from mmwave_env.metrics import METRICS, summary
 from mmwave_env.names import choose
 from mmwave_env.observation import Observation
@@ -50,6 +51,10 @@ class Contender:
     name: str
     modes: tuple[Mode, ...]
     policy: Callable[[Observation], Policy] | None
+
+    def start(self, layout: Layout) -> Policy | None:
+        """A new policy for measurements of a layout; None for the IMM."""
+        return self.policy and self.policy(Observation(Pipeline(self.modes, layout)))
 
 
 def contenders(radio: str) -> dict[str, Contender]:
@@ -87,13 +92,18 @@ def draw_episodes(source: EpisodeSource, seeds: Sequence[int]) -> list[Episode]:
     return [source.sample(np.random.default_rng(seed)) for seed in seeds]
 
 
-def run(contender: Contender, episodes: Sequence[Episode], reward: Reward | None = None) -> Scores:
-    """Run a contender through episodes of one length; metrics per episode."""
+def score(
+    contender: Contender,
+    policy: Policy | None,
+    episodes: Sequence[Episode],
+    reward: Reward | None = None,
+) -> Scores:
+    """Metrics per episode of a contender and its policy, on episodes of one length."""
     reward = reward or TrackingReward()
     pipeline = Pipeline(contender.modes, episodes[0].layout)
     n, T = len(episodes), len(episodes[0])
     rewards, errors, nees = np.empty((n, T)), np.empty((n, T, 3)), np.empty((n, T))
-    if contender.policy is None:
+    if policy is None:
         imm = ImmEngine(pipeline, n, reward)
         imm.reset(episodes)
         for t in range(T):
@@ -103,7 +113,6 @@ def run(contender: Contender, episodes: Sequence[Episode], reward: Reward | None
             errors[:, t] = imm.read(imm.at.error)
     else:
         engine = Engine(pipeline, n, reward)
-        policy = contender.policy(engine.observation)
         engine.reset(episodes)
         policy.reset(np.ones(n, bool))
         for t in range(T):
@@ -125,6 +134,7 @@ def evaluate(
     if episodes < 1:
         raise ValueError(f"episodes: found {episodes}, expected at least 1")
     chosen = [contender_from(name, radio) for name in names]
+    policies = [contender.start(source.layout) for contender in chosen]
     parts: dict[str, list[Scores]] = {c.name: [] for c in chosen}
     with Progress(transient=True) as progress:
         task = progress.add_task(source.name, total=episodes * (1 + len(chosen)))
@@ -134,8 +144,8 @@ def evaluate(
             for one in seeds:
                 batch += draw_episodes(source, [one])
                 progress.advance(task)
-            for contender in chosen:
-                parts[contender.name].append(run(contender, batch))
+            for contender, policy in zip(chosen, policies, strict=True):
+                parts[contender.name].append(score(contender, policy, batch))
                 progress.advance(task, len(batch))
     return {
         name: {m: np.concatenate([part[m] for part in scores]) for m in METRICS}

@@ -7,6 +7,19 @@ from pathlib import Path
 from typing import Any
 
 
+def require_writable(path: Path) -> None:
+    """Find out before a long run whether its result can be written; makes folders on the way.
+
+    Raises:
+        OSError: it can't.
+    """
+    path.parent.mkdir(parents=True, exist_ok=True)
+    if path.is_dir():
+        raise IsADirectoryError(f"{path}: found a folder, expected a file to write")
+    with tempfile.TemporaryFile(dir=path.parent):
+        pass
+
+
 def write_text(path: Path, text: str) -> None:
     """Write a file in one step; folders on the way are made."""
     path.parent.mkdir(parents=True, exist_ok=True)

@@ -1,13 +1,26 @@
 """What the commands that run episodes have in common."""
 
-from dataclasses import dataclass
+import shlex
+from dataclasses import dataclass, fields
 from pathlib import Path
+from typing import Any
 
 from mmwave_env.episode import EpisodeSource, SimulatedSource
 from mmwave_env.io.samples import recording_from
 from mmwave_env.radio import radio_from
 from mmwave_env.recording import RecordedSource
 from mmwave_env.scene import scene_from
+
+
+def command_line(name: str, args: Any) -> str:
+    """The command that a dataclass of arguments stands for, defaults left out."""
+    words = ["mmwave-loc", name]
+    for field in fields(args):
+        value = getattr(args, field.name)
+        if value != field.default:
+            values = value if isinstance(value, tuple) else (value,)
+            words += [f"--{field.name.replace('_', '-')}", *map(str, values)]
+    return shlex.join(words)
 
 
 @dataclass

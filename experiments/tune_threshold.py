@@ -1,16 +1,15 @@
 """mmwave-loc tune-threshold: the best threshold of the speed rule, on tuning seeds."""
 
-import shlex
-import sys
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 
 import numpy as np
-import tyro
 
-from experiments.evaluation import bootstrap, contender_from, draw_episodes, run
+from experiments.cli import run
+from experiments.evaluation import bootstrap, contender_from, draw_episodes, score
 from experiments.files import write_json
+from experiments.options import command_line
 from mmwave_env.episode import SimulatedSource
 from mmwave_env.radio import RADIOS, radio_from
 from mmwave_env.scene import scene_from
@@ -50,7 +49,7 @@ def main(args: Args) -> None:
         rewards = []
         for threshold in args.thresholds:
             tried = replace(rule, policy=partial(SpeedRule, threshold=threshold))
-            rewards.append(run(tried, episodes)["reward"])
+            rewards.append(score(tried, tried.start(source.layout), episodes)["reward"])
         intervals = bootstrap(np.stack(rewards, axis=1))
         best = int(np.argmax([i.mean for i in intervals]))
         for i, (threshold, interval) in enumerate(zip(args.thresholds, intervals, strict=True)):
@@ -60,10 +59,10 @@ def main(args: Args) -> None:
             "reward": {f"{t:g}": i.json for t, i in zip(args.thresholds, intervals, strict=True)},
         }
     if args.json:
-        command = "mmwave-loc tune-threshold " + shlex.join(sys.argv[2:])
+        command = command_line("tune-threshold", args)
         what = {"scenario": args.scenario, "episodes": args.episodes, "seed": args.seed}
         write_json(args.json, {"command": command, **what, "radios": radios})
 
 
 if __name__ == "__main__":
-    main(tyro.cli(Args))
+    run("tune-threshold")

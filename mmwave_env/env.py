@@ -162,7 +162,10 @@ class MmWaveLocEnv(gym.Env[NDArray[np.float32], np.int64]):
                 odometry,
             )
         else:
-            for name, value in (("scenario", scenario), ("scene", scene), ("dt", dt)):
+            brought = {
+                "scenario": scenario, "scene": scene, "dt": dt, "odometry": odometry or None,
+            }  # fmt: skip
+            for name, value in brought.items():
                 if value is not None:
                     raise ValueError(f"{name}: found {value!r}, but recorded episodes= bring it")
             self.source = (
@@ -171,8 +174,8 @@ class MmWaveLocEnv(gym.Env[NDArray[np.float32], np.int64]):
                 else episodes
             )
         self.reward = reward_from(reward)
-        self._worst = getattr(self.reward, "worst", None) if terminate_on_divergence else None
-        if terminate_on_divergence and self._worst is None:
+        worst = getattr(self.reward, "worst", None) if terminate_on_divergence else None
+        if terminate_on_divergence and worst is None:
             raise ValueError("terminate_on_divergence: the reward needs an attribute `worst`")
         choose(BACKENDS, backend, "backend")
         pipeline = Pipeline(modes_from(modes, self.radio.name), self.source.layout, planar)
@@ -182,6 +185,8 @@ class MmWaveLocEnv(gym.Env[NDArray[np.float32], np.int64]):
             pipeline = filterpy_pipeline(pipeline)
         self._engine = Engine(pipeline, 1, self.reward, observation, backend == "filterpy")
         self.modes, self.observation = pipeline.modes, self._engine.observation
+        dearest = max(mode.cost for mode in self.modes)
+        self._worst = None if worst is None else worst - dearest
         self.observation_space = cast(Any, self.observation.space)
         self.action_space = spaces.Discrete(len(self.modes))
         self._axes = len(pipeline.position_axes)
@@ -202,7 +207,7 @@ class MmWaveLocEnv(gym.Env[NDArray[np.float32], np.int64]):
         """Draw an episode; the same seed gives the same one. See Gymnasium's `Env.reset`."""
         super().reset(seed=seed, options=options)
         episode = self.source.sample(self.np_random)
-        if not episode.has_truth:
+        if episode.truth_position_m is None or episode.truth_velocity_mps is None:
             raise ValueError(
                 f"episode {episode.name!r}: found no truth, which reward and metrics need"
             )

@@ -76,9 +76,15 @@ class Episode:
         if T < 1 or not (np.diff(self.time_s) > 0.0).all():
             self._refuse("time_s", "times that do not increase", "at least one, increasing")
         if not (self.sigma > 0.0).all():
-            self._refuse("sigma", f"{np.nanmin(self.sigma)}", "> 0 everywhere")
-        if not np.isfinite(self.prior_mean).all():
-            self._refuse("prior_mean", f"{self.prior_mean}", "finite numbers")
+            wrong = self.sigma[~(self.sigma > 0.0)]
+            self._refuse("sigma", f"{wrong[0]}", "> 0 everywhere")
+        for field in (
+            "scene_anchors_m", "doppler_spread_hz", "prior_mean", "truth_position_m",
+            "truth_velocity_mps",
+        ):  # fmt: skip
+            value = getattr(self, field)
+            if value is not None and not np.isfinite(value).all():
+                self._refuse(field, "NaN or infinity", "finite numbers")
         P = self.prior_covariance
         if not (np.allclose(P, P.T) and np.linalg.eigvalsh(P)[0] > 0.0):
             self._refuse("prior_covariance", f"{P.tolist()}", "a positive definite matrix")

@@ -15,6 +15,7 @@ from mmwave_env.names import choose
 from mmwave_env.scene import Streets
 
 FINEST_STEP_S = 0.1
+STOPPING_S = 5.0  # what a ride takes to stop before its passenger walks on
 Range = tuple[float, float]
 Array = NDArray[np.float64]
 
@@ -132,7 +133,7 @@ def trajectory(
     ends = np.cumsum([rng.uniform(*p.duration_s) if np.isfinite(p.duration_s[0]) else np.inf
                       for p in phases])  # fmt: skip
     if mobility.ends_as_it_began:
-        ends[-1] = epochs * dt - rng.uniform(*phases[0].duration_s)
+        ends[-1] = epochs * dt - rng.uniform(*phases[0].duration_s) - STOPPING_S
         phases, ends = (*phases, phases[0]), np.append(ends, np.inf)
     limits = np.array([
         [rng.uniform(*p.limits.acceleration_mps2), rng.uniform(*p.limits.braking_mps2),
@@ -186,6 +187,14 @@ def _draw_turn(rng, node, heading, counts):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(cache=True)
+def _draw_start(rng, counts):  # type: ignore[no-untyped-def]
+    """A crossing to start at, and a heading that leads somewhere."""
+    node = np.array([int(rng.random() * (counts[0] + 1)), int(rng.random() * (counts[1] + 1))])
+    heading = int(rng.random() * 4)
+    return node, (heading + _draw_turn(rng, node, heading, counts)) % 4
+
+
+@numba.njit(cache=True)
 def _draw_crossing(rng, node, heading, counts, limits):  # type: ignore[no-untyped-def]
     """Move ``node`` to the next crossing; what to do there: the turn, and seconds of red light."""
     node[0] += 1 if heading == 0 else -1 if heading == 2 else 0
@@ -214,12 +223,27 @@ def _pull(v, a, target, limits, cap, left):  # type: ignore[no-untyped-def]
 @numba.njit(cache=True)
 def _drive(v, a, target, limits, turn, red, radius, left):  # type: ignore[no-untyped-def]
     """Wanted acceleration with a crossing ``left`` metres ahead."""
+    if turn != 0 and left <= 0.0:  # on the arc
+        target = min(target, np.sqrt(limits[2] * radius))
     pull = _pull(v, a, target, limits, np.inf, 0.0)
     if turn != 0:
         pull = min(pull, _pull(v, a, target, limits, np.sqrt(limits[2] * radius), left))
     if red > 0.0 and left > 0.0:
         pull = min(pull, _pull(v, a, target, limits, 0.0, max(left - 1.0, 0.0)))
     return pull
+
+
+@numba.njit(cache=True)
+def _within_jerk(a, pull, most):  # type: ignore[no-untyped-def]
+    """The acceleration, moved towards the wanted one by no more than ``most``."""
+    return a + min(max(pull - a, -most), most)
+
+
+@numba.njit(cache=True)
+def _speed_up(v, a, step):  # type: ignore[no-untyped-def]
+    """Speed a step on, never backwards, and the acceleration: none into standing still."""
+    faster = max(v + a * step, 0.0)
+    return faster, a if faster > 0.0 else max(a, 0.0)
 
 
 @numba.njit(cache=True)
@@ -232,7 +256,7 @@ def _course(heading, turn, bent, arc):  # type: ignore[no-untyped-def]
 @numba.njit(cache=True)
 def _widen(turn, travelled, stretch, arc, radius, wanted):  # type: ignore[no-untyped-def]
     """Corner radius, straight stretch and arc ahead, for another radius if there is room."""
-    if turn == 0 or stretch - travelled <= wanted - radius + 1.0:
+    if turn == 0 or stretch - travelled <= max(wanted - radius, -1.0) + 1.0:
         return radius, stretch, arc
     return wanted, stretch - (wanted - radius), abs(turn) * (np.pi / 2) * wanted
 
@@ -243,13 +267,12 @@ def _travel(  # type: ignore[no-untyped-def]
 ):
     """x, y, vx, vy (epochs, 4) of one traveller; arguments as :func:`trajectory` makes them."""
     out = np.empty((epochs, 4))
-    node = np.array([int(rng.random() * (counts[0] + 1)), int(rng.random() * (counts[1] + 1))])
-    heading = int(rng.random() * 4)
-    heading = (heading + _draw_turn(rng, node, heading, counts)) % 4
+    node, heading = _draw_start(rng, counts)
     along = origin + block * node
     phase = 0
     target, gait_left = _draw_gait(rng, gaits[0])
-    v, a = target * rng.random(), 0.0
+    v, a = 0.6 * target * rng.random(), 0.0  # slow enough for the first corner
+    stopping = False  # to change over to the next phase
     # The way ahead is a straight stretch, then an arc over a crossing (none if turn is 0);
     # the crossing after that is known too, for braking over a crossing that is driven straight.
     travelled, stretch, arc, turn, red = 0.0, 0.0, 0.0, 0, 0.0
@@ -259,10 +282,14 @@ def _travel(  # type: ignore[no-untyped-def]
         if k % stride == 0:
             angle = _course(heading, turn, travelled - stretch, arc)
             out[k // stride] = along[0], along[1], v * np.cos(angle), v * np.sin(angle)
-        if k * step >= ends[phase]:
-            target, gait_left = 0.0, 1.0  # stop the ride before walking on
-            if v <= 2.0:
-                phase, gait_left = phase + 1, 0.0
+        if k * step >= ends[phase] and not stopping:
+            # Where the next phase needs a wider corner than there is room for: first round it.
+            wider = limits[phase + 1, 4] - radius
+            stopping = turn == 0 or stretch - travelled > wider + 4.0
+        if stopping:
+            target, gait_left = 0.0, 1.0
+            if v <= 0.1:
+                stopping, phase, gait_left = False, phase + 1, 0.0
                 radius, stretch, arc = _widen(
                     turn, travelled, stretch, arc, radius, limits[phase, 4]
                 )
@@ -287,11 +314,8 @@ def _travel(  # type: ignore[no-untyped-def]
             pull = min(pull, then)
         if v < 0.3 and left < 3.0:
             red -= step
-        jerk = limits[phase, 3]
-        a += min(max(pull - a, -jerk * step), jerk * step)
-        faster = max(v + a * step, 0.0)
-        if faster == 0.0:
-            a = max(a, 0.0)
+        a = _within_jerk(a, pull, limits[phase, 3] * step)
+        faster, a = _speed_up(v, a, step)
         moved = 0.5 * (v + faster) * step
         angle = _course(heading, turn, travelled + 0.5 * moved - stretch, arc)
         along[0] += moved * np.cos(angle)

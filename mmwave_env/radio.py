@@ -131,9 +131,17 @@ class Radio:
                 raise ValueError(
                     f"{field} of radio {self.name!r}: found {getattr(self, field)}, expected >= 0"
                 )
-        if not all(floor > 0.0 for floor in self.range_floor_m):
+        for field, least in (("range_floor_m", "> 0"), ("multipath_range_m", ">= 0")):
+            pair = getattr(self, field)
+            bounded = all(v > 0.0 if least == "> 0" else v >= 0.0 for v in pair)
+            if len(pair) != 2 or not bounded:
+                raise ValueError(
+                    f"{field} of radio {self.name!r}: found {pair}, expected two numbers {least}"
+                )
+        if not 0.0 <= self.shadowing_correlation <= 1.0:
             raise ValueError(
-                f"range_floor_m of radio {self.name!r}: found {self.range_floor_m}, expected > 0"
+                f"shadowing_correlation of radio {self.name!r}: found "
+                f"{self.shadowing_correlation}, expected a number in [0, 1]"
             )
 
     @property

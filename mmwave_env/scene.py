@@ -31,8 +31,10 @@ class Wall:
     offset_m: float
 
     def __post_init__(self) -> None:
-        if not np.hypot(*self.normal) > 0.0:
+        if not 0.0 < np.hypot(*self.normal) < np.inf:
             raise ValueError(f"normal: found {self.normal}, expected a direction")
+        if not np.isfinite(self.offset_m):
+            raise ValueError(f"offset_m: found {self.offset_m}, expected a number")
 
     def mirror(self, point: Point) -> Point:
         """The mirror image of a point."""
@@ -60,10 +62,20 @@ class Streets:
 
     def __post_init__(self) -> None:
         for name, extent in (("x_m", self.x_m), ("y_m", self.y_m)):
-            if extent[1] < extent[0]:
+            if len(extent) != 2 or not -np.inf < extent[0] <= extent[1] < np.inf:
                 raise ValueError(f"{name}: found {extent}, expected (low, high)")
         if not self.block_m > 0.0:
             raise ValueError(f"block_m: found {self.block_m}, expected > 0")
+        for name, extent in (("x_m", self.x_m), ("y_m", self.y_m)):
+            blocks = (extent[1] - extent[0]) / self.block_m
+            if abs(blocks - round(blocks)) > 1e-6:
+                raise ValueError(
+                    f"{name}: found {extent}, expected a whole number of blocks of {self.block_m} m"
+                )
+        if self.x_m[0] == self.x_m[1] and self.y_m[0] == self.y_m[1]:
+            raise ValueError(f"x_m, y_m: found {self.x_m}, {self.y_m}, expected a street")
+        if not np.isfinite(self.height_m):
+            raise ValueError(f"height_m: found {self.height_m}, expected a number")
 
 
 @dataclass(frozen=True)
@@ -87,6 +99,8 @@ class Scene:
     bandwidth_hz: float = 100e6
 
     def __post_init__(self) -> None:
+        if len(self.base_station_m) != 3 or not np.isfinite(self.base_station_m).all():
+            raise ValueError(f"base_station_m: found {self.base_station_m}, expected x, y, z")
         if not self.carrier_hz > 0.0 or not self.bandwidth_hz > 0.0:
             raise ValueError(
                 f"carrier_hz, bandwidth_hz: found {self.carrier_hz}, {self.bandwidth_hz}, "

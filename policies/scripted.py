@@ -83,7 +83,8 @@ class SpeedRule:
                 f"(up to {DESIGN_LIMIT_MPS:g} m/s); keeping mode 1",
                 stacklevel=2,
             )
-        return (speed > self.threshold).astype(np.int64)
+        # An observation is float32: a speed at the threshold may read a rounding above it.
+        return (speed > self.threshold * (1.0 + 1e-6)).astype(np.int64)
 
 
 class LikelihoodRule:

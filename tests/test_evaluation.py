@@ -17,7 +17,7 @@ from experiments.evaluation import (
     draw_episodes,
     evaluate,
     references,
-    run,
+    score,
 )
 from mmwave_env.episode import SimulatedSource
 from mmwave_env.metrics import METRICS
@@ -136,7 +136,7 @@ def assert_equal(found, expected):
 def test_the_batch_scores_what_stepping_one_environment_scores():
     seeds = range(3)
     contender = contender_from("speed-rule", "handset")
-    found = run(contender, draw_episodes(SOURCE, seeds))
+    found = score(contender, contender.start(SOURCE.layout), draw_episodes(SOURCE, seeds))
     env = gym.make("MmWaveLoc-v0")
     policy = contender.policy(env.unwrapped.observation)
     for e, seed in enumerate(seeds):
