@@ -37,7 +37,7 @@ gymnasium-oldest: .venv-oldest/.ready ## the environment on the oldest Gymnasium
 	.venv-oldest/bin/python -m pytest -m "not slow and not torch" tests/test_env.py
 
 clean: ## remove environments, caches and build outputs; results/ and runs/ stay
-	rm -rf .venv .venv-oldest build dist *.egg-info .coverage coverage.xml
+	rm -rf .venv .venv-oldest build dist *.egg-info .coverage .coverage.* coverage.xml
 	rm -rf .pytest_cache .mypy_cache .ruff_cache .hypothesis
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +
 

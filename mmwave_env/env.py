@@ -1,5 +1,6 @@
 """The environment: ``gymnasium.make("MmWaveLoc-v0")``."""
 
+import inspect
 import os
 from collections.abc import Sequence
 from typing import Any, cast
@@ -331,11 +332,12 @@ class MmWaveLocEnv(gym.Env[NDArray[np.float32], np.int64]):
         }
 
 
-def _with_table(docstring: str | None) -> str | None:
+def _with_table(docstring: str) -> str:
     """The docstring with the observation table of the default environment in it."""
     source = SimulatedSource(scene_from("street"), radio_from("handset"))
     table = Observation(Pipeline(modes_from(None), source.layout)).table()
-    return docstring and docstring.replace("{table}", table.replace("\n", "\n    "))
+    return inspect.cleandoc(docstring).replace("{table}", table)
 
 
-MmWaveLocEnv.__doc__ = _with_table(MmWaveLocEnv.__doc__)
+if MmWaveLocEnv.__doc__ is not None:  # python -OO drops docstrings
+    MmWaveLocEnv.__doc__ = _with_table(MmWaveLocEnv.__doc__)

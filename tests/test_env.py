@@ -395,7 +395,7 @@ def test_odometry_adds_a_group():
 def test_odometry_helps():
     errors = {}
     for odometry in (False, True):
-        env = gym.make(ID, odometry=odometry, scenario="vehicle", **EKF)
+        env = gym.make(ID, odometry=odometry, scenario="vehicle", modes=["ukf"])
         errors[odometry] = np.mean([roll(env, seed)[-1][-1]["ate_m"] for seed in range(20)])
     assert errors[True] < errors[False]
 
@@ -424,7 +424,7 @@ def test_failing_never_beats_surviving(cost, drift_mps):
         sum(reward for _, reward, *_ in roll(gym.make(ID, episodes=source, modes=modes, **end)))
         for end in ({"terminate_on_divergence": True}, {})
     ]
-    assert returns[0] <= returns[1]
+    assert returns[0] <= returns[1] + 1e-9  # rounding of sums of 200
 
 
 def test_divergence_in_the_last_epoch_pays_nothing_more():
