@@ -25,8 +25,9 @@ from mmwave_env.estimator.batch import blank_incoming, blank_site
 from mmwave_env.estimator.belief import Belief
 from mmwave_env.estimator.filterpy_twin import filterpy_pipeline
 from mmwave_env.estimator.modes import default_modes
-from mmwave_env.estimator.pipeline import Pipeline, consider, start
+from mmwave_env.estimator.pipeline import Pipeline, measurement_of, process_noise, start
 from mmwave_env.estimator.trees import rebuild
+from mmwave_env.estimator.update import Gate
 from mmwave_env.radio import radio_from
 from mmwave_env.reward import TrackingReward
 from mmwave_env.scene import scene_from
@@ -47,19 +48,37 @@ class Args:
 
 
 def filterpy_steps(pipeline: Pipeline, episodes: list[Episode]) -> Iterator[int]:
-    """Steps of a loop on filterpy's filters: both modes considered, the second one kept."""
+    """Steps of a loop on filterpy's filters: both modes considered, the second one kept.
+
+    Measurements and process noise are made ready beforehand: the loop is filterpy's alone.
+    """
     twin, reward, memory = filterpy_pipeline(pipeline), TrackingReward(), start(pipeline)
-    layout = pipeline.layout
+    layout, gate = pipeline.layout, Gate(0.99)
+    runs = []
+    for episode in episodes:
+        site = rebuild(blank_site(layout), iter(episode.site().tolist()))
+        epochs = []
+        for row in episode.table(len(episode)).tolist():
+            epoch, truth = rebuild(blank_incoming(layout), iter(row))
+            work = [
+                (
+                    mode,
+                    process_noise(mode, epoch, site.hz_per_mps, 1.0, False),
+                    measurement_of(mode, memory, epoch, site, layout),
+                )
+                for mode in pipeline.modes
+            ]
+            epochs.append((epoch.dt, truth, work))
+        runs.append((site, epochs))
     while True:
-        for episode in episodes:
-            site = rebuild(blank_site(layout), iter(episode.site().tolist()))
-            x, P = site.prior_x, site.prior_P
-            for row in episode.table(len(episode)).tolist():
-                incoming = rebuild(blank_incoming(layout), iter(row))
-                for mode in pipeline.modes:
-                    candidate = consider(twin, mode, x, P, memory, incoming.epoch, site)
-                x, P = candidate.x, candidate.P
-                reward(Belief(x, unpack(P)), incoming.truth)
+        for site, epochs in runs:
+            x, P = site.prior_x, unpack(site.prior_P)
+            for dt, truth, work in epochs:
+                for mode, noise, measurement in work:
+                    prior = twin.predict(mode, x, P, noise, dt)
+                    posterior = twin.update(mode)(*prior, measurement, gate)
+                x, P = posterior.x, posterior.P
+                reward(Belief(x, P), truth)
                 yield 1
 
 

@@ -18,6 +18,7 @@ crosses the cut of an angle.
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -62,7 +63,7 @@ class Layout:
         """Rows of an anchor's link, counted from 0."""
         return slice(4 * anchor, 4 * anchor + 4)
 
-    @property
+    @cached_property
     def groups(self) -> list[slice]:
         """Rows of each group, in order: links, Doppler, odometry."""
         rows = [self.link(a) for a in range(self.anchors)]
@@ -77,7 +78,7 @@ class Layout:
         names = [f"anchor {a + 1}" for a in range(self.anchors)]
         return names + ["Doppler"] + ["odometry"] * self.odometry
 
-    @property
+    @cached_property
     def angles(self) -> list[int]:
         """Rows that are angles, whose differences wrap."""
         rows = [4 * a + i for a in range(self.anchors) for i in (1, 2, 3)]

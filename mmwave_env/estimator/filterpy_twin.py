@@ -261,29 +261,35 @@ def _filter_of(mode: Mode) -> _Filter:
 def _update(
     filter_: _Filter, x: Array, P: Array, measurement: Measurement, gate: Gate
 ) -> Posterior:
-    """Gate every group on the innovation of all rows at the prior, then update with the rest."""
+    """Update with every visible group; where the gates object, once more with those that pass."""
     layout, sight = measurement.layout, _Sight(x, measurement)
     R = np.diag(sight.variance)
     everything = np.arange(layout.size)
-    prior = filter_.update(P, sight, everything, R)
-    nis, accepted, log_likelihood = [], [], 0.0
-    for g, group in enumerate(layout.groups):
-        y, S = prior.y[group], prior.S[group, group]
-        nis.append(float(y @ np.linalg.solve(S, y)))
-        visible = measurement.visible[g] > 0.5
-        accepted.append(visible and _passes(nis[g], g, layout, gate))
-        if visible:
-            log_likelihood -= 0.5 * (nis[g] + float(np.linalg.slogdet(S)[1]))
-        if gate.robust and g < layout.anchors:
-            R[group, group] *= max(nis[g] / (ROBUST_ONSET * len(y)), 1.0) ** 2
-    keep = np.concatenate(
-        [everything[group] for group, a in zip(layout.groups, accepted, strict=True) if a]
-        or [everything[:0]]
-    )
-    if len(keep):
-        posterior = filter_.update(P, sight, keep, R[np.ix_(keep, keep)])
-        x, P = x + posterior.step, _symmetric(posterior.P)
-    return Posterior(x.tolist(), P.tolist(), nis, [float(a) for a in accepted], log_likelihood)
+    visible = [g for g in range(len(layout.groups)) if measurement.visible[g] > 0.5]
+    nis, accepted = [0.0] * len(layout.groups), [0.0] * len(layout.groups)
+    if not visible:
+        return Posterior(x.tolist(), P.tolist(), nis, accepted, 0.0)
+    rows = np.concatenate([everything[layout.groups[g]] for g in visible])
+    posterior = filter_.update(P, sight, rows, R[np.ix_(rows, rows)])
+    log_likelihood, first, doubted = 0.0, 0, False
+    for g in visible:
+        group = layout.groups[g]
+        seen = slice(first, first := first + group.stop - group.start)
+        y, S = posterior.y[seen], posterior.S[seen, seen]
+        nis[g] = float(y @ np.linalg.solve(S, y))
+        accepted[g] = float(_passes(nis[g], g, layout, gate))
+        log_likelihood -= 0.5 * (nis[g] + float(np.linalg.slogdet(S)[1]))
+        if gate.robust and g < layout.anchors and nis[g] > ROBUST_ONSET * len(y):
+            doubted = True
+            R[group, group] *= (nis[g] / (ROBUST_ONSET * len(y))) ** 2
+    kept = [g for g in visible if accepted[g]]
+    if not kept:
+        return Posterior(x.tolist(), P.tolist(), nis, accepted, log_likelihood)
+    if doubted or kept != visible:
+        rows = np.concatenate([everything[layout.groups[g]] for g in kept])
+        posterior = filter_.update(P, sight, rows, R[np.ix_(rows, rows)])
+    x, P = x + posterior.step, _symmetric(posterior.P)
+    return Posterior(x.tolist(), P.tolist(), nis, accepted, log_likelihood)
 
 
 def _passes(nis: float, g: int, layout: Layout, gate: Gate) -> bool:

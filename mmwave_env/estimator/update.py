@@ -34,7 +34,7 @@ class Posterior(NamedTuple):
     Attributes:
         x: (7,) mean.
         P: (7, 7) covariance.
-        nis: (groups,) normalised innovation squared at the prior, also of missing groups.
+        nis: (groups,) normalised innovation squared at the prior; 0 where missing.
         accepted: (groups,) 1 where the group was used, else 0.
         log_likelihood: sum over the visible groups, accepted or not, of the log density of
             each group's innovation on its own, without the constant -(rows / 2) log(2 pi).
@@ -140,10 +140,10 @@ def _judge(
         rows = layout.groups[g].stop - layout.groups[g].start
         is_link = g < layout.anchors
         value, determinant = innovation_statistics(group, V[g], latents)
-        nis.append(value)
+        nis.append(visible * value)
         accepted.append(_accept(value, rows, visible, gate, is_link))
         density = density * where(visible > 0.5, determinant, 1.0)
-        likelihood = likelihood - 0.5 * (visible * value)
+        likelihood = likelihood - 0.5 * nis[-1]
         if g % _GROUPS_PER_LOG == _GROUPS_PER_LOG - 1 or g == len(groups) - 1:
             likelihood, density = likelihood - 0.5 * log(density), 1.0
         doubt = _doubt(value, rows) if gate.robust and is_link else 1.0

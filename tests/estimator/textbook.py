@@ -206,4 +206,4 @@ def update(
         new_P = A @ P @ A.T + (K * R[keep]) @ K.T
     else:
         new_P = P - K @ S @ K.T
-    return Update(new_x, new_P, nis, accepted, log_likelihood)
+    return Update(new_x, new_P, np.where(visible, nis, 0.0), accepted, log_likelihood)
