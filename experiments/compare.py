@@ -3,10 +3,7 @@
 from dataclasses import dataclass
 
 from experiments.cli import run
-from experiments.evaluation import compare, evaluate
-from experiments.files import write_json
-from experiments.options import EpisodeArgs
-from experiments.tables import show
+from experiments.options import EpisodeArgs, report
 
 DEFAULT = (
     "fixed-ekf", "fixed-ukf", "fixed-ckf", "speed-rule", "speed-rule-tuned", "likelihood-rule",
@@ -25,14 +22,7 @@ class Args(EpisodeArgs):
 
 def main(args: Args) -> None:
     """Run the command."""
-    source = args.source()
-    scores = evaluate(args.policies, source, args.radio, args.episodes, args.seed)
-    result = compare(
-        scores, scenario=source.name, radio=args.radio, episodes=args.episodes, seed=args.seed
-    )
-    show(result)
-    if args.json:
-        write_json(args.json, result.json)
+    report(args, args.policies)
 
 
 if __name__ == "__main__":

@@ -5,10 +5,9 @@ from pathlib import Path
 
 from experiments.cli import run
 from experiments.compare import DEFAULT
-from experiments.evaluation import compare, evaluate
 from experiments.files import write_json, write_text
-from experiments.options import EpisodeArgs
-from experiments.tables import markdown, show
+from experiments.options import EpisodeArgs, report
+from experiments.tables import markdown
 from mmwave_env.io.samples import sample_names
 
 
@@ -32,15 +31,10 @@ def main(args: Args) -> None:
     runs += [EpisodeArgs(data=name, episodes=args.draws) for name in sample_names()]
     tables, everything = [], {}
     for one in runs:
-        source = one.source()
-        scores = evaluate(DEFAULT, source, one.radio, one.episodes, one.seed)
-        result = compare(
-            scores, scenario=source.name, radio=one.radio, episodes=one.episodes, seed=one.seed
-        )
-        show(result)
+        result = report(one, DEFAULT)
         tables.append(markdown(result))
-        everything[source.name] = result.json
-        write_json(args.out / f"{source.name}.json", result.json)
+        everything[result.scenario] = result.json
+        write_json(args.out / f"{result.scenario}.json", result.json)
     write_text(args.out / "tables.md", "\n".join(tables))
     if args.json:
         write_json(args.json, everything)

@@ -3,10 +3,7 @@
 from dataclasses import dataclass
 
 from experiments.cli import run
-from experiments.evaluation import compare, evaluate
-from experiments.files import write_json
-from experiments.options import EpisodeArgs
-from experiments.tables import show
+from experiments.options import EpisodeArgs, report
 
 
 @dataclass
@@ -20,14 +17,7 @@ class Args(EpisodeArgs):
 
 def main(args: Args) -> None:
     """Run the command."""
-    source = args.source()
-    scores = evaluate([args.policy], source, args.radio, args.episodes, args.seed)
-    result = compare(
-        scores, scenario=source.name, radio=args.radio, episodes=args.episodes, seed=args.seed
-    )
-    show(result)
-    if args.json:
-        write_json(args.json, result.json)
+    report(args, [args.policy])
 
 
 if __name__ == "__main__":

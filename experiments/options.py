@@ -1,10 +1,14 @@
 """What the commands that run episodes have in common."""
 
 import shlex
+from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
 
+from experiments.evaluation import Comparison, compare, evaluate
+from experiments.files import write_json
+from experiments.tables import show
 from mmwave_env.episode import EpisodeSource, SimulatedSource
 from mmwave_env.io.samples import recording_from
 from mmwave_env.radio import radio_from
@@ -49,3 +53,16 @@ class EpisodeArgs:
         if self.data is not None:
             return RecordedSource(recording_from(self.data), radio)
         return SimulatedSource(scene_from(self.scene), radio, self.scenario)
+
+
+def report(args: EpisodeArgs, names: Sequence[str]) -> Comparison:
+    """Run contenders on the episodes, print the tables and write ``args.json``."""
+    source = args.source()
+    scores = evaluate(names, source, args.radio, args.episodes, args.seed)
+    result = compare(
+        scores, scenario=source.name, radio=args.radio, episodes=args.episodes, seed=args.seed
+    )
+    show(result)
+    if args.json:
+        write_json(args.json, result.json)
+    return result
