@@ -14,6 +14,7 @@ from typing import Any
 
 import gymnasium as gym
 import numpy as np
+from rich.progress import track
 
 from experiments.cli import run
 from experiments.evaluation import draw_episodes
@@ -136,7 +137,9 @@ def main(args: Args) -> None:
         for _ in range(len(episodes[0])):
             next(steps)
     measured: dict[str, list[float]] = {name: [] for name in kinds}
-    for _ in range(args.repeats):  # in turn, so that a drifting machine hits all alike
+    for _ in track(
+        range(args.repeats), description="measuring", transient=True
+    ):  # in turn, so that a drifting machine hits all alike
         for name, steps in running.items():
             measured[name].append(rate(steps, args.seconds))
     baseline = measured["filterpy"]

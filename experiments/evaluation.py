@@ -100,6 +100,8 @@ def score(
 ) -> Scores:
     """Metrics per episode of a contender and its policy, on episodes of one length."""
     reward = reward or TrackingReward()
+    for episode in episodes:
+        episode.require_truth()
     pipeline = Pipeline(contender.modes, episodes[0].layout)
     n, T = len(episodes), len(episodes[0])
     rewards, errors, nees = np.empty((n, T)), np.empty((n, T, 3)), np.empty((n, T))
@@ -116,7 +118,13 @@ def score(
         engine.reset(episodes)
         policy.reset(np.ones(n, bool))
         for t in range(T):
-            engine.step(policy(engine.observations()))
+            actions = policy(engine.observations())
+            if actions.min() < 0 or actions.max() >= len(contender.modes):
+                raise ValueError(
+                    f"actions of {contender.name}: found {actions.min()} to {actions.max()}, "
+                    f"expected 0 to {len(contender.modes) - 1}"
+                )
+            engine.step(actions)
             rewards[:, t], nees[:, t] = engine.read(engine.at.reward), engine.read(engine.at.nees)
             errors[:, t] = engine.read(engine.at.error)
     step_s = float(np.median(np.diff(episodes[0].time_s))) if T > 1 else 1.0
@@ -129,10 +137,12 @@ def evaluate(
     """Scores of contenders on the same episodes, seeds ``seed .. seed + episodes - 1``.
 
     Raises:
-        ValueError: unknown contender, or fewer than one episode.
+        ValueError: unknown or repeated contender, or fewer than one episode.
     """
     if episodes < 1:
         raise ValueError(f"episodes: found {episodes}, expected at least 1")
+    if len(set(names)) < len(names):
+        raise ValueError(f"policies: found {', '.join(names)}, expected no name twice")
     chosen = [contender_from(name, radio) for name in names]
     policies = [contender.start(source.layout) for contender in chosen]
     parts: dict[str, list[Scores]] = {c.name: [] for c in chosen}

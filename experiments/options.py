@@ -31,12 +31,12 @@ def command_line(name: str, args: Any) -> str:
 class EpisodeArgs:
     """Which episodes to run."""
 
-    scenario: str = "mixed"
-    """pedestrian, vehicle, walk-ride, jam, cyclist or mixed (equal shares)"""
+    scenario: str | None = None
+    """pedestrian, vehicle, walk-ride, jam, cyclist or mixed (equal shares, the default)"""
     radio: str = "handset"
     """handset, standard or high"""
-    scene: str = "street"
-    """street, o1, dynamic-doppler or a JSON file"""
+    scene: str | None = None
+    """street (the default), o1, dynamic-doppler or a JSON file"""
     episodes: int = 1000
     """how many; 1000 or more to publish"""
     seed: int = 0
@@ -51,8 +51,11 @@ class EpisodeArgs:
         """Where the episodes come from."""
         radio = radio_from(self.radio)
         if self.data is not None:
+            for name, value in (("scenario", self.scenario), ("scene", self.scene)):
+                if value is not None:
+                    raise ValueError(f"{name}: found {value!r}, but recorded --data brings it")
             return RecordedSource(recording_from(self.data), radio)
-        return SimulatedSource(scene_from(self.scene), radio, self.scenario)
+        return SimulatedSource(scene_from(self.scene or "street"), radio, self.scenario or "mixed")
 
 
 def report(args: EpisodeArgs, names: Sequence[str]) -> Comparison:

@@ -5,6 +5,7 @@ from functools import partial
 from pathlib import Path
 
 import numpy as np
+from rich.progress import track
 
 from experiments.cli import run
 from experiments.evaluation import bootstrap, contender_from, draw_episodes, score
@@ -47,7 +48,7 @@ def main(args: Args) -> None:
         episodes = draw_episodes(source, seeds)
         rule = contender_from("speed-rule", radio)
         rewards = []
-        for threshold in args.thresholds:
+        for threshold in track(args.thresholds, description=radio, transient=True):
             tried = replace(rule, policy=partial(SpeedRule, threshold=threshold))
             rewards.append(score(tried, tried.start(source.layout), episodes)["reward"])
         intervals = bootstrap(np.stack(rewards, axis=1))

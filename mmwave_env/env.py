@@ -87,10 +87,10 @@ class MmWaveLocEnv(gym.Env[NDArray[np.float32], np.int64]):
 
     Every step: `position_error_m`, `nees`, `nis`, `accepted`, `rejected` (per anchor, then
     Doppler), `mode`, `gamma`, `truth` (position, velocity), `estimate` (position, velocity,
-    bias). `reset`: `episode`, `nonfinite` (measurements that were NaN or infinite and count
-    as missing), `truth`, `estimate`. The last step adds `ate_m`, `rmse_m`, `rpe_m`,
-    `mean_nees`, `in_bounds`, `divergence` (without the first 10 epochs) and `smoothed_ate_m`
-    (Rauch-Tung-Striebel over the episode).
+    bias). `reset`: `episode`, `nonfinite` (links, Doppler shifts and odometry with a NaN or
+    infinity, which count as missing), `truth`, `estimate`. The last step adds `ate_m`,
+    `rmse_m`, `rpe_m`, `mean_nees`, `in_bounds`, `divergence` (without the first 10 epochs) and
+    `smoothed_ate_m` (Rauch-Tung-Striebel over the episode).
 
     ## Arguments
 
@@ -102,7 +102,8 @@ class MmWaveLocEnv(gym.Env[NDArray[np.float32], np.int64]):
     * `observation`: "full" or "prior".
     * `episode_steps`, `dt`: epochs per episode and seconds per epoch.
     * `episodes`: recorded data instead of a simulation: "canyon28_vehicle",
-      "canyon28_pedestrian", the folder of a DeepMIMO scenario, or any episode source.
+      "canyon28_pedestrian", the folder of a DeepMIMO scenario, or any episode source (whose
+      `radio`, if it has one, then selects the default modes' tuning).
     * `planar`: flat terrain: z and vz are known.
     * `odometry`: the user also measures speed and heading.
     * `terminate_on_divergence`: see Episode End.
@@ -169,11 +170,7 @@ class MmWaveLocEnv(gym.Env[NDArray[np.float32], np.int64]):
             for name, value in brought.items():
                 if value is not None:
                     raise ValueError(f"{name}: found {value!r}, but recorded episodes= bring it")
-            self.source = (
-                RecordedSource(recording_from(episodes), self.radio, epochs=episode_steps)
-                if isinstance(episodes, (str, os.PathLike))
-                else episodes
-            )
+            self.source = self._recorded(episodes, episode_steps)
         self.reward = reward_from(reward)
         worst = getattr(self.reward, "worst", None) if terminate_on_divergence else None
         if terminate_on_divergence and worst is None:
@@ -202,16 +199,31 @@ class MmWaveLocEnv(gym.Env[NDArray[np.float32], np.int64]):
         self._steps = 0
         self._history = np.empty((0, 0))
 
+    def _recorded(
+        self, episodes: str | os.PathLike[str] | EpisodeSource, steps: int | None
+    ) -> EpisodeSource:
+        """The source of an ``episodes=`` argument."""
+        if isinstance(episodes, (str, os.PathLike)):
+            return RecordedSource(recording_from(episodes), self.radio, epochs=steps)
+        if not hasattr(episodes, "layout") or not hasattr(episodes, "sample"):
+            raise ValueError(
+                f"episodes: found {episodes!r}, expected a name, a folder, or a source with "
+                "layout and sample(rng)"
+            )
+        if steps is not None:
+            raise ValueError(
+                f"episode_steps: found {steps}, but the source in episodes= has its own"
+            )
+        self.radio = getattr(episodes, "radio", self.radio)
+        return episodes
+
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[NDArray[np.float32], dict[str, Any]]:
         """Draw an episode; the same seed gives the same one. See Gymnasium's `Env.reset`."""
         super().reset(seed=seed, options=options)
         episode = self.source.sample(self.np_random)
-        if episode.truth_position_m is None or episode.truth_velocity_mps is None:
-            raise ValueError(
-                f"episode {episode.name!r}: found no truth, which reward and metrics need"
-            )
+        episode.require_truth()
         if self._axes == 2:
             episode = episode.on_flat_ground(float(self._true_positions(episode)[0, 2]))
         self._engine.reset([episode])
@@ -258,7 +270,7 @@ class MmWaveLocEnv(gym.Env[NDArray[np.float32], np.int64]):
         }
         self._steps += 1
         terminated = False
-        if self._worst is not None and distance > DIVERGENCE_M:
+        if self._worst is not None and not distance <= DIVERGENCE_M:
             terminated = True
             reward += self._worst * (len(episode) - self._steps)
         truncated = not terminated and self._steps == len(episode)

@@ -75,6 +75,8 @@ class Episode:
                 self._refuse(field, f"shape {value.shape}", f"shape {shape}")
         if T < 1 or not (np.diff(self.time_s) > 0.0).all():
             self._refuse("time_s", "times that do not increase", "at least one, increasing")
+        if not 0.0 < self.hz_per_mps < np.inf:
+            self._refuse("hz_per_mps", f"{self.hz_per_mps}", "> 0")
         if not (self.sigma > 0.0).all():
             wrong = self.sigma[~(self.sigma > 0.0)]
             self._refuse("sigma", f"{wrong[0]}", "> 0 everywhere")
@@ -99,6 +101,8 @@ class Episode:
     def usable(self) -> NDArray[np.bool_]:
         """(T, groups) visible, and every number of the group finite."""
         finite = np.isfinite(self.measurement) & np.isfinite(self.sigma)
+        for link in range(self.layout.anchors):
+            finite[:, self.layout.link(link)] &= np.isfinite(self.snr_db[:, link, None])
         starts = [rows.start for rows in self.layout.groups]
         usable: NDArray[np.bool_] = self.visible & np.logical_and.reduceat(finite, starts, axis=1)
         return usable
@@ -111,7 +115,18 @@ class Episode:
     @property
     def has_truth(self) -> bool:
         """Whether errors, rewards and metrics can be computed."""
-        return self.truth_position_m is not None
+        return self.truth_position_m is not None and self.truth_velocity_mps is not None
+
+    def require_truth(self) -> None:
+        """Refuse an episode that can't be scored.
+
+        Raises:
+            ValueError: position or velocity is not known.
+        """
+        if not self.has_truth:
+            raise ValueError(
+                f"episode {self.name!r}: found no truth, which reward and metrics need"
+            )
 
     def on_flat_ground(self, height_m: float) -> "Episode":
         """The same episode with the height known: z is that of the ground, vz is 0."""
@@ -224,6 +239,7 @@ class SimulatedSource:
 
     def __post_init__(self) -> None:
         mobilities_of(self.scenario)
+        self.scene.require_streets_in_front()
         if not 0.0 < self.dt < float("inf"):
             raise ValueError(f"dt: found {self.dt}, expected a positive number of seconds")
         if self.epochs < 1:
@@ -236,8 +252,9 @@ class SimulatedSource:
 
     @property
     def name(self) -> str:
-        """The scenario."""
-        return self.scenario
+        """The scenario, and the scene where it is not the default street."""
+        scene = self.scene.name
+        return self.scenario if scene == "street" else f"{self.scenario} on {scene}"
 
     def sample(self, rng: np.random.Generator) -> Episode:
         """Draw one episode; all randomness comes from ``rng``."""

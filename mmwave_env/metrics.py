@@ -18,7 +18,7 @@ METRICS = {
     "reward": "mean reward per epoch",
     "ate_m": "mean position error, m",
     "rmse_m": "root mean square position error, m",
-    "rpe_m": "mean change of the position error over 1 s, m",
+    "rpe_m": "mean change of the position error over 1 s (at least one epoch), m",
     "nees": "mean NEES of the position",
     "in_bounds": "share of epochs with NEES in its two-sided 95 % interval",
     "divergence_rate": f"share of episodes with an error above {DIVERGENCE_M:g} m",
@@ -80,5 +80,5 @@ def summary(
         "rpe_m": rpe(error, max(1, round(epochs_per_s))),
         "nees": nees.mean(axis=-1),
         "in_bounds": ((nees >= low) & (nees <= high)).mean(axis=-1),
-        "divergence_rate": (distance.max(axis=-1) > DIVERGENCE_M).astype(float),
+        "divergence_rate": (~(distance.max(axis=-1) <= DIVERGENCE_M)).astype(float),
     }

@@ -110,6 +110,9 @@ class Radio:
     odometry_slowest_mps: float = 0.2
 
     def __post_init__(self) -> None:
+        for name, value in vars(self).items():
+            if name != "name" and not np.isfinite(value).all():
+                raise ValueError(f"{name} of radio {self.name!r}: found {value}, expected finite")
         for field in (
             "gnb_elements", "ue_elements", "aoa_floor_rad", "aod_floor_rad",
             "elevation_floor_rad", "doppler_floor_mps", "prior_position_m", "prior_height_m",

@@ -2,8 +2,9 @@
 
 A ray tracer (or a survey) says which paths exist and what a perfect receiver would read
 there. A :class:`Recording` holds that; :class:`RecordedSource` adds what a radio profile
-says about the receiver: noise, the oscillator's bias and the prior. Blockage and multipath
-are not simulated on top, because the recording knows which paths there are.
+says about the receiver: noise, the oscillator's bias and the prior. Blockage, multipath,
+missed detections and outages are not simulated on top, because the recording knows which
+paths there are.
 """
 
 from dataclasses import dataclass, replace

@@ -60,4 +60,12 @@ REWARDS: dict[str, Reward] = {"tracking": TrackingReward(), "log-score": LogScor
 
 def reward_from(reward: str | Reward) -> Reward:
     """The reward of a ``reward=`` argument: a name or a function of (belief, truth)."""
-    return reward if callable(reward) else choose(REWARDS, reward, "reward")
+    if not callable(reward):
+        return choose(REWARDS, reward, "reward")
+    try:
+        hash(reward)
+    except TypeError as error:
+        raise ValueError(
+            f"reward: found {reward!r}, expected a hashable function or object"
+        ) from error
+    return reward

@@ -36,11 +36,21 @@ class Wall:
         if not np.isfinite(self.offset_m):
             raise ValueError(f"offset_m: found {self.offset_m}, expected a number")
 
+    @property
+    def unit_normal(self) -> tuple[float, float]:
+        """The normal with length 1."""
+        length = float(np.hypot(*self.normal))
+        return self.normal[0] / length, self.normal[1] / length
+
+    def signed_distance(self, point: Point) -> float:
+        """Signed distance of a point from the wall, m."""
+        nx, ny = self.unit_normal
+        return nx * point[0] + ny * point[1] - self.offset_m
+
     def mirror(self, point: Point) -> Point:
         """The mirror image of a point."""
-        length = float(np.hypot(*self.normal))
-        nx, ny = self.normal[0] / length, self.normal[1] / length
-        step = 2.0 * (self.offset_m - nx * point[0] - ny * point[1])
+        nx, ny = self.unit_normal
+        step = -2.0 * self.signed_distance(point)
         return (point[0] + step * nx, point[1] + step * ny, point[2])
 
 
@@ -113,6 +123,21 @@ class Scene:
         images = [wall.mirror(self.base_station_m) for wall in self.walls]
         return np.array([self.base_station_m, *images], float)
 
+    def require_streets_in_front(self) -> None:
+        """Refuse streets behind a wall, where its mirror image can't be seen.
+
+        Raises:
+            ValueError: naming the wall.
+        """
+        for wall in self.walls:
+            gnb = wall.signed_distance(self.base_station_m)
+            corners = [(x, y, 0.0) for x in self.streets.x_m for y in self.streets.y_m]
+            if any(wall.signed_distance(corner) * gnb <= 0.0 for corner in corners):
+                raise ValueError(
+                    f"streets of scene {self.name!r}: found {self.streets.x_m} x "
+                    f"{self.streets.y_m}, expected all on the base station's side of {wall}"
+                )
+
     @property
     def hz_per_mps(self) -> float:
         """Doppler shift of 1 m/s, f_c / c."""
@@ -130,13 +155,13 @@ SCENES: dict[str, Scene] = {
         (Wall((1, 0), 286.504), Wall((0, 1), 845.0)),
         Streets((260.5, 260.5), (240.0, 840.0), block_m=120.0, height_m=2.0),
     ),
-    # After DeepMIMO Dynamic Doppler (28 GHz): main street 430 x 15 m, first base station; one
-    # cross street each 215 m. The facades' distance from the kerb is this project's assumption.
+    # After DeepMIMO Dynamic Doppler (28 GHz): main street 430 x 15 m, first base station; users
+    # stay on the main street. The two walls are this project's assumption.
     "dynamic-doppler": Scene(
         "dynamic-doppler",
         (7.0, 14.0, 4.5),
         (Wall((0, 1), -15.0), Wall((1, 0), 225.0)),
-        Streets((-215.0, 215.0), (-107.5, 107.5), block_m=107.5),
+        Streets((-215.0, 215.0), (0.0, 0.0), block_m=107.5),
     ),
 }
 

@@ -84,7 +84,8 @@ class SpeedRule:
                 stacklevel=2,
             )
         # An observation is float32: a speed at the threshold may read a rounding above it.
-        return (speed > self.threshold * (1.0 + 1e-6)).astype(np.int64)
+        threshold = min(self.threshold, DESIGN_LIMIT_MPS)
+        return (speed > threshold * (1.0 + 1e-6)).astype(np.int64)
 
 
 class LikelihoodRule:

@@ -1,5 +1,7 @@
 """The evaluation protocol: the same episodes for all, paired, with bootstrap intervals."""
 
+from dataclasses import replace
+
 import gymnasium as gym
 import numpy as np
 import pytest
@@ -23,6 +25,7 @@ from mmwave_env.episode import SimulatedSource
 from mmwave_env.metrics import METRICS
 from mmwave_env.radio import RADIOS
 from mmwave_env.scene import SCENES
+from policies import FixedMode
 
 # Estimates of a lost track can be fast; the rule's own test looks at the warning.
 pytestmark = pytest.mark.filterwarnings("ignore:speed .* outside the design window")
@@ -203,3 +206,22 @@ def test_an_unknown_contender_lists_the_valid_ones():
 def test_no_episodes_are_refused(episodes):
     with pytest.raises(ValueError, match="episodes"):
         evaluate(["fixed-ukf"], SOURCE, "handset", episodes=episodes, seed=0)
+
+
+def test_episodes_without_truth_are_refused():
+    (episode,) = draw_episodes(SOURCE, [0])
+    blind = replace(episode, truth_position_m=None, truth_velocity_mps=None)
+    contender = contender_from("fixed-ekf", "handset")
+    with pytest.raises(ValueError, match="found no truth"):
+        score(contender, contender.start(SOURCE.layout), [blind])
+
+
+def test_a_name_twice_is_refused():
+    with pytest.raises(ValueError, match="policies: found imm, imm, expected no name twice"):
+        evaluate(["imm", "imm"], SOURCE, "handset", episodes=1, seed=0)
+
+
+def test_actions_beyond_the_modes_are_refused():
+    contender = contender_from("fixed-ekf", "handset")
+    with pytest.raises(ValueError, match="found 5 to 5, expected 0 to 1"):
+        score(contender, FixedMode(5), draw_episodes(SOURCE, [0]))

@@ -135,3 +135,9 @@ def test_one_epoch_beyond_50_m_is_divergence(error_m, diverged):
     reward, error, nees = columns(episodes=1)
     error[0, 100] = [error_m, 0.0, 0.0]
     assert summary(reward, error, nees)["divergence_rate"] == [diverged]
+
+
+def test_an_error_that_is_no_number_has_diverged():
+    error = np.zeros((1, 20, 3))
+    error[0, 15] = np.nan
+    assert summary(np.zeros((1, 20)), error, np.ones((1, 20)))["divergence_rate"] == 1.0

@@ -134,3 +134,14 @@ def test_a_missing_scene_file_is_named(tmp_path):
 def test_streets_refuse_extents_that_are_the_wrong_way_round():
     with pytest.raises(ValueError, match="y_m"):
         Streets(y_m=(0.0, -160.0))
+
+
+@pytest.mark.parametrize("name", SCENES)
+def test_users_of_the_shipped_scenes_stay_in_front_of_the_walls(name):
+    SCENES[name].require_streets_in_front()
+
+
+def test_streets_behind_a_wall_are_refused():
+    scene = Scene("odd", (10.0, 10.0, 10.0), (Wall((0, 1), -50.0),))
+    with pytest.raises(ValueError, match="streets of scene 'odd'.*side of Wall"):
+        scene.require_streets_in_front()

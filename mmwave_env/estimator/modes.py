@@ -8,8 +8,9 @@ from mmwave_env.names import choose
 
 ALGORITHMS: dict[str, Algorithm] = {"ekf": ekf, "ukf": ukf, "ckf": ckf}
 
-# Low-mobility velocity noise by radio profile, m/s per square root of a second: coarse grid
-# on tuning seeds; the high-mobility mode has 1.8 everywhere.
+# Low-mobility velocity noise by radio profile, m/s per square root of a second, from a coarse
+# grid on this model's prototype (the profile "high" takes that of "standard"); the
+# high-mobility mode has 1.8 everywhere. No command of the package re-tunes them yet.
 LOW_MOBILITY_SIGMA_V = {"handset": 0.3, "standard": 0.5, "high": 0.5}
 
 

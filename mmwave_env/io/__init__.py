@@ -1,1 +1,1 @@
-"""Readers and writers of other people's file formats, and of ours."""
+"""Readers of recorded data."""
