@@ -160,7 +160,7 @@ SCENES: dict[str, Scene] = {
     "dynamic-doppler": Scene(
         "dynamic-doppler",
         (7.0, 14.0, 4.5),
-        (Wall((0, 1), -15.0), Wall((1, 0), 225.0)),
+        (Wall((0, 1), -25.0), Wall((1, 0), 225.0)),
         Streets((-215.0, 215.0), (0.0, 0.0), block_m=107.5),
     ),
 }

@@ -53,7 +53,7 @@ def test_anchors_of_the_default_street():
 @pytest.mark.parametrize(
     ("name", "base_station", "width_m", "length_m", "user_height_m"),
     [("o1", (235.504, 489.504, 6.0), 0.0, 600.0, 2.0),
-     ("dynamic-doppler", (7.0, 14.0, 4.5), 430.0, 215.0, 1.5)],
+     ("dynamic-doppler", (7.0, 14.0, 4.5), 430.0, 0.0, 1.5)],
 )  # fmt: skip
 def test_public_reference_scenes(name, base_station, width_m, length_m, user_height_m):
     scene = scene_from(name)
