@@ -64,7 +64,7 @@ def filterpy_steps(pipeline: Pipeline, episodes: list[Episode]) -> Iterator[int]
             work = [
                 (
                     mode,
-                    process_noise(mode, epoch, site.hz_per_mps, 1.0, False),
+                    process_noise(mode.tuning, epoch, site.hz_per_mps, 1.0, False),
                     measurement_of(mode, memory, epoch, site, layout),
                 )
                 for mode in pipeline.modes

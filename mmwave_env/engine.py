@@ -121,6 +121,7 @@ def epoch(w: Workspace, pipeline: Pipeline, observation: Observation, reward: Re
     memory = anticipate(memory, candidates, coming)
     view = View(x, unpack(P, zero=pipeline.pinned), memory, candidates, coming, w.site)
     return w._replace(
+        fresh=0.0,
         held=w.incoming,
         x=x,
         P=P,
@@ -219,6 +220,7 @@ def _imm_program(
         belief = Belief(x, P, pipeline.position_axes)
         truth = w.incoming.truth
         return w._replace(
+            fresh=0.0,
             mixture=mixture,
             x=x,
             P=pack(P),

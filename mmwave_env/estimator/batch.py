@@ -4,7 +4,7 @@ A program maps a workspace tree to a workspace tree. Its leaves are rows of an a
 (blocks, rows, 8), eight environments to a block. The first field of a workspace,
 ``incoming``, is loaded before each run from a table of whole tracks. A :class:`Batch` loads
 :class:`Incoming` epochs of episodes and fills in the next two fields as well: ``site``, and
-``fresh``, 1 where an episode begins.
+``fresh``, 1 where an episode begins; the program sets it back to 0.
 """
 
 from collections.abc import Callable, Sequence
@@ -23,6 +23,7 @@ from mmwave_env.measurement import STATE_SIZE, Layout
 
 Workspace = TypeVar("Workspace", bound=tuple[Any, ...])
 Array = NDArray[np.float64]
+Index = NDArray[np.int64]
 
 
 class Incoming(NamedTuple):
@@ -66,25 +67,34 @@ class Program(Generic[Workspace]):
         self.index: Workspace = rebuild(template, iter(range(self.size)))
         self._on_lanes: Any = None
 
-    def run_on_lanes(self, rows: Array, table: Array, epoch: NDArray[np.int64]) -> None:
-        """Load each environment's epoch and run, eight environments at a time.
+    def run_on_lanes(
+        self, rows: Array, table: Array, first: Index, record: Index, out: Array
+    ) -> None:
+        """Run epoch after epoch, eight environments at a time.
 
         Args:
             rows: (blocks, size, 8) workspace, changed in place.
             table: (n, epochs, incoming) episodes; lanes past n run environment 0's.
-            epoch: (n,) which epoch to load.
+            first: (n,) the epoch to load first; past the last, the last is loaded again.
+            record: (k,) the rows to keep.
+            out: (n, steps, k) gets them after each of the steps.
         """
         if self._on_lanes is None:
             self._on_lanes = self._compile()
-        self._on_lanes(rows, table, epoch)
+        self._on_lanes(rows, table, first, record, out)
 
-    def run_on_floats(self, rows: Array, table: Array, epoch: NDArray[np.int64]) -> None:
+    def run_on_floats(
+        self, rows: Array, table: Array, first: Index, record: Index, out: Array
+    ) -> None:
         """The same, one environment at a time in plain Python: slow, for reference."""
-        for e in range(len(epoch)):
+        for e in range(len(first)):
             block, lane = divmod(e, WIDTH)
-            rows[block, : self.incoming, lane] = table[e, epoch[e]]
-            workspace = rebuild(self.template, iter(rows[block, :, lane].tolist()))
-            rows[block, :, lane] = leaves(self.function(workspace))
+            for step in range(out.shape[1]):
+                epoch = min(first[e] + step, table.shape[1] - 1)
+                rows[block, : self.incoming, lane] = table[e, epoch]
+                workspace = rebuild(self.template, iter(rows[block, :, lane].tolist()))
+                rows[block, :, lane] = leaves(self.function(workspace))
+                out[e, step] = rows[block, record, lane]
 
     def _compile(self) -> Any:
         incoming = self.incoming
@@ -99,16 +109,20 @@ class Program(Generic[Workspace]):
         run = kernel(build)
 
         @numba.njit(nogil=True)  # type: ignore[untyped-decorator]
-        def advance(rows: Array, table: Array, epoch: NDArray[np.int64]) -> None:
+        def advance(rows: Array, table: Array, first: Index, record: Index, out: Array) -> None:
+            n, last = len(first), table.shape[1] - 1
             for b in range(rows.shape[0]):
                 block = rows[b]
-                for lane in range(WIDTH):
-                    e = b * WIDTH + lane
-                    if e >= len(epoch):
-                        e = 0
-                    for i in range(incoming):
-                        block[i, lane] = table[e, epoch[e], i]
-                run(block)
+                for step in range(out.shape[1]):
+                    for lane in range(WIDTH):
+                        e = b * WIDTH + lane if b * WIDTH + lane < n else 0
+                        epoch = min(first[e] + step, last)
+                        for i in range(incoming):
+                            block[i, lane] = table[e, epoch, i]
+                    run(block)
+                    for lane in range(min(WIDTH, n - b * WIDTH)):
+                        for i in range(len(record)):
+                            out[b * WIDTH + lane, step, i] = block[record[i], lane]
 
         return advance
 
@@ -121,7 +135,7 @@ class Batch(Generic[Workspace]):
         layout: rows of the measurements.
         n: number of environments.
         at: the workspace tree with row numbers as leaves, to say what to read.
-        epoch: (n,) the epoch each environment has loaded.
+        epoch: (n,) the epoch each environment runs next.
     """
 
     def __init__(
@@ -135,9 +149,15 @@ class Batch(Generic[Workspace]):
         self._rows = np.tile(start[None, :, None], (blocks, 1, WIDTH))
         self._table = np.zeros((n, 1, program.incoming))
         self._run = program.run_on_floats if on_floats else program.run_on_lanes
+        self._nothing = np.empty(0, np.int64), np.empty((n, 1, 0))
 
-    def begin(self, episodes: Sequence[Episode]) -> None:
-        """Load one episode each and run their first epoch.
+    def load(self, episodes: Sequence[Episode], gap_s: float | None = None) -> None:
+        """Load one episode each, to start over or to go on with.
+
+        Args:
+            episodes: one for each environment.
+            gap_s: seconds since the last epoch run, for episodes that continue the track;
+                None to start over from their priors.
 
         Raises:
             ValueError: another number of episodes, or another layout than the batch's.
@@ -152,17 +172,45 @@ class Batch(Generic[Workspace]):
                 )
         epochs = max(len(episode) for episode in episodes) + 1
         self._table = np.stack([episode.table(epochs) for episode in episodes])
-        _, site, fresh, *_ = self.at
+        if gap_s is not None:
+            self._table[:, 0, 0] = gap_s
+            self.epoch[:] = 0
+            return
+        _, site, _, *_ = self.at
         self.write(site, np.stack([episode.site() for episode in episodes]))
+        self.restart()
+
+    def restart(self) -> None:
+        """Start over with the episodes loaded."""
+        _, _, fresh, *_ = self.at
         self.write(fresh, np.ones(self.n))
         self.epoch[:] = 0
-        self._run(self._rows, self._table, self.epoch)
-        self.write(fresh, np.zeros(self.n))
+
+    def begin(self, episodes: Sequence[Episode]) -> None:
+        """Load one episode each and run their first epoch; see :meth:`load`."""
+        self.load(episodes)
+        self.advance()
 
     def advance(self) -> None:
-        """Load the next epoch and run; past the end of an episode epochs are blank."""
-        np.minimum(self.epoch + 1, self._table.shape[1] - 1, out=self.epoch)
-        self._run(self._rows, self._table, self.epoch)
+        """Run the next epoch; past the end of an episode epochs are blank."""
+        self._run(self._rows, self._table, self.epoch, *self._nothing)
+        self.epoch += 1
+
+    def record(self, tree: Any, epochs: int) -> Array:
+        """Run the next epochs and keep some rows of each.
+
+        Args:
+            tree: parts of ``at``.
+            epochs: how many.
+
+        Returns:
+            (n, epochs, leaves of the tree).
+        """
+        rows = np.array(leaves(tree), np.int64)
+        out = np.empty((self.n, epochs, len(rows)))
+        self._run(self._rows, self._table, self.epoch, rows, out)
+        self.epoch += epochs
+        return out
 
     def span(self, tree: Any) -> slice:
         """The rows of a subtree of ``at``; leaves of a subtree lie side by side."""

@@ -2,7 +2,9 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
+from mmwave_env.arithmetic import Number
 from mmwave_env.estimator.update import Algorithm, ckf, ekf, ukf
 from mmwave_env.names import choose
 
@@ -12,6 +14,21 @@ ALGORITHMS: dict[str, Algorithm] = {"ekf": ekf, "ukf": ukf, "ckf": ckf}
 # grid on this model's prototype (the profile "high" takes that of "standard"); the
 # high-mobility mode has 1.8 everywhere. No command of the package re-tunes them yet.
 LOW_MOBILITY_SIGMA_V = {"handset": 0.3, "standard": 0.5, "high": 0.5}
+
+
+class Tuning(NamedTuple):
+    """A mode's process noise as numbers, so that one compiled filter can run many tunings.
+
+    Attributes are those of :class:`Mode`; ``coupling`` is 1 or 0.
+    """
+
+    sigma_p: Number
+    sigma_v: Number
+    sigma_pz: Number
+    sigma_vz: Number
+    sigma_b_mps: Number
+    spread_gain: Number
+    coupling: Number
 
 
 @dataclass(frozen=True)
@@ -83,6 +100,11 @@ class Mode:
                 f"recovery of mode {self.name!r}: found {self.recovery}, expected a number of "
                 "epochs >= 1 or None"
             )
+
+    @property
+    def tuning(self) -> Tuning:
+        """Its process noise."""
+        return Tuning(*(float(getattr(self, field)) for field in Tuning._fields))
 
     @property
     def update(self) -> Algorithm:

@@ -20,14 +20,14 @@ class ProcessNoise(NamedTuple):
 
 
 def white_noise_acceleration(
-    position: Vector, velocity: Vector, bias: Number, dt: Number, coupled: bool
+    position: Vector, velocity: Vector, bias: Number, dt: Number, coupling: Number
 ) -> ProcessNoise:
     """Q over a step from variances per second.
 
-    With ``coupled`` the velocity noise q = velocity dt moves the position as a constant
+    With ``coupling`` 1 the velocity noise q = velocity dt moves the position as a constant
     acceleration over the step does, [[q dt^2 / 4, q dt / 2], [q dt / 2, q]] (discrete
     white-noise acceleration, Bar-Shalom et al. 2001, Sec. 6.3.2), on top of the position
-    noise, so Q is positive semidefinite for any variances. Without, Q is the paper's plain
+    noise, so Q is positive semidefinite for any variances. With 0, Q is the paper's plain
     diagonal, which at dt = 1 s underestimates how position uncertainty grows.
 
     Args:
@@ -35,10 +35,10 @@ def white_noise_acceleration(
         velocity: (3,) (m/s)^2 per second.
         bias: Hz^2 per second.
         dt: step, seconds.
-        coupled: whether velocity noise also moves the position within the step.
+        coupling: 1 where velocity noise also moves the position within the step, else 0.
     """
     q = [v * dt for v in velocity]
-    half = 0.5 * dt if coupled else 0.0
+    half = coupling * (0.5 * dt)
     spread = [p * dt + v * (half * half) for p, v in zip(position, q, strict=True)]
     return ProcessNoise([*spread, *q, bias * dt], [v * half for v in q])
 

@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 from mmwave_env.arithmetic import Matrix, Number, Vector, clip, sqrt, where
 from mmwave_env.estimator.algebra import dot, pack, unpack
-from mmwave_env.estimator.modes import Mode
+from mmwave_env.estimator.modes import Mode, Tuning
 from mmwave_env.estimator.motion import (
     ProcessNoise,
     move,
@@ -180,19 +180,20 @@ def start(pipeline: Pipeline) -> Memory:
 
 
 def process_noise(
-    mode: Mode, epoch: Epoch, hz_per_mps: Number, gamma: Number, planar: bool
+    tuning: Tuning, epoch: Epoch, hz_per_mps: Number, gamma: Number, planar: bool
 ) -> ProcessNoise:
-    """Q of an epoch: the mode's tuning, Doppler-adaptive and scaled by gamma."""
-    velocity = mode.sigma_v**2 + mode.spread_gain * epoch.doppler_spread_hz
-    position = mode.sigma_p**2
-    drift = mode.sigma_b_mps * hz_per_mps
-    vertical = (0.0, 0.0) if planar else (mode.sigma_pz**2, mode.sigma_vz**2)
+    """Q of an epoch: the tuning, Doppler-adaptive and scaled by gamma."""
+    t = tuning
+    velocity = t.sigma_v * t.sigma_v + t.spread_gain * epoch.doppler_spread_hz
+    position = t.sigma_p * t.sigma_p
+    drift = t.sigma_b_mps * hz_per_mps
+    vertical = (0.0, 0.0) if planar else (t.sigma_pz * t.sigma_pz, t.sigma_vz * t.sigma_vz)
     return white_noise_acceleration(
         [gamma * v for v in (position, position, vertical[0])],
         [gamma * v for v in (velocity, velocity, vertical[1])],
         gamma * (drift * drift),
         epoch.dt,
-        mode.coupling,
+        t.coupling,
     )
 
 
@@ -219,7 +220,14 @@ def measurement_of(
 
 
 def consider(
-    pipeline: Pipeline, mode: Mode, x: Vector, P: Vector, memory: Memory, epoch: Epoch, site: Site
+    pipeline: Pipeline,
+    mode: Mode,
+    x: Vector,
+    P: Vector,
+    memory: Memory,
+    epoch: Epoch,
+    site: Site,
+    tuning: Tuning | None = None,
 ) -> Candidate:
     """Run one mode on the coming epoch.
 
@@ -230,9 +238,10 @@ def consider(
         memory: of the track.
         epoch: the coming epoch.
         site: anchors and carrier.
+        tuning: process noise in place of the mode's own.
     """
     gamma = memory.gamma if mode.adaptive else 1.0
-    noise = process_noise(mode, epoch, site.hz_per_mps, gamma, pipeline.planar)
+    noise = process_noise(tuning or mode.tuning, epoch, site.hz_per_mps, gamma, pipeline.planar)
     x_predicted, P_predicted = pipeline.predict(
         mode, x, unpack(P, zero=pipeline.pinned), noise, epoch.dt
     )

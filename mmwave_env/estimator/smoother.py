@@ -87,7 +87,8 @@ def _program(pinned: tuple[int, ...]) -> Program[Workspace]:
     def function(w: Workspace) -> Workspace:
         x, P = rts_step(w.incoming, w.x, w.P, pinned)
         last = w.last > 0.5
-        return w._replace(x=select(last, w.incoming.x, x), P=select(last, w.incoming.P, P))
+        x, P = select(last, w.incoming.x, x), select(last, w.incoming.P, P)
+        return w._replace(last=0.0, x=x, P=P)
 
     identity = [float(i == j) for i in range(STATE_SIZE) for j in range(i + 1)]
     mean = [0.0] * STATE_SIZE
@@ -112,14 +113,12 @@ def smooth(
     dt = np.append(np.diff(time_s), 0.0)
     coming = np.concatenate([P_predicted[:, 1:], P_predicted[:, -1:]], axis=1)
     dt_column = np.broadcast_to(dt[None, :, None], (N, T, 1))
-    table = np.concatenate([x, P, coming, dt_column], axis=2)
+    table = np.concatenate([x, P, coming, dt_column], axis=2)[:, ::-1]
     rows = np.zeros((-(-N // WIDTH), program.size, WIDTH))
-    out_x, out_P = np.empty_like(x), np.empty_like(P)
     at = program.index
     rows[:, at.last] = 1.0
-    for t in reversed(range(T)):
-        program.run_on_lanes(rows, table, np.full(N, t, np.int64))
-        rows[:, at.last] = 0.0
-        flat = rows.transpose(0, 2, 1).reshape(-1, program.size)[:N]
-        out_x[:, t], out_P[:, t] = flat[:, at.x], flat[:, at.P]
-    return out_x, out_P
+    out = np.empty((N, T, STATE_SIZE + len(at.P)))
+    record = np.array([*at.x, *at.P], np.int64)
+    program.run_on_lanes(rows, np.ascontiguousarray(table), np.zeros(N, np.int64), record, out)
+    smoothed = out[:, ::-1]
+    return smoothed[..., :STATE_SIZE].copy(), smoothed[..., STATE_SIZE:].copy()

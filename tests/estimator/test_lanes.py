@@ -305,7 +305,7 @@ print(engine.read(engine.at.x).tolist())
 """
 EDITS = [
     ("measurement.py", "d[0] * velocity[0]", "d[1] * velocity[0]"),
-    ("estimator/motion.py", "half = 0.5 * dt", "half = 0.7 * dt"),
+    ("estimator/motion.py", "(0.5 * dt)", "(0.7 * dt)"),
     ("estimator/linearise.py", "(0.5 / s)", "(0.6 / s)"),
 ]
 

@@ -1,0 +1,191 @@
+"""Whole tracks in one go: filter episodes with a mode, or with a rule that picks one.
+
+Where no agent acts, nothing has to stop after every epoch: a kernel runs from the first
+epoch of an episode to the last. Process noise is part of its data, so one compiled filter
+runs any tuning.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from functools import lru_cache
+from operator import attrgetter
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mmwave_env.arithmetic import Number, Vector
+from mmwave_env.episode import Episode
+from mmwave_env.estimator.algebra import unpack
+from mmwave_env.estimator.batch import Batch, Incoming, Program, blank_incoming, blank_site
+from mmwave_env.estimator.belief import Belief
+from mmwave_env.estimator.modes import Tuning
+from mmwave_env.estimator.pipeline import (
+    Candidate,
+    Epoch,
+    Memory,
+    Pipeline,
+    Site,
+    anticipate,
+    commit,
+    consider,
+    start,
+)
+from mmwave_env.estimator.trees import leaves, select
+
+Array = NDArray[np.float64]
+Rule = Callable[[Vector, Epoch], Number]
+
+
+class Track(NamedTuple):
+    """A track between two epochs.
+
+    Attributes:
+        incoming: the epoch to run, or just run.
+        site: anchors, carrier and prior.
+        fresh: 1 to start over from the prior.
+        tunings: process noise of every mode.
+        x, P: (7,), (28,) belief after the epoch.
+        P_predicted: (28,) covariance predicted for it.
+        memory: of the track; ``memory.mode`` ran.
+        log_likelihood: as in :class:`~mmwave_env.estimator.update.Posterior`.
+        error: (3,) position error, m; NaN where the truth is not known.
+        nees: of the position.
+    """
+
+    incoming: Incoming
+    site: Site
+    fresh: Number
+    tunings: list[Tuning]
+    x: list[Number]
+    P: list[Number]
+    P_predicted: list[Number]
+    memory: Memory
+    log_likelihood: Number
+    error: list[Number]
+    nees: Number
+
+
+def track_epoch(w: Track, pipeline: Pipeline, rule: Rule | None) -> Track:
+    """One epoch of a track, on numbers."""
+    fresh, epoch = w.fresh > 0.5, w.incoming.epoch
+    x, P = select(fresh, w.site.prior_x, w.x), select(fresh, w.site.prior_P, w.P)
+    memory = select(fresh, start(pipeline), w.memory)
+    mode = 0.0 if rule is None else rule(x, epoch)
+    candidates = [
+        consider(pipeline, one, x, P, memory, epoch, w.site, tuning)
+        for one, tuning in zip(pipeline.modes, w.tunings, strict=True)
+    ]
+    chosen: Candidate = candidates[0]
+    for number, candidate in enumerate(candidates[1:], start=1):
+        chosen = select(mode > number - 0.5, candidate, chosen)
+    memory = anticipate(memory, candidates, epoch)
+    memory = commit(pipeline, mode, x, chosen, memory, epoch.dt, epoch.visible)
+    covariance = unpack(chosen.P, zero=pipeline.pinned)
+    belief = Belief(chosen.x, covariance, pipeline.position_axes)
+    return w._replace(
+        fresh=0.0,
+        x=chosen.x,
+        P=chosen.P,
+        P_predicted=chosen.P_predicted,
+        memory=memory,
+        log_likelihood=chosen.log_likelihood,
+        error=belief.error(w.incoming.truth),
+        nees=belief.nees(w.incoming.truth),
+    )
+
+
+@lru_cache(maxsize=64)
+def _program(pipeline: Pipeline, rule: Rule | None) -> Program[Track]:
+    def function(w: Track) -> Track:
+        return track_epoch(w, pipeline, rule)
+
+    site = blank_site(pipeline.layout)
+    template = Track(
+        incoming=blank_incoming(pipeline.layout),
+        site=site,
+        fresh=1.0,
+        tunings=[Tuning(*[0.0] * len(Tuning._fields)) for _ in pipeline.modes],
+        x=site.prior_x,
+        P=site.prior_P,
+        P_predicted=site.prior_P,
+        memory=start(pipeline),
+        log_likelihood=0.0,
+        error=[0.0] * 3,
+        nees=0.0,
+    )
+    return Program(function, template)
+
+
+def _untuned(pipeline: Pipeline) -> Pipeline:
+    """The pipeline as the compiler sees it: modes that differ in tuning alone are one."""
+    blank = [
+        replace(
+            mode, name=str(i), sigma_p=0.0, sigma_v=0.0, sigma_pz=0.0, sigma_vz=0.0,
+            sigma_b_mps=0.0, spread_gain=0.0, coupling=False, cost=0.0,
+        )
+        for i, mode in enumerate(pipeline.modes)
+    ]  # fmt: skip
+    return pipeline._replace(modes=tuple(blank))
+
+
+class Tracker:
+    """N tracks, each filtered from the first epoch of an episode to the last.
+
+    Args:
+        pipeline: the mode, or the modes that ``rule`` picks from.
+        n: number of tracks.
+        rule: from the state (7,) after the epoch before and the coming epoch to the number of
+            the mode to run; None where there is one mode.
+    """
+
+    def __init__(self, pipeline: Pipeline, n: int, rule: Rule | None = None) -> None:
+        if rule is None and len(pipeline.modes) > 1:
+            raise ValueError(f"modes: found {len(pipeline.modes)} and no rule, expected one mode")
+        self.pipeline = pipeline
+        self._batch = Batch(_program(_untuned(pipeline), rule), pipeline.layout, n)
+        self._epochs, self._end_s = 0, 0.0
+        self.tune([mode.tuning for mode in pipeline.modes])
+
+    def tune(self, tunings: Sequence[Tuning]) -> None:
+        """Take other process noise, one :class:`Tuning` a mode, and start over."""
+        row = np.array(leaves(list(tunings)), float)
+        self._batch.write(self._batch.at.tunings, np.tile(row, (self._batch.n, 1)))
+        self._batch.restart()
+
+    def load(self, episodes: Sequence[Episode]) -> None:
+        """Take N episodes, to filter from their priors.
+
+        Raises:
+            ValueError: another number of episodes, or another layout than the pipeline's.
+        """
+        self._batch.load(episodes)
+        self._loaded(episodes)
+
+    def go_on(self, episodes: Sequence[Episode]) -> None:
+        """Take what follows the episodes just filtered; their priors are not looked at."""
+        self._batch.load(episodes, gap_s=float(episodes[0].time_s[0]) - self._end_s)
+        self._loaded(episodes)
+
+    def _loaded(self, episodes: Sequence[Episode]) -> None:
+        self._epochs = max(len(episode) for episode in episodes)
+        self._end_s = float(episodes[0].time_s[-1])
+
+    def run(self, *names: str) -> dict[str, Array]:
+        """Filter the episodes loaded, once.
+
+        Args:
+            names: parts of :class:`Track` to return, such as "x" or "memory.nis".
+
+        Returns:
+            Per name (n, epochs) of a single number, else (n, epochs, numbers).
+        """
+        parts = [attrgetter(name)(self._batch.at) for name in names]
+        recorded = self._batch.record(parts, self._epochs)
+        result, first = {}, 0
+        for name, part in zip(names, parts, strict=True):
+            width = len(leaves(part))
+            columns = recorded[..., first : first + width]
+            result[name] = columns[..., 0] if isinstance(part, int) else columns
+            first += width
+        return result
