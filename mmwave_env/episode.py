@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from mmwave_env.arithmetic import PI
 from mmwave_env.measurement import Layout, direction, range_rate, wrap_angles
 from mmwave_env.mobility import mobilities_of, trajectory
+from mmwave_env.prior import draw_prior
 from mmwave_env.radio import Radio, oscillator_bias, simulate_channel
 from mmwave_env.scene import Scene
 
@@ -209,14 +210,6 @@ def geometry(position: Array, velocity: Array, scene: Scene, layout: Layout) -> 
     return out
 
 
-def draw_prior(
-    truth: Array, radio: Radio, scene: Scene, rng: np.random.Generator
-) -> tuple[Array, Array]:
-    """Mean (7,) drawn around the true state (7,), and covariance (7, 7)."""
-    covariance = radio.prior_covariance(scene)
-    return truth + np.sqrt(np.diag(covariance)) * rng.standard_normal(7), covariance
-
-
 @dataclass(frozen=True)
 class SimulatedSource:
     """Episodes of simulated users in a street scene.
@@ -248,7 +241,7 @@ class SimulatedSource:
     @property
     def layout(self) -> Layout:
         """Rows of every episode's measurements."""
-        return Layout(len(self.scene.walls) + 1, self.odometry)
+        return Layout(len(self.scene.anchors_m), self.odometry)
 
     @property
     def name(self) -> str:

@@ -12,17 +12,15 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from mmwave_env.arithmetic import PI, wrap
-from mmwave_env.episode import Episode, draw_prior
+from mmwave_env.episode import Episode
 from mmwave_env.measurement import Layout, wrap_angles
+from mmwave_env.prior import draw_prior, prior_from_fix
 from mmwave_env.radio import Radio, doppler_spread, oscillator_bias
 from mmwave_env.scene import Scene
 
 Array = NDArray[np.float64]
 
 _NO_PATH_DB = -200.0  # gain of a missing path: as good as none, yet its sigmas stay finite
-# Horizontal, per axis, of a user nobody knows: twice that is the 20 m/s the filters are made for.
-_UNKNOWN_VELOCITY_MPS = 10.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,10 +90,10 @@ class Recording:
 
     @property
     def scene(self) -> Scene:
-        """The gNB and its carrier, as radio profiles want them; walls are not known."""
-        x, y, z = (float(c) for c in self.anchors_m[0])
-        return Scene(self.name, (x, y, z), (), carrier_hz=self.carrier_hz,
-                     bandwidth_hz=self.bandwidth_hz)  # fmt: skip
+        """The anchors and the carrier; walls are not known."""
+        gnb, *virtual = [(float(x), float(y), float(z)) for x, y, z in self.anchors_m]
+        return Scene(self.name, gnb, carrier_hz=self.carrier_hz, bandwidth_hz=self.bandwidth_hz,
+                     virtual_anchors_m=tuple(virtual))  # fmt: skip
 
     @property
     def has_truth(self) -> bool:
@@ -192,7 +190,7 @@ class RecordedSource:
             mean, covariance = draw_prior(np.concatenate(state), radio, scene, rng)
         else:
             link = layout.link(0)
-            mean, covariance = _prior_from_fix(
+            mean, covariance = prior_from_fix(
                 recording.anchors_m[0], measurement[0, link], sigma[0, link], radio, scene
             )
             visible = visible.copy()
@@ -213,28 +211,3 @@ class RecordedSource:
             truth_velocity_mps=recording.velocity_mps,
             layout=layout,
         )
-
-
-def _prior_from_fix(
-    anchor: Array, link: Array, sigma: Array, radio: Radio, scene: Scene
-) -> tuple[Array, Array]:
-    """Mean (7,) and covariance (7, 7) from one link (4,) to an anchor (3,); at rest.
-
-    Position a + r (cos el cos az, cos el sin az, sin el), noise propagated to first order.
-    """
-    distance, azimuth, elevation, departure = link
-    arrival_variance, departure_variance = sigma[1] ** 2, sigma[3] ** 2
-    share = arrival_variance / (arrival_variance + departure_variance)
-    azimuth = azimuth + share * wrap(departure - azimuth + PI)
-    cos_az, sin_az, cos_el, sin_el = (
-        np.cos(azimuth), np.sin(azimuth), np.cos(elevation), np.sin(elevation)
-    )  # fmt: skip
-    along = np.array([cos_el * cos_az, cos_el * sin_az, sin_el])
-    across = np.array([-cos_el * sin_az, cos_el * cos_az, 0.0])
-    up = np.array([-sin_el * cos_az, -sin_el * sin_az, cos_el])
-    jacobian = np.column_stack([along, distance * across, distance * up])
-    variance = [sigma[0] ** 2, share * departure_variance, sigma[2] ** 2]
-    covariance = radio.prior_covariance(scene)
-    covariance[:3, :3] = jacobian @ np.diag(variance) @ jacobian.T
-    covariance[3, 3] = covariance[4, 4] = _UNKNOWN_VELOCITY_MPS**2
-    return np.concatenate([anchor + distance * along, np.zeros(4)]), covariance

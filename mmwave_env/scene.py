@@ -5,7 +5,8 @@ one reflection measures range and angles as if it came from there (paper, Sec. I
 """
 
 import json
-from dataclasses import dataclass, field
+from collections.abc import Sequence
+from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import Any
 
@@ -99,6 +100,8 @@ class Scene:
         streets: where simulated users move.
         carrier_hz: carrier frequency f_c.
         bandwidth_hz: signal bandwidth B.
+        virtual_anchors_m: more virtual anchors, given by position: surveyed, or found in a ray
+            tracing.
     """
 
     name: str
@@ -107,10 +110,14 @@ class Scene:
     streets: Streets = field(default_factory=Streets)
     carrier_hz: float = 28e9
     bandwidth_hz: float = 100e6
+    virtual_anchors_m: tuple[Point, ...] = ()
 
     def __post_init__(self) -> None:
         if len(self.base_station_m) != 3 or not np.isfinite(self.base_station_m).all():
             raise ValueError(f"base_station_m: found {self.base_station_m}, expected x, y, z")
+        for i, anchor in enumerate(self.virtual_anchors_m):
+            if len(anchor) != 3 or not np.isfinite(anchor).all():
+                raise ValueError(f"virtual_anchors_m[{i}]: found {anchor}, expected x, y, z")
         if not self.carrier_hz > 0.0 or not self.bandwidth_hz > 0.0:
             raise ValueError(
                 f"carrier_hz, bandwidth_hz: found {self.carrier_hz}, {self.bandwidth_hz}, "
@@ -119,9 +126,9 @@ class Scene:
 
     @property
     def anchors_m(self) -> NDArray[np.float64]:
-        """Anchors (L, 3): the gNB, then its image in each wall."""
+        """Anchors (L, 3): the gNB, its image in each wall, then the other virtual anchors."""
         images = [wall.mirror(self.base_station_m) for wall in self.walls]
-        return np.array([self.base_station_m, *images], float)
+        return np.array([self.base_station_m, *images, *self.virtual_anchors_m], float)
 
     def require_streets_in_front(self) -> None:
         """Refuse streets behind a wall, where its mirror image can't be seen.
@@ -180,27 +187,112 @@ def scene_from(scene: "str | Path | Scene") -> Scene:
 
 
 def read_scene(path: Path) -> Scene:
-    """A scene from a JSON file.
+    """A scene from a JSON file, in one of two forms.
 
-    Keys: base_station_m [x, y, z]; and, where they differ from the defaults, name, walls (a
-    list of {"normal": [x, y], "offset_m": d}), streets, carrier_hz and bandwidth_hz.
+    By its walls: base_station_m [x, y, z]; and, where they differ from the defaults, name,
+    walls (a list of {"normal": [x, y], "offset_m": d}), streets, carrier_hz, bandwidth_hz and
+    virtual_anchors_m (a list of [x, y, z]).
+
+    By its anchors: anchors (a list of [x, y, z], the physical gNB first), carrier_hz and
+    bandwidth_hz; and, where they differ from the defaults, name and streets.
 
     Raises:
         ValueError: naming the file and what is wrong in it.
         FileNotFoundError: there is no such file.
     """
     try:
-        fields = json.loads(path.read_text())
-        fields["base_station_m"] = tuple(float(v) for v in fields["base_station_m"])
-        fields["walls"] = tuple(
-            Wall(tuple(wall["normal"]), float(wall["offset_m"])) for wall in fields.get("walls", [])
+        content = json.loads(path.read_text(encoding="utf-8"))
+        if not isinstance(content, dict):
+            raise ValueError(f"found {type(content).__name__}, expected an object")
+        given = _from_anchors(content) if "anchors" in content else _from_walls(content)
+        return Scene(**{"name": path.stem, **given})
+    except (TypeError, KeyError, AttributeError, ValueError, RecursionError) as error:
+        what = error if type(error) is ValueError else repr(error)
+        raise ValueError(f"{path}: not a scene: {what}") from error
+
+
+def anchors_json(scene: Scene) -> dict[str, Any]:
+    """The scene by its anchors, as :func:`read_scene` reads it; walls and streets are lost."""
+    return {
+        "name": scene.name,
+        "anchors": scene.anchors_m.tolist(),
+        "carrier_hz": scene.carrier_hz,
+        "bandwidth_hz": scene.bandwidth_hz,
+    }
+
+
+def _from_anchors(content: dict[str, Any]) -> dict[str, Any]:
+    """Fields of a Scene from a file that lists anchors."""
+    mixed = [key for key in ("base_station_m", "walls", "virtual_anchors_m") if key in content]
+    if mixed:
+        raise ValueError(
+            f"found anchors and {', '.join(mixed)}, expected either all anchors, the physical "
+            "gNB first, or base_station_m and walls"
         )
-        if "streets" in fields:
-            streets: dict[str, Any] = {
-                key: tuple(value) if isinstance(value, list) else value
-                for key, value in fields["streets"].items()
-            }
-            fields["streets"] = Streets(**streets)
-        return Scene(**{"name": path.stem, **fields})
-    except (TypeError, KeyError, AttributeError, ValueError) as error:
-        raise ValueError(f"{path}: not a scene: {error!r}") from error
+    _require_keys(content, ("anchors", "carrier_hz", "bandwidth_hz"), ("name", "streets"))
+    anchors = content["anchors"]
+    if not isinstance(anchors, list) or not anchors:
+        raise ValueError(f"anchors: found {anchors!r}, expected a list of [x, y, z]")
+    points = [_point(f"anchors[{i}]", anchor) for i, anchor in enumerate(anchors)]
+    rest = {key: value for key, value in _common(content).items() if key != "anchors"}
+    return {**rest, "base_station_m": points[0], "virtual_anchors_m": tuple(points[1:])}
+
+
+def _from_walls(content: dict[str, Any]) -> dict[str, Any]:
+    """Fields of a Scene from a file that has its base station and walls."""
+    if "base_station_m" not in content:
+        raise ValueError(
+            "found neither base_station_m nor anchors, expected base_station_m [x, y, z] and "
+            "walls, or anchors [[x, y, z], ...]"
+        )
+    _require_keys(content, (), [f.name for f in fields(Scene)])
+    virtual = content.get("virtual_anchors_m", [])
+    return {
+        **_common(content),
+        "base_station_m": _point("base_station_m", content["base_station_m"]),
+        "walls": tuple(
+            Wall(tuple(wall["normal"]), float(wall["offset_m"]))
+            for wall in content.get("walls", [])
+        ),
+        "virtual_anchors_m": tuple(
+            _point(f"virtual_anchors_m[{i}]", anchor) for i, anchor in enumerate(virtual)
+        ),
+    }
+
+
+def _common(content: dict[str, Any]) -> dict[str, Any]:
+    """The content, with what both forms share made into what a Scene has."""
+    out = dict(content)
+    for key in ("carrier_hz", "bandwidth_hz"):
+        if key in out:
+            out[key] = float(out[key])
+    if "streets" in out:
+        streets: dict[str, Any] = {
+            key: tuple(value) if isinstance(value, list) else value
+            for key, value in out["streets"].items()
+        }
+        out["streets"] = Streets(**streets)
+    return out
+
+
+def _point(what: str, found: object) -> Point:
+    try:
+        x, y, z = np.asarray(found, float).tolist()
+    except (TypeError, ValueError) as error:
+        raise ValueError(f"{what}: found {found!r}, expected [x, y, z]") from error
+    if not np.isfinite([x, y, z]).all():
+        raise ValueError(f"{what}: found {found!r}, expected finite numbers")
+    return x, y, z
+
+
+def _require_keys(
+    content: dict[str, Any], required: Sequence[str], optional: Sequence[str]
+) -> None:
+    """Refuse a file that lacks a key or has one that means nothing."""
+    for key in content:
+        if key not in required and key not in optional:
+            known = ", ".join([*required, *optional])
+            raise ValueError(f"found the key {key!r}, expected only {known}")
+    for key in required:
+        if key not in content:
+            raise ValueError(f"found no {key}, expected one beside {', '.join(content)}")

@@ -1,14 +1,14 @@
 """Scenes: mirror images, the shipped streets, and scenes from files."""
 
 import json
-from dataclasses import asdict
+from dataclasses import asdict, replace
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mmwave_env.scene import SCENES, Scene, Streets, Wall, scene_from
+from mmwave_env.scene import SCENES, Scene, Streets, Wall, anchors_json, scene_from
 
 coordinates = st.floats(-1e3, 1e3, allow_subnormal=False)
 points = st.tuples(coordinates, coordinates, coordinates)
@@ -110,6 +110,9 @@ def test_a_scene_file_may_leave_out_all_but_the_base_station(tmp_path):
         MINIMAL | {"carrier_hz": -28e9},
         MINIMAL | {"bandwidth_hz": "wide"},
         MINIMAL | {"colour": "red"},
+        MINIMAL | {"virtual_anchors_m": [[1, 2]]},
+        MINIMAL | {"virtual_anchors_m": [1, 2, 3]},
+        MINIMAL | {"virtual_anchors_m": 1},
     ],
     ids=lambda content: content if isinstance(content, str) else json.dumps(content),
 )
@@ -129,6 +132,81 @@ def test_a_scene_file_that_is_not_text_is_refused_by_name(tmp_path):
 def test_a_missing_scene_file_is_named(tmp_path):
     with pytest.raises(FileNotFoundError, match="plaza.json"):
         scene_from(tmp_path / "plaza.json")
+
+
+ANCHORS = {"anchors": [[10, 10, 10], [10, 40, 10]], "carrier_hz": 28e9, "bandwidth_hz": 1e8}
+
+
+def without(content, key):
+    return {k: v for k, v in content.items() if k != key}
+
+
+def test_a_scene_file_may_list_anchors(tmp_path):
+    scene = scene_from(write(tmp_path, ANCHORS | {"carrier_hz": 39e9}))
+    assert scene.name == "plaza" and scene.walls == ()
+    assert scene.base_station_m == (10.0, 10.0, 10.0)
+    assert scene.virtual_anchors_m == ((10.0, 40.0, 10.0),)
+    assert (scene.carrier_hz, scene.bandwidth_hz) == (39e9, 1e8)
+    np.testing.assert_array_equal(scene.anchors_m, ANCHORS["anchors"])
+
+
+def test_a_listed_anchor_is_as_good_as_a_mirror_image(tmp_path):
+    listed = scene_from(write(tmp_path, ANCHORS | {"name": "listed"}))
+    mirrored = Scene("mirrored", (10.0, 10.0, 10.0), (Wall((0, 1), 25.0),))
+    assert listed.name == "listed"
+    np.testing.assert_allclose(listed.anchors_m, mirrored.anchors_m, atol=1e-12)
+
+
+def test_virtual_anchors_follow_the_mirror_images():
+    scene = replace(SCENES["street"], virtual_anchors_m=((1.0, 2.0, 3.0), (4.0, 5.0, 6.0)))
+    np.testing.assert_allclose(
+        scene.anchors_m, [[10, 10, 10], [10, 40, 10], [360, 10, 10], [1, 2, 3], [4, 5, 6]]
+    )
+
+
+@pytest.mark.parametrize("name", SCENES)
+def test_a_scene_survives_a_file_of_its_anchors(tmp_path, name):
+    scene = SCENES[name]
+    found = scene_from(write(tmp_path, anchors_json(scene)))
+    np.testing.assert_array_equal(found.anchors_m, scene.anchors_m)
+    assert (found.name, found.carrier_hz, found.bandwidth_hz) == (
+        name, scene.carrier_hz, scene.bandwidth_hz
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        (without(ANCHORS, "carrier_hz"), "found no carrier_hz, expected one"),
+        (without(ANCHORS, "bandwidth_hz"), "found no bandwidth_hz, expected one"),
+        (ANCHORS | {"base_station_m": [0, 0, 0]}, "anchors and base_station_m, expected either"),
+        (ANCHORS | {"walls": []}, "anchors and walls, expected either"),
+        (ANCHORS | {"colour": 1}, "found the key 'colour', expected only anchors, carrier_hz"),
+        (ANCHORS | {"anchors": []}, "anchors: found [], expected a list"),
+        (ANCHORS | {"anchors": {}}, "anchors: found {}, expected a list"),
+        (ANCHORS | {"anchors": [0, 0, 0]}, "anchors[0]: found 0, expected [x, y, z]"),
+        (ANCHORS | {"anchors": [[0, 0, 0], [1, 2]]}, "anchors[1]: found [1, 2], expected"),
+        (ANCHORS | {"anchors": [[0, 0, "a"]]}, "anchors[0]: found [0, 0, 'a'], expected"),
+        (ANCHORS | {"anchors": [[0, 0, float("inf")]]}, "expected finite numbers"),
+        (ANCHORS | {"carrier_hz": 0}, "carrier_hz, bandwidth_hz: found 0.0"),
+        (ANCHORS | {"carrier_hz": float("nan")}, "carrier_hz, bandwidth_hz: found nan"),
+        (ANCHORS | {"bandwidth_hz": "wide"}, "wide"),
+        (MINIMAL | {"colour": 1}, "found the key 'colour', expected only name, base_station_m"),
+        ({"walls": []}, "found neither base_station_m nor anchors"),
+        ([], "found list, expected an object"),
+    ],
+    ids=repr,
+)
+def test_a_damaged_scene_file_says_what_is_wrong(tmp_path, content, message):
+    path = write(tmp_path, content)
+    with pytest.raises(ValueError, match="plaza.json") as error:
+        scene_from(path)
+    assert str(error.value).startswith(f"{path}: ") and message in str(error.value)
+
+
+def test_virtual_anchors_are_checked():
+    with pytest.raises(ValueError, match=r"virtual_anchors_m\[1\]: found \(1.0, nan, 2.0\)"):
+        Scene("odd", (0.0, 0.0, 0.0), virtual_anchors_m=((1.0, 2.0, 3.0), (1.0, np.nan, 2.0)))
 
 
 def test_streets_refuse_extents_that_are_the_wrong_way_round():

@@ -1,0 +1,46 @@
+"""Where a track begins: the state before the first epoch, and how well it is known."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mmwave_env.arithmetic import PI, wrap
+from mmwave_env.radio import Radio
+from mmwave_env.scene import Scene
+
+Array = NDArray[np.float64]
+
+# Horizontal, per axis, of a user nobody knows: twice that is the 20 m/s the filters are made for.
+UNKNOWN_VELOCITY_MPS = 10.0
+
+
+def draw_prior(
+    truth: Array, radio: Radio, scene: Scene, rng: np.random.Generator
+) -> tuple[Array, Array]:
+    """Mean (7,) drawn around the true state (7,), and covariance (7, 7)."""
+    covariance = radio.prior_covariance(scene)
+    return truth + np.sqrt(np.diag(covariance)) * rng.standard_normal(7), covariance
+
+
+def prior_from_fix(
+    anchor: Array, link: Array, sigma: Array, radio: Radio, scene: Scene
+) -> tuple[Array, Array]:
+    """Mean (7,) and covariance (7, 7) from one link (4,) to an anchor (3,); at rest.
+
+    Position a + r (cos el cos az, cos el sin az, sin el), noise propagated to first order.
+    """
+    distance, azimuth, elevation, departure = link
+    arrival_variance, departure_variance = sigma[1] ** 2, sigma[3] ** 2
+    share = arrival_variance / (arrival_variance + departure_variance)
+    azimuth = azimuth + share * wrap(departure - azimuth + PI)
+    cos_az, sin_az, cos_el, sin_el = (
+        np.cos(azimuth), np.sin(azimuth), np.cos(elevation), np.sin(elevation)
+    )  # fmt: skip
+    along = np.array([cos_el * cos_az, cos_el * sin_az, sin_el])
+    across = np.array([-cos_el * sin_az, cos_el * cos_az, 0.0])
+    up = np.array([-sin_el * cos_az, -sin_el * sin_az, cos_el])
+    jacobian = np.column_stack([along, distance * across, distance * up])
+    variance = [sigma[0] ** 2, share * departure_variance, sigma[2] ** 2]
+    covariance = radio.prior_covariance(scene)
+    covariance[:3, :3] = jacobian @ np.diag(variance) @ jacobian.T
+    covariance[3, 3] = covariance[4, 4] = UNKNOWN_VELOCITY_MPS**2
+    return np.concatenate([anchor + distance * along, np.zeros(4)]), covariance

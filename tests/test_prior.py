@@ -1,0 +1,76 @@
+"""Priors: drawn around the truth, or from the first line-of-sight fix."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from mmwave_env.episode import geometry
+from mmwave_env.measurement import Layout
+from mmwave_env.prior import UNKNOWN_VELOCITY_MPS, draw_prior, prior_from_fix
+from mmwave_env.radio import RADIOS
+from mmwave_env.scene import SCENES, Scene
+
+SCENE = SCENES["street"]
+GNB = SCENE.anchors_m[0]
+SIGMA = np.array([0.3, 0.02, 0.015, 0.01])
+
+
+def link_from(position):
+    """(4,) what the physical anchor would measure of a user at rest, without noise."""
+    track = np.array([position], float)
+    alone = Scene("alone", SCENE.base_station_m)
+    return geometry(track, np.zeros((1, 3)), alone, Layout(1))[0, :4]
+
+
+@pytest.mark.parametrize("radio", RADIOS)
+def test_a_drawn_prior_is_as_uncertain_as_it_says(radio):
+    truth, rng = np.arange(7.0), np.random.default_rng(0)
+    scores = []
+    for _ in range(2000):
+        mean, covariance = draw_prior(truth, RADIOS[radio], SCENE, rng)
+        scores.append((mean - truth) @ np.linalg.solve(covariance, mean - truth))
+    assert np.mean(scores) == pytest.approx(7.0, rel=0.05)
+    np.testing.assert_array_equal(covariance, RADIOS[radio].prior_covariance(SCENE))
+
+
+def test_a_drawn_prior_takes_seven_numbers_from_the_stream():
+    # Seeds in published results depend on it.
+    one, other = np.random.default_rng(3), np.random.default_rng(3)
+    mean, covariance = draw_prior(np.zeros(7), RADIOS["handset"], SCENE, one)
+    np.testing.assert_array_equal(mean / np.sqrt(np.diag(covariance)), other.standard_normal(7))
+    assert one.random() == other.random()
+
+
+@settings(deadline=None)
+@given(st.tuples(st.floats(-200, 200), st.floats(-200, 200), st.floats(0, 5)))
+def test_a_fix_without_noise_is_the_position(position):
+    if np.hypot(*(np.array(position[:2]) - GNB[:2])) < 1.0:
+        return  # below the anchor azimuths mean little
+    mean, covariance = prior_from_fix(GNB, link_from(position), SIGMA, RADIOS["handset"], SCENE)
+    np.testing.assert_allclose(mean[:3], position, atol=1e-9)
+    np.testing.assert_array_equal(mean[3:], 0.0)
+    np.testing.assert_allclose(covariance, covariance.T)
+    assert np.linalg.eigvalsh(covariance)[0] > 0.0
+
+
+@pytest.mark.parametrize("position", [(80.0, -20.0, 1.5), (-60.0, 10.2, 1.5), (10.5, -90.0, 1.5)])
+def test_a_fix_is_as_uncertain_as_it_says(position):
+    exact, rng = link_from(position), np.random.default_rng(0)
+    scores = []
+    for _ in range(1000):
+        link = exact + SIGMA * rng.standard_normal(4)
+        link[1:] = np.remainder(link[1:] + np.pi, 2.0 * np.pi) - np.pi
+        mean, covariance = prior_from_fix(GNB, link, SIGMA, RADIOS["standard"], SCENE)
+        error = mean[:3] - position
+        scores.append(error @ np.linalg.solve(covariance[:3, :3], error))
+    assert np.mean(scores) == pytest.approx(3.0, rel=0.15)
+
+
+def test_a_fix_says_nothing_of_the_horizontal_velocity():
+    radio = RADIOS["standard"]
+    _, covariance = prior_from_fix(GNB, link_from((80.0, -20.0, 1.5)), SIGMA, radio, SCENE)
+    rest = radio.prior_covariance(SCENE)
+    rest[3, 3] = rest[4, 4] = UNKNOWN_VELOCITY_MPS**2
+    np.testing.assert_array_equal(covariance[3:, 3:], rest[3:, 3:])
+    np.testing.assert_array_equal(covariance[:3, 3:], 0.0)
