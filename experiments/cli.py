@@ -13,8 +13,10 @@ from experiments.files import require_writable
 COMMANDS = {
     "evaluate": "one policy, its metrics with intervals",
     "compare": "several policies on the same episodes, with paired differences",
+    "tune": "process noise of modes, by likelihood or error, on tuning seeds",
     "tune-threshold": "the best threshold of the speed rule, on tuning seeds",
     "benchmark": "steps per second beside filterpy's, as ratios",
+    "simulate": "one episode as files: measurement log, scene and truth",
     "demo": "the comparison of the README, on simulated and ray-traced streets",
 }
 
@@ -34,8 +36,9 @@ def run(name: str, arguments: Sequence[str] | None = None) -> None:
     command = importlib.import_module(f"experiments.{name.replace('-', '_')}")
     args = tyro.cli(command.Args, args=arguments, prog=f"mmwave-loc {name}")
     try:
-        if args.json is not None:
-            require_writable(args.json)
+        json = getattr(args, "json", None)  # not every command has figures to write
+        if json is not None:
+            require_writable(json)
         command.main(args)
     except (ValueError, OSError) as error:
         print(f"mmwave-loc {name}: {error}", file=sys.stderr)

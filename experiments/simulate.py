@@ -1,0 +1,70 @@
+"""mmwave-loc simulate: one episode as files, for localize and for other people's tools."""
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from experiments.cli import run
+from experiments.files import beside, write_json, write_text
+from experiments.options import EpisodeArgs, command_line
+from mmwave_env.episode import SimulatedSource
+from mmwave_env.io.measurement_log import write_log
+from mmwave_env.io.tum import COLUMNS, tum_lines
+from mmwave_env.recording import RecordedSource
+from mmwave_env.scene import Scene, anchors_json
+
+
+@dataclass
+class Args:
+    """Write one episode as a folder: log.csv (measurements), scene.json and truth.tum."""
+
+    out: Path
+    """the folder"""
+    scenario: str | None = None
+    """pedestrian, vehicle, walk-ride, jam, cyclist or mixed (draws one of them, the default)"""
+    radio: str = "handset"
+    """handset, standard or high"""
+    scene: str | None = None
+    """street (the default), o1, dynamic-doppler or a JSON file"""
+    data: str | None = None
+    """recorded data instead of a simulation: canyon28_vehicle, canyon28_pedestrian, or the
+    folder of a DeepMIMO scenario"""
+    seed: int = 0
+    """seed of the episode, the same that evaluate runs"""
+    odometry: bool = False
+    """also write the user's speed and heading"""
+
+
+def _source(args: Args) -> tuple[SimulatedSource | RecordedSource, Scene]:
+    """Where the episode comes from, and the scene it is in."""
+    given = EpisodeArgs(
+        scenario=args.scenario, radio=args.radio, scene=args.scene, data=args.data
+    ).source()
+    if isinstance(given, SimulatedSource):
+        return replace(given, odometry=args.odometry), given.scene
+    assert isinstance(given, RecordedSource)
+    if args.odometry:
+        raise ValueError("odometry: found with --data, which has none; expected one of the two")
+    return given, given.recording.scene
+
+
+def main(args: Args) -> None:
+    """Run the command."""
+    source, scene = _source(args)
+    episode = source.sample(np.random.default_rng(args.seed))
+    files = {name: args.out / name for name in ("log.csv", "scene.json", "truth.tum")}
+    with beside(files["log.csv"]) as log:
+        write_log(log, episode)
+    write_json(files["scene.json"], anchors_json(scene))
+    if episode.truth_position_m is None:
+        del files["truth.tum"]
+    else:
+        header = f"# {' '.join(COLUMNS)}; {command_line('simulate', replace(args, out=Path('.')))}"
+        track = tum_lines(episode.time_s, episode.truth_position_m)
+        write_text(files["truth.tum"], f"{header}\n{track}")
+    print(f"written to {args.out}/: {', '.join(files)}")
+
+
+if __name__ == "__main__":
+    run("simulate")

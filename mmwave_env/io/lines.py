@@ -1,0 +1,100 @@
+"""Text files block by block, so that a file of any length takes little memory."""
+
+import gzip
+import math
+import os
+import zlib
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, NamedTuple
+
+_BLOCK_BYTES = 1 << 20
+
+
+class LineBlock(NamedTuple):
+    """Consecutive lines of a file.
+
+    Attributes:
+        first: number of the first line, counted from 1, as editors do.
+        lines: without their ends. What is not UTF-8 is escaped, so that it can be shown.
+        share: of the file read so far, 0 to 1.
+    """
+
+    first: int
+    lines: list[str]
+    share: float
+
+
+class DamagedFileError(ValueError):
+    """A file that can't be read on; every whole line before the damage has been delivered.
+
+    Attributes:
+        line: number of the first line that is not whole.
+        found, expected: for the message.
+    """
+
+    def __init__(self, path: Path, line: int, found: str, expected: str) -> None:
+        super().__init__(f"{path}, line {line}: found {found}, expected {expected}")
+        self.line = line
+
+
+def line_blocks(path: Path) -> Iterator[LineBlock]:
+    """The lines of a text file, gzipped if its name ends with ``.gz``, about 1 MiB at a time.
+
+    Raises:
+        OSError: the file can't be opened or read.
+        DamagedFileError: its compression is broken, or a line is longer than a block.
+    """
+    with path.open("rb") as raw:
+        total = max(os.fstat(raw.fileno()).st_size, 1)
+        zipped = path.suffix.lower() == ".gz"
+        file: Any = gzip.GzipFile(fileobj=raw) if zipped else raw
+        first, rest, end = 1, b"", False
+        while not end:
+            content, end, damage = _read(file)
+            content = rest + content
+            cut = len(content) if end and not damage else content.rfind(b"\n") + 1
+            content, rest = content[:cut], content[cut:]
+            lines = _decode(content, first == 1)
+            if lines:
+                yield LineBlock(first, lines, min(raw.tell() / total, 1.0))
+            first += len(lines)
+            if damage:
+                raise DamagedFileError(path, first, damage, "a file that is whole")
+            if len(rest) > _BLOCK_BYTES:
+                found = f"more than {_BLOCK_BYTES} bytes that begin with {rest[:20]!r}"
+                raise DamagedFileError(path, first, found, "a line of text")
+
+
+def _read(file: Any) -> tuple[bytes, bool, str]:
+    """The next block of bytes, whether it is the last, and what broke after it, if anything."""
+    pieces: list[bytes] = []
+    size = 0
+    while size < _BLOCK_BYTES:
+        try:
+            # Not read(): where decompression fails, it loses what came before.
+            piece = file.read1(_BLOCK_BYTES)
+        except (EOFError, gzip.BadGzipFile, zlib.error) as error:
+            return b"".join(pieces), True, f"broken gzip data ({error})"
+        if not piece:
+            return b"".join(pieces), True, ""
+        pieces.append(piece)
+        size += len(piece)
+    return b"".join(pieces), False, ""
+
+
+def _decode(content: bytes, at_start: bool) -> list[str]:
+    """The lines of whole lines; the last may lack its end."""
+    text = content.decode("utf-8", errors="backslashreplace").replace("\r\n", "\n")
+    if at_start:
+        text = text.removeprefix("\ufeff")
+    lines = text.split("\n")
+    return lines if lines[-1] else lines[:-1]
+
+
+def number(word: str) -> float:
+    """A number as numpy reads it; NaN for what is not one (Python reads 1_0 and ١, too)."""
+    try:
+        return float(word) if word.isascii() and "_" not in word else math.nan
+    except ValueError:
+        return math.nan

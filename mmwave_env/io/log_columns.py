@@ -1,0 +1,114 @@
+"""The columns of a measurement log: a name is a quantity and the unit it is in."""
+
+from collections.abc import Iterable, Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from mmwave_env.measurement import SPEED_OF_LIGHT
+
+
+class Unit(NamedTuple):
+    """How to convert: value * multiply / divide. Powers of ten divide, which rounds correctly."""
+
+    multiply: float = 1.0
+    divide: float = 1.0
+
+
+_TIME = {"_s": Unit(), "_ms": Unit(1.0, 1e3), "_us": Unit(1.0, 1e6), "_ns": Unit(1.0, 1e9)}
+_ANGLE = {"_rad": Unit(), "_deg": Unit(np.pi, 180.0)}
+_SHIFT = {"_hz": Unit(), "_khz": Unit(1e3), "_mps": Unit()}  # _mps: times f_c / c
+_FLIGHT = {f"toa{unit}": Unit(SPEED_OF_LIGHT, u.divide) for unit, u in _TIME.items()}
+
+QUANTITIES: dict[str, dict[str, Unit]] = {
+    "time": {f"time{unit}": u for unit, u in _TIME.items()},
+    "anchor": {"anchor": Unit()},
+    "toa": {**_FLIGHT, "range_m": Unit()},
+    "aoa_azimuth": {f"aoa_azimuth{unit}": u for unit, u in _ANGLE.items()},
+    "aoa_elevation": {f"aoa_elevation{unit}": u for unit, u in _ANGLE.items()},
+    "aod_azimuth": {f"aod_azimuth{unit}": u for unit, u in _ANGLE.items()},
+    "snr": {"snr_db": Unit()},
+    "doppler": {f"doppler{unit}": u for unit, u in _SHIFT.items()},
+    "doppler_spread": {f"doppler_spread{unit}": u for unit, u in _SHIFT.items()},
+    "speed": {"speed_mps": Unit(), "speed_kmh": Unit(1.0, 3.6)},
+    "heading": {f"heading{unit}": u for unit, u in _ANGLE.items()},
+}
+"""Every quantity with the columns it may stand in; inside: s, m, rad, Hz, dB and m/s."""
+
+LINK_QUANTITIES = ("toa", "aoa_azimuth", "aoa_elevation", "aod_azimuth")
+ODOMETRY_QUANTITIES = ("speed", "heading")
+_REQUIRED = ("time", "anchor", *LINK_QUANTITIES, "snr")
+
+
+class Column(NamedTuple):
+    """A column of a log.
+
+    Attributes:
+        name: in the file.
+        place: in the file, from 0.
+        unit: to convert by.
+    """
+
+    name: str
+    place: int
+    unit: Unit
+
+
+def columns_of(names: Sequence[str], hz_per_mps: float, odometry: bool = True) -> dict[str, Column]:
+    """The quantities of a log and where they stand, from the names of all its columns.
+
+    Without ``odometry`` its columns are left alone.
+
+    Raises:
+        ValueError: a name that is not known or lacks its unit, a quantity given twice, or one
+            that is missing; the message tells which names there are.
+    """
+    columns: dict[str, Column] = {}
+    for place, name in enumerate(names):
+        quantity = _quantity(name)
+        if quantity in columns:
+            other = columns[quantity].name
+            both = f"{other!r} twice" if name == other else f"both {other!r} and {name!r}"
+            raise ValueError(f"columns: found {both}, expected {quantity} once")
+        unit = QUANTITIES[quantity][name]
+        if name.startswith("doppler") and name.endswith("_mps"):
+            unit = Unit(hz_per_mps)
+        columns[quantity] = Column(name, place, unit)
+    for quantity in _REQUIRED:
+        if quantity not in columns:
+            raise ValueError(
+                f"columns: found no {quantity} in {', '.join(names)}, "
+                f"expected {_one_of(QUANTITIES[quantity])}"
+            )
+    if not odometry:
+        return {q: column for q, column in columns.items() if q not in ODOMETRY_QUANTITIES}
+    for one, other in (ODOMETRY_QUANTITIES, ODOMETRY_QUANTITIES[::-1]):
+        if one in columns and other not in columns:
+            raise ValueError(
+                f"columns: found {columns[one].name!r} alone, expected {other} "
+                f"({_one_of(QUANTITIES[other])}) beside it"
+            )
+    return columns
+
+
+def _quantity(name: str) -> str:
+    """The quantity in a column of this name."""
+    for quantity, spellings in QUANTITIES.items():
+        if name in spellings:
+            return quantity
+    # The longest, so that doppler_spread_x is not taken for a Doppler shift.
+    spelled = {**{quantity: quantity for quantity in QUANTITIES}, "range": "toa"}
+    meant = [start for start in spelled if name == start or name.startswith(f"{start}_")]
+    if meant:
+        spellings = QUANTITIES[spelled[max(meant, key=len)]]
+        raise ValueError(f"column {name!r}: found no unit we know, expected {_one_of(spellings)}")
+    known = ", ".join(next(iter(spellings)) for spellings in QUANTITIES.values())
+    raise ValueError(
+        f"column {name!r}: found no quantity we know, expected columns divided by commas out of "
+        f"{known}, or the same in other units"
+    )
+
+
+def _one_of(names: Iterable[str]) -> str:
+    *most, last = names
+    return f"{', '.join(most)} or {last}" if most else last

@@ -1,0 +1,264 @@
+"""Measurement logs as tables of numbers: CSV and Parquet become the same thing here.
+
+A table is a few thousand consecutive rows. Nothing but the columns' names, the shape of the
+file and what is a number is checked here; what the numbers mean is `measurement_log.py`'s.
+"""
+
+import csv
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mmwave_env.io.lines import DamagedFileError, line_blocks, number
+from mmwave_env.io.log_columns import Column, columns_of
+
+Array = NDArray[np.float64]
+Rows = NDArray[np.int64]
+
+SUFFIXES = (".csv", ".csv.gz", ".parquet")
+_BATCH_ROWS = 1 << 14
+_NOT_A_NUMBER = "expected a number, or nothing where it was not measured"
+
+
+class LogError(ValueError):
+    """A measurement log that is not one, or not from some row on."""
+
+
+class Table(NamedTuple):
+    """Consecutive rows of a log.
+
+    Attributes:
+        cells: (quantities, n) as in the file, NaN where empty.
+        rows: (n,) their numbers, for messages.
+        share: of the file read so far, 0 to 1.
+        damage: what is wrong with the last row, after which nothing follows; of that row,
+            cells that can't be read are NaN.
+    """
+
+    cells: Array
+    rows: Rows
+    share: float
+    damage: LogError | None = None
+
+
+@dataclass(frozen=True)
+class LogFile:
+    """A log whose header was read.
+
+    Attributes:
+        path: of the file.
+        columns: those that count, by quantity; the rows of tables are in this order.
+        width: number of columns in the file.
+    """
+
+    path: Path
+    columns: dict[str, Column]
+    width: int
+
+    def error(self, row: int, quantity: str, found: str, expected: str) -> LogError:
+        """The error that names a cell; rows of a CSV count as editors count lines."""
+        where = f"{'row' if _is_parquet(self.path) else 'line'} {row}"
+        if quantity:
+            where += f", column {self.columns[quantity].name!r}"
+        return LogError(f"{self.path}, {where}: found {found}, {expected}")
+
+    def tables(self) -> Iterator[Table]:
+        """The rows, in order; ends after the first table with damage."""
+        return _parquet_tables(self) if _is_parquet(self.path) else _csv_tables(self)
+
+
+def open_log(path: Path, hz_per_mps: float, odometry: bool = True) -> LogFile:
+    """Read the header of a log.
+
+    Args:
+        path: of a CSV (plain or gzipped) or Parquet file.
+        hz_per_mps: f_c / c, for Doppler shifts given in m/s.
+        odometry: False to leave the columns of odometry alone.
+
+    Raises:
+        LogError: not such a file, or its columns are not those of a log.
+        OSError: it can't be read.
+    """
+    if not path.name.lower().endswith(SUFFIXES):
+        raise LogError(f"{path}: found {path.suffix!r}, expected a name in {', '.join(SUFFIXES)}")
+    with path.open("rb") as file:
+        if not file.read(1):
+            raise LogError(f"{path}: found an empty file, expected a measurement log")
+    names = _parquet_names(path) if _is_parquet(path) else _csv_names(path)
+    try:
+        columns = columns_of(names, hz_per_mps, odometry)
+    except ValueError as error:
+        raise LogError(f"{path}: {error}") from error
+    log = LogFile(path, columns, len(names))
+    if _is_parquet(path):
+        _require_numbers(log)
+    return log
+
+
+def _is_parquet(path: Path) -> bool:
+    return path.suffix.lower() == ".parquet"
+
+
+# --- CSV
+
+
+def _csv_names(path: Path) -> list[str]:
+    try:
+        block = next(line_blocks(path), None)
+    except DamagedFileError as error:
+        raise LogError(str(error)) from error
+    if block is None:
+        raise LogError(f"{path}: found an empty file, expected a measurement log")
+    try:  # by a real CSV reader, because some programs put names in quotes
+        names = [name.strip() for name in next(csv.reader(block.lines[:1]))]
+    except csv.Error:
+        names = []
+    if len(names) < 2:
+        raise LogError(
+            f"{path}, line 1: found {block.lines[0][:60]!r}, expected names of columns, divided "
+            "by commas"
+        )
+    return names
+
+
+def _csv_tables(log: LogFile) -> Iterator[Table]:
+    order = list(log.columns.values())
+    try:
+        for block in line_blocks(log.path):
+            skip = 1 if block.first == 1 else 0  # the header
+            lines = block.lines[skip:]
+            first = block.first + skip
+            cells = _parse_quickly(lines, order, log.width)
+            if cells is None:
+                table = _parse_carefully(log, lines, first, block.share)
+            else:
+                table = Table(cells, np.arange(first, first + len(lines)), block.share)
+            yield table
+            if table.damage:
+                return
+    except DamagedFileError as error:
+        yield Table(np.full((len(order), 1), np.nan), np.array([error.line]), 1.0,
+                    LogError(str(error)))  # fmt: skip
+
+
+def _parse_quickly(lines: list[str], columns: list[Column], width: int) -> Array | None:
+    """Cells (quantities, lines), or None where something needs a closer look."""
+    if not lines:
+        return np.empty((len(columns), 0))
+    if any(line.count(",") != width - 1 for line in lines):
+        return None
+    text = "\n" + "\n".join(lines) + "\n"
+    for empty, filled in ((",,", ",nan,"), (",,", ",nan,"), ("\n,", "\nnan,"), (",\n", ",nan\n")):
+        text = text.replace(empty, filled)
+    try:
+        cells = np.loadtxt(text[1:-1].split("\n"), delimiter=",", comments=None, ndmin=2,
+                           usecols=[c.place for c in columns], encoding=None)  # fmt: skip
+    except ValueError:
+        return None
+    return np.ascontiguousarray(cells.T) if len(cells) == len(lines) else None
+
+
+def _parse_carefully(log: LogFile, lines: list[str], first: int, share: float) -> Table:
+    """Cell by cell, up to the first damage; blank lines don't count, blank cells are empty."""
+    cells, rows, damage = [], [], None
+    for row, line in enumerate(lines, start=first):
+        if not line.strip():
+            continue
+        words = line.split(",")
+        values = [math.nan] * len(log.columns)
+        if len(words) != log.width:
+            count = f"{len(words)} cells" if len(words) > 1 else f"one cell, {line[:40]!r}"
+            damage = log.error(row, "", count, f"expected {log.width}, as in the header")
+        else:
+            for i, (quantity, column) in enumerate(log.columns.items()):
+                word = words[column.place].strip()
+                values[i] = number(word)
+                empty = not word or word.lower().lstrip("+-") == "nan"
+                if damage is None and math.isnan(values[i]) and not empty:
+                    damage = log.error(row, quantity, repr(word), _NOT_A_NUMBER)
+        cells.append(values)
+        rows.append(row)
+        if damage:
+            break
+    shape = (len(rows), len(log.columns))
+    return Table(np.array(cells, float).reshape(shape).T, np.array(rows, np.int64), share, damage)
+
+
+# --- Parquet
+
+
+def require_arrow(path: Path) -> tuple[Any, Any]:
+    """pyarrow and its Parquet module."""
+    try:
+        import pyarrow
+        import pyarrow.parquet
+    except ImportError as error:
+        raise LogError(f'{path}: Parquet needs pyarrow: pip install "mmwave-loc[data]"') from error
+    return pyarrow, pyarrow.parquet
+
+
+def _open_parquet(path: Path) -> Any:
+    pyarrow, parquet = require_arrow(path)
+    try:
+        # Buffered, or a row group of a million rows would be held at once.
+        return parquet.ParquetFile(path, buffer_size=1 << 20, pre_buffer=False,
+                                   page_checksum_verification=True)  # fmt: skip
+    except (OSError, pyarrow.ArrowException) as error:
+        raise LogError(f"{path}: found no readable Parquet ({error}), expected Parquet") from error
+
+
+def _parquet_names(path: Path) -> list[str]:
+    with _open_parquet(path) as file:
+        return list(file.schema_arrow.names)
+
+
+def _require_numbers(log: LogFile) -> None:
+    pyarrow, _ = require_arrow(log.path)
+    types = pyarrow.types
+    with _open_parquet(log.path) as file:
+        for column in log.columns.values():
+            kind = file.schema_arrow.field(column.name).type
+            if not any(
+                is_kind(kind)
+                for is_kind in (
+                    types.is_floating,
+                    types.is_integer,
+                    types.is_decimal,
+                    types.is_null,
+                )
+            ):
+                raise LogError(
+                    f"{log.path}, column {column.name!r}: found type {kind}, expected numbers"
+                )
+
+
+def _parquet_tables(log: LogFile) -> Iterator[Table]:
+    pyarrow, _ = require_arrow(log.path)
+    names = [column.name for column in log.columns.values()]
+    with _open_parquet(log.path) as file:
+        total, done = max(file.metadata.num_rows, 1), 0
+        batches = file.iter_batches(_BATCH_ROWS, columns=names, use_threads=False)
+        while True:
+            try:
+                batch = next(batches, None)
+                if batch is None:
+                    return
+                cells = np.array([
+                    batch.column(name).cast(pyarrow.float64(), safe=False)
+                    .to_numpy(zero_copy_only=False)
+                    for name in names
+                ])  # fmt: skip
+            except (OSError, pyarrow.ArrowException) as error:
+                damage = log.error(done + 1, "", f"broken Parquet data ({error})",
+                                   "expected a file that is whole")  # fmt: skip
+                nothing = np.full((len(names), 1), np.nan)
+                yield Table(nothing, np.array([done + 1]), done / total, damage)
+                return
+            rows = np.arange(done + 1, done + 1 + cells.shape[1])
+            done += cells.shape[1]
+            yield Table(cells, rows, done / total)

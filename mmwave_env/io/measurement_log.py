@@ -1,0 +1,388 @@
+"""Measurement logs: one row per epoch and anchor, as a receiver writes them.
+
+Columns (`log_columns.py`) are a quantity and a unit: ``time_s, anchor, toa_s,
+aoa_azimuth_rad, aoa_elevation_rad, aod_azimuth_rad, doppler_hz, snr_db``, and optionally
+``doppler_spread_hz`` and odometry, ``speed_mps`` and ``heading_rad``. An anchor is its number
+in the scene, from 1, the physical gNB, whose rows alone have a Doppler shift. What was not
+measured is empty; an anchor that was not seen may be left out. What belongs to the epoch and
+not to an anchor (Doppler spread, odometry) may stand in any of its rows.
+
+A log may be longer than memory, so it is read in blocks.
+"""
+
+import gzip
+import math
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mmwave_env.episode import Episode
+from mmwave_env.io.log_columns import LINK_QUANTITIES
+from mmwave_env.io.log_tables import SUFFIXES, LogError, LogFile, open_log, require_arrow
+from mmwave_env.measurement import LINK, SPEED_OF_LIGHT, Layout, wrap_angles
+from mmwave_env.scene import Scene
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+Cells = dict[str, Array]  # quantity -> (n,)
+
+_PER_EPOCH = (
+    "time_s", "measurement", "visible", "incomplete", "snr_db", "doppler_spread_hz"
+)  # fmt: skip
+
+
+@dataclass(frozen=True, eq=False)
+class LogBlock:
+    """T consecutive epochs of a log; numbers of groups that are not visible mean nothing.
+
+    Attributes:
+        layout: rows and groups.
+        time_s: (T,) increasing, also from block to block.
+        measurement: (T, rows) m, rad, Hz, m/s; angles in [-pi, pi).
+        visible: (T, groups) whether every number of the group was measured; for a link and for
+            the Doppler shift that includes the SNR, because their noise follows from it.
+        incomplete: (T, groups) whether only some of them were, so that the group is lost.
+        snr_db: (T, L); -inf, no signal, where none was measured.
+        doppler_spread_hz: (T,); 0 where none was measured.
+        rows: of the file, read up to the end of this block or somewhat further.
+        share: of the file read so far, 0 to 1.
+    """
+
+    layout: Layout
+    time_s: Array
+    measurement: Array
+    visible: Mask
+    incomplete: Mask
+    snr_db: Array
+    doppler_spread_hz: Array
+    rows: int
+    share: float
+
+    def __len__(self) -> int:
+        return len(self.time_s)
+
+
+def read_log(
+    path: Path, scene: Scene, epochs_per_block: int = 4096, odometry: bool = True
+) -> Iterator[LogBlock]:
+    """The epochs of a log, ``epochs_per_block`` at a time; the last block may be shorter.
+
+    Where the log is damaged, every whole epoch before the damage is delivered first. An epoch
+    whose end the damage hides (no next time can be read, and not all anchors are there) counts
+    as not whole.
+
+    Args:
+        path: CSV (``.csv``, ``.csv.gz``) or Parquet (``.parquet``, needs the extra `data`).
+        scene: whose anchors were measured.
+        epochs_per_block: their number.
+        odometry: False to leave columns of odometry alone. Otherwise ``layout`` has odometry
+            where the log has it.
+
+    Raises:
+        LogError: at once for a file or a header that is not a log's, later for a damaged row,
+            naming file, row, column, what was found and what was expected; at the end for a
+            log without rows or without a single measurement.
+        OSError: the file can't be read.
+    """
+    if epochs_per_block < 1:
+        raise ValueError(f"epochs_per_block: found {epochs_per_block}, expected at least 1")
+    log = open_log(path, scene.hz_per_mps, odometry)
+    layout = Layout(len(scene.anchors_m), "speed" in log.columns)
+    return _regroup(_require_measurements(log.path, _blocks(log, layout)), epochs_per_block)
+
+
+def _blocks(log: LogFile, layout: Layout) -> Iterator[LogBlock]:
+    """Blocks of as many epochs as each table happens to bring to their end."""
+    cells, rows, done, share = np.empty((len(log.columns), 0)), np.empty(0, np.int64), 0, 0.0
+    for table in log.tables():
+        # What is left of the tables before is the last epoch, which may go on.
+        cells = np.concatenate([cells, table.cells], axis=1)
+        rows = np.concatenate([rows, table.rows])
+        done, share = done + len(table.rows), table.share
+        named = dict(zip(log.columns, cells, strict=True))
+        damaged, error = _first_damage(log, named, rows, layout.anchors, table.damage)
+        end = _whole_epochs(named["time"], damaged, layout.anchors)
+        if end:
+            yield _block(log, cells[:, :end], layout, done, share)
+        if error:
+            raise error
+        cells, rows = cells[:, end:], rows[end:]
+    if len(rows):
+        yield _block(log, cells, layout, done, share)
+
+
+def _require_measurements(path: Path, blocks: Iterable[LogBlock]) -> Iterator[LogBlock]:
+    """The blocks, and an error after them if there was nothing in them."""
+    rows, incomplete, measured = 0, 0, False
+    for block in blocks:
+        rows, incomplete = block.rows, incomplete + int(block.incomplete.sum())
+        measured = measured or bool(block.visible.any())
+        yield block
+    if not measured:
+        found = f"{rows} rows" if rows else "a header and no rows"
+        lost = f", and {incomplete} groups with only some of their numbers" if incomplete else ""
+        raise LogError(f"{path}: found {found} without a measurement{lost}, expected at least one")
+
+
+def _regroup(blocks: Iterable[LogBlock], epochs: int) -> Iterator[LogBlock]:
+    """Blocks of ``epochs`` epochs, and what is left."""
+    waiting: list[LogBlock] = []
+    try:
+        for block in blocks:
+            waiting.append(block)
+            if sum(map(len, waiting)) >= epochs:
+                joined = _joined(waiting)
+                whole = len(joined) // epochs * epochs
+                for first in range(0, whole, epochs):
+                    yield _cut(joined, slice(first, first + epochs))
+                waiting = [_cut(joined, slice(whole, None))] if whole < len(joined) else []
+    except LogError:
+        yield from [_joined(waiting)] if waiting else []
+        raise
+    yield from [_joined(waiting)] if waiting else []
+
+
+def _joined(blocks: list[LogBlock]) -> LogBlock:
+    arrays: dict[str, Any] = {
+        name: np.concatenate([getattr(b, name) for b in blocks]) for name in _PER_EPOCH
+    }
+    return replace(blocks[-1], **arrays)
+
+
+def _cut(block: LogBlock, epochs: slice) -> LogBlock:
+    return replace(block, **{name: getattr(block, name)[epochs] for name in _PER_EPOCH})
+
+
+# --- what is wrong
+
+
+class _Check(NamedTuple):
+    """Something that must not be: in which rows (n,) of a column it is, and how to say it."""
+
+    quantity: str
+    wrong: Mask
+    found: Callable[[int], str]
+    expected: str
+
+
+def _first_damage(
+    log: LogFile, cells: Cells, rows: NDArray[np.int64], anchors: int, damage: LogError | None
+) -> tuple[int, LogError | None]:
+    """Index and error of the first damaged row; without one, the number of rows."""
+    n = len(rows)
+    first, error = (n - 1, damage) if damage else (n, None)
+    with np.errstate(invalid="ignore"):  # infinite times
+        for check in _checks(cells, anchors) if n else ():
+            row = int(np.argmax(check.wrong))
+            if check.wrong[row] and row < first:
+                first, expected = row, f"expected {check.expected}"
+                error = log.error(rows[row], check.quantity, check.found(row), expected)
+    return first, error
+
+
+def _checks(cells: Cells, anchors: int) -> Iterator[_Check]:
+    """Everything to check, where damage already seen in a row may hide what comes later."""
+    time, anchor = cells["time"], cells["anchor"]
+
+    def cell(quantity: str) -> Callable[[int], str]:
+        return lambda row: _show(cells[quantity][row])
+
+    for quantity, values in cells.items():
+        yield _Check(quantity, np.isinf(values), cell(quantity), "a finite number, or nothing")
+    yield _Check("time", np.isnan(time), lambda row: "nothing", "a time in every row")
+    yield _Check(
+        "time",
+        np.concatenate([[False], np.diff(time) < 0.0]),
+        lambda row: f"{_show(time[row])} after {_show(time[row - 1])}",
+        "times that increase, and the rows of an epoch together",
+    )
+    known = np.isin(anchor, np.arange(1, anchors + 1))
+    yield _Check(
+        "anchor",
+        ~known,
+        cell("anchor"),
+        f"the number of an anchor of the scene, 1 to {anchors}, 1 being the physical one",
+    )
+    epoch = _epochs(time)
+    place = epoch * anchors + np.where(known, anchor, 1.0).astype(np.int64) - 1
+    yield _Check(
+        "anchor",
+        _first(place)[place] != np.arange(len(place)),
+        lambda row: f"{_show(anchor[row])} a second time at time {_show(time[row])}",
+        "each anchor once in an epoch",
+    )
+    yield _Check("toa", cells["toa"] < 0.0, cell("toa"), "at least 0")
+    if "doppler" in cells:
+        elsewhere = ~np.isnan(cells["doppler"]) & (anchor != 1.0)
+        yield _Check("doppler", elsewhere, cell("doppler"), "none but in the rows of anchor 1")
+    if "doppler_spread" in cells:
+        spread = cells["doppler_spread"]
+        yield _Check("doppler_spread", spread < 0.0, cell("doppler_spread"), "at least 0")
+    for quantity in ("doppler_spread", "speed", "heading"):
+        if quantity in cells:
+            yield _once(quantity, cells[quantity], epoch)
+
+
+def _once(quantity: str, values: Array, epoch: NDArray[np.int64]) -> _Check:
+    """The check that rows of an epoch don't contradict each other."""
+    some = np.flatnonzero(~np.isnan(values))
+    first = np.full(epoch[-1] + 1, np.nan)
+    first[epoch[some[::-1]]] = values[some[::-1]]
+    return _Check(
+        quantity,
+        ~np.isnan(values) & (values != first[epoch]),
+        lambda row: f"{_show(values[row])} beside {_show(first[epoch[row]])} at one time",
+        "one value in an epoch",
+    )
+
+
+def _first(place: NDArray[np.int64]) -> NDArray[np.int64]:
+    """The first row at every place, from the place of every row (n,)."""
+    out = np.zeros(place.max() + 1, np.int64)
+    out[place[::-1]] = np.arange(len(place))[::-1]  # of several, the last one stored stays
+    return out
+
+
+def _show(value: float) -> str:
+    return "nothing" if np.isnan(value) else repr(float(value)).removesuffix(".0")
+
+
+def _whole_epochs(time: Array, damaged: int, anchors: int) -> int:
+    """Number of rows, of those before a damaged one, in epochs that are known to be whole."""
+    if damaged == 0:
+        return 0
+    last = time[damaged - 1]
+    start = int(np.searchsorted(time[:damaged], last))
+    if damaged == len(time):  # no damage, but the next table may go on with the same epoch
+        return start
+    following = time[damaged]
+    moved_on = last < following < np.inf
+    complete = damaged - start == anchors and following != last
+    return damaged if moved_on or complete else start
+
+
+# --- what it means
+
+
+def _epochs(time: Array) -> NDArray[np.int64]:
+    """The epoch, counted from 0, of every row (n,); the rows of an epoch share their time."""
+    return np.concatenate([[0], np.cumsum(np.diff(time) != 0.0)])
+
+
+def _block(log: LogFile, rows: Array, layout: Layout, done: int, share: float) -> LogBlock:
+    """The epochs of valid rows (quantities, n)."""
+    cells = {
+        quantity: values * column.unit.multiply / column.unit.divide
+        for (quantity, column), values in zip(log.columns.items(), rows, strict=True)
+    }
+    epoch = _epochs(rows[list(log.columns).index("time")])
+    T, L = int(epoch[-1]) + 1, layout.anchors
+    anchor = cells["anchor"].astype(np.int64) - 1
+    time, snr, measurement = np.empty(T), np.full((T, L), np.nan), np.full((T, layout.size), np.nan)
+    time[epoch] = cells["time"]
+    snr[epoch, anchor] = cells["snr"]
+    for i, quantity in enumerate(LINK_QUANTITIES):
+        measurement[epoch, 4 * anchor + i] = cells[quantity]
+
+    def once(quantity: str) -> Array:
+        out = np.full(T, np.nan)
+        if quantity in cells:
+            some = ~np.isnan(cells[quantity])
+            out[epoch[some]] = cells[quantity][some]
+        return out
+
+    measurement[:, layout.doppler] = once("doppler")
+    if layout.odometry:
+        measurement[:, layout.doppler + 1] = once("speed")
+        measurement[:, layout.doppler + 2] = once("heading")
+    wrap_angles(measurement, layout)
+    starts = [group.start for group in layout.groups]
+    there = np.isfinite(measurement)
+    visible = np.logical_and.reduceat(there, starts, axis=1)
+    visible[:, :L] &= np.isfinite(snr)
+    visible[:, L] &= np.isfinite(snr[:, 0])
+    return LogBlock(
+        layout=layout,
+        time_s=time,
+        measurement=measurement,
+        visible=visible,
+        incomplete=np.logical_or.reduceat(there, starts, axis=1) & ~visible,
+        snr_db=np.where(np.isnan(snr), -np.inf, snr),
+        doppler_spread_hz=np.nan_to_num(once("doppler_spread")),
+        rows=done,
+        share=share,
+    )
+
+
+# --- writing
+
+
+def log_columns(episode: Episode) -> dict[str, Array]:
+    """The columns (n,) of an episode's log, NaN where empty; a row for each epoch and anchor.
+
+    Numbers of groups that can't be used are left out. The SNR stays where a link or the
+    Doppler shift needs it.
+    """
+    layout, usable = episode.layout, episode.usable
+    T, L = len(episode), layout.anchors
+    links = np.where(
+        usable[:, :L, None], episode.measurement[:, : layout.doppler].reshape(T, L, 4), np.nan
+    )
+    heard = usable[:, :L].copy()
+    heard[:, 0] |= usable[:, L]
+
+    def first_row(values: Array, shown: Mask | bool = True) -> Array:
+        out = np.full((T, L), np.nan)
+        out[:, 0] = np.where(shown, values, np.nan)
+        return out.ravel()
+
+    columns = {
+        "time_s": np.repeat(episode.time_s, L),
+        "anchor": np.tile(np.arange(1, L + 1), T),
+        "toa_s": links[..., 0].ravel() / SPEED_OF_LIGHT,
+        **{name: links[..., i].ravel() for i, name in enumerate(LINK) if i},
+        "doppler_hz": first_row(episode.measurement[:, layout.doppler], usable[:, L]),
+        "snr_db": np.where(heard, episode.snr_db, np.nan).ravel(),
+        "doppler_spread_hz": first_row(episode.doppler_spread_hz),
+    }
+    if layout.odometry:
+        odometry = episode.measurement[:, layout.doppler + 1 :].T
+        for name, values in zip(("speed_mps", "heading_rad"), odometry, strict=True):
+            columns[name] = first_row(values, usable[:, -1])
+    return columns
+
+
+def log_text(episode: Episode) -> str:
+    """The log of an episode as CSV, exact to the last bit."""
+    columns = log_columns(episode)
+    words = [
+        ["" if math.isnan(v) else repr(v) for v in values.tolist()] for values in columns.values()
+    ]
+    return "".join(",".join(row) + "\n" for row in [tuple(columns), *zip(*words, strict=True)])
+
+
+def write_log(path: Path, episode: Episode) -> None:
+    """Write the log of an episode, as CSV or Parquet by the name of the file.
+
+    Raises:
+        LogError: another kind of file, or pyarrow is missing.
+        OSError: it can't be written.
+    """
+    name = path.name.lower()
+    if name.endswith(".parquet"):
+        pyarrow, parquet = require_arrow(path)
+        columns = {
+            name: pyarrow.array(values, mask=np.isnan(values))
+            for name, values in log_columns(episode).items()
+        }
+        parquet.write_table(pyarrow.table(columns), path, write_page_checksum=True)
+    elif name.endswith(".csv.gz"):
+        path.write_bytes(gzip.compress(log_text(episode).encode(), mtime=0))
+    elif name.endswith(".csv"):
+        path.write_text(log_text(episode), encoding="utf-8", newline="\n")
+    else:
+        raise LogError(f"{path}: found {path.suffix!r}, expected a name in {', '.join(SUFFIXES)}")

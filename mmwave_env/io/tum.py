@@ -1,0 +1,83 @@
+"""Trajectories in TUM format, as evo reads them: lines ``t x y z qx qy qz qw``."""
+
+import math
+from pathlib import Path
+from typing import NamedTuple, NoReturn
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mmwave_env.io.lines import LineBlock, line_blocks, number
+
+Array = NDArray[np.float64]
+
+COLUMNS = ("t", "x", "y", "z", "qx", "qy", "qz", "qw")
+
+
+class Trajectory(NamedTuple):
+    """Where a user was.
+
+    Attributes:
+        time_s: (T,) increasing.
+        position_m: (T, 3).
+    """
+
+    time_s: Array
+    position_m: Array
+
+
+def tum_lines(time_s: Array, position_m: Array) -> str:
+    """Lines for times (T,) and positions (T, 3), exact to the last bit; identity orientation."""
+    rows = np.column_stack([time_s, position_m]).tolist()
+    return "".join([f"{t!r} {x!r} {y!r} {z!r} 0 0 0 1\n" for t, x, y, z in rows])
+
+
+def read_tum(path: Path) -> Trajectory:
+    """Read a trajectory; orientations are checked to be numbers and left out.
+
+    Raises:
+        ValueError: naming the file, the line, what was found there and what was expected.
+        OSError: the file can't be read.
+    """
+    blocks, last = [], -math.inf
+    for block in line_blocks(path):
+        track = _parse(path, block, last)
+        blocks.append(track)
+        last = track[-1, 0] if len(track) else last
+    track = np.concatenate(blocks) if blocks else np.empty((0, 4))
+    if not len(track):
+        raise ValueError(f"{path}: found no line with a pose, expected {' '.join(COLUMNS)}")
+    return Trajectory(track[:, 0].copy(), track[:, 1:].copy())
+
+
+def _parse(path: Path, block: LineBlock, last_s: float) -> Array:
+    """Times and positions (lines, 4) of a block that follows the time ``last_s``."""
+    poses = [line for line in block.lines if line.strip() and not line.lstrip().startswith("#")]
+    if not poses:
+        return np.empty((0, 4))
+    try:
+        rows = np.loadtxt(poses, comments="#", ndmin=2, encoding=None)
+    except ValueError:
+        _find_damage(path, block, last_s)
+    times = np.concatenate([[last_s], rows[:, 0]])
+    if rows.shape[1] != len(COLUMNS) or not np.isfinite(rows).all() or (np.diff(times) <= 0).any():
+        _find_damage(path, block, last_s)
+    return rows[:, :4].copy()
+
+
+def _find_damage(path: Path, block: LineBlock, last_s: float) -> NoReturn:
+    """Refuse a block at its first damaged line."""
+    for n, line in enumerate(block.lines, start=block.first):
+        words = line.split("#")[0].split()
+        where = f"{path}, line {n}"
+        if words and len(words) != len(COLUMNS):
+            raise ValueError(
+                f"{where}: found {len(words)} numbers, expected {len(COLUMNS)}: {' '.join(COLUMNS)}"
+            )
+        for name, word in zip(COLUMNS, words, strict=False):
+            if not math.isfinite(number(word)):
+                raise ValueError(f"{where}, {name}: found {word!r}, expected a finite number")
+        if words and not float(words[0]) > last_s:
+            raise ValueError(f"{where}, t: found {words[0]}, expected more than {last_s}")
+        last_s = float(words[0]) if words else last_s
+    raise AssertionError(f"{path}: numpy and Python read its numbers differently")

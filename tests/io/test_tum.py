@@ -1,0 +1,138 @@
+"""TUM trajectories: there and back, as evo reads them, and what is refused where."""
+
+import re
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+
+from mmwave_env.io.tum import read_tum, tum_lines
+from mmwave_env.metrics import ate, rmse, rpe
+
+POSES = "0.0 1 2 3 0 0 0 1\n0.1 1.5 2 3 0 0 0 1\n0.2 2 2 3 0 0 0 1\n"
+coordinates = st.floats(-1e6, 1e6)
+
+
+def store(folder, content):
+    path = folder / "truth.tum"
+    path.write_bytes(content if isinstance(content, bytes) else content.encode())
+    return path
+
+
+@settings(max_examples=30, deadline=None)
+@given(track=arrays(float, st.tuples(st.integers(1, 20), st.just(3)), elements=coordinates),
+       start=coordinates, step=st.floats(1e-3, 1e3))  # fmt: skip
+def test_a_track_survives_a_file(tmp_path_factory, track, start, step):
+    time = start + step * np.arange(len(track))
+    path = store(tmp_path_factory.mktemp("tum"), tum_lines(time, track))
+    found = read_tum(path)
+    np.testing.assert_array_equal(found.time_s, time)
+    np.testing.assert_array_equal(found.position_m, track)
+
+
+def test_a_file_may_be_written_block_by_block(tmp_path):
+    time, track = np.arange(10.0), np.random.default_rng(0).standard_normal((10, 3))
+    pieces = [tum_lines(time[i : i + 3], track[i : i + 3]) for i in range(0, 12, 3)]
+    assert "".join(pieces) == tum_lines(time, track)
+    assert tum_lines(time[:1], np.ones((1, 3))) == "0.0 1.0 1.0 1.0 0 0 0 1\n"
+
+
+def test_evo_computes_our_metrics_from_our_files(tmp_path):
+    metrics = pytest.importorskip("evo.core.metrics")
+    file_interface = pytest.importorskip("evo.tools.file_interface")
+    rng = np.random.default_rng(1)
+    time = 1.7e9 + 0.1 * np.arange(300)
+    truth = np.cumsum(rng.standard_normal((300, 3)), axis=0)
+    estimate = truth + rng.standard_normal((300, 3))
+    paths = [tmp_path / "truth.tum", tmp_path / "estimate.tum"]
+    for path, track in zip(paths, (truth, estimate), strict=True):
+        path.write_text("# t x y z qx qy qz qw\n" + tum_lines(time, track))
+    pair = tuple(file_interface.read_tum_trajectory_file(str(path)) for path in paths)
+    for trajectory, track in zip(pair, (truth, estimate), strict=True):
+        np.testing.assert_array_equal(trajectory.timestamps, time)
+        np.testing.assert_array_equal(trajectory.positions_xyz, track)
+    translation = metrics.PoseRelation.translation_part
+    absolute = metrics.APE(translation)
+    absolute.process_data(pair)
+    relative = metrics.RPE(translation, delta=1, delta_unit=metrics.Unit.frames)
+    relative.process_data(pair)
+    error = estimate - truth
+    of = metrics.StatisticsType
+    assert ate(error) == pytest.approx(absolute.get_statistic(of.mean), abs=1e-9)
+    assert rmse(error) == pytest.approx(absolute.get_statistic(of.rmse), abs=1e-9)
+    assert rpe(error) == pytest.approx(relative.get_statistic(of.mean), abs=1e-9)
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        lambda s: "# a comment\n\n" + s,
+        lambda s: s.replace("\n", "\n  # between\n"),
+        lambda s: s.replace("\n", " # behind\n"),
+        lambda s: s.replace("\n", "\r\n"),
+        lambda s: s.replace(" ", "\t\t "),
+        lambda s: s.rstrip("\n"),
+        lambda s: "\ufeff" + s + "\n \n",
+    ],
+    ids=["comment", "comments between", "comments behind", "CRLF", "tabs", "no end", "BOM"],
+)
+def test_spellings(tmp_path, change):
+    found = read_tum(store(tmp_path, change(POSES)))
+    assert found.time_s.tolist() == [0.0, 0.1, 0.2]
+    assert found.position_m.tolist() == [[1.0, 2.0, 3.0], [1.5, 2.0, 3.0], [2.0, 2.0, 3.0]]
+
+
+def test_a_file_of_many_blocks(tmp_path, monkeypatch):
+    time, track = 0.5 * np.arange(500), np.random.default_rng(0).standard_normal((500, 3))
+    path = store(tmp_path, tum_lines(time, track))
+    monkeypatch.setattr("mmwave_env.io.lines._BLOCK_BYTES", 300)
+    found = read_tum(path)
+    np.testing.assert_array_equal(found.time_s, time)
+    np.testing.assert_array_equal(found.position_m, track)
+
+
+DAMAGE = {
+    "7 numbers": ("0.15 1 2 3 0 0 1", "line 5: found 7 numbers, expected 8: t x y z qx qy qz qw"),
+    "9 numbers": ("0.15 1 2 3 0 0 0 1 1", "line 5: found 9 numbers, expected 8"),
+    "commas": ("0.15,1,2,3,0,0,0,1", "line 5: found 1 numbers, expected 8"),
+    "word": ("0.15 1 two 3 0 0 0 1", "line 5, y: found 'two', expected a finite number"),
+    "underscore": ("0.15 1 2_0 3 0 0 0 1", "line 5, y: found '2_0', expected a finite number"),
+    "NaN": ("0.15 1 2 nan 0 0 0 1", "line 5, z: found 'nan', expected a finite number"),
+    "inf": ("0.15 1 2 3 inf 0 0 1", "line 5, qx: found 'inf', expected a finite number"),
+    "same time": ("0.1 1 2 3 0 0 0 1", "line 5, t: found 0.1, expected more than 0.1"),
+    "time back": ("0.05 1 2 3 0 0 0 1", "line 5, t: found 0.05, expected more than 0.1"),
+    "NUL": ("0.15 1 2 3\0 0 0 0 1", r"line 5, z: found '3\\x00', expected a finite number"),
+    "not UTF-8": ("0.15 1 2 3\udcff 0 0 0 1", r"line 5, z: found '3\\\\xff', expected a finite"),
+}
+
+
+@pytest.mark.parametrize("block_bytes", [40, 50, 1 << 20])
+@pytest.mark.parametrize("name", DAMAGE)
+def test_a_damaged_line_is_named(tmp_path, monkeypatch, name, block_bytes):
+    line, message = DAMAGE[name]
+    first, second, third, _ = POSES.split("\n")
+    content = "\n".join([f"# {first}", first, "", second, line, third]) + "\n"
+    path = store(tmp_path, content.encode("utf-8", "surrogateescape"))
+    monkeypatch.setattr("mmwave_env.io.lines._BLOCK_BYTES", block_bytes)
+    with pytest.raises(ValueError, match=message) as error:
+        read_tum(path)
+    assert str(error.value).startswith(f"{path}, line 5")
+
+
+@pytest.mark.parametrize("content", ["", "\n\n", "# t x y z qx qy qz qw\n"])
+def test_a_file_without_poses(tmp_path, content):
+    path = store(tmp_path, content)
+    with pytest.raises(ValueError, match=f"{re.escape(str(path))}: found no line with a pose"):
+        read_tum(path)
+
+
+def test_every_line_may_be_of_the_wrong_length(tmp_path):
+    with pytest.raises(ValueError, match="line 1: found 4 numbers, expected 8"):
+        read_tum(store(tmp_path, "0 1 2 3\n1 1 2 3\n"))
+
+
+def test_a_file_that_is_not_there(tmp_path):
+    with pytest.raises(FileNotFoundError, match=r"truth.tum"):
+        read_tum(tmp_path / "truth.tum")

@@ -1,0 +1,115 @@
+"""mmwave-loc simulate: episodes as files, and the sample logs that were made with it."""
+
+import re
+import shlex
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from experiments.cli import run
+from mmwave_env.episode import SimulatedSource
+from mmwave_env.io.measurement_log import log_text, read_log
+from mmwave_env.io.samples import recording_from, sample_names
+from mmwave_env.io.tum import read_tum
+from mmwave_env.measurement import Layout
+from mmwave_env.radio import RADIOS
+from mmwave_env.recording import RecordedSource
+from mmwave_env.scene import SCENES, read_scene
+
+LOGS = Path(__file__).parents[1] / "mmwave_env" / "data" / "logs"
+FILES = ["log.csv", "scene.json", "truth.tum"]
+
+
+def simulate(folder, *options):
+    run("simulate", [*map(str, options), "--out", str(folder)])
+
+
+def test_an_episode_is_written_as_evaluate_draws_it(tmp_path, capsys):
+    out = tmp_path / "new" / "walk"
+    simulate(out, "--scenario", "pedestrian", "--seed", 7)
+    assert capsys.readouterr().out == f"written to {out}/: log.csv, scene.json, truth.tum\n"
+    assert sorted(path.name for path in out.iterdir()) == FILES
+    source = SimulatedSource(SCENES["street"], RADIOS["handset"], "pedestrian")
+    episode = source.sample(np.random.default_rng(7))
+    assert (out / "log.csv").read_text() == log_text(episode)
+    scene = read_scene(out / "scene.json")
+    np.testing.assert_array_equal(scene.anchors_m, episode.scene_anchors_m)
+    assert scene.name == "street" and scene.hz_per_mps == episode.hz_per_mps
+    truth = read_tum(out / "truth.tum")
+    np.testing.assert_array_equal(truth.time_s, episode.time_s)
+    np.testing.assert_array_equal(truth.position_m, episode.truth_position_m)
+    (block,) = read_log(out / "log.csv", scene)
+    np.testing.assert_array_equal(block.visible, episode.usable)
+
+
+def test_odometry_is_written_where_asked_for(tmp_path):
+    simulate(tmp_path, "--scenario", "vehicle", "--odometry", "--scene", "o1", "--radio", "high")
+    block = next(read_log(tmp_path / "log.csv", read_scene(tmp_path / "scene.json")))
+    assert block.layout == Layout(3, odometry=True) and block.visible[:, -1].any()
+
+
+def test_truth_says_how_it_was_made(tmp_path):
+    options = ["--scenario", "jam", "--seed", "3", "--odometry"]
+    simulate(tmp_path, *options)
+    header, *poses = (tmp_path / "truth.tum").read_text().splitlines()
+    made_by = re.fullmatch(r"# t x y z qx qy qz qw; mmwave-loc simulate (.*)", header).group(1)
+    assert sorted(shlex.split(made_by)) == sorted([*options, "--out", "."])
+    assert len(poses) == 200
+
+
+@pytest.mark.parametrize("name", sample_names())
+def test_sample_logs_are_what_the_command_writes(tmp_path, name):
+    simulate(tmp_path, "--data", name, "--radio", "standard")
+    assert sorted(path.name for path in (LOGS / name).iterdir()) == FILES
+    readme = (LOGS / "README.md").read_text()
+    assert f"mmwave-loc simulate --data {name} --radio standard --out {name}\n" in readme
+    ours, theirs = LOGS / name, tmp_path
+    scene, again = (read_scene(folder / "scene.json") for folder in (ours, theirs))
+    np.testing.assert_allclose(again.anchors_m, scene.anchors_m, atol=1e-9)
+    for one, two in zip(read_tum(ours / "truth.tum"), read_tum(theirs / "truth.tum"), strict=True):
+        np.testing.assert_array_equal(one, two)
+    # Not byte by byte: another libm may round the last digit differently.
+    (one,), (two,) = (list(read_log(folder / "log.csv", scene)) for folder in (ours, theirs))
+    np.testing.assert_array_equal(one.visible, two.visible)
+    for field in ("time_s", "measurement", "snr_db", "doppler_spread_hz"):
+        np.testing.assert_allclose(
+            getattr(one, field), getattr(two, field), rtol=1e-9, atol=1e-9, equal_nan=True
+        )
+
+
+@pytest.mark.parametrize("name", sample_names())
+def test_sample_logs_are_the_recordings_episodes(name):
+    source = RecordedSource(recording_from(name), RADIOS["standard"])
+    episode = source.sample(np.random.default_rng(0))
+    scene = read_scene(LOGS / name / "scene.json")
+    assert scene.name == name
+    np.testing.assert_allclose(scene.anchors_m, episode.scene_anchors_m, atol=1e-9)
+    (block,) = read_log(LOGS / name / "log.csv", scene)
+    np.testing.assert_array_equal(block.visible, episode.usable)
+    assert not block.incomplete.any()
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (["--data", "canyon28_vehicle", "--odometry"], "odometry: found with --data"),
+        (["--data", "canyon28_vehicle", "--scenario", "jam"], "scenario: found 'jam', but"),
+        (["--scenario", "train"], "'train'.*pedestrian"),
+        (["--radio", "lab"], "'lab'.*handset"),
+    ],
+)
+def test_mistakes_end_with_one_clear_line(tmp_path, capsys, options, message):
+    with pytest.raises(SystemExit) as stop:
+        simulate(tmp_path / "out", *options)
+    (line,) = capsys.readouterr().err.splitlines()
+    assert stop.value.code == 2 and re.match(f"mmwave-loc simulate: .*{message}", line), line
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_folder_that_cannot_be_made_is_named(tmp_path, capsys):
+    blocked = tmp_path / "file"
+    blocked.write_text("")
+    with pytest.raises(SystemExit):
+        simulate(blocked / "out")
+    assert str(blocked) in capsys.readouterr().err

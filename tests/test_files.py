@@ -1,0 +1,51 @@
+"""Files of results: whole or not there."""
+
+import json
+
+import pytest
+
+from experiments.files import beside, write_json, write_text
+
+
+def names(folder):
+    return sorted(path.name for path in folder.iterdir())
+
+
+def test_a_file_takes_its_place_at_the_end(tmp_path):
+    path = tmp_path / "new" / "log.csv.gz"
+    with beside(path) as temporary:
+        assert temporary.parent == path.parent and temporary.name.endswith(".log.csv.gz")
+        temporary.write_bytes(b"numbers")
+        assert not path.exists()
+    assert path.read_bytes() == b"numbers" and names(path.parent) == ["log.csv.gz"]
+    assert path.stat().st_mode & 0o777 == 0o644
+
+
+@pytest.mark.parametrize("error", [ValueError, KeyboardInterrupt])
+def test_a_block_that_fails_leaves_everything_as_it_was(tmp_path, error):
+    path = tmp_path / "log.csv"
+    path.write_text("old")
+
+    def write():
+        with beside(path) as temporary:
+            temporary.write_text("half of the ne")
+            raise error
+
+    with pytest.raises(error):
+        write()
+    assert path.read_text() == "old" and names(tmp_path) == ["log.csv"]
+
+
+def test_a_block_may_fail_after_its_file_is_gone(tmp_path):
+    with pytest.raises(FileNotFoundError), beside(tmp_path / "log.csv") as temporary:
+        temporary.unlink()
+    assert names(tmp_path) == []
+
+
+def test_text_and_json_replace_what_was_there(tmp_path):
+    write_text(tmp_path / "a.txt", "one\n")
+    write_text(tmp_path / "a.txt", "für\n")
+    assert (tmp_path / "a.txt").read_bytes() == "für\n".encode()
+    write_json(tmp_path / "a.json", {"ate_m": 0.5})
+    assert json.loads((tmp_path / "a.json").read_text()) == {"ate_m": 0.5}
+    assert names(tmp_path) == ["a.json", "a.txt"]
