@@ -80,7 +80,7 @@ def _template(pipeline: Pipeline, features: int) -> Workspace:
     layout = pipeline.layout
     groups = [0.0] * len(layout.groups)
     incoming, site = blank_incoming(layout), blank_site(layout)
-    candidate = Candidate(site.prior_x, site.prior_P, site.prior_P, groups, groups, 0.0)
+    candidate = Candidate(site.prior_x, site.prior_P, site.prior_P, groups, groups, 0.0, 0.0)
     return Workspace(
         incoming=incoming,
         site=site,

@@ -221,7 +221,7 @@ def _context(pipeline: Pipeline) -> list[Feature]:
     table += [
         Feature("gamma", "adaptive scale of Q and R", "", 1, 0.5, 2, lambda v: v.memory.gamma),
         Feature(
-            "lock-out", "epochs in a row with every visible link gated", "epochs", 1, 0, 10,
+            "lock-out", "epochs in a row with no visible link within its gate", "epochs", 1, 0, 10,
             lambda v: v.memory.lockout,
         ),
         Feature(

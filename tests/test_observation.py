@@ -9,6 +9,7 @@ import gymnasium as gym
 import numpy as np
 import pytest
 from gymnasium import spaces
+from scipy.stats import chi2
 
 import mmwave_env  # noqa: F401  registers the environment
 from mmwave_env.engine import Engine
@@ -259,8 +260,9 @@ def test_the_previous_mode_is_marked(rollout):
 def test_lock_out_and_time_since_fix_count(rollout):
     lockout, unfixed_s = [0.0], [0.0]
     for t, info in enumerate(rollout.infos[1:]):
-        fixed, seen = info["accepted"][:3].any(), rollout.episode.usable[t, :3].any()
-        lockout.append(0.0 if fixed else lockout[-1] + seen)
+        links, seen = info["accepted"][:3], rollout.episode.usable[t, :3].any()
+        fixed, passed = links.any(), (links & (info["nis"][:3] <= chi2.ppf(0.99, 4))).any()
+        lockout.append(0.0 if passed else lockout[-1] + seen)
         unfixed_s.append(0.0 if fixed else unfixed_s[-1] + (1.0 if t else 0.0))
     close(rollout.read("lock-out"), np.minimum(lockout, 10.0))
     close(rollout.read("time since fix"), np.minimum(unfixed_s, 50.0))

@@ -18,7 +18,7 @@ from mmwave_env.estimator.motion import (
     predict_covariance,
     white_noise_acceleration,
 )
-from mmwave_env.estimator.update import Algorithm, Gate
+from mmwave_env.estimator.update import Algorithm, Gate, Posterior, passes
 from mmwave_env.measurement import Layout, Measurement
 
 WINDOW = 10  # epochs of the adaptive scaling's window
@@ -76,7 +76,7 @@ class Memory(NamedTuple):
 
     Attributes:
         mode: number of the mode that ran last.
-        lockout: epochs in a row in which every visible link was rejected.
+        lockout: epochs in a row in which every visible link failed its gate.
         window: (WINDOW,) latest NIS / dof of what was accepted.
         gamma: adaptive scale of Q and R.
         nis, accepted, rejected: (groups,) of the last epoch; neither where missing.
@@ -110,6 +110,7 @@ class Candidate(NamedTuple):
         P: (28,) packed posterior covariance.
         P_predicted: (28,) packed covariance before the update (for smoothing).
         nis, accepted: (groups,) as in :class:`~mmwave_env.estimator.update.Posterior`.
+        passed: how many links passed their gates, forced ones not counted.
         log_likelihood: of the visible groups.
     """
 
@@ -118,6 +119,7 @@ class Candidate(NamedTuple):
     P_predicted: list[Number]
     nis: list[Number]
     accepted: list[Number]
+    passed: Number
     log_likelihood: Number
 
 
@@ -260,8 +262,24 @@ def consider(
     gate = Gate(mode.gate, force, mode.robust)
     after = pipeline.update(mode)(x_predicted, P_predicted, measurement, gate)
     return Candidate(
-        after.x, pack(after.P), pack(P_predicted), after.nis, after.accepted, after.log_likelihood
+        x=after.x,
+        P=pack(after.P),
+        P_predicted=pack(P_predicted),
+        nis=after.nis,
+        accepted=after.accepted,
+        passed=_passed(mode, after, pipeline.layout),
+        log_likelihood=after.log_likelihood,
     )
+
+
+def _passed(mode: Mode, after: Posterior, layout: Layout) -> Number:
+    """How many links the mode would have accepted without being forced to."""
+    links = after.accepted[: layout.anchors]
+    if mode.robust:
+        return dot([1.0] * len(links), links)
+    rows = [group.stop - group.start for group in layout.groups]
+    within = [passes(q, k, mode.gate) for q, k in zip(after.nis, rows, strict=True)]
+    return dot(within, links)
 
 
 def anticipate(memory: Memory, candidates: Sequence[Candidate], epoch: Epoch) -> Memory:
@@ -316,6 +334,8 @@ def commit(
     ]
     each_link = [1.0] * layout.anchors
     seen, fixes = dot(each_link, visible), dot(each_link, chosen.accepted)
+    # A forced update does not end a lock-out: one position, reached with a wrong velocity, is
+    # no track. Links stay accepted until one of them passes its gate again.
     lockout = where(seen > 0.5, memory.lockout + 1.0, memory.lockout)
     predicted = move(before, dt)
     step = [chosen.x[i] - predicted[i] for i in range(2)]
@@ -325,7 +345,7 @@ def commit(
     correction = (dot(step, ahead), step[1] * ahead[0] - step[0] * ahead[1])
     return memory._replace(
         mode=mode,
-        lockout=where(fixes > 0.5, 0.0, lockout),
+        lockout=where(chosen.passed > 0.5, 0.0, lockout),
         window=window,
         gamma=clip(dot(window, [1.0 / WINDOW] * WINDOW), *GAMMA_LIMITS),
         nis=chosen.nis,

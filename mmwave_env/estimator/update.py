@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 from scipy.special import chdtri
 
-from mmwave_env.arithmetic import Matrix, Number, Vector, log, where
+from mmwave_env.arithmetic import Matrix, Number, Vector, log, maximum, where
 from mmwave_env.estimator.algebra import cholesky, dot, forward, symmetric
 from mmwave_env.estimator.linearise import Latents, Linearisation, SigmaPoints, Tangent
 from mmwave_env.measurement import STATE_SIZE, Group, Measurement, groups_of
@@ -79,11 +79,18 @@ def innovation_statistics(group: Group, V: Matrix, latents: Latents) -> tuple[Nu
     return dot(e, e) + group.spare_nis, pivots * pivots * group.spare_determinant
 
 
+def passes(nis: Number, rows: int, quantile: float | None) -> Number:
+    """1 where the NIS of a group of so many rows lies within its gate, else 0."""
+    if quantile is None:
+        return 1.0
+    return where(nis <= float(chdtri(rows, 1.0 - quantile)), 1.0, 0.0)
+
+
 def _accept(nis: Number, rows: int, visible: Number, gate: Gate, is_link: bool) -> Number:
-    if gate.quantile is None or (gate.robust and is_link):
+    if gate.robust and is_link:
         return visible
-    threshold = float(chdtri(rows, 1.0 - gate.quantile))  # chi-square quantile
-    return visible * where(nis <= threshold, 1.0, gate.force if is_link else 0.0)
+    passed = passes(nis, rows, gate.quantile)
+    return visible * (maximum(passed, gate.force) if is_link else passed)
 
 
 def _doubt(nis: Number, rows: int) -> Number:

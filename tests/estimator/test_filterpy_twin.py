@@ -45,7 +45,7 @@ def test_whole_episodes_agree(algorithm, tuning):
     for name in ("memory", "observation"):
         np.testing.assert_allclose(twin[name], ours[name], rtol=1e-7, atol=1e-7)
     if tuning is TUNINGS["locked out and recovered"]:
-        assert ours["memory.lockout"].max() == 2.0
+        assert ours["memory.lockout"].max() > 2.0
 
 
 @algorithms

@@ -250,7 +250,7 @@ def test_filters_on_lanes_equal_filters_on_floats(tuning):
     lanes, floats_ = lanes_and_floats(pipeline_of(**tuning), episodes, actions)
     assert_same_tracks(lanes, floats_)
     if tuning is OPTIONS["recovery"]:
-        assert lanes["memory.lockout"].max() == 2.0
+        assert lanes["memory.lockout"].max() > 2.0
 
 
 @pytest.mark.parametrize("planar", [False, True], ids=["hilly", "planar"])
