@@ -18,11 +18,13 @@ class Args(EpisodeArgs):
     policies: tuple[str, ...] = DEFAULT
     """two or more of fixed-ekf, fixed-ukf, fixed-ckf, speed-rule, speed-rule-tuned,
     likelihood-rule, random, imm"""
+    bound: bool = False
+    """also show each policy's RMSE over the posterior Cramer-Rao bound"""
 
 
 def main(args: Args) -> None:
     """Run the command."""
-    report(args, args.policies)
+    report(args, args.policies, args.bound)
 
 
 if __name__ == "__main__":

@@ -6,8 +6,8 @@ from pathlib import Path
 from experiments.cli import run
 from experiments.compare import DEFAULT
 from experiments.files import write_json, write_text
+from experiments.markdown import markdown
 from experiments.options import EpisodeArgs, report
-from experiments.tables import markdown
 from mmwave_env.io.samples import sample_names
 
 

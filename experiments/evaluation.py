@@ -180,20 +180,29 @@ class Interval:
         return f"{self.mean:.3f} [{self.low:.3f}, {self.high:.3f}]"
 
 
-def bootstrap(values: Array, seed: int = 0) -> list[Interval]:
-    """Means of columns (episodes, k) with 95 % percentile intervals over episodes.
-
-    All columns share the resamples.
-    """
+def _resampled_means(values: Array, seed: int) -> Array:
+    """Means (resamples, k) of columns (episodes, k), which share the resamples."""
     rng = np.random.default_rng(seed)
     n = len(values)
     means = np.empty((RESAMPLES, values.shape[1]))
     for row in range(0, RESAMPLES, 100):
         weights = rng.multinomial(n, np.full(n, 1.0 / n), size=min(100, RESAMPLES - row)) / n
         means[row : row + len(weights)] = weights @ values
-    low, high = np.percentile(means, [2.5, 97.5], axis=0)
+    return means
+
+
+def bootstrap(values: Array, seed: int = 0) -> list[Interval]:
+    """Means of columns (episodes, k) with 95 % percentile intervals over episodes."""
+    low, high = np.percentile(_resampled_means(values, seed), [2.5, 97.5], axis=0)
     columns = zip(values.mean(axis=0), low, high, strict=True)
     return [Interval(float(m), float(a), float(b)) for m, a, b in columns]
+
+
+def bootstrap_ratio(over: Array, under: Array, seed: int = 0) -> Interval:
+    """Ratio of two means over the same episodes, each (episodes,)."""
+    means = _resampled_means(np.stack([over, under], axis=1), seed)
+    low, high = np.percentile(means[:, 0] / means[:, 1], [2.5, 97.5])
+    return Interval(float(over.mean() / under.mean()), float(low), float(high))
 
 
 @dataclass(frozen=True)

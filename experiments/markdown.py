@@ -1,6 +1,7 @@
 """Comparisons as Markdown, and as tables on a terminal."""
 
 import math
+from collections.abc import Sequence
 
 from rich.console import Console
 from rich.markdown import Markdown
@@ -21,7 +22,8 @@ def rounded(interval: Interval) -> str:
     return f"{interval.mean:.{digits}f} ± {half:.{digits}f}"
 
 
-def _grid(header: list[str], rows: list[list[str]]) -> str:
+def grid(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+    """A Markdown table."""
     lines = ["| " + " | ".join(cells) + " |" for cells in (header, *rows)]
     return "\n".join([lines[0], "|---" * len(header) + "|", *lines[1:]])
 
@@ -32,7 +34,7 @@ def policies_table(comparison: Comparison) -> str:
         [name, *(rounded(row[metric]) for metric in METRICS)]
         for name, row in comparison.policies.items()
     ]
-    return _grid(["policy", *(HEADERS[metric] for metric in METRICS)], rows)
+    return grid(["policy", *(HEADERS[metric] for metric in METRICS)], rows)
 
 
 def paired_table(comparison: Comparison) -> str:
@@ -46,7 +48,7 @@ def paired_table(comparison: Comparison) -> str:
             pair = comparison.paired.get(f"{name} - {reference}")
             cells.append(str(pair["reward"]) if pair else "")
         rows.append([name, *cells])
-    return _grid(["reward of", *(f"minus {reference}" for reference in references)], rows)
+    return grid(["reward of", *(f"minus {reference}" for reference in references)], rows)
 
 
 def markdown(comparison: Comparison) -> str:
@@ -61,10 +63,10 @@ def markdown(comparison: Comparison) -> str:
     return "\n".join(parts) + "\n"
 
 
-def show(comparison: Comparison) -> None:
-    """Print a comparison."""
+def show(text: str) -> None:
+    """Print Markdown."""
     console = Console()
     if console.is_terminal:
-        console.print(Markdown(markdown(comparison)))
+        console.print(Markdown(text))
     else:
-        print(markdown(comparison))
+        print(text)

@@ -6,14 +6,27 @@ from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
 
+from experiments.bounds import bound_markdown, over_bound
 from experiments.evaluation import Comparison, compare, evaluate
 from experiments.files import write_json
-from experiments.tables import show
+from experiments.markdown import markdown, show
 from mmwave_env.episode import EpisodeSource, SimulatedSource
 from mmwave_env.io.samples import recording_from
 from mmwave_env.radio import radio_from
 from mmwave_env.recording import RecordedSource
 from mmwave_env.scene import scene_from
+
+TUNING_SEED = 5_000_000  # test seeds start at 0, training seeds at 10 000 000
+
+
+def require_tuning_seed(seed: int) -> None:
+    """Refuse to tune on test seeds.
+
+    Raises:
+        ValueError: naming the first tuning seed.
+    """
+    if seed < TUNING_SEED:
+        raise ValueError(f"seed: found {seed}, expected a tuning seed >= {TUNING_SEED}")
 
 
 def command_line(name: str, args: Any) -> str:
@@ -22,7 +35,7 @@ def command_line(name: str, args: Any) -> str:
     for field in fields(args):
         value = getattr(args, field.name)
         if value != field.default:
-            values = value if isinstance(value, tuple) else (value,)
+            values = value if isinstance(value, tuple) else () if value is True else (value,)
             words += [f"--{field.name.replace('_', '-')}", *map(str, values)]
     return shlex.join(words)
 
@@ -58,14 +71,24 @@ class EpisodeArgs:
         return SimulatedSource(scene_from(self.scene or "street"), radio, self.scenario or "mixed")
 
 
-def report(args: EpisodeArgs, names: Sequence[str]) -> Comparison:
-    """Run contenders on the episodes, print the tables and write ``args.json``."""
+def report(args: EpisodeArgs, names: Sequence[str], bound: bool = False) -> Comparison:
+    """Run contenders on the episodes, print the tables and write ``args.json``.
+
+    Args:
+        args: which episodes.
+        names: of the contenders.
+        bound: whether to measure them in posterior Cramer-Rao bounds, too.
+    """
     source = args.source()
     scores = evaluate(names, source, args.radio, args.episodes, args.seed)
     result = compare(
         scores, scenario=source.name, radio=args.radio, episodes=args.episodes, seed=args.seed
     )
-    show(result)
+    text, content = markdown(result), result.json
+    if bound:
+        over = over_bound(scores, source, radio_from(args.radio), args.seed)
+        text, content = text + bound_markdown(over), content | {"bound": over.json}
+    show(text)
     if args.json:
-        write_json(args.json, result.json)
+        write_json(args.json, content)
     return result

@@ -10,13 +10,11 @@ from rich.progress import track
 from experiments.cli import run
 from experiments.evaluation import bootstrap, contender_from, draw_episodes, score
 from experiments.files import write_json
-from experiments.options import command_line
+from experiments.options import TUNING_SEED, command_line, require_tuning_seed
 from mmwave_env.episode import SimulatedSource
 from mmwave_env.radio import RADIOS, radio_from
 from mmwave_env.scene import scene_from
 from policies import SpeedRule
-
-TUNING_SEED = 5_000_000
 
 
 @dataclass
@@ -39,8 +37,7 @@ class Args:
 
 def main(args: Args) -> None:
     """Run the command."""
-    if args.seed < TUNING_SEED:
-        raise ValueError(f"seed: found {args.seed}, expected a tuning seed >= {TUNING_SEED}")
+    require_tuning_seed(args.seed)
     radios = {}
     for radio in args.radios:
         source = SimulatedSource(scene_from("street"), radio_from(radio), args.scenario)

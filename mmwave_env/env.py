@@ -97,7 +97,8 @@ class MmWaveLocEnv(gym.Env[NDArray[np.float32], np.int64]):
     * `scenario`: "pedestrian", "vehicle", "walk-ride", "jam", "cyclist" or "mixed" (default).
     * `radio`: "handset" (default), "standard", "high", or a `Radio`.
     * `scene`: "street" (default), "o1", "dynamic-doppler", a JSON file, or a `Scene`.
-    * `modes`: list of modes, each a name ("ekf", "ukf", "ckf") or a `Mode`.
+    * `modes`: list of modes, each a name ("ekf", "ukf", "ckf", "ekf-robust", "ukf-robust"), a
+      mode file or a `Mode`; or one mode file, as `mmwave-loc tune` writes it.
     * `reward`: "tracking", "log-score" or a function.
     * `observation`: "full" or "prior".
     * `episode_steps`, `dt`: epochs per episode and seconds per epoch.
@@ -137,7 +138,7 @@ class MmWaveLocEnv(gym.Env[NDArray[np.float32], np.int64]):
         scenario: str | None = None,
         radio: str | Radio = "handset",
         scene: str | Scene | None = None,
-        modes: Sequence[Mode | str] | None = None,
+        modes: Sequence[Mode | str] | str | os.PathLike[str] | None = None,
         reward: str | Reward = "tracking",
         observation: str = "full",
         episode_steps: int | None = None,

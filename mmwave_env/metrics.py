@@ -60,21 +60,27 @@ def scored(epochs: int) -> slice:
 def summary(
     reward: Array, error: Array, nees: Array, epochs_per_s: float = 1.0, axes: int = 3
 ) -> dict[str, Array]:
-    """Every metric of :data:`METRICS` per episode, without the burn-in.
+    """Every metric of :data:`METRICS` per episode; rewards are (..., T), see :func:`accuracy`."""
+    mean = reward[..., scored(reward.shape[-1])].mean(axis=-1)
+    return {"reward": mean, **accuracy(error, nees, epochs_per_s, axes)}
+
+
+def accuracy(
+    error: Array, nees: Array, epochs_per_s: float = 1.0, axes: int = 3
+) -> dict[str, Array]:
+    """Every metric but the reward, per episode and without the burn-in.
 
     Args:
-        reward: (..., T) per epoch.
         error: (..., T, 3) estimated minus true position, m.
         nees: (..., T).
         epochs_per_s: for the second over which RPE looks.
         axes: position axes that NEES covers.
     """
-    count = scored(reward.shape[-1])
-    reward, error, nees = reward[..., count], error[..., count, :], nees[..., count]
+    count = scored(nees.shape[-1])
+    error, nees = error[..., count, :], nees[..., count]
     low, high = nees_interval(axes)
     distance = np.linalg.norm(error, axis=-1)
     return {
-        "reward": reward.mean(axis=-1),
         "ate_m": ate(error),
         "rmse_m": rmse(error),
         "rpe_m": rpe(error, max(1, round(epochs_per_s))),

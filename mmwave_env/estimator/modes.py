@@ -1,19 +1,19 @@
 """Modes: a filter algorithm with the tuning and the safeguards it was optimised with."""
 
+import json
+import os
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from typing import NamedTuple
+from dataclasses import asdict, dataclass, fields, replace
+from functools import cache
+from importlib.resources import files
+from pathlib import Path
+from typing import Any, NamedTuple
 
 from mmwave_env.arithmetic import Number
 from mmwave_env.estimator.update import Algorithm, ckf, ekf, ukf
 from mmwave_env.names import choose
 
 ALGORITHMS: dict[str, Algorithm] = {"ekf": ekf, "ukf": ukf, "ckf": ckf}
-
-# Low-mobility velocity noise by radio profile, m/s per square root of a second, from a coarse
-# grid on this model's prototype (the profile "high" takes that of "standard"); the
-# high-mobility mode has 1.8 everywhere. No command of the package re-tunes them yet.
-LOW_MOBILITY_SIGMA_V = {"handset": 0.3, "standard": 0.5, "high": 0.5}
 
 
 class Tuning(NamedTuple):
@@ -52,8 +52,8 @@ class Mode:
         coupling: whether velocity noise also moves the position within a step (discrete
             white-noise acceleration); False is the paper's plain diagonal.
         gate: chi-square quantile of the gates; None for no gates (paper, Sec. III-D).
-        recovery: epochs in a row with every visible link rejected after which the next
-            update accepts the links; None for never, as in the paper.
+        recovery: epochs in a row with every visible link rejected after which updates
+            accept the links until one passes its gate again; None for never, as in the paper.
         adaptive: scale Q and R by the windowed mean of NIS (paper, Sec. III-E).
         blockage_aware: inflate R of a link whose SNR has dropped below its slow mean.
         robust: inflate R of a link with a large NIS instead of rejecting it.
@@ -112,40 +112,110 @@ class Mode:
         return ALGORITHMS[self.algorithm] if isinstance(self.algorithm, str) else self.algorithm
 
 
-def low_mobility(radio: str = "handset") -> Mode:
-    """Action 0: EKF with small velocity noise, tuned per radio profile."""
-    return Mode("ekf", "ekf", sigma_v=LOW_MOBILITY_SIGMA_V.get(radio, 0.5))
+def read_modes(path: str | os.PathLike[str]) -> tuple[Mode, ...]:
+    """The modes of a mode file, JSON as ``mmwave-loc tune`` writes it.
+
+    The key "modes" holds a list of modes, each with the attributes of :class:`Mode` that
+    differ from the defaults.
+
+    Raises:
+        ValueError: naming the file and what is wrong in it.
+        FileNotFoundError: there is no such file.
+    """
+    known = [field.name for field in fields(Mode)]
+    try:
+        found = json.loads(Path(path).read_text(encoding="utf-8"))["modes"]
+        for mode in found:
+            for field in mode:
+                choose(dict.fromkeys(known), field, f"attribute of mode {mode['name']!r}")
+        return tuple(Mode(**mode) for mode in found)
+    except (ValueError, TypeError, KeyError) as error:
+        raise ValueError(f"{os.fspath(path)}: not a mode file: {error!r}") from error
 
 
-def high_mobility() -> Mode:
-    """Action 1: UKF with velocity noise for vehicles."""
-    return Mode("ukf", "ukf", sigma_v=1.8)
+def as_written(mode: Mode) -> dict[str, Any]:
+    """A mode as a mode file holds it.
+
+    Raises:
+        ValueError: its algorithm is a function, which no file can hold.
+    """
+    if not isinstance(mode.algorithm, str):
+        raise ValueError(f"algorithm of mode {mode.name!r}: found a function, expected a name")
+    default = asdict(Mode(""))
+    always = ("name", "algorithm", "sigma_p", "sigma_v")
+    return {k: v for k, v in asdict(mode).items() if k in always or v != default[k]}
+
+
+@cache
+def shipped_modes(radio: str, coupling: bool = True) -> tuple[Mode, ...]:
+    """The EKF and the UKF pipeline as ``mmwave-loc tune`` left them for a radio profile.
+
+    Args:
+        radio: profile; one that was not tuned gets the modes of "standard".
+        coupling: False for those with the paper's plain diagonal process noise.
+    """
+    folder = files("mmwave_env").joinpath("data/modes")
+    suffix = "" if coupling else "-diagonal"
+    tuned = Path(str(folder.joinpath(f"{radio}{suffix}.json")))
+    return read_modes(tuned if tuned.exists() else tuned.with_name(f"standard{suffix}.json"))
 
 
 def default_modes(radio: str = "handset") -> tuple[Mode, Mode]:
     """The two actions of ``MmWaveLoc-v0``: the paper's EKF and UKF pipelines."""
-    return low_mobility(radio), high_mobility()
+    low, high = shipped_modes(radio)
+    return low, high
+
+
+def robust(mode: Mode) -> Mode:
+    """The mode with robust updates instead of gates, and without adaptive scaling.
+
+    A robust update already answers a large NIS; scaling Q and R by it as well counts it twice.
+    """
+    return replace(mode, name=f"{mode.name}-robust", robust=True, adaptive=False)
 
 
 def named_modes(radio: str = "handset") -> dict[str, Mode]:
-    """Modes that can be asked for by name: ekf, ukf and ckf (the UKF's tuning)."""
+    """Modes that can be asked for by name.
+
+    "ekf" and "ukf" (the default two), "ckf" (the UKF's tuning), "ekf-robust", "ukf-robust".
+    """
     low, high = default_modes(radio)
-    return {"ekf": low, "ukf": high, "ckf": replace(high, name="ckf", algorithm="ckf")}
+    all_of_them = (low, high, replace(high, name="ckf", algorithm="ckf"), robust(low), robust(high))
+    return {mode.name: mode for mode in all_of_them}
 
 
-def modes_from(modes: Sequence[Mode | str] | None, radio: str = "handset") -> tuple[Mode, ...]:
-    """The modes of a ``modes=`` argument: names or Mode objects, None for the default two.
+def modes_from(
+    modes: Sequence[Mode | str] | str | os.PathLike[str] | None, radio: str = "handset"
+) -> tuple[Mode, ...]:
+    """The modes of a ``modes=`` argument.
+
+    Args:
+        modes: a list of names, mode files and Mode objects; or one mode file; None for the
+            default two.
+        radio: profile that named modes are tuned for.
 
     Raises:
         ValueError: for an empty list, two modes of one name, or an unknown name.
     """
     if modes is None:
         return default_modes(radio)
-    if isinstance(modes, str):
-        raise ValueError(f"modes: found the string {modes!r}, expected a list such as ['ekf']")
+    if isinstance(modes, (str, os.PathLike)):
+        if not os.fspath(modes).endswith(".json"):
+            raise ValueError(
+                f"modes: found the string {modes!r}, expected a list such as ['ekf'], or a mode "
+                "file (.json)"
+            )
+        modes = [os.fspath(modes)]
     known = named_modes(radio)
-    result = tuple(m if isinstance(m, Mode) else choose(known, m, "mode") for m in modes)
+    result: list[Mode] = []
+    for mode in modes:
+        if isinstance(mode, Mode):
+            result.append(mode)
+        elif mode.endswith(".json"):
+            result += read_modes(mode)
+        else:
+            result.append(choose(known, mode, "mode"))
     names = [m.name for m in result]
     if not result or len(set(names)) < len(names):
         raise ValueError(f"modes: found {names}, expected at least one mode and no name twice")
-    return result
+    return tuple(result)

@@ -11,59 +11,17 @@ import pytest
 from scipy.stats import binom, chi2
 
 from mmwave_env.engine import Engine
-from mmwave_env.episode import Episode
 from mmwave_env.estimator.modes import Mode
 from mmwave_env.estimator.pipeline import Pipeline
-from mmwave_env.measurement import Layout
 from mmwave_env.reward import TrackingReward
 
-from . import textbook
+from .tracks import STREET, far_from_the_anchors, process_noise
 
 RUNS, EPOCHS, CHECKED = 2000, 40, (0, 1, 5, 10, 20, 39)
 LEVEL = 0.01
 ALGORITHMS = ("ekf", "ukf", "ckf")
-ANCHORS = np.array([[-60.0, 120.0, 40.0], [160.0, 60.0, 60.0], [40.0, -150.0, 50.0]])
-LAYOUT, SENSOR = Layout(3), textbook.Sensor(ANCHORS, 93.4)
 DOF = [4, 4, 4, 1]
-SIGMA = np.array([0.5, 0.02, 0.02, 0.02] * 3 + [20.0])
-PRIOR = np.array([1.5, 1.5, 0.5, 1.0, 1.0, 0.1, 50.0])
 TUNING = {"sigma_v": 0.3, "adaptive": False}
-
-
-def process_noise(mode):
-    """Q over a second, from the mode's documented tuning."""
-    velocity = np.square([mode.sigma_v, mode.sigma_v, mode.sigma_vz])
-    position = np.square([mode.sigma_p, mode.sigma_p, mode.sigma_pz])
-    drift = (mode.sigma_b_mps * SENSOR.hz_per_mps) ** 2
-    Q = np.diag([*(position + velocity / 4), *velocity, drift])
-    return Q + np.diag([*velocity / 2, 0], k=3) + np.diag([*velocity / 2, 0], k=-3)
-
-
-def drawn_from_the_model(rng, Q):
-    """An episode of the filters' own model."""
-    noise = np.linalg.cholesky(Q)
-    x = [np.array([20.0, 10.0, 1.5, 1.0, -0.5, 0.0, 30.0])]
-    for _ in range(EPOCHS - 1):
-        x.append(textbook.F(1.0) @ x[-1] + noise @ rng.standard_normal(7))
-    x = np.array(x)
-    z = np.array([SENSOR.h(state) for state in x]) + SIGMA * rng.standard_normal((EPOCHS, 13))
-    z[:, SENSOR.angles] = np.remainder(z[:, SENSOR.angles] + np.pi, 2 * np.pi) - np.pi
-    return Episode(
-        name="own model",
-        scene_anchors_m=ANCHORS,
-        hz_per_mps=SENSOR.hz_per_mps,
-        time_s=np.arange(EPOCHS) * 1.0,
-        measurement=z,
-        sigma=np.tile(SIGMA, (EPOCHS, 1)),
-        visible=np.ones((EPOCHS, 4), bool),
-        snr_db=np.full((EPOCHS, 3), 30.0),
-        doppler_spread_hz=np.zeros(EPOCHS),
-        prior_mean=x[0] + PRIOR * rng.standard_normal(7),
-        prior_covariance=np.diag(PRIOR**2),
-        truth_position_m=x[:, :3],
-        truth_velocity_mps=x[:, 3:6],
-        layout=LAYOUT,
-    )
 
 
 @pytest.fixture(scope="module")
@@ -71,9 +29,9 @@ def runs():
     """Per algorithm: NEES (T, runs), NIS (T, runs, groups), and what a 99 % gate would reject."""
     plain = [Mode(a, a, gate=None, **TUNING) for a in ALGORITHMS]
     gated = [Mode(f"{a} gated", a, gate=0.99, **TUNING) for a in ALGORITHMS]
-    pipeline = Pipeline((*plain, *gated), LAYOUT)
-    rng, Q = np.random.default_rng(0), process_noise(plain[0])
-    episodes = [drawn_from_the_model(rng, Q) for _ in range(RUNS)]
+    pipeline = Pipeline((*plain, *gated), STREET)
+    rng, model = np.random.default_rng(0), far_from_the_anchors(process_noise(plain[0]))
+    episodes = [model.draw(rng, EPOCHS) for _ in range(RUNS)]
     engine = Engine(pipeline, RUNS, TrackingReward())
     found = {}
     for m, algorithm in enumerate(ALGORITHMS):

@@ -5,33 +5,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from mmwave_env.engine import ImmEngine
 from mmwave_env.estimator.imm import stay_matrix
 from mmwave_env.estimator.modes import Mode, default_modes
 from mmwave_env.estimator.pipeline import Pipeline
 from mmwave_env.measurement import Layout
-from mmwave_env.reward import TrackingReward
 
 from . import textbook
-from .tracks import assert_same_beliefs, pipeline_of, simulated, track, unpacked
+from .tracks import assert_same_beliefs, imm_track, pipeline_of, simulated, track, unpacked
 
 EPOCHS = 60
-
-
-def imm_track(pipeline, episodes, transition=None):
-    """x, P, probabilities and NEES of the mixture at every epoch."""
-    engine = ImmEngine(pipeline, len(episodes), TrackingReward(), transition)
-    engine.reset(episodes)
-    history = []
-    for epoch in range(len(episodes[0])):
-        if epoch:
-            engine.step()
-        at = engine.at
-        history.append(
-            {"x": engine.read(at.x), "P": engine.read(at.P), "nees": engine.read(at.nees),
-             "probability": engine.read(at.mixture.probability)}
-        )  # fmt: skip
-    return {name: np.array([row[name] for row in history]) for name in history[0]}
 
 
 @pytest.mark.parametrize("algorithm", ["ekf", "ukf"])

@@ -1,12 +1,12 @@
 """Episodes to filter, and whole tracks of an engine to compare."""
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from operator import attrgetter
 
 import numpy as np
 
-from mmwave_env.engine import Engine
-from mmwave_env.episode import SimulatedSource
+from mmwave_env.engine import Engine, ImmEngine
+from mmwave_env.episode import Episode, SimulatedSource
 from mmwave_env.estimator.modes import Mode
 from mmwave_env.estimator.pipeline import Pipeline
 from mmwave_env.measurement import Layout
@@ -14,8 +14,11 @@ from mmwave_env.radio import RADIOS
 from mmwave_env.reward import TrackingReward
 from mmwave_env.scene import SCENES
 
+from . import textbook
+
 STREET = Layout(3)
 TRIANGLE = np.tril_indices(7)
+HZ_PER_MPS = 93.4
 
 
 def simulated(n, epochs=200, odometry=False, seed=0):
@@ -51,6 +54,74 @@ def with_anchors(episode, anchors):
     )
 
 
+def process_noise(mode):
+    """Q (7, 7) over a second, from the mode's documented tuning."""
+    velocity = np.square([mode.sigma_v, mode.sigma_v, mode.sigma_vz])
+    position = np.square([mode.sigma_p, mode.sigma_p, mode.sigma_pz])
+    drift = (mode.sigma_b_mps * HZ_PER_MPS) ** 2
+    Q = np.diag([*(position + velocity / 4), *velocity, drift])
+    return Q + np.diag([*velocity / 2, 0], k=3) + np.diag([*velocity / 2, 0], k=-3)
+
+
+@dataclass(frozen=True, eq=False)
+class OwnModel:
+    """Users who move as a filter believes, start from its prior and are measured as it believes.
+
+    ``start`` (7,) and ``prior`` (7,) are mean and standard deviations of the first state, Q
+    (7, 7) is that of a second, ``sigma`` (rows,) the noise, scaled by one lognormal factor per
+    row and epoch of spread ``fading``; each group is detected with probability ``detection``.
+    """
+
+    sensor: textbook.Sensor
+    start: np.ndarray
+    prior: np.ndarray
+    Q: np.ndarray
+    sigma: np.ndarray
+    detection: float = 1.0
+    fading: float = 0.0
+
+    def draw(self, rng, epochs):
+        """An episode of 1 s steps."""
+        sensor, noise = self.sensor, np.linalg.cholesky(self.Q)
+        x = [self.start + self.prior * rng.standard_normal(7)]
+        for _ in range(epochs - 1):
+            x.append(textbook.F(1.0) @ x[-1] + noise @ rng.standard_normal(7))
+        x = np.array(x)
+        shape = (epochs, len(self.sigma))
+        sigma = self.sigma * np.exp(self.fading * rng.standard_normal(shape))
+        z = np.array([sensor.h(state) for state in x]) + sigma * rng.standard_normal(shape)
+        z[:, sensor.angles] = np.remainder(z[:, sensor.angles] + np.pi, 2 * np.pi) - np.pi
+        return Episode(
+            name="own model",
+            scene_anchors_m=sensor.anchors,
+            hz_per_mps=sensor.hz_per_mps,
+            time_s=np.arange(epochs) * 1.0,
+            measurement=z,
+            sigma=sigma,
+            visible=rng.random((epochs, len(sensor.groups))) < self.detection,
+            snr_db=np.full((epochs, sensor.links), 30.0),
+            doppler_spread_hz=np.zeros(epochs),
+            prior_mean=self.start,
+            prior_covariance=np.diag(self.prior**2),
+            truth_position_m=x[:, :3],
+            truth_velocity_mps=x[:, 3:6],
+            layout=Layout(sensor.links, sensor.odometry),
+        )
+
+
+def far_from_the_anchors(Q, **options):
+    """An own model whose geometry is nearly flat across the uncertainty of the filters."""
+    anchors = np.array([[-60.0, 120.0, 40.0], [160.0, 60.0, 60.0], [40.0, -150.0, 50.0]])
+    return OwnModel(
+        sensor=textbook.Sensor(anchors, HZ_PER_MPS),
+        start=np.array([20.0, 10.0, 1.5, 1.0, -0.5, 0.0, 30.0]),
+        prior=np.array([1.5, 1.5, 0.5, 1.0, 1.0, 0.1, 50.0]),
+        Q=Q,
+        sigma=np.array([0.5, 0.02, 0.02, 0.02] * 3 + [20.0]),
+        **options,
+    )
+
+
 def pipeline_of(layout=STREET, algorithms=("ekf", "ukf", "ckf"), planar=False, **tuning):
     """One mode per algorithm, all tuned alike."""
     modes = [Mode(a, a, **{"sigma_v": 1.8, **tuning}) for a in algorithms]
@@ -74,6 +145,22 @@ def track(pipeline, episodes, actions, epochs, what, on_floats=False):
         for name, values in history.items():
             values.append(engine.read(attrgetter(name)(engine.at)))
     return {name: np.array(values) for name, values in history.items()}
+
+
+def imm_track(pipeline, episodes, transition=None):
+    """x, P, probabilities and NEES of the mixture at every epoch."""
+    engine = ImmEngine(pipeline, len(episodes), TrackingReward(), transition)
+    engine.reset(episodes)
+    history = []
+    for epoch in range(len(episodes[0])):
+        if epoch:
+            engine.step()
+        at = engine.at
+        history.append(
+            {"x": engine.read(at.x), "P": engine.read(at.P), "nees": engine.read(at.nees),
+             "probability": engine.read(at.mixture.probability)}
+        )  # fmt: skip
+    return {name: np.array([row[name] for row in history]) for name in history[0]}
 
 
 def unpacked(P):

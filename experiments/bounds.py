@@ -1,0 +1,135 @@
+"""Contenders over the posterior Cramer-Rao bound of the same episodes.
+
+Every kind of user (``Episode.name``) has the bound of its own motion, with the white-noise
+acceleration of its true velocities; mean squares are pooled over kinds, episodes and the
+epochs that count. See :mod:`mmwave_env.estimator.bound` for what such a bound means.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from experiments.evaluation import CHUNK, Array, Interval, Scores, bootstrap, draw_episodes
+from experiments.markdown import grid
+from mmwave_env.episode import Episode, EpisodeSource
+from mmwave_env.estimator.bound import (
+    averaged_bound,
+    conditional_bounds,
+    measured_motion,
+    position_variance,
+)
+from mmwave_env.metrics import scored
+from mmwave_env.radio import Radio
+
+
+@dataclass(frozen=True)
+class Bounds:
+    """Bounds on the position error of a set of episodes.
+
+    Attributes:
+        averaged_m: root mean square of the averaged bounds, m.
+        conditional_m: root mean square of the bounds given each track, m.
+        sigma_v: per kind of user, horizontal and vertical white-noise acceleration that the
+            bounds assume, (m/s) / sqrt(s).
+    """
+
+    averaged_m: float
+    conditional_m: float
+    sigma_v: dict[str, tuple[float, float]]
+
+
+def bounds_of(episodes: Sequence[Episode], drift_mps: float) -> Bounds:
+    """The bounds of episodes whose oscillators drift by ``drift_mps``, (m/s) / sqrt(s)."""
+    kinds: dict[str, list[Episode]] = {}
+    for episode in episodes:
+        kinds.setdefault(episode.name, []).append(episode)
+    averaged = conditional = 0.0
+    sigma_v = {}
+    for name, group in kinds.items():
+        motion = measured_motion(group, drift_mps)
+        sigma_v[name] = (float(np.sqrt(motion.velocity[0])), float(np.sqrt(motion.velocity[2])))
+        averaged += len(group) * _mean_square(averaged_bound(group, motion))
+        for first in range(0, len(group), CHUNK):
+            part = conditional_bounds(group[first : first + CHUNK], motion)
+            conditional += len(part) * _mean_square(part)
+    n = len(episodes)
+    return Bounds(float(np.sqrt(averaged / n)), float(np.sqrt(conditional / n)), sigma_v)
+
+
+def _mean_square(bound: Array) -> float:
+    """Of the position error over the epochs that count, from bounds (..., T, 7, 7), m^2."""
+    return float(position_variance(bound)[..., scored(bound.shape[-3])].mean())
+
+
+@dataclass(frozen=True)
+class OverBound:
+    """Contenders measured in bounds.
+
+    Attributes:
+        bounds: of the episodes.
+        policies: per contender its pooled RMSE ("rmse_m") and that over each bound
+            ("over_averaged", "over_conditional"); intervals are over episodes, with the
+            bounds held fixed.
+    """
+
+    bounds: Bounds
+    policies: dict[str, dict[str, Interval]]
+
+    @property
+    def json(self) -> dict[str, Any]:
+        """As results files hold it."""
+        b = self.bounds
+        return {
+            "averaged_m": b.averaged_m,
+            "conditional_m": b.conditional_m,
+            "sigma_v": {
+                kind: {"horizontal": horizontal, "vertical": vertical}
+                for kind, (horizontal, vertical) in b.sigma_v.items()
+            },
+            "policies": {
+                name: {column: interval.json for column, interval in row.items()}
+                for name, row in self.policies.items()
+            },
+        }
+
+
+def over_bound(
+    scores: Mapping[str, Scores], source: EpisodeSource, radio: Radio, seed: int
+) -> OverBound:
+    """Contenders over the bounds of the episodes that their scores are from.
+
+    Args:
+        scores: per contender, of the episodes with seeds ``seed`` and up.
+        source, radio: of the episodes.
+        seed: the first.
+    """
+    squared = np.stack([np.square(s["rmse_m"]) for s in scores.values()], axis=1)
+    # The episodes are drawn again rather than kept while all contenders run.
+    bounds = bounds_of(draw_episodes(source, range(seed, seed + len(squared))), radio.drift_mps)
+    columns = {
+        "rmse_m": 1.0,
+        "over_averaged": 1.0 / bounds.averaged_m,
+        "over_conditional": 1.0 / bounds.conditional_m,
+    }
+    policies = {}
+    for name, interval in zip(scores, bootstrap(squared), strict=True):
+        mean, low, high = (float(np.sqrt(v)) for v in (interval.mean, interval.low, interval.high))
+        policies[name] = {c: Interval(f * mean, f * low, f * high) for c, f in columns.items()}
+    return OverBound(bounds, policies)
+
+
+def bound_markdown(over: OverBound) -> str:
+    """Contenders over the bounds as Markdown, and what the bounds are."""
+    b = over.bounds
+    motion = "; ".join(f"{kind} {h:.3g}, vertical {v:.3g}" for kind, (h, v) in b.sigma_v.items())
+    about = (
+        f"Over the posterior Cramer-Rao bound ({b.averaged_m:.3f} m averaged over tracks, "
+        f"{b.conditional_m:.3f} m given each track) of a Gaussian model whose velocity increments "
+        f"have the variance of the true ones (sigma_v {motion}): not strict for real manoeuvres, "
+        "and without the biases of blockage and multipath. Pooled over episodes, 95 % intervals:"
+    )
+    header = ["policy", "RMSE m", "over averaged bound", "over conditional bound"]
+    rows = [[name, *map(str, row.values())] for name, row in over.policies.items()]
+    return f"\n{about}\n\n{grid(header, rows)}\n"

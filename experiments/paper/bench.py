@@ -1,0 +1,172 @@
+"""Modes run on the episodes of a setting, each once, and sections to show what came out."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from functools import cache
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from experiments.evaluation import Interval, Scores, draw_episodes
+from experiments.markdown import grid, rounded
+from mmwave_env.episode import Episode, SimulatedSource
+from mmwave_env.estimator.algebra import unpack
+from mmwave_env.estimator.belief import Belief
+from mmwave_env.estimator.modes import Mode, shipped_modes
+from mmwave_env.estimator.pipeline import Pipeline
+from mmwave_env.estimator.smoother import smooth
+from mmwave_env.metrics import accuracy, scored
+from mmwave_env.radio import Radio, radio_from
+from mmwave_env.scene import SCENES
+from mmwave_env.tracker import Tracker
+
+Array = NDArray[np.float64]
+
+TUNED_ON = {"pedestrian": 0, "vehicle": 1}  # which of the shipped modes
+
+
+@dataclass(frozen=True)
+class Setting:
+    """Which episodes to run on.
+
+    Attributes:
+        scenario: kind of user.
+        radio: profile.
+        clean: without blockage and multipath.
+        odometry: the user also measures speed and heading.
+        walls: False for the base station alone, without virtual anchors.
+        changes: fields of the radio profile to replace.
+    """
+
+    scenario: str
+    radio: str
+    clean: bool = False
+    odometry: bool = False
+    walls: bool = True
+    changes: tuple[tuple[str, object], ...] = ()
+
+    def source(self) -> SimulatedSource:
+        """Where the episodes come from."""
+        changes = dict(self.changes)
+        if self.clean:
+            changes |= {"blockage_scale": 0.0, "multipath_rate_hz": 0.0}
+        radio: Radio = replace(radio_from(self.radio), **changes)  # type: ignore[arg-type]
+        scene = SCENES["street"] if self.walls else replace(SCENES["street"], walls=())
+        return SimulatedSource(scene, radio, self.scenario, odometry=self.odometry)
+
+    def tuned(self, coupling: bool = True) -> Mode:
+        """The mode that was tuned for this kind of user and radio."""
+        return shipped_modes(self.radio, coupling)[TUNED_ON[self.scenario]]
+
+
+class Errors(NamedTuple):
+    """What a mode did on every episode.
+
+    Attributes:
+        scores: metric -> (episodes,).
+        nees: (episodes, epochs) without the burn-in.
+        axis_rms_m: (3,) root mean square error along x, y and z.
+    """
+
+    scores: Scores
+    nees: Array
+    axis_rms_m: Array
+
+
+class Run(NamedTuple):
+    """A mode's tracks, as filtered and after Rauch-Tung-Striebel smoothing."""
+
+    filtered: Errors
+    smoothed: Errors
+
+
+class Bench:
+    """Runs modes on the episodes of seeds ``seed .. seed + episodes - 1``.
+
+    Args:
+        episodes: how many a setting.
+        seed: of the first.
+    """
+
+    def __init__(self, episodes: int, seed: int) -> None:
+        self.count, self.seed = episodes, seed
+        self.episodes = cache(self._draw)
+        self.run = cache(self._run)
+
+    def _draw(self, setting: Setting) -> list[Episode]:
+        return draw_episodes(setting.source(), range(self.seed, self.seed + self.count))
+
+    def _run(self, mode: Mode, setting: Setting, planar: bool = False) -> Run:
+        """Filter and smooth every episode of a setting; ``planar`` knows z and vz."""
+        episodes = self.episodes(setting)
+        if planar:
+            height = setting.source().scene.streets.height_m
+            episodes = [episode.on_flat_ground(height) for episode in episodes]
+        return track(mode, episodes, planar)
+
+
+def track(mode: Mode, episodes: Sequence[Episode], planar: bool = False) -> Run:
+    """Filter and smooth episodes of one length with a mode."""
+    pipeline = Pipeline((mode,), episodes[0].layout, planar)
+    tracker = Tracker(pipeline, len(episodes))
+    tracker.load(episodes)
+    found = tracker.run("x", "P", "P_predicted", "error", "nees")
+    x, error = found["x"], found["error"]
+    better_x, better_P = smooth(x, found["P"], found["P_predicted"], episodes[0].time_s, planar)
+    better = error + better_x[..., :3] - x[..., :3]
+    covariance = unpack(list(np.moveaxis(better_P, -1, 0)), zero=pipeline.pinned)
+    # The error as the state and the origin as the truth: NEES sees their difference alone.
+    offset = Belief(list(np.moveaxis(better, -1, 0)), covariance, pipeline.position_axes)
+    axes = len(pipeline.position_axes)
+    return Run(_errors(error, found["nees"], axes), _errors(better, offset.nees([0.0] * 3), axes))
+
+
+def _errors(error: Array, nees: Array, axes: int) -> Errors:
+    count = scored(nees.shape[1])
+    rms = np.sqrt(np.square(error[:, count]).mean(axis=(0, 1)))
+    return Errors(accuracy(error, nees, axes=axes), nees[:, count], rms)
+
+
+Cell = str | float | Interval
+
+
+@dataclass
+class Section:
+    """A table with a title and what there is to know about it.
+
+    Attributes:
+        title, note: Markdown.
+        columns: headers; the first ``labels`` of them name a row.
+        labels: how many cells of a row are its name.
+        rows: cells.
+    """
+
+    title: str
+    note: str
+    columns: list[str]
+    labels: int = 1
+    rows: list[list[Cell]] = field(default_factory=list)
+
+    def markdown(self) -> str:
+        """The section as Markdown."""
+        rows = [[_shown(cell) for cell in row] for row in self.rows]
+        return f"### {self.title}\n\n{grid(self.columns, rows)}\n\n{self.note}\n"
+
+    def records(self) -> list[list[Cell]]:
+        """Section, row, column, mean, low and high of every number."""
+        out: list[list[Cell]] = []
+        for row in self.rows:
+            name = ", ".join(str(cell) for cell in row[: self.labels])
+            for column, cell in zip(self.columns[self.labels :], row[self.labels :], strict=True):
+                if isinstance(cell, Interval):
+                    out.append([self.title, name, column, cell.mean, cell.low, cell.high])
+                elif isinstance(cell, float):
+                    out.append([self.title, name, column, cell, "", ""])
+        return out
+
+
+def _shown(cell: Cell) -> str:
+    if isinstance(cell, Interval):
+        return rounded(cell)
+    return cell if isinstance(cell, str) else f"{cell:.3g}" if cell < 1e4 else f"{cell:.2e}"

@@ -1,0 +1,195 @@
+"""mmwave-loc tune: process noise of modes, on tuning seeds."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from rich.progress import track
+from scipy.optimize import minimize
+from scipy.special import chdtri
+
+from experiments.cli import run
+from experiments.evaluation import bootstrap, draw_episodes
+from experiments.files import require_writable, write_json
+from experiments.markdown import grid
+from experiments.options import TUNING_SEED, command_line, require_tuning_seed
+from mmwave_env.episode import Episode, SimulatedSource
+from mmwave_env.estimator.modes import Mode, as_written, modes_from
+from mmwave_env.estimator.pipeline import Pipeline
+from mmwave_env.measurement import Layout
+from mmwave_env.metrics import scored
+from mmwave_env.names import choose
+from mmwave_env.radio import radio_from
+from mmwave_env.scene import scene_from
+from mmwave_env.tracker import Tracker
+
+Array = NDArray[np.float64]
+Objective = Callable[[Mode], Array]
+
+# Where each part of the process noise is looked for, in the units of Mode.
+RANGES = {
+    "sigma_p": (0.01, 2.0), "sigma_v": (0.1, 4.0), "sigma_pz": (0.001, 0.2),
+    "sigma_vz": (0.001, 0.2), "sigma_b_mps": (0.01, 0.5), "spread_gain": (1e-4, 0.1),
+}  # fmt: skip
+GATE = 0.99  # likelihood: NIS beyond this chi-square quantile counts as this quantile
+POINTS = (6, 11)  # of the surface, along the second and the first parameter
+STEP = 0.3  # of the first simplex, in logarithms: a third
+
+
+@dataclass
+class Args:
+    """Tune the process noise of modes by likelihood or by position error."""
+
+    radio: str = "handset"
+    """handset, standard or high"""
+    modes: tuple[str, ...] = ("ekf", "ukf")
+    """what to tune: ekf, ukf, ckf, ekf-robust, ukf-robust, mode files"""
+    scenarios: tuple[str, ...] = ("pedestrian", "vehicle")
+    """kind of user each mode is tuned on, in the same order"""
+    free: tuple[str, ...] = ("sigma_v", "sigma_p")
+    """what to tune: sigma_p, sigma_v, sigma_pz, sigma_vz, sigma_b_mps, spread_gain"""
+    objective: Literal["likelihood", "rmse"] = "likelihood"
+    """likelihood of the measurements (needs no truth), or root mean square position error"""
+    diagonal: bool = False
+    """process noise as the paper prints it: a plain diagonal, no coupling"""
+    episodes: int = 300
+    """how many"""
+    seed: int = TUNING_SEED
+    """seed of the first episode; never a test seed"""
+    out: Path | None = None
+    """write the tuned modes to this mode file, for --modes and modes="""
+    json: Path | None = None
+    """write every figure, the surfaces too, to this file"""
+
+
+def likelihood(history: dict[str, Array], layout: Layout) -> Array:
+    """Mean log-likelihood per epoch (episodes,) of the innovations, outliers capped.
+
+    Unmodelled blockage would otherwise decide: the NIS of each group counts up to the quantile
+    at which it would be gated. The constant -(rows / 2) log(2 pi) is left out.
+    """
+    nis, log_likelihood = history["memory.nis"], history["log_likelihood"]
+    rows = [group.stop - group.start for group in layout.groups]
+    excess = np.maximum(nis - chdtri(rows, 1.0 - GATE), 0.0).sum(axis=-1)
+    return (log_likelihood + 0.5 * excess)[:, scored(nis.shape[1])].mean(axis=-1)
+
+
+def negative_mean_square(history: dict[str, Array], layout: Layout) -> Array:
+    """Minus the mean square position error (episodes,), m^2."""
+    error = history["error"]
+    return -np.square(error[:, scored(error.shape[1])]).sum(axis=-1).mean(axis=-1)
+
+
+OBJECTIVES = {
+    "likelihood": (likelihood, ("memory.nis", "log_likelihood"), "log-likelihood per epoch"),
+    "rmse": (negative_mean_square, ("error",), "minus the mean square error, m^2"),
+}
+
+
+def objective_of(name: str, mode: Mode, episodes: Sequence[Episode]) -> Objective:
+    """From a mode to what is maximised, per episode; the mode's algorithm is that of ``mode``."""
+    function, names, _ = OBJECTIVES[name]
+    layout = episodes[0].layout
+    tracker = Tracker(Pipeline((mode,), layout), len(episodes))
+    tracker.load(episodes)
+
+    def evaluate(tried: Mode) -> Array:
+        tracker.tune([tried.tuning])
+        return function(tracker.run(*names), layout)
+
+    return evaluate
+
+
+def tune(mode: Mode, free: Sequence[str], objective: Objective) -> tuple[Mode, list[Array], Array]:
+    """The best tuning, and the surface that leads there.
+
+    The best point of a logarithmic grid over the first two parameters is the start of a
+    Nelder-Mead search over all of them.
+
+    Returns:
+        The mode; the axes of the surface; its values, (len(axis),) or (len(axis), len(axis)).
+    """
+    axes = [np.geomspace(*RANGES[name], POINTS[-1 - i]) for i, name in enumerate(free[:2])]
+    points = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, len(axes))
+
+    def at(values: Sequence[float]) -> Mode:
+        return replace(mode, **{k: float(v) for k, v in zip(free, values, strict=False)})  # type: ignore[arg-type]
+
+    surface = np.array([
+        objective(at(point)).mean() for point in track(points, mode.name, transient=True)
+    ])  # fmt: skip
+    start = [getattr(at(points[np.nanargmax(surface)]), name) for name in free]
+    bounds = np.log([RANGES[name] for name in free])
+    corner = np.clip(np.log(np.maximum(start, 1e-12)), *(bounds.T + [[0.0], [-STEP]]))
+    found = minimize(
+        lambda logarithms: -np.nan_to_num(objective(at(np.exp(logarithms))).mean(), nan=-np.inf),
+        corner,
+        method="Nelder-Mead",
+        bounds=bounds,
+        options={
+            "initial_simplex": corner + STEP * np.eye(len(free) + 1, len(free), k=-1),
+            "xatol": 0.005,
+            "fatol": 1e-5,
+        },
+    )
+    best = at([float(f"{v:.3g}") for v in np.exp(found.x)])
+    return best, axes, surface.reshape([len(axis) for axis in axes])
+
+
+def surface_table(free: Sequence[str], axes: Sequence[Array], surface: Array) -> str:
+    """The surface as Markdown: the first parameter to the right, the second down."""
+    header = [" / ".join(reversed(free[:2])), *(f"{v:.3g}" for v in axes[0])]
+    lines = surface.reshape(len(axes[0]), -1).T
+    labels = [f"{v:.3g}" for v in axes[1]] if len(axes) > 1 else [""]
+    rows = [[a, *(f"{v:.3f}" for v in line)] for a, line in zip(labels, lines, strict=True)]
+    return grid(header, rows)
+
+
+def main(args: Args) -> None:
+    """Run the command."""
+    require_tuning_seed(args.seed)
+    modes = modes_from(args.modes, args.radio)
+    if len(args.scenarios) != len(modes):
+        raise ValueError(
+            f"scenarios: found {len(args.scenarios)}, expected {len(modes)}, one for each of the "
+            f"modes {', '.join(mode.name for mode in modes)}"
+        )
+    if not args.free or len(set(args.free)) < len(args.free):
+        raise ValueError(f"free: found {args.free}, expected at least one name and none twice")
+    for name in args.free:
+        choose(RANGES, name, "free")
+    if args.out:
+        require_writable(args.out)
+    tuned, figures = [], []
+    for mode, scenario in zip(modes, args.scenarios, strict=True):
+        source = SimulatedSource(scene_from("street"), radio_from(args.radio), scenario)
+        episodes = draw_episodes(source, range(args.seed, args.seed + args.episodes))
+        started = replace(mode, coupling=mode.coupling and not args.diagonal)
+        objective = objective_of(args.objective, started, episodes)
+        best, axes, surface = tune(started, args.free, objective)
+        tuned.append(best)
+        value = bootstrap(objective(best)[:, None])[0]
+        what = OBJECTIVES[args.objective][2]
+        print(f"### {mode.name} on {scenario}, {args.radio}: {what}\n")
+        print(surface_table(args.free, axes, surface))
+        found = ", ".join(f"{name} {getattr(best, name):g}" for name in args.free)
+        print(f"\nbest: {found}: {value}\n")
+        figures.append({
+            "mode": mode.name, "scenario": scenario, "objective": what, **value.json,
+            "axes": {name: axis.tolist() for name, axis in zip(args.free, axes, strict=False)},
+            "surface": surface.tolist(),
+        })  # fmt: skip
+    # The paths of the outputs are left out: a mode file says how to make it, not where.
+    command = command_line("tune", replace(args, out=None, json=None))
+    result = {"command": command, "modes": [as_written(mode) for mode in tuned]}
+    if args.json:
+        write_json(args.json, result | {"tuned": figures})
+    if args.out:
+        write_json(args.out, result)
+
+
+if __name__ == "__main__":
+    run("tune")

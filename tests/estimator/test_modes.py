@@ -1,0 +1,93 @@
+"""Modes by name, by file and as objects."""
+
+import json
+from dataclasses import replace
+
+import pytest
+
+from mmwave_env.estimator.modes import (
+    Mode,
+    as_written,
+    default_modes,
+    modes_from,
+    named_modes,
+    read_modes,
+    shipped_modes,
+)
+from mmwave_env.estimator.update import ekf
+from mmwave_env.radio import RADIOS
+
+THREE = [
+    Mode("slow", "ekf", sigma_v=0.2, gate=None, recovery=None, coupling=False),
+    Mode("fast", "ukf", sigma_v=2.0, robust=True, adaptive=False, widen_p=3.0),
+    Mode("plain"),
+]
+
+
+@pytest.fixture
+def mode_file(tmp_path):
+    path = tmp_path / "three.json"
+    path.write_text(json.dumps({"command": "by hand", "modes": [as_written(m) for m in THREE]}))
+    return path
+
+
+def test_a_mode_file_gives_back_what_was_written(mode_file):
+    assert read_modes(mode_file) == tuple(THREE)
+
+
+@pytest.mark.parametrize("as_type", [str, lambda path: path, lambda path: [str(path)]])
+def test_a_mode_file_is_a_list_of_modes(mode_file, as_type):
+    assert modes_from(as_type(mode_file)) == tuple(THREE)
+
+
+def test_names_files_and_modes_mix(mode_file):
+    own = Mode("own", "ckf")
+    found = modes_from(["ukf", str(mode_file), own])
+    assert [mode.name for mode in found] == ["ukf", "slow", "fast", "plain", "own"]
+
+
+@pytest.mark.parametrize("radio", RADIOS)
+def test_every_profile_has_its_tuning(radio):
+    low, high = default_modes(radio)
+    assert (low.name, low.algorithm, high.name, high.algorithm) == ("ekf", "ekf", "ukf", "ukf")
+    assert low.sigma_v < high.sigma_v and low.coupling and high.coupling
+    assert not any(mode.coupling for mode in shipped_modes(radio, coupling=False))
+    assert default_modes("lab") == default_modes("standard")
+
+
+def test_robust_modes_are_the_same_tuning_without_adaptation():
+    named = named_modes("high")
+    expected = replace(named["ekf"], name="ekf-robust", robust=True, adaptive=False)
+    assert named["ekf-robust"] == expected
+    assert named["ukf-robust"].tuning == named["ukf"].tuning == named["ckf"].tuning
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("", "not a mode file"),
+        ("[]", "not a mode file"),
+        ("{}", "'modes'"),
+        ('{"modes": [{"algorithm": "ekf"}]}', "'name'"),
+        ('{"modes": [{"name": "a", "sigma_q": 1}]}', "'sigma_q'.*sigma_p, sigma_v"),
+        ('{"modes": [{"name": "a", "sigma_v": -1}]}', "sigma_v of mode 'a': found -1"),
+        ('{"modes": [{"name": "a", "sigma_v": "much"}]}', "not a mode file"),
+        ('{"modes": [{"name": "a", "algorithm": "pf"}]}', "'pf'.*ekf, ukf, ckf"),
+        ('{"modes": 3}', "not a mode file"),
+    ],
+)
+def test_a_damaged_mode_file_is_named(tmp_path, text, message):
+    path = tmp_path / "bad.json"
+    path.write_text(text)
+    with pytest.raises(ValueError, match=f"(?s)bad.json: .*{message}"):
+        modes_from(path)
+
+
+def test_no_file_can_hold_a_function():
+    with pytest.raises(ValueError, match="algorithm of mode 'own': found a function"):
+        as_written(Mode("own", ekf))
+
+
+def test_a_missing_mode_file_is_named():
+    with pytest.raises(FileNotFoundError, match="nowhere.json"):
+        modes_from("nowhere.json")

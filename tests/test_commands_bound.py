@@ -1,0 +1,118 @@
+"""mmwave-loc compare --bound, as it is typed, and the figures behind it."""
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from experiments.bounds import bounds_of, over_bound
+from experiments.evaluation import RESAMPLES, contender_from, draw_episodes, score
+from mmwave_env.episode import SimulatedSource
+from mmwave_env.estimator.bound import (
+    averaged_bound,
+    conditional_bounds,
+    measured_motion,
+    position_variance,
+)
+from mmwave_env.metrics import BURN_IN
+from mmwave_env.radio import RADIOS
+from mmwave_env.scene import SCENES
+
+ROOT = Path(__file__).parent.parent
+RADIO = RADIOS["handset"]
+STREET = SCENES["street"]
+
+
+def compare(*options):
+    """What ``mmwave-loc compare`` prints."""
+    words = ["-m", "experiments.cli", "compare", *map(str, options)]
+    path = os.pathsep.join([str(ROOT), os.environ.get("PYTHONPATH", "")])
+    done = subprocess.run(
+        [sys.executable, *words],
+        env=os.environ | {"PYTHONPATH": path, "COLUMNS": "200"},
+        capture_output=True,
+        text=True,
+        cwd=ROOT,
+    )
+    assert done.returncode == 0, done.stderr
+    return done.stdout
+
+
+def test_compare_shows_policies_over_the_bound(tmp_path):
+    file, policies = tmp_path / "compare.json", ("fixed-ukf", "imm")
+    shown = compare("--bound", "--episodes", 6, "--policies", *policies, "--json", file)
+    assert "| policy | RMSE m | over averaged bound | over conditional bound |" in shown
+    assert "not strict" in shown and "blockage" in shown
+    result = json.loads(file.read_text())
+    bound = result["bound"]
+    assert list(result) == [
+        "scenario", "radio", "episodes", "seed", "policies", "paired", "bound",
+    ]  # fmt: skip
+    assert list(bound["policies"]) == list(policies)
+    episodes = draw_episodes(SimulatedSource(STREET, RADIO), range(6))
+    assert list(bound["sigma_v"]) == list(dict.fromkeys(e.name for e in episodes))
+    assert 0.0 < bound["averaged_m"] < bound["conditional_m"]
+    for row in bound["policies"].values():
+        for column, base in (
+            ("averaged", bound["averaged_m"]),
+            ("conditional", bound["conditional_m"]),
+        ):
+            over, rmse = row[f"over_{column}"], row["rmse_m"]
+            assert over["mean"] == pytest.approx(rmse["mean"] / base)
+            assert over["ci95"] == pytest.approx([edge / base for edge in rmse["ci95"]])
+            assert over["ci95"][0] <= over["mean"] <= over["ci95"][1]
+
+
+@pytest.mark.slow
+def test_recorded_data_has_a_bound_and_without_the_option_none_is_shown(tmp_path):
+    file = tmp_path / "compare.json"
+    options = ("--data", "canyon28_vehicle", "--policies", "fixed-ukf", "imm", "--episodes", 2)
+    compare(*options, "--bound", "--json", file)
+    bound = json.loads(file.read_text())["bound"]
+    assert list(bound["sigma_v"]) == ["canyon28_vehicle"]
+    assert 0.0 < bound["averaged_m"] <= bound["conditional_m"]
+    assert "bound |" not in compare(*options, "--json", file)
+    assert "bound" not in json.loads(file.read_text())
+
+
+def root_mean_square(bound):
+    return np.sqrt(position_variance(bound)[..., BURN_IN:].mean())
+
+
+def test_every_kind_has_the_bound_of_its_own_motion():
+    walk = draw_episodes(SimulatedSource(STREET, RADIO, "pedestrian", epochs=40), range(4))
+    drive = draw_episodes(SimulatedSource(STREET, RADIO, "vehicle", epochs=40), range(12))
+    kinds = []
+    for episodes in (walk, drive):
+        alone, motion = bounds_of(episodes, RADIO.drift_mps), measured_motion(episodes, 0.05)
+        assert alone.averaged_m == pytest.approx(root_mean_square(averaged_bound(episodes, motion)))
+        conditional = root_mean_square(conditional_bounds(episodes, motion))
+        assert alone.conditional_m == pytest.approx(conditional)
+        kinds.append(alone)
+    both = bounds_of([*drive, *walk], RADIO.drift_mps)
+    for name in ("averaged_m", "conditional_m"):
+        slow, fast = (getattr(kind, name) for kind in kinds)
+        pooled = np.sqrt((4 * slow**2 + 12 * fast**2) / 16)
+        assert getattr(both, name) == pytest.approx(pooled)
+    assert both.sigma_v == kinds[0].sigma_v | kinds[1].sigma_v
+    assert both.sigma_v["pedestrian"][0] < both.sigma_v["vehicle"][0]
+    assert both.sigma_v["vehicle"][1] == 0.0  # flat ground
+
+
+def test_bounds_are_those_of_the_episodes_that_were_scored():
+    source = SimulatedSource(STREET, RADIO, epochs=40)
+    episodes = draw_episodes(source, range(7, 12))
+    contender = contender_from("imm", RADIO.name)
+    scores = {"imm": score(contender, contender.start(source.layout), episodes)}
+    over = over_bound(scores, source, RADIO, seed=7)
+    assert over.bounds == bounds_of(episodes, RADIO.drift_mps)
+    squared = np.square(scores["imm"]["rmse_m"])
+    pooled = over.policies["imm"]["rmse_m"]
+    assert pooled.mean == pytest.approx(np.sqrt(squared.mean()))
+    resampled = np.random.default_rng(1).choice(squared, (RESAMPLES, len(squared))).mean(axis=1)
+    expected = np.sqrt(np.percentile(resampled, [2.5, 97.5]))
+    assert (pooled.low, pooled.high) == pytest.approx(expected, rel=0.1)
