@@ -4,7 +4,6 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from experiments.cli import run
-from experiments.compare import DEFAULT
 from experiments.files import write_json, write_text
 from experiments.markdown import markdown
 from experiments.options import EpisodeArgs, report
@@ -31,7 +30,7 @@ def main(args: Args) -> None:
     runs += [EpisodeArgs(data=name, episodes=args.draws) for name in sample_names()]
     tables, everything = [], {}
     for one in runs:
-        result = report(one, DEFAULT)
+        result = report(one, one.contenders())
         tables.append(markdown(result))
         everything[result.scenario] = result.json
         write_json(args.out / f"{result.scenario}.json", result.json)

@@ -11,8 +11,7 @@ class Args(EpisodeArgs):
     """Evaluate one policy on seeded episodes."""
 
     policy: str = "speed-rule"
-    """fixed-ekf, fixed-ukf, fixed-ckf, speed-rule, speed-rule-tuned, likelihood-rule, random or
-    imm"""
+    """speed-rule, fixed-ekf, fixed-ukf, imm, ...; compare shows all there are"""
 
 
 def main(args: Args) -> None:

@@ -6,6 +6,7 @@ episodes, so differences are paired; intervals are 95 % percentile bootstraps ov
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import lru_cache, partial
 from typing import Any
 
 import numpy as np
@@ -57,34 +58,54 @@ class Contender:
         return self.policy and self.policy(Observation(Pipeline(self.modes, layout)))
 
 
-def contenders(radio: str) -> dict[str, Contender]:
-    """Every contender there is for a radio profile, by name."""
-    two, named = default_modes(radio), named_modes(radio)
-    names = [mode.name for mode in two]
-    return {
-        c.name: c
-        for c in (
-            Contender("fixed-ekf", two, lambda table: FixedMode(0)),
-            Contender("fixed-ukf", two, lambda table: FixedMode(1)),
-            Contender("fixed-ckf", (named["ckf"],), lambda table: FixedMode(0)),
-            Contender("speed-rule", two, SpeedRule),
-            Contender(
-                "speed-rule-tuned", two, lambda table: SpeedRule(table, tuned_threshold(radio))
-            ),
-            Contender("likelihood-rule", two, lambda table: LikelihoodRule(table, names)),
-            Contender("random", two, lambda table: RandomMode(len(two), POLICY_SEED)),
-            Contender("imm", two, None),
+def _over(modes: tuple[Mode, ...]) -> list[Contender]:
+    """The contenders that work with any modes: each of them alone, rules, chance and the IMM."""
+    names = [mode.name for mode in modes]
+    found = [Contender(f"fixed-{name}", modes, partial(_fixed, i)) for i, name in enumerate(names)]
+    if len(modes) == 2:
+        found.append(Contender("speed-rule", modes, SpeedRule))
+    if len(modes) > 1:
+        found.append(
+            Contender("likelihood-rule", modes, lambda table: LikelihoodRule(table, names))
         )
-    }
+        found.append(Contender("random", modes, lambda table: RandomMode(len(modes), POLICY_SEED)))
+    return [*found, Contender("imm", modes, None)]
 
 
-def contender_from(name: str, radio: str) -> Contender:
-    """A contender by name.
+def _fixed(action: int, table: Observation) -> Policy:
+    return FixedMode(action)
+
+
+def contenders(radio: str, modes: tuple[Mode, ...] | None = None) -> dict[str, Contender]:
+    """Every contender there is, by name.
+
+    Args:
+        radio: profile.
+        modes: what they work with; None for the profile's two, beside which the profile has
+            single modes of other kinds, a tuned threshold, and an IMM over robust modes.
+    """
+    if modes is not None:
+        return {c.name: c for c in _over(modes)}
+    two, named = default_modes(radio), named_modes(radio)
+    others = [
+        Contender(f"fixed-{name}", (named[name],), partial(_fixed, 0))
+        for name in ("ckf", "ekf-robust", "ukf-robust")
+    ]
+    tuned = Contender(
+        "speed-rule-tuned", two, lambda table: SpeedRule(table, tuned_threshold(radio))
+    )
+    robust = Contender("imm-robust", (named["ekf-robust"], named["ukf-robust"]), None)
+    ekf, ukf, rule, *rest = _over(two)
+    return {c.name: c for c in (ekf, ukf, *others, rule, tuned, *rest, robust)}
+
+
+def contender_from(name: str, radio: str, modes: tuple[Mode, ...] | None = None) -> Contender:
+    """A contender by name; see :func:`contenders`.
 
     Raises:
         ValueError: unknown name; the message lists the valid ones.
     """
-    return choose(contenders(radio), name, "policy")
+    return choose(contenders(radio, modes), name, "policy")
 
 
 def draw_episodes(source: EpisodeSource, seeds: Sequence[int]) -> list[Episode]:
@@ -132,7 +153,12 @@ def score(
 
 
 def evaluate(
-    names: Sequence[str], source: EpisodeSource, radio: str, episodes: int, seed: int
+    names: Sequence[str],
+    source: EpisodeSource,
+    radio: str,
+    episodes: int,
+    seed: int,
+    modes: tuple[Mode, ...] | None = None,
 ) -> dict[str, Scores]:
     """Scores of contenders on the same episodes, seeds ``seed .. seed + episodes - 1``.
 
@@ -143,7 +169,7 @@ def evaluate(
         raise ValueError(f"episodes: found {episodes}, expected at least 1")
     if len(set(names)) < len(names):
         raise ValueError(f"policies: found {', '.join(names)}, expected no name twice")
-    chosen = [contender_from(name, radio) for name in names]
+    chosen = [contender_from(name, radio, modes) for name in names]
     policies = [contender.start(source.layout) for contender in chosen]
     parts: dict[str, list[Scores]] = {c.name: [] for c in chosen}
     with Progress(transient=True) as progress:
@@ -180,15 +206,21 @@ class Interval:
         return f"{self.mean:.3f} [{self.low:.3f}, {self.high:.3f}]"
 
 
+@lru_cache(maxsize=1)
+def _resamples(n: int, seed: int) -> NDArray[np.uint16]:
+    """How often each of n episodes is drawn (resamples, n)."""
+    rng = np.random.default_rng(seed)
+    counts = np.empty((RESAMPLES, n), np.uint16)
+    for rows in np.split(counts, RESAMPLES // 100):  # int64 at once would be large
+        rows[:] = rng.multinomial(n, np.full(n, 1.0 / n), size=len(rows))
+    return counts
+
+
 def _resampled_means(values: Array, seed: int) -> Array:
     """Means (resamples, k) of columns (episodes, k), which share the resamples."""
-    rng = np.random.default_rng(seed)
     n = len(values)
-    means = np.empty((RESAMPLES, values.shape[1]))
-    for row in range(0, RESAMPLES, 100):
-        weights = rng.multinomial(n, np.full(n, 1.0 / n), size=min(100, RESAMPLES - row)) / n
-        means[row : row + len(weights)] = weights @ values
-    return means
+    blocks = np.split(_resamples(n, seed), RESAMPLES // 100)
+    return np.concatenate([rows / n @ values for rows in blocks])
 
 
 def bootstrap(values: Array, seed: int = 0) -> list[Interval]:

@@ -7,10 +7,11 @@ from pathlib import Path
 from typing import Any
 
 from experiments.bounds import bound_markdown, over_bound
-from experiments.evaluation import Comparison, compare, evaluate
+from experiments.evaluation import Comparison, Scores, compare, contenders, evaluate
 from experiments.files import write_json
 from experiments.markdown import markdown, show
 from mmwave_env.episode import EpisodeSource, SimulatedSource
+from mmwave_env.estimator.modes import Mode, modes_from
 from mmwave_env.io.samples import recording_from
 from mmwave_env.radio import radio_from
 from mmwave_env.recording import RecordedSource
@@ -57,8 +58,23 @@ class EpisodeArgs:
     data: str | None = None
     """recorded data instead of a simulation: canyon28_vehicle, canyon28_pedestrian, or the
     folder of a DeepMIMO scenario; each seed draws receiver noise and prior anew"""
+    modes: tuple[str, ...] = ()
+    """modes to work with in place of the profile's ekf and ukf: names (ekf, ukf, ckf, ekf-robust,
+    ukf-robust) and mode files; policies are then fixed-NAME, likelihood-rule, random, imm and,
+    with two modes, speed-rule"""
     json: Path | None = None
     """write every figure to this file"""
+
+    def contenders(self) -> tuple[str, ...]:
+        """Names of all there are for these modes."""
+        return tuple(contenders(self.radio, self._modes()))
+
+    def _modes(self) -> tuple[Mode, ...] | None:
+        return modes_from(self.modes, self.radio) if self.modes else None
+
+    def evaluate(self, names: Sequence[str]) -> dict[str, Scores]:
+        """Scores of contenders on the episodes."""
+        return evaluate(names, self.source(), self.radio, self.episodes, self.seed, self._modes())
 
     def source(self) -> EpisodeSource:
         """Where the episodes come from."""
@@ -80,7 +96,7 @@ def report(args: EpisodeArgs, names: Sequence[str], bound: bool = False) -> Comp
         bound: whether to measure them in posterior Cramer-Rao bounds, too.
     """
     source = args.source()
-    scores = evaluate(names, source, args.radio, args.episodes, args.seed)
+    scores = args.evaluate(names)
     result = compare(
         scores, scenario=source.name, radio=args.radio, episodes=args.episodes, seed=args.seed
     )

@@ -13,6 +13,7 @@ from experiments import evaluation
 from experiments.evaluation import (
     RESAMPLES,
     bootstrap,
+    bootstrap_ratio,
     compare,
     contender_from,
     contenders,
@@ -22,6 +23,7 @@ from experiments.evaluation import (
     score,
 )
 from mmwave_env.episode import SimulatedSource
+from mmwave_env.estimator.modes import modes_from
 from mmwave_env.metrics import METRICS
 from mmwave_env.radio import RADIOS
 from mmwave_env.scene import SCENES
@@ -191,8 +193,8 @@ def test_contenders_see_the_same_episodes():
 def test_every_radio_has_every_contender(radio):
     found = contenders(radio)
     assert list(found) == [
-        "fixed-ekf", "fixed-ukf", "fixed-ckf", "speed-rule", "speed-rule-tuned",
-        "likelihood-rule", "random", "imm",
+        "fixed-ekf", "fixed-ukf", "fixed-ckf", "fixed-ekf-robust", "fixed-ukf-robust",
+        "speed-rule", "speed-rule-tuned", "likelihood-rule", "random", "imm", "imm-robust",
     ]  # fmt: skip
     assert all(c.name == name and c.modes for name, c in found.items())
 
@@ -225,3 +227,25 @@ def test_actions_beyond_the_modes_are_refused():
     contender = contender_from("fixed-ekf", "handset")
     with pytest.raises(ValueError, match="found 5 to 5, expected 0 to 1"):
         score(contender, FixedMode(5), draw_episodes(SOURCE, [0]))
+
+
+def test_own_modes_bring_their_own_contenders():
+    modes = modes_from(["ekf", "ckf", "ukf-robust"])
+    found = contenders("handset", modes)
+    assert list(found) == [
+        "fixed-ekf", "fixed-ckf", "fixed-ukf-robust", "likelihood-rule", "random", "imm",
+    ]  # fmt: skip
+    assert all(c.modes == modes for c in found.values())
+    assert "speed-rule" in contenders("handset", modes[:2])
+    own = evaluate(["fixed-ckf"], SOURCE, "handset", episodes=2, seed=0, modes=modes)
+    named = evaluate(["fixed-ckf"], SOURCE, "handset", episodes=2, seed=0)
+    for metric, values in own["fixed-ckf"].items():
+        np.testing.assert_allclose(values, named["fixed-ckf"][metric], rtol=1e-9)
+
+
+def test_a_ratio_of_means_has_an_interval():
+    rng = np.random.default_rng(0)
+    under = rng.uniform(1.0, 2.0, 400)
+    ratio = bootstrap_ratio(0.5 * under + rng.normal(0.0, 0.01, 400), under)
+    assert ratio.low < 0.5 < ratio.high and ratio.high - ratio.low < 0.01
+    assert bootstrap_ratio(3.0 * under, under).low == pytest.approx(3.0)

@@ -23,6 +23,7 @@ from mmwave_env.tracker import Tracker
 
 Array = NDArray[np.float64]
 
+CHUNK = 128  # tracks at a time: few enough for their arrays to stay in the caches
 TUNED_ON = {"pedestrian": 0, "vehicle": 1}  # which of the shipped modes
 
 
@@ -108,6 +109,16 @@ class Bench:
 
 def track(mode: Mode, episodes: Sequence[Episode], planar: bool = False) -> Run:
     """Filter and smooth episodes of one length with a mode."""
+    parts = [_tracks(mode, episodes[i : i + CHUNK], planar) for i in range(0, len(episodes), CHUNK)]
+    axes = 2 if planar else 3
+    errors, nees, better_errors, better_nees = map(np.concatenate, zip(*parts, strict=True))
+    return Run(_errors(errors, nees, axes), _errors(better_errors, better_nees, axes))
+
+
+def _tracks(
+    mode: Mode, episodes: Sequence[Episode], planar: bool
+) -> tuple[Array, Array, Array, Array]:
+    """Position errors (n, T, 3) and NEES (n, T) as filtered, and both as smoothed."""
     pipeline = Pipeline((mode,), episodes[0].layout, planar)
     tracker = Tracker(pipeline, len(episodes))
     tracker.load(episodes)
@@ -118,8 +129,7 @@ def track(mode: Mode, episodes: Sequence[Episode], planar: bool = False) -> Run:
     covariance = unpack(list(np.moveaxis(better_P, -1, 0)), zero=pipeline.pinned)
     # The error as the state and the origin as the truth: NEES sees their difference alone.
     offset = Belief(list(np.moveaxis(better, -1, 0)), covariance, pipeline.position_axes)
-    axes = len(pipeline.position_axes)
-    return Run(_errors(error, found["nees"], axes), _errors(better, offset.nees([0.0] * 3), axes))
+    return error, found["nees"], better, offset.nees([0.0] * 3)
 
 
 def _errors(error: Array, nees: Array, axes: int) -> Errors:
@@ -148,10 +158,14 @@ class Section:
     labels: int = 1
     rows: list[list[Cell]] = field(default_factory=list)
 
-    def markdown(self) -> str:
-        """The section as Markdown."""
+    def body(self) -> str:
+        """The table and its note as Markdown."""
         rows = [[_shown(cell) for cell in row] for row in self.rows]
-        return f"### {self.title}\n\n{grid(self.columns, rows)}\n\n{self.note}\n"
+        return f"{grid(self.columns, rows)}\n\n{self.note}"
+
+    def markdown(self) -> str:
+        """The whole section as Markdown."""
+        return f"### {self.title}\n\n{self.body()}\n"
 
     def records(self) -> list[list[Cell]]:
         """Section, row, column, mean, low and high of every number."""

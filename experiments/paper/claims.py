@@ -1,0 +1,257 @@
+"""The paper's claims, one section each."""
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+
+import numpy as np
+from scipy.stats import chi2
+
+from experiments.evaluation import Interval, bootstrap, bootstrap_ratio
+from experiments.paper.bench import Bench, Cell, Errors, Section, Setting, track
+from experiments.paper.printed import untuned
+from experiments.paper.published import HIGH_MOBILITY, LOW_MOBILITY, Published
+from mmwave_env.episode import Episode
+from mmwave_env.estimator.modes import Mode, robust
+from mmwave_env.measurement import SPEED_OF_LIGHT, Layout
+from mmwave_env.metrics import nees_interval
+from mmwave_env.radio import RADIOS
+from mmwave_env.scene import SCENES
+
+SCENARIOS = ("pedestrian", "vehicle")
+
+
+def _means(*columns: np.ndarray) -> list[Interval]:
+    return bootstrap(np.stack(columns, axis=1))
+
+
+def _ates(runs: Sequence[Errors]) -> list[np.ndarray]:
+    return [errors.scores["ate_m"] for errors in runs]
+
+
+def algorithms(bench: Bench) -> Section:
+    """EKF, UKF and CKF with one tuning: does the algorithm matter?"""
+    section = Section(
+        "One tuning, three algorithms",
+        "Filtered, with the process noise tuned for the kind of user, gates and adaptive scaling. "
+        "Differences are paired, episode by episode.",
+        ["user", "radio", "anchors", "EKF: ATE m", "UKF: ATE m", "CKF: ATE m",
+         "UKF - EKF: m", "CKF - UKF: m"],
+        labels=3,
+    )  # fmt: skip
+    for scenario in SCENARIOS:
+        for radio in RADIOS:
+            for walls, anchors in ((True, "3"), (False, "gNB alone")):
+                setting = Setting(scenario, radio, walls=walls)
+                modes = [replace(setting.tuned(), algorithm=a) for a in ("ekf", "ukf", "ckf")]
+                ekf, ukf, ckf = _ates([bench.run(mode, setting).filtered for mode in modes])
+                figures = _means(ekf, ukf, ckf, ukf - ekf, ckf - ukf)
+                section.rows.append([scenario, radio, anchors, *figures])
+    return section
+
+
+def steps(bench: Bench) -> Section:
+    """Gates, recovery, adaptive scaling and robust updates, one change at a time."""
+    section = Section(
+        "What each step brings",
+        "Tuned modes, coupled Q. Changes of the filtered ATE are paired, against the paper's "
+        "pipeline (first row of each group, with recovery from lock-out). Robust: noise of a "
+        "doubtful link inflated instead of the link rejected, no adaptive scaling.",
+        ["user", "radio", "pipeline", "filtered ATE m", "change m", "NEES", "in 95 % bounds",
+         "smoothed ATE m"],
+        labels=3,
+    )  # fmt: skip
+    for scenario in SCENARIOS:
+        for radio in RADIOS:
+            setting = Setting(scenario, radio)
+            mode = setting.tuned()
+            variants = {
+                "as in the paper": mode,
+                "without gates": replace(mode, gate=None, recovery=None),
+                "without recovery": replace(mode, recovery=None),
+                "without adaptive scaling": replace(mode, adaptive=False),
+                "robust": robust(mode),
+                "robust, blockage-aware": replace(robust(mode), blockage_aware=True),
+            }
+            paper = bench.run(mode, setting).filtered.scores["ate_m"]
+            for name, variant in variants.items():
+                run = bench.run(variant, setting)
+                scores, smoothed = run.filtered.scores, run.smoothed.scores["ate_m"]
+                figures = _means(
+                    scores["ate_m"], scores["ate_m"] - paper, scores["nees"], scores["in_bounds"],
+                    smoothed,
+                )  # fmt: skip
+                cells: list[Cell] = [*figures]
+                if variant is mode:
+                    cells[1] = ""
+                section.rows.append([scenario, radio, name, *cells])
+    return section
+
+
+def smoothing(bench: Bench) -> Section:
+    """Rauch-Tung-Striebel smoothing against the filter it starts from."""
+    section = Section(
+        "RTS smoothing",
+        "Tuned modes with gates and adaptive scaling, windows of 200 epochs. A ratio of 0.5 "
+        "would be the paper's \"halves\".",
+        ["user", "radio", "process noise", "filtered ATE m", "smoothed ATE m", "ratio"],
+        labels=3,
+    )  # fmt: skip
+    for scenario in SCENARIOS:
+        for radio in RADIOS:
+            for coupling in (False, True):
+                setting = Setting(scenario, radio)
+                run = bench.run(setting.tuned(coupling), setting)
+                before, after = _ates(run)
+                name = "coupled" if coupling else "plain diagonal"
+                ratio = bootstrap_ratio(after, before)
+                section.rows.append([scenario, radio, name, *_means(before, after), ratio])
+    return section
+
+
+def improvement(bench: Bench) -> Section:
+    """The "30 to 60 %": what optimising takes off the untuned filters' errors."""
+    section = Section(
+        "Reduction of errors by optimising, %",
+        "From each untuned filter to the optimised one (tuned, gated, scaled, smoothed), coupled "
+        "Q. The paper's own tables say 72 % (EKF) and 46 % (UKF) on foot, 99 % and 80 % driving.",
+        ["user", "radio", "ATE from EKF", "ATE from UKF", "ATE from CKF", "RPE from EKF"],
+        labels=2,
+    )
+    for scenario in SCENARIOS:
+        for radio in RADIOS:
+            setting = Setting(scenario, radio)
+            best = bench.run(setting.tuned(), setting).smoothed.scores
+            row: list[Cell] = [scenario, radio]
+            for algorithm, metric in (("ekf", "ate_m"), ("ukf", "ate_m"), ("ckf", "ate_m"),
+                                      ("ekf", "rpe_m")):  # fmt: skip
+                before = bench.run(untuned(algorithm, True), setting).filtered.scores
+                ratio = bootstrap_ratio(best[metric], before[metric])
+                percent = [100.0 * (1.0 - v) for v in (ratio.mean, ratio.high, ratio.low)]
+                row.append(Interval(*percent))
+            section.rows.append(row)
+    return section
+
+
+def process_noise(bench: Bench) -> Section:
+    """Where errors of a hundred metres come from: process noise and gates, not the algorithm."""
+    gates = {
+        "no gates": {"gate": None, "recovery": None},
+        "gates, no recovery": {"recovery": None},
+        "gates, recovery": {},
+    }
+    section = Section(
+        "Vehicle ATE against process noise, m",
+        "Standard profile, filtered, plain diagonal Q with sigma_p 0.1 m, no adaptive scaling. The "
+        "paper's Table II has 158 m for the EKF, 8.7 m for the UKF and 12.9 m for the CKF.",
+        ["sigma_v m/s", *(f"{a.upper()}, {gate}" for gate in gates for a in ("ekf", "ukf"))],
+    )
+    setting = Setting("vehicle", "standard")
+    for sigma_v in (0.01, 0.03, 0.1, 0.3, 1.0, 3.0):
+        ates = []
+        for options in gates.values():
+            for algorithm in ("ekf", "ukf"):
+                mode = Mode("", algorithm, sigma_v=sigma_v, coupling=False, adaptive=False)
+                ates += _ates([bench.run(replace(mode, **options), setting).filtered])  # type: ignore[arg-type]
+        section.rows.append([f"{sigma_v:g}", *_means(*ates)])
+    return section
+
+
+def units(bench: Bench) -> Section:
+    """The Doppler equation as printed adds m/s and Hz."""
+    section = Section(
+        "Doppler in hertz, or as printed",
+        "Filtered ATE in m, tuned modes. As printed, v'(p - p1)/|p - p1| in m/s plus b in Hz "
+        "stands for a shift that the receiver measures in Hz (93 Hz for 1 m/s at 28 GHz). Read as "
+        "m/s: its noise is taken for m/s as well. Gates hide the mistake by rejecting the shift.",
+        ["user", "radio", "in hertz", "as printed", "as printed, no gates",
+         "read as m/s, no gates"],
+        labels=2,
+    )  # fmt: skip
+    for scenario in SCENARIOS:
+        for radio in RADIOS:
+            setting = Setting(scenario, radio)
+            mode = setting.tuned()
+            ungated = replace(mode, gate=None, recovery=None)
+            printed = [replace(e, hz_per_mps=1.0) for e in bench.episodes(setting)]
+            runs = [
+                bench.run(mode, setting), track(mode, printed), track(ungated, printed),
+                track(ungated, [_read_as_mps(e) for e in bench.episodes(setting)]),
+            ]  # fmt: skip
+            section.rows.append([scenario, radio, *_means(*_ates([r.filtered for r in runs]))])
+    return section
+
+
+def _read_as_mps(episode: Episode) -> Episode:
+    """The episode with its Doppler shift in Hz taken for a speed, noise and all."""
+    sigma = episode.sigma.copy()
+    sigma[:, episode.layout.doppler] /= episode.hz_per_mps
+    return replace(episode, hz_per_mps=1.0, sigma=sigma)
+
+
+def resolution(bench: Bench) -> Section:
+    """What 100 MHz resolves, and how well it measures a range."""
+    scene, radio = SCENES["street"], RADIOS["standard"]
+    ideal = replace(radio, range_floor_m=(1e-9, 1e-9))
+    snr_db = np.array([0.0, 10.0, 20.0, 30.0, 40.0])
+    sigma = ideal.sigma(np.tile(snr_db[:, None], 3), scene, Layout())[:, 0]
+    # The bound goes with 1 / sqrt(SNR), far above its floor.
+    centimetre_db = snr_db[-1] + 20.0 * math.log10(sigma[-1] / 0.01)
+    links = np.concatenate([
+        e.snr_db[e.usable[:, 0], 0] for e in bench.episodes(Setting("pedestrian", "standard"))
+    ])  # fmt: skip
+    section = Section(
+        "Range at 100 MHz",
+        f"c / B is {SPEED_OF_LIGHT / scene.bandwidth_hz:.2f} m: two paths closer than that are not "
+        f"resolved. One path alone is measured to 1 cm from {centimetre_db:.0f} dB on; the median "
+        f"SNR of the standard profile's direct link is {np.median(links):.0f} dB, and its range "
+        f"floor {radio.range_floor_m[0]:g} m.",
+        ["SNR dB", "Cramer-Rao bound of the range, m"],
+    )
+    section.rows += [[f"{a:g}", float(b)] for a, b in zip(snr_db, sigma, strict=True)]
+    return section
+
+
+def consistency_gate(bench: Bench) -> Section:
+    """NEES of three axes against 5.99, the 95 % quantile of two."""
+    section = Section(
+        "The 5.99 gate of a 3-D NEES, %",
+        "Share of epochs beyond the gate. Measured: EKF mode without adaptive scaling on "
+        "pedestrians, standard profile, without blockage and multipath.",
+        ["gate", "3 axes", "2 axes", "measured, 3 axes"],
+    )
+    setting = Setting("pedestrian", "standard", clean=True)
+    nees = bench.run(replace(setting.tuned(), adaptive=False), setting).filtered.nees
+    for gate in (float(chi2.ppf(0.95, 2)), float(chi2.ppf(0.95, 3)), nees_interval()[1]):
+        shares = 100.0 * (nees > gate).mean(axis=1)
+        nominal = [100.0 * float(chi2.sf(gate, axes)) for axes in (3, 2)]
+        section.rows.append([f"{gate:.2f}", *nominal, *_means(shares)])
+    return section
+
+
+def contradictions(bench: Bench) -> Section:
+    """Printed figures that no track can have."""
+    section = Section(
+        "Printed figures against each other",
+        "No track has an RMSE below its ATE (the mean of a square is at least the square of the "
+        "mean), nor an RPE over one epoch above twice its ATE but for the ends of the track.",
+        ["row", "ATE m", "RMSE m", "RPE m", "contradiction"],
+    )
+    tables: dict[str, dict[str, Published]] = {"I": LOW_MOBILITY, "II": HIGH_MOBILITY}
+    for number, rows in tables.items():
+        for name, row in rows.items():
+            found = ["RMSE < ATE"] * (row.rmse_m < row.ate_m)
+            found += ["RPE > 2 ATE"] * (row.rpe_m > 2.0 * row.ate_m)
+            if found:
+                figures = [row.ate_m, row.rmse_m, row.rpe_m]
+                section.rows.append([f"Table {number}, {name}", *figures, ", ".join(found)])
+    return section
+
+
+def all_claims(bench: Bench) -> Iterator[Section]:
+    """Every section, in the order of docs/paper.md."""
+    for claim in (
+        algorithms, steps, smoothing, improvement, process_noise, units, resolution,
+        consistency_gate, contradictions,
+    ):  # fmt: skip
+        yield claim(bench)

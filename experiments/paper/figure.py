@@ -1,0 +1,73 @@
+"""Tables I and II and the process-noise sweep as a picture."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import matplotlib
+
+matplotlib.use("Agg")
+import matplotlib.pyplot as plt
+
+from experiments.evaluation import Interval
+from experiments.paper.bench import Cell, Section
+from mmwave_env.radio import RADIOS
+
+COUPLED = 3  # column of the ATE with coupled process noise; the paper's stands first
+FILTERS = 4  # rows that the paper has, too
+COLOURS = {"ekf": "tab:blue", "ukf": "tab:orange"}
+
+
+def _errorbars(axes: Any, x: Sequence[float], cells: Sequence[Cell], **style: Any) -> None:
+    found = [cell for cell in cells if isinstance(cell, Interval)]
+    y = [cell.mean for cell in found]
+    spread = [[c.mean - c.low for c in found], [c.high - c.mean for c in found]]
+    axes.errorbar(x, y, yerr=spread, capsize=2, **style)
+
+
+def _bars(axes: Any, sections: Sequence[Section], title: str) -> None:
+    """ATE per filter: the paper's, and ours per radio profile."""
+    rows = sections[0].rows[:FILTERS]
+    axes.scatter(
+        range(FILTERS), [row[1] for row in rows], marker="_", s=900, color="black", label="paper"
+    )
+    for offset, radio, section in zip((-0.2, 0.0, 0.2), RADIOS, sections, strict=True):
+        cells = [row[COUPLED] for row in section.rows[:FILTERS]]
+        x = [i + offset for i in range(FILTERS)]
+        _errorbars(axes, x, cells, fmt="o", markersize=4, label=radio)
+    axes.set_xticks(range(FILTERS), [str(row[0]).replace(" ", "\n") for row in rows])
+    axes.set_yscale("log")
+    axes.set_ylabel("ATE, m")
+    axes.set_title(title)
+    axes.grid(axis="y", alpha=0.3)
+
+
+def _sweep(axes: Any, section: Section) -> None:
+    """ATE over process noise, with and without gates."""
+    x = [float(str(row[0])) for row in section.rows]
+    styles = {"no gates": ":", "gates, no recovery": "-", "gates, recovery": "--"}
+    for column, name in enumerate(section.columns[1:], start=1):
+        algorithm, gates = name.split(", ", 1)
+        _errorbars(
+            axes, x, [row[column] for row in section.rows], label=name,
+            color=COLOURS[algorithm.lower()], linestyle=styles[gates],
+        )  # fmt: skip
+    axes.set_xscale("log")
+    axes.set_yscale("log")
+    axes.set_xlabel("process noise sigma_v, m/s")
+    axes.set_ylabel("ATE, m")
+    axes.set_title("Vehicle, standard: process noise")
+    axes.legend(fontsize="small")
+    axes.grid(alpha=0.3)
+
+
+def draw(sections: dict[str, Section], path: Path) -> None:
+    """Write the picture (PNG)."""
+    figure, axes = plt.subplots(1, 3, figsize=(13, 4.2), layout="constrained")
+    for panel, number, scenario in zip(axes, ("I", "II"), ("pedestrian", "vehicle"), strict=False):
+        tables = [sections[f"Table {number}: {scenario}, {radio}"] for radio in RADIOS]
+        _bars(panel, tables, f"Table {number}: {scenario}")
+    axes[0].legend(fontsize="small", markerscale=0.6)
+    _sweep(axes[2], sections["Vehicle ATE against process noise, m"])
+    figure.savefig(path, dpi=150)
+    plt.close(figure)

@@ -1,0 +1,94 @@
+"""mmwave-loc tables: the paper's tables and claims beside what this model measures."""
+
+import csv
+import io
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+from rich.progress import track
+
+from experiments.cli import run
+from experiments.files import beside, require_writable, write_json, write_text
+from experiments.markdown import show
+from experiments.paper.accuracy import error_budget, headline
+from experiments.paper.bench import Bench, Section
+from experiments.paper.claims import all_claims
+from experiments.paper.figure import draw
+from experiments.paper.printed import table_three, tables_one_and_two
+
+SECTIONS = 18
+FIELDS = ("section", "row", "column", "mean", "low", "high")
+
+
+@dataclass
+class Args:
+    """Reproduce Tables I, II and III of the paper and test its claims."""
+
+    episodes: int = 1000
+    """simulated episodes for each kind of user and radio"""
+    seed: int = 0
+    """seed of the first episode; test seeds start at 0"""
+    out: Path = Path("results/paper")
+    """folder for tables.md, tables.csv and tables.png"""
+    docs: Path | None = None
+    """also renew the tables of this page, between its `<!-- table: ... -->` lines"""
+    json: Path | None = None
+    """write every figure to this file"""
+
+
+def sections(bench: Bench) -> Iterator[Section]:
+    """Everything there is, in order."""
+    yield from tables_one_and_two(bench)
+    yield table_three(bench)
+    yield from all_claims(bench)
+    yield headline(bench)
+    yield error_budget(bench)
+
+
+def renewed(page: str, found: dict[str, Section]) -> str:
+    """The page with each table between its marks replaced by the one of its title.
+
+    Raises:
+        ValueError: a mark names no section.
+    """
+
+    def table(match: re.Match[str]) -> str:
+        title = match[1]
+        if title not in found:
+            raise ValueError(f"table of the page: found {title!r}, expected one of {list(found)}")
+        return f"<!-- table: {title} -->\n{found[title].body()}\n<!-- end -->"
+
+    return re.sub(r"<!-- table: (.*?) -->\n.*?<!-- end -->", table, page, flags=re.DOTALL)
+
+
+def main(args: Args) -> None:
+    """Run the command."""
+    if args.episodes < 1:
+        raise ValueError(f"episodes: found {args.episodes}, expected at least 1")
+    require_writable(args.out / "tables.md")
+    page = args.docs.read_text(encoding="utf-8") if args.docs else ""
+    bench = Bench(args.episodes, args.seed)
+    found = {}
+    for section in track(sections(bench), total=SECTIONS, description="tables", transient=True):
+        found[section.title] = section
+    text = "\n".join(section.markdown() for section in found.values())
+    show(text)
+    records = [record for section in found.values() for record in section.records()]
+    table = io.StringIO()
+    csv.writer(table, lineterminator="\n").writerows([FIELDS, *records])
+    write_text(args.out / "tables.md", text)
+    write_text(args.out / "tables.csv", table.getvalue())
+    with beside(args.out / "tables.png") as path:
+        draw(found, path)
+    if args.docs:
+        write_text(args.docs, renewed(page, found))
+    if args.json:
+        rows = [dict(zip(FIELDS, record, strict=True)) for record in records]
+        write_json(args.json, {"episodes": args.episodes, "seed": args.seed, "figures": rows})
+    print(f"written to {args.out}/")
+
+
+if __name__ == "__main__":
+    run("tables")
