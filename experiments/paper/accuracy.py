@@ -34,7 +34,7 @@ def headline(bench: Bench) -> Section:
         "Headline accuracy: the high profile",
         f"The paper's smoothed ATE: {goals}. A consistent filter has a median NEES of 2.37, 3-D "
         "(1.39 on flat terrain, where height is known: paper, Sec. II-A), a mean of 3 (2), and "
-        "0.95 within the bounds.",
+        "0.95 within the bounds. Robust: blockage-aware, too.",
         ["user", "terrain", "channel", "pipeline"]
         + [f"{what}: {figure}" for what in ("smoothed", "filtered")
            for figure in ("ATE m", "median NEES", "in 95 % bounds", "mean NEES")],
@@ -76,8 +76,8 @@ def error_budget(bench: Bench) -> Section:
     """Which part of the radio keeps the 3-D error up."""
     section = Section(
         "Error budget of the high profile, 3-D, smoothed",
-        "Robust updates; one change of the radio at a time, process noise as tuned for the profile "
-        "as is. Axes: root mean square errors.",
+        "Robust, blockage-aware updates; one change of the radio at a time, process noise as tuned "
+        "for the profile as is. Axes: root mean square errors.",
         ["user", "radio", "ATE m", "x m", "y m", "z m"],
         labels=2,
     )

@@ -25,6 +25,14 @@ def _errorbars(axes: Any, x: Sequence[float], cells: Sequence[Cell], **style: An
     axes.errorbar(x, y, yerr=spread, capsize=2, **style)
 
 
+def _metres(axes: Any) -> None:
+    """A logarithmic axis of ATE, the same in every panel."""
+    axes.set_yscale("log")
+    axes.set_ylim(0.1, 1000.0)
+    axes.yaxis.set_major_formatter("{x:g}")
+    axes.set_ylabel("ATE, m")
+
+
 def _bars(axes: Any, sections: Sequence[Section], title: str) -> None:
     """ATE per filter: the paper's, and ours per radio profile."""
     rows = sections[0].rows[:FILTERS]
@@ -36,8 +44,7 @@ def _bars(axes: Any, sections: Sequence[Section], title: str) -> None:
         x = [i + offset for i in range(FILTERS)]
         _errorbars(axes, x, cells, fmt="o", markersize=4, label=radio)
     axes.set_xticks(range(FILTERS), [str(row[0]).replace(" ", "\n") for row in rows])
-    axes.set_yscale("log")
-    axes.set_ylabel("ATE, m")
+    _metres(axes)
     axes.set_title(title)
     axes.grid(axis="y", alpha=0.3)
 
@@ -53,11 +60,11 @@ def _sweep(axes: Any, section: Section) -> None:
             color=COLOURS[algorithm.lower()], linestyle=styles[gates],
         )  # fmt: skip
     axes.set_xscale("log")
-    axes.set_yscale("log")
+    axes.xaxis.set_major_formatter("{x:g}")
     axes.set_xlabel("process noise sigma_v, m/s")
-    axes.set_ylabel("ATE, m")
+    _metres(axes)
     axes.set_title("Vehicle, standard: process noise")
-    axes.legend(fontsize="small")
+    axes.legend(fontsize="small", loc="lower left")
     axes.grid(alpha=0.3)
 
 

@@ -167,11 +167,13 @@ def default_modes(radio: str = "handset") -> tuple[Mode, Mode]:
 
 
 def robust(mode: Mode) -> Mode:
-    """The mode with robust updates instead of gates, and without adaptive scaling.
+    """The mode with robust, blockage-aware updates of the links instead of gates.
 
-    A robust update already answers a large NIS; scaling Q and R by it as well counts it twice.
+    Without adaptive scaling: a robust update already answers a large NIS, and scaling Q and R
+    by it as well counts it twice.
     """
-    return replace(mode, name=f"{mode.name}-robust", robust=True, adaptive=False)
+    name = f"{mode.name}-robust"
+    return replace(mode, name=name, robust=True, blockage_aware=True, adaptive=False)
 
 
 def named_modes(radio: str = "handset") -> dict[str, Mode]:

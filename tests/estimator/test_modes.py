@@ -57,8 +57,9 @@ def test_every_profile_has_its_tuning(radio):
 
 def test_robust_modes_are_the_same_tuning_without_adaptation():
     named = named_modes("high")
-    expected = replace(named["ekf"], name="ekf-robust", robust=True, adaptive=False)
-    assert named["ekf-robust"] == expected
+    assert named["ekf-robust"] == replace(
+        named["ekf"], name="ekf-robust", robust=True, blockage_aware=True, adaptive=False
+    )
     assert named["ukf-robust"].tuning == named["ukf"].tuning == named["ckf"].tuning
 
 

@@ -1,0 +1,130 @@
+"""Tuning finds the noise that made the data, and what it writes is what is shipped."""
+
+import json
+import os
+import re
+import shlex
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import gymnasium as gym
+import numpy as np
+import pytest
+from scipy.stats import chi2
+
+from experiments.evaluation import draw_episodes
+from experiments.tune import likelihood, negative_mean_square, objective_of, tune
+from mmwave_env.episode import SimulatedSource
+from mmwave_env.estimator.modes import Mode, read_modes
+from mmwave_env.measurement import Layout
+from mmwave_env.radio import RADIOS
+from mmwave_env.scene import SCENES
+
+from .estimator.tracks import far_from_the_anchors, process_noise
+
+ROOT = Path(__file__).parent.parent
+SHIPPED = ROOT / "mmwave_env" / "data" / "modes"
+PLAIN = Mode("own", "ekf", gate=None, recovery=None, adaptive=False)
+
+
+def cli(*words):
+    return subprocess.run(
+        [sys.executable, "-m", "experiments.cli", *map(str, words)], cwd=ROOT,
+        env=os.environ | {"COLUMNS": "200"}, capture_output=True, text=True,
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize("objective", ["likelihood", "rmse"])
+def test_the_noise_that_made_the_data_is_found(objective):
+    made_by = replace(PLAIN, sigma_v=0.8)
+    model = far_from_the_anchors(process_noise(made_by))
+    rng = np.random.default_rng(0)
+    episodes = [model.draw(rng, 120) for _ in range(48)]
+    best, axes, surface = tune(PLAIN, ["sigma_v"], objective_of(objective, PLAIN, episodes))
+    # 48 * 110 epochs pin down a likelihood; the error is flat around its best tuning.
+    assert best.sigma_v == pytest.approx(0.8, rel=0.05 if objective == "likelihood" else 0.3)
+    nearest = axes[0][np.argmax(surface)]
+    assert 0.5 < nearest / best.sigma_v < 2.0
+    assert (best.sigma_p, best.algorithm) == (PLAIN.sigma_p, "ekf")
+
+
+def test_the_likelihood_counts_outliers_up_to_a_quantile():
+    rng = np.random.default_rng(0)
+    nis, total = rng.exponential(12.0, (3, 40, 4)), rng.normal(size=(3, 40))
+    history = {"memory.nis": nis, "log_likelihood": total}
+    capped = np.minimum(nis, chi2.ppf(0.999, [4, 4, 4, 1]))
+    expected = (total + 0.5 * (nis - capped).sum(axis=-1))[:, 10:].mean(axis=1)
+    np.testing.assert_allclose(likelihood(history, Layout(3)), expected)
+
+
+def test_the_error_is_a_mean_square():
+    error = np.random.default_rng(0).normal(size=(2, 30, 3))
+    expected = -(np.linalg.norm(error[:, 10:], axis=-1) ** 2).mean(axis=1)
+    np.testing.assert_allclose(negative_mean_square({"error": error}, Layout(3)), expected)
+
+
+def test_the_command_writes_a_mode_file_that_is_taken_everywhere(tmp_path):
+    modes, figures = tmp_path / "modes.json", tmp_path / "figures.json"
+    options = ["--modes", "ekf", "ukf-robust", "--scenarios", "pedestrian", "jam", "--episodes", 3,
+               "--free", "sigma_v", "spread_gain", "--diagonal"]  # fmt: skip
+    done = cli("tune", *options, "--out", modes, "--json", figures)
+    assert done.returncode == 0, done.stderr
+    written = json.loads(modes.read_text())
+    assert sorted(shlex.split(written["command"])) == sorted(
+        ["mmwave-loc", "tune", *map(str, options)]
+    )
+    ekf, robust = read_modes(modes)
+    assert not ekf.coupling and ekf.adaptive and robust.robust and robust.spread_gain > 0.0
+    found = json.loads(figures.read_text())["tuned"]
+    assert [(f["mode"], f["scenario"]) for f in found] == [
+        ("ekf", "pedestrian"),
+        ("ukf-robust", "jam"),
+    ]
+    assert np.shape(found[0]["surface"]) == tuple(len(axis) for axis in found[0]["axes"].values())
+    assert f"best: sigma_v {ekf.sigma_v:g}, spread_gain {ekf.spread_gain:g}" in done.stdout
+    env = gym.make("mmwave_env:MmWaveLoc-v0", modes=str(modes))
+    assert env.unwrapped.modes == (ekf, robust)
+    done = cli("evaluate", "--modes", modes, "--policy", "fixed-ukf-robust", "--episodes", 2)
+    assert done.returncode == 0 and "fixed-ukf-robust" in done.stdout
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (["--seed", "999"], "seed: found 999, expected a tuning seed >= 5000000"),
+        (["--scenarios", "vehicle"], "scenarios: found 1, expected 2, one for each.*ekf, ukf"),
+        (["--free", "gate"], "free: found 'gate', expected one of sigma_p, sigma_v"),
+        (["--free", "sigma_v", "sigma_v"], "free: .*none twice"),
+        (["--modes", "pf", "ukf"], "mode: found 'pf'"),
+        (["--radio", "lab"], "radio: found 'lab'"),
+    ],
+)
+def test_a_mistake_ends_with_one_clear_line(options, message):
+    done = cli("tune", *options)
+    assert done.returncode == 2 and done.stdout == ""
+    (line,) = done.stderr.strip().splitlines()
+    assert re.search(message, line), line
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("file", sorted(SHIPPED.iterdir()), ids=lambda file: file.stem)
+def test_shipped_modes_are_what_their_command_writes(file, tmp_path):
+    program, *words = shlex.split(json.loads(file.read_text())["command"])
+    assert program == "mmwave-loc"
+    done = cli(*words, "--out", tmp_path / "modes.json")
+    assert done.returncode == 0, done.stderr
+    # The same up to a flat optimum: equally likely, not equally digit by digit.
+    radio = file.stem.removesuffix("-diagonal")
+    for scenario, shipped, made in zip(
+        ("pedestrian", "vehicle"),
+        read_modes(file),
+        read_modes(tmp_path / "modes.json"),
+        strict=True,
+    ):
+        source = SimulatedSource(SCENES["street"], RADIOS[radio], scenario)
+        episodes = draw_episodes(source, range(5_000_000, 5_000_300))
+        objective = objective_of("likelihood", shipped, episodes)
+        assert objective(shipped).mean() == pytest.approx(objective(made).mean(), abs=0.002)
+        assert made.sigma_v == pytest.approx(shipped.sigma_v, rel=0.05)
