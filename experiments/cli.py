@@ -11,8 +11,10 @@ import tyro
 from experiments.files import require_writable
 
 COMMANDS = {
+    "localize": "the track of a measurement log, by the paper's pipelines (Algorithm 1)",
     "evaluate": "one policy, its metrics with intervals",
     "compare": "several policies on the same episodes, with paired differences",
+    "tables": "the paper's tables and claims, reproduced",
     "tune": "process noise of modes, by likelihood or error, on tuning seeds",
     "tune-threshold": "the best threshold of the speed rule, on tuning seeds",
     "benchmark": "steps per second beside filterpy's, as ratios",
@@ -43,6 +45,9 @@ def run(name: str, arguments: Sequence[str] | None = None) -> None:
     except (ValueError, OSError) as error:
         print(f"mmwave-loc {name}: {error}", file=sys.stderr)
         sys.exit(2)
+    except KeyboardInterrupt:
+        print(f"mmwave-loc {name}: interrupted", file=sys.stderr)
+        sys.exit(130)
 
 
 def main() -> None:

@@ -18,6 +18,8 @@ def require_writable(path: Path) -> None:
     path.parent.mkdir(parents=True, exist_ok=True)
     if path.is_dir():
         raise IsADirectoryError(f"{path}: found a folder, expected a file to write")
+    if path.exists() and not path.is_file():  # or the result would take the place of a device
+        raise OSError(f"{path}: found a device, expected a file to write")
     with tempfile.TemporaryFile(dir=path.parent):
         pass
 

@@ -5,9 +5,28 @@ import warnings
 import numpy as np
 from numpy.typing import NDArray
 
+from mmwave_env.arithmetic import Number, Vector, sqrt, where
+from mmwave_env.estimator.algebra import dot
+from mmwave_env.estimator.pipeline import Epoch
 from mmwave_env.observation import Observation
 
-DESIGN_LIMIT_MPS = 20.0  # paper, Algorithm 1: above it the speed is outside the design window
+SLOW_MPS = 2.0  # paper, Algorithm 1: up to it mobility is low
+DESIGN_LIMIT_MPS = 20.0  # above it the speed is outside the paper's design window
+
+
+def mode_at(speed: Number, threshold: float = SLOW_MPS) -> Number:
+    """The paper's rule (Sec. III-A) on numbers: mode 0 up to the threshold, mode 1 above."""
+    return where(speed > threshold, 1.0, 0.0)
+
+
+def by_predicted_speed(x: Vector, epoch: Epoch) -> Number:
+    """The rule on tracks, by the predicted velocity: that of the state (7,) before."""
+    return mode_at(sqrt(dot(x[3:6], x[3:6])))
+
+
+def by_odometry_speed(x: Vector, epoch: Epoch) -> Number:
+    """The rule by the speed that odometry measures; by the predicted one where it is missing."""
+    return where(epoch.visible[-1] > 0.5, mode_at(epoch.z[-2]), by_predicted_speed(x, epoch))
 
 
 class FixedMode:
@@ -62,7 +81,7 @@ class SpeedRule:
     def __init__(
         self,
         observation: Observation,
-        threshold: float = 2.0,
+        threshold: float = SLOW_MPS,
         feature: str = "predicted speed",
     ) -> None:
         if not threshold >= 0.0:
@@ -85,7 +104,7 @@ class SpeedRule:
             )
         # An observation is float32: a speed at the threshold may read a rounding above it.
         threshold = min(self.threshold, DESIGN_LIMIT_MPS)
-        return (speed > threshold * (1.0 + 1e-6)).astype(np.int64)
+        return mode_at(speed, threshold * (1.0 + 1e-6)).astype(np.int64)  # type: ignore[no-any-return]
 
 
 class LikelihoodRule:

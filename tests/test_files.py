@@ -1,10 +1,12 @@
 """Files of results: whole or not there."""
 
 import json
+import os
+from pathlib import Path
 
 import pytest
 
-from experiments.files import beside, write_json, write_text
+from experiments.files import beside, require_writable, write_json, write_text
 
 
 def names(folder):
@@ -49,3 +51,11 @@ def test_text_and_json_replace_what_was_there(tmp_path):
     write_json(tmp_path / "a.json", {"ate_m": 0.5})
     assert json.loads((tmp_path / "a.json").read_text()) == {"ate_m": 0.5}
     assert names(tmp_path) == ["a.json", "a.txt"]
+
+
+def test_what_is_no_file_is_not_written(tmp_path):
+    require_writable(tmp_path / "new" / "a.json")
+    assert names(tmp_path / "new") == []
+    for path, found in ((tmp_path, "a folder"), (os.devnull, "a device")):
+        with pytest.raises(OSError, match=f"found {found}, expected a file"):
+            require_writable(Path(path))

@@ -8,12 +8,14 @@ import numpy as np
 import pytest
 from scipy.stats import binom
 
+from mmwave_env.estimator.batch import blank_incoming
 from mmwave_env.estimator.modes import Mode, modes_from
 from mmwave_env.estimator.pipeline import Pipeline
 from mmwave_env.measurement import Layout
 from mmwave_env.observation import Observation
 from mmwave_env.radio import RADIOS
 from policies import FixedMode, LikelihoodRule, RandomMode, SpeedRule, tuned_threshold
+from policies.scripted import by_odometry_speed, by_predicted_speed, mode_at
 
 THREE = ("ekf", "ukf", "ckf")
 
@@ -154,6 +156,24 @@ def test_the_likelihood_rule_needs_the_coming_epoch():
     prior = Observation(Pipeline(modes_from(None), Layout()), "prior")
     with pytest.raises(KeyError, match="preference fast ekf"):
         LikelihoodRule(prior, ["ekf", "ukf"])(np.zeros((1, len(prior)), np.float32))
+
+
+# --- rules of tracks
+
+
+@pytest.mark.parametrize(("speed", "mode"), [(0.0, 0), (2.0, 0), (2.001, 1), (20.0, 1), (99.0, 1)])
+def test_rules_of_tracks_are_the_papers(speed, mode):
+    x = [0.0, 0.0, 0.0, 0.6 * speed, -0.8 * speed, 0.0, 7.0]
+    slow = [0.0] * 7
+    assert mode_at(speed) == mode
+    nothing = blank_incoming(Layout(3)).epoch
+    assert by_predicted_speed(x, nothing) == mode
+    assert by_predicted_speed([0.0, 0.0, 0.0, 0.0, 0.0, speed, 0.0], nothing) == mode
+    blank = blank_incoming(Layout(3, odometry=True)).epoch
+    assert by_odometry_speed(x, blank) == mode
+    measured = blank._replace(z=[*blank.z[:-2], speed, 3.0], visible=[*blank.visible[:-1], 1.0])
+    assert by_odometry_speed(slow, measured) == mode
+    assert by_odometry_speed([99.0] * 7, measured) == mode
 
 
 # --- tuned threshold

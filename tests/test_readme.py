@@ -1,6 +1,7 @@
 """What the README shows works as shown."""
 
 import re
+import shlex
 import subprocess
 import sys
 from pathlib import Path
@@ -33,6 +34,19 @@ def numbers(text: str) -> list[float]:
     """Every number of the tables in a text, in order."""
     rows = [line for line in text.splitlines() if line.startswith("| ")]
     return [float(n) for row in rows for n in re.findall(r"-?\d+(?:\.\d+)?", row)]
+
+
+def test_localising_the_sample_prints_what_is_shown(tmp_path: Path) -> None:
+    (command,) = re.findall(r"```\nmmwave-loc (localize .*?)\n```", README, re.DOTALL)
+    words = [sys.executable, "-m", "experiments.cli", *shlex.split(command.replace("\\\n", " "))]
+    for name in ("track.tum", "track.png"):
+        words[words.index(name)] = str(tmp_path / name)
+    made = subprocess.run(words, check=True, capture_output=True, text=True, cwd=ROOT).stdout
+    shown = README.split("<!-- localize:")[1].split("-->\n", 1)[1].split("<!-- end of localize")[0]
+    made = made.split("Written:")[0]
+    assert re.sub(r"\d", "", made).split() == re.sub(r"\d", "", shown).split()
+    assert numbers(shown) == pytest.approx(numbers(made), abs=0.002)
+    assert (tmp_path / "track.png").exists()
 
 
 @pytest.mark.slow

@@ -105,20 +105,22 @@ def smooth(
         x: (N, T, 7) filtered means.
         P: (N, T, 28) filtered covariances, packed.
         P_predicted: (N, T, 28) covariances predicted for each epoch, before its update.
-        time_s: (T,) of the epochs.
+        time_s: (T,) of the epochs, or (N, T) of every track's own.
         planar: z and vz are known exactly.
     """
     program = _program(VERTICAL if planar else ())
     N, T, _ = x.shape
-    dt = np.append(np.diff(time_s), 0.0)
-    coming = np.concatenate([P_predicted[:, 1:], P_predicted[:, -1:]], axis=1)
-    dt_column = np.broadcast_to(dt[None, :, None], (N, T, 1))
-    table = np.concatenate([x, P, coming, dt_column], axis=2)[:, ::-1]
+    table = np.zeros((N, T, STATE_SIZE + 2 * P.shape[2] + 1))  # backwards in time
+    at_P, at_coming = STATE_SIZE, STATE_SIZE + P.shape[2]
+    table[..., :at_P], table[..., at_P:at_coming] = x[:, ::-1], P[:, ::-1]
+    table[:, 0, at_coming:-1] = P_predicted[:, -1]  # unused at the last epoch, but sound
+    table[:, 1:, at_coming:-1] = P_predicted[:, :0:-1]
+    table[:, 1:, -1] = np.diff(time_s)[..., ::-1]
     rows = np.zeros((-(-N // WIDTH), program.size, WIDTH))
     at = program.index
     rows[:, at.last] = 1.0
     out = np.empty((N, T, STATE_SIZE + len(at.P)))
     record = np.array([*at.x, *at.P], np.int64)
-    program.run_on_lanes(rows, np.ascontiguousarray(table), np.zeros(N, np.int64), record, out)
+    program.run_on_lanes(rows, table, np.zeros(N, np.int64), record, out)
     smoothed = out[:, ::-1]
     return smoothed[..., :STATE_SIZE].copy(), smoothed[..., STATE_SIZE:].copy()

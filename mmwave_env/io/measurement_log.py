@@ -65,6 +65,10 @@ class LogBlock:
     def __len__(self) -> int:
         return len(self.time_s)
 
+    def part(self, epochs: slice) -> "LogBlock":
+        """Some of its epochs."""
+        return replace(self, **{name: getattr(self, name)[epochs] for name in _PER_EPOCH})
+
 
 def read_log(
     path: Path, scene: Scene, epochs_per_block: int = 4096, odometry: bool = True
@@ -138,8 +142,8 @@ def _regroup(blocks: Iterable[LogBlock], epochs: int) -> Iterator[LogBlock]:
                 joined = _joined(waiting)
                 whole = len(joined) // epochs * epochs
                 for first in range(0, whole, epochs):
-                    yield _cut(joined, slice(first, first + epochs))
-                waiting = [_cut(joined, slice(whole, None))] if whole < len(joined) else []
+                    yield joined.part(slice(first, first + epochs))
+                waiting = [joined.part(slice(whole, None))] if whole < len(joined) else []
     except LogError:
         yield from [_joined(waiting)] if waiting else []
         raise
@@ -151,10 +155,6 @@ def _joined(blocks: list[LogBlock]) -> LogBlock:
         name: np.concatenate([getattr(b, name) for b in blocks]) for name in _PER_EPOCH
     }
     return replace(blocks[-1], **arrays)
-
-
-def _cut(block: LogBlock, epochs: slice) -> LogBlock:
-    return replace(block, **{name: getattr(block, name)[epochs] for name in _PER_EPOCH})
 
 
 # --- what is wrong

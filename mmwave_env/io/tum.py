@@ -1,6 +1,7 @@
 """Trajectories in TUM format, as evo reads them: lines ``t x y z qx qy qz qw``."""
 
 import math
+from collections.abc import Iterator
 from pathlib import Path
 from typing import NamedTuple, NoReturn
 
@@ -32,22 +33,29 @@ def tum_lines(time_s: Array, position_m: Array) -> str:
     return "".join([f"{t!r} {x!r} {y!r} {z!r} 0 0 0 1\n" for t, x, y, z in rows])
 
 
-def read_tum(path: Path) -> Trajectory:
-    """Read a trajectory; orientations are checked to be numbers and left out.
+def tum_blocks(path: Path) -> Iterator[Trajectory]:
+    """A trajectory, about 1 MiB of the file at a time; at least one pose a block.
+
+    Orientations are checked to be numbers and left out.
 
     Raises:
         ValueError: naming the file, the line, what was found there and what was expected.
         OSError: the file can't be read.
     """
-    blocks, last = [], -math.inf
+    last = -math.inf
     for block in line_blocks(path):
         track = _parse(path, block, last)
-        blocks.append(track)
-        last = track[-1, 0] if len(track) else last
-    track = np.concatenate(blocks) if blocks else np.empty((0, 4))
-    if not len(track):
+        if len(track):
+            last = track[-1, 0]
+            yield Trajectory(track[:, 0].copy(), track[:, 1:].copy())
+    if last == -math.inf:
         raise ValueError(f"{path}: found no line with a pose, expected {' '.join(COLUMNS)}")
-    return Trajectory(track[:, 0].copy(), track[:, 1:].copy())
+
+
+def read_tum(path: Path) -> Trajectory:
+    """Read a whole trajectory, as :func:`tum_blocks` reads its parts."""
+    time_s, position_m = zip(*tum_blocks(path), strict=True)
+    return Trajectory(np.concatenate(time_s), np.concatenate(position_m))
 
 
 def _parse(path: Path, block: LineBlock, last_s: float) -> Array:

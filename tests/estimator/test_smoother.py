@@ -129,3 +129,13 @@ def test_one_epoch_is_smooth_already():
     found_x, found_P = smooth(x, P, P_predicted, np.zeros(1))
     np.testing.assert_array_equal(found_x, x)
     np.testing.assert_array_equal(found_P, P)
+
+
+def test_tracks_may_have_their_own_times():
+    x, P, P_predicted = (part[:3] for part in tracks(planar=False))
+    times = np.random.default_rng(0).uniform(0.2, 2.0, x.shape[:2]).cumsum(axis=1)
+    found = smooth(x, P, P_predicted, times)
+    for e in range(3):
+        alone = smooth(x[e : e + 1], P[e : e + 1], P_predicted[e : e + 1], times[e])
+        for together, one in zip(found, alone, strict=True):
+            np.testing.assert_array_equal(together[e], one[0])

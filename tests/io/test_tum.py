@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from mmwave_env.io.tum import read_tum, tum_lines
+from mmwave_env.io.tum import read_tum, tum_blocks, tum_lines
 from mmwave_env.metrics import ate, rmse, rpe
 
 POSES = "0.0 1 2 3 0 0 0 1\n0.1 1.5 2 3 0 0 0 1\n0.2 2 2 3 0 0 0 1\n"
@@ -37,6 +37,16 @@ def test_a_file_may_be_written_block_by_block(tmp_path):
     pieces = [tum_lines(time[i : i + 3], track[i : i + 3]) for i in range(0, 12, 3)]
     assert "".join(pieces) == tum_lines(time, track)
     assert tum_lines(time[:1], np.ones((1, 3))) == "0.0 1.0 1.0 1.0 0 0 0 1\n"
+
+
+def test_a_file_is_read_block_by_block(tmp_path, monkeypatch):
+    track = np.random.default_rng(0).standard_normal((200, 3))
+    path = store(tmp_path, "# by hand\n" * 50 + tum_lines(np.arange(200.0), track))
+    monkeypatch.setattr("mmwave_env.io.lines._BLOCK_BYTES", 300)
+    blocks = list(tum_blocks(path))
+    assert len(blocks) > 20 and all(len(block.time_s) for block in blocks)
+    np.testing.assert_array_equal(np.concatenate([b.time_s for b in blocks]), np.arange(200.0))
+    np.testing.assert_array_equal(np.concatenate([b.position_m for b in blocks]), track)
 
 
 def test_evo_computes_our_metrics_from_our_files(tmp_path):

@@ -1,0 +1,256 @@
+"""mmwave-loc localize: the track of a recorded measurement log (paper, Algorithm 1)."""
+
+import warnings
+from collections.abc import Iterable, Sequence
+from contextlib import ExitStack
+from dataclasses import dataclass, replace
+from itertools import chain
+from pathlib import Path
+from typing import Any, Literal, NamedTuple
+
+import numpy as np
+from tyro.conf import Positional
+
+from experiments.cli import run
+from experiments.files import require_writable, write_json
+from experiments.markdown import show
+from experiments.terminal import ask_speed, parse_speed, progress
+from experiments.track_files import TOLERANCE_S, Truth, table_beside, track_files
+from experiments.track_plot import TrackPicture
+from experiments.track_report import track_markdown
+from experiments.track_scores import Course, Groups, TruthScores
+from mmwave_env.estimator.modes import Mode, modes_from, robust
+from mmwave_env.io.log_tables import LogError
+from mmwave_env.io.measurement_log import LogBlock, read_log
+from mmwave_env.localizer import SMOOTHING_WINDOW, localize
+from mmwave_env.radio import radio_from
+from mmwave_env.scene import Scene, scene_from
+from mmwave_env.tracker import Rule
+from policies.scripted import (
+    DESIGN_LIMIT_MPS,
+    SLOW_MPS,
+    by_odometry_speed,
+    by_predicted_speed,
+    mode_at,
+)
+
+EPOCHS_PER_BLOCK = 1 << 14
+LONGEST_WINDOW = 20_000  # epochs; all of a window are held at once
+RULES: dict[str, Rule] = {"prediction": by_predicted_speed, "odometry": by_odometry_speed}
+
+
+@dataclass
+class Args:
+    """The track of a measurement log, by the paper's EKF and UKF pipelines (Algorithm 1).
+
+    Up to 2 m/s the EKF pipeline runs, above it the UKF pipeline.
+    """
+
+    log: Positional[Path]
+    """measurement log: .csv, .csv.gz or .parquet"""
+    scene: str
+    """JSON file with the anchors; or street, o1, dynamic-doppler"""
+    speed: str | None = None
+    """of the user, m/s; or auto, to decide in every epoch; asked for on a terminal"""
+    outside: Literal["fallback", "abort"] = "fallback"
+    """above 20 m/s, outside the design window: run the UKF pipeline, or stop"""
+    follow: Literal["prediction", "odometry"] = "prediction"
+    """the speed that --speed auto follows"""
+    truth: Path | None = None
+    """true track in TUM format, to score against; the filters never see it"""
+    out: Path | None = None
+    """write the track in TUM format, and a .csv with standard deviations and modes beside it"""
+    plot: Path | None = None
+    """write a picture of the track, .png"""
+    json: Path | None = None
+    """write every figure to this file"""
+    radio: str = "handset"
+    """handset, standard or high: noise by SNR, and the tuning of the modes"""
+    modes: Path | None = None
+    """mode file with other pipelines: the one for low, then the one for high mobility"""
+    gating: bool = True
+    """reject measurements outside their 99 % chi-square gates"""
+    adaptive: bool = True
+    """scale Q and R by the innovations"""
+    smoothing: bool = True
+    """Rauch-Tung-Striebel smoothing"""
+    window: int = SMOOTHING_WINDOW
+    """epochs smoothed together"""
+    robust: bool = False
+    """doubt links far off instead of rejecting them; does without adaptive scaling"""
+    odometry: bool = True
+    """use speed and heading where the log has them"""
+    height: float | None = None
+    """flat terrain at this height, m"""
+
+
+class Plan(NamedTuple):
+    """What runs: the modes, the rule between them if there are two, and why in words."""
+
+    modes: Sequence[Mode]
+    rule: Rule | None
+    why: str
+
+
+# --- the speed (Algorithm 1, Steps 1 to 3)
+
+
+def plan(args: Args, modes: Sequence[Mode]) -> Plan:
+    """Which pipelines run (Algorithm 1, Step 3), asking for the speed if it is not given."""
+    if args.speed == "auto":
+        followed = "odometry's" if args.follow == "odometry" else "the predicted"
+        return Plan(
+            modes, RULES[args.follow], f"by {followed} speed, up to or above {SLOW_MPS:g} m/s"
+        )
+    speed = ask_speed() if args.speed is None else parse_speed(args.speed)
+    mode = modes[int(mode_at(speed))]
+    if speed > DESIGN_LIMIT_MPS:
+        window = f"outside the design window (up to {DESIGN_LIMIT_MPS:g} m/s)"
+        if args.outside == "abort":
+            raise ValueError(f"speed: found {speed:g} m/s, {window}; --outside fallback runs on")
+        warnings.warn(f"speed {speed:g} m/s is {window}; falling back to {mode.name}", stacklevel=2)
+    side = "up to" if speed <= SLOW_MPS else "above"
+    return Plan([mode], None, f"for {speed:g} m/s, {side} {SLOW_MPS:g} m/s")
+
+
+# --- what is asked for
+
+
+def _modes(args: Args) -> tuple[Mode, ...]:
+    """The low and the high mobility pipeline."""
+    modes = modes_from(args.modes, args.radio)
+    if len(modes) != 2:
+        raise ValueError(
+            f"{args.modes}: found {len(modes)} modes, expected 2, for low and for high mobility"
+        )
+    if args.robust:
+        modes = tuple(map(robust, modes))
+    if not args.gating:
+        modes = tuple(replace(mode, gate=None) for mode in modes)
+    if not args.adaptive:
+        modes = tuple(replace(mode, adaptive=False) for mode in modes)
+    return modes
+
+
+def _check(args: Args) -> None:
+    """Refuse options that contradict each other, and files that would overwrite each other."""
+    if args.speed == "auto" and args.outside == "abort":
+        raise ValueError("outside: found abort with --speed auto, expected a speed in m/s")
+    if args.speed != "auto" and args.follow == "odometry":
+        raise ValueError("follow: found odometry without --speed auto, expected both")
+    if not 2 <= args.window <= LONGEST_WINDOW:
+        raise ValueError(
+            f"window: found {args.window}, expected 2 to {LONGEST_WINDOW} epochs; --no-smoothing "
+            "does without"
+        )
+    if args.height is not None and not np.isfinite(args.height):
+        raise ValueError(f"height: found {args.height}, expected a number of metres")
+    if args.plot is not None and args.plot.suffix.lower() != ".png":
+        raise ValueError(f"plot: found {args.plot}, expected a name that ends with .png")
+    seen: dict[Path, str] = {}
+    inputs = {"the log": args.log, "scene": Path(args.scene), "truth": args.truth,
+              "modes": args.modes}  # fmt: skip
+    for name, path in (inputs | _outputs(args)).items():
+        if path is not None and seen.setdefault(path.resolve(), name) != name:
+            raise ValueError(
+                f"{name}: found {path}, which is also {seen[path.resolve()]}, expected another file"
+            )
+
+
+def _outputs(args: Args) -> dict[str, Path | None]:
+    table = None if args.out is None else table_beside(args.out)
+    return {"out": args.out, "the table beside out": table, "plot": args.plot, "json": args.json}
+
+
+# --- running
+
+
+class Result(NamedTuple):
+    """What came out: figures, a picture, and what is wrong with the log or the truth."""
+
+    figures: dict[str, Any]
+    picture: TrackPicture
+    error: ValueError | None
+
+
+def _run(
+    args: Args, the: Plan, scene: Scene, blocks: Iterable[LogBlock], truth: Truth | None
+) -> Result:
+    """Localise, score and write, block by block.
+
+    Raises:
+        LogError: the log is damaged before there is any track; nothing is written.
+    """
+    names = [mode.name for mode in the.modes]
+    course, groups, picture = Course(names), Groups(), TrackPicture(names, scene.anchors_m)
+    tracks = ["filtered", "smoothed"] if args.smoothing else ["filtered"]
+    scores = TruthScores(truth, tracks, args.height is not None) if truth else None
+    window = args.window if args.smoothing else None
+    track = localize(
+        blocks, scene, radio_from(args.radio), the.modes, the.rule, window, args.height
+    )
+    error: ValueError | None = None
+    with ExitStack() as stack:
+        write = stack.enter_context(track_files(args.out, names)) if args.out else None
+        report = stack.enter_context(progress("localising"))
+        try:
+            for block in track:
+                picture.add(block, scores.add(block) if scores else None)
+                course.add(block)
+                groups.add(block)
+                if write:
+                    write(block)
+                report(block.share)
+        except LogError as damage:
+            if not course.epochs:
+                raise
+            error = damage
+    figures = {**course.figures(), "groups": groups.figures()}
+    if scores and scores.scored:
+        figures["truth"] = scores.figures()
+    elif truth and not error:
+        error = _no_match(truth, course)
+    return Result(figures, picture, error)
+
+
+def _no_match(truth: Truth, course: Course) -> ValueError:
+    truth.read_on()
+    return ValueError(
+        f"{truth.path}: found times from {truth.first_s!r} to {truth.last_s!r} s, expected some "
+        f"within {TOLERANCE_S} s of the log's, which are from {course.first_s!r} to "
+        f"{course.last_s!r} s"
+    )
+
+
+def main(args: Args) -> None:
+    """Run the command."""
+    _check(args)
+    scene, modes = scene_from(args.scene), _modes(args)
+    blocks = read_log(args.log, scene, EPOCHS_PER_BLOCK, args.odometry)
+    first = next(blocks)
+    if args.follow == "odometry" and not first.layout.odometry:
+        raise ValueError(f"follow: found odometry, but no speed in {args.log}, expected prediction")
+    truth = Truth(args.truth) if args.truth else None
+    the = plan(args, modes)
+    for path in filter(None, _outputs(args).values()):
+        require_writable(path)
+    figures, picture, error = _run(args, the, scene, chain([first], blocks), truth)
+    kind, written = "smoothed" if args.smoothing else "filtered", {}
+    if args.out:
+        written[f"{kind} track"] = str(args.out)
+        written["its standard deviations and modes"] = str(table_beside(args.out))
+    if args.plot:
+        picture.save(args.plot, f"{'/'.join(args.log.parts[-2:])}, {kind} track")
+        written["picture"] = str(args.plot)
+    origin = {"log": str(args.log), "scene": scene.name, "radio": args.radio, "rule": the.why}
+    figures = {**origin, **figures, "written": written, "error": error and str(error)}
+    show(track_markdown(figures))
+    if args.json:
+        write_json(args.json, figures)
+    if error:
+        done = f"; {figures['epochs']} epochs are {'written' if args.out else 'shown'}"
+        raise ValueError(f"{error}{done}") from error
+
+
+if __name__ == "__main__":
+    run("localize")

@@ -1,0 +1,57 @@
+"""What is asked and shown on a terminal."""
+
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+
+from rich.console import Console
+from rich.progress import Progress
+
+from mmwave_env.io.lines import number
+
+PROMPT = "Enter current speed (m/s): "
+
+
+def parse_speed(word: str) -> float:
+    """A speed in m/s.
+
+    Raises:
+        ValueError: not a finite number, or negative.
+    """
+    speed = number(word.strip())
+    if not 0.0 <= speed < float("inf"):
+        raise ValueError(f"speed: found {word.strip()!r}, expected a number of m/s, at least 0")
+    return speed
+
+
+def ask_speed() -> float:
+    """Ask on the terminal until the answer is a speed (paper, Algorithm 1, Step 1).
+
+    Raises:
+        ValueError: there is no terminal, or no answer.
+    """
+    if sys.stdin is None or not sys.stdin.isatty():
+        raise ValueError(
+            "speed: found none and no terminal to ask on, expected --speed with the speed of the "
+            "user in m/s, or --speed auto"
+        )
+    screen = sys.stderr if sys.stderr.isatty() else sys.stdout
+    while True:
+        print(PROMPT, end="", file=screen, flush=True)
+        answer = sys.stdin.readline()
+        if not answer:
+            print(file=screen)
+            raise ValueError("speed: found the end of the input, expected a number of m/s")
+        try:
+            return parse_speed(answer)
+        except ValueError as error:
+            print(error, file=screen)
+
+
+@contextmanager
+def progress(what: str) -> Iterator[Callable[[float], None]]:
+    """A bar that vanishes at the end; the function takes the share done. Nothing elsewhere."""
+    console = Console(stderr=True)
+    with Progress(console=console, transient=True, disable=not console.is_terminal) as bar:
+        task = bar.add_task(what, total=1.0)
+        yield lambda share: bar.update(task, completed=share)

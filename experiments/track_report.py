@@ -1,0 +1,77 @@
+"""What localize prints about a track."""
+
+from typing import Any
+
+from experiments.markdown import HEADERS, grid
+from policies.scripted import DESIGN_LIMIT_MPS
+
+
+def _decimals(value: float | None, digits: int = 3) -> str:
+    return "-" if value is None else f"{value:.{digits}f}"
+
+
+def _percent(share: float | None) -> str:
+    return "-" if share is None else f"{100.0 * share:.1f} %"
+
+
+def _course(figures: dict[str, Any]) -> list[str]:
+    f, speed = figures, figures["speed_mps"]
+    epochs = f["epochs"]
+    lines = [
+        f"{epochs} epochs, {f['first_s']:.10g} to {f['last_s']:.10g} s; estimated speed "
+        f"{speed['mean']:.2f} m/s on average, {speed['max']:.2f} m/s at most"
+    ]
+    if f["skipped"]:
+        lines.append(f"{f['skipped']} epochs before the first line of sight were skipped")
+    shares = ", ".join(f"{name} {_percent(n / epochs)}" for name, n in f["modes"].items())
+    times = "once" if f["switches"] == 1 else f"{f['switches']} times"
+    switches = f", switched {times}" if len(f["modes"]) > 1 else ""
+    lines.append(f"modes {f['rule']}: {shares} of the epochs{switches}")
+    fast = speed["epochs_above_design_limit"]
+    if len(f["modes"]) > 1 and fast:
+        lines.append(
+            f"warning: {fast} epochs above {DESIGN_LIMIT_MPS:g} m/s, outside the design window of "
+            f"the speed gate; {list(f['modes'])[1]} ran there"
+        )
+    return lines
+
+
+def _groups(groups: dict[str, Any]) -> str:
+    header = ["measured", "seen", "rejected", "incomplete", "NIS / dof", "NIS in 95 % bounds"]
+    rows = [
+        [
+            name,
+            str(g["seen"]),
+            f"{g['rejected']} ({_percent(g['rejected_share'])})" if g["seen"] else "-",
+            str(g["incomplete"]),
+            _decimals(g["nis_per_dof"]),
+            _decimals(g["nis_in_bounds"]),
+        ]
+        for name, g in groups.items()
+    ]
+    return grid(header, rows)
+
+
+def _accuracy(truth: dict[str, Any], epochs: int) -> str:
+    metrics = ("ate_m", "rmse_m", "rpe_m", "nees", "in_bounds")
+    header = ["track", *(HEADERS[m].replace("in 95", "NEES in 95") for m in metrics)]
+    rows = [[name, *(_decimals(row[m]) for m in metrics)] for name, row in truth["tracks"].items()]
+    low, high = truth["nees_interval"]
+    apart = truth["rpe_epochs"] or 1
+    steps = "1 epoch" if apart == 1 else f"{apart} epochs"
+    return (
+        f"{grid(header, rows)}\n\n{truth['scored']} of {epochs} epochs have a true position. RPE "
+        f"is over {steps}; NEES should be {truth['nees_expected']}, 95 % of it within "
+        f"[{low:.2f}, {high:.2f}].\n"
+    )
+
+
+def track_markdown(figures: dict[str, Any]) -> str:
+    """The figures of a track, as the command collects them, as Markdown."""
+    parts = ["".join(f"- {line}\n" for line in _course(figures)), _groups(figures["groups"]) + "\n"]
+    if "truth" in figures:
+        parts.append(_accuracy(figures["truth"], figures["epochs"]))
+    if figures["written"]:
+        files = (f"{path} ({what})" for what, path in figures["written"].items())
+        parts.append(f"Written: {', '.join(files)}\n")
+    return "\n".join(parts)

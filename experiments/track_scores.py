@@ -1,0 +1,216 @@
+"""What there is to say about a track, in running sums, so that it may be longer than memory."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from experiments.track_files import TOLERANCE_S, Truth
+from mmwave_env.estimator.algebra import unpack
+from mmwave_env.estimator.belief import Belief
+from mmwave_env.estimator.pipeline import VERTICAL
+from mmwave_env.localizer import TrackBlock
+from mmwave_env.metrics import nees_interval
+from policies.scripted import DESIGN_LIMIT_MPS
+
+Array = NDArray[np.float64]
+
+_ENOUGH = 100  # scored epochs that tell how many of them are a second
+
+
+def ratio(part: float, whole: float) -> float | None:
+    """A share or a mean; None of nothing."""
+    return float(part / whole) if whole else None
+
+
+class Accuracy:
+    """ATE, RMSE, RPE and NEES of one track; see :mod:`mmwave_env.metrics`.
+
+    Args:
+        axes: position axes that NEES covers.
+    """
+
+    def __init__(self, axes: int) -> None:
+        self._interval = nees_interval(axes)
+        self._sums = np.zeros(4)  # distance, its square, NEES, inside the interval
+        self._scored = self._pairs = 0
+        self._change = 0.0
+        self._waiting = np.empty((0, 3))  # errors, until the one a second later is there
+
+    def add(self, error: Array, nees: Array) -> None:
+        """Take more scored epochs: errors (n, 3), m, and NEES (n,)."""
+        distance = np.linalg.norm(error, axis=1)
+        inside = (nees >= self._interval[0]) & (nees <= self._interval[1])
+        self._sums += [v.sum() for v in (distance, distance**2, nees, inside)]
+        self._scored += len(error)
+        self._waiting = np.concatenate([self._waiting, error])
+
+    def pair(self, delta: int) -> None:
+        """Compare errors that are ``delta`` scored epochs apart, always the same."""
+        change = self._waiting[delta:] - self._waiting[:-delta]
+        self._change += float(np.linalg.norm(change, axis=1).sum())
+        self._pairs += len(change)
+        self._waiting = self._waiting[-delta:]
+
+    def figures(self) -> dict[str, float | None]:
+        """By the names of :data:`~mmwave_env.metrics.METRICS`."""
+        ate, square, nees, inside = (ratio(total, self._scored) for total in self._sums)
+        return {
+            "ate_m": ate,
+            "rmse_m": None if square is None else square**0.5,
+            "rpe_m": ratio(self._change, self._pairs),
+            "nees": nees,
+            "in_bounds": inside,
+        }
+
+
+class TruthScores:
+    """A filtered and a smoothed track beside the truth.
+
+    Args:
+        truth: where the user was.
+        names: of the tracks to score: "filtered", "smoothed".
+        planar: whether the height is known.
+    """
+
+    def __init__(self, truth: Truth, names: Sequence[str], planar: bool) -> None:
+        self.truth, self.scored = truth, 0
+        self._axes: tuple[int, ...] = (0, 1) if planar else (0, 1, 2)
+        self._pinned: tuple[int, ...] = VERTICAL if planar else ()
+        self._tracks = {name: Accuracy(len(self._axes)) for name in names}
+        self._tolerance_s: float | None = None
+        self._delta: int | None = None
+        self._times = np.empty(0)
+
+    def add(self, block: TrackBlock) -> Array:
+        """Score a block; returns true positions (T, 3), NaN where not known."""
+        if self._tolerance_s is None:  # at most half a step, so that no pose counts twice
+            half = 0.5 * np.median(np.diff(block.time_s)) if len(block) > 1 else np.inf
+            self._tolerance_s = min(TOLERANCE_S, float(half))
+        truth = self.truth.at(block.time_s, self._tolerance_s)
+        known = np.flatnonzero(~np.isnan(truth[:, 0]))
+        if len(known):
+            self.scored += len(known)
+            for name, accuracy in self._tracks.items():
+                smooth = name == "smoothed"
+                x, P = (block.smooth_x, block.smooth_P) if smooth else (block.x, block.P)
+                accuracy.add(*self._errors(x[known], P[known], truth[known]))
+            self._pair(block.time_s[known], _ENOUGH)
+        return truth
+
+    def _errors(self, x: Array, P: Array, truth: Array) -> tuple[Array, Array]:
+        belief = Belief(list(x.T), unpack(list(P.T), zero=self._pinned), self._axes)
+        where = list(truth.T)
+        return np.column_stack(belief.error(where)), belief.nees(where)
+
+    def _pair(self, time_s: Array, enough: int) -> None:
+        if self._delta is None:
+            self._times = np.concatenate([self._times, time_s])
+            if len(self._times) < enough:
+                return
+            self._delta = max(1, round(1.0 / np.median(np.diff(self._times))))
+        for accuracy in self._tracks.values():
+            accuracy.pair(self._delta)
+
+    def figures(self) -> dict[str, Any]:
+        """Every track's accuracy, and what it means."""
+        self._pair(np.empty(0), 2)
+        return {
+            "scored": self.scored,
+            "rpe_epochs": self._delta,
+            "nees_expected": len(self._axes),
+            "nees_interval": nees_interval(len(self._axes)),
+            "tracks": {name: accuracy.figures() for name, accuracy in self._tracks.items()},
+        }
+
+
+class Groups:
+    """How the measurements fared: what was seen, what was gated, how well it was predicted."""
+
+    def __init__(self) -> None:
+        self._names: list[str] = []
+        self._sums = np.zeros((6, 0))
+
+    def add(self, block: TrackBlock) -> None:
+        """Take a block."""
+        rows = np.array([group.stop - group.start for group in block.layout.groups])
+        low, high = np.array([nees_interval(n) for n in rows]).T
+        accepted = block.accepted
+        counted = (
+            block.visible,
+            block.visible & ~accepted,
+            block.incomplete,
+            accepted * rows,
+            accepted * block.nis,
+            accepted & (block.nis >= low) & (block.nis <= high),
+        )
+        self._names = [*block.layout.group_names, "all"]
+        sums = np.array([part.sum(axis=0) for part in counted], float)
+        self._sums = self._sums + sums if self._sums.size else sums
+
+    def figures(self) -> dict[str, dict[str, float | None]]:
+        """By the names of the groups, and of all together."""
+        columns = [*self._sums.T, self._sums.sum(axis=1)]
+        return {
+            name: {
+                "seen": int(seen),
+                "rejected": int(rejected),
+                "rejected_share": ratio(rejected, seen),
+                "incomplete": int(incomplete),
+                "nis_per_dof": ratio(nis, dof),
+                "nis_in_bounds": ratio(inside, seen - rejected),
+            }
+            for name, (seen, rejected, incomplete, dof, nis, inside) in zip(
+                self._names, columns, strict=True
+            )
+        }
+
+
+class Course:
+    """When, how fast and in which modes.
+
+    Args:
+        modes: their names.
+    """
+
+    def __init__(self, modes: Sequence[str]) -> None:
+        self.epochs = 0
+        self.first_s = self.last_s = 0.0
+        self._skipped = self._switches = self._fast = 0
+        self._modes = dict.fromkeys(modes, 0)
+        self._last_mode = -1
+        self._speed = self._fastest = 0.0
+
+    def add(self, block: TrackBlock) -> None:
+        """Take a block."""
+        if not self.epochs:
+            self.first_s, self._last_mode = float(block.time_s[0]), int(block.mode[0])
+        counts = np.bincount(block.mode, minlength=len(self._modes)).tolist()
+        self._modes = {
+            name: total + n for (name, total), n in zip(self._modes.items(), counts, strict=True)
+        }
+        self._switches += int(np.count_nonzero(np.diff(block.mode, prepend=self._last_mode)))
+        self._last_mode = int(block.mode[-1])
+        speed = np.linalg.norm(block.x[:, 3:6], axis=1)
+        self._speed += float(speed.sum())
+        self._fastest = max(self._fastest, float(speed.max()))
+        self._fast += int((speed > DESIGN_LIMIT_MPS).sum())
+        self._skipped, self.last_s = block.skipped, float(block.time_s[-1])
+        self.epochs += len(block)
+
+    def figures(self) -> dict[str, Any]:
+        """What was added up."""
+        return {
+            "epochs": self.epochs,
+            "skipped": self._skipped,
+            "first_s": self.first_s,
+            "last_s": self.last_s,
+            "speed_mps": {
+                "mean": ratio(self._speed, self.epochs),
+                "max": self._fastest,
+                "epochs_above_design_limit": self._fast,
+            },
+            "modes": self._modes,
+            "switches": self._switches,
+        }

@@ -1,0 +1,260 @@
+"""A measurement log becomes a track, block by block (paper, Algorithm 1, Step 3).
+
+A track begins at the first line of sight, which gives its prior, and every ``window`` epochs
+from there on are smoothed. A log may be longer than memory, and what is made of it does not
+depend on how it is cut into blocks.
+"""
+
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mmwave_env.episode import Episode
+from mmwave_env.estimator.modes import Mode
+from mmwave_env.estimator.pipeline import Pipeline
+from mmwave_env.estimator.smoother import smooth
+from mmwave_env.io.log_tables import LogError
+from mmwave_env.io.measurement_log import LogBlock
+from mmwave_env.measurement import Layout
+from mmwave_env.prior import prior_from_fix
+from mmwave_env.radio import Radio
+from mmwave_env.scene import Scene
+from mmwave_env.tracker import Rule, Tracker
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+SMOOTHING_WINDOW = 200  # epochs; N_w of the paper, Sec. III-F
+
+_FILTERED = ("x", "P", "P_predicted", "memory.mode", "memory.nis", "memory.accepted")
+
+
+@dataclass(frozen=True, eq=False)
+class TrackBlock:
+    """T consecutive epochs of a track.
+
+    Attributes:
+        layout: groups of the measurements.
+        planar: whether z and vz are known exactly.
+        time_s: (T,) increasing, also from block to block.
+        x, P: (T, 7), (T, 28) filtered belief after each epoch; covariances are packed.
+        P_predicted: (T, 28) covariance predicted for each epoch.
+        smooth_x, smooth_P: (T, 7), (T, 28) smoothed belief; the filtered one without smoothing.
+        mode: (T,) number of the mode that ran.
+        nis: (T, groups); 0 where not visible.
+        visible, accepted, incomplete: (T, groups); the link that gave the prior is not visible.
+        skipped: epochs of the log before the track.
+        share: of the log read so far, 0 to 1.
+    """
+
+    layout: Layout
+    planar: bool
+    time_s: Array
+    x: Array
+    P: Array
+    P_predicted: Array
+    smooth_x: Array
+    smooth_P: Array
+    mode: NDArray[np.int64]
+    nis: Array
+    visible: Mask
+    accepted: Mask
+    incomplete: Mask
+    skipped: int
+    share: float
+
+    def __len__(self) -> int:
+        return len(self.time_s)
+
+
+_PER_EPOCH = ("time_s", "x", "P", "P_predicted", "smooth_x", "smooth_P", "mode", "nis", "visible",
+              "accepted", "incomplete")  # fmt: skip
+
+
+def localize(
+    blocks: Iterable[LogBlock],
+    scene: Scene,
+    radio: Radio,
+    modes: Sequence[Mode],
+    rule: Rule | None = None,
+    window: int | None = SMOOTHING_WINDOW,
+    height_m: float | None = None,
+) -> Iterator[TrackBlock]:
+    """The track of a log.
+
+    Where the log is damaged, the epochs before the damage are delivered first.
+
+    Args:
+        blocks: of the log; each is filtered in one go, so let them be large.
+        scene: whose anchors were measured.
+        radio: profile of the receiver: standard deviations by SNR, oscillator, prior.
+        modes: one, or those that ``rule`` picks from in every epoch.
+        rule: as :class:`~mmwave_env.tracker.Tracker` takes it.
+        window: epochs smoothed together; None for no smoothing.
+        height_m: of flat terrain, where it is known (paper, Sec. II-A).
+
+    Raises:
+        LogError: from ``blocks``.
+        ValueError: there is no line of sight to begin with.
+    """
+    track = _filtered(_from_first_fix(blocks), scene, radio, modes, rule, height_m)
+    return track if window is None else _smoothed(track, window)
+
+
+def _from_first_fix(blocks: Iterable[LogBlock]) -> Iterator[tuple[LogBlock, int]]:
+    """The log from the first line of sight on, and how many epochs came before."""
+    found, skipped, incomplete = False, 0, 0
+    for whole in blocks:
+        block = whole
+        if not found:
+            fixes = np.flatnonzero(block.visible[:, 0] & (block.measurement[:, 0] > 0.0))
+            found, first = bool(len(fixes)), int(fixes[0]) if len(fixes) else len(block)
+            skipped += first
+            incomplete += int(block.incomplete[:first, 0].sum())
+            block = block.part(slice(first, None))
+        if len(block):
+            yield block, skipped
+    if not found:
+        raise ValueError(
+            f"log: found {skipped} epochs without a line of sight, expected one with range, angles "
+            f"and SNR of anchor 1, where the track begins ({incomplete} have only some of these)"
+        )
+
+
+def _filtered(
+    blocks: Iterable[tuple[LogBlock, int]],
+    scene: Scene,
+    radio: Radio,
+    modes: Sequence[Mode],
+    rule: Rule | None,
+    height_m: float | None,
+) -> Iterator[TrackBlock]:
+    tracker: Tracker | None = None
+    prior = np.zeros(7), np.eye(7)
+    for block, skipped in blocks:
+        sigma, visible = radio.sigma(block.snr_db, scene, block.layout), block.visible
+        if tracker is None:
+            pipeline = Pipeline(tuple(modes), block.layout, planar=height_m is not None)
+            tracker = Tracker(pipeline, 1, rule)
+            fix = block.measurement[0, :4], sigma[0, :4]
+            prior = prior_from_fix(scene.anchors_m[0], *fix, radio, scene)
+            visible = visible.copy()
+            visible[0, 0] = False  # or the link would be used twice
+            load = tracker.load
+        else:
+            load = tracker.go_on
+        episode = _episode(block, visible, sigma, scene, prior)
+        load([episode if height_m is None else episode.on_flat_ground(height_m)])
+        x, P, P_predicted, mode, nis, accepted = (v[0] for v in tracker.run(*_FILTERED).values())
+        track = TrackBlock(
+            layout=block.layout,
+            planar=height_m is not None,
+            time_s=block.time_s,
+            x=x,
+            P=P,
+            P_predicted=P_predicted,
+            smooth_x=x,
+            smooth_P=P,
+            mode=mode.astype(np.int64),
+            nis=nis,
+            visible=visible,
+            accepted=accepted > 0.5,
+            incomplete=block.incomplete,
+            skipped=skipped,
+            share=block.share,
+        )
+        yield from _while_finite(track)
+
+
+def _while_finite(track: TrackBlock) -> Iterator[TrackBlock]:
+    """The track, and an error in place of what is no number (after a gap of months, say)."""
+    lost = np.flatnonzero(~np.isfinite(track.x).all(axis=1) | ~np.isfinite(track.P).all(axis=1))
+    if not len(lost):
+        yield track
+        return
+    first = int(lost[0])
+    if first:
+        yield _part(track, slice(first))
+    raise LogError(
+        f"log, time {track.time_s[first]} s: found no finite state after this epoch, expected gaps "
+        "of days at most, and ranges in reach"
+    )
+
+
+def _episode(
+    block: LogBlock, visible: Mask, sigma: Array, scene: Scene, prior: tuple[Array, Array]
+) -> Episode:
+    mean, covariance = prior
+    return Episode(
+        name="log",
+        scene_anchors_m=scene.anchors_m,
+        hz_per_mps=scene.hz_per_mps,
+        time_s=block.time_s,
+        measurement=block.measurement,
+        sigma=sigma,
+        visible=visible,
+        snr_db=block.snr_db,
+        doppler_spread_hz=block.doppler_spread_hz,
+        prior_mean=mean,
+        prior_covariance=covariance,
+        truth_position_m=None,
+        truth_velocity_mps=None,
+        layout=block.layout,
+    )
+
+
+# --- smoothing
+
+
+def _smoothed(blocks: Iterable[TrackBlock], window: int) -> Iterator[TrackBlock]:
+    """The track in blocks of whole windows, smoothed all at once, and what is left."""
+    waiting: list[TrackBlock] = []
+    try:
+        for block in blocks:
+            waiting.append(block)
+            if sum(map(len, waiting)) >= window:
+                joined = _joined(waiting)
+                whole = len(joined) // window * window
+                yield _smooth(_part(joined, slice(whole)), window)
+                waiting = [_part(joined, slice(whole, None))] if whole < len(joined) else []
+    except LogError:
+        yield from _rest(waiting)
+        raise
+    yield from _rest(waiting)
+
+
+def _rest(waiting: list[TrackBlock]) -> Iterator[TrackBlock]:
+    if waiting:
+        joined = _joined(waiting)
+        yield _smooth(joined, len(joined))
+
+
+def _smooth(block: TrackBlock, window: int) -> TrackBlock:
+    """The block, every ``window`` epochs of it smoothed."""
+
+    def windows(values: Array) -> Array:
+        return values.reshape(-1, window, *values.shape[1:])
+
+    x, P = smooth(
+        windows(block.x),
+        windows(block.P),
+        windows(block.P_predicted),
+        windows(block.time_s),
+        block.planar,
+    )
+    return replace(block, smooth_x=x.reshape(block.x.shape), smooth_P=P.reshape(block.P.shape))
+
+
+def _joined(blocks: list[TrackBlock]) -> TrackBlock:
+    arrays: dict[str, Any] = {
+        name: np.concatenate([getattr(b, name) for b in blocks]) for name in _PER_EPOCH
+    }
+    return replace(blocks[-1], **arrays)
+
+
+def _part(block: TrackBlock, epochs: slice) -> TrackBlock:
+    arrays: dict[str, Any] = {name: getattr(block, name)[epochs] for name in _PER_EPOCH}
+    return replace(block, **arrays)

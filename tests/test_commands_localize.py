@@ -1,0 +1,572 @@
+"""mmwave-loc localize, as it is typed: the speed, the figures, the files, and what goes wrong."""
+
+import csv
+import gzip
+import json
+import os
+import pty
+import re
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from experiments.cli import run
+from mmwave_env.episode import SimulatedSource
+from mmwave_env.estimator.modes import default_modes
+from mmwave_env.io.measurement_log import read_log, write_log
+from mmwave_env.io.tum import read_tum, tum_lines
+from mmwave_env.localizer import localize
+from mmwave_env.radio import RADIOS
+from mmwave_env.scene import SCENES, read_scene
+
+ROOT = Path(__file__).parents[1]
+LOGS = ROOT / "mmwave_env" / "data" / "logs"
+WALK, RIDE = LOGS / "canyon28_pedestrian", LOGS / "canyon28_vehicle"
+EPOCHS = {WALK: 400, RIDE: 120}
+PROMPT = "Enter current speed (m/s): "
+
+
+def options(log, *more, folder=WALK):
+    return [str(v) for v in (log, "--scene", folder / "scene.json", *more)]
+
+
+def figures(folder, *more, log=None, truth=True):
+    """Run the command on a sample; what it wrote as JSON."""
+    with tempfile.TemporaryDirectory() as scratch:
+        file = Path(scratch) / "figures.json"
+        scored = ("--truth", folder / "truth.tum") if truth else ()
+        run("localize", options(log or folder / "log.csv", *scored, "--json", file, *more,
+                                folder=folder))  # fmt: skip
+        return json.loads(file.read_text())
+
+
+def refused(capsys, arguments):
+    """Run a command that ends with exit code 2; what it printed, and the line of the error."""
+    with pytest.raises(SystemExit) as stop:
+        run("localize", [str(a) for a in arguments])
+    assert stop.value.code == 2
+    shown = capsys.readouterr()
+    (line,) = shown.err.splitlines()
+    assert line.startswith("mmwave-loc localize: ")
+    return shown.out, line
+
+
+def environment():
+    path = os.pathsep.join([str(ROOT), os.environ.get("PYTHONPATH", "")])
+    return os.environ | {"PYTHONPATH": path, "COLUMNS": "200"}
+
+
+def child(arguments, **more):
+    words = [sys.executable, "-m", "experiments.cli", "localize", *map(str, arguments)]
+    return subprocess.Popen(words, env=environment(), text=True, **more)
+
+
+def piped(arguments, **more):
+    pipes = {"stdin": subprocess.DEVNULL, "stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
+    process = child(arguments, **(pipes | more))
+    out, err = process.communicate(timeout=100)
+    return process.returncode, out, err
+
+
+# --- the speed (Algorithm 1)
+
+
+@pytest.mark.parametrize("folder", [WALK, RIDE], ids=["walk", "ride"])
+@pytest.mark.parametrize(
+    ("speed", "mode"), [("0", "ekf"), ("1.4", "ekf"), ("2", "ekf"), ("2.01", "ukf"), ("2e1", "ukf")]
+)
+def test_a_speed_chooses_the_pipeline(folder, speed, mode):
+    found = figures(folder, "--speed", speed, "--radio", "standard")
+    assert found["modes"] == {mode: EPOCHS[folder]} and found["switches"] == 0
+    assert found["truth"]["scored"] == EPOCHS[folder]
+    filtered, smoothed = (found["truth"]["tracks"][t] for t in ("filtered", "smoothed"))
+    assert smoothed["ate_m"] < filtered["ate_m"] < 0.3
+    assert smoothed["rmse_m"] < 0.1 and filtered["in_bounds"] > 0.85
+
+
+def test_above_the_design_window_the_ukf_runs_with_a_warning():
+    code, out, err = piped(options(RIDE / "log.csv", "--speed", "25", folder=RIDE))
+    assert code == 0 and "ukf 100.0 %" in out
+    assert re.fullmatch(r"warning: speed 25 m/s is outside the design window \(up to 20.*\n", err)
+
+
+def test_above_the_design_window_the_command_may_stop(capsys, tmp_path):
+    out = tmp_path / "track.tum"
+    _, line = refused(
+        capsys,
+        options(RIDE / "log.csv", "--speed", "25", "--outside", "abort", "--out", out, folder=RIDE),
+    )
+    assert "found 25 m/s, outside the design window (up to 20 m/s)" in line
+    assert list(tmp_path.iterdir()) == []
+    assert figures(WALK, "--speed", "20", "--outside", "abort")["modes"] == {"ukf": 400}
+
+
+def test_auto_decides_in_every_epoch(tmp_path):
+    found = figures(RIDE, "--speed", "auto", "--out", tmp_path / "track.tum")
+    assert found["modes"] == {"ekf": 1, "ukf": 119} and found["switches"] == 1
+    with (tmp_path / "track.csv").open(newline="") as file:
+        assert [row["mode"] for row in csv.DictReader(file)] == ["ekf"] + 119 * ["ukf"]
+
+
+@pytest.mark.parametrize("word", ["fast", "-1", "nan", "inf", "", "1,4", "1_0", "AUTO"])
+def test_what_is_no_speed_is_refused(capsys, word):
+    _, line = refused(capsys, options(WALK / "log.csv", "--speed", word))
+    assert f"speed: found {word!r}, expected a number of m/s, at least 0" in line
+
+
+def test_without_a_terminal_the_option_is_named():
+    code, out, err = piped(options(WALK / "log.csv"))
+    assert code == 2 and out == "" and len(err.splitlines()) == 1
+    assert "--speed" in err and "--speed auto" in err
+
+
+def session(answers, seconds=60.0):
+    """Answer the prompt on a pseudo-terminal, one answer a prompt; exit code and screen."""
+    ours, theirs = pty.openpty()
+    process = child(options(WALK / "log.csv"), stdin=theirs, stdout=theirs, stderr=theirs)
+    os.close(theirs)
+    screen, asked, end = b"", 0, time.monotonic() + seconds
+    while time.monotonic() < end:
+        try:
+            piece = os.read(ours, 4096)
+        except OSError:  # the other side is closed
+            break
+        if not piece:
+            break
+        screen += piece
+        if screen.count(PROMPT.encode()) > asked < len(answers):
+            os.write(ours, answers[asked])
+            asked += 1
+    os.close(ours)
+    return process.wait(timeout=seconds), screen.decode().replace("\r\n", "\n")
+
+
+def test_on_a_terminal_the_prompt_asks_until_the_answer_is_a_speed():
+    wrong = ["walking", "-1", "nan", "inf", "", "auto"]
+    code, screen = session([f"{word}\n".encode() for word in [*wrong, "1.4"]])
+    assert code == 0 and "ekf 100.0 %" in screen and "NIS" in screen
+    assert screen.count(PROMPT) == len(wrong) + 1
+    for word in wrong:
+        assert f"speed: found {word!r}, expected a number of m/s, at least 0" in screen
+
+
+def test_the_first_answer_may_be_right():
+    code, screen = session([b"10\n"])
+    assert code == 0 and screen.count(PROMPT) == 1 and "ukf 100.0 %" in screen
+
+
+@pytest.mark.parametrize("answers", [[b"\x04"], [b"slow\n", b"\x04"]])
+def test_the_end_of_the_input_ends_the_command(answers):
+    code, screen = session(answers)
+    assert code == 2 and "speed: found the end of the input, expected a number of m/s" in screen
+    assert "Traceback" not in screen
+
+
+def test_files_are_looked_at_before_the_question():
+    code, _, err = piped(options("missing.csv"))
+    assert code == 2 and "missing.csv" in err and "speed" not in err
+
+
+# --- the figures
+
+
+def evo_figures(truth, track, delta):
+    """ATE, RMSE and RPE as evo computes them from two files."""
+    metrics = pytest.importorskip("evo.core.metrics")
+    sync = pytest.importorskip("evo.core.sync")
+    read = pytest.importorskip("evo.tools.file_interface").read_tum_trajectory_file
+    pair = sync.associate_trajectories(read(str(truth)), read(str(track)))
+    translation, of = metrics.PoseRelation.translation_part, metrics.StatisticsType
+    absolute = metrics.APE(translation)
+    absolute.process_data(pair)
+    relative = metrics.RPE(translation, delta=delta, delta_unit=metrics.Unit.frames, all_pairs=True)
+    relative.process_data(pair)
+    return [absolute.get_statistic(of.mean), absolute.get_statistic(of.rmse),
+            relative.get_statistic(of.mean)]  # fmt: skip
+
+
+@pytest.mark.parametrize("track", ["filtered", "smoothed"])
+@pytest.mark.parametrize("known", [slice(None), slice(30, 95), slice(0, None, 2)])
+def test_the_figures_are_evos(tmp_path, track, known):
+    truth = read_tum(RIDE / "truth.tum")
+    part, out = tmp_path / "part.tum", tmp_path / "track.tum"
+    part.write_text(tum_lines(truth.time_s[known], truth.position_m[known]))
+    switch = [] if track == "smoothed" else ["--no-smoothing"]
+    found = figures(
+        RIDE, "--speed", "10", "--truth", part, "--out", out, *switch, truth=False
+    )["truth"]  # fmt: skip
+    assert found["rpe_epochs"] == (5 if known.step else 10)
+    assert found["scored"] == len(truth.time_s[known])
+    row = found["tracks"][track]
+    expected = evo_figures(part, out, found["rpe_epochs"])
+    assert [row["ate_m"], row["rmse_m"], row["rpe_m"]] == pytest.approx(expected, abs=1e-6)
+    assert list(found["tracks"]) == (["filtered", "smoothed"] if not switch else ["filtered"])
+
+
+def test_what_is_printed_is_what_json_holds(capsys, tmp_path):
+    out = tmp_path / "track.tum"
+    found = figures(WALK, "--speed", "auto", "--out", out, "--radio", "standard")
+    shown = capsys.readouterr().out
+    assert f"{out} (smoothed track)" in shown and f"{tmp_path / 'track.csv'} (its" in shown
+    assert "400 epochs, 0 to 39.9 s" in shown and "skipped" not in shown
+    for row in found["truth"]["tracks"].values():
+        assert " | ".join(f"{value:.3f}" for value in row.values()) in shown
+    groups = found["groups"]
+    assert list(groups) == ["anchor 1", "anchor 2", "anchor 3", "Doppler", "all"]
+    for name, g in groups.items():
+        line = next(line for line in shown.splitlines() if line.startswith(f"| {name} "))
+        assert f"| {g['seen']} | {g['rejected']} ({100 * g['rejected_share']:.1f} %)" in line
+        assert f"{g['nis_per_dof']:.3f} | {g['nis_in_bounds']:.3f}" in line
+    assert groups["anchor 1"]["seen"] == 399  # one gave the prior
+    assert found["error"] is None
+    assert all(abs(groups[f"anchor {a}"]["nis_in_bounds"] - 0.95) < 0.03 for a in (1, 2, 3))
+
+
+def test_truth_is_for_scores_alone(tmp_path):
+    with_truth, without = tmp_path / "a.tum", tmp_path / "b.tum"
+    figures(RIDE, "--speed", "auto", "--out", with_truth)
+    found = figures(RIDE, "--speed", "auto", "--out", without, truth=False)
+    assert with_truth.read_bytes() == without.read_bytes() and "truth" not in found
+
+
+def test_truth_of_another_time_is_an_error_that_names_both(capsys, tmp_path):
+    truth, out = tmp_path / "truth.tum", tmp_path / "track.tum"
+    truth.write_text(tum_lines(np.array([1000.0, 1002.5]), np.zeros((2, 3))))
+    more = ("--speed", "1", "--truth", truth, "--out", out)
+    shown, line = refused(capsys, options(WALK / "log.csv", *more))
+    assert "found times from 1000.0 to 1002.5 s, expected some within 0.01 s" in line
+    assert "from 0.0 to 39.9 s; 400 epochs are written" in line
+    assert len(read_tum(out).time_s) == 400 and "ATE" not in shown
+
+
+def test_epochs_before_the_first_line_of_sight_are_counted(capsys, tmp_path):
+    log = tmp_path / "late.csv"
+    lines = (WALK / "log.csv").read_text().splitlines()
+    log.write_text(
+        "\n".join([lines[0], *(l for l in lines[1:] if not re.match(r"[01]\.\d,1,", l))])
+    )
+    found = figures(WALK, "--speed", "1", log=log)
+    assert "20 epochs before the first line of sight were skipped" in capsys.readouterr().out
+    assert found["skipped"] == 20 and found["epochs"] == 380 == found["truth"]["scored"]
+
+
+# --- the options
+
+
+def test_the_track_is_the_localizers(tmp_path):
+    out = tmp_path / "track.tum"
+    more = ("--no-gating", "--no-adaptive", "--window", "50", "--radio", "high")
+    figures(RIDE, "--speed", "10", "--out", out, *more)
+    scene = read_scene(RIDE / "scene.json")
+    mode = default_modes("high")[1]
+    mode = type(mode)(**{**vars(mode), "gate": None, "adaptive": False})
+    blocks = localize(
+        read_log(RIDE / "log.csv", scene), scene, RADIOS["high"], [mode], window=50
+    )  # fmt: skip
+    x = np.concatenate([block.smooth_x for block in blocks])
+    np.testing.assert_array_equal(read_tum(out).position_m, x[:, :3])
+
+
+def test_every_switch_changes_the_track():
+    tracks = {}
+    for switch in ([], ["--no-gating"], ["--no-adaptive"], ["--no-smoothing"], ["--robust"],
+                   ["--window", "20"], ["--height", "1.5"], ["--radio", "handset"]):  # fmt: skip
+        found = figures(WALK, "--speed", "1.4", "--radio", "standard", *switch)
+        tracks[" ".join(switch)] = json.dumps(found["truth"]["tracks"])
+        if switch == ["--no-gating"]:
+            assert found["groups"]["all"]["rejected"] == 0
+        if switch == ["--robust"]:
+            assert list(found["modes"]) == ["ekf-robust"]
+        if switch == ["--height", "1.5"]:
+            assert found["truth"]["nees_expected"] == 2
+    assert len(set(tracks.values())) == len(tracks)
+
+
+def test_modes_may_come_from_a_file(capsys, tmp_path):
+    file = tmp_path / "modes.json"
+    modes = [{"name": "calm"}, {"name": "wild", "algorithm": "ckf", "sigma_v": 2.0}]
+    file.write_text(json.dumps({"modes": modes}))
+    assert figures(RIDE, "--speed", "10", "--modes", file)["modes"] == {"wild": 120}
+    file.write_text(json.dumps({"modes": modes[:1]}))
+    _, line = refused(capsys, options(RIDE / "log.csv", "--speed", "1", "--modes", file))
+    assert "found 1 modes, expected 2, for low and for high mobility" in line
+
+
+@pytest.fixture(scope="module")
+def driven(tmp_path_factory):
+    """A log with odometry."""
+    folder = tmp_path_factory.mktemp("driven")
+    run("simulate", ["--scenario", "walk-ride", "--odometry", "--seed", "1", "--out", str(folder)])
+    return folder
+
+
+def test_odometry_is_used_where_the_log_has_it(capsys, driven):
+    used = figures(driven, "--speed", "auto")
+    ignored = figures(driven, "--speed", "auto", "--no-odometry")
+    followed = figures(driven, "--speed", "auto", "--follow", "odometry")
+    assert "odometry" in used["groups"] and "odometry" not in ignored["groups"]
+    assert used["truth"]["tracks"]["filtered"]["ate_m"] != pytest.approx(
+        ignored["truth"]["tracks"]["filtered"]["ate_m"]
+    )
+    assert followed["modes"] != used["modes"] and followed["modes"]["ukf"] > 20
+    capsys.readouterr()
+    for log, more in ((driven, ["--no-odometry"]), (RIDE, [])):
+        words = ["--speed", "auto", "--follow", "odometry", *more]
+        _, line = refused(capsys, options(log / "log.csv", *words, folder=log))
+        assert "follow: found odometry, but no speed in" in line
+
+
+CONTRADICTIONS = {
+    "auto and abort": (["--speed", "auto", "--outside", "abort"], "outside: found abort"),
+    "odometry and a speed": (["--speed", "1", "--follow", "odometry"], "follow: found odometry"),
+    "window": (["--speed", "1", "--window", "1"], "window: found 1, expected 2 to 20000 epochs"),
+    "long window": (["--speed", "1", "--window", "20001"], "window: found 20001"),
+    "height": (["--speed", "1", "--height", "nan"], "height: found nan"),
+    "plot": (["--speed", "1", "--plot", "track.pdf"], "plot: found track.pdf, expected.*png"),
+    "radio": (["--speed", "1", "--radio", "lab"], "'lab'.*handset, standard, high"),
+    "truth": (["--speed", "1", "--truth", "missing.tum"], "missing.tum"),
+    "modes": (["--speed", "1", "--modes", "missing.json"], "missing.json"),
+    "table": (["--speed", "1", "--out", "track.csv"], "out: found track.csv, expected a TUM file"),
+    "twice": (["--speed", "1", "--out", "a.tum", "--json", "a.tum"], "json: found a.tum.*also out"),
+}
+
+
+@pytest.mark.parametrize("name", CONTRADICTIONS)
+def test_what_contradicts_itself_is_refused(capsys, monkeypatch, tmp_path, name):
+    monkeypatch.chdir(tmp_path)
+    more, message = CONTRADICTIONS[name]
+    _, line = refused(capsys, options(WALK / "log.csv", *more))
+    assert re.search(message, line), line
+
+
+@pytest.mark.parametrize("out", ["log.tum", "truth.tum"])
+def test_no_output_takes_the_place_of_an_input(capsys, tmp_path, out):
+    for name in ("log.csv", "truth.tum", "scene.json"):
+        (tmp_path / name).write_bytes((RIDE / name).read_bytes())
+    more = ("--speed", "9", "--truth", tmp_path / "truth.tum", "--out", tmp_path / out)
+    _, line = refused(capsys, options(tmp_path / "log.csv", *more, folder=tmp_path))
+    assert "which is also" in line and "expected another file" in line
+    for name in ("log.csv", "truth.tum"):
+        assert (tmp_path / name).read_bytes() == (RIDE / name).read_bytes()
+
+
+# --- the files
+
+
+def test_a_picture_is_drawn(tmp_path):
+    figures(RIDE, "--speed", "auto", "--plot", tmp_path / "new" / "track.png")
+    figures(RIDE, "--speed", "auto", "--plot", tmp_path / "plain.png", truth=False)
+    for path in (tmp_path / "new" / "track.png", tmp_path / "plain.png"):
+        content = path.read_bytes()
+        assert content.startswith(b"\x89PNG") and len(content) > 20_000
+
+
+def test_folders_are_made_and_what_cannot_be_written_is_named(capsys, tmp_path):
+    figures(RIDE, "--speed", "9", "--out", tmp_path / "a" / "b" / "track.tum")
+    assert sorted(p.name for p in (tmp_path / "a" / "b").iterdir()) == ["track.csv", "track.tum"]
+    blocked = tmp_path / "file"
+    blocked.write_text("")
+    capsys.readouterr()
+    for option, name in (("--out", "t.tum"), ("--plot", "t.png"), ("--json", "t.json")):
+        more = ("--speed", "9", option, blocked / name)
+        out, line = refused(capsys, options(RIDE / "log.csv", *more, folder=RIDE))
+        assert str(blocked) in line and out == ""
+    _, line = refused(capsys, options(RIDE / "log.csv", "--speed", "9", "--out", tmp_path / "a"))
+    assert "found a folder, expected a file" in line
+
+
+def lines_of(name="log.csv"):
+    return (WALK / name).read_text().splitlines()
+
+
+def with_line(number, change):
+    """The sample with one line (counted from 1) changed."""
+    lines = lines_of()
+    lines[number - 1] = change(lines[number - 1])
+    return "\n".join(lines) + "\n"
+
+
+def cell(line, place, word):
+    cells = line.split(",")
+    cells[place] = word
+    return ",".join(cells)
+
+
+HALF_WAY = {  # line 602 is the first of epoch 201, whose first 200 epochs are whole
+    "no number": (with_line(602, lambda l: cell(l, 2, "far")), "line 602, column 'toa_s'", 200),
+    "infinite": (with_line(603, lambda l: cell(l, 3, "inf")), "line 603, column 'aoa_azim", 200),
+    "wrong anchor": (with_line(604, lambda l: cell(l, 1, "7")), "line 604, column 'anchor'", 200),
+    "one anchor twice": (with_line(603, lambda l: cell(l, 1, "1")), "line 603, column 'anc", 200),
+    "backwards": (with_line(602, lambda l: cell(l, 0, "3.5")), "line 602, column 'time_s'", 200),
+    "no time": (with_line(602, lambda l: cell(l, 0, "")), "line 602, column 'time_s'", 200),
+    "few cells": (with_line(602, lambda l: l[:30]), "line 602: found", 200),
+    "negative range": (with_line(602, lambda l: cell(l, 2, "-1")), "line 602, column 'toa_s", 200),
+    "at the end": (with_line(1199, lambda l: l[:20]), "line 1199: found", 399),
+    "early": (with_line(6, lambda l: cell(l, 2, "far")), "line 6, column 'toa_s'", 1),
+}
+
+
+@pytest.mark.parametrize("zipped", [False, True], ids=["plain", "gz"])
+@pytest.mark.parametrize("name", HALF_WAY)
+def test_a_log_damaged_half_way_gives_the_track_up_to_there(capsys, tmp_path, name, zipped):
+    content, message, epochs = HALF_WAY[name]
+    log, out = tmp_path / ("log.csv.gz" if zipped else "log.csv"), tmp_path / "track.tum"
+    log.write_bytes(gzip.compress(content.encode()) if zipped else content.encode())
+    out.write_text("old")
+    more = ("--speed", "1", "--no-smoothing", "--truth", WALK / "truth.tum", "--out", out)
+    shown, line = refused(capsys, options(log, *more, "--json", tmp_path / "found.json"))
+    assert message in line and str(log) in line and f"; {epochs} epochs are written" in line
+    whole = tmp_path / "whole.tum"
+    figures(WALK, "--speed", "1", "--no-smoothing", "--out", whole)
+    assert out.read_text() == "".join(whole.read_text().splitlines(keepends=True)[: epochs + 1])
+    assert len((tmp_path / "track.csv").read_text().splitlines()) == epochs + 1
+    found = json.loads((tmp_path / "found.json").read_text())
+    assert found["epochs"] == epochs and message in found["error"]
+    assert f"{epochs} of {epochs} epochs have a true position" in shown
+
+
+def test_the_last_window_before_the_damage_is_smoothed(capsys, tmp_path):
+    log, out = tmp_path / "log.csv", tmp_path / "track.tum"
+    log.write_text(with_line(752, lambda l: cell(l, 2, "far")))
+    _, line = refused(capsys, options(log, "--speed", "1", "--out", out))
+    assert "; 250 epochs are written" in line
+    cut = tmp_path / "cut.csv"
+    cut.write_text("\n".join(lines_of()[:751]) + "\n")
+    figures(WALK, "--speed", "1", "--out", tmp_path / "short.tum", log=cut)
+    assert out.read_bytes() == (tmp_path / "short.tum").read_bytes()
+
+
+def test_a_truncated_archive_gives_the_track_up_to_there(capsys, tmp_path):
+    log, out = tmp_path / "log.csv.gz", tmp_path / "track.tum"
+    content = gzip.compress((WALK / "log.csv").read_bytes())
+    log.write_bytes(content[: len(content) // 2])
+    _, line = refused(capsys, options(log, "--speed", "1", "--out", out))
+    epochs = int(re.search(r"line \d+.*broken gzip.*; (\d+) epochs are written", line).group(1))
+    assert len(read_tum(out).time_s) == epochs > 100
+
+
+def test_damaged_parquet_gives_the_track_up_to_there(capsys, tmp_path):
+    parquet = pytest.importorskip("pyarrow.parquet")
+    log, out = tmp_path / "log.parquet", tmp_path / "track.tum"
+    source = SimulatedSource(SCENES["street"], RADIOS["handset"], "pedestrian", epochs=20_000)
+    write_log(log, source.sample(np.random.default_rng(0)))
+    table = parquet.read_table(log)
+    parquet.write_table(table, log, row_group_size=3000, write_page_checksum=True)
+    content = bytearray(log.read_bytes())
+    content[len(content) // 2 : len(content) // 2 + 50] = bytes(50)
+    log.write_bytes(content)
+    _, line = refused(capsys, [log, "--scene", "street", "--speed", "1", "--out", out])
+    row, epochs = re.search(r"row (\d+): found broken.*; (\d+) epochs are written", line).groups()
+    assert len(read_tum(out).time_s) == int(epochs) == (int(row) - 1) // 3 >= 100
+
+
+HEADER = lines_of()[0]
+NOTHING = {
+    "empty": ("log.csv", b"", "empty file"),
+    "header alone": ("log.csv", f"{HEADER}\n".encode(), "a header and no rows"),
+    "unknown column": ("log.csv", f"{HEADER},mood\n".encode(), "column 'mood'"),
+    "no unit": ("log.csv", HEADER.replace("toa_s", "toa").encode(), "column 'toa'"),
+    "no SNR": ("log.csv", HEADER.replace(",snr_db", "").encode(), "no snr"),
+    "another kind": ("log.txt", HEADER.encode(), "expected a name in .csv"),
+    "rubbish": ("log.csv", bytes(range(256)) * 40, "line 1"),
+    "rubbish in gzip": ("log.csv.gz", bytes(range(256)) * 40, "gzip"),
+    "rubbish in Parquet": ("log.parquet", b"PAR1" + bytes(range(256)) * 40, "Parquet"),
+    "first row": ("log.csv", with_line(2, lambda l: cell(l, 2, "x")).encode(), "line 2, column"),
+    "no measurement": ("log.csv", f"{HEADER}\n0.0,1,,,,,,,\n1.0,1,,,,,,,\n".encode(),
+                       "2 rows without a measurement"),
+    "no line of sight": (
+        "log.csv", "\n".join(l for l in lines_of() if ",1," not in l[:7]).encode(),
+        "400 epochs without a line of sight",
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", NOTHING)
+def test_a_log_without_a_track_leaves_the_output_alone(capsys, tmp_path, name):
+    file, content, message = NOTHING[name]
+    if file.endswith("parquet"):
+        pytest.importorskip("pyarrow")
+    log, out = tmp_path / file, tmp_path / "track.tum"
+    log.write_bytes(content)
+    out.write_text("old")
+    _, line = refused(
+        capsys, options(log, "--speed", "1", "--out", out, "--plot", tmp_path / "a.png")
+    )
+    assert message in line and "written" not in line
+    assert out.read_text() == "old"
+    assert sorted(p.name for p in tmp_path.iterdir()) == sorted([file, "track.tum"])
+
+
+def test_truth_damaged_half_way_leaves_the_output_alone(capsys, tmp_path):
+    truth, out = tmp_path / "truth.tum", tmp_path / "track.tum"
+    truth.write_text((WALK / "truth.tum").read_text().replace("\n20.0 ", "\ntwenty "))
+    out.write_text("old")
+    more = ("--speed", "1", "--truth", truth, "--out", out)
+    _, line = refused(capsys, options(WALK / "log.csv", *more))
+    assert "truth.tum, line 202, t: found 'twenty'" in line and out.read_text() == "old"
+
+
+# --- long logs
+
+
+def long_log(path, rows):
+    """The walk, there again and again."""
+    lines = lines_of()
+    rest = [line.split(",", 1)[1] for line in lines[1:]]
+    with path.open("w") as file:
+        file.write(f"{lines[0]}\n")
+        for lap in range(rows // len(rest)):
+            times = (400 * lap + np.arange(400).repeat(3)) / 10.0
+            file.write("".join(f"{t},{r}\n" for t, r in zip(times.tolist(), rest, strict=True)))
+
+
+@pytest.mark.parametrize("sent", [signal.SIGINT, signal.SIGKILL])
+def test_a_run_cut_short_leaves_the_output_alone(tmp_path, sent):
+    log, out = tmp_path / "log.csv", tmp_path / "track.tum"
+    long_log(log, 400_000)
+    out.write_text("old")
+    pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
+    process = child(options(log, "--speed", "1", "--out", out), **pipes)
+    end = time.monotonic() + 60.0
+    while len(list(tmp_path.iterdir())) < 4 and time.monotonic() < end:
+        time.sleep(0.01)
+    process.send_signal(sent)
+    shown, err = process.communicate(timeout=60)
+    assert out.read_text() == "old" and shown == ""
+    if sent == signal.SIGINT:
+        assert process.returncode == 130 and err == "mmwave-loc localize: interrupted\n"
+        assert sorted(p.name for p in tmp_path.iterdir()) == ["log.csv", "track.tum"]
+
+
+# Not ru_maxrss: a child inherits that of its parent.
+PEAK = """
+import sys
+from experiments.cli import run
+run("localize", sys.argv[1:])
+print(next(line for line in open("/proc/self/status") if line.startswith("VmHWM")).split()[1])
+"""
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not Path("/proc/self/status").exists(), reason="no procfs")
+def test_memory_does_not_grow_with_the_log(tmp_path):
+    log, truth = tmp_path / "log.csv", tmp_path / "truth.tum"
+    walk, peaks = read_tum(WALK / "truth.tum").position_m, []
+    more = ("--speed", "auto", "--truth", truth, "--out", tmp_path / "track.tum",
+            "--plot", tmp_path / "track.png")  # fmt: skip
+    for rows in (500_000, 2_000_000):
+        long_log(log, rows)
+        with truth.open("w") as file:
+            for lap in range(rows // 1200):
+                file.write(tum_lines((400 * lap + np.arange(400)) / 10.0, walk))
+        words = [sys.executable, "-c", PEAK, *options(log, *more)]
+        done = subprocess.run(words, env=environment(), capture_output=True, text=True, check=True)
+        assert f"{rows // 1200 * 400} epochs" in done.stdout
+        peaks.append(int(done.stdout.split()[-1]) / 1024)
+    assert peaks[1] < 500 and peaks[1] < peaks[0] + 30, peaks

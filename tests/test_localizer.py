@@ -1,0 +1,253 @@
+"""The track of a log: where it begins, what filters and smooths it, and how it is cut."""
+
+from dataclasses import fields, replace
+from functools import cache
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from mmwave_env.episode import Episode, SimulatedSource
+from mmwave_env.estimator.modes import Mode, default_modes, robust
+from mmwave_env.estimator.pipeline import Pipeline
+from mmwave_env.estimator.smoother import smooth
+from mmwave_env.io.log_tables import LogError
+from mmwave_env.io.measurement_log import read_log, write_log
+from mmwave_env.localizer import TrackBlock, localize
+from mmwave_env.prior import prior_from_fix
+from mmwave_env.radio import RADIOS
+from mmwave_env.scene import SCENES
+from policies.scripted import by_odometry_speed, by_predicted_speed
+
+from .estimator.tracks import track
+
+SCENE, RADIO = SCENES["street"], RADIOS["handset"]
+T = 230
+EKF, UKF = default_modes()
+PER_EPOCH = [
+    field.name for field in fields(TrackBlock)
+    if field.name not in ("layout", "planar", "skipped", "share")
+]  # fmt: skip
+
+
+@cache
+def log(folder, odometry=False):
+    """One block of irregular steps, whose first two epochs lack the line of sight."""
+    source = SimulatedSource(SCENE, RADIO, "walk-ride", epochs=T, odometry=odometry)
+    episode = source.sample(np.random.default_rng(3))
+    time = 1.7e9 + np.random.default_rng(0).uniform(0.5, 1.5, T).cumsum()
+    visible = episode.visible.copy()
+    visible[:2, 0], visible[2, 0] = False, True
+    path = folder / f"log{odometry}.csv"
+    write_log(path, replace(episode, time_s=time, visible=visible))
+    (block,) = read_log(path, SCENE)
+    assert len(block) == T and not block.visible[:2, 0].any() and block.visible[2, 0]
+    return block
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    return tmp_path_factory.mktemp("logs")
+
+
+@pytest.fixture(scope="module")
+def block(folder):
+    return log(folder)
+
+
+def cut(block, sizes):
+    """Blocks of these sizes, over and over."""
+    blocks, first = [], 0
+    while first < len(block):
+        size = sizes[len(blocks) % len(sizes)]
+        blocks.append(block.part(slice(first, first + size)))
+        first += size
+    return blocks
+
+
+def whole(blocks):
+    blocks = list(blocks)
+    return replace(
+        blocks[-1], **{f: np.concatenate([getattr(b, f) for b in blocks]) for f in PER_EPOCH}
+    )
+
+
+def run(blocks, modes=(EKF,), rule=None, **options):
+    return whole(localize(blocks, SCENE, RADIO, modes, rule, **options))
+
+
+def episode_of(block):
+    """The log as an episode, from the first line of sight on."""
+    block = block.part(slice(2, None))
+    sigma = RADIO.sigma(block.snr_db, SCENE, block.layout)
+    anchor, link = SCENE.anchors_m[0], block.layout.link(0)
+    prior = prior_from_fix(anchor, block.measurement[0, link], sigma[0, link], RADIO, SCENE)
+    visible = block.visible.copy()
+    visible[0, 0] = False
+    return Episode("log", SCENE.anchors_m, SCENE.hz_per_mps, block.time_s, block.measurement, sigma,
+                   visible, block.snr_db, block.doppler_spread_hz, *prior, None, None,
+                   block.layout)  # fmt: skip
+
+
+# --- filtered
+
+
+def assert_engines(found, block, modes, planar=False):
+    """The filtered track is the engine's, epoch by epoch, in the modes that ran."""
+    episode = episode_of(block)
+    if planar:
+        episode = episode.on_flat_ground(1.5)
+    names = ("x", "P", "P_predicted", "memory.nis", "memory.accepted")
+    pipeline = Pipeline(tuple(modes), block.layout, planar)
+    theirs = track(pipeline, [episode], found.mode[:, None], T - 2, names)
+    ours = (found.x, found.P, found.P_predicted, found.nis, found.accepted)
+    for name, values in zip(names, ours, strict=True):
+        np.testing.assert_allclose(values, theirs[name][:, 0], rtol=1e-9, atol=1e-9, err_msg=name)
+    np.testing.assert_array_equal(found.time_s, episode.time_s)
+    np.testing.assert_array_equal(found.visible, episode.usable)
+    np.testing.assert_array_equal(found.incomplete, block.incomplete[2:])
+    assert found.skipped == 2 and (~found.visible[0, 0]).all()
+
+
+@pytest.mark.parametrize("mode", [EKF, UKF, robust(UKF), replace(EKF, gate=None, adaptive=False)])
+def test_one_pipeline_is_the_engines(block, mode):
+    found = run(cut(block, [50]), [mode])
+    assert_engines(found, block, [mode])
+    assert (found.mode == 0).all() and found.share == 1.0
+
+
+def test_the_speed_gate_decides_in_every_epoch(block):
+    found = run(cut(block, [64]), (EKF, UKF), by_predicted_speed)
+    assert_engines(found, block, (EKF, UKF))
+    before = np.concatenate([np.zeros((1, 3)), found.x[:-1, 3:6]])
+    np.testing.assert_array_equal(found.mode, np.linalg.norm(before, axis=1) > 2.0)
+    assert 0.1 < found.mode.mean() < 0.9
+
+
+def test_the_speed_gate_may_follow_odometry(folder):
+    block = log(folder, odometry=True)
+    found = run([block], (EKF, UKF), by_odometry_speed)
+    assert_engines(found, block, (EKF, UKF))
+    measured = found.visible[:, -1]
+    speed = block.measurement[2:, -2]
+    before = np.concatenate([[0.0], np.linalg.norm(found.x[:-1, 3:6], axis=1)])
+    np.testing.assert_array_equal(found.mode, np.where(measured, speed, before) > 2.0)
+    assert measured.any() and not measured.all()
+
+
+def test_flat_terrain_keeps_its_height(block):
+    found = run([block], height_m=1.5)
+    assert_engines(found, block, [EKF], planar=True)
+    for x in (found.x, found.smooth_x):
+        assert (x[:, 2] == 1.5).all() and (x[:, 5] == 0.0).all()
+
+
+# --- smoothed
+
+
+@pytest.mark.parametrize("window", [2, 50, 57, T - 2, 1000])
+def test_every_window_is_smoothed_and_what_is_left_too(block, window):
+    found = run(cut(block, [64]), window=window)
+    for first in range(0, T - 2, window):
+        part = slice(first, first + window)
+        values = (found.x, found.P, found.P_predicted)
+        x, P = smooth(*(v[None, part] for v in values), found.time_s[part])
+        np.testing.assert_allclose(found.smooth_x[part], x[0], rtol=1e-12, atol=1e-12)
+        np.testing.assert_allclose(found.smooth_P[part], P[0], rtol=1e-12, atol=1e-12)
+    assert not np.array_equal(found.smooth_x, found.x)
+
+
+def test_without_smoothing_the_track_is_the_filtered_one(block):
+    found = run([block], window=None)
+    np.testing.assert_array_equal(found.smooth_x, found.x)
+    np.testing.assert_array_equal(found.x, run([block]).x)
+
+
+@settings(max_examples=30, deadline=None)
+@given(sizes=st.lists(st.integers(1, T), min_size=1, max_size=5), window=st.integers(2, 300))
+def test_a_track_does_not_depend_on_the_blocks(folder, sizes, window):
+    block = log(folder)
+    expected = run([block], (EKF, UKF), by_predicted_speed, window=window)
+    found = run(cut(block, sizes), (EKF, UKF), by_predicted_speed, window=window)
+    for name in PER_EPOCH:
+        np.testing.assert_array_equal(getattr(found, name), getattr(expected, name), err_msg=name)
+    assert found.skipped == expected.skipped
+
+
+# --- where it begins and ends
+
+
+def unseen(block, epochs):
+    """The log without the line of sight in some epochs."""
+    visible, incomplete = block.visible.copy(), block.incomplete.copy()
+    visible[epochs, 0], incomplete[epochs, 0] = False, True
+    return replace(block, visible=visible, incomplete=incomplete)
+
+
+@pytest.mark.parametrize("size", [7, 20, T])
+def test_a_track_begins_at_the_first_line_of_sight(block, size):
+    found = run(cut(unseen(block, slice(20)), [size]))
+    start = 20 + int(block.visible[20:, 0].argmax())
+    assert found.skipped == start and len(found) == T - start
+    assert found.time_s[0] == block.time_s[start]
+
+
+def test_a_range_of_zero_is_no_beginning(block):
+    measurement = block.measurement.copy()
+    measurement[2, 0] = 0.0
+    assert run([replace(block, measurement=measurement)]).skipped > 2
+
+
+def test_a_log_without_a_line_of_sight_is_refused(block):
+    message = "found 230 epochs without a line of sight, expected one.*230 have only some of these"
+    with pytest.raises(ValueError, match=message):
+        list(localize(cut(unseen(block, slice(None)), [64]), SCENE, RADIO, [EKF]))
+
+
+def damaged(blocks):
+    yield from blocks
+    raise LogError("log.csv, line 7: found 'x'")
+
+
+@pytest.mark.parametrize("window", [None, 50, 1000])
+def test_damage_comes_after_the_epochs_before_it(block, window):
+    blocks = []
+    pieces = cut(block.part(slice(0, 130)), [40])
+    with pytest.raises(LogError, match="line 7"):
+        blocks.extend(localize(damaged(pieces), SCENE, RADIO, [EKF], window=window))
+    found, expected = whole(blocks), run(pieces, window=window)
+    for name in PER_EPOCH:
+        np.testing.assert_array_equal(getattr(found, name), getattr(expected, name), err_msg=name)
+    assert len(found) == 128
+
+
+def test_damage_before_a_line_of_sight_is_the_error():
+    with pytest.raises(LogError, match="line 7"):
+        list(localize(damaged([]), SCENE, RADIO, [EKF]))
+
+
+@pytest.mark.parametrize("first", [1, 100])
+@pytest.mark.parametrize("window", [None, 30])
+def test_a_gap_no_prediction_survives_is_damage(block, first, window):
+    time = block.time_s.copy()
+    time[2 + first :] += 1e200
+    time += np.arange(T) * np.where(time > 1e199, 1e190, 0.0)
+    blocks = []
+    with pytest.raises(LogError, match=r"time \d.*found no finite state.*expected gaps of days"):
+        blocks.extend(localize([replace(block, time_s=time)], SCENE, RADIO, [UKF], window=window))
+    found = whole(blocks)
+    assert len(found) == first and np.isfinite(found.smooth_x).all()
+
+
+def test_a_gap_of_a_minute_is_survived(block):
+    time = block.time_s.copy()
+    time[100:] += 60.0
+    found, without = run([replace(block, time_s=time)], [UKF]), run([block], [UKF])
+    off = np.linalg.norm(found.x[:, :3] - without.x[:, :3], axis=1)
+    assert off[150:].max() < 10.0 and np.isfinite(found.smooth_x).all()
+
+
+def test_modes_without_a_rule_are_refused(block):
+    with pytest.raises(ValueError, match="modes: found 2 and no rule"):
+        run([block], (Mode("a"), Mode("b")))

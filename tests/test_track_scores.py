@@ -1,0 +1,135 @@
+"""Running sums against the metrics of whole tracks, and evo's."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.stats import chi2
+
+from experiments.track_files import Truth
+from experiments.track_scores import Course, Groups, TruthScores
+from mmwave_env.estimator.pipeline import VERTICAL
+from mmwave_env.io.tum import tum_lines
+from mmwave_env.metrics import ate, rmse, rpe
+
+from .test_track_files import some_track
+
+T = 400
+
+
+def pieces(block, sizes):
+    first = 0
+    for size in sizes:
+        arrays = {
+            name: value[first : first + size]
+            for name, value in vars(block).items()
+            if isinstance(value, np.ndarray)
+        }
+        yield replace(block, **arrays)
+        first += size
+
+
+def unpacked(rows):
+    P = np.zeros((len(rows), 7, 7))
+    lower = np.tril_indices(7)
+    P[:, lower[0], lower[1]] = rows
+    return np.where(np.tri(7, dtype=bool), P, np.swapaxes(P, 1, 2))
+
+
+@pytest.mark.parametrize("sizes", [[T], [1, 99, 300], [250, 150], [40] * 10])
+@pytest.mark.parametrize("planar", [False, True])
+@pytest.mark.parametrize("known", [slice(0, T), slice(70, 330), slice(10, 12), slice(10, 11)])
+def test_accuracy_is_that_of_the_metrics(tmp_path, sizes, planar, known):
+    block = replace(some_track(T), planar=planar)
+    truth = block.x[:, :3] + np.random.default_rng(1).standard_normal((T, 3))
+    (tmp_path / "truth.tum").write_text(tum_lines(block.time_s[known], truth[known]))
+    scores = TruthScores(Truth(tmp_path / "truth.tum"), ["filtered", "smoothed"], planar)
+    found = np.concatenate([scores.add(piece) for piece in pieces(block, sizes)])
+    np.testing.assert_array_equal(found[known], truth[known])
+    figures = scores.figures()
+    n = known.stop - known.start
+    assert figures["scored"] == n == np.isfinite(found[:, 0]).sum()
+    axes = [i for i in range(3) if not (planar and i in VERTICAL)]
+    for name, x, P in (
+        ("filtered", block.x, block.P),
+        ("smoothed", block.smooth_x, block.smooth_P),
+    ):
+        error, row = (x[:, :3] - truth)[known], figures["tracks"][name]
+        assert row["ate_m"] == pytest.approx(ate(error), rel=1e-12)
+        assert row["rmse_m"] == pytest.approx(rmse(error), rel=1e-12)
+        position = unpacked(P[known])[:, axes][:, :, axes]
+        nees = np.einsum("ti,ti->t", error[:, axes],
+                         np.linalg.solve(position, error[:, axes, None])[..., 0])  # fmt: skip
+        assert row["nees"] == pytest.approx(nees.mean(), rel=1e-6)
+        low, high = chi2.ppf([0.025, 0.975], len(axes))
+        assert row["in_bounds"] == pytest.approx(((nees >= low) & (nees <= high)).mean())
+        if n > 3:
+            assert figures["rpe_epochs"] == 3  # a third of a second apart
+            assert row["rpe_m"] == pytest.approx(rpe(error, 3), rel=1e-9)
+        else:
+            assert row["rpe_m"] is None
+    assert figures["nees_expected"] == len(axes)
+
+
+def test_a_pose_counts_once(tmp_path):
+    block = replace(some_track(T), time_s=np.arange(T) * 0.001)
+    (tmp_path / "truth.tum").write_text(tum_lines(np.arange(0.0, 0.3, 0.1), np.zeros((3, 3))))
+    scores = TruthScores(Truth(tmp_path / "truth.tum"), ["filtered"], planar=False)
+    scores.add(block)
+    assert scores.scored == 3
+
+
+def test_a_truth_that_never_matches_scores_nothing(tmp_path):
+    (tmp_path / "truth.tum").write_text(tum_lines(np.arange(3.0), np.zeros((3, 3))))
+    scores = TruthScores(Truth(tmp_path / "truth.tum"), ["filtered"], planar=False)
+    assert np.isnan(scores.add(some_track(T))).all() and scores.scored == 0
+    assert scores.figures()["tracks"]["filtered"]["ate_m"] is None
+
+
+@pytest.mark.parametrize("sizes", [[T], [1, 99, 300]])
+def test_groups_are_counted(sizes):
+    block = some_track(T)
+    rng = np.random.default_rng(2)
+    accepted = block.visible & (rng.random((T, 4)) < 0.9)
+    accepted[:, 2] = False
+    block = replace(
+        block, accepted=accepted, nis=block.visible * rng.chisquare([4, 4, 4, 1], (T, 4))
+    )
+    groups = Groups()
+    for piece in pieces(block, sizes):
+        groups.add(piece)
+    figures = groups.figures()
+    assert list(figures) == ["anchor 1", "anchor 2", "anchor 3", "Doppler", "all"]
+    for g, dof in enumerate((4, 4, 4, 1)):
+        row = list(figures.values())[g]
+        seen, used = block.visible[:, g], accepted[:, g]
+        assert row["seen"] == seen.sum() and row["rejected"] == (seen & ~used).sum()
+        assert row["rejected_share"] == pytest.approx((seen & ~used).sum() / seen.sum())
+        assert row["incomplete"] == block.incomplete[:, g].sum()
+        if g == 2:
+            assert row["nis_per_dof"] is None and row["nis_in_bounds"] is None
+            continue
+        nis = block.nis[used, g]
+        assert row["nis_per_dof"] == pytest.approx(nis.mean() / dof)
+        low, high = chi2.ppf([0.025, 0.975], dof)
+        assert row["nis_in_bounds"] == pytest.approx(((nis >= low) & (nis <= high)).mean())
+    assert figures["all"]["seen"] == block.visible.sum()
+    weights = (accepted * [4, 4, 4, 1]).sum()
+    assert figures["all"]["nis_per_dof"] == pytest.approx((block.nis * accepted).sum() / weights)
+
+
+@pytest.mark.parametrize("sizes", [[T], [1, 99, 300]])
+def test_a_course_is_the_same_in_pieces(sizes):
+    block = replace(some_track(T), skipped=5)
+    course = Course(["slow", "fast"])
+    for piece in pieces(block, sizes):
+        course.add(piece)
+    figures = course.figures()
+    speed = np.linalg.norm(block.x[:, 3:6], axis=1)
+    assert figures["epochs"] == T and figures["skipped"] == 5
+    assert (figures["first_s"], figures["last_s"]) == (block.time_s[0], block.time_s[-1])
+    assert figures["modes"] == {"slow": (block.mode == 0).sum(), "fast": (block.mode == 1).sum()}
+    assert figures["switches"] == (np.diff(block.mode) != 0).sum()
+    assert figures["speed_mps"]["mean"] == pytest.approx(speed.mean())
+    assert figures["speed_mps"]["max"] == speed.max()
+    assert figures["speed_mps"]["epochs_above_design_limit"] == (speed > 20.0).sum()
