@@ -59,8 +59,9 @@ def filterpy_steps(pipeline: Pipeline, episodes: list[Episode]) -> Iterator[int]
     for episode in episodes:
         site = rebuild(blank_site(layout), iter(episode.site().tolist()))
         epochs = []
-        for row in episode.table(len(episode)).tolist():
-            epoch, truth = rebuild(blank_incoming(layout), iter(row))
+        for row in episode.table().tolist():
+            incoming = rebuild(blank_incoming(layout), iter(row))
+            epoch = incoming.epoch(layout)
             work = [
                 (
                     mode,
@@ -69,7 +70,7 @@ def filterpy_steps(pipeline: Pipeline, episodes: list[Episode]) -> Iterator[int]
                 )
                 for mode in pipeline.modes
             ]
-            epochs.append((epoch.dt, truth, work))
+            epochs.append((epoch.dt, incoming.truth, work))
         runs.append((site, epochs))
     while True:
         for site, epochs in runs:

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from mmwave_env.arithmetic import Number, where
 from mmwave_env.episode import Episode
 from mmwave_env.estimator.algebra import pack, unpack
-from mmwave_env.estimator.batch import Batch, Incoming, Program, blank_incoming, blank_site
+from mmwave_env.estimator.batch import Batch, Incoming, blank_incoming, blank_site
 from mmwave_env.estimator.belief import Belief
 from mmwave_env.estimator.imm import (
     Mixture,
@@ -36,6 +36,7 @@ from mmwave_env.estimator.pipeline import (
     consider,
     start,
 )
+from mmwave_env.estimator.program import Program
 from mmwave_env.estimator.trees import select
 from mmwave_env.observation import Observation, View
 from mmwave_env.reward import Reward
@@ -55,7 +56,9 @@ class Workspace(NamedTuple):
         candidates: per mode, for the epoch held.
         observation: (features,).
         reward: of the last committed epoch.
+        truth: (6,) of that epoch; where no epoch is committed yet, of the first.
         error: (3,) its position error, m.
+        distance: length of the error, m.
         nees: its NEES.
         P_predicted: (28,) covariance predicted for it.
     """
@@ -71,7 +74,9 @@ class Workspace(NamedTuple):
     candidates: list[Candidate]
     observation: list[Number]
     reward: Number
+    truth: list[Number]
     error: list[Number]
+    distance: Number
     nees: Number
     P_predicted: list[Number]
 
@@ -93,7 +98,9 @@ def _template(pipeline: Pipeline, features: int) -> Workspace:
         candidates=[candidate for _ in pipeline.modes],
         observation=[0.0] * features,
         reward=0.0,
+        truth=incoming.truth,
         error=[0.0] * 3,
+        distance=0.0,
         nees=0.0,
         P_predicted=site.prior_P,
     )
@@ -107,16 +114,16 @@ def epoch(w: Workspace, pipeline: Pipeline, observation: Observation, reward: Re
         picked = w.action > m - 0.5
         chosen = select(picked, w.candidates[m], chosen)
         cost = where(picked, pipeline.modes[m].cost, cost)
-    dt, visible = w.held.epoch.dt, w.held.epoch.visible
-    memory = commit(pipeline, w.action, w.x, chosen, w.memory, dt, visible)
+    done, truth = w.held.epoch(pipeline.layout), w.held.truth
+    memory = commit(pipeline, w.action, w.x, chosen, w.memory, done.dt, done.visible)
     belief = Belief(chosen.x, unpack(chosen.P, zero=pipeline.pinned), pipeline.position_axes)
-    score = reward(belief, w.held.truth) - cost
+    score = reward(belief, truth) - cost
 
     fresh = w.fresh > 0.5
     x = select(fresh, w.site.prior_x, chosen.x)
     P = select(fresh, w.site.prior_P, chosen.P)
     memory = select(fresh, start(pipeline), memory)
-    coming = w.incoming.epoch
+    coming = w.incoming.epoch(pipeline.layout)
     candidates = [consider(pipeline, m, x, P, memory, coming, w.site) for m in pipeline.modes]
     memory = anticipate(memory, candidates, coming)
     view = View(x, unpack(P, zero=pipeline.pinned), memory, candidates, coming, w.site)
@@ -129,8 +136,10 @@ def epoch(w: Workspace, pipeline: Pipeline, observation: Observation, reward: Re
         candidates=candidates,
         observation=observation.values(view),
         reward=score,
-        error=belief.error(w.held.truth),
-        nees=belief.nees(w.held.truth),
+        truth=select(fresh, w.incoming.truth, truth),
+        error=belief.error(truth),
+        distance=belief.distance(truth),
+        nees=belief.nees(truth),
         P_predicted=chosen.P_predicted,
     )
 
@@ -167,7 +176,9 @@ class Engine:
     ) -> None:
         self.pipeline = pipeline
         self.observation = Observation(pipeline, observation)
-        self._batch = Batch(_program(pipeline, observation, reward), pipeline.layout, n, on_floats)
+        program = _program(pipeline, observation, reward)
+        action = np.array([program.index.action])
+        self._batch = Batch(program, pipeline.layout, n, action, on_floats)
         self.size = self._batch.program.size
         self.at, self.span = self._batch.at, self._batch.span
         self.read, self.column = self._batch.read, self._batch.column
@@ -178,8 +189,9 @@ class Engine:
 
     def step(self, actions: NDArray[np.int64] | np.int64) -> None:
         """Commit every environment to its mode (n,), or all to one, and consider the next epoch."""
-        self._batch.write(self.at.action, actions)
-        self._batch.advance()
+        given = np.empty((self._batch.n, 1, 1))
+        given[:, 0, 0] = actions
+        self._batch.advance(given)
 
     def observations(self) -> NDArray[np.float32]:
         """The current observations (n, features), a copy."""
@@ -215,7 +227,8 @@ def _imm_program(
 ) -> Program[ImmWorkspace]:
     def function(w: ImmWorkspace) -> ImmWorkspace:
         mixture = restart(w.fresh > 0.5, pipeline, w.site, w.mixture)
-        mixture = imm_epoch(pipeline, transition, mixture, w.incoming.epoch, w.site)
+        coming = w.incoming.epoch(pipeline.layout)
+        mixture = imm_epoch(pipeline, transition, mixture, coming, w.site)
         x, P = estimate(mixture)
         belief = Belief(x, P, pipeline.position_axes)
         truth = w.incoming.truth

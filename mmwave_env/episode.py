@@ -135,35 +135,27 @@ class Episode:
         mean[2], mean[5] = height_m, 0.0
         return replace(self, prior_mean=mean)
 
-    def table(self, epochs: int) -> Array:
-        """(epochs, columns) as the engine loads it; blank past the end of the episode.
+    def table(self) -> Array:
+        """(T, columns) as the engine loads it.
 
-        Columns: dt, rows, standard deviations, visible groups, SNR, Doppler spread, true
-        position and velocity.
+        Columns: dt, rows, standard deviations (negative where the group is missing), SNR,
+        Doppler spread, true position and velocity.
         """
-        T, rows = len(self), self.layout.size
-        groups = len(self.layout.groups)
-        out = np.zeros((epochs, 1 + 2 * rows + groups + self.layout.anchors + 1 + 6))
-        out[:, 1 + rows : 1 + 2 * rows] = 1.0
-        body = out[:T]
+        links = self.usable[:, : self.layout.anchors]
         keep = np.repeat(self.usable, [r.stop - r.start for r in self.layout.groups], axis=1)
-        body[1:, 0] = np.diff(self.time_s)
-        at = 1
-        body[:, at : at + rows] = np.where(keep, self.measurement, 0.0)
-        at += rows
-        body[:, at : at + rows] = np.where(keep, self.sigma, 1.0)
-        at += rows
-        body[:, at : at + groups] = self.usable
-        at += groups
-        body[:, at : at + self.layout.anchors] = np.where(
-            self.usable[:, : self.layout.anchors], self.snr_db, 0.0
+        unknown = np.full((len(self), 3), np.nan)
+        position, velocity = self.truth_position_m, self.truth_velocity_mps
+        return np.column_stack(
+            [
+                np.diff(self.time_s, prepend=self.time_s[0]),
+                np.where(keep, self.measurement, 0.0),
+                np.where(keep, self.sigma, -1.0),
+                np.where(links, self.snr_db, 0.0),
+                self.doppler_spread_hz,
+                unknown if position is None else position,
+                unknown if velocity is None else velocity,
+            ]
         )
-        at += self.layout.anchors
-        body[:, at] = self.doppler_spread_hz
-        for truth in (self.truth_position_m, self.truth_velocity_mps):
-            body[:, at + 1 : at + 4] = np.nan if truth is None else truth
-            at += 3
-        return out
 
     def site(self) -> Array:
         """Anchors, carrier and packed prior as one row of numbers, as the engine loads it."""

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from mmwave_env.arithmetic import Number, Vector
 from mmwave_env.episode import Episode
 from mmwave_env.estimator.algebra import unpack
-from mmwave_env.estimator.batch import Batch, Incoming, Program, blank_incoming, blank_site
+from mmwave_env.estimator.batch import Batch, Incoming, blank_incoming, blank_site
 from mmwave_env.estimator.belief import Belief
 from mmwave_env.estimator.modes import Tuning
 from mmwave_env.estimator.pipeline import (
@@ -31,6 +31,7 @@ from mmwave_env.estimator.pipeline import (
     consider,
     start,
 )
+from mmwave_env.estimator.program import Program
 from mmwave_env.estimator.trees import leaves, select
 
 Array = NDArray[np.float64]
@@ -68,7 +69,7 @@ class Track(NamedTuple):
 
 def track_epoch(w: Track, pipeline: Pipeline, rule: Rule | None) -> Track:
     """One epoch of a track, on numbers."""
-    fresh, epoch = w.fresh > 0.5, w.incoming.epoch
+    fresh, epoch = w.fresh > 0.5, w.incoming.epoch(pipeline.layout)
     x, P = select(fresh, w.site.prior_x, w.x), select(fresh, w.site.prior_P, w.P)
     memory = select(fresh, start(pipeline), w.memory)
     mode = 0.0 if rule is None else rule(x, epoch)

@@ -166,10 +166,11 @@ def test_rules_of_tracks_are_the_papers(speed, mode):
     x = [0.0, 0.0, 0.0, 0.6 * speed, -0.8 * speed, 0.0, 7.0]
     slow = [0.0] * 7
     assert mode_at(speed) == mode
-    nothing = blank_incoming(Layout(3)).epoch
+    nothing = blank_incoming(Layout(3)).epoch(Layout(3))
     assert by_predicted_speed(x, nothing) == mode
     assert by_predicted_speed([0.0, 0.0, 0.0, 0.0, 0.0, speed, 0.0], nothing) == mode
-    blank = blank_incoming(Layout(3, odometry=True)).epoch
+    odometry = Layout(3, odometry=True)
+    blank = blank_incoming(odometry).epoch(odometry)
     assert by_odometry_speed(x, blank) == mode
     measured = blank._replace(z=[*blank.z[:-2], speed, 3.0], visible=[*blank.visible[:-1], 1.0])
     assert by_odometry_speed(slow, measured) == mode

@@ -85,7 +85,7 @@ def test_it_is_an_episode_source():
     assert source.epochs == len(episode) == 120
     assert source.name == episode.name == "canyon28_vehicle"
     assert episode.nonfinite == 0
-    assert np.isfinite(episode.table(120)).all()
+    assert np.isfinite(episode.table()).all()
     np.testing.assert_array_equal(episode.usable, VEHICLE.visible)
     np.testing.assert_array_equal(episode.truth_position_m, VEHICLE.position_m)
     np.testing.assert_array_equal(episode.truth_velocity_mps, VEHICLE.velocity_mps)
@@ -266,7 +266,7 @@ def test_numbers_that_are_not_visible_may_be_anything():
     )
     expected = RecordedSource(VEHICLE, RADIO).sample(generator())
     found = RecordedSource(recording, RADIO).sample(generator())
-    np.testing.assert_array_equal(found.table(120), expected.table(120))
+    np.testing.assert_array_equal(found.table(), expected.table())
     np.testing.assert_array_equal(found.sigma, expected.sigma)
 
 

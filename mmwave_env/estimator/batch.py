@@ -1,48 +1,59 @@
-"""Run a function of numbers for a batch of environments, on SIMD lanes or on floats.
+"""Run a program on episodes, for a batch of environments.
 
-A program maps a workspace tree to a workspace tree. Its leaves are rows of an array
-(blocks, rows, 8), eight environments to a block. The first field of a workspace,
-``incoming``, is loaded before each run from a table of whole tracks. A :class:`Batch` loads
-:class:`Incoming` epochs of episodes and fills in the next two fields as well: ``site``, and
-``fresh``, 1 where an episode begins; the program sets it back to 0.
+A :class:`Batch` loads :class:`Incoming` epochs of episodes and fills in the next two fields of
+a workspace as well: ``site``, and ``fresh``, 1 where an episode begins; the program sets it
+back to 0.
 """
 
-from collections.abc import Callable, Sequence
-from typing import Any, Generic, NamedTuple, TypeVar
+import os
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from functools import lru_cache
+from itertools import pairwise
+from typing import Any, Generic, NamedTuple
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from mmwave_env.arithmetic import Number
+from mmwave_env.arithmetic import Number, where
 from mmwave_env.episode import Episode
-from mmwave_env.estimator.lanes import WIDTH, kernel
+from mmwave_env.estimator.lanes import WIDTH
 from mmwave_env.estimator.pipeline import Epoch, Site
-from mmwave_env.estimator.trees import leaves, rebuild
+from mmwave_env.estimator.program import NO_ROWS, Array, Index, Program, Tracks, Workspace
+from mmwave_env.estimator.trees import leaves
 from mmwave_env.measurement import STATE_SIZE, Layout
 
-Workspace = TypeVar("Workspace", bound=tuple[Any, ...])
-Array = NDArray[np.float64]
-Index = NDArray[np.int64]
+BLOCKS_PER_THREAD = 16  # fewer than that are not worth a second thread
 
 
 class Incoming(NamedTuple):
-    """What is loaded from an episode.
+    """What is loaded from an episode, a row of :meth:`Episode.table`.
 
     Attributes:
-        epoch: measurements.
+        dt, z, snr_db, doppler_spread_hz: as in :class:`Epoch`.
+        signed_sigma: (rows,) standard deviations, negative where the group is missing.
         truth: (6,) true position (m) and velocity (m/s), to score against.
     """
 
-    epoch: Epoch
+    dt: Number
+    z: list[Number]
+    signed_sigma: list[Number]
+    snr_db: list[Number]
+    doppler_spread_hz: Number
     truth: list[Number]
+
+    def epoch(self, layout: Layout) -> Epoch:
+        """What the estimator sees of it."""
+        first = [self.signed_sigma[rows.start] for rows in layout.groups]
+        visible = [where(sigma > 0.0, 1.0, 0.0) for sigma in first]
+        sigma = [abs(sigma) for sigma in self.signed_sigma]
+        return Epoch(self.dt, self.z, sigma, visible, self.snr_db, self.doppler_spread_hz)
 
 
 def blank_incoming(layout: Layout) -> Incoming:
     """An epoch that measures nothing."""
-    rows, groups = layout.size, len(layout.groups)
-    epoch = Epoch(0.0, [0.0] * rows, [1.0] * rows, [0.0] * groups, [0.0] * layout.anchors, 0.0)
-    return Incoming(epoch, [0.0] * 6)
+    nothing = [0.0] * layout.size
+    return Incoming(0.0, nothing, [-1.0] * layout.size, [0.0] * layout.anchors, 0.0, [0.0] * 6)
 
 
 def blank_site(layout: Layout) -> Site:
@@ -52,165 +63,157 @@ def blank_site(layout: Layout) -> Site:
     return Site(anchors, 1.0, [1.0] * STATE_SIZE, prior)
 
 
-class Program(Generic[Workspace]):
-    """A function of numbers with its workspace, compiled at its first run on lanes.
+@lru_cache(maxsize=1)
+def _workers() -> ThreadPoolExecutor:
+    """The threads of this process that run blocks beside the calling one."""
+    return ThreadPoolExecutor(os.cpu_count(), "mmwave-lanes")
 
-    Args:
-        function: from a workspace tree to a workspace tree of the same shape.
-        template: a workspace of floats, the initial value.
-    """
 
-    def __init__(self, function: Callable[[Workspace], Workspace], template: Workspace) -> None:
-        self.function, self.template = function, template
-        self.size = len(leaves(template))
-        self.incoming = len(leaves(template[0]))
-        self.index: Workspace = rebuild(template, iter(range(self.size)))
-        self._on_lanes: Any = None
-
-    def run_on_lanes(
-        self, rows: Array, table: Array, first: Index, record: Index, out: Array
-    ) -> None:
-        """Run epoch after epoch, eight environments at a time.
-
-        Args:
-            rows: (blocks, size, 8) workspace, changed in place.
-            table: (n, epochs, incoming) episodes; lanes past n run environment 0's.
-            first: (n,) the epoch to load first; past the last, the last is loaded again.
-            record: (k,) the rows to keep.
-            out: (n, steps, k) gets them after each of the steps.
-        """
-        if self._on_lanes is None:
-            self._on_lanes = self._compile()
-        self._on_lanes(rows, table, first, record, out)
-
-    def run_on_floats(
-        self, rows: Array, table: Array, first: Index, record: Index, out: Array
-    ) -> None:
-        """The same, one environment at a time in plain Python: slow, for reference."""
-        for e in range(len(first)):
-            block, lane = divmod(e, WIDTH)
-            for step in range(out.shape[1]):
-                epoch = min(first[e] + step, table.shape[1] - 1)
-                rows[block, : self.incoming, lane] = table[e, epoch]
-                workspace = rebuild(self.template, iter(rows[block, :, lane].tolist()))
-                rows[block, :, lane] = leaves(self.function(workspace))
-                out[e, step] = rows[block, record, lane]
-
-    def _compile(self) -> Any:
-        incoming = self.incoming
-
-        def build(rows: Any) -> None:
-            before = [rows[i] for i in range(self.size)]
-            after = leaves(self.function(rebuild(self.template, iter(before))))
-            for i, (old, new) in enumerate(zip(before, after, strict=True)):
-                if new is not old:
-                    rows[i] = new
-
-        run = kernel(build)
-
-        @numba.njit(nogil=True)  # type: ignore[untyped-decorator]
-        def advance(rows: Array, table: Array, first: Index, record: Index, out: Array) -> None:
-            n, last = len(first), table.shape[1] - 1
-            for b in range(rows.shape[0]):
-                block = rows[b]
-                for step in range(out.shape[1]):
-                    for lane in range(WIDTH):
-                        e = b * WIDTH + lane if b * WIDTH + lane < n else 0
-                        epoch = min(first[e] + step, last)
-                        for i in range(incoming):
-                            block[i, lane] = table[e, epoch, i]
-                    run(block)
-                    for lane in range(min(WIDTH, n - b * WIDTH)):
-                        for i in range(len(record)):
-                            out[b * WIDTH + lane, step, i] = block[record[i], lane]
-
-        return advance
+if hasattr(os, "register_at_fork"):  # a forked child has no threads but its own
+    os.register_at_fork(after_in_child=_workers.cache_clear)
 
 
 class Batch(Generic[Workspace]):
     """N environments running one program.
 
-    Attributes:
+    Args:
         program: what runs.
         layout: rows of the measurements.
         n: number of environments.
+        feed: leaves of ``program.index`` that are given a value for every epoch.
+        on_floats: run in plain Python instead of on lanes.
+        threads: how many may work at once; results do not depend on it.
+
+    Attributes:
         at: the workspace tree with row numbers as leaves, to say what to read.
-        epoch: (n,) the epoch each environment runs next.
+        tracks: the environments' workspaces, episodes and next epochs.
     """
 
     def __init__(
-        self, program: Program[Workspace], layout: Layout, n: int, on_floats: bool = False
+        self,
+        program: Program[Workspace],
+        layout: Layout,
+        n: int,
+        feed: Index = NO_ROWS,
+        on_floats: bool = False,
+        threads: int = 1,
     ) -> None:
         self.program, self.layout, self.n = program, layout, n
         self.at = program.index
-        self.epoch = np.zeros(n, np.int64)
         blocks = -(-n // WIDTH)
         start = np.array(leaves(program.template), float)
-        self._rows = np.tile(start[None, :, None], (blocks, 1, WIDTH))
-        self._table = np.zeros((n, 1, program.incoming))
-        self._run = program.run_on_floats if on_floats else program.run_on_lanes
-        self._nothing = np.empty(0, np.int64), np.empty((n, 1, 0))
+        rows = np.tile(start[None, :, None], (blocks, 1, WIDTH))
+        self.tracks = Tracks.of(np.empty((n, 0, len(program.blank))), rows)
+        self._feed = feed
+        self._on_floats = on_floats
+        self._parts = 1 if on_floats else max(1, min(threads, blocks // BLOCKS_PER_THREAD))
 
-    def load(self, episodes: Sequence[Episode], gap_s: float | None = None) -> None:
-        """Load one episode each, to start over or to go on with.
+    def load(
+        self, episodes: Sequence[Episode], places: Index | None = None, gap_s: float | None = None
+    ) -> None:
+        """Load episodes, to start over or to go on with.
 
         Args:
-            episodes: one for each environment.
+            episodes: one for each of the places.
+            places: the environments to load; None for all.
             gap_s: seconds since the last epoch run, for episodes that continue the track;
                 None to start over from their priors.
 
         Raises:
             ValueError: another number of episodes, or another layout than the batch's.
         """
-        if len(episodes) != self.n:
-            raise ValueError(f"episodes: found {len(episodes)}, expected {self.n}")
+        places = np.arange(self.n) if places is None else places
+        if len(episodes) != len(places):
+            raise ValueError(f"episodes: found {len(episodes)}, expected {len(places)}")
         for episode in episodes:
             if episode.layout != self.layout:
                 raise ValueError(
                     f"layout of episode {episode.name!r}: found {episode.layout}, expected "
                     f"{self.layout}"
                 )
-        epochs = max(len(episode) for episode in episodes) + 1
-        self._table = np.stack([episode.table(epochs) for episode in episodes])
+        self._make_room(max(len(episode) for episode in episodes))
+        for place, episode in zip(places, episodes, strict=True):
+            self.tracks.length[place] = len(episode)
+            self.tracks.table[place, : len(episode)] = episode.table()
         if gap_s is not None:
-            self._table[:, 0, 0] = gap_s
-            self.epoch[:] = 0
+            self.tracks.table[places, 0, 0] = gap_s
+            self.tracks.epoch[places] = 0
             return
         _, site, _, *_ = self.at
-        self.write(site, np.stack([episode.site() for episode in episodes]))
-        self.restart()
+        self.write(site, np.stack([episode.site() for episode in episodes]), places)
+        self.restart(places)
 
-    def restart(self) -> None:
-        """Start over with the episodes loaded."""
+    def _make_room(self, epochs: int) -> None:
+        table = self.tracks.table
+        n, had, columns = table.shape
+        if epochs > had:
+            longer = np.empty((n, epochs, columns))
+            longer[:, :had] = table
+            self.tracks = self.tracks._replace(table=longer)
+
+    def restart(self, places: Index | None = None) -> None:
+        """Start over with the episodes loaded; ``places`` as in :meth:`load`."""
+        places = np.arange(self.n) if places is None else places
         _, _, fresh, *_ = self.at
-        self.write(fresh, np.ones(self.n))
-        self.epoch[:] = 0
+        self.write(fresh, 1.0, places)
+        self.tracks.epoch[places] = 0
 
     def begin(self, episodes: Sequence[Episode]) -> None:
         """Load one episode each and run their first epoch; see :meth:`load`."""
         self.load(episodes)
         self.advance()
 
-    def advance(self) -> None:
-        """Run the next epoch; past the end of an episode epochs are blank."""
-        self._run(self._rows, self._table, self.epoch, *self._nothing)
-        self.epoch += 1
+    def advance(
+        self,
+        given: Array | None = None,
+        keep: Index = NO_ROWS,
+        kept: Array | None = None,
+        running: NDArray[np.bool_] | None = None,
+    ) -> None:
+        """Run the next epochs; past the end of an episode epochs are blank.
 
-    def record(self, tree: Any, epochs: int) -> Array:
+        Args:
+            given: (n, epochs, fed rows) values of the rows that are fed; None for zeros.
+            keep: (k,) rows to keep.
+            kept: (n, epochs, k) gets them after every epoch; None for one epoch, nothing kept.
+            running: (n,) False for the environments to leave as they are; None for none.
+        """
+        kept = np.empty((self.n, 1, 0)) if kept is None else kept
+        if given is None:
+            given = np.zeros((self.n, kept.shape[1], len(self._feed)))
+        tracks = self.tracks if running is None else self.tracks._replace(running=running)
+        if self._on_floats:
+            self.program.run_on_floats(tracks, self._feed, given, keep, kept)
+            return
+        run = self.program.run_on_lanes
+        if self._parts == 1:
+            run(tracks, self._feed, given, keep, kept)
+            return
+        edges = [len(tracks.rows) * i // self._parts for i in range(self._parts + 1)]
+        jobs = []
+        for first, end in pairwise(edges):
+            some = slice(first * WIDTH, end * WIDTH)
+            jobs.append((tracks.blocks(first, end), self._feed, given[some], keep, kept[some]))
+        others = [_workers().submit(run, *job) for job in jobs[1:]]
+        run(*jobs[0])
+        for other in others:
+            other.result()
+
+    def record(self, tree: Any, epochs: int, given: Array | None = None) -> Array:
         """Run the next epochs and keep some rows of each.
 
         Args:
             tree: parts of ``at``.
             epochs: how many.
+            given: as in :meth:`advance`.
 
         Returns:
             (n, epochs, leaves of the tree).
         """
-        rows = np.array(leaves(tree), np.int64)
-        out = np.empty((self.n, epochs, len(rows)))
-        self._run(self._rows, self._table, self.epoch, rows, out)
-        self.epoch += epochs
-        return out
+        keep = np.array(leaves(tree), np.int64)
+        kept = np.empty((self.n, epochs, len(keep)))
+        self.advance(given, keep, kept)
+        return kept
 
     def span(self, tree: Any) -> slice:
         """The rows of a subtree of ``at``; leaves of a subtree lie side by side."""
@@ -219,20 +222,28 @@ class Batch(Generic[Workspace]):
 
     def read(self, tree: Any) -> Array:
         """The rows named by a subtree of ``at``, as a copy: (n,) of a leaf, else (n, leaves)."""
+        rows = self.tracks.rows
         if isinstance(tree, int):
-            return self._rows[:, tree, :].reshape(-1)[: self.n].copy()
-        chosen = self._rows[:, self.span(tree), :].transpose(0, 2, 1)
+            return rows[:, tree, :].reshape(-1)[: self.n].copy()
+        chosen = rows[:, self.span(tree), :].transpose(0, 2, 1)
         return np.ascontiguousarray(chosen).reshape(-1, chosen.shape[2])[: self.n]
 
     def column(self, environment: int) -> Array:
         """All rows of one environment (size,), as a copy; :meth:`span` says where what is."""
         block, lane = divmod(environment, WIDTH)
-        return self._rows[block, :, lane].copy()
+        return self.tracks.rows[block, :, lane].copy()
 
-    def write(self, tree: Any, values: Any) -> None:
-        """Set the rows named by a subtree of ``at``: values (n,) of a leaf, else (n, leaves)."""
+    def write(self, tree: Any, values: Any, places: Index | None = None) -> None:
+        """Set the rows named by a subtree of ``at``: values (n,) of a leaf, else (n, leaves).
+
+        Args:
+            tree: a part of ``at``.
+            values: for each of the places.
+            places: as in :meth:`load`.
+        """
+        places = np.arange(self.n) if places is None else places
+        block, lane = np.divmod(places, WIDTH)
         if isinstance(tree, int):
-            self._rows[:, tree, :].flat[: self.n] = values
-            return
-        for row, column in zip(leaves(tree), values.T, strict=True):
-            self._rows[:, row, :].flat[: self.n] = column
+            self.tracks.rows[block, tree, lane] = values
+        else:
+            self.tracks.rows[block[:, None], leaves(tree), lane[:, None]] = values

@@ -8,10 +8,10 @@ from numpy.typing import NDArray
 
 from mmwave_env.arithmetic import Number, Vector
 from mmwave_env.estimator.algebra import backward, cholesky, dot, forward, pack, symmetric, unpack
-from mmwave_env.estimator.batch import Program
 from mmwave_env.estimator.lanes import WIDTH
 from mmwave_env.estimator.motion import move
 from mmwave_env.estimator.pipeline import VERTICAL
+from mmwave_env.estimator.program import NO_ROWS, Program, Tracks
 from mmwave_env.estimator.trees import select
 from mmwave_env.measurement import STATE_SIZE
 
@@ -121,6 +121,7 @@ def smooth(
     rows[:, at.last] = 1.0
     out = np.empty((N, T, STATE_SIZE + len(at.P)))
     record = np.array([*at.x, *at.P], np.int64)
-    program.run_on_lanes(rows, table, np.zeros(N, np.int64), record, out)
+    nothing = np.empty((N, T, 0))
+    program.run_on_lanes(Tracks.of(table, rows), NO_ROWS, nothing, record, out)
     smoothed = out[:, ::-1]
     return smoothed[..., :STATE_SIZE].copy(), smoothed[..., STATE_SIZE:].copy()

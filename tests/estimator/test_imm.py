@@ -77,7 +77,7 @@ def textbook_imm(episode, modes, transition):
             prior = textbook.predict(mixed_x[j], mixed_P[j], Q * dt, dt)
             step = textbook.update(
                 textbook.METHODS[method], sensor, sensor.groups, sensor.links, *prior,
-                episode.table(len(episode))[t, 1:14], episode.sigma[t] ** 2, episode.usable[t],
+                episode.table()[t, 1:14], episode.sigma[t] ** 2, episode.usable[t],
             )  # fmt: skip
             x[j], P[j], log_likelihood[j] = step.x, step.P, step.log_likelihood
         probability = predicted * np.exp(log_likelihood - log_likelihood.max())
