@@ -8,24 +8,16 @@ Nothing an action does changes the world, so episodes are loaded whole.
 
 from collections.abc import Sequence
 from functools import lru_cache
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from mmwave_env.arithmetic import Number, where
 from mmwave_env.episode import Episode
-from mmwave_env.estimator.algebra import pack, unpack
+from mmwave_env.estimator.algebra import unpack
 from mmwave_env.estimator.batch import Batch, Incoming, blank_incoming, blank_site
 from mmwave_env.estimator.belief import Belief
-from mmwave_env.estimator.imm import (
-    Mixture,
-    begin,
-    estimate,
-    imm_epoch,
-    restart,
-    stay_matrix,
-)
 from mmwave_env.estimator.pipeline import (
     Candidate,
     Memory,
@@ -36,10 +28,23 @@ from mmwave_env.estimator.pipeline import (
     consider,
     start,
 )
-from mmwave_env.estimator.program import Program
+from mmwave_env.estimator.program import Array, Index, Program
 from mmwave_env.estimator.trees import select
 from mmwave_env.observation import Observation, View
 from mmwave_env.reward import Reward
+
+
+class Held(NamedTuple):
+    """What is needed of an epoch once its candidates are there.
+
+    Attributes:
+        dt, visible: as in :class:`~mmwave_env.estimator.pipeline.Epoch`.
+        truth: (6,) true position (m) and velocity (m/s).
+    """
+
+    dt: Number
+    visible: list[Number]
+    truth: list[Number]
 
 
 class Workspace(NamedTuple):
@@ -67,7 +72,7 @@ class Workspace(NamedTuple):
     site: Site
     fresh: Number
     action: Number
-    held: Incoming
+    held: Held
     x: list[Number]
     P: list[Number]
     memory: Memory
@@ -91,7 +96,7 @@ def _template(pipeline: Pipeline, features: int) -> Workspace:
         site=site,
         fresh=1.0,
         action=0.0,
-        held=incoming,
+        held=Held(0.0, [0.0] * len(layout.groups), incoming.truth),
         x=site.prior_x,
         P=site.prior_P,
         memory=start(pipeline),
@@ -114,8 +119,8 @@ def epoch(w: Workspace, pipeline: Pipeline, observation: Observation, reward: Re
         picked = w.action > m - 0.5
         chosen = select(picked, w.candidates[m], chosen)
         cost = where(picked, pipeline.modes[m].cost, cost)
-    done, truth = w.held.epoch(pipeline.layout), w.held.truth
-    memory = commit(pipeline, w.action, w.x, chosen, w.memory, done.dt, done.visible)
+    dt, visible, truth = w.held
+    memory = commit(pipeline, w.action, w.x, chosen, w.memory, dt, visible)
     belief = Belief(chosen.x, unpack(chosen.P, zero=pipeline.pinned), pipeline.position_axes)
     score = reward(belief, truth) - cost
 
@@ -129,7 +134,7 @@ def epoch(w: Workspace, pipeline: Pipeline, observation: Observation, reward: Re
     view = View(x, unpack(P, zero=pipeline.pinned), memory, candidates, coming, w.site)
     return w._replace(
         fresh=0.0,
-        held=w.incoming,
+        held=Held(coming.dt, coming.visible, w.incoming.truth),
         x=x,
         P=P,
         memory=memory,
@@ -164,6 +169,7 @@ class Engine:
         reward: function of (belief, truth).
         observation: "full" or "prior".
         on_floats: run in plain Python instead of on lanes (the filterpy twin needs it).
+        threads: how many may work at once; results do not depend on it.
     """
 
     def __init__(
@@ -173,12 +179,14 @@ class Engine:
         reward: Reward,
         observation: str = "full",
         on_floats: bool = False,
+        threads: int = 1,
     ) -> None:
         self.pipeline = pipeline
         self.observation = Observation(pipeline, observation)
         program = _program(pipeline, observation, reward)
         action = np.array([program.index.action])
-        self._batch = Batch(program, pipeline.layout, n, action, on_floats)
+        self._batch = Batch(program, pipeline.layout, n, action, on_floats, threads)
+        self._given = np.zeros((n, 1, 1))
         self.size = self._batch.program.size
         self.at, self.span = self._batch.at, self._batch.span
         self.read, self.column = self._batch.read, self._batch.column
@@ -187,96 +195,45 @@ class Engine:
         """Start over with one episode each and consider its first epoch."""
         self._batch.begin(episodes)
 
-    def step(self, actions: NDArray[np.int64] | np.int64) -> None:
-        """Commit every environment to its mode (n,), or all to one, and consider the next epoch."""
-        given = np.empty((self._batch.n, 1, 1))
-        given[:, 0, 0] = actions
-        self._batch.advance(given)
+    def load(self, episodes: Sequence[Episode], places: Index) -> None:
+        """Give some environments an episode, to start over with at the next run."""
+        self._batch.load(episodes, places)
+
+    def start(self, places: Index) -> None:
+        """Consider the first epoch in environments just loaded; the others stay as they are."""
+        running = np.zeros(self._batch.n, np.bool_)
+        running[places] = True
+        self._batch.advance(self._given, running=running)
+
+    def step(self, actions: NDArray[np.integer[Any]] | np.int64) -> None:
+        """Commit every environment to its mode (n,), or all to one, and consider the next epoch.
+
+        An environment just loaded starts its episode instead.
+        """
+        self._given[:, 0, 0] = actions
+        self._batch.advance(self._given)
+
+    def lengths(self) -> Index:
+        """(n,) epochs in the episodes loaded."""
+        return self._batch.tracks.length
+
+    def replay(self, tree: Any, places: Index, actions: NDArray[Any]) -> tuple[Array, Array]:
+        """Run the episodes of some environments again, with all their actions at once.
+
+        Args:
+            tree: parts of ``at`` to keep.
+            places: the environments, which stay as they are.
+            actions: (places, epochs).
+
+        Returns:
+            (places, epochs, leaves of the tree) and the epochs' dt (places, epochs), s.
+        """
+        again = self._batch.again(places)
+        again.advance()
+        epochs = actions.shape[1]
+        kept = again.record(tree, epochs, actions[..., None].astype(np.float64))
+        return kept, again.tracks.table[:, :epochs, 0]
 
     def observations(self) -> NDArray[np.float32]:
         """The current observations (n, features), a copy."""
-        return self.read(self.at.observation).astype(np.float32)
-
-
-class ImmWorkspace(NamedTuple):
-    """Everything an IMM holds between two epochs.
-
-    Attributes:
-        incoming: the epoch just filtered.
-        site: anchors, carrier and prior.
-        fresh: 1 to start over from the prior.
-        mixture: belief and probability of every mode.
-        x, P: (7,), (28,) the combined belief.
-        reward, error, nees: of the epoch, as in :class:`Workspace`.
-    """
-
-    incoming: Incoming
-    site: Site
-    fresh: Number
-    mixture: Mixture
-    x: list[Number]
-    P: list[Number]
-    reward: Number
-    error: list[Number]
-    nees: Number
-
-
-@lru_cache(maxsize=32)
-def _imm_program(
-    pipeline: Pipeline, transition: tuple[tuple[float, ...], ...], reward: Reward
-) -> Program[ImmWorkspace]:
-    def function(w: ImmWorkspace) -> ImmWorkspace:
-        mixture = restart(w.fresh > 0.5, pipeline, w.site, w.mixture)
-        coming = w.incoming.epoch(pipeline.layout)
-        mixture = imm_epoch(pipeline, transition, mixture, coming, w.site)
-        x, P = estimate(mixture)
-        belief = Belief(x, P, pipeline.position_axes)
-        truth = w.incoming.truth
-        return w._replace(
-            fresh=0.0,
-            mixture=mixture,
-            x=x,
-            P=pack(P),
-            reward=reward(belief, truth),
-            error=belief.error(truth),
-            nees=belief.nees(truth),
-        )
-
-    incoming, site = blank_incoming(pipeline.layout), blank_site(pipeline.layout)
-    mixture = begin(pipeline, site.prior_x, site.prior_P)
-    template = ImmWorkspace(
-        incoming, site, 1.0, mixture, site.prior_x, site.prior_P, 0.0, [0.0] * 3, 0.0
-    )
-    return Program(function, template)
-
-
-class ImmEngine:
-    """N interacting-multiple-model estimators in step; no actions, it weighs the modes itself.
-
-    Args:
-        pipeline: modes and layout.
-        n: number of estimators.
-        reward: function of (belief, truth), for comparison with policies.
-        transition: (modes, modes) transition probabilities, rows sum to 1; None for the
-            default, which stays with probability 0.95.
-    """
-
-    def __init__(
-        self,
-        pipeline: Pipeline,
-        n: int,
-        reward: Reward,
-        transition: tuple[tuple[float, ...], ...] | None = None,
-    ) -> None:
-        transition = transition or stay_matrix(len(pipeline.modes))
-        self.pipeline = pipeline
-        self._batch = Batch(_imm_program(pipeline, transition, reward), pipeline.layout, n)
-        self.at, self.read = self._batch.at, self._batch.read
-
-    def reset(self, episodes: Sequence[Episode]) -> None:
-        """Start over with one episode each and filter the first epoch."""
-        self._batch.begin(episodes)
-
-    def step(self) -> None:
-        """Filter the next epoch."""
-        self._batch.advance()
+        return self.read(self.at.observation, np.float32)

@@ -242,7 +242,7 @@ def _smooth(block: TrackBlock, window: int) -> TrackBlock:
         windows(block.x),
         windows(block.P),
         windows(block.P_predicted),
-        windows(block.time_s),
+        np.diff(windows(block.time_s)),
         block.planar,
     )
     return replace(block, smooth_x=x.reshape(block.x.shape), smooth_P=P.reshape(block.P.shape))

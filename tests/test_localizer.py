@@ -152,7 +152,7 @@ def test_every_window_is_smoothed_and_what_is_left_too(block, window):
     for first in range(0, T - 2, window):
         part = slice(first, first + window)
         values = (found.x, found.P, found.P_predicted)
-        x, P = smooth(*(v[None, part] for v in values), found.time_s[part])
+        x, P = smooth(*(v[None, part] for v in values), np.diff(found.time_s[part]))
         np.testing.assert_allclose(found.smooth_x[part], x[0], rtol=1e-12, atol=1e-12)
         np.testing.assert_allclose(found.smooth_P[part], P[0], rtol=1e-12, atol=1e-12)
     assert not np.array_equal(found.smooth_x, found.x)

@@ -124,7 +124,8 @@ def _tracks(
     tracker.load(episodes)
     found = tracker.run("x", "P", "P_predicted", "error", "nees")
     x, error = found["x"], found["error"]
-    better_x, better_P = smooth(x, found["P"], found["P_predicted"], episodes[0].time_s, planar)
+    dt = np.diff(episodes[0].time_s)
+    better_x, better_P = smooth(x, found["P"], found["P_predicted"], dt, planar)
     better = error + better_x[..., :3] - x[..., :3]
     covariance = unpack(list(np.moveaxis(better_P, -1, 0)), zero=pipeline.pinned)
     # The error as the state and the origin as the truth: NEES sees their difference alone.

@@ -5,15 +5,12 @@ a workspace as well: ``site``, and ``fresh``, 1 where an episode begins; the pro
 back to 0.
 """
 
-import os
 from collections.abc import Sequence
-from concurrent.futures import ThreadPoolExecutor
-from functools import lru_cache
 from itertools import pairwise
 from typing import Any, Generic, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import DTypeLike, NDArray
 
 from mmwave_env.arithmetic import Number, where
 from mmwave_env.episode import Episode
@@ -22,8 +19,9 @@ from mmwave_env.estimator.pipeline import Epoch, Site
 from mmwave_env.estimator.program import NO_ROWS, Array, Index, Program, Tracks, Workspace
 from mmwave_env.estimator.trees import leaves
 from mmwave_env.measurement import STATE_SIZE, Layout
+from mmwave_env.threads import share
 
-BLOCKS_PER_THREAD = 16  # fewer than that are not worth a second thread
+BLOCKS_PER_THREAD = 64  # waking a thread costs as much as 16 of them
 
 
 class Incoming(NamedTuple):
@@ -61,16 +59,6 @@ def blank_site(layout: Layout) -> Site:
     prior = [float(i == j) for i in range(STATE_SIZE) for j in range(i + 1)]
     anchors = [[0.0, 0.0, 10.0 + a] for a in range(layout.anchors)]
     return Site(anchors, 1.0, [1.0] * STATE_SIZE, prior)
-
-
-@lru_cache(maxsize=1)
-def _workers() -> ThreadPoolExecutor:
-    """The threads of this process that run blocks beside the calling one."""
-    return ThreadPoolExecutor(os.cpu_count(), "mmwave-lanes")
-
-
-if hasattr(os, "register_at_fork"):  # a forked child has no threads but its own
-    os.register_at_fork(after_in_child=_workers.cache_clear)
 
 
 class Batch(Generic[Workspace]):
@@ -158,6 +146,18 @@ class Batch(Generic[Workspace]):
         self.write(fresh, 1.0, places)
         self.tracks.epoch[places] = 0
 
+    def again(self, places: Index) -> "Batch[Workspace]":
+        """A batch of some environments' episodes, about to start over."""
+        other = Batch(self.program, self.layout, len(places), self._feed, self._on_floats)
+        tracks, (_, site, *_) = self.tracks, self.at
+        rows = tracks.rows[(places // WIDTH)[:, None], leaves(site), (places % WIDTH)[:, None]]
+        other.tracks = other.tracks._replace(
+            table=tracks.table[places], length=tracks.length[places]
+        )
+        other.write(site, rows)
+        other.restart()
+        return other
+
     def begin(self, episodes: Sequence[Episode]) -> None:
         """Load one episode each and run their first epoch; see :meth:`load`."""
         self.load(episodes)
@@ -194,10 +194,7 @@ class Batch(Generic[Workspace]):
         for first, end in pairwise(edges):
             some = slice(first * WIDTH, end * WIDTH)
             jobs.append((tracks.blocks(first, end), self._feed, given[some], keep, kept[some]))
-        others = [_workers().submit(run, *job) for job in jobs[1:]]
-        run(*jobs[0])
-        for other in others:
-            other.result()
+        share(run, jobs, self._parts)
 
     def record(self, tree: Any, epochs: int, given: Array | None = None) -> Array:
         """Run the next epochs and keep some rows of each.
@@ -220,13 +217,14 @@ class Batch(Generic[Workspace]):
         numbers = leaves(tree)
         return slice(numbers[0], numbers[-1] + 1)
 
-    def read(self, tree: Any) -> Array:
-        """The rows named by a subtree of ``at``, as a copy: (n,) of a leaf, else (n, leaves)."""
+    def read(self, tree: Any, dtype: DTypeLike = np.float64) -> NDArray[Any]:
+        """The rows of a subtree of ``at``, or of its span: a copy, (n,) of a leaf, else (n, k)."""
         rows = self.tracks.rows
         if isinstance(tree, int):
-            return rows[:, tree, :].reshape(-1)[: self.n].copy()
-        chosen = rows[:, self.span(tree), :].transpose(0, 2, 1)
-        return np.ascontiguousarray(chosen).reshape(-1, chosen.shape[2])[: self.n]
+            return rows[:, tree, :].reshape(-1)[: self.n].astype(dtype)
+        span = tree if isinstance(tree, slice) else self.span(tree)
+        chosen = rows[:, span, :].transpose(0, 2, 1).astype(dtype, order="C")
+        return chosen.reshape(-1, chosen.shape[2])[: self.n]
 
     def column(self, environment: int) -> Array:
         """All rows of one environment (size,), as a copy; :meth:`span` says where what is."""

@@ -5,6 +5,7 @@ A program maps a workspace tree to a workspace tree. Its leaves are rows of an a
 ``incoming``, is loaded before each run from a table of whole tracks.
 """
 
+import threading
 from collections.abc import Callable
 from typing import Any, Generic, NamedTuple, TypeVar
 
@@ -20,6 +21,7 @@ Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 
 NO_ROWS = np.empty(0, np.int64)
+_COMPILING = threading.Lock()
 
 
 class Tracks(NamedTuple):
@@ -79,8 +81,9 @@ class Program(Generic[Workspace]):
             keep: (k,) rows to keep after every epoch.
             kept: (n, epochs, k) gets them; its length is the number of epochs to run.
         """
-        if self._on_lanes is None:
-            self._on_lanes = self._compile()
+        with _COMPILING:
+            if self._on_lanes is None:
+                self._on_lanes = self._compile()
         self._on_lanes(*tracks, feed, given, keep, kept)
 
     def run_on_floats(
@@ -88,9 +91,8 @@ class Program(Generic[Workspace]):
     ) -> None:
         """The same, one environment at a time in plain Python: slow, for reference."""
         rows, table, length, epoch, running = tracks
-        for e in range(len(epoch)):
+        for e in np.flatnonzero(running):
             lanes = rows[e // WIDTH, :, e % WIDTH]
-            before = lanes.copy()
             for step in range(kept.shape[1]):
                 t = epoch[e] + step
                 lanes[: len(self.blank)] = table[e, t] if t < length[e] else self.blank
@@ -98,10 +100,7 @@ class Program(Generic[Workspace]):
                 workspace = rebuild(self.template, iter(lanes.tolist()))
                 lanes[:] = leaves(self.function(workspace))
                 kept[e, step] = lanes[keep]
-            if running[e]:
-                epoch[e] += kept.shape[1]
-            else:
-                lanes[:] = before
+            epoch[e] += kept.shape[1]
 
     def _compile(self) -> Any:
         blank = self.blank
@@ -142,8 +141,9 @@ class Program(Generic[Workspace]):
                         )
                     run(block)
                     for lane in range(here):
-                        for i in range(len(keep)):
-                            kept[first + lane, step, i] = block[keep[i], lane]
+                        if running[first + lane]:
+                            for i in range(len(keep)):
+                                kept[first + lane, step, i] = block[keep[i], lane]
                 for lane in range(here):
                     if running[first + lane]:
                         epoch[first + lane] += steps

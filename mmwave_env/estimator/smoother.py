@@ -97,7 +97,7 @@ def _program(pinned: tuple[int, ...]) -> Program[Workspace]:
 
 
 def smooth(
-    x: Array, P: Array, P_predicted: Array, time_s: Array, planar: bool = False
+    x: Array, P: Array, P_predicted: Array, dt: Array, planar: bool = False
 ) -> tuple[Array, Array]:
     """Smoothed means (N, T, 7) and packed covariances (N, T, 28) of finished tracks.
 
@@ -105,7 +105,7 @@ def smooth(
         x: (N, T, 7) filtered means.
         P: (N, T, 28) filtered covariances, packed.
         P_predicted: (N, T, 28) covariances predicted for each epoch, before its update.
-        time_s: (T,) of the epochs, or (N, T) of every track's own.
+        dt: (T - 1,) seconds from each epoch to the next, or (N, T - 1) of every track's own.
         planar: z and vz are known exactly.
     """
     program = _program(VERTICAL if planar else ())
@@ -115,7 +115,7 @@ def smooth(
     table[..., :at_P], table[..., at_P:at_coming] = x[:, ::-1], P[:, ::-1]
     table[:, 0, at_coming:-1] = P_predicted[:, -1]  # unused at the last epoch, but sound
     table[:, 1:, at_coming:-1] = P_predicted[:, :0:-1]
-    table[:, 1:, -1] = np.diff(time_s)[..., ::-1]
+    table[:, 1:, -1] = dt[..., ::-1]
     rows = np.zeros((-(-N // WIDTH), program.size, WIDTH))
     at = program.index
     rows[:, at.last] = 1.0

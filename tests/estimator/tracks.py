@@ -5,10 +5,11 @@ from operator import attrgetter
 
 import numpy as np
 
-from mmwave_env.engine import Engine, ImmEngine
+from mmwave_env.engine import Engine
 from mmwave_env.episode import Episode, SimulatedSource
 from mmwave_env.estimator.modes import Mode
 from mmwave_env.estimator.pipeline import Pipeline
+from mmwave_env.imm_engine import ImmEngine
 from mmwave_env.measurement import Layout
 from mmwave_env.radio import RADIOS
 from mmwave_env.reward import TrackingReward

@@ -1,0 +1,47 @@
+"""Sharing jobs among threads. Kernels run without the interpreter's lock, so that it pays."""
+
+import os
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from functools import lru_cache
+from typing import Any, TypeVar
+
+Result = TypeVar("Result")
+
+
+@lru_cache(maxsize=1)
+def _helpers() -> ThreadPoolExecutor:
+    """The threads of this process that work beside the calling one."""
+    return ThreadPoolExecutor(os.cpu_count(), "mmwave-env")
+
+
+if hasattr(os, "register_at_fork"):  # a forked child has no threads but its own
+    os.register_at_fork(after_in_child=_helpers.cache_clear)
+
+
+def share(
+    function: Callable[..., Result], jobs: Sequence[tuple[Any, ...]], threads: int
+) -> list[Result]:
+    """What ``function(*job)`` returns for every job, in order.
+
+    Args:
+        function: to call.
+        jobs: its arguments.
+        threads: how many may work at once, the calling one among them.
+    """
+    if threads == 1 or len(jobs) == 1:
+        return [function(*job) for job in jobs]
+    found: list[Any] = [None] * len(jobs)
+    waiting = iter(range(len(jobs)))  # next() is atomic
+
+    def work() -> None:
+        for i in waiting:
+            found[i] = function(*jobs[i])
+
+    others = [_helpers().submit(work) for _ in range(min(threads, len(jobs)) - 1)]
+    try:
+        work()
+    finally:
+        for other in others:
+            other.result()
+    return found
