@@ -159,7 +159,7 @@ def test_the_docstring_explains_every_argument_and_every_info():
     for name in inspect.signature(MmWaveLocEnv).parameters:
         assert f"`{name}`" in arguments
     information = page.split("## Information")[1].split("## Arguments")[0]
-    for key in STEP_KEYS | END_KEYS | {"episode", "nonfinite"}:
+    for key in STEP_KEYS | END_KEYS | {"episode_name", "nonfinite"}:
         assert f"`{key}`" in information
 
 
@@ -262,8 +262,8 @@ def test_an_episode_is_truncated_after_its_steps(episode_steps):
 def test_info_holds_what_is_documented():
     env = gym.make(ID, episode_steps=5)
     _, info = env.reset(seed=0)
-    assert set(info) == {"episode", "nonfinite", "truth", "estimate"}
-    assert info["episode"] in ("pedestrian", "vehicle", "walk-ride", "jam", "cyclist")
+    assert set(info) == {"episode_name", "nonfinite", "truth", "estimate"}
+    assert info["episode_name"] in ("pedestrian", "vehicle", "walk-ride", "jam", "cyclist")
     assert info["nonfinite"] == 0
     done = roll(env)
     for *_, info in done[:-1]:
@@ -284,7 +284,7 @@ def test_info_tells_the_episode_s_truth_and_prior():
     episode = draw(9)
     env = gym.make(ID, **EKF)
     _, info = env.reset(seed=9)
-    assert info["episode"] == episode.name
+    assert info["episode_name"] == episode.name
     np.testing.assert_array_equal(info["estimate"], episode.prior_mean)
     states = np.hstack([episode.truth_position_m, episode.truth_velocity_mps])
     np.testing.assert_array_equal(info["truth"], states[0])

@@ -166,7 +166,7 @@ def test_episodes_are_those_of_the_environment():
     env = gym.make("MmWaveLoc-v0")
     for episode, seed in zip(draw_episodes(SOURCE, [0, 5_000_000]), [0, 5_000_000], strict=True):
         _, info = env.reset(seed=seed)
-        assert info["episode"] == episode.name
+        assert info["episode_name"] == episode.name
         np.testing.assert_array_equal(info["estimate"], episode.prior_mean)
 
 

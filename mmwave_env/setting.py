@@ -1,0 +1,107 @@
+"""What the arguments of ``MmWaveLoc-v0`` mean, for the single and the vector environment."""
+
+import os
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from mmwave_env.episode import Episode, EpisodeSource, SimulatedSource
+from mmwave_env.estimator.modes import Mode, modes_from
+from mmwave_env.estimator.pipeline import Pipeline
+from mmwave_env.io.samples import recording_from
+from mmwave_env.radio import Radio, radio_from
+from mmwave_env.recording import RecordedSource
+from mmwave_env.reward import Reward, reward_from
+from mmwave_env.scene import Scene, scene_from
+
+EPISODE_STEPS = 200
+
+
+@dataclass(frozen=True)
+class Setting:
+    """A task: where episodes come from, what filters them and what counts.
+
+    Attributes:
+        source: of episodes.
+        radio: profile of the receiver.
+        pipeline: modes and layout.
+        reward: function of (belief, truth).
+        worst: what a diverged episode pays for every epoch left; None where none ends early.
+    """
+
+    source: EpisodeSource
+    radio: Radio
+    pipeline: Pipeline
+    reward: Reward
+    worst: float | None
+
+    def draw(self, rng: np.random.Generator) -> Episode:
+        """The next episode of an environment."""
+        episode = self.source.sample(rng)
+        episode.require_truth()
+        if self.pipeline.planar:
+            assert episode.truth_position_m is not None
+            episode = episode.on_flat_ground(float(episode.truth_position_m[0, 2]))
+        return episode
+
+
+def setting_from(
+    scenario: str | None = None,
+    radio: str | Radio = "handset",
+    scene: str | Scene | None = None,
+    modes: Sequence[Mode | str] | str | os.PathLike[str] | None = None,
+    reward: str | Reward = "tracking",
+    episode_steps: int | None = None,
+    dt: float | None = None,
+    episodes: str | os.PathLike[str] | EpisodeSource | None = None,
+    planar: bool = False,
+    odometry: bool = False,
+    terminate_on_divergence: bool = False,
+) -> Setting:
+    """The task of an environment's arguments, which its class explains.
+
+    Raises:
+        ValueError: an argument that means nothing; the message says what would.
+    """
+    radio = radio_from(radio)
+    if episodes is None:
+        source: EpisodeSource = SimulatedSource(
+            scene_from("street" if scene is None else scene),
+            radio,
+            "mixed" if scenario is None else scenario,
+            1.0 if dt is None else dt,
+            EPISODE_STEPS if episode_steps is None else episode_steps,
+            odometry,
+        )
+    else:
+        brought = {"scenario": scenario, "scene": scene, "dt": dt, "odometry": odometry or None}
+        for name, value in brought.items():
+            if value is not None:
+                raise ValueError(f"{name}: found {value!r}, but recorded episodes= bring it")
+        source = _recorded(episodes, radio, episode_steps)
+        radio = getattr(source, "radio", radio)
+    pays = reward_from(reward)
+    pipeline = Pipeline(modes_from(modes, radio.name), source.layout, planar)
+    worst = None
+    if terminate_on_divergence:
+        if getattr(pays, "worst", None) is None:
+            raise ValueError("terminate_on_divergence: the reward needs an attribute `worst`")
+        worst = pays.worst - max(mode.cost for mode in pipeline.modes)  # type: ignore[attr-defined]
+    return Setting(source, radio, pipeline, pays, worst)
+
+
+def _recorded(
+    episodes: str | os.PathLike[str] | EpisodeSource, radio: Radio, steps: int | None
+) -> EpisodeSource:
+    """The source of an ``episodes=`` argument."""
+    if isinstance(episodes, (str, os.PathLike)):
+        return RecordedSource(recording_from(episodes), radio, epochs=steps)
+    if not hasattr(episodes, "layout") or not hasattr(episodes, "sample"):
+        raise ValueError(
+            f"episodes: found {episodes!r}, expected a name, a folder, or a source with "
+            "layout and sample(rng)"
+        )
+    if steps is not None:
+        raise ValueError(f"episode_steps: found {steps}, but the source in episodes= has its own")
+    return episodes
