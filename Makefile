@@ -34,7 +34,7 @@ coverage: test ## lines and branches that `make test` missed; at least 90 % must
 	$(BIN)/coverage report --fail-under=90
 
 gymnasium-oldest: .venv-oldest/.ready ## the environment on the oldest Gymnasium supported
-	.venv-oldest/bin/python -m pytest -m "not slow and not torch" tests/test_env.py
+	.venv-oldest/bin/python -m pytest -m "not slow and not torch" tests/test_env.py tests/test_vector_env.py
 
 clean: ## remove environments, caches and build outputs; results/ and runs/ stay
 	rm -rf .venv .venv-oldest build dist *.egg-info .coverage .coverage.* coverage.xml

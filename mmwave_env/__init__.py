@@ -7,4 +7,8 @@ import gymnasium
 
 __version__ = "0.1.0"
 
-gymnasium.register(id="MmWaveLoc-v0", entry_point="mmwave_env.env:MmWaveLocEnv")
+gymnasium.register(
+    id="MmWaveLoc-v0",
+    entry_point="mmwave_env.env:MmWaveLocEnv",
+    vector_entry_point="mmwave_env.vector_env:MmWaveLocVectorEnv",
+)

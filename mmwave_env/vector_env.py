@@ -1,0 +1,271 @@
+"""Many environments in step: ``gymnasium.make_vec("MmWaveLoc-v0", num_envs=1024)``."""
+
+import os
+from collections.abc import Sequence
+from typing import Any, cast
+
+import gymnasium as gym
+import numpy as np
+from gymnasium import spaces
+from gymnasium.error import InvalidAction, ResetNeeded
+from gymnasium.vector import AutoresetMode
+from gymnasium.vector.utils import batch_space
+from numpy.typing import NDArray
+
+from mmwave_env.engine import Engine
+from mmwave_env.generators import Generators
+from mmwave_env.information import STEP_KEYS, Mask, Panel, episode_info, masked
+from mmwave_env.metrics import DIVERGENCE_M
+from mmwave_env.names import choose
+from mmwave_env.setting import setting_from
+from mmwave_env.threads import share
+
+Array = NDArray[np.float64]
+Index = NDArray[np.int64]
+Observations = NDArray[np.float32]
+Step = tuple[Observations, Array, Mask, Mask, dict[str, Any]]
+
+CHUNK = 32  # episodes held at once outside the engine; they are as large as an environment
+
+
+class MmWaveLocVectorEnv(gym.vector.VectorEnv[Observations, Index, NDArray[Any]]):
+    """N times :class:`~mmwave_env.env.MmWaveLocEnv` in one kernel call a step.
+
+    Environment i sees the same episodes, observations, rewards and infos, to the last bit, as
+    a single environment seeded alike. A seed s means s + i for environment i.
+
+    Args:
+        num_envs: N.
+        autoreset_mode: "NextStep" (the step after an end resets, its action is ignored),
+            "SameStep" (the step that ends resets too; what it ended with is in ``final_obs``
+            and ``final_info``) or "Disabled" (reset by
+            ``reset(options={"reset_mask": mask})``, a bool array (N,); others stay untouched).
+        threads: how many may work at once, for N >= 1024; results do not depend on it.
+        max_episode_steps: refused; say ``episode_steps``.
+        render_mode: None.
+        backend: "lanes".
+        **arguments: of :class:`~mmwave_env.env.MmWaveLocEnv`.
+    """
+
+    def __init__(
+        self,
+        num_envs: int = 1,
+        *,
+        autoreset_mode: str = "NextStep",
+        threads: int = min(2, os.cpu_count() or 1),
+        observation: str = "full",
+        max_episode_steps: int | None = None,
+        render_mode: str | None = None,
+        backend: str = "lanes",
+        **arguments: Any,
+    ) -> None:
+        for name, count in (("num_envs", num_envs), ("threads", threads)):
+            if count < 1:
+                raise ValueError(f"{name}: found {count}, expected at least 1")
+        if max_episode_steps is not None:
+            raise ValueError(
+                f"max_episode_steps: found {max_episode_steps}, expected None; episode_steps= "
+                "draws episodes of that length"
+            )
+        for name, value, only in (
+            ("render_mode", render_mode, None), ("backend", backend, "lanes"),
+        ):  # fmt: skip
+            if value != only:
+                raise ValueError(
+                    f"{name}: found {value!r}, expected {only!r}; others need gymnasium.make, or "
+                    'make_vec with vectorization_mode="sync"'
+                )
+        modes = {mode.value: mode for mode in AutoresetMode}
+        self._autoreset = choose(
+            modes, cast(str, getattr(autoreset_mode, "value", autoreset_mode)), "autoreset_mode"
+        )
+        self.metadata = {"render_modes": [], "autoreset_mode": self._autoreset}
+        self.num_envs, self._threads = num_envs, threads
+        self._setting = setting = setting_from(**arguments)
+        self.source, self.radio, self.reward = setting.source, setting.radio, setting.reward
+        self._engine = Engine(
+            setting.pipeline, num_envs, setting.reward, observation, threads=threads
+        )
+        self.modes, self.observation = setting.pipeline.modes, self._engine.observation
+        self.single_observation_space = cast(Any, self.observation.space)
+        self.single_action_space = cast(Any, spaces.Discrete(len(self.modes)))
+        self.observation_space = batch_space(self.single_observation_space, num_envs)
+        self.action_space = batch_space(self.single_action_space, num_envs)
+        self._panel = Panel(self._engine)
+        self._generators = Generators(num_envs)
+        self._begun = False
+        self._everyone, self._all = np.arange(num_envs), np.ones(num_envs, np.bool_)
+        self._over = np.zeros(num_envs, np.bool_)
+        self._steps = np.zeros(num_envs, np.int64)
+        self._actions = np.zeros((num_envs, 0), np.min_scalar_type(len(self.modes)))
+
+    def reset(
+        self,
+        *,
+        seed: int | Sequence[int | None] | None = None,
+        options: dict[str, Any] | None = None,
+    ) -> tuple[Observations, dict[str, Any]]:
+        """Draw an episode for every environment, or for those of ``options["reset_mask"]``.
+
+        Args:
+            seed: s for s, s + 1, ...; or one for each environment, None to go on.
+            options: ``reset_mask`` is a bool array (N,).
+
+        Returns:
+            All observations (N, features), and the infos of those reset.
+        """
+        chosen = self._reset_mask(options)
+        places = np.flatnonzero(chosen)
+        self._seed(seed, places)
+        drawn = self._draw(places)
+        self._engine.start(places)
+        self._begun = True
+        infos = masked(drawn | self._panel.state_info(), chosen)
+        return self._panel.observations(), infos
+
+    def _reset_mask(self, options: dict[str, Any] | None) -> Mask:
+        mask = (options or {}).get("reset_mask")
+        if mask is None:
+            return np.ones(self.num_envs, np.bool_)
+        if not (
+            isinstance(mask, np.ndarray)
+            and mask.dtype == np.bool_
+            and mask.shape == (self.num_envs,)
+            and mask.any()
+        ):
+            raise ValueError(
+                f"options['reset_mask']: found {mask!r}, expected a bool array of shape "
+                f"({self.num_envs},), somewhere True"
+            )
+        if not (self._begun or mask.all()):
+            raise ResetNeeded(
+                "Reset all environments before some of them: no episode is under way."
+            )
+        return mask
+
+    def _seed(self, seed: int | Sequence[int | None] | None, places: Index) -> None:
+        """New generators where there is a seed, as the single environment makes them."""
+        n = self.num_envs
+        if isinstance(seed, (int, np.integer)):
+            seed = [int(seed) + i for i in range(n)]
+        elif seed is not None and len(seed) != n:
+            raise ValueError(f"seed: found {len(seed)} seeds, expected {n}, one an environment")
+        if seed is None:
+            return
+        for place in places:
+            if seed[place] is not None:
+                self._generators.seed(place, seed[place])
+
+    @property  # type: ignore[misc]
+    def np_random(self) -> Any:
+        """A generator for each environment, which draws what the environment will."""
+        return self._generators.copies()
+
+    @property
+    def np_random_seed(self) -> Any:
+        """The seed of each environment, as of a `SyncVectorEnv`."""
+        return self._generators.seeds()
+
+    def _draw(self, places: Index) -> dict[str, NDArray[Any]]:
+        """Load new episodes in some environments; what ``reset`` tells of them, (N,) each."""
+        names = np.full(self.num_envs, None, object)
+        nonfinite = np.zeros(self.num_envs, np.int64)
+        for first in range(0, len(places), CHUNK):
+            some = places[first : first + CHUNK]
+            with self._generators.of(some) as generators:
+                episodes = [self._setting.draw(generator) for generator in generators]
+            self._engine.load(episodes, some)
+            names[some] = [episode.name for episode in episodes]
+            nonfinite[some] = [episode.nonfinite for episode in episodes]
+        longer = int(self._engine.lengths().max()) - self._actions.shape[1]
+        if longer > 0:
+            self._actions = np.pad(self._actions, ((0, 0), (0, longer)))
+        self._steps[places], self._over[places] = 0, False
+        return {"episode_name": names, "nonfinite": nonfinite}
+
+    def step(self, actions: Index) -> Step:
+        """Process an epoch in every environment with its mode; see the class on ends."""
+        actions = self._checked(actions)
+        fresh = self._over.copy()  # none where autoreset is not NextStep
+        resets = np.count_nonzero(fresh)
+        drawn = self._draw(np.flatnonzero(fresh)) if resets else {}
+        self._actions[self._everyone, self._steps] = actions
+        self._engine.step(actions)
+        lengths, steps = self._engine.lengths(), self._steps
+        steps += ~fresh
+        rewards, told = self._panel.rewards(), self._panel.step_info()
+        terminated = np.zeros(self.num_envs, np.bool_)
+        if self._setting.worst is not None:
+            terminated = ~(fresh | (told["position_error_m"] <= DIVERGENCE_M))
+            rewards[terminated] += self._setting.worst * (lengths - steps)[terminated]
+        truncated = (steps == lengths) & ~terminated
+        self._over = terminated | truncated
+        infos = masked(told, ~fresh) | masked(self._panel.state_info(), self._all)
+        if resets:
+            rewards[fresh] = 0.0
+            infos |= masked(drawn, fresh)
+        if np.count_nonzero(self._over):
+            infos |= masked(self._metrics(), self._over)
+            if self._autoreset == AutoresetMode.SAME_STEP:
+                infos = self._same_step(infos)
+        return self._panel.observations(), rewards, terminated, truncated, infos
+
+    def _checked(self, actions: Any) -> Index:
+        """The actions (N,), if all that are not ignored mean a mode."""
+        if not self._begun:
+            raise ResetNeeded("Call reset before step: there is no episode under way.")
+        if self._autoreset == AutoresetMode.DISABLED and np.count_nonzero(self._over):
+            raise ResetNeeded(
+                f"The episodes of environments {np.flatnonzero(self._over).tolist()} are over: "
+                'call reset(options={"reset_mask": ...}) before step.'
+            )
+        found = np.asarray(actions)
+        if found.shape == (self.num_envs,) and found.dtype.kind in "iu":
+            wrong = found.astype(np.uint64) >= len(self.modes)  # negative ones wrap around
+            wrong[self._over] = False
+            if not np.count_nonzero(wrong):
+                return found
+        raise InvalidAction(
+            f"actions: found {actions!r}, expected {self.num_envs} integers in "
+            f"{self.single_action_space}"
+        )
+
+    def _metrics(self) -> dict[str, NDArray[Any]]:
+        """What the last step of an episode tells, (N,) each: the episodes are run again."""
+        at = self._engine.at
+        tree = [at.error, at.nees, at.x, at.P, at.P_predicted]
+        planar = self._setting.pipeline.planar
+
+        def metrics(some: Index, steps: int) -> dict[str, Array]:
+            kept, dt = self._engine.replay(tree, some, self._actions[some, :steps])
+            error, nees, x, P, P_predicted = np.split(kept, [3, 4, 11, 39], axis=-1)
+            return episode_info(error, nees[..., 0], x, P, P_predicted, dt[:, 1:], planar)
+
+        jobs = []
+        ended = np.flatnonzero(self._over)
+        for steps in np.unique(self._steps[ended]):
+            alike = ended[self._steps[ended] == steps]
+            jobs += [(alike[i : i + CHUNK], steps) for i in range(0, len(alike), CHUNK)]
+        found: dict[str, NDArray[Any]] = {}
+        for (some, _), values in zip(jobs, share(metrics, jobs, self._threads), strict=True):
+            for key, value in values.items():
+                found.setdefault(key, np.zeros(self.num_envs))[some] = value
+        return found
+
+    def _same_step(self, infos: dict[str, Any]) -> dict[str, Any]:
+        """Reset where episodes ended; what they ended with becomes ``final_*``."""
+        over = self._over.copy()
+        ended, on = np.flatnonzero(over), ~over
+        final_obs = np.full(self.num_envs, None, object)
+        for place, observation in zip(ended, self._panel.observations()[ended], strict=True):
+            final_obs[place] = observation.copy()
+        values = {key: value for key, value in infos.items() if not key.startswith("_")}
+        final = masked({key: value.copy() for key, value in values.items()}, over)
+        told = masked({key: values[key] for key in STEP_KEYS}, on)
+        drawn = self._draw(ended)
+        self._engine.start(ended)
+        told |= masked(self._panel.state_info(), self._all) | masked(drawn, over)
+        return told | {
+            "final_obs": final_obs, "_final_obs": over.copy(), "final_info": final,
+            "_final_info": over.copy(),
+        }  # fmt: skip

@@ -1,0 +1,321 @@
+"""Many environments at once: Gymnasium's rules, and the numbers of single ones to the last bit."""
+
+import subprocess
+import sys
+from dataclasses import replace
+
+import gymnasium as gym
+import numpy as np
+import pytest
+from gymnasium.envs.registration import EnvSpec
+from gymnasium.error import InvalidAction, ResetNeeded
+from gymnasium.vector import AutoresetMode
+
+import mmwave_env.estimator.batch as batch
+from mmwave_env.episode import SimulatedSource
+from mmwave_env.estimator.modes import Mode
+from mmwave_env.measurement import Layout
+from mmwave_env.radio import RADIOS
+from mmwave_env.scene import SCENES
+from mmwave_env.vector_env import MmWaveLocVectorEnv
+
+from .vector_checker import check_vector_env, rollout, same
+
+ID = "MmWaveLoc-v0"
+MODES = ["NextStep", "SameStep", "Disabled"]
+EKF = {"modes": ["ekf"]}
+
+
+class Patchy:
+    """Episodes of 2 to 7 epochs in which links are missing and numbers are not finite."""
+
+    layout, epochs, name = Layout(3), 7, "patchy"
+
+    def sample(self, rng):
+        epochs = int(rng.integers(2, 8))
+        episode = SimulatedSource(SCENES["street"], RADIOS["handset"], epochs=epochs).sample(rng)
+        measurement = episode.measurement.copy()
+        measurement[rng.random(measurement.shape) < 0.05] = np.nan
+        return replace(episode, measurement=measurement, visible=rng.random((epochs, 4)) < 0.6)
+
+
+CONFIGURATIONS = {
+    "default": {"episode_steps": 6},
+    "one step": {"episode_steps": 1} | EKF,
+    "flat": {"episode_steps": 7, "planar": True, "odometry": True, "dt": 0.5} | EKF,
+    "own modes": {
+        "episode_steps": 5, "scenario": "jam", "radio": "high", "scene": "o1",
+        "modes": ["ckf", Mode("robust", robust=True, cost=0.1), "ekf"],
+    },
+    "prior": {"episode_steps": 12, "observation": "prior", "reward": "log-score"} | EKF,
+    "recorded": {"episodes": "canyon28_pedestrian", "episode_steps": 11} | EKF,
+    "patchy": {"episodes": Patchy()},
+    "ends early": {"episode_steps": 15, "terminate_on_divergence": True, "scenario": "vehicle"}
+    | EKF,
+}  # fmt: skip
+
+
+def native(n=9, mode="NextStep", **arguments):
+    return gym.make_vec(ID, num_envs=n, autoreset_mode=mode, **arguments)
+
+
+def sync(n=9, mode="NextStep", **arguments):
+    return gym.make_vec(
+        ID,
+        num_envs=n,
+        vectorization_mode="sync",
+        vector_kwargs={"autoreset_mode": AutoresetMode(mode)},
+        **arguments,
+    )
+
+
+@pytest.fixture(params=CONFIGURATIONS)
+def configuration(request):
+    return CONFIGURATIONS[request.param]
+
+
+# --- Gymnasium's rules
+
+
+@pytest.mark.parametrize("mode", MODES)
+def test_the_checker_is_content(mode, configuration):
+    check_vector_env(lambda: native(9, mode, **configuration))
+
+
+def test_the_checker_holds_for_gymnasiums_own_environments():
+    """So that a rule of the checker is one of Gymnasium's."""
+    check_vector_env(lambda: sync(4, "SameStep", episode_steps=6, **EKF))
+
+
+def test_make_vec_makes_it_without_a_word_of_warning():
+    env = gym.make_vec("mmwave_env:MmWaveLoc-v0", num_envs=3, **EKF)
+    assert isinstance(env, MmWaveLocVectorEnv) and env.num_envs == 3
+    assert env.metadata["autoreset_mode"] is AutoresetMode.NEXT_STEP
+    assert MmWaveLocVectorEnv.metadata.get("autoreset_mode") is None
+    assert env.single_observation_space == gym.make(ID, **EKF).observation_space
+
+
+def test_the_specification_goes_through_json():
+    env = native(5, "SameStep", scenario="vehicle", episode_steps=4)
+    again = gym.make_vec(EnvSpec.from_json(env.spec.to_json()))
+    assert same(rollout(env, seed=1, steps=9), rollout(again, seed=1, steps=9))
+
+
+def test_statistics_of_episodes_are_recorded():
+    env = gym.wrappers.vector.RecordEpisodeStatistics(native(**CONFIGURATIONS["ends early"]))
+    results = rollout(env, seed=4, steps=60)
+    ended = [infos["_episode"].sum() for *_, infos in results if "_episode" in infos]
+    assert sum(ended) == len(env.return_queue) > 27
+
+
+# --- the numbers of single environments
+
+
+@pytest.mark.parametrize("mode", MODES)
+def test_equals_the_synchronous_vector_environment(mode, configuration):
+    found, expected = (rollout(make(9, mode, **configuration), 4, 50) for make in (native, sync))
+    for t, (a, b) in enumerate(zip(found, expected, strict=True)):
+        assert same(a, b), f"step {t}"
+    over = sum(step[2].astype(int) + step[3] for step in expected if len(step) == 5)
+    assert over.min() >= 3
+    if "terminate_on_divergence" in configuration:
+        assert sum(step[2].sum() for step in expected if len(step) == 5) >= 3
+
+
+@pytest.mark.parametrize("n", [1, 7, 8, 64])
+def test_equals_single_environments_in_any_number(n):
+    arguments = CONFIGURATIONS["patchy"]
+    env, singles = native(n, **arguments), [gym.make(ID, **arguments) for _ in range(n)]
+    rng, over, ends = np.random.default_rng(0), np.zeros(n, bool), np.zeros(n, int)
+    observations, infos = env.reset(seed=7)
+    for i, single in enumerate(singles):
+        observation, info = single.reset(seed=7 + i)
+        assert (
+            same(observations[i], observation) and infos["episode_name"][i] == info["episode_name"]
+        )
+    for _ in range(40):
+        actions = rng.integers(2, size=n)
+        observations, rewards, terminated, truncated, infos = env.step(actions)
+        for i, single in enumerate(singles):
+            if over[i]:
+                observation, info = single.reset()
+                expected = (observation, 0.0, False, False)
+            else:
+                *expected, info = single.step(actions[i])
+            got = (observations[i], rewards[i], terminated[i], truncated[i])
+            for a, b in zip(got, expected, strict=True):
+                np.testing.assert_array_equal(a, b)
+            told = {key for key in infos if not key.startswith("_") and infos[f"_{key}"][i]}
+            assert told == set(info)
+            for key, value in info.items():
+                np.testing.assert_array_equal(infos[key][i], value)
+        over = terminated | truncated
+        ends += over
+    assert ends.min() >= 3
+
+
+@pytest.mark.parametrize("mode", MODES)
+def test_order_does_not_matter(mode):
+    n, arguments = 13, CONFIGURATIONS["ends early"]
+    order = np.random.default_rng(0).permutation(n)
+    straight, shuffled = native(n, mode, **arguments), native(n, mode, **arguments)
+    a = straight.reset(seed=3)
+    b = shuffled.reset(seed=[int(3 + i) for i in order])
+    np.testing.assert_array_equal(a[0][order], b[0])
+    for _ in range(50):
+        a, b = (env.step(np.zeros(n, int)) for env in (straight, shuffled))
+        for x, y in zip(a[:4], b[:4], strict=True):
+            np.testing.assert_array_equal(x[order], y)
+        for env, step in ((straight, a), (shuffled, b)):
+            if mode == "Disabled" and (step[2] | step[3]).any():
+                env.reset(options={"reset_mask": step[2] | step[3]})
+
+
+@pytest.mark.parametrize("mode", MODES)
+def test_threads_do_not_matter(mode, monkeypatch):
+    monkeypatch.setattr(batch, "BLOCKS_PER_THREAD", 1)
+    arguments = CONFIGURATIONS["ends early"]
+    one, *others = [
+        rollout(native(75, mode, threads=threads, **arguments), 4, 50) for threads in (1, 2, 5)
+    ]
+    for other in others:
+        assert same(one, other)
+
+
+def test_a_forked_child_has_threads_of_its_own(monkeypatch):
+    code = (
+        "import os, gymnasium as gym, numpy as np, mmwave_env.estimator.batch as batch\n"
+        "batch.BLOCKS_PER_THREAD = 1\n"
+        "env = gym.make_vec('MmWaveLoc-v0', num_envs=32, threads=2, modes=['ekf'])\n"
+        "env.reset(seed=0); env.step(np.zeros(32, int))\n"
+        "child = os.fork()\n"
+        "rewards = env.step(np.zeros(32, int))[1]\n"
+        "if child == 0: os._exit(0 if np.isfinite(rewards).all() else 1)\n"
+        "assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == 0\n"
+    )
+    subprocess.run([sys.executable, "-c", code], check=True, timeout=60)
+
+
+def test_an_episode_goes_on_where_the_generator_was():
+    env, single = (
+        native(2, "Disabled", episode_steps=3, **EKF),
+        gym.make(ID, episode_steps=3, **EKF),
+    )
+    env.reset(seed=11)
+    single.reset(seed=12)
+    for _ in range(3):
+        mask = np.array([False, True])
+        np.testing.assert_array_equal(
+            env.reset(options={"reset_mask": mask})[0][1], single.reset()[0]
+        )
+    assert env.np_random_seed == (11, 12)
+    assert env.np_random[1].random() == single.unwrapped.np_random.random()
+
+
+# --- arguments and mistakes
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"num_envs": 0}, "num_envs: found 0, expected at least 1"),
+        ({"threads": 0}, "threads: found 0, expected at least 1"),
+        ({"autoreset_mode": "same"}, "autoreset_mode: found 'same'.*NextStep, SameStep, Disabled"),
+        ({"render_mode": "rgb_array"}, "render_mode: found 'rgb_array', expected None.*sync"),
+        ({"backend": "filterpy"}, "backend: found 'filterpy', expected 'lanes'.*sync"),
+        ({"max_episode_steps": 9}, "max_episode_steps: found 9.*episode_steps="),
+        ({"scenario": "train"}, "scenario: found 'train'"),
+        ({"observation": "none"}, "observation: found 'none'"),
+    ],
+)
+def test_wrong_arguments_are_refused(arguments, message):
+    with pytest.raises(ValueError, match=message):
+        gym.make_vec(ID, **arguments)
+
+
+def test_an_autoreset_mode_may_be_gymnasiums():
+    assert native(2, AutoresetMode.SAME_STEP).metadata["autoreset_mode"].value == "SameStep"
+
+
+@pytest.mark.parametrize(
+    "actions",
+    [[0, 2, 0], [0, -1, 0], [0, 1], 1, None, [0.0, 1.0, 0.0], [True, False, True],
+     [[0], [1], [0]]],
+    ids=repr,
+)  # fmt: skip
+def test_bad_actions_are_refused_and_change_nothing(actions):
+    env, twin = native(3), native(3)
+    for one in (env, twin):
+        one.reset(seed=0)
+    with pytest.raises(InvalidAction, match=r"(?s)actions: found .* expected 3 integers in Dis"):
+        env.step(np.array(actions))
+    good = np.array([0, 1, 1], np.int32)
+    assert same(env.step(good), twin.step(good))
+
+
+def test_the_action_of_a_resetting_environment_is_ignored():
+    env = native(3, episodes=Patchy())
+    env.reset(seed=0)
+    while not (over := np.logical_or(*env.step(np.zeros(3, int))[2:4])).any():
+        pass
+    env.step(np.where(over, -7, 0))
+    with pytest.raises(InvalidAction):
+        env.step(np.full(3, -7))
+
+
+def test_a_step_before_reset_is_refused():
+    env = native(3, **EKF)
+    with pytest.raises(ResetNeeded):
+        env.step(np.zeros(3, int))
+    with pytest.raises(ResetNeeded):
+        env.reset(options={"reset_mask": np.array([True, False, False])})
+
+
+def test_a_disabled_step_after_an_end_names_the_environments():
+    env = native(3, "Disabled", episode_steps=1, **EKF)
+    env.reset(seed=0)
+    env.step(np.zeros(3, int))
+    env.reset(options={"reset_mask": np.array([True, False, False])})
+    with pytest.raises(ResetNeeded, match=r"environments \[1, 2\] are over.*reset_mask"):
+        env.step(np.zeros(3, int))
+
+
+def test_the_options_stay_as_they_are():
+    env = native(3, "Disabled", **EKF)
+    env.reset(seed=0)
+    options = {"reset_mask": np.array([True, False, True])}
+    env.reset(options=options)
+    assert list(options) == ["reset_mask"] and options["reset_mask"].tolist() == [True, False, True]
+
+
+@pytest.mark.parametrize("seed", [[1, 2], -1, [1, 2, -3]])
+def test_wrong_seeds_are_refused(seed):
+    with pytest.raises((ValueError, gym.error.Error), match=r"[Ss]eed"):
+        native(3, **EKF).reset(seed=seed)
+
+
+# --- memory
+
+SCRIPT = """
+import sys, gymnasium as gym, numpy as np
+n = int(sys.argv[1])
+env = gym.make_vec("mmwave_env:MmWaveLoc-v0", num_envs=n)
+env.reset(seed=0)
+for _ in range(210):
+    result = env.step(np.zeros(n, np.int64))
+status = open("/proc/self/status").read()
+print(status.split("VmHWM:")[1].split()[0])
+"""
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="reads /proc")
+def test_an_environment_takes_at_most_64_kb():
+    """The peak, through an end of all episodes at once."""
+    peaks = [
+        int(subprocess.run([sys.executable, "-c", SCRIPT, str(n)], check=True,
+                           capture_output=True, text=True).stdout)
+        for n in (1024, 2560, 4096)
+    ]  # fmt: skip
+    assert np.diff(peaks).max() / 1536 <= 64
+    assert np.diff(peaks)[1] == pytest.approx(np.diff(peaks)[0], rel=0.1)

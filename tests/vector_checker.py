@@ -1,0 +1,198 @@
+"""What Gymnasium expects of a vector environment; its own checker covers single ones only."""
+
+import gymnasium as gym
+import numpy as np
+import pytest
+from gymnasium.vector import AutoresetMode
+from gymnasium.vector.utils import batch_space
+
+STEPS = 40  # of the longest check; episodes end before
+
+
+def check_vector_env(make):
+    """Every rule, on new environments from ``make()`` whose episodes end within 40 steps."""
+    for check in (
+        check_description, check_types, check_seeds, check_memory, check_autoreset,
+        check_masked_resets, check_close,
+    ):  # fmt: skip
+        check(make)
+
+
+def same(a, b):
+    """Whether two results are the same, to the last bit, the type and the key."""
+    if isinstance(a, dict):
+        return isinstance(b, dict) and a.keys() == b.keys() and all(same(a[k], b[k]) for k in a)
+    if isinstance(a, (tuple, list)):
+        return len(a) == len(b) and all(map(same, a, b))
+    if not isinstance(a, np.ndarray):
+        return type(a) is type(b) and a == b
+    if a.dtype != b.dtype or a.shape != b.shape:
+        return False
+    if a.dtype == object:
+        return all(map(same, a, b))
+    return np.array_equal(a, b, equal_nan=a.dtype.kind == "f")
+
+
+def arrays(result):
+    """All arrays of numbers in a result."""
+    if isinstance(result, dict):
+        result = list(result.values())
+    if isinstance(result, (tuple, list)):
+        return [array for part in result for array in arrays(part)]
+    if isinstance(result, np.ndarray) and result.dtype == object:
+        return arrays(list(result))
+    return [result] if isinstance(result, np.ndarray) else []
+
+
+def forward(env, actions):
+    """What a step returns, and, where ends are left to the user, the reset after it."""
+    results = [env.step(actions)]
+    over = results[0][2] | results[0][3]
+    if env.metadata["autoreset_mode"] == AutoresetMode.DISABLED and over.any():
+        results.append(env.reset(options={"reset_mask": over.copy()}))
+    return results
+
+
+def rollout(env, seed, steps=STEPS, actions=0):
+    """What ``reset`` and ``steps`` steps with random actions return; ends are reset."""
+    rng, n = np.random.default_rng(actions), env.single_action_space.n
+    results = [env.reset(seed=seed)]
+    for _ in range(steps):
+        results += forward(env, rng.integers(n, size=env.num_envs))
+    return results
+
+
+def check_description(make):
+    env = make()
+    assert isinstance(env, gym.vector.VectorEnv) and not env.closed
+    assert isinstance(env.metadata["autoreset_mode"], AutoresetMode)
+    assert env.render_mode is None
+    for single, batched in (
+        (env.single_observation_space, env.observation_space),
+        (env.single_action_space, env.action_space),
+    ):
+        assert batched == batch_space(single, env.num_envs)
+
+
+def check_infos(infos, n):
+    """Every key has a mask ``_key``; where it is False the values are blank."""
+    for key, mask in infos.items():
+        if not key.startswith("_"):
+            assert f"_{key}" in infos
+            continue
+        values = infos[key[1:]]
+        assert mask.dtype == np.bool_ and mask.shape == (n,) and mask.any()
+        if isinstance(values, dict):
+            check_infos(values, n)
+            assert not any(values[k][~mask].any() for k in values if k.startswith("_"))
+        else:
+            assert len(values) == n
+            blank = None if values.dtype == object else 0
+            assert all(np.all(value == blank) for value in values[~mask])
+
+
+def check_types(make):
+    env = make()
+    for observations, *scores, infos in rollout(env, seed=0):
+        assert observations in env.observation_space and type(infos) is dict
+        assert observations.dtype == env.single_observation_space.dtype
+        check_infos(infos, env.num_envs)
+        for score, dtype in zip(scores, (np.float64, np.bool_, np.bool_), strict=bool(scores)):
+            assert score.dtype == dtype and score.shape == (env.num_envs,)
+
+
+def check_seeds(make):
+    n, first = make().num_envs, rollout(make(), seed=5)
+    assert same(first, rollout(make(), seed=5))
+    assert same(first, rollout(make(), seed=[5 + i for i in range(n)]))
+    env = make()
+    assert not same(first, rollout(env, seed=6))
+    assert same(first, rollout(env, seed=5)), "a seed does not depend on what was before it"
+    for other in (rollout(make(), seed=6), rollout(make(), seed=None)):
+        assert not same(first[0][0], other[0][0])
+    assert not same(env.reset()[0], first[0][0]), "without a seed the next episode is another"
+
+
+def check_memory(make):
+    env = make()
+    results = rollout(env, seed=0, steps=12)
+    for i, earlier in enumerate(results):
+        for later in results[i + 1 :]:
+            assert not any(np.shares_memory(a, b) for a in arrays(earlier) for b in arrays(later))
+    for array in arrays(results):
+        array.fill(1)
+    twin = make()
+    rollout(twin, seed=0, steps=12)
+    actions = np.zeros(env.num_envs, np.int64)
+    assert same(env.step(actions), twin.step(actions)), "what was returned is the user's"
+    assert not actions.any()
+
+
+def check_autoreset(make):
+    env = make()
+    mode, n = env.metadata["autoreset_mode"], env.num_envs
+    _, told = env.reset(seed=0)
+    at_reset = {key for key in told if not key.startswith("_")}
+    over, ends = np.zeros(n, bool), 0
+    for _ in range(STEPS):
+        observations, rewards, terminated, truncated, infos = env.step(np.zeros(n, np.int64))
+        new = over if mode == AutoresetMode.NEXT_STEP else np.zeros(n, bool)
+        if mode == AutoresetMode.NEXT_STEP:
+            assert not (rewards[over].any() or terminated[over].any() or truncated[over].any())
+        over = terminated | truncated
+        assert not (terminated & truncated).any()
+        if mode == AutoresetMode.SAME_STEP:
+            new = over
+            assert ("final_obs" in infos) == ("final_info" in infos) == over.any()
+        if mode == AutoresetMode.SAME_STEP and over.any():
+            for key in ("_final_obs", "_final_info"):
+                np.testing.assert_array_equal(infos[key], over)
+            for i in np.flatnonzero(over):
+                assert infos["final_obs"][i] in env.single_observation_space
+                assert not np.array_equal(infos["final_obs"][i], observations[i])
+        for key in at_reset:
+            mask = infos.get(f"_{key}", np.zeros(n, bool))
+            np.testing.assert_array_equal(mask[new], True)
+        ends += over.any()
+        if mode == AutoresetMode.DISABLED and over.any():
+            with pytest.raises((AssertionError, gym.error.ResetNeeded)):
+                env.step(np.zeros(n, np.int64))
+            env.reset(options={"reset_mask": over})
+    assert ends >= 2, "episodes end within the check"
+
+
+def check_masked_resets(make):
+    env, twin, alone = make(), make(), make()
+    n = env.num_envs
+    mask = np.arange(n) % 3 == 0
+    for one in (env, twin):
+        one.reset(seed=0)
+        for _ in range(2):
+            before = forward(one, np.zeros(n, np.int64))[-1][0]
+    seeds = [100 + i for i in range(n)]
+    options = {"reset_mask": mask.copy()}
+    observations, infos = env.reset(seed=seeds, options=dict(options))
+    expected, told = alone.reset(seed=seeds)
+    np.testing.assert_array_equal(observations[~mask], before[~mask])
+    np.testing.assert_array_equal(observations[mask], expected[mask])
+    assert infos.keys() == told.keys()
+    check_infos(infos, n)
+    for key in infos:
+        np.testing.assert_array_equal(infos[key][mask], told[key][mask])
+    for one in (env, twin, alone):
+        one.after = one.step(np.zeros(n, np.int64))
+    for part in range(4):
+        np.testing.assert_array_equal(env.after[part][~mask], twin.after[part][~mask])
+        np.testing.assert_array_equal(env.after[part][mask], alone.after[part][mask])
+    for wrong in (np.zeros(n, bool), np.ones(n + 1, bool), np.ones(n), [True] * n):
+        with pytest.raises((AssertionError, TypeError, ValueError)):
+            env.reset(options={"reset_mask": wrong})
+
+
+def check_close(make):
+    env = make()
+    env.reset(seed=0)
+    env.close()
+    assert env.closed
+    env.close()
+    make().close()
