@@ -89,8 +89,7 @@ class Batch(Generic[Workspace]):
         self.program, self.layout, self.n = program, layout, n
         self.at = program.index
         blocks = -(-n // WIDTH)
-        start = np.array(leaves(program.template), float)
-        rows = np.tile(start[None, :, None], (blocks, 1, WIDTH))
+        rows = np.tile(program.start[None, :, None], (blocks, 1, WIDTH))
         self.tracks = Tracks.of(np.empty((n, 0, len(program.blank))), rows)
         self._feed = feed
         self._on_floats = on_floats

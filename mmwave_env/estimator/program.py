@@ -64,8 +64,9 @@ class Program(Generic[Workspace]):
 
     def __init__(self, function: Callable[[Workspace], Workspace], template: Workspace) -> None:
         self.function, self.template = function, template
-        self.size = len(leaves(template))
+        self.start = np.array(leaves(template), float)
         self.blank = np.array(leaves(template[0]), float)
+        self.size = len(self.start)
         self.index: Workspace = rebuild(template, iter(range(self.size)))
         self._on_lanes: Any = None
 
