@@ -8,11 +8,11 @@ import numpy as np
 from experiments.cli import run
 from experiments.files import beside, write_json, write_text
 from experiments.options import EpisodeArgs, command_line
-from mmwave_env.episode import SimulatedSource
 from mmwave_env.io.measurement_log import write_log
 from mmwave_env.io.tum import COLUMNS, tum_lines
 from mmwave_env.recording import RecordedSource
 from mmwave_env.scene import Scene, anchors_json
+from mmwave_env.simulation import SimulatedSource
 
 
 @dataclass

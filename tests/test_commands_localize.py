@@ -17,13 +17,13 @@ import numpy as np
 import pytest
 
 from experiments.cli import run
-from mmwave_env.episode import SimulatedSource
 from mmwave_env.estimator.modes import default_modes
 from mmwave_env.io.measurement_log import read_log, write_log
 from mmwave_env.io.tum import read_tum, tum_lines
 from mmwave_env.localizer import localize
 from mmwave_env.radio import RADIOS
 from mmwave_env.scene import SCENES, read_scene
+from mmwave_env.simulation import SimulatedSource
 
 ROOT = Path(__file__).parents[1]
 LOGS = ROOT / "mmwave_env" / "data" / "logs"

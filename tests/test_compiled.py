@@ -7,9 +7,9 @@ import pytest
 from numba.core.dispatcher import Dispatcher
 
 from mmwave_env import mobility, radio
-from mmwave_env.episode import SimulatedSource
 from mmwave_env.radio import RADIOS
 from mmwave_env.scene import SCENES
+from mmwave_env.simulation import SimulatedSource
 
 
 def interpret(monkeypatch: pytest.MonkeyPatch, module: ModuleType) -> int:

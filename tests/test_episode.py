@@ -10,12 +10,13 @@ import numpy as np
 import pytest
 from scipy.stats import kstest, norm
 
-from mmwave_env.episode import Episode, SimulatedSource, geometry
+from mmwave_env.episode import Episode, geometry
 from mmwave_env.estimator.batch import blank_incoming, blank_site
 from mmwave_env.estimator.trees import leaves, rebuild
 from mmwave_env.measurement import Layout
 from mmwave_env.radio import RADIOS
 from mmwave_env.scene import SCENES
+from mmwave_env.simulation import SimulatedSource
 
 STREET = SCENES["street"]
 HZ_PER_MPS = 28e9 / 299_792_458.0

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mmwave_env.episode import Episode, SimulatedSource
+from mmwave_env.episode import Episode
 from mmwave_env.estimator.modes import Mode, default_modes, robust
 from mmwave_env.estimator.pipeline import Pipeline
 from mmwave_env.estimator.smoother import smooth
@@ -18,6 +18,7 @@ from mmwave_env.localizer import TrackBlock, localize
 from mmwave_env.prior import prior_from_fix
 from mmwave_env.radio import RADIOS
 from mmwave_env.scene import SCENES
+from mmwave_env.simulation import SimulatedSource
 from policies.scripted import by_odometry_speed, by_predicted_speed
 
 from .estimator.tracks import track

@@ -6,13 +6,14 @@ from operator import attrgetter
 import numpy as np
 
 from mmwave_env.engine import Engine, ImmEngine
-from mmwave_env.episode import Episode, SimulatedSource
+from mmwave_env.episode import Episode
 from mmwave_env.estimator.modes import Mode
 from mmwave_env.estimator.pipeline import Pipeline
 from mmwave_env.measurement import Layout
 from mmwave_env.radio import RADIOS
 from mmwave_env.reward import TrackingReward
 from mmwave_env.scene import SCENES
+from mmwave_env.simulation import SimulatedSource
 
 from . import textbook
 
