@@ -52,7 +52,6 @@ class World(NamedTuple):
         anchors: (L, 3) positions, m.
         hz_per_mps: carrier frequency over the speed of light.
         channel: radio and scene.
-        dt: step, s.
         first_bias_mps, drift_mps: oscillator: standard deviation of the first bias, and of
             its change over a step.
     """
@@ -60,7 +59,6 @@ class World(NamedTuple):
     anchors: list[list[Number]]
     hz_per_mps: Number
     channel: Channel
-    dt: Number
     first_bias_mps: Number
     drift_mps: Number
 
@@ -110,12 +108,16 @@ def simulate_epoch(w: Simulation, layout: Layout) -> Simulation:
     visible = [*reception.detected, reception.detected[0]]
     if layout.odometry:
         visible.append(where(speed < c.odometry_slowest_mps, 0.0, 1.0))
+    seen = [v > 0.5 for v, rows in zip(visible, layout.groups, strict=True)
+            for _ in range(rows.start, rows.stop)]  # fmt: skip
     epoch = Epoch(
-        dt=where(fresh, 0.0, world.dt),
-        z=z,
-        sigma=sigma,
+        dt=0.0,  # the same for all: filled in afterwards
+        z=[where(s, value, 0.0) for s, value in zip(seen, z, strict=True)],
+        sigma=[where(s, value, 1.0) for s, value in zip(seen, sigma, strict=True)],
         visible=visible,
-        snr_db=reception.snr_db,
+        snr_db=[
+            where(v > 0.5, snr, 0.0) for v, snr in zip(visible, reception.snr_db, strict=False)
+        ],
         doppler_spread_hz=reception.doppler_spread_hz,
     )
     return w._replace(
@@ -142,7 +144,7 @@ def _program(layout: Layout) -> Program[Simulation]:
     anchors = [[0.0, 0.0, 10.0 + a] for a in range(L)]
     template = Simulation(
         draws=_blank_draws(layout),
-        world=World(anchors, 1.0, channel, 1.0, 1.0, 1.0),
+        world=World(anchors, 1.0, channel, 1.0, 1.0),
         fresh=1.0,
         weather=calm(L),
         bias_mps=0.0,
@@ -236,6 +238,11 @@ class SimulatedSource:
         return Layout(len(self.scene.anchors_m), self.odometry)
 
     @property
+    def time_s(self) -> Array:
+        """(epochs,) of every episode."""
+        return self.dt * np.arange(self.epochs, dtype=np.float64)
+
+    @property
     def name(self) -> str:
         """The scenario, and the scene where it is not the default street."""
         scene = self.scene.name
@@ -256,7 +263,7 @@ class SimulatedSource:
             name=names[0],
             scene_anchors_m=self.scene.anchors_m,
             hz_per_mps=self.scene.hz_per_mps,
-            time_s=self.dt * np.arange(self.epochs, dtype=np.float64),
+            time_s=self.time_s,
             measurement=of(epoch.z),
             sigma=of(epoch.sigma),
             visible=of(epoch.visible) > 0.5,
@@ -283,8 +290,7 @@ class SimulatedSource:
         names, prior = [], np.empty((n, STATE_SIZE))
         for i, rng in enumerate(rngs):
             mobility = choices[int(rng.random() * len(choices))]
-            position, velocity = trajectory(mobility, self.scene.streets, self.dt, T, rng)
-            draws[i, :, :3], draws[i, :, 3:6] = position, velocity
+            trajectory(mobility, self.scene.streets, self.dt, rng, draws[i, :, :6])
             _draw(rng, draws[i], layout.anchors, layout.size)
             prior[i] = rng.standard_normal(STATE_SIZE)
             names.append(mobility.name)
@@ -292,6 +298,7 @@ class SimulatedSource:
         kept = np.array(leaves([program.index.measured, program.index.bias_hz]), np.int64)
         out = np.empty((n, T, len(kept)))
         program.run_on_lanes(rows, draws, np.zeros(n, np.int64), kept, out)
+        out[:, 1:, 0] = np.diff(self.time_s)
         state = np.concatenate([draws[:, 0, :6], out[:, 0, -1:]], axis=1)
         deviation = np.sqrt(np.diag(self.radio.prior_covariance(self.scene)))
         return names, out[..., :-1], state + deviation * prior
@@ -303,7 +310,6 @@ class SimulatedSource:
             anchors=scene.anchors_m.tolist(),
             hz_per_mps=scene.hz_per_mps,
             channel=channel_of(radio, scene, self.layout, self.dt),
-            dt=self.dt,
             first_bias_mps=radio.prior_bias_mps,
             drift_mps=radio.drift_mps * self.dt**0.5,
         )

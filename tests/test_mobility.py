@@ -67,8 +67,9 @@ def tracks():
 
 
 def run(name, seed, dt, epochs, scene="street"):
-    rng = np.random.default_rng(seed)
-    return trajectory(MOBILITIES[name], SCENES[scene].streets, dt, epochs, rng)
+    out = np.empty((epochs, 6))
+    trajectory(MOBILITIES[name], SCENES[scene].streets, dt, np.random.default_rng(seed), out)
+    return out[:, :3], out[:, 3:]
 
 
 @every_mobility
