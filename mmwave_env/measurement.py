@@ -86,9 +86,14 @@ class Layout:
 
 
 def wrap_angles(measurement: NDArray[np.float64], layout: Layout) -> None:
-    """Move the angles of measurements (T, rows) into [-pi, pi), in place."""
+    """Move the angles of measurements (T, rows) into [-pi, pi), in place.
+
+    Those that are there already stay as they are, to the bit.
+    """
     rows = layout.angles
-    measurement[:, rows] = np.remainder(measurement[:, rows] + PI, 2.0 * PI) - PI
+    angles = measurement[:, rows]
+    moved = np.remainder(angles + PI, 2.0 * PI) - PI
+    measurement[:, rows] = np.where((angles >= -PI) & (angles < PI), angles, moved)
 
 
 class Measurement(NamedTuple):
