@@ -84,7 +84,7 @@ class Episode:
             if value is not None and not np.isfinite(value).all():
                 self._refuse(field, "NaN or infinity", "finite numbers")
         P = self.prior_covariance
-        if not (np.allclose(P, P.T) and np.linalg.eigvalsh(P)[0] > 0.0):
+        if not (abs(P - P.T).max() <= 1e-8 * abs(P).max() and np.linalg.eigvalsh(P)[0] > 0.0):
             self._refuse("prior_covariance", f"{P.tolist()}", "a positive definite matrix")
 
     def _refuse(self, field: str, found: str, expected: str) -> None:

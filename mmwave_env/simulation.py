@@ -6,8 +6,8 @@ What follows is arithmetic: functions of numbers that run on lanes, an episode t
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import lru_cache
-from typing import Any, NamedTuple
+from functools import cached_property, lru_cache
+from typing import NamedTuple
 
 import numba
 import numpy as np
@@ -27,6 +27,8 @@ from mmwave_env.radio import Radio, deviations
 from mmwave_env.scene import Scene
 
 Array = NDArray[np.float64]
+
+CHUNK = 64  # episodes drawn at once: few enough for their draws to stay in the caches
 
 
 class Draws(NamedTuple):
@@ -159,6 +161,22 @@ def _program(layout: Layout) -> Program[Simulation]:
     return Program(function, template)
 
 
+@lru_cache(maxsize=8)
+def _kept(layout: Layout) -> tuple[int, int]:
+    """First and last + 1 of the rows that are kept: the epoch as measured, and the bias."""
+    index = _program(layout).index
+    return leaves(index.measured)[0], index.bias_hz + 1
+
+
+@lru_cache(maxsize=8)
+def _columns(layout: Layout) -> dict[str, slice]:
+    """Where the parts of an epoch stand in a table."""
+    template = blank_incoming(layout)
+    epoch = rebuild(template, iter(range(len(leaves(template))))).epoch
+    numbers = {name: leaves(part) for name, part in epoch._asdict().items()}
+    return {name: slice(part[0], part[-1] + 1) for name, part in numbers.items()}
+
+
 @numba.njit(cache=True)
 def _normals(rng, out, first, last):  # type: ignore[no-untyped-def]
     for t in range(len(out)):
@@ -232,7 +250,7 @@ class SimulatedSource:
         if self.epochs < 1:
             raise ValueError(f"epochs: found {self.epochs}, expected at least 1")
 
-    @property
+    @cached_property
     def layout(self) -> Layout:
         """Rows of every episode's measurements."""
         return Layout(len(self.scene.anchors_m), self.odometry)
@@ -250,29 +268,23 @@ class SimulatedSource:
 
     def sample(self, rng: np.random.Generator) -> Episode:
         """Draw one episode; all randomness comes from ``rng``."""
-        names, table, priors = self.tables([rng])
-        incoming = rebuild(blank_incoming(self.layout), iter(range(table.shape[2])))
-        columns = table[0]
-        epoch = incoming.epoch
-
-        def of(tree: Any) -> Array:
-            return np.ascontiguousarray(columns[:, leaves(tree)])
-
-        truth = of(incoming.truth)
+        names, tables, priors = self.tables([rng])
+        column = _columns(self.layout)
+        table = tables[0]
         return Episode(
             name=names[0],
             scene_anchors_m=self.scene.anchors_m,
             hz_per_mps=self.scene.hz_per_mps,
             time_s=self.time_s,
-            measurement=of(epoch.z),
-            sigma=of(epoch.sigma),
-            visible=of(epoch.visible) > 0.5,
-            snr_db=of(epoch.snr_db),
-            doppler_spread_hz=of(epoch.doppler_spread_hz)[:, 0],
+            measurement=table[:, column["z"]].copy(),
+            sigma=table[:, column["sigma"]].copy(),
+            visible=table[:, column["visible"]] > 0.5,
+            snr_db=table[:, column["snr_db"]].copy(),
+            doppler_spread_hz=table[:, column["doppler_spread_hz"]][:, 0].copy(),
             prior_mean=priors[0],
             prior_covariance=self.radio.prior_covariance(self.scene),
-            truth_position_m=truth[:, :3],
-            truth_velocity_mps=truth[:, 3:],
+            truth_position_m=table[:, -6:-3].copy(),
+            truth_velocity_mps=table[:, -3:].copy(),
             layout=self.layout,
         )
 
@@ -283,6 +295,11 @@ class SimulatedSource:
             Their names; (n, epochs, columns) as :meth:`~mmwave_env.episode.Episode.table`
             has them; (n, 7) means of the priors.
         """
+        parts = [self._draw(rngs[i : i + CHUNK]) for i in range(0, len(rngs), CHUNK)]
+        names, tables, priors = zip(*parts, strict=True)
+        return sum(names, []), np.concatenate(tables), np.concatenate(priors)
+
+    def _draw(self, rngs: Sequence[np.random.Generator]) -> tuple[list[str], Array, Array]:
         layout, T, n = self.layout, self.epochs, len(rngs)
         program = _program(layout)
         draws = np.empty((n, T, program.incoming))
@@ -294,8 +311,8 @@ class SimulatedSource:
             _draw(rng, draws[i], layout.anchors, layout.size)
             prior[i] = rng.standard_normal(STATE_SIZE)
             names.append(mobility.name)
-        rows = self._start(program, n)
-        kept = np.array(leaves([program.index.measured, program.index.bias_hz]), np.int64)
+        rows = np.tile(self._start[None, :, None], (-(-n // WIDTH), 1, WIDTH))
+        kept = np.arange(*_kept(layout))
         out = np.empty((n, T, len(kept)))
         program.run_on_lanes(rows, draws, np.zeros(n, np.int64), kept, out)
         out[:, 1:, 0] = np.diff(self.time_s)
@@ -303,8 +320,9 @@ class SimulatedSource:
         deviation = np.sqrt(np.diag(self.radio.prior_covariance(self.scene)))
         return names, out[..., :-1], state + deviation * prior
 
-    def _start(self, program: Program[Simulation], n: int) -> Array:
-        """The workspace (blocks, size, 8) of n episodes before their first epoch."""
+    @cached_property
+    def _start(self) -> Array:
+        """The workspace (size,) of an episode before its first epoch."""
         radio, scene = self.radio, self.scene
         world = World(
             anchors=scene.anchors_m.tolist(),
@@ -313,5 +331,4 @@ class SimulatedSource:
             first_bias_mps=radio.prior_bias_mps,
             drift_mps=radio.drift_mps * self.dt**0.5,
         )
-        start = np.array(leaves(program.template._replace(world=world)), float)
-        return np.tile(start[None, :, None], (-(-n // WIDTH), 1, WIDTH))
+        return np.array(leaves(_program(self.layout).template._replace(world=world)), float)
