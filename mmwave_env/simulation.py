@@ -7,6 +7,7 @@ What follows is arithmetic: functions of numbers that run on lanes, an episode t
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
+from itertools import chain
 from typing import NamedTuple
 
 import numba
@@ -297,7 +298,7 @@ class SimulatedSource:
         """
         parts = [self._draw(rngs[i : i + CHUNK]) for i in range(0, len(rngs), CHUNK)]
         names, tables, priors = zip(*parts, strict=True)
-        return sum(names, []), np.concatenate(tables), np.concatenate(priors)
+        return list(chain(*names)), np.concatenate(tables), np.concatenate(priors)
 
     def _draw(self, rngs: Sequence[np.random.Generator]) -> tuple[list[str], Array, Array]:
         layout, T, n = self.layout, self.epochs, len(rngs)
