@@ -109,7 +109,15 @@ def contender_from(name: str, radio: str, modes: tuple[Mode, ...] | None = None)
 
 
 def draw_episodes(source: EpisodeSource, seeds: Sequence[int]) -> list[Episode]:
-    """One episode per seed, the same that ``env.reset(seed=...)`` draws."""
+    """One episode per seed, the same that ``env.reset(seed=...)`` draws.
+
+    Raises:
+        ValueError: no seeds, or a negative one.
+    """
+    if not len(seeds):
+        raise ValueError("episodes: found none, expected at least 1")
+    if min(seeds) < 0:
+        raise ValueError(f"seed: found {min(seeds)}, expected 0 or more")
     return [source.sample(np.random.default_rng(seed)) for seed in seeds]
 
 
