@@ -129,7 +129,11 @@ def test_every_number_has_its_place(tmp_path):
 )
 def test_units_are_converted(tmp_path, name, value, row, expected):
     (quantity,) = [q for q, names in QUANTITIES.items() if name in names]
-    cells = dict.fromkeys(HEADER.split(","), "0.5") | {"time_s": "1", "anchor": "1"}
+    cells = dict.fromkeys(HEADER.split(","), "0.5") | {
+        "time_s": "1",
+        "anchor": "1",
+        "toa_s": "1e-7",
+    }
     (old,) = [column for column in cells if column in QUANTITIES[quantity]]
     del cells[old]
     cells[name] = value
