@@ -20,7 +20,7 @@ from experiments.cli import run
 from experiments.evaluation import draw_episodes
 from experiments.files import write_json
 from mmwave_env.engine import Engine
-from mmwave_env.episode import Episode, SimulatedSource
+from mmwave_env.episode import Episode
 from mmwave_env.estimator.algebra import unpack
 from mmwave_env.estimator.batch import blank_incoming, blank_site
 from mmwave_env.estimator.belief import Belief
@@ -32,6 +32,7 @@ from mmwave_env.estimator.update import Gate
 from mmwave_env.radio import radio_from
 from mmwave_env.reward import TrackingReward
 from mmwave_env.scene import scene_from
+from mmwave_env.simulation import SimulatedSource
 
 
 @dataclass

@@ -1,10 +1,11 @@
 """The command line ``mmwave-loc <command>``."""
 
 import importlib
+import os
 import sys
 import warnings
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, NoReturn
 
 import tyro
 
@@ -27,6 +28,15 @@ def _show_warning(message: Warning | str, *_: Any, **__: Any) -> None:
     print(f"warning: {message}", file=sys.stderr)
 
 
+def _leave(code: int) -> NoReturn:
+    """Exit, without a complaint of Python's where nobody reads what is left to write."""
+    try:
+        print(end="", flush=True)
+    except BrokenPipeError:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+    sys.exit(code)
+
+
 def run(name: str, arguments: Sequence[str] | None = None) -> None:
     """Run one command; bad input ends with one line and exit code 2.
 
@@ -42,9 +52,12 @@ def run(name: str, arguments: Sequence[str] | None = None) -> None:
         if json is not None:
             require_writable(json)
         command.main(args)
+        print(end="", flush=True)
+    except BrokenPipeError:  # the reader has seen enough
+        _leave(141)  # as a shell reports a program that SIGPIPE ended
     except (ValueError, OSError) as error:
         print(f"mmwave-loc {name}: {error}", file=sys.stderr)
-        sys.exit(2)
+        _leave(2)
     except KeyboardInterrupt:
         print(f"mmwave-loc {name}: interrupted", file=sys.stderr)
         sys.exit(130)

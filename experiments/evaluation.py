@@ -109,8 +109,25 @@ def contender_from(name: str, radio: str, modes: tuple[Mode, ...] | None = None)
     return choose(contenders(radio, modes), name, "policy")
 
 
+def require_seeds(seeds: Sequence[int]) -> None:
+    """Refuse an empty run, and seeds that are none.
+
+    Raises:
+        ValueError: no seeds, or a negative one.
+    """
+    if not len(seeds):
+        raise ValueError("episodes: found none, expected at least 1")
+    if min(seeds) < 0:
+        raise ValueError(f"seed: found {min(seeds)}, expected 0 or more")
+
+
 def draw_episodes(source: EpisodeSource, seeds: Sequence[int]) -> list[Episode]:
-    """One episode per seed, the same that ``env.reset(seed=...)`` draws."""
+    """One episode per seed, the same that ``env.reset(seed=...)`` draws.
+
+    Raises:
+        ValueError: no seeds, or a negative one.
+    """
+    require_seeds(seeds)
     return [source.sample(np.random.default_rng(seed)) for seed in seeds]
 
 
@@ -166,8 +183,7 @@ def evaluate(
     Raises:
         ValueError: unknown or repeated contender, or fewer than one episode.
     """
-    if episodes < 1:
-        raise ValueError(f"episodes: found {episodes}, expected at least 1")
+    require_seeds(range(seed, seed + episodes))
     if len(set(names)) < len(names):
         raise ValueError(f"policies: found {', '.join(names)}, expected no name twice")
     chosen = [contender_from(name, radio, modes) for name in names]

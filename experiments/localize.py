@@ -244,12 +244,14 @@ def main(args: Args) -> None:
         written["picture"] = str(args.plot)
     origin = {"log": str(args.log), "scene": scene.name, "radio": args.radio, "rule": the.why}
     figures = {**origin, **figures, "written": written, "error": error and str(error)}
-    show(track_markdown(figures))
-    if args.json:
+    if args.json:  # first, because whoever reads what is shown may leave
         write_json(args.json, figures)
-    if error:
-        done = f"; {figures['epochs']} epochs are {'written' if args.out else 'shown'}"
-        raise ValueError(f"{error}{done}") from error
+    try:
+        show(track_markdown(figures))
+    finally:
+        if error:
+            done = f"; {figures['epochs']} epochs are {'written' if args.out else 'shown'}"
+            raise ValueError(f"{error}{done}") from error
 
 
 if __name__ == "__main__":

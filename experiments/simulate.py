@@ -3,16 +3,15 @@
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-import numpy as np
-
 from experiments.cli import run
+from experiments.evaluation import draw_episodes
 from experiments.files import beside, write_json, write_text
 from experiments.options import EpisodeArgs, command_line
-from mmwave_env.episode import SimulatedSource
 from mmwave_env.io.measurement_log import write_log
 from mmwave_env.io.tum import COLUMNS, tum_lines
 from mmwave_env.recording import RecordedSource
 from mmwave_env.scene import Scene, anchors_json
+from mmwave_env.simulation import SimulatedSource
 
 
 @dataclass
@@ -52,7 +51,7 @@ def _source(args: Args) -> tuple[SimulatedSource | RecordedSource, Scene]:
 def main(args: Args) -> None:
     """Run the command."""
     source, scene = _source(args)
-    episode = source.sample(np.random.default_rng(args.seed))
+    (episode,) = draw_episodes(source, [args.seed])
     files = {name: args.out / name for name in ("log.csv", "scene.json", "truth.tum")}
     with beside(files["log.csv"]) as log:
         write_log(log, episode)

@@ -19,6 +19,7 @@ from experiments.paper.figure import draw
 from experiments.paper.printed import table_three, tables_one_and_two
 
 SECTIONS = 19
+MARK = re.compile(r"<!-- table: (.*?) -->\n.*?<!-- end -->", re.DOTALL)
 FIELDS = ("section", "row", "column", "mean", "low", "high")
 
 
@@ -33,7 +34,8 @@ class Args:
     out: Path = Path("results/paper")
     """folder for tables.md, tables.csv and tables.png"""
     docs: Path | None = None
-    """also renew the tables of this page, between its `<!-- table: ... -->` lines"""
+    """also renew the tables of this page, between its `<!-- table: ... -->` lines, and the
+    figure beside it"""
     json: Path | None = None
     """write every figure to this file"""
 
@@ -60,7 +62,7 @@ def renewed(page: str, found: dict[str, Section]) -> str:
             raise ValueError(f"table of the page: found {title!r}, expected one of {list(found)}")
         return f"<!-- table: {title} -->\n{found[title].body()}\n<!-- end -->"
 
-    return re.sub(r"<!-- table: (.*?) -->\n.*?<!-- end -->", table, page, flags=re.DOTALL)
+    return MARK.sub(table, page)
 
 
 def main(args: Args) -> None:
@@ -68,26 +70,42 @@ def main(args: Args) -> None:
     if args.episodes < 1:
         raise ValueError(f"episodes: found {args.episodes}, expected at least 1")
     require_writable(args.out / "tables.md")
-    page = args.docs.read_text(encoding="utf-8") if args.docs else ""
+    page = _page(args.docs) if args.docs else ""
     bench = Bench(args.episodes, args.seed)
     found = {}
     for section in track(sections(bench), total=SECTIONS, description="tables", transient=True):
         found[section.title] = section
     text = "\n".join(section.markdown() for section in found.values())
-    show(text)
     records = [record for section in found.values() for record in section.records()]
     table = io.StringIO()
     csv.writer(table, lineterminator="\n").writerows([FIELDS, *records])
     write_text(args.out / "tables.md", text)
     write_text(args.out / "tables.csv", table.getvalue())
-    with beside(args.out / "tables.png") as path:
-        draw(found, path)
-    if args.docs:
-        write_text(args.docs, renewed(page, found))
+    figures = [args.out / "tables.png"] + ([args.docs.with_suffix(".png")] if args.docs else [])
+    for figure in figures:
+        with beside(figure) as path:
+            draw(found, path)
     if args.json:
         rows = [dict(zip(FIELDS, record, strict=True)) for record in records]
         write_json(args.json, {"episodes": args.episodes, "seed": args.seed, "figures": rows})
+    if args.docs:
+        write_text(args.docs, renewed(page, found))
+    show(text)
     print(f"written to {args.out}/")
+
+
+def _page(path: Path) -> str:
+    """A page to renew.
+
+    Raises:
+        ValueError: it has no marks.
+        OSError: it can't be read or written.
+    """
+    require_writable(path)
+    page = path.read_text(encoding="utf-8")
+    if not MARK.search(page):
+        raise ValueError(f"{path}: found no table, expected <!-- table: ... --> and <!-- end -->")
+    return page
 
 
 if __name__ == "__main__":

@@ -27,7 +27,7 @@ class TrackPicture:
 
     def __init__(self, modes: Sequence[str], anchors_m: Array) -> None:
         self._modes, self._anchors_m = list(modes), anchors_m
-        self._kept = np.empty((0, 9))  # time, mode, position, true position, sigma
+        self._kept = np.empty((0, 10))  # time, mode, position, true position, sigma, segment
         self._every, self._epochs = 1, 0
 
     def add(self, block: TrackBlock, truth: Array | None) -> None:
@@ -35,7 +35,10 @@ class TrackPicture:
         if truth is None:
             truth = np.full((len(block), 3), np.nan)
         sigma = np.sqrt(np.maximum(block.smooth_P[:, _DIAGONAL], 0.0).sum(axis=1))
-        rows = np.column_stack([block.time_s, block.mode, block.smooth_x[:, :3], truth, sigma])
+        segment = np.full(len(block), block.segment)
+        rows = np.column_stack(
+            [block.time_s, block.mode, block.smooth_x[:, :3], truth, sigma, segment]
+        )
         self._kept = np.concatenate([self._kept, rows[-self._epochs % self._every :: self._every]])
         self._epochs += len(rows)
         while len(self._kept) > _POINTS:
@@ -65,10 +68,13 @@ class TrackPicture:
             axes.plot(*truth.T, color="black", lw=3.0, alpha=0.3, label="truth",
                       **style if self._every == 1 else style | {"ms": 5.0})  # fmt: skip
         steps = np.stack([position[:-1], position[1:]], axis=1)
+        whole = np.diff(self._kept[:, 9]) == 0.0  # where the track begins anew, no line leads there
         for number in np.unique(mode).astype(int):
             colour, label = _COLOURS[number], f"estimate, {self._modes[number]}"
             if self._every == 1:
-                axes.add_collection(LineCollection(steps[mode[1:] == number], color=colour, lw=1.2))
+                axes.add_collection(
+                    LineCollection(steps[whole & (mode[1:] == number)], color=colour, lw=1.2)
+                )
                 axes.plot([], [], color=colour, lw=1.2, label=label)
             else:
                 axes.plot(*position[mode == number].T, color=colour, label=label, **style)

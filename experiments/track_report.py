@@ -3,6 +3,7 @@
 from typing import Any
 
 from experiments.markdown import HEADERS, grid
+from mmwave_env.segments import GAP_S
 from policies.scripted import DESIGN_LIMIT_MPS
 
 
@@ -14,6 +15,10 @@ def _percent(share: float | None) -> str:
     return "-" if share is None else f"{100.0 * share:.1f} %"
 
 
+def _times(count: int) -> str:
+    return "once" if count == 1 else f"{count} times"
+
+
 def _course(figures: dict[str, Any]) -> list[str]:
     f, speed = figures, figures["speed_mps"]
     epochs = f["epochs"]
@@ -23,9 +28,12 @@ def _course(figures: dict[str, Any]) -> list[str]:
     ]
     if f["skipped"]:
         lines.append(f"{f['skipped']} epochs before the first line of sight were skipped")
+    if f["restarts"] or f["dropped"]:
+        what = f"restarted {_times(f['restarts'])} after" if f["restarts"] else "ended at"
+        gaps = "a gap" if f["restarts"] < 2 else "gaps"
+        lines.append(f"{what} {gaps} of more than {GAP_S:g} s; {f['dropped']} epochs skipped")
     shares = ", ".join(f"{name} {_percent(n / epochs)}" for name, n in f["modes"].items())
-    times = "once" if f["switches"] == 1 else f"{f['switches']} times"
-    switches = f", switched {times}" if len(f["modes"]) > 1 else ""
+    switches = f", switched {_times(f['switches'])}" if len(f["modes"]) > 1 else ""
     lines.append(f"modes {f['rule']}: {shares} of the epochs{switches}")
     fast = speed["epochs_above_design_limit"]
     if len(f["modes"]) > 1 and fast:
@@ -57,12 +65,10 @@ def _accuracy(truth: dict[str, Any], epochs: int) -> str:
     header = ["track", *(HEADERS[m].replace("in 95", "NEES in 95") for m in metrics)]
     rows = [[name, *(_decimals(row[m]) for m in metrics)] for name, row in truth["tracks"].items()]
     low, high = truth["nees_interval"]
-    apart = truth["rpe_epochs"] or 1
-    steps = "1 epoch" if apart == 1 else f"{apart} epochs"
+    over = "" if truth["rpe_s"] is None else f"RPE is over {truth['rpe_s']:.3g} s; "
     return (
-        f"{grid(header, rows)}\n\n{truth['scored']} of {epochs} epochs have a true position. RPE "
-        f"is over {steps}; NEES should be {truth['nees_expected']}, 95 % of it within "
-        f"[{low:.2f}, {high:.2f}].\n"
+        f"{grid(header, rows)}\n\n{truth['scored']} of {epochs} epochs have a true position. {over}"
+        f"NEES should be {truth['nees_expected']}, 95 % of it within [{low:.2f}, {high:.2f}].\n"
     )
 
 

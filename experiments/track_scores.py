@@ -15,8 +15,9 @@ from mmwave_env.metrics import nees_interval
 from policies.scripted import DESIGN_LIMIT_MPS
 
 Array = NDArray[np.float64]
+Index = NDArray[np.intp]
 
-_ENOUGH = 100  # scored epochs that tell how many of them are a second
+_ENOUGH = 100  # epochs that tell how far apart they are
 
 
 def ratio(part: float, whole: float) -> float | None:
@@ -46,12 +47,12 @@ class Accuracy:
         self._scored += len(error)
         self._waiting = np.concatenate([self._waiting, error])
 
-    def pair(self, delta: int) -> None:
-        """Compare errors that are ``delta`` scored epochs apart, always the same."""
-        change = self._waiting[delta:] - self._waiting[:-delta]
+    def pair(self, first: Index, second: Index, done: int) -> None:
+        """Compare errors by their numbers among those waiting; then drop the ``done`` oldest."""
+        change = self._waiting[second] - self._waiting[first]
         self._change += float(np.linalg.norm(change, axis=1).sum())
         self._pairs += len(change)
-        self._waiting = self._waiting[-delta:]
+        self._waiting = self._waiting[done:]
 
     def figures(self) -> dict[str, float | None]:
         """By the names of :data:`~mmwave_env.metrics.METRICS`."""
@@ -63,6 +64,57 @@ class Accuracy:
             "nees": nees,
             "in_bounds": inside,
         }
+
+
+class Pairs:
+    """Which scored epochs are a second apart, or an epoch where epochs are longer than that.
+
+    Attributes:
+        apart_s: whole epochs, as near to a second as these come; None until that is known.
+    """
+
+    def __init__(self) -> None:
+        self.apart_s: float | None = None
+        self._slack_s = 0.0
+        self._first_s = np.empty(0)  # of the log, to see how far its epochs are apart
+        self._time_s, self._segment = np.empty(0), np.empty(0, np.int64)  # scored, waiting
+
+    def add(self, time_s: Array, scored: Index, segment: int) -> None:
+        """Take more epochs of the log (T,), those scored, and the segment they all are in."""
+        more = time_s[: _ENOUGH - len(self._first_s)]
+        self._first_s = np.concatenate([self._first_s, more])
+        self._time_s = np.concatenate([self._time_s, time_s[scored]])
+        self._segment = np.concatenate([self._segment, np.full(len(scored), segment)])
+
+    def take(self, end: bool) -> tuple[Index, Index, int]:
+        """Numbers of the pairs among those waiting, and how many are done with.
+
+        Args:
+            end: whether nothing more comes.
+        """
+        nothing = np.empty(0, np.intp)
+        if self.apart_s is None:
+            if len(self._first_s) < (2 if end else _ENOUGH):
+                return nothing, nothing, 0
+            step = float(np.median(np.diff(self._first_s)))
+            self.apart_s, self._slack_s = max(1, round(1.0 / step)) * step, 0.5 * step
+        time, n = self._time_s, len(self._time_s)
+        later = time + self.apart_s
+        done = n if end else int(np.searchsorted(later, time[-1:], "right").sum())
+        if not done:
+            return nothing, nothing, 0
+        after = np.minimum(np.searchsorted(time, later[:done]), n - 1)
+        before = np.maximum(after - 1, 0)
+        nearer = np.abs(time[before] - later[:done]) < np.abs(time[after] - later[:done])
+        second = np.where(nearer, before, after)
+        first = np.arange(done)
+        paired = (
+            (np.abs(time[second] - later[:done]) <= self._slack_s)
+            & (second > first)
+            & (self._segment[second] == self._segment[:done])
+        )
+        self._time_s, self._segment = time[done:], self._segment[done:]
+        return first[paired], second[paired], done
 
 
 class TruthScores:
@@ -80,8 +132,7 @@ class TruthScores:
         self._pinned: tuple[int, ...] = VERTICAL if planar else ()
         self._tracks = {name: Accuracy(len(self._axes)) for name in names}
         self._tolerance_s: float | None = None
-        self._delta: int | None = None
-        self._times = np.empty(0)
+        self._pairs = Pairs()
 
     def add(self, block: TrackBlock) -> Array:
         """Score a block; returns true positions (T, 3), NaN where not known."""
@@ -90,13 +141,14 @@ class TruthScores:
             self._tolerance_s = min(TOLERANCE_S, float(half))
         truth = self.truth.at(block.time_s, self._tolerance_s)
         known = np.flatnonzero(~np.isnan(truth[:, 0]))
+        self._pairs.add(block.time_s, known, block.segment)
         if len(known):
             self.scored += len(known)
             for name, accuracy in self._tracks.items():
                 smooth = name == "smoothed"
                 x, P = (block.smooth_x, block.smooth_P) if smooth else (block.x, block.P)
                 accuracy.add(*self._errors(x[known], P[known], truth[known]))
-            self._pair(block.time_s[known], _ENOUGH)
+        self._pair()
         return truth
 
     def _errors(self, x: Array, P: Array, truth: Array) -> tuple[Array, Array]:
@@ -104,24 +156,22 @@ class TruthScores:
         where = list(truth.T)
         return np.column_stack(belief.error(where)), belief.nees(where)
 
-    def _pair(self, time_s: Array, enough: int) -> None:
-        if self._delta is None:
-            self._times = np.concatenate([self._times, time_s])
-            if len(self._times) < enough:
-                return
-            self._delta = max(1, round(1.0 / np.median(np.diff(self._times))))
+    def _pair(self, end: bool = False) -> None:
+        found = self._pairs.take(end)
         for accuracy in self._tracks.values():
-            accuracy.pair(self._delta)
+            accuracy.pair(*found)
 
     def figures(self) -> dict[str, Any]:
         """Every track's accuracy, and what it means."""
-        self._pair(np.empty(0), 2)
+        self._pair(end=True)
+        tracks = {name: accuracy.figures() for name, accuracy in self._tracks.items()}
+        paired = any(row["rpe_m"] is not None for row in tracks.values())
         return {
             "scored": self.scored,
-            "rpe_epochs": self._delta,
+            "rpe_s": self._pairs.apart_s if paired else None,
             "nees_expected": len(self._axes),
             "nees_interval": nees_interval(len(self._axes)),
-            "tracks": {name: accuracy.figures() for name, accuracy in self._tracks.items()},
+            "tracks": tracks,
         }
 
 
@@ -177,7 +227,7 @@ class Course:
     def __init__(self, modes: Sequence[str]) -> None:
         self.epochs = 0
         self.first_s = self.last_s = 0.0
-        self._skipped = self._switches = self._fast = 0
+        self._skipped = self._restarts = self._dropped = self._switches = self._fast = 0
         self._modes = dict.fromkeys(modes, 0)
         self._last_mode = -1
         self._speed = self._fastest = 0.0
@@ -196,7 +246,8 @@ class Course:
         self._speed += float(speed.sum())
         self._fastest = max(self._fastest, float(speed.max()))
         self._fast += int((speed > DESIGN_LIMIT_MPS).sum())
-        self._skipped, self.last_s = block.skipped, float(block.time_s[-1])
+        self._skipped, self._restarts, self._dropped = block.skipped, block.segment, block.dropped
+        self.last_s = float(block.time_s[-1])
         self.epochs += len(block)
 
     def figures(self) -> dict[str, Any]:
@@ -204,6 +255,8 @@ class Course:
         return {
             "epochs": self.epochs,
             "skipped": self._skipped,
+            "restarts": self._restarts,
+            "dropped": self._dropped,
             "first_s": self.first_s,
             "last_s": self.last_s,
             "speed_mps": {

@@ -16,7 +16,7 @@ from experiments.evaluation import bootstrap, draw_episodes
 from experiments.files import require_writable, write_json
 from experiments.markdown import grid
 from experiments.options import TUNING_SEED, command_line, require_tuning_seed
-from mmwave_env.episode import Episode, SimulatedSource
+from mmwave_env.episode import Episode
 from mmwave_env.estimator.modes import Mode, as_written, modes_from
 from mmwave_env.estimator.pipeline import Pipeline
 from mmwave_env.measurement import Layout
@@ -24,6 +24,7 @@ from mmwave_env.metrics import scored
 from mmwave_env.names import choose
 from mmwave_env.radio import radio_from
 from mmwave_env.scene import scene_from
+from mmwave_env.simulation import SimulatedSource
 from mmwave_env.tracker import Tracker
 
 Array = NDArray[np.float64]

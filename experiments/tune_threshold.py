@@ -11,9 +11,9 @@ from experiments.cli import run
 from experiments.evaluation import bootstrap, contender_from, draw_episodes, score
 from experiments.files import write_json
 from experiments.options import TUNING_SEED, command_line, require_tuning_seed
-from mmwave_env.episode import SimulatedSource
 from mmwave_env.radio import RADIOS, radio_from
 from mmwave_env.scene import scene_from
+from mmwave_env.simulation import SimulatedSource
 from policies import SpeedRule
 
 

@@ -12,7 +12,7 @@ from gymnasium.error import InvalidAction, ResetNeeded
 from numpy.typing import NDArray
 
 from mmwave_env.engine import Engine
-from mmwave_env.episode import Episode, EpisodeSource, SimulatedSource
+from mmwave_env.episode import Episode, EpisodeSource
 from mmwave_env.estimator.modes import Mode, modes_from
 from mmwave_env.estimator.pipeline import Pipeline
 from mmwave_env.information import episode_info
@@ -24,6 +24,7 @@ from mmwave_env.rendering import FRAMES_PER_SECOND, Picture, blank_picture
 from mmwave_env.reward import Reward
 from mmwave_env.scene import Scene, scene_from
 from mmwave_env.setting import setting_from
+from mmwave_env.simulation import SimulatedSource
 
 BACKENDS = {"lanes": "SIMD lanes", "filterpy": "filterpy's filters, slow, independent"}
 

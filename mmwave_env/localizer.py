@@ -1,8 +1,8 @@
 """A measurement log becomes a track, block by block (paper, Algorithm 1, Step 3).
 
-A track begins at the first line of sight, which gives its prior, and every ``window`` epochs
-from there on are smoothed. A log may be longer than memory, and what is made of it does not
-depend on how it is cut into blocks.
+A track begins at the first line of sight, which gives its prior, and anew after a long gap
+(``segments.py``); every ``window`` epochs from there on are smoothed. A log may be longer than
+memory, and what is made of it does not depend on how it is cut into blocks.
 """
 
 from collections.abc import Iterable, Iterator, Sequence
@@ -22,6 +22,7 @@ from mmwave_env.measurement import Layout
 from mmwave_env.prior import prior_from_fix
 from mmwave_env.radio import Radio
 from mmwave_env.scene import Scene
+from mmwave_env.segments import Piece, segments
 from mmwave_env.tracker import Rule, Tracker
 
 Array = NDArray[np.float64]
@@ -34,7 +35,7 @@ _FILTERED = ("x", "P", "P_predicted", "memory.mode", "memory.nis", "memory.accep
 
 @dataclass(frozen=True, eq=False)
 class TrackBlock:
-    """T consecutive epochs of a track.
+    """T consecutive epochs of a track, all of one segment of it.
 
     Attributes:
         layout: groups of the measurements.
@@ -46,7 +47,9 @@ class TrackBlock:
         mode: (T,) number of the mode that ran.
         nis: (T, groups); 0 where not visible.
         visible, accepted, incomplete: (T, groups); the link that gave the prior is not visible.
+        segment: number of the segment, from 0; each begins anew, with a prior from a link.
         skipped: epochs of the log before the track.
+        dropped: epochs of the log between segments so far, up to the next block.
         share: of the log read so far, 0 to 1.
     """
 
@@ -63,7 +66,9 @@ class TrackBlock:
     visible: Mask
     accepted: Mask
     incomplete: Mask
+    segment: int
     skipped: int
+    dropped: int
     share: float
 
     def __len__(self) -> int:
@@ -100,32 +105,12 @@ def localize(
         LogError: from ``blocks``.
         ValueError: there is no line of sight to begin with.
     """
-    track = _filtered(_from_first_fix(blocks), scene, radio, modes, rule, height_m)
+    track = _filtered(segments(blocks), scene, radio, modes, rule, height_m)
     return track if window is None else _smoothed(track, window)
 
 
-def _from_first_fix(blocks: Iterable[LogBlock]) -> Iterator[tuple[LogBlock, int]]:
-    """The log from the first line of sight on, and how many epochs came before."""
-    found, skipped, incomplete = False, 0, 0
-    for whole in blocks:
-        block = whole
-        if not found:
-            fixes = np.flatnonzero(block.visible[:, 0] & (block.measurement[:, 0] > 0.0))
-            found, first = bool(len(fixes)), int(fixes[0]) if len(fixes) else len(block)
-            skipped += first
-            incomplete += int(block.incomplete[:first, 0].sum())
-            block = block.part(slice(first, None))
-        if len(block):
-            yield block, skipped
-    if not found:
-        raise ValueError(
-            f"log: found {skipped} epochs without a line of sight, expected one with range, angles "
-            f"and SNR of anchor 1, where the track begins ({incomplete} have only some of these)"
-        )
-
-
 def _filtered(
-    blocks: Iterable[tuple[LogBlock, int]],
+    pieces: Iterable[Piece],
     scene: Scene,
     radio: Radio,
     modes: Sequence[Mode],
@@ -134,11 +119,13 @@ def _filtered(
 ) -> Iterator[TrackBlock]:
     tracker: Tracker | None = None
     prior = np.zeros(7), np.eye(7)
-    for block, skipped in blocks:
+    for piece in pieces:
+        block = piece.block
         sigma, visible = radio.sigma(block.snr_db, scene, block.layout), block.visible
         if tracker is None:
             pipeline = Pipeline(tuple(modes), block.layout, planar=height_m is not None)
             tracker = Tracker(pipeline, 1, rule)
+        if piece.begins:
             fix = block.measurement[0, :4], sigma[0, :4]
             prior = prior_from_fix(scene.anchors_m[0], *fix, radio, scene)
             visible = visible.copy()
@@ -163,14 +150,16 @@ def _filtered(
             visible=visible,
             accepted=accepted > 0.5,
             incomplete=block.incomplete,
-            skipped=skipped,
+            segment=piece.segment,
+            skipped=piece.skipped,
+            dropped=piece.dropped,
             share=block.share,
         )
         yield from _while_finite(track)
 
 
 def _while_finite(track: TrackBlock) -> Iterator[TrackBlock]:
-    """The track, and an error in place of what is no number (after a gap of months, say)."""
+    """The track, and an error in place of what is no number (after 1e300 Hz, ungated, say)."""
     lost = np.flatnonzero(~np.isfinite(track.x).all(axis=1) | ~np.isfinite(track.P).all(axis=1))
     if not len(lost):
         yield track
@@ -179,8 +168,8 @@ def _while_finite(track: TrackBlock) -> Iterator[TrackBlock]:
     if first:
         yield _part(track, slice(first))
     raise LogError(
-        f"log, time {track.time_s[first]} s: found no finite state after this epoch, expected gaps "
-        "of days at most, and ranges in reach"
+        f"log, time {track.time_s[first]} s: found no finite state after this epoch, expected "
+        "measurements that a receiver can make"
     )
 
 
@@ -210,10 +199,13 @@ def _episode(
 
 
 def _smoothed(blocks: Iterable[TrackBlock], window: int) -> Iterator[TrackBlock]:
-    """The track in blocks of whole windows, smoothed all at once, and what is left."""
+    """The track in blocks of whole windows, smoothed all at once, and what is left of segments."""
     waiting: list[TrackBlock] = []
     try:
         for block in blocks:
+            if waiting and block.segment != waiting[0].segment:
+                yield from _rest(waiting)
+                waiting = []
             waiting.append(block)
             if sum(map(len, waiting)) >= window:
                 joined = _joined(waiting)

@@ -86,9 +86,14 @@ class Layout:
 
 
 def wrap_angles(measurement: NDArray[np.float64], layout: Layout) -> None:
-    """Move the angles of measurements (T, rows) into [-pi, pi), in place."""
+    """Move the angles of measurements (T, rows) into [-pi, pi), in place.
+
+    Those that are there already stay as they are, to the bit.
+    """
     rows = layout.angles
-    measurement[:, rows] = np.remainder(measurement[:, rows] + PI, 2.0 * PI) - PI
+    angles = measurement[:, rows]
+    moved = np.remainder(angles + PI, 2.0 * PI) - PI
+    measurement[:, rows] = np.where((angles >= -PI) & (angles < PI), angles, moved)
 
 
 class Measurement(NamedTuple):
@@ -147,6 +152,30 @@ def direction(d: Vector) -> tuple[Number, Number, Number]:
 def range_rate(d: Vector, velocity: Vector) -> Number:
     """Rate of change of |d|, m/s, for an anchor at rest."""
     return (d[0] * velocity[0] + d[1] * velocity[1] + d[2] * velocity[2]) / norms(d)[1]
+
+
+def exact_rows(
+    position: Vector, velocity: Vector, anchors: Matrix, hz_per_mps: Number, layout: Layout
+) -> list[Number]:
+    """Noise-free measurement (rows,) of a user, without oscillator bias: m, rad, Hz, m/s.
+
+    Args:
+        position, velocity: (3,) m, m/s.
+        anchors: (L, 3) m.
+        hz_per_mps: carrier frequency over the speed of light.
+        layout: whether odometry follows.
+    """
+    rows: list[Number] = []
+    for anchor in anchors:
+        d = [position[i] - anchor[i] for i in range(3)]
+        distance, azimuth, elevation = direction(d)
+        departure = where(azimuth > 0.0, azimuth - PI, azimuth + PI)
+        rows += [distance, azimuth, elevation, departure]
+    d = [position[i] - anchors[0][i] for i in range(3)]
+    rows.append(hz_per_mps * range_rate(d, velocity))
+    if layout.odometry:
+        rows += [norms(velocity)[1], atan2(velocity[1], velocity[0])]
+    return rows
 
 
 def link_group(x: Vector, anchor: Vector, z: Vector, variance: Vector) -> Group:

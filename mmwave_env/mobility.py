@@ -6,6 +6,7 @@ limits of acceleration, braking, lateral acceleration and jerk. Simulated at 0.1
 """
 
 from dataclasses import astuple, dataclass, field, replace
+from functools import lru_cache
 
 import numba
 import numpy as np
@@ -123,38 +124,77 @@ def mobilities_of(scenario: str) -> tuple[Mobility, ...]:
     return choose(names, scenario, "scenario")
 
 
-def trajectory(
-    mobility: Mobility, streets: Streets, dt: float, epochs: int, rng: np.random.Generator
-) -> tuple[Array, Array]:
-    """Positions (epochs, 3) in m and velocities (epochs, 3) in m/s at steps of ``dt`` seconds."""
-    stride = max(1, round(dt / FINEST_STEP_S))
-    step = dt / stride
+@lru_cache(maxsize=64)
+def _plan(mobility: Mobility, streets: Streets) -> tuple[Array, Array, Array, Array, Array, float]:
+    """A mobility in numbers.
+
+    Returns:
+        Ranges of the phases' durations (phases, 2); of acceleration, braking and lateral
+        acceleration (phases, 3, 2); other limits (phases, 5); gaits (phases, most, 4), zero
+        rows unused; first crossing and numbers of blocks (2, 2); length of a block.
+    """
     phases = mobility.phases
-    ends = np.cumsum([rng.uniform(*p.duration_s) if np.isfinite(p.duration_s[0]) else np.inf
-                      for p in phases])  # fmt: skip
-    if mobility.ends_as_it_began:
-        ends[-1] = epochs * dt - rng.uniform(*phases[0].duration_s) - STOPPING_S
-        phases, ends = (*phases, phases[0]), np.append(ends, np.inf)
-    limits = np.array([
-        [rng.uniform(*p.limits.acceleration_mps2), rng.uniform(*p.limits.braking_mps2),
-         rng.uniform(*p.limits.lateral_mps2), p.limits.jerk_mps3, p.limits.corner_radius_m,
-         p.limits.red_light_probability, *p.limits.red_light_s]
+    duration = np.array([p.duration_s for p in phases])
+    ranges = np.array([
+        [p.limits.acceleration_mps2, p.limits.braking_mps2, p.limits.lateral_mps2] for p in phases
+    ])  # fmt: skip
+    fixed = np.array([
+        [p.limits.jerk_mps3, p.limits.corner_radius_m, p.limits.red_light_probability,
+         *p.limits.red_light_s]
         for p in phases
     ])  # fmt: skip
     gaits = np.zeros((len(phases), max(len(p.gaits) for p in phases), 4))
     for row, p in zip(gaits, phases, strict=True):
         row[: len(p.gaits)] = [astuple(g) for g in p.gaits]
     block = streets.block_m / mobility.blocks
-    origin = np.array([streets.x_m[0], streets.y_m[0]])
-    counts = np.array([
-        round((high - low) / block) for low, high in (streets.x_m, streets.y_m)
-    ])  # fmt: skip
-    path = _travel(rng, ends, limits, gaits, origin, counts, block, step, stride, epochs)
-    position = np.empty((epochs, 3))
-    velocity = np.zeros((epochs, 3))
-    position[:, :2], position[:, 2] = path[:, :2], streets.height_m
-    velocity[:, :2] = path[:, 2:]
-    return position, velocity
+    extents = (streets.x_m, streets.y_m)
+    net = [[low for low, _ in extents], [round((high - low) / block) for low, high in extents]]
+    return duration, ranges, fixed, gaits, np.array(net, float), block
+
+
+def trajectory(
+    mobility: Mobility,
+    streets: Streets,
+    dt: float,
+    rng: np.random.Generator,
+    out: Array,
+) -> None:
+    """Fill (epochs, 6) with positions (m) and velocities (m/s) at steps of ``dt`` seconds."""
+    stride = max(1, round(dt / FINEST_STEP_S))
+    duration, ranges, fixed, gaits, net, block = _plan(mobility, streets)
+    out[:, 2], out[:, 5] = streets.height_m, 0.0
+    _travel(
+        rng, duration, ranges, fixed, mobility.ends_as_it_began, gaits, net, block, dt, stride, out
+    )
+
+
+@numba.njit(cache=True)
+def _uniform(rng, interval):  # type: ignore[no-untyped-def]
+    return interval[0] + (interval[1] - interval[0]) * rng.random()
+
+
+@numba.njit(cache=True)
+def _draw_phases(rng, duration, ranges, fixed, ends_as_it_began, total_s):  # type: ignore[no-untyped-def]
+    """When each phase ends (phases,), and its limits (phases, 8); see :func:`_plan`.
+
+    Limits are drawn once per episode; a phase that returns at the end has its own.
+    """
+    phases = len(duration)
+    ends, n = np.empty(phases + 1), phases
+    passed = 0.0
+    for p in range(phases):
+        passed += _uniform(rng, duration[p]) if np.isfinite(duration[p, 0]) else np.inf
+        ends[p] = passed
+    if ends_as_it_began:
+        ends[phases - 1] = total_s - _uniform(rng, duration[0]) - STOPPING_S
+        ends[phases] = np.inf
+        n = phases + 1
+    limits = np.empty((n, 8))
+    for p in range(n):
+        for i in range(3):
+            limits[p, i] = _uniform(rng, ranges[p % phases, i])
+        limits[p, 3:] = fixed[p % phases]
+    return ends[:n], limits
 
 
 @numba.njit(cache=True)
@@ -195,6 +235,13 @@ def _draw_start(rng, counts):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(cache=True)
+def _row(limits, phase):  # type: ignore[no-untyped-def]
+    """A phase's limits as a tuple, which costs nothing to hand on."""
+    l = limits[phase]
+    return l[0], l[1], l[2], l[3], l[4], l[5], l[6], l[7]
+
+
+@numba.njit(cache=True)
 def _draw_crossing(rng, node, heading, counts, limits):  # type: ignore[no-untyped-def]
     """Move ``node`` to the next crossing; what to do there: the turn, and seconds of red light."""
     node[0] += 1 if heading == 0 else -1 if heading == 2 else 0
@@ -202,16 +249,21 @@ def _draw_crossing(rng, node, heading, counts, limits):  # type: ignore[no-untyp
     turn = _draw_turn(rng, node, heading, counts)
     red = 0.0
     if rng.random() < limits[5]:
-        red = limits[6] + (limits[7] - limits[6]) * rng.random()
+        red = _uniform(rng, limits[6:8])
     return turn, red
+
+
+@numba.njit(cache=True)
+def _toward(v, target, limits):  # type: ignore[no-untyped-def]
+    """Wanted acceleration to reach a target speed."""
+    return min(max((target - v) / 0.5, -limits[1]), limits[0])
 
 
 @numba.njit(cache=True)
 def _pull(v, a, target, limits, cap, left):  # type: ignore[no-untyped-def]
     """Wanted acceleration: towards the target, and down to ``cap`` within ``left`` metres."""
-    acceleration, braking, jerk = limits[0], limits[1], limits[3]
-    wanted = min(target, np.sqrt(cap * cap + braking * max(left, 0.0)))
-    pull = min(max((wanted - v) / 0.5, -braking), acceleration)
+    braking, jerk = limits[1], limits[3]
+    pull = _toward(v, min(target, np.sqrt(cap * cap + braking * max(left, 0.0))), limits)
     if left > 0.0 and v > cap:
         reaction_s = 0.6 * (max(a, 0.0) + braking) / jerk  # until braking has built up
         need = (v * v - cap * cap) / (2.0 * max(left - reaction_s * v, 0.5))
@@ -225,7 +277,7 @@ def _drive(v, a, target, limits, turn, red, radius, left):  # type: ignore[no-un
     """Wanted acceleration with a crossing ``left`` metres ahead."""
     if turn != 0 and left <= 0.0:  # on the arc
         target = min(target, np.sqrt(limits[2] * radius))
-    pull = _pull(v, a, target, limits, np.inf, 0.0)
+    pull = _toward(v, target, limits)
     if turn != 0:
         pull = min(pull, _pull(v, a, target, limits, np.sqrt(limits[2] * radius), left))
     if red > 0.0 and left > 0.0:
@@ -254,6 +306,20 @@ def _course(heading, turn, bent, arc):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(cache=True)
+def _turned(before, angle):  # type: ignore[no-untyped-def]
+    """An angle, its cosine and its sine, from those before: most of the way is straight."""
+    return before if angle == before[0] else (angle, np.cos(angle), np.sin(angle))
+
+
+@numba.njit(cache=True)
+def _ahead(distance, turn, radius):  # type: ignore[no-untyped-def]
+    """Straight stretch and arc to a crossing ``distance`` metres away."""
+    if turn == 0:
+        return max(distance, 0.5), 0.0
+    return max(distance - radius, 0.5), abs(turn) * (np.pi / 2) * radius
+
+
+@numba.njit(cache=True)
 def _widen(turn, travelled, stretch, arc, radius, wanted):  # type: ignore[no-untyped-def]
     """Corner radius, straight stretch and arc ahead, for another radius if there is room."""
     if turn == 0 or stretch - travelled <= max(wanted - radius, -1.0) + 1.0:
@@ -261,27 +327,29 @@ def _widen(turn, travelled, stretch, arc, radius, wanted):  # type: ignore[no-un
     return wanted, stretch - (wanted - radius), abs(turn) * (np.pi / 2) * wanted
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, nogil=True)
 def _travel(  # type: ignore[no-untyped-def]
-    rng, ends, limits, gaits, origin, counts, block, step, stride, epochs
+    rng, duration, ranges, fixed, ends_as_it_began, gaits, net, block, dt, stride, out
 ):
-    """x, y, vx, vy (epochs, 4) of one traveller; arguments as :func:`trajectory` makes them."""
-    out = np.empty((epochs, 4))
+    """Fill x, y, vx and vy of one traveller; arguments as :func:`trajectory` makes them."""
+    epochs, step, phases = len(out), dt / stride, len(gaits)
+    ends, limits = _draw_phases(rng, duration, ranges, fixed, ends_as_it_began, epochs * dt)
+    origin, counts = net[0], net[1].astype(np.int64)
     node, heading = _draw_start(rng, counts)
-    along = origin + block * node
-    phase = 0
+    phase, limit, along = 0, _row(limits, 0), origin + block * node
     target, gait_left = _draw_gait(rng, gaits[0])
     v, a = 0.6 * target * rng.random(), 0.0  # slow enough for the first corner
-    stopping = False  # to change over to the next phase
     # The way ahead is a straight stretch, then an arc over a crossing (none if turn is 0);
     # the crossing after that is known too, for braking over a crossing that is driven straight.
     travelled, stretch, arc, turn, red = 0.0, 0.0, 0.0, 0, 0.0
-    radius = limits[0, 4]
-    turn_after, red_after = _draw_crossing(rng, node, heading, counts, limits[0])
+    turn_after, red_after = _draw_crossing(rng, node, heading, counts, limit)
+    radius, course = limit[4], (0.0, 1.0, 0.0)
+    stopping = False  # to change over to the next phase
     for k in range(epochs * stride):
         if k % stride == 0:
-            angle = _course(heading, turn, travelled - stretch, arc)
-            out[k // stride] = along[0], along[1], v * np.cos(angle), v * np.sin(angle)
+            course = _turned(course, _course(heading, turn, travelled - stretch, arc))
+            epoch = out[k // stride]
+            epoch[:2], epoch[3], epoch[4] = along, v * course[1], v * course[2]
         if k * step >= ends[phase] and not stopping:
             # Where the next phase needs a wider corner than there is room for: first round it.
             wider = limits[phase + 1, 4] - radius
@@ -290,36 +358,30 @@ def _travel(  # type: ignore[no-untyped-def]
             target, gait_left = 0.0, 1.0
             if v <= 0.1:
                 stopping, phase, gait_left = False, phase + 1, 0.0
-                radius, stretch, arc = _widen(
-                    turn, travelled, stretch, arc, radius, limits[phase, 4]
-                )
+                limit = _row(limits, phase)
+                radius, stretch, arc = _widen(turn, travelled, stretch, arc, radius, limit[4])
         if gait_left <= 0.0:
-            target, gait_left = _draw_gait(rng, gaits[phase])
+            target, gait_left = _draw_gait(rng, gaits[phase % phases])
         gait_left -= step
         if travelled >= stretch + arc:  # over the crossing: on to the next
             heading = (heading + turn) % 4
-            ahead = heading % 2
-            distance = abs(origin[ahead] + block * node[ahead] - along[ahead])
-            turn, red, radius = turn_after, red_after, limits[phase, 4]
-            arc = abs(turn) * (np.pi / 2) * radius
-            stretch, travelled = max(distance - (radius if turn != 0 else 0.0), 0.5), 0.0
-            turn_after, red_after = _draw_crossing(
-                rng, node, (heading + turn) % 4, counts, limits[phase]
-            )
+            distance = np.abs(origin + block * node - along)[heading % 2]
+            turn, red, radius, travelled = turn_after, red_after, limit[4], 0.0
+            stretch, arc = _ahead(distance, turn, radius)
+            turn_after, red_after = _draw_crossing(rng, node, (heading + turn) % 4, counts, limit)
         left = stretch - travelled
-        pull = _drive(v, a, target, limits[phase], turn, red, radius, left)
+        pull = _drive(v, a, target, limit, turn, red, radius, left)
         if turn == 0:
             beyond = left + block - (radius if turn_after != 0 else 0.0)
-            then = _drive(v, a, target, limits[phase], turn_after, red_after, radius, beyond)
+            then = _drive(v, a, target, limit, turn_after, red_after, radius, beyond)
             pull = min(pull, then)
         if v < 0.3 and left < 3.0:
             red -= step
-        a = _within_jerk(a, pull, limits[phase, 3] * step)
+        a = _within_jerk(a, pull, limit[3] * step)
         faster, a = _speed_up(v, a, step)
         moved = 0.5 * (v + faster) * step
-        angle = _course(heading, turn, travelled + 0.5 * moved - stretch, arc)
-        along[0] += moved * np.cos(angle)
-        along[1] += moved * np.sin(angle)
+        course = _turned(course, _course(heading, turn, travelled + 0.5 * moved - stretch, arc))
+        along[0] += moved * course[1]
+        along[1] += moved * course[2]
         travelled += moved
         v = faster
-    return out

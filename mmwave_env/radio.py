@@ -1,4 +1,4 @@
-"""The radio: from geometry to signal-to-noise ratio, noise, blockage and what is detected.
+"""Radio profiles: link budget, noise, and how often a channel disturbs them.
 
 Noise is a floor (calibration, array errors) and the Cramer-Rao bound at the link's SNR, in
 quadrature. Blockage lowers the SNR and biases a link, multipath biases it silently; the
@@ -7,17 +7,19 @@ filters are told neither.
 
 import math
 from dataclasses import dataclass
-from typing import NamedTuple
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from mmwave_env.arithmetic import Number, Vector, clip, exp, sqrt
 from mmwave_env.measurement import SPEED_OF_LIGHT, Layout
 from mmwave_env.names import choose
 from mmwave_env.scene import Scene
 
 Array = NDArray[np.float64]
+
+DECIBEL = math.log(10.0) / 10.0  # natural logarithm of 1 dB
+SNR_LIMITS_DB = (-30.0, 80.0)  # beyond them noise no longer follows the SNR
 
 
 def _degrees(value: float) -> float:
@@ -152,37 +154,41 @@ class Radio:
         """SNR at no path loss, before the thermal noise of the bandwidth."""
         return self.transmit_dbm + self.gnb_gain_db + self.ue_gain_db - self.implementation_loss_db
 
+    def thermal_noise_dbm(self, bandwidth_hz: float) -> float:
+        """Noise of the receiver, its figure included."""
+        return -174.0 + 10.0 * math.log10(bandwidth_hz) + self.noise_figure_db
+
     def snr_db(self, path_gain_db: Array, bandwidth_hz: float) -> Array:
         """SNR of links with the given path gain (negative, dB)."""
-        thermal_dbm = -174.0 + 10.0 * math.log10(bandwidth_hz) + self.noise_figure_db
-        return self.link_budget_db + path_gain_db - thermal_dbm
+        return self.link_budget_db + path_gain_db - self.thermal_noise_dbm(bandwidth_hz)
+
+    def variances(self, scene: Scene, layout: Layout) -> tuple[list[float], list[float]]:
+        """Noise floor, and Cramer-Rao bound at 0 dB, of every row: m^2, rad^2, Hz^2."""
+        range_bound = SPEED_OF_LIGHT / (2.0 * math.pi * scene.bandwidth_hz / math.sqrt(12.0))
+        arrival, departure = self._angle_bound(self.ue_elements), self._angle_bound(
+            self.gnb_elements
+        )  # fmt: skip
+        angles = (self.aoa_floor_rad, self.elevation_floor_rad, self.aod_floor_rad)
+        floor, bound = [], []
+        for anchor in range(layout.anchors):
+            floor += [self.range_floor_m[min(anchor, 1)], *angles]
+            bound += [range_bound**2 / 2.0, arrival, arrival, departure]
+        floor.append(self.doppler_floor_mps * scene.hz_per_mps)
+        bound.append(6.0 / (2.0 * math.pi * self.doppler_window_s) ** 2)
+        if layout.odometry:
+            floor += [self.odometry_speed_mps, self.odometry_heading_rad]
+            bound += [0.0, 0.0]
+        return [f * f for f in floor], bound
 
     def sigma(self, snr_db: Array, scene: Scene, layout: Layout) -> Array:
         """Standard deviations (T, rows) of every row at SNRs (T, L): m, rad, Hz."""
-        snr = 10.0 ** (np.clip(snr_db, -30.0, 80.0) / 10.0)
-        sigma = np.empty((len(snr), layout.size))
-        effective_hz = scene.bandwidth_hz / math.sqrt(12.0)
-        bound = SPEED_OF_LIGHT / (2.0 * math.pi * effective_hz * np.sqrt(2.0 * snr))
-        floor = np.full(layout.anchors, self.range_floor_m[1])
-        floor[0] = self.range_floor_m[0]
-        links = sigma[:, : 4 * layout.anchors].reshape(len(snr), layout.anchors, 4)
-        links[..., 0] = np.hypot(floor, bound)
-        links[..., 1] = np.hypot(self.aoa_floor_rad, self._angle_bound(snr, self.ue_elements))
-        links[..., 2] = np.hypot(self.elevation_floor_rad, self._angle_bound(snr, self.ue_elements))
-        links[..., 3] = np.hypot(self.aod_floor_rad, self._angle_bound(snr, self.gnb_elements))
-        doppler_bound = np.sqrt(6.0 / snr[:, 0]) / (2.0 * math.pi * self.doppler_window_s)
-        sigma[:, layout.doppler] = np.hypot(
-            self.doppler_floor_mps * scene.hz_per_mps, doppler_bound
-        )
-        if layout.odometry:
-            sigma[:, layout.doppler + 1] = self.odometry_speed_mps
-            sigma[:, layout.doppler + 2] = self.odometry_heading_rad
-        return sigma
+        rows = deviations(*self.variances(scene, layout), list(snr_db.T), layout)
+        return np.stack(rows, axis=1)
 
     @staticmethod
-    def _angle_bound(snr: Array, elements: int) -> Array:
+    def _angle_bound(elements: int) -> float:
         # A single element has no aperture; two are the least that measure an angle.
-        return np.sqrt(6.0 / (snr * (max(elements, 2) ** 2 - 1.0))) / math.pi
+        return 6.0 / ((max(elements, 2) ** 2 - 1.0) * math.pi**2)
 
     def prior_covariance(self, scene: Scene) -> Array:
         """P0 (7, 7) of the state at the first epoch."""
@@ -242,102 +248,20 @@ def doppler_spread(
     return hz_per_mps * (radio.spread_gain * speed_mps * scatter + floor)
 
 
-class Channel(NamedTuple):
-    """What the channel does over an episode.
-
-    Attributes:
-        snr_db: (T, L).
-        detected: (T, L) bool.
-        range_bias_m: (T, L) from blockage and multipath.
-        angle_bias_rad: (T, L, 3) of AoA azimuth, AoA elevation and AoD azimuth.
-        doppler_spread_hz: (T,).
-    """
-
-    snr_db: Array
-    detected: NDArray[np.bool_]
-    range_bias_m: Array
-    angle_bias_rad: Array
-    doppler_spread_hz: Array
-
-
-def simulate_channel(
-    radio: Radio, scene: Scene, distance_m: Array, speed_mps: Array, dt: float,
-    rng: np.random.Generator,
-) -> Channel:  # fmt: skip
-    """Draw a channel along a track.
+def deviations(
+    floor_variance: Vector, bound_variance: Vector, snr_db: Vector, layout: Layout
+) -> list[Number]:
+    """Standard deviations (rows,) at SNRs (L,): floor and Cramer-Rao bound in quadrature.
 
     Args:
-        radio, scene: profile and carrier.
-        distance_m: (T, L) to every anchor.
-        speed_mps: (T,).
-        dt: step, seconds.
-        rng: source of all randomness.
+        floor_variance, bound_variance: (rows,) as :meth:`Radio.variances` gives them.
+        snr_db: per link; the Doppler shift has that of the first.
+        layout: rows.
     """
-    T, L = distance_m.shape
-    loss = 32.4 + 21.0 * np.log10(distance_m) + 20.0 * math.log10(scene.carrier_hz / 1e9)
-    loss[:, 1:] += radio.reflection_loss_db
-    rho = radio.shadowing_correlation**dt
-    shadowing = radio.shadowing_db * _autoregress(rng.standard_normal((T, L)), rho)
-
-    probability = radio.blockage_scale * np.minimum(
-        radio.blockage_limit, radio.blockage_base + radio.blockage_per_100m * distance_m / 100.0
-    )
-    leave = -math.expm1(-dt / radio.blockage_mean_s)
-    onset = leave * probability / np.maximum(1.0 - probability, 1e-9)
-    blocked, blockage = _spells(rng.random((T, L)), onset, leave, probability[0])
-    rate = -math.expm1(-dt * radio.multipath_rate_hz)
-    end = -math.expm1(-dt / radio.multipath_mean_s)
-    reflected, multipath = _spells(rng.random((T, L)), np.full((T, L), rate), end, np.zeros(L))
-    lost, _ = _spells(
-        rng.random((T, 1)),
-        np.full((T, 1), -math.expm1(-dt * radio.outage_rate_hz)),
-        -math.expm1(-dt / radio.outage_mean_s),
-        np.zeros(1),
-    )
-
-    # One bias a spell: drawn for every epoch, taken at the epoch in which the spell began.
-    blockage_bias = radio.blockage_range_m * rng.standard_exponential((T, L))
-    constant, mean = radio.multipath_range_m
-    multipath_bias = constant + mean * rng.standard_exponential((T, L))
-    angles = rng.standard_normal((2, T, L, 3))
-    link = np.arange(L)
-    range_bias = blocked * blockage_bias[blockage, link]
-    range_bias += reflected * multipath_bias[multipath, link]
-    angle_bias = blocked[..., None] * radio.blockage_angle_rad * angles[0, blockage, link]
-    angle_bias += reflected[..., None] * radio.multipath_angle_rad * angles[1, multipath, link]
-
-    snr = radio.snr_db(-loss + shadowing - radio.blockage_loss_db * blocked, scene.bandwidth_hz)
-    chance = 1.0 / (1.0 + np.exp(-(snr - radio.detection_snr_db) / radio.detection_slope_db))
-    detected = (rng.random((T, L)) < chance) & ~lost
-    spread_hz = doppler_spread(radio, scene.hz_per_mps, speed_mps, rng)
-    return Channel(snr, detected, range_bias, angle_bias, spread_hz)
-
-
-@numba.njit(cache=True)
-def _autoregress(noise, rho):  # type: ignore[no-untyped-def]
-    """Stationary AR(1) of unit variance per column, from white noise (T, L)."""
-    out = noise.copy()
-    fresh = np.sqrt(1.0 - rho * rho)
-    for t in range(1, len(noise)):
-        for i in range(noise.shape[1]):
-            out[t, i] = rho * out[t - 1, i] + fresh * noise[t, i]
-    return out
-
-
-@numba.njit(cache=True)
-def _spells(uniform, onset, leave, first):  # type: ignore[no-untyped-def]
-    """A two-state Markov chain per column: whether it is on (T, L), and since which epoch."""
-    T, L = uniform.shape
-    on = np.zeros((T, L), np.bool_)
-    since = np.zeros((T, L), np.int64)
-    for i in range(L):
-        for t in range(T):
-            if t == 0:
-                on[t, i] = uniform[t, i] < first[i]
-            elif on[t - 1, i]:
-                on[t, i] = uniform[t, i] >= leave
-                since[t, i] = since[t - 1, i]
-            else:
-                on[t, i] = uniform[t, i] < onset[t, i]
-                since[t, i] = t
-    return on, since
+    inverse = [exp(-DECIBEL * clip(snr, *SNR_LIMITS_DB)) for snr in snr_db]
+    per_row = [inverse[a] for a in range(layout.anchors) for _ in range(4)]
+    per_row += [inverse[0]] * (layout.size - len(per_row))
+    return [
+        sqrt(floor + bound * scale)
+        for floor, bound, scale in zip(floor_variance, bound_variance, per_row, strict=True)
+    ]

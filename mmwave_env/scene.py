@@ -118,11 +118,10 @@ class Scene:
         for i, anchor in enumerate(self.virtual_anchors_m):
             if len(anchor) != 3 or not np.isfinite(anchor).all():
                 raise ValueError(f"virtual_anchors_m[{i}]: found {anchor}, expected x, y, z")
-        if not self.carrier_hz > 0.0 or not self.bandwidth_hz > 0.0:
-            raise ValueError(
-                f"carrier_hz, bandwidth_hz: found {self.carrier_hz}, {self.bandwidth_hz}, "
-                "expected > 0"
-            )
+        for name, hz, least in (("carrier_hz", self.carrier_hz, "1e6"),
+                                ("bandwidth_hz", self.bandwidth_hz, "1e3")):  # fmt: skip
+            if not float(least) <= hz < np.inf:
+                raise ValueError(f"{name}: found {hz:g}, expected hertz, at least {least}")
 
     @property
     def anchors_m(self) -> NDArray[np.float64]:

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mmwave_env.episode import Episode, EpisodeSource, SimulatedSource
+from mmwave_env.episode import Episode, EpisodeSource
 from mmwave_env.estimator.modes import Mode, modes_from
 from mmwave_env.estimator.pipeline import Pipeline
 from mmwave_env.io.samples import recording_from
@@ -14,6 +14,7 @@ from mmwave_env.radio import Radio, radio_from
 from mmwave_env.recording import RecordedSource
 from mmwave_env.reward import Reward, reward_from
 from mmwave_env.scene import Scene, scene_from
+from mmwave_env.simulation import SimulatedSource
 
 EPISODE_STEPS = 200
 

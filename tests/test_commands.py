@@ -130,7 +130,11 @@ MISTAKES = {
     "unknown scene": (("evaluate", "--scene", "plaza"), "'plaza'.*street.*o1"),
     "missing scene": (("evaluate", "--scene", "plaza.json"), "plaza.json"),
     "unknown data": (("evaluate", "--data", "canyon29"), "'canyon29'.*canyon28_vehicle"),
-    "no episodes": (("evaluate", "--episodes", "0"), "episodes.*0"),
+    "no episodes": (("evaluate", "--episodes", "0"), "episodes: found none"),
+    "no tuning episodes": (("tune", "--episodes", "0"), "episodes: found none"),
+    "no threshold episodes": (("tune-threshold", "--episodes", "0"), "episodes: found none"),
+    "negative seed": (("compare", "--policies", "imm", "--seed", "-1"), "seed: found -1"),
+    "negative seed of a file": (("simulate", "--out", "never", "--seed", "-1"), "seed: found -1"),
     "test seeds": (("tune-threshold", "--seed", "0"), "seed.*0.*5000000"),
     "unknown tuned radio": (("tune-threshold", "--radios", "lab"), "'lab'.*handset"),
 }

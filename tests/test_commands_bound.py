@@ -11,7 +11,6 @@ import pytest
 
 from experiments.bounds import bounds_of, over_bound
 from experiments.evaluation import RESAMPLES, contender_from, draw_episodes, score
-from mmwave_env.episode import SimulatedSource
 from mmwave_env.estimator.bound import (
     averaged_bound,
     conditional_bounds,
@@ -21,6 +20,7 @@ from mmwave_env.estimator.bound import (
 from mmwave_env.metrics import BURN_IN
 from mmwave_env.radio import RADIOS
 from mmwave_env.scene import SCENES
+from mmwave_env.simulation import SimulatedSource
 
 ROOT = Path(__file__).parent.parent
 RADIO = RADIOS["handset"]

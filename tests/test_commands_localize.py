@@ -17,13 +17,13 @@ import numpy as np
 import pytest
 
 from experiments.cli import run
-from mmwave_env.episode import SimulatedSource
 from mmwave_env.estimator.modes import default_modes
 from mmwave_env.io.measurement_log import read_log, write_log
 from mmwave_env.io.tum import read_tum, tum_lines
 from mmwave_env.localizer import localize
 from mmwave_env.radio import RADIOS
 from mmwave_env.scene import SCENES, read_scene
+from mmwave_env.simulation import SimulatedSource
 
 ROOT = Path(__file__).parents[1]
 LOGS = ROOT / "mmwave_env" / "data" / "logs"
@@ -201,10 +201,10 @@ def test_the_figures_are_evos(tmp_path, track, known):
     found = figures(
         RIDE, "--speed", "10", "--truth", part, "--out", out, *switch, truth=False
     )["truth"]  # fmt: skip
-    assert found["rpe_epochs"] == (5 if known.step else 10)
+    assert found["rpe_s"] == pytest.approx(1.0)
     assert found["scored"] == len(truth.time_s[known])
     row = found["tracks"][track]
-    expected = evo_figures(part, out, found["rpe_epochs"])
+    expected = evo_figures(part, out, 5 if known.step else 10)
     assert [row["ate_m"], row["rmse_m"], row["rpe_m"]] == pytest.approx(expected, abs=1e-6)
     assert list(found["tracks"]) == (["filtered", "smoothed"] if not switch else ["filtered"])
 
@@ -254,6 +254,44 @@ def test_epochs_before_the_first_line_of_sight_are_counted(capsys, tmp_path):
     found = figures(WALK, "--speed", "1", log=log)
     assert "20 epochs before the first line of sight were skipped" in capsys.readouterr().out
     assert found["skipped"] == 20 and found["epochs"] == 380 == found["truth"]["scored"]
+
+
+def gapped(folder, first, last, rows=""):
+    """The walk at a tenth of its rate, without the epochs from ``first`` up to ``last`` s."""
+    log = folder / "gap.csv"
+    header, *lines = [
+        re.sub(r"^(\d+)\.(\d),", lambda m: f"{m[1]}{m[2]}.0,", line) for line in lines_of()
+    ]
+    kept = [line for line in lines if not first <= float(line.split(",")[0]) < last]
+    log.write_text("\n".join([header, *kept]) + "\n")
+    return log
+
+
+def test_after_a_long_gap_the_track_begins_anew(capsys, tmp_path):
+    out = tmp_path / "track.tum"
+    found = figures(WALK, "--speed", "1", "--out", out, truth=False, log=gapped(tmp_path, 100, 130))
+    shown = capsys.readouterr().out
+    assert "restarted once after a gap of more than 15 s; 0 epochs skipped" in shown
+    assert found["restarts"] == 1 and found["dropped"] == 0 and found["epochs"] == 370
+    figures(WALK, "--speed", "1", "--plot", tmp_path / "track.png", truth=False,
+            log=gapped(tmp_path, 100, 130))  # fmt: skip
+    found = figures(WALK, "--speed", "1", truth=False, log=gapped(tmp_path, 100, 110))
+    assert found["restarts"] == 0 and "restarted" not in capsys.readouterr().out.split("once")[-1]
+
+
+def test_epochs_skipped_after_a_gap_are_counted(capsys, tmp_path):
+    log = gapped(tmp_path, 100, 130)
+    lines = log.read_text().splitlines()
+    sight = [line for line in lines if not re.match(r"1[34]\d\.0,1,", line)]
+    log.write_text("\n".join(sight) + "\n")
+    found = figures(WALK, "--speed", "1", truth=False, log=log)
+    assert found["restarts"] == 1 and found["dropped"] == 20 and found["epochs"] == 350
+    log.write_text("\n".join(line for line in sight if not re.match(r"\d*\.0,1,", line)
+                             or float(line.split(",")[0]) < 100) + "\n")  # fmt: skip
+    capsys.readouterr()
+    found = figures(WALK, "--speed", "1", truth=False, log=log)
+    assert "ended at a gap of more than 15 s; 270 epochs skipped" in capsys.readouterr().out
+    assert found["restarts"] == 0 and found["dropped"] == 270 and found["epochs"] == 100
 
 
 # --- the options
@@ -381,6 +419,31 @@ def test_folders_are_made_and_what_cannot_be_written_is_named(capsys, tmp_path):
     assert "found a folder, expected a file" in line
 
 
+@pytest.mark.parametrize("unbuffered", ["", "1"])
+def test_figures_are_written_when_nobody_reads_what_is_shown(tmp_path, unbuffered):
+    file, (ours, theirs) = tmp_path / "figures.json", os.pipe()
+    os.close(ours)
+    words = [sys.executable, "-m", "experiments.cli", "localize",
+             *options(WALK / "log.csv", "--speed", "1", "--json", file)]  # fmt: skip
+    done = subprocess.run(words, env=environment() | {"PYTHONUNBUFFERED": unbuffered},
+                          stdout=theirs, stderr=subprocess.PIPE, text=True)  # fmt: skip
+    os.close(theirs)
+    assert (done.returncode, done.stderr) == (141, "")
+    assert json.loads(file.read_text())["epochs"] == 400
+
+
+@pytest.mark.parametrize("unbuffered", ["", "1"])
+def test_an_error_is_told_when_nobody_reads_what_is_shown(monkeypatch, tmp_path, unbuffered):
+    monkeypatch.setenv("PYTHONUNBUFFERED", unbuffered)
+    log, (ours, theirs) = tmp_path / "log.csv", os.pipe()
+    os.close(ours)
+    log.write_text(with_line(602, lambda l: cell(l, 2, "far")))
+    done = child(options(log, "--speed", "1"), stdout=theirs, stderr=subprocess.PIPE)
+    os.close(theirs)
+    err = done.communicate(timeout=100)[1]
+    assert done.returncode == 2 and "line 602" in err and len(err.splitlines()) == 1
+
+
 def lines_of(name="log.csv"):
     return (WALK / name).read_text().splitlines()
 
@@ -407,6 +470,11 @@ HALF_WAY = {  # line 602 is the first of epoch 201, whose first 200 epochs are w
     "no time": (with_line(602, lambda l: cell(l, 0, "")), "line 602, column 'time_s'", 200),
     "few cells": (with_line(602, lambda l: l[:30]), "line 602: found", 200),
     "negative range": (with_line(602, lambda l: cell(l, 2, "-1")), "line 602, column 'toa_s", 200),
+    "nanoseconds": (
+        with_line(602, lambda l: cell(l, 2, "303.2")),
+        "303.2, which is 9.1e+10 m",
+        200,
+    ),
     "at the end": (with_line(1199, lambda l: l[:20]), "line 1199: found", 399),
     "early": (with_line(6, lambda l: cell(l, 2, "far")), "line 6, column 'toa_s'", 1),
 }

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 from experiments.cli import run
-from mmwave_env.episode import SimulatedSource
 from mmwave_env.io.measurement_log import log_text, read_log
 from mmwave_env.io.samples import recording_from, sample_names
 from mmwave_env.io.tum import read_tum
@@ -16,6 +15,7 @@ from mmwave_env.measurement import Layout
 from mmwave_env.radio import RADIOS
 from mmwave_env.recording import RecordedSource
 from mmwave_env.scene import SCENES, read_scene
+from mmwave_env.simulation import SimulatedSource
 
 LOGS = Path(__file__).parents[1] / "mmwave_env" / "data" / "logs"
 FILES = ["log.csv", "scene.json", "truth.tum"]

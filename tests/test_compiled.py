@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from numba.core.dispatcher import Dispatcher
 
-from mmwave_env import mobility, radio
-from mmwave_env.episode import SimulatedSource
+from mmwave_env import mobility, simulation
 from mmwave_env.radio import RADIOS
 from mmwave_env.scene import SCENES
+from mmwave_env.simulation import SimulatedSource
 
 
 def interpret(monkeypatch: pytest.MonkeyPatch, module: ModuleType) -> int:
@@ -25,7 +25,7 @@ def test_episode_is_the_same_interpreted(scenario: str, monkeypatch: pytest.Monk
     source = SimulatedSource(SCENES["street"], RADIOS["handset"], scenario, epochs=60)
     compiled = source.sample(np.random.default_rng(0))
     assert interpret(monkeypatch, mobility) > 0
-    assert interpret(monkeypatch, radio) > 0
+    assert interpret(monkeypatch, simulation) > 0
     interpreted = source.sample(np.random.default_rng(0))
     for field in ("truth_position_m", "truth_velocity_mps", "measurement", "snr_db"):
         np.testing.assert_allclose(

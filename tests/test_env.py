@@ -19,12 +19,12 @@ from scipy.stats import chi2
 import mmwave_env  # noqa: F401  registers the environment
 from mmwave_env.engine import Engine
 from mmwave_env.env import MmWaveLocEnv
-from mmwave_env.episode import SimulatedSource
 from mmwave_env.estimator.modes import Mode, modes_from
 from mmwave_env.estimator.pipeline import Pipeline
 from mmwave_env.radio import RADIOS
 from mmwave_env.reward import TrackingReward
 from mmwave_env.scene import SCENES
+from mmwave_env.simulation import SimulatedSource
 
 ID = "MmWaveLoc-v0"
 EKF = {"modes": ["ekf"]}  # one mode alone compiles fastest

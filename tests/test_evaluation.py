@@ -22,11 +22,11 @@ from experiments.evaluation import (
     references,
     score,
 )
-from mmwave_env.episode import SimulatedSource
 from mmwave_env.estimator.modes import modes_from
 from mmwave_env.metrics import METRICS
 from mmwave_env.radio import RADIOS
 from mmwave_env.scene import SCENES
+from mmwave_env.simulation import SimulatedSource
 from policies import FixedMode
 
 # Estimates of a lost track can be fast; the rule's own test looks at the warning.

@@ -2,13 +2,15 @@
 
 from dataclasses import fields, replace
 from functools import cache
+from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mmwave_env.episode import Episode, SimulatedSource
+from mmwave_env.episode import Episode
 from mmwave_env.estimator.modes import Mode, default_modes, robust
 from mmwave_env.estimator.pipeline import Pipeline
 from mmwave_env.estimator.smoother import smooth
@@ -18,16 +20,18 @@ from mmwave_env.localizer import TrackBlock, localize
 from mmwave_env.prior import prior_from_fix
 from mmwave_env.radio import RADIOS
 from mmwave_env.scene import SCENES
+from mmwave_env.simulation import SimulatedSource
 from policies.scripted import by_odometry_speed, by_predicted_speed
 
 from .estimator.tracks import track
 
 SCENE, RADIO = SCENES["street"], RADIOS["handset"]
 T = 230
+SHIFT = 3  # group of the Doppler shift
 EKF, UKF = default_modes()
 PER_EPOCH = [
     field.name for field in fields(TrackBlock)
-    if field.name not in ("layout", "planar", "skipped", "share")
+    if field.name not in ("layout", "planar", "segment", "skipped", "dropped", "share")
 ]  # fmt: skip
 
 
@@ -168,11 +172,15 @@ def test_without_smoothing_the_track_is_the_filtered_one(block):
 @given(sizes=st.lists(st.integers(1, T), min_size=1, max_size=5), window=st.integers(2, 300))
 def test_a_track_does_not_depend_on_the_blocks(folder, sizes, window):
     block = log(folder)
+    first, second = with_gap(unseen(block, slice(101, 104)), 40.0)
+    block = joined(first, with_gap(second, 20.0, at=30)[0], with_gap(second, 20.0, at=30)[1])
     expected = run([block], (EKF, UKF), by_predicted_speed, window=window)
     found = run(cut(block, sizes), (EKF, UKF), by_predicted_speed, window=window)
     for name in PER_EPOCH:
         np.testing.assert_array_equal(getattr(found, name), getattr(expected, name), err_msg=name)
-    assert found.skipped == expected.skipped
+    for name in ("segment", "skipped", "dropped"):
+        assert getattr(found, name) == getattr(expected, name)
+    assert expected.segment == 2
 
 
 # --- where it begins and ends
@@ -229,23 +237,69 @@ def test_damage_before_a_line_of_sight_is_the_error():
 
 @pytest.mark.parametrize("first", [1, 100])
 @pytest.mark.parametrize("window", [None, 30])
-def test_a_gap_no_prediction_survives_is_damage(block, first, window):
-    time = block.time_s.copy()
-    time[2 + first :] += 1e200
-    time += np.arange(T) * np.where(time > 1e199, 1e190, 0.0)
-    blocks = []
-    with pytest.raises(LogError, match=r"time \d.*found no finite state.*expected gaps of days"):
-        blocks.extend(localize([replace(block, time_s=time)], SCENE, RADIO, [UKF], window=window))
+def test_a_measurement_no_filter_survives_is_damage(block, first, window):
+    measurement, visible = block.measurement.copy(), block.visible.copy()
+    measurement[2 + first, block.layout.doppler], visible[2 + first, SHIFT] = 1e300, True
+    damaged = replace(block, measurement=measurement, visible=visible)
+    blocks, mode = [], replace(UKF, gate=None)
+    with pytest.raises(LogError, match=r"time \d.*found no finite state after this epoch"):
+        blocks.extend(localize([damaged], SCENE, RADIO, [mode], window=window))
     found = whole(blocks)
-    assert len(found) == first and np.isfinite(found.smooth_x).all()
+    assert len(found) == first + 1 and np.isfinite(found.smooth_x).all()
 
 
-def test_a_gap_of_a_minute_is_survived(block):
+# --- gaps
+
+
+def with_gap(block, seconds, at=100):
+    """The log with a pause before an epoch, which is made a line of sight."""
     time = block.time_s.copy()
-    time[100:] += 60.0
-    found, without = run([replace(block, time_s=time)], [UKF]), run([block], [UKF])
-    off = np.linalg.norm(found.x[:, :3] - without.x[:, :3], axis=1)
-    assert off[150:].max() < 10.0 and np.isfinite(found.smooth_x).all()
+    time[at:] += seconds - (time[at] - time[at - 1])
+    fix = at + int(block.visible[at:, 0].argmax())
+    return block.part(slice(at)), replace(block, time_s=time).part(slice(fix, None))
+
+
+def joined(*blocks):
+    names = ("time_s", "measurement", "visible", "incomplete", "snr_db", "doppler_spread_hz")
+    arrays = {f: np.concatenate([getattr(b, f) for b in blocks]) for f in names}
+    return replace(blocks[-1], **arrays)
+
+
+@pytest.mark.parametrize("window", [None, 30, 1000])
+def test_after_a_long_gap_the_track_is_that_of_the_rest_alone(block, window):
+    before, after = with_gap(block, 60.0)
+    blocks = list(localize([joined(before, after)], SCENE, RADIO, [UKF], window=window))
+    assert [b.segment for b in blocks] == sorted(b.segment for b in blocks)
+    for number, part in enumerate((before, after)):
+        found = whole(b for b in blocks if b.segment == number)
+        expected = run([part], [UKF], window=window)
+        for name in PER_EPOCH:
+            np.testing.assert_array_equal(
+                getattr(found, name), getattr(expected, name), err_msg=name
+            )
+    assert blocks[-1].skipped == 2 and blocks[-1].dropped == 0
+
+
+def test_a_short_gap_is_bridged(block):
+    before, after = with_gap(block, 10.0)
+    found = run([joined(before, after)], [UKF])
+    assert found.segment == 0 and found.visible[len(before) - 2, 0]
+
+
+def test_long_gaps_do_not_lose_the_track():
+    source = SimulatedSource(SCENE, RADIOS["standard"], "vehicle", epochs=200)
+    mode = default_modes("standard")[1]
+    for seed in range(8):
+        episode = source.sample(np.random.default_rng(seed))
+        with TemporaryDirectory() as folder:
+            path = Path(folder) / "log.csv"
+            write_log(path, episode)
+            (block,) = read_log(path, SCENE)
+        cut = joined(block.part(slice(50)), block.part(slice(110, None)))
+        blocks = list(localize([cut], SCENE, RADIOS["standard"], [mode]))
+        found = whole(b for b in blocks if b.segment == 1)
+        truth = episode.truth_position_m[np.searchsorted(episode.time_s, found.time_s)]
+        assert np.linalg.norm(found.x[:, :3] - truth, axis=1).mean() < 2.0, seed
 
 
 def test_modes_without_a_rule_are_refused(block):

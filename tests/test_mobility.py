@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 from scipy.stats import binom
 
-from mmwave_env.episode import SimulatedSource
 from mmwave_env.mobility import MOBILITIES, SCENARIOS, mobilities_of, trajectory
 from mmwave_env.radio import RADIOS
 from mmwave_env.scene import SCENES
+from mmwave_env.simulation import SimulatedSource
 
 STEP_S, STEPS, SEEDS = 0.1, 2000, 100
 
@@ -67,8 +67,9 @@ def tracks():
 
 
 def run(name, seed, dt, epochs, scene="street"):
-    rng = np.random.default_rng(seed)
-    return trajectory(MOBILITIES[name], SCENES[scene].streets, dt, epochs, rng)
+    out = np.empty((epochs, 6))
+    trajectory(MOBILITIES[name], SCENES[scene].streets, dt, np.random.default_rng(seed), out)
+    return out[:, :3], out[:, 3:]
 
 
 @every_mobility

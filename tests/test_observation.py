@@ -14,7 +14,6 @@ from scipy.stats import chi2
 import mmwave_env  # noqa: F401  registers the environment
 from mmwave_env.engine import Engine
 from mmwave_env.env import MmWaveLocEnv
-from mmwave_env.episode import SimulatedSource
 from mmwave_env.estimator.modes import modes_from
 from mmwave_env.estimator.pipeline import Pipeline
 from mmwave_env.measurement import Layout
@@ -22,6 +21,7 @@ from mmwave_env.observation import Observation
 from mmwave_env.radio import RADIOS
 from mmwave_env.reward import TrackingReward
 from mmwave_env.scene import SCENES
+from mmwave_env.simulation import SimulatedSource
 
 PIPELINES = {
     "default": Pipeline(modes_from(None), Layout()),

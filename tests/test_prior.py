@@ -5,11 +5,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mmwave_env.episode import geometry
 from mmwave_env.measurement import Layout
 from mmwave_env.prior import UNKNOWN_VELOCITY_MPS, draw_prior, prior_from_fix
 from mmwave_env.radio import RADIOS
 from mmwave_env.scene import SCENES, Scene
+from tests.estimator.tracks import geometry
 
 SCENE = SCENES["street"]
 GNB = SCENE.anchors_m[0]

@@ -1,13 +1,15 @@
 """The radio against formulas written afresh; statistics at 99.9 % confidence each."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from scipy.stats import binom, chi2, kstest, lognorm, norm
 
+from mmwave_env.channel import ChannelDraws, calm, channel_epoch, channel_of
 from mmwave_env.measurement import Layout
-from mmwave_env.radio import RADIOS, Radio, radio_from, simulate_channel
+from mmwave_env.radio import RADIOS, Radio, radio_from
 from mmwave_env.scene import SCENES
 
 STREET = SCENES["street"]
@@ -21,10 +23,51 @@ CLEAR = replace(
 every_radio = pytest.mark.parametrize("name", RADIOS)
 
 
-def channel(radio, epochs, links, distance_m=100.0, speed_mps=0.0, dt=1.0, seed=0):
-    """At constant distance and speed; ``links`` need not be three."""
-    distance, speed = np.full((epochs, links), distance_m), np.full(epochs, speed_mps)
-    return simulate_channel(radio, STREET, distance, speed, dt, np.random.default_rng(seed))
+def channel(radio, epochs, users, distance_m=100.0, speed_mps=0.0, dt=1.0, seed=0, links=1):
+    """Users at constant distance and speed, each with a channel of its own.
+
+    Returns snr_db, detected and range_bias_m (epochs, users, links) or, of one link, (epochs,
+    users); angle_bias_rad with a last axis of 3; doppler_spread_hz (epochs, users).
+    """
+    rng = np.random.default_rng(seed)
+    layout = Layout(links)
+    weather, found = calm(links), []
+    model = channel_of(radio, STREET, layout, dt)
+    distance, speed = [np.full(users, distance_m)] * links, np.full(users, speed_mps)
+
+    def normals(*shape):
+        return list(rng.standard_normal((*shape, users)))
+
+    for t in range(epochs):
+        draws = ChannelDraws(
+            shadowing=normals(links),
+            blockage=list(rng.random((links, users))),
+            multipath=list(rng.random((links, users))),
+            outage=rng.random(users),
+            blockage_range=list(rng.standard_exponential((links, users))),
+            multipath_range=list(rng.standard_exponential((links, users))),
+            blockage_angles=normals(links, 3),
+            multipath_angles=normals(links, 3),
+            detection=list(rng.random((links, users))),
+            scatter=rng.standard_normal(users),
+            floor=rng.standard_normal(users),
+        )
+        weather, reception = channel_epoch(model, weather, t == 0, draws, distance, speed)
+        found.append(reception)
+
+    def of_links(values):
+        stacked = np.moveaxis(np.array(values, float), 1, 2)
+        return stacked[:, :, 0] if links == 1 else stacked
+
+    bias = np.array([np.broadcast_arrays(*[b for link in r.bias for b in link]) for r in found])
+    bias = bias.reshape(epochs, links, 4, users)
+    return SimpleNamespace(
+        snr_db=of_links([r.snr_db for r in found]),
+        detected=of_links([np.broadcast_arrays(*r.detected) for r in found]) > 0.5,
+        range_bias_m=of_links(bias[:, :, 0]),
+        angle_bias_rad=np.moveaxis(bias[:, 0, 1:], 1, 2),
+        doppler_spread_hz=np.array([r.doppler_spread_hz for r in found]),
+    )
 
 
 def assert_share(events, chance):
@@ -57,8 +100,8 @@ def test_snr_at_100_m_by_hand(name):
     # Path loss 32.4 + 21 log10(100) + 20 log10(28) = 32.4 + 42 + 28.943 dB; 27 dBm + 21 + 12 - 10
     # less that, over -174 + 80 + 8 dBm of noise. Virtual anchors lose 8 dB.
     radio = replace(RADIOS[name], shadowing_db=0.0, blockage_scale=0.0)
-    snr = channel(radio, 1, 3).snr_db
-    np.testing.assert_allclose(snr, [[32.657, 24.657, 24.657]], atol=1e-3)
+    snr = channel(radio, 1, 1, links=3).snr_db
+    np.testing.assert_allclose(snr, [[[32.657, 24.657, 24.657]]], atol=1e-3)
 
 
 def test_blockage_costs_25_db():
@@ -147,12 +190,12 @@ def test_detection_is_logistic_in_the_snr(snr_db):
 
 def test_doppler_spread_of_a_moving_user_is_lognormal_around_0_3_v():
     radio = replace(CLEAR, spread_floor_mps=0.0)
-    spread = channel(radio, 20_000, 1, speed_mps=10.0).doppler_spread_hz / STREET.hz_per_mps
+    spread = channel(radio, 1, 20_000, speed_mps=10.0).doppler_spread_hz[0] / STREET.hz_per_mps
     assert kstest(spread, lognorm(0.2, scale=3.0).cdf).pvalue > 1.0 - CONFIDENCE
 
 
 def test_doppler_spread_of_a_standing_user_is_the_floor():
-    spread = channel(CLEAR, 20_000, 1).doppler_spread_hz / STREET.hz_per_mps
+    spread = channel(CLEAR, 1, 20_000).doppler_spread_hz[0] / STREET.hz_per_mps
     assert kstest(spread, "halfnorm", (0.0, 0.3)).pvalue > 1.0 - CONFIDENCE
 
 
@@ -191,9 +234,9 @@ def test_multipath_comes_and_goes_at_its_rates(dt):
 
 def test_an_outage_takes_every_link():
     radio = replace(CLEAR, outage_rate_hz=0.003, transmit_dbm=100.0)
-    detected = channel(radio, 200_000, 3).detected
-    np.testing.assert_array_equal(detected, detected[:, :1].repeat(3, axis=1))
-    ends, begins = changes(~detected[:, :1])
+    detected = channel(radio, 1000, 200, links=3).detected
+    np.testing.assert_array_equal(detected, detected[..., :1].repeat(3, axis=2))
+    ends, begins = changes(~detected[..., 0])
     assert_share(begins, 1.0 - np.exp(-0.003))
     assert_share(ends, 1.0 - np.exp(-1.0 / 3.0))
 

@@ -14,7 +14,7 @@ import pytest
 from experiments.evaluation import Interval, contender_from, score
 from experiments.paper.bench import Bench, Section, Setting, track
 from experiments.paper.claims import contradictions, resolution
-from experiments.tables import FIELDS, renewed
+from experiments.tables import FIELDS, Args, main, renewed
 from mmwave_env.estimator.modes import default_modes
 from mmwave_env.estimator.pipeline import Pipeline
 from mmwave_env.estimator.smoother import smooth
@@ -102,6 +102,14 @@ def test_a_page_is_renewed_between_its_marks_alone():
         renewed("<!-- table: U -->\n<!-- end -->", found)
 
 
+def test_a_page_without_tables_is_refused_before_the_work(tmp_path):
+    page = tmp_path / "page.md"
+    page.write_text("no table\n")
+    with pytest.raises(ValueError, match="page.md: found no table"):
+        main(Args(episodes=1, out=tmp_path / "out", docs=page))
+    assert not (tmp_path / "out").exists() or not any((tmp_path / "out").iterdir())
+
+
 def numbers(text):
     rows = [line for line in text.splitlines() if line.startswith("| ")]
     return [float(n) for row in rows for n in re.findall(r"-?\d+(?:\.\d+)?", row)]
@@ -123,5 +131,6 @@ def test_the_page_is_what_the_command_writes(tmp_path):
     for record in records:
         if record["low"]:
             assert float(record["low"]) <= float(record["mean"]) <= float(record["high"])
-    assert (tmp_path / "tables.png").read_bytes().startswith(b"\x89PNG")
+    for figure in (tmp_path / "tables.png", page.with_suffix(".png")):
+        assert figure.read_bytes().startswith(b"\x89PNG")
     assert (tmp_path / "tables.md").read_text().strip() in done.stdout

@@ -64,11 +64,60 @@ def test_accuracy_is_that_of_the_metrics(tmp_path, sizes, planar, known):
         low, high = chi2.ppf([0.025, 0.975], len(axes))
         assert row["in_bounds"] == pytest.approx(((nees >= low) & (nees <= high)).mean())
         if n > 3:
-            assert figures["rpe_epochs"] == 3  # a third of a second apart
+            assert figures["rpe_s"] == pytest.approx(1.0, abs=1e-6)  # a third of a second apart
             assert row["rpe_m"] == pytest.approx(rpe(error, 3), rel=1e-9)
         else:
             assert row["rpe_m"] is None
     assert figures["nees_expected"] == len(axes)
+
+
+def scored_at(tmp_path, time_s, known, sizes=(T,), segment=None):
+    """RPE, over how many seconds, and the errors, of a log with truth in some epochs."""
+    block = replace(some_track(len(time_s)), time_s=time_s)
+    (tmp_path / "truth.tum").write_text(tum_lines(time_s[known], np.zeros((len(known), 3))))
+    scores = TruthScores(Truth(tmp_path / "truth.tum"), ["filtered"], planar=False)
+    first = 0
+    for piece in pieces(block, sizes):
+        scores.add(replace(piece, segment=0 if segment is None else segment[first]))
+        first += len(piece)
+    figures = scores.figures()
+    return figures["tracks"]["filtered"]["rpe_m"], figures["rpe_s"], block.x[:, :3]
+
+
+def mean_change(x, pairs):
+    return np.mean([np.linalg.norm(x[second] - x[first]) for first, second in pairs])
+
+
+@pytest.mark.parametrize("sizes", [[T], [1, 99, 300], [40] * 10])
+def test_rpe_pairs_what_is_a_second_apart_across_gaps(tmp_path, sizes):
+    time = 0.1 * np.arange(T) + np.where(np.arange(T) >= 130, 7.3, 0.0)
+    known = np.array([k for k in range(T) if not 200 <= k < 255])
+    found, apart, x = scored_at(tmp_path, time, known, sizes)
+    pairs = [(k, k + 10) for k in known if k + 10 in known and not k < 130 <= k + 10]
+    assert found == pytest.approx(mean_change(x, pairs), rel=1e-9)
+    assert apart == pytest.approx(1.0)
+
+
+def test_truth_rarer_than_seconds_has_no_rpe(tmp_path):
+    found, apart, _ = scored_at(tmp_path, 0.1 * np.arange(T), np.arange(0, T, 100))
+    assert found is None and apart is None
+
+
+@pytest.mark.parametrize("step", [1.0, 3.0])
+def test_slow_logs_pair_neighbours_alone(tmp_path, step):
+    time = step * np.arange(T)
+    time[50:] += 9.0 * step
+    known = np.array([k for k in range(T) if k != 70])
+    found, apart, x = scored_at(tmp_path, time, known)
+    pairs = [(k, k + 1) for k in range(T - 1) if k not in (49, 69, 70)]
+    assert found == pytest.approx(mean_change(x, pairs), rel=1e-9) and apart == step
+
+
+def test_rpe_does_not_cross_where_the_track_began_anew(tmp_path):
+    segment = [0] * 100 + [1] * 300
+    time = 20.0 * np.arange(T)
+    found, _, x = scored_at(tmp_path, time, np.arange(T), [100, 300], segment)
+    assert found == pytest.approx(mean_change(x, [(k, k + 1) for k in range(T - 1) if k != 99]))
 
 
 def test_a_pose_counts_once(tmp_path):
@@ -120,13 +169,14 @@ def test_groups_are_counted(sizes):
 
 @pytest.mark.parametrize("sizes", [[T], [1, 99, 300]])
 def test_a_course_is_the_same_in_pieces(sizes):
-    block = replace(some_track(T), skipped=5)
+    block = replace(some_track(T), skipped=5, segment=2, dropped=7)
     course = Course(["slow", "fast"])
     for piece in pieces(block, sizes):
         course.add(piece)
     figures = course.figures()
     speed = np.linalg.norm(block.x[:, 3:6], axis=1)
     assert figures["epochs"] == T and figures["skipped"] == 5
+    assert figures["restarts"] == 2 and figures["dropped"] == 7
     assert (figures["first_s"], figures["last_s"]) == (block.time_s[0], block.time_s[-1])
     assert figures["modes"] == {"slow": (block.mode == 0).sum(), "fast": (block.mode == 1).sum()}
     assert figures["switches"] == (np.diff(block.mode) != 0).sum()

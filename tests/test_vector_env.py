@@ -12,11 +12,11 @@ from gymnasium.error import InvalidAction, ResetNeeded
 from gymnasium.vector import AutoresetMode
 
 import mmwave_env.estimator.batch as batch
-from mmwave_env.episode import SimulatedSource
 from mmwave_env.estimator.modes import Mode
 from mmwave_env.measurement import Layout
 from mmwave_env.radio import RADIOS
 from mmwave_env.scene import SCENES
+from mmwave_env.simulation import SimulatedSource
 from mmwave_env.vector_env import MmWaveLocVectorEnv
 
 from .vector_checker import check_vector_env, rollout, same

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from experiments.evaluation import Interval, Scores, draw_episodes
 from experiments.markdown import grid, rounded
-from mmwave_env.episode import Episode, SimulatedSource
+from mmwave_env.episode import Episode
 from mmwave_env.estimator.algebra import unpack
 from mmwave_env.estimator.belief import Belief
 from mmwave_env.estimator.modes import Mode, shipped_modes
@@ -19,6 +19,7 @@ from mmwave_env.estimator.smoother import smooth
 from mmwave_env.metrics import accuracy, scored
 from mmwave_env.radio import Radio, radio_from
 from mmwave_env.scene import SCENES
+from mmwave_env.simulation import SimulatedSource
 from mmwave_env.tracker import Tracker
 
 Array = NDArray[np.float64]

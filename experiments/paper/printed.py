@@ -67,6 +67,8 @@ def tables_one_and_two(bench: Bench) -> Iterator[Section]:
                 "gates, no adaptive scaling, no smoothing. Optimised: tuned, gated, scaled and "
                 "smoothed."
             )
+            if scenario == "pedestrian":
+                note += " With odometry the same tracks are measured with other noise."
             title = f"Table {number}: {scenario}, {radio}"
             section = Section(title, note, columns)
             section.rows += _rows(bench, Setting(scenario, radio), printed)

@@ -9,6 +9,8 @@ from importlib.resources import files
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import numpy as np
+
 from mmwave_env.arithmetic import Number
 from mmwave_env.estimator.update import Algorithm, ckf, ekf, ukf
 from mmwave_env.names import choose
@@ -81,6 +83,7 @@ class Mode:
     cost: float = 0.0
 
     def __post_init__(self) -> None:
+        self._require_types()
         if isinstance(self.algorithm, str):
             choose(ALGORITHMS, self.algorithm, f"algorithm of mode {self.name!r}")
         for field in (
@@ -99,6 +102,28 @@ class Mode:
             raise ValueError(
                 f"recovery of mode {self.name!r}: found {self.recovery}, expected a number of "
                 "epochs >= 1 or None"
+            )
+
+    def _require_types(self) -> None:
+        """A mode file may hold anything: "false" in quotes would count as true."""
+        flags = ("coupling", "adaptive", "blockage_aware", "robust")
+        numbers = (*(f for f in Tuning._fields if f != "coupling"), "widen_p", "widen_v", "cost")
+        expected: dict[str, tuple[type, ...]] = {
+            "name": (str,), **dict.fromkeys(flags, (bool,)),
+            **dict.fromkeys(numbers, (int, float, np.number)),
+            "gate": (int, float, np.number, type(None)), "recovery": (int, type(None)),
+        }  # fmt: skip
+        for field, types in expected.items():
+            value = getattr(self, field)
+            if not isinstance(value, types) or (isinstance(value, bool) and bool not in types):
+                names = " or ".join(t.__name__.replace("NoneType", "None") for t in types)
+                raise ValueError(
+                    f"{field} of mode {self.name!r}: found {value!r}, expected {names}"
+                )
+        if not isinstance(self.algorithm, str) and not callable(self.algorithm):
+            raise ValueError(
+                f"algorithm of mode {self.name!r}: found {self.algorithm!r}, expected a name or a "
+                "function"
             )
 
     @property
@@ -124,13 +149,17 @@ def read_modes(path: str | os.PathLike[str]) -> tuple[Mode, ...]:
     """
     known = [field.name for field in fields(Mode)]
     try:
-        found = json.loads(Path(path).read_text(encoding="utf-8"))["modes"]
-        for mode in found:
+        found = json.loads(Path(path).read_text(encoding="utf-8"))
+        if not isinstance(found, dict) or not isinstance(found.get("modes"), list):
+            raise ValueError("found no list under 'modes'")
+        for mode in found["modes"]:
+            if not isinstance(mode, dict) or "name" not in mode:
+                raise ValueError(f"modes: found {mode!r}, expected a mode with a 'name'")
             for field in mode:
                 choose(dict.fromkeys(known), field, f"attribute of mode {mode['name']!r}")
-        return tuple(Mode(**mode) for mode in found)
-    except (ValueError, TypeError, KeyError) as error:
-        raise ValueError(f"{os.fspath(path)}: not a mode file: {error!r}") from error
+        return tuple(Mode(**mode) for mode in found["modes"])
+    except ValueError as error:
+        raise ValueError(f"{os.fspath(path)}: not a mode file: {error}") from error
 
 
 def as_written(mode: Mode) -> dict[str, Any]:

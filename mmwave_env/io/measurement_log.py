@@ -33,6 +33,7 @@ Cells = dict[str, Array]  # quantity -> (n,)
 _PER_EPOCH = (
     "time_s", "measurement", "visible", "incomplete", "snr_db", "doppler_spread_hz"
 )  # fmt: skip
+_LONGEST_RANGE_M = 1e6  # beyond any cell; a unit mistaken goes further
 
 
 @dataclass(frozen=True, eq=False)
@@ -175,8 +176,8 @@ def _first_damage(
     """Index and error of the first damaged row; without one, the number of rows."""
     n = len(rows)
     first, error = (n - 1, damage) if damage else (n, None)
-    with np.errstate(invalid="ignore"):  # infinite times
-        for check in _checks(cells, anchors) if n else ():
+    with np.errstate(invalid="ignore", over="ignore"):  # infinite times, endless ranges
+        for check in _checks(log, cells, anchors) if n else ():
             row = int(np.argmax(check.wrong))
             if check.wrong[row] and row < first:
                 first, expected = row, f"expected {check.expected}"
@@ -184,7 +185,7 @@ def _first_damage(
     return first, error
 
 
-def _checks(cells: Cells, anchors: int) -> Iterator[_Check]:
+def _checks(log: LogFile, cells: Cells, anchors: int) -> Iterator[_Check]:
     """Everything to check, where damage already seen in a row may hide what comes later."""
     time, anchor = cells["time"], cells["anchor"]
 
@@ -216,6 +217,14 @@ def _checks(cells: Cells, anchors: int) -> Iterator[_Check]:
         "each anchor once in an epoch",
     )
     yield _Check("toa", cells["toa"] < 0.0, cell("toa"), "at least 0")
+    unit = log.columns["toa"].unit
+    range_m = cells["toa"] * unit.multiply / unit.divide
+    yield _Check(
+        "toa",
+        range_m > _LONGEST_RANGE_M,
+        lambda row: f"{_show(cells['toa'][row])}, which is {range_m[row]:.2g} m",
+        f"at most {_LONGEST_RANGE_M / 1e3:g} km, in the unit that the name of the column ends with",
+    )
     if "doppler" in cells:
         elsewhere = ~np.isnan(cells["doppler"]) & (anchor != 1.0)
         yield _Check("doppler", elsewhere, cell("doppler"), "none but in the rows of anchor 1")

@@ -13,7 +13,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.stats import norm
 
-from mmwave_env.episode import SimulatedSource
 from mmwave_env.estimator.bound import (
     Motion,
     averaged_bound,
@@ -28,6 +27,7 @@ from mmwave_env.estimator.pipeline import Pipeline
 from mmwave_env.measurement import Layout
 from mmwave_env.radio import RADIOS
 from mmwave_env.scene import SCENES
+from mmwave_env.simulation import SimulatedSource
 
 from . import textbook
 from .tracks import (

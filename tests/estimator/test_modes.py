@@ -74,7 +74,21 @@ def test_robust_modes_are_the_same_tuning_without_adaptation():
         ('{"modes": [{"name": "a", "sigma_v": -1}]}', "sigma_v of mode 'a': found -1"),
         ('{"modes": [{"name": "a", "sigma_v": "much"}]}', "not a mode file"),
         ('{"modes": [{"name": "a", "algorithm": "pf"}]}', "'pf'.*ekf, ukf, ckf"),
-        ('{"modes": 3}', "not a mode file"),
+        ('{"modes": 3}', "no list under 'modes'"),
+        ('{"modes": {"ekf": {}}}', "no list under 'modes'"),
+        ('{"modes": [null]}', "found None, expected a mode with a 'name'"),
+        ('{"modes": [{"name": 7}]}', "name of mode 7: found 7, expected str"),
+        (
+            '{"modes": [{"name": "a", "robust": "false"}]}',
+            "robust of mode 'a': found 'false', .*bool",
+        ),
+        ('{"modes": [{"name": "a", "coupling": 1}]}', "coupling of mode 'a': found 1, .*bool"),
+        (
+            '{"modes": [{"name": "a", "recovery": 2.5}]}',
+            "recovery .*found 2.5, expected int or None",
+        ),
+        ('{"modes": [{"name": "a", "sigma_v": true}]}', "sigma_v of mode 'a': found True"),
+        ('{"modes": [{"name": "a", "algorithm": ["ekf"]}]}', "algorithm of mode 'a': found"),
     ],
 )
 def test_a_damaged_mode_file_is_named(tmp_path, text, message):

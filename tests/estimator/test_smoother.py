@@ -5,13 +5,13 @@ import pytest
 from filterpy.kalman import KalmanFilter
 
 from mmwave_env.engine import Engine
-from mmwave_env.episode import SimulatedSource
 from mmwave_env.estimator.modes import modes_from
 from mmwave_env.estimator.pipeline import Pipeline
 from mmwave_env.estimator.smoother import smooth
 from mmwave_env.radio import RADIOS
 from mmwave_env.reward import TrackingReward
 from mmwave_env.scene import SCENES
+from mmwave_env.simulation import SimulatedSource
 
 TOLERANCE = 1e-9
 LOWER = np.tril_indices(7)

@@ -6,20 +6,27 @@ from operator import attrgetter
 import numpy as np
 
 from mmwave_env.engine import Engine
-from mmwave_env.episode import Episode, SimulatedSource
+from mmwave_env.episode import Episode
 from mmwave_env.estimator.modes import Mode
 from mmwave_env.estimator.pipeline import Pipeline
 from mmwave_env.imm_engine import ImmEngine
-from mmwave_env.measurement import Layout
+from mmwave_env.measurement import Layout, exact_rows
 from mmwave_env.radio import RADIOS
 from mmwave_env.reward import TrackingReward
 from mmwave_env.scene import SCENES
+from mmwave_env.simulation import SimulatedSource
 
 from . import textbook
 
 STREET = Layout(3)
 TRIANGLE = np.tril_indices(7)
 HZ_PER_MPS = 93.4
+
+
+def geometry(position, velocity, scene, layout):
+    """The measurement function on arrays (T, 3): (T, rows)."""
+    tracks = list(position.T), list(velocity.T)
+    return np.stack(exact_rows(*tracks, scene.anchors_m, scene.hz_per_mps, layout), axis=1)
 
 
 def simulated(n, epochs=200, odometry=False, seed=0):

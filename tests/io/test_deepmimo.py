@@ -8,12 +8,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mmwave_env.episode import geometry
 from mmwave_env.io.deepmimo import read_deepmimo
 from mmwave_env.io.samples import recording_from
 from mmwave_env.measurement import SPEED_OF_LIGHT
 from mmwave_env.recording import Recording
 from mmwave_env.scene import Scene, Wall
+from tests.estimator.tracks import geometry
 
 SAMPLES = Path(__file__).parents[2] / "mmwave_env" / "data" / "deepmimo_canyon28"
 VEHICLE, PEDESTRIAN = SAMPLES / "canyon28_vehicle", SAMPLES / "canyon28_pedestrian"

@@ -14,13 +14,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mmwave_env.episode import SimulatedSource
 from mmwave_env.io.log_columns import QUANTITIES
 from mmwave_env.io.log_tables import LogError
 from mmwave_env.io.measurement_log import log_text, read_log, write_log
 from mmwave_env.measurement import SPEED_OF_LIGHT, Layout
 from mmwave_env.radio import RADIOS
 from mmwave_env.scene import SCENES, Scene
+from mmwave_env.simulation import SimulatedSource
 
 SCENE = SCENES["street"]
 L = 3
@@ -129,7 +129,11 @@ def test_every_number_has_its_place(tmp_path):
 )
 def test_units_are_converted(tmp_path, name, value, row, expected):
     (quantity,) = [q for q, names in QUANTITIES.items() if name in names]
-    cells = dict.fromkeys(HEADER.split(","), "0.5") | {"time_s": "1", "anchor": "1"}
+    cells = dict.fromkeys(HEADER.split(","), "0.5") | {
+        "time_s": "1",
+        "anchor": "1",
+        "toa_s": "1e-7",
+    }
     (old,) = [column for column in cells if column in QUANTITIES[quantity]]
     del cells[old]
     cells[name] = value

@@ -1,0 +1,260 @@
+"""What the channel does to the links in an epoch: shadowing, blockage, multipath, detection.
+
+Functions of numbers, like the filters, so that episodes are simulated on lanes. All
+randomness comes in as draws; what lasts from epoch to epoch is a :class:`Weather`.
+"""
+
+import math
+from typing import NamedTuple
+
+from mmwave_env.arithmetic import Number, Vector, clip, exp, log, maximum, sqrt, where
+from mmwave_env.measurement import Layout
+from mmwave_env.radio import DECIBEL, Radio
+from mmwave_env.scene import Scene
+
+
+class Spells(NamedTuple):
+    """A two-state Markov chain per link, and what it does to a link while it lasts.
+
+    Attributes:
+        end: probability to end within a step.
+        constant_m, mean_m: range bias: the constant plus an exponential of this mean.
+        angle_rad: standard deviation of the angle biases.
+    """
+
+    end: Number
+    constant_m: Number
+    mean_m: Number
+    angle_rad: Number
+
+
+class Channel(NamedTuple):
+    """A radio in a scene, over a step: all that an epoch of the channel depends on.
+
+    Attributes:
+        offset_db: (L,) SNR at 1 m.
+        shadowing_db, correlation: of log-normal shadowing, AR(1) over a step.
+        blockage, multipath: spells.
+        blockage_scale, blockage_base, blockage_per_m, blockage_limit, blockage_loss_db: see
+            :class:`~mmwave_env.radio.Radio`.
+        multipath_onset, outage_onset, outage_end: probabilities within a step.
+        detection_snr_db, detection_slope_db: of the logistic probability of detection.
+        floor_variance, bound_variance: (rows,) noise floor, and Cramer-Rao bound at 0 dB.
+        spread_gain_hz, spread_sigma, spread_floor_hz: of the Doppler spread.
+        odometry_slowest_mps: below it odometry is missing.
+    """
+
+    offset_db: list[Number]
+    shadowing_db: Number
+    correlation: Number
+    blockage: Spells
+    multipath: Spells
+    blockage_scale: Number
+    blockage_base: Number
+    blockage_per_m: Number
+    blockage_limit: Number
+    blockage_loss_db: Number
+    multipath_onset: Number
+    outage_onset: Number
+    outage_end: Number
+    detection_snr_db: Number
+    detection_slope_db: Number
+    floor_variance: list[Number]
+    bound_variance: list[Number]
+    spread_gain_hz: Number
+    spread_sigma: Number
+    spread_floor_hz: Number
+    odometry_slowest_mps: Number
+
+
+def channel_of(radio: Radio, scene: Scene, layout: Layout, dt: float) -> Channel:
+    """The channel of a radio in a scene, for steps of ``dt`` seconds."""
+    floor, bound = radio.variances(scene, layout)
+    loss = 32.4 + 20.0 * math.log10(scene.carrier_hz / 1e9)  # 3GPP TR 38.901, UMi, at 1 m
+    at_1_m = radio.link_budget_db - loss - radio.thermal_noise_dbm(scene.bandwidth_hz)
+    constant, mean = radio.multipath_range_m
+    return Channel(
+        offset_db=[at_1_m] + [at_1_m - radio.reflection_loss_db] * (layout.anchors - 1),
+        shadowing_db=radio.shadowing_db,
+        correlation=radio.shadowing_correlation**dt,
+        blockage=Spells(
+            -math.expm1(-dt / radio.blockage_mean_s), 0.0, radio.blockage_range_m,
+            radio.blockage_angle_rad,
+        ),
+        multipath=Spells(
+            -math.expm1(-dt / radio.multipath_mean_s), constant, mean, radio.multipath_angle_rad
+        ),
+        blockage_scale=radio.blockage_scale,
+        blockage_base=radio.blockage_base,
+        blockage_per_m=radio.blockage_per_100m / 100.0,
+        blockage_limit=radio.blockage_limit,
+        blockage_loss_db=radio.blockage_loss_db,
+        multipath_onset=-math.expm1(-dt * radio.multipath_rate_hz),
+        outage_onset=-math.expm1(-dt * radio.outage_rate_hz),
+        outage_end=-math.expm1(-dt / radio.outage_mean_s),
+        detection_snr_db=radio.detection_snr_db,
+        detection_slope_db=radio.detection_slope_db,
+        floor_variance=floor,
+        bound_variance=bound,
+        spread_gain_hz=radio.spread_gain * scene.hz_per_mps,
+        spread_sigma=radio.spread_sigma,
+        spread_floor_hz=radio.spread_floor_mps * scene.hz_per_mps,
+        odometry_slowest_mps=radio.odometry_slowest_mps,
+    )  # fmt: skip
+
+
+class Disturbance(NamedTuple):
+    """A spell of one link.
+
+    Attributes:
+        on: 1 while it lasts.
+        bias: (4,) of the link's rows while it lasts, drawn when it began: m, rad.
+    """
+
+    on: Number
+    bias: list[Number]
+
+
+class Weather(NamedTuple):
+    """What lasts from epoch to epoch.
+
+    Attributes:
+        shadowing: (L,) in standard deviations.
+        blockage, multipath: per link.
+        outage: 1 while all links are lost.
+    """
+
+    shadowing: list[Number]
+    blockage: list[Disturbance]
+    multipath: list[Disturbance]
+    outage: Number
+
+
+def calm(anchors: int) -> Weather:
+    """The weather before the first epoch."""
+    still = Disturbance(0.0, [0.0] * 4)
+    return Weather([0.0] * anchors, [still] * anchors, [still] * anchors, 0.0)
+
+
+class ChannelDraws(NamedTuple):
+    """The randomness of an epoch.
+
+    Attributes:
+        shadowing: (L,) normals.
+        blockage, multipath: (L,) uniforms in [0, 1).
+        outage: uniform.
+        blockage_range, multipath_range: (L,) exponentials of mean 1.
+        blockage_angles, multipath_angles: (L, 3) normals.
+        detection: (L,) uniforms.
+        scatter, floor: normals of the Doppler spread.
+    """
+
+    shadowing: list[Number]
+    blockage: list[Number]
+    multipath: list[Number]
+    outage: Number
+    blockage_range: list[Number]
+    multipath_range: list[Number]
+    blockage_angles: list[list[Number]]
+    multipath_angles: list[list[Number]]
+    detection: list[Number]
+    scatter: Number
+    floor: Number
+
+
+class Reception(NamedTuple):
+    """What a receiver has of an epoch.
+
+    Attributes:
+        snr_db: (L,).
+        detected: (L,) 1 or 0.
+        bias: (L, 4) added to the rows of each link.
+        doppler_spread_hz: Doppler spread.
+    """
+
+    snr_db: list[Number]
+    detected: list[Number]
+    bias: list[list[Number]]
+    doppler_spread_hz: Number
+
+
+def spell_goes_on(on: Number, uniform: Number, onset: Number, end: Number) -> Number:
+    """Whether a spell is on, one step after it was ``on``."""
+    return where(on > 0.5, where(uniform < end, 0.0, 1.0), where(uniform < onset, 1.0, 0.0))
+
+
+def _disturb(
+    before: Disturbance, spells: Spells, onset: Number, uniform: Number, far: Number, angles: Vector
+) -> Disturbance:
+    """A spell one epoch on; its biases are drawn in its first epoch."""
+    on = spell_goes_on(before.on, uniform, onset, spells.end)
+    drawn = [spells.constant_m + spells.mean_m * far, *(spells.angle_rad * a for a in angles)]
+    lasts = before.on > 0.5
+    bias = [where(lasts, old, new) for old, new in zip(before.bias, drawn, strict=True)]
+    return Disturbance(on, bias)
+
+
+def channel_epoch(
+    channel: Channel,
+    before: Weather,
+    fresh: Number,
+    draws: ChannelDraws,
+    distance: Vector,
+    speed: Number,
+) -> tuple[Weather, Reception]:
+    """One epoch of the channel.
+
+    Args:
+        channel: radio and scene.
+        before: weather in the epoch before; not looked at where ``fresh``.
+        fresh: whether the episode begins: the weather is then drawn from its stationary
+            distribution (multipath and outages: none).
+        draws: randomness.
+        distance: (L,) to every anchor, m.
+        speed: of the user, m/s.
+    """
+    c, rho = channel, channel.correlation
+    innovation = sqrt(1.0 - rho * rho)
+    shadowing, blockage, multipath, snr_db, detected, bias = [], [], [], [], [], []
+    outage_onset = where(fresh, 0.0, c.outage_onset)
+    outage = spell_goes_on(where(fresh, 0.0, before.outage), draws.outage, outage_onset,
+                           c.outage_end)  # fmt: skip
+    for a, d in enumerate(distance):
+        shadow = where(
+            fresh, draws.shadowing[a], rho * before.shadowing[a] + innovation * draws.shadowing[a]
+        )
+        share = c.blockage_base + c.blockage_per_m * d
+        share = c.blockage_scale * where(share < c.blockage_limit, share, c.blockage_limit)
+        onset = c.blockage.end * share / maximum(1.0 - share, 1e-9)
+        blocked = _disturb(
+            _unless(fresh, before.blockage[a]), c.blockage, where(fresh, share, onset),
+            draws.blockage[a], draws.blockage_range[a], draws.blockage_angles[a],
+        )  # fmt: skip
+        reflected = _disturb(
+            _unless(fresh, before.multipath[a]), c.multipath,
+            where(fresh, 0.0, c.multipath_onset),
+            draws.multipath[a], draws.multipath_range[a], draws.multipath_angles[a],
+        )  # fmt: skip
+        snr = c.offset_db[a] - (2.1 / DECIBEL) * log(d) + c.shadowing_db * shadow
+        snr = snr - c.blockage_loss_db * blocked.on
+        odds = exp(clip((c.detection_snr_db - snr) / c.detection_slope_db, -500.0, 500.0))
+        seen = where(draws.detection[a] * (1.0 + odds) < 1.0, 1.0 - outage, 0.0)
+        shadowing.append(shadow)
+        blockage.append(blocked)
+        multipath.append(reflected)
+        snr_db.append(snr)
+        detected.append(seen)
+        bias.append([
+            blocked.on * u + reflected.on * v
+            for u, v in zip(blocked.bias, reflected.bias, strict=True)
+        ])  # fmt: skip
+    scatter = exp(c.spread_sigma * draws.scatter)
+    spread = c.spread_gain_hz * speed * scatter + c.spread_floor_hz * maximum(
+        draws.floor, -1.0 * draws.floor
+    )
+    weather = Weather(shadowing, blockage, multipath, outage)
+    return weather, Reception(snr_db, detected, bias, spread)
+
+
+def _unless(fresh: Number, before: Disturbance) -> Disturbance:
+    return before._replace(on=where(fresh, 0.0, before.on))

@@ -1,0 +1,132 @@
+"""Simulated episodes against a plain numpy simulation that draws the same random numbers.
+
+It is the meaning of a seed: kinds of draws in this order, each over all epochs at once.
+"""
+
+import numpy as np
+import pytest
+
+from mmwave_env.episode import Episode
+from mmwave_env.mobility import mobilities_of, trajectory
+from mmwave_env.radio import RADIOS
+from mmwave_env.scene import SCENES
+from mmwave_env.simulation import SimulatedSource
+
+from .estimator.tracks import geometry
+
+SOURCES = {
+    "default": SimulatedSource(SCENES["street"], RADIOS["handset"]),
+    "odometry at 10 Hz": SimulatedSource(
+        SCENES["o1"], RADIOS["high"], "walk-ride", dt=0.1, odometry=True
+    ),
+    "jam": SimulatedSource(SCENES["dynamic-doppler"], RADIOS["standard"], "jam", 0.5, epochs=77),
+}
+
+
+def spells(uniform, onset, leave, first):
+    """A two-state Markov chain per column: whether it is on, and since which epoch."""
+    on, since = np.zeros(uniform.shape, bool), np.zeros(uniform.shape, int)
+    for t, draw in enumerate(uniform):
+        before = on[t - 1] if t else np.zeros(uniform.shape[1], bool)
+        on[t] = np.where(before, draw >= leave, draw < (onset[t] if t else first))
+        since[t] = np.where(before, since[t - 1], t)
+    return on, since
+
+
+def channel(radio, scene, distance, speed, dt, rng):
+    """SNR, detection, biases (T, L, 4) and Doppler spread."""
+    T, L = distance.shape
+    link = np.arange(L)
+    loss = 32.4 + 21 * np.log10(distance) + 20 * np.log10(scene.carrier_hz / 1e9)
+    loss[:, 1:] += radio.reflection_loss_db
+    shadow, rho = rng.standard_normal((T, L)), radio.shadowing_correlation**dt
+    for t in range(1, T):
+        shadow[t] = rho * shadow[t - 1] + np.sqrt(1 - rho**2) * shadow[t]
+    share = radio.blockage_scale * np.minimum(
+        radio.blockage_limit, radio.blockage_base + radio.blockage_per_100m * distance / 100
+    )
+    leave = 1 - np.exp(-dt / radio.blockage_mean_s)
+    blocked, begun = spells(rng.random((T, L)), leave * share / (1 - share), leave, share[0])
+    rate, end = (1 - np.exp(-dt * r) for r in (radio.multipath_rate_hz, 1 / radio.multipath_mean_s))
+    reflected, arrived = spells(rng.random((T, L)), np.full((T, L), rate), end, np.zeros(L))
+    rate, end = (1 - np.exp(-dt * r) for r in (radio.outage_rate_hz, 1 / radio.outage_mean_s))
+    lost, _ = spells(rng.random((T, 1)), np.full((T, 1), rate), end, np.zeros(1))
+    blockage = radio.blockage_range_m * rng.standard_exponential((T, L))
+    constant, mean = radio.multipath_range_m
+    multipath = constant + mean * rng.standard_exponential((T, L))
+    angles = rng.standard_normal((2, T, L, 3))
+    bias = np.zeros((T, L, 4))
+    bias[..., 0] = blocked * blockage[begun, link] + reflected * multipath[arrived, link]
+    bias[..., 1:] = blocked[..., None] * radio.blockage_angle_rad * angles[0, begun, link]
+    bias[..., 1:] += reflected[..., None] * radio.multipath_angle_rad * angles[1, arrived, link]
+    gain = -loss + radio.shadowing_db * shadow - radio.blockage_loss_db * blocked
+    snr = radio.snr_db(gain, scene.bandwidth_hz)
+    chance = 1 / (1 + np.exp(-(snr - radio.detection_snr_db) / radio.detection_slope_db))
+    detected = (rng.random((T, L)) < chance) & ~lost
+    scatter = np.exp(radio.spread_sigma * rng.standard_normal(T))
+    floor = radio.spread_floor_mps * np.abs(rng.standard_normal(T))
+    return snr, detected, bias, scene.hz_per_mps * (radio.spread_gain * speed * scatter + floor)
+
+
+def plain(source, rng):
+    """An episode, straight from the model's description."""
+    scene, radio, layout, T = source.scene, source.radio, source.layout, source.epochs
+    choices = mobilities_of(source.scenario)
+    mobility = choices[int(rng.random() * len(choices))]
+    track = np.empty((T, 6))
+    trajectory(mobility, scene.streets, source.dt, rng, track)
+    position, velocity = track[:, :3], track[:, 3:]
+    speed = np.linalg.norm(velocity, axis=1)
+    z = geometry(position, velocity, scene, layout)
+    distance = z[:, 0 : layout.doppler : 4]
+    snr, detected, bias, spread = channel(radio, scene, distance, speed, source.dt, rng)
+    sigma = radio.sigma(snr, scene, layout)
+    z += sigma * rng.standard_normal(z.shape)
+    z[:, : layout.doppler] += bias.reshape(T, -1)
+    steps = np.full(T, radio.drift_mps * np.sqrt(source.dt))
+    steps[0] = radio.prior_bias_mps
+    drift = scene.hz_per_mps * np.cumsum(steps * rng.standard_normal(T))
+    z[:, layout.doppler] += drift
+    visible = np.column_stack([detected, detected[:, 0]])
+    if source.odometry:
+        visible = np.column_stack([visible, speed >= radio.odometry_slowest_mps])
+    covariance = radio.prior_covariance(scene)
+    state = np.concatenate([track[0], drift[:1]])
+    return Episode(
+        mobility.name, scene.anchors_m, scene.hz_per_mps, source.dt * np.arange(T), z, sigma,
+        visible, snr, spread, state + np.sqrt(np.diag(covariance)) * rng.standard_normal(7),
+        covariance, position, velocity, layout,
+    )  # fmt: skip
+
+
+def wrapped(table, layout):
+    """The table with its angles, which follow dt, moved into [-pi, pi)."""
+    columns = 1 + np.array(layout.angles)
+    table[..., columns] = np.remainder(table[..., columns] + np.pi, 2 * np.pi) - np.pi
+    return table
+
+
+@pytest.mark.parametrize("name", SOURCES)
+def test_a_seed_means_the_episode_of_the_plain_simulation(name):
+    source = SOURCES[name]
+    for seed in range(20):
+        ours, theirs = np.random.default_rng(seed), np.random.default_rng(seed)
+        episode, expected = source.sample(ours), plain(source, theirs)
+        assert ours.random() == theirs.random()  # as many draws
+        assert episode.name == expected.name
+        np.testing.assert_allclose(episode.time_s, expected.time_s)
+        np.testing.assert_allclose(episode.site(), expected.site(), rtol=1e-12, atol=1e-12)
+        tables = [wrapped(e.table(), source.layout) for e in (episode, expected)]
+        np.testing.assert_allclose(*tables, rtol=1e-9, atol=1e-9)
+
+
+@pytest.mark.parametrize("name", SOURCES)
+@pytest.mark.parametrize("n", [1, 8, 13])
+def test_a_batch_is_the_episodes_one_by_one_to_the_bit(name, n):
+    source = SOURCES[name]
+    names, tables, priors = source.tables([np.random.default_rng(seed) for seed in range(n)])
+    for seed in range(n):
+        episode = source.sample(np.random.default_rng(seed))
+        assert episode.name == names[seed]
+        np.testing.assert_array_equal(episode.prior_mean, priors[seed])
+        np.testing.assert_array_equal(episode.table(), tables[seed])
