@@ -12,6 +12,7 @@ import sys
 import tempfile
 import time
 from contextlib import suppress
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -610,7 +611,9 @@ def test_a_run_cut_short_leaves_the_output_alone(tmp_path, sent):
     long_log(log, 400_000)
     out.write_text("old")
     pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
-    process = child(options(log, "--speed", "1", "--out", out), **pipes)
+    # A shell in the background ignores SIGINT, and so would its children's children.
+    heeds = {"preexec_fn": partial(signal.signal, signal.SIGINT, signal.SIG_DFL)}
+    process = child(options(log, "--speed", "1", "--out", out), **pipes, **heeds)
     end = time.monotonic() + 60.0
     # Until a block is written: a signal that arrives while a filter is compiled may be lost.
     while not written_beside(tmp_path) and time.monotonic() < end:
