@@ -176,25 +176,19 @@ def _kept(layout: Layout) -> tuple[int, int]:
 
 @numba.njit(cache=True)
 def _normals(rng, out, first, last):  # type: ignore[no-untyped-def]
-    for t in range(len(out)):
-        for i in range(first, last):
-            out[t, i] = rng.standard_normal()
+    out[:, first:last] = rng.standard_normal((len(out), last - first))
     return last
 
 
 @numba.njit(cache=True)
 def _uniforms(rng, out, first, last):  # type: ignore[no-untyped-def]
-    for t in range(len(out)):
-        for i in range(first, last):
-            out[t, i] = rng.random()
+    out[:, first:last] = rng.random((len(out), last - first))
     return last
 
 
 @numba.njit(cache=True)
 def _exponentials(rng, out, first, last):  # type: ignore[no-untyped-def]
-    for t in range(len(out)):
-        for i in range(first, last):
-            out[t, i] = rng.standard_exponential()
+    out[:, first:last] = rng.standard_exponential((len(out), last - first))
     return last
 
 
