@@ -17,6 +17,7 @@ from mmwave_env.engine import Engine
 from mmwave_env.episode import Episode, EpisodeSource
 from mmwave_env.estimator.modes import Mode, default_modes, named_modes
 from mmwave_env.estimator.pipeline import Pipeline
+from mmwave_env.estimator.program import rows_of
 from mmwave_env.imm_engine import ImmEngine
 from mmwave_env.measurement import Layout
 from mmwave_env.metrics import METRICS, summary
@@ -156,16 +157,17 @@ def score(
         engine = Engine(pipeline, n, reward)
         engine.reset(episodes)
         policy.reset(np.ones(n, bool))
+        scored = rows_of([engine.at.reward, engine.at.nees, engine.at.error])
+        observations = engine.observations()
         for t in range(T):
-            actions = policy(engine.observations())
+            actions = policy(observations)
             if actions.min() < 0 or actions.max() >= len(contender.modes):
                 raise ValueError(
                     f"actions of {contender.name}: found {actions.min()} to {actions.max()}, "
                     f"expected 0 to {len(contender.modes) - 1}"
                 )
-            engine.step(actions)
-            rewards[:, t], nees[:, t] = engine.read(engine.at.reward), engine.read(engine.at.nees)
-            errors[:, t] = engine.read(engine.at.error)
+            observations, told = engine.step(actions, scored)
+            rewards[:, t], nees[:, t], errors[:, t] = told[:, 0], told[:, 1], told[:, 2:]
     step_s = float(np.median(np.diff(episodes[0].time_s))) if T > 1 else 1.0
     return summary(rewards, errors, nees, 1.0 / step_s)
 

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mmwave_env.arithmetic import Number, where
-from mmwave_env.episode import Episode
+from mmwave_env.episode import Episode, Packed
 from mmwave_env.estimator.algebra import unpack
 from mmwave_env.estimator.batch import Batch, Incoming, blank_incoming, blank_site
 from mmwave_env.estimator.belief import Belief
@@ -28,7 +28,7 @@ from mmwave_env.estimator.pipeline import (
     consider,
     start,
 )
-from mmwave_env.estimator.program import Array, Index, Program
+from mmwave_env.estimator.program import NO_ROWS, Array, Index, Program, rows_of
 from mmwave_env.estimator.trees import select
 from mmwave_env.observation import Observation, View
 from mmwave_env.reward import Reward
@@ -58,14 +58,14 @@ class Workspace(NamedTuple):
         held: the epoch whose candidates wait for an action.
         x, P: (7,), (28,) belief after the last committed epoch.
         memory: of the track.
-        candidates: per mode, for the epoch held.
+        candidates: per mode, for the epoch held, without their ``P_predicted``: the less an
+            environment holds, the more of them fit into a cache.
         observation: (features,).
         reward: of the last committed epoch.
         truth: (6,) of that epoch; where no epoch is committed yet, of the first.
         error: (3,) its position error, m.
         distance: length of the error, m.
         nees: its NEES.
-        P_predicted: (28,) covariance predicted for it.
     """
 
     incoming: Incoming
@@ -83,14 +83,13 @@ class Workspace(NamedTuple):
     error: list[Number]
     distance: Number
     nees: Number
-    P_predicted: list[Number]
 
 
 def _template(pipeline: Pipeline, features: int) -> Workspace:
     layout = pipeline.layout
     groups = [0.0] * len(layout.groups)
     incoming, site = blank_incoming(layout), blank_site(layout)
-    candidate = Candidate(site.prior_x, site.prior_P, site.prior_P, groups, groups, 0.0, 0.0)
+    candidate = Candidate(site.prior_x, site.prior_P, [], groups, groups, 0.0, 0.0)
     return Workspace(
         incoming=incoming,
         site=site,
@@ -107,7 +106,6 @@ def _template(pipeline: Pipeline, features: int) -> Workspace:
         error=[0.0] * 3,
         distance=0.0,
         nees=0.0,
-        P_predicted=site.prior_P,
     )
 
 
@@ -138,14 +136,13 @@ def epoch(w: Workspace, pipeline: Pipeline, observation: Observation, reward: Re
         x=x,
         P=P,
         memory=memory,
-        candidates=candidates,
+        candidates=[candidate._replace(P_predicted=[]) for candidate in candidates],
         observation=observation.values(view),
         reward=score,
         truth=select(fresh, w.incoming.truth, truth),
         error=belief.error(truth),
         distance=belief.distance(truth),
         nees=belief.nees(truth),
-        P_predicted=chosen.P_predicted,
     )
 
 
@@ -170,6 +167,10 @@ class Engine:
         observation: "full" or "prior".
         on_floats: run in plain Python instead of on lanes (the filterpy twin needs it).
         threads: how many may work at once; results do not depend on it.
+
+    Attributes:
+        batch: their workspaces and episodes.
+        at, read, column, span: the batch's.
     """
 
     def __init__(
@@ -185,54 +186,43 @@ class Engine:
         self.observation = Observation(pipeline, observation)
         program = _program(pipeline, observation, reward)
         action = np.array([program.index.action])
-        self._batch = Batch(program, pipeline.layout, n, action, on_floats, threads)
-        self._given = np.zeros((n, 1, 1))
-        self.size = self._batch.program.size
-        self.at, self.span = self._batch.at, self._batch.span
-        self.read, self.column = self._batch.read, self._batch.column
+        self.batch = Batch(program, pipeline.layout, n, action, on_floats, threads)
+        self.at = self.batch.at
+        self.read, self.column, self.span = self.batch.read, self.batch.column, self.batch.span
+        self._shown = rows_of(self.at.observation)
 
     def reset(self, episodes: Sequence[Episode]) -> None:
         """Start over with one episode each and consider its first epoch."""
-        self._batch.begin(episodes)
+        self.batch.begin(episodes)
 
-    def load(self, episodes: Sequence[Episode], places: Index) -> None:
+    def load(self, episodes: Packed | Sequence[Episode], places: Index) -> None:
         """Give some environments an episode, to start over with at the next run."""
-        self._batch.load(episodes, places)
+        self.batch.load(episodes, places)
 
     def start(self, places: Index) -> None:
         """Consider the first epoch in environments just loaded; the others stay as they are."""
-        running = np.zeros(self._batch.n, np.bool_)
+        running = np.zeros(self.batch.n, np.bool_)
         running[places] = True
-        self._batch.advance(self._given, running=running)
+        self.batch.advance(running=running)
 
-    def step(self, actions: NDArray[np.integer[Any]] | np.int64) -> None:
+    def step(
+        self, actions: NDArray[np.integer[Any]] | np.int64, tell: Index = NO_ROWS
+    ) -> tuple[NDArray[np.float32], Array]:
         """Commit every environment to its mode (n,), or all to one, and consider the next epoch.
 
         An environment just loaded starts its episode instead.
-        """
-        self._given[:, 0, 0] = actions
-        self._batch.advance(self._given)
-
-    def lengths(self) -> Index:
-        """(n,) epochs in the episodes loaded."""
-        return self._batch.tracks.length
-
-    def replay(self, tree: Any, places: Index, actions: NDArray[Any]) -> tuple[Array, Array]:
-        """Run the episodes of some environments again, with all their actions at once.
 
         Args:
-            tree: parts of ``at`` to keep.
-            places: the environments, which stay as they are.
-            actions: (places, epochs).
+            actions: numbers of the modes.
+            tell: (k,) numbers of rows to return, of :func:`rows_of` parts of ``at``.
 
         Returns:
-            (places, epochs, leaves of the tree) and the epochs' dt (places, epochs), s.
+            The observations (n, features), and what to tell (n, k); fresh arrays.
         """
-        again = self._batch.again(places)
-        again.advance()
-        epochs = actions.shape[1]
-        kept = again.record(tree, epochs, actions[..., None].astype(np.float64))
-        return kept, again.tracks.table[:, :epochs, 0]
+        traffic = self.batch.traffic(keep=tell, show=self._shown)
+        traffic.given[:, 0, 0] = actions
+        self.batch.advance(traffic)
+        return traffic.shown[:, 0], traffic.kept[:, 0]
 
     def observations(self) -> NDArray[np.float32]:
         """The current observations (n, features), a copy."""

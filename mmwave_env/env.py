@@ -21,6 +21,7 @@ from mmwave_env.names import choose
 from mmwave_env.observation import Observation
 from mmwave_env.radio import Radio, radio_from
 from mmwave_env.rendering import FRAMES_PER_SECOND, Picture, blank_picture
+from mmwave_env.replay import Replay
 from mmwave_env.reward import Reward
 from mmwave_env.scene import Scene, scene_from
 from mmwave_env.setting import setting_from
@@ -169,21 +170,22 @@ class MmWaveLocEnv(gym.Env[NDArray[np.float32], np.int64]):
             from mmwave_env.estimator.filterpy_twin import filterpy_pipeline
 
             pipeline = filterpy_pipeline(pipeline)
-        self._engine = Engine(pipeline, 1, self.reward, observation, backend == "filterpy")
+        on_floats = backend == "filterpy"
+        self._engine = Engine(pipeline, 1, self.reward, observation, on_floats)
+        self._replay = Replay(pipeline, on_floats)
         self.modes, self.observation = pipeline.modes, self._engine.observation
         self.observation_space = cast(Any, self.observation.space)
         self.action_space = spaces.Discrete(len(self.modes))
-        self._axes = len(pipeline.position_axes)
         at, span = self._engine.at, self._engine.span
         self._spans = {
-            "observation": span(at.observation), "error": span(at.error), "x": span(at.x),
-            "P": span(at.P), "P_predicted": span(at.P_predicted), "nis": span(at.memory.nis),
-            "accepted": span(at.memory.accepted), "rejected": span(at.memory.rejected),
+            "observation": span(at.observation), "x": span(at.x), "P": span(at.P),
+            "nis": span(at.memory.nis), "accepted": span(at.memory.accepted),
+            "rejected": span(at.memory.rejected),
         }  # fmt: skip
         self._episode: Episode | None = None
         self._over = True
         self._steps = 0
-        self._history = np.empty((0, 0))
+        self._actions, self._path = np.empty(0, np.int64), np.empty((0, 3))
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -193,7 +195,7 @@ class MmWaveLocEnv(gym.Env[NDArray[np.float32], np.int64]):
         episode = self._setting.draw(self.np_random)
         self._engine.reset([episode])
         self._episode, self._over, self._steps = episode, False, 0
-        self._history = np.empty((len(episode), self._engine.size))
+        self._actions, self._path = np.zeros(len(episode), np.int64), np.empty((len(episode), 3))
         if self._picture is not None:
             self._picture.begin(episode.scene_anchors_m, self._true_positions(episode))
         column = self._engine.column(0)
@@ -219,7 +221,8 @@ class MmWaveLocEnv(gym.Env[NDArray[np.float32], np.int64]):
         self._engine.step(action)
         at, spans = self._engine.at, self._spans
         column = self._engine.column(0)
-        self._history[self._steps] = column
+        self._actions[self._steps] = action
+        self._path[self._steps] = column[spans["x"]][:3]
         reward = float(column[at.reward])
         distance = float(column[at.distance])
         info: dict[str, Any] = {
@@ -255,13 +258,13 @@ class MmWaveLocEnv(gym.Env[NDArray[np.float32], np.int64]):
         if self._picture is None:
             self._picture = Picture([m.name for m in self.modes], self.render_mode == "human")
             self._picture.begin(episode.scene_anchors_m, truth)
-        now = self._history[steps - 1]
+        now: Any = self._engine.column(0)
         variances = now[spans["P"]]  # packed: xx, xy, yy first
         picture = self._picture.draw(
             truth[:steps],
-            self._history[:steps, spans["x"]][:, :3],
+            self._path[:steps],
             np.array([[variances[0], variances[1]], [variances[1], variances[2]]]),
-            self._history[:steps, self._engine.at.memory.mode].astype(np.int64),
+            self._actions[:steps],
             now[spans["accepted"]] > 0.5,
             now[spans["rejected"]] > 0.5,
         )
@@ -285,17 +288,11 @@ class MmWaveLocEnv(gym.Env[NDArray[np.float32], np.int64]):
 
     def _episode_info(self, episode: Episode) -> dict[str, float]:
         """Metrics of the epochs stepped through."""
-        at, spans = self._engine.at, self._spans
-        track = self._history[None, : self._steps]
-        found = episode_info(
-            track[..., spans["error"]],
-            track[..., at.nees],
-            track[..., spans["x"]],
-            track[..., spans["P"]],
-            track[..., spans["P_predicted"]],
-            np.diff(episode.time_s[None, : self._steps]),
-            self._engine.pipeline.planar,
+        error, nees, smoothed = self._replay.run(
+            self._engine.batch, np.zeros(1, np.int64), self._actions[None, : self._steps]
         )
+        dt = np.diff(episode.time_s[None, : self._steps])
+        found = episode_info(error, nees, smoothed, dt, self._engine.pipeline.planar)
         return {key: float(value[0]) for key, value in found.items()}
 
 

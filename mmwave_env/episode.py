@@ -5,9 +5,10 @@ over epochs, drawn from a simulation or taken from a recording. Everything downs
 both alike.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +16,7 @@ from numpy.typing import NDArray
 from mmwave_env.measurement import Layout
 
 Array = NDArray[np.float64]
+Index = NDArray[np.int64]
 
 
 @dataclass(frozen=True, eq=False)
@@ -157,6 +159,53 @@ class Episode:
         packed = self.prior_covariance[np.tril_indices(7)]
         return np.concatenate(
             [self.scene_anchors_m.ravel(), [self.hz_per_mps], self.prior_mean, packed]
+        )
+
+
+class Packed(NamedTuple):
+    """Many episodes as an engine loads them.
+
+    Attributes:
+        names: (n,) of the episodes.
+        nonfinite: (n,) as in :class:`Episode`.
+        length: (n,) epochs.
+        table: (n, epochs, columns), rows of :meth:`Episode.table` up to the length.
+        site: (n, numbers), rows of :meth:`Episode.site`.
+        layout: of all of them.
+    """
+
+    names: list[str]
+    nonfinite: Index
+    length: Index
+    table: Array
+    site: Array
+    layout: Layout
+
+    @classmethod
+    def of(cls, episodes: Sequence[Episode]) -> "Packed":
+        """The same episodes.
+
+        Raises:
+            ValueError: their layouts differ.
+        """
+        layout = episodes[0].layout
+        for episode in episodes:
+            if episode.layout != layout:
+                raise ValueError(
+                    f"layout of episode {episode.name!r}: found {episode.layout}, expected {layout}"
+                )
+        tables = [episode.table() for episode in episodes]
+        length = np.array([len(table) for table in tables])
+        table = np.empty((len(tables), length.max(), tables[0].shape[1]))
+        for row, own in zip(table, tables, strict=True):
+            row[: len(own)] = own
+        return cls(
+            names=[episode.name for episode in episodes],
+            nonfinite=np.array([episode.nonfinite for episode in episodes]),
+            length=length,
+            table=table,
+            site=np.stack([episode.site() for episode in episodes]),
+            layout=layout,
         )
 
 

@@ -6,7 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mmwave_env.engine import Engine
-from mmwave_env.estimator.smoother import smooth
+from mmwave_env.estimator.program import rows_of
+from mmwave_env.estimator.trees import leaves
 from mmwave_env.metrics import accuracy, ate, scored
 
 Array = NDArray[np.float64]
@@ -20,44 +21,53 @@ METRICS = {
 
 
 class Panel:
-    """What observations, rewards and infos of the environments in an engine are made of.
+    """What a step tells of the environments in an engine.
 
     Args:
         engine: the environments.
+
+    Attributes:
+        rows: numbers of the rows that :meth:`~mmwave_env.engine.Engine.step` has to tell.
     """
 
     def __init__(self, engine: Engine) -> None:
-        self._read, at = engine.read, engine.at
-        memory, span = at.memory, engine.span
-        self._reward, self._distance, self._nees = at.reward, at.distance, at.nees
-        self._mode, self._gamma = memory.mode, memory.gamma
-        self._observation, self._nis = span(at.observation), span(memory.nis)
-        self._accepted, self._rejected = span(memory.accepted), span(memory.rejected)
-        self._truth, self._estimate = span(at.truth), span(at.x)
+        at, memory = engine.at, engine.at.memory
+        tree = {
+            "reward": at.reward, "position_error_m": at.distance, "nees": at.nees,
+            "mode": memory.mode, "gamma": memory.gamma, "nis": memory.nis,
+            "accepted": memory.accepted, "rejected": memory.rejected, "truth": at.truth,
+            "estimate": at.x,
+        }  # fmt: skip
+        self.rows = rows_of(list(tree.values()))
+        self._columns: dict[str, Any] = {}
+        first = 0
+        for name, part in tree.items():
+            end = first + len(leaves(part))
+            self._columns[name] = first if isinstance(part, int) else slice(first, end)
+            first = end
+        self._read, self._truth, self._estimate = engine.read, at.truth, at.x
 
-    def observations(self) -> NDArray[np.float32]:
-        """(n, features), what the agents see."""
-        return self._read(self._observation, np.float32)
+    def rewards(self, told: Array) -> Array:
+        """(n,) of the step, as the reward function has them."""
+        return told[:, self._columns["reward"]].copy()
 
-    def rewards(self) -> Array:
-        """(n,) of the last step, as the reward function has them."""
-        return self._read(self._reward)
+    def step_info(self, told: Array) -> dict[str, NDArray[Any]]:
+        """What the step did."""
+        found: dict[str, NDArray[Any]] = {}
+        for key in STEP_KEYS:
+            found[key] = told[:, self._columns[key]]
+        found["accepted"] = found["accepted"] > 0.5
+        found["rejected"] = found["rejected"] > 0.5
+        found["mode"] = found["mode"].astype(np.int64)
+        return found
 
-    def step_info(self) -> dict[str, NDArray[Any]]:
-        """What the last step did."""
-        read = self._read
-        return {
-            "position_error_m": read(self._distance),
-            "nees": read(self._nees),
-            "nis": read(self._nis),
-            "accepted": read(self._accepted) > 0.5,
-            "rejected": read(self._rejected) > 0.5,
-            "mode": read(self._mode, np.int64),
-            "gamma": read(self._gamma),
-        }
-
-    def state_info(self) -> dict[str, NDArray[Any]]:
+    def state_info(self, told: Array) -> dict[str, NDArray[Any]]:
         """Where the users are, and where they are believed to be."""
+        columns = self._columns
+        return {"truth": told[:, columns["truth"]], "estimate": told[:, columns["estimate"]]}
+
+    def state_now(self) -> dict[str, NDArray[Any]]:
+        """The same, whenever asked for."""
         return {"truth": self._read(self._truth), "estimate": self._read(self._estimate)}
 
 
@@ -74,25 +84,24 @@ def masked(values: dict[str, NDArray[Any]], where: Mask) -> dict[str, Any]:
         elsewhere = ~where
         for array in values.values():
             array[elsewhere] = None if array.dtype == object else 0
-    return values | {f"_{key}": where.copy() for key in values}
+    masks = np.tile(where, (len(values), 1))  # a row each
+    return values | {f"_{key}": mask for key, mask in zip(values, masks, strict=True)}
 
 
 def episode_info(
-    error: Array, nees: Array, x: Array, P: Array, P_predicted: Array, dt: Array, planar: bool
+    error: Array, nees: Array, smoothed: Array, dt: Array, planar: bool
 ) -> dict[str, Array]:
-    """Metrics (n,) of n tracks of T epochs, and what smoothing would make of them.
+    """Metrics (n,) of n tracks of T epochs.
 
     Every track gets the same numbers, to the last bit, whatever tracks are beside it.
 
     Args:
         error: (n, T, 3) estimated minus true position, m.
         nees: (n, T).
-        x, P, P_predicted: (n, T, 7), (n, T, 28), (n, T, 28) as in
-            :func:`~mmwave_env.estimator.smoother.smooth`.
+        smoothed: (n, T, 3) errors of the smoothed track, m.
         dt: (n, T - 1) seconds between epochs.
         planar: z and vz are known exactly.
     """
-    error, nees = np.ascontiguousarray(error), np.ascontiguousarray(nees)
     n, epochs = nees.shape
     rate = 1.0 / np.median(dt, axis=-1) if epochs > 1 else np.ones(n)
     second = np.maximum(1, np.round(rate))
@@ -102,6 +111,4 @@ def episode_info(
         metrics = accuracy(error[some], nees[some], alike, 2 if planar else 3)
         for name, values in metrics.items():
             found[METRICS[name]][some] = values
-    smoothed, _ = smooth(x, P, P_predicted, dt, planar)
-    better = smoothed[..., :3] - x[..., :3] + error
-    return {**found, "smoothed_ate_m": ate(better[:, scored(epochs)])}
+    return {**found, "smoothed_ate_m": ate(smoothed[:, scored(epochs)])}

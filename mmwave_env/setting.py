@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mmwave_env.episode import Episode, EpisodeSource
+from mmwave_env.episode import Episode, EpisodeSource, Packed
 from mmwave_env.estimator.modes import Mode, modes_from
 from mmwave_env.estimator.pipeline import Pipeline
 from mmwave_env.io.samples import recording_from
@@ -45,6 +45,17 @@ class Setting:
             assert episode.truth_position_m is not None
             episode = episode.on_flat_ground(float(episode.truth_position_m[0, 2]))
         return episode
+
+    def draw_many(self, rngs: Sequence[np.random.Generator], threads: int = 1) -> Packed:
+        """The next episodes of many environments, the same as one by one.
+
+        Args:
+            rngs: of the environments.
+            threads: how many may draw simulated episodes at once.
+        """
+        if isinstance(self.source, SimulatedSource) and not self.pipeline.planar:
+            return self.source.packed(rngs, threads)
+        return Packed.of([self.draw(rng) for rng in rngs])
 
 
 def setting_from(

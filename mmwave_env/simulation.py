@@ -16,16 +16,17 @@ from numpy.typing import NDArray
 
 from mmwave_env.arithmetic import Number, Vector, sqrt, where, wrap
 from mmwave_env.channel import Channel, ChannelDraws, Weather, calm, channel_epoch, channel_of
-from mmwave_env.episode import Episode
+from mmwave_env.episode import Episode, Packed
 from mmwave_env.estimator.algebra import dot
 from mmwave_env.estimator.batch import Incoming, blank_incoming
 from mmwave_env.estimator.lanes import WIDTH
-from mmwave_env.estimator.program import NO_ROWS, Program, Tracks
+from mmwave_env.estimator.program import Program, Tracks, Traffic
 from mmwave_env.estimator.trees import leaves
 from mmwave_env.measurement import STATE_SIZE, Layout, exact_rows
 from mmwave_env.mobility import mobilities_of, trajectory
 from mmwave_env.radio import Radio, deviations
 from mmwave_env.scene import Scene
+from mmwave_env.threads import share
 
 Array = NDArray[np.float64]
 
@@ -282,14 +283,41 @@ class SimulatedSource:
             layout=self.layout,
         )
 
-    def tables(self, rngs: Sequence[np.random.Generator]) -> tuple[list[str], Array, Array]:
+    def packed(self, rngs: Sequence[np.random.Generator], threads: int = 1) -> Packed:
+        """Draw an episode from each generator, the same as :meth:`sample` would.
+
+        Args:
+            rngs: one an episode.
+            threads: how many may draw at once.
+        """
+        names, table, prior = self.tables(rngs, threads)
+        n, scene = len(rngs), self.scene
+        fixed = np.append(scene.anchors_m.ravel(), scene.hz_per_mps)
+        covariance = self.radio.prior_covariance(scene)[np.tril_indices(STATE_SIZE)]
+        return Packed(
+            names=names,
+            nonfinite=np.zeros(n, np.int64),
+            length=np.full(n, self.epochs),
+            table=table,
+            site=np.hstack([np.tile(fixed, (n, 1)), prior, np.tile(covariance, (n, 1))]),
+            layout=self.layout,
+        )
+
+    def tables(
+        self, rngs: Sequence[np.random.Generator], threads: int = 1
+    ) -> tuple[list[str], Array, Array]:
         """Draw an episode from each generator.
+
+        Args:
+            rngs: one an episode.
+            threads: how many may draw at once.
 
         Returns:
             Their names; (n, epochs, columns) as :meth:`~mmwave_env.episode.Episode.table`
             has them; (n, 7) means of the priors.
         """
-        parts = [self._draw(rngs[i : i + CHUNK]) for i in range(0, len(rngs), CHUNK)]
+        chunks = [(rngs[i : i + CHUNK],) for i in range(0, len(rngs), CHUNK)]
+        parts = share(self._draw, chunks, threads)
         names, tables, priors = zip(*parts, strict=True)
         return list(chain(*names)), np.concatenate(tables), np.concatenate(priors)
 
@@ -307,9 +335,9 @@ class SimulatedSource:
             names.append(mobility.name)
         rows = np.tile(self._start[None, :, None], (-(-n // WIDTH), 1, WIDTH))
         kept = np.arange(*_kept(layout))
-        out = np.empty((n, T, len(kept)))
-        nothing = np.empty((n, T, 0))
-        program.run_on_lanes(Tracks.of(draws, rows), NO_ROWS, nothing, kept, out)
+        traffic = Traffic.of(n, T, keep=kept)
+        program.run_on_lanes(Tracks.of(draws, rows), traffic)
+        out = traffic.kept
         out[:, 1:, 0] = np.diff(self.time_s)
         state = np.concatenate([draws[:, 0, :6], out[:, 0, -1:]], axis=1)
         deviation = np.sqrt(np.diag(self.radio.prior_covariance(self.scene)))

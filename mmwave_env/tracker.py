@@ -1,4 +1,4 @@
-"""Whole tracks in one go: filter episodes with a mode, or with a rule that picks one.
+"""Whole tracks in one go: filter episodes with a mode, with given ones, or a rule that picks.
 
 Where no agent acts, nothing has to stop after every epoch: a kernel runs from the first
 epoch of an episode to the last. Process noise is part of its data, so one compiled filter
@@ -9,7 +9,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import lru_cache
 from operator import attrgetter
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,7 +31,7 @@ from mmwave_env.estimator.pipeline import (
     consider,
     start,
 )
-from mmwave_env.estimator.program import Program
+from mmwave_env.estimator.program import Program, rows_of
 from mmwave_env.estimator.trees import leaves, select
 
 Array = NDArray[np.float64]
@@ -45,6 +45,7 @@ class Track(NamedTuple):
         incoming: the epoch to run, or just run.
         site: anchors, carrier and prior.
         fresh: 1 to start over from the prior.
+        action: the mode to run where no rule picks one.
         tunings: process noise of every mode.
         x, P: (7,), (28,) belief after the epoch.
         P_predicted: (28,) covariance predicted for it.
@@ -57,6 +58,7 @@ class Track(NamedTuple):
     incoming: Incoming
     site: Site
     fresh: Number
+    action: Number
     tunings: list[Tuning]
     x: list[Number]
     P: list[Number]
@@ -72,7 +74,7 @@ def track_epoch(w: Track, pipeline: Pipeline, rule: Rule | None) -> Track:
     fresh, epoch = w.fresh > 0.5, w.incoming.epoch(pipeline.layout)
     x, P = select(fresh, w.site.prior_x, w.x), select(fresh, w.site.prior_P, w.P)
     memory = select(fresh, start(pipeline), w.memory)
-    mode = 0.0 if rule is None else rule(x, epoch)
+    mode = w.action if rule is None else rule(x, epoch)
     candidates = [
         consider(pipeline, one, x, P, memory, epoch, w.site, tuning)
         for one, tuning in zip(pipeline.modes, w.tunings, strict=True)
@@ -96,6 +98,11 @@ def track_epoch(w: Track, pipeline: Pipeline, rule: Rule | None) -> Track:
     )
 
 
+def program_of(pipeline: Pipeline, rule: Rule | None = None) -> Program[Track]:
+    """The compiled epoch of a track; pipelines whose modes differ in tuning alone share it."""
+    return _program(_untuned(pipeline), rule)
+
+
 @lru_cache(maxsize=64)
 def _program(pipeline: Pipeline, rule: Rule | None) -> Program[Track]:
     def function(w: Track) -> Track:
@@ -106,6 +113,7 @@ def _program(pipeline: Pipeline, rule: Rule | None) -> Program[Track]:
         incoming=blank_incoming(pipeline.layout),
         site=site,
         fresh=1.0,
+        action=0.0,
         tunings=[Tuning(*[0.0] * len(Tuning._fields)) for _ in pipeline.modes],
         x=site.prior_x,
         P=site.prior_P,
@@ -134,17 +142,21 @@ class Tracker:
     """N tracks, each filtered from the first epoch of an episode to the last.
 
     Args:
-        pipeline: the mode, or the modes that ``rule`` picks from.
+        pipeline: the mode, or the modes to choose from.
         n: number of tracks.
         rule: from the state (7,) after the epoch before and the coming epoch to the number of
-            the mode to run; None where there is one mode.
+            the mode to run; None where there is one mode, or :meth:`run` is told which.
+        on_floats: run in plain Python instead of on lanes: slow, for reference.
     """
 
-    def __init__(self, pipeline: Pipeline, n: int, rule: Rule | None = None) -> None:
-        if rule is None and len(pipeline.modes) > 1:
-            raise ValueError(f"modes: found {len(pipeline.modes)} and no rule, expected one mode")
+    def __init__(
+        self, pipeline: Pipeline, n: int, rule: Rule | None = None, on_floats: bool = False
+    ) -> None:
         self.pipeline = pipeline
-        self._batch = Batch(_program(_untuned(pipeline), rule), pipeline.layout, n)
+        program = program_of(pipeline, rule)
+        action = rows_of(program.index.action)
+        self._batch = Batch(program, pipeline.layout, n, action, on_floats)
+        self._rule = rule
         self._epochs, self._end_s = 0, 0.0
         self.tune([mode.tuning for mode in pipeline.modes])
 
@@ -172,21 +184,30 @@ class Tracker:
         self._epochs = max(len(episode) for episode in episodes)
         self._end_s = float(episodes[0].time_s[-1])
 
-    def run(self, *names: str) -> dict[str, Array]:
+    def run(self, *names: str, actions: NDArray[np.integer[Any]] | None = None) -> dict[str, Array]:
         """Filter the episodes loaded, once.
 
         Args:
             names: parts of :class:`Track` to return, such as "x" or "memory.nis".
+            actions: (n, epochs) numbers of the modes to run, where there is no rule.
 
         Returns:
             Per name (n, epochs) of a single number, else (n, epochs, numbers).
+
+        Raises:
+            ValueError: several modes, and nothing that says which to run.
         """
+        modes = len(self.pipeline.modes)
+        if self._rule is None and actions is None and modes > 1:
+            raise ValueError(f"modes: found {modes}, no rule and no actions, expected one mode")
         parts = [attrgetter(name)(self._batch.at) for name in names]
-        recorded = self._batch.record(parts, self._epochs)
+        traffic = self._batch.traffic(self._epochs, rows_of(parts))
+        traffic.given[..., 0] = 0 if actions is None else actions
+        self._batch.advance(traffic)
         result, first = {}, 0
         for name, part in zip(names, parts, strict=True):
             width = len(leaves(part))
-            columns = recorded[..., first : first + width]
+            columns = traffic.kept[..., first : first + width]
             result[name] = columns[..., 0] if isinstance(part, int) else columns
             first += width
         return result

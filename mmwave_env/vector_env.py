@@ -17,6 +17,7 @@ from mmwave_env.generators import Generators
 from mmwave_env.information import STEP_KEYS, Mask, Panel, episode_info, masked
 from mmwave_env.metrics import DIVERGENCE_M
 from mmwave_env.names import choose
+from mmwave_env.replay import Replay
 from mmwave_env.setting import setting_from
 from mmwave_env.threads import share
 
@@ -25,7 +26,7 @@ Index = NDArray[np.int64]
 Observations = NDArray[np.float32]
 Step = tuple[Observations, Array, Mask, Mask, dict[str, Any]]
 
-CHUNK = 16  # episodes at once outside the engine: as large as environments, and best in cache
+DRAWN, REPLAYED = 256, 64  # episodes at once: few enough for their memory not to count
 
 
 class MmWaveLocVectorEnv(gym.vector.VectorEnv[Observations, Index, NDArray[Any]]):
@@ -91,7 +92,7 @@ class MmWaveLocVectorEnv(gym.vector.VectorEnv[Observations, Index, NDArray[Any]]
         self.single_action_space = cast(Any, spaces.Discrete(len(self.modes)))
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
-        self._panel = Panel(self._engine)
+        self._panel, self._replay = Panel(self._engine), Replay(setting.pipeline)
         self._generators = Generators(num_envs)
         self._begun = False
         self._everyone, self._all = np.arange(num_envs), np.ones(num_envs, np.bool_)
@@ -120,8 +121,8 @@ class MmWaveLocVectorEnv(gym.vector.VectorEnv[Observations, Index, NDArray[Any]]
         drawn = self._draw(places)
         self._engine.start(places)
         self._begun = True
-        infos = masked(drawn | self._panel.state_info(), chosen)
-        return self._panel.observations(), infos
+        infos = masked(drawn | self._panel.state_now(), chosen)
+        return self._engine.observations(), infos
 
     def _reset_mask(self, options: dict[str, Any] | None) -> Mask:
         mask = (options or {}).get("reset_mask")
@@ -170,14 +171,13 @@ class MmWaveLocVectorEnv(gym.vector.VectorEnv[Observations, Index, NDArray[Any]]
         """Load new episodes in some environments; what ``reset`` tells of them, (N,) each."""
         names = np.full(self.num_envs, None, object)
         nonfinite = np.zeros(self.num_envs, np.int64)
-        for first in range(0, len(places), CHUNK):
-            some = places[first : first + CHUNK]
+        for first in range(0, len(places), DRAWN):
+            some = places[first : first + DRAWN]
             with self._generators.of(some) as generators:
-                episodes = [self._setting.draw(generator) for generator in generators]
+                episodes = self._setting.draw_many(generators, self._threads)
             self._engine.load(episodes, some)
-            names[some] = [episode.name for episode in episodes]
-            nonfinite[some] = [episode.nonfinite for episode in episodes]
-        longer = int(self._engine.lengths().max()) - self._actions.shape[1]
+            names[some], nonfinite[some] = episodes.names, episodes.nonfinite
+        longer = int(self._engine.batch.tracks.length.max()) - self._actions.shape[1]
         if longer > 0:
             self._actions = np.pad(self._actions, ((0, 0), (0, longer)))
         self._steps[places], self._over[places] = 0, False
@@ -190,25 +190,25 @@ class MmWaveLocVectorEnv(gym.vector.VectorEnv[Observations, Index, NDArray[Any]]
         resets = np.count_nonzero(fresh)
         drawn = self._draw(np.flatnonzero(fresh)) if resets else {}
         self._actions[self._everyone, self._steps] = actions
-        self._engine.step(actions)
-        lengths, steps = self._engine.lengths(), self._steps
+        observations, told = self._engine.step(actions, self._panel.rows)
+        lengths, steps = self._engine.batch.tracks.length, self._steps
         steps += ~fresh
-        rewards, told = self._panel.rewards(), self._panel.step_info()
+        rewards, did = self._panel.rewards(told), self._panel.step_info(told)
         terminated = np.zeros(self.num_envs, np.bool_)
         if self._setting.worst is not None:
-            terminated = ~(fresh | (told["position_error_m"] <= DIVERGENCE_M))
+            terminated = ~(fresh | (did["position_error_m"] <= DIVERGENCE_M))
             rewards[terminated] += self._setting.worst * (lengths - steps)[terminated]
         truncated = (steps == lengths) & ~terminated
         self._over = terminated | truncated
-        infos = masked(told, ~fresh) | masked(self._panel.state_info(), self._all)
+        infos = masked(did, ~fresh) | masked(self._panel.state_info(told), self._all)
         if resets:
             rewards[fresh] = 0.0
             infos |= masked(drawn, fresh)
         if np.count_nonzero(self._over):
             infos |= masked(self._metrics(), self._over)
             if self._autoreset == AutoresetMode.SAME_STEP:
-                infos = self._same_step(infos)
-        return self._panel.observations(), rewards, terminated, truncated, infos
+                infos = self._same_step(observations, infos)
+        return observations, rewards, terminated, truncated, infos
 
     def _checked(self, actions: Any) -> Index:
         """The actions (N,), if all that are not ignored mean a mode."""
@@ -232,40 +232,39 @@ class MmWaveLocVectorEnv(gym.vector.VectorEnv[Observations, Index, NDArray[Any]]
 
     def _metrics(self) -> dict[str, NDArray[Any]]:
         """What the last step of an episode tells, (N,) each: the episodes are run again."""
-        at = self._engine.at
-        tree = [at.error, at.nees, at.x, at.P, at.P_predicted]
-        planar = self._setting.pipeline.planar
+        batch, planar = self._engine.batch, self._setting.pipeline.planar
 
         def metrics(some: Index, steps: int) -> dict[str, Array]:
-            kept, dt = self._engine.replay(tree, some, self._actions[some, :steps])
-            error, nees, x, P, P_predicted = np.split(kept, [3, 4, 11, 39], axis=-1)
-            return episode_info(error, nees[..., 0], x, P, P_predicted, dt[:, 1:], planar)
+            error, nees, smoothed = self._replay.run(batch, some, self._actions[some, :steps])
+            dt = batch.tracks.table[some, 1:steps, 0]
+            return episode_info(error, nees, smoothed, dt, planar)
 
         jobs = []
         ended = np.flatnonzero(self._over)
         for steps in np.unique(self._steps[ended]):
             alike = ended[self._steps[ended] == steps]
-            jobs += [(alike[i : i + CHUNK], steps) for i in range(0, len(alike), CHUNK)]
+            jobs += [(alike[i : i + REPLAYED], steps) for i in range(0, len(alike), REPLAYED)]
         found: dict[str, NDArray[Any]] = {}
         for (some, _), values in zip(jobs, share(metrics, jobs, self._threads), strict=True):
             for key, value in values.items():
                 found.setdefault(key, np.zeros(self.num_envs))[some] = value
         return found
 
-    def _same_step(self, infos: dict[str, Any]) -> dict[str, Any]:
+    def _same_step(self, observations: Observations, infos: dict[str, Any]) -> dict[str, Any]:
         """Reset where episodes ended; what they ended with becomes ``final_*``."""
         over = self._over.copy()
         ended, on = np.flatnonzero(over), ~over
         final_obs = np.full(self.num_envs, None, object)
-        for place, observation in zip(ended, self._panel.observations()[ended], strict=True):
+        for place, observation in zip(ended, observations[ended], strict=True):
             final_obs[place] = observation.copy()
         values = {key: value for key, value in infos.items() if not key.startswith("_")}
         final = masked({key: value.copy() for key, value in values.items()}, over)
-        told = masked({key: values[key] for key in STEP_KEYS}, on)
+        did = masked({key: values[key] for key in STEP_KEYS}, on)
         drawn = self._draw(ended)
         self._engine.start(ended)
-        told |= masked(self._panel.state_info(), self._all) | masked(drawn, over)
-        return told | {
+        observations[ended] = self._engine.observations()[ended]
+        did |= masked(self._panel.state_now(), self._all) | masked(drawn, over)
+        return did | {
             "final_obs": final_obs, "_final_obs": over.copy(), "final_info": final,
             "_final_info": over.copy(),
         }  # fmt: skip

@@ -17,14 +17,13 @@ from gymnasium.utils.env_checker import check_env
 from scipy.stats import chi2
 
 import mmwave_env  # noqa: F401  registers the environment
-from mmwave_env.engine import Engine
 from mmwave_env.env import MmWaveLocEnv
 from mmwave_env.estimator.modes import Mode, modes_from
 from mmwave_env.estimator.pipeline import Pipeline
 from mmwave_env.radio import RADIOS
-from mmwave_env.reward import TrackingReward
 from mmwave_env.scene import SCENES
 from mmwave_env.simulation import SimulatedSource
+from mmwave_env.tracker import Tracker
 
 ID = "MmWaveLoc-v0"
 EKF = {"modes": ["ekf"]}  # one mode alone compiles fastest
@@ -466,15 +465,11 @@ def test_the_end_sums_up_the_steps(dt):
     low, high = chi2.ppf([0.025, 0.975], 3)
 
     episode = draw(2, dt=dt)
-    engine = Engine(Pipeline(modes_from(None), episode.layout), 1, TrackingReward())
-    engine.reset([episode])
-    x, P, P_predicted = [], [], []
-    for t in range(200):
-        engine.step(np.int64(t % 2))
-        x.append(engine.read(engine.at.x)[0])
-        P.append(full(engine.read(engine.at.P)[0]))
-        P_predicted.append(full(engine.read(engine.at.P_predicted)[0]))
-    smoothed = rts(np.array(x), np.array(P), np.array(P_predicted), dt)
+    tracker = Tracker(Pipeline(modes_from(None), episode.layout), 1)
+    tracker.load([episode])
+    track = tracker.run("x", "P", "P_predicted", actions=np.arange(200)[None] % 2)
+    P, P_predicted = ([full(p) for p in track[name][0]] for name in ("P", "P_predicted"))
+    smoothed = rts(track["x"][0], np.array(P), np.array(P_predicted), dt)
 
     expected = {
         "ate_m": distance.mean(),

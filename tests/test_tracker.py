@@ -8,7 +8,6 @@ import pytest
 from mmwave_env.arithmetic import sqrt, where
 from mmwave_env.estimator.modes import Mode, default_modes
 from mmwave_env.estimator.pipeline import Pipeline
-from mmwave_env.measurement import Layout
 from mmwave_env.tracker import Tracker
 
 from .estimator.tracks import STREET, simulated, track
@@ -87,6 +86,20 @@ def test_a_track_goes_on_where_it_ended(episodes):
         np.testing.assert_array_equal(joined, values)
 
 
-def test_two_modes_need_a_rule():
-    with pytest.raises(ValueError, match="modes: found 2 and no rule, expected one mode"):
-        Tracker(Pipeline(default_modes(), Layout(3)), 1)
+@pytest.mark.parametrize("on_floats", [False, True])
+def test_actions_pick_the_mode(on_floats, episodes):
+    pipeline = Pipeline(default_modes(), STREET)
+    actions = np.random.default_rng(0).integers(0, 2, (3, T))
+    tracker = Tracker(pipeline, 3, on_floats=on_floats)
+    tracker.load(episodes[:3])
+    found = tracker.run("x", "memory.mode", actions=actions)
+    np.testing.assert_array_equal(found["memory.mode"], actions)
+    expected = track(pipeline, episodes[:3], actions.T, T, ("x",))["x"]
+    np.testing.assert_allclose(found["x"], expected.swapaxes(0, 1), rtol=1e-11, atol=1e-11)
+
+
+def test_two_modes_need_a_rule_or_actions(episodes):
+    tracker = Tracker(Pipeline(default_modes(), STREET), N)
+    tracker.load(episodes)
+    with pytest.raises(ValueError, match="modes: found 2, no rule and no actions, expected one"):
+        tracker.run("x")

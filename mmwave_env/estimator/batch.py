@@ -13,10 +13,18 @@ import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
 from mmwave_env.arithmetic import Number, where
-from mmwave_env.episode import Episode
+from mmwave_env.episode import Episode, Packed
 from mmwave_env.estimator.lanes import WIDTH
 from mmwave_env.estimator.pipeline import Epoch, Site
-from mmwave_env.estimator.program import NO_ROWS, Array, Index, Program, Tracks, Workspace
+from mmwave_env.estimator.program import (
+    NO_ROWS,
+    Array,
+    Index,
+    Program,
+    Tracks,
+    Traffic,
+    Workspace,
+)
 from mmwave_env.estimator.trees import leaves
 from mmwave_env.measurement import STATE_SIZE, Layout
 from mmwave_env.threads import share
@@ -96,7 +104,10 @@ class Batch(Generic[Workspace]):
         self._parts = 1 if on_floats else max(1, min(threads, blocks // BLOCKS_PER_THREAD))
 
     def load(
-        self, episodes: Sequence[Episode], places: Index | None = None, gap_s: float | None = None
+        self,
+        episodes: Packed | Sequence[Episode],
+        places: Index | None = None,
+        gap_s: float | None = None,
     ) -> None:
         """Load episodes, to start over or to go on with.
 
@@ -109,25 +120,25 @@ class Batch(Generic[Workspace]):
         Raises:
             ValueError: another number of episodes, or another layout than the batch's.
         """
+        found = episodes if isinstance(episodes, Packed) else Packed.of(episodes)
         places = np.arange(self.n) if places is None else places
-        if len(episodes) != len(places):
-            raise ValueError(f"episodes: found {len(episodes)}, expected {len(places)}")
-        for episode in episodes:
-            if episode.layout != self.layout:
-                raise ValueError(
-                    f"layout of episode {episode.name!r}: found {episode.layout}, expected "
-                    f"{self.layout}"
-                )
-        self._make_room(max(len(episode) for episode in episodes))
-        for place, episode in zip(places, episodes, strict=True):
-            self.tracks.length[place] = len(episode)
-            self.tracks.table[place, : len(episode)] = episode.table()
+        if len(found.names) != len(places):
+            raise ValueError(f"episodes: found {len(found.names)}, expected {len(places)}")
+        if found.layout != self.layout:
+            raise ValueError(
+                f"layout of episode {found.names[0]!r}: found {found.layout}, expected "
+                f"{self.layout}"
+            )
+        epochs = found.table.shape[1]
+        self._make_room(epochs)
+        self.tracks.length[places] = found.length
+        self.tracks.table[places, :epochs] = found.table
         if gap_s is not None:
             self.tracks.table[places, 0, 0] = gap_s
             self.tracks.epoch[places] = 0
             return
         _, site, _, *_ = self.at
-        self.write(site, np.stack([episode.site() for episode in episodes]), places)
+        self.write(site, found.site, places)
         self.restart(places)
 
     def _make_room(self, epochs: int) -> None:
@@ -145,71 +156,42 @@ class Batch(Generic[Workspace]):
         self.write(fresh, 1.0, places)
         self.tracks.epoch[places] = 0
 
-    def again(self, places: Index) -> "Batch[Workspace]":
-        """A batch of some environments' episodes, about to start over."""
-        other = Batch(self.program, self.layout, len(places), self._feed, self._on_floats)
-        tracks, (_, site, *_) = self.tracks, self.at
-        rows = tracks.rows[(places // WIDTH)[:, None], leaves(site), (places % WIDTH)[:, None]]
-        other.tracks = other.tracks._replace(
-            table=tracks.table[places], length=tracks.length[places]
-        )
-        other.write(site, rows)
-        other.restart()
-        return other
+    def sites(self, places: Index) -> Array:
+        """The sites of some environments (places, numbers), as :meth:`Episode.site` has them."""
+        _, site, *_ = self.at
+        block, lane = np.divmod(places, WIDTH)
+        found: Array = self.tracks.rows[block[:, None], leaves(site), lane[:, None]]
+        return found
 
     def begin(self, episodes: Sequence[Episode]) -> None:
         """Load one episode each and run their first epoch; see :meth:`load`."""
         self.load(episodes)
         self.advance()
 
+    def traffic(self, epochs: int = 1, keep: Index = NO_ROWS, show: Index = NO_ROWS) -> Traffic:
+        """What a run of some epochs needs: zeros to feed, and room for rows to keep or show."""
+        return Traffic.of(self.n, epochs, self._feed, keep, show)
+
     def advance(
-        self,
-        given: Array | None = None,
-        keep: Index = NO_ROWS,
-        kept: Array | None = None,
-        running: NDArray[np.bool_] | None = None,
+        self, traffic: Traffic | None = None, running: NDArray[np.bool_] | None = None
     ) -> None:
         """Run the next epochs; past the end of an episode epochs are blank.
 
         Args:
-            given: (n, epochs, fed rows) values of the rows that are fed; None for zeros.
-            keep: (k,) rows to keep.
-            kept: (n, epochs, k) gets them after every epoch; None for one epoch, nothing kept.
+            traffic: what to feed, keep and show; None for one epoch of none.
             running: (n,) False for the environments to leave as they are; None for none.
         """
-        kept = np.empty((self.n, 1, 0)) if kept is None else kept
-        if given is None:
-            given = np.zeros((self.n, kept.shape[1], len(self._feed)))
+        traffic = self.traffic() if traffic is None else traffic
         tracks = self.tracks if running is None else self.tracks._replace(running=running)
         if self._on_floats:
-            self.program.run_on_floats(tracks, self._feed, given, keep, kept)
+            self.program.run_on_floats(tracks, traffic)
             return
-        run = self.program.run_on_lanes
         if self._parts == 1:
-            run(tracks, self._feed, given, keep, kept)
+            self.program.run_on_lanes(tracks, traffic)
             return
         edges = [len(tracks.rows) * i // self._parts for i in range(self._parts + 1)]
-        jobs = []
-        for first, end in pairwise(edges):
-            some = slice(first * WIDTH, end * WIDTH)
-            jobs.append((tracks.blocks(first, end), self._feed, given[some], keep, kept[some]))
-        share(run, jobs, self._parts)
-
-    def record(self, tree: Any, epochs: int, given: Array | None = None) -> Array:
-        """Run the next epochs and keep some rows of each.
-
-        Args:
-            tree: parts of ``at``.
-            epochs: how many.
-            given: as in :meth:`advance`.
-
-        Returns:
-            (n, epochs, leaves of the tree).
-        """
-        keep = np.array(leaves(tree), np.int64)
-        kept = np.empty((self.n, epochs, len(keep)))
-        self.advance(given, keep, kept)
-        return kept
+        jobs = [(tracks.blocks(*ends), traffic.blocks(*ends)) for ends in pairwise(edges)]
+        share(self.program.run_on_lanes, jobs, self._parts)
 
     def span(self, tree: Any) -> slice:
         """The rows of a subtree of ``at``; leaves of a subtree lie side by side."""

@@ -229,23 +229,23 @@ def filterpy_pipeline(pipeline: Pipeline) -> Pipeline:
 
 
 class _Twin:
-    """One filterpy filter per mode; its state is set anew for every step."""
+    """One filterpy filter per algorithm; its state is set anew for every step."""
 
     def __init__(self, modes: Sequence[Mode]) -> None:
-        self._filters = {mode: _filter_of(mode) for mode in modes}
+        self._filters = {mode.algorithm: _filter_of(mode) for mode in modes}
 
     def predict(
         self, mode: Mode, x: Vector, P: Matrix, noise: ProcessNoise, dt: float
     ) -> tuple[list[float], list[list[float]]]:
         """The mode's prediction; a :data:`~mmwave_env.estimator.pipeline.Predictor`."""
-        mean, covariance = self._filters[mode].predict(
+        mean, covariance = self._filters[mode.algorithm].predict(
             np.array(x, float), np.array(P, float), full_noise(noise), float(dt)
         )
         return mean.tolist(), _symmetric(covariance).tolist()
 
     def update(self, mode: Mode) -> Algorithm:
         """The mode's measurement update."""
-        filter_ = self._filters[mode]
+        filter_ = self._filters[mode.algorithm]
 
         def algorithm(x: Vector, P: Matrix, measurement: Measurement, gate: Gate) -> Posterior:
             return _update(filter_, np.array(x, float), np.array(P, float), measurement, gate)

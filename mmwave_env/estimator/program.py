@@ -5,12 +5,14 @@ A program maps a workspace tree to a workspace tree. Its leaves are rows of an a
 ``incoming``, is loaded before each run from a table of whole tracks.
 """
 
+import ctypes
 import threading
 from collections.abc import Callable
 from typing import Any, Generic, NamedTuple, TypeVar
 
 import numba
 import numpy as np
+from numba import types
 from numpy.typing import NDArray
 
 from mmwave_env.estimator.lanes import WIDTH, kernel
@@ -22,6 +24,11 @@ Index = NDArray[np.int64]
 
 NO_ROWS = np.empty(0, np.int64)
 _COMPILING = threading.Lock()
+
+
+def rows_of(tree: Any) -> Index:
+    """The numbers of rows in a tree, as of parts of :attr:`Program.index`."""
+    return np.array(leaves(tree), np.int64)
 
 
 class Tracks(NamedTuple):
@@ -54,6 +61,42 @@ class Tracks(NamedTuple):
         return Tracks(rows[first:end], table[some], length[some], epoch[some], running[some])
 
 
+class Traffic(NamedTuple):
+    """What goes in and out of workspaces in every epoch of a run of E epochs.
+
+    Attributes:
+        fed: (f,) rows to set before an epoch.
+        given: (n, E, f) their values.
+        keep: (k,) rows to keep after an epoch.
+        kept: (n, E, k) gets them.
+        show: (s,) rows to keep in single precision.
+        shown: (n, E, s) gets them.
+    """
+
+    fed: Index
+    given: Array
+    keep: Index
+    kept: Array
+    show: Index
+    shown: NDArray[np.float32]
+
+    @classmethod
+    def of(
+        cls, n: int, epochs: int, fed: Index = NO_ROWS, keep: Index = NO_ROWS, show: Index = NO_ROWS
+    ) -> "Traffic":
+        """Zeros to feed, and room for what is kept and shown."""
+        return cls(
+            fed, np.zeros((n, epochs, len(fed))), keep, np.empty((n, epochs, len(keep))),
+            show, np.empty((n, epochs, len(show)), np.float32),
+        )  # fmt: skip
+
+    def blocks(self, first: int, end: int) -> "Traffic":
+        """That of some of the blocks, sharing memory."""
+        fed, given, keep, kept, show, shown = self
+        some = slice(first * WIDTH, end * WIDTH)
+        return Traffic(fed, given[some], keep, kept[some], show, shown[some])
+
+
 class Program(Generic[Workspace]):
     """A function of numbers with its workspace, compiled at its first run on lanes.
 
@@ -68,44 +111,42 @@ class Program(Generic[Workspace]):
         self.blank = np.array(leaves(template[0]), float)
         self.size = len(self.start)
         self.index: Workspace = rebuild(template, iter(range(self.size)))
-        self._on_lanes: Any = None
+        self._compiled: Any = None
 
-    def run_on_lanes(
-        self, tracks: Tracks, feed: Index, given: Array, keep: Index, kept: Array
-    ) -> None:
-        """Run epoch after epoch, eight environments at a time.
+    def run_on_lanes(self, tracks: Tracks, traffic: Traffic) -> None:
+        """Run epoch after epoch, eight environments at a time."""
+        _advance(self.on_lanes(), self.blank, *tracks, *traffic)
 
-        Args:
-            tracks: what to run.
-            feed: (f,) rows to set before every epoch.
-            given: (n, epochs, f) their values.
-            keep: (k,) rows to keep after every epoch.
-            kept: (n, epochs, k) gets them; its length is the number of epochs to run.
-        """
-        with _COMPILING:
-            if self._on_lanes is None:
-                self._on_lanes = self._compile()
-        self._on_lanes(*tracks, feed, given, keep, kept)
-
-    def run_on_floats(
-        self, tracks: Tracks, feed: Index, given: Array, keep: Index, kept: Array
-    ) -> None:
+    def run_on_floats(self, tracks: Tracks, traffic: Traffic) -> None:
         """The same, one environment at a time in plain Python: slow, for reference."""
         rows, table, length, epoch, running = tracks
+        fed, given, keep, kept, show, shown = traffic
         for e in np.flatnonzero(running):
             lanes = rows[e // WIDTH, :, e % WIDTH]
             for step in range(kept.shape[1]):
                 t = epoch[e] + step
                 lanes[: len(self.blank)] = table[e, t] if t < length[e] else self.blank
-                lanes[feed] = given[e, step]
-                workspace = rebuild(self.template, iter(lanes.tolist()))
-                lanes[:] = leaves(self.function(workspace))
-                kept[e, step] = lanes[keep]
+                lanes[fed] = given[e, step]
+                lanes[:] = self.once(lanes)
+                kept[e, step], shown[e, step] = lanes[keep], lanes[show]
             epoch[e] += kept.shape[1]
 
-    def _compile(self) -> Any:
-        blank = self.blank
+    def once(self, workspace: Array) -> list[float]:
+        """The leaves (size,) after one run on floats."""
+        return leaves(self.function(rebuild(self.template, iter(workspace.tolist()))))
 
+    def on_lanes(self) -> Any:
+        """The C function of the address of a block (size, 8) that runs the program on it.
+
+        It is compiled here, once. Loops around it take it as an argument and so need no
+        compilation of their own for every program.
+        """
+        with _COMPILING:
+            if self._compiled is None:
+                self._compiled = self._compile()
+        return self._compiled[1]
+
+    def _compile(self) -> tuple[Any, Any]:
         def build(rows: Any) -> None:
             before = [rows[i] for i in range(self.size)]
             after = leaves(self.function(rebuild(self.template, iter(before))))
@@ -113,42 +154,96 @@ class Program(Generic[Workspace]):
                 if new is not old:
                     rows[i] = new
 
-        run = kernel(build)
+        run, shape = kernel(build), (self.size, WIDTH)
 
-        @numba.njit(nogil=True)  # type: ignore[untyped-decorator]
-        def load(block, lane, table, t, length, feed, given):  # type: ignore[no-untyped-def]
-            for i in range(len(blank)):
-                block[i, lane] = table[t, i] if t < length else blank[i]
-            for i in range(len(feed)):
-                block[feed[i], lane] = given[i]
+        @numba.cfunc(types.void(types.voidptr))  # type: ignore[untyped-decorator]
+        def compiled(block):  # type: ignore[no-untyped-def]
+            run(numba.carray(block, shape, np.float64))
 
-        @numba.njit(nogil=True)  # type: ignore[untyped-decorator]
-        def advance(  # type: ignore[no-untyped-def]
-            rows, table, length, epoch, running, feed, given, keep, kept
-        ):
-            n, steps = kept.shape[:2]
-            for b in range(len(rows)):
-                block, first = rows[b], b * WIDTH
-                here = min(WIDTH, n - first)
-                busy = running[first : first + here].sum()
-                if busy == 0:
-                    continue
-                before = block.copy() if busy < here else block[:0].copy()
-                for step in range(steps):
-                    for lane in range(WIDTH):  # those past n run their block's first track
-                        e = first + lane if lane < here else first
-                        load(
-                            block, lane, table[e], epoch[e] + step, length[e], feed, given[e, step]
-                        )
-                    run(block)
-                    for lane in range(here):
-                        if running[first + lane]:
-                            for i in range(len(keep)):
-                                kept[first + lane, step, i] = block[keep[i], lane]
-                for lane in range(here):
-                    if running[first + lane]:
-                        epoch[first + lane] += steps
-                    else:
-                        block[:, lane] = before[:, lane]
+        call = ctypes.CFUNCTYPE(None, ctypes.c_void_p)(compiled.address)
+        return compiled, call  # the code lives as long as the first
 
-        return advance
+
+@numba.njit(nogil=True)  # type: ignore[untyped-decorator]
+def bring_in(block):  # type: ignore[no-untyped-def]
+    """Read a block from end to end; the value returned means nothing.
+
+    A program reads its rows in an order that no prefetcher guesses. Where the blocks of all
+    environments do not fit into the caches, reading each in order first halves its time.
+    """
+    rows = block.view(np.int64)
+    bits = 0
+    for i in range(len(rows)):
+        bits |= rows[i, 0]
+    return bits
+
+
+@numba.njit(nogil=True)  # type: ignore[untyped-decorator]
+def _busy(running, first, here):  # type: ignore[no-untyped-def]
+    """How many of a block's tracks run."""
+    count = 0
+    for e in range(first, first + here):
+        count += running[e]
+    return count
+
+
+@numba.njit(nogil=True)  # type: ignore[untyped-decorator]
+def _load(block, first, here, step, blank, table, length, epoch, fed, given):  # type: ignore[no-untyped-def]
+    """Set the rows that come in; lanes past the last track run their block's first."""
+    for lane in range(WIDTH):
+        e = first + lane if lane < here else first
+        t = epoch[e] + step
+        for i in range(len(blank)):
+            block[i, lane] = table[e, t, i] if t < length[e] else blank[i]
+        for i in range(len(fed)):
+            block[fed[i], lane] = given[e, step, i]
+
+
+@numba.njit(nogil=True)  # type: ignore[untyped-decorator]
+def _keep(block, first, here, step, running, keep, kept, show, shown):  # type: ignore[no-untyped-def]
+    """Take out the rows that are kept or shown."""
+    for lane in range(here):
+        e = first + lane
+        if running[e]:
+            for i in range(len(keep)):
+                kept[e, step, i] = block[keep[i], lane]
+            for i in range(len(show)):
+                shown[e, step, i] = block[show[i], lane]
+
+
+@numba.njit(nogil=True)  # type: ignore[untyped-decorator]
+def _settle(block, before, first, here, epochs, running, epoch):  # type: ignore[no-untyped-def]
+    """Move the tracks that ran on, and put the others back where they were."""
+    for lane in range(here):
+        if running[first + lane]:
+            epoch[first + lane] += epochs
+        else:
+            for i in range(len(block)):
+                block[i, lane] = before[i, lane]
+
+
+@numba.njit(nogil=True)  # type: ignore[untyped-decorator]
+def _advance(  # type: ignore[no-untyped-def]
+    run, blank, rows, table, length, epoch, running, fed, given, keep, kept, show, shown
+):
+    """Run all tracks; plain loops, because slices of arrays take numba long to compile."""
+    n, epochs = kept.shape[:2]
+    before = np.empty((rows.shape[1], WIDTH))
+    bits = 0
+    for b in range(len(rows)):
+        block, first = rows[b], b * WIDTH
+        here = min(WIDTH, n - first)
+        busy = _busy(running, first, here)
+        if busy == 0:
+            continue
+        bits |= bring_in(block)
+        if busy < here:
+            for i in range(len(block)):
+                for lane in range(WIDTH):
+                    before[i, lane] = block[i, lane]
+        for step in range(epochs):
+            _load(block, first, here, step, blank, table, length, epoch, fed, given)
+            run(block.ctypes)
+            _keep(block, first, here, step, running, keep, kept, show, shown)
+        _settle(block, before, first, here, epochs, running, epoch)
+    return bits

@@ -6,12 +6,12 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from mmwave_env.arithmetic import Number, Vector
+from mmwave_env.arithmetic import Matrix, Number, Vector
 from mmwave_env.estimator.algebra import backward, cholesky, dot, forward, pack, symmetric, unpack
 from mmwave_env.estimator.lanes import WIDTH
 from mmwave_env.estimator.motion import move
 from mmwave_env.estimator.pipeline import VERTICAL
-from mmwave_env.estimator.program import NO_ROWS, Program, Tracks
+from mmwave_env.estimator.program import Program, Tracks, Traffic, rows_of
 from mmwave_env.estimator.trees import select
 from mmwave_env.measurement import STATE_SIZE
 
@@ -48,6 +48,27 @@ class Workspace(NamedTuple):
     P: list[Number]
 
 
+def _moved(P: Matrix, dt: Number) -> list[list[Number]]:
+    """F P."""
+    n = STATE_SIZE
+    return [[P[i][j] + dt * P[i + 3][j] if i < 3 else P[i][j] for j in range(n)] for i in range(n)]
+
+
+def rts_mean(x: Vector, P: Matrix, P_predicted: Matrix, x_next: Vector, dt: Number) -> list[Number]:
+    """Smoothed mean of an epoch: x + P F' P_predicted^-1 (x_next - F x) (paper, Sec. III-F).
+
+    Args:
+        x, P: (7,), (7, 7) filtered belief of the epoch.
+        P_predicted: (7, 7) covariance predicted for the next epoch.
+        x_next: (7,) smoothed mean of the next epoch.
+        dt: seconds to the next epoch.
+    """
+    factor, FP = cholesky(P_predicted), _moved(P, dt)
+    step = [a - b for a, b in zip(x_next, move(x, dt), strict=True)]
+    y = backward(factor, forward(factor, step))
+    return [a + dot([row[i] for row in FP], y) for i, a in enumerate(x)]
+
+
 def rts_step(
     now: Filtered, x_next: Vector, P_next: Vector, pinned: tuple[int, ...] = ()
 ) -> tuple[list[Number], list[Number]]:
@@ -60,18 +81,12 @@ def rts_step(
     """
     P = unpack(now.P, zero=pinned)
     P_predicted = unpack(now.P_predicted, zero=pinned)
-    FP = [
-        [P[i][j] + now.dt * P[i + 3][j] if i < 3 else P[i][j] for j in range(STATE_SIZE)]
-        for i in range(STATE_SIZE)
-    ]
-    factor = cholesky(P_predicted)
+    factor, FP = cholesky(P_predicted), _moved(P, now.dt)
     # Row i of the gain: P_predicted^-1 times column i of F P.
     gain = [
         backward(factor, forward(factor, [FP[k][i] for k in range(STATE_SIZE)]))
         for i in range(STATE_SIZE)
     ]
-    predicted = move(now.x, now.dt)
-    step = [a - b for a, b in zip(x_next, predicted, strict=True)]
     change = [
         [a - b for a, b in zip(u, v, strict=True)]
         for u, v in zip(unpack(P_next, zero=pinned), P_predicted, strict=True)
@@ -79,7 +94,7 @@ def rts_step(
     half = [[dot(gain[i], [change[k][j] for k in range(STATE_SIZE)])
              for j in range(STATE_SIZE)] for i in range(STATE_SIZE)]  # fmt: skip
     smoothed = symmetric(STATE_SIZE, lambda i, j: P[i][j] + dot(half[i], gain[j]))
-    return [a + dot(row, step) for a, row in zip(now.x, gain, strict=True)], pack(smoothed)
+    return rts_mean(now.x, P, P_predicted, x_next, now.dt), pack(smoothed)
 
 
 @lru_cache(maxsize=2)
@@ -119,9 +134,7 @@ def smooth(
     rows = np.zeros((-(-N // WIDTH), program.size, WIDTH))
     at = program.index
     rows[:, at.last] = 1.0
-    out = np.empty((N, T, STATE_SIZE + len(at.P)))
-    record = np.array([*at.x, *at.P], np.int64)
-    nothing = np.empty((N, T, 0))
-    program.run_on_lanes(Tracks.of(table, rows), NO_ROWS, nothing, record, out)
-    smoothed = out[:, ::-1]
+    traffic = Traffic.of(N, T, keep=rows_of([at.x, at.P]))
+    program.run_on_lanes(Tracks.of(table, rows), traffic)
+    smoothed = traffic.kept[:, ::-1]
     return smoothed[..., :STATE_SIZE].copy(), smoothed[..., STATE_SIZE:].copy()

@@ -57,21 +57,6 @@ def test_loading_alone_starts_at_the_next_step(on_floats):
     np.testing.assert_array_equal(engine.read(engine.at.truth)[places], truth)
 
 
-def test_running_again_repeats_every_number():
-    episodes = simulated(N, epochs=T)
-    engine = engine_of(episodes)
-    parts = [engine.at.error, engine.at.P_predicted, engine.at.nees]
-    seen = []
-    for _ in range(T):
-        engine.step(np.int64(0))
-        seen.append(np.column_stack([engine.read(part) for part in parts]))
-    before, places = everything(engine), np.array([8, 2, 3])
-    kept, dt = engine.replay(parts, places, np.zeros((3, T), np.uint8))
-    np.testing.assert_array_equal(kept, np.array(seen)[:, places].swapaxes(0, 1))
-    np.testing.assert_array_equal(everything(engine), before)
-    np.testing.assert_array_equal(dt[:, 1:], 1.0)
-
-
 @ON
 def test_past_the_end_of_an_episode_epochs_are_blank(on_floats):
     long, short = simulated(1, epochs=T)[0], simulated(1, epochs=3)[0]

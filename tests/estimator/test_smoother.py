@@ -4,14 +4,13 @@ import numpy as np
 import pytest
 from filterpy.kalman import KalmanFilter
 
-from mmwave_env.engine import Engine
 from mmwave_env.estimator.modes import modes_from
 from mmwave_env.estimator.pipeline import Pipeline
 from mmwave_env.estimator.smoother import smooth
 from mmwave_env.radio import RADIOS
-from mmwave_env.reward import TrackingReward
 from mmwave_env.scene import SCENES
 from mmwave_env.simulation import SimulatedSource
+from mmwave_env.tracker import Tracker
 
 TOLERANCE = 1e-9
 LOWER = np.tril_indices(7)
@@ -80,14 +79,9 @@ def tracks(planar, n=9, epochs=120):
     source = SimulatedSource(SCENES["street"], RADIOS["handset"], epochs=epochs)
     episodes = [source.sample(np.random.default_rng(seed)) for seed in range(n)]
     pipeline = Pipeline(modes_from(["ekf"]), source.layout, planar)
-    engine = Engine(pipeline, n, TrackingReward())
-    engine.reset(episodes)
-    columns = []
-    for _ in range(epochs):
-        engine.step(np.zeros(n, np.int64))
-        at = engine.at
-        columns.append([engine.read(tree) for tree in (at.x, at.P, at.P_predicted)])
-    return [np.stack(column, axis=1) for column in zip(*columns, strict=True)]
+    tracker = Tracker(pipeline, n)
+    tracker.load(episodes)
+    return list(tracker.run("x", "P", "P_predicted").values())
 
 
 @pytest.mark.parametrize("planar", [False, True])

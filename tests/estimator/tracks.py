@@ -15,6 +15,7 @@ from mmwave_env.radio import RADIOS
 from mmwave_env.reward import TrackingReward
 from mmwave_env.scene import SCENES
 from mmwave_env.simulation import SimulatedSource
+from mmwave_env.tracker import Tracker
 
 from . import textbook
 
@@ -143,16 +144,24 @@ def track(pipeline, episodes, actions, epochs, what, on_floats=False):
         actions: (epochs, n) or (n,) modes to commit to.
 
     Returns:
-        Per name an array (epochs, n, ...).
+        Per name an array (epochs, n, ...); "P_predicted" is of a tracker, engines have none.
     """
-    engine = Engine(pipeline, len(episodes), TrackingReward(), on_floats=on_floats)
+    n = len(episodes)
+    actions = np.broadcast_to(actions, (epochs, n))
+    engine = Engine(pipeline, n, TrackingReward(), on_floats=on_floats)
     engine.reset(episodes)
-    history = {name: [] for name in what}
-    for action in np.broadcast_to(actions, (epochs, len(episodes))):
+    history = {name: [] for name in what if name != "P_predicted"}
+    for action in actions:
         engine.step(action)
         for name, values in history.items():
             values.append(engine.read(attrgetter(name)(engine.at)))
-    return {name: np.array(values) for name, values in history.items()}
+    found = {name: np.array(values) for name, values in history.items()}
+    if "P_predicted" in what:
+        tracker = Tracker(pipeline, n, on_floats=on_floats)
+        tracker.load(episodes)
+        found |= tracker.run("P_predicted", actions=actions.T)
+        found["P_predicted"] = found["P_predicted"].swapaxes(0, 1)
+    return found
 
 
 def imm_track(pipeline, episodes, transition=None):

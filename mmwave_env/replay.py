@@ -1,0 +1,183 @@
+"""What an episode comes to: run again with the modes that were chosen, forwards and back.
+
+An environment holds no history: a finished episode is data and its actions, so it is run once
+more to see it whole. Forwards gives errors and NEES, backwards what smoothing (paper,
+Sec. III-F) would make of them.
+"""
+
+from functools import lru_cache
+from typing import Any, NamedTuple
+
+import numba
+import numpy as np
+from numpy.typing import NDArray
+
+from mmwave_env.arithmetic import Number
+from mmwave_env.estimator.algebra import unpack
+from mmwave_env.estimator.batch import Batch
+from mmwave_env.estimator.lanes import WIDTH
+from mmwave_env.estimator.pipeline import Pipeline
+from mmwave_env.estimator.program import Array, Index, Program, rows_of
+from mmwave_env.estimator.smoother import rts_mean
+from mmwave_env.estimator.trees import leaves, select
+from mmwave_env.tracker import Track, program_of
+
+Actions = NDArray[np.integer[Any]]
+
+AXES = 3
+
+
+class Passed(NamedTuple):
+    """What the way back needs of an epoch.
+
+    Attributes:
+        dt: seconds since the epoch before.
+        error: (3,) position error, m.
+        nees: of the position.
+        x, P: (7,), (28,) belief.
+        P_predicted: (28,) covariance predicted for the epoch.
+    """
+
+    dt: Number
+    error: list[Number]
+    nees: Number
+    x: list[Number]
+    P: list[Number]
+    P_predicted: list[Number]
+
+
+class Return(NamedTuple):
+    """The way back between two epochs.
+
+    Attributes:
+        incoming: the epoch at hand.
+        last: 1 at the last epoch, whose belief is already smooth.
+        x: (7,) smoothed mean of the epoch at hand.
+        after: the epoch after it.
+        smoothed: (3,) position error of ``x``, m.
+    """
+
+    incoming: Passed
+    last: Number
+    x: list[Number]
+    after: Passed
+    smoothed: list[Number]
+
+
+def passed(track: Track) -> Passed:
+    """What is needed of an epoch of a track."""
+    return Passed(track.incoming.dt, track.error, track.nees, track.x, track.P, track.P_predicted)
+
+
+@lru_cache(maxsize=2)
+def _way_back(pinned: tuple[int, ...]) -> Program[Return]:
+    def function(w: Return) -> Return:
+        now, after = w.incoming, w.after
+        P, P_predicted = unpack(now.P, zero=pinned), unpack(after.P_predicted, zero=pinned)
+        x = select(w.last > 0.5, now.x, rts_mean(now.x, P, P_predicted, w.x, after.dt))
+        smoothed = [e + (x[i] - now.x[i]) for i, e in enumerate(now.error)]
+        return Return(now, 0.0, x, now, smoothed)
+
+    identity = [float(i == j) for i in range(7) for j in range(i + 1)]
+    blank = Passed(1.0, [0.0] * AXES, 0.0, [0.0] * 7, identity, identity)
+    return Program(function, Return(blank, 1.0, blank.x, blank, blank.error))
+
+
+class Replay:
+    """Finished episodes of a pipeline, run again.
+
+    Args:
+        pipeline: modes and layout.
+        on_floats: run forwards in plain Python instead of on lanes.
+    """
+
+    def __init__(self, pipeline: Pipeline, on_floats: bool = False) -> None:
+        self._there, self._back = program_of(pipeline), _way_back(pipeline.pinned)
+        self._tunings = np.array(leaves([mode.tuning for mode in pipeline.modes]), float)
+        self._on_floats = on_floats
+
+    def run(self, batch: Batch[Any], places: Index, actions: Actions) -> tuple[Array, ...]:
+        """Run episodes that are loaded in a batch, which stays as it is.
+
+        Every episode gets the same numbers, to the last bit, whatever others are beside it.
+
+        Args:
+            batch: what holds the episodes.
+            places: (n,) where.
+            actions: (n, T) modes of their first T epochs.
+
+        Returns:
+            Position errors (n, T, 3), m, filtered; their NEES (n, T); errors smoothed.
+        """
+        there, back, n = self._there, self._back, len(places)
+        rows = np.tile(there.start[None, :, None], (-(-n // WIDTH), 1, WIDTH))
+        rows[:, leaves(there.index.tunings)] = self._tunings[:, None]
+        block, lane = np.divmod(np.arange(n), WIDTH)
+        rows[block[:, None], leaves(there.index.site), lane[:, None]] = batch.sites(places)
+        at = back.index
+        show = rows_of([at.incoming.error, at.incoming.nees, at.smoothed])
+        figures = np.empty((*actions.shape, len(show)))
+        keep, tables = rows_of(passed(there.index)), batch.tracks.table
+        if self._on_floats:
+            self._on_floats_there(rows, tables[places], actions, keep, show, figures)
+        else:
+            _there_and_back(
+                there.on_lanes(), back.on_lanes(), rows, back.start, tables, places, actions,
+                there.index.action, keep, show, figures,
+            )  # fmt: skip
+        return figures[..., :AXES], figures[..., AXES], figures[..., AXES + 1 :]
+
+    def _on_floats_there(
+        self, rows: Array, tables: Array, actions: Actions, keep: Index, show: Index, out: Array
+    ) -> None:
+        """Forwards one episode at a time; the way back is the same for all."""
+        there, epochs = self._there, actions.shape[1]
+        for e, table in enumerate(tables):
+            workspace = rows[e // WIDTH, :, e % WIDTH].copy()
+            way = np.empty((epochs, len(keep), WIDTH))
+            for t in range(epochs):
+                workspace[: table.shape[1]] = table[t]
+                workspace[there.index.action] = actions[e, t]
+                workspace[:] = there.once(workspace)
+                way[t] = workspace[keep, None]
+            _return(self._back.on_lanes(), self._back.start, way, show, out[e : e + 1])
+
+
+@numba.njit(nogil=True)  # type: ignore[untyped-decorator]
+def _return(run, start, way, show, out):  # type: ignore[no-untyped-def]
+    """From the last epoch of up to eight episodes to the first; fill ``out`` (n, T, s)."""
+    block = np.empty((len(start), WIDTH))
+    for i in range(len(start)):
+        for lane in range(WIDTH):
+            block[i, lane] = start[i]
+    for t in range(len(way) - 1, -1, -1):
+        for i in range(way.shape[1]):
+            for lane in range(WIDTH):
+                block[i, lane] = way[t, i, lane]
+        run(block.ctypes)
+        for e in range(len(out)):
+            for i in range(len(show)):
+                out[e, t, i] = block[show[i], e]
+
+
+@numba.njit(nogil=True)  # type: ignore[untyped-decorator]
+def _there_and_back(  # type: ignore[no-untyped-def]
+    there, back, rows, start, tables, places, actions, action, keep, show, out
+):
+    """Eight episodes at a time, so that what lies between the two ways stays in a cache."""
+    n, epochs = actions.shape
+    way = np.empty((epochs, len(keep), WIDTH))
+    for b in range(len(rows)):
+        block, first = rows[b], b * WIDTH
+        end = min(first + WIDTH, n)
+        for t in range(epochs):
+            for lane in range(WIDTH):  # those past n run their block's first episode
+                e = first + lane if first + lane < end else first
+                for i in range(tables.shape[2]):
+                    block[i, lane] = tables[places[e], t, i]
+                block[action, lane] = actions[e, t]
+            there(block.ctypes)
+            for i in range(len(keep)):
+                for lane in range(WIDTH):
+                    way[t, i, lane] = block[keep[i], lane]
+        _return(back, start, way, show, out[first:end])

@@ -1,0 +1,85 @@
+"""A finished episode run again: what was seen before, and what smoothing makes of it."""
+
+import numpy as np
+import pytest
+
+from mmwave_env.engine import Engine
+from mmwave_env.estimator.filterpy_twin import filterpy_pipeline
+from mmwave_env.estimator.modes import default_modes
+from mmwave_env.estimator.pipeline import Pipeline
+from mmwave_env.estimator.smoother import smooth
+from mmwave_env.replay import Replay
+from mmwave_env.reward import TrackingReward
+from mmwave_env.tracker import Tracker
+
+from .estimator.tracks import STREET, simulated
+
+N, T = 11, 60
+ACTIONS = np.random.default_rng(0).integers(0, 2, (N, T)).astype(np.uint8)
+
+
+def played(pipeline, episodes, actions, on_floats=False):
+    """An engine at the end of the episodes, and the errors and NEES it had on the way."""
+    engine = Engine(pipeline, len(episodes), TrackingReward(), on_floats=on_floats)
+    engine.reset(episodes)
+    errors, nees = [], []
+    for chosen in actions.T:
+        engine.step(chosen)
+        errors.append(engine.read(engine.at.error))
+        nees.append(engine.read(engine.at.nees))
+    return engine, np.stack(errors, axis=1), np.stack(nees, axis=1)
+
+
+@pytest.mark.parametrize("planar", [False, True])
+def test_a_replay_repeats_what_was_seen_and_smooths_it(planar):
+    episodes = simulated(N, epochs=T)
+    if planar:
+        episodes = [e.on_flat_ground(float(e.truth_position_m[0, 2])) for e in episodes]
+    pipeline = Pipeline(default_modes(), STREET, planar)
+    engine, errors, nees = played(pipeline, episodes, ACTIONS)
+    before = engine.column(3)
+    again = Replay(pipeline).run(engine.batch, np.arange(N), ACTIONS)
+    np.testing.assert_array_equal(engine.column(3), before)
+    np.testing.assert_allclose(again[0], errors, rtol=1e-9, atol=1e-9)
+    np.testing.assert_allclose(again[1], nees, rtol=1e-9, atol=1e-9)
+
+    tracker = Tracker(pipeline, N)
+    tracker.load(episodes)
+    run = tracker.run("x", "P", "P_predicted", "error", actions=ACTIONS)
+    x, _ = smooth(run["x"], run["P"], run["P_predicted"], np.ones(T - 1), planar)
+    expected = run["error"] + (x - run["x"])[..., :3]
+    np.testing.assert_allclose(again[2], expected, rtol=1e-9, atol=1e-9)
+    assert np.abs(again[2] - again[0]).max() > 0.1
+
+
+def test_company_and_place_change_no_bit():
+    pipeline = Pipeline(default_modes(), STREET)
+    engine, *_ = played(pipeline, simulated(N, epochs=T), ACTIONS)
+    replay, places = Replay(pipeline), np.arange(N)
+    together = replay.run(engine.batch, places, ACTIONS)
+    for some in ([4], [10, 0, 7], [8, 9, 10, 1, 2, 3, 4, 5, 6]):
+        apart = replay.run(engine.batch, places[some], ACTIONS[some])
+        for a, b in zip(apart, together, strict=True):
+            np.testing.assert_array_equal(a, b[some])
+
+
+def test_an_episode_cut_short_is_smoothed_from_where_it_ended():
+    pipeline = Pipeline(default_modes(), STREET)
+    engine, errors, _ = played(pipeline, simulated(2, epochs=T), ACTIONS[:2])
+    found, nees, smoothed = Replay(pipeline).run(engine.batch, np.arange(2), ACTIONS[:2, :9])
+    assert found.shape == smoothed.shape == (2, 9, 3) and nees.shape == (2, 9)
+    np.testing.assert_allclose(found, errors[:, :9], rtol=1e-9, atol=1e-9)
+    np.testing.assert_array_equal(smoothed[:, -1], found[:, -1])
+
+
+def test_a_replay_runs_on_floats_and_on_filterpy():
+    ours, episodes = Pipeline(default_modes(), STREET), simulated(2, epochs=20)
+    actions = ACTIONS[:2, :20]
+    engine, *_ = played(ours, episodes, actions)
+    expected = Replay(ours).run(engine.batch, np.arange(2), actions)
+    for pipeline in (ours, filterpy_pipeline(ours)):
+        engine, errors, _ = played(pipeline, episodes, actions, on_floats=True)
+        found = Replay(pipeline, on_floats=True).run(engine.batch, np.arange(2), actions)
+        np.testing.assert_array_equal(found[0], errors)
+        for a, b in zip(found, expected, strict=True):
+            np.testing.assert_allclose(a, b, rtol=1e-8, atol=1e-8)
