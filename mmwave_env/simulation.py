@@ -23,9 +23,10 @@ from mmwave_env.estimator.lanes import WIDTH
 from mmwave_env.estimator.program import NO_ROWS, Program, Tracks
 from mmwave_env.estimator.trees import leaves
 from mmwave_env.measurement import STATE_SIZE, Layout, exact_rows
-from mmwave_env.mobility import mobilities_of, trajectory
+from mmwave_env.mobility import mobilities_of, plan_of
 from mmwave_env.radio import Radio, deviations
 from mmwave_env.scene import Scene
+from mmwave_env.travel import Plan, trajectories
 
 Array = NDArray[np.float64]
 
@@ -176,19 +177,25 @@ def _kept(layout: Layout) -> tuple[int, int]:
 
 @numba.njit(cache=True)
 def _normals(rng, out, first, last):  # type: ignore[no-untyped-def]
-    out[:, first:last] = rng.standard_normal((len(out), last - first))
+    for epoch in range(len(out)):
+        for i in range(first, last):
+            out[epoch, i] = rng.standard_normal()
     return last
 
 
 @numba.njit(cache=True)
 def _uniforms(rng, out, first, last):  # type: ignore[no-untyped-def]
-    out[:, first:last] = rng.random((len(out), last - first))
+    for epoch in range(len(out)):
+        for i in range(first, last):
+            out[epoch, i] = rng.random()
     return last
 
 
 @numba.njit(cache=True)
 def _exponentials(rng, out, first, last):  # type: ignore[no-untyped-def]
-    out[:, first:last] = rng.standard_exponential((len(out), last - first))
+    for epoch in range(len(out)):
+        for i in range(first, last):
+            out[epoch, i] = rng.standard_exponential()
     return last
 
 
@@ -298,13 +305,12 @@ class SimulatedSource:
         program = _program(layout)
         draws = np.empty((n, T, len(program.blank)))
         choices = mobilities_of(self.scenario)
-        names, prior = [], np.empty((n, STATE_SIZE))
+        kinds = [int(rng.random() * len(choices)) for rng in rngs]
+        trajectories(self._plan, kinds, self.dt, rngs, draws)
+        prior = np.empty((n, STATE_SIZE))
         for i, rng in enumerate(rngs):
-            mobility = choices[int(rng.random() * len(choices))]
-            trajectory(mobility, self.scene.streets, self.dt, rng, draws[i, :, :6])
             _draw(rng, draws[i], layout.anchors, layout.size)
             prior[i] = rng.standard_normal(STATE_SIZE)
-            names.append(mobility.name)
         rows = np.tile(self._start[None, :, None], (-(-n // WIDTH), 1, WIDTH))
         kept = np.arange(*_kept(layout))
         out = np.empty((n, T, len(kept)))
@@ -313,7 +319,11 @@ class SimulatedSource:
         out[:, 1:, 0] = np.diff(self.time_s)
         state = np.concatenate([draws[:, 0, :6], out[:, 0, -1:]], axis=1)
         deviation = np.sqrt(np.diag(self.radio.prior_covariance(self.scene)))
-        return names, out[..., :-1], state + deviation * prior
+        return [choices[k].name for k in kinds], out[..., :-1], state + deviation * prior
+
+    @cached_property
+    def _plan(self) -> Plan:
+        return plan_of(mobilities_of(self.scenario), self.scene.streets)
 
     @cached_property
     def _start(self) -> Array:

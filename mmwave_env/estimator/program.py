@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mmwave_env.estimator.lanes import WIDTH, kernel
-from mmwave_env.estimator.trees import leaves, rebuild
+from mmwave_env.estimator.trees import Tree, leaves, rebuild
 
 Workspace = TypeVar("Workspace", bound=tuple[Any, ...])
 Array = NDArray[np.float64]
@@ -52,6 +52,24 @@ class Tracks(NamedTuple):
         rows, table, length, epoch, running = self
         some = slice(first * WIDTH, end * WIDTH)
         return Tracks(rows[first:end], table[some], length[some], epoch[some], running[some])
+
+
+def tree_kernel(function: Callable[[Tree], Tree], template: Tree) -> Any:
+    """A numba function of a (rows, 8) block that changes it by a function of numbers.
+
+    Args:
+        function: from a tree to a tree of the same shape.
+        template: a tree of that shape; its leaves in order are the rows.
+    """
+
+    def build(rows: Any) -> None:
+        before = [rows[i] for i in range(len(leaves(template)))]
+        after = leaves(function(rebuild(template, iter(before))))
+        for i, (old, new) in enumerate(zip(before, after, strict=True)):
+            if new is not old:
+                rows[i] = new
+
+    return kernel(build)
 
 
 class Program(Generic[Workspace]):
@@ -105,15 +123,7 @@ class Program(Generic[Workspace]):
 
     def _compile(self) -> Any:
         blank = self.blank
-
-        def build(rows: Any) -> None:
-            before = [rows[i] for i in range(self.size)]
-            after = leaves(self.function(rebuild(self.template, iter(before))))
-            for i, (old, new) in enumerate(zip(before, after, strict=True)):
-                if new is not old:
-                    rows[i] = new
-
-        run = kernel(build)
+        run = tree_kernel(self.function, self.template)
 
         @numba.njit(nogil=True)  # type: ignore[untyped-decorator]
         def load(block, lane, table, t, length, feed, given):  # type: ignore[no-untyped-def]
