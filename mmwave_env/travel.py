@@ -82,6 +82,8 @@ class Traveller(NamedTuple):
         turn_after, red_after: at the crossing after that.
         node_x, node_y: the crossing after that, in blocks from the origin.
         block: distance of crossings, m.
+        blocks_x, blocks_y: how many there are, west to east and south to north.
+        origin_x, origin_y: the crossing to the south-west, m.
     """
 
     step: Number
@@ -115,6 +117,10 @@ class Traveller(NamedTuple):
     node_x: Number
     node_y: Number
     block: Number
+    blocks_x: Number
+    blocks_y: Number
+    origin_x: Number
+    origin_y: Number
 
 
 AT = Traveller(*range(len(Traveller._fields)))  # rows of a block
@@ -184,40 +190,12 @@ def move(t: Traveller) -> Traveller:
     )
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, inline="always")
 def _uniform(rng, interval):  # type: ignore[no-untyped-def]
     return interval[0] + (interval[1] - interval[0]) * rng.random()
 
 
-@numba.njit(cache=True)
-def _draw_phases(rng, plan, kind, total_s, ends, limits):  # type: ignore[no-untyped-def]
-    """When each phase ends (phases,), and its limits (phases, 8): drawn ranges, then ``fixed``.
-
-    Limits are drawn once per episode; a phase that returns at the end has its own.
-    """
-    phases, duration = plan.phases[kind], plan.duration[kind]
-    passed = 0.0
-    for p in range(phases - plan.returns[kind]):
-        passed += _uniform(rng, duration[p]) if np.isfinite(duration[p, 0]) else np.inf
-        ends[p] = passed
-    if plan.returns[kind]:
-        ends[phases - 2] = total_s - _uniform(rng, duration[0]) - STOPPING_S
-        ends[phases - 1] = np.inf
-    for p in range(phases):
-        for i in range(3):
-            limits[p, i] = _uniform(rng, plan.ranges[kind, p, i])
-        limits[p, 3:] = plan.fixed[kind, p]
-
-
-@numba.njit(cache=True)
-def _enter(now, phase, end, limits):  # type: ignore[no-untyped-def]
-    """Begin a phase that ends at ``end`` s, with limits (8,)."""
-    now[AT.phase], now[AT.phase_end], now[AT.stopping] = phase, end, 0.0
-    now[AT.acceleration], now[AT.braking] = limits[0], limits[1]
-    now[AT.lateral], now[AT.jerk] = limits[2], limits[3]
-
-
-@numba.njit(cache=True)
+@numba.njit(cache=True, inline="always")
 def _draw_gait(rng, now, gaits):  # type: ignore[no-untyped-def]
     """Target speed and duration of the next gait; gaits (n, 4) as in Plan."""
     left = rng.random() * gaits[:, 3].sum()
@@ -231,7 +209,7 @@ def _draw_gait(rng, now, gaits):  # type: ignore[no-untyped-def]
     now[AT.gait_left] = gaits[chosen, 2] * rng.standard_exponential()
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, inline="always")
 def _next_node(now, heading):  # type: ignore[no-untyped-def]
     """The crossing to come to from the last one known, in blocks."""
     x = now[AT.node_x] + (1 if heading == 0 else -1 if heading == 2 else 0)
@@ -239,39 +217,35 @@ def _next_node(now, heading):  # type: ignore[no-untyped-def]
     return x, y
 
 
-@numba.njit(cache=True)
-def _leads_on(now, heading, counts):  # type: ignore[no-untyped-def]
+@numba.njit(cache=True, inline="always")
+def _leads_on(now, heading):  # type: ignore[no-untyped-def]
     """Whether there is a street in this direction."""
     x, y = _next_node(now, heading % 4)
-    return 0 <= x <= counts[0] and 0 <= y <= counts[1]
+    return 0 <= x <= now[AT.blocks_x] and 0 <= y <= now[AT.blocks_y]
 
 
 @numba.njit(cache=True)
-def _draw_turn(rng, now, heading, counts):  # type: ignore[no-untyped-def]
+def _draw_turn(rng, now, heading):  # type: ignore[no-untyped-def]
     """Quarter turns to the left at a crossing: 0, 1, -1, or 2 (back) where nothing else stays in."""
-    options = 0
-    for turn in (0, 1, -1):
-        options += _leads_on(now, heading + turn, counts)
+    ahead, left = _leads_on(now, heading), _leads_on(now, heading + 1)
+    options = int(ahead) + int(left) + int(_leads_on(now, heading - 1))
+    chosen = int(rng.random() * options) if options > 0 else 0
     if options == 0:
         return 2
-    chosen = int(rng.random() * options)
-    for turn in (0, 1, -1):
-        if _leads_on(now, heading + turn, counts):
-            if chosen == 0:
-                return turn
-            chosen -= 1
-    return 2
+    if ahead and chosen == 0:
+        return 0
+    return 1 if left and chosen == int(ahead) else -1
 
 
 @numba.njit(cache=True)
-def _draw_crossing(rng, now, heading, counts, limits):  # type: ignore[no-untyped-def]
+def _draw_crossing(rng, now, heading, limits):  # type: ignore[no-untyped-def]
     """Look ahead to the next crossing: where to turn there, and seconds of red light."""
     now[AT.node_x], now[AT.node_y] = _next_node(now, heading)
-    now[AT.turn_after] = _draw_turn(rng, now, heading, counts)
+    now[AT.turn_after] = _draw_turn(rng, now, heading)
     now[AT.red_after] = _uniform(rng, limits[6:8]) if rng.random() < limits[5] else 0.0
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, inline="always")
 def _bend(now, radius):  # type: ignore[no-untyped-def]
     """Give the crossing ahead an arc of some radius, if the way turns there."""
     turn = now[AT.turn]
@@ -279,42 +253,30 @@ def _bend(now, radius):  # type: ignore[no-untyped-def]
     now[AT.curvature] = np.sign(turn) / radius
 
 
-@numba.njit(cache=True)
-def _cross(rng, now, plan, kind, limits):  # type: ignore[no-untyped-def]
+@numba.njit(cache=True, inline="always")
+def _cross(rng, now, limits):  # type: ignore[no-untyped-def]
     """Over a crossing: what was after it is ahead now."""
     heading = (now[AT.heading] + now[AT.turn]) % 4
-    x = plan.origin[0] + now[AT.block] * now[AT.node_x] - now[AT.x]
-    y = plan.origin[1] + now[AT.block] * now[AT.node_y] - now[AT.y]
+    x = now[AT.origin_x] + now[AT.block] * now[AT.node_x] - now[AT.x]
+    y = now[AT.origin_y] + now[AT.block] * now[AT.node_y] - now[AT.y]
     distance = abs(x if heading % 2 == 0 else y)
     now[AT.heading], now[AT.travelled] = heading, 0.0
     now[AT.turn], now[AT.red] = now[AT.turn_after], now[AT.red_after]
     _bend(now, limits[4])
     now[AT.stretch] = max(distance - (limits[4] if now[AT.turn] != 0 else 0.0), 0.5)
-    _draw_crossing(rng, now, (heading + now[AT.turn]) % 4, plan.counts[kind], limits)
+    _draw_crossing(rng, now, (heading + now[AT.turn]) % 4, limits)
 
 
-@numba.njit(cache=True)
-def _begin(rng, now, plan, kind, total_s, ends, limits):  # type: ignore[no-untyped-def]
-    """Set a traveller off from a crossing, in a direction that leads somewhere."""
-    _draw_phases(rng, plan, kind, total_s, ends, limits)
-    counts = plan.counts[kind]
-    now[AT.node_x] = int(rng.random() * (counts[0] + 1))
-    now[AT.node_y] = int(rng.random() * (counts[1] + 1))
-    heading = int(rng.random() * 4)
-    heading = (heading + _draw_turn(rng, now, heading, counts)) % 4
-    now[AT.heading], now[AT.block] = heading, plan.block[kind]
-    now[AT.x] = plan.origin[0] + now[AT.block] * now[AT.node_x]
-    now[AT.y] = plan.origin[1] + now[AT.block] * now[AT.node_y]
-    _enter(now, 0, ends[0], limits[0])
-    _draw_gait(rng, now, plan.gaits[kind, 0])
-    now[AT.v] = 0.6 * now[AT.target] * rng.random()  # slow enough for the first corner
-    now[AT.radius] = limits[0, 4]
-    now[AT.due] = 1.0
-    _draw_crossing(rng, now, heading, counts, limits[0])
+@numba.njit(cache=True, inline="always")
+def _enter(now, phase, limits):  # type: ignore[no-untyped-def]
+    """Begin a phase with limits (9,)."""
+    now[AT.phase], now[AT.phase_end], now[AT.stopping] = phase, limits[8], 0.0
+    now[AT.acceleration], now[AT.braking] = limits[0], limits[1]
+    now[AT.lateral], now[AT.jerk] = limits[2], limits[3]
 
 
-@numba.njit(cache=True)
-def _change_over(now, ends, limits):  # type: ignore[no-untyped-def]
+@numba.njit(cache=True, inline="always")
+def _change_over(now, limits):  # type: ignore[no-untyped-def]
     """Where a phase is over: come to a stand, then begin the next."""
     phase = int(now[AT.phase])
     turn, left = now[AT.turn], now[AT.stretch] - now[AT.travelled]
@@ -323,27 +285,68 @@ def _change_over(now, ends, limits):  # type: ignore[no-untyped-def]
         if turn == 0 or left > limits[phase + 1, 4] - now[AT.radius] + 4.0:
             now[AT.stopping], now[AT.target], now[AT.gait_left] = 1.0, 0.0, np.inf
     if now[AT.stopping] != 0.0 and now[AT.v] <= STANDING_MPS:
-        phase += 1
         now[AT.gait_left] = 0.0
-        wider = limits[phase, 4] - now[AT.radius]
+        wider = limits[phase + 1, 4] - now[AT.radius]
         if turn != 0 and left > max(wider, -1.0) + 1.0:
             now[AT.stretch] -= wider
-            _bend(now, limits[phase, 4])
-        _enter(now, phase, ends[phase], limits[phase])
+            _bend(now, limits[phase + 1, 4])
+        _enter(now, phase + 1, limits[phase + 1])
 
 
 @numba.njit(cache=True)
-def _attend(rng, now, plan, kind, ends, limits):  # type: ignore[no-untyped-def]
+def _attend(rng, now, gaits, limits):  # type: ignore[no-untyped-def]
     """What happens to a traveller before a substep, if anything.
 
     The order of drawing is part of what a seed means.
     """
-    _change_over(now, ends, limits)
+    _change_over(now, limits)
     phase = int(now[AT.phase])
     if now[AT.gait_left] <= 0.0:
-        _draw_gait(rng, now, plan.gaits[kind, phase])
+        _draw_gait(rng, now, gaits[phase])
     if now[AT.travelled] >= now[AT.stretch] + now[AT.arc]:
-        _cross(rng, now, plan, kind, limits[phase])
+        _cross(rng, now, limits[phase])
+
+
+@numba.njit(cache=True)
+def _draw_phases(rng, plan, kind, total_s, limits):  # type: ignore[no-untyped-def]
+    """Limits of each phase (phases, 9): drawn ranges, then ``fixed``, then when it ends (s).
+
+    Limits are drawn once per episode; a phase that returns at the end has its own.
+    """
+    phases, duration = plan.phases[kind], plan.duration[kind]
+    passed = 0.0
+    for p in range(phases - plan.returns[kind]):
+        passed += _uniform(rng, duration[p]) if np.isfinite(duration[p, 0]) else np.inf
+        limits[p, 8] = passed
+    if plan.returns[kind]:
+        limits[phases - 2, 8] = total_s - _uniform(rng, duration[0]) - STOPPING_S
+        limits[phases - 1, 8] = np.inf
+    for p in range(phases):
+        for i in range(3):
+            limits[p, i] = _uniform(rng, plan.ranges[kind, p, i])
+        limits[p, 3:8] = plan.fixed[kind, p]
+
+
+@numba.njit(cache=True)
+def _begin(rng, now, plan, kind, total_s, limits):  # type: ignore[no-untyped-def]
+    """Set a traveller off from a crossing, in a direction that leads somewhere."""
+    _draw_phases(rng, plan, kind, total_s, limits)
+    now[AT.block] = plan.block[kind]
+    now[AT.blocks_x], now[AT.blocks_y] = plan.counts[kind, 0], plan.counts[kind, 1]
+    now[AT.origin_x], now[AT.origin_y] = plan.origin[0], plan.origin[1]
+    now[AT.node_x] = int(rng.random() * (now[AT.blocks_x] + 1))
+    now[AT.node_y] = int(rng.random() * (now[AT.blocks_y] + 1))
+    heading = int(rng.random() * 4)
+    heading = (heading + _draw_turn(rng, now, heading)) % 4
+    now[AT.heading] = heading
+    now[AT.x] = now[AT.origin_x] + now[AT.block] * now[AT.node_x]
+    now[AT.y] = now[AT.origin_y] + now[AT.block] * now[AT.node_y]
+    _enter(now, 0, limits[0])
+    _draw_gait(rng, now, plan.gaits[kind, 0])
+    now[AT.v] = 0.6 * now[AT.target] * rng.random()  # slow enough for the first corner
+    now[AT.radius] = limits[0, 4]
+    now[AT.due] = 1.0
+    _draw_crossing(rng, now, heading, limits[0])
 
 
 Step = Callable[[Array], None]
@@ -367,10 +370,9 @@ def journey(observe: Step, move: Step) -> Callable[..., None]:
         here, epochs, most = len(kinds), out.shape[1], plan.duration.shape[1]
         block = np.zeros((len(AT), WIDTH))
         block[AT.step] = dt / stride
-        ends, limits = np.empty((here, most)), np.empty((here, most, 8))
+        limits = np.empty((here, most, 9))
         for lane in range(here):
-            now = block[:, lane]
-            _begin(rngs[lane], now, plan, kinds[lane], epochs * dt, ends[lane], limits[lane])
+            _begin(rngs[lane], block[:, lane], plan, kinds[lane], epochs * dt, limits[lane])
         for epoch in range(epochs):
             observe(block)
             for lane in range(here):
@@ -381,8 +383,8 @@ def journey(observe: Step, move: Step) -> Callable[..., None]:
             while left > 0:
                 for lane in range(here):
                     if block[AT.due, lane] > 0.0:
-                        now = block[:, lane]
-                        _attend(rngs[lane], now, plan, kinds[lane], ends[lane], limits[lane])
+                        gaits = plan.gaits[kinds[lane]]
+                        _attend(rngs[lane], block[:, lane], gaits, limits[lane])
                 left = advance(block, left, here)
 
     return travel
