@@ -7,7 +7,6 @@ What follows is arithmetic: functions of numbers that run on lanes, an episode t
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
-from itertools import chain
 from typing import NamedTuple
 
 import numba
@@ -20,7 +19,7 @@ from mmwave_env.episode import Episode
 from mmwave_env.estimator.algebra import dot
 from mmwave_env.estimator.batch import Incoming, blank_incoming
 from mmwave_env.estimator.lanes import WIDTH
-from mmwave_env.estimator.program import NO_ROWS, Program, Tracks
+from mmwave_env.estimator.program import NO_ROWS, Index, Program, Tracks
 from mmwave_env.estimator.trees import leaves
 from mmwave_env.measurement import STATE_SIZE, Layout, exact_rows
 from mmwave_env.mobility import mobilities_of, plan_of
@@ -30,7 +29,7 @@ from mmwave_env.travel import Plan, trajectories
 
 Array = NDArray[np.float64]
 
-CHUNK = 64  # episodes drawn at once: few enough for their draws to stay in the caches
+CHUNK = 16  # episodes drawn at once: few enough for their draws to stay in the caches
 
 
 class Draws(NamedTuple):
@@ -77,7 +76,6 @@ class Simulation(NamedTuple):
         weather: of the links.
         bias_mps: of the oscillator.
         measured: the epoch, as an engine loads it.
-        bias_hz: of the oscillator.
     """
 
     draws: Draws
@@ -86,7 +84,6 @@ class Simulation(NamedTuple):
     weather: Weather
     bias_mps: Number
     measured: Incoming
-    bias_hz: Number
 
 
 def simulate_epoch(w: Simulation, layout: Layout) -> Simulation:
@@ -127,7 +124,6 @@ def simulate_epoch(w: Simulation, layout: Layout) -> Simulation:
         weather=weather,
         bias_mps=bias_mps,
         measured=measured,
-        bias_hz=bias_hz,
     )
 
 
@@ -158,7 +154,6 @@ def _program(layout: Layout) -> Program[Simulation]:
         weather=calm(L),
         bias_mps=0.0,
         measured=blank_incoming(layout),
-        bias_hz=0.0,
     )
     assert len(leaves(channel.floor_variance)) == rows
 
@@ -168,11 +163,9 @@ def _program(layout: Layout) -> Program[Simulation]:
     return Program(function, template)
 
 
-@lru_cache(maxsize=8)
-def _kept(layout: Layout) -> tuple[int, int]:
-    """First and last + 1 of the rows that are kept: the epoch as measured, and the bias."""
-    index = _program(layout).index
-    return leaves(index.measured)[0], index.bias_hz + 1
+def _kept(layout: Layout) -> Index:
+    """The rows that are kept of every epoch: as measured."""
+    return np.array(leaves(_program(layout).index.measured))
 
 
 @numba.njit(cache=True)
@@ -289,37 +282,55 @@ class SimulatedSource:
             layout=self.layout,
         )
 
-    def tables(self, rngs: Sequence[np.random.Generator]) -> tuple[list[str], Array, Array]:
-        """Draw an episode from each generator.
+    def tables(
+        self, rngs: Sequence[np.random.Generator], out: Array | None = None
+    ) -> tuple[list[str], Array, Array]:
+        """Draw an episode from each generator, mostly without the interpreter's lock.
+
+        Args:
+            rngs: (n,) generators.
+            out: (n, epochs, columns) to fill, C-contiguous; None for a new array.
 
         Returns:
-            Their names; (n, epochs, columns) as :meth:`~mmwave_env.episode.Episode.table`
-            has them; (n, 7) means of the priors.
-        """
-        parts = [self._draw(rngs[i : i + CHUNK]) for i in range(0, len(rngs), CHUNK)]
-        names, tables, priors = zip(*parts, strict=True)
-        return list(chain(*names)), np.concatenate(tables), np.concatenate(priors)
+            Their names; ``out``, with columns as :meth:`~mmwave_env.episode.Episode.table` has
+            them; (n, 7) means of the priors.
 
-    def _draw(self, rngs: Sequence[np.random.Generator]) -> tuple[list[str], Array, Array]:
-        layout, T, n = self.layout, self.epochs, len(rngs)
-        program = _program(layout)
-        draws = np.empty((n, T, len(program.blank)))
+        Raises:
+            ValueError: ``out`` has another shape, or gaps.
+        """
+        n, keep = len(rngs), _kept(self.layout)
+        out = np.empty((n, self.epochs, len(keep))) if out is None else out
+        if out.shape != (n, self.epochs, len(keep)) or not out.flags.c_contiguous:
+            raise ValueError(
+                f"out: found shape {out.shape}, contiguous {out.flags.c_contiguous}, expected "
+                f"{(n, self.epochs, len(keep))}, contiguous True"
+            )
+        names, priors = [], np.empty((n, STATE_SIZE))
+        for first in range(0, n, CHUNK):
+            some = slice(first, first + CHUNK)
+            names += self._fill(rngs[some], keep, out[some], priors[some])
+        return names, out, priors
+
+    def _fill(
+        self, rngs: Sequence[np.random.Generator], keep: Index, out: Array, priors: Array
+    ) -> list[str]:
+        """Fill tables and means of priors as :meth:`tables` returns them; their names."""
+        layout, program, n = self.layout, _program(self.layout), len(rngs)
         choices = mobilities_of(self.scenario)
         kinds = [int(rng.random() * len(choices)) for rng in rngs]
+        draws = np.empty((n, self.epochs, len(program.blank)))
         trajectories(self._plan, kinds, self.dt, rngs, draws)
-        prior = np.empty((n, STATE_SIZE))
-        for i, rng in enumerate(rngs):
-            _draw(rng, draws[i], layout.anchors, layout.size)
-            prior[i] = rng.standard_normal(STATE_SIZE)
+        for rng, drawn, prior in zip(rngs, draws, priors, strict=True):
+            _draw(rng, drawn, layout.anchors, layout.size)
+            prior[:] = rng.standard_normal(STATE_SIZE)
         rows = np.tile(self._start[None, :, None], (-(-n // WIDTH), 1, WIDTH))
-        kept = np.arange(*_kept(layout))
-        out = np.empty((n, T, len(kept)))
-        nothing = np.empty((n, T, 0))
-        program.run_on_lanes(Tracks.of(draws, rows), NO_ROWS, nothing, kept, out)
+        nothing = np.empty((n, self.epochs, 0))
+        program.run_on_lanes(Tracks.of(draws, rows), NO_ROWS, nothing, keep, out)
         out[:, 1:, 0] = np.diff(self.time_s)
-        state = np.concatenate([draws[:, 0, :6], out[:, 0, -1:]], axis=1)
-        deviation = np.sqrt(np.diag(self.radio.prior_covariance(self.scene)))
-        return [choices[k].name for k in kinds], out[..., :-1], state + deviation * prior
+        first_bias_hz = self.scene.hz_per_mps * (self.radio.prior_bias_mps * draws[:, 0, -1:])
+        priors *= np.sqrt(np.diag(self.radio.prior_covariance(self.scene)))
+        priors += np.concatenate([draws[:, 0, :6], first_bias_hz], axis=1)
+        return [choices[kind].name for kind in kinds]
 
     @cached_property
     def _plan(self) -> Plan:

@@ -169,7 +169,7 @@ def move(t: Traveller) -> Traveller:
     most = t.jerk * t.step
     waiting = (t.v < 0.3) & (t.stretch - t.travelled < 3.0)
     a = t.a + clip(wanted_acceleration(t) - t.a, -most, most)
-    v = maximum(t.v + a * t.step, 0.0)  # never backwards
+    v = t.v + maximum(a * t.step, -t.v)  # never backwards; nor fused, which rounds otherwise
     a = where(v > 0.0, a, maximum(a, 0.0))
     moved = 0.5 * (t.v + v) * t.step
     cosine, sine = _direction(t, t.travelled + 0.5 * moved)
@@ -226,12 +226,12 @@ def _leads_on(now, heading):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True)
 def _draw_turn(rng, now, heading):  # type: ignore[no-untyped-def]
-    """Quarter turns to the left at a crossing: 0, 1, -1, or 2 (back) where nothing else stays in."""
+    """Quarter turns to the left at a crossing: 0, 1, -1, or 2 (back) where no other stays in."""
     ahead, left = _leads_on(now, heading), _leads_on(now, heading + 1)
     options = int(ahead) + int(left) + int(_leads_on(now, heading - 1))
-    chosen = int(rng.random() * options) if options > 0 else 0
     if options == 0:
         return 2
+    chosen = int(rng.random() * options)
     if ahead and chosen == 0:
         return 0
     return 1 if left and chosen == int(ahead) else -1
@@ -280,10 +280,10 @@ def _change_over(now, limits):  # type: ignore[no-untyped-def]
     """Where a phase is over: come to a stand, then begin the next."""
     phase = int(now[AT.phase])
     turn, left = now[AT.turn], now[AT.stretch] - now[AT.travelled]
-    if now[AT.substep] * now[AT.step] >= now[AT.phase_end] and now[AT.stopping] == 0.0:
-        # Where the next phase needs a wider corner than there is room for: first round it.
-        if turn == 0 or left > limits[phase + 1, 4] - now[AT.radius] + 4.0:
-            now[AT.stopping], now[AT.target], now[AT.gait_left] = 1.0, 0.0, np.inf
+    over = now[AT.substep] * now[AT.step] >= now[AT.phase_end] and now[AT.stopping] == 0.0
+    # Where the next phase needs a wider corner than there is room for: first round it.
+    if over and (turn == 0 or left > limits[phase + 1, 4] - now[AT.radius] + 4.0):
+        now[AT.stopping], now[AT.target], now[AT.gait_left] = 1.0, 0.0, np.inf
     if now[AT.stopping] != 0.0 and now[AT.v] <= STANDING_MPS:
         now[AT.gait_left] = 0.0
         wider = limits[phase + 1, 4] - now[AT.radius]
@@ -349,13 +349,9 @@ def _begin(rng, now, plan, kind, total_s, limits):  # type: ignore[no-untyped-de
     _draw_crossing(rng, now, heading, limits[0])
 
 
-Step = Callable[[Array], None]
+def going(move: Callable[[Array], None]) -> Callable[[Array, int, int], int]:
+    """The loop over substeps, around a function that changes a block (rows, 8)."""
 
-
-def journey(observe: Step, move: Step) -> Callable[..., None]:
-    """The loop of up to eight travellers, around functions that change a block (rows, 8)."""
-
-    @numba.njit(nogil=True)
     def advance(block, substeps, here):  # type: ignore[no-untyped-def]
         """Move until something is due, or for some substeps; how many of them are left."""
         due = False
@@ -365,6 +361,14 @@ def journey(observe: Step, move: Step) -> Callable[..., None]:
             for lane in range(here):
                 due |= block[AT.due, lane] > 0.0
         return substeps
+
+    return advance
+
+
+def journey(
+    observe: Callable[[Array], None], advance: Callable[[Array, int, int], int]
+) -> Callable[..., None]:
+    """The whole way of up to eight travellers; for ``travel`` see :func:`trajectories`."""
 
     def travel(rngs, kinds, plan, dt, stride, out):  # type: ignore[no-untyped-def]
         here, epochs, most = len(kinds), out.shape[1], plan.duration.shape[1]
@@ -392,8 +396,9 @@ def journey(observe: Step, move: Step) -> Callable[..., None]:
 
 @lru_cache(maxsize=1)
 def _on_lanes() -> Any:
-    steps = [tree_kernel(function, AT) for function in (observe, move)]
-    return numba.njit(nogil=True)(journey(*steps))
+    # Apart from the rest, with no events inside: so it runs in registers from event to event.
+    advance = numba.njit(nogil=True)(going(tree_kernel(move, AT)))
+    return numba.njit(nogil=True)(journey(tree_kernel(observe, AT), advance))
 
 
 def trajectories(
