@@ -414,8 +414,10 @@ def trajectories(
         out: (n, epochs, 6 or more) the first six columns get positions (m) and velocities (m/s).
     """
     stride = max(1, round(dt / FINEST_STEP_S))
+    # A function is compiled for each number of generators, and looking into one costs 6 us.
+    width = 1 if len(rngs) == 1 else WIDTH
     for first in range(0, len(rngs), WIDTH):
         some = slice(first, first + WIDTH)
         block = tuple(rngs[some])
-        block += block[:1] * (WIDTH - len(block))  # one compiled function for any number
+        block += block[:1] * (width - len(block))  # which are not drawn from
         _on_lanes()(block, np.array(kinds[some]), plan, dt, stride, out[some])
