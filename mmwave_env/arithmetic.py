@@ -56,6 +56,16 @@ def atan2(y: Number, x: Number) -> Number:
     return (x.constant(y) if _is_float(y) else y).atan2(x)
 
 
+def cos_sin(angle: Number) -> tuple[Number, Number]:
+    """Cosine and sine of an angle in radians; on lanes of up to 1e5 radians."""
+    if _is_float(angle):
+        return math.cos(angle), math.sin(angle)
+    if isinstance(angle, np.ndarray):
+        return np.cos(angle), np.sin(angle)
+    cosine, sine = angle.cos_sin()
+    return cosine, sine
+
+
 def where(condition: Any, a: Number, b: Number) -> Number:
     """``a`` where the condition holds, else ``b``: the only branch on a value there is."""
     if isinstance(condition, (bool, np.bool_)):

@@ -5,6 +5,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from mmwave_env.episode import Episode, EpisodeSource, Packed
 from mmwave_env.estimator.modes import Mode, modes_from
@@ -15,6 +16,8 @@ from mmwave_env.recording import RecordedSource
 from mmwave_env.reward import Reward, reward_from
 from mmwave_env.scene import Scene, scene_from
 from mmwave_env.simulation import SimulatedSource
+
+Array = NDArray[np.float64]
 
 EPISODE_STEPS = 200
 
@@ -46,15 +49,18 @@ class Setting:
             episode = episode.on_flat_ground(float(episode.truth_position_m[0, 2]))
         return episode
 
-    def draw_many(self, rngs: Sequence[np.random.Generator], threads: int = 1) -> Packed:
+    def draw_many(
+        self, rngs: Sequence[np.random.Generator], room: Array | None = None, threads: int = 1
+    ) -> Packed:
         """The next episodes of many environments, the same as one by one.
 
         Args:
-            rngs: of the environments.
-            threads: how many may draw simulated episodes at once.
+            rngs: (n,) of the environments.
+            room: (n, epochs, columns) for their tables, C-contiguous, to use or not.
+            threads: how many may draw at once.
         """
         if isinstance(self.source, SimulatedSource) and not self.pipeline.planar:
-            return self.source.packed(rngs, threads)
+            return self.source.packed(rngs, room, threads)
         return Packed.of([self.draw(rng) for rng in rngs])
 
 

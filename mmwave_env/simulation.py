@@ -20,17 +20,18 @@ from mmwave_env.episode import Episode, Packed
 from mmwave_env.estimator.algebra import dot
 from mmwave_env.estimator.batch import Incoming, blank_incoming
 from mmwave_env.estimator.lanes import WIDTH
-from mmwave_env.estimator.program import Program, Tracks, Traffic
+from mmwave_env.estimator.program import Index, Program, Tracks, Traffic
 from mmwave_env.estimator.trees import leaves
 from mmwave_env.measurement import STATE_SIZE, Layout, exact_rows
-from mmwave_env.mobility import mobilities_of, trajectory
+from mmwave_env.mobility import mobilities_of, plan_of
 from mmwave_env.radio import Radio, deviations
 from mmwave_env.scene import Scene
 from mmwave_env.threads import share
+from mmwave_env.travel import Plan, trajectories
 
 Array = NDArray[np.float64]
 
-CHUNK = 64  # episodes drawn at once: few enough for their draws to stay in the caches
+CHUNK = 16  # episodes drawn at once: few enough for their draws to stay in the caches
 
 
 class Draws(NamedTuple):
@@ -77,7 +78,6 @@ class Simulation(NamedTuple):
         weather: of the links.
         bias_mps: of the oscillator.
         measured: the epoch, as an engine loads it.
-        bias_hz: of the oscillator.
     """
 
     draws: Draws
@@ -86,7 +86,6 @@ class Simulation(NamedTuple):
     weather: Weather
     bias_mps: Number
     measured: Incoming
-    bias_hz: Number
 
 
 def simulate_epoch(w: Simulation, layout: Layout) -> Simulation:
@@ -127,7 +126,6 @@ def simulate_epoch(w: Simulation, layout: Layout) -> Simulation:
         weather=weather,
         bias_mps=bias_mps,
         measured=measured,
-        bias_hz=bias_hz,
     )
 
 
@@ -158,7 +156,6 @@ def _program(layout: Layout) -> Program[Simulation]:
         weather=calm(L),
         bias_mps=0.0,
         measured=blank_incoming(layout),
-        bias_hz=0.0,
     )
     assert len(leaves(channel.floor_variance)) == rows
 
@@ -168,28 +165,32 @@ def _program(layout: Layout) -> Program[Simulation]:
     return Program(function, template)
 
 
-@lru_cache(maxsize=8)
-def _kept(layout: Layout) -> tuple[int, int]:
-    """First and last + 1 of the rows that are kept: the epoch as measured, and the bias."""
-    index = _program(layout).index
-    return leaves(index.measured)[0], index.bias_hz + 1
+def _kept(layout: Layout) -> Index:
+    """The rows that are kept of every epoch: as measured."""
+    return np.array(leaves(_program(layout).index.measured))
 
 
 @numba.njit(cache=True)
 def _normals(rng, out, first, last):  # type: ignore[no-untyped-def]
-    out[:, first:last] = rng.standard_normal((len(out), last - first))
+    for epoch in range(len(out)):
+        for i in range(first, last):
+            out[epoch, i] = rng.standard_normal()
     return last
 
 
 @numba.njit(cache=True)
 def _uniforms(rng, out, first, last):  # type: ignore[no-untyped-def]
-    out[:, first:last] = rng.random((len(out), last - first))
+    for epoch in range(len(out)):
+        for i in range(first, last):
+            out[epoch, i] = rng.random()
     return last
 
 
 @numba.njit(cache=True)
 def _exponentials(rng, out, first, last):  # type: ignore[no-untyped-def]
-    out[:, first:last] = rng.standard_exponential((len(out), last - first))
+    for epoch in range(len(out)):
+        for i in range(first, last):
+            out[epoch, i] = rng.standard_exponential()
     return last
 
 
@@ -283,14 +284,14 @@ class SimulatedSource:
             layout=self.layout,
         )
 
-    def packed(self, rngs: Sequence[np.random.Generator], threads: int = 1) -> Packed:
+    def packed(
+        self, rngs: Sequence[np.random.Generator], out: Array | None = None, threads: int = 1
+    ) -> Packed:
         """Draw an episode from each generator, the same as :meth:`sample` would.
 
-        Args:
-            rngs: one an episode.
-            threads: how many may draw at once.
+        Args, errors: as :meth:`tables` has them.
         """
-        names, table, prior = self.tables(rngs, threads)
+        names, table, prior = self.tables(rngs, out, threads)
         n, scene = len(rngs), self.scene
         fixed = np.append(scene.anchors_m.ravel(), scene.hz_per_mps)
         covariance = self.radio.prior_covariance(scene)[np.tril_indices(STATE_SIZE)]
@@ -304,44 +305,64 @@ class SimulatedSource:
         )
 
     def tables(
-        self, rngs: Sequence[np.random.Generator], threads: int = 1
+        self, rngs: Sequence[np.random.Generator], out: Array | None = None, threads: int = 1
     ) -> tuple[list[str], Array, Array]:
-        """Draw an episode from each generator.
+        """Draw an episode from each generator, mostly without the interpreter's lock.
+
+        Args:
+            rngs: (n,) generators.
+            out: (n, epochs, columns) to fill, C-contiguous; None for a new array.
+            threads: how many may draw at once.
+
 
         Args:
             rngs: one an episode.
             threads: how many may draw at once.
 
         Returns:
-            Their names; (n, epochs, columns) as :meth:`~mmwave_env.episode.Episode.table`
-            has them; (n, 7) means of the priors.
-        """
-        chunks = [(rngs[i : i + CHUNK],) for i in range(0, len(rngs), CHUNK)]
-        parts = share(self._draw, chunks, threads)
-        names, tables, priors = zip(*parts, strict=True)
-        return list(chain(*names)), np.concatenate(tables), np.concatenate(priors)
+            Their names; ``out``, with columns as :meth:`~mmwave_env.episode.Episode.table` has
+            them; (n, 7) means of the priors.
 
-    def _draw(self, rngs: Sequence[np.random.Generator]) -> tuple[list[str], Array, Array]:
-        layout, T, n = self.layout, self.epochs, len(rngs)
-        program = _program(layout)
-        draws = np.empty((n, T, len(program.blank)))
+
+        Raises:
+            ValueError: ``out`` has another shape, or gaps.
+        """
+        n, keep = len(rngs), _kept(self.layout)
+        out = np.empty((n, self.epochs, len(keep))) if out is None else out
+        if out.shape != (n, self.epochs, len(keep)) or not out.flags.c_contiguous:
+            raise ValueError(
+                f"out: found shape {out.shape}, contiguous {out.flags.c_contiguous}, expected "
+                f"{(n, self.epochs, len(keep))}, contiguous True"
+            )
+        priors = np.empty((n, STATE_SIZE))
+        chunks = [slice(first, first + CHUNK) for first in range(0, n, CHUNK)]
+        jobs = [(rngs[some], keep, out[some], priors[some]) for some in chunks]
+        return list(chain(*share(self._fill, jobs, threads))), out, priors
+
+    def _fill(
+        self, rngs: Sequence[np.random.Generator], keep: Index, out: Array, priors: Array
+    ) -> list[str]:
+        """Fill tables and means of priors as :meth:`tables` returns them; their names."""
+        layout, program, n = self.layout, _program(self.layout), len(rngs)
         choices = mobilities_of(self.scenario)
-        names, prior = [], np.empty((n, STATE_SIZE))
-        for i, rng in enumerate(rngs):
-            mobility = choices[int(rng.random() * len(choices))]
-            trajectory(mobility, self.scene.streets, self.dt, rng, draws[i, :, :6])
-            _draw(rng, draws[i], layout.anchors, layout.size)
-            prior[i] = rng.standard_normal(STATE_SIZE)
-            names.append(mobility.name)
+        kinds = [int(rng.random() * len(choices)) for rng in rngs]
+        draws = np.empty((n, self.epochs, len(program.blank)))
+        trajectories(self._plan, kinds, self.dt, rngs, draws)
+        for rng, drawn, prior in zip(rngs, draws, priors, strict=True):
+            _draw(rng, drawn, layout.anchors, layout.size)
+            prior[:] = rng.standard_normal(STATE_SIZE)
         rows = np.tile(self._start[None, :, None], (-(-n // WIDTH), 1, WIDTH))
-        kept = np.arange(*_kept(layout))
-        traffic = Traffic.of(n, T, keep=kept)
+        traffic = Traffic.of(n, self.epochs, keep=keep)._replace(kept=out)
         program.run_on_lanes(Tracks.of(draws, rows), traffic)
-        out = traffic.kept
         out[:, 1:, 0] = np.diff(self.time_s)
-        state = np.concatenate([draws[:, 0, :6], out[:, 0, -1:]], axis=1)
-        deviation = np.sqrt(np.diag(self.radio.prior_covariance(self.scene)))
-        return names, out[..., :-1], state + deviation * prior
+        first_bias_hz = self.scene.hz_per_mps * (self.radio.prior_bias_mps * draws[:, 0, -1:])
+        priors *= np.sqrt(np.diag(self.radio.prior_covariance(self.scene)))
+        priors += np.concatenate([draws[:, 0, :6], first_bias_hz], axis=1)
+        return [choices[kind].name for kind in kinds]
+
+    @cached_property
+    def _plan(self) -> Plan:
+        return plan_of(mobilities_of(self.scenario), self.scene.streets)
 
     @cached_property
     def _start(self) -> Array:

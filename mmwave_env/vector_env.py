@@ -174,7 +174,8 @@ class MmWaveLocVectorEnv(gym.vector.VectorEnv[Observations, Index, NDArray[Any]]
         for first in range(0, len(places), DRAWN):
             some = places[first : first + DRAWN]
             with self._generators.of(some) as generators:
-                episodes = self._setting.draw_many(generators, self._threads)
+                room = self._engine.batch.room(some, self.source.epochs)
+                episodes = self._setting.draw_many(generators, room, self._threads)
             self._engine.load(episodes, some)
             names[some], nonfinite[some] = episodes.names, episodes.nonfinite
         longer = int(self._engine.batch.tracks.length.max()) - self._actions.shape[1]

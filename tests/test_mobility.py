@@ -7,10 +7,11 @@ import numpy as np
 import pytest
 from scipy.stats import binom
 
-from mmwave_env.mobility import MOBILITIES, SCENARIOS, mobilities_of, trajectory
+from mmwave_env.mobility import MOBILITIES, SCENARIOS, mobilities_of, plan_of
 from mmwave_env.radio import RADIOS
 from mmwave_env.scene import SCENES
 from mmwave_env.simulation import SimulatedSource
+from mmwave_env.travel import trajectories
 
 STEP_S, STEPS, SEEDS = 0.1, 2000, 100
 
@@ -54,8 +55,7 @@ def tracks():
 
     def draw(name, scene="street"):
         if (name, scene) not in drawn:
-            runs = [run(name, seed, STEP_S, STEPS, scene) for seed in range(SEEDS)]
-            position, velocity = np.stack(runs, axis=1)
+            position, velocity = run([name] * SEEDS, range(SEEDS), STEP_S, STEPS, scene)
             assert (velocity[..., 2] == 0.0).all()
             speed = np.linalg.norm(velocity, axis=-1)
             drawn[name, scene] = Tracks(
@@ -66,10 +66,17 @@ def tracks():
     return draw
 
 
-def run(name, seed, dt, epochs, scene="street"):
-    out = np.empty((epochs, 6))
-    trajectory(MOBILITIES[name], SCENES[scene].streets, dt, np.random.default_rng(seed), out)
-    return out[:, :3], out[:, 3:]
+def run(names, seeds, dt, epochs, scene="street"):
+    plan = plan_of([MOBILITIES[name] for name in names], SCENES[scene].streets)
+    rngs = [np.random.default_rng(seed) for seed in seeds]
+    out = np.empty((len(rngs), epochs, 6))
+    trajectories(plan, range(len(rngs)), dt, rngs, out)
+    return out[..., :3], out[..., 3:]
+
+
+def run_one(name, seed, dt, epochs):
+    position, velocity = run([name], [seed], dt, epochs)
+    return position[0], velocity[0]
 
 
 @every_mobility
@@ -170,15 +177,15 @@ def test_vehicles_reach_driving_speed(tracks):
 @every_mobility
 @pytest.mark.parametrize("dt", [0.5, 1.0, 2.0])
 def test_the_step_samples_the_same_trajectory(name, dt):
-    fine = np.array(run(name, 0, STEP_S, STEPS))
-    coarse = np.array(run(name, 0, dt, round(STEPS * STEP_S / dt)))
+    fine = np.array(run_one(name, 0, STEP_S, STEPS))
+    coarse = np.array(run_one(name, 0, dt, round(STEPS * STEP_S / dt)))
     np.testing.assert_allclose(coarse, fine[:, :: round(dt / STEP_S)], atol=1e-8)
 
 
 @every_mobility
 @pytest.mark.parametrize("dt", [0.02, 0.25, 0.33])
 def test_any_step_gives_a_sound_trajectory(name, dt):
-    position, velocity = run(name, 0, dt, 400)
+    position, velocity = run_one(name, 0, dt, 400)
     speed = np.linalg.norm(velocity, axis=-1)
     assert speed.max() <= BOUNDS[name].speed + 1e-9
     trapezoid = 0.5 * dt * (velocity[1:] + velocity[:-1])
@@ -189,8 +196,8 @@ def test_any_step_gives_a_sound_trajectory(name, dt):
 
 @every_mobility
 def test_the_same_generator_gives_the_same_trajectory(name):
-    np.testing.assert_array_equal(run(name, 7, 1.0, 50), run(name, 7, 1.0, 50))
-    assert not np.array_equal(run(name, 7, 1.0, 50), run(name, 8, 1.0, 50))
+    np.testing.assert_array_equal(run_one(name, 7, 1.0, 50), run_one(name, 7, 1.0, 50))
+    assert not np.array_equal(run_one(name, 7, 1.0, 50), run_one(name, 8, 1.0, 50))
 
 
 def test_mixed_draws_every_mobility_alike():

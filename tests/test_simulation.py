@@ -7,10 +7,11 @@ import numpy as np
 import pytest
 
 from mmwave_env.episode import Episode
-from mmwave_env.mobility import mobilities_of, trajectory
+from mmwave_env.mobility import mobilities_of, plan_of
 from mmwave_env.radio import RADIOS
 from mmwave_env.scene import SCENES
 from mmwave_env.simulation import SimulatedSource
+from mmwave_env.travel import trajectories
 
 from .estimator.tracks import geometry
 
@@ -73,8 +74,9 @@ def plain(source, rng):
     scene, radio, layout, T = source.scene, source.radio, source.layout, source.epochs
     choices = mobilities_of(source.scenario)
     mobility = choices[int(rng.random() * len(choices))]
-    track = np.empty((T, 6))
-    trajectory(mobility, scene.streets, source.dt, rng, track)
+    tracks = np.empty((1, T, 6))
+    trajectories(plan_of([mobility], scene.streets), [0], source.dt, [rng], tracks)
+    track = tracks[0]
     position, velocity = track[:, :3], track[:, 3:]
     speed = np.linalg.norm(velocity, axis=1)
     z = geometry(position, velocity, scene, layout)
@@ -121,7 +123,7 @@ def test_a_seed_means_the_episode_of_the_plain_simulation(name):
 
 
 @pytest.mark.parametrize("name", SOURCES)
-@pytest.mark.parametrize("n", [1, 8, 13])
+@pytest.mark.parametrize("n", [1, 8, 21])
 def test_a_batch_is_the_episodes_one_by_one_to_the_bit(name, n):
     source = SOURCES[name]
     names, tables, priors = source.tables([np.random.default_rng(seed) for seed in range(n)])
@@ -130,3 +132,27 @@ def test_a_batch_is_the_episodes_one_by_one_to_the_bit(name, n):
         assert episode.name == names[seed]
         np.testing.assert_array_equal(episode.prior_mean, priors[seed])
         np.testing.assert_array_equal(episode.table(), tables[seed])
+
+
+def test_tables_go_where_they_are_wanted():
+    source, tables = SOURCES["jam"], np.zeros((5, 77, 37))
+    rngs = [[np.random.default_rng(seed) for seed in range(3)] for _ in range(2)]
+    _, expected, _ = source.tables(rngs[0])
+    _, returned, _ = source.tables(rngs[1], out=tables[1:4])
+    np.testing.assert_array_equal(tables[1:4], expected)
+    assert np.shares_memory(returned, tables)
+    assert not tables[0].any() and not tables[4].any()
+
+
+@pytest.mark.parametrize(
+    ("out", "found"),
+    [
+        (np.zeros((2, 77, 37)), "(2, 77, 37)"),
+        (np.zeros((1, 77, 36)), "(1, 77, 36)"),
+        (np.zeros((1, 77, 74))[..., ::2], "contiguous False"),
+    ],
+)
+def test_where_tables_do_not_fit_is_refused(out, found):
+    with pytest.raises(ValueError, match="out: found .*expected .1, 77, 37., contiguous") as error:
+        SOURCES["jam"].tables([np.random.default_rng(0)], out)
+    assert found in str(error.value)

@@ -132,7 +132,8 @@ class Batch(Generic[Workspace]):
         epochs = found.table.shape[1]
         self._make_room(epochs)
         self.tracks.length[places] = found.length
-        self.tracks.table[places, :epochs] = found.table
+        if not np.may_share_memory(self.tracks.table, found.table):
+            self.tracks.table[places, :epochs] = found.table
         if gap_s is not None:
             self.tracks.table[places, 0, 0] = gap_s
             self.tracks.epoch[places] = 0
@@ -140,6 +141,16 @@ class Batch(Generic[Workspace]):
         _, site, _, *_ = self.at
         self.write(site, found.site, places)
         self.restart(places)
+
+    def room(self, places: Index, epochs: int) -> Array | None:
+        """Where the tables (places, epochs, columns) of some environments lie, to fill and load.
+
+        None where they do not lie side by side, so that they have to be loaded from elsewhere.
+        """
+        self._make_room(epochs)
+        first, end = int(places[0]), int(places[-1]) + 1
+        table = self.tracks.table[first:end]
+        return table if (len(table), epochs) == (len(places), table.shape[1]) else None
 
     def _make_room(self, epochs: int) -> None:
         table = self.tracks.table

@@ -40,6 +40,11 @@ _TAN_PI_8 = math.sqrt(2.0) - 1.0
 _ATANH = tuple(1.0 / k for k in range(19, 0, -2))
 # exp(r) for |r| <= ln(2) / 2: Taylor series, error below 1e-17.
 _EXP = tuple(1.0 / math.factorial(k) for k in range(14, -1, -1))
+# cos(r) and (sin(r) / r - 1) / r^2 for |r| <= pi / 4: Taylor series in r^2, error below 1e-17.
+_COS = tuple((-1) ** (k // 2) / math.factorial(k) for k in range(18, -1, -2))
+_SIN = tuple((-1) ** (k // 2) / math.factorial(k) for k in range(17, 1, -2))
+_HALF_PI_HIGH, _HALF_PI_LOW = 1.57079632673412561417, 6.07710050650619224932e-11
+_ROUND = 1.5 * 2.0**52  # adding it rounds to an integer, which is then in the lowest bits
 _LN2_HIGH, _LN2_LOW = 0.693147180369123816490, 1.90821492927058770002e-10
 
 
@@ -171,6 +176,24 @@ class Lanes:
         angle = where(x < 0.0, math.pi - angle, angle)
         result: Lanes = where(self < 0.0, -angle, angle)
         return result
+
+    def cos_sin(self) -> "tuple[Lanes, Lanes]":
+        """Cosine and sine of |angle| < 1e5: reduced to |r| <= pi / 4, then Taylor polynomials."""
+        b = self.builder
+        rounded: Any = self * (2.0 / math.pi) + _ROUND
+        quarters, turns = b.bitcast(rounded.value, _BITS), rounded - _ROUND
+        r = (self - turns * _HALF_PI_HIGH) - turns * _HALF_PI_LOW
+        z = r * r
+        cosine, sine = polynomial(z, _COS), r + r * z * polynomial(z, _SIN)
+        odd = Mask(b, b.trunc(quarters, ir.VectorType(ir.IntType(1), WIDTH)))
+        after = b.add(quarters, _bits(1))
+        return where(odd, sine, cosine)._negated(after), where(odd, cosine, sine)._negated(quarters)
+
+    def _negated(self, quarters: Any) -> "Lanes":
+        """With the sign changed in the lanes where an integer has its second bit set."""
+        b = self.builder
+        sign = b.shl(b.and_(quarters, _bits(2)), _bits(62))
+        return Lanes(b, b.bitcast(b.xor(b.bitcast(self.value, _BITS), sign), _VECTOR))
 
     def log(self) -> "Lanes":
         """Natural logarithm of positive normal numbers, by mantissa and exponent; NaN of NaN."""

@@ -16,7 +16,7 @@ from numba import types
 from numpy.typing import NDArray
 
 from mmwave_env.estimator.lanes import WIDTH, kernel
-from mmwave_env.estimator.trees import leaves, rebuild
+from mmwave_env.estimator.trees import Tree, leaves, rebuild
 
 Workspace = TypeVar("Workspace", bound=tuple[Any, ...])
 Array = NDArray[np.float64]
@@ -97,6 +97,24 @@ class Traffic(NamedTuple):
         return Traffic(fed, given[some], keep, kept[some], show, shown[some])
 
 
+def tree_kernel(function: Callable[[Tree], Tree], template: Tree) -> Any:
+    """A numba function of a (rows, 8) block that changes it by a function of numbers.
+
+    Args:
+        function: from a tree to a tree of the same shape.
+        template: a tree of that shape; its leaves in order are the rows.
+    """
+
+    def build(rows: Any) -> None:
+        before = [rows[i] for i in range(len(leaves(template)))]
+        after = leaves(function(rebuild(template, iter(before))))
+        for i, (old, new) in enumerate(zip(before, after, strict=True)):
+            if new is not old:
+                rows[i] = new
+
+    return kernel(build)
+
+
 class Program(Generic[Workspace]):
     """A function of numbers with its workspace, compiled at its first run on lanes.
 
@@ -147,14 +165,7 @@ class Program(Generic[Workspace]):
         return self._compiled[1]
 
     def _compile(self) -> tuple[Any, Any]:
-        def build(rows: Any) -> None:
-            before = [rows[i] for i in range(self.size)]
-            after = leaves(self.function(rebuild(self.template, iter(before))))
-            for i, (old, new) in enumerate(zip(before, after, strict=True)):
-                if new is not old:
-                    rows[i] = new
-
-        run, shape = kernel(build), (self.size, WIDTH)
+        run, shape = tree_kernel(self.function, self.template), (self.size, WIDTH)
 
         @numba.cfunc(types.void(types.voidptr))  # type: ignore[untyped-decorator]
         def compiled(block):  # type: ignore[no-untyped-def]

@@ -18,7 +18,18 @@ from hypothesis.extra import numpy as hnp
 from llvmlite import ir
 
 import mmwave_env
-from mmwave_env.arithmetic import atan2, clip, exp, log, maximum, minimum, sqrt, where, wrap
+from mmwave_env.arithmetic import (
+    atan2,
+    clip,
+    cos_sin,
+    exp,
+    log,
+    maximum,
+    minimum,
+    sqrt,
+    where,
+    wrap,
+)
 from mmwave_env.estimator.lanes import WIDTH, Lanes, kernel
 
 from .tracks import assert_same_beliefs, pipeline_of, simulated, track
@@ -115,6 +126,18 @@ class TestElementaryFunctions:
         assert on_lanes(atan2, [0.0], [0.0]) == math.atan2(0.0, 0.0)
 
     @drawn
+    @given(a=floats(-1e5, 1e5))
+    def test_cos_sin(self, a):
+        close(on_lanes(cosine, a), np.cos(a), atol=2e-16)
+        close(on_lanes(sine, a), np.sin(a), atol=2e-16)
+
+    def test_cos_sin_all_around_and_at_quarter_turns(self):
+        quarters = (math.pi / 2) * np.arange(-8, 9)
+        a = np.concatenate([np.linspace(-4 * math.pi, 4 * math.pi, 100_001), quarters])
+        close(on_lanes(cosine, a), np.cos(a), rtol=3e-16, atol=1e-18)
+        close(on_lanes(sine, a), np.sin(a), rtol=3e-16, atol=1e-18)
+
+    @drawn
     @given(a=floats(-3 * math.pi, 3 * math.pi))
     def test_wrap(self, a):
         wrapped = on_lanes(wrap, a)
@@ -133,6 +156,14 @@ class TestElementaryFunctions:
     @given(a=floats(-1e9, 1e9), b=floats(-1e9, 1e9))
     def test_arithmetic_with_lanes_and_with_constants(self, a, b):
         close(on_lanes(mixed_arithmetic, a, b), mixed_arithmetic(a, b), rtol=1e-12, atol=1e-6)
+
+
+def cosine(a):
+    return cos_sin(a)[0]
+
+
+def sine(a):
+    return cos_sin(a)[1]
 
 
 def clip_to_unit(a):
