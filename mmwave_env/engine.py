@@ -170,6 +170,9 @@ class Engine:
         observation: "full" or "prior".
         on_floats: run in plain Python instead of on lanes (the filterpy twin needs it).
         threads: how many may work at once; results do not depend on it.
+
+    Attributes:
+        program: an epoch as a function of numbers.
     """
 
     def __init__(
@@ -183,11 +186,11 @@ class Engine:
     ) -> None:
         self.pipeline = pipeline
         self.observation = Observation(pipeline, observation)
-        program = _program(pipeline, observation, reward)
+        self.program = program = _program(pipeline, observation, reward)
         action = np.array([program.index.action])
         self._batch = Batch(program, pipeline.layout, n, action, on_floats, threads)
         self._given = np.zeros((n, 1, 1))
-        self.size = self._batch.program.size
+        self.size = program.size
         self.at, self.span = self._batch.at, self._batch.span
         self.read, self.column = self._batch.read, self._batch.column
 

@@ -138,13 +138,17 @@ class Tracker:
         n: number of tracks.
         rule: from the state (7,) after the epoch before and the coming epoch to the number of
             the mode to run; None where there is one mode.
+
+    Attributes:
+        program: an epoch as a function of numbers.
     """
 
     def __init__(self, pipeline: Pipeline, n: int, rule: Rule | None = None) -> None:
         if rule is None and len(pipeline.modes) > 1:
             raise ValueError(f"modes: found {len(pipeline.modes)} and no rule, expected one mode")
         self.pipeline = pipeline
-        self._batch = Batch(_program(_untuned(pipeline), rule), pipeline.layout, n)
+        self.program = _program(_untuned(pipeline), rule)
+        self._batch = Batch(self.program, pipeline.layout, n)
         self._epochs, self._end_s = 0, 0.0
         self.tune([mode.tuning for mode in pipeline.modes])
 
