@@ -18,7 +18,7 @@ COMMANDS = {
     "tables": "the paper's tables and claims, reproduced",
     "tune": "process noise of modes, by likelihood or error, on tuning seeds",
     "tune-threshold": "the best threshold of the speed rule, on tuning seeds",
-    "benchmark": "steps per second beside filterpy's, as ratios",
+    "benchmark": "steps per second beside filterpy's and the core's limit, memory, first step",
     "simulate": "one episode as files: measurement log, scene and truth",
     "demo": "the comparison of the README, on simulated and ray-traced streets",
 }

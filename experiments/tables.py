@@ -2,7 +2,6 @@
 
 import csv
 import io
-import re
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,6 +11,7 @@ from rich.progress import track
 from experiments.cli import run
 from experiments.files import beside, require_writable, write_json, write_text
 from experiments.markdown import show
+from experiments.pages import page_to_renew, renewed
 from experiments.paper.accuracy import error_budget, headline
 from experiments.paper.bench import Bench, Section
 from experiments.paper.claims import all_claims
@@ -19,7 +19,6 @@ from experiments.paper.figure import draw
 from experiments.paper.printed import table_three, tables_one_and_two
 
 SECTIONS = 19
-MARK = re.compile(r"<!-- table: (.*?) -->\n.*?<!-- end -->", re.DOTALL)
 FIELDS = ("section", "row", "column", "mean", "low", "high")
 
 
@@ -49,28 +48,12 @@ def sections(bench: Bench) -> Iterator[Section]:
     yield error_budget(bench)
 
 
-def renewed(page: str, found: dict[str, Section]) -> str:
-    """The page with each table between its marks replaced by the one of its title.
-
-    Raises:
-        ValueError: a mark names no section.
-    """
-
-    def table(match: re.Match[str]) -> str:
-        title = match[1]
-        if title not in found:
-            raise ValueError(f"table of the page: found {title!r}, expected one of {list(found)}")
-        return f"<!-- table: {title} -->\n{found[title].body()}\n<!-- end -->"
-
-    return MARK.sub(table, page)
-
-
 def main(args: Args) -> None:
     """Run the command."""
     if args.episodes < 1:
         raise ValueError(f"episodes: found {args.episodes}, expected at least 1")
     require_writable(args.out / "tables.md")
-    page = _page(args.docs) if args.docs else ""
+    page = page_to_renew(args.docs) if args.docs else ""
     bench = Bench(args.episodes, args.seed)
     found = {}
     for section in track(sections(bench), total=SECTIONS, description="tables", transient=True):
@@ -89,23 +72,10 @@ def main(args: Args) -> None:
         rows = [dict(zip(FIELDS, record, strict=True)) for record in records]
         write_json(args.json, {"episodes": args.episodes, "seed": args.seed, "figures": rows})
     if args.docs:
-        write_text(args.docs, renewed(page, found))
+        bodies = {title: section.body() for title, section in found.items()}
+        write_text(args.docs, renewed(page, bodies))
     show(text)
     print(f"written to {args.out}/")
-
-
-def _page(path: Path) -> str:
-    """A page to renew.
-
-    Raises:
-        ValueError: it has no marks.
-        OSError: it can't be read or written.
-    """
-    require_writable(path)
-    page = path.read_text(encoding="utf-8")
-    if not MARK.search(page):
-        raise ValueError(f"{path}: found no table, expected <!-- table: ... --> and <!-- end -->")
-    return page
 
 
 if __name__ == "__main__":

@@ -147,15 +147,18 @@ class Tracker:
         rule: from the state (7,) after the epoch before and the coming epoch to the number of
             the mode to run; None where there is one mode, or :meth:`run` is told which.
         on_floats: run in plain Python instead of on lanes: slow, for reference.
+
+    Attributes:
+        program: an epoch as a function of numbers.
     """
 
     def __init__(
         self, pipeline: Pipeline, n: int, rule: Rule | None = None, on_floats: bool = False
     ) -> None:
         self.pipeline = pipeline
-        program = program_of(pipeline, rule)
-        action = rows_of(program.index.action)
-        self._batch = Batch(program, pipeline.layout, n, action, on_floats)
+        self.program = program_of(pipeline, rule)
+        action = rows_of(self.program.index.action)
+        self._batch = Batch(self.program, pipeline.layout, n, action, on_floats)
         self._rule = rule
         self._epochs, self._end_s = 0, 0.0
         self.tune([mode.tuning for mode in pipeline.modes])

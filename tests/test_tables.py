@@ -14,7 +14,7 @@ import pytest
 from experiments.evaluation import Interval, contender_from, score
 from experiments.paper.bench import Bench, Section, Setting, track
 from experiments.paper.claims import contradictions, resolution
-from experiments.tables import FIELDS, Args, main, renewed
+from experiments.tables import FIELDS, Args, main
 from mmwave_env.estimator.modes import default_modes
 from mmwave_env.estimator.pipeline import Pipeline
 from mmwave_env.estimator.smoother import smooth
@@ -91,15 +91,6 @@ def test_what_needs_no_tracks(bench):
 def test_records_hold_every_number():
     section = Section("T", "note", ["who", "a", "b", "c"], rows=[["x", 1.5, Interval(2, 1, 3), ""]])
     assert section.records() == [["T", "x", "a", 1.5, "", ""], ["T", "x", "b", 2, 1, 3]]
-
-
-def test_a_page_is_renewed_between_its_marks_alone():
-    found = {"T": Section("T", "note", ["a"], rows=[["1"]])}
-    page = "before\n<!-- table: T -->\nold\n<!-- end -->\nafter\n"
-    expected = "before\n<!-- table: T -->\n| a |\n|---|\n| 1 |\n\nnote\n<!-- end -->\nafter\n"
-    assert renewed(page, found) == renewed(expected, found) == expected
-    with pytest.raises(ValueError, match=r"found 'U', expected one of \['T'\]"):
-        renewed("<!-- table: U -->\n<!-- end -->", found)
 
 
 def test_a_page_without_tables_is_refused_before_the_work(tmp_path):

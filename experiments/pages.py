@@ -1,0 +1,43 @@
+"""Pages whose tables a command renews, so that no figure is typed."""
+
+import re
+from collections.abc import Mapping
+from pathlib import Path
+
+from experiments.files import require_writable
+
+MARK = re.compile(r"<!-- table: (.*?) -->\n.*?<!-- end -->", re.DOTALL)
+
+
+def page_to_renew(path: Path) -> str:
+    """A page to renew.
+
+    Raises:
+        ValueError: it has no marks.
+        OSError: it can't be read or written.
+    """
+    require_writable(path)
+    page = path.read_text(encoding="utf-8")
+    if not MARK.search(page):
+        raise ValueError(f"{path}: found no table, expected <!-- table: ... --> and <!-- end -->")
+    return page
+
+
+def renewed(page: str, tables: Mapping[str, str]) -> str:
+    """The page with each table between its marks replaced by the one of its title.
+
+    Args:
+        page: Markdown.
+        tables: Markdown by title.
+
+    Raises:
+        ValueError: a mark names no table.
+    """
+
+    def table(match: re.Match[str]) -> str:
+        title = match[1]
+        if title not in tables:
+            raise ValueError(f"table of the page: found {title!r}, expected one of {list(tables)}")
+        return f"<!-- table: {title} -->\n{tables[title]}\n<!-- end -->"
+
+    return MARK.sub(table, page)

@@ -1,0 +1,190 @@
+"""Everything that mmwave-loc benchmark measures, round by round."""
+
+from collections.abc import Iterator, Sequence
+from itertools import pairwise
+from statistics import median
+from typing import Any
+
+from experiments.speed.fresh import Fresh, fresh
+from experiments.speed.operations import Operations, count
+from experiments.speed.rates import Rates, started
+from experiments.speed.roofline import KINDS, instruction_s, limit_s
+from experiments.speed.workloads import (
+    ENVIRONMENT,
+    FILTERS,
+    SYNC_NAME,
+    THREADS,
+    environments,
+    filter_mode,
+    filters,
+    native_name,
+    pipeline,
+)
+from mmwave_env.engine import Engine
+from mmwave_env.estimator.lanes import WIDTH
+from mmwave_env.estimator.pipeline import Pipeline
+from mmwave_env.reward import TrackingReward
+from mmwave_env.tracker import Tracker
+
+FRESH_RUNS = 3  # of every process, at most: they take seconds
+FRESH_SIZES = 3  # the largest ones; others are no different from the smallest of them
+SMALLEST_FULL = 64  # environments from which on the cost of a step should not depend on N
+STEP = "step"  # of the whole environment, among the kernels
+BETWEEN_ENDS = "_between_ends"
+
+Rounds = dict[str, list[float]]
+
+
+class Measured:
+    """Rates, limits, memory and first steps; every list has an entry a round.
+
+    Args:
+        sizes: numbers of environments in the native vector environment.
+
+    Attributes:
+        sizes: the same, in order.
+        rates: of environments, by name.
+        filters: rates of the filters alone, one thread.
+        operations: of the kernels: the filters' and the environment's.
+        limits_s: seconds of a step of theirs on one core, at least.
+        instructions_s: seconds of an instruction where a core does nothing else.
+        fresh: first step and peak memory of new processes.
+    """
+
+    def __init__(self, sizes: Sequence[int]) -> None:
+        self.sizes = sorted(set(sizes))
+        self.rates = {name: Rates() for name in environments(self.sizes)}
+        self.filters = {name: Rates() for name in FILTERS}
+        self.operations = kernels()
+        self.limits_s: Rounds = {name: [] for name in self.operations}
+        self.instructions_s: Rounds = {kind: [] for kind in KINDS}
+        self._processes = {"cartpole": ("CartPole-v1", 0), "single": (ENVIRONMENT, 0)} | {
+            native_name(n): (ENVIRONMENT, n) for n in self.sizes[-FRESH_SIZES:]
+        }
+        self.fresh: dict[str, list[Fresh]] = {name: [] for name in self._processes}
+
+    def run(self, seconds: float, repeats: int) -> Iterator[float]:
+        """Measure, and tell the share done after every piece.
+
+        In every round each workload has its turn, so that a drifting machine hits all alike.
+        """
+        processes = min(FRESH_RUNS, repeats) * len(self.fresh)
+        workloads = len(self.rates) + len(self.filters)
+        pieces = processes + workloads + repeats * (workloads + 1)
+        for done, _ in enumerate(self._pieces(seconds, repeats), start=1):
+            yield done / pieces
+
+    def _pieces(self, seconds: float, repeats: int) -> Iterator[None]:
+        for _ in range(min(FRESH_RUNS, repeats)):
+            for name, process in self._processes.items():
+                self.fresh[name].append(fresh(*process))
+                yield
+        running = {}
+        for name, make in (environments(self.sizes) | filters()).items():
+            running[name] = started(make)
+            yield
+        rates = self.rates | self.filters
+        for _ in range(repeats):
+            for name, laps in running.items():
+                rates[name].measure(laps, seconds)
+                yield
+            self._time_the_core()
+            yield
+
+    def _time_the_core(self) -> None:
+        for name, operations in self.operations.items():
+            self.limits_s[name].append(limit_s(operations) / WIDTH)
+        for kind, found in self.instructions_s.items():
+            found.append(instruction_s(kind))
+
+    def natives(self, threads: int = 1) -> list[str]:
+        """Names of the native vector environments with so many threads."""
+        return [native_name(n, threads) for n in self.sizes]
+
+    def ratios(self) -> Rounds:
+        """Steps per second over those of the filterpy loop and of the sync vector."""
+        ours = ["single"] + [name for threads in THREADS for name in self.natives(threads)]
+        rates = {name: rates.steps_per_s for name, rates in self.rates.items()}
+        return {
+            f"{name}_over_{base}": quotients(rates[name], rates[base])
+            for base in ("filterpy", SYNC_NAME)
+            for name in ours
+        }
+
+    def costs(self) -> Rounds:
+        """Seconds a step, over those at the smallest size that fills the lanes and the caches."""
+        full = [native_name(n) for n in self.sizes if n >= SMALLEST_FULL]
+        rates = {name: self.rates[name].steps_per_s for name in full}
+        return {
+            f"{name}_over_{full[0]}": quotients(rates[full[0]], rates[name]) for name in full[1:]
+        }
+
+    def fractions(self) -> Rounds:
+        """Limit of a core over the time taken, of the kernels and what they are in."""
+        taken = {name: (name, rates.steps_per_s) for name, rates in self.filters.items()}
+        for name in self.natives():
+            taken[name] = (STEP, self.rates[name].steps_per_s)
+            taken[name + BETWEEN_ENDS] = (STEP, self.rates[name].between_ends)
+        return {
+            name: [limit * rate for limit, rate in zip(self.limits_s[kernel], rates, strict=True)]
+            for name, (kernel, rates) in taken.items()
+        }
+
+    def cold_start_s(self) -> Rounds:
+        """Seconds from the start of a process to the end of its first step."""
+        return {name: [one.first_step_s for one in runs] for name, runs in self.fresh.items()}
+
+    def peak_mb(self) -> Rounds:
+        """Peak resident memory of a process, 2^20 bytes."""
+        return {name: [one.peak_mb for one in runs] for name, runs in self.fresh.items()}
+
+    def kb_per_environment(self) -> dict[str, float]:
+        """Peak memory of each further environment, 2^10 bytes, from one size to the next."""
+        sizes, peaks = self.sizes[-FRESH_SIZES:], self.peak_mb()
+        found = {}
+        for few, many in pairwise(sizes):
+            more = median(peaks[native_name(many)]) - median(peaks[native_name(few)])
+            found[f"{few}_to_{many}"] = 1024 * more / (many - few)
+        return found
+
+    def json(self) -> dict[str, Any]:
+        """Medians, with their spread over the rounds apart."""
+        rates = self.rates | self.filters
+        rounds: dict[str, Rounds] = {
+            "ratios": self.ratios(),
+            "limit_fraction": self.fractions(),
+            "steps_per_s": {name: one.steps_per_s for name, one in rates.items()},
+            "cold_start_s": self.cold_start_s(),
+            "peak_rss_mb": self.peak_mb(),
+            "cost_of_a_step": self.costs(),
+            "between_ends_steps_per_s": {
+                name: one.between_ends for name, one in rates.items() if one.between_ends
+            },
+            "cores_busy": {name: one.cores for name, one in rates.items()},
+            "limit_s": self.limits_s,
+            "instruction_s": self.instructions_s,
+        }
+        return {
+            **{what: {k: median(v) for k, v in table.items()} for what, table in rounds.items()},
+            "kb_per_environment": self.kb_per_environment(),
+            "operations": {name: found._asdict() for name, found in self.operations.items()},
+            "spread": {
+                what: {k: [min(v), max(v)] for k, v in table.items()}
+                for what, table in rounds.items()
+            },
+        }
+
+
+def kernels() -> dict[str, Operations]:
+    """The operations of the filters alone, and of a step of the environment."""
+    layout = pipeline().layout
+    programs: dict[str, Any] = {
+        name: Tracker(Pipeline((filter_mode(name),), layout), 1).program for name in FILTERS
+    }
+    programs[STEP] = Engine(pipeline(), 1, TrackingReward()).batch.program
+    return {name: count(one.function, one.template) for name, one in programs.items()}
+
+
+def quotients(over: Sequence[float], under: Sequence[float]) -> list[float]:
+    """Round by round."""
+    return [a / b for a, b in zip(over, under, strict=True)]

@@ -1,0 +1,132 @@
+"""How many operations a function of numbers takes, counted by running it.
+
+:class:`~mmwave_env.estimator.lanes.Lanes` emit their instructions through a builder. Given one
+that writes them down instead, any function of numbers counts itself: no compiler, no guess.
+"""
+
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+from llvmlite import ir
+
+from mmwave_env.estimator.lanes import Lanes
+from mmwave_env.estimator.trees import leaves, rebuild
+
+_KINDS = {
+    "fadd": "add", "fsub": "add", "fmul": "multiply", "fdiv": "divide", "llvm.sqrt": "root",
+    "load": "load", "bitcast": "free",
+}  # fmt: skip
+_COMMUTE = ("fadd", "fmul", "and_", "or_")
+
+
+class Operations(NamedTuple):
+    """SIMD instructions, each on eight environments.
+
+    Attributes:
+        fused: multiply-adds: products that one sum alone uses.
+        add, multiply: sums or differences, and products, that are left.
+        divide, root: quotients and square roots.
+        select: comparisons, choices, signs and bits.
+        load, store: rows of the workspace.
+    """
+
+    fused: int = 0
+    add: int = 0
+    multiply: int = 0
+    divide: int = 0
+    root: int = 0
+    select: int = 0
+    load: int = 0
+    store: int = 0
+
+    @property
+    def arithmetic(self) -> int:
+        """All but loads and stores."""
+        return sum(self[:-2])
+
+
+@dataclass(frozen=True, eq=False)
+class _Instruction:
+    kind: str
+    operands: tuple[Any, ...]  # instructions, and constants as text
+
+    def sources(self) -> list["_Instruction"]:
+        return [operand for operand in self.operands if isinstance(operand, _Instruction)]
+
+
+class _Recorder:
+    """Stands for an LLVM builder; the same instruction on the same operands is one."""
+
+    def __init__(self) -> None:
+        self.module = ir.Module()
+        self._known: dict[tuple[Any, ...], _Instruction] = {}
+
+    def call(self, function: Any, operands: Sequence[Any], **_: Any) -> _Instruction:
+        """A vector intrinsic: llvm.<name>.v8f64."""
+        return self._record(function.name.rpartition(".")[0], operands)
+
+    def select(self, condition: _Instruction, a: Any, b: Any) -> _Instruction:
+        """A choice between what was compared is a minimum or maximum and needs no comparison."""
+        operator, *compared = condition.operands
+        chosen = [_operand(a), _operand(b)]
+        if chosen in (compared, compared[::-1]):
+            return self._record("extremum", [operator, *compared, chosen == compared])
+        return self._record("select", [condition, a, b])
+
+    def __getattr__(self, name: str) -> Callable[..., _Instruction]:
+        return lambda *operands, **_: self._record(name, operands)
+
+    def _record(self, name: str, operands: Sequence[Any]) -> _Instruction:
+        values = [_operand(value) for value in operands]
+        if name in _COMMUTE:
+            values.sort(key=lambda value: value if isinstance(value, str) else str(id(value)))
+        made = _Instruction(_KINDS.get(name, "select"), tuple(values))
+        return self._known.setdefault((name, *values), made)
+
+
+def _operand(value: Any) -> Any:
+    return value if isinstance(value, _Instruction) else str(value)
+
+
+def count(function: Callable[[Any], Any], template: Any) -> Operations:
+    """What a function from a tree of numbers to a tree of the same shape costs on lanes.
+
+    Results that nobody uses and numbers handed through cost nothing, as in a
+    :class:`~mmwave_env.estimator.program.Program`.
+    """
+    recorder = _Recorder()
+    before = [Lanes(recorder, recorder.load(row)) for row in range(len(leaves(template)))]
+    after = leaves(function(rebuild(template, iter(before))))
+    stored = [new for old, new in zip(before, after, strict=True) if new is not old]
+    return _counted([new.value for new in stored if isinstance(new, Lanes)], len(stored))
+
+
+def _counted(results: Sequence[_Instruction], stores: int) -> Operations:
+    needed = list(_needed(results))
+    kinds = Counter(one.kind for one in needed)
+    uses = Counter(source for one in needed for source in one.sources()) + Counter(results)
+    fused = sum(
+        any(source.kind == "multiply" and uses[source] == 1 for source in one.sources())
+        for one in needed
+        if one.kind == "add"
+    )
+    kinds.subtract({"add": fused, "multiply": fused})
+    # Quotients of one divisor are products with its reciprocal ("arcp" of the lanes).
+    divisors = Counter(one.operands[1] for one in needed if one.kind == "divide")
+    shared = [quotients for quotients in divisors.values() if quotients > 1]
+    kinds.update(divide=len(shared) - sum(shared), multiply=sum(shared))
+    kinds.update(fused=fused, store=stores)
+    return Operations(**{kind: kinds[kind] for kind in Operations._fields})
+
+
+def _needed(results: Iterable[_Instruction]) -> Iterator[_Instruction]:
+    """Everything that the results depend on, each once."""
+    waiting, seen = list(results), set()
+    while waiting:
+        one = waiting.pop()
+        if one not in seen:
+            seen.add(one)
+            waiting += one.sources()
+            yield one

@@ -1,0 +1,188 @@
+"""The loops that are timed, all with the same work per step as far as they can.
+
+An environment's step on filterpy's filters, on one environment, and on many: both modes'
+predictions, gates, innovations and posteriors, the reward of the chosen one, and episodes drawn
+as they are needed. Everybody chooses mode 1. The filterpy loop leaves out what an environment
+also does: observation, adaptive noise, recovery, and the metrics of an episode.
+"""
+
+from collections.abc import Callable, Iterator, Sequence
+from functools import partial
+from itertools import count
+from typing import Any, NamedTuple
+
+import gymnasium as gym
+import numpy as np
+
+from experiments.evaluation import draw_episodes
+from mmwave_env.episode import Episode
+from mmwave_env.estimator.algebra import unpack
+from mmwave_env.estimator.batch import blank_incoming, blank_site
+from mmwave_env.estimator.belief import Belief
+from mmwave_env.estimator.filterpy_twin import filterpy_pipeline
+from mmwave_env.estimator.modes import Mode, default_modes, named_modes
+from mmwave_env.estimator.pipeline import Pipeline, measurement_of, process_noise, start
+from mmwave_env.estimator.trees import rebuild
+from mmwave_env.estimator.update import Gate
+from mmwave_env.radio import radio_from
+from mmwave_env.reward import TrackingReward
+from mmwave_env.scene import scene_from
+from mmwave_env.simulation import SimulatedSource
+from mmwave_env.tracker import Tracker
+
+RADIO = "handset"
+EPISODE = 200  # steps
+SYNC = 8  # environments that Gymnasium steps one after another
+SYNC_NAME = f"sync_{SYNC}"
+TRACKS = 1024  # of the filters alone
+CARTPOLES = 1024
+THREADS = (1, 2)
+FILTERS = ("ekf", "ukf", "ckf")
+ENVIRONMENT = "mmwave_env:MmWaveLoc-v0"
+
+
+class Lap(NamedTuple):
+    """A piece of work that was just done.
+
+    Attributes:
+        steps: of single environments.
+        ends: whether it holds the ends of episodes and the drawing of the next ones.
+    """
+
+    steps: int
+    ends: bool = True
+
+
+Laps = Iterator[Lap]
+
+
+def native_name(n: int, threads: int = 1) -> str:
+    """What the vector environment of n environments is called in results."""
+    return f"native_{n}" if threads == 1 else f"native_{n}_{threads}_threads"
+
+
+def environments(sizes: Sequence[int]) -> dict[str, Callable[[], Laps]]:
+    """Everything that makes steps of an environment, by name; each begins when called."""
+    return {
+        "filterpy": filterpy,
+        "single": single,
+        SYNC_NAME: partial(vector, SYNC, vectorization_mode="sync"),
+        **{
+            native_name(n, threads): partial(vector, n, threads=threads)
+            for n in sizes
+            for threads in THREADS
+        },
+        "cartpole": cartpole,
+        f"cartpole_{CARTPOLES}": cartpoles,
+    }
+
+
+def filters() -> dict[str, Callable[[], Laps]]:
+    """The filters alone, by name, one thread."""
+    episodes = draw_episodes(source(), range(TRACKS))
+    return {name: partial(tracks, filter_mode(name), episodes) for name in FILTERS}
+
+
+def filter_mode(name: str) -> Mode:
+    """The mode whose filter is timed."""
+    return named_modes(RADIO)[name]
+
+
+def source() -> SimulatedSource:
+    """The episodes that the environment draws by default."""
+    return SimulatedSource(scene_from("street"), radio_from(RADIO), epochs=EPISODE)
+
+
+def pipeline() -> Pipeline:
+    """What the environment runs by default."""
+    return Pipeline(default_modes(RADIO), source().layout)
+
+
+def filterpy() -> Laps:
+    """A loop on filterpy's filters."""
+    episodes, twin = source(), filterpy_pipeline(pipeline())
+    for seed in count():
+        filterpy_episode(twin, episodes.sample(np.random.default_rng(seed)))
+        yield Lap(EPISODE)
+
+
+def filterpy_episode(twin: Pipeline, episode: Episode) -> float:
+    """Filter an episode with every mode and keep the last one's belief; the sum of rewards."""
+    layout, memory, reward = twin.layout, start(twin), TrackingReward()
+    site = rebuild(blank_site(layout), iter(episode.site().tolist()))
+    blank = blank_incoming(layout)
+    x, P, total = site.prior_x, unpack(site.prior_P), 0.0
+    for row in episode.table().tolist():
+        incoming = rebuild(blank, iter(row))
+        epoch = incoming.epoch(layout)
+        for mode in twin.modes:
+            noise = process_noise(mode.tuning, epoch, site.hz_per_mps, 1.0, twin.planar)
+            measurement = measurement_of(mode, memory, epoch, site, layout)
+            prior = twin.predict(mode, x, P, noise, epoch.dt)
+            posterior = twin.update(mode)(*prior, measurement, Gate(mode.gate))
+        x, P = posterior.x, posterior.P
+        total += reward(Belief(x, P), incoming.truth)
+    return total
+
+
+def single() -> Laps:
+    """One environment, as `gymnasium.make` makes it."""
+    env = gym.make(ENVIRONMENT, episode_steps=EPISODE)
+    env.reset(seed=0)
+    action = np.int64(1)
+    while True:
+        for _ in range(EPISODE - 1):
+            env.step(action)
+        yield Lap(EPISODE - 1, ends=False)
+        over = env.step(action)[3]
+        assert over
+        env.reset()
+        yield Lap(1)
+
+
+def vector(n: int, **options: Any) -> Laps:
+    """Environments in step, as `gymnasium.make_vec` makes them; all episodes end together."""
+    env = gym.make_vec(ENVIRONMENT, num_envs=n, episode_steps=EPISODE, **options)
+    env.reset(seed=0)
+    actions = np.ones(n, np.int64)
+    while True:
+        for _ in range(EPISODE - 1):
+            env.step(actions)
+        yield Lap(n * (EPISODE - 1), ends=False)
+        over = env.step(actions)[3]
+        assert over.all()
+        env.step(actions)  # which only draws the next episodes
+        yield Lap(n)
+
+
+def tracks(mode: Mode, episodes: Sequence[Episode]) -> Laps:
+    """A filter and its gates from the first epoch of every episode to the last."""
+    tracker = Tracker(Pipeline((mode,), episodes[0].layout), len(episodes))
+    tracker.load(episodes)
+    while True:
+        tracker.tune([mode.tuning])  # starts over
+        tracker.run()
+        yield Lap(len(episodes) * EPISODE)
+
+
+def cartpole() -> Laps:
+    """Gymnasium's own environment; pushes in turn, which it survives for a while."""
+    env = gym.make("CartPole-v1")
+    env.reset(seed=0)
+    while True:
+        for step in range(EPISODE):
+            _, _, terminated, truncated, _ = env.step(step % 2)
+            if terminated or truncated:
+                env.reset()
+        yield Lap(EPISODE)
+
+
+def cartpoles() -> Laps:
+    """Many of them in Gymnasium's own vector environment."""
+    env = gym.make_vec("CartPole-v1", num_envs=CARTPOLES)
+    env.reset(seed=0)
+    pushes = [np.full(CARTPOLES, push) for push in (0, 1)]
+    while True:
+        for step in range(EPISODE):
+            env.step(pushes[step % 2])
+        yield Lap(CARTPOLES * EPISODE)

@@ -1,0 +1,80 @@
+"""mmwave-loc benchmark, as it is typed."""
+
+import json
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from experiments.cli import run
+from experiments.pages import MARK
+from experiments.speed.report import TITLES
+
+ROOT = Path(__file__).parents[1]
+PAGE = ROOT / "docs" / "performance.md"
+
+
+@pytest.mark.slow
+def test_a_short_run_writes_everything(tmp_path):
+    page, file, plot = (tmp_path / name for name in ("page.md", "new/all.json", "plot.png"))
+    page.write_text(PAGE.read_text())
+    options = ("--sizes", 8, 64, "--seconds", 0, "--repeats", 1)
+    words = [
+        "experiments.cli",
+        "benchmark",
+        *options,
+        "--json",
+        file,
+        "--plot",
+        plot,
+        "--docs",
+        page,
+    ]
+    done = subprocess.run(
+        [sys.executable, "-m", *map(str, words)], capture_output=True, text=True, cwd=ROOT
+    )
+    assert done.returncode == 0, done.stderr
+    assert re.findall("^### (.*)", done.stdout, re.MULTILINE) == list(TITLES)
+    result = json.loads(file.read_text())
+    assert list(result)[:5] == [
+        "ratios", "limit_fraction", "steps_per_s", "cold_start_s", "peak_rss_mb",
+    ]  # fmt: skip
+    rates = result["steps_per_s"]
+    for pair, ratio in result["ratios"].items():
+        over, under = pair.split("_over_")
+        assert ratio == pytest.approx(rates[over] / rates[under])
+    assert {"ekf", "ukf", "ckf", "native_64", "native_64_between_ends"} <= set(
+        result["limit_fraction"]
+    )
+    assert set(result["cold_start_s"]) == set(result["peak_rss_mb"])
+    assert 20.0 < result["peak_rss_mb"]["cartpole"] < result["peak_rss_mb"]["native_64"]
+    for picture in (plot, page.with_suffix(".png")):
+        assert picture.read_bytes().startswith(b"\x89PNG")
+    renewed = {match[1]: match[0] for match in MARK.finditer(page.read_text())}
+    assert all(table.split("\n", 1)[1].rpartition("\n")[0] in done.stdout
+               for table in renewed.values())  # fmt: skip
+
+
+def test_the_page_has_every_table():
+    assert sorted(match[1] for match in MARK.finditer(PAGE.read_text())) == sorted(TITLES)
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (["--sizes", "8", "0"], r"sizes: found \[8, 0\], expected numbers of at least 1"),
+        (["--seconds", "-1"], "seconds: found -1.0, expected a time of at least 0"),
+        (["--repeats", "0"], "repeats: found 0, expected at least 1"),
+        (["--docs", "CHANGELOG.md"], "CHANGELOG.md: found no table"),
+        (["--docs", "docs/paper.md"], "found 'Table I: pedestrian, handset', expected one of"),
+        (["--plot", "docs"], "docs: found a folder, expected a file to write"),
+    ],
+)
+def test_mistakes_end_with_one_clear_line_before_the_work(monkeypatch, capsys, options, message):
+    monkeypatch.chdir(ROOT)
+    with pytest.raises(SystemExit) as stop:
+        run("benchmark", options)
+    (line,) = capsys.readouterr().err.splitlines()
+    assert stop.value.code == 2 and re.match(f"mmwave-loc benchmark: .*{message}", line), line
