@@ -12,6 +12,7 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from mmwave_env.disk_cache import compiled
 from mmwave_env.names import choose
 from mmwave_env.scene import Streets
 
@@ -168,12 +169,12 @@ def trajectory(
     )
 
 
-@numba.njit(cache=True)
+@numba.njit
 def _uniform(rng, interval):  # type: ignore[no-untyped-def]
     return interval[0] + (interval[1] - interval[0]) * rng.random()
 
 
-@numba.njit(cache=True)
+@numba.njit
 def _draw_phases(rng, duration, ranges, fixed, ends_as_it_began, total_s):  # type: ignore[no-untyped-def]
     """When each phase ends (phases,), and its limits (phases, 8); see :func:`_plan`.
 
@@ -197,7 +198,7 @@ def _draw_phases(rng, duration, ranges, fixed, ends_as_it_began, total_s):  # ty
     return ends[:n], limits
 
 
-@numba.njit(cache=True)
+@numba.njit
 def _draw_gait(rng, gaits):  # type: ignore[no-untyped-def]
     """Target speed and duration of the next gait; gaits (n, 4) as in Gait, zero rows unused."""
     left = rng.random() * gaits[:, 3].sum()
@@ -211,7 +212,7 @@ def _draw_gait(rng, gaits):  # type: ignore[no-untyped-def]
     return speed, gaits[chosen, 2] * rng.standard_exponential()
 
 
-@numba.njit(cache=True)
+@numba.njit
 def _draw_turn(rng, node, heading, counts):  # type: ignore[no-untyped-def]
     """Quarter turns to the left at a node: 0, 1, -1, or 2 (back) where nothing else stays in."""
     options = np.empty(3, np.int64)
@@ -226,7 +227,7 @@ def _draw_turn(rng, node, heading, counts):  # type: ignore[no-untyped-def]
     return options[int(rng.random() * n)] if n else 2
 
 
-@numba.njit(cache=True)
+@numba.njit
 def _draw_start(rng, counts):  # type: ignore[no-untyped-def]
     """A crossing to start at, and a heading that leads somewhere."""
     node = np.array([int(rng.random() * (counts[0] + 1)), int(rng.random() * (counts[1] + 1))])
@@ -234,14 +235,14 @@ def _draw_start(rng, counts):  # type: ignore[no-untyped-def]
     return node, (heading + _draw_turn(rng, node, heading, counts)) % 4
 
 
-@numba.njit(cache=True)
+@numba.njit
 def _row(limits, phase):  # type: ignore[no-untyped-def]
     """A phase's limits as a tuple, which costs nothing to hand on."""
     l = limits[phase]
     return l[0], l[1], l[2], l[3], l[4], l[5], l[6], l[7]
 
 
-@numba.njit(cache=True)
+@numba.njit
 def _draw_crossing(rng, node, heading, counts, limits):  # type: ignore[no-untyped-def]
     """Move ``node`` to the next crossing; what to do there: the turn, and seconds of red light."""
     node[0] += 1 if heading == 0 else -1 if heading == 2 else 0
@@ -253,13 +254,13 @@ def _draw_crossing(rng, node, heading, counts, limits):  # type: ignore[no-untyp
     return turn, red
 
 
-@numba.njit(cache=True)
+@numba.njit
 def _toward(v, target, limits):  # type: ignore[no-untyped-def]
     """Wanted acceleration to reach a target speed."""
     return min(max((target - v) / 0.5, -limits[1]), limits[0])
 
 
-@numba.njit(cache=True)
+@numba.njit
 def _pull(v, a, target, limits, cap, left):  # type: ignore[no-untyped-def]
     """Wanted acceleration: towards the target, and down to ``cap`` within ``left`` metres."""
     braking, jerk = limits[1], limits[3]
@@ -272,7 +273,7 @@ def _pull(v, a, target, limits, cap, left):  # type: ignore[no-untyped-def]
     return pull
 
 
-@numba.njit(cache=True)
+@numba.njit
 def _drive(v, a, target, limits, turn, red, radius, left):  # type: ignore[no-untyped-def]
     """Wanted acceleration with a crossing ``left`` metres ahead."""
     if turn != 0 and left <= 0.0:  # on the arc
@@ -285,33 +286,33 @@ def _drive(v, a, target, limits, turn, red, radius, left):  # type: ignore[no-un
     return pull
 
 
-@numba.njit(cache=True)
+@numba.njit
 def _within_jerk(a, pull, most):  # type: ignore[no-untyped-def]
     """The acceleration, moved towards the wanted one by no more than ``most``."""
     return a + min(max(pull - a, -most), most)
 
 
-@numba.njit(cache=True)
+@numba.njit
 def _speed_up(v, a, step):  # type: ignore[no-untyped-def]
     """Speed a step on, never backwards, and the acceleration: none into standing still."""
     faster = max(v + a * step, 0.0)
     return faster, a if faster > 0.0 else max(a, 0.0)
 
 
-@numba.njit(cache=True)
+@numba.njit
 def _course(heading, turn, bent, arc):  # type: ignore[no-untyped-def]
     """Direction of travel (rad), ``bent`` metres into an arc of ``arc`` metres."""
     share = min(max(bent / arc, 0.0), 1.0) if turn != 0 else 0.0
     return (heading + turn * share) * (np.pi / 2)
 
 
-@numba.njit(cache=True)
+@numba.njit
 def _turned(before, angle):  # type: ignore[no-untyped-def]
     """An angle, its cosine and its sine, from those before: most of the way is straight."""
     return before if angle == before[0] else (angle, np.cos(angle), np.sin(angle))
 
 
-@numba.njit(cache=True)
+@numba.njit
 def _ahead(distance, turn, radius):  # type: ignore[no-untyped-def]
     """Straight stretch and arc to a crossing ``distance`` metres away."""
     if turn == 0:
@@ -319,7 +320,7 @@ def _ahead(distance, turn, radius):  # type: ignore[no-untyped-def]
     return max(distance - radius, 0.5), abs(turn) * (np.pi / 2) * radius
 
 
-@numba.njit(cache=True)
+@numba.njit
 def _widen(turn, travelled, stretch, arc, radius, wanted):  # type: ignore[no-untyped-def]
     """Corner radius, straight stretch and arc ahead, for another radius if there is room."""
     if turn == 0 or stretch - travelled <= max(wanted - radius, -1.0) + 1.0:
@@ -327,7 +328,7 @@ def _widen(turn, travelled, stretch, arc, radius, wanted):  # type: ignore[no-un
     return wanted, stretch - (wanted - radius), abs(turn) * (np.pi / 2) * wanted
 
 
-@numba.njit(cache=True, nogil=True)
+@compiled
 def _travel(  # type: ignore[no-untyped-def]
     rng, duration, ranges, fixed, ends_as_it_began, gaits, net, block, dt, stride, out
 ):

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from mmwave_env.arithmetic import Number, Vector, sqrt, where, wrap
 from mmwave_env.channel import Channel, ChannelDraws, Weather, calm, channel_epoch, channel_of
+from mmwave_env.disk_cache import compiled
 from mmwave_env.episode import Episode
 from mmwave_env.estimator.algebra import dot
 from mmwave_env.estimator.batch import Incoming, blank_incoming
@@ -174,25 +175,25 @@ def _kept(layout: Layout) -> tuple[int, int]:
     return leaves(index.measured)[0], index.bias_hz + 1
 
 
-@numba.njit(cache=True)
+@numba.njit
 def _normals(rng, out, first, last):  # type: ignore[no-untyped-def]
     out[:, first:last] = rng.standard_normal((len(out), last - first))
     return last
 
 
-@numba.njit(cache=True)
+@numba.njit
 def _uniforms(rng, out, first, last):  # type: ignore[no-untyped-def]
     out[:, first:last] = rng.random((len(out), last - first))
     return last
 
 
-@numba.njit(cache=True)
+@numba.njit
 def _exponentials(rng, out, first, last):  # type: ignore[no-untyped-def]
     out[:, first:last] = rng.standard_exponential((len(out), last - first))
     return last
 
 
-@numba.njit(cache=True, nogil=True)
+@compiled
 def _draw(rng, out, links, rows):  # type: ignore[no-untyped-def]
     """Fill (T, draws) after the truth, in the order of the leaves of :class:`Draws`.
 
