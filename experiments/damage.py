@@ -1,6 +1,5 @@
 """Episodes with measurements taken away or falsified, as receivers and networks do it."""
 
-from collections import Counter
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -33,7 +32,7 @@ def _some(rng: np.random.Generator, size: int, share: float) -> NDArray[np.int64
 
 def damaged(
     episodes: Sequence[Episode], rng: np.random.Generator
-) -> tuple[list[Episode], Counter[str]]:
+) -> tuple[list[Episode], dict[str, int]]:
     """Copies of episodes of one layout and length, with data missing or wrong.
 
     Links are missing for stretches, all of them for 50 epochs and more, and the Doppler shift,
@@ -74,4 +73,4 @@ def damaged(
         "values NaN or infinite": len(broken),
         "outliers of 10 to 1000 sigma": len(wild),
     }
-    return copies, Counter({what: int(count) for what, count in done.items()})
+    return copies, {what: int(count) for what, count in done.items()}

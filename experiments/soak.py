@@ -7,7 +7,6 @@ times, with other damage and other actions, which depend on the seed and the run
 
 import sys
 import time
-from collections import Counter
 from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass, field
 from itertools import cycle, product
@@ -72,7 +71,7 @@ class Tally:
     steps: int = 0
     episodes: int = 0
     drawn: int = 0
-    damage: Counter[str] = field(default_factory=Counter)
+    damage: dict[str, int] = field(default_factory=dict)
     links: int = 0
     missing: int = 0
     smallest_pivot: float = 1.0
@@ -80,10 +79,10 @@ class Tally:
     violations: list[str] = field(default_factory=list)
     seconds: float = 0.0
 
-    def loaded(self, episodes: list[Episode], damage: Counter[str]) -> None:
+    def loaded(self, episodes: list[Episode], damage: dict[str, int]) -> None:
         """Count episodes about to be run."""
         self.episodes += len(episodes)
-        self.damage += damage
+        self.damage = {what: self.damage.get(what, 0) + n for what, n in damage.items()}
         for episode in episodes:
             links = episode.usable[:, : episode.layout.anchors]
             self.links += links.size
@@ -138,16 +137,23 @@ class Watch:
 
     Args:
         engine: what to look at.
-        n: its number of environments.
     """
 
-    def __init__(self, engine: Engine, n: int) -> None:
-        at, self.n = engine.at, n
-        parts = (at.memory, at.candidates, at.observation, at.reward, at.nees)
-        self.read, self.distance = engine.read, at.distance
-        self.x, self.P, *self.others = (
-            part if isinstance(part, int) else engine.span(part) for part in (at.x, at.P, *parts)
-        )
+    def __init__(self, engine: Engine) -> None:
+        self.read = engine.read
+        names = ("x", "P", "memory", "candidates", "observation", "reward", "nees", "distance")
+        self._parts = {name: getattr(engine.at, name) for name in names}
+        for name, part in self._parts.items():
+            if not isinstance(part, int):
+                self._parts[name] = engine.span(part)
+
+    def infinite(self) -> dict[str, NDArray[np.bool_]]:
+        """Which environments (n,) have a number that is not finite, for each kind of numbers."""
+        found = {}
+        for name, part in self._parts.items():
+            wrong = ~np.isfinite(self.read(part))
+            found[name] = wrong.any(axis=1) if wrong.ndim > 1 else wrong
+        return found
 
     def pivots(self) -> Array:
         """The smallest pivot of each P, over its variance (n,): positive if P is definite.
@@ -155,28 +161,24 @@ class Watch:
         It is the share of a variance that the components before it do not explain; NaN where
         P is not positive definite.
         """
-        P = unpack(list(np.ascontiguousarray(self.read(self.P).T)))
+        P = unpack(list(np.ascontiguousarray(self.read(self._parts["P"]).T)))
         with np.errstate(invalid="ignore", divide="ignore"):
             factor = cholesky(P)
             shares = [factor[i][i] ** 2 / P[i][i] for i in range(len(P))]
         smallest: Array = np.min(shares, axis=0)
         return smallest
 
-    def finite(self) -> NDArray[np.bool_]:
-        """Whether all that is believed, remembered, considered and shown is finite (n,)."""
-        sound = [
-            np.isfinite(self.read(part)).reshape(self.n, -1).all(axis=1)
-            for part in (self.x, self.P, self.distance, *self.others)
-        ]
-        everywhere: NDArray[np.bool_] = np.all(sound, axis=0)
-        return everywhere
+    def values(self, place: int) -> str:
+        """The belief of an environment."""
+        x, P = (self.read(self._parts[name])[place].tolist() for name in ("x", "P"))
+        return f"x = {x}, lower triangle of P = {P}"
 
 
 def soak(args: Args, tally: Tally, show: Callable[[float], None]) -> None:
     """Run until enough steps are done, or a number is not sound."""
     modes, n = tuple(named_modes().values()), args.num_envs
     engine = Engine(Pipeline(modes, Layout(3)), n, TrackingReward())
-    watch = Watch(engine, n)
+    watch = Watch(engine)
     for name, seeds, drawn, rng in runs(args, tally):
         episodes, damage = damaged(drawn, rng)
         tally.loaded(episodes, damage)
@@ -184,16 +186,16 @@ def soak(args: Args, tally: Tally, show: Callable[[float], None]) -> None:
         actions, stay = rng.integers(len(modes), size=n), rng.choice(STAY, n)
         for epoch in range(len(episodes[0])):
             engine.step(actions)
-            smallest, distance = watch.pivots(), watch.read(watch.distance)
-            unsound = np.flatnonzero(~(watch.finite() & (smallest > 0.0)))
             tally.steps += n
-            if len(unsound):
-                for place in unsound:
-                    x, P = (watch.read(part)[place].tolist() for part in (watch.x, watch.P))
-                    tally.violations.append(
-                        f"{name}, epoch {epoch}, environment {place} (seed {seeds[place]}), mode "
-                        f"{modes[actions[place]].name}: x = {x}, lower triangle of P = {P}"
-                    )
+            smallest, distance = watch.pivots(), engine.read(engine.at.distance)
+            unsound = watch.infinite() | {"pivots of P": ~(smallest > 0.0)}
+            for place in np.flatnonzero(np.any(list(unsound.values()), axis=0)).tolist():
+                wrong = ", ".join(kind for kind, where in unsound.items() if where[place])
+                tally.violations.append(
+                    f"{name}, epoch {epoch}, environment {place} (seed {seeds[place]}), mode "
+                    f"{modes[actions[place]].name}, unsound {wrong}: {watch.values(place)}"
+                )
+            if tally.violations:
                 return
             tally.smallest_pivot = min(tally.smallest_pivot, float(smallest.min()))
             tally.largest_error_m = max(tally.largest_error_m, float(distance.max()))
