@@ -19,6 +19,7 @@ COMMANDS = {
     "tune": "process noise of modes, by likelihood or error, on tuning seeds",
     "tune-threshold": "the best threshold of the speed rule, on tuning seeds",
     "benchmark": "steps per second beside filterpy's and the core's limit, memory, first step",
+    "soak": "many steps of all modes on damaged data, every number checked",
     "simulate": "one episode as files: measurement log, scene and truth",
     "demo": "the comparison of the README, on simulated and ray-traced streets",
 }

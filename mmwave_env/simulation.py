@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from mmwave_env.arithmetic import Number, Vector, sqrt, where, wrap
 from mmwave_env.channel import Channel, ChannelDraws, Weather, calm, channel_epoch, channel_of
+from mmwave_env.disk_cache import compiled
 from mmwave_env.episode import Episode, Packed
 from mmwave_env.estimator.algebra import dot
 from mmwave_env.estimator.batch import Incoming, blank_incoming
@@ -170,7 +171,7 @@ def _kept(layout: Layout) -> Index:
     return np.array(leaves(_program(layout).index.measured))
 
 
-@numba.njit(cache=True)
+@numba.njit
 def _normals(rng, out, first, last):  # type: ignore[no-untyped-def]
     for epoch in range(len(out)):
         for i in range(first, last):
@@ -178,7 +179,7 @@ def _normals(rng, out, first, last):  # type: ignore[no-untyped-def]
     return last
 
 
-@numba.njit(cache=True)
+@numba.njit
 def _uniforms(rng, out, first, last):  # type: ignore[no-untyped-def]
     for epoch in range(len(out)):
         for i in range(first, last):
@@ -186,7 +187,7 @@ def _uniforms(rng, out, first, last):  # type: ignore[no-untyped-def]
     return last
 
 
-@numba.njit(cache=True)
+@numba.njit
 def _exponentials(rng, out, first, last):  # type: ignore[no-untyped-def]
     for epoch in range(len(out)):
         for i in range(first, last):
@@ -194,7 +195,7 @@ def _exponentials(rng, out, first, last):  # type: ignore[no-untyped-def]
     return last
 
 
-@numba.njit(cache=True, nogil=True)
+@compiled
 def _draw(rng, out, links, rows):  # type: ignore[no-untyped-def]
     """Fill (T, draws) after the truth, in the order of the leaves of :class:`Draws`.
 

@@ -43,5 +43,6 @@ def share(
         work()
     finally:
         for other in others:
-            other.result()
+            if not other.cancel():  # one that has not begun, because all are busy, is not needed
+                other.result()
     return found

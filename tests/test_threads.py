@@ -1,10 +1,23 @@
-"""Jobs shared among threads."""
+"""Jobs shared among threads, and environments that share theirs."""
 
+import gc
+import os
+import subprocess
+import sys
+import textwrap
 import threading
 import time
+import weakref
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
 
+import numpy as np
 import pytest
 
+import mmwave_env
+from mmwave_env.radio import RADIOS
+from mmwave_env.scene import SCENES
+from mmwave_env.simulation import SimulatedSource
 from mmwave_env.threads import share
 
 
@@ -34,3 +47,217 @@ def test_no_more_threads_work_than_allowed():
 def test_errors_come_through(wrong):
     with pytest.raises(ZeroDivisionError):
         share(lambda i: 1 / (i - wrong), [(i,) for i in range(8)], 2)
+
+
+def test_an_error_of_another_thread_comes_through_and_leaves_it_fit_for_work():
+    me, begun = threading.get_ident(), threading.Event()
+
+    def job(i):
+        if threading.get_ident() != me:
+            begun.set()
+            raise KeyError(i)
+        begun.wait(10.0)
+        return i
+
+    with pytest.raises(KeyError):
+        share(job, [(i,) for i in range(9)], 2)
+    assert share(lambda i: i, [(i,) for i in range(9)], 2) == list(range(9))
+
+
+def test_jobs_may_share_jobs():
+    """More than there are threads, each waiting for others: none may wait for one not begun."""
+
+    def job(i):
+        return share(lambda j: i + j, [(j,) for j in range(4)], 4)
+
+    found = share(job, [(i,) for i in range(200)], 50)
+    assert found == [[i + j for j in range(4)] for i in range(200)]
+
+
+def test_several_threads_may_share_jobs_at_once():
+    def many():
+        return [share(lambda a: a * a, [(i,) for i in range(7)], 3) for _ in range(200)]
+
+    with ThreadPoolExecutor(6) as callers:
+        found = [future.result() for future in [callers.submit(many) for _ in range(6)]]
+    assert found == [[[i * i for i in range(7)]] * 200] * 6
+
+
+def test_nothing_is_held_once_the_jobs_are_done():
+    class Thing:
+        pass
+
+    thing = Thing()
+    share(lambda *_: None, [(thing,)] * 8, 2)
+    gone = weakref.ref(thing)
+    del thing
+    gc.collect()
+    assert gone() is None
+
+
+def test_draws_do_not_depend_on_the_thread():
+    """As they would if they came from numba's own generators, of which every thread has one."""
+    source = SimulatedSource(SCENES["street"], RADIOS["handset"], epochs=20)
+
+    def draw(seed):
+        time.sleep(0.001)  # or one thread may do it all
+        (name,), table, prior = source.tables([np.random.default_rng(seed)])
+        return name, table, prior, threading.get_ident()
+
+    one, many = (share(draw, [(seed,) for seed in range(40)], threads) for threads in (1, 5))
+    assert len({thread for *_, thread in many}) > 1
+    for a, b in zip(one, many, strict=True):
+        assert a[0] == b[0]
+        np.testing.assert_array_equal(a[1], b[1])
+        np.testing.assert_array_equal(a[2], b[2])
+
+
+# --- processes of their own
+
+STEPPED = """
+import os, signal, sys, threading, time
+import gymnasium as gym
+import numpy as np
+import mmwave_env.estimator.batch as batch
+from mmwave_env.threads import share
+
+batch.BLOCKS_PER_THREAD = 1
+
+def stepped(seed=0, steps=3, **arguments):
+    env = gym.make_vec("mmwave_env:MmWaveLoc-v0", num_envs=32, modes=["ekf"], **arguments)
+    env.reset(seed=seed)
+    return env, [env.step(np.zeros(32, int))[1] for _ in range(steps)]
+
+if __name__ == "__main__":
+    signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell may have it ignored
+    env, rewards = stepped(threads=2)
+"""
+
+
+def process(code, tmp_path):
+    """What a program prints that goes on after some steps with two threads; it must end."""
+    program = tmp_path / "program.py"  # a file, so that processes that are spawned can read it
+    program.write_text(STEPPED + textwrap.indent(textwrap.dedent(code), "    "))
+    path = os.pathsep.join([str(Path(mmwave_env.__file__).parents[1]), *sys.path])
+    done = subprocess.run(
+        [sys.executable, program], capture_output=True, text=True, timeout=120,
+        env=os.environ | {"PYTHONPATH": path},
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    return done.stdout.split()
+
+
+posix = pytest.mark.skipif(not hasattr(os, "fork"), reason="needs fork and signals")
+
+
+def test_idle_threads_burn_nothing_and_none_of_numba_is_started(tmp_path):
+    code = """
+    before = time.process_time()
+    time.sleep(1.0)
+    spent = time.process_time() - before
+    try:
+        import numba
+        started = numba.threading_layer()
+    except ValueError:
+        started = None
+    layers = [name for name in sys.modules if name.startswith("numba.np.ufunc") and "pool" in name]
+    print(spent < 0.1, started, layers, threading.active_count() > 1)
+    """
+    assert process(code, tmp_path) == ["True", "None", "[]", "True"]
+
+
+def test_a_process_ends_with_idle_threads_and_with_an_environment(tmp_path):
+    assert process("print(threading.active_count() > 1)", tmp_path) == ["True"]
+
+
+def test_an_environment_goes_while_threads_are_idle(tmp_path):
+    code = """
+    import gc, weakref
+    engine = weakref.ref(env._engine)
+    del env
+    gc.collect()
+    print(engine(), threading.active_count() > 1)
+    """
+    assert process(code, tmp_path) == ["None", "True"]
+
+
+@posix
+def test_an_interrupt_waits_for_the_others_and_the_next_reset_starts_over(tmp_path):
+    code = """
+    done = []
+    def job(i):
+        if i == 0:
+            signal.raise_signal(signal.SIGINT)
+        time.sleep(0.05)
+        done.append(i)
+    try:
+        share(job, [(i,) for i in range(6)], 2)
+    except KeyboardInterrupt:
+        before = len(done)
+        time.sleep(0.3)
+        print("interrupted", len(done) == before)
+    advance = batch.share
+    def interrupted(*arguments):
+        batch.share = advance
+        advance(*arguments)
+        raise KeyboardInterrupt
+    batch.share = interrupted
+    try:
+        env.step(np.zeros(32, int))
+    except KeyboardInterrupt:
+        env.reset(seed=0)
+        again = [env.step(np.zeros(32, int))[1] for _ in range(3)]
+        print(np.array_equal(rewards, again))
+    """
+    assert process(code, tmp_path) == ["interrupted", "True", "True"]
+
+
+@posix
+def test_a_forked_child_compiles_steps_and_ends_like_any_process(tmp_path):
+    code = """
+    child = os.fork()
+    _, own = stepped(threads=2)
+    _, other = stepped(threads=2, reward="log-score")  # compiled after the fork
+    if child == 0:
+        sys.exit(0 if np.array_equal(rewards, own) and np.isfinite(other).all() else 1)
+    print(os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]))
+    """
+    assert process(code, tmp_path) == ["0"]
+
+
+@posix
+@pytest.mark.slow
+@pytest.mark.parametrize("context", ["fork", "spawn", "forkserver"])
+def test_environments_run_in_processes_of_their_own(context, tmp_path):
+    code = f"""
+    import warnings
+    warnings.simplefilter("ignore")  # newer versions of Python warn of any fork with threads
+    one = lambda: gym.make("mmwave_env:MmWaveLoc-v0", modes=["ekf"])
+    found = gym.vector.AsyncVectorEnv([one] * 2, context="{context}")
+    expected = gym.vector.SyncVectorEnv([one] * 2)
+    for env in (found, expected):
+        env.reset(seed=3)
+    for _ in range(3):
+        a, b = (env.step(np.zeros(2, int)) for env in (found, expected))
+        print(*(np.array_equal(x, y) for x, y in zip(a[:4], b[:4])))
+    found.close()
+    """
+    assert process(code, tmp_path) == ["True"] * 12
+
+
+def test_environments_are_stepped_by_several_threads_at_once(tmp_path):
+    code = """
+    from concurrent.futures import ThreadPoolExecutor
+    fresh = {"reward": "log-score"}  # not compiled yet: all threads ask for it at once
+    seeds = [0, 1, 2, 3] * 2
+    with ThreadPoolExecutor(len(seeds)) as callers:
+        jobs = [callers.submit(stepped, seed, 20, threads=2, **fresh) for seed in seeds]
+        together = [job.result()[1] for job in jobs]
+    print(*(np.array_equal(a, stepped(s, 20, **fresh)[1]) for a, s in zip(together, seeds)))
+    """
+    assert process(code, tmp_path) == ["True"] * 8
+
+
+def test_more_threads_than_cores_change_nothing(tmp_path):
+    code = "print(np.array_equal(rewards, stepped(threads=50)[1]))"
+    assert process(code, tmp_path) == ["True"]

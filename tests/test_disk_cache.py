@@ -1,0 +1,201 @@
+"""Compiled functions on disk: found again, never out of date, and never in the way."""
+
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+import mmwave_env
+
+SOURCES = {
+    "__init__.py": "",
+    "caller.py": (
+        "from mmwave_env.callee import twice\n"
+        "from mmwave_env.disk_cache import compiled\n"
+        "@compiled\n"
+        "def function(x):\n"
+        "    return twice(x) + 1\n"
+    ),
+    "callee.py": "import numba\n@numba.njit\ndef twice(x):\n    return x * 2\n",
+}
+SCRIPT = """
+from mmwave_env.caller import function
+print(function(20), sum(function.stats.cache_hits.values()))
+"""
+
+
+@pytest.fixture
+def package(tmp_path):
+    """A small package with our cache, as installed somewhere."""
+    folder = tmp_path / "site" / "mmwave_env"
+    folder.mkdir(parents=True)
+    for name, source in SOURCES.items():
+        (folder / name).write_text(source)
+    shutil.copy(Path(mmwave_env.__file__).parent / "disk_cache.py", folder)
+    return folder
+
+
+def started(package, script=SCRIPT, **variables):
+    """A process that imports the package; its home is the folder beside ``site``."""
+    home = package.parent.parent
+    clean = {k: v for k, v in os.environ.items() if not k.startswith(("NUMBA", "XDG"))}
+    # Python's own bytecode goes by time and size, which edits keep here; it is not at issue.
+    own = {"PYTHONPATH": str(package.parent), "PYTHONDONTWRITEBYTECODE": "1", "HOME": str(home)}
+    given = {name: value for name, value in (clean | own | variables).items() if value is not None}
+    return subprocess.Popen(
+        [sys.executable, "-c", script], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+        env=given, cwd=home,
+    )  # fmt: skip
+
+
+def finished(process):
+    out, errors = process.communicate(timeout=120)
+    assert process.returncode == 0, errors
+    return out.split()
+
+
+def run(package, **variables):
+    """What the function returns in a new process, and how often it was found on disk."""
+    value, hits = finished(started(package, **variables))
+    return int(value), int(hits)
+
+
+def block(path):
+    """Keep a folder from being made, which holds for root, too."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text("")
+
+
+def kept(package):
+    """The files of compiled functions, wherever they are."""
+    files = package.parent.parent.rglob("mmwave_env-*/*")
+    return [path for path in files if path.is_file()]
+
+
+def edit(path, old, new):
+    """Change a source but neither its time nor its size, as unpacked archives may."""
+    stat, source = path.stat(), path.read_text()
+    assert source.count(old) == 1
+    path.write_text(source.replace(old, new))
+    os.utime(path, ns=(stat.st_atime_ns, stat.st_mtime_ns))
+    assert (path.stat().st_size, path.stat().st_mtime_ns) == (stat.st_size, stat.st_mtime_ns)
+
+
+def test_the_next_process_does_not_compile(package):
+    assert [run(package), run(package)] == [(41, 0), (41, 1)]
+
+
+def test_an_edit_is_never_answered_by_old_code(package):
+    assert run(package) == (41, 0)
+    edit(package / "caller.py", "+ 1", "+ 2")
+    assert run(package) == (42, 0)
+    edit(package / "callee.py", "x * 2", "x * 3")
+    assert run(package) == (62, 0)
+    edit(package / "callee.py", "x * 3", "x * 2")
+    assert run(package) == (42, 1)  # a version there was before
+
+
+def test_functions_lie_beside_the_bytecode_of_a_writable_package(package):
+    run(package)
+    assert [path.parent.parent for path in kept(package)] == [package / "__pycache__"]
+
+
+def test_functions_lie_where_numba_is_told_to(package, tmp_path):
+    elsewhere = tmp_path / "elsewhere"
+    for name in (str(elsewhere), "relative"):
+        assert [run(package, NUMBA_CACHE_DIR=name) for _ in range(2)] == [(41, 0), (41, 1)]
+    places = {path.parent.parent for path in kept(package)}
+    assert places == {elsewhere, tmp_path / "relative"}
+
+
+READ_ONLY = {
+    "a home": ({}, 1),
+    "a cache folder of one's own": ({"XDG_CACHE_HOME": "{tmp}/mine"}, 1),
+    "no writable home": ({"HOME": "{tmp}/blocked"}, 0),
+    "nobody's home": ({"HOME": "~nobody-at-all"}, 0),
+    "no writable folder for numba": ({"NUMBA_CACHE_DIR": "{tmp}/blocked"}, 1),
+}
+
+
+@pytest.mark.parametrize("case", READ_ONLY)
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="homes are elsewhere")
+def test_a_package_that_is_read_only_works(package, tmp_path, case):
+    variables, hits = READ_ONLY[case]
+    variables = {name: value.format(tmp=tmp_path) for name, value in variables.items()}
+    for path in (package / "__pycache__", tmp_path / "blocked"):
+        block(path)
+    assert [run(package, **variables) for _ in range(2)] == [(41, 0), (41, hits)]
+    assert len(kept(package)) == hits
+    assert not list(tmp_path.rglob("~*"))
+
+
+def test_a_folder_that_vanishes_costs_no_more_than_a_compilation(package):
+    vanishing = (
+        "import shutil\n"
+        "from mmwave_env.caller import function\n"
+        "shutil.rmtree(function.stats.cache_path)\n"
+        "print(function(20), function(2.0))\n"
+    )
+    assert finished(started(package, vanishing)) == ["41", "5.0"]
+    assert not kept(package)
+
+
+@pytest.mark.parametrize("size", [0, 10, 1000])
+def test_a_damaged_file_is_made_anew(package, size):
+    run(package)
+    (file,) = kept(package)
+    file.write_bytes(file.read_bytes()[:size])
+    assert [run(package), run(package)] == [(41, 0), (41, 1)]
+
+
+def test_a_file_of_another_function_is_not_taken_for_it(package):
+    run(package)
+    (whole,) = kept(package)
+    source = package / "caller.py"
+    source.write_text(source.read_text() + "@compiled\ndef other(x):\n    return x\n")
+    both = SCRIPT + "from mmwave_env.caller import other\nprint(other(7))"
+    assert finished(started(package, both))[-1] == "7"
+    new = [file for file in kept(package) if file.parent != whole.parent]
+    (wrong,) = [file for file in new if "other" in file.name]
+    (right,) = [file for file in new if file != wrong]
+    wrong.write_bytes(right.read_bytes())
+    assert finished(started(package, both)) == ["41", "1", "7"]
+
+
+def test_processes_may_start_at_once(package):
+    together = [started(package) for _ in range(4)]
+    assert {finished(process)[0] for process in together} == {"41"}
+    assert len(kept(package)) == 1
+    assert run(package) == (41, 1)
+
+
+def test_versions_long_out_of_use_are_removed(package):
+    for age in range(30):
+        old = package / "__pycache__" / f"mmwave_env-{age}"
+        old.mkdir(parents=True)
+        os.utime(old, (age, age))
+    assert [run(package), run(package)] == [(41, 0), (41, 1)]
+    versions = {path.name for path in (package / "__pycache__").glob("mmwave_env-*")}
+    assert 1 < len(versions) < 30
+    assert "mmwave_env-29" in versions and "mmwave_env-0" not in versions
+
+
+@pytest.mark.slow
+def test_the_environment_works_where_nothing_can_be_written(package, tmp_path):
+    shutil.rmtree(package)
+    shutil.copytree(
+        Path(mmwave_env.__file__).parent, package, ignore=shutil.ignore_patterns("__pycache__")
+    )
+    for path in (*[f / "__pycache__" for f in package.rglob("*") if f.is_dir()],
+                 package / "__pycache__", tmp_path / "blocked"):  # fmt: skip
+        block(path)
+    script = (
+        "import gymnasium as gym\n"
+        "env = gym.make('mmwave_env:MmWaveLoc-v0', episode_steps=3)\n"
+        "env.reset(seed=0)\n"
+        "print(env.step(env.action_space.sample())[3])\n"
+    )
+    assert finished(started(package, script, HOME=str(tmp_path / "blocked"))) == ["False"]
