@@ -11,6 +11,7 @@ from mmwave_env.estimator.trees import leaves
 from mmwave_env.metrics import accuracy, ate, scored
 
 Array = NDArray[np.float64]
+Index = NDArray[np.int64]
 Mask = NDArray[np.bool_]
 
 STEP_KEYS = ("position_error_m", "nees", "nis", "accepted", "rejected", "mode", "gamma")
@@ -34,9 +35,8 @@ class Panel:
         at, memory = engine.at, engine.at.memory
         tree = {
             "reward": at.reward, "position_error_m": at.distance, "nees": at.nees,
-            "mode": memory.mode, "gamma": memory.gamma, "nis": memory.nis,
-            "accepted": memory.accepted, "rejected": memory.rejected, "truth": at.truth,
-            "estimate": at.x,
+            "gamma": memory.gamma, "nis": memory.nis, "accepted": memory.accepted,
+            "rejected": memory.rejected, "truth": at.truth, "estimate": at.x,
         }  # fmt: skip
         self.rows = rows_of(list(tree.values()))
         self._columns: dict[str, Any] = {}
@@ -51,40 +51,45 @@ class Panel:
         """(n,) of the step, as the reward function has them."""
         return told[:, self._columns["reward"]].copy()
 
-    def step_info(self, told: Array) -> dict[str, NDArray[Any]]:
-        """What the step did."""
-        found: dict[str, NDArray[Any]] = {}
-        for key in STEP_KEYS:
-            found[key] = told[:, self._columns[key]]
-        found["accepted"] = found["accepted"] > 0.5
-        found["rejected"] = found["rejected"] > 0.5
-        found["mode"] = found["mode"].astype(np.int64)
-        return found
+    def step_info(self, told: Array, actions: Index) -> dict[str, NDArray[Any]]:
+        """What the step did with the modes (n,)."""
+        columns = self._columns
+        return {
+            "position_error_m": told[:, columns["position_error_m"]],
+            "nees": told[:, columns["nees"]],
+            "nis": told[:, columns["nis"]],
+            "accepted": told[:, columns["accepted"]] > 0.5,
+            "rejected": told[:, columns["rejected"]] > 0.5,
+            "mode": actions.astype(np.int64),
+            "gamma": told[:, columns["gamma"]],
+        }
 
     def state_info(self, told: Array) -> dict[str, NDArray[Any]]:
         """Where the users are, and where they are believed to be."""
-        columns = self._columns
-        return {"truth": told[:, columns["truth"]], "estimate": told[:, columns["estimate"]]}
+        return {
+            "truth": told[:, self._columns["truth"]],
+            "estimate": told[:, self._columns["estimate"]],
+        }
 
     def state_now(self) -> dict[str, NDArray[Any]]:
         """The same, whenever asked for."""
         return {"truth": self._read(self._truth), "estimate": self._read(self._estimate)}
 
 
-def masked(values: dict[str, NDArray[Any]], where: Mask) -> dict[str, Any]:
+def masked(values: dict[str, NDArray[Any]], where: Mask | None = None) -> dict[str, Any]:
     """Infos (n, ...) of the environments in ``where`` (n,), as Gymnasium batches them.
 
     The arrays are taken over; elsewhere they become 0, or None. Every key has a mask ``_key``.
-    There are no keys where there is no environment.
+    There are no keys where there is no environment. None means all.
     """
-    count = np.count_nonzero(where)
-    if count == 0:
-        return {}
-    if count < len(where):
+    masks = np.ones((len(values), len(next(iter(values.values())))), np.bool_)
+    if where is not None:
+        if not where.any():
+            return {}
         elsewhere = ~where
         for array in values.values():
             array[elsewhere] = None if array.dtype == object else 0
-    masks = np.tile(where, (len(values), 1))  # a row each
+        masks &= where
     return values | {f"_{key}": mask for key, mask in zip(values, masks, strict=True)}
 
 

@@ -8,11 +8,11 @@ Sec. III-F) would make of them.
 from functools import lru_cache
 from typing import Any, NamedTuple
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 
 from mmwave_env.arithmetic import Number
+from mmwave_env.disk_cache import compiled
 from mmwave_env.estimator.algebra import unpack
 from mmwave_env.estimator.batch import Batch
 from mmwave_env.estimator.lanes import WIDTH
@@ -53,14 +53,15 @@ class Return(NamedTuple):
         incoming: the epoch at hand.
         last: 1 at the last epoch, whose belief is already smooth.
         x: (7,) smoothed mean of the epoch at hand.
-        after: the epoch after it.
+        dt, P_predicted: of the epoch after it.
         smoothed: (3,) position error of ``x``, m.
     """
 
     incoming: Passed
     last: Number
     x: list[Number]
-    after: Passed
+    dt: Number
+    P_predicted: list[Number]
     smoothed: list[Number]
 
 
@@ -72,15 +73,15 @@ def passed(track: Track) -> Passed:
 @lru_cache(maxsize=2)
 def _way_back(pinned: tuple[int, ...]) -> Program[Return]:
     def function(w: Return) -> Return:
-        now, after = w.incoming, w.after
-        P, P_predicted = unpack(now.P, zero=pinned), unpack(after.P_predicted, zero=pinned)
-        x = select(w.last > 0.5, now.x, rts_mean(now.x, P, P_predicted, w.x, after.dt))
+        now = w.incoming
+        P, P_predicted = unpack(now.P, zero=pinned), unpack(w.P_predicted, zero=pinned)
+        x = select(w.last > 0.5, now.x, rts_mean(now.x, P, P_predicted, w.x, w.dt))
         smoothed = [e + (x[i] - now.x[i]) for i, e in enumerate(now.error)]
-        return Return(now, 0.0, x, now, smoothed)
+        return Return(now, 0.0, x, now.dt, now.P_predicted, smoothed)
 
     identity = [float(i == j) for i in range(7) for j in range(i + 1)]
     blank = Passed(1.0, [0.0] * AXES, 0.0, [0.0] * 7, identity, identity)
-    return Program(function, Return(blank, 1.0, blank.x, blank, blank.error))
+    return Program(function, Return(blank, 1.0, blank.x, 1.0, identity, blank.error))
 
 
 class Replay:
@@ -143,7 +144,7 @@ class Replay:
             _return(self._back.on_lanes(), self._back.start, way, show, out[e : e + 1])
 
 
-@numba.njit(nogil=True)  # type: ignore[untyped-decorator]
+@compiled
 def _return(run, start, way, show, out):  # type: ignore[no-untyped-def]
     """From the last epoch of up to eight episodes to the first; fill ``out`` (n, T, s)."""
     block = np.empty((len(start), WIDTH))
@@ -160,7 +161,7 @@ def _return(run, start, way, show, out):  # type: ignore[no-untyped-def]
                 out[e, t, i] = block[show[i], e]
 
 
-@numba.njit(nogil=True)  # type: ignore[untyped-decorator]
+@compiled
 def _there_and_back(  # type: ignore[no-untyped-def]
     there, back, rows, start, tables, places, actions, action, keep, show, out
 ):

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from mmwave_env.episode import Episode, EpisodeSource, Packed
 from mmwave_env.estimator.modes import Mode, modes_from
 from mmwave_env.estimator.pipeline import Pipeline
+from mmwave_env.generators import Generators
 from mmwave_env.io.samples import recording_from
 from mmwave_env.radio import Radio, radio_from
 from mmwave_env.recording import RecordedSource
@@ -18,6 +19,7 @@ from mmwave_env.scene import Scene, scene_from
 from mmwave_env.simulation import SimulatedSource
 
 Array = NDArray[np.float64]
+Index = NDArray[np.int64]
 
 EPISODE_STEPS = 200
 
@@ -50,18 +52,20 @@ class Setting:
         return episode
 
     def draw_many(
-        self, rngs: Sequence[np.random.Generator], room: Array | None = None, threads: int = 1
+        self, generators: Generators, places: Index, room: Array | None = None, threads: int = 1
     ) -> Packed:
         """The next episodes of many environments, the same as one by one.
 
         Args:
-            rngs: (n,) of the environments.
+            generators: of the environments.
+            places: (n,) which of them.
             room: (n, epochs, columns) for their tables, C-contiguous, to use or not.
             threads: how many may draw at once.
         """
         if isinstance(self.source, SimulatedSource) and not self.pipeline.planar:
-            return self.source.packed(rngs, room, threads)
-        return Packed.of([self.draw(rng) for rng in rngs])
+            with generators.states(places) as states:
+                return self.source.packed(states, room, threads)
+        return Packed.of([self.draw(rng) for rng in generators.each(places)])
 
 
 def setting_from(

@@ -4,7 +4,6 @@ All randomness of an episode is drawn first, in one go and from the episode's ow
 What follows is arithmetic: functions of numbers that run on lanes, an episode to a lane.
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from itertools import chain
@@ -21,18 +20,19 @@ from mmwave_env.episode import Episode, Packed
 from mmwave_env.estimator.algebra import dot
 from mmwave_env.estimator.batch import Incoming, blank_incoming
 from mmwave_env.estimator.lanes import WIDTH
-from mmwave_env.estimator.program import Index, Program, Tracks, Traffic
+from mmwave_env.estimator.program import Index, Program, advance
 from mmwave_env.estimator.trees import leaves
+from mmwave_env.generators import Dice, Words, dice_of, leave, single, take
 from mmwave_env.measurement import STATE_SIZE, Layout, exact_rows
 from mmwave_env.mobility import mobilities_of, plan_of
 from mmwave_env.radio import Radio, deviations
 from mmwave_env.scene import Scene
 from mmwave_env.threads import share
-from mmwave_env.travel import Plan, trajectories
+from mmwave_env.travel import Plan, motion, stride_of, travel
 
 Array = NDArray[np.float64]
 
-CHUNK = 16  # episodes drawn at once: few enough for their draws to stay in the caches
+CHUNK = 64  # episodes a thread draws at once
 
 
 class Draws(NamedTuple):
@@ -195,7 +195,7 @@ def _exponentials(rng, out, first, last):  # type: ignore[no-untyped-def]
     return last
 
 
-@compiled
+@numba.njit
 def _draw(rng, out, links, rows):  # type: ignore[no-untyped-def]
     """Fill (T, draws) after the truth, in the order of the leaves of :class:`Draws`.
 
@@ -214,6 +214,59 @@ def _draw(rng, out, links, rows):  # type: ignore[no-untyped-def]
     at = _normals(rng, out, at, at + 1)  # its floor
     at = _normals(rng, out, at, at + rows)  # noise
     _normals(rng, out, at, at + 1)  # oscillator
+
+
+@compiled
+def _simulate(  # type: ignore[no-untyped-def]
+    dice, plan, dt, stride, move_on, observe, run, start, layout, keep, time_s, kinds, first, prior,
+    tables,
+):  # fmt: skip
+    """Draw and simulate episodes, eight at a time, so that their draws stay in a cache.
+
+    Args:
+        dice, plan, dt, stride, move_on, observe: see :func:`~mmwave_env.travel.travel`.
+        run, start: the program, and its workspace (size,) before the first epoch.
+        layout: numbers of links, of rows and of columns drawn.
+        keep: rows of the workspace that make an epoch of ``tables``.
+        time_s: (T,) of the epochs.
+        kinds: (n,) gets the kind of user.
+        first: (n, 7) gets the true position and velocity and the draw of the oscillator.
+        prior: (n, 7) gets normals.
+        tables: (n, T, columns) gets the episodes.
+    """
+    (links, rows, columns), rng, T = layout, dice[0], len(time_s)
+    draws, block = np.empty((WIDTH, T, columns)), np.empty((1, len(start), WIDTH))
+    blank, nothing, none = np.zeros(columns), np.empty((WIDTH, T, 0)), np.empty(0, np.int64)
+    length, running = np.full(WIDTH, T), np.ones(WIDTH, np.bool_)
+    for begin in range(0, len(kinds), WIDTH):
+        end = min(begin + WIDTH, len(kinds))
+        here = end - begin
+        for e in range(begin, end):
+            take(dice, e)
+            kinds[e] = int(rng.random() * len(plan.phases))
+            leave(dice, e)
+        travel(dice, begin, kinds[begin:end], plan, dt, stride, move_on, observe, draws)
+        for e in range(begin, end):
+            drawn = draws[e - begin]
+            take(dice, e)
+            _draw(rng, drawn, links, rows)
+            for i in range(prior.shape[1]):
+                prior[e, i] = rng.standard_normal()
+            leave(dice, e)
+            for i in range(6):
+                first[e, i] = drawn[0, i]
+            first[e, 6] = drawn[0, columns - 1]
+        for i in range(len(start)):
+            for lane in range(WIDTH):
+                block[0, i, lane] = start[i]
+        advance(
+            run, blank, block, draws[:here], length[:here], np.zeros(here, np.int64),
+            running[:here], none, nothing[:here], keep, tables[begin:end], none,
+            np.empty((here, T, 0), np.float32),
+        )  # fmt: skip
+        for e in range(begin, end):
+            for t in range(1, T):
+                tables[e, t, 0] = time_s[t] - time_s[t - 1]
 
 
 @dataclass(frozen=True)
@@ -262,7 +315,8 @@ class SimulatedSource:
 
     def sample(self, rng: np.random.Generator) -> Episode:
         """Draw one episode; all randomness comes from ``rng``."""
-        names, tables, priors = self.tables([rng])
+        tables = np.empty((1, self.epochs, len(_kept(self.layout))))
+        names, priors = self._fill(single(rng), tables)
         rows, links, table = self.layout.size, self.layout.anchors, tables[0]
         _, z, signed_sigma, snr_db, spread, truth = np.split(
             table, np.cumsum([1, rows, rows, links, 1]), axis=1
@@ -285,81 +339,53 @@ class SimulatedSource:
             layout=self.layout,
         )
 
-    def packed(
-        self, rngs: Sequence[np.random.Generator], out: Array | None = None, threads: int = 1
-    ) -> Packed:
-        """Draw an episode from each generator, the same as :meth:`sample` would.
-
-        Args, errors: as :meth:`tables` has them.
-        """
-        names, table, prior = self.tables(rngs, out, threads)
-        n, scene = len(rngs), self.scene
-        fixed = np.append(scene.anchors_m.ravel(), scene.hz_per_mps)
-        covariance = self.radio.prior_covariance(scene)[np.tril_indices(STATE_SIZE)]
-        return Packed(
-            names=names,
-            nonfinite=np.zeros(n, np.int64),
-            length=np.full(n, self.epochs),
-            table=table,
-            site=np.hstack([np.tile(fixed, (n, 1)), prior, np.tile(covariance, (n, 1))]),
-            layout=self.layout,
-        )
-
-    def tables(
-        self, rngs: Sequence[np.random.Generator], out: Array | None = None, threads: int = 1
-    ) -> tuple[list[str], Array, Array]:
-        """Draw an episode from each generator, mostly without the interpreter's lock.
+    def packed(self, states: Words, out: Array | None = None, threads: int = 1) -> Packed:
+        """Draw an episode from each state, as :meth:`sample` would from a generator.
 
         Args:
-            rngs: (n,) generators.
-            out: (n, epochs, columns) to fill, C-contiguous; None for a new array.
+            states: (n, 4) of PCG64, changed in place.
+            out: (n, epochs, columns) to fill and return, C-contiguous; None for a new array.
             threads: how many may draw at once.
-
-
-        Args:
-            rngs: one an episode.
-            threads: how many may draw at once.
-
-        Returns:
-            Their names; ``out``, with columns as :meth:`~mmwave_env.episode.Episode.table` has
-            them; (n, 7) means of the priors.
-
 
         Raises:
             ValueError: ``out`` has another shape, or gaps.
         """
-        n, keep = len(rngs), _kept(self.layout)
-        out = np.empty((n, self.epochs, len(keep))) if out is None else out
-        if out.shape != (n, self.epochs, len(keep)) or not out.flags.c_contiguous:
+        n, scene = len(states), self.scene
+        shape = (n, self.epochs, len(_kept(self.layout)))
+        table = np.empty(shape) if out is None else out
+        if table.shape != shape or not table.flags.c_contiguous:
             raise ValueError(
-                f"out: found shape {out.shape}, contiguous {out.flags.c_contiguous}, expected "
-                f"{(n, self.epochs, len(keep))}, contiguous True"
+                f"out: found shape {table.shape}, contiguous {table.flags.c_contiguous}, expected "
+                f"{shape}, contiguous True"
             )
-        priors = np.empty((n, STATE_SIZE))
         chunks = [slice(first, first + CHUNK) for first in range(0, n, CHUNK)]
-        jobs = [(rngs[some], keep, out[some], priors[some]) for some in chunks]
-        return list(chain(*share(self._fill, jobs, threads))), out, priors
+        jobs = [(dice_of(states[some]), table[some]) for some in chunks]
+        names, priors = zip(*share(self._fill, jobs, threads), strict=True)
+        fixed = np.append(scene.anchors_m.ravel(), scene.hz_per_mps)
+        covariance = self.radio.prior_covariance(scene)[np.tril_indices(STATE_SIZE)]
+        site = [np.tile(fixed, (n, 1)), np.concatenate(priors), np.tile(covariance, (n, 1))]
+        return Packed(
+            names=list(chain(*names)),
+            nonfinite=np.zeros(n, np.int64),
+            length=np.full(n, self.epochs),
+            table=table,
+            site=np.hstack(site),
+            layout=self.layout,
+        )
 
-    def _fill(
-        self, rngs: Sequence[np.random.Generator], keep: Index, out: Array, priors: Array
-    ) -> list[str]:
-        """Fill tables and means of priors as :meth:`tables` returns them; their names."""
-        layout, program, n = self.layout, _program(self.layout), len(rngs)
+    def _fill(self, dice: Dice, tables: Array) -> tuple[list[str], Array]:
+        """Fill tables (n, epochs, columns); the names, and the means (n, 7) of the priors."""
+        layout, program, n = self.layout, _program(self.layout), len(tables)
         choices = mobilities_of(self.scenario)
-        kinds = [int(rng.random() * len(choices)) for rng in rngs]
-        draws = np.empty((n, self.epochs, len(program.blank)))
-        trajectories(self._plan, kinds, self.dt, rngs, draws)
-        for rng, drawn, prior in zip(rngs, draws, priors, strict=True):
-            _draw(rng, drawn, layout.anchors, layout.size)
-            prior[:] = rng.standard_normal(STATE_SIZE)
-        rows = np.tile(self._start[None, :, None], (-(-n // WIDTH), 1, WIDTH))
-        traffic = Traffic.of(n, self.epochs, keep=keep)._replace(kept=out)
-        program.run_on_lanes(Tracks.of(draws, rows), traffic)
-        out[:, 1:, 0] = np.diff(self.time_s)
-        first_bias_hz = self.scene.hz_per_mps * (self.radio.prior_bias_mps * draws[:, 0, -1:])
-        priors *= np.sqrt(np.diag(self.radio.prior_covariance(self.scene)))
-        priors += np.concatenate([draws[:, 0, :6], first_bias_hz], axis=1)
-        return [choices[kind].name for kind in kinds]
+        kinds, first, prior = np.empty(n, np.int64), np.empty((n, 7)), np.empty((n, STATE_SIZE))
+        _simulate(
+            dice, self._plan, self.dt, stride_of(self.dt), *motion(), program.on_lanes(),
+            self._start, (layout.anchors, layout.size, len(program.blank)), _kept(layout),
+            self.time_s, kinds, first, prior, tables,
+        )  # fmt: skip
+        first[:, 6] = self.scene.hz_per_mps * (self.radio.prior_bias_mps * first[:, 6])
+        prior *= np.sqrt(np.diag(self.radio.prior_covariance(self.scene)))
+        return [choices[kind].name for kind in kinds], first + prior
 
     @cached_property
     def _plan(self) -> Plan:

@@ -8,17 +8,18 @@ Motion is arithmetic, on lanes: eight travellers at once. What happens to a trav
 then (a gait, a crossing, a phase) is drawn, one traveller at a time, each from its own generator.
 """
 
-from collections.abc import Callable, Sequence
 from functools import lru_cache
 from typing import Any, NamedTuple
 
 import numba
 import numpy as np
+from numba import types
 from numpy.typing import NDArray
 
 from mmwave_env.arithmetic import Number, clip, cos_sin, maximum, minimum, sqrt, where
 from mmwave_env.estimator.lanes import WIDTH
-from mmwave_env.estimator.program import tree_kernel
+from mmwave_env.estimator.program import c_function, tree_kernel
+from mmwave_env.generators import leave, take
 
 FINEST_STEP_S = 0.1
 STOPPING_S = 5.0  # what a ride takes to stop before its passenger walks on
@@ -190,12 +191,12 @@ def move(t: Traveller) -> Traveller:
     )
 
 
-@numba.njit(cache=True, inline="always")
+@numba.njit
 def _uniform(rng, interval):  # type: ignore[no-untyped-def]
     return interval[0] + (interval[1] - interval[0]) * rng.random()
 
 
-@numba.njit(cache=True, inline="always")
+@numba.njit
 def _draw_gait(rng, now, gaits):  # type: ignore[no-untyped-def]
     """Target speed and duration of the next gait; gaits (n, 4) as in Plan."""
     left = rng.random() * gaits[:, 3].sum()
@@ -209,7 +210,7 @@ def _draw_gait(rng, now, gaits):  # type: ignore[no-untyped-def]
     now[AT.gait_left] = gaits[chosen, 2] * rng.standard_exponential()
 
 
-@numba.njit(cache=True, inline="always")
+@numba.njit
 def _next_node(now, heading):  # type: ignore[no-untyped-def]
     """The crossing to come to from the last one known, in blocks."""
     x = now[AT.node_x] + (1 if heading == 0 else -1 if heading == 2 else 0)
@@ -217,14 +218,14 @@ def _next_node(now, heading):  # type: ignore[no-untyped-def]
     return x, y
 
 
-@numba.njit(cache=True, inline="always")
+@numba.njit
 def _leads_on(now, heading):  # type: ignore[no-untyped-def]
     """Whether there is a street in this direction."""
     x, y = _next_node(now, heading % 4)
     return 0 <= x <= now[AT.blocks_x] and 0 <= y <= now[AT.blocks_y]
 
 
-@numba.njit(cache=True)
+@numba.njit
 def _draw_turn(rng, now, heading):  # type: ignore[no-untyped-def]
     """Quarter turns to the left at a crossing: 0, 1, -1, or 2 (back) where no other stays in."""
     ahead, left = _leads_on(now, heading), _leads_on(now, heading + 1)
@@ -237,7 +238,7 @@ def _draw_turn(rng, now, heading):  # type: ignore[no-untyped-def]
     return 1 if left and chosen == int(ahead) else -1
 
 
-@numba.njit(cache=True)
+@numba.njit
 def _draw_crossing(rng, now, heading, limits):  # type: ignore[no-untyped-def]
     """Look ahead to the next crossing: where to turn there, and seconds of red light."""
     now[AT.node_x], now[AT.node_y] = _next_node(now, heading)
@@ -245,7 +246,7 @@ def _draw_crossing(rng, now, heading, limits):  # type: ignore[no-untyped-def]
     now[AT.red_after] = _uniform(rng, limits[6:8]) if rng.random() < limits[5] else 0.0
 
 
-@numba.njit(cache=True, inline="always")
+@numba.njit
 def _bend(now, radius):  # type: ignore[no-untyped-def]
     """Give the crossing ahead an arc of some radius, if the way turns there."""
     turn = now[AT.turn]
@@ -253,7 +254,7 @@ def _bend(now, radius):  # type: ignore[no-untyped-def]
     now[AT.curvature] = np.sign(turn) / radius
 
 
-@numba.njit(cache=True, inline="always")
+@numba.njit
 def _cross(rng, now, limits):  # type: ignore[no-untyped-def]
     """Over a crossing: what was after it is ahead now."""
     heading = (now[AT.heading] + now[AT.turn]) % 4
@@ -267,7 +268,7 @@ def _cross(rng, now, limits):  # type: ignore[no-untyped-def]
     _draw_crossing(rng, now, (heading + now[AT.turn]) % 4, limits)
 
 
-@numba.njit(cache=True, inline="always")
+@numba.njit
 def _enter(now, phase, limits):  # type: ignore[no-untyped-def]
     """Begin a phase with limits (9,)."""
     now[AT.phase], now[AT.phase_end], now[AT.stopping] = phase, limits[8], 0.0
@@ -275,7 +276,7 @@ def _enter(now, phase, limits):  # type: ignore[no-untyped-def]
     now[AT.lateral], now[AT.jerk] = limits[2], limits[3]
 
 
-@numba.njit(cache=True, inline="always")
+@numba.njit
 def _change_over(now, limits):  # type: ignore[no-untyped-def]
     """Where a phase is over: come to a stand, then begin the next."""
     phase = int(now[AT.phase])
@@ -293,7 +294,7 @@ def _change_over(now, limits):  # type: ignore[no-untyped-def]
         _enter(now, phase + 1, limits[phase + 1])
 
 
-@numba.njit(cache=True)
+@numba.njit
 def _attend(rng, now, gaits, limits):  # type: ignore[no-untyped-def]
     """What happens to a traveller before a substep, if anything.
 
@@ -307,7 +308,7 @@ def _attend(rng, now, gaits, limits):  # type: ignore[no-untyped-def]
         _cross(rng, now, limits[phase])
 
 
-@numba.njit(cache=True)
+@numba.njit
 def _draw_phases(rng, plan, kind, total_s, limits):  # type: ignore[no-untyped-def]
     """Limits of each phase (phases, 9): drawn ranges, then ``fixed``, then when it ends (s).
 
@@ -327,7 +328,7 @@ def _draw_phases(rng, plan, kind, total_s, limits):  # type: ignore[no-untyped-d
         limits[p, 3:8] = plan.fixed[kind, p]
 
 
-@numba.njit(cache=True)
+@numba.njit
 def _begin(rng, now, plan, kind, total_s, limits):  # type: ignore[no-untyped-def]
     """Set a traveller off from a crossing, in a direction that leads somewhere."""
     _draw_phases(rng, plan, kind, total_s, limits)
@@ -349,75 +350,73 @@ def _begin(rng, now, plan, kind, total_s, limits):  # type: ignore[no-untyped-de
     _draw_crossing(rng, now, heading, limits[0])
 
 
-def going(move: Callable[[Array], None]) -> Callable[[Array, int, int], int]:
-    """The loop over substeps, around a function that changes a block (rows, 8)."""
+@numba.njit
+def travel(dice, first, kinds, plan, dt, stride, move_on, observe, out):  # type: ignore[no-untyped-def]
+    """The whole way of up to eight travellers; all randomness of each is its own.
 
-    def advance(block, substeps, here):  # type: ignore[no-untyped-def]
-        """Move until something is due, or for some substeps; how many of them are left."""
+    Args:
+        dice: to draw from; the travellers' states begin with number ``first``.
+        first: see above.
+        kinds: (n,) which of the plan's kinds each is.
+        plan: kinds of users.
+        dt: seconds between epochs.
+        stride: substeps between epochs.
+        move_on, observe: of :func:`motion`.
+        out: (n, epochs, 6 or more) the first six columns get positions (m) and velocities (m/s).
+    """
+    rng, here, epochs = dice[0], len(kinds), out.shape[1]
+    block = np.zeros((len(AT), WIDTH))
+    for lane in range(WIDTH):
+        block[AT.step, lane] = dt / stride
+    limits = np.empty((here, plan.duration.shape[1], 9))
+    for lane in range(here):
+        take(dice, first + lane)
+        _begin(rng, block[:, lane], plan, kinds[lane], epochs * dt, limits[lane])
+        leave(dice, first + lane)
+    for epoch in range(epochs):
+        observe(block.ctypes)
+        for lane in range(here):
+            now, row = block[:, lane], out[lane, epoch]
+            row[0], row[1], row[2] = now[AT.x], now[AT.y], plan.height
+            row[3], row[4], row[5] = now[AT.vx], now[AT.vy], 0.0
+        left = stride
+        while left > 0:
+            for lane in range(here):
+                if block[AT.due, lane] > 0.0:
+                    take(dice, first + lane)
+                    _attend(rng, block[:, lane], plan.gaits[kinds[lane]], limits[lane])
+                    leave(dice, first + lane)
+            left = move_on(block.ctypes, left, here)
+
+
+def stride_of(dt: float) -> int:
+    """Substeps in a step of some seconds."""
+    return max(1, round(dt / FINEST_STEP_S))
+
+
+@lru_cache(maxsize=1)
+def motion() -> tuple[Any, Any]:
+    """Two C functions of the address of a block (rows of a Traveller, 8).
+
+    The first moves the travellers in the first lanes until something is due, or for some
+    substeps, and returns how many of them are left: (address, substeps, lanes) -> substeps. The
+    second fills in their velocities.
+    """
+    shape, substep, look = (len(AT), WIDTH), tree_kernel(move, AT), tree_kernel(observe, AT)
+
+    @numba.cfunc(types.int64(types.voidptr, types.int64, types.int64))  # type: ignore[untyped-decorator]
+    def move_on(address, substeps, here):  # type: ignore[no-untyped-def]
+        block = numba.carray(address, shape, np.float64)
         due = False
-        while substeps > 0 and not due:
-            move(block)
+        while substeps > 0 and not due:  # no events inside: so it all stays in registers
+            substep(block)
             substeps -= 1
             for lane in range(here):
                 due |= block[AT.due, lane] > 0.0
         return substeps
 
-    return advance
+    @numba.cfunc(types.void(types.voidptr))  # type: ignore[untyped-decorator]
+    def observed(address):  # type: ignore[no-untyped-def]
+        look(numba.carray(address, shape, np.float64))
 
-
-def journey(
-    observe: Callable[[Array], None], advance: Callable[[Array, int, int], int]
-) -> Callable[..., None]:
-    """The whole way of up to eight travellers; for ``travel`` see :func:`trajectories`."""
-
-    def travel(rngs, kinds, plan, dt, stride, out):  # type: ignore[no-untyped-def]
-        here, epochs, most = len(kinds), out.shape[1], plan.duration.shape[1]
-        block = np.zeros((len(AT), WIDTH))
-        block[AT.step] = dt / stride
-        limits = np.empty((here, most, 9))
-        for lane in range(here):
-            _begin(rngs[lane], block[:, lane], plan, kinds[lane], epochs * dt, limits[lane])
-        for epoch in range(epochs):
-            observe(block)
-            for lane in range(here):
-                now, row = block[:, lane], out[lane, epoch]
-                row[0], row[1], row[2] = now[AT.x], now[AT.y], plan.height
-                row[3], row[4], row[5] = now[AT.vx], now[AT.vy], 0.0
-            left = stride
-            while left > 0:
-                for lane in range(here):
-                    if block[AT.due, lane] > 0.0:
-                        gaits = plan.gaits[kinds[lane]]
-                        _attend(rngs[lane], block[:, lane], gaits, limits[lane])
-                left = advance(block, left, here)
-
-    return travel
-
-
-@lru_cache(maxsize=1)
-def _on_lanes() -> Any:
-    # Apart from the rest, with no events inside: so it runs in registers from event to event.
-    advance = numba.njit(nogil=True)(going(tree_kernel(move, AT)))
-    return numba.njit(nogil=True)(journey(tree_kernel(observe, AT), advance))
-
-
-def trajectories(
-    plan: Plan, kinds: Sequence[int], dt: float, rngs: Sequence[np.random.Generator], out: Array
-) -> None:
-    """Let users move; all randomness of each comes from its own generator.
-
-    Args:
-        plan: kinds of users.
-        kinds: (n,) which of them each is.
-        dt: seconds between epochs.
-        rngs: (n,) their generators.
-        out: (n, epochs, 6 or more) the first six columns get positions (m) and velocities (m/s).
-    """
-    stride = max(1, round(dt / FINEST_STEP_S))
-    # A function is compiled for each number of generators, and looking into one costs 6 us.
-    width = 1 if len(rngs) == 1 else WIDTH
-    for first in range(0, len(rngs), WIDTH):
-        some = slice(first, first + WIDTH)
-        block = tuple(rngs[some])
-        block += block[:1] * (width - len(block))  # which are not drawn from
-        _on_lanes()(block, np.array(kinds[some]), plan, dt, stride, out[some])
+    return c_function(move_on), c_function(observed)

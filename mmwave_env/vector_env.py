@@ -95,8 +95,8 @@ class MmWaveLocVectorEnv(gym.vector.VectorEnv[Observations, Index, NDArray[Any]]
         self._panel, self._replay = Panel(self._engine), Replay(setting.pipeline)
         self._generators = Generators(num_envs)
         self._begun = False
-        self._everyone, self._all = np.arange(num_envs), np.ones(num_envs, np.bool_)
-        self._over = np.zeros(num_envs, np.bool_)
+        self._everyone = np.arange(num_envs)
+        self._over, self._ended = np.zeros(num_envs, np.bool_), 0
         self._steps = np.zeros(num_envs, np.int64)
         self._actions = np.zeros((num_envs, 0), np.min_scalar_type(len(self.modes)))
 
@@ -173,39 +173,42 @@ class MmWaveLocVectorEnv(gym.vector.VectorEnv[Observations, Index, NDArray[Any]]
         nonfinite = np.zeros(self.num_envs, np.int64)
         for first in range(0, len(places), DRAWN):
             some = places[first : first + DRAWN]
-            with self._generators.of(some) as generators:
-                room = self._engine.batch.room(some, self.source.epochs)
-                episodes = self._setting.draw_many(generators, room, self._threads)
+            room = self._engine.batch.room(some, self.source.epochs)
+            episodes = self._setting.draw_many(self._generators, some, room, self._threads)
             self._engine.load(episodes, some)
             names[some], nonfinite[some] = episodes.names, episodes.nonfinite
         longer = int(self._engine.batch.tracks.length.max()) - self._actions.shape[1]
         if longer > 0:
             self._actions = np.pad(self._actions, ((0, 0), (0, longer)))
         self._steps[places], self._over[places] = 0, False
+        self._ended = int(np.count_nonzero(self._over))
         return {"episode_name": names, "nonfinite": nonfinite}
 
     def step(self, actions: Index) -> Step:
         """Process an epoch in every environment with its mode; see the class on ends."""
         actions = self._checked(actions)
-        fresh = self._over.copy()  # none where autoreset is not NextStep
-        resets = np.count_nonzero(fresh)
+        fresh, resets = self._over.copy(), self._ended  # none where autoreset is not NextStep
         drawn = self._draw(np.flatnonzero(fresh)) if resets else {}
         self._actions[self._everyone, self._steps] = actions
         observations, told = self._engine.step(actions, self._panel.rows)
         lengths, steps = self._engine.batch.tracks.length, self._steps
-        steps += ~fresh
-        rewards, did = self._panel.rewards(told), self._panel.step_info(told)
+        rewards, did = self._panel.rewards(told), self._panel.step_info(told, actions)
+        if resets:
+            steps += ~fresh
+            rewards[fresh] = 0.0
+            infos = masked(did, ~fresh) | masked(drawn, fresh)
+        else:
+            steps += 1
+            infos = masked(did)
+        infos |= masked(self._panel.state_info(told))
         terminated = np.zeros(self.num_envs, np.bool_)
         if self._setting.worst is not None:
             terminated = ~(fresh | (did["position_error_m"] <= DIVERGENCE_M))
             rewards[terminated] += self._setting.worst * (lengths - steps)[terminated]
         truncated = (steps == lengths) & ~terminated
         self._over = terminated | truncated
-        infos = masked(did, ~fresh) | masked(self._panel.state_info(told), self._all)
-        if resets:
-            rewards[fresh] = 0.0
-            infos |= masked(drawn, fresh)
-        if np.count_nonzero(self._over):
+        self._ended = int(np.count_nonzero(self._over))
+        if self._ended:
             infos |= masked(self._metrics(), self._over)
             if self._autoreset == AutoresetMode.SAME_STEP:
                 infos = self._same_step(observations, infos)
@@ -215,7 +218,7 @@ class MmWaveLocVectorEnv(gym.vector.VectorEnv[Observations, Index, NDArray[Any]]
         """The actions (N,), if all that are not ignored mean a mode."""
         if not self._begun:
             raise ResetNeeded("Call reset before step: there is no episode under way.")
-        if self._autoreset == AutoresetMode.DISABLED and np.count_nonzero(self._over):
+        if self._ended and self._autoreset == AutoresetMode.DISABLED:
             raise ResetNeeded(
                 f"The episodes of environments {np.flatnonzero(self._over).tolist()} are over: "
                 'call reset(options={"reset_mask": ...}) before step.'
@@ -223,7 +226,8 @@ class MmWaveLocVectorEnv(gym.vector.VectorEnv[Observations, Index, NDArray[Any]]
         found = np.asarray(actions)
         if found.shape == (self.num_envs,) and found.dtype.kind in "iu":
             wrong = found.astype(np.uint64) >= len(self.modes)  # negative ones wrap around
-            wrong[self._over] = False
+            if self._ended:
+                wrong[self._over] = False
             if not np.count_nonzero(wrong):
                 return found
         raise InvalidAction(
@@ -264,7 +268,7 @@ class MmWaveLocVectorEnv(gym.vector.VectorEnv[Observations, Index, NDArray[Any]]
         drawn = self._draw(ended)
         self._engine.start(ended)
         observations[ended] = self._engine.observations()[ended]
-        did |= masked(self._panel.state_now(), self._all) | masked(drawn, over)
+        did |= masked(self._panel.state_now()) | masked(drawn, over)
         return did | {
             "final_obs": final_obs, "_final_obs": over.copy(), "final_info": final,
             "_final_info": over.copy(),

@@ -15,6 +15,7 @@ import numpy as np
 from numba import types
 from numpy.typing import NDArray
 
+from mmwave_env.disk_cache import compiled
 from mmwave_env.estimator.lanes import WIDTH, kernel
 from mmwave_env.estimator.trees import Tree, leaves, rebuild
 
@@ -115,6 +116,23 @@ def tree_kernel(function: Callable[[Tree], Tree], template: Tree) -> Any:
     return kernel(build)
 
 
+def c_function(function: Any) -> Any:
+    """What ``numba.cfunc`` made, as an argument for compiled functions.
+
+    Its arguments and what it returns are addresses and 64-bit integers, or nothing.
+    """
+    kinds: dict[Any, Any] = {
+        types.voidptr: ctypes.c_void_p,
+        types.int64: ctypes.c_int64,
+        types.void: None,
+    }
+    signature = function._sig
+    takes = [kinds[kind] for kind in signature.args]
+    pointer: Any = ctypes.CFUNCTYPE(kinds[signature.return_type], *takes)(function.address)
+    pointer.code = function  # which lives as long
+    return pointer
+
+
 class Program(Generic[Workspace]):
     """A function of numbers with its workspace, compiled at its first run on lanes.
 
@@ -133,7 +151,7 @@ class Program(Generic[Workspace]):
 
     def run_on_lanes(self, tracks: Tracks, traffic: Traffic) -> None:
         """Run epoch after epoch, eight environments at a time."""
-        _advance(self.on_lanes(), self.blank, *tracks, *traffic)
+        advance(self.on_lanes(), self.blank, *tracks, *traffic)
 
     def run_on_floats(self, tracks: Tracks, traffic: Traffic) -> None:
         """The same, one environment at a time in plain Python: slow, for reference."""
@@ -162,20 +180,19 @@ class Program(Generic[Workspace]):
         with _COMPILING:
             if self._compiled is None:
                 self._compiled = self._compile()
-        return self._compiled[1]
+        return self._compiled
 
-    def _compile(self) -> tuple[Any, Any]:
+    def _compile(self) -> Any:
         run, shape = tree_kernel(self.function, self.template), (self.size, WIDTH)
 
         @numba.cfunc(types.void(types.voidptr))  # type: ignore[untyped-decorator]
-        def compiled(block):  # type: ignore[no-untyped-def]
-            run(numba.carray(block, shape, np.float64))
+        def on_address(address):  # type: ignore[no-untyped-def]
+            run(numba.carray(address, shape, np.float64))
 
-        call = ctypes.CFUNCTYPE(None, ctypes.c_void_p)(compiled.address)
-        return compiled, call  # the code lives as long as the first
+        return c_function(on_address)
 
 
-@numba.njit(nogil=True)  # type: ignore[untyped-decorator]
+@numba.njit  # type: ignore[untyped-decorator]
 def bring_in(block):  # type: ignore[no-untyped-def]
     """Read a block from end to end; the value returned means nothing.
 
@@ -189,7 +206,7 @@ def bring_in(block):  # type: ignore[no-untyped-def]
     return bits
 
 
-@numba.njit(nogil=True)  # type: ignore[untyped-decorator]
+@numba.njit  # type: ignore[untyped-decorator]
 def _busy(running, first, here):  # type: ignore[no-untyped-def]
     """How many of a block's tracks run."""
     count = 0
@@ -198,7 +215,7 @@ def _busy(running, first, here):  # type: ignore[no-untyped-def]
     return count
 
 
-@numba.njit(nogil=True)  # type: ignore[untyped-decorator]
+@numba.njit  # type: ignore[untyped-decorator]
 def _load(block, first, here, step, blank, table, length, epoch, fed, given):  # type: ignore[no-untyped-def]
     """Set the rows that come in; lanes past the last track run their block's first."""
     for lane in range(WIDTH):
@@ -210,7 +227,7 @@ def _load(block, first, here, step, blank, table, length, epoch, fed, given):  #
             block[fed[i], lane] = given[e, step, i]
 
 
-@numba.njit(nogil=True)  # type: ignore[untyped-decorator]
+@numba.njit  # type: ignore[untyped-decorator]
 def _keep(block, first, here, step, running, keep, kept, show, shown):  # type: ignore[no-untyped-def]
     """Take out the rows that are kept or shown."""
     for lane in range(here):
@@ -222,7 +239,7 @@ def _keep(block, first, here, step, running, keep, kept, show, shown):  # type: 
                 shown[e, step, i] = block[show[i], lane]
 
 
-@numba.njit(nogil=True)  # type: ignore[untyped-decorator]
+@numba.njit  # type: ignore[untyped-decorator]
 def _settle(block, before, first, here, epochs, running, epoch):  # type: ignore[no-untyped-def]
     """Move the tracks that ran on, and put the others back where they were."""
     for lane in range(here):
@@ -233,8 +250,8 @@ def _settle(block, before, first, here, epochs, running, epoch):  # type: ignore
                 block[i, lane] = before[i, lane]
 
 
-@numba.njit(nogil=True)  # type: ignore[untyped-decorator]
-def _advance(  # type: ignore[no-untyped-def]
+@compiled
+def advance(  # type: ignore[no-untyped-def]
     run, blank, rows, table, length, epoch, running, fed, given, keep, kept, show, shown
 ):
     """Run all tracks; plain loops, because slices of arrays take numba long to compile."""
