@@ -89,8 +89,8 @@ def _rehearse(mode: Mode, layout: Layout, pinned: tuple[int, ...]) -> None:
     _require_signature(mode)
     for trial in _trials(layout):
         probes = rebuild(trial, map(Probe, leaves(trial)))
-        on_floats = _run(mode, layout, pinned, trial, "floats")
-        on_lanes = _run(mode, layout, pinned, probes, "lanes")
+        on_lanes = _run(mode, layout, pinned, probes)
+        on_floats = _run(mode, layout, pinned, trial)
         _require_posterior(mode, layout, on_floats)
         _require_posterior(mode, layout, on_lanes)
         _require_sound(mode, trial, on_floats)
@@ -120,7 +120,7 @@ def _require_signature(mode: Mode) -> None:
         raise _error(mode, problem, begin_of(mode.update)) from None
 
 
-def _run(mode: Mode, layout: Layout, pinned: tuple[int, ...], trial: _Trial, on: str) -> Any:
+def _run(mode: Mode, layout: Layout, pinned: tuple[int, ...], trial: _Trial) -> Any:
     """What the algorithm returns for an epoch."""
     _, _, anchors, hz_per_mps, z, variance, visible, force = rebuild(trial, iter(leaves(trial)))
     measurement = Measurement(anchors, hz_per_mps, z, variance, visible, layout)
@@ -135,9 +135,9 @@ def _run(mode: Mode, layout: Layout, pinned: tuple[int, ...], trial: _Trial, on:
         raise _error(mode, "cannot run on lanes", line, advice) from None
     except Exception as error:
         advice = f"{type(error).__name__}: {error}"
-        if on == "lanes":
+        if isinstance(force, Probe) and isinstance(error, TypeError | AttributeError):
             advice = f"{advice}\n{_LANES_KNOW}"
-        raise _error(mode, f"failed on {on}", line_of(error, mode.update), advice) from error
+        raise _error(mode, "failed on trial", line_of(error, mode.update), advice) from error
     for name, argument, old in zip(("x", "P", "measurement"), arguments, before, strict=True):
         new = leaves(argument)
         if len(new) != len(old) or any(a is not b for a, b in zip(new, old, strict=True)):

@@ -19,6 +19,8 @@ from mmwave_env.estimator.pipeline import Pipeline
 from mmwave_env.estimator.rehearsal import AlgorithmError
 from mmwave_env.estimator.update import Gate, ekf
 from mmwave_env.imm_engine import ImmEngine
+from mmwave_env.io.measurement_log import read_log, write_log
+from mmwave_env.localizer import localize
 from mmwave_env.radio import RADIOS
 from mmwave_env.reward import TrackingReward
 from mmwave_env.scene import SCENES
@@ -130,6 +132,18 @@ def test_wherever_modes_go(mine):
     for _ in range(29):
         imm.step()
     np.testing.assert_allclose(imm.read(imm.at.x), engine[:, -1], rtol=1e-9, atol=1e-9)
+
+
+def test_a_log_is_localised_with_it(iekf, tmp_path):
+    scene, radio = SCENES["street"], RADIOS["handset"]
+    source = SimulatedSource(scene, radio, epochs=30)
+    write_log(tmp_path / "log.csv", source.sample(np.random.default_rng(0)))
+    once = partial(iekf, iterations=1)
+    (own,), (ours,) = (
+        list(localize(read_log(tmp_path / "log.csv", scene), scene, radio, [Mode("m", algorithm)]))
+        for algorithm in (once, "ekf")
+    )
+    np.testing.assert_allclose(own.smooth_x, ours.smooth_x, rtol=1e-6, atol=1e-6)
 
 
 def test_it_is_evaluated_like_a_mode_of_ours(mine):
