@@ -98,7 +98,8 @@ def _rehearse(mode: Mode, layout: Layout, pinned: tuple[int, ...]) -> None:
 
 
 def _error(mode: Mode, problem: str, line: Line | None, advice: str = "") -> AlgorithmError:
-    name = getattr(mode.update, "__name__", repr(mode.update))
+    begin = begin_of(mode.update)
+    name = repr(mode.update) if begin is None else begin.function
     parts = [f"algorithm {name} of mode {mode.name!r} {problem}", line and str(line), advice]
     # Gymnasium appends the arguments of the environment to a message: let them begin a line.
     return AlgorithmError("\n".join(part for part in parts if part) + "\n")

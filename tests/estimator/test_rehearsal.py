@@ -155,6 +155,14 @@ def test_the_line_is_the_innermost_of_the_user_s(algorithm):
     assert MAXIMUM in message
 
 
+def test_a_built_in_function_has_no_line():
+    message = str(refusal(len))
+    assert message == (
+        "algorithm <built-in function len> of mode 'own' takes (obj, /), "
+        "expected (x, P, measurement, gate)\n"
+    )
+
+
 def test_without_source_the_advice_is_general():
     names = {"ekf": ekf}
     exec("def f(x, P, m, g):\n    if x[0] > 0: pass\n    return ekf(x, P, m, g)", names)
