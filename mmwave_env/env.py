@@ -98,7 +98,8 @@ class MmWaveLocEnv(gym.Env[NDArray[np.float32], np.int64]):
     * `radio`: "handset" (default), "standard", "high", or a `Radio`.
     * `scene`: "street" (default), "o1", "dynamic-doppler", a JSON file, or a `Scene`.
     * `modes`: list of modes, each a name ("ekf", "ukf", "ckf", "ekf-robust", "ukf-robust"), a
-      mode file or a `Mode`; or one mode file, as `mmwave-loc tune` writes it.
+      mode file or a `Mode`, whose algorithm may be your own function (docs/own-filters.md); or
+      one mode file, as `mmwave-loc tune` writes it.
     * `reward`: "tracking", "log-score" or a function.
     * `observation`: "full" or "prior".
     * `episode_steps`, `dt`: epochs per episode and seconds per epoch.

@@ -135,7 +135,7 @@ def _untuned(pipeline: Pipeline) -> Pipeline:
         )
         for i, mode in enumerate(pipeline.modes)
     ]  # fmt: skip
-    return pipeline._replace(modes=tuple(blank))
+    return replace(pipeline, modes=tuple(blank))
 
 
 class Tracker:

@@ -1,10 +1,12 @@
 """Random states that draw what numpy's generators draw."""
 
+import numba
 import numpy as np
 import pytest
 from gymnasium.utils import seeding
 
-from mmwave_env.generators import Generators
+from mmwave_env import generators
+from mmwave_env.generators import Generators, dice_of, leave, single, take
 
 
 def draws(generator):
@@ -21,8 +23,7 @@ def test_they_go_on_where_they_were():
     for place in range(3):
         ours.seed(place, 5 + place)
     for places in ([0, 1, 2], [2], [1, 0], [2, 0]):
-        with ours.of(places) as generators:
-            found = [draws(generator) for generator in generators]
+        found = [draws(generator) for generator in ours.each(places)]
         assert found == [draws(theirs[place]) for place in places]
     assert [draws(copy) for copy in ours.copies()] == [draws(generator) for generator in theirs]
     assert ours.seeds() == (5, 6, 7)
@@ -36,8 +37,8 @@ def test_copies_change_nothing():
 
 def test_without_a_seed_everyone_has_an_own():
     ours = Generators(2)
-    with ours.of([0, 1]) as (a, b):
-        assert a.random() != b.random()
+    a, b = (generator.random() for generator in ours.each([0, 1]))
+    assert a != b
     assert len({*ours.seeds(), *Generators(2).seeds()}) == 4
 
 
@@ -46,7 +47,7 @@ def test_what_was_drawn_before_an_error_is_drawn():
     ours.seed(0, 3)
 
     def draw_and_fail():
-        with ours.of([0]) as (generator,):
+        for generator in ours.each([0]):
             draws(generator)
             raise ValueError("stop")
 
@@ -54,3 +55,55 @@ def test_what_was_drawn_before_an_error_is_drawn():
         draw_and_fail()
     draws(theirs)
     assert draws(ours.copies()[0]) == draws(theirs)
+
+
+@numba.njit
+def compiled_draws(dice, out):
+    for i in (2, 0, 1, 2):  # in any order, and more than once
+        take(dice, i)
+        out[i, 0] = dice[0].random()
+        out[i, 1] = dice[0].standard_normal()
+        out[i, 2] = dice[0].standard_exponential()
+        leave(dice, i)
+
+
+def drawn(generator):
+    return [generator.random(), generator.standard_normal(), generator.standard_exponential()]
+
+
+def test_compiled_code_draws_what_generators_draw():
+    ours, out = Generators(4), np.zeros((3, 3))
+    for place in range(4):
+        ours.seed(place, place)
+    theirs = ours.copies()
+    places = np.array([3, 0, 1])
+    with ours.states(places) as states:
+        compiled_draws(dice_of(states), out)
+    drawn(theirs[1])
+    np.testing.assert_array_equal(out, [drawn(theirs[place]) for place in places])
+    assert [draws(copy) for copy in ours.copies()] == [draws(generator) for generator in theirs]
+
+
+@pytest.mark.parametrize("kind", [np.random.PCG64, np.random.MT19937, np.random.Philox])
+def test_compiled_code_draws_from_a_generator_of_any_kind(kind):
+    ours, theirs = np.random.Generator(kind(5)), np.random.Generator(kind(5))
+    first, second = np.zeros((1, 3)), np.zeros((1, 3))
+    one_draw(single(ours), first)
+    one_draw(single(ours), second)
+    np.testing.assert_array_equal([*first, *second], [drawn(theirs), drawn(theirs)])
+
+
+@numba.njit
+def one_draw(dice, out):
+    take(dice, 0)
+    out[0, 0] = dice[0].random()
+    out[0, 1] = dice[0].standard_normal()
+    out[0, 2] = dice[0].standard_exponential()
+    leave(dice, 0)
+
+
+def test_a_numpy_that_keeps_states_elsewhere_is_refused(monkeypatch):
+    state, rest = np.zeros(4, np.uint64), np.zeros(1, np.uint64)
+    monkeypatch.setattr(generators, "_memory", lambda rng: (state, rest))
+    with pytest.raises(RuntimeError, match="numpy .*: found the state of a PCG64 elsewhere"):
+        Generators(1)

@@ -303,5 +303,5 @@ def test_long_gaps_do_not_lose_the_track():
 
 
 def test_modes_without_a_rule_are_refused(block):
-    with pytest.raises(ValueError, match="modes: found 2 and no rule"):
+    with pytest.raises(ValueError, match="modes: found 2, no rule and no actions"):
         run([block], (Mode("a"), Mode("b")))

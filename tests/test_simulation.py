@@ -6,14 +6,15 @@ It is the meaning of a seed: kinds of draws in this order, each over all epochs 
 import numpy as np
 import pytest
 
-from mmwave_env.episode import Episode
+from mmwave_env.episode import Episode, Packed
+from mmwave_env.generators import Generators
 from mmwave_env.mobility import mobilities_of, plan_of
 from mmwave_env.radio import RADIOS
 from mmwave_env.scene import SCENES
 from mmwave_env.simulation import SimulatedSource
-from mmwave_env.travel import trajectories
 
 from .estimator.tracks import geometry
+from .roads import trajectories
 
 SOURCES = {
     "default": SimulatedSource(SCENES["street"], RADIOS["handset"]),
@@ -122,23 +123,34 @@ def test_a_seed_means_the_episode_of_the_plain_simulation(name):
         np.testing.assert_allclose(*tables, rtol=1e-9, atol=1e-9)
 
 
+def seeded(n):
+    """Generators of n environments."""
+    generators = Generators(n)
+    for place in range(n):
+        generators.seed(place, place)
+    return generators
+
+
 @pytest.mark.parametrize("name", SOURCES)
 @pytest.mark.parametrize("n", [1, 8, 21])
 def test_a_batch_is_the_episodes_one_by_one_to_the_bit(name, n):
-    source = SOURCES[name]
-    names, tables, priors = source.tables([np.random.default_rng(seed) for seed in range(n)])
-    for seed in range(n):
-        episode = source.sample(np.random.default_rng(seed))
-        assert episode.name == names[seed]
-        np.testing.assert_array_equal(episode.prior_mean, priors[seed])
-        np.testing.assert_array_equal(episode.table(), tables[seed])
+    source, ours = SOURCES[name], seeded(n)
+    theirs = ours.copies()
+    with ours.states(np.arange(n)) as states:
+        found = source.packed(states)
+    expected = Packed.of([source.sample(rng) for rng in theirs])
+    assert (found.names, found.layout) == (expected.names, expected.layout)
+    for field in ("nonfinite", "length", "table", "site"):
+        np.testing.assert_array_equal(getattr(found, field), getattr(expected, field))
+    for a, b in zip(ours.copies(), theirs, strict=True):
+        assert a.bit_generator.state == b.bit_generator.state
 
 
 def test_tables_go_where_they_are_wanted():
     source, tables = SOURCES["jam"], np.zeros((5, 77, 37))
-    rngs = [[np.random.default_rng(seed) for seed in range(3)] for _ in range(2)]
-    _, expected, _ = source.tables(rngs[0])
-    _, returned, _ = source.tables(rngs[1], out=tables[1:4])
+    with seeded(3).states(np.arange(3)) as states:
+        expected = source.packed(states.copy()).table
+        returned = source.packed(states, out=tables[1:4]).table
     np.testing.assert_array_equal(tables[1:4], expected)
     assert np.shares_memory(returned, tables)
     assert not tables[0].any() and not tables[4].any()
@@ -154,5 +166,5 @@ def test_tables_go_where_they_are_wanted():
 )
 def test_where_tables_do_not_fit_is_refused(out, found):
     with pytest.raises(ValueError, match="out: found .*expected .1, 77, 37., contiguous") as error:
-        SOURCES["jam"].tables([np.random.default_rng(0)], out)
+        SOURCES["jam"].packed(np.ones((1, 4), np.uint64), out)
     assert found in str(error.value)

@@ -101,8 +101,8 @@ def test_draws_do_not_depend_on_the_thread():
 
     def draw(seed):
         time.sleep(0.001)  # or one thread may do it all
-        (name,), table, prior = source.tables([np.random.default_rng(seed)])
-        return name, table, prior, threading.get_ident()
+        episode = source.sample(np.random.default_rng(seed))
+        return episode.name, episode.table(), episode.prior_mean, threading.get_ident()
 
     one, many = (share(draw, [(seed,) for seed in range(40)], threads) for threads in (1, 5))
     assert len({thread for *_, thread in many}) > 1

@@ -11,6 +11,7 @@ nothing cancels in the CKF's covariance, which filterpy computes from raw second
 """
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from functools import cache
 from typing import Any, NamedTuple, Protocol
 
@@ -219,13 +220,13 @@ def filterpy_pipeline(pipeline: Pipeline) -> Pipeline:
             "planar=False or this package's own filters"
         )
     for field in ("predict", "update"):
-        if getattr(pipeline, field) is not Pipeline._field_defaults[field]:
+        if getattr(pipeline, field) is not getattr(Pipeline, field):
             raise ValueError(
                 f"{field}: found {getattr(pipeline, field)!r}, expected a pipeline whose filters "
                 "have not been replaced"
             )
     twin = _Twin(pipeline.modes)
-    return pipeline._replace(predict=twin.predict, update=twin.update)
+    return replace(pipeline, predict=twin.predict, update=twin.update)
 
 
 class _Twin:

@@ -5,6 +5,7 @@ the same pipelines that an agent switches between, each with its own gates and s
 """
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import NamedTuple
 
 from mmwave_env.arithmetic import Matrix, Number, Vector, exp, maximum
@@ -53,7 +54,7 @@ class Mixture(NamedTuple):
 
 def single(pipeline: Pipeline) -> list[Pipeline]:
     """A pipeline of one mode for each mode."""
-    return [pipeline._replace(modes=(mode,)) for mode in pipeline.modes]
+    return [replace(pipeline, modes=(mode,)) for mode in pipeline.modes]
 
 
 def begin(pipeline: Pipeline, x: Vector, P: Vector) -> Mixture:

@@ -16,6 +16,7 @@ from numba.core import cgutils
 from numba.extending import intrinsic
 
 from mmwave_env.arithmetic import polynomial, where
+from mmwave_env.estimator.hidden import Hidden, HiddenTruth
 
 WIDTH = 8
 _VECTOR = ir.VectorType(ir.DoubleType(), WIDTH)
@@ -48,15 +49,7 @@ _ROUND = 1.5 * 2.0**52  # adding it rounds to an integer, which is then in the l
 _LN2_HIGH, _LN2_LOW = 0.693147180369123816490, 1.90821492927058770002e-10
 
 
-def _no_value(what: str) -> TypeError:
-    return TypeError(
-        f"{what} needs the value of a number that stands for {WIDTH} environments: write "
-        "where(condition, a, b) instead of a branch, and mmwave_env.arithmetic instead of "
-        "math or numpy"
-    )
-
-
-class Mask:
+class Mask(HiddenTruth):
     """A truth value per lane, from comparing Lanes; combine with ``&`` and ``|``."""
 
     __slots__ = ("builder", "value")
@@ -70,15 +63,12 @@ class Mask:
     def __or__(self, other: "Mask") -> "Mask":
         return Mask(self.builder, self.builder.or_(self.value, other.value))
 
-    def __bool__(self) -> bool:
-        raise _no_value("a branch")
-
     def select(self, a: Any, b: Any) -> "Lanes":
         """``a`` in the lanes where the mask holds, else ``b``."""
         return Lanes(self.builder, self.builder.select(self.value, _lift(a), _lift(b)))
 
 
-class Lanes:
+class Lanes(Hidden):
     """Eight doubles in one SIMD value of the function being built."""
 
     __slots__ = ("builder", "value")
@@ -86,57 +76,13 @@ class Lanes:
     def __init__(self, builder: Any, value: Any) -> None:
         self.builder, self.value = builder, value
 
-    def __bool__(self) -> bool:
-        raise _no_value("a branch")
+    def combine(self, op: str, a: Any, b: Any) -> "Lanes":
+        """``a op b`` per lane."""
+        instruction = getattr(self.builder, f"f{op}")
+        return Lanes(self.builder, instruction(_lift(a), _lift(b), flags=_FLAGS))
 
-    def __float__(self) -> float:
-        raise _no_value("a conversion to float")
-
-    def __array__(self, *_: Any, **__: Any) -> Any:
-        raise _no_value("numpy")
-
-    def __add__(self, other: Any) -> Any:
-        return _emit("fadd", self, other)
-
-    def __radd__(self, other: Any) -> Any:
-        return _emit("fadd", other, self)
-
-    def __sub__(self, other: Any) -> Any:
-        return _emit("fsub", self, other)
-
-    def __rsub__(self, other: Any) -> Any:
-        return _emit("fsub", other, self)
-
-    def __mul__(self, other: Any) -> Any:
-        return _emit("fmul", self, other)
-
-    def __rmul__(self, other: Any) -> Any:
-        return _emit("fmul", other, self)
-
-    def __truediv__(self, other: Any) -> Any:
-        return _emit("fdiv", self, other)
-
-    def __rtruediv__(self, other: Any) -> Any:
-        return _emit("fdiv", other, self)
-
-    def __lt__(self, other: Any) -> Mask:
-        return self._compare("<", other)
-
-    def __le__(self, other: Any) -> Mask:
-        return self._compare("<=", other)
-
-    def __gt__(self, other: Any) -> Mask:
-        return self._compare(">", other)
-
-    def __ge__(self, other: Any) -> Mask:
-        return self._compare(">=", other)
-
-    def __eq__(self, other: object) -> bool:
-        raise _no_value("a comparison by ==")
-
-    __hash__ = None  # type: ignore[assignment]
-
-    def _compare(self, op: str, other: Any) -> Mask:
+    def compare(self, op: str, other: Any) -> Mask:
+        """``self op other`` per lane, false with NaN."""
         return Mask(self.builder, self.builder.fcmp_ordered(op, self.value, _lift(other)))
 
     def __neg__(self) -> "Lanes":
@@ -227,29 +173,6 @@ def _bits(value: int) -> Any:
 
 def _lift(a: Any) -> Any:
     return a.value if isinstance(a, Lanes) else ir.Constant(_VECTOR, [float(a)] * WIDTH)
-
-
-def _settled(op: str, a: Any, b: Any) -> Any:
-    """The result where a constant 0 or 1 settles it without an instruction, else None."""
-    if op == "fmul":
-        for u, v in ((a, b), (b, a)):
-            if not isinstance(u, Lanes) and u in (0.0, 1.0):
-                return v if u else 0.0
-    if op in ("fadd", "fsub") and not isinstance(b, Lanes) and b == 0.0:
-        return a
-    if op == "fadd" and not isinstance(a, Lanes) and a == 0.0:
-        return b
-    if op == "fdiv" and not isinstance(a, Lanes) and a == 0.0:
-        return 0.0
-    return None
-
-
-def _emit(op: str, a: Any, b: Any) -> Any:
-    settled = _settled(op, a, b)
-    if settled is not None:
-        return settled
-    builder = (a if isinstance(a, Lanes) else b).builder
-    return Lanes(builder, getattr(builder, op)(_lift(a), _lift(b), flags=_FLAGS))
 
 
 class _Rows:

@@ -17,11 +17,13 @@ Source: Julier and Uhlmann 2004, Sec. IV (scaled sigma points as in van der Merw
 The cubature filter (Arasaratnam and Haykin 2009) is alpha = 1, beta = 0, kappa = 0.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 from mmwave_env.arithmetic import Matrix, Number, Vector
-from mmwave_env.estimator.algebra import dot
-from mmwave_env.measurement import STATE_SIZE, Group
+from mmwave_env.estimator.algebra import cholesky, dot
+from mmwave_env.measurement import STATE_SIZE, Group, Measurement, groups_of
 
 
 @dataclass(frozen=True)
@@ -141,6 +143,32 @@ class Latents:
         for v in row[3 : self.coupled]:
             total = total + v
         return self.weight * total
+
+
+class Prior(NamedTuple):
+    """An epoch as a linearisation sees it from the prior.
+
+    Attributes:
+        L: (7, 7) lower Cholesky factor of the prior covariance.
+        latents: moments of eta.
+        groups: of measurements, seen from the prior mean.
+        V: per group (k, 7 + curvatures), its rows along eta.
+    """
+
+    L: Matrix
+    latents: Latents
+    groups: Sequence[Group]
+    V: Sequence[Matrix]
+
+
+def linearise(
+    x: Vector, P: Matrix, measurement: Measurement, linearisation: Linearisation
+) -> Prior:
+    """The epoch seen from N(x, P); x is (7,), P (7, 7)."""
+    L = cholesky(P)
+    latents = linearisation.latents(6 if measurement.layout.odometry else 3)
+    groups = groups_of(x, measurement)
+    return Prior(L, latents, groups, [linearisation.rows(group, L, latents) for group in groups])
 
 
 def _columns(L: Matrix) -> list[list[Number]]:

@@ -43,7 +43,7 @@ class Mode:
     Attributes:
         name: shown in tables and messages.
         algorithm: "ekf", "ukf", "ckf", or a function with the signature of
-            :data:`~mmwave_env.estimator.update.Algorithm`.
+            :data:`~mmwave_env.estimator.update.Algorithm` (docs/own-filters.md).
         sigma_p: extra horizontal position noise, m / sqrt(s).
         sigma_v: horizontal velocity noise, (m/s) / sqrt(s).
         sigma_pz: extra vertical position noise, m / sqrt(s).

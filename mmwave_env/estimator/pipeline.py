@@ -7,6 +7,7 @@ An environment considers every mode and commits to the one the agent chose.
 """
 
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from typing import NamedTuple
 
 from mmwave_env.arithmetic import Matrix, Number, Vector, clip, sqrt, where
@@ -18,6 +19,7 @@ from mmwave_env.estimator.motion import (
     predict_covariance,
     white_noise_acceleration,
 )
+from mmwave_env.estimator.rehearsal import rehearse
 from mmwave_env.estimator.update import Algorithm, Gate, Posterior, passes
 from mmwave_env.measurement import Layout, Measurement
 
@@ -134,7 +136,8 @@ def _own_update(mode: Mode) -> Algorithm:
     return mode.update
 
 
-class Pipeline(NamedTuple):
+@dataclass(frozen=True)
+class Pipeline:
     """What is fixed when a track starts.
 
     Attributes:
@@ -143,6 +146,10 @@ class Pipeline(NamedTuple):
         planar: flat terrain: z and vz stay at their prior values (paper, Sec. II-A). Sigma
             points keep the spacing of seven state components.
         predict, update: the filter at work; replaced by the filterpy twin.
+
+    Raises:
+        AlgorithmError: a mode's own algorithm cannot run, on lanes or at all; the message
+            names the line and says what to write instead.
     """
 
     modes: tuple[Mode, ...]
@@ -150,6 +157,10 @@ class Pipeline(NamedTuple):
     planar: bool = False
     predict: Predictor = _linear_prediction
     update: Callable[[Mode], Algorithm] = _own_update
+
+    def __post_init__(self) -> None:
+        for mode in self.modes:
+            rehearse(mode, self.layout, self.pinned)
 
     @property
     def pinned(self) -> tuple[int, ...]:

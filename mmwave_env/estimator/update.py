@@ -1,14 +1,21 @@
 """The measurement update shared by EKF, UKF and CKF, with gates (paper, Sec. III-C and III-D)."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from typing import NamedTuple
 
 from scipy.special import chdtri
 
 from mmwave_env.arithmetic import Matrix, Number, Vector, log, maximum, where
 from mmwave_env.estimator.algebra import cholesky, dot, forward, symmetric
-from mmwave_env.estimator.linearise import Latents, Linearisation, SigmaPoints, Tangent
-from mmwave_env.measurement import STATE_SIZE, Group, Measurement, groups_of
+from mmwave_env.estimator.linearise import (
+    Latents,
+    Linearisation,
+    Prior,
+    SigmaPoints,
+    Tangent,
+    linearise,
+)
+from mmwave_env.measurement import STATE_SIZE, Group, Measurement
 
 _GROUPS_PER_LOG = 8  # determinants multiplied before their log is taken: few enough for doubles
 ROBUST_ONSET = 1.5  # a group's NIS over its dimension from which a robust update doubts it
@@ -122,24 +129,23 @@ def _condition(
     return _Row(white, free, links, cross, e, accepted / s)
 
 
-class _Verdict(NamedTuple):
-    """What the gates say of the groups, at the prior."""
+class Verdict(NamedTuple):
+    """What the gates say of the groups, at the prior.
+
+    Attributes:
+        nis, accepted, log_likelihood: as in :class:`Posterior`.
+        noise: per group (k,) variances of its rows, inflated where doubtful.
+    """
 
     nis: list[Number]
     accepted: list[Number]
-    noise: list[list[Number]]  # variances (k,) of each group, inflated where doubtful
+    noise: list[list[Number]]
     log_likelihood: Number
 
 
-def _judge(
-    groups: Sequence[Group],
-    V: Sequence[Matrix],
-    latents: Latents,
-    measurement: Measurement,
-    gate: Gate,
-) -> _Verdict:
-    """Gate every group; the arguments are as in :func:`update`."""
-    layout = measurement.layout
+def judge(prior: Prior, measurement: Measurement, gate: Gate) -> Verdict:
+    """Gate every group of an epoch at the prior."""
+    groups, V, latents, layout = prior.groups, prior.V, prior.latents, measurement.layout
     nis, accepted, noise = [], [], []
     density: Number = 1.0
     likelihood: Number = 0.0
@@ -155,7 +161,7 @@ def _judge(
             likelihood, density = likelihood - 0.5 * log(density), 1.0
         doubt = _doubt(value, rows) if gate.robust and is_link else 1.0
         noise.append([v * doubt for v in group.variance])
-    return _Verdict(nis, accepted, noise, likelihood)
+    return Verdict(nis, accepted, noise, likelihood)
 
 
 def _inform(
@@ -193,12 +199,10 @@ def update(
         linearisation: tangent (EKF) or sigma points (UKF, CKF).
     """
     anchors = measurement.layout.anchors
-    latents = linearisation.latents(6 if measurement.layout.odometry else 3)
+    prior = linearise(x, P, measurement, linearisation)
+    L, latents, groups, V = prior
     n = latents.coupled
-    L = cholesky(P)
-    groups = groups_of(x, measurement)
-    V = [linearisation.rows(group, L, latents) for group in groups]
-    verdict = _judge(groups, V, latents, measurement, gate)
+    verdict = judge(prior, measurement, gate)
     innovations = [
         [y - latents.shift(row) for y, row in zip(group.innovation, rows, strict=True)]
         for group, rows in zip(groups, V, strict=True)

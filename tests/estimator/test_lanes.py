@@ -30,7 +30,9 @@ from mmwave_env.arithmetic import (
     where,
     wrap,
 )
-from mmwave_env.estimator.lanes import WIDTH, Lanes, kernel
+from mmwave_env.estimator.hidden import NoValue
+from mmwave_env.estimator.lanes import WIDTH, Lanes, Mask, kernel
+from mmwave_env.estimator.probe import Probe, ProbeTruth
 
 from .tracks import assert_same_beliefs, pipeline_of, simulated, track
 
@@ -221,24 +223,35 @@ def lanes():
     return Lanes(ir.IRBuilder(function.append_basic_block()), function.args[0])
 
 
+BRANCH, ELEMENTARY = r"where\(condition, a, b\)", "functions of mmwave_env.arithmetic"
 NEEDS_VALUES = {
-    "if": lambda a: 1 if a > 0.0 else 2,
-    "truth": lambda a: not a,
-    "and": lambda a: a > 0.0 and a < 1.0,
-    "chained comparison": lambda a: 0.0 < a < 1.0,
-    "max": lambda a: max(a, 0.0),
-    "float": float,
-    "math": math.sqrt,
-    "numpy function": np.sqrt,
-    "numpy array": lambda a: np.array([a]),
-    "numpy scalar": lambda a: np.float64(2.0) * a,
+    "if": (lambda a: 1 if a > 0.0 else 2, BRANCH),
+    "truth": (lambda a: not a, BRANCH),
+    "and": (lambda a: a > 0.0 and a < 1.0, BRANCH),
+    "chained comparison": (lambda a: 0.0 < a < 1.0, BRANCH),
+    "max": (lambda a: max(a, 0.0), BRANCH),
+    "float": (float, ELEMENTARY),
+    "math": (math.sqrt, ELEMENTARY),
+    "numpy function": (np.sqrt, "lists, mmwave_env.arithmetic"),
+    "numpy array": (lambda a: np.array([a]), "lists, mmwave_env.arithmetic"),
+    "numpy scalar": (lambda a: np.float64(2.0) * a, "lists, mmwave_env.arithmetic"),
+    "square": (lambda a: a**2, r"a \* a"),
+    "condition times number": (lambda a: (a > 0.0) * a, r"where\(condition, 1.0, 0.0\)"),
+    "number as condition": (lambda a: where(a, 1.0, 0.0), r"where\(a > 0.5"),
 }
 
 
-@pytest.mark.parametrize("use", NEEDS_VALUES.values(), ids=NEEDS_VALUES)
-def test_asking_for_a_value_says_what_to_write_instead(lanes, use):
-    with pytest.raises(TypeError, match=r"8 environments.*where\(condition, a, b\)"):
+@pytest.mark.parametrize(("use", "instead"), NEEDS_VALUES.values(), ids=NEEDS_VALUES)
+def test_asking_for_a_value_says_what_to_write_instead(lanes, use, instead):
+    with pytest.raises(NoValue, match=f"8 environments: write .*{instead}"):
         use(lanes)
+
+
+def test_probes_are_lanes_in_all_but_the_value():
+    """What a trial on probes accepts, lanes do, and the other way round."""
+    inner = {"builder", "value", "hidden", "_call", "_negated"}
+    for ours, theirs in ((Lanes, Probe), (Mask, ProbeTruth)):
+        assert set(dir(ours)) - inner == set(dir(theirs)) - inner
 
 
 OPTIONS = {

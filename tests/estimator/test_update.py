@@ -1,113 +1,22 @@
 """The update against the textbook's: all rows at once, nothing fused, nothing reduced."""
 
-from typing import NamedTuple
-
 import numpy as np
 import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
-from hypothesis.extra import numpy as hnp
 from scipy.stats import chi2
 
 from mmwave_env.estimator.linearise import SigmaPoints
 from mmwave_env.estimator.update import Gate, ckf, ekf, ukf, update
-from mmwave_env.measurement import Layout, Measurement
 
 from . import textbook
+from .problems import HZ_PER_MPS, Problem, assert_same, assume_clear_of, problems
 
 OURS = {"ekf": ekf, "ukf": ukf, "ckf": ckf}
 GATES = {"no gate": Gate(None), "99 %": Gate(0.99), "median": Gate(0.5)}
-HZ_PER_MPS = 93.4
-RTOL = 1e-9
 
 algorithms = pytest.mark.parametrize("algorithm", OURS)
 with_odometry = pytest.mark.parametrize("odometry", [False, True], ids=["radio", "odometry"])
-
-
-class Problem(NamedTuple):
-    """One update: prior, sensor, measured values, noise variances, what is visible."""
-
-    x: np.ndarray
-    P: np.ndarray
-    sensor: textbook.Sensor
-    z: np.ndarray
-    R: np.ndarray
-    visible: np.ndarray
-
-    def ours(self, algorithm, gate, P=None):
-        layout = Layout(self.sensor.links, self.sensor.odometry)
-        measurement = Measurement(
-            self.sensor.anchors.tolist(), HZ_PER_MPS, self.z.tolist(), self.R.tolist(),
-            self.visible.astype(float).tolist(), layout,
-        )  # fmt: skip
-        P = self.P if P is None else P
-        return algorithm(self.x.tolist(), P.tolist(), measurement, gate)
-
-    def textbook(self, moments, gate, force=False):
-        s = self.sensor
-        return textbook.update(
-            moments, s, s.groups, s.links, self.x, self.P, self.z, self.R, self.visible,
-            gate.quantile, force, gate.robust,
-        )  # fmt: skip
-
-
-def numbers(low, high, shape=()):
-    elements = st.floats(low, high, allow_subnormal=False)
-    return hnp.arrays(float, shape, elements=elements) if shape else elements
-
-
-@st.composite
-def problems(draw, odometry=False, anchors=None, outliers=True):
-    """Users 20 m and more off the vertical of every anchor, where nothing is singular."""
-    L = draw(st.integers(1, 5)) if anchors is None else anchors
-    position = draw(numbers(-200, 200, (3,)))
-    heading, speed = draw(numbers(-3.14, 3.14)), draw(numbers(3.0 if odometry else 0.0, 20))
-    velocity = [speed * np.cos(heading), speed * np.sin(heading), draw(numbers(-1, 1))]
-    x = np.array([*position, *velocity, draw(numbers(-300, 300))])
-    azimuth, distance = draw(numbers(-3.14, 3.14, (L,))), draw(numbers(20, 300, (L,)))
-    height = draw(numbers(-20, 40, (L,)))
-    offset = np.stack([distance * np.cos(azimuth), distance * np.sin(azimuth), height], axis=1)
-    sensor = textbook.Sensor(position + offset, HZ_PER_MPS, odometry)
-
-    scale = np.array([3, 3, 1, 1, 1, 0.3, 50]) * draw(numbers(0.05, 1, (7,)))
-    correlated = np.eye(7) + np.tril(draw(numbers(-0.5, 0.5, (7, 7))), -1)
-    factor = scale[:, None] * correlated * (0.3 if odometry else 1.0)
-
-    sigma = np.tile([1.0, 0.05, 0.05, 0.05], L).tolist() + [50.0] + [0.5, 0.1] * odometry
-    sigma = np.array(sigma) * draw(numbers(0.05, 2, (len(sigma),)))
-    wrong = st.sampled_from([0.0, 0.0, 0.0, 5.0] if outliers else [0.0])
-    error = draw(numbers(-2, 2, sigma.shape)) + [draw(wrong) for _ in sigma]
-    truth = x + factor @ draw(numbers(-2, 2, (7,)))
-    angles = sensor.angles
-    z = sensor.h(truth) + sigma * error
-    z[angles] = (z[angles] + np.pi) % (2 * np.pi) - np.pi
-    visible = draw(
-        hnp.arrays(bool, len(sensor.groups), elements=st.sampled_from([True, True, False]))
-    )
-    P = factor @ factor.T
-    # Beside the cut of an angle rounding decides on which side a residual falls.
-    residual = sensor.difference(z, sensor.h(x))[angles]
-    assume(np.all(np.abs(residual) < np.pi - 1e-3))
-    return Problem(x, 0.5 * (P + P.T), sensor, z, sigma**2, visible)
-
-
-def assert_same(ours, expected):
-    """Equal to RTOL; the state in units of its standard deviations."""
-    P = np.array(ours.P)
-    sigma = np.sqrt(np.diag(expected.P))
-    assert ours.accepted == expected.accepted.tolist()
-    np.testing.assert_allclose((ours.x - expected.x) / sigma, 0.0, atol=RTOL)
-    np.testing.assert_allclose((P - expected.P) / np.outer(sigma, sigma), 0.0, atol=RTOL)
-    np.testing.assert_allclose(ours.nis, expected.nis, rtol=RTOL, atol=RTOL)
-    np.testing.assert_allclose(ours.log_likelihood, expected.log_likelihood, rtol=RTOL, atol=RTOL)
-    np.testing.assert_array_equal(P, P.T)
-
-
-def assume_clear_of(nis, sensor, thresholds):
-    """Rounding must not decide whether a group passes."""
-    sizes = [g.stop - g.start for g in sensor.groups]
-    for threshold in thresholds:
-        assume(np.all(np.abs(nis - [threshold(size) for size in sizes]) > 1e-6))
 
 
 @algorithms

@@ -180,23 +180,34 @@ def statistics(moments, sensor, groups, x, P, z, R):
     return S, nis, np.array([np.log(np.linalg.det(S[g, g])) for g in groups])
 
 
-def update(
+class Judged(NamedTuple):
+    nis: np.ndarray
+    accepted: np.ndarray
+    R: np.ndarray
+    log_likelihood: float
+
+
+def judge(
     moments, sensor, groups, links, x, P, z, R, visible, quantile=None, force=False, robust=False
 ):  # fmt: skip
-    """Gate each group at the prior, then condition on all rows of those that passed."""
+    """Gate each group at the prior; R is inflated where a robust update doubts."""
     _, nis, log_det = statistics(moments, sensor, groups, x, P, z, R)
     sizes = np.array([g.stop - g.start for g in groups])
     is_link = np.arange(len(groups)) < links
     passed = np.ones(len(groups), bool) if quantile is None else nis <= chi2.ppf(quantile, sizes)
     if force or robust:
         passed = passed | is_link
-    accepted = visible & passed
     if robust:
         doubt = np.where(is_link, np.maximum(nis / (1.5 * sizes), 1.0) ** 2, 1.0)
         R = R * np.repeat(doubt, sizes)
     log_likelihood = -0.5 * np.sum((nis + log_det)[visible])
+    return Judged(np.where(visible, nis, 0.0), visible & passed, R, log_likelihood)
 
-    keep = np.repeat(accepted, sizes)
+
+def update(moments, sensor, groups, links, x, P, z, R, *gate):
+    """Gate each group at the prior, then condition on all rows of those that passed."""
+    nis, accepted, R, log_likelihood = judge(moments, sensor, groups, links, x, P, z, R, *gate)
+    keep = np.repeat(accepted, [g.stop - g.start for g in groups])
     mean, S, C = moments(sensor, x, P)
     S = (S + np.diag(R))[np.ix_(keep, keep)]
     K = np.linalg.solve(S, C[:, keep].T).T
@@ -206,4 +217,18 @@ def update(
         new_P = A @ P @ A.T + (K * R[keep]) @ K.T
     else:
         new_P = P - K @ S @ K.T
-    return Update(new_x, new_P, np.where(visible, nis, 0.0), accepted, log_likelihood)
+    return Update(new_x, new_P, nis, accepted, log_likelihood)
+
+
+def iterated(iterations, sensor, groups, links, x, P, z, R, *gate):
+    """Iterated extended Kalman filter (Bell and Cathey 1993, eq. for x_i+1), gated at the prior."""
+    nis, accepted, R, log_likelihood = judge(tangent, sensor, groups, links, x, P, z, R, *gate)
+    keep = np.repeat(accepted, [g.stop - g.start for g in groups])
+    R, iterate = np.diag(R[keep]), x
+    for _ in range(iterations):
+        H = sensor.jacobian(iterate)[keep]
+        K = P @ H.T @ np.linalg.inv(H @ P @ H.T + R)
+        residual = sensor.difference(z, sensor.h(iterate))[keep]
+        iterate = x + K @ (residual - H @ (x - iterate))
+    A = np.eye(len(x)) - K @ H
+    return Update(iterate, A @ P @ A.T + K @ R @ K.T, nis, accepted, log_likelihood)

@@ -1,0 +1,145 @@
+"""Numbers that take part in arithmetic and hide their value.
+
+A function that runs on them can run on lanes: it never asks which of eight environments it
+is in. What would need the value is refused, with a word on what to write instead.
+"""
+
+from typing import Any, NoReturn
+
+
+class NoValue(TypeError):
+    """A function asked a number for its value.
+
+    Attributes:
+        asked: what it asked for, a key of ``REFUSALS``.
+    """
+
+    def __init__(self, message: str, asked: str = "") -> None:
+        super().__init__(message)
+        self.asked = asked
+
+
+REFUSALS = {  # what was asked for: what that is, and what to write instead
+    "truth": ("a branch", "where(condition, a, b)"),
+    "value": ("a float", "the functions of mmwave_env.arithmetic, without float(...) and math"),
+    "integer": ("an integer", "a constant that is known before the function runs"),
+    "numpy": ("numpy", "lists, mmwave_env.arithmetic and mmwave_env.estimator.algebra"),
+    "equality": ("a comparison by == or !=", "where(abs(a - b) < tolerance, ...)"),
+    "power": ("a power", "a * a for a ** 2, sqrt(a) for a ** 0.5, exp(p * log(a)) for a ** p"),
+    "remainder": ("a remainder", "wrap(a) for angles, where(a > b, a - b, a) for one period"),
+    "floor": ("a division with //", "a / b"),
+    "key": ("a key of a dict or set", "a list and a constant index, or where(condition, a, b)"),
+    "mask as number": ("arithmetic with a condition", "where(condition, 1.0, 0.0)"),
+    "inverse": ("the inverse of a condition", "where(condition, b, a), its branches exchanged"),
+    "number as mask": ("a number as a condition", "where(a > 0.5, ...)"),
+}
+
+
+def reason(asked: str) -> str:
+    """Why there is no answer."""
+    return f"{REFUSALS[asked][0]} needs the value of a number that stands for 8 environments"
+
+
+def _refuse(asked: str) -> NoReturn:
+    raise NoValue(f"{reason(asked)}: write {REFUSALS[asked][1]} instead", asked)
+
+
+def _refusing(asked: str) -> Any:
+    return lambda *_, **__: _refuse(asked)
+
+
+class HiddenTruth:
+    """A condition on hidden numbers, for ``where``; combine with ``&`` and ``|``."""
+
+    __slots__ = ()
+    __bool__ = _refusing("truth")
+    __float__ = __add__ = __radd__ = __sub__ = __rsub__ = _refusing("mask as number")
+    __mul__ = __rmul__ = __truediv__ = __rtruediv__ = __neg__ = _refusing("mask as number")
+    __lt__ = __le__ = __gt__ = __ge__ = _refusing("mask as number")
+    __eq__ = __ne__ = _refusing("equality")
+    __hash__ = _refusing("key")
+    __invert__ = _refusing("inverse")
+
+
+class Hidden:
+    """A number without its value; kinds of them say how to ``combine`` and ``compare``."""
+
+    __slots__ = ()
+    __bool__ = _refusing("truth")
+    __float__ = __complex__ = _refusing("value")
+    __int__ = __index__ = __round__ = __trunc__ = __floor__ = __ceil__ = _refusing("integer")
+    __array__ = __array_ufunc__ = _refusing("numpy")
+    __eq__ = __ne__ = _refusing("equality")
+    __pow__ = __rpow__ = _refusing("power")
+    __mod__ = __rmod__ = __divmod__ = __rdivmod__ = _refusing("remainder")
+    __floordiv__ = __rfloordiv__ = _refusing("floor")
+    __hash__ = _refusing("key")
+    select = _refusing("number as mask")
+
+    def combine(self, op: str, a: Any, b: Any) -> Any:
+        """``a op b`` for add, sub, mul or div, one of the two being this number."""
+        raise NotImplementedError
+
+    def compare(self, op: str, other: Any) -> Any:
+        """``self op other`` for <, <=, > or >=: a condition."""
+        raise NotImplementedError
+
+    def __add__(self, other: Any) -> Any:
+        return _combined("add", self, other)
+
+    def __radd__(self, other: Any) -> Any:
+        return _combined("add", other, self)
+
+    def __sub__(self, other: Any) -> Any:
+        return _combined("sub", self, other)
+
+    def __rsub__(self, other: Any) -> Any:
+        return _combined("sub", other, self)
+
+    def __mul__(self, other: Any) -> Any:
+        return _combined("mul", self, other)
+
+    def __rmul__(self, other: Any) -> Any:
+        return _combined("mul", other, self)
+
+    def __truediv__(self, other: Any) -> Any:
+        return _combined("div", self, other)
+
+    def __rtruediv__(self, other: Any) -> Any:
+        return _combined("div", other, self)
+
+    def __lt__(self, other: Any) -> Any:
+        return self.compare("<", other)
+
+    def __le__(self, other: Any) -> Any:
+        return self.compare("<=", other)
+
+    def __gt__(self, other: Any) -> Any:
+        return self.compare(">", other)
+
+    def __ge__(self, other: Any) -> Any:
+        return self.compare(">=", other)
+
+
+def _settled(op: str, a: Any, b: Any) -> Any:
+    """The result where a constant 0 or 1 settles it without an instruction, else None."""
+    if op == "mul":
+        for u, v in ((a, b), (b, a)):
+            if not isinstance(u, Hidden) and u in (0.0, 1.0):
+                return v if u else 0.0
+    if op in ("add", "sub") and not isinstance(b, Hidden) and b == 0.0:
+        return a
+    if op == "add" and not isinstance(a, Hidden) and a == 0.0:
+        return b
+    if op == "div" and not isinstance(a, Hidden) and a == 0.0:
+        return 0.0
+    return None
+
+
+def _combined(op: str, a: Any, b: Any) -> Any:
+    if isinstance(a, HiddenTruth) or isinstance(b, HiddenTruth):
+        _refuse("mask as number")
+    settled = _settled(op, a, b)
+    if settled is not None:
+        return settled
+    return (a if isinstance(a, Hidden) else b).combine(op, a, b)

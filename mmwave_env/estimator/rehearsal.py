@@ -1,0 +1,224 @@
+"""A user's algorithm is tried before it is compiled: on floats, and as lanes would call it.
+
+The compiler calls a function once, with numbers that stand for eight environments. The
+rehearsal does the same with probes, which refuse what lanes refuse and remember the value
+that they hide. So it takes milliseconds, knows the line that asked for a value, and finds
+a function that answers lanes otherwise than floats.
+"""
+
+import inspect
+import math
+from collections.abc import Iterator
+from functools import lru_cache
+from typing import Any, NamedTuple
+
+from mmwave_env.arithmetic import Number
+from mmwave_env.estimator.advice import Line, begin_of, instead, line_of
+from mmwave_env.estimator.algebra import unpack
+from mmwave_env.estimator.hidden import Hidden, NoValue, reason
+from mmwave_env.estimator.modes import ALGORITHMS, Mode
+from mmwave_env.estimator.probe import Probe, value_of
+from mmwave_env.estimator.trees import leaves, rebuild
+from mmwave_env.estimator.update import Gate, Posterior
+from mmwave_env.measurement import STATE_SIZE, Layout, Measurement, exact_rows
+
+_LANES_KNOW = (
+    "a number on lanes knows +, -, *, /, <, <=, >, >=, abs and the functions of "
+    "mmwave_env.arithmetic"
+)
+
+
+class AlgorithmError(TypeError):
+    """A mode's own algorithm cannot run: where, why, and what to write instead."""
+
+
+class _Trial(NamedTuple):
+    """An epoch to try: the numbers of a prior x (7,), P (28,), a Measurement and a Gate."""
+
+    x: list[Number]
+    P: list[Number]
+    anchors: list[list[Number]]
+    hz_per_mps: Number
+    z: list[Number]
+    variance: list[Number]
+    visible: list[Number]
+    force: Number
+
+
+def _trials(layout: Layout) -> Iterator[_Trial]:
+    """An epoch that measures everything, and one with an outlier and missing groups."""
+    hz_per_mps, scale = 93.4, [2.0, 1.5, 0.5, 1.0, 0.8, 0.2, 30.0]
+    x = [12.0, -7.0, 1.5, 3.0, -2.0, 0.1, 20.0]
+    truth = [m + 0.5 * s for m, s in zip(x, scale, strict=True)]
+    entries = [(i, j) for i in range(STATE_SIZE) for j in range(i + 1)]
+    P = [scale[i] * scale[j] * (1.0 if i == j else 0.2) for i, j in entries]
+    angles = [0.4 + 2.0 * math.pi * a / layout.anchors for a in range(layout.anchors)]
+    anchors = [[60.0 * math.cos(a), 60.0 * math.sin(a), 10.0 + 3.0 * a] for a in angles]
+    sigma = [1.0, 0.05, 0.05, 0.05] * layout.anchors + [30.0] + [0.5, 0.1] * layout.odometry
+    exact = exact_rows(truth[:3], truth[3:6], anchors, hz_per_mps, layout)
+    exact[layout.doppler] += truth[6]
+    z = [h + 0.3 * s for h, s in zip(exact, sigma, strict=True)]
+    all_seen = [1.0] * len(layout.groups)
+    seen = _Trial(x, P, anchors, hz_per_mps, z, [s * s for s in sigma], all_seen, 0.0)
+    yield seen
+    spoiled = [z[0] + 50.0, *z[1:]]
+    for group in layout.groups[1::2]:
+        spoiled[group] = [0.0] * (group.stop - group.start)
+    some_seen = [float(g % 2 == 0) for g in range(len(layout.groups))]
+    yield seen._replace(z=spoiled, visible=some_seen, force=1.0)
+
+
+def rehearse(mode: Mode, layout: Layout, pinned: tuple[int, ...]) -> None:
+    """Try the algorithm of a mode, unless it is one of ours.
+
+    Args:
+        mode: what to try.
+        layout: rows of the measurement vector.
+        pinned: state components that are known exactly.
+
+    Raises:
+        AlgorithmError: it takes other arguments or changes them, returns no posterior,
+            cannot run on lanes, or answers there otherwise than on floats.
+    """
+    if mode.update not in ALGORITHMS.values():
+        _rehearse(mode, layout, pinned)
+
+
+@lru_cache(maxsize=64)
+def _rehearse(mode: Mode, layout: Layout, pinned: tuple[int, ...]) -> None:
+    _require_signature(mode)
+    for trial in _trials(layout):
+        probes = rebuild(trial, map(Probe, leaves(trial)))
+        on_lanes = _run(mode, layout, pinned, probes)
+        on_floats = _run(mode, layout, pinned, trial)
+        _require_posterior(mode, layout, on_floats)
+        _require_posterior(mode, layout, on_lanes)
+        _require_sound(mode, trial, on_floats)
+        _require_same(mode, on_floats, on_lanes)
+
+
+def _error(mode: Mode, problem: str, line: Line | None, advice: str = "") -> AlgorithmError:
+    begin = begin_of(mode.update)
+    name = repr(mode.update) if begin is None else begin.function
+    parts = [f"algorithm {name} of mode {mode.name!r} {problem}", line and str(line), advice]
+    # Gymnasium appends the arguments of the environment to a message: let them begin a line.
+    return AlgorithmError("\n".join(part for part in parts if part) + "\n")
+
+
+def _wrong_return(mode: Mode, found: str) -> AlgorithmError:
+    return _error(mode, f"returned {found}", begin_of(mode.update))
+
+
+def _require_signature(mode: Mode) -> None:
+    try:
+        signature = inspect.signature(mode.update)
+    except ValueError:  # built-in: what it takes, its call will tell
+        return
+    try:
+        signature.bind("x", "P", "measurement", "gate")
+    except TypeError:
+        problem = f"takes {signature}, expected (x, P, measurement, gate)"
+        raise _error(mode, problem, begin_of(mode.update)) from None
+
+
+def _run(mode: Mode, layout: Layout, pinned: tuple[int, ...], trial: _Trial) -> Any:
+    """What the algorithm returns for an epoch."""
+    _, _, anchors, hz_per_mps, z, variance, visible, force = rebuild(trial, iter(leaves(trial)))
+    measurement = Measurement(anchors, hz_per_mps, z, variance, visible, layout)
+    gate = Gate(mode.gate, 0.0 if mode.recovery is None else force, mode.robust)
+    arguments = list(trial.x), unpack(trial.P, zero=pinned), measurement
+    before = [leaves(argument) for argument in arguments]
+    try:
+        result = mode.update(*arguments, gate)
+    except NoValue as refusal:
+        line = line_of(refusal, mode.update)
+        advice = f"{reason(refusal.asked)}:\n{instead(refusal.asked, line)}"
+        raise _error(mode, "cannot run on lanes", line, advice) from None
+    except Exception as error:
+        advice = f"{type(error).__name__}: {error}"
+        if isinstance(force, Probe) and isinstance(error, TypeError | AttributeError):
+            advice = f"{advice}\n{_LANES_KNOW}"
+        raise _error(mode, "failed on trial", line_of(error, mode.update), advice) from error
+    for name, argument, old in zip(("x", "P", "measurement"), arguments, before, strict=True):
+        new = leaves(argument)
+        if len(new) != len(old) or any(a is not b for a, b in zip(new, old, strict=True)):
+            problem = f"changed its argument {name}, expected it to be left as it is"
+            raise _error(mode, problem, begin_of(mode.update))
+    return result
+
+
+def _require_posterior(mode: Mode, layout: Layout, result: Any) -> None:
+    """Every field is there and has its shape."""
+    if not isinstance(result, Posterior):
+        raise _wrong_return(
+            mode, f"{_kind(result)}, expected a Posterior of mmwave_env.estimator.update"
+        )
+    groups = len(layout.groups)
+    _require_numbers(mode, "x", result.x, STATE_SIZE)
+    if not isinstance(result.P, list) or len(result.P) != STATE_SIZE:
+        raise _wrong_return(mode, f"P: {_kind(result.P)}, expected a list of {STATE_SIZE} rows")
+    for i, row in enumerate(result.P):
+        _require_numbers(mode, f"P[{i}]", row, STATE_SIZE)
+    _require_numbers(mode, "nis", result.nis, groups)
+    _require_numbers(mode, "accepted", result.accepted, groups)
+    _require_numbers(mode, "log_likelihood", [result.log_likelihood], 1)
+
+
+def _require_numbers(mode: Mode, name: str, found: Any, size: int) -> None:
+    if not isinstance(found, list) or len(found) != size:
+        raise _wrong_return(mode, f"{name}: {_kind(found)}, expected a list of {size} numbers")
+    for i, number in enumerate(found):
+        if isinstance(number, bool) or not isinstance(number, (float, int, Hidden)):
+            place = name if name == "log_likelihood" else f"{name}[{i}]"
+            hint = ": where(condition, 1.0, 0.0)" if isinstance(number, bool) else ""
+            raise _wrong_return(mode, f"{place}: {_kind(number)}, expected a number{hint}")
+
+
+def _kind(found: Any) -> str:
+    kind = "None" if found is None else type(found).__name__
+    return f"{kind} of {len(found)}" if isinstance(found, (list, tuple)) else kind
+
+
+def _places(posterior: Posterior) -> list[tuple[str, Any]]:
+    """Name and value of every number."""
+    found = []
+    for field, value in posterior._asdict().items():
+        for i, number in enumerate(leaves(value)):
+            row, column = divmod(i, STATE_SIZE)
+            place = f"[{row}][{column}]" if field == "P" else f"[{i}]"
+            found.append((field if number is value else f"{field}{place}", number))
+    return found
+
+
+def _require_sound(mode: Mode, trial: _Trial, result: Posterior) -> None:
+    """Finite numbers, a symmetric covariance, nothing of what is missing."""
+    for place, number in _places(result):
+        if not math.isfinite(number):
+            raise _wrong_return(mode, f"{place}: {number}, expected a finite number")
+    P = result.P
+    for i in range(STATE_SIZE):
+        for j in range(i):
+            tolerance = 1e-9 * math.sqrt(abs(P[i][i] * P[j][j]))
+            if abs(P[i][j] - P[j][i]) > tolerance:
+                raise _wrong_return(
+                    mode,
+                    f"P[{i}][{j}]: {P[i][j]:g}, but P[{j}][{i}]: {P[j][i]:g}, expected a "
+                    "symmetric matrix (mmwave_env.estimator.algebra.symmetric makes one)",
+                )
+    for g, visible in enumerate(trial.visible):
+        if not visible and (result.nis[g] or result.accepted[g]):
+            raise _wrong_return(
+                mode,
+                f"nis[{g}]: {result.nis[g]:g} and accepted[{g}]: {result.accepted[g]:g} of a "
+                "missing group, expected 0 (times measurement.visible)",
+            )
+
+
+def _require_same(mode: Mode, on_floats: Posterior, on_lanes: Posterior) -> None:
+    for (place, a), (_, b) in zip(_places(on_floats), _places(on_lanes), strict=True):
+        if a != value_of(b):
+            raise _wrong_return(
+                mode,
+                f"{place}: {a!r} on floats and {value_of(b)!r} on lanes, expected the same: it "
+                "may ask for the type of a number, draw at random or remember calls",
+            )

@@ -1,0 +1,207 @@
+"""A filter of one's own: what docs/own-filters.md shows works as shown, wherever modes go."""
+
+import importlib
+import re
+import sys
+from functools import partial
+from pathlib import Path
+
+import gymnasium as gym
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.stats import chi2
+
+from experiments.evaluation import evaluate
+from mmwave_env.estimator.modes import Mode
+from mmwave_env.estimator.pipeline import Pipeline
+from mmwave_env.estimator.rehearsal import AlgorithmError
+from mmwave_env.estimator.update import Gate, ekf
+from mmwave_env.imm_engine import ImmEngine
+from mmwave_env.io.measurement_log import read_log, write_log
+from mmwave_env.localizer import localize
+from mmwave_env.radio import RADIOS
+from mmwave_env.reward import TrackingReward
+from mmwave_env.scene import SCENES
+from mmwave_env.simulation import SimulatedSource
+from mmwave_env.tracker import Tracker
+
+from . import textbook
+from .problems import assert_same, assume_clear_of, problems
+from .tracks import STREET, assert_same_beliefs, simulated, track
+
+PAGE = (Path(__file__).parents[2] / "docs" / "own-filters.md").read_text()
+IEKF, USE, HASTY, TESTS, COMPARE = re.findall(r"```python\n(.*?)```", PAGE, re.DOTALL)
+GATES = {
+    "no gate": Gate(None), "99 %": Gate(0.99), "forced": Gate(0.5, force=1.0),
+    "robust": Gate(0.99, robust=True),
+}  # fmt: skip
+
+
+@pytest.fixture(scope="module", autouse=True)
+def files(tmp_path_factory):
+    """A folder with the page's files, from which they can be imported."""
+    folder = tmp_path_factory.mktemp("own")
+    (folder / "iekf.py").write_text(IEKF)
+    (folder / "hasty.py").write_text(HASTY)
+    sys.path.insert(0, str(folder))
+    importlib.invalidate_caches()
+    yield folder
+    sys.path.remove(str(folder))
+    for name in ("iekf", "hasty"):
+        sys.modules.pop(name, None)
+
+
+@pytest.fixture(scope="module")
+def iekf(files):
+    return importlib.import_module("iekf").iekf
+
+
+@pytest.fixture
+def mine(iekf):
+    return Mode("iekf", iekf, sigma_v=1.8)
+
+
+@pytest.mark.parametrize("odometry", [False, True], ids=["radio", "odometry"])
+@pytest.mark.parametrize("gate", GATES.values(), ids=GATES)
+@pytest.mark.parametrize("iterations", [1, 2, 3])
+@given(data=st.data())
+@settings(max_examples=40, deadline=None)
+def test_iekf_equals_the_textbook_s(iekf, iterations, gate, odometry, data):
+    problem = data.draw(problems(odometry))
+    s = problem.sensor
+    expected = textbook.iterated(
+        iterations, s, s.groups, s.links, problem.x, problem.P, problem.z, problem.R,
+        problem.visible, gate.quantile, gate.force, gate.robust,
+    )  # fmt: skip
+    if gate.quantile is not None:
+        assume_clear_of(expected.nis, s, [lambda n: chi2.ppf(gate.quantile, n)])
+    assert_same(problem.ours(partial(iekf, iterations=iterations), gate), expected)
+
+
+@pytest.mark.parametrize("gate", GATES.values(), ids=GATES)
+@given(data=st.data())
+@settings(max_examples=40, deadline=None)
+def test_one_iteration_is_our_ekf(iekf, gate, data):
+    problem = data.draw(problems(odometry=True))
+    once, ours = (problem.ours(f, gate) for f in (partial(iekf, iterations=1), ekf))
+    assert (once.nis, once.accepted, once.log_likelihood) == (
+        ours.nis, ours.accepted, ours.log_likelihood
+    )  # fmt: skip
+    packed = [np.array(p.P)[np.tril_indices(7)] for p in (once, ours)]
+    assert_same_beliefs(
+        *[{"x": np.array(p.x), "P": P} for p, P in zip((once, ours), packed, strict=True)],
+        rtol=1e-9,
+    )
+
+
+@given(data=st.data())
+@settings(max_examples=20, deadline=None)
+def test_nothing_visible_leaves_the_prior(iekf, data):
+    problem = data.draw(problems(odometry=True))
+    posterior = problem._replace(visible=np.zeros_like(problem.visible)).ours(iekf, Gate(0.99))
+    assert (posterior.x, posterior.P) == (problem.x.tolist(), problem.P.tolist())
+    assert posterior.log_likelihood == 0.0
+    assert not any(posterior.accepted)
+
+
+@pytest.mark.parametrize("planar", [False, True], ids=["hilly", "planar"])
+def test_lanes_equal_floats(mine, planar):
+    episodes = simulated(3, epochs=40, odometry=True)
+    pipeline = Pipeline((mine,), episodes[0].layout, planar)
+    names = ("x", "P", "memory.nis", "memory.accepted", "candidates")
+    lanes, floats = (
+        track(pipeline, episodes, 0, 40, names, on_floats) for on_floats in (False, True)
+    )
+    assert_same_beliefs(lanes, floats, rtol=1e-9)
+    for name in names[2:]:
+        np.testing.assert_allclose(lanes[name], floats[name], rtol=1e-8, atol=1e-8, err_msg=name)
+
+
+def test_wherever_modes_go(mine):
+    """The engine, the tracker, the IMM of one mode and the localiser give the same track."""
+    episodes = simulated(2, epochs=30)
+    pipeline = Pipeline((mine,), STREET)
+    engine = track(pipeline, episodes, 0, 30, ("x",))["x"].swapaxes(0, 1)
+    tracker = Tracker(pipeline, 2)
+    tracker.load(episodes)
+    np.testing.assert_allclose(tracker.run("x")["x"], engine, rtol=1e-9, atol=1e-9)
+    imm = ImmEngine(pipeline, 2, TrackingReward())
+    imm.reset(episodes)
+    for _ in range(29):
+        imm.step()
+    np.testing.assert_allclose(imm.read(imm.at.x), engine[:, -1], rtol=1e-9, atol=1e-9)
+
+
+def test_a_log_is_localised_with_it(iekf, tmp_path):
+    scene, radio = SCENES["street"], RADIOS["handset"]
+    source = SimulatedSource(scene, radio, epochs=30)
+    write_log(tmp_path / "log.csv", source.sample(np.random.default_rng(0)))
+    once = partial(iekf, iterations=1)
+    (own,), (ours,) = (
+        list(localize(read_log(tmp_path / "log.csv", scene), scene, radio, [Mode("m", algorithm)]))
+        for algorithm in (once, "ekf")
+    )
+    np.testing.assert_allclose(own.smooth_x, ours.smooth_x, rtol=1e-6, atol=1e-6)
+
+
+def test_it_is_evaluated_like_a_mode_of_ours(mine):
+    source = SimulatedSource(SCENES["street"], RADIOS["handset"], epochs=30)
+    scores = evaluate(["fixed-iekf", "imm"], source, "handset", 2, 0, (mine,))
+    assert np.isfinite(scores["fixed-iekf"]["ate_m"]).all()
+    np.testing.assert_allclose(scores["imm"]["ate_m"], scores["fixed-iekf"]["ate_m"], rtol=1e-6)
+
+
+def test_vector_environments_give_the_numbers_of_single_ones(mine):
+    arguments = {"modes": ["ekf", mine], "episode_steps": 5}
+    single = gym.make("MmWaveLoc-v0", **arguments)
+    envs = gym.make_vec("MmWaveLoc-v0", num_envs=3, **arguments)
+    seen, _ = envs.reset(seed=[7, 8, 9])
+    for i in range(3):
+        np.testing.assert_array_equal(single.reset(seed=7 + i)[0], seen[i])
+    single.reset(seed=7)
+    for _ in range(5):
+        one, many = single.step(1), envs.step(np.ones(3, int))
+        np.testing.assert_array_equal(one[0], many[0][0])
+        assert one[1] == many[1][0]
+
+
+def test_the_page_s_example_of_use_runs(capsys):
+    names = {}
+    exec(compile(USE, "own-filters.md", "exec"), names)
+    assert names["info"]["mode"] == 1
+    names["envs"].close()
+
+
+def test_the_page_s_tests_pass():
+    names = {}
+    exec(compile(TESTS, "own-filters.md", "exec"), names)
+    tests = [value for name, value in names.items() if name.startswith("test_")]
+    assert len(tests) == 2
+    for test in tests:
+        test()
+
+
+def test_a_hasty_filter_is_refused_as_the_page_shows(files):
+    hasty = importlib.import_module("hasty").hasty
+    (shown,) = re.findall(r"```\n(algorithm hasty.*?)```", PAGE, re.DOTALL)
+    with pytest.raises(AlgorithmError) as refusal:
+        Pipeline((Mode("hasty", hasty),), STREET)
+    assert str(refusal.value).replace(f"{files}/", "") == shown
+
+
+def test_the_page_s_links_lead_somewhere():
+    for target in re.findall(r"\]\(([^)#]+)\)", PAGE):
+        assert (Path(__file__).parents[2] / "docs" / target).exists(), target
+
+
+@pytest.mark.slow
+def test_the_page_s_table_is_what_it_prints(capsys):
+    exec(compile(COMPARE, "own-filters.md", "exec"), {})
+    made = capsys.readouterr().out
+    shown = PAGE.split("<!-- table:")[1].split("-->\n", 1)[1].split("<!-- end of table")[0]
+    number = r"-?\d+(?:\.\d+)?"
+    assert re.sub(number, "", made).split() == re.sub(number, "", shown).split()
+    figures = [[float(n) for n in re.findall(number, text)] for text in (made, shown)]
+    assert figures[0] == pytest.approx(figures[1], rel=0.02, abs=0.002)

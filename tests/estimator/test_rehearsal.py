@@ -1,0 +1,390 @@
+"""Algorithms that cannot run are refused before they are compiled, and the message helps."""
+
+import importlib.util
+import linecache
+import math
+import random
+from dataclasses import replace
+from functools import partial
+
+import gymnasium as gym
+import numpy as np
+import pytest
+
+from mmwave_env.engine import Engine
+from mmwave_env.estimator.linearise import SigmaPoints
+from mmwave_env.estimator.modes import Mode
+from mmwave_env.estimator.pipeline import Pipeline
+from mmwave_env.estimator.rehearsal import AlgorithmError
+from mmwave_env.estimator.update import Posterior, ckf, ekf, ukf, update
+from mmwave_env.measurement import Layout
+from mmwave_env.reward import TrackingReward
+from mmwave_env.tracker import Tracker
+
+from .tracks import STREET, simulated
+
+BEFORE = """import math
+from math import sqrt
+import numpy as np
+from mmwave_env.arithmetic import where
+from mmwave_env.estimator.update import ekf
+TABLE = [1.0, 2.0]
+def mine(x, P, measurement, gate):
+    a, b = x[0], P[0][0]
+"""
+AFTER = "\n    return ekf(x, P, measurement, gate)\n"
+LINE = BEFORE.count("\n") + 1
+WHERE = "write where(condition, a, b)"
+MAXIMUM = "instead of max write mmwave_env.arithmetic.maximum(a, b)"
+ROOT = "write mmwave_env.arithmetic.sqrt"
+REFUSED = {
+    "if a > 0.0: b = a": ("a branch", f"instead of if {WHERE}"),
+    "c = a if a > b else b": ("a branch", f"instead of if {WHERE}"),
+    "c = [v for v in x if v > 0.0]": ("a branch", f"instead of if {WHERE}"),
+    "while b > 1.0: b = b / 2.0": ("a branch", "instead of while write a for loop over a constant"),
+    "assert b > 0.0": ("a branch", "instead of assert write nothing"),
+    "c = where(a > 0.0 and b > 0.0, 1.0, 0.0)": ("a branch", "instead of and write (a > 0.0) & "),
+    "c = where(a > 0.0 or b > 0.0, 1.0, 0.0)": ("a branch", "instead of or write (a > 0.0) | "),
+    "c = where(not a > 0.0, 1.0, 0.0)": ("a branch", "instead of not write the opposite"),
+    "c = where(0.0 < a < b, 1.0, 0.0)": (
+        "a branch",
+        "instead of a < b < c write (a < b) & (b < c)",
+    ),
+    "c = max(a, b)": ("a branch", MAXIMUM),
+    "c = min(x)": ("a branch", "instead of min write mmwave_env.arithmetic.minimum(a, b)"),
+    "c = sorted(x)": ("a branch", "instead of sorted write minimum(a, b) and maximum(a, b)"),
+    "x.sort()": ("a branch", "instead of x.sort write minimum(a, b)"),
+    "c = any(v > 0.0 for v in x)": ("a branch", "instead of any write conditions joined by |"),
+    "c = all(v > 0.0 for v in x)": ("a branch", "instead of all write conditions joined by &"),
+    "c = bool(a)": ("a branch", "instead of bool write the condition itself"),
+    "c = math.sqrt(b)": ("a float", f"instead of math.sqrt {ROOT}"),
+    "c = sqrt(b)": ("a float", f"instead of sqrt {ROOT}"),
+    "c = math.hypot(a, b)": ("a float", "instead of math.hypot write sqrt(a * a + b * b)"),
+    "c = math.sin(a)": ("a float", "write the functions of mmwave_env.arithmetic"),
+    "c = float(a)": ("a float", "instead of float write the number itself"),
+    "c = int(a)": ("an integer", "instead of int write the number, unrounded"),
+    "c = round(a)": ("an integer", "instead of round write the number, unrounded"),
+    "c = math.floor(a)": ("an integer", "instead of math.floor write the number, unrounded"),
+    "c = TABLE[a]": ("an integer", "instead of [] write where(condition, a[0], a[1])"),
+    "c = [0.0 for _ in range(a)]": ("an integer", "instead of range write range(n) of a constant"),
+    "c = np.sqrt(b)": ("numpy", f"instead of np.sqrt {ROOT}"),
+    "c = np.arctan2(a, b)": ("numpy", "instead of np.arctan2 write mmwave_env.arithmetic.atan2"),
+    "c = np.array([a, b])": ("numpy", "instead of np.array write a list of numbers"),
+    "c = np.linalg.inv(P)": ("numpy", "instead of np.linalg.inv write cholesky, forward, backward"),
+    "c = np.eye(7) * a": ("numpy", "write lists, mmwave_env.arithmetic and"),
+    "c = np.float64(2.0) * a": ("numpy", "instead of np.float64 write a plain float"),
+    "c = a == b": ("a comparison by == or !=", "write where(abs(a - b) < tolerance, ...)"),
+    "c = a != 0.0": ("a comparison by == or !=", "write where(abs(a - b) < tolerance, ...)"),
+    "c = a in x[1:]": ("a comparison by == or !=", "write where(abs(a - b) < tolerance, ...)"),
+    "c = b ** 0.5": ("a power", "sqrt(a) for a ** 0.5"),
+    "c = a ** 2": ("a power", "a * a for a ** 2"),
+    "c = a % 3.0": ("a remainder", "wrap(a) for angles"),
+    "c = a // 3.0": ("a division with //", "write a / b"),
+    "c = {a: 1.0}": ("a key of a dict or set", "a list and a constant index"),
+    "c = (a > 0.0) * 2.0": ("arithmetic with a condition", "write where(condition, 1.0, 0.0)"),
+    "c = 1.0 - (a > 0.0)": ("arithmetic with a condition", "write where(condition, 1.0, 0.0)"),
+    "c = a * (a > 0.0)": ("arithmetic with a condition", "write where(condition, 1.0, 0.0)"),
+    "c = where(b, 1.0, 0.0)": ("a number as a condition", "write where(a > 0.5, ...) instead"),
+    "c = where(~(a > 0.0), 1.0, 0.0)": ("the inverse of a condition", "where(condition, b, a)"),
+}
+
+
+@pytest.fixture
+def written(tmp_path):
+    """Makes an algorithm of a line of code, in a file."""
+
+    def write(line):
+        file = tmp_path / "filters.py"
+        file.write_text(f"{BEFORE}    {line}{AFTER}")
+        linecache.checkcache(str(file))
+        spec = importlib.util.spec_from_file_location("filters", file)
+        module = importlib.util.module_from_spec(spec)
+        spec.loader.exec_module(module)
+        return file, module.mine
+
+    return write
+
+
+def refusal(algorithm, layout=STREET, **options):
+    with pytest.raises(AlgorithmError) as error:
+        Pipeline((Mode("own", algorithm, **options),), layout)
+    return error.value
+
+
+@pytest.mark.parametrize(("line", "said"), REFUSED.items(), ids=REFUSED)
+def test_what_lanes_cannot_do_is_refused_with_line_and_advice(written, line, said):
+    file, algorithm = written(line)
+    what, instead = said
+    error = refusal(algorithm)
+    head, where, text, why, *advice = str(error).splitlines()
+    assert head == "algorithm mine of mode 'own' cannot run on lanes"
+    assert where.startswith(f'  File "{file}", line {LINE}, in ')
+    assert text.strip() == line
+    assert why == f"{what} needs the value of a number that stands for 8 environments:"
+    assert instead in "\n".join(advice)
+    assert error.__cause__ is None and error.__suppress_context__
+
+
+def helper(a):
+    return max(a, 0.0)  # refused here
+
+
+def helped(x, P, measurement, gate):
+    helper(x[0])
+    return ekf(x, P, measurement, gate)
+
+
+def wrapped(x, P, measurement, gate):
+    helped(x, P, measurement, gate)
+    return update(x, P, measurement, gate, SigmaPoints())
+
+
+class Filter:
+    def __call__(self, x, P, measurement, gate):
+        helper(x[0])
+        return ekf(x, P, measurement, gate)
+
+
+@pytest.mark.parametrize("algorithm", [helped, wrapped, partial(helped), Filter()])
+def test_the_line_is_the_innermost_of_the_user_s(algorithm):
+    number = 1 + next(
+        i for i, line in enumerate(linecache.getlines(__file__)) if "# refused here" in line
+    )
+    message = str(refusal(algorithm))
+    assert f'File "{__file__}", line {number}, in helper' in message
+    assert MAXIMUM in message
+
+
+def test_a_built_in_function_has_no_line():
+    message = str(refusal(len))
+    assert message == (
+        "algorithm <built-in function len> of mode 'own' takes (obj, /), "
+        "expected (x, P, measurement, gate)\n"
+    )
+
+
+def test_without_source_the_advice_is_general():
+    names = {"ekf": ekf}
+    exec("def f(x, P, m, g):\n    if x[0] > 0: pass\n    return ekf(x, P, m, g)", names)
+    message = str(refusal(names["f"]))
+    assert 'File "<string>", line 2, in f' in message and WHERE in message
+
+
+def misspelt(x, P, measurement, gate):
+    return ekf(x, P, measurement.numbers, gate)
+
+
+def only_lanes(x, P, measurement, gate):
+    return ekf([v.constant(1.0) for v in x], P, measurement, gate)
+
+
+def only_floats(x, P, measurement, gate):
+    return ekf([v.real for v in x], P, measurement, gate)
+
+
+@pytest.mark.parametrize(
+    ("algorithm", "said"),
+    [
+        (misspelt, "'Measurement' object has no attribute 'numbers'"),
+        (only_lanes, "'float' object has no attribute 'constant'"),
+        (only_floats, "'Probe' object has no attribute 'real'"),
+    ],
+)
+def test_other_failures_keep_their_cause_and_show_the_line(algorithm, said):
+    error = refusal(algorithm)
+    code = algorithm.__code__
+    assert said in str(error)
+    assert f'File "{code.co_filename}", line {code.co_firstlineno + 1}, in' in str(error)
+    assert isinstance(error.__cause__, AttributeError)
+
+
+def test_a_failure_on_lanes_says_what_lanes_know():
+    assert "a number on lanes knows +, -, *, /, <, <=, >, >=, abs" in str(refusal(only_floats))
+
+
+# --- signatures, returns and arguments
+
+
+def changed(**fields):
+    """The EKF with some fields of its posterior replaced by functions of them."""
+
+    def algorithm(x, P, measurement, gate):
+        after = ekf(x, P, measurement, gate)
+        return after._replace(**{name: f(getattr(after, name)) for name, f in fields.items()})
+
+    return algorithm
+
+
+def nothing(x, P, measurement, gate):
+    ekf(x, P, measurement, gate)
+
+
+def tuple_of_two(x, P, measurement, gate):
+    return x, P
+
+
+def flags(x, P, measurement, gate):
+    after = ekf(x, P, measurement, gate)
+    return after._replace(accepted=[q < 9.0 for q in after.nis])
+
+
+def too_few(x, P, gate):
+    return ekf(x, P, None, gate)
+
+
+def too_many(x, P, measurement, gate, strength):
+    return ekf(x, P, measurement, gate)
+
+
+def nan_where_small(x, P, measurement, gate):
+    after = ekf(x, P, measurement, gate)
+    return after._replace(x=[math.nan, *after.x[1:]])
+
+
+def uses_the_missing(x, P, measurement, gate):
+    after = ekf(x, P, measurement, gate)
+    return after._replace(accepted=[1.0 for _ in after.accepted])
+
+
+def lopsided(x, P, measurement, gate):
+    after = ekf(x, P, measurement, gate)
+    matrix = [list(row) for row in after.P]
+    matrix[0][3] = matrix[0][3] + 1.0
+    return after._replace(P=matrix)
+
+
+RETURNS = {
+    nothing: "returned None, expected a Posterior of mmwave_env.estimator.update",
+    tuple_of_two: "returned tuple of 2, expected a Posterior",
+    changed(x=lambda x: x[:6]): "returned x: list of 6, expected a list of 7 numbers",
+    changed(x=tuple): "returned x: tuple of 7, expected a list of 7 numbers",
+    changed(x=lambda x: [None, *x[1:]]): "returned x[0]: None, expected a number",
+    changed(P=lambda P: P[:6]): "returned P: list of 6, expected a list of 7 rows",
+    changed(P=lambda P: [*P[:6], P[6][:2]]): "returned P[6]: list of 2, expected a list of 7",
+    changed(nis=lambda q: q[0]): "returned nis: float, expected a list of 4 numbers",
+    changed(accepted=lambda a: [*a, 1.0]): "returned accepted: list of 5, expected a list of 4",
+    changed(log_likelihood=lambda _: None): "returned log_likelihood: None, expected a number",
+    changed(log_likelihood=lambda v: [v]): "returned log_likelihood: list of 1, expected a number",
+    flags: "returned accepted[0]: bool, expected a number: where(condition, 1.0, 0.0)",
+    nan_where_small: "returned x[0]: nan, expected a finite number",
+    uses_the_missing: "accepted[1]: 1 of a missing group, expected 0",
+    lopsided: "expected a symmetric matrix",
+    too_few: "takes (x, P, gate), expected (x, P, measurement, gate)",
+    too_many: "takes (x, P, measurement, gate, strength), expected (x, P, measurement, gate)",
+}
+
+
+@pytest.mark.parametrize(("algorithm", "said"), RETURNS.items(), ids=RETURNS.values())
+def test_wrong_returns_and_signatures_are_refused(algorithm, said):
+    message = str(refusal(algorithm))
+    assert message.startswith(f"algorithm {algorithm.__name__} of mode 'own' ")
+    assert said in message
+    code = algorithm.__code__
+    assert f'File "{code.co_filename}", line {code.co_firstlineno}, in' in message
+
+
+def moves_the_prior(x, P, measurement, gate):
+    x[0] = x[0] + 1.0
+    return ekf(x, P, measurement, gate)
+
+
+def widens_the_prior(x, P, measurement, gate):
+    P[0][0] = P[0][0] + 1.0
+    return ekf(x, P, measurement, gate)
+
+
+def doubts_the_noise(x, P, measurement, gate):
+    measurement.variance.append(1.0)
+    return ekf(x, P, measurement, gate)
+
+
+CHANGES = {"x": moves_the_prior, "P": widens_the_prior, "measurement": doubts_the_noise}
+
+
+@pytest.mark.parametrize(("name", "algorithm"), CHANGES.items(), ids=CHANGES)
+def test_changed_arguments_are_refused(name, algorithm):
+    assert f"changed its argument {name}, expected it to be left" in str(refusal(algorithm))
+
+
+def asks_for_the_type(x, P, measurement, gate):
+    scale = 2.0 if isinstance(P[0][0], float) else 1.0
+    return ekf(x, [[scale * v for v in row] for row in P], measurement, gate)
+
+
+def draws(x, P, measurement, gate):
+    return ekf([v + random.gauss(0.0, 0.1) for v in x], P, measurement, gate)
+
+
+@pytest.mark.parametrize("algorithm", [asks_for_the_type, draws])
+def test_other_numbers_on_lanes_than_on_floats_are_refused(algorithm):
+    message = str(refusal(algorithm))
+    assert "on floats and" in message and "on lanes, expected the same" in message
+
+
+# --- when
+
+
+def test_environments_refuse_before_they_are_made(written):
+    file, algorithm = written("c = max(a, b)")
+    here = f'File "{file}", line {LINE}, in mine'
+    arguments = {"modes": ["ekf", Mode("own", algorithm)]}
+    for make in (gym.make, partial(gym.make_vec, num_envs=2)):
+        with pytest.raises(TypeError, match="cannot run on lanes") as error:
+            make("MmWaveLoc-v0", **arguments)
+        assert here in str(error.value) and MAXIMUM in str(error.value)
+
+
+@pytest.mark.parametrize("layout", [Layout(1), Layout(3), Layout(9, True)], ids=str)
+@pytest.mark.parametrize("planar", [False, True], ids=["hilly", "planar"])
+@pytest.mark.parametrize("ours", [ekf, ukf, ckf])
+@pytest.mark.parametrize("options", [{}, {"robust": True}, {"gate": None, "recovery": None}])
+def test_sound_algorithms_pass_with_any_layout(layout, planar, ours, options):
+    def own(x, P, measurement, gate):
+        return ours(x, P, measurement, gate)
+
+    Pipeline((Mode("own", own, **options),), layout, planar)
+
+
+def test_what_is_known_beforehand_may_be_branched_on():
+    def own(x, P, measurement, gate):
+        if measurement.layout.odometry and gate.robust and gate.quantile is not None:
+            return ukf(x, P, measurement, gate)
+        return ekf(x, P, measurement, gate)
+
+    Pipeline((Mode("own", own),), STREET)
+
+
+def test_a_layout_of_which_a_filter_knows_nothing_is_refused():
+    def three_anchors(x, P, measurement, gate):
+        after = ekf(x, P, measurement, gate)
+        return Posterior(after.x, after.P, after.nis[:4], after.accepted[:4], after.log_likelihood)
+
+    Pipeline((Mode("own", three_anchors),), Layout(3))
+    message = str(refusal(three_anchors, Layout(5)))
+    assert "returned nis: list of 4, expected a list of 6" in message
+
+
+def test_one_trial_serves_equal_pipelines():
+    calls = []
+
+    def counting(x, P, measurement, gate):
+        calls.append(1)
+        return ekf(x, P, measurement, gate)
+
+    pipeline = Pipeline((Mode("own", counting),), STREET)
+    assert len(calls) == 4  # two epochs, on floats and as on lanes
+    replace(pipeline, modes=pipeline.modes)
+    Engine(pipeline, 1, TrackingReward())
+    assert len(calls) == 4
+
+
+def test_tunings_of_an_own_algorithm_share_a_tracker():
+    def own(x, P, measurement, gate):
+        return ekf(x, P, measurement, gate)
+
+    episodes = simulated(2, epochs=20)
+    ours, mine = (Tracker(Pipeline((Mode("m", a),), STREET), 2) for a in ("ekf", own))
+    for tracker in (ours, mine):
+        tracker.tune([Mode("other", sigma_v=2.0).tuning])
+        tracker.load(episodes)
+    np.testing.assert_array_equal(ours.run("x")["x"], mine.run("x")["x"])
