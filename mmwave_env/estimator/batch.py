@@ -29,7 +29,7 @@ from mmwave_env.estimator.trees import leaves
 from mmwave_env.measurement import STATE_SIZE, Layout
 from mmwave_env.threads import share
 
-BLOCKS_PER_THREAD = 64  # waking a thread costs as much as 16 of them
+BLOCKS_PER_THREAD = 128  # waking a thread costs as much as 64 of them
 
 
 class Incoming(NamedTuple):
