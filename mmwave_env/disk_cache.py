@@ -22,6 +22,7 @@ import numba
 import numpy as np
 from numba.core.caching import NullCache
 from numba.core.compiler import CompileResult
+from numba.core.registry import cpu_target
 from numba.core.serialize import dumps
 from numba.misc.appdirs import user_cache_dir
 
@@ -39,6 +40,36 @@ def compiled(function: Callable[..., Any]) -> Any:
     if folder is not None:
         dispatcher._cache = _Kept(function, folder)
     return dispatcher
+
+
+class Sparing:
+    """A compiled function that runs as plain Python where compiling it would take longer.
+
+    What it calls has to run both ways, as ``numba.extending.register_jitable`` makes it.
+
+    Args:
+        function: what to run.
+        jobs: how many it does as plain Python, in a process that does not find it on disk.
+    """
+
+    def __init__(self, function: Callable[..., Any], jobs: int) -> None:
+        self.plain, self.compiled = function, compiled(function)
+        self._left = jobs
+
+    def __call__(self, jobs: int, *arguments: Any) -> Any:
+        """Do so many jobs with these arguments."""
+        if jobs <= self._left and not self._is_there(arguments):
+            self._left -= jobs
+            return self.plain(*arguments)
+        self._left = 0
+        return self.compiled(*arguments)
+
+    def _is_there(self, arguments: tuple[Any, ...]) -> bool:
+        cache = self.compiled._cache
+        signature = tuple(numba.typeof(argument) for argument in arguments)
+        return signature in self.compiled.overloads or (
+            isinstance(cache, _Kept) and cache.has(signature)
+        )
 
 
 def _folder() -> Path | None:
@@ -88,6 +119,10 @@ class _Kept(NullCache):  # type: ignore[misc]
     @property
     def cache_path(self) -> str:
         return str(self._folder)
+
+    def has(self, signature: Any) -> bool:
+        """Whether a version of the function is there, if nothing is wrong with its file."""
+        return self._entry(signature, cpu_target.target_context.codegen())[1].exists()
 
     def load_overload(self, signature: Any, context: Any) -> Any:
         context.refresh()

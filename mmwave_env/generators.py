@@ -10,9 +10,9 @@ from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from typing import NamedTuple
 
-import numba
 import numpy as np
 from gymnasium.utils import seeding
+from numba.extending import register_jitable
 from numpy.typing import NDArray
 
 Words = NDArray[np.uint64]
@@ -44,7 +44,7 @@ def single(rng: np.random.Generator) -> Dice:
     return Dice(rng, np.zeros(4, np.uint64), np.zeros((1, 4), np.uint64))
 
 
-@numba.njit
+@register_jitable
 def take(dice, i):  # type: ignore[no-untyped-def]
     """Let the generator take on state i, which stays untouched until :func:`leave`."""
     rng, memory, states = dice
@@ -53,7 +53,7 @@ def take(dice, i):  # type: ignore[no-untyped-def]
     return rng
 
 
-@numba.njit
+@register_jitable
 def leave(dice, i):  # type: ignore[no-untyped-def]
     """Keep what the draws since :func:`take` made of state i."""
     _, memory, states = dice

@@ -9,10 +9,11 @@ from functools import lru_cache
 from typing import Any, NamedTuple
 
 import numpy as np
+from numba.extending import register_jitable
 from numpy.typing import NDArray
 
 from mmwave_env.arithmetic import Number
-from mmwave_env.disk_cache import compiled
+from mmwave_env.disk_cache import Sparing
 from mmwave_env.estimator.algebra import unpack
 from mmwave_env.estimator.batch import Batch
 from mmwave_env.estimator.lanes import WIDTH
@@ -25,6 +26,7 @@ from mmwave_env.tracker import Track, program_of
 Actions = NDArray[np.integer[Any]]
 
 AXES = 3
+PLAIN_EPISODES = 10  # run again before compiling, which takes as long as 30 of them
 
 
 class Passed(NamedTuple):
@@ -122,8 +124,8 @@ class Replay:
         if self._on_floats:
             self._on_floats_there(rows, tables[places], actions, keep, show, figures)
         else:
-            _there_and_back(
-                there.on_lanes(), back.on_lanes(), rows, back.start, tables, places, actions,
+            _round_trip(
+                n, there.on_lanes(), back.on_lanes(), rows, back.start, tables, places, actions,
                 there.index.action, keep, show, figures,
             )  # fmt: skip
         return figures[..., :AXES], figures[..., AXES], figures[..., AXES + 1 :]
@@ -144,7 +146,7 @@ class Replay:
             _return(self._back.on_lanes(), self._back.start, way, show, out[e : e + 1])
 
 
-@compiled
+@register_jitable  # type: ignore[untyped-decorator]
 def _return(run, start, way, show, out):  # type: ignore[no-untyped-def]
     """From the last epoch of up to eight episodes to the first; fill ``out`` (n, T, s)."""
     block = np.empty((len(start), WIDTH))
@@ -161,7 +163,7 @@ def _return(run, start, way, show, out):  # type: ignore[no-untyped-def]
                 out[e, t, i] = block[show[i], e]
 
 
-@compiled
+@register_jitable  # type: ignore[untyped-decorator]
 def _there_and_back(  # type: ignore[no-untyped-def]
     there, back, rows, start, tables, places, actions, action, keep, show, out
 ):
@@ -182,3 +184,6 @@ def _there_and_back(  # type: ignore[no-untyped-def]
                 for lane in range(WIDTH):
                     way[t, i, lane] = block[keep[i], lane]
         _return(back, start, way, show, out[first:end])
+
+
+_round_trip = Sparing(_there_and_back, PLAIN_EPISODES)

@@ -9,13 +9,13 @@ from functools import cached_property, lru_cache
 from itertools import chain
 from typing import NamedTuple
 
-import numba
 import numpy as np
+from numba.extending import register_jitable
 from numpy.typing import NDArray
 
 from mmwave_env.arithmetic import Number, Vector, sqrt, where, wrap
 from mmwave_env.channel import Channel, ChannelDraws, Weather, calm, channel_epoch, channel_of
-from mmwave_env.disk_cache import compiled
+from mmwave_env.disk_cache import Sparing
 from mmwave_env.episode import Episode, Packed
 from mmwave_env.estimator.algebra import dot
 from mmwave_env.estimator.batch import Incoming, blank_incoming
@@ -33,6 +33,9 @@ from mmwave_env.travel import Plan, motion, stride_of, travel
 Array = NDArray[np.float64]
 
 CHUNK = 64  # episodes a thread draws at once
+PLAIN_EPISODES = (
+    100  # in plain Python they take 10 ms each; compiling takes as much as 1000 of them
+)
 
 
 class Draws(NamedTuple):
@@ -171,7 +174,7 @@ def _kept(layout: Layout) -> Index:
     return np.array(leaves(_program(layout).index.measured))
 
 
-@numba.njit
+@register_jitable
 def _normals(rng, out, first, last):  # type: ignore[no-untyped-def]
     for epoch in range(len(out)):
         for i in range(first, last):
@@ -179,7 +182,7 @@ def _normals(rng, out, first, last):  # type: ignore[no-untyped-def]
     return last
 
 
-@numba.njit
+@register_jitable
 def _uniforms(rng, out, first, last):  # type: ignore[no-untyped-def]
     for epoch in range(len(out)):
         for i in range(first, last):
@@ -187,7 +190,7 @@ def _uniforms(rng, out, first, last):  # type: ignore[no-untyped-def]
     return last
 
 
-@numba.njit
+@register_jitable
 def _exponentials(rng, out, first, last):  # type: ignore[no-untyped-def]
     for epoch in range(len(out)):
         for i in range(first, last):
@@ -195,7 +198,7 @@ def _exponentials(rng, out, first, last):  # type: ignore[no-untyped-def]
     return last
 
 
-@numba.njit
+@register_jitable
 def _draw(rng, out, links, rows):  # type: ignore[no-untyped-def]
     """Fill (T, draws) after the truth, in the order of the leaves of :class:`Draws`.
 
@@ -216,7 +219,7 @@ def _draw(rng, out, links, rows):  # type: ignore[no-untyped-def]
     _normals(rng, out, at, at + 1)  # oscillator
 
 
-@compiled
+@register_jitable
 def _simulate(  # type: ignore[no-untyped-def]
     dice, plan, dt, stride, move_on, observe, run, start, layout, keep, time_s, kinds, first, prior,
     tables,
@@ -267,6 +270,9 @@ def _simulate(  # type: ignore[no-untyped-def]
         for e in range(begin, end):
             for t in range(1, T):
                 tables[e, t, 0] = time_s[t] - time_s[t - 1]
+
+
+_drawing = Sparing(_simulate, PLAIN_EPISODES)
 
 
 @dataclass(frozen=True)
@@ -378,8 +384,8 @@ class SimulatedSource:
         layout, program, n = self.layout, _program(self.layout), len(tables)
         choices = mobilities_of(self.scenario)
         kinds, first, prior = np.empty(n, np.int64), np.empty((n, 7)), np.empty((n, STATE_SIZE))
-        _simulate(
-            dice, self._plan, self.dt, stride_of(self.dt), *motion(), program.on_lanes(),
+        _drawing(
+            n, dice, self._plan, self.dt, stride_of(self.dt), *motion(), program.on_lanes(),
             self._start, (layout.anchors, layout.size, len(program.blank)), _kept(layout),
             self.time_s, kinds, first, prior, tables,
         )  # fmt: skip

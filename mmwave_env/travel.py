@@ -14,6 +14,7 @@ from typing import Any, NamedTuple
 import numba
 import numpy as np
 from numba import types
+from numba.extending import register_jitable
 from numpy.typing import NDArray
 
 from mmwave_env.arithmetic import Number, clip, cos_sin, maximum, minimum, sqrt, where
@@ -191,15 +192,18 @@ def move(t: Traveller) -> Traveller:
     )
 
 
-@numba.njit
+@register_jitable
 def _uniform(rng, interval):  # type: ignore[no-untyped-def]
     return interval[0] + (interval[1] - interval[0]) * rng.random()
 
 
-@numba.njit
+@register_jitable
 def _draw_gait(rng, now, gaits):  # type: ignore[no-untyped-def]
     """Target speed and duration of the next gait; gaits (n, 4) as in Plan."""
-    left = rng.random() * gaits[:, 3].sum()
+    total = 0.0
+    for i in range(len(gaits)):
+        total += gaits[i, 3]
+    left = rng.random() * total
     chosen = 0
     for i in range(len(gaits)):
         if left < gaits[i, 3]:
@@ -210,7 +214,7 @@ def _draw_gait(rng, now, gaits):  # type: ignore[no-untyped-def]
     now[AT.gait_left] = gaits[chosen, 2] * rng.standard_exponential()
 
 
-@numba.njit
+@register_jitable
 def _next_node(now, heading):  # type: ignore[no-untyped-def]
     """The crossing to come to from the last one known, in blocks."""
     x = now[AT.node_x] + (1 if heading == 0 else -1 if heading == 2 else 0)
@@ -218,14 +222,14 @@ def _next_node(now, heading):  # type: ignore[no-untyped-def]
     return x, y
 
 
-@numba.njit
+@register_jitable
 def _leads_on(now, heading):  # type: ignore[no-untyped-def]
     """Whether there is a street in this direction."""
     x, y = _next_node(now, heading % 4)
     return 0 <= x <= now[AT.blocks_x] and 0 <= y <= now[AT.blocks_y]
 
 
-@numba.njit
+@register_jitable
 def _draw_turn(rng, now, heading):  # type: ignore[no-untyped-def]
     """Quarter turns to the left at a crossing: 0, 1, -1, or 2 (back) where no other stays in."""
     ahead, left = _leads_on(now, heading), _leads_on(now, heading + 1)
@@ -238,7 +242,7 @@ def _draw_turn(rng, now, heading):  # type: ignore[no-untyped-def]
     return 1 if left and chosen == int(ahead) else -1
 
 
-@numba.njit
+@register_jitable
 def _draw_crossing(rng, now, heading, limits):  # type: ignore[no-untyped-def]
     """Look ahead to the next crossing: where to turn there, and seconds of red light."""
     now[AT.node_x], now[AT.node_y] = _next_node(now, heading)
@@ -246,7 +250,7 @@ def _draw_crossing(rng, now, heading, limits):  # type: ignore[no-untyped-def]
     now[AT.red_after] = _uniform(rng, limits[6:8]) if rng.random() < limits[5] else 0.0
 
 
-@numba.njit
+@register_jitable
 def _bend(now, radius):  # type: ignore[no-untyped-def]
     """Give the crossing ahead an arc of some radius, if the way turns there."""
     turn = now[AT.turn]
@@ -254,7 +258,7 @@ def _bend(now, radius):  # type: ignore[no-untyped-def]
     now[AT.curvature] = np.sign(turn) / radius
 
 
-@numba.njit
+@register_jitable
 def _cross(rng, now, limits):  # type: ignore[no-untyped-def]
     """Over a crossing: what was after it is ahead now."""
     heading = (now[AT.heading] + now[AT.turn]) % 4
@@ -268,7 +272,7 @@ def _cross(rng, now, limits):  # type: ignore[no-untyped-def]
     _draw_crossing(rng, now, (heading + now[AT.turn]) % 4, limits)
 
 
-@numba.njit
+@register_jitable
 def _enter(now, phase, limits):  # type: ignore[no-untyped-def]
     """Begin a phase with limits (9,)."""
     now[AT.phase], now[AT.phase_end], now[AT.stopping] = phase, limits[8], 0.0
@@ -276,7 +280,7 @@ def _enter(now, phase, limits):  # type: ignore[no-untyped-def]
     now[AT.lateral], now[AT.jerk] = limits[2], limits[3]
 
 
-@numba.njit
+@register_jitable
 def _change_over(now, limits):  # type: ignore[no-untyped-def]
     """Where a phase is over: come to a stand, then begin the next."""
     phase = int(now[AT.phase])
@@ -294,7 +298,7 @@ def _change_over(now, limits):  # type: ignore[no-untyped-def]
         _enter(now, phase + 1, limits[phase + 1])
 
 
-@numba.njit
+@register_jitable
 def _attend(rng, now, gaits, limits):  # type: ignore[no-untyped-def]
     """What happens to a traveller before a substep, if anything.
 
@@ -308,7 +312,7 @@ def _attend(rng, now, gaits, limits):  # type: ignore[no-untyped-def]
         _cross(rng, now, limits[phase])
 
 
-@numba.njit
+@register_jitable
 def _draw_phases(rng, plan, kind, total_s, limits):  # type: ignore[no-untyped-def]
     """Limits of each phase (phases, 9): drawn ranges, then ``fixed``, then when it ends (s).
 
@@ -317,7 +321,7 @@ def _draw_phases(rng, plan, kind, total_s, limits):  # type: ignore[no-untyped-d
     phases, duration = plan.phases[kind], plan.duration[kind]
     passed = 0.0
     for p in range(phases - plan.returns[kind]):
-        passed += _uniform(rng, duration[p]) if np.isfinite(duration[p, 0]) else np.inf
+        passed += _uniform(rng, duration[p]) if duration[p, 0] < np.inf else np.inf
         limits[p, 8] = passed
     if plan.returns[kind]:
         limits[phases - 2, 8] = total_s - _uniform(rng, duration[0]) - STOPPING_S
@@ -325,10 +329,11 @@ def _draw_phases(rng, plan, kind, total_s, limits):  # type: ignore[no-untyped-d
     for p in range(phases):
         for i in range(3):
             limits[p, i] = _uniform(rng, plan.ranges[kind, p, i])
-        limits[p, 3:8] = plan.fixed[kind, p]
+        for i in range(5):
+            limits[p, 3 + i] = plan.fixed[kind, p, i]
 
 
-@numba.njit
+@register_jitable
 def _begin(rng, now, plan, kind, total_s, limits):  # type: ignore[no-untyped-def]
     """Set a traveller off from a crossing, in a direction that leads somewhere."""
     _draw_phases(rng, plan, kind, total_s, limits)
@@ -350,7 +355,7 @@ def _begin(rng, now, plan, kind, total_s, limits):  # type: ignore[no-untyped-de
     _draw_crossing(rng, now, heading, limits[0])
 
 
-@numba.njit
+@register_jitable
 def travel(dice, first, kinds, plan, dt, stride, move_on, observe, out):  # type: ignore[no-untyped-def]
     """The whole way of up to eight travellers; all randomness of each is its own.
 

@@ -13,9 +13,10 @@ from typing import Any, Generic, NamedTuple, TypeVar
 import numba
 import numpy as np
 from numba import types
+from numba.extending import register_jitable
 from numpy.typing import NDArray
 
-from mmwave_env.disk_cache import compiled
+from mmwave_env.disk_cache import Sparing
 from mmwave_env.estimator.lanes import WIDTH, kernel
 from mmwave_env.estimator.trees import Tree, leaves, rebuild
 
@@ -24,6 +25,7 @@ Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 
 NO_ROWS = np.empty(0, np.int64)
+PLAIN_EPOCHS = 1000  # of blocks, before compiling, which takes as long as 4000 of them
 _COMPILING = threading.Lock()
 
 
@@ -151,7 +153,8 @@ class Program(Generic[Workspace]):
 
     def run_on_lanes(self, tracks: Tracks, traffic: Traffic) -> None:
         """Run epoch after epoch, eight environments at a time."""
-        advance(self.on_lanes(), self.blank, *tracks, *traffic)
+        epochs = len(tracks.rows) * traffic.kept.shape[1]
+        _advance(epochs, self.on_lanes(), self.blank, *tracks, *traffic)
 
     def run_on_floats(self, tracks: Tracks, traffic: Traffic) -> None:
         """The same, one environment at a time in plain Python: slow, for reference."""
@@ -192,30 +195,7 @@ class Program(Generic[Workspace]):
         return c_function(on_address)
 
 
-@numba.njit  # type: ignore[untyped-decorator]
-def bring_in(block):  # type: ignore[no-untyped-def]
-    """Read a block from end to end; the value returned means nothing.
-
-    A program reads its rows in an order that no prefetcher guesses. Where the blocks of all
-    environments do not fit into the caches, reading each in order first halves its time.
-    """
-    rows = block.view(np.int64)
-    bits = 0
-    for i in range(len(rows)):
-        bits |= rows[i, 0]
-    return bits
-
-
-@numba.njit  # type: ignore[untyped-decorator]
-def _busy(running, first, here):  # type: ignore[no-untyped-def]
-    """How many of a block's tracks run."""
-    count = 0
-    for e in range(first, first + here):
-        count += running[e]
-    return count
-
-
-@numba.njit  # type: ignore[untyped-decorator]
+@register_jitable  # type: ignore[untyped-decorator]
 def _load(block, first, here, step, blank, table, length, epoch, fed, given):  # type: ignore[no-untyped-def]
     """Set the rows that come in; lanes past the last track run their block's first."""
     for lane in range(WIDTH):
@@ -227,7 +207,7 @@ def _load(block, first, here, step, blank, table, length, epoch, fed, given):  #
             block[fed[i], lane] = given[e, step, i]
 
 
-@numba.njit  # type: ignore[untyped-decorator]
+@register_jitable  # type: ignore[untyped-decorator]
 def _keep(block, first, here, step, running, keep, kept, show, shown):  # type: ignore[no-untyped-def]
     """Take out the rows that are kept or shown."""
     for lane in range(here):
@@ -239,39 +219,44 @@ def _keep(block, first, here, step, running, keep, kept, show, shown):  # type: 
                 shown[e, step, i] = block[show[i], lane]
 
 
-@numba.njit  # type: ignore[untyped-decorator]
-def _settle(block, before, first, here, epochs, running, epoch):  # type: ignore[no-untyped-def]
-    """Move the tracks that ran on, and put the others back where they were."""
-    for lane in range(here):
-        if running[first + lane]:
-            epoch[first + lane] += epochs
-        else:
-            for i in range(len(block)):
-                block[i, lane] = before[i, lane]
-
-
-@compiled
+@register_jitable  # type: ignore[untyped-decorator]
 def advance(  # type: ignore[no-untyped-def]
     run, blank, rows, table, length, epoch, running, fed, given, keep, kept, show, shown
 ):
-    """Run all tracks; plain loops, because slices of arrays take numba long to compile."""
-    n, epochs = kept.shape[:2]
-    before = np.empty((rows.shape[1], WIDTH))
-    bits = 0
+    """Run all tracks; the number returned means nothing.
+
+    A program reads its rows in an order that no prefetcher guesses. Where the blocks of all
+    environments do not fit into the caches, touching the rows in order first halves its time.
+    Plain loops, because slices of arrays take numba long to compile.
+    """
+    n, epochs, size = len(length), kept.shape[1], rows.shape[1]
+    before = np.empty((size, WIDTH))
+    touched = 0.0
     for b in range(len(rows)):
         block, first = rows[b], b * WIDTH
         here = min(WIDTH, n - first)
-        busy = _busy(running, first, here)
+        busy = 0
+        for e in range(first, first + here):
+            busy += running[e]
         if busy == 0:
             continue
-        bits |= bring_in(block)
+        for i in range(size):
+            touched = max(touched, block[i, 0])
         if busy < here:
-            for i in range(len(block)):
+            for i in range(size):
                 for lane in range(WIDTH):
                     before[i, lane] = block[i, lane]
         for step in range(epochs):
             _load(block, first, here, step, blank, table, length, epoch, fed, given)
             run(block.ctypes)
             _keep(block, first, here, step, running, keep, kept, show, shown)
-        _settle(block, before, first, here, epochs, running, epoch)
-    return bits
+        for lane in range(here):
+            if running[first + lane]:
+                epoch[first + lane] += epochs
+                continue
+            for i in range(size):
+                block[i, lane] = before[i, lane]
+    return touched
+
+
+_advance = Sparing(advance, PLAIN_EPOCHS)
