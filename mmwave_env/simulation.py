@@ -27,12 +27,12 @@ from mmwave_env.measurement import STATE_SIZE, Layout, exact_rows
 from mmwave_env.mobility import mobilities_of, plan_of
 from mmwave_env.radio import Radio, deviations
 from mmwave_env.scene import Scene
-from mmwave_env.threads import share
+from mmwave_env.threads import portions, share
 from mmwave_env.travel import Plan, motion, stride_of, travel
 
 Array = NDArray[np.float64]
 
-CHUNK = 64  # episodes a thread draws at once
+CHUNK = 64  # episodes a thread draws at once, at most
 PLAIN_EPISODES = (
     100  # in plain Python they take 10 ms each; compiling takes as much as 1000 of them
 )
@@ -364,8 +364,7 @@ class SimulatedSource:
                 f"out: found shape {table.shape}, contiguous {table.flags.c_contiguous}, expected "
                 f"{shape}, contiguous True"
             )
-        chunks = [slice(first, first + CHUNK) for first in range(0, n, CHUNK)]
-        jobs = [(dice_of(states[some]), table[some]) for some in chunks]
+        jobs = [(dice_of(states[some]), table[some]) for some in portions(n, threads, CHUNK)]
         names, priors = zip(*share(self._fill, jobs, threads), strict=True)
         fixed = np.append(scene.anchors_m.ravel(), scene.hz_per_mps)
         covariance = self.radio.prior_covariance(scene)[np.tril_indices(STATE_SIZE)]

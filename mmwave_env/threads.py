@@ -6,6 +6,8 @@ from concurrent.futures import ThreadPoolExecutor
 from functools import lru_cache
 from typing import Any, TypeVar
 
+from mmwave_env.estimator.lanes import WIDTH
+
 Result = TypeVar("Result")
 
 
@@ -46,3 +48,9 @@ def share(
             if not other.cancel():  # one that has not begun, because all are busy, is not needed
                 other.result()
     return found
+
+
+def portions(count: int, threads: int, most: int) -> list[slice]:
+    """Slices of ``count`` things to share: whole blocks of lanes, of at most ``most`` things."""
+    size = min(most, -(-count // (threads * WIDTH)) * WIDTH)
+    return [slice(first, first + size) for first in range(0, count, size)]

@@ -19,7 +19,7 @@ from mmwave_env.metrics import DIVERGENCE_M
 from mmwave_env.names import choose
 from mmwave_env.replay import Replay
 from mmwave_env.setting import setting_from
-from mmwave_env.threads import share
+from mmwave_env.threads import portions, share
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -41,7 +41,8 @@ class MmWaveLocVectorEnv(gym.vector.VectorEnv[Observations, Index, NDArray[Any]]
             "SameStep" (the step that ends resets too; what it ended with is in ``final_obs``
             and ``final_info``) or "Disabled" (reset by
             ``reset(options={"reset_mask": mask})``, a bool array (N,); others stay untouched).
-        threads: how many may work at once, for N >= 1024; results do not depend on it.
+        threads: how many may work at once where it pays: at ends of episodes from N = 16 on,
+            in between from 2048 on; results do not depend on it.
         max_episode_steps: refused; say ``episode_steps``.
         render_mode: None.
         backend: "lanes".
@@ -248,7 +249,8 @@ class MmWaveLocVectorEnv(gym.vector.VectorEnv[Observations, Index, NDArray[Any]]
         ended = np.flatnonzero(self._over)
         for steps in np.unique(self._steps[ended]):
             alike = ended[self._steps[ended] == steps]
-            jobs += [(alike[i : i + REPLAYED], steps) for i in range(0, len(alike), REPLAYED)]
+            parts = portions(len(alike), self._threads, REPLAYED)
+            jobs += [(alike[some], steps) for some in parts]
         found: dict[str, NDArray[Any]] = {}
         for (some, _), values in zip(jobs, share(metrics, jobs, self._threads), strict=True):
             for key, value in values.items():

@@ -148,9 +148,10 @@ class Batch(Generic[Workspace]):
         None where they do not lie side by side, so that they have to be loaded from elsewhere.
         """
         self._make_room(epochs)
-        first, end = int(places[0]), int(places[-1]) + 1
-        table = self.tracks.table[first:end]
-        return table if (len(table), epochs) == (len(places), table.shape[1]) else None
+        table = self.tracks.table
+        side_by_side = np.array_equal(places, np.arange(places[0], places[0] + len(places)))
+        fits = side_by_side and epochs == table.shape[1]
+        return table[places[0] : places[0] + len(places)] if fits else None
 
     def _make_room(self, epochs: int) -> None:
         table = self.tracks.table
