@@ -199,11 +199,17 @@ class Engine:
         """Give some environments an episode, to start over with at the next run."""
         self.batch.load(episodes, places)
 
-    def start(self, places: Index) -> None:
-        """Consider the first epoch in environments just loaded; the others stay as they are."""
+    def start(self, places: Index, tell: Index = NO_ROWS) -> tuple[NDArray[np.float32], Array]:
+        """Consider the first epoch in environments just loaded; the others stay as they are.
+
+        Returns:
+            As :meth:`step`, but sound only for these environments.
+        """
         running = np.zeros(self.batch.n, np.bool_)
         running[places] = True
-        self.batch.advance(running=running)
+        traffic = self.batch.traffic(keep=tell, show=self._shown)
+        self.batch.advance(traffic, running)
+        return traffic.shown[:, 0], traffic.kept[:, 0]
 
     def step(
         self, actions: NDArray[np.integer[Any]] | np.int64, tell: Index = NO_ROWS

@@ -125,7 +125,7 @@ class MmWaveLocEnv(gym.Env[NDArray[np.float32], np.int64]):
     `gym.make_vec("MmWaveLoc-v0", num_envs=1024)` steps all environments in one call of a
     compiled kernel; environment i is a single one seeded alike, to the last bit. Further
     arguments: `autoreset_mode` ("NextStep", the default, "SameStep" or "Disabled", a string)
-    and `threads`. An environment takes 62 KB at 200 steps an episode. Rendering and
+    and `threads`. An environment takes 61 KiB at 200 steps an episode. Rendering and
     `backend="filterpy"` need `vectorization_mode="sync"`.
 
     ## Version History
@@ -219,7 +219,7 @@ class MmWaveLocEnv(gym.Env[NDArray[np.float32], np.int64]):
                 f"action: found {action!r} ({type(action)}), expected an integer in "
                 f"{self.action_space}"
             )
-        self._engine.step(action)
+        observations, _ = self._engine.step(action)
         at, spans = self._engine.at, self._spans
         column = self._engine.column(0)
         self._actions[self._steps] = action
@@ -248,7 +248,7 @@ class MmWaveLocEnv(gym.Env[NDArray[np.float32], np.int64]):
             info |= self._episode_info(episode)
         if self.render_mode == "human":
             self.render()
-        return column[spans["observation"]].astype(np.float32), reward, terminated, truncated, info
+        return observations[0], reward, terminated, truncated, info
 
     def render(self) -> NDArray[np.uint8] | None:
         """The epoch just processed, from above: (480, 480, 3) for "rgb_array"."""

@@ -208,6 +208,13 @@ class Packed(NamedTuple):
             layout=layout,
         )
 
+    def on_flat_ground(self) -> "Packed":
+        """The same with the height known, as :meth:`Episode.on_flat_ground` at the first epoch."""
+        site, mean = self.site.copy(), 3 * self.layout.anchors + 1
+        site[:, mean + 2] = self.table[:, 0, -4]  # z of the truth, whose columns are the last six
+        site[:, mean + 5] = 0.0
+        return self._replace(site=site)
+
 
 class EpisodeSource(Protocol):
     """Where episodes come from.

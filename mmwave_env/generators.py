@@ -1,13 +1,14 @@
 """Random states of many environments, small, and drawing from them in compiled code.
 
-A numpy Generator takes 1 KB, and 3 KB once compiled code has drawn from it; its state takes 40
-bytes. So states are kept, and one generator takes on one state after the other. numpy says where
-a generator's state lies in memory (``bit_generator.ctypes``), so compiled code can do that, too.
+Looking into a numpy Generator costs compiled code more than a whole track of a user; its state
+takes 32 bytes. So states are kept, and one generator takes on one state after the other. numpy
+says where the state lies in memory (``bit_generator.ctypes``), so compiled code can do that.
 """
 
 import ctypes
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
+from copy import deepcopy
 from typing import NamedTuple
 
 import numpy as np
@@ -36,7 +37,7 @@ class Dice(NamedTuple):
 def dice_of(states: Words) -> Dice:
     """Dice that draw from states of PCG64 (n, 4)."""
     rng = np.random.Generator(np.random.PCG64(0))
-    return Dice(rng, _memory(rng)[0], states)
+    return Dice(rng, _memory(rng), states)
 
 
 def single(rng: np.random.Generator) -> Dice:
@@ -61,25 +62,21 @@ def leave(dice, i):  # type: ignore[no-untyped-def]
         states[i, word] = memory[word]
 
 
-def _memory(rng: np.random.Generator) -> tuple[Words, Words]:
-    """Where the state of a PCG64 lies: the state (4,), and what 32-bit draws left over (1,)."""
-    address = rng.bit_generator.ctypes.state_address
-    state = ctypes.c_void_p.from_address(address).value
+def _memory(rng: np.random.Generator) -> Words:
+    """State and increment (4,) of a PCG64, where they lie."""
+    state = ctypes.c_void_p.from_address(rng.bit_generator.ctypes.state_address).value
     assert state is not None
-    rest = address + ctypes.sizeof(ctypes.c_void_p)
-    words = (ctypes.c_uint64 * 4).from_address(state), (ctypes.c_uint64 * 1).from_address(rest)
-    return np.ctypeslib.as_array(words[0]), np.ctypeslib.as_array(words[1])
+    return np.ctypeslib.as_array((ctypes.c_uint64 * 4).from_address(state))
 
 
-def _load(rng: np.random.Generator, words: Words) -> np.random.Generator:
-    """Let a generator take on a state (5,) of :func:`_saved`."""
-    state, rest = _memory(rng)
-    state[:], rest[:] = words[:4], words[4:]
-    return rng
-
-
-def _saved(rng: np.random.Generator) -> Words:
-    return np.concatenate(_memory(rng))
+def _require_known_memory() -> None:
+    one, other = (np.random.Generator(np.random.PCG64(seed)) for seed in (0, 1))
+    _memory(one)[:] = _memory(other)
+    if one.bit_generator.state != other.bit_generator.state:
+        raise RuntimeError(
+            f"numpy {np.__version__}: found the state of a PCG64 elsewhere than expected; please "
+            "report it, and use another version until it is fixed"
+        )
 
 
 class Generators:
@@ -87,59 +84,60 @@ class Generators:
 
     Args:
         n: number of environments.
+        small: keep bare states, for :meth:`states`; else generators, for :meth:`whole`.
 
     Raises:
         RuntimeError: numpy keeps the states of its generators elsewhere than thought.
     """
 
-    def __init__(self, n: int) -> None:
-        self._states = np.zeros((n, 5), np.uint64)
+    def __init__(self, n: int, small: bool = True) -> None:
         self._seeds: list[int | None] = [None] * n
-        self._rng, other = (np.random.Generator(np.random.PCG64(seed)) for seed in (0, 1))
-        other.integers(9, dtype=np.int32)
-        if _load(self._rng, _saved(other)).bit_generator.state != other.bit_generator.state:
-            raise RuntimeError(
-                f"numpy {np.__version__}: found the state of a PCG64 elsewhere than expected; "
-                "please report it, and use another version until it is fixed"
-            )
+        self._states = np.zeros((n if small else 0, 4), np.uint64)
+        self._whole: list[np.random.Generator | None] = [None] * (0 if small else n)
+        if small:
+            _require_known_memory()
 
     def seed(self, place: int, seed: int | None) -> None:
         """Start an environment's generator as ``Env.reset`` does; None for any seed."""
         generator, self._seeds[place] = seeding.np_random(seed)
-        self._states[place] = _saved(generator)
+        if self._whole:
+            self._whole[place] = generator
+        else:
+            self._states[place] = _memory(generator)
 
     def seeds(self) -> tuple[int, ...]:
         """(n,) the seeds the generators started from."""
-        self._begin(range(len(self._seeds)))
+        self._seed_missing(range(len(self._seeds)))
         return tuple(seed for seed in self._seeds if seed is not None)
 
     def copies(self) -> tuple[np.random.Generator, ...]:
         """(n,) generators that draw what the environments will."""
-        self._begin(range(len(self._seeds)))
-        fresh = (np.random.Generator(np.random.PCG64(0)) for _ in self._seeds)
-        return tuple(_load(rng, state) for rng, state in zip(fresh, self._states, strict=True))
+        self._seed_missing(range(len(self._seeds)))
+        if self._whole:
+            return tuple(deepcopy(rng) for rng in self._whole if rng is not None)
+        fresh = tuple(np.random.Generator(np.random.PCG64(0)) for _ in self._seeds)
+        for rng, state in zip(fresh, self._states, strict=True):
+            _memory(rng)[:] = state
+        return fresh
 
     @contextmanager
     def states(self, places: Index) -> Iterator[Words]:
         """States (places, 4) of some environments to draw from; they are kept afterwards."""
-        self._begin(places)
-        states = self._states[places, :4]
+        self._seed_missing(places)
+        states = self._states[places]
         try:
             yield states
         finally:
-            self._states[places, :4] = states
+            self._states[places] = states
 
-    def each(self, places: Index) -> Iterator[np.random.Generator]:
-        """A generator to draw from for one environment, then for the next."""
-        self._begin(places)
-        for place in places:
-            try:
-                yield _load(self._rng, self._states[place])
-            finally:
-                self._states[place] = _saved(self._rng)
+    def whole(self, place: int) -> np.random.Generator:
+        """The generator of an environment, for any use."""
+        self._seed_missing([place])
+        generator = self._whole[place]
+        assert generator is not None
+        return generator
 
-    def _begin(self, places: Iterable[int]) -> None:
-        """Seed those that were not."""
+    def _seed_missing(self, places: Iterable[int]) -> None:
         for place in places:
             if self._seeds[place] is None:
                 self.seed(place, None)

@@ -1,8 +1,9 @@
 """What the arguments of ``MmWaveLoc-v0`` mean, for the single and the vector environment."""
 
 import os
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -52,20 +53,31 @@ class Setting:
         return episode
 
     def draw_many(
-        self, generators: Generators, places: Index, room: Array | None = None, threads: int = 1
+        self,
+        generators: Generators,
+        places: Index,
+        room: Callable[[int], Array | None],
+        threads: int = 1,
     ) -> Packed:
         """The next episodes of many environments, the same as one by one.
 
         Args:
-            generators: of the environments.
+            generators: of the environments; whole ones unless ``simulated``.
             places: (n,) which of them.
-            room: (n, epochs, columns) for their tables, C-contiguous, to use or not.
+            room: gives room for tables of some epochs (n, epochs, columns), to fill; or None.
             threads: how many may draw at once.
         """
-        if isinstance(self.source, SimulatedSource) and not self.pipeline.planar:
-            with generators.states(places) as states:
-                return self.source.packed(states, room, threads)
-        return Packed.of([self.draw(rng) for rng in generators.each(places)])
+        if not self.simulated:
+            return Packed.of([self.draw(generators.whole(int(place))) for place in places])
+        source = cast(SimulatedSource, self.source)
+        with generators.states(places) as states:
+            episodes = source.packed(states, room(source.epochs), threads)
+        return episodes.on_flat_ground() if self.pipeline.planar else episodes
+
+    @property
+    def simulated(self) -> bool:
+        """Whether episodes are drawn many at once, from nothing but random states."""
+        return type(self.source) is SimulatedSource  # others may draw in ways of their own
 
 
 def setting_from(

@@ -2,6 +2,7 @@
 
 import os
 from collections.abc import Sequence
+from functools import partial
 from typing import Any, cast
 
 import gymnasium as gym
@@ -94,7 +95,7 @@ class MmWaveLocVectorEnv(gym.vector.VectorEnv[Observations, Index, NDArray[Any]]
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
         self._panel, self._replay = Panel(self._engine), Replay(setting.pipeline)
-        self._generators = Generators(num_envs)
+        self._generators = Generators(num_envs, setting.simulated)
         self._begun = False
         self._everyone = np.arange(num_envs)
         self._over, self._ended = np.zeros(num_envs, np.bool_), 0
@@ -118,6 +119,7 @@ class MmWaveLocVectorEnv(gym.vector.VectorEnv[Observations, Index, NDArray[Any]]
         """
         chosen = self._reset_mask(options)
         places = np.flatnonzero(chosen)
+        self._begun &= not chosen.all()  # until all is drawn
         self._seed(seed, places)
         drawn = self._draw(places)
         self._engine.start(places)
@@ -174,7 +176,7 @@ class MmWaveLocVectorEnv(gym.vector.VectorEnv[Observations, Index, NDArray[Any]]
         nonfinite = np.zeros(self.num_envs, np.int64)
         for first in range(0, len(places), DRAWN):
             some = places[first : first + DRAWN]
-            room = self._engine.batch.room(some, self.source.epochs)
+            room = partial(self._engine.batch.room, some)
             episodes = self._setting.draw_many(self._generators, some, room, self._threads)
             self._engine.load(episodes, some)
             names[some], nonfinite[some] = episodes.names, episodes.nonfinite
@@ -212,7 +214,7 @@ class MmWaveLocVectorEnv(gym.vector.VectorEnv[Observations, Index, NDArray[Any]]
         if self._ended:
             infos |= masked(self._metrics(), self._over)
             if self._autoreset == AutoresetMode.SAME_STEP:
-                infos = self._same_step(observations, infos)
+                infos = self._same_step(observations, told, infos)
         return observations, rewards, terminated, truncated, infos
 
     def _checked(self, actions: Any) -> Index:
@@ -257,7 +259,9 @@ class MmWaveLocVectorEnv(gym.vector.VectorEnv[Observations, Index, NDArray[Any]]
                 found.setdefault(key, np.zeros(self.num_envs))[some] = value
         return found
 
-    def _same_step(self, observations: Observations, infos: dict[str, Any]) -> dict[str, Any]:
+    def _same_step(
+        self, observations: Observations, told: Array, infos: dict[str, Any]
+    ) -> dict[str, Any]:
         """Reset where episodes ended; what they ended with becomes ``final_*``."""
         over = self._over.copy()
         ended, on = np.flatnonzero(over), ~over
@@ -268,9 +272,9 @@ class MmWaveLocVectorEnv(gym.vector.VectorEnv[Observations, Index, NDArray[Any]]
         final = masked({key: value.copy() for key, value in values.items()}, over)
         did = masked({key: values[key] for key in STEP_KEYS}, on)
         drawn = self._draw(ended)
-        self._engine.start(ended)
-        observations[ended] = self._engine.observations()[ended]
-        did |= masked(self._panel.state_now()) | masked(drawn, over)
+        first, begun = self._engine.start(ended, self._panel.rows)
+        observations[ended], told[ended] = first[ended], begun[ended]
+        did |= masked(self._panel.state_info(told)) | masked(drawn, over)
         return did | {
             "final_obs": final_obs, "_final_obs": over.copy(), "final_info": final,
             "_final_info": over.copy(),

@@ -29,14 +29,23 @@ EKF = {"modes": ["ekf"]}
 class Patchy:
     """Episodes of 2 to 7 epochs in which links are missing and numbers are not finite."""
 
-    layout, epochs, name = Layout(3), 7, "patchy"
+    layout, name = Layout(3), "patchy"
 
     def sample(self, rng):
+        rng, _ = rng.spawn(2)
         epochs = int(rng.integers(2, 8))
         episode = SimulatedSource(SCENES["street"], RADIOS["handset"], epochs=epochs).sample(rng)
         measurement = episode.measurement.copy()
         measurement[rng.random(measurement.shape) < 0.05] = np.nan
         return replace(episode, measurement=measurement, visible=rng.random((epochs, 4)) < 0.6)
+
+
+class Twice(SimulatedSource):
+    """Every second episode of a simulation."""
+
+    def sample(self, rng):
+        super().sample(rng)
+        return super().sample(rng)
 
 
 CONFIGURATIONS = {
@@ -50,6 +59,7 @@ CONFIGURATIONS = {
     "prior": {"episode_steps": 12, "observation": "prior", "reward": "log-score"} | EKF,
     "recorded": {"episodes": "canyon28_pedestrian", "episode_steps": 11} | EKF,
     "patchy": {"episodes": Patchy()},
+    "twice": {"episodes": Twice(SCENES["street"], RADIOS["handset"], epochs=4)} | EKF,
     "ends early": {"episode_steps": 15, "terminate_on_divergence": True, "scenario": "vehicle"}
     | EKF,
 }  # fmt: skip
@@ -269,6 +279,19 @@ def test_a_step_before_reset_is_refused():
         env.step(np.zeros(3, int))
     with pytest.raises(ResetNeeded):
         env.reset(options={"reset_mask": np.array([True, False, False])})
+
+
+def test_after_a_reset_that_failed_there_is_no_episode(monkeypatch):
+    env = native(3, **EKF)
+    env.reset(seed=0)
+    with monkeypatch.context() as patch:
+        patch.setattr(env.unwrapped.source.__class__, "packed", lambda *_: 1 / 0)
+        with pytest.raises(ZeroDivisionError):
+            env.reset(seed=1)
+    with pytest.raises(ResetNeeded):
+        env.step(np.zeros(3, int))
+    env.reset(seed=1)
+    env.step(np.zeros(3, int))
 
 
 def test_a_disabled_step_after_an_end_names_the_environments():

@@ -146,12 +146,15 @@ class Batch(Generic[Workspace]):
         """Where the tables (places, epochs, columns) of some environments lie, to fill and load.
 
         None where they do not lie side by side, so that they have to be loaded from elsewhere.
+
+        Args:
+            places: in ascending order.
+            epochs: of the episodes to come.
         """
         self._make_room(epochs)
-        table = self.tracks.table
-        side_by_side = np.array_equal(places, np.arange(places[0], places[0] + len(places)))
-        fits = side_by_side and epochs == table.shape[1]
-        return table[places[0] : places[0] + len(places)] if fits else None
+        first, end = places[0], places[-1] + 1
+        table = self.tracks.table[first:end]
+        return table if (len(table), table.shape[1]) == (len(places), epochs) else None
 
     def _make_room(self, epochs: int) -> None:
         table = self.tracks.table
