@@ -273,8 +273,11 @@ class MmWaveLocVectorEnv(gym.vector.VectorEnv[Observations, Index, NDArray[Any]]
         did = masked({key: values[key] for key in STEP_KEYS}, on)
         drawn = self._draw(ended)
         first, begun = self._engine.start(ended, self._panel.rows)
-        observations[ended], told[ended] = first[ended], begun[ended]
-        did |= masked(self._panel.state_info(told)) | masked(drawn, over)
+        observations[ended] = first[ended]
+        state = self._panel.state_info(told)
+        for key, anew in self._panel.state_info(begun).items():
+            state[key][ended] = anew[ended]
+        did |= masked(state) | masked(drawn, over)
         return did | {
             "final_obs": final_obs, "_final_obs": over.copy(), "final_info": final,
             "_final_info": over.copy(),
