@@ -7,27 +7,47 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mmwave_env.episode import Episode
-from mmwave_env.measurement import wrap_angles
+from mmwave_env.measurement import Layout, wrap_angles
 
 Mask = NDArray[np.bool_]
 
-SINGLE, VALUE, OUTLIER = 0.03, 0.003, 0.005  # shares of epochs, values and values
+SINGLE = 0.03  # share of the epochs of each link and of the Doppler shift
+VALUE, OUTLIER = 0.003, 0.005  # shares of the values that are left
+DARK = (50, 150)  # epochs in a row without links, least and most
 
 
 def _stretches(
     rng: np.random.Generator, shape: tuple[int, int, int], share: float, epochs: tuple[int, int]
 ) -> Mask:
-    """One stretch of time in a share of the columns (n, T, k), its length within a range."""
+    """One whole stretch of time in a share of the columns (n, T, k).
+
+    Its length is within a range (least, most), as far as T allows.
+    """
     n, T, k = shape
-    begin = rng.integers(T, size=(n, 1, k))
-    length = rng.integers(*epochs, size=(n, 1, k), endpoint=True)
+    length = np.minimum(rng.integers(*epochs, size=(n, 1, k), endpoint=True), T)
+    begin = rng.integers(T - length, endpoint=True)
     t = np.arange(T)[:, None]
     return (begin <= t) & (t < begin + length) & (rng.random((n, 1, k)) < share)
 
 
-def _some(rng: np.random.Generator, size: int, share: float) -> NDArray[np.int64]:
-    """A share of ``size`` places, in order and each but once."""
-    return np.unique(rng.integers(size, size=int(share * size)))
+def _falsify(
+    z: NDArray[np.float64],
+    sigma: NDArray[np.float64],
+    visible: Mask,
+    layout: Layout,
+    rng: np.random.Generator,
+) -> tuple[int, int]:
+    """Spoil visible values of z (n, T, rows) in place; how many are far off, how many broken."""
+    widths = [rows.stop - rows.start for rows in layout.groups]
+    places = np.flatnonzero(np.repeat(visible, widths, axis=-1))
+    far, both = (int(share * len(places)) for share in (OUTLIER, OUTLIER + VALUE))
+    hit = rng.choice(places, both, replace=False)
+    wild, broken = hit[:far], hit[far:]
+    off = rng.uniform(10.0, 1000.0, len(wild)) * rng.choice([-1.0, 1.0], len(wild))
+    z.flat[wild] += off * sigma.flat[wild]
+    wrap_angles(z.reshape(-1, layout.size), layout)  # the others stay, to the bit
+    z.flat[broken] = rng.choice([np.nan, np.inf, -np.inf], len(broken))
+    return len(wild), len(broken)
 
 
 def damaged(
@@ -35,42 +55,40 @@ def damaged(
 ) -> tuple[list[Episode], dict[str, int]]:
     """Copies of episodes of one layout and length, with data missing or wrong.
 
-    Links are missing for stretches, all of them for 50 epochs and more, and the Doppler shift,
-    too; everything at times in single epochs. Single values are NaN or infinite, or outliers of
-    10 to 1000 standard deviations.
+    Links are missing for stretches, all of them at once for 50 epochs and more (or all of a
+    shorter episode), and the Doppler shift, too; everything at times in single epochs. Single
+    values of what is left are NaN or infinite, or outliers of 10 to 1000 standard deviations.
 
     Args:
         episodes: n of them, which stay as they are.
         rng: for all that happens.
 
     Returns:
-        The copies, and what was done to them: counts of link-epochs, epochs and values.
+        The copies, and how much of what was visible was taken away or falsified: counts of
+        link-epochs, of epochs with a link, of Doppler shifts and of values.
     """
     layout, T, n = episodes[0].layout, len(episodes[0]), len(episodes)
     L = layout.anchors
-    dark = _stretches(rng, (n, T, 1), 0.25, (50, 150))
+    before, z, sigma = (
+        np.stack([getattr(episode, name) for episode in episodes])
+        for name in ("visible", "measurement", "sigma")
+    )
+    dark = _stretches(rng, (n, T, 1), 0.25, DARK)
     missing = _stretches(rng, (n, T, len(layout.groups)), 0.4, (5, 60))
-    missing.flat[_some(rng, missing.size, SINGLE)] = True
+    missing |= rng.random(missing.shape) < SINGLE
     missing[..., :L] |= dark
-    z = np.stack([episode.measurement for episode in episodes])
-    sigma = np.stack([episode.sigma for episode in episodes])
-    wild, broken = _some(rng, z.size, OUTLIER), _some(rng, z.size, VALUE)
-    off = rng.uniform(10.0, 1000.0, len(wild)) * rng.choice([-1.0, 1.0], len(wild))
-    z.flat[wild] += off * sigma.flat[wild]
-    rows, epochs = z.reshape(n * T, -1), wild // layout.size
-    falsified = rows[epochs]
-    wrap_angles(falsified, layout)
-    rows[epochs] = falsified
-    z.flat[broken] = rng.choice([np.nan, np.inf, -np.inf], len(broken))
+    visible, taken = before & ~missing, before & missing
+    darkened = dark[..., 0] & before[..., :L].any(axis=-1)
+    far, broken = _falsify(z, sigma, visible, layout, rng)
     copies = [
-        replace(episode, measurement=values, visible=episode.visible & ~gone)
-        for episode, values, gone in zip(episodes, z, missing, strict=True)
+        replace(episode, measurement=values, visible=seen)
+        for episode, values, seen in zip(episodes, z, visible, strict=True)
     ]
     done = {
-        "link-epochs taken away": missing[..., :L].sum(),
-        "epochs in the dark, 50 and more in a row": dark.sum(),
-        "Doppler shifts taken away": missing[..., L].sum(),
-        "values NaN or infinite": len(broken),
-        "outliers of 10 to 1000 sigma": len(wild),
+        "link-epochs taken away": taken[..., :L].sum(),
+        f"epochs darkened, in stretches of {DARK[0]} and more": darkened.sum(),
+        "Doppler shifts taken away": taken[..., L].sum(),
+        "values NaN or infinite": broken,
+        "outliers of 10 to 1000 sigma": far,
     }
     return copies, {what: int(count) for what, count in done.items()}

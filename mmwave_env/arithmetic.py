@@ -1,8 +1,8 @@
 """Elementary functions of numbers, whatever a number is: a float, an array, or eight lanes.
 
 The mathematics of this package is written once, as plain functions of numbers. On floats
-it is the reference that tests call; on arrays it describes whole trajectories; on
-:class:`~mmwave_env.estimator.lanes.Lanes` it becomes one SIMD kernel. Python's own
+it is the reference that tests call; on arrays it checks the paths of recordings and scores whole
+tracks; on :class:`~mmwave_env.estimator.lanes.Lanes` it becomes one SIMD kernel. Python's own
 operators serve all three; this module holds the few functions that need to look.
 
 Functions of numbers follow three rules: no branch on a value (use :func:`where`), lists

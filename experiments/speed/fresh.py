@@ -1,7 +1,7 @@
 """Time to the first step and peak memory, each in a fresh process.
 
 The time begins before Python does, so imports and compilation are in it. What other runs have
-left on disk (bytecode, the compiled drawing of episodes) is used, as a second run would.
+left on disk (bytecode, compiled loops) is used, as a second run would.
 """
 
 import os
@@ -19,7 +19,7 @@ class Fresh(NamedTuple):
 
     Attributes:
         first_step_s: from its start to the end of the first step.
-        peak_mb: most resident memory through the ends of episodes, 2^20 bytes.
+        peak_mb: most resident memory through the ends of episodes, MiB (2^20 bytes).
     """
 
     first_step_s: float

@@ -28,7 +28,7 @@ from mmwave_env.tracker import Tracker
 
 FRESH_RUNS = 3  # of every process, at most: they take seconds
 FRESH_SIZES = 3  # the largest ones; others are no different from the smallest of them
-SMALLEST_FULL = 64  # environments from which on the cost of a step should not depend on N
+SMALLEST_FULL = 64  # environments from which on lanes are full and the cost of a step shown
 STEP = "step"  # of the whole environment, among the kernels
 BETWEEN_ENDS = "_between_ends"
 
@@ -112,7 +112,7 @@ class Measured:
         }
 
     def costs(self) -> Rounds:
-        """Seconds a step, over those at the smallest size that fills the lanes and the caches."""
+        """Seconds a step, over those at the smallest size of at least SMALLEST_FULL."""
         full = [native_name(n) for n in self.sizes if n >= SMALLEST_FULL]
         rates = {name: self.rates[name].steps_per_s for name in full}
         return {
@@ -135,11 +135,11 @@ class Measured:
         return {name: [one.first_step_s for one in runs] for name, runs in self.fresh.items()}
 
     def peak_mb(self) -> Rounds:
-        """Peak resident memory of a process, 2^20 bytes."""
+        """Peak resident memory of a process, MiB (2^20 bytes)."""
         return {name: [one.peak_mb for one in runs] for name, runs in self.fresh.items()}
 
     def kb_per_environment(self) -> dict[str, float]:
-        """Peak memory of each further environment, 2^10 bytes, from one size to the next."""
+        """Peak memory of each further environment, KiB (2^10 bytes), from one size to the next."""
         sizes, peaks = self.sizes[-FRESH_SIZES:], self.peak_mb()
         found = {}
         for few, many in pairwise(sizes):

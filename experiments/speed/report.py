@@ -130,8 +130,8 @@ def _memory(measured: Measured) -> str:
     ]
     return "\n\n".join(
         [
-            grid(["fresh process", "peak memory, MB"], peaks),
-            grid(["from N to N", "KB for each further environment"], each),
+            grid(["fresh process", "peak memory, MiB"], peaks),
+            grid(["from N to N", "KiB for each further environment"], each),
         ]
     )
 

@@ -21,7 +21,7 @@ from mmwave_env.estimator.lanes import WIDTH, kernel
 
 CHAINS = (8, 16, 24)  # which is fastest depends on registers and latencies
 LENGTH = 480  # operations of a timed kernel: many beside its loop, few enough for every cache
-BLOCKS, ROWS = 4, 64  # 16 KB, which any first-level cache holds
+BLOCKS, ROWS = 4, 64  # 16 KiB, which any first-level cache holds
 CALLS, TRIES = 1000, 10
 
 # What a chain does next; "one" and "zero" are numbers that the compiler does not know.
