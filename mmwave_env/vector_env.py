@@ -42,7 +42,7 @@ class MmWaveLocVectorEnv(gym.vector.VectorEnv[Observations, Index, NDArray[Any]]
             "SameStep" (the step that ends resets too; what it ended with is in ``final_obs``
             and ``final_info``) or "Disabled" (reset by
             ``reset(options={"reset_mask": mask})``, a bool array (N,); others stay untouched).
-        threads: how many may work at once where it pays: at ends of episodes from N = 16 on,
+        threads: how many may work at once where it pays: at ends of episodes from N = 9 on,
             in between from 2048 on; results do not depend on it.
         max_episode_steps: refused; say ``episode_steps``.
         render_mode: None.
