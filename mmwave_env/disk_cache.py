@@ -67,7 +67,7 @@ def _folder() -> Path | None:
             if not place.is_absolute():  # nobody's home
                 continue
             folder.mkdir(parents=True, exist_ok=True)
-            os.utime(folder)  # its last use, which files in it do not tell
+            os.utime(folder)  # in use now, which mkdir does not note where it is there
             tempfile.TemporaryFile(dir=folder).close()
             for old in sorted(place.glob(f"{_PACKAGE.name}-*"), key=getmtime)[:-_KEPT]:
                 shutil.rmtree(old, ignore_errors=True)

@@ -278,8 +278,8 @@ class SimulatedSource:
     ) -> tuple[list[str], Array]:
         """Fill tables (n, epochs, columns); the names, and the means (n, 7) of the priors.
 
-        What is compiled on the way is chosen and compiled before the threads begin, so that none
-        of them waits for, or repeats, what another does.
+        Before the threads begin, motion and program are compiled, and it is chosen for all of
+        them whether the drawing is: else some would repeat, or wait for, what others compile.
 
         Args:
             tables: to fill.

@@ -28,7 +28,9 @@ Index = NDArray[np.int64]
 NO_ROWS = np.empty(0, np.int64)
 PLAIN_EPOCHS = 1000  # of blocks, before compiling, which takes as long as 4000 of them
 
-if hasattr(os, "register_at_fork"):  # a child has no thread that would end what another began
+# numba's own lock guards all that compiles. A child forked while another thread holds it would
+# wait for ever, for that thread is not in the child; so a fork waits for the compilation.
+if hasattr(os, "register_at_fork"):
     os.register_at_fork(
         before=global_compiler_lock.acquire,
         after_in_parent=global_compiler_lock.release,
