@@ -7,6 +7,7 @@ ends the program. Here a folder is named after all sources, each compiled functi
 in it, and whatever goes wrong with a file means that the function is compiled anew.
 """
 
+import os
 import pickle
 import shutil
 import sys
@@ -42,34 +43,10 @@ def compiled(function: Callable[..., Any]) -> Any:
     return dispatcher
 
 
-class Sparing:
-    """A compiled function that runs as plain Python where compiling it would take longer.
-
-    What it calls has to run both ways, as ``numba.extending.register_jitable`` makes it.
-
-    Args:
-        function: what to run.
-        jobs: how many it does as plain Python, in a process that does not find it on disk.
-    """
-
-    def __init__(self, function: Callable[..., Any], jobs: int) -> None:
-        self.plain, self.compiled = function, compiled(function)
-        self._left = jobs
-
-    def __call__(self, jobs: int, *arguments: Any) -> Any:
-        """Do so many jobs with these arguments."""
-        if jobs <= self._left and not self._is_there(arguments):
-            self._left -= jobs
-            return self.plain(*arguments)
-        self._left = 0
-        return self.compiled(*arguments)
-
-    def _is_there(self, arguments: tuple[Any, ...]) -> bool:
-        cache = self.compiled._cache
-        signature = tuple(numba.typeof(argument) for argument in arguments)
-        return signature in self.compiled.overloads or (
-            isinstance(cache, _Kept) and cache.has(signature)
-        )
+def is_compiled(function: Any, arguments: tuple[Any, ...]) -> bool:
+    """Whether a :func:`compiled` function is there for such arguments, in memory or on disk."""
+    signature, cache = tuple(map(numba.typeof, arguments)), function._cache
+    return signature in function.overloads or (isinstance(cache, _Kept) and cache.has(signature))
 
 
 def _folder() -> Path | None:
@@ -90,6 +67,7 @@ def _folder() -> Path | None:
             if not place.is_absolute():  # nobody's home
                 continue
             folder.mkdir(parents=True, exist_ok=True)
+            os.utime(folder)  # in use now, which mkdir does not note where it is there
             tempfile.TemporaryFile(dir=folder).close()
             for old in sorted(place.glob(f"{_PACKAGE.name}-*"), key=getmtime)[:-_KEPT]:
                 shutil.rmtree(old, ignore_errors=True)

@@ -13,7 +13,6 @@ from numba.extending import register_jitable
 from numpy.typing import NDArray
 
 from mmwave_env.arithmetic import Number
-from mmwave_env.disk_cache import Sparing
 from mmwave_env.estimator.algebra import unpack
 from mmwave_env.estimator.batch import Batch
 from mmwave_env.estimator.lanes import WIDTH
@@ -21,12 +20,13 @@ from mmwave_env.estimator.pipeline import Pipeline
 from mmwave_env.estimator.program import Array, Index, Program, rows_of
 from mmwave_env.estimator.smoother import rts_mean
 from mmwave_env.estimator.trees import leaves, select
+from mmwave_env.sparing import Sparing
 from mmwave_env.tracker import Track, program_of
 
 Actions = NDArray[np.integer[Any]]
 
 AXES = 3
-PLAIN_EPISODES = 10  # run again before compiling, which takes as long as 30 of them
+PLAIN_EPOCHS = 2_000  # run again before compiling, which takes as long as 6000 of them
 
 
 class Passed(NamedTuple):
@@ -125,8 +125,8 @@ class Replay:
             self._on_floats_there(rows, tables[places], actions, keep, show, figures)
         else:
             _round_trip(
-                n, there.on_lanes(), back.on_lanes(), rows, back.start, tables, places, actions,
-                there.index.action, keep, show, figures,
+                actions.size, there.on_lanes(), back.on_lanes(), rows, back.start, tables, places,
+                actions, there.index.action, keep, show, figures,
             )  # fmt: skip
         return figures[..., :AXES], figures[..., AXES], figures[..., AXES + 1 :]
 
@@ -186,4 +186,4 @@ def _there_and_back(  # type: ignore[no-untyped-def]
         _return(back, start, way, show, out[first:end])
 
 
-_round_trip = Sparing(_there_and_back, PLAIN_EPISODES)
+_round_trip = Sparing(_there_and_back, PLAIN_EPOCHS)

@@ -4,38 +4,34 @@ All randomness of an episode is drawn first, in one go and from the episode's ow
 What follows is arithmetic: functions of numbers that run on lanes, an episode to a lane.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
-from itertools import chain
 from typing import NamedTuple
 
 import numpy as np
-from numba.extending import register_jitable
 from numpy.typing import NDArray
 
 from mmwave_env.arithmetic import Number, Vector, sqrt, where, wrap
 from mmwave_env.channel import Channel, ChannelDraws, Weather, calm, channel_epoch, channel_of
-from mmwave_env.disk_cache import Sparing
+from mmwave_env.drawing import simulate
 from mmwave_env.episode import Episode, Packed
 from mmwave_env.estimator.algebra import dot
 from mmwave_env.estimator.batch import Incoming, blank_incoming
-from mmwave_env.estimator.lanes import WIDTH
-from mmwave_env.estimator.program import Index, Program, advance
+from mmwave_env.estimator.program import Index, Program
 from mmwave_env.estimator.trees import leaves
-from mmwave_env.generators import Dice, Words, dice_of, leave, single, take
+from mmwave_env.generators import Dice, Words, dice_of, single
+from mmwave_env.kinematics import motion
 from mmwave_env.measurement import STATE_SIZE, Layout, exact_rows
 from mmwave_env.mobility import mobilities_of, plan_of
 from mmwave_env.radio import Radio, deviations
 from mmwave_env.scene import Scene
 from mmwave_env.threads import portions, share
-from mmwave_env.travel import Plan, motion, stride_of, travel
+from mmwave_env.travel import Plan, stride_of
 
 Array = NDArray[np.float64]
 
 CHUNK = 64  # episodes a thread draws at once, at most
-PLAIN_EPISODES = (
-    100  # in plain Python they take 10 ms each; compiling takes as much as 1000 of them
-)
 
 
 class Draws(NamedTuple):
@@ -174,107 +170,6 @@ def _kept(layout: Layout) -> Index:
     return np.array(leaves(_program(layout).index.measured))
 
 
-@register_jitable
-def _normals(rng, out, first, last):  # type: ignore[no-untyped-def]
-    for epoch in range(len(out)):
-        for i in range(first, last):
-            out[epoch, i] = rng.standard_normal()
-    return last
-
-
-@register_jitable
-def _uniforms(rng, out, first, last):  # type: ignore[no-untyped-def]
-    for epoch in range(len(out)):
-        for i in range(first, last):
-            out[epoch, i] = rng.random()
-    return last
-
-
-@register_jitable
-def _exponentials(rng, out, first, last):  # type: ignore[no-untyped-def]
-    for epoch in range(len(out)):
-        for i in range(first, last):
-            out[epoch, i] = rng.standard_exponential()
-    return last
-
-
-@register_jitable
-def _draw(rng, out, links, rows):  # type: ignore[no-untyped-def]
-    """Fill (T, draws) after the truth, in the order of the leaves of :class:`Draws`.
-
-    The order of drawing, kind by kind over all epochs, is part of what a seed means.
-    """
-    at = _normals(rng, out, 6, 6 + links)  # shadowing
-    at = _uniforms(rng, out, at, at + links)  # blockage
-    at = _uniforms(rng, out, at, at + links)  # multipath
-    at = _uniforms(rng, out, at, at + 1)  # outage
-    at = _exponentials(rng, out, at, at + links)  # range of blockage
-    at = _exponentials(rng, out, at, at + links)  # of multipath
-    at = _normals(rng, out, at, at + 3 * links)  # angles of blockage
-    at = _normals(rng, out, at, at + 3 * links)  # of multipath
-    at = _uniforms(rng, out, at, at + links)  # detection
-    at = _normals(rng, out, at, at + 1)  # scatter of the Doppler spread
-    at = _normals(rng, out, at, at + 1)  # its floor
-    at = _normals(rng, out, at, at + rows)  # noise
-    _normals(rng, out, at, at + 1)  # oscillator
-
-
-@register_jitable
-def _simulate(  # type: ignore[no-untyped-def]
-    dice, plan, dt, stride, move_on, observe, run, start, layout, keep, time_s, kinds, first, prior,
-    tables,
-):  # fmt: skip
-    """Draw and simulate episodes, eight at a time, so that their draws stay in a cache.
-
-    Args:
-        dice, plan, dt, stride, move_on, observe: see :func:`~mmwave_env.travel.travel`.
-        run, start: the program, and its workspace (size,) before the first epoch.
-        layout: numbers of links, of rows and of columns drawn.
-        keep: rows of the workspace that make an epoch of ``tables``.
-        time_s: (T,) of the epochs.
-        kinds: (n,) gets the kind of user.
-        first: (n, 7) gets the true position and velocity and the draw of the oscillator.
-        prior: (n, 7) gets normals.
-        tables: (n, T, columns) gets the episodes.
-    """
-    (links, rows, columns), rng, T = layout, dice[0], len(time_s)
-    draws, block = np.empty((WIDTH, T, columns)), np.empty((1, len(start), WIDTH))
-    blank, nothing, none = np.zeros(columns), np.empty((WIDTH, T, 0)), np.empty(0, np.int64)
-    length, running = np.full(WIDTH, T), np.ones(WIDTH, np.bool_)
-    for begin in range(0, len(kinds), WIDTH):
-        end = min(begin + WIDTH, len(kinds))
-        here = end - begin
-        for e in range(begin, end):
-            take(dice, e)
-            kinds[e] = int(rng.random() * len(plan.phases))
-            leave(dice, e)
-        travel(dice, begin, kinds[begin:end], plan, dt, stride, move_on, observe, draws)
-        for e in range(begin, end):
-            drawn = draws[e - begin]
-            take(dice, e)
-            _draw(rng, drawn, links, rows)
-            for i in range(prior.shape[1]):
-                prior[e, i] = rng.standard_normal()
-            leave(dice, e)
-            for i in range(6):
-                first[e, i] = drawn[0, i]
-            first[e, 6] = drawn[0, columns - 1]
-        for i in range(len(start)):
-            for lane in range(WIDTH):
-                block[0, i, lane] = start[i]
-        advance(
-            run, blank, block, draws[:here], length[:here], np.zeros(here, np.int64),
-            running[:here], none, nothing[:here], keep, tables[begin:end], none,
-            np.empty((here, T, 0), np.float32),
-        )  # fmt: skip
-        for e in range(begin, end):
-            for t in range(1, T):
-                tables[e, t, 0] = time_s[t] - time_s[t - 1]
-
-
-_drawing = Sparing(_simulate, PLAIN_EPISODES)
-
-
 @dataclass(frozen=True)
 class SimulatedSource:
     """Episodes of simulated users in a street scene.
@@ -322,7 +217,7 @@ class SimulatedSource:
     def sample(self, rng: np.random.Generator) -> Episode:
         """Draw one episode; all randomness comes from ``rng``."""
         tables = np.empty((1, self.epochs, len(_kept(self.layout))))
-        names, priors = self._fill(single(rng), tables)
+        names, priors = self._fill(tables, [(single(rng), slice(None))])
         rows, links, table = self.layout.size, self.layout.anchors, tables[0]
         _, z, signed_sigma, snr_db, spread, truth = np.split(
             table, np.cumsum([1, rows, rows, links, 1]), axis=1
@@ -364,13 +259,13 @@ class SimulatedSource:
                 f"out: found shape {table.shape}, contiguous {table.flags.c_contiguous}, expected "
                 f"{shape}, contiguous True"
             )
-        jobs = [(dice_of(states[some]), table[some]) for some in portions(n, threads, CHUNK)]
-        names, priors = zip(*share(self._fill, jobs, threads), strict=True)
+        dice = [(dice_of(states[some]), some) for some in portions(n, threads, CHUNK)]
+        names, priors = self._fill(table, dice, threads)
         fixed = np.append(scene.anchors_m.ravel(), scene.hz_per_mps)
         covariance = self.radio.prior_covariance(scene)[np.tril_indices(STATE_SIZE)]
-        site = [np.tile(fixed, (n, 1)), np.concatenate(priors), np.tile(covariance, (n, 1))]
+        site = [np.tile(fixed, (n, 1)), priors, np.tile(covariance, (n, 1))]
         return Packed(
-            names=list(chain(*names)),
+            names=names,
             nonfinite=np.zeros(n, np.int64),
             length=np.full(n, self.epochs),
             table=table,
@@ -378,16 +273,31 @@ class SimulatedSource:
             layout=self.layout,
         )
 
-    def _fill(self, dice: Dice, tables: Array) -> tuple[list[str], Array]:
-        """Fill tables (n, epochs, columns); the names, and the means (n, 7) of the priors."""
+    def _fill(
+        self, tables: Array, dice: Sequence[tuple[Dice, slice]], threads: int = 1
+    ) -> tuple[list[str], Array]:
+        """Fill tables (n, epochs, columns); the names, and the means (n, 7) of the priors.
+
+        Before the threads begin, motion and program are compiled, and it is chosen for all of
+        them whether the drawing is: else some would repeat, or wait for, what others compile.
+
+        Args:
+            tables: to fill.
+            dice: what to draw from, and for which of the tables.
+            threads: how many may draw at once.
+        """
         layout, program, n = self.layout, _program(self.layout), len(tables)
         choices = mobilities_of(self.scenario)
         kinds, first, prior = np.empty(n, np.int64), np.empty((n, 7)), np.empty((n, STATE_SIZE))
-        _drawing(
-            n, dice, self._plan, self.dt, stride_of(self.dt), *motion(), program.on_lanes(),
-            self._start, (layout.anchors, layout.size, len(program.blank)), _kept(layout),
-            self.time_s, kinds, first, prior, tables,
+        same = (
+            self._plan, self.dt, stride_of(self.dt), *motion(), program.on_lanes(), self._start,
+            (layout.anchors, layout.size, len(program.blank)), _kept(layout), self.time_s,
         )  # fmt: skip
+        jobs = [
+            (each, *same, kinds[some], first[some], prior[some], tables[some])
+            for each, some in dice
+        ]
+        share(simulate.choice(n * self.epochs, *jobs[0]), jobs, threads)
         first[:, 6] = self.scene.hz_per_mps * (self.radio.prior_bias_mps * first[:, 6])
         prior *= np.sqrt(np.diag(self.radio.prior_covariance(self.scene)))
         return [choices[kind].name for kind in kinds], first + prior

@@ -3,7 +3,8 @@
 import numpy as np
 
 from mmwave_env.generators import single
-from mmwave_env.travel import motion, stride_of, travel
+from mmwave_env.kinematics import motion
+from mmwave_env.travel import stride_of, travel
 
 
 def trajectories(plan, kinds, dt, rngs, out):

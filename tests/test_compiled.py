@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from gymnasium.utils.env_checker import data_equivalence
 
-from mmwave_env import mobility, replay, simulation, travel
+from mmwave_env import drawing, kinematics, mobility, replay, simulation
 from mmwave_env.estimator import program
 from mmwave_env.radio import RADIOS
 from mmwave_env.scene import SCENES
@@ -17,31 +17,30 @@ def plainly(monkeypatch: pytest.MonkeyPatch):
     """A call that lets sparing functions run as plain Python from then on."""
 
     def begin() -> None:
-        for function in (program._advance, simulation._drawing, replay._round_trip):
-            monkeypatch.setattr(function, "_left", 10**9)
-            monkeypatch.setattr(function, "_is_there", lambda arguments: False)
-            monkeypatch.setattr(function, "compiled", None)
+        for function in (program._advance, drawing.simulate, replay._round_trip):
+            plain = function.plain
+            monkeypatch.setattr(function, "choice", lambda *_, plain=plain: plain)
 
     return begin
 
 
 def motion():
-    """What `travel.motion` compiles, in Python, on the arrays behind the addresses."""
+    """What `kinematics.motion` compiles, in Python, on the arrays behind the addresses."""
 
     def change(block, function):
-        for lane in np.flatnonzero(block[travel.AT.jerk]):  # where somebody travels
-            block[:, lane] = function(travel.Traveller(*block[:, lane].tolist()))
+        for lane in np.flatnonzero(block[kinematics.AT.jerk]):  # where somebody travels
+            block[:, lane] = function(kinematics.Traveller(*block[:, lane].tolist()))
 
     def move_on(address, substeps, here):
         block = address._arr
         while substeps > 0:
-            change(block, travel.move)
+            change(block, kinematics.move)
             substeps -= 1
-            if (block[travel.AT.due, :here] > 0.0).any():
+            if (block[kinematics.AT.due, :here] > 0.0).any():
                 break
         return substeps
 
-    return move_on, lambda address: change(address._arr, travel.observe)
+    return move_on, lambda address: change(address._arr, kinematics.observe)
 
 
 @pytest.mark.parametrize("scenario", mobility.MOBILITIES)

@@ -183,6 +183,18 @@ def test_versions_long_out_of_use_are_removed(package):
     assert "mmwave_env-29" in versions and "mmwave_env-0" not in versions
 
 
+def test_the_version_in_use_stays_however_old_its_folder_is(package):
+    run(package)
+    (file,) = kept(package)
+    os.utime(file.parent, (0, 0))
+    for age in range(1, 9):
+        newer = file.parent.parent / f"mmwave_env-{age}"
+        newer.mkdir()
+        os.utime(newer, (age, age))
+    assert run(package) == (41, 1)
+    assert not (file.parent.parent / "mmwave_env-1").exists()  # the one longest out of use
+
+
 @pytest.mark.slow
 def test_the_environment_works_where_nothing_can_be_written(package, tmp_path):
     shutil.rmtree(package)
@@ -199,33 +211,3 @@ def test_the_environment_works_where_nothing_can_be_written(package, tmp_path):
         "print(env.step(env.action_space.sample())[3])\n"
     )
     assert finished(started(package, script, HOME=str(tmp_path / "blocked"))) == ["False"]
-
-
-# --- functions that may run as plain Python
-
-
-SPARING = """
-from mmwave_env.disk_cache import Sparing
-kinds = []
-def function(x):
-    return x + 1
-sparing = Sparing(function, 5)
-sparing.plain = lambda x: kinds.append("plain") or function(x)
-for jobs in (2, 3, 1, 1):
-    before = len(kinds)
-    assert sparing(jobs, 20) == 21
-    if len(kinds) == before:
-        kinds.append("compiled")
-print(*kinds)
-"""
-
-
-def test_little_work_is_not_worth_compiling_for(package):
-    runs = [finished(started(package, SPARING)) for _ in range(2)]
-    assert runs[0] == ["plain", "plain", "compiled", "compiled"]
-    assert runs[1] == ["compiled"] * 4  # found on disk
-
-
-def test_much_work_is_compiled_for_at_once(package):
-    first = SPARING.replace("(2, 3, 1, 1)", "(6, 1)")
-    assert finished(started(package, first)) == ["compiled", "compiled"]

@@ -3,15 +3,18 @@
 It is the meaning of a seed: kinds of draws in this order, each over all epochs at once.
 """
 
+import threading
+
 import numpy as np
 import pytest
 
+from mmwave_env import simulation
 from mmwave_env.episode import Episode, Packed
 from mmwave_env.generators import Generators
 from mmwave_env.mobility import mobilities_of, plan_of
 from mmwave_env.radio import RADIOS
 from mmwave_env.scene import SCENES
-from mmwave_env.simulation import SimulatedSource
+from mmwave_env.simulation import CHUNK, SimulatedSource
 
 from .estimator.tracks import geometry
 from .roads import trajectories
@@ -168,3 +171,19 @@ def test_where_tables_do_not_fit_is_refused(out, found):
     with pytest.raises(ValueError, match="out: found .*expected .1, 77, 37., contiguous") as error:
         SOURCES["jam"].packed(np.ones((1, 4), np.uint64), out)
     assert found in str(error.value)
+
+
+def test_threads_do_not_choose_each_for_itself_whether_to_compile(monkeypatch):
+    """Else some would compile, and hold the interpreter, while others run as plain Python."""
+    choose, works = simulation.simulate.choice, []
+
+    def choice(work, *arguments):
+        works.append((work, threading.get_ident()))
+        return choose(work, *arguments)
+
+    monkeypatch.setattr(simulation.simulate, "choice", choice)
+    source, n = SimulatedSource(SCENES["street"], RADIOS["handset"], epochs=3), 3 * CHUNK + 5
+    generators = Generators(n)
+    with generators.states(np.arange(n)) as states:
+        source.packed(states, threads=2)
+    assert works == [(n * source.epochs, threading.get_ident())]

@@ -226,6 +226,28 @@ def test_a_forked_child_compiles_steps_and_ends_like_any_process(tmp_path):
 
 
 @posix
+def test_a_child_compiles_though_it_was_forked_while_a_thread_did(tmp_path):
+    code = """
+    from numba.core.compiler_lock import global_compiler_lock
+    begun = threading.Event()
+    def compiling():
+        with global_compiler_lock:
+            begun.set()
+            time.sleep(0.3)
+    threading.Thread(target=compiling).start()
+    begun.wait()
+    child = os.fork()
+    if child == 0:
+        signal.alarm(60)  # or it would wait for ever
+    _, rewards = stepped(reward="log-score")
+    if child == 0:
+        sys.exit(0 if np.isfinite(rewards).all() else 1)
+    print(os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]))
+    """
+    assert process(code, tmp_path) == ["0"]
+
+
+@posix
 @pytest.mark.slow
 @pytest.mark.parametrize("context", ["fork", "spawn", "forkserver"])
 def test_environments_run_in_processes_of_their_own(context, tmp_path):

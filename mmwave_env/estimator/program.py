@@ -6,19 +6,20 @@ A program maps a workspace tree to a workspace tree. Its leaves are rows of an a
 """
 
 import ctypes
-import threading
+import os
 from collections.abc import Callable
 from typing import Any, Generic, NamedTuple, TypeVar
 
 import numba
 import numpy as np
 from numba import types
+from numba.core.compiler_lock import global_compiler_lock
 from numba.extending import register_jitable
 from numpy.typing import NDArray
 
-from mmwave_env.disk_cache import Sparing
 from mmwave_env.estimator.lanes import WIDTH, kernel
 from mmwave_env.estimator.trees import Tree, leaves, rebuild
+from mmwave_env.sparing import Sparing
 
 Workspace = TypeVar("Workspace", bound=tuple[Any, ...])
 Array = NDArray[np.float64]
@@ -26,7 +27,15 @@ Index = NDArray[np.int64]
 
 NO_ROWS = np.empty(0, np.int64)
 PLAIN_EPOCHS = 1000  # of blocks, before compiling, which takes as long as 4000 of them
-_COMPILING = threading.Lock()
+
+# numba's own lock guards all that compiles. A child forked while another thread holds it would
+# wait for ever, for that thread is not in the child; so a fork waits for the compilation.
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(
+        before=global_compiler_lock.acquire,
+        after_in_parent=global_compiler_lock.release,
+        after_in_child=global_compiler_lock.release,
+    )
 
 
 def rows_of(tree: Any) -> Index:
@@ -180,7 +189,7 @@ class Program(Generic[Workspace]):
         It is compiled here, once. Loops around it take it as an argument and so need no
         compilation of their own for every program.
         """
-        with _COMPILING:
+        with global_compiler_lock:
             if self._compiled is None:
                 self._compiled = self._compile()
         return self._compiled

@@ -1,0 +1,113 @@
+"""Drawing episodes: all randomness of each from its own generator, then the run on lanes."""
+
+import numpy as np
+from numba.extending import register_jitable
+
+from mmwave_env.estimator.lanes import WIDTH
+from mmwave_env.estimator.program import advance
+from mmwave_env.generators import leave, take
+from mmwave_env.sparing import Sparing
+from mmwave_env.travel import travel
+
+PLAIN_EPOCHS = 20_000  # before compiling, which takes as long as 75 000 of them
+
+
+@register_jitable
+def _normals(rng, out, first, last):  # type: ignore[no-untyped-def]
+    for epoch in range(len(out)):
+        for i in range(first, last):
+            out[epoch, i] = rng.standard_normal()
+    return last
+
+
+@register_jitable
+def _uniforms(rng, out, first, last):  # type: ignore[no-untyped-def]
+    for epoch in range(len(out)):
+        for i in range(first, last):
+            out[epoch, i] = rng.random()
+    return last
+
+
+@register_jitable
+def _exponentials(rng, out, first, last):  # type: ignore[no-untyped-def]
+    for epoch in range(len(out)):
+        for i in range(first, last):
+            out[epoch, i] = rng.standard_exponential()
+    return last
+
+
+@register_jitable
+def _draw(rng, out, links, rows):  # type: ignore[no-untyped-def]
+    """Fill (T, draws) after the truth, in the order of the leaves of ``simulation.Draws``.
+
+    The order of drawing, kind by kind over all epochs, is part of what a seed means.
+    """
+    at = _normals(rng, out, 6, 6 + links)  # shadowing
+    at = _uniforms(rng, out, at, at + links)  # blockage
+    at = _uniforms(rng, out, at, at + links)  # multipath
+    at = _uniforms(rng, out, at, at + 1)  # outage
+    at = _exponentials(rng, out, at, at + links)  # range of blockage
+    at = _exponentials(rng, out, at, at + links)  # of multipath
+    at = _normals(rng, out, at, at + 3 * links)  # angles of blockage
+    at = _normals(rng, out, at, at + 3 * links)  # of multipath
+    at = _uniforms(rng, out, at, at + links)  # detection
+    at = _normals(rng, out, at, at + 1)  # scatter of the Doppler spread
+    at = _normals(rng, out, at, at + 1)  # its floor
+    at = _normals(rng, out, at, at + rows)  # noise
+    _normals(rng, out, at, at + 1)  # oscillator
+
+
+@register_jitable
+def _simulate(  # type: ignore[no-untyped-def]
+    dice, plan, dt, stride, move_on, observe, run, start, layout, keep, time_s, kinds, first, prior,
+    tables,
+):  # fmt: skip
+    """Draw and simulate episodes, eight at a time, so that their draws stay in a cache.
+
+    Args:
+        dice, plan, dt, stride, move_on, observe: see :func:`~mmwave_env.travel.travel`.
+        run, start: the program, and its workspace (size,) before the first epoch.
+        layout: numbers of links, of rows and of columns drawn.
+        keep: rows of the workspace that make an epoch of ``tables``.
+        time_s: (T,) of the epochs.
+        kinds: (n,) gets the kind of user.
+        first: (n, 7) gets the true position and velocity and the draw of the oscillator.
+        prior: (n, 7) gets normals.
+        tables: (n, T, columns) gets the episodes.
+    """
+    (links, rows, columns), rng, T = layout, dice[0], len(time_s)
+    draws, block = np.empty((WIDTH, T, columns)), np.empty((1, len(start), WIDTH))
+    blank, nothing, none = np.zeros(columns), np.empty((WIDTH, T, 0)), np.empty(0, np.int64)
+    length, running = np.full(WIDTH, T), np.ones(WIDTH, np.bool_)
+    for begin in range(0, len(kinds), WIDTH):
+        end = min(begin + WIDTH, len(kinds))
+        here = end - begin
+        for e in range(begin, end):
+            take(dice, e)
+            kinds[e] = int(rng.random() * len(plan.phases))
+            leave(dice, e)
+        travel(dice, begin, kinds[begin:end], plan, dt, stride, move_on, observe, draws)
+        for e in range(begin, end):
+            drawn = draws[e - begin]
+            take(dice, e)
+            _draw(rng, drawn, links, rows)
+            for i in range(prior.shape[1]):
+                prior[e, i] = rng.standard_normal()
+            leave(dice, e)
+            for i in range(6):
+                first[e, i] = drawn[0, i]
+            first[e, 6] = drawn[0, columns - 1]
+        for i in range(len(start)):
+            for lane in range(WIDTH):
+                block[0, i, lane] = start[i]
+        advance(
+            run, blank, block, draws[:here], length[:here], np.zeros(here, np.int64),
+            running[:here], none, nothing[:here], keep, tables[begin:end], none,
+            np.empty((here, T, 0), np.float32),
+        )  # fmt: skip
+        for e in range(begin, end):
+            for t in range(1, T):
+                tables[e, t, 0] = time_s[t] - time_s[t - 1]
+
+
+simulate = Sparing(_simulate, PLAIN_EPOCHS)

@@ -1,0 +1,181 @@
+"""Motion of users along their way, on lanes: eight travellers at once.
+
+A traveller speeds up and brakes within limits of acceleration, braking and jerk, towards its
+target speed and down to what lies ahead: corners and red lights. The equations are those of a
+substep without events; :mod:`mmwave_env.travel` has what happens between them.
+"""
+
+from functools import lru_cache
+from typing import Any, NamedTuple
+
+import numba
+import numpy as np
+from numba import types
+
+from mmwave_env.arithmetic import Number, clip, cos_sin, maximum, minimum, sqrt, where
+from mmwave_env.estimator.lanes import WIDTH
+from mmwave_env.estimator.program import c_function, tree_kernel
+
+STANDING_MPS = 0.1  # slow enough to change over to another phase
+
+
+class Traveller(NamedTuple):
+    """Where a traveller is, and what it is up to.
+
+    The way ahead is a straight stretch, then an arc over a crossing (none where it is straight
+    on); the crossing after that is known too, for braking over a crossing that is driven straight.
+
+    Attributes:
+        step: length of a substep, s.
+        substep: how many there were.
+        due: 1 where something is to happen before the next one: a gait, a crossing, a phase.
+        x, y: position, m.
+        vx, vy: velocity where last observed, m/s.
+        v, a: speed (m/s) and acceleration (m/s^2).
+        acceleration, braking, lateral, jerk: limits, m/s^2 and m/s^3.
+        target: speed to reach, m/s.
+        gait_left: time to keep it, s.
+        phase: which; ends at ``phase_end`` s.
+        stopping: 1 while coming to a stand to change over to the next phase.
+        heading: in quarter turns, before the arc.
+        travelled: on the way ahead, m.
+        stretch, arc: lengths of the way ahead, m.
+        radius, curvature: of its arc, m and 1/m; curvature is positive to the left.
+        turn, red: at the crossing ahead: quarter turns to the left; red light, s.
+        turn_after, red_after: at the crossing after that.
+        node_x, node_y: the crossing after that, in blocks from the origin.
+        block: distance of crossings, m.
+        blocks_x, blocks_y: how many there are, west to east and south to north.
+        origin_x, origin_y: the crossing to the south-west, m.
+    """
+
+    step: Number
+    substep: Number
+    due: Number
+    x: Number
+    y: Number
+    vx: Number
+    vy: Number
+    v: Number
+    a: Number
+    acceleration: Number
+    braking: Number
+    lateral: Number
+    jerk: Number
+    target: Number
+    gait_left: Number
+    phase: Number
+    phase_end: Number
+    stopping: Number
+    heading: Number
+    travelled: Number
+    stretch: Number
+    arc: Number
+    radius: Number
+    curvature: Number
+    turn: Number
+    red: Number
+    turn_after: Number
+    red_after: Number
+    node_x: Number
+    node_y: Number
+    block: Number
+    blocks_x: Number
+    blocks_y: Number
+    origin_x: Number
+    origin_y: Number
+
+
+AT = Traveller(*range(len(Traveller._fields)))  # rows of a block
+
+
+def _direction(t: Traveller, travelled: Number) -> tuple[Number, Number]:
+    """Cosine and sine of the course after some metres of the way ahead."""
+    bent = clip(travelled - t.stretch, 0.0, t.arc)
+    return cos_sin((np.pi / 2) * t.heading + t.curvature * bent)
+
+
+def observe(t: Traveller) -> Traveller:
+    """Fill in the velocity."""
+    cosine, sine = _direction(t, t.travelled)
+    return t._replace(vx=t.v * cosine, vy=t.v * sine)
+
+
+def wanted_acceleration(t: Traveller) -> Number:
+    """Towards the target, and down to what is ahead, in m/s^2.
+
+    A crossing where the way turns is a limit of v_c^2 = lateral acceleration times radius, a red
+    light one of 0 a metre before the crossing. Braking at b over d metres from v reaches v_c with
+    v^2 = v_c^2 + 2 b d; half of that is aimed at, and where the rest runs out, what is needed.
+    """
+    left, turns = t.stretch - t.travelled, t.arc > 0.0
+    beyond = left + t.block - where(abs(t.turn_after) > 0.5, t.radius, 0.0)
+    corner = where(turns, left, where(abs(t.turn_after) > 0.5, beyond, np.inf))
+    light_after = where((t.red_after > 0.0) & (beyond > 0.0), beyond, np.inf)
+    light = where((t.red > 0.0) & (left > 0.0), left, where(turns, np.inf, light_after))
+    light = maximum(light - 1.0, 0.0)
+    cornering, squared = t.lateral * t.radius, t.v * t.v
+    aim = minimum(cornering + t.braking * maximum(corner, 0.0), t.braking * light)
+    aim = sqrt(minimum(t.target * t.target, aim))
+    pull = clip((aim - t.v) / 0.5, -t.braking, t.acceleration)
+    built_up = 0.6 / t.jerk * (maximum(t.a, 0.0) + t.braking) * t.v  # until braking has
+    need = maximum(
+        where(corner > 0.0, squared - cornering, 0.0) / (2.0 * maximum(corner - built_up, 0.5)),
+        where(light > 0.0, squared, 0.0) / (2.0 * maximum(light - built_up, 0.5)),
+    )
+    late = need > 0.7 * t.braking
+    return where(late, minimum(pull, -minimum(need, t.braking)), pull)
+
+
+def move(t: Traveller) -> Traveller:
+    """A substep; at its end, whether something is due."""
+    most = t.jerk * t.step
+    waiting = (t.v < 0.3) & (t.stretch - t.travelled < 3.0)
+    a = t.a + clip(wanted_acceleration(t) - t.a, -most, most)
+    v = t.v + maximum(a * t.step, -t.v)  # never backwards; nor fused, which rounds otherwise
+    a = where(v > 0.0, a, maximum(a, 0.0))
+    moved = 0.5 * (t.v + v) * t.step
+    cosine, sine = _direction(t, t.travelled + 0.5 * moved)
+    substep, travelled = t.substep + 1.0, t.travelled + moved
+    gait_left = t.gait_left - t.step
+    changing = where(t.stopping > 0.5, STANDING_MPS - v, substep * t.step - t.phase_end)
+    due = (gait_left <= 0.0) | (travelled >= t.stretch + t.arc) | (changing >= 0.0)
+    return t._replace(
+        substep=substep,
+        due=where(due, 1.0, 0.0),
+        x=t.x + moved * cosine,
+        y=t.y + moved * sine,
+        v=v,
+        a=a,
+        gait_left=gait_left,
+        travelled=travelled,
+        red=where(waiting, t.red - t.step, t.red),
+    )
+
+
+@lru_cache(maxsize=1)
+def motion() -> tuple[Any, Any]:
+    """Two C functions of the address of a block (rows of a Traveller, 8).
+
+    The first moves the travellers in the first lanes until something is due, or for some
+    substeps, and returns how many of them are left: (address, substeps, lanes) -> substeps. The
+    second fills in their velocities.
+    """
+    shape, substep, look = (len(AT), WIDTH), tree_kernel(move, AT), tree_kernel(observe, AT)
+
+    @numba.cfunc(types.int64(types.voidptr, types.int64, types.int64))  # type: ignore[untyped-decorator]
+    def move_on(address, substeps, here):  # type: ignore[no-untyped-def]
+        block = numba.carray(address, shape, np.float64)
+        due = False
+        while substeps > 0 and not due:  # no events inside: so it all stays in registers
+            substep(block)
+            substeps -= 1
+            for lane in range(here):
+                due |= block[AT.due, lane] > 0.0
+        return substeps
+
+    @numba.cfunc(types.void(types.voidptr))  # type: ignore[untyped-decorator]
+    def observed(address):  # type: ignore[no-untyped-def]
+        look(numba.carray(address, shape, np.float64))
+
+    return c_function(move_on), c_function(observed)
