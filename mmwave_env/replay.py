@@ -13,7 +13,7 @@ from numba.extending import register_jitable
 from numpy.typing import NDArray
 
 from mmwave_env.arithmetic import Number
-from mmwave_env.estimator.algebra import unpack
+from mmwave_env.estimator.algebra import cholesky, unpack
 from mmwave_env.estimator.batch import Batch
 from mmwave_env.estimator.lanes import WIDTH
 from mmwave_env.estimator.pipeline import Pipeline
@@ -76,8 +76,8 @@ def passed(track: Track) -> Passed:
 def _way_back(pinned: tuple[int, ...]) -> Program[Return]:
     def function(w: Return) -> Return:
         now = w.incoming
-        P, P_predicted = unpack(now.P, zero=pinned), unpack(w.P_predicted, zero=pinned)
-        x = select(w.last > 0.5, now.x, rts_mean(now.x, P, P_predicted, w.x, w.dt))
+        P, factor = unpack(now.P, zero=pinned), cholesky(unpack(w.P_predicted, zero=pinned))
+        x = select(w.last > 0.5, now.x, rts_mean(now.x, P, factor, w.x, w.dt))
         smoothed = [e + (x[i] - now.x[i]) for i, e in enumerate(now.error)]
         return Return(now, 0.0, x, now.dt, now.P_predicted, smoothed)
 

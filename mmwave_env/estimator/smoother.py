@@ -59,11 +59,11 @@ def rts_mean(x: Vector, P: Matrix, P_predicted: Matrix, x_next: Vector, dt: Numb
 
     Args:
         x, P: (7,), (7, 7) filtered belief of the epoch.
-        P_predicted: (7, 7) covariance predicted for the next epoch.
+        factor: (7, 7) Cholesky factor of P_predicted, predicted for the next epoch.
         x_next: (7,) smoothed mean of the next epoch.
         dt: seconds to the next epoch.
     """
-    factor, FP = cholesky(P_predicted), _moved(P, dt)
+    FP = _moved(P, dt)
     step = [a - b for a, b in zip(x_next, move(x, dt), strict=True)]
     y = backward(factor, forward(factor, step))
     return [a + dot([row[i] for row in FP], y) for i, a in enumerate(x)]
@@ -94,7 +94,7 @@ def rts_step(
     half = [[dot(gain[i], [change[k][j] for k in range(STATE_SIZE)])
              for j in range(STATE_SIZE)] for i in range(STATE_SIZE)]  # fmt: skip
     smoothed = symmetric(STATE_SIZE, lambda i, j: P[i][j] + dot(half[i], gain[j]))
-    return rts_mean(now.x, P, P_predicted, x_next, now.dt), pack(smoothed)
+    return rts_mean(now.x, P, factor, x_next, now.dt), pack(smoothed)
 
 
 @lru_cache(maxsize=2)
