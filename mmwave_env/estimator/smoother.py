@@ -54,7 +54,7 @@ def _moved(P: Matrix, dt: Number) -> list[list[Number]]:
     return [[P[i][j] + dt * P[i + 3][j] if i < 3 else P[i][j] for j in range(n)] for i in range(n)]
 
 
-def rts_mean(x: Vector, P: Matrix, P_predicted: Matrix, x_next: Vector, dt: Number) -> list[Number]:
+def rts_mean(x: Vector, P: Matrix, factor: Matrix, x_next: Vector, dt: Number) -> list[Number]:
     """Smoothed mean of an epoch: x + P F' P_predicted^-1 (x_next - F x) (paper, Sec. III-F).
 
     Args:
