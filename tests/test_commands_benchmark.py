@@ -45,7 +45,7 @@ def test_a_short_run_writes_everything(tmp_path):
     for pair, ratio in result["ratios"].items():
         over, under = pair.split("_over_")
         assert ratio == pytest.approx(rates[over] / rates[under])
-    assert {"ekf", "ukf", "ckf", "native_64", "native_64_between_ends"} <= set(
+    assert {"ekf", "ukf", "ckf", "native_64_1_thread", "native_64_1_thread_between_ends"} <= set(
         result["limit_fraction"]
     )
     assert set(result["cold_start_s"]) == set(result["peak_rss_mb"])

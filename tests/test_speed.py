@@ -121,9 +121,8 @@ def measured():
 
 def test_sizes_are_sorted_and_named(measured):
     assert measured.sizes == [8, 64, 1024]
-    assert measured.natives(2) == ["native_8_2_threads", "native_64_2_threads",
-                                   "native_1024_2_threads"]  # fmt: skip
-    assert label("native_1024_2_threads") == "native, N = 1024, 2 threads"
+    assert measured.natives(2) == ["native_8", "native_64", "native_1024"]
+    assert label("native_1024_1_thread") == "native, N = 1024, 1 thread"
 
 
 def test_ratios_are_taken_round_by_round(measured):
@@ -140,8 +139,10 @@ def test_fractions_are_of_the_kernel_that_runs(measured):
     found, limits = measured.fractions(), measured.limits_s
     rates = measured.filters["ukf"].steps_per_s
     assert found["ukf"] == pytest.approx(np.multiply(limits["ukf"], rates))
-    rates = measured.rates["native_64"].between_ends
-    assert found["native_64_between_ends"] == pytest.approx(np.multiply(limits["step"], rates))
+    rates = measured.rates["native_64_1_thread"].between_ends
+    assert found["native_64_1_thread_between_ends"] == pytest.approx(
+        np.multiply(limits["step"], rates)
+    )
 
 
 def test_a_step_needs_more_than_its_filters(measured):
@@ -160,7 +161,7 @@ def test_tables_hold_what_was_measured(measured):
     assert tuple(found) == TITLES
     ratio = spread(measured.ratios()["single_over_filterpy"])
     assert f"| single environment | {ratio} |" in found["Ratios"]
-    assert "N = 1024, 2 threads" in found["Steps per second"]
+    assert "N = 1024, 1 thread" in found["Steps per second"]
     assert set(measured.instructions_s) == set(KINDS)
 
 

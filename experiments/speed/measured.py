@@ -10,6 +10,7 @@ from experiments.speed.operations import Operations, count
 from experiments.speed.rates import Rates, started
 from experiments.speed.roofline import KINDS, instruction_s, limit_s
 from experiments.speed.workloads import (
+    BOTH,
     ENVIRONMENT,
     FILTERS,
     SYNC_NAME,
@@ -97,7 +98,7 @@ class Measured:
         for kind, found in self.instructions_s.items():
             found.append(instruction_s(kind))
 
-    def natives(self, threads: int = 1) -> list[str]:
+    def natives(self, threads: int = BOTH) -> list[str]:
         """Names of the native vector environments with so many threads."""
         return [native_name(n, threads) for n in self.sizes]
 
@@ -112,8 +113,8 @@ class Measured:
         }
 
     def costs(self) -> Rounds:
-        """Seconds a step, over those at the smallest size of at least SMALLEST_FULL."""
-        full = [native_name(n) for n in self.sizes if n >= SMALLEST_FULL]
+        """Seconds a step, one thread, over those at the smallest size from SMALLEST_FULL on."""
+        full = [native_name(n, 1) for n in self.sizes if n >= SMALLEST_FULL]
         rates = {name: self.rates[name].steps_per_s for name in full}
         return {
             f"{name}_over_{full[0]}": quotients(rates[full[0]], rates[name]) for name in full[1:]
@@ -122,7 +123,7 @@ class Measured:
     def fractions(self) -> Rounds:
         """Limit of a core over the time taken, of the kernels and what they are in."""
         taken = {name: (name, rates.steps_per_s) for name, rates in self.filters.items()}
-        for name in self.natives():
+        for name in self.natives(1):
             taken[name] = (STEP, self.rates[name].steps_per_s)
             taken[name + BETWEEN_ENDS] = (STEP, self.rates[name].between_ends)
         return {

@@ -36,7 +36,8 @@ SYNC = 8  # environments that Gymnasium steps one after another
 SYNC_NAME = f"sync_{SYNC}"
 TRACKS = 1024  # of the filters alone
 CARTPOLES = 1024
-THREADS = (1, 2)
+BOTH = 2  # threads, as `gymnasium.make_vec` has them by itself on two cores
+THREADS = (BOTH, 1)
 FILTERS = ("ekf", "ukf", "ckf")
 ENVIRONMENT = "mmwave_env:MmWaveLoc-v0"
 
@@ -56,9 +57,9 @@ class Lap(NamedTuple):
 Laps = Iterator[Lap]
 
 
-def native_name(n: int, threads: int = 1) -> str:
+def native_name(n: int, threads: int = BOTH) -> str:
     """What the vector environment of n environments is called in results."""
-    return f"native_{n}" if threads == 1 else f"native_{n}_{threads}_threads"
+    return f"native_{n}" if threads == BOTH else f"native_{n}_{threads}_thread"
 
 
 def environments(sizes: Sequence[int]) -> dict[str, Callable[[], Laps]]:
