@@ -4,7 +4,8 @@ numba's ``cache=True`` looks at the file of the function alone, so it answers wi
 a function it calls was edited in another file; some versions miss edits that keep time and
 size, too. Processes that start at once can mix up its files, and a damaged file or a full disk
 ends the program. Here a folder is named after all sources, each compiled function is one file
-in it, and whatever goes wrong with a file means that the function is compiled anew.
+in it, and whatever goes wrong with a file means that the function is compiled anew. The files
+are pickles, as numba's own are, and trusted as much as the bytecode that lies beside them.
 """
 
 import os
