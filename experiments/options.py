@@ -61,8 +61,8 @@ class EpisodeArgs:
     folder of a DeepMIMO scenario; each seed draws receiver noise and prior anew"""
     modes: tuple[str, ...] = ()
     """modes to work with in place of the profile's ekf and ukf: names (ekf, ukf, ckf, ekf-robust,
-    ukf-robust) and mode files; policies are then fixed-NAME, likelihood-rule, random, imm and,
-    with two modes, speed-rule"""
+    ukf-robust, or extended for a bank of eight) and mode files; policies are then fixed-NAME,
+    likelihood-rule, random, imm and, with two modes, speed-rule"""
     json: Path | None = None
     """write every figure to this file"""
 

@@ -99,7 +99,8 @@ class MmWaveLocEnv(gym.Env[NDArray[np.float32], np.int64]):
     * `scene`: "street" (default), "o1", "dynamic-doppler", a JSON file, or a `Scene`.
     * `modes`: list of modes, each a name ("ekf", "ukf", "ckf", "ekf-robust", "ukf-robust"), a
       mode file or a `Mode`, whose algorithm may be your own function (docs/own-filters.md); or
-      one mode file, as `mmwave-loc tune` writes it.
+      one mode file, as `mmwave-loc tune` writes it; or "extended", a bank of eight: more
+      tunings, two robust modes, and one that finds a lost user again.
     * `reward`: "tracking", "log-score" or a function.
     * `observation`: "full" or "prior".
     * `episode_steps`, `dt`: epochs per episode and seconds per epoch.

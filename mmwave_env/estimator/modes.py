@@ -16,6 +16,7 @@ from mmwave_env.estimator.update import Algorithm, ckf, ekf, ukf
 from mmwave_env.names import choose
 
 ALGORITHMS: dict[str, Algorithm] = {"ekf": ekf, "ukf": ukf, "ckf": ckf}
+EXTENDED = "extended"  # name of the shipped bank of modes
 
 
 class Tuning(NamedTuple):
@@ -189,6 +190,12 @@ def shipped_modes(radio: str, coupling: bool = True) -> tuple[Mode, ...]:
     return read_modes(tuned if tuned.exists() else tuned.with_name(f"standard{suffix}.json"))
 
 
+@cache
+def extended_modes() -> tuple[Mode, ...]:
+    """A bank of eight for switchers that learn: more tunings, robust modes, re-acquisition."""
+    return read_modes(Path(str(files("mmwave_env").joinpath(f"data/modes/{EXTENDED}.json"))))
+
+
 def default_modes(radio: str = "handset") -> tuple[Mode, Mode]:
     """The two actions of ``MmWaveLoc-v0``: the paper's EKF and UKF pipelines."""
     low, high = shipped_modes(radio)
@@ -221,8 +228,8 @@ def modes_from(
     """The modes of a ``modes=`` argument.
 
     Args:
-        modes: a list of names, mode files and Mode objects; or one mode file; None for the
-            default two.
+        modes: a list of names, mode files and Mode objects; or one mode file, or "extended";
+            None for the default two. "extended" stands for all of :func:`extended_modes`.
         radio: profile that named modes are tuned for.
 
     Raises:
@@ -231,13 +238,15 @@ def modes_from(
     if modes is None:
         return default_modes(radio)
     if isinstance(modes, (str, os.PathLike)):
-        if not os.fspath(modes).endswith(".json"):
+        name = os.fspath(modes)
+        if name != EXTENDED and not name.endswith(".json"):
             raise ValueError(
-                f"modes: found the string {modes!r}, expected a list such as ['ekf'], or a mode "
-                "file (.json)"
+                f"modes: found the string {modes!r}, expected a list such as ['ekf'], "
+                f"{EXTENDED!r} or a mode file (.json)"
             )
-        modes = [os.fspath(modes)]
-    known = named_modes(radio)
+        modes = [name]
+    known: dict[str, tuple[Mode, ...]] = {EXTENDED: extended_modes()}
+    known |= {name: (mode,) for name, mode in named_modes(radio).items()}
     result: list[Mode] = []
     for mode in modes:
         if isinstance(mode, Mode):
@@ -245,7 +254,7 @@ def modes_from(
         elif mode.endswith(".json"):
             result += read_modes(mode)
         else:
-            result.append(choose(known, mode, "mode"))
+            result += choose(known, mode, "mode")
     names = [m.name for m in result]
     if not result or len(set(names)) < len(names):
         raise ValueError(f"modes: found {names}, expected at least one mode and no name twice")

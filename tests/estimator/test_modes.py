@@ -9,9 +9,11 @@ from mmwave_env.estimator.modes import (
     Mode,
     as_written,
     default_modes,
+    extended_modes,
     modes_from,
     named_modes,
     read_modes,
+    robust,
     shipped_modes,
 )
 from mmwave_env.estimator.update import ekf
@@ -61,6 +63,32 @@ def test_robust_modes_are_the_same_tuning_without_adaptation():
         named["ekf"], name="ekf-robust", robust=True, blockage_aware=True, adaptive=False
     )
     assert named["ukf-robust"].tuning == named["ukf"].tuning == named["ckf"].tuning
+
+
+@pytest.mark.parametrize("as_type", [str, lambda name: [name]])
+def test_the_extended_bank_has_tunings_robust_modes_and_one_that_finds_a_lost_user(as_type):
+    modes = modes_from(as_type("extended"), "high")
+    assert modes == extended_modes() and len({mode.name for mode in modes}) == 8
+    *tunings, ekf_robust, ukf_robust, reacquire = modes
+    assert [(m.algorithm, m.sigma_p, m.sigma_v) for m in tunings] == [
+        ("ekf", 0.05, 0.1), ("ekf", 0.1, 0.3), ("ukf", 0.1, 0.8), ("ukf", 0.1, 1.8),
+        ("ukf", 0.1, 3.5),
+    ]  # fmt: skip
+    assert ekf_robust == robust(tunings[1])
+    assert ukf_robust == robust(Mode("ukf-1.0", "ukf", sigma_p=0.1, sigma_v=1.0))
+    open_to_all = {"gate": None, "recovery": None, "widen_p": 3.0, "widen_v": 3.0}
+    assert reacquire == replace(tunings[3], name="reacquire", **open_to_all)
+
+
+def test_a_bank_goes_with_other_modes_and_not_with_itself():
+    assert modes_from(["ekf", "extended"]) == (default_modes()[0], *extended_modes())
+    with pytest.raises(ValueError, match="no name twice"):
+        modes_from(["extended", "extended"])
+
+
+def test_a_name_alone_is_no_list():
+    with pytest.raises(ValueError, match="found the string 'ekf', expected a list .*'extended'"):
+        modes_from("ekf")
 
 
 @pytest.mark.parametrize(
