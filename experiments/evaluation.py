@@ -34,6 +34,7 @@ from policies import (
 )
 
 Array = NDArray[np.float64]
+Transition = tuple[tuple[float, ...], ...]
 Scores = dict[str, Array]  # metric -> (episodes,)
 
 CHUNK = 1000  # episodes in memory at once
@@ -49,11 +50,13 @@ class Contender:
         name: as on the command line and in results.
         modes: what it works with.
         policy: from the observation table to a policy; None for the IMM over the modes.
+        transition: probabilities (from, to) of the IMM; None for the default.
     """
 
     name: str
     modes: tuple[Mode, ...]
     policy: Callable[[Observation], Policy] | None
+    transition: Transition | None = None
 
     def start(self, layout: Layout) -> Policy | None:
         """A new policy for measurements of a layout; None for the IMM."""
@@ -143,33 +146,37 @@ def score(
     for episode in episodes:
         episode.require_truth()
     pipeline = Pipeline(contender.modes, episodes[0].layout)
-    n, T = len(episodes), len(episodes[0])
-    rewards, errors, nees = np.empty((n, T)), np.empty((n, T, 3)), np.empty((n, T))
     if policy is None:
-        imm = ImmEngine(pipeline, n, reward)
-        imm.reset(episodes)
-        for t in range(T):
-            if t:
-                imm.step()
-            rewards[:, t], nees[:, t] = imm.read(imm.at.reward), imm.read(imm.at.nees)
-            errors[:, t] = imm.read(imm.at.error)
+        imm = ImmEngine(pipeline, reward, contender.transition)
+        told = imm.run(episodes, "reward", "nees", "error")
     else:
-        engine = Engine(pipeline, n, reward)
-        engine.reset(episodes)
-        policy.reset(np.ones(n, bool))
-        scored = rows_of([engine.at.reward, engine.at.nees, engine.at.error])
-        observations = engine.observations()
-        for t in range(T):
-            actions = policy(observations)
-            if actions.min() < 0 or actions.max() >= len(contender.modes):
-                raise ValueError(
-                    f"actions of {contender.name}: found {actions.min()} to {actions.max()}, "
-                    f"expected 0 to {len(contender.modes) - 1}"
-                )
-            observations, told = engine.step(actions, scored)
-            rewards[:, t], nees[:, t], errors[:, t] = told[:, 0], told[:, 1], told[:, 2:]
-    step_s = float(np.median(np.diff(episodes[0].time_s))) if T > 1 else 1.0
-    return summary(rewards, errors, nees, 1.0 / step_s)
+        told = _steered(pipeline, policy, contender.name, episodes, reward)
+    times_s = episodes[0].time_s
+    step_s = float(np.median(np.diff(times_s))) if len(times_s) > 1 else 1.0
+    return summary(told["reward"], told["error"], told["nees"], 1.0 / step_s)
+
+
+def _steered(
+    pipeline: Pipeline, policy: Policy, name: str, episodes: Sequence[Episode], reward: Reward
+) -> dict[str, Array]:
+    """Rewards (n, T), NEES (n, T) and errors (n, T, 3) where a policy picks the modes."""
+    n, T = len(episodes), len(episodes[0])
+    engine = Engine(pipeline, n, reward)
+    engine.reset(episodes)
+    policy.reset(np.ones(n, bool))
+    program, names = engine.batch.program, ("reward", "nees", "error")
+    scored = rows_of(program.parts(names))
+    told = np.empty((n, T, len(scored)))
+    observations = engine.observations()
+    for t in range(T):
+        actions = policy(observations)
+        if actions.min() < 0 or actions.max() >= len(pipeline.modes):
+            raise ValueError(
+                f"actions of {name}: found {actions.min()} to {actions.max()}, "
+                f"expected 0 to {len(pipeline.modes) - 1}"
+            )
+        observations, told[:, t] = engine.step(actions, scored)
+    return program.by_name(names, told)
 
 
 def evaluate(

@@ -1,11 +1,18 @@
-"""Interacting multiple models in place of an agent, for one track or many at once."""
+"""Interacting multiple models in place of an agent, over whole episodes in one kernel call.
+
+No action steers an IMM, so nothing has to stop between two epochs. Transition probabilities
+and process noise are part of its data, so that one compiled program runs any of them.
+"""
 
 from collections.abc import Sequence
 from functools import lru_cache
-from typing import NamedTuple
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike
 
 from mmwave_env.arithmetic import Number
-from mmwave_env.episode import Episode
+from mmwave_env.episode import Episode, Packed
 from mmwave_env.estimator.algebra import pack
 from mmwave_env.estimator.batch import Batch, Incoming, blank_incoming, blank_site
 from mmwave_env.estimator.belief import Belief
@@ -17,9 +24,13 @@ from mmwave_env.estimator.imm import (
     restart,
     stay_matrix,
 )
+from mmwave_env.estimator.lanes import WIDTH
+from mmwave_env.estimator.modes import Tuning
 from mmwave_env.estimator.pipeline import Pipeline, Site
-from mmwave_env.estimator.program import Program
+from mmwave_env.estimator.program import Array, Index, Program, Tracks, Traffic, rows_of
+from mmwave_env.estimator.trees import leaves
 from mmwave_env.reward import Reward
+from mmwave_env.tracker import untuned
 
 
 class ImmWorkspace(NamedTuple):
@@ -29,6 +40,8 @@ class ImmWorkspace(NamedTuple):
         incoming: the epoch just filtered.
         site: anchors, carrier and prior.
         fresh: 1 to start over from the prior.
+        transition: (modes, modes) transition probabilities (from, to).
+        tunings: process noise of every mode.
         mixture: belief and probability of every mode.
         x, P: (7,), (28,) the combined belief.
         reward, error, nees: of the epoch, as in :class:`~mmwave_env.engine.Workspace`.
@@ -37,6 +50,8 @@ class ImmWorkspace(NamedTuple):
     incoming: Incoming
     site: Site
     fresh: Number
+    transition: list[list[Number]]
+    tunings: list[Tuning]
     mixture: Mixture
     x: list[Number]
     P: list[Number]
@@ -46,13 +61,11 @@ class ImmWorkspace(NamedTuple):
 
 
 @lru_cache(maxsize=32)
-def _imm_program(
-    pipeline: Pipeline, transition: tuple[tuple[float, ...], ...], reward: Reward
-) -> Program[ImmWorkspace]:
+def _program(pipeline: Pipeline, reward: Reward) -> Program[ImmWorkspace]:
     def function(w: ImmWorkspace) -> ImmWorkspace:
         mixture = restart(w.fresh > 0.5, pipeline, w.site, w.mixture)
         coming = w.incoming.epoch(pipeline.layout)
-        mixture = imm_epoch(pipeline, transition, mixture, coming, w.site)
+        mixture = imm_epoch(pipeline, w.transition, w.tunings, mixture, coming, w.site)
         x, P = estimate(mixture)
         belief = Belief(x, P, pipeline.position_axes)
         truth = w.incoming.truth
@@ -66,41 +79,116 @@ def _imm_program(
             nees=belief.nees(truth),
         )
 
-    incoming, site = blank_incoming(pipeline.layout), blank_site(pipeline.layout)
-    mixture = begin(pipeline, site.prior_x, site.prior_P)
+    site, modes = blank_site(pipeline.layout), pipeline.modes
     template = ImmWorkspace(
-        incoming, site, 1.0, mixture, site.prior_x, site.prior_P, 0.0, [0.0] * 3, 0.0
+        incoming=blank_incoming(pipeline.layout),
+        site=site,
+        fresh=1.0,
+        transition=[[0.0] * len(modes) for _ in modes],
+        tunings=[mode.tuning for mode in modes],
+        mixture=begin(pipeline, site.prior_x, site.prior_P),
+        x=site.prior_x,
+        P=site.prior_P,
+        reward=0.0,
+        error=[0.0] * 3,
+        nees=0.0,
     )
     return Program(function, template)
 
 
+def transition_from(transition: ArrayLike | None, modes: int) -> Array:
+    """Transition probabilities (from, to) as an array (modes, modes).
+
+    Args:
+        transition: such a matrix; None to stay with probability 0.95.
+        modes: how many there are.
+
+    Raises:
+        ValueError: another shape, rows that are no probabilities, or a mode that none leads to.
+    """
+    found = np.array(stay_matrix(modes) if transition is None else transition, float)
+    if (
+        found.shape != (modes, modes)
+        or not (found >= 0.0).all()
+        or not np.allclose(found.sum(axis=1), 1.0, rtol=0.0, atol=1e-6)
+        or not found.any(axis=0).all()
+    ):
+        raise ValueError(
+            f"transition: found {found.tolist()}, expected {modes} rows of {modes} probabilities "
+            "that sum to 1, and none of the modes out of reach"
+        )
+    return found
+
+
 class ImmEngine:
-    """N interacting-multiple-model estimators in step; no actions, it weighs the modes itself.
+    """Interacting multiple models over the modes of a pipeline; it weighs them itself.
 
     Args:
         pipeline: modes and layout.
-        n: number of estimators.
         reward: function of (belief, truth), for comparison with policies.
-        transition: (modes, modes) transition probabilities, rows sum to 1; None for the
-            default, which stays with probability 0.95.
+        transition: (modes, modes) transition probabilities (from, to); None for the default,
+            which stays with probability 0.95.
+
+    Raises:
+        ValueError: see :func:`transition_from`.
     """
 
     def __init__(
-        self,
-        pipeline: Pipeline,
-        n: int,
-        reward: Reward,
-        transition: tuple[tuple[float, ...], ...] | None = None,
+        self, pipeline: Pipeline, reward: Reward, transition: ArrayLike | None = None
     ) -> None:
-        transition = transition or stay_matrix(len(pipeline.modes))
         self.pipeline = pipeline
-        self._batch = Batch(_imm_program(pipeline, transition, reward), pipeline.layout, n)
-        self.at, self.read = self._batch.at, self._batch.read
+        self.transition = transition_from(transition, len(pipeline.modes))
+        self._program = _program(untuned(pipeline), reward)
+        index, self._start = self._program.index, self._program.start.copy()
+        self._start[leaves(index.transition)] = self.transition.ravel()
+        self._start[leaves(index.tunings)] = leaves([mode.tuning for mode in pipeline.modes])
 
-    def reset(self, episodes: Sequence[Episode]) -> None:
-        """Start over with one episode each and filter the first epoch."""
-        self._batch.begin(episodes)
+    def run(self, episodes: Packed | Sequence[Episode], *names: str) -> dict[str, Array]:
+        """Filter episodes from their priors to their ends.
 
-    def step(self) -> None:
-        """Filter the next epoch."""
-        self._batch.advance()
+        Args:
+            episodes: N of them.
+            names: parts of :class:`ImmWorkspace` to return, such as "reward" or
+                "mixture.probability".
+
+        Returns:
+            Per name (n, epochs) of a single number, else (n, epochs, numbers); what is past the
+            end of an episode means nothing.
+
+        Raises:
+            ValueError: another layout than the pipeline's.
+        """
+        packed = episodes if isinstance(episodes, Packed) else Packed.of(episodes)
+        if packed.layout != self.pipeline.layout:
+            raise ValueError(
+                f"layout of episode {packed.names[0]!r}: found {packed.layout}, expected "
+                f"{self.pipeline.layout}"
+            )
+        return self._filter(packed.table, packed.site, packed.length, names)
+
+    def rewards(self, batch: Batch[Any], places: Index) -> Array:
+        """What it would earn on episodes that are loaded in a batch, which stays as it is.
+
+        Args:
+            batch: what holds the episodes.
+            places: (n,) where.
+
+        Returns:
+            Rewards (n, epochs); what is past the end of an episode means nothing.
+        """
+        length = batch.tracks.length[places]
+        table = batch.tracks.table[places, : length.max()]
+        return self._filter(table, batch.sites(places), length, ["reward"])["reward"]
+
+    def _filter(
+        self, table: Array, site: Array, length: Index, names: Sequence[str]
+    ) -> dict[str, Array]:
+        """Filter tables (n, epochs, columns) at sites (n, numbers)."""
+        n, epochs, _ = table.shape
+        program = self._program
+        rows = np.tile(self._start[None, :, None], (-(-n // WIDTH), 1, WIDTH))
+        block, lane = np.divmod(np.arange(n), WIDTH)
+        rows[block[:, None], leaves(program.index.site), lane[:, None]] = site
+        traffic = Traffic.of(n, epochs, keep=rows_of(program.parts(names)))
+        program.run_on_lanes(Tracks.of(table, rows)._replace(length=length), traffic)
+        return program.by_name(names, traffic.kept)

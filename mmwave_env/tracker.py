@@ -8,7 +8,6 @@ runs any tuning.
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import lru_cache
-from operator import attrgetter
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -100,7 +99,7 @@ def track_epoch(w: Track, pipeline: Pipeline, rule: Rule | None) -> Track:
 
 def program_of(pipeline: Pipeline, rule: Rule | None = None) -> Program[Track]:
     """The compiled epoch of a track; pipelines whose modes differ in tuning alone share it."""
-    return _program(_untuned(pipeline), rule)
+    return _program(untuned(pipeline), rule)
 
 
 @lru_cache(maxsize=64)
@@ -126,7 +125,7 @@ def _program(pipeline: Pipeline, rule: Rule | None) -> Program[Track]:
     return Program(function, template)
 
 
-def _untuned(pipeline: Pipeline) -> Pipeline:
+def untuned(pipeline: Pipeline) -> Pipeline:
     """The pipeline as the compiler sees it: modes that differ in tuning alone are one."""
     blank = [
         replace(
@@ -203,14 +202,7 @@ class Tracker:
         modes = len(self.pipeline.modes)
         if self._rule is None and actions is None and modes > 1:
             raise ValueError(f"modes: found {modes}, no rule and no actions, expected one mode")
-        parts = [attrgetter(name)(self._batch.at) for name in names]
-        traffic = self._batch.traffic(self._epochs, rows_of(parts))
+        traffic = self._batch.traffic(self._epochs, rows_of(self.program.parts(names)))
         traffic.given[..., 0] = 0 if actions is None else actions
         self._batch.advance(traffic)
-        result, first = {}, 0
-        for name, part in zip(names, parts, strict=True):
-            width = len(leaves(part))
-            columns = traffic.kept[..., first : first + width]
-            result[name] = columns[..., 0] if isinstance(part, int) else columns
-            first += width
-        return result
+        return self.program.by_name(names, traffic.kept)

@@ -9,7 +9,8 @@ from dataclasses import replace
 from typing import NamedTuple
 
 from mmwave_env.arithmetic import Matrix, Number, Vector, exp, maximum
-from mmwave_env.estimator.algebra import dot, pack, unpack
+from mmwave_env.estimator.algebra import dot, unpack
+from mmwave_env.estimator.modes import Tuning
 from mmwave_env.estimator.pipeline import (
     Epoch,
     Memory,
@@ -79,12 +80,9 @@ def moments(
     """Mean (7,) and packed covariance (28,) of a Gaussian mixture."""
     mean = [dot(weights, [xi[i] for xi in x]) for i in range(STATE_SIZE)]
     offset = [[xi[i] - mean[i] for i in range(STATE_SIZE)] for xi in x]
-    spread = pack(
-        [
-            [dot(weights, [d[i] * d[j] for d in offset]) for j in range(STATE_SIZE)]
-            for i in range(STATE_SIZE)
-        ]
-    )
+    spread = [
+        dot(weights, [d[i] * d[j] for d in offset]) for i in range(STATE_SIZE) for j in range(i + 1)
+    ]
     return mean, [dot(weights, [Pi[k] for Pi in P]) + value for k, value in enumerate(spread)]
 
 
@@ -102,13 +100,29 @@ def mix(mixture: Mixture, transition: Matrix) -> tuple[Vector, list[tuple[Vector
 
 
 def imm_epoch(
-    pipeline: Pipeline, transition: Matrix, mixture: Mixture, epoch: Epoch, site: Site
+    pipeline: Pipeline,
+    transition: Matrix,
+    tunings: Sequence[Tuning],
+    mixture: Mixture,
+    epoch: Epoch,
+    site: Site,
 ) -> Mixture:
-    """One epoch: mix, run every mode, weigh them by their likelihood."""
+    """One epoch: mix, run every mode, weigh them by their likelihood.
+
+    Args:
+        pipeline: the modes.
+        transition: (modes, modes) probabilities (from, to).
+        tunings: process noise, in place of the modes' own.
+        mixture: after the epoch before.
+        epoch: the coming epoch.
+        site: anchors and carrier.
+    """
     predicted, mixed = mix(mixture, transition)
     tracks, likelihoods = [], []
-    for one, track, (x, P) in zip(single(pipeline), mixture.tracks, mixed, strict=True):
-        candidate = consider(one, one.modes[0], x, P, track.memory, epoch, site)
+    for one, tuning, track, (x, P) in zip(
+        single(pipeline), tunings, mixture.tracks, mixed, strict=True
+    ):
+        candidate = consider(one, one.modes[0], x, P, track.memory, epoch, site, tuning)
         memory = anticipate(track.memory, [candidate], epoch)
         memory = commit(one, 0.0, x, candidate, memory, epoch.dt, epoch.visible)
         tracks.append(Track(candidate.x, candidate.P, memory))

@@ -7,7 +7,8 @@ A program maps a workspace tree to a workspace tree. Its leaves are rows of an a
 
 import ctypes
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from operator import attrgetter
 from typing import Any, Generic, NamedTuple, TypeVar
 
 import numba
@@ -159,6 +160,24 @@ class Program(Generic[Workspace]):
         self.size = len(self.start)
         self.index: Workspace = rebuild(template, iter(range(self.size)))
         self._compiled: Any = None
+
+    def parts(self, names: Sequence[str]) -> list[Any]:
+        """Parts of ``index`` by name, such as "x" or "memory.nis"."""
+        return [attrgetter(name)(self.index) for name in names]
+
+    def by_name(self, names: Sequence[str], kept: Array) -> dict[str, Array]:
+        """What was kept (n, epochs, rows) of the rows of :meth:`parts`, taken apart.
+
+        Returns:
+            Per name (n, epochs) of a single number, else (n, epochs, numbers).
+        """
+        result, first = {}, 0
+        for name, part in zip(names, self.parts(names), strict=True):
+            width = len(leaves(part))
+            columns = kept[..., first : first + width]
+            result[name] = columns[..., 0] if isinstance(part, int) else columns
+            first += width
+        return result
 
     def run_on_lanes(self, tracks: Tracks, traffic: Traffic) -> None:
         """Run epoch after epoch, eight environments at a time."""

@@ -91,11 +91,23 @@ def textbook_imm(episode, modes, transition):
     return [np.array(column) for column in zip(*out, strict=True)]
 
 
-def test_equals_textbook_mixture():
+def any_transition(modes):
+    """Rows of probabilities, one of them zero where every mode can be entered without it."""
+    matrix = np.random.default_rng(modes).dirichlet(np.full(modes, 0.7), modes)
+    if modes > 2:
+        matrix[0, -1] = 0.0
+    return matrix / matrix.sum(axis=1, keepdims=True)
+
+
+THREE = [("ekf", 0.3), ("ukf", 1.8), ("ckf", 4.0)]
+EIGHT = [(a, sigma_v) for sigma_v in (0.1, 0.4, 1.6, 6.4) for a in ("ekf", "ukf")]
+
+
+@pytest.mark.parametrize("tunings", [THREE[:2], THREE, EIGHT], ids=len)
+def test_equals_textbook_mixture(tunings):
     plain = {"gate": None, "adaptive": False, "coupling": False}
-    tunings = [("ekf", 0.3), ("ukf", 1.8), ("ckf", 4.0)]
-    modes = tuple(Mode(a, a, sigma_v=sigma_v, **plain) for a, sigma_v in tunings)
-    transition = ((0.9, 0.08, 0.02), (0.1, 0.8, 0.1), (0.3, 0.3, 0.4))
+    modes = tuple(Mode(f"{a} {v}", a, sigma_v=v, **plain) for a, v in tunings)
+    transition = any_transition(len(modes))
     episodes = simulated(4, epochs=30)
     ours = imm_track(Pipeline(modes, Layout(3)), episodes, transition)
     for e, episode in enumerate(episodes):
@@ -105,7 +117,7 @@ def test_equals_textbook_mixture():
             for _, sigma_v in tunings
         ]
         per_mode = [(name, q) for (name, _), q in zip(tunings, Q, strict=True)]
-        x, P, probability = textbook_imm(episode, per_mode, np.array(transition))
+        x, P, probability = textbook_imm(episode, per_mode, transition)
         sigma = np.sqrt(np.einsum("...ii->...i", P))
         np.testing.assert_allclose((ours["x"][:, e] - x) / sigma, 0.0, atol=1e-8)
         scale = sigma[..., :, None] * sigma[..., None, :]

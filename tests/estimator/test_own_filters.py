@@ -127,11 +127,8 @@ def test_wherever_modes_go(mine):
     tracker = Tracker(pipeline, 2)
     tracker.load(episodes)
     np.testing.assert_allclose(tracker.run("x")["x"], engine, rtol=1e-9, atol=1e-9)
-    imm = ImmEngine(pipeline, 2, TrackingReward())
-    imm.reset(episodes)
-    for _ in range(29):
-        imm.step()
-    np.testing.assert_allclose(imm.read(imm.at.x), engine[:, -1], rtol=1e-9, atol=1e-9)
+    imm = ImmEngine(pipeline, TrackingReward())
+    np.testing.assert_allclose(imm.run(episodes, "x")["x"], engine, rtol=1e-9, atol=1e-9)
 
 
 def test_a_log_is_localised_with_it(iekf, tmp_path):

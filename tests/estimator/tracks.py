@@ -165,19 +165,10 @@ def track(pipeline, episodes, actions, epochs, what, on_floats=False):
 
 
 def imm_track(pipeline, episodes, transition=None):
-    """x, P, probabilities and NEES of the mixture at every epoch."""
-    engine = ImmEngine(pipeline, len(episodes), TrackingReward(), transition)
-    engine.reset(episodes)
-    history = []
-    for epoch in range(len(episodes[0])):
-        if epoch:
-            engine.step()
-        at = engine.at
-        history.append(
-            {"x": engine.read(at.x), "P": engine.read(at.P), "nees": engine.read(at.nees),
-             "probability": engine.read(at.mixture.probability)}
-        )  # fmt: skip
-    return {name: np.array([row[name] for row in history]) for name in history[0]}
+    """x, P, probabilities and NEES of the mixture at every epoch (epochs, n, ...)."""
+    names = {"x": "x", "P": "P", "nees": "nees", "probability": "mixture.probability"}
+    found = ImmEngine(pipeline, TrackingReward(), transition).run(episodes, *names.values())
+    return {name: found[part].swapaxes(0, 1) for name, part in names.items()}
 
 
 def unpacked(P):

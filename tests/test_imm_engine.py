@@ -1,0 +1,111 @@
+"""The IMM over whole episodes: any transition and tuning, and episodes that others hold."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from mmwave_env.engine import Engine
+from mmwave_env.episode import Packed
+from mmwave_env.estimator.belief import Belief
+from mmwave_env.estimator.modes import Mode, default_modes
+from mmwave_env.estimator.pipeline import Pipeline
+from mmwave_env.imm_engine import ImmEngine
+from mmwave_env.measurement import Layout
+from mmwave_env.reward import LogScore, TrackingReward
+from mmwave_env.tracker import Tracker
+
+from .estimator.tracks import STREET, simulated, unpacked
+
+N, T = 11, 60
+TWO = Pipeline(default_modes(), STREET)
+
+
+@pytest.fixture(scope="module")
+def episodes():
+    return simulated(N, epochs=T)
+
+
+@pytest.mark.parametrize("reward", [TrackingReward(), LogScore()])
+def test_rewards_errors_and_nees_are_those_of_the_belief(reward, episodes):
+    names = ("x", "P", "reward", "error", "nees")
+    found = ImmEngine(TWO, reward).run(episodes, *names)
+    for e, t in ((0, 0), (3, 7), (N - 1, T - 1)):
+        x, P, earned, error, nees = (found[name][e, t] for name in names)
+        truth, P = episodes[e].truth_position_m[t], unpacked(P)
+        np.testing.assert_allclose(error, x[:3] - truth, atol=1e-12)
+        np.testing.assert_allclose(nees, error @ np.linalg.solve(P[:3, :3], error))
+        belief = Belief(x.tolist(), P.tolist())
+        assert earned == pytest.approx(reward(belief, [*truth, 0.0, 0.0, 0.0]))
+
+
+def test_a_transition_says_which_mode_is_likely(episodes):
+    share = [
+        ImmEngine(TWO, TrackingReward(), [[1.0 - to_last, to_last]] * 2)
+        .run(episodes, "mixture.probability")["mixture.probability"][..., 1]
+        .mean()
+        for to_last in (0.01, 0.5, 0.99)
+    ]
+    assert share[0] + 0.2 < share[1] < share[2] - 0.2
+
+
+def test_a_tuning_is_data(episodes):
+    other = Mode("other", "ukf", sigma_v=0.7, sigma_p=0.3, spread_gain=0.01, coupling=False)
+    built = Pipeline((default_modes()[1], replace(default_modes()[1], name="again")), STREET)
+    before = ImmEngine(built, TrackingReward()).run(episodes, "x")["x"]
+    twins = replace(built, modes=(other, replace(other, name="again")))
+    tracker = Tracker(replace(built, modes=(other,)), N)
+    tracker.load(episodes)
+    alone = tracker.run("x")["x"]
+    found = ImmEngine(twins, TrackingReward()).run(episodes, "x")["x"]
+    np.testing.assert_allclose(found, alone, rtol=1e-9, atol=1e-9)
+    assert np.abs(found - before).max() > 0.1
+
+
+def test_an_episode_gets_the_same_numbers_whatever_is_beside_it(episodes):
+    imm = ImmEngine(TWO, TrackingReward())
+    lengths = [T, 25, 1, T - 1]
+    packed = Packed.of(episodes[:4])
+    cut = packed._replace(length=np.array(lengths))
+    together = imm.run(cut, "x", "nees")
+    for e, length in enumerate(lengths):
+        alone = imm.run([episodes[e]], "x", "nees")
+        for name, values in alone.items():
+            np.testing.assert_array_equal(together[name][e, :length], values[0, :length])
+
+
+def test_episodes_in_a_batch_are_scored_and_the_batch_goes_on_as_before(episodes):
+    imm = ImmEngine(TWO, TrackingReward())
+    engines = [Engine(TWO, N, TrackingReward()) for _ in range(2)]
+    for engine in engines:
+        engine.reset(episodes)
+        for action in (0, 1, 1):
+            engine.step(np.int64(action))
+    places = np.array([1, 4, 10])
+    found = imm.rewards(engines[0].batch, places)
+    expected = imm.run([episodes[place] for place in places], "reward")["reward"]
+    np.testing.assert_array_equal(found, expected)
+    stepped = [engine.step(np.int64(0))[0] for engine in engines]
+    np.testing.assert_array_equal(*stepped)
+
+
+@pytest.mark.parametrize(
+    "transition",
+    [
+        [[1.0]],
+        [[0.9, 0.1]],
+        [[0.9, 0.2], [0.1, 0.9]],
+        [[1.1, -0.1], [0.1, 0.9]],
+        [[1.0, 0.0], [1.0, 0.0]],
+        [[np.nan, 1.0], [0.1, 0.9]],
+    ],
+)
+def test_a_transition_that_is_none_is_refused(transition):
+    with pytest.raises(ValueError, match="transition: found .*, expected 2 rows of 2 probab"):
+        ImmEngine(TWO, TrackingReward(), transition)
+
+
+def test_another_layout_is_refused(episodes):
+    one = ImmEngine(Pipeline(default_modes(), Layout(1)), TrackingReward())
+    with pytest.raises(ValueError, match="layout of episode .*: found .*, expected Layout"):
+        one.run(episodes, "x")
