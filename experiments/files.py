@@ -50,6 +50,12 @@ def write_text(path: Path, text: str) -> None:
         temporary.write_text(text, encoding="utf-8", newline="\n")
 
 
+def write_bytes(path: Path, content: bytes) -> None:
+    """Write a binary file in one step; folders on the way are made."""
+    with beside(path) as temporary:
+        temporary.write_bytes(content)
+
+
 def write_json(path: Path, content: dict[str, Any]) -> None:
     """Write JSON in one step."""
     write_text(path, json.dumps(content, indent=2) + "\n")

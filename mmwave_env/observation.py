@@ -6,6 +6,7 @@ are functions of numbers, so they are computed inside the SIMD kernel.
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from hashlib import sha256
 from typing import NamedTuple, TypeVar
 
 import numpy as np
@@ -68,11 +69,14 @@ class Observation:
 
     Attributes:
         features: the table.
+        kind: "full" or "prior".
+        modes: of the pipeline that the features describe.
     """
 
     def __init__(self, pipeline: Pipeline, kind: str = "full") -> None:
         if kind not in OBSERVATIONS:
             raise ValueError(f"observation: found {kind!r}, expected one of {list(OBSERVATIONS)}")
+        self.kind, self.modes = kind, pipeline.modes
         coming = _coming(pipeline) if kind == "full" else []
         self.features = [*_context(pipeline), *coming]
         self._index = {feature.name: i for i, feature in enumerate(self.features)}
@@ -86,6 +90,15 @@ class Observation:
         low = np.array([f.low for f in self.features], np.float32)
         high = np.array([f.high for f in self.features], np.float32)
         return spaces.Box(low, high, dtype=np.float32)
+
+    @property
+    def digest(self) -> str:
+        """A name for the table: all that learned weights depend on, but for the modes' tuning."""
+        rows = [
+            (f.name, f.meaning, f.unit, float(f.scale), float(f.low), float(f.high))
+            for f in self.features
+        ]
+        return sha256(repr(rows).encode()).hexdigest()[:16]
 
     def values(self, view: View) -> list[Number]:
         """The observation as numbers."""

@@ -148,19 +148,27 @@ def read_modes(path: str | os.PathLike[str]) -> tuple[Mode, ...]:
         ValueError: naming the file and what is wrong in it.
         FileNotFoundError: there is no such file.
     """
-    known = [field.name for field in fields(Mode)]
     try:
-        found = json.loads(Path(path).read_text(encoding="utf-8"))
-        if not isinstance(found, dict) or not isinstance(found.get("modes"), list):
-            raise ValueError("found no list under 'modes'")
-        for mode in found["modes"]:
-            if not isinstance(mode, dict) or "name" not in mode:
-                raise ValueError(f"modes: found {mode!r}, expected a mode with a 'name'")
-            for field in mode:
-                choose(dict.fromkeys(known), field, f"attribute of mode {mode['name']!r}")
-        return tuple(Mode(**mode) for mode in found["modes"])
+        return modes_in(json.loads(Path(path).read_text(encoding="utf-8")))
     except ValueError as error:
         raise ValueError(f"{os.fspath(path)}: not a mode file: {error}") from error
+
+
+def modes_in(content: Any) -> tuple[Mode, ...]:
+    """The modes that a JSON object lists under the key "modes", each :func:`as_written`.
+
+    Raises:
+        ValueError: saying what is wrong in it.
+    """
+    known = dict.fromkeys(field.name for field in fields(Mode))
+    if not isinstance(content, dict) or not isinstance(content.get("modes"), list):
+        raise ValueError("found no list under 'modes'")
+    for mode in content["modes"]:
+        if not isinstance(mode, dict) or "name" not in mode:
+            raise ValueError(f"modes: found {mode!r}, expected a mode with a 'name'")
+        for field in mode:
+            choose(known, field, f"attribute of mode {mode['name']!r}")
+    return tuple(Mode(**mode) for mode in content["modes"])
 
 
 def as_written(mode: Mode) -> dict[str, Any]:

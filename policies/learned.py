@@ -1,0 +1,202 @@
+"""Learned switchers: trained with PyTorch, at work in numpy."""
+
+import os
+from importlib.resources import files
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mmwave_env import __version__
+from mmwave_env.observation import Observation
+from policies.policy_file import Tensors, read_policy
+
+Array = NDArray[np.float32]
+
+
+def shipped_policies() -> dict[str, Path]:
+    """The policy files of the package, by name."""
+    folder = Path(str(files("policies").joinpath("data")))
+    return {path.stem: path for path in sorted(folder.glob("*.safetensors"))}
+
+
+class LearnedSwitch:
+    """A network that chooses the mode: the most probable action.
+
+    ```python
+    >>> policy = LearnedSwitch("runs/mine.safetensors")
+    >>> env = gym.make("mmwave_env:MmWaveLoc-v0", modes=policy.modes)
+    >>> observation, info = env.reset(seed=0)
+    >>> policy.reset(np.array([True]))
+    >>> (action,) = policy(observation[None])
+
+    ```
+
+    Args:
+        path: a policy file (``.safetensors``), or the name of a shipped one.
+        observation: the environment's table of features, to be sure that it is the one the
+            policy was trained with.
+
+    Attributes:
+        card: how it was trained.
+        modes: of the environments it works in.
+
+    Raises:
+        ValueError: unknown name, a damaged file, or another table of features.
+        FileNotFoundError: there is no such file.
+    """
+
+    def __init__(
+        self, path: str | os.PathLike[str], observation: Observation | None = None
+    ) -> None:
+        self._path = _located(path)
+        tensors, self.card = read_policy(self._path)
+        self.modes = self.card.modes
+        self._low, self._high = tensors["low"], tensors["high"]
+        self._memories: list[_Frames | _Lstm] = []
+        if self.card.frames > 1:
+            self._memories.append(_Frames(self.card.frames, len(self._low)))
+        if "lstm.bias" in tensors:
+            self._memories.append(_Lstm(tensors))
+        layers = sum(name.startswith("layer.") for name in tensors) // 2
+        self._layers = [
+            (tensors[f"layer.{i}.weight"].T, tensors[f"layer.{i}.bias"]) for i in range(layers)
+        ]
+        self._begins = np.empty(0, bool)
+        if observation is not None:
+            self.require_trained_on(observation)
+
+    def require_trained_on(self, observation: Observation) -> None:
+        """Refuse an environment that shows other features than in training.
+
+        Raises:
+            ValueError: saying what it was trained with, what the environment has, what to do.
+        """
+        card, found = self.card, observation
+        trained = f"{self._path}: trained with"
+        if found.modes != card.modes:
+            here, there = ([mode.name for mode in modes] for modes in (found.modes, card.modes))
+            tuned = ", of another tuning" if here == there else ""
+            raise ValueError(
+                f"{trained} the modes {there}, found {here}{tuned}; make the environment with its "
+                'modes: gym.make("MmWaveLoc-v0", modes=policy.modes)'
+            )
+        if found.kind != card.observation:
+            raise ValueError(
+                f"{trained} observation={card.observation!r}, found {found.kind!r}; make the "
+                f'environment with it: gym.make("MmWaveLoc-v0", modes=policy.modes, '
+                f"observation={card.observation!r})"
+            )
+        if found.digest != card.digest:
+            raise ValueError(
+                f"{trained} {len(self._low)} features ({card.digest}) of mmwave-loc "
+                f"{card.versions['mmwave-loc']}, found {len(found)} ({found.digest}) of "
+                f"{__version__}; give the environment as many anchors and the odometry it was "
+                "trained with, or train it again with this version"
+            )
+
+    def reset(self, mask: NDArray[np.bool_]) -> None:
+        """Forget the past of the environments (n,) in which an episode begins.
+
+        Raises:
+            ValueError: there are more or fewer environments than before, and not all begin.
+        """
+        if len(mask) == len(self._begins):
+            self._begins |= mask
+        elif mask.all():
+            self._begins = np.ones(len(mask), bool)
+        else:
+            raise ValueError(
+                f"reset: found {len(mask)} environments, expected {len(self._begins)}, or that "
+                "all of them begin"
+            )
+
+    def __call__(self, observation: Array) -> NDArray[np.int64]:
+        """Actions (n,) for observations (n, features).
+
+        Raises:
+            ValueError: another number of features, or, of a policy with a memory, another
+                number of environments than at the last reset.
+        """
+        if observation.ndim != 2 or observation.shape[1] != len(self._low):
+            raise ValueError(
+                f"observation: found shape {observation.shape}, expected (n, {len(self._low)}); "
+                "for a single environment, (action,) = policy(observation[None])"
+            )
+        x = np.minimum(np.maximum(observation, self._low), self._high)
+        if self._memories:
+            if len(x) != len(self._begins):
+                raise ValueError(
+                    f"observation: found {len(x)} environments, expected {len(self._begins)}; "
+                    "call policy.reset(np.ones(n, bool)) when n episodes begin"
+                )
+            for memory in self._memories:
+                x = memory(x, self._begins)
+            self._begins[:] = False
+        *hidden, (weight, bias) = self._layers
+        for w, b in hidden:
+            x = x @ w
+            x += b
+            np.tanh(x, out=x)
+        actions: NDArray[np.int64] = (x @ weight + bias).argmax(axis=1)
+        return actions
+
+
+def _located(path: str | os.PathLike[str]) -> Path:
+    """A policy file by its path, or a shipped one by its name."""
+    if not isinstance(path, str) or path.endswith(".safetensors"):
+        return Path(path)
+    shipped = shipped_policies()
+    if path not in shipped:
+        known = ", ".join([*shipped, "a .safetensors file"])
+        raise ValueError(f"policy: found {path!r}, expected one of {known}")
+    return shipped[path]
+
+
+class _Frames:
+    """The last observations of every environment as one, oldest first.
+
+    Before there are enough of them, the first stands for those that are missing.
+    """
+
+    def __init__(self, frames: int, features: int) -> None:
+        self._past = np.empty((0, frames, features), np.float32)
+
+    def __call__(self, observation: Array, begins: NDArray[np.bool_]) -> Array:
+        """The stack (n, frames * features), after observations (n, features)."""
+        if len(self._past) != len(begins):
+            self._past = np.empty((len(begins), *self._past.shape[1:]), np.float32)
+        self._past[:, :-1] = self._past[:, 1:]
+        self._past[:, -1] = observation
+        self._past[begins] = observation[begins, None]
+        return self._past.reshape(len(begins), -1)
+
+
+class _Lstm:
+    """A long short-term memory (Hochreiter and Schmidhuber 1997), as PyTorch writes it.
+
+    c' = sigmoid(f) c + sigmoid(i) tanh(g), h' = sigmoid(o) tanh(c'), where the gates i, f, g, o
+    are the quarters of W_ih x + W_hh h + b.
+    """
+
+    def __init__(self, tensors: Tensors) -> None:
+        self._from_input, self._from_h = tensors["lstm.weight_ih"].T, tensors["lstm.weight_hh"].T
+        self._bias = tensors["lstm.bias"]
+        self._h = self._c = np.empty((0, len(self._from_h)), np.float32)
+
+    def __call__(self, x: Array, begins: NDArray[np.bool_]) -> Array:
+        """The new h (n, hidden), after inputs (n, in)."""
+        if len(self._h) != len(begins):
+            self._h, self._c = np.zeros((2, len(begins), self._h.shape[1]), np.float32)
+        self._h[begins] = self._c[begins] = 0.0
+        gates = x @ self._from_input + self._h @ self._from_h + self._bias
+        i, f, g, o = gates.reshape(len(gates), 4, -1).swapaxes(0, 1)
+        self._c = _sigmoid(f) * self._c + _sigmoid(i) * np.tanh(g)
+        self._h = _sigmoid(o) * np.tanh(self._c)
+        return self._h
+
+
+def _sigmoid(x: Array) -> Array:
+    """1 / (1 + exp(-x)), as written here it overflows for no x."""
+    result: Array = 0.5 * np.tanh(0.5 * x) + 0.5
+    return result

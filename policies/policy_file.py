@@ -1,0 +1,224 @@
+"""Policy files: a learned switcher as ``.safetensors``, read without unpickling anything.
+
+Tensors, float32; the actor is the network that chooses:
+
+- ``low``, ``high`` (features,): observations are clipped to them. Training normalises, too,
+  which is folded into the first weights;
+- ``layer.0.weight`` (out, in), ``layer.0.bias`` (out,), ``layer.1.weight``, ...: an MLP with
+  tanh between its layers. ``in`` of the first is features times frames, ``out`` of the last the
+  number of modes;
+- of a recurrent actor ``lstm.weight_ih`` (4 h, in), ``lstm.weight_hh`` (4 h, h) and
+  ``lstm.bias`` (4 h,), gates in PyTorch's order (input, forget, cell, output): it comes first,
+  and the MLP sees its h.
+
+The file's metadata hold, under "policy", a JSON object with the number of this format, the
+:class:`Card` and a checksum of card and tensors.
+"""
+
+import json
+import os
+from collections.abc import Iterable
+from dataclasses import asdict, dataclass, fields
+from hashlib import sha256
+from pathlib import Path
+from typing import Any, get_origin, get_type_hints
+
+import numpy as np
+from numpy.typing import NDArray
+from safetensors import SafetensorError, safe_open
+from safetensors.numpy import save
+
+from mmwave_env.estimator.modes import Mode, as_written, modes_from, modes_in
+from mmwave_env.names import choose
+from mmwave_env.observation import OBSERVATIONS
+
+FORMAT = 1
+_KEY = "policy"  # one only: the library writes several in any order, and files would differ
+
+Tensors = dict[str, NDArray[np.float32]]
+
+
+@dataclass(frozen=True)
+class Card:
+    """What a policy file tells about its weights.
+
+    Attributes:
+        modes: what the actions stand for.
+        observation: "full" or "prior".
+        digest: of the table of features, :attr:`~mmwave_env.observation.Observation.digest`.
+        frames: observations the actor sees at once.
+        scenario: it was trained on.
+        radio: profile it was trained with.
+        algorithm: that trained it.
+        seed: of the training.
+        timesteps: epochs it was trained for.
+        command: that made the file.
+        evaluation: figures, JSON of any form.
+        versions: of packages at training; "mmwave-loc" is one of them.
+    """
+
+    modes: tuple[Mode, ...]
+    observation: str
+    digest: str
+    frames: int
+    scenario: str
+    radio: str
+    algorithm: str
+    seed: int
+    timesteps: int
+    command: str
+    evaluation: dict[str, Any]
+    versions: dict[str, str]
+
+    def __post_init__(self) -> None:
+        for name, hint in get_type_hints(Card).items():
+            value, expected = getattr(self, name), get_origin(hint) or hint
+            if type(value) is not expected:
+                raise ValueError(f"{name}: found {value!r}, expected {expected.__name__}")
+        choose(OBSERVATIONS, self.observation, "observation")
+        if self.frames < 1:
+            raise ValueError(f"frames: found {self.frames}, expected 1 or more")
+        if not isinstance(self.versions.get("mmwave-loc"), str):
+            raise ValueError(f"versions: found {self.versions!r}, expected one of 'mmwave-loc'")
+
+    @classmethod
+    def from_json(cls, content: Any) -> "Card":
+        """A card as a policy file holds it.
+
+        Raises:
+            ValueError: saying what is wrong in it.
+        """
+        if not isinstance(content, dict):
+            raise ValueError(f"card: found {content!r}, expected an object")
+        _require_names("card", content, (field.name for field in fields(cls)))
+        return cls(**{**content, "modes": modes_from(modes_in(content))})
+
+    def as_json(self) -> dict[str, Any]:
+        """The card as a policy file holds it.
+
+        Raises:
+            ValueError: a mode's algorithm is a function, which no file can hold.
+        """
+        return {**asdict(self), "modes": [as_written(mode) for mode in self.modes]}
+
+
+def to_bytes(tensors: Tensors, card: Card) -> bytes:
+    """A policy file's content; the same for the same tensors and card.
+
+    Raises:
+        ValueError: what :func:`read_policy` would refuse.
+    """
+    _require_actor(tensors, card)
+    # The library writes memory as it lies: of a transposed array it would write another one.
+    tensors = {name: np.ascontiguousarray(tensor) for name, tensor in tensors.items()}
+    content = card.as_json()
+    document = {"format": FORMAT, "sha256": _checksum(tensors, content), "card": content}
+    written: bytes = save(tensors, {_KEY: json.dumps(document)})
+    return written
+
+
+def read_policy(path: str | os.PathLike[str]) -> tuple[Tensors, Card]:
+    """Tensors and card of a policy file.
+
+    Raises:
+        ValueError: naming the file and what is wrong in it.
+        FileNotFoundError: there is no such file.
+    """
+    path = Path(path)
+    if not path.is_file():
+        raise FileNotFoundError(f"{path}: found no file, expected a policy (.safetensors)")
+    try:
+        with safe_open(path, "np") as file:
+            document = _document((file.metadata() or {}).get(_KEY))
+            card = Card.from_json(document["card"])
+            tensors = {name: _tensor(file, name) for name in file.keys()}  # noqa: SIM118
+        _require_actor(tensors, card)
+        expected = _checksum(tensors, document["card"])
+        if document["sha256"] != expected:
+            raise ValueError(
+                f"sha256: found {document['sha256']!r}, expected {expected!r}; the file was "
+                "damaged: copy or train it again"
+            )
+    except (ValueError, SafetensorError, RecursionError) as error:
+        raise ValueError(f"{path}: not a policy file: {error}") from error
+    return tensors, card
+
+
+def _document(text: str | None) -> dict[str, Any]:
+    """The JSON object of the metadata."""
+    if text is None:
+        raise ValueError(f"metadata: found nothing under {_KEY!r}, expected format, sha256, card")
+    document = json.loads(text)
+    if not isinstance(document, dict):
+        raise ValueError(f"metadata {_KEY!r}: found {document!r}, expected an object")
+    if document.get("format") != FORMAT:
+        raise ValueError(
+            f"format: found {document.get('format')!r}, expected {FORMAT}; use the version of "
+            "mmwave-loc that wrote it, or train it again"
+        )
+    _require_names(f"metadata {_KEY!r}", document, ("format", "sha256", "card"))
+    return document
+
+
+def _tensor(file: Any, name: str) -> NDArray[np.float32]:
+    """A tensor of an open file; types that numpy lacks are refused before it sees them."""
+    dtype = file.get_slice(name).get_dtype()
+    if dtype != "F32":
+        raise ValueError(f"tensor {name!r}: found type {dtype}, expected F32")
+    tensor: NDArray[np.float32] = file.get_tensor(name)
+    return tensor
+
+
+def _require_actor(tensors: Tensors, card: Card) -> None:
+    """Refuse tensors that are no actor for the card."""
+    shapes = _shapes(tensors, card)
+    _require_names("tensors", tensors, shapes)
+    for name, shape in shapes.items():
+        tensor = tensors[name]
+        if tensor.dtype != np.float32:
+            raise ValueError(f"tensor {name!r}: found type {tensor.dtype}, expected float32")
+        if tensor.shape != shape or not tensor.size:
+            raise ValueError(f"tensor {name!r}: found shape {tensor.shape}, expected {shape}")
+        if not np.isfinite(tensor).all():
+            raise ValueError(f"tensor {name!r}: found NaN or infinity, expected finite numbers")
+    if (tensors["low"] > tensors["high"]).any():
+        raise ValueError("tensor 'low': found numbers above 'high', expected none")
+
+
+def _shapes(tensors: Tensors, card: Card) -> dict[str, tuple[int, ...]]:
+    """Names and shapes of an actor with as many features, layers and neurons as there are."""
+    size = {name: tensor.size for name, tensor in tensors.items()}
+    features = size.get("low", 0)
+    shapes: dict[str, tuple[int, ...]] = {"low": (features,), "high": (features,)}
+    width = features * card.frames
+    if any(name.startswith("lstm.") for name in tensors):
+        hidden = size.get("lstm.bias", 0) // 4
+        shapes["lstm.weight_ih"] = (4 * hidden, width)
+        shapes["lstm.weight_hh"] = (4 * hidden, hidden)
+        shapes["lstm.bias"] = (4 * hidden,)
+        width = hidden
+    layers = sum(name.startswith("layer.") and name.endswith(".weight") for name in tensors)
+    for i in range(max(layers, 1)):
+        out = size.get(f"layer.{i}.bias", 0) if i < layers - 1 else len(card.modes)
+        shapes[f"layer.{i}.weight"], shapes[f"layer.{i}.bias"] = (out, width), (out,)
+        width = out
+    return shapes
+
+
+def _require_names(what: str, found: Iterable[str], expected: Iterable[str]) -> None:
+    """Refuse missing names and those that should not be there."""
+    found, expected = set(found), set(expected)
+    if found != expected:
+        raise ValueError(
+            f"{what}: missing {', '.join(sorted(expected - found)) or 'none'}, "
+            f"unknown {', '.join(sorted(found - expected)) or 'none'}"
+        )
+
+
+def _checksum(tensors: Tensors, card: dict[str, Any]) -> str:
+    """Over everything a policy does or tells."""
+    whole = sha256(json.dumps(card, sort_keys=True).encode())
+    for name in sorted(tensors):
+        whole.update(f"{name} {tensors[name].shape} ".encode())
+        whole.update(tensors[name].astype("<f4").tobytes())
+    return whole.hexdigest()
