@@ -111,7 +111,7 @@ def to_bytes(tensors: Tensors, card: Card) -> bytes:
     _require_actor(tensors, card)
     # The library writes memory as it lies: of a transposed array it would write another one.
     tensors = {name: np.ascontiguousarray(tensor) for name, tensor in tensors.items()}
-    content = card.as_json()
+    content = json.loads(json.dumps(card.as_json()))  # as a reader will see it
     document = {"format": FORMAT, "sha256": _checksum(tensors, content), "card": content}
     written: bytes = save(tensors, {_KEY: json.dumps(document)})
     return written
@@ -139,7 +139,7 @@ def read_policy(path: str | os.PathLike[str]) -> tuple[Tensors, Card]:
                 f"sha256: found {document['sha256']!r}, expected {expected!r}; the file was "
                 "damaged: copy or train it again"
             )
-    except (ValueError, SafetensorError, RecursionError) as error:
+    except (ValueError, SafetensorError) as error:
         raise ValueError(f"{path}: not a policy file: {error}") from error
     return tensors, card
 
@@ -148,7 +148,10 @@ def _document(text: str | None) -> dict[str, Any]:
     """The JSON object of the metadata."""
     if text is None:
         raise ValueError(f"metadata: found nothing under {_KEY!r}, expected format, sha256, card")
-    document = json.loads(text)
+    try:
+        document = json.loads(text)
+    except (ValueError, RecursionError) as error:
+        raise ValueError(f"metadata {_KEY!r}: found no JSON: {error}") from error
     if not isinstance(document, dict):
         raise ValueError(f"metadata {_KEY!r}: found {document!r}, expected an object")
     if document.get("format") != FORMAT:

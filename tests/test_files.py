@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from experiments.files import beside, require_writable, write_json, write_text
+from experiments.files import beside, require_writable, write_bytes, write_json, write_text
 
 
 def names(folder):
@@ -44,13 +44,15 @@ def test_a_block_may_fail_after_its_file_is_gone(tmp_path):
     assert names(tmp_path) == []
 
 
-def test_text_and_json_replace_what_was_there(tmp_path):
+def test_text_bytes_and_json_replace_what_was_there(tmp_path):
     write_text(tmp_path / "a.txt", "one\n")
     write_text(tmp_path / "a.txt", "für\n")
     assert (tmp_path / "a.txt").read_bytes() == "für\n".encode()
     write_json(tmp_path / "a.json", {"ate_m": 0.5})
     assert json.loads((tmp_path / "a.json").read_text()) == {"ate_m": 0.5}
-    assert names(tmp_path) == ["a.json", "a.txt"]
+    write_bytes(tmp_path / "a.bin", b"\r\n\xff")
+    assert (tmp_path / "a.bin").read_bytes() == b"\r\n\xff"
+    assert names(tmp_path) == ["a.bin", "a.json", "a.txt"]
 
 
 def test_what_is_no_file_is_not_written(tmp_path):

@@ -124,6 +124,37 @@ def test_an_unknown_kind_lists_the_valid_ones():
         Observation(PIPELINES["default"], "none")
 
 
+# --- the digest
+
+
+@every_kind
+@every_pipeline
+def test_tables_alike_have_one_digest(pipeline, kind):
+    table = Observation(pipeline, kind)
+    assert table.digest == Observation(replace(pipeline), kind).digest
+    assert (table.kind, table.modes) == (kind, pipeline.modes)
+    retuned = tuple(replace(mode, sigma_v=mode.sigma_v + 1.0) for mode in pipeline.modes)
+    assert table.digest == Observation(replace(pipeline, modes=retuned), kind).digest
+
+
+def test_tables_that_differ_have_other_digests():
+    tables = [Observation(p, kind) for p in PIPELINES.values() for kind in ("full", "prior")]
+    renamed = [replace(mode, name=f"my {mode.name}") for mode in PIPELINES["default"].modes]
+    tables.append(Observation(replace(PIPELINES["default"], modes=tuple(renamed))))
+    assert len({table.digest for table in tables}) == len(tables)
+
+
+@pytest.mark.parametrize("place", [0, 7, -1])
+@pytest.mark.parametrize("attribute", ["name", "meaning", "unit", "scale", "low", "high"])
+def test_every_attribute_of_every_feature_counts(place, attribute):
+    table = Observation(PIPELINES["default"])
+    before, feature = table.digest, table.features[place]
+    table.features[place] = replace(feature, **{attribute: getattr(feature, attribute) * 2 or 3.0})
+    assert (table.digest == before) == (table.features[place] == feature)
+    table.features[place] = feature
+    assert table.digest == before
+
+
 # --- the values
 
 

@@ -1,0 +1,54 @@
+"""Small learned switchers for tests, with random weights."""
+
+import numpy as np
+
+from mmwave_env.estimator.modes import Mode
+from mmwave_env.estimator.pipeline import Pipeline
+from mmwave_env.measurement import Layout
+from mmwave_env.observation import Observation
+from policies.policy_file import Card, to_bytes
+
+MODES = (Mode("stand", sigma_v=0.1), Mode("walk"), Mode("ride", sigma_v=2.0))  # quick to compile
+TABLE = Observation(Pipeline(MODES, Layout()))
+FEATURES = len(TABLE)
+
+
+def card_of(table=TABLE, **changes):
+    """What a trainer would tell of a policy for a table of features."""
+    told = {
+        "modes": table.modes, "observation": table.kind, "digest": table.digest, "frames": 1,
+        "scenario": "mixed", "radio": "handset", "algorithm": "PPO", "seed": 10_000_000,
+        "timesteps": 1000, "command": "mmwave-loc train", "evaluation": {"reward": -1.75},
+        "versions": {"mmwave-loc": "0.1.0"},
+    }  # fmt: skip
+    return Card(**told | changes)
+
+
+def actor(features=FEATURES, modes=3, hidden=(5, 4), frames=1, lstm=0, seed=0):
+    """Tensors of an actor; an ``lstm`` of that many cells comes first."""
+    rng = np.random.default_rng(seed)
+
+    def draw(*shape):
+        """As large as lets neurons neither sleep nor saturate."""
+        scale = 2.0 / shape[1] ** 0.5 if len(shape) > 1 else 0.2
+        return rng.normal(0.0, scale, shape).astype(np.float32)
+
+    tensors = {"low": -0.5 - draw(features) ** 2, "high": 0.5 + draw(features) ** 2}
+    width = features * frames
+    if lstm:
+        tensors |= {
+            "lstm.weight_ih": draw(4 * lstm, width),
+            "lstm.weight_hh": draw(4 * lstm, lstm),
+            "lstm.bias": draw(4 * lstm),
+        }
+        width = lstm
+    for i, out in enumerate((*hidden, modes)):
+        tensors |= {f"layer.{i}.weight": draw(out, width), f"layer.{i}.bias": draw(out)}
+        width = out
+    return tensors
+
+
+def write(path, tensors, card):
+    """Write a policy file; its path."""
+    path.write_bytes(to_bytes(tensors, card))
+    return path

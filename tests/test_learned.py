@@ -1,0 +1,351 @@
+"""Learned switchers: the network as PyTorch computes it, one memory per environment."""
+
+import math
+import subprocess
+import sys
+from dataclasses import replace
+from itertools import pairwise
+from pathlib import Path
+
+import gymnasium as gym
+import numpy as np
+import pytest
+
+import mmwave_env
+from mmwave_env.estimator.pipeline import Pipeline
+from mmwave_env.measurement import Layout
+from mmwave_env.observation import Observation
+from policies import LearnedSwitch, learned, shipped_policies
+
+from .actors import FEATURES, MODES, TABLE, actor, card_of, write
+
+ROOT = Path(__file__).parent.parent
+KINDS = {
+    "plain": {},
+    "linear": {"hidden": ()},
+    "frames": {"frames": 3},
+    "lstm": {"lstm": 6},
+    "both": {"frames": 2, "lstm": 4, "hidden": (7,)},
+}
+REMEMBERING = ["frames", "lstm", "both"]
+
+
+@pytest.fixture
+def make(tmp_path):
+    """From a kind of actor to its policy and its tensors."""
+
+    def policy_and_tensors(kind, **changes):
+        tensors = actor(**KINDS[kind] | changes)
+        card = card_of(frames=KINDS[kind].get("frames", 1))
+        return LearnedSwitch(write(tmp_path / f"{kind}.safetensors", tensors, card)), tensors
+
+    return policy_and_tensors
+
+
+def observations(*shape, seed=1):
+    """Random ones, many of them out of the actor's bounds."""
+    rng = np.random.default_rng(seed)
+    return rng.normal(0.0, 1.5, (*shape, FEATURES)).astype(np.float32)
+
+
+# --- the network in plain Python
+
+
+def affine(weight, x, bias):
+    return [sum(w * v for w, v in zip(row, x, strict=True)) + b
+            for row, b in zip(weight.tolist(), bias.tolist(), strict=True)]  # fmt: skip
+
+
+def sigmoid(v):
+    return 1.0 / (1.0 + math.exp(-v))
+
+
+def lstm_step(tensors, x, h, c):
+    a = affine(tensors["lstm.weight_ih"], x, tensors["lstm.bias"])
+    b = affine(tensors["lstm.weight_hh"], h, np.zeros(len(a)))
+    gates, n = [p + q for p, q in zip(a, b, strict=True)], len(h)
+    c = [
+        sigmoid(gates[n + j]) * c[j] + sigmoid(gates[j]) * math.tanh(gates[2 * n + j])
+        for j in range(n)
+    ]
+    return [sigmoid(gates[3 * n + j]) * math.tanh(c[j]) for j in range(n)], c
+
+
+def logits_of_an_episode(tensors, frames, episode):
+    """(steps, modes), one number after the other in double precision."""
+    cells = len(tensors.get("lstm.bias", ())) // 4
+    h, c, seen, result = [0.0] * cells, [0.0] * cells, [], []
+    for observation in episode.tolist():
+        bounds = zip(observation, tensors["low"].tolist(), tensors["high"].tolist(), strict=True)
+        seen.append([min(max(v, low), high) for v, low, high in bounds])
+        latest = ([seen[0]] * frames + seen)[-frames:]
+        x = [v for observation in latest for v in observation]
+        if cells:
+            x, c = lstm_step(tensors, x, h, c)
+            h = x
+        layers = sum(name.endswith(".bias") and name.startswith("layer") for name in tensors)
+        for i in range(layers):
+            x = affine(tensors[f"layer.{i}.weight"], x, tensors[f"layer.{i}.bias"])
+            if i < layers - 1:
+                x = [math.tanh(v) for v in x]
+        result.append(x)
+    return np.array(result)
+
+
+def assert_chosen(actions, logits):
+    """Actions (...) are the largest logits (..., modes), to a rounding of single precision."""
+    assert actions.dtype == np.int64
+    chosen = np.take_along_axis(logits, actions[..., None], axis=-1)[..., 0]
+    assert (logits.max(axis=-1) - chosen < 1e-4).all()
+    assert (np.diff(np.sort(logits), axis=-1)[..., -1] > 1e-4).mean() > 0.99  # few are so close
+    assert len(np.unique(actions)) == logits.shape[-1]
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_actions_are_those_of_a_plain_loop(make, kind):
+    policy, tensors = make(kind)
+    episodes = observations(20, 15)
+    policy.reset(np.ones(20, bool))
+    actions = np.stack([policy(now) for now in episodes.swapaxes(0, 1)], axis=1)
+    frames = policy.card.frames
+    assert_chosen(actions, np.stack([logits_of_an_episode(tensors, frames, e) for e in episodes]))
+
+
+@pytest.mark.torch
+@pytest.mark.parametrize("kind", KINDS)
+def test_actions_are_those_of_torch(make, kind):
+    torch = pytest.importorskip("torch")
+    nn = torch.nn
+    policy, tensors = make(kind)
+    weights = {name: torch.from_numpy(tensor) for name, tensor in tensors.items()}
+    frames, episodes = policy.card.frames, observations(50, 12)
+    x = torch.from_numpy(episodes).clamp(weights["low"], weights["high"])
+    first = x[:, :1].expand(-1, frames - 1, -1)
+    x = torch.cat([first, x], dim=1).unfold(1, frames, 1)  # (n, steps, features, frames)
+    x = x.transpose(2, 3).flatten(2)
+    if "lstm.bias" in tensors:
+        cell = nn.LSTM(x.shape[-1], len(tensors["lstm.bias"]) // 4, batch_first=True)
+        cell.load_state_dict({
+            "weight_ih_l0": weights["lstm.weight_ih"], "weight_hh_l0": weights["lstm.weight_hh"],
+            "bias_ih_l0": weights["lstm.bias"], "bias_hh_l0": 0.0 * weights["lstm.bias"],
+        })  # fmt: skip
+        x = cell(x)[0]
+    parts = []
+    for i in range(sum(name.startswith("layer.") for name in tensors) // 2):
+        weight = weights[f"layer.{i}.weight"]
+        linear = nn.Linear(weight.shape[1], weight.shape[0])
+        linear.load_state_dict({"weight": weight, "bias": weights[f"layer.{i}.bias"]})
+        parts += [nn.Tanh(), linear]
+    with torch.no_grad():
+        logits = nn.Sequential(*parts[1:])(x).numpy()
+    policy.reset(np.ones(50, bool))
+    actions = np.stack([policy(now) for now in episodes.swapaxes(0, 1)], axis=1)
+    assert_chosen(actions, logits)
+
+
+def test_equal_logits_choose_the_first(tmp_path):
+    tensors = {name: 0.0 * tensor for name, tensor in actor().items()}
+    policy = LearnedSwitch(write(tmp_path / "zero.safetensors", tensors, card_of()))
+    np.testing.assert_array_equal(policy(observations(4)), np.zeros(4))
+
+
+# --- memory
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_every_environment_remembers_its_own_episode_and_no_more(make, kind):
+    """Episodes begin at random in some of the environments; each is as if it were alone."""
+    policy, tensors = make(kind)
+    n, steps = 7, 60
+    now, begins = observations(steps, n), np.random.default_rng(2).random((steps, n)) < 0.1
+    begins[0] = True
+    actions = np.empty((steps, n), np.int64)
+    for t in range(steps):
+        policy.reset(begins[t])
+        actions[t] = policy(now[t])
+    assert begins[1:].any(axis=1).sum() > 10 and not begins[1:].all(axis=1).any()
+    logits = np.empty((steps, n, 3))
+    for i in range(n):
+        edges = [*np.flatnonzero(begins[:, i]), steps]
+        for first, last in pairwise(edges):
+            episode = now[first:last, i]
+            logits[first:last, i] = logits_of_an_episode(tensors, policy.card.frames, episode)
+    assert_chosen(actions, logits)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_reset_of_all_makes_a_new_policy(make, kind):
+    policy, _ = make(kind)
+    episodes = observations(10, 6)
+
+    def play(n):
+        policy.reset(np.ones(n, bool))
+        return [policy(now[:n]).tolist() for now in episodes]
+
+    first, fewer, again = play(6), play(4), play(6)
+    assert first == again and fewer == [actions[:4] for actions in first]
+
+
+def test_resets_in_a_row_add_up(make):
+    policy, _ = make("lstm")
+    policy.reset(np.ones(3, bool))
+    for now in observations(5, 3):
+        policy(now)
+    for i in range(3):
+        policy.reset(np.arange(3) == i)
+    policy.reset(np.zeros(3, bool))
+    fresh, _ = make("lstm")
+    fresh.reset(np.ones(3, bool))
+    for now in observations(30, 3, seed=5):
+        np.testing.assert_array_equal(policy(now), fresh(now))
+
+
+@pytest.mark.parametrize("kind", REMEMBERING)
+def test_the_past_matters(make, kind):
+    policy, _ = make(kind)
+    policy.reset(np.ones(200, bool))
+    now = observations(200)
+    at_once = policy(now)
+    policy(observations(200, seed=3))
+    assert (policy(now) != at_once).any()
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_observations_are_left_as_they_were(make, kind):
+    policy, _ = make(kind)
+    policy.reset(np.ones(3, bool))
+    now = observations(3)
+    before = now.copy()
+    now.flags.writeable = False
+    policy(now)
+    np.testing.assert_array_equal(now, before)
+
+
+@pytest.mark.parametrize("kind", REMEMBERING)
+def test_a_memory_must_know_its_environments(make, kind):
+    policy, _ = make(kind)
+    with pytest.raises(ValueError, match="found 1 environments, expected 0; call policy.reset"):
+        policy(observations(1))
+    policy.reset(np.ones(4, bool))
+    with pytest.raises(ValueError, match="found 3 environments, expected 4; call policy.reset"):
+        policy(observations(3))
+    with pytest.raises(ValueError, match="reset: found 3 environments, expected 4, or that all"):
+        policy.reset(np.array([True, False, True]))
+
+
+@pytest.mark.parametrize("shape", [(FEATURES,), (2, FEATURES - 1), (1, 2, FEATURES)])
+def test_observations_of_another_shape_are_refused(make, shape):
+    policy, _ = make("plain")
+    with pytest.raises(ValueError, match=rf"expected \(n, {FEATURES}\).*observation\[None\]"):
+        policy(np.zeros(shape, np.float32))
+
+
+# --- environments
+
+
+def test_a_newcomer_loads_a_policy_and_lets_it_act(make, tmp_path):
+    make("both")
+    policy = LearnedSwitch(str(tmp_path / "both.safetensors"))
+    env = gym.make("MmWaveLoc-v0", modes=policy.modes, episode_steps=20)
+    policy.require_trained_on(env.unwrapped.observation)
+    observation, _ = env.reset(seed=0)
+    policy.reset(np.array([True]))
+    over, actions = False, []
+    while not over:
+        (action,) = policy(observation[None])
+        observation, _, _, over, info = env.step(action)
+        actions.append(int(action))
+    assert math.isfinite(info["ate_m"]) and len(actions) == 20
+
+    envs = gym.make_vec("MmWaveLoc-v0", num_envs=3, modes=policy.modes, episode_steps=20)
+    again = LearnedSwitch(tmp_path / "both.safetensors", envs.unwrapped.observation)
+    now, _ = envs.reset(seed=0)
+    again.reset(np.ones(3, bool))
+    together = []
+    for _ in range(20):
+        chosen = again(now)
+        now = envs.step(chosen)[0]
+        together.append(int(chosen[0]))
+    assert together == actions  # environment 0 is the single one
+
+
+def renamed():
+    return tuple(replace(mode, name=f"my {mode.name}") for mode in MODES)
+
+
+@pytest.mark.parametrize(
+    ("pipeline", "kind", "message"),
+    [
+        (Pipeline(MODES[:2], Layout()), "full",
+         r"the modes \['stand', 'walk', 'ride'\], found \['stand', 'walk'\]; .*modes=policy.modes"),
+        (Pipeline(MODES[::-1], Layout()), "full", r".*found \['ride', 'walk', 'stand'\]; "),
+        (Pipeline(renamed(), Layout()), "full", r".*found \['my stand', "),
+        (Pipeline((replace(MODES[0], sigma_v=9.0), *MODES[1:]), Layout()), "full",
+         r".*found \['stand', 'walk', 'ride'\], of another tuning; "),
+        (Pipeline(MODES, Layout()), "prior",
+         "observation='full', found 'prior'; .*modes=policy.modes, observation='full'"),
+        (Pipeline(MODES, Layout(odometry=True)), "full",
+         rf"{FEATURES} features .*0.1.0, found {FEATURES + 3} .*anchors.*odometry.*train it again"),
+    ],
+)  # fmt: skip
+def test_another_environment_is_refused(make, tmp_path, pipeline, kind, message):
+    policy, _ = make("plain")
+    policy.require_trained_on(TABLE)
+    other = Observation(pipeline, kind)
+    with pytest.raises(ValueError, match=f"plain.safetensors: trained with {message}"):
+        policy.require_trained_on(other)
+    with pytest.raises(ValueError, match="plain.safetensors: trained with"):
+        LearnedSwitch(tmp_path / "plain.safetensors", other)
+
+
+def test_features_of_another_version_are_refused(tmp_path):
+    old = card_of(digest="0" * 16, versions={"mmwave-loc": "0.0.7"})
+    path = write(tmp_path / "old.safetensors", actor(), old)
+    message = f"{'0' * 16}.* of mmwave-loc 0.0.7, found .*{TABLE.digest}.*{mmwave_env.__version__}"
+    with pytest.raises(ValueError, match=message):
+        LearnedSwitch(path, TABLE)
+
+
+# --- names
+
+
+def test_shipped_policies_go_by_name(tmp_path, monkeypatch):
+    monkeypatch.setattr(learned, "files", lambda package: tmp_path / package)
+    folder = tmp_path / "policies" / "data"
+    folder.mkdir(parents=True)
+    for seed, name in enumerate(["ppo-handset", "ppo-standard"]):
+        card = card_of(command=name, seed=seed)
+        write(folder / f"{name}.safetensors", actor(seed=seed), card)
+    assert list(shipped_policies()) == ["ppo-handset", "ppo-standard"]
+    assert LearnedSwitch("ppo-standard").card.command == "ppo-standard"
+    message = "policy: found 'ppo', expected one of ppo-handset, ppo-standard, a .safetensors file"
+    with pytest.raises(ValueError, match=message):
+        LearnedSwitch("ppo")
+
+
+def test_every_shipped_policy_suits_this_version():
+    for path in shipped_policies().values():
+        policy = LearnedSwitch(path)
+        table = Observation(Pipeline(policy.modes, Layout()), policy.card.observation)
+        policy.require_trained_on(table)
+
+
+def test_a_missing_file_is_named():
+    with pytest.raises(FileNotFoundError, match="nowhere.safetensors"):
+        LearnedSwitch("nowhere.safetensors")
+
+
+def test_it_needs_no_torch_and_no_pickle(make, tmp_path):
+    make("both")
+    code = (
+        "import sys, numpy as np, pickle; from policies import LearnedSwitch\n"
+        "def refuse(*_): raise AssertionError('unpickled')\n"
+        "pickle.load = pickle.loads = pickle.Unpickler = refuse\n"
+        f"policy = LearnedSwitch({str(tmp_path / 'both.safetensors')!r})\n"
+        "policy.reset(np.ones(2, bool))\n"
+        f"print(policy(np.zeros((2, {FEATURES}), np.float32)).shape)\n"
+        "assert not {'torch', 'stable_baselines3'} & set(sys.modules)\n"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=ROOT)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.strip() == "(2,)"

@@ -1,0 +1,298 @@
+"""Policy files: read back as written, refused when anything is wrong, never unpickled."""
+
+import json
+import pickle
+import struct
+from dataclasses import asdict, replace
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from safetensors import safe_open
+from safetensors.numpy import save
+
+from mmwave_env.estimator.modes import Mode
+from mmwave_env.estimator.update import ekf
+from policies.policy_file import Card, _checksum, read_policy, to_bytes
+
+from .actors import MODES, actor, card_of, write
+
+SMALL = {"features": 3, "hidden": (2,)}
+KINDS = {
+    "plain": (actor(**SMALL), card_of()),
+    "linear": (actor(3, hidden=()), card_of()),
+    "frames": (actor(**SMALL, frames=4), card_of(frames=4)),
+    "lstm": (actor(**SMALL, lstm=2), card_of()),
+    "both": (actor(**SMALL, frames=2, lstm=2), card_of(frames=2, observation="prior")),
+}
+TENSORS, CARD = KINDS["both"]
+WHOLE = to_bytes(TENSORS, CARD)
+
+in_one_folder = settings(suppress_health_check=[HealthCheck.function_scoped_fixture], deadline=None)
+
+
+@pytest.fixture
+def path(tmp_path):
+    return tmp_path / "mine.safetensors"
+
+
+def same(found, tensors, card):
+    """Whether a file's tensors and card are those."""
+    return (
+        found[1] == card
+        and found[0].keys() == tensors.keys()
+        and all(np.array_equal(found[0][name], tensors[name]) for name in tensors)
+    )
+
+
+def refused(path, content, message=""):
+    path.write_bytes(content)
+    with pytest.raises(ValueError, match=f"(?s)mine.safetensors: not a policy file: .*{message}"):
+        read_policy(path)
+
+
+def assembled(tensors=TENSORS, card=None, **document):
+    """A file with a right checksum and no other check; entries of the document can be replaced."""
+    card = CARD.as_json() if card is None else card
+    whole = {"format": 1, "sha256": _checksum(tensors, card), "card": card} | document
+    return save(tensors, {"policy": json.dumps(whole)})
+
+
+# --- what is right
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_file_gives_back_what_was_written(path, kind):
+    tensors, card = KINDS[kind]
+    found = read_policy(write(path, tensors, card))
+    assert same(found, tensors, card)
+    assert all(tensor.dtype == np.float32 for tensor in found[0].values())
+
+
+def test_the_same_policy_makes_the_same_file():
+    turned = dict(reversed(TENSORS.items()))
+    assert {to_bytes(TENSORS, CARD), to_bytes(turned, CARD), assembled()} == {WHOLE}
+
+
+def test_tensors_are_written_whatever_their_order_in_memory(path):
+    turned = {name: np.asfortranarray(tensor) for name, tensor in TENSORS.items()}
+    assert same(read_policy(write(path, turned, CARD)), TENSORS, CARD)
+
+
+def test_own_modes_and_figures_of_any_form_come_back(path):
+    modes = (Mode("slow", "ckf", gate=None, widen_p=3.0), Mode("fast", sigma_v=0.1 + 0.2))
+    figures = {"mixed": {"reward": [-1.7, 0.1 + 0.2]}, "seeds": None, "10": 1, "9": 2}
+    card = card_of(modes=modes, evaluation=figures)
+    assert read_policy(write(path, actor(3, modes=2), card))[1] == card
+    numbered = replace(card, evaluation={10: 1, 9: (2, 3)})
+    read = read_policy(write(path, actor(3, modes=2), numbered))[1]
+    assert read.evaluation == {"10": 1, "9": [2, 3]}
+
+
+def test_any_program_can_read_the_file(path):
+    with safe_open(write(path, TENSORS, CARD), "np") as file:
+        card = json.loads(file.metadata()["policy"])["card"]
+        assert sorted(file.keys()) == sorted(TENSORS)
+    assert card["algorithm"] == "PPO"
+    assert [mode["name"] for mode in card["modes"]] == [mode.name for mode in MODES]
+
+
+# --- damage
+
+
+@in_one_folder
+@given(st.integers(0, len(WHOLE) - 1))
+def test_a_file_cut_off_anywhere_is_refused(path, length):
+    refused(path, WHOLE[:length])
+
+
+def read_or_refused(path, content):
+    """The policy, or None where the file is refused by name."""
+    path.write_bytes(content)
+    try:
+        return read_policy(path)
+    except ValueError as error:
+        if not str(error).startswith(f"{path}: not a policy file: "):
+            raise
+        return None
+
+
+@settings(in_one_folder, max_examples=400)
+@given(st.integers(0, len(WHOLE) - 1), st.integers(1, 255))
+def test_a_damaged_byte_is_noticed_or_means_nothing(path, place, change):
+    content = bytearray(WHOLE)
+    content[place] ^= change
+    found = read_or_refused(path, bytes(content))
+    assert found is None or same(found, TENSORS, CARD)
+
+
+@in_one_folder
+@given(st.sampled_from(sorted(TENSORS)), st.data())
+def test_one_other_weight_is_noticed(path, name, data):
+    tensor = TENSORS[name].copy()
+    place = data.draw(st.integers(0, tensor.size - 1))
+    tensor.flat[place] = data.draw(st.floats(width=32))
+    changed = save(TENSORS | {name: tensor}, {"policy": json.dumps(document())})
+    found = read_or_refused(path, changed)
+    assert (found is None) != np.array_equal(tensor, TENSORS[name])
+
+
+def document():
+    return {"format": 1, "sha256": _checksum(TENSORS, CARD.as_json()), "card": CARD.as_json()}
+
+
+@in_one_folder
+@given(st.sampled_from(sorted(TENSORS)), st.lists(st.integers(0, 5), max_size=3))
+def test_a_tensor_of_another_shape_is_refused(path, name, shape):
+    if tuple(shape) != TENSORS[name].shape:
+        refused(path, assembled(TENSORS | {name: np.zeros(shape, np.float32)}), "tensor")
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_every_tensor_is_needed_and_no_other(path, kind):
+    tensors, card = KINDS[kind]
+    for name in tensors:
+        others = {other: tensor for other, tensor in tensors.items() if other != name}
+        refused(path, assembled(others, card.as_json()), "tensors?")
+    for name in ("critic", "layer.9.bias", "layer.x.weight", "lstm.bias_hh", ""):
+        more = tensors | {name: np.zeros(3, np.float32)}
+        refused(path, assembled(more, card.as_json()), "unknown .*" + name)
+
+
+ANYTHING = st.recursive(
+    st.none() | st.booleans() | st.integers() | st.floats() | st.text(max_size=5),
+    lambda inner: st.lists(inner, max_size=3) | st.dictionaries(st.text(max_size=5), inner),
+    max_leaves=5,
+)
+
+
+@settings(in_one_folder, max_examples=300)
+@given(st.sampled_from(sorted(asdict(CARD))), ANYTHING)
+def test_a_card_may_hold_anything_and_is_read_as_it_stands_or_refused(path, name, value):
+    card = CARD.as_json() | {name: value}
+    found = read_or_refused(path, assembled(card=card))
+    if found is not None:
+        assert json.dumps(found[1].as_json()[name]) == json.dumps(value)
+
+
+@settings(in_one_folder, max_examples=300)
+@given(st.dictionaries(st.sampled_from(["name", "algorithm", "sigma_p", "gate", "?"]), ANYTHING))
+def test_a_mode_may_hold_anything_and_is_read_as_it_stands_or_refused(path, mode):
+    card = CARD.as_json()
+    card["modes"][1] = card["modes"][1] | mode
+    found = read_or_refused(path, assembled(card=card))
+    if found is not None:
+        assert all(getattr(found[1].modes[1], name) == value for name, value in mode.items())
+
+
+@in_one_folder
+@given(ANYTHING)
+def test_metadata_may_hold_anything(path, value):
+    refused(path, save(TENSORS, {"policy": json.dumps(value)}))
+
+
+# --- what messages say
+
+
+def raw(header, body=b""):
+    """A file of safetensors by hand."""
+    text = json.dumps(header).encode()
+    return struct.pack("<Q", len(text)) + text + body
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        (b"", "header"),
+        (b"weights", "header"),
+        (pickle.dumps({"low": 1.0}), "header"),
+        (b"PK\x03\x04" + bytes(200), "header"),  # PyTorch's own format is a zip archive
+        (raw({}), "metadata: found nothing under 'policy', expected format, sha256, card"),
+        (save(TENSORS), "metadata: found nothing under 'policy'"),
+        (save(TENSORS, {"policy": "{"}), "metadata 'policy': found no JSON"),
+        (save(TENSORS, {"policy": "[" * 100_000}), "metadata 'policy': found no JSON"),
+        (save(TENSORS, {"policy": "[]"}), "metadata 'policy': found .*, expected an object"),
+        (assembled(format=2), "format: found 2, expected 1; use the version"),
+        (assembled(format=None), "format: found None, expected 1"),
+        (assembled(more=1), "metadata 'policy': missing none, unknown more"),
+        (assembled(sha256="0"), "sha256: found '0', expected '.*damaged"),
+        (assembled(card=[]), r"card: found \[\], expected an object"),
+        (assembled(card={"seed": 1}), "card: missing algorithm, .*versions, unknown none"),
+    ],
+)
+def test_what_is_no_policy_file_is_refused(path, content, message):
+    refused(path, content, message)
+
+
+@pytest.mark.parametrize("dtype", ["F64", "F16", "BF16", "F8_E4M3", "I32", "BOOL", "C64"])
+def test_other_types_of_numbers_are_refused(path, dtype):
+    bits = {"F64": 8, "C64": 8, "I32": 4, "F16": 2, "BF16": 2}.get(dtype, 1)
+    metadata = {"policy": json.dumps(document())}
+    low = {"dtype": dtype, "shape": [3], "data_offsets": [0, 3 * bits]}
+    content = raw({"__metadata__": metadata, "low": low}, bytes(3 * bits))
+    refused(path, content, f"tensor 'low': found type {dtype}, expected F32")
+
+
+WRONG_TENSORS = [
+    ({"low": np.zeros(4, np.float32)}, "'high': found shape .3,., expected .4,."),
+    ({"low": np.zeros((3, 1), np.float32)}, "'low': found shape .3, 1., expected .3,."),
+    ({"low": np.full(3, 99.0, np.float32)}, "'low': found numbers above 'high'"),
+    ({"layer.1.bias": np.zeros(2, np.float32)}, "layer.1.bias': found shape .2,., expected .3,."),
+    ({"lstm.weight_hh": np.full((8, 2), np.nan, np.float32)}, "lstm.weight_hh': found NaN"),
+    ({"layer.0.bias": np.float32([0.0, np.inf])}, "layer.0.bias': found NaN or infinity"),
+    ({"layer.0.bias": np.zeros(2)}, "layer.0.bias': found type (F64|float64)"),
+    ({"critic": np.zeros(2, np.float32)}, "tensors: missing none, unknown critic"),
+]
+
+
+@pytest.mark.parametrize(("changes", "message"), WRONG_TENSORS)
+def test_tensors_that_are_no_actor_are_neither_read_nor_written(path, changes, message):
+    refused(path, assembled(TENSORS | changes), message)
+    with pytest.raises(ValueError, match=message):
+        to_bytes(TENSORS | changes, CARD)
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"seed": "1"}, "seed: found '1', expected int"),
+        ({"timesteps": True}, "timesteps: found True, expected int"),
+        ({"frames": 0}, "frames: found 0, expected 1 or more"),
+        ({"observation": "all"}, "observation: found 'all', expected one of full, prior"),
+        ({"evaluation": []}, r"evaluation: found \[\], expected dict"),
+        ({"versions": {"numpy": "2.0"}}, "versions: found .*, expected one of 'mmwave-loc'"),
+    ],
+)
+def test_a_card_of_the_wrong_kind_is_neither_read_nor_made(path, changes, message):
+    refused(path, assembled(card=CARD.as_json() | changes), message)
+    with pytest.raises(ValueError, match=message):
+        Card(**vars(CARD) | changes)
+
+
+@pytest.mark.parametrize(
+    ("modes", "message"),
+    [
+        (None, "no list under 'modes'"),
+        ([], "at least one mode"),
+        (["ekf"], "found 'ekf', expected a mode with a 'name'"),
+        ([{"name": "a", "algorithm": "pf"}], "'pf'.*ekf, ukf, ckf"),
+        ([{"name": "a", "sigma_q": 1.0}], "'sigma_q'.*sigma_p"),
+        ([{"name": "a"}, {"name": "a"}], "no name twice"),
+        ([{"name": "a"}], "layer.1.weight': found shape .3, 2., expected .1, 2."),
+    ],
+)
+def test_unknown_modes_are_refused(path, modes, message):
+    refused(path, assembled(card=CARD.as_json() | {"modes": modes}), message)
+
+
+def test_no_file_can_hold_a_function():
+    with pytest.raises(ValueError, match="algorithm of mode 'own': found a function"):
+        to_bytes(actor(3, modes=1), card_of(modes=(Mode("own", ekf),)))
+
+
+def test_a_missing_file_is_named(path, tmp_path):
+    with pytest.raises(FileNotFoundError, match="mine.safetensors: found no file"):
+        read_policy(path)
+    with pytest.raises(FileNotFoundError, match="found no file"):
+        read_policy(tmp_path)
