@@ -16,6 +16,7 @@ COMMANDS = {
     "evaluate": "one policy, its metrics with intervals",
     "compare": "several policies on the same episodes, with paired differences",
     "tables": "the paper's tables and claims, reproduced",
+    "train": "switchers that learn, on several training seeds",
     "tune": "process noise of modes, by likelihood or error, on tuning seeds",
     "tune-threshold": "the best threshold of the speed rule, on tuning seeds",
     "benchmark": "steps per second beside filterpy's and the core's limit, memory, first step",

@@ -4,6 +4,7 @@ A contender is a policy with the modes it chooses from, or the IMM. All see the 
 episodes, so differences are paired; intervals are 95 % percentile bootstraps over episodes.
 """
 
+import os
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import lru_cache, partial
@@ -26,6 +27,7 @@ from mmwave_env.observation import Observation
 from mmwave_env.reward import Reward, TrackingReward
 from policies import (
     FixedMode,
+    LearnedSwitch,
     LikelihoodRule,
     Policy,
     RandomMode,
@@ -51,16 +53,35 @@ class Contender:
         modes: what it works with.
         policy: from the observation table to a policy; None for the IMM over the modes.
         transition: probabilities (from, to) of the IMM; None for the default.
+        observation: what the policy sees, "full" or "prior".
     """
 
     name: str
     modes: tuple[Mode, ...]
     policy: Callable[[Observation], Policy] | None
     transition: Transition | None = None
+    observation: str = "full"
+
+    @classmethod
+    def learned(cls, path: str | os.PathLike[str], name: str | None = None) -> "Contender":
+        """The switcher of a policy file, or a shipped one by its name.
+
+        Args:
+            path: as of :class:`~policies.LearnedSwitch`.
+            name: in results; None for the path.
+        """
+        card = LearnedSwitch(path).card
+        return cls(
+            os.fspath(path) if name is None else name,
+            card.modes,
+            partial(LearnedSwitch, path),
+            observation=card.observation,
+        )
 
     def start(self, layout: Layout) -> Policy | None:
         """A new policy for measurements of a layout; None for the IMM."""
-        return self.policy and self.policy(Observation(Pipeline(self.modes, layout)))
+        table = Observation(Pipeline(self.modes, layout), self.observation)
+        return self.policy and self.policy(table)
 
 
 def _over(modes: tuple[Mode, ...]) -> list[Contender]:
@@ -150,18 +171,22 @@ def score(
         imm = ImmEngine(pipeline, reward, contender.transition)
         told = imm.run(episodes, "reward", "nees", "error")
     else:
-        told = _steered(pipeline, policy, contender.name, episodes, reward)
+        told = _steered(pipeline, policy, contender, episodes, reward)
     times_s = episodes[0].time_s
     step_s = float(np.median(np.diff(times_s))) if len(times_s) > 1 else 1.0
     return summary(told["reward"], told["error"], told["nees"], 1.0 / step_s)
 
 
 def _steered(
-    pipeline: Pipeline, policy: Policy, name: str, episodes: Sequence[Episode], reward: Reward
+    pipeline: Pipeline,
+    policy: Policy,
+    contender: Contender,
+    episodes: Sequence[Episode],
+    reward: Reward,
 ) -> dict[str, Array]:
     """Rewards (n, T), NEES (n, T) and errors (n, T, 3) where a policy picks the modes."""
     n, T = len(episodes), len(episodes[0])
-    engine = Engine(pipeline, n, reward)
+    engine = Engine(pipeline, n, reward, contender.observation)
     engine.reset(episodes)
     policy.reset(np.ones(n, bool))
     program, names = engine.batch.program, ("reward", "nees", "error")
@@ -172,7 +197,7 @@ def _steered(
         actions = policy(observations)
         if actions.min() < 0 or actions.max() >= len(pipeline.modes):
             raise ValueError(
-                f"actions of {name}: found {actions.min()} to {actions.max()}, "
+                f"actions of {contender.name}: found {actions.min()} to {actions.max()}, "
                 f"expected 0 to {len(pipeline.modes) - 1}"
             )
         observations, told[:, t] = engine.step(actions, scored)

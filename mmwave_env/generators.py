@@ -120,6 +120,16 @@ class Generators:
             _memory(rng)[:] = state
         return fresh
 
+    def bare(self) -> Words:
+        """States (n, 4), where they are bare: a copy."""
+        self._seed_missing(range(len(self._seeds)))
+        return self._states.copy()
+
+    def set_bare(self, states: Words) -> None:
+        """Take on states (n, 4); they came from no seed that is known."""
+        self._states[:] = states
+        self._seeds = [-1] * len(self._seeds)
+
     @contextmanager
     def states(self, places: Index) -> Iterator[Words]:
         """States (places, 4) of some environments to draw from; they are kept afterwards."""

@@ -48,6 +48,9 @@ class MmWaveLocVectorEnv(gym.vector.VectorEnv[Observations, Index, NDArray[Any]]
         render_mode: None.
         backend: "lanes".
         **arguments: of :class:`~mmwave_env.env.MmWaveLocEnv`.
+
+    Attributes:
+        batch: the episodes under way, and what is believed of them.
     """
 
     def __init__(
@@ -89,6 +92,7 @@ class MmWaveLocVectorEnv(gym.vector.VectorEnv[Observations, Index, NDArray[Any]]
         self._engine = Engine(
             setting.pipeline, num_envs, setting.reward, observation, threads=threads
         )
+        self.batch = self._engine.batch
         self.modes, self.observation = setting.pipeline.modes, self._engine.observation
         self.single_observation_space = cast(Any, self.observation.space)
         self.single_action_space = cast(Any, spaces.Discrete(len(self.modes)))
@@ -282,3 +286,51 @@ class MmWaveLocVectorEnv(gym.vector.VectorEnv[Observations, Index, NDArray[Any]]
             "final_obs": final_obs, "_final_obs": over.copy(), "final_info": final,
             "_final_info": over.copy(),
         }  # fmt: skip
+
+    def state(self) -> dict[str, NDArray[Any]]:
+        """All that what comes next depends on, for :meth:`restore`: copies.
+
+        Raises:
+            ResetNeeded: no episode is under way.
+            ValueError: episodes come from a source that is given whole generators.
+        """
+        if not self._begun:
+            raise ResetNeeded("Call reset before state: there is no episode under way.")
+        if not self._setting.simulated:
+            raise ValueError(
+                "state: found episodes of a source of your own, expected simulated ones; what "
+                "such a source remembers is not known here"
+            )
+        tracks = self.batch.tracks
+        return {
+            "rows": tracks.rows.copy(), "table": tracks.table.copy(),
+            "length": tracks.length.copy(), "epoch": tracks.epoch.copy(),
+            "generators": self._generators.bare(), "over": self._over.copy(),
+            "steps": self._steps.copy(), "actions": self._actions.copy(),
+        }  # fmt: skip
+
+    def restore(self, state: dict[str, NDArray[Any]]) -> None:
+        """Go on, to the last bit, as the environment did that gave this :meth:`state`.
+
+        Args:
+            state: of an environment with the same arguments.
+
+        Raises:
+            ValueError: that of an environment with others.
+        """
+        tracks = self.batch.tracks
+        for name, expected in (
+            ("rows", tracks.rows.shape), ("length", tracks.length.shape),
+        ):  # fmt: skip
+            if state[name].shape != expected:
+                raise ValueError(
+                    f"{name} of the state: found {state[name].shape}, expected {expected}, as in "
+                    "an environment with the same num_envs and arguments"
+                )
+        tracks.rows[:], tracks.length[:] = state["rows"], state["length"]
+        tracks.epoch[:] = state["epoch"]
+        self.batch.tracks = tracks._replace(table=state["table"].copy())
+        self._generators.set_bare(state["generators"])
+        self._over, self._steps = state["over"].copy(), state["steps"].copy()
+        self._actions, self._ended = state["actions"].copy(), int(np.count_nonzero(self._over))
+        self._begun = True

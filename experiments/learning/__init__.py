@@ -1,0 +1,1 @@
+"""Training of switchers: Stable-Baselines3 on the native vector environment."""

@@ -1,0 +1,50 @@
+"""Where a training stands, on disk: written beside and renamed, read without unpickling."""
+
+import io
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+
+from experiments.files import write_bytes
+
+
+def write_checkpoint(path: Path, state: dict[str, Any]) -> None:
+    """Write numbers, strings, arrays and tensors in lists, tuples and dicts."""
+    memory = io.BytesIO()
+    torch.save(_with_tensors(state), memory)
+    write_bytes(path, memory.getvalue())
+
+
+def read_checkpoint(path: Path) -> dict[str, Any]:
+    """What :func:`write_checkpoint` wrote; arrays come back as tensors.
+
+    Raises:
+        ValueError: it is damaged; nothing in it is executed.
+    """
+    try:
+        state: dict[str, Any] = torch.load(path, map_location="cpu", weights_only=True)
+    except Exception as error:  # of a damaged file PyTorch raises whatever it stumbled over
+        raise ValueError(
+            f"{path}: not a checkpoint: {error}; remove it to train from the start"
+        ) from error
+    return state
+
+
+def _with_tensors(tree: Any) -> Any:
+    """Arrays become tensors: an array is written with a pickle that a safe reader refuses."""
+    if isinstance(tree, dict):
+        return {key: _with_tensors(value) for key, value in tree.items()}
+    if isinstance(tree, (list, tuple)):
+        return type(tree)(_with_tensors(value) for value in tree)
+    if isinstance(tree, np.ndarray):
+        return torch.from_numpy(np.ascontiguousarray(tree))
+    return tree.item() if isinstance(tree, np.generic) else tree
+
+
+def with_arrays(tree: Any) -> Any:
+    """Tensors of a checkpoint become arrays."""
+    if isinstance(tree, dict):
+        return {key: with_arrays(value) for key, value in tree.items()}
+    return tree.numpy() if isinstance(tree, torch.Tensor) else tree

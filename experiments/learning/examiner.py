@@ -1,0 +1,59 @@
+"""How good a policy in training is: on tuning seeds, beside those that need no training."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from experiments.evaluation import (
+    Contender,
+    Scores,
+    bootstrap,
+    contender_from,
+    draw_episodes,
+    score,
+)
+from experiments.learning.world import Task
+from experiments.options import TUNING_SEED
+from mmwave_env.radio import radio_from
+from mmwave_env.scene import scene_from
+from mmwave_env.simulation import SimulatedSource
+
+RIVALS = ("speed-rule", "imm")
+EPISODES = 500
+
+
+class Examiner:
+    """Scores policies on the same tuning episodes, by the protocol's reward.
+
+    Args:
+        task: what is learned.
+    """
+
+    def __init__(self, task: Task) -> None:
+        source = SimulatedSource(scene_from("street"), radio_from(task.radio), task.scenario)
+        self._layout = source.layout
+        self._episodes = draw_episodes(source, range(TUNING_SEED, TUNING_SEED + EPISODES))
+        self._rivals = {
+            name: self._score(contender_from(name, task.radio))["reward"] for name in RIVALS
+        }
+
+    def examine(self, path: Path) -> dict[str, Any]:
+        """Figures of a policy file, with 95 % intervals.
+
+        Returns:
+            Means of every metric, "modes" (the share of each), and "minus NAME" of every rival.
+        """
+        contender = Contender.learned(path)
+        policy = contender.start(self._layout)
+        scores = score(contender, policy, self._episodes)
+        differences = np.stack([scores["reward"] - r for r in self._rivals.values()], axis=1)
+        pairs = zip(RIVALS, bootstrap(differences), strict=True)
+        return {
+            "seed": TUNING_SEED, "episodes": EPISODES,
+            **{metric: float(values.mean()) for metric, values in scores.items()},
+            **{f"minus {name}": interval.json for name, interval in pairs},
+        }  # fmt: skip
+
+    def _score(self, contender: Contender) -> Scores:
+        return score(contender, contender.start(self._layout), self._episodes)

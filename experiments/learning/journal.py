@@ -1,0 +1,55 @@
+"""The course of a training: rows of a CSV file, and events for TensorBoard."""
+
+import csv
+import io
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from stable_baselines3.common.logger import KVWriter
+from torch.utils.tensorboard import SummaryWriter
+
+from experiments.files import write_text
+
+STEP = "timesteps"
+
+
+class Journal(KVWriter):
+    """What Stable-Baselines3 logs after every update.
+
+    Args:
+        folder: for ``progress.csv`` and TensorBoard's events.
+        rows: of a training that goes on here; what came after them is forgotten.
+    """
+
+    def __init__(self, folder: Path, rows: list[dict[str, float]]) -> None:
+        self.rows = list(rows)
+        self._path = folder / "progress.csv"
+        after = {"purge_step": int(rows[-1][STEP]) + 1} if rows else {}
+        self._events = SummaryWriter(str(folder), **after)
+
+    def write(
+        self, key_values: dict[str, Any], key_excluded: dict[str, tuple[str, ...]], step: int = 0
+    ) -> None:
+        """Take a row."""
+        numbers = {k: float(v) for k, v in key_values.items() if isinstance(v, np.ScalarType)}
+        for key, value in numbers.items():
+            self._events.add_scalar(key, value, step)
+        self.rows.append({STEP: float(step), **numbers})
+
+    def save(self) -> None:
+        """Write the CSV file: a row an update, empty cells where there is no figure."""
+        names = dict.fromkeys(name for row in self.rows for name in row)
+        text = io.StringIO()
+        table = csv.DictWriter(text, list(names), lineterminator="\n")
+        table.writeheader()
+        table.writerows(
+            {name: f"{value:.6g}" if name != STEP else int(value) for name, value in row.items()}
+            for row in self.rows
+        )
+        write_text(self._path, text.getvalue())
+
+    def close(self) -> None:
+        """Write all that is left."""
+        self.save()
+        self._events.close()

@@ -1,0 +1,100 @@
+"""How a switcher is trained: hyperparameters, as small JSON files beside this one hold them."""
+
+import json
+from dataclasses import dataclass, fields
+from pathlib import Path
+from typing import Any, get_type_hints
+
+ALGORITHMS = ("ppo", "recurrent-ppo")
+
+
+@dataclass(frozen=True)
+class Recipe:
+    """Hyperparameters of PPO (Schulman et al. 2017), and what this task adds to it.
+
+    Attributes:
+        num_envs: environments stepped at once.
+        n_steps: epochs of each between two updates.
+        batch_size: of a gradient step.
+        n_epochs: passes over what was collected.
+        learning_rate, ent_coef: at the start; both fall linearly.
+        final_fraction: what is left of them at the end.
+        gamma: discount per epoch.
+        gae_lambda: of generalised advantage estimation.
+        clip_range: of the probability ratio.
+        max_grad_norm: longest gradient.
+        target_kl: an update stops when the policy has moved further.
+        hidden: neurons of each tanh layer, of the actor and of the critic.
+        lstm: neurons of the memory that comes first; 0 for none.
+        frames: observations that the networks see at once.
+        clip_observation: normalised observations lie between minus this and this.
+        paired: train on the reward minus that of an IMM on the same episode: its actions
+            change nothing there, so the best policy stays the same and the variance falls.
+        truth_critic: the critic, which is not needed after training, also sees the truth.
+    """
+
+    num_envs: int
+    n_steps: int
+    batch_size: int
+    n_epochs: int
+    learning_rate: float
+    ent_coef: float
+    final_fraction: float
+    gamma: float
+    gae_lambda: float
+    clip_range: float
+    max_grad_norm: float
+    target_kl: float
+    hidden: tuple[int, ...]
+    lstm: int
+    frames: int
+    clip_observation: float
+    paired: bool
+    truth_critic: bool
+
+    def __post_init__(self) -> None:
+        for name, kind in get_type_hints(Recipe).items():
+            value = getattr(self, name)
+            if kind in (int, float):
+                sound = type(value) in {kind, int} and value >= 0
+                expected = "a number of 0 or more" if kind is float else "a count of 0 or more"
+            elif kind is bool:
+                sound, expected = type(value) is bool, "true or false"
+            else:
+                sound = bool(value) and all(type(n) is int and n > 0 for n in value)
+                expected = "counts of neurons"
+            if not sound:
+                raise ValueError(f"{name}: found {value!r}, expected {expected}")
+        for name in ("num_envs", "n_steps", "batch_size", "n_epochs", "frames"):
+            if getattr(self, name) < 1:
+                raise ValueError(f"{name}: found 0, expected 1 or more")
+        if self.truth_critic and (self.lstm or self.frames > 1):
+            raise ValueError("truth_critic: found true, expected false beside lstm or frames")
+
+
+def read_recipe(path: Path) -> Recipe:
+    """The recipe of a hyperparameter file, a JSON object with every attribute of `Recipe`.
+
+    Raises:
+        ValueError: naming the file and what is wrong in it.
+        FileNotFoundError: there is no such file.
+    """
+    try:
+        found: Any = json.loads(path.read_text(encoding="utf-8"))
+        if not isinstance(found, dict):
+            raise ValueError(f"found {type(found).__name__}, expected an object")
+        known = {field.name for field in fields(Recipe)}
+        if set(found) != known:
+            missing, unknown = known - set(found), set(found) - known
+            raise ValueError(
+                f"missing {', '.join(sorted(missing)) or 'none'}, "
+                f"unknown {', '.join(sorted(unknown)) or 'none'}"
+            )
+        return Recipe(**found | {"hidden": tuple(found["hidden"])})
+    except (ValueError, TypeError) as error:
+        raise ValueError(f"{path}: not a hyperparameter file: {error}") from error
+
+
+def shipped_recipe(algorithm: str) -> Path:
+    """The hyperparameter file of an algorithm."""
+    return Path(__file__).with_name(f"{algorithm}.json")

@@ -1,0 +1,185 @@
+"""What a switcher is trained in: the native vector environment, and wrappers around it."""
+
+from dataclasses import dataclass
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+from numpy.typing import NDArray
+from stable_baselines3.common.vec_env import (
+    VecEnv,
+    VecEnvWrapper,
+    VecFrameStack,
+    VecNormalize,
+)
+
+from experiments.learning.recipe import Recipe
+from mmwave_env.estimator.modes import Mode, default_modes
+from mmwave_env.estimator.pipeline import Pipeline
+from mmwave_env.imm_engine import ImmEngine
+from mmwave_env.reward import Reward
+from mmwave_env.sb3 import Infos, SB3VecEnv
+from mmwave_env.vector_env import MmWaveLocVectorEnv
+
+Array = NDArray[Any]
+
+TRUTH = 7  # numbers of the truth that a critic sees
+
+
+@dataclass(frozen=True)
+class Task:
+    """What is learned: arguments of ``MmWaveLoc-v0``.
+
+    Attributes:
+        scenario, radio, observation: names.
+        modes: to choose from.
+        reward: function of (belief, truth).
+    """
+
+    scenario: str
+    radio: str
+    modes: tuple[Mode, ...]
+    observation: str
+    reward: Reward
+
+
+class PairedReward(VecEnvWrapper):
+    """Rewards minus those of an IMM on the same episodes.
+
+    Args:
+        venv: around ``env``.
+        env: where the episodes are.
+        imm: what runs on them.
+    """
+
+    def __init__(self, venv: VecEnv, env: MmWaveLocVectorEnv, imm: ImmEngine) -> None:
+        super().__init__(venv)
+        self._env, self._imm = env, imm
+        self._everyone = np.arange(self.num_envs)
+        self._rewards = np.zeros((self.num_envs, 0))
+        self._epoch = np.zeros(self.num_envs, np.int64)
+
+    def reset(self) -> Array:
+        """Observations of the first epochs."""
+        observations: Array = self.venv.reset()
+        self.begin()
+        return observations
+
+    def begin(self, epoch: Array | None = None) -> None:
+        """Run the IMM on the episodes under way everywhere.
+
+        Args:
+            epoch: (n,) that comes next; None where they begin.
+        """
+        self._rewards = self._imm.rewards(self._env.batch, self._everyone)
+        self._epoch[:] = 0 if epoch is None else epoch
+
+    def step_wait(self) -> tuple[Array, Array, NDArray[np.bool_], Infos]:
+        """As the environment's, but for the rewards."""
+        observations, rewards, over, infos = self.venv.step_wait()
+        paired = rewards - self._rewards[self._everyone, self._epoch].astype(np.float32)
+        self._epoch += 1
+        places = np.flatnonzero(over)
+        if len(places):
+            self._rewards[places] = self._imm.rewards(self._env.batch, places)
+            self._epoch[places] = 0
+        return observations, paired, over, infos
+
+
+class WithTruth(VecEnvWrapper):
+    """Observations followed by how wrong the belief is, for a critic in training.
+
+    Position error (m) and velocity error (m/s) along, to the left of and above the true
+    velocity, and the true speed (m/s).
+    """
+
+    def __init__(self, venv: VecEnv, env: MmWaveLocVectorEnv) -> None:
+        shape = (venv.observation_space.shape[0] + TRUTH,)
+        super().__init__(venv, gym.spaces.Box(-np.inf, np.inf, shape, np.float32))
+        self._batch = env.batch
+
+    def reset(self) -> Array:
+        """Observations of the first epochs."""
+        return self._extended(self.venv.reset())
+
+    def step_wait(self) -> tuple[Array, Array, NDArray[np.bool_], Infos]:
+        """As the environment's, but for the observations."""
+        observations, rewards, over, infos = self.venv.step_wait()
+        for i in np.flatnonzero(over):
+            end = infos[i]
+            truth = _wrong(end["estimate"][None], end["truth"][None])[0]
+            end["terminal_observation"] = np.append(end["terminal_observation"], truth)
+        return self._extended(observations), rewards, over, infos
+
+    def _extended(self, observations: Array) -> Array:
+        at, read = self._batch.at, self._batch.read
+        return np.concatenate([observations, _wrong(read(at.x), read(at.truth))], axis=1)
+
+
+def _wrong(estimate: Array, truth: Array) -> NDArray[np.float32]:
+    """What `WithTruth` adds (n, 7), of states (n, 7) and true positions and velocities (n, 6)."""
+    error = estimate[:, :6] - truth
+    vx, vy = truth[:, 3], truth[:, 4]
+    speed = np.hypot(vx, vy)
+    ahead = np.stack([vx, vy]) / np.maximum(speed, 1e-9)
+    still = speed < 1e-9
+    ahead[:, still] = [[1.0], [0.0]]
+    columns = []
+    for x, y, z in (error[:, :3].T, error[:, 3:].T):
+        columns += [x * ahead[0] + y * ahead[1], y * ahead[0] - x * ahead[1], z]
+    return np.stack([*columns, speed], axis=1).astype(np.float32)
+
+
+class World:
+    """A task with the wrappers of a recipe, and how to stop and go on.
+
+    Args:
+        task: what is learned.
+        recipe: how.
+
+    Attributes:
+        env: the native environment.
+        venv: what the algorithm steps.
+        features: of an observation, without the truth.
+    """
+
+    def __init__(self, task: Task, recipe: Recipe) -> None:
+        self.env = MmWaveLocVectorEnv(
+            recipe.num_envs, scenario=task.scenario, radio=task.radio, modes=task.modes,
+            observation=task.observation, reward=task.reward, autoreset_mode="SameStep", threads=1,
+        )  # fmt: skip
+        self.features = len(self.env.observation)
+        self._adapter = SB3VecEnv(self.env)
+        self._paired: PairedReward | None = None
+        venv: VecEnv = self._adapter
+        if recipe.paired:
+            pipeline = Pipeline(default_modes(task.radio), self.env.batch.layout)
+            venv = self._paired = PairedReward(venv, self.env, ImmEngine(pipeline, task.reward))
+        if recipe.truth_critic:
+            venv = WithTruth(venv, self.env)
+        venv = self.normal = VecNormalize(venv, norm_reward=False, clip_obs=recipe.clip_observation)
+        self._stack: VecFrameStack | None = None
+        if recipe.frames > 1:
+            venv = self._stack = VecFrameStack(venv, recipe.frames)
+        self.venv = venv
+
+    def state(self) -> dict[str, Any]:
+        """All that what comes next depends on, for :meth:`restore`."""
+        seen = self.normal.obs_rms
+        return {
+            "env": self.env.state(), "returns": self._adapter.state(),
+            "normal": {"mean": seen.mean, "var": seen.var, "count": np.float64(seen.count)},
+            "stack": {} if self._stack is None else {"of": self._stack.stacked_obs.stacked_obs},
+        }  # fmt: skip
+
+    def restore(self, state: dict[str, Any]) -> None:
+        """Go on, to the last bit, as the world that gave this :meth:`state`."""
+        self.env.restore(state["env"])
+        self._adapter.restore(state["returns"])
+        seen = self.normal.obs_rms
+        seen.mean, seen.var = state["normal"]["mean"], state["normal"]["var"]
+        seen.count = float(state["normal"]["count"])
+        if self._paired is not None:
+            self._paired.begin(state["env"]["steps"])
+        if self._stack is not None:
+            self._stack.stacked_obs.stacked_obs[:] = state["stack"]["of"]

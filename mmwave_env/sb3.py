@@ -1,0 +1,143 @@
+"""Vector environments for Stable-Baselines3; needs the ``train`` extra.
+
+from mmwave_env.sb3 import SB3VecEnv
+
+env = gymnasium.make_vec("MmWaveLoc-v0", num_envs=256, autoreset_mode="SameStep")
+model = PPO("MlpPolicy", SB3VecEnv(env))
+"""
+
+import time
+from collections.abc import Callable, Iterable, Sequence
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+from gymnasium.vector import AutoresetMode
+from numpy.typing import NDArray
+from stable_baselines3.common.vec_env import VecEnv
+
+Indices = None | int | Iterable[int]
+Infos = list[dict[str, Any]]
+
+
+class SB3VecEnv(VecEnv):
+    """A Gymnasium vector environment as a ``VecEnv``, which steps it as a whole.
+
+    When an episode ends, the info of its environment holds what its last step told, the
+    metrics of the episode included, and what Stable-Baselines3 looks for: the
+    ``terminal_observation`` and ``TimeLimit.truncated``, from which it knows that the value
+    of what would follow counts, and ``episode`` with return "r", length "l" and time "t".
+
+    Args:
+        env: with autoreset mode "SameStep": others tell the last observation of an episode one
+            step later, or not at all.
+        info_keys: infos to hand on after every step too; each costs time.
+
+    Raises:
+        ValueError: another autoreset mode.
+    """
+
+    def __init__(
+        self, env: gym.vector.VectorEnv[Any, Any, Any], info_keys: Sequence[str] = ()
+    ) -> None:
+        mode = env.metadata.get("autoreset_mode")
+        if mode != AutoresetMode.SAME_STEP:
+            raise ValueError(
+                f'autoreset_mode: found {getattr(mode, "value", mode)!r}, expected "SameStep": '
+                'gymnasium.make_vec(..., autoreset_mode="SameStep")'
+            )
+        self.env, self.info_keys = env, tuple(info_keys)
+        self._actions: NDArray[Any] = np.zeros(0, np.int64)
+        self._returns = np.zeros(env.num_envs)
+        self._lengths = np.zeros(env.num_envs, np.int64)
+        self._begun_s = time.time()
+        super().__init__(env.num_envs, env.single_observation_space, env.single_action_space)
+
+    def reset(self) -> Any:
+        """Begin episodes everywhere, with the seeds and options set before; observations (n, ...).
+
+        Raises:
+            ValueError: environments got different options: they are reset together.
+        """
+        if any(options != self._options[0] for options in self._options):
+            raise ValueError(f"options: found {self._options}, expected the same everywhere")
+        seeds: Any = list(self._seeds)  # typed as one, but every vector environment takes many
+        observations, told = self.env.reset(seed=seeds, options=self._options[0] or None)
+        self.reset_infos = self._infos(told, self.info_keys)
+        self._returns[:], self._lengths[:] = 0.0, 0
+        self._reset_seeds()
+        self._reset_options()
+        return observations
+
+    def step_async(self, actions: NDArray[Any]) -> None:
+        """Take actions (n,) for the step that :meth:`step_wait` makes."""
+        self._actions = actions
+
+    def step_wait(self) -> tuple[Any, NDArray[np.float32], NDArray[np.bool_], Infos]:
+        """Observations (n, ...), rewards (n,), ends (n,) and infos of one step."""
+        observations, rewards, terminated, truncated, told = self.env.step(self._actions)
+        self._returns += rewards
+        self._lengths += 1
+        over = terminated | truncated
+        infos = self._infos(told, self.info_keys)
+        for i in map(int, np.flatnonzero(over)):
+            infos[i] = self._ending(told, i)
+            infos[i]["TimeLimit.truncated"] = bool(truncated[i] and not terminated[i])
+        self._returns[over], self._lengths[over] = 0.0, 0
+        return observations, rewards.astype(np.float32), over, infos
+
+    def _ending(self, told: dict[str, Any], i: int) -> dict[str, Any]:
+        """What the last step of an episode told."""
+        final = told["final_info"]
+        return {key: final[key][i] for key in final if f"_{key}" in final} | {
+            "terminal_observation": told["final_obs"][i],
+            "episode": {
+                "r": float(self._returns[i]), "l": int(self._lengths[i]),
+                "t": round(time.time() - self._begun_s, 6),
+            },
+        }  # fmt: skip
+
+    def _infos(self, told: dict[str, Any], keys: Sequence[str]) -> Infos:
+        """One dict an environment, as Gymnasium's masks say."""
+        infos: Infos = [{} for _ in range(self.num_envs)]
+        for key in keys:
+            for i in np.flatnonzero(told.get(f"_{key}", False)):
+                infos[i][key] = told[key][i]
+        return infos
+
+    def state(self) -> dict[str, NDArray[Any]]:
+        """Returns and lengths (n,) of the episodes under way, to :meth:`restore`."""
+        return {"returns": self._returns.copy(), "lengths": self._lengths.copy()}
+
+    def restore(self, state: dict[str, NDArray[Any]]) -> None:
+        """Go on as after :meth:`state`."""
+        self._returns[:], self._lengths[:] = state["returns"], state["lengths"]
+
+    def close(self) -> None:
+        """Close the environment."""
+        self.env.close()
+
+    def get_attr(self, attr_name: str, indices: Indices = None) -> list[Any]:
+        """An attribute of the environment, once for each of the indices."""
+        return [getattr(self.env, attr_name)] * len(list(self._get_indices(indices)))
+
+    def set_attr(self, attr_name: str, value: Any, indices: Indices = None) -> None:
+        """Set an attribute of the environment, for all at once."""
+        self._require_all(indices, f"set_attr({attr_name!r})")
+        setattr(self.env, attr_name, value)
+
+    def env_method(
+        self, method_name: str, *method_args: Any, indices: Indices = None, **method_kwargs: Any
+    ) -> list[Any]:
+        """Call a method of the environment once; what it returns, for each of the indices."""
+        self._require_all(indices, f"env_method({method_name!r})")
+        method: Callable[..., Any] = getattr(self.env, method_name)
+        return [method(*method_args, **method_kwargs)] * self.num_envs
+
+    def env_is_wrapped(self, wrapper_class: type[Any], indices: Indices = None) -> list[bool]:
+        """False: there are no single environments to wrap."""
+        return [False] * len(list(self._get_indices(indices)))
+
+    def _require_all(self, indices: Indices, what: str) -> None:
+        if len(set(self._get_indices(indices))) < self.num_envs:
+            raise ValueError(f"{what}: found indices {indices}, expected all of them")
