@@ -82,14 +82,14 @@ def masked(values: dict[str, NDArray[Any]], where: Mask | None = None) -> dict[s
     The arrays are taken over; elsewhere they become 0, or None. Every key has a mask ``_key``.
     There are no keys where there is no environment. None means all.
     """
-    masks = np.ones((len(values), len(next(iter(values.values())))), np.bool_)
+    masks = np.empty((len(values), len(next(iter(values.values())))), np.bool_)
+    masks[:] = True if where is None else where
     if where is not None:
         if not where.any():
             return {}
         elsewhere = ~where
         for array in values.values():
             array[elsewhere] = None if array.dtype == object else 0
-        masks &= where
     return values | {f"_{key}": mask for key, mask in zip(values, masks, strict=True)}
 
 
