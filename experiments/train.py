@@ -187,6 +187,7 @@ def main(args: Args) -> None:
         )
         for seed in range(args.seeds)
     ]
+    os.environ["OPENBLAS_NUM_THREADS"] = "1"  # or the trainings are in each other's way
     spawn = multiprocessing.get_context("spawn")
     with shown(jobs) as news, ProcessPoolExecutor(args.jobs, spawn) as pool:
         outcomes = list(pool.map(train, jobs, [news] * len(jobs)))

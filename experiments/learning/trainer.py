@@ -25,7 +25,9 @@ from policies.policy_file import Card, to_bytes
 
 TRAINING_SEED = 10_000_000  # of the first training; each has a million of its own
 SEEDS_EACH = 1_000_000
-EARLY, LATER, CHECKPOINT = 2, 16, 32  # updates between two looks, and between two checkpoints
+# Updates between two rows of the journal, two looks (until the rule is beaten, and after that)
+# and two checkpoints.
+LOG, EARLY, LATER, CHECKPOINT = 4, 2, 16, 32
 
 LOGGED = ("ate_m", "rmse_m", "mean_nees", "in_bounds", "divergence", "smoothed_ate_m")
 PACKAGES = ("gymnasium", "numpy", "numba", "torch", "stable-baselines3", "sb3-contrib")
@@ -99,7 +101,8 @@ class Training(BaseCallback):
             self._restore(stand.pop("learner"))
             self._world.restore(with_arrays(stand.pop("world")))
         left = job.timesteps - model.num_timesteps
-        model.learn(left, self, reset_num_timesteps=not model.num_timesteps)
+        fresh = not model.num_timesteps
+        model.learn(left, self, log_interval=LOG, reset_num_timesteps=fresh)
         self._look()
         model.save(job.folder / "model.zip")
         self._journal.close()
@@ -139,12 +142,13 @@ class Training(BaseCallback):
 
     def _on_rollout_end(self) -> None:
         for key in LOGGED if self._ended else ():
-            self.logger.record(f"rollout/{key}", float(np.mean([i[key] for i in self._ended])))
+            mean = float(np.mean([info[key] for info in self._ended]))
+            self.logger.record_mean(f"rollout/{key}", mean)
         self._ended.clear()
         actions = self._learner.rollout_buffer.actions.astype(np.int64).ravel()
         names = [mode.name for mode in self._job.task.modes]
         for name, n in zip(names, np.bincount(actions, minlength=len(names)), strict=True):
-            self.logger.record(f"share/{name}", n / len(actions))
+            self.logger.record_mean(f"share/{name}", n / len(actions))
 
     def _look(self) -> None:
         """Examine the policy, and keep it if it is the best so far."""
@@ -198,6 +202,7 @@ class Training(BaseCallback):
             "torch": torch.get_rng_state(), "numpy": [kind, keys, *rest],
             "episodes": list(model.ep_info_buffer or ()),
             "pending": {k: float(v) for k, v in model.logger.name_to_value.items()},
+            "counts": dict(model.logger.name_to_count),
         }  # fmt: skip
 
     def _restore(self, state: dict[str, Any]) -> None:
@@ -211,8 +216,8 @@ class Training(BaseCallback):
         if state["lstm"]:
             model._last_lstm_states = RNNStates(*(tuple(pair) for pair in state["lstm"]))
         model.ep_info_buffer.extend(state["episodes"])
-        for key, value in state["pending"].items():
-            model.logger.record(key, value)
+        model.logger.name_to_value.update(state["pending"])
+        model.logger.name_to_count.update(state["counts"])
         torch.set_rng_state(state["torch"])
         kind, keys, *rest = state["numpy"]
         np.random.set_state((kind, keys.numpy(), *rest))  # noqa: NPY002
