@@ -39,5 +39,9 @@ class History:
         rows = self._last(steps) % len(self._rows)
         return np.ascontiguousarray(self._rows[:, places][rows].T)
 
+    def all(self) -> Modes:
+        """The modes (T, n) of the last steps, oldest first; those before the first one are 0."""
+        return self._rows[self._last(len(self._rows)) % len(self._rows)]
+
     def _last(self, steps: int) -> Index:
         return np.arange(self._count - steps, self._count)

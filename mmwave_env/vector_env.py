@@ -304,7 +304,7 @@ class MmWaveLocVectorEnv(gym.vector.VectorEnv[Observations, Index, NDArray[Any]]
             "rows": tracks.rows.copy(), "table": tracks.table.copy(),
             "length": tracks.length.copy(), "epoch": tracks.epoch.copy(),
             "generators": self._generators.bare(), "over": self._over.copy(),
-            "steps": self._steps.copy(), "actions": self._actions.copy(),
+            "actions": self._history.all(),
         }  # fmt: skip
 
     def restore(self, state: dict[str, NDArray[Any]]) -> None:
@@ -329,6 +329,9 @@ class MmWaveLocVectorEnv(gym.vector.VectorEnv[Observations, Index, NDArray[Any]]
         tracks.epoch[:] = state["epoch"]
         self.batch.tracks = tracks._replace(table=state["table"].copy())
         self._generators.set_bare(state["generators"])
-        self._over, self._steps = state["over"].copy(), state["steps"].copy()
-        self._actions, self._ended = state["actions"].copy(), int(np.count_nonzero(self._over))
+        self._history = History(self.num_envs, len(self.modes))
+        self._history.make_room(state["table"].shape[1])
+        for actions in state["actions"]:
+            self._history.note(actions)
+        self._over, self._ended = state["over"].copy(), int(np.count_nonzero(state["over"]))
         self._begun = True
