@@ -264,12 +264,12 @@ def consider(
     )
     x_predicted = [x[i] if i in pipeline.pinned else v for i, v in enumerate(x_predicted)]
     if mode.widen_p or mode.widen_v:
-        widening = [mode.widen_p**2] * 3 + [mode.widen_v**2] * 3 + [0.0]
+        p, v = mode.widen_p**2, mode.widen_v**2
+        extra = (p, p, 0.0, v, v, 0.0, 0.0)
         P_predicted = [
-            [value + (widening[i] if i == j and i not in pipeline.pinned else 0.0)
-             for j, value in enumerate(row)]
+            [value + extra[i] if i == j else value for j, value in enumerate(row)]
             for i, row in enumerate(P_predicted)
-        ]  # fmt: skip
+        ]
     force = 0.0
     if mode.recovery is not None:
         force = where(memory.lockout > mode.recovery - 0.5, 1.0, 0.0)
