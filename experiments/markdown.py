@@ -6,7 +6,8 @@ from collections.abc import Sequence
 from rich.console import Console
 from rich.markdown import Markdown
 
-from experiments.evaluation import Comparison, Interval
+from experiments.evaluation import Comparison
+from experiments.intervals import Interval
 from mmwave_env.metrics import METRICS
 
 HEADERS = {
