@@ -7,7 +7,8 @@ from pathlib import Path
 from typing import Any
 
 from experiments.bounds import bound_markdown, over_bound
-from experiments.evaluation import Comparison, Scores, compare, contenders, evaluate
+from experiments.comparison import Comparison, compare
+from experiments.evaluation import Scores, contenders, evaluate
 from experiments.files import write_json
 from experiments.markdown import markdown, show
 from mmwave_env.episode import EpisodeSource

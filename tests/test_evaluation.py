@@ -10,13 +10,12 @@ from scipy.stats import norm
 
 import mmwave_env  # noqa: F401  registers the environment
 from experiments import evaluation
+from experiments.comparison import compare, references
 from experiments.evaluation import (
-    compare,
     contender_from,
     contenders,
     draw_episodes,
     evaluate,
-    references,
     score,
 )
 from experiments.intervals import RESAMPLES, bootstrap, bootstrap_ratio
