@@ -88,6 +88,9 @@ class Contender:
         return self.policy and self.policy(table)
 
 
+Watch = Callable[[Contender, Sequence[Episode], Told], None]
+
+
 def _over(modes: tuple[Mode, ...]) -> list[Contender]:
     """The contenders that work with any modes: each of them alone, rules, chance and the IMM."""
     names = [mode.name for mode in modes]
@@ -251,7 +254,7 @@ def evaluate(
     episodes: int,
     seed: int,
     modes: tuple[Mode, ...] | None = None,
-    watch: Callable[[str, Sequence[Episode], Told], None] | None = None,
+    watch: Watch | None = None,
 ) -> dict[str, Scores]:
     """Scores of contenders on the same episodes, seeds ``seed .. seed + episodes - 1``.
 
@@ -262,7 +265,7 @@ def evaluate(
         episodes: how many.
         seed: of the first.
         modes: as of :func:`contenders`.
-        watch: gets the name of a contender, episodes, and what :func:`localise` tells of them.
+        watch: gets every contender, episodes, and what :func:`localise` tells of them.
 
     Raises:
         ValueError: unknown or repeated contender, or fewer than one episode.
@@ -285,7 +288,7 @@ def evaluate(
                 told = localise(contender, policy, batch)
                 parts[contender.name].append(_summary(told, batch))
                 if watch:
-                    watch(contender.name, batch, told)
+                    watch(contender, batch, told)
                 progress.advance(task, len(batch))
     return {
         name: {m: np.concatenate([part[m] for part in scores]) for m in METRICS}

@@ -1,6 +1,7 @@
 """Folders of ``mmwave-loc train``: one policy a training seed."""
 
 import json
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -21,14 +22,14 @@ class Run:
     median: int
 
     @classmethod
-    def read(cls, folder: Path) -> "Run":
+    def read(cls, name: str) -> "Run":
         """The run in a folder.
 
         Raises:
             ValueError: naming the file and what is wrong in it.
             FileNotFoundError: no run, or one that is not over.
         """
-        path = folder / "summary.json"
+        path = Path(name) / "summary.json"
         if not path.is_file():
             raise FileNotFoundError(
                 f"{path}: found no file, expected the summary of a run that is over; "
@@ -40,12 +41,30 @@ class Run:
             median = summary["median"]
         except (ValueError, KeyError, TypeError) as error:
             raise ValueError(f"{path}: not the summary of a run: {error!r}") from error
-        if not seeds or len(set(seeds)) < len(seeds) or any(type(seed) is not int for seed in seeds):
+        if (
+            not seeds
+            or len(set(seeds)) < len(seeds)
+            or any(type(seed) is not int for seed in seeds)
+        ):
             raise ValueError(f"{path}: seeds: found {list(seeds)}, expected different numbers")
         if median not in seeds:
             raise ValueError(f"{path}: median: found {median!r}, expected one of {list(seeds)}")
-        return cls(str(folder), seeds, median)
+        return cls(name, seeds, median)
 
-    def policy(self, seed: int) -> str:
-        """The policy file of a training."""
+    @property
+    def policies(self) -> list[str]:
+        """The policy file of every training."""
+        return [self._policy(seed) for seed in self.seeds]
+
+    @property
+    def policy(self) -> str:
+        """That of the median one."""
+        return self._policy(self.median)
+
+    def _policy(self, seed: int) -> str:
         return str(Path(self.name) / f"seed-{seed}" / "policy.safetensors")
+
+
+def trainings(names: Sequence[str], runs: Mapping[str, Run]) -> list[str]:
+    """Names of contenders with the policy files of all trainings in place of runs."""
+    return [file for name in names for file in (runs[name].policies if name in runs else [name])]
