@@ -23,6 +23,7 @@ from mmwave_env.metrics import BURN_IN
 STILL_MPS, MOVING_MPS, FAST_MPS = 0.3, 0.5, 2.0
 STILL_S, FAST_S = 3.0, 5.0  # how long it stands, and how soon it is fast
 BEFORE_S, AFTER_S = 10.0, 20.0  # what is looked at
+COLOURS = 10  # there are; more lines are dashed
 
 Mask = NDArray[np.bool_]
 
@@ -49,6 +50,13 @@ def stops(speed_mps: Array, step_s: float = 1.0) -> Mask:
 EVENTS = {"stop": stops, "pull-away": pull_aways}
 
 
+def _speed(episode: Episode) -> Array:
+    """True horizontal speed (T,), m/s."""
+    episode.require_truth()
+    velocity = np.asarray(episode.truth_velocity_mps)
+    return np.hypot(velocity[:, 0], velocity[:, 1])
+
+
 @dataclass
 class Around:
     """Sums over events of one kind, per epoch (w,) around them.
@@ -57,24 +65,25 @@ class Around:
         events: how many; those cut off at an end of their episode count where they are.
         epochs: how many epochs are summed.
         error_m: position errors.
-        chosen: (modes, w) how often each mode was chosen; None where nobody chooses.
+        chosen: (modes, w) how often each mode was chosen; (0, w) of those who do not decide.
     """
 
     events: int
     epochs: Array
     error_m: Array
-    chosen: Array | None
+    chosen: Array
 
     def __add__(self, other: "Around") -> "Around":
-        chosen = None if other.chosen is None else other.chosen + self.chosen
         return Around(
             self.events + other.events, self.epochs + other.epochs,
-            self.error_m + other.error_m, chosen,
+            self.error_m + other.error_m, self.chosen + other.chosen,
         )  # fmt: skip
 
     def mean(self, of: Array) -> Array:
         """Means (..., w) of a sum, NaN where there is no epoch."""
-        return np.divide(of, self.epochs, out=np.full(of.shape, np.nan), where=self.epochs > 0.0)
+        means = np.full(of.shape, np.nan)
+        np.divide(of, self.epochs, out=means, where=self.epochs > 0.0)
+        return means
 
 
 @dataclass
@@ -100,26 +109,23 @@ class Decisions:
         if contender.name not in self.names:
             return
         name, step = self.names[contender.name], step_s(episodes[0])
-        decides = "mode" in told and name != "random" and not name.startswith("fixed-")
-        if decides:
-            self.modes[name] = [mode.name for mode in contender.modes]
+        modes: list[str] = []
+        if "mode" in told and name != "random" and not name.startswith("fixed-"):
+            modes = self.modes[name] = [mode.name for mode in contender.modes]
         offsets = np.arange(-round(BEFORE_S / step), round(AFTER_S / step) + 1)
         self.time_s = offsets * step
-        velocity = np.stack([e.truth_velocity_mps for e in episodes])  # type: ignore[arg-type]
-        speed = np.hypot(velocity[..., 0], velocity[..., 1])
+        speed = np.stack([_speed(episode) for episode in episodes])
         for kind, find in EVENTS.items():
             places, epochs = np.nonzero(find(speed, step))
             window = epochs[:, None] + offsets
             inside = (window >= BURN_IN) & (window < speed.shape[1])
             at = places[:, None], np.where(inside, window, 0)
-            error = np.linalg.norm(told["error"][at], axis=-1)
-            chosen = None
-            if decides:
-                numbers = np.arange(len(contender.modes))[:, None, None]
-                chosen = ((told["mode"][at] == numbers) & inside).sum(axis=1).astype(float)
+            error = np.where(inside, np.linalg.norm(told["error"][at], axis=-1), 0.0)
+            chosen = [((told["mode"][at] == i) & inside).sum(axis=0) for i in range(len(modes))]
             found = Around(
-                len(epochs), inside.sum(axis=0).astype(float), (error * inside).sum(axis=0), chosen
-            )
+                len(epochs), inside.sum(axis=0).astype(float), error.sum(axis=0),
+                np.array(chosen, float).reshape(-1, len(offsets)),
+            )  # fmt: skip
             before = self.around[kind].get(name)
             self.around[kind][name] = found if before is None else before + found
 
@@ -145,7 +151,6 @@ class Decisions:
     def _shares(self, kind: str, name: str) -> Array:
         """Of each mode (modes, w)."""
         around = self.around[kind][name]
-        assert around.chosen is not None
         return around.mean(around.chosen)
 
     def draw(self, path: Path) -> None:
@@ -172,14 +177,12 @@ class Decisions:
             figure.savefig(temporary, dpi=120)
 
     def _draw_errors(self, axes: Any, kind: str, table: Mapping[str, Around]) -> None:
-        import matplotlib
-
-        colours = matplotlib.colormaps["tab20"].colors
         for i, (name, around) in enumerate(table.items()):
-            axes.plot(self.time_s, around.mean(around.error_m), label=name,
-                      color=colours[(2 * i + i // 10) % 20])  # fmt: skip
+            style = "-" if i < COLOURS else "--"
+            axes.plot(self.time_s, around.mean(around.error_m), style, label=name)
         axes.set(title=f"{next(iter(table.values())).events} {kind}s", yscale="log")
         axes.yaxis.set_major_formatter("{x:g}")
+        axes.yaxis.set_minor_formatter("{x:g}")
         axes.axvline(0.0, color="black", lw=0.8)
         axes.grid(alpha=0.3)
 

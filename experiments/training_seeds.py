@@ -1,4 +1,8 @@
-"""How much a learned switcher owes to the seed of its training (Agarwal et al. 2021)."""
+"""How much a learned switcher owes to the seed of its training (Agarwal et al. 2021).
+
+As in rliable, the interquartile mean and the performance profile are of the matrix of runs and
+tasks: here a run is a training, and a task is an episode, the same for all of them.
+"""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -33,15 +37,15 @@ class Figure:
         each: its mean per training, over episodes.
         mean, iqm: mean and interquartile mean over trainings and episodes.
         levels: (k,) increasing.
-        above: share of pairs of training and episode above each level, with low and high ends
-            of its intervals, (k,) each.
+        above: (3, k) share of pairs of training and episode above each level, and low and high
+            ends of its intervals.
     """
 
     each: tuple[Interval, ...]
     mean: Interval
     iqm: Interval
     levels: Array
-    above: tuple[Array, Array, Array]
+    above: Array
 
     @classmethod
     def of(cls, scores: Array, levels: Array) -> "Figure":
@@ -50,9 +54,12 @@ class Figure:
             scores, mean, interquartile_mean, share_above(levels)
         )
         return cls(
-            tuple(bootstrap(scores.T)), Interval(*map(float, centre)), Interval(*map(float, iqm)),
-            levels, above,
-        )  # fmt: skip
+            tuple(bootstrap(scores.T)),
+            Interval(*map(float, centre)),
+            Interval(*map(float, iqm)),
+            levels,
+            np.clip(above, 0.0, 1.0),
+        )
 
     @property
     def wins(self) -> int:
@@ -61,7 +68,7 @@ class Figure:
 
     def json(self, seeds: Sequence[int]) -> dict[str, Any]:
         """As results files hold it."""
-        ends = dict(zip(("share", "low", "high"), (a.tolist() for a in self.above), strict=True))
+        ends = dict(zip(("share", "low", "high"), self.above.tolist(), strict=True))
         return {
             "seeds": {str(s): each.json for s, each in zip(seeds, self.each, strict=True)},
             "above_zero": self.wins, "mean": self.mean.json, "interquartile_mean": self.iqm.json,
@@ -113,7 +120,8 @@ def over_training_seeds(
     def figures(differences: dict[Run, Array]) -> dict[Run, Figure]:
         """On common levels, so that profiles can be compared."""
         pooled = np.concatenate([d.ravel() for d in differences.values()])
-        levels = np.linspace(*np.percentile(pooled, [1.0, 99.0]), LEVELS)
+        low, high = np.percentile(pooled, [1.0, 99.0])
+        levels = np.linspace(low, high, LEVELS)
         return {run: Figure.of(d, levels) for run, d in differences.items()}
 
     reward = figures(rewards)
@@ -132,22 +140,20 @@ def seeds_markdown(found: TrainingSeeds) -> str:
     run, columns = found.run, [found.reward, *found.minus.values()]
     best = {found.best_imm: " (best IMM)"}
     header = ["training seed", "reward", *(f"minus {r}{best.get(r, '')}" for r in found.minus)]
+    titles = {run.median: f"{run.median} (median)"}
     rows = [
-        [
-            f"{seed} (median)" if seed == run.median else str(seed),
-            *(str(c.each[i]) for c in columns),
-        ]
+        [titles.get(seed, str(seed)), *(str(column.each[i]) for column in columns)]
         for i, seed in enumerate(run.seeds)
     ]
     wins = [f"{figure.wins} of {len(run.seeds)}" for figure in found.minus.values()]
     rows += [
         ["intervals above zero", "", *wins],
-        ["mean over seeds", *(str(c.mean) for c in columns)],
-        ["interquartile mean", *(str(c.iqm) for c in columns)],
+        ["mean over seeds", *(str(column.mean) for column in columns)],
+        ["interquartile mean", *(str(column.iqm) for column in columns)],
     ]
     about = (
-        f"Over training seeds, {run.name}; best on tuning seeds first. 95 % intervals of a seed are "
-        "over episodes, those of all seeds over seeds and episodes:"
+        f"Over training seeds, {run.name}, best on tuning seeds first; 95 % intervals, of one seed "
+        "over episodes, of all over seeds and episodes:"
     )
     return f"\n{about}\n\n{grid(header, rows)}\n"
 
@@ -169,9 +175,10 @@ def draw_profiles(found: Sequence[TrainingSeeds], path: Path) -> None:
             axes.fill_between(figure.levels, low, high, color=line.get_color(), alpha=0.2, lw=0.0)
         axes.axvline(0.0, color="black", lw=0.8)
         axes.axhline(0.5, color="black", lw=0.8, ls=":")
-        axes.set(xlabel=f"reward minus {rival}'s, at least", ylim=(0.0, 1.0))
+        axes.set(xlabel=f"reward more than {rival}'s by", ylim=(0.0, 1.0))
+        axes.margins(x=0.0)
         axes.grid(alpha=0.3)
     row[0].set_ylabel("share of training seeds and episodes")
-    row[0].legend(loc="lower left", frameon=False)
+    row[-1].legend(loc="upper right", frameon=False)
     with beside(path) as temporary:
         picture.savefig(temporary, dpi=120)
