@@ -12,6 +12,7 @@ from mmwave_env.arithmetic import Matrix, Number, Vector, exp, maximum
 from mmwave_env.estimator.algebra import dot, unpack
 from mmwave_env.estimator.modes import Tuning
 from mmwave_env.estimator.pipeline import (
+    Candidate,
     Epoch,
     Memory,
     Pipeline,
@@ -99,10 +100,21 @@ def mix(mixture: Mixture, transition: Matrix) -> tuple[Vector, list[tuple[Vector
     return predicted, mixed
 
 
+def limited_likelihood(candidate: Candidate, limits: Vector) -> Number:
+    """Log-likelihood in which the NIS of a group (groups,) counts up to its limit.
+
+    The tail of a Gaussian falls so fast that a single link off the line of sight would decide
+    which mode is right, for the one that believes the outlier.
+    """
+    excess = [maximum(nis - limit, 0.0) for nis, limit in zip(candidate.nis, limits, strict=True)]
+    return candidate.log_likelihood + 0.5 * dot(excess, [1.0] * len(excess))
+
+
 def imm_epoch(
     pipeline: Pipeline,
     transition: Matrix,
     tunings: Sequence[Tuning],
+    limits: Vector,
     mixture: Mixture,
     epoch: Epoch,
     site: Site,
@@ -113,6 +125,7 @@ def imm_epoch(
         pipeline: the modes.
         transition: (modes, modes) probabilities (from, to).
         tunings: process noise, in place of the modes' own.
+        limits: (groups,) as in :func:`limited_likelihood`; infinite in the textbook.
         mixture: after the epoch before.
         epoch: the coming epoch.
         site: anchors and carrier.
@@ -126,7 +139,7 @@ def imm_epoch(
         memory = anticipate(track.memory, [candidate], epoch)
         memory = commit(one, 0.0, x, candidate, memory, epoch.dt, epoch.visible)
         tracks.append(Track(candidate.x, candidate.P, memory))
-        likelihoods.append(candidate.log_likelihood)
+        likelihoods.append(limited_likelihood(candidate, limits))
     best = likelihoods[0]
     for likelihood in likelihoods[1:]:
         best = maximum(best, likelihood)
