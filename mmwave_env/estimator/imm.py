@@ -12,7 +12,6 @@ from mmwave_env.arithmetic import Matrix, Number, Vector, exp, maximum
 from mmwave_env.estimator.algebra import dot, unpack
 from mmwave_env.estimator.modes import Tuning
 from mmwave_env.estimator.pipeline import (
-    Candidate,
     Epoch,
     Memory,
     Pipeline,
@@ -20,6 +19,7 @@ from mmwave_env.estimator.pipeline import (
     anticipate,
     commit,
     consider,
+    limited_likelihood,
     start,
 )
 from mmwave_env.estimator.trees import select
@@ -100,16 +100,6 @@ def mix(mixture: Mixture, transition: Matrix) -> tuple[Vector, list[tuple[Vector
     return predicted, mixed
 
 
-def limited_likelihood(candidate: Candidate, limits: Vector) -> Number:
-    """Log-likelihood in which the NIS of a group (groups,) counts up to its limit.
-
-    The tail of a Gaussian falls so fast that a single link off the line of sight would decide
-    which mode is right, for the one that believes the outlier.
-    """
-    excess = [maximum(nis - limit, 0.0) for nis, limit in zip(candidate.nis, limits, strict=True)]
-    return candidate.log_likelihood + 0.5 * dot(excess, [1.0] * len(excess))
-
-
 def imm_epoch(
     pipeline: Pipeline,
     transition: Matrix,
@@ -136,7 +126,7 @@ def imm_epoch(
         single(pipeline), tunings, mixture.tracks, mixed, strict=True
     ):
         candidate = consider(one, one.modes[0], x, P, track.memory, epoch, site, tuning)
-        memory = anticipate(track.memory, [candidate], epoch)
+        memory = anticipate(track.memory, [candidate], epoch, pipeline.layout)
         memory = commit(one, 0.0, x, candidate, memory, epoch.dt, epoch.visible)
         tracks.append(Track(candidate.x, candidate.P, memory))
         likelihoods.append(limited_likelihood(candidate, limits))
