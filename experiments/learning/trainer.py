@@ -25,7 +25,7 @@ from policies.policy_file import Card, to_bytes
 
 TRAINING_SEED = 10_000_000  # of the first training; each has a million of its own
 SEEDS_EACH = 1_000_000
-EARLY, LATER, CHECKPOINT = 2, 16, 32  # updates between two looks, and between two checkpoints
+EARLY, LATER = 2, 16  # updates between two looks, until the policy beats the rule and after
 
 LOGGED = ("ate_m", "rmse_m", "mean_nees", "in_bounds", "divergence", "smoothed_ate_m")
 PACKAGES = ("gymnasium", "numpy", "numba", "torch", "stable-baselines3", "sb3-contrib")
@@ -44,6 +44,7 @@ class Job:
         timesteps: epochs to train for, in all environments together.
         folder: for all that is written.
         command: that makes the policy file.
+        checkpoint_every: updates between two checkpoints.
     """
 
     task: Task
@@ -53,6 +54,7 @@ class Job:
     timesteps: int
     folder: Path
     command: str
+    checkpoint_every: int
 
     @property
     def outcome(self) -> Path:
@@ -71,6 +73,9 @@ class Training(BaseCallback):
     Args:
         job: what to do; goes on where a checkpoint in its folder stands.
         tell: takes the number of epochs trained for and what is new.
+
+    Raises:
+        ValueError: the checkpoint is damaged.
     """
 
     def __init__(self, job: Job, tell: Tell) -> None:
@@ -78,16 +83,16 @@ class Training(BaseCallback):
         self._begun_s = time.monotonic()
         torch.set_num_threads(1)  # networks this small gain nothing from more
         self._job, self._tell = job, tell
-        self._world = World(job.task, job.recipe)
-        seed = TRAINING_SEED + SEEDS_EACH * job.seed
-        self._learner = learner(self._world, job.recipe, seed)
-        self._examiner = Examiner(job.task)
         self._checkpoint = job.folder / "checkpoint.pt"
         self._stand: dict[str, Any] = {
             "update": -1, "best": None, "beat_rule": None, "seconds": 0.0, "rows": [],
         }  # fmt: skip
         if self._checkpoint.exists():
             self._stand = read_checkpoint(self._checkpoint)
+        self._world = World(job.task, job.recipe)
+        seed = TRAINING_SEED + SEEDS_EACH * job.seed
+        self._learner = learner(self._world, job.recipe, seed)
+        self._examiner = Examiner(job.task)
         self._journal = Journal(job.folder, self._stand["rows"])
         self._ended: list[dict[str, Any]] = []
 
@@ -101,7 +106,9 @@ class Training(BaseCallback):
         left = job.timesteps - model.num_timesteps
         model.learn(left, self, reset_num_timesteps=not model.num_timesteps)
         self._look()
+        self.logger.dump(model.num_timesteps)
         model.save(job.folder / "model.zip")
+        self._world.normal.save(str(job.folder / "normalisation.pkl"))
         self._journal.close()
         outcome = {
             "seed": job.seed, "timesteps": model.num_timesteps,
@@ -123,10 +130,12 @@ class Training(BaseCallback):
         if update == stand["update"]:
             return  # the checkpoint that this training goes on from
         stand["update"] = update
-        if update and update % (LATER if stand["beat_rule"] else EARLY) == 0:
-            self._look()
-        if update and update % CHECKPOINT == 0:
-            self._save()
+        if update:
+            if update % (LATER if stand["beat_rule"] else EARLY) == 0:
+                self._look()
+            self.logger.dump(model.num_timesteps)
+            if update % self._job.checkpoint_every == 0:
+                self._save()
         self._tell(model.num_timesteps, "")
 
     def _done(self) -> float:
@@ -145,6 +154,7 @@ class Training(BaseCallback):
         names = [mode.name for mode in self._job.task.modes]
         for name, n in zip(names, np.bincount(actions, minlength=len(names)), strict=True):
             self.logger.record(f"share/{name}", n / len(actions))
+        self.logger.record("seconds", self._seconds())
 
     def _look(self) -> None:
         """Examine the policy, and keep it if it is the best so far."""
@@ -197,7 +207,6 @@ class Training(BaseCallback):
             "lstm": [list(pair) for pair in getattr(model, "_last_lstm_states", None) or ()],
             "torch": torch.get_rng_state(), "numpy": [kind, keys, *rest],
             "episodes": list(model.ep_info_buffer or ()),
-            "pending": {k: float(v) for k, v in model.logger.name_to_value.items()},
         }  # fmt: skip
 
     def _restore(self, state: dict[str, Any]) -> None:
@@ -211,8 +220,6 @@ class Training(BaseCallback):
         if state["lstm"]:
             model._last_lstm_states = RNNStates(*(tuple(pair) for pair in state["lstm"]))
         model.ep_info_buffer.extend(state["episodes"])
-        for key, value in state["pending"].items():
-            model.logger.record(key, value)
         torch.set_rng_state(state["torch"])
         kind, keys, *rest = state["numpy"]
         np.random.set_state((kind, keys.numpy(), *rest))  # noqa: NPY002
