@@ -11,7 +11,8 @@ from typing import Any
 
 import numpy as np
 
-from experiments.evaluation import CHUNK, Array, Interval, Scores, bootstrap, draw_episodes
+from experiments.evaluation import CHUNK, Scores, draw_episodes
+from experiments.intervals import Array, Interval, bootstrap
 from experiments.markdown import grid
 from mmwave_env.episode import Episode, EpisodeSource
 from mmwave_env.estimator.bound import (

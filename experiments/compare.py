@@ -1,8 +1,10 @@
 """mmwave-loc compare: several policies on the same episodes, with paired differences."""
 
 from dataclasses import dataclass
+from pathlib import Path
 
 from experiments.cli import run
+from experiments.files import require_writable
 from experiments.options import EpisodeArgs, report
 
 
@@ -11,14 +13,23 @@ class Args(EpisodeArgs):
     """Compare policies on the same seeded episodes."""
 
     policies: tuple[str, ...] = ()
-    """which; all there are by default"""
+    """names, policy files (.safetensors) and folders of runs of mmwave-loc train; all that have
+    a name by default"""
     bound: bool = False
     """also show each policy's RMSE over the posterior Cramer-Rao bound"""
+    figure: Path | None = None
+    """draw the performance profiles of runs, over training seeds and episodes, to this PNG file"""
+    decisions: Path | None = None
+    """draw what policies choose around stops and pull-aways, and all errors there, to this PNG
+    file"""
 
 
 def main(args: Args) -> None:
     """Run the command."""
-    report(args, args.policies or args.contenders(), args.bound)
+    for picture in (args.figure, args.decisions):
+        if picture:
+            require_writable(picture)
+    report(args, args.policies or args.contenders(), args.bound, args.figure, args.decisions)
 
 
 if __name__ == "__main__":

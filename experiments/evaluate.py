@@ -11,7 +11,8 @@ class Args(EpisodeArgs):
     """Evaluate one policy on seeded episodes."""
 
     policy: str = "speed-rule"
-    """speed-rule, fixed-ekf, fixed-ukf, imm, ...; compare shows all there are"""
+    """speed-rule, fixed-ekf, fixed-ukf, imm, ... (compare shows all there are), a policy file
+    (.safetensors) or the folder of a run"""
 
 
 def main(args: Args) -> None:

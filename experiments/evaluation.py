@@ -1,13 +1,12 @@
-"""Run contenders on the same episodes and compare them (design: evaluation protocol).
+"""Run contenders on the same episodes (design: evaluation protocol).
 
-A contender is a policy with the modes it chooses from, or the IMM. All see the same
-episodes, so differences are paired; intervals are 95 % percentile bootstraps over episodes.
+A contender is a policy with the modes it chooses from, or the IMM.
 """
 
 import os
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import lru_cache, partial
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -22,7 +21,6 @@ from mmwave_env.estimator.program import rows_of
 from mmwave_env.imm_engine import ImmEngine
 from mmwave_env.measurement import Layout
 from mmwave_env.metrics import METRICS, summary
-from mmwave_env.names import choose
 from mmwave_env.observation import Observation
 from mmwave_env.reward import Reward, TrackingReward
 from policies import (
@@ -32,6 +30,7 @@ from policies import (
     Policy,
     RandomMode,
     SpeedRule,
+    shipped_policies,
     tuned_threshold,
 )
 
@@ -39,9 +38,11 @@ Array = NDArray[np.float64]
 Transition = tuple[tuple[float, ...], ...]
 Scores = dict[str, Array]  # metric -> (episodes,)
 
+Told = dict[str, NDArray[Any]]  # "reward", "nees" (n, T), "error" (n, T, 3); policies': "mode"
+
 CHUNK = 1000  # episodes in memory at once
-RESAMPLES = 4000
 POLICY_SEED = 0
+SHIPPED = ("ppo", "ppo-extended")  # learned contenders of a radio, where its policy is shipped
 
 
 @dataclass(frozen=True)
@@ -54,6 +55,7 @@ class Contender:
         policy: from the observation table to a policy; None for the IMM over the modes.
         transition: probabilities (from, to) of the IMM; None for the default.
         observation: what the policy sees, "full" or "prior".
+        trained: whether the policy was learned.
     """
 
     name: str
@@ -61,6 +63,7 @@ class Contender:
     policy: Callable[[Observation], Policy] | None
     transition: Transition | None = None
     observation: str = "full"
+    trained: bool = False
 
     @classmethod
     def learned(cls, path: str | os.PathLike[str], name: str | None = None) -> "Contender":
@@ -76,12 +79,16 @@ class Contender:
             card.modes,
             partial(LearnedSwitch, path),
             observation=card.observation,
+            trained=True,
         )
 
     def start(self, layout: Layout) -> Policy | None:
         """A new policy for measurements of a layout; None for the IMM."""
         table = Observation(Pipeline(self.modes, layout), self.observation)
         return self.policy and self.policy(table)
+
+
+Watch = Callable[[Contender, Sequence[Episode], Told], None]
 
 
 def _over(modes: tuple[Mode, ...]) -> list[Contender]:
@@ -108,7 +115,8 @@ def contenders(radio: str, modes: tuple[Mode, ...] | None = None) -> dict[str, C
     Args:
         radio: profile.
         modes: what they work with; None for the profile's two, beside which the profile has
-            single modes of other kinds, a tuned threshold, and an IMM over robust modes.
+            single modes of other kinds, a tuned threshold, an IMM over robust modes, and the
+            learned switchers that are shipped for it.
     """
     if modes is not None:
         return {c.name: c for c in _over(modes)}
@@ -121,17 +129,31 @@ def contenders(radio: str, modes: tuple[Mode, ...] | None = None) -> dict[str, C
         "speed-rule-tuned", two, lambda table: SpeedRule(table, tuned_threshold(radio))
     )
     robust = Contender("imm-robust", (named["ekf-robust"], named["ukf-robust"]), None)
+    files = {name: f"{name}-{radio}" for name in SHIPPED}
+    shipped = shipped_policies()
+    learned = [Contender.learned(f, name) for name, f in files.items() if f in shipped]
     ekf, ukf, rule, *rest = _over(two)
-    return {c.name: c for c in (ekf, ukf, *others, rule, tuned, *rest, robust)}
+    return {c.name: c for c in (ekf, ukf, *others, rule, tuned, *rest, robust, *learned)}
 
 
 def contender_from(name: str, radio: str, modes: tuple[Mode, ...] | None = None) -> Contender:
     """A contender by name; see :func:`contenders`.
 
+    Args:
+        name: one of them, a shipped policy's, or a policy file (``.safetensors``).
+        radio, modes: as of :func:`contenders`.
+
     Raises:
-        ValueError: unknown name; the message lists the valid ones.
+        ValueError: unknown name; the message lists the valid ones. A damaged policy file.
+        FileNotFoundError: there is no such policy file.
     """
-    return choose(contenders(radio, modes), name, "policy")
+    known, shipped = contenders(radio, modes), shipped_policies()
+    if name in known:
+        return known[name]
+    if name in shipped or name.endswith(".safetensors"):
+        return Contender.learned(name)
+    expected = ", ".join([*known, *shipped, "a .safetensors file", "the folder of a run"])
+    raise ValueError(f"policy: found {name!r}, expected one of {expected}")
 
 
 def require_seeds(seeds: Sequence[int]) -> None:
@@ -163,18 +185,38 @@ def score(
     reward: Reward | None = None,
 ) -> Scores:
     """Metrics per episode of a contender and its policy, on episodes of one length."""
+    return _summary(localise(contender, policy, episodes, reward), episodes)
+
+
+def localise(
+    contender: Contender,
+    policy: Policy | None,
+    episodes: Sequence[Episode],
+    reward: Reward | None = None,
+) -> Told:
+    """What a contender and its policy tell of every epoch, on episodes of one length.
+
+    Returns:
+        "reward" and "nees" (n, T), "error" (n, T, 3) in m and, where there is a policy, "mode"
+        (n, T), the numbers of its choices.
+    """
     reward = reward or TrackingReward()
     for episode in episodes:
         episode.require_truth()
     pipeline = Pipeline(contender.modes, episodes[0].layout)
     if policy is None:
         imm = ImmEngine(pipeline, reward, contender.transition)
-        told = imm.run(episodes, "reward", "nees", "error")
-    else:
-        told = _steered(pipeline, policy, contender, episodes, reward)
-    times_s = episodes[0].time_s
-    step_s = float(np.median(np.diff(times_s))) if len(times_s) > 1 else 1.0
-    return summary(told["reward"], told["error"], told["nees"], 1.0 / step_s)
+        return imm.run(episodes, "reward", "nees", "error")
+    return _steered(pipeline, policy, contender, episodes, reward)
+
+
+def step_s(episode: Episode) -> float:
+    """Time between two epochs, s; of an episode of one epoch, 1."""
+    return float(np.median(np.diff(episode.time_s))) if len(episode) > 1 else 1.0
+
+
+def _summary(told: Told, episodes: Sequence[Episode]) -> Scores:
+    return summary(told["reward"], told["error"], told["nees"], 1.0 / step_s(episodes[0]))
 
 
 def _steered(
@@ -183,15 +225,15 @@ def _steered(
     contender: Contender,
     episodes: Sequence[Episode],
     reward: Reward,
-) -> dict[str, Array]:
-    """Rewards (n, T), NEES (n, T) and errors (n, T, 3) where a policy picks the modes."""
+) -> Told:
+    """As :func:`localise`, where a policy picks the modes."""
     n, T = len(episodes), len(episodes[0])
     engine = Engine(pipeline, n, reward, contender.observation)
     engine.reset(episodes)
     policy.reset(np.ones(n, bool))
     program, names = engine.batch.program, ("reward", "nees", "error")
     scored = rows_of(program.parts(names))
-    told = np.empty((n, T, len(scored)))
+    told, modes = np.empty((n, T, len(scored))), np.empty((n, T), np.int8)
     observations = engine.observations()
     for t in range(T):
         actions = policy(observations)
@@ -201,7 +243,8 @@ def _steered(
                 f"expected 0 to {len(pipeline.modes) - 1}"
             )
         observations, told[:, t] = engine.step(actions, scored)
-    return program.by_name(names, told)
+        modes[:, t] = actions
+    return program.by_name(names, told) | {"mode": modes}
 
 
 def evaluate(
@@ -211,8 +254,18 @@ def evaluate(
     episodes: int,
     seed: int,
     modes: tuple[Mode, ...] | None = None,
+    watch: Watch | None = None,
 ) -> dict[str, Scores]:
     """Scores of contenders on the same episodes, seeds ``seed .. seed + episodes - 1``.
+
+    Args:
+        names: see :func:`contender_from`.
+        source: of the episodes.
+        radio: profile.
+        episodes: how many.
+        seed: of the first.
+        modes: as of :func:`contenders`.
+        watch: gets every contender, episodes, and what :func:`localise` tells of them.
 
     Raises:
         ValueError: unknown or repeated contender, or fewer than one episode.
@@ -232,114 +285,12 @@ def evaluate(
                 batch += draw_episodes(source, [one])
                 progress.advance(task)
             for contender, policy in zip(chosen, policies, strict=True):
-                parts[contender.name].append(score(contender, policy, batch))
+                told = localise(contender, policy, batch)
+                parts[contender.name].append(_summary(told, batch))
+                if watch:
+                    watch(contender, batch, told)
                 progress.advance(task, len(batch))
     return {
         name: {m: np.concatenate([part[m] for part in scores]) for m in METRICS}
         for name, scores in parts.items()
     }
-
-
-@dataclass(frozen=True)
-class Interval:
-    """A mean with its 95 % bootstrap interval."""
-
-    mean: float
-    low: float
-    high: float
-
-    @property
-    def json(self) -> dict[str, Any]:
-        """As results files hold it."""
-        return {"mean": self.mean, "ci95": [self.low, self.high]}
-
-    def __str__(self) -> str:
-        return f"{self.mean:.3f} [{self.low:.3f}, {self.high:.3f}]"
-
-
-@lru_cache(maxsize=1)
-def _resamples(n: int, seed: int) -> NDArray[np.uint16]:
-    """How often each of n episodes is drawn (resamples, n)."""
-    rng = np.random.default_rng(seed)
-    counts = np.empty((RESAMPLES, n), np.uint16)
-    for rows in np.split(counts, RESAMPLES // 100):  # int64 at once would be large
-        rows[:] = rng.multinomial(n, np.full(n, 1.0 / n), size=len(rows))
-    return counts
-
-
-def _resampled_means(values: Array, seed: int) -> Array:
-    """Means (resamples, k) of columns (episodes, k), which share the resamples."""
-    n = len(values)
-    blocks = np.split(_resamples(n, seed), RESAMPLES // 100)
-    return np.concatenate([rows / n @ values for rows in blocks])
-
-
-def bootstrap(values: Array, seed: int = 0) -> list[Interval]:
-    """Means of columns (episodes, k) with 95 % percentile intervals over episodes."""
-    low, high = np.percentile(_resampled_means(values, seed), [2.5, 97.5], axis=0)
-    columns = zip(values.mean(axis=0), low, high, strict=True)
-    return [Interval(float(m), float(a), float(b)) for m, a, b in columns]
-
-
-def bootstrap_ratio(over: Array, under: Array, seed: int = 0) -> Interval:
-    """Ratio of two means over the same episodes, each (episodes,)."""
-    means = _resampled_means(np.stack([over, under], axis=1), seed)
-    low, high = np.percentile(means[:, 0] / means[:, 1], [2.5, 97.5])
-    return Interval(float(over.mean() / under.mean()), float(low), float(high))
-
-
-@dataclass(frozen=True)
-class Comparison:
-    """Contenders on one source of episodes.
-
-    Attributes:
-        scenario, radio, episodes, seed: what was run.
-        policies: per contender and metric.
-        paired: the same for differences "A - B", episode by episode.
-    """
-
-    scenario: str
-    radio: str
-    episodes: int
-    seed: int
-    policies: dict[str, dict[str, Interval]]
-    paired: dict[str, dict[str, Interval]]
-
-    @property
-    def json(self) -> dict[str, Any]:
-        """As results files hold it."""
-
-        def table(rows: dict[str, dict[str, Interval]]) -> dict[str, Any]:
-            return {k: {m: i.json for m, i in row.items()} for k, row in rows.items()}
-
-        return {
-            "scenario": self.scenario, "radio": self.radio, "episodes": self.episodes,
-            "seed": self.seed, "policies": table(self.policies), "paired": table(self.paired),
-        }  # fmt: skip
-
-
-def references(scores: dict[str, Scores]) -> list[str]:
-    """What others are compared with: best fixed mode by reward, the paper's rule, the IMM."""
-    fixed = [name for name in scores if name.startswith("fixed-")]
-    best = max(fixed, key=lambda name: scores[name]["reward"].mean(), default=None)
-    return [name for name in (best, "speed-rule", "imm") if name is not None and name in scores]
-
-
-def compare(scores: dict[str, Scores], **what: Any) -> Comparison:
-    """Intervals of every contender, and paired differences against the references."""
-    metrics = list(METRICS)
-
-    def rows(table: dict[str, Array]) -> dict[str, dict[str, Interval]]:
-        intervals = bootstrap(np.concatenate(list(table.values()), axis=1))
-        return {
-            name: dict(zip(metrics, intervals[i * len(metrics) :], strict=False))
-            for i, name in enumerate(table)
-        }
-
-    stacked = {name: np.stack([s[m] for m in metrics], axis=1) for name, s in scores.items()}
-    pairs = {}
-    for reference in references(scores):
-        for name in scores:
-            if name != reference:
-                pairs[f"{name} - {reference}"] = stacked[name] - stacked[reference]
-    return Comparison(policies=rows(stacked), paired=rows(pairs) if pairs else {}, **what)

@@ -6,7 +6,8 @@ from collections.abc import Sequence
 from rich.console import Console
 from rich.markdown import Markdown
 
-from experiments.evaluation import Comparison, Interval
+from experiments.comparison import Comparison
+from experiments.intervals import Interval
 from mmwave_env.metrics import METRICS
 
 HEADERS = {
@@ -39,7 +40,7 @@ def policies_table(comparison: Comparison) -> str:
 
 def paired_table(comparison: Comparison) -> str:
     """Paired differences of the reward: each policy minus the references."""
-    pairs = [pair.split(" - ") for pair in comparison.paired]
+    pairs = [pair.rsplit(" - ", 1) for pair in comparison.paired]  # paths have any name
     references = list(dict.fromkeys(reference for _, reference in pairs))
     rows = []
     for name in comparison.policies:

@@ -1,15 +1,26 @@
 """What the commands that run episodes have in common."""
 
 import shlex
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
 
 from experiments.bounds import bound_markdown, over_bound
-from experiments.evaluation import Comparison, Scores, compare, contenders, evaluate
+from experiments.comparison import Comparison, compare
+from experiments.decisions import Decisions
+from experiments.evaluation import (
+    Contender,
+    Scores,
+    Watch,
+    contender_from,
+    contenders,
+    evaluate,
+)
 from experiments.files import write_json
 from experiments.markdown import markdown, show
+from experiments.runs import Run, trainings
+from experiments.training_seeds import draw_profiles, over_training_seeds, seeds_markdown
 from mmwave_env.episode import EpisodeSource
 from mmwave_env.estimator.modes import Mode, modes_from
 from mmwave_env.io.samples import recording_from
@@ -73,9 +84,19 @@ class EpisodeArgs:
     def _modes(self) -> tuple[Mode, ...] | None:
         return modes_from(self.modes, self.radio) if self.modes else None
 
-    def evaluate(self, names: Sequence[str]) -> dict[str, Scores]:
+    def contender(self, name: str) -> Contender:
+        """One of them, or a learned one by name or file."""
+        return contender_from(name, self.radio, self._modes())
+
+    def runs(self, names: Sequence[str]) -> dict[str, Run]:
+        """Those of the names that are folders of runs."""
+        known = self.contenders()
+        return {n: Run.read(n) for n in names if n not in known and Path(n).is_dir()}
+
+    def evaluate(self, names: Sequence[str], watch: Watch | None = None) -> dict[str, Scores]:
         """Scores of contenders on the episodes."""
-        return evaluate(names, self.source(), self.radio, self.episodes, self.seed, self._modes())
+        source, modes = self.source(), self._modes()
+        return evaluate(names, source, self.radio, self.episodes, self.seed, modes, watch)
 
     def source(self) -> EpisodeSource:
         """Where the episodes come from."""
@@ -88,24 +109,60 @@ class EpisodeArgs:
         return SimulatedSource(scene_from(self.scene or "street"), radio, self.scenario or "mixed")
 
 
-def report(args: EpisodeArgs, names: Sequence[str], bound: bool = False) -> Comparison:
+def report(
+    args: EpisodeArgs,
+    names: Sequence[str],
+    bound: bool = False,
+    figure: Path | None = None,
+    decisions: Path | None = None,
+) -> Comparison:
     """Run contenders on the episodes, print the tables and write ``args.json``.
 
     Args:
         args: which episodes.
-        names: of the contenders.
+        names: of the contenders; the folder of a run stands for its median training.
         bound: whether to measure them in posterior Cramer-Rao bounds, too.
+        figure: gets the performance profiles of runs.
+        decisions: gets a picture of what policies choose around stops and pull-aways.
     """
-    source = args.source()
-    scores = args.evaluate(names)
+    source, runs = args.source(), args.runs(names)
+    if figure:
+        _require_profiles(names, runs)
+    files = {name: runs[name].policy if name in runs else name for name in names}
+    learned = [name for name, file in files.items() if args.contender(file).trained]
+    seen = Decisions({file: name for name, file in files.items()}) if decisions else None
+    found = args.evaluate(trainings(names, runs), seen.add if seen else None)
+    scores = {name: found[file] for name, file in files.items()}
     result = compare(
-        scores, scenario=source.name, radio=args.radio, episodes=args.episodes, seed=args.seed
-    )
+        scores, learned, scenario=source.name, radio=args.radio, episodes=args.episodes,
+        seed=args.seed,
+    )  # fmt: skip
     text, content = markdown(result), result.json
     if bound:
         over = over_bound(scores, source, radio_from(args.radio), args.seed)
         text, content = text + bound_markdown(over), content | {"bound": over.json}
+    if runs:
+        trained = {run: [found[file] for file in run.policies] for run in runs.values()}
+        seeds = over_training_seeds(trained, scores)
+        text += "".join(map(seeds_markdown, seeds))
+        content |= {"training_seeds": {one.run.name: one.json for one in seeds}}
+        if figure:
+            draw_profiles(seeds, figure)
+    if seen and decisions:
+        content |= {"decisions": seen.json}
+        seen.draw(decisions)
     show(text)
     if args.json:
         write_json(args.json, content)
     return result
+
+
+def _require_profiles(names: Sequence[str], runs: Mapping[str, Run]) -> None:
+    """Refuse a figure of performance profiles that would be empty."""
+    if not runs:
+        raise ValueError("figure: found no folder of a run among the policies, expected one")
+    if not any(name == "speed-rule" or name.startswith(("fixed-", "imm")) for name in names):
+        raise ValueError(
+            "figure: found nobody to compare runs with among the policies, expected speed-rule, "
+            "imm or a fixed mode"
+        )

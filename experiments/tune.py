@@ -12,8 +12,9 @@ from scipy.optimize import minimize
 from scipy.special import chdtri
 
 from experiments.cli import run
-from experiments.evaluation import bootstrap, draw_episodes
+from experiments.evaluation import draw_episodes
 from experiments.files import require_writable, write_json
+from experiments.intervals import bootstrap
 from experiments.markdown import grid
 from experiments.options import TUNING_SEED, command_line, require_tuning_seed
 from mmwave_env.episode import Episode

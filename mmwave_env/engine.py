@@ -30,7 +30,8 @@ from mmwave_env.estimator.pipeline import (
 )
 from mmwave_env.estimator.program import NO_ROWS, Array, Index, Program, rows_of
 from mmwave_env.estimator.trees import select
-from mmwave_env.observation import Observation, View
+from mmwave_env.features import View
+from mmwave_env.observation import Observation
 from mmwave_env.reward import Reward
 
 

@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 
 from experiments.bounds import bounds_of, over_bound
-from experiments.evaluation import RESAMPLES, contender_from, draw_episodes, score
+from experiments.evaluation import contender_from, draw_episodes, score
+from experiments.intervals import RESAMPLES
 from mmwave_env.estimator.bound import (
     averaged_bound,
     conditional_bounds,

@@ -10,18 +10,15 @@ from scipy.stats import norm
 
 import mmwave_env  # noqa: F401  registers the environment
 from experiments import evaluation
+from experiments.comparison import compare, references
 from experiments.evaluation import (
-    RESAMPLES,
-    bootstrap,
-    bootstrap_ratio,
-    compare,
     contender_from,
     contenders,
     draw_episodes,
     evaluate,
-    references,
     score,
 )
+from experiments.intervals import RESAMPLES, bootstrap, bootstrap_ratio
 from mmwave_env.estimator.modes import modes_from
 from mmwave_env.metrics import METRICS
 from mmwave_env.radio import RADIOS

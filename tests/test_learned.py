@@ -287,7 +287,7 @@ def renamed():
         (Pipeline(MODES, Layout()), "prior",
          "observation='full', found 'prior'; .*modes=policy.modes, observation='full'"),
         (Pipeline(MODES, Layout(odometry=True)), "full",
-         rf"{FEATURES} features .*0.1.0, found {FEATURES + 3} .*anchors.*odometry.*train it again"),
+         rf"{FEATURES} features .*0.1.0, found {FEATURES + 4} .*anchors.*odometry.*train it again"),
     ],
 )  # fmt: skip
 def test_another_environment_is_refused(make, tmp_path, pipeline, kind, message):

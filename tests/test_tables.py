@@ -11,7 +11,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from experiments.evaluation import Interval, contender_from, score
+from experiments.evaluation import contender_from, score
+from experiments.intervals import Interval
 from experiments.paper.bench import Bench, Section, Setting, track
 from experiments.paper.claims import contradictions, resolution
 from experiments.tables import FIELDS, Args, main

@@ -25,7 +25,7 @@ CONFIGURATIONS = {
         "episode_steps": 18, "terminate_on_divergence": True, "scenario": "vehicle",
         "modes": MODES[:1],  # which loses a vehicle
     },
-    "flat": {"episode_steps": 5, "planar": True, "odometry": True, "dt": 0.5, "modes": MODES[:1]},
+    "flat": {"episode_steps": 5, "planar": True, "dt": 0.5, "modes": MODES[:1]},
 }  # fmt: skip
 
 
@@ -131,8 +131,8 @@ def test_what_is_missing_is_named():
     env = make()
     env.reset(seed=0)
     state = env.state()
-    del state["steps"]
-    with pytest.raises(ValueError, match=r"steps of the state: found nothing, expected \(9,\)"):
+    del state["over"]
+    with pytest.raises(ValueError, match=r"over of the state: found nothing, expected \(9,\)"):
         env.restore(state)
 
 

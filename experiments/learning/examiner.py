@@ -6,14 +6,8 @@ from typing import Any
 
 import numpy as np
 
-from experiments.evaluation import (
-    Contender,
-    Scores,
-    bootstrap,
-    contender_from,
-    draw_episodes,
-    score,
-)
+from experiments.evaluation import Contender, Scores, contender_from, draw_episodes, score
+from experiments.intervals import bootstrap
 from experiments.learning.world import Task
 from experiments.options import TUNING_SEED
 from mmwave_env.radio import radio_from

@@ -2,6 +2,7 @@
 
 import json
 import multiprocessing
+import os
 import signal
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
@@ -68,6 +69,7 @@ def side_by_side(
 def _started(job: Job) -> tuple[Connection, BaseProcess]:
     """A process that trains, and the line on which it tells."""
     spawn = multiprocessing.get_context("spawn")  # a fork would share PyTorch's locks
+    os.environ["OPENBLAS_NUM_THREADS"] = "1"  # or the trainings are in each other's way
     ours, theirs = spawn.Pipe(duplex=False)
     process = spawn.Process(target=_train, args=(job, theirs), daemon=True)
     with _deaf_to_interrupts(), theirs:

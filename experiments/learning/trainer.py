@@ -25,7 +25,9 @@ from policies.policy_file import Card, to_bytes
 
 TRAINING_SEED = 10_000_000  # of the first training; each has a million of its own
 SEEDS_EACH = 1_000_000
-EARLY, LATER = 2, 16  # updates between two looks, until the policy beats the rule and after
+# Updates between two rows of the journal, and between two looks: until the rule is beaten, and
+# after that.
+LOG, EARLY, LATER = 4, 2, 16
 
 LOGGED = ("ate_m", "rmse_m", "mean_nees", "in_bounds", "divergence", "smoothed_ate_m")
 PACKAGES = ("gymnasium", "numpy", "numba", "torch", "stable-baselines3", "sb3-contrib")
@@ -104,9 +106,10 @@ class Training(BaseCallback):
             self._restore(stand.pop("learner"))
             self._world.restore(with_arrays(stand.pop("world")))
         left = job.timesteps - model.num_timesteps
-        model.learn(left, self, reset_num_timesteps=not model.num_timesteps)
+        fresh = not model.num_timesteps
+        model.learn(left, self, log_interval=None, reset_num_timesteps=fresh)  # it counts anew
         self._look()
-        self.logger.dump(model.num_timesteps)
+        model.dump_logs()
         model.save(job.folder / "model.zip")
         self._world.normal.save(str(job.folder / "normalisation.pkl"))
         self._journal.close()
@@ -133,7 +136,8 @@ class Training(BaseCallback):
         if update:
             if update % (LATER if stand["beat_rule"] else EARLY) == 0:
                 self._look()
-            self.logger.dump(model.num_timesteps)
+            if update % LOG == 0:
+                model.dump_logs()
             if update % self._job.checkpoint_every == 0:
                 self._save()
         self._tell(model.num_timesteps, "")
@@ -148,12 +152,13 @@ class Training(BaseCallback):
 
     def _on_rollout_end(self) -> None:
         for key in LOGGED if self._ended else ():
-            self.logger.record(f"rollout/{key}", float(np.mean([i[key] for i in self._ended])))
+            mean = float(np.mean([info[key] for info in self._ended]))
+            self.logger.record_mean(f"rollout/{key}", mean)
         self._ended.clear()
         actions = self._learner.rollout_buffer.actions.astype(np.int64).ravel()
         names = [mode.name for mode in self._job.task.modes]
         for name, n in zip(names, np.bincount(actions, minlength=len(names)), strict=True):
-            self.logger.record(f"share/{name}", n / len(actions))
+            self.logger.record_mean(f"share/{name}", n / len(actions))
         self.logger.record("seconds", self._seconds())
 
     def _look(self) -> None:
@@ -207,6 +212,8 @@ class Training(BaseCallback):
             "lstm": [list(pair) for pair in getattr(model, "_last_lstm_states", None) or ()],
             "torch": torch.get_rng_state(), "numpy": [kind, keys, *rest],
             "episodes": list(model.ep_info_buffer or ()),
+            "pending": {k: float(v) for k, v in model.logger.name_to_value.items()},
+            "counts": dict(model.logger.name_to_count),
         }  # fmt: skip
 
     def _restore(self, state: dict[str, Any]) -> None:
@@ -220,6 +227,8 @@ class Training(BaseCallback):
         if state["lstm"]:
             model._last_lstm_states = RNNStates(*(tuple(pair) for pair in state["lstm"]))
         model.ep_info_buffer.extend(state["episodes"])
+        model.logger.name_to_value.update(state["pending"])
+        model.logger.name_to_count.update(state["counts"])
         torch.set_rng_state(state["torch"])
         kind, keys, *rest = state["numpy"]
         np.random.set_state((kind, keys.numpy(), *rest))  # noqa: NPY002

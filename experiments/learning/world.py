@@ -189,6 +189,6 @@ class World:
         seen.mean, seen.var = state["normal"]["mean"], state["normal"]["var"]
         seen.count = float(state["normal"]["count"])
         if self._paired is not None:
-            self._paired.begin(state["env"]["steps"])
+            self._paired.begin(state["env"]["epoch"] - 1)  # the last one loaded is to be acted on
         if self._stack is not None:
             self._stack.stacked_obs.stacked_obs[:] = state["stack"]["of"]

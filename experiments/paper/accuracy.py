@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from experiments.evaluation import bootstrap
+from experiments.intervals import bootstrap
 from experiments.paper.bench import Bench, Cell, Errors, Section, Setting
 from experiments.paper.published import HIGH_MOBILITY, LOW_MOBILITY
 from mmwave_env.estimator.modes import robust

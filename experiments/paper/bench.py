@@ -8,7 +8,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from experiments.evaluation import Interval, Scores, draw_episodes
+from experiments.evaluation import Scores, draw_episodes
+from experiments.intervals import Interval
 from experiments.markdown import grid, rounded
 from mmwave_env.episode import Episode
 from mmwave_env.estimator.algebra import unpack

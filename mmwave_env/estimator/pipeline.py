@@ -30,6 +30,7 @@ CORRECTION_MEMORY = 0.8
 PREFERENCE_MEMORY = (0.6, 0.85)  # weights of the past in averages of log-likelihood differences
 PREFERENCE_LIMIT = 30.0
 SNR_MEMORY = 0.95
+SPREAD_MEMORY = 0.8
 SNR_UNSEEN_DB = -100.0  # slow mean of a link that was never seen
 BLOCKAGE_ONSET_DB, BLOCKAGE_SLOPE_DB, BLOCKAGE_DEPTH, BLOCKAGE_GAIN = 6.0, 6.0, 3.0, 3.0
 VERTICAL = (2, 5)  # z and vz, which flat terrain pins
@@ -86,6 +87,7 @@ class Memory(NamedTuple):
         correction: (2,) average correction of the position along and across the velocity, m.
         unfixed_s: seconds since a link was last accepted.
         snr_mean_db: (L,) slow mean SNR per link.
+        spread_average_hz: slow average of the Doppler spread.
         preference: (2, modes) fast and slow average of each mode's log-likelihood minus the
             last mode's.
     """
@@ -101,6 +103,7 @@ class Memory(NamedTuple):
     correction: list[Number]
     unfixed_s: Number
     snr_mean_db: list[Number]
+    spread_average_hz: Number
     preference: list[list[Number]]
 
 
@@ -188,6 +191,7 @@ def start(pipeline: Pipeline) -> Memory:
         correction=[0.0, 0.0],
         unfixed_s=0.0,
         snr_mean_db=[SNR_UNSEEN_DB] * anchors,
+        spread_average_hz=0.0,
         preference=[[0.0] * len(pipeline.modes) for _ in PREFERENCE_MEMORY],
     )
 
@@ -260,12 +264,12 @@ def consider(
     )
     x_predicted = [x[i] if i in pipeline.pinned else v for i, v in enumerate(x_predicted)]
     if mode.widen_p or mode.widen_v:
-        widening = [mode.widen_p**2] * 3 + [mode.widen_v**2] * 3 + [0.0]
+        p, v = mode.widen_p**2, mode.widen_v**2
+        extra = (p, p, 0.0, v, v, 0.0, 0.0)
         P_predicted = [
-            [value + (widening[i] if i == j and i not in pipeline.pinned else 0.0)
-             for j, value in enumerate(row)]
+            [value + extra[i] if i == j else value for j, value in enumerate(row)]
             for i, row in enumerate(P_predicted)
-        ]  # fmt: skip
+        ]
     force = 0.0
     if mode.recovery is not None:
         force = where(memory.lockout > mode.recovery - 0.5, 1.0, 0.0)
@@ -294,7 +298,7 @@ def _passed(mode: Mode, after: Posterior, layout: Layout) -> Number:
 
 
 def anticipate(memory: Memory, candidates: Sequence[Candidate], epoch: Epoch) -> Memory:
-    """Remember what the coming epoch shows before any mode is chosen: SNR and preferences."""
+    """Remember what the coming epoch shows before any mode is chosen."""
     snr = [
         where(
             seen > 0.5,
@@ -311,7 +315,9 @@ def anticipate(memory: Memory, candidates: Sequence[Candidate], epoch: Epoch) ->
             now = clip(candidate.log_likelihood - reference, -PREFERENCE_LIMIT, PREFERENCE_LIMIT)
             row.append(keep * old + (1.0 - keep) * now)
         preference.append(row)
-    return memory._replace(snr_mean_db=snr, preference=preference)
+    spread = SPREAD_MEMORY * memory.spread_average_hz
+    spread = spread + (1.0 - SPREAD_MEMORY) * epoch.doppler_spread_hz
+    return memory._replace(snr_mean_db=snr, spread_average_hz=spread, preference=preference)
 
 
 def commit(

@@ -1,0 +1,80 @@
+"""Contenders compared: all saw the same episodes, so differences are paired."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from experiments.evaluation import Scores
+from experiments.intervals import Array, Interval, bootstrap
+from mmwave_env.metrics import METRICS
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """Contenders on one source of episodes.
+
+    Attributes:
+        scenario, radio, episodes, seed: what was run.
+        policies: per contender and metric.
+        paired: the same for differences "A - B", episode by episode.
+    """
+
+    scenario: str
+    radio: str
+    episodes: int
+    seed: int
+    policies: dict[str, dict[str, Interval]]
+    paired: dict[str, dict[str, Interval]]
+
+    @property
+    def json(self) -> dict[str, Any]:
+        """As results files hold it."""
+
+        def table(rows: dict[str, dict[str, Interval]]) -> dict[str, Any]:
+            return {k: {m: i.json for m, i in row.items()} for k, row in rows.items()}
+
+        return {
+            "scenario": self.scenario, "radio": self.radio, "episodes": self.episodes,
+            "seed": self.seed, "policies": table(self.policies), "paired": table(self.paired),
+        }  # fmt: skip
+
+
+def references(scores: dict[str, Scores]) -> list[str]:
+    """What others are compared with: best fixed mode by reward, the paper's rule, the IMM."""
+    fixed = [name for name in scores if name.startswith("fixed-")]
+    best = max(fixed, key=lambda name: scores[name]["reward"].mean(), default=None)
+    return [name for name in (best, "speed-rule", "imm") if name is not None and name in scores]
+
+
+def rivals(scores: dict[str, Scores]) -> list[str]:
+    """What learned switchers are compared with: the references and every other IMM."""
+    return [*references(scores), *(name for name in scores if name.startswith("imm-"))]
+
+
+def compare(scores: dict[str, Scores], learned: Sequence[str] = (), **what: Any) -> Comparison:
+    """Intervals of every contender, and paired differences against the references.
+
+    Args:
+        scores: of :func:`evaluate`.
+        learned: contenders to compare with every IMM.
+        what: the other attributes of :class:`Comparison`.
+    """
+    metrics = list(METRICS)
+
+    def rows(table: dict[str, Array]) -> dict[str, dict[str, Interval]]:
+        intervals = bootstrap(np.concatenate(list(table.values()), axis=1))
+        return {
+            name: dict(zip(metrics, intervals[i * len(metrics) :], strict=False))
+            for i, name in enumerate(table)
+        }
+
+    stacked = {name: np.stack([s[m] for m in metrics], axis=1) for name, s in scores.items()}
+    pairs, everyones = {}, references(scores)
+    for reference in rivals(scores) if learned else everyones:
+        for name in scores if reference in everyones else learned:
+            if name != reference:
+                pairs[f"{name} - {reference}"] = stacked[name] - stacked[reference]
+    paired = rows(pairs) if pairs else {}
+    return Comparison(policies=rows(stacked), paired=paired, **what)

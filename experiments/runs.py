@@ -1,0 +1,67 @@
+"""Folders of ``mmwave-loc train``: one policy a training seed."""
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+
+@dataclass(frozen=True)
+class Run:
+    """The trainings of a run, best first by their reward on tuning seeds.
+
+    Attributes:
+        name: the folder, as on the command line and in results.
+        seeds: numbers of the trainings.
+        median: the one that stands for them all.
+    """
+
+    name: str
+    seeds: tuple[int, ...]
+    median: int
+
+    @classmethod
+    def read(cls, name: str) -> "Run":
+        """The run in a folder.
+
+        Raises:
+            ValueError: naming the file and what is wrong in it.
+            FileNotFoundError: no run, or one that is not over.
+        """
+        path = Path(name) / "summary.json"
+        if not path.is_file():
+            raise FileNotFoundError(
+                f"{path}: found no file, expected the summary of a run that is over; "
+                "mmwave-loc train --resume goes on with one that is not"
+            )
+        try:
+            summary: Any = json.loads(path.read_text(encoding="utf-8"))
+            seeds = tuple(outcome["seed"] for outcome in summary["seeds"])
+            median = summary["median"]
+        except (ValueError, KeyError, TypeError) as error:
+            raise ValueError(f"{path}: not the summary of a run: {error!r}") from error
+        numbers = {seed for seed in seeds if type(seed) is int}
+        if not seeds or len(numbers) < len(seeds):
+            raise ValueError(f"{path}: seeds: found {list(seeds)}, expected different numbers")
+        if median not in seeds:
+            raise ValueError(f"{path}: median: found {median!r}, expected one of {list(seeds)}")
+        return cls(name, seeds, median)
+
+    @property
+    def policies(self) -> list[str]:
+        """The policy file of every training."""
+        return [self._policy(seed) for seed in self.seeds]
+
+    @property
+    def policy(self) -> str:
+        """That of the median one."""
+        return self._policy(self.median)
+
+    def _policy(self, seed: int) -> str:
+        return str(Path(self.name) / f"seed-{seed}" / "policy.safetensors")
+
+
+def trainings(names: Sequence[str], runs: Mapping[str, Run]) -> list[str]:
+    """Names of contenders with the policy files of all trainings in place of runs."""
+    return [file for name in names for file in (runs[name].policies if name in runs else [name])]

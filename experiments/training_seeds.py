@@ -1,0 +1,184 @@
+"""How much a learned switcher owes to the seed of its training (Agarwal et al. 2021).
+
+As in rliable, the interquartile mean and the performance profile are of the matrix of runs and
+tasks: here a run is a training, and a task is an episode, the same for all of them.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from experiments.comparison import rivals
+from experiments.evaluation import Scores
+from experiments.files import beside
+from experiments.intervals import (
+    Array,
+    Interval,
+    bootstrap,
+    crossed_bootstrap,
+    interquartile_mean,
+    mean,
+    share_above,
+)
+from experiments.markdown import grid
+from experiments.runs import Run
+
+LEVELS = 81  # of a performance profile
+
+
+@dataclass(frozen=True)
+class Figure:
+    """A number per episode, such as the reward, of all trainings of a run.
+
+    Attributes:
+        each: its mean per training, over episodes.
+        mean, iqm: mean and interquartile mean over trainings and episodes.
+        levels: (k,) increasing.
+        above: (3, k) share of pairs of training and episode above each level, and low and high
+            ends of its intervals.
+    """
+
+    each: tuple[Interval, ...]
+    mean: Interval
+    iqm: Interval
+    levels: Array
+    above: Array
+
+    @classmethod
+    def of(cls, scores: Array, levels: Array) -> "Figure":
+        """From scores (trainings, episodes)."""
+        centre, iqm, above = crossed_bootstrap(
+            scores, mean, interquartile_mean, share_above(levels)
+        )
+        return cls(
+            tuple(bootstrap(scores.T)),
+            Interval(*map(float, centre)),
+            Interval(*map(float, iqm)),
+            levels,
+            np.clip(above, 0.0, 1.0),
+        )
+
+    @property
+    def wins(self) -> int:
+        """How many trainings have an interval above zero."""
+        return sum(interval.low > 0.0 for interval in self.each)
+
+    def json(self, seeds: Sequence[int]) -> dict[str, Any]:
+        """As results files hold it."""
+        ends = dict(zip(("share", "low", "high"), self.above.tolist(), strict=True))
+        return {
+            "seeds": {str(s): each.json for s, each in zip(seeds, self.each, strict=True)},
+            "above_zero": self.wins, "mean": self.mean.json, "interquartile_mean": self.iqm.json,
+            "profile": {"above": self.levels.tolist(), **ends},
+        }  # fmt: skip
+
+
+@dataclass(frozen=True)
+class TrainingSeeds:
+    """A run, and what its trainings gain over others.
+
+    Attributes:
+        run: its trainings.
+        reward: of them.
+        minus: per rival, the reward minus the rival's, episode by episode.
+        best_imm: the IMM with the best reward, or None.
+    """
+
+    run: Run
+    reward: Figure
+    minus: dict[str, Figure]
+    best_imm: str | None
+
+    @property
+    def json(self) -> dict[str, Any]:
+        """As results files hold it."""
+        seeds = self.run.seeds
+        return {
+            "median": self.run.median, "best_imm": self.best_imm,
+            "reward": self.reward.json(seeds),
+            "minus": {rival: figure.json(seeds) for rival, figure in self.minus.items()},
+        }  # fmt: skip
+
+
+def over_training_seeds(
+    runs: Mapping[Run, Sequence[Scores]], scores: dict[str, Scores]
+) -> list[TrainingSeeds]:
+    """Runs, and what they gain over the contenders that learned switchers are compared with.
+
+    Args:
+        runs: scores of every training, in the order of the run.
+        scores: of the contenders, on the same episodes.
+    """
+    rewards = {run: np.stack([s["reward"] for s in trained]) for run, trained in runs.items()}
+    baselines = {rival: scores[rival]["reward"] for rival in rivals(scores)}
+    imms = [rival for rival in baselines if rival.startswith("imm")]
+    best_imm = max(imms, key=lambda imm: float(baselines[imm].mean()), default=None)
+
+    def figures(differences: dict[Run, Array]) -> dict[Run, Figure]:
+        """On common levels, so that profiles can be compared."""
+        pooled = np.concatenate([d.ravel() for d in differences.values()])
+        low, high = np.percentile(pooled, [1.0, 99.0])
+        levels = np.linspace(low, high, LEVELS)
+        return {run: Figure.of(d, levels) for run, d in differences.items()}
+
+    reward = figures(rewards)
+    minus = {
+        rival: figures({run: r - baseline for run, r in rewards.items()})
+        for rival, baseline in baselines.items()
+    }
+    return [
+        TrainingSeeds(run, reward[run], {r: table[run] for r, table in minus.items()}, best_imm)
+        for run in runs
+    ]
+
+
+def seeds_markdown(found: TrainingSeeds) -> str:
+    """A run as Markdown: every training, then all of them."""
+    run, columns = found.run, [found.reward, *found.minus.values()]
+    best = {found.best_imm: " (best IMM)"}
+    header = ["training seed", "reward", *(f"minus {r}{best.get(r, '')}" for r in found.minus)]
+    titles = {run.median: f"{run.median} (median)"}
+    rows = [
+        [titles.get(seed, str(seed)), *(str(column.each[i]) for column in columns)]
+        for i, seed in enumerate(run.seeds)
+    ]
+    wins = [f"{figure.wins} of {len(run.seeds)}" for figure in found.minus.values()]
+    rows += [
+        ["intervals above zero", "", *wins],
+        ["mean over seeds", *(str(column.mean) for column in columns)],
+        ["interquartile mean", *(str(column.iqm) for column in columns)],
+    ]
+    about = (
+        f"Over training seeds, {run.name}, best on tuning seeds first; 95 % intervals, of one seed "
+        "over episodes, of all over seeds and episodes:"
+    )
+    return f"\n{about}\n\n{grid(header, rows)}\n"
+
+
+def draw_profiles(found: Sequence[TrainingSeeds], path: Path) -> None:
+    """Performance profiles as PNG: how often runs gain more than so much, a panel a rival."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure as Picture
+
+    panels = list(found[0].minus)
+    picture = Picture(figsize=(1.0 + 3.6 * len(panels), 4.0), layout="constrained")
+    FigureCanvasAgg(picture)
+    row = picture.subplots(1, len(panels), sharey=True, squeeze=False)[0]
+    for axes, rival in zip(row, panels, strict=True):
+        for one in found:
+            figure = one.minus[rival]
+            share, low, high = figure.above
+            (line,) = axes.plot(figure.levels, share, label=one.run.name)
+            axes.fill_between(figure.levels, low, high, color=line.get_color(), alpha=0.2, lw=0.0)
+        axes.axvline(0.0, color="black", lw=0.8)
+        axes.axhline(0.5, color="black", lw=0.8, ls=":")
+        axes.set(xlabel=f"reward more than {rival}'s by", ylim=(0.0, 1.0))
+        axes.margins(x=0.0)
+        axes.grid(alpha=0.3)
+    row[0].set_ylabel("share of training seeds and episodes")
+    row[-1].legend(loc="upper right", frameon=False)
+    with beside(path) as temporary:
+        picture.savefig(temporary, dpi=120)
