@@ -17,7 +17,7 @@ import torch
 
 from experiments.cli import run
 from experiments.files import write_json
-from experiments.learning import world
+from experiments.learning import world as worlds
 from experiments.learning.checkpoint import read_checkpoint, with_arrays, write_checkpoint
 from experiments.learning.journal import Journal
 from experiments.learning.network import actor_of, learner
@@ -59,6 +59,12 @@ RECIPES = {
 def content(recipe=RECIPE):
     """A recipe as its file holds it."""
     return asdict(recipe) | {"hidden": list(recipe.hidden)}
+
+
+@pytest.fixture(autouse=True)
+def one_thread():
+    """As in a training; also, threads would not survive the forks of other tests."""
+    torch.set_num_threads(1)
 
 
 # --- the world
@@ -136,7 +142,7 @@ def test_a_critic_sees_the_truth_at_ends_too():
 
 def test_a_critic_sees_a_user_at_rest():
     truth = np.array([[1.0, 2.0, 3.0, 0.0, 0.0, 0.0]])
-    found = world._wrong(truth + 1.0, truth)
+    found = worlds._wrong(truth + 1.0, truth)
     np.testing.assert_array_equal(found, [[1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 0.0]])
 
 
@@ -291,7 +297,7 @@ def test_without_the_extra_it_says_what_to_install(package, tmp_path):
         "import sys\n"
         "class Missing:\n"
         "    def find_spec(self, name, path=None, target=None):\n"
-        f"        if name == {package!r}: raise ModuleNotFoundError(f'No module named {{name!r}}')\n"
+        f"        if name == {package!r}: raise ModuleNotFoundError('No module named ' + name)\n"
         "sys.meta_path.insert(0, Missing())\n"
         "from experiments.cli import run\n"
         f"run('train', ['--out', {str(tmp_path / 'run')!r}])\n"
