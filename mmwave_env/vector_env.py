@@ -21,6 +21,7 @@ from mmwave_env.metrics import DIVERGENCE_M
 from mmwave_env.names import choose
 from mmwave_env.replay import Replay
 from mmwave_env.setting import setting_from
+from mmwave_env.simulation import SimulatedSource
 from mmwave_env.threads import portions, share
 
 Array = NDArray[np.float64]
@@ -294,11 +295,7 @@ class MmWaveLocVectorEnv(gym.vector.VectorEnv[Observations, Index, NDArray[Any]]
         """
         if not self._begun:
             raise ResetNeeded("Call reset before state: there is no episode under way.")
-        if not self._setting.simulated:
-            raise ValueError(
-                "state: found episodes of a source of your own, expected simulated ones; what "
-                "such a source remembers is not known here"
-            )
+        self._require_simulated("state")
         tracks = self.batch.tracks
         return {
             "rows": tracks.rows.copy(), "table": tracks.table.copy(),
@@ -314,16 +311,22 @@ class MmWaveLocVectorEnv(gym.vector.VectorEnv[Observations, Index, NDArray[Any]]
             state: of an environment with the same arguments.
 
         Raises:
-            ValueError: that of an environment with others.
+            ValueError: that of an environment with others, as far as its arrays show; or
+                episodes come from a source that is given whole generators.
         """
-        tracks = self.batch.tracks
-        for name, expected in (
-            ("rows", tracks.rows.shape), ("length", tracks.length.shape),
-        ):  # fmt: skip
-            if state[name].shape != expected:
+        self._require_simulated("restore")
+        n, tracks = self.num_envs, self.batch.tracks
+        epochs = cast(SimulatedSource, self.source).epochs
+        for name, expected in {
+            "rows": tracks.rows.shape, "table": (n, epochs, tracks.table.shape[2]),
+            "length": (n,), "epoch": (n,), "generators": (n, 4), "over": (n,),
+            "actions": (epochs, n),
+        }.items():  # fmt: skip
+            found = state[name].shape if name in state else "nothing"
+            if found != expected:
                 raise ValueError(
-                    f"{name} of the state: found {state[name].shape}, expected {expected}, as in "
-                    "an environment with the same num_envs and arguments"
+                    f"{name} of the state: found {found}, expected {expected}, as in an "
+                    "environment with the same arguments"
                 )
         tracks.rows[:], tracks.length[:] = state["rows"], state["length"]
         tracks.epoch[:] = state["epoch"]
@@ -335,3 +338,10 @@ class MmWaveLocVectorEnv(gym.vector.VectorEnv[Observations, Index, NDArray[Any]]
             self._history.note(actions)
         self._over, self._ended = state["over"].copy(), int(np.count_nonzero(state["over"]))
         self._begun = True
+
+    def _require_simulated(self, what: str) -> None:
+        if not self._setting.simulated:
+            raise ValueError(
+                f"{what}: found episodes of a source of your own, or recorded ones, expected "
+                "simulated ones; what such a source remembers is not known here"
+            )

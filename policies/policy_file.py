@@ -3,7 +3,8 @@
 Tensors, float32; the actor is the network that chooses:
 
 - ``low``, ``high`` (features,): observations are clipped to them. Training normalises, too,
-  which is folded into the first weights;
+  which is folded into the first weights. Of an actor that sees several frames at once, those
+  before an episode begins are the middle of these bounds;
 - ``layer.0.weight`` (out, in), ``layer.0.bias`` (out,), ``layer.1.weight``, ...: an MLP with
   tanh between its layers. ``in`` of the first is features times frames, ``out`` of the last the
   number of modes;

@@ -25,9 +25,9 @@ from policies.policy_file import Card, to_bytes
 
 TRAINING_SEED = 10_000_000  # of the first training; each has a million of its own
 SEEDS_EACH = 1_000_000
-# Updates between two rows of the journal, two looks (until the rule is beaten, and after that)
-# and two checkpoints.
-LOG, EARLY, LATER, CHECKPOINT = 4, 2, 16, 32
+# Updates between two rows of the journal, and between two looks: until the rule is beaten, and
+# after that.
+LOG, EARLY, LATER = 4, 2, 16
 
 LOGGED = ("ate_m", "rmse_m", "mean_nees", "in_bounds", "divergence", "smoothed_ate_m")
 PACKAGES = ("gymnasium", "numpy", "numba", "torch", "stable-baselines3", "sb3-contrib")
@@ -46,6 +46,7 @@ class Job:
         timesteps: epochs to train for, in all environments together.
         folder: for all that is written.
         command: that makes the policy file.
+        checkpoint_every: updates between two checkpoints.
     """
 
     task: Task
@@ -55,6 +56,7 @@ class Job:
     timesteps: int
     folder: Path
     command: str
+    checkpoint_every: int
 
     @property
     def outcome(self) -> Path:
@@ -73,6 +75,9 @@ class Training(BaseCallback):
     Args:
         job: what to do; goes on where a checkpoint in its folder stands.
         tell: takes the number of epochs trained for and what is new.
+
+    Raises:
+        ValueError: the checkpoint is damaged.
     """
 
     def __init__(self, job: Job, tell: Tell) -> None:
@@ -80,16 +85,16 @@ class Training(BaseCallback):
         self._begun_s = time.monotonic()
         torch.set_num_threads(1)  # networks this small gain nothing from more
         self._job, self._tell = job, tell
-        self._world = World(job.task, job.recipe)
-        seed = TRAINING_SEED + SEEDS_EACH * job.seed
-        self._learner = learner(self._world, job.recipe, seed)
-        self._examiner = Examiner(job.task)
         self._checkpoint = job.folder / "checkpoint.pt"
         self._stand: dict[str, Any] = {
             "update": -1, "best": None, "beat_rule": None, "seconds": 0.0, "rows": [],
         }  # fmt: skip
         if self._checkpoint.exists():
             self._stand = read_checkpoint(self._checkpoint)
+        self._world = World(job.task, job.recipe)
+        seed = TRAINING_SEED + SEEDS_EACH * job.seed
+        self._learner = learner(self._world, job.recipe, seed)
+        self._examiner = Examiner(job.task)
         self._journal = Journal(job.folder, self._stand["rows"])
         self._ended: list[dict[str, Any]] = []
 
@@ -102,9 +107,11 @@ class Training(BaseCallback):
             self._world.restore(with_arrays(stand.pop("world")))
         left = job.timesteps - model.num_timesteps
         fresh = not model.num_timesteps
-        model.learn(left, self, log_interval=LOG, reset_num_timesteps=fresh)
+        model.learn(left, self, log_interval=None, reset_num_timesteps=fresh)  # it counts anew
         self._look()
+        model.dump_logs()
         model.save(job.folder / "model.zip")
+        self._world.normal.save(str(job.folder / "normalisation.pkl"))
         self._journal.close()
         outcome = {
             "seed": job.seed, "timesteps": model.num_timesteps,
@@ -126,10 +133,13 @@ class Training(BaseCallback):
         if update == stand["update"]:
             return  # the checkpoint that this training goes on from
         stand["update"] = update
-        if update and update % (LATER if stand["beat_rule"] else EARLY) == 0:
-            self._look()
-        if update and update % CHECKPOINT == 0:
-            self._save()
+        if update:
+            if update % (LATER if stand["beat_rule"] else EARLY) == 0:
+                self._look()
+            if update % LOG == 0:
+                model.dump_logs()
+            if update % self._job.checkpoint_every == 0:
+                self._save()
         self._tell(model.num_timesteps, "")
 
     def _done(self) -> float:
@@ -149,6 +159,7 @@ class Training(BaseCallback):
         names = [mode.name for mode in self._job.task.modes]
         for name, n in zip(names, np.bincount(actions, minlength=len(names)), strict=True):
             self.logger.record_mean(f"share/{name}", n / len(actions))
+        self.logger.record("seconds", self._seconds())
 
     def _look(self) -> None:
         """Examine the policy, and keep it if it is the best so far."""

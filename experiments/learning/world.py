@@ -17,8 +17,10 @@ from experiments.learning.recipe import Recipe
 from mmwave_env.estimator.modes import Mode, default_modes
 from mmwave_env.estimator.pipeline import Pipeline
 from mmwave_env.imm_engine import ImmEngine
+from mmwave_env.observation import Observation
 from mmwave_env.reward import Reward
 from mmwave_env.sb3 import Infos, SB3VecEnv
+from mmwave_env.setting import setting_from
 from mmwave_env.vector_env import MmWaveLocVectorEnv
 
 Array = NDArray[Any]
@@ -34,6 +36,9 @@ class Task:
         scenario, radio, observation: names.
         modes: to choose from.
         reward: function of (belief, truth).
+
+    Raises:
+        ValueError: one that means nothing; the message says what would.
     """
 
     scenario: str
@@ -41,6 +46,10 @@ class Task:
     modes: tuple[Mode, ...]
     observation: str
     reward: Reward
+
+    def __post_init__(self) -> None:
+        setting = setting_from(self.scenario, self.radio, modes=self.modes, reward=self.reward)
+        Observation(setting.pipeline, self.observation)
 
 
 class PairedReward(VecEnvWrapper):
