@@ -83,7 +83,7 @@ def test_random_walks_agree_with_looking_back_and_ahead():
 
 
 SOURCE = SimulatedSource(SCENES["street"], RADIOS["handset"], "vehicle", epochs=T)
-NAMES = {"speed-rule": "speed-rule", "imm": "imm", "fixed-ukf": "fixed-ukf", "random": "chance"}
+NAMES = ("speed-rule", "imm", "fixed-ukf", "random")
 
 
 @pytest.fixture(scope="module")
@@ -107,7 +107,7 @@ def told():
 
 def collected(episodes, told, *parts):
     """Decisions of all contenders, told in parts."""
-    decisions = Decisions({file: name for file, name in NAMES.items() if file != "random"})
+    decisions = Decisions({name: name for name in NAMES if name != "random"})
     for part in parts or (slice(None),):
         for name, table in told.items():
             some = {key: values[part] for key, values in table.items()}
@@ -147,9 +147,12 @@ def test_parts_add_up_to_the_whole(episodes, told):
 
 
 def test_contenders_have_the_name_they_are_shown_with(episodes, told):
-    decisions = Decisions({"random": "chance"})
-    decisions.add(contender_from("random", "handset"), episodes, told["random"])
-    assert list(decisions.json["stop"]["share"]["chance"]) == ["ekf", "ukf"]
+    decisions = Decisions({"speed-rule": "random", "imm": "imm"})
+    for name in ("speed-rule", "imm"):
+        decisions.add(contender_from(name, "handset"), episodes, told[name])
+    content = decisions.json["stop"]
+    assert list(content["error_m"]) == ["random", "imm"]
+    assert list(content["share"]) == ["random"]  # whatever its name, a rule decides
 
 
 def test_without_events_there_are_no_numbers(episodes, told, tmp_path):
