@@ -1,17 +1,15 @@
 """mmwave-loc train: switchers that learn, on several training seeds."""
 
 import json
-import multiprocessing
 import os
 import shutil
-from collections.abc import Iterator
-from concurrent.futures import ProcessPoolExecutor
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from threading import Thread
 from typing import Any, Literal
 
+from rich.console import Console
 from rich.progress import Progress, TimeElapsedColumn
 
 from experiments.cli import run
@@ -19,7 +17,7 @@ from experiments.files import write_bytes, write_json
 from experiments.learning.recipe import Recipe, read_recipe, shipped_recipe
 from experiments.markdown import grid
 from experiments.options import command_line
-from mmwave_env.estimator.modes import as_written, modes_from
+from mmwave_env.estimator.modes import Mode, as_written, modes_from
 from mmwave_env.names import choose
 from mmwave_env.reward import REWARDS
 
@@ -48,6 +46,8 @@ class Args:
     """a JSON file in place of the algorithm's own, experiments/learning/ppo.json"""
     jobs: int = min(2, os.cpu_count() or 1)
     """how many trainings at once"""
+    checkpoint_every: int = 32
+    """updates of a training after which it could go on from where it stands"""
     out: Path = Path("runs/train")
     """folder of the run: a folder a seed, policy.safetensors (the median seed) and summary.json"""
     resume: bool = False
@@ -55,42 +55,47 @@ class Args:
     overwrite: bool = False
     """replace the run in this folder"""
 
-    def manifest(self) -> dict[str, Any]:
-        """What decides how a run goes on."""
-        modes = modes_from(self.modes or None, self.radio)
+    def recipe(self) -> Recipe:
+        """The hyperparameters.
+
+        Raises:
+            ValueError: those of another algorithm.
+        """
+        path = self.hyperparameters or shipped_recipe(self.algo)
+        recipe = read_recipe(path)
+        if (recipe.lstm > 0) != (self.algo == "recurrent-ppo"):
+            expected = "0" if self.algo == "ppo" else "1 or more"
+            raise ValueError(
+                f"{path}: lstm: found {recipe.lstm}, expected {expected} for --algo {self.algo}"
+            )
+        return recipe
+
+    def manifest(self, modes: Sequence[Mode], recipe: Recipe) -> dict[str, Any]:
+        """What decides how a run goes on, as JSON holds it."""
         return {
             "command": command_line("train", replace(self, **ASIDE)),
-            "recipe": asdict(self.recipe()), "modes": [as_written(mode) for mode in modes],
-        }  # fmt: skip
-
-    def recipe(self) -> Recipe:
-        """The hyperparameters."""
-        return read_recipe(self.hyperparameters or shipped_recipe(self.algo))
+            "recipe": {**asdict(recipe), "hidden": list(recipe.hidden)},
+            "modes": [as_written(mode) for mode in modes],
+        }
 
 
 # Options that a policy does not depend on: the command in its file leaves them out.
 ASIDE: dict[str, Any] = {
-    "jobs": Args.jobs, "out": Args.out, "resume": False, "overwrite": False,
-}  # fmt: skip
+    name: getattr(Args, name) for name in ("jobs", "checkpoint_every", "out", "resume", "overwrite")
+}
 
 
-def begin(args: Args) -> None:
+def begin(args: Args, manifest: dict[str, Any]) -> None:
     """Make the folder of a run, or make sure that it holds the one to go on with.
 
     Raises:
         ValueError: there is a run already; or none to go on with, or another one.
     """
-    path, expected = args.out / "run.json", json.loads(json.dumps(args.manifest()))
+    path = args.out / "run.json"
     if args.resume:
         if not path.is_file():
             raise ValueError(f"out: found no run in {args.out} to resume")
-        found = json.loads(path.read_text(encoding="utf-8"))
-        for key, value in expected.items():
-            if found.get(key) != value:
-                raise ValueError(
-                    f"{path}: {key}: found {found.get(key)}, expected {value}; resume a run with "
-                    "the options it was started with"
-                )
+        _require_same(path, manifest)
         return
     if args.out.exists() and any(args.out.iterdir()):
         if not args.overwrite:
@@ -101,38 +106,41 @@ def begin(args: Args) -> None:
         if not path.is_file():
             raise ValueError(f"out: found files in {args.out} that are no run, and left them")
         shutil.rmtree(args.out)
-    write_json(path, expected)
+    write_json(path, manifest)
 
 
-def train(job: Any, news: Any) -> dict[str, Any]:
-    """One training, in a process of its own; what it has to tell goes into a queue."""
-    from experiments.learning.trainer import Training
-
-    if job.outcome.is_file():
-        outcome: dict[str, Any] = json.loads(job.outcome.read_text(encoding="utf-8"))
-        return outcome
-    return Training(job, lambda timesteps, what: news.put((job.seed, timesteps, what))).run()
+def _require_same(path: Path, manifest: dict[str, Any]) -> None:
+    """Refuse to go on with the run of another manifest."""
+    try:
+        run = json.loads(path.read_text(encoding="utf-8"))
+        found = {"command": run["command"], "modes": run["modes"], **run["recipe"]}
+    except (ValueError, TypeError, KeyError) as error:
+        raise ValueError(f"{path}: not the manifest of a run; it was damaged") from error
+    expected = {"command": manifest["command"], "modes": manifest["modes"], **manifest["recipe"]}
+    for key, value in expected.items():
+        if found.get(key) != value:
+            raise ValueError(
+                f"{path}: {key}: found {found.get(key)}, expected {value}; resume a run with "
+                "the options it was started with"
+            )
 
 
 @contextmanager
 def shown(jobs: list[Any]) -> Iterator[Any]:
-    """A queue for news of trainings; shown as a bar each, and a line where there is a word."""
-    news = multiprocessing.Manager().Queue()
-    with Progress(*Progress.get_default_columns(), TimeElapsedColumn(), transient=True) as bar:
+    """A bar for each training, on a terminal; the function takes the news of one."""
+    console = Console(stderr=True)
+    with Progress(
+        *Progress.get_default_columns(), TimeElapsedColumn(), console=console, transient=True,
+        disable=not console.is_terminal,
+    ) as bar:  # fmt: skip
         tasks = {job.seed: bar.add_task(f"seed {job.seed}", total=job.timesteps) for job in jobs}
 
-        def show() -> None:
-            while (item := news.get()) is not None:
-                seed, timesteps, what = item
-                bar.update(tasks[seed], completed=timesteps)
-                if what:
-                    bar.console.print(f"seed {seed}, {timesteps} steps: {what}")
+        def tell(job: Any, timesteps: int, what: str) -> None:
+            bar.update(tasks[job.seed], completed=timesteps)
+            if what:
+                console.print(f"seed {job.seed}, {timesteps} steps: {what}", soft_wrap=True)
 
-        viewer = Thread(target=show, daemon=True)
-        viewer.start()
-        yield news
-        news.put(None)
-        viewer.join()
+        yield tell
 
 
 def summary(outcomes: list[dict[str, Any]]) -> str:
@@ -162,41 +170,38 @@ def summary(outcomes: list[dict[str, Any]]) -> str:
 def main(args: Args) -> None:
     """Run the command."""
     try:
+        from experiments.learning.processes import side_by_side
         from experiments.learning.trainer import Job
         from experiments.learning.world import Task
     except ImportError as error:
         raise ValueError(
             f"train needs more than the base install: {error}; pip install 'mmwave-loc[train]'"
         ) from error
-    for name in ("seeds", "total_timesteps", "jobs"):
+    if args.resume and args.overwrite:
+        raise ValueError("overwrite: found it beside resume, expected one of them")
+    for name in ("seeds", "total_timesteps", "jobs", "checkpoint_every"):
         if getattr(args, name) < 1:
             raise ValueError(f"{name}: found {getattr(args, name)}, expected 1 or more")
-    begin(args)
-    modes, command = modes_from(args.modes or None, args.radio), args.manifest()["command"]
-    reward = choose(REWARDS, args.reward, "reward")
-    task = Task(args.scenario, args.radio, modes, args.observation, reward)
+    modes, recipe = modes_from(args.modes or None, args.radio), args.recipe()
+    task = Task(
+        args.scenario, args.radio, modes, args.observation, choose(REWARDS, args.reward, "reward")
+    )
+    manifest = args.manifest(modes, recipe)
     jobs = [
         Job(
-            task,
-            args.recipe(),
-            args.algo,
-            seed,
-            args.total_timesteps,
-            args.out / f"seed-{seed}",
-            command,
+            task, recipe, args.algo, seed, args.total_timesteps, args.out / f"seed-{seed}",
+            manifest["command"], args.checkpoint_every,
         )
         for seed in range(args.seeds)
-    ]
-    spawn = multiprocessing.get_context("spawn")
-    with shown(jobs) as news, ProcessPoolExecutor(args.jobs, spawn) as pool:
-        outcomes = list(pool.map(train, jobs, [news] * len(jobs)))
+    ]  # fmt: skip
+    begin(args, manifest)
+    with shown(jobs) as tell:
+        outcomes = side_by_side(jobs, args.jobs, tell)
     outcomes.sort(key=lambda outcome: -outcome["best"]["reward"])
     median = outcomes[len(outcomes) // 2]
     policy = jobs[median["seed"]].policy
     write_bytes(args.out / "policy.safetensors", policy.read_bytes())
-    write_json(
-        args.out / "summary.json", args.manifest() | {"seeds": outcomes, "median": median["seed"]}
-    )
+    write_json(args.out / "summary.json", manifest | {"seeds": outcomes, "median": median["seed"]})
     print(summary(outcomes))
     print(f"\nthe median seed, {median['seed']}, is {args.out / 'policy.safetensors'}")
 

@@ -5,7 +5,7 @@ from numba.extending import register_jitable
 
 from mmwave_env.estimator.lanes import WIDTH
 from mmwave_env.estimator.program import advance
-from mmwave_env.generators import leave, take
+from mmwave_env.generators import Dice, leave, take
 from mmwave_env.sparing import Sparing
 from mmwave_env.travel import travel
 
@@ -59,13 +59,14 @@ def _draw(rng, out, links, rows):  # type: ignore[no-untyped-def]
 
 @register_jitable
 def _simulate(  # type: ignore[no-untyped-def]
-    dice, plan, dt, stride, move_on, observe, run, start, layout, keep, time_s, kinds, first, prior,
-    tables,
+    rng, memory, states, plan, dt, stride, move_on, observe, run, start, layout, keep, time_s,
+    kinds, first, prior, tables,
 ):  # fmt: skip
     """Draw and simulate episodes, eight at a time, so that their draws stay in a cache.
 
     Args:
-        dice, plan, dt, stride, move_on, observe: see :func:`~mmwave_env.travel.travel`.
+        rng, memory, states: of the dice, which numba takes long to recognise as a tuple.
+        plan, dt, stride, move_on, observe: see :func:`~mmwave_env.travel.travel`.
         run, start: the program, and its workspace (size,) before the first epoch.
         layout: numbers of links, of rows and of columns drawn.
         keep: rows of the workspace that make an epoch of ``tables``.
@@ -75,7 +76,7 @@ def _simulate(  # type: ignore[no-untyped-def]
         prior: (n, 7) gets normals.
         tables: (n, T, columns) gets the episodes.
     """
-    (links, rows, columns), rng, T = layout, dice[0], len(time_s)
+    (links, rows, columns), dice, T = layout, Dice(rng, memory, states), len(time_s)
     draws, block = np.empty((WIDTH, T, columns)), np.empty((1, len(start), WIDTH))
     blank, nothing, none = np.zeros(columns), np.empty((WIDTH, T, 0)), np.empty(0, np.int64)
     length, running = np.full(WIDTH, T), np.ones(WIDTH, np.bool_)

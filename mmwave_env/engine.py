@@ -30,7 +30,8 @@ from mmwave_env.estimator.pipeline import (
 )
 from mmwave_env.estimator.program import NO_ROWS, Array, Index, Program, rows_of
 from mmwave_env.estimator.trees import select
-from mmwave_env.observation import Observation, View
+from mmwave_env.features import View
+from mmwave_env.observation import Observation
 from mmwave_env.reward import Reward
 
 
@@ -128,7 +129,7 @@ def epoch(w: Workspace, pipeline: Pipeline, observation: Observation, reward: Re
     memory = select(fresh, start(pipeline), memory)
     coming = w.incoming.epoch(pipeline.layout)
     candidates = [consider(pipeline, m, x, P, memory, coming, w.site) for m in pipeline.modes]
-    memory = anticipate(memory, candidates, coming)
+    memory = anticipate(memory, candidates, coming, pipeline.layout)
     view = View(x, unpack(P, zero=pipeline.pinned), memory, candidates, coming, w.site)
     return w._replace(
         fresh=0.0,

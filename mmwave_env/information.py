@@ -35,8 +35,8 @@ class Panel:
         at, memory = engine.at, engine.at.memory
         tree = {
             "reward": at.reward, "position_error_m": at.distance, "nees": at.nees,
-            "gamma": memory.gamma, "nis": memory.nis, "accepted": memory.accepted,
-            "rejected": memory.rejected, "truth": at.truth, "estimate": at.x,
+            "gamma": memory.gamma, "nis": memory.nis, "truth": at.truth, "estimate": at.x,
+            "verdicts": [memory.accepted, memory.rejected],
         }  # fmt: skip
         self.rows = rows_of(list(tree.values()))
         self._columns: dict[str, Any] = {}
@@ -54,12 +54,13 @@ class Panel:
     def step_info(self, told: Array, actions: Index) -> dict[str, NDArray[Any]]:
         """What the step did with the modes (n,)."""
         columns = self._columns
+        verdicts = (told[:, columns["verdicts"]] > 0.5).reshape(len(told), 2, -1)
         return {
             "position_error_m": told[:, columns["position_error_m"]],
             "nees": told[:, columns["nees"]],
             "nis": told[:, columns["nis"]],
-            "accepted": told[:, columns["accepted"]] > 0.5,
-            "rejected": told[:, columns["rejected"]] > 0.5,
+            "accepted": verdicts[:, 0],
+            "rejected": verdicts[:, 1],
             "mode": actions.astype(np.int64),
             "gamma": told[:, columns["gamma"]],
         }
@@ -82,15 +83,15 @@ def masked(values: dict[str, NDArray[Any]], where: Mask | None = None) -> dict[s
     The arrays are taken over; elsewhere they become 0, or None. Every key has a mask ``_key``.
     There are no keys where there is no environment. None means all.
     """
-    masks = np.ones((len(values), len(next(iter(values.values())))), np.bool_)
     if where is not None:
         if not where.any():
             return {}
         elsewhere = ~where
         for array in values.values():
             array[elsewhere] = None if array.dtype == object else 0
-        masks &= where
-    return values | {f"_{key}": mask for key, mask in zip(values, masks, strict=True)}
+    masks = np.empty((len(values), len(next(iter(values.values())))), np.bool_)
+    masks[:] = True if where is None else where
+    return values | {f"_{key}": masks[i] for i, key in enumerate(values)}
 
 
 def episode_info(

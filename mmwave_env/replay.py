@@ -96,7 +96,11 @@ class Replay:
 
     def __init__(self, pipeline: Pipeline, on_floats: bool = False) -> None:
         self._there, self._back = program_of(pipeline), _way_back(pipeline.pinned)
-        self._tunings = np.array(leaves([mode.tuning for mode in pipeline.modes]), float)
+        there, at = self._there.index, self._back.index
+        self._start = self._there.start.copy()
+        self._start[rows_of(there.tunings)] = leaves([mode.tuning for mode in pipeline.modes])
+        self._site, self._keep = rows_of(there.site), rows_of(passed(there))
+        self._show = rows_of([at.incoming.error, at.incoming.nees, at.smoothed])
         self._on_floats = on_floats
 
     def run(self, batch: Batch[Any], places: Index, actions: Actions) -> tuple[Array, ...]:
@@ -113,14 +117,11 @@ class Replay:
             Position errors (n, T, 3), m, filtered; their NEES (n, T); errors smoothed.
         """
         there, back, n = self._there, self._back, len(places)
-        rows = np.tile(there.start[None, :, None], (-(-n // WIDTH), 1, WIDTH))
-        rows[:, leaves(there.index.tunings)] = self._tunings[:, None]
+        rows = np.tile(self._start[None, :, None], (-(-n // WIDTH), 1, WIDTH))
         block, lane = np.divmod(np.arange(n), WIDTH)
-        rows[block[:, None], leaves(there.index.site), lane[:, None]] = batch.sites(places)
-        at = back.index
-        show = rows_of([at.incoming.error, at.incoming.nees, at.smoothed])
+        rows[block[:, None], self._site, lane[:, None]] = batch.sites(places)
+        keep, show, tables = self._keep, self._show, batch.tracks.table
         figures = np.empty((*actions.shape, len(show)))
-        keep, tables = rows_of(passed(there.index)), batch.tracks.table
         if self._on_floats:
             self._on_floats_there(rows, tables[places], actions, keep, show, figures)
         else:

@@ -61,9 +61,10 @@ class SB3VecEnv(VecEnv):
         """
         if any(options != self._options[0] for options in self._options):
             raise ValueError(f"options: found {self._options}, expected the same everywhere")
-        seeds: Any = list(self._seeds)  # typed as one, but every vector environment takes many
+        known = any(seed is not None for seed in self._seeds)
+        seeds: Any = list(self._seeds) if known else None  # typed as one, but many are common
         observations, told = self.env.reset(seed=seeds, options=self._options[0] or None)
-        self.reset_infos = self._infos(told, self.info_keys)
+        self.reset_infos = self._infos(told)
         self._returns[:], self._lengths[:] = 0.0, 0
         self._reset_seeds()
         self._reset_options()
@@ -79,7 +80,7 @@ class SB3VecEnv(VecEnv):
         self._returns += rewards
         self._lengths += 1
         over = terminated | truncated
-        infos = self._infos(told, self.info_keys)
+        infos = self._infos(told)
         for i in map(int, np.flatnonzero(over)):
             infos[i] = self._ending(told, i)
             infos[i]["TimeLimit.truncated"] = bool(truncated[i] and not terminated[i])
@@ -88,8 +89,7 @@ class SB3VecEnv(VecEnv):
 
     def _ending(self, told: dict[str, Any], i: int) -> dict[str, Any]:
         """What the last step of an episode told."""
-        final = told["final_info"]
-        return {key: final[key][i] for key in final if f"_{key}" in final} | {
+        return _of(told["final_info"], i) | {
             "terminal_observation": told["final_obs"][i],
             "episode": {
                 "r": float(self._returns[i]), "l": int(self._lengths[i]),
@@ -97,13 +97,11 @@ class SB3VecEnv(VecEnv):
             },
         }  # fmt: skip
 
-    def _infos(self, told: dict[str, Any], keys: Sequence[str]) -> Infos:
-        """One dict an environment, as Gymnasium's masks say."""
-        infos: Infos = [{} for _ in range(self.num_envs)]
-        for key in keys:
-            for i in np.flatnonzero(told.get(f"_{key}", False)):
-                infos[i][key] = told[key][i]
-        return infos
+    def _infos(self, told: dict[str, Any]) -> Infos:
+        """What is handed on after every step, one dict an environment."""
+        keys = [name for key in self.info_keys for name in (key, f"_{key}") if name in told]
+        chosen = {key: told[key] for key in keys}
+        return [_of(chosen, i) for i in range(self.num_envs)]
 
     def state(self) -> dict[str, NDArray[Any]]:
         """Returns and lengths (n,) of the episodes under way, to :meth:`restore`."""
@@ -141,3 +139,13 @@ class SB3VecEnv(VecEnv):
     def _require_all(self, indices: Indices, what: str) -> None:
         if len(set(self._get_indices(indices))) < self.num_envs:
             raise ValueError(f"{what}: found indices {indices}, expected all of them")
+
+
+def _of(told: dict[str, Any], i: int) -> dict[str, Any]:
+    """What batched infos tell of one environment, as their masks say."""
+    found: dict[str, Any] = {}
+    for key, value in told.items():
+        mask = told.get(f"_{key}")
+        if not (key[:1] == "_" and key[1:] in told) and (mask is None or mask[i]):
+            found[key] = _of(value, i) if isinstance(value, dict) else value[i]
+    return found

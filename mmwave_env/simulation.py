@@ -165,6 +165,7 @@ def _program(layout: Layout) -> Program[Simulation]:
     return Program(function, template)
 
 
+@lru_cache(maxsize=8)
 def _kept(layout: Layout) -> Index:
     """The rows that are kept of every epoch: as measured."""
     return np.array(leaves(_program(layout).index.measured))
@@ -251,7 +252,7 @@ class SimulatedSource:
         Raises:
             ValueError: ``out`` has another shape, or gaps.
         """
-        n, scene = len(states), self.scene
+        n = len(states)
         shape = (n, self.epochs, len(_kept(self.layout)))
         table = np.empty(shape) if out is None else out
         if table.shape != shape or not table.flags.c_contiguous:
@@ -261,9 +262,8 @@ class SimulatedSource:
             )
         dice = [(dice_of(states[some]), some) for some in portions(n, threads, CHUNK)]
         names, priors = self._fill(table, dice, threads)
-        fixed = np.append(scene.anchors_m.ravel(), scene.hz_per_mps)
-        covariance = self.radio.prior_covariance(scene)[np.tril_indices(STATE_SIZE)]
-        site = [np.tile(fixed, (n, 1)), priors, np.tile(covariance, (n, 1))]
+        before, after = self._around_prior
+        site = [np.tile(before, (n, 1)), priors, np.tile(after, (n, 1))]
         return Packed(
             names=names,
             nonfinite=np.zeros(n, np.int64),
@@ -294,13 +294,20 @@ class SimulatedSource:
             (layout.anchors, layout.size, len(program.blank)), _kept(layout), self.time_s,
         )  # fmt: skip
         jobs = [
-            (each, *same, kinds[some], first[some], prior[some], tables[some])
+            (*each, *same, kinds[some], first[some], prior[some], tables[some])
             for each, some in dice
         ]
         share(simulate.choice(n * self.epochs, *jobs[0]), jobs, threads)
         first[:, 6] = self.scene.hz_per_mps * (self.radio.prior_bias_mps * first[:, 6])
         prior *= np.sqrt(np.diag(self.radio.prior_covariance(self.scene)))
         return [choices[kind].name for kind in kinds], first + prior
+
+    @cached_property
+    def _around_prior(self) -> tuple[Array, Array]:
+        """What stands before and after the mean of the prior in every episode's site."""
+        covariance = self.radio.prior_covariance(self.scene)
+        fixed = np.append(self.scene.anchors_m.ravel(), self.scene.hz_per_mps)
+        return fixed, covariance[np.tril_indices(STATE_SIZE)]
 
     @cached_property
     def _plan(self) -> Plan:

@@ -15,11 +15,13 @@ from numpy.typing import NDArray
 
 from mmwave_env.engine import Engine
 from mmwave_env.generators import Generators
+from mmwave_env.history import History
 from mmwave_env.information import STEP_KEYS, Mask, Panel, episode_info, masked
 from mmwave_env.metrics import DIVERGENCE_M
 from mmwave_env.names import choose
 from mmwave_env.replay import Replay
 from mmwave_env.setting import setting_from
+from mmwave_env.simulation import SimulatedSource
 from mmwave_env.threads import portions, share
 
 Array = NDArray[np.float64]
@@ -101,10 +103,8 @@ class MmWaveLocVectorEnv(gym.vector.VectorEnv[Observations, Index, NDArray[Any]]
         self._panel, self._replay = Panel(self._engine), Replay(setting.pipeline)
         self._generators = Generators(num_envs, setting.simulated)
         self._begun = False
-        self._everyone = np.arange(num_envs)
+        self._history = History(num_envs, len(self.modes))
         self._over, self._ended = np.zeros(num_envs, np.bool_), 0
-        self._steps = np.zeros(num_envs, np.int64)
-        self._actions = np.zeros((num_envs, 0), np.min_scalar_type(len(self.modes)))
 
     def reset(
         self,
@@ -184,10 +184,8 @@ class MmWaveLocVectorEnv(gym.vector.VectorEnv[Observations, Index, NDArray[Any]]
             episodes = self._setting.draw_many(self._generators, some, room, self._threads)
             self._engine.load(episodes, some)
             names[some], nonfinite[some] = episodes.names, episodes.nonfinite
-        longer = int(self._engine.batch.tracks.length.max()) - self._actions.shape[1]
-        if longer > 0:
-            self._actions = np.pad(self._actions, ((0, 0), (0, longer)))
-        self._steps[places], self._over[places] = 0, False
+        self._history.make_room(self._engine.batch.tracks.table.shape[1])
+        self._over[places] = False
         self._ended = int(np.count_nonzero(self._over))
         return {"episode_name": names, "nonfinite": nonfinite}
 
@@ -196,23 +194,22 @@ class MmWaveLocVectorEnv(gym.vector.VectorEnv[Observations, Index, NDArray[Any]]
         actions = self._checked(actions)
         fresh, resets = self._over.copy(), self._ended  # none where autoreset is not NextStep
         drawn = self._draw(np.flatnonzero(fresh)) if resets else {}
-        self._actions[self._everyone, self._steps] = actions
+        self._history.note(actions)
         observations, told = self._engine.step(actions, self._panel.rows)
-        lengths, steps = self._engine.batch.tracks.length, self._steps
-        rewards, did = self._panel.rewards(told), self._panel.step_info(told, actions)
+        rewards, state = self._panel.rewards(told), self._panel.state_info(told)
+        did = self._panel.step_info(told, actions)
         if resets:
-            steps += ~fresh
             rewards[fresh] = 0.0
-            infos = masked(did, ~fresh) | masked(drawn, fresh)
+            infos = masked(did, ~fresh) | masked(drawn, fresh) | masked(state)
         else:
-            steps += 1
-            infos = masked(did)
-        infos |= masked(self._panel.state_info(told))
-        terminated = np.zeros(self.num_envs, np.bool_)
+            infos = masked(did | state)
+        tracks = self._engine.batch.tracks  # an epoch ahead: it waits for the next action
+        terminated, truncated = np.zeros(self.num_envs, np.bool_), tracks.epoch > tracks.length
         if self._setting.worst is not None:
             terminated = ~(fresh | (did["position_error_m"] <= DIVERGENCE_M))
-            rewards[terminated] += self._setting.worst * (lengths - steps)[terminated]
-        truncated = (steps == lengths) & ~terminated
+            left = (tracks.length + 1 - tracks.epoch)[terminated]
+            rewards[terminated] += self._setting.worst * left
+            truncated &= ~terminated
         self._over = terminated | truncated
         self._ended = int(np.count_nonzero(self._over))
         if self._ended:
@@ -247,14 +244,16 @@ class MmWaveLocVectorEnv(gym.vector.VectorEnv[Observations, Index, NDArray[Any]]
         batch, planar = self._engine.batch, self._setting.pipeline.planar
 
         def metrics(some: Index, steps: int) -> dict[str, Array]:
-            error, nees, smoothed = self._replay.run(batch, some, self._actions[some, :steps])
+            actions = self._history.of(some, steps)
+            error, nees, smoothed = self._replay.run(batch, some, actions)
             dt = batch.tracks.table[some, 1:steps, 0]
             return episode_info(error, nees, smoothed, dt, planar)
 
         jobs = []
         ended = np.flatnonzero(self._over)
-        for steps in np.unique(self._steps[ended]):
-            alike = ended[self._steps[ended] == steps]
+        taken = batch.tracks.epoch[ended] - 1
+        for steps in np.unique(taken):
+            alike = ended[taken == steps]
             parts = portions(len(alike), self._threads, REPLAYED)
             jobs += [(alike[some], steps) for some in parts]
         found: dict[str, NDArray[Any]] = {}
@@ -296,17 +295,13 @@ class MmWaveLocVectorEnv(gym.vector.VectorEnv[Observations, Index, NDArray[Any]]
         """
         if not self._begun:
             raise ResetNeeded("Call reset before state: there is no episode under way.")
-        if not self._setting.simulated:
-            raise ValueError(
-                "state: found episodes of a source of your own, expected simulated ones; what "
-                "such a source remembers is not known here"
-            )
+        self._require_simulated("state")
         tracks = self.batch.tracks
         return {
             "rows": tracks.rows.copy(), "table": tracks.table.copy(),
             "length": tracks.length.copy(), "epoch": tracks.epoch.copy(),
             "generators": self._generators.bare(), "over": self._over.copy(),
-            "steps": self._steps.copy(), "actions": self._actions.copy(),
+            "actions": self._history.all(),
         }  # fmt: skip
 
     def restore(self, state: dict[str, NDArray[Any]]) -> None:
@@ -316,21 +311,37 @@ class MmWaveLocVectorEnv(gym.vector.VectorEnv[Observations, Index, NDArray[Any]]
             state: of an environment with the same arguments.
 
         Raises:
-            ValueError: that of an environment with others.
+            ValueError: that of an environment with others, as far as its arrays show; or
+                episodes come from a source that is given whole generators.
         """
-        tracks = self.batch.tracks
-        for name, expected in (
-            ("rows", tracks.rows.shape), ("length", tracks.length.shape),
-        ):  # fmt: skip
-            if state[name].shape != expected:
+        self._require_simulated("restore")
+        n, tracks = self.num_envs, self.batch.tracks
+        epochs = cast(SimulatedSource, self.source).epochs
+        for name, expected in {
+            "rows": tracks.rows.shape, "table": (n, epochs, tracks.table.shape[2]),
+            "length": (n,), "epoch": (n,), "generators": (n, 4), "over": (n,),
+            "actions": (epochs, n),
+        }.items():  # fmt: skip
+            found = state[name].shape if name in state else "nothing"
+            if found != expected:
                 raise ValueError(
-                    f"{name} of the state: found {state[name].shape}, expected {expected}, as in "
-                    "an environment with the same num_envs and arguments"
+                    f"{name} of the state: found {found}, expected {expected}, as in an "
+                    "environment with the same arguments"
                 )
         tracks.rows[:], tracks.length[:] = state["rows"], state["length"]
         tracks.epoch[:] = state["epoch"]
         self.batch.tracks = tracks._replace(table=state["table"].copy())
         self._generators.set_bare(state["generators"])
-        self._over, self._steps = state["over"].copy(), state["steps"].copy()
-        self._actions, self._ended = state["actions"].copy(), int(np.count_nonzero(self._over))
+        self._history = History(self.num_envs, len(self.modes))
+        self._history.make_room(state["table"].shape[1])
+        for actions in state["actions"]:
+            self._history.note(actions)
+        self._over, self._ended = state["over"].copy(), int(np.count_nonzero(state["over"]))
         self._begun = True
+
+    def _require_simulated(self, what: str) -> None:
+        if not self._setting.simulated:
+            raise ValueError(
+                f"{what}: found episodes of a source of your own, or recorded ones, expected "
+                "simulated ones; what such a source remembers is not known here"
+            )

@@ -55,7 +55,7 @@ class LearnedSwitch:
         self._low, self._high = tensors["low"], tensors["high"]
         self._memories: list[_Frames | _Lstm] = []
         if self.card.frames > 1:
-            self._memories.append(_Frames(self.card.frames, len(self._low)))
+            self._memories.append(_Frames(self.card.frames, (self._low + self._high) / 2.0))
         if "lstm.bias" in tensors:
             self._memories.append(_Lstm(tensors))
         layers = sum(name.startswith("layer.") for name in tensors) // 2
@@ -156,19 +156,25 @@ def _located(path: str | os.PathLike[str]) -> Path:
 class _Frames:
     """The last observations of every environment as one, oldest first.
 
-    Before there are enough of them, the first stands for those that are missing.
+    Before there are enough of them, a blank one stands for those that are missing.
+
+    Args:
+        frames: how many.
+        blank: (features,) the middle of the bounds, which is the mean in training: normalised,
+            the zeros that Stable-Baselines3 begins with.
     """
 
-    def __init__(self, frames: int, features: int) -> None:
-        self._past = np.empty((0, frames, features), np.float32)
+    def __init__(self, frames: int, blank: Array) -> None:
+        self._blank = blank
+        self._past = np.empty((0, frames, len(blank)), np.float32)
 
     def __call__(self, observation: Array, begins: NDArray[np.bool_]) -> Array:
         """The stack (n, frames * features), after observations (n, features)."""
         if len(self._past) != len(begins):
             self._past = np.empty((len(begins), *self._past.shape[1:]), np.float32)
         self._past[:, :-1] = self._past[:, 1:]
+        self._past[begins] = self._blank
         self._past[:, -1] = observation
-        self._past[begins] = observation[begins, None]
         return self._past.reshape(len(begins), -1)
 
 

@@ -3,7 +3,8 @@
 Tensors, float32; the actor is the network that chooses:
 
 - ``low``, ``high`` (features,): observations are clipped to them. Training normalises, too,
-  which is folded into the first weights;
+  which is folded into the first weights. Of an actor that sees several frames at once, those
+  before an episode begins are the middle of these bounds;
 - ``layer.0.weight`` (out, in), ``layer.0.bias`` (out,), ``layer.1.weight``, ...: an MLP with
   tanh between its layers. ``in`` of the first is features times frames, ``out`` of the last the
   number of modes;
@@ -180,7 +181,9 @@ def _require_actor(tensors: Tensors, card: Card) -> None:
         tensor = tensors[name]
         if tensor.dtype != np.float32:
             raise ValueError(f"tensor {name!r}: found type {tensor.dtype}, expected float32")
-        if tensor.shape != shape or not tensor.size:
+        if not tensor.size:
+            raise ValueError(f"tensor {name!r}: found nothing in it, expected numbers")
+        if tensor.shape != shape:
             raise ValueError(f"tensor {name!r}: found shape {tensor.shape}, expected {shape}")
         if not np.isfinite(tensor).all():
             raise ValueError(f"tensor {name!r}: found NaN or infinity, expected finite numbers")

@@ -45,6 +45,20 @@ def test_without_a_seed_everyone_has_an_own(small):
     assert len({*ours.seeds(), *Generators(2, small).seeds()}) == 4
 
 
+def test_bare_states_are_copies_that_go_on_elsewhere():
+    ours, other = Generators(3), Generators(3)
+    ours.seed(1, 5)  # the others get seeds of their own
+    other.seed(0, 6)
+    bare = ours.bare()
+    other.set_bare(bare)
+    expected = [draws(copy) for copy in ours.copies()]
+    assert [draws(copy) for copy in other.copies()] == expected
+    assert other.seeds() == (-1, -1, -1) and ours.seeds()[1] == 5
+    bare[:] = 0
+    assert [draws(copy) for copy in ours.copies()] == expected
+    assert [draws(copy) for copy in other.copies()] == expected
+
+
 @numba.njit
 def compiled_draws(dice, out):
     for i in (2, 0, 1, 2):  # in any order, and more than once

@@ -75,10 +75,12 @@ def logits_of_an_episode(tensors, frames, episode):
     """(steps, modes), one number after the other in double precision."""
     cells = len(tensors.get("lstm.bias", ())) // 4
     h, c, seen, result = [0.0] * cells, [0.0] * cells, [], []
+    bounds = list(zip(tensors["low"].tolist(), tensors["high"].tolist(), strict=True))
+    blank = [(low + high) / 2 for low, high in bounds]
     for observation in episode.tolist():
-        bounds = zip(observation, tensors["low"].tolist(), tensors["high"].tolist(), strict=True)
-        seen.append([min(max(v, low), high) for v, low, high in bounds])
-        latest = ([seen[0]] * frames + seen)[-frames:]
+        clipped = zip(observation, bounds, strict=True)
+        seen.append([min(max(v, low), high) for v, (low, high) in clipped])
+        latest = ([blank] * frames + seen)[-frames:]
         x = [v for observation in latest for v in observation]
         if cells:
             x, c = lstm_step(tensors, x, h, c)
@@ -120,8 +122,8 @@ def test_actions_are_those_of_torch(make, kind):
     weights = {name: torch.from_numpy(tensor) for name, tensor in tensors.items()}
     frames, episodes = policy.card.frames, observations(50, 12)
     x = torch.from_numpy(episodes).clamp(weights["low"], weights["high"])
-    first = x[:, :1].expand(-1, frames - 1, -1)
-    x = torch.cat([first, x], dim=1).unfold(1, frames, 1)  # (n, steps, features, frames)
+    blank = ((weights["low"] + weights["high"]) / 2).expand(50, frames - 1, -1)
+    x = torch.cat([blank, x], dim=1).unfold(1, frames, 1)  # (n, steps, features, frames)
     x = x.transpose(2, 3).flatten(2)
     if "lstm.bias" in tensors:
         cell = nn.LSTM(x.shape[-1], len(tensors["lstm.bias"]) // 4, batch_first=True)
@@ -285,7 +287,7 @@ def renamed():
         (Pipeline(MODES, Layout()), "prior",
          "observation='full', found 'prior'; .*modes=policy.modes, observation='full'"),
         (Pipeline(MODES, Layout(odometry=True)), "full",
-         rf"{FEATURES} features .*0.1.0, found {FEATURES + 3} .*anchors.*odometry.*train it again"),
+         rf"{FEATURES} features .*0.1.0, found {FEATURES + 4} .*anchors.*odometry.*train it again"),
     ],
 )  # fmt: skip
 def test_another_environment_is_refused(make, tmp_path, pipeline, kind, message):

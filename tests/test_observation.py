@@ -257,6 +257,51 @@ def test_doppler_spread_is_that_of_the_coming_epoch(rollout):
     close(rollout.read("Doppler spread"), [*np.minimum(spread, 50.0), 0.0])
 
 
+def test_the_doppler_spread_is_averaged(rollout):
+    average, expected = 0.0, []
+    for spread in [*rollout.episode.doppler_spread_hz / rollout.episode.hz_per_mps, 0.0]:
+        average = 0.8 * average + 0.2 * spread
+        expected.append(average)
+    close(rollout.read("Doppler spread average"), expected)
+
+
+def test_an_snr_drop_is_below_the_slow_mean_of_what_was_seen(rollout):
+    for a in range(3):
+        mean, expected = None, []
+        seen, snr = rollout.episode.usable[:, a], rollout.episode.snr_db[:, a]
+        for visible, now in zip(seen, snr, strict=True):
+            if visible:
+                mean = now if mean is None else 0.95 * mean + 0.05 * now
+            expected.append(np.clip(mean - now, -20.0, 40.0) if visible else 0.0)
+        close(rollout.read(f"SNR drop anchor {a + 1}")[:-1], expected)
+
+
+def predictions(rollout):
+    """Epoch by epoch the state predicted for it."""
+    for t, info in enumerate(rollout.infos[:-1]):
+        x = info["estimate"].copy()
+        x[:3] += x[3:6] * float(t > 0)
+        yield t, x
+
+
+def test_distances_are_those_of_the_predicted_position(rollout):
+    for t, x in predictions(rollout):
+        for a, anchor in enumerate(rollout.episode.scene_anchors_m):
+            distance = min(np.linalg.norm(x[:3] - anchor), 1000.0)
+            close(rollout.read(f"distance anchor {a + 1}")[t], distance)
+
+
+def test_the_doppler_innovation_is_the_measured_minus_the_predicted_radial_velocity(rollout):
+    episode = rollout.episode
+    for t, x in predictions(rollout):
+        expected = 0.0
+        if episode.usable[t, 3]:
+            step = x[:3] - episode.scene_anchors_m[0]
+            radial = x[3:6] @ step / np.linalg.norm(step)
+            expected = (episode.measurement[t, 12] - x[6]) / episode.hz_per_mps - radial
+        close(rollout.read("coming Doppler innovation")[t], np.clip(expected, -10.0, 10.0), 1e-4)
+
+
 def test_gamma_is_the_windowed_mean_of_nis_over_dof(rollout):
     window, expected = [1.0] * 10, [1.0]
     for info in rollout.infos[1:]:
@@ -311,12 +356,20 @@ def test_what_a_mode_would_make_of_the_coming_epoch_is_what_it_makes_of_it(rollo
         mean_nis = info["nis"][seen].sum() / max(dof[seen].sum(), 1)
         close(coming("NIS"), min(np.log1p(mean_nis), 10.0))
         assert coming("rejected") == info["rejected"][:3].sum()
+        if name == "ukf":  # the last mode: NIS of every group
+            for g, group in enumerate(("anchor 1", "anchor 2", "anchor 3", "Doppler")):
+                close(coming(f"NIS {group}"), min(np.log1p(info["nis"][g]), 10.0))
+        after = rollout.read("position variance")[t + 1]
+        close(coming("variance"), after, 1e-4)
         x, dt = before["estimate"], float(t > 0)
         step = info["estimate"][:2] - (x[:2] + dt * x[3:5])
         ahead = x[3:5] / np.sqrt(x[3:5] @ x[3:5] + 1e-6)
         left = np.array([-ahead[1], ahead[0]])
-        close(coming("correction along"), np.clip(step @ ahead, -10.0, 10.0), 1e-4)
-        close(coming("correction across"), np.clip(step @ left, -10.0, 10.0), 1e-4)
+        faster = info["estimate"][3:5] - x[3:5]
+        for of, change in (("position", step), ("velocity", faster)):
+            for way, axis in (("along", ahead), ("across", left)):
+                value = np.clip(change @ axis, -10.0, 10.0)
+                close(coming(f"{of} correction {way}"), value, 1e-4)
 
 
 def test_corrections_are_averaged(rollout):

@@ -1,7 +1,9 @@
 """Where a training stands, on disk: written beside and renamed, read without unpickling."""
 
 import io
+from hashlib import sha256
 from pathlib import Path
+from pickle import UnpicklingError
 from typing import Any
 
 import numpy as np
@@ -14,7 +16,8 @@ def write_checkpoint(path: Path, state: dict[str, Any]) -> None:
     """Write numbers, strings, arrays and tensors in lists, tuples and dicts."""
     memory = io.BytesIO()
     torch.save(_with_tensors(state), memory)
-    write_bytes(path, memory.getvalue())
+    content = memory.getvalue()
+    write_bytes(path, sha256(content).digest() + content)  # PyTorch would not see a flipped bit
 
 
 def read_checkpoint(path: Path) -> dict[str, Any]:
@@ -23,11 +26,18 @@ def read_checkpoint(path: Path) -> dict[str, Any]:
     Raises:
         ValueError: it is damaged; nothing in it is executed.
     """
+    written = path.read_bytes()
+    checksum, content = written[: sha256().digest_size], written[sha256().digest_size :]
     try:
-        state: dict[str, Any] = torch.load(path, map_location="cpu", weights_only=True)
-    except Exception as error:  # of a damaged file PyTorch raises whatever it stumbled over
+        if sha256(content).digest() != checksum:
+            raise ValueError("found another checksum than that of its content")
+        state: dict[str, Any] = torch.load(
+            io.BytesIO(content), map_location="cpu", weights_only=True
+        )
+    except (ValueError, UnpicklingError) as error:
+        reason = str(error).partition("\n")[0]
         raise ValueError(
-            f"{path}: not a checkpoint: {error}; remove it to train from the start"
+            f"{path}: not a checkpoint: {reason}; remove it to train from the start"
         ) from error
     return state
 

@@ -5,7 +5,6 @@ import io
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 from stable_baselines3.common.logger import KVWriter
 from torch.utils.tensorboard import SummaryWriter
 
@@ -15,7 +14,7 @@ STEP = "timesteps"
 
 
 class Journal(KVWriter):
-    """What Stable-Baselines3 logs after every update.
+    """What is logged: a row has what was collected lately, and the update after it.
 
     Args:
         folder: for ``progress.csv`` and TensorBoard's events.
@@ -31,14 +30,16 @@ class Journal(KVWriter):
     def write(
         self, key_values: dict[str, Any], key_excluded: dict[str, tuple[str, ...]], step: int = 0
     ) -> None:
-        """Take a row."""
-        numbers = {k: float(v) for k, v in key_values.items() if isinstance(v, np.ScalarType)}
+        """Take a row; times are left out that Stable-Baselines3 counts from the latest start."""
+        numbers = {
+            key: float(value) for key, value in key_values.items() if not key.startswith("time/")
+        }
         for key, value in numbers.items():
             self._events.add_scalar(key, value, step)
         self.rows.append({STEP: float(step), **numbers})
 
     def save(self) -> None:
-        """Write the CSV file: a row an update, empty cells where there is no figure."""
+        """Write the CSV file: empty cells where there is no figure."""
         names = dict.fromkeys(name for row in self.rows for name in row)
         text = io.StringIO()
         table = csv.DictWriter(text, list(names), lineterminator="\n")

@@ -5,8 +5,6 @@ from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any, get_type_hints
 
-ALGORITHMS = ("ppo", "recurrent-ppo")
-
 
 @dataclass(frozen=True)
 class Recipe:
@@ -56,18 +54,25 @@ class Recipe:
         for name, kind in get_type_hints(Recipe).items():
             value = getattr(self, name)
             if kind in (int, float):
-                sound = type(value) in {kind, int} and value >= 0
+                sound = type(value) in {kind, int} and 0 <= value < float("inf")
                 expected = "a number of 0 or more" if kind is float else "a count of 0 or more"
             elif kind is bool:
                 sound, expected = type(value) is bool, "true or false"
             else:
-                sound = bool(value) and all(type(n) is int and n > 0 for n in value)
-                expected = "counts of neurons"
+                sound = isinstance(value, tuple) and all(type(n) is int and n > 0 for n in value)
+                sound, expected = sound and bool(value), "a list of counts of neurons"
             if not sound:
                 raise ValueError(f"{name}: found {value!r}, expected {expected}")
-        for name in ("num_envs", "n_steps", "batch_size", "n_epochs", "frames"):
-            if getattr(self, name) < 1:
-                raise ValueError(f"{name}: found 0, expected 1 or more")
+        for name, least in (
+            ("num_envs", 1), ("n_steps", 1), ("n_epochs", 1), ("frames", 1),
+            ("batch_size", 2),  # one advantage alone can't be normalised
+        ):  # fmt: skip
+            if getattr(self, name) < least:
+                found = getattr(self, name)
+                raise ValueError(f"{name}: found {found}, expected {least} or more")
+        for name in ("gamma", "gae_lambda", "final_fraction"):
+            if getattr(self, name) > 1:
+                raise ValueError(f"{name}: found {getattr(self, name)}, expected 0 to 1")
         if self.truth_critic and (self.lstm or self.frames > 1):
             raise ValueError("truth_critic: found true, expected false beside lstm or frames")
 
@@ -90,8 +95,10 @@ def read_recipe(path: Path) -> Recipe:
                 f"missing {', '.join(sorted(missing)) or 'none'}, "
                 f"unknown {', '.join(sorted(unknown)) or 'none'}"
             )
-        return Recipe(**found | {"hidden": tuple(found["hidden"])})
-    except (ValueError, TypeError) as error:
+        if isinstance(found["hidden"], list):  # JSON has no tuples
+            found["hidden"] = tuple(found["hidden"])
+        return Recipe(**found)
+    except ValueError as error:
         raise ValueError(f"{path}: not a hyperparameter file: {error}") from error
 
 

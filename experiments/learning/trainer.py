@@ -25,7 +25,9 @@ from policies.policy_file import Card, to_bytes
 
 TRAINING_SEED = 10_000_000  # of the first training; each has a million of its own
 SEEDS_EACH = 1_000_000
-EARLY, LATER, CHECKPOINT = 2, 16, 32  # updates between two looks, and between two checkpoints
+# Updates between two rows of the journal, and between two looks: until the rule is beaten, and
+# after that.
+LOG, EARLY, LATER = 4, 2, 16
 
 LOGGED = ("ate_m", "rmse_m", "mean_nees", "in_bounds", "divergence", "smoothed_ate_m")
 PACKAGES = ("gymnasium", "numpy", "numba", "torch", "stable-baselines3", "sb3-contrib")
@@ -44,6 +46,7 @@ class Job:
         timesteps: epochs to train for, in all environments together.
         folder: for all that is written.
         command: that makes the policy file.
+        checkpoint_every: updates between two checkpoints.
     """
 
     task: Task
@@ -53,6 +56,7 @@ class Job:
     timesteps: int
     folder: Path
     command: str
+    checkpoint_every: int
 
     @property
     def outcome(self) -> Path:
@@ -71,6 +75,9 @@ class Training(BaseCallback):
     Args:
         job: what to do; goes on where a checkpoint in its folder stands.
         tell: takes the number of epochs trained for and what is new.
+
+    Raises:
+        ValueError: the checkpoint is damaged.
     """
 
     def __init__(self, job: Job, tell: Tell) -> None:
@@ -78,16 +85,16 @@ class Training(BaseCallback):
         self._begun_s = time.monotonic()
         torch.set_num_threads(1)  # networks this small gain nothing from more
         self._job, self._tell = job, tell
-        self._world = World(job.task, job.recipe)
-        seed = TRAINING_SEED + SEEDS_EACH * job.seed
-        self._learner = learner(self._world, job.recipe, seed)
-        self._examiner = Examiner(job.task)
         self._checkpoint = job.folder / "checkpoint.pt"
         self._stand: dict[str, Any] = {
             "update": -1, "best": None, "beat_rule": None, "seconds": 0.0, "rows": [],
         }  # fmt: skip
         if self._checkpoint.exists():
             self._stand = read_checkpoint(self._checkpoint)
+        self._world = World(job.task, job.recipe)
+        seed = TRAINING_SEED + SEEDS_EACH * job.seed
+        self._learner = learner(self._world, job.recipe, seed)
+        self._examiner = Examiner(job.task)
         self._journal = Journal(job.folder, self._stand["rows"])
         self._ended: list[dict[str, Any]] = []
 
@@ -99,9 +106,12 @@ class Training(BaseCallback):
             self._restore(stand.pop("learner"))
             self._world.restore(with_arrays(stand.pop("world")))
         left = job.timesteps - model.num_timesteps
-        model.learn(left, self, reset_num_timesteps=not model.num_timesteps)
+        fresh = not model.num_timesteps
+        model.learn(left, self, log_interval=None, reset_num_timesteps=fresh)  # it counts anew
         self._look()
+        model.dump_logs()
         model.save(job.folder / "model.zip")
+        self._world.normal.save(str(job.folder / "normalisation.pkl"))
         self._journal.close()
         outcome = {
             "seed": job.seed, "timesteps": model.num_timesteps,
@@ -123,10 +133,13 @@ class Training(BaseCallback):
         if update == stand["update"]:
             return  # the checkpoint that this training goes on from
         stand["update"] = update
-        if update and update % (LATER if stand["beat_rule"] else EARLY) == 0:
-            self._look()
-        if update and update % CHECKPOINT == 0:
-            self._save()
+        if update:
+            if update % (LATER if stand["beat_rule"] else EARLY) == 0:
+                self._look()
+            if update % LOG == 0:
+                model.dump_logs()
+            if update % self._job.checkpoint_every == 0:
+                self._save()
         self._tell(model.num_timesteps, "")
 
     def _done(self) -> float:
@@ -139,12 +152,14 @@ class Training(BaseCallback):
 
     def _on_rollout_end(self) -> None:
         for key in LOGGED if self._ended else ():
-            self.logger.record(f"rollout/{key}", float(np.mean([i[key] for i in self._ended])))
+            mean = float(np.mean([info[key] for info in self._ended]))
+            self.logger.record_mean(f"rollout/{key}", mean)
         self._ended.clear()
         actions = self._learner.rollout_buffer.actions.astype(np.int64).ravel()
         names = [mode.name for mode in self._job.task.modes]
         for name, n in zip(names, np.bincount(actions, minlength=len(names)), strict=True):
-            self.logger.record(f"share/{name}", n / len(actions))
+            self.logger.record_mean(f"share/{name}", n / len(actions))
+        self.logger.record("seconds", self._seconds())
 
     def _look(self) -> None:
         """Examine the policy, and keep it if it is the best so far."""
@@ -198,6 +213,7 @@ class Training(BaseCallback):
             "torch": torch.get_rng_state(), "numpy": [kind, keys, *rest],
             "episodes": list(model.ep_info_buffer or ()),
             "pending": {k: float(v) for k, v in model.logger.name_to_value.items()},
+            "counts": dict(model.logger.name_to_count),
         }  # fmt: skip
 
     def _restore(self, state: dict[str, Any]) -> None:
@@ -211,8 +227,8 @@ class Training(BaseCallback):
         if state["lstm"]:
             model._last_lstm_states = RNNStates(*(tuple(pair) for pair in state["lstm"]))
         model.ep_info_buffer.extend(state["episodes"])
-        for key, value in state["pending"].items():
-            model.logger.record(key, value)
+        model.logger.name_to_value.update(state["pending"])
+        model.logger.name_to_count.update(state["counts"])
         torch.set_rng_state(state["torch"])
         kind, keys, *rest = state["numpy"]
         np.random.set_state((kind, keys.numpy(), *rest))  # noqa: NPY002

@@ -17,8 +17,10 @@ from experiments.learning.recipe import Recipe
 from mmwave_env.estimator.modes import Mode, default_modes
 from mmwave_env.estimator.pipeline import Pipeline
 from mmwave_env.imm_engine import ImmEngine
+from mmwave_env.observation import Observation
 from mmwave_env.reward import Reward
 from mmwave_env.sb3 import Infos, SB3VecEnv
+from mmwave_env.setting import setting_from
 from mmwave_env.vector_env import MmWaveLocVectorEnv
 
 Array = NDArray[Any]
@@ -34,6 +36,9 @@ class Task:
         scenario, radio, observation: names.
         modes: to choose from.
         reward: function of (belief, truth).
+
+    Raises:
+        ValueError: one that means nothing; the message says what would.
     """
 
     scenario: str
@@ -41,6 +46,10 @@ class Task:
     modes: tuple[Mode, ...]
     observation: str
     reward: Reward
+
+    def __post_init__(self) -> None:
+        setting = setting_from(self.scenario, self.radio, modes=self.modes, reward=self.reward)
+        Observation(setting.pipeline, self.observation)
 
 
 class PairedReward(VecEnvWrapper):
@@ -180,6 +189,6 @@ class World:
         seen.mean, seen.var = state["normal"]["mean"], state["normal"]["var"]
         seen.count = float(state["normal"]["count"])
         if self._paired is not None:
-            self._paired.begin(state["env"]["steps"])
+            self._paired.begin(state["env"]["epoch"] - 1)  # the last one loaded is to be acted on
         if self._stack is not None:
             self._stack.stacked_obs.stacked_obs[:] = state["stack"]["of"]

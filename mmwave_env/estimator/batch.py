@@ -175,7 +175,7 @@ class Batch(Generic[Workspace]):
         """The sites of some environments (places, numbers), as :meth:`Episode.site` has them."""
         _, site, *_ = self.at
         block, lane = np.divmod(places, WIDTH)
-        found: Array = self.tracks.rows[block[:, None], leaves(site), lane[:, None]]
+        found: Array = self.tracks.rows[block, self.span(site), lane]
         return found
 
     def begin(self, episodes: Sequence[Episode]) -> None:
@@ -237,7 +237,5 @@ class Batch(Generic[Workspace]):
         """
         places = np.arange(self.n) if places is None else places
         block, lane = np.divmod(places, WIDTH)
-        if isinstance(tree, int):
-            self.tracks.rows[block, tree, lane] = values
-        else:
-            self.tracks.rows[block[:, None], leaves(tree), lane[:, None]] = values
+        rows = tree if isinstance(tree, int) else self.span(tree)
+        self.tracks.rows[block, rows, lane] = values

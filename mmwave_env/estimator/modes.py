@@ -60,8 +60,9 @@ class Mode:
         adaptive: scale Q and R by the windowed mean of NIS (paper, Sec. III-E).
         blockage_aware: inflate R of a link whose SNR has dropped below its slow mean.
         robust: inflate R of a link with a large NIS instead of rejecting it.
-        widen_p: re-acquire: add this squared to the predicted position variance, m.
-        widen_v: re-acquire: add this squared to the predicted velocity variance, m/s.
+        widen_p: re-acquire: add this squared to the predicted horizontal position variance, m.
+        widen_v: re-acquire: the same for the horizontal velocity, m/s. A lost user is not lost
+            in height, and elevations off the line of sight would move one who might be.
         cost: subtracted from the reward of every epoch that runs this mode.
     """
 

@@ -10,7 +10,9 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
-from mmwave_env.arithmetic import Matrix, Number, Vector, clip, sqrt, where
+from scipy.special import chdtri
+
+from mmwave_env.arithmetic import Matrix, Number, Vector, clip, maximum, sqrt, where
 from mmwave_env.estimator.algebra import dot, pack, unpack
 from mmwave_env.estimator.modes import Mode, Tuning
 from mmwave_env.estimator.motion import (
@@ -29,7 +31,9 @@ NIS_MEMORY = (0.6, 0.9)  # weights of the past in the fast and the slow NIS aver
 CORRECTION_MEMORY = 0.8
 PREFERENCE_MEMORY = (0.6, 0.85)  # weights of the past in averages of log-likelihood differences
 PREFERENCE_LIMIT = 30.0
+PLAUSIBLE = 0.999  # chi-square quantile up to which NIS counts where modes are compared
 SNR_MEMORY = 0.95
+SPREAD_MEMORY = 0.8
 SNR_UNSEEN_DB = -100.0  # slow mean of a link that was never seen
 BLOCKAGE_ONSET_DB, BLOCKAGE_SLOPE_DB, BLOCKAGE_DEPTH, BLOCKAGE_GAIN = 6.0, 6.0, 3.0, 3.0
 VERTICAL = (2, 5)  # z and vz, which flat terrain pins
@@ -86,8 +90,9 @@ class Memory(NamedTuple):
         correction: (2,) average correction of the position along and across the velocity, m.
         unfixed_s: seconds since a link was last accepted.
         snr_mean_db: (L,) slow mean SNR per link.
-        preference: (2, modes) fast and slow average of each mode's log-likelihood minus the
-            last mode's.
+        spread_average_hz: slow average of the Doppler spread.
+        preference: (2, modes) fast and slow average of each mode's :func:`plausibility` minus
+            the last mode's.
     """
 
     mode: Number
@@ -101,6 +106,7 @@ class Memory(NamedTuple):
     correction: list[Number]
     unfixed_s: Number
     snr_mean_db: list[Number]
+    spread_average_hz: Number
     preference: list[list[Number]]
 
 
@@ -188,6 +194,7 @@ def start(pipeline: Pipeline) -> Memory:
         correction=[0.0, 0.0],
         unfixed_s=0.0,
         snr_mean_db=[SNR_UNSEEN_DB] * anchors,
+        spread_average_hz=0.0,
         preference=[[0.0] * len(pipeline.modes) for _ in PREFERENCE_MEMORY],
     )
 
@@ -260,12 +267,12 @@ def consider(
     )
     x_predicted = [x[i] if i in pipeline.pinned else v for i, v in enumerate(x_predicted)]
     if mode.widen_p or mode.widen_v:
-        widening = [mode.widen_p**2] * 3 + [mode.widen_v**2] * 3 + [0.0]
+        p, v = mode.widen_p**2, mode.widen_v**2
+        extra = (p, p, 0.0, v, v, 0.0, 0.0)
         P_predicted = [
-            [value + (widening[i] if i == j and i not in pipeline.pinned else 0.0)
-             for j, value in enumerate(row)]
+            [value + extra[i] if i == j else value for j, value in enumerate(row)]
             for i, row in enumerate(P_predicted)
-        ]  # fmt: skip
+        ]
     force = 0.0
     if mode.recovery is not None:
         force = where(memory.lockout > mode.recovery - 0.5, 1.0, 0.0)
@@ -293,8 +300,26 @@ def _passed(mode: Mode, after: Posterior, layout: Layout) -> Number:
     return dot(within, links)
 
 
-def anticipate(memory: Memory, candidates: Sequence[Candidate], epoch: Epoch) -> Memory:
-    """Remember what the coming epoch shows before any mode is chosen: SNR and preferences."""
+def limited_likelihood(candidate: Candidate, limits: Vector) -> Number:
+    """Log-likelihood in which the NIS of a group (groups,) counts up to its limit.
+
+    The tail of a Gaussian falls so fast that a single link off the line of sight would decide
+    which mode is right, for the one that believes the outlier.
+    """
+    excess = [maximum(nis - limit, 0.0) for nis, limit in zip(candidate.nis, limits, strict=True)]
+    return candidate.log_likelihood + 0.5 * dot(excess, [1.0] * len(excess))
+
+
+def plausibility(candidate: Candidate, layout: Layout) -> Number:
+    """The log-likelihood that modes are compared by, limited at :data:`PLAUSIBLE`."""
+    rows = [group.stop - group.start for group in layout.groups]
+    return limited_likelihood(candidate, [float(chdtri(k, 1.0 - PLAUSIBLE)) for k in rows])
+
+
+def anticipate(
+    memory: Memory, candidates: Sequence[Candidate], epoch: Epoch, layout: Layout
+) -> Memory:
+    """Remember what the coming epoch shows before any mode is chosen."""
     snr = [
         where(
             seen > 0.5,
@@ -303,15 +328,17 @@ def anticipate(memory: Memory, candidates: Sequence[Candidate], epoch: Epoch) ->
         )
         for seen, now, mean in zip(epoch.visible, epoch.snr_db, memory.snr_mean_db, strict=False)
     ]
-    reference = candidates[-1].log_likelihood
+    likelihoods = [plausibility(candidate, layout) for candidate in candidates]
     preference = []
     for past, keep in zip(memory.preference, PREFERENCE_MEMORY, strict=True):
         row = []
-        for old, candidate in zip(past, candidates, strict=True):
-            now = clip(candidate.log_likelihood - reference, -PREFERENCE_LIMIT, PREFERENCE_LIMIT)
+        for old, likelihood in zip(past, likelihoods, strict=True):
+            now = clip(likelihood - likelihoods[-1], -PREFERENCE_LIMIT, PREFERENCE_LIMIT)
             row.append(keep * old + (1.0 - keep) * now)
         preference.append(row)
-    return memory._replace(snr_mean_db=snr, preference=preference)
+    spread = SPREAD_MEMORY * memory.spread_average_hz
+    spread = spread + (1.0 - SPREAD_MEMORY) * epoch.doppler_spread_hz
+    return memory._replace(snr_mean_db=snr, spread_average_hz=spread, preference=preference)
 
 
 def commit(

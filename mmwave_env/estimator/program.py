@@ -208,9 +208,10 @@ class Program(Generic[Workspace]):
         It is compiled here, once. Loops around it take it as an argument and so need no
         compilation of their own for every program.
         """
-        with global_compiler_lock:
-            if self._compiled is None:
-                self._compiled = self._compile()
+        if self._compiled is None:  # the lock costs more than a look, and many steps come
+            with global_compiler_lock:
+                if self._compiled is None:
+                    self._compiled = self._compile()
         return self._compiled
 
     def _compile(self) -> Any:

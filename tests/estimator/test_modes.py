@@ -69,15 +69,15 @@ def test_robust_modes_are_the_same_tuning_without_adaptation():
 def test_the_extended_bank_has_tunings_robust_modes_and_one_that_finds_a_lost_user(as_type):
     modes = modes_from(as_type("extended"), "high")
     assert modes == extended_modes() and len({mode.name for mode in modes}) == 8
-    *tunings, ekf_robust, ukf_robust, reacquire = modes
-    assert [(m.algorithm, m.sigma_p, m.sigma_v) for m in tunings] == [
-        ("ekf", 0.05, 0.1), ("ekf", 0.1, 0.3), ("ukf", 0.1, 0.8), ("ukf", 0.1, 1.8),
-        ("ukf", 0.1, 3.5),
+    *tunings, ekf_robust, ukf_robust, reacquire, reference = modes
+    assert [(m.algorithm, m.sigma_p, m.sigma_v) for m in (*tunings, reference)] == [
+        ("ekf", 0.05, 0.1), ("ekf", 0.1, 0.3), ("ukf", 0.1, 0.8), ("ukf", 0.1, 3.5),
+        ("ukf", 0.1, 1.8),
     ]  # fmt: skip
     assert ekf_robust == robust(tunings[1])
     assert ukf_robust == robust(Mode("ukf-1.0", "ukf", sigma_p=0.1, sigma_v=1.0))
     open_to_all = {"gate": None, "recovery": None, "widen_p": 3.0, "widen_v": 3.0}
-    assert reacquire == replace(tunings[3], name="reacquire", **open_to_all)
+    assert reacquire == replace(reference, name="reacquire", **open_to_all)
 
 
 def test_a_bank_goes_with_other_modes_and_not_with_itself():

@@ -1,5 +1,7 @@
 """Prediction and process noise against matrices written out."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -14,7 +16,7 @@ from mmwave_env.estimator.motion import (
 )
 
 from . import textbook
-from .tracks import pipeline_of, simulated, track
+from .tracks import pipeline_of, simulated, track, unpacked
 
 variances = hnp.arrays(float, 3, elements=st.floats(0.0, 10.0))
 steps = st.sampled_from([0.0, 0.1, 0.5, 1.0, 2.5])
@@ -95,3 +97,16 @@ def test_flat_terrain_keeps_height_and_climb_at_their_prior_values():
     x = track(pipeline_of(planar=True), episodes, 0, 30, ("x",), on_floats=True)["x"]
     prior = [episode.prior_mean[[2, 5]] for episode in episodes]
     np.testing.assert_allclose(x[..., [2, 5]], np.broadcast_to(prior, (30, 2, 2)))
+
+
+@pytest.mark.parametrize("planar", [False, True])
+def test_a_widened_mode_may_be_anywhere_on_the_ground_at_any_velocity_along_it(planar):
+    first = [replace(e, prior_mean=e.prior_mean * [1, 1, 1, 1, 1, 0, 1]) for e in simulated(2, 1)]
+    plain, widened = (
+        unpacked(
+            track(pipeline_of(planar=planar, **how), first, 0, 1, ("P_predicted",))["P_predicted"]
+        )
+        for how in ({}, {"widen_p": 3.0, "widen_v": 2.0})
+    )
+    expected = np.broadcast_to(np.diag([9.0, 9.0, 0.0, 4.0, 4.0, 0.0, 0.0]), plain.shape)
+    np.testing.assert_allclose(widened - plain, expected, atol=1e-9)

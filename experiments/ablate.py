@@ -1,0 +1,99 @@
+"""mmwave-loc ablate: what every part of the training is worth."""
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any, NamedTuple
+
+from experiments import train
+from experiments.cli import run
+from experiments.files import write_json
+from experiments.learning.recipe import read_recipe, shipped_recipe
+from mmwave_env.estimator.modes import as_written, default_modes
+from mmwave_env.names import choose
+
+
+class Variant(NamedTuple):
+    """What is other than in the training of the shipped switchers.
+
+    Attributes:
+        options: of ``mmwave-loc train``.
+        recipe: hyperparameters.
+        one_tuning: both algorithms work with the UKF's process noise.
+    """
+
+    options: Mapping[str, Any] = MappingProxyType({})
+    recipe: Mapping[str, Any] = MappingProxyType({})
+    one_tuning: bool = False
+
+
+VARIANTS = {
+    "as-shipped": Variant(),
+    "prior-observation": Variant({"observation": "prior"}),
+    "one-tuning": Variant(one_tuning=True),
+    "log-score": Variant({"reward": "log-score"}),
+    "no-nees": Variant({"nees_weight": 0.0}),
+    "more-nees": Variant({"nees_weight": 1.0}),
+    "unpaired": Variant(recipe={"paired": False}),
+    "truth-critic": Variant(recipe={"truth_critic": True}),
+    "four-frames": Variant(recipe={"frames": 4}),
+    "recurrent": Variant({"algo": "recurrent-ppo"}),
+    "larger": Variant(recipe={"hidden": (128, 128)}),
+}
+
+
+@dataclass
+class Args:
+    """Train with one thing changed at a time, each on several seeds."""
+
+    variants: tuple[str, ...] = tuple(VARIANTS)
+    """which"""
+    radio: str = "handset"
+    """handset, standard or high"""
+    modes: tuple[str, ...] = ()
+    """to choose from, as of train"""
+    seeds: int = 3
+    """trainings of each variant"""
+    total_timesteps: int = 1_500_000
+    """epochs to train each for"""
+    jobs: int = train.Args.jobs
+    """how many trainings at once"""
+    out: Path = Path("runs/ablation")
+    """folder for a run a variant, as train makes it"""
+    resume: bool = False
+    """go on where the last variant was interrupted"""
+
+
+def training(args: Args, name: str) -> train.Args:
+    """The training of a variant; files of what is changed in it lie beside its run."""
+    variant = choose(VARIANTS, name, "variant")
+    out = args.out / name
+    options = train.Args(
+        radio=args.radio, modes=args.modes, seeds=args.seeds, jobs=args.jobs, out=out,
+        total_timesteps=args.total_timesteps, resume=args.resume and (out / "run.json").is_file(),
+    )  # fmt: skip
+    options = replace(options, **variant.options)
+    if variant.recipe:
+        recipe = replace(read_recipe(shipped_recipe(options.algo)), **variant.recipe)
+        path = args.out / f"{name}.json"
+        write_json(path, asdict(recipe))
+        options = replace(options, hyperparameters=path)
+    if variant.one_tuning:
+        low, high = default_modes(args.radio)
+        path = args.out / f"{name}-modes.json"
+        alike = [replace(high, name=low.name, algorithm=low.algorithm), high]
+        write_json(path, {"modes": [as_written(mode) for mode in alike]})
+        options = replace(options, modes=(str(path),))
+    return options
+
+
+def main(args: Args) -> None:
+    """Run the command."""
+    for options in [training(args, name) for name in args.variants]:
+        print(f"\n{options.out.name}\n")
+        train.main(options)
+
+
+if __name__ == "__main__":
+    run("ablate")

@@ -1,0 +1,101 @@
+"""Trainings side by side, each in a process of its own."""
+
+import json
+import multiprocessing
+import os
+import signal
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from multiprocessing.connection import Connection, wait
+from multiprocessing.process import BaseProcess
+from typing import Any
+
+from experiments.learning.trainer import Job, Training
+
+Outcome = dict[str, Any]
+
+
+def side_by_side(
+    jobs: Sequence[Job], at_once: int, tell: Callable[[Job, int, str], None]
+) -> list[Outcome]:
+    """Run trainings; where one fails or somebody interrupts, the others end, too.
+
+    Args:
+        jobs: what to do.
+        at_once: how many processes.
+        tell: takes a job, the number of epochs trained for and what is new.
+
+    Returns:
+        An outcome for every job.
+
+    Raises:
+        ValueError: what a training refused.
+        ChildProcessError: a training failed in another way, or was ended from outside.
+    """
+    waiting, outcomes = list(reversed(jobs)), dict[int, Outcome]()
+    running: dict[Any, tuple[Job, BaseProcess]] = {}
+    try:
+        while waiting or running:
+            while waiting and len(running) < at_once:
+                job = waiting.pop()
+                line, process = _started(job)
+                running[line] = job, process
+            for line in wait(list(running)):
+                job, process = running[line]
+                try:
+                    kind, *told = line.recv()
+                except (EOFError, OSError):
+                    process.join()
+                    raise ChildProcessError(
+                        f"seed {job.seed}: its process ended with code {process.exitcode}; "
+                        "--resume goes on with the run"
+                    ) from None
+                if kind == "news":
+                    tell(job, *told)
+                elif kind == "refused":
+                    raise ValueError(f"seed {job.seed}: {told[0]}")
+                else:
+                    (outcomes[job.seed],) = told
+                    del running[line]
+                    process.join()
+    finally:
+        for _, process in running.values():
+            process.terminate()
+        for _, process in running.values():
+            process.join()
+    return [outcomes[job.seed] for job in jobs]
+
+
+def _started(job: Job) -> tuple[Connection, BaseProcess]:
+    """A process that trains, and the line on which it tells."""
+    spawn = multiprocessing.get_context("spawn")  # a fork would share PyTorch's locks
+    os.environ["OPENBLAS_NUM_THREADS"] = "1"  # or the trainings are in each other's way
+    ours, theirs = spawn.Pipe(duplex=False)
+    process = spawn.Process(target=_train, args=(job, theirs), daemon=True)
+    with _deaf_to_interrupts(), theirs:
+        process.start()
+    return ours, process
+
+
+@contextmanager
+def _deaf_to_interrupts() -> Iterator[None]:
+    """What starts here ignores Ctrl-C: a terminal sends it to all, and one should answer."""
+    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, before)
+
+
+def _train(job: Job, line: Connection) -> None:
+    """One training; ends at its next word when nobody listens any more."""
+    try:
+        if job.outcome.is_file():
+            outcome = json.loads(job.outcome.read_text(encoding="utf-8"))
+        else:
+            outcome = Training(job, lambda *told: line.send(("news", *told))).run()
+        line.send(("done", outcome))
+    except BrokenPipeError:
+        return
+    except (ValueError, OSError) as error:
+        line.send(("refused", str(error)))

@@ -1,0 +1,313 @@
+"""The features that an observation consists of, each with its formula.
+
+Every feature is something an estimator knows at run time; none sees the truth. The formulas
+are functions of numbers, so they are computed inside the SIMD kernel.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import NamedTuple, TypeVar
+
+from mmwave_env.arithmetic import Matrix, Number, Vector, log, sqrt, where
+from mmwave_env.estimator.algebra import dot
+from mmwave_env.estimator.motion import move
+from mmwave_env.estimator.pipeline import Candidate, Epoch, Memory, Pipeline, Site, plausibility
+from mmwave_env.measurement import Layout
+
+Index = TypeVar("Index")
+
+MISSING_SNR_DB = -20.0
+_WAYS = {"along": "along the predicted velocity", "across": "to the left of it"}
+
+
+class View(NamedTuple):
+    """What a feature may look at.
+
+    Attributes:
+        x, P: (7,), (7, 7) belief after the last epoch.
+        memory: of the track.
+        candidates: per mode, what it would make of the coming epoch.
+        epoch: the coming epoch.
+        site: anchors and carrier.
+    """
+
+    x: Vector
+    P: Matrix
+    memory: Memory
+    candidates: list[Candidate]
+    epoch: Epoch
+    site: Site
+
+
+@dataclass(frozen=True)
+class Feature:
+    """One component of the observation: clip(value / scale, low, high).
+
+    Attributes:
+        name: unique in the table.
+        meaning: what it is, with the formula where the name does not say it.
+        unit: of the value.
+        scale: what one unit of the observation stands for.
+        low, high: bounds of the observation.
+        value: the formula.
+    """
+
+    name: str
+    meaning: str
+    unit: str
+    scale: float
+    low: float
+    high: float
+    value: Callable[[View], Number]
+
+
+def context(pipeline: Pipeline) -> list[Feature]:
+    """What is known before any mode has looked at the coming epoch."""
+    layout = pipeline.layout
+    return [
+        *_speed_and_spread(layout), *_last_epoch(layout), *_belief(), *_links(layout),
+        *_previous(pipeline), *_averages(), *_recovery(),
+    ]  # fmt: skip
+
+
+def coming(pipeline: Pipeline) -> list[Feature]:
+    """How the modes see the coming epoch."""
+    layout, modes = pipeline.layout, pipeline.modes
+    table = _innovation(pipeline)
+    for m, mode in enumerate(modes):
+        table += _candidate(layout, m, mode.name)
+        if m < len(modes) - 1:
+            table += _against(layout, m, mode.name, modes[-1].name)
+    return table
+
+
+def _at(function: Callable[[View, Index], Number], index: Index) -> Callable[[View], Number]:
+    """The formula of one anchor, group or mode."""
+    return lambda view: function(view, index)
+
+
+def _speed(view: View) -> Number:
+    v = view.x[3:6]
+    return sqrt(dot(v, v))
+
+
+def _speed_and_spread(layout: Layout) -> list[Feature]:
+    table = [
+        Feature("predicted speed", "norm of the predicted velocity", "m/s", 10, 0, 5, _speed),
+        Feature(
+            "Doppler spread", "of the coming epoch, over f_c / c", "m/s", 10, 0, 5,
+            lambda v: v.epoch.doppler_spread_hz / v.site.hz_per_mps,
+        ),
+        Feature(
+            "Doppler spread average", "the same, averaged", "m/s", 10, 0, 5,
+            lambda v: v.memory.spread_average_hz / v.site.hz_per_mps,
+        ),
+    ]  # fmt: skip
+    if layout.odometry:
+        table.append(
+            Feature(
+                "odometry speed", "of the coming epoch; predicted speed where missing", "m/s", 10,
+                0, 5,
+                lambda v: where(
+                    v.epoch.visible[-1] > 0.5, v.epoch.z[layout.doppler + 1], _speed(v)
+                ),
+            )
+        )  # fmt: skip
+    return table
+
+
+def _last_epoch(layout: Layout) -> list[Feature]:
+    nis = [
+        Feature(
+            f"NIS {name}", "ln(1 + NIS) of the last epoch", "", 1, 0, 10,
+            _at(lambda v, g: log(1.0 + v.memory.nis[g]), g),
+        )
+        for g, name in enumerate(layout.group_names)
+    ]  # fmt: skip
+    verdict = [
+        Feature(
+            f"verdict {name}", "last epoch: 1 accepted, -1 gated, 0 missing", "", 1, -1, 1,
+            _at(lambda v, g: v.memory.accepted[g] - v.memory.rejected[g], g),
+        )
+        for g, name in enumerate(layout.group_names)
+    ]  # fmt: skip
+    return nis + verdict
+
+
+def _log_trace(first: int) -> Callable[[View], Number]:
+    return lambda view: log(view.P[first][first] + view.P[first + 1][first + 1] + 1e-12)
+
+
+def _belief() -> list[Feature]:
+    return [
+        Feature(
+            "position variance", "ln of the trace of P, horizontal position", "ln m^2", 5, -4, 4,
+            _log_trace(0),
+        ),
+        Feature(
+            "velocity variance", "ln of the trace of P, horizontal velocity", "ln (m/s)^2", 5, -4,
+            4, _log_trace(3),
+        ),
+    ]  # fmt: skip
+
+
+def _snr(view: View, anchor: int) -> Number:
+    return where(view.epoch.visible[anchor] > 0.5, view.epoch.snr_db[anchor], MISSING_SNR_DB)
+
+
+def _snr_drop(view: View, anchor: int) -> Number:
+    drop = view.memory.snr_mean_db[anchor] - view.epoch.snr_db[anchor]
+    return where(view.epoch.visible[anchor] > 0.5, drop, 0.0)
+
+
+def _distance(view: View, anchor: int) -> Number:
+    predicted = move(view.x, view.epoch.dt)
+    step = [predicted[i] - view.site.anchors[anchor][i] for i in range(3)]
+    return sqrt(dot(step, step))
+
+
+def _links(layout: Layout) -> list[Feature]:
+    table = []
+    for a in range(layout.anchors):
+        table += [
+            Feature(
+                f"SNR anchor {a + 1}", f"of the coming epoch; {MISSING_SNR_DB:g} dB where missing",
+                "dB", 20, -1, 4, _at(_snr, a),
+            ),
+            Feature(
+                f"SNR drop anchor {a + 1}", "its slow mean minus SNR; 0 where missing", "dB", 10,
+                -2, 4, _at(_snr_drop, a),
+            ),
+            Feature(
+                f"distance anchor {a + 1}", "of the predicted position", "m", 100, 0, 10,
+                _at(_distance, a),
+            ),
+        ]  # fmt: skip
+    return table
+
+
+def _previous(pipeline: Pipeline) -> list[Feature]:
+    return [
+        Feature(
+            f"previous mode {mode.name}", "1 if it ran in the last epoch", "", 1, 0, 1,
+            _at(lambda v, m: where(abs(v.memory.mode - float(m)) < 0.5, 1.0, 0.0), m),
+        )
+        for m, mode in enumerate(pipeline.modes)
+    ]  # fmt: skip
+
+
+def _averages() -> list[Feature]:
+    nis = [
+        Feature(
+            f"NIS {pace} average", "of NIS / dof of what was accepted", "", 1, 0, 10,
+            _at(lambda v, i: v.memory.nis_average[i], i),
+        )
+        for i, pace in enumerate(("fast", "slow"))
+    ]  # fmt: skip
+    correction = [
+        Feature(
+            f"correction {way}", f"average position correction {way} the velocity", "m", 1, -10,
+            10, _at(lambda v, i: v.memory.correction[i], i),
+        )
+        for i, way in enumerate(("along", "across"))
+    ]  # fmt: skip
+    return nis + correction
+
+
+def _recovery() -> list[Feature]:
+    return [
+        Feature("gamma", "adaptive scale of Q and R", "", 1, 0.5, 2, lambda v: v.memory.gamma),
+        Feature(
+            "lock-out", "epochs in a row with no visible link within its gate", "epochs", 1, 0, 10,
+            lambda v: v.memory.lockout,
+        ),
+        Feature(
+            "time since fix", "since a link was last accepted", "s", 10, 0, 5,
+            lambda v: v.memory.unfixed_s,
+        ),
+    ]  # fmt: skip
+
+
+def _doppler_innovation(view: View, layout: Layout) -> Number:
+    """Radial velocity measured minus predicted, m/s; 0 where missing."""
+    x, base = move(view.x, view.epoch.dt), view.site.anchors[0]
+    step = [x[i] - base[i] for i in range(3)]
+    radial = dot(step, x[3:6]) / sqrt(dot(step, step))
+    measured = (view.epoch.z[layout.doppler] - x[6]) / view.site.hz_per_mps
+    return where(view.epoch.visible[layout.anchors] > 0.5, measured - radial, 0.0)
+
+
+def _innovation(pipeline: Pipeline) -> list[Feature]:
+    layout, last = pipeline.layout, pipeline.modes[-1].name
+    doppler = Feature(
+        "coming Doppler innovation", "of the radial velocity; 0 where missing", "m/s", 1, -10, 10,
+        lambda v: _doppler_innovation(v, layout),
+    )  # fmt: skip
+    nis = [
+        Feature(
+            f"coming NIS {name} {last}", "ln(1 + NIS) of the group", "", 1, 0, 10,
+            _at(lambda v, g: log(1.0 + v.candidates[-1].nis[g]), g),
+        )
+        for g, name in enumerate(layout.group_names)
+    ]  # fmt: skip
+    return [doppler, *nis]
+
+
+def _mean_nis(layout: Layout, candidate: Candidate, epoch: Epoch) -> Number:
+    rows = dot(epoch.visible, [float(r.stop - r.start) for r in layout.groups])
+    total = dot(epoch.visible, candidate.nis)
+    return total / where(rows > 0.5, rows, 1.0)
+
+
+def _correction(view: View, mode: int, first: int, across: bool) -> Number:
+    """Candidate minus prediction, of two state components, along the velocity or to its left."""
+    predicted, candidate = move(view.x, view.epoch.dt), view.candidates[mode]
+    step = [candidate.x[i] - predicted[i] for i in (first, first + 1)]
+    v = predicted[3:5]
+    speed = sqrt(v[0] * v[0] + v[1] * v[1] + 1e-6)
+    product = step[1] * v[0] - step[0] * v[1] if across else dot(step, v)
+    return product / speed
+
+
+def _candidate(layout: Layout, m: int, name: str) -> list[Feature]:
+    links = [1.0] * layout.anchors
+    table = [
+        Feature(
+            f"coming NIS {name}", "ln(1 + NIS / dof) over the visible groups", "", 1, 0, 10,
+            lambda v: log(1.0 + _mean_nis(layout, v.candidates[m], v.epoch)),
+        ),
+        Feature(
+            f"coming rejected {name}", "links it would reject", "links", 1, 0, layout.anchors,
+            lambda v: dot(links, v.epoch.visible) - dot(links, v.candidates[m].accepted),
+        ),
+        Feature(
+            f"coming variance {name}", "ln of the trace of its P, horizontal position", "ln m^2",
+            5, -4, 4, lambda v: log(v.candidates[m].P[0] + v.candidates[m].P[2] + 1e-12),
+        ),
+    ]  # fmt: skip
+    for of, first, unit in (("position", 0, "m"), ("velocity", 3, "m/s")):
+        for way, across in (("along", False), ("across", True)):
+            table.append(
+                Feature(
+                    f"coming {of} correction {way} {name}", _WAYS[way], unit, 1, -10, 10,
+                    _at(lambda v, at: _correction(v, m, *at), (first, across)),
+                )
+            )  # fmt: skip
+    return table
+
+
+def _against(layout: Layout, m: int, name: str, last: str) -> list[Feature]:
+    now = Feature(
+        f"coming log-likelihood {name}", f"minus that of {last}; NIS counts up to 99.9 %", "nats",
+        5, -6, 6,
+        lambda v: plausibility(v.candidates[m], layout) - plausibility(v.candidates[-1], layout),
+    )  # fmt: skip
+    past = [
+        Feature(
+            f"preference {pace} {name}",
+            f"{pace} average of its log-likelihood minus that of {last}", "nats", 5, -6, 6,
+            _at(lambda v, i: v.memory.preference[i][m], i),
+        )
+        for i, pace in enumerate(("fast", "slow"))
+    ]  # fmt: skip
+    return [now, *past]

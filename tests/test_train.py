@@ -1,0 +1,447 @@
+"""Training of switchers: the world they learn in, what is written, and how it goes on."""
+
+import json
+import math
+import os
+import subprocess
+import sys
+from dataclasses import asdict, replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+pytest.importorskip("stable_baselines3")
+
+import torch
+
+from experiments.cli import run
+from experiments.files import write_json
+from experiments.learning import world as worlds
+from experiments.learning.checkpoint import read_checkpoint, with_arrays, write_checkpoint
+from experiments.learning.journal import Journal
+from experiments.learning.network import actor_of, learner
+from experiments.learning.recipe import Recipe, read_recipe, shipped_recipe
+from experiments.learning.world import TRUTH, PairedReward, Task, WithTruth, World
+from experiments.train import Args
+from mmwave_env.estimator.modes import default_modes
+from mmwave_env.estimator.pipeline import Pipeline
+from mmwave_env.imm_engine import ImmEngine
+from mmwave_env.radio import RADIOS
+from mmwave_env.reward import TrackingReward
+from mmwave_env.sb3 import SB3VecEnv
+from mmwave_env.scene import SCENES
+from mmwave_env.simulation import SimulatedSource
+from mmwave_env.vector_env import MmWaveLocVectorEnv
+from policies import LearnedSwitch
+
+from .actors import MODES, card_of, write
+
+pytestmark = pytest.mark.torch
+
+ROOT = Path(__file__).parent.parent
+TASK = Task("mixed", "handset", MODES, "full", TrackingReward())
+RECIPE = Recipe(
+    num_envs=8, n_steps=16, batch_size=64, n_epochs=2, learning_rate=0.003, ent_coef=0.01,
+    final_fraction=0.1, gamma=0.95, gae_lambda=0.9, clip_range=0.2, max_grad_norm=0.5,
+    target_kl=0.1, hidden=(8, 8), lstm=0, frames=1, clip_observation=5.0, paired=False,
+    truth_critic=False,
+)  # fmt: skip
+RECIPES = {
+    "ppo": RECIPE,
+    "truth": replace(RECIPE, truth_critic=True),
+    "frames": replace(RECIPE, frames=3),
+    "recurrent": replace(RECIPE, lstm=6, hidden=(8,)),
+    "both": replace(RECIPE, lstm=6, frames=2, hidden=(8,)),
+}
+
+
+def content(recipe=RECIPE):
+    """A recipe as its file holds it."""
+    return asdict(recipe) | {"hidden": list(recipe.hidden)}
+
+
+@pytest.fixture(autouse=True)
+def one_thread():
+    """As in a training; also, threads would not survive the forks of other tests."""
+    torch.set_num_threads(1)
+
+
+# --- the world
+
+
+def short(n=5, steps=7):
+    return MmWaveLocVectorEnv(
+        n, modes=MODES, scenario="vehicle", episode_steps=steps, autoreset_mode="SameStep"
+    )
+
+
+def test_paired_rewards_are_less_those_of_an_imm_on_the_same_episodes():
+    n, steps, epochs = 5, 7, 30
+    pipeline = Pipeline(MODES[:2], short().batch.layout)
+    env, plain = short(n, steps), short(n, steps)
+    venv = PairedReward(SB3VecEnv(env), env, ImmEngine(pipeline, TrackingReward()))
+    venv.seed(3)
+    venv.reset()
+    plain.reset(seed=3)
+
+    source = SimulatedSource(SCENES["street"], RADIOS["handset"], "vehicle", epochs=steps)
+    generators = [np.random.default_rng(3 + i) for i in range(n)]
+    imm = ImmEngine(pipeline, TrackingReward())
+    rivals = []  # (n, epochs), episode after episode
+    for _ in range(-(-epochs // steps)):
+        episodes = [source.sample(rng) for rng in generators]
+        rivals.append(imm.run(episodes, "reward")["reward"])
+    rivals = np.concatenate(rivals, axis=1)
+
+    rng = np.random.default_rng(0)
+    for t in range(epochs):
+        actions = rng.integers(3, size=n)
+        _, paired, over, infos = venv.step(actions)
+        _, rewards, _, truncated, _ = plain.step(actions)
+        np.testing.assert_allclose(paired, rewards - rivals[:, t], rtol=1e-5, atol=1e-5)
+        np.testing.assert_array_equal(over, truncated)
+        assert all(("episode" in info) == over[i] for i, info in enumerate(infos))
+        assert np.abs(rivals[:, t]).min() > 0.0
+
+
+def wrong(estimate, truth):
+    """What the critic is shown: complex numbers turn the errors into the direction of travel."""
+    estimate, truth = estimate[:6].tolist(), truth.tolist()
+    error = [a - b for a, b in zip(estimate, truth, strict=True)]
+    heading = complex(truth[3], truth[4])
+    ahead = heading / abs(heading) if abs(heading) > 1e-9 else 1.0
+    position, velocity = (complex(*e) / ahead for e in (error[:2], error[3:5]))
+    return [position.real, position.imag, error[2], velocity.real, velocity.imag, error[5],
+            abs(heading)]  # fmt: skip
+
+
+def test_a_critic_sees_the_truth_at_ends_too():
+    env, plain = short(), short()
+    venv = WithTruth(SB3VecEnv(env), env)
+    venv.seed(1)
+    seen, (expected, told) = venv.reset(), plain.reset(seed=1)
+    rng, ends = np.random.default_rng(0), 0
+    assert seen.shape == (5, len(expected[0]) + TRUTH)
+    for t in range(30):
+        np.testing.assert_array_equal(seen[:, :-TRUTH], expected)
+        truth = [wrong(*pair) for pair in zip(told["estimate"], told["truth"], strict=True)]
+        np.testing.assert_allclose(seen[:, -TRUTH:], truth, rtol=1e-4, atol=1e-4)
+        actions = rng.integers(3, size=5)
+        seen, _, over, infos = venv.step(actions)
+        expected, *_, told = plain.step(actions)
+        for i in np.flatnonzero(over):
+            final, last = told["final_info"], infos[i]["terminal_observation"]
+            np.testing.assert_array_equal(last[:-TRUTH], told["final_obs"][i])
+            truth = wrong(final["estimate"][i], final["truth"][i])
+            np.testing.assert_allclose(last[-TRUTH:], truth, rtol=1e-4, atol=1e-4)
+            assert last.dtype == np.float32 and (t + 1) % 7 == 0
+            ends += 1
+    assert ends == 5 * 4
+
+
+def test_a_critic_sees_a_user_at_rest():
+    truth = np.array([[1.0, 2.0, 3.0, 0.0, 0.0, 0.0]])
+    found = worlds._wrong(truth + 1.0, truth)
+    np.testing.assert_array_equal(found, [[1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 0.0]])
+
+
+@pytest.mark.parametrize("kind", RECIPES)
+def test_a_world_goes_on_to_the_last_bit(kind):
+    recipe = replace(RECIPES[kind], num_envs=3)
+    first, second = World(TASK, recipe), World(TASK, recipe)
+    first.venv.seed(0)
+    second.venv.seed(99)
+    for world in (first, second):
+        world.venv.reset()
+    rng = np.random.default_rng(0)
+    actions = rng.integers(3, size=(215, 3))
+    for now in actions[:190]:
+        first.venv.step(now)
+    second.restore(first.state())
+    for now in actions[190:]:
+        (a, *scores, told), (b, *their_scores, their_told) = (
+            world.venv.step(now) for world in (first, second)
+        )
+        for x, y in zip((a, *scores), (b, *their_scores), strict=True):
+            np.testing.assert_array_equal(x, y)
+        for x, y in zip(told, their_told, strict=True):
+            assert x.get("episode", {}).get("r") == y.get("episode", {}).get("r")
+            np.testing.assert_array_equal(
+                x.get("terminal_observation", 0), y.get("terminal_observation", 0)
+            )
+
+
+# --- what a policy file takes over
+
+
+@pytest.mark.parametrize("kind", RECIPES)
+def test_the_exported_actor_acts_as_the_trained_one(kind, tmp_path):
+    """2000 observations, the ends of all episodes among them."""
+    recipe = RECIPES[kind]
+    place = World(TASK, recipe)
+    model = learner(place, recipe, seed=1)
+    now, rng = place.venv.reset(), np.random.default_rng(0)
+    for _ in range(20):  # for the normalisation
+        now, *_ = place.venv.step(rng.integers(3, size=8))
+    place.normal.training = False
+    with torch.no_grad():
+        model.policy.action_net.weight *= 100.0  # or hardly any logits would differ
+    table = place.env.observation
+    card = card_of(table, frames=recipe.frames)
+    path = write(tmp_path / "actor.safetensors", actor_of(model, place, recipe), card)
+    policy = LearnedSwitch(path, table)
+
+    now, state, begins = place.venv.reset(), None, np.ones(8, bool)
+    taken, alike = set(), []
+    for _ in range(250):
+        actions, state = model.predict(now, state, begins, deterministic=True)
+        policy.reset(begins)
+        alike.append(actions == policy(place.normal.get_original_obs()[:, : place.features]))
+        taken |= set(actions.tolist())
+        now, _, begins, _ = place.venv.step(actions)
+    assert taken == {0, 1, 2} and np.mean(alike) == 1.0
+
+
+# --- recipes
+
+
+def test_shipped_recipes_are_sound():
+    assert read_recipe(shipped_recipe("ppo")).lstm == 0
+    assert read_recipe(shipped_recipe("recurrent-ppo")).lstm > 0
+
+
+BAD = {
+    "text": ("gamma: 0.9\n", "Expecting value"),
+    "list": ("[1]", "found list, expected an object"),
+    "missing": ({"gamma": None}, "missing gamma, unknown none"),
+    "unknown": ({"gama": 0.9}, "missing none, unknown gama"),
+    "string": ({"gamma": "0.9"}, "gamma: found '0.9', expected a number of 0 or more"),
+    "nan": ({"gamma": math.nan}, "gamma: found nan, expected a number"),
+    "infinite": ({"learning_rate": math.inf}, "learning_rate: found inf, expected a number"),
+    "negative": ({"clip_range": -0.1}, "clip_range: found -0.1, expected a number of 0 or more"),
+    "fraction": ({"n_steps": 1.5}, "n_steps: found 1.5, expected a count of 0 or more"),
+    "truth": ({"n_steps": True}, "n_steps: found True, expected a count"),
+    "number": ({"paired": 1}, "paired: found 1, expected true or false"),
+    "none": ({"num_envs": 0}, "num_envs: found 0, expected 1 or more"),
+    "one": ({"batch_size": 1}, "batch_size: found 1, expected 2 or more"),
+    "above 1": ({"gamma": 1.01}, "gamma: found 1.01, expected 0 to 1"),
+    "no list": ({"hidden": 64}, "hidden: found 64, expected a list of counts of neurons"),
+    "empty list": ({"hidden": []}, r"hidden: found \(\), expected a list of counts"),
+    "words": ({"hidden": "64"}, "hidden: found '64', expected a list"),
+    "no neurons": ({"hidden": [64, 0]}, r"hidden: found \(64, 0\), expected a list of counts"),
+    "both": ({"truth_critic": True, "frames": 2}, "truth_critic: found true, expected false"),
+    "algorithm": ({"lstm": 8}, "lstm: found 8, expected 0 for --algo ppo"),
+}
+
+
+def written(path, change):
+    """A file of hyperparameters with a change; None leaves one out."""
+    if isinstance(change, str):
+        path.write_text(change)
+    else:
+        changed = content() | change
+        path.write_text(json.dumps({k: v for k, v in changed.items() if v is not None}))
+    return path
+
+
+def refused(capsys, *words):
+    """The one line with which the command ends."""
+    with pytest.raises(SystemExit) as left:
+        run("train", [str(word) for word in words])
+    assert left.value.code == 2
+    told = capsys.readouterr()
+    assert told.out == "" and told.err.startswith("mmwave-loc train: ")
+    (line,) = told.err.splitlines()
+    return line
+
+
+@pytest.mark.parametrize("change", BAD)
+def test_a_bad_recipe_is_refused_in_one_line(change, tmp_path, capsys):
+    changes, message = BAD[change]
+    path, out = written(tmp_path / "mine.json", changes), tmp_path / "run"
+    line = refused(capsys, "--hyperparameters", path, "--out", out)
+    assert str(path) in line and not out.exists()
+    with pytest.raises(ValueError, match=message):
+        raise ValueError(line)
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (("--scenario", "train"), "'train'.*pedestrian"),
+        (("--radio", "lab"), "'lab'.*handset"),
+        (("--modes", "oracle"), "'oracle'.*ekf"),
+        (("--observation", "half"), "observation: found 'half'"),
+        (("--reward", "money"), "'money'.*tracking"),
+        (("--seeds", 0), "seeds: found 0"),
+        (("--jobs", 0), "jobs: found 0"),
+        (("--checkpoint-every", 0), "checkpoint_every: found 0"),
+        (("--total-timesteps", -1), "total_timesteps: found -1"),
+        (("--resume", "--overwrite"), "overwrite: found it beside resume"),
+        (("--hyperparameters", "nowhere.json"), "nowhere.json"),
+        (("--algo", "recurrent-ppo", "--hyperparameters", shipped_recipe("ppo")),
+         "lstm: found 0, expected 1 or more for --algo recurrent-ppo"),
+    ],
+)  # fmt: skip
+def test_a_mistake_is_refused_before_a_folder_is_made(words, message, tmp_path, capsys):
+    line = refused(capsys, *words, "--out", tmp_path / "run")
+    with pytest.raises(ValueError, match=message):
+        raise ValueError(line)
+    assert not (tmp_path / "run").exists()
+
+
+@pytest.mark.parametrize("package", ["torch", "sb3_contrib"])
+def test_without_the_extra_it_says_what_to_install(package, tmp_path):
+    code = (
+        "import sys\n"
+        "class Missing:\n"
+        "    def find_spec(self, name, path=None, target=None):\n"
+        f"        if name == {package!r}: raise ModuleNotFoundError('No module named ' + name)\n"
+        "sys.meta_path.insert(0, Missing())\n"
+        "from experiments.cli import run\n"
+        f"run('train', ['--out', {str(tmp_path / 'run')!r}])\n"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=ROOT)
+    assert done.returncode == 2 and done.stdout == ""
+    (line,) = done.stderr.splitlines()
+    assert "needs more than the base install" in line and "mmwave-loc[train]" in line
+    assert not (tmp_path / "run").exists()
+
+
+# --- folders
+
+
+def folder_of(path, modes=None, recipe=None, **options):
+    """A run that could be resumed, by its manifest."""
+    args = Args(out=path, **options)
+    manifest = args.manifest(modes or default_modes("handset"), recipe or args.recipe())
+    write_json(path / "run.json", manifest)
+    return path
+
+
+def test_a_run_is_not_overwritten_by_accident(tmp_path, capsys):
+    line = refused(capsys, "--out", folder_of(tmp_path))
+    assert "found files in" in line and "--resume" in line and "--overwrite" in line
+
+
+def test_files_that_are_no_run_are_never_removed(tmp_path, capsys):
+    (tmp_path / "thesis.tex").write_text("years of work")
+    line = refused(capsys, "--out", tmp_path, "--overwrite")
+    assert "found files" in line and "left them" in line
+    assert (tmp_path / "thesis.tex").read_text() == "years of work"
+
+
+def test_a_file_is_no_folder(tmp_path, capsys):
+    (tmp_path / "file").write_text("")
+    assert "file" in refused(capsys, "--out", tmp_path / "file")
+
+
+def test_there_must_be_a_run_to_resume(tmp_path, capsys):
+    assert "found no run in" in refused(capsys, "--out", tmp_path / "run", "--resume")
+    assert not (tmp_path / "run").exists()
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (("--seeds", 6), "command: found mmwave-loc train, expected mmwave-loc train --seeds 6;"),
+        (("--scenario", "jam"), "command: found .*--scenario jam; resume a run with the options"),
+    ],
+)
+def test_a_run_with_other_options_is_not_resumed(words, message, tmp_path, capsys):
+    line = refused(capsys, "--out", folder_of(tmp_path), "--resume", *words)
+    with pytest.raises(ValueError, match=f"run.json: {message}"):
+        raise ValueError(line)
+
+
+def test_a_run_with_other_modes_or_another_recipe_is_not_resumed(tmp_path, capsys):
+    """Files may have changed, or what names mean."""
+    path = written(tmp_path / "mine.json", {})
+    resume = ("--resume", "--hyperparameters", path, "--out")
+    found = folder_of(tmp_path / "modes", modes=MODES, hyperparameters=path)
+    assert "modes: found [{'name': 'stand'" in refused(capsys, *resume, found)
+    found = folder_of(tmp_path / "gamma", recipe=replace(RECIPE, gamma=0.5), hyperparameters=path)
+    assert "gamma: found 0.5, expected 0.95" in refused(capsys, *resume, found)
+
+
+@pytest.mark.parametrize("damaged", ["", "[]", "{}", '{"command": 1, "modes": 2, "recipe": 3}'])
+def test_a_damaged_manifest_is_named(damaged, tmp_path, capsys):
+    (tmp_path / "run.json").write_text(damaged)
+    line = refused(capsys, "--out", tmp_path, "--resume")
+    assert "run.json: not the manifest of a run" in line
+
+
+# --- checkpoints
+
+STATE = {
+    "words": "ä", "none": None, "flag": True, "list": [1, 2.5, ("a", -1)],
+    "arrays": {"single": np.arange(6, dtype=np.float32).reshape(2, 3)[:, ::2],
+               "words": np.array([2**32 - 1], np.uint32), "big": np.array([2**63], np.uint64),
+               "flags": np.array([True, False]), "small": np.array([255], np.uint8)},
+    "number": np.float64(0.1), "tensor": torch.tensor([1.5]),
+}  # fmt: skip
+
+
+def test_a_checkpoint_comes_back(tmp_path):
+    path = tmp_path / "checkpoint.pt"
+    write_checkpoint(path, STATE)
+    found = read_checkpoint(path)
+    assert {k: found[k] for k in ("words", "none", "flag", "list", "number")} == {
+        "words": "ä", "none": None, "flag": True, "list": [1, 2.5, ("a", -1)], "number": 0.1,
+    }  # fmt: skip
+    assert torch.equal(found["tensor"], STATE["tensor"])
+    for key, array in with_arrays(found["arrays"]).items():
+        np.testing.assert_array_equal(array, STATE["arrays"][key])
+        assert array.dtype == STATE["arrays"][key].dtype
+
+
+def test_damage_is_found_wherever_it_is(tmp_path):
+    path = tmp_path / "checkpoint.pt"
+    write_checkpoint(path, STATE)
+    whole, rng = path.read_bytes(), np.random.default_rng(0)
+    damaged = [b"", whole[:10], whole[:-1], whole + b"x", b"text\n"]
+    for place in rng.integers(len(whole), size=60):
+        bit = 1 << int(rng.integers(8))
+        damaged.append(whole[:place] + bytes([whole[place] ^ bit]) + whole[place + 1 :])
+    for found in damaged:
+        path.write_bytes(found)
+        with pytest.raises(ValueError, match=r"checkpoint.pt: not a checkpoint: .*; remove it"):
+            read_checkpoint(path)
+
+
+class Malicious:
+    """Unpickling it makes a file."""
+
+    def __init__(self, path):
+        self.path = path
+
+    def __reduce__(self):
+        return os.mkdir, (str(self.path),)
+
+
+def test_a_malicious_checkpoint_is_refused_and_not_executed(tmp_path):
+    path, trap = tmp_path / "checkpoint.pt", tmp_path / "trap"
+    write_checkpoint(path, {"update": 1, "learner": Malicious(trap)})
+    with pytest.raises(ValueError, match="not a checkpoint: Weights only load failed"):
+        read_checkpoint(path)
+    assert not trap.exists()
+
+
+# --- the journal
+
+
+def test_the_journal_writes_a_row_a_call_and_goes_on(tmp_path):
+    journal = Journal(tmp_path, [])
+    journal.write({"a": 1, "time/fps": 9}, {}, 10)
+    journal.write({"b": np.float32(0.123456789)}, {}, 20)
+    journal.save()
+    assert (tmp_path / "progress.csv").read_text() == "timesteps,a,b\n10,1,\n20,,0.123457\n"
+    again = Journal(tmp_path, journal.rows)
+    journal.write({"lost": 1}, {}, 30)
+    again.write({"a": 2, "c": 3}, {}, 30)
+    again.close()
+    journal._events.close()
+    assert (tmp_path / "progress.csv").read_text() == (
+        "timesteps,a,b,c\n10,1,,\n20,,0.123457,\n30,2,,3\n"
+    )

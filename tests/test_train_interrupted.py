@@ -1,0 +1,273 @@
+"""Trainings that are killed at any moment and go on: the same files as without."""
+
+import csv
+import io
+import json
+import multiprocessing
+import os
+import re
+import signal
+import subprocess
+import sys
+import time
+import zipfile
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+pytest.importorskip("stable_baselines3")
+
+import torch
+
+from experiments.learning import examiner
+from experiments.learning.processes import side_by_side
+from experiments.learning.trainer import Job, Training
+from mmwave_env.estimator.modes import default_modes
+
+from .test_train import RECIPE, TASK, content
+
+pytestmark = [
+    pytest.mark.torch,
+    pytest.mark.slow,
+    pytest.mark.skipif(not hasattr(os, "fork"), reason="kills what it forked"),
+]
+
+ROOT = Path(__file__).parent.parent
+SMALL = replace(RECIPE, num_envs=4, n_steps=25, batch_size=50, paired=True)
+RECIPES = {
+    "ppo": ("ppo", replace(SMALL, truth_critic=True)),
+    "frames": ("ppo", replace(SMALL, frames=2)),
+    "recurrent": ("recurrent-ppo", replace(SMALL, frames=2, lstm=4, hidden=(8,))),
+}
+UPDATES = 14  # episodes end after every eighth
+
+
+def job_of(folder, kind="ppo", task=TASK, **changes):
+    algorithm, recipe = RECIPES[kind]
+    timesteps = UPDATES * recipe.num_envs * recipe.n_steps
+    job = Job(task, recipe, algorithm, 0, timesteps, folder, "mmwave-loc train", 1)
+    return replace(job, **changes)
+
+
+def silent(*_):
+    pass
+
+
+def train(job):
+    Training(job, silent).run()
+
+
+def forked(job):
+    """A process that trains; what is compiled here need not be compiled there."""
+    process = multiprocessing.get_context("fork").Process(target=train, args=(job,))
+    process.start()
+    return process
+
+
+def weights(folder):
+    """All tensors of a model, and of its optimizer, by name."""
+    found = {}
+    with zipfile.ZipFile(folder / "model.zip") as archive:
+        for name in ("policy.pth", "policy.optimizer.pth"):
+            tree = torch.load(io.BytesIO(archive.read(name)), weights_only=True)
+            found |= {f"{name} {key}": value for key, value in flat(tree)}
+    return found
+
+
+def flat(tree):
+    """Leaves of dicts and lists, with their paths."""
+    if not isinstance(tree, (dict, list)):
+        yield "", tree
+        return
+    for key, value in tree.items() if isinstance(tree, dict) else enumerate(tree):
+        for path, leaf in flat(value):
+            yield f"{key}/{path}", leaf
+
+
+def progress(folder):
+    """Rows of the journal, as text, without wall time."""
+    text = (folder / "progress.csv").read_text()
+    rows = list(csv.DictReader(io.StringIO(text)))
+    assert all(float(row.pop("seconds")) > 0.0 for row in rows)
+    return rows
+
+
+def untimed(outcome):
+    outcome.pop("seconds")
+    if outcome["beat_rule"]:
+        outcome["beat_rule"].pop("seconds")
+    return outcome
+
+
+def assert_same_training(found, expected):
+    """All but what a clock tells."""
+    for name in ("policy.safetensors", "latest.safetensors"):
+        assert (found / name).read_bytes() == (expected / name).read_bytes()
+    ours, theirs = weights(found), weights(expected)
+    assert ours.keys() == theirs.keys() and len(ours) > 10
+    for name, value in theirs.items():
+        assert torch.equal(torch.as_tensor(ours[name]), torch.as_tensor(value)), name
+    assert progress(found) == progress(expected)
+    outcomes = [json.loads((folder / "outcome.json").read_text()) for folder in (found, expected)]
+    assert untimed(outcomes[0]) == untimed(outcomes[1])
+    assert not (found / "checkpoint.pt").exists()
+
+
+@pytest.fixture
+def quick(monkeypatch):
+    """Looks at few episodes, in this process and in its forks."""
+    monkeypatch.setattr(examiner, "EPISODES", 20)
+    torch.set_num_threads(1)  # threads would not survive a fork
+
+
+@pytest.mark.parametrize("kind", RECIPES)
+def test_killed_at_random_moments_it_goes_on_to_the_same_end(kind, tmp_path, quick):
+    job, whole = job_of(tmp_path / "killed", kind), job_of(tmp_path / "whole", kind)
+    train(whole)  # compiles, too
+    checkpoint, rng, kills = job.folder / "checkpoint.pt", np.random.default_rng(5), 0
+    before = None
+    while True:
+        process = forked(job)
+        while process.is_alive() and stamp(checkpoint) in (before, None):
+            time.sleep(0.001)
+        time.sleep(rng.uniform(0.0, 0.15))
+        process.kill()
+        process.join()
+        if process.exitcode == 0:
+            break
+        assert process.exitcode == -signal.SIGKILL
+        kills, before = kills + 1, stamp(checkpoint)
+    assert kills >= 2
+    assert_same_training(job.folder, whole.folder)
+
+
+def stamp(path):
+    """Changes whenever a file is replaced; None where there is none."""
+    try:
+        return path.stat().st_ino, path.stat().st_mtime_ns
+    except FileNotFoundError:
+        return None
+
+
+def test_killed_before_the_first_checkpoint_it_starts_over(tmp_path, quick):
+    job, whole = job_of(tmp_path / "killed"), job_of(tmp_path / "whole")
+    train(whole)
+    job = replace(job, checkpoint_every=100)
+    process = forked(job)
+    while not job.policy.exists():
+        time.sleep(0.001)
+    process.kill()
+    process.join()
+    assert not (job.folder / "checkpoint.pt").exists()
+    train(job)
+    assert_same_training(job.folder, whole.folder)
+
+
+def test_trainings_differ_by_their_seeds_alone(tmp_path, quick):
+    for name, seed in (("a", 0), ("b", 0), ("c", 1)):
+        train(job_of(tmp_path / name, seed=seed))
+    assert_same_training(tmp_path / "a", tmp_path / "b")
+    a, c = weights(tmp_path / "a"), weights(tmp_path / "c")
+    assert any((a[name] != c[name]).any() for name in a if "policy_net" in name)
+
+
+# --- processes
+
+
+def finished(folder, seed):
+    folder.mkdir(parents=True)
+    (folder / "outcome.json").write_text(json.dumps({"seed": seed}))
+    return job_of(folder, seed=seed)
+
+
+def test_finished_trainings_are_not_run_again(tmp_path):
+    jobs = [finished(tmp_path / f"{seed}", seed) for seed in range(3)]
+    assert side_by_side(jobs, 2, silent) == [{"seed": 0}, {"seed": 1}, {"seed": 2}]
+    assert not multiprocessing.active_children()
+
+
+def test_a_damaged_checkpoint_ends_all_trainings(tmp_path):
+    jobs = [job_of(tmp_path / f"{seed}", seed=seed) for seed in range(3)]
+    jobs[1].folder.mkdir()
+    (jobs[1].folder / "checkpoint.pt").write_bytes(b"damaged")
+    with pytest.raises(ValueError, match=r"^seed 1: .*checkpoint.pt: not a checkpoint: .*remove"):
+        side_by_side(jobs, 2, silent)
+    assert not multiprocessing.active_children()
+    assert not jobs[2].folder.exists()
+
+
+# --- the command
+
+
+def started(*words):
+    return subprocess.Popen(
+        [sys.executable, "-m", "experiments.cli", "train", *map(str, words)], text=True,
+        stdout=subprocess.PIPE, stderr=subprocess.PIPE, cwd=ROOT, start_new_session=True,
+    )  # fmt: skip
+
+
+def members(group):
+    """Process number and command of everyone in a process group."""
+    told = subprocess.run(["ps", "-eo", "pgid=,pid=,args="], capture_output=True, text=True)
+    rows = [line.split(None, 2) for line in told.stdout.splitlines()]
+    return {int(pid): args for number, pid, args in rows if int(number) == group}
+
+
+def gone(group):
+    """Whether a process group ends within a minute."""
+    return any(not members(group) or time.sleep(0.1) for _ in range(600))
+
+
+def until_replaced(path, process):
+    before = stamp(path)
+    while stamp(path) in (before, None):
+        assert process.poll() is None, process.communicate()
+        time.sleep(0.005)
+
+
+def test_an_interrupted_command_ends_at_once_and_goes_on_when_resumed(tmp_path):
+    """By the death of the command, by that of a training, and by Ctrl-C."""
+    _, recipe = RECIPES["ppo"]
+    job = job_of(tmp_path / "whole", task=replace(TASK, modes=default_modes("handset")))
+    hyperparameters, out = tmp_path / "mine.json", tmp_path / "run"
+    hyperparameters.write_text(json.dumps(content(recipe)))
+    what = ("--seeds", 1, "--total-timesteps", job.timesteps, "--hyperparameters", hyperparameters)
+    words = (*what, "--out", out, "--checkpoint-every", 1, "--jobs", 1)
+    checkpoint = out / "seed-0" / "checkpoint.pt"
+
+    command = started(*words)
+    until_replaced(checkpoint, command)
+    command.kill()
+    command.communicate(timeout=60)
+    assert gone(command.pid)  # a training that nobody listens to ends
+
+    command = started(*words, "--resume")
+    until_replaced(checkpoint, command)
+    os.killpg(command.pid, signal.SIGSTOP)
+    (training,) = (pid for pid, args in members(command.pid).items() if "spawn_main" in args)
+    os.kill(training, signal.SIGKILL)
+    os.killpg(command.pid, signal.SIGCONT)
+    told = command.communicate(timeout=60)
+    assert command.returncode == 2 and told[0] == "" and "Traceback" not in told[1]
+    last = told[1].splitlines()[-1]
+    assert re.fullmatch(r"mmwave-loc train: seed 0: its process ended with code -9; .*", last)
+    assert gone(command.pid)
+
+    command = started(*words, "--resume")
+    until_replaced(checkpoint, command)
+    os.killpg(command.pid, signal.SIGINT)  # as a terminal does
+    told = command.communicate(timeout=60)
+    assert command.returncode == 130 and told[0] == ""
+    assert told[1].splitlines()[-1] == "mmwave-loc train: interrupted"
+    assert "Traceback" not in told[1] and gone(command.pid)
+
+    command = started(*words, "--resume")
+    summary, _ = command.communicate(timeout=300)
+    assert command.returncode == 0 and "| seed | reward |" in summary
+    train(replace(job, command=" ".join(map(str, ("mmwave-loc", "train", *what)))))
+    assert_same_training(out / "seed-0", job.folder)
+    policy = (out / "policy.safetensors").read_bytes()
+    assert policy == (job.folder / "policy.safetensors").read_bytes()
+    assert json.loads((out / "summary.json").read_text())["median"] == 0

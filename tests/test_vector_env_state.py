@@ -1,0 +1,155 @@
+"""The state of the vector environment: what is restored goes on to the last bit."""
+
+import subprocess
+import sys
+from pathlib import Path
+
+import gymnasium as gym
+import numpy as np
+import pytest
+from gymnasium.error import ResetNeeded
+
+import mmwave_env  # noqa: F401  registers the environment
+from mmwave_env.radio import RADIOS
+from mmwave_env.scene import SCENES
+from mmwave_env.simulation import SimulatedSource
+
+from .actors import MODES
+from .vector_checker import forward, same
+
+ROOT = Path(__file__).parent.parent
+AUTORESET = ["NextStep", "SameStep", "Disabled"]
+CONFIGURATIONS = {
+    "short": {"episode_steps": 3},
+    "ends early": {
+        "episode_steps": 18, "terminate_on_divergence": True, "scenario": "vehicle",
+        "modes": MODES[:1],  # which loses a vehicle
+    },
+    "flat": {"episode_steps": 5, "planar": True, "dt": 0.5, "modes": MODES[:1]},
+}  # fmt: skip
+
+
+def make(mode="SameStep", n=9, **arguments):
+    arguments = {"modes": MODES, "episode_steps": 5} | arguments
+    return gym.make_vec("MmWaveLoc-v0", num_envs=n, autoreset_mode=mode, **arguments)
+
+
+def go_on(env, steps, actions):
+    rng, modes = np.random.default_rng(actions), env.single_action_space.n
+    return [forward(env, rng.integers(modes, size=env.num_envs)) for _ in range(steps)]
+
+
+@pytest.mark.parametrize("configuration", CONFIGURATIONS)
+@pytest.mark.parametrize("mode", AUTORESET)
+def test_a_state_taken_anywhere_goes_on(mode, configuration):
+    """In a new environment, in one that was elsewhere, and in the one that gave it."""
+    env = make(mode, **CONFIGURATIONS[configuration])
+    elsewhere = make(mode, **CONFIGURATIONS[configuration])
+    elsewhere.reset(seed=50)
+    go_on(elsewhere, 2, actions=9)
+    env.reset(seed=1)
+    ends = np.zeros(2, int)  # terminated, truncated
+    for taken in range(8):
+        state = env.state()
+        expected = go_on(env, 24, actions=taken)
+        ends += np.sum([step[0][2:4] for step in expected], axis=(0, 2))
+        for other in (make(mode, **CONFIGURATIONS[configuration]), elsewhere, env):
+            other.restore(state)
+            assert same(go_on(other, 24, actions=taken), expected)
+        env.restore(state)
+        go_on(env, 1, actions=100 + taken)
+    assert ends[1] > 50 and (ends[0] > 0) == (configuration == "ends early")
+
+
+@pytest.mark.parametrize("mode", AUTORESET)
+def test_a_reset_after_it_goes_on_too(mode):
+    env, other = make(mode), make(mode)
+    env.reset(seed=[None, *range(8)])  # a generator without a seed goes on as well
+    go_on(env, 3, actions=0)
+    other.restore(env.state())
+    assert same(env.reset(), other.reset())
+    assert [a.random() for a in env.np_random] == [b.random() for b in other.np_random]
+    assert other.np_random_seed == (-1,) * 9  # as in Gymnasium: nobody knows it
+
+
+def test_a_state_goes_on_in_another_process(tmp_path):
+    env = make()
+    env.reset(seed=4)
+    go_on(env, 7, actions=0)
+    np.savez(tmp_path / "state.npz", **env.state())
+    code = (
+        "import numpy as np\n"
+        "from tests.test_vector_env_state import go_on, make\n"
+        "env = make()\n"
+        f"env.restore(dict(np.load({str(tmp_path / 'state.npz')!r})))\n"
+        "steps = go_on(env, 12, actions=1)\n"
+        f"np.save({str(tmp_path / 'then.npy')!r}, [result[0][0] for result in steps])\n"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=ROOT)
+    assert done.returncode == 0, done.stderr
+    expected = [result[0][0] for result in go_on(env, 12, actions=1)]
+    np.testing.assert_array_equal(np.load(tmp_path / "then.npy"), expected)
+
+
+def test_a_state_is_a_copy():
+    env = make()
+    env.reset(seed=0)
+    state = env.state()
+    kept = {key: value.copy() for key, value in state.items()}
+    go_on(env, 6, actions=0)
+    assert same(state, kept)
+    env.restore(state)
+    go_on(env, 6, actions=0)
+    assert same(state, kept)
+
+
+def test_before_a_reset_there_is_no_state():
+    with pytest.raises(ResetNeeded, match="Call reset before state"):
+        make().state()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"n": 10}, r"table of the state: found \(9, 5, .*, expected \(10, 5, "),
+        ({"n": 20}, "rows of the state: found"),
+        ({"modes": MODES[:2]}, "rows of the state: found .*, as in an environment with the same"),
+        ({"observation": "prior"}, "rows of the state: found"),
+        ({"episode_steps": 6}, r"table of the state: found \(9, 5, .*, expected \(9, 6, "),
+    ],
+)
+def test_the_state_of_another_environment_is_refused(arguments, message):
+    env, other = make(), make(**arguments)
+    env.reset(seed=0)
+    with pytest.raises(ValueError, match=message):
+        other.restore(env.state())
+    with pytest.raises(ResetNeeded):  # nothing of it was taken over
+        other.state()
+
+
+def test_what_is_missing_is_named():
+    env = make()
+    env.reset(seed=0)
+    state = env.state()
+    del state["over"]
+    with pytest.raises(ValueError, match=r"over of the state: found nothing, expected \(9,\)"):
+        env.restore(state)
+
+
+class Own(SimulatedSource):
+    """A source that might remember something."""
+
+
+@pytest.mark.parametrize(
+    "episodes",
+    ["canyon28_pedestrian", Own(SCENES["street"], RADIOS["handset"], epochs=4)],
+    ids=["recorded", "own"],
+)
+def test_sources_that_may_remember_something_are_refused(episodes):
+    env, simulated = make(episodes=episodes, episode_steps=None), make()
+    for each in (env, simulated):
+        each.reset(seed=0)
+    with pytest.raises(ValueError, match="state: found episodes of a source of your own, or rec"):
+        env.state()
+    with pytest.raises(ValueError, match="restore: found episodes of a source of your own, or r"):
+        env.restore(simulated.state())
