@@ -1,7 +1,19 @@
 """Policies that choose a mode per epoch, from the paper's rule to learned switchers."""
 
+from policies.imms import TUNED_IMMS, Transition, TunedImm, tuned_imm
 from policies.policy import Policy
 from policies.scripted import FixedMode, LikelihoodRule, RandomMode, SpeedRule
 from policies.thresholds import tuned_threshold
 
-__all__ = ["FixedMode", "LikelihoodRule", "Policy", "RandomMode", "SpeedRule", "tuned_threshold"]
+__all__ = [
+    "TUNED_IMMS",
+    "FixedMode",
+    "LikelihoodRule",
+    "Policy",
+    "RandomMode",
+    "SpeedRule",
+    "Transition",
+    "TunedImm",
+    "tuned_imm",
+    "tuned_threshold",
+]
