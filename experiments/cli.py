@@ -22,6 +22,7 @@ COMMANDS = {
     "learned": "the tables and figures of docs/learning.md, from recorded runs",
     "tune": "process noise of modes, by likelihood or error, on tuning seeds",
     "tune-threshold": "the best threshold of the speed rule, on tuning seeds",
+    "tune-imm": "the best transition and process noise of IMMs, on tuning seeds",
     "benchmark": "steps per second beside filterpy's and the core's limit, memory, first step",
     "soak": "many steps of all modes on damaged data, every number checked",
     "simulate": "one episode as files: measurement log, scene and truth",
