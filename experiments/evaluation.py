@@ -24,18 +24,20 @@ from mmwave_env.metrics import METRICS, summary
 from mmwave_env.observation import Observation
 from mmwave_env.reward import Reward, TrackingReward
 from policies import (
+    TUNED_IMMS,
     FixedMode,
     LearnedSwitch,
     LikelihoodRule,
     Policy,
     RandomMode,
     SpeedRule,
+    Transition,
     shipped_policies,
+    tuned_imm,
     tuned_threshold,
 )
 
 Array = NDArray[np.float64]
-Transition = tuple[tuple[float, ...], ...]
 Scores = dict[str, Array]  # metric -> (episodes,)
 
 Told = dict[str, NDArray[Any]]  # "reward", "nees" (n, T), "error" (n, T, 3); policies': "mode"
@@ -53,7 +55,8 @@ class Contender:
         name: as on the command line and in results.
         modes: what it works with.
         policy: from the observation table to a policy; None for the IMM over the modes.
-        transition: probabilities (from, to) of the IMM; None for the default.
+        transition, nis_quantile: of the IMM, as :class:`~mmwave_env.imm_engine.ImmEngine` has
+            them.
         observation: what the policy sees, "full" or "prior".
         trained: whether the policy was learned.
     """
@@ -62,6 +65,7 @@ class Contender:
     modes: tuple[Mode, ...]
     policy: Callable[[Observation], Policy] | None
     transition: Transition | None = None
+    nis_quantile: float = 1.0
     observation: str = "full"
     trained: bool = False
 
@@ -115,8 +119,8 @@ def contenders(radio: str, modes: tuple[Mode, ...] | None = None) -> dict[str, C
     Args:
         radio: profile.
         modes: what they work with; None for the profile's two, beside which the profile has
-            single modes of other kinds, a tuned threshold, an IMM over robust modes, and the
-            learned switchers that are shipped for it.
+            single modes of other kinds, a tuned threshold, tuned IMMs, and the learned
+            switchers that are shipped for it.
     """
     if modes is not None:
         return {c.name: c for c in _over(modes)}
@@ -128,12 +132,15 @@ def contenders(radio: str, modes: tuple[Mode, ...] | None = None) -> dict[str, C
     tuned = Contender(
         "speed-rule-tuned", two, lambda table: SpeedRule(table, tuned_threshold(radio))
     )
-    robust = Contender("imm-robust", (named["ekf-robust"], named["ukf-robust"]), None)
+    imms = []
+    for name in TUNED_IMMS:
+        imm = tuned_imm(name, radio)
+        imms.append(Contender(name, imm.modes, None, imm.transition, imm.nis_quantile))
     files = {name: f"{name}-{radio}" for name in SHIPPED}
     shipped = shipped_policies()
     learned = [Contender.learned(f, name) for name, f in files.items() if f in shipped]
     ekf, ukf, rule, *rest = _over(two)
-    return {c.name: c for c in (ekf, ukf, *others, rule, tuned, *rest, robust, *learned)}
+    return {c.name: c for c in (ekf, ukf, *others, rule, tuned, *rest, *imms, *learned)}
 
 
 def contender_from(name: str, radio: str, modes: tuple[Mode, ...] | None = None) -> Contender:
@@ -205,7 +212,7 @@ def localise(
         episode.require_truth()
     pipeline = Pipeline(contender.modes, episodes[0].layout)
     if policy is None:
-        imm = ImmEngine(pipeline, reward, contender.transition)
+        imm = ImmEngine(pipeline, reward, contender.transition, contender.nis_quantile)
         return imm.run(episodes, "reward", "nees", "error")
     return _steered(pipeline, policy, contender, episodes, reward)
 

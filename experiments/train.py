@@ -19,7 +19,7 @@ from experiments.markdown import grid
 from experiments.options import command_line
 from mmwave_env.estimator.modes import Mode, as_written, modes_from
 from mmwave_env.names import choose
-from mmwave_env.reward import REWARDS
+from mmwave_env.reward import REWARDS, Reward, TrackingReward
 
 
 @dataclass
@@ -38,6 +38,8 @@ class Args:
     """full, or prior: nothing of how each mode sees the coming epoch"""
     reward: str = "tracking"
     """tracking or log-score"""
+    nees_weight: float = TrackingReward.nees_weight
+    """weight of the NEES in the tracking reward"""
     seeds: int = 5
     """how many trainings"""
     total_timesteps: int = 4_000_000
@@ -54,6 +56,13 @@ class Args:
     """go on with the run in this folder, with the options it was started with"""
     overwrite: bool = False
     """replace the run in this folder"""
+
+    def rewards(self) -> Reward:
+        """What is learned to earn."""
+        reward = choose(REWARDS, self.reward, "reward")
+        if isinstance(reward, TrackingReward):
+            return replace(reward, nees_weight=self.nees_weight)
+        return reward
 
     def recipe(self) -> Recipe:
         """The hyperparameters.
@@ -183,9 +192,7 @@ def main(args: Args) -> None:
         if getattr(args, name) < 1:
             raise ValueError(f"{name}: found {getattr(args, name)}, expected 1 or more")
     modes, recipe = modes_from(args.modes or None, args.radio), args.recipe()
-    task = Task(
-        args.scenario, args.radio, modes, args.observation, choose(REWARDS, args.reward, "reward")
-    )
+    task = Task(args.scenario, args.radio, modes, args.observation, args.rewards())
     manifest = args.manifest(modes, recipe)
     jobs = [
         Job(

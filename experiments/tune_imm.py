@@ -1,5 +1,6 @@
 """mmwave-loc tune-imm: the strongest IMMs over given modes, on tuning seeds."""
 
+import json
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -12,8 +13,9 @@ from scipy.optimize import minimize
 from scipy.special import expit, logit, softmax
 
 from experiments.cli import run
-from experiments.evaluation import Interval, bootstrap, draw_episodes
+from experiments.evaluation import draw_episodes
 from experiments.files import write_json
+from experiments.intervals import Interval, bootstrap
 from experiments.options import TUNING_SEED, command_line, require_tuning_seed
 from experiments.tune import CAP
 from mmwave_env.episode import Packed
@@ -46,7 +48,9 @@ class Args:
     radios: tuple[str, ...] = tuple(RADIOS)
     """radio profiles"""
     imms: tuple[str, ...] = tuple(TUNED_IMMS)
-    """imm-tuned (of ekf, ukf), imm-robust (of ekf-robust, ukf-robust), imm-extended (of eight)"""
+    """imm-tuned (of ekf, ukf), imm-robust (of ekf-robust, ukf-robust), imm-extended (of eight): the
+    transition; with -limited after the name the process noise of two modes as well, and outliers
+    count in the likelihoods up to a quantile"""
     episodes: int = 1000
     """how many"""
     seed: int = TUNING_SEED
@@ -56,7 +60,7 @@ class Args:
     evaluations: int = 1000
     """at most, per IMM"""
     json: Path | None = None
-    """write the result here; the shipped policies/data/imms.json is such a file"""
+    """write the results here, beside those it holds; policies/data/imms.json is such a file"""
 
 
 def transition_of(stay: Array, enter: Array) -> Array:
@@ -73,14 +77,17 @@ def transition_of(stay: Array, enter: Array) -> Array:
     return np.diag(s) + (1.0 - s)[:, None] * softmax(others, axis=1)
 
 
-def search_space(modes: tuple[Mode, ...]) -> tuple[Array, Array, Build]:
+def search_space(modes: tuple[Mode, ...], noise: bool) -> tuple[Array, Array, Build]:
     """Where to search: the start (k,), the bounds (k, 2), and what a point stands for.
 
-    Of two modes the process noise is free, too. More than two differ in it on purpose.
+    Args:
+        modes: to begin with.
+        noise: of two modes the process noise is free, too. More than two differ in it on
+            purpose.
     """
     n = len(modes)
     entered = n - 1 if n > 2 else 0  # of two modes, the other one is entered
-    noisy = [(i, name) for i in range(n) for name in NOISE] if n == 2 else []
+    noisy = [(i, name) for i in range(n) for name in NOISE] if noise and n == 2 else []
     start = [logit(DEFAULT_STAY)] * n + [0.0] * entered
     start += [np.log(getattr(modes[i], name)) for i, name in noisy]
     bounds = [STAY] * n + [ENTER] * entered + [tuple(np.log(NOISE[name])) for _, name in noisy]
@@ -105,15 +112,15 @@ def rewards(modes: tuple[Mode, ...], transition: Array | None, q: float, on: Pac
 
 
 def tune(
-    modes: tuple[Mode, ...], episodes: Packed, evaluations: int
+    modes: tuple[Mode, ...], limited: bool, episodes: Packed, evaluations: int
 ) -> tuple[tuple[Mode, ...], Array]:
     """The modes and the transition of the best IMM that Powell's method finds.
 
     The reward has small steps, where a link passes a gate or does not, so no gradients.
     """
-    start, bounds, build = search_space(modes)
+    start, bounds, build = search_space(modes, limited)
     found = minimize(
-        lambda point: -rewards(*build(point), CAP, episodes).mean(),
+        lambda point: -rewards(*build(point), quantile(limited), episodes).mean(),
         start,
         method="Powell",
         bounds=bounds,
@@ -122,25 +129,37 @@ def tune(
     return build(found.x)
 
 
-def tuned_imm_of(
-    name: str, radio: str, tuning: Packed, held_out: Packed, evaluations: int
-) -> dict[str, Any]:
-    """A tuned IMM as the shipped file holds it; its gains are over where the tuning started."""
-    started = modes_from(TUNED_IMMS[name], radio)
+def quantile(limited: bool) -> float:
+    """Up to which NIS counts in the likelihoods."""
+    return CAP if limited else 1.0
+
+
+def tuned(args: Args, radio: str, name: str) -> dict[str, Any]:
+    """An IMM as the shipped file holds it; its gains are over where the tuning started."""
+    source = SimulatedSource(scene_from("street"), radio_from(radio), args.scenario)
+    first, bank = args.seed + args.episodes, TUNED_IMMS[name]
+    tuning, held_out = (
+        Packed.of(draw_episodes(source, seeds))
+        for seeds in (range(args.seed, first), range(first, first + args.held_out))
+    )
+    started, q = modes_from(bank.modes, radio), quantile(bank.limited)
     with Console(stderr=True).status(f"{name}, {radio}"):
-        modes, transition = tune(started, tuning, evaluations)
+        modes, transition = tune(started, bank.limited, tuning, args.evaluations)
     found: dict[str, Interval] = {}
     for prefix, episodes in (("", tuning), ("held_out_", held_out)):
-        reward = rewards(modes, transition, CAP, episodes)
+        reward = rewards(modes, transition, q, episodes)
         gain = reward - rewards(started, None, 1.0, episodes)
         pair = bootstrap(np.stack([reward, gain], axis=1))
         found[f"{prefix}reward"], found[f"{prefix}gain"] = pair
     print(f"{radio} {name}: reward {found['reward']}, gain {found['gain']}; held out "
-          f"{found['held_out_reward']}, gain {found['held_out_gain']}")  # fmt: skip
+          f"{found['held_out_reward']}, gain {found['held_out_gain']}", flush=True)  # fmt: skip
     return {
+        "command": command_line(
+            "tune-imm", replace(args, radios=(radio,), imms=(name,), json=None)
+        ),
         "modes": [as_written(mode) for mode in modes],
         "transition": transition.tolist(),
-        "nis_quantile": CAP,
+        "nis_quantile": q,
         **{what: interval.json for what, interval in found.items()},
     }
 
@@ -150,20 +169,14 @@ def main(args: Args) -> None:
     require_tuning_seed(args.seed)
     for name in args.imms:
         choose(TUNED_IMMS, name, "imms")
-    first = args.seed + args.episodes
-    seeds = range(args.seed, first), range(first, first + args.held_out)
-    radios: dict[str, Any] = {}
+    found: dict[str, Any] = {}
+    if args.json and args.json.is_file():
+        found = json.loads(args.json.read_text(encoding="utf-8"))
     for radio in args.radios:
-        source = SimulatedSource(scene_from("street"), radio_from(radio), args.scenario)
-        tuning, held_out = (Packed.of(draw_episodes(source, some)) for some in seeds)
-        radios[radio] = {
-            name: tuned_imm_of(name, radio, tuning, held_out, args.evaluations)
-            for name in args.imms
-        }
-    if args.json:
-        command = command_line("tune-imm", args)
-        what = {"scenario": args.scenario, "episodes": args.episodes, "seed": args.seed}
-        write_json(args.json, {"command": command, **what, "radios": radios})
+        for name in args.imms:
+            found.setdefault(radio, {})[name] = tuned(args, radio, name)
+            if args.json:
+                write_json(args.json, found)
 
 
 if __name__ == "__main__":

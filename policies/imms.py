@@ -10,11 +10,28 @@ from mmwave_env.names import choose
 
 Transition = tuple[tuple[float, ...], ...]
 
-TUNED_IMMS: dict[str, tuple[str, ...]] = {
+
+class Bank(NamedTuple):
+    """What the tuning of an IMM starts from.
+
+    Attributes:
+        modes: names.
+        limited: an outlier counts up to a quantile in its likelihoods, and of two modes the
+            process noise is tuned as well; else the likelihoods are the textbook's and the
+            transition alone is tuned.
+    """
+
+    modes: tuple[str, ...]
+    limited: bool
+
+
+_BANKS = {
     "imm-tuned": ("ekf", "ukf"),
     "imm-robust": ("ekf-robust", "ukf-robust"),
     "imm-extended": ("extended",),
-}  # and the modes that their tuning started from
+}
+TUNED_IMMS: dict[str, Bank] = {name: Bank(modes, limited=False) for name, modes in _BANKS.items()}
+TUNED_IMMS |= {f"{name}-limited": Bank(modes, limited=True) for name, modes in _BANKS.items()}
 
 
 class TunedImm(NamedTuple):
@@ -34,7 +51,7 @@ class TunedImm(NamedTuple):
 @cache
 def _shipped() -> dict[str, Any]:
     text = files("policies").joinpath("data/imms.json").read_text()
-    return json.loads(text)["radios"]  # type: ignore[no-any-return]
+    return json.loads(text)  # type: ignore[no-any-return]
 
 
 def tuned_imm(name: str, radio: str) -> TunedImm:
@@ -42,12 +59,13 @@ def tuned_imm(name: str, radio: str) -> TunedImm:
 
     Args:
         name: one of :data:`TUNED_IMMS`.
-        radio: profile; one that was not tuned gets the IMM of "standard".
+        radio: profile; where it was not tuned, that of "standard".
 
     Raises:
         ValueError: no IMM of this name was tuned.
     """
     radios = _shipped()
-    found = choose(radios.get(radio, radios["standard"]), name, "tuned IMM")
+    known = radios["standard"] | radios.get(radio, {})
+    found = choose({imm: known[imm] for imm in TUNED_IMMS}, name, "tuned IMM")
     modes = tuple(Mode(**mode) for mode in found["modes"])
     return TunedImm(modes, tuple(map(tuple, found["transition"])), found["nis_quantile"])

@@ -17,11 +17,14 @@ from experiments.evaluation import (
     score,
 )
 from mmwave_env.estimator.modes import modes_from
+from mmwave_env.estimator.pipeline import Pipeline
+from mmwave_env.imm_engine import ImmEngine
 from mmwave_env.metrics import BURN_IN, METRICS
 from mmwave_env.radio import RADIOS
+from mmwave_env.reward import TrackingReward
 from mmwave_env.scene import SCENES
 from mmwave_env.simulation import SimulatedSource
-from policies import FixedMode, learned
+from policies import TUNED_IMMS, FixedMode, learned, tuned_imm
 
 from .actors import MODES, actor, card_of, write
 
@@ -91,7 +94,7 @@ def test_every_radio_has_every_contender(radio):
     found = contenders(radio)
     assert list(found) == [
         "fixed-ekf", "fixed-ukf", "fixed-ckf", "fixed-ekf-robust", "fixed-ukf-robust",
-        "speed-rule", "speed-rule-tuned", "likelihood-rule", "random", "imm", "imm-robust",
+        "speed-rule", "speed-rule-tuned", "likelihood-rule", "random", "imm", *TUNED_IMMS,
     ]  # fmt: skip
     assert all(c.name == name and c.modes for name, c in found.items())
 
@@ -113,6 +116,22 @@ def test_episodes_without_truth_are_refused():
     contender = contender_from("fixed-ekf", "handset")
     with pytest.raises(ValueError, match="found no truth"):
         score(contender, contender.start(SOURCE.layout), [blind])
+
+
+def test_an_imm_is_run_as_it_was_tuned():
+    contender, episodes = (
+        contender_from("imm-tuned-limited", "handset"),
+        draw_episodes(SOURCE, range(3)),
+    )
+    tuned = tuned_imm("imm-tuned-limited", "handset")
+    assert contender.modes == tuned.modes
+    imm = ImmEngine(
+        Pipeline(tuned.modes, SOURCE.layout), TrackingReward(), tuned.transition, tuned.nis_quantile
+    )
+    expected = imm.run(episodes, "reward")["reward"][:, 10:].mean(axis=1)
+    np.testing.assert_array_equal(score(contender, None, episodes)["reward"], expected)
+    plain = score(contender_from("imm", "handset"), None, episodes)["reward"]
+    assert (np.abs(plain - expected) > 1e-3).all()
 
 
 def test_a_name_twice_is_refused():

@@ -11,10 +11,19 @@ from scipy.stats import binom
 from mmwave_env.estimator.batch import blank_incoming
 from mmwave_env.estimator.modes import Mode, modes_from
 from mmwave_env.estimator.pipeline import Pipeline
+from mmwave_env.imm_engine import transition_from
 from mmwave_env.measurement import Layout
 from mmwave_env.observation import Observation
 from mmwave_env.radio import RADIOS
-from policies import FixedMode, LikelihoodRule, RandomMode, SpeedRule, tuned_threshold
+from policies import (
+    TUNED_IMMS,
+    FixedMode,
+    LikelihoodRule,
+    RandomMode,
+    SpeedRule,
+    tuned_imm,
+    tuned_threshold,
+)
 from policies.scripted import by_odometry_speed, by_predicted_speed, mode_at
 
 THREE = ("ekf", "ukf", "ckf")
@@ -180,21 +189,56 @@ def test_rules_of_tracks_are_the_papers(speed, mode):
 # --- tuned threshold
 
 
-def shipped():
-    return json.loads(files("policies").joinpath("data/thresholds.json").read_text())
+def shipped(name):
+    return json.loads(files("policies").joinpath(f"data/{name}").read_text())
 
 
 @pytest.mark.parametrize("radio", RADIOS)
 def test_the_tuned_threshold_is_the_best_of_the_shipped_file(radio):
-    rewards = {t: r["mean"] for t, r in shipped()["radios"][radio]["reward"].items()}
+    rewards = {
+        t: r["mean"] for t, r in shipped("thresholds.json")["radios"][radio]["reward"].items()
+    }
     assert tuned_threshold(radio) == float(max(rewards, key=rewards.get))
 
 
-def test_the_shipped_file_says_how_it_was_made():
-    assert shipped()["command"].startswith("mmwave-loc tune-threshold --")
-    assert shipped()["seed"] >= 5_000_000  # a tuning seed, never a test seed
+def test_the_file_of_thresholds_says_how_it_was_made():
+    found = shipped("thresholds.json")
+    assert found["command"].startswith("mmwave-loc tune-threshold --")
+    assert found["seed"] >= 5_000_000  # a tuning seed, never a test seed
 
 
 def test_a_radio_without_a_tuned_threshold_lists_those_with_one():
     with pytest.raises(ValueError, match="'lab'.*handset"):
         tuned_threshold("lab")
+
+
+# --- tuned IMMs
+
+
+@pytest.mark.parametrize(
+    ("radio", "name"),
+    [(radio, name) for radio, imms in shipped("imms.json").items() for name in imms],
+)
+def test_a_tuned_imm_is_sound_and_better_than_the_one_it_started_from(name, radio):
+    bank, found = TUNED_IMMS[name], shipped("imms.json")[radio][name]
+    imm, started = tuned_imm(name, radio), modes_from(bank.modes, radio)
+    assert found["command"].startswith(f"mmwave-loc tune-imm --radios {radio} --imms {name}")
+    assert bank.limited or imm.modes == started
+    assert [mode.name for mode in imm.modes] == [mode.name for mode in started]
+    Pipeline(imm.modes, Layout())
+    transition_from(imm.transition, len(imm.modes))
+    assert imm.nis_quantile == (0.999 if bank.limited else 1.0)
+    assert found["gain"]["ci95"][0] > 0.0
+
+
+def test_the_bank_of_eight_is_the_one_that_learners_choose_from():
+    assert tuned_imm("imm-extended", "handset").modes == modes_from("extended")
+
+
+def test_a_radio_without_tuned_imms_gets_those_of_standard():
+    assert tuned_imm("imm-tuned", "lab") == tuned_imm("imm-tuned", "standard")
+
+
+def test_an_unknown_tuned_imm_lists_those_there_are():
+    with pytest.raises(ValueError, match="'imm'.*imm-tuned, imm-robust, imm-extended, imm-tuned-"):
+        tuned_imm("imm", "handset")

@@ -35,7 +35,7 @@ def test_a_mode_is_left_for_the_others_in_their_proportions():
 @pytest.mark.parametrize("names", [("ekf", "ukf"), ("ekf", "ukf", "ckf"), ("extended",)])
 def test_the_search_starts_from_the_default_imm(names):
     modes = modes_from(names)
-    start, bounds, build = search_space(modes)
+    start, bounds, build = search_space(modes, noise=True)
     assert len(start) == len(bounds) == (6 if len(modes) == 2 else 2 * len(modes) - 1)
     assert (bounds[:, 0] <= start).all() and (start <= bounds[:, 1]).all()
     found, transition = build(start)
@@ -45,7 +45,7 @@ def test_the_search_starts_from_the_default_imm(names):
 
 def test_every_point_is_a_transition_and_the_noise_of_two_modes():
     modes = modes_from(["ekf", "ukf"])
-    _, bounds, build = search_space(modes)
+    _, bounds, build = search_space(modes, noise=True)
     for point in np.random.default_rng(0).uniform(*bounds.T, (20, len(bounds))):
         found, transition = build(point)
         assert (transition >= 0.0).all()
@@ -56,10 +56,16 @@ def test_every_point_is_a_transition_and_the_noise_of_two_modes():
             np.testing.assert_allclose([mode.sigma_p, mode.sigma_v], noise, rtol=0.005)
 
 
+def test_the_transition_alone_is_two_numbers_of_two_modes():
+    modes = modes_from(["ekf", "ukf"])
+    start, _, build = search_space(modes, noise=False)
+    assert len(start) == 2 and build(start)[0] == modes
+
+
 def test_tuning_earns_more():
     episodes = Packed.of(draw_episodes(SOURCE, range(5_000_000, 5_000_032)))
     modes = modes_from(["ekf", "ukf"])
-    found, transition = tune(modes, episodes, 60)
+    found, transition = tune(modes, True, episodes, 60)
     before, after = (
         rewards(modes, None, 0.999, episodes),
         rewards(found, transition, 0.999, episodes),
@@ -70,16 +76,20 @@ def test_tuning_earns_more():
 @pytest.mark.slow
 def test_the_command_writes_a_file_as_it_is_shipped(tmp_path):
     file = tmp_path / "imms.json"
-    options = ["--radios", "high", "--imms", "imm-robust", "imm-extended", "--episodes", 2,
+    options = ["--radios", "high", "--imms", "imm-robust-limited", "imm-extended", "--episodes", 2,
                "--held-out", 3, "--evaluations", 2, "--json", file]  # fmt: skip
+    file.write_text(json.dumps({"high": {"other": {}}}))
     done = cli("tune-imm", *options)
     assert done.returncode == 0, done.stderr
-    assert done.stdout.startswith("high imm-robust: reward -")
-    written = json.loads(file.read_text())
-    assert shlex.split(written["command"]) == ["mmwave-loc", "tune-imm", *map(str, options)]
-    imms = written["radios"]["high"]
-    assert list(imms) == ["imm-robust", "imm-extended"]
-    for imm in imms.values():
+    assert done.stdout.startswith("high imm-robust-limited: reward -")
+    imms = json.loads(file.read_text())["high"]
+    assert list(imms) == ["other", "imm-robust-limited", "imm-extended"]
+    for name in list(imms)[1:]:
+        imm = imms[name]
+        words = shlex.split(imm["command"])
+        assert words[:2] == ["mmwave-loc", "tune-imm"]
+        assert words[2:6] == ["--radios", "high", "--imms", name]
         assert np.shape(imm["transition"]) == (len(imm["modes"]),) * 2
+        assert imm["nis_quantile"] == (0.999 if name.endswith("limited") else 1.0)
         low, high = imm["held_out_gain"]["ci95"]
         assert low <= imm["held_out_gain"]["mean"] <= high
