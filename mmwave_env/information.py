@@ -54,7 +54,7 @@ class Panel:
     def step_info(self, told: Array, actions: Index) -> dict[str, NDArray[Any]]:
         """What the step did with the modes (n,)."""
         columns = self._columns
-        verdicts = (told[:, columns["verdicts"]] > 0.5).reshape(len(told), 2, -1)
+        verdicts = told[:, columns["verdicts"]].astype(np.bool_).reshape(len(told), 2, -1)
         return {
             "position_error_m": told[:, columns["position_error_m"]],
             "nees": told[:, columns["nees"]],
@@ -112,7 +112,7 @@ def episode_info(
     rate = 1.0 / np.median(dt, axis=-1) if epochs > 1 else np.ones(n)
     second = np.maximum(1, np.round(rate))
     found = {name: np.empty(n) for name in METRICS.values()}
-    for alike in np.unique(second):  # epochs in a second; usually all tracks have as many
+    for alike in set(second.tolist()):  # epochs in a second; usually all tracks have as many
         some = second == alike
         metrics = accuracy(error[some], nees[some], alike, 2 if planar else 3)
         for name, values in metrics.items():

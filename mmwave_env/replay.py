@@ -17,7 +17,7 @@ from mmwave_env.estimator.algebra import cholesky, unpack
 from mmwave_env.estimator.batch import Batch
 from mmwave_env.estimator.lanes import WIDTH
 from mmwave_env.estimator.pipeline import Pipeline
-from mmwave_env.estimator.program import Array, Index, Program, rows_of
+from mmwave_env.estimator.program import Array, Index, Program, call, rows_of
 from mmwave_env.estimator.smoother import rts_mean
 from mmwave_env.estimator.trees import leaves, select
 from mmwave_env.sparing import Sparing
@@ -158,7 +158,7 @@ def _return(run, start, way, show, out):  # type: ignore[no-untyped-def]
         for i in range(way.shape[1]):
             for lane in range(WIDTH):
                 block[i, lane] = way[t, i, lane]
-        run(block.ctypes)
+        call(run, block)
         for e in range(len(out)):
             for i in range(len(show)):
                 out[e, t, i] = block[show[i], e]
@@ -180,7 +180,7 @@ def _there_and_back(  # type: ignore[no-untyped-def]
                 for i in range(tables.shape[2]):
                     block[i, lane] = tables[places[e], t, i]
                 block[action, lane] = actions[e, t]
-            there(block.ctypes)
+            call(there, block)
             for i in range(len(keep)):
                 for lane in range(WIDTH):
                     way[t, i, lane] = block[keep[i], lane]

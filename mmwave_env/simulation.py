@@ -262,14 +262,15 @@ class SimulatedSource:
             )
         dice = [(dice_of(states[some]), some) for some in portions(n, threads, CHUNK)]
         names, priors = self._fill(table, dice, threads)
-        before, after = self._around_prior
-        site = [np.tile(before, (n, 1)), priors, np.tile(after, (n, 1))]
+        site, mean = self._site
+        sites = np.empty((n, len(site)))
+        sites[:], sites[:, mean] = site, priors
         return Packed(
             names=names,
             nonfinite=np.zeros(n, np.int64),
             length=np.full(n, self.epochs),
             table=table,
-            site=np.hstack(site),
+            site=sites,
             layout=self.layout,
         )
 
@@ -303,11 +304,12 @@ class SimulatedSource:
         return [choices[kind].name for kind in kinds], first + prior
 
     @cached_property
-    def _around_prior(self) -> tuple[Array, Array]:
-        """What stands before and after the mean of the prior in every episode's site."""
-        covariance = self.radio.prior_covariance(self.scene)
-        fixed = np.append(self.scene.anchors_m.ravel(), self.scene.hz_per_mps)
-        return fixed, covariance[np.tril_indices(STATE_SIZE)]
+    def _site(self) -> tuple[Array, slice]:
+        """A row of :meth:`Episode.site`, and where in it the mean of the prior belongs."""
+        covariance = self.radio.prior_covariance(self.scene)[np.tril_indices(STATE_SIZE)]
+        before = np.append(self.scene.anchors_m.ravel(), self.scene.hz_per_mps)
+        mean = slice(len(before), len(before) + STATE_SIZE)
+        return np.concatenate([before, np.zeros(STATE_SIZE), covariance]), mean
 
     @cached_property
     def _plan(self) -> Plan:

@@ -252,7 +252,7 @@ class MmWaveLocVectorEnv(gym.vector.VectorEnv[Observations, Index, NDArray[Any]]
         jobs = []
         ended = np.flatnonzero(self._over)
         taken = batch.tracks.epoch[ended] - 1
-        for steps in np.unique(taken):
+        for steps in set(taken.tolist()):
             alike = ended[taken == steps]
             parts = portions(len(alike), self._threads, REPLAYED)
             jobs += [(alike[some], steps) for some in parts]

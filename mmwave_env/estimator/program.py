@@ -13,9 +13,10 @@ from typing import Any, Generic, NamedTuple, TypeVar
 
 import numba
 import numpy as np
+from llvmlite import ir
 from numba import types
 from numba.core.compiler_lock import global_compiler_lock
-from numba.extending import register_jitable
+from numba.extending import intrinsic, overload, register_jitable
 from numpy.typing import NDArray
 
 from mmwave_env.estimator.lanes import WIDTH, kernel
@@ -145,6 +146,26 @@ def c_function(function: Any) -> Any:
     return pointer
 
 
+def call(run: int, block: Array) -> None:
+    """Run a program on a block (size, 8), by the address that ``Program.on_lanes`` returns."""
+    ctypes.CFUNCTYPE(None, ctypes.c_void_p)(run)(block.ctypes)
+
+
+@overload(call)  # type: ignore[untyped-decorator]
+def _compiled_call(run, block):  # type: ignore[no-untyped-def]
+    return lambda run, block: _jump(run, block.ctypes.data)
+
+
+@intrinsic  # type: ignore[untyped-decorator]
+def _jump(_, run, block):  # type: ignore[no-untyped-def]
+    def build(context, builder, signature, addresses):  # type: ignore[no-untyped-def]
+        function = ir.FunctionType(ir.VoidType(), [addresses[1].type])
+        builder.call(builder.inttoptr(addresses[0], function.as_pointer()), [addresses[1]])
+        return context.get_dummy_value()
+
+    return types.void(run, block), build
+
+
 class Program(Generic[Workspace]):
     """A function of numbers with its workspace, compiled at its first run on lanes.
 
@@ -202,17 +223,18 @@ class Program(Generic[Workspace]):
         """The leaves (size,) after one run on floats."""
         return leaves(self.function(rebuild(self.template, iter(workspace.tolist()))))
 
-    def on_lanes(self) -> Any:
-        """The C function of the address of a block (size, 8) that runs the program on it.
+    def on_lanes(self) -> int:
+        """The address of a C function that runs the program on a block, for :func:`call`.
 
-        It is compiled here, once. Loops around it take it as an argument and so need no
-        compilation of their own for every program.
+        It is compiled here, once, and lives as long as the program. Loops around it take it as an
+        argument and so need no compilation of their own for every program; a number, because a
+        pointer of ctypes costs each call a microsecond of Python.
         """
         if self._compiled is None:  # the lock costs more than a look, and many steps come
             with global_compiler_lock:
                 if self._compiled is None:
                     self._compiled = self._compile()
-        return self._compiled
+        return self._compiled.address  # type: ignore[no-any-return]
 
     def _compile(self) -> Any:
         run, shape = tree_kernel(self.function, self.template), (self.size, WIDTH)
@@ -221,7 +243,7 @@ class Program(Generic[Workspace]):
         def on_address(address):  # type: ignore[no-untyped-def]
             run(numba.carray(address, shape, np.float64))
 
-        return c_function(on_address)
+        return on_address
 
 
 @register_jitable  # type: ignore[untyped-decorator]
@@ -277,7 +299,7 @@ def advance(  # type: ignore[no-untyped-def]
                     before[i, lane] = block[i, lane]
         for step in range(epochs):
             _load(block, first, here, step, blank, table, length, epoch, fed, given)
-            run(block.ctypes)
+            call(run, block)
             _keep(block, first, here, step, running, keep, kept, show, shown)
         for lane in range(here):
             if running[first + lane]:
