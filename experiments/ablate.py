@@ -1,7 +1,9 @@
 """mmwave-loc ablate: what every part of the training is worth."""
 
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any, NamedTuple
 
 from experiments import train
@@ -21,8 +23,8 @@ class Variant(NamedTuple):
         one_tuning: both algorithms work with the UKF's process noise.
     """
 
-    options: dict[str, Any] = {}
-    recipe: dict[str, Any] = {}
+    options: Mapping[str, Any] = MappingProxyType({})
+    recipe: Mapping[str, Any] = MappingProxyType({})
     one_tuning: bool = False
 
 

@@ -18,17 +18,22 @@ class Args(EpisodeArgs):
     bound: bool = False
     """also show each policy's RMSE over the posterior Cramer-Rao bound"""
     figure: Path | None = None
-    """draw the performance profiles of runs, over training seeds and episodes, to this PNG file"""
+    """draw the performance profiles of runs, over training seeds and episodes, to this .png file"""
     decisions: Path | None = None
-    """draw what policies choose around stops and pull-aways, and all errors there, to this PNG
+    """draw what policies choose around stops and pull-aways, and all errors there, to this .png
     file"""
 
 
 def main(args: Args) -> None:
     """Run the command."""
-    for picture in (args.figure, args.decisions):
-        if picture:
-            require_writable(picture)
+    pictures = {"figure": args.figure, "decisions": args.decisions}
+    for option, path in pictures.items():
+        if path is not None:
+            if path.suffix.lower() != ".png":
+                raise ValueError(f"{option}: found {path}, expected a name that ends with .png")
+            require_writable(path)
+    if args.figure is not None and args.figure == args.decisions:
+        raise ValueError(f"decisions: found {args.decisions}, expected another file than --figure")
     report(args, args.policies or args.contenders(), args.bound, args.figure, args.decisions)
 
 

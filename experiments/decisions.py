@@ -110,7 +110,7 @@ class Decisions:
             return
         name, step = self.names[contender.name], step_s(episodes[0])
         modes: list[str] = []
-        if "mode" in told and name != "random" and not name.startswith("fixed-"):
+        if "mode" in told and not contender.name.startswith(("fixed-", "random")):
             modes = self.modes[name] = [mode.name for mode in contender.modes]
         offsets = np.arange(-round(BEFORE_S / step), round(AFTER_S / step) + 1)
         self.time_s = offsets * step

@@ -118,12 +118,33 @@ def report(
 ) -> Comparison:
     """Run contenders on the episodes, print the tables and write ``args.json``.
 
+    The arguments are those of :func:`results`.
+    """
+    result, text, content = results(args, names, bound, figure, decisions)
+    show(text)
+    if args.json:
+        write_json(args.json, content)
+    return result
+
+
+def results(
+    args: EpisodeArgs,
+    names: Sequence[str],
+    bound: bool = False,
+    figure: Path | None = None,
+    decisions: Path | None = None,
+) -> tuple[Comparison, str, dict[str, Any]]:
+    """Run contenders on the episodes.
+
     Args:
         args: which episodes.
         names: of the contenders; the folder of a run stands for its median training.
         bound: whether to measure them in posterior Cramer-Rao bounds, too.
         figure: gets the performance profiles of runs.
         decisions: gets a picture of what policies choose around stops and pull-aways.
+
+    Returns:
+        The comparison, all tables as Markdown, and every figure as JSON.
     """
     source, runs = args.source(), args.runs(names)
     if figure:
@@ -151,10 +172,7 @@ def report(
     if seen and decisions:
         content |= {"decisions": seen.json}
         seen.draw(decisions)
-    show(text)
-    if args.json:
-        write_json(args.json, content)
-    return result
+    return result, text, content
 
 
 def _require_profiles(names: Sequence[str], runs: Mapping[str, Run]) -> None:

@@ -65,3 +65,14 @@ class Run:
 def trainings(names: Sequence[str], runs: Mapping[str, Run]) -> list[str]:
     """Names of contenders with the policy files of all trainings in place of runs."""
     return [file for name in names for file in (runs[name].policies if name in runs else [name])]
+
+
+def outcomes(folder: Path) -> list[dict[str, Any]]:
+    """What the trainings of a run came to, best first.
+
+    Raises:
+        ValueError, FileNotFoundError: as :meth:`Run.read`.
+    """
+    Run.read(str(folder))
+    found: list[dict[str, Any]] = json.loads((folder / "summary.json").read_text())["seeds"]
+    return found

@@ -40,7 +40,7 @@ class Args:
     """tracking or log-score"""
     seeds: int = 5
     """how many trainings"""
-    total_timesteps: int = 6_000_000
+    total_timesteps: int = 4_000_000
     """epochs to train each for"""
     hyperparameters: Path | None = None
     """a JSON file in place of the algorithm's own, experiments/learning/ppo.json"""

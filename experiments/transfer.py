@@ -5,13 +5,13 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from rich.progress import track
 
 from experiments.cli import run
 from experiments.evaluation import Contender, contender_from, draw_episodes, score
 from experiments.files import write_json
 from experiments.intervals import Interval, bootstrap
 from experiments.markdown import grid, show
+from experiments.runs import Run
 from mmwave_env.episode import EpisodeSource
 from mmwave_env.io.samples import recording_from, sample_names
 from mmwave_env.radio import RADIOS, radio_from
@@ -91,28 +91,29 @@ def compared(place: Place, policies: list[Contender], seed: int) -> dict[str, In
     return dict(zip(columns, intervals, strict=True))
 
 
+def tried(args: Args) -> tuple[str, dict[str, Any]]:
+    """The policies in every place, as Markdown and as JSON."""
+    policies = [
+        contender_from(Run.read(name).policy if Path(name).is_dir() else name, args.radio)
+        for name in args.policies
+    ]
+    found = {place.name: compared(place, policies, args.seed) for place in places(args)}
+    columns = next(iter(found.values()))
+    rows = [[place, *map(str, row.values())] for place, row in found.items()]
+    figures = {
+        place: {name: interval.json for name, interval in row.items()}
+        for place, row in found.items()
+    }
+    content = {"radio": args.radio, "seed": args.seed, "places": figures}
+    return grid(["street or recording, radio", *columns], rows), content
+
+
 def main(args: Args) -> None:
     """Run the command."""
-    policies = [contender_from(name, args.radio) for name in args.policies]
-    where = places(args)
-    found = {
-        place.name: compared(place, policies, args.seed)
-        for place in track(where, description="places", transient=True)
-    }
-    show(table(found) + "\n")
+    text, content = tried(args)
+    show(text + "\n")
     if args.json:
-        figures: dict[str, Any] = {
-            place: {name: interval.json for name, interval in row.items()}
-            for place, row in found.items()
-        }
-        write_json(args.json, {"radio": args.radio, "seed": args.seed, "places": figures})
-
-
-def table(found: dict[str, dict[str, Interval]]) -> str:
-    """As Markdown, a place a row."""
-    columns = next(iter(found.values()))
-    rows = [[place, *(str(row[name]) for name in columns)] for place, row in found.items()]
-    return grid(["street or recording, radio", *columns], rows)
+        write_json(args.json, content)
 
 
 if __name__ == "__main__":

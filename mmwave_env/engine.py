@@ -129,7 +129,7 @@ def epoch(w: Workspace, pipeline: Pipeline, observation: Observation, reward: Re
     memory = select(fresh, start(pipeline), memory)
     coming = w.incoming.epoch(pipeline.layout)
     candidates = [consider(pipeline, m, x, P, memory, coming, w.site) for m in pipeline.modes]
-    memory = anticipate(memory, candidates, coming)
+    memory = anticipate(memory, candidates, coming, pipeline.layout)
     view = View(x, unpack(P, zero=pipeline.pinned), memory, candidates, coming, w.site)
     return w._replace(
         fresh=0.0,

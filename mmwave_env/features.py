@@ -11,7 +11,7 @@ from typing import NamedTuple, TypeVar
 from mmwave_env.arithmetic import Matrix, Number, Vector, log, sqrt, where
 from mmwave_env.estimator.algebra import dot
 from mmwave_env.estimator.motion import move
-from mmwave_env.estimator.pipeline import Candidate, Epoch, Memory, Pipeline, Site
+from mmwave_env.estimator.pipeline import Candidate, Epoch, Memory, Pipeline, Site, plausibility
 from mmwave_env.measurement import Layout
 
 Index = TypeVar("Index")
@@ -77,7 +77,7 @@ def coming(pipeline: Pipeline) -> list[Feature]:
     for m, mode in enumerate(modes):
         table += _candidate(layout, m, mode.name)
         if m < len(modes) - 1:
-            table += _against(m, mode.name, modes[-1].name)
+            table += _against(layout, m, mode.name, modes[-1].name)
     return table
 
 
@@ -296,10 +296,11 @@ def _candidate(layout: Layout, m: int, name: str) -> list[Feature]:
     return table
 
 
-def _against(m: int, name: str, last: str) -> list[Feature]:
+def _against(layout: Layout, m: int, name: str, last: str) -> list[Feature]:
     now = Feature(
-        f"coming log-likelihood {name}", f"minus that of {last}", "nats", 5, -6, 6,
-        lambda v: v.candidates[m].log_likelihood - v.candidates[-1].log_likelihood,
+        f"coming log-likelihood {name}", f"minus that of {last}; NIS counts up to 99.9 %", "nats",
+        5, -6, 6,
+        lambda v: plausibility(v.candidates[m], layout) - plausibility(v.candidates[-1], layout),
     )  # fmt: skip
     past = [
         Feature(

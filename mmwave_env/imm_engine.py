@@ -1,7 +1,8 @@
 """Interacting multiple models in place of an agent, over whole episodes in one kernel call.
 
-No action steers an IMM, so nothing has to stop between two epochs. Transition probabilities
-and process noise are part of its data, so that one compiled program runs any of them.
+No action steers an IMM, so nothing has to stop between two epochs. Whatever may be tuned
+(transition probabilities, process noise, how much an outlier says) is part of its data, so
+that one compiled program runs any of it.
 """
 
 from collections.abc import Sequence
@@ -10,6 +11,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
+from scipy.special import chdtri
 
 from mmwave_env.arithmetic import Number
 from mmwave_env.episode import Episode, Packed
@@ -42,6 +44,7 @@ class ImmWorkspace(NamedTuple):
         fresh: 1 to start over from the prior.
         transition: (modes, modes) transition probabilities (from, to).
         tunings: process noise of every mode.
+        limits: (groups,) NIS that counts at most in a likelihood.
         mixture: belief and probability of every mode.
         x, P: (7,), (28,) the combined belief.
         reward, error, nees: of the epoch, as in :class:`~mmwave_env.engine.Workspace`.
@@ -52,6 +55,7 @@ class ImmWorkspace(NamedTuple):
     fresh: Number
     transition: list[list[Number]]
     tunings: list[Tuning]
+    limits: list[Number]
     mixture: Mixture
     x: list[Number]
     P: list[Number]
@@ -65,7 +69,7 @@ def _program(pipeline: Pipeline, reward: Reward) -> Program[ImmWorkspace]:
     def function(w: ImmWorkspace) -> ImmWorkspace:
         mixture = restart(w.fresh > 0.5, pipeline, w.site, w.mixture)
         coming = w.incoming.epoch(pipeline.layout)
-        mixture = imm_epoch(pipeline, w.transition, w.tunings, mixture, coming, w.site)
+        mixture = imm_epoch(pipeline, w.transition, w.tunings, w.limits, mixture, coming, w.site)
         x, P = estimate(mixture)
         belief = Belief(x, P, pipeline.position_axes)
         truth = w.incoming.truth
@@ -86,6 +90,7 @@ def _program(pipeline: Pipeline, reward: Reward) -> Program[ImmWorkspace]:
         fresh=1.0,
         transition=[[0.0] * len(modes) for _ in modes],
         tunings=[mode.tuning for mode in modes],
+        limits=[0.0] * len(pipeline.layout.groups),
         mixture=begin(pipeline, site.prior_x, site.prior_P),
         x=site.prior_x,
         P=site.prior_P,
@@ -128,20 +133,30 @@ class ImmEngine:
         reward: function of (belief, truth), for comparison with policies.
         transition: (modes, modes) transition probabilities (from, to); None for the default,
             which stays with probability 0.95.
+        nis_quantile: chi-square quantile up to which the NIS of a link counts in a likelihood;
+            1 for all of it, as in the textbook.
 
     Raises:
-        ValueError: see :func:`transition_from`.
+        ValueError: a quantile outside (0, 1], or no transition (:func:`transition_from`).
     """
 
     def __init__(
-        self, pipeline: Pipeline, reward: Reward, transition: ArrayLike | None = None
+        self,
+        pipeline: Pipeline,
+        reward: Reward,
+        transition: ArrayLike | None = None,
+        nis_quantile: float = 1.0,
     ) -> None:
+        if not 0.0 < nis_quantile <= 1.0:
+            raise ValueError(f"nis_quantile: found {nis_quantile}, expected a quantile in (0, 1]")
         self.pipeline = pipeline
         self.transition = transition_from(transition, len(pipeline.modes))
         self._program = _program(untuned(pipeline), reward)
         index, self._start = self._program.index, self._program.start.copy()
         self._start[leaves(index.transition)] = self.transition.ravel()
         self._start[leaves(index.tunings)] = leaves([mode.tuning for mode in pipeline.modes])
+        rows = [group.stop - group.start for group in pipeline.layout.groups]
+        self._start[leaves(index.limits)] = chdtri(rows, 1.0 - nis_quantile)
 
     def run(self, episodes: Packed | Sequence[Episode], *names: str) -> dict[str, Array]:
         """Filter episodes from their priors to their ends.

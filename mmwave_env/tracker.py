@@ -81,7 +81,7 @@ def track_epoch(w: Track, pipeline: Pipeline, rule: Rule | None) -> Track:
     chosen: Candidate = candidates[0]
     for number, candidate in enumerate(candidates[1:], start=1):
         chosen = select(mode > number - 0.5, candidate, chosen)
-    memory = anticipate(memory, candidates, epoch)
+    memory = anticipate(memory, candidates, epoch, pipeline.layout)
     memory = commit(pipeline, mode, x, chosen, memory, epoch.dt, epoch.visible)
     covariance = unpack(chosen.P, zero=pipeline.pinned)
     belief = Belief(chosen.x, covariance, pipeline.position_axes)

@@ -181,7 +181,9 @@ def _require_actor(tensors: Tensors, card: Card) -> None:
         tensor = tensors[name]
         if tensor.dtype != np.float32:
             raise ValueError(f"tensor {name!r}: found type {tensor.dtype}, expected float32")
-        if tensor.shape != shape or not tensor.size:
+        if not tensor.size:
+            raise ValueError(f"tensor {name!r}: found nothing in it, expected numbers")
+        if tensor.shape != shape:
             raise ValueError(f"tensor {name!r}: found shape {tensor.shape}, expected {shape}")
         if not np.isfinite(tensor).all():
             raise ValueError(f"tensor {name!r}: found NaN or infinity, expected finite numbers")

@@ -1,16 +1,14 @@
-"""The evaluation protocol: the same episodes for all, paired, with bootstrap intervals."""
+"""The evaluation protocol: contenders, and the same episodes for all of them."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import gymnasium as gym
 import numpy as np
 import pytest
-from scipy.stats import bootstrap as scipy_bootstrap
-from scipy.stats import norm
 
 import mmwave_env  # noqa: F401  registers the environment
 from experiments import evaluation
-from experiments.comparison import compare, references
 from experiments.evaluation import (
     contender_from,
     contenders,
@@ -18,117 +16,19 @@ from experiments.evaluation import (
     evaluate,
     score,
 )
-from experiments.intervals import RESAMPLES, bootstrap, bootstrap_ratio
 from mmwave_env.estimator.modes import modes_from
-from mmwave_env.metrics import METRICS
+from mmwave_env.metrics import BURN_IN, METRICS
 from mmwave_env.radio import RADIOS
 from mmwave_env.scene import SCENES
 from mmwave_env.simulation import SimulatedSource
-from policies import FixedMode
+from policies import FixedMode, learned
+
+from .actors import MODES, actor, card_of, write
 
 # Estimates of a lost track can be fast; the rule's own test looks at the warning.
 pytestmark = pytest.mark.filterwarnings("ignore:speed .* outside the design window")
 
 SOURCE = SimulatedSource(SCENES["street"], RADIOS["handset"])
-
-
-# --- bootstrap
-
-
-@pytest.mark.parametrize("n", [5, 60])
-def test_intervals_agree_with_scipy_s_bootstrap(n):
-    values = np.random.default_rng(0).exponential(2.0, (n, 2))
-    found = bootstrap(values)
-    # Monte-Carlo error of a 2.5 % quantile from R resamples of a nearly normal mean, in
-    # standard errors of the mean; 4.5 of those for the difference of two is 1 in 10^5.
-    quantile_error = np.sqrt(0.025 * 0.975 / RESAMPLES) / norm.pdf(norm.ppf(0.025))
-    for column, interval in zip(values.T, found, strict=True):
-        other = scipy_bootstrap(
-            (column,), np.mean, n_resamples=RESAMPLES, method="percentile",
-            rng=np.random.default_rng(0),
-        ).confidence_interval  # fmt: skip
-        margin = 4.5 * np.sqrt(2.0) * quantile_error * column.std() / np.sqrt(n)
-        assert interval.mean == pytest.approx(column.mean())
-        assert abs(interval.low - other.low) <= margin
-        assert abs(interval.high - other.high) <= margin
-
-
-def test_columns_share_their_resamples():
-    column = np.random.default_rng(0).normal(size=40)
-    plain, shifted, doubled = bootstrap(np.column_stack([column, column + 3.0, 2.0 * column]))
-    assert shifted.low == pytest.approx(plain.low + 3.0)
-    assert doubled.high == pytest.approx(2.0 * plain.high)
-
-
-def test_intervals_are_repeatable_and_of_one_episode_a_point():
-    values = np.random.default_rng(0).normal(size=(30, 1))
-    assert bootstrap(values) == bootstrap(values) != bootstrap(values, seed=1)
-    (single,) = bootstrap(np.array([[2.5]]))
-    assert (single.mean, single.low, single.high) == (2.5, 2.5, 2.5)
-
-
-# --- comparisons
-
-
-def scores(**rewards):
-    """Scores of contenders with the given rewards; the other metrics follow from them."""
-    return {
-        name.replace("_", "-"): {
-            metric: (i + 1.0) * np.asarray(reward, float) for i, metric in enumerate(METRICS)
-        }
-        for name, reward in rewards.items()
-    }
-
-
-WHAT = {"scenario": "mixed", "radio": "handset", "episodes": 3, "seed": 0}
-
-
-def test_references_are_the_best_fixed_mode_the_paper_s_rule_and_the_imm():
-    table = scores(
-        random=[0, 0], fixed_ekf=[-3, -3], fixed_ukf=[-1, -2], speed_rule=[-2, -2], imm=[-1, -1]
-    )
-    assert references(table) == ["fixed-ukf", "speed-rule", "imm"]
-    assert references(scores(random=[0.0], speed_rule_tuned=[1.0])) == []
-
-
-def test_everyone_is_compared_with_every_reference():
-    names = ("fixed-ekf", "fixed-ukf", "speed-rule", "random", "imm")
-    table = scores(**{name.replace("-", "_"): np.arange(3.0) for name in names})
-    table["fixed-ukf"]["reward"] += 100.0
-    expected = [
-        f"{name} - {reference}"
-        for reference in ("fixed-ukf", "speed-rule", "imm")
-        for name in names
-        if name != reference
-    ]
-    assert list(compare(table, **WHAT).paired) == expected
-
-
-def test_paired_differences_are_taken_episode_by_episode():
-    rng = np.random.default_rng(0)
-    hardness = rng.normal(0.0, 10.0, 40)  # shared, so that it cancels
-    table = scores(speed_rule=hardness, random=hardness - 1.0 + 0.01 * rng.normal(size=40))
-    result = compare(table, **WHAT)
-    assert list(result.paired) == ["random - speed-rule"]
-    difference = table["random"]["ate_m"] - table["speed-rule"]["ate_m"]
-    (expected,) = bootstrap(difference[:, None])
-    found = result.paired["random - speed-rule"]["ate_m"]
-    assert found.mean == pytest.approx(difference.mean())
-    assert (found.low, found.high) == pytest.approx((expected.low, expected.high))
-    alone = result.policies["random"]["reward"]
-    paired = result.paired["random - speed-rule"]["reward"]
-    assert paired.high - paired.low < 0.01 * (alone.high - alone.low)
-
-
-def test_results_as_json():
-    result = compare(scores(speed_rule=[1.0, 2.0, 3.0], imm=[2.0, 2.0, 2.0]), **WHAT).json
-    assert {key: result[key] for key in WHAT} == WHAT
-    assert list(result) == [*WHAT, "policies", "paired"]
-    assert result["policies"]["imm"]["reward"] == {"mean": 2.0, "ci95": [2.0, 2.0]}
-    assert list(result["paired"]["imm - speed-rule"]) == list(METRICS)
-
-
-# --- running
 
 
 def assert_equal(found, expected):
@@ -240,9 +140,54 @@ def test_own_modes_bring_their_own_contenders():
         np.testing.assert_allclose(values, named["fixed-ckf"][metric], rtol=1e-9)
 
 
-def test_a_ratio_of_means_has_an_interval():
-    rng = np.random.default_rng(0)
-    under = rng.uniform(1.0, 2.0, 400)
-    ratio = bootstrap_ratio(0.5 * under + rng.normal(0.0, 0.01, 400), under)
-    assert ratio.low < 0.5 < ratio.high and ratio.high - ratio.low < 0.01
-    assert bootstrap_ratio(3.0 * under, under).low == pytest.approx(3.0)
+# --- learned contenders
+
+
+@pytest.fixture
+def file(tmp_path):
+    return str(write(tmp_path / "ppo-handset.safetensors", actor(), card_of()))
+
+
+@pytest.fixture
+def shipped(monkeypatch, file):
+    """One policy is shipped: handset's with two modes."""
+    for module in (evaluation, learned):
+        monkeypatch.setattr(module, "shipped_policies", lambda: {"ppo-handset": Path(file)})
+
+
+@pytest.mark.usefixtures("shipped")
+def test_shipped_policies_are_contenders_of_their_radio():
+    assert list(contenders("handset"))[-1] == "ppo" and "ppo" not in contenders("standard")
+    assert "ppo" not in contenders("handset", MODES)  # it brings its own
+    assert contenders("handset")["ppo"].trained and not contenders("handset")["imm"].trained
+    named = contender_from("ppo-handset", "standard")
+    assert named.name == "ppo-handset" and named.modes == MODES
+    with pytest.raises(ValueError, match="found 'ppo-high', expected.*ppo-handset, a .safetensors"):
+        contender_from("ppo-high", "high")
+
+
+@pytest.mark.usefixtures("shipped")
+def test_a_policy_plays_the_same_by_name_and_by_file(file):
+    names, told = ["ppo", "ppo-handset", file], {}
+
+    def watch(contender, episodes, tells):
+        told[contender.name] = tells
+        assert len(episodes) == 2
+
+    scores = evaluate(names, SOURCE, "handset", episodes=2, seed=0, watch=watch)
+    assert list(scores) == list(told) == names
+    for name in names[1:]:
+        assert_equal({name: scores["ppo"]}, {name: scores[name]})
+        np.testing.assert_array_equal(told["ppo"]["mode"], told[name]["mode"])
+
+
+def test_what_is_watched_is_what_is_scored():
+    told = {}
+    names = ["speed-rule", "imm"]
+    scores = evaluate(
+        names, SOURCE, "handset", episodes=3, seed=0,
+        watch=lambda contender, episodes, tells: told.update({contender.name: tells}),
+    )  # fmt: skip
+    for name in names:
+        distance = np.linalg.norm(told[name]["error"], axis=-1)
+        np.testing.assert_allclose(distance[:, BURN_IN:].mean(axis=1), scores[name]["ate_m"])

@@ -105,6 +105,12 @@ def test_a_transition_that_is_none_is_refused(transition):
         ImmEngine(TWO, TrackingReward(), transition)
 
 
+@pytest.mark.parametrize("quantile", [0.0, 1.5, float("nan")])
+def test_a_quantile_that_is_none_is_refused(quantile):
+    with pytest.raises(ValueError, match="nis_quantile: found .*, expected a quantile"):
+        ImmEngine(TWO, TrackingReward(), nis_quantile=quantile)
+
+
 def test_another_layout_is_refused(episodes):
     one = ImmEngine(Pipeline(default_modes(), Layout(1)), TrackingReward())
     with pytest.raises(ValueError, match="layout of episode .*: found .*, expected Layout"):

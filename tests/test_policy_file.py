@@ -7,7 +7,7 @@ from dataclasses import asdict, replace
 
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, given, settings
+from hypothesis import HealthCheck, assume, given, settings
 from hypothesis import strategies as st
 from safetensors import safe_open
 from safetensors.numpy import save
@@ -142,11 +142,18 @@ def document():
     return {"format": 1, "sha256": _checksum(TENSORS, CARD.as_json()), "card": CARD.as_json()}
 
 
+def test_the_checksum_tells_shapes_apart():
+    zeros = [actor(features, hidden=(cells,)) for features, cells in ((4, 1), (2, 2))]
+    zeros = [{name: 0.0 * tensor for name, tensor in tensors.items()} for tensors in zeros]
+    assert len({sum(tensor.size for tensor in tensors.values()) for tensors in zeros}) == 1
+    assert len({_checksum(tensors, CARD.as_json()) for tensors in zeros}) == 2
+
+
 @in_one_folder
 @given(st.sampled_from(sorted(TENSORS)), st.lists(st.integers(0, 5), max_size=3))
 def test_a_tensor_of_another_shape_is_refused(path, name, shape):
-    if tuple(shape) != TENSORS[name].shape:
-        refused(path, assembled(TENSORS | {name: np.zeros(shape, np.float32)}), "tensor")
+    assume(tuple(shape) != TENSORS[name].shape)
+    refused(path, assembled(TENSORS | {name: np.zeros(shape, np.float32)}), "tensor")
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -225,9 +232,9 @@ def test_what_is_no_policy_file_is_refused(path, content, message):
     refused(path, content, message)
 
 
-@pytest.mark.parametrize("dtype", ["F64", "F16", "BF16", "F8_E4M3", "I32", "BOOL", "C64"])
+@pytest.mark.parametrize("dtype", ["F64", "F16", "BF16", "F8_E4M3", "I32", "BOOL"])
 def test_other_types_of_numbers_are_refused(path, dtype):
-    bits = {"F64": 8, "C64": 8, "I32": 4, "F16": 2, "BF16": 2}.get(dtype, 1)
+    bits = {"F64": 8, "I32": 4, "F16": 2, "BF16": 2}.get(dtype, 1)
     metadata = {"policy": json.dumps(document())}
     low = {"dtype": dtype, "shape": [3], "data_offsets": [0, 3 * bits]}
     content = raw({"__metadata__": metadata, "low": low}, bytes(3 * bits))
@@ -242,8 +249,14 @@ WRONG_TENSORS = [
     ({"lstm.weight_hh": np.full((8, 2), np.nan, np.float32)}, "lstm.weight_hh': found NaN"),
     ({"layer.0.bias": np.float32([0.0, np.inf])}, "layer.0.bias': found NaN or infinity"),
     ({"layer.0.bias": np.zeros(2)}, "layer.0.bias': found type (F64|float64)"),
+    ({"low": np.zeros(0, np.float32)}, "'low': found nothing in it, expected numbers"),
+    (
+        {f"layer.{name}": np.zeros(shape, np.float32)
+         for name, shape in {"0.weight": (0, 2), "0.bias": (0,), "1.weight": (3, 0)}.items()},
+        "'layer.0.weight': found nothing in it",
+    ),
     ({"critic": np.zeros(2, np.float32)}, "tensors: missing none, unknown critic"),
-]
+]  # fmt: skip
 
 
 @pytest.mark.parametrize(("changes", "message"), WRONG_TENSORS)

@@ -19,6 +19,7 @@ from mmwave_env.estimator.pipeline import (
     anticipate,
     commit,
     consider,
+    limited_likelihood,
     start,
 )
 from mmwave_env.estimator.trees import select
@@ -103,6 +104,7 @@ def imm_epoch(
     pipeline: Pipeline,
     transition: Matrix,
     tunings: Sequence[Tuning],
+    limits: Vector,
     mixture: Mixture,
     epoch: Epoch,
     site: Site,
@@ -113,6 +115,7 @@ def imm_epoch(
         pipeline: the modes.
         transition: (modes, modes) probabilities (from, to).
         tunings: process noise, in place of the modes' own.
+        limits: (groups,) as in :func:`limited_likelihood`; infinite in the textbook.
         mixture: after the epoch before.
         epoch: the coming epoch.
         site: anchors and carrier.
@@ -123,10 +126,10 @@ def imm_epoch(
         single(pipeline), tunings, mixture.tracks, mixed, strict=True
     ):
         candidate = consider(one, one.modes[0], x, P, track.memory, epoch, site, tuning)
-        memory = anticipate(track.memory, [candidate], epoch)
+        memory = anticipate(track.memory, [candidate], epoch, pipeline.layout)
         memory = commit(one, 0.0, x, candidate, memory, epoch.dt, epoch.visible)
         tracks.append(Track(candidate.x, candidate.P, memory))
-        likelihoods.append(candidate.log_likelihood)
+        likelihoods.append(limited_likelihood(candidate, limits))
     best = likelihoods[0]
     for likelihood in likelihoods[1:]:
         best = maximum(best, likelihood)

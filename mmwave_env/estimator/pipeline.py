@@ -10,7 +10,9 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
-from mmwave_env.arithmetic import Matrix, Number, Vector, clip, sqrt, where
+from scipy.special import chdtri
+
+from mmwave_env.arithmetic import Matrix, Number, Vector, clip, maximum, sqrt, where
 from mmwave_env.estimator.algebra import dot, pack, unpack
 from mmwave_env.estimator.modes import Mode, Tuning
 from mmwave_env.estimator.motion import (
@@ -29,6 +31,7 @@ NIS_MEMORY = (0.6, 0.9)  # weights of the past in the fast and the slow NIS aver
 CORRECTION_MEMORY = 0.8
 PREFERENCE_MEMORY = (0.6, 0.85)  # weights of the past in averages of log-likelihood differences
 PREFERENCE_LIMIT = 30.0
+PLAUSIBLE = 0.999  # chi-square quantile up to which NIS counts where modes are compared
 SNR_MEMORY = 0.95
 SPREAD_MEMORY = 0.8
 SNR_UNSEEN_DB = -100.0  # slow mean of a link that was never seen
@@ -88,8 +91,8 @@ class Memory(NamedTuple):
         unfixed_s: seconds since a link was last accepted.
         snr_mean_db: (L,) slow mean SNR per link.
         spread_average_hz: slow average of the Doppler spread.
-        preference: (2, modes) fast and slow average of each mode's log-likelihood minus the
-            last mode's.
+        preference: (2, modes) fast and slow average of each mode's :func:`plausibility` minus
+            the last mode's.
     """
 
     mode: Number
@@ -297,7 +300,25 @@ def _passed(mode: Mode, after: Posterior, layout: Layout) -> Number:
     return dot(within, links)
 
 
-def anticipate(memory: Memory, candidates: Sequence[Candidate], epoch: Epoch) -> Memory:
+def limited_likelihood(candidate: Candidate, limits: Vector) -> Number:
+    """Log-likelihood in which the NIS of a group (groups,) counts up to its limit.
+
+    The tail of a Gaussian falls so fast that a single link off the line of sight would decide
+    which mode is right, for the one that believes the outlier.
+    """
+    excess = [maximum(nis - limit, 0.0) for nis, limit in zip(candidate.nis, limits, strict=True)]
+    return candidate.log_likelihood + 0.5 * dot(excess, [1.0] * len(excess))
+
+
+def plausibility(candidate: Candidate, layout: Layout) -> Number:
+    """The log-likelihood that modes are compared by, limited at :data:`PLAUSIBLE`."""
+    rows = [group.stop - group.start for group in layout.groups]
+    return limited_likelihood(candidate, [float(chdtri(k, 1.0 - PLAUSIBLE)) for k in rows])
+
+
+def anticipate(
+    memory: Memory, candidates: Sequence[Candidate], epoch: Epoch, layout: Layout
+) -> Memory:
     """Remember what the coming epoch shows before any mode is chosen."""
     snr = [
         where(
@@ -307,12 +328,12 @@ def anticipate(memory: Memory, candidates: Sequence[Candidate], epoch: Epoch) ->
         )
         for seen, now, mean in zip(epoch.visible, epoch.snr_db, memory.snr_mean_db, strict=False)
     ]
-    reference = candidates[-1].log_likelihood
+    likelihoods = [plausibility(candidate, layout) for candidate in candidates]
     preference = []
     for past, keep in zip(memory.preference, PREFERENCE_MEMORY, strict=True):
         row = []
-        for old, candidate in zip(past, candidates, strict=True):
-            now = clip(candidate.log_likelihood - reference, -PREFERENCE_LIMIT, PREFERENCE_LIMIT)
+        for old, likelihood in zip(past, likelihoods, strict=True):
+            now = clip(likelihood - likelihoods[-1], -PREFERENCE_LIMIT, PREFERENCE_LIMIT)
             row.append(keep * old + (1.0 - keep) * now)
         preference.append(row)
     spread = SPREAD_MEMORY * memory.spread_average_hz

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.stats import chi2
 
 from mmwave_env.estimator.imm import stay_matrix
 from mmwave_env.estimator.modes import Mode, default_modes
@@ -52,11 +53,13 @@ def test_planar_mixture_keeps_height_and_climb():
     assert np.isfinite(imm["x"]).all()
 
 
-def textbook_imm(episode, modes, transition):
+def textbook_imm(episode, modes, transition, nis_quantile=1.0):
     """Bar-Shalom, Li and Kirubarajan 2001, Sec. 11.6.6: plain modes without gates and scaling.
 
     ``modes`` are (method, Q of one second); returns x (T, 7), P (T, 7, 7), probabilities (T, M).
+    In a likelihood, NIS counts up to a chi-square quantile.
     """
+    most = chi2.ppf(nis_quantile, [4, 4, 4, 1])
     sensor = textbook.Sensor(episode.scene_anchors_m, episode.hz_per_mps)
     M, probability = len(modes), np.full(len(modes), 1.0 / len(modes))
     x = np.tile(episode.prior_mean, (M, 1))
@@ -79,7 +82,8 @@ def textbook_imm(episode, modes, transition):
                 textbook.METHODS[method], sensor, sensor.groups, sensor.links, *prior,
                 episode.table()[t, 1:14], episode.sigma[t] ** 2, episode.usable[t],
             )  # fmt: skip
-            x[j], P[j], log_likelihood[j] = step.x, step.P, step.log_likelihood
+            x[j], P[j] = step.x, step.P
+            log_likelihood[j] = step.log_likelihood + 0.5 * np.maximum(step.nis - most, 0.0).sum()
         probability = predicted * np.exp(log_likelihood - log_likelihood.max())
         probability /= probability.sum()
         mean = probability @ x
@@ -103,13 +107,15 @@ THREE = [("ekf", 0.3), ("ukf", 1.8), ("ckf", 4.0)]
 EIGHT = [(a, sigma_v) for sigma_v in (0.1, 0.4, 1.6, 6.4) for a in ("ekf", "ukf")]
 
 
-@pytest.mark.parametrize("tunings", [THREE[:2], THREE, EIGHT], ids=len)
-def test_equals_textbook_mixture(tunings):
+@pytest.mark.parametrize(
+    ("tunings", "nis_quantile"), [(THREE[:2], 0.9), (THREE, 1.0), (EIGHT, 1.0), (EIGHT, 0.999)]
+)
+def test_equals_textbook_mixture(tunings, nis_quantile):
     plain = {"gate": None, "adaptive": False, "coupling": False}
     modes = tuple(Mode(f"{a} {v}", a, sigma_v=v, **plain) for a, v in tunings)
     transition = any_transition(len(modes))
     episodes = simulated(4, epochs=30)
-    ours = imm_track(Pipeline(modes, Layout(3)), episodes, transition)
+    ours = imm_track(Pipeline(modes, Layout(3)), episodes, transition, nis_quantile)
     for e, episode in enumerate(episodes):
         drift = modes[0].sigma_b_mps * episode.hz_per_mps
         Q = [
@@ -117,7 +123,7 @@ def test_equals_textbook_mixture(tunings):
             for _, sigma_v in tunings
         ]
         per_mode = [(name, q) for (name, _), q in zip(tunings, Q, strict=True)]
-        x, P, probability = textbook_imm(episode, per_mode, transition)
+        x, P, probability = textbook_imm(episode, per_mode, transition, nis_quantile)
         sigma = np.sqrt(np.einsum("...ii->...i", P))
         np.testing.assert_allclose((ours["x"][:, e] - x) / sigma, 0.0, atol=1e-8)
         scale = sigma[..., :, None] * sigma[..., None, :]

@@ -164,10 +164,11 @@ def track(pipeline, episodes, actions, epochs, what, on_floats=False):
     return found
 
 
-def imm_track(pipeline, episodes, transition=None):
+def imm_track(pipeline, episodes, transition=None, nis_quantile=1.0):
     """x, P, probabilities and NEES of the mixture at every epoch (epochs, n, ...)."""
     names = {"x": "x", "P": "P", "nees": "nees", "probability": "mixture.probability"}
-    found = ImmEngine(pipeline, TrackingReward(), transition).run(episodes, *names.values())
+    imm = ImmEngine(pipeline, TrackingReward(), transition, nis_quantile)
+    found = imm.run(episodes, *names.values())
     return {name: found[part].swapaxes(0, 1) for name, part in names.items()}
 
 

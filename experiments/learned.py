@@ -1,0 +1,146 @@
+"""mmwave-loc learned: docs/learning.md's tables and figures, from recorded runs, on test seeds."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+from statistics import median
+from typing import Any
+
+import numpy as np
+from rich.progress import track
+
+from experiments import transfer
+from experiments.ablate import VARIANTS
+from experiments.cli import run
+from experiments.evaluation import contender_from, draw_episodes, score
+from experiments.files import require_writable, write_json, write_text
+from experiments.intervals import Array, Interval, crossed_bootstrap, mean
+from experiments.learning.curves import draw_curves
+from experiments.markdown import grid, show
+from experiments.options import EpisodeArgs, results
+from experiments.pages import page_to_renew, renewed
+from experiments.runs import Run, outcomes
+
+RADIOS = ("handset", "standard")
+RIVALS = (
+    "speed-rule", "fixed-ekf", "fixed-ukf", "fixed-ckf", "fixed-ekf-robust", "fixed-ukf-robust",
+    "imm", "imm-tuned", "imm-robust", "imm-extended",
+)  # fmt: skip
+SHIPPED = "as-shipped"
+
+
+@dataclass
+class Args:
+    """Evaluate recorded trainings on test seeds: results, transfer and ablations."""
+
+    runs: Path = Path("docs/learning")
+    """folder of the recorded runs: ppo-RADIO, ppo-extended-RADIO, and ablation/VARIANT"""
+    episodes: int = 2000
+    """simulated episodes of the results; a quarter of them for each place and variant"""
+    seed: int = 0
+    """seed of the first episode; test seeds start at 0"""
+    out: Path = Path("results/learning")
+    """folder for tables.md and the figures"""
+    docs: Path | None = None
+    """also renew the tables of this page, between its `<!-- table: ... -->` lines"""
+    json: Path | None = None
+    """write every figure to this file"""
+
+
+def runs_of(args: Args, radio: str) -> list[str]:
+    """Folders of the recorded runs of a radio profile."""
+    return [str(args.runs / f"{kind}-{radio}") for kind in ("ppo", "ppo-extended")]
+
+
+def tables(args: Args) -> Iterator[tuple[str, str, dict[str, Any]]]:
+    """Title, Markdown and JSON of every table; figures are drawn on the way."""
+    yield trainings(args)
+    for radio in RADIOS:
+        what = EpisodeArgs(radio=radio, episodes=args.episodes, seed=args.seed)
+        figures = (args.out / f"{kind}-{radio}.png" for kind in ("profiles", "decisions"))
+        _, text, content = results(what, [*runs_of(args, radio), *RIVALS], False, *figures)
+        yield radio, text.partition("\n\n")[2].rstrip("\n"), content
+    for radio in RADIOS:
+        what = transfer.Args(
+            radio, tuple(runs_of(args, radio)), args.episodes // 4, args.episodes // 20, args.seed
+        )
+        yield f"transfer, {radio}", *transfer.tried(what)
+    yield ablations(args)
+
+
+def trainings(args: Args) -> tuple[str, str, dict[str, Any]]:
+    """How long trainings took, and a figure of their course."""
+    rows, content = [], {}
+    names = [name for radio in RADIOS for name in runs_of(args, radio)]
+    for name in names:
+        found = outcomes(Path(name))
+        beaten = [one["beat_rule"] for one in found]
+        seconds = [one["seconds"] for one in beaten if one]
+        rows.append([
+            Path(name).name, str(len(found)), f"{found[0]['timesteps']:,}",
+            f"{median(one['seconds'] for one in found):.0f} s",
+            f"{median(seconds):.1f} s (at most {max(seconds):.1f})" if all(beaten) else "not all",
+            f"{median(one['timesteps'] for one in beaten if one):,.0f}",
+        ])  # fmt: skip
+        content[name] = found
+    draw_curves([Path(name) for name in names], args.out / "curves.png")
+    header = ["run", "seeds", "steps each", "wall time each", "beat the rule after", "steps"]
+    return "trainings", grid(header, rows), content
+
+
+def ablations(args: Args) -> tuple[str, str, dict[str, Any]]:
+    """What each variant of the training is worth."""
+    what = EpisodeArgs(episodes=args.episodes // 4, seed=args.seed)
+    source = what.source()
+    episodes = draw_episodes(source, range(args.seed, args.seed + what.episodes))
+
+    def reward(name: str) -> Array:
+        one = contender_from(name, what.radio)
+        return score(one, one.start(source.layout), episodes)["reward"]
+
+    found = {
+        name: np.stack([reward(file) for file in Run.read(str(folder)).policies])
+        for name in VARIANTS
+        if (folder := args.runs / "ablation" / name).is_dir()
+    }
+    imm = reward("imm")
+    rows, content = [], {}
+    for name, rewards in found.items():
+        columns = {"reward": rewards, "minus imm": rewards - imm}
+        if name != SHIPPED and len(rewards) == len(found[SHIPPED]):
+            columns[f"minus {SHIPPED}"] = rewards - found[SHIPPED]
+        intervals = {key: _over_both(values) for key, values in columns.items()}
+        rows.append([name, str(len(rewards)), *map(str, intervals.values())])
+        content[name] = {key: interval.json for key, interval in intervals.items()}
+    rows[0] += [""] * (5 - len(rows[0]))
+    header = ["variant", "seeds", "reward", "minus imm", f"minus {SHIPPED}"]
+    return "ablations", grid(header, rows), content
+
+
+def _over_both(values: Array) -> Interval:
+    """Mean of values (seeds, episodes) with its interval over both."""
+    ((centre, low, high),) = crossed_bootstrap(values, mean)
+    return Interval(float(centre), float(low), float(high))
+
+
+def main(args: Args) -> None:
+    """Run the command."""
+    require_writable(args.out / "tables.md")
+    page = page_to_renew(args.docs) if args.docs else ""
+    if args.docs:
+        args = replace(args, out=args.docs.with_suffix(""))
+    bodies, content = {}, {}
+    for title, text, figures in track(tables(args), total=6, description="learned", transient=True):
+        bodies[title], content[title] = text, figures
+    everything = "\n\n".join(f"### {title}\n\n{text}" for title, text in bodies.items()) + "\n"
+    if args.docs:
+        write_text(args.docs, renewed(page, bodies))
+    else:
+        write_text(args.out / "tables.md", everything)
+    if args.json:
+        write_json(args.json, content)
+    show(everything)
+
+
+if __name__ == "__main__":
+    run("learned")

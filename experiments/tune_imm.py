@@ -1,0 +1,170 @@
+"""mmwave-loc tune-imm: the strongest IMMs over given modes, on tuning seeds."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from rich.console import Console
+from scipy.optimize import minimize
+from scipy.special import expit, logit, softmax
+
+from experiments.cli import run
+from experiments.evaluation import Interval, bootstrap, draw_episodes
+from experiments.files import write_json
+from experiments.options import TUNING_SEED, command_line, require_tuning_seed
+from experiments.tune import CAP
+from mmwave_env.episode import Packed
+from mmwave_env.estimator.imm import DEFAULT_STAY
+from mmwave_env.estimator.modes import Mode, as_written, modes_from
+from mmwave_env.estimator.pipeline import Pipeline
+from mmwave_env.imm_engine import ImmEngine
+from mmwave_env.metrics import scored
+from mmwave_env.names import choose
+from mmwave_env.radio import RADIOS, radio_from
+from mmwave_env.reward import TrackingReward
+from mmwave_env.scene import scene_from
+from mmwave_env.simulation import SimulatedSource
+from policies import TUNED_IMMS
+
+Array = NDArray[np.float64]
+Build = Callable[[Array], tuple[tuple[Mode, ...], Array]]
+
+STAY = (-6.0, 9.0)  # log odds to stay, where they are looked for
+ENTER = (-20.0, 20.0)  # log probability to be entered, over that of the last mode
+NOISE = {"sigma_p": (0.005, 2.0), "sigma_v": (0.03, 4.0)}  # as tune's RANGES, but lower
+
+
+@dataclass
+class Args:
+    """Tune IMMs per radio profile, by mean reward: transition and, of two modes, process noise."""
+
+    scenario: str = "mixed"
+    """kind of user"""
+    radios: tuple[str, ...] = tuple(RADIOS)
+    """radio profiles"""
+    imms: tuple[str, ...] = tuple(TUNED_IMMS)
+    """imm-tuned (of ekf, ukf), imm-robust (of ekf-robust, ukf-robust), imm-extended (of eight)"""
+    episodes: int = 1000
+    """how many"""
+    seed: int = TUNING_SEED
+    """seed of the first episode; never a test seed"""
+    held_out: int = 1000
+    """how many of the seeds that follow show whether it holds"""
+    evaluations: int = 1000
+    """at most, per IMM"""
+    json: Path | None = None
+    """write the result here; the shipped policies/data/imms.json is such a file"""
+
+
+def transition_of(stay: Array, enter: Array) -> Array:
+    """Transition probabilities (from, to): a mode is left for the others in fixed proportions.
+
+    p_ij = (1 - s_i) q_j / sum of q_k over k != i, and p_ii = s_i.
+
+    Args:
+        stay: (modes,) log odds of s.
+        enter: (modes,) log q, up to a constant.
+    """
+    s, modes = expit(stay), len(stay)
+    others = np.where(np.eye(modes, dtype=bool), -np.inf, enter)
+    return np.diag(s) + (1.0 - s)[:, None] * softmax(others, axis=1)
+
+
+def search_space(modes: tuple[Mode, ...]) -> tuple[Array, Array, Build]:
+    """Where to search: the start (k,), the bounds (k, 2), and what a point stands for.
+
+    Of two modes the process noise is free, too. More than two differ in it on purpose.
+    """
+    n = len(modes)
+    entered = n - 1 if n > 2 else 0  # of two modes, the other one is entered
+    noisy = [(i, name) for i in range(n) for name in NOISE] if n == 2 else []
+    start = [logit(DEFAULT_STAY)] * n + [0.0] * entered
+    start += [np.log(getattr(modes[i], name)) for i, name in noisy]
+    bounds = [STAY] * n + [ENTER] * entered + [tuple(np.log(NOISE[name])) for _, name in noisy]
+
+    def build(point: Array) -> tuple[tuple[Mode, ...], Array]:
+        enter = np.zeros(n)
+        enter[:entered] = point[n : n + entered]
+        found = list(modes)
+        for (i, name), value in zip(noisy, point[n + entered :], strict=True):
+            figure = float(f"{np.exp(value):.3g}")
+            found[i] = replace(found[i], **{name: figure})  # type: ignore[arg-type]
+        return tuple(found), transition_of(point[:n], enter)
+
+    return np.clip(start, *np.transpose(bounds)), np.array(bounds), build
+
+
+def rewards(modes: tuple[Mode, ...], transition: Array | None, q: float, on: Packed) -> Array:
+    """Mean reward (episodes,) of an IMM."""
+    imm = ImmEngine(Pipeline(modes, on.layout), TrackingReward(), transition, q)
+    earned = imm.run(on, "reward")["reward"]
+    return earned[:, scored(earned.shape[1])].mean(axis=1)  # type: ignore[no-any-return]
+
+
+def tune(
+    modes: tuple[Mode, ...], episodes: Packed, evaluations: int
+) -> tuple[tuple[Mode, ...], Array]:
+    """The modes and the transition of the best IMM that Powell's method finds.
+
+    The reward has small steps, where a link passes a gate or does not, so no gradients.
+    """
+    start, bounds, build = search_space(modes)
+    found = minimize(
+        lambda point: -rewards(*build(point), CAP, episodes).mean(),
+        start,
+        method="Powell",
+        bounds=bounds,
+        options={"xtol": 0.02, "ftol": 1e-5, "maxfev": evaluations},
+    )
+    return build(found.x)
+
+
+def tuned_imm_of(
+    name: str, radio: str, tuning: Packed, held_out: Packed, evaluations: int
+) -> dict[str, Any]:
+    """A tuned IMM as the shipped file holds it; its gains are over where the tuning started."""
+    started = modes_from(TUNED_IMMS[name], radio)
+    with Console(stderr=True).status(f"{name}, {radio}"):
+        modes, transition = tune(started, tuning, evaluations)
+    found: dict[str, Interval] = {}
+    for prefix, episodes in (("", tuning), ("held_out_", held_out)):
+        reward = rewards(modes, transition, CAP, episodes)
+        gain = reward - rewards(started, None, 1.0, episodes)
+        pair = bootstrap(np.stack([reward, gain], axis=1))
+        found[f"{prefix}reward"], found[f"{prefix}gain"] = pair
+    print(f"{radio} {name}: reward {found['reward']}, gain {found['gain']}; held out "
+          f"{found['held_out_reward']}, gain {found['held_out_gain']}")  # fmt: skip
+    return {
+        "modes": [as_written(mode) for mode in modes],
+        "transition": transition.tolist(),
+        "nis_quantile": CAP,
+        **{what: interval.json for what, interval in found.items()},
+    }
+
+
+def main(args: Args) -> None:
+    """Run the command."""
+    require_tuning_seed(args.seed)
+    for name in args.imms:
+        choose(TUNED_IMMS, name, "imms")
+    first = args.seed + args.episodes
+    seeds = range(args.seed, first), range(first, first + args.held_out)
+    radios: dict[str, Any] = {}
+    for radio in args.radios:
+        source = SimulatedSource(scene_from("street"), radio_from(radio), args.scenario)
+        tuning, held_out = (Packed.of(draw_episodes(source, some)) for some in seeds)
+        radios[radio] = {
+            name: tuned_imm_of(name, radio, tuning, held_out, args.evaluations)
+            for name in args.imms
+        }
+    if args.json:
+        command = command_line("tune-imm", args)
+        what = {"scenario": args.scenario, "episodes": args.episodes, "seed": args.seed}
+        write_json(args.json, {"command": command, **what, "radios": radios})
+
+
+if __name__ == "__main__":
+    run("tune-imm")

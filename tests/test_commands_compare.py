@@ -1,0 +1,160 @@
+"""mmwave-loc compare and evaluate with learned policies and runs, as they are typed."""
+
+import json
+import os
+import re
+import subprocess
+import sys
+import warnings
+from pathlib import Path
+
+import pytest
+from matplotlib.image import imread
+
+from experiments import cli
+
+from .actors import actor, card_of, write
+
+ROOT = Path(__file__).parent.parent
+WITHOUT_TORCH = """
+import sys
+
+class Refuse:
+    def find_spec(self, name, *_):
+        if name.split(".")[0] in ("torch", "stable_baselines3"):
+            raise ImportError(name)
+
+sys.meta_path.insert(0, Refuse())
+from experiments.cli import main
+main()
+"""
+
+
+def command(*words):
+    """Run ``mmwave-loc`` where nobody can import torch."""
+    path = os.pathsep.join([str(ROOT), os.environ.get("PYTHONPATH", "")])
+    return subprocess.run(
+        [sys.executable, "-c", WITHOUT_TORCH, *map(str, words)],
+        env=os.environ | {"PYTHONPATH": path, "COLUMNS": "200"},
+        capture_output=True,
+        text=True,
+        cwd=ROOT,
+    )
+
+
+def succeed(*words):
+    done = command(*words)
+    assert done.returncode == 0, done.stderr
+    return done.stdout
+
+
+@pytest.fixture
+def run(tmp_path):
+    """A folder as ``mmwave-loc train`` leaves it, of random weights."""
+    folder = tmp_path / "run"
+    for seed in range(3):
+        (folder / f"seed-{seed}").mkdir(parents=True)
+        write(folder / f"seed-{seed}" / "policy.safetensors", actor(seed=seed), card_of())
+    summary = {"seeds": [{"seed": seed} for seed in (2, 0, 1)], "median": 0}
+    (folder / "summary.json").write_text(json.dumps(summary))
+    return folder
+
+
+@pytest.mark.slow
+def test_a_run_is_compared_over_its_training_seeds(run, tmp_path):
+    policies = (run, run / "seed-1" / ".." / "seed-1" / "policy.safetensors", "fixed-ukf", "imm")
+    median, one, *_ = names = [str(policy) for policy in policies]
+    file, figure, decisions = (tmp_path / n for n in ("all.json", "new/figure.png", "around.png"))
+    shown = succeed("compare", "--policies", *policies, "--episodes", 12, "--json", file,
+                    "--figure", figure, "--decisions", decisions)  # fmt: skip
+    result = json.loads(file.read_text())
+    assert list(result["policies"]) == names
+    references = ("fixed-ukf", "imm")
+    assert list(result["paired"]) == [f"{n} - {r}" for r in references for n in names if n != r]
+
+    (seeds,) = result["training_seeds"].values()
+    assert list(result["training_seeds"]) == [median] and seeds["median"] == 0
+    for seed, name in (("0", median), ("1", one)):
+        alone = result["policies"][name]["reward"]
+        assert seeds["reward"]["seeds"][seed]["mean"] == pytest.approx(alone["mean"])
+    for rival in references:
+        row = seeds["minus"][rival]
+        assert list(row["seeds"]) == ["2", "0", "1"]
+        paired = result["paired"][f"{median} - {rival}"]["reward"]
+        assert row["seeds"]["0"]["ci95"] == pytest.approx(paired["ci95"])
+        means = [seed["mean"] for seed in row["seeds"].values()]
+        assert row["mean"]["mean"] == pytest.approx(sum(means) / 3)
+    assert "| 0 (median) |" in shown and "minus imm (best IMM)" in shown
+
+    around = result["decisions"]
+    assert list(around["stop"]["error_m"]) == names
+    for kind in ("stop", "pull-away"):
+        assert around[kind]["events"] > 0
+        shares = around[kind]["share"]
+        assert list(shares) == [median, one]
+        for modes in shares.values():
+            assert list(modes) == ["stand", "walk", "ride"]
+            assert [sum(s) for s in zip(*modes.values(), strict=True)] == pytest.approx([1.0] * 31)
+    for picture in (figure, decisions):
+        assert (imread(picture) != 1.0).any(axis=2).mean() > 0.05  # not blank
+
+
+def test_one_policy_is_evaluated_by_file_and_by_run(run, tmp_path):
+    files = [tmp_path / "file.json", tmp_path / "run.json"]
+    for policy, file in zip((run / "seed-0" / "policy.safetensors", run), files, strict=True):
+        shown = succeed("evaluate", "--policy", policy, "--episodes", 2, "--json", file)
+        assert f"| {policy} |" in shown
+    by_file, by_run = (json.loads(file.read_text()) for file in files)
+    assert [*by_file["policies"].values()] == [*by_run["policies"].values()]
+    assert "training_seeds" not in by_file and by_run["training_seeds"][str(run)]["minus"] == {}
+
+
+def truncated(run):
+    path = run / "seed-1" / "policy.safetensors"
+    path.write_bytes(path.read_bytes()[:1000])
+
+
+def without_a_policy(run):
+    (run / "seed-2" / "policy.safetensors").unlink()
+
+
+MISTAKES = {
+    "a truncated policy": (truncated, (), r"seed-1/policy.safetensors: not a policy file"),
+    "a missing policy": (without_a_policy, (), r"seed-2/policy.safetensors: found no file"),
+    "a damaged summary": (
+        lambda run: (run / "summary.json").write_text("[]"), (), "summary.json: not the summary",
+    ),
+    "no summary": (
+        lambda run: (run / "summary.json").unlink(), (), "summary.json: found no file.*--resume",
+    ),
+    "the run twice": (None, ("RUN/",), "policies: found .*expected no name twice"),
+    "no folder": (None, ("runs/never",), "policy: found 'runs/never', expected.*imm.*of a run"),
+    "no file": (None, ("never.safetensors",), "never.safetensors: found no file"),
+    "nobody to compare with": (None, ("--figure", "f.png"), "figure: found nobody.*speed-rule"),
+    "not a picture": (None, ("--decisions", "f.pdf"), "decisions: found f.pdf.*ends with .png"),
+    "one file for two": (
+        None, ("--figure", "f.png", "--decisions", "f.png"), "decisions: found .*f.png.*another",
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("mistake", MISTAKES)
+def test_a_mistake_ends_with_one_clear_line(run, tmp_path, capsys, monkeypatch, mistake):
+    damage, words, message = MISTAKES[mistake]
+    if damage:
+        damage(run)
+    there = {"f.png": str(tmp_path / "f.png"), "RUN/": f"{run}/"}
+    words = [there.get(word, word) for word in words]
+    monkeypatch.setattr(warnings, "showwarning", warnings.showwarning)  # the command sets it
+    with pytest.raises(SystemExit) as end:
+        cli.run("compare", ["--episodes", "1", "--policies", str(run), *words])
+    done = capsys.readouterr()
+    assert end.value.code == 2 and done.out == ""
+    (line,) = done.err.strip().splitlines()
+    assert re.search(f"^mmwave-loc compare: .*{message}", line), line
+
+
+def test_a_figure_needs_a_run(tmp_path):
+    done = command("compare", "--policies", "imm", "--figure", tmp_path / "f.png")
+    assert done.returncode == 2 and done.stdout == ""
+    assert done.stderr.startswith("mmwave-loc compare: figure: found no folder of a run")

@@ -1,0 +1,82 @@
+"""Comparisons: paired differences, and with whom."""
+
+import numpy as np
+import pytest
+
+from experiments.comparison import compare, references, rivals
+from experiments.intervals import bootstrap
+from experiments.markdown import markdown
+from mmwave_env.metrics import METRICS
+
+
+def scores(**rewards):
+    """Scores of contenders with the given rewards; the other metrics follow from them."""
+    return {
+        name.replace("_", "-"): {
+            metric: (i + 1.0) * np.asarray(reward, float) for i, metric in enumerate(METRICS)
+        }
+        for name, reward in rewards.items()
+    }
+
+
+WHAT = {"scenario": "mixed", "radio": "handset", "episodes": 3, "seed": 0}
+
+
+def test_references_are_the_best_fixed_mode_the_paper_s_rule_and_the_imm():
+    table = scores(
+        random=[0, 0], fixed_ekf=[-3, -3], fixed_ukf=[-1, -2], speed_rule=[-2, -2], imm=[-1, -1]
+    )
+    assert references(table) == ["fixed-ukf", "speed-rule", "imm"]
+    assert references(scores(random=[0.0], speed_rule_tuned=[1.0])) == []
+
+
+def test_everyone_is_compared_with_every_reference():
+    names = ("fixed-ekf", "fixed-ukf", "speed-rule", "random", "imm")
+    table = scores(**{name.replace("-", "_"): np.arange(3.0) for name in names})
+    table["fixed-ukf"]["reward"] += 100.0
+    expected = [
+        f"{name} - {reference}"
+        for reference in ("fixed-ukf", "speed-rule", "imm")
+        for name in names
+        if name != reference
+    ]
+    assert list(compare(table, **WHAT).paired) == expected
+
+
+def test_paired_differences_are_taken_episode_by_episode():
+    rng = np.random.default_rng(0)
+    hardness = rng.normal(0.0, 10.0, 40)  # shared, so that it cancels
+    table = scores(speed_rule=hardness, random=hardness - 1.0 + 0.01 * rng.normal(size=40))
+    result = compare(table, **WHAT)
+    assert list(result.paired) == ["random - speed-rule"]
+    difference = table["random"]["ate_m"] - table["speed-rule"]["ate_m"]
+    (expected,) = bootstrap(difference[:, None])
+    found = result.paired["random - speed-rule"]["ate_m"]
+    assert found.mean == pytest.approx(difference.mean())
+    assert (found.low, found.high) == pytest.approx((expected.low, expected.high))
+    alone = result.policies["random"]["reward"]
+    paired = result.paired["random - speed-rule"]["reward"]
+    assert paired.high - paired.low < 0.01 * (alone.high - alone.low)
+
+
+def test_results_as_json():
+    result = compare(scores(speed_rule=[1.0, 2.0, 3.0], imm=[2.0, 2.0, 2.0]), **WHAT).json
+    assert {key: result[key] for key in WHAT} == WHAT
+    assert list(result) == [*WHAT, "policies", "paired"]
+    assert result["policies"]["imm"]["reward"] == {"mean": 2.0, "ci95": [2.0, 2.0]}
+    assert list(result["paired"]["imm - speed-rule"]) == list(METRICS)
+
+
+def test_learned_switchers_are_compared_with_every_imm_and_nobody_else_is():
+    table = scores(random=[0, 1], imm=[1, 1], imm_robust=[2, 1], imm_tuned=[0, 3])
+    table["runs/a - b"] = table["random"]
+    assert rivals(table) == ["imm", "imm-robust", "imm-tuned"]
+    found = compare(table, ["runs/a - b"], **WHAT)
+    others = ["random - imm", "imm-robust - imm", "imm-tuned - imm"]
+    assert list(found.paired) == [
+        *others, "runs/a - b - imm", "runs/a - b - imm-robust", "runs/a - b - imm-tuned",
+    ]  # fmt: skip
+    assert found.paired["runs/a - b - imm-robust"]["reward"].mean == pytest.approx(-1.0)
+    assert list(compare(table, **WHAT).paired) == [*others, "runs/a - b - imm"]
+    (row,) = [line for line in markdown(found).splitlines() if "-1.000 [-2.000, 0.000]" in line]
+    assert row.startswith("| runs/a - b |") and row.count("[") == 3

@@ -1,0 +1,186 @@
+"""What happens around stops and pull-aways, against definitions written out."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from matplotlib.image import imread
+
+from experiments.decisions import Decisions, pull_aways, stops
+from experiments.evaluation import contender_from, draw_episodes, localise
+from mmwave_env.metrics import BURN_IN
+from mmwave_env.radio import RADIOS
+from mmwave_env.scene import SCENES
+from mmwave_env.simulation import SimulatedSource
+
+N, T = 12, 60
+
+
+def speeds(text):
+    return np.array([[float(word) for word in text.split()]])
+
+
+def epochs(mask):
+    return np.flatnonzero(mask[0]).tolist()
+
+
+PULL_AWAYS = {
+    "a plain one": ("0 0 0 1 3 5", [3]),
+    "too short a stop": ("0 0 1 3 5", []),
+    "a stop broken": ("0 0 0.4 0 1 3 5", []),
+    "lingering": ("0 0 0 0.4 0.4 0.6 3", [5]),
+    "at the limits": ("0 0 0 0.5 0.51 2 2.01", [4]),
+    "not quite still": ("0.3 0.3 0.3 0.3 3", []),
+    "a pedestrian": ("0 0 0 1 1 1 1 1 1 1 3", []),
+    "slowly": ("0 0 0 1 1 1 1 1 3", [3]),
+    "two": ("0 0 0 4 4 0 0 0 9", [3, 8]),
+    "never still": ("1 2 3 4 5", []),
+}
+
+
+@pytest.mark.parametrize("case", PULL_AWAYS)
+def test_pull_aways_are_where_they_are_defined_to_be(case):
+    text, expected = PULL_AWAYS[case]
+    assert epochs(pull_aways(speeds(text))) == expected
+    backwards = " ".join(reversed(text.split()))
+    last = len(text.split()) - 1
+    assert epochs(stops(speeds(backwards))) == sorted(last - t for t in expected)
+
+
+def test_users_do_not_mix():
+    table = np.concatenate([speeds("0 0 0 1 3 5"), speeds("0 0 1 3 5 5"), speeds("9 0 0 0 9 9")])
+    assert np.argwhere(pull_aways(table)).tolist() == [[0, 3], [2, 4]]
+
+
+def test_seconds_count_not_epochs():
+    slow = speeds("0 0 0 1 1 1 1 1 3")
+    assert epochs(pull_aways(np.repeat(slow, 10, axis=1), 0.1)) == [30]
+    assert epochs(pull_aways(slow, 0.1)) == []
+    assert epochs(pull_aways(speeds("0 0 3"), 2.0)) == [2]
+
+
+def plain_pull_aways(speed):
+    """Epoch by epoch, looking back and ahead."""
+    found = []
+    for t in range(len(speed)):
+        moved = max((i + 1 for i in range(t) if speed[i] > 0.5), default=0)  # after the last time
+        stood = any((speed[i : i + 3] < 0.3).all() for i in range(moved, t - 2))
+        if speed[t] > 0.5 and stood and speed[t : t + 6].max() > 2.0:
+            found.append(t)
+    return found
+
+
+def test_random_walks_agree_with_looking_back_and_ahead():
+    rng = np.random.default_rng(0)
+    table = rng.choice([0.0, 0.1, 0.4, 0.6, 3.0], (200, T), p=[0.5, 0.2, 0.1, 0.1, 0.1])
+    found = pull_aways(table)
+    assert [epochs(row[None]) for row in found] == [plain_pull_aways(row) for row in table]
+    assert found.sum() > 200
+
+
+# --- sums over events
+
+
+SOURCE = SimulatedSource(SCENES["street"], RADIOS["handset"], "vehicle", epochs=T)
+NAMES = ("speed-rule", "imm", "fixed-ukf", "random")
+
+
+@pytest.fixture(scope="module")
+def episodes():
+    """Their users stand and drive as no user would, and often."""
+    rng, heading = np.random.default_rng(1), [0.6, 0.8, 0.0]
+    return [
+        replace(e, truth_velocity_mps=np.outer(rng.choice([0.1, 4.0], T // 4).repeat(4), heading))
+        for e in draw_episodes(SOURCE, range(N))
+    ]
+
+
+@pytest.fixture(scope="module")
+def told():
+    rng = np.random.default_rng(2)
+    return {
+        name: {"error": rng.normal(size=(N, T, 3)), "mode": rng.integers(2, size=(N, T))}
+        for name in NAMES
+    } | {"imm": {"error": rng.normal(size=(N, T, 3))}}
+
+
+def collected(episodes, told, *parts):
+    """Decisions of all contenders, told in parts."""
+    decisions = Decisions({name: name for name in NAMES if name != "random"})
+    for part in parts or (slice(None),):
+        for name, table in told.items():
+            some = {key: values[part] for key, values in table.items()}
+            decisions.add(contender_from(name, "handset"), episodes[part], some)
+    return decisions
+
+
+def test_numbers_are_means_over_events(episodes, told):
+    content = collected(episodes, told).json
+    assert content["time_s"] == list(range(-10, 21))
+    speed = np.stack([np.linalg.norm(episode.truth_velocity_mps, axis=1) for episode in episodes])
+    for kind, find in (("stop", stops), ("pull-away", pull_aways)):
+        events, row = np.argwhere(find(speed)), content[kind]
+        assert row["events"] == len(events) > 10
+        assert list(row["error_m"]) == ["speed-rule", "imm", "fixed-ukf"]
+        for i, offset in enumerate(range(-10, 21)):
+            there = [(e, t + offset) for e, t in events if BURN_IN <= t + offset < T]
+            for name, errors in row["error_m"].items():
+                expected = np.mean([np.linalg.norm(told[name]["error"][at]) for at in there])
+                assert errors[i] == pytest.approx(expected)
+            share = np.mean([told["speed-rule"]["mode"][at] for at in there])
+            shares = row["share"]["speed-rule"]
+            assert (shares["ekf"][i], shares["ukf"][i]) == pytest.approx((1.0 - share, share))
+        assert list(row["share"]) == ["speed-rule"]  # the others decide nothing
+
+
+def test_parts_add_up_to_the_whole(episodes, told):
+    whole = collected(episodes, told).json
+    parts = collected(episodes, told, slice(0, 5), slice(5, 6), slice(6, N)).json
+    assert parts["stop"]["events"] == whole["stop"]["events"]
+    for kind in ("stop", "pull-away"):
+        for name, errors in whole[kind]["error_m"].items():
+            assert parts[kind]["error_m"][name] == pytest.approx(errors)
+        assert parts[kind]["share"]["speed-rule"]["ukf"] == pytest.approx(
+            whole[kind]["share"]["speed-rule"]["ukf"]
+        )
+
+
+def test_contenders_have_the_name_they_are_shown_with(episodes, told):
+    decisions = Decisions({"speed-rule": "random", "imm": "imm"})
+    for name in ("speed-rule", "imm"):
+        decisions.add(contender_from(name, "handset"), episodes, told[name])
+    content = decisions.json["stop"]
+    assert list(content["error_m"]) == ["random", "imm"]
+    assert list(content["share"]) == ["random"]  # whatever its name, a rule decides
+
+
+def test_without_events_there_are_no_numbers(episodes, told, tmp_path):
+    still = [replace(e, truth_velocity_mps=np.zeros((T, 3))) for e in episodes]
+    decisions = collected(still, told)
+    content = json.loads(json.dumps(decisions.json, allow_nan=False))
+    for kind in ("stop", "pull-away"):
+        assert content[kind]["events"] == 0
+        assert set(content[kind]["error_m"]["imm"]) == {None}
+    decisions.draw(tmp_path / "none.png")
+
+
+def test_a_picture_is_drawn(episodes, told, tmp_path):
+    collected(episodes, told).draw(tmp_path / "some.png")
+    ruled = collected(episodes, {name: told[name] for name in ("imm", "fixed-ukf")})
+    ruled.draw(tmp_path / "without.png")
+    some, without = (imread(tmp_path / f"{name}.png") for name in ("some", "without"))
+    assert (some != 1.0).any(axis=2).mean() > 0.2  # shares fill their panels
+    assert (without != 1.0).any(axis=2).mean() > 0.01
+    assert some.shape[0] > without.shape[0]  # a row for the rule
+
+
+def test_modes_are_those_that_were_chosen(episodes):
+    rule = contender_from("speed-rule", "handset")
+    told = localise(rule, rule.start(SOURCE.layout), episodes)
+    assert told["mode"].shape == (N, T) and set(np.unique(told["mode"])) == {0, 1}
+    for mode, name in enumerate(("fixed-ekf", "fixed-ukf")):
+        fixed = contender_from(name, "handset")
+        assert (localise(fixed, fixed.start(SOURCE.layout), episodes)["mode"] == mode).all()
+    imm = contender_from("imm", "handset")
+    assert "mode" not in localise(imm, imm.start(SOURCE.layout), episodes)

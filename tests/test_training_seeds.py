@@ -1,0 +1,118 @@
+"""Runs over their training seeds: against whom, and how sure."""
+
+import json
+
+import numpy as np
+import pytest
+from matplotlib.image import imread
+from scipy.stats import trim_mean
+
+from experiments.intervals import bootstrap
+from experiments.runs import Run
+from experiments.training_seeds import (
+    LEVELS,
+    draw_profiles,
+    over_training_seeds,
+    seeds_markdown,
+)
+
+RUN = Run("runs/a", (2, 0, 1), 0)
+OTHER = Run("runs/b", (0, 1, 2, 3), 3)
+EPISODES = 40
+
+
+def rewards(seed, *shape):
+    return np.random.default_rng(seed).normal(size=(*shape, EPISODES))
+
+
+@pytest.fixture(scope="module")
+def scores():
+    names = ("fixed-ekf", "fixed-ukf", "speed-rule", "random", "imm", "imm-tuned")
+    table = {name: {"reward": rewards(i)} for i, name in enumerate(names)}
+    table["fixed-ukf"]["reward"] += 2.0
+    table["imm-tuned"]["reward"] += 5.0
+    return table
+
+
+@pytest.fixture(scope="module")
+def trained():
+    """Rewards (trainings, episodes) of two runs; the second is better."""
+    return {RUN: rewards(10, 3), OTHER: rewards(11, 4) + 9.0}
+
+
+@pytest.fixture(scope="module")
+def found(scores, trained):
+    return over_training_seeds(
+        {run: [{"reward": one} for one in all_of_them] for run, all_of_them in trained.items()},
+        scores,
+    )
+
+
+RIVALS = ["fixed-ukf", "speed-rule", "imm", "imm-tuned"]
+
+
+def test_runs_are_compared_with_the_references_and_every_imm(found):
+    assert [one.run for one in found] == [RUN, OTHER]
+    assert all(list(one.minus) == RIVALS and one.best_imm == "imm-tuned" for one in found)
+
+
+def test_differences_are_paired(found, scores, trained):
+    for one in found:
+        for rival, figure in one.minus.items():
+            differences = trained[one.run] - scores[rival]["reward"]
+            assert list(figure.each) == bootstrap(differences.T)
+            assert figure.wins == sum(i.low > 0.0 for i in bootstrap(differences.T))
+            assert figure.mean.mean == pytest.approx(differences.mean())
+            assert figure.iqm.mean == pytest.approx(trim_mean(differences, 0.25, axis=None))
+            expected = [(differences > level).mean() for level in figure.levels]
+            np.testing.assert_allclose(figure.above[0], expected)
+            for number in (figure.mean, figure.iqm):
+                assert number.low < number.mean < number.high
+            share, low, high = figure.above
+            assert ((low >= 0.0) & (low <= share) & (share <= high) & (high <= 1.0)).all()
+    assert found[0].minus["imm-tuned"].wins == 0 and found[1].minus["imm-tuned"].wins == 4
+
+
+def test_profiles_of_runs_share_their_levels(found):
+    for rival in RIVALS:
+        np.testing.assert_array_equal(found[0].minus[rival].levels, found[1].minus[rival].levels)
+
+
+def test_they_are_written_as_json(found):
+    content = json.loads(json.dumps(found[0].json, allow_nan=False))
+    assert content["median"] == 0 and content["best_imm"] == "imm-tuned"
+    assert list(content["minus"]) == RIVALS
+    for row in (content["reward"], *content["minus"].values()):
+        assert list(row["seeds"]) == ["2", "0", "1"]
+        assert list(row) == ["seeds", "above_zero", "mean", "interquartile_mean", "profile"]
+        assert {len(numbers) for numbers in row["profile"].values()} == {LEVELS}
+
+
+def test_they_are_shown_as_a_table(found):
+    lines = seeds_markdown(found[0]).splitlines()
+    table = [[c.strip() for c in line.strip("|").split("|")] for line in lines if line[:1] == "|"]
+    header = [f"minus {rival}" for rival in RIVALS[:-1]] + ["minus imm-tuned (best IMM)"]
+    assert table[0] == ["training seed", "reward", *header]
+    names = ["2", "0 (median)", "1", "intervals above zero", "mean over seeds"]
+    assert [row[0] for row in table[2:]] == [*names, "interquartile mean"]
+    assert table[3][4] == str(found[0].minus["imm"].each[1])
+    assert table[5][1:] == ["", *(f"{found[0].minus[rival].wins} of 3" for rival in RIVALS)]
+    assert "runs/a" in lines[1]
+
+
+def test_alone_a_run_still_has_its_reward(trained):
+    run = {RUN: [{"reward": one} for one in trained[RUN]]}
+    (alone,) = over_training_seeds(run, {"runs/a": {"reward": trained[RUN][1]}})
+    assert alone.minus == {} and alone.best_imm is None
+    assert alone.reward.mean.mean == pytest.approx(trained[RUN].mean())
+    assert "| mean over seeds | " in seeds_markdown(alone)
+
+
+def test_profiles_are_drawn(found, tmp_path):
+    draw_profiles(found, tmp_path / "both.png")
+    draw_profiles(found[:1], tmp_path / "one.png")
+    both, one = (imread(tmp_path / f"{name}.png") for name in ("both", "one"))
+    assert both.shape == one.shape
+    assert (both != 1.0).any(axis=2).mean() > 0.05  # not blank
+    assert (both != one).any()
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["both.png", "one.png"]

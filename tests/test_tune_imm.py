@@ -1,0 +1,85 @@
+"""Tuning an IMM finds how often its modes change, and writes what is shipped."""
+
+import json
+import shlex
+
+import numpy as np
+import pytest
+from scipy.special import logit
+
+from experiments.evaluation import draw_episodes
+from experiments.tune_imm import rewards, search_space, transition_of, tune
+from mmwave_env.episode import Packed
+from mmwave_env.estimator.imm import stay_matrix
+from mmwave_env.estimator.modes import as_written, modes_from
+from mmwave_env.radio import RADIOS
+from mmwave_env.scene import SCENES
+from mmwave_env.simulation import SimulatedSource
+
+from .test_tune import cli
+
+SOURCE = SimulatedSource(SCENES["street"], RADIOS["handset"], epochs=60)
+
+
+def test_a_mode_is_left_for_the_others_in_their_proportions():
+    stay, enter = np.array([0.9, 0.5, 0.2]), np.array([1.0, 3.0, 6.0])
+    found = transition_of(logit(stay), np.log(enter))
+    expected = [
+        [0.9, 0.1 * 3 / 9, 0.1 * 6 / 9],
+        [0.5 * 1 / 7, 0.5, 0.5 * 6 / 7],
+        [0.8 * 1 / 4, 0.8 * 3 / 4, 0.2],
+    ]
+    np.testing.assert_allclose(found, expected)
+
+
+@pytest.mark.parametrize("names", [("ekf", "ukf"), ("ekf", "ukf", "ckf"), ("extended",)])
+def test_the_search_starts_from_the_default_imm(names):
+    modes = modes_from(names)
+    start, bounds, build = search_space(modes)
+    assert len(start) == len(bounds) == (6 if len(modes) == 2 else 2 * len(modes) - 1)
+    assert (bounds[:, 0] <= start).all() and (start <= bounds[:, 1]).all()
+    found, transition = build(start)
+    assert found == modes
+    np.testing.assert_allclose(transition, stay_matrix(len(modes)))
+
+
+def test_every_point_is_a_transition_and_the_noise_of_two_modes():
+    modes = modes_from(["ekf", "ukf"])
+    _, bounds, build = search_space(modes)
+    for point in np.random.default_rng(0).uniform(*bounds.T, (20, len(bounds))):
+        found, transition = build(point)
+        assert (transition >= 0.0).all()
+        np.testing.assert_allclose(transition.sum(axis=1), 1.0)
+        for i, mode in enumerate(found):
+            assert as_written(mode).keys() == as_written(modes[i]).keys()
+            noise = np.exp(point[2 + 2 * i : 4 + 2 * i])
+            np.testing.assert_allclose([mode.sigma_p, mode.sigma_v], noise, rtol=0.005)
+
+
+def test_tuning_earns_more():
+    episodes = Packed.of(draw_episodes(SOURCE, range(5_000_000, 5_000_032)))
+    modes = modes_from(["ekf", "ukf"])
+    found, transition = tune(modes, episodes, 60)
+    before, after = (
+        rewards(modes, None, 0.999, episodes),
+        rewards(found, transition, 0.999, episodes),
+    )
+    assert after.mean() > before.mean() + 0.01
+
+
+@pytest.mark.slow
+def test_the_command_writes_a_file_as_it_is_shipped(tmp_path):
+    file = tmp_path / "imms.json"
+    options = ["--radios", "high", "--imms", "imm-robust", "imm-extended", "--episodes", 2,
+               "--held-out", 3, "--evaluations", 2, "--json", file]  # fmt: skip
+    done = cli("tune-imm", *options)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.startswith("high imm-robust: reward -")
+    written = json.loads(file.read_text())
+    assert shlex.split(written["command"]) == ["mmwave-loc", "tune-imm", *map(str, options)]
+    imms = written["radios"]["high"]
+    assert list(imms) == ["imm-robust", "imm-extended"]
+    for imm in imms.values():
+        assert np.shape(imm["transition"]) == (len(imm["modes"]),) * 2
+        low, high = imm["held_out_gain"]["ci95"]
+        assert low <= imm["held_out_gain"]["mean"] <= high
