@@ -20,11 +20,12 @@ from experiments.markdown import grid, show
 from experiments.options import EpisodeArgs, results
 from experiments.pages import page_to_renew, renewed
 from experiments.runs import Run, outcomes
+from policies import TUNED_IMMS
 
 RADIOS = ("handset", "standard")
 RIVALS = (
     "speed-rule", "fixed-ekf", "fixed-ukf", "fixed-ckf", "fixed-ekf-robust", "fixed-ukf-robust",
-    "imm", "imm-tuned", "imm-robust", "imm-extended",
+    "imm", *TUNED_IMMS,
 )  # fmt: skip
 SHIPPED = "as-shipped"
 
@@ -59,7 +60,8 @@ def tables(args: Args) -> Iterator[tuple[str, str, dict[str, Any]]]:
         what = EpisodeArgs(radio=radio, episodes=args.episodes, seed=args.seed)
         figures = (args.out / f"{kind}-{radio}.png" for kind in ("profiles", "decisions"))
         _, text, content = results(what, [*runs_of(args, radio), *RIVALS], False, *figures)
-        yield radio, text.partition("\n\n")[2].rstrip("\n"), content
+        text = text.partition("\n\n")[2].rstrip("\n")  # titles of pages are the pages' own
+        yield radio, text.replace(f"{args.runs}/", ""), content
     for radio in RADIOS:
         what = transfer.Args(
             radio, tuple(runs_of(args, radio)), args.episodes // 4, args.episodes // 20, args.seed

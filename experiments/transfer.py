@@ -91,12 +91,17 @@ def compared(place: Place, policies: list[Contender], seed: int) -> dict[str, In
     return dict(zip(columns, intervals, strict=True))
 
 
+def _policy(name: str, radio: str) -> Contender:
+    """A policy by name or file; the median one of a run."""
+    folder = Path(name)
+    if folder.is_dir():
+        return Contender.learned(Run.read(name).policy, folder.name)
+    return contender_from(name, radio)
+
+
 def tried(args: Args) -> tuple[str, dict[str, Any]]:
     """The policies in every place, as Markdown and as JSON."""
-    policies = [
-        contender_from(Run.read(name).policy if Path(name).is_dir() else name, args.radio)
-        for name in args.policies
-    ]
+    policies = [_policy(name, args.radio) for name in args.policies]
     found = {place.name: compared(place, policies, args.seed) for place in places(args)}
     columns = next(iter(found.values()))
     rows = [[place, *map(str, row.values())] for place, row in found.items()]
