@@ -172,14 +172,14 @@ class Decisions:
                         fontsize="small")  # fmt: skip
         panels[0, 0].set_ylabel("mean position error (m)")
         for axes, name in zip(panels[1:, 0], self.modes, strict=True):
-            axes.set_ylabel(f"{name}\nshare of modes")
+            axes.set_ylabel(f"{Path(name).name}\nshare of modes")
         with beside(path) as temporary:
             figure.savefig(temporary, dpi=120)
 
     def _draw_errors(self, axes: Any, kind: str, table: Mapping[str, Around]) -> None:
         for i, (name, around) in enumerate(table.items()):
             style = "-" if i < COLOURS else "--"
-            axes.plot(self.time_s, around.mean(around.error_m), style, label=name)
+            axes.plot(self.time_s, around.mean(around.error_m), style, label=Path(name).name)
         axes.set(title=f"{next(iter(table.values())).events} {kind}s", yscale="log")
         axes.yaxis.set_major_formatter("{x:g}")
         axes.yaxis.set_minor_formatter("{x:g}")

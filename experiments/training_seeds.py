@@ -27,6 +27,7 @@ from experiments.markdown import grid
 from experiments.runs import Run
 
 LEVELS = 81  # of a performance profile
+COLUMNS = 5  # of panels
 
 
 @dataclass(frozen=True)
@@ -164,21 +165,26 @@ def draw_profiles(found: Sequence[TrainingSeeds], path: Path) -> None:
     from matplotlib.figure import Figure as Picture
 
     panels = list(found[0].minus)
-    picture = Picture(figsize=(1.0 + 3.6 * len(panels), 4.0), layout="constrained")
+    columns = min(COLUMNS, len(panels))
+    rows = -(-len(panels) // columns)
+    picture = Picture(figsize=(1.0 + 3.6 * columns, 3.6 * rows), layout="constrained")
     FigureCanvasAgg(picture)
-    row = picture.subplots(1, len(panels), sharey=True, squeeze=False)[0]
-    for axes, rival in zip(row, panels, strict=True):
+    grid_of_axes = picture.subplots(rows, columns, sharey=True, squeeze=False)
+    for axes in grid_of_axes.flat[len(panels) :]:
+        axes.remove()
+    for axes, rival in zip(grid_of_axes.flat, panels, strict=False):
         for one in found:
             figure = one.minus[rival]
             share, low, high = figure.above
-            (line,) = axes.plot(figure.levels, share, label=one.run.name)
+            (line,) = axes.plot(figure.levels, share, label=Path(one.run.name).name)
             axes.fill_between(figure.levels, low, high, color=line.get_color(), alpha=0.2, lw=0.0)
         axes.axvline(0.0, color="black", lw=0.8)
         axes.axhline(0.5, color="black", lw=0.8, ls=":")
         axes.set(xlabel=f"reward more than {rival}'s by", ylim=(0.0, 1.0))
         axes.margins(x=0.0)
         axes.grid(alpha=0.3)
-    row[0].set_ylabel("share of training seeds and episodes")
-    row[-1].legend(loc="upper right", frameon=False)
+    for axes in grid_of_axes[:, 0]:
+        axes.set_ylabel("share of seeds and episodes")
+    grid_of_axes[0, 0].legend(loc="upper right", frameon=False)
     with beside(path) as temporary:
         picture.savefig(temporary, dpi=120)
