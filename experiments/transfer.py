@@ -116,7 +116,7 @@ def tried(args: Args) -> tuple[str, dict[str, Any]]:
 def main(args: Args) -> None:
     """Run the command."""
     text, content = tried(args)
-    show(text + "\n")
+    show(text)
     if args.json:
         write_json(args.json, content)
 
