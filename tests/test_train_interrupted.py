@@ -253,7 +253,7 @@ def test_an_interrupted_command_ends_at_once_and_goes_on_when_resumed(tmp_path, 
     command = started(*words)
     until_replaced(checkpoint, command)
     command.kill()
-    command.communicate(timeout=60)
+    command.communicate(timeout=600)
     assert gone(command.pid)  # a training that nobody listens to ends
 
     command = started(*words, "--resume")
@@ -262,7 +262,7 @@ def test_an_interrupted_command_ends_at_once_and_goes_on_when_resumed(tmp_path, 
     (training,) = (pid for pid, args in members(command.pid).items() if "spawn_main" in args)
     os.kill(training, signal.SIGKILL)
     os.killpg(command.pid, signal.SIGCONT)
-    told = command.communicate(timeout=60)
+    told = command.communicate(timeout=600)
     assert command.returncode == 2 and told[0] == "" and "Traceback" not in told[1]
     last = told[1].splitlines()[-1]
     assert re.fullmatch(r"mmwave-loc train: seed 0: its process ended with code -9; .*", last)
@@ -271,13 +271,13 @@ def test_an_interrupted_command_ends_at_once_and_goes_on_when_resumed(tmp_path, 
     command = started(*words, "--resume")
     until_replaced(checkpoint, command)
     os.killpg(command.pid, signal.SIGINT)  # as a terminal does
-    told = command.communicate(timeout=60)
+    told = command.communicate(timeout=600)
     assert command.returncode == 130 and told[0] == ""
     assert told[1].splitlines()[-1] == "mmwave-loc train: interrupted"
     assert "Traceback" not in told[1] and gone(command.pid)
 
     command = started(*words, "--resume")
-    summary, _ = command.communicate(timeout=300)
+    summary, _ = command.communicate(timeout=1800)
     assert command.returncode == 0 and "| seed | reward |" in summary
     train(replace(job, command=" ".join(map(str, ("mmwave-loc", "train", *what)))))
     assert_same_training(out / "seed-0", job.folder)
