@@ -177,12 +177,15 @@ class Decisions:
             figure.savefig(temporary, dpi=120)
 
     def _draw_errors(self, axes: Any, kind: str, table: Mapping[str, Around]) -> None:
+        from matplotlib.ticker import LogLocator, NullFormatter
+
         for i, (name, around) in enumerate(table.items()):
             style = "-" if i < COLOURS else "--"
             axes.plot(self.time_s, around.mean(around.error_m), style, label=Path(name).name)
         axes.set(title=f"{next(iter(table.values())).events} {kind}s", yscale="log")
+        axes.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
         axes.yaxis.set_major_formatter("{x:g}")
-        axes.yaxis.set_minor_formatter("{x:g}")
+        axes.yaxis.set_minor_formatter(NullFormatter())
         axes.axvline(0.0, color="black", lw=0.8)
         axes.grid(alpha=0.3)
 

@@ -95,6 +95,7 @@ def test_every_radio_has_every_contender(radio):
     assert list(found) == [
         "fixed-ekf", "fixed-ukf", "fixed-ckf", "fixed-ekf-robust", "fixed-ukf-robust",
         "speed-rule", "speed-rule-tuned", "likelihood-rule", "random", "imm", *TUNED_IMMS,
+        *(() if radio == "high" else ("ppo", "ppo-extended")),
     ]  # fmt: skip
     assert all(c.name == name and c.modes for name, c in found.items())
 
