@@ -20,6 +20,14 @@ from numba.extending import intrinsic, overload, register_jitable
 from numpy.typing import NDArray
 
 from mmwave_env.estimator.lanes import WIDTH, kernel
+from mmwave_env.estimator.tiles import (
+    LINE,
+    address,
+    gather,
+    prefetch,
+    scatter,
+    scatter_single,
+)
 from mmwave_env.estimator.trees import Tree, leaves, rebuild
 from mmwave_env.sparing import Sparing
 
@@ -247,27 +255,33 @@ class Program(Generic[Workspace]):
 
 
 @register_jitable  # type: ignore[untyped-decorator]
-def _load(block, first, here, step, blank, table, length, epoch, fed, given):  # type: ignore[no-untyped-def]
+def _load(block, sources, first, here, step, blank, table, length, epoch, fed, given):  # type: ignore[no-untyped-def]
     """Set the rows that come in; lanes past the last track run their block's first."""
     for lane in range(WIDTH):
         e = first + lane if lane < here else first
         t = epoch[e] + step
-        for i in range(len(blank)):
-            block[i, lane] = table[e, t, i] if t < length[e] else blank[i]
+        sources[lane] = address(table, e, t) if t < length[e] else blank.ctypes.data
         for i in range(len(fed)):
             block[fed[i], lane] = given[e, step, i]
+    gather(block, sources, len(blank))
 
 
 @register_jitable  # type: ignore[untyped-decorator]
-def _keep(block, first, here, step, running, keep, kept, show, shown):  # type: ignore[no-untyped-def]
-    """Take out the rows that are kept or shown."""
-    for lane in range(here):
+def _aim(targets, first, here, step, running, out, nowhere):  # type: ignore[no-untyped-def]
+    """Where lanes write to; those of no track that runs, where nobody looks."""
+    for lane in range(WIDTH):
         e = first + lane
-        if running[e]:
-            for i in range(len(keep)):
-                kept[e, step, i] = block[keep[i], lane]
-            for i in range(len(show)):
-                shown[e, step, i] = block[show[i], lane]
+        runs = lane < here and running[e]
+        targets[lane] = address(out, e, step) if runs else nowhere.ctypes.data
+
+
+@register_jitable  # type: ignore[untyped-decorator]
+def _announce(first, end, table, length, epoch):  # type: ignore[no-untyped-def]
+    """Have the next epochs of some tracks come nearer."""
+    for e in range(first, end):
+        if epoch[e] < length[e]:
+            for byte in range(0, table.strides[1], LINE):
+                prefetch(address(table, e, epoch[e]) + byte)
 
 
 @register_jitable  # type: ignore[untyped-decorator]
@@ -278,10 +292,12 @@ def advance(  # type: ignore[no-untyped-def]
 
     A program reads its rows in an order that no prefetcher guesses. Where the blocks of all
     environments do not fit into the caches, touching the rows in order first halves its time.
+    The epochs that the next block will load are as far apart as episodes are long.
     Plain loops, because slices of arrays take numba long to compile.
     """
     n, epochs, size = len(length), kept.shape[1], rows.shape[1]
     before = np.empty((size, WIDTH))
+    at, nowhere = np.empty(WIDTH, np.int64), np.empty(max(len(keep), len(show)))
     touched = 0.0
     for b in range(len(rows)):
         block, first = rows[b], b * WIDTH
@@ -293,14 +309,18 @@ def advance(  # type: ignore[no-untyped-def]
             continue
         for i in range(size):
             touched = max(touched, block[i, 0])
+        _announce(first + here, min(first + here + WIDTH, n), table, length, epoch)
         if busy < here:
             for i in range(size):
                 for lane in range(WIDTH):
                     before[i, lane] = block[i, lane]
         for step in range(epochs):
-            _load(block, first, here, step, blank, table, length, epoch, fed, given)
+            _load(block, at, first, here, step, blank, table, length, epoch, fed, given)
             call(run, block)
-            _keep(block, first, here, step, running, keep, kept, show, shown)
+            _aim(at, first, here, step, running, kept, nowhere)
+            scatter(block, keep, at)
+            _aim(at, first, here, step, running, shown, nowhere)
+            scatter_single(block, show, at)
         for lane in range(here):
             if running[first + lane]:
                 epoch[first + lane] += epochs

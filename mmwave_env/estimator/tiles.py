@@ -1,0 +1,217 @@
+"""Numbers between tables, where those of an environment lie side by side, and blocks of lanes.
+
+Compiled code moves eight by eight numbers at a time and turns them in registers; one after the
+other they would take as long as an EKF. Every environment is somewhere else, so addresses say
+where its numbers are.
+"""
+
+import ctypes
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from llvmlite import ir
+from numba import types
+from numba.extending import intrinsic, overload, register_jitable
+from numpy.typing import NDArray
+
+from mmwave_env.estimator.lanes import WIDTH
+
+LINE = 64  # bytes of the caches of most machines; others fetch some lines twice
+
+Array = NDArray[np.float64]
+Index = NDArray[np.int64]
+
+_INTEGER, _DOUBLE, _SINGLE = ir.IntType(64), ir.DoubleType(), ir.FloatType()
+_BYTES = {_DOUBLE: 8, _SINGLE: 4}
+
+
+@register_jitable  # type: ignore[untyped-decorator]
+def address(table, i, j):  # type: ignore[no-untyped-def]
+    """Where the numbers (k,) of ``table[i, j]`` lie, if they lie side by side."""
+    return table.ctypes.data + i * table.strides[0] + j * table.strides[1]
+
+
+def gather(block: Array, sources: Index, count: int) -> None:
+    """Fill the first rows of a block.
+
+    Args:
+        block: (size, 8) to fill.
+        sources: (8,) addresses of the numbers of each lane, in double precision.
+        count: how many numbers each has.
+    """
+    for lane, source in enumerate(sources.tolist()):
+        block[:count, lane] = _numbers(source, count, ctypes.c_double)
+
+
+def scatter(block: Array, rows: Index, targets: Index) -> None:
+    """Write rows of a block down.
+
+    Args:
+        block: (size, 8).
+        rows: (k,) numbers of the rows.
+        targets: (8,) addresses of room for the k numbers of each lane, in double precision.
+    """
+    for lane, target in enumerate(targets.tolist()):
+        _numbers(target, len(rows), ctypes.c_double)[:] = block[rows, lane]
+
+
+def scatter_single(block: Array, rows: Index, targets: Index) -> None:
+    """:func:`scatter` to room for numbers in single precision."""
+    for lane, target in enumerate(targets.tolist()):
+        _numbers(target, len(rows), ctypes.c_float)[:] = block[rows, lane]
+
+
+def _numbers(address: int, count: int, kind: Any) -> NDArray[Any]:
+    return np.ctypeslib.as_array((kind * count).from_address(address))
+
+
+@overload(gather)  # type: ignore[untyped-decorator]
+def _compiled_gather(block, sources, count):  # type: ignore[no-untyped-def]
+    def compiled(block, sources, count):  # type: ignore[no-untyped-def]
+        if count < WIDTH:
+            for lane in range(WIDTH):
+                for i in range(count):
+                    block[i, lane] = _double_at(sources[lane] + 8 * i)
+            return
+        for first in range(0, count, WIDTH):  # the last tile overlaps the one before
+            _turn_in(block.ctypes.data, sources.ctypes.data, min(first, count - WIDTH))
+
+    return compiled
+
+
+def _compiled_scatter(kind: ir.Type) -> Callable[..., Any]:
+    size, put, turn_out = _BYTES[kind], _put(kind), _turn_out(kind)
+
+    def choose(block, rows, targets):  # type: ignore[no-untyped-def]
+        def compiled(block, rows, targets):  # type: ignore[no-untyped-def]
+            count = len(rows)
+            if count < WIDTH:
+                for lane in range(WIDTH):
+                    for i in range(count):
+                        put(targets[lane] + size * i, block[rows[i], lane])
+                return
+            for tile in range(0, count, WIDTH):
+                first = min(tile, count - WIDTH)
+                turn_out(block.ctypes.data, rows.ctypes.data, targets.ctypes.data, first)
+
+        return compiled
+
+    return choose
+
+
+def prefetch(address: int) -> None:
+    """Have the line of the cache that an address is in come nearer."""
+
+
+@overload(prefetch)  # type: ignore[untyped-decorator]
+def _compiled_prefetch(address):  # type: ignore[no-untyped-def]
+    return lambda address: _prefetch(address)  # noqa: PLW0108 (numba wants a function)
+
+
+@intrinsic  # type: ignore[untyped-decorator]
+def _prefetch(_, address):  # type: ignore[no-untyped-def]
+    def build(context, builder, signature, arguments):  # type: ignore[no-untyped-def]
+        pointer, flag = ir.IntType(8).as_pointer(), ir.IntType(32)
+        kind = ir.FunctionType(ir.VoidType(), [pointer, flag, flag, flag])
+        ask = builder.module.declare_intrinsic("llvm.prefetch", [pointer], kind)
+        place = builder.inttoptr(arguments[0], pointer)
+        builder.call(ask, [place, flag(0), flag(2), flag(1)])
+        return context.get_dummy_value()
+
+    return types.void(address), build
+
+
+@intrinsic  # type: ignore[untyped-decorator]
+def _double_at(_, address):  # type: ignore[no-untyped-def]
+    def build(context, builder, signature, arguments):  # type: ignore[no-untyped-def]
+        return builder.load(_pointer(builder, arguments[0], _DOUBLE))
+
+    return types.float64(address), build
+
+
+def _put(kind: ir.Type) -> Any:
+    @intrinsic  # type: ignore[untyped-decorator]
+    def put(_, address, value):  # type: ignore[no-untyped-def]
+        def build(context, builder, signature, arguments):  # type: ignore[no-untyped-def]
+            value = _as(kind, builder, arguments[1])
+            builder.store(value, _pointer(builder, arguments[0], kind))
+            return context.get_dummy_value()
+
+        return types.void(address, types.float64), build
+
+    return put
+
+
+@intrinsic  # type: ignore[untyped-decorator]
+def _turn_in(_, block, sources, first):  # type: ignore[no-untyped-def]
+    """Eight numbers of each source, from a first one on, to as many rows of the block."""
+
+    def build(context, builder, signature, arguments):  # type: ignore[no-untyped-def]
+        block, sources, first = arguments
+        vector, offset = ir.VectorType(_DOUBLE, WIDTH), builder.mul(first, _INTEGER(8))
+        places = [builder.add(_entry(builder, sources, lane), offset) for lane in range(WIDTH)]
+        tile = [builder.load(_pointer(builder, place, vector), align=8) for place in places]
+        row = builder.add(block, builder.mul(first, _INTEGER(8 * WIDTH)))
+        for i, numbers in enumerate(_turned(builder, tile)):
+            place = builder.add(row, _INTEGER(8 * WIDTH * i))
+            builder.store(numbers, _pointer(builder, place, vector), align=8)
+        return context.get_dummy_value()
+
+    return types.void(block, sources, first), build
+
+
+def _turn_out(kind: ir.Type) -> Any:
+    @intrinsic  # type: ignore[untyped-decorator]
+    def turn_out(_, block, rows, targets, first):  # type: ignore[no-untyped-def]
+        """Eight of the rows, from a first one on, to as many numbers of each target."""
+
+        def build(context, builder, signature, arguments):  # type: ignore[no-untyped-def]
+            block, rows, targets, first = arguments
+            vector, size = ir.VectorType(_DOUBLE, WIDTH), _BYTES[kind]
+            listed = builder.add(rows, builder.mul(first, _INTEGER(8)))
+            numbers = [_entry(builder, listed, i) for i in range(WIDTH)]
+            places = [builder.add(block, builder.mul(n, _INTEGER(8 * WIDTH))) for n in numbers]
+            tile = [builder.load(_pointer(builder, place, vector), align=8) for place in places]
+            offset, narrow = builder.mul(first, _INTEGER(size)), ir.VectorType(kind, WIDTH)
+            for lane, numbers in enumerate(_turned(builder, tile)):
+                place = builder.add(_entry(builder, targets, lane), offset)
+                target = _pointer(builder, place, narrow)
+                builder.store(_as(narrow, builder, numbers), target, align=size)
+            return context.get_dummy_value()
+
+        return types.void(block, rows, targets, first), build
+
+    return turn_out
+
+
+def _turned(builder: Any, tile: list[Any]) -> list[Any]:
+    """Eight vectors, transposed: halves, quarters and eighths change places across the diagonal."""
+    tile, distance = list(tile), WIDTH // 2
+    while distance:
+        for i in (i for i in range(WIDTH) if not i & distance):
+            a, b = tile[i], tile[i + distance]
+            low = [j if not j & distance else WIDTH + j - distance for j in range(WIDTH)]
+            high = [j + distance if not j & distance else WIDTH + j for j in range(WIDTH)]
+            for at, order in ((i, low), (i + distance, high)):
+                chosen = ir.Constant(ir.VectorType(ir.IntType(32), WIDTH), order)
+                tile[at] = builder.shuffle_vector(a, b, chosen)
+        distance //= 2
+    return tile
+
+
+def _entry(builder: Any, address: Any, i: int) -> Any:
+    """The i-th integer from an address on."""
+    return builder.load(_pointer(builder, builder.add(address, _INTEGER(8 * i)), _INTEGER))
+
+
+def _pointer(builder: Any, address: Any, kind: ir.Type) -> Any:
+    return builder.inttoptr(address, kind.as_pointer())
+
+
+def _as(kind: ir.Type, builder: Any, value: Any) -> Any:
+    return value if value.type == kind else builder.fptrunc(value, kind)
+
+
+overload(scatter)(_compiled_scatter(_DOUBLE))
+overload(scatter_single)(_compiled_scatter(_SINGLE))
