@@ -33,12 +33,20 @@ def _squared(error: Array) -> Array:
 
 def ate(error: Array) -> Array:
     """Absolute trajectory error (...,) of errors (..., T, 3): mean length, m."""
-    return np.sqrt(_squared(error)).mean(axis=-1)  # type: ignore[no-any-return]
+    return _ate(_squared(error))
 
 
 def rmse(error: Array) -> Array:
     """Root mean square (...,) of errors (..., T, 3), m."""
-    return np.sqrt(_squared(error).mean(axis=-1))  # type: ignore[no-any-return]
+    return _rmse(_squared(error))
+
+
+def _ate(squared: Array) -> Array:
+    return np.sqrt(squared).mean(axis=-1)  # type: ignore[no-any-return]
+
+
+def _rmse(squared: Array) -> Array:
+    return np.sqrt(squared.mean(axis=-1))  # type: ignore[no-any-return]
 
 
 def rpe(error: Array, delta: int = 1) -> Array:
@@ -84,12 +92,13 @@ def accuracy(
     """
     count = scored(nees.shape[-1])
     error, nees = error[..., count, :], nees[..., count]
+    squared = _squared(error)
     low, high = nees_interval(axes)
     return {
-        "ate_m": ate(error),
-        "rmse_m": rmse(error),
+        "ate_m": _ate(squared),
+        "rmse_m": _rmse(squared),
         "rpe_m": rpe(error, max(1, round(epochs_per_s))),
         "nees": nees.mean(axis=-1),
         "in_bounds": ((nees >= low) & (nees <= high)).mean(axis=-1),
-        "divergence_rate": (~(_squared(error).max(axis=-1) <= DIVERGENCE_M**2)).astype(float),
+        "divergence_rate": (~(squared.max(axis=-1) <= DIVERGENCE_M**2)).astype(float),
     }

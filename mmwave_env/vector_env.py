@@ -103,6 +103,7 @@ class MmWaveLocVectorEnv(gym.vector.VectorEnv[Observations, Index, NDArray[Any]]
         self._panel, self._replay = Panel(self._engine), Replay(setting.pipeline)
         self._generators = Generators(num_envs, setting.simulated)
         self._begun = False
+        self._modes = np.array(len(self.modes), np.uint64)
         self._history = History(num_envs, len(self.modes))
         self._over, self._ended = np.zeros(num_envs, np.bool_), 0
 
@@ -202,7 +203,7 @@ class MmWaveLocVectorEnv(gym.vector.VectorEnv[Observations, Index, NDArray[Any]]
             rewards[fresh] = 0.0
             infos = masked(did, ~fresh) | masked(drawn, fresh) | masked(state)
         else:
-            infos = masked(did | state)
+            infos = masked({**did, **state})
         tracks = self._engine.batch.tracks  # an epoch ahead: it waits for the next action
         terminated, truncated = np.zeros(self.num_envs, np.bool_), tracks.epoch > tracks.length
         if self._setting.worst is not None:
@@ -229,7 +230,7 @@ class MmWaveLocVectorEnv(gym.vector.VectorEnv[Observations, Index, NDArray[Any]]
             )
         found = np.asarray(actions)
         if found.shape == (self.num_envs,) and found.dtype.kind in "iu":
-            wrong = found.astype(np.uint64) >= len(self.modes)  # negative ones wrap around
+            wrong = found.astype(np.uint64) >= self._modes  # negative ones wrap around
             if self._ended:
                 wrong[self._over] = False
             if not np.count_nonzero(wrong):
