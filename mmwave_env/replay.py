@@ -19,6 +19,7 @@ from mmwave_env.estimator.lanes import WIDTH
 from mmwave_env.estimator.pipeline import Pipeline
 from mmwave_env.estimator.program import Array, Index, Program, call, rows_of
 from mmwave_env.estimator.smoother import rts_mean
+from mmwave_env.estimator.tiles import address, gather
 from mmwave_env.estimator.trees import leaves, select
 from mmwave_env.sparing import Sparing
 from mmwave_env.tracker import Track, program_of
@@ -171,15 +172,16 @@ def _there_and_back(  # type: ignore[no-untyped-def]
     """Eight episodes at a time, so that what lies between the two ways stays in a cache."""
     n, epochs = actions.shape
     way = np.empty((epochs, len(keep), WIDTH))
+    sources = np.empty(WIDTH, np.int64)
     for b in range(len(rows)):
         block, first = rows[b], b * WIDTH
         end = min(first + WIDTH, n)
         for t in range(epochs):
             for lane in range(WIDTH):  # those past n run their block's first episode
                 e = first + lane if first + lane < end else first
-                for i in range(tables.shape[2]):
-                    block[i, lane] = tables[places[e], t, i]
+                sources[lane] = address(tables, places[e], t)
                 block[action, lane] = actions[e, t]
+            gather(block, sources, tables.shape[2])
             call(there, block)
             for i in range(len(keep)):
                 for lane in range(WIDTH):
