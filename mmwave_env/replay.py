@@ -19,7 +19,7 @@ from mmwave_env.estimator.lanes import WIDTH
 from mmwave_env.estimator.pipeline import Pipeline
 from mmwave_env.estimator.program import Array, Index, Program, call, rows_of
 from mmwave_env.estimator.smoother import rts_mean
-from mmwave_env.estimator.tiles import address, gather
+from mmwave_env.estimator.tiles import address, gather, pick
 from mmwave_env.estimator.trees import leaves, select
 from mmwave_env.sparing import Sparing
 from mmwave_env.tracker import Track, program_of
@@ -183,9 +183,7 @@ def _there_and_back(  # type: ignore[no-untyped-def]
                 block[action, lane] = actions[e, t]
             gather(block, sources, tables.shape[2])
             call(there, block)
-            for i in range(len(keep)):
-                for lane in range(WIDTH):
-                    way[t, i, lane] = block[keep[i], lane]
+            pick(block, keep, way[t])
         _return(back, start, way, show, out[first:end])
 
 

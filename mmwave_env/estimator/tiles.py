@@ -23,6 +23,7 @@ Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 
 _INTEGER, _DOUBLE, _SINGLE = ir.IntType(64), ir.DoubleType(), ir.FloatType()
+_VECTOR = ir.VectorType(_DOUBLE, WIDTH)
 _BYTES = {_DOUBLE: 8, _SINGLE: 4}
 
 
@@ -42,6 +43,11 @@ def gather(block: Array, sources: Index, count: int) -> None:
     """
     for lane, source in enumerate(sources.tolist()):
         block[:count, lane] = _numbers(source, count, ctypes.c_double)
+
+
+def pick(block: Array, rows: Index, out: Array) -> None:
+    """Copy rows (k,) of a block (size, 8) to ``out`` (k, 8)."""
+    out[:] = block[rows]
 
 
 def scatter(block: Array, rows: Index, targets: Index) -> None:
@@ -76,6 +82,16 @@ def _compiled_gather(block, sources, count):  # type: ignore[no-untyped-def]
             return
         for first in range(0, count, WIDTH):  # the last tile overlaps the one before
             _turn_in(block.ctypes.data, sources.ctypes.data, min(first, count - WIDTH))
+
+    return compiled
+
+
+@overload(pick)  # type: ignore[untyped-decorator]
+def _compiled_pick(block, rows, out):  # type: ignore[no-untyped-def]
+    def compiled(block, rows, out):  # type: ignore[no-untyped-def]
+        source, target = block.ctypes.data, out.ctypes.data
+        for i in range(len(rows)):
+            _copy_row(source + 8 * WIDTH * rows[i], target + 8 * WIDTH * i)
 
     return compiled
 
@@ -144,18 +160,28 @@ def _put(kind: ir.Type) -> Any:
 
 
 @intrinsic  # type: ignore[untyped-decorator]
+def _copy_row(_, source, target):  # type: ignore[no-untyped-def]
+    def build(context, builder, signature, arguments):  # type: ignore[no-untyped-def]
+        there, here = (_pointer(builder, place, _VECTOR) for place in arguments)
+        builder.store(builder.load(there, align=8), here, align=8)
+        return context.get_dummy_value()
+
+    return types.void(source, target), build
+
+
+@intrinsic  # type: ignore[untyped-decorator]
 def _turn_in(_, block, sources, first):  # type: ignore[no-untyped-def]
     """Eight numbers of each source, from a first one on, to as many rows of the block."""
 
     def build(context, builder, signature, arguments):  # type: ignore[no-untyped-def]
         block, sources, first = arguments
-        vector, offset = ir.VectorType(_DOUBLE, WIDTH), builder.mul(first, _INTEGER(8))
+        offset = builder.mul(first, _INTEGER(8))
         places = [builder.add(_entry(builder, sources, lane), offset) for lane in range(WIDTH)]
-        tile = [builder.load(_pointer(builder, place, vector), align=8) for place in places]
+        tile = [builder.load(_pointer(builder, place, _VECTOR), align=8) for place in places]
         row = builder.add(block, builder.mul(first, _INTEGER(8 * WIDTH)))
         for i, numbers in enumerate(_turned(builder, tile)):
             place = builder.add(row, _INTEGER(8 * WIDTH * i))
-            builder.store(numbers, _pointer(builder, place, vector), align=8)
+            builder.store(numbers, _pointer(builder, place, _VECTOR), align=8)
         return context.get_dummy_value()
 
     return types.void(block, sources, first), build
@@ -168,11 +194,11 @@ def _turn_out(kind: ir.Type) -> Any:
 
         def build(context, builder, signature, arguments):  # type: ignore[no-untyped-def]
             block, rows, targets, first = arguments
-            vector, size = ir.VectorType(_DOUBLE, WIDTH), _BYTES[kind]
+            size = _BYTES[kind]
             listed = builder.add(rows, builder.mul(first, _INTEGER(8)))
             numbers = [_entry(builder, listed, i) for i in range(WIDTH)]
             places = [builder.add(block, builder.mul(n, _INTEGER(8 * WIDTH))) for n in numbers]
-            tile = [builder.load(_pointer(builder, place, vector), align=8) for place in places]
+            tile = [builder.load(_pointer(builder, place, _VECTOR), align=8) for place in places]
             offset, narrow = builder.mul(first, _INTEGER(size)), ir.VectorType(kind, WIDTH)
             for lane, numbers in enumerate(_turned(builder, tile)):
                 place = builder.add(_entry(builder, targets, lane), offset)
