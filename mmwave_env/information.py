@@ -1,5 +1,6 @@
 """What environments tell: the info of a step, for many at once, and that of a whole episode."""
 
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -45,6 +46,7 @@ class Panel:
             end = first + len(leaves(part))
             self._columns[name] = first if isinstance(part, int) else slice(first, end)
             first = end
+        self._groups = len(memory.accepted)
         self._read, self._truth, self._estimate = engine.read, at.truth, at.x
 
     def rewards(self, told: Array) -> Array:
@@ -54,13 +56,13 @@ class Panel:
     def step_info(self, told: Array, actions: Index) -> dict[str, NDArray[Any]]:
         """What the step did with the modes (n,)."""
         columns = self._columns
-        verdicts = told[:, columns["verdicts"]].astype(np.bool_).reshape(len(told), 2, -1)
+        verdicts = told[:, columns["verdicts"]].astype(np.bool_)
         return {
             "position_error_m": told[:, columns["position_error_m"]],
             "nees": told[:, columns["nees"]],
             "nis": told[:, columns["nis"]],
-            "accepted": verdicts[:, 0],
-            "rejected": verdicts[:, 1],
+            "accepted": verdicts[:, : self._groups],
+            "rejected": verdicts[:, self._groups :],
             "mode": actions.astype(np.int64),
             "gamma": told[:, columns["gamma"]],
         }
@@ -90,9 +92,15 @@ def masked(values: dict[str, NDArray[Any]], where: Mask | None = None) -> dict[s
         elsewhere = ~where
         for array in values.values():
             array[elsewhere] = None if array.dtype == object else 0
-    mask = np.empty(len(next(iter(values.values()))), np.bool_)
+    keys = tuple(values)
+    mask = np.empty(len(values[keys[0]]), np.bool_)
     mask[:] = True if where is None else where
-    return values | {f"_{key}": mask for key in values}
+    return {**values, **dict.fromkeys(_mask_keys(keys), mask)}
+
+
+@cache
+def _mask_keys(keys: tuple[str, ...]) -> tuple[str, ...]:
+    return tuple(f"_{key}" for key in keys)
 
 
 def episode_info(
