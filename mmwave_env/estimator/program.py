@@ -37,6 +37,7 @@ Index = NDArray[np.int64]
 
 NO_ROWS = np.empty(0, np.int64)
 PLAIN_EPOCHS = 1000  # of blocks, before compiling, which takes as long as 4000 of them
+NEAR = 2**16  # numbers that the core's own caches hold of workspaces
 
 # numba's own lock guards all that compiles. A child forked while another thread holds it would
 # wait for ever, for that thread is not in the child; so a fork waits for the compilation.
@@ -291,7 +292,7 @@ def advance(  # type: ignore[no-untyped-def]
     """Run all tracks; the number returned means nothing.
 
     A program reads its rows in an order that no prefetcher guesses. Where the blocks of all
-    environments do not fit into the caches, touching the rows in order first halves its time.
+    environments do not fit into the near caches, touching the rows in order first halves its time.
     The epochs that the next block will load are as far apart as episodes are long.
     Plain loops, because slices of arrays take numba long to compile.
     """
@@ -307,8 +308,9 @@ def advance(  # type: ignore[no-untyped-def]
             busy += running[e]
         if busy == 0:
             continue
-        for i in range(size):
-            touched = max(touched, block[i, 0])
+        if rows.size > NEAR:
+            for i in range(size):
+                touched = max(touched, block[i, 0])
         _announce(first + here, min(first + here + WIDTH, n), table, length, epoch)
         if busy < here:
             for i in range(size):
