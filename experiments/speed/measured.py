@@ -82,7 +82,7 @@ class Measured:
                 yield
         running = {}
         for name, make in (environments(self.sizes) | filters()).items():
-            running[name] = started(make)
+            running[name] = started(make, seconds)
             yield
         rates = self.rates | self.filters
         for _ in range(repeats):
