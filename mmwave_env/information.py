@@ -1,6 +1,6 @@
 """What environments tell: the info of a step, for many at once, and that of a whole episode."""
 
-from functools import cache
+from functools import cache, lru_cache
 from typing import Any
 
 import numpy as np
@@ -55,14 +55,14 @@ class Panel:
 
     def step_info(self, told: Array, actions: Index) -> dict[str, NDArray[Any]]:
         """What the step did with the modes (n,)."""
-        columns = self._columns
+        columns, groups = self._columns, self._groups
         verdicts = told[:, columns["verdicts"]].astype(np.bool_)
         return {
             "position_error_m": told[:, columns["position_error_m"]],
             "nees": told[:, columns["nees"]],
             "nis": told[:, columns["nis"]],
-            "accepted": verdicts[:, : self._groups],
-            "rejected": verdicts[:, self._groups :],
+            "accepted": verdicts[:, :groups],
+            "rejected": verdicts[:, groups:],
             "mode": actions.astype(np.int64),
             "gamma": told[:, columns["gamma"]],
         }
@@ -93,14 +93,18 @@ def masked(values: dict[str, NDArray[Any]], where: Mask | None = None) -> dict[s
         for array in values.values():
             array[elsewhere] = None if array.dtype == object else 0
     keys = tuple(values)
-    mask = np.empty(len(values[keys[0]]), np.bool_)
-    mask[:] = True if where is None else where
+    mask = (_everywhere(len(values[keys[0]])) if where is None else where).copy()
     return {**values, **dict.fromkeys(_mask_keys(keys), mask)}
 
 
 @cache
 def _mask_keys(keys: tuple[str, ...]) -> tuple[str, ...]:
     return tuple(f"_{key}" for key in keys)
+
+
+@lru_cache(maxsize=8)
+def _everywhere(n: int) -> Mask:
+    return np.ones(n, np.bool_)
 
 
 def episode_info(
