@@ -54,7 +54,7 @@ class Panel:
         return told[:, self._columns["reward"]].copy()
 
     def step_info(self, told: Array, actions: Index) -> dict[str, NDArray[Any]]:
-        """What the step did with the modes (n,)."""
+        """What the step did with the modes (n,), which are taken over."""
         columns, groups = self._columns, self._groups
         verdicts = told[:, columns["verdicts"]].astype(np.bool_)
         return {
@@ -63,7 +63,7 @@ class Panel:
             "nis": told[:, columns["nis"]],
             "accepted": verdicts[:, :groups],
             "rejected": verdicts[:, groups:],
-            "mode": actions.astype(np.int64),
+            "mode": actions,
             "gamma": told[:, columns["gamma"]],
         }
 

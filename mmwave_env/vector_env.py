@@ -186,6 +186,7 @@ class MmWaveLocVectorEnv(gym.vector.VectorEnv[Observations, Index, NDArray[Any]]
             self._engine.load(episodes, some)
             names[some], nonfinite[some] = episodes.names, episodes.nonfinite
         self._history.make_room(self._engine.batch.tracks.table.shape[1])
+        self._over = self._over.copy()
         self._over[places] = False
         self._ended = int(np.count_nonzero(self._over))
         return {"episode_name": names, "nonfinite": nonfinite}
@@ -193,7 +194,7 @@ class MmWaveLocVectorEnv(gym.vector.VectorEnv[Observations, Index, NDArray[Any]]
     def step(self, actions: Index) -> Step:
         """Process an epoch in every environment with its mode; see the class on ends."""
         actions = self._checked(actions)
-        fresh, resets = self._over.copy(), self._ended  # none where autoreset is not NextStep
+        fresh, resets = self._over, self._ended  # none where autoreset is not NextStep
         drawn = self._draw(np.flatnonzero(fresh)) if resets else {}
         self._history.note(actions)
         observations, told = self._engine.step(actions, self._panel.rows)
@@ -205,13 +206,15 @@ class MmWaveLocVectorEnv(gym.vector.VectorEnv[Observations, Index, NDArray[Any]]
         else:
             infos = masked({**did, **state})
         tracks = self._engine.batch.tracks  # an epoch ahead: it waits for the next action
-        terminated, truncated = np.zeros(self.num_envs, np.bool_), tracks.epoch > tracks.length
-        if self._setting.worst is not None:
+        truncated = tracks.epoch > tracks.length
+        if self._setting.worst is None:
+            terminated, self._over = np.zeros(self.num_envs, np.bool_), truncated.copy()
+        else:
             terminated = ~(fresh | (did["position_error_m"] <= DIVERGENCE_M))
             left = (tracks.length + 1 - tracks.epoch)[terminated]
             rewards[terminated] += self._setting.worst * left
             truncated &= ~terminated
-        self._over = terminated | truncated
+            self._over = terminated | truncated
         self._ended = int(np.count_nonzero(self._over))
         if self._ended:
             infos |= masked(self._metrics(), self._over)
@@ -220,7 +223,7 @@ class MmWaveLocVectorEnv(gym.vector.VectorEnv[Observations, Index, NDArray[Any]]
         return observations, rewards, terminated, truncated, infos
 
     def _checked(self, actions: Any) -> Index:
-        """The actions (N,), if all that are not ignored mean a mode."""
+        """A copy of the actions (N,), if all that are not ignored mean a mode."""
         if not self._begun:
             raise ResetNeeded("Call reset before step: there is no episode under way.")
         if self._ended and self._autoreset == AutoresetMode.DISABLED:
@@ -230,11 +233,12 @@ class MmWaveLocVectorEnv(gym.vector.VectorEnv[Observations, Index, NDArray[Any]]
             )
         found = np.asarray(actions)
         if found.shape == (self.num_envs,) and found.dtype.kind in "iu":
-            wrong = found.astype(np.uint64) >= self._modes  # negative ones wrap around
+            chosen = found.astype(np.int64)
+            wrong = chosen.view(np.uint64) >= self._modes  # negative ones wrap around
             if self._ended:
                 wrong[self._over] = False
             if not np.count_nonzero(wrong):
-                return found
+                return chosen
         raise InvalidAction(
             f"actions: found {actions!r}, expected {self.num_envs} integers in "
             f"{self.single_action_space}"

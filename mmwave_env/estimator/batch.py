@@ -100,7 +100,7 @@ class Batch(Generic[Workspace]):
         rows = np.tile(program.start[None, :, None], (blocks, 1, WIDTH))
         self.tracks = Tracks.of(np.empty((n, 0, len(program.blank))), rows)
         self._feed = feed
-        self._on_floats = on_floats
+        self._run = program.run_on_floats if on_floats else program.run_on_lanes
         self._parts = 1 if on_floats else max(1, min(threads, blocks // BLOCKS_PER_THREAD))
 
     def load(
@@ -198,15 +198,12 @@ class Batch(Generic[Workspace]):
         """
         traffic = self.traffic() if traffic is None else traffic
         tracks = self.tracks if running is None else self.tracks._replace(running=running)
-        if self._on_floats:
-            self.program.run_on_floats(tracks, traffic)
-            return
         if self._parts == 1:
-            self.program.run_on_lanes(tracks, traffic)
+            self._run(tracks, traffic)
             return
         edges = [len(tracks.rows) * i // self._parts for i in range(self._parts + 1)]
         jobs = [(tracks.blocks(*ends), traffic.blocks(*ends)) for ends in pairwise(edges)]
-        share(self.program.run_on_lanes, jobs, self._parts)
+        share(self._run, jobs, self._parts)
 
     def span(self, tree: Any) -> slice:
         """The rows of a subtree of ``at``; leaves of a subtree lie side by side."""

@@ -2,12 +2,15 @@
 
 import math
 import os
+import platform
+import re
 import shutil
 import subprocess
 import sys
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
+from typing import NamedTuple
 
 import numba
 import numpy as np
@@ -33,8 +36,17 @@ from mmwave_env.arithmetic import (
 from mmwave_env.estimator.hidden import NoValue
 from mmwave_env.estimator.lanes import WIDTH, Lanes, Mask, kernel
 from mmwave_env.estimator.probe import Probe, ProbeTruth
+from mmwave_env.estimator.program import Program
 
 from .tracks import assert_same_beliefs, pipeline_of, simulated, track
+
+
+class Many(NamedTuple):
+    """A workspace of more numbers than there are registers."""
+
+    incoming: list
+    x: list
+
 
 NAN, INF = math.nan, math.inf
 
@@ -352,6 +364,14 @@ EDITS = [
     ("estimator/motion.py", "(0.5 * dt)", "(0.7 * dt)"),
     ("estimator/linearise.py", "(0.5 / s)", "(0.6 / s)"),
 ]
+
+
+@pytest.mark.skipif(platform.machine() not in ("x86_64", "AMD64"), reason="reads x86 assembly")
+def test_the_stack_of_a_kernel_is_aligned():
+    program = Program(lambda w: w._replace(x=[sum(w.x) * v for v in w.x]), Many([0.0], [1.0] * 60))
+    program.on_lanes()
+    code = program._compiled._library.get_asm_str()
+    assert re.search(r"and[q]?\s+\$-64, %rsp", code)
 
 
 def test_an_edited_source_is_never_answered_from_a_stale_cache(tmp_path):

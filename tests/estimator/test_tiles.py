@@ -1,0 +1,105 @@
+"""Tiles move numbers as numpy would, compiled and not, and touch nothing beyond."""
+
+import numba
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from mmwave_env.estimator import tiles
+from mmwave_env.estimator.lanes import WIDTH
+
+SIZE = 50
+COUNTS = st.integers(0, SIZE)
+
+
+@numba.njit
+def compiled_gather(block, sources, count):
+    tiles.gather(block, sources, count)
+
+
+@numba.njit
+def compiled_scatter(block, rows, targets):
+    tiles.scatter(block, rows, targets)
+
+
+@numba.njit
+def compiled_scatter_single(block, rows, targets):
+    tiles.scatter_single(block, rows, targets)
+
+
+@numba.njit
+def compiled_pick(block, rows, out):
+    tiles.pick(block, rows, out)
+
+
+@numba.njit
+def compiled_prefetch(place):
+    tiles.prefetch(place)
+
+
+@numba.njit
+def compiled_address(table, i, j):
+    return tiles.address(table, i, j)
+
+
+def some_block(seed):
+    return np.random.default_rng(seed).normal(size=(SIZE, WIDTH))
+
+
+def addresses(table):
+    """Of the rows (8, n), in an order that is not theirs in memory."""
+    return table.ctypes.data + table.strides[0] * np.arange(WIDTH, dtype=np.int64)[::-1]
+
+
+@pytest.mark.parametrize("gather", [tiles.gather, compiled_gather])
+@settings(deadline=None)
+@given(count=COUNTS, seed=st.integers(0, 99))
+def test_gathers_every_lane_from_its_own_place(gather, count, seed):
+    table = np.random.default_rng(seed).normal(size=(WIDTH, count + 1))
+    block = some_block(seed)
+    expected = block.copy()
+    expected[:count] = table[::-1, :count].T
+    gather(block, addresses(table), count)
+    np.testing.assert_array_equal(block, expected)
+
+
+@pytest.mark.parametrize(
+    ("scatter", "dtype"),
+    [
+        (tiles.scatter, np.float64),
+        (compiled_scatter, np.float64),
+        (tiles.scatter_single, np.float32),
+        (compiled_scatter_single, np.float32),
+    ],
+)
+@settings(deadline=None)
+@given(rows=st.lists(st.integers(0, SIZE - 1), max_size=30), seed=st.integers(0, 99))
+def test_scatters_rows_and_nothing_else(scatter, dtype, rows, seed):
+    block, room = some_block(seed), np.full((WIDTH, len(rows) + 3), 7.0, dtype)
+    expected = room.copy()
+    expected[::-1, : len(rows)] = block[rows].T
+    scatter(block, np.array(rows, np.int64), addresses(room))
+    np.testing.assert_array_equal(room, expected)
+
+
+@pytest.mark.parametrize("pick", [tiles.pick, compiled_pick])
+@settings(deadline=None)
+@given(rows=st.lists(st.integers(0, SIZE - 1), max_size=30), seed=st.integers(0, 99))
+def test_picks_rows(pick, rows, seed):
+    block, out = some_block(seed), np.zeros((len(rows), WIDTH))
+    pick(block, np.array(rows, np.int64), out)
+    np.testing.assert_array_equal(out, block[rows])
+
+
+@pytest.mark.parametrize("address", [tiles.address, compiled_address])
+def test_an_address_is_that_of_the_numbers(address):
+    table = np.zeros((5, 4, 3))[1::2, 1:]
+    for i in range(2):
+        for j in range(3):
+            assert address(table, i, j) == table[i, j].ctypes.data
+
+
+@pytest.mark.parametrize("prefetch", [tiles.prefetch, compiled_prefetch])
+def test_prefetching_what_is_not_there_does_no_harm(prefetch):
+    prefetch(8)
