@@ -199,12 +199,9 @@ def _read_array(file: Path, key: str, shape: tuple[int | str, ...]) -> Array:
     _require_file(file)
     try:
         # Pickled objects are refused: unpickling a stranger's file runs a stranger's code.
-        loaded = np.load(file, allow_pickle=False)
-        if isinstance(loaded, np.ndarray):
-            arrays = {key: loaded}
-        else:
-            with loaded:
-                arrays = dict(loaded)
+        with file.open("rb") as opened:  # numpy leaves one open that is no zip file after all
+            loaded = np.load(opened, allow_pickle=False)
+            arrays = {key: loaded} if isinstance(loaded, np.ndarray) else dict(loaded)
     except Exception as error:  # numpy, zipfile and zlib raise many kinds for a damaged file
         raise ValueError(
             f"{file}: {key}: found no readable array ({error}), expected an .npz or .npy file "
