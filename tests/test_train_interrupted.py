@@ -206,6 +206,8 @@ def test_a_damaged_checkpoint_ends_all_trainings(tmp_path):
 def started():
     """Starts the command in a process group of its own, of which nothing is left afterwards."""
     commands = []
+    # What a shell runs in the background ignores Ctrl-C, and so does all that it starts.
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
 
     def start(*words):
         commands.append(subprocess.Popen(
@@ -219,6 +221,7 @@ def started():
         if members(command.pid):
             os.killpg(command.pid, signal.SIGKILL)
         command.communicate()
+    signal.signal(signal.SIGINT, before)
 
 
 def members(group):
