@@ -334,12 +334,13 @@ print(status.split("VmHWM:")[1].split()[0])
 @pytest.mark.slow
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="reads /proc")
 def test_an_environment_takes_at_most_64_kb():
-    """The peak, through an end of all episodes at once."""
-    peaks = [
-        int(subprocess.run([sys.executable, "-c", SCRIPT, str(n)], check=True,
-                           capture_output=True, text=True).stdout)
-        for n in (1024, 2560, 4096)
-    ]  # fmt: skip
+    """The peak, through an end of all episodes at once; the least of three, as they jump by MB."""
+
+    def peak(n):
+        command = [sys.executable, "-c", SCRIPT, str(n)]
+        return int(subprocess.run(command, check=True, capture_output=True, text=True).stdout)
+
+    peaks = [min(peak(n) for _ in range(3)) for n in (1024, 2560, 4096)]
     assert (peaks[2] - peaks[0]) / 3072 <= 64
-    # Linear, as far as peaks of resident memory tell: they jump by a few MB from run to run.
+    # Linear, as far as peaks of resident memory tell.
     assert np.diff(peaks)[1] == pytest.approx(np.diff(peaks)[0], rel=0.25)
