@@ -84,7 +84,7 @@ def masked(values: dict[str, NDArray[Any]], where: Mask | None = None) -> dict[s
 
     The arrays are taken over; elsewhere they become 0, or None. Every key has a mask ``_key``.
     There are no keys where there is no environment. None means all. The masks are one array: new
-    ones for every key would cost few environments a tenth of their step.
+    ones for every key would cost few environments a twentieth of their step.
     """
     if where is not None:
         if not where.any():

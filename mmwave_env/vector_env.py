@@ -103,7 +103,7 @@ class MmWaveLocVectorEnv(gym.vector.VectorEnv[Observations, Index, NDArray[Any]]
         self._panel, self._replay = Panel(self._engine), Replay(setting.pipeline)
         self._generators = Generators(num_envs, setting.simulated)
         self._begun = False
-        self._modes = np.array(len(self.modes), np.uint64)
+        self._mode_count = np.array(len(self.modes), np.uint64)
         self._history = History(num_envs, len(self.modes))
         self._over, self._ended = np.zeros(num_envs, np.bool_), 0
 
@@ -234,7 +234,7 @@ class MmWaveLocVectorEnv(gym.vector.VectorEnv[Observations, Index, NDArray[Any]]
         found = np.asarray(actions)
         if found.shape == (self.num_envs,) and found.dtype.kind in "iu":
             chosen = found.astype(np.int64)
-            wrong = chosen.view(np.uint64) >= self._modes  # negative ones wrap around
+            wrong = chosen.view(np.uint64) >= self._mode_count  # negative ones wrap around
             if self._ended:
                 wrong[self._over] = False
             if not np.count_nonzero(wrong):

@@ -247,7 +247,7 @@ def test_an_interrupted_command_ends_at_once_and_goes_on_when_resumed(tmp_path, 
     """By the death of the command, by that of a training, and by Ctrl-C."""
     _, recipe = RECIPES["ppo"]
     job = job_of(tmp_path / "whole", task=replace(TASK, modes=default_modes("handset")))
-    job = replace(job, timesteps=10 * job.timesteps)  # or it is over before anybody interrupts
+    job = replace(job, timesteps=10 * job.timesteps)  # seconds, for interrupts in between
     hyperparameters, out = tmp_path / "mine.json", tmp_path / "run"
     hyperparameters.write_text(json.dumps(content(recipe)))
     what = ("--seeds", 1, "--total-timesteps", job.timesteps, "--hyperparameters", hyperparameters)
