@@ -102,7 +102,7 @@ def _simulate(  # type: ignore[no-untyped-def]
             for lane in range(WIDTH):
                 block[0, i, lane] = start[i]
         advance(
-            run, blank, block, draws[:here], length[:here], np.zeros(here, np.int64),
+            0, 1, run, blank, block, draws[:here], length[:here], np.zeros(here, np.int64),
             running[:here], none, nothing[:here], keep, tables[begin:end], none,
             np.empty((here, T, 0), np.float32),
         )  # fmt: skip

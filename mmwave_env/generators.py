@@ -6,6 +6,7 @@ says where the state lies in memory (``bit_generator.ctypes``), so compiled code
 """
 
 import ctypes
+import threading
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from copy import deepcopy
@@ -35,9 +36,8 @@ class Dice(NamedTuple):
 
 
 def dice_of(states: Words) -> Dice:
-    """Dice that draw from states of PCG64 (n, 4)."""
-    rng = np.random.Generator(np.random.PCG64(0))
-    return Dice(rng, _memory(rng), states)
+    """Dice that draw from states of PCG64 (n, 4), for this thread and until it asks for others."""
+    return Dice(_own.rng, _own.memory, states)
 
 
 def single(rng: np.random.Generator) -> Dice:
@@ -67,6 +67,17 @@ def _memory(rng: np.random.Generator) -> Words:
     state = ctypes.c_void_p.from_address(rng.bit_generator.ctypes.state_address).value
     assert state is not None
     return np.ctypeslib.as_array((ctypes.c_uint64 * 4).from_address(state))
+
+
+class _Own(threading.local):
+    """A generator of each thread: a new one takes as long as half an episode."""
+
+    def __init__(self) -> None:
+        self.rng = np.random.Generator(np.random.PCG64(0))
+        self.memory = _memory(self.rng)
+
+
+_own = _Own()
 
 
 def _require_known_memory() -> None:

@@ -15,33 +15,40 @@ class History:
     Args:
         n: number of environments.
         modes: how many there are to choose from.
+
+    Attributes:
+        rows: (T, n) modes.
+        turn: the row of the next step, whose modes are to be written there.
     """
 
     def __init__(self, n: int, modes: int) -> None:
-        self._rows: Modes = np.zeros((0, n), np.min_scalar_type(modes))
-        self._count = 0  # step s is in row s modulo T
+        self.rows: Modes = np.zeros((0, n), np.min_scalar_type(modes))
+        self.turn = 0
 
     def make_room(self, steps: int) -> None:
         """Let T be at least so many steps; what is known stays known."""
-        known = len(self._rows)
+        known = len(self.rows)
         if steps > known:
-            longer = np.zeros((steps, self._rows.shape[1]), self._rows.dtype)
-            longer[self._last(known) % steps] = self._rows[self._last(known) % known]
-            self._rows = longer
+            longer = np.zeros((steps, self.rows.shape[1]), self.rows.dtype)
+            longer[self._last(known) % steps] = self.rows[self._last(known) % known]
+            self.rows = longer
 
-    def note(self, actions: Index) -> None:
-        """A step with modes (n,)."""
-        self._rows[self._count % len(self._rows)] = actions
-        self._count += 1
+    def next(self) -> None:
+        """The modes of a step are written."""
+        self.turn = (self.turn + 1) % len(self.rows)
 
     def of(self, places: Index, steps: int) -> Modes:
         """The modes (places, steps) of the last steps, at most T, in some environments."""
-        rows = self._last(steps) % len(self._rows)
-        return np.ascontiguousarray(self._rows[:, places][rows].T)
+        rows = self._last(steps) % len(self.rows)
+        return np.ascontiguousarray(self.rows[:, places][rows].T)
 
     def all(self) -> Modes:
         """The modes (T, n) of the last steps, oldest first; those before the first one are 0."""
-        return self._rows[self._last(len(self._rows)) % len(self._rows)]
+        return self.rows[self._last(len(self.rows)) % len(self.rows)]
+
+    def set_all(self, modes: Modes) -> None:
+        """Know what :meth:`all` gave."""
+        self.rows, self.turn = modes.astype(self.rows.dtype), 0
 
     def _last(self, steps: int) -> Index:
-        return np.arange(self._count - steps, self._count)
+        return np.arange(self.turn - steps, self.turn)

@@ -122,7 +122,7 @@ class Replay:
         block, lane = np.divmod(np.arange(n), WIDTH)
         rows[block[:, None], self._site, lane[:, None]] = batch.sites(places)
         keep, show, tables = self._keep, self._show, batch.tracks.table
-        figures = np.empty((*actions.shape, len(show)))
+        figures = np.empty((len(show), *actions.shape))  # numpy reduces what lies side by side
         if self._on_floats:
             self._on_floats_there(rows, tables[places], actions, keep, show, figures)
         else:
@@ -130,7 +130,8 @@ class Replay:
                 actions.size, there.on_lanes(), back.on_lanes(), rows, back.start, tables, places,
                 actions, there.index.action, keep, show, figures,
             )  # fmt: skip
-        return figures[..., :AXES], figures[..., AXES], figures[..., AXES + 1 :]
+        error, nees, smoothed = figures[:AXES], figures[AXES], figures[AXES + 1 :]
+        return np.moveaxis(error, 0, -1), nees, np.moveaxis(smoothed, 0, -1)
 
     def _on_floats_there(
         self, rows: Array, tables: Array, actions: Actions, keep: Index, show: Index, out: Array
@@ -145,12 +146,12 @@ class Replay:
                 workspace[there.index.action] = actions[e, t]
                 workspace[:] = there.once(workspace)
                 way[t] = workspace[keep, None]
-            _return(self._back.on_lanes(), self._back.start, way, show, out[e : e + 1])
+            _return(self._back.on_lanes(), self._back.start, way, show, out[:, e : e + 1])
 
 
 @register_jitable  # type: ignore[untyped-decorator]
 def _return(run, start, way, show, out):  # type: ignore[no-untyped-def]
-    """From the last epoch of up to eight episodes to the first; fill ``out`` (n, T, s)."""
+    """From the last epoch of up to eight episodes to the first; fill ``out`` (s, n, T)."""
     block = np.empty((len(start), WIDTH))
     for i in range(len(start)):
         for lane in range(WIDTH):
@@ -160,9 +161,9 @@ def _return(run, start, way, show, out):  # type: ignore[no-untyped-def]
             for lane in range(WIDTH):
                 block[i, lane] = way[t, i, lane]
         call(run, block)
-        for e in range(len(out)):
-            for i in range(len(show)):
-                out[e, t, i] = block[show[i], e]
+        for i in range(len(show)):
+            for e in range(out.shape[1]):
+                out[i, e, t] = block[show[i], e]
 
 
 @register_jitable  # type: ignore[untyped-decorator]
@@ -184,7 +185,7 @@ def _there_and_back(  # type: ignore[no-untyped-def]
             gather(block, sources, tables.shape[2])
             call(there, block)
             pick(block, keep, way[t])
-        _return(back, start, way, show, out[first:end])
+        _return(back, start, way, show, out[:, first:end])
 
 
 _round_trip = Sparing(_there_and_back, PLAIN_EPOCHS)

@@ -4,10 +4,10 @@ All randomness of an episode is drawn first, in one go and from the episode's ow
 What follows is arithmetic: functions of numbers that run on lanes, an episode to a lane.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -218,7 +218,7 @@ class SimulatedSource:
     def sample(self, rng: np.random.Generator) -> Episode:
         """Draw one episode; all randomness comes from ``rng``."""
         tables = np.empty((1, self.epochs, len(_kept(self.layout))))
-        names, priors = self._fill(tables, [(single(rng), slice(None))])
+        names, priors = self._fill(tables, lambda _: single(rng), [slice(None)])
         rows, links, table = self.layout.size, self.layout.anchors, tables[0]
         _, z, signed_sigma, snr_db, spread, truth = np.split(
             table, np.cumsum([1, rows, rows, links, 1]), axis=1
@@ -260,8 +260,8 @@ class SimulatedSource:
                 f"out: found shape {table.shape}, contiguous {table.flags.c_contiguous}, expected "
                 f"{shape}, contiguous True"
             )
-        dice = [(dice_of(states[some]), some) for some in portions(n, threads, CHUNK)]
-        names, priors = self._fill(table, dice, threads)
+        parts = portions(n, threads, CHUNK)
+        names, priors = self._fill(table, lambda some: dice_of(states[some]), parts, threads)
         site, mean = self._site
         sites = np.empty((n, len(site)))
         sites[:], sites[:, mean] = site, priors
@@ -275,7 +275,7 @@ class SimulatedSource:
         )
 
     def _fill(
-        self, tables: Array, dice: Sequence[tuple[Dice, slice]], threads: int = 1
+        self, tables: Array, dice: Callable[[slice], Dice], parts: Sequence[slice], threads: int = 1
     ) -> tuple[list[str], Array]:
         """Fill tables (n, epochs, columns); the names, and the means (n, 7) of the priors.
 
@@ -284,7 +284,8 @@ class SimulatedSource:
 
         Args:
             tables: to fill.
-            dice: what to draw from, and for which of the tables.
+            dice: what to draw some of the tables from.
+            parts: of the tables, to draw one after the other.
             threads: how many may draw at once.
         """
         layout, program, n = self.layout, _program(self.layout), len(tables)
@@ -294,13 +295,14 @@ class SimulatedSource:
             self._plan, self.dt, stride_of(self.dt), *motion(), program.on_lanes(), self._start,
             (layout.anchors, layout.size, len(program.blank)), _kept(layout), self.time_s,
         )  # fmt: skip
-        jobs = [
-            (*each, *same, kinds[some], first[some], prior[some], tables[some])
-            for each, some in dice
-        ]
-        share(simulate.choice(n * self.epochs, *jobs[0]), jobs, threads)
+
+        def arguments(some: slice) -> tuple[Any, ...]:
+            return *dice(some), *same, kinds[some], first[some], prior[some], tables[some]
+
+        draw = simulate.choice(n * self.epochs, *arguments(parts[0]))
+        share(lambda some: draw(*arguments(some)), [(some,) for some in parts], threads)
         first[:, 6] = self.scene.hz_per_mps * (self.radio.prior_bias_mps * first[:, 6])
-        prior *= np.sqrt(np.diag(self.radio.prior_covariance(self.scene)))
+        prior *= self._prior_deviations
         return [choices[kind].name for kind in kinds], first + prior
 
     @cached_property
@@ -310,6 +312,10 @@ class SimulatedSource:
         before = np.append(self.scene.anchors_m.ravel(), self.scene.hz_per_mps)
         mean = slice(len(before), len(before) + STATE_SIZE)
         return np.concatenate([before, np.zeros(STATE_SIZE), covariance]), mean
+
+    @cached_property
+    def _prior_deviations(self) -> Array:
+        return np.sqrt(np.diag(self.radio.prior_covariance(self.scene)))
 
     @cached_property
     def _plan(self) -> Plan:

@@ -15,13 +15,13 @@ from numpy.typing import NDArray
 
 from mmwave_env.engine import Engine
 from mmwave_env.generators import Generators
-from mmwave_env.history import History
-from mmwave_env.information import STEP_KEYS, Mask, Panel, episode_info, masked
+from mmwave_env.information import STEP_KEYS, Mask, episode_info, masked
 from mmwave_env.metrics import DIVERGENCE_M
 from mmwave_env.names import choose
 from mmwave_env.replay import Replay
 from mmwave_env.setting import setting_from
 from mmwave_env.simulation import SimulatedSource
+from mmwave_env.stepping import Infos, Stepper
 from mmwave_env.threads import portions, share
 
 Array = NDArray[np.float64]
@@ -100,12 +100,12 @@ class MmWaveLocVectorEnv(gym.vector.VectorEnv[Observations, Index, NDArray[Any]]
         self.single_action_space = cast(Any, spaces.Discrete(len(self.modes)))
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
-        self._panel, self._replay = Panel(self._engine), Replay(setting.pipeline)
+        self._stepper, self._replay = Stepper(self._engine), Replay(setting.pipeline)
         self._generators = Generators(num_envs, setting.simulated)
         self._begun = False
         self._mode_count = np.array(len(self.modes), np.uint64)
-        self._history = History(num_envs, len(self.modes))
-        self._over, self._ended = np.zeros(num_envs, np.bool_), 0
+        self._nowhere = np.zeros(num_envs, np.bool_)
+        self._over, self._ended = self._nowhere, 0
 
     def reset(
         self,
@@ -127,10 +127,9 @@ class MmWaveLocVectorEnv(gym.vector.VectorEnv[Observations, Index, NDArray[Any]]
         self._begun &= not chosen.all()  # until all is drawn
         self._seed(seed, places)
         drawn = self._draw(places)
-        self._engine.start(places)
+        _, state = self._stepper.start(places)
         self._begun = True
-        infos = masked(drawn | self._panel.state_now(), chosen)
-        return self._engine.observations(), infos
+        return self._engine.observations(), masked(drawn | state, chosen)
 
     def _reset_mask(self, options: dict[str, Any] | None) -> Mask:
         mask = (options or {}).get("reset_mask")
@@ -185,7 +184,7 @@ class MmWaveLocVectorEnv(gym.vector.VectorEnv[Observations, Index, NDArray[Any]]
             episodes = self._setting.draw_many(self._generators, some, room, self._threads)
             self._engine.load(episodes, some)
             names[some], nonfinite[some] = episodes.names, episodes.nonfinite
-        self._history.make_room(self._engine.batch.tracks.table.shape[1])
+        self._stepper.history.make_room(self._engine.batch.tracks.table.shape[1])
         self._over = self._over.copy()
         self._over[places] = False
         self._ended = int(np.count_nonzero(self._over))
@@ -196,30 +195,26 @@ class MmWaveLocVectorEnv(gym.vector.VectorEnv[Observations, Index, NDArray[Any]]
         actions = self._checked(actions)
         fresh, resets = self._over, self._ended  # none where autoreset is not NextStep
         drawn = self._draw(np.flatnonzero(fresh)) if resets else {}
-        self._history.note(actions)
-        observations, told = self._engine.step(actions, self._panel.rows)
-        rewards, state = self._panel.rewards(told), self._panel.state_info(told)
-        did = self._panel.step_info(told, actions)
+        observations, rewards, truncated, self._ended, did, state = self._stepper.step(actions)
+        terminated = np.zeros(self.num_envs, np.bool_)
         if resets:
             rewards[fresh] = 0.0
             infos = masked(did, ~fresh) | masked(drawn, fresh) | masked(state)
         else:
-            infos = masked({**did, **state})
-        tracks = self._engine.batch.tracks  # an epoch ahead: it waits for the next action
-        truncated = tracks.epoch > tracks.length
-        if self._setting.worst is None:
-            terminated, self._over = np.zeros(self.num_envs, np.bool_), truncated.copy()
-        else:
+            infos = masked(did | state)
+        if self._setting.worst is not None:
             terminated = ~(fresh | (did["position_error_m"] <= DIVERGENCE_M))
+            tracks = self._engine.batch.tracks  # an epoch ahead: it waits for the next action
             left = (tracks.length + 1 - tracks.epoch)[terminated]
             rewards[terminated] += self._setting.worst * left
             truncated &= ~terminated
-            self._over = terminated | truncated
-        self._ended = int(np.count_nonzero(self._over))
+            self._ended = int(np.count_nonzero(terminated | truncated))
+        self._over = self._nowhere
         if self._ended:
+            self._over = terminated | truncated
             infos |= masked(self._metrics(), self._over)
             if self._autoreset == AutoresetMode.SAME_STEP:
-                infos = self._same_step(observations, told, infos)
+                infos = self._same_step(observations, state, infos)
         return observations, rewards, terminated, truncated, infos
 
     def _checked(self, actions: Any) -> Index:
@@ -249,7 +244,7 @@ class MmWaveLocVectorEnv(gym.vector.VectorEnv[Observations, Index, NDArray[Any]]
         batch, planar = self._engine.batch, self._setting.pipeline.planar
 
         def metrics(some: Index, steps: int) -> dict[str, Array]:
-            actions = self._history.of(some, steps)
+            actions = self._stepper.history.of(some, steps)
             error, nees, smoothed = self._replay.run(batch, some, actions)
             dt = batch.tracks.table[some, 1:steps, 0]
             return episode_info(error, nees, smoothed, dt, planar)
@@ -268,7 +263,7 @@ class MmWaveLocVectorEnv(gym.vector.VectorEnv[Observations, Index, NDArray[Any]]
         return found
 
     def _same_step(
-        self, observations: Observations, told: Array, infos: dict[str, Any]
+        self, observations: Observations, state: Infos, infos: dict[str, Any]
     ) -> dict[str, Any]:
         """Reset where episodes ended; what they ended with becomes ``final_*``."""
         over = self._over.copy()
@@ -280,10 +275,9 @@ class MmWaveLocVectorEnv(gym.vector.VectorEnv[Observations, Index, NDArray[Any]]
         final = masked({key: value.copy() for key, value in values.items()}, over)
         did = masked({key: values[key] for key in STEP_KEYS}, on)
         drawn = self._draw(ended)
-        first, begun = self._engine.start(ended, self._panel.rows)
+        first, begun = self._stepper.start(ended)
         observations[ended] = first[ended]
-        state = self._panel.state_info(told)
-        for key, anew in self._panel.state_info(begun).items():
+        for key, anew in begun.items():
             state[key][ended] = anew[ended]
         did |= masked(state) | masked(drawn, over)
         return did | {
@@ -306,7 +300,7 @@ class MmWaveLocVectorEnv(gym.vector.VectorEnv[Observations, Index, NDArray[Any]]
             "rows": tracks.rows.copy(), "table": tracks.table.copy(),
             "length": tracks.length.copy(), "epoch": tracks.epoch.copy(),
             "generators": self._generators.bare(), "over": self._over.copy(),
-            "actions": self._history.all(),
+            "actions": self._stepper.history.all(),
         }  # fmt: skip
 
     def restore(self, state: dict[str, NDArray[Any]]) -> None:
@@ -337,10 +331,7 @@ class MmWaveLocVectorEnv(gym.vector.VectorEnv[Observations, Index, NDArray[Any]]
         tracks.epoch[:] = state["epoch"]
         self.batch.tracks = tracks._replace(table=state["table"].copy())
         self._generators.set_bare(state["generators"])
-        self._history = History(self.num_envs, len(self.modes))
-        self._history.make_room(state["table"].shape[1])
-        for actions in state["actions"]:
-            self._history.note(actions)
+        self._stepper.history.set_all(state["actions"])
         self._over, self._ended = state["over"].copy(), int(np.count_nonzero(state["over"]))
         self._begun = True
 

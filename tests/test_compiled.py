@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from gymnasium.utils.env_checker import data_equivalence
 
-from mmwave_env import drawing, kinematics, mobility, replay, simulation
+from mmwave_env import drawing, kinematics, mobility, replay, simulation, stepping
 from mmwave_env.estimator import program
 from mmwave_env.radio import RADIOS
 from mmwave_env.scene import SCENES
@@ -17,7 +17,7 @@ def plainly(monkeypatch: pytest.MonkeyPatch):
     """A call that lets sparing functions run as plain Python from then on."""
 
     def begin() -> None:
-        for function in (program._advance, drawing.simulate, replay._round_trip):
+        for function in (program._advance, drawing.simulate, replay._round_trip, stepping._step):
             plain = function.plain
             monkeypatch.setattr(function, "choice", lambda *_, plain=plain: plain)
 

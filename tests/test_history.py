@@ -18,5 +18,6 @@ def test_it_knows_the_last_steps_whenever_room_is_made(modes):
                 expected = np.transpose(steps[-known:])[some]
                 np.testing.assert_array_equal(history.of(some, known), expected)
             steps.append(rng.integers(modes, size=5))
-            history.note(steps[-1])
+            history.rows[history.turn] = steps[-1]
+            history.next()
             known = min(known + 1, room)

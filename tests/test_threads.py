@@ -119,6 +119,7 @@ import os, signal, sys, threading, time
 import gymnasium as gym
 import numpy as np
 import mmwave_env.estimator.batch as batch
+import mmwave_env.stepping as stepping
 from mmwave_env.threads import share
 
 batch.BLOCKS_PER_THREAD = 1
@@ -196,12 +197,11 @@ def test_an_interrupt_waits_for_the_others_and_the_next_reset_starts_over(tmp_pa
         before = len(done)
         time.sleep(0.3)
         print("interrupted", len(done) == before)
-    advance = batch.share
     def interrupted(*arguments):
-        batch.share = advance
-        advance(*arguments)
+        stepping.share = share
+        share(*arguments)
         raise KeyboardInterrupt
-    batch.share = interrupted
+    stepping.share = interrupted
     try:
         env.step(np.zeros(32, int))
     except KeyboardInterrupt:

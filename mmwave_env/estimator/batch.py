@@ -5,7 +5,7 @@ a workspace as well: ``site``, and ``fresh``, 1 where an episode begins; the pro
 back to 0.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from itertools import pairwise
 from typing import Any, Generic, NamedTuple
 
@@ -83,6 +83,7 @@ class Batch(Generic[Workspace]):
     Attributes:
         at: the workspace tree with row numbers as leaves, to say what to read.
         tracks: the environments' workspaces, episodes and next epochs.
+        parts: first block and end of what each thread does of an epoch.
     """
 
     def __init__(
@@ -100,8 +101,11 @@ class Batch(Generic[Workspace]):
         rows = np.tile(program.start[None, :, None], (blocks, 1, WIDTH))
         self.tracks = Tracks.of(np.empty((n, 0, len(program.blank))), rows)
         self._feed = feed
-        self._run = program.run_on_floats if on_floats else program.run_on_lanes
-        self._parts = 1 if on_floats else max(1, min(threads, blocks // BLOCKS_PER_THREAD))
+        self._run: Callable[..., None] = (
+            program.run_on_floats if on_floats else program.run_on_lanes
+        )
+        parts = 1 if on_floats else max(1, min(threads, blocks // BLOCKS_PER_THREAD))
+        self.parts = list(pairwise(blocks * i // parts for i in range(parts + 1)))
 
     def load(
         self,
@@ -198,12 +202,10 @@ class Batch(Generic[Workspace]):
         """
         traffic = self.traffic() if traffic is None else traffic
         tracks = self.tracks if running is None else self.tracks._replace(running=running)
-        if self._parts == 1:
+        if len(self.parts) == 1:
             self._run(tracks, traffic)
-            return
-        edges = [len(tracks.rows) * i // self._parts for i in range(self._parts + 1)]
-        jobs = [(tracks.blocks(*ends), traffic.blocks(*ends)) for ends in pairwise(edges)]
-        share(self._run, jobs, self._parts)
+        else:
+            share(self._run, [(tracks, traffic, part) for part in self.parts], len(self.parts))
 
     def span(self, tree: Any) -> slice:
         """The rows of a subtree of ``at``; leaves of a subtree lie side by side."""

@@ -34,6 +34,7 @@ from mmwave_env.sparing import Sparing
 Workspace = TypeVar("Workspace", bound=tuple[Any, ...])
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
+Blocks = tuple[int, int]  # first, end
 
 NO_ROWS = np.empty(0, np.int64)
 PLAIN_EPOCHS = 1000  # of blocks, before compiling, which takes as long as 4000 of them
@@ -77,12 +78,6 @@ class Tracks(NamedTuple):
         n, epochs, _ = table.shape
         return cls(rows, table, np.full(n, epochs), np.zeros(n, np.int64), np.ones(n, np.bool_))
 
-    def blocks(self, first: int, end: int) -> "Tracks":
-        """The tracks of some of the blocks, sharing memory."""
-        rows, table, length, epoch, running = self
-        some = slice(first * WIDTH, end * WIDTH)
-        return Tracks(rows[first:end], table[some], length[some], epoch[some], running[some])
-
 
 class Traffic(NamedTuple):
     """What goes in and out of workspaces in every epoch of a run of E epochs.
@@ -112,12 +107,6 @@ class Traffic(NamedTuple):
             fed, np.zeros((n, epochs, len(fed))), keep, np.empty((n, epochs, len(keep))),
             show, np.empty((n, epochs, len(show)), np.float32),
         )  # fmt: skip
-
-    def blocks(self, first: int, end: int) -> "Traffic":
-        """That of some of the blocks, sharing memory."""
-        fed, given, keep, kept, show, shown = self
-        some = slice(first * WIDTH, end * WIDTH)
-        return Traffic(fed, given[some], keep, kept[some], show, shown[some])
 
 
 def tree_kernel(function: Callable[[Tree], Tree], template: Tree) -> Any:
@@ -209,13 +198,14 @@ class Program(Generic[Workspace]):
             first += width
         return result
 
-    def run_on_lanes(self, tracks: Tracks, traffic: Traffic) -> None:
-        """Run epoch after epoch, eight environments at a time."""
-        epochs = len(tracks.rows) * traffic.kept.shape[1]
-        _advance(epochs, self.on_lanes(), self.blank, *tracks, *traffic)
+    def run_on_lanes(self, tracks: Tracks, traffic: Traffic, blocks: Blocks | None = None) -> None:
+        """Run epoch after epoch, eight environments at a time, in some of the blocks or all."""
+        first, end = blocks or (0, len(tracks.rows))
+        epochs = (end - first) * traffic.kept.shape[1]
+        _advance(epochs, first, end, self.on_lanes(), self.blank, *tracks, *traffic)
 
     def run_on_floats(self, tracks: Tracks, traffic: Traffic) -> None:
-        """The same, one environment at a time in plain Python: slow, for reference."""
+        """Run all, one environment at a time in plain Python: slow, for reference."""
         rows, table, length, epoch, running = tracks
         fed, given, keep, kept, show, shown = traffic
         for e in np.flatnonzero(running):
@@ -287,9 +277,9 @@ def _announce(first, end, table, length, epoch):  # type: ignore[no-untyped-def]
 
 @register_jitable  # type: ignore[untyped-decorator]
 def advance(  # type: ignore[no-untyped-def]
-    run, blank, rows, table, length, epoch, running, fed, given, keep, kept, show, shown
+    begin, end, run, blank, rows, table, length, epoch, running, fed, given, keep, kept, show, shown
 ):
-    """Run all tracks; the number returned means nothing.
+    """Run the tracks of blocks ``begin`` to ``end``; the number returned means nothing.
 
     A program reads its rows in an order that no prefetcher guesses. Where the blocks of all
     environments do not fit into the near caches, touching the rows in order first halves its time.
@@ -300,7 +290,7 @@ def advance(  # type: ignore[no-untyped-def]
     before = np.empty((size, WIDTH))
     at, nowhere = np.empty(WIDTH, np.int64), np.empty(max(len(keep), len(show)))
     touched = 0.0
-    for b in range(len(rows)):
+    for b in range(begin, end):
         block, first = rows[b], b * WIDTH
         here = min(WIDTH, n - first)
         busy = 0

@@ -1,0 +1,132 @@
+"""A step of many environments, actions in and infos out, in one call of compiled code.
+
+Of few environments, what Python does around a step takes longer than the step.
+"""
+
+from typing import Any
+
+import numpy as np
+from numba.extending import register_jitable
+from numpy.typing import NDArray
+
+from mmwave_env.engine import Engine
+from mmwave_env.estimator.lanes import WIDTH
+from mmwave_env.estimator.program import PLAIN_EPOCHS, advance, rows_of
+from mmwave_env.estimator.trees import leaves
+from mmwave_env.history import History
+from mmwave_env.sparing import Sparing
+from mmwave_env.threads import share
+
+Array = NDArray[np.float64]
+Index = NDArray[np.int64]
+Mask = NDArray[np.bool_]
+Infos = dict[str, NDArray[Any]]
+
+
+class Stepper:
+    """Steps the environments of an engine and tells of them.
+
+    Args:
+        engine: the environments, on lanes.
+
+    Attributes:
+        history: the modes they chose lately.
+    """
+
+    def __init__(self, engine: Engine) -> None:
+        at, memory = engine.at, engine.at.memory
+        parts = {
+            "reward": at.reward, "verdicts": [memory.accepted, memory.rejected],
+            "position_error_m": at.distance, "nees": at.nees, "nis": memory.nis,
+            "gamma": memory.gamma, "truth": at.truth, "estimate": at.x,
+        }  # fmt: skip
+        self._rows = rows_of(list(parts.values()))
+        ends = np.cumsum([len(leaves(part)) for part in parts.values()]).tolist()
+        self._columns = {
+            name: (slice(None), 0, end - 1 if isinstance(part, int) else slice(begin, end))
+            for (name, part), begin, end in zip(parts.items(), [0, *ends], ends, strict=False)
+        }
+        self._engine, self._groups = engine, len(memory.accepted)
+        self._action, self._shown = rows_of(at.action), rows_of(at.observation)
+        self.history = History(engine.batch.n, len(engine.pipeline.modes))
+
+    def step(self, actions: Index) -> tuple[NDArray[np.float32], Array, Mask, int, Infos, Infos]:
+        """Commit every environment to its mode and consider the next epoch; see `Engine.step`.
+
+        Args:
+            actions: (n,), taken over.
+
+        Returns:
+            Fresh arrays: observations (n, features); rewards (n,) as the reward function has them;
+            (n,) True where the episode has no epoch left; how many these are; infos (n, ...) of
+            what was done; and those of where users are and are believed to be.
+        """
+        batch, history, n = self._engine.batch, self.history, len(actions)
+        observations = np.empty((n, 1, len(self._shown)), np.float32)
+        told, verdicts = np.empty((n, 1, len(self._rows))), np.empty((2, n, self._groups), np.bool_)
+        rewards, truncated = np.empty(n), np.empty(n, np.bool_)
+        program, parts = batch.program, batch.parts
+        arguments = (
+            actions, history.rows, history.turn, rewards, verdicts, truncated,
+            program.on_lanes(), program.blank, *batch.tracks, self._action, self._rows, told,
+            self._shown, observations,
+        )  # fmt: skip
+        if len(parts) == 1:
+            ended = _step(parts[0][1], *parts[0], *arguments)
+        else:
+            jobs = [(end - first, first, end, *arguments) for first, end in parts]
+            ended = sum(share(_step, jobs, len(jobs)))
+        history.next()
+        at = self._columns
+        did = {
+            "position_error_m": told[at["position_error_m"]],
+            "nees": told[at["nees"]],
+            "nis": told[at["nis"]],
+            "accepted": verdicts[0],
+            "rejected": verdicts[1],
+            "mode": actions,
+            "gamma": told[at["gamma"]],
+        }
+        return observations[:, 0], rewards, truncated, ended, did, self._state(told)
+
+    def start(self, places: Index) -> tuple[NDArray[np.float32], Infos]:
+        """Consider the first epoch in environments just loaded; the others stay as they are.
+
+        Returns:
+            Observations (n, features) and infos (n, ...) of the state, sound only for these.
+        """
+        observations, told = self._engine.start(places, self._rows)
+        return observations, self._state(told[:, None])
+
+    def _state(self, told: Array) -> Infos:
+        return {"truth": told[self._columns["truth"]], "estimate": told[self._columns["estimate"]]}
+
+
+@register_jitable  # type: ignore[untyped-decorator]
+def _all(  # type: ignore[no-untyped-def]
+    begin, end, actions, noted, turn, rewards, verdicts, truncated,
+    run, blank, rows, table, length, epoch, running, fed, keep, told, show, shown,
+):  # fmt: skip
+    """Step the environments of blocks ``begin`` to ``end``; how many episodes ended."""
+    n = len(actions)
+    first, last = begin * WIDTH, min(end * WIDTH, n)
+    given = np.empty((n, 1, 1))
+    for e in range(first, last):
+        given[e, 0, 0] = actions[e]
+        noted[turn, e] = actions[e]
+    advance(
+        begin, end, run, blank, rows, table, length, epoch, running, fed, given, keep, told,
+        show, shown,
+    )  # fmt: skip
+    groups, ended = verdicts.shape[2], 0
+    for e in range(first, last):
+        rewards[e] = told[e, 0, 0]
+        for verdict in range(2):
+            for i in range(groups):
+                verdicts[verdict, e, i] = told[e, 0, 1 + verdict * groups + i] > 0.5
+        truncated[e] = epoch[e] > length[e]
+        ended += truncated[e]
+    return ended
+
+
+_step = Sparing(_all, PLAIN_EPOCHS)
