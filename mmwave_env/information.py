@@ -1,6 +1,6 @@
 """What environments tell: the info of a step, for many at once, and that of a whole episode."""
 
-from functools import cache, lru_cache
+from collections.abc import Iterable
 from typing import Any
 
 import numpy as np
@@ -12,38 +12,36 @@ Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 STEP_KEYS = ("position_error_m", "nees", "nis", "accepted", "rejected", "mode", "gamma")
+STATE_KEYS = ("truth", "estimate")
 METRICS = {
     "ate_m": "ate_m", "rmse_m": "rmse_m", "rpe_m": "rpe_m", "nees": "mean_nees",
     "in_bounds": "in_bounds", "divergence_rate": "divergence",
 }  # fmt: skip
 
 
-def masked(values: dict[str, NDArray[Any]], where: Mask | None = None) -> dict[str, Any]:
+def masked(values: dict[str, NDArray[Any]], where: Mask) -> dict[str, Any]:
     """Infos (n, ...) of the environments in ``where`` (n,), as Gymnasium batches them.
 
     The arrays are taken over; elsewhere they become 0, or None. Every key has a mask ``_key``.
-    There are no keys where there is no environment. None means all. The masks are one array: new
-    ones for every key would cost few environments a twentieth of their step.
+    There are no keys where there is no environment. The masks are one array.
     """
-    if where is None:
-        where = _everywhere(len(next(iter(values.values()))))
-    elif not where.any():
+    if not where.any():
         return {}
-    else:
-        elsewhere = ~where
-        for array in values.values():
-            array[elsewhere] = None if array.dtype == object else 0
-    return values | dict.fromkeys(_mask_keys(tuple(values)), where.copy())
+    elsewhere = ~where
+    for array in values.values():
+        array[elsewhere] = None if array.dtype == object else 0
+    return values | dict.fromkeys(mask_keys(values), where.copy())
 
 
-@cache
-def _mask_keys(keys: tuple[str, ...]) -> tuple[str, ...]:
-    return tuple(f"_{key}" for key in keys)
+def stepped(infos: dict[str, Any], where: Mask) -> dict[str, Any]:
+    """What a step told of all environments, if it did something in some (n,) of them only."""
+    did = {key: infos[key] for key in STEP_KEYS}
+    return masked(did, where) | {key: infos[key] for key in (*STATE_KEYS, *mask_keys(STATE_KEYS))}
 
 
-@lru_cache(maxsize=8)
-def _everywhere(n: int) -> Mask:
-    return np.ones(n, np.bool_)
+def mask_keys(keys: Iterable[str]) -> list[str]:
+    """What the masks of infos are called."""
+    return [f"_{key}" for key in keys]
 
 
 def episode_info(

@@ -15,13 +15,13 @@ from numpy.typing import NDArray
 
 from mmwave_env.engine import Engine
 from mmwave_env.generators import Generators
-from mmwave_env.information import STEP_KEYS, Mask, episode_info, masked
+from mmwave_env.information import Mask, episode_info, masked, stepped
 from mmwave_env.metrics import DIVERGENCE_M
 from mmwave_env.names import choose
 from mmwave_env.replay import Replay
 from mmwave_env.setting import setting_from
 from mmwave_env.simulation import SimulatedSource
-from mmwave_env.stepping import Infos, Stepper
+from mmwave_env.stepping import Stepper
 from mmwave_env.threads import portions, share
 
 Array = NDArray[np.float64]
@@ -195,15 +195,13 @@ class MmWaveLocVectorEnv(gym.vector.VectorEnv[Observations, Index, NDArray[Any]]
         actions = self._checked(actions)
         fresh, resets = self._over, self._ended  # none where autoreset is not NextStep
         drawn = self._draw(np.flatnonzero(fresh)) if resets else {}
-        observations, rewards, truncated, self._ended, did, state = self._stepper.step(actions)
-        terminated = np.zeros(self.num_envs, np.bool_)
+        observations, rewards, truncated, self._ended, infos = self._stepper.step(actions)
+        terminated, error = np.zeros(self.num_envs, np.bool_), infos["position_error_m"]
         if resets:
             rewards[fresh] = 0.0
-            infos = masked(did, ~fresh) | masked(drawn, fresh) | masked(state)
-        else:
-            infos = masked(did | state)
+            infos = stepped(infos, ~fresh) | masked(drawn, fresh)
         if self._setting.worst is not None:
-            terminated = ~(fresh | (did["position_error_m"] <= DIVERGENCE_M))
+            terminated = ~(fresh | (error <= DIVERGENCE_M))
             tracks = self._engine.batch.tracks  # an epoch ahead: it waits for the next action
             left = (tracks.length + 1 - tracks.epoch)[terminated]
             rewards[terminated] += self._setting.worst * left
@@ -214,7 +212,7 @@ class MmWaveLocVectorEnv(gym.vector.VectorEnv[Observations, Index, NDArray[Any]]
             self._over = terminated | truncated
             infos |= masked(self._metrics(), self._over)
             if self._autoreset == AutoresetMode.SAME_STEP:
-                infos = self._same_step(observations, state, infos)
+                infos = self._same_step(observations, infos)
         return observations, rewards, terminated, truncated, infos
 
     def _checked(self, actions: Any) -> Index:
@@ -262,25 +260,21 @@ class MmWaveLocVectorEnv(gym.vector.VectorEnv[Observations, Index, NDArray[Any]]
                 found.setdefault(key, np.zeros(self.num_envs))[some] = value
         return found
 
-    def _same_step(
-        self, observations: Observations, state: Infos, infos: dict[str, Any]
-    ) -> dict[str, Any]:
+    def _same_step(self, observations: Observations, infos: dict[str, Any]) -> dict[str, Any]:
         """Reset where episodes ended; what they ended with becomes ``final_*``."""
         over = self._over.copy()
-        ended, on = np.flatnonzero(over), ~over
+        ended = np.flatnonzero(over)
         final_obs = np.full(self.num_envs, None, object)
         for place, observation in zip(ended, observations[ended], strict=True):
             final_obs[place] = observation.copy()
         values = {key: value for key, value in infos.items() if not key.startswith("_")}
         final = masked({key: value.copy() for key, value in values.items()}, over)
-        did = masked({key: values[key] for key in STEP_KEYS}, on)
         drawn = self._draw(ended)
         first, begun = self._stepper.start(ended)
         observations[ended] = first[ended]
         for key, anew in begun.items():
-            state[key][ended] = anew[ended]
-        did |= masked(state) | masked(drawn, over)
-        return did | {
+            infos[key][ended] = anew[ended]
+        return stepped(infos, ~over) | masked(drawn, over) | {
             "final_obs": final_obs, "_final_obs": over.copy(), "final_info": final,
             "_final_info": over.copy(),
         }  # fmt: skip
