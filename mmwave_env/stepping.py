@@ -1,7 +1,6 @@
 """A step of many environments, actions in and infos out, in one call of compiled code.
 
-Where they are few, what Python does around that call takes a third of the time; so infos are
-written down as they are, with one mask for all, which new ones for every key would double.
+Of 64 environments, what Python does around that call takes a third of a step.
 """
 
 from typing import Any
@@ -37,7 +36,7 @@ class Stepper:
 
     def __init__(self, engine: Engine) -> None:
         at, memory, n = engine.at, engine.at.memory, engine.batch.n
-        parts = {
+        parts = {  # the compiled code knows these two by their places
             "reward": at.reward, "verdicts": [memory.accepted, memory.rejected],
             "position_error_m": at.distance, "nees": at.nees, "nis": memory.nis,
             "gamma": memory.gamma, "truth": at.truth, "estimate": at.x,
