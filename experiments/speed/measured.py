@@ -114,8 +114,15 @@ class Measured:
 
     def costs(self) -> Rounds:
         """Seconds a step, one thread, over those at the smallest size from SMALLEST_FULL on."""
+        return self._costs({name: rates.steps_per_s for name, rates in self.rates.items()})
+
+    def costs_at_best(self) -> dict[str, float]:
+        """The same of each size's best round: a busy machine slows the smallest most."""
+        best = {name: [max(rates.steps_per_s)] for name, rates in self.rates.items()}
+        return {name: cost for name, [cost] in self._costs(best).items()}
+
+    def _costs(self, rates: Rounds) -> Rounds:
         full = [native_name(n, 1) for n in self.sizes if n >= SMALLEST_FULL]
-        rates = {name: self.rates[name].steps_per_s for name in full}
         return {
             f"{name}_over_{full[0]}": quotients(rates[full[0]], rates[name]) for name in full[1:]
         }
@@ -167,6 +174,7 @@ class Measured:
         }
         return {
             **{what: {k: median(v) for k, v in table.items()} for what, table in rounds.items()},
+            "cost_of_a_step_at_best": self.costs_at_best(),
             "kb_per_environment": self.kb_per_environment(),
             "operations": {name: found._asdict() for name, found in self.operations.items()},
             "spread": {

@@ -76,12 +76,14 @@ def _rates(measured: Measured) -> str:
 
 
 def _costs(measured: Measured) -> str:
+    best = measured.costs_at_best()
     rows = [
-        [*map(label, name.split("_over_")), spread(cost)] for name, cost in measured.costs().items()
+        [*map(label, name.split("_over_")), spread(cost), short(best[name])]
+        for name, cost in measured.costs().items()
     ]
     if not rows:
         return f"Found no two sizes of at least {SMALLEST_FULL}."
-    return grid(["a step of", "over a step of", "cost"], rows)
+    return grid(["a step of", "over a step of", "cost", "best turns"], rows)
 
 
 def _filters(measured: Measured) -> str:
