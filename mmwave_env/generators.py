@@ -21,6 +21,9 @@ Words = NDArray[np.uint64]
 Index = NDArray[np.int64]
 
 
+_own = threading.local()  # a generator of each thread, and where its state lies
+
+
 class Dice(NamedTuple):
     """What compiled code draws from: one generator, and the states that it takes on in turn.
 
@@ -37,6 +40,9 @@ class Dice(NamedTuple):
 
 def dice_of(states: Words) -> Dice:
     """Dice that draw from states of PCG64 (n, 4), for this thread and until it asks for others."""
+    if not hasattr(_own, "rng"):  # a new one takes as long as half an episode
+        _own.rng = np.random.Generator(np.random.PCG64(0))
+        _own.memory = _memory(_own.rng)
     return Dice(_own.rng, _own.memory, states)
 
 
@@ -67,17 +73,6 @@ def _memory(rng: np.random.Generator) -> Words:
     state = ctypes.c_void_p.from_address(rng.bit_generator.ctypes.state_address).value
     assert state is not None
     return np.ctypeslib.as_array((ctypes.c_uint64 * 4).from_address(state))
-
-
-class _Own(threading.local):
-    """A generator of each thread: a new one takes as long as half an episode."""
-
-    def __init__(self) -> None:
-        self.rng = np.random.Generator(np.random.PCG64(0))
-        self.memory = _memory(self.rng)
-
-
-_own = _Own()
 
 
 def _require_known_memory() -> None:

@@ -1,6 +1,7 @@
 """A step of many environments, actions in and infos out, in one call of compiled code.
 
-Of 64 environments, what Python does around that call takes a third of a step.
+Where they are few, what Python does around that call is what a step costs beside its kernel; so
+infos are written down one by one here.
 """
 
 from typing import Any
@@ -36,20 +37,21 @@ class Stepper:
 
     def __init__(self, engine: Engine) -> None:
         at, memory, n = engine.at, engine.at.memory, engine.batch.n
-        parts = {  # the compiled code knows these two by their places
+        tree = {
+            # _step_blocks knows these two by their places.
             "reward": at.reward, "verdicts": [memory.accepted, memory.rejected],
             "position_error_m": at.distance, "nees": at.nees, "nis": memory.nis,
             "gamma": memory.gamma, "truth": at.truth, "estimate": at.x,
         }  # fmt: skip
-        self._rows = rows_of(list(parts.values()))
-        ends = np.cumsum([len(leaves(part)) for part in parts.values()]).tolist()
+        self._rows = rows_of(list(tree.values()))
+        ends = np.cumsum([len(leaves(part)) for part in tree.values()]).tolist()
         self._columns = {
             name: (slice(None), 0, end - 1 if isinstance(part, int) else slice(begin, end))
-            for (name, part), begin, end in zip(parts.items(), [0, *ends], ends, strict=False)
+            for (name, part), begin, end in zip(tree.items(), [0, *ends], ends, strict=False)
         }
         self._engine, self._groups = engine, len(memory.accepted)
         self._action, self._shown = rows_of(at.action), rows_of(at.observation)
-        self._masks, self._everywhere = mask_keys(STEP_KEYS + STATE_KEYS), np.ones(n, np.bool_)
+        self._mask_keys, self._everywhere = mask_keys(STEP_KEYS + STATE_KEYS), np.ones(n, np.bool_)
         self.history = History(n, len(engine.pipeline.modes))
 
     def step(self, actions: Index) -> tuple[NDArray[np.float32], Array, Mask, int, Infos]:
@@ -73,12 +75,12 @@ class Stepper:
             program.on_lanes(), program.blank, *batch.tracks, self._action, self._rows, told,
             self._shown, observations,
         )  # fmt: skip
+        history.next()  # before an interrupt can come between the step and it
         if len(parts) == 1:
             ended = _step(parts[0][1], *parts[0], *arguments)
         else:
             jobs = [(end - first, first, end, *arguments) for first, end in parts]
             ended = sum(share(_step, jobs, len(jobs)))
-        history.next()
         at = self._columns
         infos = {
             "position_error_m": told[at["position_error_m"]],
@@ -90,7 +92,7 @@ class Stepper:
             "gamma": told[at["gamma"]],
             "truth": told[at["truth"]],
             "estimate": told[at["estimate"]],
-            **dict.fromkeys(self._masks, self._everywhere.copy()),
+            **dict.fromkeys(self._mask_keys, self._everywhere.copy()),
         }
         return observations[:, 0], rewards, truncated, ended, infos
 
@@ -106,7 +108,7 @@ class Stepper:
 
 
 @register_jitable  # type: ignore[untyped-decorator]
-def _all(  # type: ignore[no-untyped-def]
+def _step_blocks(  # type: ignore[no-untyped-def]
     begin, end, actions, noted, turn, rewards, verdicts, truncated,
     run, blank, rows, table, length, epoch, running, fed, keep, told, show, shown,
 ):  # fmt: skip
@@ -132,4 +134,4 @@ def _all(  # type: ignore[no-untyped-def]
     return ended
 
 
-_step = Sparing(_all, PLAIN_EPOCHS)
+_step = Sparing(_step_blocks, PLAIN_EPOCHS)

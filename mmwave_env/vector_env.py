@@ -104,8 +104,8 @@ class MmWaveLocVectorEnv(gym.vector.VectorEnv[Observations, Index, NDArray[Any]]
         self._generators = Generators(num_envs, setting.simulated)
         self._begun = False
         self._mode_count = np.array(len(self.modes), np.uint64)
-        self._nowhere = np.zeros(num_envs, np.bool_)
-        self._over, self._ended = self._nowhere, 0
+        self._none_over = np.zeros(num_envs, np.bool_)
+        self._over, self._ended = self._none_over, 0
 
     def reset(
         self,
@@ -207,7 +207,7 @@ class MmWaveLocVectorEnv(gym.vector.VectorEnv[Observations, Index, NDArray[Any]]
             rewards[terminated] += self._setting.worst * left
             truncated &= ~terminated
             self._ended = int(np.count_nonzero(terminated | truncated))
-        self._over = self._nowhere
+        self._over = self._none_over
         if self._ended:
             self._over = terminated | truncated
             infos |= masked(self._metrics(), self._over)

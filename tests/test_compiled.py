@@ -5,21 +5,23 @@ import numpy as np
 import pytest
 from gymnasium.utils.env_checker import data_equivalence
 
-from mmwave_env import drawing, kinematics, mobility, replay, simulation, stepping
-from mmwave_env.estimator import program
+from mmwave_env import kinematics, mobility, simulation
 from mmwave_env.radio import RADIOS
 from mmwave_env.scene import SCENES
 from mmwave_env.simulation import SimulatedSource
+from mmwave_env.sparing import Sparing
 
 
 @pytest.fixture
-def plainly(monkeypatch: pytest.MonkeyPatch):
-    """A call that lets sparing functions run as plain Python from then on."""
+def go(monkeypatch: pytest.MonkeyPatch):
+    """A call that has sparing functions run "compiled" or "plain" from then on."""
 
-    def begin() -> None:
-        for function in (program._advance, drawing.simulate, replay._round_trip, stepping._step):
-            plain = function.plain
-            monkeypatch.setattr(function, "choice", lambda *_, plain=plain: plain)
+    def begin(way: str) -> None:
+        def run(function: Sparing, _: int, *arguments: object) -> object:
+            return getattr(function, way)(*arguments)
+
+        monkeypatch.setattr(Sparing, "__call__", run)
+        monkeypatch.setattr(Sparing, "choice", lambda function, *_: getattr(function, way))
 
     return begin
 
@@ -44,11 +46,12 @@ def motion():
 
 
 @pytest.mark.parametrize("scenario", mobility.MOBILITIES)
-def test_episodes_are_the_same_to_the_bit(scenario, plainly):
+def test_episodes_are_the_same_to_the_bit(scenario, go):
     source = SimulatedSource(SCENES["street"], RADIOS["handset"], scenario)
     rngs = [np.random.default_rng(seed) for seed in (0, 1, 2, 0, 1, 2)]
+    go("compiled")
     compiled = [source.sample(rng) for rng in rngs[:3]]
-    plainly()
+    go("plain")
     plain = [source.sample(rng) for rng in rngs[3:]]
     for a, b in zip(compiled, plain, strict=True):
         np.testing.assert_array_equal(a.table(), b.table())
@@ -56,23 +59,24 @@ def test_episodes_are_the_same_to_the_bit(scenario, plainly):
     assert [rng.random() for rng in rngs[:3]] == [rng.random() for rng in rngs[3:]]
 
 
-def test_environments_are_the_same_to_the_bit(plainly):
-    def run():
-        envs = gym.make_vec("MmWaveLoc-v0", num_envs=9, episode_steps=12)
+@pytest.mark.parametrize("mode", ["NextStep", "SameStep"])
+def test_environments_are_the_same_to_the_bit(mode, go):
+    def run(way):
+        go(way)
+        envs = gym.make_vec("MmWaveLoc-v0", num_envs=9, episode_steps=12, autoreset_mode=mode)
         found = [envs.reset(seed=0)]
         found += [envs.step(np.arange(9) % 2) for _ in range(14)]
         return found
 
-    compiled = run()
-    plainly()
-    assert data_equivalence(run(), compiled, exact=True)
+    assert data_equivalence(run("plain"), run("compiled"), exact=True)
 
 
 @pytest.mark.parametrize("scenario", mobility.MOBILITIES)
-def test_motion_on_lanes_is_motion_on_floats(scenario, plainly, monkeypatch):
+def test_motion_on_lanes_is_motion_on_floats(scenario, go, monkeypatch):
     source = SimulatedSource(SCENES["street"], RADIOS["handset"], scenario, epochs=60)
+    go("compiled")
     compiled = source.sample(np.random.default_rng(0))
-    plainly()
+    go("plain")
     monkeypatch.setattr(simulation, "motion", motion)
     on_floats = source.sample(np.random.default_rng(0))
     for field in ("truth_position_m", "truth_velocity_mps", "measurement", "snr_db"):

@@ -135,6 +135,14 @@ def test_ratios_are_taken_round_by_round(measured):
     assert spread_of == pytest.approx([ratio.min(), ratio.max()])
 
 
+def test_costs_are_of_full_lanes_and_one_thread(measured):
+    name = "native_1024_1_thread_over_native_64_1_thread"
+    many, few = (measured.rates[one].steps_per_s for one in name.split("_over_"))
+    assert measured.costs() == {name: pytest.approx(np.divide(few, many))}
+    assert measured.costs_at_best() == {name: pytest.approx(max(few) / max(many))}
+    assert f"| {short(max(few) / max(many))} |" in tables(measured)["Cost of a step over N"]
+
+
 def test_fractions_are_of_the_kernel_that_runs(measured):
     found, limits = measured.fractions(), measured.limits_s
     rates = measured.filters["ukf"].steps_per_s

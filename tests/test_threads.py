@@ -213,6 +213,33 @@ def test_an_interrupt_waits_for_the_others_and_the_next_reset_starts_over(tmp_pa
 
 
 @posix
+def test_an_environment_goes_on_after_an_interrupted_step(tmp_path):
+    """What was chosen in that step counts in the metrics, as what came of it does."""
+    code = """
+    def interrupted(*arguments):
+        stepping.share = share
+        share(*arguments)
+        raise KeyboardInterrupt
+    env, twin = (
+        gym.make_vec("mmwave_env:MmWaveLoc-v0", num_envs=32, episode_steps=9, threads=2)
+        for _ in range(2)
+    )
+    for each in env, twin:
+        each.reset(seed=0)
+    for step in range(8):
+        twin.step(np.full(32, step % 2))
+        stepping.share = interrupted if step == 4 else share
+        try:
+            env.step(np.full(32, step % 2))
+        except KeyboardInterrupt:
+            print("interrupted")
+    (*_, over, infos), (*_, expected) = (each.step(np.ones(32, int)) for each in (env, twin))
+    print(over.all(), all(np.array_equal(infos[key], told) for key, told in expected.items()))
+    """
+    assert process(code, tmp_path) == ["interrupted", "True", "True"]
+
+
+@posix
 def test_a_forked_child_compiles_steps_and_ends_like_any_process(tmp_path):
     code = """
     child = os.fork()

@@ -301,7 +301,7 @@ def advance(  # type: ignore[no-untyped-def]
         if rows.size > NEAR:
             for i in range(size):
                 touched = max(touched, block[i, 0])
-        _announce(first + here, min(first + here + WIDTH, n), table, length, epoch)
+        _announce(first + here, min(first + here + WIDTH, end * WIDTH, n), table, length, epoch)
         if busy < here:
             for i in range(size):
                 for lane in range(WIDTH):
