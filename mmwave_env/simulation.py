@@ -284,8 +284,8 @@ class SimulatedSource:
 
         Args:
             tables: to fill.
-            dice: what to draw some of the tables from.
-            parts: of the tables, to draw one after the other.
+            dice: gives a thread what to draw a part from.
+            parts: of the tables, each drawn by one thread.
             threads: how many may draw at once.
         """
         layout, program, n = self.layout, _program(self.layout), len(tables)

@@ -1,7 +1,7 @@
 """A step of many environments, actions in and infos out, in one call of compiled code.
 
-Where they are few, what Python does around that call is what a step costs beside its kernel; so
-infos are written down one by one here.
+What Python does around that call costs few environments a third of their step and more, so nothing
+is put together there and taken apart again.
 """
 
 from typing import Any
@@ -38,7 +38,7 @@ class Stepper:
     def __init__(self, engine: Engine) -> None:
         at, memory, n = engine.at, engine.at.memory, engine.batch.n
         tree = {
-            # _step_blocks knows these two by their places.
+            # _step_blocks expects these two first, in this order.
             "reward": at.reward, "verdicts": [memory.accepted, memory.rejected],
             "position_error_m": at.distance, "nees": at.nees, "nis": memory.nis,
             "gamma": memory.gamma, "truth": at.truth, "estimate": at.x,
@@ -77,9 +77,10 @@ class Stepper:
         )  # fmt: skip
         history.next()  # before an interrupt can come between the step and it
         if len(parts) == 1:
-            ended = _step(parts[0][1], *parts[0], *arguments)
+            [(begin, end)] = parts
+            ended = _step(end - begin, begin, end, *arguments)
         else:
-            jobs = [(end - first, first, end, *arguments) for first, end in parts]
+            jobs = [(end - begin, begin, end, *arguments) for begin, end in parts]
             ended = sum(share(_step, jobs, len(jobs)))
         at = self._columns
         infos = {

@@ -49,6 +49,21 @@ def test_localising_the_sample_prints_what_is_shown(tmp_path: Path) -> None:
     assert (tmp_path / "track.png").exists()
 
 
+def test_speeds_are_those_of_the_page() -> None:
+    """To the two digits that "about" promises."""
+    page = (ROOT / "docs" / "performance.md").read_text()
+    table = page.split("<!-- table: Ratios -->")[1].split("<!-- end -->")[0]
+    (said,) = re.findall(
+        r"makes about (\d+) times.*1024 about (\d+) times with one thread and (\d+) times with two",
+        README,
+        re.DOTALL,
+    )
+    names = ("single environment", "native, N = 1024, 1 thread", "native, N = 1024")
+    for number, name in zip(said, names, strict=True):
+        (median,) = re.findall(rf"^\| {name} \| ([\d.,]+) ", table, re.MULTILINE)
+        assert float(number) == pytest.approx(float(median.replace(",", "")), rel=0.05), name
+
+
 @pytest.mark.slow
 def test_tables_are_those_of_the_demo(tmp_path: Path) -> None:
     command = [sys.executable, "-m", "experiments.demo", "--out", str(tmp_path)]
