@@ -5,7 +5,7 @@ BIN := .venv/bin
 TORCH := $(shell grep '^torch==' constraints.txt)
 OLDEST_GYMNASIUM := $(shell sed -n 's/.*"gymnasium>=\([0-9.]*\),.*/gymnasium==\1/p' pyproject.toml)
 
-.PHONY: help demo test test-slow lint format types coverage gymnasium-oldest clean
+.PHONY: help demo test test-slow golden lint format types coverage gymnasium-oldest clean
 
 help: ## list these targets
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "make %-18s %s\n", $$1, $$2 }' Makefile
@@ -18,6 +18,9 @@ test: .venv/.dev ## all tests but the slow ones
 
 test-slow: .venv/.dev ## the slow tests, one at a time
 	$(BIN)/python -m pytest -m slow --durations=5
+
+golden: .venv/.dev ## write tests/golden anew, after a change that is to move numbers
+	$(BIN)/python -m tests.golden.write
 
 lint: .venv/.dev ## ruff: rules and formatting
 	$(BIN)/ruff check .
