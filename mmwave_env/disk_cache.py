@@ -4,13 +4,18 @@ numba's ``cache=True`` looks at the file of the function alone, so it answers wi
 a function it calls was edited in another file; some versions miss edits that keep time and
 size, too. Processes that start at once can mix up its files, and a damaged file or a full disk
 ends the program. Here a folder is named after all sources, each compiled function is one file
-in it, and whatever goes wrong with a file means that the function is compiled anew. The files
-are pickles, as numba's own are, and trusted as much as the bytecode that lies beside them.
+in it, and whatever goes wrong with a file means that the function is compiled anew.
+
+The files are pickles, as numba's own are, and whoever writes a pickle runs code where it is read.
+So folders and files are made for us alone, and nothing is read that another user owns, that others
+may write to or that is a link; instead of such a folder the next place is taken. The place a folder
+lies in may be shared, as ``/tmp`` is: of what others put there in its stead we are not the owner.
 """
 
 import os
 import pickle
 import shutil
+import stat
 import sys
 import tempfile
 from collections.abc import Callable
@@ -18,7 +23,7 @@ from contextlib import suppress
 from hashlib import sha256
 from os.path import getmtime
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 import numba
 import numpy as np
@@ -67,13 +72,23 @@ def _folder() -> Path | None:
         with suppress(OSError):
             if not place.is_absolute():  # nobody's home
                 continue
-            folder.mkdir(parents=True, exist_ok=True)
+            folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+            if not _is_ours(os.lstat(folder), stat.S_IFDIR):
+                continue
             os.utime(folder)  # in use now, which mkdir does not note where it is there
             tempfile.TemporaryFile(dir=folder).close()
-            for old in sorted(place.glob(f"{_PACKAGE.name}-*"), key=getmtime)[:-_KEPT]:
-                shutil.rmtree(old, ignore_errors=True)
+            _prune(place)
             return folder
     return None
+
+
+def _prune(place: Path) -> None:
+    """Remove versions long out of use, if they are ours."""
+    with suppress(OSError):  # another process removes them, too
+        versions = place.glob(f"{_PACKAGE.name}-*")
+        ours = [path for path in versions if _is_ours(os.lstat(path), stat.S_IFDIR)]
+        for old in sorted(ours, key=getmtime)[:-_KEPT]:
+            shutil.rmtree(old, ignore_errors=True)
 
 
 def _version() -> str | None:
@@ -86,6 +101,39 @@ def _version() -> str | None:
         whole.update(str(path.relative_to(_PACKAGE)).encode())
         whole.update(sha256(path.read_bytes()).digest())
     return whole.hexdigest()[:20]
+
+
+def _opened(file: Path) -> BinaryIO:
+    """A file that only we can have written, in such a folder; OSError for any other.
+
+    Checked is what is open, as a name may mean something else a moment later.
+    """
+    if not hasattr(os, "geteuid"):  # nor can Windows open folders
+        return file.open("rb")
+    folder = _descriptor(file.parent, stat.S_IFDIR)
+    try:
+        return open(file.name, "rb", opener=lambda name, _: _descriptor(name, stat.S_IFREG, folder))
+    finally:
+        os.close(folder)
+
+
+def _descriptor(path: str | Path, kind: int, folder: int | None = None) -> int:
+    """What lies at a path, or under a name in a folder, open for reading if it is ours."""
+    # Neither following a link nor waiting for the writer of a pipe.
+    descriptor = os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK, dir_fd=folder)
+    if _is_ours(os.fstat(descriptor), kind):
+        return descriptor
+    os.close(descriptor)
+    raise PermissionError(f"{path} may be others' work")
+
+
+def _is_ours(found: os.stat_result, kind: int) -> bool:
+    """Whether it is of that kind, we own it and nobody else may write to it."""
+    if stat.S_IFMT(found.st_mode) != kind:
+        return False
+    if not hasattr(os, "geteuid"):  # Windows, which closes a user's folders to others itself
+        return True
+    return found.st_uid == os.geteuid() and not found.st_mode & (stat.S_IWGRP | stat.S_IWOTH)
 
 
 class _Kept(NullCache):  # type: ignore[misc]
@@ -101,13 +149,16 @@ class _Kept(NullCache):  # type: ignore[misc]
 
     def has(self, signature: Any) -> bool:
         """Whether a version of the function is there, if nothing is wrong with its file."""
-        return self._entry(signature, cpu_target.target_context.codegen())[1].exists()
+        with suppress(OSError):
+            _opened(self._entry(signature, cpu_target.target_context.codegen())[1]).close()
+            return True
+        return False
 
     def load_overload(self, signature: Any, context: Any) -> Any:
         context.refresh()
         key, file = self._entry(signature, context.codegen())
-        with suppress(Exception):  # none yet, or a damaged one
-            found, reduced = pickle.loads(file.read_bytes())
+        with suppress(Exception), _opened(file) as entry:  # none yet, or a damaged one
+            found, reduced = pickle.load(entry)
             if found == key:
                 return CompileResult._rebuild(context, *reduced)
         return None
@@ -118,6 +169,7 @@ class _Kept(NullCache):  # type: ignore[misc]
         key, file = self._entry(signature, result.codegen)
         with suppress(OSError), tempfile.TemporaryDirectory(dir=self._folder) as beside:
             whole = Path(beside, file.name)
+            whole.touch(mode=0o600)
             whole.write_bytes(dumps((key, result._reduce())))
             whole.replace(file)
 

@@ -195,6 +195,142 @@ def test_the_version_in_use_stays_however_old_its_folder_is(package):
     assert not (file.parent.parent / "mmwave_env-1").exists()  # the one longest out of use
 
 
+PLANT = """
+import os
+from types import SimpleNamespace
+from numba.core.registry import cpu_target
+from mmwave_env.caller import function
+
+class Planted:
+    def __reduce__(self):
+        return os.mkdir, ("planted code ran",)
+
+function(20)
+function._cache.save_overload(function.signatures[0], SimpleNamespace(
+    library=SimpleNamespace(has_dynamic_globals=False),
+    codegen=cpu_target.target_context.codegen(),
+    _reduce=Planted,
+))
+"""
+
+
+@pytest.fixture
+def planted(package, tmp_path):
+    """A kept file, in a place that is shared, which runs code when it is read."""
+    shared = tmp_path / "shared"
+    finished(started(package, PLANT, NUMBA_CACHE_DIR=str(shared)))
+    (file,) = shared.glob("*/*")
+    return file
+
+
+def given_away(path):
+    """Make it another user's; what a process has to begin with to see it so."""
+    if hasattr(os, "geteuid") and os.geteuid() == 0:
+        os.chown(path, 65534, 65534)
+        return ""
+    return (
+        "import os\n"
+        "def seen(see):\n"
+        "    def other(*args, **kwargs):\n"
+        "        found = see(*args, **kwargs)\n"
+        "        uid = found.st_uid + (found.st_ino == " + str(path.stat().st_ino) + ")\n"
+        "        return os.stat_result((*found[:4], uid, *found[5:]))\n"
+        "    return other\n"
+        "os.lstat, os.fstat = seen(os.lstat), seen(os.fstat)\n"
+    )
+
+
+def linked(path):
+    """Move it to a folder that is as private, and leave a link."""
+    private = path.parent.parent / "private"
+    private.mkdir(mode=0o700)
+    path.symlink_to(path.rename(private / path.name))
+
+
+UNTRUSTED = {
+    "a folder of another user": lambda file: given_away(file.parent),
+    "a file of another user": given_away,
+    "a folder the group may write to": lambda file: file.parent.chmod(0o770),
+    "a folder all may write to": lambda file: file.parent.chmod(0o707),
+    "a file the group may write to": lambda file: file.chmod(0o660),
+    "a file all may write to": lambda file: file.chmod(0o606),
+    "a link to a folder": lambda file: linked(file.parent),
+    "a link to a file": linked,
+}
+posix = pytest.mark.skipif(not hasattr(os, "geteuid"), reason="no owners and modes of files")
+
+
+def test_a_file_of_ours_is_trusted(package, tmp_path, planted):
+    assert run(package, NUMBA_CACHE_DIR=str(planted.parent.parent)) == (41, 0)
+    assert (tmp_path / "planted code ran").exists()  # or the next test shows nothing
+
+
+@posix
+@pytest.mark.parametrize("case", UNTRUSTED)
+def test_what_others_may_have_written_is_not_read(package, tmp_path, planted, case):
+    script = (UNTRUSTED[case](planted) or "") + SCRIPT
+    shared = str(planted.parent.parent)
+    runs = [finished(started(package, script, NUMBA_CACHE_DIR=shared)) for _ in range(2)]
+    assert not (tmp_path / "planted code ran").exists()
+    assert runs == [["41", "0"], ["41", "1"]]
+
+
+@posix
+def test_a_folder_that_is_exchanged_in_a_running_process_is_not_read(package, tmp_path, planted):
+    exchanged = (
+        "from pathlib import Path\n"
+        "from mmwave_env.caller import function\n"
+        "folder = Path(function.stats.cache_path)\n"
+        "folder.symlink_to(folder.rename(folder.parent / 'aside'))\n"
+        "print(function(20), function._cache.has(function.signatures[0]))\n"
+    )
+    shared = str(planted.parent.parent)
+    out = finished(started(package, exchanged, NUMBA_CACHE_DIR=shared))
+    assert not (tmp_path / "planted code ran").exists()
+    assert out == ["41", "False"]
+
+
+@posix
+def test_what_is_written_is_for_us_alone(package):
+    process = started(package, "import os\nos.umask(0)\n" + SCRIPT)
+    assert finished(process) == ["41", "0"]
+    (file,) = kept(package)
+    assert [path.stat().st_mode & 0o777 for path in (file.parent, file)] == [0o700, 0o600]
+
+
+@posix
+def test_what_others_may_only_read_is_trusted(package):
+    run(package)
+    (file,) = kept(package)
+    file.parent.chmod(0o755)
+    file.chmod(0o644)
+    assert run(package) == (41, 1)
+
+
+@posix
+def test_old_versions_of_others_and_links_stay(package, tmp_path):
+    shared, precious = tmp_path / "shared", tmp_path / "precious"
+    for folder in (precious, *[shared / f"mmwave_env-{age}" for age in range(30)]):
+        folder.mkdir(parents=True)
+        (folder / "content").write_text("")
+        os.utime(folder, (1, 1))
+    (shared / "mmwave_env-link").symlink_to(precious)
+    (shared / "mmwave_env-broken").symlink_to(tmp_path / "nothing")
+    script = given_away(shared / "mmwave_env-0") + SCRIPT
+    assert finished(started(package, script, NUMBA_CACHE_DIR=str(shared))) == ["41", "0"]
+    left = {path.name for path in shared.iterdir()}
+    assert {"mmwave_env-0", "mmwave_env-link", "mmwave_env-broken"} < left
+    assert (shared / "mmwave_env-0" / "content").exists() and (precious / "content").exists()
+    assert len(left) < 15
+    assert run(package, NUMBA_CACHE_DIR=str(shared)) == (41, 1)
+
+
+def test_a_system_without_owners_of_files_works(package):
+    windows = "import os, numba\nif hasattr(os, 'geteuid'): del os.geteuid\n" + SCRIPT
+    runs = [finished(started(package, windows)) for _ in range(2)]
+    assert runs == [["41", "0"], ["41", "1"]]
+
+
 @pytest.mark.slow
 def test_the_environment_works_where_nothing_can_be_written(package, tmp_path):
     shutil.rmtree(package)
