@@ -4,7 +4,8 @@ numba's ``cache=True`` looks at the file of the function alone, so it answers wi
 a function it calls was edited in another file; some versions miss edits that keep time and
 size, too. Processes that start at once can mix up its files, and a damaged file or a full disk
 ends the program. Here a folder is named after all sources, each compiled function is one file
-in it, and whatever goes wrong with a file means that the function is compiled anew.
+in it, and whatever goes wrong with a file means that the function is compiled anew. A checksum
+tells a damaged file before anything in it is run.
 
 The files are pickles, as numba's own are, and whoever writes a pickle runs code where it is read.
 So folders and files are made for us alone, and nothing is read that another user owns, that others
@@ -35,6 +36,7 @@ from numba.misc.appdirs import user_cache_dir
 
 _PACKAGE = Path(__file__).parent
 _KEPT = 8  # versions of the sources whose compiled functions stay
+_CHECKSUM = sha256().digest_size  # bytes at the beginning of each file
 
 
 def compiled(function: Callable[..., Any]) -> Any:
@@ -136,6 +138,11 @@ def _is_ours(found: os.stat_result, kind: int) -> bool:
     return found.st_uid == os.geteuid() and not found.st_mode & (stat.S_IWGRP | stat.S_IWOTH)
 
 
+def _checksum(key: str, content: bytes) -> bytes:
+    """Of what is kept and what it is kept for, so that neither passes for another."""
+    return sha256(key.encode() + content).digest()
+
+
 class _Kept(NullCache):  # type: ignore[misc]
     """What numba asks before it compiles a function, and tells when it has."""
 
@@ -157,10 +164,10 @@ class _Kept(NullCache):  # type: ignore[misc]
     def load_overload(self, signature: Any, context: Any) -> Any:
         context.refresh()
         key, file = self._entry(signature, context.codegen())
-        with suppress(Exception), _opened(file) as entry:  # none yet, or a damaged one
-            found, reduced = pickle.load(entry)
-            if found == key:
-                return CompileResult._rebuild(context, *reduced)
+        with suppress(Exception), _opened(file) as entry:  # none there, or none to rely on
+            checksum, content = entry.read(_CHECKSUM), entry.read()
+            if checksum == _checksum(key, content):
+                return CompileResult._rebuild(context, *pickle.loads(content))
         return None
 
     def save_overload(self, signature: Any, result: Any) -> None:
@@ -170,7 +177,8 @@ class _Kept(NullCache):  # type: ignore[misc]
         with suppress(OSError), tempfile.TemporaryDirectory(dir=self._folder) as beside:
             whole = Path(beside, file.name)
             whole.touch(mode=0o600)
-            whole.write_bytes(dumps((key, result._reduce())))
+            content = dumps(result._reduce())
+            whole.write_bytes(_checksum(key, content) + content)
             whole.replace(file)
 
     def _entry(self, signature: Any, codegen: Any) -> tuple[str, Path]:

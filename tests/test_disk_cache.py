@@ -143,12 +143,45 @@ def test_a_folder_that_vanishes_costs_no_more_than_a_compilation(package):
     assert not kept(package)
 
 
-@pytest.mark.parametrize("size", [0, 10, 1000])
+@pytest.mark.parametrize("size", [0, 10, 32, 1000])
 def test_a_damaged_file_is_made_anew(package, size):
     run(package)
     (file,) = kept(package)
     file.write_bytes(file.read_bytes()[:size])
     assert [run(package), run(package)] == [(41, 0), (41, 1)]
+
+
+FLIPS = """
+from pathlib import Path
+from numba.core.registry import cpu_target
+from mmwave_env.caller import function
+from mmwave_env.disk_cache import compiled
+
+function(20), function(2.0), function(2j)
+cache, context = function._cache, cpu_target.target_context
+entries = [cache._entry(signature, context.codegen())[1] for signature in function.signatures]
+taken = checked = 0
+for signature, entry in zip(function.signatures, entries):
+    whole = entry.read_bytes()
+    assert cache.load_overload(signature, context)
+    for place in range(0, len(whole), 5):
+        damaged = bytearray(whole)
+        damaged[place] ^= 1 << place % 8
+        entry.write_bytes(damaged)
+        taken += cache.load_overload(signature, context) is not None
+        checked += 1
+    entry.write_bytes(damaged)
+again = compiled(function.py_func)
+print(len(entries), taken, checked, again(20), again(2.0), again(2j))
+print(sum(again.stats.cache_hits.values()))
+"""
+
+
+def test_no_flipped_bit_is_taken_for_the_function(package):
+    entries, taken, checked, *values, hits = finished(started(package, FLIPS))
+    assert (entries, taken, values, hits) == ("3", "0", ["41", "5.0", "(1+4j)"], "0")
+    assert int(checked) > 3000
+    assert run(package) == (41, 1)
 
 
 def test_a_file_of_another_function_is_not_taken_for_it(package):
