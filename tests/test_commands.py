@@ -5,13 +5,12 @@ import os
 import re
 import subprocess
 import sys
-from pathlib import Path
 
 import pytest
 
 from experiments.cli import COMMANDS
+from tests.paths import ROOT
 
-ROOT = Path(__file__).parent.parent
 CLI = ("experiments.cli",)
 METRICS = ["reward", "ate_m", "rmse_m", "rpe_m", "nees", "in_bounds", "divergence_rate"]
 

@@ -4,7 +4,6 @@ import json
 import os
 import subprocess
 import sys
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -22,8 +21,8 @@ from mmwave_env.metrics import BURN_IN
 from mmwave_env.radio import RADIOS
 from mmwave_env.scene import SCENES
 from mmwave_env.simulation import SimulatedSource
+from tests.paths import ROOT
 
-ROOT = Path(__file__).parent.parent
 RADIO = RADIOS["handset"]
 STREET = SCENES["street"]
 

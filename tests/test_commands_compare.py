@@ -6,16 +6,14 @@ import re
 import subprocess
 import sys
 import warnings
-from pathlib import Path
 
 import pytest
 from matplotlib.image import imread
 
 from experiments import cli
+from tests.actors import actor, card_of, write
+from tests.paths import ROOT
 
-from .actors import actor, card_of, write
-
-ROOT = Path(__file__).parent.parent
 WITHOUT_TORCH = """
 import sys
 

@@ -3,7 +3,6 @@
 import json
 import subprocess
 import sys
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -14,8 +13,8 @@ from experiments.runs import Run
 from mmwave_env.radio import RADIOS
 from mmwave_env.scene import SCENES
 from mmwave_env.simulation import SimulatedSource
+from tests.paths import ROOT
 
-ROOT = Path(__file__).parents[1]
 RECORDED = ROOT / "docs" / "learning"
 
 

@@ -26,9 +26,8 @@ from mmwave_env.localizer import localize
 from mmwave_env.radio import RADIOS
 from mmwave_env.scene import SCENES, read_scene
 from mmwave_env.simulation import SimulatedSource
+from tests.paths import LOGS, ROOT
 
-ROOT = Path(__file__).parents[1]
-LOGS = ROOT / "mmwave_env" / "data" / "logs"
 WALK, RIDE = LOGS / "canyon28_pedestrian", LOGS / "canyon28_vehicle"
 EPOCHS = {WALK: 400, RIDE: 120}
 PROMPT = "Enter current speed (m/s): "

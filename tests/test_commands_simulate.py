@@ -2,7 +2,6 @@
 
 import re
 import shlex
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -16,8 +15,8 @@ from mmwave_env.radio import RADIOS
 from mmwave_env.recording import RecordedSource
 from mmwave_env.scene import SCENES, read_scene
 from mmwave_env.simulation import SimulatedSource
+from tests.paths import LOGS
 
-LOGS = Path(__file__).parents[1] / "mmwave_env" / "data" / "logs"
 FILES = ["log.csv", "scene.json", "truth.tum"]
 
 

@@ -14,8 +14,7 @@ from mmwave_env.imm_engine import ImmEngine
 from mmwave_env.measurement import Layout
 from mmwave_env.reward import LogScore, TrackingReward
 from mmwave_env.tracker import Tracker
-
-from .estimator.tracks import STREET, simulated, unpacked
+from tests.estimator.tracks import STREET, simulated, unpacked
 
 N, T = 11, 60
 TWO = Pipeline(default_modes(), STREET)

@@ -5,7 +5,6 @@ import subprocess
 import sys
 from dataclasses import replace
 from itertools import pairwise
-from pathlib import Path
 
 import gymnasium as gym
 import numpy as np
@@ -16,10 +15,9 @@ from mmwave_env.estimator.pipeline import Pipeline
 from mmwave_env.measurement import Layout
 from mmwave_env.observation import Observation
 from policies import LearnedSwitch, learned, shipped_policies
+from tests.actors import FEATURES, MODES, TABLE, actor, card_of, write
+from tests.paths import ROOT
 
-from .actors import FEATURES, MODES, TABLE, actor, card_of, write
-
-ROOT = Path(__file__).parent.parent
 KINDS = {
     "plain": {},
     "linear": {"hidden": ()},

@@ -12,8 +12,8 @@ import pytest
 
 from experiments.runs import Run
 from policies import LearnedSwitch, shipped_policies
+from tests.paths import ROOT
 
-ROOT = Path(__file__).parents[1]
 PAGE = ROOT / "docs" / "learning.md"
 RECORDED = ROOT / "docs" / "learning"
 EXAMPLES = re.findall(r"```python\n(.*?)```", PAGE.read_text(encoding="utf-8"), re.DOTALL)

@@ -22,8 +22,7 @@ from mmwave_env.radio import RADIOS
 from mmwave_env.scene import SCENES
 from mmwave_env.simulation import SimulatedSource
 from policies.scripted import by_odometry_speed, by_predicted_speed
-
-from .estimator.tracks import track
+from tests.estimator.tracks import track
 
 SCENE, RADIO = SCENES["street"], RADIOS["handset"]
 T = 230

@@ -11,8 +11,7 @@ from mmwave_env.mobility import MOBILITIES, SCENARIOS, mobilities_of, plan_of
 from mmwave_env.radio import RADIOS
 from mmwave_env.scene import SCENES
 from mmwave_env.simulation import SimulatedSource
-
-from .roads import trajectories
+from tests.roads import trajectories
 
 STEP_S, STEPS, SEEDS = 0.1, 2000, 100
 

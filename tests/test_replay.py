@@ -11,8 +11,7 @@ from mmwave_env.estimator.smoother import smooth
 from mmwave_env.replay import Replay
 from mmwave_env.reward import TrackingReward
 from mmwave_env.tracker import Tracker
-
-from .estimator.tracks import STREET, simulated
+from tests.estimator.tracks import STREET, simulated
 
 N, T = 11, 60
 ACTIONS = np.random.default_rng(0).integers(0, 2, (N, T)).astype(np.uint8)

@@ -15,9 +15,8 @@ from mmwave_env.mobility import mobilities_of, plan_of
 from mmwave_env.radio import RADIOS
 from mmwave_env.scene import SCENES
 from mmwave_env.simulation import CHUNK, SimulatedSource
-
-from .estimator.tracks import geometry
-from .roads import trajectories
+from tests.estimator.tracks import geometry
+from tests.roads import trajectories
 
 SOURCES = {
     "default": SimulatedSource(SCENES["street"], RADIOS["handset"]),

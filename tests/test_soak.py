@@ -14,8 +14,7 @@ from mmwave_env.estimator.update import ekf
 from mmwave_env.radio import RADIOS
 from mmwave_env.scene import SCENES
 from mmwave_env.simulation import SimulatedSource
-
-from .test_commands import CLI, assert_one_clear_line, command, succeed
+from tests.test_commands import CLI, assert_one_clear_line, command, succeed
 
 SMALL = ("--steps", "1.2e4", "--num-envs", "16")
 

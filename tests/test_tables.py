@@ -6,7 +6,6 @@ import shutil
 import subprocess
 import sys
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -20,10 +19,9 @@ from mmwave_env.estimator.modes import default_modes
 from mmwave_env.estimator.pipeline import Pipeline
 from mmwave_env.estimator.smoother import smooth
 from mmwave_env.tracker import Tracker
+from tests.estimator.tracks import unpacked
+from tests.paths import ROOT
 
-from .estimator.tracks import unpacked
-
-ROOT = Path(__file__).parent.parent
 PEDESTRIAN = Setting("pedestrian", "handset")
 
 

@@ -11,8 +11,7 @@ from experiments.track_scores import Course, Groups, TruthScores
 from mmwave_env.estimator.pipeline import VERTICAL
 from mmwave_env.io.tum import tum_lines
 from mmwave_env.metrics import ate, rmse, rpe
-
-from .test_track_files import some_track
+from tests.test_track_files import some_track
 
 T = 400
 

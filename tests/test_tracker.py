@@ -9,8 +9,7 @@ from mmwave_env.arithmetic import sqrt, where
 from mmwave_env.estimator.modes import Mode, default_modes
 from mmwave_env.estimator.pipeline import Pipeline
 from mmwave_env.tracker import Tracker
-
-from .estimator.tracks import STREET, simulated, track
+from tests.estimator.tracks import STREET, simulated, track
 
 N, T = 11, 60
 

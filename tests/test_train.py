@@ -6,10 +6,11 @@ import os
 import subprocess
 import sys
 from dataclasses import asdict, replace
-from pathlib import Path
 
 import numpy as np
 import pytest
+
+from tests.paths import ROOT
 
 pytest.importorskip("stable_baselines3")
 
@@ -34,12 +35,10 @@ from mmwave_env.scene import SCENES
 from mmwave_env.simulation import SimulatedSource
 from mmwave_env.vector_env import MmWaveLocVectorEnv
 from policies import LearnedSwitch
-
-from .actors import MODES, card_of, write
+from tests.actors import MODES, card_of, write
 
 pytestmark = pytest.mark.torch
 
-ROOT = Path(__file__).parent.parent
 TASK = Task("mixed", "handset", MODES, "full", TrackingReward())
 RECIPE = Recipe(
     num_envs=8, n_steps=16, batch_size=64, n_epochs=2, learning_rate=0.003, ent_coef=0.01,

@@ -12,10 +12,11 @@ import sys
 import time
 import zipfile
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
+
+from tests.paths import ROOT
 
 pytest.importorskip("stable_baselines3")
 
@@ -25,8 +26,7 @@ from experiments.learning import examiner
 from experiments.learning.processes import side_by_side
 from experiments.learning.trainer import Job, Training
 from mmwave_env.estimator.modes import default_modes
-
-from .test_train import RECIPE, TASK, content
+from tests.test_train import RECIPE, TASK, content
 
 pytestmark = [
     pytest.mark.torch,
@@ -34,7 +34,6 @@ pytestmark = [
     pytest.mark.skipif(not hasattr(os, "fork"), reason="kills what it forked"),
 ]
 
-ROOT = Path(__file__).parent.parent
 SMALL = replace(RECIPE, num_envs=4, n_steps=25, batch_size=50, paired=True)
 RECIPES = {
     "ppo": ("ppo", replace(SMALL, truth_critic=True)),

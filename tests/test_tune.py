@@ -7,7 +7,6 @@ import shlex
 import subprocess
 import sys
 from dataclasses import replace
-from pathlib import Path
 
 import gymnasium as gym
 import numpy as np
@@ -21,10 +20,9 @@ from mmwave_env.measurement import Layout
 from mmwave_env.radio import RADIOS
 from mmwave_env.scene import SCENES
 from mmwave_env.simulation import SimulatedSource
+from tests.estimator.tracks import far_from_the_anchors, process_noise
+from tests.paths import ROOT
 
-from .estimator.tracks import far_from_the_anchors, process_noise
-
-ROOT = Path(__file__).parent.parent
 MODES = ROOT / "mmwave_env" / "data" / "modes"
 SHIPPED = sorted(file for radio in RADIOS for file in MODES.glob(f"{radio}*.json"))
 PLAIN = Mode("own", "ekf", gate=None, recovery=None, adaptive=False)

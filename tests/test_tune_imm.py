@@ -15,8 +15,7 @@ from mmwave_env.estimator.modes import as_written, modes_from
 from mmwave_env.radio import RADIOS
 from mmwave_env.scene import SCENES
 from mmwave_env.simulation import SimulatedSource
-
-from .test_tune import cli
+from tests.test_tune import cli
 
 SOURCE = SimulatedSource(SCENES["street"], RADIOS["handset"], epochs=60)
 

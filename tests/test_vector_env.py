@@ -20,8 +20,7 @@ from mmwave_env.radio import RADIOS
 from mmwave_env.scene import SCENES
 from mmwave_env.simulation import SimulatedSource
 from mmwave_env.vector_env import MmWaveLocVectorEnv
-
-from .vector_checker import check_vector_env, rollout, same
+from tests.vector_checker import check_vector_env, rollout, same
 
 ID = "MmWaveLoc-v0"
 MODES = ["NextStep", "SameStep", "Disabled"]

@@ -2,7 +2,6 @@
 
 import subprocess
 import sys
-from pathlib import Path
 
 import gymnasium as gym
 import numpy as np
@@ -13,11 +12,10 @@ import mmwave_env  # noqa: F401  registers the environment
 from mmwave_env.radio import RADIOS
 from mmwave_env.scene import SCENES
 from mmwave_env.simulation import SimulatedSource
+from tests.actors import MODES
+from tests.paths import ROOT
+from tests.vector_checker import forward, same
 
-from .actors import MODES
-from .vector_checker import forward, same
-
-ROOT = Path(__file__).parent.parent
 AUTORESET = ["NextStep", "SameStep", "Disabled"]
 CONFIGURATIONS = {
     "short": {"episode_steps": 3},

@@ -8,8 +8,7 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
 from mmwave_env.measurement import Layout, Measurement
-
-from . import textbook
+from tests.estimator import textbook
 
 HZ_PER_MPS = 93.4
 RTOL = 1e-9

@@ -5,8 +5,7 @@ import pytest
 
 from mmwave_env.engine import Engine
 from mmwave_env.reward import TrackingReward
-
-from .tracks import pipeline_of, simulated
+from tests.estimator.tracks import pipeline_of, simulated
 
 N, T = 11, 12
 ON = pytest.mark.parametrize("on_floats", [False, True], ids=["lanes", "floats"])

@@ -28,9 +28,8 @@ from mmwave_env.measurement import Layout
 from mmwave_env.radio import RADIOS
 from mmwave_env.scene import SCENES
 from mmwave_env.simulation import SimulatedSource
-
-from . import textbook
-from .tracks import (
+from tests.estimator import textbook
+from tests.estimator.tracks import (
     HZ_PER_MPS,
     STREET,
     OwnModel,

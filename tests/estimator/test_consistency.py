@@ -14,8 +14,7 @@ from mmwave_env.engine import Engine
 from mmwave_env.estimator.modes import Mode
 from mmwave_env.estimator.pipeline import Pipeline
 from mmwave_env.reward import TrackingReward
-
-from .tracks import STREET, far_from_the_anchors, process_noise
+from tests.estimator.tracks import STREET, far_from_the_anchors, process_noise
 
 RUNS, EPOCHS, CHECKED = 2000, 40, (0, 1, 5, 10, 20, 39)
 LEVEL = 0.01

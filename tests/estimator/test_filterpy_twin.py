@@ -8,8 +8,7 @@ from mmwave_env.estimator.modes import Mode
 from mmwave_env.estimator.pipeline import Pipeline
 from mmwave_env.estimator.update import ekf
 from mmwave_env.measurement import Layout
-
-from .tracks import assert_same_beliefs, pipeline_of, simulated, track, with_anchors
+from tests.estimator.tracks import assert_same_beliefs, pipeline_of, simulated, track, with_anchors
 
 EPOCHS = 200
 TUNINGS = {

@@ -10,9 +10,15 @@ from mmwave_env.estimator.imm import stay_matrix
 from mmwave_env.estimator.modes import Mode, default_modes
 from mmwave_env.estimator.pipeline import Pipeline
 from mmwave_env.measurement import Layout
-
-from . import textbook
-from .tracks import assert_same_beliefs, imm_track, pipeline_of, simulated, track, unpacked
+from tests.estimator import textbook
+from tests.estimator.tracks import (
+    assert_same_beliefs,
+    imm_track,
+    pipeline_of,
+    simulated,
+    track,
+    unpacked,
+)
 
 EPOCHS = 60
 

@@ -37,8 +37,7 @@ from mmwave_env.estimator.hidden import NoValue
 from mmwave_env.estimator.lanes import WIDTH, Lanes, Mask, kernel
 from mmwave_env.estimator.probe import Probe, ProbeTruth
 from mmwave_env.estimator.program import Program
-
-from .tracks import assert_same_beliefs, pipeline_of, simulated, track
+from tests.estimator.tracks import assert_same_beliefs, pipeline_of, simulated, track
 
 
 class Many(NamedTuple):

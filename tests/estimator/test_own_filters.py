@@ -4,7 +4,6 @@ import importlib
 import re
 import sys
 from functools import partial
-from pathlib import Path
 
 import gymnasium as gym
 import numpy as np
@@ -26,12 +25,12 @@ from mmwave_env.reward import TrackingReward
 from mmwave_env.scene import SCENES
 from mmwave_env.simulation import SimulatedSource
 from mmwave_env.tracker import Tracker
+from tests.estimator import textbook
+from tests.estimator.problems import assert_same, assume_clear_of, problems
+from tests.estimator.tracks import STREET, assert_same_beliefs, simulated, track
+from tests.paths import ROOT
 
-from . import textbook
-from .problems import assert_same, assume_clear_of, problems
-from .tracks import STREET, assert_same_beliefs, simulated, track
-
-PAGE = (Path(__file__).parents[2] / "docs" / "own-filters.md").read_text()
+PAGE = (ROOT / "docs" / "own-filters.md").read_text()
 IEKF, USE, HASTY, TESTS, COMPARE = re.findall(r"```python\n(.*?)```", PAGE, re.DOTALL)
 GATES = {
     "no gate": Gate(None), "99 %": Gate(0.99), "forced": Gate(0.5, force=1.0),
@@ -190,7 +189,7 @@ def test_a_hasty_filter_is_refused_as_the_page_shows(files):
 
 def test_the_page_s_links_lead_somewhere():
     for target in re.findall(r"\]\(([^)#]+)\)", PAGE):
-        assert (Path(__file__).parents[2] / "docs" / target).exists(), target
+        assert (ROOT / "docs" / target).exists(), target
 
 
 @pytest.mark.slow

@@ -8,8 +8,7 @@ from mmwave_env.estimator.modes import Mode
 from mmwave_env.estimator.pipeline import Pipeline
 from mmwave_env.measurement import Layout
 from mmwave_env.reward import TrackingReward
-
-from .tracks import simulated, unpacked
+from tests.estimator.tracks import simulated, unpacked
 
 MODES = (
     Mode("tight ekf", "ekf", sigma_p=0.01, sigma_v=0.05),

@@ -8,8 +8,7 @@ from scipy.stats import chi2
 from mmwave_env.estimator.modes import Mode
 from mmwave_env.estimator.pipeline import Pipeline
 from mmwave_env.tracker import Tracker
-
-from .tracks import STREET, simulated
+from tests.estimator.tracks import STREET, simulated
 
 N, T = 64, 120
 TIGHT = Mode("tight", sigma_p=0.01, sigma_v=0.05)

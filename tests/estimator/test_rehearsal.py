@@ -20,8 +20,7 @@ from mmwave_env.estimator.update import Posterior, ckf, ekf, ukf, update
 from mmwave_env.measurement import Layout
 from mmwave_env.reward import TrackingReward
 from mmwave_env.tracker import Tracker
-
-from .tracks import STREET, simulated
+from tests.estimator.tracks import STREET, simulated
 
 BEFORE = """import math
 from math import sqrt

@@ -16,8 +16,7 @@ from mmwave_env.reward import TrackingReward
 from mmwave_env.scene import SCENES
 from mmwave_env.simulation import SimulatedSource
 from mmwave_env.tracker import Tracker
-
-from . import textbook
+from tests.estimator import textbook
 
 STREET = Layout(3)
 TRIANGLE = np.tril_indices(7)

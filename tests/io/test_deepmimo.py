@@ -14,9 +14,9 @@ from mmwave_env.measurement import SPEED_OF_LIGHT
 from mmwave_env.recording import Recording
 from mmwave_env.scene import Scene, Wall
 from tests.estimator.tracks import geometry
+from tests.paths import RECORDINGS
 
-SAMPLES = Path(__file__).parents[2] / "mmwave_env" / "data" / "deepmimo_canyon28"
-VEHICLE, PEDESTRIAN = SAMPLES / "canyon28_vehicle", SAMPLES / "canyon28_pedestrian"
+VEHICLE, PEDESTRIAN = RECORDINGS / "canyon28_vehicle", RECORDINGS / "canyon28_pedestrian"
 LINK = "t000_tx000_r001"
 NORTH, SOUTH, GROUND = (-5.0, 15.1431, 6.0), (-5.0, -21.2266, 6.0), (-5.0, 4.0, -6.06)
 SCENE = Scene("canyon", (-5.0, 4.0, 6.0), (Wall((0, 1), 9.571564), Wall((0, 1), -8.613335)))
