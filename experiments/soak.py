@@ -23,11 +23,11 @@ from experiments.files import write_json
 from experiments.terminal import progress
 from mmwave_env.engine import Engine
 from mmwave_env.episode import Episode
-from mmwave_env.estimator.algebra import cholesky, unpack
 from mmwave_env.estimator.modes import named_modes
 from mmwave_env.estimator.pipeline import Pipeline
 from mmwave_env.measurement import Layout
 from mmwave_env.mobility import MOBILITIES
+from mmwave_env.numerics.linalg import cholesky, unpack
 from mmwave_env.radio import RADIOS
 from mmwave_env.reward import TrackingReward
 from mmwave_env.scene import scene_from

@@ -7,8 +7,8 @@ randomness comes in as draws; what lasts from epoch to epoch is a :class:`Weathe
 import math
 from typing import NamedTuple
 
-from mmwave_env.arithmetic import Number, Vector, clip, exp, log, maximum, sqrt, where
 from mmwave_env.measurement import Layout
+from mmwave_env.numerics.numbers import Number, Vector, clip, exp, log, maximum, sqrt, where
 from mmwave_env.radio import DECIBEL, Radio
 from mmwave_env.scene import Scene
 

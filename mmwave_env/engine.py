@@ -13,9 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from mmwave_env.arithmetic import Number, where
 from mmwave_env.episode import Episode, Packed
-from mmwave_env.estimator.algebra import unpack
 from mmwave_env.estimator.batch import Batch, Incoming, blank_incoming, blank_site
 from mmwave_env.estimator.belief import Belief
 from mmwave_env.estimator.pipeline import (
@@ -29,8 +27,10 @@ from mmwave_env.estimator.pipeline import (
     start,
 )
 from mmwave_env.estimator.program import NO_ROWS, Array, Index, Program, rows_of
-from mmwave_env.estimator.trees import select
 from mmwave_env.features import View
+from mmwave_env.numerics.linalg import unpack
+from mmwave_env.numerics.numbers import Number, where
+from mmwave_env.numerics.pytree import select
 from mmwave_env.observation import Observation
 from mmwave_env.reward import Reward
 

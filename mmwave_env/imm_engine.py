@@ -13,9 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.special import chdtri
 
-from mmwave_env.arithmetic import Number
 from mmwave_env.episode import Episode, Packed
-from mmwave_env.estimator.algebra import pack
 from mmwave_env.estimator.batch import Batch, Incoming, blank_incoming, blank_site
 from mmwave_env.estimator.belief import Belief
 from mmwave_env.estimator.imm import (
@@ -30,7 +28,9 @@ from mmwave_env.estimator.lanes import WIDTH
 from mmwave_env.estimator.modes import Tuning
 from mmwave_env.estimator.pipeline import Pipeline, Site
 from mmwave_env.estimator.program import Array, Index, Program, Tracks, Traffic, rows_of
-from mmwave_env.estimator.trees import leaves
+from mmwave_env.numerics.linalg import pack
+from mmwave_env.numerics.numbers import Number
+from mmwave_env.numerics.pytree import leaves
 from mmwave_env.reward import Reward
 from mmwave_env.tracker import untuned
 

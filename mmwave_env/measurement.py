@@ -24,7 +24,17 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from mmwave_env.arithmetic import PI, Matrix, Number, Vector, atan2, maximum, sqrt, where, wrap
+from mmwave_env.numerics.numbers import (
+    PI,
+    Matrix,
+    Number,
+    Vector,
+    atan2,
+    maximum,
+    sqrt,
+    where,
+    wrap,
+)
 
 SPEED_OF_LIGHT = 299_792_458.0  # m/s
 STATE = ("px", "py", "pz", "vx", "vy", "vz", "b")  # m, m/s, Hz

@@ -3,7 +3,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from mmwave_env.arithmetic import PI, wrap
+from mmwave_env.numerics.numbers import PI, wrap
 from mmwave_env.radio import Radio
 from mmwave_env.scene import Scene
 

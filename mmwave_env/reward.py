@@ -3,15 +3,15 @@
 A reward is called as ``reward(belief, truth)`` with a
 :class:`~mmwave_env.estimator.belief.Belief` and the true (6,) position and velocity, and
 returns one number. Pass your own to ``MmWaveLoc-v0`` as ``reward=``; it follows the rules
-of :mod:`mmwave_env.arithmetic`, so it runs on SIMD lanes like everything else.
+of :mod:`mmwave_env.numerics.numbers`, so it runs on SIMD lanes like everything else.
 """
 
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from mmwave_env.arithmetic import Number, Vector, log, maximum, minimum
 from mmwave_env.estimator.belief import Belief
 from mmwave_env.names import choose
+from mmwave_env.numerics.numbers import Number, Vector, log, maximum, minimum
 
 Reward = Callable[[Belief, Vector], Number]
 

@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 from mmwave_env.engine import Engine
 from mmwave_env.estimator.lanes import WIDTH
 from mmwave_env.estimator.program import PLAIN_EPOCHS, advance, rows_of
-from mmwave_env.estimator.trees import leaves
 from mmwave_env.history import History
 from mmwave_env.information import STATE_KEYS, STEP_KEYS, mask_keys
+from mmwave_env.numerics.pytree import leaves
 from mmwave_env.sparing import Sparing
 from mmwave_env.threads import share
 

@@ -5,9 +5,9 @@ import warnings
 import numpy as np
 from numpy.typing import NDArray
 
-from mmwave_env.arithmetic import Number, Vector, sqrt, where
-from mmwave_env.estimator.algebra import dot
 from mmwave_env.estimator.pipeline import Epoch
+from mmwave_env.numerics.linalg import dot
+from mmwave_env.numerics.numbers import Number, Vector, sqrt, where
 from mmwave_env.observation import Observation
 
 SLOW_MPS = 2.0  # paper, Algorithm 1: up to it mobility is low

@@ -11,11 +11,11 @@ from hypothesis.extra import numpy as hnp
 from scipy.stats import multivariate_normal
 
 import mmwave_env  # noqa: F401  registers the environment
-from mmwave_env.arithmetic import maximum
 from mmwave_env.engine import Engine
 from mmwave_env.estimator.belief import Belief
 from mmwave_env.estimator.modes import Mode
 from mmwave_env.estimator.pipeline import Pipeline
+from mmwave_env.numerics.numbers import maximum
 from mmwave_env.radio import radio_from
 from mmwave_env.reward import REWARDS, LogScore, TrackingReward, reward_from
 from mmwave_env.scene import scene_from
@@ -176,9 +176,9 @@ def through_numpy(belief, truth):
     ("own", "instead"),
     [
         (branch, r"where\(condition, a, b\)"),
-        (to_float, "the functions of mmwave_env.arithmetic"),
-        (through_math, "the functions of mmwave_env.arithmetic"),
-        (through_numpy, "lists, mmwave_env.arithmetic"),
+        (to_float, "the functions of mmwave_env.numerics.numbers"),
+        (through_math, "the functions of mmwave_env.numerics.numbers"),
+        (through_numpy, "lists, mmwave_env.numerics.numbers"),
     ],
 )
 def test_a_reward_that_looks_at_values_is_told_what_to_write(own, instead):

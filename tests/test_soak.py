@@ -8,9 +8,9 @@ import pytest
 
 from experiments import damage, soak
 from experiments.cli import run
-from mmwave_env.arithmetic import where
 from mmwave_env.estimator.modes import Mode, named_modes
 from mmwave_env.estimator.update import ekf
+from mmwave_env.numerics.numbers import where
 from mmwave_env.radio import RADIOS
 from mmwave_env.scene import SCENES
 from mmwave_env.simulation import SimulatedSource

@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from mmwave_env.arithmetic import sqrt, where
 from mmwave_env.estimator.modes import Mode, default_modes
 from mmwave_env.estimator.pipeline import Pipeline
+from mmwave_env.numerics.numbers import sqrt, where
 from mmwave_env.tracker import Tracker
 from tests.estimator.tracks import STREET, simulated, track
 

@@ -12,12 +12,12 @@ from experiments.evaluation import Scores, draw_episodes
 from experiments.intervals import Interval
 from experiments.markdown import grid, rounded
 from mmwave_env.episode import Episode
-from mmwave_env.estimator.algebra import unpack
 from mmwave_env.estimator.belief import Belief
 from mmwave_env.estimator.modes import Mode, shipped_modes
 from mmwave_env.estimator.pipeline import Pipeline
 from mmwave_env.estimator.smoother import smooth
 from mmwave_env.metrics import accuracy, scored
+from mmwave_env.numerics.linalg import unpack
 from mmwave_env.radio import Radio, radio_from
 from mmwave_env.scene import SCENES
 from mmwave_env.simulation import SimulatedSource

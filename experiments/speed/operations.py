@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 from llvmlite import ir
 
 from mmwave_env.estimator.lanes import Lanes
-from mmwave_env.estimator.trees import leaves, rebuild
+from mmwave_env.numerics.pytree import leaves, rebuild
 
 _KINDS = {
     "fadd": "add", "fsub": "add", "fmul": "multiply", "fdiv": "divide", "llvm.sqrt": "root",

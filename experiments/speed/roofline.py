@@ -16,8 +16,8 @@ import numba
 import numpy as np
 
 from experiments.speed.operations import Operations
-from mmwave_env.arithmetic import sqrt, where
 from mmwave_env.estimator.lanes import WIDTH, kernel
+from mmwave_env.numerics.numbers import sqrt, where
 
 CHAINS = (8, 16, 24)  # which is fastest depends on registers and latencies
 LENGTH = 480  # operations of a timed kernel: many beside its loop, few enough for every cache

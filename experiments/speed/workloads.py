@@ -16,14 +16,14 @@ import numpy as np
 
 from experiments.evaluation import draw_episodes
 from mmwave_env.episode import Episode
-from mmwave_env.estimator.algebra import unpack
 from mmwave_env.estimator.batch import blank_incoming, blank_site
 from mmwave_env.estimator.belief import Belief
 from mmwave_env.estimator.filterpy_twin import filterpy_pipeline
 from mmwave_env.estimator.modes import Mode, default_modes, named_modes
 from mmwave_env.estimator.pipeline import Pipeline, measurement_of, process_noise, start
-from mmwave_env.estimator.trees import rebuild
 from mmwave_env.estimator.update import Gate
+from mmwave_env.numerics.linalg import unpack
+from mmwave_env.numerics.pytree import rebuild
 from mmwave_env.radio import radio_from
 from mmwave_env.reward import TrackingReward
 from mmwave_env.scene import scene_from

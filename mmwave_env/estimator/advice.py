@@ -10,26 +10,26 @@ from pathlib import Path
 from traceback import walk_tb
 from typing import Any, NamedTuple
 
-from mmwave_env.estimator.hidden import REFUSALS
+from mmwave_env.numerics.tracer import REFUSALS
 
 _LIBRARIES = (
     f"{Path(__file__).parents[1]}{os.sep}",
     *(sysconfig.get_path(name) for name in ("stdlib", "purelib", "platlib")),
     "<frozen ",
 )
-_PAIRWISE = "mmwave_env.arithmetic.{}, two numbers at a time"
-_SAME_NAME = {  # functions of math and numpy that mmwave_env.arithmetic has
+_PAIRWISE = "mmwave_env.numerics.numbers.{}, two numbers at a time"
+_SAME_NAME = {  # functions of math and numpy that mmwave_env.numerics.numbers has
     **dict.fromkeys(("sqrt", "log", "exp", "atan2"), ""),
     "arctan2": "atan2",
 }
 _ELEMENTARY = {
-    **{name: f"mmwave_env.arithmetic.{ours or name}" for name, ours in _SAME_NAME.items()},
+    **{name: f"mmwave_env.numerics.numbers.{ours or name}" for name, ours in _SAME_NAME.items()},
     **dict.fromkeys(("fabs", "abs", "absolute"), "abs(a)"),
-    "hypot": "sqrt(a * a + b * b), with mmwave_env.arithmetic.sqrt",
+    "hypot": "sqrt(a * a + b * b), with mmwave_env.numerics.numbers.sqrt",
     "pow": REFUSALS["power"][1],
     "square": "a * a",
 }
-_ALGEBRA = "cholesky, forward, backward and dot of mmwave_env.estimator.algebra"
+_ALGEBRA = "cholesky, forward, backward and dot of mmwave_env.numerics.linalg"
 INSTEAD = {  # by what was asked for: a word of the line, and what to write in its place
     "truth": {
         "while": "a for loop over a constant range, with where(condition, new, old) in it",
@@ -56,8 +56,8 @@ INSTEAD = {  # by what was asked for: a word of the line, and what to write in i
     "numpy": {
         **dict.fromkeys(("array", "asarray", "stack", "zeros", "vstack"), "a list of numbers"),
         **_ELEMENTARY,
-        **dict.fromkeys(("where", "maximum", "minimum", "clip"), "mmwave_env.arithmetic's"),
-        **dict.fromkeys(("dot", "inner", "vdot", "matmul"), "mmwave_env.estimator.algebra.dot"),
+        **dict.fromkeys(("where", "maximum", "minimum", "clip"), "mmwave_env.numerics.numbers's"),
+        **dict.fromkeys(("dot", "inner", "vdot", "matmul"), "mmwave_env.numerics.linalg.dot"),
         **dict.fromkeys(("inv", "solve", "cholesky", "det", "eigh", "pinv"), _ALGEBRA),
         **dict.fromkeys(("sum", "max", "min"), "a loop over a list"),
         **dict.fromkeys(("float64", "float32"), "a plain float"),

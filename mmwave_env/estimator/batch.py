@@ -12,7 +12,6 @@ from typing import Any, Generic, NamedTuple
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
-from mmwave_env.arithmetic import Number, where
 from mmwave_env.episode import Episode, Packed
 from mmwave_env.estimator.lanes import WIDTH
 from mmwave_env.estimator.pipeline import Epoch, Site
@@ -25,8 +24,9 @@ from mmwave_env.estimator.program import (
     Traffic,
     Workspace,
 )
-from mmwave_env.estimator.trees import leaves
 from mmwave_env.measurement import STATE_SIZE, Layout
+from mmwave_env.numerics.numbers import Number, where
+from mmwave_env.numerics.pytree import leaves
 from mmwave_env.threads import share
 
 BLOCKS_PER_THREAD = 128  # waking a thread costs as much as 64 of them

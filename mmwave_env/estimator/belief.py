@@ -3,8 +3,8 @@
 import math
 from typing import NamedTuple
 
-from mmwave_env.arithmetic import Matrix, Number, Vector, log, sqrt
-from mmwave_env.estimator.algebra import cholesky, dot, forward
+from mmwave_env.numerics.linalg import cholesky, dot, forward
+from mmwave_env.numerics.numbers import Matrix, Number, Vector, log, sqrt
 
 
 class Belief(NamedTuple):

@@ -26,13 +26,13 @@ from filterpy.kalman.CubatureKalmanFilter import spherical_radial_sigmas
 from numpy.typing import NDArray
 from scipy.stats import chi2
 
-from mmwave_env.arithmetic import Matrix, Vector
 from mmwave_env.estimator.modes import Mode
 from mmwave_env.estimator.motion import ProcessNoise
 from mmwave_env.estimator.pipeline import Pipeline
 from mmwave_env.estimator.update import ROBUST_ONSET, Algorithm, Gate, Posterior
 from mmwave_env.measurement import Layout, Measurement
 from mmwave_env.names import choose
+from mmwave_env.numerics.numbers import Matrix, Vector
 
 Array = NDArray[np.float64]
 Rows = NDArray[np.int64]

@@ -8,8 +8,6 @@ from collections.abc import Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
-from mmwave_env.arithmetic import Matrix, Number, Vector, exp, maximum
-from mmwave_env.estimator.algebra import dot, unpack
 from mmwave_env.estimator.modes import Tuning
 from mmwave_env.estimator.pipeline import (
     Epoch,
@@ -22,8 +20,10 @@ from mmwave_env.estimator.pipeline import (
     limited_likelihood,
     start,
 )
-from mmwave_env.estimator.trees import select
 from mmwave_env.measurement import STATE_SIZE
+from mmwave_env.numerics.linalg import dot, unpack
+from mmwave_env.numerics.numbers import Matrix, Number, Vector, exp, maximum
+from mmwave_env.numerics.pytree import select
 
 DEFAULT_STAY = 0.95  # probability of a mode to stay from one epoch to the next
 _LEAST = 1e-12  # keeps the probability of a mode off zero, from which it could not return

@@ -15,8 +15,8 @@ from numba import types
 from numba.core import cgutils
 from numba.extending import intrinsic
 
-from mmwave_env.arithmetic import polynomial, where
-from mmwave_env.estimator.hidden import Hidden, HiddenTruth
+from mmwave_env.numerics.numbers import polynomial, where
+from mmwave_env.numerics.tracer import Hidden, HiddenTruth
 
 WIDTH = 8
 _VECTOR = ir.VectorType(ir.DoubleType(), WIDTH)

@@ -21,9 +21,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
-from mmwave_env.arithmetic import Matrix, Number, Vector
-from mmwave_env.estimator.algebra import cholesky, dot
 from mmwave_env.measurement import STATE_SIZE, Group, Measurement, groups_of
+from mmwave_env.numerics.linalg import cholesky, dot
+from mmwave_env.numerics.numbers import Matrix, Number, Vector
 
 
 @dataclass(frozen=True)

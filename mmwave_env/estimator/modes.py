@@ -11,9 +11,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from mmwave_env.arithmetic import Number
 from mmwave_env.estimator.update import Algorithm, ckf, ekf, ukf
 from mmwave_env.names import choose
+from mmwave_env.numerics.numbers import Number
 
 ALGORITHMS: dict[str, Algorithm] = {"ekf": ekf, "ukf": ukf, "ckf": ckf}
 EXTENDED = "extended"  # name of the shipped bank of modes

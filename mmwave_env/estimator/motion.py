@@ -2,9 +2,9 @@
 
 from typing import NamedTuple
 
-from mmwave_env.arithmetic import Matrix, Number, Vector
-from mmwave_env.estimator.algebra import symmetric
 from mmwave_env.measurement import STATE_SIZE
+from mmwave_env.numerics.linalg import symmetric
+from mmwave_env.numerics.numbers import Matrix, Number, Vector
 
 
 class ProcessNoise(NamedTuple):

@@ -12,8 +12,6 @@ from typing import NamedTuple
 
 from scipy.special import chdtri
 
-from mmwave_env.arithmetic import Matrix, Number, Vector, clip, maximum, sqrt, where
-from mmwave_env.estimator.algebra import dot, pack, unpack
 from mmwave_env.estimator.modes import Mode, Tuning
 from mmwave_env.estimator.motion import (
     ProcessNoise,
@@ -24,6 +22,8 @@ from mmwave_env.estimator.motion import (
 from mmwave_env.estimator.rehearsal import rehearse
 from mmwave_env.estimator.update import Algorithm, Gate, Posterior, passes
 from mmwave_env.measurement import Layout, Measurement
+from mmwave_env.numerics.linalg import dot, pack, unpack
+from mmwave_env.numerics.numbers import Matrix, Number, Vector, clip, maximum, sqrt, where
 
 WINDOW = 10  # epochs of the adaptive scaling's window
 GAMMA_LIMITS = (0.5, 2.0)  # paper, Sec. III-E

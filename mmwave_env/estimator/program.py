@@ -28,7 +28,7 @@ from mmwave_env.estimator.tiles import (
     scatter,
     scatter_single,
 )
-from mmwave_env.estimator.trees import Tree, leaves, rebuild
+from mmwave_env.numerics.pytree import Tree, leaves, rebuild
 from mmwave_env.sparing import Sparing
 
 Workspace = TypeVar("Workspace", bound=tuple[Any, ...])

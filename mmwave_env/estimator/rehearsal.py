@@ -12,19 +12,18 @@ from collections.abc import Iterator
 from functools import lru_cache
 from typing import Any, NamedTuple
 
-from mmwave_env.arithmetic import Number
 from mmwave_env.estimator.advice import Line, begin_of, instead, line_of
-from mmwave_env.estimator.algebra import unpack
-from mmwave_env.estimator.hidden import Hidden, NoValue, reason
 from mmwave_env.estimator.modes import ALGORITHMS, Mode
-from mmwave_env.estimator.probe import Probe, value_of
-from mmwave_env.estimator.trees import leaves, rebuild
 from mmwave_env.estimator.update import Gate, Posterior
 from mmwave_env.measurement import STATE_SIZE, Layout, Measurement, exact_rows
+from mmwave_env.numerics.linalg import unpack
+from mmwave_env.numerics.numbers import Number
+from mmwave_env.numerics.pytree import leaves, rebuild
+from mmwave_env.numerics.tracer import Hidden, NoValue, Probe, reason, value_of
 
 _LANES_KNOW = (
     "a number on lanes knows +, -, *, /, <, <=, >, >=, abs and the functions of "
-    "mmwave_env.arithmetic"
+    "mmwave_env.numerics.numbers"
 )
 
 
@@ -203,7 +202,7 @@ def _require_sound(mode: Mode, trial: _Trial, result: Posterior) -> None:
                 raise _wrong_return(
                     mode,
                     f"P[{i}][{j}]: {P[i][j]:g}, but P[{j}][{i}]: {P[j][i]:g}, expected a "
-                    "symmetric matrix (mmwave_env.estimator.algebra.symmetric makes one)",
+                    "symmetric matrix (mmwave_env.numerics.linalg.symmetric makes one)",
                 )
     for g, visible in enumerate(trial.visible):
         if not visible and (result.nis[g] or result.accepted[g]):

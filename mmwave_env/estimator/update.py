@@ -5,8 +5,6 @@ from typing import NamedTuple
 
 from scipy.special import chdtri
 
-from mmwave_env.arithmetic import Matrix, Number, Vector, log, maximum, where
-from mmwave_env.estimator.algebra import cholesky, dot, forward, symmetric
 from mmwave_env.estimator.linearise import (
     Latents,
     Linearisation,
@@ -16,6 +14,8 @@ from mmwave_env.estimator.linearise import (
     linearise,
 )
 from mmwave_env.measurement import STATE_SIZE, Group, Measurement
+from mmwave_env.numerics.linalg import cholesky, dot, forward, symmetric
+from mmwave_env.numerics.numbers import Matrix, Number, Vector, log, maximum, where
 
 _GROUPS_PER_LOG = 8  # determinants multiplied before their log is taken: few enough for doubles
 ROBUST_ONSET = 1.5  # a group's NIS over its dimension from which a robust update doubts it

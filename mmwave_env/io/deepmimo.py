@@ -20,7 +20,6 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from mmwave_env.arithmetic import PI, wrap
 from mmwave_env.io.deepmimo_files import (
     LINE_OF_SIGHT,
     REFLECTION,
@@ -29,6 +28,7 @@ from mmwave_env.io.deepmimo_files import (
     read_scenario,
 )
 from mmwave_env.measurement import LINK, SPEED_OF_LIGHT, Layout, direction, range_rate
+from mmwave_env.numerics.numbers import PI, wrap
 from mmwave_env.recording import Recording
 
 Array = NDArray[np.float64]

@@ -21,7 +21,9 @@ from hypothesis.extra import numpy as hnp
 from llvmlite import ir
 
 import mmwave_env
-from mmwave_env.arithmetic import (
+from mmwave_env.estimator.lanes import WIDTH, Lanes, Mask, kernel
+from mmwave_env.estimator.program import Program
+from mmwave_env.numerics.numbers import (
     atan2,
     clip,
     cos_sin,
@@ -33,10 +35,7 @@ from mmwave_env.arithmetic import (
     where,
     wrap,
 )
-from mmwave_env.estimator.hidden import NoValue
-from mmwave_env.estimator.lanes import WIDTH, Lanes, Mask, kernel
-from mmwave_env.estimator.probe import Probe, ProbeTruth
-from mmwave_env.estimator.program import Program
+from mmwave_env.numerics.tracer import NoValue, Probe, ProbeTruth
 from tests.estimator.tracks import assert_same_beliefs, pipeline_of, simulated, track
 
 
@@ -234,7 +233,7 @@ def lanes():
     return Lanes(ir.IRBuilder(function.append_basic_block()), function.args[0])
 
 
-BRANCH, ELEMENTARY = r"where\(condition, a, b\)", "functions of mmwave_env.arithmetic"
+BRANCH, ELEMENTARY = r"where\(condition, a, b\)", "functions of mmwave_env.numerics.numbers"
 NEEDS_VALUES = {
     "if": (lambda a: 1 if a > 0.0 else 2, BRANCH),
     "truth": (lambda a: not a, BRANCH),
@@ -243,9 +242,9 @@ NEEDS_VALUES = {
     "max": (lambda a: max(a, 0.0), BRANCH),
     "float": (float, ELEMENTARY),
     "math": (math.sqrt, ELEMENTARY),
-    "numpy function": (np.sqrt, "lists, mmwave_env.arithmetic"),
-    "numpy array": (lambda a: np.array([a]), "lists, mmwave_env.arithmetic"),
-    "numpy scalar": (lambda a: np.float64(2.0) * a, "lists, mmwave_env.arithmetic"),
+    "numpy function": (np.sqrt, "lists, mmwave_env.numerics.numbers"),
+    "numpy array": (lambda a: np.array([a]), "lists, mmwave_env.numerics.numbers"),
+    "numpy scalar": (lambda a: np.float64(2.0) * a, "lists, mmwave_env.numerics.numbers"),
     "square": (lambda a: a**2, r"a \* a"),
     "condition times number": (lambda a: (a > 0.0) * a, r"where\(condition, 1.0, 0.0\)"),
     "number as condition": (lambda a: where(a, 1.0, 0.0), r"where\(a > 0.5"),

@@ -25,7 +25,7 @@ from tests.estimator.tracks import STREET, simulated
 BEFORE = """import math
 from math import sqrt
 import numpy as np
-from mmwave_env.arithmetic import where
+from mmwave_env.numerics.numbers import where
 from mmwave_env.estimator.update import ekf
 TABLE = [1.0, 2.0]
 def mine(x, P, measurement, gate):
@@ -34,8 +34,8 @@ def mine(x, P, measurement, gate):
 AFTER = "\n    return ekf(x, P, measurement, gate)\n"
 LINE = BEFORE.count("\n") + 1
 WHERE = "write where(condition, a, b)"
-MAXIMUM = "instead of max write mmwave_env.arithmetic.maximum(a, b)"
-ROOT = "write mmwave_env.arithmetic.sqrt"
+MAXIMUM = "instead of max write mmwave_env.numerics.numbers.maximum(a, b)"
+ROOT = "write mmwave_env.numerics.numbers.sqrt"
 REFUSED = {
     "if a > 0.0: b = a": ("a branch", f"instead of if {WHERE}"),
     "c = a if a > b else b": ("a branch", f"instead of if {WHERE}"),
@@ -50,7 +50,7 @@ REFUSED = {
         "instead of a < b < c write (a < b) & (b < c)",
     ),
     "c = max(a, b)": ("a branch", MAXIMUM),
-    "c = min(x)": ("a branch", "instead of min write mmwave_env.arithmetic.minimum(a, b)"),
+    "c = min(x)": ("a branch", "instead of min write mmwave_env.numerics.numbers.minimum(a, b)"),
     "c = sorted(x)": ("a branch", "instead of sorted write minimum(a, b) and maximum(a, b)"),
     "x.sort()": ("a branch", "instead of x.sort write minimum(a, b)"),
     "c = any(v > 0.0 for v in x)": ("a branch", "instead of any write conditions joined by |"),
@@ -59,7 +59,7 @@ REFUSED = {
     "c = math.sqrt(b)": ("a float", f"instead of math.sqrt {ROOT}"),
     "c = sqrt(b)": ("a float", f"instead of sqrt {ROOT}"),
     "c = math.hypot(a, b)": ("a float", "instead of math.hypot write sqrt(a * a + b * b)"),
-    "c = math.sin(a)": ("a float", "write the functions of mmwave_env.arithmetic"),
+    "c = math.sin(a)": ("a float", "write the functions of mmwave_env.numerics.numbers"),
     "c = float(a)": ("a float", "instead of float write the number itself"),
     "c = int(a)": ("an integer", "instead of int write the number, unrounded"),
     "c = round(a)": ("an integer", "instead of round write the number, unrounded"),
@@ -67,10 +67,13 @@ REFUSED = {
     "c = TABLE[a]": ("an integer", "instead of [] write where(condition, a[0], a[1])"),
     "c = [0.0 for _ in range(a)]": ("an integer", "instead of range write range(n) of a constant"),
     "c = np.sqrt(b)": ("numpy", f"instead of np.sqrt {ROOT}"),
-    "c = np.arctan2(a, b)": ("numpy", "instead of np.arctan2 write mmwave_env.arithmetic.atan2"),
+    "c = np.arctan2(a, b)": (
+        "numpy",
+        "instead of np.arctan2 write mmwave_env.numerics.numbers.atan2",
+    ),
     "c = np.array([a, b])": ("numpy", "instead of np.array write a list of numbers"),
     "c = np.linalg.inv(P)": ("numpy", "instead of np.linalg.inv write cholesky, forward, backward"),
-    "c = np.eye(7) * a": ("numpy", "write lists, mmwave_env.arithmetic and"),
+    "c = np.eye(7) * a": ("numpy", "write lists, mmwave_env.numerics.numbers and"),
     "c = np.float64(2.0) * a": ("numpy", "instead of np.float64 write a plain float"),
     "c = a == b": ("a comparison by == or !=", "write where(abs(a - b) < tolerance, ...)"),
     "c = a != 0.0": ("a comparison by == or !=", "write where(abs(a - b) < tolerance, ...)"),

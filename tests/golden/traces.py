@@ -24,10 +24,10 @@ from mmwave_env.episode import Episode
 from mmwave_env.estimator.imm import begin
 from mmwave_env.estimator.modes import default_modes, named_modes
 from mmwave_env.estimator.pipeline import Pipeline
-from mmwave_env.estimator.trees import rebuild
 from mmwave_env.imm_engine import ImmEngine
 from mmwave_env.io.measurement_log import read_log
 from mmwave_env.localizer import SMOOTHING_WINDOW, TrackBlock, localize
+from mmwave_env.numerics.pytree import rebuild
 from mmwave_env.prior import prior_from_fix
 from mmwave_env.radio import radio_from
 from mmwave_env.reward import TrackingReward

@@ -1,10 +1,16 @@
 """Numbers that take part in arithmetic and hide their value.
 
 A function that runs on them can run on lanes: it never asks which of eight environments it
-is in. What would need the value is refused, with a word on what to write instead.
+is in. What would need the value is refused, with a word on what to write instead. Two kinds
+of numbers are made this way: lanes, which are compiled, and floats that hide their value as
+lanes do, to try a function before it is compiled.
 """
 
+import operator
+from collections.abc import Callable
 from typing import Any, NoReturn
+
+from mmwave_env.numerics import numbers
 
 
 class NoValue(TypeError):
@@ -21,9 +27,12 @@ class NoValue(TypeError):
 
 REFUSALS = {  # what was asked for: what that is, and what to write instead
     "truth": ("a branch", "where(condition, a, b)"),
-    "value": ("a float", "the functions of mmwave_env.arithmetic, without float(...) and math"),
+    "value": (
+        "a float",
+        "the functions of mmwave_env.numerics.numbers, without float(...) and math",
+    ),
     "integer": ("an integer", "a constant that is known before the function runs"),
-    "numpy": ("numpy", "lists, mmwave_env.arithmetic and mmwave_env.estimator.algebra"),
+    "numpy": ("numpy", "lists, mmwave_env.numerics.numbers and mmwave_env.numerics.linalg"),
     "equality": ("a comparison by == or !=", "where(abs(a - b) < tolerance, ...)"),
     "power": ("a power", "a * a for a ** 2, sqrt(a) for a ** 0.5, exp(p * log(a)) for a ** p"),
     "remainder": ("a remainder", "wrap(a) for angles, where(a > b, a - b, a) for one period"),
@@ -143,3 +152,81 @@ def _combined(op: str, a: Any, b: Any) -> Any:
     if settled is not None:
         return settled
     return (a if isinstance(a, Hidden) else b).combine(op, a, b)
+
+
+_OPERATORS: dict[str, Callable[[Any, Any], Any]] = {
+    "add": operator.add, "sub": operator.sub, "mul": operator.mul, "div": operator.truediv,
+    "<": operator.lt, "<=": operator.le, ">": operator.gt, ">=": operator.ge,
+}  # fmt: skip
+
+
+class ProbeTruth(HiddenTruth):
+    """A condition on probes."""
+
+    __slots__ = ("hidden",)
+
+    def __init__(self, hidden: bool) -> None:
+        self.hidden = hidden
+
+    def __and__(self, other: "ProbeTruth") -> "ProbeTruth":
+        return ProbeTruth(self.hidden & other.hidden)
+
+    def __or__(self, other: "ProbeTruth") -> "ProbeTruth":
+        return ProbeTruth(self.hidden | other.hidden)
+
+    def select(self, a: Any, b: Any) -> "Probe":
+        """``a`` where the condition holds, else ``b``."""
+        return Probe(numbers.where(self.hidden, value_of(a), value_of(b)))
+
+
+class Probe(Hidden):
+    """A float that hides its value and does with it what lanes do with theirs."""
+
+    __slots__ = ("hidden",)
+
+    def __init__(self, hidden: float) -> None:
+        self.hidden = hidden
+
+    def combine(self, op: str, a: Any, b: Any) -> "Probe":
+        """``a op b``."""
+        return Probe(_OPERATORS[op](value_of(a), value_of(b)))
+
+    def compare(self, op: str, other: Any) -> ProbeTruth:
+        """``self op other``."""
+        return ProbeTruth(_OPERATORS[op](self.hidden, value_of(other)))
+
+    def __neg__(self) -> "Probe":
+        return Probe(-self.hidden)
+
+    def __abs__(self) -> "Probe":
+        return Probe(abs(self.hidden))
+
+    def constant(self, value: float) -> "Probe":
+        """A value."""
+        return Probe(value)
+
+    def sqrt(self) -> "Probe":
+        """Square root."""
+        return Probe(numbers.sqrt(self.hidden))
+
+    def log(self) -> "Probe":
+        """Natural logarithm."""
+        return Probe(numbers.log(self.hidden))
+
+    def exp(self) -> "Probe":
+        """Exponential function."""
+        return Probe(numbers.exp(self.hidden))
+
+    def cos_sin(self) -> "tuple[Probe, Probe]":
+        """Cosine and sine."""
+        cosine, sine = numbers.cos_sin(self.hidden)
+        return Probe(cosine), Probe(sine)
+
+    def atan2(self, x: Any) -> "Probe":
+        """Angle of (x, self)."""
+        return Probe(numbers.atan2(self.hidden, value_of(x)))
+
+
+def value_of(a: Any) -> float:
+    """The value of a float or a probe."""
+    return a.hidden if isinstance(a, Probe) else float(a)

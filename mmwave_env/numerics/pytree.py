@@ -7,7 +7,7 @@ rows of a SIMD workspace hold its leaves in order.
 from collections.abc import Iterator
 from typing import Any, TypeVar
 
-from mmwave_env.arithmetic import Number, where
+from mmwave_env.numerics.numbers import Number, where
 
 Tree = TypeVar("Tree")
 

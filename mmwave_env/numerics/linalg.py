@@ -7,7 +7,7 @@ is known exactly, say): it costs nothing on lanes and never divides.
 
 from collections.abc import Callable, Sequence
 
-from mmwave_env.arithmetic import Matrix, Number, Vector, sqrt
+from mmwave_env.numerics.numbers import Matrix, Number, Vector, sqrt
 
 
 def dot(a: Vector, b: Vector) -> Number:
