@@ -8,10 +8,10 @@ from typing import Any, NamedTuple
 
 from experiments import train
 from experiments.cli import run
-from experiments.files import write_json
 from experiments.learning.recipe import read_recipe, shipped_recipe
 from mmwave_env.estimator.modes import as_written, default_modes
-from mmwave_env.names import choose
+from mmwave_env.files import write_json
+from mmwave_env.lookup import choose
 
 
 class Variant(NamedTuple):

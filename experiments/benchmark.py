@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from experiments.cli import run
-from experiments.files import require_writable, write_json, write_text
+from mmwave_env.files import require_writable, write_json, write_text
 
 # Nothing that loads numpy is imported up here: its linear algebra counts its threads once.
 _ONE_THREAD = ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "OMP_NUM_THREADS")

@@ -9,7 +9,7 @@ from typing import Any, NoReturn
 
 import tyro
 
-from experiments.files import require_writable
+from mmwave_env.files import require_writable
 
 COMMANDS = {
     "localize": "the track of a measurement log, by the paper's pipelines (Algorithm 1)",

@@ -4,8 +4,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from experiments.cli import run
-from experiments.files import require_writable
 from experiments.options import EpisodeArgs, report
+from mmwave_env.files import require_writable
 
 
 @dataclass

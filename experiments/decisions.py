@@ -15,9 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from experiments.evaluation import Contender, Told, step_s
-from experiments.files import beside
 from experiments.intervals import Array
 from mmwave_env.episode import Episode
+from mmwave_env.files import beside
 from mmwave_env.metrics import BURN_IN
 
 STILL_MPS, MOVING_MPS, FAST_MPS = 0.3, 0.5, 2.0

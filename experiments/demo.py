@@ -4,9 +4,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from experiments.cli import run
-from experiments.files import write_json, write_text
 from experiments.markdown import markdown
 from experiments.options import EpisodeArgs, report
+from mmwave_env.files import write_json, write_text
 from mmwave_env.io.samples import sample_names
 
 

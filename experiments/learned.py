@@ -13,13 +13,13 @@ from experiments import transfer
 from experiments.ablate import VARIANTS
 from experiments.cli import run
 from experiments.evaluation import contender_from, draw_episodes, score
-from experiments.files import require_writable, write_json, write_text
 from experiments.intervals import Array, Interval, crossed_bootstrap, mean
 from experiments.learning.curves import draw_curves
 from experiments.markdown import grid, show
 from experiments.options import EpisodeArgs, results
 from experiments.pages import page_to_renew, renewed
 from experiments.runs import Run, outcomes
+from mmwave_env.files import require_writable, write_json, write_text
 from policies import TUNED_IMMS
 
 RADIOS = ("handset", "standard")

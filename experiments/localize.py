@@ -12,7 +12,6 @@ import numpy as np
 from tyro.conf import Positional
 
 from experiments.cli import run
-from experiments.files import require_writable, write_json
 from experiments.markdown import show
 from experiments.terminal import ask_speed, parse_speed, progress
 from experiments.track_files import TOLERANCE_S, Truth, table_beside, track_files
@@ -20,6 +19,7 @@ from experiments.track_plot import TrackPicture
 from experiments.track_report import track_markdown
 from experiments.track_scores import Course, Groups, TruthScores
 from mmwave_env.estimator.modes import Mode, modes_from, robust
+from mmwave_env.files import require_writable, write_json
 from mmwave_env.io.log_tables import LogError
 from mmwave_env.io.measurement_log import LogBlock, read_log
 from mmwave_env.localizer import SMOOTHING_WINDOW, localize

@@ -5,8 +5,8 @@ from pathlib import Path
 
 from experiments.cli import run
 from experiments.evaluation import draw_episodes
-from experiments.files import beside, write_json, write_text
 from experiments.options import EpisodeArgs, command_line
+from mmwave_env.files import beside, write_json, write_text
 from mmwave_env.io.measurement_log import write_log
 from mmwave_env.io.tum import COLUMNS, tum_lines
 from mmwave_env.recording import RecordedSource

@@ -19,12 +19,12 @@ from numpy.typing import NDArray
 from experiments.cli import run
 from experiments.damage import damaged
 from experiments.evaluation import draw_episodes
-from experiments.files import write_json
 from experiments.terminal import progress
 from mmwave_env.engine import Engine
 from mmwave_env.episode import Episode
 from mmwave_env.estimator.modes import named_modes
 from mmwave_env.estimator.pipeline import Pipeline
+from mmwave_env.files import write_json
 from mmwave_env.measurement import Layout
 from mmwave_env.mobility import MOBILITIES
 from mmwave_env.numerics.linalg import cholesky, unpack

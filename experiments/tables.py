@@ -9,7 +9,6 @@ from pathlib import Path
 from rich.progress import track
 
 from experiments.cli import run
-from experiments.files import beside, require_writable, write_json, write_text
 from experiments.markdown import show
 from experiments.pages import page_to_renew, renewed
 from experiments.paper.accuracy import error_budget, headline
@@ -17,6 +16,7 @@ from experiments.paper.bench import Bench, Section
 from experiments.paper.claims import all_claims
 from experiments.paper.figure import draw
 from experiments.paper.printed import table_three, tables_one_and_two
+from mmwave_env.files import beside, require_writable, write_json, write_text
 
 SECTIONS = 19
 FIELDS = ("section", "row", "column", "mean", "low", "high")

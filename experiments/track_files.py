@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from experiments.files import beside
+from mmwave_env.files import beside
 from mmwave_env.io.tum import COLUMNS, Trajectory, tum_blocks, tum_lines
 from mmwave_env.localizer import TrackBlock
 

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from experiments.files import beside
+from mmwave_env.files import beside
 from mmwave_env.localizer import TrackBlock
 
 Array = NDArray[np.float64]

@@ -13,7 +13,6 @@ import numpy as np
 
 from experiments.comparison import rivals
 from experiments.evaluation import Scores
-from experiments.files import beside
 from experiments.intervals import (
     Array,
     Interval,
@@ -25,6 +24,7 @@ from experiments.intervals import (
 )
 from experiments.markdown import grid
 from experiments.runs import Run
+from mmwave_env.files import beside
 
 LEVELS = 81  # of a performance profile
 COLUMNS = 5  # of panels

@@ -8,11 +8,11 @@ import numpy as np
 
 from experiments.cli import run
 from experiments.evaluation import Contender, contender_from, draw_episodes, score
-from experiments.files import write_json
 from experiments.intervals import Interval, bootstrap
 from experiments.markdown import grid, show
 from experiments.runs import Run
 from mmwave_env.episode import EpisodeSource
+from mmwave_env.files import write_json
 from mmwave_env.io.samples import recording_from, sample_names
 from mmwave_env.radio import RADIOS, radio_from
 from mmwave_env.recording import RecordedSource

@@ -13,16 +13,16 @@ from scipy.special import chdtri
 
 from experiments.cli import run
 from experiments.evaluation import draw_episodes
-from experiments.files import require_writable, write_json
 from experiments.intervals import bootstrap
 from experiments.markdown import grid
 from experiments.options import TUNING_SEED, command_line, require_tuning_seed
 from mmwave_env.episode import Episode
 from mmwave_env.estimator.modes import Mode, as_written, modes_from
 from mmwave_env.estimator.pipeline import Pipeline
+from mmwave_env.files import require_writable, write_json
+from mmwave_env.lookup import choose
 from mmwave_env.measurement import Layout
 from mmwave_env.metrics import scored
-from mmwave_env.names import choose
 from mmwave_env.radio import radio_from
 from mmwave_env.scene import scene_from
 from mmwave_env.simulation import SimulatedSource

@@ -9,9 +9,9 @@ from rich.progress import track
 
 from experiments.cli import run
 from experiments.evaluation import contender_from, draw_episodes, score
-from experiments.files import write_json
 from experiments.intervals import bootstrap
 from experiments.options import TUNING_SEED, command_line, require_tuning_seed
+from mmwave_env.files import write_json
 from mmwave_env.radio import RADIOS, radio_from
 from mmwave_env.scene import scene_from
 from mmwave_env.simulation import SimulatedSource

@@ -16,8 +16,8 @@ from mmwave_env.episode import Episode, EpisodeSource
 from mmwave_env.estimator.modes import Mode, modes_from
 from mmwave_env.estimator.pipeline import Pipeline
 from mmwave_env.information import episode_info
+from mmwave_env.lookup import choose
 from mmwave_env.metrics import DIVERGENCE_M
-from mmwave_env.names import choose
 from mmwave_env.observation import Observation
 from mmwave_env.radio import Radio, radio_from
 from mmwave_env.rendering import FRAMES_PER_SECOND, Picture, blank_picture

@@ -11,8 +11,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from mmwave_env.lookup import choose
 from mmwave_env.measurement import SPEED_OF_LIGHT, Layout
-from mmwave_env.names import choose
 from mmwave_env.numerics.numbers import Number, Vector, clip, exp, sqrt
 from mmwave_env.scene import Scene
 

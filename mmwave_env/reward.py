@@ -10,7 +10,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from mmwave_env.estimator.belief import Belief
-from mmwave_env.names import choose
+from mmwave_env.lookup import choose
 from mmwave_env.numerics.numbers import Number, Vector, log, maximum, minimum
 
 Reward = Callable[[Belief, Vector], Number]

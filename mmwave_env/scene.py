@@ -13,8 +13,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from mmwave_env.lookup import choose
 from mmwave_env.measurement import SPEED_OF_LIGHT
-from mmwave_env.names import choose
 
 Point = tuple[float, float, float]
 

@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 from mmwave_env.engine import Engine
 from mmwave_env.generators import Generators
 from mmwave_env.information import Mask, episode_info, masked, stepped
+from mmwave_env.lookup import choose
 from mmwave_env.metrics import DIVERGENCE_M
-from mmwave_env.names import choose
 from mmwave_env.replay import Replay
 from mmwave_env.setting import setting_from
 from mmwave_env.simulation import SimulatedSource

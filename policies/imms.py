@@ -6,7 +6,7 @@ from importlib.resources import files
 from typing import Any, NamedTuple
 
 from mmwave_env.estimator.modes import Mode
-from mmwave_env.names import choose
+from mmwave_env.lookup import choose
 
 Transition = tuple[tuple[float, ...], ...]
 

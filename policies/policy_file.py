@@ -30,7 +30,7 @@ from safetensors import SafetensorError, safe_open
 from safetensors.numpy import save
 
 from mmwave_env.estimator.modes import Mode, as_written, modes_from, modes_in
-from mmwave_env.names import choose
+from mmwave_env.lookup import choose
 from mmwave_env.observation import OBSERVATIONS
 
 FORMAT = 1

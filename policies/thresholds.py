@@ -5,7 +5,7 @@ from functools import cache
 from importlib.resources import files
 from typing import Any
 
-from mmwave_env.names import choose
+from mmwave_env.lookup import choose
 
 
 @cache

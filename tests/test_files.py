@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from experiments.files import beside, require_writable, write_bytes, write_json, write_text
+from mmwave_env.files import beside, require_writable, write_bytes, write_json, write_text
 
 
 def names(folder):

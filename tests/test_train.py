@@ -17,7 +17,6 @@ pytest.importorskip("stable_baselines3")
 import torch
 
 from experiments.cli import run
-from experiments.files import write_json
 from experiments.learning import world as worlds
 from experiments.learning.checkpoint import read_checkpoint, with_arrays, write_checkpoint
 from experiments.learning.journal import Journal
@@ -27,6 +26,7 @@ from experiments.learning.world import TRUTH, PairedReward, Task, WithTruth, Wor
 from experiments.train import Args
 from mmwave_env.estimator.modes import default_modes
 from mmwave_env.estimator.pipeline import Pipeline
+from mmwave_env.files import write_json
 from mmwave_env.imm_engine import ImmEngine
 from mmwave_env.radio import RADIOS
 from mmwave_env.reward import TrackingReward

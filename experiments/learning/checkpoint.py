@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import torch
 
-from experiments.files import write_bytes
+from mmwave_env.files import write_bytes
 
 
 def write_checkpoint(path: Path, state: dict[str, Any]) -> None:

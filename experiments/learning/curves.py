@@ -4,7 +4,7 @@ import csv
 from collections.abc import Sequence
 from pathlib import Path
 
-from experiments.files import beside
+from mmwave_env.files import beside
 
 RIVALS = ("speed-rule", "imm")  # as in a journal
 COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7")  # told apart by colour-blind people, too

@@ -8,7 +8,7 @@ from typing import Any
 from stable_baselines3.common.logger import KVWriter
 from torch.utils.tensorboard import SummaryWriter
 
-from experiments.files import write_text
+from mmwave_env.files import write_text
 
 STEP = "timesteps"
 

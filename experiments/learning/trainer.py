@@ -13,7 +13,6 @@ from sb3_contrib.common.recurrent.type_aliases import RNNStates
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.logger import Logger
 
-from experiments.files import write_bytes, write_json
 from experiments.learning.checkpoint import read_checkpoint, with_arrays, write_checkpoint
 from experiments.learning.examiner import Examiner
 from experiments.learning.journal import Journal
@@ -21,6 +20,7 @@ from experiments.learning.network import actor_of, falling, learner
 from experiments.learning.recipe import Recipe
 from experiments.learning.world import Task, World
 from mmwave_env import __version__
+from mmwave_env.files import write_bytes, write_json
 from policies.policy_file import Card, to_bytes
 
 TRAINING_SEED = 10_000_000  # of the first training; each has a million of its own

@@ -4,10 +4,10 @@ from pathlib import Path
 from statistics import median
 from typing import Any
 
-from experiments.files import beside
 from experiments.speed.measured import Measured
 from experiments.speed.report import label, limited
 from experiments.speed.workloads import CARTPOLES, SYNC, SYNC_NAME, THREADS
+from mmwave_env.files import beside
 
 _COLOURS = ("#0072b2", "#d55e00")  # told apart by colour-blind people, too
 

@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from mmwave_env.estimator.update import Algorithm, ckf, ekf, ukf
-from mmwave_env.names import choose
+from mmwave_env.lookup import choose
 from mmwave_env.numerics.numbers import Number
 
 ALGORITHMS: dict[str, Algorithm] = {"ekf": ekf, "ukf": ukf, "ckf": ckf}
