@@ -13,11 +13,11 @@ import numpy as np
 from numpy.typing import NDArray
 from rich.progress import Progress
 
+from mmwave_env.compiler.program import rows_of
 from mmwave_env.engine import Engine
 from mmwave_env.episode import Episode, EpisodeSource
 from mmwave_env.estimator.modes import Mode, default_modes, named_modes
 from mmwave_env.estimator.pipeline import Pipeline
-from mmwave_env.estimator.program import rows_of
 from mmwave_env.imm_engine import ImmEngine
 from mmwave_env.measurement import Layout
 from mmwave_env.metrics import METRICS, summary

@@ -3,10 +3,10 @@
 import numpy as np
 from numba.extending import register_jitable
 
-from mmwave_env.estimator.lanes import WIDTH
-from mmwave_env.estimator.program import advance
-from mmwave_env.generators import Dice, leave, take
-from mmwave_env.sparing import Sparing
+from mmwave_env.compiler.lanes import WIDTH
+from mmwave_env.compiler.lazy_jit import Sparing
+from mmwave_env.compiler.program import advance
+from mmwave_env.compiler.rng import Dice, leave, take
 from mmwave_env.travel import travel
 
 PLAIN_EPOCHS = 20_000  # before compiling, which takes as long as 75 000 of them

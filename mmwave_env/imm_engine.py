@@ -13,6 +13,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.special import chdtri
 
+from mmwave_env.compiler.lanes import WIDTH
+from mmwave_env.compiler.program import Array, Index, Program, Tracks, Traffic, rows_of
 from mmwave_env.episode import Episode, Packed
 from mmwave_env.estimator.batch import Batch, Incoming, blank_incoming, blank_site
 from mmwave_env.estimator.belief import Belief
@@ -24,10 +26,8 @@ from mmwave_env.estimator.imm import (
     restart,
     stay_matrix,
 )
-from mmwave_env.estimator.lanes import WIDTH
 from mmwave_env.estimator.modes import Tuning
 from mmwave_env.estimator.pipeline import Pipeline, Site
-from mmwave_env.estimator.program import Array, Index, Program, Tracks, Traffic, rows_of
 from mmwave_env.numerics.linalg import pack
 from mmwave_env.numerics.numbers import Number
 from mmwave_env.numerics.pytree import leaves

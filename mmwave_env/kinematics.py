@@ -12,8 +12,8 @@ import numba
 import numpy as np
 from numba import types
 
-from mmwave_env.estimator.lanes import WIDTH
-from mmwave_env.estimator.program import c_function, tree_kernel
+from mmwave_env.compiler.lanes import WIDTH
+from mmwave_env.compiler.program import c_function, tree_kernel
 from mmwave_env.numerics.numbers import Number, clip, cos_sin, maximum, minimum, sqrt, where
 
 STANDING_MPS = 0.1  # slow enough to change over to another phase

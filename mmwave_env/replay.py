@@ -12,16 +12,16 @@ import numpy as np
 from numba.extending import register_jitable
 from numpy.typing import NDArray
 
+from mmwave_env.compiler.lanes import WIDTH
+from mmwave_env.compiler.lazy_jit import Sparing
+from mmwave_env.compiler.program import Array, Index, Program, call, rows_of
+from mmwave_env.compiler.transpose import address, gather, pick
 from mmwave_env.estimator.batch import Batch
-from mmwave_env.estimator.lanes import WIDTH
 from mmwave_env.estimator.pipeline import Pipeline
-from mmwave_env.estimator.program import Array, Index, Program, call, rows_of
 from mmwave_env.estimator.smoother import rts_mean
-from mmwave_env.estimator.tiles import address, gather, pick
 from mmwave_env.numerics.linalg import cholesky, unpack
 from mmwave_env.numerics.numbers import Number
 from mmwave_env.numerics.pytree import leaves, select
-from mmwave_env.sparing import Sparing
 from mmwave_env.tracker import Track, program_of
 
 Actions = NDArray[np.integer[Any]]

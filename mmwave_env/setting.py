@@ -8,10 +8,10 @@ from typing import cast
 import numpy as np
 from numpy.typing import NDArray
 
+from mmwave_env.compiler.rng import Generators
 from mmwave_env.episode import Episode, EpisodeSource, Packed
 from mmwave_env.estimator.modes import Mode, modes_from
 from mmwave_env.estimator.pipeline import Pipeline
-from mmwave_env.generators import Generators
 from mmwave_env.io.samples import recording_from
 from mmwave_env.radio import Radio, radio_from
 from mmwave_env.recording import RecordedSource

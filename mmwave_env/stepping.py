@@ -10,14 +10,14 @@ import numpy as np
 from numba.extending import register_jitable
 from numpy.typing import NDArray
 
+from mmwave_env.compiler.lanes import WIDTH
+from mmwave_env.compiler.lazy_jit import Sparing
+from mmwave_env.compiler.program import PLAIN_EPOCHS, advance, rows_of
+from mmwave_env.compiler.threads import share
 from mmwave_env.engine import Engine
-from mmwave_env.estimator.lanes import WIDTH
-from mmwave_env.estimator.program import PLAIN_EPOCHS, advance, rows_of
 from mmwave_env.history import History
 from mmwave_env.information import STATE_KEYS, STEP_KEYS, mask_keys
 from mmwave_env.numerics.pytree import leaves
-from mmwave_env.sparing import Sparing
-from mmwave_env.threads import share
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]

@@ -13,6 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from mmwave_env.compiler.program import Program, rows_of
 from mmwave_env.episode import Episode
 from mmwave_env.estimator.batch import Batch, Incoming, blank_incoming, blank_site
 from mmwave_env.estimator.belief import Belief
@@ -28,7 +29,6 @@ from mmwave_env.estimator.pipeline import (
     consider,
     start,
 )
-from mmwave_env.estimator.program import Program, rows_of
 from mmwave_env.numerics.linalg import unpack
 from mmwave_env.numerics.numbers import Number, Vector
 from mmwave_env.numerics.pytree import leaves, select

@@ -14,8 +14,8 @@ import numpy as np
 from numba.extending import register_jitable
 from numpy.typing import NDArray
 
-from mmwave_env.estimator.lanes import WIDTH
-from mmwave_env.generators import leave, take
+from mmwave_env.compiler.lanes import WIDTH
+from mmwave_env.compiler.rng import leave, take
 from mmwave_env.kinematics import AT, STANDING_MPS
 
 FINEST_STEP_S = 0.1

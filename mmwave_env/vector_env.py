@@ -13,8 +13,9 @@ from gymnasium.vector import AutoresetMode
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
+from mmwave_env.compiler.rng import Generators
+from mmwave_env.compiler.threads import portions, share
 from mmwave_env.engine import Engine
-from mmwave_env.generators import Generators
 from mmwave_env.information import Mask, episode_info, masked, stepped
 from mmwave_env.lookup import choose
 from mmwave_env.metrics import DIVERGENCE_M
@@ -22,7 +23,6 @@ from mmwave_env.replay import Replay
 from mmwave_env.setting import setting_from
 from mmwave_env.simulation import SimulatedSource
 from mmwave_env.stepping import Stepper
-from mmwave_env.threads import portions, share
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]

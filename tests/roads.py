@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from mmwave_env.generators import single
+from mmwave_env.compiler.rng import single
 from mmwave_env.kinematics import motion
 from mmwave_env.travel import stride_of, travel
 

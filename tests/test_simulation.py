@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from mmwave_env import simulation
+from mmwave_env.compiler.rng import Generators
 from mmwave_env.episode import Episode, Packed
-from mmwave_env.generators import Generators
 from mmwave_env.mobility import mobilities_of, plan_of
 from mmwave_env.radio import RADIOS
 from mmwave_env.scene import SCENES

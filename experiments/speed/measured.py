@@ -21,8 +21,8 @@ from experiments.speed.workloads import (
     native_name,
     pipeline,
 )
+from mmwave_env.compiler.lanes import WIDTH
 from mmwave_env.engine import Engine
-from mmwave_env.estimator.lanes import WIDTH
 from mmwave_env.estimator.pipeline import Pipeline
 from mmwave_env.reward import TrackingReward
 from mmwave_env.tracker import Tracker

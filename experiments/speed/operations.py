@@ -1,6 +1,6 @@
 """How many operations a function of numbers takes, counted by running it.
 
-:class:`~mmwave_env.estimator.lanes.Lanes` emit their instructions through a builder. Given one
+:class:`~mmwave_env.compiler.lanes.Lanes` emit their instructions through a builder. Given one
 that writes them down instead, any function of numbers counts itself: no compiler, no guess.
 """
 
@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 
 from llvmlite import ir
 
-from mmwave_env.estimator.lanes import Lanes
+from mmwave_env.compiler.lanes import Lanes
 from mmwave_env.numerics.pytree import leaves, rebuild
 
 _KINDS = {
@@ -94,7 +94,7 @@ def count(function: Callable[[Any], Any], template: Any) -> Operations:
     """What a function from a tree of numbers to a tree of the same shape costs on lanes.
 
     Results that nobody uses and numbers handed through cost nothing, as in a
-    :class:`~mmwave_env.estimator.program.Program`.
+    :class:`~mmwave_env.compiler.program.Program`.
     """
     recorder = _Recorder()
     before = [Lanes(recorder, recorder.load(row)) for row in range(len(leaves(template)))]

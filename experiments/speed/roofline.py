@@ -16,7 +16,7 @@ import numba
 import numpy as np
 
 from experiments.speed.operations import Operations
-from mmwave_env.estimator.lanes import WIDTH, kernel
+from mmwave_env.compiler.lanes import WIDTH, kernel
 from mmwave_env.numerics.numbers import sqrt, where
 
 CHAINS = (8, 16, 24)  # which is fastest depends on registers and latencies

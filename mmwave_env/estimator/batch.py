@@ -12,10 +12,8 @@ from typing import Any, Generic, NamedTuple
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
-from mmwave_env.episode import Episode, Packed
-from mmwave_env.estimator.lanes import WIDTH
-from mmwave_env.estimator.pipeline import Epoch, Site
-from mmwave_env.estimator.program import (
+from mmwave_env.compiler.lanes import WIDTH
+from mmwave_env.compiler.program import (
     NO_ROWS,
     Array,
     Index,
@@ -24,10 +22,12 @@ from mmwave_env.estimator.program import (
     Traffic,
     Workspace,
 )
+from mmwave_env.compiler.threads import share
+from mmwave_env.episode import Episode, Packed
+from mmwave_env.estimator.pipeline import Epoch, Site
 from mmwave_env.measurement import STATE_SIZE, Layout
 from mmwave_env.numerics.numbers import Number, where
 from mmwave_env.numerics.pytree import leaves
-from mmwave_env.threads import share
 
 BLOCKS_PER_THREAD = 128  # waking a thread costs as much as 64 of them
 

@@ -2,7 +2,7 @@
 
 The mathematics of this package is written once, as plain functions of numbers. On floats
 it is the reference that tests call; on arrays it checks the paths of recordings and scores whole
-tracks; on :class:`~mmwave_env.estimator.lanes.Lanes` it becomes one SIMD kernel. Python's own
+tracks; on :class:`~mmwave_env.compiler.lanes.Lanes` it becomes one SIMD kernel. Python's own
 operators serve all three; this module holds the few functions that need to look.
 
 Functions of numbers follow three rules: no branch on a value (use :func:`where`), lists

@@ -15,7 +15,7 @@ from numba import types
 from numba.extending import intrinsic, overload, register_jitable
 from numpy.typing import NDArray
 
-from mmwave_env.estimator.lanes import WIDTH
+from mmwave_env.compiler.lanes import WIDTH
 
 LINE = 64  # bytes of the caches of most machines; others fetch some lines twice
 

@@ -2,8 +2,8 @@
 
 import pytest
 
-from mmwave_env import disk_cache
-from mmwave_env.sparing import Sparing
+from mmwave_env.compiler import disk_cache
+from mmwave_env.compiler.lazy_jit import Sparing
 
 
 def function(x):

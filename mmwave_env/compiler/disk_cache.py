@@ -34,7 +34,7 @@ from numba.core.registry import cpu_target
 from numba.core.serialize import dumps
 from numba.misc.appdirs import user_cache_dir
 
-_PACKAGE = Path(__file__).parent
+_PACKAGE = Path(__file__).parents[1]  # with all rooms: whatever is edited makes a new version
 _KEPT = 8  # versions of the sources whose compiled functions stay
 _CHECKSUM = sha256().digest_size  # bytes at the beginning of each file
 

@@ -19,8 +19,9 @@ from numba.core.compiler_lock import global_compiler_lock
 from numba.extending import intrinsic, overload, register_jitable
 from numpy.typing import NDArray
 
-from mmwave_env.estimator.lanes import WIDTH, kernel
-from mmwave_env.estimator.tiles import (
+from mmwave_env.compiler.lanes import WIDTH, kernel
+from mmwave_env.compiler.lazy_jit import Sparing
+from mmwave_env.compiler.transpose import (
     LINE,
     address,
     gather,
@@ -29,7 +30,6 @@ from mmwave_env.estimator.tiles import (
     scatter_single,
 )
 from mmwave_env.numerics.pytree import Tree, leaves, rebuild
-from mmwave_env.sparing import Sparing
 
 Workspace = TypeVar("Workspace", bound=tuple[Any, ...])
 Array = NDArray[np.float64]

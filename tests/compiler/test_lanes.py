@@ -21,8 +21,8 @@ from hypothesis.extra import numpy as hnp
 from llvmlite import ir
 
 import mmwave_env
-from mmwave_env.estimator.lanes import WIDTH, Lanes, Mask, kernel
-from mmwave_env.estimator.program import Program
+from mmwave_env.compiler.lanes import WIDTH, Lanes, Mask, kernel
+from mmwave_env.compiler.program import Program
 from mmwave_env.numerics.numbers import (
     atan2,
     clip,

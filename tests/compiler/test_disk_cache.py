@@ -14,7 +14,7 @@ SOURCES = {
     "__init__.py": "",
     "caller.py": (
         "from mmwave_env.callee import twice\n"
-        "from mmwave_env.disk_cache import compiled\n"
+        "from mmwave_env.compiler.disk_cache import compiled\n"
         "@compiled\n"
         "def function(x):\n"
         "    return twice(x) + 1\n"
@@ -31,10 +31,11 @@ print(function(20), sum(function.stats.cache_hits.values()))
 def package(tmp_path):
     """A small package with our cache, as installed somewhere."""
     folder = tmp_path / "site" / "mmwave_env"
-    folder.mkdir(parents=True)
+    room = folder / "compiler"
+    room.mkdir(parents=True)
     for name, source in SOURCES.items():
         (folder / name).write_text(source)
-    shutil.copy(Path(mmwave_env.__file__).parent / "disk_cache.py", folder)
+    shutil.copy(Path(mmwave_env.__file__).parent / "compiler" / "disk_cache.py", room)
     return folder
 
 

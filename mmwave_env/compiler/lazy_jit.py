@@ -6,7 +6,7 @@ A process that steps one environment a few hundred times would spend most of its
 from collections.abc import Callable
 from typing import Any
 
-from mmwave_env.disk_cache import compiled, is_compiled
+from mmwave_env.compiler.disk_cache import compiled, is_compiled
 
 
 class Sparing:

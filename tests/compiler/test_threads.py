@@ -15,10 +15,10 @@ import numpy as np
 import pytest
 
 import mmwave_env
+from mmwave_env.compiler.threads import share
 from mmwave_env.radio import RADIOS
 from mmwave_env.scene import SCENES
 from mmwave_env.simulation import SimulatedSource
-from mmwave_env.threads import share
 
 
 @pytest.mark.parametrize("threads", [1, 2, 3, 50])
@@ -120,7 +120,7 @@ import gymnasium as gym
 import numpy as np
 import mmwave_env.estimator.batch as batch
 import mmwave_env.stepping as stepping
-from mmwave_env.threads import share
+from mmwave_env.compiler.threads import share
 
 batch.BLOCKS_PER_THREAD = 1
 

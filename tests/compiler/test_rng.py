@@ -5,8 +5,8 @@ import numpy as np
 import pytest
 from gymnasium.utils import seeding
 
-from mmwave_env import generators
-from mmwave_env.generators import Generators, dice_of, leave, single, take
+from mmwave_env.compiler import rng as generators
+from mmwave_env.compiler.rng import Generators, dice_of, leave, single, take
 
 
 def draws(generator):

@@ -6,8 +6,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mmwave_env.estimator import tiles
-from mmwave_env.estimator.lanes import WIDTH
+from mmwave_env.compiler import transpose as tiles
+from mmwave_env.compiler.lanes import WIDTH
 
 SIZE = 50
 COUNTS = st.integers(0, SIZE)

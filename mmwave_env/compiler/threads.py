@@ -6,7 +6,7 @@ from concurrent.futures import ThreadPoolExecutor
 from functools import lru_cache
 from typing import Any, TypeVar
 
-from mmwave_env.estimator.lanes import WIDTH
+from mmwave_env.compiler.lanes import WIDTH
 
 Result = TypeVar("Result")
 
