@@ -22,7 +22,7 @@ from mmwave_env.estimator.bound import (
     position_variance,
 )
 from mmwave_env.metrics import scored
-from mmwave_env.radio import Radio
+from mmwave_env.models.radio import Radio
 
 
 @dataclass(frozen=True)

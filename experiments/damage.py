@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mmwave_env.episode import Episode
-from mmwave_env.measurement import Layout, wrap_angles
+from mmwave_env.models.measurement import Layout, wrap_angles
 
 Mask = NDArray[np.bool_]
 

@@ -19,8 +19,8 @@ from mmwave_env.episode import Episode, EpisodeSource
 from mmwave_env.estimator.modes import Mode, default_modes, named_modes
 from mmwave_env.estimator.pipeline import Pipeline
 from mmwave_env.imm_engine import ImmEngine
-from mmwave_env.measurement import Layout
 from mmwave_env.metrics import METRICS, summary
+from mmwave_env.models.measurement import Layout
 from mmwave_env.observation import Observation
 from mmwave_env.reward import Reward, TrackingReward
 from policies import (

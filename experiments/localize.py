@@ -23,8 +23,8 @@ from mmwave_env.files import require_writable, write_json
 from mmwave_env.io.log_tables import LogError
 from mmwave_env.io.measurement_log import LogBlock, read_log
 from mmwave_env.localizer import SMOOTHING_WINDOW, localize
-from mmwave_env.radio import radio_from
-from mmwave_env.scene import Scene, scene_from
+from mmwave_env.models.radio import radio_from
+from mmwave_env.models.scene import Scene, scene_from
 from mmwave_env.tracker import Rule
 from policies.scripted import (
     DESIGN_LIMIT_MPS,

@@ -24,9 +24,9 @@ from mmwave_env.episode import EpisodeSource
 from mmwave_env.estimator.modes import Mode, modes_from
 from mmwave_env.files import write_json
 from mmwave_env.io.samples import recording_from
-from mmwave_env.radio import radio_from
+from mmwave_env.models.radio import radio_from
+from mmwave_env.models.scene import scene_from
 from mmwave_env.recording import RecordedSource
-from mmwave_env.scene import scene_from
 from mmwave_env.simulation import SimulatedSource
 
 TUNING_SEED = 5_000_000  # test seeds start at 0, training seeds at 10 000 000

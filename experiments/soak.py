@@ -25,12 +25,12 @@ from mmwave_env.episode import Episode
 from mmwave_env.estimator.modes import named_modes
 from mmwave_env.estimator.pipeline import Pipeline
 from mmwave_env.files import write_json
-from mmwave_env.measurement import Layout
 from mmwave_env.mobility import MOBILITIES
+from mmwave_env.models.measurement import Layout
+from mmwave_env.models.radio import RADIOS
+from mmwave_env.models.scene import scene_from
 from mmwave_env.numerics.linalg import cholesky, unpack
-from mmwave_env.radio import RADIOS
 from mmwave_env.reward import TrackingReward
-from mmwave_env.scene import scene_from
 from mmwave_env.simulation import SimulatedSource
 
 Array = NDArray[np.float64]

@@ -14,9 +14,9 @@ from experiments.runs import Run
 from mmwave_env.episode import EpisodeSource
 from mmwave_env.files import write_json
 from mmwave_env.io.samples import recording_from, sample_names
-from mmwave_env.radio import RADIOS, radio_from
+from mmwave_env.models.radio import RADIOS, radio_from
+from mmwave_env.models.scene import SCENES, scene_from
 from mmwave_env.recording import RecordedSource
-from mmwave_env.scene import SCENES, scene_from
 from mmwave_env.simulation import SimulatedSource
 
 RIVALS = ("speed-rule", "imm", "imm-robust")

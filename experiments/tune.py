@@ -21,10 +21,10 @@ from mmwave_env.estimator.modes import Mode, as_written, modes_from
 from mmwave_env.estimator.pipeline import Pipeline
 from mmwave_env.files import require_writable, write_json
 from mmwave_env.lookup import choose
-from mmwave_env.measurement import Layout
 from mmwave_env.metrics import scored
-from mmwave_env.radio import radio_from
-from mmwave_env.scene import scene_from
+from mmwave_env.models.measurement import Layout
+from mmwave_env.models.radio import radio_from
+from mmwave_env.models.scene import scene_from
 from mmwave_env.simulation import SimulatedSource
 from mmwave_env.tracker import Tracker
 

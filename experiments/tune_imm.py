@@ -25,9 +25,9 @@ from mmwave_env.files import write_json
 from mmwave_env.imm_engine import ImmEngine
 from mmwave_env.lookup import choose
 from mmwave_env.metrics import scored
-from mmwave_env.radio import RADIOS, radio_from
+from mmwave_env.models.radio import RADIOS, radio_from
+from mmwave_env.models.scene import scene_from
 from mmwave_env.reward import TrackingReward
-from mmwave_env.scene import scene_from
 from mmwave_env.simulation import SimulatedSource
 from policies import TUNED_IMMS
 

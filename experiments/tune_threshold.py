@@ -12,8 +12,8 @@ from experiments.evaluation import contender_from, draw_episodes, score
 from experiments.intervals import bootstrap
 from experiments.options import TUNING_SEED, command_line, require_tuning_seed
 from mmwave_env.files import write_json
-from mmwave_env.radio import RADIOS, radio_from
-from mmwave_env.scene import scene_from
+from mmwave_env.models.radio import RADIOS, radio_from
+from mmwave_env.models.scene import scene_from
 from mmwave_env.simulation import SimulatedSource
 from policies import SpeedRule
 

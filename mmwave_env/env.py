@@ -18,12 +18,12 @@ from mmwave_env.estimator.pipeline import Pipeline
 from mmwave_env.information import episode_info
 from mmwave_env.lookup import choose
 from mmwave_env.metrics import DIVERGENCE_M
+from mmwave_env.models.radio import Radio, radio_from
+from mmwave_env.models.scene import Scene, scene_from
 from mmwave_env.observation import Observation
-from mmwave_env.radio import Radio, radio_from
 from mmwave_env.rendering import FRAMES_PER_SECOND, Picture, blank_picture
 from mmwave_env.replay import Replay
 from mmwave_env.reward import Reward
-from mmwave_env.scene import Scene, scene_from
 from mmwave_env.setting import setting_from
 from mmwave_env.simulation import SimulatedSource
 

@@ -13,7 +13,7 @@ from typing import NamedTuple, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from mmwave_env.measurement import Layout
+from mmwave_env.models.measurement import Layout
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]

@@ -18,10 +18,10 @@ from mmwave_env.estimator.pipeline import Pipeline
 from mmwave_env.estimator.smoother import smooth
 from mmwave_env.io.log_tables import LogError
 from mmwave_env.io.measurement_log import LogBlock
-from mmwave_env.measurement import Layout
-from mmwave_env.prior import prior_from_fix
-from mmwave_env.radio import Radio
-from mmwave_env.scene import Scene
+from mmwave_env.models.measurement import Layout
+from mmwave_env.models.prior import prior_from_fix
+from mmwave_env.models.radio import Radio
+from mmwave_env.models.scene import Scene
 from mmwave_env.segments import Piece, segments
 from mmwave_env.tracker import Rule, Tracker
 

@@ -6,7 +6,7 @@ from dataclasses import astuple, dataclass, field, replace
 import numpy as np
 
 from mmwave_env.lookup import choose
-from mmwave_env.scene import Streets
+from mmwave_env.models.scene import Streets
 from mmwave_env.travel import Plan
 
 Range = tuple[float, float]

@@ -13,10 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mmwave_env.episode import Episode
-from mmwave_env.measurement import Layout, wrap_angles
-from mmwave_env.prior import draw_prior, prior_from_fix
-from mmwave_env.radio import Radio, doppler_spread, oscillator_bias
-from mmwave_env.scene import Scene
+from mmwave_env.models.measurement import Layout, wrap_angles
+from mmwave_env.models.prior import draw_prior, prior_from_fix
+from mmwave_env.models.radio import Radio, doppler_spread, oscillator_bias
+from mmwave_env.models.scene import Scene
 
 Array = NDArray[np.float64]
 

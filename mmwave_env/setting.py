@@ -13,10 +13,10 @@ from mmwave_env.episode import Episode, EpisodeSource, Packed
 from mmwave_env.estimator.modes import Mode, modes_from
 from mmwave_env.estimator.pipeline import Pipeline
 from mmwave_env.io.samples import recording_from
-from mmwave_env.radio import Radio, radio_from
+from mmwave_env.models.radio import Radio, radio_from
+from mmwave_env.models.scene import Scene, scene_from
 from mmwave_env.recording import RecordedSource
 from mmwave_env.reward import Reward, reward_from
-from mmwave_env.scene import Scene, scene_from
 from mmwave_env.simulation import SimulatedSource
 
 Array = NDArray[np.float64]

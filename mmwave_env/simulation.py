@@ -12,7 +12,6 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from mmwave_env.channel import Channel, ChannelDraws, Weather, calm, channel_epoch, channel_of
 from mmwave_env.compiler.program import Index, Program
 from mmwave_env.compiler.rng import Dice, Words, dice_of, single
 from mmwave_env.compiler.threads import portions, share
@@ -20,13 +19,21 @@ from mmwave_env.drawing import simulate
 from mmwave_env.episode import Episode, Packed
 from mmwave_env.estimator.batch import Incoming, blank_incoming
 from mmwave_env.kinematics import motion
-from mmwave_env.measurement import STATE_SIZE, Layout, exact_rows
 from mmwave_env.mobility import mobilities_of, plan_of
+from mmwave_env.models.channel import (
+    Channel,
+    ChannelDraws,
+    Weather,
+    calm,
+    channel_epoch,
+    channel_of,
+)
+from mmwave_env.models.measurement import STATE_SIZE, Layout, exact_rows
+from mmwave_env.models.radio import Radio, deviations
+from mmwave_env.models.scene import Scene
 from mmwave_env.numerics.linalg import dot
 from mmwave_env.numerics.numbers import Number, Vector, sqrt, where, wrap
 from mmwave_env.numerics.pytree import leaves
-from mmwave_env.radio import Radio, deviations
-from mmwave_env.scene import Scene
 from mmwave_env.travel import Plan, stride_of
 
 Array = NDArray[np.float64]

@@ -18,8 +18,8 @@ from mmwave_env.estimator.bound import (
     position_variance,
 )
 from mmwave_env.metrics import BURN_IN
-from mmwave_env.radio import RADIOS
-from mmwave_env.scene import SCENES
+from mmwave_env.models.radio import RADIOS
+from mmwave_env.models.scene import SCENES
 from mmwave_env.simulation import SimulatedSource
 from tests.paths import ROOT
 

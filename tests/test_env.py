@@ -20,8 +20,8 @@ import mmwave_env  # noqa: F401  registers the environment
 from mmwave_env.env import MmWaveLocEnv
 from mmwave_env.estimator.modes import Mode, modes_from
 from mmwave_env.estimator.pipeline import Pipeline
-from mmwave_env.radio import RADIOS
-from mmwave_env.scene import SCENES
+from mmwave_env.models.radio import RADIOS
+from mmwave_env.models.scene import SCENES
 from mmwave_env.simulation import SimulatedSource
 from mmwave_env.tracker import Tracker
 

@@ -12,10 +12,10 @@ from scipy.stats import kstest, norm
 
 from mmwave_env.episode import Episode
 from mmwave_env.estimator.batch import blank_incoming, blank_site
-from mmwave_env.measurement import Layout
+from mmwave_env.models.measurement import Layout
+from mmwave_env.models.radio import RADIOS
+from mmwave_env.models.scene import SCENES
 from mmwave_env.numerics.pytree import rebuild
-from mmwave_env.radio import RADIOS
-from mmwave_env.scene import SCENES
 from mmwave_env.simulation import SimulatedSource
 from tests.estimator.tracks import geometry
 

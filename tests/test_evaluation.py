@@ -20,9 +20,9 @@ from mmwave_env.estimator.modes import modes_from
 from mmwave_env.estimator.pipeline import Pipeline
 from mmwave_env.imm_engine import ImmEngine
 from mmwave_env.metrics import BURN_IN, METRICS
-from mmwave_env.radio import RADIOS
+from mmwave_env.models.radio import RADIOS
+from mmwave_env.models.scene import SCENES
 from mmwave_env.reward import TrackingReward
-from mmwave_env.scene import SCENES
 from mmwave_env.simulation import SimulatedSource
 from policies import TUNED_IMMS, FixedMode, learned, tuned_imm
 from tests.actors import MODES, actor, card_of, write

@@ -11,7 +11,7 @@ from mmwave_env.estimator.belief import Belief
 from mmwave_env.estimator.modes import Mode, default_modes
 from mmwave_env.estimator.pipeline import Pipeline
 from mmwave_env.imm_engine import ImmEngine
-from mmwave_env.measurement import Layout
+from mmwave_env.models.measurement import Layout
 from mmwave_env.reward import LogScore, TrackingReward
 from mmwave_env.tracker import Tracker
 from tests.estimator.tracks import STREET, simulated, unpacked

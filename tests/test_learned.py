@@ -12,7 +12,7 @@ import pytest
 
 import mmwave_env
 from mmwave_env.estimator.pipeline import Pipeline
-from mmwave_env.measurement import Layout
+from mmwave_env.models.measurement import Layout
 from mmwave_env.observation import Observation
 from policies import LearnedSwitch, learned, shipped_policies
 from tests.actors import FEATURES, MODES, TABLE, actor, card_of, write

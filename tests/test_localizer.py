@@ -17,9 +17,9 @@ from mmwave_env.estimator.smoother import smooth
 from mmwave_env.io.log_tables import LogError
 from mmwave_env.io.measurement_log import read_log, write_log
 from mmwave_env.localizer import TrackBlock, localize
-from mmwave_env.prior import prior_from_fix
-from mmwave_env.radio import RADIOS
-from mmwave_env.scene import SCENES
+from mmwave_env.models.prior import prior_from_fix
+from mmwave_env.models.radio import RADIOS
+from mmwave_env.models.scene import SCENES
 from mmwave_env.simulation import SimulatedSource
 from policies.scripted import by_odometry_speed, by_predicted_speed
 from tests.estimator.tracks import track

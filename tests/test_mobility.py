@@ -8,8 +8,8 @@ import pytest
 from scipy.stats import binom
 
 from mmwave_env.mobility import MOBILITIES, SCENARIOS, mobilities_of, plan_of
-from mmwave_env.radio import RADIOS
-from mmwave_env.scene import SCENES
+from mmwave_env.models.radio import RADIOS
+from mmwave_env.models.scene import SCENES
 from mmwave_env.simulation import SimulatedSource
 from tests.roads import trajectories
 

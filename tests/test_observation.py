@@ -16,11 +16,11 @@ from mmwave_env.engine import Engine
 from mmwave_env.env import MmWaveLocEnv
 from mmwave_env.estimator.modes import modes_from
 from mmwave_env.estimator.pipeline import Pipeline
-from mmwave_env.measurement import Layout
+from mmwave_env.models.measurement import Layout
+from mmwave_env.models.radio import RADIOS
+from mmwave_env.models.scene import SCENES
 from mmwave_env.observation import Observation
-from mmwave_env.radio import RADIOS
 from mmwave_env.reward import TrackingReward
-from mmwave_env.scene import SCENES
 from mmwave_env.simulation import SimulatedSource
 
 PIPELINES = {

@@ -12,9 +12,9 @@ from mmwave_env.estimator.batch import blank_incoming
 from mmwave_env.estimator.modes import Mode, modes_from
 from mmwave_env.estimator.pipeline import Pipeline
 from mmwave_env.imm_engine import transition_from
-from mmwave_env.measurement import Layout
+from mmwave_env.models.measurement import Layout
+from mmwave_env.models.radio import RADIOS
 from mmwave_env.observation import Observation
-from mmwave_env.radio import RADIOS
 from policies import (
     TUNED_IMMS,
     FixedMode,

@@ -15,10 +15,10 @@ from mmwave_env.engine import Engine
 from mmwave_env.estimator.belief import Belief
 from mmwave_env.estimator.modes import Mode
 from mmwave_env.estimator.pipeline import Pipeline
+from mmwave_env.models.radio import radio_from
+from mmwave_env.models.scene import scene_from
 from mmwave_env.numerics.numbers import maximum
-from mmwave_env.radio import radio_from
 from mmwave_env.reward import REWARDS, LogScore, TrackingReward, reward_from
-from mmwave_env.scene import scene_from
 from mmwave_env.simulation import SimulatedSource
 
 ORIGIN = [0.0] * 6

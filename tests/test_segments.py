@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from mmwave_env.io.log_tables import LogError
 from mmwave_env.io.measurement_log import LogBlock
-from mmwave_env.measurement import Layout
+from mmwave_env.models.measurement import Layout
 from mmwave_env.segments import GAP_S, segments
 
 LINK_1, LINK_2, DOPPLER, ODOMETRY = range(4)

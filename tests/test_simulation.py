@@ -12,8 +12,8 @@ from mmwave_env import simulation
 from mmwave_env.compiler.rng import Generators
 from mmwave_env.episode import Episode, Packed
 from mmwave_env.mobility import mobilities_of, plan_of
-from mmwave_env.radio import RADIOS
-from mmwave_env.scene import SCENES
+from mmwave_env.models.radio import RADIOS
+from mmwave_env.models.scene import SCENES
 from mmwave_env.simulation import CHUNK, SimulatedSource
 from tests.estimator.tracks import geometry
 from tests.roads import trajectories

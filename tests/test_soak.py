@@ -10,9 +10,9 @@ from experiments import damage, soak
 from experiments.cli import run
 from mmwave_env.estimator.modes import Mode, named_modes
 from mmwave_env.estimator.update import ekf
+from mmwave_env.models.radio import RADIOS
+from mmwave_env.models.scene import SCENES
 from mmwave_env.numerics.numbers import where
-from mmwave_env.radio import RADIOS
-from mmwave_env.scene import SCENES
 from mmwave_env.simulation import SimulatedSource
 from tests.test_commands import CLI, assert_one_clear_line, command, succeed
 

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from experiments.track_files import Truth, table_beside, track_files
 from mmwave_env.io.tum import read_tum, tum_lines
 from mmwave_env.localizer import TrackBlock
-from mmwave_env.measurement import Layout
+from mmwave_env.models.measurement import Layout
 
 NAMES = ["slow", 'fast, "wild"']
 

@@ -28,10 +28,10 @@ from mmwave_env.estimator.modes import default_modes
 from mmwave_env.estimator.pipeline import Pipeline
 from mmwave_env.files import write_json
 from mmwave_env.imm_engine import ImmEngine
-from mmwave_env.radio import RADIOS
+from mmwave_env.models.radio import RADIOS
+from mmwave_env.models.scene import SCENES
 from mmwave_env.reward import TrackingReward
 from mmwave_env.sb3 import SB3VecEnv
-from mmwave_env.scene import SCENES
 from mmwave_env.simulation import SimulatedSource
 from mmwave_env.vector_env import MmWaveLocVectorEnv
 from policies import LearnedSwitch

@@ -15,9 +15,9 @@ from gymnasium.vector import AutoresetMode
 import mmwave_env.estimator.batch as batch
 from mmwave_env.estimator.modes import Mode
 from mmwave_env.information import STATE_KEYS, STEP_KEYS
-from mmwave_env.measurement import Layout
-from mmwave_env.radio import RADIOS
-from mmwave_env.scene import SCENES
+from mmwave_env.models.measurement import Layout
+from mmwave_env.models.radio import RADIOS
+from mmwave_env.models.scene import SCENES
 from mmwave_env.simulation import SimulatedSource
 from mmwave_env.vector_env import MmWaveLocVectorEnv
 from tests.vector_checker import check_vector_env, rollout, same

@@ -10,8 +10,8 @@ from experiments.evaluation import Contender, Scores, contender_from, draw_episo
 from experiments.intervals import bootstrap
 from experiments.learning.world import Task
 from experiments.options import TUNING_SEED
-from mmwave_env.radio import radio_from
-from mmwave_env.scene import scene_from
+from mmwave_env.models.radio import radio_from
+from mmwave_env.models.scene import scene_from
 from mmwave_env.simulation import SimulatedSource
 
 RIVALS = ("speed-rule", "imm")

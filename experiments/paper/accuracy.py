@@ -9,7 +9,7 @@ from experiments.intervals import bootstrap
 from experiments.paper.bench import Bench, Cell, Errors, Section, Setting
 from experiments.paper.published import HIGH_MOBILITY, LOW_MOBILITY
 from mmwave_env.estimator.modes import robust
-from mmwave_env.radio import RADIOS, Radio
+from mmwave_env.models.radio import RADIOS, Radio
 
 HEADLINE = {
     "pedestrian": LOW_MOBILITY["optimised"].ate_m,

@@ -17,9 +17,9 @@ from mmwave_env.estimator.modes import Mode, shipped_modes
 from mmwave_env.estimator.pipeline import Pipeline
 from mmwave_env.estimator.smoother import smooth
 from mmwave_env.metrics import accuracy, scored
+from mmwave_env.models.radio import Radio, radio_from
+from mmwave_env.models.scene import SCENES
 from mmwave_env.numerics.linalg import unpack
-from mmwave_env.radio import Radio, radio_from
-from mmwave_env.scene import SCENES
 from mmwave_env.simulation import SimulatedSource
 from mmwave_env.tracker import Tracker
 

@@ -13,10 +13,10 @@ from experiments.paper.printed import untuned
 from experiments.paper.published import HIGH_MOBILITY, LOW_MOBILITY, Published
 from mmwave_env.episode import Episode
 from mmwave_env.estimator.modes import Mode, robust
-from mmwave_env.measurement import SPEED_OF_LIGHT, Layout
 from mmwave_env.metrics import nees_interval
-from mmwave_env.radio import RADIOS
-from mmwave_env.scene import SCENES
+from mmwave_env.models.measurement import SPEED_OF_LIGHT, Layout
+from mmwave_env.models.radio import RADIOS
+from mmwave_env.models.scene import SCENES
 
 SCENARIOS = ("pedestrian", "vehicle")
 

@@ -11,7 +11,7 @@ import matplotlib.pyplot as plt
 
 from experiments.intervals import Interval
 from experiments.paper.bench import Cell, Section
-from mmwave_env.radio import RADIOS
+from mmwave_env.models.radio import RADIOS
 
 COUPLED = 3  # column of the ATE with coupled process noise; the paper's stands first
 FILTERS = 4  # rows that the paper has, too

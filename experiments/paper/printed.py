@@ -10,7 +10,7 @@ from experiments.intervals import bootstrap
 from experiments.paper.bench import Bench, Cell, Section, Setting
 from experiments.paper.published import HIGH_MOBILITY, LOW_MOBILITY, OTHERS, Published
 from mmwave_env.estimator.modes import Mode, robust
-from mmwave_env.radio import RADIOS
+from mmwave_env.models.radio import RADIOS
 
 PRINTED = {"ate_m": "ATE m", "rpe_m": "RPE m", "nees": "NEES", "rmse_m": "RMSE m"}
 UNTUNED_SIGMA_V = 1.0  # m/s: the paper does not print its untuned process noise

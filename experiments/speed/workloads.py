@@ -22,11 +22,11 @@ from mmwave_env.estimator.filterpy_twin import filterpy_pipeline
 from mmwave_env.estimator.modes import Mode, default_modes, named_modes
 from mmwave_env.estimator.pipeline import Pipeline, measurement_of, process_noise, start
 from mmwave_env.estimator.update import Gate
+from mmwave_env.models.radio import radio_from
+from mmwave_env.models.scene import scene_from
 from mmwave_env.numerics.linalg import unpack
 from mmwave_env.numerics.pytree import rebuild
-from mmwave_env.radio import radio_from
 from mmwave_env.reward import TrackingReward
-from mmwave_env.scene import scene_from
 from mmwave_env.simulation import SimulatedSource
 from mmwave_env.tracker import Tracker
 

@@ -34,12 +34,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mmwave_env.episode import Episode
-from mmwave_env.estimator.motion import (
+from mmwave_env.models.measurement import STATE_SIZE, Measurement, groups_of
+from mmwave_env.models.motion import (
     ProcessNoise,
     predict_covariance,
     white_noise_acceleration,
 )
-from mmwave_env.measurement import STATE_SIZE, Measurement, groups_of
 
 Array = NDArray[np.float64]
 

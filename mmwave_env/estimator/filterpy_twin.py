@@ -27,11 +27,11 @@ from numpy.typing import NDArray
 from scipy.stats import chi2
 
 from mmwave_env.estimator.modes import Mode
-from mmwave_env.estimator.motion import ProcessNoise
 from mmwave_env.estimator.pipeline import Pipeline
 from mmwave_env.estimator.update import ROBUST_ONSET, Algorithm, Gate, Posterior
 from mmwave_env.lookup import choose
-from mmwave_env.measurement import Layout, Measurement
+from mmwave_env.models.measurement import Layout, Measurement
+from mmwave_env.models.motion import ProcessNoise
 from mmwave_env.numerics.numbers import Matrix, Vector
 
 Array = NDArray[np.float64]

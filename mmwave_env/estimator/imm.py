@@ -20,7 +20,7 @@ from mmwave_env.estimator.pipeline import (
     limited_likelihood,
     start,
 )
-from mmwave_env.measurement import STATE_SIZE
+from mmwave_env.models.measurement import STATE_SIZE
 from mmwave_env.numerics.linalg import dot, unpack
 from mmwave_env.numerics.numbers import Matrix, Number, Vector, exp, maximum
 from mmwave_env.numerics.pytree import select

@@ -13,15 +13,15 @@ from typing import NamedTuple
 from scipy.special import chdtri
 
 from mmwave_env.estimator.modes import Mode, Tuning
-from mmwave_env.estimator.motion import (
+from mmwave_env.estimator.rehearsal import rehearse
+from mmwave_env.estimator.update import Algorithm, Gate, Posterior, passes
+from mmwave_env.models.measurement import Layout, Measurement
+from mmwave_env.models.motion import (
     ProcessNoise,
     move,
     predict_covariance,
     white_noise_acceleration,
 )
-from mmwave_env.estimator.rehearsal import rehearse
-from mmwave_env.estimator.update import Algorithm, Gate, Posterior, passes
-from mmwave_env.measurement import Layout, Measurement
 from mmwave_env.numerics.linalg import dot, pack, unpack
 from mmwave_env.numerics.numbers import Matrix, Number, Vector, clip, maximum, sqrt, where
 

@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 from mmwave_env.estimator.advice import Line, begin_of, instead, line_of
 from mmwave_env.estimator.modes import ALGORITHMS, Mode
 from mmwave_env.estimator.update import Gate, Posterior
-from mmwave_env.measurement import STATE_SIZE, Layout, Measurement, exact_rows
+from mmwave_env.models.measurement import STATE_SIZE, Layout, Measurement, exact_rows
 from mmwave_env.numerics.linalg import unpack
 from mmwave_env.numerics.numbers import Number
 from mmwave_env.numerics.pytree import leaves, rebuild

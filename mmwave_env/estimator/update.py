@@ -13,7 +13,7 @@ from mmwave_env.estimator.linearise import (
     Tangent,
     linearise,
 )
-from mmwave_env.measurement import STATE_SIZE, Group, Measurement
+from mmwave_env.models.measurement import STATE_SIZE, Group, Measurement
 from mmwave_env.numerics.linalg import cholesky, dot, forward, symmetric
 from mmwave_env.numerics.numbers import Matrix, Number, Vector, log, maximum, where
 

@@ -27,7 +27,7 @@ from mmwave_env.io.deepmimo_files import (
     Scenario,
     read_scenario,
 )
-from mmwave_env.measurement import LINK, SPEED_OF_LIGHT, Layout, direction, range_rate
+from mmwave_env.models.measurement import LINK, SPEED_OF_LIGHT, Layout, direction, range_rate
 from mmwave_env.numerics.numbers import PI, wrap
 from mmwave_env.recording import Recording
 

@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from mmwave_env.measurement import SPEED_OF_LIGHT
+from mmwave_env.models.measurement import SPEED_OF_LIGHT
 
 
 class Unit(NamedTuple):

@@ -23,8 +23,8 @@ from numpy.typing import NDArray
 from mmwave_env.episode import Episode
 from mmwave_env.io.log_columns import LINK_QUANTITIES
 from mmwave_env.io.log_tables import SUFFIXES, LogError, LogFile, open_log, require_arrow
-from mmwave_env.measurement import LINK, SPEED_OF_LIGHT, Layout, wrap_angles
-from mmwave_env.scene import Scene
+from mmwave_env.models.measurement import LINK, SPEED_OF_LIGHT, Layout, wrap_angles
+from mmwave_env.models.scene import Scene
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]

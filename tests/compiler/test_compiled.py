@@ -7,8 +7,8 @@ from gymnasium.utils.env_checker import data_equivalence
 
 from mmwave_env import kinematics, mobility, simulation
 from mmwave_env.compiler.lazy_jit import Sparing
-from mmwave_env.radio import RADIOS
-from mmwave_env.scene import SCENES
+from mmwave_env.models.radio import RADIOS
+from mmwave_env.models.scene import SCENES
 from mmwave_env.simulation import SimulatedSource
 
 

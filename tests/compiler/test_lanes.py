@@ -340,7 +340,7 @@ from mmwave_env.engine import Engine
 from mmwave_env.episode import Episode
 from mmwave_env.estimator.modes import Mode
 from mmwave_env.estimator.pipeline import Pipeline
-from mmwave_env.measurement import Layout
+from mmwave_env.models.measurement import Layout
 from mmwave_env.reward import TrackingReward
 
 T, layout = 3, Layout(1)

@@ -16,8 +16,8 @@ import pytest
 
 import mmwave_env
 from mmwave_env.compiler.threads import share
-from mmwave_env.radio import RADIOS
-from mmwave_env.scene import SCENES
+from mmwave_env.models.radio import RADIOS
+from mmwave_env.models.scene import SCENES
 from mmwave_env.simulation import SimulatedSource
 
 

@@ -7,7 +7,7 @@ from hypothesis import assume
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from mmwave_env.measurement import Layout, Measurement
+from mmwave_env.models.measurement import Layout, Measurement
 from tests.estimator import textbook
 
 HZ_PER_MPS = 93.4

@@ -24,9 +24,9 @@ from mmwave_env.estimator.bound import (
 )
 from mmwave_env.estimator.modes import Mode
 from mmwave_env.estimator.pipeline import Pipeline
-from mmwave_env.measurement import Layout
-from mmwave_env.radio import RADIOS
-from mmwave_env.scene import SCENES
+from mmwave_env.models.measurement import Layout
+from mmwave_env.models.radio import RADIOS
+from mmwave_env.models.scene import SCENES
 from mmwave_env.simulation import SimulatedSource
 from tests.estimator import textbook
 from tests.estimator.tracks import (

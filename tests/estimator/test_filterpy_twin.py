@@ -7,7 +7,7 @@ from mmwave_env.estimator.filterpy_twin import filterpy_pipeline
 from mmwave_env.estimator.modes import Mode
 from mmwave_env.estimator.pipeline import Pipeline
 from mmwave_env.estimator.update import ekf
-from mmwave_env.measurement import Layout
+from mmwave_env.models.measurement import Layout
 from tests.estimator.tracks import assert_same_beliefs, pipeline_of, simulated, track, with_anchors
 
 EPOCHS = 200

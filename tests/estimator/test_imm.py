@@ -9,7 +9,7 @@ from scipy.stats import chi2
 from mmwave_env.estimator.imm import stay_matrix
 from mmwave_env.estimator.modes import Mode, default_modes
 from mmwave_env.estimator.pipeline import Pipeline
-from mmwave_env.measurement import Layout
+from mmwave_env.models.measurement import Layout
 from tests.estimator import textbook
 from tests.estimator.tracks import (
     assert_same_beliefs,

@@ -17,7 +17,7 @@ from mmwave_env.estimator.modes import (
     shipped_modes,
 )
 from mmwave_env.estimator.update import ekf
-from mmwave_env.radio import RADIOS
+from mmwave_env.models.radio import RADIOS
 
 THREE = [
     Mode("slow", "ekf", sigma_v=0.2, gate=None, recovery=None, coupling=False),

@@ -20,9 +20,9 @@ from mmwave_env.estimator.update import Gate, ekf
 from mmwave_env.imm_engine import ImmEngine
 from mmwave_env.io.measurement_log import read_log, write_log
 from mmwave_env.localizer import localize
-from mmwave_env.radio import RADIOS
+from mmwave_env.models.radio import RADIOS
+from mmwave_env.models.scene import SCENES
 from mmwave_env.reward import TrackingReward
-from mmwave_env.scene import SCENES
 from mmwave_env.simulation import SimulatedSource
 from mmwave_env.tracker import Tracker
 from tests.estimator import textbook

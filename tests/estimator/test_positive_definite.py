@@ -6,7 +6,7 @@ import pytest
 from mmwave_env.engine import Engine
 from mmwave_env.estimator.modes import Mode
 from mmwave_env.estimator.pipeline import Pipeline
-from mmwave_env.measurement import Layout
+from mmwave_env.models.measurement import Layout
 from mmwave_env.reward import TrackingReward
 from tests.estimator.tracks import simulated, unpacked
 

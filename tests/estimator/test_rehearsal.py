@@ -17,7 +17,7 @@ from mmwave_env.estimator.modes import Mode
 from mmwave_env.estimator.pipeline import Pipeline
 from mmwave_env.estimator.rehearsal import AlgorithmError
 from mmwave_env.estimator.update import Posterior, ckf, ekf, ukf, update
-from mmwave_env.measurement import Layout
+from mmwave_env.models.measurement import Layout
 from mmwave_env.reward import TrackingReward
 from mmwave_env.tracker import Tracker
 from tests.estimator.tracks import STREET, simulated

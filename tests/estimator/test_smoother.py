@@ -7,8 +7,8 @@ from filterpy.kalman import KalmanFilter
 from mmwave_env.estimator.modes import modes_from
 from mmwave_env.estimator.pipeline import Pipeline
 from mmwave_env.estimator.smoother import smooth
-from mmwave_env.radio import RADIOS
-from mmwave_env.scene import SCENES
+from mmwave_env.models.radio import RADIOS
+from mmwave_env.models.scene import SCENES
 from mmwave_env.simulation import SimulatedSource
 from mmwave_env.tracker import Tracker
 

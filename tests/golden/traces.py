@@ -27,11 +27,11 @@ from mmwave_env.estimator.pipeline import Pipeline
 from mmwave_env.imm_engine import ImmEngine
 from mmwave_env.io.measurement_log import read_log
 from mmwave_env.localizer import SMOOTHING_WINDOW, TrackBlock, localize
+from mmwave_env.models.prior import prior_from_fix
+from mmwave_env.models.radio import radio_from
+from mmwave_env.models.scene import read_scene
 from mmwave_env.numerics.pytree import rebuild
-from mmwave_env.prior import prior_from_fix
-from mmwave_env.radio import radio_from
 from mmwave_env.reward import TrackingReward
-from mmwave_env.scene import read_scene
 
 from .rollouts import ROLLOUTS, rollout
 from .text import table

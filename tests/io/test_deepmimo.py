@@ -10,9 +10,9 @@ from hypothesis import strategies as st
 
 from mmwave_env.io.deepmimo import read_deepmimo
 from mmwave_env.io.samples import recording_from
-from mmwave_env.measurement import SPEED_OF_LIGHT
+from mmwave_env.models.measurement import SPEED_OF_LIGHT
+from mmwave_env.models.scene import Scene, Wall
 from mmwave_env.recording import Recording
-from mmwave_env.scene import Scene, Wall
 from tests.estimator.tracks import geometry
 from tests.paths import RECORDINGS
 

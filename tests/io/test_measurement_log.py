@@ -17,9 +17,9 @@ from hypothesis import strategies as st
 from mmwave_env.io.log_columns import QUANTITIES
 from mmwave_env.io.log_tables import LogError
 from mmwave_env.io.measurement_log import log_text, read_log, write_log
-from mmwave_env.measurement import SPEED_OF_LIGHT, Layout
-from mmwave_env.radio import RADIOS
-from mmwave_env.scene import SCENES, Scene
+from mmwave_env.models.measurement import SPEED_OF_LIGHT, Layout
+from mmwave_env.models.radio import RADIOS
+from mmwave_env.models.scene import SCENES, Scene
 from mmwave_env.simulation import SimulatedSource
 
 SCENE = SCENES["street"]
@@ -701,7 +701,7 @@ MEMORY = """
 import resource, sys
 from pathlib import Path
 from mmwave_env.io.measurement_log import read_log
-from mmwave_env.scene import SCENES
+from mmwave_env.models.scene import SCENES
 before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
 rows = [block.rows for block in read_log(Path(sys.argv[1]), SCENES["street"])][-1]
 print(rows, resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before)

@@ -3,9 +3,9 @@
 import numpy as np
 from numpy.typing import NDArray
 
+from mmwave_env.models.radio import Radio
+from mmwave_env.models.scene import Scene
 from mmwave_env.numerics.numbers import PI, wrap
-from mmwave_env.radio import Radio
-from mmwave_env.scene import Scene
 
 Array = NDArray[np.float64]
 

@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 from scipy.stats import binom, chi2, kstest, lognorm, norm
 
-from mmwave_env.channel import ChannelDraws, calm, channel_epoch, channel_of
-from mmwave_env.measurement import Layout
-from mmwave_env.radio import RADIOS, Radio, radio_from
-from mmwave_env.scene import SCENES
+from mmwave_env.models.channel import ChannelDraws, calm, channel_epoch, channel_of
+from mmwave_env.models.measurement import Layout
+from mmwave_env.models.radio import RADIOS, Radio, radio_from
+from mmwave_env.models.scene import SCENES
 
 STREET = SCENES["street"]
 CONFIDENCE = 0.999

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mmwave_env.lookup import choose
-from mmwave_env.measurement import SPEED_OF_LIGHT
+from mmwave_env.models.measurement import SPEED_OF_LIGHT
 
 Point = tuple[float, float, float]
 

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mmwave_env.scene import SCENES, Scene, Streets, Wall, anchors_json, scene_from
+from mmwave_env.models.scene import SCENES, Scene, Streets, Wall, anchors_json, scene_from
 
 coordinates = st.floats(-1e3, 1e3, allow_subnormal=False)
 points = st.tuples(coordinates, coordinates, coordinates)

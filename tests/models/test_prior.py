@@ -5,10 +5,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mmwave_env.measurement import Layout
-from mmwave_env.prior import UNKNOWN_VELOCITY_MPS, draw_prior, prior_from_fix
-from mmwave_env.radio import RADIOS
-from mmwave_env.scene import SCENES, Scene
+from mmwave_env.models.measurement import Layout
+from mmwave_env.models.prior import UNKNOWN_VELOCITY_MPS, draw_prior, prior_from_fix
+from mmwave_env.models.radio import RADIOS
+from mmwave_env.models.scene import SCENES, Scene
 from tests.estimator.tracks import geometry
 
 SCENE = SCENES["street"]

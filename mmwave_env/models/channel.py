@@ -7,10 +7,10 @@ randomness comes in as draws; what lasts from epoch to epoch is a :class:`Weathe
 import math
 from typing import NamedTuple
 
-from mmwave_env.measurement import Layout
+from mmwave_env.models.measurement import Layout
+from mmwave_env.models.radio import DECIBEL, Radio
+from mmwave_env.models.scene import Scene
 from mmwave_env.numerics.numbers import Number, Vector, clip, exp, log, maximum, sqrt, where
-from mmwave_env.radio import DECIBEL, Radio
-from mmwave_env.scene import Scene
 
 
 class Spells(NamedTuple):
@@ -36,7 +36,7 @@ class Channel(NamedTuple):
         shadowing_db, correlation: of log-normal shadowing, AR(1) over a step.
         blockage, multipath: spells.
         blockage_scale, blockage_base, blockage_per_m, blockage_limit, blockage_loss_db: see
-            :class:`~mmwave_env.radio.Radio`.
+            :class:`~mmwave_env.models.radio.Radio`.
         multipath_onset, outage_onset, outage_end: probabilities within a step.
         detection_snr_db, detection_slope_db: of the logistic probability of detection.
         floor_variance, bound_variance: (rows,) noise floor, and Cramer-Rao bound at 0 dB.

@@ -12,9 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mmwave_env.lookup import choose
-from mmwave_env.measurement import SPEED_OF_LIGHT, Layout
+from mmwave_env.models.measurement import SPEED_OF_LIGHT, Layout
+from mmwave_env.models.scene import Scene
 from mmwave_env.numerics.numbers import Number, Vector, clip, exp, sqrt
-from mmwave_env.scene import Scene
 
 Array = NDArray[np.float64]
 

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from mmwave_env.estimator.motion import (
+from mmwave_env.models.motion import (
     ProcessNoise,
     move,
     predict_covariance,

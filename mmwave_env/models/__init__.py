@@ -1,0 +1,1 @@
+"""What the paper's Sec. II says: motion, measurement, scene, radio and channel."""
