@@ -14,11 +14,11 @@ from numpy.typing import NDArray
 from rich.progress import Progress
 
 from mmwave_env.compiler.program import rows_of
-from mmwave_env.engine import Engine
+from mmwave_env.engines.env_engine import Engine
+from mmwave_env.engines.imm_engine import ImmEngine
 from mmwave_env.episode import Episode, EpisodeSource
 from mmwave_env.estimator.modes import Mode, default_modes, named_modes
 from mmwave_env.estimator.pipeline import Pipeline
-from mmwave_env.imm_engine import ImmEngine
 from mmwave_env.metrics import METRICS, summary
 from mmwave_env.models.measurement import Layout
 from mmwave_env.observation import Observation
@@ -55,8 +55,7 @@ class Contender:
         name: as on the command line and in results.
         modes: what it works with.
         policy: from the observation table to a policy; None for the IMM over the modes.
-        transition, nis_quantile: of the IMM, as :class:`~mmwave_env.imm_engine.ImmEngine` has
-            them.
+        transition, nis_quantile: as of :class:`~mmwave_env.engines.imm_engine.ImmEngine`.
         observation: what the policy sees, "full" or "prior".
         trained: whether the policy was learned.
     """

@@ -18,6 +18,7 @@ from experiments.track_files import TOLERANCE_S, Truth, table_beside, track_file
 from experiments.track_plot import TrackPicture
 from experiments.track_report import track_markdown
 from experiments.track_scores import Course, Groups, TruthScores
+from mmwave_env.engines.track_engine import Rule
 from mmwave_env.estimator.modes import Mode, modes_from, robust
 from mmwave_env.files import require_writable, write_json
 from mmwave_env.io.log_tables import LogError
@@ -25,7 +26,6 @@ from mmwave_env.io.measurement_log import LogBlock, read_log
 from mmwave_env.localizer import SMOOTHING_WINDOW, localize
 from mmwave_env.models.radio import radio_from
 from mmwave_env.models.scene import Scene, scene_from
-from mmwave_env.tracker import Rule
 from policies.scripted import (
     DESIGN_LIMIT_MPS,
     SLOW_MPS,

@@ -20,7 +20,7 @@ from experiments.cli import run
 from experiments.damage import damaged
 from experiments.evaluation import draw_episodes
 from experiments.terminal import progress
-from mmwave_env.engine import Engine
+from mmwave_env.engines.env_engine import Engine
 from mmwave_env.episode import Episode
 from mmwave_env.estimator.modes import named_modes
 from mmwave_env.estimator.pipeline import Pipeline

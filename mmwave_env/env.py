@@ -11,7 +11,8 @@ from gymnasium import spaces
 from gymnasium.error import InvalidAction, ResetNeeded
 from numpy.typing import NDArray
 
-from mmwave_env.engine import Engine
+from mmwave_env.engines.env_engine import Engine
+from mmwave_env.engines.replay import Replay
 from mmwave_env.episode import Episode, EpisodeSource
 from mmwave_env.estimator.modes import Mode, modes_from
 from mmwave_env.estimator.pipeline import Pipeline
@@ -22,7 +23,6 @@ from mmwave_env.models.radio import Radio, radio_from
 from mmwave_env.models.scene import Scene, scene_from
 from mmwave_env.observation import Observation
 from mmwave_env.rendering import FRAMES_PER_SECOND, Picture, blank_picture
-from mmwave_env.replay import Replay
 from mmwave_env.reward import Reward
 from mmwave_env.setting import setting_from
 from mmwave_env.simulation import SimulatedSource

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from mmwave_env.engines.track_engine import Rule, Tracker
 from mmwave_env.episode import Episode
 from mmwave_env.estimator.modes import Mode
 from mmwave_env.estimator.pipeline import Pipeline
@@ -23,7 +24,6 @@ from mmwave_env.models.prior import prior_from_fix
 from mmwave_env.models.radio import Radio
 from mmwave_env.models.scene import Scene
 from mmwave_env.segments import Piece, segments
-from mmwave_env.tracker import Rule, Tracker
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -97,7 +97,7 @@ def localize(
         scene: whose anchors were measured.
         radio: profile of the receiver: standard deviations by SNR, oscillator, prior.
         modes: one, or those that ``rule`` picks from in every epoch.
-        rule: as :class:`~mmwave_env.tracker.Tracker` takes it.
+        rule: as :class:`~mmwave_env.engines.track_engine.Tracker` takes it.
         window: epochs smoothed together; None for no smoothing.
         height_m: of flat terrain, where it is known (paper, Sec. II-A).
 

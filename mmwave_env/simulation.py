@@ -16,8 +16,8 @@ from mmwave_env.compiler.program import Index, Program
 from mmwave_env.compiler.rng import Dice, Words, dice_of, single
 from mmwave_env.compiler.threads import portions, share
 from mmwave_env.drawing import simulate
+from mmwave_env.engines.batch import Incoming, blank_incoming
 from mmwave_env.episode import Episode, Packed
-from mmwave_env.estimator.batch import Incoming, blank_incoming
 from mmwave_env.kinematics import motion
 from mmwave_env.mobility import mobilities_of, plan_of
 from mmwave_env.models.channel import (

@@ -40,7 +40,7 @@ class TunedImm(NamedTuple):
     Attributes:
         modes: what it weighs.
         transition: (modes, modes) transition probabilities (from, to).
-        nis_quantile: as :class:`~mmwave_env.imm_engine.ImmEngine` has it.
+        nis_quantile: as :class:`~mmwave_env.engines.imm_engine.ImmEngine` has it.
     """
 
     modes: tuple[Mode, ...]

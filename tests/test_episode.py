@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 from scipy.stats import kstest, norm
 
+from mmwave_env.engines.batch import blank_incoming, blank_site
 from mmwave_env.episode import Episode
-from mmwave_env.estimator.batch import blank_incoming, blank_site
 from mmwave_env.models.measurement import Layout
 from mmwave_env.models.radio import RADIOS
 from mmwave_env.models.scene import SCENES

@@ -16,9 +16,9 @@ from experiments.evaluation import (
     evaluate,
     score,
 )
+from mmwave_env.engines.imm_engine import ImmEngine
 from mmwave_env.estimator.modes import modes_from
 from mmwave_env.estimator.pipeline import Pipeline
-from mmwave_env.imm_engine import ImmEngine
 from mmwave_env.metrics import BURN_IN, METRICS
 from mmwave_env.models.radio import RADIOS
 from mmwave_env.models.scene import SCENES

@@ -12,7 +12,7 @@ from gymnasium import spaces
 from scipy.stats import chi2
 
 import mmwave_env  # noqa: F401  registers the environment
-from mmwave_env.engine import Engine
+from mmwave_env.engines.env_engine import Engine
 from mmwave_env.env import MmWaveLocEnv
 from mmwave_env.estimator.modes import modes_from
 from mmwave_env.estimator.pipeline import Pipeline

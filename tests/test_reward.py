@@ -11,7 +11,7 @@ from hypothesis.extra import numpy as hnp
 from scipy.stats import multivariate_normal
 
 import mmwave_env  # noqa: F401  registers the environment
-from mmwave_env.engine import Engine
+from mmwave_env.engines.env_engine import Engine
 from mmwave_env.estimator.belief import Belief
 from mmwave_env.estimator.modes import Mode
 from mmwave_env.estimator.pipeline import Pipeline

@@ -15,10 +15,10 @@ from experiments.intervals import Interval
 from experiments.paper.bench import Bench, Section, Setting, track
 from experiments.paper.claims import contradictions, resolution
 from experiments.tables import FIELDS, Args, main
+from mmwave_env.engines.track_engine import Tracker
 from mmwave_env.estimator.modes import default_modes
 from mmwave_env.estimator.pipeline import Pipeline
 from mmwave_env.estimator.smoother import smooth
-from mmwave_env.tracker import Tracker
 from tests.estimator.tracks import unpacked
 from tests.paths import ROOT
 

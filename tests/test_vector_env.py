@@ -12,7 +12,7 @@ from gymnasium.envs.registration import EnvSpec
 from gymnasium.error import InvalidAction, ResetNeeded
 from gymnasium.vector import AutoresetMode
 
-import mmwave_env.estimator.batch as batch
+import mmwave_env.engines.batch as batch
 from mmwave_env.estimator.modes import Mode
 from mmwave_env.information import STATE_KEYS, STEP_KEYS
 from mmwave_env.models.measurement import Layout
@@ -195,7 +195,7 @@ def test_threads_do_not_matter(mode, monkeypatch):
 
 def test_a_forked_child_has_threads_of_its_own(monkeypatch):
     code = (
-        "import os, gymnasium as gym, numpy as np, mmwave_env.estimator.batch as batch\n"
+        "import os, gymnasium as gym, numpy as np, mmwave_env.engines.batch as batch\n"
         "batch.BLOCKS_PER_THREAD = 1\n"
         "env = gym.make_vec('MmWaveLoc-v0', num_envs=32, threads=2, modes=['ekf'])\n"
         "env.reset(seed=0); env.step(np.zeros(32, int))\n"

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from experiments.evaluation import Scores, draw_episodes
 from experiments.intervals import Interval
 from experiments.markdown import grid, rounded
+from mmwave_env.engines.track_engine import Tracker
 from mmwave_env.episode import Episode
 from mmwave_env.estimator.belief import Belief
 from mmwave_env.estimator.modes import Mode, shipped_modes
@@ -21,7 +22,6 @@ from mmwave_env.models.radio import Radio, radio_from
 from mmwave_env.models.scene import SCENES
 from mmwave_env.numerics.linalg import unpack
 from mmwave_env.simulation import SimulatedSource
-from mmwave_env.tracker import Tracker
 
 Array = NDArray[np.float64]
 

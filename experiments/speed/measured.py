@@ -22,10 +22,10 @@ from experiments.speed.workloads import (
     pipeline,
 )
 from mmwave_env.compiler.lanes import WIDTH
-from mmwave_env.engine import Engine
+from mmwave_env.engines.env_engine import Engine
+from mmwave_env.engines.track_engine import Tracker
 from mmwave_env.estimator.pipeline import Pipeline
 from mmwave_env.reward import TrackingReward
-from mmwave_env.tracker import Tracker
 
 FRESH_RUNS = 3  # of every process, at most: they take seconds
 FRESH_SIZES = 3  # the largest ones; others are no different from the smallest of them

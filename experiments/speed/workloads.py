@@ -15,8 +15,9 @@ import gymnasium as gym
 import numpy as np
 
 from experiments.evaluation import draw_episodes
+from mmwave_env.engines.batch import blank_incoming, blank_site
+from mmwave_env.engines.track_engine import Tracker
 from mmwave_env.episode import Episode
-from mmwave_env.estimator.batch import blank_incoming, blank_site
 from mmwave_env.estimator.belief import Belief
 from mmwave_env.estimator.filterpy_twin import filterpy_pipeline
 from mmwave_env.estimator.modes import Mode, default_modes, named_modes
@@ -28,7 +29,6 @@ from mmwave_env.numerics.linalg import unpack
 from mmwave_env.numerics.pytree import rebuild
 from mmwave_env.reward import TrackingReward
 from mmwave_env.simulation import SimulatedSource
-from mmwave_env.tracker import Tracker
 
 RADIO = "handset"
 EPISODE = 200  # steps

@@ -118,8 +118,8 @@ STEPPED = """
 import os, signal, sys, threading, time
 import gymnasium as gym
 import numpy as np
-import mmwave_env.estimator.batch as batch
-import mmwave_env.stepping as stepping
+import mmwave_env.engines.batch as batch
+import mmwave_env.engines.vector_step as stepping
 from mmwave_env.compiler.threads import share
 
 batch.BLOCKS_PER_THREAD = 1

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from mmwave_env.engine import Engine
+from mmwave_env.engines.env_engine import Engine
 from mmwave_env.estimator.modes import Mode
 from mmwave_env.estimator.pipeline import Pipeline
 from mmwave_env.models.measurement import Layout

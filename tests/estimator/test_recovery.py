@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 from scipy.stats import chi2
 
+from mmwave_env.engines.track_engine import Tracker
 from mmwave_env.estimator.modes import Mode
 from mmwave_env.estimator.pipeline import Pipeline
-from mmwave_env.tracker import Tracker
 from tests.estimator.tracks import STREET, simulated
 
 N, T = 64, 120

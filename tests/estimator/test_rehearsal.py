@@ -11,7 +11,8 @@ import gymnasium as gym
 import numpy as np
 import pytest
 
-from mmwave_env.engine import Engine
+from mmwave_env.engines.env_engine import Engine
+from mmwave_env.engines.track_engine import Tracker
 from mmwave_env.estimator.linearise import SigmaPoints
 from mmwave_env.estimator.modes import Mode
 from mmwave_env.estimator.pipeline import Pipeline
@@ -19,7 +20,6 @@ from mmwave_env.estimator.rehearsal import AlgorithmError
 from mmwave_env.estimator.update import Posterior, ckf, ekf, ukf, update
 from mmwave_env.models.measurement import Layout
 from mmwave_env.reward import TrackingReward
-from mmwave_env.tracker import Tracker
 from tests.estimator.tracks import STREET, simulated
 
 BEFORE = """import math

@@ -4,13 +4,13 @@ import numpy as np
 import pytest
 from filterpy.kalman import KalmanFilter
 
+from mmwave_env.engines.track_engine import Tracker
 from mmwave_env.estimator.modes import modes_from
 from mmwave_env.estimator.pipeline import Pipeline
 from mmwave_env.estimator.smoother import smooth
 from mmwave_env.models.radio import RADIOS
 from mmwave_env.models.scene import SCENES
 from mmwave_env.simulation import SimulatedSource
-from mmwave_env.tracker import Tracker
 
 TOLERANCE = 1e-9
 LOWER = np.tril_indices(7)

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from mmwave_env.engine import Engine
+from mmwave_env.engines.env_engine import Engine
 from mmwave_env.reward import TrackingReward
 from tests.estimator.tracks import pipeline_of, simulated
 

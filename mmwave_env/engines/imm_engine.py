@@ -15,8 +15,9 @@ from scipy.special import chdtri
 
 from mmwave_env.compiler.lanes import WIDTH
 from mmwave_env.compiler.program import Array, Index, Program, Tracks, Traffic, rows_of
+from mmwave_env.engines.batch import Batch, Incoming, blank_incoming, blank_site
+from mmwave_env.engines.track_engine import untuned
 from mmwave_env.episode import Episode, Packed
-from mmwave_env.estimator.batch import Batch, Incoming, blank_incoming, blank_site
 from mmwave_env.estimator.belief import Belief
 from mmwave_env.estimator.imm import (
     Mixture,
@@ -32,7 +33,6 @@ from mmwave_env.numerics.linalg import pack
 from mmwave_env.numerics.numbers import Number
 from mmwave_env.numerics.pytree import leaves
 from mmwave_env.reward import Reward
-from mmwave_env.tracker import untuned
 
 
 class ImmWorkspace(NamedTuple):
@@ -47,7 +47,7 @@ class ImmWorkspace(NamedTuple):
         limits: (groups,) NIS that counts at most in a likelihood.
         mixture: belief and probability of every mode.
         x, P: (7,), (28,) the combined belief.
-        reward, error, nees: of the epoch, as in :class:`~mmwave_env.engine.Workspace`.
+        reward, error, nees: of the epoch, as in :class:`~mmwave_env.engines.env_engine.Workspace`.
     """
 
     incoming: Incoming

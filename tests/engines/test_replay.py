@@ -3,14 +3,14 @@
 import numpy as np
 import pytest
 
-from mmwave_env.engine import Engine
+from mmwave_env.engines.env_engine import Engine
+from mmwave_env.engines.replay import Replay
+from mmwave_env.engines.track_engine import Tracker
 from mmwave_env.estimator.filterpy_twin import filterpy_pipeline
 from mmwave_env.estimator.modes import default_modes
 from mmwave_env.estimator.pipeline import Pipeline
 from mmwave_env.estimator.smoother import smooth
-from mmwave_env.replay import Replay
 from mmwave_env.reward import TrackingReward
-from mmwave_env.tracker import Tracker
 from tests.estimator.tracks import STREET, simulated
 
 N, T = 11, 60

@@ -5,15 +5,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from mmwave_env.engine import Engine
+from mmwave_env.engines.env_engine import Engine
+from mmwave_env.engines.imm_engine import ImmEngine
+from mmwave_env.engines.track_engine import Tracker
 from mmwave_env.episode import Packed
 from mmwave_env.estimator.belief import Belief
 from mmwave_env.estimator.modes import Mode, default_modes
 from mmwave_env.estimator.pipeline import Pipeline
-from mmwave_env.imm_engine import ImmEngine
 from mmwave_env.models.measurement import Layout
 from mmwave_env.reward import LogScore, TrackingReward
-from mmwave_env.tracker import Tracker
 from tests.estimator.tracks import STREET, simulated, unpacked
 
 N, T = 11, 60

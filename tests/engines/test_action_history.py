@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from mmwave_env.history import History
+from mmwave_env.engines.action_history import History
 
 
 @pytest.mark.parametrize("modes", [2, 300])

@@ -5,10 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from mmwave_env.engines.track_engine import Tracker
 from mmwave_env.estimator.modes import Mode, default_modes
 from mmwave_env.estimator.pipeline import Pipeline
 from mmwave_env.numerics.numbers import sqrt, where
-from mmwave_env.tracker import Tracker
 from tests.estimator.tracks import STREET, simulated, track
 
 N, T = 11, 60

@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mmwave_env.compiler.program import Program, rows_of
+from mmwave_env.engines.batch import Batch, Incoming, blank_incoming, blank_site
 from mmwave_env.episode import Episode
-from mmwave_env.estimator.batch import Batch, Incoming, blank_incoming, blank_site
 from mmwave_env.estimator.belief import Belief
 from mmwave_env.estimator.modes import Tuning
 from mmwave_env.estimator.pipeline import (

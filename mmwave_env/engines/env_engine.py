@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mmwave_env.compiler.program import NO_ROWS, Array, Index, Program, rows_of
+from mmwave_env.engines.batch import Batch, Incoming, blank_incoming, blank_site
 from mmwave_env.episode import Episode, Packed
-from mmwave_env.estimator.batch import Batch, Incoming, blank_incoming, blank_site
 from mmwave_env.estimator.belief import Belief
 from mmwave_env.estimator.pipeline import (
     Candidate,

@@ -1,0 +1,1 @@
+"""Filters run over episodes: for agents, along whole tracks, as an IMM, and back again."""
