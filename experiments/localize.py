@@ -19,8 +19,8 @@ from experiments.track_plot import TrackPicture
 from experiments.track_report import track_markdown
 from experiments.track_scores import Course, Groups, TruthScores
 from mmwave_env.engines.track_engine import Rule
-from mmwave_env.estimator.modes import Mode, modes_from, robust
 from mmwave_env.files import require_writable, write_json
+from mmwave_env.filters.modes import Mode, modes_from, robust
 from mmwave_env.io.log_tables import LogError
 from mmwave_env.io.measurement_log import LogBlock, read_log
 from mmwave_env.localizer import SMOOTHING_WINDOW, localize

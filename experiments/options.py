@@ -21,8 +21,8 @@ from experiments.markdown import markdown, show
 from experiments.runs import Run, trainings
 from experiments.training_seeds import draw_profiles, over_training_seeds, seeds_markdown
 from mmwave_env.episode import EpisodeSource
-from mmwave_env.estimator.modes import Mode, modes_from
 from mmwave_env.files import write_json
+from mmwave_env.filters.modes import Mode, modes_from
 from mmwave_env.io.samples import recording_from
 from mmwave_env.models.radio import radio_from
 from mmwave_env.models.scene import scene_from

@@ -22,9 +22,9 @@ from experiments.evaluation import draw_episodes
 from experiments.terminal import progress
 from mmwave_env.engines.env_engine import Engine
 from mmwave_env.episode import Episode
-from mmwave_env.estimator.modes import named_modes
-from mmwave_env.estimator.pipeline import Pipeline
 from mmwave_env.files import write_json
+from mmwave_env.filters.modes import named_modes
+from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.mobility import MOBILITIES
 from mmwave_env.models.measurement import Layout
 from mmwave_env.models.radio import RADIOS

@@ -16,8 +16,8 @@ from experiments.cli import run
 from experiments.learning.recipe import Recipe, read_recipe, shipped_recipe
 from experiments.markdown import grid
 from experiments.options import command_line
-from mmwave_env.estimator.modes import Mode, as_written, modes_from
 from mmwave_env.files import write_bytes, write_json
+from mmwave_env.filters.modes import Mode, as_written, modes_from
 from mmwave_env.lookup import choose
 from mmwave_env.reward import REWARDS, Reward, TrackingReward
 

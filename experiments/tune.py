@@ -18,9 +18,9 @@ from experiments.markdown import grid
 from experiments.options import TUNING_SEED, command_line, require_tuning_seed
 from mmwave_env.engines.track_engine import Tracker
 from mmwave_env.episode import Episode
-from mmwave_env.estimator.modes import Mode, as_written, modes_from
-from mmwave_env.estimator.pipeline import Pipeline
 from mmwave_env.files import require_writable, write_json
+from mmwave_env.filters.modes import Mode, as_written, modes_from
+from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.lookup import choose
 from mmwave_env.metrics import scored
 from mmwave_env.models.measurement import Layout

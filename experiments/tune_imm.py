@@ -19,10 +19,10 @@ from experiments.options import TUNING_SEED, command_line, require_tuning_seed
 from experiments.tune import CAP
 from mmwave_env.engines.imm_engine import ImmEngine
 from mmwave_env.episode import Packed
-from mmwave_env.estimator.imm import DEFAULT_STAY
-from mmwave_env.estimator.modes import Mode, as_written, modes_from
-from mmwave_env.estimator.pipeline import Pipeline
 from mmwave_env.files import write_json
+from mmwave_env.filters.imm import DEFAULT_STAY
+from mmwave_env.filters.modes import Mode, as_written, modes_from
+from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.lookup import choose
 from mmwave_env.metrics import scored
 from mmwave_env.models.radio import RADIOS, radio_from

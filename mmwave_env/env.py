@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 from mmwave_env.engines.env_engine import Engine
 from mmwave_env.engines.replay import Replay
 from mmwave_env.episode import Episode, EpisodeSource
-from mmwave_env.estimator.modes import Mode, modes_from
-from mmwave_env.estimator.pipeline import Pipeline
+from mmwave_env.filters.modes import Mode, modes_from
+from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.information import episode_info
 from mmwave_env.lookup import choose
 from mmwave_env.metrics import DIVERGENCE_M
@@ -169,7 +169,7 @@ class MmWaveLocEnv(gym.Env[NDArray[np.float32], np.int64]):
         choose(BACKENDS, backend, "backend")
         pipeline = setting.pipeline
         if backend == "filterpy":
-            from mmwave_env.estimator.filterpy_twin import filterpy_pipeline
+            from mmwave_env.filters.filterpy_reference import filterpy_pipeline
 
             pipeline = filterpy_pipeline(pipeline)
         on_floats = backend == "filterpy"

@@ -14,9 +14,9 @@ from numpy.typing import NDArray
 
 from mmwave_env.engines.track_engine import Rule, Tracker
 from mmwave_env.episode import Episode
-from mmwave_env.estimator.modes import Mode
-from mmwave_env.estimator.pipeline import Pipeline
-from mmwave_env.estimator.smoother import smooth
+from mmwave_env.filters.modes import Mode
+from mmwave_env.filters.pipeline import Pipeline
+from mmwave_env.filters.smoother import smooth
 from mmwave_env.io.log_tables import LogError
 from mmwave_env.io.measurement_log import LogBlock
 from mmwave_env.models.measurement import Layout

@@ -6,8 +6,8 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
-from mmwave_env.estimator.pipeline import Pipeline
 from mmwave_env.features import View, coming, context
+from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.numerics.numbers import Number, clip
 
 OBSERVATIONS = {"full": "everything", "prior": "nothing of how each mode sees the coming epoch"}

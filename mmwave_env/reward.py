@@ -1,7 +1,7 @@
 """Rewards: functions of a belief and the truth, written on numbers.
 
 A reward is called as ``reward(belief, truth)`` with a
-:class:`~mmwave_env.estimator.belief.Belief` and the true (6,) position and velocity, and
+:class:`~mmwave_env.filters.belief.Belief` and the true (6,) position and velocity, and
 returns one number. Pass your own to ``MmWaveLoc-v0`` as ``reward=``; it follows the rules
 of :mod:`mmwave_env.numerics.numbers`, so it runs on SIMD lanes like everything else.
 """
@@ -9,7 +9,7 @@ of :mod:`mmwave_env.numerics.numbers`, so it runs on SIMD lanes like everything 
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from mmwave_env.estimator.belief import Belief
+from mmwave_env.filters.belief import Belief
 from mmwave_env.lookup import choose
 from mmwave_env.numerics.numbers import Number, Vector, log, maximum, minimum
 

@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from mmwave_env.compiler.rng import Generators
 from mmwave_env.episode import Episode, EpisodeSource, Packed
-from mmwave_env.estimator.modes import Mode, modes_from
-from mmwave_env.estimator.pipeline import Pipeline
+from mmwave_env.filters.modes import Mode, modes_from
+from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.io.samples import recording_from
 from mmwave_env.models.radio import Radio, radio_from
 from mmwave_env.models.scene import Scene, scene_from

@@ -5,7 +5,7 @@ from functools import cache
 from importlib.resources import files
 from typing import Any, NamedTuple
 
-from mmwave_env.estimator.modes import Mode
+from mmwave_env.filters.modes import Mode
 from mmwave_env.lookup import choose
 
 Transition = tuple[tuple[float, ...], ...]

@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from mmwave_env.estimator.modes import Mode
-from mmwave_env.estimator.pipeline import Pipeline
+from mmwave_env.filters.modes import Mode
+from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.models.measurement import Layout
 from mmwave_env.observation import Observation
 from policies.policy_file import Card, to_bytes

@@ -9,14 +9,14 @@ import numpy as np
 import pytest
 
 from experiments.bounds import bounds_of, over_bound
-from experiments.evaluation import contender_from, draw_episodes, score
-from experiments.intervals import RESAMPLES
-from mmwave_env.estimator.bound import (
+from experiments.cramer_rao import (
     averaged_bound,
     conditional_bounds,
     measured_motion,
     position_variance,
 )
+from experiments.evaluation import contender_from, draw_episodes, score
+from experiments.intervals import RESAMPLES
 from mmwave_env.metrics import BURN_IN
 from mmwave_env.models.radio import RADIOS
 from mmwave_env.models.scene import SCENES

@@ -19,7 +19,7 @@ import numpy as np
 import pytest
 
 from experiments.cli import run
-from mmwave_env.estimator.modes import default_modes
+from mmwave_env.filters.modes import default_modes
 from mmwave_env.io.measurement_log import read_log, write_log
 from mmwave_env.io.tum import read_tum, tum_lines
 from mmwave_env.localizer import localize

@@ -17,7 +17,7 @@ from mmwave_env.models.radio import RADIOS
 from mmwave_env.models.scene import SCENES
 from mmwave_env.numerics.pytree import rebuild
 from mmwave_env.simulation import SimulatedSource
-from tests.estimator.tracks import geometry
+from tests.filters.tracks import geometry
 
 STREET = SCENES["street"]
 HZ_PER_MPS = 28e9 / 299_792_458.0

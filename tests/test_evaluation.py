@@ -17,8 +17,8 @@ from experiments.evaluation import (
     score,
 )
 from mmwave_env.engines.imm_engine import ImmEngine
-from mmwave_env.estimator.modes import modes_from
-from mmwave_env.estimator.pipeline import Pipeline
+from mmwave_env.filters.modes import modes_from
+from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.metrics import BURN_IN, METRICS
 from mmwave_env.models.radio import RADIOS
 from mmwave_env.models.scene import SCENES

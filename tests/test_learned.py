@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 import mmwave_env
-from mmwave_env.estimator.pipeline import Pipeline
+from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.models.measurement import Layout
 from mmwave_env.observation import Observation
 from policies import LearnedSwitch, learned, shipped_policies

@@ -11,9 +11,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from mmwave_env.episode import Episode
-from mmwave_env.estimator.modes import Mode, default_modes, robust
-from mmwave_env.estimator.pipeline import Pipeline
-from mmwave_env.estimator.smoother import smooth
+from mmwave_env.filters.modes import Mode, default_modes, robust
+from mmwave_env.filters.pipeline import Pipeline
+from mmwave_env.filters.smoother import smooth
 from mmwave_env.io.log_tables import LogError
 from mmwave_env.io.measurement_log import read_log, write_log
 from mmwave_env.localizer import TrackBlock, localize
@@ -22,7 +22,7 @@ from mmwave_env.models.radio import RADIOS
 from mmwave_env.models.scene import SCENES
 from mmwave_env.simulation import SimulatedSource
 from policies.scripted import by_odometry_speed, by_predicted_speed
-from tests.estimator.tracks import track
+from tests.filters.tracks import track
 
 SCENE, RADIO = SCENES["street"], RADIOS["handset"]
 T = 230

@@ -14,8 +14,8 @@ from scipy.stats import chi2
 import mmwave_env  # noqa: F401  registers the environment
 from mmwave_env.engines.env_engine import Engine
 from mmwave_env.env import MmWaveLocEnv
-from mmwave_env.estimator.modes import modes_from
-from mmwave_env.estimator.pipeline import Pipeline
+from mmwave_env.filters.modes import modes_from
+from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.models.measurement import Layout
 from mmwave_env.models.radio import RADIOS
 from mmwave_env.models.scene import SCENES

@@ -10,8 +10,8 @@ from scipy.stats import binom
 
 from mmwave_env.engines.batch import blank_incoming
 from mmwave_env.engines.imm_engine import transition_from
-from mmwave_env.estimator.modes import Mode, modes_from
-from mmwave_env.estimator.pipeline import Pipeline
+from mmwave_env.filters.modes import Mode, modes_from
+from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.models.measurement import Layout
 from mmwave_env.models.radio import RADIOS
 from mmwave_env.observation import Observation

@@ -12,8 +12,8 @@ from hypothesis import strategies as st
 from safetensors import safe_open
 from safetensors.numpy import save
 
-from mmwave_env.estimator.modes import Mode
-from mmwave_env.estimator.update import ekf
+from mmwave_env.filters.modes import Mode
+from mmwave_env.filters.update import ekf
 from policies.policy_file import Card, _checksum, read_policy, to_bytes
 from tests.actors import MODES, actor, card_of, write
 

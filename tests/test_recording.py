@@ -13,7 +13,7 @@ from mmwave_env.models.measurement import Layout
 from mmwave_env.models.radio import RADIOS
 from mmwave_env.models.scene import Scene, Wall
 from mmwave_env.recording import RecordedSource, Recording
-from tests.estimator.tracks import geometry
+from tests.filters.tracks import geometry
 
 NAMES = ("canyon28_pedestrian", "canyon28_vehicle")
 VEHICLE = recording_from("canyon28_vehicle")

@@ -12,9 +12,9 @@ from scipy.stats import multivariate_normal
 
 import mmwave_env  # noqa: F401  registers the environment
 from mmwave_env.engines.env_engine import Engine
-from mmwave_env.estimator.belief import Belief
-from mmwave_env.estimator.modes import Mode
-from mmwave_env.estimator.pipeline import Pipeline
+from mmwave_env.filters.belief import Belief
+from mmwave_env.filters.modes import Mode
+from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.models.radio import radio_from
 from mmwave_env.models.scene import scene_from
 from mmwave_env.numerics.numbers import maximum

@@ -15,7 +15,7 @@ from mmwave_env.mobility import mobilities_of, plan_of
 from mmwave_env.models.radio import RADIOS
 from mmwave_env.models.scene import SCENES
 from mmwave_env.simulation import CHUNK, SimulatedSource
-from tests.estimator.tracks import geometry
+from tests.filters.tracks import geometry
 from tests.roads import trajectories
 
 SOURCES = {

@@ -8,8 +8,8 @@ import pytest
 
 from experiments import damage, soak
 from experiments.cli import run
-from mmwave_env.estimator.modes import Mode, named_modes
-from mmwave_env.estimator.update import ekf
+from mmwave_env.filters.modes import Mode, named_modes
+from mmwave_env.filters.update import ekf
 from mmwave_env.models.radio import RADIOS
 from mmwave_env.models.scene import SCENES
 from mmwave_env.numerics.numbers import where

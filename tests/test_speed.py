@@ -11,7 +11,7 @@ from experiments.speed.rates import Rates
 from experiments.speed.report import TITLES, label, short, spread, tables
 from experiments.speed.roofline import KINDS, LENGTH, interleaved, limit_s
 from experiments.speed.workloads import EPISODE, Lap, filterpy_episode, pipeline, source
-from mmwave_env.estimator.filterpy_twin import filterpy_pipeline
+from mmwave_env.filters.filterpy_reference import filterpy_pipeline
 from mmwave_env.numerics.linalg import cholesky, dot
 from mmwave_env.numerics.numbers import atan2, maximum, sqrt, where
 

@@ -25,9 +25,9 @@ from experiments.learning.recipe import Recipe, read_recipe, shipped_recipe
 from experiments.learning.world import TRUTH, PairedReward, Task, WithTruth, World
 from experiments.train import Args
 from mmwave_env.engines.imm_engine import ImmEngine
-from mmwave_env.estimator.modes import default_modes
-from mmwave_env.estimator.pipeline import Pipeline
 from mmwave_env.files import write_json
+from mmwave_env.filters.modes import default_modes
+from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.models.radio import RADIOS
 from mmwave_env.models.scene import SCENES
 from mmwave_env.reward import TrackingReward

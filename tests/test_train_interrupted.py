@@ -25,7 +25,7 @@ import torch
 from experiments.learning import examiner
 from experiments.learning.processes import side_by_side
 from experiments.learning.trainer import Job, Training
-from mmwave_env.estimator.modes import default_modes
+from mmwave_env.filters.modes import default_modes
 from tests.test_train import RECIPE, TASK, content
 
 pytestmark = [

@@ -13,7 +13,7 @@ from gymnasium.error import InvalidAction, ResetNeeded
 from gymnasium.vector import AutoresetMode
 
 import mmwave_env.engines.batch as batch
-from mmwave_env.estimator.modes import Mode
+from mmwave_env.filters.modes import Mode
 from mmwave_env.information import STATE_KEYS, STEP_KEYS
 from mmwave_env.models.measurement import Layout
 from mmwave_env.models.radio import RADIOS

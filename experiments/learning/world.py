@@ -15,8 +15,8 @@ from stable_baselines3.common.vec_env import (
 
 from experiments.learning.recipe import Recipe
 from mmwave_env.engines.imm_engine import ImmEngine
-from mmwave_env.estimator.modes import Mode, default_modes
-from mmwave_env.estimator.pipeline import Pipeline
+from mmwave_env.filters.modes import Mode, default_modes
+from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.observation import Observation
 from mmwave_env.reward import Reward
 from mmwave_env.sb3 import Infos, SB3VecEnv

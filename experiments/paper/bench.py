@@ -13,10 +13,10 @@ from experiments.intervals import Interval
 from experiments.markdown import grid, rounded
 from mmwave_env.engines.track_engine import Tracker
 from mmwave_env.episode import Episode
-from mmwave_env.estimator.belief import Belief
-from mmwave_env.estimator.modes import Mode, shipped_modes
-from mmwave_env.estimator.pipeline import Pipeline
-from mmwave_env.estimator.smoother import smooth
+from mmwave_env.filters.belief import Belief
+from mmwave_env.filters.modes import Mode, shipped_modes
+from mmwave_env.filters.pipeline import Pipeline
+from mmwave_env.filters.smoother import smooth
 from mmwave_env.metrics import accuracy, scored
 from mmwave_env.models.radio import Radio, radio_from
 from mmwave_env.models.scene import SCENES

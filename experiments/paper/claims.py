@@ -12,7 +12,7 @@ from experiments.paper.bench import Bench, Cell, Errors, Section, Setting, track
 from experiments.paper.printed import untuned
 from experiments.paper.published import HIGH_MOBILITY, LOW_MOBILITY, Published
 from mmwave_env.episode import Episode
-from mmwave_env.estimator.modes import Mode, robust
+from mmwave_env.filters.modes import Mode, robust
 from mmwave_env.metrics import nees_interval
 from mmwave_env.models.measurement import SPEED_OF_LIGHT, Layout
 from mmwave_env.models.radio import RADIOS

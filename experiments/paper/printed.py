@@ -9,7 +9,7 @@ from experiments.evaluation import Scores
 from experiments.intervals import bootstrap
 from experiments.paper.bench import Bench, Cell, Section, Setting
 from experiments.paper.published import HIGH_MOBILITY, LOW_MOBILITY, OTHERS, Published
-from mmwave_env.estimator.modes import Mode, robust
+from mmwave_env.filters.modes import Mode, robust
 from mmwave_env.models.radio import RADIOS
 
 PRINTED = {"ate_m": "ATE m", "rpe_m": "RPE m", "nees": "NEES", "rmse_m": "RMSE m"}

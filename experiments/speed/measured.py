@@ -24,7 +24,7 @@ from experiments.speed.workloads import (
 from mmwave_env.compiler.lanes import WIDTH
 from mmwave_env.engines.env_engine import Engine
 from mmwave_env.engines.track_engine import Tracker
-from mmwave_env.estimator.pipeline import Pipeline
+from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.reward import TrackingReward
 
 FRESH_RUNS = 3  # of every process, at most: they take seconds

@@ -18,8 +18,8 @@ from mmwave_env.compiler.program import Array, Index, Program, Tracks, Traffic, 
 from mmwave_env.engines.batch import Batch, Incoming, blank_incoming, blank_site
 from mmwave_env.engines.track_engine import untuned
 from mmwave_env.episode import Episode, Packed
-from mmwave_env.estimator.belief import Belief
-from mmwave_env.estimator.imm import (
+from mmwave_env.filters.belief import Belief
+from mmwave_env.filters.imm import (
     Mixture,
     begin,
     estimate,
@@ -27,8 +27,8 @@ from mmwave_env.estimator.imm import (
     restart,
     stay_matrix,
 )
-from mmwave_env.estimator.modes import Tuning
-from mmwave_env.estimator.pipeline import Pipeline, Site
+from mmwave_env.filters.modes import Tuning
+from mmwave_env.filters.pipeline import Pipeline, Site
 from mmwave_env.numerics.linalg import pack
 from mmwave_env.numerics.numbers import Number
 from mmwave_env.numerics.pytree import leaves

@@ -18,8 +18,8 @@ from mmwave_env.compiler.program import Array, Index, Program, call, rows_of
 from mmwave_env.compiler.transpose import address, gather, pick
 from mmwave_env.engines.batch import Batch
 from mmwave_env.engines.track_engine import Track, program_of
-from mmwave_env.estimator.pipeline import Pipeline
-from mmwave_env.estimator.smoother import rts_mean
+from mmwave_env.filters.pipeline import Pipeline
+from mmwave_env.filters.smoother import rts_mean
 from mmwave_env.numerics.linalg import cholesky, unpack
 from mmwave_env.numerics.numbers import Number
 from mmwave_env.numerics.pytree import leaves, select

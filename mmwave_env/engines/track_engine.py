@@ -16,9 +16,9 @@ from numpy.typing import NDArray
 from mmwave_env.compiler.program import Program, rows_of
 from mmwave_env.engines.batch import Batch, Incoming, blank_incoming, blank_site
 from mmwave_env.episode import Episode
-from mmwave_env.estimator.belief import Belief
-from mmwave_env.estimator.modes import Tuning
-from mmwave_env.estimator.pipeline import (
+from mmwave_env.filters.belief import Belief
+from mmwave_env.filters.modes import Tuning
+from mmwave_env.filters.pipeline import (
     Candidate,
     Epoch,
     Memory,
@@ -49,7 +49,7 @@ class Track(NamedTuple):
         x, P: (7,), (28,) belief after the epoch.
         P_predicted: (28,) covariance predicted for it.
         memory: of the track; ``memory.mode`` ran.
-        log_likelihood: as in :class:`~mmwave_env.estimator.update.Posterior`.
+        log_likelihood: as in :class:`~mmwave_env.filters.update.Posterior`.
         error: (3,) position error, m; NaN where the truth is not known.
         nees: of the position.
     """

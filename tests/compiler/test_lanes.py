@@ -36,7 +36,7 @@ from mmwave_env.numerics.numbers import (
     wrap,
 )
 from mmwave_env.numerics.tracer import NoValue, Probe, ProbeTruth
-from tests.estimator.tracks import assert_same_beliefs, pipeline_of, simulated, track
+from tests.filters.tracks import assert_same_beliefs, pipeline_of, simulated, track
 
 
 class Many(NamedTuple):
@@ -338,8 +338,8 @@ SCRIPT = """
 import numpy as np
 from mmwave_env.engines.env_engine import Engine
 from mmwave_env.episode import Episode
-from mmwave_env.estimator.modes import Mode
-from mmwave_env.estimator.pipeline import Pipeline
+from mmwave_env.filters.modes import Mode
+from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.models.measurement import Layout
 from mmwave_env.reward import TrackingReward
 
@@ -359,8 +359,8 @@ print(engine.read(engine.at.x).tolist())
 """
 EDITS = [
     ("measurement.py", "d[0] * velocity[0]", "d[1] * velocity[0]"),
-    ("estimator/motion.py", "(0.5 * dt)", "(0.7 * dt)"),
-    ("estimator/linearise.py", "(0.5 / s)", "(0.6 / s)"),
+    ("models/motion.py", "(0.5 * dt)", "(0.7 * dt)"),
+    ("filters/linearization.py", "(0.5 / s)", "(0.6 / s)"),
 ]
 
 

@@ -5,7 +5,7 @@ import pytest
 
 from mmwave_env.engines.env_engine import Engine
 from mmwave_env.reward import TrackingReward
-from tests.estimator.tracks import pipeline_of, simulated
+from tests.filters.tracks import pipeline_of, simulated
 
 N, T = 11, 12
 ON = pytest.mark.parametrize("on_floats", [False, True], ids=["lanes", "floats"])

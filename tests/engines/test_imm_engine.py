@@ -9,12 +9,12 @@ from mmwave_env.engines.env_engine import Engine
 from mmwave_env.engines.imm_engine import ImmEngine
 from mmwave_env.engines.track_engine import Tracker
 from mmwave_env.episode import Packed
-from mmwave_env.estimator.belief import Belief
-from mmwave_env.estimator.modes import Mode, default_modes
-from mmwave_env.estimator.pipeline import Pipeline
+from mmwave_env.filters.belief import Belief
+from mmwave_env.filters.modes import Mode, default_modes
+from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.models.measurement import Layout
 from mmwave_env.reward import LogScore, TrackingReward
-from tests.estimator.tracks import STREET, simulated, unpacked
+from tests.filters.tracks import STREET, simulated, unpacked
 
 N, T = 11, 60
 TWO = Pipeline(default_modes(), STREET)

@@ -6,12 +6,12 @@ import pytest
 from mmwave_env.engines.env_engine import Engine
 from mmwave_env.engines.replay import Replay
 from mmwave_env.engines.track_engine import Tracker
-from mmwave_env.estimator.filterpy_twin import filterpy_pipeline
-from mmwave_env.estimator.modes import default_modes
-from mmwave_env.estimator.pipeline import Pipeline
-from mmwave_env.estimator.smoother import smooth
+from mmwave_env.filters.filterpy_reference import filterpy_pipeline
+from mmwave_env.filters.modes import default_modes
+from mmwave_env.filters.pipeline import Pipeline
+from mmwave_env.filters.smoother import smooth
 from mmwave_env.reward import TrackingReward
-from tests.estimator.tracks import STREET, simulated
+from tests.filters.tracks import STREET, simulated
 
 N, T = 11, 60
 ACTIONS = np.random.default_rng(0).integers(0, 2, (N, T)).astype(np.uint8)

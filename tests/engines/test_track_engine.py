@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from mmwave_env.engines.track_engine import Tracker
-from mmwave_env.estimator.modes import Mode, default_modes
-from mmwave_env.estimator.pipeline import Pipeline
+from mmwave_env.filters.modes import Mode, default_modes
+from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.numerics.numbers import sqrt, where
-from tests.estimator.tracks import STREET, simulated, track
+from tests.filters.tracks import STREET, simulated, track
 
 N, T = 11, 60
 

@@ -22,9 +22,9 @@ import mmwave_env
 from experiments.cli import run
 from mmwave_env.engines.imm_engine import ImmEngine
 from mmwave_env.episode import Episode
-from mmwave_env.estimator.imm import begin
-from mmwave_env.estimator.modes import default_modes, named_modes
-from mmwave_env.estimator.pipeline import Pipeline
+from mmwave_env.filters.imm import begin
+from mmwave_env.filters.modes import default_modes, named_modes
+from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.io.measurement_log import read_log
 from mmwave_env.localizer import SMOOTHING_WINDOW, TrackBlock, localize
 from mmwave_env.models.prior import prior_from_fix

@@ -13,7 +13,7 @@ from mmwave_env.io.samples import recording_from
 from mmwave_env.models.measurement import SPEED_OF_LIGHT
 from mmwave_env.models.scene import Scene, Wall
 from mmwave_env.recording import Recording
-from tests.estimator.tracks import geometry
+from tests.filters.tracks import geometry
 from tests.paths import RECORDINGS
 
 VEHICLE, PEDESTRIAN = RECORDINGS / "canyon28_vehicle", RECORDINGS / "canyon28_pedestrian"

@@ -14,8 +14,8 @@ from mmwave_env.models.motion import (
     predict_covariance,
     white_noise_acceleration,
 )
-from tests.estimator import textbook
-from tests.estimator.tracks import pipeline_of, simulated, track, unpacked
+from tests.filters import textbook
+from tests.filters.tracks import pipeline_of, simulated, track, unpacked
 
 variances = hnp.arrays(float, 3, elements=st.floats(0.0, 10.0))
 steps = st.sampled_from([0.0, 0.1, 0.5, 1.0, 2.5])

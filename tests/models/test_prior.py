@@ -9,7 +9,7 @@ from mmwave_env.models.measurement import Layout
 from mmwave_env.models.prior import UNKNOWN_VELOCITY_MPS, draw_prior, prior_from_fix
 from mmwave_env.models.radio import RADIOS
 from mmwave_env.models.scene import SCENES, Scene
-from tests.estimator.tracks import geometry
+from tests.filters.tracks import geometry
 
 SCENE = SCENES["street"]
 GNB = SCENE.anchors_m[0]

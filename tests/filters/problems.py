@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
 from mmwave_env.models.measurement import Layout, Measurement
-from tests.estimator import textbook
+from tests.filters import textbook
 
 HZ_PER_MPS = 93.4
 RTOL = 1e-9

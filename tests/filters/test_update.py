@@ -6,10 +6,10 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from scipy.stats import chi2
 
-from mmwave_env.estimator.linearise import SigmaPoints
-from mmwave_env.estimator.update import Gate, ckf, ekf, ukf, update
-from tests.estimator import textbook
-from tests.estimator.problems import HZ_PER_MPS, Problem, assert_same, assume_clear_of, problems
+from mmwave_env.filters.linearization import SigmaPoints
+from mmwave_env.filters.update import Gate, ckf, ekf, ukf, update
+from tests.filters import textbook
+from tests.filters.problems import HZ_PER_MPS, Problem, assert_same, assume_clear_of, problems
 
 OURS = {"ekf": ekf, "ukf": ukf, "ckf": ckf}
 GATES = {"no gate": Gate(None), "99 %": Gate(0.99), "median": Gate(0.5)}

@@ -12,9 +12,9 @@ from typing import NamedTuple
 
 from scipy.special import chdtri
 
-from mmwave_env.estimator.modes import Mode, Tuning
-from mmwave_env.estimator.rehearsal import rehearse
-from mmwave_env.estimator.update import Algorithm, Gate, Posterior, passes
+from mmwave_env.filters.custom import rehearse
+from mmwave_env.filters.modes import Mode, Tuning
+from mmwave_env.filters.update import Algorithm, Gate, Posterior, passes
 from mmwave_env.models.measurement import Layout, Measurement
 from mmwave_env.models.motion import (
     ProcessNoise,
@@ -117,7 +117,7 @@ class Candidate(NamedTuple):
         x: (7,) posterior mean.
         P: (28,) packed posterior covariance.
         P_predicted: (28,) packed covariance before the update (for smoothing).
-        nis, accepted: (groups,) as in :class:`~mmwave_env.estimator.update.Posterior`.
+        nis, accepted: (groups,) as in :class:`~mmwave_env.filters.update.Posterior`.
         passed: how many links passed their gates, forced ones not counted.
         log_likelihood: of the visible groups.
     """

@@ -15,19 +15,19 @@ from scipy.stats import chi2
 from experiments.evaluation import evaluate
 from mmwave_env.engines.imm_engine import ImmEngine
 from mmwave_env.engines.track_engine import Tracker
-from mmwave_env.estimator.modes import Mode
-from mmwave_env.estimator.pipeline import Pipeline
-from mmwave_env.estimator.rehearsal import AlgorithmError
-from mmwave_env.estimator.update import Gate, ekf
+from mmwave_env.filters.custom import AlgorithmError
+from mmwave_env.filters.modes import Mode
+from mmwave_env.filters.pipeline import Pipeline
+from mmwave_env.filters.update import Gate, ekf
 from mmwave_env.io.measurement_log import read_log, write_log
 from mmwave_env.localizer import localize
 from mmwave_env.models.radio import RADIOS
 from mmwave_env.models.scene import SCENES
 from mmwave_env.reward import TrackingReward
 from mmwave_env.simulation import SimulatedSource
-from tests.estimator import textbook
-from tests.estimator.problems import assert_same, assume_clear_of, problems
-from tests.estimator.tracks import STREET, assert_same_beliefs, simulated, track
+from tests.filters import textbook
+from tests.filters.problems import assert_same, assume_clear_of, problems
+from tests.filters.tracks import STREET, assert_same_beliefs, simulated, track
 from tests.paths import ROOT
 
 PAGE = (ROOT / "docs" / "own-filters.md").read_text()

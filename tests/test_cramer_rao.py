@@ -13,7 +13,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.stats import norm
 
-from mmwave_env.estimator.bound import (
+from experiments.cramer_rao import (
     Motion,
     averaged_bound,
     conditional_bounds,
@@ -22,14 +22,14 @@ from mmwave_env.estimator.bound import (
     position_variance,
     recursion,
 )
-from mmwave_env.estimator.modes import Mode
-from mmwave_env.estimator.pipeline import Pipeline
+from mmwave_env.filters.modes import Mode
+from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.models.measurement import Layout
 from mmwave_env.models.radio import RADIOS
 from mmwave_env.models.scene import SCENES
 from mmwave_env.simulation import SimulatedSource
-from tests.estimator import textbook
-from tests.estimator.tracks import (
+from tests.filters import textbook
+from tests.filters.tracks import (
     HZ_PER_MPS,
     STREET,
     OwnModel,

@@ -12,9 +12,9 @@ from collections.abc import Iterator
 from functools import lru_cache
 from typing import Any, NamedTuple
 
-from mmwave_env.estimator.advice import Line, begin_of, instead, line_of
-from mmwave_env.estimator.modes import ALGORITHMS, Mode
-from mmwave_env.estimator.update import Gate, Posterior
+from mmwave_env.filters.advice import Line, begin_of, instead, line_of
+from mmwave_env.filters.modes import ALGORITHMS, Mode
+from mmwave_env.filters.update import Gate, Posterior
 from mmwave_env.models.measurement import STATE_SIZE, Layout, Measurement, exact_rows
 from mmwave_env.numerics.linalg import unpack
 from mmwave_env.numerics.numbers import Number
@@ -150,7 +150,7 @@ def _require_posterior(mode: Mode, layout: Layout, result: Any) -> None:
     """Every field is there and has its shape."""
     if not isinstance(result, Posterior):
         raise _wrong_return(
-            mode, f"{_kind(result)}, expected a Posterior of mmwave_env.estimator.update"
+            mode, f"{_kind(result)}, expected a Posterior of mmwave_env.filters.update"
         )
     groups = len(layout.groups)
     _require_numbers(mode, "x", result.x, STATE_SIZE)

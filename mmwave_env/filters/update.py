@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 from scipy.special import chdtri
 
-from mmwave_env.estimator.linearise import (
+from mmwave_env.filters.linearization import (
     Latents,
     Linearisation,
     Prior,

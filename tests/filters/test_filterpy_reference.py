@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 
-from mmwave_env.estimator.filterpy_twin import filterpy_pipeline
-from mmwave_env.estimator.modes import Mode
-from mmwave_env.estimator.pipeline import Pipeline
-from mmwave_env.estimator.update import ekf
+from mmwave_env.filters.filterpy_reference import filterpy_pipeline
+from mmwave_env.filters.modes import Mode
+from mmwave_env.filters.pipeline import Pipeline
+from mmwave_env.filters.update import ekf
 from mmwave_env.models.measurement import Layout
-from tests.estimator.tracks import assert_same_beliefs, pipeline_of, simulated, track, with_anchors
+from tests.filters.tracks import assert_same_beliefs, pipeline_of, simulated, track, with_anchors
 
 EPOCHS = 200
 TUNINGS = {

@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import pytest
 
-from mmwave_env.estimator.modes import (
+from mmwave_env.filters.modes import (
     Mode,
     as_written,
     default_modes,
@@ -16,7 +16,7 @@ from mmwave_env.estimator.modes import (
     robust,
     shipped_modes,
 )
-from mmwave_env.estimator.update import ekf
+from mmwave_env.filters.update import ekf
 from mmwave_env.models.radio import RADIOS
 
 THREE = [

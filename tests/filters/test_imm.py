@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from mmwave_env.estimator.imm import stay_matrix
-from mmwave_env.estimator.modes import Mode, default_modes
-from mmwave_env.estimator.pipeline import Pipeline
+from mmwave_env.filters.imm import stay_matrix
+from mmwave_env.filters.modes import Mode, default_modes
+from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.models.measurement import Layout
-from tests.estimator import textbook
-from tests.estimator.tracks import (
+from tests.filters import textbook
+from tests.filters.tracks import (
     assert_same_beliefs,
     imm_track,
     pipeline_of,

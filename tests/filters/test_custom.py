@@ -13,20 +13,20 @@ import pytest
 
 from mmwave_env.engines.env_engine import Engine
 from mmwave_env.engines.track_engine import Tracker
-from mmwave_env.estimator.linearise import SigmaPoints
-from mmwave_env.estimator.modes import Mode
-from mmwave_env.estimator.pipeline import Pipeline
-from mmwave_env.estimator.rehearsal import AlgorithmError
-from mmwave_env.estimator.update import Posterior, ckf, ekf, ukf, update
+from mmwave_env.filters.custom import AlgorithmError
+from mmwave_env.filters.linearization import SigmaPoints
+from mmwave_env.filters.modes import Mode
+from mmwave_env.filters.pipeline import Pipeline
+from mmwave_env.filters.update import Posterior, ckf, ekf, ukf, update
 from mmwave_env.models.measurement import Layout
 from mmwave_env.reward import TrackingReward
-from tests.estimator.tracks import STREET, simulated
+from tests.filters.tracks import STREET, simulated
 
 BEFORE = """import math
 from math import sqrt
 import numpy as np
 from mmwave_env.numerics.numbers import where
-from mmwave_env.estimator.update import ekf
+from mmwave_env.filters.update import ekf
 TABLE = [1.0, 2.0]
 def mine(x, P, measurement, gate):
     a, b = x[0], P[0][0]
@@ -256,7 +256,7 @@ def lopsided(x, P, measurement, gate):
 
 
 RETURNS = {
-    nothing: "returned None, expected a Posterior of mmwave_env.estimator.update",
+    nothing: "returned None, expected a Posterior of mmwave_env.filters.update",
     tuple_of_two: "returned tuple of 2, expected a Posterior",
     changed(x=lambda x: x[:6]): "returned x: list of 6, expected a list of 7 numbers",
     changed(x=tuple): "returned x: tuple of 7, expected a list of 7 numbers",

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from mmwave_env.compiler.lanes import WIDTH
 from mmwave_env.compiler.program import Program, Tracks, Traffic, rows_of
-from mmwave_env.estimator.pipeline import VERTICAL
+from mmwave_env.filters.pipeline import VERTICAL
 from mmwave_env.models.measurement import STATE_SIZE
 from mmwave_env.models.motion import move
 from mmwave_env.numerics.linalg import backward, cholesky, dot, forward, pack, symmetric, unpack

@@ -26,9 +26,9 @@ from filterpy.kalman.CubatureKalmanFilter import spherical_radial_sigmas
 from numpy.typing import NDArray
 from scipy.stats import chi2
 
-from mmwave_env.estimator.modes import Mode
-from mmwave_env.estimator.pipeline import Pipeline
-from mmwave_env.estimator.update import ROBUST_ONSET, Algorithm, Gate, Posterior
+from mmwave_env.filters.modes import Mode
+from mmwave_env.filters.pipeline import Pipeline
+from mmwave_env.filters.update import ROBUST_ONSET, Algorithm, Gate, Posterior
 from mmwave_env.lookup import choose
 from mmwave_env.models.measurement import Layout, Measurement
 from mmwave_env.models.motion import ProcessNoise
@@ -238,7 +238,7 @@ class _Twin:
     def predict(
         self, mode: Mode, x: Vector, P: Matrix, noise: ProcessNoise, dt: float
     ) -> tuple[list[float], list[list[float]]]:
-        """The mode's prediction; a :data:`~mmwave_env.estimator.pipeline.Predictor`."""
+        """The mode's prediction; a :data:`~mmwave_env.filters.pipeline.Predictor`."""
         mean, covariance = self._filters[mode.algorithm].predict(
             np.array(x, float), np.array(P, float), full_noise(noise), float(dt)
         )

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from mmwave_env.estimator.update import Algorithm, ckf, ekf, ukf
+from mmwave_env.filters.update import Algorithm, ckf, ekf, ukf
 from mmwave_env.lookup import choose
 from mmwave_env.numerics.numbers import Number
 
@@ -44,7 +44,7 @@ class Mode:
     Attributes:
         name: shown in tables and messages.
         algorithm: "ekf", "ukf", "ckf", or a function with the signature of
-            :data:`~mmwave_env.estimator.update.Algorithm` (docs/own-filters.md).
+            :data:`~mmwave_env.filters.update.Algorithm` (docs/own-filters.md).
         sigma_p: extra horizontal position noise, m / sqrt(s).
         sigma_v: horizontal velocity noise, (m/s) / sqrt(s).
         sigma_pz: extra vertical position noise, m / sqrt(s).

@@ -6,9 +6,9 @@ import numpy as np
 from scipy.stats import chi2
 
 from mmwave_env.engines.track_engine import Tracker
-from mmwave_env.estimator.modes import Mode
-from mmwave_env.estimator.pipeline import Pipeline
-from tests.estimator.tracks import STREET, simulated
+from mmwave_env.filters.modes import Mode
+from mmwave_env.filters.pipeline import Pipeline
+from tests.filters.tracks import STREET, simulated
 
 N, T = 64, 120
 TIGHT = Mode("tight", sigma_p=0.01, sigma_v=0.05)

@@ -11,10 +11,10 @@ import pytest
 from scipy.stats import binom, chi2
 
 from mmwave_env.engines.env_engine import Engine
-from mmwave_env.estimator.modes import Mode
-from mmwave_env.estimator.pipeline import Pipeline
+from mmwave_env.filters.modes import Mode
+from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.reward import TrackingReward
-from tests.estimator.tracks import STREET, far_from_the_anchors, process_noise
+from tests.filters.tracks import STREET, far_from_the_anchors, process_noise
 
 RUNS, EPOCHS, CHECKED = 2000, 40, (0, 1, 5, 10, 20, 39)
 LEVEL = 0.01

@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 
 from mmwave_env.engines.env_engine import Engine
-from mmwave_env.estimator.modes import Mode
-from mmwave_env.estimator.pipeline import Pipeline
+from mmwave_env.filters.modes import Mode
+from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.models.measurement import Layout
 from mmwave_env.reward import TrackingReward
-from tests.estimator.tracks import simulated, unpacked
+from tests.filters.tracks import simulated, unpacked
 
 MODES = (
     Mode("tight ekf", "ekf", sigma_p=0.01, sigma_v=0.05),

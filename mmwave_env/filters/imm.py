@@ -8,8 +8,8 @@ from collections.abc import Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
-from mmwave_env.estimator.modes import Tuning
-from mmwave_env.estimator.pipeline import (
+from mmwave_env.filters.modes import Tuning
+from mmwave_env.filters.pipeline import (
     Epoch,
     Memory,
     Pipeline,

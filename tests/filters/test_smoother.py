@@ -5,9 +5,9 @@ import pytest
 from filterpy.kalman import KalmanFilter
 
 from mmwave_env.engines.track_engine import Tracker
-from mmwave_env.estimator.modes import modes_from
-from mmwave_env.estimator.pipeline import Pipeline
-from mmwave_env.estimator.smoother import smooth
+from mmwave_env.filters.modes import modes_from
+from mmwave_env.filters.pipeline import Pipeline
+from mmwave_env.filters.smoother import smooth
 from mmwave_env.models.radio import RADIOS
 from mmwave_env.models.scene import SCENES
 from mmwave_env.simulation import SimulatedSource
