@@ -20,7 +20,7 @@ from experiments.cramer_rao import (
 from experiments.evaluation import CHUNK, Scores, draw_episodes
 from experiments.intervals import Array, Interval, bootstrap
 from experiments.markdown import grid
-from mmwave_env.episode import Episode, EpisodeSource
+from mmwave_env.episodes.episode import Episode, EpisodeSource
 from mmwave_env.metrics import scored
 from mmwave_env.models.radio import Radio
 

@@ -33,7 +33,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from mmwave_env.episode import Episode
+from mmwave_env.episodes.episode import Episode
 from mmwave_env.models.measurement import STATE_SIZE, Measurement, groups_of
 from mmwave_env.models.motion import (
     ProcessNoise,

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from mmwave_env.episode import Episode
+from mmwave_env.episodes.episode import Episode
 from mmwave_env.models.measurement import Layout, wrap_angles
 
 Mask = NDArray[np.bool_]

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from experiments.evaluation import Contender, Told, step_s
 from experiments.intervals import Array
-from mmwave_env.episode import Episode
+from mmwave_env.episodes.episode import Episode
 from mmwave_env.files import beside
 from mmwave_env.metrics import BURN_IN
 

@@ -6,8 +6,8 @@ from pathlib import Path
 from experiments.cli import run
 from experiments.markdown import markdown
 from experiments.options import EpisodeArgs, report
+from mmwave_env.episodes.samples import sample_names
 from mmwave_env.files import write_json, write_text
-from mmwave_env.io.samples import sample_names
 
 
 @dataclass

@@ -20,14 +20,14 @@ from experiments.evaluation import (
 from experiments.markdown import markdown, show
 from experiments.runs import Run, trainings
 from experiments.training_seeds import draw_profiles, over_training_seeds, seeds_markdown
-from mmwave_env.episode import EpisodeSource
+from mmwave_env.episodes.episode import EpisodeSource
+from mmwave_env.episodes.recorded import RecordedSource
+from mmwave_env.episodes.samples import recording_from
+from mmwave_env.episodes.simulated import SimulatedSource
 from mmwave_env.files import write_json
 from mmwave_env.filters.modes import Mode, modes_from
-from mmwave_env.io.samples import recording_from
 from mmwave_env.models.radio import radio_from
 from mmwave_env.models.scene import scene_from
-from mmwave_env.recording import RecordedSource
-from mmwave_env.simulation import SimulatedSource
 
 TUNING_SEED = 5_000_000  # test seeds start at 0, training seeds at 10 000 000
 

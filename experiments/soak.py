@@ -21,17 +21,17 @@ from experiments.damage import damaged
 from experiments.evaluation import draw_episodes
 from experiments.terminal import progress
 from mmwave_env.engines.env_engine import Engine
-from mmwave_env.episode import Episode
+from mmwave_env.episodes.episode import Episode
+from mmwave_env.episodes.mobility import MOBILITIES
+from mmwave_env.episodes.simulated import SimulatedSource
 from mmwave_env.files import write_json
 from mmwave_env.filters.modes import named_modes
 from mmwave_env.filters.pipeline import Pipeline
-from mmwave_env.mobility import MOBILITIES
 from mmwave_env.models.measurement import Layout
 from mmwave_env.models.radio import RADIOS
 from mmwave_env.models.scene import scene_from
 from mmwave_env.numerics.linalg import cholesky, unpack
 from mmwave_env.reward import TrackingReward
-from mmwave_env.simulation import SimulatedSource
 
 Array = NDArray[np.float64]
 

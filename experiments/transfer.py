@@ -11,13 +11,13 @@ from experiments.evaluation import Contender, contender_from, draw_episodes, sco
 from experiments.intervals import Interval, bootstrap
 from experiments.markdown import grid, show
 from experiments.runs import Run
-from mmwave_env.episode import EpisodeSource
+from mmwave_env.episodes.episode import EpisodeSource
+from mmwave_env.episodes.recorded import RecordedSource
+from mmwave_env.episodes.samples import recording_from, sample_names
+from mmwave_env.episodes.simulated import SimulatedSource
 from mmwave_env.files import write_json
-from mmwave_env.io.samples import recording_from, sample_names
 from mmwave_env.models.radio import RADIOS, radio_from
 from mmwave_env.models.scene import SCENES, scene_from
-from mmwave_env.recording import RecordedSource
-from mmwave_env.simulation import SimulatedSource
 
 RIVALS = ("speed-rule", "imm", "imm-robust")
 

@@ -17,7 +17,8 @@ from experiments.intervals import bootstrap
 from experiments.markdown import grid
 from experiments.options import TUNING_SEED, command_line, require_tuning_seed
 from mmwave_env.engines.track_engine import Tracker
-from mmwave_env.episode import Episode
+from mmwave_env.episodes.episode import Episode
+from mmwave_env.episodes.simulated import SimulatedSource
 from mmwave_env.files import require_writable, write_json
 from mmwave_env.filters.modes import Mode, as_written, modes_from
 from mmwave_env.filters.pipeline import Pipeline
@@ -26,7 +27,6 @@ from mmwave_env.metrics import scored
 from mmwave_env.models.measurement import Layout
 from mmwave_env.models.radio import radio_from
 from mmwave_env.models.scene import scene_from
-from mmwave_env.simulation import SimulatedSource
 
 Array = NDArray[np.float64]
 Objective = Callable[[Mode], Array]

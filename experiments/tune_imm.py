@@ -18,7 +18,8 @@ from experiments.intervals import Interval, bootstrap
 from experiments.options import TUNING_SEED, command_line, require_tuning_seed
 from experiments.tune import CAP
 from mmwave_env.engines.imm_engine import ImmEngine
-from mmwave_env.episode import Packed
+from mmwave_env.episodes.episode import Packed
+from mmwave_env.episodes.simulated import SimulatedSource
 from mmwave_env.files import write_json
 from mmwave_env.filters.imm import DEFAULT_STAY
 from mmwave_env.filters.modes import Mode, as_written, modes_from
@@ -28,7 +29,6 @@ from mmwave_env.metrics import scored
 from mmwave_env.models.radio import RADIOS, radio_from
 from mmwave_env.models.scene import scene_from
 from mmwave_env.reward import TrackingReward
-from mmwave_env.simulation import SimulatedSource
 from policies import TUNED_IMMS
 
 Array = NDArray[np.float64]

@@ -11,10 +11,10 @@ from experiments.cli import run
 from experiments.evaluation import contender_from, draw_episodes, score
 from experiments.intervals import bootstrap
 from experiments.options import TUNING_SEED, command_line, require_tuning_seed
+from mmwave_env.episodes.simulated import SimulatedSource
 from mmwave_env.files import write_json
 from mmwave_env.models.radio import RADIOS, radio_from
 from mmwave_env.models.scene import scene_from
-from mmwave_env.simulation import SimulatedSource
 from policies import SpeedRule
 
 

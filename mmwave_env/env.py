@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 
 from mmwave_env.engines.env_engine import Engine
 from mmwave_env.engines.replay import Replay
-from mmwave_env.episode import Episode, EpisodeSource
+from mmwave_env.episodes.episode import Episode, EpisodeSource
+from mmwave_env.episodes.simulated import SimulatedSource
 from mmwave_env.filters.modes import Mode, modes_from
 from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.information import episode_info
@@ -25,7 +26,6 @@ from mmwave_env.observation import Observation
 from mmwave_env.rendering import FRAMES_PER_SECOND, Picture, blank_picture
 from mmwave_env.reward import Reward
 from mmwave_env.setting import setting_from
-from mmwave_env.simulation import SimulatedSource
 
 BACKENDS = {"lanes": "SIMD lanes", "filterpy": "filterpy's filters, slow, independent"}
 

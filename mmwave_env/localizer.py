@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mmwave_env.engines.track_engine import Rule, Tracker
-from mmwave_env.episode import Episode
+from mmwave_env.episodes.episode import Episode
 from mmwave_env.filters.modes import Mode
 from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.filters.smoother import smooth

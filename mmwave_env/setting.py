@@ -9,15 +9,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mmwave_env.compiler.rng import Generators
-from mmwave_env.episode import Episode, EpisodeSource, Packed
+from mmwave_env.episodes.episode import Episode, EpisodeSource, Packed
+from mmwave_env.episodes.recorded import RecordedSource
+from mmwave_env.episodes.samples import recording_from
+from mmwave_env.episodes.simulated import SimulatedSource
 from mmwave_env.filters.modes import Mode, modes_from
 from mmwave_env.filters.pipeline import Pipeline
-from mmwave_env.io.samples import recording_from
 from mmwave_env.models.radio import Radio, radio_from
 from mmwave_env.models.scene import Scene, scene_from
-from mmwave_env.recording import RecordedSource
 from mmwave_env.reward import Reward, reward_from
-from mmwave_env.simulation import SimulatedSource
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]

@@ -17,10 +17,10 @@ from experiments.cramer_rao import (
 )
 from experiments.evaluation import contender_from, draw_episodes, score
 from experiments.intervals import RESAMPLES
+from mmwave_env.episodes.simulated import SimulatedSource
 from mmwave_env.metrics import BURN_IN
 from mmwave_env.models.radio import RADIOS
 from mmwave_env.models.scene import SCENES
-from mmwave_env.simulation import SimulatedSource
 from tests.paths import ROOT
 
 RADIO = RADIOS["handset"]

@@ -10,9 +10,9 @@ import pytest
 from experiments.evaluation import contender_from, draw_episodes, score
 from experiments.learning.curves import curve, draw_curves
 from experiments.runs import Run
+from mmwave_env.episodes.simulated import SimulatedSource
 from mmwave_env.models.radio import RADIOS
 from mmwave_env.models.scene import SCENES
-from mmwave_env.simulation import SimulatedSource
 from tests.paths import ROOT
 
 RECORDED = ROOT / "docs" / "learning"

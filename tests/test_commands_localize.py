@@ -19,13 +19,13 @@ import numpy as np
 import pytest
 
 from experiments.cli import run
+from mmwave_env.episodes.simulated import SimulatedSource
 from mmwave_env.filters.modes import default_modes
 from mmwave_env.io.measurement_log import read_log, write_log
 from mmwave_env.io.tum import read_tum, tum_lines
 from mmwave_env.localizer import localize
 from mmwave_env.models.radio import RADIOS
 from mmwave_env.models.scene import SCENES, read_scene
-from mmwave_env.simulation import SimulatedSource
 from tests.paths import LOGS, ROOT
 
 WALK, RIDE = LOGS / "canyon28_pedestrian", LOGS / "canyon28_vehicle"

@@ -9,10 +9,10 @@ from matplotlib.image import imread
 
 from experiments.decisions import Decisions, pull_aways, stops
 from experiments.evaluation import contender_from, draw_episodes, localise
+from mmwave_env.episodes.simulated import SimulatedSource
 from mmwave_env.metrics import BURN_IN
 from mmwave_env.models.radio import RADIOS
 from mmwave_env.models.scene import SCENES
-from mmwave_env.simulation import SimulatedSource
 
 N, T = 12, 60
 

@@ -17,13 +17,13 @@ from experiments.evaluation import (
     score,
 )
 from mmwave_env.engines.imm_engine import ImmEngine
+from mmwave_env.episodes.simulated import SimulatedSource
 from mmwave_env.filters.modes import modes_from
 from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.metrics import BURN_IN, METRICS
 from mmwave_env.models.radio import RADIOS
 from mmwave_env.models.scene import SCENES
 from mmwave_env.reward import TrackingReward
-from mmwave_env.simulation import SimulatedSource
 from policies import TUNED_IMMS, FixedMode, learned, tuned_imm
 from tests.actors import MODES, actor, card_of, write
 

@@ -10,7 +10,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mmwave_env.episode import Episode
+from mmwave_env.episodes.episode import Episode
+from mmwave_env.episodes.simulated import SimulatedSource
 from mmwave_env.filters.modes import Mode, default_modes, robust
 from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.filters.smoother import smooth
@@ -20,7 +21,6 @@ from mmwave_env.localizer import TrackBlock, localize
 from mmwave_env.models.prior import prior_from_fix
 from mmwave_env.models.radio import RADIOS
 from mmwave_env.models.scene import SCENES
-from mmwave_env.simulation import SimulatedSource
 from policies.scripted import by_odometry_speed, by_predicted_speed
 from tests.filters.tracks import track
 

@@ -14,6 +14,7 @@ from scipy.stats import chi2
 import mmwave_env  # noqa: F401  registers the environment
 from mmwave_env.engines.env_engine import Engine
 from mmwave_env.env import MmWaveLocEnv
+from mmwave_env.episodes.simulated import SimulatedSource
 from mmwave_env.filters.modes import modes_from
 from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.models.measurement import Layout
@@ -21,7 +22,6 @@ from mmwave_env.models.radio import RADIOS
 from mmwave_env.models.scene import SCENES
 from mmwave_env.observation import Observation
 from mmwave_env.reward import TrackingReward
-from mmwave_env.simulation import SimulatedSource
 
 PIPELINES = {
     "default": Pipeline(modes_from(None), Layout()),

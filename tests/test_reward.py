@@ -12,6 +12,7 @@ from scipy.stats import multivariate_normal
 
 import mmwave_env  # noqa: F401  registers the environment
 from mmwave_env.engines.env_engine import Engine
+from mmwave_env.episodes.simulated import SimulatedSource
 from mmwave_env.filters.belief import Belief
 from mmwave_env.filters.modes import Mode
 from mmwave_env.filters.pipeline import Pipeline
@@ -19,7 +20,6 @@ from mmwave_env.models.radio import radio_from
 from mmwave_env.models.scene import scene_from
 from mmwave_env.numerics.numbers import maximum
 from mmwave_env.reward import REWARDS, LogScore, TrackingReward, reward_from
-from mmwave_env.simulation import SimulatedSource
 
 ORIGIN = [0.0] * 6
 

@@ -25,6 +25,7 @@ from experiments.learning.recipe import Recipe, read_recipe, shipped_recipe
 from experiments.learning.world import TRUTH, PairedReward, Task, WithTruth, World
 from experiments.train import Args
 from mmwave_env.engines.imm_engine import ImmEngine
+from mmwave_env.episodes.simulated import SimulatedSource
 from mmwave_env.files import write_json
 from mmwave_env.filters.modes import default_modes
 from mmwave_env.filters.pipeline import Pipeline
@@ -32,7 +33,6 @@ from mmwave_env.models.radio import RADIOS
 from mmwave_env.models.scene import SCENES
 from mmwave_env.reward import TrackingReward
 from mmwave_env.sb3 import SB3VecEnv
-from mmwave_env.simulation import SimulatedSource
 from mmwave_env.vector_env import MmWaveLocVectorEnv
 from policies import LearnedSwitch
 from tests.actors import MODES, card_of, write

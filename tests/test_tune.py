@@ -15,11 +15,11 @@ from scipy.stats import chi2
 
 from experiments.evaluation import draw_episodes
 from experiments.tune import likelihood, negative_mean_square, objective_of, tune
+from mmwave_env.episodes.simulated import SimulatedSource
 from mmwave_env.filters.modes import Mode, read_modes
 from mmwave_env.models.measurement import Layout
 from mmwave_env.models.radio import RADIOS
 from mmwave_env.models.scene import SCENES
-from mmwave_env.simulation import SimulatedSource
 from tests.filters.tracks import far_from_the_anchors, process_noise
 from tests.paths import ROOT
 

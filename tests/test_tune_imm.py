@@ -9,12 +9,12 @@ from scipy.special import logit
 
 from experiments.evaluation import draw_episodes
 from experiments.tune_imm import rewards, search_space, transition_of, tune
-from mmwave_env.episode import Packed
+from mmwave_env.episodes.episode import Packed
+from mmwave_env.episodes.simulated import SimulatedSource
 from mmwave_env.filters.imm import stay_matrix
 from mmwave_env.filters.modes import as_written, modes_from
 from mmwave_env.models.radio import RADIOS
 from mmwave_env.models.scene import SCENES
-from mmwave_env.simulation import SimulatedSource
 from tests.test_tune import cli
 
 SOURCE = SimulatedSource(SCENES["street"], RADIOS["handset"], epochs=60)

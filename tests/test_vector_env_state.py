@@ -9,9 +9,9 @@ import pytest
 from gymnasium.error import ResetNeeded
 
 import mmwave_env  # noqa: F401  registers the environment
+from mmwave_env.episodes.simulated import SimulatedSource
 from mmwave_env.models.radio import RADIOS
 from mmwave_env.models.scene import SCENES
-from mmwave_env.simulation import SimulatedSource
 from tests.actors import MODES
 from tests.paths import ROOT
 from tests.vector_checker import forward, same

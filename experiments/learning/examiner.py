@@ -10,9 +10,9 @@ from experiments.evaluation import Contender, Scores, contender_from, draw_episo
 from experiments.intervals import bootstrap
 from experiments.learning.world import Task
 from experiments.options import TUNING_SEED
+from mmwave_env.episodes.simulated import SimulatedSource
 from mmwave_env.models.radio import radio_from
 from mmwave_env.models.scene import scene_from
-from mmwave_env.simulation import SimulatedSource
 
 RIVALS = ("speed-rule", "imm")
 EPISODES = 500

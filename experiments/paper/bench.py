@@ -12,7 +12,8 @@ from experiments.evaluation import Scores, draw_episodes
 from experiments.intervals import Interval
 from experiments.markdown import grid, rounded
 from mmwave_env.engines.track_engine import Tracker
-from mmwave_env.episode import Episode
+from mmwave_env.episodes.episode import Episode
+from mmwave_env.episodes.simulated import SimulatedSource
 from mmwave_env.filters.belief import Belief
 from mmwave_env.filters.modes import Mode, shipped_modes
 from mmwave_env.filters.pipeline import Pipeline
@@ -21,7 +22,6 @@ from mmwave_env.metrics import accuracy, scored
 from mmwave_env.models.radio import Radio, radio_from
 from mmwave_env.models.scene import SCENES
 from mmwave_env.numerics.linalg import unpack
-from mmwave_env.simulation import SimulatedSource
 
 Array = NDArray[np.float64]
 

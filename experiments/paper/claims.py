@@ -11,7 +11,7 @@ from experiments.intervals import Interval, bootstrap, bootstrap_ratio
 from experiments.paper.bench import Bench, Cell, Errors, Section, Setting, track
 from experiments.paper.printed import untuned
 from experiments.paper.published import HIGH_MOBILITY, LOW_MOBILITY, Published
-from mmwave_env.episode import Episode
+from mmwave_env.episodes.episode import Episode
 from mmwave_env.filters.modes import Mode, robust
 from mmwave_env.metrics import nees_interval
 from mmwave_env.models.measurement import SPEED_OF_LIGHT, Layout

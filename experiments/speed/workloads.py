@@ -17,7 +17,8 @@ import numpy as np
 from experiments.evaluation import draw_episodes
 from mmwave_env.engines.batch import blank_incoming, blank_site
 from mmwave_env.engines.track_engine import Tracker
-from mmwave_env.episode import Episode
+from mmwave_env.episodes.episode import Episode
+from mmwave_env.episodes.simulated import SimulatedSource
 from mmwave_env.filters.belief import Belief
 from mmwave_env.filters.filterpy_reference import filterpy_pipeline
 from mmwave_env.filters.modes import Mode, default_modes, named_modes
@@ -28,7 +29,6 @@ from mmwave_env.models.scene import scene_from
 from mmwave_env.numerics.linalg import unpack
 from mmwave_env.numerics.pytree import rebuild
 from mmwave_env.reward import TrackingReward
-from mmwave_env.simulation import SimulatedSource
 
 RADIO = "handset"
 EPISODE = 200  # steps

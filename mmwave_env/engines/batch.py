@@ -23,7 +23,7 @@ from mmwave_env.compiler.program import (
     Workspace,
 )
 from mmwave_env.compiler.threads import share
-from mmwave_env.episode import Episode, Packed
+from mmwave_env.episodes.episode import Episode, Packed
 from mmwave_env.filters.pipeline import Epoch, Site
 from mmwave_env.models.measurement import STATE_SIZE, Layout
 from mmwave_env.numerics.numbers import Number, where

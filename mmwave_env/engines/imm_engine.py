@@ -17,7 +17,7 @@ from mmwave_env.compiler.lanes import WIDTH
 from mmwave_env.compiler.program import Array, Index, Program, Tracks, Traffic, rows_of
 from mmwave_env.engines.batch import Batch, Incoming, blank_incoming, blank_site
 from mmwave_env.engines.track_engine import untuned
-from mmwave_env.episode import Episode, Packed
+from mmwave_env.episodes.episode import Episode, Packed
 from mmwave_env.filters.belief import Belief
 from mmwave_env.filters.imm import (
     Mixture,

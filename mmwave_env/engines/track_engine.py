@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from mmwave_env.compiler.program import Program, rows_of
 from mmwave_env.engines.batch import Batch, Incoming, blank_incoming, blank_site
-from mmwave_env.episode import Episode
+from mmwave_env.episodes.episode import Episode
 from mmwave_env.filters.belief import Belief
 from mmwave_env.filters.modes import Tuning
 from mmwave_env.filters.pipeline import (

@@ -5,11 +5,12 @@ import numpy as np
 import pytest
 from gymnasium.utils.env_checker import data_equivalence
 
-from mmwave_env import kinematics, mobility, simulation
 from mmwave_env.compiler.lazy_jit import Sparing
+from mmwave_env.episodes import kinematics, mobility
+from mmwave_env.episodes import simulated as simulation
+from mmwave_env.episodes.simulated import SimulatedSource
 from mmwave_env.models.radio import RADIOS
 from mmwave_env.models.scene import SCENES
-from mmwave_env.simulation import SimulatedSource
 
 
 @pytest.fixture

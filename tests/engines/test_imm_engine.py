@@ -8,7 +8,7 @@ import pytest
 from mmwave_env.engines.env_engine import Engine
 from mmwave_env.engines.imm_engine import ImmEngine
 from mmwave_env.engines.track_engine import Tracker
-from mmwave_env.episode import Packed
+from mmwave_env.episodes.episode import Packed
 from mmwave_env.filters.belief import Belief
 from mmwave_env.filters.modes import Mode, default_modes
 from mmwave_env.filters.pipeline import Pipeline

@@ -15,6 +15,7 @@ from scipy.stats import chi2
 from experiments.evaluation import evaluate
 from mmwave_env.engines.imm_engine import ImmEngine
 from mmwave_env.engines.track_engine import Tracker
+from mmwave_env.episodes.simulated import SimulatedSource
 from mmwave_env.filters.custom import AlgorithmError
 from mmwave_env.filters.modes import Mode
 from mmwave_env.filters.pipeline import Pipeline
@@ -24,7 +25,6 @@ from mmwave_env.localizer import localize
 from mmwave_env.models.radio import RADIOS
 from mmwave_env.models.scene import SCENES
 from mmwave_env.reward import TrackingReward
-from mmwave_env.simulation import SimulatedSource
 from tests.filters import textbook
 from tests.filters.problems import assert_same, assume_clear_of, problems
 from tests.filters.tracks import STREET, assert_same_beliefs, simulated, track

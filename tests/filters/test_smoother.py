@@ -5,12 +5,12 @@ import pytest
 from filterpy.kalman import KalmanFilter
 
 from mmwave_env.engines.track_engine import Tracker
+from mmwave_env.episodes.simulated import SimulatedSource
 from mmwave_env.filters.modes import modes_from
 from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.filters.smoother import smooth
 from mmwave_env.models.radio import RADIOS
 from mmwave_env.models.scene import SCENES
-from mmwave_env.simulation import SimulatedSource
 
 TOLERANCE = 1e-9
 LOWER = np.tril_indices(7)

@@ -21,7 +21,7 @@ import numpy as np
 import mmwave_env
 from experiments.cli import run
 from mmwave_env.engines.imm_engine import ImmEngine
-from mmwave_env.episode import Episode
+from mmwave_env.episodes.episode import Episode
 from mmwave_env.filters.imm import begin
 from mmwave_env.filters.modes import default_modes, named_modes
 from mmwave_env.filters.pipeline import Pipeline

@@ -14,13 +14,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from mmwave_env.episodes.simulated import SimulatedSource
 from mmwave_env.io.log_columns import QUANTITIES
 from mmwave_env.io.log_tables import LogError
 from mmwave_env.io.measurement_log import log_text, read_log, write_log
 from mmwave_env.models.measurement import SPEED_OF_LIGHT, Layout
 from mmwave_env.models.radio import RADIOS
 from mmwave_env.models.scene import SCENES, Scene
-from mmwave_env.simulation import SimulatedSource
 
 SCENE = SCENES["street"]
 L = 3

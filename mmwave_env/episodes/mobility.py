@@ -5,9 +5,9 @@ from dataclasses import astuple, dataclass, field, replace
 
 import numpy as np
 
+from mmwave_env.episodes.travel import Plan
 from mmwave_env.lookup import choose
 from mmwave_env.models.scene import Streets
-from mmwave_env.travel import Plan
 
 Range = tuple[float, float]
 

@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 from scipy.stats import binom
 
-from mmwave_env.mobility import MOBILITIES, SCENARIOS, mobilities_of, plan_of
+from mmwave_env.episodes.mobility import MOBILITIES, SCENARIOS, mobilities_of, plan_of
+from mmwave_env.episodes.simulated import SimulatedSource
 from mmwave_env.models.radio import RADIOS
 from mmwave_env.models.scene import SCENES
-from mmwave_env.simulation import SimulatedSource
-from tests.roads import trajectories
+from tests.episodes.roads import trajectories
 
 STEP_S, STEPS, SEEDS = 0.1, 2000, 100
 

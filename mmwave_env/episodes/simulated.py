@@ -15,11 +15,12 @@ from numpy.typing import NDArray
 from mmwave_env.compiler.program import Index, Program
 from mmwave_env.compiler.rng import Dice, Words, dice_of, single
 from mmwave_env.compiler.threads import portions, share
-from mmwave_env.drawing import simulate
 from mmwave_env.engines.batch import Incoming, blank_incoming
-from mmwave_env.episode import Episode, Packed
-from mmwave_env.kinematics import motion
-from mmwave_env.mobility import mobilities_of, plan_of
+from mmwave_env.episodes.drawing import simulate
+from mmwave_env.episodes.episode import Episode, Packed
+from mmwave_env.episodes.kinematics import motion
+from mmwave_env.episodes.mobility import mobilities_of, plan_of
+from mmwave_env.episodes.travel import Plan, stride_of
 from mmwave_env.models.channel import (
     Channel,
     ChannelDraws,
@@ -34,7 +35,6 @@ from mmwave_env.models.scene import Scene
 from mmwave_env.numerics.linalg import dot
 from mmwave_env.numerics.numbers import Number, Vector, sqrt, where, wrap
 from mmwave_env.numerics.pytree import leaves
-from mmwave_env.travel import Plan, stride_of
 
 Array = NDArray[np.float64]
 

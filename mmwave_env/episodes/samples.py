@@ -4,8 +4,8 @@ import os
 from importlib import resources
 from pathlib import Path
 
-from mmwave_env.io.deepmimo import read_deepmimo
-from mmwave_env.recording import Recording
+from mmwave_env.episodes.deepmimo import read_deepmimo
+from mmwave_env.episodes.recorded import Recording
 
 
 def _samples() -> Path:

@@ -8,15 +8,15 @@ import threading
 import numpy as np
 import pytest
 
-from mmwave_env import simulation
 from mmwave_env.compiler.rng import Generators
-from mmwave_env.episode import Episode, Packed
-from mmwave_env.mobility import mobilities_of, plan_of
+from mmwave_env.episodes import simulated as simulation
+from mmwave_env.episodes.episode import Episode, Packed
+from mmwave_env.episodes.mobility import mobilities_of, plan_of
+from mmwave_env.episodes.simulated import CHUNK, SimulatedSource
 from mmwave_env.models.radio import RADIOS
 from mmwave_env.models.scene import SCENES
-from mmwave_env.simulation import CHUNK, SimulatedSource
+from tests.episodes.roads import trajectories
 from tests.filters.tracks import geometry
-from tests.roads import trajectories
 
 SOURCES = {
     "default": SimulatedSource(SCENES["street"], RADIOS["handset"]),

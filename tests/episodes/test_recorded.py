@@ -7,12 +7,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mmwave_env.episode import EpisodeSource
-from mmwave_env.io.samples import recording_from, sample_names
+from mmwave_env.episodes.episode import EpisodeSource
+from mmwave_env.episodes.recorded import RecordedSource, Recording
+from mmwave_env.episodes.samples import recording_from, sample_names
 from mmwave_env.models.measurement import Layout
 from mmwave_env.models.radio import RADIOS
 from mmwave_env.models.scene import Scene, Wall
-from mmwave_env.recording import RecordedSource, Recording
 from tests.filters.tracks import geometry
 
 NAMES = ("canyon28_pedestrian", "canyon28_vehicle")

@@ -20,16 +20,16 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from mmwave_env.io.deepmimo_files import (
+from mmwave_env.episodes.deepmimo_files import (
     LINE_OF_SIGHT,
     REFLECTION,
     TOLERANCE_M,
     Scenario,
     read_scenario,
 )
+from mmwave_env.episodes.recorded import Recording
 from mmwave_env.models.measurement import LINK, SPEED_OF_LIGHT, Layout, direction, range_rate
 from mmwave_env.numerics.numbers import PI, wrap
-from mmwave_env.recording import Recording
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]

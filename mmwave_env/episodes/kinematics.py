@@ -2,7 +2,7 @@
 
 A traveller speeds up and brakes within limits of acceleration, braking and jerk, towards its
 target speed and down to what lies ahead: corners and red lights. The equations are those of a
-substep without events; :mod:`mmwave_env.travel` has what happens between them.
+substep without events; :mod:`mmwave_env.episodes.travel` has what happens between them.
 """
 
 from functools import lru_cache

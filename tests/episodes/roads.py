@@ -3,8 +3,8 @@
 import numpy as np
 
 from mmwave_env.compiler.rng import single
-from mmwave_env.kinematics import motion
-from mmwave_env.travel import stride_of, travel
+from mmwave_env.episodes.kinematics import motion
+from mmwave_env.episodes.travel import stride_of, travel
 
 
 def trajectories(plan, kinds, dt, rngs, out):

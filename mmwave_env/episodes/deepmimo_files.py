@@ -3,7 +3,7 @@
 A scenario is a folder with ``params.json`` and one array a file, named
 ``{key}_t{txset}_tx{tx}_r{rxset}.npz`` (or ``.npy``). It stores neither times nor velocities;
 ours has them in a sidecar, ``trajectory.csv`` (t, x, y, z, vx, vy, vz), one row a receiver.
-:mod:`mmwave_env.io.deepmimo` makes sense of the arrays.
+:mod:`mmwave_env.episodes.deepmimo` makes sense of the arrays.
 """
 
 import csv

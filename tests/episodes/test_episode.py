@@ -11,12 +11,12 @@ import pytest
 from scipy.stats import kstest, norm
 
 from mmwave_env.engines.batch import blank_incoming, blank_site
-from mmwave_env.episode import Episode
+from mmwave_env.episodes.episode import Episode
+from mmwave_env.episodes.simulated import SimulatedSource
 from mmwave_env.models.measurement import Layout
 from mmwave_env.models.radio import RADIOS
 from mmwave_env.models.scene import SCENES
 from mmwave_env.numerics.pytree import rebuild
-from mmwave_env.simulation import SimulatedSource
 from tests.filters.tracks import geometry
 
 STREET = SCENES["street"]

@@ -5,7 +5,7 @@ waits at red lights, and follows gaits (target speeds that change now and then) 
 limits of acceleration, braking, lateral acceleration and jerk. Simulated at 0.1 s.
 
 What happens to a traveller now and then (a gait, a crossing, a phase) is drawn here, one
-traveller at a time, each from its own generator; :mod:`mmwave_env.kinematics` moves them.
+traveller at a time, each from its own generator; :mod:`mmwave_env.episodes.kinematics` moves them.
 """
 
 from typing import NamedTuple
@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from mmwave_env.compiler.lanes import WIDTH
 from mmwave_env.compiler.rng import leave, take
-from mmwave_env.kinematics import AT, STANDING_MPS
+from mmwave_env.episodes.kinematics import AT, STANDING_MPS
 
 FINEST_STEP_S = 0.1
 STOPPING_S = 5.0  # what a ride takes to stop before its passenger walks on
@@ -227,7 +227,7 @@ def travel(dice, first, kinds, plan, dt, stride, move_on, observe, out):  # type
         plan: kinds of users.
         dt: seconds between epochs.
         stride: substeps between epochs.
-        move_on, observe: of :func:`~mmwave_env.kinematics.motion`.
+        move_on, observe: of :func:`~mmwave_env.episodes.kinematics.motion`.
         out: (n, epochs, 6 or more) the first six columns get positions (m) and velocities (m/s).
     """
     rng, here, epochs = dice[0], len(kinds), out.shape[1]

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from mmwave_env.episode import Episode
+from mmwave_env.episodes.episode import Episode
 from mmwave_env.models.measurement import Layout, wrap_angles
 from mmwave_env.models.prior import draw_prior, prior_from_fix
 from mmwave_env.models.radio import Radio, doppler_spread, oscillator_bias

@@ -8,11 +8,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mmwave_env.io.deepmimo import read_deepmimo
-from mmwave_env.io.samples import recording_from
+from mmwave_env.episodes.deepmimo import read_deepmimo
+from mmwave_env.episodes.recorded import Recording
+from mmwave_env.episodes.samples import recording_from
 from mmwave_env.models.measurement import SPEED_OF_LIGHT
 from mmwave_env.models.scene import Scene, Wall
-from mmwave_env.recording import Recording
 from tests.filters.tracks import geometry
 from tests.paths import RECORDINGS
 

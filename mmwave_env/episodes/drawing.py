@@ -7,7 +7,7 @@ from mmwave_env.compiler.lanes import WIDTH
 from mmwave_env.compiler.lazy_jit import Sparing
 from mmwave_env.compiler.program import advance
 from mmwave_env.compiler.rng import Dice, leave, take
-from mmwave_env.travel import travel
+from mmwave_env.episodes.travel import travel
 
 PLAIN_EPOCHS = 20_000  # before compiling, which takes as long as 75 000 of them
 
@@ -66,7 +66,7 @@ def _simulate(  # type: ignore[no-untyped-def]
 
     Args:
         rng, memory, states: of the dice, which numba takes long to recognise as a tuple.
-        plan, dt, stride, move_on, observe: see :func:`~mmwave_env.travel.travel`.
+        plan, dt, stride, move_on, observe: see :func:`~mmwave_env.episodes.travel.travel`.
         run, start: the program, and its workspace (size,) before the first epoch.
         layout: numbers of links, of rows and of columns drawn.
         keep: rows of the workspace that make an epoch of ``tables``.

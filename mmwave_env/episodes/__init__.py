@@ -1,0 +1,1 @@
+"""The world: episodes, simulated or recorded. No filter is known here."""
