@@ -14,16 +14,16 @@ from tyro.conf import Positional
 from experiments.cli import run
 from experiments.markdown import show
 from experiments.terminal import ask_speed, parse_speed, progress
-from experiments.track_files import TOLERANCE_S, Truth, table_beside, track_files
 from experiments.track_plot import TrackPicture
 from experiments.track_report import track_markdown
-from experiments.track_scores import Course, Groups, TruthScores
 from mmwave_env.engines.track_engine import Rule
 from mmwave_env.files import require_writable, write_json
 from mmwave_env.filters.modes import Mode, modes_from, robust
-from mmwave_env.io.log_tables import LogError
-from mmwave_env.io.measurement_log import LogBlock, read_log
-from mmwave_env.localizer import SMOOTHING_WINDOW, localize
+from mmwave_env.localization.localizer import SMOOTHING_WINDOW, localize
+from mmwave_env.localization.log import LogBlock, read_log
+from mmwave_env.localization.log_tables import LogError
+from mmwave_env.localization.track_files import TOLERANCE_S, Truth, table_beside, track_files
+from mmwave_env.localization.track_scores import Course, Groups, TruthScores
 from mmwave_env.models.radio import radio_from
 from mmwave_env.models.scene import Scene, scene_from
 from policies.scripted import (

@@ -9,8 +9,8 @@ from experiments.options import EpisodeArgs, command_line
 from mmwave_env.episodes.recorded import RecordedSource
 from mmwave_env.episodes.simulated import SimulatedSource
 from mmwave_env.files import beside, write_json, write_text
-from mmwave_env.io.measurement_log import write_log
-from mmwave_env.io.tum import COLUMNS, tum_lines
+from mmwave_env.localization.log import write_log
+from mmwave_env.localization.tum import COLUMNS, tum_lines
 from mmwave_env.models.scene import Scene, anchors_json
 
 

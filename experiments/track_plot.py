@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mmwave_env.files import beside
-from mmwave_env.localizer import TrackBlock
+from mmwave_env.localization.localizer import TrackBlock
 
 Array = NDArray[np.float64]
 

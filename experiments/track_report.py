@@ -3,7 +3,7 @@
 from typing import Any
 
 from experiments.markdown import HEADERS, grid
-from mmwave_env.segments import GAP_S
+from mmwave_env.localization.segments import GAP_S
 from policies.scripted import DESIGN_LIMIT_MPS
 
 

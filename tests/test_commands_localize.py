@@ -21,9 +21,9 @@ import pytest
 from experiments.cli import run
 from mmwave_env.episodes.simulated import SimulatedSource
 from mmwave_env.filters.modes import default_modes
-from mmwave_env.io.measurement_log import read_log, write_log
-from mmwave_env.io.tum import read_tum, tum_lines
-from mmwave_env.localizer import localize
+from mmwave_env.localization.localizer import localize
+from mmwave_env.localization.log import read_log, write_log
+from mmwave_env.localization.tum import read_tum, tum_lines
 from mmwave_env.models.radio import RADIOS
 from mmwave_env.models.scene import SCENES, read_scene
 from tests.paths import LOGS, ROOT

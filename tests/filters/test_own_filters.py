@@ -20,8 +20,8 @@ from mmwave_env.filters.custom import AlgorithmError
 from mmwave_env.filters.modes import Mode
 from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.filters.update import Gate, ekf
-from mmwave_env.io.measurement_log import read_log, write_log
-from mmwave_env.localizer import localize
+from mmwave_env.localization.localizer import localize
+from mmwave_env.localization.log import read_log, write_log
 from mmwave_env.models.radio import RADIOS
 from mmwave_env.models.scene import SCENES
 from mmwave_env.reward import TrackingReward

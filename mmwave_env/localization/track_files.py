@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mmwave_env.files import beside
-from mmwave_env.io.tum import COLUMNS, Trajectory, tum_blocks, tum_lines
-from mmwave_env.localizer import TrackBlock
+from mmwave_env.localization.localizer import TrackBlock
+from mmwave_env.localization.tum import COLUMNS, Trajectory, tum_blocks, tum_lines
 
 Array = NDArray[np.float64]
 
@@ -90,7 +90,7 @@ class Truth:
         last_s: the last time read so far.
 
     Raises:
-        ValueError, OSError: as :func:`~mmwave_env.io.tum.tum_blocks`; also from the methods.
+        ValueError, OSError: as :func:`~mmwave_env.localization.tum.tum_blocks`, methods too.
     """
 
     def __init__(self, path: Path) -> None:

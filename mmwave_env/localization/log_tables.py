@@ -14,8 +14,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from mmwave_env.io.lines import DamagedFileError, line_blocks, number
-from mmwave_env.io.log_columns import Column, columns_of
+from mmwave_env.localization.lines import DamagedFileError, line_blocks, number
+from mmwave_env.localization.log_columns import Column, columns_of
 
 Array = NDArray[np.float64]
 Rows = NDArray[np.int64]

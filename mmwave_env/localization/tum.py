@@ -8,7 +8,7 @@ from typing import NamedTuple, NoReturn
 import numpy as np
 from numpy.typing import NDArray
 
-from mmwave_env.io.lines import LineBlock, line_blocks, number
+from mmwave_env.localization.lines import LineBlock, line_blocks, number
 
 Array = NDArray[np.float64]
 

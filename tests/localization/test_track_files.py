@@ -9,9 +9,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from experiments.track_files import Truth, table_beside, track_files
-from mmwave_env.io.tum import read_tum, tum_lines
-from mmwave_env.localizer import TrackBlock
+from mmwave_env.localization.localizer import TrackBlock
+from mmwave_env.localization.track_files import Truth, table_beside, track_files
+from mmwave_env.localization.tum import read_tum, tum_lines
 from mmwave_env.models.measurement import Layout
 
 NAMES = ["slow", 'fast, "wild"']
@@ -87,7 +87,7 @@ def truth_of(folder, time_s, position_m, monkeypatch, block_bytes=200):
     """Truth that is read a few poses at a time."""
     path = folder / "truth.tum"
     path.write_text(tum_lines(time_s, position_m))
-    monkeypatch.setattr("mmwave_env.io.lines._BLOCK_BYTES", block_bytes)
+    monkeypatch.setattr("mmwave_env.localization.lines._BLOCK_BYTES", block_bytes)
     return Truth(path)
 
 

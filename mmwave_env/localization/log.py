@@ -21,8 +21,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mmwave_env.episodes.episode import Episode
-from mmwave_env.io.log_columns import LINK_QUANTITIES
-from mmwave_env.io.log_tables import SUFFIXES, LogError, LogFile, open_log, require_arrow
+from mmwave_env.localization.log_columns import LINK_QUANTITIES
+from mmwave_env.localization.log_tables import SUFFIXES, LogError, LogFile, open_log, require_arrow
 from mmwave_env.models.measurement import LINK, SPEED_OF_LIGHT, Layout, wrap_angles
 from mmwave_env.models.scene import Scene
 

@@ -5,10 +5,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mmwave_env.io.log_tables import LogError
-from mmwave_env.io.measurement_log import LogBlock
+from mmwave_env.localization.log import LogBlock
+from mmwave_env.localization.log_tables import LogError
+from mmwave_env.localization.segments import GAP_S, segments
 from mmwave_env.models.measurement import Layout
-from mmwave_env.segments import GAP_S, segments
 
 LINK_1, LINK_2, DOPPLER, ODOMETRY = range(4)
 

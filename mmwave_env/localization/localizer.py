@@ -17,13 +17,13 @@ from mmwave_env.episodes.episode import Episode
 from mmwave_env.filters.modes import Mode
 from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.filters.smoother import smooth
-from mmwave_env.io.log_tables import LogError
-from mmwave_env.io.measurement_log import LogBlock
+from mmwave_env.localization.log import LogBlock
+from mmwave_env.localization.log_tables import LogError
+from mmwave_env.localization.segments import Piece, segments
 from mmwave_env.models.measurement import Layout
 from mmwave_env.models.prior import prior_from_fix
 from mmwave_env.models.radio import Radio
 from mmwave_env.models.scene import Scene
-from mmwave_env.segments import Piece, segments
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]

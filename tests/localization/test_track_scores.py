@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from experiments.track_files import Truth
-from experiments.track_scores import Course, Groups, TruthScores
 from mmwave_env.filters.pipeline import VERTICAL
-from mmwave_env.io.tum import tum_lines
+from mmwave_env.localization.track_files import Truth
+from mmwave_env.localization.track_scores import Course, Groups, TruthScores
+from mmwave_env.localization.tum import tum_lines
 from mmwave_env.metrics import ate, rmse, rpe
-from tests.test_track_files import some_track
+from tests.localization.test_track_files import some_track
 
 T = 400
 

@@ -15,9 +15,9 @@ from mmwave_env.episodes.simulated import SimulatedSource
 from mmwave_env.filters.modes import Mode, default_modes, robust
 from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.filters.smoother import smooth
-from mmwave_env.io.log_tables import LogError
-from mmwave_env.io.measurement_log import read_log, write_log
-from mmwave_env.localizer import TrackBlock, localize
+from mmwave_env.localization.localizer import TrackBlock, localize
+from mmwave_env.localization.log import read_log, write_log
+from mmwave_env.localization.log_tables import LogError
 from mmwave_env.models.prior import prior_from_fix
 from mmwave_env.models.radio import RADIOS
 from mmwave_env.models.scene import SCENES
