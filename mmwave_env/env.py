@@ -17,7 +17,7 @@ from mmwave_env.episodes.episode import Episode, EpisodeSource
 from mmwave_env.episodes.simulated import SimulatedSource
 from mmwave_env.filters.modes import Mode, modes_from
 from mmwave_env.filters.pipeline import Pipeline
-from mmwave_env.information import episode_info
+from mmwave_env.info import episode_info
 from mmwave_env.lookup import choose
 from mmwave_env.metrics import DIVERGENCE_M
 from mmwave_env.models.radio import Radio, radio_from
@@ -25,7 +25,7 @@ from mmwave_env.models.scene import Scene, scene_from
 from mmwave_env.observation import Observation
 from mmwave_env.rendering import FRAMES_PER_SECOND, Picture, blank_picture
 from mmwave_env.reward import Reward
-from mmwave_env.setting import setting_from
+from mmwave_env.task import setting_from
 
 BACKENDS = {"lanes": "SIMD lanes", "filterpy": "filterpy's filters, slow, independent"}
 

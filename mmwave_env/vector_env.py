@@ -19,10 +19,10 @@ from mmwave_env.engines.env_engine import Engine
 from mmwave_env.engines.replay import Replay
 from mmwave_env.engines.vector_step import Stepper
 from mmwave_env.episodes.simulated import SimulatedSource
-from mmwave_env.information import Mask, episode_info, masked, stepped
+from mmwave_env.info import Mask, episode_info, masked, stepped
 from mmwave_env.lookup import choose
 from mmwave_env.metrics import DIVERGENCE_M
-from mmwave_env.setting import setting_from
+from mmwave_env.task import setting_from
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]

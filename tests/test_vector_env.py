@@ -15,7 +15,7 @@ from gymnasium.vector import AutoresetMode
 import mmwave_env.engines.batch as batch
 from mmwave_env.episodes.simulated import SimulatedSource
 from mmwave_env.filters.modes import Mode
-from mmwave_env.information import STATE_KEYS, STEP_KEYS
+from mmwave_env.info import STATE_KEYS, STEP_KEYS
 from mmwave_env.models.measurement import Layout
 from mmwave_env.models.radio import RADIOS
 from mmwave_env.models.scene import SCENES

@@ -20,7 +20,7 @@ from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.observation import Observation
 from mmwave_env.reward import Reward
 from mmwave_env.sb3 import Infos, SB3VecEnv
-from mmwave_env.setting import setting_from
+from mmwave_env.task import setting_from
 from mmwave_env.vector_env import MmWaveLocVectorEnv
 
 Array = NDArray[Any]

@@ -16,7 +16,7 @@ from mmwave_env.compiler.program import PLAIN_EPOCHS, advance, rows_of
 from mmwave_env.compiler.threads import share
 from mmwave_env.engines.action_history import History
 from mmwave_env.engines.env_engine import Engine
-from mmwave_env.information import STATE_KEYS, STEP_KEYS, mask_keys
+from mmwave_env.info import STATE_KEYS, STEP_KEYS, mask_keys
 from mmwave_env.numerics.pytree import leaves
 
 Array = NDArray[np.float64]
