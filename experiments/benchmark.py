@@ -41,7 +41,7 @@ def main(args: Args) -> None:
     _check(args)
     for name in _ONE_THREAD:
         os.environ.setdefault(name, "1")
-    from experiments.markdown import show
+    from experiments.evaluation.markdown import show
     from experiments.pages import page_to_renew, renewed
     from experiments.speed.figure import draw
     from experiments.speed.measured import Measured

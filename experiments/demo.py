@@ -4,7 +4,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from experiments.cli import run
-from experiments.markdown import markdown
+from experiments.evaluation.markdown import markdown
 from experiments.options import EpisodeArgs, report
 from mmwave_env.episodes.samples import sample_names
 from mmwave_env.files import write_json, write_text

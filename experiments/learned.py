@@ -12,13 +12,13 @@ from rich.progress import track
 from experiments import transfer
 from experiments.ablate import VARIANTS
 from experiments.cli import run
-from experiments.evaluation import contender_from, draw_episodes, score
-from experiments.intervals import Array, Interval, crossed_bootstrap, mean
+from experiments.evaluation.intervals import Array, Interval, crossed_bootstrap, mean
+from experiments.evaluation.markdown import grid, show
+from experiments.evaluation.runner import contender_from, draw_episodes, score
+from experiments.evaluation.runs import Run, outcomes
 from experiments.learning.curves import draw_curves
-from experiments.markdown import grid, show
 from experiments.options import EpisodeArgs, results
 from experiments.pages import page_to_renew, renewed
-from experiments.runs import Run, outcomes
 from mmwave_env.files import require_writable, write_json, write_text
 from policies import TUNED_IMMS
 

@@ -12,7 +12,7 @@ import numpy as np
 from tyro.conf import Positional
 
 from experiments.cli import run
-from experiments.markdown import show
+from experiments.evaluation.markdown import show
 from experiments.terminal import ask_speed, parse_speed, progress
 from experiments.track_plot import TrackPicture
 from experiments.track_report import track_markdown

@@ -6,10 +6,11 @@ from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
 
-from experiments.bounds import bound_markdown, over_bound
-from experiments.comparison import Comparison, compare
-from experiments.decisions import Decisions
-from experiments.evaluation import (
+from experiments.evaluation.bounds import bound_markdown, over_bound
+from experiments.evaluation.comparison import Comparison, compare
+from experiments.evaluation.decisions import Decisions
+from experiments.evaluation.markdown import markdown, show
+from experiments.evaluation.runner import (
     Contender,
     Scores,
     Watch,
@@ -17,9 +18,12 @@ from experiments.evaluation import (
     contenders,
     evaluate,
 )
-from experiments.markdown import markdown, show
-from experiments.runs import Run, trainings
-from experiments.training_seeds import draw_profiles, over_training_seeds, seeds_markdown
+from experiments.evaluation.runs import Run, trainings
+from experiments.evaluation.training_seeds import (
+    draw_profiles,
+    over_training_seeds,
+    seeds_markdown,
+)
 from mmwave_env.episodes.episode import EpisodeSource
 from mmwave_env.episodes.recorded import RecordedSource
 from mmwave_env.episodes.samples import recording_from

@@ -4,7 +4,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from experiments.cli import run
-from experiments.evaluation import draw_episodes
+from experiments.evaluation.runner import draw_episodes
 from experiments.options import EpisodeArgs, command_line
 from mmwave_env.episodes.recorded import RecordedSource
 from mmwave_env.episodes.simulated import SimulatedSource

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from experiments.cli import run
 from experiments.damage import damaged
-from experiments.evaluation import draw_episodes
+from experiments.evaluation.runner import draw_episodes
 from experiments.terminal import progress
 from mmwave_env.engines.env_engine import Engine
 from mmwave_env.episodes.episode import Episode

@@ -9,7 +9,7 @@ from pathlib import Path
 from rich.progress import track
 
 from experiments.cli import run
-from experiments.markdown import show
+from experiments.evaluation.markdown import show
 from experiments.pages import page_to_renew, renewed
 from experiments.paper.accuracy import error_budget, headline
 from experiments.paper.bench import Bench, Section

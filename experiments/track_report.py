@@ -2,7 +2,7 @@
 
 from typing import Any
 
-from experiments.markdown import HEADERS, grid
+from experiments.evaluation.markdown import HEADERS, grid
 from mmwave_env.localization.segments import GAP_S
 from policies.scripted import DESIGN_LIMIT_MPS
 

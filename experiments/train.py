@@ -13,8 +13,8 @@ from rich.console import Console
 from rich.progress import Progress, TimeElapsedColumn
 
 from experiments.cli import run
+from experiments.evaluation.markdown import grid
 from experiments.learning.recipe import Recipe, read_recipe, shipped_recipe
-from experiments.markdown import grid
 from experiments.options import command_line
 from mmwave_env.files import write_bytes, write_json
 from mmwave_env.filters.modes import Mode, as_written, modes_from

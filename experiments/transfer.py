@@ -7,10 +7,10 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from experiments.cli import run
-from experiments.evaluation import Contender, contender_from, draw_episodes, score
-from experiments.intervals import Interval, bootstrap
-from experiments.markdown import grid, show
-from experiments.runs import Run
+from experiments.evaluation.intervals import Interval, bootstrap
+from experiments.evaluation.markdown import grid, show
+from experiments.evaluation.runner import Contender, contender_from, draw_episodes, score
+from experiments.evaluation.runs import Run
 from mmwave_env.episodes.episode import EpisodeSource
 from mmwave_env.episodes.recorded import RecordedSource
 from mmwave_env.episodes.samples import recording_from, sample_names

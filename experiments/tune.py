@@ -12,9 +12,9 @@ from scipy.optimize import minimize
 from scipy.special import chdtri
 
 from experiments.cli import run
-from experiments.evaluation import draw_episodes
-from experiments.intervals import bootstrap
-from experiments.markdown import grid
+from experiments.evaluation.intervals import bootstrap
+from experiments.evaluation.markdown import grid
+from experiments.evaluation.runner import draw_episodes
 from experiments.options import TUNING_SEED, command_line, require_tuning_seed
 from mmwave_env.engines.track_engine import Tracker
 from mmwave_env.episodes.episode import Episode

@@ -13,8 +13,8 @@ from scipy.optimize import minimize
 from scipy.special import expit, logit, softmax
 
 from experiments.cli import run
-from experiments.evaluation import draw_episodes
-from experiments.intervals import Interval, bootstrap
+from experiments.evaluation.intervals import Interval, bootstrap
+from experiments.evaluation.runner import draw_episodes
 from experiments.options import TUNING_SEED, command_line, require_tuning_seed
 from experiments.tune import CAP
 from mmwave_env.engines.imm_engine import ImmEngine

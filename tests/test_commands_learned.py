@@ -7,9 +7,9 @@ import sys
 import numpy as np
 import pytest
 
-from experiments.evaluation import contender_from, draw_episodes, score
+from experiments.evaluation.runner import contender_from, draw_episodes, score
+from experiments.evaluation.runs import Run
 from experiments.learning.curves import curve, draw_curves
-from experiments.runs import Run
 from mmwave_env.episodes.simulated import SimulatedSource
 from mmwave_env.models.radio import RADIOS
 from mmwave_env.models.scene import SCENES

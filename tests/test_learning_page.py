@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from experiments.runs import Run
+from experiments.evaluation.runs import Run
 from policies import LearnedSwitch, shipped_policies
 from tests.paths import ROOT
 

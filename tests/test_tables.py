@@ -10,8 +10,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from experiments.evaluation import contender_from, score
-from experiments.intervals import Interval
+from experiments.evaluation.intervals import Interval
+from experiments.evaluation.runner import contender_from, score
 from experiments.paper.bench import Bench, Section, Setting, track
 from experiments.paper.claims import contradictions, resolution
 from experiments.tables import FIELDS, Args, main

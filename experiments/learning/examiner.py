@@ -6,8 +6,8 @@ from typing import Any
 
 import numpy as np
 
-from experiments.evaluation import Contender, Scores, contender_from, draw_episodes, score
-from experiments.intervals import bootstrap
+from experiments.evaluation.intervals import bootstrap
+from experiments.evaluation.runner import Contender, Scores, contender_from, draw_episodes, score
 from experiments.learning.world import Task
 from experiments.options import TUNING_SEED
 from mmwave_env.episodes.simulated import SimulatedSource

@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from experiments.intervals import bootstrap
+from experiments.evaluation.intervals import bootstrap
 from experiments.paper.bench import Bench, Cell, Errors, Section, Setting
 from experiments.paper.published import HIGH_MOBILITY, LOW_MOBILITY
 from mmwave_env.filters.modes import robust

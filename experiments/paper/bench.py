@@ -8,9 +8,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from experiments.evaluation import Scores, draw_episodes
-from experiments.intervals import Interval
-from experiments.markdown import grid, rounded
+from experiments.evaluation.intervals import Interval
+from experiments.evaluation.markdown import grid, rounded
+from experiments.evaluation.runner import Scores, draw_episodes
 from mmwave_env.engines.track_engine import Tracker
 from mmwave_env.episodes.episode import Episode
 from mmwave_env.episodes.simulated import SimulatedSource

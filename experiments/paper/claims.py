@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 from scipy.stats import chi2
 
-from experiments.intervals import Interval, bootstrap, bootstrap_ratio
+from experiments.evaluation.intervals import Interval, bootstrap, bootstrap_ratio
 from experiments.paper.bench import Bench, Cell, Errors, Section, Setting, track
 from experiments.paper.printed import untuned
 from experiments.paper.published import HIGH_MOBILITY, LOW_MOBILITY, Published

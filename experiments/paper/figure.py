@@ -9,7 +9,7 @@ import matplotlib
 matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 
-from experiments.intervals import Interval
+from experiments.evaluation.intervals import Interval
 from experiments.paper.bench import Cell, Section
 from mmwave_env.models.radio import RADIOS
 

@@ -5,8 +5,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from experiments.evaluation import Scores
-from experiments.intervals import bootstrap
+from experiments.evaluation.intervals import bootstrap
+from experiments.evaluation.runner import Scores
 from experiments.paper.bench import Bench, Cell, Section, Setting
 from experiments.paper.published import HIGH_MOBILITY, LOW_MOBILITY, OTHERS, Published
 from mmwave_env.filters.modes import Mode, robust

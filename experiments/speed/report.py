@@ -11,7 +11,7 @@ from statistics import median
 import numba
 import numpy as np
 
-from experiments.markdown import grid
+from experiments.evaluation.markdown import grid
 from experiments.speed.measured import BETWEEN_ENDS, SMALLEST_FULL, STEP, Measured, quotients
 from experiments.speed.operations import Operations
 from experiments.speed.rates import Rates

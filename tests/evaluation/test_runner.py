@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 import mmwave_env  # noqa: F401  registers the environment
-from experiments import evaluation
-from experiments.evaluation import (
+from experiments.evaluation import runner as evaluation
+from experiments.evaluation.runner import (
     contender_from,
     contenders,
     draw_episodes,

@@ -8,15 +8,15 @@ import sys
 import numpy as np
 import pytest
 
-from experiments.bounds import bounds_of, over_bound
-from experiments.cramer_rao import (
+from experiments.evaluation.bounds import bounds_of, over_bound
+from experiments.evaluation.cramer_rao import (
     averaged_bound,
     conditional_bounds,
     measured_motion,
     position_variance,
 )
-from experiments.evaluation import contender_from, draw_episodes, score
-from experiments.intervals import RESAMPLES
+from experiments.evaluation.intervals import RESAMPLES
+from experiments.evaluation.runner import contender_from, draw_episodes, score
 from mmwave_env.episodes.simulated import SimulatedSource
 from mmwave_env.metrics import BURN_IN
 from mmwave_env.models.radio import RADIOS

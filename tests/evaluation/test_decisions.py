@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from matplotlib.image import imread
 
-from experiments.decisions import Decisions, pull_aways, stops
-from experiments.evaluation import contender_from, draw_episodes, localise
+from experiments.evaluation.decisions import Decisions, pull_aways, stops
+from experiments.evaluation.runner import contender_from, draw_episodes, localise
 from mmwave_env.episodes.simulated import SimulatedSource
 from mmwave_env.metrics import BURN_IN
 from mmwave_env.models.radio import RADIOS

@@ -11,9 +11,8 @@ from typing import Any
 
 import numpy as np
 
-from experiments.comparison import rivals
-from experiments.evaluation import Scores
-from experiments.intervals import (
+from experiments.evaluation.comparison import rivals
+from experiments.evaluation.intervals import (
     Array,
     Interval,
     bootstrap,
@@ -22,8 +21,9 @@ from experiments.intervals import (
     mean,
     share_above,
 )
-from experiments.markdown import grid
-from experiments.runs import Run
+from experiments.evaluation.markdown import grid
+from experiments.evaluation.runner import Scores
+from experiments.evaluation.runs import Run
 from mmwave_env.files import beside
 
 LEVELS = 81  # of a performance profile

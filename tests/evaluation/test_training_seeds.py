@@ -7,9 +7,9 @@ import pytest
 from matplotlib.image import imread
 from scipy.stats import trim_mean
 
-from experiments.intervals import bootstrap
-from experiments.runs import Run
-from experiments.training_seeds import (
+from experiments.evaluation.intervals import bootstrap
+from experiments.evaluation.runs import Run
+from experiments.evaluation.training_seeds import (
     LEVELS,
     draw_profiles,
     over_training_seeds,

@@ -4,7 +4,7 @@ import json
 
 import pytest
 
-from experiments.runs import Run, trainings
+from experiments.evaluation.runs import Run, trainings
 
 SUMMARY = {"seeds": [{"seed": 2}, {"seed": 0}, {"seed": 1}], "median": 0, "command": "..."}
 

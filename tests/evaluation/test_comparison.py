@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from experiments.comparison import compare, references, rivals
-from experiments.intervals import bootstrap
-from experiments.markdown import markdown
+from experiments.evaluation.comparison import compare, references, rivals
+from experiments.evaluation.intervals import bootstrap
+from experiments.evaluation.markdown import markdown
 from mmwave_env.metrics import METRICS
 
 

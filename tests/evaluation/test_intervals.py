@@ -5,8 +5,8 @@ import pytest
 from scipy.stats import bootstrap as scipy_bootstrap
 from scipy.stats import norm, t, trim_mean
 
-from experiments import intervals
-from experiments.intervals import (
+from experiments.evaluation import intervals
+from experiments.evaluation.intervals import (
     RESAMPLES,
     bootstrap,
     bootstrap_ratio,

@@ -13,7 +13,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.stats import norm
 
-from experiments.cramer_rao import (
+from experiments.evaluation.cramer_rao import (
     Motion,
     averaged_bound,
     conditional_bounds,

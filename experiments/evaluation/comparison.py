@@ -6,8 +6,8 @@ from typing import Any
 
 import numpy as np
 
-from experiments.evaluation import Scores
-from experiments.intervals import Array, Interval, bootstrap
+from experiments.evaluation.intervals import Array, Interval, bootstrap
+from experiments.evaluation.runner import Scores
 from mmwave_env.metrics import METRICS
 
 

@@ -2,7 +2,7 @@
 
 Every kind of user (``Episode.name``) has the bound of its own motion, with the white-noise
 acceleration of its true velocities; mean squares are pooled over kinds, episodes and the
-epochs that count. See :mod:`experiments.cramer_rao` for what such a bound means.
+epochs that count. See :mod:`experiments.evaluation.cramer_rao` for what such a bound means.
 """
 
 from collections.abc import Mapping, Sequence
@@ -11,15 +11,15 @@ from typing import Any
 
 import numpy as np
 
-from experiments.cramer_rao import (
+from experiments.evaluation.cramer_rao import (
     averaged_bound,
     conditional_bounds,
     measured_motion,
     position_variance,
 )
-from experiments.evaluation import CHUNK, Scores, draw_episodes
-from experiments.intervals import Array, Interval, bootstrap
-from experiments.markdown import grid
+from experiments.evaluation.intervals import Array, Interval, bootstrap
+from experiments.evaluation.markdown import grid
+from experiments.evaluation.runner import CHUNK, Scores, draw_episodes
 from mmwave_env.episodes.episode import Episode, EpisodeSource
 from mmwave_env.metrics import scored
 from mmwave_env.models.radio import Radio

@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from rich.console import Console
 from rich.markdown import Markdown
 
-from experiments.comparison import Comparison
-from experiments.intervals import Interval
+from experiments.evaluation.comparison import Comparison
+from experiments.evaluation.intervals import Interval
 from mmwave_env.metrics import METRICS
 
 HEADERS = {
