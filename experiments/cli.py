@@ -1,6 +1,7 @@
 """The command line ``mmwave-loc <command>``."""
 
 import importlib
+import importlib.util
 import os
 import sys
 import warnings
@@ -17,17 +18,38 @@ COMMANDS = {
     "compare": "several policies on the same episodes, with paired differences",
     "tables": "the paper's tables and claims, reproduced",
     "train": "switchers that learn, on several training seeds",
-    "ablate": "trainings with one thing changed at a time",
     "transfer": "switchers on streets, radios and recordings they were not trained on",
-    "learned": "the tables and figures of docs/learning.md, from recorded runs",
     "tune": "process noise of modes, by likelihood or error, on tuning seeds",
     "tune-threshold": "the best threshold of the speed rule, on tuning seeds",
     "tune-imm": "the best transition and process noise of IMMs, on tuning seeds",
     "benchmark": "steps per second beside filterpy's and the core's limit, memory, first step",
-    "soak": "many steps of all modes on damaged data, every number checked",
     "simulate": "one episode as files: measurement log, scene and truth",
     "demo": "the comparison of the README, on simulated and ray-traced streets",
 }
+STUDIES = {  # of a checkout: the installed package goes without them
+    "ablate": ("experiments.learning.ablate", "trainings with one thing changed at a time"),
+    "learned": (
+        "experiments.learning.learned",
+        "the tables and figures of docs/learning.md, from recorded runs",
+    ),
+    "soak": (
+        "experiments.reliability.soak",
+        "many steps of all modes on damaged data, every number checked",
+    ),
+}
+
+
+def _commands() -> dict[str, tuple[str, str]]:
+    """Module and meaning of every command there is."""
+    found = {
+        name: (f"experiments.{name.replace('-', '_')}", what) for name, what in COMMANDS.items()
+    }
+    return found | {n: study for n, study in STUDIES.items() if _is_there(study[0])}
+
+
+def _is_there(module: str) -> bool:
+    package, _, _ = module.rpartition(".")
+    return importlib.util.find_spec(package) is not None
 
 
 def _show_warning(message: Warning | str, *_: Any, **__: Any) -> None:
@@ -51,7 +73,7 @@ def run(name: str, arguments: Sequence[str] | None = None) -> None:
         arguments: its options; None for those the program was started with.
     """
     warnings.showwarning = _show_warning
-    command = importlib.import_module(f"experiments.{name.replace('-', '_')}")
+    command = importlib.import_module(_commands()[name][0])
     args = tyro.cli(command.Args, args=arguments, prog=f"mmwave-loc {name}")
     try:
         json = getattr(args, "json", None)  # not every command has figures to write
@@ -71,18 +93,14 @@ def run(name: str, arguments: Sequence[str] | None = None) -> None:
 
 def main() -> None:
     """The program: the first argument names the command."""
-    arguments = sys.argv[1:]
+    arguments, commands = sys.argv[1:], _commands()
     if not arguments or arguments[0] in ("-h", "--help"):
         print("usage: mmwave-loc <command> [options]; --help after a command lists its options\n")
-        for name, what in COMMANDS.items():
+        for name, (_, what) in commands.items():
             print(f"  {name:16} {what}")
         sys.exit(0 if arguments else 2)
-    if arguments[0] not in COMMANDS:
-        known = ", ".join(COMMANDS)
+    if arguments[0] not in commands:
+        known = ", ".join(commands)
         print(f"command: found {arguments[0]!r}, expected one of {known}", file=sys.stderr)
         sys.exit(2)
     run(arguments[0], arguments[1:])
-
-
-if __name__ == "__main__":
-    main()

@@ -14,8 +14,8 @@ from rich.progress import Progress, TimeElapsedColumn
 
 from experiments.cli import run
 from experiments.evaluation.markdown import grid
-from experiments.learning.recipe import Recipe, read_recipe, shipped_recipe
 from experiments.options import command_line
+from experiments.training.hyperparameters import Recipe, read_recipe, shipped_recipe
 from mmwave_env.files import write_bytes, write_json
 from mmwave_env.filters.modes import Mode, as_written, modes_from
 from mmwave_env.lookup import choose
@@ -179,9 +179,9 @@ def summary(outcomes: list[dict[str, Any]]) -> str:
 def main(args: Args) -> None:
     """Run the command."""
     try:
-        from experiments.learning.processes import side_by_side
-        from experiments.learning.trainer import Job
-        from experiments.learning.world import Task
+        from experiments.training.processes import side_by_side
+        from experiments.training.trainer import Job
+        from experiments.training.training_env import Task
     except ImportError as error:
         raise ValueError(
             f"train needs more than the base install: {error}; pip install 'mmwave-loc[train]'"

@@ -11,8 +11,8 @@ import pytest
 from matplotlib.image import imread
 
 from experiments import cli
-from tests.actors import actor, card_of, write
 from tests.paths import ROOT
+from tests.training.actors import actor, card_of, write
 
 WITHOUT_TORCH = """
 import sys

@@ -15,8 +15,8 @@ from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.models.measurement import Layout
 from mmwave_env.observation import Observation
 from policies import LearnedSwitch, learned, shipped_policies
-from tests.actors import FEATURES, MODES, TABLE, actor, card_of, write
 from tests.paths import ROOT
+from tests.training.actors import FEATURES, MODES, TABLE, actor, card_of, write
 
 KINDS = {
     "plain": {},

@@ -15,7 +15,7 @@ from safetensors.numpy import save
 from mmwave_env.filters.modes import Mode
 from mmwave_env.filters.update import ekf
 from policies.policy_file import Card, _checksum, read_policy, to_bytes
-from tests.actors import MODES, actor, card_of, write
+from tests.training.actors import MODES, actor, card_of, write
 
 SMALL = {"features": 3, "hidden": (2,)}
 KINDS = {

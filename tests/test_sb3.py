@@ -17,7 +17,7 @@ from stable_baselines3.common.monitor import Monitor
 from stable_baselines3.common.vec_env import DummyVecEnv, VecCheckNan, VecMonitor, VecNormalize
 
 from mmwave_env.sb3 import SB3VecEnv
-from tests.actors import FEATURES, MODES
+from tests.training.actors import FEATURES, MODES
 
 pytestmark = pytest.mark.torch
 

@@ -12,8 +12,8 @@ import mmwave_env  # noqa: F401  registers the environment
 from mmwave_env.episodes.simulated import SimulatedSource
 from mmwave_env.models.radio import RADIOS
 from mmwave_env.models.scene import SCENES
-from tests.actors import MODES
 from tests.paths import ROOT
+from tests.training.actors import MODES
 from tests.vector_checker import forward, same
 
 AUTORESET = ["NextStep", "SameStep", "Disabled"]

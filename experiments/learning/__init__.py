@@ -1,1 +1,1 @@
-"""Training of switchers: Stable-Baselines3 on the native vector environment."""
+"""What docs/learning.md shows: results of the recorded trainings, and what each part is worth."""

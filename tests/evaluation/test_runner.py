@@ -25,7 +25,7 @@ from mmwave_env.models.radio import RADIOS
 from mmwave_env.models.scene import SCENES
 from mmwave_env.reward import TrackingReward
 from policies import TUNED_IMMS, FixedMode, learned, tuned_imm
-from tests.actors import MODES, actor, card_of, write
+from tests.training.actors import MODES, actor, card_of, write
 
 # Estimates of a lost track can be fast; the rule's own test looks at the warning.
 pytestmark = pytest.mark.filterwarnings("ignore:speed .* outside the design window")

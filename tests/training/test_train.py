@@ -17,13 +17,13 @@ pytest.importorskip("stable_baselines3")
 import torch
 
 from experiments.cli import run
-from experiments.learning import world as worlds
-from experiments.learning.checkpoint import read_checkpoint, with_arrays, write_checkpoint
-from experiments.learning.journal import Journal
-from experiments.learning.network import actor_of, learner
-from experiments.learning.recipe import Recipe, read_recipe, shipped_recipe
-from experiments.learning.world import TRUTH, PairedReward, Task, WithTruth, World
 from experiments.train import Args
+from experiments.training import training_env as worlds
+from experiments.training.checkpoint import read_checkpoint, with_arrays, write_checkpoint
+from experiments.training.hyperparameters import Recipe, read_recipe, shipped_recipe
+from experiments.training.network import actor_of, learner
+from experiments.training.progress_log import Journal
+from experiments.training.training_env import TRUTH, PairedReward, Task, WithTruth, World
 from mmwave_env.engines.imm_engine import ImmEngine
 from mmwave_env.episodes.simulated import SimulatedSource
 from mmwave_env.files import write_json
@@ -35,7 +35,7 @@ from mmwave_env.reward import TrackingReward
 from mmwave_env.sb3 import SB3VecEnv
 from mmwave_env.vector_env import MmWaveLocVectorEnv
 from policies import LearnedSwitch
-from tests.actors import MODES, card_of, write
+from tests.training.actors import MODES, card_of, write
 
 pytestmark = pytest.mark.torch
 

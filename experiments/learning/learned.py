@@ -10,12 +10,12 @@ import numpy as np
 from rich.progress import track
 
 from experiments import transfer
-from experiments.ablate import VARIANTS
 from experiments.cli import run
 from experiments.evaluation.intervals import Array, Interval, crossed_bootstrap, mean
 from experiments.evaluation.markdown import grid, show
 from experiments.evaluation.runner import contender_from, draw_episodes, score
 from experiments.evaluation.runs import Run, outcomes
+from experiments.learning.ablate import VARIANTS
 from experiments.learning.curves import draw_curves
 from experiments.options import EpisodeArgs, results
 from experiments.pages import page_to_renew, renewed

@@ -8,8 +8,8 @@ import numpy as np
 
 from experiments.evaluation.intervals import bootstrap
 from experiments.evaluation.runner import Contender, Scores, contender_from, draw_episodes, score
-from experiments.learning.world import Task
 from experiments.options import TUNING_SEED
+from experiments.training.training_env import Task
 from mmwave_env.episodes.simulated import SimulatedSource
 from mmwave_env.models.radio import radio_from
 from mmwave_env.models.scene import scene_from

@@ -22,11 +22,11 @@ pytest.importorskip("stable_baselines3")
 
 import torch
 
-from experiments.learning import examiner
-from experiments.learning.processes import side_by_side
-from experiments.learning.trainer import Job, Training
+from experiments.training import evaluator as examiner
+from experiments.training.processes import side_by_side
+from experiments.training.trainer import Job, Training
 from mmwave_env.filters.modes import default_modes
-from tests.test_train import RECIPE, TASK, content
+from tests.training.test_train import RECIPE, TASK, content
 
 pytestmark = [
     pytest.mark.torch,

@@ -74,7 +74,7 @@ def figures(text):
 def test_the_page_is_what_the_command_writes(tmp_path):
     page = tmp_path / "learning.md"
     shutil.copy(PAGE, page)
-    command = [sys.executable, "-m", "experiments.learned", "--docs", page]
+    command = [sys.executable, "-m", "experiments.learning.learned", "--docs", page]
     subprocess.run(command, check=True, capture_output=True, text=True, cwd=ROOT)
     made, shown = page.read_text(), PAGE.read_text()
     assert re.sub(r"\d", "", made) == re.sub(r"\d", "", shown)

@@ -9,8 +9,8 @@ from stable_baselines3.common.on_policy_algorithm import OnPolicyAlgorithm
 from stable_baselines3.common.policies import ActorCriticPolicy
 from torch import Tensor, nn
 
-from experiments.learning.recipe import Recipe
-from experiments.learning.world import World
+from experiments.training.hyperparameters import Recipe
+from experiments.training.training_env import World
 from policies.policy_file import Tensors
 
 

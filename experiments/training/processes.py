@@ -10,7 +10,7 @@ from multiprocessing.connection import Connection, wait
 from multiprocessing.process import BaseProcess
 from typing import Any
 
-from experiments.learning.trainer import Job, Training
+from experiments.training.trainer import Job, Training
 
 Outcome = dict[str, Any]
 

@@ -13,12 +13,12 @@ from sb3_contrib.common.recurrent.type_aliases import RNNStates
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.logger import Logger
 
-from experiments.learning.checkpoint import read_checkpoint, with_arrays, write_checkpoint
-from experiments.learning.examiner import Examiner
-from experiments.learning.journal import Journal
-from experiments.learning.network import actor_of, falling, learner
-from experiments.learning.recipe import Recipe
-from experiments.learning.world import Task, World
+from experiments.training.checkpoint import read_checkpoint, with_arrays, write_checkpoint
+from experiments.training.evaluator import Examiner
+from experiments.training.hyperparameters import Recipe
+from experiments.training.network import actor_of, falling, learner
+from experiments.training.progress_log import Journal
+from experiments.training.training_env import Task, World
 from mmwave_env import __version__
 from mmwave_env.files import write_bytes, write_json
 from policies.policy_file import Card, to_bytes

@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 
 from experiments import train
 from experiments.cli import run
-from experiments.learning.recipe import read_recipe, shipped_recipe
+from experiments.training.hyperparameters import read_recipe, shipped_recipe
 from mmwave_env.files import write_json
 from mmwave_env.filters.modes import as_written, default_modes
 from mmwave_env.lookup import choose

@@ -13,7 +13,7 @@ from stable_baselines3.common.vec_env import (
     VecNormalize,
 )
 
-from experiments.learning.recipe import Recipe
+from experiments.training.hyperparameters import Recipe
 from mmwave_env.engines.imm_engine import ImmEngine
 from mmwave_env.filters.modes import Mode, default_modes
 from mmwave_env.filters.pipeline import Pipeline

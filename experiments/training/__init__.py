@@ -1,0 +1,1 @@
+"""Learned switchers: environment, network, trainer, checkpoints."""
