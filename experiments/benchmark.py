@@ -10,7 +10,7 @@ import os
 from dataclasses import dataclass
 from pathlib import Path
 
-from experiments.cli import run
+from experiments.cli.main import run
 from mmwave_env.files import require_writable, write_json, write_text
 
 # Nothing that loads numpy is imported up here: its linear algebra counts its threads once.
@@ -41,12 +41,12 @@ def main(args: Args) -> None:
     _check(args)
     for name in _ONE_THREAD:
         os.environ.setdefault(name, "1")
+    from experiments.cli.doc_pages import page_to_renew, renewed
+    from experiments.cli.terminal import progress
     from experiments.evaluation.markdown import show
-    from experiments.pages import page_to_renew, renewed
     from experiments.speed.figure import draw
     from experiments.speed.measured import Measured
     from experiments.speed.report import TITLES, tables
-    from experiments.terminal import progress
 
     figures = [args.plot] if args.plot else []
     page = ""

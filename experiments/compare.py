@@ -3,8 +3,8 @@
 from dataclasses import dataclass
 from pathlib import Path
 
-from experiments.cli import run
-from experiments.options import EpisodeArgs, report
+from experiments.cli.main import run
+from experiments.cli.options import EpisodeArgs, report
 from mmwave_env.files import require_writable
 
 

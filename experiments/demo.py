@@ -3,9 +3,9 @@
 from dataclasses import dataclass
 from pathlib import Path
 
-from experiments.cli import run
+from experiments.cli.main import run
+from experiments.cli.options import EpisodeArgs, report
 from experiments.evaluation.markdown import markdown
-from experiments.options import EpisodeArgs, report
 from mmwave_env.episodes.samples import sample_names
 from mmwave_env.files import write_json, write_text
 

@@ -2,8 +2,8 @@
 
 from dataclasses import dataclass
 
-from experiments.cli import run
-from experiments.options import EpisodeArgs, report
+from experiments.cli.main import run
+from experiments.cli.options import EpisodeArgs, report
 
 
 @dataclass

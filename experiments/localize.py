@@ -11,11 +11,11 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 from tyro.conf import Positional
 
-from experiments.cli import run
+from experiments.cli.main import run
+from experiments.cli.terminal import ask_speed, parse_speed, progress
+from experiments.cli.track_plot import TrackPicture
+from experiments.cli.track_report import track_markdown
 from experiments.evaluation.markdown import show
-from experiments.terminal import ask_speed, parse_speed, progress
-from experiments.track_plot import TrackPicture
-from experiments.track_report import track_markdown
 from mmwave_env.engines.track_engine import Rule
 from mmwave_env.files import require_writable, write_json
 from mmwave_env.filters.modes import Mode, modes_from, robust

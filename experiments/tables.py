@@ -8,9 +8,9 @@ from pathlib import Path
 
 from rich.progress import track
 
-from experiments.cli import run
+from experiments.cli.doc_pages import page_to_renew, renewed
+from experiments.cli.main import run
 from experiments.evaluation.markdown import show
-from experiments.pages import page_to_renew, renewed
 from experiments.paper.accuracy import error_budget, headline
 from experiments.paper.bench import Bench, Section
 from experiments.paper.claims import all_claims

@@ -12,9 +12,9 @@ from typing import Any, Literal
 from rich.console import Console
 from rich.progress import Progress, TimeElapsedColumn
 
-from experiments.cli import run
+from experiments.cli.main import run
+from experiments.cli.options import command_line
 from experiments.evaluation.markdown import grid
-from experiments.options import command_line
 from experiments.training.hyperparameters import Recipe, read_recipe, shipped_recipe
 from mmwave_env.files import write_bytes, write_json
 from mmwave_env.filters.modes import Mode, as_written, modes_from

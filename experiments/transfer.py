@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from experiments.cli import run
+from experiments.cli.main import run
 from experiments.evaluation.intervals import Interval, bootstrap
 from experiments.evaluation.markdown import grid, show
 from experiments.evaluation.runner import Contender, contender_from, draw_episodes, score

@@ -7,10 +7,10 @@ from pathlib import Path
 import numpy as np
 from rich.progress import track
 
-from experiments.cli import run
+from experiments.cli.main import run
+from experiments.cli.options import TUNING_SEED, command_line, require_tuning_seed
 from experiments.evaluation.intervals import bootstrap
 from experiments.evaluation.runner import contender_from, draw_episodes, score
-from experiments.options import TUNING_SEED, command_line, require_tuning_seed
 from mmwave_env.episodes.simulated import SimulatedSource
 from mmwave_env.files import write_json
 from mmwave_env.models.radio import RADIOS, radio_from

@@ -39,7 +39,12 @@ def numbers(text: str) -> list[float]:
 
 def test_localising_the_sample_prints_what_is_shown(tmp_path: Path) -> None:
     (command,) = re.findall(r"```\nmmwave-loc (localize .*?)\n```", README, re.DOTALL)
-    words = [sys.executable, "-m", "experiments.cli", *shlex.split(command.replace("\\\n", " "))]
+    words = [
+        sys.executable,
+        "-m",
+        "experiments.cli",
+        *shlex.split(command.replace("\\\n", " ")),
+    ]
     for name in ("track.tum", "track.png"):
         words[words.index(name)] = str(tmp_path / name)
     made = subprocess.run(words, check=True, capture_output=True, text=True, cwd=ROOT).stdout

@@ -7,7 +7,7 @@ from types import MappingProxyType
 from typing import Any, NamedTuple
 
 from experiments import train
-from experiments.cli import run
+from experiments.cli.main import run
 from experiments.training.hyperparameters import read_recipe, shipped_recipe
 from mmwave_env.files import write_json
 from mmwave_env.filters.modes import as_written, default_modes

@@ -6,9 +6,9 @@ from typing import Any
 
 import numpy as np
 
+from experiments.cli.options import TUNING_SEED
 from experiments.evaluation.intervals import bootstrap
 from experiments.evaluation.runner import Contender, Scores, contender_from, draw_episodes, score
-from experiments.options import TUNING_SEED
 from experiments.training.training_env import Task
 from mmwave_env.episodes.simulated import SimulatedSource
 from mmwave_env.models.radio import radio_from

@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 
 import mmwave_env
-from experiments.cli import run
+from experiments.cli.main import run
 from mmwave_env.engines.imm_engine import ImmEngine
 from mmwave_env.episodes.episode import Episode
 from mmwave_env.filters.imm import begin

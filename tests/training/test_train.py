@@ -16,7 +16,7 @@ pytest.importorskip("stable_baselines3")
 
 import torch
 
-from experiments.cli import run
+from experiments.cli.main import run
 from experiments.train import Args
 from experiments.training import training_env as worlds
 from experiments.training.checkpoint import read_checkpoint, with_arrays, write_checkpoint
@@ -298,7 +298,7 @@ def test_without_the_extra_it_says_what_to_install(package, tmp_path):
         "    def find_spec(self, name, path=None, target=None):\n"
         f"        if name == {package!r}: raise ModuleNotFoundError('No module named ' + name)\n"
         "sys.meta_path.insert(0, Missing())\n"
-        "from experiments.cli import run\n"
+        "from experiments.cli.main import run\n"
         f"run('train', ['--out', {str(tmp_path / 'run')!r}])\n"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=ROOT)

@@ -7,8 +7,8 @@ import sys
 
 import pytest
 
-from experiments.cli import run
-from experiments.pages import MARK
+from experiments.cli.doc_pages import MARK
+from experiments.cli.main import run
 from experiments.speed.report import TITLES
 from tests.paths import ROOT
 

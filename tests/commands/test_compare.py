@@ -10,7 +10,7 @@ import warnings
 import pytest
 from matplotlib.image import imread
 
-from experiments import cli
+from experiments.cli import main as cli
 from tests.paths import ROOT
 from tests.training.actors import actor, card_of, write
 
@@ -23,7 +23,7 @@ class Refuse:
             raise ImportError(name)
 
 sys.meta_path.insert(0, Refuse())
-from experiments.cli import main
+from experiments.cli.main import main
 main()
 """
 

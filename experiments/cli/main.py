@@ -39,7 +39,7 @@ STUDIES = {  # of a checkout: the installed package goes without them
 }
 
 
-def _commands() -> dict[str, tuple[str, str]]:
+def commands() -> dict[str, tuple[str, str]]:
     """Module and meaning of every command there is."""
     found = {
         name: (f"experiments.{name.replace('-', '_')}", what) for name, what in COMMANDS.items()
@@ -73,7 +73,7 @@ def run(name: str, arguments: Sequence[str] | None = None) -> None:
         arguments: its options; None for those the program was started with.
     """
     warnings.showwarning = _show_warning
-    command = importlib.import_module(_commands()[name][0])
+    command = importlib.import_module(commands()[name][0])
     args = tyro.cli(command.Args, args=arguments, prog=f"mmwave-loc {name}")
     try:
         json = getattr(args, "json", None)  # not every command has figures to write
@@ -93,14 +93,14 @@ def run(name: str, arguments: Sequence[str] | None = None) -> None:
 
 def main() -> None:
     """The program: the first argument names the command."""
-    arguments, commands = sys.argv[1:], _commands()
+    arguments, there = sys.argv[1:], commands()
     if not arguments or arguments[0] in ("-h", "--help"):
         print("usage: mmwave-loc <command> [options]; --help after a command lists its options\n")
-        for name, (_, what) in commands.items():
+        for name, (_, what) in there.items():
             print(f"  {name:16} {what}")
         sys.exit(0 if arguments else 2)
-    if arguments[0] not in commands:
-        known = ", ".join(commands)
+    if arguments[0] not in there:
+        known = ", ".join(there)
         print(f"command: found {arguments[0]!r}, expected one of {known}", file=sys.stderr)
         sys.exit(2)
     run(arguments[0], arguments[1:])

@@ -6,15 +6,15 @@ import re
 import numpy as np
 import pytest
 
-from experiments import damage, soak
-from experiments.cli import run
+from experiments.cli.main import run
+from experiments.reliability import damage, soak
 from mmwave_env.episodes.simulated import SimulatedSource
 from mmwave_env.filters.modes import Mode, named_modes
 from mmwave_env.filters.update import ekf
 from mmwave_env.models.radio import RADIOS
 from mmwave_env.models.scene import SCENES
 from mmwave_env.numerics.numbers import where
-from tests.test_commands import CLI, assert_one_clear_line, command, succeed
+from tests.commands.test_main import CLI, assert_one_clear_line, command, succeed
 
 SMALL = ("--steps", "1.2e4", "--num-envs", "16")
 

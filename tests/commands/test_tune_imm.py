@@ -15,7 +15,7 @@ from mmwave_env.filters.imm import stay_matrix
 from mmwave_env.filters.modes import as_written, modes_from
 from mmwave_env.models.radio import RADIOS
 from mmwave_env.models.scene import SCENES
-from tests.test_tune import cli
+from tests.commands.test_tune import cli
 
 SOURCE = SimulatedSource(SCENES["street"], RADIOS["handset"], epochs=60)
 

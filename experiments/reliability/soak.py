@@ -16,10 +16,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from experiments.cli import run
-from experiments.damage import damaged
+from experiments.cli.main import run
+from experiments.cli.terminal import progress
 from experiments.evaluation.runner import draw_episodes
-from experiments.terminal import progress
+from experiments.reliability.damage import damaged
 from mmwave_env.engines.env_engine import Engine
 from mmwave_env.episodes.episode import Episode
 from mmwave_env.episodes.mobility import MOBILITIES

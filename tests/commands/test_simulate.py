@@ -6,7 +6,7 @@ import shlex
 import numpy as np
 import pytest
 
-from experiments.cli import run
+from experiments.cli.main import run
 from mmwave_env.episodes.recorded import RecordedSource
 from mmwave_env.episodes.samples import recording_from, sample_names
 from mmwave_env.episodes.simulated import SimulatedSource

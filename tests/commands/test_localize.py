@@ -18,7 +18,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from experiments.cli import run
+from experiments.cli.main import run
 from mmwave_env.episodes.simulated import SimulatedSource
 from mmwave_env.filters.modes import default_modes
 from mmwave_env.localization.localizer import localize
@@ -628,7 +628,7 @@ def test_a_run_cut_short_leaves_the_output_alone(tmp_path, sent):
 # Not ru_maxrss: a child inherits that of its parent.
 PEAK = """
 import sys
-from experiments.cli import run
+from experiments.cli.main import run
 run("localize", sys.argv[1:])
 print(next(line for line in open("/proc/self/status") if line.startswith("VmHWM")).split()[1])
 """

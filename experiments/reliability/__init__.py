@@ -1,0 +1,1 @@
+"""Many steps on damaged data, every number checked."""
