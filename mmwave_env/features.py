@@ -8,7 +8,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import NamedTuple, TypeVar
 
-from mmwave_env.filters.pipeline import Candidate, Epoch, Memory, Pipeline, Site, plausibility
+from mmwave_env.filters.pipeline import Candidate, Memory, Pipeline, plausibility
+from mmwave_env.models.epoch import Epoch, Site
 from mmwave_env.models.measurement import Layout
 from mmwave_env.models.motion import move
 from mmwave_env.numerics.linalg import dot

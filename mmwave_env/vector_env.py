@@ -18,6 +18,7 @@ from mmwave_env.compiler.threads import portions, share
 from mmwave_env.engines.env_engine import Engine
 from mmwave_env.engines.replay import Replay
 from mmwave_env.engines.vector_step import Stepper
+from mmwave_env.episodes.episode import columns_of
 from mmwave_env.episodes.simulated import SimulatedSource
 from mmwave_env.info import Mask, episode_info, masked, stepped
 from mmwave_env.lookup import choose
@@ -244,7 +245,7 @@ class MmWaveLocVectorEnv(gym.vector.VectorEnv[Observations, Index, NDArray[Any]]
         def metrics(some: Index, steps: int) -> dict[str, Array]:
             actions = self._stepper.history.of(some, steps)
             error, nees, smoothed = self._replay.run(batch, some, actions)
-            dt = batch.tracks.table[some, 1:steps, 0]
+            dt = batch.tracks.table[some, 1:steps, columns_of(batch.layout).dt]
             return episode_info(error, nees, smoothed, dt, planar)
 
         jobs = []

@@ -5,7 +5,7 @@ import warnings
 import numpy as np
 from numpy.typing import NDArray
 
-from mmwave_env.filters.pipeline import Epoch
+from mmwave_env.models.epoch import Epoch
 from mmwave_env.numerics.linalg import dot
 from mmwave_env.numerics.numbers import Number, Vector, sqrt, where
 from mmwave_env.observation import Observation

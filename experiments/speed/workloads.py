@@ -15,15 +15,15 @@ import gymnasium as gym
 import numpy as np
 
 from experiments.evaluation.runner import draw_episodes
-from mmwave_env.engines.batch import blank_incoming, blank_site
 from mmwave_env.engines.track_engine import Tracker
-from mmwave_env.episodes.episode import Episode
+from mmwave_env.episodes.episode import Episode, blank_incoming
 from mmwave_env.episodes.simulated import SimulatedSource
 from mmwave_env.filters.belief import Belief
 from mmwave_env.filters.filterpy_reference import filterpy_pipeline
 from mmwave_env.filters.modes import Mode, default_modes, named_modes
 from mmwave_env.filters.pipeline import Pipeline, measurement_of, process_noise, start
 from mmwave_env.filters.update import Gate
+from mmwave_env.models.epoch import blank_site
 from mmwave_env.models.radio import radio_from
 from mmwave_env.models.scene import scene_from
 from mmwave_env.numerics.linalg import unpack

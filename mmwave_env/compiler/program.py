@@ -29,7 +29,7 @@ from mmwave_env.compiler.transpose import (
     scatter,
     scatter_single,
 )
-from mmwave_env.numerics.pytree import Tree, leaves, rebuild
+from mmwave_env.numerics.pytree import Tree, indices, leaves, rebuild
 
 Workspace = TypeVar("Workspace", bound=tuple[Any, ...])
 Array = NDArray[np.float64]
@@ -177,7 +177,7 @@ class Program(Generic[Workspace]):
         self.start = np.array(leaves(template), float)
         self.blank = np.array(leaves(template[0]), float)
         self.size = len(self.start)
-        self.index: Workspace = rebuild(template, iter(range(self.size)))
+        self.index: Workspace = indices(template)
         self._compiled: Any = None
 
     def parts(self, names: Sequence[str]) -> list[Any]:

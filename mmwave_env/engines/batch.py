@@ -1,13 +1,13 @@
 """Run a program on episodes, for a batch of environments.
 
-A :class:`Batch` loads :class:`Incoming` epochs of episodes and fills in the next two fields of
-a workspace as well: ``site``, and ``fresh``, 1 where an episode begins; the program sets it
-back to 0.
+The workspace of such a program begins with three fields that a :class:`Batch` fills in:
+``incoming``, the next epoch (:class:`~mmwave_env.episodes.episode.Incoming`); ``site``; and
+``fresh``, 1 where an episode begins, which the program sets back to 0.
 """
 
 from collections.abc import Callable, Sequence
 from itertools import pairwise
-from typing import Any, Generic, NamedTuple
+from typing import Any, Generic
 
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
@@ -23,50 +23,11 @@ from mmwave_env.compiler.program import (
     Workspace,
 )
 from mmwave_env.compiler.threads import share
-from mmwave_env.episodes.episode import Episode, Packed
-from mmwave_env.filters.pipeline import Epoch, Site
-from mmwave_env.models.measurement import STATE_SIZE, Layout
-from mmwave_env.numerics.numbers import Number, where
+from mmwave_env.episodes.episode import Episode, Packed, columns_of
+from mmwave_env.models.measurement import Layout
 from mmwave_env.numerics.pytree import leaves
 
 BLOCKS_PER_THREAD = 128  # waking a thread costs as much as 64 of them
-
-
-class Incoming(NamedTuple):
-    """What is loaded from an episode, a row of :meth:`Episode.table`.
-
-    Attributes:
-        dt, z, snr_db, doppler_spread_hz: as in :class:`Epoch`.
-        signed_sigma: (rows,) standard deviations, negative where the group is missing.
-        truth: (6,) true position (m) and velocity (m/s), to score against.
-    """
-
-    dt: Number
-    z: list[Number]
-    signed_sigma: list[Number]
-    snr_db: list[Number]
-    doppler_spread_hz: Number
-    truth: list[Number]
-
-    def epoch(self, layout: Layout) -> Epoch:
-        """What the estimator sees of it."""
-        first = [self.signed_sigma[rows.start] for rows in layout.groups]
-        visible = [where(sigma > 0.0, 1.0, 0.0) for sigma in first]
-        sigma = [abs(sigma) for sigma in self.signed_sigma]
-        return Epoch(self.dt, self.z, sigma, visible, self.snr_db, self.doppler_spread_hz)
-
-
-def blank_incoming(layout: Layout) -> Incoming:
-    """An epoch that measures nothing."""
-    nothing = [0.0] * layout.size
-    return Incoming(0.0, nothing, [-1.0] * layout.size, [0.0] * layout.anchors, 0.0, [0.0] * 6)
-
-
-def blank_site(layout: Layout) -> Site:
-    """A site that is sound but nowhere, to be overwritten."""
-    prior = [float(i == j) for i in range(STATE_SIZE) for j in range(i + 1)]
-    anchors = [[0.0, 0.0, 10.0 + a] for a in range(layout.anchors)]
-    return Site(anchors, 1.0, [1.0] * STATE_SIZE, prior)
 
 
 class Batch(Generic[Workspace]):
@@ -139,7 +100,7 @@ class Batch(Generic[Workspace]):
         if not np.may_share_memory(self.tracks.table, found.table):
             self.tracks.table[places, :epochs] = found.table
         if gap_s is not None:
-            self.tracks.table[places, 0, 0] = gap_s
+            self.tracks.table[places, 0, columns_of(self.layout).dt] = gap_s
             self.tracks.epoch[places] = 0
             return
         _, site, _, *_ = self.at

@@ -14,20 +14,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mmwave_env.compiler.program import NO_ROWS, Array, Index, Program, rows_of
-from mmwave_env.engines.batch import Batch, Incoming, blank_incoming, blank_site
-from mmwave_env.episodes.episode import Episode, Packed
+from mmwave_env.engines.batch import Batch
+from mmwave_env.episodes.episode import Episode, Incoming, Packed, blank_incoming
 from mmwave_env.features import View
 from mmwave_env.filters.belief import Belief
 from mmwave_env.filters.pipeline import (
     Candidate,
     Memory,
     Pipeline,
-    Site,
     anticipate,
     commit,
     consider,
     start,
 )
+from mmwave_env.models.epoch import Site, blank_site
 from mmwave_env.numerics.linalg import unpack
 from mmwave_env.numerics.numbers import Number, where
 from mmwave_env.numerics.pytree import select
@@ -39,7 +39,7 @@ class Held(NamedTuple):
     """What is needed of an epoch once its candidates are there.
 
     Attributes:
-        dt, visible: as in :class:`~mmwave_env.filters.pipeline.Epoch`.
+        dt, visible: as in :class:`~mmwave_env.models.epoch.Epoch`.
         truth: (6,) true position (m) and velocity (m/s).
     """
 

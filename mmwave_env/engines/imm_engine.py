@@ -15,9 +15,9 @@ from scipy.special import chdtri
 
 from mmwave_env.compiler.lanes import WIDTH
 from mmwave_env.compiler.program import Array, Index, Program, Tracks, Traffic, rows_of
-from mmwave_env.engines.batch import Batch, Incoming, blank_incoming, blank_site
+from mmwave_env.engines.batch import Batch
 from mmwave_env.engines.track_engine import untuned
-from mmwave_env.episodes.episode import Episode, Packed
+from mmwave_env.episodes.episode import Episode, Incoming, Packed, blank_incoming
 from mmwave_env.filters.belief import Belief
 from mmwave_env.filters.imm import (
     Mixture,
@@ -28,7 +28,8 @@ from mmwave_env.filters.imm import (
     stay_matrix,
 )
 from mmwave_env.filters.modes import Tuning
-from mmwave_env.filters.pipeline import Pipeline, Site
+from mmwave_env.filters.pipeline import Pipeline
+from mmwave_env.models.epoch import Site, blank_site
 from mmwave_env.numerics.linalg import pack
 from mmwave_env.numerics.numbers import Number
 from mmwave_env.numerics.pytree import leaves

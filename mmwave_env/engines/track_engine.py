@@ -14,21 +14,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mmwave_env.compiler.program import Program, rows_of
-from mmwave_env.engines.batch import Batch, Incoming, blank_incoming, blank_site
-from mmwave_env.episodes.episode import Episode
+from mmwave_env.engines.batch import Batch
+from mmwave_env.episodes.episode import Episode, Incoming, blank_incoming
 from mmwave_env.filters.belief import Belief
 from mmwave_env.filters.modes import Tuning
 from mmwave_env.filters.pipeline import (
     Candidate,
-    Epoch,
     Memory,
     Pipeline,
-    Site,
     anticipate,
     commit,
     consider,
     start,
 )
+from mmwave_env.models.epoch import Epoch, Site, blank_site
 from mmwave_env.numerics.linalg import unpack
 from mmwave_env.numerics.numbers import Number, Vector
 from mmwave_env.numerics.pytree import leaves, select

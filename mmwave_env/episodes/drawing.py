@@ -68,7 +68,7 @@ def _simulate(  # type: ignore[no-untyped-def]
         rng, memory, states: of the dice, which numba takes long to recognise as a tuple.
         plan, dt, stride, move_on, observe: see :func:`~mmwave_env.episodes.travel.travel`.
         run, start: the program, and its workspace (size,) before the first epoch.
-        layout: numbers of links, of rows and of columns drawn.
+        layout: numbers of links, of rows and of columns drawn, and the column of dt in a table.
         keep: rows of the workspace that make an epoch of ``tables``.
         time_s: (T,) of the epochs.
         kinds: (n,) gets the kind of user.
@@ -76,7 +76,7 @@ def _simulate(  # type: ignore[no-untyped-def]
         prior: (n, 7) gets normals.
         tables: (n, T, columns) gets the episodes.
     """
-    (links, rows, columns), dice, T = layout, Dice(rng, memory, states), len(time_s)
+    (links, rows, columns, dt_column), dice, T = layout, Dice(rng, memory, states), len(time_s)
     draws, block = np.empty((WIDTH, T, columns)), np.empty((1, len(start), WIDTH))
     blank, nothing, none = np.zeros(columns), np.empty((WIDTH, T, 0)), np.empty(0, np.int64)
     length, running = np.full(WIDTH, T), np.ones(WIDTH, np.bool_)
@@ -108,7 +108,7 @@ def _simulate(  # type: ignore[no-untyped-def]
         )  # fmt: skip
         for e in range(begin, end):
             for t in range(1, T):
-                tables[e, t, 0] = time_s[t] - time_s[t - 1]
+                tables[e, t, dt_column] = time_s[t] - time_s[t - 1]
 
 
 simulate = Sparing(_simulate, PLAIN_EPOCHS)

@@ -7,13 +7,16 @@ both alike.
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
-from typing import NamedTuple, Protocol
+from functools import cached_property, lru_cache
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
+from mmwave_env.models.epoch import Epoch, Site, blank_site
 from mmwave_env.models.measurement import Layout
+from mmwave_env.numerics.numbers import Number, where
+from mmwave_env.numerics.pytree import indices, leaves
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -133,33 +136,25 @@ class Episode:
         return replace(self, prior_mean=mean)
 
     def table(self) -> Array:
-        """(T, columns) as the engine loads it.
-
-        Columns: dt, rows, standard deviations (negative where the group is missing), SNR,
-        Doppler spread, true position and velocity.
-        """
-        links = self.usable[:, : self.layout.anchors]
+        """(T, columns) as the engine loads it; :func:`columns_of` says which column is what."""
+        at, links = columns_of(self.layout), self.usable[:, : self.layout.anchors]
         keep = np.repeat(self.usable, [r.stop - r.start for r in self.layout.groups], axis=1)
-        unknown = np.full((len(self), 3), np.nan)
         position, velocity = self.truth_position_m, self.truth_velocity_mps
-        return np.column_stack(
-            [
-                np.diff(self.time_s, prepend=self.time_s[0]),
-                np.where(keep, self.measurement, 0.0),
-                np.where(keep, self.sigma, -1.0),
-                np.where(links, self.snr_db, 0.0),
-                self.doppler_spread_hz,
-                unknown if position is None else position,
-                unknown if velocity is None else velocity,
-            ]
-        )
+        table = np.empty((len(self), at.truth[-1] + 1))
+        table[:, at.dt] = np.diff(self.time_s, prepend=self.time_s[0])
+        table[:, at.z] = np.where(keep, self.measurement, 0.0)
+        table[:, at.signed_sigma] = np.where(keep, self.sigma, -1.0)
+        table[:, at.snr_db] = np.where(links, self.snr_db, 0.0)
+        table[:, at.doppler_spread_hz] = self.doppler_spread_hz
+        table[:, at.truth[:3]] = np.nan if position is None else position
+        table[:, at.truth[3:]] = np.nan if velocity is None else velocity
+        return table
 
     def site(self) -> Array:
-        """Anchors, carrier and packed prior as one row of numbers, as the engine loads it."""
+        """A :class:`~mmwave_env.models.epoch.Site` as a row of numbers, as engines load it."""
         packed = self.prior_covariance[np.tril_indices(7)]
-        return np.concatenate(
-            [self.scene_anchors_m.ravel(), [self.hz_per_mps], self.prior_mean, packed]
-        )
+        site = Site(self.scene_anchors_m.tolist(), self.hz_per_mps, [*self.prior_mean], [*packed])
+        return np.array(leaves(site))
 
 
 class Packed(NamedTuple):
@@ -210,10 +205,46 @@ class Packed(NamedTuple):
 
     def on_flat_ground(self) -> "Packed":
         """The same with the height known, as :meth:`Episode.on_flat_ground` at the first epoch."""
-        site, mean = self.site.copy(), 3 * self.layout.anchors + 1
-        site[:, mean + 2] = self.table[:, 0, -4]  # z of the truth, whose columns are the last six
-        site[:, mean + 5] = 0.0
+        site, prior = self.site.copy(), indices(blank_site(self.layout)).prior_x
+        site[:, prior[2]] = self.table[:, 0, columns_of(self.layout).truth[2]]
+        site[:, prior[5]] = 0.0
         return self._replace(site=site)
+
+
+class Incoming(NamedTuple):
+    """What is loaded from an episode, a row of :meth:`Episode.table`.
+
+    Attributes:
+        dt, z, snr_db, doppler_spread_hz: as in :class:`Epoch`.
+        signed_sigma: (rows,) standard deviations, negative where the group is missing.
+        truth: (6,) true position (m) and velocity (m/s), to score against.
+    """
+
+    dt: Number
+    z: list[Number]
+    signed_sigma: list[Number]
+    snr_db: list[Number]
+    doppler_spread_hz: Number
+    truth: list[Number]
+
+    def epoch(self, layout: Layout) -> Epoch:
+        """What the estimator sees of it."""
+        first = [self.signed_sigma[rows.start] for rows in layout.groups]
+        visible = [where(sigma > 0.0, 1.0, 0.0) for sigma in first]
+        sigma = [abs(sigma) for sigma in self.signed_sigma]
+        return Epoch(self.dt, self.z, sigma, visible, self.snr_db, self.doppler_spread_hz)
+
+
+def blank_incoming(layout: Layout) -> Incoming:
+    """An epoch that measures nothing."""
+    nothing = [0.0] * layout.size
+    return Incoming(0.0, nothing, [-1.0] * layout.size, [0.0] * layout.anchors, 0.0, [0.0] * 6)
+
+
+@lru_cache(maxsize=64)
+def columns_of(layout: Layout) -> Any:
+    """Which columns of :meth:`Episode.table` hold what: an :class:`Incoming` of their numbers."""
+    return indices(blank_incoming(layout))
 
 
 class EpisodeSource(Protocol):

@@ -15,9 +15,8 @@ from numpy.typing import NDArray
 from mmwave_env.compiler.program import Index, Program
 from mmwave_env.compiler.rng import Dice, Words, dice_of, single
 from mmwave_env.compiler.threads import portions, share
-from mmwave_env.engines.batch import Incoming, blank_incoming
 from mmwave_env.episodes.drawing import simulate
-from mmwave_env.episodes.episode import Episode, Packed
+from mmwave_env.episodes.episode import Episode, Incoming, Packed, blank_incoming, columns_of
 from mmwave_env.episodes.kinematics import motion
 from mmwave_env.episodes.mobility import mobilities_of, plan_of
 from mmwave_env.episodes.travel import Plan, stride_of
@@ -29,12 +28,13 @@ from mmwave_env.models.channel import (
     channel_epoch,
     channel_of,
 )
+from mmwave_env.models.epoch import Site
 from mmwave_env.models.measurement import STATE_SIZE, Layout, exact_rows
 from mmwave_env.models.radio import Radio, deviations
 from mmwave_env.models.scene import Scene
 from mmwave_env.numerics.linalg import dot
 from mmwave_env.numerics.numbers import Number, Vector, sqrt, where, wrap
-from mmwave_env.numerics.pytree import leaves
+from mmwave_env.numerics.pytree import indices, leaves
 
 Array = NDArray[np.float64]
 
@@ -226,25 +226,23 @@ class SimulatedSource:
         """Draw one episode; all randomness comes from ``rng``."""
         tables = np.empty((1, self.epochs, len(_kept(self.layout))))
         names, priors = self._fill(tables, lambda _: single(rng), [slice(None)])
-        rows, links, table = self.layout.size, self.layout.anchors, tables[0]
-        _, z, signed_sigma, snr_db, spread, truth = np.split(
-            table, np.cumsum([1, rows, rows, links, 1]), axis=1
-        )
+        table, at = tables[0], columns_of(self.layout)
+        signed_sigma = table[:, at.signed_sigma]
         starts = [group.start for group in self.layout.groups]
         return Episode(
             name=names[0],
             scene_anchors_m=self.scene.anchors_m,
             hz_per_mps=self.scene.hz_per_mps,
             time_s=self.time_s,
-            measurement=z.copy(),
+            measurement=table[:, at.z],
             sigma=np.abs(signed_sigma),
             visible=signed_sigma[:, starts] > 0.0,
-            snr_db=snr_db.copy(),
-            doppler_spread_hz=spread[:, 0].copy(),
+            snr_db=table[:, at.snr_db],
+            doppler_spread_hz=table[:, at.doppler_spread_hz],
             prior_mean=priors[0],
             prior_covariance=self.radio.prior_covariance(self.scene),
-            truth_position_m=truth[:, :3].copy(),
-            truth_velocity_mps=truth[:, 3:].copy(),
+            truth_position_m=table[:, at.truth[:3]],
+            truth_velocity_mps=table[:, at.truth[3:]],
             layout=self.layout,
         )
 
@@ -300,7 +298,8 @@ class SimulatedSource:
         kinds, first, prior = np.empty(n, np.int64), np.empty((n, 7)), np.empty((n, STATE_SIZE))
         same = (
             self._plan, self.dt, stride_of(self.dt), *motion(), program.on_lanes(), self._start,
-            (layout.anchors, layout.size, len(program.blank)), _kept(layout), self.time_s,
+            (layout.anchors, layout.size, len(program.blank), columns_of(layout).dt),
+            _kept(layout), self.time_s,
         )  # fmt: skip
 
         def arguments(some: slice) -> tuple[Any, ...]:
@@ -313,12 +312,12 @@ class SimulatedSource:
         return [choices[kind].name for kind in kinds], first + prior
 
     @cached_property
-    def _site(self) -> tuple[Array, slice]:
+    def _site(self) -> tuple[Array, list[Any]]:
         """A row of :meth:`Episode.site`, and where in it the mean of the prior belongs."""
         covariance = self.radio.prior_covariance(self.scene)[np.tril_indices(STATE_SIZE)]
-        before = np.append(self.scene.anchors_m.ravel(), self.scene.hz_per_mps)
-        mean = slice(len(before), len(before) + STATE_SIZE)
-        return np.concatenate([before, np.zeros(STATE_SIZE), covariance]), mean
+        anchors, mean = self.scene.anchors_m.tolist(), [0.0] * STATE_SIZE
+        site = Site(anchors, self.scene.hz_per_mps, mean, covariance.tolist())
+        return np.array(leaves(site)), indices(site).prior_x
 
     @cached_property
     def _prior_deviations(self) -> Array:

@@ -10,16 +10,15 @@ from typing import NamedTuple
 
 from mmwave_env.filters.modes import Tuning
 from mmwave_env.filters.pipeline import (
-    Epoch,
     Memory,
     Pipeline,
-    Site,
     anticipate,
     commit,
     consider,
     limited_likelihood,
     start,
 )
+from mmwave_env.models.epoch import Epoch, Site
 from mmwave_env.models.measurement import STATE_SIZE
 from mmwave_env.numerics.linalg import dot, unpack
 from mmwave_env.numerics.numbers import Matrix, Number, Vector, exp, maximum

@@ -15,6 +15,7 @@ from scipy.special import chdtri
 from mmwave_env.filters.custom import rehearse
 from mmwave_env.filters.modes import Mode, Tuning
 from mmwave_env.filters.update import Algorithm, Gate, Posterior, passes
+from mmwave_env.models.epoch import Epoch, Site
 from mmwave_env.models.measurement import Layout, Measurement
 from mmwave_env.models.motion import (
     ProcessNoise,
@@ -39,42 +40,6 @@ BLOCKAGE_ONSET_DB, BLOCKAGE_SLOPE_DB, BLOCKAGE_DEPTH, BLOCKAGE_GAIN = 6.0, 6.0, 
 VERTICAL = (2, 5)  # z and vz, which flat terrain pins
 
 Predictor = Callable[[Mode, Vector, Matrix, ProcessNoise, Number], tuple[list[Number], Matrix]]
-
-
-class Epoch(NamedTuple):
-    """What an epoch brings to the estimator; missing groups hold anything finite.
-
-    Attributes:
-        dt: seconds since the epoch before; 0 in the first epoch, where the prior holds.
-        z: (rows,) measured values: m, rad, Hz, m/s.
-        sigma: (rows,) their standard deviations, positive.
-        visible: (groups,) 1 where measured, else 0.
-        snr_db: (L,) signal-to-noise ratio per link, dB.
-        doppler_spread_hz: Doppler spread, Hz.
-    """
-
-    dt: Number
-    z: list[Number]
-    sigma: list[Number]
-    visible: list[Number]
-    snr_db: list[Number]
-    doppler_spread_hz: Number
-
-
-class Site(NamedTuple):
-    """What stays the same through an episode.
-
-    Attributes:
-        anchors: (L, 3) positions, m.
-        hz_per_mps: carrier frequency over the speed of light.
-        prior_x: (7,) mean at the first epoch.
-        prior_P: (28,) packed covariance at the first epoch.
-    """
-
-    anchors: list[list[Number]]
-    hz_per_mps: Number
-    prior_x: list[Number]
-    prior_P: list[Number]
 
 
 class Memory(NamedTuple):

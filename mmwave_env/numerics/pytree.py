@@ -4,6 +4,7 @@ A *tree* is a number, or a list or NamedTuple of trees. The state of a track is 
 rows of a SIMD workspace hold its leaves in order.
 """
 
+import itertools
 from collections.abc import Iterator
 from typing import Any, TypeVar
 
@@ -27,6 +28,11 @@ def rebuild(template: Tree, numbers: Iterator[Number]) -> Tree:
         branches = [rebuild(branch, numbers) for branch in template]
         return type(template)(*branches)
     return next(numbers)  # type: ignore[no-any-return]
+
+
+def indices(template: Tree) -> Tree:
+    """A tree of the template's shape whose leaves are 0, 1, 2, ...: where each number lies."""
+    return rebuild(template, itertools.count())
 
 
 def select(condition: Any, a: Tree, b: Tree) -> Tree:

@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 from scipy.stats import kstest, norm
 
-from mmwave_env.engines.batch import blank_incoming, blank_site
-from mmwave_env.episodes.episode import Episode
+from mmwave_env.episodes.episode import Episode, blank_incoming
 from mmwave_env.episodes.simulated import SimulatedSource
+from mmwave_env.models.epoch import blank_site
 from mmwave_env.models.measurement import Layout
 from mmwave_env.models.radio import RADIOS
 from mmwave_env.models.scene import SCENES

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from scipy.stats import binom
 
-from mmwave_env.engines.batch import blank_incoming
 from mmwave_env.engines.imm_engine import transition_from
+from mmwave_env.episodes.episode import blank_incoming
 from mmwave_env.filters.modes import Mode, modes_from
 from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.models.measurement import Layout
