@@ -18,7 +18,8 @@ from experiments.cli.track_report import track_markdown
 from experiments.evaluation.markdown import show
 from mmwave_env.engines.track_engine import Rule
 from mmwave_env.files import require_writable, write_json
-from mmwave_env.filters.modes import Mode, modes_from, robust
+from mmwave_env.filters.mode_files import modes_from
+from mmwave_env.filters.modes import Mode, robust
 from mmwave_env.localization.localizer import SMOOTHING_WINDOW, localize
 from mmwave_env.localization.log import LogBlock, read_log
 from mmwave_env.localization.log_tables import LogError

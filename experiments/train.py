@@ -17,7 +17,8 @@ from experiments.cli.options import command_line
 from experiments.evaluation.markdown import grid
 from experiments.training.hyperparameters import Recipe, read_recipe, shipped_recipe
 from mmwave_env.files import write_bytes, write_json
-from mmwave_env.filters.modes import Mode, as_written, modes_from
+from mmwave_env.filters.mode_files import as_written, modes_from
+from mmwave_env.filters.modes import Mode
 from mmwave_env.lookup import choose
 from mmwave_env.reward import REWARDS, Reward, TrackingReward
 

@@ -20,7 +20,8 @@ from mmwave_env.engines.track_engine import Tracker
 from mmwave_env.episodes.episode import Episode
 from mmwave_env.episodes.simulated import SimulatedSource
 from mmwave_env.files import require_writable, write_json
-from mmwave_env.filters.modes import Mode, as_written, modes_from
+from mmwave_env.filters.mode_files import as_written, modes_from
+from mmwave_env.filters.modes import Mode
 from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.lookup import choose
 from mmwave_env.metrics import scored

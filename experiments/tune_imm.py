@@ -22,7 +22,8 @@ from mmwave_env.episodes.episode import Packed
 from mmwave_env.episodes.simulated import SimulatedSource
 from mmwave_env.files import write_json
 from mmwave_env.filters.imm import DEFAULT_STAY
-from mmwave_env.filters.modes import Mode, as_written, modes_from
+from mmwave_env.filters.mode_files import as_written, modes_from
+from mmwave_env.filters.modes import Mode
 from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.lookup import choose
 from mmwave_env.metrics import scored

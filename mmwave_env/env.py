@@ -15,7 +15,8 @@ from mmwave_env.engines.env_engine import Engine
 from mmwave_env.engines.replay import Replay
 from mmwave_env.episodes.episode import Episode, EpisodeSource
 from mmwave_env.episodes.simulated import SimulatedSource
-from mmwave_env.filters.modes import Mode, modes_from
+from mmwave_env.filters.mode_files import modes_from
+from mmwave_env.filters.modes import Mode
 from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.info import episode_info
 from mmwave_env.lookup import choose

@@ -8,7 +8,9 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import NamedTuple, TypeVar
 
-from mmwave_env.filters.pipeline import Candidate, Memory, Pipeline, plausibility
+from mmwave_env.filters.memory import Memory
+from mmwave_env.filters.mode_result import Candidate, plausibility
+from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.models.epoch import Epoch, Site
 from mmwave_env.models.measurement import Layout
 from mmwave_env.models.motion import move

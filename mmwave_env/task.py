@@ -13,7 +13,8 @@ from mmwave_env.episodes.episode import Episode, EpisodeSource, Packed
 from mmwave_env.episodes.recorded import RecordedSource
 from mmwave_env.episodes.samples import recording_from
 from mmwave_env.episodes.simulated import SimulatedSource
-from mmwave_env.filters.modes import Mode, modes_from
+from mmwave_env.filters.mode_files import modes_from
+from mmwave_env.filters.modes import Mode
 from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.models.radio import Radio, radio_from
 from mmwave_env.models.scene import Scene, scene_from

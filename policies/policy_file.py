@@ -29,7 +29,8 @@ from numpy.typing import NDArray
 from safetensors import SafetensorError, safe_open
 from safetensors.numpy import save
 
-from mmwave_env.filters.modes import Mode, as_written, modes_from, modes_in
+from mmwave_env.filters.mode_files import as_written, modes_from, modes_in
+from mmwave_env.filters.modes import Mode
 from mmwave_env.lookup import choose
 from mmwave_env.observation import OBSERVATIONS
 

@@ -20,7 +20,8 @@ import mmwave_env  # noqa: F401  registers the environment
 from mmwave_env.engines.track_engine import Tracker
 from mmwave_env.env import MmWaveLocEnv
 from mmwave_env.episodes.simulated import SimulatedSource
-from mmwave_env.filters.modes import Mode, modes_from
+from mmwave_env.filters.mode_files import modes_from
+from mmwave_env.filters.modes import Mode
 from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.models.radio import RADIOS
 from mmwave_env.models.scene import SCENES

@@ -15,7 +15,7 @@ import mmwave_env  # noqa: F401  registers the environment
 from mmwave_env.engines.env_engine import Engine
 from mmwave_env.env import MmWaveLocEnv
 from mmwave_env.episodes.simulated import SimulatedSource
-from mmwave_env.filters.modes import modes_from
+from mmwave_env.filters.mode_files import modes_from
 from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.models.measurement import Layout
 from mmwave_env.models.radio import RADIOS

@@ -29,7 +29,8 @@ from mmwave_env.episodes.recorded import RecordedSource
 from mmwave_env.episodes.samples import recording_from
 from mmwave_env.episodes.simulated import SimulatedSource
 from mmwave_env.files import write_json
-from mmwave_env.filters.modes import Mode, modes_from
+from mmwave_env.filters.mode_files import modes_from
+from mmwave_env.filters.modes import Mode
 from mmwave_env.models.radio import radio_from
 from mmwave_env.models.scene import scene_from
 

@@ -17,7 +17,8 @@ from mmwave_env.compiler.program import rows_of
 from mmwave_env.engines.env_engine import Engine
 from mmwave_env.engines.imm_engine import ImmEngine
 from mmwave_env.episodes.episode import Episode, EpisodeSource
-from mmwave_env.filters.modes import Mode, default_modes, named_modes
+from mmwave_env.filters.mode_files import default_modes, named_modes
+from mmwave_env.filters.modes import Mode
 from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.metrics import METRICS, summary
 from mmwave_env.models.measurement import Layout

@@ -10,7 +10,7 @@ from experiments import train
 from experiments.cli.main import run
 from experiments.training.hyperparameters import read_recipe, shipped_recipe
 from mmwave_env.files import write_json
-from mmwave_env.filters.modes import as_written, default_modes
+from mmwave_env.filters.mode_files import as_written, default_modes
 from mmwave_env.lookup import choose
 
 

@@ -15,7 +15,8 @@ from mmwave_env.engines.track_engine import Tracker
 from mmwave_env.episodes.episode import Episode
 from mmwave_env.episodes.simulated import SimulatedSource
 from mmwave_env.filters.belief import Belief
-from mmwave_env.filters.modes import Mode, shipped_modes
+from mmwave_env.filters.mode_files import shipped_modes
+from mmwave_env.filters.modes import Mode
 from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.filters.smoother import smooth
 from mmwave_env.metrics import accuracy, scored

@@ -25,7 +25,7 @@ from mmwave_env.episodes.episode import Episode
 from mmwave_env.episodes.mobility import MOBILITIES
 from mmwave_env.episodes.simulated import SimulatedSource
 from mmwave_env.files import write_json
-from mmwave_env.filters.modes import named_modes
+from mmwave_env.filters.mode_files import named_modes
 from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.models.measurement import Layout
 from mmwave_env.models.radio import RADIOS

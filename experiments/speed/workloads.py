@@ -20,8 +20,10 @@ from mmwave_env.episodes.episode import Episode, blank_incoming
 from mmwave_env.episodes.simulated import SimulatedSource
 from mmwave_env.filters.belief import Belief
 from mmwave_env.filters.filterpy_reference import filterpy_pipeline
-from mmwave_env.filters.modes import Mode, default_modes, named_modes
-from mmwave_env.filters.pipeline import Pipeline, measurement_of, process_noise, start
+from mmwave_env.filters.memory import start
+from mmwave_env.filters.mode_files import default_modes, named_modes
+from mmwave_env.filters.modes import Mode
+from mmwave_env.filters.pipeline import Pipeline, measurement_of, process_noise
 from mmwave_env.filters.update import Gate
 from mmwave_env.models.epoch import blank_site
 from mmwave_env.models.radio import radio_from
@@ -109,7 +111,7 @@ def filterpy() -> Laps:
 
 def filterpy_episode(twin: Pipeline, episode: Episode) -> float:
     """Filter an episode with every mode and keep the last one's belief; the sum of rewards."""
-    layout, memory, reward = twin.layout, start(twin), TrackingReward()
+    layout, memory, reward = twin.layout, start(twin.layout, 1), TrackingReward()
     site = rebuild(blank_site(layout), iter(episode.site().tolist()))
     blank = blank_incoming(layout)
     x, P, total = site.prior_x, unpack(site.prior_P), 0.0

@@ -15,7 +15,8 @@ from stable_baselines3.common.vec_env import (
 
 from experiments.training.hyperparameters import Recipe
 from mmwave_env.engines.imm_engine import ImmEngine
-from mmwave_env.filters.modes import Mode, default_modes
+from mmwave_env.filters.mode_files import default_modes
+from mmwave_env.filters.modes import Mode
 from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.observation import Observation
 from mmwave_env.reward import Reward

@@ -18,15 +18,9 @@ from mmwave_env.engines.batch import Batch
 from mmwave_env.episodes.episode import Episode, Incoming, Packed, blank_incoming
 from mmwave_env.features import View
 from mmwave_env.filters.belief import Belief
-from mmwave_env.filters.pipeline import (
-    Candidate,
-    Memory,
-    Pipeline,
-    anticipate,
-    commit,
-    consider,
-    start,
-)
+from mmwave_env.filters.memory import Memory, anticipate, commit, start
+from mmwave_env.filters.mode_result import Candidate
+from mmwave_env.filters.pipeline import Pipeline, consider
 from mmwave_env.models.epoch import Site, blank_site
 from mmwave_env.numerics.linalg import unpack
 from mmwave_env.numerics.numbers import Number, where
@@ -99,7 +93,7 @@ def _template(pipeline: Pipeline, features: int) -> Workspace:
         held=Held(0.0, [0.0] * len(layout.groups), incoming.truth),
         x=site.prior_x,
         P=site.prior_P,
-        memory=start(pipeline),
+        memory=start(pipeline.layout, len(pipeline.modes)),
         candidates=[candidate for _ in pipeline.modes],
         observation=[0.0] * features,
         reward=0.0,
@@ -119,14 +113,14 @@ def epoch(w: Workspace, pipeline: Pipeline, observation: Observation, reward: Re
         chosen = select(picked, w.candidates[m], chosen)
         cost = where(picked, pipeline.modes[m].cost, cost)
     dt, visible, truth = w.held
-    memory = commit(pipeline, w.action, w.x, chosen, w.memory, dt, visible)
+    memory = commit(pipeline.layout, w.action, w.x, chosen, w.memory, dt, visible)
     belief = Belief(chosen.x, unpack(chosen.P, zero=pipeline.pinned), pipeline.position_axes)
     score = reward(belief, truth) - cost
 
     fresh = w.fresh > 0.5
     x = select(fresh, w.site.prior_x, chosen.x)
     P = select(fresh, w.site.prior_P, chosen.P)
-    memory = select(fresh, start(pipeline), memory)
+    memory = select(fresh, start(pipeline.layout, len(pipeline.modes)), memory)
     coming = w.incoming.epoch(pipeline.layout)
     candidates = [consider(pipeline, m, x, P, memory, coming, w.site) for m in pipeline.modes]
     memory = anticipate(memory, candidates, coming, pipeline.layout)

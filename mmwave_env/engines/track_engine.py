@@ -17,16 +17,10 @@ from mmwave_env.compiler.program import Program, rows_of
 from mmwave_env.engines.batch import Batch
 from mmwave_env.episodes.episode import Episode, Incoming, blank_incoming
 from mmwave_env.filters.belief import Belief
+from mmwave_env.filters.memory import Memory, anticipate, commit, start
+from mmwave_env.filters.mode_result import Candidate
 from mmwave_env.filters.modes import Tuning
-from mmwave_env.filters.pipeline import (
-    Candidate,
-    Memory,
-    Pipeline,
-    anticipate,
-    commit,
-    consider,
-    start,
-)
+from mmwave_env.filters.pipeline import Pipeline, consider
 from mmwave_env.models.epoch import Epoch, Site, blank_site
 from mmwave_env.numerics.linalg import unpack
 from mmwave_env.numerics.numbers import Number, Vector
@@ -71,7 +65,7 @@ def track_epoch(w: Track, pipeline: Pipeline, rule: Rule | None) -> Track:
     """One epoch of a track, on numbers."""
     fresh, epoch = w.fresh > 0.5, w.incoming.epoch(pipeline.layout)
     x, P = select(fresh, w.site.prior_x, w.x), select(fresh, w.site.prior_P, w.P)
-    memory = select(fresh, start(pipeline), w.memory)
+    memory = select(fresh, start(pipeline.layout, len(pipeline.modes)), w.memory)
     mode = w.action if rule is None else rule(x, epoch)
     candidates = [
         consider(pipeline, one, x, P, memory, epoch, w.site, tuning)
@@ -81,7 +75,7 @@ def track_epoch(w: Track, pipeline: Pipeline, rule: Rule | None) -> Track:
     for number, candidate in enumerate(candidates[1:], start=1):
         chosen = select(mode > number - 0.5, candidate, chosen)
     memory = anticipate(memory, candidates, epoch, pipeline.layout)
-    memory = commit(pipeline, mode, x, chosen, memory, epoch.dt, epoch.visible)
+    memory = commit(pipeline.layout, mode, x, chosen, memory, epoch.dt, epoch.visible)
     covariance = unpack(chosen.P, zero=pipeline.pinned)
     belief = Belief(chosen.x, covariance, pipeline.position_axes)
     return w._replace(
@@ -116,7 +110,7 @@ def _program(pipeline: Pipeline, rule: Rule | None) -> Program[Track]:
         x=site.prior_x,
         P=site.prior_P,
         P_predicted=site.prior_P,
-        memory=start(pipeline),
+        memory=start(pipeline.layout, len(pipeline.modes)),
         log_likelihood=0.0,
         error=[0.0] * 3,
         nees=0.0,

@@ -8,16 +8,10 @@ from collections.abc import Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
+from mmwave_env.filters.memory import Memory, anticipate, commit, start
+from mmwave_env.filters.mode_result import limited_likelihood
 from mmwave_env.filters.modes import Tuning
-from mmwave_env.filters.pipeline import (
-    Memory,
-    Pipeline,
-    anticipate,
-    commit,
-    consider,
-    limited_likelihood,
-    start,
-)
+from mmwave_env.filters.pipeline import Pipeline, consider
 from mmwave_env.models.epoch import Epoch, Site
 from mmwave_env.models.measurement import STATE_SIZE
 from mmwave_env.numerics.linalg import dot, unpack
@@ -60,7 +54,7 @@ def single(pipeline: Pipeline) -> list[Pipeline]:
 
 def begin(pipeline: Pipeline, x: Vector, P: Vector) -> Mixture:
     """All modes at the prior (7,), (28,), equally probable."""
-    tracks = [Track(list(x), list(P), start(one)) for one in single(pipeline)]
+    tracks = [Track(list(x), list(P), start(one.layout, 1)) for one in single(pipeline)]
     return Mixture(tracks, [1.0 / len(tracks)] * len(tracks))
 
 
@@ -126,7 +120,7 @@ def imm_epoch(
     ):
         candidate = consider(one, one.modes[0], x, P, track.memory, epoch, site, tuning)
         memory = anticipate(track.memory, [candidate], epoch, pipeline.layout)
-        memory = commit(one, 0.0, x, candidate, memory, epoch.dt, epoch.visible)
+        memory = commit(one.layout, 0.0, x, candidate, memory, epoch.dt, epoch.visible)
         tracks.append(Track(candidate.x, candidate.P, memory))
         likelihoods.append(limited_likelihood(candidate, limits))
     best = likelihoods[0]

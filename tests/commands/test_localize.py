@@ -20,7 +20,7 @@ import pytest
 
 from experiments.cli.main import run
 from mmwave_env.episodes.simulated import SimulatedSource
-from mmwave_env.filters.modes import default_modes
+from mmwave_env.filters.mode_files import default_modes
 from mmwave_env.localization.localizer import localize
 from mmwave_env.localization.log import read_log, write_log
 from mmwave_env.localization.tum import read_tum, tum_lines

@@ -16,7 +16,8 @@ from scipy.stats import chi2
 from experiments.evaluation.runner import draw_episodes
 from experiments.tune import likelihood, negative_mean_square, objective_of, tune
 from mmwave_env.episodes.simulated import SimulatedSource
-from mmwave_env.filters.modes import Mode, read_modes
+from mmwave_env.filters.mode_files import read_modes
+from mmwave_env.filters.modes import Mode
 from mmwave_env.models.measurement import Layout
 from mmwave_env.models.radio import RADIOS
 from mmwave_env.models.scene import SCENES

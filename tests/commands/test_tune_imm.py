@@ -12,7 +12,7 @@ from experiments.tune_imm import rewards, search_space, transition_of, tune
 from mmwave_env.episodes.episode import Packed
 from mmwave_env.episodes.simulated import SimulatedSource
 from mmwave_env.filters.imm import stay_matrix
-from mmwave_env.filters.modes import as_written, modes_from
+from mmwave_env.filters.mode_files import as_written, modes_from
 from mmwave_env.models.radio import RADIOS
 from mmwave_env.models.scene import SCENES
 from tests.commands.test_tune import cli

@@ -10,7 +10,8 @@ from mmwave_env.engines.imm_engine import ImmEngine
 from mmwave_env.engines.track_engine import Tracker
 from mmwave_env.episodes.episode import Packed
 from mmwave_env.filters.belief import Belief
-from mmwave_env.filters.modes import Mode, default_modes
+from mmwave_env.filters.mode_files import default_modes
+from mmwave_env.filters.modes import Mode
 from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.models.measurement import Layout
 from mmwave_env.reward import LogScore, TrackingReward

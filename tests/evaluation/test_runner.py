@@ -18,7 +18,7 @@ from experiments.evaluation.runner import (
 )
 from mmwave_env.engines.imm_engine import ImmEngine
 from mmwave_env.episodes.simulated import SimulatedSource
-from mmwave_env.filters.modes import modes_from
+from mmwave_env.filters.mode_files import modes_from
 from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.metrics import BURN_IN, METRICS
 from mmwave_env.models.radio import RADIOS

@@ -5,17 +5,16 @@ from dataclasses import replace
 
 import pytest
 
-from mmwave_env.filters.modes import (
-    Mode,
+from mmwave_env.filters.mode_files import (
     as_written,
     default_modes,
     extended_modes,
     modes_from,
     named_modes,
     read_modes,
-    robust,
     shipped_modes,
 )
+from mmwave_env.filters.modes import Mode, robust
 from mmwave_env.filters.update import ekf
 from mmwave_env.models.radio import RADIOS
 

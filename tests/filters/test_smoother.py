@@ -6,7 +6,7 @@ from filterpy.kalman import KalmanFilter
 
 from mmwave_env.engines.track_engine import Tracker
 from mmwave_env.episodes.simulated import SimulatedSource
-from mmwave_env.filters.modes import modes_from
+from mmwave_env.filters.mode_files import modes_from
 from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.filters.smoother import smooth
 from mmwave_env.models.radio import RADIOS

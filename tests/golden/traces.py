@@ -23,7 +23,7 @@ from experiments.cli.main import run
 from mmwave_env.engines.imm_engine import ImmEngine
 from mmwave_env.episodes.episode import Episode
 from mmwave_env.filters.imm import begin
-from mmwave_env.filters.modes import default_modes, named_modes
+from mmwave_env.filters.mode_files import default_modes, named_modes
 from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.localization.localizer import SMOOTHING_WINDOW, TrackBlock, localize
 from mmwave_env.localization.log import read_log

@@ -12,7 +12,8 @@ from hypothesis import strategies as st
 
 from mmwave_env.episodes.episode import Episode
 from mmwave_env.episodes.simulated import SimulatedSource
-from mmwave_env.filters.modes import Mode, default_modes, robust
+from mmwave_env.filters.mode_files import default_modes
+from mmwave_env.filters.modes import Mode, robust
 from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.filters.smoother import smooth
 from mmwave_env.localization.localizer import TrackBlock, localize

@@ -10,7 +10,8 @@ from scipy.stats import binom
 
 from mmwave_env.engines.imm_engine import transition_from
 from mmwave_env.episodes.episode import blank_incoming
-from mmwave_env.filters.modes import Mode, modes_from
+from mmwave_env.filters.mode_files import modes_from
+from mmwave_env.filters.modes import Mode
 from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.models.measurement import Layout
 from mmwave_env.models.radio import RADIOS

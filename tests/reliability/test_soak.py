@@ -9,7 +9,8 @@ import pytest
 from experiments.cli.main import run
 from experiments.reliability import damage, soak
 from mmwave_env.episodes.simulated import SimulatedSource
-from mmwave_env.filters.modes import Mode, named_modes
+from mmwave_env.filters.mode_files import named_modes
+from mmwave_env.filters.modes import Mode
 from mmwave_env.filters.update import ekf
 from mmwave_env.models.radio import RADIOS
 from mmwave_env.models.scene import SCENES

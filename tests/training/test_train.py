@@ -27,7 +27,7 @@ from experiments.training.training_env import TRUTH, PairedReward, Task, WithTru
 from mmwave_env.engines.imm_engine import ImmEngine
 from mmwave_env.episodes.simulated import SimulatedSource
 from mmwave_env.files import write_json
-from mmwave_env.filters.modes import default_modes
+from mmwave_env.filters.mode_files import default_modes
 from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.models.radio import RADIOS
 from mmwave_env.models.scene import SCENES

@@ -25,7 +25,7 @@ import torch
 from experiments.training import evaluator as examiner
 from experiments.training.processes import side_by_side
 from experiments.training.trainer import Job, Training
-from mmwave_env.filters.modes import default_modes
+from mmwave_env.filters.mode_files import default_modes
 from tests.training.test_train import RECIPE, TASK, content
 
 pytestmark = [

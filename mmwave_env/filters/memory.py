@@ -1,0 +1,162 @@
+"""What a track remembers of its measurements: the window of adaptive scaling, averages, lock-out.
+
+Every epoch has two halves: :func:`anticipate` takes in what the coming epoch shows before a mode
+is chosen, :func:`commit` what the chosen mode made of it.
+"""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+from mmwave_env.filters.mode_result import Candidate, plausibility
+from mmwave_env.models.epoch import Epoch
+from mmwave_env.models.measurement import Layout
+from mmwave_env.models.motion import move
+from mmwave_env.numerics.linalg import dot
+from mmwave_env.numerics.numbers import Number, Vector, clip, sqrt, where
+
+WINDOW = 10  # epochs of the adaptive scaling's window
+GAMMA_LIMITS = (0.5, 2.0)  # paper, Sec. III-E
+NIS_MEMORY = (0.6, 0.9)  # weights of the past in the fast and the slow NIS average
+CORRECTION_MEMORY = 0.8
+PREFERENCE_MEMORY = (0.6, 0.85)  # weights of the past in averages of log-likelihood differences
+PREFERENCE_LIMIT = 30.0
+SNR_MEMORY = 0.95
+SPREAD_MEMORY = 0.8
+SNR_UNSEEN_DB = -100.0  # slow mean of a link that was never seen
+
+
+class Memory(NamedTuple):
+    """How the measurements of a track behaved so far.
+
+    Attributes:
+        mode: number of the mode that ran last.
+        lockout: epochs in a row in which every visible link failed its gate.
+        window: (WINDOW,) latest NIS / dof of what was accepted.
+        gamma: adaptive scale of Q and R.
+        nis, accepted, rejected: (groups,) of the last epoch; neither where missing.
+        nis_average: (2,) fast and slow average of NIS / dof.
+        correction: (2,) average correction of the position along and across the velocity, m.
+        unfixed_s: seconds since a link was last accepted.
+        snr_mean_db: (L,) slow mean SNR per link.
+        spread_average_hz: slow average of the Doppler spread.
+        preference: (2, modes) fast and slow average of each mode's :func:`plausibility` minus
+            the last mode's.
+    """
+
+    mode: Number
+    lockout: Number
+    window: list[Number]
+    gamma: Number
+    nis: list[Number]
+    accepted: list[Number]
+    rejected: list[Number]
+    nis_average: list[Number]
+    correction: list[Number]
+    unfixed_s: Number
+    snr_mean_db: list[Number]
+    spread_average_hz: Number
+    preference: list[list[Number]]
+
+
+def start(layout: Layout, modes: int) -> Memory:
+    """The memory of a track that has seen nothing, with so many modes to choose from."""
+    groups, anchors = len(layout.groups), layout.anchors
+    return Memory(
+        mode=0.0,
+        lockout=0.0,
+        window=[1.0] * WINDOW,
+        gamma=1.0,
+        nis=[0.0] * groups,
+        accepted=[0.0] * groups,
+        rejected=[0.0] * groups,
+        nis_average=[1.0, 1.0],
+        correction=[0.0, 0.0],
+        unfixed_s=0.0,
+        snr_mean_db=[SNR_UNSEEN_DB] * anchors,
+        spread_average_hz=0.0,
+        preference=[[0.0] * modes for _ in PREFERENCE_MEMORY],
+    )
+
+
+def anticipate(
+    memory: Memory, candidates: Sequence[Candidate], epoch: Epoch, layout: Layout
+) -> Memory:
+    """Remember what the coming epoch shows before any mode is chosen."""
+    snr = [
+        where(
+            seen > 0.5,
+            where(mean < SNR_UNSEEN_DB + 1.0, now, SNR_MEMORY * mean + (1.0 - SNR_MEMORY) * now),
+            mean,
+        )
+        for seen, now, mean in zip(epoch.visible, epoch.snr_db, memory.snr_mean_db, strict=False)
+    ]
+    likelihoods = [plausibility(candidate, layout) for candidate in candidates]
+    preference = []
+    for past, keep in zip(memory.preference, PREFERENCE_MEMORY, strict=True):
+        row = []
+        for old, likelihood in zip(past, likelihoods, strict=True):
+            now = clip(likelihood - likelihoods[-1], -PREFERENCE_LIMIT, PREFERENCE_LIMIT)
+            row.append(keep * old + (1.0 - keep) * now)
+        preference.append(row)
+    spread = SPREAD_MEMORY * memory.spread_average_hz
+    spread = spread + (1.0 - SPREAD_MEMORY) * epoch.doppler_spread_hz
+    return memory._replace(snr_mean_db=snr, spread_average_hz=spread, preference=preference)
+
+
+def commit(
+    layout: Layout,
+    mode: Number,
+    before: Vector,
+    chosen: Candidate,
+    memory: Memory,
+    dt: Number,
+    visible: Vector,
+) -> Memory:
+    """The memory after a candidate has become the belief.
+
+    Args:
+        layout: rows of the measurement vector.
+        mode: number of the chosen mode.
+        before: (7,) mean before the epoch, unpredicted.
+        chosen: the candidate.
+        memory: as :func:`anticipate` left it.
+        dt: the epoch's step, seconds.
+        visible: (groups,) the epoch's.
+    """
+    dof = [float(rows.stop - rows.start) for rows in layout.groups]
+    accepted_dof = dot(chosen.accepted, dof)
+    some = accepted_dof > 0.5
+    ratio = dot(chosen.accepted, chosen.nis) / where(some, accepted_dof, 1.0)
+    window = [
+        where(some, new, old)
+        for new, old in zip([ratio, *memory.window[:-1]], memory.window, strict=True)
+    ]
+    each_link = [1.0] * layout.anchors
+    seen, fixes = dot(each_link, visible), dot(each_link, chosen.accepted)
+    # A forced update does not end a lock-out: one position, reached with a wrong velocity, is
+    # no track. Links stay accepted until one of them passes its gate again.
+    lockout = where(seen > 0.5, memory.lockout + 1.0, memory.lockout)
+    predicted = move(before, dt)
+    step = [chosen.x[i] - predicted[i] for i in range(2)]
+    v = predicted[3:5]
+    speed = sqrt(v[0] * v[0] + v[1] * v[1] + 1e-6)
+    ahead = [v[i] / speed for i in range(2)]
+    correction = (dot(step, ahead), step[1] * ahead[0] - step[0] * ahead[1])
+    return memory._replace(
+        mode=mode,
+        lockout=where(chosen.passed > 0.5, 0.0, lockout),
+        window=window,
+        gamma=clip(dot(window, [1.0 / WINDOW] * WINDOW), *GAMMA_LIMITS),
+        nis=chosen.nis,
+        accepted=chosen.accepted,
+        rejected=[v - a for v, a in zip(visible, chosen.accepted, strict=True)],
+        nis_average=[
+            where(some, keep * old + (1.0 - keep) * ratio, old)
+            for old, keep in zip(memory.nis_average, NIS_MEMORY, strict=True)
+        ],
+        correction=[
+            CORRECTION_MEMORY * old + (1.0 - CORRECTION_MEMORY) * new
+            for old, new in zip(memory.correction, correction, strict=True)
+        ],
+        unfixed_s=where(fixes > 0.5, 0.0, memory.unfixed_s + dt),
+    )

@@ -1,0 +1,136 @@
+"""Modes by name and from files: the tuned ones that are shipped, and a user's own."""
+
+import json
+import os
+from collections.abc import Sequence
+from dataclasses import asdict, fields, replace
+from functools import cache
+from importlib.resources import files
+from pathlib import Path
+from typing import Any
+
+from mmwave_env.filters.modes import Mode, robust
+from mmwave_env.lookup import choose
+
+EXTENDED = "extended"  # name of the shipped bank of modes
+
+
+def read_modes(path: str | os.PathLike[str]) -> tuple[Mode, ...]:
+    """The modes of a mode file, JSON as ``mmwave-loc tune`` writes it.
+
+    The key "modes" holds a list of modes, each with the attributes of :class:`Mode` that
+    differ from the defaults.
+
+    Raises:
+        ValueError: naming the file and what is wrong in it.
+        FileNotFoundError: there is no such file.
+    """
+    try:
+        return modes_in(json.loads(Path(path).read_text(encoding="utf-8")))
+    except ValueError as error:
+        raise ValueError(f"{os.fspath(path)}: not a mode file: {error}") from error
+
+
+def modes_in(content: Any) -> tuple[Mode, ...]:
+    """The modes that a JSON object lists under the key "modes", each :func:`as_written`.
+
+    Raises:
+        ValueError: saying what is wrong in it.
+    """
+    known = dict.fromkeys(field.name for field in fields(Mode))
+    if not isinstance(content, dict) or not isinstance(content.get("modes"), list):
+        raise ValueError("found no list under 'modes'")
+    for mode in content["modes"]:
+        if not isinstance(mode, dict) or "name" not in mode:
+            raise ValueError(f"modes: found {mode!r}, expected a mode with a 'name'")
+        for field in mode:
+            choose(known, field, f"attribute of mode {mode['name']!r}")
+    return tuple(Mode(**mode) for mode in content["modes"])
+
+
+def as_written(mode: Mode) -> dict[str, Any]:
+    """A mode as a mode file holds it.
+
+    Raises:
+        ValueError: its algorithm is a function, which no file can hold.
+    """
+    if not isinstance(mode.algorithm, str):
+        raise ValueError(f"algorithm of mode {mode.name!r}: found a function, expected a name")
+    default = asdict(Mode(""))
+    always = ("name", "algorithm", "sigma_p", "sigma_v")
+    return {k: v for k, v in asdict(mode).items() if k in always or v != default[k]}
+
+
+@cache
+def shipped_modes(radio: str, coupling: bool = True) -> tuple[Mode, ...]:
+    """The EKF and the UKF pipeline as ``mmwave-loc tune`` left them for a radio profile.
+
+    Args:
+        radio: profile; one that was not tuned gets the modes of "standard".
+        coupling: False for those with the paper's plain diagonal process noise.
+    """
+    folder = files("mmwave_env").joinpath("data/modes")
+    suffix = "" if coupling else "-diagonal"
+    tuned = Path(str(folder.joinpath(f"{radio}{suffix}.json")))
+    return read_modes(tuned if tuned.exists() else tuned.with_name(f"standard{suffix}.json"))
+
+
+@cache
+def extended_modes() -> tuple[Mode, ...]:
+    """A bank of eight for switchers that learn: more tunings, robust modes, re-acquisition."""
+    return read_modes(Path(str(files("mmwave_env").joinpath(f"data/modes/{EXTENDED}.json"))))
+
+
+def default_modes(radio: str = "handset") -> tuple[Mode, Mode]:
+    """The two actions of ``MmWaveLoc-v0``: the paper's EKF and UKF pipelines."""
+    low, high = shipped_modes(radio)
+    return low, high
+
+
+def named_modes(radio: str = "handset") -> dict[str, Mode]:
+    """Modes that can be asked for by name.
+
+    "ekf" and "ukf" (the default two), "ckf" (the UKF's tuning), "ekf-robust", "ukf-robust".
+    """
+    low, high = default_modes(radio)
+    all_of_them = (low, high, replace(high, name="ckf", algorithm="ckf"), robust(low), robust(high))
+    return {mode.name: mode for mode in all_of_them}
+
+
+def modes_from(
+    modes: Sequence[Mode | str] | str | os.PathLike[str] | None, radio: str = "handset"
+) -> tuple[Mode, ...]:
+    """The modes of a ``modes=`` argument.
+
+    Args:
+        modes: a list of names, mode files and Mode objects; or one mode file, or "extended";
+            None for the default two. "extended" stands for all of :func:`extended_modes`.
+        radio: profile that named modes are tuned for.
+
+    Raises:
+        ValueError: for an empty list, two modes of one name, or an unknown name.
+    """
+    if modes is None:
+        return default_modes(radio)
+    if isinstance(modes, (str, os.PathLike)):
+        name = os.fspath(modes)
+        if name != EXTENDED and not name.endswith(".json"):
+            raise ValueError(
+                f"modes: found the string {modes!r}, expected a list such as ['ekf'], "
+                f"{EXTENDED!r} or a mode file (.json)"
+            )
+        modes = [name]
+    known: dict[str, tuple[Mode, ...]] = {EXTENDED: extended_modes()}
+    known |= {name: (mode,) for name, mode in named_modes(radio).items()}
+    result: list[Mode] = []
+    for mode in modes:
+        if isinstance(mode, Mode):
+            result.append(mode)
+        elif mode.endswith(".json"):
+            result += read_modes(mode)
+        else:
+            result += choose(known, mode, "mode")
+    names = [m.name for m in result]
+    if not result or len(set(names)) < len(names):
+        raise ValueError(f"modes: found {names}, expected at least one mode and no name twice")
+    return tuple(result)

@@ -1,0 +1,48 @@
+"""What a mode makes of an epoch, and how well it explains what was measured."""
+
+from typing import NamedTuple
+
+from scipy.special import chdtri
+
+from mmwave_env.models.measurement import Layout
+from mmwave_env.numerics.linalg import dot
+from mmwave_env.numerics.numbers import Number, Vector, maximum
+
+PLAUSIBLE = 0.999  # chi-square quantile up to which NIS counts where modes are compared
+
+
+class Candidate(NamedTuple):
+    """What a mode makes of an epoch.
+
+    Attributes:
+        x: (7,) posterior mean.
+        P: (28,) packed posterior covariance.
+        P_predicted: (28,) packed covariance before the update (for smoothing).
+        nis, accepted: (groups,) as in :class:`~mmwave_env.filters.update.Posterior`.
+        passed: how many links passed their gates, forced ones not counted.
+        log_likelihood: of the visible groups.
+    """
+
+    x: list[Number]
+    P: list[Number]
+    P_predicted: list[Number]
+    nis: list[Number]
+    accepted: list[Number]
+    passed: Number
+    log_likelihood: Number
+
+
+def limited_likelihood(candidate: Candidate, limits: Vector) -> Number:
+    """Log-likelihood in which the NIS of a group (groups,) counts up to its limit.
+
+    The tail of a Gaussian falls so fast that a single link off the line of sight would decide
+    which mode is right, for the one that believes the outlier.
+    """
+    excess = [maximum(nis - limit, 0.0) for nis, limit in zip(candidate.nis, limits, strict=True)]
+    return candidate.log_likelihood + 0.5 * dot(excess, [1.0] * len(excess))
+
+
+def plausibility(candidate: Candidate, layout: Layout) -> Number:
+    """The log-likelihood that modes are compared by, limited at :data:`PLAUSIBLE`."""
+    rows = [group.stop - group.start for group in layout.groups]
+    return limited_likelihood(candidate, [float(chdtri(k, 1.0 - PLAUSIBLE)) for k in rows])
