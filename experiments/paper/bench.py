@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from experiments.evaluation.intervals import Interval
 from experiments.evaluation.markdown import grid, rounded
 from experiments.evaluation.runner import Scores, draw_episodes
+from mmwave_env.engines.smoothing import smooth
 from mmwave_env.engines.track_engine import Tracker
 from mmwave_env.episodes.episode import Episode
 from mmwave_env.episodes.simulated import SimulatedSource
@@ -18,7 +19,6 @@ from mmwave_env.filters.belief import Belief
 from mmwave_env.filters.mode_files import shipped_modes
 from mmwave_env.filters.modes import Mode
 from mmwave_env.filters.pipeline import Pipeline
-from mmwave_env.filters.smoother import smooth
 from mmwave_env.metrics import accuracy, scored
 from mmwave_env.models.radio import Radio, radio_from
 from mmwave_env.models.scene import SCENES

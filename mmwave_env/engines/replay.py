@@ -19,10 +19,15 @@ from mmwave_env.compiler.transpose import address, gather, pick
 from mmwave_env.engines.batch import Batch
 from mmwave_env.engines.track_engine import Track, program_of
 from mmwave_env.filters.pipeline import Pipeline
-from mmwave_env.filters.smoother import rts_mean
-from mmwave_env.numerics.linalg import cholesky, unpack
+from mmwave_env.filters.smoother import (
+    BackwardState,
+    ForwardEpoch,
+    blank_epoch,
+    smooth_mean,
+    track_end,
+)
 from mmwave_env.numerics.numbers import Number
-from mmwave_env.numerics.pytree import leaves, select
+from mmwave_env.numerics.pytree import leaves
 
 Actions = NDArray[np.integer[Any]]
 
@@ -30,61 +35,49 @@ AXES = 3
 PLAIN_EPOCHS = 2_000  # run again before compiling, which takes as long as 6000 of them
 
 
-class Passed(NamedTuple):
+class ReplayedEpoch(NamedTuple):
     """What the way back needs of an epoch.
 
     Attributes:
-        dt: seconds since the epoch before.
+        filtered: as the filter left it.
         error: (3,) position error, m.
         nees: of the position.
-        x, P: (7,), (28,) belief.
-        P_predicted: (28,) covariance predicted for the epoch.
     """
 
-    dt: Number
+    filtered: ForwardEpoch
     error: list[Number]
     nees: Number
-    x: list[Number]
-    P: list[Number]
-    P_predicted: list[Number]
 
 
-class Return(NamedTuple):
+class ReturnState(NamedTuple):
     """The way back between two epochs.
 
     Attributes:
         incoming: the epoch at hand.
-        last: 1 at the last epoch, whose belief is already smooth.
-        x: (7,) smoothed mean of the epoch at hand.
-        dt, P_predicted: of the epoch after it.
-        smoothed: (3,) position error of ``x``, m.
+        after: what the epoch after it left.
+        smoothed_error: (3,) position error of the smoothed mean of the epoch at hand, m.
     """
 
-    incoming: Passed
-    last: Number
-    x: list[Number]
-    dt: Number
-    P_predicted: list[Number]
-    smoothed: list[Number]
+    incoming: ReplayedEpoch
+    after: BackwardState
+    smoothed_error: list[Number]
 
 
-def passed(track: Track) -> Passed:
-    """What is needed of an epoch of a track."""
-    return Passed(track.incoming.dt, track.error, track.nees, track.x, track.P, track.P_predicted)
+def _replayed(track: Track) -> ReplayedEpoch:
+    filtered = ForwardEpoch(track.incoming.dt, track.x, track.P, track.P_predicted)
+    return ReplayedEpoch(filtered, track.error, track.nees)
 
 
 @lru_cache(maxsize=2)
-def _way_back(pinned: tuple[int, ...]) -> Program[Return]:
-    def function(w: Return) -> Return:
-        now = w.incoming
-        P, factor = unpack(now.P, zero=pinned), cholesky(unpack(w.P_predicted, zero=pinned))
-        x = select(w.last > 0.5, now.x, rts_mean(now.x, P, factor, w.x, w.dt))
-        smoothed = [e + (x[i] - now.x[i]) for i, e in enumerate(now.error)]
-        return Return(now, 0.0, x, now.dt, now.P_predicted, smoothed)
+def _way_back(known_axes: tuple[int, ...]) -> Program[ReturnState]:
+    def function(w: ReturnState) -> ReturnState:
+        (filtered, error, _), after = w.incoming, w.after
+        after = smooth_mean(filtered, after, known_axes)
+        moved = [e + (after.x[i] - filtered.x[i]) for i, e in enumerate(error)]
+        return ReturnState(w.incoming, after, moved)
 
-    identity = [float(i == j) for i in range(7) for j in range(i + 1)]
-    blank = Passed(1.0, [0.0] * AXES, 0.0, [0.0] * 7, identity, identity)
-    return Program(function, Return(blank, 1.0, blank.x, 1.0, identity, blank.error))
+    blank = ReplayedEpoch(blank_epoch(), [0.0] * AXES, 0.0)
+    return Program(function, ReturnState(blank, track_end(with_covariance=False), blank.error))
 
 
 class Replay:
@@ -100,8 +93,8 @@ class Replay:
         there, at = self._there.index, self._back.index
         self._start = self._there.start.copy()
         self._start[rows_of(there.tunings)] = leaves([mode.tuning for mode in pipeline.modes])
-        self._site, self._keep = rows_of(there.site), rows_of(passed(there))
-        self._show = rows_of([at.incoming.error, at.incoming.nees, at.smoothed])
+        self._site, self._keep = rows_of(there.site), rows_of(_replayed(there))
+        self._show = rows_of([at.incoming.error, at.incoming.nees, at.smoothed_error])
         self._on_floats = on_floats
 
     def run(self, batch: Batch[Any], places: Index, actions: Actions) -> tuple[Array, ...]:

@@ -1,87 +1,95 @@
-"""Rauch-Tung-Striebel smoothing of a finished track (paper, Sec. III-F)."""
+"""Rauch-Tung-Striebel smoothing, an epoch at a time, backwards (paper, Sec. III-F).
 
-from functools import lru_cache
+Särkkä, "Bayesian Filtering and Smoothing" (2013), Sec. 8.2.
+"""
+
 from typing import NamedTuple
 
-import numpy as np
-from numpy.typing import NDArray
-
-from mmwave_env.compiler.lanes import WIDTH
-from mmwave_env.compiler.program import Program, Tracks, Traffic, rows_of
-from mmwave_env.filters.pipeline import VERTICAL
 from mmwave_env.models.measurement import STATE_SIZE
-from mmwave_env.models.motion import move
+from mmwave_env.models.motion import move, transition_times
 from mmwave_env.numerics.linalg import backward, cholesky, dot, forward, pack, symmetric, unpack
 from mmwave_env.numerics.numbers import Matrix, Number, Vector
 from mmwave_env.numerics.pytree import select
 
-Array = NDArray[np.float64]
 
-
-class Filtered(NamedTuple):
-    """One epoch of a finished track.
+class ForwardEpoch(NamedTuple):
+    """An epoch as the filter left it.
 
     Attributes:
-        x, P: (7,), (28,) belief after the epoch.
-        P_predicted: (28,) covariance predicted for the *next* epoch.
-        dt: seconds to the next epoch.
+        dt: seconds since the epoch before.
+        x, P: (7,), (28,) belief after the epoch; covariances are packed.
+        P_predicted: (28,) covariance predicted for the epoch, before its update.
     """
 
+    dt: Number
     x: list[Number]
     P: list[Number]
     P_predicted: list[Number]
-    dt: Number
 
 
-class Workspace(NamedTuple):
-    """The smoother between two epochs, going backwards.
+class BackwardState(NamedTuple):
+    """What the way back brings along from the epoch after the one at hand.
 
     Attributes:
-        incoming: the epoch before.
-        last: 1 at the last epoch of the track, whose belief is already smooth.
-        x, P: (7,), (28,) smoothed belief of the epoch at hand.
+        is_last: 1 where there is no such epoch, because the track ends with the one at hand.
+        dt, P_predicted: of that epoch, as in :class:`ForwardEpoch`.
+        x, P: (7,), (28,) its smoothed belief; P is empty where only means are smoothed.
     """
 
-    incoming: Filtered
-    last: Number
+    is_last: Number
+    dt: Number
+    P_predicted: list[Number]
     x: list[Number]
     P: list[Number]
 
 
-def _moved(P: Matrix, dt: Number) -> list[list[Number]]:
-    """F P."""
-    n = STATE_SIZE
-    return [[P[i][j] + dt * P[i + 3][j] if i < 3 else P[i][j] for j in range(n)] for i in range(n)]
+def blank_epoch() -> ForwardEpoch:
+    """A sound epoch, to be overwritten."""
+    identity = [float(i == j) for i in range(STATE_SIZE) for j in range(i + 1)]
+    return ForwardEpoch(1.0, [0.0] * STATE_SIZE, identity, identity)
 
 
-def rts_mean(x: Vector, P: Matrix, factor: Matrix, x_next: Vector, dt: Number) -> list[Number]:
-    """Smoothed mean of an epoch: x + P F' P_predicted^-1 (x_next - F x) (paper, Sec. III-F).
+def track_end(with_covariance: bool) -> BackwardState:
+    """The state from which the way back begins."""
+    blank = blank_epoch()
+    P = blank.P if with_covariance else []
+    return BackwardState(1.0, blank.dt, blank.P_predicted, blank.x, P)
 
-    Args:
-        x, P: (7,), (7, 7) filtered belief of the epoch.
-        factor: (7, 7) Cholesky factor of P_predicted, predicted for the next epoch.
-        x_next: (7,) smoothed mean of the next epoch.
-        dt: seconds to the next epoch.
-    """
-    FP = _moved(P, dt)
-    step = [a - b for a, b in zip(x_next, move(x, dt), strict=True)]
+
+def _mean(x: Vector, P: Matrix, factor: Matrix, after: BackwardState) -> list[Number]:
+    """x + P F' P_predicted^-1 (x_after - F x), with the Cholesky factor of P_predicted."""
+    FP = transition_times(P, after.dt)
+    step = [a - b for a, b in zip(after.x, move(x, after.dt), strict=True)]
     y = backward(factor, forward(factor, step))
     return [a + dot([row[i] for row in FP], y) for i, a in enumerate(x)]
 
 
-def rts_step(
-    now: Filtered, x_next: Vector, P_next: Vector, pinned: tuple[int, ...] = ()
-) -> tuple[list[Number], list[Number]]:
-    """Smoothed belief of an epoch from that of the next: C = P F' P_predicted^-1 (Sec. III-F).
+def smooth_mean(
+    now: ForwardEpoch, after: BackwardState, known_axes: tuple[int, ...] = ()
+) -> BackwardState:
+    """The smoothed mean of an epoch: x + C (x_after - F x), C = P F' P_predicted^-1.
 
     Args:
         now: the epoch.
-        x_next, P_next: (7,), (28,) smoothed belief of the next epoch.
-        pinned: state components that are known exactly.
+        after: where the way back has come to.
+        known_axes: state components that are known exactly.
     """
-    P = unpack(now.P, zero=pinned)
-    P_predicted = unpack(now.P_predicted, zero=pinned)
-    factor, FP = cholesky(P_predicted), _moved(P, now.dt)
+    P = unpack(now.P, zero=known_axes)
+    factor = cholesky(unpack(after.P_predicted, zero=known_axes))
+    x = select(after.is_last > 0.5, now.x, _mean(now.x, P, factor, after))
+    return BackwardState(0.0, now.dt, now.P_predicted, x, [])
+
+
+def smooth_epoch(
+    now: ForwardEpoch, after: BackwardState, known_axes: tuple[int, ...] = ()
+) -> BackwardState:
+    """The smoothed belief of an epoch: :func:`smooth_mean`, and P + C (P_after - P_predicted) C'.
+
+    Args:
+        now, after, known_axes: as of :func:`smooth_mean`.
+    """
+    P, P_predicted = unpack(now.P, zero=known_axes), unpack(after.P_predicted, zero=known_axes)
+    factor, FP = cholesky(P_predicted), transition_times(P, after.dt)
     # Row i of the gain: P_predicted^-1 times column i of F P.
     gain = [
         backward(factor, forward(factor, [FP[k][i] for k in range(STATE_SIZE)]))
@@ -89,52 +97,16 @@ def rts_step(
     ]
     change = [
         [a - b for a, b in zip(u, v, strict=True)]
-        for u, v in zip(unpack(P_next, zero=pinned), P_predicted, strict=True)
+        for u, v in zip(unpack(after.P, zero=known_axes), P_predicted, strict=True)
     ]
     half = [[dot(gain[i], [change[k][j] for k in range(STATE_SIZE)])
              for j in range(STATE_SIZE)] for i in range(STATE_SIZE)]  # fmt: skip
     smoothed = symmetric(STATE_SIZE, lambda i, j: P[i][j] + dot(half[i], gain[j]))
-    return rts_mean(now.x, P, factor, x_next, now.dt), pack(smoothed)
-
-
-@lru_cache(maxsize=2)
-def _program(pinned: tuple[int, ...]) -> Program[Workspace]:
-    def function(w: Workspace) -> Workspace:
-        x, P = rts_step(w.incoming, w.x, w.P, pinned)
-        last = w.last > 0.5
-        x, P = select(last, w.incoming.x, x), select(last, w.incoming.P, P)
-        return w._replace(last=0.0, x=x, P=P)
-
-    identity = [float(i == j) for i in range(STATE_SIZE) for j in range(i + 1)]
-    mean = [0.0] * STATE_SIZE
-    incoming = Filtered(mean, identity, identity, 1.0)
-    return Program(function, Workspace(incoming, 1.0, mean, identity))
-
-
-def smooth(
-    x: Array, P: Array, P_predicted: Array, dt: Array, planar: bool = False
-) -> tuple[Array, Array]:
-    """Smoothed means (N, T, 7) and packed covariances (N, T, 28) of finished tracks.
-
-    Args:
-        x: (N, T, 7) filtered means.
-        P: (N, T, 28) filtered covariances, packed.
-        P_predicted: (N, T, 28) covariances predicted for each epoch, before its update.
-        dt: (T - 1,) seconds from each epoch to the next, or (N, T - 1) of every track's own.
-        planar: z and vz are known exactly.
-    """
-    program = _program(VERTICAL if planar else ())
-    N, T, _ = x.shape
-    table = np.zeros((N, T, STATE_SIZE + 2 * P.shape[2] + 1))  # backwards in time
-    at_P, at_coming = STATE_SIZE, STATE_SIZE + P.shape[2]
-    table[..., :at_P], table[..., at_P:at_coming] = x[:, ::-1], P[:, ::-1]
-    table[:, 0, at_coming:-1] = P_predicted[:, -1]  # unused at the last epoch, but sound
-    table[:, 1:, at_coming:-1] = P_predicted[:, :0:-1]
-    table[:, 1:, -1] = dt[..., ::-1]
-    rows = np.zeros((-(-N // WIDTH), program.size, WIDTH))
-    at = program.index
-    rows[:, at.last] = 1.0
-    traffic = Traffic.of(N, T, keep=rows_of([at.x, at.P]))
-    program.run_on_lanes(Tracks.of(table, rows), traffic)
-    smoothed = traffic.kept[:, ::-1]
-    return smoothed[..., :STATE_SIZE].copy(), smoothed[..., STATE_SIZE:].copy()
+    is_last = after.is_last > 0.5
+    return BackwardState(
+        0.0,
+        now.dt,
+        now.P_predicted,
+        select(is_last, now.x, _mean(now.x, P, factor, after)),
+        select(is_last, now.P, pack(smoothed)),
+    )

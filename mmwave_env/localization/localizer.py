@@ -12,11 +12,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from mmwave_env.engines.smoothing import smooth
 from mmwave_env.engines.track_engine import Rule, Tracker
 from mmwave_env.episodes.episode import Episode
 from mmwave_env.filters.modes import Mode
 from mmwave_env.filters.pipeline import Pipeline
-from mmwave_env.filters.smoother import smooth
 from mmwave_env.localization.log import LogBlock
 from mmwave_env.localization.log_tables import LogError
 from mmwave_env.localization.segments import Piece, segments

@@ -48,10 +48,15 @@ def move(x: Vector, dt: Number) -> list[Number]:
     return [x[i] + dt * x[i + 3] if i < 3 else x[i] for i in range(STATE_SIZE)]
 
 
+def transition_times(P: Matrix, dt: Number) -> list[list[Number]]:
+    """F P."""
+    n = STATE_SIZE
+    return [[P[i][j] + dt * P[i + 3][j] if i < 3 else P[i][j] for j in range(n)] for i in range(n)]
+
+
 def predict_covariance(P: Matrix, noise: ProcessNoise, dt: Number) -> list[list[Number]]:
     """F P F' + Q."""
-    n = STATE_SIZE
-    FP = [[P[i][j] + dt * P[i + 3][j] if i < 3 else P[i][j] for j in range(n)] for i in range(n)]
+    FP = transition_times(P, dt)
 
     def entry(i: int, j: int) -> Number:
         value = FP[i][j] + FP[i][j + 3] * dt if j < 3 else FP[i][j]
@@ -59,4 +64,4 @@ def predict_covariance(P: Matrix, noise: ProcessNoise, dt: Number) -> list[list[
             return value + noise.diagonal[i]
         return value + noise.coupling[j] if i == j + 3 and j < 3 else value
 
-    return symmetric(n, entry)
+    return symmetric(STATE_SIZE, entry)

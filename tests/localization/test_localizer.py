@@ -10,12 +10,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from mmwave_env.engines.smoothing import smooth
 from mmwave_env.episodes.episode import Episode
 from mmwave_env.episodes.simulated import SimulatedSource
 from mmwave_env.filters.mode_files import default_modes
 from mmwave_env.filters.modes import Mode, robust
 from mmwave_env.filters.pipeline import Pipeline
-from mmwave_env.filters.smoother import smooth
 from mmwave_env.localization.localizer import TrackBlock, localize
 from mmwave_env.localization.log import read_log, write_log
 from mmwave_env.localization.log_tables import LogError

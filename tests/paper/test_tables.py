@@ -15,10 +15,10 @@ from experiments.evaluation.runner import contender_from, score
 from experiments.paper.bench import Bench, Section, Setting, track
 from experiments.paper.claims import contradictions, resolution
 from experiments.tables import FIELDS, Args, main
+from mmwave_env.engines.smoothing import smooth
 from mmwave_env.engines.track_engine import Tracker
 from mmwave_env.filters.mode_files import default_modes
 from mmwave_env.filters.pipeline import Pipeline
-from mmwave_env.filters.smoother import smooth
 from tests.filters.tracks import unpacked
 from tests.paths import ROOT
 

@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 from filterpy.kalman import KalmanFilter
 
+from mmwave_env.engines.smoothing import smooth
 from mmwave_env.engines.track_engine import Tracker
 from mmwave_env.episodes.simulated import SimulatedSource
 from mmwave_env.filters.mode_files import modes_from
 from mmwave_env.filters.pipeline import Pipeline
-from mmwave_env.filters.smoother import smooth
 from mmwave_env.models.radio import RADIOS
 from mmwave_env.models.scene import SCENES
 
