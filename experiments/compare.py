@@ -4,7 +4,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from experiments.cli.main import run
-from experiments.cli.options import EpisodeArgs, report
+from experiments.cli.options import EpisodeArgs
+from experiments.cli.reporting import report
 from mmwave_env.files import require_writable
 
 

@@ -4,7 +4,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from experiments.cli.main import run
-from experiments.cli.options import EpisodeArgs, report
+from experiments.cli.options import EpisodeArgs
+from experiments.cli.reporting import report
 from experiments.evaluation.markdown import markdown
 from mmwave_env.episodes.samples import sample_names
 from mmwave_env.files import write_json, write_text

@@ -3,7 +3,8 @@
 from dataclasses import dataclass
 
 from experiments.cli.main import run
-from experiments.cli.options import EpisodeArgs, report
+from experiments.cli.options import EpisodeArgs
+from experiments.cli.reporting import report
 
 
 @dataclass

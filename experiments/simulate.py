@@ -5,7 +5,7 @@ from pathlib import Path
 
 from experiments.cli.main import run
 from experiments.cli.options import EpisodeArgs, command_line
-from experiments.evaluation.runner import draw_episodes
+from experiments.evaluation.seeds import draw_episodes
 from mmwave_env.episodes.recorded import RecordedSource
 from mmwave_env.episodes.simulated import SimulatedSource
 from mmwave_env.files import beside, write_json, write_text

@@ -7,10 +7,12 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from experiments.cli.main import run
+from experiments.evaluation.contenders import Contender, contender_from
 from experiments.evaluation.intervals import Interval, bootstrap
 from experiments.evaluation.markdown import grid, show
-from experiments.evaluation.runner import Contender, contender_from, draw_episodes, score
+from experiments.evaluation.runner import score
 from experiments.evaluation.runs import Run
+from experiments.evaluation.seeds import draw_episodes
 from mmwave_env.episodes.episode import EpisodeSource
 from mmwave_env.episodes.recorded import RecordedSource
 from mmwave_env.episodes.samples import recording_from, sample_names

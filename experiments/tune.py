@@ -12,10 +12,10 @@ from scipy.optimize import minimize
 from scipy.special import chdtri
 
 from experiments.cli.main import run
-from experiments.cli.options import TUNING_SEED, command_line, require_tuning_seed
+from experiments.cli.options import command_line
 from experiments.evaluation.intervals import bootstrap
 from experiments.evaluation.markdown import grid
-from experiments.evaluation.runner import draw_episodes
+from experiments.evaluation.seeds import TUNING_SEED, draw_episodes, require_tuning_seed
 from mmwave_env.engines.track_engine import Tracker
 from mmwave_env.episodes.episode import Episode
 from mmwave_env.episodes.simulated import SimulatedSource

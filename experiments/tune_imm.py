@@ -13,9 +13,9 @@ from scipy.optimize import minimize
 from scipy.special import expit, logit, softmax
 
 from experiments.cli.main import run
-from experiments.cli.options import TUNING_SEED, command_line, require_tuning_seed
+from experiments.cli.options import command_line
 from experiments.evaluation.intervals import Interval, bootstrap
-from experiments.evaluation.runner import draw_episodes
+from experiments.evaluation.seeds import TUNING_SEED, draw_episodes, require_tuning_seed
 from experiments.tune import CAP
 from mmwave_env.engines.imm_engine import ImmEngine
 from mmwave_env.episodes.episode import Packed

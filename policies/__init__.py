@@ -4,7 +4,6 @@ from policies.imms import TUNED_IMMS, Transition, TunedImm, tuned_imm
 from policies.learned import LearnedSwitch, shipped_policies
 from policies.policy import Policy
 from policies.scripted import FixedMode, LikelihoodRule, RandomMode, SpeedRule
-from policies.thresholds import tuned_threshold
 
 __all__ = [
     "TUNED_IMMS",
@@ -18,5 +17,4 @@ __all__ = [
     "TunedImm",
     "shipped_policies",
     "tuned_imm",
-    "tuned_threshold",
 ]

@@ -20,7 +20,6 @@ COMMANDS = {
     "train": "switchers that learn, on several training seeds",
     "transfer": "switchers on streets, radios and recordings they were not trained on",
     "tune": "process noise of modes, by likelihood or error, on tuning seeds",
-    "tune-threshold": "the best threshold of the speed rule, on tuning seeds",
     "tune-imm": "the best transition and process noise of IMMs, on tuning seeds",
     "benchmark": "steps per second beside filterpy's and the core's limit, memory, first step",
     "simulate": "one episode as files: measurement log, scene and truth",

@@ -19,7 +19,8 @@ from experiments.evaluation.cramer_rao import (
 )
 from experiments.evaluation.intervals import Array, Interval, bootstrap
 from experiments.evaluation.markdown import grid
-from experiments.evaluation.runner import CHUNK, Scores, draw_episodes
+from experiments.evaluation.runner import CHUNK, Scores
+from experiments.evaluation.seeds import draw_episodes
 from mmwave_env.episodes.episode import Episode, EpisodeSource
 from mmwave_env.metrics import scored
 from mmwave_env.models.radio import Radio

@@ -14,8 +14,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from experiments.evaluation.contenders import Contender
 from experiments.evaluation.intervals import Array
-from experiments.evaluation.runner import Contender, Told, step_s
+from experiments.evaluation.runner import Told, step_s
 from mmwave_env.episodes.episode import Episode
 from mmwave_env.files import beside
 from mmwave_env.metrics import BURN_IN

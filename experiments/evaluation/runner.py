@@ -1,41 +1,24 @@
-"""Run contenders on the same episodes (design: evaluation protocol).
+"""Contenders run on the same episodes, and their metrics (docs/results.md has the protocol)."""
 
-A contender is a policy with the modes it chooses from, or the IMM.
-"""
-
-import os
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
-from functools import partial
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from rich.progress import Progress
 
+from experiments.evaluation.contenders import Contender, contender_from
+from experiments.evaluation.seeds import draw_episodes, require_seeds
 from mmwave_env.compiler.program import rows_of
 from mmwave_env.engines.env_engine import Engine
 from mmwave_env.engines.imm_engine import ImmEngine
 from mmwave_env.episodes.episode import Episode, EpisodeSource
-from mmwave_env.filters.mode_files import default_modes, named_modes
 from mmwave_env.filters.modes import Mode
 from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.metrics import METRICS, summary
-from mmwave_env.models.measurement import Layout
-from mmwave_env.observation import Observation
 from mmwave_env.reward import Reward, TrackingReward
 from policies import (
-    TUNED_IMMS,
-    FixedMode,
-    LearnedSwitch,
-    LikelihoodRule,
     Policy,
-    RandomMode,
-    SpeedRule,
-    Transition,
-    shipped_policies,
-    tuned_imm,
-    tuned_threshold,
 )
 
 Array = NDArray[np.float64]
@@ -44,145 +27,9 @@ Scores = dict[str, Array]  # metric -> (episodes,)
 Told = dict[str, NDArray[Any]]  # "reward", "nees" (n, T), "error" (n, T, 3); policies': "mode"
 
 CHUNK = 1000  # episodes in memory at once
-POLICY_SEED = 0
-SHIPPED = ("ppo", "ppo-extended")  # learned contenders of a radio, where its policy is shipped
-
-
-@dataclass(frozen=True)
-class Contender:
-    """Something that localises.
-
-    Attributes:
-        name: as on the command line and in results.
-        modes: what it works with.
-        policy: from the observation table to a policy; None for the IMM over the modes.
-        transition, nis_quantile: as of :class:`~mmwave_env.engines.imm_engine.ImmEngine`.
-        observation: what the policy sees, "full" or "prior".
-        trained: whether the policy was learned.
-    """
-
-    name: str
-    modes: tuple[Mode, ...]
-    policy: Callable[[Observation], Policy] | None
-    transition: Transition | None = None
-    nis_quantile: float = 1.0
-    observation: str = "full"
-    trained: bool = False
-
-    @classmethod
-    def learned(cls, path: str | os.PathLike[str], name: str | None = None) -> "Contender":
-        """The switcher of a policy file, or a shipped one by its name.
-
-        Args:
-            path: as of :class:`~policies.LearnedSwitch`.
-            name: in results; None for the path.
-        """
-        card = LearnedSwitch(path).card
-        return cls(
-            os.fspath(path) if name is None else name,
-            card.modes,
-            partial(LearnedSwitch, path),
-            observation=card.observation,
-            trained=True,
-        )
-
-    def start(self, layout: Layout) -> Policy | None:
-        """A new policy for measurements of a layout; None for the IMM."""
-        table = Observation(Pipeline(self.modes, layout), self.observation)
-        return self.policy and self.policy(table)
 
 
 Watch = Callable[[Contender, Sequence[Episode], Told], None]
-
-
-def _over(modes: tuple[Mode, ...]) -> list[Contender]:
-    """The contenders that work with any modes: each of them alone, rules, chance and the IMM."""
-    names = [mode.name for mode in modes]
-    found = [Contender(f"fixed-{name}", modes, partial(_fixed, i)) for i, name in enumerate(names)]
-    if len(modes) == 2:
-        found.append(Contender("speed-rule", modes, SpeedRule))
-    if len(modes) > 1:
-        found.append(
-            Contender("likelihood-rule", modes, lambda table: LikelihoodRule(table, names))
-        )
-        found.append(Contender("random", modes, lambda table: RandomMode(len(modes), POLICY_SEED)))
-    return [*found, Contender("imm", modes, None)]
-
-
-def _fixed(action: int, table: Observation) -> Policy:
-    return FixedMode(action)
-
-
-def contenders(radio: str, modes: tuple[Mode, ...] | None = None) -> dict[str, Contender]:
-    """Every contender there is, by name.
-
-    Args:
-        radio: profile.
-        modes: what they work with; None for the profile's two, beside which the profile has
-            single modes of other kinds, a tuned threshold, tuned IMMs, and the learned
-            switchers that are shipped for it.
-    """
-    if modes is not None:
-        return {c.name: c for c in _over(modes)}
-    two, named = default_modes(radio), named_modes(radio)
-    others = [
-        Contender(f"fixed-{name}", (named[name],), partial(_fixed, 0))
-        for name in ("ckf", "ekf-robust", "ukf-robust")
-    ]
-    tuned = Contender(
-        "speed-rule-tuned", two, lambda table: SpeedRule(table, tuned_threshold(radio))
-    )
-    imms = []
-    for name in TUNED_IMMS:
-        imm = tuned_imm(name, radio)
-        imms.append(Contender(name, imm.modes, None, imm.transition, imm.nis_quantile))
-    files = {name: f"{name}-{radio}" for name in SHIPPED}
-    shipped = shipped_policies()
-    learned = [Contender.learned(f, name) for name, f in files.items() if f in shipped]
-    ekf, ukf, rule, *rest = _over(two)
-    return {c.name: c for c in (ekf, ukf, *others, rule, tuned, *rest, *imms, *learned)}
-
-
-def contender_from(name: str, radio: str, modes: tuple[Mode, ...] | None = None) -> Contender:
-    """A contender by name; see :func:`contenders`.
-
-    Args:
-        name: one of them, a shipped policy's, or a policy file (``.safetensors``).
-        radio, modes: as of :func:`contenders`.
-
-    Raises:
-        ValueError: unknown name; the message lists the valid ones. A damaged policy file.
-        FileNotFoundError: there is no such policy file.
-    """
-    known, shipped = contenders(radio, modes), shipped_policies()
-    if name in known:
-        return known[name]
-    if name in shipped or name.endswith(".safetensors"):
-        return Contender.learned(name)
-    expected = ", ".join([*known, *shipped, "a .safetensors file", "the folder of a run"])
-    raise ValueError(f"policy: found {name!r}, expected one of {expected}")
-
-
-def require_seeds(seeds: Sequence[int]) -> None:
-    """Refuse an empty run, and seeds that are none.
-
-    Raises:
-        ValueError: no seeds, or a negative one.
-    """
-    if not len(seeds):
-        raise ValueError("episodes: found none, expected at least 1")
-    if min(seeds) < 0:
-        raise ValueError(f"seed: found {min(seeds)}, expected 0 or more")
-
-
-def draw_episodes(source: EpisodeSource, seeds: Sequence[int]) -> list[Episode]:
-    """One episode per seed, the same that ``env.reset(seed=...)`` draws.
-
-    Raises:
-        ValueError: no seeds, or a negative one.
-    """
-    require_seeds(seeds)
-    return [source.sample(np.random.default_rng(seed)) for seed in seeds]
 
 
 def score(

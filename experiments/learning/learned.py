@@ -12,11 +12,14 @@ from rich.progress import track
 from experiments import transfer
 from experiments.cli.doc_pages import page_to_renew, renewed
 from experiments.cli.main import run
-from experiments.cli.options import EpisodeArgs, results
+from experiments.cli.options import EpisodeArgs
+from experiments.cli.reporting import results
+from experiments.evaluation.contenders import contender_from
 from experiments.evaluation.intervals import Array, Interval, crossed_bootstrap, mean
 from experiments.evaluation.markdown import grid, show
-from experiments.evaluation.runner import contender_from, draw_episodes, score
+from experiments.evaluation.runner import score
 from experiments.evaluation.runs import Run, outcomes
+from experiments.evaluation.seeds import draw_episodes
 from experiments.learning.ablate import VARIANTS
 from experiments.learning.curves import draw_curves
 from mmwave_env.files import require_writable, write_json, write_text

@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 
 from experiments.evaluation.intervals import Interval
 from experiments.evaluation.markdown import grid, rounded
-from experiments.evaluation.runner import Scores, draw_episodes
+from experiments.evaluation.runner import Scores
+from experiments.evaluation.seeds import draw_episodes
 from mmwave_env.engines.smoothing import smooth
 from mmwave_env.engines.track_engine import Tracker
 from mmwave_env.episodes.episode import Episode

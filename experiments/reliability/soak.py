@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from experiments.cli.main import run
 from experiments.cli.terminal import progress
-from experiments.evaluation.runner import draw_episodes
+from experiments.evaluation.seeds import draw_episodes
 from experiments.reliability.damage import damaged
 from mmwave_env.engines.env_engine import Engine
 from mmwave_env.episodes.episode import Episode

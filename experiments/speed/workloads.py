@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 import gymnasium as gym
 import numpy as np
 
-from experiments.evaluation.runner import draw_episodes
+from experiments.evaluation.seeds import draw_episodes
 from mmwave_env.engines.track_engine import Tracker
 from mmwave_env.episodes.episode import Episode, blank_incoming
 from mmwave_env.episodes.simulated import SimulatedSource

@@ -6,9 +6,10 @@ from typing import Any
 
 import numpy as np
 
-from experiments.cli.options import TUNING_SEED
+from experiments.evaluation.contenders import Contender, contender_from
 from experiments.evaluation.intervals import bootstrap
-from experiments.evaluation.runner import Contender, Scores, contender_from, draw_episodes, score
+from experiments.evaluation.runner import Scores, score
+from experiments.evaluation.seeds import TUNING_SEED, draw_episodes
 from experiments.training.training_env import Task
 from mmwave_env.episodes.simulated import SimulatedSource
 from mmwave_env.models.radio import radio_from

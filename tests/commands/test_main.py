@@ -92,20 +92,6 @@ def test_evaluate_runs_on_recorded_data(tmp_path):
     assert_intervals(result["policies"]["fixed-ckf"])
 
 
-def test_tune_threshold_writes_a_file_that_says_how_it_was_made(tmp_path):
-    file = tmp_path / "thresholds.json"
-    options = ("--radios", "handset", "--thresholds", "0.5", "2.0", "--episodes", 2)
-    succeed(*CLI, "tune-threshold", *options, "--json", file)
-    result = json.loads(file.read_text())
-    expected = ["mmwave-loc", "tune-threshold", *map(str, options), "--json", str(file)]
-    assert sorted(result["command"].split()) == sorted(expected)
-    assert result["seed"] >= 5_000_000 and result["episodes"] == 2
-    tuned = result["radios"]["handset"]
-    rewards = {float(t): r["mean"] for t, r in tuned["reward"].items()}
-    assert set(rewards) == {0.5, 2.0}
-    assert tuned["threshold_mps"] == max(rewards, key=rewards.get)
-
-
 # --- help and mistakes
 
 

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from experiments.evaluation.runner import draw_episodes
+from experiments.evaluation.seeds import draw_episodes
 from experiments.tune import likelihood, negative_mean_square, objective_of, tune
 from mmwave_env.episodes.simulated import SimulatedSource
 from mmwave_env.filters.mode_files import read_modes

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scipy.special import logit
 
-from experiments.evaluation.runner import draw_episodes
+from experiments.evaluation.seeds import draw_episodes
 from experiments.tune_imm import rewards, search_space, transition_of, tune
 from mmwave_env.episodes.episode import Packed
 from mmwave_env.episodes.simulated import SimulatedSource

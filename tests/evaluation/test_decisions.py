@@ -7,8 +7,10 @@ import numpy as np
 import pytest
 from matplotlib.image import imread
 
+from experiments.evaluation.contenders import contender_from
 from experiments.evaluation.decisions import Decisions, pull_aways, stops
-from experiments.evaluation.runner import contender_from, draw_episodes, localise
+from experiments.evaluation.runner import localise
+from experiments.evaluation.seeds import draw_episodes
 from mmwave_env.episodes.simulated import SimulatedSource
 from mmwave_env.metrics import BURN_IN
 from mmwave_env.models.radio import RADIOS

@@ -8,14 +8,11 @@ import numpy as np
 import pytest
 
 import mmwave_env  # noqa: F401  registers the environment
+from experiments.evaluation import contenders as contenders_module
 from experiments.evaluation import runner as evaluation
-from experiments.evaluation.runner import (
-    contender_from,
-    contenders,
-    draw_episodes,
-    evaluate,
-    score,
-)
+from experiments.evaluation.contenders import contender_from, contenders
+from experiments.evaluation.runner import evaluate, score
+from experiments.evaluation.seeds import draw_episodes
 from mmwave_env.engines.imm_engine import ImmEngine
 from mmwave_env.episodes.simulated import SimulatedSource
 from mmwave_env.filters.mode_files import modes_from
@@ -90,10 +87,10 @@ def test_contenders_see_the_same_episodes():
 
 @pytest.mark.parametrize("radio", RADIOS)
 def test_every_radio_has_every_contender(radio):
-    found = contenders(radio)
+    found = {name: make() for name, make in contenders(radio).items()}
     assert list(found) == [
         "fixed-ekf", "fixed-ukf", "fixed-ckf", "fixed-ekf-robust", "fixed-ukf-robust",
-        "speed-rule", "speed-rule-tuned", "likelihood-rule", "random", "imm", *TUNED_IMMS,
+        "speed-rule", "likelihood-rule", "random", "imm", *TUNED_IMMS,
         *(() if radio == "high" else ("ppo", "ppo-extended")),
     ]  # fmt: skip
     assert all(c.name == name and c.modes for name, c in found.items())
@@ -151,7 +148,7 @@ def test_own_modes_bring_their_own_contenders():
     assert list(found) == [
         "fixed-ekf", "fixed-ckf", "fixed-ukf-robust", "likelihood-rule", "random", "imm",
     ]  # fmt: skip
-    assert all(c.modes == modes for c in found.values())
+    assert all(make().modes == modes for make in found.values())
     assert "speed-rule" in contenders("handset", modes[:2])
     own = evaluate(["fixed-ckf"], SOURCE, "handset", episodes=2, seed=0, modes=modes)
     named = evaluate(["fixed-ckf"], SOURCE, "handset", episodes=2, seed=0)
@@ -170,7 +167,7 @@ def file(tmp_path):
 @pytest.fixture
 def shipped(monkeypatch, file):
     """One policy is shipped: handset's with two modes."""
-    for module in (evaluation, learned):
+    for module in (contenders_module, learned):
         monkeypatch.setattr(module, "shipped_policies", lambda: {"ppo-handset": Path(file)})
 
 
@@ -178,7 +175,8 @@ def shipped(monkeypatch, file):
 def test_shipped_policies_are_contenders_of_their_radio():
     assert list(contenders("handset"))[-1] == "ppo" and "ppo" not in contenders("standard")
     assert "ppo" not in contenders("handset", MODES)  # it brings its own
-    assert contenders("handset")["ppo"].trained and not contenders("handset")["imm"].trained
+    assert contender_from("ppo", "handset").trained
+    assert not contender_from("imm", "handset").trained
     named = contender_from("ppo-handset", "standard")
     assert named.name == "ppo-handset" and named.modes == MODES
     with pytest.raises(ValueError, match="found 'ppo-high', expected.*ppo-handset, a .safetensors"):

@@ -7,8 +7,10 @@ import sys
 import numpy as np
 import pytest
 
-from experiments.evaluation.runner import contender_from, draw_episodes, score
+from experiments.evaluation.contenders import contender_from
+from experiments.evaluation.runner import score
 from experiments.evaluation.runs import Run
+from experiments.evaluation.seeds import draw_episodes
 from experiments.learning.curves import curve, draw_curves
 from mmwave_env.episodes.simulated import SimulatedSource
 from mmwave_env.models.radio import RADIOS

@@ -10,8 +10,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from experiments.evaluation.contenders import contender_from
 from experiments.evaluation.intervals import Interval
-from experiments.evaluation.runner import contender_from, score
+from experiments.evaluation.runner import score
 from experiments.paper.bench import Bench, Section, Setting, track
 from experiments.paper.claims import contradictions, resolution
 from experiments.tables import FIELDS, Args, main

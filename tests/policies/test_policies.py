@@ -8,13 +8,18 @@ import numpy as np
 import pytest
 from scipy.stats import binom
 
+from experiments.evaluation.contenders import contender_from
+from experiments.evaluation.runner import score
+from experiments.evaluation.seeds import TUNING_SEED, draw_episodes
 from mmwave_env.engines.imm_engine import transition_from
 from mmwave_env.episodes.episode import blank_incoming
+from mmwave_env.episodes.simulated import SimulatedSource
 from mmwave_env.filters.mode_files import modes_from
 from mmwave_env.filters.modes import Mode
 from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.models.measurement import Layout
-from mmwave_env.models.radio import RADIOS
+from mmwave_env.models.radio import RADIOS, radio_from
+from mmwave_env.models.scene import scene_from
 from mmwave_env.observation import Observation
 from policies import (
     TUNED_IMMS,
@@ -23,7 +28,6 @@ from policies import (
     RandomMode,
     SpeedRule,
     tuned_imm,
-    tuned_threshold,
 )
 from policies.scripted import by_odometry_speed, by_predicted_speed, mode_at
 
@@ -187,30 +191,27 @@ def test_rules_of_tracks_are_the_papers(speed, mode):
     assert by_odometry_speed([99.0] * 7, measured) == mode
 
 
-# --- tuned threshold
+# --- the best threshold of the speed rule
+
+
+@pytest.mark.slow
+@pytest.mark.filterwarnings("ignore:speed .* is outside the design window")
+@pytest.mark.parametrize("radio", RADIOS)
+def test_no_threshold_of_the_speed_rule_beats_zero(radio):
+    """On tuning seeds, so that the rule with the best threshold is fixed-ukf (docs/results.md)."""
+    source = SimulatedSource(scene_from("street"), radio_from(radio))
+    episodes = draw_episodes(source, range(TUNING_SEED, TUNING_SEED + 500))
+    rule = contender_from("speed-rule", radio)
+    table = Observation(Pipeline(rule.modes, source.layout))
+    rewards = {
+        mps: score(rule, SpeedRule(table, mps), episodes)["reward"].mean()
+        for mps in (0.0, 0.25, 0.5, 1.0, 2.0, 3.0)
+    }
+    assert max(rewards, key=rewards.get) == 0.0
 
 
 def shipped(name):
     return json.loads(files("policies").joinpath(f"data/{name}").read_text())
-
-
-@pytest.mark.parametrize("radio", RADIOS)
-def test_the_tuned_threshold_is_the_best_of_the_shipped_file(radio):
-    rewards = {
-        t: r["mean"] for t, r in shipped("thresholds.json")["radios"][radio]["reward"].items()
-    }
-    assert tuned_threshold(radio) == float(max(rewards, key=rewards.get))
-
-
-def test_the_file_of_thresholds_says_how_it_was_made():
-    found = shipped("thresholds.json")
-    assert found["command"].startswith("mmwave-loc tune-threshold --")
-    assert found["seed"] >= 5_000_000  # a tuning seed, never a test seed
-
-
-def test_a_radio_without_a_tuned_threshold_lists_those_with_one():
-    with pytest.raises(ValueError, match="'lab'.*handset"):
-        tuned_threshold("lab")
 
 
 # --- tuned IMMs

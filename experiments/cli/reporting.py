@@ -1,0 +1,96 @@
+"""Contenders run and compared, as ``evaluate``, ``compare`` and ``demo`` print it."""
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from experiments.cli.options import EpisodeArgs
+from experiments.evaluation.bounds import bound_markdown, over_bound
+from experiments.evaluation.comparison import Comparison, compare
+from experiments.evaluation.decisions import Decisions
+from experiments.evaluation.markdown import markdown, show
+from experiments.evaluation.runs import Run, trainings
+from experiments.evaluation.training_seeds import (
+    draw_profiles,
+    over_training_seeds,
+    seeds_markdown,
+)
+from mmwave_env.files import write_json
+from mmwave_env.models.radio import radio_from
+
+
+def report(
+    args: EpisodeArgs,
+    names: Sequence[str],
+    bound: bool = False,
+    figure: Path | None = None,
+    decisions: Path | None = None,
+) -> Comparison:
+    """Run contenders on the episodes, print the tables and write ``args.json``.
+
+    The arguments are those of :func:`results`.
+    """
+    result, text, content = results(args, names, bound, figure, decisions)
+    show(text)
+    if args.json:
+        write_json(args.json, content)
+    return result
+
+
+def results(
+    args: EpisodeArgs,
+    names: Sequence[str],
+    bound: bool = False,
+    figure: Path | None = None,
+    decisions: Path | None = None,
+) -> tuple[Comparison, str, dict[str, Any]]:
+    """Run contenders on the episodes.
+
+    Args:
+        args: which episodes.
+        names: of the contenders; the folder of a run stands for its median training.
+        bound: whether to measure them in posterior Cramer-Rao bounds, too.
+        figure: gets the performance profiles of runs.
+        decisions: gets a picture of what policies choose around stops and pull-aways.
+
+    Returns:
+        The comparison, all tables as Markdown, and every figure as JSON.
+    """
+    source, runs = args.source(), args.runs(names)
+    if figure:
+        _require_profiles(names, runs)
+    files = {name: runs[name].policy if name in runs else name for name in names}
+    learned = [name for name, file in files.items() if args.contender(file).trained]
+    seen = Decisions({file: name for name, file in files.items()}) if decisions else None
+    found = args.evaluate(trainings(names, runs), seen.add if seen else None)
+    scores = {name: found[file] for name, file in files.items()}
+    result = compare(
+        scores, learned, scenario=source.name, radio=args.radio, episodes=args.episodes,
+        seed=args.seed,
+    )  # fmt: skip
+    text, content = markdown(result), result.json
+    if bound:
+        over = over_bound(scores, source, radio_from(args.radio), args.seed)
+        text, content = text + bound_markdown(over), content | {"bound": over.json}
+    if runs:
+        trained = {run: [found[file] for file in run.policies] for run in runs.values()}
+        seeds = over_training_seeds(trained, scores)
+        text += "".join(map(seeds_markdown, seeds))
+        content |= {"training_seeds": {one.run.name: one.json for one in seeds}}
+        if figure:
+            draw_profiles(seeds, figure)
+    if seen and decisions:
+        content |= {"decisions": seen.json}
+        seen.draw(decisions)
+    return result, text, content
+
+
+def _require_profiles(names: Sequence[str], runs: Mapping[str, Run]) -> None:
+    """Refuse a figure of performance profiles that would be empty."""
+    if not runs:
+        raise ValueError("figure: found no folder of a run among the policies, expected one")
+    if not any(name == "speed-rule" or name.startswith(("fixed-", "imm")) for name in names):
+        raise ValueError(
+            "figure: found nobody to compare runs with among the policies, expected speed-rule, "
+            "imm or a fixed mode"
+        )
