@@ -19,7 +19,7 @@ from experiments.evaluation.markdown import show
 from mmwave_env.engines.track_engine import Rule
 from mmwave_env.files import require_writable, write_json
 from mmwave_env.filters.mode_files import modes_from
-from mmwave_env.filters.modes import Mode, robust
+from mmwave_env.filters.modes import DESIGN_LIMIT_MPS, Mode, robust
 from mmwave_env.localization.localizer import SMOOTHING_WINDOW, localize
 from mmwave_env.localization.log import LogBlock, read_log
 from mmwave_env.localization.log_tables import LogError
@@ -27,13 +27,7 @@ from mmwave_env.localization.track_files import TOLERANCE_S, Truth, table_beside
 from mmwave_env.localization.track_scores import Course, Groups, TruthScores
 from mmwave_env.models.radio import radio_from
 from mmwave_env.models.scene import Scene, scene_from
-from policies.scripted import (
-    DESIGN_LIMIT_MPS,
-    SLOW_MPS,
-    by_odometry_speed,
-    by_predicted_speed,
-    mode_at,
-)
+from policies.speed_rule import SLOW_MPS, by_odometry_speed, by_predicted_speed, mode_at
 
 EPOCHS_PER_BLOCK = 1 << 14
 LONGEST_WINDOW = 20_000  # epochs; all of a window are held at once

@@ -8,7 +8,7 @@ from experiments.cli.options import EpisodeArgs, command_line
 from experiments.evaluation.seeds import draw_episodes
 from mmwave_env.episodes.recorded import RecordedSource
 from mmwave_env.episodes.simulated import SimulatedSource
-from mmwave_env.files import beside, write_json, write_text
+from mmwave_env.files import atomic_path, write_json, write_text
 from mmwave_env.localization.log import write_log
 from mmwave_env.localization.tum import COLUMNS, tum_lines
 from mmwave_env.models.scene import Scene, anchors_json
@@ -53,7 +53,7 @@ def main(args: Args) -> None:
     source, scene = _source(args)
     (episode,) = draw_episodes(source, [args.seed])
     files = {name: args.out / name for name in ("log.csv", "scene.json", "truth.tum")}
-    with beside(files["log.csv"]) as log:
+    with atomic_path(files["log.csv"]) as log:
         write_log(log, episode)
     write_json(files["scene.json"], anchors_json(scene))
     if episode.truth_position_m is None:

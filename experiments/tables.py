@@ -16,7 +16,7 @@ from experiments.paper.bench import Bench, Section
 from experiments.paper.claims import all_claims
 from experiments.paper.figure import draw
 from experiments.paper.printed import table_three, tables_one_and_two
-from mmwave_env.files import beside, require_writable, write_json, write_text
+from mmwave_env.files import atomic_path, require_writable, write_json, write_text
 
 SECTIONS = 19
 FIELDS = ("section", "row", "column", "mean", "low", "high")
@@ -66,7 +66,7 @@ def main(args: Args) -> None:
     write_text(args.out / "tables.csv", table.getvalue())
     figures = [args.out / "tables.png"] + ([args.docs.with_suffix(".png")] if args.docs else [])
     for figure in figures:
-        with beside(figure) as path:
+        with atomic_path(figure) as path:
             draw(found, path)
     if args.json:
         rows = [dict(zip(FIELDS, record, strict=True)) for record in records]

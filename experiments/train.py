@@ -15,7 +15,11 @@ from rich.progress import Progress, TimeElapsedColumn
 from experiments.cli.main import run
 from experiments.cli.options import command_line
 from experiments.evaluation.markdown import grid
-from experiments.training.hyperparameters import Recipe, read_recipe, shipped_recipe
+from experiments.training.hyperparameters import (
+    Hyperparameters,
+    read_hyperparameters,
+    shipped_hyperparameters,
+)
 from mmwave_env.files import write_bytes, write_json
 from mmwave_env.filters.mode_files import as_written, modes_from
 from mmwave_env.filters.modes import Mode
@@ -65,14 +69,14 @@ class Args:
             return replace(reward, nees_weight=self.nees_weight)
         return reward
 
-    def recipe(self) -> Recipe:
+    def recipe(self) -> Hyperparameters:
         """The hyperparameters.
 
         Raises:
             ValueError: those of another algorithm.
         """
-        path = self.hyperparameters or shipped_recipe(self.algo)
-        recipe = read_recipe(path)
+        path = self.hyperparameters or shipped_hyperparameters(self.algo)
+        recipe = read_hyperparameters(path)
         if (recipe.lstm > 0) != (self.algo == "recurrent-ppo"):
             expected = "0" if self.algo == "ppo" else "1 or more"
             raise ValueError(
@@ -80,7 +84,7 @@ class Args:
             )
         return recipe
 
-    def manifest(self, modes: Sequence[Mode], recipe: Recipe) -> dict[str, Any]:
+    def manifest(self, modes: Sequence[Mode], recipe: Hyperparameters) -> dict[str, Any]:
         """What decides how a run goes on, as JSON holds it."""
         return {
             "command": command_line("train", replace(self, **ASIDE)),
@@ -182,7 +186,7 @@ def main(args: Args) -> None:
     try:
         from experiments.training.processes import side_by_side
         from experiments.training.trainer import Job
-        from experiments.training.training_env import Task
+        from experiments.training.training_env import TrainingTask
     except ImportError as error:
         raise ValueError(
             f"train needs more than the base install: {error}; pip install 'mmwave-loc[train]'"
@@ -193,7 +197,7 @@ def main(args: Args) -> None:
         if getattr(args, name) < 1:
             raise ValueError(f"{name}: found {getattr(args, name)}, expected 1 or more")
     modes, recipe = modes_from(args.modes or None, args.radio), args.recipe()
-    task = Task(args.scenario, args.radio, modes, args.observation, args.rewards())
+    task = TrainingTask(args.scenario, args.radio, modes, args.observation, args.rewards())
     manifest = args.manifest(modes, recipe)
     jobs = [
         Job(

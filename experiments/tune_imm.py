@@ -18,7 +18,7 @@ from experiments.evaluation.intervals import Interval, bootstrap
 from experiments.evaluation.seeds import TUNING_SEED, draw_episodes, require_tuning_seed
 from experiments.tune import CAP
 from mmwave_env.engines.imm_engine import ImmEngine
-from mmwave_env.episodes.episode import Packed
+from mmwave_env.episodes.episode import EpisodeBatch
 from mmwave_env.episodes.simulated import SimulatedSource
 from mmwave_env.files import write_json
 from mmwave_env.filters.imm import DEFAULT_STAY
@@ -105,7 +105,7 @@ def search_space(modes: tuple[Mode, ...], noise: bool) -> tuple[Array, Array, Bu
     return np.clip(start, *np.transpose(bounds)), np.array(bounds), build
 
 
-def rewards(modes: tuple[Mode, ...], transition: Array | None, q: float, on: Packed) -> Array:
+def rewards(modes: tuple[Mode, ...], transition: Array | None, q: float, on: EpisodeBatch) -> Array:
     """Mean reward (episodes,) of an IMM."""
     imm = ImmEngine(Pipeline(modes, on.layout), TrackingReward(), transition, q)
     earned = imm.run(on, "reward")["reward"]
@@ -113,7 +113,7 @@ def rewards(modes: tuple[Mode, ...], transition: Array | None, q: float, on: Pac
 
 
 def tune(
-    modes: tuple[Mode, ...], limited: bool, episodes: Packed, evaluations: int
+    modes: tuple[Mode, ...], limited: bool, episodes: EpisodeBatch, evaluations: int
 ) -> tuple[tuple[Mode, ...], Array]:
     """The modes and the transition of the best IMM that Powell's method finds.
 
@@ -140,7 +140,7 @@ def tuned(args: Args, radio: str, name: str) -> dict[str, Any]:
     source = SimulatedSource(scene_from("street"), radio_from(radio), args.scenario)
     first, bank = args.seed + args.episodes, TUNED_IMMS[name]
     tuning, held_out = (
-        Packed.of(draw_episodes(source, seeds))
+        EpisodeBatch.of(draw_episodes(source, seeds))
         for seeds in (range(args.seed, first), range(first, first + args.held_out))
     )
     started, q = modes_from(bank.modes, radio), quantile(bank.limited)

@@ -1,8 +1,6 @@
 """The environment: ``gymnasium.make("MmWaveLoc-v0")``."""
 
 import inspect
-import os
-from collections.abc import Sequence
 from typing import Any, cast
 
 import gymnasium as gym
@@ -13,20 +11,18 @@ from numpy.typing import NDArray
 
 from mmwave_env.engines.env_engine import Engine
 from mmwave_env.engines.replay import Replay
-from mmwave_env.episodes.episode import Episode, EpisodeSource
+from mmwave_env.episodes.episode import Episode
 from mmwave_env.episodes.simulated import SimulatedSource
-from mmwave_env.filters.mode_files import modes_from
-from mmwave_env.filters.modes import Mode
+from mmwave_env.filters.mode_files import default_modes, modes_from
 from mmwave_env.filters.pipeline import Pipeline
-from mmwave_env.info import episode_info
+from mmwave_env.info import FLAGS, STATE_KEYS, episode_info, told_rows
 from mmwave_env.lookup import choose
 from mmwave_env.metrics import DIVERGENCE_M
-from mmwave_env.models.radio import Radio, radio_from
-from mmwave_env.models.scene import Scene, scene_from
+from mmwave_env.models.radio import RADIOS, radio_from
+from mmwave_env.models.scene import scene_from
 from mmwave_env.observation import Observation
 from mmwave_env.rendering import FRAMES_PER_SECOND, Picture, blank_picture
-from mmwave_env.reward import Reward
-from mmwave_env.task import setting_from
+from mmwave_env.task import task_from
 
 BACKENDS = {"lanes": "SIMD lanes", "filterpy": "filterpy's filters, slow, independent"}
 
@@ -49,13 +45,11 @@ class MmWaveLocEnv(gym.Env[NDArray[np.float32], np.int64]):
 
     `Discrete(len(modes))`: the mode that processes the current epoch. By default
 
-    | action | mode | algorithm | horizontal velocity noise |
-    |---|---|---|---|
-    | 0 | low mobility | EKF | 0.3 m/s handset, 0.5 m/s standard and high, per epoch of 1 s |
-    | 1 | high mobility | UKF (alpha 1, beta 2, kappa 0) | 1.8 m/s per epoch of 1 s |
+    {modes}
 
-    Both gate each anchor and the Doppler at the 99 % chi-square quantile, recover from
-    lock-out after two epochs, and scale Q and R by the windowed mean of NIS.
+    as `mmwave-loc tune` left them for the three radios; the noise is per epoch of 1 s. Both gate
+    each anchor and the Doppler at the 99 % chi-square quantile, recover from lock-out after two
+    epochs, and scale Q and R by the windowed mean of NIS.
 
     ## Observation Space
 
@@ -142,33 +136,21 @@ class MmWaveLocEnv(gym.Env[NDArray[np.float32], np.int64]):
 
     def __init__(
         self,
-        scenario: str | None = None,
-        radio: str | Radio = "handset",
-        scene: str | Scene | None = None,
-        modes: Sequence[Mode | str] | str | os.PathLike[str] | None = None,
-        reward: str | Reward = "tracking",
+        *,
         observation: str = "full",
-        episode_steps: int | None = None,
-        dt: float | None = None,
-        episodes: str | os.PathLike[str] | EpisodeSource | None = None,
-        planar: bool = False,
-        odometry: bool = False,
-        terminate_on_divergence: bool = False,
         backend: str = "lanes",
         render_mode: str | None = None,
+        **arguments: Any,
     ) -> None:
         if render_mode is not None:
             choose(dict.fromkeys(self.metadata["render_modes"]), render_mode, "render_mode")
         self.render_mode = render_mode
         self._picture: Picture | None = None
-        setting = setting_from(
-            scenario, radio, scene, modes, reward, episode_steps, dt, episodes, planar, odometry,
-            terminate_on_divergence,
-        )  # fmt: skip
-        self._setting = setting
-        self.source, self.radio, self.reward = setting.source, setting.radio, setting.reward
+        task = task_from(**arguments)
+        self._task = task
+        self.source, self.radio, self.reward = task.source, task.radio, task.reward
         choose(BACKENDS, backend, "backend")
-        pipeline = setting.pipeline
+        pipeline = task.pipeline
         if backend == "filterpy":
             from mmwave_env.filters.filterpy_reference import filterpy_pipeline
 
@@ -180,11 +162,11 @@ class MmWaveLocEnv(gym.Env[NDArray[np.float32], np.int64]):
         self.observation_space = cast(Any, self.observation.space)
         self.action_space = spaces.Discrete(len(self.modes))
         at, span = self._engine.at, self._engine.span
-        self._spans = {
-            "observation": span(at.observation), "x": span(at.x), "P": span(at.P),
-            "nis": span(at.memory.nis), "accepted": span(at.memory.accepted),
-            "rejected": span(at.memory.rejected),
-        }  # fmt: skip
+        self._observed, self._P = span(at.observation), span(at.P)
+        self._told = {
+            key: part if isinstance(part, int) else span(part)
+            for key, part in told_rows(at).items()
+        }
         self._episode: Episode | None = None
         self._over = True
         self._steps = 0
@@ -195,19 +177,16 @@ class MmWaveLocEnv(gym.Env[NDArray[np.float32], np.int64]):
     ) -> tuple[NDArray[np.float32], dict[str, Any]]:
         """Draw an episode; the same seed gives the same one. See Gymnasium's `Env.reset`."""
         super().reset(seed=seed, options=options)
-        episode = self._setting.draw(self.np_random)
+        episode = self._task.draw(self.np_random)
         self._engine.reset([episode])
         self._episode, self._over, self._steps = episode, False, 0
         self._actions, self._path = np.zeros(len(episode), np.int64), np.empty((len(episode), 3))
         if self._picture is not None:
             self._picture.begin(episode.scene_anchors_m, self._true_positions(episode))
         column = self._engine.column(0)
-        return column[self._spans["observation"]].astype(np.float32), {
-            "episode_name": episode.name,
-            "nonfinite": episode.nonfinite,
-            "truth": self._truth(episode, 0),
-            "estimate": column[self._spans["x"]],
-        }
+        info: dict[str, Any] = {"episode_name": episode.name, "nonfinite": episode.nonfinite}
+        info |= {key: column[self._told[key]] for key in STATE_KEYS}
+        return column[self._observed].astype(np.float32), info
 
     def step(
         self, action: np.int64
@@ -222,28 +201,16 @@ class MmWaveLocEnv(gym.Env[NDArray[np.float32], np.int64]):
                 f"{self.action_space}"
             )
         observations, _ = self._engine.step(action)
-        at, spans = self._engine.at, self._spans
         column = self._engine.column(0)
+        info = self._step_info(column, int(action))
+        reward, distance = float(column[self._engine.at.reward]), info["position_error_m"]
         self._actions[self._steps] = action
-        self._path[self._steps] = column[spans["x"]][:3]
-        reward = float(column[at.reward])
-        distance = float(column[at.distance])
-        info: dict[str, Any] = {
-            "position_error_m": distance,
-            "nees": float(column[at.nees]),
-            "nis": column[spans["nis"]],
-            "accepted": column[spans["accepted"]] > 0.5,
-            "rejected": column[spans["rejected"]] > 0.5,
-            "mode": int(action),
-            "gamma": float(column[at.memory.gamma]),
-            "truth": self._truth(episode, self._steps),
-            "estimate": column[spans["x"]],
-        }
+        self._path[self._steps] = info["estimate"][:3]
         self._steps += 1
         terminated = False
-        if self._setting.worst is not None and not distance <= DIVERGENCE_M:
+        if self._task.worst is not None and not distance <= DIVERGENCE_M:
             terminated = True
-            reward += self._setting.worst * (len(episode) - self._steps)
+            reward += self._task.worst * (len(episode) - self._steps)
         truncated = not terminated and self._steps == len(episode)
         if terminated or truncated:
             self._over = True
@@ -254,7 +221,7 @@ class MmWaveLocEnv(gym.Env[NDArray[np.float32], np.int64]):
 
     def render(self) -> NDArray[np.uint8] | None:
         """The epoch just processed, from above: (480, 480, 3) for "rgb_array"."""
-        episode, steps, spans = self._episode, self._steps, self._spans
+        episode, steps = self._episode, self._steps
         if self.render_mode is None or episode is None or steps == 0:
             return None if self.render_mode != "rgb_array" else blank_picture()
         truth = self._true_positions(episode)
@@ -262,14 +229,14 @@ class MmWaveLocEnv(gym.Env[NDArray[np.float32], np.int64]):
             self._picture = Picture([m.name for m in self.modes], self.render_mode == "human")
             self._picture.begin(episode.scene_anchors_m, truth)
         now: Any = self._engine.column(0)
-        variances = now[spans["P"]]  # packed: xx, xy, yy first
+        variances = now[self._P]  # packed: xx, xy, yy first
         picture = self._picture.draw(
             truth[:steps],
             self._path[:steps],
             np.array([[variances[0], variances[1]], [variances[1], variances[2]]]),
             self._actions[:steps],
-            now[spans["accepted"]] > 0.5,
-            now[spans["rejected"]] > 0.5,
+            now[self._told["accepted"]] > 0.5,
+            now[self._told["rejected"]] > 0.5,
         )
         return picture if self.render_mode == "rgb_array" else None
 
@@ -279,10 +246,13 @@ class MmWaveLocEnv(gym.Env[NDArray[np.float32], np.int64]):
             self._picture.close()
             self._picture = None
 
-    @staticmethod
-    def _truth(episode: Episode, epoch: int) -> NDArray[np.float64]:
-        assert episode.truth_position_m is not None and episode.truth_velocity_mps is not None
-        return np.concatenate([episode.truth_position_m[epoch], episode.truth_velocity_mps[epoch]])
+    def _step_info(self, column: NDArray[np.float64], mode: int) -> dict[str, Any]:
+        """What a step tells, from the workspace (size,) after it."""
+        info: dict[str, Any] = {}
+        for key, rows in self._told.items():
+            value = column[rows]
+            info[key] = float(value) if isinstance(rows, int) else value
+        return info | {key: info[key] > 0.5 for key in FLAGS} | {"mode": mode}
 
     @staticmethod
     def _true_positions(episode: Episode) -> NDArray[np.float64]:
@@ -299,12 +269,23 @@ class MmWaveLocEnv(gym.Env[NDArray[np.float32], np.int64]):
         return {key: float(value[0]) for key, value in found.items()}
 
 
-def _with_table(docstring: str) -> str:
-    """The docstring with the observation table of the default environment in it."""
+def _with_tables(docstring: str) -> str:
+    """The docstring with the modes and the observation of the default environment in it."""
     source = SimulatedSource(scene_from("street"), radio_from("handset"))
-    table = Observation(Pipeline(modes_from(None), source.layout)).table()
-    return inspect.cleandoc(docstring).replace("{table}", table)
+    observed = Observation(Pipeline(modes_from(None), source.layout)).table()
+    return inspect.cleandoc(docstring).replace("{table}", observed).replace("{modes}", _modes())
+
+
+def _modes() -> str:
+    """The default modes as a table, with what was tuned for each radio."""
+    lines = ["| action | mode | algorithm | horizontal velocity noise, m/s |", "|---|---|---|---|"]
+    for action, (kind, algorithm) in enumerate(
+        (("low mobility", "EKF"), ("high mobility", "UKF (alpha 1, beta 2, kappa 0)"))
+    ):
+        tuned = (f"{default_modes(radio)[action].sigma_v:.2f} {radio}" for radio in RADIOS)
+        lines.append(f"| {action} | {kind} | {algorithm} | {', '.join(tuned)} |")
+    return "\n".join(lines)
 
 
 if MmWaveLocEnv.__doc__ is not None:  # python -OO drops docstrings
-    MmWaveLocEnv.__doc__ = _with_table(MmWaveLocEnv.__doc__)
+    MmWaveLocEnv.__doc__ = _with_tables(MmWaveLocEnv.__doc__)

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from typing import NamedTuple, TypeVar
 
 from mmwave_env.filters.memory import Memory
-from mmwave_env.filters.mode_result import Candidate, plausibility
+from mmwave_env.filters.mode_result import ModeResult, capped_log_likelihood
 from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.models.epoch import Epoch, Site
 from mmwave_env.models.measurement import Layout
@@ -37,7 +37,7 @@ class View(NamedTuple):
     x: Vector
     P: Matrix
     memory: Memory
-    candidates: list[Candidate]
+    candidates: list[ModeResult]
     epoch: Epoch
     site: Site
 
@@ -256,7 +256,7 @@ def _innovation(pipeline: Pipeline) -> list[Feature]:
     return [doppler, *nis]
 
 
-def _mean_nis(layout: Layout, candidate: Candidate, epoch: Epoch) -> Number:
+def _mean_nis(layout: Layout, candidate: ModeResult, epoch: Epoch) -> Number:
     rows = dot(epoch.visible, [float(r.stop - r.start) for r in layout.groups])
     total = dot(epoch.visible, candidate.nis)
     return total / where(rows > 0.5, rows, 1.0)
@@ -303,7 +303,10 @@ def _against(layout: Layout, m: int, name: str, last: str) -> list[Feature]:
     now = Feature(
         f"coming log-likelihood {name}", f"minus that of {last}; NIS counts up to 99.9 %", "nats",
         5, -6, 6,
-        lambda v: plausibility(v.candidates[m], layout) - plausibility(v.candidates[-1], layout),
+        lambda v: (
+            capped_log_likelihood(v.candidates[m], layout)
+            - capped_log_likelihood(v.candidates[-1], layout)
+        ),
     )  # fmt: skip
     past = [
         Feature(

@@ -25,7 +25,7 @@ def require_writable(path: Path) -> None:
 
 
 @contextmanager
-def beside(path: Path) -> Iterator[Path]:
+def atomic_path(path: Path) -> Iterator[Path]:
     """A file to write, beside ``path`` and with its endings, that takes its place at the end.
 
     If the block fails, the file vanishes and ``path`` stays as it was. Folders on the way are
@@ -46,13 +46,13 @@ def beside(path: Path) -> Iterator[Path]:
 
 def write_text(path: Path, text: str) -> None:
     """Write a file in one step; folders on the way are made."""
-    with beside(path) as temporary:
+    with atomic_path(path) as temporary:
         temporary.write_text(text, encoding="utf-8", newline="\n")
 
 
 def write_bytes(path: Path, content: bytes) -> None:
     """Write a binary file in one step; folders on the way are made."""
-    with beside(path) as temporary:
+    with atomic_path(path) as temporary:
         temporary.write_bytes(content)
 
 

@@ -11,12 +11,27 @@ from mmwave_env.metrics import accuracy, ate, scored
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
+STATE_KEYS = ("truth", "estimate")  # told at reset, too
 STEP_KEYS = ("position_error_m", "nees", "nis", "accepted", "rejected", "mode", "gamma")
-STATE_KEYS = ("truth", "estimate")
-METRICS = {
+FLAGS = ("accepted", "rejected")
+EPISODE_KEYS = {
     "ate_m": "ate_m", "rmse_m": "rmse_m", "rpe_m": "rpe_m", "nees": "mean_nees",
     "in_bounds": "in_bounds", "divergence_rate": "divergence",
 }  # fmt: skip
+
+
+def told_rows(at: Any) -> dict[str, Any]:
+    """The parts of an environment's workspace that its infos tell, all but ``mode``.
+
+    Args:
+        at: workspace of :mod:`~mmwave_env.engines.env_engine` with row numbers as leaves.
+    """
+    memory = at.memory
+    return {
+        "position_error_m": at.distance, "nees": at.nees, "nis": memory.nis,
+        "accepted": memory.accepted, "rejected": memory.rejected, "gamma": memory.gamma,
+        "truth": at.truth, "estimate": at.x,
+    }  # fmt: skip
 
 
 def masked(values: dict[str, NDArray[Any]], where: Mask) -> dict[str, Any]:
@@ -61,11 +76,11 @@ def episode_info(
     n, epochs = nees.shape
     rate = 1.0 / np.median(dt, axis=-1) if epochs > 1 else np.ones(n)
     second = np.maximum(1, np.round(rate))
-    found = {name: np.empty(n) for name in METRICS.values()}
+    found = {name: np.empty(n) for name in EPISODE_KEYS.values()}
     seconds = set(second.tolist())  # epochs in one; usually all tracks have as many
     for alike in seconds:
         some = slice(None) if len(seconds) == 1 else second == alike
         metrics = accuracy(error[some], nees[some], alike, 2 if planar else 3)
         for name, values in metrics.items():
-            found[METRICS[name]][some] = values
+            found[EPISODE_KEYS[name]][some] = values
     return {**found, "smoothed_ate_m": ate(smoothed[:, scored(epochs)])}

@@ -2,14 +2,14 @@
 
 import os
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
-from typing import cast
+from dataclasses import dataclass, fields
+from typing import Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
 from mmwave_env.compiler.rng import Generators
-from mmwave_env.episodes.episode import Episode, EpisodeSource, Packed
+from mmwave_env.episodes.episode import Episode, EpisodeBatch, EpisodeSource
 from mmwave_env.episodes.recorded import RecordedSource
 from mmwave_env.episodes.samples import recording_from
 from mmwave_env.episodes.simulated import SimulatedSource
@@ -27,7 +27,7 @@ EPISODE_STEPS = 200
 
 
 @dataclass(frozen=True)
-class Setting:
+class Task:
     """A task: where episodes come from, what filters them and what counts.
 
     Attributes:
@@ -59,7 +59,7 @@ class Setting:
         places: Index,
         room: Callable[[int], Array | None],
         threads: int = 1,
-    ) -> Packed:
+    ) -> EpisodeBatch:
         """The next episodes of many environments, the same as one by one.
 
         Args:
@@ -69,10 +69,10 @@ class Setting:
             threads: how many may draw at once.
         """
         if not self.simulated:
-            return Packed.of([self.draw(generators.whole(int(place))) for place in places])
+            return EpisodeBatch.of([self.draw(generators.whole(int(place))) for place in places])
         source = cast(SimulatedSource, self.source)
         with generators.states(places) as states:
-            episodes = source.packed(states, room(source.epochs), threads)
+            episodes = source.sample_batch(states, room(source.epochs), threads)
         return episodes.on_flat_ground() if self.pipeline.planar else episodes
 
     @property
@@ -81,49 +81,69 @@ class Setting:
         return type(self.source) is SimulatedSource  # others may draw in ways of their own
 
 
-def setting_from(
-    scenario: str | None = None,
-    radio: str | Radio = "handset",
-    scene: str | Scene | None = None,
-    modes: Sequence[Mode | str] | str | os.PathLike[str] | None = None,
-    reward: str | Reward = "tracking",
-    episode_steps: int | None = None,
-    dt: float | None = None,
-    episodes: str | os.PathLike[str] | EpisodeSource | None = None,
-    planar: bool = False,
-    odometry: bool = False,
-    terminate_on_divergence: bool = False,
-) -> Setting:
-    """The task of an environment's arguments, which its class explains.
+@dataclass(frozen=True, kw_only=True)
+class TaskArguments:
+    """The arguments of an environment that say what the task is, with their defaults.
+
+    :class:`~mmwave_env.env.MmWaveLocEnv` explains them.
+    """
+
+    scenario: str | None = None
+    radio: str | Radio = "handset"
+    scene: str | Scene | None = None
+    modes: Sequence[Mode | str] | str | os.PathLike[str] | None = None
+    reward: str | Reward = "tracking"
+    episode_steps: int | None = None
+    dt: float | None = None
+    episodes: str | os.PathLike[str] | EpisodeSource | None = None
+    planar: bool = False
+    odometry: bool = False
+    terminate_on_divergence: bool = False
+
+
+def task_from(**arguments: Any) -> Task:
+    """The task of an environment's arguments, which are those of :class:`TaskArguments`.
 
     Raises:
+        TypeError: an argument that there is not.
         ValueError: an argument that means nothing; the message says what would.
     """
-    radio = radio_from(radio)
-    if episodes is None:
-        source: EpisodeSource = SimulatedSource(
-            scene_from("street" if scene is None else scene),
-            radio,
-            "mixed" if scenario is None else scenario,
-            1.0 if dt is None else dt,
-            EPISODE_STEPS if episode_steps is None else episode_steps,
-            odometry,
-        )
-    else:
-        brought = {"scenario": scenario, "scene": scene, "dt": dt, "odometry": odometry or None}
-        for name, value in brought.items():
-            if value is not None:
-                raise ValueError(f"{name}: found {value!r}, but recorded episodes= bring it")
-        source = _recorded(episodes, radio, episode_steps)
-        radio = getattr(source, "radio", radio)
-    pays = reward_from(reward)
-    pipeline = Pipeline(modes_from(modes, radio.name), source.layout, planar)
+    known = [field.name for field in fields(TaskArguments)]
+    for name in arguments:
+        if name not in known:
+            raise TypeError(f"argument: found {name!r}, expected one of {', '.join(known)}")
+    given = TaskArguments(**arguments)
+    source, radio = _source(given, radio_from(given.radio))
+    pays = reward_from(given.reward)
+    pipeline = Pipeline(modes_from(given.modes, radio.name), source.layout, given.planar)
     worst = None
-    if terminate_on_divergence:
+    if given.terminate_on_divergence:
         if getattr(pays, "worst", None) is None:
             raise ValueError("terminate_on_divergence: the reward needs an attribute `worst`")
         worst = pays.worst - max(mode.cost for mode in pipeline.modes)  # type: ignore[attr-defined]
-    return Setting(source, radio, pipeline, pays, worst)
+    return Task(source, radio, pipeline, pays, worst)
+
+
+def _source(given: TaskArguments, radio: Radio) -> tuple[EpisodeSource, Radio]:
+    """Where the episodes come from, and the radio that they were received with."""
+    if given.episodes is None:
+        return SimulatedSource(
+            scene_from("street" if given.scene is None else given.scene),
+            radio,
+            "mixed" if given.scenario is None else given.scenario,
+            1.0 if given.dt is None else given.dt,
+            EPISODE_STEPS if given.episode_steps is None else given.episode_steps,
+            given.odometry,
+        ), radio
+    brought = {
+        "scenario": given.scenario, "scene": given.scene, "dt": given.dt,
+        "odometry": given.odometry or None,
+    }  # fmt: skip
+    for name, value in brought.items():
+        if value is not None:
+            raise ValueError(f"{name}: found {value!r}, but recorded episodes= bring it")
+    source = _recorded(given.episodes, radio, given.episode_steps)
+    return source, getattr(source, "radio", radio)
 
 
 def _recorded(

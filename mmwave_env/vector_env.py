@@ -23,7 +23,7 @@ from mmwave_env.episodes.simulated import SimulatedSource
 from mmwave_env.info import Mask, episode_info, masked, stepped
 from mmwave_env.lookup import choose
 from mmwave_env.metrics import DIVERGENCE_M
-from mmwave_env.task import setting_from
+from mmwave_env.task import task_from
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -90,19 +90,17 @@ class MmWaveLocVectorEnv(gym.vector.VectorEnv[Observations, Index, NDArray[Any]]
         )
         self.metadata = {"render_modes": [], "autoreset_mode": self._autoreset}
         self.num_envs, self._threads = num_envs, threads
-        self._setting = setting = setting_from(**arguments)
-        self.source, self.radio, self.reward = setting.source, setting.radio, setting.reward
-        self._engine = Engine(
-            setting.pipeline, num_envs, setting.reward, observation, threads=threads
-        )
+        self._task = task = task_from(**arguments)
+        self.source, self.radio, self.reward = task.source, task.radio, task.reward
+        self._engine = Engine(task.pipeline, num_envs, task.reward, observation, threads=threads)
         self.batch = self._engine.batch
-        self.modes, self.observation = setting.pipeline.modes, self._engine.observation
+        self.modes, self.observation = task.pipeline.modes, self._engine.observation
         self.single_observation_space = cast(Any, self.observation.space)
         self.single_action_space = cast(Any, spaces.Discrete(len(self.modes)))
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
-        self._stepper, self._replay = Stepper(self._engine), Replay(setting.pipeline)
-        self._generators = Generators(num_envs, setting.simulated)
+        self._stepper, self._replay = Stepper(self._engine), Replay(task.pipeline)
+        self._generators = Generators(num_envs, task.simulated)
         self._begun = False
         self._mode_count = np.array(len(self.modes), np.uint64)
         self._none_over = np.zeros(num_envs, np.bool_)
@@ -182,10 +180,10 @@ class MmWaveLocVectorEnv(gym.vector.VectorEnv[Observations, Index, NDArray[Any]]
         for first in range(0, len(places), DRAWN):
             some = places[first : first + DRAWN]
             room = partial(self._engine.batch.room, some)
-            episodes = self._setting.draw_many(self._generators, some, room, self._threads)
+            episodes = self._task.draw_many(self._generators, some, room, self._threads)
             self._engine.load(episodes, some)
             names[some], nonfinite[some] = episodes.names, episodes.nonfinite
-        self._stepper.history.make_room(self._engine.batch.tracks.table.shape[1])
+        self._stepper.history.make_room(self._engine.batch.state.table.shape[1])
         self._over = self._over.copy()
         self._over[places] = False
         self._ended = int(np.count_nonzero(self._over))
@@ -201,11 +199,11 @@ class MmWaveLocVectorEnv(gym.vector.VectorEnv[Observations, Index, NDArray[Any]]
         if resets:
             rewards[fresh] = 0.0
             infos = stepped(infos, ~fresh) | masked(drawn, fresh)
-        if self._setting.worst is not None:
+        if self._task.worst is not None:
             terminated = ~(fresh | (error <= DIVERGENCE_M))
-            tracks = self._engine.batch.tracks  # an epoch ahead: it waits for the next action
+            tracks = self._engine.batch.state  # an epoch ahead: it waits for the next action
             left = (tracks.length + 1 - tracks.epoch)[terminated]
-            rewards[terminated] += self._setting.worst * left
+            rewards[terminated] += self._task.worst * left
             truncated &= ~terminated
             self._ended = int(np.count_nonzero(terminated | truncated))
         self._over = self._none_over
@@ -240,17 +238,17 @@ class MmWaveLocVectorEnv(gym.vector.VectorEnv[Observations, Index, NDArray[Any]]
 
     def _metrics(self) -> dict[str, NDArray[Any]]:
         """What the last step of an episode tells, (N,) each: the episodes are run again."""
-        batch, planar = self._engine.batch, self._setting.pipeline.planar
+        batch, planar = self._engine.batch, self._task.pipeline.planar
 
         def metrics(some: Index, steps: int) -> dict[str, Array]:
             actions = self._stepper.history.of(some, steps)
             error, nees, smoothed = self._replay.run(batch, some, actions)
-            dt = batch.tracks.table[some, 1:steps, columns_of(batch.layout).dt]
+            dt = batch.state.table[some, 1:steps, columns_of(batch.layout).dt]
             return episode_info(error, nees, smoothed, dt, planar)
 
         jobs = []
         ended = np.flatnonzero(self._over)
-        taken = batch.tracks.epoch[ended] - 1
+        taken = batch.state.epoch[ended] - 1
         for steps in set(taken.tolist()):
             alike = ended[taken == steps]
             parts = portions(len(alike), self._threads, REPLAYED)
@@ -290,7 +288,7 @@ class MmWaveLocVectorEnv(gym.vector.VectorEnv[Observations, Index, NDArray[Any]]
         if not self._begun:
             raise ResetNeeded("Call reset before state: there is no episode under way.")
         self._require_simulated("state")
-        tracks = self.batch.tracks
+        tracks = self.batch.state
         return {
             "rows": tracks.rows.copy(), "table": tracks.table.copy(),
             "length": tracks.length.copy(), "epoch": tracks.epoch.copy(),
@@ -309,7 +307,7 @@ class MmWaveLocVectorEnv(gym.vector.VectorEnv[Observations, Index, NDArray[Any]]
                 episodes come from a source that is given whole generators.
         """
         self._require_simulated("restore")
-        n, tracks = self.num_envs, self.batch.tracks
+        n, tracks = self.num_envs, self.batch.state
         epochs = cast(SimulatedSource, self.source).epochs
         for name, expected in {
             "rows": tracks.rows.shape, "table": (n, epochs, tracks.table.shape[2]),
@@ -324,14 +322,14 @@ class MmWaveLocVectorEnv(gym.vector.VectorEnv[Observations, Index, NDArray[Any]]
                 )
         tracks.rows[:], tracks.length[:] = state["rows"], state["length"]
         tracks.epoch[:] = state["epoch"]
-        self.batch.tracks = tracks._replace(table=state["table"].copy())
+        self.batch.state = tracks._replace(table=state["table"].copy())
         self._generators.set_bare(state["generators"])
         self._stepper.history.set_all(state["actions"])
         self._over, self._ended = state["over"].copy(), int(np.count_nonzero(state["over"]))
         self._begun = True
 
     def _require_simulated(self, what: str) -> None:
-        if not self._setting.simulated:
+        if not self._task.simulated:
             raise ValueError(
                 f"{what}: found episodes of a source of your own, or recorded ones, expected "
                 "simulated ones; what such a source remembers is not known here"

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from mmwave_env.files import beside, require_writable, write_bytes, write_json, write_text
+from mmwave_env.files import atomic_path, require_writable, write_bytes, write_json, write_text
 
 
 def names(folder):
@@ -15,7 +15,7 @@ def names(folder):
 
 def test_a_file_takes_its_place_at_the_end(tmp_path):
     path = tmp_path / "new" / "log.csv.gz"
-    with beside(path) as temporary:
+    with atomic_path(path) as temporary:
         assert temporary.parent == path.parent and temporary.name.endswith(".log.csv.gz")
         temporary.write_bytes(b"numbers")
         assert not path.exists()
@@ -29,7 +29,7 @@ def test_a_block_that_fails_leaves_everything_as_it_was(tmp_path, error):
     path.write_text("old")
 
     def write():
-        with beside(path) as temporary:
+        with atomic_path(path) as temporary:
             temporary.write_text("half of the ne")
             raise error
 
@@ -39,7 +39,7 @@ def test_a_block_that_fails_leaves_everything_as_it_was(tmp_path, error):
 
 
 def test_a_block_may_fail_after_its_file_is_gone(tmp_path):
-    with pytest.raises(FileNotFoundError), beside(tmp_path / "log.csv") as temporary:
+    with pytest.raises(FileNotFoundError), atomic_path(tmp_path / "log.csv") as temporary:
         temporary.unlink()
     assert names(tmp_path) == []
 

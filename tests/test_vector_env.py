@@ -299,7 +299,7 @@ def test_after_a_reset_that_failed_there_is_no_episode(monkeypatch):
     env = native(3, **EKF)
     env.reset(seed=0)
     with monkeypatch.context() as patch:
-        patch.setattr(env.unwrapped.source.__class__, "packed", lambda *_: 1 / 0)
+        patch.setattr(env.unwrapped.source.__class__, "sample_batch", lambda *_: 1 / 0)
         with pytest.raises(ZeroDivisionError):
             env.reset(seed=1)
     with pytest.raises(ResetNeeded):

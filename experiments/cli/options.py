@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from experiments.evaluation.contenders import Contender, contender_from, contenders
-from experiments.evaluation.runner import Scores, Watch, evaluate
+from experiments.evaluation.runner import Scores, Watch, score_contenders
 from experiments.evaluation.runs import Run
 from mmwave_env.episodes.episode import EpisodeSource
 from mmwave_env.episodes.recorded import RecordedSource
@@ -70,10 +70,12 @@ class EpisodeArgs:
         known = self.contenders()
         return {n: Run.read(n) for n in names if n not in known and Path(n).is_dir()}
 
-    def evaluate(self, names: Sequence[str], watch: Watch | None = None) -> dict[str, Scores]:
+    def score_contenders(
+        self, names: Sequence[str], watch: Watch | None = None
+    ) -> dict[str, Scores]:
         """Scores of contenders on the episodes."""
         source, modes = self.source(), self._modes()
-        return evaluate(names, source, self.radio, self.episodes, self.seed, modes, watch)
+        return score_contenders(names, source, self.radio, self.episodes, self.seed, modes, watch)
 
     def source(self) -> EpisodeSource:
         """Where the episodes come from."""

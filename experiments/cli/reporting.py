@@ -1,4 +1,4 @@
-"""Contenders run and compared, as ``evaluate``, ``compare`` and ``demo`` print it."""
+"""Contenders run and compared, as ``score_contenders``, ``compare`` and ``demo`` print it."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -6,7 +6,7 @@ from typing import Any
 
 from experiments.cli.options import EpisodeArgs
 from experiments.evaluation.bounds import bound_markdown, over_bound
-from experiments.evaluation.comparison import Comparison, compare
+from experiments.evaluation.comparison import Comparison, compare_scores
 from experiments.evaluation.decisions import Decisions
 from experiments.evaluation.markdown import markdown, show
 from experiments.evaluation.runs import Run, trainings
@@ -62,9 +62,9 @@ def results(
     files = {name: runs[name].policy if name in runs else name for name in names}
     learned = [name for name, file in files.items() if args.contender(file).trained]
     seen = Decisions({file: name for name, file in files.items()}) if decisions else None
-    found = args.evaluate(trainings(names, runs), seen.add if seen else None)
+    found = args.score_contenders(trainings(names, runs), seen.add if seen else None)
     scores = {name: found[file] for name, file in files.items()}
-    result = compare(
+    result = compare_scores(
         scores, learned, scenario=source.name, radio=args.radio, episodes=args.episodes,
         seed=args.seed,
     )  # fmt: skip

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mmwave_env.files import beside
+from mmwave_env.files import atomic_path
 from mmwave_env.localization.localizer import TrackBlock
 
 Array = NDArray[np.float64]
@@ -55,7 +55,7 @@ class TrackPicture:
         self._draw_above(above)
         self._draw_over_time(over_time)
         figure.suptitle(title)
-        with beside(path) as temporary:
+        with atomic_path(path) as temporary:
             figure.savefig(temporary, dpi=120)
 
     def _draw_above(self, axes: Any) -> None:

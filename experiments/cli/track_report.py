@@ -3,8 +3,8 @@
 from typing import Any
 
 from experiments.evaluation.markdown import HEADERS, grid
+from mmwave_env.filters.modes import DESIGN_LIMIT_MPS
 from mmwave_env.localization.segments import GAP_S
-from policies.scripted import DESIGN_LIMIT_MPS
 
 
 def _decimals(value: float | None, digits: int = 3) -> str:

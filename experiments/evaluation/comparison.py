@@ -53,11 +53,13 @@ def rivals(scores: dict[str, Scores]) -> list[str]:
     return [*references(scores), *(name for name in scores if name.startswith("imm-"))]
 
 
-def compare(scores: dict[str, Scores], learned: Sequence[str] = (), **what: Any) -> Comparison:
+def compare_scores(
+    scores: dict[str, Scores], learned: Sequence[str] = (), **what: Any
+) -> Comparison:
     """Intervals of every contender, and paired differences against the references.
 
     Args:
-        scores: of :func:`evaluate`.
+        scores: of :func:`~experiments.evaluation.runner.score_contenders`.
         learned: contenders to compare with every IMM.
         what: the other attributes of :class:`Comparison`.
     """

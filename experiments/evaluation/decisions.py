@@ -16,9 +16,9 @@ from numpy.typing import NDArray
 
 from experiments.evaluation.contenders import Contender
 from experiments.evaluation.intervals import Array
-from experiments.evaluation.runner import Told, step_s
+from experiments.evaluation.runner import EpochResults, step_s
 from mmwave_env.episodes.episode import Episode
-from mmwave_env.files import beside
+from mmwave_env.files import atomic_path
 from mmwave_env.metrics import BURN_IN
 
 STILL_MPS, MOVING_MPS, FAST_MPS = 0.3, 0.5, 2.0
@@ -105,7 +105,7 @@ class Decisions:
         default_factory=lambda: {kind: {} for kind in EVENTS}
     )
 
-    def add(self, contender: Contender, episodes: Sequence[Episode], told: Told) -> None:
+    def add(self, contender: Contender, episodes: Sequence[Episode], told: EpochResults) -> None:
         """Take what a contender told of episodes with truth."""
         if contender.name not in self.names:
             return
@@ -174,7 +174,7 @@ class Decisions:
         panels[0, 0].set_ylabel("mean position error (m)")
         for axes, name in zip(panels[1:, 0], self.modes, strict=True):
             axes.set_ylabel(f"{Path(name).name}\nshare of modes")
-        with beside(path) as temporary:
+        with atomic_path(path) as temporary:
             figure.savefig(temporary, dpi=120)
 
     def _draw_errors(self, axes: Any, kind: str, table: Mapping[str, Around]) -> None:

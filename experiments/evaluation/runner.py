@@ -24,12 +24,14 @@ from policies import (
 Array = NDArray[np.float64]
 Scores = dict[str, Array]  # metric -> (episodes,)
 
-Told = dict[str, NDArray[Any]]  # "reward", "nees" (n, T), "error" (n, T, 3); policies': "mode"
+EpochResults = dict[
+    str, NDArray[Any]
+]  # "reward", "nees" (n, T), "error" (n, T, 3); policies': "mode"
 
 CHUNK = 1000  # episodes in memory at once
 
 
-Watch = Callable[[Contender, Sequence[Episode], Told], None]
+Watch = Callable[[Contender, Sequence[Episode], EpochResults], None]
 
 
 def score(
@@ -39,15 +41,15 @@ def score(
     reward: Reward | None = None,
 ) -> Scores:
     """Metrics per episode of a contender and its policy, on episodes of one length."""
-    return _summary(localise(contender, policy, episodes, reward), episodes)
+    return _summary(run_contender(contender, policy, episodes, reward), episodes)
 
 
-def localise(
+def run_contender(
     contender: Contender,
     policy: Policy | None,
     episodes: Sequence[Episode],
     reward: Reward | None = None,
-) -> Told:
+) -> EpochResults:
     """What a contender and its policy tell of every epoch, on episodes of one length.
 
     Returns:
@@ -69,7 +71,7 @@ def step_s(episode: Episode) -> float:
     return float(np.median(np.diff(episode.time_s))) if len(episode) > 1 else 1.0
 
 
-def _summary(told: Told, episodes: Sequence[Episode]) -> Scores:
+def _summary(told: EpochResults, episodes: Sequence[Episode]) -> Scores:
     return summary(told["reward"], told["error"], told["nees"], 1.0 / step_s(episodes[0]))
 
 
@@ -79,8 +81,8 @@ def _steered(
     contender: Contender,
     episodes: Sequence[Episode],
     reward: Reward,
-) -> Told:
-    """As :func:`localise`, where a policy picks the modes."""
+) -> EpochResults:
+    """As :func:`run_contender`, where a policy picks the modes."""
     n, T = len(episodes), len(episodes[0])
     engine = Engine(pipeline, n, reward, contender.observation)
     engine.reset(episodes)
@@ -101,7 +103,7 @@ def _steered(
     return program.by_name(names, told) | {"mode": modes}
 
 
-def evaluate(
+def score_contenders(
     names: Sequence[str],
     source: EpisodeSource,
     radio: str,
@@ -119,7 +121,7 @@ def evaluate(
         episodes: how many.
         seed: of the first.
         modes: as of :func:`contenders`.
-        watch: gets every contender, episodes, and what :func:`localise` tells of them.
+        watch: gets every contender, episodes, and what :func:`run_contender` tells of them.
 
     Raises:
         ValueError: unknown or repeated contender, or fewer than one episode.
@@ -139,7 +141,7 @@ def evaluate(
                 batch += draw_episodes(source, [one])
                 progress.advance(task)
             for contender, policy in zip(chosen, policies, strict=True):
-                told = localise(contender, policy, batch)
+                told = run_contender(contender, policy, batch)
                 parts[contender.name].append(_summary(told, batch))
                 if watch:
                     watch(contender, batch, told)

@@ -24,7 +24,7 @@ from experiments.evaluation.intervals import (
 from experiments.evaluation.markdown import grid
 from experiments.evaluation.runner import Scores
 from experiments.evaluation.runs import Run
-from mmwave_env.files import beside
+from mmwave_env.files import atomic_path
 
 LEVELS = 81  # of a performance profile
 COLUMNS = 5  # of panels
@@ -186,5 +186,5 @@ def draw_profiles(found: Sequence[TrainingSeeds], path: Path) -> None:
     for axes in grid_of_axes[:, 0]:
         axes.set_ylabel("share of seeds and episodes")
     grid_of_axes[0, 0].legend(loc="upper right", frameon=False)
-    with beside(path) as temporary:
+    with atomic_path(path) as temporary:
         picture.savefig(temporary, dpi=120)

@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 
 from experiments import train
 from experiments.cli.main import run
-from experiments.training.hyperparameters import read_recipe, shipped_recipe
+from experiments.training.hyperparameters import read_hyperparameters, shipped_hyperparameters
 from mmwave_env.files import write_json
 from mmwave_env.filters.mode_files import as_written, default_modes
 from mmwave_env.lookup import choose
@@ -75,7 +75,9 @@ def training(args: Args, name: str) -> train.Args:
     )  # fmt: skip
     options = replace(options, **variant.options)
     if variant.recipe:
-        recipe = replace(read_recipe(shipped_recipe(options.algo)), **variant.recipe)
+        recipe = replace(
+            read_hyperparameters(shipped_hyperparameters(options.algo)), **variant.recipe
+        )
         path = args.out / f"{name}.json"
         write_json(path, asdict(recipe))
         options = replace(options, hyperparameters=path)

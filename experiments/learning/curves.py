@@ -4,7 +4,7 @@ import csv
 from collections.abc import Sequence
 from pathlib import Path
 
-from mmwave_env.files import beside
+from mmwave_env.files import atomic_path
 
 RIVALS = ("speed-rule", "imm")  # as in a journal
 COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7")  # told apart by colour-blind people, too
@@ -35,5 +35,5 @@ def draw_curves(runs: Sequence[Path], path: Path) -> None:
         axes.set(xscale="log", xlabel="steps", ylabel=f"reward minus {rival}'s, tuning seeds")
         axes.grid(alpha=0.3)
         axes.legend(fontsize="small")
-    with beside(path) as temporary:
+    with atomic_path(path) as temporary:
         picture.savefig(temporary, dpi=120)

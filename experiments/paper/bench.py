@@ -131,7 +131,7 @@ def _tracks(
     dt = np.diff(episodes[0].time_s)
     better_x, better_P = smooth(x, found["P"], found["P_predicted"], dt, planar)
     better = error + better_x[..., :3] - x[..., :3]
-    covariance = unpack(list(np.moveaxis(better_P, -1, 0)), zero=pipeline.pinned)
+    covariance = unpack(list(np.moveaxis(better_P, -1, 0)), zero=pipeline.known_axes)
     # The error as the state and the origin as the truth: NEES sees their difference alone.
     offset = Belief(list(np.moveaxis(better, -1, 0)), covariance, pipeline.position_axes)
     return error, found["nees"], better, offset.nees([0.0] * 3)

@@ -7,7 +7,7 @@ from typing import Any
 from experiments.speed.measured import Measured
 from experiments.speed.report import label, limited
 from experiments.speed.workloads import CARTPOLES, SYNC, SYNC_NAME, THREADS
-from mmwave_env.files import beside
+from mmwave_env.files import atomic_path
 
 _COLOURS = ("#0072b2", "#d55e00")  # told apart by colour-blind people, too
 
@@ -22,7 +22,7 @@ def draw(measured: Measured, path: Path) -> None:
     rates, limits = figure.subplots(1, 2)
     _draw_rates(rates, measured)
     _draw_limits(limits, measured)
-    with beside(path) as temporary:
+    with atomic_path(path) as temporary:
         figure.savefig(temporary, dpi=130, format="png")
 
 

@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 from llvmlite import ir
 
 from mmwave_env.compiler.lanes import Lanes
-from mmwave_env.numerics.pytree import leaves, rebuild
+from mmwave_env.numerics.pytree import flatten, unflatten
 
 _KINDS = {
     "fadd": "add", "fsub": "add", "fmul": "multiply", "fdiv": "divide", "llvm.sqrt": "root",
@@ -97,8 +97,8 @@ def count(function: Callable[[Any], Any], template: Any) -> Operations:
     :class:`~mmwave_env.compiler.program.Program`.
     """
     recorder = _Recorder()
-    before = [Lanes(recorder, recorder.load(row)) for row in range(len(leaves(template)))]
-    after = leaves(function(rebuild(template, iter(before))))
+    before = [Lanes(recorder, recorder.load(row)) for row in range(len(flatten(template)))]
+    after = flatten(function(unflatten(template, iter(before))))
     stored = [new for old, new in zip(before, after, strict=True) if new is not old]
     return _counted([new.value for new in stored if isinstance(new, Lanes)], len(stored))
 

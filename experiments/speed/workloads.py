@@ -20,16 +20,16 @@ from mmwave_env.episodes.episode import Episode, blank_incoming
 from mmwave_env.episodes.simulated import SimulatedSource
 from mmwave_env.filters.belief import Belief
 from mmwave_env.filters.filterpy_reference import filterpy_pipeline
-from mmwave_env.filters.memory import start
+from mmwave_env.filters.gating import Gate
+from mmwave_env.filters.memory import initial_memory
 from mmwave_env.filters.mode_files import default_modes, named_modes
 from mmwave_env.filters.modes import Mode
 from mmwave_env.filters.pipeline import Pipeline, measurement_of, process_noise
-from mmwave_env.filters.update import Gate
 from mmwave_env.models.epoch import blank_site
 from mmwave_env.models.radio import radio_from
 from mmwave_env.models.scene import scene_from
 from mmwave_env.numerics.linalg import unpack
-from mmwave_env.numerics.pytree import rebuild
+from mmwave_env.numerics.pytree import unflatten
 from mmwave_env.reward import TrackingReward
 
 RADIO = "handset"
@@ -111,12 +111,12 @@ def filterpy() -> Laps:
 
 def filterpy_episode(twin: Pipeline, episode: Episode) -> float:
     """Filter an episode with every mode and keep the last one's belief; the sum of rewards."""
-    layout, memory, reward = twin.layout, start(twin.layout, 1), TrackingReward()
-    site = rebuild(blank_site(layout), iter(episode.site().tolist()))
+    layout, memory, reward = twin.layout, initial_memory(twin.layout, 1), TrackingReward()
+    site = unflatten(blank_site(layout), iter(episode.site().tolist()))
     blank = blank_incoming(layout)
     x, P, total = site.prior_x, unpack(site.prior_P), 0.0
     for row in episode.table().tolist():
-        incoming = rebuild(blank, iter(row))
+        incoming = unflatten(blank, iter(row))
         epoch = incoming.epoch(layout)
         for mode in twin.modes:
             noise = process_noise(mode.tuning, epoch, site.hz_per_mps, 1.0, twin.planar)

@@ -10,7 +10,7 @@ from experiments.evaluation.contenders import Contender, contender_from
 from experiments.evaluation.intervals import bootstrap
 from experiments.evaluation.runner import Scores, score
 from experiments.evaluation.seeds import TUNING_SEED, draw_episodes
-from experiments.training.training_env import Task
+from experiments.training.training_env import TrainingTask
 from mmwave_env.episodes.simulated import SimulatedSource
 from mmwave_env.models.radio import radio_from
 from mmwave_env.models.scene import scene_from
@@ -19,14 +19,14 @@ RIVALS = ("speed-rule", "imm")
 EPISODES = 500
 
 
-class Examiner:
+class Evaluator:
     """Scores policies on the same tuning episodes, by the protocol's reward.
 
     Args:
         task: what is learned.
     """
 
-    def __init__(self, task: Task) -> None:
+    def __init__(self, task: TrainingTask) -> None:
         source = SimulatedSource(scene_from("street"), radio_from(task.radio), task.scenario)
         self._layout = source.layout
         self._episodes = draw_episodes(source, range(TUNING_SEED, TUNING_SEED + EPISODES))

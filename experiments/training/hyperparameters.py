@@ -7,7 +7,7 @@ from typing import Any, get_type_hints
 
 
 @dataclass(frozen=True)
-class Recipe:
+class Hyperparameters:
     """Hyperparameters of PPO (Schulman et al. 2017), and what this task adds to it.
 
     Attributes:
@@ -51,7 +51,7 @@ class Recipe:
     truth_critic: bool
 
     def __post_init__(self) -> None:
-        for name, kind in get_type_hints(Recipe).items():
+        for name, kind in get_type_hints(Hyperparameters).items():
             value = getattr(self, name)
             if kind in (int, float):
                 sound = type(value) in {kind, int} and 0 <= value < float("inf")
@@ -77,8 +77,8 @@ class Recipe:
             raise ValueError("truth_critic: found true, expected false beside lstm or frames")
 
 
-def read_recipe(path: Path) -> Recipe:
-    """The recipe of a hyperparameter file, a JSON object with every attribute of `Recipe`.
+def read_hyperparameters(path: Path) -> Hyperparameters:
+    """The recipe of a hyperparameter file, a JSON object with every attribute of `Hyperparameters`.
 
     Raises:
         ValueError: naming the file and what is wrong in it.
@@ -88,7 +88,7 @@ def read_recipe(path: Path) -> Recipe:
         found: Any = json.loads(path.read_text(encoding="utf-8"))
         if not isinstance(found, dict):
             raise ValueError(f"found {type(found).__name__}, expected an object")
-        known = {field.name for field in fields(Recipe)}
+        known = {field.name for field in fields(Hyperparameters)}
         if set(found) != known:
             missing, unknown = known - set(found), set(found) - known
             raise ValueError(
@@ -97,11 +97,11 @@ def read_recipe(path: Path) -> Recipe:
             )
         if isinstance(found["hidden"], list):  # JSON has no tuples
             found["hidden"] = tuple(found["hidden"])
-        return Recipe(**found)
+        return Hyperparameters(**found)
     except ValueError as error:
         raise ValueError(f"{path}: not a hyperparameter file: {error}") from error
 
 
-def shipped_recipe(algorithm: str) -> Path:
+def shipped_hyperparameters(algorithm: str) -> Path:
     """The hyperparameter file of an algorithm."""
     return Path(__file__).with_name(f"{algorithm}.json")

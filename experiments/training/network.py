@@ -9,8 +9,8 @@ from stable_baselines3.common.on_policy_algorithm import OnPolicyAlgorithm
 from stable_baselines3.common.policies import ActorCriticPolicy
 from torch import Tensor, nn
 
-from experiments.training.hyperparameters import Recipe
-from experiments.training.training_env import World
+from experiments.training.hyperparameters import Hyperparameters
+from experiments.training.training_env import TrainingEnv
 from policies.policy_file import Tensors
 
 
@@ -64,7 +64,7 @@ class _Policy(ActorCriticPolicy):
         self.mlp_extractor = _Views(self._actor, self.features_dim, self._hidden)
 
 
-def learner(world: World, recipe: Recipe, seed: int) -> OnPolicyAlgorithm:
+def learner(world: TrainingEnv, recipe: Hyperparameters, seed: int) -> OnPolicyAlgorithm:
     """The algorithm of a recipe, ready to learn in a world.
 
     Args:
@@ -89,12 +89,12 @@ def learner(world: World, recipe: Recipe, seed: int) -> OnPolicyAlgorithm:
     return PPO(_Policy, world.venv, policy_kwargs={"actor": seen, "hidden": recipe.hidden}, **what)
 
 
-def falling(recipe: Recipe, left: float) -> float:
+def falling(recipe: Hyperparameters, left: float) -> float:
     """What remains of a rate when a fraction of the training is left."""
     return recipe.final_fraction + (1.0 - recipe.final_fraction) * left
 
 
-def actor_of(model: OnPolicyAlgorithm, world: World, recipe: Recipe) -> Tensors:
+def actor_of(model: OnPolicyAlgorithm, world: TrainingEnv, recipe: Hyperparameters) -> Tensors:
     """The actor as a policy file holds it, with the normalisation in its first weights.
 
     Training sees clip((o - mean) / sigma, -c, c). The file has the bounds mean -+ c sigma, and

@@ -13,7 +13,7 @@ from mmwave_env.files import write_text
 STEP = "timesteps"
 
 
-class Journal(KVWriter):
+class ProgressLog(KVWriter):
     """What is logged: a row has what was collected lately, and the update after it.
 
     Args:

@@ -14,11 +14,11 @@ from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.logger import Logger
 
 from experiments.training.checkpoint import read_checkpoint, with_arrays, write_checkpoint
-from experiments.training.evaluator import Examiner
-from experiments.training.hyperparameters import Recipe
+from experiments.training.evaluator import Evaluator
+from experiments.training.hyperparameters import Hyperparameters
 from experiments.training.network import actor_of, falling, learner
-from experiments.training.progress_log import Journal
-from experiments.training.training_env import Task, World
+from experiments.training.progress_log import ProgressLog
+from experiments.training.training_env import TrainingEnv, TrainingTask
 from mmwave_env import __version__
 from mmwave_env.files import write_bytes, write_json
 from policies.policy_file import Card, to_bytes
@@ -49,8 +49,8 @@ class Job:
         checkpoint_every: updates between two checkpoints.
     """
 
-    task: Task
-    recipe: Recipe
+    task: TrainingTask
+    recipe: Hyperparameters
     algorithm: str
     seed: int
     timesteps: int
@@ -91,11 +91,11 @@ class Training(BaseCallback):
         }  # fmt: skip
         if self._checkpoint.exists():
             self._stand = read_checkpoint(self._checkpoint)
-        self._world = World(job.task, job.recipe)
+        self._env = TrainingEnv(job.task, job.recipe)
         seed = TRAINING_SEED + SEEDS_EACH * job.seed
-        self._learner = learner(self._world, job.recipe, seed)
-        self._examiner = Examiner(job.task)
-        self._journal = Journal(job.folder, self._stand["rows"])
+        self._learner = learner(self._env, job.recipe, seed)
+        self._examiner = Evaluator(job.task)
+        self._journal = ProgressLog(job.folder, self._stand["rows"])
         self._ended: list[dict[str, Any]] = []
 
     def run(self) -> dict[str, Any]:
@@ -104,14 +104,14 @@ class Training(BaseCallback):
         model.set_logger(Logger(None, [self._journal]))
         if "learner" in stand:
             self._restore(stand.pop("learner"))
-            self._world.restore(with_arrays(stand.pop("world")))
+            self._env.restore(with_arrays(stand.pop("world")))
         left = job.timesteps - model.num_timesteps
         fresh = not model.num_timesteps
         model.learn(left, self, log_interval=None, reset_num_timesteps=fresh)  # it counts anew
         self._look()
         model.dump_logs()
         model.save(job.folder / "model.zip")
-        self._world.normal.save(str(job.folder / "normalisation.pkl"))
+        self._env.normal.save(str(job.folder / "normalisation.pkl"))
         self._journal.close()
         outcome = {
             "seed": job.seed, "timesteps": model.num_timesteps,
@@ -181,7 +181,7 @@ class Training(BaseCallback):
         self._tell(timesteps, news)
 
     def _write(self, path: Path, evaluation: dict[str, Any]) -> None:
-        job, table = self._job, self._world.env.observation
+        job, table = self._job, self._env.env.observation
         card = Card(
             modes=job.task.modes, observation=job.task.observation, digest=table.digest,
             frames=job.recipe.frames, scenario=job.task.scenario, radio=job.task.radio,
@@ -189,7 +189,7 @@ class Training(BaseCallback):
             command=job.command, evaluation=evaluation,
             versions={"mmwave-loc": __version__} | {p: version(p) for p in PACKAGES},
         )  # fmt: skip
-        actor = actor_of(self._learner, self._world, job.recipe)
+        actor = actor_of(self._learner, self._env, job.recipe)
         write_bytes(path, to_bytes(actor, card))
 
     def _save(self) -> None:
@@ -198,7 +198,7 @@ class Training(BaseCallback):
             self._checkpoint,
             self._stand | {
                 "seconds": self._seconds(), "rows": self._journal.rows,
-                "world": self._world.state(), "learner": self._learner_state(),
+                "world": self._env.state(), "learner": self._learner_state(),
             },
         )  # fmt: skip
 

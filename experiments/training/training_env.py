@@ -13,7 +13,7 @@ from stable_baselines3.common.vec_env import (
     VecNormalize,
 )
 
-from experiments.training.hyperparameters import Recipe
+from experiments.training.hyperparameters import Hyperparameters
 from mmwave_env.engines.imm_engine import ImmEngine
 from mmwave_env.filters.mode_files import default_modes
 from mmwave_env.filters.modes import Mode
@@ -21,7 +21,7 @@ from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.observation import Observation
 from mmwave_env.reward import Reward
 from mmwave_env.sb3 import Infos, SB3VecEnv
-from mmwave_env.task import setting_from
+from mmwave_env.task import task_from
 from mmwave_env.vector_env import MmWaveLocVectorEnv
 
 Array = NDArray[Any]
@@ -30,7 +30,7 @@ TRUTH = 7  # numbers of the truth that a critic sees
 
 
 @dataclass(frozen=True)
-class Task:
+class TrainingTask:
     """What is learned: arguments of ``MmWaveLoc-v0``.
 
     Attributes:
@@ -49,11 +49,13 @@ class Task:
     reward: Reward
 
     def __post_init__(self) -> None:
-        setting = setting_from(self.scenario, self.radio, modes=self.modes, reward=self.reward)
-        Observation(setting.pipeline, self.observation)
+        task = task_from(
+            scenario=self.scenario, radio=self.radio, modes=self.modes, reward=self.reward
+        )
+        Observation(task.pipeline, self.observation)
 
 
-class PairedReward(VecEnvWrapper):
+class BaselineReward(VecEnvWrapper):
     """Rewards minus those of an IMM on the same episodes.
 
     Args:
@@ -96,7 +98,7 @@ class PairedReward(VecEnvWrapper):
         return observations, paired, over, infos
 
 
-class WithTruth(VecEnvWrapper):
+class PrivilegedObservation(VecEnvWrapper):
     """Observations followed by how wrong the belief is, for a critic in training.
 
     Position error (m) and velocity error (m/s) along, to the left of and above the true
@@ -127,7 +129,12 @@ class WithTruth(VecEnvWrapper):
 
 
 def _wrong(estimate: Array, truth: Array) -> NDArray[np.float32]:
-    """What `WithTruth` adds (n, 7), of states (n, 7) and true positions and velocities (n, 6)."""
+    """What `PrivilegedObservation` adds (n, 7).
+
+    Args:
+        estimate: (n, 7) states.
+        truth: (n, 6) true positions and velocities.
+    """
     error = estimate[:, :6] - truth
     vx, vy = truth[:, 3], truth[:, 4]
     speed = np.hypot(vx, vy)
@@ -140,7 +147,7 @@ def _wrong(estimate: Array, truth: Array) -> NDArray[np.float32]:
     return np.stack([*columns, speed], axis=1).astype(np.float32)
 
 
-class World:
+class TrainingEnv:
     """A task with the wrappers of a recipe, and how to stop and go on.
 
     Args:
@@ -153,20 +160,20 @@ class World:
         features: of an observation, without the truth.
     """
 
-    def __init__(self, task: Task, recipe: Recipe) -> None:
+    def __init__(self, task: TrainingTask, recipe: Hyperparameters) -> None:
         self.env = MmWaveLocVectorEnv(
             recipe.num_envs, scenario=task.scenario, radio=task.radio, modes=task.modes,
             observation=task.observation, reward=task.reward, autoreset_mode="SameStep", threads=1,
         )  # fmt: skip
         self.features = len(self.env.observation)
         self._adapter = SB3VecEnv(self.env)
-        self._paired: PairedReward | None = None
+        self._paired: BaselineReward | None = None
         venv: VecEnv = self._adapter
         if recipe.paired:
             pipeline = Pipeline(default_modes(task.radio), self.env.batch.layout)
-            venv = self._paired = PairedReward(venv, self.env, ImmEngine(pipeline, task.reward))
+            venv = self._paired = BaselineReward(venv, self.env, ImmEngine(pipeline, task.reward))
         if recipe.truth_critic:
-            venv = WithTruth(venv, self.env)
+            venv = PrivilegedObservation(venv, self.env)
         venv = self.normal = VecNormalize(venv, norm_reward=False, clip_obs=recipe.clip_observation)
         self._stack: VecFrameStack | None = None
         if recipe.frames > 1:

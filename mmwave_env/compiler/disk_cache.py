@@ -174,8 +174,8 @@ class _Kept(NullCache):  # type: ignore[misc]
         if result.library.has_dynamic_globals:  # addresses of this process
             return
         key, file = self._entry(signature, result.codegen)
-        with suppress(OSError), tempfile.TemporaryDirectory(dir=self._folder) as beside:
-            whole = Path(beside, file.name)
+        with suppress(OSError), tempfile.TemporaryDirectory(dir=self._folder) as atomic_path:
+            whole = Path(atomic_path, file.name)
             whole.touch(mode=0o600)
             content = dumps(result._reduce())
             whole.write_bytes(_checksum(key, content) + content)

@@ -16,7 +16,7 @@ from numba.core import cgutils
 from numba.extending import intrinsic
 
 from mmwave_env.numerics.numbers import polynomial, where
-from mmwave_env.numerics.tracer import Hidden, HiddenTruth
+from mmwave_env.numerics.tracer import Tracer, TracerCondition
 
 WIDTH = 8
 _VECTOR = ir.VectorType(ir.DoubleType(), WIDTH)
@@ -49,7 +49,7 @@ _ROUND = 1.5 * 2.0**52  # adding it rounds to an integer, which is then in the l
 _LN2_HIGH, _LN2_LOW = 0.693147180369123816490, 1.90821492927058770002e-10
 
 
-class Mask(HiddenTruth):
+class Mask(TracerCondition):
     """A truth value per lane, from comparing Lanes; combine with ``&`` and ``|``."""
 
     __slots__ = ("builder", "value")
@@ -68,7 +68,7 @@ class Mask(HiddenTruth):
         return Lanes(self.builder, self.builder.select(self.value, _lift(a), _lift(b)))
 
 
-class Lanes(Hidden):
+class Lanes(Tracer):
     """Eight doubles in one SIMD value of the function being built."""
 
     __slots__ = ("builder", "value")

@@ -9,20 +9,20 @@ from typing import Any
 from mmwave_env.compiler.disk_cache import compiled, is_compiled
 
 
-class Sparing:
+class LazyJit:
     """A function that runs as plain Python until compiling it would have been quicker.
 
     What it calls has to run both ways, as ``numba.extending.register_jitable`` makes it.
 
     Args:
         function: what to run.
-        plainly: how much work a process does as plain Python, if it does not find the function
+        plain_work: how much work a process does as plain Python, if it does not find the function
             on disk; in any unit, such as epochs.
     """
 
-    def __init__(self, function: Callable[..., Any], plainly: int) -> None:
+    def __init__(self, function: Callable[..., Any], plain_work: int) -> None:
         self.plain, self.compiled = function, compiled(function)
-        self._left = plainly
+        self._left = plain_work
 
     def choice(self, work: int, *arguments: Any) -> Callable[..., Any]:
         """The plain or the compiled function, for so much work with such arguments.

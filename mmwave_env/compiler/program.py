@@ -20,7 +20,7 @@ from numba.extending import intrinsic, overload, register_jitable
 from numpy.typing import NDArray
 
 from mmwave_env.compiler.lanes import WIDTH, kernel
-from mmwave_env.compiler.lazy_jit import Sparing
+from mmwave_env.compiler.lazy_jit import LazyJit
 from mmwave_env.compiler.transpose import (
     LINE,
     address,
@@ -29,7 +29,7 @@ from mmwave_env.compiler.transpose import (
     scatter,
     scatter_single,
 )
-from mmwave_env.numerics.pytree import Tree, indices, leaves, rebuild
+from mmwave_env.numerics.pytree import Tree, flatten, indices, unflatten
 
 Workspace = TypeVar("Workspace", bound=tuple[Any, ...])
 Array = NDArray[np.float64]
@@ -37,7 +37,7 @@ Index = NDArray[np.int64]
 Blocks = tuple[int, int]  # first, end
 
 NO_ROWS = np.empty(0, np.int64)
-PLAIN_EPOCHS = 1000  # of blocks, before compiling, which takes as long as 4000 of them
+PLAIN_BLOCK_EPOCHS = 1000  # of blocks, before compiling, which takes as long as 4000 of them
 NEAR = 2**16  # numbers that the core's own caches hold of workspaces
 
 # numba's own lock guards all that compiles. A child forked while another thread holds it would
@@ -52,10 +52,10 @@ if hasattr(os, "register_at_fork"):
 
 def rows_of(tree: Any) -> Index:
     """The numbers of rows in a tree, as of parts of :attr:`Program.index`."""
-    return np.array(leaves(tree), np.int64)
+    return np.array(flatten(tree), np.int64)
 
 
-class Tracks(NamedTuple):
+class BatchState(NamedTuple):
     """N tracks and how far they are.
 
     Attributes:
@@ -73,39 +73,45 @@ class Tracks(NamedTuple):
     running: NDArray[np.bool_]
 
     @classmethod
-    def of(cls, table: Array, rows: Array) -> "Tracks":
+    def of(cls, table: Array, rows: Array) -> "BatchState":
         """Tracks of equal length, from their first epoch."""
         n, epochs, _ = table.shape
         return cls(rows, table, np.full(n, epochs), np.zeros(n, np.int64), np.ones(n, np.bool_))
 
 
-class Traffic(NamedTuple):
+class StepIO(NamedTuple):
     """What goes in and out of workspaces in every epoch of a run of E epochs.
 
     Attributes:
-        fed: (f,) rows to set before an epoch.
-        given: (n, E, f) their values.
-        keep: (k,) rows to keep after an epoch.
-        kept: (n, E, k) gets them.
-        show: (s,) rows to keep in single precision.
-        shown: (n, E, s) gets them.
+        input_rows: (f,) rows to set before an epoch.
+        inputs: (n, E, f) their values.
+        output_rows: (k,) rows to keep after an epoch.
+        outputs: (n, E, k) gets them.
+        obs_rows: (s,) rows to keep in single precision.
+        observations: (n, E, s) gets them.
     """
 
-    fed: Index
-    given: Array
-    keep: Index
-    kept: Array
-    show: Index
-    shown: NDArray[np.float32]
+    input_rows: Index
+    inputs: Array
+    output_rows: Index
+    outputs: Array
+    obs_rows: Index
+    observations: NDArray[np.float32]
 
     @classmethod
     def of(
-        cls, n: int, epochs: int, fed: Index = NO_ROWS, keep: Index = NO_ROWS, show: Index = NO_ROWS
-    ) -> "Traffic":
-        """Zeros to feed, and room for what is kept and shown."""
+        cls,
+        n: int,
+        epochs: int,
+        input_rows: Index = NO_ROWS,
+        output_rows: Index = NO_ROWS,
+        obs_rows: Index = NO_ROWS,
+    ) -> "StepIO":
+        """Zeros as inputs, and room for outputs and observations."""
         return cls(
-            fed, np.zeros((n, epochs, len(fed))), keep, np.empty((n, epochs, len(keep))),
-            show, np.empty((n, epochs, len(show)), np.float32),
+            input_rows, np.zeros((n, epochs, len(input_rows))),
+            output_rows, np.empty((n, epochs, len(output_rows))),
+            obs_rows, np.empty((n, epochs, len(obs_rows)), np.float32),
         )  # fmt: skip
 
 
@@ -118,8 +124,8 @@ def tree_kernel(function: Callable[[Tree], Tree], template: Tree) -> Any:
     """
 
     def build(rows: Any) -> None:
-        before = [rows[i] for i in range(len(leaves(template)))]
-        after = leaves(function(rebuild(template, iter(before))))
+        before = [rows[i] for i in range(len(flatten(template)))]
+        after = flatten(function(unflatten(template, iter(before))))
         for i, (old, new) in enumerate(zip(before, after, strict=True)):
             if new is not old:
                 rows[i] = new
@@ -174,8 +180,8 @@ class Program(Generic[Workspace]):
 
     def __init__(self, function: Callable[[Workspace], Workspace], template: Workspace) -> None:
         self.function, self.template = function, template
-        self.start = np.array(leaves(template), float)
-        self.blank = np.array(leaves(template[0]), float)
+        self.start = np.array(flatten(template), float)
+        self.blank = np.array(flatten(template[0]), float)
         self.size = len(self.start)
         self.index: Workspace = indices(template)
         self._compiled: Any = None
@@ -184,7 +190,7 @@ class Program(Generic[Workspace]):
         """Parts of ``index`` by name, such as "x" or "memory.nis"."""
         return [attrgetter(name)(self.index) for name in names]
 
-    def by_name(self, names: Sequence[str], kept: Array) -> dict[str, Array]:
+    def by_name(self, names: Sequence[str], outputs: Array) -> dict[str, Array]:
         """What was kept (n, epochs, rows) of the rows of :meth:`parts`, taken apart.
 
         Returns:
@@ -192,35 +198,35 @@ class Program(Generic[Workspace]):
         """
         result, first = {}, 0
         for name, part in zip(names, self.parts(names), strict=True):
-            width = len(leaves(part))
-            columns = kept[..., first : first + width]
+            width = len(flatten(part))
+            columns = outputs[..., first : first + width]
             result[name] = columns[..., 0] if isinstance(part, int) else columns
             first += width
         return result
 
-    def run_on_lanes(self, tracks: Tracks, traffic: Traffic, blocks: Blocks | None = None) -> None:
+    def run_on_lanes(self, state: BatchState, io: StepIO, blocks: Blocks | None = None) -> None:
         """Run epoch after epoch, eight environments at a time, in some of the blocks or all."""
-        first, end = blocks or (0, len(tracks.rows))
-        epochs = (end - first) * traffic.kept.shape[1]
-        _advance(epochs, first, end, self.on_lanes(), self.blank, *tracks, *traffic)
+        first, end = blocks or (0, len(state.rows))
+        epochs = (end - first) * io.outputs.shape[1]
+        _advance(epochs, first, end, self.on_lanes(), self.blank, *state, *io)
 
-    def run_on_floats(self, tracks: Tracks, traffic: Traffic) -> None:
+    def run_on_floats(self, state: BatchState, io: StepIO) -> None:
         """Run all, one environment at a time in plain Python: slow, for reference."""
-        rows, table, length, epoch, running = tracks
-        fed, given, keep, kept, show, shown = traffic
+        rows, table, length, epoch, running = state
+        input_rows, inputs, output_rows, outputs, obs_rows, observations = io
         for e in np.flatnonzero(running):
             lanes = rows[e // WIDTH, :, e % WIDTH]
-            for step in range(kept.shape[1]):
+            for step in range(outputs.shape[1]):
                 t = epoch[e] + step
                 lanes[: len(self.blank)] = table[e, t] if t < length[e] else self.blank
-                lanes[fed] = given[e, step]
+                lanes[input_rows] = inputs[e, step]
                 lanes[:] = self.once(lanes)
-                kept[e, step], shown[e, step] = lanes[keep], lanes[show]
-            epoch[e] += kept.shape[1]
+                outputs[e, step], observations[e, step] = lanes[output_rows], lanes[obs_rows]
+            epoch[e] += outputs.shape[1]
 
     def once(self, workspace: Array) -> list[float]:
         """The leaves (size,) after one run on floats."""
-        return leaves(self.function(rebuild(self.template, iter(workspace.tolist()))))
+        return flatten(self.function(unflatten(self.template, iter(workspace.tolist()))))
 
     def on_lanes(self) -> int:
         """The address of a C function that runs the program on a block, for :func:`call`.
@@ -246,14 +252,14 @@ class Program(Generic[Workspace]):
 
 
 @register_jitable  # type: ignore[untyped-decorator]
-def _load(block, sources, first, here, step, blank, table, length, epoch, fed, given):  # type: ignore[no-untyped-def]
+def _load(block, sources, first, here, step, blank, table, length, epoch, input_rows, inputs):  # type: ignore[no-untyped-def]
     """Set the rows that come in; lanes past the last track run their block's first."""
     for lane in range(WIDTH):
         e = first + lane if lane < here else first
         t = epoch[e] + step
         sources[lane] = address(table, e, t) if t < length[e] else blank.ctypes.data
-        for i in range(len(fed)):
-            block[fed[i], lane] = given[e, step, i]
+        for i in range(len(input_rows)):
+            block[input_rows[i], lane] = inputs[e, step, i]
     gather(block, sources, len(blank))
 
 
@@ -277,7 +283,21 @@ def _announce(first, end, table, length, epoch):  # type: ignore[no-untyped-def]
 
 @register_jitable  # type: ignore[untyped-decorator]
 def advance(  # type: ignore[no-untyped-def]
-    begin, end, run, blank, rows, table, length, epoch, running, fed, given, keep, kept, show, shown
+    begin,
+    end,
+    run,
+    blank,
+    rows,
+    table,
+    length,
+    epoch,
+    running,
+    input_rows,
+    inputs,
+    output_rows,
+    outputs,
+    obs_rows,
+    observations,
 ):
     """Run the tracks of blocks ``begin`` to ``end``; the number returned means nothing.
 
@@ -286,9 +306,9 @@ def advance(  # type: ignore[no-untyped-def]
     The epochs that the next block will load are as far apart as episodes are long.
     Plain loops, because slices of arrays take numba long to compile.
     """
-    n, epochs, size = len(length), kept.shape[1], rows.shape[1]
+    n, epochs, size = len(length), outputs.shape[1], rows.shape[1]
     before = np.empty((size, WIDTH))
-    at, nowhere = np.empty(WIDTH, np.int64), np.empty(max(len(keep), len(show)))
+    at, nowhere = np.empty(WIDTH, np.int64), np.empty(max(len(output_rows), len(obs_rows)))
     touched = 0.0
     for b in range(begin, end):
         block, first = rows[b], b * WIDTH
@@ -307,12 +327,12 @@ def advance(  # type: ignore[no-untyped-def]
                 for lane in range(WIDTH):
                     before[i, lane] = block[i, lane]
         for step in range(epochs):
-            _load(block, at, first, here, step, blank, table, length, epoch, fed, given)
+            _load(block, at, first, here, step, blank, table, length, epoch, input_rows, inputs)
             call(run, block)
-            _aim(at, first, here, step, running, kept, nowhere)
-            scatter(block, keep, at)
-            _aim(at, first, here, step, running, shown, nowhere)
-            scatter_single(block, show, at)
+            _aim(at, first, here, step, running, outputs, nowhere)
+            scatter(block, output_rows, at)
+            _aim(at, first, here, step, running, observations, nowhere)
+            scatter_single(block, obs_rows, at)
         for lane in range(here):
             if running[first + lane]:
                 epoch[first + lane] += epochs
@@ -322,4 +342,4 @@ def advance(  # type: ignore[no-untyped-def]
     return touched
 
 
-_advance = Sparing(advance, PLAIN_EPOCHS)
+_advance = LazyJit(advance, PLAIN_BLOCK_EPOCHS)

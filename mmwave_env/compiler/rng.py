@@ -24,7 +24,7 @@ Index = NDArray[np.int64]
 _own = threading.local()  # a generator of each thread, and where its state lies
 
 
-class Dice(NamedTuple):
+class RngView(NamedTuple):
     """What compiled code draws from: one generator, and the states that it takes on in turn.
 
     Attributes:
@@ -38,32 +38,32 @@ class Dice(NamedTuple):
     states: Words
 
 
-def dice_of(states: Words) -> Dice:
+def rng_view(states: Words) -> RngView:
     """Dice that draw from states of PCG64 (n, 4), for this thread and until it asks for others."""
     if not hasattr(_own, "rng"):  # a new one takes as long as half an episode
         _own.rng = np.random.Generator(np.random.PCG64(0))
         _own.memory = _memory(_own.rng)
-    return Dice(_own.rng, _own.memory, states)
+    return RngView(_own.rng, _own.memory, states)
 
 
-def single(rng: np.random.Generator) -> Dice:
+def whole_rng(rng: np.random.Generator) -> RngView:
     """Dice that draw from one generator of any kind as it is."""
-    return Dice(rng, np.zeros(4, np.uint64), np.zeros((1, 4), np.uint64))
+    return RngView(rng, np.zeros(4, np.uint64), np.zeros((1, 4), np.uint64))
 
 
 @register_jitable
-def take(dice, i):  # type: ignore[no-untyped-def]
-    """Let the generator take on state i, which stays untouched until :func:`leave`."""
-    rng, memory, states = dice
+def load_state(view, i):  # type: ignore[no-untyped-def]
+    """Let the generator take on state i, which stays untouched until :func:`save_state`."""
+    rng, memory, states = view
     for word in range(4):
         memory[word] = states[i, word]
     return rng
 
 
 @register_jitable
-def leave(dice, i):  # type: ignore[no-untyped-def]
-    """Keep what the draws since :func:`take` made of state i."""
-    _, memory, states = dice
+def save_state(view, i):  # type: ignore[no-untyped-def]
+    """Keep what the draws since :func:`load_state` made of state i."""
+    _, memory, states = view
     for word in range(4):
         states[i, word] = memory[word]
 

@@ -7,7 +7,7 @@ Index = NDArray[np.int64]
 Modes = NDArray[np.unsignedinteger]
 
 
-class History:
+class ActionHistory:
     """The modes of the last T steps of N environments, a row a step.
 
     All environments step at once, so an episode that took some steps took the last ones.

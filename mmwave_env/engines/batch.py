@@ -2,7 +2,7 @@
 
 The workspace of such a program begins with three fields that a :class:`Batch` fills in:
 ``incoming``, the next epoch (:class:`~mmwave_env.episodes.episode.Incoming`); ``site``; and
-``fresh``, 1 where an episode begins, which the program sets back to 0.
+``is_first``, 1 where an episode begins, which the program sets back to 0.
 """
 
 from collections.abc import Callable, Sequence
@@ -16,16 +16,16 @@ from mmwave_env.compiler.lanes import WIDTH
 from mmwave_env.compiler.program import (
     NO_ROWS,
     Array,
+    BatchState,
     Index,
     Program,
-    Tracks,
-    Traffic,
+    StepIO,
     Workspace,
 )
 from mmwave_env.compiler.threads import share
-from mmwave_env.episodes.episode import Episode, Packed, columns_of
+from mmwave_env.episodes.episode import Episode, EpisodeBatch, columns_of
 from mmwave_env.models.measurement import Layout
-from mmwave_env.numerics.pytree import leaves
+from mmwave_env.numerics.pytree import flatten
 
 BLOCKS_PER_THREAD = 128  # waking a thread costs as much as 64 of them
 
@@ -37,13 +37,13 @@ class Batch(Generic[Workspace]):
         program: what runs.
         layout: rows of the measurements.
         n: number of environments.
-        feed: leaves of ``program.index`` that are given a value for every epoch.
+        input_rows: leaves of ``program.index`` that are given a value for every epoch.
         on_floats: run in plain Python instead of on lanes.
         threads: how many may work at once; results do not depend on it.
 
     Attributes:
         at: the workspace tree with row numbers as leaves, to say what to read.
-        tracks: the environments' workspaces, episodes and next epochs.
+        state: the environments' workspaces, episodes and next epochs.
         parts: first block and end of what each thread does of an epoch.
     """
 
@@ -52,7 +52,7 @@ class Batch(Generic[Workspace]):
         program: Program[Workspace],
         layout: Layout,
         n: int,
-        feed: Index = NO_ROWS,
+        input_rows: Index = NO_ROWS,
         on_floats: bool = False,
         threads: int = 1,
     ) -> None:
@@ -60,8 +60,8 @@ class Batch(Generic[Workspace]):
         self.at = program.index
         blocks = -(-n // WIDTH)
         rows = np.tile(program.start[None, :, None], (blocks, 1, WIDTH))
-        self.tracks = Tracks.of(np.empty((n, 0, len(program.blank))), rows)
-        self._feed = feed
+        self.state = BatchState.of(np.empty((n, 0, len(program.blank))), rows)
+        self._input_rows = input_rows
         self._run: Callable[..., None] = (
             program.run_on_floats if on_floats else program.run_on_lanes
         )
@@ -70,7 +70,7 @@ class Batch(Generic[Workspace]):
 
     def load(
         self,
-        episodes: Packed | Sequence[Episode],
+        episodes: EpisodeBatch | Sequence[Episode],
         places: Index | None = None,
         gap_s: float | None = None,
     ) -> None:
@@ -85,7 +85,7 @@ class Batch(Generic[Workspace]):
         Raises:
             ValueError: another number of episodes, or another layout than the batch's.
         """
-        found = episodes if isinstance(episodes, Packed) else Packed.of(episodes)
+        found = episodes if isinstance(episodes, EpisodeBatch) else EpisodeBatch.of(episodes)
         places = np.arange(self.n) if places is None else places
         if len(found.names) != len(places):
             raise ValueError(f"episodes: found {len(found.names)}, expected {len(places)}")
@@ -96,12 +96,12 @@ class Batch(Generic[Workspace]):
             )
         epochs = found.table.shape[1]
         self._make_room(epochs)
-        self.tracks.length[places] = found.length
-        if not np.may_share_memory(self.tracks.table, found.table):
-            self.tracks.table[places, :epochs] = found.table
+        self.state.length[places] = found.length
+        if not np.may_share_memory(self.state.table, found.table):
+            self.state.table[places, :epochs] = found.table
         if gap_s is not None:
-            self.tracks.table[places, 0, columns_of(self.layout).dt] = gap_s
-            self.tracks.epoch[places] = 0
+            self.state.table[places, 0, columns_of(self.layout).dt] = gap_s
+            self.state.epoch[places] = 0
             return
         _, site, _, *_ = self.at
         self.write(site, found.site, places)
@@ -118,29 +118,29 @@ class Batch(Generic[Workspace]):
         """
         self._make_room(epochs)
         first, end = places[0], places[-1] + 1
-        table = self.tracks.table[first:end]
+        table = self.state.table[first:end]
         return table if (len(table), table.shape[1]) == (len(places), epochs) else None
 
     def _make_room(self, epochs: int) -> None:
-        table = self.tracks.table
+        table = self.state.table
         n, had, columns = table.shape
         if epochs > had:
             longer = np.empty((n, epochs, columns))
             longer[:, :had] = table
-            self.tracks = self.tracks._replace(table=longer)
+            self.state = self.state._replace(table=longer)
 
     def restart(self, places: Index | None = None) -> None:
         """Start over with the episodes loaded; ``places`` as in :meth:`load`."""
         places = np.arange(self.n) if places is None else places
-        _, _, fresh, *_ = self.at
-        self.write(fresh, 1.0, places)
-        self.tracks.epoch[places] = 0
+        _, _, is_first, *_ = self.at
+        self.write(is_first, 1.0, places)
+        self.state.epoch[places] = 0
 
     def sites(self, places: Index) -> Array:
         """The sites of some environments (places, numbers), as :meth:`Episode.site` has them."""
         _, site, *_ = self.at
         block, lane = np.divmod(places, WIDTH)
-        found: Array = self.tracks.rows[block, self.span(site), lane]
+        found: Array = self.state.rows[block, self.span(site), lane]
         return found
 
     def begin(self, episodes: Sequence[Episode]) -> None:
@@ -148,34 +148,34 @@ class Batch(Generic[Workspace]):
         self.load(episodes)
         self.advance()
 
-    def traffic(self, epochs: int = 1, keep: Index = NO_ROWS, show: Index = NO_ROWS) -> Traffic:
+    def io(
+        self, epochs: int = 1, output_rows: Index = NO_ROWS, obs_rows: Index = NO_ROWS
+    ) -> StepIO:
         """What a run of some epochs needs: zeros to feed, and room for rows to keep or show."""
-        return Traffic.of(self.n, epochs, self._feed, keep, show)
+        return StepIO.of(self.n, epochs, self._input_rows, output_rows, obs_rows)
 
-    def advance(
-        self, traffic: Traffic | None = None, running: NDArray[np.bool_] | None = None
-    ) -> None:
+    def advance(self, io: StepIO | None = None, running: NDArray[np.bool_] | None = None) -> None:
         """Run the next epochs; past the end of an episode epochs are blank.
 
         Args:
-            traffic: what to feed, keep and show; None for one epoch of none.
+            io: what to feed, keep and show; None for one epoch of none.
             running: (n,) False for the environments to leave as they are; None for none.
         """
-        traffic = self.traffic() if traffic is None else traffic
-        tracks = self.tracks if running is None else self.tracks._replace(running=running)
+        io = self.io() if io is None else io
+        state = self.state if running is None else self.state._replace(running=running)
         if len(self.parts) == 1:
-            self._run(tracks, traffic)
+            self._run(state, io)
         else:
-            share(self._run, [(tracks, traffic, part) for part in self.parts], len(self.parts))
+            share(self._run, [(state, io, part) for part in self.parts], len(self.parts))
 
     def span(self, tree: Any) -> slice:
         """The rows of a subtree of ``at``; leaves of a subtree lie side by side."""
-        numbers = leaves(tree)
+        numbers = flatten(tree)
         return slice(numbers[0], numbers[-1] + 1)
 
     def read(self, tree: Any, dtype: DTypeLike = np.float64) -> NDArray[Any]:
         """The rows of a subtree of ``at``, or of its span: a copy, (n,) of a leaf, else (n, k)."""
-        rows = self.tracks.rows
+        rows = self.state.rows
         if isinstance(tree, int):
             return rows[:, tree, :].reshape(-1)[: self.n].astype(dtype)
         span = tree if isinstance(tree, slice) else self.span(tree)
@@ -185,7 +185,7 @@ class Batch(Generic[Workspace]):
     def column(self, environment: int) -> Array:
         """All rows of one environment (size,), as a copy; :meth:`span` says where what is."""
         block, lane = divmod(environment, WIDTH)
-        return self.tracks.rows[block, :, lane].copy()
+        return self.state.rows[block, :, lane].copy()
 
     def write(self, tree: Any, values: Any, places: Index | None = None) -> None:
         """Set the rows named by a subtree of ``at``: values (n,) of a leaf, else (n, leaves).
@@ -198,4 +198,4 @@ class Batch(Generic[Workspace]):
         places = np.arange(self.n) if places is None else places
         block, lane = np.divmod(places, WIDTH)
         rows = tree if isinstance(tree, int) else self.span(tree)
-        self.tracks.rows[block, rows, lane] = values
+        self.state.rows[block, rows, lane] = values

@@ -15,12 +15,12 @@ from numpy.typing import NDArray
 
 from mmwave_env.compiler.program import NO_ROWS, Array, Index, Program, rows_of
 from mmwave_env.engines.batch import Batch
-from mmwave_env.episodes.episode import Episode, Incoming, Packed, blank_incoming
+from mmwave_env.episodes.episode import Episode, EpisodeBatch, Incoming, blank_incoming
 from mmwave_env.features import View
 from mmwave_env.filters.belief import Belief
-from mmwave_env.filters.memory import Memory, anticipate, commit, start
-from mmwave_env.filters.mode_result import Candidate
-from mmwave_env.filters.pipeline import Pipeline, consider
+from mmwave_env.filters.memory import Memory, initial_memory, memory_after, memory_before
+from mmwave_env.filters.mode_result import ModeResult
+from mmwave_env.filters.pipeline import Pipeline, predict_update
 from mmwave_env.models.epoch import Site, blank_site
 from mmwave_env.numerics.linalg import unpack
 from mmwave_env.numerics.numbers import Number, where
@@ -29,7 +29,7 @@ from mmwave_env.observation import Observation
 from mmwave_env.reward import Reward
 
 
-class Held(NamedTuple):
+class PendingEpoch(NamedTuple):
     """What is needed of an epoch once its candidates are there.
 
     Attributes:
@@ -42,15 +42,15 @@ class Held(NamedTuple):
     truth: list[Number]
 
 
-class Workspace(NamedTuple):
+class EnvState(NamedTuple):
     """Everything an environment holds between two epochs.
 
     Attributes:
         incoming: the epoch under consideration.
         site: anchors, carrier and prior.
-        fresh: 1 to start over from the prior instead of committing.
+        is_first: 1 to start over from the prior instead of committing.
         action: the mode to commit to.
-        held: the epoch whose candidates wait for an action.
+        pending: the epoch whose candidates wait for an action.
         x, P: (7,), (28,) belief after the last committed epoch.
         memory: of the track.
         candidates: per mode, for the epoch held, without their ``P_predicted``: the less an
@@ -65,13 +65,13 @@ class Workspace(NamedTuple):
 
     incoming: Incoming
     site: Site
-    fresh: Number
+    is_first: Number
     action: Number
-    held: Held
+    pending: PendingEpoch
     x: list[Number]
     P: list[Number]
     memory: Memory
-    candidates: list[Candidate]
+    candidates: list[ModeResult]
     observation: list[Number]
     reward: Number
     truth: list[Number]
@@ -80,20 +80,20 @@ class Workspace(NamedTuple):
     nees: Number
 
 
-def _template(pipeline: Pipeline, features: int) -> Workspace:
+def _template(pipeline: Pipeline, features: int) -> EnvState:
     layout = pipeline.layout
     groups = [0.0] * len(layout.groups)
     incoming, site = blank_incoming(layout), blank_site(layout)
-    candidate = Candidate(site.prior_x, site.prior_P, [], groups, groups, 0.0, 0.0)
-    return Workspace(
+    candidate = ModeResult(site.prior_x, site.prior_P, [], groups, groups, 0.0, 0.0)
+    return EnvState(
         incoming=incoming,
         site=site,
-        fresh=1.0,
+        is_first=1.0,
         action=0.0,
-        held=Held(0.0, [0.0] * len(layout.groups), incoming.truth),
+        pending=PendingEpoch(0.0, [0.0] * len(layout.groups), incoming.truth),
         x=site.prior_x,
         P=site.prior_P,
-        memory=start(pipeline.layout, len(pipeline.modes)),
+        memory=initial_memory(pipeline.layout, len(pipeline.modes)),
         candidates=[candidate for _ in pipeline.modes],
         observation=[0.0] * features,
         reward=0.0,
@@ -104,7 +104,7 @@ def _template(pipeline: Pipeline, features: int) -> Workspace:
     )
 
 
-def epoch(w: Workspace, pipeline: Pipeline, observation: Observation, reward: Reward) -> Workspace:
+def epoch(w: EnvState, pipeline: Pipeline, observation: Observation, reward: Reward) -> EnvState:
     """One step of an environment, on numbers."""
     chosen = w.candidates[0]
     cost: Number = pipeline.modes[0].cost
@@ -112,29 +112,29 @@ def epoch(w: Workspace, pipeline: Pipeline, observation: Observation, reward: Re
         picked = w.action > m - 0.5
         chosen = select(picked, w.candidates[m], chosen)
         cost = where(picked, pipeline.modes[m].cost, cost)
-    dt, visible, truth = w.held
-    memory = commit(pipeline.layout, w.action, w.x, chosen, w.memory, dt, visible)
-    belief = Belief(chosen.x, unpack(chosen.P, zero=pipeline.pinned), pipeline.position_axes)
+    dt, visible, truth = w.pending
+    memory = memory_after(pipeline.layout, w.action, w.x, chosen, w.memory, dt, visible)
+    belief = Belief(chosen.x, unpack(chosen.P, zero=pipeline.known_axes), pipeline.position_axes)
     score = reward(belief, truth) - cost
 
-    fresh = w.fresh > 0.5
-    x = select(fresh, w.site.prior_x, chosen.x)
-    P = select(fresh, w.site.prior_P, chosen.P)
-    memory = select(fresh, start(pipeline.layout, len(pipeline.modes)), memory)
+    is_first = w.is_first > 0.5
+    x = select(is_first, w.site.prior_x, chosen.x)
+    P = select(is_first, w.site.prior_P, chosen.P)
+    memory = select(is_first, initial_memory(pipeline.layout, len(pipeline.modes)), memory)
     coming = w.incoming.epoch(pipeline.layout)
-    candidates = [consider(pipeline, m, x, P, memory, coming, w.site) for m in pipeline.modes]
-    memory = anticipate(memory, candidates, coming, pipeline.layout)
-    view = View(x, unpack(P, zero=pipeline.pinned), memory, candidates, coming, w.site)
+    candidates = [predict_update(pipeline, m, x, P, memory, coming, w.site) for m in pipeline.modes]
+    memory = memory_before(memory, candidates, coming, pipeline.layout)
+    view = View(x, unpack(P, zero=pipeline.known_axes), memory, candidates, coming, w.site)
     return w._replace(
-        fresh=0.0,
-        held=Held(coming.dt, coming.visible, w.incoming.truth),
+        is_first=0.0,
+        pending=PendingEpoch(coming.dt, coming.visible, w.incoming.truth),
         x=x,
         P=P,
         memory=memory,
         candidates=[candidate._replace(P_predicted=[]) for candidate in candidates],
         observation=observation.values(view),
         reward=score,
-        truth=select(fresh, w.incoming.truth, truth),
+        truth=select(is_first, w.incoming.truth, truth),
         error=belief.error(truth),
         distance=belief.distance(truth),
         nees=belief.nees(truth),
@@ -142,11 +142,11 @@ def epoch(w: Workspace, pipeline: Pipeline, observation: Observation, reward: Re
 
 
 @lru_cache(maxsize=32)
-def _program(pipeline: Pipeline, kind: str, reward: Reward) -> Program[Workspace]:
+def _program(pipeline: Pipeline, kind: str, reward: Reward) -> Program[EnvState]:
     """The compiled epoch, shared by every environment that is set up alike."""
     observation = Observation(pipeline, kind)
 
-    def function(w: Workspace) -> Workspace:
+    def function(w: EnvState) -> EnvState:
         return epoch(w, pipeline, observation, reward)
 
     return Program(function, _template(pipeline, len(observation)))
@@ -184,17 +184,19 @@ class Engine:
         self.batch = Batch(program, pipeline.layout, n, action, on_floats, threads)
         self.at = self.batch.at
         self.read, self.column, self.span = self.batch.read, self.batch.column, self.batch.span
-        self._shown = rows_of(self.at.observation)
+        self._obs_rows = rows_of(self.at.observation)
 
     def reset(self, episodes: Sequence[Episode]) -> None:
         """Start over with one episode each and consider its first epoch."""
         self.batch.begin(episodes)
 
-    def load(self, episodes: Packed | Sequence[Episode], places: Index) -> None:
+    def load(self, episodes: EpisodeBatch | Sequence[Episode], places: Index) -> None:
         """Give some environments an episode, to start over with at the next run."""
         self.batch.load(episodes, places)
 
-    def start(self, places: Index, tell: Index = NO_ROWS) -> tuple[NDArray[np.float32], Array]:
+    def start(
+        self, places: Index, output_rows: Index = NO_ROWS
+    ) -> tuple[NDArray[np.float32], Array]:
         """Consider the first epoch in environments just loaded; the others stay as they are.
 
         Returns:
@@ -202,12 +204,12 @@ class Engine:
         """
         running = np.zeros(self.batch.n, np.bool_)
         running[places] = True
-        traffic = self.batch.traffic(keep=tell, show=self._shown)
-        self.batch.advance(traffic, running)
-        return traffic.shown[:, 0], traffic.kept[:, 0]
+        io = self.batch.io(output_rows=output_rows, obs_rows=self._obs_rows)
+        self.batch.advance(io, running)
+        return io.observations[:, 0], io.outputs[:, 0]
 
     def step(
-        self, actions: NDArray[np.integer[Any]] | np.int64, tell: Index = NO_ROWS
+        self, actions: NDArray[np.integer[Any]] | np.int64, output_rows: Index = NO_ROWS
     ) -> tuple[NDArray[np.float32], Array]:
         """Commit every environment to its mode (n,), or all to one, and consider the next epoch.
 
@@ -215,15 +217,15 @@ class Engine:
 
         Args:
             actions: numbers of the modes.
-            tell: (k,) numbers of rows to return, of :func:`rows_of` parts of ``at``.
+            output_rows: (k,) numbers of rows to return, of :func:`rows_of` parts of ``at``.
 
         Returns:
             The observations (n, features), and what to tell (n, k); fresh arrays.
         """
-        traffic = self.batch.traffic(keep=tell, show=self._shown)
-        traffic.given[:, 0, 0] = actions
-        self.batch.advance(traffic)
-        return traffic.shown[:, 0], traffic.kept[:, 0]
+        io = self.batch.io(output_rows=output_rows, obs_rows=self._obs_rows)
+        io.inputs[:, 0, 0] = actions
+        self.batch.advance(io)
+        return io.observations[:, 0], io.outputs[:, 0]
 
     def observations(self) -> NDArray[np.float32]:
         """The current observations (n, features), a copy."""

@@ -14,10 +14,10 @@ from numpy.typing import ArrayLike
 from scipy.special import chdtri
 
 from mmwave_env.compiler.lanes import WIDTH
-from mmwave_env.compiler.program import Array, Index, Program, Tracks, Traffic, rows_of
+from mmwave_env.compiler.program import Array, BatchState, Index, Program, StepIO, rows_of
 from mmwave_env.engines.batch import Batch
 from mmwave_env.engines.track_engine import untuned
-from mmwave_env.episodes.episode import Episode, Incoming, Packed, blank_incoming
+from mmwave_env.episodes.episode import Episode, EpisodeBatch, Incoming, blank_incoming
 from mmwave_env.filters.belief import Belief
 from mmwave_env.filters.imm import (
     Mixture,
@@ -32,17 +32,17 @@ from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.models.epoch import Site, blank_site
 from mmwave_env.numerics.linalg import pack
 from mmwave_env.numerics.numbers import Number
-from mmwave_env.numerics.pytree import leaves
+from mmwave_env.numerics.pytree import flatten
 from mmwave_env.reward import Reward
 
 
-class ImmWorkspace(NamedTuple):
+class ImmState(NamedTuple):
     """Everything an IMM holds between two epochs.
 
     Attributes:
         incoming: the epoch just filtered.
         site: anchors, carrier and prior.
-        fresh: 1 to start over from the prior.
+        is_first: 1 to start over from the prior.
         transition: (modes, modes) transition probabilities (from, to).
         tunings: process noise of every mode.
         limits: (groups,) NIS that counts at most in a likelihood.
@@ -53,7 +53,7 @@ class ImmWorkspace(NamedTuple):
 
     incoming: Incoming
     site: Site
-    fresh: Number
+    is_first: Number
     transition: list[list[Number]]
     tunings: list[Tuning]
     limits: list[Number]
@@ -66,16 +66,16 @@ class ImmWorkspace(NamedTuple):
 
 
 @lru_cache(maxsize=32)
-def _program(pipeline: Pipeline, reward: Reward) -> Program[ImmWorkspace]:
-    def function(w: ImmWorkspace) -> ImmWorkspace:
-        mixture = restart(w.fresh > 0.5, pipeline, w.site, w.mixture)
+def _program(pipeline: Pipeline, reward: Reward) -> Program[ImmState]:
+    def function(w: ImmState) -> ImmState:
+        mixture = restart(w.is_first > 0.5, pipeline, w.site, w.mixture)
         coming = w.incoming.epoch(pipeline.layout)
         mixture = imm_epoch(pipeline, w.transition, w.tunings, w.limits, mixture, coming, w.site)
         x, P = estimate(mixture)
         belief = Belief(x, P, pipeline.position_axes)
         truth = w.incoming.truth
         return w._replace(
-            fresh=0.0,
+            is_first=0.0,
             mixture=mixture,
             x=x,
             P=pack(P),
@@ -85,10 +85,10 @@ def _program(pipeline: Pipeline, reward: Reward) -> Program[ImmWorkspace]:
         )
 
     site, modes = blank_site(pipeline.layout), pipeline.modes
-    template = ImmWorkspace(
+    template = ImmState(
         incoming=blank_incoming(pipeline.layout),
         site=site,
-        fresh=1.0,
+        is_first=1.0,
         transition=[[0.0] * len(modes) for _ in modes],
         tunings=[mode.tuning for mode in modes],
         limits=[0.0] * len(pipeline.layout.groups),
@@ -154,17 +154,17 @@ class ImmEngine:
         self.transition = transition_from(transition, len(pipeline.modes))
         self._program = _program(untuned(pipeline), reward)
         index, self._start = self._program.index, self._program.start.copy()
-        self._start[leaves(index.transition)] = self.transition.ravel()
-        self._start[leaves(index.tunings)] = leaves([mode.tuning for mode in pipeline.modes])
+        self._start[flatten(index.transition)] = self.transition.ravel()
+        self._start[flatten(index.tunings)] = flatten([mode.tuning for mode in pipeline.modes])
         rows = [group.stop - group.start for group in pipeline.layout.groups]
-        self._start[leaves(index.limits)] = chdtri(rows, 1.0 - nis_quantile)
+        self._start[flatten(index.limits)] = chdtri(rows, 1.0 - nis_quantile)
 
-    def run(self, episodes: Packed | Sequence[Episode], *names: str) -> dict[str, Array]:
+    def run(self, episodes: EpisodeBatch | Sequence[Episode], *names: str) -> dict[str, Array]:
         """Filter episodes from their priors to their ends.
 
         Args:
             episodes: N of them.
-            names: parts of :class:`ImmWorkspace` to return, such as "reward" or
+            names: parts of :class:`ImmState` to return, such as "reward" or
                 "mixture.probability".
 
         Returns:
@@ -174,7 +174,7 @@ class ImmEngine:
         Raises:
             ValueError: another layout than the pipeline's.
         """
-        packed = episodes if isinstance(episodes, Packed) else Packed.of(episodes)
+        packed = episodes if isinstance(episodes, EpisodeBatch) else EpisodeBatch.of(episodes)
         if packed.layout != self.pipeline.layout:
             raise ValueError(
                 f"layout of episode {packed.names[0]!r}: found {packed.layout}, expected "
@@ -192,8 +192,8 @@ class ImmEngine:
         Returns:
             Rewards (n, epochs); what is past the end of an episode means nothing.
         """
-        length = batch.tracks.length[places]
-        table = batch.tracks.table[places, : length.max()]
+        length = batch.state.length[places]
+        table = batch.state.table[places, : length.max()]
         return self._filter(table, batch.sites(places), length, ["reward"])["reward"]
 
     def _filter(
@@ -204,7 +204,7 @@ class ImmEngine:
         program = self._program
         rows = np.tile(self._start[None, :, None], (-(-n // WIDTH), 1, WIDTH))
         block, lane = np.divmod(np.arange(n), WIDTH)
-        rows[block[:, None], leaves(program.index.site), lane[:, None]] = site
-        traffic = Traffic.of(n, epochs, keep=rows_of(program.parts(names)))
-        program.run_on_lanes(Tracks.of(table, rows)._replace(length=length), traffic)
-        return program.by_name(names, traffic.kept)
+        rows[block[:, None], flatten(program.index.site), lane[:, None]] = site
+        io = StepIO.of(n, epochs, output_rows=rows_of(program.parts(names)))
+        program.run_on_lanes(BatchState.of(table, rows)._replace(length=length), io)
+        return program.by_name(names, io.outputs)

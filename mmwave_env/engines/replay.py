@@ -13,11 +13,11 @@ from numba.extending import register_jitable
 from numpy.typing import NDArray
 
 from mmwave_env.compiler.lanes import WIDTH
-from mmwave_env.compiler.lazy_jit import Sparing
+from mmwave_env.compiler.lazy_jit import LazyJit
 from mmwave_env.compiler.program import Array, Index, Program, call, rows_of
 from mmwave_env.compiler.transpose import address, gather, pick
 from mmwave_env.engines.batch import Batch
-from mmwave_env.engines.track_engine import Track, program_of
+from mmwave_env.engines.track_engine import TrackState, program_of
 from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.filters.smoother import (
     BackwardState,
@@ -27,12 +27,12 @@ from mmwave_env.filters.smoother import (
     track_end,
 )
 from mmwave_env.numerics.numbers import Number
-from mmwave_env.numerics.pytree import leaves
+from mmwave_env.numerics.pytree import flatten
 
 Actions = NDArray[np.integer[Any]]
 
 AXES = 3
-PLAIN_EPOCHS = 2_000  # run again before compiling, which takes as long as 6000 of them
+PLAIN_REPLAYED_EPOCHS = 2_000  # run again before compiling, which takes as long as 6000 of them
 
 
 class ReplayedEpoch(NamedTuple):
@@ -63,7 +63,7 @@ class ReturnState(NamedTuple):
     smoothed_error: list[Number]
 
 
-def _replayed(track: Track) -> ReplayedEpoch:
+def _replayed(track: TrackState) -> ReplayedEpoch:
     filtered = ForwardEpoch(track.incoming.dt, track.x, track.P, track.P_predicted)
     return ReplayedEpoch(filtered, track.error, track.nees)
 
@@ -89,10 +89,10 @@ class Replay:
     """
 
     def __init__(self, pipeline: Pipeline, on_floats: bool = False) -> None:
-        self._there, self._back = program_of(pipeline), _way_back(pipeline.pinned)
+        self._there, self._back = program_of(pipeline), _way_back(pipeline.known_axes)
         there, at = self._there.index, self._back.index
         self._start = self._there.start.copy()
-        self._start[rows_of(there.tunings)] = leaves([mode.tuning for mode in pipeline.modes])
+        self._start[rows_of(there.tunings)] = flatten([mode.tuning for mode in pipeline.modes])
         self._site, self._keep = rows_of(there.site), rows_of(_replayed(there))
         self._show = rows_of([at.incoming.error, at.incoming.nees, at.smoothed_error])
         self._on_floats = on_floats
@@ -114,7 +114,7 @@ class Replay:
         rows = np.tile(self._start[None, :, None], (-(-n // WIDTH), 1, WIDTH))
         block, lane = np.divmod(np.arange(n), WIDTH)
         rows[block[:, None], self._site, lane[:, None]] = batch.sites(places)
-        keep, show, tables = self._keep, self._show, batch.tracks.table
+        keep, show, tables = self._keep, self._show, batch.state.table
         figures = np.empty((len(show), *actions.shape))  # numpy reduces what lies side by side
         if self._on_floats:
             self._on_floats_there(rows, tables[places], actions, keep, show, figures)
@@ -181,4 +181,4 @@ def _there_and_back(  # type: ignore[no-untyped-def]
         _return(back, start, way, show, out[:, first:end])
 
 
-_round_trip = Sparing(_there_and_back, PLAIN_EPOCHS)
+_round_trip = LazyJit(_there_and_back, PLAIN_REPLAYED_EPOCHS)

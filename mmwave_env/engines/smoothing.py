@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mmwave_env.compiler.lanes import WIDTH
-from mmwave_env.compiler.program import Program, Tracks, Traffic, rows_of
+from mmwave_env.compiler.program import BatchState, Program, StepIO, rows_of
 from mmwave_env.filters.pipeline import VERTICAL
 from mmwave_env.filters.smoother import (
     BackwardState,
@@ -59,8 +59,8 @@ def smooth(
     since[:, 1:] = dt
     forwards = np.concatenate([since[..., None], x, P, P_predicted], axis=2)
     rows = np.tile(program.start[None, :, None], (-(-N // WIDTH), 1, WIDTH))
-    traffic = Traffic.of(N, T, keep=rows_of([program.index.after.x, program.index.after.P]))
+    io = StepIO.of(N, T, output_rows=rows_of([program.index.after.x, program.index.after.P]))
     backwards = np.ascontiguousarray(forwards[:, ::-1])
-    program.run_on_lanes(Tracks.of(backwards, rows), traffic)
-    smoothed = traffic.kept[:, ::-1]
+    program.run_on_lanes(BatchState.of(backwards, rows), io)
+    smoothed = io.outputs[:, ::-1]
     return smoothed[..., :STATE_SIZE].copy(), smoothed[..., STATE_SIZE:].copy()

@@ -17,26 +17,26 @@ from mmwave_env.compiler.program import Program, rows_of
 from mmwave_env.engines.batch import Batch
 from mmwave_env.episodes.episode import Episode, Incoming, blank_incoming
 from mmwave_env.filters.belief import Belief
-from mmwave_env.filters.memory import Memory, anticipate, commit, start
-from mmwave_env.filters.mode_result import Candidate
+from mmwave_env.filters.memory import Memory, initial_memory, memory_after, memory_before
+from mmwave_env.filters.mode_result import ModeResult
 from mmwave_env.filters.modes import Tuning
-from mmwave_env.filters.pipeline import Pipeline, consider
+from mmwave_env.filters.pipeline import Pipeline, predict_update
 from mmwave_env.models.epoch import Epoch, Site, blank_site
 from mmwave_env.numerics.linalg import unpack
 from mmwave_env.numerics.numbers import Number, Vector
-from mmwave_env.numerics.pytree import leaves, select
+from mmwave_env.numerics.pytree import flatten, select
 
 Array = NDArray[np.float64]
 Rule = Callable[[Vector, Epoch], Number]
 
 
-class Track(NamedTuple):
+class TrackState(NamedTuple):
     """A track between two epochs.
 
     Attributes:
         incoming: the epoch to run, or just run.
         site: anchors, carrier and prior.
-        fresh: 1 to start over from the prior.
+        is_first: 1 to start over from the prior.
         action: the mode to run where no rule picks one.
         tunings: process noise of every mode.
         x, P: (7,), (28,) belief after the epoch.
@@ -49,7 +49,7 @@ class Track(NamedTuple):
 
     incoming: Incoming
     site: Site
-    fresh: Number
+    is_first: Number
     action: Number
     tunings: list[Tuning]
     x: list[Number]
@@ -61,25 +61,25 @@ class Track(NamedTuple):
     nees: Number
 
 
-def track_epoch(w: Track, pipeline: Pipeline, rule: Rule | None) -> Track:
+def track_epoch(w: TrackState, pipeline: Pipeline, rule: Rule | None) -> TrackState:
     """One epoch of a track, on numbers."""
-    fresh, epoch = w.fresh > 0.5, w.incoming.epoch(pipeline.layout)
-    x, P = select(fresh, w.site.prior_x, w.x), select(fresh, w.site.prior_P, w.P)
-    memory = select(fresh, start(pipeline.layout, len(pipeline.modes)), w.memory)
+    is_first, epoch = w.is_first > 0.5, w.incoming.epoch(pipeline.layout)
+    x, P = select(is_first, w.site.prior_x, w.x), select(is_first, w.site.prior_P, w.P)
+    memory = select(is_first, initial_memory(pipeline.layout, len(pipeline.modes)), w.memory)
     mode = w.action if rule is None else rule(x, epoch)
     candidates = [
-        consider(pipeline, one, x, P, memory, epoch, w.site, tuning)
+        predict_update(pipeline, one, x, P, memory, epoch, w.site, tuning)
         for one, tuning in zip(pipeline.modes, w.tunings, strict=True)
     ]
-    chosen: Candidate = candidates[0]
+    chosen: ModeResult = candidates[0]
     for number, candidate in enumerate(candidates[1:], start=1):
         chosen = select(mode > number - 0.5, candidate, chosen)
-    memory = anticipate(memory, candidates, epoch, pipeline.layout)
-    memory = commit(pipeline.layout, mode, x, chosen, memory, epoch.dt, epoch.visible)
-    covariance = unpack(chosen.P, zero=pipeline.pinned)
+    memory = memory_before(memory, candidates, epoch, pipeline.layout)
+    memory = memory_after(pipeline.layout, mode, x, chosen, memory, epoch.dt, epoch.visible)
+    covariance = unpack(chosen.P, zero=pipeline.known_axes)
     belief = Belief(chosen.x, covariance, pipeline.position_axes)
     return w._replace(
-        fresh=0.0,
+        is_first=0.0,
         x=chosen.x,
         P=chosen.P,
         P_predicted=chosen.P_predicted,
@@ -90,27 +90,27 @@ def track_epoch(w: Track, pipeline: Pipeline, rule: Rule | None) -> Track:
     )
 
 
-def program_of(pipeline: Pipeline, rule: Rule | None = None) -> Program[Track]:
+def program_of(pipeline: Pipeline, rule: Rule | None = None) -> Program[TrackState]:
     """The compiled epoch of a track; pipelines whose modes differ in tuning alone share it."""
     return _program(untuned(pipeline), rule)
 
 
 @lru_cache(maxsize=64)
-def _program(pipeline: Pipeline, rule: Rule | None) -> Program[Track]:
-    def function(w: Track) -> Track:
+def _program(pipeline: Pipeline, rule: Rule | None) -> Program[TrackState]:
+    def function(w: TrackState) -> TrackState:
         return track_epoch(w, pipeline, rule)
 
     site = blank_site(pipeline.layout)
-    template = Track(
+    template = TrackState(
         incoming=blank_incoming(pipeline.layout),
         site=site,
-        fresh=1.0,
+        is_first=1.0,
         action=0.0,
         tunings=[Tuning(*[0.0] * len(Tuning._fields)) for _ in pipeline.modes],
         x=site.prior_x,
         P=site.prior_P,
         P_predicted=site.prior_P,
-        memory=start(pipeline.layout, len(pipeline.modes)),
+        memory=initial_memory(pipeline.layout, len(pipeline.modes)),
         log_likelihood=0.0,
         error=[0.0] * 3,
         nees=0.0,
@@ -157,7 +157,7 @@ class Tracker:
 
     def tune(self, tunings: Sequence[Tuning]) -> None:
         """Take other process noise, one :class:`Tuning` a mode, and start over."""
-        row = np.array(leaves(list(tunings)), float)
+        row = np.array(flatten(list(tunings)), float)
         self._batch.write(self._batch.at.tunings, np.tile(row, (self._batch.n, 1)))
         self._batch.restart()
 
@@ -183,7 +183,7 @@ class Tracker:
         """Filter the episodes loaded, once.
 
         Args:
-            names: parts of :class:`Track` to return, such as "x" or "memory.nis".
+            names: parts of :class:`TrackState` to return, such as "x" or "memory.nis".
             actions: (n, epochs) numbers of the modes to run, where there is no rule.
 
         Returns:
@@ -195,7 +195,7 @@ class Tracker:
         modes = len(self.pipeline.modes)
         if self._rule is None and actions is None and modes > 1:
             raise ValueError(f"modes: found {modes}, no rule and no actions, expected one mode")
-        traffic = self._batch.traffic(self._epochs, rows_of(self.program.parts(names)))
-        traffic.given[..., 0] = 0 if actions is None else actions
-        self._batch.advance(traffic)
-        return self.program.by_name(names, traffic.kept)
+        io = self._batch.io(self._epochs, rows_of(self.program.parts(names)))
+        io.inputs[..., 0] = 0 if actions is None else actions
+        self._batch.advance(io)
+        return self.program.by_name(names, io.outputs)

@@ -11,13 +11,13 @@ from numba.extending import register_jitable
 from numpy.typing import NDArray
 
 from mmwave_env.compiler.lanes import WIDTH
-from mmwave_env.compiler.lazy_jit import Sparing
-from mmwave_env.compiler.program import PLAIN_EPOCHS, advance, rows_of
+from mmwave_env.compiler.lazy_jit import LazyJit
+from mmwave_env.compiler.program import PLAIN_BLOCK_EPOCHS, advance, rows_of
 from mmwave_env.compiler.threads import share
-from mmwave_env.engines.action_history import History
+from mmwave_env.engines.action_history import ActionHistory
 from mmwave_env.engines.env_engine import Engine
-from mmwave_env.info import STATE_KEYS, STEP_KEYS, mask_keys
-from mmwave_env.numerics.pytree import leaves
+from mmwave_env.info import FLAGS, STATE_KEYS, STEP_KEYS, mask_keys, told_rows
+from mmwave_env.numerics.pytree import flatten
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -36,23 +36,19 @@ class Stepper:
     """
 
     def __init__(self, engine: Engine) -> None:
-        at, memory, n = engine.at, engine.at.memory, engine.batch.n
-        tree = {
-            # _step_blocks expects these two first, in this order.
-            "reward": at.reward, "verdicts": [memory.accepted, memory.rejected],
-            "position_error_m": at.distance, "nees": at.nees, "nis": memory.nis,
-            "gamma": memory.gamma, "truth": at.truth, "estimate": at.x,
-        }  # fmt: skip
+        at, n, told = engine.at, engine.batch.n, told_rows(engine.at)
+        flags = [told.pop(key) for key in FLAGS]
+        tree = {"reward": at.reward, "flags": flags, **told}  # _step_blocks reads the first two
         self._rows = rows_of(list(tree.values()))
-        ends = np.cumsum([len(leaves(part)) for part in tree.values()]).tolist()
+        ends = np.cumsum([len(flatten(part)) for part in tree.values()]).tolist()
         self._columns = {
             name: (slice(None), 0, end - 1 if isinstance(part, int) else slice(begin, end))
             for (name, part), begin, end in zip(tree.items(), [0, *ends], ends, strict=False)
         }
-        self._engine, self._groups = engine, len(memory.accepted)
-        self._action, self._shown = rows_of(at.action), rows_of(at.observation)
+        self._engine, self._groups, self._told = engine, len(at.memory.accepted), tuple(told)
+        self._action, self._obs_rows = rows_of(at.action), rows_of(at.observation)
         self._mask_keys, self._everywhere = mask_keys(STEP_KEYS + STATE_KEYS), np.ones(n, np.bool_)
-        self.history = History(n, len(engine.pipeline.modes))
+        self.history = ActionHistory(n, len(engine.pipeline.modes))
 
     def step(self, actions: Index) -> tuple[NDArray[np.float32], Array, Mask, int, Infos]:
         """Commit every environment to its mode and consider the next epoch; see `Engine.step`.
@@ -66,14 +62,17 @@ class Stepper:
             environments, with their masks.
         """
         batch, history, n = self._engine.batch, self.history, len(actions)
-        observations = np.empty((n, 1, len(self._shown)), np.float32)
-        told, verdicts = np.empty((n, 1, len(self._rows))), np.empty((2, n, self._groups), np.bool_)
+        observations = np.empty((n, 1, len(self._obs_rows)), np.float32)
+        outputs, flags = (
+            np.empty((n, 1, len(self._rows))),
+            np.empty((2, n, self._groups), np.bool_),
+        )
         rewards, truncated = np.empty(n), np.empty(n, np.bool_)
         program, parts = batch.program, batch.parts
         arguments = (
-            actions, history.rows, history.turn, rewards, verdicts, truncated,
-            program.on_lanes(), program.blank, *batch.tracks, self._action, self._rows, told,
-            self._shown, observations,
+            actions, history.rows, history.turn, rewards, flags, truncated,
+            program.on_lanes(), program.blank, *batch.state, self._action, self._rows, outputs,
+            self._obs_rows, observations,
         )  # fmt: skip
         history.next()  # before an interrupt can come between the step and it
         if len(parts) == 1:
@@ -83,18 +82,9 @@ class Stepper:
             jobs = [(end - begin, begin, end, *arguments) for begin, end in parts]
             ended = sum(share(_step, jobs, len(jobs)))
         at = self._columns
-        infos = {
-            "position_error_m": told[at["position_error_m"]],
-            "nees": told[at["nees"]],
-            "nis": told[at["nis"]],
-            "accepted": verdicts[0],
-            "rejected": verdicts[1],
-            "mode": actions,
-            "gamma": told[at["gamma"]],
-            "truth": told[at["truth"]],
-            "estimate": told[at["estimate"]],
-            **dict.fromkeys(self._mask_keys, self._everywhere.copy()),
-        }
+        infos: Infos = {key: outputs[at[key]] for key in self._told}
+        infos |= {"accepted": flags[0], "rejected": flags[1], "mode": actions}
+        infos |= dict.fromkeys(self._mask_keys, self._everywhere.copy())
         return observations[:, 0], rewards, truncated, ended, infos
 
     def start(self, places: Index) -> tuple[NDArray[np.float32], Infos]:
@@ -104,35 +94,36 @@ class Stepper:
             Observations (n, features) and what :data:`STATE_KEYS` tell (n, ...), sound only for
             these.
         """
-        observations, told = self._engine.start(places, self._rows)
-        return observations, {key: told[:, None][self._columns[key]] for key in STATE_KEYS}
+        observations, outputs = self._engine.start(places, self._rows)
+        return observations, {key: outputs[:, None][self._columns[key]] for key in STATE_KEYS}
 
 
 @register_jitable  # type: ignore[untyped-decorator]
 def _step_blocks(  # type: ignore[no-untyped-def]
-    begin, end, actions, noted, turn, rewards, verdicts, truncated,
-    run, blank, rows, table, length, epoch, running, fed, keep, told, show, shown,
+    begin, end, actions, noted, turn, rewards, flags, truncated,
+    run, blank, rows, table, length, epoch, running, input_rows, output_rows, outputs,
+    obs_rows, observations,
 ):  # fmt: skip
     """Step the environments of blocks ``begin`` to ``end``; how many episodes ended."""
     n = len(actions)
     first, last = begin * WIDTH, min(end * WIDTH, n)
-    given = np.empty((n, 1, 1))
+    inputs = np.empty((n, 1, 1))
     for e in range(first, last):
-        given[e, 0, 0] = actions[e]
+        inputs[e, 0, 0] = actions[e]
         noted[turn, e] = actions[e]
     advance(
-        begin, end, run, blank, rows, table, length, epoch, running, fed, given, keep, told,
-        show, shown,
+        begin, end, run, blank, rows, table, length, epoch, running, input_rows, inputs,
+        output_rows, outputs, obs_rows, observations,
     )  # fmt: skip
-    groups, ended = verdicts.shape[2], 0
+    groups, ended = flags.shape[2], 0
     for e in range(first, last):
-        rewards[e] = told[e, 0, 0]
-        for verdict in range(2):
+        rewards[e] = outputs[e, 0, 0]
+        for flag in range(2):
             for i in range(groups):
-                verdicts[verdict, e, i] = told[e, 0, 1 + verdict * groups + i] > 0.5
+                flags[flag, e, i] = outputs[e, 0, 1 + flag * groups + i] > 0.5
         truncated[e] = epoch[e] > length[e]
         ended += truncated[e]
     return ended
 
 
-_step = Sparing(_step_blocks, PLAIN_EPOCHS)
+_step = LazyJit(_step_blocks, PLAIN_BLOCK_EPOCHS)

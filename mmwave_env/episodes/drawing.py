@@ -4,12 +4,12 @@ import numpy as np
 from numba.extending import register_jitable
 
 from mmwave_env.compiler.lanes import WIDTH
-from mmwave_env.compiler.lazy_jit import Sparing
+from mmwave_env.compiler.lazy_jit import LazyJit
 from mmwave_env.compiler.program import advance
-from mmwave_env.compiler.rng import Dice, leave, take
+from mmwave_env.compiler.rng import RngView, load_state, save_state
 from mmwave_env.episodes.travel import travel
 
-PLAIN_EPOCHS = 20_000  # before compiling, which takes as long as 75 000 of them
+PLAIN_DRAWN_EPOCHS = 20_000  # before compiling, which takes as long as 75 000 of them
 
 
 @register_jitable
@@ -76,7 +76,7 @@ def _simulate(  # type: ignore[no-untyped-def]
         prior: (n, 7) gets normals.
         tables: (n, T, columns) gets the episodes.
     """
-    (links, rows, columns, dt_column), dice, T = layout, Dice(rng, memory, states), len(time_s)
+    (links, rows, columns, dt_column), view, T = layout, RngView(rng, memory, states), len(time_s)
     draws, block = np.empty((WIDTH, T, columns)), np.empty((1, len(start), WIDTH))
     blank, nothing, none = np.zeros(columns), np.empty((WIDTH, T, 0)), np.empty(0, np.int64)
     length, running = np.full(WIDTH, T), np.ones(WIDTH, np.bool_)
@@ -84,17 +84,17 @@ def _simulate(  # type: ignore[no-untyped-def]
         end = min(begin + WIDTH, len(kinds))
         here = end - begin
         for e in range(begin, end):
-            take(dice, e)
+            load_state(view, e)
             kinds[e] = int(rng.random() * len(plan.phases))
-            leave(dice, e)
-        travel(dice, begin, kinds[begin:end], plan, dt, stride, move_on, observe, draws)
+            save_state(view, e)
+        travel(view, begin, kinds[begin:end], plan, dt, stride, move_on, observe, draws)
         for e in range(begin, end):
             drawn = draws[e - begin]
-            take(dice, e)
+            load_state(view, e)
             _draw(rng, drawn, links, rows)
             for i in range(prior.shape[1]):
                 prior[e, i] = rng.standard_normal()
-            leave(dice, e)
+            save_state(view, e)
             for i in range(6):
                 first[e, i] = drawn[0, i]
             first[e, 6] = drawn[0, columns - 1]
@@ -111,4 +111,4 @@ def _simulate(  # type: ignore[no-untyped-def]
                 tables[e, t, dt_column] = time_s[t] - time_s[t - 1]
 
 
-simulate = Sparing(_simulate, PLAIN_EPOCHS)
+simulate = LazyJit(_simulate, PLAIN_DRAWN_EPOCHS)

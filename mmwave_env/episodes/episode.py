@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from mmwave_env.models.epoch import Epoch, Site, blank_site
 from mmwave_env.models.measurement import Layout
 from mmwave_env.numerics.numbers import Number, where
-from mmwave_env.numerics.pytree import indices, leaves
+from mmwave_env.numerics.pytree import flatten, indices
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -154,10 +154,10 @@ class Episode:
         """A :class:`~mmwave_env.models.epoch.Site` as a row of numbers, as engines load it."""
         packed = self.prior_covariance[np.tril_indices(7)]
         site = Site(self.scene_anchors_m.tolist(), self.hz_per_mps, [*self.prior_mean], [*packed])
-        return np.array(leaves(site))
+        return np.array(flatten(site))
 
 
-class Packed(NamedTuple):
+class EpisodeBatch(NamedTuple):
     """Many episodes as an engine loads them.
 
     Attributes:
@@ -177,7 +177,7 @@ class Packed(NamedTuple):
     layout: Layout
 
     @classmethod
-    def of(cls, episodes: Sequence[Episode]) -> "Packed":
+    def of(cls, episodes: Sequence[Episode]) -> "EpisodeBatch":
         """The same episodes.
 
         Raises:
@@ -203,7 +203,7 @@ class Packed(NamedTuple):
             layout=layout,
         )
 
-    def on_flat_ground(self) -> "Packed":
+    def on_flat_ground(self) -> "EpisodeBatch":
         """The same with the height known, as :meth:`Episode.on_flat_ground` at the first epoch."""
         site, prior = self.site.copy(), indices(blank_site(self.layout)).prior_x
         site[:, prior[2]] = self.table[:, 0, columns_of(self.layout).truth[2]]

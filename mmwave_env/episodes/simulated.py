@@ -13,20 +13,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mmwave_env.compiler.program import Index, Program
-from mmwave_env.compiler.rng import Dice, Words, dice_of, single
+from mmwave_env.compiler.rng import RngView, Words, rng_view, whole_rng
 from mmwave_env.compiler.threads import portions, share
 from mmwave_env.episodes.drawing import simulate
-from mmwave_env.episodes.episode import Episode, Incoming, Packed, blank_incoming, columns_of
+from mmwave_env.episodes.episode import Episode, EpisodeBatch, Incoming, blank_incoming, columns_of
 from mmwave_env.episodes.kinematics import motion
 from mmwave_env.episodes.mobility import mobilities_of, plan_of
 from mmwave_env.episodes.travel import Plan, stride_of
 from mmwave_env.models.channel import (
     Channel,
     ChannelDraws,
-    Weather,
-    calm,
+    ChannelState,
     channel_epoch,
     channel_of,
+    initial_state,
 )
 from mmwave_env.models.epoch import Site
 from mmwave_env.models.measurement import STATE_SIZE, Layout, exact_rows
@@ -34,7 +34,7 @@ from mmwave_env.models.radio import Radio, deviations
 from mmwave_env.models.scene import Scene
 from mmwave_env.numerics.linalg import dot
 from mmwave_env.numerics.numbers import Number, Vector, sqrt, where, wrap
-from mmwave_env.numerics.pytree import indices, leaves
+from mmwave_env.numerics.pytree import flatten, indices
 
 Array = NDArray[np.float64]
 
@@ -57,7 +57,7 @@ class Draws(NamedTuple):
     drift: Number
 
 
-class World(NamedTuple):
+class EpisodeConstants(NamedTuple):
     """What stays the same through an episode.
 
     Attributes:
@@ -80,36 +80,38 @@ class Simulation(NamedTuple):
 
     Attributes:
         draws: of the epoch.
-        world: where.
-        fresh: 1 before the first epoch.
-        weather: of the links.
+        constants: where.
+        is_first: 1 before the first epoch.
+        channel_state: of the links.
         bias_mps: of the oscillator.
         measured: the epoch, as an engine loads it.
     """
 
     draws: Draws
-    world: World
-    fresh: Number
-    weather: Weather
+    constants: EpisodeConstants
+    is_first: Number
+    channel_state: ChannelState
     bias_mps: Number
     measured: Incoming
 
 
 def simulate_epoch(w: Simulation, layout: Layout) -> Simulation:
     """One epoch: the channel, then what a receiver measures."""
-    world, draws, fresh = w.world, w.draws, w.fresh > 0.5
+    constants, draws, is_first = w.constants, w.draws, w.is_first > 0.5
     position, velocity = draws.truth[:3], draws.truth[3:]
     speed = sqrt(dot(velocity, velocity))
-    exact = exact_rows(position, velocity, world.anchors, world.hz_per_mps, layout)
+    exact = exact_rows(position, velocity, constants.anchors, constants.hz_per_mps, layout)
     distance = [exact[layout.link(a)][0] for a in range(layout.anchors)]
-    weather, reception = channel_epoch(
-        world.channel, w.weather, fresh, draws.channel, distance, speed
+    channel_state, reception = channel_epoch(
+        constants.channel, w.channel_state, is_first, draws.channel, distance, speed
     )
     bias_mps = where(
-        fresh, world.first_bias_mps * draws.drift, w.bias_mps + world.drift_mps * draws.drift
+        is_first,
+        constants.first_bias_mps * draws.drift,
+        w.bias_mps + constants.drift_mps * draws.drift,
     )
-    bias_hz = world.hz_per_mps * bias_mps
-    c = world.channel
+    bias_hz = constants.hz_per_mps * bias_mps
+    c = constants.channel
     sigma = deviations(c.floor_variance, c.bound_variance, reception.snr_db, layout)
     added = [value for link in reception.bias for value in link] + [bias_hz]
     added += [0.0] * (layout.size - len(added))
@@ -129,8 +131,8 @@ def simulate_epoch(w: Simulation, layout: Layout) -> Simulation:
         truth=list(draws.truth),
     )
     return w._replace(
-        fresh=0.0,
-        weather=weather,
+        is_first=0.0,
+        channel_state=channel_state,
         bias_mps=bias_mps,
         measured=measured,
     )
@@ -158,13 +160,13 @@ def _program(layout: Layout) -> Program[Simulation]:
     anchors = [[0.0, 0.0, 10.0 + a] for a in range(L)]
     template = Simulation(
         draws=_blank_draws(layout),
-        world=World(anchors, 1.0, channel, 1.0, 1.0),
-        fresh=1.0,
-        weather=calm(L),
+        constants=EpisodeConstants(anchors, 1.0, channel, 1.0, 1.0),
+        is_first=1.0,
+        channel_state=initial_state(L),
         bias_mps=0.0,
         measured=blank_incoming(layout),
     )
-    assert len(leaves(channel.floor_variance)) == rows
+    assert len(flatten(channel.floor_variance)) == rows
 
     def function(w: Simulation) -> Simulation:
         return simulate_epoch(w, layout)
@@ -175,7 +177,7 @@ def _program(layout: Layout) -> Program[Simulation]:
 @lru_cache(maxsize=8)
 def _kept(layout: Layout) -> Index:
     """The rows that are kept of every epoch: as measured."""
-    return np.array(leaves(_program(layout).index.measured))
+    return np.array(flatten(_program(layout).index.measured))
 
 
 @dataclass(frozen=True)
@@ -225,28 +227,34 @@ class SimulatedSource:
     def sample(self, rng: np.random.Generator) -> Episode:
         """Draw one episode; all randomness comes from ``rng``."""
         tables = np.empty((1, self.epochs, len(_kept(self.layout))))
-        names, priors = self._fill(tables, lambda _: single(rng), [slice(None)])
-        table, at = tables[0], columns_of(self.layout)
-        signed_sigma = table[:, at.signed_sigma]
+        names, priors = self._fill(tables, lambda _: whole_rng(rng), [slice(None)])
+        at = columns_of(self.layout)
+
+        def columns(of: Any) -> Array:
+            return np.ascontiguousarray(tables[0][:, of])
+
+        signed_sigma = columns(at.signed_sigma)
         starts = [group.start for group in self.layout.groups]
         return Episode(
             name=names[0],
             scene_anchors_m=self.scene.anchors_m,
             hz_per_mps=self.scene.hz_per_mps,
             time_s=self.time_s,
-            measurement=table[:, at.z],
+            measurement=columns(at.z),
             sigma=np.abs(signed_sigma),
             visible=signed_sigma[:, starts] > 0.0,
-            snr_db=table[:, at.snr_db],
-            doppler_spread_hz=table[:, at.doppler_spread_hz],
+            snr_db=columns(at.snr_db),
+            doppler_spread_hz=columns(at.doppler_spread_hz),
             prior_mean=priors[0],
             prior_covariance=self.radio.prior_covariance(self.scene),
-            truth_position_m=table[:, at.truth[:3]],
-            truth_velocity_mps=table[:, at.truth[3:]],
+            truth_position_m=columns(at.truth[:3]),
+            truth_velocity_mps=columns(at.truth[3:]),
             layout=self.layout,
         )
 
-    def packed(self, states: Words, out: Array | None = None, threads: int = 1) -> Packed:
+    def sample_batch(
+        self, states: Words, out: Array | None = None, threads: int = 1
+    ) -> EpisodeBatch:
         """Draw an episode from each state, as :meth:`sample` would from a generator.
 
         Args:
@@ -266,11 +274,11 @@ class SimulatedSource:
                 f"{shape}, contiguous True"
             )
         parts = portions(n, threads, CHUNK)
-        names, priors = self._fill(table, lambda some: dice_of(states[some]), parts, threads)
+        names, priors = self._fill(table, lambda some: rng_view(states[some]), parts, threads)
         site, mean = self._site
         sites = np.empty((n, len(site)))
         sites[:], sites[:, mean] = site, priors
-        return Packed(
+        return EpisodeBatch(
             names=names,
             nonfinite=np.zeros(n, np.int64),
             length=np.full(n, self.epochs),
@@ -280,7 +288,11 @@ class SimulatedSource:
         )
 
     def _fill(
-        self, tables: Array, dice: Callable[[slice], Dice], parts: Sequence[slice], threads: int = 1
+        self,
+        tables: Array,
+        view: Callable[[slice], RngView],
+        parts: Sequence[slice],
+        threads: int = 1,
     ) -> tuple[list[str], Array]:
         """Fill tables (n, epochs, columns); the names, and the means (n, 7) of the priors.
 
@@ -289,7 +301,7 @@ class SimulatedSource:
 
         Args:
             tables: to fill.
-            dice: gives a thread what to draw a part from.
+            view: gives a thread what to draw a part from.
             parts: of the tables, each drawn by one thread.
             threads: how many may draw at once.
         """
@@ -303,7 +315,7 @@ class SimulatedSource:
         )  # fmt: skip
 
         def arguments(some: slice) -> tuple[Any, ...]:
-            return *dice(some), *same, kinds[some], first[some], prior[some], tables[some]
+            return *view(some), *same, kinds[some], first[some], prior[some], tables[some]
 
         draw = simulate.choice(n * self.epochs, *arguments(parts[0]))
         share(lambda some: draw(*arguments(some)), [(some,) for some in parts], threads)
@@ -317,7 +329,7 @@ class SimulatedSource:
         covariance = self.radio.prior_covariance(self.scene)[np.tril_indices(STATE_SIZE)]
         anchors, mean = self.scene.anchors_m.tolist(), [0.0] * STATE_SIZE
         site = Site(anchors, self.scene.hz_per_mps, mean, covariance.tolist())
-        return np.array(leaves(site)), indices(site).prior_x
+        return np.array(flatten(site)), indices(site).prior_x
 
     @cached_property
     def _prior_deviations(self) -> Array:
@@ -331,11 +343,13 @@ class SimulatedSource:
     def _start(self) -> Array:
         """The workspace (size,) of an episode before its first epoch."""
         radio, scene = self.radio, self.scene
-        world = World(
+        constants = EpisodeConstants(
             anchors=scene.anchors_m.tolist(),
             hz_per_mps=scene.hz_per_mps,
             channel=channel_of(radio, scene, self.layout, self.dt),
             first_bias_mps=radio.prior_bias_mps,
             drift_mps=radio.drift_mps * self.dt**0.5,
         )
-        return np.array(leaves(_program(self.layout).template._replace(world=world)), float)
+        return np.array(
+            flatten(_program(self.layout).template._replace(constants=constants)), float
+        )

@@ -15,7 +15,7 @@ from numba.extending import register_jitable
 from numpy.typing import NDArray
 
 from mmwave_env.compiler.lanes import WIDTH
-from mmwave_env.compiler.rng import leave, take
+from mmwave_env.compiler.rng import load_state, save_state
 from mmwave_env.episodes.kinematics import AT, STANDING_MPS
 
 FINEST_STEP_S = 0.1
@@ -217,11 +217,11 @@ def _begin(rng, now, plan, kind, total_s, limits):  # type: ignore[no-untyped-de
 
 
 @register_jitable
-def travel(dice, first, kinds, plan, dt, stride, move_on, observe, out):  # type: ignore[no-untyped-def]
+def travel(view, first, kinds, plan, dt, stride, move_on, observe, out):  # type: ignore[no-untyped-def]
     """The whole way of up to eight travellers; all randomness of each is its own.
 
     Args:
-        dice: to draw from.
+        view: to draw from.
         first: which of the dice's states is the first traveller's; the others' follow.
         kinds: (n,) which of the plan's kinds each is.
         plan: kinds of users.
@@ -230,15 +230,15 @@ def travel(dice, first, kinds, plan, dt, stride, move_on, observe, out):  # type
         move_on, observe: of :func:`~mmwave_env.episodes.kinematics.motion`.
         out: (n, epochs, 6 or more) the first six columns get positions (m) and velocities (m/s).
     """
-    rng, here, epochs = dice[0], len(kinds), out.shape[1]
+    rng, here, epochs = view[0], len(kinds), out.shape[1]
     block = np.zeros((len(AT), WIDTH))
     for lane in range(WIDTH):
         block[AT.step, lane] = dt / stride
     limits = np.empty((here, plan.duration.shape[1], 9))
     for lane in range(here):
-        take(dice, first + lane)
+        load_state(view, first + lane)
         _begin(rng, block[:, lane], plan, kinds[lane], epochs * dt, limits[lane])
-        leave(dice, first + lane)
+        save_state(view, first + lane)
     for epoch in range(epochs):
         observe(block.ctypes)
         for lane in range(here):
@@ -249,9 +249,9 @@ def travel(dice, first, kinds, plan, dt, stride, move_on, observe, out):  # type
         while left > 0:
             for lane in range(here):
                 if block[AT.due, lane] > 0.0:
-                    take(dice, first + lane)
+                    load_state(view, first + lane)
                     _attend(rng, block[:, lane], plan.gaits[kinds[lane]], limits[lane])
-                    leave(dice, first + lane)
+                    save_state(view, first + lane)
             left = move_on(block.ctypes, left, here)
 
 

@@ -1,5 +1,29 @@
 """The filters: plain functions of numbers, to use with or without an environment.
 
-``modes.Mode`` says what runs, ``pipeline.consider`` and ``pipeline.commit`` run it for one
-epoch, ``imm`` weighs several modes, ``smoother`` looks back over a finished track.
+:class:`Mode` says what runs. :func:`predict_update` runs it for one epoch, and
+:func:`~mmwave_env.filters.memory.memory_after` remembers what came of it. ``imm`` weighs several
+modes, ``smoother`` looks back over a finished track. A filter of one's own (docs/own-filters.md)
+is a function like :func:`ekf`.
 """
+
+from mmwave_env.filters.gating import Gate, gate_groups
+from mmwave_env.filters.linearization import SigmaPoints, Tangent, linearize
+from mmwave_env.filters.modes import Mode
+from mmwave_env.filters.pipeline import Pipeline, predict_update
+from mmwave_env.filters.update import Posterior, ckf, ekf, ukf, update
+
+__all__ = [
+    "Gate",
+    "Mode",
+    "Pipeline",
+    "Posterior",
+    "SigmaPoints",
+    "Tangent",
+    "ckf",
+    "ekf",
+    "gate_groups",
+    "linearize",
+    "predict_update",
+    "ukf",
+    "update",
+]

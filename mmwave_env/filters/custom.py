@@ -13,13 +13,14 @@ from functools import lru_cache
 from typing import Any, NamedTuple
 
 from mmwave_env.filters.advice import Line, begin_of, instead, line_of
+from mmwave_env.filters.gating import Gate
 from mmwave_env.filters.modes import ALGORITHMS, Mode
-from mmwave_env.filters.update import Gate, Posterior
+from mmwave_env.filters.update import Posterior
 from mmwave_env.models.measurement import STATE_SIZE, Layout, Measurement, exact_rows
 from mmwave_env.numerics.linalg import unpack
 from mmwave_env.numerics.numbers import Number
-from mmwave_env.numerics.pytree import leaves, rebuild
-from mmwave_env.numerics.tracer import Hidden, NoValue, Probe, reason, value_of
+from mmwave_env.numerics.pytree import flatten, unflatten
+from mmwave_env.numerics.tracer import FloatTracer, NoValueError, Tracer, reason, value_of
 
 _LANES_KNOW = (
     "a number on lanes knows +, -, *, /, <, <=, >, >=, abs and the functions of "
@@ -67,29 +68,29 @@ def _trials(layout: Layout) -> Iterator[_Trial]:
     yield seen._replace(z=spoiled, visible=some_seen, force=1.0)
 
 
-def rehearse(mode: Mode, layout: Layout, pinned: tuple[int, ...]) -> None:
+def check_algorithm(mode: Mode, layout: Layout, known_axes: tuple[int, ...]) -> None:
     """Try the algorithm of a mode, unless it is one of ours.
 
     Args:
         mode: what to try.
         layout: rows of the measurement vector.
-        pinned: state components that are known exactly.
+        known_axes: state components that are known exactly.
 
     Raises:
         AlgorithmError: it takes other arguments or changes them, returns no posterior,
             cannot run on lanes, or answers there otherwise than on floats.
     """
     if mode.update not in ALGORITHMS.values():
-        _rehearse(mode, layout, pinned)
+        _check(mode, layout, known_axes)
 
 
 @lru_cache(maxsize=64)
-def _rehearse(mode: Mode, layout: Layout, pinned: tuple[int, ...]) -> None:
+def _check(mode: Mode, layout: Layout, known_axes: tuple[int, ...]) -> None:
     _require_signature(mode)
     for trial in _trials(layout):
-        probes = rebuild(trial, map(Probe, leaves(trial)))
-        on_lanes = _run(mode, layout, pinned, probes)
-        on_floats = _run(mode, layout, pinned, trial)
+        probes = unflatten(trial, map(FloatTracer, flatten(trial)))
+        on_lanes = _run(mode, layout, known_axes, probes)
+        on_floats = _run(mode, layout, known_axes, trial)
         _require_posterior(mode, layout, on_floats)
         _require_posterior(mode, layout, on_lanes)
         _require_sound(mode, trial, on_floats)
@@ -120,26 +121,26 @@ def _require_signature(mode: Mode) -> None:
         raise _error(mode, problem, begin_of(mode.update)) from None
 
 
-def _run(mode: Mode, layout: Layout, pinned: tuple[int, ...], trial: _Trial) -> Any:
+def _run(mode: Mode, layout: Layout, known_axes: tuple[int, ...], trial: _Trial) -> Any:
     """What the algorithm returns for an epoch."""
-    _, _, anchors, hz_per_mps, z, variance, visible, force = rebuild(trial, iter(leaves(trial)))
+    _, _, anchors, hz_per_mps, z, variance, visible, force = unflatten(trial, iter(flatten(trial)))
     measurement = Measurement(anchors, hz_per_mps, z, variance, visible, layout)
     gate = Gate(mode.gate, 0.0 if mode.recovery is None else force, mode.robust)
-    arguments = list(trial.x), unpack(trial.P, zero=pinned), measurement
-    before = [leaves(argument) for argument in arguments]
+    arguments = list(trial.x), unpack(trial.P, zero=known_axes), measurement
+    before = [flatten(argument) for argument in arguments]
     try:
         result = mode.update(*arguments, gate)
-    except NoValue as refusal:
+    except NoValueError as refusal:
         line = line_of(refusal, mode.update)
         advice = f"{reason(refusal.asked)}:\n{instead(refusal.asked, line)}"
         raise _error(mode, "cannot run on lanes", line, advice) from None
     except Exception as error:
         advice = f"{type(error).__name__}: {error}"
-        if isinstance(force, Probe) and isinstance(error, TypeError | AttributeError):
+        if isinstance(force, FloatTracer) and isinstance(error, TypeError | AttributeError):
             advice = f"{advice}\n{_LANES_KNOW}"
         raise _error(mode, "failed on trial", line_of(error, mode.update), advice) from error
     for name, argument, old in zip(("x", "P", "measurement"), arguments, before, strict=True):
-        new = leaves(argument)
+        new = flatten(argument)
         if len(new) != len(old) or any(a is not b for a, b in zip(new, old, strict=True)):
             problem = f"changed its argument {name}, expected it to be left as it is"
             raise _error(mode, problem, begin_of(mode.update))
@@ -167,7 +168,7 @@ def _require_numbers(mode: Mode, name: str, found: Any, size: int) -> None:
     if not isinstance(found, list) or len(found) != size:
         raise _wrong_return(mode, f"{name}: {_kind(found)}, expected a list of {size} numbers")
     for i, number in enumerate(found):
-        if isinstance(number, bool) or not isinstance(number, (float, int, Hidden)):
+        if isinstance(number, bool) or not isinstance(number, (float, int, Tracer)):
             place = name if name == "log_likelihood" else f"{name}[{i}]"
             hint = ": where(condition, 1.0, 0.0)" if isinstance(number, bool) else ""
             raise _wrong_return(mode, f"{place}: {_kind(number)}, expected a number{hint}")
@@ -182,7 +183,7 @@ def _places(posterior: Posterior) -> list[tuple[str, Any]]:
     """Name and value of every number."""
     found = []
     for field, value in posterior._asdict().items():
-        for i, number in enumerate(leaves(value)):
+        for i, number in enumerate(flatten(value)):
             row, column = divmod(i, STATE_SIZE)
             place = f"[{row}][{column}]" if field == "P" else f"[{i}]"
             found.append((field if number is value else f"{field}{place}", number))

@@ -26,9 +26,10 @@ from filterpy.kalman.CubatureKalmanFilter import spherical_radial_sigmas
 from numpy.typing import NDArray
 from scipy.stats import chi2
 
+from mmwave_env.filters.gating import ROBUST_ONSET, Gate
 from mmwave_env.filters.modes import Mode
 from mmwave_env.filters.pipeline import Pipeline
-from mmwave_env.filters.update import ROBUST_ONSET, Algorithm, Gate, Posterior
+from mmwave_env.filters.update import Algorithm, Posterior
 from mmwave_env.lookup import choose
 from mmwave_env.models.measurement import Layout, Measurement
 from mmwave_env.models.motion import ProcessNoise

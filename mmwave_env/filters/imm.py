@@ -8,10 +8,10 @@ from collections.abc import Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
-from mmwave_env.filters.memory import Memory, anticipate, commit, start
+from mmwave_env.filters.memory import Memory, initial_memory, memory_after, memory_before
 from mmwave_env.filters.mode_result import limited_likelihood
 from mmwave_env.filters.modes import Tuning
-from mmwave_env.filters.pipeline import Pipeline, consider
+from mmwave_env.filters.pipeline import Pipeline, predict_update
 from mmwave_env.models.epoch import Epoch, Site
 from mmwave_env.models.measurement import STATE_SIZE
 from mmwave_env.numerics.linalg import dot, unpack
@@ -22,7 +22,7 @@ DEFAULT_STAY = 0.95  # probability of a mode to stay from one epoch to the next
 _LEAST = 1e-12  # keeps the probability of a mode off zero, from which it could not return
 
 
-class Track(NamedTuple):
+class ModeTrack(NamedTuple):
     """One mode's filter within the IMM.
 
     Attributes:
@@ -43,7 +43,7 @@ class Mixture(NamedTuple):
         probability: (modes,) of each mode.
     """
 
-    tracks: list[Track]
+    tracks: list[ModeTrack]
     probability: list[Number]
 
 
@@ -54,7 +54,9 @@ def single(pipeline: Pipeline) -> list[Pipeline]:
 
 def begin(pipeline: Pipeline, x: Vector, P: Vector) -> Mixture:
     """All modes at the prior (7,), (28,), equally probable."""
-    tracks = [Track(list(x), list(P), start(one.layout, 1)) for one in single(pipeline)]
+    tracks = [
+        ModeTrack(list(x), list(P), initial_memory(one.layout, 1)) for one in single(pipeline)
+    ]
     return Mixture(tracks, [1.0 / len(tracks)] * len(tracks))
 
 
@@ -118,10 +120,10 @@ def imm_epoch(
     for one, tuning, track, (x, P) in zip(
         single(pipeline), tunings, mixture.tracks, mixed, strict=True
     ):
-        candidate = consider(one, one.modes[0], x, P, track.memory, epoch, site, tuning)
-        memory = anticipate(track.memory, [candidate], epoch, pipeline.layout)
-        memory = commit(one.layout, 0.0, x, candidate, memory, epoch.dt, epoch.visible)
-        tracks.append(Track(candidate.x, candidate.P, memory))
+        candidate = predict_update(one, one.modes[0], x, P, track.memory, epoch, site, tuning)
+        memory = memory_before(track.memory, [candidate], epoch, pipeline.layout)
+        memory = memory_after(one.layout, 0.0, x, candidate, memory, epoch.dt, epoch.visible)
+        tracks.append(ModeTrack(candidate.x, candidate.P, memory))
         likelihoods.append(limited_likelihood(candidate, limits))
     best = likelihoods[0]
     for likelihood in likelihoods[1:]:

@@ -97,7 +97,7 @@ class SigmaPoints:
         return rows
 
 
-Linearisation = Tangent | SigmaPoints
+Linearization = Tangent | SigmaPoints
 
 
 @dataclass(frozen=True)
@@ -161,8 +161,8 @@ class Prior(NamedTuple):
     V: Sequence[Matrix]
 
 
-def linearise(
-    x: Vector, P: Matrix, measurement: Measurement, linearisation: Linearisation
+def linearize(
+    x: Vector, P: Matrix, measurement: Measurement, linearisation: Linearization
 ) -> Prior:
     """The epoch seen from N(x, P); x is (7,), P (7, 7)."""
     L = cholesky(P)

@@ -1,13 +1,13 @@
 """What a track remembers of its measurements: the window of adaptive scaling, averages, lock-out.
 
-Every epoch has two halves: :func:`anticipate` takes in what the coming epoch shows before a mode
-is chosen, :func:`commit` what the chosen mode made of it.
+Every epoch has two halves: :func:`memory_before` takes in what the coming epoch shows before a mode
+is chosen, :func:`memory_after` what the chosen mode made of it.
 """
 
 from collections.abc import Sequence
 from typing import NamedTuple
 
-from mmwave_env.filters.mode_result import Candidate, plausibility
+from mmwave_env.filters.mode_result import ModeResult, capped_log_likelihood
 from mmwave_env.models.epoch import Epoch
 from mmwave_env.models.measurement import Layout
 from mmwave_env.models.motion import move
@@ -39,8 +39,8 @@ class Memory(NamedTuple):
         unfixed_s: seconds since a link was last accepted.
         snr_mean_db: (L,) slow mean SNR per link.
         spread_average_hz: slow average of the Doppler spread.
-        preference: (2, modes) fast and slow average of each mode's :func:`plausibility` minus
-            the last mode's.
+        preference: (2, modes) fast and slow average of each mode's
+            :func:`~mmwave_env.filters.mode_result.capped_log_likelihood` minus the last mode's.
     """
 
     mode: Number
@@ -58,7 +58,7 @@ class Memory(NamedTuple):
     preference: list[list[Number]]
 
 
-def start(layout: Layout, modes: int) -> Memory:
+def initial_memory(layout: Layout, modes: int) -> Memory:
     """The memory of a track that has seen nothing, with so many modes to choose from."""
     groups, anchors = len(layout.groups), layout.anchors
     return Memory(
@@ -78,8 +78,8 @@ def start(layout: Layout, modes: int) -> Memory:
     )
 
 
-def anticipate(
-    memory: Memory, candidates: Sequence[Candidate], epoch: Epoch, layout: Layout
+def memory_before(
+    memory: Memory, candidates: Sequence[ModeResult], epoch: Epoch, layout: Layout
 ) -> Memory:
     """Remember what the coming epoch shows before any mode is chosen."""
     snr = [
@@ -90,7 +90,7 @@ def anticipate(
         )
         for seen, now, mean in zip(epoch.visible, epoch.snr_db, memory.snr_mean_db, strict=False)
     ]
-    likelihoods = [plausibility(candidate, layout) for candidate in candidates]
+    likelihoods = [capped_log_likelihood(candidate, layout) for candidate in candidates]
     preference = []
     for past, keep in zip(memory.preference, PREFERENCE_MEMORY, strict=True):
         row = []
@@ -103,11 +103,11 @@ def anticipate(
     return memory._replace(snr_mean_db=snr, spread_average_hz=spread, preference=preference)
 
 
-def commit(
+def memory_after(
     layout: Layout,
     mode: Number,
     before: Vector,
-    chosen: Candidate,
+    chosen: ModeResult,
     memory: Memory,
     dt: Number,
     visible: Vector,
@@ -119,7 +119,7 @@ def commit(
         mode: number of the chosen mode.
         before: (7,) mean before the epoch, unpredicted.
         chosen: the candidate.
-        memory: as :func:`anticipate` left it.
+        memory: as :func:`memory_before` left it.
         dt: the epoch's step, seconds.
         visible: (groups,) the epoch's.
     """

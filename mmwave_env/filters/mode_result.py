@@ -8,10 +8,10 @@ from mmwave_env.models.measurement import Layout
 from mmwave_env.numerics.linalg import dot
 from mmwave_env.numerics.numbers import Number, Vector, maximum
 
-PLAUSIBLE = 0.999  # chi-square quantile up to which NIS counts where modes are compared
+CAP_QUANTILE = 0.999  # chi-square quantile up to which NIS counts where modes are compared
 
 
-class Candidate(NamedTuple):
+class ModeResult(NamedTuple):
     """What a mode makes of an epoch.
 
     Attributes:
@@ -32,7 +32,7 @@ class Candidate(NamedTuple):
     log_likelihood: Number
 
 
-def limited_likelihood(candidate: Candidate, limits: Vector) -> Number:
+def limited_likelihood(candidate: ModeResult, limits: Vector) -> Number:
     """Log-likelihood in which the NIS of a group (groups,) counts up to its limit.
 
     The tail of a Gaussian falls so fast that a single link off the line of sight would decide
@@ -42,7 +42,7 @@ def limited_likelihood(candidate: Candidate, limits: Vector) -> Number:
     return candidate.log_likelihood + 0.5 * dot(excess, [1.0] * len(excess))
 
 
-def plausibility(candidate: Candidate, layout: Layout) -> Number:
-    """The log-likelihood that modes are compared by, limited at :data:`PLAUSIBLE`."""
+def capped_log_likelihood(candidate: ModeResult, layout: Layout) -> Number:
+    """The log-likelihood that modes are compared by, limited at :data:`CAP_QUANTILE`."""
     rows = [group.stop - group.start for group in layout.groups]
-    return limited_likelihood(candidate, [float(chdtri(k, 1.0 - PLAUSIBLE)) for k in rows])
+    return limited_likelihood(candidate, [float(chdtri(k, 1.0 - CAP_QUANTILE)) for k in rows])

@@ -12,6 +12,9 @@ from mmwave_env.numerics.numbers import Number
 ALGORITHMS: dict[str, Algorithm] = {"ekf": ekf, "ukf": ukf, "ckf": ckf}
 
 
+DESIGN_LIMIT_MPS = 20.0  # above it a speed is outside the paper's design window
+
+
 class Tuning(NamedTuple):
     """A mode's process noise as numbers, so that one compiled filter can run many tunings.
 

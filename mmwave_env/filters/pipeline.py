@@ -1,20 +1,21 @@
 """One epoch of a mode: predict, handle the noise, gate and update.
 
 A track is a belief (x, P) and a :class:`~mmwave_env.filters.memory.Memory` of how the
-measurements behaved. :func:`consider` runs a mode on the coming measurement and returns a
-:class:`~mmwave_env.filters.mode_result.Candidate`; the one of the mode that was chosen becomes
-the new belief, and :func:`~mmwave_env.filters.memory.commit` remembers it. An environment
+measurements behaved. :func:`predict_update` runs a mode on the coming measurement and returns a
+:class:`~mmwave_env.filters.mode_result.ModeResult`; the one of the mode that was chosen becomes
+the new belief, and :func:`~mmwave_env.filters.memory.memory_after` remembers it. An environment
 considers every mode and commits to the one the agent chose.
 """
 
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from mmwave_env.filters.custom import rehearse
+from mmwave_env.filters.custom import check_algorithm
+from mmwave_env.filters.gating import Gate, passes
 from mmwave_env.filters.memory import Memory
-from mmwave_env.filters.mode_result import Candidate
+from mmwave_env.filters.mode_result import ModeResult
 from mmwave_env.filters.modes import Mode, Tuning
-from mmwave_env.filters.update import Algorithm, Gate, Posterior, passes
+from mmwave_env.filters.update import Algorithm, Posterior
 from mmwave_env.models.epoch import Epoch, Site
 from mmwave_env.models.measurement import Layout, Measurement
 from mmwave_env.models.motion import (
@@ -67,10 +68,10 @@ class Pipeline:
 
     def __post_init__(self) -> None:
         for mode in self.modes:
-            rehearse(mode, self.layout, self.pinned)
+            check_algorithm(mode, self.layout, self.known_axes)
 
     @property
-    def pinned(self) -> tuple[int, ...]:
+    def known_axes(self) -> tuple[int, ...]:
         """State components that are known exactly."""
         return VERTICAL if self.planar else ()
 
@@ -120,7 +121,7 @@ def measurement_of(
     return Measurement(site.anchors, site.hz_per_mps, epoch.z, variance, epoch.visible, layout)
 
 
-def consider(
+def predict_update(
     pipeline: Pipeline,
     mode: Mode,
     x: Vector,
@@ -129,7 +130,7 @@ def consider(
     epoch: Epoch,
     site: Site,
     tuning: Tuning | None = None,
-) -> Candidate:
+) -> ModeResult:
     """Run one mode on the coming epoch.
 
     Args:
@@ -144,9 +145,9 @@ def consider(
     gamma = memory.gamma if mode.adaptive else 1.0
     noise = process_noise(tuning or mode.tuning, epoch, site.hz_per_mps, gamma, pipeline.planar)
     x_predicted, P_predicted = pipeline.predict(
-        mode, x, unpack(P, zero=pipeline.pinned), noise, epoch.dt
+        mode, x, unpack(P, zero=pipeline.known_axes), noise, epoch.dt
     )
-    x_predicted = [x[i] if i in pipeline.pinned else v for i, v in enumerate(x_predicted)]
+    x_predicted = [x[i] if i in pipeline.known_axes else v for i, v in enumerate(x_predicted)]
     if mode.widen_p or mode.widen_v:
         p, v = mode.widen_p**2, mode.widen_v**2
         extra = (p, p, 0.0, v, v, 0.0, 0.0)
@@ -160,7 +161,7 @@ def consider(
     measurement = measurement_of(mode, memory, epoch, site, pipeline.layout)
     gate = Gate(mode.gate, force, mode.robust)
     after = pipeline.update(mode)(x_predicted, P_predicted, measurement, gate)
-    return Candidate(
+    return ModeResult(
         x=after.x,
         P=pack(after.P),
         P_predicted=pack(P_predicted),

@@ -1,38 +1,18 @@
-"""The measurement update shared by EKF, UKF and CKF, with gates (paper, Sec. III-C and III-D)."""
+"""The measurement update shared by EKF, UKF and CKF (paper, Sec. III-C)."""
 
 from collections.abc import Callable
 from typing import NamedTuple
 
-from scipy.special import chdtri
-
+from mmwave_env.filters.gating import Gate, gate_groups
 from mmwave_env.filters.linearization import (
-    Latents,
-    Linearisation,
-    Prior,
+    Linearization,
     SigmaPoints,
     Tangent,
-    linearise,
+    linearize,
 )
-from mmwave_env.models.measurement import STATE_SIZE, Group, Measurement
+from mmwave_env.models.measurement import STATE_SIZE, Measurement
 from mmwave_env.numerics.linalg import cholesky, dot, forward, symmetric
-from mmwave_env.numerics.numbers import Matrix, Number, Vector, log, maximum, where
-
-_GROUPS_PER_LOG = 8  # determinants multiplied before their log is taken: few enough for doubles
-ROBUST_ONSET = 1.5  # a group's NIS over its dimension from which a robust update doubts it
-
-
-class Gate(NamedTuple):
-    """How an update treats measurements that look wrong.
-
-    Attributes:
-        quantile: chi-square quantile up to which a group is accepted; None accepts all.
-        force: 1 where the links are accepted whatever their NIS (lock-out recovery), else 0.
-        robust: inflate the noise of a doubtful link instead of rejecting it.
-    """
-
-    quantile: float | None
-    force: Number = 0.0
-    robust: bool = False
+from mmwave_env.numerics.numbers import Matrix, Number, Vector
 
 
 class Posterior(NamedTuple):
@@ -68,44 +48,6 @@ class _Row(NamedTuple):
     gain: Number  # 0 where not accepted
 
 
-def innovation_statistics(group: Group, V: Matrix, latents: Latents) -> tuple[Number, Number]:
-    """NIS and determinant of a group's innovation covariance S at the prior."""
-    shift = [latents.shift(row) for row in V]
-    variance = latents.variance
-
-    def entry(i: int, j: int) -> Number:
-        value = dot(variance, [a * b for a, b in zip(V[i], V[j], strict=True)])
-        value = value + latents.bend * (shift[i] * shift[j])
-        return value + group.variance[i] if i == j else value
-
-    factor = cholesky(symmetric(len(V), entry))
-    e = forward(factor, [y - s for y, s in zip(group.innovation, shift, strict=True)])
-    pivots: Number = 1.0
-    for i in range(len(V)):
-        pivots = pivots * factor[i][i]
-    return dot(e, e) + group.spare_nis, pivots * pivots * group.spare_determinant
-
-
-def passes(nis: Number, rows: int, quantile: float | None) -> Number:
-    """1 where the NIS of a group of so many rows lies within its gate, else 0."""
-    if quantile is None:
-        return 1.0
-    return where(nis <= float(chdtri(rows, 1.0 - quantile)), 1.0, 0.0)
-
-
-def _accept(nis: Number, rows: int, visible: Number, gate: Gate, is_link: bool) -> Number:
-    if gate.robust and is_link:
-        return visible
-    passed = passes(nis, rows, gate.quantile)
-    return visible * (maximum(passed, gate.force) if is_link else passed)
-
-
-def _doubt(nis: Number, rows: int) -> Number:
-    """Factor on the noise variance of a link with a NIS too large for its dimension."""
-    ratio = nis * (1.0 / (ROBUST_ONSET * rows))
-    return where(ratio > 1.0, ratio * ratio, 1.0)
-
-
 def _condition(
     row: Vector, noise: Number, innovation: Number, accepted: Number, before: list[_Row],
     C: Matrix, information: Vector, unit: Matrix,
@@ -129,41 +71,6 @@ def _condition(
     return _Row(white, free, links, cross, e, accepted / s)
 
 
-class Verdict(NamedTuple):
-    """What the gates say of the groups, at the prior.
-
-    Attributes:
-        nis, accepted, log_likelihood: as in :class:`Posterior`.
-        noise: per group (k,) variances of its rows, inflated where doubtful.
-    """
-
-    nis: list[Number]
-    accepted: list[Number]
-    noise: list[list[Number]]
-    log_likelihood: Number
-
-
-def judge(prior: Prior, measurement: Measurement, gate: Gate) -> Verdict:
-    """Gate every group of an epoch at the prior."""
-    groups, V, latents, layout = prior.groups, prior.V, prior.latents, measurement.layout
-    nis, accepted, noise = [], [], []
-    density: Number = 1.0
-    likelihood: Number = 0.0
-    for g, (group, visible) in enumerate(zip(groups, measurement.visible, strict=True)):
-        rows = layout.groups[g].stop - layout.groups[g].start
-        is_link = g < layout.anchors
-        value, determinant = innovation_statistics(group, V[g], latents)
-        nis.append(visible * value)
-        accepted.append(_accept(value, rows, visible, gate, is_link))
-        density = density * where(visible > 0.5, determinant, 1.0)
-        likelihood = likelihood - 0.5 * nis[-1]
-        if g % _GROUPS_PER_LOG == _GROUPS_PER_LOG - 1 or g == len(groups) - 1:
-            likelihood, density = likelihood - 0.5 * log(density), 1.0
-        doubt = _doubt(value, rows) if gate.robust and is_link else 1.0
-        noise.append([v * doubt for v in group.variance])
-    return Verdict(nis, accepted, noise, likelihood)
-
-
 def _inform(
     B: Matrix, V: Matrix, innovation: Vector, noise: Vector, accepted: Number, b: Vector
 ) -> tuple[list[list[Number]], list[Number]]:
@@ -181,7 +88,7 @@ def _inform(
 
 
 def update(
-    x: Vector, P: Matrix, measurement: Measurement, gate: Gate, linearisation: Linearisation
+    x: Vector, P: Matrix, measurement: Measurement, gate: Gate, linearisation: Linearization
 ) -> Posterior:
     """Gate every group at the prior N(x, P), then condition on the groups that passed.
 
@@ -199,15 +106,15 @@ def update(
         linearisation: tangent (EKF) or sigma points (UKF, CKF).
     """
     anchors = measurement.layout.anchors
-    prior = linearise(x, P, measurement, linearisation)
+    prior = linearize(x, P, measurement, linearisation)
     L, latents, groups, V = prior
     n = latents.coupled
-    verdict = judge(prior, measurement, gate)
+    gates = gate_groups(prior, measurement, gate)
     innovations = [
         [y - latents.shift(row) for y, row in zip(group.innovation, rows, strict=True)]
         for group, rows in zip(groups, V, strict=True)
     ]
-    seen = list(zip(V, innovations, verdict.noise, verdict.accepted, strict=True))
+    seen = list(zip(V, innovations, gates.noise, gates.accepted, strict=True))
     B: list[list[Number]] = latents.precision
     b: list[Number] = [0.0] * n
     for rows, innovation, noise, accepted in seen[:anchors]:
@@ -222,7 +129,7 @@ def update(
     mean = [dot(u, information) for u in unit]
     covariance = symmetric(3, lambda i, j: dot(unit[i], unit[j]))
     new_x, new_P = _recompose(x, L, mean, covariance, scalars)
-    return Posterior(new_x, new_P, verdict.nis, verdict.accepted, verdict.log_likelihood)
+    return Posterior(new_x, new_P, gates.nis, gates.accepted, gates.log_likelihood)
 
 
 def _recompose(

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from mmwave_env.files import beside
+from mmwave_env.files import atomic_path
 from mmwave_env.localization.localizer import TrackBlock
 from mmwave_env.localization.tum import COLUMNS, Trajectory, tum_blocks, tum_lines
 
@@ -49,8 +49,8 @@ def track_files(track: Path, modes: Sequence[str]) -> Iterator[Callable[[TrackBl
     names = [_as_cell(name) for name in modes]
     row = ("%r" + ",%.6f" * 3 + ",%.6g" * 3 + ",%.6f" * 3 + ",%.6g" * 3 + ",%s\n").__mod__
     with (
-        beside(track) as track_path,
-        beside(table_beside(track)) as table_path,
+        atomic_path(track) as track_path,
+        atomic_path(table_beside(track)) as table_path,
         track_path.open("w", encoding="utf-8", newline="\n") as tum,
         table_path.open("w", encoding="utf-8", newline="\n") as table,
     ):

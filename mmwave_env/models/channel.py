@@ -1,7 +1,7 @@
 """What the channel does to the links in an epoch: shadowing, blockage, multipath, detection.
 
 Functions of numbers, like the filters, so that episodes are simulated on lanes. All
-randomness comes in as draws; what lasts from epoch to epoch is a :class:`Weather`.
+randomness comes in as draws; what lasts from epoch to epoch is a :class:`ChannelState`.
 """
 
 import math
@@ -13,7 +13,7 @@ from mmwave_env.models.scene import Scene
 from mmwave_env.numerics.numbers import Number, Vector, clip, exp, log, maximum, sqrt, where
 
 
-class Spells(NamedTuple):
+class DisturbanceParams(NamedTuple):
     """A two-state Markov chain per link, and what it does to a link while it lasts.
 
     Attributes:
@@ -47,8 +47,8 @@ class Channel(NamedTuple):
     offset_db: list[Number]
     shadowing_db: Number
     correlation: Number
-    blockage: Spells
-    multipath: Spells
+    blockage: DisturbanceParams
+    multipath: DisturbanceParams
     blockage_scale: Number
     blockage_base: Number
     blockage_per_m: Number
@@ -77,11 +77,11 @@ def channel_of(radio: Radio, scene: Scene, layout: Layout, dt: float) -> Channel
         offset_db=[at_1_m] + [at_1_m - radio.reflection_loss_db] * (layout.anchors - 1),
         shadowing_db=radio.shadowing_db,
         correlation=radio.shadowing_correlation**dt,
-        blockage=Spells(
+        blockage=DisturbanceParams(
             -math.expm1(-dt / radio.blockage_mean_s), 0.0, radio.blockage_range_m,
             radio.blockage_angle_rad,
         ),
-        multipath=Spells(
+        multipath=DisturbanceParams(
             -math.expm1(-dt / radio.multipath_mean_s), constant, mean, radio.multipath_angle_rad
         ),
         blockage_scale=radio.blockage_scale,
@@ -115,7 +115,7 @@ class Disturbance(NamedTuple):
     bias: list[Number]
 
 
-class Weather(NamedTuple):
+class ChannelState(NamedTuple):
     """What lasts from epoch to epoch.
 
     Attributes:
@@ -130,10 +130,10 @@ class Weather(NamedTuple):
     outage: Number
 
 
-def calm(anchors: int) -> Weather:
+def initial_state(anchors: int) -> ChannelState:
     """The weather before the first epoch."""
     still = Disturbance(0.0, [0.0] * 4)
-    return Weather([0.0] * anchors, [still] * anchors, [still] * anchors, 0.0)
+    return ChannelState([0.0] * anchors, [still] * anchors, [still] * anchors, 0.0)
 
 
 class ChannelDraws(NamedTuple):
@@ -184,11 +184,16 @@ def spell_goes_on(on: Number, uniform: Number, onset: Number, end: Number) -> Nu
 
 
 def _disturb(
-    before: Disturbance, spells: Spells, onset: Number, uniform: Number, far: Number, angles: Vector
+    before: Disturbance,
+    params: DisturbanceParams,
+    onset: Number,
+    uniform: Number,
+    far: Number,
+    angles: Vector,
 ) -> Disturbance:
     """A spell one epoch on; its biases are drawn in its first epoch."""
-    on = spell_goes_on(before.on, uniform, onset, spells.end)
-    drawn = [spells.constant_m + spells.mean_m * far, *(spells.angle_rad * a for a in angles)]
+    on = spell_goes_on(before.on, uniform, onset, params.end)
+    drawn = [params.constant_m + params.mean_m * far, *(params.angle_rad * a for a in angles)]
     lasts = before.on > 0.5
     bias = [where(lasts, old, new) for old, new in zip(before.bias, drawn, strict=True)]
     return Disturbance(on, bias)
@@ -196,18 +201,18 @@ def _disturb(
 
 def channel_epoch(
     channel: Channel,
-    before: Weather,
-    fresh: Number,
+    before: ChannelState,
+    is_first: Number,
     draws: ChannelDraws,
     distance: Vector,
     speed: Number,
-) -> tuple[Weather, Reception]:
+) -> tuple[ChannelState, Reception]:
     """One epoch of the channel.
 
     Args:
         channel: radio and scene.
-        before: weather in the epoch before; not looked at where ``fresh``.
-        fresh: whether the episode begins: the weather is then drawn from its stationary
+        before: weather in the epoch before; not looked at where ``is_first``.
+        is_first: whether the episode begins: the weather is then drawn from its stationary
             distribution (multipath and outages: none).
         draws: randomness.
         distance: (L,) to every anchor, m.
@@ -216,23 +221,25 @@ def channel_epoch(
     c, rho = channel, channel.correlation
     innovation = sqrt(1.0 - rho * rho)
     shadowing, blockage, multipath, snr_db, detected, bias = [], [], [], [], [], []
-    outage_onset = where(fresh, 0.0, c.outage_onset)
-    outage = spell_goes_on(where(fresh, 0.0, before.outage), draws.outage, outage_onset,
+    outage_onset = where(is_first, 0.0, c.outage_onset)
+    outage = spell_goes_on(where(is_first, 0.0, before.outage), draws.outage, outage_onset,
                            c.outage_end)  # fmt: skip
     for a, d in enumerate(distance):
         shadow = where(
-            fresh, draws.shadowing[a], rho * before.shadowing[a] + innovation * draws.shadowing[a]
+            is_first,
+            draws.shadowing[a],
+            rho * before.shadowing[a] + innovation * draws.shadowing[a],
         )
         share = c.blockage_base + c.blockage_per_m * d
         share = c.blockage_scale * where(share < c.blockage_limit, share, c.blockage_limit)
         onset = c.blockage.end * share / maximum(1.0 - share, 1e-9)
         blocked = _disturb(
-            _unless(fresh, before.blockage[a]), c.blockage, where(fresh, share, onset),
+            _unless(is_first, before.blockage[a]), c.blockage, where(is_first, share, onset),
             draws.blockage[a], draws.blockage_range[a], draws.blockage_angles[a],
         )  # fmt: skip
         reflected = _disturb(
-            _unless(fresh, before.multipath[a]), c.multipath,
-            where(fresh, 0.0, c.multipath_onset),
+            _unless(is_first, before.multipath[a]), c.multipath,
+            where(is_first, 0.0, c.multipath_onset),
             draws.multipath[a], draws.multipath_range[a], draws.multipath_angles[a],
         )  # fmt: skip
         snr = c.offset_db[a] - (2.1 / DECIBEL) * log(d) + c.shadowing_db * shadow
@@ -252,9 +259,9 @@ def channel_epoch(
     spread = c.spread_gain_hz * speed * scatter + c.spread_floor_hz * maximum(
         draws.floor, -1.0 * draws.floor
     )
-    weather = Weather(shadowing, blockage, multipath, outage)
-    return weather, Reception(snr_db, detected, bias, spread)
+    state = ChannelState(shadowing, blockage, multipath, outage)
+    return state, Reception(snr_db, detected, bias, spread)
 
 
-def _unless(fresh: Number, before: Disturbance) -> Disturbance:
-    return before._replace(on=where(fresh, 0.0, before.on))
+def _unless(is_first: Number, before: Disturbance) -> Disturbance:
+    return before._replace(on=where(is_first, 0.0, before.on))

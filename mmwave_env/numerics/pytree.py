@@ -13,29 +13,29 @@ from mmwave_env.numerics.numbers import Number, where
 Tree = TypeVar("Tree")
 
 
-def leaves(tree: Any) -> list[Number]:
+def flatten(tree: Any) -> list[Number]:
     """The numbers of a tree, in order."""
     if isinstance(tree, (list, tuple)):
-        return [leaf for branch in tree for leaf in leaves(branch)]
+        return [leaf for branch in tree for leaf in flatten(branch)]
     return [tree]
 
 
-def rebuild(template: Tree, numbers: Iterator[Number]) -> Tree:
+def unflatten(template: Tree, numbers: Iterator[Number]) -> Tree:
     """A tree of the template's shape with the next numbers as leaves."""
     if isinstance(template, list):
-        return [rebuild(branch, numbers) for branch in template]  # type: ignore[return-value]
+        return [unflatten(branch, numbers) for branch in template]  # type: ignore[return-value]
     if isinstance(template, tuple):
-        branches = [rebuild(branch, numbers) for branch in template]
+        branches = [unflatten(branch, numbers) for branch in template]
         return type(template)(*branches)
     return next(numbers)  # type: ignore[no-any-return]
 
 
 def indices(template: Tree) -> Tree:
     """A tree of the template's shape whose leaves are 0, 1, 2, ...: where each number lies."""
-    return rebuild(template, itertools.count())
+    return unflatten(template, itertools.count())
 
 
 def select(condition: Any, a: Tree, b: Tree) -> Tree:
     """Leaf by leaf ``where(condition, a, b)``."""
-    chosen = [where(condition, u, v) for u, v in zip(leaves(a), leaves(b), strict=True)]
-    return rebuild(a, iter(chosen))
+    chosen = [where(condition, u, v) for u, v in zip(flatten(a), flatten(b), strict=True)]
+    return unflatten(a, iter(chosen))

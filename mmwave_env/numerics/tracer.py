@@ -13,7 +13,7 @@ from typing import Any, NoReturn
 from mmwave_env.numerics import numbers
 
 
-class NoValue(TypeError):
+class NoValueError(TypeError):
     """A function asked a number for its value.
 
     Attributes:
@@ -50,14 +50,14 @@ def reason(asked: str) -> str:
 
 
 def _refuse(asked: str) -> NoReturn:
-    raise NoValue(f"{reason(asked)}: write {REFUSALS[asked][1]} instead", asked)
+    raise NoValueError(f"{reason(asked)}: write {REFUSALS[asked][1]} instead", asked)
 
 
 def _refusing(asked: str) -> Any:
     return lambda *_, **__: _refuse(asked)
 
 
-class HiddenTruth:
+class TracerCondition:
     """A condition on hidden numbers, for ``where``; combine with ``&`` and ``|``."""
 
     __slots__ = ()
@@ -70,7 +70,7 @@ class HiddenTruth:
     __invert__ = _refusing("inverse")
 
 
-class Hidden:
+class Tracer:
     """A number without its value; kinds of them say how to ``combine`` and ``compare``."""
 
     __slots__ = ()
@@ -134,24 +134,24 @@ def _settled(op: str, a: Any, b: Any) -> Any:
     """The result where a constant 0 or 1 settles it without an instruction, else None."""
     if op == "mul":
         for u, v in ((a, b), (b, a)):
-            if not isinstance(u, Hidden) and u in (0.0, 1.0):
+            if not isinstance(u, Tracer) and u in (0.0, 1.0):
                 return v if u else 0.0
-    if op in ("add", "sub") and not isinstance(b, Hidden) and b == 0.0:
+    if op in ("add", "sub") and not isinstance(b, Tracer) and b == 0.0:
         return a
-    if op == "add" and not isinstance(a, Hidden) and a == 0.0:
+    if op == "add" and not isinstance(a, Tracer) and a == 0.0:
         return b
-    if op == "div" and not isinstance(a, Hidden) and a == 0.0:
+    if op == "div" and not isinstance(a, Tracer) and a == 0.0:
         return 0.0
     return None
 
 
 def _combined(op: str, a: Any, b: Any) -> Any:
-    if isinstance(a, HiddenTruth) or isinstance(b, HiddenTruth):
+    if isinstance(a, TracerCondition) or isinstance(b, TracerCondition):
         _refuse("mask as number")
     settled = _settled(op, a, b)
     if settled is not None:
         return settled
-    return (a if isinstance(a, Hidden) else b).combine(op, a, b)
+    return (a if isinstance(a, Tracer) else b).combine(op, a, b)
 
 
 _OPERATORS: dict[str, Callable[[Any, Any], Any]] = {
@@ -160,7 +160,7 @@ _OPERATORS: dict[str, Callable[[Any, Any], Any]] = {
 }  # fmt: skip
 
 
-class ProbeTruth(HiddenTruth):
+class FloatCondition(TracerCondition):
     """A condition on probes."""
 
     __slots__ = ("hidden",)
@@ -168,18 +168,18 @@ class ProbeTruth(HiddenTruth):
     def __init__(self, hidden: bool) -> None:
         self.hidden = hidden
 
-    def __and__(self, other: "ProbeTruth") -> "ProbeTruth":
-        return ProbeTruth(self.hidden & other.hidden)
+    def __and__(self, other: "FloatCondition") -> "FloatCondition":
+        return FloatCondition(self.hidden & other.hidden)
 
-    def __or__(self, other: "ProbeTruth") -> "ProbeTruth":
-        return ProbeTruth(self.hidden | other.hidden)
+    def __or__(self, other: "FloatCondition") -> "FloatCondition":
+        return FloatCondition(self.hidden | other.hidden)
 
-    def select(self, a: Any, b: Any) -> "Probe":
+    def select(self, a: Any, b: Any) -> "FloatTracer":
         """``a`` where the condition holds, else ``b``."""
-        return Probe(numbers.where(self.hidden, value_of(a), value_of(b)))
+        return FloatTracer(numbers.where(self.hidden, value_of(a), value_of(b)))
 
 
-class Probe(Hidden):
+class FloatTracer(Tracer):
     """A float that hides its value and does with it what lanes do with theirs."""
 
     __slots__ = ("hidden",)
@@ -187,46 +187,46 @@ class Probe(Hidden):
     def __init__(self, hidden: float) -> None:
         self.hidden = hidden
 
-    def combine(self, op: str, a: Any, b: Any) -> "Probe":
+    def combine(self, op: str, a: Any, b: Any) -> "FloatTracer":
         """``a op b``."""
-        return Probe(_OPERATORS[op](value_of(a), value_of(b)))
+        return FloatTracer(_OPERATORS[op](value_of(a), value_of(b)))
 
-    def compare(self, op: str, other: Any) -> ProbeTruth:
+    def compare(self, op: str, other: Any) -> FloatCondition:
         """``self op other``."""
-        return ProbeTruth(_OPERATORS[op](self.hidden, value_of(other)))
+        return FloatCondition(_OPERATORS[op](self.hidden, value_of(other)))
 
-    def __neg__(self) -> "Probe":
-        return Probe(-self.hidden)
+    def __neg__(self) -> "FloatTracer":
+        return FloatTracer(-self.hidden)
 
-    def __abs__(self) -> "Probe":
-        return Probe(abs(self.hidden))
+    def __abs__(self) -> "FloatTracer":
+        return FloatTracer(abs(self.hidden))
 
-    def constant(self, value: float) -> "Probe":
+    def constant(self, value: float) -> "FloatTracer":
         """A value."""
-        return Probe(value)
+        return FloatTracer(value)
 
-    def sqrt(self) -> "Probe":
+    def sqrt(self) -> "FloatTracer":
         """Square root."""
-        return Probe(numbers.sqrt(self.hidden))
+        return FloatTracer(numbers.sqrt(self.hidden))
 
-    def log(self) -> "Probe":
+    def log(self) -> "FloatTracer":
         """Natural logarithm."""
-        return Probe(numbers.log(self.hidden))
+        return FloatTracer(numbers.log(self.hidden))
 
-    def exp(self) -> "Probe":
+    def exp(self) -> "FloatTracer":
         """Exponential function."""
-        return Probe(numbers.exp(self.hidden))
+        return FloatTracer(numbers.exp(self.hidden))
 
-    def cos_sin(self) -> "tuple[Probe, Probe]":
+    def cos_sin(self) -> "tuple[FloatTracer, FloatTracer]":
         """Cosine and sine."""
         cosine, sine = numbers.cos_sin(self.hidden)
-        return Probe(cosine), Probe(sine)
+        return FloatTracer(cosine), FloatTracer(sine)
 
-    def atan2(self, x: Any) -> "Probe":
+    def atan2(self, x: Any) -> "FloatTracer":
         """Angle of (x, self)."""
-        return Probe(numbers.atan2(self.hidden, value_of(x)))
+        return FloatTracer(numbers.atan2(self.hidden, value_of(x)))
 
 
 def value_of(a: Any) -> float:
     """The value of a float or a probe."""
-    return a.hidden if isinstance(a, Probe) else float(a)
+    return a.hidden if isinstance(a, FloatTracer) else float(a)

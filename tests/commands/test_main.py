@@ -117,14 +117,11 @@ MISTAKES = {
     "unknown data": (("evaluate", "--data", "canyon29"), "'canyon29'.*canyon28_vehicle"),
     "no episodes": (("evaluate", "--episodes", "0"), "episodes: found none"),
     "no tuning episodes": (("tune", "--episodes", "0"), "episodes: found none"),
-    "no threshold episodes": (("tune-threshold", "--episodes", "0"), "episodes: found none"),
     "negative seed": (("compare", "--policies", "imm", "--seed", "-1"), "seed: found -1"),
     "negative seed of a file": (("simulate", "--out", "never", "--seed", "-1"), "seed: found -1"),
     "no imm episodes": (("tune-imm", "--episodes", "0"), "episodes: found none"),
     "unknown imm": (("tune-imm", "--imms", "imm"), "'imm'.*imm-tuned, imm-robust"),
     "test seeds of an imm": (("tune-imm", "--seed", "0"), "seed.*0.*5000000"),
-    "test seeds": (("tune-threshold", "--seed", "0"), "seed.*0.*5000000"),
-    "unknown tuned radio": (("tune-threshold", "--radios", "lab"), "'lab'.*handset"),
 }
 
 

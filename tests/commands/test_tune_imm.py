@@ -9,7 +9,7 @@ from scipy.special import logit
 
 from experiments.evaluation.seeds import draw_episodes
 from experiments.tune_imm import rewards, search_space, transition_of, tune
-from mmwave_env.episodes.episode import Packed
+from mmwave_env.episodes.episode import EpisodeBatch
 from mmwave_env.episodes.simulated import SimulatedSource
 from mmwave_env.filters.imm import stay_matrix
 from mmwave_env.filters.mode_files import as_written, modes_from
@@ -62,7 +62,7 @@ def test_the_transition_alone_is_two_numbers_of_two_modes():
 
 
 def test_tuning_earns_more():
-    episodes = Packed.of(draw_episodes(SOURCE, range(5_000_000, 5_000_032)))
+    episodes = EpisodeBatch.of(draw_episodes(SOURCE, range(5_000_000, 5_000_032)))
     modes = modes_from(["ekf", "ukf"])
     found, transition = tune(modes, True, episodes, 60)
     before, after = (

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from gymnasium.utils.env_checker import data_equivalence
 
-from mmwave_env.compiler.lazy_jit import Sparing
+from mmwave_env.compiler.lazy_jit import LazyJit
 from mmwave_env.episodes import kinematics, mobility
 from mmwave_env.episodes import simulated as simulation
 from mmwave_env.episodes.simulated import SimulatedSource
@@ -18,11 +18,11 @@ def go(monkeypatch: pytest.MonkeyPatch):
     """A call that has sparing functions run "compiled" or "plain" from then on."""
 
     def begin(way: str) -> None:
-        def run(function: Sparing, _: int, *arguments: object) -> object:
+        def run(function: LazyJit, _: int, *arguments: object) -> object:
             return getattr(function, way)(*arguments)
 
-        monkeypatch.setattr(Sparing, "__call__", run)
-        monkeypatch.setattr(Sparing, "choice", lambda function, *_: getattr(function, way))
+        monkeypatch.setattr(LazyJit, "__call__", run)
+        monkeypatch.setattr(LazyJit, "choice", lambda function, *_: getattr(function, way))
 
     return begin
 

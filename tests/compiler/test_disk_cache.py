@@ -156,7 +156,7 @@ FLIPS = """
 from pathlib import Path
 from numba.core.registry import cpu_target
 from mmwave_env.caller import function
-from mmwave_env.disk_cache import compiled
+from mmwave_env.compiler.disk_cache import compiled
 
 function(20), function(2.0), function(2j)
 cache, context = function._cache, cpu_target.target_context

@@ -35,7 +35,7 @@ from mmwave_env.numerics.numbers import (
     where,
     wrap,
 )
-from mmwave_env.numerics.tracer import NoValue, Probe, ProbeTruth
+from mmwave_env.numerics.tracer import FloatCondition, FloatTracer, NoValueError
 from tests.filters.tracks import assert_same_beliefs, pipeline_of, simulated, track
 
 
@@ -253,14 +253,14 @@ NEEDS_VALUES = {
 
 @pytest.mark.parametrize(("use", "instead"), NEEDS_VALUES.values(), ids=NEEDS_VALUES)
 def test_asking_for_a_value_says_what_to_write_instead(lanes, use, instead):
-    with pytest.raises(NoValue, match=f"8 environments: write .*{instead}"):
+    with pytest.raises(NoValueError, match=f"8 environments: write .*{instead}"):
         use(lanes)
 
 
 def test_probes_are_lanes_in_all_but_the_value():
     """What a trial on probes accepts, lanes do, and the other way round."""
     inner = {"builder", "value", "hidden", "_call", "_negated"}
-    for ours, theirs in ((Lanes, Probe), (Mask, ProbeTruth)):
+    for ours, theirs in ((Lanes, FloatTracer), (Mask, FloatCondition)):
         assert set(dir(ours)) - inner == set(dir(theirs)) - inner
 
 
@@ -358,7 +358,7 @@ for _ in range(T):
 print(engine.read(engine.at.x).tolist())
 """
 EDITS = [
-    ("measurement.py", "d[0] * velocity[0]", "d[1] * velocity[0]"),
+    ("models/measurement.py", "d[0] * velocity[0]", "d[1] * velocity[0]"),
     ("models/motion.py", "(0.5 * dt)", "(0.7 * dt)"),
     ("filters/linearization.py", "(0.5 / s)", "(0.6 / s)"),
 ]

@@ -3,7 +3,7 @@
 import pytest
 
 from mmwave_env.compiler import disk_cache
-from mmwave_env.compiler.lazy_jit import Sparing
+from mmwave_env.compiler.lazy_jit import LazyJit
 
 
 def function(x):
@@ -14,7 +14,7 @@ def function(x):
 def fresh(tmp_path, monkeypatch):
     """As another process would have it, all of them with one folder on disk."""
     monkeypatch.setattr(disk_cache, "_folder", lambda: tmp_path)
-    return lambda: Sparing(function, 5)
+    return lambda: LazyJit(function, 5)
 
 
 def kinds(sparing, *works):

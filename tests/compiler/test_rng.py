@@ -6,7 +6,7 @@ import pytest
 from gymnasium.utils import seeding
 
 from mmwave_env.compiler import rng as generators
-from mmwave_env.compiler.rng import Generators, dice_of, leave, single, take
+from mmwave_env.compiler.rng import Generators, load_state, rng_view, save_state, whole_rng
 
 
 def draws(generator):
@@ -60,13 +60,13 @@ def test_bare_states_are_copies_that_go_on_elsewhere():
 
 
 @numba.njit
-def compiled_draws(dice, out):
+def compiled_draws(view, out):
     for i in (2, 0, 1, 2):  # in any order, and more than once
-        take(dice, i)
-        out[i, 0] = dice[0].random()
-        out[i, 1] = dice[0].standard_normal()
-        out[i, 2] = dice[0].standard_exponential()
-        leave(dice, i)
+        load_state(view, i)
+        out[i, 0] = view[0].random()
+        out[i, 1] = view[0].standard_normal()
+        out[i, 2] = view[0].standard_exponential()
+        save_state(view, i)
 
 
 def drawn(generator):
@@ -80,7 +80,7 @@ def test_compiled_code_draws_what_generators_draw():
     theirs = ours.copies()
     places = np.array([3, 0, 1])
     with ours.states(places) as states:
-        compiled_draws(dice_of(states), out)
+        compiled_draws(rng_view(states), out)
     drawn(theirs[1])
     np.testing.assert_array_equal(out, [drawn(theirs[place]) for place in places])
     assert [draws(copy) for copy in ours.copies()] == [draws(generator) for generator in theirs]
@@ -90,18 +90,18 @@ def test_compiled_code_draws_what_generators_draw():
 def test_compiled_code_draws_from_a_generator_of_any_kind(kind):
     ours, theirs = np.random.Generator(kind(5)), np.random.Generator(kind(5))
     first, second = np.zeros((1, 3)), np.zeros((1, 3))
-    one_draw(single(ours), first)
-    one_draw(single(ours), second)
+    one_draw(whole_rng(ours), first)
+    one_draw(whole_rng(ours), second)
     np.testing.assert_array_equal([*first, *second], [drawn(theirs), drawn(theirs)])
 
 
 @numba.njit
-def one_draw(dice, out):
-    take(dice, 0)
-    out[0, 0] = dice[0].random()
-    out[0, 1] = dice[0].standard_normal()
-    out[0, 2] = dice[0].standard_exponential()
-    leave(dice, 0)
+def one_draw(view, out):
+    load_state(view, 0)
+    out[0, 0] = view[0].random()
+    out[0, 1] = view[0].standard_normal()
+    out[0, 2] = view[0].standard_exponential()
+    save_state(view, 0)
 
 
 def test_a_numpy_that_keeps_states_elsewhere_is_refused(monkeypatch):

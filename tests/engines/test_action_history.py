@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 
-from mmwave_env.engines.action_history import History
+from mmwave_env.engines.action_history import ActionHistory
 
 
 @pytest.mark.parametrize("modes", [2, 300])
 def test_it_knows_the_last_steps_whenever_room_is_made(modes):
-    rng, history, steps, room = np.random.default_rng(0), History(5, modes), [], 0
+    rng, history, steps, room = np.random.default_rng(0), ActionHistory(5, modes), [], 0
     for asked in (3, 4, 2, 9, 30):
         known, room = min(room, len(steps)), max(room, asked)
         history.make_room(asked)

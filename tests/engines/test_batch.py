@@ -64,4 +64,4 @@ def test_past_the_end_of_an_episode_epochs_are_blank(on_floats):
         together.step(np.int64(0))
         alone.step(np.int64(0))
         np.testing.assert_array_equal(together.column(1), alone.column(0))
-    assert alone.read(alone.at.held.visible).max() == 0.0
+    assert alone.read(alone.at.pending.visible).max() == 0.0

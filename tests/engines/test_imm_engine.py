@@ -8,7 +8,7 @@ import pytest
 from mmwave_env.engines.env_engine import Engine
 from mmwave_env.engines.imm_engine import ImmEngine
 from mmwave_env.engines.track_engine import Tracker
-from mmwave_env.episodes.episode import Packed
+from mmwave_env.episodes.episode import EpisodeBatch
 from mmwave_env.filters.belief import Belief
 from mmwave_env.filters.mode_files import default_modes
 from mmwave_env.filters.modes import Mode
@@ -65,7 +65,7 @@ def test_a_tuning_is_data(episodes):
 def test_an_episode_gets_the_same_numbers_whatever_is_beside_it(episodes):
     imm = ImmEngine(TWO, TrackingReward())
     lengths = [T, 25, 1, T - 1]
-    packed = Packed.of(episodes[:4])
+    packed = EpisodeBatch.of(episodes[:4])
     cut = packed._replace(length=np.array(lengths))
     together = imm.run(cut, "x", "nees")
     for e, length in enumerate(lengths):

@@ -16,7 +16,7 @@ from mmwave_env.models.epoch import blank_site
 from mmwave_env.models.measurement import Layout
 from mmwave_env.models.radio import RADIOS
 from mmwave_env.models.scene import SCENES
-from mmwave_env.numerics.pytree import rebuild
+from mmwave_env.numerics.pytree import unflatten
 from tests.filters.tracks import geometry
 
 STREET = SCENES["street"]
@@ -316,7 +316,7 @@ def test_the_table_is_what_the_engine_s_template_reads(odometry):
     sizes = [g.stop - g.start for g in episode.layout.groups]
     assert len(table) == len(episode)
     for t in (0, 1, 77, 199):
-        incoming = rebuild(template, iter(table[t].tolist()))
+        incoming = unflatten(template, iter(table[t].tolist()))
         epoch = incoming.epoch(episode.layout)
         seen = np.repeat(episode.visible[t], sizes)
         np.testing.assert_array_equal(np.array(epoch.z)[seen], episode.measurement[t, seen])
@@ -331,7 +331,7 @@ def test_the_table_is_what_the_engine_s_template_reads(odometry):
 
 
 def test_the_site_is_what_the_engine_s_template_reads(episode):
-    site = rebuild(blank_site(episode.layout), iter(episode.site().tolist()))
+    site = unflatten(blank_site(episode.layout), iter(episode.site().tolist()))
     np.testing.assert_array_equal(site.anchors, episode.scene_anchors_m)
     assert site.hz_per_mps == episode.hz_per_mps
     np.testing.assert_array_equal(site.prior_x, episode.prior_mean)

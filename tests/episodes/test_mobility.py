@@ -40,7 +40,7 @@ every_mobility = pytest.mark.parametrize("name", BOUNDS)
 every_scene = pytest.mark.parametrize("scene", SCENES)
 
 
-class Tracks(NamedTuple):
+class BatchState(NamedTuple):
     """Many users of one kind: (SEEDS, STEPS, 2) m, m/s; (SEEDS, STEPS) m/s; height, m."""
 
     position: np.ndarray
@@ -58,7 +58,7 @@ def tracks():
             position, velocity = run([name] * SEEDS, range(SEEDS), STEP_S, STEPS, scene)
             assert (velocity[..., 2] == 0.0).all()
             speed = np.linalg.norm(velocity, axis=-1)
-            drawn[name, scene] = Tracks(
+            drawn[name, scene] = BatchState(
                 position[..., :2], velocity[..., :2], speed, position[..., 2]
             )
         return drawn[name, scene]

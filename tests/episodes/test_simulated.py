@@ -10,7 +10,7 @@ import pytest
 
 from mmwave_env.compiler.rng import Generators
 from mmwave_env.episodes import simulated as simulation
-from mmwave_env.episodes.episode import Episode, Packed
+from mmwave_env.episodes.episode import Episode, EpisodeBatch
 from mmwave_env.episodes.mobility import mobilities_of, plan_of
 from mmwave_env.episodes.simulated import CHUNK, SimulatedSource
 from mmwave_env.models.radio import RADIOS
@@ -139,8 +139,8 @@ def test_a_batch_is_the_episodes_one_by_one_to_the_bit(name, n):
     source, ours = SOURCES[name], seeded(n)
     theirs = ours.copies()
     with ours.states(np.arange(n)) as states:
-        found = source.packed(states)
-    expected = Packed.of([source.sample(rng) for rng in theirs])
+        found = source.sample_batch(states)
+    expected = EpisodeBatch.of([source.sample(rng) for rng in theirs])
     assert (found.names, found.layout) == (expected.names, expected.layout)
     for field in ("nonfinite", "length", "table", "site"):
         np.testing.assert_array_equal(getattr(found, field), getattr(expected, field))
@@ -151,8 +151,8 @@ def test_a_batch_is_the_episodes_one_by_one_to_the_bit(name, n):
 def test_tables_go_where_they_are_wanted():
     source, tables = SOURCES["jam"], np.zeros((5, 77, 37))
     with seeded(3).states(np.arange(3)) as states:
-        expected = source.packed(states.copy()).table
-        returned = source.packed(states, out=tables[1:4]).table
+        expected = source.sample_batch(states.copy()).table
+        returned = source.sample_batch(states, out=tables[1:4]).table
     np.testing.assert_array_equal(tables[1:4], expected)
     assert np.shares_memory(returned, tables)
     assert not tables[0].any() and not tables[4].any()
@@ -168,7 +168,7 @@ def test_tables_go_where_they_are_wanted():
 )
 def test_where_tables_do_not_fit_is_refused(out, found):
     with pytest.raises(ValueError, match="out: found .*expected .1, 77, 37., contiguous") as error:
-        SOURCES["jam"].packed(np.ones((1, 4), np.uint64), out)
+        SOURCES["jam"].sample_batch(np.ones((1, 4), np.uint64), out)
     assert found in str(error.value)
 
 
@@ -184,5 +184,5 @@ def test_threads_do_not_choose_each_for_itself_whether_to_compile(monkeypatch):
     source, n = SimulatedSource(SCENES["street"], RADIOS["handset"], epochs=3), 3 * CHUNK + 5
     generators = Generators(n)
     with generators.states(np.arange(n)) as states:
-        source.packed(states, threads=2)
+        source.sample_batch(states, threads=2)
     assert works == [(n * source.epochs, threading.get_ident())]

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from experiments.evaluation.comparison import compare, references, rivals
+from experiments.evaluation.comparison import compare_scores, references, rivals
 from experiments.evaluation.intervals import bootstrap
 from experiments.evaluation.markdown import markdown
 from mmwave_env.metrics import METRICS
@@ -40,14 +40,14 @@ def test_everyone_is_compared_with_every_reference():
         for name in names
         if name != reference
     ]
-    assert list(compare(table, **WHAT).paired) == expected
+    assert list(compare_scores(table, **WHAT).paired) == expected
 
 
 def test_paired_differences_are_taken_episode_by_episode():
     rng = np.random.default_rng(0)
     hardness = rng.normal(0.0, 10.0, 40)  # shared, so that it cancels
     table = scores(speed_rule=hardness, random=hardness - 1.0 + 0.01 * rng.normal(size=40))
-    result = compare(table, **WHAT)
+    result = compare_scores(table, **WHAT)
     assert list(result.paired) == ["random - speed-rule"]
     difference = table["random"]["ate_m"] - table["speed-rule"]["ate_m"]
     (expected,) = bootstrap(difference[:, None])
@@ -60,7 +60,7 @@ def test_paired_differences_are_taken_episode_by_episode():
 
 
 def test_results_as_json():
-    result = compare(scores(speed_rule=[1.0, 2.0, 3.0], imm=[2.0, 2.0, 2.0]), **WHAT).json
+    result = compare_scores(scores(speed_rule=[1.0, 2.0, 3.0], imm=[2.0, 2.0, 2.0]), **WHAT).json
     assert {key: result[key] for key in WHAT} == WHAT
     assert list(result) == [*WHAT, "policies", "paired"]
     assert result["policies"]["imm"]["reward"] == {"mean": 2.0, "ci95": [2.0, 2.0]}
@@ -71,12 +71,12 @@ def test_learned_switchers_are_compared_with_every_imm_and_nobody_else_is():
     table = scores(random=[0, 1], imm=[1, 1], imm_robust=[2, 1], imm_tuned=[0, 3])
     table["runs/a - b"] = table["random"]
     assert rivals(table) == ["imm", "imm-robust", "imm-tuned"]
-    found = compare(table, ["runs/a - b"], **WHAT)
+    found = compare_scores(table, ["runs/a - b"], **WHAT)
     others = ["random - imm", "imm-robust - imm", "imm-tuned - imm"]
     assert list(found.paired) == [
         *others, "runs/a - b - imm", "runs/a - b - imm-robust", "runs/a - b - imm-tuned",
     ]  # fmt: skip
     assert found.paired["runs/a - b - imm-robust"]["reward"].mean == pytest.approx(-1.0)
-    assert list(compare(table, **WHAT).paired) == [*others, "runs/a - b - imm"]
+    assert list(compare_scores(table, **WHAT).paired) == [*others, "runs/a - b - imm"]
     (row,) = [line for line in markdown(found).splitlines() if "-1.000 [-2.000, 0.000]" in line]
     assert row.startswith("| runs/a - b |") and row.count("[") == 3

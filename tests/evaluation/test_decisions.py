@@ -9,7 +9,7 @@ from matplotlib.image import imread
 
 from experiments.evaluation.contenders import contender_from
 from experiments.evaluation.decisions import Decisions, pull_aways, stops
-from experiments.evaluation.runner import localise
+from experiments.evaluation.runner import run_contender
 from experiments.evaluation.seeds import draw_episodes
 from mmwave_env.episodes.simulated import SimulatedSource
 from mmwave_env.metrics import BURN_IN
@@ -179,10 +179,10 @@ def test_a_picture_is_drawn(episodes, told, tmp_path):
 
 def test_modes_are_those_that_were_chosen(episodes):
     rule = contender_from("speed-rule", "handset")
-    told = localise(rule, rule.start(SOURCE.layout), episodes)
+    told = run_contender(rule, rule.start(SOURCE.layout), episodes)
     assert told["mode"].shape == (N, T) and set(np.unique(told["mode"])) == {0, 1}
     for mode, name in enumerate(("fixed-ekf", "fixed-ukf")):
         fixed = contender_from(name, "handset")
-        assert (localise(fixed, fixed.start(SOURCE.layout), episodes)["mode"] == mode).all()
+        assert (run_contender(fixed, fixed.start(SOURCE.layout), episodes)["mode"] == mode).all()
     imm = contender_from("imm", "handset")
-    assert "mode" not in localise(imm, imm.start(SOURCE.layout), episodes)
+    assert "mode" not in run_contender(imm, imm.start(SOURCE.layout), episodes)

@@ -88,7 +88,7 @@ def test_statistics_of_a_distribution_are_those_of_its_sample(seed):
 STATISTICS = (mean, interquartile_mean, share_above(np.array([0.0, 0.5])))
 
 
-def plainly(scores, rng, resamples):
+def plain_work(scores, rng, resamples):
     """The same intervals, each resample written out."""
     K, n = scores.shape
     apart = scores.mean(axis=1) - scores.mean()
@@ -110,7 +110,7 @@ def test_seeds_and_episodes_are_resampled_independently():
     scores = rng.normal(0.3, 0.5, (4, 1)) + rng.normal(size=30) + rng.normal(size=(4, 30))
     found = crossed_bootstrap(scores, *STATISTICS)
     centre, low, high = (np.concatenate([np.ravel(one[i]) for one in found]) for i in range(3))
-    expected, deviations = plainly(scores, rng, RESAMPLES)
+    expected, deviations = plain_work(scores, rng, RESAMPLES)
     np.testing.assert_allclose(centre, expected)
     margin = 4.5 * np.sqrt(2.0 * 0.025 * 0.975 / RESAMPLES) / norm.pdf(norm.ppf(0.025))
     for end, quantile in ((low, 2.5), (high, 97.5)):

@@ -11,7 +11,7 @@ import mmwave_env  # noqa: F401  registers the environment
 from experiments.evaluation import contenders as contenders_module
 from experiments.evaluation import runner as evaluation
 from experiments.evaluation.contenders import contender_from, contenders
-from experiments.evaluation.runner import evaluate, score
+from experiments.evaluation.runner import score, score_contenders
 from experiments.evaluation.seeds import draw_episodes
 from mmwave_env.engines.imm_engine import ImmEngine
 from mmwave_env.episodes.simulated import SimulatedSource
@@ -67,20 +67,20 @@ def test_episodes_are_those_of_the_environment():
 
 
 def test_chunks_change_nothing(monkeypatch):
-    whole = evaluate(["speed-rule"], SOURCE, "handset", episodes=5, seed=0)
+    whole = score_contenders(["speed-rule"], SOURCE, "handset", episodes=5, seed=0)
     monkeypatch.setattr(evaluation, "CHUNK", 2)
-    assert_equal(evaluate(["speed-rule"], SOURCE, "handset", episodes=5, seed=0), whole)
+    assert_equal(score_contenders(["speed-rule"], SOURCE, "handset", episodes=5, seed=0), whole)
 
 
 def test_seeds_run_from_the_first_one():
-    both = evaluate(["fixed-ukf"], SOURCE, "handset", episodes=2, seed=7)["fixed-ukf"]
-    second = evaluate(["fixed-ukf"], SOURCE, "handset", episodes=1, seed=8)["fixed-ukf"]
+    both = score_contenders(["fixed-ukf"], SOURCE, "handset", episodes=2, seed=7)["fixed-ukf"]
+    second = score_contenders(["fixed-ukf"], SOURCE, "handset", episodes=1, seed=8)["fixed-ukf"]
     assert all(len(both[m]) == 2 and both[m][1] == second[m][0] for m in METRICS)
 
 
 def test_contenders_see_the_same_episodes():
-    together = evaluate(["fixed-ekf", "fixed-ukf"], SOURCE, "handset", episodes=2, seed=0)
-    alone = evaluate(["fixed-ukf"], SOURCE, "handset", episodes=2, seed=0)
+    together = score_contenders(["fixed-ekf", "fixed-ukf"], SOURCE, "handset", episodes=2, seed=0)
+    alone = score_contenders(["fixed-ukf"], SOURCE, "handset", episodes=2, seed=0)
     assert_equal({"fixed-ukf": together["fixed-ukf"]}, alone)
     assert (together["fixed-ekf"]["ate_m"] != together["fixed-ukf"]["ate_m"]).all()
 
@@ -98,13 +98,13 @@ def test_every_radio_has_every_contender(radio):
 
 def test_an_unknown_contender_lists_the_valid_ones():
     with pytest.raises(ValueError, match="policy: found 'oracle'.*fixed-ekf.*imm"):
-        evaluate(["oracle"], SOURCE, "handset", episodes=1, seed=0)
+        score_contenders(["oracle"], SOURCE, "handset", episodes=1, seed=0)
 
 
 @pytest.mark.parametrize("episodes", [0, -3])
 def test_no_episodes_are_refused(episodes):
     with pytest.raises(ValueError, match="episodes"):
-        evaluate(["fixed-ukf"], SOURCE, "handset", episodes=episodes, seed=0)
+        score_contenders(["fixed-ukf"], SOURCE, "handset", episodes=episodes, seed=0)
 
 
 def test_episodes_without_truth_are_refused():
@@ -133,7 +133,7 @@ def test_an_imm_is_run_as_it_was_tuned():
 
 def test_a_name_twice_is_refused():
     with pytest.raises(ValueError, match="policies: found imm, imm, expected no name twice"):
-        evaluate(["imm", "imm"], SOURCE, "handset", episodes=1, seed=0)
+        score_contenders(["imm", "imm"], SOURCE, "handset", episodes=1, seed=0)
 
 
 def test_actions_beyond_the_modes_are_refused():
@@ -150,8 +150,8 @@ def test_own_modes_bring_their_own_contenders():
     ]  # fmt: skip
     assert all(make().modes == modes for make in found.values())
     assert "speed-rule" in contenders("handset", modes[:2])
-    own = evaluate(["fixed-ckf"], SOURCE, "handset", episodes=2, seed=0, modes=modes)
-    named = evaluate(["fixed-ckf"], SOURCE, "handset", episodes=2, seed=0)
+    own = score_contenders(["fixed-ckf"], SOURCE, "handset", episodes=2, seed=0, modes=modes)
+    named = score_contenders(["fixed-ckf"], SOURCE, "handset", episodes=2, seed=0)
     for metric, values in own["fixed-ckf"].items():
         np.testing.assert_allclose(values, named["fixed-ckf"][metric], rtol=1e-9)
 
@@ -191,7 +191,7 @@ def test_a_policy_plays_the_same_by_name_and_by_file(file):
         told[contender.name] = tells
         assert len(episodes) == 2
 
-    scores = evaluate(names, SOURCE, "handset", episodes=2, seed=0, watch=watch)
+    scores = score_contenders(names, SOURCE, "handset", episodes=2, seed=0, watch=watch)
     assert list(scores) == list(told) == names
     for name in names[1:]:
         assert_equal({name: scores["ppo"]}, {name: scores[name]})
@@ -201,7 +201,7 @@ def test_a_policy_plays_the_same_by_name_and_by_file(file):
 def test_what_is_watched_is_what_is_scored():
     told = {}
     names = ["speed-rule", "imm"]
-    scores = evaluate(
+    scores = score_contenders(
         names, SOURCE, "handset", episodes=3, seed=0,
         watch=lambda contender, episodes, tells: told.update({contender.name: tells}),
     )  # fmt: skip

@@ -189,7 +189,7 @@ def only_floats(x, P, measurement, gate):
     [
         (misspelt, "'Measurement' object has no attribute 'numbers'"),
         (only_lanes, "'float' object has no attribute 'constant'"),
-        (only_floats, "'Probe' object has no attribute 'real'"),
+        (only_floats, "'FloatTracer' object has no attribute 'real'"),
     ],
 )
 def test_other_failures_keep_their_cause_and_show_the_line(algorithm, said):

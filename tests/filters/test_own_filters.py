@@ -12,14 +12,15 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.stats import chi2
 
-from experiments.evaluation.runner import evaluate
+from experiments.evaluation.runner import score_contenders
 from mmwave_env.engines.imm_engine import ImmEngine
 from mmwave_env.engines.track_engine import Tracker
 from mmwave_env.episodes.simulated import SimulatedSource
 from mmwave_env.filters.custom import AlgorithmError
+from mmwave_env.filters.gating import Gate
 from mmwave_env.filters.modes import Mode
 from mmwave_env.filters.pipeline import Pipeline
-from mmwave_env.filters.update import Gate, ekf
+from mmwave_env.filters.update import ekf
 from mmwave_env.localization.localizer import localize
 from mmwave_env.localization.log import read_log, write_log
 from mmwave_env.models.radio import RADIOS
@@ -144,7 +145,7 @@ def test_a_log_is_localised_with_it(iekf, tmp_path):
 
 def test_it_is_evaluated_like_a_mode_of_ours(mine):
     source = SimulatedSource(SCENES["street"], RADIOS["handset"], epochs=30)
-    scores = evaluate(["fixed-iekf", "imm"], source, "handset", 2, 0, (mine,))
+    scores = score_contenders(["fixed-iekf", "imm"], source, "handset", 2, 0, (mine,))
     assert np.isfinite(scores["fixed-iekf"]["ate_m"]).all()
     np.testing.assert_allclose(scores["imm"]["ate_m"], scores["fixed-iekf"]["ate_m"], rtol=1e-6)
 

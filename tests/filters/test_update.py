@@ -6,8 +6,9 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from scipy.stats import chi2
 
+from mmwave_env.filters.gating import Gate
 from mmwave_env.filters.linearization import SigmaPoints
-from mmwave_env.filters.update import Gate, ckf, ekf, ukf, update
+from mmwave_env.filters.update import ckf, ekf, ukf, update
 from tests.filters import textbook
 from tests.filters.problems import HZ_PER_MPS, Problem, assert_same, assume_clear_of, problems
 
@@ -89,9 +90,9 @@ def test_any_scaled_sigma_points_equal_textbook(odometry, parameters, data):
 @settings(max_examples=40, deadline=None)
 def test_planar_update_is_that_of_the_five_free_states(algorithm, moments, odometry, data):
     problem, gate = data.draw(problems(odometry)), Gate(0.99)
-    free, pinned = [0, 1, 3, 4, 6], [2, 5]
+    free, known_axes = [0, 1, 3, 4, 6], [2, 5]
     P = problem.P.copy()
-    P[pinned, :] = P[:, pinned] = 0.0
+    P[known_axes, :] = P[:, known_axes] = 0.0
     s = problem.sensor
     expected = textbook.update(
         moments, textbook.Restricted(s, problem.x, free), s.groups, s.links, problem.x[free],
@@ -102,9 +103,9 @@ def test_planar_update_is_that_of_the_five_free_states(algorithm, moments, odome
     whole = np.array(ours.P)
     reduced = whole[np.ix_(free, free)]
     assert_same(ours._replace(x=np.array(ours.x)[free], P=reduced), expected)
-    assert [ours.x[i] for i in pinned] == problem.x[pinned].tolist()
-    assert not whole[pinned].any()
-    assert not whole[:, pinned].any()
+    assert [ours.x[i] for i in known_axes] == problem.x[known_axes].tolist()
+    assert not whole[known_axes].any()
+    assert not whole[:, known_axes].any()
 
 
 @algorithms

@@ -187,7 +187,7 @@ class Judged(NamedTuple):
     log_likelihood: float
 
 
-def judge(
+def gate_groups(
     moments, sensor, groups, links, x, P, z, R, visible, quantile=None, force=False, robust=False
 ):  # fmt: skip
     """Gate each group at the prior; R is inflated where a robust update doubts."""
@@ -206,7 +206,9 @@ def judge(
 
 def update(moments, sensor, groups, links, x, P, z, R, *gate):
     """Gate each group at the prior, then condition on all rows of those that passed."""
-    nis, accepted, R, log_likelihood = judge(moments, sensor, groups, links, x, P, z, R, *gate)
+    nis, accepted, R, log_likelihood = gate_groups(
+        moments, sensor, groups, links, x, P, z, R, *gate
+    )
     keep = np.repeat(accepted, [g.stop - g.start for g in groups])
     mean, S, C = moments(sensor, x, P)
     S = (S + np.diag(R))[np.ix_(keep, keep)]
@@ -222,7 +224,9 @@ def update(moments, sensor, groups, links, x, P, z, R, *gate):
 
 def iterated(iterations, sensor, groups, links, x, P, z, R, *gate):
     """Iterated extended Kalman filter (Bell and Cathey 1993, eq. for x_i+1), gated at the prior."""
-    nis, accepted, R, log_likelihood = judge(tangent, sensor, groups, links, x, P, z, R, *gate)
+    nis, accepted, R, log_likelihood = gate_groups(
+        tangent, sensor, groups, links, x, P, z, R, *gate
+    )
     keep = np.repeat(accepted, [g.stop - g.start for g in groups])
     R, iterate = np.diag(R[keep]), x
     for _ in range(iterations):

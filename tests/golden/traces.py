@@ -30,7 +30,7 @@ from mmwave_env.localization.log import read_log
 from mmwave_env.models.prior import prior_from_fix
 from mmwave_env.models.radio import radio_from
 from mmwave_env.models.scene import read_scene
-from mmwave_env.numerics.pytree import rebuild
+from mmwave_env.numerics.pytree import unflatten
 from mmwave_env.reward import TrackingReward
 
 from .rollouts import ROLLOUTS, rollout
@@ -84,7 +84,7 @@ def _track_imm(log: str) -> str:
         [episode], "x", "P", "mixture.probability", "mixture.tracks"
     )
     x, P, probability, mixed = (values[0] for values in told.values())
-    tracks = rebuild(begin(pipeline, [0.0] * 7, [0.0] * 28).tracks, iter(mixed.T))
+    tracks = unflatten(begin(pipeline, [0.0] * 7, [0.0] * 28).tracks, iter(mixed.T))
     columns, flags = _belief(x, P), {}
     for mode, share, one in zip(modes, probability.T, tracks, strict=True):
         columns[f"probability {mode.name}"] = share

@@ -22,7 +22,7 @@ from mmwave_env.localization.log_tables import LogError
 from mmwave_env.models.prior import prior_from_fix
 from mmwave_env.models.radio import RADIOS
 from mmwave_env.models.scene import SCENES
-from policies.scripted import by_odometry_speed, by_predicted_speed
+from policies.speed_rule import by_odometry_speed, by_predicted_speed
 from tests.filters.tracks import track
 
 SCENE, RADIO = SCENES["street"], RADIOS["handset"]

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scipy.stats import binom, chi2, kstest, lognorm, norm
 
-from mmwave_env.models.channel import ChannelDraws, calm, channel_epoch, channel_of
+from mmwave_env.models.channel import ChannelDraws, channel_epoch, channel_of, initial_state
 from mmwave_env.models.measurement import Layout
 from mmwave_env.models.radio import RADIOS, Radio, radio_from
 from mmwave_env.models.scene import SCENES
@@ -31,7 +31,7 @@ def channel(radio, epochs, users, distance_m=100.0, speed_mps=0.0, dt=1.0, seed=
     """
     rng = np.random.default_rng(seed)
     layout = Layout(links)
-    weather, found = calm(links), []
+    state, found = initial_state(links), []
     model = channel_of(radio, STREET, layout, dt)
     distance, speed = [np.full(users, distance_m)] * links, np.full(users, speed_mps)
 
@@ -52,7 +52,7 @@ def channel(radio, epochs, users, distance_m=100.0, speed_mps=0.0, dt=1.0, seed=
             scatter=rng.standard_normal(users),
             floor=rng.standard_normal(users),
         )
-        weather, reception = channel_epoch(model, weather, t == 0, draws, distance, speed)
+        state, reception = channel_epoch(model, state, t == 0, draws, distance, speed)
         found.append(reception)
 
     def of_links(values):

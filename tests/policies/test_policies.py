@@ -29,7 +29,7 @@ from policies import (
     SpeedRule,
     tuned_imm,
 )
-from policies.scripted import by_odometry_speed, by_predicted_speed, mode_at
+from policies.speed_rule import by_odometry_speed, by_predicted_speed, mode_at
 
 THREE = ("ekf", "ukf", "ckf")
 

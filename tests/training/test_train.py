@@ -20,10 +20,20 @@ from experiments.cli.main import run
 from experiments.train import Args
 from experiments.training import training_env as worlds
 from experiments.training.checkpoint import read_checkpoint, with_arrays, write_checkpoint
-from experiments.training.hyperparameters import Recipe, read_recipe, shipped_recipe
+from experiments.training.hyperparameters import (
+    Hyperparameters,
+    read_hyperparameters,
+    shipped_hyperparameters,
+)
 from experiments.training.network import actor_of, learner
-from experiments.training.progress_log import Journal
-from experiments.training.training_env import TRUTH, PairedReward, Task, WithTruth, World
+from experiments.training.progress_log import ProgressLog
+from experiments.training.training_env import (
+    TRUTH,
+    BaselineReward,
+    PrivilegedObservation,
+    TrainingEnv,
+    TrainingTask,
+)
 from mmwave_env.engines.imm_engine import ImmEngine
 from mmwave_env.episodes.simulated import SimulatedSource
 from mmwave_env.files import write_json
@@ -39,8 +49,8 @@ from tests.training.actors import MODES, card_of, write
 
 pytestmark = pytest.mark.torch
 
-TASK = Task("mixed", "handset", MODES, "full", TrackingReward())
-RECIPE = Recipe(
+TASK = TrainingTask("mixed", "handset", MODES, "full", TrackingReward())
+RECIPE = Hyperparameters(
     num_envs=8, n_steps=16, batch_size=64, n_epochs=2, learning_rate=0.003, ent_coef=0.01,
     final_fraction=0.1, gamma=0.95, gae_lambda=0.9, clip_range=0.2, max_grad_norm=0.5,
     target_kl=0.1, hidden=(8, 8), lstm=0, frames=1, clip_observation=5.0, paired=False,
@@ -79,7 +89,7 @@ def test_paired_rewards_are_less_those_of_an_imm_on_the_same_episodes():
     n, steps, epochs = 5, 7, 30
     pipeline = Pipeline(MODES[:2], short().batch.layout)
     env, plain = short(n, steps), short(n, steps)
-    venv = PairedReward(SB3VecEnv(env), env, ImmEngine(pipeline, TrackingReward()))
+    venv = BaselineReward(SB3VecEnv(env), env, ImmEngine(pipeline, TrackingReward()))
     venv.seed(3)
     venv.reset()
     plain.reset(seed=3)
@@ -117,7 +127,7 @@ def wrong(estimate, truth):
 
 def test_a_critic_sees_the_truth_at_ends_too():
     env, plain = short(), short()
-    venv = WithTruth(SB3VecEnv(env), env)
+    venv = PrivilegedObservation(SB3VecEnv(env), env)
     venv.seed(1)
     seen, (expected, told) = venv.reset(), plain.reset(seed=1)
     rng, ends = np.random.default_rng(0), 0
@@ -148,7 +158,7 @@ def test_a_critic_sees_a_user_at_rest():
 @pytest.mark.parametrize("kind", RECIPES)
 def test_a_world_goes_on_to_the_last_bit(kind):
     recipe = replace(RECIPES[kind], num_envs=3)
-    first, second = World(TASK, recipe), World(TASK, recipe)
+    first, second = TrainingEnv(TASK, recipe), TrainingEnv(TASK, recipe)
     first.venv.seed(0)
     second.venv.seed(99)
     for world in (first, second):
@@ -178,7 +188,7 @@ def test_a_world_goes_on_to_the_last_bit(kind):
 def test_the_exported_actor_acts_as_the_trained_one(kind, tmp_path):
     """2000 observations, the ends of all episodes among them."""
     recipe = RECIPES[kind]
-    place = World(TASK, recipe)
+    place = TrainingEnv(TASK, recipe)
     model = learner(place, recipe, seed=1)
     now, rng = place.venv.reset(), np.random.default_rng(0)
     for _ in range(20):  # for the normalisation
@@ -206,8 +216,8 @@ def test_the_exported_actor_acts_as_the_trained_one(kind, tmp_path):
 
 
 def test_shipped_recipes_are_sound():
-    assert read_recipe(shipped_recipe("ppo")).lstm == 0
-    assert read_recipe(shipped_recipe("recurrent-ppo")).lstm > 0
+    assert read_hyperparameters(shipped_hyperparameters("ppo")).lstm == 0
+    assert read_hyperparameters(shipped_hyperparameters("recurrent-ppo")).lstm > 0
 
 
 BAD = {
@@ -279,7 +289,7 @@ def test_a_bad_recipe_is_refused_in_one_line(change, tmp_path, capsys):
         (("--total-timesteps", -1), "total_timesteps: found -1"),
         (("--resume", "--overwrite"), "overwrite: found it beside resume"),
         (("--hyperparameters", "nowhere.json"), "nowhere.json"),
-        (("--algo", "recurrent-ppo", "--hyperparameters", shipped_recipe("ppo")),
+        (("--algo", "recurrent-ppo", "--hyperparameters", shipped_hyperparameters("ppo")),
          "lstm: found 0, expected 1 or more for --algo recurrent-ppo"),
     ],
 )  # fmt: skip
@@ -431,12 +441,12 @@ def test_a_malicious_checkpoint_is_refused_and_not_executed(tmp_path):
 
 
 def test_the_journal_writes_a_row_a_call_and_goes_on(tmp_path):
-    journal = Journal(tmp_path, [])
+    journal = ProgressLog(tmp_path, [])
     journal.write({"a": 1, "time/fps": 9}, {}, 10)
     journal.write({"b": np.float32(0.123456789)}, {}, 20)
     journal.save()
     assert (tmp_path / "progress.csv").read_text() == "timesteps,a,b\n10,1,\n20,,0.123457\n"
-    again = Journal(tmp_path, journal.rows)
+    again = ProgressLog(tmp_path, journal.rows)
     journal.write({"lost": 1}, {}, 30)
     again.write({"a": 2, "c": 3}, {}, 30)
     again.close()

@@ -1,17 +1,17 @@
-"""Scripted policies: the paper's speed rule and honest baselines."""
+"""The paper's rule (Sec. III-A): the EKF pipeline up to 2 m/s, the UKF pipeline above."""
 
 import warnings
 
 import numpy as np
 from numpy.typing import NDArray
 
+from mmwave_env.filters.modes import DESIGN_LIMIT_MPS
 from mmwave_env.models.epoch import Epoch
 from mmwave_env.numerics.linalg import dot
 from mmwave_env.numerics.numbers import Number, Vector, sqrt, where
 from mmwave_env.observation import Observation
 
 SLOW_MPS = 2.0  # paper, Algorithm 1: up to it mobility is low
-DESIGN_LIMIT_MPS = 20.0  # above it the speed is outside the paper's design window
 
 
 def mode_at(speed: Number, threshold: float = SLOW_MPS) -> Number:
@@ -27,44 +27,6 @@ def by_predicted_speed(x: Vector, epoch: Epoch) -> Number:
 def by_odometry_speed(x: Vector, epoch: Epoch) -> Number:
     """The rule by the speed that odometry measures; by the predicted one where it is missing."""
     return where(epoch.visible[-1] > 0.5, mode_at(epoch.z[-2]), by_predicted_speed(x, epoch))
-
-
-class FixedMode:
-    """Always the same mode.
-
-    Args:
-        action: its number.
-    """
-
-    def __init__(self, action: int) -> None:
-        self.action = action
-
-    def reset(self, mask: NDArray[np.bool_]) -> None:
-        """Nothing to forget."""
-
-    def __call__(self, observation: NDArray[np.float32]) -> NDArray[np.int64]:
-        """Actions (n,)."""
-        return np.full(len(observation), self.action, np.int64)
-
-
-class RandomMode:
-    """Any mode, uniformly.
-
-    Args:
-        modes: how many there are.
-        seed: of the draws.
-    """
-
-    def __init__(self, modes: int, seed: int = 0) -> None:
-        self.modes = modes
-        self._rng = np.random.default_rng(seed)
-
-    def reset(self, mask: NDArray[np.bool_]) -> None:
-        """Nothing to forget."""
-
-    def __call__(self, observation: NDArray[np.float32]) -> NDArray[np.int64]:
-        """Actions (n,)."""
-        return self._rng.integers(self.modes, size=len(observation))
 
 
 class SpeedRule:
@@ -105,29 +67,3 @@ class SpeedRule:
         # An observation is float32: a speed at the threshold may read a rounding above it.
         threshold = min(self.threshold, DESIGN_LIMIT_MPS)
         return mode_at(speed, threshold * (1.0 + 1e-6)).astype(np.int64)  # type: ignore[no-any-return]
-
-
-class LikelihoodRule:
-    """The mode that explained the latest measurements, the coming one included, best.
-
-    Compares moving averages of the modes' log-likelihoods.
-
-    Args:
-        observation: the environment's table of features; must show the coming epoch.
-        modes: names of the modes, in order.
-        pace: "fast" or "slow" average.
-    """
-
-    def __init__(self, observation: Observation, modes: list[str], pace: str = "fast") -> None:
-        self.observation = observation
-        self._features = [f"preference {pace} {name}" for name in modes[:-1]]
-
-    def reset(self, mask: NDArray[np.bool_]) -> None:
-        """Nothing to forget: the averages are part of the observation."""
-
-    def __call__(self, observation: NDArray[np.float32]) -> NDArray[np.int64]:
-        """Actions (n,)."""
-        against_last = [self.observation.read(observation, name) for name in self._features]
-        scores = np.stack([*against_last, np.zeros(len(observation))], axis=-1)
-        best: NDArray[np.int64] = scores.argmax(axis=-1)
-        return best

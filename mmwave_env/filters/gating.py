@@ -1,0 +1,103 @@
+"""Gates: which groups of an epoch's measurements are used, and with what noise (paper, Sec. III-D).
+
+The normalized innovation squared (NIS) of a group is tested against a chi-square quantile.
+"""
+
+from typing import NamedTuple
+
+from scipy.special import chdtri
+
+from mmwave_env.filters.linearization import Latents, Prior
+from mmwave_env.models.measurement import Group, Measurement
+from mmwave_env.numerics.linalg import cholesky, dot, forward, symmetric
+from mmwave_env.numerics.numbers import Matrix, Number, log, maximum, where
+
+_GROUPS_PER_LOG = 8  # determinants multiplied before their log is taken: few enough for doubles
+ROBUST_ONSET = 1.5  # a group's NIS over its dimension from which a robust update doubts it
+
+
+class Gate(NamedTuple):
+    """How an update treats measurements that look wrong.
+
+    Attributes:
+        quantile: chi-square quantile up to which a group is accepted; None accepts all.
+        force: 1 where the links are accepted whatever their NIS (lock-out recovery), else 0.
+        robust: inflate the noise of a doubtful link instead of rejecting it.
+    """
+
+    quantile: float | None
+    force: Number = 0.0
+    robust: bool = False
+
+
+def innovation_statistics(group: Group, V: Matrix, latents: Latents) -> tuple[Number, Number]:
+    """NIS and determinant of a group's innovation covariance S at the prior."""
+    shift = [latents.shift(row) for row in V]
+    variance = latents.variance
+
+    def entry(i: int, j: int) -> Number:
+        value = dot(variance, [a * b for a, b in zip(V[i], V[j], strict=True)])
+        value = value + latents.bend * (shift[i] * shift[j])
+        return value + group.variance[i] if i == j else value
+
+    factor = cholesky(symmetric(len(V), entry))
+    e = forward(factor, [y - s for y, s in zip(group.innovation, shift, strict=True)])
+    pivots: Number = 1.0
+    for i in range(len(V)):
+        pivots = pivots * factor[i][i]
+    return dot(e, e) + group.spare_nis, pivots * pivots * group.spare_determinant
+
+
+def passes(nis: Number, rows: int, quantile: float | None) -> Number:
+    """1 where the NIS of a group of so many rows lies within its gate, else 0."""
+    if quantile is None:
+        return 1.0
+    return where(nis <= float(chdtri(rows, 1.0 - quantile)), 1.0, 0.0)
+
+
+def _accept(nis: Number, rows: int, visible: Number, gate: Gate, is_link: bool) -> Number:
+    if gate.robust and is_link:
+        return visible
+    passed = passes(nis, rows, gate.quantile)
+    return visible * (maximum(passed, gate.force) if is_link else passed)
+
+
+def _doubt(nis: Number, rows: int) -> Number:
+    """Factor on the noise variance of a link with a NIS too large for its dimension."""
+    ratio = nis * (1.0 / (ROBUST_ONSET * rows))
+    return where(ratio > 1.0, ratio * ratio, 1.0)
+
+
+class GateResult(NamedTuple):
+    """What the gates say of the groups, at the prior.
+
+    Attributes:
+        nis, accepted, log_likelihood: as in :class:`~mmwave_env.filters.update.Posterior`.
+        noise: per group (k,) variances of its rows, inflated where doubtful.
+    """
+
+    nis: list[Number]
+    accepted: list[Number]
+    noise: list[list[Number]]
+    log_likelihood: Number
+
+
+def gate_groups(prior: Prior, measurement: Measurement, gate: Gate) -> GateResult:
+    """Gate every group of an epoch at the prior."""
+    groups, V, latents, layout = prior.groups, prior.V, prior.latents, measurement.layout
+    nis, accepted, noise = [], [], []
+    density: Number = 1.0
+    likelihood: Number = 0.0
+    for g, (group, visible) in enumerate(zip(groups, measurement.visible, strict=True)):
+        rows = layout.groups[g].stop - layout.groups[g].start
+        is_link = g < layout.anchors
+        value, determinant = innovation_statistics(group, V[g], latents)
+        nis.append(visible * value)
+        accepted.append(_accept(value, rows, visible, gate, is_link))
+        density = density * where(visible > 0.5, determinant, 1.0)
+        likelihood = likelihood - 0.5 * nis[-1]
+        if g % _GROUPS_PER_LOG == _GROUPS_PER_LOG - 1 or g == len(groups) - 1:
+            likelihood, density = likelihood - 0.5 * log(density), 1.0
+        doubt = _doubt(value, rows) if gate.robust and is_link else 1.0
+        noise.append([v * doubt for v in group.variance])
+    return GateResult(nis, accepted, noise, likelihood)

@@ -1,0 +1,70 @@
+"""Policies that need no training: one mode for ever, any mode, the most likely mode."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mmwave_env.observation import Observation
+
+
+class FixedMode:
+    """Always the same mode.
+
+    Args:
+        action: its number.
+    """
+
+    def __init__(self, action: int) -> None:
+        self.action = action
+
+    def reset(self, mask: NDArray[np.bool_]) -> None:
+        """Nothing to forget."""
+
+    def __call__(self, observation: NDArray[np.float32]) -> NDArray[np.int64]:
+        """Actions (n,)."""
+        return np.full(len(observation), self.action, np.int64)
+
+
+class RandomMode:
+    """Any mode, uniformly.
+
+    Args:
+        modes: how many there are.
+        seed: of the draws.
+    """
+
+    def __init__(self, modes: int, seed: int = 0) -> None:
+        self.modes = modes
+        self._rng = np.random.default_rng(seed)
+
+    def reset(self, mask: NDArray[np.bool_]) -> None:
+        """Nothing to forget."""
+
+    def __call__(self, observation: NDArray[np.float32]) -> NDArray[np.int64]:
+        """Actions (n,)."""
+        return self._rng.integers(self.modes, size=len(observation))
+
+
+class LikelihoodRule:
+    """The mode that explained the latest measurements, the coming one included, best.
+
+    Compares moving averages of the modes' log-likelihoods.
+
+    Args:
+        observation: the environment's table of features; must show the coming epoch.
+        modes: names of the modes, in order.
+        pace: "fast" or "slow" average.
+    """
+
+    def __init__(self, observation: Observation, modes: list[str], pace: str = "fast") -> None:
+        self.observation = observation
+        self._features = [f"preference {pace} {name}" for name in modes[:-1]]
+
+    def reset(self, mask: NDArray[np.bool_]) -> None:
+        """Nothing to forget: the averages are part of the observation."""
+
+    def __call__(self, observation: NDArray[np.float32]) -> NDArray[np.int64]:
+        """Actions (n,)."""
+        against_last = [self.observation.read(observation, name) for name in self._features]
+        scores = np.stack([*against_last, np.zeros(len(observation))], axis=-1)
+        best: NDArray[np.int64] = scores.argmax(axis=-1)
+        return best
