@@ -6,7 +6,6 @@ from pathlib import Path
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from rich.progress import track
 from scipy.optimize import minimize
 from scipy.special import chdtri
@@ -28,8 +27,8 @@ from mmwave_env.metrics import scored
 from mmwave_env.models.measurement import Layout
 from mmwave_env.models.radio import radio_from
 from mmwave_env.models.scene import scene_from
+from mmwave_env.numerics.arrays import Array
 
-Array = NDArray[np.float64]
 Objective = Callable[[Mode], Array]
 
 # Where each part of the process noise is looked for, in the units of Mode.

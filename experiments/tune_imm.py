@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from rich.console import Console
 from scipy.optimize import minimize
 from scipy.special import expit, logit, softmax
@@ -29,10 +28,10 @@ from mmwave_env.lookup import choose
 from mmwave_env.metrics import scored
 from mmwave_env.models.radio import RADIOS, radio_from
 from mmwave_env.models.scene import scene_from
+from mmwave_env.numerics.arrays import Array
 from mmwave_env.reward import TrackingReward
 from policies import TUNED_IMMS
 
-Array = NDArray[np.float64]
 Build = Callable[[Array], tuple[tuple[Mode, ...], Array]]
 
 STAY = (-6.0, 9.0)  # log odds to stay, where they are looked for

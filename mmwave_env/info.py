@@ -7,9 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mmwave_env.metrics import accuracy, ate, scored
-
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
+from mmwave_env.numerics.arrays import Array, Mask
 
 STATE_KEYS = ("truth", "estimate")  # told at reset, too
 STEP_KEYS = ("position_error_m", "nees", "nis", "accepted", "rejected", "mode", "gamma")

@@ -7,10 +7,9 @@ expectation is 3 and 95 % of the epochs lie in the two-sided chi-square interval
 """
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import chdtri
 
-Array = NDArray[np.float64]
+from mmwave_env.numerics.arrays import Array
 
 BURN_IN = 10  # epochs dropped from averages, while the prior still shows
 DIVERGENCE_M = 50.0  # an episode in which the error exceeds this has diverged

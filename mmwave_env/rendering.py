@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from mmwave_env.numerics.arrays import Array
 
 SIZE = 480
 MARGIN_M = 15.0

@@ -6,7 +6,6 @@ from dataclasses import dataclass, fields
 from typing import Any, cast
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mmwave_env.compiler.rng import Generators
 from mmwave_env.episodes.episode import Episode, EpisodeBatch, EpisodeSource
@@ -18,10 +17,8 @@ from mmwave_env.filters.modes import Mode
 from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.models.radio import Radio, radio_from
 from mmwave_env.models.scene import Scene, scene_from
+from mmwave_env.numerics.arrays import Array, Index
 from mmwave_env.reward import Reward, reward_from
-
-Array = NDArray[np.float64]
-Index = NDArray[np.int64]
 
 EPISODE_STEPS = 200
 

@@ -20,13 +20,12 @@ from mmwave_env.engines.replay import Replay
 from mmwave_env.engines.vector_step import Stepper
 from mmwave_env.episodes.episode import columns_of
 from mmwave_env.episodes.simulated import SimulatedSource
-from mmwave_env.info import Mask, episode_info, masked, stepped
+from mmwave_env.info import episode_info, masked, stepped
 from mmwave_env.lookup import choose
 from mmwave_env.metrics import DIVERGENCE_M
+from mmwave_env.numerics.arrays import Array, Index, Mask
 from mmwave_env.task import task_from
 
-Array = NDArray[np.float64]
-Index = NDArray[np.int64]
 Observations = NDArray[np.float32]
 Step = tuple[Observations, Array, Mask, Mask, dict[str, Any]]
 

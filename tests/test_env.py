@@ -5,7 +5,7 @@ import math
 import subprocess
 import sys
 import warnings
-from dataclasses import replace
+from dataclasses import fields, replace
 from types import SimpleNamespace
 
 import gymnasium as gym
@@ -25,6 +25,7 @@ from mmwave_env.filters.modes import Mode
 from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.models.radio import RADIOS
 from mmwave_env.models.scene import SCENES
+from mmwave_env.task import TaskArguments
 
 ID = "MmWaveLoc-v0"
 EKF = {"modes": ["ekf"]}  # one mode alone compiles fastest
@@ -156,7 +157,8 @@ def test_the_docstring_is_the_documentation_page(section):
 def test_the_docstring_explains_every_argument_and_every_info():
     page = inspect.cleandoc(MmWaveLocEnv.__doc__)
     arguments = page.split("## Arguments")[1].split("## Vectorized")[0]
-    for name in inspect.signature(MmWaveLocEnv).parameters:
+    own = [name for name in inspect.signature(MmWaveLocEnv).parameters if name != "arguments"]
+    for name in (*own, *(field.name for field in fields(TaskArguments))):
         assert f"`{name}`" in arguments
     information = page.split("## Information")[1].split("## Arguments")[0]
     for key in STEP_KEYS | END_KEYS | {"episode_name", "nonfinite"}:

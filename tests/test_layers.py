@@ -27,7 +27,7 @@ SEES = {
     "policies": FILTER_SIDE | FACE,
     **dict.fromkeys(["env", "vector_env", "localization"], frozenset(ENVIRONMENT)),
     "sb3": {"vector_env"},
-    **dict.fromkeys([*EVERYBODY, "info", "rendering"], frozenset()),
+    **dict.fromkeys([*EVERYBODY, "info", "rendering"], frozenset({"numerics"})),
     "experiments": LIBRARY,
 }
 LIBRARIES = {"evaluation", "cli", "training", "paper", "speed"}  # of the commands

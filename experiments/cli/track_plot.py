@@ -5,12 +5,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mmwave_env.files import atomic_path
 from mmwave_env.localization.localizer import TrackBlock
-
-Array = NDArray[np.float64]
+from mmwave_env.numerics.arrays import Array
 
 _POINTS = 6000  # kept of a track of any length, at least half of them
 _COLOURS = ("#0072b2", "#d55e00")  # of the modes; told apart by colour-blind people, too

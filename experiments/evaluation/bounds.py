@@ -17,13 +17,14 @@ from experiments.evaluation.cramer_rao import (
     measured_motion,
     position_variance,
 )
-from experiments.evaluation.intervals import Array, Interval, bootstrap
+from experiments.evaluation.intervals import Interval, bootstrap
 from experiments.evaluation.markdown import grid
 from experiments.evaluation.runner import CHUNK, Scores
 from experiments.evaluation.seeds import draw_episodes
 from mmwave_env.episodes.episode import Episode, EpisodeSource
 from mmwave_env.metrics import scored
 from mmwave_env.models.radio import Radio
+from mmwave_env.numerics.arrays import Array
 
 
 @dataclass(frozen=True)

@@ -6,9 +6,10 @@ from typing import Any
 
 import numpy as np
 
-from experiments.evaluation.intervals import Array, Interval, bootstrap
+from experiments.evaluation.intervals import Interval, bootstrap
 from experiments.evaluation.runner import Scores
 from mmwave_env.metrics import METRICS
+from mmwave_env.numerics.arrays import Array
 
 
 @dataclass(frozen=True)

@@ -31,7 +31,6 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mmwave_env.episodes.episode import Episode
 from mmwave_env.models.measurement import STATE_SIZE, Measurement, groups_of
@@ -40,8 +39,7 @@ from mmwave_env.models.motion import (
     predict_covariance,
     white_noise_acceleration,
 )
-
-Array = NDArray[np.float64]
+from mmwave_env.numerics.arrays import Array
 
 
 class Motion(NamedTuple):

@@ -12,21 +12,18 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from experiments.evaluation.contenders import Contender
-from experiments.evaluation.intervals import Array
 from experiments.evaluation.runner import EpochResults, step_s
 from mmwave_env.episodes.episode import Episode
 from mmwave_env.files import atomic_path
 from mmwave_env.metrics import BURN_IN
+from mmwave_env.numerics.arrays import Array, Mask
 
 STILL_MPS, MOVING_MPS, FAST_MPS = 0.3, 0.5, 2.0
 STILL_S, FAST_S = 3.0, 5.0  # how long it stands, and how soon it is fast
 BEFORE_S, AFTER_S = 10.0, 20.0  # what is looked at
 COLOURS = 10  # there are; more lines are dashed
-
-Mask = NDArray[np.bool_]
 
 
 def pull_aways(speed_mps: Array, step_s: float = 1.0) -> Mask:

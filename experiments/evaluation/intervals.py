@@ -15,7 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import norm, t
 
-Array = NDArray[np.float64]
+from mmwave_env.numerics.arrays import Array
+
 # Of sorted values (m,) and distribution functions at them (m, ...): numbers (...) or (k, ...).
 Statistic = Callable[[Array, Array], Array]
 

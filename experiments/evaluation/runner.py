@@ -16,12 +16,12 @@ from mmwave_env.episodes.episode import Episode, EpisodeSource
 from mmwave_env.filters.modes import Mode
 from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.metrics import METRICS, summary
+from mmwave_env.numerics.arrays import Array
 from mmwave_env.reward import Reward, TrackingReward
 from policies import (
     Policy,
 )
 
-Array = NDArray[np.float64]
 Scores = dict[str, Array]  # metric -> (episodes,)
 
 EpochResults = dict[

@@ -13,7 +13,6 @@ import numpy as np
 
 from experiments.evaluation.comparison import rivals
 from experiments.evaluation.intervals import (
-    Array,
     Interval,
     bootstrap,
     crossed_bootstrap,
@@ -25,6 +24,7 @@ from experiments.evaluation.markdown import grid
 from experiments.evaluation.runner import Scores
 from experiments.evaluation.runs import Run
 from mmwave_env.files import atomic_path
+from mmwave_env.numerics.arrays import Array
 
 LEVELS = 81  # of a performance profile
 COLUMNS = 5  # of panels

@@ -15,7 +15,7 @@ from experiments.cli.main import run
 from experiments.cli.options import EpisodeArgs
 from experiments.cli.reporting import results
 from experiments.evaluation.contenders import contender_from
-from experiments.evaluation.intervals import Array, Interval, crossed_bootstrap, mean
+from experiments.evaluation.intervals import Interval, crossed_bootstrap, mean
 from experiments.evaluation.markdown import grid, show
 from experiments.evaluation.runner import score
 from experiments.evaluation.runs import Run, outcomes
@@ -23,6 +23,7 @@ from experiments.evaluation.seeds import draw_episodes
 from experiments.learning.ablate import VARIANTS
 from experiments.learning.curves import draw_curves
 from mmwave_env.files import require_writable, write_json, write_text
+from mmwave_env.numerics.arrays import Array
 from policies import TUNED_IMMS
 
 RADIOS = ("handset", "standard")

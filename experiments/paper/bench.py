@@ -6,7 +6,6 @@ from functools import cache
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from experiments.evaluation.intervals import Interval
 from experiments.evaluation.markdown import grid, rounded
@@ -23,9 +22,8 @@ from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.metrics import accuracy, scored
 from mmwave_env.models.radio import Radio, radio_from
 from mmwave_env.models.scene import SCENES
+from mmwave_env.numerics.arrays import Array
 from mmwave_env.numerics.linalg import unpack
-
-Array = NDArray[np.float64]
 
 CHUNK = 128  # tracks at a time: few enough for their arrays to stay in the caches
 TUNED_ON = {"pedestrian": 0, "vehicle": 1}  # which of the shipped modes

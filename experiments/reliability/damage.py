@@ -8,8 +8,7 @@ from numpy.typing import NDArray
 
 from mmwave_env.episodes.episode import Episode
 from mmwave_env.models.measurement import Layout, wrap_angles
-
-Mask = NDArray[np.bool_]
+from mmwave_env.numerics.arrays import Mask
 
 SINGLE = 0.03  # share of the epochs of each link and of the Doppler shift
 VALUE, OUTLIER = 0.003, 0.005  # shares of the values that are left

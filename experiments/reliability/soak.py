@@ -30,10 +30,9 @@ from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.models.measurement import Layout
 from mmwave_env.models.radio import RADIOS
 from mmwave_env.models.scene import scene_from
+from mmwave_env.numerics.arrays import Array
 from mmwave_env.numerics.linalg import cholesky, unpack
 from mmwave_env.reward import TrackingReward
-
-Array = NDArray[np.float64]
 
 RUNS = 8  # of a batch of episodes, which take longer to draw than to run
 SHOWN = 3  # violations on the terminal

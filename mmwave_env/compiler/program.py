@@ -29,11 +29,10 @@ from mmwave_env.compiler.transpose import (
     scatter,
     scatter_single,
 )
+from mmwave_env.numerics.arrays import Array, Index
 from mmwave_env.numerics.pytree import Tree, flatten, indices, unflatten
 
 Workspace = TypeVar("Workspace", bound=tuple[Any, ...])
-Array = NDArray[np.float64]
-Index = NDArray[np.int64]
 Blocks = tuple[int, int]  # first, end
 
 NO_ROWS = np.empty(0, np.int64)

@@ -17,8 +17,9 @@ from gymnasium.utils import seeding
 from numba.extending import register_jitable
 from numpy.typing import NDArray
 
+from mmwave_env.numerics.arrays import Index
+
 Words = NDArray[np.uint64]
-Index = NDArray[np.int64]
 
 
 _own = threading.local()  # a generator of each thread, and where its state lies

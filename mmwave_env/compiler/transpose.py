@@ -16,11 +16,10 @@ from numba.extending import intrinsic, overload, register_jitable
 from numpy.typing import NDArray
 
 from mmwave_env.compiler.lanes import WIDTH
+from mmwave_env.numerics.arrays import Array, Index
 
 LINE = 64  # bytes of the caches of most machines; others fetch some lines twice
 
-Array = NDArray[np.float64]
-Index = NDArray[np.int64]
 
 _INTEGER, _DOUBLE, _SINGLE = ir.IntType(64), ir.DoubleType(), ir.FloatType()
 _VECTOR = ir.VectorType(_DOUBLE, WIDTH)

@@ -3,7 +3,8 @@
 import numpy as np
 from numpy.typing import NDArray
 
-Index = NDArray[np.int64]
+from mmwave_env.numerics.arrays import Index
+
 Modes = NDArray[np.unsignedinteger]
 
 

@@ -13,18 +13,11 @@ import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
 from mmwave_env.compiler.lanes import WIDTH
-from mmwave_env.compiler.program import (
-    NO_ROWS,
-    Array,
-    BatchState,
-    Index,
-    Program,
-    StepIO,
-    Workspace,
-)
+from mmwave_env.compiler.program import NO_ROWS, BatchState, Program, StepIO, Workspace
 from mmwave_env.compiler.threads import share
 from mmwave_env.episodes.episode import Episode, EpisodeBatch, columns_of
 from mmwave_env.models.measurement import Layout
+from mmwave_env.numerics.arrays import Array, Index
 from mmwave_env.numerics.pytree import flatten
 
 BLOCKS_PER_THREAD = 128  # waking a thread costs as much as 64 of them

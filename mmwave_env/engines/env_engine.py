@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from mmwave_env.compiler.program import NO_ROWS, Array, Index, Program, rows_of
+from mmwave_env.compiler.program import NO_ROWS, Program, rows_of
 from mmwave_env.engines.batch import Batch
 from mmwave_env.episodes.episode import Episode, EpisodeBatch, Incoming, blank_incoming
 from mmwave_env.features import View
@@ -22,6 +22,7 @@ from mmwave_env.filters.memory import Memory, initial_memory, memory_after, memo
 from mmwave_env.filters.mode_result import ModeResult
 from mmwave_env.filters.pipeline import Pipeline, predict_update
 from mmwave_env.models.epoch import Site, blank_site
+from mmwave_env.numerics.arrays import Array, Index
 from mmwave_env.numerics.linalg import unpack
 from mmwave_env.numerics.numbers import Number, where
 from mmwave_env.numerics.pytree import select

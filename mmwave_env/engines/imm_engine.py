@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 from scipy.special import chdtri
 
 from mmwave_env.compiler.lanes import WIDTH
-from mmwave_env.compiler.program import Array, BatchState, Index, Program, StepIO, rows_of
+from mmwave_env.compiler.program import BatchState, Program, StepIO, rows_of
 from mmwave_env.engines.batch import Batch
 from mmwave_env.engines.track_engine import untuned
 from mmwave_env.episodes.episode import Episode, EpisodeBatch, Incoming, blank_incoming
@@ -30,6 +30,7 @@ from mmwave_env.filters.imm import (
 from mmwave_env.filters.modes import Tuning
 from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.models.epoch import Site, blank_site
+from mmwave_env.numerics.arrays import Array, Index
 from mmwave_env.numerics.linalg import pack
 from mmwave_env.numerics.numbers import Number
 from mmwave_env.numerics.pytree import flatten

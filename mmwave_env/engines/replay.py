@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from mmwave_env.compiler.lanes import WIDTH
 from mmwave_env.compiler.lazy_jit import LazyJit
-from mmwave_env.compiler.program import Array, Index, Program, call, rows_of
+from mmwave_env.compiler.program import Program, call, rows_of
 from mmwave_env.compiler.transpose import address, gather, pick
 from mmwave_env.engines.batch import Batch
 from mmwave_env.engines.track_engine import TrackState, program_of
@@ -26,6 +26,7 @@ from mmwave_env.filters.smoother import (
     smooth_mean,
     track_end,
 )
+from mmwave_env.numerics.arrays import Array, Index
 from mmwave_env.numerics.numbers import Number
 from mmwave_env.numerics.pytree import flatten
 

@@ -4,7 +4,6 @@ from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mmwave_env.compiler.lanes import WIDTH
 from mmwave_env.compiler.program import BatchState, Program, StepIO, rows_of
@@ -17,8 +16,7 @@ from mmwave_env.filters.smoother import (
     track_end,
 )
 from mmwave_env.models.measurement import STATE_SIZE
-
-Array = NDArray[np.float64]
+from mmwave_env.numerics.arrays import Array
 
 
 class SmoothingState(NamedTuple):

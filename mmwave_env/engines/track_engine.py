@@ -22,11 +22,11 @@ from mmwave_env.filters.mode_result import ModeResult
 from mmwave_env.filters.modes import Tuning
 from mmwave_env.filters.pipeline import Pipeline, predict_update
 from mmwave_env.models.epoch import Epoch, Site, blank_site
+from mmwave_env.numerics.arrays import Array
 from mmwave_env.numerics.linalg import unpack
 from mmwave_env.numerics.numbers import Number, Vector
 from mmwave_env.numerics.pytree import flatten, select
 
-Array = NDArray[np.float64]
 Rule = Callable[[Vector, Epoch], Number]
 
 

@@ -17,11 +17,9 @@ from mmwave_env.compiler.threads import share
 from mmwave_env.engines.action_history import ActionHistory
 from mmwave_env.engines.env_engine import Engine
 from mmwave_env.info import FLAGS, STATE_KEYS, STEP_KEYS, mask_keys, told_rows
+from mmwave_env.numerics.arrays import Array, Index, Mask
 from mmwave_env.numerics.pytree import flatten
 
-Array = NDArray[np.float64]
-Index = NDArray[np.int64]
-Mask = NDArray[np.bool_]
 Infos = dict[str, NDArray[Any]]
 
 

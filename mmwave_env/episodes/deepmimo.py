@@ -29,10 +29,8 @@ from mmwave_env.episodes.deepmimo_files import (
 )
 from mmwave_env.episodes.recorded import Recording
 from mmwave_env.models.measurement import LINK, SPEED_OF_LIGHT, Layout, direction, range_rate
+from mmwave_env.numerics.arrays import Array, Mask
 from mmwave_env.numerics.numbers import PI, wrap
-
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 
 _FLAT = 0.7  # a mirror's normal rises more than it leads sideways: ground, not wall
 _ROW_KEYS = ("delay", "aoa_az", "aoa_el", "aod_az")  # where the rows of a link come from

@@ -17,7 +17,7 @@ from typing import Any, NoReturn
 import numpy as np
 from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from mmwave_env.numerics.arrays import Array
 
 LINE_OF_SIGHT, REFLECTION = 0.0, 1.0  # values of ``inter`` that are understood here
 TRAJECTORY = ("t", "x", "y", "z", "vx", "vy", "vz")

@@ -13,13 +13,12 @@ from typing import Any, NamedTuple, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from mmwave_env.episodes.checks import refuse, require_epochs, require_finite
 from mmwave_env.models.epoch import Epoch, Site, blank_site
 from mmwave_env.models.measurement import Layout
+from mmwave_env.numerics.arrays import Array, Index
 from mmwave_env.numerics.numbers import Number, where
 from mmwave_env.numerics.pytree import flatten, indices
-
-Array = NDArray[np.float64]
-Index = NDArray[np.int64]
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,30 +69,21 @@ class Episode:
             "snr_db": (T, layout.anchors), "doppler_spread_hz": (T,), "prior_mean": (7,),
             "prior_covariance": (7, 7), "truth_position_m": (T, 3), "truth_velocity_mps": (T, 3),
         }  # fmt: skip
-        for field, shape in shapes.items():
-            value = getattr(self, field)
-            if value is not None and value.shape != shape:
-                self._refuse(field, f"shape {value.shape}", f"shape {shape}")
-        if T < 1 or not (np.diff(self.time_s) > 0.0).all():
-            self._refuse("time_s", "times that do not increase", "at least one, increasing")
+        require_epochs(self._record, self, shapes)
         if not 0.0 < self.hz_per_mps < np.inf:
-            self._refuse("hz_per_mps", f"{self.hz_per_mps}", "> 0")
+            refuse(self._record, "hz_per_mps", f"{self.hz_per_mps}", "> 0")
         if not (self.sigma > 0.0).all():
             wrong = self.sigma[~(self.sigma > 0.0)]
-            self._refuse("sigma", f"{wrong[0]}", "> 0 everywhere")
-        for field in (
-            "scene_anchors_m", "doppler_spread_hz", "prior_mean", "truth_position_m",
-            "truth_velocity_mps",
-        ):  # fmt: skip
-            value = getattr(self, field)
-            if value is not None and not np.isfinite(value).all():
-                self._refuse(field, "NaN or infinity", "finite numbers")
+            refuse(self._record, "sigma", f"{wrong[0]}", "> 0 everywhere")
+        finite = ("scene_anchors_m", "doppler_spread_hz", "prior_mean")
+        require_finite(self._record, self, (*finite, "truth_position_m", "truth_velocity_mps"))
         P = self.prior_covariance
         if not (abs(P - P.T).max() <= 1e-8 * abs(P).max() and np.linalg.eigvalsh(P)[0] > 0.0):
-            self._refuse("prior_covariance", f"{P.tolist()}", "a positive definite matrix")
+            refuse(self._record, "prior_covariance", f"{P.tolist()}", "a positive definite matrix")
 
-    def _refuse(self, field: str, found: str, expected: str) -> None:
-        raise ValueError(f"{field} of episode {self.name!r}: found {found}, expected {expected}")
+    @property
+    def _record(self) -> str:
+        return f"episode {self.name!r}"
 
     def __len__(self) -> int:
         return len(self.time_s)

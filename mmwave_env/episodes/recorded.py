@@ -12,13 +12,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from mmwave_env.episodes.checks import refuse, require_epochs, require_finite
 from mmwave_env.episodes.episode import Episode
 from mmwave_env.models.measurement import Layout, wrap_angles
 from mmwave_env.models.prior import draw_prior, prior_from_fix
 from mmwave_env.models.radio import Radio, doppler_spread, oscillator_bias
 from mmwave_env.models.scene import Scene
-
-Array = NDArray[np.float64]
+from mmwave_env.numerics.arrays import Array
 
 _NO_PATH_DB = -200.0  # gain of a missing path: as good as none, yet its sigmas stay finite
 
@@ -63,27 +63,17 @@ class Recording:
             "visible": (T, len(groups)), "path_gain_db": (T, L), "position_m": (T, 3),
             "velocity_mps": (T, 3),
         }  # fmt: skip
-        for field, shape in shapes.items():
-            value = getattr(self, field)
-            if value is not None and value.shape != shape:
-                self._refuse(field, f"shape {value.shape}", f"shape {shape}")
-        if T < 1 or not (np.diff(self.time_s) > 0.0).all():
-            self._refuse("time_s", "times that do not increase", "at least one, increasing")
-        for field in ("anchors_m", "time_s", "position_m", "velocity_mps"):
-            value = getattr(self, field)
-            if value is not None and not np.isfinite(value).all():
-                self._refuse(field, "NaN or infinity", "finite numbers")
+        record = f"recording {self.name!r}"
+        require_epochs(record, self, shapes)
+        require_finite(record, self, ("anchors_m", "time_s", "position_m", "velocity_mps"))
         widths = [rows.stop - rows.start for rows in groups]
         if not np.isfinite(self.measurement[np.repeat(self.visible, widths, axis=1)]).all():
-            self._refuse("measurement", "NaN or infinity in a visible group", "finite numbers")
+            refuse(record, "measurement", "NaN or infinity in a visible group", "finite numbers")
         if not np.isfinite(self.path_gain_db[self.visible[:, :L]]).all():
-            self._refuse("path_gain_db", "NaN or infinity on a visible link", "finite numbers")
+            refuse(record, "path_gain_db", "NaN or infinity on a visible link", "finite numbers")
         for field in ("carrier_hz", "bandwidth_hz"):
             if not 0.0 < getattr(self, field) < np.inf:
-                self._refuse(field, f"{getattr(self, field)}", "> 0")
-
-    def _refuse(self, field: str, found: str, expected: str) -> None:
-        raise ValueError(f"{field} of recording {self.name!r}: found {found}, expected {expected}")
+                refuse(record, field, f"{getattr(self, field)}", "> 0")
 
     def __len__(self) -> int:
         return len(self.time_s)

@@ -10,9 +10,8 @@ from functools import cached_property, lru_cache
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from mmwave_env.compiler.program import Index, Program
+from mmwave_env.compiler.program import Program
 from mmwave_env.compiler.rng import RngView, Words, rng_view, whole_rng
 from mmwave_env.compiler.threads import portions, share
 from mmwave_env.episodes.drawing import simulate
@@ -32,11 +31,10 @@ from mmwave_env.models.epoch import Site
 from mmwave_env.models.measurement import STATE_SIZE, Layout, exact_rows
 from mmwave_env.models.radio import Radio, deviations
 from mmwave_env.models.scene import Scene
+from mmwave_env.numerics.arrays import Array, Index
 from mmwave_env.numerics.linalg import dot
 from mmwave_env.numerics.numbers import Number, Vector, sqrt, where, wrap
 from mmwave_env.numerics.pytree import flatten, indices
-
-Array = NDArray[np.float64]
 
 CHUNK = 64  # episodes a thread draws at once, at most
 

@@ -17,11 +17,10 @@ from numpy.typing import NDArray
 from mmwave_env.compiler.lanes import WIDTH
 from mmwave_env.compiler.rng import load_state, save_state
 from mmwave_env.episodes.kinematics import AT, STANDING_MPS
+from mmwave_env.numerics.arrays import Array, Index
 
 FINEST_STEP_S = 0.1
 STOPPING_S = 5.0  # what a ride takes to stop before its passenger walks on
-Array = NDArray[np.float64]
-Index = NDArray[np.int64]
 
 
 class Plan(NamedTuple):

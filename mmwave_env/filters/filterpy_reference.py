@@ -33,9 +33,9 @@ from mmwave_env.filters.update import Algorithm, Posterior
 from mmwave_env.lookup import choose
 from mmwave_env.models.measurement import Layout, Measurement
 from mmwave_env.models.motion import ProcessNoise
+from mmwave_env.numerics.arrays import Array
 from mmwave_env.numerics.numbers import Matrix, Vector
 
-Array = NDArray[np.float64]
 Rows = NDArray[np.int64]
 _STATES = 7
 _AT_REST_MPS = 1e-3  # below it the odometry's Jacobian is that of this speed

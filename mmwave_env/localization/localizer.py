@@ -7,7 +7,6 @@ memory, and what is made of it does not depend on how it is cut into blocks.
 
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +16,7 @@ from mmwave_env.engines.track_engine import Rule, Tracker
 from mmwave_env.episodes.episode import Episode
 from mmwave_env.filters.modes import Mode
 from mmwave_env.filters.pipeline import Pipeline
+from mmwave_env.localization.blocks import Block, in_windows
 from mmwave_env.localization.log import LogBlock
 from mmwave_env.localization.log_tables import LogError
 from mmwave_env.localization.segments import Piece, segments
@@ -24,9 +24,7 @@ from mmwave_env.models.measurement import Layout
 from mmwave_env.models.prior import prior_from_fix
 from mmwave_env.models.radio import Radio
 from mmwave_env.models.scene import Scene
-
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
+from mmwave_env.numerics.arrays import Array, Mask
 
 SMOOTHING_WINDOW = 200  # epochs; N_w of the paper, Sec. III-F
 
@@ -34,7 +32,7 @@ _FILTERED = ("x", "P", "P_predicted", "memory.mode", "memory.nis", "memory.accep
 
 
 @dataclass(frozen=True, eq=False)
-class TrackBlock:
+class TrackBlock(Block):
     """T consecutive epochs of a track, all of one segment of it.
 
     Attributes:
@@ -71,12 +69,10 @@ class TrackBlock:
     dropped: int
     share: float
 
-    def __len__(self) -> int:
-        return len(self.time_s)
-
-
-_PER_EPOCH = ("time_s", "x", "P", "P_predicted", "smooth_x", "smooth_P", "mode", "nis", "visible",
-              "accepted", "incomplete")  # fmt: skip
+    per_epoch = (
+        "time_s", "x", "P", "P_predicted", "smooth_x", "smooth_P", "mode", "nis", "visible",
+        "accepted", "incomplete",
+    )  # fmt: skip
 
 
 def localize(
@@ -166,7 +162,7 @@ def _while_finite(track: TrackBlock) -> Iterator[TrackBlock]:
         return
     first = int(lost[0])
     if first:
-        yield _part(track, slice(first))
+        yield track.part(slice(first))
     raise LogError(
         f"log, time {track.time_s[first]} s: found no finite state after this epoch, expected "
         "measurements that a receiver can make"
@@ -200,28 +196,8 @@ def _episode(
 
 def _smoothed(blocks: Iterable[TrackBlock], window: int) -> Iterator[TrackBlock]:
     """The track in blocks of whole windows, smoothed all at once, and what is left of segments."""
-    waiting: list[TrackBlock] = []
-    try:
-        for block in blocks:
-            if waiting and block.segment != waiting[0].segment:
-                yield from _rest(waiting)
-                waiting = []
-            waiting.append(block)
-            if sum(map(len, waiting)) >= window:
-                joined = _joined(waiting)
-                whole = len(joined) // window * window
-                yield _smooth(_part(joined, slice(whole)), window)
-                waiting = [_part(joined, slice(whole, None))] if whole < len(joined) else []
-    except LogError:
-        yield from _rest(waiting)
-        raise
-    yield from _rest(waiting)
-
-
-def _rest(waiting: list[TrackBlock]) -> Iterator[TrackBlock]:
-    if waiting:
-        joined = _joined(waiting)
-        yield _smooth(joined, len(joined))
+    for whole in in_windows(blocks, window, lambda block: block.segment):
+        yield _smooth(whole, min(window, len(whole)))
 
 
 def _smooth(block: TrackBlock, window: int) -> TrackBlock:
@@ -238,15 +214,3 @@ def _smooth(block: TrackBlock, window: int) -> TrackBlock:
         block.planar,
     )
     return replace(block, smooth_x=x.reshape(block.x.shape), smooth_P=P.reshape(block.P.shape))
-
-
-def _joined(blocks: list[TrackBlock]) -> TrackBlock:
-    arrays: dict[str, Any] = {
-        name: np.concatenate([getattr(b, name) for b in blocks]) for name in _PER_EPOCH
-    }
-    return replace(blocks[-1], **arrays)
-
-
-def _part(block: TrackBlock, epochs: slice) -> TrackBlock:
-    arrays: dict[str, Any] = {name: getattr(block, name)[epochs] for name in _PER_EPOCH}
-    return replace(block, **arrays)

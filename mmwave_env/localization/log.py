@@ -13,31 +13,28 @@ A log may be longer than memory, so it is read in blocks.
 import gzip
 import math
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from mmwave_env.episodes.episode import Episode
+from mmwave_env.localization.blocks import Block, in_windows
 from mmwave_env.localization.log_columns import LINK_QUANTITIES
 from mmwave_env.localization.log_tables import SUFFIXES, LogError, LogFile, open_log, require_arrow
 from mmwave_env.models.measurement import LINK, SPEED_OF_LIGHT, Layout, wrap_angles
 from mmwave_env.models.scene import Scene
+from mmwave_env.numerics.arrays import Array, Mask
 
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 Cells = dict[str, Array]  # quantity -> (n,)
 
-_PER_EPOCH = (
-    "time_s", "measurement", "visible", "incomplete", "snr_db", "doppler_spread_hz"
-)  # fmt: skip
 _LONGEST_RANGE_M = 1e6  # beyond any cell; a unit mistaken goes further
 
 
 @dataclass(frozen=True, eq=False)
-class LogBlock:
+class LogBlock(Block):
     """T consecutive epochs of a log; numbers of groups that are not visible mean nothing.
 
     Attributes:
@@ -63,12 +60,9 @@ class LogBlock:
     rows: int
     share: float
 
-    def __len__(self) -> int:
-        return len(self.time_s)
-
-    def part(self, epochs: slice) -> "LogBlock":
-        """Some of its epochs."""
-        return replace(self, **{name: getattr(self, name)[epochs] for name in _PER_EPOCH})
+    per_epoch = (
+        "time_s", "measurement", "visible", "incomplete", "snr_db", "doppler_spread_hz"
+    )  # fmt: skip
 
 
 def read_log(
@@ -135,27 +129,9 @@ def _require_measurements(path: Path, blocks: Iterable[LogBlock]) -> Iterator[Lo
 
 def _regroup(blocks: Iterable[LogBlock], epochs: int) -> Iterator[LogBlock]:
     """Blocks of ``epochs`` epochs, and what is left."""
-    waiting: list[LogBlock] = []
-    try:
-        for block in blocks:
-            waiting.append(block)
-            if sum(map(len, waiting)) >= epochs:
-                joined = _joined(waiting)
-                whole = len(joined) // epochs * epochs
-                for first in range(0, whole, epochs):
-                    yield joined.part(slice(first, first + epochs))
-                waiting = [joined.part(slice(whole, None))] if whole < len(joined) else []
-    except LogError:
-        yield from [_joined(waiting)] if waiting else []
-        raise
-    yield from [_joined(waiting)] if waiting else []
-
-
-def _joined(blocks: list[LogBlock]) -> LogBlock:
-    arrays: dict[str, Any] = {
-        name: np.concatenate([getattr(b, name) for b in blocks]) for name in _PER_EPOCH
-    }
-    return replace(blocks[-1], **arrays)
+    for whole in in_windows(blocks, epochs):
+        for first in range(0, len(whole), epochs):
+            yield whole.part(slice(first, first + epochs))
 
 
 # --- what is wrong

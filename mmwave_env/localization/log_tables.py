@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 
 from mmwave_env.localization.lines import DamagedFileError, line_blocks, number
 from mmwave_env.localization.log_columns import Column, columns_of
+from mmwave_env.numerics.arrays import Array
 
-Array = NDArray[np.float64]
 Rows = NDArray[np.int64]
 
 SUFFIXES = (".csv", ".csv.gz", ".parquet")

@@ -7,13 +7,11 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mmwave_env.files import atomic_path
 from mmwave_env.localization.localizer import TrackBlock
 from mmwave_env.localization.tum import COLUMNS, Trajectory, tum_blocks, tum_lines
-
-Array = NDArray[np.float64]
+from mmwave_env.numerics.arrays import Array
 
 TOLERANCE_S = 0.01  # evo's default
 _VARIANCES = [i * (i + 3) // 2 for i in range(6)]  # of positions and velocities in a packed P

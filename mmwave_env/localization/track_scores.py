@@ -12,9 +12,9 @@ from mmwave_env.filters.pipeline import VERTICAL
 from mmwave_env.localization.localizer import TrackBlock
 from mmwave_env.localization.track_files import TOLERANCE_S, Truth
 from mmwave_env.metrics import nees_interval
+from mmwave_env.numerics.arrays import Array
 from mmwave_env.numerics.linalg import unpack
 
-Array = NDArray[np.float64]
 Index = NDArray[np.intp]
 
 _ENOUGH = 100  # epochs that tell how far apart they are

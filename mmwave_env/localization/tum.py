@@ -6,11 +6,9 @@ from pathlib import Path
 from typing import NamedTuple, NoReturn
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mmwave_env.localization.lines import LineBlock, line_blocks, number
-
-Array = NDArray[np.float64]
+from mmwave_env.numerics.arrays import Array
 
 COLUMNS = ("t", "x", "y", "z", "qx", "qy", "qz", "qw")
 

@@ -1,13 +1,11 @@
 """Where a track begins: the state before the first epoch, and how well it is known."""
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mmwave_env.models.radio import Radio
 from mmwave_env.models.scene import Scene
+from mmwave_env.numerics.arrays import Array
 from mmwave_env.numerics.numbers import PI, wrap
-
-Array = NDArray[np.float64]
 
 # Horizontal, per axis, of a user nobody knows: twice that is the 20 m/s the filters are made for.
 UNKNOWN_VELOCITY_MPS = 10.0

@@ -9,14 +9,12 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mmwave_env.lookup import choose
 from mmwave_env.models.measurement import SPEED_OF_LIGHT, Layout
 from mmwave_env.models.scene import Scene
+from mmwave_env.numerics.arrays import Array
 from mmwave_env.numerics.numbers import Number, Vector, clip, exp, sqrt
-
-Array = NDArray[np.float64]
 
 DECIBEL = math.log(10.0) / 10.0  # natural logarithm of 1 dB
 SNR_LIMITS_DB = (-30.0, 80.0)  # beyond them noise no longer follows the SNR

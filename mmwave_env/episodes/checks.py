@@ -1,0 +1,35 @@
+"""What records of epochs have to fulfil; errors name the record and the field."""
+
+from collections.abc import Iterable, Mapping
+from typing import Any, NoReturn
+
+import numpy as np
+
+
+def refuse(record: str, field: str, found: str, expected: str) -> NoReturn:
+    """Raise the ValueError of a field of a record, such as "episode 'jam'"."""
+    raise ValueError(f"{field} of {record}: found {found}, expected {expected}")
+
+
+def require_epochs(record: str, of: Any, shapes: Mapping[str, tuple[int, ...]]) -> None:
+    """Refuse arrays of other shapes, and times that do not increase.
+
+    Args:
+        record: for the message.
+        of: has ``time_s`` and the arrays as attributes; None stands for what is not known.
+        shapes: of the arrays.
+    """
+    for field, shape in shapes.items():
+        value = getattr(of, field)
+        if value is not None and value.shape != shape:
+            refuse(record, field, f"shape {value.shape}", f"shape {shape}")
+    if len(of.time_s) < 1 or not (np.diff(of.time_s) > 0.0).all():
+        refuse(record, "time_s", "times that do not increase", "at least one, increasing")
+
+
+def require_finite(record: str, of: Any, fields: Iterable[str]) -> None:
+    """Refuse NaN and infinity in arrays, named as of :func:`require_epochs`."""
+    for field in fields:
+        value = getattr(of, field)
+        if value is not None and not np.isfinite(value).all():
+            refuse(record, field, "NaN or infinity", "finite numbers")
