@@ -1,10 +1,10 @@
 """Policies that choose a mode per epoch, from the paper's rule to learned switchers."""
 
 from policies.baselines import FixedMode, LikelihoodRule, RandomMode
-from policies.imms import TUNED_IMMS, Transition, TunedImm, tuned_imm
 from policies.learned import LearnedSwitch, shipped_policies
 from policies.policy import Policy
 from policies.speed_rule import SpeedRule
+from policies.tuned_imms import TUNED_IMMS, Transition, TunedImm, tuned_imm
 
 __all__ = [
     "TUNED_IMMS",

@@ -24,8 +24,8 @@ from mmwave_env.filters.pipeline import Pipeline, predict_update
 from mmwave_env.models.epoch import Site, blank_site
 from mmwave_env.numerics.arrays import Array, Index
 from mmwave_env.numerics.linalg import unpack
-from mmwave_env.numerics.numbers import Number, where
-from mmwave_env.numerics.pytree import select
+from mmwave_env.numerics.numbers import Number
+from mmwave_env.numerics.pytree import select, tree_at
 from mmwave_env.observation import Observation
 from mmwave_env.reward import Reward
 
@@ -107,12 +107,8 @@ def _template(pipeline: Pipeline, features: int) -> EnvState:
 
 def epoch(w: EnvState, pipeline: Pipeline, observation: Observation, reward: Reward) -> EnvState:
     """One step of an environment, on numbers."""
-    chosen = w.candidates[0]
-    cost: Number = pipeline.modes[0].cost
-    for m in range(1, len(pipeline.modes)):
-        picked = w.action > m - 0.5
-        chosen = select(picked, w.candidates[m], chosen)
-        cost = where(picked, pipeline.modes[m].cost, cost)
+    chosen: ModeResult = tree_at(w.action, w.candidates)
+    cost: Number = tree_at(w.action, [mode.cost for mode in pipeline.modes])
     dt, visible, truth = w.pending
     memory = memory_after(pipeline.layout, w.action, w.x, chosen, w.memory, dt, visible)
     belief = Belief(chosen.x, unpack(chosen.P, zero=pipeline.known_axes), pipeline.position_axes)

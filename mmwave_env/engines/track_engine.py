@@ -25,7 +25,7 @@ from mmwave_env.models.epoch import Epoch, Site, blank_site
 from mmwave_env.numerics.arrays import Array
 from mmwave_env.numerics.linalg import unpack
 from mmwave_env.numerics.numbers import Number, Vector
-from mmwave_env.numerics.pytree import flatten, select
+from mmwave_env.numerics.pytree import flatten, select, tree_at
 
 Rule = Callable[[Vector, Epoch], Number]
 
@@ -71,9 +71,7 @@ def track_epoch(w: TrackState, pipeline: Pipeline, rule: Rule | None) -> TrackSt
         predict_update(pipeline, one, x, P, memory, epoch, w.site, tuning)
         for one, tuning in zip(pipeline.modes, w.tunings, strict=True)
     ]
-    chosen: ModeResult = candidates[0]
-    for number, candidate in enumerate(candidates[1:], start=1):
-        chosen = select(mode > number - 0.5, candidate, chosen)
+    chosen: ModeResult = tree_at(mode, candidates)
     memory = memory_before(memory, candidates, epoch, pipeline.layout)
     memory = memory_after(pipeline.layout, mode, x, chosen, memory, epoch.dt, epoch.visible)
     covariance = unpack(chosen.P, zero=pipeline.known_axes)

@@ -12,7 +12,7 @@ from collections.abc import Iterator
 from functools import lru_cache
 from typing import Any, NamedTuple
 
-from mmwave_env.filters.advice import Line, begin_of, instead, line_of
+from mmwave_env.filters.custom_advice import Line, begin_of, instead, line_of
 from mmwave_env.filters.gating import Gate
 from mmwave_env.filters.modes import ALGORITHMS, Mode
 from mmwave_env.filters.update import Posterior

@@ -5,7 +5,7 @@ rows of a SIMD workspace hold its leaves in order.
 """
 
 import itertools
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import Any, TypeVar
 
 from mmwave_env.numerics.numbers import Number, where
@@ -39,3 +39,11 @@ def select(condition: Any, a: Tree, b: Tree) -> Tree:
     """Leaf by leaf ``where(condition, a, b)``."""
     chosen = [where(condition, u, v) for u, v in zip(flatten(a), flatten(b), strict=True)]
     return unflatten(a, iter(chosen))
+
+
+def tree_at(place: Number, trees: Sequence[Tree]) -> Tree:
+    """``trees[place]``, where the place is a number that is known at run time only."""
+    found = trees[0]
+    for number, tree in enumerate(trees[1:], start=1):
+        found = select(place > number - 0.5, tree, found)
+    return found
