@@ -31,7 +31,7 @@ format: .venv/.dev ## ruff: sort imports and format
 	$(BIN)/ruff format .
 
 types: .venv/.dev ## mypy, strict
-	$(BIN)/mypy mmwave_env policies
+	$(BIN)/mypy mmwave_env policies experiments
 
 coverage: test ## lines and branches that `make test` missed; at least 90 % must be covered
 	$(BIN)/coverage report --fail-under=90

@@ -1,6 +1,6 @@
 """mmwave-loc tune: process noise of modes, on tuning seeds."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal
@@ -77,13 +77,16 @@ def likelihood(history: dict[str, Array], layout: Layout) -> Array:
     nis, log_likelihood = history["memory.nis"], history["log_likelihood"]
     rows = [group.stop - group.start for group in layout.groups]
     excess = np.maximum(nis - chdtri(rows, 1.0 - CAP), 0.0).sum(axis=-1)
-    return (log_likelihood + 0.5 * excess)[:, scored(nis.shape[1])].mean(axis=-1)
+    capped = log_likelihood + 0.5 * excess
+    per_epoch: Array = capped[:, scored(nis.shape[1])].mean(axis=-1)
+    return per_epoch
 
 
 def negative_mean_square(history: dict[str, Array], layout: Layout) -> Array:
     """Minus the mean square position error (episodes,), m^2."""
     error = history["error"]
-    return -np.square(error[:, scored(error.shape[1])]).sum(axis=-1).mean(axis=-1)
+    mean: Array = np.square(error[:, scored(error.shape[1])]).sum(axis=-1).mean(axis=-1)
+    return -mean
 
 
 OBJECTIVES = {
@@ -118,7 +121,7 @@ def tune(mode: Mode, free: Sequence[str], objective: Objective) -> tuple[Mode, l
     axes = [np.geomspace(*RANGES[name], POINTS[-1 - i]) for i, name in enumerate(free[:2])]
     points = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, len(axes))
 
-    def at(values: Sequence[float]) -> Mode:
+    def at(values: Iterable[float]) -> Mode:
         return replace(mode, **{k: float(v) for k, v in zip(free, values, strict=False)})  # type: ignore[arg-type]
 
     surface = np.array([

@@ -74,7 +74,8 @@ def transition_of(stay: Array, enter: Array) -> Array:
     """
     s, modes = expit(stay), len(stay)
     others = np.where(np.eye(modes, dtype=bool), -np.inf, enter)
-    return np.diag(s) + (1.0 - s)[:, None] * softmax(others, axis=1)
+    transition: Array = np.diag(s) + (1.0 - s)[:, None] * softmax(others, axis=1)
+    return transition
 
 
 def search_space(modes: tuple[Mode, ...], noise: bool) -> tuple[Array, Array, Build]:

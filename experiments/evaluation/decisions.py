@@ -52,7 +52,8 @@ def _speed(episode: Episode) -> Array:
     """True horizontal speed (T,), m/s."""
     episode.require_truth()
     velocity = np.asarray(episode.truth_velocity_mps)
-    return np.hypot(velocity[:, 0], velocity[:, 1])
+    speed: Array = np.hypot(velocity[:, 0], velocity[:, 1])
+    return speed
 
 
 @dataclass
@@ -111,7 +112,7 @@ class Decisions:
         if "mode" in told and not contender.name.startswith(("fixed-", "random")):
             modes = self.modes[name] = [mode.name for mode in contender.modes]
         offsets = np.arange(-round(BEFORE_S / step), round(AFTER_S / step) + 1)
-        self.time_s = offsets * step
+        self.time_s = np.asarray(offsets * step, np.float64)
         speed = np.stack([_speed(episode) for episode in episodes])
         for kind, find in EVENTS.items():
             places, epochs = np.nonzero(find(speed, step))

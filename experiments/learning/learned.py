@@ -67,10 +67,10 @@ def tables(args: Args) -> Iterator[tuple[str, str, dict[str, Any]]]:
         text = text.partition("\n\n")[2].rstrip("\n")  # titles of pages are the pages' own
         yield radio, text.replace(f"{args.runs}/", ""), content
     for radio in RADIOS:
-        what = transfer.Args(
+        elsewhere = transfer.Args(
             radio, tuple(runs_of(args, radio)), args.episodes // 4, args.episodes // 20, args.seed
         )
-        yield f"transfer, {radio}", *transfer.tried(what)
+        yield f"transfer, {radio}", *transfer.tried(elsewhere)
     yield ablations(args)
 
 

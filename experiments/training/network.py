@@ -1,12 +1,14 @@
 """Actor and critic, and what of them a policy file takes over."""
 
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
+from numpy.typing import NDArray
 from sb3_contrib import RecurrentPPO
 from stable_baselines3 import PPO
 from stable_baselines3.common.on_policy_algorithm import OnPolicyAlgorithm
 from stable_baselines3.common.policies import ActorCriticPolicy
+from stable_baselines3.common.torch_layers import MlpExtractor
 from torch import Tensor, nn
 
 from experiments.training.hyperparameters import Hyperparameters
@@ -61,7 +63,8 @@ class _Policy(ActorCriticPolicy):
         super().__init__(*args, **kwargs)
 
     def _build_mlp_extractor(self) -> None:
-        self.mlp_extractor = _Views(self._actor, self.features_dim, self._hidden)
+        views = _Views(self._actor, self.features_dim, self._hidden)
+        self.mlp_extractor = cast(MlpExtractor, views)  # which has the same methods
 
 
 def learner(world: TrainingEnv, recipe: Hyperparameters, seed: int) -> OnPolicyAlgorithm:
@@ -72,7 +75,7 @@ def learner(world: TrainingEnv, recipe: Hyperparameters, seed: int) -> OnPolicyA
         recipe: hyperparameters.
         seed: of everything that is drawn.
     """
-    what = {
+    what: dict[str, Any] = {
         "n_steps": recipe.n_steps, "batch_size": recipe.batch_size, "n_epochs": recipe.n_epochs,
         "learning_rate": lambda left: recipe.learning_rate * falling(recipe, left),
         "ent_coef": recipe.ent_coef, "gamma": recipe.gamma, "gae_lambda": recipe.gae_lambda,
@@ -100,7 +103,7 @@ def actor_of(model: OnPolicyAlgorithm, world: TrainingEnv, recipe: Hyperparamete
     Training sees clip((o - mean) / sigma, -c, c). The file has the bounds mean -+ c sigma, and
     weights W / sigma with bias b - W mean / sigma.
     """
-    policy, seen = model.policy, world.normal.obs_rms
+    policy, seen = model.policy, world.seen
     mean = np.tile(seen.mean[: world.features], recipe.frames)
     sigma = np.sqrt(seen.var[: world.features] + world.normal.epsilon)
     limit = recipe.clip_observation * sigma
@@ -113,7 +116,7 @@ def actor_of(model: OnPolicyAlgorithm, world: TrainingEnv, recipe: Hyperparamete
     first, bias = "layer.0.weight", "layer.0.bias"
     if recipe.lstm:
         first, bias = "lstm.weight_ih", "lstm.bias"
-        lstm = policy.lstm_actor
+        lstm = cast(nn.LSTM, policy.lstm_actor)
         tensors |= {
             first: _array(lstm.weight_ih_l0), "lstm.weight_hh": _array(lstm.weight_hh_l0),
             bias: _array(lstm.bias_ih_l0) + _array(lstm.bias_hh_l0),
@@ -123,5 +126,7 @@ def actor_of(model: OnPolicyAlgorithm, world: TrainingEnv, recipe: Hyperparamete
     return {name: tensor.astype(np.float32) for name, tensor in tensors.items()}
 
 
-def _array(parameter: Tensor) -> Any:
-    return parameter.detach().numpy().astype(np.float64)
+def _array(parameter: Tensor | nn.Module) -> NDArray[np.float64]:
+    """A parameter; PyTorch types every attribute of a network as one or the other."""
+    array: NDArray[np.float64] = cast(Tensor, parameter).detach().numpy().astype(np.float64)
+    return array

@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from multiprocessing.connection import Connection, wait
 from multiprocessing.process import BaseProcess
-from typing import Any
+from typing import Any, cast
 
 from experiments.training.trainer import Job, Training
 
@@ -40,7 +40,8 @@ def side_by_side(
                 job = waiting.pop()
                 line, process = _started(job)
                 running[line] = job, process
-            for line in wait(list(running)):
+            for ready in wait(list(running)):
+                line = cast(Connection, ready)  # wait takes sockets, too
                 job, process = running[line]
                 try:
                     kind, *told = line.recv()

@@ -107,7 +107,8 @@ class Training(BaseCallback):
             self._env.restore(with_arrays(stand.pop("world")))
         left = job.timesteps - model.num_timesteps
         fresh = not model.num_timesteps
-        model.learn(left, self, log_interval=None, reset_num_timesteps=fresh)  # it counts anew
+        # It counts anew. Its own type knows no None, its code does: log when this class says so.
+        model.learn(left, self, log_interval=None, reset_num_timesteps=fresh)  # type: ignore[arg-type]
         self._look()
         model.dump_logs()
         model.save(job.folder / "model.zip")
@@ -225,7 +226,9 @@ class Training(BaseCallback):
         model._last_obs = state["observations"].numpy()
         model._last_episode_starts = state["begins"].numpy()
         if state["lstm"]:
-            model._last_lstm_states = RNNStates(*(tuple(pair) for pair in state["lstm"]))
+            recurrent: Any = model  # a RecurrentPPO, whose own type for the states is None
+            recurrent._last_lstm_states = RNNStates(*(tuple(pair) for pair in state["lstm"]))
+        assert model.ep_info_buffer is not None  # _setup_learn made it
         model.ep_info_buffer.extend(state["episodes"])
         model.logger.name_to_value.update(state["pending"])
         model.logger.name_to_count.update(state["counts"])

@@ -1,11 +1,12 @@
 """What a switcher is trained in: the native vector environment, and wrappers around it."""
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, cast
 
 import gymnasium as gym
 import numpy as np
 from numpy.typing import NDArray
+from stable_baselines3.common.running_mean_std import RunningMeanStd
 from stable_baselines3.common.vec_env import (
     VecEnv,
     VecEnvWrapper,
@@ -73,7 +74,7 @@ class BaselineReward(VecEnvWrapper):
 
     def reset(self) -> Array:
         """Observations of the first epochs."""
-        observations: Array = self.venv.reset()
+        observations = _one_array(self.venv.reset())
         self.begin()
         return observations
 
@@ -95,7 +96,7 @@ class BaselineReward(VecEnvWrapper):
         if len(places):
             self._rewards[places] = self._imm.rewards(self._env.batch, places)
             self._epoch[places] = 0
-        return observations, paired, over, infos
+        return _one_array(observations), paired, over, infos
 
 
 class PrivilegedObservation(VecEnvWrapper):
@@ -106,13 +107,14 @@ class PrivilegedObservation(VecEnvWrapper):
     """
 
     def __init__(self, venv: VecEnv, env: MmWaveLocVectorEnv) -> None:
-        shape = (venv.observation_space.shape[0] + TRUTH,)
+        space = cast(gym.spaces.Box, venv.observation_space)  # of SB3VecEnv
+        shape = (space.shape[0] + TRUTH,)
         super().__init__(venv, gym.spaces.Box(-np.inf, np.inf, shape, np.float32))
         self._batch = env.batch
 
     def reset(self) -> Array:
         """Observations of the first epochs."""
-        return self._extended(self.venv.reset())
+        return self._extended(_one_array(self.venv.reset()))
 
     def step_wait(self) -> tuple[Array, Array, NDArray[np.bool_], Infos]:
         """As the environment's, but for the observations."""
@@ -121,11 +123,16 @@ class PrivilegedObservation(VecEnvWrapper):
             end = infos[i]
             truth = _wrong(end["estimate"][None], end["truth"][None])[0]
             end["terminal_observation"] = np.append(end["terminal_observation"], truth)
-        return self._extended(observations), rewards, over, infos
+        return self._extended(_one_array(observations)), rewards, over, infos
 
     def _extended(self, observations: Array) -> Array:
         at, read = self._batch.at, self._batch.read
         return np.concatenate([observations, _wrong(read(at.x), read(at.truth))], axis=1)
+
+
+def _one_array(observations: object) -> Array:
+    """Observations as they are: those of SB3VecEnv are no dict or tuple, which VecEnv allows."""
+    return cast(Array, observations)
 
 
 def _wrong(estimate: Array, truth: Array) -> NDArray[np.float32]:
@@ -180,9 +187,14 @@ class TrainingEnv:
             venv = self._stack = VecFrameStack(venv, recipe.frames)
         self.venv = venv
 
+    @property
+    def seen(self) -> RunningMeanStd:
+        """Mean and variance of the observations so far."""
+        return cast(RunningMeanStd, self.normal.obs_rms)  # a dict of them for dict observations
+
     def state(self) -> dict[str, Any]:
         """All that what comes next depends on, for :meth:`restore`."""
-        seen = self.normal.obs_rms
+        seen = self.seen
         return {
             "env": self.env.state(), "returns": self._adapter.state(),
             "normal": {"mean": seen.mean, "var": seen.var, "count": np.float64(seen.count)},
@@ -193,7 +205,7 @@ class TrainingEnv:
         """Go on, to the last bit, as the world that gave this :meth:`state`."""
         self.env.restore(state["env"])
         self._adapter.restore(state["returns"])
-        seen = self.normal.obs_rms
+        seen = self.seen
         seen.mean, seen.var = state["normal"]["mean"], state["normal"]["var"]
         seen.count = float(state["normal"]["count"])
         if self._paired is not None:
