@@ -139,7 +139,7 @@ def _check(args: Args) -> None:
             "does without"
         )
     if args.height is not None and not np.isfinite(args.height):
-        raise ValueError(f"height: found {args.height}, expected a number of metres")
+        raise ValueError(f"height: found {args.height}, expected a number of meters")
     if args.plot is not None and args.plot.suffix.lower() != ".png":
         raise ValueError(f"plot: found {args.plot}, expected a name that ends with .png")
     seen: dict[Path, str] = {}
@@ -171,7 +171,7 @@ class Result(NamedTuple):
 def _run(
     args: Args, the: Plan, scene: Scene, blocks: Iterable[LogBlock], truth: Truth | None
 ) -> Result:
-    """Localise, score and write, block by block.
+    """Localize, score and write, block by block.
 
     Raises:
         LogError: the log is damaged before there is any track; nothing is written.
@@ -187,7 +187,7 @@ def _run(
     error: ValueError | None = None
     with ExitStack() as stack:
         write = stack.enter_context(track_files(args.out, names)) if args.out else None
-        report = stack.enter_context(progress("localising"))
+        report = stack.enter_context(progress("localizing"))
         try:
             for block in track:
                 picture.add(block, scores.add(block) if scores else None)

@@ -72,7 +72,7 @@ class Args:
 def likelihood(history: dict[str, Array], layout: Layout) -> Array:
     """Mean log-likelihood per epoch (episodes,) of the innovations, outliers capped.
 
-    Unmodelled blockage would otherwise decide. The constant -(rows / 2) log(2 pi) is left out.
+    Unmodeled blockage would otherwise decide. The constant -(rows / 2) log(2 pi) is left out.
     """
     nis, log_likelihood = history["memory.nis"], history["log_likelihood"]
     rows = [group.stop - group.start for group in layout.groups]
@@ -96,7 +96,7 @@ OBJECTIVES = {
 
 
 def objective_of(name: str, mode: Mode, episodes: Sequence[Episode]) -> Objective:
-    """From a mode to what is maximised, per episode; the mode's algorithm is that of ``mode``."""
+    """From a mode to what is maximized, per episode; the mode's algorithm is that of ``mode``."""
     function, names, _ = OBJECTIVES[name]
     layout = episodes[0].layout
     tracker = Tracker(Pipeline((mode,), layout), len(episodes))

@@ -1,4 +1,4 @@
-"""MmWaveLoc-v0: an agent chooses which Kalman filter pipeline localises a mobile user.
+"""MmWaveLoc-v0: an agent chooses which Kalman filter pipeline localizes a mobile user.
 
 Importing this package registers the environment; nothing heavy is loaded before it is made.
 """

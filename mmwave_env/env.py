@@ -28,7 +28,7 @@ BACKENDS = {"lanes": "SIMD lanes", "filterpy": "filterpy's filters, slow, indepe
 
 
 class MmWaveLocEnv(gym.Env[NDArray[np.float32], np.int64]):
-    """An agent chooses which Kalman filter pipeline localises a mobile user.
+    """An agent chooses which Kalman filter pipeline localizes a mobile user.
 
     ## Description
 

@@ -35,7 +35,7 @@ class Picture:
             raise ImportError("rendering needs pygame: pip install 'mmwave-loc[render]'") from error
         self._pygame: Any = pygame
         self._modes = modes
-        self._anchors, self._centre, self._pixels_per_m = np.zeros((0, 3)), np.zeros(2), 1.0
+        self._anchors, self._center, self._pixels_per_m = np.zeros((0, 3)), np.zeros(2), 1.0
         pygame.font.init()
         self._font = pygame.font.Font(None, 20)
         self._window = None
@@ -50,7 +50,7 @@ class Picture:
         """Frame an episode: anchors (L, 3), and the true track (T, 3) to its end."""
         points = np.vstack([truth_m[:, :2], anchors_m[:1, :2]])
         low, high = points.min(axis=0) - MARGIN_M, points.max(axis=0) + MARGIN_M
-        self._anchors, self._centre = anchors_m, (low + high) / 2.0
+        self._anchors, self._center = anchors_m, (low + high) / 2.0
         self._pixels_per_m = SIZE / float((high - low).max())
 
     def draw(
@@ -68,12 +68,12 @@ class Picture:
             truth_m: (k, 3) true positions up to the epoch.
             track_m: (k, 3) estimated positions up to the epoch.
             P: (2, 2) horizontal covariance of the last estimate, m^2.
-            modes: (k,) number of the mode that ran in each epoch; it colours the track.
+            modes: (k,) number of the mode that ran in each epoch; it colors the track.
             accepted, rejected: (groups,) links first.
         """
         pygame, canvas = self._pygame, self._canvas
         canvas.fill(_PAPER)
-        colours = [_MODES[mode % len(_MODES)] for mode in modes]
+        colors = [_MODES[mode % len(_MODES)] for mode in modes]
         here = self._pixels(truth_m[-1:])[0]
         for a, anchor in enumerate(self._pixels(self._anchors)):
             if accepted[a] or rejected[a]:
@@ -82,10 +82,10 @@ class Picture:
         if len(track_m) > 1:
             pygame.draw.aalines(canvas, _FAINT, False, self._pixels(truth_m))
             track = self._pixels(track_m)
-            for start, end, colour in zip(track, track[1:], colours[1:], strict=False):
-                pygame.draw.aaline(canvas, colour, start, end)
+            for start, end, color in zip(track, track[1:], colors[1:], strict=False):
+                pygame.draw.aaline(canvas, color, start, end)
         pygame.draw.circle(canvas, _TRUTH, here, 4)
-        pygame.draw.aalines(canvas, colours[-1], True, self._ellipse(track_m[-1, :2], P))
+        pygame.draw.aalines(canvas, colors[-1], True, self._ellipse(track_m[-1, :2], P))
         error = float(np.linalg.norm(track_m[-1] - truth_m[-1]))
         text = f"epoch {len(track_m)}   {self._modes[modes[-1]]}   error {error:.1f} m"
         canvas.blit(self._font.render(text, True, _INK), (8, 8))
@@ -104,15 +104,15 @@ class Picture:
             self._window = None
 
     def _pixels(self, points_m: Array) -> list[tuple[float, float]]:
-        offset = (points_m[:, :2] - self._centre) * self._pixels_per_m
+        offset = (points_m[:, :2] - self._center) * self._pixels_per_m
         return [(SIZE / 2 + x, SIZE / 2 - y) for x, y in offset]
 
-    def _ellipse(self, centre_m: Array, P: Array) -> list[tuple[float, float]]:
+    def _ellipse(self, center_m: Array, P: Array) -> list[tuple[float, float]]:
         """95 % region of the horizontal position."""
         angle = np.linspace(0.0, 2.0 * np.pi, 48, endpoint=False)
         circle = np.stack([np.cos(angle), np.sin(angle)], axis=1)
         shape = np.linalg.cholesky(P + 1e-9 * np.eye(2))
-        return self._pixels(centre_m + np.sqrt(_ELLIPSE_95) * circle @ shape.T)
+        return self._pixels(center_m + np.sqrt(_ELLIPSE_95) * circle @ shape.T)
 
 
 def blank_picture() -> NDArray[np.uint8]:

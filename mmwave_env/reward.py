@@ -22,7 +22,7 @@ _SMALLEST_NEES = 1e-12
 class TrackingReward:
     """-(error_weight min(error, error_limit_m) + nees_weight min(|ln(NEES / d)|, nees_limit)).
 
-    Penalises distance from the truth and inconsistency either way; NEES is taken per epoch,
+    Penalizes distance from the truth and inconsistency either way; NEES is taken per epoch,
     so inflating the covariance does not pay. d is the number of estimated position axes.
     """
 

@@ -160,7 +160,7 @@ class _Frames:
 
     Args:
         frames: how many.
-        blank: (features,) the middle of the bounds, which is the mean in training: normalised,
+        blank: (features,) the middle of the bounds, which is the mean in training: normalized,
             the zeros that Stable-Baselines3 begins with.
     """
 

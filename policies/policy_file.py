@@ -2,7 +2,7 @@
 
 Tensors, float32; the actor is the network that chooses:
 
-- ``low``, ``high`` (features,): observations are clipped to them. Training normalises, too,
+- ``low``, ``high`` (features,): observations are clipped to them. Training normalizes, too,
   which is folded into the first weights. Of an actor that sees several frames at once, those
   before an episode begins are the middle of these bounds;
 - ``layer.0.weight`` (out, in), ``layer.0.bias`` (out,), ``layer.1.weight``, ...: an MLP with

@@ -36,7 +36,7 @@ class SpeedRule:
 
     Args:
         observation: the environment's table of features.
-        threshold: metres per second; the paper's is 2.
+        threshold: meters per second; the paper's is 2.
         feature: "predicted speed", or "odometry speed" where the user measures it.
     """
 

@@ -115,8 +115,8 @@ def test_reading_a_feature_inverts_its_scale():
 
 def test_an_unknown_feature_lists_the_valid_ones():
     table = Observation(PIPELINES["default"], "prior")
-    with pytest.raises(KeyError, match="'colour'.*predicted speed.*time since fix"):
-        table.read(np.zeros((1, len(table)), np.float32), "colour")
+    with pytest.raises(KeyError, match="'color'.*predicted speed.*time since fix"):
+        table.read(np.zeros((1, len(table)), np.float32), "color")
 
 
 def test_an_unknown_kind_lists_the_valid_ones():

@@ -37,7 +37,7 @@ def numbers(text: str) -> list[float]:
     return [float(n) for row in rows for n in re.findall(r"-?\d+(?:\.\d+)?", row)]
 
 
-def test_localising_the_sample_prints_what_is_shown(tmp_path: Path) -> None:
+def test_localizing_the_sample_prints_what_is_shown(tmp_path: Path) -> None:
     (command,) = re.findall(r"```\nmmwave-loc (localize .*?)\n```", README, re.DOTALL)
     words = [
         sys.executable,

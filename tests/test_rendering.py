@@ -13,12 +13,12 @@ ID = "mmwave_env:MmWaveLoc-v0"
 
 
 def orange(picture: np.ndarray) -> np.ndarray:
-    """Where the second mode's colour is, blended into the paper or not."""
+    """Where the second mode's color is, blended into the paper or not."""
     red, green, blue = np.moveaxis(picture.astype(int), -1, 0)
     return (red > 240) & (green - blue > 60)
 
 
-def colours(picture: np.ndarray) -> set[tuple[int, int, int]]:
+def colors(picture: np.ndarray) -> set[tuple[int, int, int]]:
     return {tuple(int(v) for v in pixel) for pixel in picture.reshape(-1, 3)}
 
 
@@ -26,7 +26,7 @@ def test_an_array_for_every_step_and_more_track_with_time() -> None:
     env = gym.make(ID, render_mode="rgb_array", scenario="vehicle")
     env.reset(seed=0)
     blank = env.render()
-    assert blank.shape == (SIZE, SIZE, 3) and len(colours(blank)) == 1
+    assert blank.shape == (SIZE, SIZE, 3) and len(colors(blank)) == 1
     lengths = []
     for _ in range(3):
         for _ in range(20):
@@ -36,11 +36,11 @@ def test_an_array_for_every_step_and_more_track_with_time() -> None:
         lengths.append(int(orange(picture).sum()))
     assert 0 < lengths[0] < lengths[1] < lengths[2]
     env.reset(seed=1)
-    assert len(colours(env.render())) == 1
+    assert len(colors(env.render())) == 1
     env.close()
 
 
-def test_track_is_coloured_by_the_mode_that_ran() -> None:
+def test_track_is_colored_by_the_mode_that_ran() -> None:
     env = gym.make(ID, render_mode="rgb_array", scenario="vehicle")
     env.reset(seed=0)
     for _ in range(40):

@@ -302,7 +302,7 @@ def test_its_wrappers_and_its_evaluation_work():
     assert rewards == pytest.approx(expected, rel=1e-5)
 
 
-def test_terminal_observations_are_normalised_too():
+def test_terminal_observations_are_normalized_too():
     normal = VecNormalize(SB3VecEnv(native(2, episode_steps=3)), norm_reward=False)
     normal.training = False
     normal.obs_rms.mean, normal.obs_rms.var = np.full(FEATURES, 0.5), np.full(FEATURES, 4.0)

@@ -11,7 +11,7 @@ from mmwave_env.localization.localizer import TrackBlock
 from mmwave_env.numerics.arrays import Array
 
 _POINTS = 6000  # kept of a track of any length, at least half of them
-_COLOURS = ("#0072b2", "#d55e00")  # of the modes; told apart by colour-blind people, too
+_COLORS = ("#0072b2", "#d55e00")  # of the modes; told apart by color-blind people, too
 _DIAGONAL = [0, 2, 5]  # of the position in a packed covariance
 
 
@@ -68,14 +68,14 @@ class TrackPicture:
         steps = np.stack([position[:-1], position[1:]], axis=1)
         whole = np.diff(self._kept[:, 9]) == 0.0  # where the track begins anew, no line leads there
         for number in np.unique(mode).astype(int):
-            colour, label = _COLOURS[number], f"estimate, {self._modes[number]}"
+            color, label = _COLORS[number], f"estimate, {self._modes[number]}"
             if self._every == 1:
                 axes.add_collection(
-                    LineCollection(steps[whole & (mode[1:] == number)], color=colour, lw=1.2)
+                    LineCollection(steps[whole & (mode[1:] == number)], color=color, lw=1.2)
                 )
-                axes.plot([], [], color=colour, lw=1.2, label=label)
+                axes.plot([], [], color=color, lw=1.2, label=label)
             else:
-                axes.plot(*position[mode == number].T, color=colour, label=label, **style)
+                axes.plot(*position[mode == number].T, color=color, label=label, **style)
         axes.plot(*position[0], "o", color="black", ms=5, label="start")
         self._draw_anchors(axes, position)
         axes.set(xlabel="x (m)", ylabel="y (m)", aspect="equal")

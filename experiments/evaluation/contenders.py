@@ -29,7 +29,7 @@ SHIPPED = ("ppo", "ppo-extended")  # learned contenders of a radio, where its po
 
 @dataclass(frozen=True)
 class Contender:
-    """Something that localises.
+    """Something that localizes.
 
     Attributes:
         name: as on the command line and in results.

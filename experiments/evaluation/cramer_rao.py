@@ -16,13 +16,13 @@ singular Q is allowed. H is taken at the true states, and a missing group has no
 *Averaged bound*: E is the mean over tracks, sigmas and detections (the information reduction
 of Hernandez, Ristic, Farina and Timmoneri 2004). No filter that knows Q beats it in the mean
 over those tracks. *Conditional bound*: the same recursion with one track's own information
-and nothing averaged, the covariance of an EKF that linearises at the truth. Its mean is never
+and nothing averaged, the covariance of an EKF that linearizes at the truth. Its mean is never
 below the averaged bound (Jensen: J^-1 is convex in the informations), and says more where
 information varies along the streets; but given the track it is a benchmark, not a strict bound.
 
 Both hold for tracks that move as F and Q say. Real users do not: with the Q of
 :func:`measured_motion` it is the bound of a Gaussian model with the same second moments, not
-a strict one for real manoeuvres. Sigmas and detections count as given: what they tell about the
+a strict one for real maneuvers. Sigmas and detections count as given: what they tell about the
 position by depending on it is not counted (filters do not use it). The biases of blockage
 and multipath are not in it.
 """

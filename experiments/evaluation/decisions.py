@@ -23,7 +23,7 @@ from mmwave_env.numerics.arrays import Array, Mask
 STILL_MPS, MOVING_MPS, FAST_MPS = 0.3, 0.5, 2.0
 STILL_S, FAST_S = 3.0, 5.0  # how long it stands, and how soon it is fast
 BEFORE_S, AFTER_S = 10.0, 20.0  # what is looked at
-COLOURS = 10  # there are; more lines are dashed
+COLORS = 10  # there are; more lines are dashed
 
 
 def pull_aways(speed_mps: Array, step_s: float = 1.0) -> Mask:
@@ -179,7 +179,7 @@ class Decisions:
         from matplotlib.ticker import LogLocator, NullFormatter
 
         for i, (name, around) in enumerate(table.items()):
-            style = "-" if i < COLOURS else "--"
+            style = "-" if i < COLORS else "--"
             axes.plot(self.time_s, around.mean(around.error_m), style, label=Path(name).name)
         axes.set(title=f"{next(iter(table.values())).events} {kind}s", yscale="log")
         axes.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))

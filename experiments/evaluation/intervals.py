@@ -134,7 +134,7 @@ def crossed_bootstrap(
     intervals = []
     for rows, statistic in zip(found, statistics, strict=True):
         low, high = np.percentile(np.concatenate(rows, axis=-1), [2.5, 97.5], axis=-1)
-        centre = statistic(np.sort(scores, axis=None), uniform)
-        shift = centre - statistic(values, uniform)
-        intervals.append((centre, low + shift, high + shift))
+        center = statistic(np.sort(scores, axis=None), uniform)
+        shift = center - statistic(values, uniform)
+        intervals.append((center, low + shift, high + shift))
     return intervals

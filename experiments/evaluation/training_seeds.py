@@ -51,12 +51,12 @@ class Figure:
     @classmethod
     def of(cls, scores: Array, levels: Array) -> "Figure":
         """From scores (trainings, episodes)."""
-        centre, iqm, above = crossed_bootstrap(
+        center, iqm, above = crossed_bootstrap(
             scores, mean, interquartile_mean, share_above(levels)
         )
         return cls(
             tuple(bootstrap(scores.T)),
-            Interval(*map(float, centre)),
+            Interval(*map(float, center)),
             Interval(*map(float, iqm)),
             levels,
             np.clip(above, 0.0, 1.0),

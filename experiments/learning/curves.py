@@ -7,7 +7,7 @@ from pathlib import Path
 from mmwave_env.files import atomic_path
 
 RIVALS = ("speed-rule", "imm")  # as in a journal
-COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7")  # told apart by colour-blind people, too
+COLORS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7")  # told apart by color-blind people, too
 
 
 def curve(journal: Path, figure: str) -> tuple[list[float], list[float]]:
@@ -25,11 +25,11 @@ def draw_curves(runs: Sequence[Path], path: Path) -> None:
     picture = Figure(figsize=(11.0, 4.2), layout="constrained")
     FigureCanvasAgg(picture)
     for axes, rival in zip(picture.subplots(1, len(RIVALS)), RIVALS, strict=True):
-        for run, colour in zip(runs, COLOURS, strict=False):
+        for run, color in zip(runs, COLORS, strict=False):
             label = run.name
             for journal in sorted(run.glob("seed-*/progress.csv")):
                 steps, gain = curve(journal, f"tuning/minus {rival}")
-                axes.plot(steps, gain, color=colour, lw=1.0, alpha=0.8, label=label)
+                axes.plot(steps, gain, color=color, lw=1.0, alpha=0.8, label=label)
                 label = ""
         axes.axhline(0.0, color="black", lw=0.8)
         axes.set(xscale="log", xlabel="steps", ylabel=f"reward minus {rival}'s, tuning seeds")

@@ -125,8 +125,8 @@ def ablations(args: Args) -> tuple[str, str, dict[str, Any]]:
 
 def _over_both(values: Array) -> Interval:
     """Mean of values (seeds, episodes) with its interval over both."""
-    ((centre, low, high),) = crossed_bootstrap(values, mean)
-    return Interval(float(centre), float(low), float(high))
+    ((center, low, high),) = crossed_bootstrap(values, mean)
+    return Interval(float(center), float(low), float(high))
 
 
 def main(args: Args) -> None:

@@ -12,8 +12,8 @@ from mmwave_env.filters.modes import robust
 from mmwave_env.models.radio import RADIOS, Radio
 
 HEADLINE = {
-    "pedestrian": LOW_MOBILITY["optimised"].ate_m,
-    "vehicle": HIGH_MOBILITY["optimised"].ate_m,
+    "pedestrian": LOW_MOBILITY["optimized"].ate_m,
+    "vehicle": HIGH_MOBILITY["optimized"].ate_m,
 }
 RADIO = "high"
 

@@ -132,9 +132,9 @@ def smoothing(bench: Bench) -> Section:
 
 
 def improvement(bench: Bench) -> Section:
-    """The "30 to 60 %": what optimising takes off the untuned filters' errors."""
+    """The "30 to 60 %": what optimizing takes off the untuned filters' errors."""
     section = Section(
-        "What optimising takes off the ATE",
+        "What optimizing takes off the ATE",
         "From an untuned filter over the tuned one, with gates and adaptive scaling, to the "
         "smoothed one; coupled Q. The paper's own tables say 72 % (EKF) and 46 % (UKF) on foot, "
         "99 % and 80 % driving.",
@@ -160,7 +160,7 @@ def improvement(bench: Bench) -> Section:
 
 
 def process_noise(bench: Bench) -> Section:
-    """Where errors of a hundred metres come from: process noise and gates, not the algorithm."""
+    """Where errors of a hundred meters come from: process noise and gates, not the algorithm."""
     gates = {
         "no gates": {"gate": None, "recovery": None},
         "gates, no recovery": {"recovery": None},
@@ -230,14 +230,14 @@ def resolution(bench: Bench) -> Section:
     snr_db = np.array([0.0, 10.0, 20.0, 30.0, 40.0])
     sigma = ideal.sigma(np.tile(snr_db[:, None], 3), scene, Layout())[:, 0]
     # The bound goes with 1 / sqrt(SNR), far above its floor.
-    centimetre_db = snr_db[-1] + 20.0 * math.log10(sigma[-1] / 0.01)
+    centimeter_db = snr_db[-1] + 20.0 * math.log10(sigma[-1] / 0.01)
     links = np.concatenate([
         e.snr_db[e.usable[:, 0], 0] for e in bench.episodes(Setting("pedestrian", "standard"))
     ])  # fmt: skip
     section = Section(
         "Range at 100 MHz",
         f"c / B is {SPEED_OF_LIGHT / scene.bandwidth_hz:.2f} m: two paths closer than that are not "
-        f"resolved. One path alone is measured to 1 cm from {centimetre_db:.0f} dB on; the median "
+        f"resolved. One path alone is measured to 1 cm from {centimeter_db:.0f} dB on; the median "
         f"SNR of the standard profile's direct link is {np.median(links):.0f} dB, and its range "
         f"floor {radio.range_floor_m[0]:g} m.",
         ["SNR dB", "Cramer-Rao bound of the range, m"],

@@ -15,7 +15,7 @@ from mmwave_env.models.radio import RADIOS
 
 COUPLED = 3  # column of the ATE with coupled process noise; the paper's stands first
 FILTERS = 4  # rows that the paper has, too
-COLOURS = {"ekf": "tab:blue", "ukf": "tab:orange"}
+COLORS = {"ekf": "tab:blue", "ukf": "tab:orange"}
 
 
 def _errorbars(axes: Any, x: Sequence[float], cells: Sequence[Cell], **style: Any) -> None:
@@ -25,7 +25,7 @@ def _errorbars(axes: Any, x: Sequence[float], cells: Sequence[Cell], **style: An
     axes.errorbar(x, y, yerr=spread, capsize=2, **style)
 
 
-def _metres(axes: Any) -> None:
+def _meters(axes: Any) -> None:
     """A logarithmic axis of ATE, the same in every panel."""
     axes.set_yscale("log")
     axes.set_ylim(0.1, 1000.0)
@@ -44,7 +44,7 @@ def _bars(axes: Any, sections: Sequence[Section], title: str) -> None:
         x = [i + offset for i in range(FILTERS)]
         _errorbars(axes, x, cells, fmt="o", markersize=4, label=radio)
     axes.set_xticks(range(FILTERS), [str(row[0]).replace(" ", "\n") for row in rows])
-    _metres(axes)
+    _meters(axes)
     axes.set_title(title)
     axes.grid(axis="y", alpha=0.3)
 
@@ -57,12 +57,12 @@ def _sweep(axes: Any, section: Section) -> None:
         algorithm, gates = name.split(", ", 1)
         _errorbars(
             axes, x, [row[column] for row in section.rows], label=name,
-            color=COLOURS[algorithm.lower()], linestyle=styles[gates],
+            color=COLORS[algorithm.lower()], linestyle=styles[gates],
         )  # fmt: skip
     axes.set_xscale("log")
     axes.xaxis.set_major_formatter("{x:g}")
     axes.set_xlabel("process noise sigma_v, m/s")
-    _metres(axes)
+    _meters(axes)
     axes.set_title("Vehicle, standard: process noise")
     axes.legend(fontsize="small", loc="lower left")
     axes.grid(alpha=0.3)

@@ -44,13 +44,13 @@ def _rows(bench: Bench, setting: Setting, printed: dict[str, Published]) -> Iter
     tuned = [setting.tuned(coupling) for coupling in forms]
     name = str(tuned[0].algorithm).upper()
     smoothed = [bench.run(mode, setting).smoothed.scores for mode in tuned]
-    yield _row(f"Optimised {name}", printed["optimised"], smoothed)
+    yield _row(f"Optimized {name}", printed["optimized"], smoothed)
     smoothed = [bench.run(robust(mode), setting).smoothed.scores for mode in tuned]
-    yield _row(f"Optimised {name}, robust", None, smoothed)
+    yield _row(f"Optimized {name}, robust", None, smoothed)
     if setting.scenario == "pedestrian":
         walking = replace(setting, odometry=True)
         smoothed = [bench.run(mode, walking).smoothed.scores for mode in tuned]
-        yield _row(f"Optimised {name}, odometry", None, smoothed)
+        yield _row(f"Optimized {name}, odometry", None, smoothed)
 
 
 def tables_one_and_two(bench: Bench) -> Iterator[Section]:
@@ -65,7 +65,7 @@ def tables_one_and_two(bench: Bench) -> Iterator[Section]:
         for radio in RADIOS:
             note = (
                 f"{bench.count} {scenario} episodes. Untuned: sigma_v {UNTUNED_SIGMA_V:g} m/s, no "
-                "gates, no adaptive scaling, no smoothing. Optimised: tuned, gated, scaled and "
+                "gates, no adaptive scaling, no smoothing. Optimized: tuned, gated, scaled and "
                 "smoothed."
             )
             if scenario == "pedestrian":
@@ -96,5 +96,5 @@ def table_three(bench: Bench) -> Section:
             setting = Setting(scenario, radio)
             run = bench.run(setting.tuned(), setting)
             ours += bootstrap(run.smoothed.scores["ate_m"][:, None])
-        section.rows.append([name, scenario, printed["optimised"].ate_m, *ours])
+        section.rows.append([name, scenario, printed["optimized"].ate_m, *ours])
     return section

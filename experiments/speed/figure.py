@@ -9,7 +9,7 @@ from experiments.speed.report import label, limited
 from experiments.speed.workloads import CARTPOLES, SYNC, SYNC_NAME, THREADS
 from mmwave_env.files import atomic_path
 
-_COLOURS = ("#0072b2", "#d55e00")  # told apart by colour-blind people, too
+_COLORS = ("#0072b2", "#d55e00")  # told apart by color-blind people, too
 
 
 def draw(measured: Measured, path: Path) -> None:
@@ -27,11 +27,11 @@ def draw(measured: Measured, path: Path) -> None:
 
 
 def _draw_rates(axes: Any, measured: Measured) -> None:
-    for threads, colour in zip(THREADS, _COLOURS, strict=True):
+    for threads, color in zip(THREADS, _COLORS, strict=True):
         rates = [measured.rates[name] for name in measured.natives(threads)]
-        _line(axes, measured.sizes, [one.steps_per_s for one in rates], color=colour, marker="o",
+        _line(axes, measured.sizes, [one.steps_per_s for one in rates], color=color, marker="o",
               label=f"native, {threads} thread{'s' * (threads > 1)}")  # fmt: skip
-        _line(axes, measured.sizes, [one.between_ends for one in rates], color=colour, ls=":",
+        _line(axes, measured.sizes, [one.between_ends for one in rates], color=color, ls=":",
               label=f"between ends of episodes, {threads} thread{'s' * (threads > 1)}")  # fmt: skip
     points = {"filterpy": (1, "s"), "single": (1, "D"), SYNC_NAME: (SYNC, "^"),
               "cartpole": (1, "x"), f"cartpole_{CARTPOLES}": (CARTPOLES, "x")}  # fmt: skip

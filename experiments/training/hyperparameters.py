@@ -18,14 +18,14 @@ class Hyperparameters:
         learning_rate, ent_coef: at the start; both fall linearly.
         final_fraction: what is left of them at the end.
         gamma: discount per epoch.
-        gae_lambda: of generalised advantage estimation.
+        gae_lambda: of generalized advantage estimation.
         clip_range: of the probability ratio.
         max_grad_norm: longest gradient.
         target_kl: an update stops when the policy has moved further.
         hidden: neurons of each tanh layer, of the actor and of the critic.
         lstm: neurons of the memory that comes first; 0 for none.
         frames: observations that the networks see at once.
-        clip_observation: normalised observations lie between minus this and this.
+        clip_observation: normalized observations lie between minus this and this.
         paired: train on the reward minus that of an IMM on the same episode: its actions
             change nothing there, so the best policy stays the same and the variance falls.
         truth_critic: the critic, which is not needed after training, also sees the truth.
@@ -65,7 +65,7 @@ class Hyperparameters:
                 raise ValueError(f"{name}: found {value!r}, expected {expected}")
         for name, least in (
             ("num_envs", 1), ("n_steps", 1), ("n_epochs", 1), ("frames", 1),
-            ("batch_size", 2),  # one advantage alone can't be normalised
+            ("batch_size", 2),  # one advantage alone can't be normalized
         ):  # fmt: skip
             if getattr(self, name) < least:
                 found = getattr(self, name)

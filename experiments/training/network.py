@@ -98,7 +98,7 @@ def falling(recipe: Hyperparameters, left: float) -> float:
 
 
 def actor_of(model: OnPolicyAlgorithm, world: TrainingEnv, recipe: Hyperparameters) -> Tensors:
-    """The actor as a policy file holds it, with the normalisation in its first weights.
+    """The actor as a policy file holds it, with the normalization in its first weights.
 
     Training sees clip((o - mean) / sigma, -c, c). The file has the bounds mean -+ c sigma, and
     weights W / sigma with bias b - W mean / sigma.

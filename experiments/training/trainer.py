@@ -112,7 +112,7 @@ class Training(BaseCallback):
         self._look()
         model.dump_logs()
         model.save(job.folder / "model.zip")
-        self._env.normal.save(str(job.folder / "normalisation.pkl"))
+        self._env.normal.save(str(job.folder / "normalization.pkl"))
         self._journal.close()
         outcome = {
             "seed": job.seed, "timesteps": model.num_timesteps,

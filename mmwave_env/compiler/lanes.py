@@ -200,7 +200,7 @@ def _align_stack(builder: Any) -> None:
     vector = cgutils.alloca_once(builder, _VECTOR)  # type: ignore[no-untyped-call]
     vector.align = 8 * WIDTH
     use = ir.FunctionType(ir.VoidType(), [vector.type])
-    builder.asm(use, "", "r", [vector], side_effect=True)  # else it is optimised away
+    builder.asm(use, "", "r", [vector], side_effect=True)  # else it is optimized away
 
 
 def kernel(function: Callable[[Any], None]) -> Any:

@@ -65,7 +65,7 @@ def _simulate(  # type: ignore[no-untyped-def]
     """Draw and simulate episodes, eight at a time, so that their draws stay in a cache.
 
     Args:
-        rng, memory, states: of the dice, which numba takes long to recognise as a tuple.
+        rng, memory, states: of the dice, which numba takes long to recognize as a tuple.
         plan, dt, stride, move_on, observe: see :func:`~mmwave_env.episodes.travel.travel`.
         run, start: the program, and its workspace (size,) before the first epoch.
         layout: numbers of links, of rows and of columns drawn, and the column of dt in a table.

@@ -1,6 +1,6 @@
-"""Motion of users along their way, on lanes: eight travellers at once.
+"""Motion of users along their way, on lanes: eight travelers at once.
 
-A traveller speeds up and brakes within limits of acceleration, braking and jerk, towards its
+A traveler speeds up and brakes within limits of acceleration, braking and jerk, towards its
 target speed and down to what lies ahead: corners and red lights. The equations are those of a
 substep without events; :mod:`mmwave_env.episodes.travel` has what happens between them.
 """
@@ -19,8 +19,8 @@ from mmwave_env.numerics.numbers import Number, clip, cos_sin, maximum, minimum,
 STANDING_MPS = 0.1  # slow enough to change over to another phase
 
 
-class Traveller(NamedTuple):
-    """Where a traveller is, and what it is up to.
+class Traveler(NamedTuple):
+    """Where a traveler is, and what it is up to.
 
     The way ahead is a straight stretch, then an arc over a crossing (none where it is straight
     on); the crossing after that is known too, for braking over a crossing that is driven straight.
@@ -38,7 +38,7 @@ class Traveller(NamedTuple):
         phase: which; ends at ``phase_end`` s.
         stopping: 1 while coming to a stand to change over to the next phase.
         heading: in quarter turns, before the arc.
-        travelled: on the way ahead, m.
+        traveled: on the way ahead, m.
         stretch, arc: lengths of the way ahead, m.
         radius, curvature: of its arc, m and 1/m; curvature is positive to the left.
         turn, red: at the crossing ahead: quarter turns to the left; red light, s.
@@ -68,7 +68,7 @@ class Traveller(NamedTuple):
     phase_end: Number
     stopping: Number
     heading: Number
-    travelled: Number
+    traveled: Number
     stretch: Number
     arc: Number
     radius: Number
@@ -86,29 +86,29 @@ class Traveller(NamedTuple):
     origin_y: Number
 
 
-AT = Traveller(*range(len(Traveller._fields)))  # rows of a block
+AT = Traveler(*range(len(Traveler._fields)))  # rows of a block
 
 
-def _direction(t: Traveller, travelled: Number) -> tuple[Number, Number]:
-    """Cosine and sine of the course after some metres of the way ahead."""
-    bent = clip(travelled - t.stretch, 0.0, t.arc)
+def _direction(t: Traveler, traveled: Number) -> tuple[Number, Number]:
+    """Cosine and sine of the course after some meters of the way ahead."""
+    bent = clip(traveled - t.stretch, 0.0, t.arc)
     return cos_sin((np.pi / 2) * t.heading + t.curvature * bent)
 
 
-def observe(t: Traveller) -> Traveller:
+def observe(t: Traveler) -> Traveler:
     """Fill in the velocity."""
-    cosine, sine = _direction(t, t.travelled)
+    cosine, sine = _direction(t, t.traveled)
     return t._replace(vx=t.v * cosine, vy=t.v * sine)
 
 
-def wanted_acceleration(t: Traveller) -> Number:
+def wanted_acceleration(t: Traveler) -> Number:
     """Towards the target, and down to what is ahead, in m/s^2.
 
     A crossing where the way turns is a limit of v_c^2 = lateral acceleration times radius, a red
-    light one of 0 a metre before the crossing. Braking at b over d metres from v reaches v_c with
+    light one of 0 a meter before the crossing. Braking at b over d meters from v reaches v_c with
     v^2 = v_c^2 + 2 b d; half of that is aimed at, and where the rest runs out, what is needed.
     """
-    left, turns = t.stretch - t.travelled, t.arc > 0.0
+    left, turns = t.stretch - t.traveled, t.arc > 0.0
     beyond = left + t.block - where(abs(t.turn_after) > 0.5, t.radius, 0.0)
     corner = where(turns, left, where(abs(t.turn_after) > 0.5, beyond, np.inf))
     light_after = where((t.red_after > 0.0) & (beyond > 0.0), beyond, np.inf)
@@ -127,19 +127,19 @@ def wanted_acceleration(t: Traveller) -> Number:
     return where(late, minimum(pull, -minimum(need, t.braking)), pull)
 
 
-def move(t: Traveller) -> Traveller:
+def move(t: Traveler) -> Traveler:
     """A substep; at its end, whether something is due."""
     most = t.jerk * t.step
-    waiting = (t.v < 0.3) & (t.stretch - t.travelled < 3.0)
+    waiting = (t.v < 0.3) & (t.stretch - t.traveled < 3.0)
     a = t.a + clip(wanted_acceleration(t) - t.a, -most, most)
     v = t.v + maximum(a * t.step, -t.v)  # never backwards; nor fused, which rounds otherwise
     a = where(v > 0.0, a, maximum(a, 0.0))
     moved = 0.5 * (t.v + v) * t.step
-    cosine, sine = _direction(t, t.travelled + 0.5 * moved)
-    substep, travelled = t.substep + 1.0, t.travelled + moved
+    cosine, sine = _direction(t, t.traveled + 0.5 * moved)
+    substep, traveled = t.substep + 1.0, t.traveled + moved
     gait_left = t.gait_left - t.step
     changing = where(t.stopping > 0.5, STANDING_MPS - v, substep * t.step - t.phase_end)
-    due = (gait_left <= 0.0) | (travelled >= t.stretch + t.arc) | (changing >= 0.0)
+    due = (gait_left <= 0.0) | (traveled >= t.stretch + t.arc) | (changing >= 0.0)
     return t._replace(
         substep=substep,
         due=where(due, 1.0, 0.0),
@@ -148,16 +148,16 @@ def move(t: Traveller) -> Traveller:
         v=v,
         a=a,
         gait_left=gait_left,
-        travelled=travelled,
+        traveled=traveled,
         red=where(waiting, t.red - t.step, t.red),
     )
 
 
 @lru_cache(maxsize=1)
 def motion() -> tuple[Any, Any]:
-    """Two C functions of the address of a block (rows of a Traveller, 8).
+    """Two C functions of the address of a block (rows of a Traveler, 8).
 
-    The first moves the travellers in the first lanes until something is due, or for some
+    The first moves the travelers in the first lanes until something is due, or for some
     substeps, and returns how many of them are left: (address, substeps, lanes) -> substeps. The
     second fills in their velocities.
     """

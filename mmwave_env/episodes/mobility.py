@@ -30,7 +30,7 @@ class Gait:
 
 @dataclass(frozen=True)
 class Limits:
-    """What a traveller can do; ranges are drawn once per episode.
+    """What a traveler can do; ranges are drawn once per episode.
 
     Attributes:
         acceleration_mps2, braking_mps2, lateral_mps2: ranges.

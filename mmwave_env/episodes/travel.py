@@ -1,11 +1,11 @@
 """Truth: how users move through the streets.
 
-A traveller walks or drives along a net of streets, turns at crossings on circular arcs,
+A traveler walks or drives along a net of streets, turns at crossings on circular arcs,
 waits at red lights, and follows gaits (target speeds that change now and then) within
 limits of acceleration, braking, lateral acceleration and jerk. Simulated at 0.1 s.
 
-What happens to a traveller now and then (a gait, a crossing, a phase) is drawn here, one
-traveller at a time, each from its own generator; :mod:`mmwave_env.episodes.kinematics` moves them.
+What happens to a traveler now and then (a gait, a crossing, a phase) is drawn here, one
+traveler at a time, each from its own generator; :mod:`mmwave_env.episodes.kinematics` moves them.
 """
 
 from typing import NamedTuple
@@ -125,7 +125,7 @@ def _cross(rng, now, limits):  # type: ignore[no-untyped-def]
     x = now[AT.origin_x] + now[AT.block] * now[AT.node_x] - now[AT.x]
     y = now[AT.origin_y] + now[AT.block] * now[AT.node_y] - now[AT.y]
     distance = abs(x if heading % 2 == 0 else y)
-    now[AT.heading], now[AT.travelled] = heading, 0.0
+    now[AT.heading], now[AT.traveled] = heading, 0.0
     now[AT.turn], now[AT.red] = now[AT.turn_after], now[AT.red_after]
     _bend(now, limits[4])
     now[AT.stretch] = max(distance - (limits[4] if now[AT.turn] != 0 else 0.0), 0.5)
@@ -144,7 +144,7 @@ def _enter(now, phase, limits):  # type: ignore[no-untyped-def]
 def _change_over(now, limits):  # type: ignore[no-untyped-def]
     """Where a phase is over: come to a stand, then begin the next."""
     phase = int(now[AT.phase])
-    turn, left = now[AT.turn], now[AT.stretch] - now[AT.travelled]
+    turn, left = now[AT.turn], now[AT.stretch] - now[AT.traveled]
     over = now[AT.substep] * now[AT.step] >= now[AT.phase_end] and now[AT.stopping] == 0.0
     # Where the next phase needs a wider corner than there is room for: first round it.
     if over and (turn == 0 or left > limits[phase + 1, 4] - now[AT.radius] + 4.0):
@@ -160,7 +160,7 @@ def _change_over(now, limits):  # type: ignore[no-untyped-def]
 
 @register_jitable
 def _attend(rng, now, gaits, limits):  # type: ignore[no-untyped-def]
-    """What happens to a traveller before a substep, if anything.
+    """What happens to a traveler before a substep, if anything.
 
     The order of drawing is part of what a seed means.
     """
@@ -168,7 +168,7 @@ def _attend(rng, now, gaits, limits):  # type: ignore[no-untyped-def]
     phase = int(now[AT.phase])
     if now[AT.gait_left] <= 0.0:
         _draw_gait(rng, now, gaits[phase])
-    if now[AT.travelled] >= now[AT.stretch] + now[AT.arc]:
+    if now[AT.traveled] >= now[AT.stretch] + now[AT.arc]:
         _cross(rng, now, limits[phase])
 
 
@@ -195,7 +195,7 @@ def _draw_phases(rng, plan, kind, total_s, limits):  # type: ignore[no-untyped-d
 
 @register_jitable
 def _begin(rng, now, plan, kind, total_s, limits):  # type: ignore[no-untyped-def]
-    """Set a traveller off from a crossing, in a direction that leads somewhere."""
+    """Set a traveler off from a crossing, in a direction that leads somewhere."""
     _draw_phases(rng, plan, kind, total_s, limits)
     now[AT.block] = plan.block[kind]
     now[AT.blocks_x], now[AT.blocks_y] = plan.counts[kind, 0], plan.counts[kind, 1]
@@ -217,11 +217,11 @@ def _begin(rng, now, plan, kind, total_s, limits):  # type: ignore[no-untyped-de
 
 @register_jitable
 def travel(view, first, kinds, plan, dt, stride, move_on, observe, out):  # type: ignore[no-untyped-def]
-    """The whole way of up to eight travellers; all randomness of each is its own.
+    """The whole way of up to eight travelers; all randomness of each is its own.
 
     Args:
         view: to draw from.
-        first: which of the dice's states is the first traveller's; the others' follow.
+        first: which of the dice's states is the first traveler's; the others' follow.
         kinds: (n,) which of the plan's kinds each is.
         plan: kinds of users.
         dt: seconds between epochs.

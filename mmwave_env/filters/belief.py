@@ -21,16 +21,16 @@ class Belief(NamedTuple):
     axes: tuple[int, ...] = (0, 1, 2)
 
     def error(self, truth: Vector) -> list[Number]:
-        """Estimated minus true position (3,), metres; ``truth`` starts with the position."""
+        """Estimated minus true position (3,), meters; ``truth`` starts with the position."""
         return [self.x[i] - truth[i] for i in range(3)]
 
     def distance(self, truth: Vector) -> Number:
-        """Length of the position error, metres."""
+        """Length of the position error, meters."""
         e = self.error(truth)
         return sqrt(dot(e, e))
 
     def nees(self, truth: Vector) -> Number:
-        """Normalised estimation error squared of the position, expected ``len(axes)``."""
+        """Normalized estimation error squared of the position, expected ``len(axes)``."""
         return self._whiten(truth)[0]
 
     def log_density(self, truth: Vector) -> Number:

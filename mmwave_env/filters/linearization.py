@@ -146,7 +146,7 @@ class Latents:
 
 
 class Prior(NamedTuple):
-    """An epoch as a linearisation sees it from the prior.
+    """An epoch as a linearization sees it from the prior.
 
     Attributes:
         L: (7, 7) lower Cholesky factor of the prior covariance.
@@ -162,13 +162,13 @@ class Prior(NamedTuple):
 
 
 def linearize(
-    x: Vector, P: Matrix, measurement: Measurement, linearisation: Linearization
+    x: Vector, P: Matrix, measurement: Measurement, linearization: Linearization
 ) -> Prior:
     """The epoch seen from N(x, P); x is (7,), P (7, 7)."""
     L = cholesky(P)
-    latents = linearisation.latents(6 if measurement.layout.odometry else 3)
+    latents = linearization.latents(6 if measurement.layout.odometry else 3)
     groups = groups_of(x, measurement)
-    return Prior(L, latents, groups, [linearisation.rows(group, L, latents) for group in groups])
+    return Prior(L, latents, groups, [linearization.rows(group, L, latents) for group in groups])
 
 
 def _columns(L: Matrix) -> list[list[Number]]:

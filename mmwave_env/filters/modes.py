@@ -1,4 +1,4 @@
-"""Modes: a filter algorithm with the tuning and the safeguards it was optimised with."""
+"""Modes: a filter algorithm with the tuning and the safeguards it was optimized with."""
 
 from dataclasses import dataclass, replace
 from typing import NamedTuple

@@ -21,7 +21,7 @@ class Posterior(NamedTuple):
     Attributes:
         x: (7,) mean.
         P: (7, 7) covariance.
-        nis: (groups,) normalised innovation squared at the prior; 0 where missing.
+        nis: (groups,) normalized innovation squared at the prior; 0 where missing.
         accepted: (groups,) 1 where the group was used, else 0.
         log_likelihood: sum over the visible groups, accepted or not, of the log density of
             each group's innovation on its own, without the constant -(rows / 2) log(2 pi).
@@ -88,7 +88,7 @@ def _inform(
 
 
 def update(
-    x: Vector, P: Matrix, measurement: Measurement, gate: Gate, linearisation: Linearization
+    x: Vector, P: Matrix, measurement: Measurement, gate: Gate, linearization: Linearization
 ) -> Posterior:
     """Gate every group at the prior N(x, P), then condition on the groups that passed.
 
@@ -103,10 +103,10 @@ def update(
         P: (7, 7) prior covariance, positive definite but for structural zeros.
         measurement: the epoch.
         gate: what to accept.
-        linearisation: tangent (EKF) or sigma points (UKF, CKF).
+        linearization: tangent (EKF) or sigma points (UKF, CKF).
     """
     anchors = measurement.layout.anchors
-    prior = linearize(x, P, measurement, linearisation)
+    prior = linearize(x, P, measurement, linearization)
     L, latents, groups, V = prior
     n = latents.coupled
     gates = gate_groups(prior, measurement, gate)

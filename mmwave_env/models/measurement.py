@@ -2,7 +2,7 @@
 
 For each anchor l = 1..L a *link* of four rows [range, azimuth and elevation of arrival,
 azimuth of departure], then the Doppler shift of anchor 1, then, optionally, odometry
-[speed, heading]. Inside the package time of arrival is carried as range c tau in metres,
+[speed, heading]. Inside the package time of arrival is carried as range c tau in meters,
 angles are in radians and the Doppler shift is in hertz:
 
     d = (f_c / c) v . (p - p1) / |p - p1| + b
@@ -110,7 +110,7 @@ class Measurement(NamedTuple):
     """One epoch as an estimator sees it; ``layout`` says where its rows stand.
 
     Attributes:
-        anchors: (L, 3) positions, metres.
+        anchors: (L, 3) positions, meters.
         hz_per_mps: carrier frequency over the speed of light, hertz per m/s.
         z: (rows,) values; anything finite where missing.
         variance: (rows,) noise variances, squared units of z; positive, also where missing.

@@ -148,8 +148,8 @@ def test_an_unknown_command_lists_the_valid_ones():
 
 
 def test_an_unknown_option_is_named():
-    done = command(*CLI, "evaluate", "--colour", "red")
-    assert done.returncode == 2 and "--colour" in done.stderr and "Traceback" not in done.stderr
+    done = command(*CLI, "evaluate", "--color", "red")
+    assert done.returncode == 2 and "--color" in done.stderr and "Traceback" not in done.stderr
 
 
 @pytest.mark.slow

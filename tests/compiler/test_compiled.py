@@ -32,7 +32,7 @@ def motion():
 
     def change(block, function):
         for lane in np.flatnonzero(block[kinematics.AT.jerk]):  # where somebody travels
-            block[:, lane] = function(kinematics.Traveller(*block[:, lane].tolist()))
+            block[:, lane] = function(kinematics.Traveler(*block[:, lane].tolist()))
 
     def move_on(address, substeps, here):
         block = address._arr

@@ -156,7 +156,7 @@ def test_the_oscillator_walks_at_random(dt):
     assert kstest(np.concatenate(steps) / scale, "norm").pvalue > SIGNIFICANCE
 
 
-def test_the_prior_is_centred_on_the_truth_with_its_covariance():
+def test_the_prior_is_centered_on_the_truth_with_its_covariance():
     whitened = []
     for seed in range(300):
         episode = draw(seed, epochs=1)

@@ -109,9 +109,9 @@ def test_seeds_and_episodes_are_resampled_independently():
     rng = np.random.default_rng(0)
     scores = rng.normal(0.3, 0.5, (4, 1)) + rng.normal(size=30) + rng.normal(size=(4, 30))
     found = crossed_bootstrap(scores, *STATISTICS)
-    centre, low, high = (np.concatenate([np.ravel(one[i]) for one in found]) for i in range(3))
+    center, low, high = (np.concatenate([np.ravel(one[i]) for one in found]) for i in range(3))
     expected, deviations = plain_work(scores, rng, RESAMPLES)
-    np.testing.assert_allclose(centre, expected)
+    np.testing.assert_allclose(center, expected)
     margin = 4.5 * np.sqrt(2.0 * 0.025 * 0.975 / RESAMPLES) / norm.pdf(norm.ppf(0.025))
     for end, quantile in ((low, 2.5), (high, 97.5)):
         other = expected + np.percentile(deviations, quantile, axis=0)
@@ -120,25 +120,25 @@ def test_seeds_and_episodes_are_resampled_independently():
 
 def test_one_seed_has_the_interval_of_its_episodes():
     scores = np.random.default_rng(0).exponential(size=(1, 50))
-    ((centre, low, high),) = crossed_bootstrap(scores, mean)
+    ((center, low, high),) = crossed_bootstrap(scores, mean)
     (expected,) = bootstrap(scores.T)
-    assert (centre, low, high) == pytest.approx((expected.mean, expected.low, expected.high))
+    assert (center, low, high) == pytest.approx((expected.mean, expected.low, expected.high))
 
 
 def test_equal_seeds_have_the_interval_of_their_episodes():
     episodes = np.random.default_rng(0).exponential(size=50)
-    ((centre, low, high),) = crossed_bootstrap(np.tile(episodes, (5, 1)), mean)
+    ((center, low, high),) = crossed_bootstrap(np.tile(episodes, (5, 1)), mean)
     (expected,) = bootstrap(episodes[:, None])
-    assert (centre, low, high) == pytest.approx((expected.mean, expected.low, expected.high))
+    assert (center, low, high) == pytest.approx((expected.mean, expected.low, expected.high))
 
 
 @pytest.mark.parametrize("K", [5, 30])
 def test_where_seeds_alone_differ_the_interval_is_student_s(K):
     seeds = np.random.default_rng(1).normal(size=K)
-    ((centre, low, high),) = crossed_bootstrap(np.tile(seeds[:, None], (1, 10)), mean)
+    ((center, low, high),) = crossed_bootstrap(np.tile(seeds[:, None], (1, 10)), mean)
     half = t.ppf(0.975, K - 1) * seeds.std(ddof=1) / np.sqrt(K)
     # The bootstrap distribution of few seeds is as skewed as they are, and not quite normal.
-    assert centre == pytest.approx(seeds.mean())
+    assert center == pytest.approx(seeds.mean())
     assert high - low == pytest.approx(2.0 * half, rel=0.06)
 
 

@@ -120,7 +120,7 @@ def test_lanes_equal_floats(mine, planar):
 
 
 def test_wherever_modes_go(mine):
-    """The engine, the tracker, the IMM of one mode and the localiser give the same track."""
+    """The engine, the tracker, the IMM of one mode and the localizer give the same track."""
     episodes = simulated(2, epochs=30)
     pipeline = Pipeline((mine,), STREET)
     engine = track(pipeline, episodes, 0, 30, ("x",))["x"].swapaxes(0, 1)
@@ -131,7 +131,7 @@ def test_wherever_modes_go(mine):
     np.testing.assert_allclose(imm.run(episodes, "x")["x"], engine, rtol=1e-9, atol=1e-9)
 
 
-def test_a_log_is_localised_with_it(iekf, tmp_path):
+def test_a_log_is_localized_with_it(iekf, tmp_path):
     scene, radio = SCENES["street"], RADIOS["handset"]
     source = SimulatedSource(scene, radio, epochs=30)
     write_log(tmp_path / "log.csv", source.sample(np.random.default_rng(0)))

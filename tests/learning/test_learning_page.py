@@ -20,7 +20,7 @@ EXAMPLES = re.findall(r"```python\n(.*?)```", PAGE.read_text(encoding="utf-8"), 
 KINDS = [f"{kind}-{radio}" for kind in ("ppo", "ppo-extended") for radio in ("handset", "standard")]
 
 
-def test_a_shipped_switcher_localises(capsys):
+def test_a_shipped_switcher_localizes(capsys):
     (example,) = (one for one in EXAMPLES if "LearnedSwitch" in one)
     exec(compile(example, "learning.md", "exec"), {})
     ate_m, mean_nees = map(float, capsys.readouterr().out.split())

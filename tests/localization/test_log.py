@@ -476,7 +476,7 @@ HEADERS = {
     "no columns": ("\n", "line 1: found '', expected names of columns, divided by commas"),
     "semicolons": (HEADER.replace(",", ";"), "line 1: found 'time_s;anchor.*divided by commas"),
     "no header": ("0,1,1e-7,0,0,0,1,20", "column '0': found no quantity we know"),
-    "unknown": (HEADER + ",colour", "column 'colour'.*out of time_s, anchor, toa_s, .*snr_db"),
+    "unknown": (HEADER + ",color", "column 'color'.*out of time_s, anchor, toa_s, .*snr_db"),
     "index": ("," + HEADER, "column '': found no quantity"),
     "no unit": (HEADER.replace("toa_s", "toa"), "column 'toa'.*toa_s, toa_ms, .* or range_m"),
     "no unit of range": (HEADER.replace("toa_s", "range"), "column 'range'.*or range_m"),

@@ -103,7 +103,7 @@ def test_truth_rarer_than_seconds_has_no_rpe(tmp_path):
 
 
 @pytest.mark.parametrize("step", [1.0, 3.0])
-def test_slow_logs_pair_neighbours_alone(tmp_path, step):
+def test_slow_logs_pair_neighbors_alone(tmp_path, step):
     time = step * np.arange(T)
     time[50:] += 9.0 * step
     known = np.array([k for k in range(T) if k != 70])

@@ -191,7 +191,7 @@ def test_the_exported_actor_acts_as_the_trained_one(kind, tmp_path):
     place = TrainingEnv(TASK, recipe)
     model = learner(place, recipe, seed=1)
     now, rng = place.venv.reset(), np.random.default_rng(0)
-    for _ in range(20):  # for the normalisation
+    for _ in range(20):  # for the normalization
         now, *_ = place.venv.step(rng.integers(3, size=8))
     place.normal.training = False
     with torch.no_grad():
