@@ -8,7 +8,7 @@ from experiments.cli.options import EpisodeArgs
 from experiments.evaluation.bounds import bound_markdown, over_bound
 from experiments.evaluation.comparison import Comparison, compare_scores
 from experiments.evaluation.decisions import Decisions
-from experiments.evaluation.markdown import markdown, show
+from experiments.evaluation.markdown import show
 from experiments.evaluation.runs import Run, trainings
 from experiments.evaluation.training_seeds import (
     draw_profiles,
@@ -68,7 +68,7 @@ def results(
         scores, learned, scenario=source.name, radio=args.radio, episodes=args.episodes,
         seed=args.seed,
     )  # fmt: skip
-    text, content = markdown(result), result.json
+    text, content = str(result), result.json
     if bound:
         over = over_bound(scores, source, radio_from(args.radio), args.seed)
         text, content = text + bound_markdown(over), content | {"bound": over.json}

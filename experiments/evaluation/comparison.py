@@ -1,12 +1,13 @@
 """Contenders compared: all saw the same episodes, so differences are paired."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
 from experiments.evaluation.intervals import Interval, bootstrap
+from experiments.evaluation.markdown import HEADERS, grid, rounded
 from experiments.evaluation.runner import Scores
 from mmwave_env.metrics import METRICS
 from mmwave_env.numerics.arrays import Array
@@ -14,7 +15,7 @@ from mmwave_env.numerics.arrays import Array
 
 @dataclass(frozen=True)
 class Comparison:
-    """Contenders on one source of episodes.
+    """Contenders on one source of episodes; its ``str`` is what they came to, as Markdown.
 
     Attributes:
         scenario, radio, episodes, seed: what was run.
@@ -40,6 +41,41 @@ class Comparison:
             "scenario": self.scenario, "radio": self.radio, "episodes": self.episodes,
             "seed": self.seed, "policies": table(self.policies), "paired": table(self.paired),
         }  # fmt: skip
+
+    def of(self, names: Sequence[str]) -> "Comparison":
+        """Some of the contenders, without the differences."""
+        return replace(self, policies={name: self.policies[name] for name in names}, paired={})
+
+    def __str__(self) -> str:
+        """Every policy with 95 % half-widths, then the paired differences of the reward."""
+        parts = [
+            f"### {self.scenario}, {self.radio}, {self.episodes} episodes, "
+            f"seeds {self.seed} and up\n",
+            self._policies_table(),
+        ]
+        if self.paired:
+            parts += ["\nPaired differences of the reward, 95 % intervals:\n", self._paired_table()]
+        return "\n".join(parts) + "\n"
+
+    def _policies_table(self) -> str:
+        rows = [
+            [name, *(rounded(row[metric]) for metric in METRICS)]
+            for name, row in self.policies.items()
+        ]
+        return grid(["policy", *(HEADERS[metric] for metric in METRICS)], rows)
+
+    def _paired_table(self) -> str:
+        """Each policy minus the references."""
+        pairs = [pair.rsplit(" - ", 1) for pair in self.paired]  # paths have any name
+        references = list(dict.fromkeys(reference for _, reference in pairs))
+        rows = []
+        for name in self.policies:
+            cells = []
+            for reference in references:
+                pair = self.paired.get(f"{name} - {reference}")
+                cells.append(str(pair["reward"]) if pair else "")
+            rows.append([name, *cells])
+        return grid(["reward of", *(f"minus {reference}" for reference in references)], rows)
 
 
 def references(scores: dict[str, Scores]) -> list[str]:

@@ -18,9 +18,7 @@ from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.metrics import METRICS, summary
 from mmwave_env.numerics.arrays import Array
 from mmwave_env.reward import Reward, TrackingReward
-from policies import (
-    Policy,
-)
+from policies import Policy
 
 Scores = dict[str, Array]  # metric -> (episodes,)
 
@@ -104,7 +102,7 @@ def _steered(
 
 
 def score_contenders(
-    names: Sequence[str],
+    names: Sequence[str | Contender],
     source: EpisodeSource,
     radio: str,
     episodes: int,
@@ -115,7 +113,7 @@ def score_contenders(
     """Scores of contenders on the same episodes, seeds ``seed .. seed + episodes - 1``.
 
     Args:
-        names: see :func:`contender_from`.
+        names: see :func:`contender_from`; or contenders themselves.
         source: of the episodes.
         radio: profile.
         episodes: how many.
@@ -127,9 +125,12 @@ def score_contenders(
         ValueError: unknown or repeated contender, or fewer than one episode.
     """
     require_seeds(range(seed, seed + episodes))
-    if len(set(names)) < len(names):
-        raise ValueError(f"policies: found {', '.join(names)}, expected no name twice")
-    chosen = [contender_from(name, radio, modes) for name in names]
+    chosen = [
+        one if isinstance(one, Contender) else contender_from(one, radio, modes) for one in names
+    ]
+    found = [contender.name for contender in chosen]
+    if len(set(found)) < len(found):
+        raise ValueError(f"policies: found {', '.join(found)}, expected no name twice")
     policies = [contender.start(source.layout) for contender in chosen]
     parts: dict[str, list[Scores]] = {c.name: [] for c in chosen}
     with Progress(transient=True) as progress:

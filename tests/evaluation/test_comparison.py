@@ -5,7 +5,6 @@ import pytest
 
 from experiments.evaluation.comparison import compare_scores, references, rivals
 from experiments.evaluation.intervals import bootstrap
-from experiments.evaluation.markdown import markdown
 from mmwave_env.metrics import METRICS
 
 
@@ -59,6 +58,15 @@ def test_paired_differences_are_taken_episode_by_episode():
     assert paired.high - paired.low < 0.01 * (alone.high - alone.low)
 
 
+def test_some_of_the_contenders_are_shown_alone():
+    result = compare_scores(scores(speed_rule=[1, 2], random=[0, 1], imm=[2, 2]), **WHAT)
+    title, _, header, _, *rows = str(result.of(["imm", "random"])).splitlines()
+    assert title == "### mixed, handset, 3 episodes, seeds 0 and up"
+    assert header.startswith("| policy | reward |")
+    assert [row.split(" | ")[0] for row in rows] == ["| imm", "| random"]
+    assert all(row in str(result) for row in rows)
+
+
 def test_results_as_json():
     result = compare_scores(scores(speed_rule=[1.0, 2.0, 3.0], imm=[2.0, 2.0, 2.0]), **WHAT).json
     assert {key: result[key] for key in WHAT} == WHAT
@@ -78,5 +86,5 @@ def test_learned_switchers_are_compared_with_every_imm_and_nobody_else_is():
     ]  # fmt: skip
     assert found.paired["runs/a - b - imm-robust"]["reward"].mean == pytest.approx(-1.0)
     assert list(compare_scores(table, **WHAT).paired) == [*others, "runs/a - b - imm"]
-    (row,) = [line for line in markdown(found).splitlines() if "-1.000 [-2.000, 0.000]" in line]
+    (row,) = [line for line in str(found).splitlines() if "-1.000 [-2.000, 0.000]" in line]
     assert row.startswith("| runs/a - b |") and row.count("[") == 3

@@ -1,0 +1,49 @@
+"""An agent of one's own beside known contenders."""
+
+import numpy as np
+import pytest
+
+from experiments.evaluation.compare import compare
+from mmwave_env.metrics import METRICS
+
+
+def test_always_the_second_mode_scores_exactly_what_fixed_ukf_does():
+    seen = []
+
+    def act(observations):
+        seen.append(observations)
+        return np.ones(len(observations), int)
+
+    found = compare({"mine": act}, beside=("fixed-ukf", "imm"), episodes=3, seed=4)
+    assert (found.scenario, found.radio, found.episodes, found.seed) == ("mixed", "handset", 3, 4)
+    assert list(found.policies) == ["mine", "fixed-ukf", "imm"]
+    assert found.policies["mine"] == found.policies["fixed-ukf"]
+    for metric in METRICS:
+        nothing = found.paired["mine - fixed-ukf"][metric]
+        assert (nothing.mean, nothing.low, nothing.high) == (0.0, 0.0, 0.0)
+    assert all(o.shape == seen[0].shape and o.dtype == np.float32 for o in seen)
+    assert len(seen) == 200 and len(seen[0]) == 3
+    assert "| mine | -" in str(found) and "minus fixed-ukf" in str(found)
+
+
+@pytest.mark.parametrize(
+    ("act", "message"),
+    [
+        (lambda o: np.ones((len(o), 1), int), r"mine: found shape \(2, 1\) of int64.*\(2,\)"),
+        (lambda o: np.ones(len(o)), "mine: found shape .* of float64, expected .* of integers"),
+        (lambda o: 1, r"mine: found shape \(\)"),
+        (lambda o: np.full(len(o), 2), "mine: found 2 to 2, expected 0 to 1"),
+    ],
+)
+def test_actions_that_are_none_are_refused(act, message):
+    with pytest.raises(ValueError, match=message):
+        compare({"mine": act}, beside=(), episodes=2)
+
+
+def test_other_mistakes_are_named():
+    with pytest.raises(ValueError, match="policy: found 'oracle'"):
+        compare({}, beside=("oracle",))
+    with pytest.raises(ValueError, match="policies: found imm, imm, expected no name twice"):
+        compare({"imm": np.zeros_like}, beside=("imm",))
+    with pytest.raises(ValueError, match="scenario: found 'train'"):
+        compare({}, scenario="train")
