@@ -10,7 +10,7 @@ OLDEST_GYMNASIUM := $(shell sed -n 's/.*"gymnasium>=\([0-9.]*\),.*/gymnasium==\1
 help: ## list these targets
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "make %-18s %s\n", $$1, $$2 }' Makefile
 
-demo: .venv/.base ## compare every policy; prints tables and writes results/
+demo: .venv/.base ## compare every policy; prints six of them and writes all to results/
 	$(BIN)/mmwave-loc demo
 
 test: .venv/.dev ## all tests but the slow ones

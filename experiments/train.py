@@ -50,7 +50,7 @@ class Args:
     total_timesteps: int = 4_000_000
     """epochs to train each for"""
     hyperparameters: Path | None = None
-    """a JSON file in place of the algorithm's own, experiments/learning/ppo.json"""
+    """a JSON file in place of the algorithm's own, experiments/training/ppo.json"""
     jobs: int = min(2, os.cpu_count() or 1)
     """how many trainings at once"""
     checkpoint_every: int = 32
