@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 
+from tests.cli import succeed
 from tests.paths import ROOT
 
 README = (ROOT / "README.md").read_text()
@@ -39,15 +40,10 @@ def numbers(text: str) -> list[float]:
 
 def test_localizing_the_sample_prints_what_is_shown(tmp_path: Path) -> None:
     (command,) = re.findall(r"```\nmmwave-loc (localize .*?)\n```", README, re.DOTALL)
-    words = [
-        sys.executable,
-        "-m",
-        "experiments.cli",
-        *shlex.split(command.replace("\\\n", " ")),
-    ]
+    words = shlex.split(command.replace("\\\n", " "))
     for name in ("track.tum", "track.png"):
         words[words.index(name)] = str(tmp_path / name)
-    made = subprocess.run(words, check=True, capture_output=True, text=True, cwd=ROOT).stdout
+    made = succeed(*words)
     shown = README.split("<!-- localize:")[1].split("-->\n", 1)[1].split("<!-- end of localize")[0]
     made = made.split("Written:")[0]
     assert re.sub(r"\d", "", made).split() == re.sub(r"\d", "", shown).split()

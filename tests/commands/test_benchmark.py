@@ -2,14 +2,12 @@
 
 import json
 import re
-import subprocess
-import sys
 
 import pytest
 
 from experiments.cli.doc_pages import MARK
-from experiments.cli.main import run
 from experiments.speed.report import TITLES
+from tests.cli import assert_one_clear_line, command, succeed
 from tests.paths import ROOT
 
 PAGE = ROOT / "docs" / "performance.md"
@@ -20,22 +18,8 @@ def test_a_short_run_writes_everything(tmp_path):
     page, file, plot = (tmp_path / name for name in ("page.md", "new/all.json", "plot.png"))
     page.write_text(PAGE.read_text())
     options = ("--sizes", 8, 64, "--seconds", 0, "--repeats", 1)
-    words = [
-        "experiments.cli",
-        "benchmark",
-        *options,
-        "--json",
-        file,
-        "--plot",
-        plot,
-        "--docs",
-        page,
-    ]
-    done = subprocess.run(
-        [sys.executable, "-m", *map(str, words)], capture_output=True, text=True, cwd=ROOT
-    )
-    assert done.returncode == 0, done.stderr
-    assert re.findall("^### (.*)", done.stdout, re.MULTILINE) == list(TITLES)
+    shown = succeed("benchmark", *options, "--json", file, "--plot", plot, "--docs", page)
+    assert re.findall("^### (.*)", shown, re.MULTILINE) == list(TITLES)
     result = json.loads(file.read_text())
     assert list(result)[:5] == [
         "ratios", "limit_fraction", "steps_per_s", "cold_start_s", "peak_rss_mb",
@@ -52,7 +36,7 @@ def test_a_short_run_writes_everything(tmp_path):
     for picture in (plot, page.with_suffix(".png")):
         assert picture.read_bytes().startswith(b"\x89PNG")
     renewed = {match[1]: match[0] for match in MARK.finditer(page.read_text())}
-    assert all(table.split("\n", 1)[1].rpartition("\n")[0] in done.stdout
+    assert all(table.split("\n", 1)[1].rpartition("\n")[0] in shown
                for table in renewed.values())  # fmt: skip
 
 
@@ -71,9 +55,5 @@ def test_the_page_has_every_table():
         (["--plot", "docs"], "docs: found a folder, expected a file to write"),
     ],
 )
-def test_mistakes_end_with_one_clear_line_before_the_work(monkeypatch, capsys, options, message):
-    monkeypatch.chdir(ROOT)
-    with pytest.raises(SystemExit) as stop:
-        run("benchmark", options)
-    (line,) = capsys.readouterr().err.splitlines()
-    assert stop.value.code == 2 and re.match(f"mmwave-loc benchmark: .*{message}", line), line
+def test_mistakes_end_with_one_clear_line_before_the_work(options, message):
+    assert_one_clear_line(command("benchmark", *options), f"^mmwave-loc benchmark: .*{message}")

@@ -1,16 +1,13 @@
 """mmwave-loc compare and evaluate with learned policies and runs, as they are typed."""
 
 import json
-import os
-import re
 import subprocess
 import sys
-import warnings
 
 import pytest
 from matplotlib.image import imread
 
-from experiments.cli import main as cli
+from tests.cli import assert_one_clear_line, command, environment, succeed
 from tests.paths import ROOT
 from tests.training.actors import actor, card_of, write
 
@@ -28,20 +25,15 @@ main()
 """
 
 
-def command(*words):
-    """Run ``mmwave-loc`` where nobody can import torch."""
-    path = os.pathsep.join([str(ROOT), os.environ.get("PYTHONPATH", "")])
-    return subprocess.run(
-        [sys.executable, "-c", WITHOUT_TORCH, *map(str, words)],
-        env=os.environ | {"PYTHONPATH": path, "COLUMNS": "200"},
+def evaluated_without_torch(*words):
+    """``mmwave-loc evaluate <words>`` where nobody can import torch."""
+    done = subprocess.run(
+        [sys.executable, "-c", WITHOUT_TORCH, "evaluate", *map(str, words)],
+        env=environment(),
         capture_output=True,
         text=True,
         cwd=ROOT,
     )
-
-
-def succeed(*words):
-    done = command(*words)
     assert done.returncode == 0, done.stderr
     return done.stdout
 
@@ -99,9 +91,11 @@ def test_a_run_is_compared_over_its_training_seeds(run, tmp_path):
 
 def test_one_policy_is_evaluated_by_file_and_by_run(run, tmp_path):
     files = [tmp_path / "file.json", tmp_path / "run.json"]
-    for policy, file in zip((run / "seed-0" / "policy.safetensors", run), files, strict=True):
-        shown = succeed("evaluate", "--policy", policy, "--episodes", 2, "--json", file)
-        assert f"| {policy} |" in shown
+    alone = run / "seed-0" / "policy.safetensors"
+    shown = succeed("evaluate", "--policy", alone, "--episodes", 2, "--json", files[0])
+    assert f"| {alone} |" in shown
+    shown = evaluated_without_torch("--policy", run, "--episodes", 2, "--json", files[1])
+    assert f"| {run} |" in shown
     by_file, by_run = (json.loads(file.read_text()) for file in files)
     assert [*by_file["policies"].values()] == [*by_run["policies"].values()]
     assert "training_seeds" not in by_file and by_run["training_seeds"][str(run)]["minus"] == {}
@@ -137,19 +131,14 @@ MISTAKES = {
 
 
 @pytest.mark.parametrize("mistake", MISTAKES)
-def test_a_mistake_ends_with_one_clear_line(run, tmp_path, capsys, monkeypatch, mistake):
+def test_a_mistake_ends_with_one_clear_line(run, tmp_path, mistake):
     damage, words, message = MISTAKES[mistake]
     if damage:
         damage(run)
     there = {"f.png": str(tmp_path / "f.png"), "RUN/": f"{run}/"}
     words = [there.get(word, word) for word in words]
-    monkeypatch.setattr(warnings, "showwarning", warnings.showwarning)  # the command sets it
-    with pytest.raises(SystemExit) as end:
-        cli.run("compare", ["--episodes", "1", "--policies", str(run), *words])
-    done = capsys.readouterr()
-    assert end.value.code == 2 and done.out == ""
-    (line,) = done.err.strip().splitlines()
-    assert re.search(f"^mmwave-loc compare: .*{message}", line), line
+    done = command("compare", "--episodes", "1", "--policies", run, *words)
+    assert_one_clear_line(done, f"^mmwave-loc compare: .*{message}")
 
 
 def test_a_figure_needs_a_run(tmp_path):

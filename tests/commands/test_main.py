@@ -1,36 +1,13 @@
 """The command line, as it is typed."""
 
 import json
-import os
-import re
-import subprocess
-import sys
 
 import pytest
 
 from experiments.cli.main import commands
-from tests.paths import ROOT
+from tests.cli import assert_one_clear_line, command, process, succeed
 
-CLI = ("experiments.cli",)
 METRICS = ["reward", "ate_m", "rmse_m", "rpe_m", "nees", "in_bounds", "divergence_rate"]
-
-
-def command(*words, cwd=ROOT):
-    """Run ``python -m <words>``."""
-    path = os.pathsep.join([str(ROOT), os.environ.get("PYTHONPATH", "")])
-    return subprocess.run(
-        [sys.executable, "-m", *map(str, words)],
-        env=os.environ | {"PYTHONPATH": path, "COLUMNS": "200"},
-        capture_output=True,
-        text=True,
-        cwd=cwd,
-    )
-
-
-def succeed(*words):
-    done = command(*words)
-    assert done.returncode == 0, done.stderr
-    return done.stdout
 
 
 def assert_intervals(row):
@@ -47,9 +24,10 @@ def assert_intervals(row):
 def test_evaluate_writes_the_same_results_every_time(tmp_path):
     options = ("--policy", "fixed-ckf", "--scenario", "vehicle", "--episodes", 3, "--seed", 5)
     files = [tmp_path / "first.json", tmp_path / "new" / "second.json"]
-    through_cli = succeed(*CLI, "evaluate", *options, "--json", files[0])
-    directly = succeed("experiments.evaluate", *options, "--json", files[1])
-    assert through_cli == directly and "fixed-ckf" in through_cli
+    typed = process("evaluate", *options, "--json", files[0])
+    assert typed.returncode == 0, typed.stderr
+    assert succeed("evaluate", *options, "--json", files[1]) == typed.stdout
+    assert "fixed-ckf" in typed.stdout
     assert files[0].read_bytes() == files[1].read_bytes()
     result = json.loads(files[0].read_text())
     what = {"scenario": "vehicle", "radio": "handset", "episodes": 3, "seed": 5}
@@ -63,7 +41,7 @@ def test_evaluate_writes_the_same_results_every_time(tmp_path):
 def test_compare_pairs_policies_with_the_references(tmp_path):
     policies = ("speed-rule", "fixed-ekf", "fixed-ukf", "imm")
     file = tmp_path / "compare.json"
-    shown = succeed(*CLI, "compare", "--policies", *policies, "--episodes", 4, "--json", file)
+    shown = succeed("compare", "--policies", *policies, "--episodes", 4, "--json", file)
     result = json.loads(file.read_text())
     assert list(result["policies"]) == list(policies)
     rewards = {name: row["reward"]["mean"] for name, row in result["policies"].items()}
@@ -86,7 +64,7 @@ def test_compare_pairs_policies_with_the_references(tmp_path):
 def test_evaluate_runs_on_recorded_data(tmp_path):
     file = tmp_path / "recorded.json"
     options = ("--data", "canyon28_vehicle", "--policy", "fixed-ckf", "--episodes", 2)
-    succeed(*CLI, "evaluate", *options, "--json", file)
+    succeed("evaluate", *options, "--json", file)
     result = json.loads(file.read_text())
     assert result["scenario"] == "canyon28_vehicle"
     assert_intervals(result["policies"]["fixed-ckf"])
@@ -96,14 +74,14 @@ def test_evaluate_runs_on_recorded_data(tmp_path):
 
 
 def test_without_a_command_the_commands_are_listed():
-    helped, bare = command(*CLI, "--help"), command(*CLI)
+    helped, bare = command("--help"), command()
     assert helped.returncode == 0 and bare.returncode == 2
     assert all(name in helped.stdout for name in commands()) and helped.stdout == bare.stdout
 
 
 @pytest.mark.parametrize("name", commands())
 def test_every_command_explains_its_options(name):
-    shown = succeed(*CLI, name, "--help")
+    shown = succeed(name, "--help")
     assert f"mmwave-loc {name}" in shown and "--" in shown
 
 
@@ -125,30 +103,23 @@ MISTAKES = {
 }
 
 
-def assert_one_clear_line(done, message):
-    assert done.returncode == 2
-    assert done.stdout == ""
-    (line,) = done.stderr.strip().splitlines()
-    assert re.search(message, line), line
-
-
 @pytest.mark.parametrize("mistake", MISTAKES)
 def test_a_mistake_ends_with_one_clear_line(mistake):
     words, message = MISTAKES[mistake]
-    assert_one_clear_line(command(*CLI, *words), f"^mmwave-loc {words[0]}: .*{message}")
+    assert_one_clear_line(command(*words), f"^mmwave-loc {words[0]}: .*{message}")
 
 
 def test_a_mistake_ends_with_one_clear_line_without_the_cli_too():
-    (_, *words), message = MISTAKES["unknown policy"]
-    assert_one_clear_line(command("experiments.evaluate", *words), message)
+    (name, *words), message = MISTAKES["unknown policy"]
+    assert_one_clear_line(process(*words, module=f"experiments.{name}"), message)
 
 
 def test_an_unknown_command_lists_the_valid_ones():
-    assert_one_clear_line(command(*CLI, "fly"), "'fly'.*evaluate, compare")
+    assert_one_clear_line(command("fly"), "'fly'.*evaluate, compare")
 
 
 def test_an_unknown_option_is_named():
-    done = command(*CLI, "evaluate", "--color", "red")
+    done = command("evaluate", "--color", "red")
     assert done.returncode == 2 and "--color" in done.stderr and "Traceback" not in done.stderr
 
 
@@ -157,6 +128,6 @@ def test_results_that_cannot_be_written_are_named(tmp_path):
     blocked = tmp_path / "file"
     blocked.write_text("")
     options = ("--policy", "fixed-ckf", "--episodes", 1, "--json", blocked / "result.json")
-    done = command(*CLI, "evaluate", *options)
+    done = command("evaluate", *options)
     assert done.returncode == 2 and "Traceback" not in done.stderr
     assert str(blocked) in done.stderr

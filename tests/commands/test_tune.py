@@ -1,11 +1,7 @@
 """Tuning finds the noise that made the data, and what it writes is what is shipped."""
 
 import json
-import os
-import re
 import shlex
-import subprocess
-import sys
 from dataclasses import replace
 
 import gymnasium as gym
@@ -21,19 +17,13 @@ from mmwave_env.filters.modes import Mode
 from mmwave_env.models.measurement import Layout
 from mmwave_env.models.radio import RADIOS
 from mmwave_env.models.scene import SCENES
+from tests.cli import assert_one_clear_line, command
 from tests.filters.tracks import far_from_the_anchors, process_noise
 from tests.paths import ROOT
 
 MODES = ROOT / "mmwave_env" / "data" / "modes"
 SHIPPED = sorted(file for radio in RADIOS for file in MODES.glob(f"{radio}*.json"))
 PLAIN = Mode("own", "ekf", gate=None, recovery=None, adaptive=False)
-
-
-def cli(*words):
-    return subprocess.run(
-        [sys.executable, "-m", "experiments.cli", *map(str, words)], cwd=ROOT,
-        env=os.environ | {"COLUMNS": "200"}, capture_output=True, text=True,
-    )  # fmt: skip
 
 
 @pytest.mark.parametrize("objective", ["likelihood", "rmse"])
@@ -69,7 +59,7 @@ def test_the_command_writes_a_mode_file_that_is_taken_everywhere(tmp_path):
     modes, figures = tmp_path / "modes.json", tmp_path / "figures.json"
     options = ["--modes", "ekf", "ukf-robust", "--scenarios", "pedestrian", "jam", "--episodes", 3,
                "--free", "sigma_v", "spread_gain", "--diagonal"]  # fmt: skip
-    done = cli("tune", *options, "--out", modes, "--json", figures)
+    done = command("tune", *options, "--out", modes, "--json", figures)
     assert done.returncode == 0, done.stderr
     written = json.loads(modes.read_text())
     assert sorted(shlex.split(written["command"])) == sorted(
@@ -86,7 +76,7 @@ def test_the_command_writes_a_mode_file_that_is_taken_everywhere(tmp_path):
     assert f"best: sigma_v {ekf.sigma_v:g}, spread_gain {ekf.spread_gain:g}" in done.stdout
     env = gym.make("mmwave_env:MmWaveLoc-v0", modes=str(modes))
     assert env.unwrapped.modes == (ekf, robust)
-    done = cli("evaluate", "--modes", modes, "--policy", "fixed-ukf-robust", "--episodes", 2)
+    done = command("evaluate", "--modes", modes, "--policy", "fixed-ukf-robust", "--episodes", 2)
     assert done.returncode == 0 and "fixed-ukf-robust" in done.stdout
 
 
@@ -102,10 +92,8 @@ def test_the_command_writes_a_mode_file_that_is_taken_everywhere(tmp_path):
     ],
 )
 def test_a_mistake_ends_with_one_clear_line(options, message):
-    done = cli("tune", *options)
-    assert done.returncode == 2 and done.stdout == ""
-    (line,) = done.stderr.strip().splitlines()
-    assert re.search(message, line), line
+    done = command("tune", *options)
+    assert_one_clear_line(done, message)
 
 
 @pytest.mark.slow
@@ -113,7 +101,7 @@ def test_a_mistake_ends_with_one_clear_line(options, message):
 def test_shipped_modes_are_what_their_command_writes(file, tmp_path):
     program, *words = shlex.split(json.loads(file.read_text())["command"])
     assert program == "mmwave-loc"
-    done = cli(*words, "--out", tmp_path / "modes.json")
+    done = command(*words, "--out", tmp_path / "modes.json")
     assert done.returncode == 0, done.stderr
     # The same up to a flat optimum: equally likely, not equally digit by digit.
     radio = file.stem.removesuffix("-diagonal")

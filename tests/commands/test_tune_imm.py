@@ -15,7 +15,7 @@ from mmwave_env.filters.imm import stay_matrix
 from mmwave_env.filters.mode_files import as_written, modes_from
 from mmwave_env.models.radio import RADIOS
 from mmwave_env.models.scene import SCENES
-from tests.commands.test_tune import cli
+from tests.cli import command
 
 SOURCE = SimulatedSource(SCENES["street"], RADIOS["handset"], epochs=60)
 
@@ -78,7 +78,7 @@ def test_the_command_writes_a_file_as_it_is_shipped(tmp_path):
     options = ["--radios", "high", "--imms", "imm-robust-limited", "imm-extended", "--episodes", 2,
                "--held-out", 3, "--evaluations", 2, "--json", file]  # fmt: skip
     file.write_text(json.dumps({"high": {"other": {}}}))
-    done = cli("tune-imm", *options)
+    done = command("tune-imm", *options)
     assert done.returncode == 0, done.stderr
     assert done.stdout.startswith("high imm-robust-limited: reward -")
     imms = json.loads(file.read_text())["high"]

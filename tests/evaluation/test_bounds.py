@@ -1,9 +1,6 @@
 """mmwave-loc compare --bound, as it is typed, and the figures behind it."""
 
 import json
-import os
-import subprocess
-import sys
 
 import numpy as np
 import pytest
@@ -23,30 +20,15 @@ from mmwave_env.episodes.simulated import SimulatedSource
 from mmwave_env.metrics import BURN_IN
 from mmwave_env.models.radio import RADIOS
 from mmwave_env.models.scene import SCENES
-from tests.paths import ROOT
+from tests.cli import succeed
 
 RADIO = RADIOS["handset"]
 STREET = SCENES["street"]
 
 
-def compare(*options):
-    """What ``mmwave-loc compare`` prints."""
-    words = ["-m", "experiments.cli", "compare", *map(str, options)]
-    path = os.pathsep.join([str(ROOT), os.environ.get("PYTHONPATH", "")])
-    done = subprocess.run(
-        [sys.executable, *words],
-        env=os.environ | {"PYTHONPATH": path, "COLUMNS": "200"},
-        capture_output=True,
-        text=True,
-        cwd=ROOT,
-    )
-    assert done.returncode == 0, done.stderr
-    return done.stdout
-
-
 def test_compare_shows_policies_over_the_bound(tmp_path):
     file, policies = tmp_path / "compare.json", ("fixed-ukf", "imm")
-    shown = compare("--bound", "--episodes", 6, "--policies", *policies, "--json", file)
+    shown = succeed("compare", "--bound", "--episodes", 6, "--policies", *policies, "--json", file)
     assert "| policy | RMSE m | over averaged bound | over conditional bound |" in shown
     assert "not strict" in shown and "blockage" in shown
     result = json.loads(file.read_text())
@@ -73,12 +55,12 @@ def test_compare_shows_policies_over_the_bound(tmp_path):
 def test_recorded_data_has_a_bound_and_without_the_option_none_is_shown(tmp_path):
     file = tmp_path / "compare.json"
     options = ("--data", "canyon28_vehicle", "--policies", "fixed-ukf", "imm", "--episodes", 2)
-    compare(*options, "--bound", "--json", file)
+    succeed("compare", *options, "--bound", "--json", file)
     bound = json.loads(file.read_text())["bound"]
     assert list(bound["sigma_v"]) == ["canyon28_vehicle"]
     # One track: both bounds are one number, up to rounding.
     assert 0.0 < bound["averaged_m"] == pytest.approx(bound["conditional_m"], rel=1e-12)
-    assert "bound |" not in compare(*options, "--json", file)
+    assert "bound |" not in succeed("compare", *options, "--json", file)
     assert "bound" not in json.loads(file.read_text())
 
 

@@ -1,8 +1,6 @@
 """`transfer`, `ablate` and `learned` as a user types them."""
 
 import json
-import subprocess
-import sys
 
 import numpy as np
 import pytest
@@ -15,19 +13,15 @@ from experiments.learning.curves import curve, draw_curves
 from mmwave_env.episodes.simulated import SimulatedSource
 from mmwave_env.models.radio import RADIOS
 from mmwave_env.models.scene import SCENES
+from tests.cli import command
 from tests.paths import ROOT
 
 RECORDED = ROOT / "docs" / "learning"
 
 
-def cli(*arguments):
-    words = [sys.executable, "-m", "experiments.cli", *map(str, arguments)]
-    return subprocess.run(words, capture_output=True, text=True, cwd=ROOT)
-
-
 def test_transfer_meets_the_rivals_of_each_place(tmp_path):
     file = tmp_path / "transfer.json"
-    done = cli("transfer", "--policies", "ppo", "--episodes", 3, "--draws", 2, "--json", file)
+    done = command("transfer", "--policies", "ppo", "--episodes", 3, "--draws", 2, "--json", file)
     assert done.returncode == 0, done.stderr
     places = json.loads(file.read_text())["places"]
     streets = {f"{scene}, handset" for scene in SCENES}
@@ -47,13 +41,13 @@ def test_transfer_meets_the_rivals_of_each_place(tmp_path):
 
 
 def test_an_unknown_policy_is_one_line():
-    done = cli("transfer", "--policies", "oracle", "--episodes", 1, "--draws", 1)
+    done = command("transfer", "--policies", "oracle", "--episodes", 1, "--draws", 1)
     assert done.returncode == 2
     assert "policy: found 'oracle', expected one of" in done.stderr.strip().splitlines()[-1]
 
 
 def test_learned_needs_recorded_runs(tmp_path):
-    done = cli("learned", "--runs", tmp_path, "--episodes", 20, "--out", tmp_path / "out")
+    done = command("learned", "--runs", tmp_path, "--episodes", 20, "--out", tmp_path / "out")
     assert done.returncode == 2
     assert "ppo-handset" in done.stderr and "found no file" in done.stderr
 
@@ -73,7 +67,7 @@ def test_an_ablation_is_a_run_a_variant(tmp_path):
     pytest.importorskip("stable_baselines3")
     out = tmp_path / "ablation"
     options = ["--variants", "as-shipped", "one-tuning", "four-frames", "--seeds", 1]
-    done = cli("ablate", *options, "--total-timesteps", 16384, "--out", out)
+    done = command("ablate", *options, "--total-timesteps", 16384, "--out", out)
     assert done.returncode == 0, done.stderr
     for name in ("as-shipped", "one-tuning", "four-frames"):
         assert Run.read(str(out / name)).seeds == (0,)
@@ -81,5 +75,5 @@ def test_an_ablation_is_a_run_a_variant(tmp_path):
     assert frames == 4
     low, high = json.loads((out / "one-tuning" / "run.json").read_text())["modes"]
     assert low["sigma_v"] == high["sigma_v"] and low["algorithm"] != high["algorithm"]
-    refused = cli("ablate", "--variants", "everything", "--out", out)
+    refused = command("ablate", "--variants", "everything", "--out", out)
     assert refused.returncode == 2 and "found 'everything', expected one of" in refused.stderr

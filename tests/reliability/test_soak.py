@@ -15,14 +15,14 @@ from mmwave_env.filters.update import ekf
 from mmwave_env.models.radio import RADIOS
 from mmwave_env.models.scene import SCENES
 from mmwave_env.numerics.numbers import where
-from tests.commands.test_main import CLI, assert_one_clear_line, command, succeed
+from tests.cli import assert_one_clear_line, command, succeed
 
 SMALL = ("--steps", "1.2e4", "--num-envs", "16")
 
 
 def test_a_short_soak_tells_what_it_did(tmp_path):
     file = tmp_path / "soak.json"
-    shown = succeed(*CLI, "soak", *SMALL, "--json", file)
+    shown = succeed("soak", *SMALL, "--json", file)
     result = json.loads(file.read_text())
     assert result["asked"] == {"steps": 12000.0, "seed": 0, "num_envs": 16}
     found = result["found"]
@@ -92,7 +92,7 @@ def test_a_violation_is_found_and_can_be_brought_back(how, monkeypatch, capsys, 
                           ("--num-envs", "0")],
 )  # fmt: skip
 def test_nothing_to_do_is_refused(option, found):
-    done = command(*CLI, "soak", option, found)
+    done = command("soak", option, found)
     assert_one_clear_line(done, f"{option[2:]}: found {found}, expected at least 1")
 
 

@@ -1,0 +1,73 @@
+"""Commands as they are typed, without a process each."""
+
+import os
+import re
+import subprocess
+import sys
+import warnings
+from contextlib import redirect_stderr, redirect_stdout
+from io import StringIO
+from unittest.mock import patch
+
+from experiments.cli.main import main
+from tests.paths import ROOT
+
+
+def command(*words, cwd=ROOT):
+    """``mmwave-loc <words>`` in this process, as :func:`process` would run it.
+
+    User warnings are shown as the program shows them. Any other warning is an error here, as in
+    all tests, and an exception that the program does not expect comes through.
+    """
+    out, err, there = StringIO(), StringIO(), os.getcwd()
+    typed = ["mmwave-loc", *map(str, words)]
+    # catch_warnings also brings back how warnings are displayed, which the program changes.
+    with (
+        patch.object(sys, "argv", typed),
+        patch.dict(os.environ, COLUMNS="200"),
+        warnings.catch_warnings(),
+        redirect_stdout(out),
+        redirect_stderr(err),
+    ):
+        warnings.simplefilter("default", UserWarning)
+        os.chdir(cwd)
+        try:
+            main()
+            code = 0
+        except SystemExit as end:
+            code = end.code
+        finally:
+            os.chdir(there)
+    return subprocess.CompletedProcess(typed, code or 0, out.getvalue(), err.getvalue())
+
+
+def process(*words, module="experiments.cli", cwd=ROOT):
+    """``python -m experiments.cli <words>``, where the process itself is at issue."""
+    return subprocess.run(
+        [sys.executable, "-m", module, *map(str, words)],
+        env=environment(),
+        capture_output=True,
+        text=True,
+        cwd=cwd,
+    )
+
+
+def environment():
+    """Of a process that finds the packages of this checkout and a wide terminal."""
+    path = os.pathsep.join([str(ROOT), os.environ.get("PYTHONPATH", "")])
+    return os.environ | {"PYTHONPATH": path, "COLUMNS": "200"}
+
+
+def succeed(*words):
+    """What a command prints that must succeed."""
+    done = command(*words)
+    assert done.returncode == 0, done.stderr
+    return done.stdout
+
+
+def assert_one_clear_line(done, message):
+    """A command ended with code 2 and one line about its input."""
+    assert done.returncode == 2
+    assert done.stdout == ""
+    (line,) = done.stderr.strip().splitlines()
+    assert re.search(message, line), line
