@@ -1,4 +1,4 @@
-"""mmwave-loc demo: the tables of README and docs/results.md, on simulated and ray-traced streets."""
+"""mmwave-loc demo: the tables of README and docs/results.md, simulated and ray-traced."""
 
 from dataclasses import dataclass
 from pathlib import Path
