@@ -169,20 +169,20 @@ class Result(NamedTuple):
 
 
 def _run(
-    args: Args, the: Plan, scene: Scene, blocks: Iterable[LogBlock], truth: Truth | None
+    args: Args, chosen: Plan, scene: Scene, blocks: Iterable[LogBlock], truth: Truth | None
 ) -> Result:
     """Localize, score and write, block by block.
 
     Raises:
         LogError: the log is damaged before there is any track; nothing is written.
     """
-    names = [mode.name for mode in the.modes]
+    names = [mode.name for mode in chosen.modes]
     course, groups, picture = Course(names), Groups(), TrackPicture(names, scene.anchors_m)
     tracks = ["filtered", "smoothed"] if args.smoothing else ["filtered"]
     scores = TruthScores(truth, tracks, args.height is not None) if truth else None
     window = args.window if args.smoothing else None
     track = localize(
-        blocks, scene, radio_from(args.radio), the.modes, the.rule, window, args.height
+        blocks, scene, radio_from(args.radio), chosen.modes, chosen.rule, window, args.height
     )
     error: ValueError | None = None
     with ExitStack() as stack:
@@ -226,10 +226,10 @@ def main(args: Args) -> None:
     if args.follow == "odometry" and not first.layout.odometry:
         raise ValueError(f"follow: found odometry, but no speed in {args.log}, expected prediction")
     truth = Truth(args.truth) if args.truth else None
-    the = plan(args, modes)
+    chosen = plan(args, modes)
     for path in filter(None, _outputs(args).values()):
         require_writable(path)
-    figures, picture, error = _run(args, the, scene, chain([first], blocks), truth)
+    figures, picture, error = _run(args, chosen, scene, chain([first], blocks), truth)
     kind, written = "smoothed" if args.smoothing else "filtered", {}
     if args.out:
         written[f"{kind} track"] = str(args.out)
@@ -237,7 +237,7 @@ def main(args: Args) -> None:
     if args.plot:
         picture.save(args.plot, f"{'/'.join(args.log.parts[-2:])}, {kind} track")
         written["picture"] = str(args.plot)
-    origin = {"log": str(args.log), "scene": scene.name, "radio": args.radio, "rule": the.why}
+    origin = {"log": str(args.log), "scene": scene.name, "radio": args.radio, "rule": chosen.why}
     figures = {**origin, **figures, "written": written, "error": error and str(error)}
     if args.json:  # first, because whoever reads what is shown may leave
         write_json(args.json, figures)

@@ -66,7 +66,7 @@ def nees_interval(axes: int = 3, share: float = 0.95) -> tuple[float, float]:
 
 
 def scored(epochs: int) -> slice:
-    """The epochs that count in averages: all but the burn-in, and at least the last."""
+    """The slice of the epochs that averages are taken over: all after the burn-in, at least one."""
     return slice(min(BURN_IN, epochs - 1), None)
 
 
@@ -89,8 +89,8 @@ def accuracy(
         epochs_per_s: for the second over which RPE looks.
         axes: position axes that NEES covers.
     """
-    count = scored(nees.shape[-1])
-    error, nees = error[..., count, :], nees[..., count]
+    counted = scored(nees.shape[-1])
+    error, nees = error[..., counted, :], nees[..., counted]
     squared = _squared(error)
     low, high = nees_interval(axes)
     return {

@@ -130,7 +130,7 @@ def bound_markdown(over: OverBound) -> str:
     about = (
         f"Over the posterior Cramer-Rao bound ({b.averaged_m:.3f} m averaged over tracks, "
         f"{b.conditional_m:.3f} m given each track) of a Gaussian model whose velocity increments "
-        f"have the variance of the true ones (sigma_v {motion}): not strict for real manoeuvres, "
+        f"have the variance of the true ones (sigma_v {motion}): not strict for real maneuvers, "
         "and without the biases of blockage and multipath. Pooled over episodes, 95 % intervals:"
     )
     header = ["policy", "RMSE m", "over averaged bound", "over conditional bound"]

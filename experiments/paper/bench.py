@@ -136,9 +136,9 @@ def _tracks(
 
 
 def _errors(error: Array, nees: Array, axes: int) -> Errors:
-    count = scored(nees.shape[1])
-    rms = np.sqrt(np.square(error[:, count]).mean(axis=(0, 1)))
-    return Errors(accuracy(error, nees, axes=axes), nees[:, count], rms)
+    counted = scored(nees.shape[1])
+    rms = np.sqrt(np.square(error[:, counted]).mean(axis=(0, 1)))
+    return Errors(accuracy(error, nees, axes=axes), nees[:, counted], rms)
 
 
 Cell = str | float | Interval

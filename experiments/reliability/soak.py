@@ -105,7 +105,7 @@ class Run(NamedTuple):
     """Episodes to run with damage and actions of their own.
 
     Attributes:
-        name: what and the how manieth it is.
+        name: its number, scenario and radio, for messages.
         seeds: of the episodes.
         episodes: undamaged.
         rng: for the rest.

@@ -1,6 +1,7 @@
-"""When to compile: not where plain Python is done sooner.
+"""Functions that are compiled only once the work they have to do is worth the compile time.
 
-A process that steps one environment a few hundred times would spend most of its time compiling.
+A process that steps one environment a few hundred times would spend most of its time compiling,
+so small amounts of work run as plain Python.
 """
 
 from collections.abc import Callable
@@ -10,14 +11,15 @@ from mmwave_env.compiler.disk_cache import compiled, is_compiled
 
 
 class LazyJit:
-    """A function that runs as plain Python until compiling it would have been quicker.
+    """A function that runs as plain Python until it has done a given amount of work.
 
-    What it calls has to run both ways, as ``numba.extending.register_jitable`` makes it.
+    After that, or as soon as its compiled form is found on disk, the compiled form runs. What the
+    function calls must run both ways, as ``numba.extending.register_jitable`` makes it.
 
     Args:
         function: what to run.
-        plain_work: how much work a process does as plain Python, if it does not find the function
-            on disk; in any unit, such as epochs.
+        plain_work: how much work a process does as plain Python before it compiles, if the
+            compiled function is not on disk yet; in any unit, such as epochs.
     """
 
     def __init__(self, function: Callable[..., Any], plain_work: int) -> None:
@@ -25,9 +27,9 @@ class LazyJit:
         self._left = plain_work
 
     def choice(self, work: int, *arguments: Any) -> Callable[..., Any]:
-        """The plain or the compiled function, for so much work with such arguments.
+        """The plain or the compiled function, for an amount of work with such arguments.
 
-        Choose once for work that is shared among threads.
+        Where threads share the work, choose once for all of them.
         """
         if work <= self._left and not is_compiled(self.compiled, arguments):
             self._left -= work
@@ -36,7 +38,7 @@ class LazyJit:
         return self.compiled  # type: ignore[no-any-return]
 
     def __call__(self, work: int, *arguments: Any) -> Any:
-        """Do so much work, whichever way is quicker."""
+        """Do an amount of work, as plain Python or compiled."""
         if not self._left:  # many steps come this way
             return self.compiled(*arguments)
         return self.choice(work, *arguments)(*arguments)

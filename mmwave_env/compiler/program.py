@@ -273,7 +273,7 @@ def _aim(targets, first, here, step, running, out, nowhere):  # type: ignore[no-
 
 @register_jitable  # type: ignore[untyped-decorator]
 def _announce(first, end, table, length, epoch):  # type: ignore[no-untyped-def]
-    """Have the next epochs of some tracks come nearer."""
+    """Prefetch the next epochs of some tracks into the caches."""
     for e in range(first, end):
         if epoch[e] < length[e]:
             for byte in range(0, table.strides[1], LINE):
@@ -298,7 +298,10 @@ def advance(  # type: ignore[no-untyped-def]
     obs_rows,
     observations,
 ):
-    """Run the tracks of blocks ``begin`` to ``end``; the number returned means nothing.
+    """Run the tracks of blocks ``begin`` to ``end``.
+
+    Ignore the number that is returned. It is there because the compiler would otherwise drop the
+    reads that bring rows into the caches.
 
     A program reads its rows in an order that no prefetcher guesses. Where the blocks of all
     environments do not fit into the near caches, touching the rows in order first halves its time.

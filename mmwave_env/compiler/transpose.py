@@ -1,8 +1,9 @@
-"""Numbers between tables, where those of an environment lie side by side, and blocks of lanes.
+"""Transposes between tables and blocks of lanes.
 
-Compiled code moves eight by eight numbers at a time and turns them in registers; one after the
-other they would take as long as an EKF. Every environment is somewhere else, so addresses say
-where its numbers are.
+In a table the numbers of one environment are contiguous; in a block each lane holds one
+environment. Compiled code moves eight by eight numbers at a time and transposes them in registers;
+one at a time they would take as long as an EKF. The environments of a block may be anywhere in a
+table, so each is given by its address.
 """
 
 import ctypes
@@ -116,7 +117,7 @@ def _compiled_scatter(kind: ir.Type) -> Callable[..., Any]:
 
 
 def prefetch(address: int) -> None:
-    """Have the line of the cache that an address is in come nearer."""
+    """Prefetch the cache line that contains an address."""
 
 
 @overload(prefetch)  # type: ignore[untyped-decorator]

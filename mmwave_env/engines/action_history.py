@@ -1,4 +1,4 @@
-"""Which modes N environments chose lately."""
+"""The modes that N environments chose in their latest steps."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -9,9 +9,9 @@ Modes = NDArray[np.unsignedinteger]
 
 
 class ActionHistory:
-    """The modes of the last T steps of N environments, a row a step.
+    """A ring buffer of the modes of the last T steps of N environments, one row per step.
 
-    All environments step at once, so an episode that took some steps took the last ones.
+    All environments step together, so an episode of k steps so far used the last k rows.
 
     Args:
         n: number of environments.
@@ -19,7 +19,7 @@ class ActionHistory:
 
     Attributes:
         rows: (T, n) modes.
-        turn: the row of the next step, whose modes are to be written there.
+        turn: the row that the modes of the next step are to be written to.
     """
 
     def __init__(self, n: int, modes: int) -> None:
@@ -27,7 +27,7 @@ class ActionHistory:
         self.turn = 0
 
     def make_room(self, steps: int) -> None:
-        """Let T be at least so many steps; what is known stays known."""
+        """Make T at least this many steps; the modes stored so far are kept."""
         known = len(self.rows)
         if steps > known:
             longer = np.zeros((steps, self.rows.shape[1]), self.rows.dtype)
@@ -35,20 +35,20 @@ class ActionHistory:
             self.rows = longer
 
     def next(self) -> None:
-        """The modes of a step are written."""
+        """Go on to the next row, once the modes of a step are written."""
         self.turn = (self.turn + 1) % len(self.rows)
 
     def of(self, places: Index, steps: int) -> Modes:
-        """The modes (places, steps) of the last steps, at most T, in some environments."""
+        """The modes (places, steps) of the last steps, at most T, of some environments."""
         rows = self._last(steps) % len(self.rows)
         return np.ascontiguousarray(self.rows[:, places][rows].T)
 
     def all(self) -> Modes:
-        """The modes (T, n) of the last steps, oldest first; those before the first one are 0."""
+        """The modes (T, n) of the last T steps, oldest first; 0 where there was no step yet."""
         return self.rows[self._last(len(self.rows)) % len(self.rows)]
 
     def set_all(self, modes: Modes) -> None:
-        """Know what :meth:`all` gave."""
+        """Restore the modes (T, n) that :meth:`all` returned."""
         self.rows, self.turn = modes.astype(self.rows.dtype), 0
 
     def _last(self, steps: int) -> Index:

@@ -102,11 +102,14 @@ def observe(t: Traveler) -> Traveler:
 
 
 def wanted_acceleration(t: Traveler) -> Number:
-    """Towards the target, and down to what is ahead, in m/s^2.
+    """The acceleration a traveler asks for, m/s^2: to its target speed, or down for what is ahead.
 
-    A crossing where the way turns is a limit of v_c^2 = lateral acceleration times radius, a red
-    light one of 0 a meter before the crossing. Braking at b over d meters from v reaches v_c with
-    v^2 = v_c^2 + 2 b d; half of that is aimed at, and where the rest runs out, what is needed.
+    Two things ahead limit the speed. A turn at a crossing limits it to v_c with v_c^2 = lateral
+    acceleration times radius; a red light limits it to v_c = 0 one meter before the crossing.
+    Braking at b over a distance d goes from v down to v_c with v^2 = v_c^2 + 2 b d. Travelers plan
+    with half of their b, so the speed they aim at is v^2 = v_c^2 + b d. The braking that v needs,
+    (v^2 - v_c^2) / 2 d, counts d without what is traveled until the braking has built up; where it
+    exceeds 0.7 b, they brake as hard as needed, up to b.
     """
     left, turns = t.stretch - t.traveled, t.arc > 0.0
     beyond = left + t.block - where(abs(t.turn_after) > 0.5, t.radius, 0.0)

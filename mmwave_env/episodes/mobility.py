@@ -70,9 +70,9 @@ class Mobility:
 
     Attributes:
         name: of the scenario.
-        phases: in order of time; the first of a last-and-first pair also ends the episode.
-        blocks: how many times finer than the streets' blocks the crossings lie.
-        ends_as_it_began: whether the first phase returns at the end.
+        phases: in order of time.
+        blocks: how many times closer together the crossings are than the streets' blocks say.
+        ends_as_it_began: whether the episode ends with its first phase again.
     """
 
     name: str
