@@ -31,7 +31,10 @@ class Gate(NamedTuple):
 
 
 def innovation_statistics(group: Group, V: Matrix, latents: Latents) -> tuple[Number, Number]:
-    """NIS and determinant of a group's innovation covariance S at the prior."""
+    """NIS y' S^-1 y and determinant of S, a group's innovation covariance, at the prior.
+
+    S is V cov(eta) V' + R in latents; H P H' + R stands in ``tests/filters/textbook.py``.
+    """
     shift = [latents.shift(row) for row in V]
     variance = latents.variance
 

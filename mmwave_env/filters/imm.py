@@ -1,7 +1,8 @@
 """Interacting multiple models: all modes at once, weighed by how well they explain the data.
 
 Blom and Bar-Shalom 1988; Bar-Shalom, Li and Kirubarajan 2001, Sec. 11.6.6. The modes are
-the same pipelines that an agent switches between, each with its own gates and scaling.
+the same pipelines that an agent switches between, each with its own gates and scaling. With
+matrices, as there, it stands in ``tests/filters/test_imm.py`` (``textbook_imm``).
 """
 
 from collections.abc import Sequence

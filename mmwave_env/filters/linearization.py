@@ -14,7 +14,9 @@ Only columns 0 to 2 of L move the position, so latents are kept in the order
 [xi_0..2, kappa, xi_3..6]: the links depend on the first 3 + len(kappa) alone.
 
 Source: Julier and Uhlmann 2004, Sec. IV (scaled sigma points as in van der Merwe 2004).
-The cubature filter (Arasaratnam and Haykin 2009) is alpha = 1, beta = 0, kappa = 0.
+The cubature filter (Arasaratnam and Haykin 2009) is alpha = 1, beta = 0, kappa = 0. The textbook
+forms, with points and weights, stand in ``tests/filters/textbook.py`` (``tangent``, ``unscented``,
+``cubature``).
 """
 
 from collections.abc import Sequence

@@ -1,4 +1,8 @@
-"""The measurement update shared by EKF, UKF and CKF (paper, Sec. III-C)."""
+"""The measurement update shared by EKF, UKF and CKF (paper, Sec. III-C).
+
+It runs in a reduced form that is exact. The form everyone knows, K = P H' S^-1 with all rows at
+once, stands in ``tests/filters/textbook.py``; ``tests/filters/test_update.py`` compares the two.
+"""
 
 from collections.abc import Callable
 from typing import NamedTuple
@@ -96,7 +100,10 @@ def update(
     so they add up to a small information matrix B over those latents, with posterior
     covariance B^-1; the rows that see the velocity follow one by one. The new covariance is
     L B^-1 L' + sum over free columns L_j L_j' - sum gain c c', a sum of squares but for
-    those last scalar rows. It equals the textbook update with all rows at once.
+    those last scalar rows.
+
+    It equals the textbook update with all rows at once, K = P H' S^-1, x + K y, P - K S K', which
+    stands in ``tests/filters/textbook.py`` (``update``).
 
     Args:
         x: (7,) prior mean.

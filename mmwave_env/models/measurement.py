@@ -193,7 +193,8 @@ def link_group(x: Vector, anchor: Vector, z: Vector, variance: Vector) -> Group:
 
     Azimuths of arrival and departure (which differ by pi, paper Sec. II-B) are two looks at
     one bearing; fused, they are one row with variance ra rd / (ra + rd). What fusing drops
-    is their disagreement, with variance ra + rd, which no state explains.
+    is their disagreement, with variance ra + rd, which no state explains. All four rows stand in
+    ``tests/filters/textbook.py`` (``Sensor``).
     """
     d = [x[i] - anchor[i] for i in range(3)]
     distance, azimuth, elevation = direction(d)
