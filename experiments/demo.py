@@ -1,4 +1,4 @@
-"""mmwave-loc demo: the tables of README and docs/results.md, simulated and ray-traced."""
+"""mmwave-loc demo: the tables of docs/results.md, on simulated and on ray-traced streets."""
 
 from dataclasses import dataclass
 from pathlib import Path

@@ -1,59 +1,106 @@
-"""What the README shows works as shown."""
+"""What the README shows works as shown, and its figures are those of the commands it names."""
 
+import os
 import re
-import shlex
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
 
-from tests.cli import succeed
-from tests.paths import ROOT
+from experiments.demo import SHOWN
+from tests.paths import ROOT, shortened
 
-README = (ROOT / "README.md").read_text()
+README = (ROOT / "README.md").read_text(encoding="utf-8")
+RESULTS = (ROOT / "docs" / "results.md").read_text(encoding="utf-8")
+(EXAMPLE,) = re.findall(r"```python\n(.*?)```", README, re.DOTALL)
+
+
+def test_it_is_read_in_a_minute():
+    assert len(README.splitlines()) <= 110
+    assert len([line for line in EXAMPLE.splitlines() if line]) <= 16
+
+
+# --- the training example
 
 
 @pytest.mark.torch
-def test_training_example_runs(capsys: pytest.CaptureFixture[str]) -> None:
+@pytest.mark.filterwarnings("ignore:speed .* is outside the design window")
+def test_the_training_example_runs(capsys):
     pytest.importorskip("stable_baselines3")
-    (example,) = re.findall(r"```python\n(import gymnasium.*?)```", README, re.DOTALL)
-    short, count = re.subn(r"total_timesteps=[\d_]+", "total_timesteps=2_000", example)
-    assert count == 1
-    exec(compile(short, "README.md", "exec"), {})
-    ate_m, mean_nees = (float(word) for word in capsys.readouterr().out.split())
-    assert 0.1 < ate_m < 100.0
-    assert mean_nees > 0.0
+    exec(compile(shortened(EXAMPLE), "README.md", "exec"), {})
+    shown = [row.split(" | ")[0] for row in capsys.readouterr().out.splitlines() if "±" in row]
+    assert shown == ["| mine", "| fixed-ukf", "| speed-rule", "| imm"]
 
 
-def test_links_lead_somewhere() -> None:
-    for target in re.findall(r"\]\(([^)#]+)\)", README):
-        if "://" not in target:
-            assert (ROOT / target).exists(), target
+@pytest.mark.slow
+@pytest.mark.torch
+def test_the_training_example_learns_something():
+    """Trained with other seeds it gained 0.046 to 0.061 on fixed-ukf, so 0.02 is no matter of luck."""
+    pytest.importorskip("stable_baselines3")
+    done = subprocess.run(
+        [sys.executable, "-c", EXAMPLE],
+        env=os.environ | {"PYTHONPATH": str(ROOT)},
+        capture_output=True,
+        text=True,
+    )
+    assert done.returncode == 0, done.stderr
+    policies, paired = done.stdout.split("Paired differences")
+    (header,) = re.findall(r"^\| reward of \| (.*) \|$", paired, re.MULTILINE)
+    (gains,) = re.findall(r"^\| mine \| (.*) \|$", paired, re.MULTILINE)
+    cells = zip(header.split(" | "), gains.split(" | "), strict=True)
+    gain = {name: float(cell.split()[0]) for name, cell in cells}
+    assert gain["minus fixed-ukf"] >= 0.02, policies
+    assert gain["minus speed-rule"] >= 0.02, policies
 
 
-def numbers(text: str) -> list[float]:
-    """Every number of the tables in a text, in order."""
-    rows = [line for line in text.splitlines() if line.startswith("| ")]
+# --- results
+
+
+def tables(text: str) -> dict[str, list[str]]:
+    """Rows of the policies' tables by the place in their titles."""
+    found = {}
+    for part in re.split(r"^### ", text, flags=re.MULTILINE)[1:]:
+        rows = part.split("Paired differences")[0].splitlines()
+        found[part.split(",")[0]] = [row for row in rows if row.startswith("| ")]
+    return found
+
+
+def numbers(rows: list[str]) -> list[float]:
+    """Every number of the rows of tables, in order."""
     return [float(n) for row in rows for n in re.findall(r"-?\d+(?:\.\d+)?", row)]
 
 
-def test_localizing_the_sample_prints_what_is_shown(tmp_path: Path) -> None:
-    (command,) = re.findall(r"```\nmmwave-loc (localize .*?)\n```", README, re.DOTALL)
-    words = shlex.split(command.replace("\\\n", " "))
-    for name in ("track.tum", "track.png"):
-        words[words.index(name)] = str(tmp_path / name)
-    made = succeed(*words)
-    shown = README.split("<!-- localize:")[1].split("-->\n", 1)[1].split("<!-- end of localize")[0]
-    made = made.split("Written:")[0]
-    assert re.sub(r"\d", "", made).split() == re.sub(r"\d", "", shown).split()
-    assert numbers(shown) == pytest.approx(numbers(made), abs=0.002)
-    assert (tmp_path / "track.png").exists()
+def test_the_table_is_that_of_the_results():
+    shown = README.split("<!-- table: six rows")[1].split("<!-- end of table")[0]
+    header, *rows = tables(RESULTS)["mixed"]
+    picked = [row for row in rows if row.split(" | ")[0][2:] in SHOWN]
+    assert [row for row in shown.splitlines() if row.startswith("| ")] == [header, *picked]
 
 
-def test_speeds_are_those_of_the_page() -> None:
+@pytest.mark.slow
+def test_the_results_are_those_of_the_demo(tmp_path: Path):
+    command = [sys.executable, "-m", "experiments.demo", "--out", str(tmp_path)]
+    told = subprocess.run(command, check=True, capture_output=True, text=True, cwd=ROOT).stdout
+    made = (tmp_path / "tables.md").read_text(encoding="utf-8")
+    shown = RESULTS.split("<!-- tables:")[1].split("<!-- end of tables")[0]
+    assert [line for line in shown.splitlines() if line.startswith("###")] == [
+        line for line in made.splitlines() if line.startswith("###")
+    ]
+    rows = [[row for row in text.splitlines() if row.startswith("| ")] for text in (shown, made)]
+    assert [row.split(" | ")[0] for row in rows[0]] == [row.split(" | ")[0] for row in rows[1]]
+    # Another processor rounds otherwise, which a chaotic track can blow up to a few units of
+    # the last digit shown; anything that changes an episode or a filter moves far more.
+    assert numbers(rows[0]) == pytest.approx(numbers(rows[1]), rel=0.02, abs=0.002)
+    for place, six in tables(told).items():
+        assert [row.split(" | ")[0][2:] for row in six] == ["policy", *SHOWN]
+        assert set(six) <= set(tables(made)[place])
+    assert str(tmp_path / "tables.md") in told and str(tmp_path / "mixed.json") in told
+
+
+def test_speeds_are_those_of_the_page():
     """To the two digits that "about" promises."""
-    page = (ROOT / "docs" / "performance.md").read_text()
+    page = (ROOT / "docs" / "performance.md").read_text(encoding="utf-8")
     table = page.split("<!-- table: Ratios -->")[1].split("<!-- end -->")[0]
     (said,) = re.findall(
         r"makes about (\d+) times.*1024 about (\d+) times with one thread and (\d+) times with two",
@@ -64,17 +111,3 @@ def test_speeds_are_those_of_the_page() -> None:
     for number, name in zip(said, names, strict=True):
         (median,) = re.findall(rf"^\| {name} \| ([\d.,]+) ", table, re.MULTILINE)
         assert float(number) == pytest.approx(float(median.replace(",", "")), rel=0.05), name
-
-
-@pytest.mark.slow
-def test_tables_are_those_of_the_demo(tmp_path: Path) -> None:
-    command = [sys.executable, "-m", "experiments.demo", "--out", str(tmp_path)]
-    subprocess.run(command, check=True, capture_output=True, cwd=ROOT)
-    made = (tmp_path / "tables.md").read_text()
-    shown = README.split("<!-- tables:")[1].split("<!-- end of tables")[0]
-    assert [line for line in shown.splitlines() if line.startswith("###")] == [
-        line for line in made.splitlines() if line.startswith("###")
-    ]
-    # Another processor rounds otherwise, which a chaotic track can blow up to a few units of
-    # the last digit shown; anything that changes an episode or a filter moves far more.
-    assert numbers(shown) == pytest.approx(numbers(made), rel=0.02, abs=0.002)

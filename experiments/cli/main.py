@@ -23,7 +23,7 @@ COMMANDS = {
     "tune-imm": "the best transition and process noise of IMMs, on tuning seeds",
     "benchmark": "steps per second beside filterpy's and the core's limit, memory, first step",
     "simulate": "one episode as files: measurement log, scene and truth",
-    "demo": "the comparison of the README, on simulated and ray-traced streets",
+    "demo": "the tables of docs/results.md, on simulated and ray-traced streets",
 }
 STUDIES = {  # of a checkout: the installed package goes without them
     "ablate": ("experiments.learning.ablate", "trainings with one thing changed at a time"),

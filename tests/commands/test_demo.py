@@ -1,0 +1,36 @@
+"""What the demo prints and writes."""
+
+import json
+
+import numpy as np
+
+from experiments import demo
+from experiments.evaluation.comparison import compare_scores
+from mmwave_env.metrics import METRICS
+
+
+def test_six_rows_a_place_are_printed_and_everybody_is_written(tmp_path, monkeypatch, capsys):
+    def results(args, names):
+        rng = np.random.default_rng(0)
+        scores = {name: {m: rng.normal(size=3) for m in METRICS} for name in names}
+        scenario = args.data or "mixed"
+        what = {"radio": args.radio, "episodes": args.episodes, "seed": args.seed}
+        found = compare_scores(scores, scenario=scenario, **what)
+        return found, str(found), found.json
+
+    monkeypatch.setattr(demo, "results", results)
+    demo.main(demo.Args(out=tmp_path, json=tmp_path / "all.json"))
+    shown = capsys.readouterr().out
+    rows = [line.split(" | ")[0][2:] for line in shown.splitlines() if "±" in line]
+    places = ["mixed", "canyon28_pedestrian", "canyon28_vehicle"]
+    assert rows == [*demo.SHOWN] * len(places)
+    assert "Paired" not in shown and str(tmp_path / "tables.md") in shown
+    written = (tmp_path / "tables.md").read_text()
+    everyone = demo.EpisodeArgs().contenders()
+    assert len(everyone) > len(demo.SHOWN) and f"All {len(everyone)} policies" in shown
+    assert all(written.count(f"\n| {name} |") == 2 * len(places) for name in everyone)
+    together = json.loads((tmp_path / "all.json").read_text())
+    for place in places:
+        assert str(tmp_path / f"{place}.json") in shown
+        assert together[place] == json.loads((tmp_path / f"{place}.json").read_text())
+        assert list(together[place]["policies"]) == list(everyone)
