@@ -5,11 +5,11 @@ import math
 
 import pytest
 
-from .golden import write
-from .golden.comparison import ADVICE, differences, machine, message
-from .golden.text import GENERATOR, cells
-from .golden.traces import KINDS
-from .golden.write import FOLDER, MACHINE, changes, read, same_machine
+from tests.golden import write
+from tests.golden.comparison import ADVICE, differences, machine, message
+from tests.golden.text import GENERATOR, cells
+from tests.golden.traces import KINDS
+from tests.golden.write import FOLDER, MACHINE, changes, read, same_machine
 
 TRACE = "track-ekf.canyon28_vehicle.csv"
 ROLLOUTS = sorted(FOLDER.glob("rollout-*.csv"))

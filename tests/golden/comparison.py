@@ -15,7 +15,7 @@ import numba
 import numpy as np
 import scipy
 
-from .text import GENERATOR, cells
+from tests.golden.text import GENERATOR, cells
 
 TOLERANCE, OBSERVATION_TOLERANCE = 1e-9, 1e-5
 SHOWN = 5  # differences in a message

@@ -6,7 +6,7 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 
-from .text import table, word
+from tests.golden.text import table, word
 
 ID = "mmwave_env:MmWaveLoc-v0"
 ENVS = 3  # of a vector environment

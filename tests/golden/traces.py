@@ -32,9 +32,8 @@ from mmwave_env.models.radio import radio_from
 from mmwave_env.models.scene import read_scene
 from mmwave_env.numerics.pytree import unflatten
 from mmwave_env.reward import TrackingReward
-
-from .rollouts import ROLLOUTS, rollout
-from .text import table
+from tests.golden.rollouts import ROLLOUTS, rollout
+from tests.golden.text import table
 
 Files = dict[str, str]
 

@@ -6,9 +6,9 @@ import time
 from collections.abc import Sequence
 from pathlib import Path
 
-from .comparison import ADVICE, differences, machine, message
-from .text import cells
-from .traces import KINDS, Files
+from tests.golden.comparison import ADVICE, differences, machine, message
+from tests.golden.text import cells
+from tests.golden.traces import KINDS, Files
 
 FOLDER = Path(__file__).parent
 MACHINE = "machine.txt"
