@@ -5,7 +5,7 @@ BIN := .venv/bin
 TORCH := $(shell grep '^torch==' constraints.txt)
 OLDEST_GYMNASIUM := $(shell sed -n 's/.*"gymnasium>=\([0-9.]*\),.*/gymnasium==\1/p' pyproject.toml)
 
-.PHONY: help demo test test-slow golden lint format types coverage gymnasium-oldest clean
+.PHONY: help demo test test-slow coverage golden lint format types types-base gymnasium-oldest clean
 
 help: ## list these targets
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "make %-18s %s\n", $$1, $$2 }' Makefile
@@ -13,8 +13,11 @@ help: ## list these targets
 demo: .venv/.base ## compare every policy; prints six of them and writes all to results/
 	$(BIN)/mmwave-loc demo
 
+# Tests of a file share what they compile, so a file stays with one process.
+FAST := $(BIN)/python -m pytest -m "not slow" -n auto --dist loadfile
+
 test: .venv/.dev ## all tests but the slow ones
-	$(BIN)/python -m pytest -m "not slow" -n auto --cov --cov-report=
+	$(FAST)
 
 test-slow: .venv/.dev ## the slow tests, one at a time
 	$(BIN)/python -m pytest -m slow --durations=5
@@ -22,25 +25,30 @@ test-slow: .venv/.dev ## the slow tests, one at a time
 golden: .venv/.dev ## write tests/golden anew, after a change that is to move numbers
 	$(BIN)/python -m tests.golden.write
 
-lint: .venv/.dev ## ruff: rules and formatting
-	$(BIN)/ruff check .
-	$(BIN)/ruff format --check .
+coverage: .venv/.dev ## the same tests, and the lines and branches they miss; 90 % must be covered
+	$(FAST) --cov --cov-report=
+	$(BIN)/coverage report --fail-under=90
 
-format: .venv/.dev ## ruff: sort imports and format
-	$(BIN)/ruff check --select I --fix .
-	$(BIN)/ruff format .
+lint: .venv-lint/.ready ## ruff: rules and formatting
+	.venv-lint/bin/ruff check .
+	.venv-lint/bin/ruff format --check .
+
+format: .venv-lint/.ready ## ruff: sort imports and format
+	.venv-lint/bin/ruff check --select I --fix .
+	.venv-lint/bin/ruff format .
+
+types-base: .venv-lint/.ready ## mypy without PyTorch, whose types are then unknown: quick to set up
+	.venv-lint/bin/mypy --allow-subclassing-any --allow-untyped-decorators --no-warn-return-any \
+		--no-warn-redundant-casts mmwave_env policies experiments
 
 types: .venv/.dev ## mypy, strict
 	$(BIN)/mypy mmwave_env policies experiments
-
-coverage: test ## lines and branches that `make test` missed; at least 90 % must be covered
-	$(BIN)/coverage report --fail-under=90
 
 gymnasium-oldest: .venv-oldest/.ready ## the environment on the oldest Gymnasium supported
 	.venv-oldest/bin/python -m pytest -m "not slow and not torch" tests/test_env.py tests/test_vector_env.py
 
 clean: ## remove environments, caches and build outputs; results/ and runs/ stay
-	rm -rf .venv .venv-oldest build dist *.egg-info .coverage .coverage.* coverage.xml
+	rm -rf .venv .venv-lint .venv-oldest build dist *.egg-info .coverage .coverage.* coverage.xml
 	rm -rf .pytest_cache .mypy_cache .ruff_cache .hypothesis
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +
 
@@ -54,6 +62,13 @@ clean: ## remove environments, caches and build outputs; results/ and runs/ stay
 	@echo "Setting up .venv: PyTorch and what the tests need, about 1.3 GB more"
 	@$(BIN)/python -m pip install $(TORCH)
 	@$(BIN)/python -m pip install --quiet -c constraints.txt --editable '.[dev]'
+	@touch $@
+
+.venv-lint/.ready: pyproject.toml constraints.txt
+	@echo "Setting up .venv-lint: ruff, mypy and the base install"
+	@$(PYTHON) -m venv .venv-lint
+	@echo '*' > .venv-lint/.gitignore
+	@.venv-lint/bin/python -m pip install --quiet -c constraints.txt --editable '.[lint]'
 	@touch $@
 
 .venv-oldest/.ready: pyproject.toml constraints.txt
