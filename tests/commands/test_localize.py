@@ -26,7 +26,8 @@ from mmwave_env.localization.log import read_log, write_log
 from mmwave_env.localization.tum import read_tum, tum_lines
 from mmwave_env.models.radio import RADIOS
 from mmwave_env.models.scene import SCENES, read_scene
-from tests.paths import LOGS, ROOT
+from tests.cli import command, environment
+from tests.paths import LOGS
 
 WALK, RIDE = LOGS / "canyon28_pedestrian", LOGS / "canyon28_vehicle"
 EPOCHS = {WALK: 400, RIDE: 120}
@@ -58,21 +59,9 @@ def refused(capsys, arguments):
     return shown.out, line
 
 
-def environment():
-    path = os.pathsep.join([str(ROOT), os.environ.get("PYTHONPATH", "")])
-    return os.environ | {"PYTHONPATH": path, "COLUMNS": "200"}
-
-
 def child(arguments, **more):
     words = [sys.executable, "-m", "experiments.cli", "localize", *map(str, arguments)]
     return subprocess.Popen(words, env=environment(), text=True, **more)
-
-
-def piped(arguments, **more):
-    pipes = {"stdin": subprocess.DEVNULL, "stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
-    process = child(arguments, **(pipes | more))
-    out, err = process.communicate(timeout=100)
-    return process.returncode, out, err
 
 
 # --- the speed (Algorithm 1)
@@ -92,9 +81,11 @@ def test_a_speed_chooses_the_pipeline(folder, speed, mode):
 
 
 def test_above_the_design_window_the_ukf_runs_with_a_warning():
-    code, out, err = piped(options(RIDE / "log.csv", "--speed", "25", folder=RIDE))
-    assert code == 0 and "ukf 100.0 %" in out
-    assert re.fullmatch(r"warning: speed 25 m/s is outside the design window \(up to 20.*\n", err)
+    done = command("localize", *options(RIDE / "log.csv", "--speed", "25", folder=RIDE))
+    assert done.returncode == 0 and "ukf 100.0 %" in done.stdout
+    assert re.fullmatch(
+        r"warning: speed 25 m/s is outside the design window \(up to 20.*\n", done.stderr
+    )
 
 
 def test_above_the_design_window_the_command_may_stop(capsys, tmp_path):
@@ -122,8 +113,10 @@ def test_what_is_no_speed_is_refused(capsys, word):
 
 
 def test_without_a_terminal_the_option_is_named():
-    code, out, err = piped(options(WALK / "log.csv"))
-    assert code == 2 and out == "" and len(err.splitlines()) == 1
+    piped = {"stdin": subprocess.DEVNULL, "stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
+    process = child(options(WALK / "log.csv"), **piped)
+    out, err = process.communicate(timeout=100)
+    assert process.returncode == 2 and out == "" and len(err.splitlines()) == 1
     assert "--speed" in err and "--speed auto" in err
 
 
@@ -157,12 +150,15 @@ def test_on_a_terminal_the_prompt_asks_until_the_answer_is_a_speed():
         assert f"speed: found {word!r}, expected a number of m/s, at least 0" in screen
 
 
+@pytest.mark.slow
 def test_the_first_answer_may_be_right():
     code, screen = session([b"10\n"])
     assert code == 0 and screen.count(PROMPT) == 1 and "ukf 100.0 %" in screen
 
 
-@pytest.mark.parametrize("answers", [[b"\x04"], [b"slow\n", b"\x04"]])
+@pytest.mark.parametrize(
+    "answers", [pytest.param([b"\x04"], marks=pytest.mark.slow), [b"slow\n", b"\x04"]]
+)
 def test_the_end_of_the_input_ends_the_command(answers):
     code, screen = session(answers)
     assert code == 2 and "speed: found the end of the input, expected a number of m/s" in screen
@@ -170,8 +166,8 @@ def test_the_end_of_the_input_ends_the_command(answers):
 
 
 def test_files_are_looked_at_before_the_question():
-    code, _, err = piped(options("missing.csv"))
-    assert code == 2 and "missing.csv" in err and "speed" not in err
+    done = command("localize", *options("missing.csv"))
+    assert done.returncode == 2 and "missing.csv" in done.stderr and "speed" not in done.stderr
 
 
 # --- the figures
@@ -420,7 +416,12 @@ def test_folders_are_made_and_what_cannot_be_written_is_named(capsys, tmp_path):
     assert "found a folder, expected a file" in line
 
 
-@pytest.mark.parametrize("unbuffered", ["", "1"])
+buffered_or_not = pytest.mark.parametrize(
+    "unbuffered", ["", pytest.param("1", marks=pytest.mark.slow)]
+)
+
+
+@buffered_or_not
 def test_figures_are_written_when_nobody_reads_what_is_shown(tmp_path, unbuffered):
     file, (ours, theirs) = tmp_path / "figures.json", os.pipe()
     os.close(ours)
@@ -433,7 +434,7 @@ def test_figures_are_written_when_nobody_reads_what_is_shown(tmp_path, unbuffere
     assert json.loads(file.read_text())["epochs"] == 400
 
 
-@pytest.mark.parametrize("unbuffered", ["", "1"])
+@buffered_or_not
 def test_an_error_is_told_when_nobody_reads_what_is_shown(monkeypatch, tmp_path, unbuffered):
     monkeypatch.setenv("PYTHONUNBUFFERED", unbuffered)
     log, (ours, theirs) = tmp_path / "log.csv", os.pipe()
@@ -523,10 +524,10 @@ def test_a_truncated_archive_gives_the_track_up_to_there(capsys, tmp_path):
 def test_damaged_parquet_gives_the_track_up_to_there(capsys, tmp_path):
     parquet = pytest.importorskip("pyarrow.parquet")
     log, out = tmp_path / "log.parquet", tmp_path / "track.tum"
-    source = SimulatedSource(SCENES["street"], RADIOS["handset"], "pedestrian", epochs=20_000)
+    source = SimulatedSource(SCENES["street"], RADIOS["handset"], "pedestrian", epochs=5000)
     write_log(log, source.sample(np.random.default_rng(0)))
     table = parquet.read_table(log)
-    parquet.write_table(table, log, row_group_size=3000, write_page_checksum=True)
+    parquet.write_table(table, log, row_group_size=900, write_page_checksum=True)
     content = bytearray(log.read_bytes())
     content[len(content) // 2 : len(content) // 2 + 50] = bytes(50)
     log.write_bytes(content)

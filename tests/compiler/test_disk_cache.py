@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 
 import mmwave_env
+from mmwave_env.compiler import disk_cache
 
 SOURCES = {
     "__init__.py": "",
@@ -25,6 +26,11 @@ SCRIPT = """
 from mmwave_env.caller import function
 print(function(20), sum(function.stats.cache_hits.values()))
 """
+
+
+def representative(cases, *quick):
+    """All cases, those that are not named as slow: each takes some processes that import numba."""
+    return [case if case in quick else pytest.param(case, marks=pytest.mark.slow) for case in cases]
 
 
 @pytest.fixture
@@ -99,6 +105,36 @@ def test_an_edit_is_never_answered_by_old_code(package):
     assert run(package) == (42, 1)  # a version there was before
 
 
+PACKAGE = Path(mmwave_env.__file__).parent
+ROOMS = sorted({str(path.parent.relative_to(PACKAGE)) for path in PACKAGE.rglob("*.py")})
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory):
+    """A copy of all sources, with one folder more, deeper than any there is."""
+    folder = tmp_path_factory.mktemp("site") / "mmwave_env"
+    shutil.copytree(PACKAGE, folder, ignore=shutil.ignore_patterns("__pycache__", "data"))
+    (folder / "filters" / "own" / "deeper").mkdir(parents=True)
+    (folder / "filters" / "own" / "deeper" / "room.py").write_text("GAIN = 1.0\n")
+    return folder
+
+
+@pytest.mark.parametrize("room", [*ROOMS, "filters/own/deeper"])
+def test_an_edit_in_any_room_makes_a_new_version(whole, monkeypatch, room):
+    assert disk_cache._PACKAGE == PACKAGE  # where the rooms of the real one are
+    monkeypatch.setattr(disk_cache, "_PACKAGE", whole)
+    before = disk_cache._version()
+    assert before == disk_cache._version()
+    sources = sorted((whole / room).glob("*.py"))
+    assert sources
+    for path in sources:
+        source = path.read_bytes()
+        path.write_bytes(source + b"#")
+        assert disk_cache._version() != before, path
+        path.write_bytes(source)
+    assert disk_cache._version() == before
+
+
 def test_functions_lie_beside_the_bytecode_of_a_writable_package(package):
     run(package)
     assert [path.parent.parent for path in kept(package)] == [package / "__pycache__"]
@@ -121,7 +157,7 @@ READ_ONLY = {
 }
 
 
-@pytest.mark.parametrize("case", READ_ONLY)
+@pytest.mark.parametrize("case", representative(READ_ONLY, "a home", "no writable home"))
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="homes are elsewhere")
 def test_a_package_that_is_read_only_works(package, tmp_path, case):
     variables, hits = READ_ONLY[case]
@@ -144,7 +180,7 @@ def test_a_folder_that_vanishes_costs_no_more_than_a_compilation(package):
     assert not kept(package)
 
 
-@pytest.mark.parametrize("size", [0, 10, 32, 1000])
+@pytest.mark.parametrize("size", representative([0, 10, 32, 1000], 10))
 def test_a_damaged_file_is_made_anew(package, size):
     run(package)
     (file,) = kept(package)
@@ -300,7 +336,12 @@ def test_a_file_of_ours_is_trusted(package, tmp_path, planted):
 
 
 @posix
-@pytest.mark.parametrize("case", UNTRUSTED)
+@pytest.mark.parametrize(
+    "case",
+    representative(
+        UNTRUSTED, "a file of another user", "a folder all may write to", "a link to a file"
+    ),
+)
 def test_what_others_may_have_written_is_not_read(package, tmp_path, planted, case):
     script = (UNTRUSTED[case](planted) or "") + SCRIPT
     shared = str(planted.parent.parent)

@@ -274,6 +274,9 @@ OPTIONS = {
     "not adaptive": {"adaptive": False, "recovery": None},
     "recovery": {"sigma_v": 0.1, "sigma_p": 0.01},
 }
+ALL = ("ekf", "ukf", "ckf")
+# Tunings act before and after the algorithm, which compiles for long: one each is quick to see.
+ONE = dict(zip(OPTIONS, (ALL, *([ALL[i % 3]] for i in range(len(OPTIONS) - 1))), strict=True))
 KEPT = (
     "x", "P", "P_predicted", "memory", "candidates", "observation", "reward", "error", "nees",
     "memory.accepted", "memory.lockout",
@@ -296,22 +299,42 @@ def assert_same_tracks(a, b):
     np.testing.assert_array_equal(a["memory.accepted"], b["memory.accepted"])
 
 
-@pytest.mark.parametrize("tuning", OPTIONS.values(), ids=OPTIONS)
-def test_filters_on_lanes_equal_filters_on_floats(tuning):
+def compared(name, algorithms):
+    """Some tuning of these algorithms on lanes and on floats."""
     episodes = simulated(5, epochs=60)
-    actions = np.random.default_rng(0).integers(3, size=(60, 5))
-    actions[:, :3] = range(3)
-    lanes, floats_ = lanes_and_floats(pipeline_of(**tuning), episodes, actions)
+    actions = np.random.default_rng(0).integers(len(algorithms), size=(60, 5))
+    actions[:, : len(algorithms)] = range(len(algorithms))
+    pipeline = pipeline_of(algorithms=algorithms, **OPTIONS[name])
+    lanes, floats_ = lanes_and_floats(pipeline, episodes, actions)
     assert_same_tracks(lanes, floats_)
-    if tuning is OPTIONS["recovery"]:
+    if name == "recovery":
         assert lanes["memory.lockout"].max() > 2.0
 
 
-@pytest.mark.parametrize("planar", [False, True], ids=["hilly", "planar"])
-def test_odometry_on_lanes_equals_odometry_on_floats(planar):
+@pytest.mark.parametrize("name", OPTIONS)
+def test_filters_on_lanes_equal_filters_on_floats(name):
+    compared(name, ONE[name])
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", [name for name in OPTIONS if ONE[name] != ALL])
+def test_filters_switched_on_lanes_equal_filters_on_floats(name):
+    compared(name, ALL)
+
+
+@pytest.mark.parametrize(
+    ("algorithms", "planar"),
+    [
+        pytest.param(ALL, False, id="hilly"),
+        pytest.param(["ukf"], True, id="planar"),
+        pytest.param(ALL, True, id="planar, switched", marks=pytest.mark.slow),
+    ],
+)
+def test_odometry_on_lanes_equals_odometry_on_floats(algorithms, planar):
     episodes = simulated(3, epochs=60, odometry=True)
-    pipeline = pipeline_of(episodes[0].layout, planar=planar)
-    assert_same_tracks(*lanes_and_floats(pipeline, episodes, np.arange(3)))
+    pipeline = pipeline_of(episodes[0].layout, algorithms, planar)
+    actions = np.arange(3) % len(algorithms)
+    assert_same_tracks(*lanes_and_floats(pipeline, episodes, actions))
 
 
 def test_a_user_at_rest_with_odometry_starts_on_lanes_as_on_floats():
@@ -372,6 +395,7 @@ def test_the_stack_of_a_kernel_is_aligned():
     assert re.search(r"and[q]?\s+\$-64, %rsp", code)
 
 
+@pytest.mark.slow  # test_disk_cache.py shows it of small functions and of a file of every room
 def test_an_edited_source_is_never_answered_from_a_stale_cache(tmp_path):
     package = tmp_path / "mmwave_env"
     shutil.copytree(

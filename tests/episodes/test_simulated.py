@@ -10,11 +10,14 @@ import pytest
 
 from mmwave_env.compiler.rng import Generators
 from mmwave_env.episodes import simulated as simulation
+from mmwave_env.episodes.drawing import _draw
 from mmwave_env.episodes.episode import Episode, EpisodeBatch
 from mmwave_env.episodes.mobility import mobilities_of, plan_of
 from mmwave_env.episodes.simulated import CHUNK, SimulatedSource
+from mmwave_env.models.measurement import Layout
 from mmwave_env.models.radio import RADIOS
 from mmwave_env.models.scene import SCENES
+from mmwave_env.numerics.pytree import flatten, unflatten
 from tests.episodes.roads import trajectories
 from tests.filters.tracks import geometry
 
@@ -123,6 +126,53 @@ def test_a_seed_means_the_episode_of_the_plain_simulation(name):
         np.testing.assert_allclose(episode.site(), expected.site(), rtol=1e-12, atol=1e-12)
         tables = [wrapped(e.table(), source.layout) for e in (episode, expected)]
         np.testing.assert_allclose(*tables, rtol=1e-9, atol=1e-9)
+
+
+class Kinds:
+    """A generator whose draws tell their kind."""
+
+    NORMAL, UNIFORM, EXPONENTIAL = 1.0, 2.0, 3.0
+
+    def standard_normal(self):
+        return self.NORMAL
+
+    def random(self):
+        return self.UNIFORM
+
+    def standard_exponential(self):
+        return self.EXPONENTIAL
+
+
+NEEDED = {  # by the fields of Draws and of ChannelDraws
+    "truth": 0.0,  # is there before
+    "shadowing": Kinds.NORMAL,
+    "blockage": Kinds.UNIFORM,
+    "multipath": Kinds.UNIFORM,
+    "outage": Kinds.UNIFORM,
+    "blockage_range": Kinds.EXPONENTIAL,
+    "multipath_range": Kinds.EXPONENTIAL,
+    "blockage_angles": Kinds.NORMAL,
+    "multipath_angles": Kinds.NORMAL,
+    "detection": Kinds.UNIFORM,
+    "scatter": Kinds.NORMAL,
+    "floor": Kinds.NORMAL,
+    "noise": Kinds.NORMAL,
+    "drift": Kinds.NORMAL,
+}
+
+
+@pytest.mark.parametrize("layout", [Layout(1), Layout(3), Layout(3, odometry=True)], ids=str)
+def test_draws_fill_the_fields_that_need_their_kind(layout):
+    """The columns are filled in one file and named in another."""
+    blank = simulation._program(layout).template.draws
+    columns = np.zeros((4, len(flatten(blank))))
+    _draw(Kinds(), columns, layout.anchors, layout.size)
+    for epoch in columns:
+        draws = unflatten(blank, iter(epoch.tolist()))
+        fields = draws._asdict() | draws.channel._asdict()
+        del fields["channel"]
+        kinds = {name: set(flatten(field)) for name, field in fields.items()}
+        assert kinds == {name: {kind} for name, kind in NEEDED.items()}
 
 
 def seeded(n):

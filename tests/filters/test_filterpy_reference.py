@@ -10,7 +10,7 @@ from mmwave_env.filters.update import ekf
 from mmwave_env.models.measurement import Layout
 from tests.filters.tracks import assert_same_beliefs, pipeline_of, simulated, track, with_anchors
 
-EPOCHS = 200
+EPOCHS = 120
 TUNINGS = {
     "plain": {"gate": None, "adaptive": False},
     "adaptive": {"gate": None},
@@ -32,8 +32,22 @@ def both(pipeline, episodes, actions, what):
     ]
 
 
-@algorithms
-@pytest.mark.parametrize("tuning", TUNINGS.values(), ids=TUNINGS)
+def quick(algorithm, place):
+    """Whether a pair is tested fast: every tuning with one algorithm, every algorithm twice."""
+    return ("ekf", "ukf", "ckf")[place % 3] == algorithm
+
+
+@pytest.mark.parametrize(
+    ("algorithm", "tuning"),
+    [
+        pytest.param(
+            algorithm, tuning, id=f"{name}-{algorithm}",
+            marks=[] if quick(algorithm, place) else pytest.mark.slow,
+        )
+        for place, (name, tuning) in enumerate(TUNINGS.items())
+        for algorithm in ("ekf", "ukf", "ckf")
+    ],
+)  # fmt: skip
 def test_whole_episodes_agree(algorithm, tuning):
     pipeline = pipeline_of(algorithms=[algorithm], **tuning)
     kept = ("x", "P", "P_predicted", "memory", "observation", "memory.lockout")

@@ -168,7 +168,7 @@ def test_without_smoothing_the_track_is_the_filtered_one(block):
     np.testing.assert_array_equal(found.x, run([block]).x)
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=15, deadline=None)
 @given(sizes=st.lists(st.integers(1, T), min_size=1, max_size=5), window=st.integers(2, 300))
 def test_a_track_does_not_depend_on_the_blocks(folder, sizes, window):
     block = log(folder)

@@ -103,7 +103,14 @@ def test_a_widened_mode_may_be_anywhere_on_the_ground_at_any_velocity_along_it(p
     first = [replace(e, prior_mean=e.prior_mean * [1, 1, 1, 1, 1, 0, 1]) for e in simulated(2, 1)]
     plain, widened = (
         unpacked(
-            track(pipeline_of(planar=planar, **how), first, 0, 1, ("P_predicted",))["P_predicted"]
+            track(
+                pipeline_of(algorithms=["ekf"], planar=planar, **how),
+                first,
+                0,
+                1,
+                ("P_predicted",),
+                on_floats=True,
+            )["P_predicted"]
         )
         for how in ({}, {"widen_p": 3.0, "widen_v": 2.0})
     )

@@ -117,7 +117,7 @@ def read_or_refused(path, content):
         return None
 
 
-@settings(in_one_folder, max_examples=400)
+@settings(in_one_folder, max_examples=200)
 @given(st.integers(0, len(WHOLE) - 1), st.integers(1, 255))
 def test_a_damaged_byte_is_noticed_or_means_nothing(path, place, change):
     content = bytearray(WHOLE)
@@ -173,7 +173,7 @@ ANYTHING = st.recursive(
 )
 
 
-@settings(in_one_folder, max_examples=300)
+@settings(in_one_folder, max_examples=100)
 @given(st.sampled_from(sorted(asdict(CARD))), ANYTHING)
 def test_a_card_may_hold_anything_and_is_read_as_it_stands_or_refused(path, name, value):
     card = CARD.as_json() | {name: value}
@@ -182,7 +182,7 @@ def test_a_card_may_hold_anything_and_is_read_as_it_stands_or_refused(path, name
         assert json.dumps(found[1].as_json()[name]) == json.dumps(value)
 
 
-@settings(in_one_folder, max_examples=300)
+@settings(in_one_folder, max_examples=100)
 @given(st.dictionaries(st.sampled_from(["name", "algorithm", "sigma_p", "gate", "?"]), ANYTHING))
 def test_a_mode_may_hold_anything_and_is_read_as_it_stands_or_refused(path, mode):
     card = CARD.as_json()

@@ -300,7 +300,7 @@ def test_a_mistake_is_refused_before_a_folder_is_made(words, message, tmp_path, 
     assert not (tmp_path / "run").exists()
 
 
-@pytest.mark.parametrize("package", ["torch", "sb3_contrib"])
+@pytest.mark.parametrize("package", ["torch", pytest.param("sb3_contrib", marks=pytest.mark.slow)])
 def test_without_the_extra_it_says_what_to_install(package, tmp_path):
     code = (
         "import sys\n"
