@@ -7,12 +7,16 @@ a function that answers lanes otherwise than floats.
 """
 
 import inspect
+import linecache
 import math
-from collections.abc import Iterator
-from functools import lru_cache
+import os
+import sysconfig
+from collections.abc import Callable, Iterator
+from functools import lru_cache, partial
+from pathlib import Path
+from traceback import walk_tb
 from typing import Any, NamedTuple
 
-from mmwave_env.filters.custom_advice import Line, begin_of, instead, line_of
 from mmwave_env.filters.gating import Gate
 from mmwave_env.filters.modes import ALGORITHMS, Mode
 from mmwave_env.filters.update import Posterior
@@ -20,7 +24,7 @@ from mmwave_env.models.measurement import STATE_SIZE, Layout, Measurement, exact
 from mmwave_env.numerics.linalg import unpack
 from mmwave_env.numerics.numbers import Number
 from mmwave_env.numerics.pytree import flatten, unflatten
-from mmwave_env.numerics.tracer import FloatTracer, NoValueError, Tracer, reason, value_of
+from mmwave_env.numerics.tracer import FloatTracer, NoValueError, Tracer, value_of
 
 _LANES_KNOW = (
     "a number on lanes knows +, -, *, /, <, <=, >, >=, abs and the functions of "
@@ -28,8 +32,28 @@ _LANES_KNOW = (
 )
 
 
+_LIBRARIES = (
+    f"{Path(__file__).parents[1]}{os.sep}",
+    *(sysconfig.get_path(name) for name in ("stdlib", "purelib", "platlib")),
+    "<frozen ",
+)
+
+
 class AlgorithmError(TypeError):
     """A mode's own algorithm cannot run: where, why, and what to write instead."""
+
+
+class _Line(NamedTuple):
+    """A line of a user's function; ``function`` is its name."""
+
+    file: str
+    number: int
+    function: str
+
+    def __str__(self) -> str:
+        shown = f'  File "{self.file}", line {self.number}, in {self.function}'
+        text = linecache.getline(self.file, self.number).strip()
+        return f"{shown}\n    {text}" if text else shown
 
 
 class _Trial(NamedTuple):
@@ -97,8 +121,30 @@ def _check(mode: Mode, layout: Layout, known_axes: tuple[int, ...]) -> None:
         _require_same(mode, on_floats, on_lanes)
 
 
-def _error(mode: Mode, problem: str, line: Line | None, advice: str = "") -> AlgorithmError:
-    begin = begin_of(mode.update)
+def _begin_of(function: Callable[..., Any]) -> _Line | None:
+    """The line on which a function begins; None of one that was not written in Python."""
+    while isinstance(function, partial):
+        function = function.func
+    code = getattr(function, "__code__", getattr(type(function).__call__, "__code__", None))
+    return None if code is None else _Line(code.co_filename, code.co_firstlineno, code.co_name)
+
+
+def _line_of(error: BaseException, function: Callable[..., Any]) -> _Line | None:
+    """The innermost line of the user's in an error's traceback.
+
+    It is in the function's own file, or in another that is no part of a library.
+    """
+    begin = _begin_of(function)
+    found = None
+    for frame, number in walk_tb(error.__traceback__):
+        file = frame.f_code.co_filename
+        if (begin and file == begin.file) or not file.startswith(_LIBRARIES):
+            found = _Line(file, number, frame.f_code.co_name)
+    return found
+
+
+def _error(mode: Mode, problem: str, line: _Line | None, advice: str = "") -> AlgorithmError:
+    begin = _begin_of(mode.update)
     name = repr(mode.update) if begin is None else begin.function
     parts = [f"algorithm {name} of mode {mode.name!r} {problem}", line and str(line), advice]
     # Gymnasium appends the arguments of the environment to a message: let them begin a line.
@@ -106,7 +152,7 @@ def _error(mode: Mode, problem: str, line: Line | None, advice: str = "") -> Alg
 
 
 def _wrong_return(mode: Mode, found: str) -> AlgorithmError:
-    return _error(mode, f"returned {found}", begin_of(mode.update))
+    return _error(mode, f"returned {found}", _begin_of(mode.update))
 
 
 def _require_signature(mode: Mode) -> None:
@@ -118,7 +164,7 @@ def _require_signature(mode: Mode) -> None:
         signature.bind("x", "P", "measurement", "gate")
     except TypeError:
         problem = f"takes {signature}, expected (x, P, measurement, gate)"
-        raise _error(mode, problem, begin_of(mode.update)) from None
+        raise _error(mode, problem, _begin_of(mode.update)) from None
 
 
 def _run(mode: Mode, layout: Layout, known_axes: tuple[int, ...], trial: _Trial) -> Any:
@@ -131,19 +177,18 @@ def _run(mode: Mode, layout: Layout, known_axes: tuple[int, ...], trial: _Trial)
     try:
         result = mode.update(*arguments, gate)
     except NoValueError as refusal:
-        line = line_of(refusal, mode.update)
-        advice = f"{reason(refusal.asked)}:\n{instead(refusal.asked, line)}"
-        raise _error(mode, "cannot run on lanes", line, advice) from None
+        line = _line_of(refusal, mode.update)
+        raise _error(mode, "cannot run on lanes", line, str(refusal)) from None
     except Exception as error:
         advice = f"{type(error).__name__}: {error}"
         if isinstance(force, FloatTracer) and isinstance(error, TypeError | AttributeError):
             advice = f"{advice}\n{_LANES_KNOW}"
-        raise _error(mode, "failed on trial", line_of(error, mode.update), advice) from error
+        raise _error(mode, "failed on trial", _line_of(error, mode.update), advice) from error
     for name, argument, old in zip(("x", "P", "measurement"), arguments, before, strict=True):
         new = flatten(argument)
         if len(new) != len(old) or any(a is not b for a, b in zip(new, old, strict=True)):
             problem = f"changed its argument {name}, expected it to be left as it is"
-            raise _error(mode, problem, begin_of(mode.update))
+            raise _error(mode, problem, _begin_of(mode.update))
     return result
 
 

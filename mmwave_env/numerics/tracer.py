@@ -14,25 +14,19 @@ from mmwave_env.numerics import numbers
 
 
 class NoValueError(TypeError):
-    """A function asked a number for its value.
-
-    Attributes:
-        asked: what it asked for, a key of ``REFUSALS``.
-    """
-
-    def __init__(self, message: str, asked: str = "") -> None:
-        super().__init__(message)
-        self.asked = asked
+    """A function asked a number for its value; the message says what to write instead."""
 
 
-REFUSALS = {  # what was asked for: what that is, and what to write instead
-    "truth": ("a branch", "where(condition, a, b)"),
-    "value": (
-        "a float",
-        "the functions of mmwave_env.numerics.numbers, without float(...) and math",
+_NUMBERS = "mmwave_env.numerics.numbers"
+_REFUSALS = {  # what was asked for: what that is, and what to write instead
+    "truth": (
+        "a branch",
+        "where(condition, a, b) for if and while, & and | for and and or, and maximum(a, b) and "
+        f"minimum(a, b) for max and min, all of {_NUMBERS}",
     ),
+    "value": ("a float", f"the functions of {_NUMBERS}, without float(...) and math"),
     "integer": ("an integer", "a constant that is known before the function runs"),
-    "numpy": ("numpy", "lists, mmwave_env.numerics.numbers and mmwave_env.numerics.linalg"),
+    "numpy": ("numpy", f"lists, {_NUMBERS} and mmwave_env.numerics.linalg"),
     "equality": ("a comparison by == or !=", "where(abs(a - b) < tolerance, ...)"),
     "power": ("a power", "a * a for a ** 2, sqrt(a) for a ** 0.5, exp(p * log(a)) for a ** p"),
     "remainder": ("a remainder", "wrap(a) for angles, where(a > b, a - b, a) for one period"),
@@ -44,13 +38,11 @@ REFUSALS = {  # what was asked for: what that is, and what to write instead
 }
 
 
-def reason(asked: str) -> str:
-    """Why there is no answer."""
-    return f"{REFUSALS[asked][0]} needs the value of a number that stands for 8 environments"
-
-
 def _refuse(asked: str) -> NoReturn:
-    raise NoValueError(f"{reason(asked)}: write {REFUSALS[asked][1]} instead", asked)
+    what, instead = _REFUSALS[asked]
+    raise NoValueError(
+        f"{what} needs the value of a number that stands for 8 environments:\n  write {instead}"
+    )
 
 
 def _refusing(asked: str) -> Any:

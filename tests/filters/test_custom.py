@@ -34,59 +34,20 @@ def mine(x, P, measurement, gate):
 AFTER = "\n    return ekf(x, P, measurement, gate)\n"
 LINE = BEFORE.count("\n") + 1
 WHERE = "write where(condition, a, b)"
-MAXIMUM = "instead of max write mmwave_env.numerics.numbers.maximum(a, b)"
-ROOT = "write mmwave_env.numerics.numbers.sqrt"
 REFUSED = {
-    "if a > 0.0: b = a": ("a branch", f"instead of if {WHERE}"),
-    "c = a if a > b else b": ("a branch", f"instead of if {WHERE}"),
-    "c = [v for v in x if v > 0.0]": ("a branch", f"instead of if {WHERE}"),
-    "while b > 1.0: b = b / 2.0": ("a branch", "instead of while write a for loop over a constant"),
-    "assert b > 0.0": ("a branch", "instead of assert write nothing"),
-    "c = where(a > 0.0 and b > 0.0, 1.0, 0.0)": ("a branch", "instead of and write (a > 0.0) & "),
-    "c = where(a > 0.0 or b > 0.0, 1.0, 0.0)": ("a branch", "instead of or write (a > 0.0) | "),
-    "c = where(not a > 0.0, 1.0, 0.0)": ("a branch", "instead of not write the opposite"),
-    "c = where(0.0 < a < b, 1.0, 0.0)": (
-        "a branch",
-        "instead of a < b < c write (a < b) & (b < c)",
-    ),
-    "c = max(a, b)": ("a branch", MAXIMUM),
-    "c = min(x)": ("a branch", "instead of min write mmwave_env.numerics.numbers.minimum(a, b)"),
-    "c = sorted(x)": ("a branch", "instead of sorted write minimum(a, b) and maximum(a, b)"),
-    "x.sort()": ("a branch", "instead of x.sort write minimum(a, b)"),
-    "c = any(v > 0.0 for v in x)": ("a branch", "instead of any write conditions joined by |"),
-    "c = all(v > 0.0 for v in x)": ("a branch", "instead of all write conditions joined by &"),
-    "c = bool(a)": ("a branch", "instead of bool write the condition itself"),
-    "c = math.sqrt(b)": ("a float", f"instead of math.sqrt {ROOT}"),
-    "c = sqrt(b)": ("a float", f"instead of sqrt {ROOT}"),
-    "c = math.hypot(a, b)": ("a float", "instead of math.hypot write sqrt(a * a + b * b)"),
-    "c = math.sin(a)": ("a float", "write the functions of mmwave_env.numerics.numbers"),
-    "c = float(a)": ("a float", "instead of float write the number itself"),
-    "c = int(a)": ("an integer", "instead of int write the number, unrounded"),
-    "c = round(a)": ("an integer", "instead of round write the number, unrounded"),
-    "c = math.floor(a)": ("an integer", "instead of math.floor write the number, unrounded"),
-    "c = TABLE[a]": ("an integer", "instead of [] write where(condition, a[0], a[1])"),
-    "c = [0.0 for _ in range(a)]": ("an integer", "instead of range write range(n) of a constant"),
-    "c = np.sqrt(b)": ("numpy", f"instead of np.sqrt {ROOT}"),
-    "c = np.arctan2(a, b)": (
-        "numpy",
-        "instead of np.arctan2 write mmwave_env.numerics.numbers.atan2",
-    ),
-    "c = np.array([a, b])": ("numpy", "instead of np.array write a list of numbers"),
-    "c = np.linalg.inv(P)": ("numpy", "instead of np.linalg.inv write cholesky, forward, backward"),
-    "c = np.eye(7) * a": ("numpy", "write lists, mmwave_env.numerics.numbers and"),
-    "c = np.float64(2.0) * a": ("numpy", "instead of np.float64 write a plain float"),
+    "if a > 0.0: b = a": ("a branch", WHERE),
+    "c = where(a > 0.0 and b > 0.0, 1.0, 0.0)": ("a branch", "& and | for and and or"),
+    "c = max(a, b)": ("a branch", "maximum(a, b)"),
+    "c = math.sqrt(b)": ("a float", "write the functions of mmwave_env.numerics.numbers"),
+    "c = TABLE[a]": ("an integer", "a constant"),
+    "c = np.linalg.inv(P)": ("numpy", "mmwave_env.numerics.linalg"),
     "c = a == b": ("a comparison by == or !=", "write where(abs(a - b) < tolerance, ...)"),
-    "c = a != 0.0": ("a comparison by == or !=", "write where(abs(a - b) < tolerance, ...)"),
-    "c = a in x[1:]": ("a comparison by == or !=", "write where(abs(a - b) < tolerance, ...)"),
     "c = b ** 0.5": ("a power", "sqrt(a) for a ** 0.5"),
-    "c = a ** 2": ("a power", "a * a for a ** 2"),
     "c = a % 3.0": ("a remainder", "wrap(a) for angles"),
     "c = a // 3.0": ("a division with //", "write a / b"),
     "c = {a: 1.0}": ("a key of a dict or set", "a list and a constant index"),
     "c = (a > 0.0) * 2.0": ("arithmetic with a condition", "write where(condition, 1.0, 0.0)"),
-    "c = 1.0 - (a > 0.0)": ("arithmetic with a condition", "write where(condition, 1.0, 0.0)"),
-    "c = a * (a > 0.0)": ("arithmetic with a condition", "write where(condition, 1.0, 0.0)"),
-    "c = where(b, 1.0, 0.0)": ("a number as a condition", "write where(a > 0.5, ...) instead"),
+    "c = where(b, 1.0, 0.0)": ("a number as a condition", "write where(a > 0.5, ...)"),
     "c = where(~(a > 0.0), 1.0, 0.0)": ("the inverse of a condition", "where(condition, b, a)"),
 }
 
@@ -118,12 +79,12 @@ def test_what_lanes_cannot_do_is_refused_with_line_and_advice(written, line, sai
     file, algorithm = written(line)
     what, instead = said
     error = refusal(algorithm)
-    head, where, text, why, *advice = str(error).splitlines()
+    head, where, text, why, advice = str(error).splitlines()
     assert head == "algorithm mine of mode 'own' cannot run on lanes"
     assert where.startswith(f'  File "{file}", line {LINE}, in ')
     assert text.strip() == line
     assert why == f"{what} needs the value of a number that stands for 8 environments:"
-    assert instead in "\n".join(advice)
+    assert instead in advice
     assert error.__cause__ is None and error.__suppress_context__
 
 
@@ -154,7 +115,7 @@ def test_the_line_is_the_innermost_of_the_user_s(algorithm):
     )
     message = str(refusal(algorithm))
     assert f'File "{__file__}", line {number}, in helper' in message
-    assert MAXIMUM in message
+    assert "maximum(a, b)" in message
 
 
 def test_a_built_in_function_has_no_line():
@@ -165,7 +126,7 @@ def test_a_built_in_function_has_no_line():
     )
 
 
-def test_without_source_the_advice_is_general():
+def test_without_source_the_advice_is_the_same():
     names = {"ekf": ekf}
     exec("def f(x, P, m, g):\n    if x[0] > 0: pass\n    return ekf(x, P, m, g)", names)
     message = str(refusal(names["f"]))
@@ -333,7 +294,7 @@ def test_environments_refuse_before_they_are_made(written):
     for make in (gym.make, partial(gym.make_vec, num_envs=2)):
         with pytest.raises(TypeError, match="cannot run on lanes") as error:
             make("MmWaveLoc-v0", **arguments)
-        assert here in str(error.value) and MAXIMUM in str(error.value)
+        assert here in str(error.value) and "maximum(a, b)" in str(error.value)
 
 
 @pytest.mark.parametrize("layout", [Layout(1), Layout(3), Layout(9, True)], ids=str)
