@@ -14,10 +14,8 @@ demo: .venv/.base ## compare every policy; prints six of them and writes all to 
 	$(BIN)/mmwave-loc demo
 
 # Tests of a file share what they compile, so a file stays with one process.
-FAST := $(BIN)/python -m pytest -m "not slow" -n auto --dist loadfile
-
-test: .venv/.dev ## all tests but the slow ones
-	$(FAST)
+test: .venv/.dev ## all tests but the slow ones; FLAGS="..." are for pytest
+	$(BIN)/python -m pytest -m "not slow" -n auto --dist loadfile $(FLAGS)
 
 test-slow: .venv/.dev ## the slow tests, one at a time
 	$(BIN)/python -m pytest -m slow --durations=5
@@ -25,8 +23,8 @@ test-slow: .venv/.dev ## the slow tests, one at a time
 golden: .venv/.dev ## write tests/golden anew, after a change that is to move numbers
 	$(BIN)/python -m tests.golden.write
 
-coverage: .venv/.dev ## the same tests, and the lines and branches they miss; 90 % must be covered
-	$(FAST) --cov --cov-report=
+coverage: ## the same tests, and the lines and branches they miss; 90 % must be covered
+	@$(MAKE) test FLAGS="--cov --cov-report="
 	$(BIN)/coverage report --fail-under=90
 
 lint: .venv-lint/.ready ## ruff: rules and formatting
