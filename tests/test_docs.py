@@ -3,8 +3,6 @@
 import importlib
 import re
 import shlex
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
@@ -12,6 +10,7 @@ import tyro
 
 from experiments.cli.main import COMMANDS, STUDIES, commands
 from mmwave_env.localization.log_columns import QUANTITIES
+from tests.cli import succeed
 from tests.paths import ROOT
 
 DOCS = ROOT / "docs"
@@ -124,10 +123,10 @@ def numbers(text: str) -> list[float]:
 def test_localizing_the_sample_prints_what_is_shown(tmp_path):
     page = TEXT["data.md"]
     (command,) = re.findall(r"```\nmmwave-loc (localize .*?)\n```", page, re.DOTALL)
-    words = [sys.executable, "-m", "experiments.cli", *shlex.split(command.replace("\\\n", " "))]
+    words = shlex.split(command.replace("\\\n", " "))
     for name in ("track.tum", "track.png"):
         words[words.index(name)] = str(tmp_path / name)
-    made = subprocess.run(words, check=True, capture_output=True, text=True, cwd=ROOT).stdout
+    made = succeed(*words)
     shown = page.split("<!-- localize:")[1].split("-->\n", 1)[1].split("<!-- end of localize")[0]
     made = made.split("Written:")[0]
     assert re.sub(r"\d", "", made).split() == re.sub(r"\d", "", shown).split()
