@@ -79,7 +79,7 @@ class Args:
     """flat terrain at this height, m"""
 
 
-class Plan(NamedTuple):
+class ModePlan(NamedTuple):
     """What runs: the modes, the rule between them if there are two, and why in words."""
 
     modes: Sequence[Mode]
@@ -90,11 +90,11 @@ class Plan(NamedTuple):
 # --- the speed (Algorithm 1, Steps 1 to 3)
 
 
-def plan(args: Args, modes: Sequence[Mode]) -> Plan:
+def plan(args: Args, modes: Sequence[Mode]) -> ModePlan:
     """Which pipelines run (Algorithm 1, Step 3), asking for the speed if it is not given."""
     if args.speed == "auto":
         followed = "odometry's" if args.follow == "odometry" else "the predicted"
-        return Plan(
+        return ModePlan(
             modes, RULES[args.follow], f"by {followed} speed, up to or above {SLOW_MPS:g} m/s"
         )
     speed = ask_speed() if args.speed is None else parse_speed(args.speed)
@@ -105,7 +105,7 @@ def plan(args: Args, modes: Sequence[Mode]) -> Plan:
             raise ValueError(f"speed: found {speed:g} m/s, {window}; --outside fallback runs on")
         warnings.warn(f"speed {speed:g} m/s is {window}; falling back to {mode.name}", stacklevel=2)
     side = "up to" if speed <= SLOW_MPS else "above"
-    return Plan([mode], None, f"for {speed:g} m/s, {side} {SLOW_MPS:g} m/s")
+    return ModePlan([mode], None, f"for {speed:g} m/s, {side} {SLOW_MPS:g} m/s")
 
 
 # --- what is asked for
@@ -169,7 +169,7 @@ class Result(NamedTuple):
 
 
 def _run(
-    args: Args, chosen: Plan, scene: Scene, blocks: Iterable[LogBlock], truth: Truth | None
+    args: Args, chosen: ModePlan, scene: Scene, blocks: Iterable[LogBlock], truth: Truth | None
 ) -> Result:
     """Localize, score and write, block by block.
 

@@ -21,7 +21,7 @@ from mmwave_env.files import write_json
 from mmwave_env.models.radio import RADIOS, radio_from
 from mmwave_env.models.scene import SCENES, scene_from
 
-RIVALS = ("speed-rule", "imm", "imm-robust")
+TRANSFER_RIVALS = ("speed-rule", "imm", "imm-robust")
 
 
 @dataclass
@@ -81,14 +81,14 @@ def places(args: Args) -> list[Place]:
 def compared(place: Place, policies: list[Contender], seed: int) -> dict[str, Interval]:
     """Reward of every policy, and what it gains on each rival, by name."""
     episodes = draw_episodes(place.source, range(seed, seed + place.episodes))
-    rivals = [contender_from(name, place.radio) for name in RIVALS]
+    rivals = [contender_from(name, place.radio) for name in TRANSFER_RIVALS]
     reward = {
         one.name: score(one, one.start(place.source.layout), episodes)["reward"]
         for one in (*policies, *rivals)
     }
     columns = {one.name: reward[one.name] for one in policies}
     for one in policies:
-        columns |= {f"{one.name} minus {r}": reward[one.name] - reward[r] for r in RIVALS}
+        columns |= {f"{one.name} minus {r}": reward[one.name] - reward[r] for r in TRANSFER_RIVALS}
     intervals = bootstrap(np.stack(list(columns.values()), axis=1))
     return dict(zip(columns, intervals, strict=True))
 

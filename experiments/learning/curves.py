@@ -4,9 +4,9 @@ import csv
 from collections.abc import Sequence
 from pathlib import Path
 
+from experiments.training.evaluator import TRAINING_RIVALS
 from mmwave_env.files import atomic_path
 
-RIVALS = ("speed-rule", "imm")  # as in a journal
 COLORS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7")  # told apart by color-blind people, too
 
 
@@ -24,7 +24,7 @@ def draw_curves(runs: Sequence[Path], path: Path) -> None:
 
     picture = Figure(figsize=(11.0, 4.2), layout="constrained")
     FigureCanvasAgg(picture)
-    for axes, rival in zip(picture.subplots(1, len(RIVALS)), RIVALS, strict=True):
+    for axes, rival in zip(picture.subplots(1, len(TRAINING_RIVALS)), TRAINING_RIVALS, strict=True):
         for run, color in zip(runs, COLORS, strict=False):
             label = run.name
             for journal in sorted(run.glob("seed-*/progress.csv")):

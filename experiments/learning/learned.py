@@ -27,7 +27,7 @@ from mmwave_env.numerics.arrays import Array
 from policies import TUNED_IMMS
 
 RADIOS = ("handset", "standard")
-RIVALS = (
+PAGE_RIVALS = (
     "speed-rule", "fixed-ekf", "fixed-ukf", "fixed-ckf", "fixed-ekf-robust", "fixed-ukf-robust",
     "imm", *TUNED_IMMS,
 )  # fmt: skip
@@ -63,7 +63,7 @@ def tables(args: Args) -> Iterator[tuple[str, str, dict[str, Any]]]:
     for radio in RADIOS:
         what = EpisodeArgs(radio=radio, episodes=args.episodes, seed=args.seed)
         figures = (args.out / f"{kind}-{radio}.png" for kind in ("profiles", "decisions"))
-        _, text, content = results(what, [*runs_of(args, radio), *RIVALS], False, *figures)
+        _, text, content = results(what, [*runs_of(args, radio), *PAGE_RIVALS], False, *figures)
         text = text.partition("\n\n")[2].rstrip("\n")  # titles of pages are the pages' own
         yield radio, text.replace(f"{args.runs}/", ""), content
     for radio in RADIOS:

@@ -77,7 +77,7 @@ class Errors(NamedTuple):
     axis_rms_m: Array
 
 
-class Run(NamedTuple):
+class TrackRun(NamedTuple):
     """A mode's tracks, as filtered and after Rauch-Tung-Striebel smoothing."""
 
     filtered: Errors
@@ -100,7 +100,7 @@ class Bench:
     def _draw(self, setting: Setting) -> list[Episode]:
         return draw_episodes(setting.source(), range(self.seed, self.seed + self.count))
 
-    def _run(self, mode: Mode, setting: Setting, planar: bool = False) -> Run:
+    def _run(self, mode: Mode, setting: Setting, planar: bool = False) -> TrackRun:
         """Filter and smooth every episode of a setting; ``planar`` knows z and vz."""
         episodes = self.episodes(setting)
         if planar:
@@ -109,12 +109,12 @@ class Bench:
         return track(mode, episodes, planar)
 
 
-def track(mode: Mode, episodes: Sequence[Episode], planar: bool = False) -> Run:
+def track(mode: Mode, episodes: Sequence[Episode], planar: bool = False) -> TrackRun:
     """Filter and smooth episodes of one length with a mode."""
     parts = [_tracks(mode, episodes[i : i + CHUNK], planar) for i in range(0, len(episodes), CHUNK)]
     axes = 2 if planar else 3
     errors, nees, better_errors, better_nees = map(np.concatenate, zip(*parts, strict=True))
-    return Run(_errors(errors, nees, axes), _errors(better_errors, better_nees, axes))
+    return TrackRun(_errors(errors, nees, axes), _errors(better_errors, better_nees, axes))
 
 
 def _tracks(

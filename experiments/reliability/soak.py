@@ -101,7 +101,7 @@ class Tally:
         return "\n".join(lines)
 
 
-class Run(NamedTuple):
+class SoakRun(NamedTuple):
     """Episodes to run with damage and actions of their own.
 
     Attributes:
@@ -117,7 +117,7 @@ class Run(NamedTuple):
     rng: np.random.Generator
 
 
-def runs(args: Args, tally: Tally) -> Iterator[Run]:
+def runs(args: Args, tally: Tally) -> Iterator[SoakRun]:
     """Episodes of every kind of user and radio in turn, RUNS times each batch."""
     kinds = cycle(product(MOBILITIES, RADIOS.values()))
     for turn, (scenario, radio) in enumerate(kinds):
@@ -128,7 +128,7 @@ def runs(args: Args, tally: Tally) -> Iterator[Run]:
         tally.drawn += len(episodes)
         for number in range(turn * RUNS, (turn + 1) * RUNS):
             name = f"run {number} (scenario {scenario}, radio {radio.name})"
-            yield Run(name, seeds, episodes, np.random.default_rng([args.seed, number]))
+            yield SoakRun(name, seeds, episodes, np.random.default_rng([args.seed, number]))
 
 
 class Watch:

@@ -15,7 +15,7 @@ from mmwave_env.episodes.simulated import SimulatedSource
 from mmwave_env.models.radio import radio_from
 from mmwave_env.models.scene import scene_from
 
-RIVALS = ("speed-rule", "imm")
+TRAINING_RIVALS = ("speed-rule", "imm")
 EPISODES = 500
 
 
@@ -33,7 +33,8 @@ class Evaluator:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # that the rule leaves its design window is no news
             self._rivals = {
-                name: self._score(contender_from(name, task.radio))["reward"] for name in RIVALS
+                name: self._score(contender_from(name, task.radio))["reward"]
+                for name in TRAINING_RIVALS
             }
 
     def examine(self, path: Path) -> dict[str, Any]:
@@ -46,7 +47,7 @@ class Evaluator:
         policy = contender.start(self._layout)
         scores = score(contender, policy, self._episodes)
         differences = np.stack([scores["reward"] - r for r in self._rivals.values()], axis=1)
-        pairs = zip(RIVALS, bootstrap(differences), strict=True)
+        pairs = zip(TRAINING_RIVALS, bootstrap(differences), strict=True)
         return {
             "seed": TUNING_SEED, "episodes": EPISODES,
             **{metric: float(values.mean()) for metric, values in scores.items()},

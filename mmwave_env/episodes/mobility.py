@@ -5,7 +5,7 @@ from dataclasses import astuple, dataclass, field, replace
 
 import numpy as np
 
-from mmwave_env.episodes.travel import Plan
+from mmwave_env.episodes.travel import TravelPlan
 from mmwave_env.lookup import choose
 from mmwave_env.models.scene import Streets
 
@@ -115,7 +115,7 @@ def mobilities_of(scenario: str) -> tuple[Mobility, ...]:
     return choose(names, scenario, "scenario")
 
 
-def plan_of(mobilities: Sequence[Mobility], streets: Streets) -> Plan:
+def plan_of(mobilities: Sequence[Mobility], streets: Streets) -> TravelPlan:
     """Mobilities in some streets, in numbers."""
     acts = [m.phases + m.phases[:1] * m.ends_as_it_began for m in mobilities]
     most = max(len(phases) for phases in acts)
@@ -133,7 +133,7 @@ def plan_of(mobilities: Sequence[Mobility], streets: Streets) -> Plan:
     block = np.array([streets.block_m / m.blocks for m in mobilities])
     (west, east), (south, north) = streets.x_m, streets.y_m
     extent = np.array([east - west, north - south])
-    return Plan(
+    return TravelPlan(
         phases=np.array([len(phases) for phases in acts]),
         returns=np.array([m.ends_as_it_began for m in mobilities]),
         duration=duration,

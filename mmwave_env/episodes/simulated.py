@@ -18,7 +18,7 @@ from mmwave_env.episodes.drawing import simulate
 from mmwave_env.episodes.episode import Episode, EpisodeBatch, Incoming, blank_incoming, columns_of
 from mmwave_env.episodes.kinematics import motion
 from mmwave_env.episodes.mobility import mobilities_of, plan_of
-from mmwave_env.episodes.travel import Plan, stride_of
+from mmwave_env.episodes.travel import TravelPlan, stride_of
 from mmwave_env.models.channel import (
     Channel,
     ChannelDraws,
@@ -334,7 +334,7 @@ class SimulatedSource:
         return np.sqrt(np.diag(self.radio.prior_covariance(self.scene)))
 
     @cached_property
-    def _plan(self) -> Plan:
+    def _plan(self) -> TravelPlan:
         return plan_of(mobilities_of(self.scenario), self.scene.streets)
 
     @cached_property

@@ -23,7 +23,7 @@ FINEST_STEP_S = 0.1
 STOPPING_S = 5.0  # what a ride takes to stop before its passenger walks on
 
 
-class Plan(NamedTuple):
+class TravelPlan(NamedTuple):
     """K kinds of users in numbers; rows past a kind's phases and gaits are unused.
 
     Attributes:
