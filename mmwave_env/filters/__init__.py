@@ -3,7 +3,7 @@
 :class:`Mode` says what runs. :func:`predict_update` runs it for one epoch, and
 :func:`~mmwave_env.filters.memory.memory_after` remembers what came of it. ``imm`` weighs several
 modes, ``smoother`` looks back over a finished track. A filter of one's own (docs/own-filters.md)
-is a function like :func:`ekf`.
+is a function like :func:`ekf`; what it needs of ours is here, in one import.
 """
 
 from mmwave_env.filters.gating import Gate, gate_groups
@@ -11,6 +11,8 @@ from mmwave_env.filters.linearization import SigmaPoints, Tangent, linearize
 from mmwave_env.filters.modes import Mode
 from mmwave_env.filters.pipeline import Pipeline, predict_update
 from mmwave_env.filters.update import Posterior, ckf, ekf, ukf, update
+from mmwave_env.models.measurement import groups_of
+from mmwave_env.numerics.linalg import dot, symmetric
 
 __all__ = [
     "Gate",
@@ -20,10 +22,13 @@ __all__ = [
     "SigmaPoints",
     "Tangent",
     "ckf",
+    "dot",
     "ekf",
     "gate_groups",
+    "groups_of",
     "linearize",
     "predict_update",
+    "symmetric",
     "ukf",
     "update",
 ]
