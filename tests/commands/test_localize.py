@@ -524,10 +524,10 @@ def test_a_truncated_archive_gives_the_track_up_to_there(capsys, tmp_path):
 def test_damaged_parquet_gives_the_track_up_to_there(capsys, tmp_path):
     parquet = pytest.importorskip("pyarrow.parquet")
     log, out = tmp_path / "log.parquet", tmp_path / "track.tum"
-    source = SimulatedSource(SCENES["street"], RADIOS["handset"], "pedestrian", epochs=5000)
+    source = SimulatedSource(SCENES["street"], RADIOS["handset"], "pedestrian", epochs=12_000)
     write_log(log, source.sample(np.random.default_rng(0)))
     table = parquet.read_table(log)
-    parquet.write_table(table, log, row_group_size=900, write_page_checksum=True)
+    parquet.write_table(table, log, row_group_size=3000, write_page_checksum=True)
     content = bytearray(log.read_bytes())
     content[len(content) // 2 : len(content) // 2 + 50] = bytes(50)
     log.write_bytes(content)
