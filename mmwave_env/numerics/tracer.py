@@ -41,7 +41,7 @@ _REFUSALS = {  # what was asked for: what that is, and what to write instead
 def _refuse(asked: str) -> NoReturn:
     what, instead = _REFUSALS[asked]
     raise NoValueError(
-        f"{what} needs the value of a number that stands for 8 environments:\n  write {instead}"
+        f"{what} needs the value of a number that stands for 8 environments: write {instead}"
     )
 
 

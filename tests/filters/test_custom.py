@@ -79,11 +79,11 @@ def test_what_lanes_cannot_do_is_refused_with_line_and_advice(written, line, sai
     file, algorithm = written(line)
     what, instead = said
     error = refusal(algorithm)
-    head, where, text, why, advice = str(error).splitlines()
+    head, where, text, advice = str(error).splitlines()
     assert head == "algorithm mine of mode 'own' cannot run on lanes"
     assert where.startswith(f'  File "{file}", line {LINE}, in ')
     assert text.strip() == line
-    assert why == f"{what} needs the value of a number that stands for 8 environments:"
+    assert advice.startswith(f"{what} needs the value of a number that stands for 8 environments: ")
     assert instead in advice
     assert error.__cause__ is None and error.__suppress_context__
 
