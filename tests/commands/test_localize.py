@@ -434,7 +434,8 @@ def test_figures_are_written_when_nobody_reads_what_is_shown(tmp_path, unbuffere
     assert json.loads(file.read_text())["epochs"] == 400
 
 
-@buffered_or_not
+@pytest.mark.slow
+@pytest.mark.parametrize("unbuffered", ["", "1"])
 def test_an_error_is_told_when_nobody_reads_what_is_shown(monkeypatch, tmp_path, unbuffered):
     monkeypatch.setenv("PYTHONUNBUFFERED", unbuffered)
     log, (ours, theirs) = tmp_path / "log.csv", os.pipe()
@@ -605,7 +606,9 @@ def written_beside(folder):
     return sizes
 
 
-@pytest.mark.parametrize("sent", [signal.SIGINT, signal.SIGKILL])
+@pytest.mark.parametrize(
+    "sent", [signal.SIGINT, pytest.param(signal.SIGKILL, marks=pytest.mark.slow)]
+)
 def test_a_run_cut_short_leaves_the_output_alone(tmp_path, sent):
     log, out = tmp_path / "log.csv", tmp_path / "track.tum"
     long_log(log, 400_000)

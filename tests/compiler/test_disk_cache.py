@@ -143,7 +143,7 @@ def test_functions_lie_beside_the_bytecode_of_a_writable_package(package):
 def test_functions_lie_where_numba_is_told_to(package, tmp_path):
     elsewhere = tmp_path / "elsewhere"
     for name in (str(elsewhere), "relative"):
-        assert [run(package, NUMBA_CACHE_DIR=name) for _ in range(2)] == [(41, 0), (41, 1)]
+        assert run(package, NUMBA_CACHE_DIR=name) == (41, 0)
     places = {path.parent.parent for path in kept(package)}
     assert places == {elsewhere, tmp_path / "relative"}
 
@@ -157,7 +157,7 @@ READ_ONLY = {
 }
 
 
-@pytest.mark.parametrize("case", representative(READ_ONLY, "a home", "no writable home"))
+@pytest.mark.parametrize("case", representative(READ_ONLY, "a home"))
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="homes are elsewhere")
 def test_a_package_that_is_read_only_works(package, tmp_path, case):
     variables, hits = READ_ONLY[case]
@@ -201,7 +201,7 @@ taken = checked = 0
 for signature, entry in zip(function.signatures, entries):
     whole = entry.read_bytes()
     assert cache.load_overload(signature, context)
-    for place in range(0, len(whole), 5):
+    for place in range(0, len(whole), 11):
         damaged = bytearray(whole)
         damaged[place] ^= 1 << place % 8
         entry.write_bytes(damaged)
@@ -217,10 +217,11 @@ print(sum(again.stats.cache_hits.values()))
 def test_no_flipped_bit_is_taken_for_the_function(package):
     entries, taken, checked, *values, hits = finished(started(package, FLIPS))
     assert (entries, taken, values, hits) == ("3", "0", ["41", "5.0", "(1+4j)"], "0")
-    assert int(checked) > 3000
+    assert int(checked) > 1300
     assert run(package) == (41, 1)
 
 
+@pytest.mark.slow
 def test_a_file_of_another_function_is_not_taken_for_it(package):
     run(package)
     (whole,) = kept(package)
@@ -236,7 +237,7 @@ def test_a_file_of_another_function_is_not_taken_for_it(package):
 
 
 def test_processes_may_start_at_once(package):
-    together = [started(package) for _ in range(4)]
+    together = [started(package) for _ in range(3)]
     assert {finished(process)[0] for process in together} == {"41"}
     assert len(kept(package)) == 1
     assert run(package) == (41, 1)
@@ -253,6 +254,7 @@ def test_versions_long_out_of_use_are_removed(package):
     assert "mmwave_env-29" in versions and "mmwave_env-0" not in versions
 
 
+@pytest.mark.slow
 def test_the_version_in_use_stays_however_old_its_folder_is(package):
     run(package)
     (file,) = kept(package)
@@ -338,9 +340,7 @@ def test_a_file_of_ours_is_trusted(package, tmp_path, planted):
 @posix
 @pytest.mark.parametrize(
     "case",
-    representative(
-        UNTRUSTED, "a file of another user", "a folder all may write to", "a link to a file"
-    ),
+    representative(UNTRUSTED, "a folder all may write to"),
 )
 def test_what_others_may_have_written_is_not_read(package, tmp_path, planted, case):
     script = (UNTRUSTED[case](planted) or "") + SCRIPT
@@ -350,6 +350,7 @@ def test_what_others_may_have_written_is_not_read(package, tmp_path, planted, ca
     assert runs == [["41", "0"], ["41", "1"]]
 
 
+@pytest.mark.slow
 @posix
 def test_a_folder_that_is_exchanged_in_a_running_process_is_not_read(package, tmp_path, planted):
     exchanged = (
@@ -373,6 +374,7 @@ def test_what_is_written_is_for_us_alone(package):
     assert [path.stat().st_mode & 0o777 for path in (file.parent, file)] == [0o700, 0o600]
 
 
+@pytest.mark.slow
 @posix
 def test_what_others_may_only_read_is_trusted(package):
     run(package)

@@ -167,6 +167,7 @@ def test_idle_threads_burn_nothing_and_none_of_numba_is_started(tmp_path):
     assert process(code, tmp_path) == ["True", "None", "[]", "True"]
 
 
+@pytest.mark.slow
 def test_an_environment_goes_while_threads_are_idle(tmp_path):
     code = """
     import gc, weakref
@@ -208,6 +209,7 @@ def test_an_interrupt_waits_for_the_others_and_the_next_reset_starts_over(tmp_pa
     assert process(code, tmp_path) == ["interrupted", "True", "True"]
 
 
+@pytest.mark.slow
 @posix
 def test_an_environment_goes_on_after_an_interrupted_step(tmp_path):
     """What was chosen in that step counts in the metrics, as what came of it does."""
@@ -249,6 +251,7 @@ def test_a_forked_child_compiles_steps_and_ends_like_any_process(tmp_path):
     assert process(code, tmp_path) == ["0"]
 
 
+@pytest.mark.slow
 @posix
 def test_a_child_compiles_though_it_was_forked_while_a_thread_did(tmp_path):
     code = """

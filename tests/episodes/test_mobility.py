@@ -13,7 +13,7 @@ from mmwave_env.models.radio import RADIOS
 from mmwave_env.models.scene import SCENES
 from tests.episodes.roads import trajectories
 
-STEP_S, STEPS, SEEDS = 0.1, 2000, 100
+STEP_S, STEPS, SEEDS = 0.1, 2000, 40
 
 
 class Bounds(NamedTuple):

@@ -23,7 +23,7 @@ with_odometry = pytest.mark.parametrize("odometry", [False, True], ids=["radio",
 @with_odometry
 @pytest.mark.parametrize("gate", GATES.values(), ids=GATES)
 @given(data=st.data())
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=25, deadline=None)
 def test_update_equals_textbook(algorithm, odometry, gate, data):
     problem = data.draw(problems(odometry))
     expected = problem.textbook(textbook.METHODS[algorithm], gate)
@@ -35,7 +35,7 @@ def test_update_equals_textbook(algorithm, odometry, gate, data):
 @algorithms
 @with_odometry
 @given(data=st.data())
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=25, deadline=None)
 def test_robust_update_inflates_doubtful_links_and_gates_the_rest(algorithm, odometry, data):
     problem = data.draw(problems(odometry))
     gate = Gate(0.99, robust=True)
@@ -50,7 +50,7 @@ def test_robust_update_inflates_doubtful_links_and_gates_the_rest(algorithm, odo
 @algorithms
 @with_odometry
 @given(data=st.data())
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=25, deadline=None)
 def test_force_accepts_visible_links_alone(algorithm, odometry, data):
     problem = data.draw(problems(odometry))
     gate = Gate(0.5, force=1.0)
@@ -64,7 +64,7 @@ def test_force_accepts_visible_links_alone(algorithm, odometry, data):
     "parameters", [(0.5, 2.0, 0.0), (1.0, 2.0, -4.0), (1.0, 2.0, 3.0)], ids=str
 )
 @given(data=st.data())
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=15, deadline=None)
 def test_any_scaled_sigma_points_equal_textbook(odometry, parameters, data):
     problem = data.draw(problems(odometry))
 
@@ -87,7 +87,7 @@ def test_any_scaled_sigma_points_equal_textbook(odometry, parameters, data):
 )
 @with_odometry
 @given(data=st.data())
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=20, deadline=None)
 def test_planar_update_is_that_of_the_five_free_states(algorithm, moments, odometry, data):
     problem, gate = data.draw(problems(odometry)), Gate(0.99)
     free, known_axes = [0, 1, 3, 4, 6], [2, 5]
@@ -171,7 +171,7 @@ def test_disagreeing_azimuths_are_gated_though_their_mean_fits():
 
 
 @given(problem=problems(odometry=True))
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=30, deadline=None)
 def test_textbook_jacobian_is_the_derivative(problem):
     s, x = problem.sensor, problem.x
     step = 1e-4 * np.eye(7)

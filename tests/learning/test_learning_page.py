@@ -20,6 +20,7 @@ EXAMPLES = re.findall(r"```python\n(.*?)```", PAGE.read_text(encoding="utf-8"), 
 KINDS = [f"{kind}-{radio}" for kind in ("ppo", "ppo-extended") for radio in ("handset", "standard")]
 
 
+@pytest.mark.slow  # compiles eight modes
 def test_a_shipped_switcher_localizes(capsys):
     (example,) = (one for one in EXAMPLES if "LearnedSwitch" in one)
     exec(compile(example, "learning.md", "exec"), {})
