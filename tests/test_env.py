@@ -398,7 +398,7 @@ def test_odometry_helps():
     errors = {}
     for odometry in (False, True):
         env = gym.make(ID, odometry=odometry, scenario="vehicle", modes=["ukf"])
-        errors[odometry] = np.mean([roll(env, seed)[-1][-1]["ate_m"] for seed in range(20)])
+        errors[odometry] = np.mean([roll(env, seed)[-1][-1]["ate_m"] for seed in range(8)])
     assert errors[True] < errors[False]
 
 

@@ -88,9 +88,20 @@ def configuration(request):
 # --- Gymnasium's rules
 
 
-@pytest.mark.parametrize("mode", MODES)
-def test_the_checker_is_content(mode, configuration):
-    check_vector_env(lambda: native(9, mode, **configuration))
+def test_the_checker_is_content(configuration):
+    check_vector_env(lambda: native(9, **configuration))
+
+
+@pytest.mark.parametrize(
+    ("mode", "name"),
+    [
+        pytest.param(mode, name, marks=[] if name == "patchy" else pytest.mark.slow)
+        for mode in ("SameStep", "Disabled")
+        for name in CONFIGURATIONS
+    ],
+)
+def test_the_checker_is_content_with_other_resets(mode, name):
+    check_vector_env(lambda: native(9, mode, **CONFIGURATIONS[name]))
 
 
 def test_the_checker_holds_for_gymnasiums_own_environments():

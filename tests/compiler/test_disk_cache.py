@@ -140,6 +140,7 @@ def test_functions_lie_beside_the_bytecode_of_a_writable_package(package):
     assert [path.parent.parent for path in kept(package)] == [package / "__pycache__"]
 
 
+@pytest.mark.slow
 def test_functions_lie_where_numba_is_told_to(package, tmp_path):
     elsewhere = tmp_path / "elsewhere"
     for name in (str(elsewhere), "relative"):
@@ -201,7 +202,7 @@ taken = checked = 0
 for signature, entry in zip(function.signatures, entries):
     whole = entry.read_bytes()
     assert cache.load_overload(signature, context)
-    for place in range(0, len(whole), 11):
+    for place in range(0, len(whole), 5):
         damaged = bytearray(whole)
         damaged[place] ^= 1 << place % 8
         entry.write_bytes(damaged)
@@ -214,10 +215,11 @@ print(sum(again.stats.cache_hits.values()))
 """
 
 
+@pytest.mark.slow
 def test_no_flipped_bit_is_taken_for_the_function(package):
     entries, taken, checked, *values, hits = finished(started(package, FLIPS))
     assert (entries, taken, values, hits) == ("3", "0", ["41", "5.0", "(1+4j)"], "0")
-    assert int(checked) > 1300
+    assert int(checked) > 3000
     assert run(package) == (41, 1)
 
 
@@ -236,8 +238,9 @@ def test_a_file_of_another_function_is_not_taken_for_it(package):
     assert finished(started(package, both)) == ["41", "1", "7"]
 
 
+@pytest.mark.slow
 def test_processes_may_start_at_once(package):
-    together = [started(package) for _ in range(3)]
+    together = [started(package) for _ in range(4)]
     assert {finished(process)[0] for process in together} == {"41"}
     assert len(kept(package)) == 1
     assert run(package) == (41, 1)
@@ -384,6 +387,7 @@ def test_what_others_may_only_read_is_trusted(package):
     assert run(package) == (41, 1)
 
 
+@pytest.mark.slow
 @posix
 def test_old_versions_of_others_and_links_stay(package, tmp_path):
     shared, precious = tmp_path / "shared", tmp_path / "precious"
@@ -402,6 +406,7 @@ def test_old_versions_of_others_and_links_stay(package, tmp_path):
     assert run(package, NUMBA_CACHE_DIR=str(shared)) == (41, 1)
 
 
+@pytest.mark.slow
 def test_a_system_without_owners_of_files_works(package):
     windows = "import os, numba\nif hasattr(os, 'geteuid'): del os.geteuid\n" + SCRIPT
     runs = [finished(started(package, windows)) for _ in range(2)]

@@ -294,6 +294,7 @@ def test_environments_run_in_processes_of_their_own(context, tmp_path):
     assert process(code, tmp_path) == ["True"] * 12
 
 
+@pytest.mark.slow
 def test_environments_are_stepped_by_several_threads_at_once(tmp_path):
     code = """
     from concurrent.futures import ThreadPoolExecutor

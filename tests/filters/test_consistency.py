@@ -16,7 +16,7 @@ from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.reward import TrackingReward
 from tests.filters.tracks import STREET, far_from_the_anchors, process_noise
 
-RUNS, EPOCHS, CHECKED = 2000, 40, (0, 1, 5, 10, 20, 39)
+RUNS, EPOCHS, CHECKED = 1000, 40, (0, 1, 5, 10, 20, 39)
 LEVEL = 0.01
 ALGORITHMS = ("ekf", "ukf", "ckf")
 DOF = [4, 4, 4, 1]

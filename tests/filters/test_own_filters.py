@@ -106,7 +106,10 @@ def test_nothing_visible_leaves_the_prior(iekf, data):
     assert not any(posterior.accepted)
 
 
-@pytest.mark.parametrize("planar", [False, True], ids=["hilly", "planar"])
+@pytest.mark.parametrize(
+    "planar",
+    [pytest.param(False, id="hilly"), pytest.param(True, id="planar", marks=pytest.mark.slow)],
+)
 def test_lanes_equal_floats(mine, planar):
     episodes = simulated(3, epochs=40, odometry=True)
     pipeline = Pipeline((mine,), episodes[0].layout, planar)
