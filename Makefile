@@ -17,8 +17,8 @@ demo: .venv/.base ## compare every policy; prints six of them and writes all to 
 test: .venv/.dev ## all tests but the slow ones; FLAGS="..." are for pytest
 	$(BIN)/python -m pytest -m "not slow" -n auto --dist loadfile $(FLAGS)
 
-test-slow: .venv/.dev ## the slow tests, one at a time
-	$(BIN)/python -m pytest -m slow --durations=5
+test-slow: .venv/.dev ## the slow tests
+	$(BIN)/python -m pytest -m slow -n auto --durations=5
 
 golden: .venv/.dev ## write tests/golden anew, after a change that is to move numbers
 	$(BIN)/python -m tests.golden.write
