@@ -13,9 +13,9 @@ help: ## list these targets
 demo: .venv/.base ## compare every policy; prints six of them and writes all to results/
 	$(BIN)/mmwave-loc demo
 
-# Tests of a file share what they compile, so a file stays with one process.
+# Tests of a file share what they compile: each process gets a run of files, and whoever is done helps.
 test: .venv/.dev ## all tests but the slow ones; FLAGS="..." are for pytest
-	$(BIN)/python -m pytest -m "not slow" -n auto --dist loadfile $(FLAGS)
+	$(BIN)/python -m pytest -m "not slow" -n auto --dist worksteal $(FLAGS)
 
 test-slow: .venv/.dev ## the slow tests
 	$(BIN)/python -m pytest -m slow -n auto --durations=5
