@@ -43,19 +43,12 @@ class Args:
 
 
 class Place(NamedTuple):
-    """Where switchers are tried.
+    """Where switchers are tried."""
 
-    Attributes:
-        name: in the table.
-        source: of episodes.
-        radio: profile, whose rivals they meet.
-        episodes: how many.
-    """
-
-    name: str
-    source: EpisodeSource
-    radio: str
-    episodes: int
+    name: str  # in the table
+    source: EpisodeSource  # of episodes
+    radio: str  # profile, whose rivals they meet
+    episodes: int  # how many
 
 
 def places(args: Args) -> list[Place]:

@@ -24,44 +24,29 @@ _WAYS = {"along": "along the predicted velocity", "across": "to the left of it"}
 
 
 class View(NamedTuple):
-    """What a feature may look at.
+    """What a feature may look at."""
 
-    Attributes:
-        x, P: (7,), (7, 7) belief after the last epoch.
-        memory: of the track.
-        candidates: per mode, what it would make of the coming epoch.
-        epoch: the coming epoch.
-        site: anchors and carrier.
-    """
-
+    # x, P: (7,), (7, 7) belief after the last epoch
     x: Vector
     P: Matrix
-    memory: Memory
-    candidates: list[ModeResult]
-    epoch: Epoch
-    site: Site
+    memory: Memory  # of the track
+    candidates: list[ModeResult]  # per mode, what it would make of the coming epoch
+    epoch: Epoch  # the coming epoch
+    site: Site  # anchors and carrier
 
 
 @dataclass(frozen=True)
 class Feature:
-    """One component of the observation: clip(value / scale, low, high).
+    """One component of the observation: clip(value / scale, low, high)."""
 
-    Attributes:
-        name: unique in the table.
-        meaning: what it is, with the formula where the name does not say it.
-        unit: of the value.
-        scale: what one unit of the observation stands for.
-        low, high: bounds of the observation.
-        value: the formula.
-    """
-
-    name: str
-    meaning: str
-    unit: str
-    scale: float
+    name: str  # unique in the table
+    meaning: str  # what it is, with the formula where the name does not say it
+    unit: str  # of the value
+    scale: float  # what one unit of the observation stands for
+    # low, high: bounds of the observation
     low: float
     high: float
-    value: Callable[[View], Number]
+    value: Callable[[View], Number]  # the formula
 
 
 def context(pipeline: Pipeline) -> list[Feature]:

@@ -12,16 +12,11 @@ Transition = tuple[tuple[float, ...], ...]
 
 
 class Bank(NamedTuple):
-    """What the tuning of an IMM starts from.
+    """What the tuning of an IMM starts from."""
 
-    Attributes:
-        modes: names.
-        limited: an outlier counts up to a quantile in its likelihoods, and of two modes the
-            process noise is tuned as well; else the likelihoods are the textbook's and the
-            transition alone is tuned.
-    """
-
-    modes: tuple[str, ...]
+    modes: tuple[str, ...]  # names
+    # an outlier counts up to a quantile in its likelihoods, and of two modes the process noise is
+    # tuned as well; else the likelihoods are the textbook's and the transition alone is tuned
     limited: bool
 
 
@@ -35,17 +30,11 @@ TUNED_IMMS |= {f"{name}-limited": Bank(modes, limited=True) for name, modes in _
 
 
 class TunedImm(NamedTuple):
-    """An IMM as ``mmwave-loc tune-imm`` left it.
+    """An IMM as ``mmwave-loc tune-imm`` left it."""
 
-    Attributes:
-        modes: what it weighs.
-        transition: (modes, modes) transition probabilities (from, to).
-        nis_quantile: as :class:`~mmwave_env.engines.imm_engine.ImmEngine` has it.
-    """
-
-    modes: tuple[Mode, ...]
-    transition: Transition
-    nis_quantile: float
+    modes: tuple[Mode, ...]  # what it weighs
+    transition: Transition  # (modes, modes) transition probabilities (from, to)
+    nis_quantile: float  # as :class:`~mmwave_env.engines.imm_engine.ImmEngine` has it
 
 
 @cache

@@ -29,17 +29,12 @@ from mmwave_env.numerics.arrays import Array
 
 @dataclass(frozen=True)
 class Bounds:
-    """Bounds on the position error of a set of episodes.
+    """Bounds on the position error of a set of episodes."""
 
-    Attributes:
-        averaged_m: root mean square of the averaged bounds, m.
-        conditional_m: root mean square of the bounds given each track, m.
-        sigma_v: per kind of user, horizontal and vertical white-noise acceleration that the
-            bounds assume, (m/s) / sqrt(s).
-    """
-
-    averaged_m: float
-    conditional_m: float
+    averaged_m: float  # root mean square of the averaged bounds, m
+    conditional_m: float  # root mean square of the bounds given each track, m
+    # per kind of user, horizontal and vertical white-noise acceleration that the bounds assume,
+    # (m/s) / sqrt(s)
     sigma_v: dict[str, tuple[float, float]]
 
 
@@ -68,16 +63,11 @@ def _mean_square(bound: Array) -> float:
 
 @dataclass(frozen=True)
 class OverBound:
-    """Contenders measured in bounds.
+    """Contenders measured in bounds."""
 
-    Attributes:
-        bounds: of the episodes.
-        policies: per contender its pooled RMSE ("rmse_m") and that over each bound
-            ("over_averaged", "over_conditional"); intervals are over episodes, with the
-            bounds held fixed.
-    """
-
-    bounds: Bounds
+    bounds: Bounds  # of the episodes
+    # per contender its pooled RMSE ("rmse_m") and that over each bound ("over_averaged",
+    # "over_conditional"); intervals are over episodes, with the bounds held fixed
     policies: dict[str, dict[str, Interval]]
 
     @property

@@ -15,20 +15,15 @@ from mmwave_env.numerics.arrays import Array
 
 @dataclass(frozen=True)
 class Comparison:
-    """Contenders on one source of episodes; its ``str`` is what they came to, as Markdown.
+    """Contenders on one source of episodes; its ``str`` is what they came to, as Markdown."""
 
-    Attributes:
-        scenario, radio, episodes, seed: what was run.
-        policies: per contender and metric.
-        paired: the same for differences "A - B", episode by episode.
-    """
-
+    # scenario, radio, episodes, seed: what was run
     scenario: str
     radio: str
     episodes: int
     seed: int
-    policies: dict[str, dict[str, Interval]]
-    paired: dict[str, dict[str, Interval]]
+    policies: dict[str, dict[str, Interval]]  # per contender and metric
+    paired: dict[str, dict[str, Interval]]  # the same for differences "A - B", episode by episode
 
     @property
     def json(self) -> dict[str, Any]:

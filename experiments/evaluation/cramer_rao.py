@@ -43,17 +43,11 @@ from mmwave_env.numerics.arrays import Array
 
 
 class Motion(NamedTuple):
-    """Constant velocity but for white-noise acceleration, as variances per second.
+    """Constant velocity but for white-noise acceleration, as variances per second."""
 
-    Attributes:
-        position: (3,) of extra position noise, m^2 / s.
-        velocity: (3,) (m/s)^2 / s.
-        bias: of the oscillator, Hz^2 / s.
-    """
-
-    position: Sequence[float]
-    velocity: Sequence[float]
-    bias: float
+    position: Sequence[float]  # (3,) of extra position noise, m^2 / s
+    velocity: Sequence[float]  # (3,) (m/s)^2 / s
+    bias: float  # of the oscillator, Hz^2 / s
 
     def noise(self, dt: float) -> ProcessNoise:
         """Q of a step of ``dt`` seconds, velocity and position coupled."""

@@ -58,19 +58,12 @@ def _speed(episode: Episode) -> Array:
 
 @dataclass
 class Around:
-    """Sums over events of one kind, per epoch (w,) around them.
+    """Sums over events of one kind, per epoch (w,) around them."""
 
-    Attributes:
-        events: how many; those cut off at an end of their episode count where they are.
-        epochs: how many epochs are summed.
-        error_m: position errors.
-        chosen: (modes, w) how often each mode was chosen; (0, w) of those who do not decide.
-    """
-
-    events: int
-    epochs: Array
-    error_m: Array
-    chosen: Array
+    events: int  # how many; those cut off at an end of their episode count where they are
+    epochs: Array  # how many epochs are summed
+    error_m: Array  # position errors
+    chosen: Array  # (modes, w) how often each mode was chosen; (0, w) of those who do not decide
 
     def __add__(self, other: "Around") -> "Around":
         return Around(
@@ -87,18 +80,13 @@ class Around:
 
 @dataclass
 class Decisions:
-    """Contenders around every kind of event.
+    """Contenders around every kind of event."""
 
-    Attributes:
-        names: in figures, by contender; of others nothing is taken.
-        modes: names of what each policy that decides chooses from.
-        time_s: (w,) of epochs around an event.
-        around: per kind of event and name.
-    """
-
-    names: Mapping[str, str]
+    names: Mapping[str, str]  # in figures, by contender; of others nothing is taken
+    # names of what each policy that decides chooses from
     modes: dict[str, list[str]] = field(default_factory=dict)
-    time_s: Array = field(default_factory=lambda: np.zeros(0))
+    time_s: Array = field(default_factory=lambda: np.zeros(0))  # (w,) of epochs around an event
+    # per kind of event and name
     around: dict[str, dict[str, Around]] = field(
         default_factory=lambda: {kind: {} for kind in EVENTS}
     )

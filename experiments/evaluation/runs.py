@@ -9,17 +9,11 @@ from typing import Any
 
 @dataclass(frozen=True)
 class Run:
-    """The trainings of a run, best first by their reward on tuning seeds.
+    """The trainings of a run, best first by their reward on tuning seeds."""
 
-    Attributes:
-        name: the folder, as on the command line and in results.
-        seeds: numbers of the trainings.
-        median: the one that stands for them all.
-    """
-
-    name: str
-    seeds: tuple[int, ...]
-    median: int
+    name: str  # the folder, as on the command line and in results
+    seeds: tuple[int, ...]  # numbers of the trainings
+    median: int  # the one that stands for them all
 
     @classmethod
     def read(cls, name: str) -> "Run":

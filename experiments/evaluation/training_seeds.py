@@ -32,20 +32,15 @@ COLUMNS = 5  # of panels
 
 @dataclass(frozen=True)
 class Figure:
-    """A number per episode, such as the reward, of all trainings of a run.
+    """A number per episode, such as the reward, of all trainings of a run."""
 
-    Attributes:
-        each: its mean per training, over episodes.
-        mean, iqm: mean and interquartile mean over trainings and episodes.
-        levels: (k,) increasing.
-        above: (3, k) share of pairs of training and episode above each level, and low and high
-            ends of its intervals.
-    """
-
-    each: tuple[Interval, ...]
+    each: tuple[Interval, ...]  # its mean per training, over episodes
+    # mean, iqm: mean and interquartile mean over trainings and episodes
     mean: Interval
     iqm: Interval
-    levels: Array
+    levels: Array  # (k,) increasing
+    # (3, k) share of pairs of training and episode above each level, and low and high ends of its
+    # intervals
     above: Array
 
     @classmethod
@@ -79,19 +74,12 @@ class Figure:
 
 @dataclass(frozen=True)
 class TrainingSeeds:
-    """A run, and what its trainings gain over others.
+    """A run, and what its trainings gain over others."""
 
-    Attributes:
-        run: its trainings.
-        reward: of them.
-        minus: per rival, the reward minus the rival's, episode by episode.
-        best_imm: the IMM with the best reward, or None.
-    """
-
-    run: Run
-    reward: Figure
-    minus: dict[str, Figure]
-    best_imm: str | None
+    run: Run  # its trainings
+    reward: Figure  # of them
+    minus: dict[str, Figure]  # per rival, the reward minus the rival's, episode by episode
+    best_imm: str | None  # the IMM with the best reward, or None
 
     @property
     def json(self) -> dict[str, Any]:

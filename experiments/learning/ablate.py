@@ -15,17 +15,11 @@ from mmwave_env.lookup import choose
 
 
 class Variant(NamedTuple):
-    """What is other than in the training of the shipped switchers.
+    """What is other than in the training of the shipped switchers."""
 
-    Attributes:
-        options: of ``mmwave-loc train``.
-        recipe: hyperparameters.
-        one_tuning: both algorithms work with the UKF's process noise.
-    """
-
-    options: Mapping[str, Any] = MappingProxyType({})
-    recipe: Mapping[str, Any] = MappingProxyType({})
-    one_tuning: bool = False
+    options: Mapping[str, Any] = MappingProxyType({})  # of ``mmwave-loc train``
+    recipe: Mapping[str, Any] = MappingProxyType({})  # hyperparameters
+    one_tuning: bool = False  # both algorithms work with the UKF's process noise
 
 
 VARIANTS = {

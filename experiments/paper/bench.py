@@ -31,23 +31,14 @@ TUNED_ON = {"pedestrian": 0, "vehicle": 1}  # which of the shipped modes
 
 @dataclass(frozen=True)
 class Setting:
-    """Which episodes to run on.
+    """Which episodes to run on."""
 
-    Attributes:
-        scenario: kind of user.
-        radio: profile.
-        clean: without blockage and multipath.
-        odometry: the user also measures speed and heading.
-        walls: False for the base station alone, without virtual anchors.
-        changes: fields of the radio profile to replace.
-    """
-
-    scenario: str
-    radio: str
-    clean: bool = False
-    odometry: bool = False
-    walls: bool = True
-    changes: tuple[tuple[str, object], ...] = ()
+    scenario: str  # kind of user
+    radio: str  # profile
+    clean: bool = False  # without blockage and multipath
+    odometry: bool = False  # the user also measures speed and heading
+    walls: bool = True  # False for the base station alone, without virtual anchors
+    changes: tuple[tuple[str, object], ...] = ()  # fields of the radio profile to replace
 
     def source(self) -> SimulatedSource:
         """Where the episodes come from."""
@@ -64,17 +55,11 @@ class Setting:
 
 
 class Errors(NamedTuple):
-    """What a mode did on every episode.
+    """What a mode did on every episode."""
 
-    Attributes:
-        scores: metric -> (episodes,).
-        nees: (episodes, epochs) without the burn-in.
-        axis_rms_m: (3,) root mean square error along x, y and z.
-    """
-
-    scores: Scores
-    nees: Array
-    axis_rms_m: Array
+    scores: Scores  # metric -> (episodes,)
+    nees: Array  # (episodes, epochs) without the burn-in
+    axis_rms_m: Array  # (3,) root mean square error along x, y and z
 
 
 class TrackRun(NamedTuple):
@@ -146,20 +131,14 @@ Cell = str | float | Interval
 
 @dataclass
 class Section:
-    """A table with a title and what there is to know about it.
+    """A table with a title and what there is to know about it."""
 
-    Attributes:
-        title, note: Markdown.
-        columns: headers; the first ``labels`` of them name a row.
-        labels: how many cells of a row are its name.
-        rows: cells.
-    """
-
+    # title, note: Markdown
     title: str
     note: str
-    columns: list[str]
-    labels: int = 1
-    rows: list[list[Cell]] = field(default_factory=list)
+    columns: list[str]  # headers; the first ``labels`` of them name a row
+    labels: int = 1  # how many cells of a row are its name
+    rows: list[list[Cell]] = field(default_factory=list)  # cells
 
     def body(self) -> str:
         """The table and its note as Markdown."""

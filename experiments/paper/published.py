@@ -4,12 +4,9 @@ from typing import NamedTuple
 
 
 class Published(NamedTuple):
-    """A row of Table I or II.
+    """A row of Table I or II."""
 
-    Attributes:
-        ate_m, rpe_m, nees, rmse_m: as printed, in that order.
-    """
-
+    # ate_m, rpe_m, nees, rmse_m: as printed, in that order
     ate_m: float
     rpe_m: float
     nees: float

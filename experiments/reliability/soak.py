@@ -55,28 +55,21 @@ class Args:
 
 @dataclass
 class Tally:
-    """What happened.
+    """What happened."""
 
-    Attributes:
-        steps, episodes, drawn: steps and episodes run, and how many of these were drawn anew.
-        damage: what was done to the data, and how often.
-        links, missing: links over all epochs loaded, and those of them with nothing to use.
-        smallest_pivot: of P, over the variance it belongs to; 0 is singular.
-        largest_error_m: of the position.
-        violations: environments with a number that is not sound; the first ends the soak.
-        seconds: how long it took.
-    """
-
+    # steps, episodes, drawn: steps and episodes run, and how many of these were drawn anew
     steps: int = 0
     episodes: int = 0
     drawn: int = 0
-    damage: dict[str, int] = field(default_factory=dict)
+    damage: dict[str, int] = field(default_factory=dict)  # what was done to the data, and how often
+    # links, missing: links over all epochs loaded, and those of them with nothing to use
     links: int = 0
     missing: int = 0
-    smallest_pivot: float = 1.0
-    largest_error_m: float = 0.0
+    smallest_pivot: float = 1.0  # of P, over the variance it belongs to; 0 is singular
+    largest_error_m: float = 0.0  # of the position
+    # environments with a number that is not sound; the first ends the soak
     violations: list[str] = field(default_factory=list)
-    seconds: float = 0.0
+    seconds: float = 0.0  # how long it took
 
     def loaded(self, episodes: list[Episode], damage: dict[str, int]) -> None:
         """Count episodes about to be run."""
@@ -102,19 +95,12 @@ class Tally:
 
 
 class SoakRun(NamedTuple):
-    """Episodes to run with damage and actions of their own.
+    """Episodes to run with damage and actions of their own."""
 
-    Attributes:
-        name: its number, scenario and radio, for messages.
-        seeds: of the episodes.
-        episodes: undamaged.
-        rng: for the rest.
-    """
-
-    name: str
-    seeds: range
-    episodes: list[Episode]
-    rng: np.random.Generator
+    name: str  # its number, scenario and radio, for messages
+    seeds: range  # of the episodes
+    episodes: list[Episode]  # undamaged
+    rng: np.random.Generator  # for the rest
 
 
 def runs(args: Args, tally: Tally) -> Iterator[SoakRun]:

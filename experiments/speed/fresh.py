@@ -15,15 +15,10 @@ STEPS = 210  # through the end of all episodes and the drawing of the next ones
 
 
 class Fresh(NamedTuple):
-    """What a process took.
+    """What a process took."""
 
-    Attributes:
-        first_step_s: from its start to the end of the first step.
-        peak_mb: most resident memory through the ends of episodes, MiB (2^20 bytes).
-    """
-
-    first_step_s: float
-    peak_mb: float
+    first_step_s: float  # from its start to the end of the first step
+    peak_mb: float  # most resident memory through the ends of episodes, MiB (2^20 bytes)
 
 
 def fresh(name: str, n: int) -> Fresh:

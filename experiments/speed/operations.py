@@ -22,22 +22,17 @@ _COMMUTE = ("fadd", "fmul", "and_", "or_")
 
 
 class Operations(NamedTuple):
-    """SIMD instructions, each on eight environments.
+    """SIMD instructions, each on eight environments."""
 
-    Attributes:
-        fused: multiply-adds: products that one sum alone uses.
-        add, multiply: sums or differences, and products, that are left.
-        divide, root: quotients and square roots.
-        select: comparisons, choices, signs and bits.
-        load, store: rows of the workspace.
-    """
-
-    fused: int = 0
+    fused: int = 0  # multiply-adds: products that one sum alone uses
+    # add, multiply: sums or differences, and products, that are left
     add: int = 0
     multiply: int = 0
+    # divide, root: quotients and square roots
     divide: int = 0
     root: int = 0
-    select: int = 0
+    select: int = 0  # comparisons, choices, signs and bits
+    # load, store: rows of the workspace
     load: int = 0
     store: int = 0
 

@@ -10,17 +10,12 @@ from experiments.speed.workloads import Laps
 
 @dataclass
 class Rates:
-    """What a workload did, per round.
+    """What a workload did, per round."""
 
-    Attributes:
-        steps_per_s: with the ends of episodes.
-        between_ends: steps per second while no episode ends; empty where nobody tells.
-        cores: seconds of processor per second.
-    """
-
-    steps_per_s: list[float] = field(default_factory=list)
+    steps_per_s: list[float] = field(default_factory=list)  # with the ends of episodes
+    # steps per second while no episode ends; empty where nobody tells
     between_ends: list[float] = field(default_factory=list)
-    cores: list[float] = field(default_factory=list)
+    cores: list[float] = field(default_factory=list)  # seconds of processor per second
 
     def measure(self, laps: Laps, seconds: float) -> None:
         """Add a round: whole episodes, for at least that long, without garbage collection."""

@@ -45,15 +45,10 @@ ENVIRONMENT = "mmwave_env:MmWaveLoc-v0"
 
 
 class Lap(NamedTuple):
-    """A piece of work that was just done.
+    """A piece of work that was just done."""
 
-    Attributes:
-        steps: of single environments.
-        ends: whether it holds the ends of episodes and the drawing of the next ones.
-    """
-
-    steps: int
-    ends: bool = True
+    steps: int  # of single environments
+    ends: bool = True  # whether it holds the ends of episodes and the drawing of the next ones
 
 
 Laps = Iterator[Lap]

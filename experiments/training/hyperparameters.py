@@ -8,47 +8,29 @@ from typing import Any, get_type_hints
 
 @dataclass(frozen=True)
 class Hyperparameters:
-    """Hyperparameters of PPO (Schulman et al. 2017), and what this task adds to it.
+    """Hyperparameters of PPO (Schulman et al. 2017), and what this task adds to it."""
 
-    Attributes:
-        num_envs: environments stepped at once.
-        n_steps: epochs of each between two updates.
-        batch_size: of a gradient step.
-        n_epochs: passes over what was collected.
-        learning_rate, ent_coef: at the start; both fall linearly.
-        final_fraction: what is left of them at the end.
-        gamma: discount per epoch.
-        gae_lambda: of generalized advantage estimation.
-        clip_range: of the probability ratio.
-        max_grad_norm: longest gradient.
-        target_kl: an update stops when the policy has moved further.
-        hidden: neurons of each tanh layer, of the actor and of the critic.
-        lstm: neurons of the memory that comes first; 0 for none.
-        frames: observations that the networks see at once.
-        clip_observation: normalized observations lie between minus this and this.
-        paired: train on the reward minus that of an IMM on the same episode: its actions
-            change nothing there, so the best policy stays the same and the variance falls.
-        truth_critic: the critic, which is not needed after training, also sees the truth.
-    """
-
-    num_envs: int
-    n_steps: int
-    batch_size: int
-    n_epochs: int
+    num_envs: int  # environments stepped at once
+    n_steps: int  # epochs of each between two updates
+    batch_size: int  # of a gradient step
+    n_epochs: int  # passes over what was collected
+    # learning_rate, ent_coef: at the start; both fall linearly
     learning_rate: float
     ent_coef: float
-    final_fraction: float
-    gamma: float
-    gae_lambda: float
-    clip_range: float
-    max_grad_norm: float
-    target_kl: float
-    hidden: tuple[int, ...]
-    lstm: int
-    frames: int
-    clip_observation: float
+    final_fraction: float  # what is left of them at the end
+    gamma: float  # discount per epoch
+    gae_lambda: float  # of generalized advantage estimation
+    clip_range: float  # of the probability ratio
+    max_grad_norm: float  # longest gradient
+    target_kl: float  # an update stops when the policy has moved further
+    hidden: tuple[int, ...]  # neurons of each tanh layer, of the actor and of the critic
+    lstm: int  # neurons of the memory that comes first; 0 for none
+    frames: int  # observations that the networks see at once
+    clip_observation: float  # normalized observations lie between minus this and this
+    # train on the reward minus that of an IMM on the same episode: its actions change nothing
+    # there, so the best policy stays the same and the variance falls
     paired: bool
-    truth_critic: bool
+    truth_critic: bool  # the critic, which is not needed after training, also sees the truth
 
     def __post_init__(self) -> None:
         for name, kind in get_type_hints(Hyperparameters).items():

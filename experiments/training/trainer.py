@@ -37,26 +37,17 @@ Tell = Callable[[int, str], None]
 
 @dataclass(frozen=True)
 class Job:
-    """One training.
+    """One training."""
 
-    Attributes:
-        task, recipe: what is learned, and how.
-        algorithm: name.
-        seed: number of the training, from 0.
-        timesteps: epochs to train for, in all environments together.
-        folder: for all that is written.
-        command: that makes the policy file.
-        checkpoint_every: updates between two checkpoints.
-    """
-
+    # task, recipe: what is learned, and how
     task: TrainingTask
     recipe: Hyperparameters
-    algorithm: str
-    seed: int
-    timesteps: int
-    folder: Path
-    command: str
-    checkpoint_every: int
+    algorithm: str  # name
+    seed: int  # number of the training, from 0
+    timesteps: int  # epochs to train for, in all environments together
+    folder: Path  # for all that is written
+    command: str  # that makes the policy file
+    checkpoint_every: int  # updates between two checkpoints
 
     @property
     def outcome(self) -> Path:

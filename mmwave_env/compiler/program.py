@@ -55,21 +55,13 @@ def rows_of(tree: Any) -> Index:
 
 
 class BatchState(NamedTuple):
-    """N tracks and how far they are.
+    """N tracks and how far they are."""
 
-    Attributes:
-        rows: (blocks, size, 8) workspace, changed in place.
-        table: (n, epochs, incoming) what to load.
-        length: (n,) epochs there are of each track; past them a blank one is loaded.
-        epoch: (n,) the epoch each runs next, changed in place.
-        running: (n,) False leaves a track and its epoch as they are.
-    """
-
-    rows: Array
-    table: Array
-    length: Index
-    epoch: Index
-    running: NDArray[np.bool_]
+    rows: Array  # (blocks, size, 8) workspace, changed in place
+    table: Array  # (n, epochs, incoming) what to load
+    length: Index  # (n,) epochs there are of each track; past them a blank one is loaded
+    epoch: Index  # (n,) the epoch each runs next, changed in place
+    running: NDArray[np.bool_]  # (n,) False leaves a track and its epoch as they are
 
     @classmethod
     def of(cls, table: Array, rows: Array) -> "BatchState":
@@ -79,23 +71,14 @@ class BatchState(NamedTuple):
 
 
 class StepIO(NamedTuple):
-    """What goes in and out of workspaces in every epoch of a run of E epochs.
+    """What goes in and out of workspaces in every epoch of a run of E epochs."""
 
-    Attributes:
-        input_rows: (f,) rows to set before an epoch.
-        inputs: (n, E, f) their values.
-        output_rows: (k,) rows to keep after an epoch.
-        outputs: (n, E, k) gets them.
-        obs_rows: (s,) rows to keep in single precision.
-        observations: (n, E, s) gets them.
-    """
-
-    input_rows: Index
-    inputs: Array
-    output_rows: Index
-    outputs: Array
-    obs_rows: Index
-    observations: NDArray[np.float32]
+    input_rows: Index  # (f,) rows to set before an epoch
+    inputs: Array  # (n, E, f) their values
+    output_rows: Index  # (k,) rows to keep after an epoch
+    outputs: Array  # (n, E, k) gets them
+    obs_rows: Index  # (s,) rows to keep in single precision
+    observations: NDArray[np.float32]  # (n, E, s) gets them
 
     @classmethod
     def of(

@@ -26,17 +26,11 @@ _own = threading.local()  # a generator of each thread, and where its state lies
 
 
 class RngView(NamedTuple):
-    """What compiled code draws from: one generator, and the states that it takes on in turn.
+    """What compiled code draws from: one generator, and the states that it takes on in turn."""
 
-    Attributes:
-        rng: the generator.
-        memory: (4,) its state where it lies.
-        states: (n, 4) states, changed in place.
-    """
-
-    rng: np.random.Generator
-    memory: Words
-    states: Words
+    rng: np.random.Generator  # the generator
+    memory: Words  # (4,) its state where it lies
+    states: Words  # (n, 4) states, changed in place
 
 
 def rng_view(states: Words) -> RngView:

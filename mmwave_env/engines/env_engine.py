@@ -31,54 +31,35 @@ from mmwave_env.reward import Reward
 
 
 class PendingEpoch(NamedTuple):
-    """What is needed of an epoch once its candidates are there.
+    """What is needed of an epoch once its candidates are there."""
 
-    Attributes:
-        dt, visible: as in :class:`~mmwave_env.models.epoch.Epoch`.
-        truth: (6,) true position (m) and velocity (m/s).
-    """
-
+    # dt, visible: as in :class:`~mmwave_env.models.epoch.Epoch`
     dt: Number
     visible: list[Number]
-    truth: list[Number]
+    truth: list[Number]  # (6,) true position (m) and velocity (m/s)
 
 
 class EnvState(NamedTuple):
-    """Everything an environment holds between two epochs.
+    """Everything an environment holds between two epochs."""
 
-    Attributes:
-        incoming: the epoch under consideration.
-        site: anchors, carrier and prior.
-        is_first: 1 to start over from the prior instead of committing.
-        action: the mode to commit to.
-        pending: the epoch whose candidates wait for an action.
-        x, P: (7,), (28,) belief after the last committed epoch.
-        memory: of the track.
-        candidates: per mode, for the epoch held, without their ``P_predicted``: the less an
-            environment holds, the more of them fit into a cache.
-        observation: (features,).
-        reward: of the last committed epoch.
-        truth: (6,) of that epoch; where no epoch is committed yet, of the first.
-        error: (3,) its position error, m.
-        distance: length of the error, m.
-        nees: its NEES.
-    """
-
-    incoming: Incoming
-    site: Site
-    is_first: Number
-    action: Number
-    pending: PendingEpoch
+    incoming: Incoming  # the epoch under consideration
+    site: Site  # anchors, carrier and prior
+    is_first: Number  # 1 to start over from the prior instead of committing
+    action: Number  # the mode to commit to
+    pending: PendingEpoch  # the epoch whose candidates wait for an action
+    # x, P: (7,), (28,) belief after the last committed epoch
     x: list[Number]
     P: list[Number]
-    memory: Memory
+    memory: Memory  # of the track
+    # per mode, for the epoch held, without their ``P_predicted``: the less an environment holds,
+    # the more of them fit into a cache
     candidates: list[ModeResult]
-    observation: list[Number]
-    reward: Number
-    truth: list[Number]
-    error: list[Number]
-    distance: Number
-    nees: Number
+    observation: list[Number]  # (features,)
+    reward: Number  # of the last committed epoch
+    truth: list[Number]  # (6,) of that epoch; where no epoch is committed yet, of the first
+    error: list[Number]  # (3,) its position error, m
+    distance: Number  # length of the error, m
+    nees: Number  # its NEES
 
 
 def _template(pipeline: Pipeline, features: int) -> EnvState:

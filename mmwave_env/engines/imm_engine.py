@@ -38,29 +38,19 @@ from mmwave_env.reward import Reward
 
 
 class ImmState(NamedTuple):
-    """Everything an IMM holds between two epochs.
+    """Everything an IMM holds between two epochs."""
 
-    Attributes:
-        incoming: the epoch just filtered.
-        site: anchors, carrier and prior.
-        is_first: 1 to start over from the prior.
-        transition: (modes, modes) transition probabilities (from, to).
-        tunings: process noise of every mode.
-        limits: (groups,) NIS that counts at most in a likelihood.
-        mixture: belief and probability of every mode.
-        x, P: (7,), (28,) the combined belief.
-        reward, error, nees: of the epoch, as in :class:`~mmwave_env.engines.env_engine.Workspace`.
-    """
-
-    incoming: Incoming
-    site: Site
-    is_first: Number
-    transition: list[list[Number]]
-    tunings: list[Tuning]
-    limits: list[Number]
-    mixture: Mixture
+    incoming: Incoming  # the epoch just filtered
+    site: Site  # anchors, carrier and prior
+    is_first: Number  # 1 to start over from the prior
+    transition: list[list[Number]]  # (modes, modes) transition probabilities (from, to)
+    tunings: list[Tuning]  # process noise of every mode
+    limits: list[Number]  # (groups,) NIS that counts at most in a likelihood
+    mixture: Mixture  # belief and probability of every mode
+    # x, P: (7,), (28,) the combined belief
     x: list[Number]
     P: list[Number]
+    # reward, error, nees: of the epoch, as in :class:`~mmwave_env.engines.env_engine.Workspace`
     reward: Number
     error: list[Number]
     nees: Number

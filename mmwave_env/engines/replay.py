@@ -37,31 +37,19 @@ PLAIN_REPLAYED_EPOCHS = 2_000  # run again before compiling, which takes as long
 
 
 class ReplayedEpoch(NamedTuple):
-    """What the way back needs of an epoch.
+    """What the way back needs of an epoch."""
 
-    Attributes:
-        filtered: as the filter left it.
-        error: (3,) position error, m.
-        nees: of the position.
-    """
-
-    filtered: ForwardEpoch
-    error: list[Number]
-    nees: Number
+    filtered: ForwardEpoch  # as the filter left it
+    error: list[Number]  # (3,) position error, m
+    nees: Number  # of the position
 
 
 class ReturnState(NamedTuple):
-    """The way back between two epochs.
+    """The way back between two epochs."""
 
-    Attributes:
-        incoming: the epoch at hand.
-        after: what the epoch after it left.
-        smoothed_error: (3,) position error of the smoothed mean of the epoch at hand, m.
-    """
-
-    incoming: ReplayedEpoch
-    after: BackwardState
-    smoothed_error: list[Number]
+    incoming: ReplayedEpoch  # the epoch at hand
+    after: BackwardState  # what the epoch after it left
+    smoothed_error: list[Number]  # (3,) position error of the smoothed mean of the epoch at hand, m
 
 
 def _replayed(track: TrackState) -> ReplayedEpoch:

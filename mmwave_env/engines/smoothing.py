@@ -20,15 +20,10 @@ from mmwave_env.numerics.arrays import Array
 
 
 class SmoothingState(NamedTuple):
-    """The smoother between two epochs, going backwards.
+    """The smoother between two epochs, going backwards."""
 
-    Attributes:
-        incoming: the epoch at hand.
-        after: what the epoch after it left.
-    """
-
-    incoming: ForwardEpoch
-    after: BackwardState
+    incoming: ForwardEpoch  # the epoch at hand
+    after: BackwardState  # what the epoch after it left
 
 
 @lru_cache(maxsize=2)

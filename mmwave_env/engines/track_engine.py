@@ -31,34 +31,21 @@ Rule = Callable[[Vector, Epoch], Number]
 
 
 class TrackState(NamedTuple):
-    """A track between two epochs.
+    """A track between two epochs."""
 
-    Attributes:
-        incoming: the epoch to run, or just run.
-        site: anchors, carrier and prior.
-        is_first: 1 to start over from the prior.
-        action: the mode to run where no rule picks one.
-        tunings: process noise of every mode.
-        x, P: (7,), (28,) belief after the epoch.
-        P_predicted: (28,) covariance predicted for it.
-        memory: of the track; ``memory.mode`` ran.
-        log_likelihood: as in :class:`~mmwave_env.filters.update.Posterior`.
-        error: (3,) position error, m; NaN where the truth is not known.
-        nees: of the position.
-    """
-
-    incoming: Incoming
-    site: Site
-    is_first: Number
-    action: Number
-    tunings: list[Tuning]
+    incoming: Incoming  # the epoch to run, or just run
+    site: Site  # anchors, carrier and prior
+    is_first: Number  # 1 to start over from the prior
+    action: Number  # the mode to run where no rule picks one
+    tunings: list[Tuning]  # process noise of every mode
+    # x, P: (7,), (28,) belief after the epoch
     x: list[Number]
     P: list[Number]
-    P_predicted: list[Number]
-    memory: Memory
-    log_likelihood: Number
-    error: list[Number]
-    nees: Number
+    P_predicted: list[Number]  # (28,) covariance predicted for it
+    memory: Memory  # of the track; ``memory.mode`` ran
+    log_likelihood: Number  # as in :class:`~mmwave_env.filters.update.Posterior`
+    error: list[Number]  # (3,) position error, m; NaN where the truth is not known
+    nees: Number  # of the position
 
 
 def track_epoch(w: TrackState, pipeline: Pipeline, rule: Rule | None) -> TrackState:

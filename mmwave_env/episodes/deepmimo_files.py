@@ -31,33 +31,22 @@ class Scenario:
     """A static scenario with one transmitter, whose N receivers are the epochs of one track.
 
     Paths with ``interactions`` 0 or 1 are finite, all others NaN.
-
-    Attributes:
-        folder: where it was read.
-        link: the part of the file names that tells transmitter and receivers.
-        carrier_hz: carrier frequency.
-        transmitter_m: (3,).
-        time_s: (N,) increasing.
-        position_m, velocity_mps: (N, 3) of the receiver.
-        interactions: (N, P) digits from transmitter to receiver; 0 line of sight, 1 one
-            reflection; NaN no path.
-        bounce_m: (N, P, 3) first point of interaction.
-        power_db: (N, P) path gain, 20 log10 |a|.
-        delay_s: (N, P) absolute.
-        arrival, departure: (N, P, 2) azimuth and zenith angle, rad.
     """
 
-    folder: Path
-    link: str
-    carrier_hz: float
-    transmitter_m: Array
-    time_s: Array
+    folder: Path  # where it was read
+    link: str  # the part of the file names that tells transmitter and receivers
+    carrier_hz: float  # carrier frequency
+    transmitter_m: Array  # (3,)
+    time_s: Array  # (N,) increasing
+    # position_m, velocity_mps: (N, 3) of the receiver
     position_m: Array
     velocity_mps: Array
+    # (N, P) digits from transmitter to receiver; 0 line of sight, 1 one reflection; NaN no path
     interactions: Array
-    bounce_m: Array
-    power_db: Array
-    delay_s: Array
+    bounce_m: Array  # (N, P, 3) first point of interaction
+    power_db: Array  # (N, P) path gain, 20 log10 |a|
+    delay_s: Array  # (N, P) absolute
+    # arrival, departure: (N, P, 2) azimuth and zenith angle, rad
     arrival: Array
     departure: Array
 

@@ -24,64 +24,52 @@ class Traveler(NamedTuple):
 
     The way ahead is a straight stretch, then an arc over a crossing (none where it is straight
     on); the crossing after that is known too, for braking over a crossing that is driven straight.
-
-    Attributes:
-        step: length of a substep, s.
-        substep: how many there were.
-        due: 1 where something is to happen before the next one: a gait, a crossing, a phase.
-        x, y: position, m.
-        vx, vy: velocity where last observed, m/s.
-        v, a: speed (m/s) and acceleration (m/s^2).
-        acceleration, braking, lateral, jerk: limits, m/s^2 and m/s^3.
-        target: speed to reach, m/s.
-        gait_left: time to keep it, s.
-        phase: which; ends at ``phase_end`` s.
-        stopping: 1 while coming to a stand to change over to the next phase.
-        heading: in quarter turns, before the arc.
-        traveled: on the way ahead, m.
-        stretch, arc: lengths of the way ahead, m.
-        radius, curvature: of its arc, m and 1/m; curvature is positive to the left.
-        turn, red: at the crossing ahead: quarter turns to the left; red light, s.
-        turn_after, red_after: at the crossing after that.
-        node_x, node_y: the crossing after that, in blocks from the origin.
-        block: distance of crossings, m.
-        blocks_x, blocks_y: how many there are, west to east and south to north.
-        origin_x, origin_y: the crossing to the south-west, m.
     """
 
-    step: Number
-    substep: Number
-    due: Number
+    step: Number  # length of a substep, s
+    substep: Number  # how many there were
+    due: Number  # 1 where something is to happen before the next one: a gait, a crossing, a phase
+    # x, y: position, m
     x: Number
     y: Number
+    # vx, vy: velocity where last observed, m/s
     vx: Number
     vy: Number
+    # v, a: speed (m/s) and acceleration (m/s^2)
     v: Number
     a: Number
+    # acceleration, braking, lateral, jerk: limits, m/s^2 and m/s^3
     acceleration: Number
     braking: Number
     lateral: Number
     jerk: Number
-    target: Number
-    gait_left: Number
-    phase: Number
+    target: Number  # speed to reach, m/s
+    gait_left: Number  # time to keep it, s
+    phase: Number  # which; ends at ``phase_end`` s
     phase_end: Number
-    stopping: Number
-    heading: Number
-    traveled: Number
+    stopping: Number  # 1 while coming to a stand to change over to the next phase
+    heading: Number  # in quarter turns, before the arc
+    traveled: Number  # on the way ahead, m
+    # stretch, arc: lengths of the way ahead, m
     stretch: Number
     arc: Number
+    # radius, curvature: of its arc, m and 1/m; curvature is positive to the left
     radius: Number
     curvature: Number
+    # turn, red: at the crossing ahead: quarter turns to the left; red light, s
     turn: Number
     red: Number
+    # turn_after, red_after: at the crossing after that
     turn_after: Number
     red_after: Number
+    # node_x, node_y: the crossing after that, in blocks from the origin
     node_x: Number
     node_y: Number
-    block: Number
+    block: Number  # distance of crossings, m
+    # blocks_x, blocks_y: how many there are, west to east and south to north
     blocks_x: Number
     blocks_y: Number
+    # origin_x, origin_y: the crossing to the south-west, m
     origin_x: Number
     origin_y: Number
 

@@ -24,32 +24,21 @@ STOPPING_S = 5.0  # what a ride takes to stop before its passenger walks on
 
 
 class TravelPlan(NamedTuple):
-    """K kinds of users in numbers; rows past a kind's phases and gaits are unused.
+    """K kinds of users in numbers; rows past a kind's phases and gaits are unused."""
 
-    Attributes:
-        phases: (K,) number of phases.
-        returns: (K,) whether the last phase is the first again, until the episode ends.
-        duration: (K, phases, 2) range of the phases' lengths, s; infinite for the rest.
-        ranges: (K, phases, 3, 2) of acceleration, braking and lateral acceleration, m/s^2.
-        fixed: (K, phases, 5) jerk (m/s^3), corner radius (m), probability of a red light and
-            range of its length (s).
-        gaits: (K, phases, gaits, 4) low and high speed (m/s), mean duration (s), weight.
-        block: (K,) distance of crossings, m.
-        counts: (K, 2) blocks west to east and south to north.
-        origin: (2,) the crossing to the south-west, m.
-        height: of the user equipment, m.
-    """
-
-    phases: Index
+    phases: Index  # (K,) number of phases
+    # (K,) whether the last phase is the first again, until the episode ends
     returns: NDArray[np.bool_]
-    duration: Array
-    ranges: Array
+    duration: Array  # (K, phases, 2) range of the phases' lengths, s; infinite for the rest
+    ranges: Array  # (K, phases, 3, 2) of acceleration, braking and lateral acceleration, m/s^2
+    # (K, phases, 5) jerk (m/s^3), corner radius (m), probability of a red light and range of its
+    # length (s)
     fixed: Array
-    gaits: Array
-    block: Array
-    counts: Array
-    origin: Array
-    height: float
+    gaits: Array  # (K, phases, gaits, 4) low and high speed (m/s), mean duration (s), weight
+    block: Array  # (K,) distance of crossings, m
+    counts: Array  # (K, 2) blocks west to east and south to north
+    origin: Array  # (2,) the crossing to the south-west, m
+    height: float  # of the user equipment, m
 
 
 @register_jitable

@@ -72,16 +72,12 @@ def _doubt(nis: Number, rows: int) -> Number:
 
 
 class GateResult(NamedTuple):
-    """What the gates say of the groups, at the prior.
+    """What the gates say of the groups, at the prior."""
 
-    Attributes:
-        nis, accepted, log_likelihood: as in :class:`~mmwave_env.filters.update.Posterior`.
-        noise: per group (k,) variances of its rows, inflated where doubtful.
-    """
-
+    # nis, accepted, log_likelihood: as in :class:`~mmwave_env.filters.update.Posterior`
     nis: list[Number]
     accepted: list[Number]
-    noise: list[list[Number]]
+    noise: list[list[Number]]  # per group (k,) variances of its rows, inflated where doubtful
     log_likelihood: Number
 
 

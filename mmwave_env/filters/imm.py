@@ -24,28 +24,19 @@ _LEAST = 1e-12  # keeps the probability of a mode off zero, from which it could 
 
 
 class ModeTrack(NamedTuple):
-    """One mode's filter within the IMM.
+    """One mode's filter within the IMM."""
 
-    Attributes:
-        x, P: (7,), (28,) its belief.
-        memory: of its gates and scaling.
-    """
-
+    # x, P: (7,), (28,) its belief
     x: list[Number]
     P: list[Number]
-    memory: Memory
+    memory: Memory  # of its gates and scaling
 
 
 class Mixture(NamedTuple):
-    """The IMM's belief.
+    """The IMM's belief."""
 
-    Attributes:
-        tracks: one per mode.
-        probability: (modes,) of each mode.
-    """
-
-    tracks: list[ModeTrack]
-    probability: list[Number]
+    tracks: list[ModeTrack]  # one per mode
+    probability: list[Number]  # (modes,) of each mode
 
 
 def single(pipeline: Pipeline) -> list[Pipeline]:

@@ -104,17 +104,11 @@ Linearization = Tangent | SigmaPoints
 
 @dataclass(frozen=True)
 class Latents:
-    """Moments of eta = [xi_0..2, kappa, xi_3..6].
+    """Moments of eta = [xi_0..2, kappa, xi_3..6]."""
 
-    Attributes:
-        curvatures: number of curvature latents.
-        weight: w, the weight of an outer sigma point.
-        bend: weight of the outer product of the mean shift, beta - alpha^2.
-    """
-
-    curvatures: int
-    weight: float
-    bend: float
+    curvatures: int  # number of curvature latents
+    weight: float  # w, the weight of an outer sigma point
+    bend: float  # weight of the outer product of the mean shift, beta - alpha^2
 
     @property
     def coupled(self) -> int:
@@ -148,19 +142,12 @@ class Latents:
 
 
 class Prior(NamedTuple):
-    """An epoch as a linearization sees it from the prior.
+    """An epoch as a linearization sees it from the prior."""
 
-    Attributes:
-        L: (7, 7) lower Cholesky factor of the prior covariance.
-        latents: moments of eta.
-        groups: of measurements, seen from the prior mean.
-        V: per group (k, 7 + curvatures), its rows along eta.
-    """
-
-    L: Matrix
-    latents: Latents
-    groups: Sequence[Group]
-    V: Sequence[Matrix]
+    L: Matrix  # (7, 7) lower Cholesky factor of the prior covariance
+    latents: Latents  # moments of eta
+    groups: Sequence[Group]  # of measurements, seen from the prior mean
+    V: Sequence[Matrix]  # per group (k, 7 + curvatures), its rows along eta
 
 
 def linearize(

@@ -26,35 +26,24 @@ SNR_UNSEEN_DB = -100.0  # slow mean of a link that was never seen
 
 
 class Memory(NamedTuple):
-    """How the measurements of a track behaved so far.
+    """How the measurements of a track behaved so far."""
 
-    Attributes:
-        mode: number of the mode that ran last.
-        lockout: epochs in a row in which every visible link failed its gate.
-        window: (WINDOW,) latest NIS / dof of what was accepted.
-        gamma: adaptive scale of Q and R.
-        nis, accepted, rejected: (groups,) of the last epoch; neither where missing.
-        nis_average: (2,) fast and slow average of NIS / dof.
-        correction: (2,) average correction of the position along and across the velocity, m.
-        unfixed_s: seconds since a link was last accepted.
-        snr_mean_db: (L,) slow mean SNR per link.
-        spread_average_hz: slow average of the Doppler spread.
-        preference: (2, modes) fast and slow average of each mode's
-            :func:`~mmwave_env.filters.mode_result.capped_log_likelihood` minus the last mode's.
-    """
-
-    mode: Number
-    lockout: Number
-    window: list[Number]
-    gamma: Number
+    mode: Number  # number of the mode that ran last
+    lockout: Number  # epochs in a row in which every visible link failed its gate
+    window: list[Number]  # (WINDOW,) latest NIS / dof of what was accepted
+    gamma: Number  # adaptive scale of Q and R
+    # nis, accepted, rejected: (groups,) of the last epoch; neither where missing
     nis: list[Number]
     accepted: list[Number]
     rejected: list[Number]
-    nis_average: list[Number]
+    nis_average: list[Number]  # (2,) fast and slow average of NIS / dof
+    # (2,) average correction of the position along and across the velocity, m
     correction: list[Number]
-    unfixed_s: Number
-    snr_mean_db: list[Number]
-    spread_average_hz: Number
+    unfixed_s: Number  # seconds since a link was last accepted
+    snr_mean_db: list[Number]  # (L,) slow mean SNR per link
+    spread_average_hz: Number  # slow average of the Doppler spread
+    # (2, modes) fast and slow average of each mode's
+    # :func:`~mmwave_env.filters.mode_result.capped_log_likelihood` minus the last mode's
     preference: list[list[Number]]
 
 

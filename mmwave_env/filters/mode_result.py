@@ -12,24 +12,16 @@ CAP_QUANTILE = 0.999  # chi-square quantile up to which NIS counts where modes a
 
 
 class ModeResult(NamedTuple):
-    """What a mode makes of an epoch.
+    """What a mode makes of an epoch."""
 
-    Attributes:
-        x: (7,) posterior mean.
-        P: (28,) packed posterior covariance.
-        P_predicted: (28,) packed covariance before the update (for smoothing).
-        nis, accepted: (groups,) as in :class:`~mmwave_env.filters.update.Posterior`.
-        passed: how many links passed their gates, forced ones not counted.
-        log_likelihood: of the visible groups.
-    """
-
-    x: list[Number]
-    P: list[Number]
-    P_predicted: list[Number]
+    x: list[Number]  # (7,) posterior mean
+    P: list[Number]  # (28,) packed posterior covariance
+    P_predicted: list[Number]  # (28,) packed covariance before the update (for smoothing)
+    # nis, accepted: (groups,) as in :class:`~mmwave_env.filters.update.Posterior`
     nis: list[Number]
     accepted: list[Number]
-    passed: Number
-    log_likelihood: Number
+    passed: Number  # how many links passed their gates, forced ones not counted
+    log_likelihood: Number  # of the visible groups
 
 
 def limited_likelihood(candidate: ModeResult, limits: Vector) -> Number:

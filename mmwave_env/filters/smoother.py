@@ -14,32 +14,23 @@ from mmwave_env.numerics.pytree import select
 
 
 class ForwardEpoch(NamedTuple):
-    """An epoch as the filter left it.
+    """An epoch as the filter left it."""
 
-    Attributes:
-        dt: seconds since the epoch before.
-        x, P: (7,), (28,) belief after the epoch; covariances are packed.
-        P_predicted: (28,) covariance predicted for the epoch, before its update.
-    """
-
-    dt: Number
+    dt: Number  # seconds since the epoch before
+    # x, P: (7,), (28,) belief after the epoch; covariances are packed
     x: list[Number]
     P: list[Number]
-    P_predicted: list[Number]
+    P_predicted: list[Number]  # (28,) covariance predicted for the epoch, before its update
 
 
 class BackwardState(NamedTuple):
-    """What the way back brings along from the epoch after the one at hand.
+    """What the way back brings along from the epoch after the one at hand."""
 
-    Attributes:
-        is_last: 1 where there is no such epoch, because the track ends with the one at hand.
-        dt, P_predicted: of that epoch, as in :class:`ForwardEpoch`.
-        x, P: (7,), (28,) its smoothed belief; P is empty where only means are smoothed.
-    """
-
-    is_last: Number
+    is_last: Number  # 1 where there is no such epoch, because the track ends with the one at hand
+    # dt, P_predicted: of that epoch, as in :class:`ForwardEpoch`
     dt: Number
     P_predicted: list[Number]
+    # x, P: (7,), (28,) its smoothed belief; P is empty where only means are smoothed
     x: list[Number]
     P: list[Number]
 

@@ -12,13 +12,9 @@ AnyBlock = TypeVar("AnyBlock", bound="Block")
 
 
 class Block:
-    """T consecutive epochs, as a dataclass of arrays (T, ...) and of what they have in common.
+    """T consecutive epochs, as a dataclass of arrays (T, ...) and of what they have in common."""
 
-    Attributes:
-        per_epoch: names of the arrays; all else is that of the last epochs.
-    """
-
-    per_epoch: ClassVar[tuple[str, ...]]
+    per_epoch: ClassVar[tuple[str, ...]]  # names of the arrays; all else is that of the last epochs
     time_s: Any
 
     def __len__(self) -> int:

@@ -12,17 +12,11 @@ _BLOCK_BYTES = 1 << 20
 
 
 class LineBlock(NamedTuple):
-    """Consecutive lines of a file.
+    """Consecutive lines of a file."""
 
-    Attributes:
-        first: number of the first line, counted from 1, as editors do.
-        lines: without their ends. What is not UTF-8 is escaped, so that it can be shown.
-        share: of the file read so far, 0 to 1.
-    """
-
-    first: int
-    lines: list[str]
-    share: float
+    first: int  # number of the first line, counted from 1, as editors do
+    lines: list[str]  # without their ends. What is not UTF-8 is escaped, so that it can be shown.
+    share: float  # of the file read so far, 0 to 1
 
 
 class DamagedFileError(ValueError):

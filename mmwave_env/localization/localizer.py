@@ -33,41 +33,28 @@ _FILTERED = ("x", "P", "P_predicted", "memory.mode", "memory.nis", "memory.accep
 
 @dataclass(frozen=True, eq=False)
 class TrackBlock(Block):
-    """T consecutive epochs of a track, all of one segment of it.
+    """T consecutive epochs of a track, all of one segment of it."""
 
-    Attributes:
-        layout: groups of the measurements.
-        planar: whether z and vz are known exactly.
-        time_s: (T,) increasing, also from block to block.
-        x, P: (T, 7), (T, 28) filtered belief after each epoch; covariances are packed.
-        P_predicted: (T, 28) covariance predicted for each epoch.
-        smooth_x, smooth_P: (T, 7), (T, 28) smoothed belief; the filtered one without smoothing.
-        mode: (T,) number of the mode that ran.
-        nis: (T, groups); 0 where not visible.
-        visible, accepted, incomplete: (T, groups); the link that gave the prior is not visible.
-        segment: number of the segment, from 0; each begins anew, with a prior from a link.
-        skipped: epochs of the log before the track.
-        dropped: epochs of the log between segments so far, up to the next block.
-        share: of the log read so far, 0 to 1.
-    """
-
-    layout: Layout
-    planar: bool
-    time_s: Array
+    layout: Layout  # groups of the measurements
+    planar: bool  # whether z and vz are known exactly
+    time_s: Array  # (T,) increasing, also from block to block
+    # x, P: (T, 7), (T, 28) filtered belief after each epoch; covariances are packed
     x: Array
     P: Array
-    P_predicted: Array
+    P_predicted: Array  # (T, 28) covariance predicted for each epoch
+    # smooth_x, smooth_P: (T, 7), (T, 28) smoothed belief; the filtered one without smoothing
     smooth_x: Array
     smooth_P: Array
-    mode: NDArray[np.int64]
-    nis: Array
+    mode: NDArray[np.int64]  # (T,) number of the mode that ran
+    nis: Array  # (T, groups); 0 where not visible
+    # visible, accepted, incomplete: (T, groups); the link that gave the prior is not visible
     visible: Mask
     accepted: Mask
     incomplete: Mask
-    segment: int
-    skipped: int
-    dropped: int
-    share: float
+    segment: int  # number of the segment, from 0; each begins anew, with a prior from a link
+    skipped: int  # epochs of the log before the track
+    dropped: int  # epochs of the log between segments so far, up to the next block
+    share: float  # of the log read so far, 0 to 1
 
     per_epoch = (
         "time_s", "x", "P", "P_predicted", "smooth_x", "smooth_P", "mode", "nis", "visible",

@@ -41,17 +41,11 @@ _REQUIRED = ("time", "anchor", *LINK_QUANTITIES, "snr")
 
 
 class Column(NamedTuple):
-    """A column of a log.
+    """A column of a log."""
 
-    Attributes:
-        name: in the file.
-        place: in the file, from 0.
-        unit: to convert by.
-    """
-
-    name: str
-    place: int
-    unit: Unit
+    name: str  # in the file
+    place: int  # in the file, from 0
+    unit: Unit  # to convert by
 
 
 def columns_of(names: Sequence[str], hz_per_mps: float, odometry: bool = True) -> dict[str, Column]:

@@ -30,35 +30,24 @@ class LogError(ValueError):
 
 
 class Table(NamedTuple):
-    """Consecutive rows of a log.
+    """Consecutive rows of a log."""
 
-    Attributes:
-        cells: (quantities, n) as in the file, NaN where empty.
-        rows: (n,) their numbers, for messages.
-        share: of the file read so far, 0 to 1.
-        damage: what is wrong with the last row, after which nothing follows; of that row,
-            cells that can't be read are NaN.
-    """
-
-    cells: Array
-    rows: Rows
-    share: float
+    cells: Array  # (quantities, n) as in the file, NaN where empty
+    rows: Rows  # (n,) their numbers, for messages
+    share: float  # of the file read so far, 0 to 1
+    # what is wrong with the last row, after which nothing follows; of that row, cells that can't be
+    # read are NaN
     damage: LogError | None = None
 
 
 @dataclass(frozen=True)
 class LogFile:
-    """A log whose header was read.
+    """A log whose header was read."""
 
-    Attributes:
-        path: of the file.
-        columns: those that count, by quantity; the rows of tables are in this order.
-        width: number of columns in the file.
-    """
-
-    path: Path
+    path: Path  # of the file
+    # those that count, by quantity; the rows of tables are in this order
     columns: dict[str, Column]
-    width: int
+    width: int  # number of columns in the file
 
     def error(self, row: int, quantity: str, found: str, expected: str) -> LogError:
         """The error that names a cell; rows of a CSV count as editors count lines."""

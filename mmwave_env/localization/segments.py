@@ -17,21 +17,13 @@ GAP_S = 15.0  # the longest that is bridged: of 100 vehicles none is lost in 10 
 
 
 class Piece(NamedTuple):
-    """Consecutive epochs of one segment.
+    """Consecutive epochs of one segment."""
 
-    Attributes:
-        block: the epochs.
-        segment: its number, from 0, which is how often the track has begun anew.
-        begins: whether it begins here, with a line of sight.
-        skipped: epochs of the log before the first segment.
-        dropped: epochs between segments so far, up to the next piece.
-    """
-
-    block: LogBlock
-    segment: int
-    begins: bool
-    skipped: int
-    dropped: int
+    block: LogBlock  # the epochs
+    segment: int  # its number, from 0, which is how often the track has begun anew
+    begins: bool  # whether it begins here, with a line of sight
+    skipped: int  # epochs of the log before the first segment
+    dropped: int  # epochs between segments so far, up to the next piece
 
 
 def segments(blocks: Iterable[LogBlock]) -> Iterator[Piece]:

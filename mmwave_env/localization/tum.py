@@ -14,15 +14,10 @@ COLUMNS = ("t", "x", "y", "z", "qx", "qy", "qz", "qw")
 
 
 class Trajectory(NamedTuple):
-    """Where a user was.
+    """Where a user was."""
 
-    Attributes:
-        time_s: (T,) increasing.
-        position_m: (T, 3).
-    """
-
-    time_s: Array
-    position_m: Array
+    time_s: Array  # (T,) increasing
+    position_m: Array  # (T, 3)
 
 
 def tum_lines(time_s: Array, position_m: Array) -> str:

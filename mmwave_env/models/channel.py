@@ -14,57 +14,47 @@ from mmwave_env.numerics.numbers import Number, Vector, clip, exp, log, maximum,
 
 
 class DisturbanceParams(NamedTuple):
-    """A two-state Markov chain per link, and what it does to a link while it lasts.
+    """A two-state Markov chain per link, and what it does to a link while it lasts."""
 
-    Attributes:
-        end: probability to end within a step.
-        constant_m, mean_m: range bias: the constant plus an exponential of this mean.
-        angle_rad: standard deviation of the angle biases.
-    """
-
-    end: Number
+    end: Number  # probability to end within a step
+    # constant_m, mean_m: range bias: the constant plus an exponential of this mean
     constant_m: Number
     mean_m: Number
-    angle_rad: Number
+    angle_rad: Number  # standard deviation of the angle biases
 
 
 class Channel(NamedTuple):
-    """A radio in a scene, over a step: all that an epoch of the channel depends on.
+    """A radio in a scene, over a step: all that an epoch of the channel depends on."""
 
-    Attributes:
-        offset_db: (L,) SNR at 1 m.
-        shadowing_db, correlation: of log-normal shadowing, AR(1) over a step.
-        blockage, multipath: spells.
-        blockage_scale, blockage_base, blockage_per_m, blockage_limit, blockage_loss_db: see
-            :class:`~mmwave_env.models.radio.Radio`.
-        multipath_onset, outage_onset, outage_end: probabilities within a step.
-        detection_snr_db, detection_slope_db: of the logistic probability of detection.
-        floor_variance, bound_variance: (rows,) noise floor, and Cramer-Rao bound at 0 dB.
-        spread_gain_hz, spread_sigma, spread_floor_hz: of the Doppler spread.
-        odometry_slowest_mps: below it odometry is missing.
-    """
-
-    offset_db: list[Number]
+    offset_db: list[Number]  # (L,) SNR at 1 m
+    # shadowing_db, correlation: of log-normal shadowing, AR(1) over a step
     shadowing_db: Number
     correlation: Number
+    # blockage, multipath: spells
     blockage: DisturbanceParams
     multipath: DisturbanceParams
+    # blockage_scale, blockage_base, blockage_per_m, blockage_limit, blockage_loss_db: see
+    # :class:`~mmwave_env.models.radio.Radio`
     blockage_scale: Number
     blockage_base: Number
     blockage_per_m: Number
     blockage_limit: Number
     blockage_loss_db: Number
+    # multipath_onset, outage_onset, outage_end: probabilities within a step
     multipath_onset: Number
     outage_onset: Number
     outage_end: Number
+    # detection_snr_db, detection_slope_db: of the logistic probability of detection
     detection_snr_db: Number
     detection_slope_db: Number
+    # floor_variance, bound_variance: (rows,) noise floor, and Cramer-Rao bound at 0 dB
     floor_variance: list[Number]
     bound_variance: list[Number]
+    # spread_gain_hz, spread_sigma, spread_floor_hz: of the Doppler spread
     spread_gain_hz: Number
     spread_sigma: Number
     spread_floor_hz: Number
-    odometry_slowest_mps: Number
+    odometry_slowest_mps: Number  # below it odometry is missing
 
 
 def channel_of(radio: Radio, scene: Scene, layout: Layout, dt: float) -> Channel:
@@ -104,30 +94,20 @@ def channel_of(radio: Radio, scene: Scene, layout: Layout, dt: float) -> Channel
 
 
 class Disturbance(NamedTuple):
-    """A spell of one link.
+    """A spell of one link."""
 
-    Attributes:
-        on: 1 while it lasts.
-        bias: (4,) of the link's rows while it lasts, drawn when it began: m, rad.
-    """
-
-    on: Number
-    bias: list[Number]
+    on: Number  # 1 while it lasts
+    bias: list[Number]  # (4,) of the link's rows while it lasts, drawn when it began: m, rad
 
 
 class ChannelState(NamedTuple):
-    """What lasts from epoch to epoch.
+    """What lasts from epoch to epoch."""
 
-    Attributes:
-        shadowing: (L,) in standard deviations.
-        blockage, multipath: per link.
-        outage: 1 while all links are lost.
-    """
-
-    shadowing: list[Number]
+    shadowing: list[Number]  # (L,) in standard deviations
+    # blockage, multipath: per link
     blockage: list[Disturbance]
     multipath: list[Disturbance]
-    outage: Number
+    outage: Number  # 1 while all links are lost
 
 
 def initial_state(anchors: int) -> ChannelState:
@@ -137,45 +117,32 @@ def initial_state(anchors: int) -> ChannelState:
 
 
 class ChannelDraws(NamedTuple):
-    """The randomness of an epoch.
+    """The randomness of an epoch."""
 
-    Attributes:
-        shadowing: (L,) normals.
-        blockage, multipath: (L,) uniforms in [0, 1).
-        outage: uniform.
-        blockage_range, multipath_range: (L,) exponentials of mean 1.
-        blockage_angles, multipath_angles: (L, 3) normals.
-        detection: (L,) uniforms.
-        scatter, floor: normals of the Doppler spread.
-    """
-
-    shadowing: list[Number]
+    shadowing: list[Number]  # (L,) normals
+    # blockage, multipath: (L,) uniforms in [0, 1)
     blockage: list[Number]
     multipath: list[Number]
-    outage: Number
+    outage: Number  # uniform
+    # blockage_range, multipath_range: (L,) exponentials of mean 1
     blockage_range: list[Number]
     multipath_range: list[Number]
+    # blockage_angles, multipath_angles: (L, 3) normals
     blockage_angles: list[list[Number]]
     multipath_angles: list[list[Number]]
-    detection: list[Number]
+    detection: list[Number]  # (L,) uniforms
+    # scatter, floor: normals of the Doppler spread
     scatter: Number
     floor: Number
 
 
 class Reception(NamedTuple):
-    """What a receiver has of an epoch.
+    """What a receiver has of an epoch."""
 
-    Attributes:
-        snr_db: (L,).
-        detected: (L,) 1 or 0.
-        bias: (L, 4) added to the rows of each link.
-        doppler_spread_hz: Doppler spread.
-    """
-
-    snr_db: list[Number]
-    detected: list[Number]
-    bias: list[list[Number]]
-    doppler_spread_hz: Number
+    snr_db: list[Number]  # (L,)
+    detected: list[Number]  # (L,) 1 or 0
+    bias: list[list[Number]]  # (L, 4) added to the rows of each link
+    doppler_spread_hz: Number  # Doppler spread
 
 
 def spell_goes_on(on: Number, uniform: Number, onset: Number, end: Number) -> Number:

@@ -7,39 +7,23 @@ from mmwave_env.numerics.numbers import Number
 
 
 class Epoch(NamedTuple):
-    """What an epoch brings to the estimator; missing groups hold anything finite.
+    """What an epoch brings to the estimator; missing groups hold anything finite."""
 
-    Attributes:
-        dt: seconds since the epoch before; 0 in the first epoch, where the prior holds.
-        z: (rows,) measured values: m, rad, Hz, m/s.
-        sigma: (rows,) their standard deviations, positive.
-        visible: (groups,) 1 where measured, else 0.
-        snr_db: (L,) signal-to-noise ratio per link, dB.
-        doppler_spread_hz: Doppler spread, Hz.
-    """
-
-    dt: Number
-    z: list[Number]
-    sigma: list[Number]
-    visible: list[Number]
-    snr_db: list[Number]
-    doppler_spread_hz: Number
+    dt: Number  # seconds since the epoch before; 0 in the first epoch, where the prior holds
+    z: list[Number]  # (rows,) measured values: m, rad, Hz, m/s
+    sigma: list[Number]  # (rows,) their standard deviations, positive
+    visible: list[Number]  # (groups,) 1 where measured, else 0
+    snr_db: list[Number]  # (L,) signal-to-noise ratio per link, dB
+    doppler_spread_hz: Number  # Doppler spread, Hz
 
 
 class Site(NamedTuple):
-    """What stays the same through an episode.
+    """What stays the same through an episode."""
 
-    Attributes:
-        anchors: (L, 3) positions, m.
-        hz_per_mps: carrier frequency over the speed of light.
-        prior_x: (7,) mean at the first epoch.
-        prior_P: (28,) packed covariance at the first epoch.
-    """
-
-    anchors: list[list[Number]]
-    hz_per_mps: Number
-    prior_x: list[Number]
-    prior_P: list[Number]
+    anchors: list[list[Number]]  # (L, 3) positions, m
+    hz_per_mps: Number  # carrier frequency over the speed of light
+    prior_x: list[Number]  # (7,) mean at the first epoch
+    prior_P: list[Number]  # (28,) packed covariance at the first epoch
 
 
 def blank_site(layout: Layout) -> Site:

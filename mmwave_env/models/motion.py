@@ -8,15 +8,10 @@ from mmwave_env.numerics.numbers import Matrix, Number, Vector
 
 
 class ProcessNoise(NamedTuple):
-    """Q as its non-zero entries.
+    """Q as its non-zero entries."""
 
-    Attributes:
-        diagonal: (7,) variances, m^2, (m/s)^2 and Hz^2.
-        coupling: (3,) covariances of position and velocity per axis, m^2/s.
-    """
-
-    diagonal: list[Number]
-    coupling: list[Number]
+    diagonal: list[Number]  # (7,) variances, m^2, (m/s)^2 and Hz^2
+    coupling: list[Number]  # (3,) covariances of position and velocity per axis, m^2/s
 
 
 def white_noise_acceleration(
