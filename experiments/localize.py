@@ -21,10 +21,11 @@ from mmwave_env.files import require_writable, write_json
 from mmwave_env.filters.mode_files import modes_from
 from mmwave_env.filters.modes import DESIGN_LIMIT_MPS, Mode, robust
 from mmwave_env.localization.localizer import SMOOTHING_WINDOW, localize
-from mmwave_env.localization.log import LogBlock, read_log
-from mmwave_env.localization.log_tables import LogError
-from mmwave_env.localization.track_files import TOLERANCE_S, Truth, table_beside, track_files
+from mmwave_env.localization.track_files import table_beside, track_files
 from mmwave_env.localization.track_scores import Course, Groups, TruthScores
+from mmwave_env.logs.log import LogBlock, read_log
+from mmwave_env.logs.log_tables import LogError
+from mmwave_env.logs.truth import TOLERANCE_S, Truth
 from mmwave_env.models.radio import radio_from
 from mmwave_env.models.scene import Scene, scene_from
 from policies.speed_rule import SLOW_MPS, by_odometry_speed, by_predicted_speed, mode_at

@@ -6,11 +6,11 @@ from pathlib import Path
 from experiments.cli.main import run
 from experiments.cli.options import EpisodeArgs, command_line
 from experiments.evaluation.seeds import draw_episodes
+from mmwave_env.episodes.log_writer import write_log
 from mmwave_env.episodes.recorded import RecordedSource
 from mmwave_env.episodes.simulated import SimulatedSource
 from mmwave_env.files import atomic_path, write_json, write_text
-from mmwave_env.localization.log import write_log
-from mmwave_env.localization.tum import COLUMNS, tum_lines
+from mmwave_env.logs.tum import COLUMNS, tum_lines
 from mmwave_env.models.scene import Scene, anchors_json
 
 

@@ -9,7 +9,7 @@ import pytest
 import tyro
 
 from experiments.cli.main import COMMANDS, STUDIES, commands
-from mmwave_env.localization.log_columns import QUANTITIES
+from mmwave_env.logs.log_columns import QUANTITIES
 from tests.cli import succeed
 from tests.paths import ROOT
 

@@ -14,18 +14,20 @@ FILTER_SIDE = {"numerics", "models", "filters"}
 FACE = {"features", "observation", "reward", "info", "task"}
 WORLDS = FILTER_SIDE | {"compiler", "episodes"} | FACE
 ENVIRONMENT = WORLDS | {"engines", "rendering"}
-LIBRARY = ENVIRONMENT | {"policies", "localization", "env", "vector_env", "sb3"}
+LIBRARY = ENVIRONMENT | {"logs", "policies", "localization", "env", "vector_env", "sb3"}
 SEES = {
     "numerics": set(),
     "compiler": {"numerics"},
     "models": {"numerics"},
     "filters": {"numerics", "models"},  # and never episodes:
-    "episodes": {"numerics", "models", "compiler"},  # nothing an agent does changes the world
+    "logs": {"numerics", "models"},
+    "episodes": {"numerics", "models", "compiler", "logs"},  # no agent changes the world
     **dict.fromkeys(["features", "observation", "reward"], frozenset(FILTER_SIDE | FACE)),
     "task": WORLDS,
     "engines": WORLDS,
     "policies": FILTER_SIDE | FACE,
-    **dict.fromkeys(["env", "vector_env", "localization"], frozenset(ENVIRONMENT)),
+    **dict.fromkeys(["env", "vector_env"], frozenset(ENVIRONMENT)),
+    "localization": ENVIRONMENT | {"logs"},
     "sb3": {"vector_env"},
     **dict.fromkeys([*EVERYBODY, "info", "rendering"], frozenset({"numerics"})),
     "experiments": LIBRARY,

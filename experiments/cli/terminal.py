@@ -7,7 +7,7 @@ from contextlib import contextmanager
 from rich.console import Console
 from rich.progress import Progress
 
-from mmwave_env.localization.lines import number
+from mmwave_env.logs.lines import number
 
 PROMPT = "Enter current speed (m/s): "
 

@@ -16,10 +16,10 @@ from mmwave_env.engines.track_engine import Rule, Tracker
 from mmwave_env.episodes.episode import Episode
 from mmwave_env.filters.modes import Mode
 from mmwave_env.filters.pipeline import Pipeline
-from mmwave_env.localization.blocks import Block, in_windows
-from mmwave_env.localization.log import LogBlock
-from mmwave_env.localization.log_tables import LogError
 from mmwave_env.localization.segments import Piece, segments
+from mmwave_env.logs.blocks import Block, in_windows
+from mmwave_env.logs.log import LogBlock
+from mmwave_env.logs.log_tables import LogError
 from mmwave_env.models.measurement import Layout
 from mmwave_env.models.prior import prior_from_fix
 from mmwave_env.models.radio import Radio

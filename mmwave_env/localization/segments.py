@@ -10,8 +10,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from mmwave_env.localization.log import LogBlock
-from mmwave_env.localization.log_tables import LogError
+from mmwave_env.logs.log import LogBlock
+from mmwave_env.logs.log_tables import LogError
 
 GAP_S = 15.0  # the longest that is bridged: of 100 vehicles none is lost in 10 s, some are in 20 s
 

@@ -1,4 +1,4 @@
-"""Tracks and truth as files, a block at a time."""
+"""Tracks as files, a block at a time."""
 
 import csv
 import io
@@ -10,10 +10,8 @@ import numpy as np
 
 from mmwave_env.files import atomic_path
 from mmwave_env.localization.localizer import TrackBlock
-from mmwave_env.localization.tum import COLUMNS, Trajectory, tum_blocks, tum_lines
-from mmwave_env.numerics.arrays import Array
+from mmwave_env.logs.tum import COLUMNS, tum_lines
 
-TOLERANCE_S = 0.01  # evo's default
 _VARIANCES = [i * (i + 3) // 2 for i in range(6)]  # of positions and velocities in a packed P
 TABLE_COLUMNS = (
     "time_s", "x_m", "y_m", "z_m", "sigma_x_m", "sigma_y_m", "sigma_z_m", "vx_mps", "vy_mps",
@@ -74,54 +72,3 @@ def _as_cell(name: str) -> str:
     cell = io.StringIO()
     csv.writer(cell, lineterminator="").writerow([name])
     return cell.getvalue()
-
-
-class Truth:
-    """True positions by time, from a TUM file that is read as far as it is needed.
-
-    Args:
-        path: of the file.
-
-    Attributes:
-        path: of the file.
-        first_s: its first time.
-        last_s: the last time read so far.
-
-    Raises:
-        ValueError, OSError: as :func:`~mmwave_env.localization.tum.tum_blocks`, methods too.
-    """
-
-    def __init__(self, path: Path) -> None:
-        self.path = path
-        self._blocks = tum_blocks(path)
-        self._near = [next(self._blocks)]
-        self.first_s, self.last_s = (float(self._near[0].time_s[i]) for i in (0, -1))
-
-    def at(self, time_s: Array, tolerance_s: float = TOLERANCE_S) -> Array:
-        """Positions (T, 3) nearest to times (T,); NaN where none is within the tolerance.
-
-        Times must increase, also from call to call.
-        """
-        position, distance = np.full((len(time_s), 3), np.nan), np.full(len(time_s), np.inf)
-        for poses in self._until(time_s[-1] + tolerance_s):
-            after = np.searchsorted(poses.time_s, time_s)
-            for index in (np.maximum(after - 1, 0), np.minimum(after, len(poses.time_s) - 1)):
-                away = np.abs(poses.time_s[index] - time_s)
-                nearer = (away < distance) & (away <= tolerance_s)
-                distance[nearer] = away[nearer]
-                position[nearer] = poses.position_m[index[nearer]]
-        self._near = [p for p in self._near if p.time_s[-1] >= time_s[-1] - tolerance_s]
-        return position
-
-    def _until(self, time_s: float) -> Iterator[Trajectory]:
-        """The poses kept, and more, up to a time; of those read, the last two blocks are kept."""
-        yield from self._near
-        while self.last_s < time_s and (poses := next(self._blocks, None)):
-            self.last_s = float(poses.time_s[-1])
-            self._near = [*self._near[-1:], poses]
-            yield poses
-
-    def read_on(self) -> None:
-        """Read to the end, for ``last_s``."""
-        for poses in self._blocks:
-            self.last_s = float(poses.time_s[-1])

@@ -10,7 +10,7 @@ from mmwave_env.filters.belief import Belief
 from mmwave_env.filters.modes import DESIGN_LIMIT_MPS
 from mmwave_env.filters.pipeline import VERTICAL
 from mmwave_env.localization.localizer import TrackBlock
-from mmwave_env.localization.track_files import TOLERANCE_S, Truth
+from mmwave_env.logs.truth import TOLERANCE_S, Truth
 from mmwave_env.metrics import nees_interval
 from mmwave_env.numerics.arrays import Array
 from mmwave_env.numerics.linalg import unpack

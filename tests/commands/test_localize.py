@@ -19,11 +19,12 @@ import numpy as np
 import pytest
 
 from experiments.cli.main import run
+from mmwave_env.episodes.log_writer import write_log
 from mmwave_env.episodes.simulated import SimulatedSource
 from mmwave_env.filters.mode_files import default_modes
 from mmwave_env.localization.localizer import localize
-from mmwave_env.localization.log import read_log, write_log
-from mmwave_env.localization.tum import read_tum, tum_lines
+from mmwave_env.logs.log import read_log
+from mmwave_env.logs.tum import read_tum, tum_lines
 from mmwave_env.models.radio import RADIOS
 from mmwave_env.models.scene import SCENES, read_scene
 from tests.cli import command, environment

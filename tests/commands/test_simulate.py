@@ -7,11 +7,12 @@ import numpy as np
 import pytest
 
 from experiments.cli.main import run
+from mmwave_env.episodes.log_writer import log_text
 from mmwave_env.episodes.recorded import RecordedSource
 from mmwave_env.episodes.samples import recording_from, sample_names
 from mmwave_env.episodes.simulated import SimulatedSource
-from mmwave_env.localization.log import log_text, read_log
-from mmwave_env.localization.tum import read_tum
+from mmwave_env.logs.log import read_log
+from mmwave_env.logs.tum import read_tum
 from mmwave_env.models.measurement import Layout
 from mmwave_env.models.radio import RADIOS
 from mmwave_env.models.scene import SCENES, read_scene

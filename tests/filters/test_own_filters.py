@@ -15,6 +15,7 @@ from scipy.stats import chi2
 from experiments.evaluation.runner import score_contenders
 from mmwave_env.engines.imm_engine import ImmEngine
 from mmwave_env.engines.track_engine import Tracker
+from mmwave_env.episodes.log_writer import write_log
 from mmwave_env.episodes.simulated import SimulatedSource
 from mmwave_env.filters.custom import AlgorithmError
 from mmwave_env.filters.gating import Gate
@@ -22,7 +23,7 @@ from mmwave_env.filters.modes import Mode
 from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.filters.update import ekf
 from mmwave_env.localization.localizer import localize
-from mmwave_env.localization.log import read_log, write_log
+from mmwave_env.logs.log import read_log
 from mmwave_env.models.radio import RADIOS
 from mmwave_env.models.scene import SCENES
 from mmwave_env.reward import TrackingReward

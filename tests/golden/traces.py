@@ -26,7 +26,7 @@ from mmwave_env.filters.imm import begin
 from mmwave_env.filters.mode_files import default_modes, named_modes
 from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.localization.localizer import SMOOTHING_WINDOW, TrackBlock, localize
-from mmwave_env.localization.log import read_log
+from mmwave_env.logs.log import read_log
 from mmwave_env.models.prior import prior_from_fix
 from mmwave_env.models.radio import radio_from
 from mmwave_env.models.scene import read_scene

@@ -12,13 +12,14 @@ from hypothesis import strategies as st
 
 from mmwave_env.engines.smoothing import smooth
 from mmwave_env.episodes.episode import Episode
+from mmwave_env.episodes.log_writer import write_log
 from mmwave_env.episodes.simulated import SimulatedSource
 from mmwave_env.filters.mode_files import default_modes
 from mmwave_env.filters.modes import Mode, robust
 from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.localization.localizer import TrackBlock, localize
-from mmwave_env.localization.log import read_log, write_log
-from mmwave_env.localization.log_tables import LogError
+from mmwave_env.logs.log import read_log
+from mmwave_env.logs.log_tables import LogError
 from mmwave_env.models.prior import prior_from_fix
 from mmwave_env.models.radio import RADIOS
 from mmwave_env.models.scene import SCENES

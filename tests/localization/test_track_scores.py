@@ -7,9 +7,9 @@ import pytest
 from scipy.stats import chi2
 
 from mmwave_env.filters.pipeline import VERTICAL
-from mmwave_env.localization.track_files import Truth
 from mmwave_env.localization.track_scores import Course, Groups, TruthScores
-from mmwave_env.localization.tum import tum_lines
+from mmwave_env.logs.truth import Truth
+from mmwave_env.logs.tum import tum_lines
 from mmwave_env.metrics import ate, rmse, rpe
 from tests.localization.test_track_files import some_track
 

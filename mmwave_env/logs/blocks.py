@@ -6,7 +6,7 @@ from typing import Any, ClassVar, TypeVar
 
 import numpy as np
 
-from mmwave_env.localization.log_tables import LogError
+from mmwave_env.logs.log_tables import LogError
 
 AnyBlock = TypeVar("AnyBlock", bound="Block")
 

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from mmwave_env.localization.tum import read_tum, tum_blocks, tum_lines
+from mmwave_env.logs.tum import read_tum, tum_blocks, tum_lines
 from mmwave_env.metrics import ate, rmse, rpe
 
 POSES = "0.0 1 2 3 0 0 0 1\n0.1 1.5 2 3 0 0 0 1\n0.2 2 2 3 0 0 0 1\n"
@@ -42,7 +42,7 @@ def test_a_file_may_be_written_block_by_block(tmp_path):
 def test_a_file_is_read_block_by_block(tmp_path, monkeypatch):
     track = np.random.default_rng(0).standard_normal((200, 3))
     path = store(tmp_path, "# by hand\n" * 50 + tum_lines(np.arange(200.0), track))
-    monkeypatch.setattr("mmwave_env.localization.lines._BLOCK_BYTES", 300)
+    monkeypatch.setattr("mmwave_env.logs.lines._BLOCK_BYTES", 300)
     blocks = list(tum_blocks(path))
     assert len(blocks) > 20 and all(len(block.time_s) for block in blocks)
     np.testing.assert_array_equal(np.concatenate([b.time_s for b in blocks]), np.arange(200.0))
@@ -97,7 +97,7 @@ def test_spellings(tmp_path, change):
 def test_a_file_of_many_blocks(tmp_path, monkeypatch):
     time, track = 0.5 * np.arange(500), np.random.default_rng(0).standard_normal((500, 3))
     path = store(tmp_path, tum_lines(time, track))
-    monkeypatch.setattr("mmwave_env.localization.lines._BLOCK_BYTES", 300)
+    monkeypatch.setattr("mmwave_env.logs.lines._BLOCK_BYTES", 300)
     found = read_tum(path)
     np.testing.assert_array_equal(found.time_s, time)
     np.testing.assert_array_equal(found.position_m, track)
@@ -125,7 +125,7 @@ def test_a_damaged_line_is_named(tmp_path, monkeypatch, name, block_bytes):
     first, second, third, _ = POSES.split("\n")
     content = "\n".join([f"# {first}", first, "", second, line, third]) + "\n"
     path = store(tmp_path, content.encode("utf-8", "surrogateescape"))
-    monkeypatch.setattr("mmwave_env.localization.lines._BLOCK_BYTES", block_bytes)
+    monkeypatch.setattr("mmwave_env.logs.lines._BLOCK_BYTES", block_bytes)
     with pytest.raises(ValueError, match=message) as error:
         read_tum(path)
     assert str(error.value).startswith(f"{path}, line 5")

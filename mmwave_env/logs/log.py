@@ -10,8 +10,6 @@ not to an anchor (Doppler spread, odometry) may stand in any of its rows.
 A log may be longer than memory, so it is read in blocks.
 """
 
-import gzip
-import math
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -20,11 +18,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from mmwave_env.episodes.episode import Episode
-from mmwave_env.localization.blocks import Block, in_windows
-from mmwave_env.localization.log_columns import LINK_QUANTITIES
-from mmwave_env.localization.log_tables import SUFFIXES, LogError, LogFile, open_log, require_arrow
-from mmwave_env.models.measurement import LINK, SPEED_OF_LIGHT, Layout, wrap_angles
+from mmwave_env.logs.blocks import Block, in_windows
+from mmwave_env.logs.log_columns import LINK_QUANTITIES
+from mmwave_env.logs.log_tables import LogError, LogFile, open_log
+from mmwave_env.models.measurement import Layout, wrap_angles
 from mmwave_env.models.scene import Scene
 from mmwave_env.numerics.arrays import Array, Mask
 
@@ -301,73 +298,3 @@ def _block(log: LogFile, rows: Array, layout: Layout, done: int, share: float) -
         rows=done,
         share=share,
     )
-
-
-# --- writing
-
-
-def log_columns(episode: Episode) -> dict[str, Array]:
-    """The columns (n,) of an episode's log, NaN where empty; a row for each epoch and anchor.
-
-    Numbers of groups that can't be used are left out. The SNR stays where a link or the
-    Doppler shift needs it.
-    """
-    layout, usable = episode.layout, episode.usable
-    T, L = len(episode), layout.anchors
-    links = np.where(
-        usable[:, :L, None], episode.measurement[:, : layout.doppler].reshape(T, L, 4), np.nan
-    )
-    heard = usable[:, :L].copy()
-    heard[:, 0] |= usable[:, L]
-
-    def first_row(values: Array, shown: Mask | bool = True) -> Array:
-        out = np.full((T, L), np.nan)
-        out[:, 0] = np.where(shown, values, np.nan)
-        return out.ravel()
-
-    columns = {
-        "time_s": np.repeat(episode.time_s, L),
-        "anchor": np.tile(np.arange(1, L + 1), T),
-        "toa_s": links[..., 0].ravel() / SPEED_OF_LIGHT,
-        **{name: links[..., i].ravel() for i, name in enumerate(LINK) if i},
-        "doppler_hz": first_row(episode.measurement[:, layout.doppler], usable[:, L]),
-        "snr_db": np.where(heard, episode.snr_db, np.nan).ravel(),
-        "doppler_spread_hz": first_row(episode.doppler_spread_hz),
-    }
-    if layout.odometry:
-        odometry = episode.measurement[:, layout.doppler + 1 :].T
-        for name, values in zip(("speed_mps", "heading_rad"), odometry, strict=True):
-            columns[name] = first_row(values, usable[:, -1])
-    return columns
-
-
-def log_text(episode: Episode) -> str:
-    """The log of an episode as CSV, exact to the last bit."""
-    columns = log_columns(episode)
-    words = [
-        ["" if math.isnan(v) else repr(v) for v in values.tolist()] for values in columns.values()
-    ]
-    return "".join(",".join(row) + "\n" for row in [tuple(columns), *zip(*words, strict=True)])
-
-
-def write_log(path: Path, episode: Episode) -> None:
-    """Write the log of an episode, as CSV or Parquet by the name of the file.
-
-    Raises:
-        LogError: another kind of file, or pyarrow is missing.
-        OSError: it can't be written.
-    """
-    name = path.name.lower()
-    if name.endswith(".parquet"):
-        pyarrow, parquet = require_arrow(path)
-        columns = {
-            name: pyarrow.array(values, mask=np.isnan(values))
-            for name, values in log_columns(episode).items()
-        }
-        parquet.write_table(pyarrow.table(columns), path, write_page_checksum=True)
-    elif name.endswith(".csv.gz"):
-        path.write_bytes(gzip.compress(log_text(episode).encode(), mtime=0))
-    elif name.endswith(".csv"):
-        path.write_text(log_text(episode), encoding="utf-8", newline="\n")
-    else:
-        raise LogError(f"{path}: found {path.suffix!r}, expected a name in {', '.join(SUFFIXES)}")

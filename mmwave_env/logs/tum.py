@@ -7,7 +7,7 @@ from typing import NamedTuple, NoReturn
 
 import numpy as np
 
-from mmwave_env.localization.lines import LineBlock, line_blocks, number
+from mmwave_env.logs.lines import LineBlock, line_blocks, number
 from mmwave_env.numerics.arrays import Array
 
 COLUMNS = ("t", "x", "y", "z", "qx", "qy", "qz", "qw")

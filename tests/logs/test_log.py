@@ -14,10 +14,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from mmwave_env.episodes.log_writer import log_text, write_log
 from mmwave_env.episodes.simulated import SimulatedSource
-from mmwave_env.localization.log import log_text, read_log, write_log
-from mmwave_env.localization.log_columns import QUANTITIES
-from mmwave_env.localization.log_tables import LogError
+from mmwave_env.logs.log import read_log
+from mmwave_env.logs.log_columns import QUANTITIES
+from mmwave_env.logs.log_tables import LogError
 from mmwave_env.models.measurement import SPEED_OF_LIGHT, Layout
 from mmwave_env.models.radio import RADIOS
 from mmwave_env.models.scene import SCENES, Scene
@@ -392,7 +393,7 @@ def test_a_damaged_row_is_named_and_what_came_before_delivered(tmp_path, name, s
 @pytest.mark.parametrize("name", DAMAGE)
 @pytest.mark.parametrize("table_bytes", [100, 150, 190])
 def test_damage_is_found_wherever_the_file_is_cut(tmp_path, monkeypatch, name, table_bytes):
-    monkeypatch.setattr("mmwave_env.localization.lines._BLOCK_BYTES", table_bytes)
+    monkeypatch.setattr("mmwave_env.logs.lines._BLOCK_BYTES", table_bytes)
     assert_named_and_delivered(tmp_path, name, 2)
 
 
@@ -455,7 +456,7 @@ def test_whatever_cell_is_damaged_the_epochs_before_are_delivered(
     header, *lines = [line.split(",") for line in log_text(true).splitlines()]
     lines[row][column : column + 1] = [] if cell is None else [cell]
     with tempfile.TemporaryDirectory() as folder, pytest.MonkeyPatch.context() as patch:
-        patch.setattr("mmwave_env.localization.lines._BLOCK_BYTES", table_bytes)
+        patch.setattr("mmwave_env.logs.lines._BLOCK_BYTES", table_bytes)
         path = store(Path(folder), text(lines, ",".join(header)))
         blocks, error = delivered(path, epochs_per_block=size)
     assert re.match(rf"{re.escape(str(path))}, line {row + 2}[,:]", error)
@@ -638,7 +639,7 @@ class TestParquet:
     )
     @pytest.mark.parametrize("batch", [2, 5, 1000])
     def test_damaged_rows(self, tmp_path, monkeypatch, column, row, value, message, epochs, batch):
-        monkeypatch.setattr("mmwave_env.localization.log_tables._BATCH_ROWS", batch)
+        monkeypatch.setattr("mmwave_env.logs.log_tables._BATCH_ROWS", batch)
         columns = self.columns()
         columns[column][row] = value
         blocks, error = delivered(self.store(tmp_path, columns))
@@ -667,7 +668,7 @@ class TestParquet:
             read_log(store(tmp_path, "", "log.parquet"), SCENE)
 
     def test_broken_pages_after_good_ones(self, tmp_path, monkeypatch):
-        monkeypatch.setattr("mmwave_env.localization.log_tables._BATCH_ROWS", 30)
+        monkeypatch.setattr("mmwave_env.logs.log_tables._BATCH_ROWS", 30)
         true = episode(epochs=200)
         path = tmp_path / "log.parquet"
         write_log(path, true)
@@ -700,7 +701,7 @@ def test_parquet_without_pyarrow_says_what_to_install(tmp_path, monkeypatch, act
 MEMORY = """
 import resource, sys
 from pathlib import Path
-from mmwave_env.localization.log import read_log
+from mmwave_env.logs.log import read_log
 from mmwave_env.models.scene import SCENES
 before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
 rows = [block.rows for block in read_log(Path(sys.argv[1]), SCENES["street"])][-1]

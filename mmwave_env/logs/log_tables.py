@@ -1,7 +1,7 @@
 """Measurement logs as tables of numbers: CSV and Parquet become the same thing here.
 
 A table is a few thousand consecutive rows. Nothing but the columns' names, the shape of the
-file and what is a number is checked here; what the numbers mean is `measurement_log.py`'s.
+file and what is a number is checked here; what the numbers mean is `log.py`'s.
 """
 
 import csv
@@ -14,8 +14,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from mmwave_env.localization.lines import DamagedFileError, line_blocks, number
-from mmwave_env.localization.log_columns import Column, columns_of
+from mmwave_env.logs.lines import DamagedFileError, line_blocks, number
+from mmwave_env.logs.log_columns import Column, columns_of
 from mmwave_env.numerics.arrays import Array
 
 Rows = NDArray[np.int64]
