@@ -49,6 +49,15 @@ def _refusing(asked: str) -> Any:
     return lambda *_, **__: _refuse(asked)
 
 
+def _combining(op: str) -> tuple[Any, Any]:
+    """An operator, and the one that Python asks the right operand for."""
+    return lambda a, b: _combined(op, a, b), lambda b, a: _combined(op, a, b)
+
+
+def _comparing(op: str) -> Any:
+    return lambda a, b: a.compare(op, b)
+
+
 class TracerCondition:
     """A condition on hidden numbers, for ``where``; combine with ``&`` and ``|``."""
 
@@ -85,41 +94,12 @@ class Tracer:
         """``self op other`` for <, <=, > or >=: a condition."""
         raise NotImplementedError
 
-    def __add__(self, other: Any) -> Any:
-        return _combined("add", self, other)
-
-    def __radd__(self, other: Any) -> Any:
-        return _combined("add", other, self)
-
-    def __sub__(self, other: Any) -> Any:
-        return _combined("sub", self, other)
-
-    def __rsub__(self, other: Any) -> Any:
-        return _combined("sub", other, self)
-
-    def __mul__(self, other: Any) -> Any:
-        return _combined("mul", self, other)
-
-    def __rmul__(self, other: Any) -> Any:
-        return _combined("mul", other, self)
-
-    def __truediv__(self, other: Any) -> Any:
-        return _combined("div", self, other)
-
-    def __rtruediv__(self, other: Any) -> Any:
-        return _combined("div", other, self)
-
-    def __lt__(self, other: Any) -> Any:
-        return self.compare("<", other)
-
-    def __le__(self, other: Any) -> Any:
-        return self.compare("<=", other)
-
-    def __gt__(self, other: Any) -> Any:
-        return self.compare(">", other)
-
-    def __ge__(self, other: Any) -> Any:
-        return self.compare(">=", other)
+    __add__, __radd__ = _combining("add")
+    __sub__, __rsub__ = _combining("sub")
+    __mul__, __rmul__ = _combining("mul")
+    __truediv__, __rtruediv__ = _combining("div")
+    __lt__, __le__ = _comparing("<"), _comparing("<=")
+    __gt__, __ge__ = _comparing(">"), _comparing(">=")
 
 
 def _settled(op: str, a: Any, b: Any) -> Any:
@@ -171,6 +151,10 @@ class FloatCondition(TracerCondition):
         return FloatTracer(numbers.where(self.hidden, value_of(a), value_of(b)))
 
 
+def _applying(function: Callable[[float], float]) -> Any:
+    return lambda a: FloatTracer(function(a.hidden))
+
+
 class FloatTracer(Tracer):
     """A float that hides its value and does with it what lanes do with theirs."""
 
@@ -197,17 +181,7 @@ class FloatTracer(Tracer):
         """A value."""
         return FloatTracer(value)
 
-    def sqrt(self) -> "FloatTracer":
-        """Square root."""
-        return FloatTracer(numbers.sqrt(self.hidden))
-
-    def log(self) -> "FloatTracer":
-        """Natural logarithm."""
-        return FloatTracer(numbers.log(self.hidden))
-
-    def exp(self) -> "FloatTracer":
-        """Exponential function."""
-        return FloatTracer(numbers.exp(self.hidden))
+    sqrt, log, exp = _applying(numbers.sqrt), _applying(numbers.log), _applying(numbers.exp)
 
     def cos_sin(self) -> "tuple[FloatTracer, FloatTracer]":
         """Cosine and sine."""
