@@ -7,7 +7,7 @@ runs any tuning.
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from functools import lru_cache
+from functools import lru_cache, partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -82,9 +82,6 @@ def program_of(pipeline: Pipeline, rule: Rule | None = None) -> Program[TrackSta
 
 @lru_cache(maxsize=64)
 def _program(pipeline: Pipeline, rule: Rule | None) -> Program[TrackState]:
-    def function(w: TrackState) -> TrackState:
-        return track_epoch(w, pipeline, rule)
-
     site = blank_site(pipeline.layout)
     template = TrackState(
         incoming=blank_incoming(pipeline.layout),
@@ -100,7 +97,7 @@ def _program(pipeline: Pipeline, rule: Rule | None) -> Program[TrackState]:
         error=[0.0] * 3,
         nees=0.0,
     )
-    return Program(function, template)
+    return Program(partial(track_epoch, pipeline=pipeline, rule=rule), template)
 
 
 def untuned(pipeline: Pipeline) -> Pipeline:
@@ -146,21 +143,18 @@ class Tracker:
         self._batch.write(self._batch.at.tunings, np.tile(row, (self._batch.n, 1)))
         self._batch.restart()
 
-    def load(self, episodes: Sequence[Episode]) -> None:
+    def load(self, episodes: Sequence[Episode], go_on: bool = False) -> None:
         """Take N episodes, to filter from their priors.
+
+        Args:
+            episodes: one a track.
+            go_on: whether they follow those just filtered; their priors are not looked at.
 
         Raises:
             ValueError: another number of episodes, or another layout than the pipeline's.
         """
-        self._batch.load(episodes)
-        self._loaded(episodes)
-
-    def go_on(self, episodes: Sequence[Episode]) -> None:
-        """Take what follows the episodes just filtered; their priors are not looked at."""
-        self._batch.load(episodes, gap_s=float(episodes[0].time_s[0]) - self._end_s)
-        self._loaded(episodes)
-
-    def _loaded(self, episodes: Sequence[Episode]) -> None:
+        gap_s = float(episodes[0].time_s[0]) - self._end_s if go_on else None
+        self._batch.load(episodes, gap_s=gap_s)
         self._epochs = max(len(episode) for episode in episodes)
         self._end_s = float(episodes[0].time_s[-1])
 

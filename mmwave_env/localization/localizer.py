@@ -113,11 +113,10 @@ def _filtered(
             prior = prior_from_fix(scene.anchors_m[0], *fix, radio, scene)
             visible = visible.copy()
             visible[0, 0] = False  # or the link would be used twice
-            load = tracker.load
-        else:
-            load = tracker.go_on
         episode = _episode(block, visible, sigma, scene, prior)
-        load([episode if height_m is None else episode.on_flat_ground(height_m)])
+        if height_m is not None:
+            episode = episode.on_flat_ground(height_m)
+        tracker.load([episode], go_on=not piece.begins)
         x, P, P_predicted, mode, nis, accepted = (v[0] for v in tracker.run(*_FILTERED).values())
         track = TrackBlock(
             layout=block.layout,

@@ -78,8 +78,7 @@ def test_a_track_goes_on_where_it_ended(episodes):
     pieces = Tracker(Pipeline(default_modes(), STREET), N, faster_than_2)
     found = []
     for first, last in ((0, 1), (1, 25), (25, T)):
-        load = pieces.go_on if first else pieces.load
-        load([part(episode, first, last) for episode in episodes])
+        pieces.load([part(episode, first, last) for episode in episodes], go_on=first > 0)
         found.append(pieces.run("x", "P_predicted", "memory.gamma"))
     for name, values in expected.items():
         joined = np.concatenate([piece[name] for piece in found], axis=1)
