@@ -136,11 +136,6 @@ class Batch(Generic[Workspace]):
         found: Array = self.state.rows[block, self.span(site), lane]
         return found
 
-    def begin(self, episodes: Sequence[Episode]) -> None:
-        """Load one episode each and run their first epoch; see :meth:`load`."""
-        self.load(episodes)
-        self.advance()
-
     def io(
         self, epochs: int = 1, output_rows: Index = NO_ROWS, obs_rows: Index = NO_ROWS
     ) -> StepIO:

@@ -7,7 +7,7 @@ Nothing an action does changes the world, so episodes are loaded whole.
 """
 
 from collections.abc import Sequence
-from functools import lru_cache
+from functools import lru_cache, partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -123,11 +123,8 @@ def epoch(w: EnvState, pipeline: Pipeline, observation: Observation, reward: Rew
 def _program(pipeline: Pipeline, kind: str, reward: Reward) -> Program[EnvState]:
     """The compiled epoch, shared by every environment that is set up alike."""
     observation = Observation(pipeline, kind)
-
-    def function(w: EnvState) -> EnvState:
-        return epoch(w, pipeline, observation, reward)
-
-    return Program(function, _template(pipeline, len(observation)))
+    step = partial(epoch, pipeline=pipeline, observation=observation, reward=reward)
+    return Program(step, _template(pipeline, len(observation)))
 
 
 class Engine:
@@ -166,7 +163,8 @@ class Engine:
 
     def reset(self, episodes: Sequence[Episode]) -> None:
         """Start over with one episode each and consider its first epoch."""
-        self.batch.begin(episodes)
+        self.batch.load(episodes)
+        self.batch.advance()
 
     def load(self, episodes: EpisodeBatch | Sequence[Episode], places: Index) -> None:
         """Give some environments an episode, to start over with at the next run."""
