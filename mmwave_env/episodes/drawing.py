@@ -12,27 +12,19 @@ from mmwave_env.episodes.travel import travel
 PLAIN_DRAWN_EPOCHS = 20_000  # before compiling, which takes as long as 75 000 of them
 
 
-@register_jitable
-def _normals(rng, out, first, last):  # type: ignore[no-untyped-def]
-    for epoch in range(len(out)):
-        for i in range(first, last):
-            out[epoch, i] = rng.standard_normal()
-    return last
+NORMAL, UNIFORM, EXPONENTIAL = range(3)
 
 
 @register_jitable
-def _uniforms(rng, out, first, last):  # type: ignore[no-untyped-def]
+def _fill(kind, rng, out, first, last):  # type: ignore[no-untyped-def]
     for epoch in range(len(out)):
         for i in range(first, last):
-            out[epoch, i] = rng.random()
-    return last
-
-
-@register_jitable
-def _exponentials(rng, out, first, last):  # type: ignore[no-untyped-def]
-    for epoch in range(len(out)):
-        for i in range(first, last):
-            out[epoch, i] = rng.standard_exponential()
+            if kind == NORMAL:
+                out[epoch, i] = rng.standard_normal()
+            elif kind == UNIFORM:
+                out[epoch, i] = rng.random()
+            else:
+                out[epoch, i] = rng.standard_exponential()
     return last
 
 
@@ -42,19 +34,19 @@ def _draw(rng, out, links, rows):  # type: ignore[no-untyped-def]
 
     The order of drawing, kind by kind over all epochs, is part of what a seed means.
     """
-    at = _normals(rng, out, 6, 6 + links)  # shadowing
-    at = _uniforms(rng, out, at, at + links)  # blockage
-    at = _uniforms(rng, out, at, at + links)  # multipath
-    at = _uniforms(rng, out, at, at + 1)  # outage
-    at = _exponentials(rng, out, at, at + links)  # range of blockage
-    at = _exponentials(rng, out, at, at + links)  # of multipath
-    at = _normals(rng, out, at, at + 3 * links)  # angles of blockage
-    at = _normals(rng, out, at, at + 3 * links)  # of multipath
-    at = _uniforms(rng, out, at, at + links)  # detection
-    at = _normals(rng, out, at, at + 1)  # scatter of the Doppler spread
-    at = _normals(rng, out, at, at + 1)  # its floor
-    at = _normals(rng, out, at, at + rows)  # noise
-    _normals(rng, out, at, at + 1)  # oscillator
+    at = _fill(NORMAL, rng, out, 6, 6 + links)  # shadowing
+    at = _fill(UNIFORM, rng, out, at, at + links)  # blockage
+    at = _fill(UNIFORM, rng, out, at, at + links)  # multipath
+    at = _fill(UNIFORM, rng, out, at, at + 1)  # outage
+    at = _fill(EXPONENTIAL, rng, out, at, at + links)  # range of blockage
+    at = _fill(EXPONENTIAL, rng, out, at, at + links)  # of multipath
+    at = _fill(NORMAL, rng, out, at, at + 3 * links)  # angles of blockage
+    at = _fill(NORMAL, rng, out, at, at + 3 * links)  # of multipath
+    at = _fill(UNIFORM, rng, out, at, at + links)  # detection
+    at = _fill(NORMAL, rng, out, at, at + 1)  # scatter of the Doppler spread
+    at = _fill(NORMAL, rng, out, at, at + 1)  # its floor
+    at = _fill(NORMAL, rng, out, at, at + rows)  # noise
+    _fill(NORMAL, rng, out, at, at + 1)  # oscillator
 
 
 @register_jitable
