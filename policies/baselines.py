@@ -4,9 +4,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mmwave_env.observation import Observation
+from policies.policy import Policy
 
 
-class FixedMode:
+class FixedMode(Policy):
     """Always the same mode.
 
     Args:
@@ -16,15 +17,12 @@ class FixedMode:
     def __init__(self, action: int) -> None:
         self.action = action
 
-    def reset(self, mask: NDArray[np.bool_]) -> None:
-        """Nothing to forget."""
-
     def __call__(self, observation: NDArray[np.float32]) -> NDArray[np.int64]:
         """Actions (n,)."""
         return np.full(len(observation), self.action, np.int64)
 
 
-class RandomMode:
+class RandomMode(Policy):
     """Any mode, uniformly.
 
     Args:
@@ -36,18 +34,15 @@ class RandomMode:
         self.modes = modes
         self._rng = np.random.default_rng(seed)
 
-    def reset(self, mask: NDArray[np.bool_]) -> None:
-        """Nothing to forget."""
-
     def __call__(self, observation: NDArray[np.float32]) -> NDArray[np.int64]:
         """Actions (n,)."""
         return self._rng.integers(self.modes, size=len(observation))
 
 
-class LikelihoodRule:
+class LikelihoodRule(Policy):
     """The mode that explained the latest measurements, the coming one included, best.
 
-    Compares moving averages of the modes' log-likelihoods.
+    Compares moving averages of the modes' log-likelihoods, which are part of the observation.
 
     Args:
         observation: the environment's table of features; must show the coming epoch.
@@ -58,9 +53,6 @@ class LikelihoodRule:
     def __init__(self, observation: Observation, modes: list[str], pace: str = "fast") -> None:
         self.observation = observation
         self._features = [f"preference {pace} {name}" for name in modes[:-1]]
-
-    def reset(self, mask: NDArray[np.bool_]) -> None:
-        """Nothing to forget: the averages are part of the observation."""
 
     def __call__(self, observation: NDArray[np.float32]) -> NDArray[np.int64]:
         """Actions (n,)."""

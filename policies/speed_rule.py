@@ -10,6 +10,7 @@ from mmwave_env.models.epoch import Epoch
 from mmwave_env.numerics.linalg import dot
 from mmwave_env.numerics.numbers import Number, Vector, sqrt, where
 from mmwave_env.observation import Observation
+from policies.policy import Policy
 
 SLOW_MPS = 2.0  # paper, Algorithm 1: up to it mobility is low
 
@@ -29,7 +30,7 @@ def by_odometry_speed(x: Vector, epoch: Epoch) -> Number:
     return where(epoch.visible[-1] > 0.5, mode_at(epoch.z[-2]), by_predicted_speed(x, epoch))
 
 
-class SpeedRule:
+class SpeedRule(Policy):
     """The paper's rule (Sec. III-A): mode 0 up to the threshold, mode 1 above.
 
     Above 20 m/s the speed is outside the paper's design window: one warning, and mode 1.
@@ -50,9 +51,6 @@ class SpeedRule:
             raise ValueError(f"threshold: found {threshold}, expected >= 0 m/s")
         self.observation, self.threshold, self.feature = observation, threshold, feature
         self._warned = False
-
-    def reset(self, mask: NDArray[np.bool_]) -> None:
-        """Nothing to forget."""
 
     def __call__(self, observation: NDArray[np.float32]) -> NDArray[np.int64]:
         """Actions (n,)."""
