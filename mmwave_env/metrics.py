@@ -32,20 +32,12 @@ def _squared(error: Array) -> Array:
 
 def ate(error: Array) -> Array:
     """Absolute trajectory error (...,) of errors (..., T, 3): mean length, m."""
-    return _ate(_squared(error))
+    return np.sqrt(_squared(error)).mean(axis=-1)  # type: ignore[no-any-return]
 
 
 def rmse(error: Array) -> Array:
     """Root mean square (...,) of errors (..., T, 3), m."""
-    return _rmse(_squared(error))
-
-
-def _ate(squared: Array) -> Array:
-    return np.sqrt(squared).mean(axis=-1)  # type: ignore[no-any-return]
-
-
-def _rmse(squared: Array) -> Array:
-    return np.sqrt(squared.mean(axis=-1))  # type: ignore[no-any-return]
+    return np.sqrt(_squared(error).mean(axis=-1))  # type: ignore[no-any-return]
 
 
 def rpe(error: Array, delta: int = 1) -> Array:
@@ -91,13 +83,12 @@ def accuracy(
     """
     counted = scored(nees.shape[-1])
     error, nees = error[..., counted, :], nees[..., counted]
-    squared = _squared(error)
     low, high = nees_interval(axes)
     return {
-        "ate_m": _ate(squared),
-        "rmse_m": _rmse(squared),
+        "ate_m": ate(error),
+        "rmse_m": rmse(error),
         "rpe_m": rpe(error, max(1, round(epochs_per_s))),
         "nees": nees.mean(axis=-1),
         "in_bounds": ((nees >= low) & (nees <= high)).mean(axis=-1),
-        "divergence_rate": (~(squared.max(axis=-1) <= DIVERGENCE_M**2)).astype(float),
+        "divergence_rate": (~(_squared(error).max(axis=-1) <= DIVERGENCE_M**2)).astype(float),
     }

@@ -38,7 +38,7 @@ class Tangent:
 
     def rows(self, group: Group, L: Matrix, latents: "Latents") -> list[list[Number]]:
         """V (k, 7): the Jacobian along each column of L."""
-        columns = _columns(L)
+        columns = list(zip(*L, strict=True))
         return [[dot(gradient, column) for column in columns] for gradient in group.jacobian]
 
 
@@ -81,7 +81,7 @@ class SigmaPoints:
     def rows(self, group: Group, L: Matrix, latents: "Latents") -> list[list[Number]]:
         """V (k, 7 + curvatures) from central and second differences along the columns of L."""
         s, k = self.reach, len(group.jacobian)
-        columns = _columns(L)
+        columns = list(zip(*L, strict=True))
         odd: list[list[Number]] = [[] for _ in range(k)]
         even: list[list[Number]] = [[] for _ in range(k)]
         for column in columns[: group.curved]:
@@ -158,7 +158,3 @@ def linearize(
     latents = linearization.latents(6 if measurement.layout.odometry else 3)
     groups = groups_of(x, measurement)
     return Prior(L, latents, groups, [linearization.rows(group, L, latents) for group in groups])
-
-
-def _columns(L: Matrix) -> list[list[Number]]:
-    return [[L[i][j] for i in range(STATE_SIZE)] for j in range(STATE_SIZE)]

@@ -212,15 +212,8 @@ def _require_numbers(log: LogFile) -> None:
     with _open_parquet(log.path) as file:
         for column in log.columns.values():
             kind = file.schema_arrow.field(column.name).type
-            if not any(
-                is_kind(kind)
-                for is_kind in (
-                    types.is_floating,
-                    types.is_integer,
-                    types.is_decimal,
-                    types.is_null,
-                )
-            ):
+            numeric = types.is_floating, types.is_integer, types.is_decimal, types.is_null
+            if not any(is_kind(kind) for is_kind in numeric):
                 raise LogError(
                     f"{log.path}, column {column.name!r}: found type {kind}, expected numbers"
                 )
