@@ -24,7 +24,7 @@ from mmwave_env.files import write_bytes, write_json
 from mmwave_env.filters.mode_files import as_written, modes_from
 from mmwave_env.filters.modes import Mode
 from mmwave_env.lookup import choose
-from mmwave_env.reward import REWARDS, Reward, TrackingReward
+from mmwave_env.reward import REWARDS, PairedReward, Reward, TrackingReward
 
 
 @dataclass
@@ -42,7 +42,8 @@ class Args:
     observation: str = "full"
     """full, or prior: nothing of how each mode sees the coming epoch"""
     reward: str = "tracking"
-    """tracking or log-score"""
+    """tracking or log-score, minus the IMM's where the hyperparameters say paired; or paired, which
+    always is tracking minus the IMM's"""
     nees_weight: float = TrackingReward.nees_weight
     """weight of the NEES in the tracking reward"""
     seeds: int = 5
@@ -63,8 +64,10 @@ class Args:
     """replace the run in this folder"""
 
     def rewards(self) -> Reward:
-        """What is learned to earn."""
+        """What is learned to earn, before anything is subtracted."""
         reward = choose(REWARDS, self.reward, "reward")
+        if isinstance(reward, PairedReward):
+            reward = reward.reward
         if isinstance(reward, TrackingReward):
             return replace(reward, nees_weight=self.nees_weight)
         return reward
@@ -82,7 +85,7 @@ class Args:
             raise ValueError(
                 f"{path}: lstm: found {recipe.lstm}, expected {expected} for --algo {self.algo}"
             )
-        return recipe
+        return replace(recipe, paired=recipe.paired or self.reward == "paired")
 
     def manifest(self, modes: Sequence[Mode], recipe: Hyperparameters) -> dict[str, Any]:
         """What decides how a run goes on, as JSON holds it."""

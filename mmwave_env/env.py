@@ -9,6 +9,7 @@ from gymnasium import spaces
 from gymnasium.error import InvalidAction, ResetNeeded
 from numpy.typing import NDArray
 
+from mmwave_env.engines.baseline import Baseline
 from mmwave_env.engines.env_engine import Engine
 from mmwave_env.engines.replay import Replay
 from mmwave_env.episodes.episode import Episode
@@ -24,6 +25,7 @@ from mmwave_env.observation import Observation
 from mmwave_env.rendering import FRAMES_PER_SECOND, Picture, blank_picture
 from mmwave_env.task import task_from
 
+_HERE = np.zeros(1, np.int64)  # the place of the environment in a batch of one
 BACKENDS = {"lanes": "SIMD lanes", "filterpy": "filterpy's filters, slow, independent"}
 
 
@@ -66,6 +68,11 @@ class MmWaveLocEnv(gym.Env[NDArray[np.float32], np.int64]):
     density of the true position, at least -30. Any function of (belief, truth) works too, see
     `mmwave_env.reward`. A mode's `cost` is subtracted in every epoch that runs it.
 
+    `reward="paired"`: the tracking reward minus that of an IMM over the radio's two default modes,
+    in the same epoch of the same episode. Nothing an agent does changes what the IMM earns, so
+    the best policy is the same, and training sees less noise: above 0 the agent beats the IMM.
+    Other rewards are paired by `mmwave_env.reward.PairedReward(...)`.
+
     ## Starting State
 
     An episode is drawn from the scenario: trajectory, channel, measurements, and a prior
@@ -76,7 +83,9 @@ class MmWaveLocEnv(gym.Env[NDArray[np.float32], np.int64]):
 
     Truncation after `episode_steps` epochs (default 200; a recording: all its epochs). With
     `terminate_on_divergence=True` an episode terminates when the error exceeds 50 m, and that
-    step pays the worst reward for every epoch left, so that failing fast does not pay.
+    step pays the worst reward for every epoch left, so that failing fast does not pay. A paired
+    reward then also loses what the IMM earns in those epochs: its sum over an episode is always
+    the agent's minus the IMM's.
 
     ## Information
 
@@ -96,7 +105,7 @@ class MmWaveLocEnv(gym.Env[NDArray[np.float32], np.int64]):
       mode file or a `Mode`, whose algorithm may be your own function (docs/own-filters.md); or
       one mode file, as `mmwave-loc tune` writes it; or "extended", a bank of eight: more
       tunings, two robust modes, and one that finds a lost user again.
-    * `reward`: "tracking", "log-score" or a function.
+    * `reward`: "tracking", "log-score", "paired", a function or a `PairedReward`.
     * `observation`: "full" or "prior".
     * `episode_steps`, `dt`: epochs per episode and seconds per epoch.
     * `episodes`: recorded data instead of a simulation: "canyon28_vehicle",
@@ -158,6 +167,7 @@ class MmWaveLocEnv(gym.Env[NDArray[np.float32], np.int64]):
         on_floats = backend == "filterpy"
         self._engine = Engine(pipeline, 1, self.reward, observation, on_floats)
         self._replay = Replay(pipeline, on_floats)
+        self._baseline = task.baseline and Baseline(task.baseline, task.reward, self._engine.batch)
         self.modes, self.observation = pipeline.modes, self._engine.observation
         self.observation_space = cast(Any, self.observation.space)
         self.action_space = spaces.Discrete(len(self.modes))
@@ -179,6 +189,8 @@ class MmWaveLocEnv(gym.Env[NDArray[np.float32], np.int64]):
         super().reset(seed=seed, options=options)
         episode = self._task.draw(self.np_random)
         self._engine.reset([episode])
+        if self._baseline:
+            self._baseline.begin(_HERE)
         self._episode, self._over, self._steps = episode, False, 0
         self._actions, self._path = np.zeros(len(episode), np.int64), np.empty((len(episode), 3))
         if self._picture is not None:
@@ -203,21 +215,25 @@ class MmWaveLocEnv(gym.Env[NDArray[np.float32], np.int64]):
         observations, _ = self._engine.step(action)
         column = self._engine.column(0)
         info = self._step_info(column, int(action))
-        reward, distance = float(column[self._engine.at.reward]), info["position_error_m"]
+        rewards, distance = np.array([column[self._engine.at.reward]]), info["position_error_m"]
+        if self._baseline:
+            self._baseline.subtract(rewards, _HERE)
         self._actions[self._steps] = action
         self._path[self._steps] = info["estimate"][:3]
         self._steps += 1
         terminated = False
         if self._task.worst is not None and not distance <= DIVERGENCE_M:
             terminated = True
-            reward += self._task.worst * (len(episode) - self._steps)
+            rewards += self._task.worst * (len(episode) - self._steps)
+            if self._baseline:
+                rewards -= self._baseline.rest(_HERE)
         truncated = not terminated and self._steps == len(episode)
         if terminated or truncated:
             self._over = True
             info |= self._episode_info(episode)
         if self.render_mode == "human":
             self.render()
-        return observations[0], reward, terminated, truncated, info
+        return observations[0], float(rewards[0]), terminated, truncated, info
 
     def render(self) -> NDArray[np.uint8] | None:
         """The epoch just processed, from above: (480, 480, 3) for "rgb_array"."""
@@ -262,7 +278,7 @@ class MmWaveLocEnv(gym.Env[NDArray[np.float32], np.int64]):
     def _episode_info(self, episode: Episode) -> dict[str, float]:
         """Metrics of the epochs stepped through."""
         error, nees, smoothed = self._replay.run(
-            self._engine.batch, np.zeros(1, np.int64), self._actions[None, : self._steps]
+            self._engine.batch, _HERE, self._actions[None, : self._steps]
         )
         dt = np.diff(episode.time_s[None, : self._steps])
         found = episode_info(error, nees, smoothed, dt, self._engine.pipeline.planar)

@@ -3,11 +3,13 @@
 A reward is called as ``reward(belief, truth)`` with a
 :class:`~mmwave_env.filters.belief.Belief` and the true (6,) position and velocity, and
 returns one number. Pass your own to ``MmWaveLoc-v0`` as ``reward=``; it follows the rules
-of :mod:`mmwave_env.numerics.numbers`, so it runs on SIMD lanes like everything else.
+of :mod:`mmwave_env.numerics.numbers`, so it runs on SIMD lanes like everything else. Any of them
+can be paired (:class:`PairedReward`).
 """
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import cast
 
 from mmwave_env.filters.belief import Belief
 from mmwave_env.lookup import choose
@@ -55,17 +57,36 @@ class LogScore:
         return maximum(belief.log_density(truth), self.worst)
 
 
-REWARDS: dict[str, Reward] = {"tracking": TrackingReward(), "log-score": LogScore()}
+@dataclass(frozen=True)
+class PairedReward:
+    """A reward minus what an IMM earns by it, in the same epoch of the same episode.
+
+    The IMM mixes the two default modes of the radio, whatever the agent chooses from. An action
+    changes nothing of what it earns, so the best policy stays the same; that an episode is hard
+    cancels out, so the variance falls. Where an episode ends early because of divergence, what
+    the IMM earns in the epochs left is subtracted, too.
+
+    Attributes:
+        reward: function of (belief, truth).
+    """
+
+    reward: Reward = TrackingReward()
 
 
-def reward_from(reward: str | Reward) -> Reward:
-    """The reward of a ``reward=`` argument: a name or a function of (belief, truth)."""
-    if not callable(reward):
-        return choose(REWARDS, reward, "reward")
+REWARDS: dict[str, Reward | PairedReward] = {
+    "tracking": TrackingReward(), "log-score": LogScore(), "paired": PairedReward(),
+}  # fmt: skip
+
+
+def reward_from(reward: str | Reward | PairedReward) -> Reward | PairedReward:
+    """The reward of a ``reward=`` argument: a name, a function of (belief, truth), or paired."""
+    function = reward.reward if isinstance(reward, PairedReward) else reward
+    if isinstance(reward, str) or not callable(function):
+        return choose(REWARDS, cast(str, reward), "reward")
     try:
-        hash(reward)
+        hash(function)
     except TypeError as error:
         raise ValueError(
-            f"reward: found {reward!r}, expected a hashable function or object"
+            f"reward: found {function!r}, expected a hashable function or object"
         ) from error
     return reward

@@ -2,7 +2,7 @@
 
 import os
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from typing import Any, cast
 
 import numpy as np
@@ -18,7 +18,7 @@ from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.models.radio import Radio, radio_from
 from mmwave_env.models.scene import Scene, scene_from
 from mmwave_env.numerics.arrays import Array, Index
-from mmwave_env.reward import Reward, reward_from
+from mmwave_env.reward import PairedReward, Reward, reward_from
 
 EPISODE_STEPS = 200
 
@@ -32,6 +32,7 @@ class Task:
         radio: profile of the receiver.
         pipeline: modes and layout.
         reward: function of (belief, truth).
+        baseline: modes of the IMM whose reward is subtracted; None where none is.
         worst: what a diverged episode pays for every epoch left; None where none ends early.
     """
 
@@ -39,6 +40,7 @@ class Task:
     radio: Radio
     pipeline: Pipeline
     reward: Reward
+    baseline: Pipeline | None
     worst: float | None
 
     def draw(self, rng: np.random.Generator) -> Episode:
@@ -89,7 +91,7 @@ class TaskArguments:
     radio: str | Radio = "handset"
     scene: str | Scene | None = None
     modes: Sequence[Mode | str] | str | os.PathLike[str] | None = None
-    reward: str | Reward = "tracking"
+    reward: str | Reward | PairedReward = "tracking"
     episode_steps: int | None = None
     dt: float | None = None
     episodes: str | os.PathLike[str] | EpisodeSource | None = None
@@ -113,12 +115,16 @@ def task_from(**arguments: Any) -> Task:
     source, radio = _source(given, radio_from(given.radio))
     pays = reward_from(given.reward)
     pipeline = Pipeline(modes_from(given.modes, radio.name), source.layout, given.planar)
+    baseline = None
+    if isinstance(pays, PairedReward):
+        baseline = replace(pipeline, modes=modes_from(None, radio.name))
+        pays = pays.reward
     worst = None
     if given.terminate_on_divergence:
         if getattr(pays, "worst", None) is None:
             raise ValueError("terminate_on_divergence: the reward needs an attribute `worst`")
         worst = pays.worst - max(mode.cost for mode in pipeline.modes)  # type: ignore[attr-defined]
-    return Task(source, radio, pipeline, pays, worst)
+    return Task(source, radio, pipeline, pays, baseline, worst)
 
 
 def _source(given: TaskArguments, radio: Radio) -> tuple[EpisodeSource, Radio]:

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from mmwave_env.compiler.rng import Generators
 from mmwave_env.compiler.threads import portions, share
+from mmwave_env.engines.baseline import Baseline
 from mmwave_env.engines.env_engine import Engine
 from mmwave_env.engines.replay import Replay
 from mmwave_env.engines.vector_step import Stepper
@@ -99,6 +100,7 @@ class MmWaveLocVectorEnv(gym.vector.VectorEnv[Observations, Index, NDArray[Any]]
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
         self._stepper, self._replay = Stepper(self._engine), Replay(task.pipeline)
+        self._baseline = task.baseline and Baseline(task.baseline, task.reward, self.batch, threads)
         self._generators = Generators(num_envs, task.simulated)
         self._begun = False
         self._mode_count = np.array(len(self.modes), np.uint64)
@@ -182,6 +184,8 @@ class MmWaveLocVectorEnv(gym.vector.VectorEnv[Observations, Index, NDArray[Any]]
             episodes = self._task.draw_many(self._generators, some, room, self._threads)
             self._engine.load(episodes, some)
             names[some], nonfinite[some] = episodes.names, episodes.nonfinite
+        if self._baseline:
+            self._baseline.begin(places)
         self._stepper.history.make_room(self._engine.batch.state.table.shape[1])
         self._over = self._over.copy()
         self._over[places] = False
@@ -195,6 +199,8 @@ class MmWaveLocVectorEnv(gym.vector.VectorEnv[Observations, Index, NDArray[Any]]
         drawn = self._draw(np.flatnonzero(fresh)) if resets else {}
         observations, rewards, truncated, self._ended, infos = self._stepper.step(actions)
         terminated, error = np.zeros(self.num_envs, np.bool_), infos["position_error_m"]
+        if self._baseline:
+            self._baseline.subtract(rewards, np.flatnonzero(~fresh))
         if resets:
             rewards[fresh] = 0.0
             infos = stepped(infos, ~fresh) | masked(drawn, fresh)
@@ -203,6 +209,8 @@ class MmWaveLocVectorEnv(gym.vector.VectorEnv[Observations, Index, NDArray[Any]]
             tracks = self._engine.batch.state  # an epoch ahead: it waits for the next action
             left = (tracks.length + 1 - tracks.epoch)[terminated]
             rewards[terminated] += self._task.worst * left
+            if self._baseline:
+                rewards[terminated] -= self._baseline.rest(np.flatnonzero(terminated))
             truncated &= ~terminated
             self._ended = int(np.count_nonzero(terminated | truncated))
         self._over = self._none_over
@@ -325,6 +333,8 @@ class MmWaveLocVectorEnv(gym.vector.VectorEnv[Observations, Index, NDArray[Any]]
         self._generators.set_bare(state["generators"])
         self._stepper.history.set_all(state["actions"])
         self._over, self._ended = state["over"].copy(), int(np.count_nonzero(state["over"]))
+        if self._baseline:
+            self._baseline.begin(np.arange(n))
         self._begun = True
 
     def _require_simulated(self, what: str) -> None:

@@ -1,6 +1,7 @@
 """Rewards by hand, against scipy, and of the user's own making."""
 
 import math
+from dataclasses import replace
 
 import gymnasium as gym
 import numpy as np
@@ -12,14 +13,18 @@ from scipy.stats import multivariate_normal
 
 import mmwave_env  # noqa: F401  registers the environment
 from mmwave_env.engines.env_engine import Engine
+from mmwave_env.engines.imm_engine import ImmEngine
 from mmwave_env.episodes.simulated import SimulatedSource
 from mmwave_env.filters.belief import Belief
+from mmwave_env.filters.mode_files import default_modes
 from mmwave_env.filters.modes import Mode
 from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.models.radio import radio_from
 from mmwave_env.models.scene import scene_from
 from mmwave_env.numerics.numbers import maximum
-from mmwave_env.reward import REWARDS, LogScore, TrackingReward, reward_from
+from mmwave_env.reward import REWARDS, LogScore, PairedReward, TrackingReward, reward_from
+from mmwave_env.task import task_from
+from tests.training.actors import MODES
 
 ORIGIN = [0.0] * 6
 
@@ -58,7 +63,7 @@ def test_on_flat_terrain_two_axes_are_expected():
     assert TrackingReward()(flat, ORIGIN) == pytest.approx(-math.sqrt(2.0))
 
 
-@pytest.mark.parametrize("name", REWARDS)
+@pytest.mark.parametrize("name", ["tracking", "log-score"])
 def test_no_reward_is_below_the_worst(name):
     reward = REWARDS[name]
     for error in (0.0, 1.0, 1e3, 1e6):
@@ -97,8 +102,14 @@ def test_log_score_ends_at_its_worst():
 def test_reward_by_name_or_by_itself():
     assert reward_from("tracking") == TrackingReward() and reward_from("log-score") == LogScore()
     assert reward_from(capped) is capped
-    with pytest.raises(ValueError, match="'speed'.*tracking, log-score"):
+    assert reward_from("paired") == PairedReward(TrackingReward())
+    assert reward_from(PairedReward(capped)).reward is capped
+    with pytest.raises(ValueError, match="'speed'.*tracking, log-score, paired"):
         reward_from("speed")
+    with pytest.raises(
+        ValueError, match=r"reward: found PairedReward\(reward=PairedReward.*one of"
+    ):
+        reward_from(PairedReward(PairedReward()))
 
 
 # --- in the environment
@@ -185,3 +196,122 @@ def test_a_reward_that_looks_at_values_is_told_what_to_write(own, instead):
     env = gym.make("MmWaveLoc-v0", reward=own, modes=["ekf"])
     with pytest.raises(TypeError, match=f"8 environments: write {instead}"):
         env.reset(seed=0)
+
+
+# --- paired with the IMM
+
+
+SLUGGISH = Mode("sluggish", sigma_v=0.05)  # loses every second vehicle
+DIVERGING = {"scenario": "vehicle", "episode_steps": 40, "modes": [SLUGGISH]}
+ENDING = {"reward": "paired", "terminate_on_divergence": True} | DIVERGING
+
+
+def imm_rewards(seed, episodes, reward=REWARDS["tracking"], **task):
+    """What the IMM earns (episodes, epochs) in the episodes that follow a seed."""
+    source = task_from(**task)
+    imm = ImmEngine(replace(source.pipeline, modes=default_modes("handset")), reward)
+    rng = np.random.default_rng(seed)
+    drawn = [source.draw(rng) for _ in range(episodes)]
+    return imm.run(drawn, "reward")["reward"].astype(np.float32)
+
+
+@pytest.mark.parametrize(
+    "task",
+    [
+        {"modes": MODES, "scenario": "vehicle", "episode_steps": 7},
+        pytest.param(
+            {"modes": ["ekf"], "planar": True, "odometry": True, "episode_steps": 5},
+            marks=pytest.mark.slow,
+        ),
+    ],
+    ids=["three modes", "flat"],
+)
+def test_paired_rewards_are_less_those_of_the_imm_on_the_same_episodes(task):
+    """To the last bit, whatever modes the agent has."""
+    n, epochs = 5, 3 * task["episode_steps"]
+    envs = {
+        reward: gym.make_vec(
+            "MmWaveLoc-v0", num_envs=n, autoreset_mode="SameStep", reward=reward, **task
+        )
+        for reward in ("tracking", "paired")
+    }
+    for env in envs.values():
+        env.reset(seed=3)
+    baseline = np.array([imm_rewards(3 + i, 3, **task).ravel() for i in range(n)])
+    rng = np.random.default_rng(0)
+    for t in range(epochs):
+        actions = rng.integers(len(task["modes"]), size=n)
+        tracked, paired = (env.step(actions)[1] for env in envs.values())
+        np.testing.assert_array_equal(paired, tracked.astype(np.float32) - baseline[:, t])
+    assert np.abs(baseline).min() > 0.0
+
+
+@pytest.mark.parametrize("mode", ["NextStep", "SameStep", "Disabled"])
+def test_vector_environments_pay_paired_rewards_as_single_ones_do(mode):
+    n = 9
+    env = gym.make_vec("MmWaveLoc-v0", num_envs=n, autoreset_mode=mode, **ENDING)
+    singles = [gym.make("MmWaveLoc-v0", **ENDING) for _ in range(n)]
+    env.reset(seed=4)
+    for i, single in enumerate(singles):
+        single.reset(seed=4 + i)
+    over, ends = np.zeros(n, bool), np.zeros(2, int)
+    for _ in range(90):
+        expected = []
+        for single, ended in zip(singles, over, strict=True):
+            if ended and mode == "NextStep":
+                single.reset()
+                expected.append((0.0, False, False))
+            else:
+                expected.append(single.step(0)[1:4])
+        _, rewards, terminated, truncated, _ = env.step(np.zeros(n, int))
+        found = list(zip(rewards.tolist(), terminated, truncated, strict=True))
+        assert found == expected
+        over = terminated | truncated
+        ends += terminated.sum(), truncated.sum()
+        if mode != "NextStep" and over.any():
+            for i in np.flatnonzero(over):
+                singles[i].reset()
+            if mode == "Disabled":
+                env.reset(options={"reset_mask": over})
+    assert ends.min() >= 3
+
+
+def test_a_paired_return_is_the_agents_minus_the_imms_where_an_episode_ends_early_too():
+    ended = 0
+    for seed in range(12):
+        returns = []
+        for reward in ("paired", "tracking"):
+            env = gym.make("MmWaveLoc-v0", **ENDING | {"reward": reward})
+            env.reset(seed=seed)
+            over, earned = False, 0.0
+            while not over:
+                _, now, terminated, truncated, _ = env.step(0)
+                over, earned = terminated or truncated, earned + now
+            returns.append(earned)
+            ended += terminated
+        paired, tracking = returns
+        imm = imm_rewards(seed, 1, **DIVERGING).sum(dtype=float)
+        assert paired == pytest.approx(tracking - imm, rel=1e-5)
+    assert 3 <= ended / 2 <= 9
+
+
+def test_any_reward_can_be_paired():
+    task = {"modes": ["ekf"], "episode_steps": 4}
+    env = gym.make("MmWaveLoc-v0", reward=PairedReward(capped), **task)
+    env.reset(seed=1)
+    (imm,) = imm_rewards(1, 1, reward=capped, **task)
+    for t in range(4):
+        _, reward, _, _, info = env.step(0)
+        assert reward == pytest.approx(max(-info["position_error_m"], -2.0) - imm[t], abs=1e-6)
+
+
+def test_a_restored_environment_goes_on_with_the_same_paired_rewards():
+    first, second = (gym.make_vec("MmWaveLoc-v0", num_envs=3, **ENDING) for _ in range(2))
+    first.reset(seed=0)
+    second.reset(seed=9)
+    for _ in range(6):
+        first.step(np.zeros(3, int))
+    second.restore(first.state())
+    for _ in range(30):
+        rewards = (env.step(np.zeros(3, int))[1] for env in (first, second))
+        np.testing.assert_array_equal(*rewards)

@@ -15,12 +15,9 @@ from stable_baselines3.common.vec_env import (
 )
 
 from experiments.training.hyperparameters import Hyperparameters
-from mmwave_env.engines.imm_engine import ImmEngine
-from mmwave_env.filters.mode_files import default_modes
 from mmwave_env.filters.modes import Mode
-from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.observation import Observation
-from mmwave_env.reward import Reward
+from mmwave_env.reward import PairedReward, Reward
 from mmwave_env.sb3 import Infos, SB3VecEnv
 from mmwave_env.task import task_from
 from mmwave_env.vector_env import MmWaveLocVectorEnv
@@ -54,49 +51,6 @@ class TrainingTask:
             scenario=self.scenario, radio=self.radio, modes=self.modes, reward=self.reward
         )
         Observation(task.pipeline, self.observation)
-
-
-class BaselineReward(VecEnvWrapper):
-    """Rewards minus those of an IMM on the same episodes.
-
-    Args:
-        venv: around ``env``.
-        env: where the episodes are.
-        imm: what runs on them.
-    """
-
-    def __init__(self, venv: VecEnv, env: MmWaveLocVectorEnv, imm: ImmEngine) -> None:
-        super().__init__(venv)
-        self._env, self._imm = env, imm
-        self._everyone = np.arange(self.num_envs)
-        self._rewards = np.zeros((self.num_envs, 0))
-        self._epoch = np.zeros(self.num_envs, np.int64)
-
-    def reset(self) -> Array:
-        """Observations of the first epochs."""
-        observations = _one_array(self.venv.reset())
-        self.begin()
-        return observations
-
-    def begin(self, epoch: Array | None = None) -> None:
-        """Run the IMM on the episodes under way everywhere.
-
-        Args:
-            epoch: (n,) that comes next; None where they begin.
-        """
-        self._rewards = self._imm.rewards(self._env.batch, self._everyone)
-        self._epoch[:] = 0 if epoch is None else epoch
-
-    def step_wait(self) -> tuple[Array, Array, NDArray[np.bool_], Infos]:
-        """As the environment's, but for the rewards."""
-        observations, rewards, over, infos = self.venv.step_wait()
-        paired = rewards - self._rewards[self._everyone, self._epoch].astype(np.float32)
-        self._epoch += 1
-        places = np.flatnonzero(over)
-        if len(places):
-            self._rewards[places] = self._imm.rewards(self._env.batch, places)
-            self._epoch[places] = 0
-        return _one_array(observations), paired, over, infos
 
 
 class PrivilegedObservation(VecEnvWrapper):
@@ -170,15 +124,12 @@ class TrainingEnv:
     def __init__(self, task: TrainingTask, recipe: Hyperparameters) -> None:
         self.env = MmWaveLocVectorEnv(
             recipe.num_envs, scenario=task.scenario, radio=task.radio, modes=task.modes,
-            observation=task.observation, reward=task.reward, autoreset_mode="SameStep", threads=1,
+            observation=task.observation, autoreset_mode="SameStep", threads=1,
+            reward=PairedReward(task.reward) if recipe.paired else task.reward,
         )  # fmt: skip
         self.features = len(self.env.observation)
         self._adapter = SB3VecEnv(self.env)
-        self._paired: BaselineReward | None = None
         venv: VecEnv = self._adapter
-        if recipe.paired:
-            pipeline = Pipeline(default_modes(task.radio), self.env.batch.layout)
-            venv = self._paired = BaselineReward(venv, self.env, ImmEngine(pipeline, task.reward))
         if recipe.truth_critic:
             venv = PrivilegedObservation(venv, self.env)
         venv = self.normal = VecNormalize(venv, norm_reward=False, clip_obs=recipe.clip_observation)
@@ -208,7 +159,5 @@ class TrainingEnv:
         seen = self.seen
         seen.mean, seen.var = state["normal"]["mean"], state["normal"]["var"]
         seen.count = float(state["normal"]["count"])
-        if self._paired is not None:
-            self._paired.begin(state["env"]["epoch"] - 1)  # the last one loaded is to be acted on
         if self._stack is not None:
             self._stack.stacked_obs.stacked_obs[:] = state["stack"]["of"]

@@ -7,6 +7,7 @@ import subprocess
 import sys
 from dataclasses import asdict, replace
 
+import gymnasium as gym
 import numpy as np
 import pytest
 
@@ -29,18 +30,12 @@ from experiments.training.network import actor_of, learner
 from experiments.training.progress_log import ProgressLog
 from experiments.training.training_env import (
     TRUTH,
-    BaselineReward,
     PrivilegedObservation,
     TrainingEnv,
     TrainingTask,
 )
-from mmwave_env.engines.imm_engine import ImmEngine
-from mmwave_env.episodes.simulated import SimulatedSource
 from mmwave_env.files import write_json
 from mmwave_env.filters.mode_files import default_modes
-from mmwave_env.filters.pipeline import Pipeline
-from mmwave_env.models.radio import RADIOS
-from mmwave_env.models.scene import SCENES
 from mmwave_env.reward import TrackingReward
 from mmwave_env.sb3 import SB3VecEnv
 from mmwave_env.vector_env import MmWaveLocVectorEnv
@@ -85,33 +80,15 @@ def short(n=5, steps=7):
     )
 
 
-def test_paired_rewards_are_less_those_of_an_imm_on_the_same_episodes():
-    n, steps, epochs = 5, 7, 30
-    pipeline = Pipeline(MODES[:2], short().batch.layout)
-    env, plain = short(n, steps), short(n, steps)
-    venv = BaselineReward(SB3VecEnv(env), env, ImmEngine(pipeline, TrackingReward()))
-    venv.seed(3)
-    venv.reset()
-    plain.reset(seed=3)
-
-    source = SimulatedSource(SCENES["street"], RADIOS["handset"], "vehicle", epochs=steps)
-    generators = [np.random.default_rng(3 + i) for i in range(n)]
-    imm = ImmEngine(pipeline, TrackingReward())
-    rivals = []  # (n, epochs), episode after episode
-    for _ in range(-(-epochs // steps)):
-        episodes = [source.sample(rng) for rng in generators]
-        rivals.append(imm.run(episodes, "reward")["reward"])
-    rivals = np.concatenate(rivals, axis=1)
-
-    rng = np.random.default_rng(0)
-    for t in range(epochs):
-        actions = rng.integers(3, size=n)
-        _, paired, over, infos = venv.step(actions)
-        _, rewards, _, truncated, _ = plain.step(actions)
-        np.testing.assert_allclose(paired, rewards - rivals[:, t], rtol=1e-5, atol=1e-5)
-        np.testing.assert_array_equal(over, truncated)
-        assert all(("episode" in info) == over[i] for i, info in enumerate(infos))
-        assert np.abs(rivals[:, t]).min() > 0.0
+def test_a_paired_recipe_trains_on_the_paired_reward():
+    world = TrainingEnv(TASK, replace(RECIPE, num_envs=3, paired=True))
+    env = gym.make_vec("MmWaveLoc-v0", num_envs=3, modes=MODES, reward="paired")
+    world.venv.seed(5)
+    world.venv.reset()
+    env.reset(seed=5)
+    for _ in range(4):
+        _, rewards, *_ = world.venv.step(np.ones(3, int))
+        np.testing.assert_array_equal(rewards, env.step(np.ones(3, int))[1].astype(np.float32))
 
 
 def wrong(estimate, truth):

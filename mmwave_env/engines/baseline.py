@@ -1,0 +1,65 @@
+"""What ``reward="paired"`` subtracts: the rewards of an IMM on the episodes under way.
+
+No action changes an episode, so what the IMM earns in it is known as soon as it is loaded.
+"""
+
+from math import fsum
+from typing import Any
+
+import numpy as np
+
+from mmwave_env.compiler.threads import portions, share
+from mmwave_env.engines.batch import Batch
+from mmwave_env.engines.imm_engine import ImmEngine
+from mmwave_env.filters.pipeline import Pipeline
+from mmwave_env.numerics.arrays import Array, Index
+from mmwave_env.reward import Reward
+
+TOGETHER = 256  # episodes at once: few enough for their memory not to count
+
+
+class Baseline:
+    """Rewards of the textbook's IMM on the episodes of a batch.
+
+    Args:
+        pipeline: the modes that the IMM mixes.
+        reward: function of (belief, truth).
+        batch: what holds the episodes.
+        threads: how many may work at once; results do not depend on it.
+    """
+
+    def __init__(
+        self, pipeline: Pipeline, reward: Reward, batch: Batch[Any], threads: int = 1
+    ) -> None:
+        self._imm, self._batch, self._threads = ImmEngine(pipeline, reward), batch, threads
+        self._rewards = np.zeros((batch.n, 0), np.float32)
+
+    def begin(self, places: Index) -> None:
+        """Run the IMM on the episodes that were loaded into some environments (n,)."""
+        missing = self._batch.state.table.shape[1] - self._rewards.shape[1]
+        self._rewards = np.pad(self._rewards, ((0, 0), (0, missing)))
+
+        def run(some: Index) -> None:
+            rewards = self._imm.rewards(self._batch, some)
+            self._rewards[some, : rewards.shape[1]] = rewards
+
+        parts = portions(len(places), self._threads, TOGETHER)
+        share(run, [(places[part],) for part in parts], self._threads)
+
+    def subtract(self, rewards: Array, places: Index) -> None:
+        """Take from rewards (N,) what the IMM earned in the epoch that was just processed.
+
+        In single precision, which agents learn from: so the recorded trainings come out again.
+
+        Args:
+            rewards: of all environments, changed in place.
+            places: (n,) environments that processed an epoch.
+        """
+        epoch = self._batch.state.epoch[places] - 2  # two ahead: the next one is considered
+        rewards[places] = rewards[places].astype(np.float32) - self._rewards[places, epoch]
+
+    def rest(self, places: Index) -> Array:
+        """What the IMM will earn in the epochs left, in each of some environments (n,)."""
+        tracks = self._batch.state
+        spans = zip(places, tracks.epoch[places] - 1, tracks.length[places], strict=True)
+        return np.array([fsum(self._rewards[place, now:end]) for place, now, end in spans])
