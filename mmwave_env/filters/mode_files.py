@@ -1,9 +1,9 @@
 """Modes by name and from files: the tuned ones that are shipped, and a user's own."""
 
-import json
 import os
+import warnings
 from collections.abc import Sequence
-from dataclasses import asdict, fields, replace
+from dataclasses import asdict, replace
 from functools import cache
 from importlib.resources import files
 from pathlib import Path
@@ -11,6 +11,8 @@ from typing import Any
 
 from mmwave_env.filters.modes import Mode, robust
 from mmwave_env.lookup import choose
+from mmwave_env.models.radio import RADIOS
+from mmwave_env.records import object_from, read_object
 
 EXTENDED = "extended"  # name of the shipped bank of modes
 
@@ -25,27 +27,19 @@ def read_modes(path: str | os.PathLike[str]) -> tuple[Mode, ...]:
         ValueError: naming the file and what is wrong in it.
         FileNotFoundError: there is no such file.
     """
-    try:
-        return modes_in(json.loads(Path(path).read_text(encoding="utf-8")))
-    except ValueError as error:
-        raise ValueError(f"{os.fspath(path)}: not a mode file: {error}") from error
+    return read_object(path, "modes", modes_in)
 
 
-def modes_in(content: Any) -> tuple[Mode, ...]:
+def modes_in(content: dict[str, Any]) -> tuple[Mode, ...]:
     """The modes that a JSON object lists under the key "modes", each :func:`as_written`.
 
     Raises:
         ValueError: saying what is wrong in it.
     """
-    known = dict.fromkeys(field.name for field in fields(Mode))
-    if not isinstance(content, dict) or not isinstance(content.get("modes"), list):
+    modes = content.get("modes")
+    if not isinstance(modes, list):
         raise ValueError("found no list under 'modes'")
-    for mode in content["modes"]:
-        if not isinstance(mode, dict) or "name" not in mode:
-            raise ValueError(f"modes: found {mode!r}, expected a mode with a 'name'")
-        for field in mode:
-            choose(known, field, f"attribute of mode {mode['name']!r}")
-    return tuple(Mode(**mode) for mode in content["modes"])
+    return tuple(object_from(Mode, mode, f"modes[{i}].") for i, mode in enumerate(modes))
 
 
 def as_written(mode: Mode) -> dict[str, Any]:
@@ -66,13 +60,19 @@ def shipped_modes(radio: str, coupling: bool = True) -> tuple[Mode, ...]:
     """The EKF and the UKF pipeline as ``mmwave-loc tune`` left them for a radio profile.
 
     Args:
-        radio: profile; one that was not tuned gets the modes of "standard".
+        radio: name of the profile; one that was not tuned gets the modes of "standard", and a
+            warning, once.
         coupling: False for those with the paper's plain diagonal process noise.
     """
-    folder = files("mmwave_env").joinpath("data/modes")
-    suffix = "" if coupling else "-diagonal"
-    tuned = Path(str(folder.joinpath(f"{radio}{suffix}.json")))
-    return read_modes(tuned if tuned.exists() else tuned.with_name(f"standard{suffix}.json"))
+    if radio not in RADIOS:
+        warnings.warn(
+            f"radio {radio!r}: found no modes tuned for it, took those of 'standard'; "
+            f"mmwave-loc tune --radio {radio}.json --out modes.json tunes modes= and --modes",
+            stacklevel=2,
+        )
+    tuned = radio if radio in RADIOS else "standard"
+    name = f"data/modes/{tuned}{'' if coupling else '-diagonal'}.json"
+    return read_modes(Path(str(files("mmwave_env").joinpath(name))))
 
 
 @cache
@@ -120,16 +120,17 @@ def modes_from(
                 f"{EXTENDED!r} or a mode file (.json)"
             )
         modes = [name]
-    known: dict[str, tuple[Mode, ...]] = {EXTENDED: extended_modes()}
-    known |= {name: (mode,) for name, mode in named_modes(radio).items()}
     result: list[Mode] = []
     for mode in modes:
         if isinstance(mode, Mode):
             result.append(mode)
+        elif mode == EXTENDED:
+            result += extended_modes()
         elif mode.endswith(".json"):
             result += read_modes(mode)
         else:
-            result += choose(known, mode, "mode")
+            known = named_modes(radio)
+            result.append(choose(known | {EXTENDED: mode}, mode, "mode"))
     names = [m.name for m in result]
     if not result or len(set(names)) < len(names):
         raise ValueError(f"modes: found {names}, expected at least one mode and no name twice")

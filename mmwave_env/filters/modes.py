@@ -1,16 +1,15 @@
 """Modes: a filter algorithm with the tuning and the safeguards it was optimized with."""
 
 from dataclasses import dataclass, replace
-from typing import NamedTuple
-
-import numpy as np
+from typing import Annotated, NamedTuple
 
 from mmwave_env.filters.update import Algorithm, ckf, ekf, ukf
 from mmwave_env.lookup import choose
 from mmwave_env.numerics.numbers import Number
+from mmwave_env.records import Bound, Count, NonNegative, require_fields
 
 ALGORITHMS: dict[str, Algorithm] = {"ekf": ekf, "ukf": ukf, "ckf": ckf}
-
+Quantile = Annotated[float, Bound("a quantile in (0, 1)", above=0.0, below=1.0)]
 
 DESIGN_LIMIT_MPS = 20.0  # above it a speed is outside the paper's design window
 
@@ -64,65 +63,26 @@ class Mode:
 
     name: str
     algorithm: str | Algorithm = "ekf"
-    sigma_p: float = 0.1
-    sigma_v: float = 0.5
-    sigma_pz: float = 0.02
-    sigma_vz: float = 0.03
-    sigma_b_mps: float = 0.05
-    spread_gain: float = 0.0
+    sigma_p: NonNegative = 0.1
+    sigma_v: NonNegative = 0.5
+    sigma_pz: NonNegative = 0.02
+    sigma_vz: NonNegative = 0.03
+    sigma_b_mps: NonNegative = 0.05
+    spread_gain: NonNegative = 0.0
     coupling: bool = True
-    gate: float | None = 0.99
-    recovery: int | None = 2
+    gate: Quantile | None = 0.99
+    recovery: Count | None = 2
     adaptive: bool = True
     blockage_aware: bool = False
     robust: bool = False
-    widen_p: float = 0.0
-    widen_v: float = 0.0
-    cost: float = 0.0
+    widen_p: NonNegative = 0.0
+    widen_v: NonNegative = 0.0
+    cost: NonNegative = 0.0
 
     def __post_init__(self) -> None:
-        self._require_types()
+        require_fields(self, f" of mode {self.name!r}")
         if isinstance(self.algorithm, str):
             choose(ALGORITHMS, self.algorithm, f"algorithm of mode {self.name!r}")
-        for field in (
-            "sigma_p", "sigma_v", "sigma_pz", "sigma_vz", "sigma_b_mps", "spread_gain",
-            "widen_p", "widen_v", "cost",
-        ):  # fmt: skip
-            value = getattr(self, field)
-            if not 0.0 <= value < float("inf"):
-                raise ValueError(f"{field} of mode {self.name!r}: found {value}, expected >= 0")
-        if self.gate is not None and not 0.0 < self.gate < 1.0:
-            raise ValueError(
-                f"gate of mode {self.name!r}: found {self.gate}, expected a quantile in (0, 1) "
-                "or None"
-            )
-        if self.recovery is not None and self.recovery < 1:
-            raise ValueError(
-                f"recovery of mode {self.name!r}: found {self.recovery}, expected a number of "
-                "epochs >= 1 or None"
-            )
-
-    def _require_types(self) -> None:
-        """A mode file may hold anything: "false" in quotes would count as true."""
-        flags = ("coupling", "adaptive", "blockage_aware", "robust")
-        numbers = (*(f for f in Tuning._fields if f != "coupling"), "widen_p", "widen_v", "cost")
-        expected: dict[str, tuple[type, ...]] = {
-            "name": (str,), **dict.fromkeys(flags, (bool,)),
-            **dict.fromkeys(numbers, (int, float, np.number)),
-            "gate": (int, float, np.number, type(None)), "recovery": (int, type(None)),
-        }  # fmt: skip
-        for field, types in expected.items():
-            value = getattr(self, field)
-            if not isinstance(value, types) or (isinstance(value, bool) and bool not in types):
-                names = " or ".join(t.__name__.replace("NoneType", "None") for t in types)
-                raise ValueError(
-                    f"{field} of mode {self.name!r}: found {value!r}, expected {names}"
-                )
-        if not isinstance(self.algorithm, str) and not callable(self.algorithm):
-            raise ValueError(
-                f"algorithm of mode {self.name!r}: found {self.algorithm!r}, expected a name or a "
-                "function"
-            )
 
     @property
     def tuning(self) -> Tuning:

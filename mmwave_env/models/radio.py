@@ -6,7 +6,10 @@ filters are told neither.
 """
 
 import math
+import os
 from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -15,6 +18,15 @@ from mmwave_env.models.measurement import SPEED_OF_LIGHT, Layout
 from mmwave_env.models.scene import Scene
 from mmwave_env.numerics.arrays import Array
 from mmwave_env.numerics.numbers import Number, Vector, clip, exp, sqrt
+from mmwave_env.records import (
+    Count,
+    NonNegative,
+    Positive,
+    Probability,
+    object_from,
+    read_object,
+    require_fields,
+)
 
 DECIBEL = math.log(10.0) / 10.0  # natural logarithm of 1 dB
 SNR_LIMITS_DB = (-30.0, 80.0)  # beyond them noise no longer follows the SNR
@@ -64,18 +76,18 @@ class Radio:
     """
 
     name: str
-    gnb_elements: int = 8
-    ue_elements: int = 4
-    range_floor_m: tuple[float, float] = (0.2, 0.4)
-    aoa_floor_rad: float = _degrees(1.0)
-    aod_floor_rad: float = _degrees(0.5)
-    elevation_floor_rad: float = _degrees(0.7)
-    doppler_floor_mps: float = 0.1
-    prior_position_m: float = 3.0
-    prior_height_m: float = 0.5
-    prior_velocity_mps: float = 2.0
-    prior_vertical_mps: float = 0.1
-    prior_bias_mps: float = 0.5
+    gnb_elements: Count = 8
+    ue_elements: Count = 4
+    range_floor_m: tuple[Positive, Positive] = (0.2, 0.4)
+    aoa_floor_rad: Positive = _degrees(1.0)
+    aod_floor_rad: Positive = _degrees(0.5)
+    elevation_floor_rad: Positive = _degrees(0.7)
+    doppler_floor_mps: Positive = 0.1
+    prior_position_m: Positive = 3.0
+    prior_height_m: Positive = 0.5
+    prior_velocity_mps: Positive = 2.0
+    prior_vertical_mps: Positive = 0.1
+    prior_bias_mps: Positive = 0.5
     transmit_dbm: float = 27.0
     gnb_gain_db: float = 21.0
     ue_gain_db: float = 12.0
@@ -83,69 +95,34 @@ class Radio:
     noise_figure_db: float = 8.0
     reflection_loss_db: float = 8.0
     blockage_loss_db: float = 25.0
-    shadowing_db: float = 3.0
-    shadowing_correlation: float = 0.9
+    shadowing_db: NonNegative = 3.0
+    shadowing_correlation: Probability = 0.9
     detection_snr_db: float = 4.0
-    detection_slope_db: float = 1.5
-    doppler_window_s: float = 0.01
-    blockage_scale: float = 0.5
-    blockage_base: float = 0.03
-    blockage_per_100m: float = 0.12
-    blockage_limit: float = 0.35
-    blockage_mean_s: float = 4.0
-    blockage_range_m: float = 3.0
-    blockage_angle_rad: float = _degrees(3.0)
-    multipath_rate_hz: float = 0.008
-    multipath_mean_s: float = 3.3
-    multipath_range_m: tuple[float, float] = (1.0, 4.0)
-    multipath_angle_rad: float = _degrees(5.0)
-    outage_rate_hz: float = 0.0
-    outage_mean_s: float = 3.0
-    spread_gain: float = 0.3
-    spread_sigma: float = 0.2
-    spread_floor_mps: float = 0.3
-    drift_mps: float = 0.05
-    odometry_speed_mps: float = 0.1
-    odometry_heading_rad: float = _degrees(3.0)
+    detection_slope_db: Positive = 1.5
+    doppler_window_s: Positive = 0.01
+    blockage_scale: NonNegative = 0.5
+    blockage_base: NonNegative = 0.03
+    blockage_per_100m: NonNegative = 0.12
+    blockage_limit: NonNegative = 0.35
+    blockage_mean_s: Positive = 4.0
+    blockage_range_m: NonNegative = 3.0
+    blockage_angle_rad: NonNegative = _degrees(3.0)
+    multipath_rate_hz: NonNegative = 0.008
+    multipath_mean_s: Positive = 3.3
+    multipath_range_m: tuple[NonNegative, NonNegative] = (1.0, 4.0)
+    multipath_angle_rad: NonNegative = _degrees(5.0)
+    outage_rate_hz: NonNegative = 0.0
+    outage_mean_s: Positive = 3.0
+    spread_gain: NonNegative = 0.3
+    spread_sigma: NonNegative = 0.2
+    spread_floor_mps: NonNegative = 0.3
+    drift_mps: NonNegative = 0.05
+    odometry_speed_mps: Positive = 0.1
+    odometry_heading_rad: Positive = _degrees(3.0)
     odometry_slowest_mps: float = 0.2
 
     def __post_init__(self) -> None:
-        for name, value in vars(self).items():
-            if name != "name" and not np.isfinite(value).all():
-                raise ValueError(f"{name} of radio {self.name!r}: found {value}, expected finite")
-        for field in (
-            "gnb_elements", "ue_elements", "aoa_floor_rad", "aod_floor_rad",
-            "elevation_floor_rad", "doppler_floor_mps", "prior_position_m", "prior_height_m",
-            "prior_velocity_mps", "prior_vertical_mps", "prior_bias_mps", "detection_slope_db",
-            "doppler_window_s", "blockage_mean_s", "multipath_mean_s", "outage_mean_s",
-            "odometry_speed_mps", "odometry_heading_rad",
-        ):  # fmt: skip
-            if not getattr(self, field) > 0.0:
-                raise ValueError(
-                    f"{field} of radio {self.name!r}: found {getattr(self, field)}, expected > 0"
-                )
-        for field in (
-            "shadowing_db", "blockage_scale", "blockage_base", "blockage_per_100m",
-            "blockage_limit", "blockage_range_m", "blockage_angle_rad", "multipath_rate_hz",
-            "multipath_angle_rad", "outage_rate_hz", "spread_gain", "spread_sigma",
-            "spread_floor_mps", "drift_mps",
-        ):  # fmt: skip
-            if not getattr(self, field) >= 0.0:
-                raise ValueError(
-                    f"{field} of radio {self.name!r}: found {getattr(self, field)}, expected >= 0"
-                )
-        for field, least in (("range_floor_m", "> 0"), ("multipath_range_m", ">= 0")):
-            pair = getattr(self, field)
-            bounded = all(v > 0.0 if least == "> 0" else v >= 0.0 for v in pair)
-            if len(pair) != 2 or not bounded:
-                raise ValueError(
-                    f"{field} of radio {self.name!r}: found {pair}, expected two numbers {least}"
-                )
-        if not 0.0 <= self.shadowing_correlation <= 1.0:
-            raise ValueError(
-                f"shadowing_correlation of radio {self.name!r}: found "
-                f"{self.shadowing_correlation}, expected a number in [0, 1]"
-            )
+        require_fields(self, f" of radio {self.name!r}")
 
     @property
     def link_budget_db(self) -> float:
@@ -223,9 +200,48 @@ RADIOS: dict[str, Radio] = {
 }
 
 
-def radio_from(radio: str | Radio) -> Radio:
-    """The profile of a ``radio=`` argument: a name or a Radio."""
-    return radio if isinstance(radio, Radio) else choose(RADIOS, radio, "radio")
+def radio_from(radio: str | os.PathLike[str] | Radio) -> Radio:
+    """The profile of a ``radio=`` argument: a name, a JSON file or a Radio.
+
+    Raises:
+        ValueError: unknown name, or a file that holds something else than :func:`read_radio` reads.
+    """
+    if isinstance(radio, Radio):
+        return radio
+    return (
+        read_radio(radio) if str(radio).endswith(".json") else choose(RADIOS, str(radio), "radio")
+    )
+
+
+def read_radio(path: str | os.PathLike[str]) -> Radio:
+    """A radio from a JSON file: fields of :class:`Radio`, where they differ from those of "base".
+
+    "base" is the name of a shipped profile, by default "standard"; "name" is by default that of the
+    file. An angle may be given in degrees, by "_deg" in place of "_rad" at the end of its name.
+
+    Raises:
+        ValueError: naming the file and what is wrong in it.
+        FileNotFoundError: there is no such file.
+    """
+
+    def make(content: dict[str, Any]) -> Radio:
+        given = {"name": Path(path).stem} | _in_radians(content)
+        base = choose(RADIOS, given.pop("base", "standard"), "base")
+        return object_from(Radio, vars(base) | given)
+
+    return read_object(path, "radio", make)
+
+
+def _in_radians(content: dict[str, Any]) -> dict[str, Any]:
+    """The content of a radio's file, with its angles in radians."""
+    given: dict[str, Any] = {}
+    for key, value in content.items():
+        name = key.removesuffix("_deg") + "_rad" * key.endswith("_deg")
+        if name in given:
+            raise ValueError(f"{key}: found it beside the same angle in the other unit")
+        in_degrees = name != key and type(value) in (int, float)
+        given[name] = math.radians(value) if in_degrees else value
+    return given
 
 
 def oscillator_bias(

@@ -4,19 +4,22 @@ A flat wall turns the physical anchor into a *virtual anchor*, its mirror image:
 one reflection measures range and angles as if it came from there (paper, Sec. II).
 """
 
-import json
-from collections.abc import Sequence
-from dataclasses import dataclass, field, fields
+from collections.abc import Iterator
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from mmwave_env.lookup import choose
 from mmwave_env.models.measurement import SPEED_OF_LIGHT
+from mmwave_env.records import Bound, Positive, object_from, read_object, require_fields
 
-Point = tuple[float, float, float]
+Point = Annotated[tuple[float, float, float], "[x, y, z]"]
+Extent = Annotated[tuple[float, float], "[low, high]"]
+Carrier = Annotated[float, Bound("hertz, at least 1e6", least=1e6)]
+Bandwidth = Annotated[float, Bound("hertz, at least 1e3", least=1e3)]
 
 
 @dataclass(frozen=True)
@@ -28,14 +31,13 @@ class Wall:
         offset_m: distance of the plane from the origin along the unit normal, m.
     """
 
-    normal: tuple[float, float]
+    normal: Annotated[tuple[float, float], "[x, y]"]
     offset_m: float
 
     def __post_init__(self) -> None:
+        require_fields(self)
         if not 0.0 < np.hypot(*self.normal) < np.inf:
             raise ValueError(f"normal: found {self.normal}, expected a direction")
-        if not np.isfinite(self.offset_m):
-            raise ValueError(f"offset_m: found {self.offset_m}, expected a number")
 
     @property
     def unit_normal(self) -> tuple[float, float]:
@@ -43,8 +45,8 @@ class Wall:
         length = float(np.hypot(*self.normal))
         return self.normal[0] / length, self.normal[1] / length
 
-    def signed_distance(self, point: Point) -> float:
-        """Signed distance of a point from the wall, m."""
+    def signed_distance(self, point: Any) -> Any:
+        """Signed distance of a point, or of points (3, n), from the wall, m."""
         nx, ny = self.unit_normal
         return nx * point[0] + ny * point[1] - self.offset_m
 
@@ -66,18 +68,16 @@ class Streets:
         height_m: height of the user equipment, m.
     """
 
-    x_m: tuple[float, float] = (0.0, 160.0)
-    y_m: tuple[float, float] = (-160.0, 0.0)
-    block_m: float = 80.0
+    x_m: Extent = (0.0, 160.0)
+    y_m: Extent = (-160.0, 0.0)
+    block_m: Positive = 80.0
     height_m: float = 1.5
 
     def __post_init__(self) -> None:
+        require_fields(self)
         for name, extent in (("x_m", self.x_m), ("y_m", self.y_m)):
-            if len(extent) != 2 or not -np.inf < extent[0] <= extent[1] < np.inf:
-                raise ValueError(f"{name}: found {extent}, expected (low, high)")
-        if not self.block_m > 0.0:
-            raise ValueError(f"block_m: found {self.block_m}, expected > 0")
-        for name, extent in (("x_m", self.x_m), ("y_m", self.y_m)):
+            if extent[0] > extent[1]:
+                raise ValueError(f"{name}: found {extent}, expected [low, high]")
             blocks = (extent[1] - extent[0]) / self.block_m
             if abs(blocks - round(blocks)) > 1e-6:
                 raise ValueError(
@@ -85,8 +85,6 @@ class Streets:
                 )
         if self.x_m[0] == self.x_m[1] and self.y_m[0] == self.y_m[1]:
             raise ValueError(f"x_m, y_m: found {self.x_m}, {self.y_m}, expected a street")
-        if not np.isfinite(self.height_m):
-            raise ValueError(f"height_m: found {self.height_m}, expected a number")
 
 
 @dataclass(frozen=True)
@@ -108,20 +106,12 @@ class Scene:
     base_station_m: Point
     walls: tuple[Wall, ...] = ()
     streets: Streets = field(default_factory=Streets)
-    carrier_hz: float = 28e9
-    bandwidth_hz: float = 100e6
+    carrier_hz: Carrier = 28e9
+    bandwidth_hz: Bandwidth = 100e6
     virtual_anchors_m: tuple[Point, ...] = ()
 
     def __post_init__(self) -> None:
-        if len(self.base_station_m) != 3 or not np.isfinite(self.base_station_m).all():
-            raise ValueError(f"base_station_m: found {self.base_station_m}, expected x, y, z")
-        for i, anchor in enumerate(self.virtual_anchors_m):
-            if len(anchor) != 3 or not np.isfinite(anchor).all():
-                raise ValueError(f"virtual_anchors_m[{i}]: found {anchor}, expected x, y, z")
-        for name, hz, least in (("carrier_hz", self.carrier_hz, "1e6"),
-                                ("bandwidth_hz", self.bandwidth_hz, "1e3")):  # fmt: skip
-            if not float(least) <= hz < np.inf:
-                raise ValueError(f"{name}: found {hz:g}, expected hertz, at least {least}")
+        require_fields(self)
 
     @property
     def anchors_m(self) -> NDArray[np.float64]:
@@ -135,14 +125,20 @@ class Scene:
         Raises:
             ValueError: naming the wall.
         """
+        corners = [(x, y, 0.0) for x in self.streets.x_m for y in self.streets.y_m]
+        for _, wall in self.behind_walls(np.array(corners)):
+            raise ValueError(
+                f"streets of scene {self.name!r}: found {self.streets.x_m} x "
+                f"{self.streets.y_m}, expected all on the base station's side of {wall}"
+            )
+
+    def behind_walls(self, points_m: NDArray[np.float64]) -> Iterator[tuple[int, Wall]]:
+        """Walls with points (n, 3) behind them or in them, and the first of these points."""
         for wall in self.walls:
-            gnb = wall.signed_distance(self.base_station_m)
-            corners = [(x, y, 0.0) for x in self.streets.x_m for y in self.streets.y_m]
-            if any(wall.signed_distance(corner) * gnb <= 0.0 for corner in corners):
-                raise ValueError(
-                    f"streets of scene {self.name!r}: found {self.streets.x_m} x "
-                    f"{self.streets.y_m}, expected all on the base station's side of {wall}"
-                )
+            side = wall.signed_distance(self.base_station_m)
+            behind = wall.signed_distance(points_m.T) * side <= 0.0
+            if behind.any():
+                yield int(behind.argmax()), wall
 
     @property
     def hz_per_mps(self) -> float:
@@ -199,15 +195,7 @@ def read_scene(path: Path) -> Scene:
         ValueError: naming the file and what is wrong in it.
         FileNotFoundError: there is no such file.
     """
-    try:
-        content = json.loads(path.read_text(encoding="utf-8"))
-        if not isinstance(content, dict):
-            raise ValueError(f"found {type(content).__name__}, expected an object")
-        given = _from_anchors(content) if "anchors" in content else _from_walls(content)
-        return Scene(**{"name": path.stem, **given})
-    except (TypeError, KeyError, AttributeError, ValueError, RecursionError) as error:
-        what = error if type(error) is ValueError else repr(error)
-        raise ValueError(f"{path}: not a scene: {what}") from error
+    return read_object(path, "scene", lambda content: _scene({"name": path.stem} | content))
 
 
 def anchors_json(scene: Scene) -> dict[str, Any]:
@@ -220,78 +208,44 @@ def anchors_json(scene: Scene) -> dict[str, Any]:
     }
 
 
-def _from_anchors(content: dict[str, Any]) -> dict[str, Any]:
-    """Fields of a Scene from a file that lists anchors."""
+@dataclass(frozen=True)
+class AnchorScene:
+    """A scene file that lists its anchors.
+
+    Attributes:
+        anchors: positions, the physical gNB first.
+        name, carrier_hz, bandwidth_hz, streets: as of :class:`Scene`.
+    """
+
+    name: str
+    anchors: tuple[Point, ...]
+    carrier_hz: Carrier
+    bandwidth_hz: Bandwidth
+    streets: Streets = field(default_factory=Streets)
+
+    def __post_init__(self) -> None:
+        require_fields(self)
+        if not self.anchors:
+            raise ValueError("anchors: found none, expected a list of [x, y, z]")
+
+
+def _scene(content: dict[str, Any]) -> Scene:
+    """The scene of a file, in one of its two forms."""
+    if "anchors" not in content:
+        if "base_station_m" not in content:
+            raise ValueError(
+                "found neither base_station_m nor anchors, expected base_station_m [x, y, z] and "
+                "walls, or anchors [[x, y, z], ...]"
+            )
+        return object_from(Scene, content)
     mixed = [key for key in ("base_station_m", "walls", "virtual_anchors_m") if key in content]
     if mixed:
         raise ValueError(
             f"found anchors and {', '.join(mixed)}, expected either all anchors, the physical "
             "gNB first, or base_station_m and walls"
         )
-    _require_keys(content, ("anchors", "carrier_hz", "bandwidth_hz"), ("name", "streets"))
-    anchors = content["anchors"]
-    if not isinstance(anchors, list) or not anchors:
-        raise ValueError(f"anchors: found {anchors!r}, expected a list of [x, y, z]")
-    points = [_point(f"anchors[{i}]", anchor) for i, anchor in enumerate(anchors)]
-    rest = {key: value for key, value in _common(content).items() if key != "anchors"}
-    return {**rest, "base_station_m": points[0], "virtual_anchors_m": tuple(points[1:])}
-
-
-def _from_walls(content: dict[str, Any]) -> dict[str, Any]:
-    """Fields of a Scene from a file that has its base station and walls."""
-    if "base_station_m" not in content:
-        raise ValueError(
-            "found neither base_station_m nor anchors, expected base_station_m [x, y, z] and "
-            "walls, or anchors [[x, y, z], ...]"
-        )
-    _require_keys(content, (), [f.name for f in fields(Scene)])
-    virtual = content.get("virtual_anchors_m", [])
-    return {
-        **_common(content),
-        "base_station_m": _point("base_station_m", content["base_station_m"]),
-        "walls": tuple(
-            Wall(tuple(wall["normal"]), float(wall["offset_m"]))
-            for wall in content.get("walls", [])
-        ),
-        "virtual_anchors_m": tuple(
-            _point(f"virtual_anchors_m[{i}]", anchor) for i, anchor in enumerate(virtual)
-        ),
-    }
-
-
-def _common(content: dict[str, Any]) -> dict[str, Any]:
-    """The content, with what both forms share made into what a Scene has."""
-    out = dict(content)
-    for key in ("carrier_hz", "bandwidth_hz"):
-        if key in out:
-            out[key] = float(out[key])
-    if "streets" in out:
-        streets: dict[str, Any] = {
-            key: tuple(value) if isinstance(value, list) else value
-            for key, value in out["streets"].items()
-        }
-        out["streets"] = Streets(**streets)
-    return out
-
-
-def _point(what: str, found: object) -> Point:
-    try:
-        x, y, z = np.asarray(found, float).tolist()
-    except (TypeError, ValueError) as error:
-        raise ValueError(f"{what}: found {found!r}, expected [x, y, z]") from error
-    if not np.isfinite([x, y, z]).all():
-        raise ValueError(f"{what}: found {found!r}, expected finite numbers")
-    return x, y, z
-
-
-def _require_keys(
-    content: dict[str, Any], required: Sequence[str], optional: Sequence[str]
-) -> None:
-    """Refuse a file that lacks a key or has one that means nothing."""
-    for key in content:
-        if key not in required and key not in optional:
-            known = ", ".join([*required, *optional])
-            raise ValueError(f"found the key {key!r}, expected only {known}")
-    for key in required:
-        if key not in content:
-            raise ValueError(f"found no {key}, expected one beside {', '.join(content)}")
+    listed = object_from(AnchorScene, content)
+    gnb, *virtual = listed.anchors
+    return Scene(
+        listed.name, gnb, (), listed.streets, listed.carrier_hz, listed.bandwidth_hz, tuple(virtual)
+    )

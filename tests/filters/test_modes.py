@@ -53,7 +53,17 @@ def test_every_profile_has_its_tuning(radio):
     assert (low.name, low.algorithm, high.name, high.algorithm) == ("ekf", "ekf", "ukf", "ukf")
     assert low.sigma_v < high.sigma_v and low.coupling and high.coupling
     assert not any(mode.coupling for mode in shipped_modes(radio, coupling=False))
-    assert default_modes("lab") == default_modes("standard")
+
+
+def test_a_profile_that_was_not_tuned_says_so_once(recwarn):
+    assert default_modes("lab") == default_modes("standard") == default_modes("lab")
+    (said,) = recwarn
+    assert "'lab': found no modes tuned for it, took those of 'standard'" in str(said.message)
+    assert "mmwave-loc tune --radio lab.json" in str(said.message)
+
+
+def test_modes_of_ones_own_need_no_tuned_profile(mode_file):
+    assert modes_from([str(mode_file), "extended"], "unheard-of") == (*THREE, *extended_modes())
 
 
 def test_robust_modes_are_the_same_tuning_without_adaptation():
@@ -93,17 +103,17 @@ def test_a_name_alone_is_no_list():
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("", "not a mode file"),
-        ("[]", "not a mode file"),
+        ("", "not a modes file"),
+        ("[]", "found list, expected an object"),
         ("{}", "'modes'"),
-        ('{"modes": [{"algorithm": "ekf"}]}', "'name'"),
+        ('{"modes": [{"algorithm": "ekf"}]}', "modes.0..name: found none"),
         ('{"modes": [{"name": "a", "sigma_q": 1}]}', "'sigma_q'.*sigma_p, sigma_v"),
         ('{"modes": [{"name": "a", "sigma_v": -1}]}', "sigma_v of mode 'a': found -1"),
-        ('{"modes": [{"name": "a", "sigma_v": "much"}]}', "not a mode file"),
+        ('{"modes": [{"name": "a", "sigma_v": "much"}]}', "found 'much', expected a number >= 0"),
         ('{"modes": [{"name": "a", "algorithm": "pf"}]}', "'pf'.*ekf, ukf, ckf"),
         ('{"modes": 3}', "no list under 'modes'"),
         ('{"modes": {"ekf": {}}}', "no list under 'modes'"),
-        ('{"modes": [null]}', "found None, expected a mode with a 'name'"),
+        ('{"modes": [null]}', "modes.0.: found None, expected an object"),
         ('{"modes": [{"name": 7}]}', "name of mode 7: found 7, expected str"),
         (
             '{"modes": [{"name": "a", "robust": "false"}]}',
@@ -112,7 +122,7 @@ def test_a_name_alone_is_no_list():
         ('{"modes": [{"name": "a", "coupling": 1}]}', "coupling of mode 'a': found 1, .*bool"),
         (
             '{"modes": [{"name": "a", "recovery": 2.5}]}',
-            "recovery .*found 2.5, expected int or None",
+            "recovery .*found 2.5, expected an integer >= 1 or None",
         ),
         ('{"modes": [{"name": "a", "sigma_v": true}]}', "sigma_v of mode 'a': found True"),
         ('{"modes": [{"name": "a", "algorithm": ["ekf"]}]}', "algorithm of mode 'a': found"),

@@ -287,7 +287,7 @@ def test_a_card_of_the_wrong_kind_is_neither_read_nor_made(path, changes, messag
     [
         (None, "no list under 'modes'"),
         ([], "at least one mode"),
-        (["ekf"], "found 'ekf', expected a mode with a 'name'"),
+        (["ekf"], "modes.0.: found 'ekf', expected an object"),
         ([{"name": "a", "algorithm": "pf"}], "'pf'.*ekf, ukf, ckf"),
         ([{"name": "a", "sigma_q": 1.0}], "'sigma_q'.*sigma_p"),
         ([{"name": "a"}, {"name": "a"}], "no name twice"),

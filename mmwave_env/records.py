@@ -1,0 +1,181 @@
+"""Dataclasses that JSON files hold: what a field may hold is said by its type, once.
+
+A dataclass refuses what does not fit its fields (:func:`require_fields`), a JSON file is read into
+it (:func:`read_object`), and mmwave_env/data/schemas describes the file: all by the same types.
+"""
+
+import json
+import math
+import os
+from collections.abc import Callable, Mapping
+from dataclasses import MISSING, dataclass, fields, is_dataclass
+from functools import cache
+from numbers import Integral, Real
+from pathlib import Path
+from types import UnionType
+from typing import Annotated, Any, TypeVar, Union, get_args, get_origin, get_type_hints
+
+import numpy as np
+
+from mmwave_env.lookup import choose
+
+T = TypeVar("T")
+
+
+@dataclass(frozen=True)
+class Bound:
+    """Where a number lies: from ``least`` or above ``above``, to ``most`` or below ``below``."""
+
+    expected: str
+    least: float | None = None
+    above: float = -math.inf
+    most: float | None = None
+    below: float = math.inf
+
+    def holds(self, value: Any) -> bool:
+        """Whether a number lies there; NaN never does."""
+        low = value > self.above if self.least is None else value >= self.least
+        return bool(low and (value < self.below if self.most is None else value <= self.most))
+
+
+FINITE = Bound("a finite number")
+Positive = Annotated[float, Bound("a number > 0", above=0.0)]
+NonNegative = Annotated[float, Bound("a number >= 0", least=0.0)]
+Probability = Annotated[float, Bound("a number in [0, 1]", least=0.0, most=1.0)]
+Count = Annotated[int, Bound("an integer >= 1", least=1)]
+
+_KINDS: dict[Any, tuple[type, str]] = {
+    str: (str, "str"), bool: (bool, "bool"), int: (Integral, "int"), float: (Real, "a number"),
+    type(None): (type(None), "None"),
+}  # fmt: skip
+
+
+@cache
+def hints_of(kind: type) -> Mapping[str, Any]:
+    """The types of a dataclass's fields, with what is annotated."""
+    hints = get_type_hints(kind, include_extras=True)
+    return {field.name: hints[field.name] for field in fields(kind)}
+
+
+def _fits(hint: Any, value: Any) -> bool:
+    """Whether a value is of a type as fields have them."""
+    origin, inside = get_origin(hint), get_args(hint)
+    if hint in _KINDS:
+        kind = isinstance(value, _KINDS[hint][0]) and isinstance(value, bool) <= (hint is bool)
+        return kind and (hint is not float or FINITE.holds(value))
+    if origin is Annotated:
+        base, said = inside
+        if isinstance(said, Bound):
+            kind = isinstance(value, _KINDS[base][0]) and not isinstance(value, bool)
+            return kind and said.holds(value)
+        return _fits(base, value)
+    if origin in (Union, UnionType):
+        return any(_fits(one, value) for one in inside)
+    if origin is tuple:
+        every = inside[:1] * len(value) if inside[-1] is ... and _is_list(value) else inside
+        return _is_list(value) and len(value) == len(every) and all(map(_fits, every, value))
+    return callable(value) if origin else isinstance(value, hint)
+
+
+def _is_list(value: Any) -> bool:
+    return isinstance(value, (tuple, list, np.ndarray))
+
+
+def _said(hint: Any) -> str:
+    """A type in words, for "expected ..."."""
+    origin, inside = get_origin(hint), get_args(hint)
+    if hint in _KINDS:
+        return _KINDS[hint][1]
+    if origin is Annotated:
+        return inside[1].expected if isinstance(inside[1], Bound) else inside[1]  # type: ignore[no-any-return]
+    if origin in (Union, UnionType):
+        return " or ".join(map(_said, inside))
+    if origin is tuple:
+        return f"a list, each {_said(inside[0])}" if inside[-1] is ... else (
+            f"[{', '.join(map(_said, inside))}]")  # fmt: skip
+    return "a function" if origin else "an object"
+
+
+def require_fields(record: Any, of: str = "") -> None:
+    """Refuse fields that hold something else than their types say; to call when one is made.
+
+    Args:
+        record: a dataclass.
+        of: follows the field's name in the message, such as " of radio 'lab'".
+
+    Raises:
+        ValueError: naming the field, what was found and what was expected.
+    """
+    for name, hint in hints_of(type(record)).items():
+        _require(hint, getattr(record, name), name, of)
+
+
+def _require(hint: Any, value: Any, name: str, of: str) -> None:
+    if _fits(hint, value):
+        return
+    if get_origin(hint) is tuple and get_args(hint)[-1] is ... and _is_list(value):
+        for i, one in enumerate(value):  # which of them
+            _require(get_args(hint)[0], one, f"{name}[{i}]", of)
+    raise ValueError(f"{name}{of}: found {value!r}, expected {_said(hint)}")
+
+
+def object_from(kind: type[T], content: Any, where: str = "") -> T:
+    """A dataclass from an object of a JSON file; lists become tuples, objects dataclasses.
+
+    Args:
+        kind: the dataclass, which calls :func:`require_fields` when made.
+        content: of the file.
+        where: in the file, such as "walls[1].".
+
+    Raises:
+        ValueError: a key too many or too few, or what the dataclass refuses.
+    """
+    if not isinstance(content, dict):
+        raise ValueError(f"{where[:-1]}{': ' * bool(where)}found {content!r}, expected an object")
+    hints = hints_of(kind)
+    for key in content:
+        choose(hints, key, f"{where}key")
+    for field in fields(kind):  # type: ignore[arg-type]
+        if field.name not in content and field.default is field.default_factory is MISSING:
+            beside = f" beside {', '.join(content)}" if content else ""
+            raise ValueError(f"{where}{field.name}: found none, expected one{beside}")
+    built = {key: _built(hints[key], value, f"{where}{key}") for key, value in content.items()}
+    try:
+        return kind(**built)
+    except ValueError as error:
+        raise ValueError(f"{where}{error}") from error
+
+
+def _built(hint: Any, value: Any, where: str) -> Any:
+    """A value as a field of this type has it, where that can be told."""
+    if get_origin(hint) is Annotated:
+        return _built(get_args(hint)[0], value, where)
+    if get_origin(hint) is tuple and isinstance(value, list):
+        inside = get_args(hint)[0]
+        return tuple(_built(inside, one, f"{where}[{i}]") for i, one in enumerate(value))
+    if hint is float and type(value) is int:
+        return float(value) if abs(value) < 1e300 else math.inf
+    return object_from(hint, value, f"{where}.") if is_dataclass(hint) else value
+
+
+def read_object(path: str | os.PathLike[str], what: str, make: Callable[[dict[str, Any]], T]) -> T:
+    """What a JSON file holds.
+
+    Args:
+        path: of the file.
+        what: it is, the name of its schema: "scene", "modes", "radio", "mobility".
+        make: from the file's object.
+
+    Raises:
+        ValueError: naming the file, what is wrong in it and the schema.
+        FileNotFoundError: there is no such file.
+    """
+    text = Path(path).read_bytes()
+    try:
+        content = json.loads(text.decode("utf-8"))
+        if not isinstance(content, dict):
+            raise ValueError(f"found {type(content).__name__}, expected an object")
+        return make(content)
+    except (ValueError, RecursionError) as error:
+        schema = f"mmwave_env/data/schemas/{what}.schema.json"
+        raise ValueError(f"{os.fspath(path)}: not a {what} file: {error} ({schema})") from error
