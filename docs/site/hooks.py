@@ -1,0 +1,220 @@
+"""Hooks of mkdocs: pages made at the build, and links that work on the site as on a code host.
+
+What the site shows beside the files of docs/ has its source elsewhere, once: the README, the
+docstring of the environment, the help of the commands, CITATION.cff and the docstrings of the
+modules. Nothing of it is copied into the repository.
+"""
+
+import inspect
+import os
+import re
+from collections.abc import Iterator
+from contextlib import redirect_stdout
+from io import StringIO
+from pathlib import Path
+from posixpath import relpath
+from typing import Any
+
+ROOT = Path(__file__).resolve().parents[2]
+DOCS = ROOT / "docs"
+MIRRORED = {  # pages of the site that are files beside docs/
+    "index.md": "README.md",
+    "contributing.md": "CONTRIBUTING.md",
+    "changelog.md": "CHANGELOG.md",
+}
+API = {  # page: title, modules and folders of modules
+    "environment": ("Around the environment", ["vector_env", "sb3"]),
+    "signals": ("Rewards and observations", ["reward", "observation", "features", "metrics"]),
+    "numerics": ("Numbers", ["numerics/numbers", "numerics/linalg"]),
+    "models": ("Models", ["models/"]),
+    "filters": ("Filters", ["filters/"]),
+    "episodes": ("Episodes", ["episodes/"]),
+    "localization": ("Localization", ["localization/"]),
+    "policies": ("Policies", ["/policies/"]),
+    "evaluation": ("Evaluation", ["/experiments/evaluation/"]),
+}
+CODE = re.compile(r"^```.*?^```", re.DOTALL | re.MULTILINE)
+LINK = re.compile(r"\]\(([^)\s:#]+)(#[^)\s]*)?\)")
+ROLE = re.compile(r":(?:class|func|meth|mod|data|attr|exc):<code>~?([\w.]+)</code>")
+
+
+def repository() -> str:
+    """The address of the repository: pyproject.toml has the one setting."""
+    (url,) = re.findall(
+        r'^Repository = "(.*)"$', (ROOT / "pyproject.toml").read_text("utf-8"), re.MULTILINE
+    )
+    return url
+
+
+def on_config(config: Any) -> Any:
+    """Where the code is, for the header of every page."""
+    config.repo_url = repository()
+    config.repo_name = "source"
+    return config
+
+
+# --- pages made at the build
+
+
+def on_files(files: Any, config: Any) -> Any:
+    """Add the pages that are not files of docs/."""
+    from mkdocs.structure.files import File
+
+    for path, text in generated():
+        files.append(File.generated(config, path, content=text))
+    return files
+
+
+def generated() -> Iterator[tuple[str, str]]:
+    """Path on the site and Markdown of every page made here."""
+    for path, source in MIRRORED.items():
+        yield path, (ROOT / source).read_text("utf-8")
+    yield "environment.md", environment_page()
+    yield "command-help.md", help_page()
+    yield "citing.md", citing_page()
+    yield "api/index.md", api_index()
+    for name, (title, parts) in API.items():
+        modules = [f"::: {module}" for part in parts for module in modules_of(part)]
+        yield f"api/{name}.md", "\n\n".join([f"# {title}", *modules]) + "\n"
+
+
+def environment_page() -> str:
+    """The class docstring, whose tables the class fills in."""
+    from mmwave_env.env import MmWaveLocEnv
+
+    return f"# MmWaveLoc-v0\n\n{inspect.cleandoc(MmWaveLocEnv.__doc__ or '')}\n"
+
+
+def help_page() -> str:
+    """What every command of the installed package says of itself."""
+    from experiments.cli.main import COMMANDS, run
+
+    parts = [
+        "# Options of the commands",
+        "What `--help` prints. [Commands](commands.md) has the overview and examples.",
+    ]
+    for name in COMMANDS:
+        printed = StringIO()
+        os.environ |= {"COLUMNS": "88", "NO_COLOR": "1"}
+        with redirect_stdout(printed):
+            try:
+                run(name, ["--help"])
+            except SystemExit:
+                pass  # how a parser ends after its help
+        parts += [f"## {name}", f"```text\n{printed.getvalue().strip()}\n```"]
+    return "\n\n".join(parts) + "\n"
+
+
+def citing_page() -> str:
+    """CITATION.cff as BibTeX: the software, and the paper that it follows."""
+    import yaml
+
+    cited = yaml.safe_load((ROOT / "CITATION.cff").read_text("utf-8"))
+    (paper,) = cited["references"]
+    people = " and ".join(f"{a['family-names']}, {a['given-names']}" for a in paper["authors"])
+    return f"""# How to cite
+
+Cite the software with the version you used, and the paper that it follows:
+
+```bibtex
+@software{{mmwave_loc,
+  title   = {{{{{cited["title"]}}}}},
+  author  = {{{{{cited["authors"][0]["name"]}}}}},
+  version = {{{cited["version"]}}},
+  url     = {{{repository()}}}
+}}
+
+@misc{{mobility_aware_localization,
+  title  = {{{{{paper["title"]}}}}},
+  author = {{{people}}},
+  year   = {{{paper["year"]}}},
+  doi    = {{{paper["doi"]}}}
+}}
+```
+
+The same stands in [CITATION.cff]({repository()}/blob/main/CITATION.cff), which reference managers read.
+"""
+
+
+def modules_of(part: str) -> Iterator[str]:
+    """Dotted names of a module of mmwave_env, or of all in a folder; "/" first: of the checkout."""
+    path = ROOT / part.strip("/") if part.startswith("/") else ROOT / "mmwave_env" / part
+    files = sorted(path.glob("*.py")) if part.endswith("/") else [path.with_suffix(".py")]
+    for file in files:
+        if file.stem != "__init__":
+            yield ".".join(file.relative_to(ROOT).with_suffix("").parts)
+
+
+def api_index() -> str:
+    """What there is, with the first sentence of every module."""
+    lines = [
+        "# API",
+        "`gymnasium.make` and `gymnasium.make_vec` are the way in, and [the environment's page]"
+        "(../environment.md) says what they take. What lies behind is here, one page a room of the "
+        "[architecture](../architecture.md).",
+    ]
+    for name, (title, parts) in API.items():
+        rows = [
+            f"| [{module}]({name}.md#{module}) | {_first_sentence(module)} |"
+            for part in parts
+            for module in modules_of(part)
+        ]
+        lines += [f"## {title}", "| module | about |\n|---|---|\n" + "\n".join(rows)]
+    return "\n\n".join(lines) + "\n"
+
+
+def _first_sentence(module: str) -> str:
+    import ast
+
+    source = (ROOT / module.replace(".", "/")).with_suffix(".py").read_text("utf-8")
+    about = (ast.get_docstring(ast.parse(source)) or "").split("\n\n")[0]
+    about = re.sub(r":\w+:`~?([\w.]+)`", r"`\1`", " ".join(about.split()))
+    return about.replace("|", "\\|").replace("``", "`")
+
+
+# --- links
+
+
+def on_page_markdown(markdown: str, page: Any, **_: Any) -> str:
+    """Lead every relative link to a page of the site, or to the file on the code host."""
+    uri = page.file.src_uri
+    return relinked(markdown, uri, (ROOT / MIRRORED[uri]) if uri in MIRRORED else DOCS / uri)
+
+
+def relinked(markdown: str, uri: str, source: Path) -> str:
+    """The page with links for the site.
+
+    Args:
+        markdown: links are relative to ``source``.
+        uri: of the page on the site, relative to its top.
+        source: the file that the page is, or would be.
+    """
+
+    def mended(match: re.Match[str]) -> str:
+        path, anchor = match[1], match[2] or ""
+        target = Path(os.path.normpath(source.parent / path))
+        return f"]({_address(target, uri)}{anchor})" if target.exists() else match[0]
+
+    ends = [0, *(at for block in CODE.finditer(markdown) for at in block.span()), len(markdown)]
+    pieces = [markdown[a:b] for a, b in zip(ends, ends[1:], strict=False)]
+    return "".join(piece if i % 2 else LINK.sub(mended, piece) for i, piece in enumerate(pieces))
+
+
+def _address(target: Path, uri: str) -> str:
+    """Of a file of the checkout, as seen from a page of the site."""
+    name = target.relative_to(ROOT).as_posix()
+    for page, source in MIRRORED.items():
+        if name == source:
+            return relpath(page, os.path.dirname(uri) or ".")
+    if target.parent == DOCS and target.is_file() or target.suffix == ".png" and DOCS in target.parents:
+        return relpath(target.relative_to(DOCS).as_posix(), os.path.dirname(uri) or ".")
+    return f"{repository()}/{'tree' if target.is_dir() else 'blob'}/main/{name}"
+
+
+def on_page_content(html: str, **_: Any) -> str:
+    """Make links of the roles that docstrings use, where the site has what they name."""
+    return ROLE.sub(
+        lambda m: f'<autoref optional identifier="{m[1]}"><code>{m[1].rpartition(".")[2]}</code>'
+        "</autoref>",
+        html,
+    )
