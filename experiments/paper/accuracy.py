@@ -7,7 +7,7 @@ import numpy as np
 
 from experiments.evaluation.intervals import bootstrap
 from experiments.paper.bench import Bench, Cell, Errors, Section, Setting
-from experiments.paper.published import HIGH_MOBILITY, LOW_MOBILITY
+from experiments.paper.printed import HIGH_MOBILITY, LOW_MOBILITY
 from mmwave_env.filters.modes import robust
 from mmwave_env.models.radio import RADIOS, Radio
 

@@ -1,16 +1,15 @@
 """The paper's claims, one section each."""
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 from scipy.stats import chi2
 
 from experiments.evaluation.intervals import Interval, bootstrap, bootstrap_ratio
-from experiments.paper.bench import Bench, Cell, Errors, Section, Setting, track
-from experiments.paper.printed import untuned
-from experiments.paper.published import HIGH_MOBILITY, LOW_MOBILITY, Published
+from experiments.paper.bench import TUNED_ON, Bench, Cell, Errors, Section, Setting, track
+from experiments.paper.printed import HIGH_MOBILITY, LOW_MOBILITY, Published, untuned
 from mmwave_env.episodes.episode import Episode
 from mmwave_env.filters.modes import Mode, robust
 from mmwave_env.metrics import nees_interval
@@ -18,7 +17,7 @@ from mmwave_env.models.measurement import SPEED_OF_LIGHT, Layout
 from mmwave_env.models.radio import RADIOS
 from mmwave_env.models.scene import SCENES
 
-SCENARIOS = ("pedestrian", "vehicle")
+SETTINGS = [Setting(scenario, radio) for scenario in TUNED_ON for radio in RADIOS]
 
 
 def _means(*columns: np.ndarray) -> list[Interval]:
@@ -39,14 +38,13 @@ def algorithms(bench: Bench) -> Section:
          "UKF - EKF: m", "CKF - UKF: m"],
         labels=3,
     )  # fmt: skip
-    for scenario in SCENARIOS:
-        for radio in RADIOS:
-            for walls, anchors in ((True, "3"), (False, "gNB alone")):
-                setting = Setting(scenario, radio, walls=walls)
-                modes = [replace(setting.tuned(), algorithm=a) for a in ("ekf", "ukf", "ckf")]
-                ekf, ukf, ckf = _ates([bench.run(mode, setting).filtered for mode in modes])
-                figures = _means(ekf, ukf, ckf, ukf - ekf, ckf - ukf)
-                section.rows.append([scenario, radio, anchors, *figures])
+    for street in SETTINGS:
+        for walls, anchors in ((True, "3"), (False, "gNB alone")):
+            setting = replace(street, walls=walls)
+            modes = [replace(setting.tuned(), algorithm=a) for a in ("ekf", "ukf", "ckf")]
+            ekf, ukf, ckf = _ates([bench.run(mode, setting).filtered for mode in modes])
+            figures = _means(ekf, ukf, ckf, ukf - ekf, ckf - ukf)
+            section.rows.append([setting.scenario, setting.radio, anchors, *figures])
     return section
 
 
@@ -62,30 +60,28 @@ def steps(bench: Bench) -> Section:
          "smoothed ATE m"],
         labels=3,
     )  # fmt: skip
-    for scenario in SCENARIOS:
-        for radio in RADIOS:
-            setting = Setting(scenario, radio)
-            mode = setting.tuned()
-            variants = {
-                "as in the paper": mode,
-                "without gates": replace(mode, gate=None, recovery=None),
-                "without recovery": replace(mode, recovery=None),
-                "without adaptive scaling": replace(mode, adaptive=False),
-                "robust": replace(robust(mode), blockage_aware=False),
-                "robust, blockage-aware": robust(mode),
-            }
-            paper = bench.run(mode, setting).filtered.scores["ate_m"]
-            for name, variant in variants.items():
-                run = bench.run(variant, setting)
-                scores, smoothed = run.filtered.scores, run.smoothed.scores["ate_m"]
-                figures = _means(
-                    scores["ate_m"], scores["ate_m"] - paper, scores["nees"], scores["in_bounds"],
-                    smoothed,
-                )  # fmt: skip
-                cells: list[Cell] = [*figures]
-                if variant is mode:
-                    cells[1] = ""
-                section.rows.append([scenario, radio, name, *cells])
+    for setting in SETTINGS:
+        mode = setting.tuned()
+        variants = {
+            "as in the paper": mode,
+            "without gates": replace(mode, gate=None, recovery=None),
+            "without recovery": replace(mode, recovery=None),
+            "without adaptive scaling": replace(mode, adaptive=False),
+            "robust": replace(robust(mode), blockage_aware=False),
+            "robust, blockage-aware": robust(mode),
+        }
+        paper = bench.run(mode, setting).filtered.scores["ate_m"]
+        for name, variant in variants.items():
+            run = bench.run(variant, setting)
+            scores, smoothed = run.filtered.scores, run.smoothed.scores["ate_m"]
+            figures = _means(
+                scores["ate_m"], scores["ate_m"] - paper, scores["nees"], scores["in_bounds"],
+                smoothed,
+            )  # fmt: skip
+            cells: list[Cell] = [*figures]
+            if variant is mode:
+                cells[1] = ""
+            section.rows.append([setting.scenario, setting.radio, name, *cells])
     return section
 
 
@@ -98,7 +94,7 @@ def adaptation(bench: Bench) -> Section:
         ["user", "sigma_v times", "ATE m: fixed", "adaptive", "in 95 % bounds: fixed", "adaptive"],
         labels=2,
     )
-    for scenario in SCENARIOS:
+    for scenario in TUNED_ON:
         setting = Setting(scenario, "standard")
         for factor in (0.25, 0.5, 1.0, 2.0, 4.0):
             mode = setting.tuned()
@@ -119,15 +115,14 @@ def smoothing(bench: Bench) -> Section:
         ["user", "radio", "process noise", "filtered ATE m", "smoothed ATE m", "ratio"],
         labels=3,
     )  # fmt: skip
-    for scenario in SCENARIOS:
-        for radio in RADIOS:
-            for coupling in (False, True):
-                setting = Setting(scenario, radio)
-                run = bench.run(setting.tuned(coupling), setting)
-                before, after = _ates(run)
-                name = "coupled" if coupling else "plain diagonal"
-                ratio = bootstrap_ratio(after, before)
-                section.rows.append([scenario, radio, name, *_means(before, after), ratio])
+    for setting in SETTINGS:
+        for coupling in (False, True):
+            run = bench.run(setting.tuned(coupling), setting)
+            before, after = _ates(run)
+            name = "coupled" if coupling else "plain diagonal"
+            ratio = bootstrap_ratio(after, before)
+            figures = [*_means(before, after), ratio]
+            section.rows.append([setting.scenario, setting.radio, name, *figures])
     return section
 
 
@@ -142,20 +137,18 @@ def improvement(bench: Bench) -> Section:
          "than UKF %", "than CKF %"],
         labels=2,
     )  # fmt: skip
-    for scenario in SCENARIOS:
-        for radio in RADIOS:
-            setting = Setting(scenario, radio)
-            run = bench.run(setting.tuned(), setting)
-            tuned, best = _ates(run)
-            before = _ates(
-                [bench.run(untuned(a, True), setting).filtered for a in ("ekf", "ukf", "ckf")]
-            )
-            row: list[Cell] = [scenario, radio, *_means(before[0], tuned, best)]
-            for ate in before:
-                ratio = bootstrap_ratio(best, ate)
-                percent = [100.0 * (1.0 - v) for v in (ratio.mean, ratio.high, ratio.low)]
-                row.append(Interval(*percent))
-            section.rows.append(row)
+    for setting in SETTINGS:
+        run = bench.run(setting.tuned(), setting)
+        tuned, best = _ates(run)
+        before = _ates(
+            [bench.run(untuned(a, True), setting).filtered for a in ("ekf", "ukf", "ckf")]
+        )
+        row: list[Cell] = [setting.scenario, setting.radio, *_means(before[0], tuned, best)]
+        for ate in before:
+            ratio = bootstrap_ratio(best, ate)
+            percent = [100.0 * (1.0 - v) for v in (ratio.mean, ratio.high, ratio.low)]
+            row.append(Interval(*percent))
+        section.rows.append(row)
     return section
 
 
@@ -194,20 +187,19 @@ def units(bench: Bench) -> Section:
          "read as m/s"],
         labels=2,
     )  # fmt: skip
-    for scenario in SCENARIOS:
-        for radio in RADIOS:
-            setting = Setting(scenario, radio)
-            mode, episodes = setting.tuned(), bench.episodes(setting)
-            ungated = replace(mode, gate=None, recovery=None)
-            printed = [replace(e, hz_per_mps=1.0) for e in episodes]
-            runs = [
-                bench.run(mode, setting),
-                track(_drifting_in_hz(mode, episodes[0]), printed),
-                bench.run(ungated, setting),
-                track(_drifting_in_hz(ungated, episodes[0]), printed),
-                track(ungated, [_read_as_mps(e) for e in episodes]),
-            ]
-            section.rows.append([scenario, radio, *_means(*_ates([r.filtered for r in runs]))])
+    for setting in SETTINGS:
+        mode, episodes = setting.tuned(), bench.episodes(setting)
+        ungated = replace(mode, gate=None, recovery=None)
+        printed = [replace(e, hz_per_mps=1.0) for e in episodes]
+        runs = [
+            bench.run(mode, setting),
+            track(_drifting_in_hz(mode, episodes[0]), printed),
+            bench.run(ungated, setting),
+            track(_drifting_in_hz(ungated, episodes[0]), printed),
+            track(ungated, [_read_as_mps(e) for e in episodes]),
+        ]
+        figures = _means(*_ates([run.filtered for run in runs]))
+        section.rows.append([setting.scenario, setting.radio, *figures])
     return section
 
 
@@ -282,10 +274,7 @@ def contradictions(bench: Bench) -> Section:
     return section
 
 
-def all_claims(bench: Bench) -> Iterator[Section]:
-    """Every section, in the order of docs/paper.md."""
-    for claim in (
-        algorithms, steps, adaptation, smoothing, improvement, process_noise, units, resolution,
-        consistency_gate, contradictions,
-    ):  # fmt: skip
-        yield claim(bench)
+CLAIMS = (  # in the order of docs/paper.md
+    algorithms, steps, adaptation, smoothing, improvement, process_noise, units, resolution,
+    consistency_gate, contradictions,
+)  # fmt: skip

@@ -4,10 +4,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-import matplotlib
-
-matplotlib.use("Agg")
-import matplotlib.pyplot as plt
+from matplotlib.figure import Figure
 
 from experiments.evaluation.intervals import Interval
 from experiments.paper.bench import Cell, Section
@@ -70,11 +67,11 @@ def _sweep(axes: Any, section: Section) -> None:
 
 def draw(sections: dict[str, Section], path: Path) -> None:
     """Write the picture (PNG)."""
-    figure, axes = plt.subplots(1, 3, figsize=(13, 4.2), layout="constrained")
+    figure = Figure(figsize=(13, 4.2), layout="constrained")
+    axes = figure.subplots(1, 3)
     for panel, number, scenario in zip(axes, ("I", "II"), ("pedestrian", "vehicle"), strict=False):
         tables = [sections[f"Table {number}: {scenario}, {radio}"] for radio in RADIOS]
         _bars(panel, tables, f"Table {number}: {scenario}")
     axes[0].legend(fontsize="small", markerscale=0.6)
     _sweep(axes[2], sections["Vehicle ATE against process noise, m"])
     figure.savefig(path, dpi=150)
-    plt.close(figure)
