@@ -9,24 +9,21 @@ import subprocess
 import sys
 import time
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 STEPS = 210  # through the end of all episodes and the drawing of the next ones
 
 
-class Fresh(NamedTuple):
-    """What a process took."""
-
-    first_step_s: float  # from its start to the end of the first step
-    peak_mb: float  # most resident memory through the ends of episodes, MiB (2^20 bytes)
-
-
-def fresh(name: str, n: int) -> Fresh:
+def fresh(name: str, n: int) -> tuple[float, float]:
     """Start Python, make an environment and step it.
 
     Args:
         name: as in ``gymnasium.make``.
         n: how many in a vector environment; 0 for a single one.
+
+    Returns:
+        Seconds from its start to the end of the first step, and the most resident memory through
+        the ends of episodes, MiB (2^20 bytes).
     """
     words = [sys.executable, "-m", __name__, name, str(n)]
     path = os.pathsep.join(filter(None, sys.path))  # the same packages as here
@@ -40,7 +37,7 @@ def fresh(name: str, n: int) -> Fresh:
         peak_mb = child.stdout.readline()
     if child.returncode:
         raise subprocess.CalledProcessError(child.returncode, words)
-    return Fresh(first_step_s, float(peak_mb))
+    return first_step_s, float(peak_mb)
 
 
 def _step(name: str, n: int) -> None:

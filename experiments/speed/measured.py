@@ -1,22 +1,25 @@
 """Everything that mmwave-loc benchmark measures, round by round."""
 
+import gc
+import time
 from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
 from itertools import pairwise
 from statistics import median
 from typing import Any
 
-from experiments.speed.fresh import Fresh, fresh
+from experiments.speed.fresh import fresh
 from experiments.speed.operations import Operations, count
-from experiments.speed.rates import Rates, started
 from experiments.speed.roofline import KINDS, instruction_s, limit_s
 from experiments.speed.workloads import (
     BOTH,
     ENVIRONMENT,
     FILTERS,
+    RADIO,
     SYNC_NAME,
     THREADS,
+    Laps,
     environments,
-    filter_mode,
     filters,
     native_name,
     pipeline,
@@ -24,6 +27,7 @@ from experiments.speed.workloads import (
 from mmwave_env.compiler.lanes import WIDTH
 from mmwave_env.engines.env_engine import Engine
 from mmwave_env.engines.track_engine import Tracker
+from mmwave_env.filters.mode_files import named_modes
 from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.reward import TrackingReward
 
@@ -34,6 +38,35 @@ STEP = "step"  # of the whole environment, among the kernels
 BETWEEN_ENDS = "_between_ends"
 
 Rounds = dict[str, list[float]]
+
+
+@dataclass
+class Rates:
+    """What a workload did, per round."""
+
+    steps_per_s: list[float] = field(default_factory=list)  # with the ends of episodes
+    # steps per second while no episode ends; empty where nobody tells
+    between_ends: list[float] = field(default_factory=list)
+    cores: list[float] = field(default_factory=list)  # seconds of processor per second
+
+    def measure(self, laps: Laps, seconds: float) -> None:
+        """Add a round: whole episodes, for at least that long, without garbage collection."""
+        steps, spent = {True: 0, False: 0}, {True: 0.0, False: 0.0}
+        gc.collect()
+        gc.disable()
+        busy, ends = time.process_time(), False
+        while sum(spent.values()) < seconds or not ends:
+            begin = time.perf_counter()
+            lap = next(laps)
+            ends = lap.ends
+            spent[ends] += time.perf_counter() - begin
+            steps[ends] += lap.steps
+        total = sum(spent.values())
+        self.cores.append((time.process_time() - busy) / total)
+        gc.enable()
+        self.steps_per_s.append(sum(steps.values()) / total)
+        if steps[False]:
+            self.between_ends.append(steps[False] / spent[False])
 
 
 class Measured:
@@ -49,7 +82,8 @@ class Measured:
         operations: of the kernels: the filters' and the environment's.
         limits_s: seconds of a step of theirs on one core, at least.
         instructions_s: seconds of an instruction where a core does nothing else.
-        fresh: first step and peak memory of new processes.
+        cold_start_s: seconds from the start of a process to the end of its first step.
+        peak_mb: most resident memory of the process, MiB (2^20 bytes).
     """
 
     def __init__(self, sizes: Sequence[int]) -> None:
@@ -62,14 +96,15 @@ class Measured:
         self._processes = {"cartpole": ("CartPole-v1", 0), "single": (ENVIRONMENT, 0)} | {
             native_name(n): (ENVIRONMENT, n) for n in self.sizes[-FRESH_SIZES:]
         }
-        self.fresh: dict[str, list[Fresh]] = {name: [] for name in self._processes}
+        self.cold_start_s: Rounds = {name: [] for name in self._processes}
+        self.peak_mb: Rounds = {name: [] for name in self._processes}
 
     def run(self, seconds: float, repeats: int) -> Iterator[float]:
         """Measure, and tell the share done after every piece.
 
         In every round each workload has its turn, so that a drifting machine hits all alike.
         """
-        processes = min(FRESH_RUNS, repeats) * len(self.fresh)
+        processes = min(FRESH_RUNS, repeats) * len(self._processes)
         workloads = len(self.rates) + len(self.filters)
         pieces = processes + workloads + repeats * (workloads + 1)
         for done, _ in enumerate(self._pieces(seconds, repeats), start=1):
@@ -78,11 +113,14 @@ class Measured:
     def _pieces(self, seconds: float, repeats: int) -> Iterator[None]:
         for _ in range(min(FRESH_RUNS, repeats)):
             for name, process in self._processes.items():
-                self.fresh[name].append(fresh(*process))
+                first_step_s, peak_mb = fresh(*process)
+                self.cold_start_s[name].append(first_step_s)
+                self.peak_mb[name].append(peak_mb)
                 yield
         running = {}
         for name, make in (environments(self.sizes) | filters()).items():
-            running[name] = started(make, seconds)
+            running[name] = make()
+            Rates().measure(running[name], seconds)  # doesn't count: it compiles on the way
             yield
         rates = self.rates | self.filters
         for _ in range(repeats):
@@ -138,17 +176,9 @@ class Measured:
             for name, (kernel, rates) in taken.items()
         }
 
-    def cold_start_s(self) -> Rounds:
-        """Seconds from the start of a process to the end of its first step."""
-        return {name: [one.first_step_s for one in runs] for name, runs in self.fresh.items()}
-
-    def peak_mb(self) -> Rounds:
-        """Peak resident memory of a process, MiB (2^20 bytes)."""
-        return {name: [one.peak_mb for one in runs] for name, runs in self.fresh.items()}
-
     def kb_per_environment(self) -> dict[str, float]:
         """Peak memory of each further environment, KiB (2^10 bytes), from one size to the next."""
-        sizes, peaks = self.sizes[-FRESH_SIZES:], self.peak_mb()
+        sizes, peaks = self.sizes[-FRESH_SIZES:], self.peak_mb
         found = {}
         for few, many in pairwise(sizes):
             more = median(peaks[native_name(many)]) - median(peaks[native_name(few)])
@@ -162,8 +192,8 @@ class Measured:
             "ratios": self.ratios(),
             "limit_fraction": self.fractions(),
             "steps_per_s": {name: one.steps_per_s for name, one in rates.items()},
-            "cold_start_s": self.cold_start_s(),
-            "peak_rss_mb": self.peak_mb(),
+            "cold_start_s": self.cold_start_s,
+            "peak_rss_mb": self.peak_mb,
             "cost_of_a_step": self.costs(),
             "between_ends_steps_per_s": {
                 name: one.between_ends for name, one in rates.items() if one.between_ends
@@ -186,9 +216,9 @@ class Measured:
 
 def kernels() -> dict[str, Operations]:
     """The operations of the filters alone, and of a step of the environment."""
-    layout = pipeline().layout
+    layout, modes = pipeline().layout, named_modes(RADIO)
     programs: dict[str, Any] = {
-        name: Tracker(Pipeline((filter_mode(name),), layout), 1).program for name in FILTERS
+        name: Tracker(Pipeline((modes[name],), layout), 1).program for name in FILTERS
     }
     programs[STEP] = Engine(pipeline(), 1, TrackingReward()).batch.program
     return {name: count(one.function, one.template) for name, one in programs.items()}

@@ -12,9 +12,8 @@ import numba
 import numpy as np
 
 from experiments.evaluation.markdown import grid
-from experiments.speed.measured import BETWEEN_ENDS, SMALLEST_FULL, STEP, Measured, quotients
+from experiments.speed.measured import BETWEEN_ENDS, SMALLEST_FULL, STEP, Measured, Rates, quotients
 from experiments.speed.operations import Operations
-from experiments.speed.rates import Rates
 from experiments.speed.workloads import FILTERS, SYNC, SYNC_NAME, THREADS
 
 LABELS = {
@@ -125,7 +124,7 @@ def _operations(measured: Measured) -> str:
 
 
 def _memory(measured: Measured) -> str:
-    peaks = [[label(name), spread(found)] for name, found in measured.peak_mb().items()]
+    peaks = [[label(name), spread(found)] for name, found in measured.peak_mb.items()]
     each = [
         [span.replace("_", " "), short(found)]
         for span, found in measured.kb_per_environment().items()
@@ -139,7 +138,7 @@ def _memory(measured: Measured) -> str:
 
 
 def _first_steps(measured: Measured) -> str:
-    rows = [[label(name), spread(found)] for name, found in measured.cold_start_s().items()]
+    rows = [[label(name), spread(found)] for name, found in measured.cold_start_s.items()]
     return grid(["fresh process", "seconds to the end of the first step"], rows)
 
 

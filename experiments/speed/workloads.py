@@ -77,13 +77,8 @@ def environments(sizes: Sequence[int]) -> dict[str, Callable[[], Laps]]:
 
 def filters() -> dict[str, Callable[[], Laps]]:
     """The filters alone, by name, one thread."""
-    episodes = draw_episodes(source(), range(TRACKS))
-    return {name: partial(tracks, filter_mode(name), episodes) for name in FILTERS}
-
-
-def filter_mode(name: str) -> Mode:
-    """The mode whose filter is timed."""
-    return named_modes(RADIO)[name]
+    episodes, modes = draw_episodes(source(), range(TRACKS)), named_modes(RADIO)
+    return {name: partial(tracks, modes[name], episodes) for name in FILTERS}
 
 
 def source() -> SimulatedSource:

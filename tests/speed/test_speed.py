@@ -4,10 +4,8 @@ import numpy as np
 import pytest
 
 from experiments.speed.figure import draw
-from experiments.speed.fresh import Fresh
-from experiments.speed.measured import Measured
+from experiments.speed.measured import Measured, Rates
 from experiments.speed.operations import Operations, count
-from experiments.speed.rates import Rates
 from experiments.speed.report import TITLES, label, short, spread, tables
 from experiments.speed.roofline import KINDS, LENGTH, interleaved, limit_s
 from experiments.speed.workloads import EPISODE, Lap, filterpy_episode, pipeline, source
@@ -114,8 +112,8 @@ def measured():
         rates.cores[:] = [1.0] * 3
     for limits in (found.limits_s | found.instructions_s).values():
         limits[:] = rng.uniform(1e-9, 1e-8, 3).tolist()
-    for n, runs in enumerate(found.fresh.values()):
-        runs[:] = [Fresh(1.5, 100.0 + n)] * 3
+    for n, name in enumerate(found.peak_mb):
+        found.cold_start_s[name], found.peak_mb[name] = [1.5] * 3, [100.0 + n] * 3
     return found
 
 
