@@ -142,12 +142,10 @@ class Decisions:
 
     def draw(self, path: Path) -> None:
         """As PNG: errors of all above the shares of modes, a column a kind of event."""
-        from matplotlib.backends.backend_agg import FigureCanvasAgg
         from matplotlib.figure import Figure
 
         rows = 1 + len(self.modes)
         figure = Figure(figsize=(11.0, 3.0 + 2.2 * len(self.modes)), layout="constrained")
-        FigureCanvasAgg(figure)
         panels = figure.subplots(rows, len(EVENTS), sharex=True, sharey="row", squeeze=False)
         for column, (kind, table) in zip(panels.T, self.around.items(), strict=True):
             self._draw_errors(column[0], kind, table)

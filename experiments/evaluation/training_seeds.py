@@ -149,14 +149,12 @@ def seeds_markdown(found: TrainingSeeds) -> str:
 
 def draw_profiles(found: Sequence[TrainingSeeds], path: Path) -> None:
     """Performance profiles as PNG: how often runs gain more than so much, a panel a rival."""
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure as Picture
 
     panels = list(found[0].minus)
     columns = min(COLUMNS, len(panels))
     rows = -(-len(panels) // columns)
     picture = Picture(figsize=(1.0 + 3.6 * columns, 3.6 * rows), layout="constrained")
-    FigureCanvasAgg(picture)
     grid_of_axes = picture.subplots(rows, columns, sharey=True, squeeze=False)
     for axes in grid_of_axes.flat[len(panels) :]:
         axes.remove()

@@ -19,11 +19,9 @@ def curve(journal: Path, figure: str) -> tuple[list[float], list[float]]:
 
 def draw_curves(runs: Sequence[Path], path: Path) -> None:
     """Reward on tuning seeds minus that of each rival, a line a training, as PNG."""
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
     picture = Figure(figsize=(11.0, 4.2), layout="constrained")
-    FigureCanvasAgg(picture)
     for axes, rival in zip(picture.subplots(1, len(TRAINING_RIVALS)), TRAINING_RIVALS, strict=True):
         for run, color in zip(runs, COLORS, strict=False):
             label = run.name

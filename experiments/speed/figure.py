@@ -14,11 +14,9 @@ _COLORS = ("#0072b2", "#d55e00")  # told apart by color-blind people, too
 
 def draw(measured: Measured, path: Path) -> None:
     """Write it (PNG), in one step."""
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(12.0, 4.6), layout="constrained")
-    FigureCanvasAgg(figure)
     rates, limits = figure.subplots(1, 2)
     _draw_rates(rates, measured)
     _draw_limits(limits, measured)
