@@ -11,7 +11,6 @@ from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass, field
 from itertools import cycle, product
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -94,17 +93,14 @@ class Tally:
         return "\n".join(lines)
 
 
-class SoakRun(NamedTuple):
-    """Episodes to run with damage and actions of their own."""
+def runs(
+    args: Args, tally: Tally
+) -> Iterator[tuple[str, range, list[Episode], np.random.Generator]]:
+    """Episodes of every kind of user and radio in turn, RUNS times each batch.
 
-    name: str  # its number, scenario and radio, for messages
-    seeds: range  # of the episodes
-    episodes: list[Episode]  # undamaged
-    rng: np.random.Generator  # for the rest
-
-
-def runs(args: Args, tally: Tally) -> Iterator[SoakRun]:
-    """Episodes of every kind of user and radio in turn, RUNS times each batch."""
+    Yields:
+        A name for messages; seeds of the episodes; these, undamaged; what draws the rest.
+    """
     kinds = cycle(product(MOBILITIES, RADIOS.values()))
     for turn, (scenario, radio) in enumerate(kinds):
         first = args.seed + turn * args.num_envs
@@ -114,7 +110,7 @@ def runs(args: Args, tally: Tally) -> Iterator[SoakRun]:
         tally.drawn += len(episodes)
         for number in range(turn * RUNS, (turn + 1) * RUNS):
             name = f"run {number} (scenario {scenario}, radio {radio.name})"
-            yield SoakRun(name, seeds, episodes, np.random.default_rng([args.seed, number]))
+            yield name, seeds, episodes, np.random.default_rng([args.seed, number])
 
 
 class Watch:

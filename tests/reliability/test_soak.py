@@ -37,7 +37,7 @@ def test_a_short_soak_tells_what_it_did(tmp_path):
 def test_every_kind_of_user_and_radio_has_its_turn():
     args, tally = soak.Args(num_envs=1), soak.Tally()
     some = zip(range(15 * soak.RUNS), soak.runs(args, tally), strict=False)
-    kinds = {one.name.partition(" (")[2] for _, one in some}
+    kinds = {name.partition(" (")[2] for _, (name, *_) in some}
     assert len(kinds) == 15 and tally.drawn == 15
 
 
