@@ -2,24 +2,22 @@
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
 from experiments.cli.main import run
+from experiments.cli.options import EpisodeArgs
 from experiments.evaluation.contenders import Contender, contender_from
 from experiments.evaluation.intervals import Interval, bootstrap
 from experiments.evaluation.markdown import grid, show
 from experiments.evaluation.runner import score
 from experiments.evaluation.runs import Run
 from experiments.evaluation.seeds import draw_episodes
-from mmwave_env.episodes.episode import EpisodeSource
-from mmwave_env.episodes.recorded import RecordedSource
-from mmwave_env.episodes.samples import recording_from, sample_names
-from mmwave_env.episodes.simulated import SimulatedSource
+from mmwave_env.episodes.samples import sample_names
 from mmwave_env.files import write_json
-from mmwave_env.models.radio import RADIOS, radio_from
-from mmwave_env.models.scene import SCENES, scene_from
+from mmwave_env.models.radio import RADIOS
+from mmwave_env.models.scene import SCENES
 
 TRANSFER_RIVALS = ("speed-rule", "imm", "imm-robust")
 
@@ -42,41 +40,33 @@ class Args:
     """write every figure to this file"""
 
 
-class Place(NamedTuple):
-    """Where switchers are tried."""
-
-    name: str  # in the table
-    source: EpisodeSource  # of episodes
-    radio: str  # profile, whose rivals they meet
-    episodes: int  # how many
-
-
-def places(args: Args) -> list[Place]:
-    """The street of the training, other streets, other radios, recordings."""
-    trained = radio_from(args.radio)
-    found = [
-        Place(f"{scene}, {radio}", SimulatedSource(scene_from(scene), radio_from(radio), "mixed"),
-              radio, args.episodes)
-        for scene, radio in [
-            ("street", args.radio),
-            *((scene, args.radio) for scene in SCENES if scene != "street"),
-            *(("street", radio) for radio in RADIOS if radio != args.radio),
-        ]
-    ]  # fmt: skip
-    recorded = [
-        Place(f"{name}, {args.radio}", RecordedSource(recording_from(name), trained), args.radio,
-              args.draws)
+def places(args: Args) -> dict[str, EpisodeArgs]:
+    """The street of the training, other streets, other radios, recordings, by name."""
+    radio, seed = args.radio, args.seed
+    simulated = [
+        ("street", radio),
+        *((scene, radio) for scene in SCENES if scene != "street"),
+        *(("street", other) for other in RADIOS if other != radio),
+    ]
+    streets = {
+        f"{scene}, {heard}": EpisodeArgs(
+            scene=scene, radio=heard, episodes=args.episodes, seed=seed
+        )
+        for scene, heard in simulated
+    }
+    return streets | {
+        f"{name}, {radio}": EpisodeArgs(data=name, radio=radio, episodes=args.draws, seed=seed)
         for name in sample_names()
-    ]  # fmt: skip
-    return found + recorded
+    }
 
 
-def compared(place: Place, policies: list[Contender], seed: int) -> dict[str, Interval]:
-    """Reward of every policy, and what it gains on each rival, by name."""
-    episodes = draw_episodes(place.source, range(seed, seed + place.episodes))
-    rivals = [contender_from(name, place.radio) for name in TRANSFER_RIVALS]
+def compared(place: EpisodeArgs, policies: list[Contender]) -> dict[str, Interval]:
+    """Reward of every policy, and what it gains on each rival of the place's radio, by name."""
+    source = place.source()
+    episodes = draw_episodes(source, range(place.seed, place.seed + place.episodes))
+    rivals = [place.contender(name) for name in TRANSFER_RIVALS]
     reward = {
-        one.name: score(one, one.start(place.source.layout), episodes)["reward"]
+        one.name: score(one, one.start(source.layout), episodes)["reward"]
         for one in (*policies, *rivals)
     }
     columns = {one.name: reward[one.name] for one in policies}
@@ -97,7 +87,7 @@ def _policy(name: str, radio: str) -> Contender:
 def tried(args: Args) -> tuple[str, dict[str, Any]]:
     """The policies in every place, as Markdown and as JSON."""
     policies = [_policy(name, args.radio) for name in args.policies]
-    found = {place.name: compared(place, policies, args.seed) for place in places(args)}
+    found = {name: compared(place, policies) for name, place in places(args).items()}
     columns = next(iter(found.values()))
     rows = [[place, *map(str, row.values())] for place, row in found.items()]
     figures = {

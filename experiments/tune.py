@@ -11,13 +11,12 @@ from scipy.optimize import minimize
 from scipy.special import chdtri
 
 from experiments.cli.main import run
-from experiments.cli.options import command_line
+from experiments.cli.options import EpisodeArgs, command_line
 from experiments.evaluation.intervals import bootstrap
 from experiments.evaluation.markdown import grid
 from experiments.evaluation.seeds import TUNING_SEED, draw_episodes, require_tuning_seed
 from mmwave_env.engines.track_engine import Tracker
 from mmwave_env.episodes.episode import Episode
-from mmwave_env.episodes.simulated import SimulatedSource
 from mmwave_env.files import require_writable, write_json
 from mmwave_env.filters.mode_files import as_written, modes_from
 from mmwave_env.filters.modes import Mode
@@ -25,8 +24,6 @@ from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.lookup import choose
 from mmwave_env.metrics import scored
 from mmwave_env.models.measurement import Layout
-from mmwave_env.models.radio import radio_from
-from mmwave_env.models.scene import scene_from
 from mmwave_env.numerics.arrays import Array
 
 Objective = Callable[[Mode], Array]
@@ -171,7 +168,7 @@ def main(args: Args) -> None:
         require_writable(args.out)
     tuned, figures = [], []
     for mode, scenario in zip(modes, args.scenarios, strict=True):
-        source = SimulatedSource(scene_from("street"), radio_from(args.radio), scenario)
+        source = EpisodeArgs(scenario=scenario, radio=args.radio).source()
         episodes = draw_episodes(source, range(args.seed, args.seed + args.episodes))
         started = replace(mode, coupling=mode.coupling and not args.diagonal)
         objective = objective_of(args.objective, started, episodes)

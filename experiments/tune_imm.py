@@ -12,13 +12,12 @@ from scipy.optimize import minimize
 from scipy.special import expit, logit, softmax
 
 from experiments.cli.main import run
-from experiments.cli.options import command_line
+from experiments.cli.options import EpisodeArgs, command_line
 from experiments.evaluation.intervals import Interval, bootstrap
 from experiments.evaluation.seeds import TUNING_SEED, draw_episodes, require_tuning_seed
 from experiments.tune import CAP
 from mmwave_env.engines.imm_engine import ImmEngine
 from mmwave_env.episodes.episode import EpisodeBatch
-from mmwave_env.episodes.simulated import SimulatedSource
 from mmwave_env.files import write_json
 from mmwave_env.filters.imm import DEFAULT_STAY
 from mmwave_env.filters.mode_files import as_written, modes_from
@@ -26,8 +25,7 @@ from mmwave_env.filters.modes import Mode
 from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.lookup import choose
 from mmwave_env.metrics import scored
-from mmwave_env.models.radio import RADIOS, radio_from
-from mmwave_env.models.scene import scene_from
+from mmwave_env.models.radio import RADIOS
 from mmwave_env.numerics.arrays import Array
 from mmwave_env.reward import TrackingReward
 from policies import TUNED_IMMS
@@ -137,7 +135,7 @@ def quantile(limited: bool) -> float:
 
 def tuned(args: Args, radio: str, name: str) -> dict[str, Any]:
     """An IMM as the shipped file holds it; its gains are over where the tuning started."""
-    source = SimulatedSource(scene_from("street"), radio_from(radio), args.scenario)
+    source = EpisodeArgs(scenario=args.scenario, radio=radio).source()
     first, bank = args.seed + args.episodes, TUNED_IMMS[name]
     tuning, held_out = (
         EpisodeBatch.of(draw_episodes(source, seeds))

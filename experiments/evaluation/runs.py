@@ -2,7 +2,7 @@
 
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +14,8 @@ class Run:
     name: str  # the folder, as on the command line and in results
     seeds: tuple[int, ...]  # numbers of the trainings
     median: int  # the one that stands for them all
+    # what each training came to, as it wrote it
+    outcomes: tuple[Mapping[str, Any], ...] = field(default=(), repr=False, compare=False)
 
     @classmethod
     def read(cls, name: str) -> "Run":
@@ -31,7 +33,8 @@ class Run:
             )
         try:
             summary: Any = json.loads(path.read_text(encoding="utf-8"))
-            seeds = tuple(outcome["seed"] for outcome in summary["seeds"])
+            outcomes = tuple(summary["seeds"])
+            seeds = tuple(outcome["seed"] for outcome in outcomes)
             median = summary["median"]
         except (ValueError, KeyError, TypeError) as error:
             raise ValueError(f"{path}: not the summary of a run: {error!r}") from error
@@ -40,7 +43,7 @@ class Run:
             raise ValueError(f"{path}: seeds: found {list(seeds)}, expected different numbers")
         if median not in seeds:
             raise ValueError(f"{path}: median: found {median!r}, expected one of {list(seeds)}")
-        return cls(name, seeds, median)
+        return cls(name, seeds, median, outcomes)
 
     @property
     def policies(self) -> list[str]:
@@ -59,14 +62,3 @@ class Run:
 def trainings(names: Sequence[str], runs: Mapping[str, Run]) -> list[str]:
     """Names of contenders with the policy files of all trainings in place of runs."""
     return [file for name in names for file in (runs[name].policies if name in runs else [name])]
-
-
-def outcomes(folder: Path) -> list[dict[str, Any]]:
-    """What the trainings of a run came to, best first.
-
-    Raises:
-        ValueError, FileNotFoundError: as :meth:`Run.read`.
-    """
-    Run.read(str(folder))
-    found: list[dict[str, Any]] = json.loads((folder / "summary.json").read_text())["seeds"]
-    return found

@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from itertools import chain
 from pathlib import Path
 from statistics import median
 from typing import Any
@@ -14,12 +15,9 @@ from experiments.cli.doc_pages import page_to_renew, renewed
 from experiments.cli.main import run
 from experiments.cli.options import EpisodeArgs
 from experiments.cli.reporting import results
-from experiments.evaluation.contenders import contender_from
 from experiments.evaluation.intervals import Interval, crossed_bootstrap, mean
 from experiments.evaluation.markdown import grid, show
-from experiments.evaluation.runner import score
-from experiments.evaluation.runs import Run, outcomes
-from experiments.evaluation.seeds import draw_episodes
+from experiments.evaluation.runs import Run
 from experiments.learning.ablate import VARIANTS
 from experiments.learning.curves import draw_curves
 from mmwave_env.files import require_writable, write_json, write_text
@@ -79,7 +77,7 @@ def trainings(args: Args) -> tuple[str, str, dict[str, Any]]:
     rows, content = [], {}
     names = [name for radio in RADIOS for name in runs_of(args, radio)]
     for name in names:
-        found = outcomes(Path(name))
+        found = Run.read(name).outcomes
         beaten = [one["beat_rule"] for one in found]
         seconds = [one["seconds"] for one in beaten if one]
         rows.append([
@@ -97,22 +95,16 @@ def trainings(args: Args) -> tuple[str, str, dict[str, Any]]:
 def ablations(args: Args) -> tuple[str, str, dict[str, Any]]:
     """What each variant of the training is worth."""
     what = EpisodeArgs(episodes=args.episodes // 4, seed=args.seed)
-    source = what.source()
-    episodes = draw_episodes(source, range(args.seed, args.seed + what.episodes))
-
-    def reward(name: str) -> Array:
-        one = contender_from(name, what.radio)
-        return score(one, one.start(source.layout), episodes)["reward"]
-
-    found = {
-        name: np.stack([reward(file) for file in Run.read(str(folder)).policies])
+    files = {
+        name: Run.read(str(folder)).policies
         for name in VARIANTS
         if (folder := args.runs / "ablation" / name).is_dir()
     }
-    imm = reward("imm")
+    scores = what.score_contenders([*chain(*files.values()), "imm"])
+    found = {name: np.stack([scores[f]["reward"] for f in each]) for name, each in files.items()}
     rows, content = [], {}
     for name, rewards in found.items():
-        columns = {"reward": rewards, "minus imm": rewards - imm}
+        columns = {"reward": rewards, "minus imm": rewards - scores["imm"]["reward"]}
         if name != SHIPPED and len(rewards) == len(found[SHIPPED]):
             columns[f"minus {SHIPPED}"] = rewards - found[SHIPPED]
         intervals = {key: _over_both(values) for key, values in columns.items()}
