@@ -8,11 +8,7 @@ from policies.policy import Policy
 
 
 class FixedMode(Policy):
-    """Always the same mode.
-
-    Args:
-        action: its number.
-    """
+    """Always the same mode, by its number."""
 
     def __init__(self, action: int) -> None:
         self.action = action
@@ -23,12 +19,7 @@ class FixedMode(Policy):
 
 
 class RandomMode(Policy):
-    """Any mode, uniformly.
-
-    Args:
-        modes: how many there are.
-        seed: of the draws.
-    """
+    """Any of so many modes, uniformly."""
 
     def __init__(self, modes: int, seed: int = 0) -> None:
         self.modes = modes

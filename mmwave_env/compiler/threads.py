@@ -26,10 +26,7 @@ def share(
 ) -> list[Result]:
     """What ``function(*job)`` returns for every job, in order.
 
-    Args:
-        function: to call.
-        jobs: its arguments.
-        threads: how many may work at once, the calling one among them.
+    At most ``threads`` of them work at once, the calling one among them.
     """
     if threads == 1 or len(jobs) == 1:
         return [function(*job) for job in jobs]

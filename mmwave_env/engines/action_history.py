@@ -9,16 +9,12 @@ Modes = NDArray[np.unsignedinteger]
 
 
 class ActionHistory:
-    """A ring buffer of the modes of the last T steps of N environments, one row per step.
+    """A ring buffer of the modes of the last T steps of n environments, one row per step.
 
     All environments step together, so an episode of k steps so far used the last k rows.
 
-    Args:
-        n: number of environments.
-        modes: how many there are to choose from.
-
     Attributes:
-        rows: (T, n) modes.
+        rows: (T, n) modes, in the smallest type that holds their number.
         turn: the row that the modes of the next step are to be written to.
     """
 

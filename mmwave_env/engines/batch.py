@@ -101,13 +101,10 @@ class Batch(Generic[Workspace]):
         self.restart(places)
 
     def room(self, places: Index, epochs: int) -> Array | None:
-        """Where the tables (places, epochs, columns) of some environments lie, to fill and load.
+        """Where the tables (places, epochs, columns) of episodes to come lie, to fill and load.
 
         None where they do not lie side by side, so that they have to be loaded from elsewhere.
-
-        Args:
-            places: in ascending order.
-            epochs: of the episodes to come.
+        The places are in ascending order.
         """
         self._make_room(epochs)
         first, end = places[0], places[-1] + 1
@@ -178,10 +175,7 @@ class Batch(Generic[Workspace]):
     def write(self, tree: Any, values: Any, places: Index | None = None) -> None:
         """Set the rows named by a subtree of ``at``: values (n,) of a leaf, else (n, leaves).
 
-        Args:
-            tree: a part of ``at``.
-            values: for each of the places.
-            places: as in :meth:`load`.
+        There is a value for each of the places, which are as in :meth:`load`.
         """
         places = np.arange(self.n) if places is None else places
         block, lane = np.divmod(places, WIDTH)

@@ -95,11 +95,6 @@ def _trials(layout: Layout) -> Iterator[_Trial]:
 def check_algorithm(mode: Mode, layout: Layout, known_axes: tuple[int, ...]) -> None:
     """Try the algorithm of a mode, unless it is one of ours.
 
-    Args:
-        mode: what to try.
-        layout: rows of the measurement vector.
-        known_axes: state components that are known exactly.
-
     Raises:
         AlgorithmError: it takes other arguments or changes them, returns no posterior,
             cannot run on lanes, or answers there otherwise than on floats.

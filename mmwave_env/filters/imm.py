@@ -96,16 +96,14 @@ def imm_epoch(
     epoch: Epoch,
     site: Site,
 ) -> Mixture:
-    """One epoch: mix, run every mode, weigh them by their likelihood.
+    """The mixture after one more epoch: mix, run every mode, weigh them by their likelihood.
 
     Args:
-        pipeline: the modes.
+        pipeline, epoch, site: as of :func:`~mmwave_env.filters.pipeline.predict_update`.
         transition: (modes, modes) probabilities (from, to).
         tunings: process noise, in place of the modes' own.
         limits: (groups,) as in :func:`limited_likelihood`; infinite in the textbook.
         mixture: after the epoch before.
-        epoch: the coming epoch.
-        site: anchors and carrier.
     """
     predicted, mixed = mix(mixture, transition)
     tracks, likelihoods = [], []

@@ -105,12 +105,10 @@ def memory_after(
 
     Args:
         layout: rows of the measurement vector.
-        mode: number of the chosen mode.
+        mode, chosen: the candidate's number, and the candidate.
         before: (7,) mean before the epoch, unpredicted.
-        chosen: the candidate.
         memory: as :func:`memory_before` left it.
-        dt: the epoch's step, seconds.
-        visible: (groups,) the epoch's.
+        dt, visible: the epoch's step, seconds, and what it shows (groups,).
     """
     dof = [float(rows.stop - rows.start) for rows in layout.groups]
     accepted_dof = dot(chosen.accepted, dof)

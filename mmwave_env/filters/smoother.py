@@ -61,10 +61,7 @@ def smooth_mean(
 ) -> BackwardState:
     """The smoothed mean of an epoch: x + C (x_after - F x), C = P F' P_predicted^-1.
 
-    Args:
-        now: the epoch.
-        after: where the way back has come to.
-        known_axes: state components that are known exactly.
+    ``after`` is where the way back has come to.
     """
     P = unpack(now.P, zero=known_axes)
     factor = cholesky(unpack(after.P_predicted, zero=known_axes))
@@ -75,11 +72,7 @@ def smooth_mean(
 def smooth_epoch(
     now: ForwardEpoch, after: BackwardState, known_axes: tuple[int, ...] = ()
 ) -> BackwardState:
-    """The smoothed belief of an epoch: :func:`smooth_mean`, and P + C (P_after - P_predicted) C'.
-
-    Args:
-        now, after, known_axes: as of :func:`smooth_mean`.
-    """
+    """The smoothed belief: :func:`smooth_mean`, and P + C (P_after - P_predicted) C'."""
     P, P_predicted = unpack(now.P, zero=known_axes), unpack(after.P_predicted, zero=known_axes)
     factor, FP = cholesky(P_predicted), transition_times(P, after.dt)
     # Row i of the gain: P_predicted^-1 times column i of F P.

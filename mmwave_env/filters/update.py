@@ -106,10 +106,8 @@ def update(
     stands in ``tests/filters/textbook.py`` (``update``).
 
     Args:
-        x: (7,) prior mean.
-        P: (7, 7) prior covariance, positive definite but for structural zeros.
-        measurement: the epoch.
-        gate: what to accept.
+        x, P: (7,), (7, 7) prior; P is positive definite but for structural zeros.
+        measurement, gate: the epoch, and what to accept of it.
         linearization: tangent (EKF) or sigma points (UKF, CKF).
     """
     anchors = measurement.layout.anchors

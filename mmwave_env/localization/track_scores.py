@@ -26,11 +26,7 @@ def ratio(part: float, whole: float) -> float | None:
 
 
 class Accuracy:
-    """ATE, RMSE, RPE and NEES of one track; see :mod:`mmwave_env.metrics`.
-
-    Args:
-        axes: position axes that NEES covers.
-    """
+    """ATE, RMSE, RPE and NEES of one track, in 2 or 3 axes; see :mod:`mmwave_env.metrics`."""
 
     def __init__(self, axes: int) -> None:
         self._interval = nees_interval(axes)
@@ -87,11 +83,7 @@ class Pairs:
         self._segment = np.concatenate([self._segment, np.full(len(scored), segment)])
 
     def take(self, end: bool) -> tuple[Index, Index, int]:
-        """Numbers of the pairs among those waiting, and how many are done with.
-
-        Args:
-            end: whether nothing more comes.
-        """
+        """Numbers of the pairs among those waiting, and how many are done with; at the end all."""
         nothing = np.empty(0, np.intp)
         if self.apart_s is None:
             if len(self._first_s) < (2 if end else _ENOUGH):
@@ -118,13 +110,7 @@ class Pairs:
 
 
 class TruthScores:
-    """A filtered and a smoothed track beside the truth.
-
-    Args:
-        truth: where the user was.
-        names: of the tracks to score: "filtered", "smoothed".
-        planar: whether the height is known.
-    """
+    """Tracks beside the truth: "filtered", "smoothed" or both; planar where the height is known."""
 
     def __init__(self, truth: Truth, names: Sequence[str], planar: bool) -> None:
         self.truth, self.scored = truth, 0
@@ -218,11 +204,7 @@ class Groups:
 
 
 class Course:
-    """When, how fast and in which modes.
-
-    Args:
-        modes: their names.
-    """
+    """When, how fast and in which modes, by their names."""
 
     def __init__(self, modes: Sequence[str]) -> None:
         self.epochs = 0

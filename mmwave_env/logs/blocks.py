@@ -40,12 +40,8 @@ def in_windows(
 ) -> Iterator[AnyBlock]:
     """The same epochs in blocks of whole windows, and what is left at the end of a piece.
 
-    What came before a LogError of ``blocks`` is handed on before it.
-
-    Args:
-        blocks: in order.
-        window: epochs.
-        piece: the number of the piece that a block belongs to; pieces are not joined.
+    What came before a LogError of ``blocks`` is handed on before it. ``piece`` gives the number of
+    the piece that a block belongs to; pieces are not joined.
     """
     waiting: list[AnyBlock] = []
 
