@@ -5,7 +5,7 @@ from pathlib import Path
 
 from experiments.cli.main import run
 from experiments.cli.options import EpisodeArgs
-from experiments.cli.reporting import report
+from experiments.cli.reporting import report, results
 from mmwave_env.files import require_writable
 
 
@@ -14,8 +14,9 @@ class Args(EpisodeArgs):
     """Compare policies on the same seeded episodes."""
 
     policies: tuple[str, ...] = ()
-    """names, policy files (.safetensors) and folders of runs of mmwave-loc train; all that have
-    a name by default"""
+    """names, policy files (.safetensors), folders of runs of mmwave-loc train, models of
+    Stable-Baselines3 (.zip, with --trust-zip) and module:function, a function without arguments
+    that returns an agent; all that have a name by default"""
     bound: bool = False
     """also show each policy's RMSE over the posterior Cramer-Rao bound"""
     figure: Path | None = None
@@ -35,7 +36,8 @@ def main(args: Args) -> None:
             require_writable(path)
     if args.figure is not None and args.figure == args.decisions:
         raise ValueError(f"decisions: found {args.decisions}, expected another file than --figure")
-    report(args, args.policies or args.contenders(), args.bound, args.figure, args.decisions)
+    names = args.policies or args.contenders()
+    report(args, results(args, names, args.bound, args.figure, args.decisions))
 
 
 if __name__ == "__main__":

@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import Any
 
 from experiments.evaluation.contenders import Contender, contender_from, contenders
-from experiments.evaluation.runner import Scores, Watch, score_contenders
 from experiments.evaluation.runs import Run
 from mmwave_env.episodes.episode import EpisodeSource
 from mmwave_env.episodes.recorded import RecordedSource
@@ -51,6 +50,11 @@ class EpisodeArgs:
     """modes to work with in place of the profile's ekf and ukf: names (ekf, ukf, ckf, ekf-robust,
     ukf-robust, or extended for a bank of eight) and mode files; policies are then fixed-NAME,
     likelihood-rule, random, imm and, with two modes, speed-rule"""
+    observation: str = "full"
+    """what agents of your own were trained with: full, or prior; policy files say it themselves"""
+    trust_zip: bool = False
+    """load models of Stable-Baselines3 (.zip), which runs code from the file; mmwave-loc convert
+    makes policy files of them, which hold none"""
     json: Path | None = None
     """write every figure to this file"""
 
@@ -62,20 +66,14 @@ class EpisodeArgs:
         return modes_from(self.modes, self.radio) if self.modes else None
 
     def contender(self, name: str) -> Contender:
-        """One of them, or a learned one by name or file."""
-        return contender_from(name, self.radio, self._modes())
+        """One of them, or an agent by name or file."""
+        modes = self._modes()
+        return contender_from(name, self.radio, modes, self.observation, self.trust_zip)
 
     def runs(self, names: Sequence[str]) -> dict[str, Run]:
         """Those of the names that are folders of runs."""
         known = self.contenders()
         return {n: Run.read(n) for n in names if n not in known and Path(n).is_dir()}
-
-    def score_contenders(
-        self, names: Sequence[str], watch: Watch | None = None
-    ) -> dict[str, Scores]:
-        """Scores of contenders on the episodes."""
-        source, modes = self.source(), self._modes()
-        return score_contenders(names, source, self.radio, self.episodes, self.seed, modes, watch)
 
     def source(self) -> EpisodeSource:
         """Where the episodes come from."""

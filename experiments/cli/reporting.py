@@ -9,6 +9,7 @@ from experiments.evaluation.bounds import bound_markdown, over_bound
 from experiments.evaluation.comparison import Comparison, compare_scores
 from experiments.evaluation.decisions import Decisions
 from experiments.evaluation.markdown import show
+from experiments.evaluation.runner import score_contenders
 from experiments.evaluation.runs import Run, trainings
 from experiments.evaluation.training_seeds import (
     draw_profiles,
@@ -19,22 +20,12 @@ from mmwave_env.files import write_json
 from mmwave_env.models.radio import radio_from
 
 
-def report(
-    args: EpisodeArgs,
-    names: Sequence[str],
-    bound: bool = False,
-    figure: Path | None = None,
-    decisions: Path | None = None,
-) -> Comparison:
-    """Run contenders on the episodes, print the tables and write ``args.json``.
-
-    The arguments are those of :func:`results`.
-    """
-    result, text, content = results(args, names, bound, figure, decisions)
+def report(args: EpisodeArgs, found: tuple[Comparison, str, dict[str, Any]]) -> None:
+    """Print the tables of :func:`results` and write ``args.json``."""
+    _, text, content = found
     show(text)
     if args.json:
         write_json(args.json, content)
-    return result
 
 
 def results(
@@ -60,9 +51,13 @@ def results(
     if figure:
         _require_profiles(names, runs)
     files = {name: runs[name].policy if name in runs else name for name in names}
-    learned = [name for name, file in files.items() if args.contender(file).trained]
+    chosen = {file: args.contender(file) for file in trainings(names, runs)}
+    learned = [name for name, file in files.items() if chosen[file].trained]
     seen = Decisions({file: name for name, file in files.items()}) if decisions else None
-    found = args.score_contenders(trainings(names, runs), seen.add if seen else None)
+    everybody = [chosen[file] for file in trainings(names, runs)]
+    found = score_contenders(
+        everybody, source, args.radio, args.episodes, args.seed, watch=seen.add if seen else None
+    )
     scores = {name: found[file] for name, file in files.items()}
     result = compare_scores(
         scores, learned, scenario=source.name, radio=args.radio, episodes=args.episodes,

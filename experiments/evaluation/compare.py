@@ -1,85 +1,84 @@
-"""An agent of one's own beside those that are known, in one call: :func:`compare`."""
+"""Agents of one's own beside those that are known, in one call: :func:`compare`."""
 
-from collections.abc import Callable, Mapping, Sequence
+import os
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
+from experiments.evaluation.agents import Act
 from experiments.evaluation.comparison import Comparison, compare_scores
-from experiments.evaluation.contenders import Contender
+from experiments.evaluation.contenders import Contender, contender_from
 from experiments.evaluation.runner import score_contenders
 from mmwave_env.episodes.simulated import SimulatedSource
-from mmwave_env.filters.mode_files import default_modes
+from mmwave_env.filters.mode_files import modes_from
+from mmwave_env.filters.modes import Mode
 from mmwave_env.models.radio import radio_from
 from mmwave_env.models.scene import scene_from
 
-Act = Callable[[NDArray[np.float32]], NDArray[Any]]
-
-
-class Acting:
-    """A function from observations to actions as a policy, which remembers nothing.
-
-    Args:
-        name: of the policy, for errors.
-        act: observations (n, features) -> actions (n,).
-    """
-
-    def __init__(self, name: str, act: Act) -> None:
-        self.name, self.act = name, act
-
-    def reset(self, mask: NDArray[np.bool_]) -> None:
-        """Nothing to forget."""
-
-    def __call__(self, observation: NDArray[np.float32]) -> NDArray[np.int64]:
-        """Actions (n,).
-
-        Raises:
-            ValueError: the function returned something else.
-        """
-        actions = np.asarray(self.act(observation))
-        n = len(observation)
-        if actions.shape != (n,) or actions.dtype.kind not in "iu":
-            raise ValueError(
-                f"actions of {self.name}: found shape {actions.shape} of {actions.dtype}, "
-                f"expected ({n},) of integers, one for each row of the observations"
-            )
-        return actions.astype(np.int64)
+Agent = str | os.PathLike[str] | Act
 
 
 def compare(
-    policies: Mapping[str, Act],
+    policies: Mapping[str, Agent],
     beside: Sequence[str] = ("fixed-ukf", "speed-rule", "imm"),
     scenario: str = "mixed",
     radio: str = "handset",
     episodes: int = 200,
     seed: int = 0,
+    modes: Sequence[Mode | str] | str | None = None,
+    observation: str = "full",
+    trust_zip: bool = False,
 ) -> Comparison:
-    """Agents of one's own and known contenders on the same episodes of the default environment.
+    """Agents of one's own and known contenders on the same episodes.
 
     Args:
-        policies: by name, functions from observations (n, features), of ``n`` episodes at once,
-            to actions (n,): numbers of modes. What they see and choose from is that of
-            ``gymnasium.make("MmWaveLoc-v0", scenario=..., radio=...)``.
+        policies: agents by the name they get in the tables. Each is a function from
+            observations (n, features) float32, of ``n`` episodes at once, to actions (n,),
+            integers; or whatever ``mmwave-loc compare --policies`` takes: a policy file, a
+            ``.zip`` of Stable-Baselines3, "module:function", the folder of a run, a name.
+            A function may have a method ``reset(begins)`` (bool (n,): where an episode begins),
+            and attributes ``modes`` and ``observation``, which go before the arguments here.
         beside: names of contenders, see :func:`~experiments.evaluation.contenders.contenders`.
         scenario, radio: as of the environment.
         episodes: how many; 1000 or more to publish.
         seed: of the first; test seeds start at 0 and belong to no training.
+        modes, observation: what agents of one's own were trained with, as of the environment.
+            Policy files say it themselves.
+        trust_zip: whether code from a ``.zip`` may run, which loading it means.
 
     Returns:
         The metrics of all, and their paired differences; ``print`` shows it as Markdown.
 
     Raises:
-        ValueError: unknown scenario, radio or contender, a name twice, no episodes, or actions
-            that are no numbers of modes, one for each episode.
+        ValueError: unknown scenario, radio or contender, a name twice, no episodes, or an agent
+            that can't be loaded, fails, or returns no numbers of modes: before an episode runs.
+        FileNotFoundError: there is no such file.
     """
     source = SimulatedSource(scene_from("street"), radio_from(radio), scenario)
-    own = [_contender(name, act, radio) for name, act in policies.items()]
+
+    def contender(name: str, agent: Agent) -> Contender:
+        if not isinstance(agent, (str, os.PathLike)):
+            return Contender.own(name, agent, radio, modes, observation)
+        chosen = None if modes is None else modes_from(modes, radio)
+        found = contender_from(os.fspath(agent), radio, chosen, observation, trust_zip)
+        return replace(found, name=name)
+
+    own = [contender(name, agent) for name, agent in policies.items()]
     scores = score_contenders([*own, *beside], source, radio, episodes, seed)
     return compare_scores(
         scores, list(policies), scenario=source.name, radio=radio, episodes=episodes, seed=seed
     )
 
 
-def _contender(name: str, act: Act, radio: str) -> Contender:
-    return Contender(name, default_modes(radio), lambda table: Acting(name, act))
+def evaluate(policy: Agent, **where: Any) -> Comparison:
+    """One agent, or one known contender, alone.
+
+    Args:
+        policy, where: as of :func:`compare`, which takes names beside it and shows differences.
+
+    Returns:
+        Its metrics with 95 % intervals; ``print`` shows it as Markdown.
+    """
+    given = isinstance(policy, (str, os.PathLike))
+    name = os.fspath(policy) if given else getattr(policy, "__name__", type(policy).__name__)  # type: ignore[arg-type]
+    return compare({name: policy}, (), **where)

@@ -1,11 +1,14 @@
 """Contenders: a policy with the modes it chooses from, or an IMM; all that have a name."""
 
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
+from pathlib import Path
 
-from mmwave_env.filters.mode_files import default_modes, named_modes
+from experiments.evaluation.agents import Act, agent_from, is_agent, tried
+from experiments.evaluation.runs import Run
+from mmwave_env.filters.mode_files import default_modes, modes_from, named_modes
 from mmwave_env.filters.modes import Mode
 from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.models.measurement import Layout
@@ -24,6 +27,9 @@ from policies import (
 )
 
 POLICY_SEED = 0
+OTHERS = (
+    "a .safetensors file", "the folder of a run", "a .zip of Stable-Baselines3", "module:function",
+)  # fmt: skip
 SHIPPED = ("ppo", "ppo-extended")  # learned contenders of a radio, where its policy is shipped
 
 
@@ -64,6 +70,29 @@ class Contender:
             observation=card.observation,
             trained=True,
         )
+
+    @classmethod
+    def own(
+        cls,
+        name: str,
+        agent: Act,
+        radio: str,
+        modes: Sequence[Mode | str] | str | None = None,
+        observation: str = "full",
+    ) -> "Contender":
+        """An agent of one's own; its attributes ``modes`` and ``observation`` go first.
+
+        Args:
+            name: in results.
+            agent: from observations (n, features) to actions (n,); see
+                :func:`~experiments.evaluation.agents.tried`.
+            radio: profile.
+            modes: that it chooses from, as of ``MmWaveLoc-v0``; None for the profile's two.
+            observation: what it sees, "full" or "prior".
+        """
+        chosen = modes_from(getattr(agent, "modes", modes), radio)
+        observation = getattr(agent, "observation", observation)
+        return cls(name, chosen, partial(tried, name, agent), observation=observation, trained=True)
 
     def start(self, layout: Layout) -> Policy | None:
         """A new policy for measurements of a layout; None for the IMM."""
@@ -124,21 +153,36 @@ def contenders(radio: str, modes: tuple[Mode, ...] | None = None) -> dict[str, M
     return dict([ekf, ukf, *fixed.items(), rule, *rest]) | imms | learned
 
 
-def contender_from(name: str, radio: str, modes: tuple[Mode, ...] | None = None) -> Contender:
+def contender_from(
+    name: str,
+    radio: str,
+    modes: tuple[Mode, ...] | None = None,
+    observation: str = "full",
+    trust_zip: bool = False,
+) -> Contender:
     """A contender by name; see :func:`contenders`.
 
     Args:
-        name: one of them, a shipped policy's, or a policy file (``.safetensors``).
+        name: one of them, a shipped policy's, a policy file (``.safetensors``), the folder of a
+            run, which stands for its median training, or what
+            :func:`~experiments.evaluation.agents.agent_from` takes.
         radio, modes: as of :func:`contenders`.
+        observation: of agents of one's own, as of :meth:`Contender.own`.
+        trust_zip: whether code from a ``.zip`` may run.
 
     Raises:
-        ValueError: unknown name; the message lists the valid ones. A damaged policy file.
-        FileNotFoundError: there is no such policy file.
+        ValueError: unknown name; the message lists the valid ones. A damaged policy file, or
+            an agent that can't be had.
+        FileNotFoundError: there is no such file.
     """
     known, shipped = contenders(radio, modes), shipped_policies()
     if name in known:
         return known[name]()
     if name in shipped or name.endswith(".safetensors"):
         return Contender.learned(name)
-    expected = ", ".join([*known, *shipped, "a .safetensors file", "the folder of a run"])
+    if Path(name).is_dir():
+        return Contender.learned(Run.read(name).policy, name)
+    if is_agent(name):
+        return Contender.own(name, agent_from(name, trust_zip), radio, modes, observation)
+    expected = ", ".join([*known, *shipped, *OTHERS])
     raise ValueError(f"policy: found {name!r}, expected one of {expected}")

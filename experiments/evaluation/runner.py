@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 from rich.progress import Progress
 
+from experiments.evaluation.agents import require_actions
 from experiments.evaluation.contenders import Contender, contender_from
 from experiments.evaluation.seeds import draw_episodes, require_seeds
 from mmwave_env.compiler.program import rows_of
@@ -17,7 +18,7 @@ from mmwave_env.filters.modes import Mode
 from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.metrics import METRICS, summary
 from mmwave_env.numerics.arrays import Array
-from mmwave_env.reward import Reward, TrackingReward
+from mmwave_env.reward import TrackingReward
 from policies import Policy
 
 Scores = dict[str, Array]  # metric -> (episodes,)
@@ -26,27 +27,19 @@ EpochResults = dict[
     str, NDArray[Any]
 ]  # "reward", "nees" (n, T), "error" (n, T, 3); policies': "mode"
 
+REWARD, TOLD = TrackingReward(), ("reward", "nees", "error")
 CHUNK = 1000  # episodes in memory at once
-
 
 Watch = Callable[[Contender, Sequence[Episode], EpochResults], None]
 
 
-def score(
-    contender: Contender,
-    policy: Policy | None,
-    episodes: Sequence[Episode],
-    reward: Reward | None = None,
-) -> Scores:
+def score(contender: Contender, policy: Policy | None, episodes: Sequence[Episode]) -> Scores:
     """Metrics per episode of a contender and its policy, on episodes of one length."""
-    return _summary(run_contender(contender, policy, episodes, reward), episodes)
+    return _summary(run_contender(contender, policy, episodes), episodes)
 
 
 def run_contender(
-    contender: Contender,
-    policy: Policy | None,
-    episodes: Sequence[Episode],
-    reward: Reward | None = None,
+    contender: Contender, policy: Policy | None, episodes: Sequence[Episode]
 ) -> EpochResults:
     """What a contender and its policy tell of every epoch, on episodes of one length.
 
@@ -54,14 +47,26 @@ def run_contender(
         "reward" and "nees" (n, T), "error" (n, T, 3) in m and, where there is a policy, "mode"
         (n, T), the numbers of its choices.
     """
-    reward = reward or TrackingReward()
     for episode in episodes:
         episode.require_truth()
     pipeline = Pipeline(contender.modes, episodes[0].layout)
     if policy is None:
-        imm = ImmEngine(pipeline, reward, contender.transition, contender.nis_quantile)
-        return imm.run(episodes, "reward", "nees", "error")
-    return _steered(pipeline, policy, contender, episodes, reward)
+        imm = ImmEngine(pipeline, REWARD, contender.transition, contender.nis_quantile)
+        return imm.run(episodes, *TOLD)
+    n, T = len(episodes), len(episodes[0])
+    engine = Engine(pipeline, n, REWARD, contender.observation)
+    engine.reset(episodes)
+    policy.reset(np.ones(n, bool))
+    program = engine.batch.program
+    scored = rows_of(program.parts(TOLD))
+    told, modes = np.empty((n, T, len(scored))), np.empty((n, T), np.int8)
+    observations = engine.observations()
+    for t in range(T):
+        found = policy(observations)
+        actions = require_actions(contender.name, found, n, len(contender.modes))
+        modes[:, t] = actions
+        observations, told[:, t] = engine.step(actions, scored)
+    return program.by_name(TOLD, told) | {"mode": modes}
 
 
 def step_s(episode: Episode) -> float:
@@ -71,34 +76,6 @@ def step_s(episode: Episode) -> float:
 
 def _summary(told: EpochResults, episodes: Sequence[Episode]) -> Scores:
     return summary(told["reward"], told["error"], told["nees"], 1.0 / step_s(episodes[0]))
-
-
-def _steered(
-    pipeline: Pipeline,
-    policy: Policy,
-    contender: Contender,
-    episodes: Sequence[Episode],
-    reward: Reward,
-) -> EpochResults:
-    """As :func:`run_contender`, where a policy picks the modes."""
-    n, T = len(episodes), len(episodes[0])
-    engine = Engine(pipeline, n, reward, contender.observation)
-    engine.reset(episodes)
-    policy.reset(np.ones(n, bool))
-    program, names = engine.batch.program, ("reward", "nees", "error")
-    scored = rows_of(program.parts(names))
-    told, modes = np.empty((n, T, len(scored))), np.empty((n, T), np.int8)
-    observations = engine.observations()
-    for t in range(T):
-        actions = policy(observations)
-        if actions.min() < 0 or actions.max() >= len(pipeline.modes):
-            raise ValueError(
-                f"actions of {contender.name}: found {actions.min()} to {actions.max()}, "
-                f"expected 0 to {len(pipeline.modes) - 1}"
-            )
-        observations, told[:, t] = engine.step(actions, scored)
-        modes[:, t] = actions
-    return program.by_name(names, told) | {"mode": modes}
 
 
 def score_contenders(

@@ -1,0 +1,123 @@
+"""Agents of one's own: functions from observations to actions, tried before an episode runs."""
+
+import importlib
+import os
+import re
+import sys
+from collections.abc import Callable
+from typing import Any, cast
+
+import numpy as np
+from numpy.typing import NDArray
+
+from experiments.evaluation.zip_agent import ZipAgent, in_one_line
+from mmwave_env.observation import Observation
+from policies import Policy
+
+Act = Callable[[NDArray[np.float32]], Any]  # observations (n, features) -> actions (n,)
+
+MODULE = re.compile(r"[\w.]+:[\w.]+")
+TRIED = 3  # observations to try an agent on
+
+
+class _Forgetful:
+    """A function of observations as a policy that has nothing to forget."""
+
+    def __init__(self, act: Act) -> None:
+        self._act = act
+
+    def reset(self, mask: NDArray[np.bool_]) -> None:
+        """Nothing to forget."""
+
+    def __call__(self, observation: NDArray[np.float32]) -> Any:
+        return self._act(observation)
+
+
+def is_agent(name: str) -> bool:
+    """Whether a name is that of a model of Stable-Baselines3 or of a function in a module."""
+    return name.endswith(".zip") or MODULE.fullmatch(name) is not None
+
+
+def agent_from(name: str, trust_zip: bool = False) -> Act:
+    """The agent of a model of Stable-Baselines3 (``.zip``) or of ``module:function``.
+
+    Args:
+        name: of the file; or of a function without arguments, in a module on ``sys.path`` or in
+            the current folder, that returns the agent.
+        trust_zip: whether code from the ``.zip`` may run, which loading it means.
+
+    Raises:
+        ValueError: naming the file or module, and what is wrong with it.
+        FileNotFoundError: there is no such file.
+    """
+    if name.endswith(".zip"):
+        return ZipAgent(name, trust_zip)
+    module, _, path = name.partition(":")
+    if os.getcwd() not in sys.path:
+        sys.path.append(os.getcwd())  # last: what is installed goes first
+    try:
+        found: Any = importlib.import_module(module)
+        for part in path.split("."):
+            found = getattr(found, part)
+        agent = found()
+    except Exception as error:  # whatever a user's code does
+        raise ValueError(
+            f"policy {name}: {in_one_line(error)}; expected module:function, a function "
+            "without arguments that returns the agent"
+        ) from error
+    if not callable(agent):
+        raise ValueError(
+            f"policy {name}: found {agent!r}, expected a function from observations "
+            "(n, features) to actions (n,)"
+        )
+    return cast(Act, agent)
+
+
+def tried(name: str, agent: Act, table: Observation) -> Policy:
+    """An agent as a policy, if it gives actions for observations of a table of features.
+
+    Args:
+        name: of the agent, for errors.
+        agent: what it is; its methods ``require_trained_on(table)`` and ``reset(begins)``, if
+            there are, are called too.
+        table: what it is shown.
+
+    Raises:
+        ValueError: it was trained on other observations, fails, or returns no actions.
+    """
+    if hasattr(agent, "require_trained_on"):
+        agent.require_trained_on(table)
+    policy = cast(Policy, agent if hasattr(agent, "reset") else _Forgetful(agent))
+    space, rng = table.space, np.random.default_rng(0)
+    shown = rng.uniform(space.low, space.high, (TRIED, len(table))).astype(np.float32)
+    try:
+        policy.reset(np.ones(TRIED, np.bool_))
+        found = policy(shown)
+    except Exception as error:  # whatever a user's code does
+        raise ValueError(
+            f"policy {name}: {in_one_line(error)}; it was shown observations "
+            f"{shown.shape} of float32: observation={table.kind!r}, modes "
+            f"{', '.join(mode.name for mode in table.modes)}"
+        ) from error
+    require_actions(name, found, TRIED, len(table.modes))
+    return policy
+
+
+def require_actions(name: str, found: Any, n: int, modes: int) -> NDArray[np.integer[Any]]:
+    """Actions (n,) as an array.
+
+    Raises:
+        ValueError: they are not one number of a mode for each of n observations.
+    """
+    actions: NDArray[Any] = np.asarray(found)
+    if actions.shape != (n,) or actions.dtype.kind not in "iu":
+        raise ValueError(
+            f"actions of {name}: found shape {actions.shape} of {actions.dtype}, expected ({n},) "
+            "of integers, one for each row of the observations"
+        )
+    if actions.min() < 0 or actions.max() >= modes:
+        raise ValueError(
+            f"actions of {name}: found {actions.min()} to {actions.max()}, expected 0 to "
+            f"{modes - 1}"
+        )
+    return actions

@@ -1,0 +1,157 @@
+"""Agents of one's own: by name, from modules and files, and what is refused before an episode."""
+
+import sys
+
+import numpy as np
+import pytest
+
+from experiments.evaluation.compare import compare, evaluate
+from experiments.evaluation.contenders import contender_from
+from mmwave_env.models.measurement import Layout
+from policies import LearnedSwitch
+from tests.cli import assert_one_clear_line, command, succeed
+from tests.training.actors import MODES, actor, card_of, write
+
+OWN = '''
+import numpy as np
+
+class Second:
+    """Always the second mode."""
+
+    def __call__(self, observations):
+        return np.ones(len(observations), int)
+
+def second():
+    return Second()
+
+def extended():
+    agent = Second()
+    agent.modes, agent.observation = "extended", "prior"
+    return agent
+
+def nothing():
+    return None
+
+def wrong():
+    return lambda observations: np.ones(len(observations))
+
+def beyond():
+    return lambda observations: np.full(len(observations), 2)
+
+def stumbling():
+    def act(observations):
+        raise RuntimeError(f"no idea\\nwhat {observations.shape} is")
+    return act
+
+def act(observations):
+    return np.ones(len(observations), int)
+'''
+
+
+@pytest.fixture
+def folder(tmp_path, monkeypatch):
+    """The current folder, with a module of the user's in it."""
+    (tmp_path / "my_agents.py").write_text(OWN)
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "path", [*sys.path])
+    yield tmp_path
+    sys.modules.pop("my_agents", None)
+
+
+def test_a_function_of_a_module_is_compared_as_any_policy(folder):
+    done = command(
+        "compare", "--policies", "fixed-ukf", "my_agents:second", "--episodes", 2, cwd=folder
+    )
+    assert done.returncode == 0, done.stderr
+    ours, theirs = (row for row in done.stdout.splitlines() if row.count("±") == 7)
+    assert ours.split("|")[2:] == theirs.split("|")[2:]
+    assert "| my_agents:second | 0.000 [0.000, 0.000] |" in done.stdout
+
+
+MISTAKES = {
+    "no_such_module:make": "no_such_module:make: ModuleNotFoundError: .*expected module:function",
+    "my_agents:gone": "AttributeError: .*'gone'; expected module:function",
+    "my_agents:act": "TypeError: .* missing 1 required .*; expected .* without arguments",
+    "my_agents:nothing": "found None, expected a function from observations",
+    "my_agents:wrong": r"my_agents:wrong: found shape \(3,\) of float64, expected \(3,\) of integ",
+    "my_agents:beyond": "my_agents:beyond: found 2 to 2, expected 0 to 1",
+    "my_agents:stumbling": r"RuntimeError: no idea; it was shown observations \(3, 53\) of float32",
+    "my_agents": "policy: found 'my_agents', expected one of .*a .zip .*, module:function",
+    "gone.zip": "gone.zip: found no file, expected a model",
+    "mine.zip": "mine.zip: loading .* runs code .*--trust-zip.* convert mine.zip mine.safetensors",
+}
+
+
+@pytest.mark.parametrize("name", MISTAKES)
+def test_what_is_no_agent_is_refused_before_an_episode_runs(name, folder, monkeypatch):
+    (folder / "mine.zip").write_bytes(b"")
+    monkeypatch.setattr("experiments.evaluation.runner.draw_episodes", None)
+    done = command("evaluate", "--policy", name, cwd=folder)
+    assert_one_clear_line(done, f"^mmwave-loc evaluate: .*{MISTAKES[name]}")
+
+
+@pytest.mark.usefixtures("folder")
+def test_an_agent_says_what_it_was_trained_with():
+    found = contender_from("my_agents:extended", "handset")
+    assert len(found.modes) == 8 and found.observation == "prior" and found.trained
+    plain = contender_from("my_agents:second", "handset", observation="prior")
+    assert len(plain.modes) == 2 and plain.observation == "prior"
+    with pytest.raises(ValueError, match="observation: found 'half'"):
+        contender_from("my_agents:second", "handset", observation="half").start(Layout())
+
+
+@pytest.mark.usefixtures("folder")
+def test_python_takes_what_the_command_line_takes(tmp_path):
+    file = write(tmp_path / "policy.safetensors", actor(), card_of())
+
+    class Begins:
+        """Remembers that it was told of the beginning of episodes."""
+
+        def __init__(self):
+            self.told = []
+
+        def reset(self, begins):
+            self.told.append(begins)
+
+        def __call__(self, observations):
+            return np.ones(len(observations), np.uint8)
+
+    mine = Begins()
+    found = compare(
+        {"object": mine, "module": "my_agents:second", "file": file, "loaded": LearnedSwitch(file)},
+        beside=("fixed-ukf",),
+        episodes=2,
+    )
+    rows = found.policies
+    assert list(rows) == ["object", "module", "file", "loaded", "fixed-ukf"]
+    assert rows["object"] == rows["module"] == rows["fixed-ukf"]
+    assert rows["file"] == rows["loaded"] != rows["fixed-ukf"]
+    assert all(begins.all() for begins in mine.told) and len(mine.told[-1]) == 2
+
+
+def test_evaluate_takes_one():
+    alone = evaluate("fixed-ukf", episodes=2, seed=3)
+    assert list(alone.policies) == ["fixed-ukf"] and not alone.paired
+
+    def second(observations):
+        return np.ones(len(observations), int)
+
+    mine = evaluate(second, episodes=2, seed=3)
+    assert mine.policies == {"second": alone.policies["fixed-ukf"]}
+
+
+def test_agents_of_other_modes_and_observations_meet_known_contenders():
+    def third(observations):
+        return np.full(len(observations), 2)
+
+    found = compare({"mine": third}, ("imm",), episodes=2, modes=MODES, observation="prior")
+    assert list(found.paired) == ["mine - imm"]
+
+
+def test_a_run_by_its_folder_is_its_median_training(tmp_path):
+    (tmp_path / "seed-1").mkdir()
+    file = write(tmp_path / "seed-1" / "policy.safetensors", actor(), card_of())
+    (tmp_path / "summary.json").write_text('{"seeds": [{"seed": 1}], "median": 1}')
+    (run,) = evaluate(str(tmp_path), episodes=2).policies.values()
+    assert run == evaluate(file, episodes=2).policies[str(file)]
+    assert str(tmp_path) in succeed("evaluate", "--policy", tmp_path, "--episodes", 2)
