@@ -5,7 +5,7 @@ BIN := .venv/bin
 TORCH := $(shell grep '^torch==' constraints.txt)
 OLDEST_GYMNASIUM := $(shell sed -n 's/.*"gymnasium>=\([0-9.]*\),.*/gymnasium==\1/p' pyproject.toml)
 
-.PHONY: help demo test test-slow coverage golden lint format types types-base gymnasium-oldest clean
+.PHONY: help demo test test-slow coverage golden lint format types types-base gymnasium-oldest docs dist clean
 
 help: ## list these targets
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "make %-18s %s\n", $$1, $$2 }' Makefile
@@ -45,8 +45,11 @@ types: .venv/.dev ## mypy, strict
 gymnasium-oldest: .venv-oldest/.ready ## the environment on the oldest Gymnasium supported
 	.venv-oldest/bin/python -m pytest -m "not slow and not torch" tests/test_env.py tests/test_vector_env.py
 
+docs: .venv-docs/.ready ## the documentation site, into site/; its warnings are errors
+	NO_MKDOCS_2_WARNING=1 .venv-docs/bin/python -m mkdocs build --strict
+
 clean: ## remove environments, caches and build outputs; results/ and runs/ stay
-	rm -rf .venv .venv-lint .venv-oldest build dist *.egg-info .coverage .coverage.* coverage.xml
+	rm -rf .venv .venv-* build dist site *.egg-info .coverage .coverage.* coverage.xml
 	rm -rf .pytest_cache .mypy_cache .ruff_cache .hypothesis
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +
 
@@ -75,4 +78,11 @@ clean: ## remove environments, caches and build outputs; results/ and runs/ stay
 	@echo '*' > .venv-oldest/.gitignore
 	@.venv-oldest/bin/python -m pip install --quiet -c constraints.txt \
 		--editable '.[render]' $(OLDEST_GYMNASIUM) pytest hypothesis
+	@touch $@
+
+.venv-docs/.ready: pyproject.toml constraints.txt
+	@echo "Setting up .venv-docs: mkdocs and the base install"
+	@$(PYTHON) -m venv .venv-docs
+	@echo '*' > .venv-docs/.gitignore
+	@.venv-docs/bin/python -m pip install --quiet -c constraints.txt --editable '.[docs]'
 	@touch $@

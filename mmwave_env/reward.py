@@ -12,8 +12,10 @@ from dataclasses import dataclass
 from typing import cast
 
 from mmwave_env.filters.belief import Belief
+from mmwave_env.filters.custom import begin_of, line_of
 from mmwave_env.lookup import choose
 from mmwave_env.numerics.numbers import Number, Vector, log, maximum, minimum
+from mmwave_env.numerics.tracer import FloatTracer, NoValueError, Tracer, TracerCondition
 
 Reward = Callable[[Belief, Vector], Number]
 
@@ -79,7 +81,12 @@ REWARDS: dict[str, Reward | PairedReward] = {
 
 
 def reward_from(reward: str | Reward | PairedReward) -> Reward | PairedReward:
-    """The reward of a ``reward=`` argument: a name, a function of (belief, truth), or paired."""
+    """The reward of a ``reward=`` argument: a name, a function of (belief, truth), or paired.
+
+    Raises:
+        ValueError: no such name, not hashable, or a function that cannot run on lanes or returns
+            no number.
+    """
     function = reward.reward if isinstance(reward, PairedReward) else reward
     if isinstance(reward, str) or not callable(function):
         return choose(REWARDS, cast(str, reward), "reward")
@@ -89,4 +96,32 @@ def reward_from(reward: str | Reward | PairedReward) -> Reward | PairedReward:
         raise ValueError(
             f"reward: found {function!r}, expected a hashable function or object"
         ) from error
+    _check(function)
     return reward
+
+
+def _check(reward: Reward) -> None:
+    """Try a function on numbers that hide their value, as the compiler will."""
+    P = [[FloatTracer(4.0 if i == j else 0.5) for j in range(7)] for i in range(7)]
+    belief = Belief([FloatTracer(float(i)) for i in range(7)], P)
+    try:
+        found = reward(belief, [FloatTracer(0.5 * i) for i in range(6)])
+    except NoValueError as refusal:
+        raise _refused(reward, "cannot run on lanes", refusal, str(refusal)) from None
+    except Exception as error:
+        advice = f"{type(error).__name__}: {error}"
+        raise _refused(reward, "failed on trial", error, advice) from error
+    if isinstance(found, bool | TracerCondition):
+        raise _refused(reward, "returned a condition, expected where(condition, 1.0, 0.0)")
+    if not isinstance(found, float | int | Tracer):
+        kind = "None" if found is None else type(found).__name__
+        raise _refused(reward, f"returned {kind}, expected a number")
+
+
+def _refused(
+    reward: Reward, problem: str, error: BaseException | None = None, *advice: str
+) -> ValueError:
+    name = getattr(reward, "__name__", type(reward).__name__)
+    line = (error and line_of(error, reward)) or begin_of(reward)
+    # Gymnasium appends the arguments of the environment to a message: let them begin a line.
+    return ValueError("\n".join([f"reward {name} {problem}", str(line), *advice, ""]))

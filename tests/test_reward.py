@@ -112,6 +112,10 @@ def test_reward_by_name_or_by_itself():
         reward_from(PairedReward(PairedReward()))
 
 
+def test_a_constant_is_a_reward():
+    assert reward_from(lambda belief, truth: 1.0)(belief(), ORIGIN) == 1.0
+
+
 # --- in the environment
 
 
@@ -184,18 +188,21 @@ def through_numpy(belief, truth):
 
 
 @pytest.mark.parametrize(
-    ("own", "instead"),
+    ("own", "message"),
     [
-        (branch, r"where\(condition, a, b\)"),
+        (branch, r"reward branch cannot .*in branch\n.* < 1\.0.*where\(condition, a, b\)"),
         (to_float, "the functions of mmwave_env.numerics.numbers"),
         (through_math, "the functions of mmwave_env.numerics.numbers"),
         (through_numpy, "lists, mmwave_env.numerics.numbers"),
+        (lambda belief, truth: None, "returned None, expected a number"),
+        (lambda belief, truth: belief.distance(truth) > 1.0, r"expected where\(condition"),
+        (lambda belief, truth: belief.speed, "failed on trial\n  File .*AttributeError"),
+        (lambda belief: 0.0, "failed on trial\n  File .*TypeError.*2 were given"),
     ],
 )
-def test_a_reward_that_looks_at_values_is_told_what_to_write(own, instead):
-    env = gym.make("MmWaveLoc-v0", reward=own, modes=["ekf"])
-    with pytest.raises(TypeError, match=f"8 environments: write {instead}"):
-        env.reset(seed=0)
+def test_what_is_no_reward_is_refused_with_its_line_and_what_to_write(own, message):
+    with pytest.raises(ValueError, match=f"(?s){message}"):
+        gym.make("MmWaveLoc-v0", reward=own)
 
 
 # --- paired with the IMM

@@ -5,12 +5,15 @@ docstring of the environment, the help of the commands, CITATION.cff and the doc
 modules. Nothing of it is copied into the repository.
 """
 
+import ast
 import inspect
 import os
 import re
 from collections.abc import Iterator
-from contextlib import redirect_stdout
+from contextlib import redirect_stdout, suppress
+from functools import cache
 from io import StringIO
+from itertools import zip_longest
 from pathlib import Path
 from posixpath import relpath
 from typing import Any
@@ -35,6 +38,7 @@ API = {  # page: title, modules and folders of modules
 }
 CODE = re.compile(r"^```.*?^```", re.DOTALL | re.MULTILINE)
 LINK = re.compile(r"\]\(([^)\s:#]+)(#[^)\s]*)?\)")
+CELL = re.compile(r"<td>(?=(?:[a-z]+(?:-[a-z0-9]+)*|[^<a-zA-Z]+)</td>)")
 ROLE = re.compile(r":(?:class|func|meth|mod|data|attr|exc):<code>~?([\w.]+)</code>")
 
 
@@ -96,11 +100,8 @@ def help_page() -> str:
     for name in COMMANDS:
         printed = StringIO()
         os.environ |= {"COLUMNS": "88", "NO_COLOR": "1"}
-        with redirect_stdout(printed):
-            try:
-                run(name, ["--help"])
-            except SystemExit:
-                pass  # how a parser ends after its help
+        with redirect_stdout(printed), suppress(SystemExit):  # how a parser ends after its help
+            run(name, ["--help"])
         parts += [f"## {name}", f"```text\n{printed.getvalue().strip()}\n```"]
     return "\n\n".join(parts) + "\n"
 
@@ -132,7 +133,7 @@ Cite the software with the version you used, and the paper that it follows:
 }}
 ```
 
-The same stands in [CITATION.cff]({repository()}/blob/main/CITATION.cff), which reference managers read.
+The same stands in [CITATION.cff]({source_of("CITATION.cff")}), which reference managers read.
 """
 
 
@@ -164,8 +165,6 @@ def api_index() -> str:
 
 
 def _first_sentence(module: str) -> str:
-    import ast
-
     source = (ROOT / module.replace(".", "/")).with_suffix(".py").read_text("utf-8")
     about = (ast.get_docstring(ast.parse(source)) or "").split("\n\n")[0]
     about = re.sub(r":\w+:`~?([\w.]+)`", r"`\1`", " ".join(about.split()))
@@ -173,6 +172,21 @@ def _first_sentence(module: str) -> str:
 
 
 # --- links
+
+
+def source_of(name: str) -> str:
+    """Where the code host shows a file or folder of the checkout."""
+    return f"{repository()}/{'tree' if (ROOT / name).is_dir() else 'blob'}/main/{name}"
+
+
+@cache
+def pages() -> dict[str, str]:
+    """Page of the site by file of the checkout, for files that the site shows in another form."""
+    found = {source: page for page, source in MIRRORED.items()}
+    for name, (_, parts) in API.items():
+        for module in (m for part in parts for m in modules_of(part)):
+            found[f"{module.replace('.', '/')}.py"] = f"api/{name}.md#{module}"
+    return found | {"mmwave_env/env.py": "environment.md"}
 
 
 def on_page_markdown(markdown: str, page: Any, **_: Any) -> str:
@@ -191,30 +205,34 @@ def relinked(markdown: str, uri: str, source: Path) -> str:
     """
 
     def mended(match: re.Match[str]) -> str:
-        path, anchor = match[1], match[2] or ""
-        target = Path(os.path.normpath(source.parent / path))
-        return f"]({_address(target, uri)}{anchor})" if target.exists() else match[0]
+        target = Path(os.path.normpath(source.parent / match[1]))
+        if not target.exists():  # a page made at the build; or a mistake, which mkdocs tells
+            return match[0]
+        address = _address(target, os.path.dirname(uri) or ".")
+        return f"]({address}{match[2] or ''})"
 
-    ends = [0, *(at for block in CODE.finditer(markdown) for at in block.span()), len(markdown)]
-    pieces = [markdown[a:b] for a, b in zip(ends, ends[1:], strict=False)]
-    return "".join(piece if i % 2 else LINK.sub(mended, piece) for i, piece in enumerate(pieces))
+    code = CODE.findall(markdown)
+    prose = [LINK.sub(mended, piece) for piece in CODE.split(markdown)]
+    return "".join(text for pair in zip_longest(prose, code, fillvalue="") for text in pair)
 
 
-def _address(target: Path, uri: str) -> str:
-    """Of a file of the checkout, as seen from a page of the site."""
+def _address(target: Path, folder: str) -> str:
+    """Of a file of the checkout, as seen from a page in a folder of the site."""
     name = target.relative_to(ROOT).as_posix()
-    for page, source in MIRRORED.items():
-        if name == source:
-            return relpath(page, os.path.dirname(uri) or ".")
-    if target.parent == DOCS and target.is_file() or target.suffix == ".png" and DOCS in target.parents:
-        return relpath(target.relative_to(DOCS).as_posix(), os.path.dirname(uri) or ".")
-    return f"{repository()}/{'tree' if target.is_dir() else 'blob'}/main/{name}"
+    if name in pages():
+        return relpath(pages()[name], folder)
+    shown = target.parent == DOCS or target.suffix == ".png"
+    if shown and DOCS in target.parents and target.is_file():
+        return relpath(target.relative_to(DOCS).as_posix(), folder)
+    return source_of(name)
 
 
 def on_page_content(html: str, **_: Any) -> str:
-    """Make links of the roles that docstrings use, where the site has what they name."""
-    return ROLE.sub(
-        lambda m: f'<autoref optional identifier="{m[1]}"><code>{m[1].rpartition(".")[2]}</code>'
-        "</autoref>",
-        html,
-    )
+    """Make links of the roles that docstrings use; keep figures and names in tables on one line."""
+
+    def linked(match: re.Match[str]) -> str:
+        name = match[1]
+        word = f"<code>{name.rpartition('.')[2]}</code>"
+        return f'<autoref optional identifier="{name}">{word}</autoref>' if "." in name else word
+
+    return CELL.sub('<td class="whole">', ROLE.sub(linked, html))

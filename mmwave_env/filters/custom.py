@@ -43,7 +43,7 @@ class AlgorithmError(TypeError):
     """A mode's own algorithm cannot run: where, why, and what to write instead."""
 
 
-class _Line(NamedTuple):
+class Line(NamedTuple):
     """A line of a user's function; ``function`` is its name."""
 
     file: str
@@ -116,30 +116,30 @@ def _check(mode: Mode, layout: Layout, known_axes: tuple[int, ...]) -> None:
         _require_same(mode, on_floats, on_lanes)
 
 
-def _begin_of(function: Callable[..., Any]) -> _Line | None:
+def begin_of(function: Callable[..., Any]) -> Line | None:
     """The line on which a function begins; None of one that was not written in Python."""
     while isinstance(function, partial):
         function = function.func
     code = getattr(function, "__code__", getattr(type(function).__call__, "__code__", None))
-    return None if code is None else _Line(code.co_filename, code.co_firstlineno, code.co_name)
+    return None if code is None else Line(code.co_filename, code.co_firstlineno, code.co_name)
 
 
-def _line_of(error: BaseException, function: Callable[..., Any]) -> _Line | None:
+def line_of(error: BaseException, function: Callable[..., Any]) -> Line | None:
     """The innermost line of the user's in an error's traceback.
 
     It is in the function's own file, or in another that is no part of a library.
     """
-    begin = _begin_of(function)
+    begin = begin_of(function)
     found = None
     for frame, number in walk_tb(error.__traceback__):
         file = frame.f_code.co_filename
         if (begin and file == begin.file) or not file.startswith(_LIBRARIES):
-            found = _Line(file, number, frame.f_code.co_name)
+            found = Line(file, number, frame.f_code.co_name)
     return found
 
 
-def _error(mode: Mode, problem: str, line: _Line | None, advice: str = "") -> AlgorithmError:
-    begin = _begin_of(mode.update)
+def _error(mode: Mode, problem: str, line: Line | None, advice: str = "") -> AlgorithmError:
+    begin = begin_of(mode.update)
     name = repr(mode.update) if begin is None else begin.function
     parts = [f"algorithm {name} of mode {mode.name!r} {problem}", line and str(line), advice]
     # Gymnasium appends the arguments of the environment to a message: let them begin a line.
@@ -147,7 +147,7 @@ def _error(mode: Mode, problem: str, line: _Line | None, advice: str = "") -> Al
 
 
 def _wrong_return(mode: Mode, found: str) -> AlgorithmError:
-    return _error(mode, f"returned {found}", _begin_of(mode.update))
+    return _error(mode, f"returned {found}", begin_of(mode.update))
 
 
 def _require_signature(mode: Mode) -> None:
@@ -159,7 +159,7 @@ def _require_signature(mode: Mode) -> None:
         signature.bind("x", "P", "measurement", "gate")
     except TypeError:
         problem = f"takes {signature}, expected (x, P, measurement, gate)"
-        raise _error(mode, problem, _begin_of(mode.update)) from None
+        raise _error(mode, problem, begin_of(mode.update)) from None
 
 
 def _run(mode: Mode, layout: Layout, known_axes: tuple[int, ...], trial: _Trial) -> Any:
@@ -172,18 +172,18 @@ def _run(mode: Mode, layout: Layout, known_axes: tuple[int, ...], trial: _Trial)
     try:
         result = mode.update(*arguments, gate)
     except NoValueError as refusal:
-        line = _line_of(refusal, mode.update)
+        line = line_of(refusal, mode.update)
         raise _error(mode, "cannot run on lanes", line, str(refusal)) from None
     except Exception as error:
         advice = f"{type(error).__name__}: {error}"
         if isinstance(force, FloatTracer) and isinstance(error, TypeError | AttributeError):
             advice = f"{advice}\n{_LANES_KNOW}"
-        raise _error(mode, "failed on trial", _line_of(error, mode.update), advice) from error
+        raise _error(mode, "failed on trial", line_of(error, mode.update), advice) from error
     for name, argument, old in zip(("x", "P", "measurement"), arguments, before, strict=True):
         new = flatten(argument)
         if len(new) != len(old) or any(a is not b for a, b in zip(new, old, strict=True)):
             problem = f"changed its argument {name}, expected it to be left as it is"
-            raise _error(mode, problem, _begin_of(mode.update))
+            raise _error(mode, problem, begin_of(mode.update))
     return result
 
 
