@@ -7,33 +7,13 @@ depend on the machine; ratios much less, so they come first.
 """
 
 import os
-from dataclasses import dataclass
-from pathlib import Path
 
+from experiments.arguments.benchmark import Args
 from experiments.cli.main import run
 from mmwave_env.files import require_writable, write_json, write_text
 
 # Nothing that loads numpy is imported up here: its linear algebra counts its threads once.
 _ONE_THREAD = ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "OMP_NUM_THREADS")
-
-
-@dataclass
-class Args:
-    """Measure steps per second, the same work side by side."""
-
-    sizes: tuple[int, ...] = (1, 8, 64, 1024, 16384)
-    """numbers of environments in the native vector environment"""
-    seconds: float = 0.5
-    """time per measurement, at least; whole episodes are measured"""
-    repeats: int = 5
-    """rounds, in which every workload has its turn; medians and ranges are printed"""
-    json: Path | None = None
-    """write every figure to this file"""
-    plot: Path | None = None
-    """draw rates and limits (PNG)"""
-    docs: Path | None = None
-    """also renew the tables of this page, between its `<!-- table: ... -->` lines, and the
-    figure beside it"""
 
 
 def main(args: Args) -> None:

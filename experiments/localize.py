@@ -3,14 +3,14 @@
 import warnings
 from collections.abc import Iterable, Sequence
 from contextlib import ExitStack
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import chain
 from pathlib import Path
-from typing import Any, Literal, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
-from tyro.conf import Positional
 
+from experiments.arguments.localize import Args
 from experiments.cli.main import run
 from experiments.cli.terminal import ask_speed, parse_speed, progress
 from experiments.cli.track_plot import TrackPicture
@@ -20,7 +20,7 @@ from mmwave_env.engines.track_engine import Rule
 from mmwave_env.files import require_writable, write_json
 from mmwave_env.filters.mode_files import modes_from
 from mmwave_env.filters.modes import DESIGN_LIMIT_MPS, Mode, robust
-from mmwave_env.localization.localizer import SMOOTHING_WINDOW, localize
+from mmwave_env.localization.localizer import localize
 from mmwave_env.localization.track_files import table_beside, track_files
 from mmwave_env.localization.track_scores import Course, Groups, TruthScores
 from mmwave_env.logs.log import LogBlock, read_log
@@ -33,51 +33,6 @@ from policies.speed_rule import SLOW_MPS, by_odometry_speed, by_predicted_speed,
 EPOCHS_PER_BLOCK = 1 << 14
 LONGEST_WINDOW = 20_000  # epochs; all of a window are held at once
 RULES: dict[str, Rule] = {"prediction": by_predicted_speed, "odometry": by_odometry_speed}
-
-
-@dataclass
-class Args:
-    """The track of a measurement log, by the paper's EKF and UKF pipelines (Algorithm 1).
-
-    Up to 2 m/s the EKF pipeline runs, above it the UKF pipeline.
-    """
-
-    log: Positional[Path]
-    """measurement log: .csv, .csv.gz or .parquet"""
-    scene: str
-    """JSON file with the anchors; or street, o1, dynamic-doppler"""
-    speed: str | None = None
-    """of the user, m/s; or auto, to decide in every epoch; asked for on a terminal"""
-    outside: Literal["fallback", "abort"] = "fallback"
-    """above 20 m/s, outside the design window: run the UKF pipeline, or stop"""
-    follow: Literal["prediction", "odometry"] = "prediction"
-    """the speed that --speed auto follows"""
-    truth: Path | None = None
-    """true track in TUM format, to score against; the filters never see it"""
-    out: Path | None = None
-    """write the track in TUM format, and a .csv with standard deviations and modes beside it"""
-    plot: Path | None = None
-    """write a picture of the track, .png"""
-    json: Path | None = None
-    """write every figure to this file"""
-    radio: str = "handset"
-    """handset, standard or high: noise by SNR, and the tuning of the modes"""
-    modes: Path | None = None
-    """mode file with other pipelines: the one for low, then the one for high mobility"""
-    gating: bool = True
-    """reject measurements outside their 99 % chi-square gates"""
-    adaptive: bool = True
-    """scale Q and R by the innovations"""
-    smoothing: bool = True
-    """Rauch-Tung-Striebel smoothing"""
-    window: int = SMOOTHING_WINDOW
-    """epochs smoothed together"""
-    robust: bool = False
-    """doubt links far off instead of rejecting them; does without adaptive scaling"""
-    odometry: bool = True
-    """use speed and heading where the log has them"""
-    height: float | None = None
-    """flat terrain at this height, m"""
 
 
 class ModePlan(NamedTuple):

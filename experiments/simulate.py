@@ -1,10 +1,11 @@
 """mmwave-loc simulate: one episode as files, for localize and for other people's tools."""
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
+from experiments.arguments.simulate import Args
 from experiments.cli.main import run
-from experiments.cli.options import EpisodeArgs, command_line
+from experiments.cli.options import command_line, source_of
 from experiments.evaluation.seeds import draw_episodes
 from mmwave_env.episodes.log_writer import write_log
 from mmwave_env.episodes.recorded import RecordedSource
@@ -14,32 +15,9 @@ from mmwave_env.logs.tum import COLUMNS, tum_lines
 from mmwave_env.models.scene import Scene, anchors_json
 
 
-@dataclass
-class Args:
-    """Write one episode as a folder: log.csv (measurements), scene.json and truth.tum."""
-
-    out: Path
-    """the folder"""
-    scenario: str | None = None
-    """pedestrian, vehicle, walk-ride, jam, cyclist or mixed (draws one of them, the default)"""
-    radio: str = "handset"
-    """handset, standard or high"""
-    scene: str | None = None
-    """street (the default), o1, dynamic-doppler or a JSON file"""
-    data: str | None = None
-    """recorded data instead of a simulation: canyon28_vehicle, canyon28_pedestrian, or the
-    folder of a DeepMIMO scenario"""
-    seed: int = 0
-    """seed of the episode, the same that evaluate runs"""
-    odometry: bool = False
-    """also write the user's speed and heading"""
-
-
 def _source(args: Args) -> tuple[SimulatedSource | RecordedSource, Scene]:
     """Where the episode comes from, and the scene it is in."""
-    given = EpisodeArgs(
-        scenario=args.scenario, radio=args.radio, scene=args.scene, data=args.data
-    ).source()
+    given = source_of(args)
     if isinstance(given, SimulatedSource):
         return replace(given, odometry=args.odometry), given.scene
     assert isinstance(given, RecordedSource)

@@ -3,11 +3,10 @@
 import csv
 import io
 from collections.abc import Iterator
-from dataclasses import dataclass
-from pathlib import Path
 
 from rich.progress import track
 
+from experiments.arguments.tables import Args
 from experiments.cli.doc_pages import page_to_renew, renewed
 from experiments.cli.main import run
 from experiments.evaluation.markdown import show
@@ -20,23 +19,6 @@ from mmwave_env.files import atomic_path, require_writable, write_json, write_te
 
 SECTIONS = 19
 FIELDS = ("section", "row", "column", "mean", "low", "high")
-
-
-@dataclass
-class Args:
-    """Reproduce Tables I, II and III of the paper and test its claims."""
-
-    episodes: int = 1000
-    """simulated episodes for each kind of user and radio"""
-    seed: int = 0
-    """seed of the first episode; test seeds start at 0"""
-    out: Path = Path("results/paper")
-    """folder for tables.md, tables.csv and tables.png"""
-    docs: Path | None = None
-    """also renew the tables of this page, between its `<!-- table: ... -->` lines, and the
-    figure beside it"""
-    json: Path | None = None
-    """write every figure to this file"""
 
 
 def sections(bench: Bench) -> Iterator[Section]:

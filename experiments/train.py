@@ -1,17 +1,17 @@
 """mmwave-loc train: switchers that learn, on several training seeds."""
 
 import json
-import os
 import shutil
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 from rich.console import Console
 from rich.progress import Progress, TimeElapsedColumn
 
+from experiments.arguments.train import Args
 from experiments.cli.main import run
 from experiments.cli.options import command_line
 from experiments.evaluation.markdown import grid
@@ -26,80 +26,45 @@ from mmwave_env.filters.modes import Mode
 from mmwave_env.lookup import choose
 from mmwave_env.reward import REWARDS, PairedReward, Reward, TrackingReward
 
-
-@dataclass
-class Args:
-    """Train switchers with PPO; the best policy of every seed, and the median one, are kept."""
-
-    algo: Literal["ppo", "recurrent-ppo"] = "ppo"
-    """algorithm of Stable-Baselines3"""
-    scenario: str = "mixed"
-    """pedestrian, vehicle, walk-ride, jam, cyclist or mixed (equal shares)"""
-    radio: str = "handset"
-    """handset, standard or high"""
-    modes: tuple[str, ...] = ()
-    """to choose from: extended, names and mode files; the radio's ekf and ukf by default"""
-    observation: str = "full"
-    """full, or prior: nothing of how each mode sees the coming epoch"""
-    reward: str = "tracking"
-    """tracking or log-score, minus the IMM's where the hyperparameters say paired; or paired, which
-    always is tracking minus the IMM's"""
-    nees_weight: float = TrackingReward.nees_weight
-    """weight of the NEES in the tracking reward"""
-    seeds: int = 5
-    """how many trainings"""
-    total_timesteps: int = 4_000_000
-    """epochs to train each for"""
-    hyperparameters: Path | None = None
-    """a JSON file in place of the algorithm's own, experiments/training/ppo.json"""
-    jobs: int = min(2, os.cpu_count() or 1)
-    """how many trainings at once"""
-    checkpoint_every: int = 32
-    """updates of a training after which it could go on from where it stands"""
-    out: Path = Path("runs/train")
-    """folder of the run: a folder a seed, policy.safetensors (the median seed) and summary.json"""
-    resume: bool = False
-    """go on with the run in this folder, with the options it was started with"""
-    overwrite: bool = False
-    """replace the run in this folder"""
-
-    def rewards(self) -> Reward:
-        """What is learned to earn, before anything is subtracted."""
-        reward = choose(REWARDS, self.reward, "reward")
-        if isinstance(reward, PairedReward):
-            reward = reward.reward
-        if isinstance(reward, TrackingReward):
-            return replace(reward, nees_weight=self.nees_weight)
-        return reward
-
-    def recipe(self) -> Hyperparameters:
-        """The hyperparameters.
-
-        Raises:
-            ValueError: those of another algorithm.
-        """
-        path = self.hyperparameters or shipped_hyperparameters(self.algo)
-        recipe = read_hyperparameters(path)
-        if (recipe.lstm > 0) != (self.algo == "recurrent-ppo"):
-            expected = "0" if self.algo == "ppo" else "1 or more"
-            raise ValueError(
-                f"{path}: lstm: found {recipe.lstm}, expected {expected} for --algo {self.algo}"
-            )
-        return replace(recipe, paired=recipe.paired or self.reward == "paired")
-
-    def manifest(self, modes: Sequence[Mode], recipe: Hyperparameters) -> dict[str, Any]:
-        """What decides how a run goes on, as JSON holds it."""
-        return {
-            "command": command_line("train", replace(self, **ASIDE)),
-            "recipe": {**asdict(recipe), "hidden": list(recipe.hidden)},
-            "modes": [as_written(mode) for mode in modes],
-        }
-
-
 # Options that a policy does not depend on: the command in its file leaves them out.
 ASIDE: dict[str, Any] = {
     name: getattr(Args, name) for name in ("jobs", "checkpoint_every", "out", "resume", "overwrite")
 }
+
+
+def rewards(args: Args) -> Reward:
+    """What is learned to earn, before anything is subtracted."""
+    reward = choose(REWARDS, args.reward, "reward")
+    if isinstance(reward, PairedReward):
+        reward = reward.reward
+    if isinstance(reward, TrackingReward):
+        return replace(reward, nees_weight=args.nees_weight)
+    return reward
+
+
+def hyperparameters(args: Args) -> Hyperparameters:
+    """The hyperparameters.
+
+    Raises:
+        ValueError: those of another algorithm.
+    """
+    path = args.hyperparameters or shipped_hyperparameters(args.algo)
+    recipe = read_hyperparameters(path)
+    if (recipe.lstm > 0) != (args.algo == "recurrent-ppo"):
+        expected = "0" if args.algo == "ppo" else "1 or more"
+        raise ValueError(
+            f"{path}: lstm: found {recipe.lstm}, expected {expected} for --algo {args.algo}"
+        )
+    return replace(recipe, paired=recipe.paired or args.reward == "paired")
+
+
+def manifest_of(args: Args, modes: Sequence[Mode], recipe: Hyperparameters) -> dict[str, Any]:
+    """What decides how a run goes on, as JSON holds it."""
+    return {
+        "command": command_line("train", replace(args, **ASIDE)),
+        "recipe": {**asdict(recipe), "hidden": list(recipe.hidden)},
+        "modes": [as_written(mode) for mode in modes],
+    }
 
 
 def begin(args: Args, manifest: dict[str, Any]) -> None:
@@ -199,9 +164,9 @@ def main(args: Args) -> None:
     for name in ("seeds", "total_timesteps", "jobs", "checkpoint_every"):
         if getattr(args, name) < 1:
             raise ValueError(f"{name}: found {getattr(args, name)}, expected 1 or more")
-    modes, recipe = modes_from(args.modes or None, args.radio), args.recipe()
-    task = TrainingTask(args.scenario, args.radio, modes, args.observation, args.rewards())
-    manifest = args.manifest(modes, recipe)
+    modes, recipe = modes_from(args.modes or None, args.radio), hyperparameters(args)
+    task = TrainingTask(args.scenario, args.radio, modes, args.observation, rewards(args))
+    manifest = manifest_of(args, modes, recipe)
     jobs = [
         Job(
             task, recipe, args.algo, seed, args.total_timesteps, args.out / f"seed-{seed}",

@@ -1,13 +1,14 @@
 """mmwave-loc transfer: switchers on streets, radios and recordings they were not trained on."""
 
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from experiments.arguments.shared import EpisodeArgs
+from experiments.arguments.transfer import Args
 from experiments.cli.main import run
-from experiments.cli.options import EpisodeArgs
+from experiments.cli.options import contender_of, source_of
 from experiments.evaluation.contenders import Contender, contender_from
 from experiments.evaluation.intervals import Interval, bootstrap
 from experiments.evaluation.markdown import grid, show
@@ -20,24 +21,6 @@ from mmwave_env.models.radio import RADIOS
 from mmwave_env.models.scene import SCENES
 
 TRANSFER_RIVALS = ("speed-rule", "imm", "imm-robust")
-
-
-@dataclass
-class Args:
-    """Compare switchers, where they were trained and elsewhere, with what needs no training."""
-
-    radio: str = "handset"
-    """profile that the switchers were trained with: handset or standard"""
-    policies: tuple[str, ...] = ("ppo", "ppo-extended")
-    """shipped ones, policy files or folders of runs"""
-    episodes: int = 500
-    """on each simulated street"""
-    draws: int = 100
-    """of receiver noise on each recording"""
-    seed: int = 0
-    """seed of the first episode; test seeds start at 0"""
-    json: Path | None = None
-    """write every figure to this file"""
 
 
 def places(args: Args) -> dict[str, EpisodeArgs]:
@@ -62,9 +45,9 @@ def places(args: Args) -> dict[str, EpisodeArgs]:
 
 def compared(place: EpisodeArgs, policies: list[Contender]) -> dict[str, Interval]:
     """Reward of every policy, and what it gains on each rival of the place's radio, by name."""
-    source = place.source()
+    source = source_of(place)
     episodes = draw_episodes(source, range(place.seed, place.seed + place.episodes))
-    rivals = [place.contender(name) for name in TRANSFER_RIVALS]
+    rivals = [contender_of(place, name) for name in TRANSFER_RIVALS]
     reward = {
         one.name: score(one, one.start(source.layout), episodes)["reward"]
         for one in (*policies, *rivals)

@@ -1,20 +1,20 @@
 """mmwave-loc tune: process noise of modes, on tuning seeds."""
 
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass, replace
-from pathlib import Path
-from typing import Literal
+from dataclasses import replace
 
 import numpy as np
 from rich.progress import track
 from scipy.optimize import minimize
 from scipy.special import chdtri
 
+from experiments.arguments.shared import WorldArgs
+from experiments.arguments.tune import Args
 from experiments.cli.main import run
-from experiments.cli.options import EpisodeArgs, command_line
+from experiments.cli.options import command_line, source_of
 from experiments.evaluation.intervals import bootstrap
 from experiments.evaluation.markdown import grid
-from experiments.evaluation.seeds import TUNING_SEED, draw_episodes, require_tuning_seed
+from experiments.evaluation.seeds import draw_episodes, require_tuning_seed
 from mmwave_env.engines.track_engine import Tracker
 from mmwave_env.episodes.episode import Episode
 from mmwave_env.files import require_writable, write_json
@@ -38,32 +38,6 @@ RANGES = {
 CAP = 0.999
 POINTS = (6, 11)  # of the surface, along the second and the first parameter
 STEP = 0.3  # of the first simplex, in logarithms: a third
-
-
-@dataclass
-class Args:
-    """Tune the process noise of modes by likelihood or by position error."""
-
-    radio: str = "handset"
-    """handset, standard or high"""
-    modes: tuple[str, ...] = ("ekf", "ukf")
-    """what to tune: ekf, ukf, ckf, ekf-robust, ukf-robust, mode files"""
-    scenarios: tuple[str, ...] = ("pedestrian", "vehicle")
-    """kind of user each mode is tuned on, in the same order"""
-    free: tuple[str, ...] = ("sigma_v", "sigma_p")
-    """what to tune: sigma_p, sigma_v, sigma_pz, sigma_vz, sigma_b_mps, spread_gain"""
-    objective: Literal["likelihood", "rmse"] = "likelihood"
-    """likelihood of the measurements (needs no truth), or root mean square position error"""
-    diagonal: bool = False
-    """process noise as the paper prints it: a plain diagonal, no coupling"""
-    episodes: int = 300
-    """how many"""
-    seed: int = TUNING_SEED
-    """seed of the first episode; never a test seed"""
-    out: Path | None = None
-    """write the tuned modes to this mode file, for --modes and modes="""
-    json: Path | None = None
-    """write every figure, the surfaces too, to this file"""
 
 
 def likelihood(history: dict[str, Array], layout: Layout) -> Array:
@@ -168,7 +142,7 @@ def main(args: Args) -> None:
         require_writable(args.out)
     tuned, figures = [], []
     for mode, scenario in zip(modes, args.scenarios, strict=True):
-        source = EpisodeArgs(scenario=scenario, radio=args.radio).source()
+        source = source_of(WorldArgs(scenario=scenario, radio=args.radio))
         episodes = draw_episodes(source, range(args.seed, args.seed + args.episodes))
         started = replace(mode, coupling=mode.coupling and not args.diagonal)
         objective = objective_of(args.objective, started, episodes)

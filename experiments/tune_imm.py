@@ -2,8 +2,7 @@
 
 import json
 from collections.abc import Callable
-from dataclasses import dataclass, replace
-from pathlib import Path
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -11,10 +10,12 @@ from rich.console import Console
 from scipy.optimize import minimize
 from scipy.special import expit, logit, softmax
 
+from experiments.arguments.shared import WorldArgs
+from experiments.arguments.tune_imm import Args
 from experiments.cli.main import run
-from experiments.cli.options import EpisodeArgs, command_line
+from experiments.cli.options import command_line, source_of
 from experiments.evaluation.intervals import Interval, bootstrap
-from experiments.evaluation.seeds import TUNING_SEED, draw_episodes, require_tuning_seed
+from experiments.evaluation.seeds import draw_episodes, require_tuning_seed
 from experiments.tune import CAP
 from mmwave_env.engines.imm_engine import ImmEngine
 from mmwave_env.episodes.episode import EpisodeBatch
@@ -25,7 +26,6 @@ from mmwave_env.filters.modes import Mode
 from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.lookup import choose
 from mmwave_env.metrics import scored
-from mmwave_env.models.radio import RADIOS
 from mmwave_env.numerics.arrays import Array
 from mmwave_env.reward import TrackingReward
 from policies import TUNED_IMMS
@@ -35,30 +35,6 @@ Build = Callable[[Array], tuple[tuple[Mode, ...], Array]]
 STAY = (-6.0, 9.0)  # log odds to stay, where they are looked for
 ENTER = (-20.0, 20.0)  # log probability to be entered, over that of the last mode
 NOISE = {"sigma_p": (0.005, 2.0), "sigma_v": (0.03, 4.0)}  # as tune's RANGES, but lower
-
-
-@dataclass
-class Args:
-    """Tune IMMs per radio profile, by mean reward: transition and, of two modes, process noise."""
-
-    scenario: str = "mixed"
-    """kind of user"""
-    radios: tuple[str, ...] = tuple(RADIOS)
-    """radio profiles"""
-    imms: tuple[str, ...] = tuple(TUNED_IMMS)
-    """imm-tuned (of ekf, ukf), imm-robust (of ekf-robust, ukf-robust), imm-extended (of eight): the
-    transition; with -limited after the name the process noise of two modes as well, and outliers
-    count in the likelihoods up to a quantile"""
-    episodes: int = 1000
-    """how many"""
-    seed: int = TUNING_SEED
-    """seed of the first episode; never a test seed"""
-    held_out: int = 1000
-    """how many of the seeds that follow show whether it holds"""
-    evaluations: int = 1000
-    """at most, per IMM"""
-    json: Path | None = None
-    """write the results here, beside those it holds; policies/data/imms.json is such a file"""
 
 
 def transition_of(stay: Array, enter: Array) -> Array:
@@ -135,7 +111,7 @@ def quantile(limited: bool) -> float:
 
 def tuned(args: Args, radio: str, name: str) -> dict[str, Any]:
     """An IMM as the shipped file holds it; its gains are over where the tuning started."""
-    source = EpisodeArgs(scenario=args.scenario, radio=radio).source()
+    source = source_of(WorldArgs(scenario=args.scenario, radio=radio))
     first, bank = args.seed + args.episodes, TUNED_IMMS[name]
     tuning, held_out = (
         EpisodeBatch.of(draw_episodes(source, seeds))

@@ -7,7 +7,6 @@ expectation is 3 and 95 % of the epochs lie in the two-sided chi-square interval
 """
 
 import numpy as np
-from scipy.special import chdtri
 
 from mmwave_env.numerics.arrays import Array
 
@@ -53,6 +52,8 @@ def rpe(error: Array, delta: int = 1) -> Array:
 
 def nees_interval(axes: int = 3, share: float = 0.95) -> tuple[float, float]:
     """Two-sided interval that holds the NEES of a consistent filter in ``share`` of epochs."""
+    from scipy.special import chdtri
+
     tail = (1.0 - share) / 2.0
     return float(chdtri(axes, 1.0 - tail)), float(chdtri(axes, tail))
 

@@ -13,7 +13,7 @@ from experiments.cli.main import main
 from tests.paths import ROOT
 
 
-def command(*words, cwd=ROOT):
+def command(*words, cwd=ROOT, columns=200):
     """``mmwave-loc <words>`` in this process, as :func:`process` would run it.
 
     User warnings are shown as the program shows them. Any other warning is an error here, as in
@@ -24,7 +24,7 @@ def command(*words, cwd=ROOT):
     # catch_warnings also brings back how warnings are displayed, which the program changes.
     with (
         patch.object(sys, "argv", typed),
-        patch.dict(os.environ, COLUMNS="200"),
+        patch.dict(os.environ, COLUMNS=str(columns)),
         warnings.catch_warnings(),
         redirect_stdout(out),
         redirect_stderr(err),

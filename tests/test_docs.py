@@ -1,14 +1,12 @@
 """Whatever README and docs show is there and runs: links, blocks, command lines, names."""
 
-import importlib
 import re
 import shlex
 from pathlib import Path
 
 import pytest
-import tyro
 
-from experiments.cli.main import COMMANDS, STUDIES, commands
+from experiments.cli.main import COMMANDS, STUDIES, commands, read_arguments
 from mmwave_env.logs.log_columns import QUANTITIES
 from tests.cli import succeed
 from tests.paths import ROOT
@@ -88,7 +86,7 @@ def test_command_lines_are_understood(page, line, capsys):
     module, _ = commands()[name]
     if options:  # a name alone stands for the command, whose arguments need not be there
         try:
-            tyro.cli(importlib.import_module(module).Args, args=options)
+            read_arguments(module, options, name)
         except SystemExit:
             pytest.fail(capsys.readouterr().err)
 

@@ -9,7 +9,13 @@ import pytest
 
 from tests.paths import ROOT
 
-EVERYBODY = {"mmwave_env", "files", "lookup", "metrics", "records"}  # seen by all; the first is __init__.py
+EVERYBODY = {
+    "mmwave_env",
+    "files",
+    "lookup",
+    "metrics",
+    "records",
+}  # seen by all; the first is __init__.py
 FILTER_SIDE = {"numerics", "models", "filters"}
 FACE = {"features", "observation", "reward", "info", "task"}
 WORLDS = FILTER_SIDE | {"compiler", "episodes"} | FACE
@@ -32,10 +38,11 @@ SEES = {
     **dict.fromkeys([*EVERYBODY, "info", "rendering"], frozenset({"numerics"})),
     "experiments": LIBRARY,
 }
-LIBRARIES = {"evaluation", "cli", "training", "paper", "speed"}  # of the commands
+LIBRARIES = {"evaluation", "arguments", "cli", "training", "paper", "speed"}  # of the commands
 SEES_INSIDE = {  # experiments; "" are the commands, one a page
     "evaluation": set(),
-    **dict.fromkeys(["cli", "training", "paper", "speed"], frozenset({"evaluation"})),
+    **dict.fromkeys(["arguments", "training", "paper", "speed"], frozenset({"evaluation"})),
+    "cli": {"evaluation", "arguments"},
     "": LIBRARIES,
     **dict.fromkeys(["learning", "reliability"], frozenset({*LIBRARIES, ""})),  # studies
 }

@@ -1,16 +1,18 @@
-"""The command line ``mmwave-loc <command>``."""
+"""The command line ``mmwave-loc <command>``.
+
+A command is a page, which does the work, and its options in the folder ``arguments`` beside it.
+Options are read first, and little is imported until they are: help and mistakes are shown at once.
+"""
 
 import importlib
 import importlib.util
 import os
+import signal
 import sys
 import warnings
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from typing import Any, NoReturn
-
-import tyro
-
-from mmwave_env.files import require_writable
 
 COMMANDS = {
     "localize": "the track of a measurement log, by the paper's pipelines (Algorithm 1)",
@@ -64,42 +66,85 @@ def _leave(code: int) -> NoReturn:
     sys.exit(code)
 
 
-def run(name: str, arguments: Sequence[str] | None = None) -> None:
+def _stop(*_: Any) -> NoReturn:
+    os.write(2, b"mmwave-loc: interrupted\n")
+    os._exit(130)
+
+
+@contextmanager
+def _stopped_at_once() -> Iterator[None]:
+    """Ctrl-C ends the process: out of an import it would be a traceback, or get lost."""
+    before = signal.getsignal(signal.SIGINT)
+    if before is not signal.SIG_IGN:  # as a shell starts programs in the background
+        signal.signal(signal.SIGINT, _stop)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, before)
+
+
+def read_arguments(module: str, words: Sequence[str], program: str) -> Any:
+    """What was typed, as the dataclass of the options of a command's page.
+
+    Raises:
+        SystemExit: help was asked for, or an option is wrong.
+    """
+    from experiments.cli.parser import parse
+
+    folder, _, name = module.rpartition(".")
+    return parse(importlib.import_module(f"{folder}.arguments.{name}").Args, words, program)
+
+
+def run(name: str, words: Sequence[str] | None = None) -> None:
     """Run one command; bad input ends with one line and exit code 2.
 
     Args:
         name: of the command.
-        arguments: its options; None for those the program was started with.
+        words: its options; None for those the program was started with.
     """
+    program, (module, _) = f"mmwave-loc {name}", commands()[name]
     warnings.showwarning = _show_warning
-    command = importlib.import_module(commands()[name][0])
-    args = tyro.cli(command.Args, args=arguments, prog=f"mmwave-loc {name}")
     try:
-        json = getattr(args, "json", None)  # not every command has figures to write
-        if json is not None:
-            require_writable(json)
+        with _stopped_at_once():
+            args = read_arguments(module, sys.argv[1:] if words is None else words, program)
+            command = importlib.import_module(module)
+        _require_results_can_be_written(args)
         command.main(args)
         print(end="", flush=True)
     except BrokenPipeError:  # the reader has seen enough
         _leave(141)  # as a shell reports a program that SIGPIPE ended
     except (ValueError, OSError) as error:
-        print(f"mmwave-loc {name}: {error}", file=sys.stderr)
+        print(f"{program}: {error}", file=sys.stderr)
         _leave(2)
     except KeyboardInterrupt:
-        print(f"mmwave-loc {name}: interrupted", file=sys.stderr)
+        print(f"{program}: interrupted", file=sys.stderr)
         sys.exit(130)
+
+
+def _require_results_can_be_written(args: Any) -> None:
+    from mmwave_env.files import require_writable
+
+    json = getattr(args, "json", None)  # not every command has figures to write
+    if json is not None:
+        require_writable(json)
 
 
 def main() -> None:
     """The program: the first argument names the command."""
-    arguments, there = sys.argv[1:], commands()
-    if not arguments or arguments[0] in ("-h", "--help"):
+    words, there = sys.argv[1:], commands()
+    if not words or words[0] in ("-h", "--help"):
         print("usage: mmwave-loc <command> [options]; --help after a command lists its options\n")
         for name, (_, what) in there.items():
             print(f"  {name:16} {what}")
-        sys.exit(0 if arguments else 2)
-    if arguments[0] not in there:
-        known = ", ".join(there)
-        print(f"command: found {arguments[0]!r}, expected one of {known}", file=sys.stderr)
-        sys.exit(2)
-    run(arguments[0], arguments[1:])
+        sys.exit(0 if words else 2)
+    if words[0] in there:
+        run(words[0], words[1:])
+        return
+    with _stopped_at_once():
+        from mmwave_env import __version__
+        from mmwave_env.lookup import unknown
+    if words[0] in ("-V", "--version"):
+        print(f"mmwave-loc {__version__}")
+        return
+    print(unknown("command", words[0], there), file=sys.stderr)
+    sys.exit(2)

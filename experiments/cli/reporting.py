@@ -4,7 +4,8 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from experiments.cli.options import EpisodeArgs
+from experiments.arguments.shared import EpisodeArgs
+from experiments.cli.options import contender_of, runs_of, source_of
 from experiments.evaluation.bounds import bound_markdown, over_bound
 from experiments.evaluation.comparison import Comparison, compare_scores
 from experiments.evaluation.decisions import Decisions
@@ -47,11 +48,11 @@ def results(
     Returns:
         The comparison, all tables as Markdown, and every figure as JSON.
     """
-    source, runs = args.source(), args.runs(names)
+    source, runs = source_of(args), runs_of(args, names)
     if figure:
         _require_profiles(names, runs)
     files = {name: runs[name].policy if name in runs else name for name in names}
-    chosen = {file: args.contender(file) for file in trainings(names, runs)}
+    chosen = {file: contender_of(args, file) for file in trainings(names, runs)}
     learned = [name for name, file in files.items() if chosen[file].trained]
     seen = Decisions({file: name for name, file in files.items()}) if decisions else None
     everybody = [chosen[file] for file in trainings(names, runs)]

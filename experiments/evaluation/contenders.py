@@ -11,6 +11,7 @@ from experiments.evaluation.runs import Run
 from mmwave_env.filters.mode_files import default_modes, modes_from, named_modes
 from mmwave_env.filters.modes import Mode
 from mmwave_env.filters.pipeline import Pipeline
+from mmwave_env.lookup import unknown
 from mmwave_env.models.measurement import Layout
 from mmwave_env.observation import Observation
 from policies import (
@@ -184,5 +185,4 @@ def contender_from(
         return Contender.learned(Run.read(name).policy, name)
     if is_agent(name):
         return Contender.own(name, agent_from(name, trust_zip), radio, modes, observation)
-    expected = ", ".join([*known, *shipped, *OTHERS])
-    raise ValueError(f"policy: found {name!r}, expected one of {expected}")
+    raise ValueError(unknown("policy", name, [*known, *shipped, *OTHERS]))

@@ -1,13 +1,14 @@
 """mmwave-loc ablate: what every part of the training is worth."""
 
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, replace
-from pathlib import Path
+from dataclasses import asdict, replace
 from types import MappingProxyType
 from typing import Any, NamedTuple
 
 from experiments import train
+from experiments.arguments.train import Args as TrainArgs
 from experiments.cli.main import run
+from experiments.learning.arguments.ablate import Args
 from experiments.training.hyperparameters import read_hyperparameters, shipped_hyperparameters
 from mmwave_env.files import write_json
 from mmwave_env.filters.mode_files import as_written, default_modes
@@ -37,33 +38,11 @@ VARIANTS = {
 }
 
 
-@dataclass
-class Args:
-    """Train with one thing changed at a time, each on several seeds."""
-
-    variants: tuple[str, ...] = tuple(VARIANTS)
-    """which"""
-    radio: str = "handset"
-    """handset, standard or high"""
-    modes: tuple[str, ...] = ()
-    """to choose from, as of train"""
-    seeds: int = 3
-    """trainings of each variant"""
-    total_timesteps: int = 1_500_000
-    """epochs to train each for"""
-    jobs: int = train.Args.jobs
-    """how many trainings at once"""
-    out: Path = Path("runs/ablation")
-    """folder for a run a variant, as train makes it"""
-    resume: bool = False
-    """go on where the last variant was interrupted"""
-
-
-def training(args: Args, name: str) -> train.Args:
+def training(args: Args, name: str) -> TrainArgs:
     """The training of a variant; files of what is changed in it lie beside its run."""
     variant = choose(VARIANTS, name, "variant")
     out = args.out / name
-    options = train.Args(
+    options = TrainArgs(
         radio=args.radio, modes=args.modes, seeds=args.seeds, jobs=args.jobs, out=out,
         total_timesteps=args.total_timesteps, resume=args.resume and (out / "run.json").is_file(),
     )  # fmt: skip
@@ -86,7 +65,7 @@ def training(args: Args, name: str) -> train.Args:
 
 def main(args: Args) -> None:
     """Run the command."""
-    for options in [training(args, name) for name in args.variants]:
+    for options in [training(args, name) for name in args.variants or VARIANTS]:
         print(f"\n{options.out.name}\n")
         train.main(options)
 

@@ -1,7 +1,7 @@
 """mmwave-loc learned: docs/learning.md's tables and figures, from recorded runs, on test seeds."""
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import chain
 from pathlib import Path
 from statistics import median
@@ -11,14 +11,18 @@ import numpy as np
 from rich.progress import track
 
 from experiments import transfer
+from experiments.arguments.shared import EpisodeArgs, WorldArgs
+from experiments.arguments.transfer import Args as TransferArgs
 from experiments.cli.doc_pages import page_to_renew, renewed
 from experiments.cli.main import run
-from experiments.cli.options import EpisodeArgs
+from experiments.cli.options import source_of
 from experiments.cli.reporting import results
 from experiments.evaluation.intervals import Interval, crossed_bootstrap, mean
 from experiments.evaluation.markdown import grid, show
+from experiments.evaluation.runner import score_contenders
 from experiments.evaluation.runs import Run
 from experiments.learning.ablate import VARIANTS
+from experiments.learning.arguments.learned import Args
 from experiments.learning.curves import draw_curves
 from mmwave_env.files import require_writable, write_json, write_text
 from mmwave_env.numerics.arrays import Array
@@ -30,24 +34,6 @@ PAGE_RIVALS = (
     "imm", *TUNED_IMMS,
 )  # fmt: skip
 SHIPPED = "as-shipped"
-
-
-@dataclass
-class Args:
-    """Evaluate recorded trainings on test seeds: results, transfer and ablations."""
-
-    runs: Path = Path("docs/learning")
-    """folder of the recorded runs: ppo-RADIO, ppo-extended-RADIO, and ablation/VARIANT"""
-    episodes: int = 2000
-    """simulated episodes of the results; a quarter of them for each place and variant"""
-    seed: int = 0
-    """seed of the first episode; test seeds start at 0"""
-    out: Path = Path("results/learning")
-    """folder for tables.md and the figures"""
-    docs: Path | None = None
-    """also renew the tables of this page, between its `<!-- table: ... -->` lines"""
-    json: Path | None = None
-    """write every figure to this file"""
 
 
 def runs_of(args: Args, radio: str) -> list[str]:
@@ -65,9 +51,10 @@ def tables(args: Args) -> Iterator[tuple[str, str, dict[str, Any]]]:
         text = text.partition("\n\n")[2].rstrip("\n")  # titles of pages are the pages' own
         yield radio, text.replace(f"{args.runs}/", ""), content
     for radio in RADIOS:
-        elsewhere = transfer.Args(
-            radio, tuple(runs_of(args, radio)), args.episodes // 4, args.episodes // 20, args.seed
-        )
+        elsewhere = TransferArgs(
+            radio=radio, policies=tuple(runs_of(args, radio)), episodes=args.episodes // 4,
+            draws=args.episodes // 20, seed=args.seed,
+        )  # fmt: skip
         yield f"transfer, {radio}", *transfer.tried(elsewhere)
     yield ablations(args)
 
@@ -94,13 +81,14 @@ def trainings(args: Args) -> tuple[str, str, dict[str, Any]]:
 
 def ablations(args: Args) -> tuple[str, str, dict[str, Any]]:
     """What each variant of the training is worth."""
-    what = EpisodeArgs(episodes=args.episodes // 4, seed=args.seed)
+    source = source_of(WorldArgs())
     files = {
         name: Run.read(str(folder)).policies
         for name in VARIANTS
         if (folder := args.runs / "ablation" / name).is_dir()
     }
-    scores = what.score_contenders([*chain(*files.values()), "imm"])
+    names, episodes = [*chain(*files.values()), "imm"], args.episodes // 4
+    scores = score_contenders(names, source, "handset", episodes, args.seed)
     found = {name: np.stack([scores[f]["reward"] for f in each]) for name, each in files.items()}
     rows, content = [], {}
     for name, rewards in found.items():

@@ -10,7 +10,6 @@ import time
 from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass, field
 from itertools import cycle, product
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +17,7 @@ from numpy.typing import NDArray
 from experiments.cli.main import run
 from experiments.cli.terminal import progress
 from experiments.evaluation.seeds import draw_episodes
+from experiments.reliability.arguments.soak import Args
 from experiments.reliability.damage import damaged
 from mmwave_env.engines.env_engine import Engine
 from mmwave_env.episodes.episode import Episode
@@ -36,20 +36,6 @@ from mmwave_env.reward import TrackingReward
 RUNS = 8  # of a batch of episodes, which take longer to draw than to run
 SHOWN = 3  # violations on the terminal
 STAY = (0.0, 0.95, 1.0)  # probabilities of keeping the mode; an environment has one of them
-
-
-@dataclass
-class Args:
-    """Run all named modes, mixed, on damaged data; exit with 1 where a number is not sound."""
-
-    steps: float = 3e6
-    """steps of environments, at least, such as 1e8"""
-    seed: int = 0
-    """seed of the first episode and of everything else"""
-    num_envs: int = 256
-    """environments in a batch"""
-    json: Path | None = None
-    """write every figure to this file"""
 
 
 @dataclass

@@ -5,8 +5,6 @@ The normalized innovation squared (NIS) of a group is tested against a chi-squar
 
 from typing import NamedTuple
 
-from scipy.special import chdtri
-
 from mmwave_env.filters.linearization import Latents, Prior
 from mmwave_env.models.measurement import Group, Measurement
 from mmwave_env.numerics.linalg import cholesky, dot, forward, symmetric
@@ -55,6 +53,8 @@ def passes(nis: Number, rows: int, quantile: float | None) -> Number:
     """1 where the NIS of a group of so many rows lies within its gate, else 0."""
     if quantile is None:
         return 1.0
+    from scipy.special import chdtri  # where used: a mode is described without it
+
     return where(nis <= float(chdtri(rows, 1.0 - quantile)), 1.0, 0.0)
 
 

@@ -2,8 +2,6 @@
 
 from typing import NamedTuple
 
-from scipy.special import chdtri
-
 from mmwave_env.models.measurement import Layout
 from mmwave_env.numerics.linalg import dot
 from mmwave_env.numerics.numbers import Number, Vector, maximum
@@ -36,5 +34,7 @@ def limited_likelihood(candidate: ModeResult, limits: Vector) -> Number:
 
 def capped_log_likelihood(candidate: ModeResult, layout: Layout) -> Number:
     """The log-likelihood that modes are compared by, limited at :data:`CAP_QUANTILE`."""
+    from scipy.special import chdtri
+
     rows = [group.stop - group.start for group in layout.groups]
     return limited_likelihood(candidate, [float(chdtri(k, 1.0 - CAP_QUANTILE)) for k in rows])

@@ -12,6 +12,8 @@ from mmwave_env.numerics.linalg import backward, cholesky, dot, forward, pack, s
 from mmwave_env.numerics.numbers import Matrix, Number, Vector
 from mmwave_env.numerics.pytree import select
 
+SMOOTHING_WINDOW = 200  # epochs; N_w of the paper, Sec. III-F
+
 
 class ForwardEpoch(NamedTuple):
     """An epoch as the filter left it."""

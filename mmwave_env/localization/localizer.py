@@ -16,6 +16,7 @@ from mmwave_env.engines.track_engine import Rule, Tracker
 from mmwave_env.episodes.episode import Episode
 from mmwave_env.filters.modes import Mode
 from mmwave_env.filters.pipeline import Pipeline
+from mmwave_env.filters.smoother import SMOOTHING_WINDOW
 from mmwave_env.localization.segments import Piece, segments
 from mmwave_env.logs.blocks import Block, in_windows
 from mmwave_env.logs.log import LogBlock
@@ -25,8 +26,6 @@ from mmwave_env.models.prior import prior_from_fix
 from mmwave_env.models.radio import Radio
 from mmwave_env.models.scene import Scene
 from mmwave_env.numerics.arrays import Array, Mask
-
-SMOOTHING_WINDOW = 200  # epochs; N_w of the paper, Sec. III-F
 
 _FILTERED = ("x", "P", "P_predicted", "memory.mode", "memory.nis", "memory.accepted")
 

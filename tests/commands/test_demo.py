@@ -5,6 +5,8 @@ import json
 import numpy as np
 
 from experiments import demo
+from experiments.arguments.shared import EpisodeArgs
+from experiments.cli.options import all_contenders
 from experiments.evaluation.comparison import compare_scores
 from mmwave_env.metrics import METRICS
 
@@ -26,7 +28,7 @@ def test_six_rows_a_place_are_printed_and_everybody_is_written(tmp_path, monkeyp
     assert rows == [*demo.SHOWN] * len(places)
     assert "Paired" not in shown and str(tmp_path / "tables.md") in shown
     written = (tmp_path / "tables.md").read_text()
-    everyone = demo.EpisodeArgs().contenders()
+    everyone = all_contenders(EpisodeArgs())
     assert len(everyone) > len(demo.SHOWN) and f"All {len(everyone)} policies" in shown
     assert all(written.count(f"\n| {name} |") == 2 * len(places) for name in everyone)
     together = json.loads((tmp_path / "all.json").read_text())

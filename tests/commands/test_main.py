@@ -1,11 +1,21 @@
 """The command line, as it is typed."""
 
 import json
+import re
+import shlex
+import signal
+import subprocess
+import sys
+import time
 
 import pytest
 
-from experiments.cli.main import commands
-from tests.cli import assert_one_clear_line, command, process, succeed
+import mmwave_env
+from experiments.cli.main import commands, read_arguments
+from tests.cli import assert_one_clear_line, command, environment, process, succeed
+from tests.paths import ROOT
+
+HEAVY = {"numba", "llvmlite", "scipy", "matplotlib", "torch", "rich", "filterpy", "pyarrow"}
 
 METRICS = ["reward", "ate_m", "rmse_m", "rpe_m", "nees", "in_bounds", "divergence_rate"]
 
@@ -81,8 +91,34 @@ def test_without_a_command_the_commands_are_listed():
 
 @pytest.mark.parametrize("name", commands())
 def test_every_command_explains_its_options(name):
-    shown = succeed(name, "--help")
-    assert f"mmwave-loc {name}" in shown and "--" in shown
+    shown = command(name, "--help", columns=80).stdout
+    assert max(map(len, shown.splitlines())) <= 80
+    assert shown.startswith(f"usage: mmwave-loc {name} ") and "None" not in shown
+    *_, example = shown.strip().splitlines()
+    program, typed, *words = shlex.split(example)
+    assert (program, typed) == ("mmwave-loc", name)
+    read_arguments(commands()[name][0], words, name)
+
+
+def test_help_and_mistakes_load_nothing_heavy():
+    code = (
+        "import sys\n"
+        "from experiments.cli.main import commands, read_arguments\n"
+        "for module, _ in commands().values():\n"
+        "    for words in (['--help'], ['--no-such-option']):\n"
+        "        try:\n"
+        "            read_arguments(module, words, 'program')\n"
+        "        except SystemExit:\n"
+        "            pass\n"
+        f"print('loaded:', *{HEAVY} & {{m.split('.')[0] for m in sys.modules}})"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=ROOT)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.splitlines()[-1] == "loaded:"
+
+
+def test_the_version_is_shown():
+    assert succeed("--version") == f"mmwave-loc {mmwave_env.__version__}\n"
 
 
 MISTAKES = {
@@ -116,11 +152,37 @@ def test_a_mistake_ends_with_one_clear_line_without_the_cli_too():
 
 def test_an_unknown_command_lists_the_valid_ones():
     assert_one_clear_line(command("fly"), "'fly'.*evaluate, compare")
+    assert_one_clear_line(command("localise"), "'localise'.*; did you mean localize[?]$")
 
 
-def test_an_unknown_option_is_named():
-    done = command("evaluate", "--color", "red")
-    assert done.returncode == 2 and "--color" in done.stderr and "Traceback" not in done.stderr
+UNREADABLE = {
+    "unknown option": (("evaluate", "--color", "red"), "found '--color'.*--help lists all$"),
+    "mistyped option": (("evaluate", "--episode=3"), "'--episode=3'.*did you mean --episodes[?]$"),
+    "a word too many": (("benchmark", "fast"), "found 'fast', which belongs to no option$"),
+    "no number": (("evaluate", "--seed", "one"), "seed: found 'one', expected a whole number$"),
+    "no choice": (("train", "--algo", "pp"), "algo: found 'pp', expected one of ppo, recurrent"),
+    "no value": (("evaluate", "--json"), "json: expected one argument$"),
+    "nothing": (("localize",), "required: LOG, --scene$"),
+    "mistyped name": (("evaluate", "--radio", "hand-set"), "; did you mean handset[?]$"),
+}
+
+
+@pytest.mark.parametrize("mistake", UNREADABLE)
+def test_an_option_that_cannot_be_read_ends_with_one_clear_line(mistake):
+    words, message = UNREADABLE[mistake]
+    assert_one_clear_line(command(*words), f"^mmwave-loc {words[0]}: .*{message}")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("delay_s", [0.2, 0.3, 0.5, 1.0])
+def test_an_interrupt_ends_with_one_line_at_any_time(delay_s):
+    typed = [sys.executable, "-m", "experiments.cli", "evaluate", "--episodes", "100000"]
+    running = subprocess.Popen(typed, stderr=subprocess.PIPE, text=True, env=environment())
+    time.sleep(delay_s)
+    running.send_signal(signal.SIGINT)
+    _, shown = running.communicate()
+    assert running.returncode == 130
+    assert re.fullmatch("mmwave-loc.*: interrupted\n", shown), shown
 
 
 @pytest.mark.slow

@@ -25,7 +25,8 @@ from mmwave_env.episodes.episode import Episode
 from mmwave_env.filters.imm import begin
 from mmwave_env.filters.mode_files import default_modes, named_modes
 from mmwave_env.filters.pipeline import Pipeline
-from mmwave_env.localization.localizer import SMOOTHING_WINDOW, TrackBlock, localize
+from mmwave_env.filters.smoother import SMOOTHING_WINDOW
+from mmwave_env.localization.localizer import TrackBlock, localize
 from mmwave_env.logs.log import read_log
 from mmwave_env.models.prior import prior_from_fix
 from mmwave_env.models.radio import radio_from

@@ -18,7 +18,7 @@ pytest.importorskip("stable_baselines3")
 import torch
 
 from experiments.cli.main import run
-from experiments.train import Args
+from experiments.train import Args, hyperparameters, manifest_of
 from experiments.training import training_env as worlds
 from experiments.training.checkpoint import read_checkpoint, with_arrays, write_checkpoint
 from experiments.training.hyperparameters import (
@@ -301,7 +301,7 @@ def test_without_the_extra_it_says_what_to_install(package, tmp_path):
 def folder_of(path, modes=None, recipe=None, **options):
     """A run that could be resumed, by its manifest."""
     args = Args(out=path, **options)
-    manifest = args.manifest(modes or default_modes("handset"), recipe or args.recipe())
+    manifest = manifest_of(args, modes or default_modes("handset"), recipe or hyperparameters(args))
     write_json(path / "run.json", manifest)
     return path
 

@@ -1,0 +1,26 @@
+"""Options of mmwave-loc compare."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from experiments.arguments.shared import EpisodeArgs
+
+
+@dataclass(kw_only=True)
+class Args(EpisodeArgs):
+    """Compare policies on the same seeded episodes, with paired differences.
+
+    mmwave-loc compare --policies fixed-ukf speed-rule imm ppo --episodes 200
+    """
+
+    policies: tuple[str, ...] = ()
+    """names of mmwave-loc list policies, policy files (.safetensors), folders of runs of mmwave-loc
+    train, models of Stable-Baselines3 (.zip, with --trust-zip) and module:function, a function
+    without arguments that returns an agent; all that have a name where none is named"""
+    bound: bool = False
+    """also show each policy's RMSE over the posterior Cramer-Rao bound"""
+    figure: Path | None = None
+    """draw the performance profiles of runs, over training seeds and episodes, to this .png file"""
+    decisions: Path | None = None
+    """draw what policies choose around stops and pull-aways, and all errors there, to this .png
+    file"""

@@ -1,0 +1,23 @@
+"""Options of mmwave-loc demo."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from experiments.arguments.shared import JsonArgs
+
+
+@dataclass(kw_only=True)
+class Args(JsonArgs):
+    """Compare every policy on `mixed` and on the shipped ray-traced scenarios.
+
+    Six of them are printed; the files have all of them, and every paired difference.
+
+    mmwave-loc demo --episodes 100 --draws 20
+    """
+
+    episodes: int = 1000
+    """simulated episodes"""
+    draws: int = 200
+    """draws of receiver noise on each ray-traced scenario"""
+    out: Path = Path("results")
+    """folder for tables.md and one JSON file a comparison"""

@@ -1,0 +1,66 @@
+"""Options of mmwave-loc localize."""
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Literal
+
+from mmwave_env.filters.smoother import SMOOTHING_WINDOW
+
+
+@dataclass(kw_only=True)
+class OutputArgs:
+    """Results."""
+
+    out: Path | None = None
+    """write the track in TUM format, and a .csv with standard deviations and modes beside it"""
+    plot: Path | None = None
+    """write a picture of the track, .png"""
+    json: Path | None = None
+    """write every figure to this file"""
+
+
+@dataclass(kw_only=True)
+class FilterArgs:
+    """Filters."""
+
+    radio: str = "handset"
+    """handset, standard or high: noise by SNR, and the tuning of the modes"""
+    modes: Path | None = None
+    """mode file with other pipelines: the one for low, then the one for high mobility"""
+    gating: bool = True
+    """reject measurements outside their 99 % chi-square gates"""
+    adaptive: bool = True
+    """scale Q and R by the innovations"""
+    smoothing: bool = True
+    """Rauch-Tung-Striebel smoothing"""
+    window: int = SMOOTHING_WINDOW
+    """epochs smoothed together"""
+    robust: bool = False
+    """doubt links far off instead of rejecting them; does without adaptive scaling"""
+    odometry: bool = True
+    """use speed and heading where the log has them"""
+    height: float | None = None
+    """flat terrain at this height, m"""
+
+
+@dataclass(kw_only=True)
+class Args(FilterArgs, OutputArgs):
+    """The track of a measurement log, by the paper's EKF and UKF pipelines (Algorithm 1).
+
+    Up to 2 m/s the EKF pipeline runs, above it the UKF pipeline.
+
+    mmwave-loc localize log.csv --scene scene.json --speed auto --out track.tum
+    """
+
+    log: Path = field(metadata={"positional": True})
+    """measurement log: .csv, .csv.gz or .parquet"""
+    scene: str
+    """JSON file with the anchors; or street, o1, dynamic-doppler"""
+    speed: str | None = None
+    """of the user, m/s; or auto, to decide in every epoch; asked for on a terminal"""
+    outside: Literal["fallback", "abort"] = "fallback"
+    """above 20 m/s, outside the design window: run the UKF pipeline, or stop"""
+    follow: Literal["prediction", "odometry"] = "prediction"
+    """the speed that --speed auto follows"""
+    truth: Path | None = None
+    """true track in TUM format, to score against; the filters never see it"""

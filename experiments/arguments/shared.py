@@ -1,0 +1,47 @@
+"""Options that several commands have."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+
+@dataclass(kw_only=True)
+class JsonArgs:
+    """Results."""
+
+    json: Path | None = None
+    """write every figure to this file"""
+
+
+@dataclass(kw_only=True)
+class WorldArgs:
+    """Streets, users and radio."""
+
+    scenario: str | None = None
+    """kind of user: pedestrian, vehicle, walk-ride, jam, cyclist or mixed (equal shares; where
+    none is named)"""
+    radio: str = "handset"
+    """handset, standard or high"""
+    scene: str | None = None
+    """street (where none is named), o1, dynamic-doppler or a JSON file"""
+    data: str | None = None
+    """recorded data instead of a simulation: canyon28_vehicle, canyon28_pedestrian, or the
+    folder of a DeepMIMO scenario; each seed draws receiver noise and prior anew"""
+
+
+@dataclass(kw_only=True)
+class EpisodeArgs(WorldArgs, JsonArgs):
+    """Episodes and modes."""
+
+    episodes: int = 1000
+    """how many; 1000 or more to publish"""
+    seed: int = 0
+    """seed of the first episode; test seeds start at 0, tuning seeds at 5000000"""
+    modes: tuple[str, ...] = ()
+    """modes to work with in place of the profile's ekf and ukf: names (ekf, ukf, ckf, ekf-robust,
+    ukf-robust, or extended for a bank of eight) and mode files; policies are then fixed-NAME,
+    likelihood-rule, random, imm and, with two modes, speed-rule"""
+    observation: str = "full"
+    """what agents of your own were trained with: full, or prior; policy files say it themselves"""
+    trust_zip: bool = False
+    """load models of Stable-Baselines3 (.zip), which runs code from the file; mmwave-loc convert
+    makes policy files of them, which hold none"""

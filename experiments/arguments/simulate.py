@@ -1,0 +1,21 @@
+"""Options of mmwave-loc simulate."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from experiments.arguments.shared import WorldArgs
+
+
+@dataclass(kw_only=True)
+class Args(WorldArgs):
+    """Write one episode as a folder: log.csv (measurements), scene.json and truth.tum.
+
+    mmwave-loc simulate --scenario vehicle --out episode
+    """
+
+    out: Path
+    """the folder"""
+    seed: int = 0
+    """seed of the episode, the same that evaluate runs"""
+    odometry: bool = False
+    """also write the user's speed and heading"""

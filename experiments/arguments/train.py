@@ -1,0 +1,60 @@
+"""Options of mmwave-loc train."""
+
+import os
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+from mmwave_env.reward import TrackingReward
+
+
+@dataclass(kw_only=True)
+class FolderArgs:
+    """The run as a folder."""
+
+    jobs: int = min(2, os.cpu_count() or 1)
+    """how many trainings at once"""
+    checkpoint_every: int = 32
+    """updates of a training after which it could go on from where it stands"""
+    out: Path = Path("runs/train")
+    """folder of the run: a folder a seed, policy.safetensors (the median seed) and summary.json"""
+    resume: bool = False
+    """go on with the run in this folder, with the options it was started with"""
+    overwrite: bool = False
+    """replace the run in this folder"""
+
+
+@dataclass(kw_only=True)
+class TaskArgs:
+    """What is learned."""
+
+    algo: Literal["ppo", "recurrent-ppo"] = "ppo"
+    """algorithm of Stable-Baselines3"""
+    scenario: str = "mixed"
+    """pedestrian, vehicle, walk-ride, jam, cyclist or mixed (equal shares)"""
+    radio: str = "handset"
+    """handset, standard or high"""
+    modes: tuple[str, ...] = ()
+    """to choose from: extended, names and mode files; the radio's ekf and ukf by default"""
+    observation: str = "full"
+    """full, or prior: nothing of how each mode sees the coming epoch"""
+    reward: str = "tracking"
+    """tracking or log-score, minus the IMM's where the hyperparameters say paired; or paired, which
+    always is tracking minus the IMM's"""
+    nees_weight: float = TrackingReward.nees_weight
+    """weight of the NEES in the tracking reward"""
+
+
+@dataclass(kw_only=True)
+class Args(FolderArgs, TaskArgs):
+    """Train switchers with PPO; the best policy of every seed, and the median one, are kept.
+
+    mmwave-loc train --seeds 2 --total-timesteps 500000 --out runs/short
+    """
+
+    seeds: int = 5
+    """how many trainings"""
+    total_timesteps: int = 4_000_000
+    """epochs to train each for, rounded up to whole updates"""
+    hyperparameters: Path | None = None
+    """a JSON file in place of the algorithm's own, experiments/training/ppo.json"""

@@ -1,0 +1,35 @@
+"""Options of mmwave-loc tune-imm."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from experiments.evaluation.seeds import TUNING_SEED
+from mmwave_env.models.radio import RADIOS
+from policies import TUNED_IMMS
+
+
+@dataclass(kw_only=True)
+class Args:
+    """Tune IMMs per radio profile, by mean reward: transition and, of two modes, process noise.
+
+    mmwave-loc tune-imm --radios handset --imms imm-tuned --json imms.json
+    """
+
+    scenario: str = "mixed"
+    """kind of user"""
+    radios: tuple[str, ...] = tuple(RADIOS)
+    """radio profiles"""
+    imms: tuple[str, ...] = tuple(TUNED_IMMS)
+    """imm-tuned (of ekf, ukf), imm-robust (of ekf-robust, ukf-robust), imm-extended (of eight): the
+    transition; with -limited after the name the process noise of two modes as well, and outliers
+    count in the likelihoods up to a quantile"""
+    episodes: int = 1000
+    """how many"""
+    seed: int = TUNING_SEED
+    """seed of the first episode; never a test seed"""
+    held_out: int = 1000
+    """how many of the seeds that follow show whether it holds"""
+    evaluations: int = 1000
+    """at most, per IMM"""
+    json: Path | None = None
+    """write the results here, beside those it holds; policies/data/imms.json is such a file"""

@@ -1,0 +1,1 @@
+"""What commands may be asked; nothing here loads what they do it with."""

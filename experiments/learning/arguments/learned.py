@@ -1,0 +1,25 @@
+"""Options of mmwave-loc learned."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from experiments.arguments.shared import JsonArgs
+
+
+@dataclass(kw_only=True)
+class Args(JsonArgs):
+    """Evaluate recorded trainings on test seeds: results, transfer and ablations.
+
+    mmwave-loc learned --episodes 200 --out results/learning
+    """
+
+    runs: Path = Path("docs/learning")
+    """folder of the recorded runs: ppo-RADIO, ppo-extended-RADIO, and ablation/VARIANT"""
+    episodes: int = 2000
+    """simulated episodes of the results; a quarter of them for each place and variant"""
+    seed: int = 0
+    """seed of the first episode; test seeds start at 0"""
+    out: Path = Path("results/learning")
+    """folder for tables.md and the figures"""
+    docs: Path | None = None
+    """also renew the tables of this page, between its `<!-- table: ... -->` lines"""
