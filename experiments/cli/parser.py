@@ -8,6 +8,7 @@ inherits are a group of their own, under the docstring they come from.
 import argparse
 import ast
 import inspect
+import re
 import textwrap
 import types
 from collections.abc import Callable, Sequence
@@ -55,7 +56,7 @@ class _Parser(argparse.ArgumentParser):
     """Complains in one line, as commands do."""
 
     def error(self, message: str) -> NoReturn:
-        self.exit(2, f"{self.prog}: {message.removeprefix('argument --')}\n")
+        self.exit(2, f"{self.prog}: {re.sub('^argument (--)?', '', message)}\n")
 
 
 class _Help(argparse.HelpFormatter):
@@ -118,6 +119,7 @@ def _option(name: str) -> str:
 
 def _add(group: Any, field: Field[Any], kind: Any, text: str) -> None:
     """Add a field to a group of a parser, which brings the defaults itself."""
+    required = field.default is MISSING
     options: dict[str, Any] = {"help": (text + _shown(field.default)).replace("%", "%%")}
     if get_origin(kind) in (Union, types.UnionType):  # X | None
         (kind,) = (one for one in get_args(kind) if one is not type(None))
@@ -129,9 +131,10 @@ def _add(group: Any, field: Field[Any], kind: Any, text: str) -> None:
     else:
         options |= {"type": _reader(kind), "metavar": _metavar(field, kind)}
     if field.metadata.get("positional"):
-        group.add_argument(field.name, **options)
+        count = {} if required else {"nargs": "?"}
+        group.add_argument(field.name, **options, **count)
     else:
-        group.add_argument(_option(field.name), required=field.default is MISSING, **options)
+        group.add_argument(_option(field.name), required=required, **options)
 
 
 def _metavar(field: Field[Any], kind: Any) -> str:

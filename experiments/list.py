@@ -1,0 +1,100 @@
+"""mmwave-loc list: everything that has a name, a line each."""
+
+import inspect
+from collections.abc import Callable
+
+from experiments.arguments.list import Args
+from experiments.cli.main import run
+from experiments.evaluation.contenders import contenders
+from mmwave_env.episodes.samples import recording_from, sample_names
+from mmwave_env.filters.mode_files import as_written, named_modes
+from mmwave_env.models.radio import RADIOS, radio_from
+from mmwave_env.models.scene import SCENES
+from mmwave_env.reward import REWARDS
+
+SCENARIOS = {
+    "pedestrian": "walks, stands, turns at crossings",
+    "vehicle": "drives, brakes, waits at red lights",
+    "walk-ride": "walks, rides a car, walks again",
+    "jam": "stop-and-go traffic",
+    "cyclist": "cycles",
+    "mixed": "the five in equal shares",
+}
+POLICIES = {
+    "speed-rule": "the paper's rule: EKF up to 2 m/s, UKF above",
+    "likelihood-rule": "the mode that explains the coming measurement best",
+    "random": "any mode, by chance",
+    "imm": "interacting multiple models over the same modes",
+    "imm-tuned": "IMM whose transition is tuned",
+    "imm-robust": "tuned IMM over modes that doubt outliers",
+    "imm-extended": "tuned IMM over a bank of eight modes",
+    "ppo": "learned switcher over the profile's two modes",
+    "ppo-extended": "learned switcher over a bank of eight modes",
+}
+
+
+def policies(radio: str) -> dict[str, str]:
+    """Policies that a radio profile has by name."""
+    return {name: _about_policy(name) for name in contenders(radio)}
+
+
+def _about_policy(name: str) -> str:
+    if name.startswith("fixed-"):
+        return f"mode {name.removeprefix('fixed-')} in every epoch"
+    about = POLICIES[name.removesuffix("-limited")]
+    return f"{about}; outliers count less" if name.endswith("-limited") else about
+
+
+def modes(radio: str) -> dict[str, str]:
+    """Modes as they are tuned for a radio profile: what differs from the defaults."""
+    return {
+        name: ", ".join(f"{k} {v}" for k, v in as_written(mode).items() if k != "name")
+        for name, mode in named_modes(radio).items()
+    }
+
+
+def radios() -> dict[str, str]:
+    """Radio profiles by what matters most."""
+    return {
+        name: f"{one.gnb_elements} x {one.gnb_elements} antennas at the base station, "
+        f"{one.ue_elements} x {one.ue_elements} at the user"
+        for name, one in RADIOS.items()
+    }
+
+
+def scenes() -> dict[str, str]:
+    """Streets."""
+    return {
+        name: f"{len(one.anchors_m)} anchors, {one.carrier_hz / 1e9:g} GHz, "
+        f"{one.bandwidth_hz / 1e6:g} MHz"
+        for name, one in SCENES.items()
+    }
+
+
+def samples() -> dict[str, str]:
+    """Recordings that come with the package."""
+    epochs = {name: len(recording_from(name).time_s) for name in sample_names()}
+    return {name: f"ray-traced street, {n} epochs" for name, n in epochs.items()}
+
+
+def rewards() -> dict[str, str]:
+    """Rewards by the first line of what documents them."""
+    return {name: (inspect.getdoc(one) or "").partition("\n")[0] for name, one in REWARDS.items()}
+
+
+def main(args: Args) -> None:
+    """Run the command."""
+    radio_from(args.radio)  # refuses an unknown name
+    kinds: dict[str, Callable[[], dict[str, str]]] = {
+        "policies": lambda: policies(args.radio), "scenarios": lambda: SCENARIOS, "radios": radios,
+        "scenes": scenes, "modes": lambda: modes(args.radio), "samples": samples,
+        "rewards": rewards,
+    }  # fmt: skip
+    for kind in [args.what] if args.what else kinds:
+        found = kinds[kind]()
+        print(f"{kind}:")
+        print(*(f"  {name:22} {about}" for name, about in found.items()), sep="\n")
+
+
+if __name__ == "__main__":
+    run("list")

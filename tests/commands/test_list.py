@@ -1,0 +1,40 @@
+"""What the list of names shows."""
+
+import pytest
+
+from experiments.evaluation.contenders import contenders
+from mmwave_env.episodes import mobility
+from mmwave_env.episodes.samples import sample_names
+from mmwave_env.filters.mode_files import named_modes
+from mmwave_env.models.radio import RADIOS
+from mmwave_env.models.scene import SCENES
+from mmwave_env.reward import REWARDS
+from tests.cli import assert_one_clear_line, command, succeed
+
+NAMES = {
+    "policies": contenders("handset"), "scenarios": mobility.SCENARIOS, "radios": RADIOS,
+    "scenes": SCENES, "modes": named_modes(), "samples": sample_names(), "rewards": REWARDS,
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("kind", NAMES)
+def test_every_name_of_a_kind_has_a_line(kind):
+    title, *lines = succeed("list", kind).splitlines()
+    assert title == f"{kind}:"
+    assert [line.split()[0] for line in lines] == list(NAMES[kind])
+    assert all(len(line.split()) > 1 for line in lines)
+
+
+def test_without_a_kind_all_are_listed():
+    assert succeed("list") == "".join(succeed("list", kind) for kind in NAMES)
+
+
+@pytest.mark.parametrize("radio", RADIOS)
+def test_policies_of_every_radio_have_a_line(radio):
+    _, *lines = succeed("list", "policies", "--radio", radio).splitlines()
+    assert [line.split()[0] for line in lines] == list(contenders(radio))
+
+
+def test_an_unknown_kind_or_radio_is_refused():
+    assert_one_clear_line(command("list", "polices"), "WHAT: found 'polices'.*mean policies[?]$")
+    assert_one_clear_line(command("list", "modes", "--radio", "lab"), "radio: found 'lab'")
