@@ -58,8 +58,8 @@ class SpeedRule(Policy):
         if not self._warned and (speed > DESIGN_LIMIT_MPS).any():
             self._warned = True
             warnings.warn(
-                f"speed {speed.max():.1f} m/s is outside the design window of the speed rule "
-                f"(up to {DESIGN_LIMIT_MPS:g} m/s); keeping mode 1",
+                f"speed above {DESIGN_LIMIT_MPS:g} m/s is outside the design window of the paper's "
+                "rule (speed-rule), which runs mode 1 there",
                 stacklevel=2,
             )
         # An observation is float32: a speed at the threshold may read a rounding above it.

@@ -43,13 +43,13 @@ class Comparison:
 
     def __str__(self) -> str:
         """Every policy with 95 % half-widths, then the paired differences of the reward."""
-        parts = [
-            f"### {self.scenario}, {self.radio}, {self.episodes} episodes, "
-            f"seeds {self.seed} and up\n",
-            self._policies_table(),
-        ]
+        seeds = f"{self.episodes} episodes, seeds {self.seed} and up"
+        if self.episodes == 1:
+            seeds = f"1 episode, seed {self.seed}, too few for intervals"
+        parts = [f"### {self.scenario}, {self.radio}, {seeds}\n", self._policies_table()]
         if self.paired:
-            parts += ["\nPaired differences of the reward, 95 % intervals:\n", self._paired_table()]
+            intervals = ", 95 % intervals" if self.episodes > 1 else ""
+            parts += [f"\nPaired differences of the reward{intervals}:\n", self._paired_table()]
         return "\n".join(parts) + "\n"
 
     def _policies_table(self) -> str:

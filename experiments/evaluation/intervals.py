@@ -26,7 +26,7 @@ BLOCK = 100  # resamples at once: all of them would be large
 
 @dataclass(frozen=True)
 class Interval:
-    """A mean with its 95 % bootstrap interval."""
+    """A mean with its 95 % bootstrap interval; one value has none, and its ends are NaN."""
 
     mean: float
     low: float
@@ -35,10 +35,15 @@ class Interval:
     @property
     def json(self) -> dict[str, Any]:
         """As results files hold it."""
-        return {"mean": self.mean, "ci95": [self.low, self.high]}
+        return {"mean": self.mean, "ci95": [self.low, self.high] if self.known else None}
+
+    @property
+    def known(self) -> bool:
+        """Whether there is an interval."""
+        return not np.isnan(self.low)
 
     def __str__(self) -> str:
-        return f"{self.mean:.3f} [{self.low:.3f}, {self.high:.3f}]"
+        return f"{self.mean:.3f}" + (f" [{self.low:.3f}, {self.high:.3f}]" if self.known else "")
 
 
 @lru_cache(maxsize=2)
@@ -60,7 +65,9 @@ def _resampled_means(values: Array, seed: int) -> Array:
 
 def bootstrap(values: Array, seed: int = 0) -> list[Interval]:
     """Means of columns (episodes, k) with 95 % percentile intervals over episodes."""
-    low, high = np.percentile(_resampled_means(values, seed), [2.5, 97.5], axis=0)
+    low = high = np.full(values.shape[1], np.nan)
+    if len(values) > 1:
+        low, high = np.percentile(_resampled_means(values, seed), [2.5, 97.5], axis=0)
     columns = zip(values.mean(axis=0), low, high, strict=True)
     return [Interval(float(m), float(a), float(b)) for m, a, b in columns]
 

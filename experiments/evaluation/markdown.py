@@ -1,7 +1,10 @@
 """Figures as Markdown, and as tables on a terminal."""
 
 import math
-from collections.abc import Sequence
+import re
+import textwrap
+from collections.abc import Iterator, Sequence
+from itertools import zip_longest
 
 from rich.console import Console
 from rich.markdown import Markdown
@@ -14,8 +17,14 @@ HEADERS = {
 }  # fmt: skip
 
 
+TABLE = re.compile(r"((?:^\|.*\n?)+)", re.MULTILINE)
+GAP = 2  # between columns
+
+
 def rounded(interval: Interval) -> str:
     """Mean and half the width of the interval, to the digits that the interval supports."""
+    if not interval.known:
+        return f"{interval.mean:.3f}"
     half = (interval.high - interval.low) / 2.0
     digits = 3 if half <= 0.0 else min(4, max(0, 1 - math.floor(math.log10(half))))
     return f"{interval.mean:.{digits}f} ± {half:.{digits}f}"
@@ -28,9 +37,48 @@ def grid(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
 
 
 def show(text: str) -> None:
-    """Print Markdown."""
+    """Print Markdown; on a terminal, tables that are too wide go on below."""
     console = Console()
-    if console.is_terminal:
-        console.print(Markdown(text))
-    else:
+    if not console.is_terminal:
         print(text)
+        return
+    for part in TABLE.split(text):
+        if part.startswith("|"):
+            for lines in _tables(part, console.width):
+                console.out("", *lines, "", sep="\n", highlight=False)
+        else:
+            console.print(Markdown(part))
+
+
+def _tables(text: str, width: int) -> Iterator[list[str]]:
+    """Lines of the tables that a Markdown table becomes on a terminal of a width.
+
+    Each has the first column. Headers are folded at their spaces, cells never.
+    """
+    lines = ([cell.strip() for cell in line[1:-1].split("|")] for line in text.splitlines())
+    header, _, *rows = lines
+    needed = [
+        max(map(len, [*column, *title.split()]))
+        for title, *column in zip(header, *rows, strict=True)
+    ]
+    columns = [0]
+    for i in range(1, len(header) + 1):
+        full = i == len(header) or sum(needed[k] + GAP for k in (*columns, i)) - GAP > width
+        if full and columns != [0]:
+            yield _table(
+                [[row[k] for k in columns] for row in (header, *rows)], [needed[k] for k in columns]
+            )
+            columns = [0]
+        columns.append(i)
+
+
+def _table(rows: Sequence[Sequence[str]], widths: Sequence[int]) -> list[str]:
+    """Lines of a table, the first row of which is the header."""
+    folded = [textwrap.wrap(title, n) for title, n in zip(rows[0], widths, strict=True)]
+    above = zip_longest(*folded, fillvalue="")
+    lines = [
+        (" " * GAP).join(cell.ljust(n) for cell, n in zip(row, widths, strict=True)).rstrip()
+        for row in (*above, *rows[1:])
+    ]
+    rule = "─" * (sum(widths) + GAP * (len(widths) - 1))
+    return [*lines[: 1 - len(rows)], rule, *lines[1 - len(rows) :]]

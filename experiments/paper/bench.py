@@ -156,7 +156,8 @@ class Section:
             name = ", ".join(str(cell) for cell in row[: self.labels])
             for column, cell in zip(self.columns[self.labels :], row[self.labels :], strict=True):
                 if isinstance(cell, Interval):
-                    out.append([self.title, name, column, cell.mean, cell.low, cell.high])
+                    ends = (cell.low, cell.high) if cell.known else ("", "")
+                    out.append([self.title, name, column, cell.mean, *ends])
                 elif isinstance(cell, float):
                     out.append([self.title, name, column, cell, "", ""])
         return out
