@@ -48,6 +48,15 @@ gymnasium-oldest: .venv-oldest/.ready ## the environment on the oldest Gymnasium
 docs: .venv-docs/.ready ## the documentation site, into site/; its warnings are errors
 	NO_MKDOCS_2_WARNING=1 .venv-docs/bin/python -m mkdocs build --strict
 
+dist: .venv-dist/.ready ## what would be published, checked: sdist and wheel, their metadata, a fresh install
+	rm -rf dist
+	.venv-dist/bin/python -m build
+	.venv-dist/bin/python -m twine check --strict dist/*
+	$(PYTHON) -m venv --clear .venv-dist/fresh
+	.venv-dist/fresh/bin/python -m pip install --quiet dist/*.whl
+	.venv-dist/fresh/bin/mmwave-loc --help
+	.venv-dist/fresh/bin/mmwave-loc evaluate --policy imm --episodes 10
+
 clean: ## remove environments, caches and build outputs; results/ and runs/ stay
 	rm -rf .venv .venv-* build dist site *.egg-info .coverage .coverage.* coverage.xml
 	rm -rf .pytest_cache .mypy_cache .ruff_cache .hypothesis
@@ -56,7 +65,7 @@ clean: ## remove environments, caches and build outputs; results/ and runs/ stay
 .venv/.base: pyproject.toml constraints.txt
 	@echo "Setting up .venv: the base install, about 600 MB"
 	@$(PYTHON) -m venv .venv
-	@$(BIN)/python -m pip install --quiet -c constraints.txt --editable .
+	@$(BIN)/python -m pip install --quiet -c constraints.txt --editable '.[plot,filterpy]'
 	@touch $@
 
 .venv/.dev: .venv/.base
@@ -77,7 +86,7 @@ clean: ## remove environments, caches and build outputs; results/ and runs/ stay
 	@$(PYTHON) -m venv .venv-oldest
 	@echo '*' > .venv-oldest/.gitignore
 	@.venv-oldest/bin/python -m pip install --quiet -c constraints.txt \
-		--editable '.[render]' $(OLDEST_GYMNASIUM) pytest hypothesis
+		--editable '.[render,filterpy]' $(OLDEST_GYMNASIUM) pytest hypothesis
 	@touch $@
 
 .venv-docs/.ready: pyproject.toml constraints.txt
@@ -85,4 +94,11 @@ clean: ## remove environments, caches and build outputs; results/ and runs/ stay
 	@$(PYTHON) -m venv .venv-docs
 	@echo '*' > .venv-docs/.gitignore
 	@.venv-docs/bin/python -m pip install --quiet -c constraints.txt --editable '.[docs]'
+	@touch $@
+
+.venv-dist/.ready:
+	@echo "Setting up .venv-dist: build and twine"
+	@$(PYTHON) -m venv .venv-dist
+	@echo '*' > .venv-dist/.gitignore
+	@.venv-dist/bin/python -m pip install --quiet build twine
 	@touch $@

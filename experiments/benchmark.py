@@ -10,7 +10,9 @@ import os
 
 from experiments.arguments.benchmark import Args
 from experiments.cli.main import run
-from mmwave_env.files import require_writable, write_json, write_text
+from experiments.cli.pictures import require_picture
+from mmwave_env.files import write_json, write_text
+from mmwave_env.lookup import require_extra
 
 # Nothing that loads numpy is imported up here: its linear algebra counts its threads once.
 _ONE_THREAD = ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "OMP_NUM_THREADS")
@@ -19,6 +21,7 @@ _ONE_THREAD = ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "OMP_NUM_THREADS")
 def main(args: Args) -> None:
     """Run the command."""
     _check(args)
+    require_extra("filterpy", "filterpy", "benchmark")
     for name in _ONE_THREAD:
         os.environ.setdefault(name, "1")
     from experiments.cli.doc_pages import page_to_renew, renewed
@@ -35,7 +38,7 @@ def main(args: Args) -> None:
         renewed(page, dict.fromkeys(TITLES, ""))  # refuses a wrong mark before the work
         figures.append(args.docs.with_suffix(".png"))
     for figure in figures:
-        require_writable(figure)
+        require_picture("plot", figure)
     measured = Measured(args.sizes)
     with progress("benchmark") as tell:
         for share in measured.run(args.seconds, args.repeats):

@@ -3,8 +3,8 @@
 from experiments.arguments.compare import Args
 from experiments.cli.main import run
 from experiments.cli.options import all_contenders
+from experiments.cli.pictures import require_picture
 from experiments.cli.reporting import report, results
-from mmwave_env.files import require_writable
 
 
 def main(args: Args) -> None:
@@ -12,9 +12,7 @@ def main(args: Args) -> None:
     pictures = {"figure": args.figure, "decisions": args.decisions}
     for option, path in pictures.items():
         if path is not None:
-            if path.suffix.lower() != ".png":
-                raise ValueError(f"{option}: found {path}, expected a name that ends with .png")
-            require_writable(path)
+            require_picture(option, path)
     if args.figure is not None and args.figure == args.decisions:
         raise ValueError(f"decisions: found {args.decisions}, expected another file than --figure")
     names = args.policies or all_contenders(args)

@@ -12,6 +12,7 @@ import numpy as np
 
 from experiments.arguments.localize import Args
 from experiments.cli.main import run
+from experiments.cli.pictures import require_picture
 from experiments.cli.terminal import ask_speed, parse_speed, progress
 from experiments.cli.track_plot import TrackPicture
 from experiments.cli.track_report import track_markdown
@@ -96,8 +97,8 @@ def _check(args: Args) -> None:
         )
     if args.height is not None and not np.isfinite(args.height):
         raise ValueError(f"height: found {args.height}, expected a number of meters")
-    if args.plot is not None and args.plot.suffix.lower() != ".png":
-        raise ValueError(f"plot: found {args.plot}, expected a name that ends with .png")
+    if args.plot is not None:
+        require_picture("plot", args.plot)
     seen: dict[Path, str] = {}
     inputs = {"the log": args.log, "scene": Path(args.scene), "truth": args.truth,
               "modes": args.modes}  # fmt: skip

@@ -9,6 +9,7 @@ from rich.progress import track
 from experiments.arguments.tables import Args
 from experiments.cli.doc_pages import page_to_renew, renewed
 from experiments.cli.main import run
+from experiments.cli.pictures import require_picture
 from experiments.evaluation.markdown import show
 from experiments.paper.accuracy import error_budget, headline
 from experiments.paper.bench import Bench, Section
@@ -34,6 +35,9 @@ def main(args: Args) -> None:
     """Run the command."""
     if args.episodes < 1:
         raise ValueError(f"episodes: found {args.episodes}, expected at least 1")
+    figures = [args.out / "tables.png"] + ([args.docs.with_suffix(".png")] if args.docs else [])
+    for figure in figures:
+        require_picture("out", figure)
     require_writable(args.out / "tables.md")
     page = page_to_renew(args.docs) if args.docs else ""
     bench = Bench(args.episodes, args.seed)
@@ -46,7 +50,6 @@ def main(args: Args) -> None:
     csv.writer(table, lineterminator="\n").writerows([FIELDS, *records])
     write_text(args.out / "tables.md", text)
     write_text(args.out / "tables.csv", table.getvalue())
-    figures = [args.out / "tables.png"] + ([args.docs.with_suffix(".png")] if args.docs else [])
     for figure in figures:
         with atomic_path(figure) as path:
             draw(found, path)

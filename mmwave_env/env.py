@@ -17,7 +17,7 @@ from mmwave_env.episodes.simulated import SimulatedSource
 from mmwave_env.filters.mode_files import default_modes, modes_from
 from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.info import FLAGS, STATE_KEYS, episode_info, told_rows
-from mmwave_env.lookup import choose
+from mmwave_env.lookup import choose, require_extra
 from mmwave_env.metrics import DIVERGENCE_M
 from mmwave_env.models.radio import RADIOS, radio_from
 from mmwave_env.models.scene import scene_from
@@ -115,7 +115,8 @@ class MmWaveLocEnv(gym.Env[NDArray[np.float32], np.int64]):
     * `odometry`: the user also measures speed and heading.
     * `terminate_on_divergence`: see Episode End.
     * `render_mode`: "rgb_array" (480 x 480) or "human"; needs the extra `render`.
-    * `backend`: "lanes", or "filterpy" for the same modes on filterpy's filters (slow).
+    * `backend`: "lanes", or "filterpy" for the same modes on filterpy's filters (slow; needs the
+      extra `filterpy`).
 
     ```python
     >>> import gymnasium as gym
@@ -153,6 +154,7 @@ class MmWaveLocEnv(gym.Env[NDArray[np.float32], np.int64]):
     ) -> None:
         if render_mode is not None:
             choose(dict.fromkeys(self.metadata["render_modes"]), render_mode, "render_mode")
+            require_extra("pygame", "render", f"render_mode={render_mode!r}")
         self.render_mode = render_mode
         self._picture: Picture | None = None
         task = task_from(**arguments)
@@ -161,6 +163,7 @@ class MmWaveLocEnv(gym.Env[NDArray[np.float32], np.int64]):
         choose(BACKENDS, backend, "backend")
         pipeline = task.pipeline
         if backend == "filterpy":
+            require_extra("filterpy", "filterpy", 'backend="filterpy"')
             from mmwave_env.filters.filterpy_reference import filterpy_pipeline
 
             pipeline = filterpy_pipeline(pipeline)

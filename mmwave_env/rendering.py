@@ -23,16 +23,11 @@ class Picture:
     Args:
         modes: names of the modes.
         on_screen: open a window instead of drawing in memory.
-
-    Raises:
-        ImportError: pygame is not installed.
     """
 
     def __init__(self, modes: Sequence[str], on_screen: bool = False) -> None:
-        try:
-            import pygame
-        except ImportError as error:
-            raise ImportError("rendering needs pygame: pip install 'mmwave-loc[render]'") from error
+        import pygame
+
         self._pygame: Any = pygame
         self._modes = modes
         self._anchors, self._center, self._pixels_per_m = np.zeros((0, 3)), np.zeros(2), 1.0

@@ -9,9 +9,9 @@ import ast
 import inspect
 import os
 import re
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import redirect_stdout, suppress
-from functools import cache
+from functools import cache, partial
 from io import StringIO
 from itertools import zip_longest
 from pathlib import Path
@@ -32,7 +32,7 @@ API = {  # page: title, modules and folders of modules
     "models": ("Models", ["models/"]),
     "filters": ("Filters", ["filters/"]),
     "episodes": ("Episodes", ["episodes/"]),
-    "localization": ("Localization", ["localization/"]),
+    "localization": ("Localization", ["localization/", "logs/"]),
     "policies": ("Policies", ["/policies/"]),
     "evaluation": ("Evaluation", ["/experiments/evaluation/"]),
 }
@@ -64,22 +64,21 @@ def on_files(files: Any, config: Any) -> Any:
     """Add the pages that are not files of docs/."""
     from mkdocs.structure.files import File
 
-    for path, text in generated():
-        files.append(File.generated(config, path, content=text))
+    for path, text in made().items():
+        files.append(File.generated(config, path, content=text()))
     return files
 
 
-def generated() -> Iterator[tuple[str, str]]:
-    """Path on the site and Markdown of every page made here."""
-    for path, source in MIRRORED.items():
-        yield path, (ROOT / source).read_text("utf-8")
-    yield "environment.md", environment_page()
-    yield "command-help.md", help_page()
-    yield "citing.md", citing_page()
-    yield "api/index.md", api_index()
-    for name, (title, parts) in API.items():
-        modules = [f"::: {module}" for part in parts for module in modules_of(part)]
-        yield f"api/{name}.md", "\n\n".join([f"# {title}", *modules]) + "\n"
+def made() -> dict[str, Callable[[], str]]:
+    """What makes the Markdown of each page made here, by its path on the site."""
+    return {
+        **{path: partial((ROOT / name).read_text, "utf-8") for path, name in MIRRORED.items()},
+        "environment.md": environment_page,
+        "command-help.md": help_page,
+        "citing.md": citing_page,
+        "api/index.md": api_index,
+        **{f"api/{name}.md": partial(api_page, name) for name in API},
+    }
 
 
 def environment_page() -> str:
@@ -144,6 +143,13 @@ def modules_of(part: str) -> Iterator[str]:
     for file in files:
         if file.stem != "__init__":
             yield ".".join(file.relative_to(ROOT).with_suffix("").parts)
+
+
+def api_page(name: str) -> str:
+    """The modules of a part, for mkdocstrings to fill in."""
+    title, parts = API[name]
+    modules = [f"::: {module}" for part in parts for module in modules_of(part)]
+    return "\n\n".join([f"# {title}", *modules]) + "\n"
 
 
 def api_index() -> str:

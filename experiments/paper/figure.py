@@ -4,8 +4,6 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from matplotlib.figure import Figure
-
 from experiments.evaluation.intervals import Interval
 from experiments.paper.bench import Cell, Section
 from mmwave_env.models.radio import RADIOS
@@ -67,6 +65,8 @@ def _sweep(axes: Any, section: Section) -> None:
 
 def draw(sections: dict[str, Section], path: Path) -> None:
     """Write the picture (PNG)."""
+    from matplotlib.figure import Figure
+
     figure = Figure(figsize=(13, 4.2), layout="constrained")
     axes = figure.subplots(1, 3)
     for panel, number, scenario in zip(axes, ("I", "II"), ("pedestrian", "vehicle"), strict=False):

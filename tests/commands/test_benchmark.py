@@ -52,7 +52,7 @@ def test_the_page_has_every_table():
         (["--repeats", "0"], "repeats: found 0, expected at least 1"),
         (["--docs", "CHANGELOG.md"], "CHANGELOG.md: found no table"),
         (["--docs", "docs/paper.md"], "found 'Table I: pedestrian, handset', expected one of"),
-        (["--plot", "docs"], "docs: found a folder, expected a file to write"),
+        (["--plot", "docs"], "plot: found docs, expected a name that ends with .png"),
     ],
 )
 def test_mistakes_end_with_one_clear_line_before_the_work(options, message):

@@ -1,0 +1,26 @@
+"""What pyproject.toml can't say: the README with links that work on a package index, too."""
+
+import re
+from pathlib import Path
+
+from setuptools import setup
+
+ROOT = Path(__file__).parent
+
+
+def described(readme: str, project: str, package: str) -> str:
+    """The README with its relative links into the repository, at the tag of this version."""
+    (repository,) = re.findall(r'^Repository = "(.*)"$', project, re.MULTILINE)
+    (version,) = re.findall(r'^__version__ = "(.*)"$', package, re.MULTILINE)
+    link = re.compile(r"(!?)(\[[^\]]*\]\()(?!\w+:|#)")
+    kinds = {"!": "raw", "": "blob"}  # a picture itself, and the page about a file
+    return link.sub(lambda m: f"{m[0]}{repository}/{kinds[m[1]]}/v{version}/", readme)
+
+
+if __name__ == "__main__":
+    files = ("README.md", "pyproject.toml", "mmwave_env/__init__.py")
+    texts = [(ROOT / name).read_text(encoding="utf-8") for name in files]
+    setup(
+        long_description=described(*texts),
+        long_description_content_type="text/markdown",
+    )

@@ -1,0 +1,56 @@
+"""What needs an extra that is not installed says which, before any work."""
+
+import re
+import sys
+
+import gymnasium as gym
+import pytest
+
+from tests.cli import assert_one_clear_line, command
+from tests.paths import LOGS, ROOT
+
+LOG = LOGS / "canyon28_vehicle"
+PROJECT = (ROOT / "pyproject.toml").read_text(encoding="utf-8")
+EXTRAS = PROJECT.split("[project.optional-dependencies]\n")[1].split("\n[")[0]
+
+
+@pytest.mark.parametrize(
+    ("package", "words"),
+    [
+        ("matplotlib", ["localize", LOG / "log.csv", "--scene", LOG / "scene.json", "--plot"]),
+        ("matplotlib", ["compare", "--policies", "fixed-ekf", "--figure"]),
+        ("matplotlib", ["compare", "--policies", "fixed-ekf", "--decisions"]),
+        ("matplotlib", ["benchmark", "--plot"]),
+        ("matplotlib", ["tables", "--out"]),
+        ("filterpy", ["benchmark", "--plot"]),
+    ],
+    ids=lambda value: value if isinstance(value, str) else " ".join(map(str, value[::-3])),
+)
+def test_a_command_names_the_extra_and_writes_nothing(package, words, tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, package, None)  # as if it were not installed
+    extra = "plot" if package == "matplotlib" else "filterpy"
+    assert_one_clear_line(
+        command(*words, tmp_path / "new.png"),
+        rf"needs {package}: pip install 'mmwave-loc\[{extra}\]'",
+    )
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize(
+    ("package", "extra", "arguments"),
+    [
+        ("filterpy", "filterpy", {"backend": "filterpy"}),
+        ("pygame", "render", {"render_mode": "rgb_array"}),
+    ],
+)
+def test_an_environment_names_the_extra(package, extra, arguments, monkeypatch):
+    monkeypatch.setitem(sys.modules, package, None)
+    with pytest.raises(ImportError, match=rf"needs {package}.*mmwave-loc\[{extra}\]"):
+        gym.make("MmWaveLoc-v0", **arguments)
+
+
+def test_the_page_lists_every_extra():
+    page = (ROOT / "docs" / "install.md").read_text(encoding="utf-8")
+    listed = re.findall(r"^\| `(\w+)` \|", page, re.MULTILINE)
+    there = re.findall(r"^(\w+) = ", EXTRAS, re.MULTILINE)
+    assert set(listed) == set(there) - {"lint"}  # which is for working on the code

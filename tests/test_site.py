@@ -1,0 +1,103 @@
+"""What makes the documentation site, and the description on package indexes, of the sources."""
+
+import importlib.util
+import re
+
+import pytest
+
+from experiments.cli.main import COMMANDS
+from tests.paths import ROOT
+
+NAVIGATION = set(re.findall(r"^ +- .*?([\w/-]+\.md)$", (ROOT / "mkdocs.yml").read_text(), re.M))
+
+
+def loaded(path):
+    """A Python file that is no module of a package."""
+    spec = importlib.util.spec_from_file_location(path.replace("/", "_"), ROOT / path)
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+@pytest.fixture(scope="module")
+def hooks():
+    return loaded("docs/site/hooks.py")
+
+
+def test_the_navigation_has_every_page_and_no_other(hooks):
+    pages = {page.name for page in (ROOT / "docs").glob("*.md")}
+    assert pages | set(hooks.made()) == NAVIGATION
+
+
+@pytest.mark.parametrize(
+    ("link", "uri", "source", "expected"),
+    [
+        ("results.md#how", "index.md", "docs/index.md", "results.md#how"),
+        ("docs/results.md", "index.md", "README.md", "results.md"),
+        ("../README.md#train-on-it", "data.md", "docs/data.md", "index.md#train-on-it"),
+        ("../mmwave_env/env.py", "data.md", "docs/data.md", "environment.md"),
+        ("../mmwave_env/reward.py", "data.md", "docs/data.md", "api/signals.md#mmwave_env.reward"),
+        ("../data.md", "api/index.md", "docs/api/index.md", "../data.md"),
+        ("docs/switching.png", "index.md", "README.md", "switching.png"),
+        ("LICENSE", "index.md", "README.md", "REPOSITORY/blob/main/LICENSE"),
+        ("../tests/filters", "data.md", "docs/data.md", "REPOSITORY/tree/main/tests/filters"),
+        ("nowhere.md", "data.md", "docs/data.md", "nowhere.md"),
+        ("https://doi.org/10", "data.md", "docs/data.md", "https://doi.org/10"),
+        ("#angles", "data.md", "docs/data.md", "#angles"),
+    ],
+)
+def test_a_link_leads_to_the_page_or_to_the_code_host(hooks, link, uri, source, expected):
+    text = f"See [it]({link}).\n\n```\n[code]({link})\n```\n"
+    expected = expected.replace("REPOSITORY", hooks.repository())
+    assert hooks.relinked(text, uri, ROOT / source) == text.replace(link, expected, 1)
+
+
+def test_the_environment_s_page_is_its_docstring_with_the_tables_filled_in(hooks):
+    page = hooks.environment_page()
+    assert page.startswith("# MmWaveLoc-v0\n\nAn agent chooses")
+    assert "| predicted speed |" in page and "{table}" not in page and "{modes}" not in page
+
+
+@pytest.mark.slow  # until help needs no heavy import
+def test_every_command_shows_its_help(hooks):
+    parts = hooks.help_page().split("\n## ")[1:]
+    assert [part.split("\n")[0] for part in parts] == list(COMMANDS)
+    assert all(f"usage: mmwave-loc {part.split()[0]}" in part for part in parts)
+
+
+def test_the_citation_names_version_and_paper(hooks):
+    pytest.importorskip("yaml")
+    page = hooks.citing_page()
+    assert "version = {0.1.0}" in page and "10.48550/arXiv.2510.06861" in page
+    assert "Orimogunje, Abidemi and Cha, Kyeong-Ju" in page
+
+
+def test_every_module_of_the_reference_is_there(hooks):
+    names = re.findall(r"^\| \[([\w.]+)\]", hooks.api_index(), re.MULTILINE)
+    assert names == [
+        name for part in hooks.API for name in re.findall(r"::: (.*)", hooks.api_page(part))
+    ]
+    assert all((ROOT / f"{name.replace('.', '/')}.py").is_file() for name in names)
+
+
+def test_roles_of_docstrings_become_links_and_figures_stay_on_one_line(hooks):
+    html = "<p>:class:<code>~mmwave_env.reward.LogScore</code> :func:<code>draw</code></p>"
+    linked = hooks.on_page_content(html)
+    assert '<autoref optional identifier="mmwave_env.reward.LogScore"><code>LogScore' in linked
+    assert linked.endswith(" <code>draw</code></p>")
+    cells = "<td>imm-tuned</td><td>-1.8 ± 0.1</td><td>the position error</td>"
+    assert hooks.on_page_content(cells).count('<td class="whole">') == 2
+
+
+def test_the_description_on_an_index_links_into_the_repository_at_its_tag():
+    texts = [
+        (ROOT / name).read_text("utf-8")
+        for name in ("README.md", "pyproject.toml", "mmwave_env/__init__.py")
+    ]
+    text = loaded("setup.py").described(*texts)
+    (repository,) = re.findall(r'^Repository = "(.*)"$', texts[1], re.MULTILINE)
+    links = re.findall(r"\]\(([^)]+)\)", text)
+    assert links and all(link.startswith(("https://", "#")) for link in links)
+    for kind, path in re.findall(rf"\({re.escape(repository)}/(\w+)/v0\.1\.0/([^)#]+)", text):
+        assert (ROOT / path).is_file()
+        assert (kind == "raw") == path.endswith(".png")
