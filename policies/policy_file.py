@@ -52,7 +52,7 @@ class Card:
         scenario: it was trained on.
         radio: profile it was trained with.
         algorithm: that trained it.
-        seed: of the training.
+        seed: of the training; -1 where it had none.
         timesteps: epochs it was trained for.
         command: that made the file.
         evaluation: figures, JSON of any form.

@@ -20,6 +20,7 @@ COMMANDS = {
     "compare": "several policies on the same episodes, with paired differences",
     "tables": "the paper's tables and claims, reproduced",
     "train": "switchers that learn, on several training seeds",
+    "convert": "a model of Stable-Baselines3 as a policy file, which holds no code",
     "transfer": "switchers on streets, radios and recordings they were not trained on",
     "tune": "process noise of modes, by likelihood or error, on tuning seeds",
     "tune-imm": "the best transition and process noise of IMMs, on tuning seeds",

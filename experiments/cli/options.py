@@ -24,7 +24,9 @@ def command_line(name: str, args: Any) -> str:
     words = ["mmwave-loc", name]
     for field in fields(args):
         value = getattr(args, field.name)
-        if value != field.default:
+        if field.metadata.get("positional"):
+            words.append(str(value))
+        elif value != field.default:
             values = value if isinstance(value, tuple) else () if value is True else (value,)
             words += [f"--{field.name.replace('_', '-')}", *map(str, values)]
     return shlex.join(words)

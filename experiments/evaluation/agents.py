@@ -20,14 +20,11 @@ MODULE = re.compile(r"[\w.]+:[\w.]+")
 TRIED = 3  # observations to try an agent on
 
 
-class _Forgetful:
-    """A function of observations as a policy that has nothing to forget."""
+class _Function(Policy):
+    """A function of observations as a policy, which has nothing to forget."""
 
     def __init__(self, act: Act) -> None:
         self._act = act
-
-    def reset(self, mask: NDArray[np.bool_]) -> None:
-        """Nothing to forget."""
 
     def __call__(self, observation: NDArray[np.float32]) -> Any:
         return self._act(observation)
@@ -87,7 +84,7 @@ def tried(name: str, agent: Act, table: Observation) -> Policy:
     """
     if hasattr(agent, "require_trained_on"):
         agent.require_trained_on(table)
-    policy = cast(Policy, agent if hasattr(agent, "reset") else _Forgetful(agent))
+    policy = cast(Policy, agent if hasattr(agent, "reset") else _Function(agent))
     space, rng = table.space, np.random.default_rng(0)
     shown = rng.uniform(space.low, space.high, (TRIED, len(table))).astype(np.float32)
     try:

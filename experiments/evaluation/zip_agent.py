@@ -18,8 +18,8 @@ class ZipAgent:
 
     Attributes:
         policy: the network.
-        normalized: whether it was trained on what ``VecNormalize`` makes of observations. It can
-            be known of actor-critic algorithms only.
+        normalized: whether it was trained under ``VecNormalize``; None where the file does not
+            tell, as it does of actor-critic algorithms only.
         told: seed and steps of the training.
 
     Raises:
@@ -56,9 +56,9 @@ class ZipAgent:
             raise ValueError(
                 f"{path}: not a model of Stable-Baselines3: {in_one_line(error)}"
             ) from error
-        original: Any = data.get("_last_original_obs")
-        known = hasattr(self.policy, "action_net") and original is not None
-        self.normalized = known and not np.array_equal(original, data["_last_obs"])
+        self.normalized: bool | None = None
+        if hasattr(self.policy, "action_net") and data.get("_last_obs") is not None:
+            self.normalized = data.get("_last_original_obs") is not None
         self.told = {"seed": data.get("seed"), "timesteps": data.get("num_timesteps")}
         self._state: Any = None
         self._begins = np.empty(0, np.bool_)

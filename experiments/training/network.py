@@ -3,7 +3,6 @@
 from typing import Any, cast
 
 import numpy as np
-from numpy.typing import NDArray
 from sb3_contrib import RecurrentPPO
 from stable_baselines3 import PPO
 from stable_baselines3.common.on_policy_algorithm import OnPolicyAlgorithm
@@ -11,6 +10,7 @@ from stable_baselines3.common.policies import ActorCriticPolicy
 from stable_baselines3.common.torch_layers import MlpExtractor
 from torch import Tensor, nn
 
+from experiments.training.actor import Normalization, actor_tensors
 from experiments.training.hyperparameters import Hyperparameters
 from experiments.training.training_env import TrainingEnv
 from policies.policy_file import Tensors
@@ -98,35 +98,9 @@ def falling(recipe: Hyperparameters, left: float) -> float:
 
 
 def actor_of(model: OnPolicyAlgorithm, world: TrainingEnv, recipe: Hyperparameters) -> Tensors:
-    """The actor as a policy file holds it, with the normalization in its first weights.
-
-    Training sees clip((o - mean) / sigma, -c, c). The file has the bounds mean -+ c sigma, and
-    weights W / sigma with bias b - W mean / sigma.
-    """
-    policy, seen = model.policy, world.seen
-    mean = np.tile(seen.mean[: world.features], recipe.frames)
-    sigma = np.sqrt(seen.var[: world.features] + world.normal.epsilon)
+    """The actor of a training as a policy file holds it; observations are clipped at c sigma."""
+    seen, features = world.seen, world.features
+    mean, sigma = seen.mean[:features], np.sqrt(seen.var[:features] + world.normal.epsilon)
     limit = recipe.clip_observation * sigma
-    one = seen.mean[: world.features]
-    tensors = {"low": one - limit, "high": one + limit}
-    linear = [m for m in policy.mlp_extractor.policy_net if isinstance(m, nn.Linear)]
-    for i, layer in enumerate([*linear, policy.action_net]):
-        tensors[f"layer.{i}.weight"] = _array(layer.weight)
-        tensors[f"layer.{i}.bias"] = _array(layer.bias)
-    first, bias = "layer.0.weight", "layer.0.bias"
-    if recipe.lstm:
-        first, bias = "lstm.weight_ih", "lstm.bias"
-        lstm = cast(nn.LSTM, policy.lstm_actor)
-        tensors |= {
-            first: _array(lstm.weight_ih_l0), "lstm.weight_hh": _array(lstm.weight_hh_l0),
-            bias: _array(lstm.bias_ih_l0) + _array(lstm.bias_hh_l0),
-        }  # fmt: skip
-    tensors[first] = tensors[first] / np.tile(sigma, recipe.frames)
-    tensors[bias] = tensors[bias] - tensors[first] @ mean
-    return {name: tensor.astype(np.float32) for name, tensor in tensors.items()}
-
-
-def _array(parameter: Tensor | nn.Module) -> NDArray[np.float64]:
-    """A parameter; PyTorch types every attribute of a network as one or the other."""
-    array: NDArray[np.float64] = cast(Tensor, parameter).detach().numpy().astype(np.float64)
-    return array
+    normal = Normalization(mean - limit, mean + limit, mean, sigma)
+    return actor_tensors(model.policy, normal, recipe.frames)

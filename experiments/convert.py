@@ -1,0 +1,101 @@
+"""mmwave-loc convert: a model of Stable-Baselines3 as a policy file, which holds no code."""
+
+from importlib.metadata import version
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from experiments.arguments.convert import Args
+from experiments.cli.main import run
+from experiments.cli.options import command_line
+from experiments.training.unzip import CHOSEN, SHOWN, unzipped
+from mmwave_env import __version__
+from mmwave_env.files import require_writable, write_bytes
+from mmwave_env.observation import Observation
+from mmwave_env.task import task_from
+from policies import LearnedSwitch
+from policies.policy_file import Card, Tensors, to_bytes
+
+PACKAGES = ("gymnasium", "numpy", "torch", "stable-baselines3")
+TIES = 0.001  # of the observations: there rounding decides
+
+
+def main(args: Args) -> None:
+    """Run the command."""
+    for path, ending in ((args.model, ".zip"), (args.policy, ".safetensors")):
+        if path.suffix != ending:
+            raise ValueError(f"{path}: found another ending, expected {ending}")
+    for path in (args.model, *filter(None, [args.normalize])):
+        if not path.is_file():
+            raise FileNotFoundError(f"{path}: found no file, expected what Stable-Baselines3 saved")
+    require_writable(args.policy)
+    task = task_from(scenario=args.scenario, radio=args.radio, modes=args.modes or None)
+    table = Observation(task.pipeline, args.observation)
+    tensors, told = unzipped(args.model, args.normalize)
+    shown, chosen = tensors.pop(SHOWN), tensors.pop(CHOSEN)
+    _require_trained_on(args, table, tensors)
+    content = to_bytes(tensors, _card(args, table, told))
+    alike = _decided(content, shown) == chosen
+    if alike.mean() < 1.0 - TIES:
+        raise ValueError(
+            f"{args.model}: its layers decide as it does on {alike.sum()} of {alike.size} "
+            "observations, expected all of them: its policy computes more than they do"
+        )
+    write_bytes(args.policy, content)
+    print(
+        f"{args.policy}: decides as {args.model} on {alike.sum()} of {alike.size} observations; "
+        f"mmwave-loc compare --policies {args.policy} speed-rule imm"
+    )
+
+
+def _require_trained_on(args: Args, table: Observation, tensors: Tensors) -> None:
+    """Refuse a model of other observations or modes.
+
+    Raises:
+        ValueError: saying what was found and what was expected.
+    """
+    low, layers = tensors["low"], [name for name in tensors if name.startswith("layer.")]
+    found = f"{len(low)} features and {len(tensors[f'layer.{len(layers) // 2 - 1}.bias'])} actions"
+    expected = f"{len(table)} features and {len(table.modes)} actions"
+    if found != expected:
+        raise ValueError(
+            f"{args.model}: found {found}, expected {expected}, as of observation={table.kind!r} "
+            f"and the modes {', '.join(mode.name for mode in table.modes)}; say --observation and "
+            "--modes as in its training"
+        )
+    space = table.space
+    if args.normalize is None and not (
+        np.array_equal(low, space.low) and np.array_equal(tensors["high"], space.high)
+    ):
+        raise ValueError(
+            f"{args.model}: found other bounds of the observations than this version's, expected "
+            "the same: train it again"
+        )
+
+
+def _card(args: Args, table: Observation, told: dict[str, Any]) -> Card:
+    seed = told["seed"]
+    return Card(
+        modes=table.modes, observation=table.kind, digest=table.digest, frames=1,
+        scenario=args.scenario, radio=args.radio, algorithm=told["network"],
+        seed=-1 if seed is None else seed, timesteps=told["timesteps"],
+        command=command_line("convert", args), evaluation={},
+        versions={"mmwave-loc": __version__} | {name: version(name) for name in PACKAGES},
+    )  # fmt: skip
+
+
+def _decided(content: bytes, shown: NDArray[np.float32]) -> NDArray[np.int64]:
+    """The actions (epochs, episodes) of a policy file for observations shown to it."""
+    with TemporaryDirectory() as folder:
+        path = Path(folder) / "policy.safetensors"
+        path.write_bytes(content)
+        switch = LearnedSwitch(path)
+    switch.reset(np.ones(shown.shape[1], np.bool_))
+    return np.array([switch(seen) for seen in shown])
+
+
+if __name__ == "__main__":
+    run("convert")

@@ -1,0 +1,79 @@
+"""The actor of a PyTorch policy, as a policy file holds it."""
+
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from mmwave_env.numerics.arrays import Array
+from policies.policy_file import Tensors
+
+
+class Normalization(NamedTuple):
+    """What an actor sees of an observation o in training: (clip(o, low, high) - mean) / sigma."""
+
+    low: Array  # (features,), as all of these
+    high: Array
+    mean: Array
+    sigma: Array
+
+
+def actor_tensors(policy: Any, normal: Normalization, frames: int = 1) -> Tensors:
+    """The tensors of an actor, with the normalization of observations in its first weights.
+
+    They are W / sigma, with the bias b - (W / sigma) mean.
+
+    Args:
+        policy: of an actor-critic algorithm of Stable-Baselines3.
+        normal: of one observation.
+        frames: observations that the actor sees at once.
+    """
+    layers = [
+        layer for layer in policy.mlp_extractor.policy_net if type(layer).__name__ == "Linear"
+    ]
+    tensors: dict[str, Array] = {"low": normal.low, "high": normal.high}
+    for i, layer in enumerate([*layers, policy.action_net]):
+        tensors |= {
+            f"layer.{i}.weight": _array(layer.weight),
+            f"layer.{i}.bias": _array(layer.bias),
+        }
+    first, bias = "layer.0.weight", "layer.0.bias"
+    if lstm := getattr(policy, "lstm_actor", None):
+        first, bias = "lstm.weight_ih", "lstm.bias"
+        tensors |= {
+            first: _array(lstm.weight_ih_l0), "lstm.weight_hh": _array(lstm.weight_hh_l0),
+            bias: _array(lstm.bias_ih_l0) + _array(lstm.bias_hh_l0),
+        }  # fmt: skip
+    tensors[first] = tensors[first] / np.tile(normal.sigma, frames)
+    tensors[bias] = tensors[bias] - tensors[first] @ np.tile(normal.mean, frames)
+    return {name: tensor.astype(np.float32) for name, tensor in tensors.items()}
+
+
+def require_actor(policy: Any) -> None:
+    """Refuse a network that a policy file can't hold.
+
+    Raises:
+        ValueError: saying what was found in it and what was expected.
+    """
+    if not hasattr(policy, "action_net"):
+        raise ValueError(
+            f"network: found {type(policy).__name__}, expected an actor beside a critic, as of "
+            "PPO, A2C, TRPO, MaskablePPO and RecurrentPPO"
+        )
+    layers = [type(layer).__name__ for layer in policy.mlp_extractor.policy_net]
+    memory = getattr(policy, "lstm_actor", None)
+    for what, found, expected in (
+        ("observations", policy.observation_space.shape, policy.observation_space.shape[:1]),
+        ("extractor of features", type(policy.features_extractor).__name__, "FlattenExtractor"),
+        ("layers of the actor", ", ".join(layers),
+         ", ".join(["Linear", "Tanh"] * (len(layers) // 2))),
+        ("output", type(policy.action_net).__name__, "Linear"),
+        ("actions", type(policy.action_space).__name__, "Discrete"),
+        ("layers of the memory", memory.num_layers if memory else 1, 1),
+    ):  # fmt: skip
+        if found != expected:
+            raise ValueError(f"{what}: found {found}, expected {expected}")
+
+
+def _array(parameter: Any) -> Array:
+    array: Array = parameter.detach().numpy().astype(np.float64)
+    return array

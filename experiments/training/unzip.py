@@ -1,0 +1,121 @@
+"""A model of Stable-Baselines3 as plain numbers, taken out in a process of its own.
+
+Loading such a model runs code from its file. That process hands nothing back but a file of
+tensors, which is read without running anything.
+"""
+
+import json
+import pickle
+from multiprocessing import get_context
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from safetensors import SafetensorError, safe_open
+from safetensors.numpy import save_file
+
+from experiments.evaluation.zip_agent import ZipAgent, in_one_line
+from experiments.training.actor import Normalization, actor_tensors, require_actor
+
+EPOCHS, EPISODES = 20, 50  # to see what the model decides in
+SHOWN, CHOSEN = "shown", "chosen"
+
+
+def unzipped(model: Path, normalize: Path | None) -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:
+    """The tensors of a model, and what it tells of its training.
+
+    Args:
+        model: file that ``model.save`` wrote.
+        normalize: file that ``VecNormalize.save`` wrote, if it was trained under that.
+
+    Returns:
+        The tensors of a policy file; with them "shown" (epochs, episodes, features) and "chosen"
+        (epochs, episodes): observations, and the actions that the model chose. And its seed,
+        timesteps and the name of its network.
+
+    Raises:
+        ValueError: it can't be loaded, or no policy file can hold it.
+    """
+    with TemporaryDirectory() as folder:
+        out = Path(folder) / "model.safetensors"
+        process = get_context("spawn").Process(
+            target=_unzip, args=(str(model), normalize, out), daemon=True
+        )
+        process.start()
+        process.join()
+        refusal = out.with_suffix(".txt")
+        if refusal.exists():
+            raise ValueError(refusal.read_text(encoding="utf-8"))
+        try:
+            with safe_open(out, "np") as file:
+                told = json.loads((file.metadata() or {})["told"])
+                return {name: file.get_tensor(name) for name in file.keys()}, told  # noqa: SIM118
+        except (OSError, KeyError, ValueError, SafetensorError) as error:
+            raise ValueError(
+                f"{model}: the process that loaded it ended with code {process.exitcode} and left "
+                "no tensors"
+            ) from error
+
+
+def _unzip(model: str, normalize: Path | None, out: Path) -> None:
+    """What the process does: write tensors, or the reason why there are none."""
+    try:
+        agent = ZipAgent(model, trust=True)
+        try:
+            require_actor(agent.policy)
+        except ValueError as error:
+            raise ValueError(f"{model}: {error}") from error
+        if agent.normalized and normalize is None:
+            raise ValueError(
+                f"{model}: normalize: found none, expected the file that VecNormalize.save wrote, "
+                "as it was trained under it"
+            )
+        if normalize is not None and agent.normalized is False:
+            raise ValueError(
+                f"{model}: normalize: found {normalize}, expected none, as it was trained on "
+                "observations as they are"
+            )
+        normal = _normalization(normalize, agent.policy.observation_space)
+        tensors = actor_tensors(agent.policy, normal)
+        told = agent.told | {"network": type(agent.policy).__name__}
+        save_file(tensors | _decisions(agent, normal), out, {"told": json.dumps(told)})
+    except Exception as error:  # the file's own code can raise anything
+        reason = str(error) if isinstance(error, ValueError) else f"{model}: {in_one_line(error)}"
+        out.with_suffix(".txt").write_text(reason, encoding="utf-8")
+
+
+def _normalization(path: Path | None, box: Any) -> Normalization:
+    """The normalization in a file of ``VecNormalize``; none where there is no file."""
+    low, high = box.low.astype(float), box.high.astype(float)
+    as_they_are = Normalization(low, high, np.zeros(box.shape), np.ones(box.shape))
+    if path is None:
+        return as_they_are
+    from stable_baselines3.common.vec_env import VecNormalize
+
+    try:
+        with path.open("rb") as file:
+            normal: Any = pickle.load(file)
+        if not isinstance(normal, VecNormalize):
+            raise TypeError(f"found {type(normal).__name__}")
+    except Exception as error:  # pickles can raise anything
+        raise ValueError(f"{path}: not a file of VecNormalize: {in_one_line(error)}") from error
+    if not normal.norm_obs:
+        return as_they_are
+    moments: Any = normal.obs_rms
+    if moments.mean.shape != box.shape:
+        raise ValueError(f"{path}: found features {moments.mean.shape}, expected {box.shape}")
+    mean, sigma = moments.mean, np.sqrt(moments.var + normal.epsilon)
+    limit = normal.clip_obs * sigma
+    return Normalization(mean - limit, mean + limit, mean, sigma)
+
+
+def _decisions(agent: ZipAgent, normal: Normalization) -> dict[str, NDArray[Any]]:
+    """Observations that are made up, and the actions that the model chooses there."""
+    low, high, mean, sigma = normal
+    spread = np.random.default_rng(0).uniform(-2.0, 2.0, (EPOCHS, EPISODES, len(mean)))
+    shown = np.clip(mean + sigma * spread, low, high)
+    agent.reset(np.ones(EPISODES, np.bool_))
+    chosen = [agent(((seen - mean) / sigma).astype(np.float32)) for seen in shown]
+    return {SHOWN: shown.astype(np.float32), CHOSEN: np.array(chosen)}

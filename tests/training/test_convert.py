@@ -1,0 +1,257 @@
+"""Models of Stable-Baselines3 that become policy files, or are played as they are."""
+
+import base64
+import builtins
+import json
+import pickle
+import zipfile
+from types import SimpleNamespace
+
+import gymnasium as gym
+import numpy as np
+import pytest
+
+import mmwave_env  # noqa: F401  registers the environment
+from experiments.evaluation.compare import compare
+from tests.cli import assert_one_clear_line, command, succeed
+from tests.training.actors import MODES
+
+pytest.importorskip("stable_baselines3")
+
+import torch
+from sb3_contrib import MaskablePPO, RecurrentPPO
+from stable_baselines3 import A2C, DQN, PPO
+from stable_baselines3.common.vec_env import VecNormalize
+
+from experiments.training import unzip
+from experiments.training.actor import actor_tensors
+from mmwave_env.filters.mode_files import as_written
+from mmwave_env.sb3 import SB3VecEnv
+from policies import LearnedSwitch
+
+pytestmark = pytest.mark.torch
+
+ALGORITHMS = {
+    "ppo": (PPO, "MlpPolicy", {"n_steps": 8, "batch_size": 32}),
+    "no layers": (
+        PPO,
+        "MlpPolicy",
+        {"n_steps": 8, "batch_size": 32, "policy_kwargs": {"net_arch": []}},
+    ),
+    "a2c": (A2C, "MlpPolicy", {}),
+    "maskable": (MaskablePPO, "MlpPolicy", {"n_steps": 8, "batch_size": 32}),
+    "recurrent": (RecurrentPPO, "MlpLstmPolicy", {"n_steps": 8, "batch_size": 32}),
+}
+
+
+@pytest.fixture(autouse=True)
+def one_thread():
+    """As in a training; also, threads would not survive the forks of other tests."""
+    torch.set_num_threads(1)
+
+
+@pytest.fixture
+def same_process(monkeypatch):
+    """The model is loaded in this process, which is quicker to start."""
+
+    class Process:
+        exitcode = 0
+
+        def __init__(self, target, args, daemon):
+            self.run = lambda: target(*args)
+
+        def start(self):
+            self.run()
+
+        def join(self):
+            pass
+
+    monkeypatch.setattr(unzip, "get_context", lambda how: SimpleNamespace(Process=Process))
+
+
+@pytest.fixture
+def modes(tmp_path):
+    """The mode file of three modes that are quick to compile."""
+    path = tmp_path / "modes.json"
+    path.write_text(json.dumps({"modes": [as_written(mode) for mode in MODES]}))
+    return path
+
+
+def environment(normalized=False):
+    native = gym.make_vec(
+        "MmWaveLoc-v0", num_envs=4, modes=MODES, episode_steps=6, autoreset_mode="SameStep"
+    )
+    env = SB3VecEnv(native)
+    return VecNormalize(env, norm_reward=False, clip_obs=3.0) if normalized else env
+
+
+def trained(kind, env):
+    """A model after a few steps, whose choices depend on what it sees."""
+    algorithm, policy, options = ALGORITHMS[kind]
+    model = algorithm(policy, env, seed=1, **options)
+    model.learn(32, **{"use_masking": False} if kind == "maskable" else {})
+    with torch.no_grad():
+        model.policy.action_net.weight *= 100.0
+    return model
+
+
+@pytest.mark.usefixtures("same_process")
+@pytest.mark.parametrize("normalized", [False, True], ids=["as they are", "normalized"])
+@pytest.mark.parametrize(
+    "kind",
+    [pytest.param(k, marks=pytest.mark.slow if k == "recurrent" else []) for k in ALGORITHMS],
+)
+def test_a_converted_model_decides_as_the_model(kind, normalized, tmp_path, modes):
+    """On every observation of 50 steps, ends of episodes among them."""
+    env = environment(normalized)
+    model, words = trained(kind, env), []
+    model.save(tmp_path / "model.zip")
+    if normalized:
+        env.save(str(tmp_path / "normal.pkl"))
+        words = ["--normalize", tmp_path / "normal.pkl"]
+        env.training = False
+    out = tmp_path / "policy.safetensors"
+    shown = succeed("convert", tmp_path / "model.zip", out, "--modes", modes, *words)
+    assert "on 1000 of 1000 observations" in shown
+    policy = LearnedSwitch(out)
+    assert policy.modes == MODES and policy.card.timesteps == model.num_timesteps
+    assert policy.card.command.startswith(f"mmwave-loc convert {tmp_path / 'model.zip'} {out} --")
+    seen, state, begins, taken = env.reset(), None, np.ones(4, bool), set()
+    for _ in range(50):
+        actions, state = model.predict(seen, state, begins, deterministic=True)
+        policy.reset(begins)
+        raw = env.get_original_obs() if normalized else seen
+        np.testing.assert_array_equal(policy(raw), actions)
+        taken |= set(actions.tolist())
+        seen, _, begins, _ = env.step(actions)
+    assert len(taken) > 1
+
+
+@pytest.mark.slow
+def test_a_model_plays_as_it_is_and_converted_alike(tmp_path, modes):
+    """Converted in a process of its own."""
+    file, out = tmp_path / "model.zip", tmp_path / "policy.safetensors"
+    trained("ppo", environment()).save(file)
+    succeed("convert", file, out, "--modes", modes)
+    found = compare({"zip": str(file), "file": out}, (), episodes=2, modes=[*MODES], trust_zip=True)
+    assert found.policies["zip"] == found.policies["file"]
+
+
+class Malicious:
+    """Unpickling it leaves traces in the process and on the disk."""
+
+    def __init__(self, path):
+        self.path = path
+
+    def __reduce__(self):
+        code = f"import builtins, os; builtins.touched = True; os.mkdir({str(self.path)!r})"
+        return exec, (code,)
+
+
+def with_a_trap(file, trap):
+    """Put an object into a model that runs code when it is loaded."""
+    with zipfile.ZipFile(file) as archive:
+        content = {name: archive.read(name) for name in archive.namelist()}
+    data = json.loads(content["data"])
+    pickled = base64.b64encode(pickle.dumps(Malicious(trap))).decode()
+    data["extra"] = {":type:": "Malicious", ":serialized:": pickled}
+    with zipfile.ZipFile(file, "w") as archive:
+        for name, part in (content | {"data": json.dumps(data).encode()}).items():
+            archive.writestr(name, part)
+
+
+def test_code_in_a_model_runs_with_leave_only_and_never_in_the_converting_process(tmp_path, modes):
+    file, trap = tmp_path / "model.zip", tmp_path / "trap"
+    trained("ppo", environment()).save(file)
+    with_a_trap(file, trap)
+    done = command("evaluate", "--policy", file)
+    assert_one_clear_line(done, "loading a model of Stable-Baselines3 runs code .*--trust-zip")
+    assert not trap.exists()
+    succeed("convert", file, tmp_path / "policy.safetensors", "--modes", modes)
+    assert trap.exists() and not hasattr(builtins, "touched")
+    LearnedSwitch(tmp_path / "policy.safetensors")
+
+
+def test_a_process_that_leaves_nothing_is_told_of(tmp_path, monkeypatch):
+    monkeypatch.setattr(unzip, "_unzip", print)  # in place of what writes tensors
+    with pytest.raises(
+        ValueError, match="model.zip: the process that loaded it ended with code 0 and"
+    ):
+        unzip.unzipped(tmp_path / "model.zip", None)
+
+
+def layered(**changes):
+    """A PPO whose network is another one."""
+    options = ALGORITHMS["ppo"][2] | {"policy_kwargs": changes}
+    return PPO("MlpPolicy", environment(), **options)
+
+
+MISTAKES = {
+    "no zip": (None, (), "model.zip: not a model of Stable-Baselines3: ValueError"),
+    "relu": (lambda: layered(activation_fn=torch.nn.ReLU), (),
+             "model.zip: layers of the actor: found Linear, ReLU.*expected Linear, Tanh"),
+    "q network": (lambda: DQN("MlpPolicy", environment(), buffer_size=100), (),
+                  "network: found DQNPolicy, expected an actor beside a critic"),
+    "two memories": (
+        lambda: RecurrentPPO("MlpLstmPolicy", environment(), policy_kwargs={"n_lstm_layers": 2}),
+        (), "layers of the memory: found 2, expected 1"),
+    "two modes": (lambda: trained("ppo", environment()), ("--modes", "ekf", "ukf"),
+                  "model.zip: found .* features and 3 actions, expected 53 features and 2 actions"),
+    "prior": (lambda: trained("ppo", environment()), ("--observation", "prior"),
+              "expected .* features and 3 actions, as of observation='prior'"),
+    "no statistics": (lambda: trained("ppo", environment(normalized=True)), (),
+                      "model.zip: normalize: found none, expected the file"),
+    "needless statistics": (lambda: trained("ppo", environment()), ("--normalize", "MODES"),
+                            "normalize: found .*, expected none, as it was trained on"),
+    "no statistics in it": (lambda: trained("ppo", environment(normalized=True)),
+                            ("--normalize", "MODES"), "not a file of VecNormalize"),
+    "no file": (lambda: layered(), ("--normalize", "gone.pkl"), "gone.pkl: found no file"),
+}  # fmt: skip
+
+
+@pytest.mark.usefixtures("same_process")
+@pytest.mark.parametrize("mistake", MISTAKES)
+def test_what_no_policy_file_can_hold_is_refused(mistake, tmp_path, modes):
+    make, words, message = MISTAKES[mistake]
+    file, out = tmp_path / "model.zip", tmp_path / "policy.safetensors"
+    if make is None:
+        file.write_text("no zip")
+    else:
+        make().save(file)
+    words = [modes if word == "MODES" else word for word in words]
+    if "--modes" not in words:
+        words = ["--modes", modes, *words]
+    done = command("convert", file, out, *words)
+    assert_one_clear_line(done, f"^mmwave-loc convert: .*{message}")
+    assert not out.exists()
+
+
+@pytest.mark.usefixtures("same_process")
+def test_a_policy_that_computes_more_than_its_layers_is_refused(tmp_path, modes, monkeypatch):
+    file = tmp_path / "model.zip"
+    trained("ppo", environment()).save(file)
+    monkeypatch.setattr(unzip, "actor_tensors", lambda *of: {
+        name: -tensor if name == "layer.2.weight" else tensor
+        for name, tensor in actor_tensors(*of).items()
+    })  # fmt: skip
+    done = command("convert", file, tmp_path / "policy.safetensors", "--modes", modes)
+    assert_one_clear_line(done, r"its layers decide as it does on \d+ of 1000 observations")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({}, r"found Box\(\d+,\) and Discrete\(3\), expected Box\(53,\) and Discrete\(2\), as of"),
+        ({"modes": MODES, "observation": "prior"}, r".*expected Box\(32,\) .* observation='prior'"),
+    ],
+)
+def test_a_model_of_another_environment_is_refused_before_an_episode(arguments, message, tmp_path):
+    trained("ppo", environment()).save(tmp_path / "model.zip")
+    with pytest.raises(ValueError, match=f"model.zip: observations and actions: {message}"):
+        compare({"mine": str(tmp_path / "model.zip")}, (), trust_zip=True, **arguments)
+
+
+def test_a_model_of_normalized_observations_is_sent_to_convert(tmp_path):
+    trained("ppo", environment(normalized=True)).save(tmp_path / "model.zip")
+    with pytest.raises(ValueError, match="trained under VecNormalize.*convert .* --normalize"):
+        compare({"mine": str(tmp_path / "model.zip")}, (), trust_zip=True, modes=MODES)
