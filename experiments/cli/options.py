@@ -21,12 +21,11 @@ from mmwave_env.models.scene import scene_from
 
 def command_line(name: str, args: Any) -> str:
     """The command that a dataclass of arguments stands for, defaults left out."""
-    words = ["mmwave-loc", name]
+    nameless = [field.name for field in fields(args) if field.metadata.get("positional")]
+    words = ["mmwave-loc", name, *(str(getattr(args, field)) for field in nameless)]
     for field in fields(args):
         value = getattr(args, field.name)
-        if field.metadata.get("positional"):
-            words.append(str(value))
-        elif value != field.default:
+        if field.name not in nameless and value != field.default:
             values = value if isinstance(value, tuple) else () if value is True else (value,)
             words += [f"--{field.name.replace('_', '-')}", *map(str, values)]
     return shlex.join(words)
