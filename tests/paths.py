@@ -1,4 +1,4 @@
-"""Where things lie in the checkout, and how long examples of its pages run in a test."""
+"""Where things lie in the checkout, how long examples of its pages run, and what tables say."""
 
 import re
 from pathlib import Path
@@ -14,3 +14,9 @@ def shortened(example: str) -> str:
         example, count = re.subn(rf"{word}=[\d_]+", f"{word}={few}", example)
         assert count == 1, word
     return example
+
+
+def numbers(text: str) -> list[float]:
+    """Every number of the tables in a page or a print, in order."""
+    rows = [line for line in text.splitlines() if line.startswith("| ")]
+    return [float(n) for row in rows for n in re.findall(r"-?\d+(?:\.\d+)?", row)]

@@ -9,7 +9,7 @@ import pytest
 from experiments.cli.main import COMMANDS, STUDIES, commands, read_arguments
 from mmwave_env.logs.log_columns import QUANTITIES
 from tests.cli import succeed
-from tests.paths import ROOT
+from tests.paths import ROOT, numbers
 
 DOCS = ROOT / "docs"
 PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted(DOCS.glob("*.md"))]
@@ -110,12 +110,6 @@ def test_every_command_is_in_the_table():
 def test_every_column_of_a_log_is_described():
     said = set(re.findall(r"`([a-z_]+)`", TEXT["data.md"]))
     assert {name for names in QUANTITIES.values() for name in names} <= said
-
-
-def numbers(text: str) -> list[float]:
-    """Every number of the tables in a text, in order."""
-    rows = [line for line in text.splitlines() if line.startswith("| ")]
-    return [float(n) for row in rows for n in re.findall(r"-?\d+(?:\.\d+)?", row)]
 
 
 def test_localizing_the_sample_prints_what_is_shown(tmp_path):

@@ -26,6 +26,8 @@ from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.models.radio import RADIOS
 from mmwave_env.models.scene import SCENES
 from mmwave_env.task import TaskArguments
+from tests.filters.textbook import rts
+from tests.filters.tracks import unpacked
 
 ID = "MmWaveLoc-v0"
 EKF = {"modes": ["ekf"]}  # one mode alone compiles fastest
@@ -436,25 +438,6 @@ def test_divergence_in_the_last_epoch_pays_nothing_more():
     assert last[1] == plain[1] and last[2] and not last[3]
 
 
-def rts(x, P, P_predicted, dt):
-    """Rauch-Tung-Striebel: smoothed means (T, 7)."""
-    F = np.eye(7)
-    F[[0, 1, 2], [3, 4, 5]] = dt
-    x, P = x.copy(), P.copy()
-    for t in reversed(range(len(x) - 1)):
-        gain = P[t] @ F.T @ np.linalg.inv(P_predicted[t + 1])
-        x[t] += gain @ (x[t + 1] - F @ x[t])
-        P[t] += gain @ (P[t + 1] - P_predicted[t + 1]) @ gain.T
-    return x
-
-
-def full(packed):
-    """(7, 7) from its lower triangle."""
-    P = np.zeros((7, 7))
-    P[np.tril_indices(7)] = packed
-    return P + np.tril(P, -1).T
-
-
 @pytest.mark.parametrize("dt", [0.5, 1.0])
 def test_the_end_sums_up_the_steps(dt):
     env = gym.make(ID, dt=dt)
@@ -471,8 +454,8 @@ def test_the_end_sums_up_the_steps(dt):
     tracker = Tracker(Pipeline(modes_from(None), episode.layout), 1)
     tracker.load([episode])
     track = tracker.run("x", "P", "P_predicted", actions=np.arange(200)[None] % 2)
-    P, P_predicted = ([full(p) for p in track[name][0]] for name in ("P", "P_predicted"))
-    smoothed = rts(track["x"][0], np.array(P), np.array(P_predicted), dt)
+    P, P_predicted = (unpacked(track[name][0]) for name in ("P", "P_predicted"))
+    smoothed, _ = rts(track["x"][0], P, P_predicted, dt * np.arange(200))
 
     expected = {
         "ate_m": distance.mean(),

@@ -1,7 +1,7 @@
 """Rauch-Tung-Striebel smoothing, an epoch at a time, backwards (paper, Sec. III-F).
 
 Särkkä, "Bayesian Filtering and Smoothing" (2013), Sec. 8.2. With matrices, as there, it stands in
-``tests/engines/test_smoothing.py`` (``rts``).
+``tests/filters/textbook.py`` (``rts``).
 """
 
 from typing import NamedTuple

@@ -11,38 +11,14 @@ from mmwave_env.filters.mode_files import modes_from
 from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.models.radio import RADIOS
 from mmwave_env.models.scene import SCENES
+from tests.filters import textbook
+from tests.filters.tracks import TRIANGLE, unpacked
 
 TOLERANCE = 1e-9
-LOWER = np.tril_indices(7)
-
-
-def transition(dt):
-    F = np.eye(7)
-    F[[0, 1, 2], [3, 4, 5]] = dt
-    return F
 
 
 def packed(P):
-    return P[..., LOWER[0], LOWER[1]]
-
-
-def unpacked(rows):
-    P = np.zeros((*rows.shape[:-1], 7, 7))
-    P[..., LOWER[0], LOWER[1]] = rows
-    return np.where(np.tri(7, dtype=bool), P, np.swapaxes(P, -1, -2))
-
-
-def rts(x, P, P_predicted, time_s, free):
-    """Rauch-Tung-Striebel over one track; only the ``free`` components are uncertain."""
-    x, P = x.copy(), P.copy()
-    block = np.ix_(free, free)
-    for t in reversed(range(len(x) - 1)):
-        F = transition(time_s[t + 1] - time_s[t])
-        gain = np.zeros((7, 7))
-        gain[block] = (P[t] @ F.T)[block] @ np.linalg.inv(P_predicted[t + 1][block])
-        x[t] += gain @ (x[t + 1] - F @ x[t])
-        P[t] += gain @ (P[t + 1] - P_predicted[t + 1]) @ gain.T
-    return x, P
+    return P[..., TRIANGLE[0], TRIANGLE[1]]
 
 
 @pytest.mark.parametrize("dt", [0.1, 1.0, 3.0])
@@ -51,7 +27,7 @@ def test_a_linear_model_is_smoothed_as_by_filterpy(dt):
     epochs = 60
     root = rng.normal(size=(7, 7))
     kf = KalmanFilter(7, 4)
-    kf.F, kf.Q = transition(dt), dt * (0.1 * root @ root.T + 0.05 * np.eye(7))
+    kf.F, kf.Q = textbook.F(dt), dt * (0.1 * root @ root.T + 0.05 * np.eye(7))
     kf.H, kf.R = rng.normal(size=(4, 7)), np.diag([0.5, 1.0, 2.0, 4.0])
     kf.x, kf.P = rng.normal(size=(7, 1)), 10.0 * np.eye(7)
     x, P, P_predicted = [], [], []
@@ -91,7 +67,9 @@ def test_our_tracks_are_smoothed_as_by_numpy(planar):
     free = [0, 1, 3, 4, 6] if planar else list(range(7))
     found_x, found_P = smooth(x, P, P_predicted, np.diff(time_s), planar)
     for e in range(len(x)):
-        expected_x, expected_P = rts(x[e], unpacked(P[e]), unpacked(P_predicted[e]), time_s, free)
+        expected_x, expected_P = textbook.rts(
+            x[e], unpacked(P[e]), unpacked(P_predicted[e]), time_s, free
+        )
         np.testing.assert_allclose(found_x[e], expected_x, rtol=TOLERANCE, atol=TOLERANCE)
         block = np.ix_(range(len(time_s)), free, free)
         np.testing.assert_allclose(
@@ -105,7 +83,7 @@ def test_uneven_epochs_are_smoothed_with_their_own_steps():
     P, P_predicted = roots @ np.swapaxes(roots, -1, -2) + np.eye(7)
     x, time_s = rng.normal(size=(30, 7)), rng.uniform(0.2, 2.0, 30).cumsum()
     found_x, _ = smooth(x[None], packed(P)[None], packed(P_predicted)[None], np.diff(time_s))
-    expected_x, _ = rts(x, P, P_predicted, time_s, list(range(7)))
+    expected_x, _ = textbook.rts(x, P, P_predicted, time_s)
     # Arbitrary covariances make the backward recursion grow, so compare to its size.
     assert np.abs(found_x[0] - expected_x).max() <= TOLERANCE * np.abs(expected_x).max()
 

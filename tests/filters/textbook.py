@@ -108,6 +108,17 @@ def predict(x, P, Q, dt):
     return F(dt) @ x, F(dt) @ P @ F(dt).T + Q
 
 
+def rts(x, P, P_predicted, time_s, free=range(7)):
+    """Rauch-Tung-Striebel over one track (T, ...); only the ``free`` components are uncertain."""
+    x, P, block = x.copy(), P.copy(), np.ix_(free, free)
+    for t in reversed(range(len(x) - 1)):
+        Ft, gain = F(time_s[t + 1] - time_s[t]), np.zeros((7, 7))
+        gain[block] = (P[t] @ Ft.T)[block] @ np.linalg.inv(P_predicted[t + 1][block])
+        x[t] += gain @ (x[t + 1] - Ft @ x[t])
+        P[t] += gain @ (P[t + 1] - P_predicted[t + 1]) @ gain.T
+    return x, P
+
+
 class Moments(NamedTuple):
     """Of the predicted measurement: mean, covariance without noise, covariance with the state."""
 

@@ -12,7 +12,7 @@ import pytest
 
 from experiments.evaluation.runs import Run
 from policies import LearnedSwitch, shipped_policies
-from tests.paths import ROOT, shortened
+from tests.paths import ROOT, numbers, shortened
 
 PAGE = ROOT / "docs" / "learning.md"
 RECORDED = ROOT / "docs" / "learning"
@@ -65,12 +65,6 @@ def test_the_page_names_the_command_of_every_recorded_run():
         assert sorted(shown.split()) == sorted(command.split())
 
 
-def figures(text):
-    """Numbers of all tables, in order."""
-    rows = [line for line in text.splitlines() if line.startswith("| ")]
-    return [float(n) for row in rows for n in re.findall(r"-?\d+(?:\.\d+)?", row)]
-
-
 @pytest.mark.slow
 def test_the_page_is_what_the_command_writes(tmp_path):
     page = tmp_path / "learning.md"
@@ -80,6 +74,6 @@ def test_the_page_is_what_the_command_writes(tmp_path):
     made, shown = page.read_text(), PAGE.read_text()
     assert re.sub(r"\d", "", made) == re.sub(r"\d", "", shown)
     # Another processor rounds otherwise; a near tie between two modes answers to that.
-    assert np.isclose(figures(made), figures(shown), rtol=0.03, atol=0.005).mean() > 0.99
+    assert np.isclose(numbers(made), numbers(shown), rtol=0.03, atol=0.005).mean() > 0.99
     for name in ("curves", "profiles-handset", "decisions-standard"):
         assert (tmp_path / "learning" / f"{name}.png").read_bytes().startswith(b"\x89PNG")

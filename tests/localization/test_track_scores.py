@@ -11,6 +11,7 @@ from mmwave_env.localization.track_scores import Course, Groups, TruthScores
 from mmwave_env.logs.truth import Truth
 from mmwave_env.logs.tum import tum_lines
 from mmwave_env.metrics import ate, rmse, rpe
+from tests.filters.tracks import unpacked
 from tests.localization.test_track_files import some_track
 
 T = 400
@@ -26,13 +27,6 @@ def pieces(block, sizes):
         }
         yield replace(block, **arrays)
         first += size
-
-
-def unpacked(rows):
-    P = np.zeros((len(rows), 7, 7))
-    lower = np.tril_indices(7)
-    P[:, lower[0], lower[1]] = rows
-    return np.where(np.tri(7, dtype=bool), P, np.swapaxes(P, 1, 2))
 
 
 @pytest.mark.parametrize("sizes", [[T], [1, 99, 300], [250, 150], [40] * 10])

@@ -21,7 +21,7 @@ from mmwave_env.engines.track_engine import Tracker
 from mmwave_env.filters.mode_files import default_modes
 from mmwave_env.filters.pipeline import Pipeline
 from tests.filters.tracks import unpacked
-from tests.paths import ROOT
+from tests.paths import ROOT, numbers
 
 PEDESTRIAN = Setting("pedestrian", "handset")
 
@@ -99,11 +99,6 @@ def test_a_page_without_tables_is_refused_before_the_work(tmp_path):
     with pytest.raises(ValueError, match="page.md: found no table"):
         main(Args(episodes=1, out=tmp_path / "out", docs=page))
     assert not (tmp_path / "out").exists() or not any((tmp_path / "out").iterdir())
-
-
-def numbers(text):
-    rows = [line for line in text.splitlines() if line.startswith("| ")]
-    return [float(n) for row in rows for n in re.findall(r"-?\d+(?:\.\d+)?", row)]
 
 
 @pytest.mark.slow

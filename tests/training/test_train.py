@@ -3,6 +3,7 @@
 import json
 import math
 import os
+import re
 import subprocess
 import sys
 from dataclasses import asdict, replace
@@ -17,7 +18,6 @@ pytest.importorskip("stable_baselines3")
 
 import torch
 
-from experiments.cli.main import run
 from experiments.train import Args, hyperparameters, manifest_of
 from experiments.training import training_env as worlds
 from experiments.training.checkpoint import read_checkpoint, with_arrays, write_checkpoint
@@ -40,6 +40,7 @@ from mmwave_env.reward import TrackingReward
 from mmwave_env.sb3 import SB3VecEnv
 from mmwave_env.vector_env import MmWaveLocVectorEnv
 from policies import LearnedSwitch
+from tests.cli import command
 from tests.training.actors import MODES, card_of, write
 
 pytestmark = pytest.mark.torch
@@ -231,25 +232,21 @@ def written(path, change):
     return path
 
 
-def refused(capsys, *words):
-    """The one line with which the command ends."""
-    with pytest.raises(SystemExit) as left:
-        run("train", [str(word) for word in words])
-    assert left.value.code == 2
-    told = capsys.readouterr()
-    assert told.out == "" and told.err.startswith("mmwave-loc train: ")
-    (line,) = told.err.splitlines()
+def refused(*words):
+    """The line with which the command ends."""
+    done = command("train", *words)
+    line = done.stderr.splitlines()[-1]
+    assert done.returncode == 2 and done.stdout == "" and line.startswith("mmwave-loc train: ")
     return line
 
 
 @pytest.mark.parametrize("change", BAD)
-def test_a_bad_recipe_is_refused_in_one_line(change, tmp_path, capsys):
+def test_a_bad_recipe_is_refused_in_one_line(change, tmp_path):
     changes, message = BAD[change]
     path, out = written(tmp_path / "mine.json", changes), tmp_path / "run"
-    line = refused(capsys, "--hyperparameters", path, "--out", out)
+    line = refused("--hyperparameters", path, "--out", out)
     assert str(path) in line and not out.exists()
-    with pytest.raises(ValueError, match=message):
-        raise ValueError(line)
+    assert re.search(message, line), line
 
 
 @pytest.mark.parametrize(
@@ -270,10 +267,9 @@ def test_a_bad_recipe_is_refused_in_one_line(change, tmp_path, capsys):
          "lstm: found 0, expected 1 or more for --algo recurrent-ppo"),
     ],
 )  # fmt: skip
-def test_a_mistake_is_refused_before_a_folder_is_made(words, message, tmp_path, capsys):
-    line = refused(capsys, *words, "--out", tmp_path / "run")
-    with pytest.raises(ValueError, match=message):
-        raise ValueError(line)
+def test_a_mistake_is_refused_before_a_folder_is_made(words, message, tmp_path):
+    line = refused(*words, "--out", tmp_path / "run")
+    assert re.search(message, line), line
     assert not (tmp_path / "run").exists()
 
 
@@ -306,25 +302,25 @@ def folder_of(path, modes=None, recipe=None, **options):
     return path
 
 
-def test_a_run_is_not_overwritten_by_accident(tmp_path, capsys):
-    line = refused(capsys, "--out", folder_of(tmp_path))
+def test_a_run_is_not_overwritten_by_accident(tmp_path):
+    line = refused("--out", folder_of(tmp_path))
     assert "found files in" in line and "--resume" in line and "--overwrite" in line
 
 
-def test_files_that_are_no_run_are_never_removed(tmp_path, capsys):
+def test_files_that_are_no_run_are_never_removed(tmp_path):
     (tmp_path / "thesis.tex").write_text("years of work")
-    line = refused(capsys, "--out", tmp_path, "--overwrite")
+    line = refused("--out", tmp_path, "--overwrite")
     assert "found files" in line and "left them" in line
     assert (tmp_path / "thesis.tex").read_text() == "years of work"
 
 
-def test_a_file_is_no_folder(tmp_path, capsys):
+def test_a_file_is_no_folder(tmp_path):
     (tmp_path / "file").write_text("")
-    assert "file" in refused(capsys, "--out", tmp_path / "file")
+    assert "file" in refused("--out", tmp_path / "file")
 
 
-def test_there_must_be_a_run_to_resume(tmp_path, capsys):
-    assert "found no run in" in refused(capsys, "--out", tmp_path / "run", "--resume")
+def test_there_must_be_a_run_to_resume(tmp_path):
+    assert "found no run in" in refused("--out", tmp_path / "run", "--resume")
     assert not (tmp_path / "run").exists()
 
 
@@ -335,26 +331,25 @@ def test_there_must_be_a_run_to_resume(tmp_path, capsys):
         (("--scenario", "jam"), "command: found .*--scenario jam; resume a run with the options"),
     ],
 )
-def test_a_run_with_other_options_is_not_resumed(words, message, tmp_path, capsys):
-    line = refused(capsys, "--out", folder_of(tmp_path), "--resume", *words)
-    with pytest.raises(ValueError, match=f"run.json: {message}"):
-        raise ValueError(line)
+def test_a_run_with_other_options_is_not_resumed(words, message, tmp_path):
+    line = refused("--out", folder_of(tmp_path), "--resume", *words)
+    assert re.search(f"run.json: {message}", line), line
 
 
-def test_a_run_with_other_modes_or_another_recipe_is_not_resumed(tmp_path, capsys):
+def test_a_run_with_other_modes_or_another_recipe_is_not_resumed(tmp_path):
     """Files may have changed, or what names mean."""
     path = written(tmp_path / "mine.json", {})
     resume = ("--resume", "--hyperparameters", path, "--out")
     found = folder_of(tmp_path / "modes", modes=MODES, hyperparameters=path)
-    assert "modes: found [{'name': 'stand'" in refused(capsys, *resume, found)
+    assert "modes: found [{'name': 'stand'" in refused(*resume, found)
     found = folder_of(tmp_path / "gamma", recipe=replace(RECIPE, gamma=0.5), hyperparameters=path)
-    assert "gamma: found 0.5, expected 0.95" in refused(capsys, *resume, found)
+    assert "gamma: found 0.5, expected 0.95" in refused(*resume, found)
 
 
 @pytest.mark.parametrize("damaged", ["", "[]", "{}", '{"command": 1, "modes": 2, "recipe": 3}'])
-def test_a_damaged_manifest_is_named(damaged, tmp_path, capsys):
+def test_a_damaged_manifest_is_named(damaged, tmp_path):
     (tmp_path / "run.json").write_text(damaged)
-    line = refused(capsys, "--out", tmp_path, "--resume")
+    line = refused("--out", tmp_path, "--resume")
     assert "run.json: not the manifest of a run" in line
 
 
