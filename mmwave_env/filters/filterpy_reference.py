@@ -10,10 +10,10 @@ differences of angles stay far from their cut, so filterpy's plain subtraction i
 nothing cancels in the CKF's covariance, which filterpy computes from raw second moments.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import replace
-from functools import cache
-from typing import Any, NamedTuple, Protocol
+from functools import cache, partial
+from typing import Any, NamedTuple
 
 import numpy as np
 from filterpy.kalman import (
@@ -132,15 +132,12 @@ class _Filtered(NamedTuple):
     S: Array
 
 
-class _Filter(Protocol):
-    def predict(self, x: Array, P: Array, Q: Array, dt: float) -> tuple[Array, Array]:
-        """F x and F P F' + Q, in filterpy's way."""
-
-    def update(self, P: Array, sight: _Sight, rows: Rows, R: Array) -> _Filtered:
-        """Condition N(0, P) on the chosen rows, with their noise covariance R."""
-
-
 class _Ekf:
+    """As all three here: ``predict`` gives F x and F P F' + Q in filterpy's way.
+
+    ``update`` conditions N(0, P) on the chosen rows, with their noise covariance R.
+    """
+
     def __init__(self) -> None:
         self._filter: Any = ExtendedKalmanFilter(_STATES, 1)
 
@@ -204,6 +201,7 @@ class _Ckf:
         return _Filtered(f.x.ravel(), f.P, f.y.ravel(), f.S)
 
 
+_Filter = _Ekf | _Ukf | _Ckf
 _FILTERS: dict[str, Callable[[], _Filter]] = {"ekf": _Ekf, "ukf": _Ukf, "ckf": _Ckf}
 
 
@@ -226,33 +224,21 @@ def filterpy_pipeline(pipeline: Pipeline) -> Pipeline:
                 f"{field}: found {getattr(pipeline, field)!r}, expected a pipeline whose filters "
                 "have not been replaced"
             )
-    twin = _Twin(pipeline.modes)
-    return replace(pipeline, predict=twin.predict, update=twin.update)
-
-
-class _Twin:
-    """One filterpy filter per algorithm; its state is set anew for every step."""
-
-    def __init__(self, modes: Sequence[Mode]) -> None:
-        self._filters = {mode.algorithm: _filter_of(mode) for mode in modes}
+    # One filter per algorithm; its state is set anew for every step.
+    filters = {mode.algorithm: _filter_of(mode) for mode in pipeline.modes}
 
     def predict(
-        self, mode: Mode, x: Vector, P: Matrix, noise: ProcessNoise, dt: float
+        mode: Mode, x: Vector, P: Matrix, noise: ProcessNoise, dt: float
     ) -> tuple[list[float], list[list[float]]]:
-        """The mode's prediction; a :data:`~mmwave_env.filters.pipeline.Predictor`."""
-        mean, covariance = self._filters[mode.algorithm].predict(
+        mean, covariance = filters[mode.algorithm].predict(
             np.array(x, float), np.array(P, float), full_noise(noise), float(dt)
         )
         return mean.tolist(), _symmetric(covariance).tolist()
 
-    def update(self, mode: Mode) -> Algorithm:
-        """The mode's measurement update."""
-        filter_ = self._filters[mode.algorithm]
+    def update(mode: Mode) -> Algorithm:
+        return partial(_update, filters[mode.algorithm])
 
-        def algorithm(x: Vector, P: Matrix, measurement: Measurement, gate: Gate) -> Posterior:
-            return _update(filter_, np.array(x, float), np.array(P, float), measurement, gate)
-
-        return algorithm
+    return replace(pipeline, predict=predict, update=update)
 
 
 def _filter_of(mode: Mode) -> _Filter:
@@ -261,9 +247,10 @@ def _filter_of(mode: Mode) -> _Filter:
 
 
 def _update(
-    filter_: _Filter, x: Array, P: Array, measurement: Measurement, gate: Gate
+    filter_: _Filter, mean: Vector, covariance: Matrix, measurement: Measurement, gate: Gate
 ) -> Posterior:
     """Update with every visible group; where the gates object, once more with those that pass."""
+    x, P = np.array(mean, float), np.array(covariance, float)
     layout, sight = measurement.layout, _Sight(x, measurement)
     R = np.diag(sight.variance)
     everything = np.arange(layout.size)
