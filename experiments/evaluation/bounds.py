@@ -6,7 +6,7 @@ epochs that count. See :mod:`experiments.evaluation.cramer_rao` for what such a 
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
@@ -35,7 +35,7 @@ class Bounds:
     conditional_m: float  # root mean square of the bounds given each track, m
     # per kind of user, horizontal and vertical white-noise acceleration that the bounds assume,
     # (m/s) / sqrt(s)
-    sigma_v: dict[str, tuple[float, float]]
+    sigma_v: dict[str, dict[str, float]]
 
 
 def bounds_of(episodes: Sequence[Episode], drift_mps: float) -> Bounds:
@@ -47,7 +47,8 @@ def bounds_of(episodes: Sequence[Episode], drift_mps: float) -> Bounds:
     sigma_v = {}
     for name, group in kinds.items():
         motion = measured_motion(group, drift_mps)
-        sigma_v[name] = (float(np.sqrt(motion.velocity[0])), float(np.sqrt(motion.velocity[2])))
+        horizontal, _, vertical = map(float, np.sqrt(motion.velocity))
+        sigma_v[name] = {"horizontal": horizontal, "vertical": vertical}
         averaged += len(group) * _mean_square(averaged_bound(group, motion))
         for first in range(0, len(group), CHUNK):
             part = conditional_bounds(group[first : first + CHUNK], motion)
@@ -73,14 +74,7 @@ class OverBound:
     @property
     def json(self) -> dict[str, Any]:
         """As results files hold it."""
-        b = self.bounds
-        return {
-            "averaged_m": b.averaged_m,
-            "conditional_m": b.conditional_m,
-            "sigma_v": {
-                kind: {"horizontal": horizontal, "vertical": vertical}
-                for kind, (horizontal, vertical) in b.sigma_v.items()
-            },
+        return asdict(self.bounds) | {
             "policies": {
                 name: {column: interval.json for column, interval in row.items()}
                 for name, row in self.policies.items()
@@ -116,7 +110,10 @@ def over_bound(
 def bound_markdown(over: OverBound) -> str:
     """Contenders over the bounds as Markdown, and what the bounds are."""
     b = over.bounds
-    motion = "; ".join(f"{kind} {h:.3g}, vertical {v:.3g}" for kind, (h, v) in b.sigma_v.items())
+    motion = "; ".join(
+        f"{kind} {sigma['horizontal']:.3g}, vertical {sigma['vertical']:.3g}"
+        for kind, sigma in b.sigma_v.items()
+    )
     about = (
         f"Over the posterior Cramer-Rao bound ({b.averaged_m:.3f} m averaged over tracks, "
         f"{b.conditional_m:.3f} m given each track) of a Gaussian model whose velocity increments "

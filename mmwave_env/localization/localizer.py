@@ -181,21 +181,11 @@ def _episode(
 
 def _smoothed(blocks: Iterable[TrackBlock], window: int) -> Iterator[TrackBlock]:
     """The track in blocks of whole windows, smoothed all at once, and what is left of segments."""
-    for whole in in_windows(blocks, window, lambda block: block.segment):
-        yield _smooth(whole, min(window, len(whole)))
-
-
-def _smooth(block: TrackBlock, window: int) -> TrackBlock:
-    """The block, every ``window`` epochs of it smoothed."""
-
-    def windows(values: Array) -> Array:
-        return values.reshape(-1, window, *values.shape[1:])
-
-    x, P = smooth(
-        windows(block.x),
-        windows(block.P),
-        windows(block.P_predicted),
-        np.diff(windows(block.time_s)),
-        block.planar,
-    )
-    return replace(block, smooth_x=x.reshape(block.x.shape), smooth_P=P.reshape(block.P.shape))
+    for block in in_windows(blocks, window, lambda block: block.segment):
+        epochs = min(window, len(block))
+        x, P, P_predicted, time_s = (
+            values.reshape(-1, epochs, *values.shape[1:])
+            for values in (block.x, block.P, block.P_predicted, block.time_s)
+        )
+        x, P = smooth(x, P, P_predicted, np.diff(time_s), block.planar)
+        yield replace(block, smooth_x=x.reshape(block.x.shape), smooth_P=P.reshape(block.P.shape))

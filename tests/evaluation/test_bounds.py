@@ -84,8 +84,8 @@ def test_every_kind_has_the_bound_of_its_own_motion():
         pooled = np.sqrt((4 * slow**2 + 12 * fast**2) / 16)
         assert getattr(both, name) == pytest.approx(pooled)
     assert both.sigma_v == kinds[0].sigma_v | kinds[1].sigma_v
-    assert both.sigma_v["pedestrian"][0] < both.sigma_v["vehicle"][0]
-    assert both.sigma_v["vehicle"][1] == 0.0  # flat ground
+    assert both.sigma_v["pedestrian"]["horizontal"] < both.sigma_v["vehicle"]["horizontal"]
+    assert both.sigma_v["vehicle"]["vertical"] == 0.0  # flat ground
 
 
 def test_bounds_are_those_of_the_episodes_that_were_scored():
