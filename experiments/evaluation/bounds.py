@@ -78,7 +78,7 @@ class OverBound:
             "policies": {
                 name: {column: interval.json for column, interval in row.items()}
                 for name, row in self.policies.items()
-            },
+            }
         }
 
 

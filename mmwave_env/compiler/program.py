@@ -21,14 +21,7 @@ from numpy.typing import NDArray
 
 from mmwave_env.compiler.lanes import WIDTH, kernel
 from mmwave_env.compiler.lazy_jit import LazyJit
-from mmwave_env.compiler.transpose import (
-    LINE,
-    address,
-    gather,
-    prefetch,
-    scatter,
-    scatter_single,
-)
+from mmwave_env.compiler.transpose import LINE, address, gather, prefetch, scatter, scatter_single
 from mmwave_env.numerics.arrays import Array, Index
 from mmwave_env.numerics.pytree import Tree, flatten, indices, unflatten
 
@@ -265,22 +258,9 @@ def _announce(first, end, table, length, epoch):  # type: ignore[no-untyped-def]
 
 @register_jitable  # type: ignore[untyped-decorator]
 def advance(  # type: ignore[no-untyped-def]
-    begin,
-    end,
-    run,
-    blank,
-    rows,
-    table,
-    length,
-    epoch,
-    running,
-    input_rows,
-    inputs,
-    output_rows,
-    outputs,
-    obs_rows,
-    observations,
-):
+    begin, end, run, blank, rows, table, length, epoch, running, input_rows, inputs,
+    output_rows, outputs, obs_rows, observations,
+):  # fmt: skip
     """Run the tracks of blocks ``begin`` to ``end``.
 
     Ignore the number that is returned. It is there because the compiler would otherwise drop the

@@ -8,12 +8,7 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 from mmwave_env.filters.gating import Gate, gate_groups
-from mmwave_env.filters.linearization import (
-    Linearization,
-    SigmaPoints,
-    Tangent,
-    linearize,
-)
+from mmwave_env.filters.linearization import Linearization, SigmaPoints, Tangent, linearize
 from mmwave_env.models.measurement import STATE_SIZE, Measurement
 from mmwave_env.numerics.linalg import cholesky, dot, forward, symmetric
 from mmwave_env.numerics.numbers import Matrix, Number, Vector

@@ -341,10 +341,7 @@ def test_a_file_of_ours_is_trusted(package, tmp_path, planted):
 
 
 @posix
-@pytest.mark.parametrize(
-    "case",
-    representative(UNTRUSTED, "a folder all may write to"),
-)
+@pytest.mark.parametrize("case", representative(UNTRUSTED, "a folder all may write to"))
 def test_what_others_may_have_written_is_not_read(package, tmp_path, planted, case):
     script = (UNTRUSTED[case](planted) or "") + SCRIPT
     shared = str(planted.parent.parent)

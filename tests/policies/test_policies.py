@@ -21,14 +21,7 @@ from mmwave_env.models.measurement import Layout
 from mmwave_env.models.radio import RADIOS, radio_from
 from mmwave_env.models.scene import scene_from
 from mmwave_env.observation import Observation
-from policies import (
-    TUNED_IMMS,
-    FixedMode,
-    LikelihoodRule,
-    RandomMode,
-    SpeedRule,
-    tuned_imm,
-)
+from policies import TUNED_IMMS, FixedMode, LikelihoodRule, RandomMode, SpeedRule, tuned_imm
 from policies.speed_rule import by_odometry_speed, by_predicted_speed, mode_at
 
 THREE = ("ekf", "ukf", "ckf")
