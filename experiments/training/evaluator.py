@@ -43,9 +43,7 @@ class Evaluator:
         Returns:
             Means of every metric, "modes" (the share of each), and "minus NAME" of every rival.
         """
-        contender = Contender.learned(path)
-        policy = contender.start(self._layout)
-        scores = score(contender, policy, self._episodes)
+        scores = self._score(Contender.learned(path))
         differences = np.stack([scores["reward"] - r for r in self._rivals.values()], axis=1)
         pairs = zip(TRAINING_RIVALS, bootstrap(differences), strict=True)
         return {

@@ -58,14 +58,6 @@ def test_the_batch_scores_what_stepping_one_environment_scores():
         assert {m: v[e] for m, v in found.items()} == pytest.approx(expected, rel=1e-12)
 
 
-def test_episodes_are_those_of_the_environment():
-    env = gym.make("MmWaveLoc-v0")
-    for episode, seed in zip(draw_episodes(SOURCE, [0, 5_000_000]), [0, 5_000_000], strict=True):
-        _, info = env.reset(seed=seed)
-        assert info["episode_name"] == episode.name
-        np.testing.assert_array_equal(info["estimate"], episode.prior_mean)
-
-
 def test_chunks_change_nothing(monkeypatch):
     whole = score_contenders(["speed-rule"], SOURCE, "handset", episodes=5, seed=0)
     monkeypatch.setattr(evaluation, "CHUNK", 2)
