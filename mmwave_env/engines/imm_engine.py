@@ -19,21 +19,14 @@ from mmwave_env.engines.batch import Batch
 from mmwave_env.engines.track_engine import untuned
 from mmwave_env.episodes.episode import Episode, EpisodeBatch, Incoming, blank_incoming
 from mmwave_env.filters.belief import Belief
-from mmwave_env.filters.imm import (
-    Mixture,
-    begin,
-    estimate,
-    imm_epoch,
-    restart,
-    stay_matrix,
-)
+from mmwave_env.filters.imm import Mixture, begin, estimate, imm_epoch, stay_matrix
 from mmwave_env.filters.modes import Tuning
 from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.models.epoch import Site, blank_site
 from mmwave_env.numerics.arrays import Array, Index
 from mmwave_env.numerics.linalg import pack
 from mmwave_env.numerics.numbers import Number
-from mmwave_env.numerics.pytree import flatten
+from mmwave_env.numerics.pytree import flatten, select
 from mmwave_env.reward import Reward
 
 
@@ -59,7 +52,8 @@ class ImmState(NamedTuple):
 @lru_cache(maxsize=32)
 def _program(pipeline: Pipeline, reward: Reward) -> Program[ImmState]:
     def function(w: ImmState) -> ImmState:
-        mixture = restart(w.is_first > 0.5, pipeline, w.site, w.mixture)
+        prior = begin(pipeline, w.site.prior_x, w.site.prior_P)
+        mixture = select(w.is_first > 0.5, prior, w.mixture)
         coming = w.incoming.epoch(pipeline.layout)
         mixture = imm_epoch(pipeline, w.transition, w.tunings, w.limits, mixture, coming, w.site)
         x, P = estimate(mixture)

@@ -17,7 +17,6 @@ from mmwave_env.models.epoch import Epoch, Site
 from mmwave_env.models.measurement import STATE_SIZE
 from mmwave_env.numerics.linalg import dot, unpack
 from mmwave_env.numerics.numbers import Matrix, Number, Vector, exp, maximum
-from mmwave_env.numerics.pytree import select
 
 DEFAULT_STAY = 0.95  # probability of a mode to stay from one epoch to the next
 _LEAST = 1e-12  # keeps the probability of a mode off zero, from which it could not return
@@ -134,8 +133,3 @@ def estimate(mixture: Mixture) -> tuple[list[Number], list[list[Number]]]:
         [track.P for track in mixture.tracks],
     )
     return x, unpack(P)
-
-
-def restart(condition: Number, pipeline: Pipeline, site: Site, mixture: Mixture) -> Mixture:
-    """The mixture at the prior where the condition holds, else unchanged."""
-    return select(condition, begin(pipeline, site.prior_x, site.prior_P), mixture)
