@@ -18,6 +18,8 @@ from experiments.cli.track_plot import TrackPicture
 from experiments.cli.track_report import track_markdown
 from experiments.evaluation.markdown import show
 from mmwave_env.engines.track_engine import Rule
+from mmwave_env.episodes.log_folder import LOG, SCENE, TRUTH
+from mmwave_env.episodes.samples import sample_folder
 from mmwave_env.files import require_writable, write_json
 from mmwave_env.filters.mode_files import modes_from
 from mmwave_env.filters.modes import DESIGN_LIMIT_MPS, Mode, robust
@@ -26,7 +28,7 @@ from mmwave_env.localization.track_files import table_beside, track_files
 from mmwave_env.localization.track_scores import Course, Groups, TruthScores
 from mmwave_env.logs.log import LogBlock, read_log
 from mmwave_env.logs.log_tables import LogError
-from mmwave_env.logs.truth import TOLERANCE_S, Truth
+from mmwave_env.logs.truth import Truth
 from mmwave_env.models.radio import radio_from
 from mmwave_env.models.scene import Scene, scene_from
 from policies.speed_rule import SLOW_MPS, by_odometry_speed, by_predicted_speed, mode_at
@@ -34,6 +36,14 @@ from policies.speed_rule import SLOW_MPS, by_odometry_speed, by_predicted_speed,
 EPOCHS_PER_BLOCK = 1 << 14
 LONGEST_WINDOW = 20_000  # epochs; all of a window are held at once
 RULES: dict[str, Rule] = {"prediction": by_predicted_speed, "odometry": by_odometry_speed}
+
+
+class Inputs(NamedTuple):
+    """The files that are read: those given, or those of a sample."""
+
+    log: Path
+    scene: str
+    truth: Path | None
 
 
 class ModePlan(NamedTuple):
@@ -68,6 +78,21 @@ def plan(args: Args, modes: Sequence[Mode]) -> ModePlan:
 # --- what is asked for
 
 
+def inputs(args: Args) -> Inputs:
+    """The log, its scene and the truth, if there is one."""
+    if args.sample is None:
+        if args.log is None:
+            raise ValueError("log: found none, expected a measurement log, or --sample NAME")
+        if args.scene is None:
+            raise ValueError(f"scene: found none, expected --scene with that of {args.log}")
+        return Inputs(args.log, args.scene, args.truth)
+    for name, given in (("log", args.log), ("scene", args.scene)):
+        if given is not None:
+            raise ValueError(f"{name}: found {given}, but --sample brings it; expected one of them")
+    folder = sample_folder(args.sample)
+    return Inputs(folder / LOG, str(folder / SCENE), args.truth or folder / TRUTH)
+
+
 def _modes(args: Args) -> tuple[Mode, ...]:
     """The low and the high mobility pipeline."""
     modes = modes_from(args.modes, args.radio)
@@ -84,7 +109,7 @@ def _modes(args: Args) -> tuple[Mode, ...]:
     return modes
 
 
-def _check(args: Args) -> None:
+def _check(args: Args, given: Inputs) -> None:
     """Refuse options that contradict each other, and files that would overwrite each other."""
     if args.speed == "auto" and args.outside == "abort":
         raise ValueError("outside: found abort with --speed auto, expected a speed in m/s")
@@ -100,9 +125,9 @@ def _check(args: Args) -> None:
     if args.plot is not None:
         require_picture("plot", args.plot)
     seen: dict[Path, str] = {}
-    inputs = {"the log": args.log, "scene": Path(args.scene), "truth": args.truth,
-              "modes": args.modes}  # fmt: skip
-    for name, path in (inputs | _outputs(args)).items():
+    files = {"the log": given.log, "scene": Path(given.scene), "truth": given.truth,
+             "modes": args.modes}  # fmt: skip
+    for name, path in (files | _outputs(args)).items():
         if path is not None and seen.setdefault(path.resolve(), name) != name:
             raise ValueError(
                 f"{name}: found {path}, which is also {seen[path.resolve()]}, expected another file"
@@ -161,28 +186,22 @@ def _run(
     if scores and scores.scored:
         figures["truth"] = scores.figures()
     elif truth and not error:
-        error = _no_match(truth, course)
+        error = truth.no_match(course.first_s, course.last_s)
     return Result(figures, picture, error)
-
-
-def _no_match(truth: Truth, course: Course) -> ValueError:
-    truth.read_on()
-    return ValueError(
-        f"{truth.path}: found times from {truth.first_s!r} to {truth.last_s!r} s, expected some "
-        f"within {TOLERANCE_S} s of the log's, which are from {course.first_s!r} to "
-        f"{course.last_s!r} s"
-    )
 
 
 def main(args: Args) -> None:
     """Run the command."""
-    _check(args)
-    scene, modes = scene_from(args.scene), _modes(args)
-    blocks = read_log(args.log, scene, EPOCHS_PER_BLOCK, args.odometry)
+    given = inputs(args)
+    _check(args, given)
+    scene, modes = scene_from(given.scene), _modes(args)
+    blocks = read_log(given.log, scene, EPOCHS_PER_BLOCK, args.odometry)
     first = next(blocks)
     if args.follow == "odometry" and not first.layout.odometry:
-        raise ValueError(f"follow: found odometry, but no speed in {args.log}, expected prediction")
-    truth = Truth(args.truth) if args.truth else None
+        raise ValueError(
+            f"follow: found odometry, but no speed in {given.log}, expected prediction"
+        )
+    truth = Truth(given.truth) if given.truth else None
     chosen = plan(args, modes)
     for path in filter(None, _outputs(args).values()):
         require_writable(path)
@@ -192,9 +211,9 @@ def main(args: Args) -> None:
         written[f"{kind} track"] = str(args.out)
         written["its standard deviations and modes"] = str(table_beside(args.out))
     if args.plot:
-        picture.save(args.plot, f"{'/'.join(args.log.parts[-2:])}, {kind} track")
+        picture.save(args.plot, f"{'/'.join(given.log.parts[-2:])}, {kind} track")
         written["picture"] = str(args.plot)
-    origin = {"log": str(args.log), "scene": scene.name, "radio": args.radio, "rule": chosen.why}
+    origin = {"log": str(given.log), "scene": scene.name, "radio": args.radio, "rule": chosen.why}
     figures = {**origin, **figures, "written": written, "error": error and str(error)}
     if args.json:  # first, because whoever reads what is shown may leave
         write_json(args.json, figures)

@@ -9,8 +9,9 @@ import numpy as np
 
 from mmwave_env.compiler.rng import Generators
 from mmwave_env.episodes.episode import Episode, EpisodeBatch, EpisodeSource
-from mmwave_env.episodes.recorded import RecordedSource
-from mmwave_env.episodes.samples import recording_from
+from mmwave_env.episodes.measured import MeasuredTrack
+from mmwave_env.episodes.recorded import Recording
+from mmwave_env.episodes.samples import source_from
 from mmwave_env.episodes.simulated import SimulatedSource
 from mmwave_env.filters.mode_files import modes_from
 from mmwave_env.filters.modes import Mode
@@ -94,7 +95,7 @@ class TaskArguments:
     reward: str | Reward | PairedReward = "tracking"
     episode_steps: int | None = None
     dt: float | None = None
-    episodes: str | os.PathLike[str] | EpisodeSource | None = None
+    episodes: str | os.PathLike[str] | Recording | MeasuredTrack | EpisodeSource | None = None
     planar: bool = False
     odometry: bool = False
     terminate_on_divergence: bool = False
@@ -150,15 +151,17 @@ def _source(given: TaskArguments, radio: Radio) -> tuple[EpisodeSource, Radio]:
 
 
 def _recorded(
-    episodes: str | os.PathLike[str] | EpisodeSource, radio: Radio, steps: int | None
+    episodes: str | os.PathLike[str] | Recording | MeasuredTrack | EpisodeSource,
+    radio: Radio,
+    steps: int | None,
 ) -> EpisodeSource:
     """The source of an ``episodes=`` argument."""
-    if isinstance(episodes, (str, os.PathLike)):
-        return RecordedSource(recording_from(episodes), radio, epochs=steps)
+    if isinstance(episodes, str | os.PathLike | Recording | MeasuredTrack):
+        return source_from(episodes, radio, steps)
     if not hasattr(episodes, "layout") or not hasattr(episodes, "sample"):
         raise ValueError(
-            f"episodes: found {episodes!r}, expected a name, a folder, or a source with "
-            "layout and sample(rng)"
+            f"episodes: found {episodes!r}, expected a name, a folder, a recording, a measured "
+            "track, or a source with layout and sample(rng)"
         )
     if steps is not None:
         raise ValueError(f"episode_steps: found {steps}, but the source in episodes= has its own")

@@ -52,10 +52,12 @@ class Args(FilterArgs, OutputArgs):
     mmwave-loc localize log.csv --scene scene.json --speed auto --out track.tum
     """
 
-    log: Path = field(metadata={"positional": True})
+    log: Path | None = field(default=None, metadata={"positional": True})
     """measurement log: .csv, .csv.gz or .parquet"""
-    scene: str
+    scene: str | None = None
     """JSON file with the anchors; or street, o1, dynamic-doppler"""
+    sample: str | None = None
+    """in place of a log: canyon28_vehicle or canyon28_pedestrian, with its scene and truth"""
     speed: str | None = None
     """of the user, m/s; or auto, to decide in every epoch; asked for on a terminal"""
     outside: Literal["fallback", "abort"] = "fallback"

@@ -24,8 +24,9 @@ class WorldArgs:
     scene: str | None = None
     """street (where none is named), o1, dynamic-doppler or a JSON file"""
     data: str | None = None
-    """recorded data instead of a simulation: canyon28_vehicle, canyon28_pedestrian, or the
-    folder of a DeepMIMO scenario; each seed draws receiver noise and prior anew"""
+    """recorded data instead of a simulation: canyon28_vehicle, canyon28_pedestrian, or a folder, of
+    a DeepMIMO scenario (each seed draws receiver noise and prior anew) or of a measurement log with
+    scene.json and truth.tum (each draws the prior anew)"""
 
 
 @dataclass(kw_only=True)

@@ -26,6 +26,7 @@ COMMANDS = {
     "tune-imm": "the best transition and process noise of IMMs, on tuning seeds",
     "benchmark": "steps per second beside filterpy's and the core's limit, memory, first step",
     "simulate": "one episode as files: measurement log, scene and truth",
+    "samples": "the logs and recordings that come with the package: listed, or copied",
     "list": "policies, scenarios, radios, scenes, modes, samples and rewards by name",
     "demo": "the tables of docs/results.md, on simulated and ray-traced streets",
 }

@@ -9,9 +9,9 @@ from typing import Any
 from experiments.arguments.shared import EpisodeArgs, WorldArgs
 from experiments.evaluation.contenders import Contender, contender_from, contenders
 from experiments.evaluation.runs import Run
-from mmwave_env.episodes.episode import EpisodeSource
+from mmwave_env.episodes.measured import MeasuredSource
 from mmwave_env.episodes.recorded import RecordedSource
-from mmwave_env.episodes.samples import recording_from
+from mmwave_env.episodes.samples import source_from
 from mmwave_env.episodes.simulated import SimulatedSource
 from mmwave_env.filters.mode_files import modes_from
 from mmwave_env.filters.modes import Mode
@@ -47,14 +47,14 @@ def runs_of(args: EpisodeArgs, names: Sequence[str]) -> dict[str, Run]:
     return {n: Run.read(n) for n in names if n not in known and Path(n).is_dir()}
 
 
-def source_of(args: WorldArgs) -> EpisodeSource:
+def source_of(args: WorldArgs) -> SimulatedSource | RecordedSource | MeasuredSource:
     """Where the episodes come from."""
     radio = radio_from(args.radio)
     if args.data is not None:
         for name, value in (("scenario", args.scenario), ("scene", args.scene)):
             if value is not None:
                 raise ValueError(f"{name}: found {value!r}, but recorded --data brings it")
-        return RecordedSource(recording_from(args.data), radio)
+        return source_from(args.data, radio)
     return SimulatedSource(scene_from(args.scene or "street"), radio, args.scenario or "mixed")
 
 

@@ -4,7 +4,7 @@ from typing import Any
 
 from experiments.evaluation.markdown import HEADERS, grid
 from mmwave_env.filters.modes import DESIGN_LIMIT_MPS
-from mmwave_env.localization.segments import GAP_S
+from mmwave_env.models.prior import GAP_S
 
 
 def _decimals(value: float | None, digits: int = 3) -> str:

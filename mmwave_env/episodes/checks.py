@@ -5,6 +5,8 @@ from typing import Any, NoReturn
 
 import numpy as np
 
+from mmwave_env.numerics.arrays import Array
+
 
 def refuse(record: str, field: str, found: str, expected: str) -> NoReturn:
     """Raise the ValueError of a field of a record, such as "episode 'jam'"."""
@@ -23,7 +25,12 @@ def require_epochs(record: str, of: Any, shapes: Mapping[str, tuple[int, ...]]) 
         value = getattr(of, field)
         if value is not None and value.shape != shape:
             refuse(record, field, f"shape {value.shape}", f"shape {shape}")
-    if len(of.time_s) < 1 or not (np.diff(of.time_s) > 0.0).all():
+    require_increasing(record, of.time_s)
+
+
+def require_increasing(record: str, time_s: Array) -> None:
+    """Refuse times (T,) of epochs that do not increase."""
+    if len(time_s) < 1 or not (np.diff(time_s) > 0.0).all():
         refuse(record, "time_s", "times that do not increase", "at least one, increasing")
 
 

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from mmwave_env.numerics.arrays import Array
 
+PARAMS = "params.json"  # by which a folder is known as a scenario
 LINE_OF_SIGHT, REFLECTION = 0.0, 1.0  # values of ``inter`` that are understood here
 TRAJECTORY = ("t", "x", "y", "z", "vx", "vy", "vz")
 TOLERANCE_M = 0.05  # float32 files agree to 1e-4 m; walls and sidecars closer than this are one
@@ -71,7 +72,7 @@ def read_scenario(folder: Path) -> Scenario:
         raise FileNotFoundError(f"{folder}: found nothing, expected the folder of a scenario")
     if not folder.is_dir():
         refuse(folder, "folder", "a file", "the folder of a DeepMIMO v4 scenario")
-    params = _read_params(folder / "params.json")
+    params = _read_params(folder / PARAMS)
     link = _find_link(folder)
 
     def read(key: str, *shape: int | str) -> Array:
@@ -84,7 +85,7 @@ def read_scenario(folder: Path) -> Scenario:
     N = len(receivers_m)
     if N == 0:
         refuse(_array_path(folder, "rx_pos", link), "rx_pos", "no receivers", "at least one")
-    _check_receivers(folder / "params.json", params, link, N)
+    _check_receivers(folder / PARAMS, params, link, N)
     trajectory = _read_trajectory(folder / "trajectory.csv", receivers_m)
     interactions = read("inter", N, "P")
     P = interactions.shape[1]
@@ -96,7 +97,7 @@ def read_scenario(folder: Path) -> Scenario:
     return Scenario(
         folder=folder,
         link=link,
-        carrier_hz=_carrier_hz(folder / "params.json", params),
+        carrier_hz=_carrier_hz(folder / PARAMS, params),
         transmitter_m=check("tx_pos", read("tx_pos", 1, 3))[0],
         time_s=trajectory[:, 0],
         position_m=trajectory[:, 1:4],

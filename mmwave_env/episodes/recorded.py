@@ -10,14 +10,21 @@ paths there are.
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
+from mmwave_env.episodes.arrays import (
+    link_rows,
+    numbers,
+    times,
+    velocity_of,
+    warn_of_contradictions,
+)
 from mmwave_env.episodes.checks import refuse, require_epochs, require_finite
 from mmwave_env.episodes.episode import Episode
-from mmwave_env.models.measurement import Layout, wrap_angles
+from mmwave_env.models.measurement import Layout, range_rate, whole_groups, wrap_angles
 from mmwave_env.models.prior import draw_prior, prior_from_fix
-from mmwave_env.models.radio import Radio, doppler_spread, oscillator_bias
-from mmwave_env.models.scene import Scene
+from mmwave_env.models.radio import Radio, doppler_spread, oscillator_bias, radio_from
+from mmwave_env.models.scene import Scene, scene_of_anchors
 from mmwave_env.numerics.arrays import Array
 
 _NO_PATH_DB = -200.0  # gain of a missing path: as good as none, yet its sigmas stay finite
@@ -75,15 +82,74 @@ class Recording:
             if not 0.0 < getattr(self, field) < np.inf:
                 refuse(record, field, f"{getattr(self, field)}", "> 0")
 
+    @classmethod
+    def from_arrays(
+        cls,
+        *,
+        time_s: ArrayLike,
+        anchors_m: ArrayLike,
+        range_m: ArrayLike,
+        aoa_azimuth_rad: ArrayLike,
+        aoa_elevation_rad: ArrayLike,
+        aod_azimuth_rad: ArrayLike,
+        path_gain_db: ArrayLike,
+        position_m: ArrayLike,
+        velocity_mps: ArrayLike | None = None,
+        carrier_hz: float = 28e9,
+        bandwidth_hz: float = 100e6,
+        name: str = "own",
+    ) -> "Recording":
+        """A recording from the paths of a ray tracer or a survey; NaN where there is no path.
+
+        Angles are as of :meth:`~mmwave_env.episodes.measured.MeasuredTrack.from_arrays`. The
+        Doppler shift is that of the true velocity, wherever there is a line of sight.
+
+        Args:
+            time_s: (T,) of the epochs, increasing, s.
+            anchors_m: (L, 3) base station, then virtual anchors, m.
+            range_m: (T, L) exact lengths of the paths, m.
+            aoa_azimuth_rad, aoa_elevation_rad, aod_azimuth_rad: (T, L) exact, rad.
+            path_gain_db: (T, L) negative, dB; the radio profile makes it an SNR.
+            position_m: (T, 3) truth, m.
+            velocity_mps: (T, 3) truth, m/s; None for differences of positions.
+            carrier_hz, bandwidth_hz: of the signal.
+            name: for results and messages.
+
+        Raises:
+            ValueError: an array of another shape, or numbers that mean nothing; the message
+                names it.
+        """
+        record = f"recording {name!r}"
+        time = times(record, time_s)
+        anchors = numbers(record, "anchors_m", anchors_m, (None, 3))
+        position = numbers(record, "position_m", position_m, (len(time), 3))
+        if velocity_mps is None:
+            velocity_mps = velocity_of(time, position)
+        velocity = numbers(record, "velocity_mps", velocity_mps, (len(time), 3))
+        scene, layout = (
+            scene_of_anchors(name, anchors, carrier_hz, bandwidth_hz),
+            Layout(len(anchors)),
+        )
+        rate = range_rate(list((position - anchors[0]).T), list(velocity.T))
+        links = {
+            "range_m": range_m, "aoa_azimuth_rad": aoa_azimuth_rad,
+            "aoa_elevation_rad": aoa_elevation_rad, "aod_azimuth_rad": aod_azimuth_rad,
+        }  # fmt: skip
+        rows = link_rows(record, layout, links, scene.hz_per_mps * rate, len(time))
+        gain = numbers(record, "path_gain_db", path_gain_db, (len(time), layout.anchors))
+        visible, _ = whole_groups(rows, np.isfinite(gain), layout)
+        visible[:, layout.anchors] &= visible[:, 0]
+        warn_of_contradictions(record, scene, layout, rows, visible, position)
+        return cls(name, anchors, carrier_hz, bandwidth_hz, time, rows, visible, gain, position,
+                   velocity, layout)  # fmt: skip
+
     def __len__(self) -> int:
         return len(self.time_s)
 
     @property
     def scene(self) -> Scene:
         """The anchors and the carrier; walls are not known."""
-        gnb, *virtual = [(float(x), float(y), float(z)) for x, y, z in self.anchors_m]
-        return Scene(self.name, gnb, carrier_hz=self.carrier_hz, bandwidth_hz=self.bandwidth_hz,
-                     virtual_anchors_m=tuple(virtual))  # fmt: skip
+        return scene_of_anchors(self.name, self.anchors_m, self.carrier_hz, self.bandwidth_hz)
 
     @property
     def has_truth(self) -> bool:
@@ -114,7 +180,7 @@ class RecordedSource:
 
     Args:
         recording: the exact measurements.
-        radio: profile of the receiver: standard deviations, oscillator, prior.
+        radio: profile of the receiver, by name or itself: standard deviations, oscillator, prior.
         noise: False for exact measurements without oscillator bias; the standard deviations
             handed to the filters stay the profile's.
         epochs: length of an episode, a contiguous window drawn at random; None for the whole
@@ -126,9 +192,13 @@ class RecordedSource:
     """
 
     def __init__(
-        self, recording: Recording, radio: Radio, noise: bool = True, epochs: int | None = None
+        self,
+        recording: Recording,
+        radio: str | Radio,
+        noise: bool = True,
+        epochs: int | None = None,
     ) -> None:
-        self.recording, self.radio, self.noise = recording, radio, noise
+        self.recording, self.radio, self.noise = recording, radio_from(radio), noise
         self.epochs = len(recording) if epochs is None else epochs
         if not 1 <= self.epochs <= len(recording):
             raise ValueError(
@@ -153,10 +223,15 @@ class RecordedSource:
         """The recording's."""
         return self.recording.name
 
+    @property
+    def scene(self) -> Scene:
+        """The recording's."""
+        return self.recording.scene
+
     def sample(self, rng: np.random.Generator) -> Episode:
         """Draw one episode; all randomness comes from ``rng``."""
         recording = self.recording.window(int(rng.choice(self._starts)), self.epochs)
-        radio, scene, layout = self.radio, recording.scene, self.layout
+        radio, scene, layout = self.radio, self.scene, self.layout
         seen = recording.visible[:, : layout.anchors]
         gain = np.where(seen, recording.path_gain_db, _NO_PATH_DB)
         snr = radio.snr_db(gain, recording.bandwidth_hz)

@@ -1,34 +1,81 @@
-"""Recordings by name: those that come with the package, and folders of one's own."""
+"""Episodes by name: what comes with the package, and folders of one's own."""
 
 import os
 from importlib import resources
 from pathlib import Path
 
 from mmwave_env.episodes.deepmimo import read_deepmimo
-from mmwave_env.episodes.recorded import Recording
+from mmwave_env.episodes.deepmimo_files import PARAMS
+from mmwave_env.episodes.log_folder import read_log_folder
+from mmwave_env.episodes.measured import MeasuredSource, MeasuredTrack
+from mmwave_env.episodes.recorded import RecordedSource, Recording
+from mmwave_env.lookup import choose
+from mmwave_env.models.radio import Radio
+
+_DATA = Path(str(resources.files("mmwave_env"))) / "data"
+_RECORDINGS, _LOGS = _DATA / "deepmimo_canyon28", _DATA / "logs"
 
 
-def _samples() -> Path:
-    return Path(str(resources.files("mmwave_env"))) / "data" / "deepmimo_canyon28"
+def _folders(of: Path) -> dict[str, Path]:
+    return {folder.name: folder for folder in sorted(of.iterdir()) if folder.is_dir()}
 
 
 def sample_names() -> tuple[str, ...]:
-    """Names of the recordings that come with the package, for :func:`recording_from`."""
-    return tuple(sorted(folder.name for folder in _samples().iterdir() if folder.is_dir()))
+    """Names of the recordings that come with the package, for :func:`source_from`."""
+    return tuple(_folders(_RECORDINGS))
 
 
-def recording_from(name: str | os.PathLike[str]) -> Recording:
-    """The recording of a name in :func:`sample_names`, or of a DeepMIMO v4 scenario's folder.
+def sample_folder(name: str, kind: str = "log") -> Path:
+    """The folder of a sample: of a ``log`` or a ``recording``.
 
     Raises:
-        ValueError: neither; or a folder that does not hold a scenario, naming the file.
-        FileNotFoundError: a file of the scenario is missing.
+        ValueError: there is none; the message lists those that there are.
     """
-    names = sample_names()
-    folder = _samples() / name if name in names else Path(name)
+    kinds = {"log": _LOGS, "recording": _RECORDINGS}
+    return choose(_folders(choose(kinds, kind, "kind")), name, "sample")
+
+
+def recording_from(name: str) -> Recording:
+    """The recording of a name in :func:`sample_names`.
+
+    Raises:
+        ValueError: there is none; the message lists those that there are.
+    """
+    return read_deepmimo(sample_folder(name, "recording"))
+
+
+def source_from(
+    episodes: str | os.PathLike[str] | Recording | MeasuredTrack,
+    radio: str | Radio,
+    epochs: int | None = None,
+) -> RecordedSource | MeasuredSource:
+    """The source of an ``episodes=`` argument, or of ``--data``.
+
+    Args:
+        episodes: a name in :func:`sample_names`; a folder, of a measurement log with its scene
+            and truth or of a DeepMIMO v4 scenario; a recording; or a measured track.
+        radio: profile of the receiver.
+        epochs: length of an episode, a window drawn at random; None for all there is.
+
+    Raises:
+        ValueError: nothing of these, a folder that is not what it should be, or no such window.
+        OSError: a file can't be read.
+    """
+    if isinstance(episodes, str | os.PathLike):
+        episodes = _read(episodes)
+    if isinstance(episodes, MeasuredTrack):
+        return MeasuredSource(episodes, radio, epochs)
+    return RecordedSource(episodes, radio, epochs=epochs)
+
+
+def _read(name: str | os.PathLike[str]) -> Recording | MeasuredTrack:
+    """What a name or a folder stands for."""
+    if name in sample_names():
+        return recording_from(str(name))
+    folder = Path(name)
     if not folder.is_dir():
         raise ValueError(
-            f"recording: found {os.fspath(name)!r}, expected one of {', '.join(names)}, or the "
-            "folder of a DeepMIMO v4 scenario"
+            f"episodes: found {os.fspath(name)!r}, expected one of {', '.join(sample_names())}, "
+            "or the folder of a measurement log with scene and truth, or of a DeepMIMO scenario"
         )
-    return read_deepmimo(folder)
+    return (read_deepmimo if (folder / PARAMS).exists() else read_log_folder)(folder)

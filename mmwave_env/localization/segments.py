@@ -12,8 +12,7 @@ import numpy as np
 
 from mmwave_env.logs.log import LogBlock
 from mmwave_env.logs.log_tables import LogError
-
-GAP_S = 15.0  # the longest that is bridged: of 100 vehicles none is lost in 10 s, some are in 20 s
+from mmwave_env.models.prior import GAP_S
 
 
 class Piece(NamedTuple):

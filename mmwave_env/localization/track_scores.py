@@ -10,7 +10,7 @@ from mmwave_env.filters.belief import Belief
 from mmwave_env.filters.modes import DESIGN_LIMIT_MPS
 from mmwave_env.filters.pipeline import VERTICAL
 from mmwave_env.localization.localizer import TrackBlock
-from mmwave_env.logs.truth import TOLERANCE_S, Truth
+from mmwave_env.logs.truth import Truth, tolerance_s
 from mmwave_env.metrics import nees_interval
 from mmwave_env.numerics.arrays import Array
 from mmwave_env.numerics.linalg import unpack
@@ -122,9 +122,8 @@ class TruthScores:
 
     def add(self, block: TrackBlock) -> Array:
         """Score a block; returns true positions (T, 3), NaN where not known."""
-        if self._tolerance_s is None:  # at most half a step, so that no pose counts twice
-            half = 0.5 * np.median(np.diff(block.time_s)) if len(block) > 1 else np.inf
-            self._tolerance_s = min(TOLERANCE_S, float(half))
+        if self._tolerance_s is None:
+            self._tolerance_s = tolerance_s(block.time_s)
         truth = self.truth.at(block.time_s, self._tolerance_s)
         known = np.flatnonzero(~np.isnan(truth[:, 0]))
         self._pairs.add(block.time_s, known, block.segment)

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from mmwave_env.logs.blocks import Block, in_windows
 from mmwave_env.logs.log_columns import LINK_QUANTITIES
 from mmwave_env.logs.log_tables import LogError, LogFile, open_log
-from mmwave_env.models.measurement import Layout, wrap_angles
+from mmwave_env.models.measurement import Layout, whole_groups, wrap_angles
 from mmwave_env.models.scene import Scene
 from mmwave_env.numerics.arrays import Array, Mask
 
@@ -282,17 +282,13 @@ def _block(log: LogFile, rows: Array, layout: Layout, done: int, share: float) -
         measurement[:, layout.doppler + 1] = once("speed")
         measurement[:, layout.doppler + 2] = once("heading")
     wrap_angles(measurement, layout)
-    starts = [group.start for group in layout.groups]
-    there = np.isfinite(measurement)
-    visible = np.logical_and.reduceat(there, starts, axis=1)
-    visible[:, :L] &= np.isfinite(snr)
-    visible[:, L] &= np.isfinite(snr[:, 0])
+    visible, incomplete = whole_groups(measurement, np.isfinite(snr), layout)
     return LogBlock(
         layout=layout,
         time_s=time,
         measurement=measurement,
         visible=visible,
-        incomplete=np.logical_or.reduceat(there, starts, axis=1) & ~visible,
+        incomplete=incomplete,
         snr_db=np.where(np.isnan(snr), -np.inf, snr),
         doppler_spread_hz=np.nan_to_num(once("doppler_spread")),
         rows=done,

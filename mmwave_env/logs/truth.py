@@ -11,6 +11,15 @@ from mmwave_env.numerics.arrays import Array
 TOLERANCE_S = 0.01  # evo's default
 
 
+def tolerance_s(time_s: Array) -> float:
+    """How far poses may be from epochs at times (T,), s.
+
+    At most half a step, so that no pose counts twice.
+    """
+    half = 0.5 * np.median(np.diff(time_s)) if len(time_s) > 1 else np.inf
+    return min(TOLERANCE_S, float(half))
+
+
 class Truth:
     """True positions by time, from a TUM file that is read as far as it is needed.
 
@@ -60,3 +69,11 @@ class Truth:
         """Read to the end, for ``last_s``."""
         for poses in self._blocks:
             self.last_s = float(poses.time_s[-1])
+
+    def no_match(self, first_s: float, last_s: float) -> ValueError:
+        """The error of a truth without a pose at the epochs of a log from ``first_s`` on."""
+        self.read_on()
+        return ValueError(
+            f"{self.path}: found times from {self.first_s!r} to {self.last_s!r} s, expected some "
+            f"within {TOLERANCE_S} s of the log's, which are from {first_s!r} to {last_s!r} s"
+        )

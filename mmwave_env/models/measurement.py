@@ -106,6 +106,25 @@ def wrap_angles(measurement: NDArray[np.float64], layout: Layout) -> None:
     measurement[:, rows] = np.where((angles >= -PI) & (angles < PI), angles, moved)
 
 
+def whole_groups(
+    measurement: NDArray[np.float64], heard: NDArray[np.bool_], layout: Layout
+) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+    """Groups (T, groups) of which all was measured, and those of which only some was.
+
+    Args:
+        measurement: (T, rows), NaN where not measured.
+        heard: (T, L) links whose strength is known, from which follows the noise of their rows;
+            that of the Doppler shift follows from the first.
+        layout: rows and groups.
+    """
+    starts = [group.start for group in layout.groups]
+    there = np.isfinite(measurement)
+    whole = np.logical_and.reduceat(there, starts, axis=1)
+    whole[:, : layout.anchors] &= heard
+    whole[:, layout.anchors] &= heard[:, 0]
+    return whole, np.logical_or.reduceat(there, starts, axis=1) & ~whole
+
+
 class Measurement(NamedTuple):
     """One epoch as an estimator sees it; ``layout`` says where its rows stand.
 

@@ -7,6 +7,7 @@ from mmwave_env.models.scene import Scene
 from mmwave_env.numerics.arrays import Array
 from mmwave_env.numerics.numbers import PI, wrap
 
+GAP_S = 15.0  # the longest that is bridged: of 100 vehicles none is lost in 10 s, some are in 20 s
 # Horizontal, per axis, of a user nobody knows: twice that is the 20 m/s the filters are made for.
 UNKNOWN_VELOCITY_MPS = 10.0
 

@@ -168,6 +168,15 @@ SCENES: dict[str, Scene] = {
 }
 
 
+def scene_of_anchors(
+    name: str, anchors_m: NDArray[np.float64], carrier_hz: float, bandwidth_hz: float
+) -> Scene:
+    """A scene by its anchors (L, 3), the physical gNB first; walls and streets are not known."""
+    gnb, *virtual = [(float(x), float(y), float(z)) for x, y, z in anchors_m]
+    return Scene(name, gnb, carrier_hz=carrier_hz, bandwidth_hz=bandwidth_hz,
+                 virtual_anchors_m=tuple(virtual))  # fmt: skip
+
+
 def scene_from(scene: "str | Path | Scene") -> Scene:
     """The scene of a ``scene=`` argument: a name, a JSON file or a Scene.
 

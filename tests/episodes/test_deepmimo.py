@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from mmwave_env.episodes.deepmimo import read_deepmimo
 from mmwave_env.episodes.recorded import Recording
-from mmwave_env.episodes.samples import recording_from
+from mmwave_env.episodes.samples import source_from
 from mmwave_env.models.measurement import SPEED_OF_LIGHT
 from mmwave_env.models.scene import Scene, Wall
 from tests.filters.tracks import geometry
@@ -482,5 +482,5 @@ def test_random_damage_is_refused_or_harmless(name, cut, flips):
 
 def test_a_name_and_its_folder_are_the_same_recording():
     np.testing.assert_array_equal(
-        recording_from("canyon28_vehicle").measurement, recording_from(VEHICLE).measurement
+        *(source_from(name, "standard").recording.measurement for name in (VEHICLE.name, VEHICLE))
     )

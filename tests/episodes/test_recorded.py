@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from mmwave_env.episodes.episode import EpisodeSource
 from mmwave_env.episodes.recorded import RecordedSource, Recording
-from mmwave_env.episodes.samples import recording_from, sample_names
+from mmwave_env.episodes.samples import recording_from, sample_names, source_from
 from mmwave_env.models.measurement import Layout
 from mmwave_env.models.radio import RADIOS
 from mmwave_env.models.scene import Scene, Wall
@@ -73,8 +73,8 @@ def test_names_of_the_samples():
 
 def test_unknown_name(tmp_path):
     for name in ("canyon", tmp_path / "nowhere", str(Path(__file__))):
-        with pytest.raises(ValueError, match=r"expected one of .*, or the folder") as error:
-            recording_from(name)
+        with pytest.raises(ValueError, match=r"expected one of .*, or the folder of a") as error:
+            source_from(name, RADIO)
         assert str(name) in str(error.value)
         assert all(sample in str(error.value) for sample in NAMES)
 

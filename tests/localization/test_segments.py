@@ -5,10 +5,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mmwave_env.localization.segments import GAP_S, segments
+from mmwave_env.localization.segments import segments
 from mmwave_env.logs.log import LogBlock
 from mmwave_env.logs.log_tables import LogError
 from mmwave_env.models.measurement import Layout
+from mmwave_env.models.prior import GAP_S
 
 LINK_1, LINK_2, DOPPLER, ODOMETRY = range(4)
 

@@ -1,0 +1,91 @@
+"""An episode as a folder: measurement log, scene and truth, as ``mmwave-loc simulate`` writes."""
+
+from pathlib import Path
+
+import numpy as np
+
+from mmwave_env.episodes.arrays import velocity_of
+from mmwave_env.episodes.deepmimo_files import PARAMS
+from mmwave_env.episodes.episode import Episode
+from mmwave_env.episodes.log_writer import write_log
+from mmwave_env.episodes.measured import MeasuredTrack
+from mmwave_env.files import atomic_path, write_json, write_text
+from mmwave_env.logs.log import LogBlock, read_log
+from mmwave_env.logs.log_tables import SUFFIXES
+from mmwave_env.logs.truth import Truth, tolerance_s
+from mmwave_env.logs.tum import COLUMNS, tum_lines
+from mmwave_env.models.scene import Scene, anchors_json, read_scene
+
+LOG, SCENE, TRUTH = "log.csv", "scene.json", "truth.tum"
+_LOGS = tuple(f"log{suffix}" for suffix in SUFFIXES)
+
+
+def read_log_folder(folder: Path) -> MeasuredTrack:
+    """The track of a folder with a log, its scene and its truth, all of it in memory.
+
+    A pose of the truth belongs to the epoch it is within 0.01 s of, and within half a step.
+    Velocities are differences of its positions.
+
+    Args:
+        folder: with ``log.csv`` (or ``.csv.gz``, ``.parquet``), ``scene.json``, ``truth.tum``.
+
+    Raises:
+        ValueError: a file is missing, damaged or not what it should be, or no pose of the truth
+            is at the time of an epoch; the message names file and row, what was found and what
+            was expected.
+        OSError: a file can't be read.
+    """
+    path = _log_of(folder)
+    scene, truth = read_scene(folder / SCENE), Truth(folder / TRUTH)
+    log = LogBlock.joined(list(read_log(path, scene)))
+    position = truth.at(log.time_s, tolerance_s(log.time_s))
+    if np.isnan(position).all():
+        raise truth.no_match(float(log.time_s[0]), float(log.time_s[-1]))
+    return MeasuredTrack(
+        name=folder.resolve().name,
+        scene=scene,
+        layout=log.layout,
+        time_s=log.time_s,
+        measurement=log.measurement,
+        visible=log.visible,
+        snr_db=log.snr_db,
+        doppler_spread_hz=log.doppler_spread_hz,
+        position_m=position,
+        velocity_mps=velocity_of(log.time_s, position),
+    )
+
+
+def _log_of(folder: Path) -> Path:
+    """The log of a folder that has everything."""
+    logs = [name for name in _LOGS if (folder / name).exists()]
+    missing = [] if logs else [LOG]
+    missing += [name for name in (SCENE, TRUTH) if not (folder / name).exists()]
+    if missing or len(logs) > 1:
+        found = f"no {', no '.join(missing)}" if missing else " and ".join(logs)
+        raise ValueError(
+            f"{folder}: found {found}, expected a log (one of {', '.join(_LOGS)}), {SCENE} and "
+            f"{TRUTH}; or {PARAMS}, of a DeepMIMO scenario"
+        )
+    return folder / logs[0]
+
+
+def write_log_folder(folder: Path, episode: Episode, scene: Scene, origin: str) -> list[str]:
+    """Write an episode as :func:`read_log_folder` reads it; the names of the files.
+
+    Args:
+        folder: made where it is not there.
+        episode: without its prior; without truth where it has none.
+        scene: that it is in.
+        origin: how it was made, for a comment in the truth.
+
+    Raises:
+        OSError: a file can't be written.
+    """
+    with atomic_path(folder / LOG) as log:
+        write_log(log, episode)
+    write_json(folder / SCENE, anchors_json(scene))
+    if episode.truth_position_m is None:
+        return [LOG, SCENE]
+    track = tum_lines(episode.time_s, episode.truth_position_m)
+    write_text(folder / TRUTH, f"# {' '.join(COLUMNS)}; {origin}\n{track}")
+    return [LOG, SCENE, TRUTH]
