@@ -38,7 +38,7 @@ API = {  # page: title, modules and folders of modules
 }
 CODE = re.compile(r"^```.*?^```", re.DOTALL | re.MULTILINE)
 LINK = re.compile(r"\]\(([^)\s:#]+)(#[^)\s]*)?\)")
-CELL = re.compile(r"<td>(?=(?:[a-z]+(?:-[a-z0-9]+)*|[^<a-zA-Z]+)</td>)")
+CELL = re.compile(r"<td>(?=(?:[a-z]+(?:-[a-z0-9]+)*|[^<a-zA-Z]+|<code>[^<]{1,20}</code>)</td>)")
 ROLE = re.compile(r":(?:class|func|meth|mod|data|attr|exc):<code>~?([\w.]+)</code>")
 
 
