@@ -81,7 +81,7 @@ class MmWaveLocEnv(gym.Env[NDArray[np.float32], np.int64]):
 
     ## Episode End
 
-    Truncation after `episode_steps` epochs (default 200; a recording: all its epochs). With
+    Truncation after `episode_steps` epochs (default 200; recordings and logs: all of them). With
     `terminate_on_divergence=True` an episode terminates when the error exceeds 50 m, and that
     step pays the worst reward for every epoch left, so that failing fast does not pay. A paired
     reward then also loses what the IMM earns in those epochs: its sum over an episode is always
@@ -109,8 +109,9 @@ class MmWaveLocEnv(gym.Env[NDArray[np.float32], np.int64]):
     * `observation`: "full" or "prior".
     * `episode_steps`, `dt`: epochs per episode and seconds per epoch.
     * `episodes`: recorded data instead of a simulation: "canyon28_vehicle",
-      "canyon28_pedestrian", the folder of a DeepMIMO scenario, or any episode source (whose
-      `radio`, if it has one, then selects the default modes' tuning).
+      "canyon28_pedestrian", the folder of a DeepMIMO scenario or of a measurement log with its
+      scene and truth, a `Recording`, a `MeasuredTrack` (docs/own-log.md), or any episode source
+      (whose `radio`, if it has one, then selects the default modes' tuning).
     * `planar`: flat terrain: z and vz are known.
     * `odometry`: the user also measures speed and heading.
     * `terminate_on_divergence`: see Episode End.
