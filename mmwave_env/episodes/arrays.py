@@ -60,7 +60,7 @@ def stretches(time_s: Array, position_m: Array) -> list[slice]:
         time_s: (T,) increasing.
         position_m: (T, 3), NaN where not known.
     """
-    known = np.isfinite(position_m).all(axis=1)
+    known: Mask = np.isfinite(position_m).all(axis=1)
     ends = np.flatnonzero(~known[:-1] | ~known[1:] | (np.diff(time_s) > GAP_S)) + 1
     runs = [slice(a, b) for a, b in pairwise([0, *ends.tolist(), len(time_s)])]
     return [run for run in runs if run.stop - run.start > 1]

@@ -64,7 +64,7 @@ def _log_of(folder: Path) -> Path:
         found = f"no {', no '.join(missing)}" if missing else " and ".join(logs)
         raise ValueError(
             f"{folder}: found {found}, expected a log (one of {', '.join(_LOGS)}), {SCENE} and "
-            f"{TRUTH}; or {PARAMS}, of a DeepMIMO scenario"
+            f"{TRUTH} (docs/own-log.md); or {PARAMS}, of a DeepMIMO scenario"
         )
     return folder / logs[0]
 

@@ -208,7 +208,7 @@ class MeasuredSource:
         if not runs:
             raise ValueError(
                 f"track {track.name!r}: found no two epochs in a row with a true position, "
-                "expected some, which reward and metrics need"
+                "expected some, which reward and metrics need (docs/own-log.md)"
             )
         longest = max(runs, key=lambda run: run.stop - run.start)
         most = longest.stop - longest.start
