@@ -1,7 +1,7 @@
 """What a user has, arrays by name, becomes what episodes are made of: rows, masks, velocities."""
 
 import warnings
-from collections.abc import Mapping
+from collections.abc import Sequence
 from itertools import pairwise
 
 import numpy as np
@@ -33,21 +33,26 @@ def numbers(record: str, field: str, values: ArrayLike, shape: tuple[int | None,
     return array
 
 
-def times(record: str, time_s: ArrayLike) -> Array:
-    """Times (T,) of epochs, which increase."""
-    array = numbers(record, "time_s", time_s, (None,))
-    require_increasing(record, array)
-    return array
+def truth_of(
+    record: str, time_s: ArrayLike, position_m: ArrayLike, velocity_mps: ArrayLike | None
+) -> tuple[Array, Array, Array]:
+    """Times (T,), which increase, positions and velocities (T, 3); by differences if not given."""
+    time = numbers(record, "time_s", time_s, (None,))
+    require_increasing(record, time)
+    position = numbers(record, "position_m", position_m, (len(time), 3))
+    if velocity_mps is None:
+        return time, position, velocity_of(time, position)
+    return time, position, numbers(record, "velocity_mps", velocity_mps, (len(time), 3))
 
 
 def link_rows(
-    record: str, layout: Layout, links: Mapping[str, ArrayLike], doppler_hz: ArrayLike, epochs: int
+    record: str, layout: Layout, links: Sequence[ArrayLike], doppler_hz: ArrayLike, epochs: int
 ) -> Array:
-    """Measurements (T, rows), angles in [-pi, pi), from arrays (T, L) by the names of ``LINK``."""
+    """Measurements (T, rows), angles in [-pi, pi), from arrays (T, L) in the order of ``LINK``."""
     rows = np.empty((epochs, layout.size))
-    for i, name in enumerate(LINK):
+    for i, (name, values) in enumerate(zip(LINK, links, strict=True)):
         shape = (epochs, layout.anchors)
-        rows[:, i : layout.doppler : 4] = numbers(record, name, links[name], shape)
+        rows[:, i : layout.doppler : 4] = numbers(record, name, values, shape)
     rows[:, layout.doppler] = numbers(record, "doppler_hz", doppler_hz, (epochs,))
     wrap_angles(rows, layout)
     return rows
@@ -60,7 +65,7 @@ def stretches(time_s: Array, position_m: Array) -> list[slice]:
         time_s: (T,) increasing.
         position_m: (T, 3), NaN where not known.
     """
-    known: Mask = np.isfinite(position_m).all(axis=1)
+    known: Mask = np.logical_and.reduce(np.isfinite(position_m), axis=1)
     ends = np.flatnonzero(~known[:-1] | ~known[1:] | (np.diff(time_s) > GAP_S)) + 1
     runs = [slice(a, b) for a, b in pairwise([0, *ends.tolist(), len(time_s)])]
     return [run for run in runs if run.stop - run.start > 1]

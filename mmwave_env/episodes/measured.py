@@ -15,8 +15,7 @@ from mmwave_env.episodes.arrays import (
     link_rows,
     numbers,
     stretches,
-    times,
-    velocity_of,
+    truth_of,
     warn_of_contradictions,
 )
 from mmwave_env.episodes.checks import refuse, require_epochs
@@ -118,20 +117,13 @@ class MeasuredTrack:
                 names it.
         """
         record = f"track {name!r}"
-        time = times(record, time_s)
+        time, position, velocity = truth_of(record, time_s, position_m, velocity_mps)
         anchors = numbers(record, "anchors_m", anchors_m, (None, 3))
-        T, layout = len(time), Layout(len(anchors))
-        nothing = np.full(T, np.nan)
-        links = {
-            "range_m": range_m, "aoa_azimuth_rad": aoa_azimuth_rad,
-            "aoa_elevation_rad": aoa_elevation_rad, "aod_azimuth_rad": aod_azimuth_rad,
-        }  # fmt: skip
+        T, layout, nothing = len(time), Layout(len(anchors)), np.full(len(time), np.nan)
+        links = (range_m, aoa_azimuth_rad, aoa_elevation_rad, aod_azimuth_rad)
         rows = link_rows(record, layout, links, nothing if doppler_hz is None else doppler_hz, T)
         snr = numbers(record, "snr_db", snr_db, (T, layout.anchors))
         spread = nothing if doppler_spread_hz is None else doppler_spread_hz
-        position = numbers(record, "position_m", position_m, (T, 3))
-        if velocity_mps is None:
-            velocity_mps = velocity_of(time, position)
         visible, _ = whole_groups(rows, np.isfinite(snr), layout)
         return cls(
             name=name,
@@ -143,7 +135,7 @@ class MeasuredTrack:
             snr_db=np.where(np.isnan(snr), -np.inf, snr),
             doppler_spread_hz=np.nan_to_num(numbers(record, "doppler_spread_hz", spread, (T,))),
             position_m=position,
-            velocity_mps=numbers(record, "velocity_mps", velocity_mps, (T, 3)),
+            velocity_mps=velocity,
         )
 
     def __len__(self) -> int:

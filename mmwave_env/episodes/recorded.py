@@ -15,8 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 from mmwave_env.episodes.arrays import (
     link_rows,
     numbers,
-    times,
-    velocity_of,
+    truth_of,
     warn_of_contradictions,
 )
 from mmwave_env.episodes.checks import refuse, require_epochs, require_finite
@@ -120,21 +119,12 @@ class Recording:
                 names it.
         """
         record = f"recording {name!r}"
-        time = times(record, time_s)
+        time, position, velocity = truth_of(record, time_s, position_m, velocity_mps)
         anchors = numbers(record, "anchors_m", anchors_m, (None, 3))
-        position = numbers(record, "position_m", position_m, (len(time), 3))
-        if velocity_mps is None:
-            velocity_mps = velocity_of(time, position)
-        velocity = numbers(record, "velocity_mps", velocity_mps, (len(time), 3))
-        scene, layout = (
-            scene_of_anchors(name, anchors, carrier_hz, bandwidth_hz),
-            Layout(len(anchors)),
-        )
+        layout = Layout(len(anchors))
+        scene = scene_of_anchors(name, anchors, carrier_hz, bandwidth_hz)
         rate = range_rate(list((position - anchors[0]).T), list(velocity.T))
-        links = {
-            "range_m": range_m, "aoa_azimuth_rad": aoa_azimuth_rad,
-            "aoa_elevation_rad": aoa_elevation_rad, "aod_azimuth_rad": aod_azimuth_rad,
-        }  # fmt: skip
+        links = (range_m, aoa_azimuth_rad, aoa_elevation_rad, aod_azimuth_rad)
         rows = link_rows(record, layout, links, scene.hz_per_mps * rate, len(time))
         gain = numbers(record, "path_gain_db", path_gain_db, (len(time), layout.anchors))
         visible, _ = whole_groups(rows, np.isfinite(gain), layout)

@@ -4,7 +4,6 @@ import re
 import shutil
 from dataclasses import replace
 
-import gymnasium as gym
 import numpy as np
 import pytest
 
@@ -18,6 +17,7 @@ from mmwave_env.episodes.samples import sample_folder, sample_names, source_from
 from mmwave_env.episodes.simulated import SimulatedSource
 from mmwave_env.logs.log_tables import LogError
 from mmwave_env.logs.tum import tum_lines
+from mmwave_env.models.radio import RADIOS
 from mmwave_env.models.scene import SCENES
 from tests.cli import assert_one_clear_line, command, succeed
 from tests.paths import LOGS, RECORDINGS
@@ -26,14 +26,8 @@ STREET = SCENES["street"]
 
 
 def simulated(seed=3, odometry=False):
-    source = source_of(odometry)
+    source = SimulatedSource(STREET, RADIOS["handset"], "vehicle", odometry=odometry)
     return source.sample(np.random.default_rng(seed))
-
-
-def source_of(odometry=False):
-    env = gym.make("mmwave_env:MmWaveLoc-v0", scenario="vehicle", odometry=odometry).unwrapped
-    assert isinstance(env.source, SimulatedSource)
-    return env.source
 
 
 @pytest.fixture
