@@ -110,7 +110,7 @@ def test_angles_of_any_turn_are_the_same_track():
         ({"time_s": []}, r"time_s .*found shape \(0,\), expected shape \(any,\)"),
         ({"time_s": np.zeros(60)}, r"time_s of track 'own': found times that do not increase"),
         ({"snr_db": "loud"}, r"snr_db of track 'own': found str .*, expected an array of numbers"),
-        ({"carrier_hz": 28.0}, r"carrier_hz: found 28, expected hertz"),
+        ({"carrier_hz": 28.0}, r"carrier_hz: found 28.0, expected hertz"),
     ],
 )
 def test_arrays_that_do_not_fit_are_named(changes, message):
