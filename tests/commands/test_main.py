@@ -162,7 +162,7 @@ UNREADABLE = {
     "no number": (("evaluate", "--seed", "one"), "seed: found 'one', expected a whole number$"),
     "no choice": (("train", "--algo", "pp"), "algo: found 'pp', expected one of ppo, recurrent"),
     "no value": (("evaluate", "--json"), "json: expected one argument$"),
-    "nothing": (("localize",), "required: LOG, --scene$"),
+    "nothing": (("simulate",), "required: --out$"),
     "mistyped name": (("evaluate", "--radio", "hand-set"), "; did you mean handset[?]$"),
 }
 
