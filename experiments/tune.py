@@ -24,6 +24,7 @@ from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.lookup import choose
 from mmwave_env.metrics import scored
 from mmwave_env.models.measurement import Layout
+from mmwave_env.models.radio import RADIOS, profile_of
 from mmwave_env.numerics.arrays import Array
 
 Objective = Callable[[Mode], Array]
@@ -128,7 +129,9 @@ def surface_table(free: Sequence[str], axes: Sequence[Array], surface: Array) ->
 def main(args: Args) -> None:
     """Run the command."""
     require_tuning_seed(args.seed)
-    modes = modes_from(args.modes, args.radio)
+    profile = profile_of(args.radio)
+    # One that nobody has tuned yet starts from the modes of "standard".
+    modes = modes_from(args.modes, profile if profile in RADIOS else "standard")
     if len(args.scenarios) != len(modes):
         raise ValueError(
             f"scenarios: found {len(args.scenarios)}, expected {len(modes)}, one for each of the "
@@ -150,7 +153,7 @@ def main(args: Args) -> None:
         tuned.append(best)
         value = bootstrap(objective(best)[:, None])[0]
         what = OBJECTIVES[args.objective][2]
-        print(f"### {mode.name} on {scenario}, {args.radio}: {what}\n")
+        print(f"### {mode.name} on {source.name}, {profile}: {what}\n")
         print(surface_table(args.free, axes, surface))
         found = ", ".join(f"{name} {getattr(best, name):g}" for name in args.free)
         print(f"\nbest: {found}: {value}\n")

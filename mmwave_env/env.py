@@ -98,8 +98,11 @@ class MmWaveLocEnv(gym.Env[NDArray[np.float32], np.int64]):
 
     ## Arguments
 
-    * `scenario`: "pedestrian", "vehicle", "walk-ride", "jam", "cyclist" or "mixed" (default).
-    * `radio`: "handset" (default), "standard", "high", or a `Radio`.
+    * `scenario`: "pedestrian", "vehicle", "walk-ride", "jam", "cyclist" or "mixed" (default); a
+      JSON file or a `Mobility` for a kind of user of your own; a CSV file (columns t, x, y, z) or a
+      `Trajectory` for a way of your own, of which `episode_steps` epochs at most are drawn.
+    * `radio`: "handset" (default), "standard", "high", a JSON file, or a `Radio`. Default modes are
+      tuned for these three names; others get those of "standard" and a warning.
     * `scene`: "street" (default), "o1", "dynamic-doppler", a JSON file, or a `Scene`.
     * `modes`: list of modes, each a name ("ekf", "ukf", "ckf", "ekf-robust", "ukf-robust"), a
       mode file or a `Mode`, whose algorithm may be your own function (docs/own-filters.md); or

@@ -51,7 +51,7 @@ _KINDS: dict[Any, tuple[type, str]] = {
 
 
 @cache
-def hints_of(kind: type) -> Mapping[str, Any]:
+def hints_of(kind: Any) -> Mapping[str, Any]:
     """The types of a dataclass's fields, with what is annotated."""
     hints = get_type_hints(kind, include_extras=True)
     return {field.name: hints[field.name] for field in fields(kind)}
@@ -155,7 +155,8 @@ def _built(hint: Any, value: Any, where: str) -> Any:
         return tuple(_built(inside, one, f"{where}[{i}]") for i, one in enumerate(value))
     if hint is float and type(value) is int:
         return float(value) if abs(value) < 1e300 else math.inf
-    return object_from(hint, value, f"{where}.") if is_dataclass(hint) else value
+    is_object = isinstance(hint, type) and is_dataclass(hint)
+    return object_from(hint, value, f"{where}.") if is_object else value
 
 
 def read_object(path: str | os.PathLike[str], what: str, make: Callable[[dict[str, Any]], T]) -> T:
@@ -170,12 +171,14 @@ def read_object(path: str | os.PathLike[str], what: str, make: Callable[[dict[st
         ValueError: naming the file, what is wrong in it and the schema.
         FileNotFoundError: there is no such file.
     """
-    text = Path(path).read_bytes()
+    file = Path(path)
+    if not file.is_file():
+        raise FileNotFoundError(f"{file}: found no such file, expected a {what} file, JSON")
     try:
-        content = json.loads(text.decode("utf-8"))
+        content = json.loads(file.read_text(encoding="utf-8"))
         if not isinstance(content, dict):
             raise ValueError(f"found {type(content).__name__}, expected an object")
         return make(content)
     except (ValueError, RecursionError) as error:
         schema = f"mmwave_env/data/schemas/{what}.schema.json"
-        raise ValueError(f"{os.fspath(path)}: not a {what} file: {error} ({schema})") from error
+        raise ValueError(f"{file}: not a {what} file: {error} ({schema})") from error

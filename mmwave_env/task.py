@@ -12,7 +12,7 @@ from mmwave_env.episodes.episode import Episode, EpisodeBatch, EpisodeSource
 from mmwave_env.episodes.measured import MeasuredTrack
 from mmwave_env.episodes.recorded import Recording
 from mmwave_env.episodes.samples import source_from
-from mmwave_env.episodes.simulated import SimulatedSource
+from mmwave_env.episodes.simulated import Scenario, SimulatedSource
 from mmwave_env.filters.mode_files import modes_from
 from mmwave_env.filters.modes import Mode
 from mmwave_env.filters.pipeline import Pipeline
@@ -88,8 +88,8 @@ class TaskArguments:
     :class:`~mmwave_env.env.MmWaveLocEnv` explains them.
     """
 
-    scenario: str | None = None
-    radio: str | Radio = "handset"
+    scenario: Scenario | None = None
+    radio: str | os.PathLike[str] | Radio = "handset"
     scene: str | Scene | None = None
     modes: Sequence[Mode | str] | str | os.PathLike[str] | None = None
     reward: str | Reward | PairedReward = "tracking"
@@ -131,14 +131,20 @@ def task_from(**arguments: Any) -> Task:
 def _source(given: TaskArguments, radio: Radio) -> tuple[EpisodeSource, Radio]:
     """Where the episodes come from, and the radio that they were received with."""
     if given.episodes is None:
-        return SimulatedSource(
+        simulated = SimulatedSource(
             scene_from("street" if given.scene is None else given.scene),
             radio,
             "mixed" if given.scenario is None else given.scenario,
             1.0 if given.dt is None else given.dt,
             EPISODE_STEPS if given.episode_steps is None else given.episode_steps,
             given.odometry,
-        ), radio
+        )
+        if given.episode_steps is not None and simulated.epochs < given.episode_steps:
+            raise ValueError(
+                f"episode_steps: found {given.episode_steps}, expected at most {simulated.epochs}, "
+                f"the epochs of {simulated.name}"
+            )
+        return simulated, radio
     brought = {
         "scenario": given.scenario, "scene": given.scene, "dt": given.dt,
         "odometry": given.odometry or None,

@@ -7,6 +7,7 @@ from typing import Any, NamedTuple
 
 from mmwave_env.filters.modes import Mode
 from mmwave_env.lookup import choose
+from mmwave_env.models.radio import profile_of
 
 Transition = tuple[tuple[float, ...], ...]
 
@@ -54,7 +55,7 @@ def tuned_imm(name: str, radio: str) -> TunedImm:
         ValueError: no IMM of this name was tuned.
     """
     radios = _shipped()
-    known = radios["standard"] | radios.get(radio, {})
+    known = radios["standard"] | radios.get(profile_of(radio), {})
     found = choose({imm: known[imm] for imm in TUNED_IMMS}, name, "tuned IMM")
     modes = tuple(Mode(**mode) for mode in found["modes"])
     return TunedImm(modes, tuple(map(tuple, found["transition"])), found["nis_quantile"])

@@ -24,7 +24,7 @@ class FilterArgs:
     """Filters."""
 
     radio: str = "handset"
-    """handset, standard or high: noise by SNR, and the tuning of the modes"""
+    """handset, standard, high or a JSON file: noise by SNR, and the tuning of the modes"""
     modes: Path | None = None
     """mode file with other pipelines: the one for low, then the one for high mobility"""
     gating: bool = True

@@ -18,9 +18,9 @@ class WorldArgs:
 
     scenario: str | None = None
     """kind of user: pedestrian, vehicle, walk-ride, jam, cyclist or mixed (equal shares; where
-    none is named)"""
+    none is named), or a JSON file; or a way of your own, a CSV file with columns t, x, y, z"""
     radio: str = "handset"
-    """handset, standard or high"""
+    """handset, standard, high or a JSON file"""
     scene: str | None = None
     """street (where none is named), o1, dynamic-doppler or a JSON file"""
     data: str | None = None

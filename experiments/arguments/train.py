@@ -31,9 +31,10 @@ class TaskArgs:
     algo: Literal["ppo", "recurrent-ppo"] = "ppo"
     """algorithm of Stable-Baselines3"""
     scenario: str = "mixed"
-    """pedestrian, vehicle, walk-ride, jam, cyclist or mixed (equal shares)"""
+    """pedestrian, vehicle, walk-ride, jam, cyclist or mixed (equal shares), or a JSON file;
+    or a way of your own, a CSV file with columns t, x, y, z"""
     radio: str = "handset"
-    """handset, standard or high"""
+    """handset, standard, high or a JSON file"""
     modes: tuple[str, ...] = ()
     """to choose from: extended, names and mode files; the radio's ekf and ukf by default"""
     observation: str = "full"

@@ -13,7 +13,7 @@ class Args(JsonArgs):
     """
 
     radio: str = "handset"
-    """profile that the switchers were trained with: handset or standard"""
+    """profile that the switchers were trained with: handset, standard or a JSON file"""
     policies: tuple[str, ...] = ("ppo", "ppo-extended")
     """shipped ones, policy files or folders of runs"""
     episodes: int = 500

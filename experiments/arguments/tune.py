@@ -16,11 +16,11 @@ class Args(JsonArgs):
     """
 
     radio: str = "handset"
-    """handset, standard or high"""
+    """handset, standard, high or a JSON file"""
     modes: tuple[str, ...] = ("ekf", "ukf")
     """what to tune: ekf, ukf, ckf, ekf-robust, ukf-robust, mode files"""
     scenarios: tuple[str, ...] = ("pedestrian", "vehicle")
-    """kind of user each mode is tuned on, in the same order"""
+    """kind of user each mode is tuned on, in the same order; names, JSON files or CSV files"""
     free: tuple[str, ...] = ("sigma_v", "sigma_p")
     """what to tune: sigma_p, sigma_v, sigma_pz, sigma_vz, sigma_b_mps, spread_gain"""
     objective: Literal["likelihood", "rmse"] = "likelihood"

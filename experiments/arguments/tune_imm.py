@@ -16,9 +16,9 @@ class Args:
     """
 
     scenario: str = "mixed"
-    """kind of user"""
+    """kind of user: a name, a JSON file or a CSV file"""
     radios: tuple[str, ...] = tuple(RADIOS)
-    """radio profiles"""
+    """radio profiles: names or JSON files"""
     imms: tuple[str, ...] = tuple(TUNED_IMMS)
     """imm-tuned (of ekf, ukf), imm-robust (of ekf-robust, ukf-robust), imm-extended (of eight): the
     transition; with -limited after the name the process noise of two modes as well, and outliers

@@ -13,6 +13,7 @@ from mmwave_env.filters.modes import Mode
 from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.lookup import unknown
 from mmwave_env.models.measurement import Layout
+from mmwave_env.models.radio import profile_of
 from mmwave_env.observation import Observation
 from policies import (
     TUNED_IMMS,
@@ -133,13 +134,14 @@ def contenders(radio: str, modes: tuple[Mode, ...] | None = None) -> dict[str, M
     """How to make every contender there is, by name; nothing is read from files before.
 
     Args:
-        radio: profile.
+        radio: profile, a name or a JSON file.
         modes: what they work with; None for the profile's two, beside which the profile has
             single modes of other kinds, tuned IMMs, and the learned switchers that are shipped
             for it.
     """
     if modes is not None:
         return _of_any_modes(modes)
+    radio = profile_of(radio)
     named, two = named_modes(radio), default_modes(radio)
     alone = {f"fixed-{name}": (named[name],) for name in ("ckf", "ekf-robust", "ukf-robust")}
     fixed: dict[str, Make] = {n: partial(_fixed, n, mode, 0) for n, mode in alone.items()}

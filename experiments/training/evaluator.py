@@ -27,13 +27,14 @@ class Evaluator:
     """
 
     def __init__(self, task: TrainingTask) -> None:
-        source = SimulatedSource(scene_from("street"), radio_from(task.radio), task.scenario)
+        radio = radio_from(task.radio)
+        source = SimulatedSource(scene_from("street"), radio, task.scenario)
         self._layout = source.layout
         self._episodes = draw_episodes(source, range(TUNING_SEED, TUNING_SEED + EPISODES))
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # that the rule leaves its design window is no news
             self._rivals = {
-                name: self._score(contender_from(name, task.radio))["reward"]
+                name: self._score(contender_from(name, radio.name))["reward"]
                 for name in TRAINING_RIVALS
             }
 

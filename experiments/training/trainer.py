@@ -176,7 +176,7 @@ class Training(BaseCallback):
         job, table = self._job, self._env.env.observation
         card = Card(
             modes=job.task.modes, observation=job.task.observation, digest=table.digest,
-            frames=job.recipe.frames, scenario=job.task.scenario, radio=job.task.radio,
+            frames=job.recipe.frames, scenario=job.task.scenario, radio=self._env.env.radio.name,
             algorithm=job.algorithm, seed=job.seed, timesteps=self._learner.num_timesteps,
             command=job.command, evaluation=evaluation,
             versions={"mmwave-loc": __version__} | {p: version(p) for p in PACKAGES},

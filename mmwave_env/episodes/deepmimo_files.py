@@ -6,9 +6,7 @@ ours has them in a sidecar, ``trajectory.csv`` (t, x, y, z, vx, vy, vz), one row
 :mod:`mmwave_env.episodes.deepmimo` makes sense of the arrays.
 """
 
-import csv
 import json
-import math
 import re
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,11 +15,11 @@ from typing import Any, NoReturn
 import numpy as np
 from numpy.typing import NDArray
 
+from mmwave_env.episodes.tables import TRAJECTORY, read_table, refuse
 from mmwave_env.numerics.arrays import Array
 
 PARAMS = "params.json"  # by which a folder is known as a scenario
 LINE_OF_SIGHT, REFLECTION = 0.0, 1.0  # values of ``inter`` that are understood here
-TRAJECTORY = ("t", "x", "y", "z", "vx", "vy", "vz")
 TOLERANCE_M = 0.05  # float32 files agree to 1e-4 m; walls and sidecars closer than this are one
 _HIGHEST_HZ = 1e15
 _PATH_KEYS = ("power", "delay", "aoa_az", "aoa_el", "aod_az", "aod_el")
@@ -54,11 +52,6 @@ class Scenario:
     def refuse(self, key: str, found: str, expected: str) -> NoReturn:
         """Raise a ValueError about the contents of a key's file."""
         refuse(_array_path(self.folder, key, self.link), key, found, expected)
-
-
-def refuse(file: Path, what: str, found: object, expected: str) -> NoReturn:
-    """Raise the ValueError that all parts of this reader raise."""
-    raise ValueError(f"{file}: {what}: found {found}, expected {expected}")
 
 
 def read_scenario(folder: Path) -> Scenario:
@@ -229,36 +222,13 @@ def _read_trajectory(file: Path, receivers_m: Array) -> Array:
             f"{file}: found no such file, expected the times and velocities that DeepMIMO does "
             f"not store: a row {','.join(TRAJECTORY)} for each receiver"
         )
-    try:
-        with file.open(newline="", encoding="utf-8-sig") as lines:
-            reader = csv.reader(lines, skipinitialspace=True)
-            table = [(reader.line_num, row) for row in reader if row] or [(1, [])]
-    except (ValueError, OSError, csv.Error) as error:
-        raise ValueError(f"{file}: found no readable CSV ({error}), expected CSV") from error
-    (_, header), *rows = table
-    if any(name not in header for name in TRAJECTORY):
-        refuse(file, "header", repr(",".join(header)), f"the columns {','.join(TRAJECTORY)}")
-    if len(rows) != len(receivers_m):
-        refuse(file, "rows", len(rows), f"{len(receivers_m)}, one for each receiver in rx_pos")
-    columns = {name: header.index(name) for name in TRAJECTORY}
-    track = np.empty((len(rows), len(TRAJECTORY)))
-    for i, (line, row) in enumerate(rows):
-        if len(row) != len(header):
-            refuse(file, f"line {line}", f"{len(row)} values", f"{len(header)}")
-        track[i] = [_number(file, f"line {line}, column {n}", row[c]) for n, c in columns.items()]
+    lines, track = read_table(file, TRAJECTORY)
+    if len(track) != len(receivers_m):
+        refuse(file, "rows", len(track), f"{len(receivers_m)}, one for each receiver in rx_pos")
+    for i, line in enumerate(lines):
         if i and not track[i, 0] > track[i - 1, 0]:
             refuse(file, f"line {line}, column t", track[i, 0], f"more than {track[i - 1, 0]}")
         if not np.linalg.norm(track[i, 1:4] - receivers_m[i]) <= TOLERANCE_M:
             refuse(file, f"line {line}, columns x, y, z", track[i, 1:4].tolist(),
                    f"{receivers_m[i].tolist()}, rx_pos of receiver {i}")  # fmt: skip
     return track
-
-
-def _number(file: Path, what: str, text: str) -> float:
-    try:
-        value = float(text)
-    except ValueError:
-        value = math.nan
-    if not math.isfinite(value):
-        refuse(file, what, repr(text), "a finite number")
-    return value

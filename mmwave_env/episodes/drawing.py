@@ -7,7 +7,7 @@ from mmwave_env.compiler.lanes import WIDTH
 from mmwave_env.compiler.lazy_jit import LazyJit
 from mmwave_env.compiler.program import advance
 from mmwave_env.compiler.rng import RngView, load_state, save_state
-from mmwave_env.episodes.travel import travel
+from mmwave_env.episodes.travel import draw_kind, travel
 
 PLAIN_DRAWN_EPOCHS = 20_000  # before compiling, which takes as long as 75 000 of them
 
@@ -63,7 +63,7 @@ def _simulate(  # type: ignore[no-untyped-def]
         layout: numbers of links, of rows and of columns drawn, and the column of dt in a table.
         keep: rows of the workspace that make an epoch of ``tables``.
         time_s: (T,) of the epochs.
-        kinds: (n,) gets the kind of user.
+        kinds: (n,) gets those of :func:`~mmwave_env.episodes.travel.draw_kind`.
         first: (n, 7) gets the true position and velocity and the draw of the oscillator.
         prior: (n, 7) gets normals.
         tables: (n, T, columns) gets the episodes.
@@ -77,7 +77,7 @@ def _simulate(  # type: ignore[no-untyped-def]
         here = end - begin
         for e in range(begin, end):
             load_state(view, e)
-            kinds[e] = int(rng.random() * len(plan.phases))
+            kinds[e] = draw_kind(rng, plan, T)
             save_state(view, e)
         travel(view, begin, kinds[begin:end], plan, dt, stride, move_on, observe, draws)
         for e in range(begin, end):

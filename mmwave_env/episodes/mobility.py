@@ -1,15 +1,41 @@
 """Kinds of users: how fast they want to go, what they can do, where they walk or drive."""
 
+import os
 from collections.abc import Sequence
-from dataclasses import astuple, dataclass, field, replace
+from dataclasses import astuple, dataclass, replace
+from math import inf
+from pathlib import Path
+from typing import Annotated
 
 import numpy as np
 
 from mmwave_env.episodes.travel import TravelPlan
 from mmwave_env.lookup import choose
 from mmwave_env.models.scene import Streets
+from mmwave_env.records import (
+    Bound,
+    Count,
+    NonNegative,
+    Positive,
+    Probability,
+    object_from,
+    read_object,
+    require_fields,
+)
 
-Range = tuple[float, float]
+FASTEST_MPS = 100.0  # beyond any user of streets
+
+Speed = Annotated[float, Bound(f"0 to {FASTEST_MPS:g} m/s", least=0.0, most=FASTEST_MPS)]
+Duration = Annotated[float, Bound("a number > 0", above=0.0, most=inf)]
+Range = tuple[Positive, Positive]
+
+
+def _require_ordered(record: object, *names: str) -> None:
+    """Refuse ranges that are the wrong way round."""
+    for name in names:
+        low, high = getattr(record, name)
+        if low > high:
+            raise ValueError(f"{name}: found {(low, high)}, expected [low, high]")
 
 
 @dataclass(frozen=True)
@@ -18,14 +44,21 @@ class Gait:
 
     Attributes:
         low_mps, high_mps: the target is uniform between these.
-        mean_s: mean duration, exponential.
+        mean_s: mean duration, exponential; for good if left out.
         weight: how often it is chosen next, relative to the others.
     """
 
-    low_mps: float
-    high_mps: float
-    mean_s: float
-    weight: float = 1.0
+    low_mps: Speed
+    high_mps: Speed
+    mean_s: Duration = inf
+    weight: Positive = 1.0
+
+    def __post_init__(self) -> None:
+        require_fields(self)
+        if self.low_mps > self.high_mps:
+            raise ValueError(
+                f"high_mps: found {self.high_mps}, expected >= {self.low_mps}, low_mps"
+            )
 
 
 @dataclass(frozen=True)
@@ -35,7 +68,7 @@ class Limits:
     Attributes:
         acceleration_mps2, braking_mps2, lateral_mps2: ranges.
         jerk_mps3: limit of the change of acceleration.
-        corner_radius_m: of the arcs at crossings.
+        corner_radius_m: of the arcs at crossings; at most half the distance of crossings.
         red_light_probability: of waiting at a crossing.
         red_light_s: range of the wait.
     """
@@ -43,10 +76,14 @@ class Limits:
     acceleration_mps2: Range
     braking_mps2: Range
     lateral_mps2: Range
-    jerk_mps3: float
-    corner_radius_m: float
-    red_light_probability: float = 0.0
-    red_light_s: Range = (5.0, 25.0)
+    jerk_mps3: Positive
+    corner_radius_m: Positive
+    red_light_probability: Probability = 0.0
+    red_light_s: tuple[NonNegative, NonNegative] = (5.0, 25.0)
+
+    def __post_init__(self) -> None:
+        require_fields(self)
+        _require_ordered(self, "acceleration_mps2", "braking_mps2", "lateral_mps2", "red_light_s")
 
 
 @dataclass(frozen=True)
@@ -56,12 +93,18 @@ class Phase:
     Attributes:
         limits: what is possible.
         gaits: what is wanted.
-        duration_s: range of its length; infinite for the rest of the episode.
+        duration_s: range of its length; the rest of the episode if left out.
     """
 
     limits: Limits
     gaits: tuple[Gait, ...]
-    duration_s: Range = (np.inf, np.inf)
+    duration_s: tuple[Duration, Duration] = (inf, inf)
+
+    def __post_init__(self) -> None:
+        require_fields(self)
+        _require_ordered(self, "duration_s")
+        if not self.gaits:
+            raise ValueError("gaits: found none, expected at least one")
 
 
 @dataclass(frozen=True)
@@ -70,21 +113,37 @@ class Mobility:
 
     Attributes:
         name: of the scenario.
-        phases: in order of time.
+        phases: in order of time. All but the last say their ``duration_s``; the last does not,
+            unless the episode ends as it began.
         blocks: how many times closer together the crossings are than the streets' blocks say.
         ends_as_it_began: whether the episode ends with its first phase again.
     """
 
     name: str
     phases: tuple[Phase, ...]
-    blocks: int = 1
-    ends_as_it_began: bool = field(default=False)
+    blocks: Count = 1
+    ends_as_it_began: bool = False
+
+    def __post_init__(self) -> None:
+        require_fields(self, f" of mobility {self.name!r}")
+        if not self.phases:
+            raise ValueError("phases: found none, expected at least one")
+        lasts = self.phases[-1].duration_s[0] == inf
+        for i, phase in enumerate(self.phases):
+            last = i == len(self.phases) - 1
+            if phase.duration_s[1] == inf and (not last or (self.ends_as_it_began and i == 0)):
+                raise ValueError(f"phases[{i}].duration_s: found none, expected [low, high]")
+        if not lasts and not self.ends_as_it_began:
+            raise ValueError(
+                f"phases[{len(self.phases) - 1}].duration_s: found it in the last phase, expected "
+                "none: it lasts until the episode ends"
+            )
 
 
 _ON_FOOT = Limits((0.5, 1.0), (0.8, 1.5), (1.0, 2.0), 2.0, 1.0)
 _WALK = (Gait(0.4, 1.9, 20.0, 3.0), Gait(0.0, 0.0, 10.0, 1.0))
 _DRIVING = Limits((1.5, 3.0), (2.0, 3.5), (2.0, 3.5), 4.0, 8.0, 0.4)
-_DRIVE = (Gait(9.0, 20.0, np.inf),)
+_DRIVE = (Gait(9.0, 20.0),)
 _JAM = (Gait(0.0, 0.0, 8.0, 1.0), Gait(0.5, 2.5, 8.0, 1.5), Gait(3.0, 7.0, 6.0, 1.0))
 _CYCLING = Limits((0.6, 1.2), (1.5, 2.5), (1.5, 2.5), 2.0, 4.0, 0.2, (5.0, 15.0))
 _CYCLE = (Gait(2.0, 6.5, 25.0),)
@@ -104,19 +163,41 @@ MIXED = "mixed"
 SCENARIOS = (*MOBILITIES, MIXED)
 
 
-def mobilities_of(scenario: str) -> tuple[Mobility, ...]:
+def mobilities_of(scenario: str | os.PathLike[str] | Mobility) -> tuple[Mobility, ...]:
     """The mobilities a scenario draws from, in equal shares.
 
     Raises:
-        ValueError: unknown scenario; the message lists the valid ones.
+        ValueError: unknown scenario; the message lists the valid ones. A file that holds something
+            else than :func:`read_mobility` reads.
     """
+    if isinstance(scenario, Mobility):
+        return (scenario,)
+    if str(scenario).endswith(".json"):
+        return (read_mobility(scenario),)
     names = {name: (mobility,) for name, mobility in MOBILITIES.items()}
     names[MIXED] = tuple(MOBILITIES.values())  # type: ignore[assignment]
-    return choose(names, scenario, "scenario")
+    return choose(names, str(scenario), "scenario")
+
+
+def read_mobility(path: str | os.PathLike[str]) -> Mobility:
+    """A kind of user from a JSON file: the fields of :class:`Mobility`, objects for its parts.
+
+    "name" is by default that of the file.
+
+    Raises:
+        ValueError: naming the file and what is wrong in it.
+        FileNotFoundError: there is no such file.
+    """
+    name = {"name": Path(path).stem}
+    return read_object(path, "mobility", lambda content: object_from(Mobility, name | content))
 
 
 def plan_of(mobilities: Sequence[Mobility], streets: Streets) -> TravelPlan:
-    """Mobilities in some streets, in numbers."""
+    """Mobilities in some streets, in numbers.
+
+    Raises:
+        ValueError: corners that do not fit between two crossings.
+    """
     acts = [m.phases + m.phases[:1] * m.ends_as_it_began for m in mobilities]
     most = max(len(phases) for phases in acts)
     duration, ranges = np.full((len(acts), most, 2), np.inf), np.zeros((len(acts), most, 3, 2))
@@ -125,6 +206,13 @@ def plan_of(mobilities: Sequence[Mobility], streets: Streets) -> TravelPlan:
     for i, phases in enumerate(acts):
         for j, phase in enumerate(phases):
             limits = phase.limits
+            apart = streets.block_m / mobilities[i].blocks
+            if 2.0 * limits.corner_radius_m > apart:
+                raise ValueError(
+                    f"corner_radius_m of mobility {mobilities[i].name!r}: found "
+                    f"{limits.corner_radius_m}, expected at most half of the {apart:g} m between "
+                    "crossings"
+                )
             duration[i, j] = phase.duration_s
             ranges[i, j] = limits.acceleration_mps2, limits.braking_mps2, limits.lateral_mps2
             fixed[i, j] = (limits.jerk_mps3, limits.corner_radius_m,
@@ -144,4 +232,5 @@ def plan_of(mobilities: Sequence[Mobility], streets: Streets) -> TravelPlan:
         counts=np.round(extent / block[:, None]),
         origin=np.array([west, south]),
         height=streets.height_m,
+        way=np.empty((0, 6)),
     )

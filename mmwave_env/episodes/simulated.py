@@ -4,6 +4,7 @@ All randomness of an episode is drawn first, in one go and from the episode's ow
 What follows is arithmetic: functions of numbers that run on lanes, an episode to a lane.
 """
 
+import os
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
@@ -17,7 +18,8 @@ from mmwave_env.compiler.threads import portions, share
 from mmwave_env.episodes.drawing import simulate
 from mmwave_env.episodes.episode import Episode, EpisodeBatch, Incoming, blank_incoming, columns_of
 from mmwave_env.episodes.kinematics import motion
-from mmwave_env.episodes.mobility import mobilities_of, plan_of
+from mmwave_env.episodes.mobility import MIXED, Mobility, mobilities_of, plan_of
+from mmwave_env.episodes.trajectory import Trajectory, read_trajectory
 from mmwave_env.episodes.travel import TravelPlan, stride_of
 from mmwave_env.models.channel import (
     Channel,
@@ -35,6 +37,8 @@ from mmwave_env.numerics.arrays import Array, Index
 from mmwave_env.numerics.linalg import dot
 from mmwave_env.numerics.numbers import Number, Vector, sqrt, where, wrap
 from mmwave_env.numerics.pytree import flatten, indices
+
+Scenario = str | os.PathLike[str] | Mobility | Trajectory
 
 CHUNK = 64  # episodes a thread draws at once, at most
 
@@ -185,26 +189,28 @@ class SimulatedSource:
     Attributes:
         scene: geometry and carrier.
         radio: noise, blockage, multipath.
-        scenario: kind of user, or "mixed".
+        scenario: kind of user: a name, "mixed", a JSON file or a Mobility; or the way of one: a CSV
+            file or a Trajectory.
         dt: seconds between epochs.
-        epochs: length of an episode.
+        epochs: length of an episode; at most, of a trajectory: a window that is drawn, or all of
+            one that is shorter.
         odometry: whether the user also reports speed and heading.
     """
 
     scene: Scene
     radio: Radio
-    scenario: str = "mixed"
+    scenario: Scenario = "mixed"
     dt: float = 1.0
     epochs: int = 200
     odometry: bool = False
 
     def __post_init__(self) -> None:
-        mobilities_of(self.scenario)
-        self.scene.require_streets_in_front()
         if not 0.0 < self.dt < float("inf"):
             raise ValueError(f"dt: found {self.dt}, expected a positive number of seconds")
         if self.epochs < 1:
             raise ValueError(f"epochs: found {self.epochs}, expected at least 1")
+        if len(self._plan.way):
+            object.__setattr__(self, "epochs", min(self.epochs, len(self._plan.way)))
 
     @cached_property
     def layout(self) -> Layout:
@@ -219,8 +225,10 @@ class SimulatedSource:
     @property
     def name(self) -> str:
         """The scenario, and the scene where it is not the default street."""
-        scene = self.scene.name
-        return self.scenario if scene == "street" else f"{self.scenario} on {scene}"
+        users, scene = self._users, self.scene.name
+        many = isinstance(users, tuple) and len(users) > 1
+        who = MIXED if many else self._names[0]
+        return who if scene == "street" else f"{who} on {scene}"
 
     def sample(self, rng: np.random.Generator) -> Episode:
         """Draw one episode; all randomness comes from ``rng``."""
@@ -304,7 +312,6 @@ class SimulatedSource:
             threads: how many may draw at once.
         """
         layout, program, n = self.layout, _program(self.layout), len(tables)
-        choices = mobilities_of(self.scenario)
         kinds, first, prior = np.empty(n, np.int64), np.empty((n, 7)), np.empty((n, STATE_SIZE))
         same = (
             self._plan, self.dt, stride_of(self.dt), *motion(), program.on_lanes(), self._start,
@@ -319,7 +326,8 @@ class SimulatedSource:
         share(lambda some: draw(*arguments(some)), [(some,) for some in parts], threads)
         first[:, 6] = self.scene.hz_per_mps * (self.radio.prior_bias_mps * first[:, 6])
         prior *= self._prior_deviations
-        return [choices[kind].name for kind in kinds], first + prior
+        names = self._names
+        return [names[kind] for kind in kinds] if len(names) > 1 else names * n, first + prior
 
     @cached_property
     def _site(self) -> tuple[Array, list[Any]]:
@@ -334,8 +342,25 @@ class SimulatedSource:
         return np.sqrt(np.diag(self.radio.prior_covariance(self.scene)))
 
     @cached_property
+    def _users(self) -> tuple[Mobility, ...] | Trajectory:
+        if isinstance(self.scenario, Trajectory):
+            return self.scenario
+        if not isinstance(self.scenario, Mobility) and str(self.scenario).endswith(".csv"):
+            return read_trajectory(self.scenario)
+        return mobilities_of(self.scenario)
+
+    @cached_property
+    def _names(self) -> list[str]:
+        users = self._users
+        return [users.name] if isinstance(users, Trajectory) else [user.name for user in users]
+
+    @cached_property
     def _plan(self) -> TravelPlan:
-        return plan_of(mobilities_of(self.scenario), self.scene.streets)
+        users = self._users
+        if isinstance(users, Trajectory):
+            return users.plan(self.scene, self.dt)
+        self.scene.require_streets_in_front()
+        return plan_of(users, self.scene.streets)
 
     @cached_property
     def _start(self) -> Array:

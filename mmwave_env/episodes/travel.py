@@ -24,7 +24,10 @@ STOPPING_S = 5.0  # what a ride takes to stop before its passenger walks on
 
 
 class TravelPlan(NamedTuple):
-    """K kinds of users in numbers; rows past a kind's phases and gaits are unused."""
+    """K kinds of users in numbers, or a way that is given.
+
+    Rows past a kind's phases and gaits are unused.
+    """
 
     phases: Index  # (K,) number of phases
     # (K,) whether the last phase is the first again, until the episode ends
@@ -39,6 +42,8 @@ class TravelPlan(NamedTuple):
     counts: Array  # (K, 2) blocks west to east and south to north
     origin: Array  # (2,) the crossing to the south-west, m
     height: float  # of the user equipment, m
+    # (E, 6) where K is 0: the way of all users, positions (m) and velocities (m/s)
+    way: Array
 
 
 @register_jitable
@@ -205,13 +210,20 @@ def _begin(rng, now, plan, kind, total_s, limits):  # type: ignore[no-untyped-de
 
 
 @register_jitable
+def draw_kind(rng, plan, epochs):  # type: ignore[no-untyped-def]
+    """A traveler's kind; of a way that is given, the row where it begins."""
+    given = len(plan.way)
+    return int(rng.random() * (given - epochs + 1 if given else len(plan.phases)))
+
+
+@register_jitable
 def travel(view, first, kinds, plan, dt, stride, move_on, observe, out):  # type: ignore[no-untyped-def]
     """The whole way of up to eight travelers; all randomness of each is its own.
 
     Args:
         view: to draw from.
         first: which of the dice's states is the first traveler's; the others' follow.
-        kinds: (n,) which of the plan's kinds each is.
+        kinds: (n,) of :func:`draw_kind`.
         plan: kinds of users.
         dt: seconds between epochs.
         stride: substeps between epochs.
@@ -219,6 +231,10 @@ def travel(view, first, kinds, plan, dt, stride, move_on, observe, out):  # type
         out: (n, epochs, 6 or more) the first six columns get positions (m) and velocities (m/s).
     """
     rng, here, epochs = view[0], len(kinds), out.shape[1]
+    if len(plan.way):
+        for lane in range(here):
+            out[lane, :, :6] = plan.way[kinds[lane] : kinds[lane] + epochs]
+        return
     block = np.zeros((len(AT), WIDTH))
     for lane in range(WIDTH):
         block[AT.step, lane] = dt / stride

@@ -11,7 +11,7 @@ from typing import Any
 
 from mmwave_env.filters.modes import Mode, robust
 from mmwave_env.lookup import choose
-from mmwave_env.models.radio import RADIOS
+from mmwave_env.models.radio import RADIOS, profile_of
 from mmwave_env.records import object_from, read_object
 
 EXTENDED = "extended"  # name of the shipped bank of modes
@@ -83,7 +83,7 @@ def extended_modes() -> tuple[Mode, ...]:
 
 def default_modes(radio: str = "handset") -> tuple[Mode, Mode]:
     """The two actions of ``MmWaveLoc-v0``: the paper's EKF and UKF pipelines."""
-    low, high = shipped_modes(radio)
+    low, high = shipped_modes(profile_of(radio))
     return low, high
 
 
@@ -130,7 +130,8 @@ def modes_from(
             result += read_modes(mode)
         else:
             known = named_modes(radio)
-            result.append(choose(known | {EXTENDED: mode}, mode, "mode"))
+            choose(dict.fromkeys([EXTENDED, *known]), mode, "mode")
+            result.append(known[mode])
     names = [m.name for m in result]
     if not result or len(set(names)) < len(names):
         raise ValueError(f"modes: found {names}, expected at least one mode and no name twice")

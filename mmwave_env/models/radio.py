@@ -28,12 +28,9 @@ from mmwave_env.records import (
     require_fields,
 )
 
+DEGREE = math.pi / 180.0
 DECIBEL = math.log(10.0) / 10.0  # natural logarithm of 1 dB
 SNR_LIMITS_DB = (-30.0, 80.0)  # beyond them noise no longer follows the SNR
-
-
-def _degrees(value: float) -> float:
-    return math.radians(value)
 
 
 @dataclass(frozen=True)
@@ -79,9 +76,9 @@ class Radio:
     gnb_elements: Count = 8
     ue_elements: Count = 4
     range_floor_m: tuple[Positive, Positive] = (0.2, 0.4)
-    aoa_floor_rad: Positive = _degrees(1.0)
-    aod_floor_rad: Positive = _degrees(0.5)
-    elevation_floor_rad: Positive = _degrees(0.7)
+    aoa_floor_rad: Positive = 1.0 * DEGREE
+    aod_floor_rad: Positive = 0.5 * DEGREE
+    elevation_floor_rad: Positive = 0.7 * DEGREE
     doppler_floor_mps: Positive = 0.1
     prior_position_m: Positive = 3.0
     prior_height_m: Positive = 0.5
@@ -106,11 +103,11 @@ class Radio:
     blockage_limit: NonNegative = 0.35
     blockage_mean_s: Positive = 4.0
     blockage_range_m: NonNegative = 3.0
-    blockage_angle_rad: NonNegative = _degrees(3.0)
+    blockage_angle_rad: NonNegative = 3.0 * DEGREE
     multipath_rate_hz: NonNegative = 0.008
     multipath_mean_s: Positive = 3.3
     multipath_range_m: tuple[NonNegative, NonNegative] = (1.0, 4.0)
-    multipath_angle_rad: NonNegative = _degrees(5.0)
+    multipath_angle_rad: NonNegative = 5.0 * DEGREE
     outage_rate_hz: NonNegative = 0.0
     outage_mean_s: Positive = 3.0
     spread_gain: NonNegative = 0.3
@@ -118,7 +115,7 @@ class Radio:
     spread_floor_mps: NonNegative = 0.3
     drift_mps: NonNegative = 0.05
     odometry_speed_mps: Positive = 0.1
-    odometry_heading_rad: Positive = _degrees(3.0)
+    odometry_heading_rad: Positive = 3.0 * DEGREE
     odometry_slowest_mps: float = 0.2
 
     def __post_init__(self) -> None:
@@ -179,9 +176,9 @@ RADIOS: dict[str, Radio] = {
         gnb_elements=4,
         ue_elements=2,
         range_floor_m=(0.5, 0.8),
-        aoa_floor_rad=_degrees(3.0),
-        aod_floor_rad=_degrees(2.0),
-        elevation_floor_rad=_degrees(2.0),
+        aoa_floor_rad=3.0 * DEGREE,
+        aod_floor_rad=2.0 * DEGREE,
+        elevation_floor_rad=2.0 * DEGREE,
         prior_position_m=4.0,
         outage_rate_hz=0.003,
     ),
@@ -191,9 +188,9 @@ RADIOS: dict[str, Radio] = {
         gnb_elements=16,
         ue_elements=8,
         range_floor_m=(0.1, 0.2),
-        aoa_floor_rad=_degrees(0.5),
-        aod_floor_rad=_degrees(0.25),
-        elevation_floor_rad=_degrees(0.4),
+        aoa_floor_rad=0.5 * DEGREE,
+        aod_floor_rad=0.25 * DEGREE,
+        elevation_floor_rad=0.4 * DEGREE,
         doppler_floor_mps=0.05,
         prior_position_m=2.0,
     ),
@@ -211,6 +208,11 @@ def radio_from(radio: str | os.PathLike[str] | Radio) -> Radio:
     return (
         read_radio(radio) if str(radio).endswith(".json") else choose(RADIOS, str(radio), "radio")
     )
+
+
+def profile_of(radio: str) -> str:
+    """The name that modes, IMMs and policies tuned for a radio go by: of a file, the one in it."""
+    return read_radio(radio).name if radio.endswith(".json") else radio
 
 
 def read_radio(path: str | os.PathLike[str]) -> Radio:
@@ -240,7 +242,7 @@ def _in_radians(content: dict[str, Any]) -> dict[str, Any]:
         if name in given:
             raise ValueError(f"{key}: found it beside the same angle in the other unit")
         in_degrees = name != key and type(value) in (int, float)
-        given[name] = math.radians(value) if in_degrees else value
+        given[name] = value * DEGREE if in_degrees else value
     return given
 
 

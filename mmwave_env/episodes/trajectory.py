@@ -1,0 +1,156 @@
+"""A way of one's own: where a user was when, from GPS, a traffic simulator or a survey."""
+
+import os
+import warnings
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from mmwave_env.episodes.mobility import FASTEST_MPS
+from mmwave_env.episodes.tables import TRAJECTORY, read_table
+from mmwave_env.episodes.travel import TravelPlan
+from mmwave_env.models.scene import Scene
+from mmwave_env.numerics.arrays import Array, Mask
+
+LONGEST_GAP_S = 15.0  # over which positions are interpolated; a log's track begins anew there, too
+CLOSEST_M = 1.0  # to an anchor: the path loss is that at 1 m and beyond
+STANDING_M, STANDING_S = 0.1, 60.0  # who stays within the one for the other is perhaps in degrees
+
+
+@dataclass(frozen=True, eq=False)
+class Trajectory:
+    """Where a user was when, N times; episodes of it go through the simulated channel.
+
+    Attributes:
+        name: for results and messages.
+        time_s: (N,) increasing; at least two, no gap of more than 15 s.
+        position_m: (N, 3) in the frame of the scene.
+        velocity_mps: (N, 3); None for the rates of change of the positions: at every row, that of
+            the parabola through it and its neighbors.
+        lines: (N,) of the rows in their file, for messages; None where there is no file.
+
+    Raises:
+        ValueError: naming the line of the file, or the row from 1, and what is wrong in it.
+    """
+
+    name: str
+    time_s: Array
+    position_m: Array
+    velocity_mps: Array | None = None
+    lines: Sequence[int] | None = None
+
+    def __post_init__(self) -> None:
+        t, p = np.asarray(self.time_s, float), np.asarray(self.position_m, float)
+        v = None if self.velocity_mps is None else np.asarray(self.velocity_mps, float)
+        for name, values in (("position_m", p), ("velocity_mps", v)):
+            if values is not None and (t.ndim != 1 or values.shape != (len(t), 3)):
+                raise ValueError(
+                    f"{name} of {self.name}: found shape {values.shape}, expected (N, 3), with as "
+                    f"many rows as time_s, which has shape {t.shape}"
+                )
+        if len(t) < 2:
+            raise ValueError(f"{self.name}: found {len(t)} rows, expected at least 2")
+        for name, values in (("t", t), ("x, y, z", p), ("vx, vy, vz", v)):
+            if values is not None:
+                self._require(np.isfinite(values), values, name, "finite numbers")
+        self._require_motion(t, p, v)
+        object.__setattr__(self, "time_s", t)
+        object.__setattr__(self, "position_m", p)
+        object.__setattr__(self, "velocity_mps", np.gradient(p, t, axis=0) if v is None else v)
+
+    def _require_motion(self, t: Array, p: Array, v: Array | None) -> None:
+        """Refuse what no user of streets does."""
+        step = np.diff(t, prepend=t[0] - 1.0)
+        moved = np.diff(p, axis=0, prepend=p[:1])
+        self._require(step > 0.0, t, "t", "more than in the row before")
+        self._require(
+            step <= LONGEST_GAP_S, t, "t",
+            f"at most {LONGEST_GAP_S:g} s after the row before; cut the trajectory there",
+        )  # fmt: skip
+        speed = np.linalg.norm(moved, axis=1) / step
+        most = f"at most {FASTEST_MPS:g} m/s"
+        unit = f"{most}: is t in seconds, and are x, y in meters, not in degrees?"
+        self._require(speed <= FASTEST_MPS, speed, "m/s since the row before", unit)
+        if v is not None:
+            self._require(np.linalg.norm(v, axis=1) <= FASTEST_MPS, v, "vx, vy, vz", most)
+        if t[-1] - t[0] >= STANDING_S and np.ptp(p, axis=0).max() < STANDING_M:
+            warnings.warn(
+                f"{self.name}: found all of {t[-1] - t[0]:g} s within {STANDING_M:g} m; x, y are "
+                "taken as meters: are they in degrees?",
+                stacklevel=4,
+            )
+
+    def _require(self, holds: Mask, values: Array, what: str, expected: str) -> None:
+        """Refuse the first of the rows (N, ...) where something does not hold."""
+        rows = holds.reshape(len(holds), -1).all(axis=1)
+        if not rows.all():
+            i = int(np.argmin(rows))
+            found = ", ".join(f"{value:.6g}" for value in np.ravel(values[i]))
+            raise ValueError(
+                f"{self.name}, {self._place(i)}: {what}: found {found}, expected {expected}"
+            )
+
+    def _place(self, row: int) -> str:
+        return f"row {row + 1}" if self.lines is None else f"line {self.lines[row]}"
+
+    def resampled(self, dt: float) -> Array:
+        """Positions and velocities (E, 6) at steps of ``dt`` seconds from the first time on.
+
+        The cubic between two rows that has their positions and velocities (Hermite); velocities are
+        its derivatives.
+        """
+        from scipy.interpolate import CubicHermiteSpline
+
+        way = CubicHermiteSpline(self.time_s, self.position_m, self.velocity_mps)
+        count = int((self.time_s[-1] - self.time_s[0]) / dt * (1.0 + 1e-12)) + 1
+        at = np.minimum(self.time_s[0] + dt * np.arange(count), self.time_s[-1])
+        return np.hstack([way(at), way(at, 1)])
+
+    def plan(self, scene: Scene, dt: float) -> TravelPlan:
+        """The way through a scene, as it is drawn from.
+
+        Raises:
+            ValueError: shorter than a step; behind a wall that mirrors, or at an anchor.
+        """
+        way = self.resampled(dt)
+        if len(way) < 2:
+            raise ValueError(f"{self.name}: found {np.ptp(self.time_s):g} s, expected {dt:g}, dt")
+        position = way[:, :3]
+
+        def refuse(epoch: int, expected: str) -> None:
+            row = int(np.searchsorted(self.time_s, self.time_s[0] + epoch * dt, "right")) - 1
+            found = ", ".join(f"{value:.6g}" for value in position[epoch])
+            raise ValueError(
+                f"{self.name}, {self._place(row)}: x, y, z: found {found}, expected {expected} of "
+                f"scene {scene.name!r}"
+            )
+
+        for epoch, wall in scene.behind_walls(position):
+            refuse(epoch, f"a place on the base station's side of {wall}")
+        for anchor in scene.anchors_m:
+            distance = np.linalg.norm(position - anchor, axis=1)
+            if distance.min() < CLOSEST_M:
+                refuse(int(distance.argmin()), f"{CLOSEST_M:g} m or more from anchor {anchor}")
+        return TravelPlan(
+            phases=np.zeros(0, np.int64), returns=np.zeros(0, np.bool_),
+            duration=np.zeros((0, 0, 2)), ranges=np.zeros((0, 0, 3, 2)),
+            fixed=np.zeros((0, 0, 5)), gaits=np.zeros((0, 0, 0, 4)), block=np.zeros(0),
+            counts=np.zeros((0, 2)), origin=np.zeros(2), height=0.0, way=way,
+        )  # fmt: skip
+
+
+def read_trajectory(path: str | os.PathLike[str]) -> Trajectory:
+    """A trajectory from a CSV file with the columns t, x, y, z and perhaps vx, vy, vz.
+
+    Seconds, meters and meters per second, in the frame of the scene. Other columns are not looked
+    at.
+
+    Raises:
+        ValueError: naming the file, the row and what is wrong in it.
+        FileNotFoundError: there is no such file.
+    """
+    lines, table = read_table(Path(path), TRAJECTORY[:4], TRAJECTORY[4:])
+    velocity = table[:, 4:] if table.shape[1] > 4 else None
+    return Trajectory(os.fspath(path), table[:, 0], table[:, 1:4], velocity, lines)
