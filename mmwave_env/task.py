@@ -49,8 +49,7 @@ class Task:
         episode = self.source.sample(rng)
         episode.require_truth()
         if self.pipeline.planar:
-            assert episode.truth_position_m is not None
-            episode = episode.on_flat_ground(float(episode.truth_position_m[0, 2]))
+            episode = episode.on_flat_ground()
         return episode
 
     def draw_many(
@@ -151,7 +150,7 @@ def _source(given: TaskArguments, radio: Radio) -> tuple[EpisodeSource, Radio]:
     }  # fmt: skip
     for name, value in brought.items():
         if value is not None:
-            raise ValueError(f"{name}: found {value!r}, but recorded episodes= bring it")
+            raise ValueError(f"{name}: found {value!r}, but recorded episodes bring it")
     source = _recorded(given.episodes, radio, given.episode_steps)
     return source, getattr(source, "radio", radio)
 

@@ -14,7 +14,7 @@ class JsonArgs:
 
 @dataclass(kw_only=True)
 class WorldArgs:
-    """Streets, users and radio."""
+    """Streets, users and radio, as of the environment."""
 
     scenario: str | None = None
     """kind of user: pedestrian, vehicle, walk-ride, jam, cyclist or mixed (equal shares; where
@@ -27,6 +27,12 @@ class WorldArgs:
     """recorded data instead of a simulation: canyon28_vehicle, canyon28_pedestrian, or a folder, of
     a DeepMIMO scenario (each seed draws receiver noise and prior anew) or of a measurement log with
     scene.json and truth.tum (each draws the prior anew)"""
+    dt: float | None = None
+    """seconds between epochs (1 where none is given)"""
+    episode_steps: int | None = None
+    """epochs of an episode (200 where none is given; all of recorded data)"""
+    odometry: bool = False
+    """the user measures speed and heading, too"""
 
 
 @dataclass(kw_only=True)
@@ -46,3 +52,7 @@ class EpisodeArgs(WorldArgs, JsonArgs):
     trust_zip: bool = False
     """load models of Stable-Baselines3 (.zip), which runs code from the file; mmwave-loc convert
     makes policy files of them, which hold none"""
+    planar: bool = False
+    """flat terrain: height and vertical velocity are known"""
+    reward: str = "tracking"
+    """tracking or log-score"""

@@ -17,5 +17,3 @@ class Args(WorldArgs):
     """the folder"""
     seed: int = 0
     """seed of the episode, the same that evaluate runs"""
-    odometry: bool = False
-    """also write the user's speed and heading"""

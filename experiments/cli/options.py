@@ -9,14 +9,9 @@ from typing import Any
 from experiments.arguments.shared import EpisodeArgs, WorldArgs
 from experiments.evaluation.contenders import Contender, contender_from, contenders
 from experiments.evaluation.runs import Run
-from mmwave_env.episodes.measured import MeasuredSource
-from mmwave_env.episodes.recorded import RecordedSource
-from mmwave_env.episodes.samples import source_from
-from mmwave_env.episodes.simulated import SimulatedSource
 from mmwave_env.filters.mode_files import modes_from
 from mmwave_env.filters.modes import Mode
-from mmwave_env.models.radio import radio_from
-from mmwave_env.models.scene import scene_from
+from mmwave_env.task import Task, TaskArguments, task_from
 
 
 def command_line(name: str, args: Any) -> str:
@@ -47,15 +42,11 @@ def runs_of(args: EpisodeArgs, names: Sequence[str]) -> dict[str, Run]:
     return {n: Run.read(n) for n in names if n not in known and Path(n).is_dir()}
 
 
-def source_of(args: WorldArgs) -> SimulatedSource | RecordedSource | MeasuredSource:
-    """Where the episodes come from."""
-    radio = radio_from(args.radio)
-    if args.data is not None:
-        for name, value in (("scenario", args.scenario), ("scene", args.scene)):
-            if value is not None:
-                raise ValueError(f"{name}: found {value!r}, but recorded --data brings it")
-        return source_from(args.data, radio)
-    return SimulatedSource(scene_from(args.scene or "street"), radio, args.scenario or "mixed")
+def task_of(args: WorldArgs) -> Task:
+    """The task of an environment with the options of the same names."""
+    names = {field.name for field in fields(TaskArguments)} - {"episodes", "modes"}
+    given = {name: value for name, value in vars(args).items() if name in names}
+    return task_from(**given, episodes=args.data)
 
 
 def _modes(args: EpisodeArgs) -> tuple[Mode, ...] | None:

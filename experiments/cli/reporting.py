@@ -5,12 +5,12 @@ from pathlib import Path
 from typing import Any
 
 from experiments.arguments.shared import EpisodeArgs
-from experiments.cli.options import contender_of, runs_of, source_of
+from experiments.cli.options import contender_of, runs_of, task_of
 from experiments.evaluation.bounds import bound_markdown, over_bound
 from experiments.evaluation.comparison import Comparison, compare_scores
 from experiments.evaluation.decisions import Decisions
 from experiments.evaluation.markdown import show
-from experiments.evaluation.runner import score_contenders
+from experiments.evaluation.runner import Scoring, score_contenders
 from experiments.evaluation.runs import Run, trainings
 from experiments.evaluation.training_seeds import (
     draw_profiles,
@@ -48,7 +48,12 @@ def results(
     Returns:
         The comparison, all tables as Markdown, and every figure as JSON.
     """
-    source, runs = source_of(args), runs_of(args, names)
+    if args.reward == "paired":
+        raise ValueError("reward: found 'paired', but policies are paired here with each other")
+    task, runs = task_of(args), runs_of(args, names)
+    source = task.source
+    if bound and args.planar:
+        raise ValueError("bound: found with planar, whose bound there is not; expected one of them")
     if figure:
         _require_profiles(names, runs)
     files = {name: runs[name].policy if name in runs else name for name in names}
@@ -57,8 +62,9 @@ def results(
     seen = Decisions({file: name for name, file in files.items()}) if decisions else None
     everybody = [chosen[file] for file in trainings(names, runs)]
     found = score_contenders(
-        everybody, source, args.radio, args.episodes, args.seed, watch=seen.add if seen else None
-    )
+        everybody, source, args.radio, args.episodes, args.seed,
+        watch=seen.add if seen else None, scoring=Scoring(task.reward, args.planar),
+    )  # fmt: skip
     scores = {name: found[file] for name, file in files.items()}
     result = compare_scores(
         scores, learned, scenario=source.name, radio=args.radio, episodes=args.episodes,

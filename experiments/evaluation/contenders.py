@@ -96,9 +96,9 @@ class Contender:
         observation = getattr(agent, "observation", observation)
         return cls(name, chosen, partial(tried, name, agent), observation=observation, trained=True)
 
-    def start(self, layout: Layout) -> Policy | None:
+    def start(self, layout: Layout, planar: bool = False) -> Policy | None:
         """A new policy for measurements of a layout; None for the IMM."""
-        table = Observation(Pipeline(self.modes, layout), self.observation)
+        table = Observation(Pipeline(self.modes, layout, planar), self.observation)
         return self.policy and self.policy(table)
 
 

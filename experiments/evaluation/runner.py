@@ -1,7 +1,7 @@
 """Contenders run on the same episodes, and their metrics (docs/results.md has the protocol)."""
 
 from collections.abc import Callable, Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,28 +18,50 @@ from mmwave_env.filters.modes import Mode
 from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.metrics import METRICS, summary
 from mmwave_env.numerics.arrays import Array
-from mmwave_env.reward import TrackingReward
+from mmwave_env.reward import Reward, TrackingReward
 from policies import Policy
 
+
+class Scoring(NamedTuple):
+    """How tracks are made and what counts, for all contenders alike.
+
+    Attributes:
+        reward: function of (belief, truth).
+        planar: height and vertical velocity are known, and NEES covers the horizontal axes.
+    """
+
+    reward: Reward = TrackingReward()
+    planar: bool = False
+
+
+PLAIN = Scoring()
 Scores = dict[str, Array]  # metric -> (episodes,)
 
 EpochResults = dict[
     str, NDArray[Any]
 ]  # "reward", "nees" (n, T), "error" (n, T, 3); policies': "mode"
 
-REWARD, TOLD = TrackingReward(), ("reward", "nees", "error")
+TOLD = ("reward", "nees", "error")
 CHUNK = 1000  # episodes in memory at once
 
 Watch = Callable[[Contender, Sequence[Episode], EpochResults], None]
 
 
-def score(contender: Contender, policy: Policy | None, episodes: Sequence[Episode]) -> Scores:
+def score(
+    contender: Contender,
+    policy: Policy | None,
+    episodes: Sequence[Episode],
+    scoring: Scoring = PLAIN,
+) -> Scores:
     """Metrics per episode of a contender and its policy, on episodes of one length."""
-    return _summary(run_contender(contender, policy, episodes), episodes)
+    return _summary(run_contender(contender, policy, episodes, scoring), episodes, scoring)
 
 
 def run_contender(
-    contender: Contender, policy: Policy | None, episodes: Sequence[Episode]
+    contender: Contender,
+    policy: Policy | None,
+    episodes: Sequence[Episode],
+    scoring: Scoring = PLAIN,
 ) -> EpochResults:
     """What a contender and its policy tell of every epoch, on episodes of one length.
 
@@ -49,12 +71,14 @@ def run_contender(
     """
     for episode in episodes:
         episode.require_truth()
-    pipeline = Pipeline(contender.modes, episodes[0].layout)
+    if scoring.planar:
+        episodes = [one.on_flat_ground() for one in episodes]
+    pipeline = Pipeline(contender.modes, episodes[0].layout, scoring.planar)
     if policy is None:
-        imm = ImmEngine(pipeline, REWARD, contender.transition, contender.nis_quantile)
+        imm = ImmEngine(pipeline, scoring.reward, contender.transition, contender.nis_quantile)
         return imm.run(episodes, *TOLD)
     n, T = len(episodes), len(episodes[0])
-    engine = Engine(pipeline, n, REWARD, contender.observation)
+    engine = Engine(pipeline, n, scoring.reward, contender.observation)
     engine.reset(episodes)
     policy.reset(np.ones(n, bool))
     program = engine.batch.program
@@ -74,8 +98,9 @@ def step_s(episode: Episode) -> float:
     return float(np.median(np.diff(episode.time_s))) if len(episode) > 1 else 1.0
 
 
-def _summary(told: EpochResults, episodes: Sequence[Episode]) -> Scores:
-    return summary(told["reward"], told["error"], told["nees"], 1.0 / step_s(episodes[0]))
+def _summary(told: EpochResults, episodes: Sequence[Episode], scoring: Scoring) -> Scores:
+    rate, axes = 1.0 / step_s(episodes[0]), 2 if scoring.planar else 3
+    return summary(told["reward"], told["error"], told["nees"], rate, axes)
 
 
 def score_contenders(
@@ -86,6 +111,7 @@ def score_contenders(
     seed: int,
     modes: tuple[Mode, ...] | None = None,
     watch: Watch | None = None,
+    scoring: Scoring = PLAIN,
 ) -> dict[str, Scores]:
     """Scores of contenders on the same episodes, seeds ``seed .. seed + episodes - 1``.
 
@@ -97,6 +123,7 @@ def score_contenders(
         seed: of the first.
         modes: as of :func:`contenders`.
         watch: gets every contender, episodes, and what :func:`run_contender` tells of them.
+        scoring: for all of them.
 
     Raises:
         ValueError: unknown or repeated contender, or fewer than one episode.
@@ -108,7 +135,7 @@ def score_contenders(
     found = [contender.name for contender in chosen]
     if len(set(found)) < len(found):
         raise ValueError(f"policies: found {', '.join(found)}, expected no name twice")
-    policies = [contender.start(source.layout) for contender in chosen]
+    policies = [contender.start(source.layout, scoring.planar) for contender in chosen]
     parts: dict[str, list[Scores]] = {c.name: [] for c in chosen}
     with Progress(transient=True) as progress:
         task = progress.add_task(source.name, total=episodes * (1 + len(chosen)))
@@ -119,8 +146,8 @@ def score_contenders(
                 batch += draw_episodes(source, [one])
                 progress.advance(task)
             for contender, policy in zip(chosen, policies, strict=True):
-                told = run_contender(contender, policy, batch)
-                parts[contender.name].append(_summary(told, batch))
+                told = run_contender(contender, policy, batch, scoring)
+                parts[contender.name].append(_summary(told, batch, scoring))
                 if watch:
                     watch(contender, batch, told)
                 progress.advance(task, len(batch))

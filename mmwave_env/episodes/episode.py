@@ -119,8 +119,11 @@ class Episode:
                 f"episode {self.name!r}: found no truth, which reward and metrics need"
             )
 
-    def on_flat_ground(self, height_m: float) -> "Episode":
-        """The same episode with the height known: z is that of the ground, vz is 0."""
+    def on_flat_ground(self, height_m: float | None = None) -> "Episode":
+        """The same with the height known, by default the true one of the first epoch; vz is 0."""
+        if height_m is None:
+            self.require_truth()
+            height_m = self.truth_position_m[0, 2]  # type: ignore[index]
         mean = self.prior_mean.copy()
         mean[2], mean[5] = height_m, 0.0
         return replace(self, prior_mean=mean)
