@@ -16,7 +16,7 @@ def main(args: Args) -> None:
     if args.figure is not None and args.figure == args.decisions:
         raise ValueError(f"decisions: found {args.decisions}, expected another file than --figure")
     names = args.policies or all_contenders(args)
-    report(args, results(args, names, args.bound, args.figure, args.decisions))
+    report("compare", args, results(args, names, args.bound, args.figure, args.decisions))
 
 
 if __name__ == "__main__":

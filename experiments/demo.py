@@ -3,7 +3,7 @@
 from experiments.arguments.demo import Args
 from experiments.arguments.shared import EpisodeArgs
 from experiments.cli.main import run
-from experiments.cli.options import all_contenders
+from experiments.cli.options import all_contenders, provenance
 from experiments.cli.reporting import results
 from experiments.evaluation.markdown import show
 from mmwave_env.episodes.samples import sample_names
@@ -16,13 +16,13 @@ def main(args: Args) -> None:
     """Run the command."""
     runs = [EpisodeArgs(episodes=args.episodes)]
     runs += [EpisodeArgs(data=name, episodes=args.draws) for name in sample_names()]
-    tables, everything = [], {}
+    tables, everything, made = [], {}, provenance("demo", args)
     for one in runs:
         result, text, content = results(one, all_contenders(one))
         show(str(result.of(SHOWN)))
         tables.append(text)
-        everything[result.scenario] = content
-        write_json(args.out / f"{result.scenario}.json", content)
+        everything[result.scenario] = made | content
+        write_json(args.out / f"{result.scenario}.json", everything[result.scenario])
     write_text(args.out / "tables.md", "\n".join(tables))
     if args.json:
         write_json(args.json, everything)

@@ -7,7 +7,7 @@ from experiments.cli.reporting import report, results
 
 def main(args: Args) -> None:
     """Run the command."""
-    report(args, results(args, [args.policy]))
+    report("evaluate", args, results(args, [args.policy]))
 
 
 if __name__ == "__main__":

@@ -8,6 +8,9 @@ from experiments.cli.main import run
 from experiments.cli.options import command_line, task_of
 from experiments.evaluation.seeds import draw_episodes
 from mmwave_env.episodes.log_folder import write_log_folder
+from mmwave_env.episodes.measured import MeasuredSource
+from mmwave_env.episodes.recorded import RecordedSource
+from mmwave_env.episodes.simulated import SimulatedSource
 
 
 def main(args: Args) -> None:

@@ -9,6 +9,7 @@ from rich.progress import track
 from experiments.arguments.tables import Args
 from experiments.cli.doc_pages import page_to_renew, renewed
 from experiments.cli.main import run
+from experiments.cli.options import provenance
 from experiments.cli.pictures import require_picture
 from experiments.evaluation.markdown import show
 from experiments.paper.accuracy import error_budget, headline
@@ -55,7 +56,8 @@ def main(args: Args) -> None:
             draw(found, path)
     if args.json:
         rows = [dict(zip(FIELDS, record, strict=True)) for record in records]
-        write_json(args.json, {"episodes": args.episodes, "seed": args.seed, "figures": rows})
+        content = {"episodes": args.episodes, "seed": args.seed, "figures": rows}
+        write_json(args.json, provenance("tables", args) | content)
     if args.docs:
         bodies = {title: section.body() for title, section in found.items()}
         write_text(args.docs, renewed(page, bodies))

@@ -8,7 +8,7 @@ import numpy as np
 from experiments.arguments.shared import EpisodeArgs
 from experiments.arguments.transfer import Args
 from experiments.cli.main import run
-from experiments.cli.options import contender_of, task_of
+from experiments.cli.options import contender_of, provenance, task_of
 from experiments.evaluation.contenders import Contender, contender_from
 from experiments.evaluation.intervals import Interval, bootstrap
 from experiments.evaluation.markdown import grid, show
@@ -86,7 +86,7 @@ def main(args: Args) -> None:
     text, content = tried(args)
     show(text)
     if args.json:
-        write_json(args.json, content)
+        write_json(args.json, provenance("transfer", args) | content)
 
 
 if __name__ == "__main__":

@@ -11,7 +11,7 @@ from scipy.special import chdtri
 from experiments.arguments.shared import WorldArgs
 from experiments.arguments.tune import Args
 from experiments.cli.main import run
-from experiments.cli.options import command_line, task_of
+from experiments.cli.options import provenance, task_of
 from experiments.evaluation.intervals import bootstrap
 from experiments.evaluation.markdown import grid
 from experiments.evaluation.seeds import draw_episodes, require_tuning_seed
@@ -162,11 +162,10 @@ def main(args: Args) -> None:
             "axes": {name: axis.tolist() for name, axis in zip(args.free, axes, strict=False)},
             "surface": surface.tolist(),
         })  # fmt: skip
-    # The paths of the outputs are left out: a mode file says how to make it, not where.
-    command = command_line("tune", replace(args, out=None, json=None))
-    result = {"command": command, "modes": [as_written(mode) for mode in tuned]}
+    made = provenance("tune", args)
+    result = {"command": made["command"], "modes": [as_written(mode) for mode in tuned]}
     if args.json:
-        write_json(args.json, result | {"tuned": figures})
+        write_json(args.json, made | result | {"tuned": figures})
     if args.out:
         write_json(args.out, result)
 

@@ -13,6 +13,14 @@ class JsonArgs:
 
 
 @dataclass(kw_only=True)
+class EpisodeResultArgs(JsonArgs):
+    """Results of episodes."""
+
+    episodes_csv: Path | None = None
+    """write every metric of every policy and episode to this table, a row each"""
+
+
+@dataclass(kw_only=True)
 class WorldArgs:
     """Streets, users and radio, as of the environment."""
 
@@ -36,7 +44,7 @@ class WorldArgs:
 
 
 @dataclass(kw_only=True)
-class EpisodeArgs(WorldArgs, JsonArgs):
+class EpisodeArgs(WorldArgs, EpisodeResultArgs):
     """Episodes and modes."""
 
     episodes: int = 1000

@@ -127,9 +127,10 @@ def run(name: str, words: Sequence[str] | None = None) -> None:
 def _require_results_can_be_written(args: Any) -> None:
     from mmwave_env.files import require_writable
 
-    json = getattr(args, "json", None)  # not every command has figures to write
-    if json is not None:
-        require_writable(json)
+    for name in ("json", "episodes_csv"):
+        path = getattr(args, name, None)  # not every command has figures to write
+        if path is not None:
+            require_writable(path)
 
 
 def main() -> None:

@@ -1,17 +1,22 @@
 """What the commands that run episodes have in common."""
 
+import platform
 import shlex
 from collections.abc import Sequence
-from dataclasses import fields
+from dataclasses import fields, replace
+from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
 from experiments.arguments.shared import EpisodeArgs, WorldArgs
 from experiments.evaluation.contenders import Contender, contender_from, contenders
 from experiments.evaluation.runs import Run
+from mmwave_env import __version__
 from mmwave_env.filters.mode_files import modes_from
 from mmwave_env.filters.modes import Mode
 from mmwave_env.task import Task, TaskArguments, task_from
+
+OUTPUTS = ("json", "episodes_csv", "figure", "decisions", "plot", "docs", "out")
 
 
 def command_line(name: str, args: Any) -> str:
@@ -19,11 +24,26 @@ def command_line(name: str, args: Any) -> str:
     nameless = [field.name for field in fields(args) if field.metadata.get("positional")]
     words = ["mmwave-loc", name, *(str(getattr(args, field)) for field in nameless)]
     for field in fields(args):
-        value = getattr(args, field.name)
-        if field.name not in nameless and value != field.default:
-            values = value if isinstance(value, tuple) else () if value is True else (value,)
-            words += [f"--{field.name.replace('_', '-')}", *map(str, values)]
+        value, option = getattr(args, field.name), field.name.replace("_", "-")
+        if field.name in nameless or value == field.default:
+            continue
+        if isinstance(value, bool):
+            words.append(f"--{option}" if value else f"--no-{option}")
+        else:
+            words += [f"--{option}", *map(str, value if isinstance(value, tuple) else (value,))]
     return shlex.join(words)
+
+
+def provenance(name: str, args: Any) -> dict[str, Any]:
+    """What JSON results say of how they were made: the command, but for outputs; and versions."""
+    outputs = {f.name: f.default for f in fields(args) if f.name in OUTPUTS}
+    packages = {name: version(name) for name in ("gymnasium", "numpy", "numba", "scipy")}
+    return {
+        "command": command_line(name, replace(args, **outputs)),
+        "versions": {
+            "mmwave-loc": __version__, "python": platform.python_version(), **packages,
+        },
+    }  # fmt: skip
 
 
 def all_contenders(args: EpisodeArgs) -> tuple[str, ...]:

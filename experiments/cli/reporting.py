@@ -5,9 +5,9 @@ from pathlib import Path
 from typing import Any
 
 from experiments.arguments.shared import EpisodeArgs
-from experiments.cli.options import contender_of, runs_of, task_of
+from experiments.cli.options import contender_of, provenance, runs_of, task_of
 from experiments.evaluation.bounds import bound_markdown, over_bound
-from experiments.evaluation.comparison import Comparison, compare_scores
+from experiments.evaluation.comparison import Comparison, compare_scores, episodes_csv
 from experiments.evaluation.decisions import Decisions
 from experiments.evaluation.markdown import show
 from experiments.evaluation.runner import Scoring, score_contenders
@@ -17,16 +17,16 @@ from experiments.evaluation.training_seeds import (
     over_training_seeds,
     seeds_markdown,
 )
-from mmwave_env.files import write_json
+from mmwave_env.files import write_json, write_text
 from mmwave_env.models.radio import radio_from
 
 
-def report(args: EpisodeArgs, found: tuple[Comparison, str, dict[str, Any]]) -> None:
+def report(command: str, args: EpisodeArgs, found: tuple[Comparison, str, dict[str, Any]]) -> None:
     """Print the tables of :func:`results` and write ``args.json``."""
     _, text, content = found
     show(text)
     if args.json:
-        write_json(args.json, content)
+        write_json(args.json, provenance(command, args) | content)
 
 
 def results(
@@ -66,6 +66,8 @@ def results(
         watch=seen.add if seen else None, scoring=Scoring(task.reward, args.planar),
     )  # fmt: skip
     scores = {name: found[file] for name, file in files.items()}
+    if args.episodes_csv:
+        write_text(args.episodes_csv, episodes_csv(scores, args.seed))
     result = compare_scores(
         scores, learned, scenario=source.name, radio=args.radio, episodes=args.episodes,
         seed=args.seed,

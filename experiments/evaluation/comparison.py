@@ -1,5 +1,7 @@
 """Contenders compared: all saw the same episodes, so differences are paired."""
 
+import csv
+import io
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -71,6 +73,22 @@ class Comparison:
                 cells.append(str(pair["reward"]) if pair else "")
             rows.append([name, *cells])
         return grid(["reward of", *(f"minus {reference}" for reference in references)], rows)
+
+
+def episodes_csv(scores: dict[str, Scores], seed: int) -> str:
+    """Every metric of every contender and episode as CSV, a row each.
+
+    Args:
+        scores: of :func:`~experiments.evaluation.runner.score_contenders`.
+        seed: of the first episode.
+    """
+    table = io.StringIO()
+    rows = csv.writer(table, lineterminator="\n")
+    rows.writerow(["policy", "seed", *METRICS])
+    for name, metrics in scores.items():
+        values = zip(*(metrics[metric].tolist() for metric in METRICS), strict=True)
+        rows.writerows([name, seed + i, *row] for i, row in enumerate(values))
+    return table.getvalue()
 
 
 def references(scores: dict[str, Scores]) -> list[str]:

@@ -41,7 +41,7 @@ def test_evaluate_writes_the_same_results_every_time(tmp_path):
     assert files[0].read_bytes() == files[1].read_bytes()
     result = json.loads(files[0].read_text())
     what = {"scenario": "vehicle", "radio": "handset", "episodes": 3, "seed": 5}
-    assert list(result) == [*what, "policies", "paired"]
+    assert list(result) == ["command", "versions", *what, "policies", "paired"]
     assert {key: result[key] for key in what} == what
     assert list(result["policies"]) == ["fixed-ckf"]
     assert_intervals(result["policies"]["fixed-ckf"])

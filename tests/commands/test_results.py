@@ -1,0 +1,107 @@
+"""What evaluate and compare leave for other programs, and the environment's options in them."""
+
+import csv
+import json
+import shlex
+
+import gymnasium
+import numpy as np
+import pytest
+
+import mmwave_env
+from mmwave_env.info import EPISODE_KEYS
+from mmwave_env.metrics import BURN_IN, METRICS
+from tests.cli import assert_one_clear_line, command, succeed
+from tests.paths import ROOT
+
+SCHEMA = json.loads((ROOT / "mmwave_env/data/schemas/results.schema.json").read_text())
+POLICIES = ("fixed-ekf", "fixed-ukf")
+TWO = ("--policies", *POLICIES, "--episodes", 2, "--episode-steps", 15, "--seed", 4)
+
+
+@pytest.fixture(scope="module")
+def results(tmp_path_factory):
+    """JSON and CSV of a comparison."""
+    folder = tmp_path_factory.mktemp("results")
+    succeed("compare", *TWO, "--json", folder / "r.json", "--episodes-csv", folder / "r.csv")
+    with (folder / "r.csv").open() as file:
+        return json.loads((folder / "r.json").read_text()), list(csv.DictReader(file))
+
+
+def test_the_schema_names_every_metric_with_its_meaning():
+    said = SCHEMA["$defs"]["metrics"]
+    assert {name: one["description"] for name, one in said["properties"].items()} == METRICS
+    assert said["required"] == list(METRICS)
+
+
+def test_results_are_as_their_schema_says(results, tmp_path):
+    validate = pytest.importorskip("jsonschema").validate
+    validate(results[0], SCHEMA)
+    succeed("evaluate", "--episodes", 1, "--episode-steps", 15, "--json", tmp_path / "one.json")
+    one = json.loads((tmp_path / "one.json").read_text())
+    assert one["policies"]["speed-rule"]["reward"]["ci95"] is None
+    validate(one, SCHEMA)
+
+
+def test_results_say_how_to_make_them_again(results, tmp_path):
+    made = results[0]
+    assert made["versions"]["mmwave-loc"] == mmwave_env.__version__
+    assert made["versions"]["gymnasium"] == gymnasium.__version__
+    program, *words = shlex.split(made["command"])
+    assert program == "mmwave-loc"
+    succeed(*words, "--json", tmp_path / "again.json")
+    assert json.loads((tmp_path / "again.json").read_text()) == made
+
+
+def test_the_table_of_episodes_has_a_row_for_every_policy_and_seed(results):
+    found, rows = results
+    assert list(rows[0]) == ["policy", "seed", *METRICS]
+    assert [(row["policy"], row["seed"]) for row in rows] == [
+        (name, seed) for name in POLICIES for seed in ("4", "5")
+    ]
+    for name in POLICIES:
+        for metric, interval in found["policies"][name].items():
+            values = [float(row[metric]) for row in rows if row["policy"] == name]
+            assert np.mean(values) == pytest.approx(interval["mean"])
+
+
+def test_a_table_that_cannot_be_written_is_refused_before_the_episodes(tmp_path):
+    done = command("evaluate", "--episodes", 10**9, "--episodes-csv", tmp_path)
+    assert_one_clear_line(done, f"{tmp_path}: found a folder")
+
+
+OPTIONS = {
+    "planar": (("--planar",), {"planar": True}),
+    "odometry": (("--odometry",), {"odometry": True}),
+    "time step": (("--dt", "0.5"), {"dt": 0.5}),
+    "reward": (("--reward", "log-score"), {"reward": "log-score"}),
+}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("option", OPTIONS)
+def test_an_option_of_the_environment_means_the_same(option, tmp_path):
+    words, arguments = OPTIONS[option]
+    steps = ("--policy", "fixed-ukf", "--episodes", 1, "--seed", 3, "--episode-steps", 30)
+    succeed("evaluate", *steps, *words, "--json", tmp_path / "one.json")
+    env = gymnasium.make("MmWaveLoc-v0", episode_steps=30, **arguments)
+    env.reset(seed=3)
+    rewards, info = [], {}
+    while len(rewards) < 30:
+        _, reward, *_, info = env.step(1)
+        rewards.append(reward)
+    found = json.loads((tmp_path / "one.json").read_text())["policies"]["fixed-ukf"]
+    assert found["reward"]["mean"] == pytest.approx(np.mean(rewards[BURN_IN:]))
+    for metric in ("ate_m", "rmse_m", "rpe_m", "nees", "in_bounds"):
+        assert found[metric]["mean"] == pytest.approx(info[EPISODE_KEYS[metric]]), metric
+
+
+def test_options_that_recorded_data_bring_are_refused():
+    for words in (("--dt", "0.5"), ("--odometry",), ("--scenario", "jam"), ("--scene", "o1")):
+        done = command("evaluate", "--data", "canyon28_vehicle", *words)
+        assert_one_clear_line(done, f"{words[0][2:]}: found .*, but recorded episodes bring it$")
+
+
+def test_a_bound_on_flat_ground_is_refused():
+    done = command("compare", "--policies", "imm", "--episodes", 1, "--planar", "--bound")
+    assert_one_clear_line(done, "bound: found with planar")
