@@ -26,10 +26,18 @@ from mmwave_env.filters.modes import Mode
 from mmwave_env.lookup import choose
 from mmwave_env.reward import REWARDS, PairedReward, Reward, TrackingReward
 
+SMOKE_EPISODES = 20  # to judge a policy on
+
 # Options that a policy does not depend on: the command in its file leaves them out.
 ASIDE: dict[str, Any] = {
     name: getattr(Args, name) for name in ("jobs", "checkpoint_every", "out", "resume", "overwrite")
 }
+
+
+def smoke(args: Args) -> Args:
+    """The same as a smoke run: as short as can be, and in a folder of its own to replace."""
+    short = replace(args, seeds=1, total_timesteps=1)
+    return short if args.out != Args.out else replace(short, out=Path("runs/smoke"), overwrite=True)
 
 
 def rewards(args: Args) -> Reward:
@@ -152,6 +160,7 @@ def summary(outcomes: list[dict[str, Any]]) -> str:
 def main(args: Args) -> None:
     """Run the command."""
     try:
+        from experiments.training.evaluator import EPISODES
         from experiments.training.processes import side_by_side
         from experiments.training.trainer import Job
         from experiments.training.training_env import TrainingTask
@@ -167,10 +176,13 @@ def main(args: Args) -> None:
     modes, recipe = modes_from(args.modes or None, args.radio), hyperparameters(args)
     task = TrainingTask(args.scenario, args.radio, modes, args.observation, rewards(args))
     manifest = manifest_of(args, modes, recipe)
+    if args.smoke:
+        args = smoke(args)
     jobs = [
         Job(
             task, recipe, args.algo, seed, args.total_timesteps, args.out / f"seed-{seed}",
             manifest["command"], args.checkpoint_every,
+            SMOKE_EPISODES if args.smoke else EPISODES,
         )
         for seed in range(args.seeds)
     ]  # fmt: skip
@@ -183,7 +195,13 @@ def main(args: Args) -> None:
     write_bytes(args.out / "policy.safetensors", policy.read_bytes())
     write_json(args.out / "summary.json", manifest | {"seeds": outcomes, "median": median["seed"]})
     print(summary(outcomes))
-    print(f"\nthe median seed, {median['seed']}, is {args.out / 'policy.safetensors'}")
+    if args.smoke:
+        print(
+            f"\nA smoke run, judged on {SMOKE_EPISODES} episodes: training works. How well is said "
+            "by a run without --smoke; evaluate and compare refuse the policy of this one."
+        )
+    else:
+        print(f"\nthe median seed, {median['seed']}, is {args.out / 'policy.safetensors'}")
 
 
 if __name__ == "__main__":

@@ -59,3 +59,6 @@ class Args(FolderArgs, TaskArgs):
     """epochs to train each for, rounded up to whole updates"""
     hyperparameters: Path | None = None
     """a JSON file in place of the algorithm's own, experiments/training/ppo.json"""
+    smoke: bool = False
+    """one seed and one update, in seconds, to see that all is installed and works: in runs/smoke
+    unless --out names another folder; its policy is refused where results are made"""

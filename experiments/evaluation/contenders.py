@@ -7,7 +7,7 @@ from functools import partial
 from pathlib import Path
 
 from experiments.evaluation.agents import Act, agent_from, is_agent, tried
-from experiments.evaluation.runs import Run
+from experiments.evaluation.runs import Run, require_no_smoke
 from mmwave_env.filters.mode_files import default_modes, modes_from, named_modes
 from mmwave_env.filters.modes import Mode
 from mmwave_env.filters.pipeline import Pipeline
@@ -182,6 +182,7 @@ def contender_from(
     if name in known:
         return known[name]()
     if name in shipped or name.endswith(".safetensors"):
+        require_no_smoke(name, LearnedSwitch(name).card.command)
         return Contender.learned(name)
     if Path(name).is_dir():
         return Contender.learned(Run.read(name).policy, name)

@@ -7,6 +7,16 @@ from pathlib import Path
 from typing import Any
 
 
+def require_no_smoke(name: str, command: str) -> None:
+    """Refuse what a smoke run left.
+
+    Raises:
+        ValueError: the command that made it says so.
+    """
+    if "--smoke" in command.split():
+        raise ValueError(f"{name}: found what train --smoke left, expected a whole training")
+
+
 @dataclass(frozen=True)
 class Run:
     """The trainings of a run, best first by their reward on tuning seeds."""
@@ -35,9 +45,10 @@ class Run:
             summary: Any = json.loads(path.read_text(encoding="utf-8"))
             outcomes = tuple(summary["seeds"])
             seeds = tuple(outcome["seed"] for outcome in outcomes)
-            median = summary["median"]
+            median, command = summary["median"], str(summary.get("command"))
         except (ValueError, KeyError, TypeError) as error:
             raise ValueError(f"{path}: not the summary of a run: {error!r}") from error
+        require_no_smoke(name, command)
         numbers = {seed for seed in seeds if type(seed) is int}
         if not seeds or len(numbers) < len(seeds):
             raise ValueError(f"{path}: seeds: found {list(seeds)}, expected different numbers")

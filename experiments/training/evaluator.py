@@ -24,13 +24,14 @@ class Evaluator:
 
     Args:
         task: what is learned.
+        episodes: how many.
     """
 
-    def __init__(self, task: TrainingTask) -> None:
+    def __init__(self, task: TrainingTask, episodes: int = EPISODES) -> None:
         radio = radio_from(task.radio)
         source = SimulatedSource(scene_from("street"), radio, task.scenario)
         self._layout = source.layout
-        self._episodes = draw_episodes(source, range(TUNING_SEED, TUNING_SEED + EPISODES))
+        self._episodes = draw_episodes(source, range(TUNING_SEED, TUNING_SEED + episodes))
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # that the rule leaves its design window is no news
             self._rivals = {
@@ -48,7 +49,7 @@ class Evaluator:
         differences = np.stack([scores["reward"] - r for r in self._rivals.values()], axis=1)
         pairs = zip(TRAINING_RIVALS, bootstrap(differences), strict=True)
         return {
-            "seed": TUNING_SEED, "episodes": EPISODES,
+            "seed": TUNING_SEED, "episodes": len(self._episodes),
             **{metric: float(values.mean()) for metric, values in scores.items()},
             **{f"minus {name}": interval.json for name, interval in pairs},
         }  # fmt: skip

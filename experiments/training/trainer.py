@@ -14,7 +14,7 @@ from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.logger import Logger
 
 from experiments.training.checkpoint import read_checkpoint, with_arrays, write_checkpoint
-from experiments.training.evaluator import Evaluator
+from experiments.training.evaluator import EPISODES, Evaluator
 from experiments.training.hyperparameters import Hyperparameters
 from experiments.training.network import actor_of, falling, learner
 from experiments.training.progress_log import ProgressLog
@@ -48,6 +48,7 @@ class Job:
     folder: Path  # for all that is written
     command: str  # that makes the policy file
     checkpoint_every: int  # updates between two checkpoints
+    episodes: int = EPISODES  # that policies are judged on
 
     @property
     def outcome(self) -> Path:
@@ -85,7 +86,7 @@ class Training(BaseCallback):
         self._env = TrainingEnv(job.task, job.recipe)
         seed = TRAINING_SEED + SEEDS_EACH * job.seed
         self._learner = learner(self._env, job.recipe, seed)
-        self._examiner = Evaluator(job.task)
+        self._examiner = Evaluator(job.task, job.episodes)
         self._journal = ProgressLog(job.folder, self._stand["rows"])
         self._ended: list[dict[str, Any]] = []
 

@@ -52,6 +52,13 @@ def test_a_damaged_summary_is_named(folder, damage):
     assert "\n" not in str(error.value)
 
 
+def test_a_smoke_run_is_refused(folder):
+    summary = SUMMARY | {"command": "mmwave-loc train --radio high --smoke"}
+    (folder / "summary.json").write_text(json.dumps(summary))
+    with pytest.raises(ValueError, match="found what train --smoke left"):
+        Run.read(str(folder))
+
+
 def test_a_run_that_is_not_over_is_refused(folder):
     (folder / "summary.json").unlink()
     with pytest.raises(FileNotFoundError, match="summary.json: found no file.*--resume"):

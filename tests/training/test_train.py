@@ -426,3 +426,19 @@ def test_the_journal_writes_a_row_a_call_and_goes_on(tmp_path):
     assert (tmp_path / "progress.csv").read_text() == (
         "timesteps,a,b,c\n10,1,,\n20,,0.123457,\n30,2,,3\n"
     )
+
+
+# --- a smoke run
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("algo", ["ppo", "recurrent-ppo"])
+def test_a_smoke_run_says_so_and_is_refused_as_a_result(algo, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    for _ in range(2):  # the second takes the place of the first
+        run("train", ["--smoke", "--algo", algo])
+    assert "A smoke run" in capsys.readouterr().out
+    for policy in ("runs/smoke", "runs/smoke/policy.safetensors"):
+        with pytest.raises(SystemExit, match="2"):
+            run("evaluate", ["--policy", policy])
+        assert f"{policy}: found what train --smoke left" in capsys.readouterr().err
