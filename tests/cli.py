@@ -58,9 +58,9 @@ def environment():
     return os.environ | {"PYTHONPATH": path, "COLUMNS": "200"}
 
 
-def succeed(*words):
+def succeed(*words, cwd=ROOT):
     """What a command prints that must succeed."""
-    done = command(*words)
+    done = command(*words, cwd=cwd)
     assert done.returncode == 0, done.stderr
     return done.stdout
 
