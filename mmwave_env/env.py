@@ -1,11 +1,14 @@
 """The environment: ``gymnasium.make("MmWaveLoc-v0")``."""
 
 import inspect
+from copy import deepcopy
+from dataclasses import replace
 from typing import Any, cast
 
 import gymnasium as gym
 import numpy as np
 from gymnasium import spaces
+from gymnasium.envs.registration import EnvSpec
 from gymnasium.error import InvalidAction, ResetNeeded
 from numpy.typing import NDArray
 
@@ -16,7 +19,7 @@ from mmwave_env.episodes.episode import Episode
 from mmwave_env.episodes.simulated import SimulatedSource
 from mmwave_env.filters.mode_files import default_modes, modes_from
 from mmwave_env.filters.pipeline import Pipeline
-from mmwave_env.info import FLAGS, STATE_KEYS, episode_info, told_rows
+from mmwave_env.info import FLAGS, INFOS, STATE_KEYS, episode_info, fixed_info, told_rows
 from mmwave_env.lookup import choose, require_extra
 from mmwave_env.metrics import DIVERGENCE_M
 from mmwave_env.models.radio import RADIOS, radio_from
@@ -94,7 +97,15 @@ class MmWaveLocEnv(gym.Env[NDArray[np.float32], np.int64]):
     bias). `reset`: `episode_name`, `nonfinite` (links, Doppler shifts and odometry with a NaN or
     infinity, which count as missing), `truth`, `estimate`. The last step adds `ate_m`,
     `rmse_m`, `rpe_m`, `mean_nees`, `in_bounds`, `divergence` (without the first 10 epochs) and
-    `smoothed_ate_m` (Rauch-Tung-Striebel over the episode).
+    `smoothed_ate_m` (Rauch-Tung-Striebel over the episode). `infos="fixed"` has the same keys at
+    every reset and step, for what asks for that (docs/clients.md): numbers only, so without
+    `episode_name`; what there is not to tell is NaN, False or -1.
+
+    ## Copies
+
+    `copy.deepcopy` and `pickle` copy an environment in the middle of an episode; the copy goes on
+    to the last bit, as planners need it. A deep copy shares the source of episodes and compiled
+    code. For many environments see `state` and `restore` of the vector environment.
 
     ## Arguments
 
@@ -110,6 +121,7 @@ class MmWaveLocEnv(gym.Env[NDArray[np.float32], np.int64]):
       tunings, two robust modes, and one that finds a lost user again.
     * `reward`: "tracking", "log-score", "paired", a function or a `PairedReward`.
     * `observation`: "full" or "prior".
+    * `infos`: "sparse" (default) or "fixed", see Information.
     * `episode_steps`, `dt`: epochs per episode and seconds per epoch.
     * `episodes`: recorded data instead of a simulation: "canyon28_vehicle",
       "canyon28_pedestrian", the folder of a DeepMIMO scenario or of a measurement log with its
@@ -147,11 +159,13 @@ class MmWaveLocEnv(gym.Env[NDArray[np.float32], np.int64]):
         "render_modes": ["human", "rgb_array"],
         "render_fps": FRAMES_PER_SECOND,
     }
+    _spec: EnvSpec | None = None
 
     def __init__(
         self,
         *,
         observation: str = "full",
+        infos: str = "sparse",
         backend: str = "lanes",
         render_mode: str | None = None,
         **arguments: Any,
@@ -159,35 +173,71 @@ class MmWaveLocEnv(gym.Env[NDArray[np.float32], np.int64]):
         if render_mode is not None:
             choose(dict.fromkeys(self.metadata["render_modes"]), render_mode, "render_mode")
             require_extra("pygame", "render", f"render_mode={render_mode!r}")
-        self.render_mode = render_mode
-        self._picture: Picture | None = None
-        task = task_from(**arguments)
-        self._task = task
-        self.source, self.radio, self.reward = task.source, task.radio, task.reward
         choose(BACKENDS, backend, "backend")
+        choose(INFOS, infos, "infos")
+        self.render_mode, self._backend, self._infos = render_mode, backend, infos
+        self._observation_kind, self._task = observation, task_from(**arguments)
+        self._episode: Episode | None = None
+        self._over = True
+        self._steps = 0
+        self._actions, self._path = np.empty(0, np.int64), np.empty((0, 3))
+        self._set_up()
+        self.observation_space = cast(Any, self.observation.space)
+        self.action_space = spaces.Discrete(len(self.modes))
+
+    def _set_up(self) -> None:
+        """Make what follows from the arguments; `_remade` names it, for copies do the same."""
+        given = set(vars(self))
+        self._picture: Picture | None = None
+        task, on_floats = self._task, self._backend == "filterpy"
+        self.source, self.radio, self.reward = task.source, task.radio, task.reward
         pipeline = task.pipeline
-        if backend == "filterpy":
+        if on_floats:
             require_extra("filterpy", "filterpy", 'backend="filterpy"')
             from mmwave_env.filters.filterpy_reference import filterpy_pipeline
 
             pipeline = filterpy_pipeline(pipeline)
-        on_floats = backend == "filterpy"
-        self._engine = Engine(pipeline, 1, self.reward, observation, on_floats)
+        self._engine = Engine(pipeline, 1, self.reward, self._observation_kind, on_floats)
         self._replay = Replay(pipeline, on_floats)
         self._baseline = task.baseline and Baseline(task.baseline, task.reward, self._engine.batch)
         self.modes, self.observation = pipeline.modes, self._engine.observation
-        self.observation_space = cast(Any, self.observation.space)
-        self.action_space = spaces.Discrete(len(self.modes))
         at, span = self._engine.at, self._engine.span
         self._observed, self._P = span(at.observation), span(at.P)
         self._told = {
             key: part if isinstance(part, int) else span(part)
             for key, part in told_rows(at).items()
         }
-        self._episode: Episode | None = None
-        self._over = True
-        self._steps = 0
-        self._actions, self._path = np.empty(0, np.int64), np.empty((0, 3))
+        self._remade = frozenset(vars(self)) - given
+
+    def __getstate__(self) -> dict[str, Any]:
+        """What a copy cannot make anew; a window is not part of it."""
+        kept = {key: value for key, value in vars(self).items() if key not in self._remade}
+        return kept | {"tracks": self._engine.batch.state}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        """Go on, to the last bit, as the environment did that was copied."""
+        vars(self).update(state)
+        tracks = vars(self).pop("tracks")
+        self._set_up()
+        self._engine.batch.state = tracks
+        if self._baseline and self._episode:
+            self._baseline.begin(_HERE)
+
+    def __deepcopy__(self, memo: dict[int, Any]) -> "MmWaveLocEnv":
+        """A copy that goes on by itself; the task, which no step changes, is shared."""
+        twin = type(self).__new__(type(self))
+        memo |= {id(self): twin, id(self._task): self._task}
+        twin.__setstate__(deepcopy(self.__getstate__(), memo))
+        return twin
+
+    @property  # type: ignore[override]
+    def spec(self) -> EnvSpec | None:
+        """As registered, with the length of the episodes, which wrappers ask for."""
+        return self._spec
+
+    @spec.setter
+    def spec(self, spec: EnvSpec | None) -> None:
+        self._spec = spec and replace(spec, max_episode_steps=getattr(self.source, "epochs", None))
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -205,7 +255,7 @@ class MmWaveLocEnv(gym.Env[NDArray[np.float32], np.int64]):
         column = self._engine.column(0)
         info: dict[str, Any] = {"episode_name": episode.name, "nonfinite": episode.nonfinite}
         info |= {key: column[self._told[key]] for key in STATE_KEYS}
-        return column[self._observed].astype(np.float32), info
+        return column[self._observed].astype(np.float32), self._worded(info)
 
     def step(
         self, action: np.int64
@@ -240,7 +290,7 @@ class MmWaveLocEnv(gym.Env[NDArray[np.float32], np.int64]):
             info |= self._episode_info(episode)
         if self.render_mode == "human":
             self.render()
-        return observations[0], float(rewards[0]), terminated, truncated, info
+        return observations[0], float(rewards[0]), terminated, truncated, self._worded(info)
 
     def render(self) -> NDArray[np.uint8] | None:
         """The epoch just processed, from above: (480, 480, 3) for "rgb_array"."""
@@ -276,6 +326,11 @@ class MmWaveLocEnv(gym.Env[NDArray[np.float32], np.int64]):
             value = column[rows]
             info[key] = float(value) if isinstance(rows, int) else value
         return info | {key: info[key] > 0.5 for key in FLAGS} | {"mode": mode}
+
+    def _worded(self, info: dict[str, Any]) -> dict[str, Any]:
+        """An info as ``infos`` asks for it."""
+        groups = len(self._task.pipeline.layout.groups)
+        return fixed_info(info, groups) if self._infos == "fixed" else info
 
     @staticmethod
     def _true_positions(episode: Episode) -> NDArray[np.float64]:

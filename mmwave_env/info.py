@@ -17,6 +17,9 @@ EPISODE_KEYS = {
     "in_bounds": "in_bounds", "divergence_rate": "divergence",
 }  # fmt: skip
 
+LAST_KEYS = (*EPISODE_KEYS.values(), "smoothed_ate_m")  # told at the last step
+INFOS = {"sparse": "what there is to tell", "fixed": "the same numbers always"}
+
 
 def told_rows(at: Any) -> dict[str, Any]:
     """The parts of an environment's workspace that its infos tell, all but ``mode``.
@@ -50,6 +53,23 @@ def stepped(infos: dict[str, Any], where: Mask) -> dict[str, Any]:
     """What a step told of all environments, if it did something in some (n,) of them only."""
     did = {key: infos[key] for key in STEP_KEYS}
     return masked(did, where) | {key: infos[key] for key in (*STATE_KEYS, *mask_keys(STATE_KEYS))}
+
+
+def fixed_info(info: dict[str, Any], groups: int) -> dict[str, Any]:
+    """An info of a reset or a step with the same keys, types and shapes always.
+
+    Args:
+        info: what there is to tell.
+        groups: of the measurement: links, Doppler, odometry.
+
+    Returns:
+        All numbers that are ever told, as numpy's; NaN, False or -1 where there is nothing to tell.
+    """
+    unknown: dict[str, Any] = dict.fromkeys((*STEP_KEYS, *LAST_KEYS), np.nan)
+    unknown |= {key: np.zeros(groups, np.bool_) for key in FLAGS}
+    unknown |= {"nis": np.full(groups, np.nan), "mode": -1, "nonfinite": -1}
+    known = unknown | {key: value for key, value in info.items() if key != "episode_name"}
+    return {key: np.asarray(value)[()] for key, value in known.items()}
 
 
 def mask_keys(keys: Iterable[str]) -> list[str]:

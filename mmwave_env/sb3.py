@@ -14,6 +14,7 @@ import gymnasium as gym
 import numpy as np
 from gymnasium.vector import AutoresetMode
 from numpy.typing import NDArray
+from stable_baselines3.common.monitor import Monitor
 from stable_baselines3.common.vec_env import VecEnv
 
 Indices = None | int | Iterable[int]
@@ -133,8 +134,8 @@ class SB3VecEnv(VecEnv):
         return [method(*method_args, **method_kwargs)] * self.num_envs
 
     def env_is_wrapped(self, wrapper_class: type[Any], indices: Indices = None) -> list[bool]:
-        """False: there are no single environments to wrap."""
-        return [False] * len(list(self._get_indices(indices)))
+        """Whether each of the indices does what a wrapper does: episodes are told as by Monitor."""
+        return [wrapper_class is Monitor] * len(list(self._get_indices(indices)))
 
     def _require_all(self, indices: Indices, what: str) -> None:
         if len(set(self._get_indices(indices))) < self.num_envs:

@@ -110,7 +110,9 @@ def task_from(**arguments: Any) -> Task:
     known = [field.name for field in fields(TaskArguments)]
     for name in arguments:
         if name not in known:
-            raise TypeError(f"argument: found {name!r}, expected one of {', '.join(known)}")
+            raise TypeError(  # libraries look for Python's own words
+                f"got an unexpected keyword argument {name!r}, expected one of {', '.join(known)}"
+            )
     given = TaskArguments(**arguments)
     source, radio = _source(given, radio_from(given.radio))
     pays = reward_from(given.reward)

@@ -47,13 +47,16 @@ class MmWaveLocVectorEnv(gym.vector.VectorEnv[Observations, Index, NDArray[Any]]
             ``reset(options={"reset_mask": mask})``, a bool array (N,); others stay untouched).
         threads: how many may work at once where it pays: at ends of episodes from N = 9 on,
             in between from 2048 on; results do not depend on it.
-        max_episode_steps: refused; say ``episode_steps``.
+        max_episode_steps: None, or the length of the episodes, as the specification of a single
+            environment has it; ``episode_steps`` sets it.
+        infos: "sparse".
         render_mode: None.
         backend: "lanes".
         **arguments: of :class:`~mmwave_env.env.MmWaveLocEnv`.
 
     Attributes:
         batch: the episodes under way, and what is believed of them.
+        autoreset_mode: as Gymnasium's own vector environments have it.
     """
 
     def __init__(
@@ -64,6 +67,7 @@ class MmWaveLocVectorEnv(gym.vector.VectorEnv[Observations, Index, NDArray[Any]]
         threads: int = min(2, os.cpu_count() or 1),
         observation: str = "full",
         max_episode_steps: int | None = None,
+        infos: str = "sparse",
         render_mode: str | None = None,
         backend: str = "lanes",
         **arguments: Any,
@@ -71,13 +75,9 @@ class MmWaveLocVectorEnv(gym.vector.VectorEnv[Observations, Index, NDArray[Any]]
         for name, count in (("num_envs", num_envs), ("threads", threads)):
             if count < 1:
                 raise ValueError(f"{name}: found {count}, expected at least 1")
-        if max_episode_steps is not None:
-            raise ValueError(
-                f"max_episode_steps: found {max_episode_steps}, expected None; episode_steps= "
-                "draws episodes of that length"
-            )
         for name, value, only in (
             ("render_mode", render_mode, None), ("backend", backend, "lanes"),
+            ("infos", infos, "sparse"),
         ):  # fmt: skip
             if value != only:
                 raise ValueError(
@@ -85,13 +85,19 @@ class MmWaveLocVectorEnv(gym.vector.VectorEnv[Observations, Index, NDArray[Any]]
                     'make_vec with vectorization_mode="sync"'
                 )
         modes = {mode.value: mode for mode in AutoresetMode}
-        self._autoreset = choose(
+        self.autoreset_mode = choose(
             modes, cast(str, getattr(autoreset_mode, "value", autoreset_mode)), "autoreset_mode"
         )
-        self.metadata = {"render_modes": [], "autoreset_mode": self._autoreset}
+        self.metadata = {"render_modes": [], "autoreset_mode": self.autoreset_mode}
         self.num_envs, self._threads = num_envs, threads
         self._task = task = task_from(**arguments)
         self.source, self.radio, self.reward = task.source, task.radio, task.reward
+        epochs = getattr(self.source, "epochs", None)
+        if max_episode_steps not in {None, epochs}:
+            raise ValueError(
+                f"max_episode_steps: found {max_episode_steps}, expected None or {epochs}; "
+                "episode_steps= draws episodes of another length"
+            )
         self._engine = Engine(task.pipeline, num_envs, task.reward, observation, threads=threads)
         self.batch = self._engine.batch
         self.modes, self.observation = task.pipeline.modes, self._engine.observation
@@ -217,7 +223,7 @@ class MmWaveLocVectorEnv(gym.vector.VectorEnv[Observations, Index, NDArray[Any]]
         if self._ended:
             self._over = terminated | truncated
             infos |= masked(self._metrics(), self._over)
-            if self._autoreset == AutoresetMode.SAME_STEP:
+            if self.autoreset_mode == AutoresetMode.SAME_STEP:
                 infos = self._same_step(observations, infos)
         return observations, rewards, terminated, truncated, infos
 
@@ -225,7 +231,7 @@ class MmWaveLocVectorEnv(gym.vector.VectorEnv[Observations, Index, NDArray[Any]]
         """A copy of the actions (N,), if all that are not ignored mean a mode."""
         if not self._begun:
             raise ResetNeeded("Call reset before step: there is no episode under way.")
-        if self._ended and self._autoreset == AutoresetMode.DISABLED:
+        if self._ended and self.autoreset_mode == AutoresetMode.DISABLED:
             raise ResetNeeded(
                 f"The episodes of environments {np.flatnonzero(self._over).tolist()} are over: "
                 'call reset(options={"reset_mask": ...}) before step.'

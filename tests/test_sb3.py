@@ -263,8 +263,8 @@ def test_attributes_and_methods_are_those_of_all():
     assert len(states) == 4 and all(state is states[0] for state in states)
     with pytest.raises(ValueError, match=r"env_method\('state'\): found indices \[0\], expected"):
         venv.env_method("state", indices=[0])
-    assert venv.env_is_wrapped(Monitor) == [False] * 4
-    assert venv.env_is_wrapped(Monitor, [2]) == [False]
+    assert venv.env_is_wrapped(Monitor) == [True] * 4
+    assert venv.env_is_wrapped(gym.wrappers.TimeLimit, [2]) == [False]
 
 
 def test_closing_closes_the_environment():
@@ -277,7 +277,8 @@ def test_closing_closes_the_environment():
 
 
 def test_its_wrappers_and_its_evaluation_work():
-    venv = VecMonitor(VecCheckNan(SB3VecEnv(native()), raise_exception=True))
+    with pytest.warns(UserWarning, match="already wrapped with a `Monitor`"):
+        venv = VecMonitor(VecCheckNan(SB3VecEnv(native()), raise_exception=True))
     normal = VecNormalize(venv, norm_reward=False, clip_obs=6.0)
     model = PPO("MlpPolicy", normal, n_steps=16, batch_size=32, n_epochs=1, seed=0, device="cpu")
     model.learn(128)
@@ -300,6 +301,23 @@ def test_its_wrappers_and_its_evaluation_work():
             returns[:] = 0.0
     assert lengths == [6] * 8
     assert rewards == pytest.approx(expected, rel=1e-5)
+
+
+class Steady:
+    """Always the same mode."""
+
+    def predict(self, observation, state=None, episode_start=None, deterministic=False):
+        return np.ones(len(observation), int), state
+
+
+def test_evaluation_reads_the_rewards_of_the_environment_as_from_a_monitor():
+    """Without the warning (here an error) that there is none, whatever rewards wrappers show."""
+    plain, normal = SB3VecEnv(native()), VecNormalize(SB3VecEnv(native()), norm_reward=True)
+    found, expected = ([], [])
+    for venv, returns in ((normal, found), (plain, expected)):
+        venv.seed(0)
+        returns += evaluate_policy(Steady(), venv, 4, return_episode_rewards=True)[0]
+    assert found == expected
 
 
 def test_terminal_observations_are_normalized_too():

@@ -25,7 +25,7 @@ def same(a, b):
     if isinstance(a, (tuple, list)):
         return len(a) == len(b) and all(map(same, a, b))
     if not isinstance(a, np.ndarray):
-        return type(a) is type(b) and a == b
+        return type(a) is type(b) and (a == b or (a != a and b != b))  # NaN is the same as NaN
     if a.dtype != b.dtype or a.shape != b.shape:
         return False
     if a.dtype == object:

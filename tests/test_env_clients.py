@@ -1,0 +1,210 @@
+"""What planners, wrappers and other libraries ask of MmWaveLoc-v0: copies, lengths, infos."""
+
+import copy
+import pickle
+
+import gymnasium as gym
+import numpy as np
+import pytest
+from gymnasium.wrappers import TimeAwareObservation
+
+import mmwave_env  # noqa: F401  registers the environment
+from mmwave_env.env import MmWaveLocEnv
+from mmwave_env.episodes.simulated import SimulatedSource
+from mmwave_env.models.radio import RADIOS
+from mmwave_env.models.scene import SCENES
+from tests.vector_checker import same
+
+ID = "MmWaveLoc-v0"
+EKF = {"modes": ["ekf"]}
+
+
+class Closeness:
+    """A reward that no copy of it equals, so that one would have to be compiled anew."""
+
+    compiled = 0
+
+    def __call__(self, belief, truth):
+        type(self).compiled += 1
+        return -belief.distance(truth)
+
+
+class Patchy:
+    """Episodes of 3 and 5 epochs in turn: a source that remembers, and has no one length."""
+
+    def __init__(self):
+        self.sources = [
+            SimulatedSource(SCENES["street"], RADIOS["handset"], epochs=epochs) for epochs in (3, 5)
+        ]
+        self.layout, self.name = self.sources[0].layout, "patchy"
+
+    def sample(self, rng):
+        self.sources.reverse()
+        return self.sources[0].sample(rng)
+
+
+def go_on(env, steps, actions=0):
+    """What steps return, of this episode and of those after it; each ends in a reset."""
+    rng, found = np.random.default_rng(actions), []
+    for _ in range(steps):
+        found.append(env.step(rng.integers(env.action_space.n)))
+        if found[-1][2] or found[-1][3]:
+            found.append(env.reset())
+    return found
+
+
+# --- copies
+
+COPIES = {
+    "deepcopy": copy.deepcopy,
+    "pickle": lambda env: pickle.loads(pickle.dumps(env)),
+}
+CONFIGURATIONS = {
+    "default": {"episode_steps": 6},
+    "own reward": {"episode_steps": 6, "reward": Closeness()} | EKF,
+    "paired": {"episode_steps": 5, "reward": "paired"},
+    "recorded": {"episodes": "canyon28_vehicle", "episode_steps": 7} | EKF,
+    "filterpy": {"backend": "filterpy", "episode_steps": 4} | EKF,
+    "fixed": {"infos": "fixed", "episode_steps": 3, "planar": True} | EKF,
+}
+
+
+@pytest.mark.parametrize("way", COPIES)
+@pytest.mark.parametrize("configuration", CONFIGURATIONS)
+def test_a_copy_goes_on_by_itself_to_the_last_bit(way, configuration):
+    env = gym.make(ID, **CONFIGURATIONS[configuration])
+    env.reset(seed=3)
+    go_on(env, 2)
+    twin = COPIES[way](env)
+    elsewhere = go_on(copy.deepcopy(twin), 9, actions=5)
+    expected = go_on(env, 9)
+    assert same(go_on(twin, 9), expected)
+    if env.action_space.n > 1:
+        assert not same(elsewhere, expected)
+
+
+@pytest.mark.parametrize("way", COPIES)
+def test_an_environment_can_be_copied_before_its_first_reset(way):
+    env = gym.make(ID, episode_steps=4, **EKF)
+    env.action_space.seed(7)
+    twin = COPIES[way](env)
+    assert same(twin.reset(seed=1), env.reset(seed=1))
+    assert twin.action_space.sample() == env.action_space.sample()
+
+
+def test_a_deep_copy_compiles_nothing():
+    env = gym.make(ID, reward=Closeness(), **EKF)
+    env.reset(seed=0)
+    env.step(0)
+    known = Closeness.compiled
+    twin = copy.deepcopy(env)
+    twin.step(0)
+    assert Closeness.compiled == known > 0
+    assert twin.unwrapped.source is env.unwrapped.source
+
+
+def test_what_a_subclass_or_a_user_added_is_copied():
+    class Noted(MmWaveLocEnv):
+        def __init__(self, note, **arguments):
+            super().__init__(**arguments)
+            self.notes = [note]
+
+    env = Noted("one", **EKF)
+    twin = copy.deepcopy(env)
+    twin.notes.append("two")
+    assert isinstance(twin, Noted) and env.notes == ["one"] and twin.notes == ["one", "two"]
+
+
+def test_a_copy_opens_no_window(monkeypatch):
+    monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")
+    env = gym.make(ID, render_mode="rgb_array", **EKF)
+    env.reset(seed=0)
+    env.step(0)
+    expected = env.render()
+    np.testing.assert_array_equal(copy.deepcopy(env).render(), expected)
+
+
+# --- lengths
+
+
+@pytest.mark.parametrize(
+    ("arguments", "steps"),
+    [
+        ({}, 200),
+        ({"episode_steps": 7}, 7),
+        ({"episodes": "canyon28_pedestrian", "episode_steps": 12}, 12),
+        ({"episodes": Patchy()}, None),
+    ],
+)
+def test_the_specification_tells_the_length_of_episodes(arguments, steps):
+    assert gym.make(ID, **arguments, **EKF).spec.max_episode_steps == steps
+    assert gym.spec(ID).max_episode_steps is None
+
+
+def test_time_can_be_observed():
+    env = TimeAwareObservation(gym.make(ID, episode_steps=4, **EKF), normalize_time=True)
+    env.reset(seed=0)
+    assert [env.step(0)[0][-1] for _ in range(4)] == [0.25, 0.5, 0.75, 1.0]
+
+
+def test_episodes_of_any_length_end_by_themselves():
+    env = gym.make(ID, episodes=Patchy(), **EKF)
+    env.reset(seed=0)
+    ends = [t for t, step in enumerate(go_on(env, 16)) if len(step) == 5 and step[3]]
+    assert np.diff(ends).tolist() == [4, 6, 4]  # with the reset of each
+
+
+@pytest.mark.parametrize("episode_steps", [None, 5, 250])
+def test_an_environment_made_from_a_specification_is_truncated_alike(episode_steps):
+    env = gym.make(ID, episode_steps=episode_steps, **EKF)
+    again = gym.make(env.spec)
+    assert same(again.reset(seed=2), env.reset(seed=2))
+    assert same(go_on(again, 260), go_on(env, 260))
+
+
+def test_a_vector_environment_can_be_made_from_the_specification_of_a_single_one():
+    spec = gym.make(ID, episode_steps=5, **EKF).spec
+    assert gym.make_vec(spec, num_envs=3).reset(seed=0)[0].shape[0] == 3
+    with pytest.raises(ValueError, match="max_episode_steps: found 9, expected None or 5; episode"):
+        gym.make_vec(spec, num_envs=3, max_episode_steps=9)
+
+
+# --- infos
+
+
+def test_fixed_infos_have_the_same_keys_types_and_shapes_always():
+    fixed, sparse = (gym.make(ID, infos=infos, episode_steps=3) for infos in ("fixed", "sparse"))
+    infos = [(env.reset(seed=0)[1], *(env.step(1)[4] for _ in range(3))) for env in (fixed, sparse)]
+    first, *others = ({k: (np.shape(v), v.dtype) for k, v in told.items()} for told in infos[0])
+    assert all(list(other.items()) == list(first.items()) for other in others)
+    for told, expected in zip(*infos, strict=True):
+        assert set(first) >= set(expected) - {"episode_name"}
+        for key, value in told.items():
+            wanted = expected.get(key, {"f": np.nan, "i": -1, "b": False}[value.dtype.kind])
+            np.testing.assert_array_equal(value, np.broadcast_to(wanted, np.shape(value)))
+
+
+def test_single_environments_in_step_have_fixed_infos_too():
+
+    env = gym.make_vec(
+        ID, num_envs=2, infos="fixed", episode_steps=2, **EKF, vectorization_mode="sync"
+    )
+    told = [env.reset(seed=0)[1], *(env.step(np.zeros(2, int))[4] for _ in range(5))]
+    assert all(set(each) == set(told[0]) for each in told)
+    with pytest.raises(ValueError, match="infos: found 'fixed', expected 'sparse'.*sync"):
+        gym.make_vec(ID, num_envs=2, infos="fixed")
+
+
+def test_unknown_infos_are_refused():
+    with pytest.raises(ValueError, match="infos: found 'all', expected one of sparse, fixed"):
+        gym.make(ID, infos="all")
+
+
+# --- arguments
+
+
+@pytest.mark.parametrize("make", [gym.make, gym.make_vec])
+def test_an_unknown_argument_is_refused_in_pythons_words(make):
+    """TorchRL tries `frameskip` and goes on without it only then."""
+    with pytest.raises(TypeError, match="unexpected keyword argument 'frameskip', expected one of"):
+        make(ID, frameskip=1)
