@@ -1,0 +1,45 @@
+"""CleanRL's style: the whole algorithm in one file, here advantage actor-critic (A2C)."""
+
+import gymnasium as gym
+import numpy as np
+import torch
+from gymnasium.wrappers.vector import NormalizeObservation
+
+from experiments.evaluation.compare import compare
+
+torch.set_num_threads(1)
+torch.manual_seed(0)
+envs = NormalizeObservation(gym.make_vec("mmwave_env:MmWaveLoc-v0", num_envs=64))
+widths = (envs.single_observation_space.shape[0], 64)
+actor, critic = (
+    torch.nn.Sequential(torch.nn.Linear(*widths), torch.nn.Tanh(), torch.nn.Linear(64, outputs))
+    for outputs in (int(envs.single_action_space.n), 1)
+)
+optimizer = torch.optim.Adam([*actor.parameters(), *critic.parameters()], lr=1e-3)
+now, over = envs.reset(seed=10_000_000)[0], np.zeros(64, bool)
+for _ in range(1000):
+    steps = []
+    for _ in range(8):
+        seen, fresh = torch.tensor(now), over  # an action after an end is ignored: NextStep
+        choice, value = torch.distributions.Categorical(logits=actor(seen)), critic(seen)[:, 0]
+        action = choice.sample()
+        now, reward, terminated, truncated, _ = envs.step(action.numpy())
+        over = terminated | truncated
+        steps.append([value, choice.log_prob(action), *map(torch.tensor, (reward, over, ~fresh))])
+    values, chances, rewards, ends, counts = map(torch.stack, zip(*steps, strict=True))
+    returns, ahead = torch.zeros(8, 64), critic(torch.tensor(now))[:, 0].detach()
+    for t in reversed(range(8)):
+        ahead = returns[t] = rewards[t] + 0.9 * torch.where(ends[t], values[t].detach(), ahead)
+    gain = (returns - values)[counts]
+    loss = (gain**2).mean() - (chances[counts] * gain.detach() / gain.std()).mean()
+    optimizer.zero_grad()
+    loss.backward()
+    optimizer.step()
+
+
+def act(observations):
+    scaled = (observations - envs.obs_rms.mean) / np.sqrt(envs.obs_rms.var + envs.epsilon)
+    return actor(torch.tensor(scaled).float()).argmax(1).numpy()
+
+
+print(compare({"a2c": act}, beside=("fixed-ukf",), episodes=200))
