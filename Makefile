@@ -5,7 +5,7 @@ BIN := .venv/bin
 TORCH := $(shell grep '^torch==' constraints.txt)
 OLDEST_GYMNASIUM := $(shell sed -n 's/.*"gymnasium>=\([0-9.]*\),.*/gymnasium==\1/p' pyproject.toml)
 
-.PHONY: help demo test test-slow coverage golden lint format types types-base gymnasium-oldest docs dist clean
+.PHONY: help demo test test-slow coverage golden schemas lint format types types-base gymnasium-oldest docs dist clean
 
 help: ## list these targets
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "make %-18s %s\n", $$1, $$2 }' Makefile
@@ -22,6 +22,9 @@ test-slow: .venv/.dev ## the slow tests
 
 golden: .venv/.dev ## write tests/golden anew, after a change that is to move numbers
 	$(BIN)/python -m tests.golden.write
+
+schemas: .venv/.dev ## write the JSON schemas anew, after a change of what a file may hold
+	$(BIN)/python -m tests.schemas
 
 coverage: ## the same tests, and the lines and branches they miss; 90 % must be covered
 	@$(MAKE) test FLAGS="--cov --cov-report="

@@ -42,6 +42,7 @@ FINITE = Bound("a finite number")
 Positive = Annotated[float, Bound("a number > 0", above=0.0)]
 NonNegative = Annotated[float, Bound("a number >= 0", least=0.0)]
 Probability = Annotated[float, Bound("a number in [0, 1]", least=0.0, most=1.0)]
+Filled = Annotated[tuple[T, ...], "a list of one or more"]
 Count = Annotated[int, Bound("an integer >= 1", least=1)]
 
 _KINDS: dict[Any, tuple[type, str]] = {
@@ -68,7 +69,7 @@ def _fits(hint: Any, value: Any) -> bool:
         if isinstance(said, Bound):
             kind = isinstance(value, _KINDS[base][0]) and not isinstance(value, bool)
             return kind and said.holds(value)
-        return _fits(base, value)
+        return _fits(base, value) and len(value) > 0
     if origin in (Union, UnionType):
         return any(_fits(one, value) for one in inside)
     if origin is tuple:
@@ -113,9 +114,10 @@ def require_fields(record: Any, of: str = "") -> None:
 def _require(hint: Any, value: Any, name: str, of: str) -> None:
     if _fits(hint, value):
         return
-    if get_origin(hint) is tuple and get_args(hint)[-1] is ... and _is_list(value):
+    bare = get_args(hint)[0] if get_origin(hint) is Annotated else hint
+    if get_origin(bare) is tuple and get_args(bare)[-1] is ... and _is_list(value):
         for i, one in enumerate(value):  # which of them
-            _require(get_args(hint)[0], one, f"{name}[{i}]", of)
+            _require(get_args(bare)[0], one, f"{name}[{i}]", of)
     raise ValueError(f"{name}{of}: found {value!r}, expected {_said(hint)}")
 
 

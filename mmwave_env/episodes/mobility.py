@@ -15,6 +15,7 @@ from mmwave_env.models.scene import Streets
 from mmwave_env.records import (
     Bound,
     Count,
+    Filled,
     NonNegative,
     Positive,
     Probability,
@@ -97,14 +98,12 @@ class Phase:
     """
 
     limits: Limits
-    gaits: tuple[Gait, ...]
+    gaits: Filled[Gait]
     duration_s: tuple[Duration, Duration] = (inf, inf)
 
     def __post_init__(self) -> None:
         require_fields(self)
         _require_ordered(self, "duration_s")
-        if not self.gaits:
-            raise ValueError("gaits: found none, expected at least one")
 
 
 @dataclass(frozen=True)
@@ -120,14 +119,12 @@ class Mobility:
     """
 
     name: str
-    phases: tuple[Phase, ...]
+    phases: Filled[Phase]
     blocks: Count = 1
     ends_as_it_began: bool = False
 
     def __post_init__(self) -> None:
         require_fields(self, f" of mobility {self.name!r}")
-        if not self.phases:
-            raise ValueError("phases: found none, expected at least one")
         lasts = self.phases[-1].duration_s[0] == inf
         for i, phase in enumerate(self.phases):
             last = i == len(self.phases) - 1

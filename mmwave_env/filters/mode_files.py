@@ -37,8 +37,8 @@ def modes_in(content: dict[str, Any]) -> tuple[Mode, ...]:
         ValueError: saying what is wrong in it.
     """
     modes = content.get("modes")
-    if not isinstance(modes, list):
-        raise ValueError("found no list under 'modes'")
+    if not isinstance(modes, list) or not modes:
+        raise ValueError(f"modes: found {modes!r}, expected a list of one or more")
     return tuple(object_from(Mode, mode, f"modes[{i}].") for i, mode in enumerate(modes))
 
 

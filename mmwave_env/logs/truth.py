@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
-from mmwave_env.logs.tum import Trajectory, tum_blocks
+from mmwave_env.logs.tum import Poses, tum_blocks
 from mmwave_env.numerics.arrays import Array
 
 TOLERANCE_S = 0.01  # evo's default
@@ -57,7 +57,7 @@ class Truth:
         self._near = [p for p in self._near if p.time_s[-1] >= time_s[-1] - tolerance_s]
         return position
 
-    def _until(self, time_s: float) -> Iterator[Trajectory]:
+    def _until(self, time_s: float) -> Iterator[Poses]:
         """The poses kept, and more, up to a time; of those read, the last two blocks are kept."""
         yield from self._near
         while self.last_s < time_s and (poses := next(self._blocks, None)):

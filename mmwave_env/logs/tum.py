@@ -13,8 +13,8 @@ from mmwave_env.numerics.arrays import Array
 COLUMNS = ("t", "x", "y", "z", "qx", "qy", "qz", "qw")
 
 
-class Trajectory(NamedTuple):
-    """Where a user was."""
+class Poses(NamedTuple):
+    """Where a user was, orientations left out."""
 
     time_s: Array  # (T,) increasing
     position_m: Array  # (T, 3)
@@ -26,7 +26,7 @@ def tum_lines(time_s: Array, position_m: Array) -> str:
     return "".join([f"{t!r} {x!r} {y!r} {z!r} 0 0 0 1\n" for t, x, y, z in rows])
 
 
-def tum_blocks(path: Path) -> Iterator[Trajectory]:
+def tum_blocks(path: Path) -> Iterator[Poses]:
     """A trajectory, about 1 MiB of the file at a time; at least one pose a block.
 
     Orientations are checked to be numbers and left out.
@@ -40,15 +40,15 @@ def tum_blocks(path: Path) -> Iterator[Trajectory]:
         track = _parse(path, block, last)
         if len(track):
             last = track[-1, 0]
-            yield Trajectory(track[:, 0].copy(), track[:, 1:].copy())
+            yield Poses(track[:, 0].copy(), track[:, 1:].copy())
     if last == -math.inf:
         raise ValueError(f"{path}: found no line with a pose, expected {' '.join(COLUMNS)}")
 
 
-def read_tum(path: Path) -> Trajectory:
+def read_tum(path: Path) -> Poses:
     """Read a whole trajectory, as :func:`tum_blocks` reads its parts."""
     time_s, position_m = zip(*tum_blocks(path), strict=True)
-    return Trajectory(np.concatenate(time_s), np.concatenate(position_m))
+    return Poses(np.concatenate(time_s), np.concatenate(position_m))
 
 
 def _parse(path: Path, block: LineBlock, last_s: float) -> Array:

@@ -23,6 +23,7 @@ from mmwave_env.records import (
     NonNegative,
     Positive,
     Probability,
+    hints_of,
     object_from,
     read_object,
     require_fields,
@@ -238,11 +239,12 @@ def _in_radians(content: dict[str, Any]) -> dict[str, Any]:
     """The content of a radio's file, with its angles in radians."""
     given: dict[str, Any] = {}
     for key, value in content.items():
-        name = key.removesuffix("_deg") + "_rad" * key.endswith("_deg")
+        angle = f"{key.removesuffix('_deg')}_rad"
+        in_degrees = key.endswith("_deg") and angle in hints_of(Radio)
+        name = angle if in_degrees else key
         if name in given:
             raise ValueError(f"{key}: found it beside the same angle in the other unit")
-        in_degrees = name != key and type(value) in (int, float)
-        given[name] = value * DEGREE if in_degrees else value
+        given[name] = value * DEGREE if in_degrees and type(value) in (int, float) else value
     return given
 
 

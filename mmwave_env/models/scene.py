@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from mmwave_env.lookup import choose
 from mmwave_env.models.measurement import SPEED_OF_LIGHT
-from mmwave_env.records import Bound, Positive, object_from, read_object, require_fields
+from mmwave_env.records import Bound, Filled, Positive, object_from, read_object, require_fields
 
 Point = Annotated[tuple[float, float, float], "[x, y, z]"]
 Extent = Annotated[tuple[float, float], "[low, high]"]
@@ -227,15 +227,13 @@ class AnchorScene:
     """
 
     name: str
-    anchors: tuple[Point, ...]
+    anchors: Filled[Point]
     carrier_hz: Carrier
     bandwidth_hz: Bandwidth
     streets: Streets = field(default_factory=Streets)
 
     def __post_init__(self) -> None:
         require_fields(self)
-        if not self.anchors:
-            raise ValueError("anchors: found none, expected a list of [x, y, z]")
 
 
 def _scene(content: dict[str, Any]) -> Scene:

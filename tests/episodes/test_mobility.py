@@ -1,5 +1,6 @@
 """Mobility: truth that people and cars could have moved along."""
 
+import json
 from collections import Counter
 from typing import NamedTuple
 
@@ -7,7 +8,16 @@ import numpy as np
 import pytest
 from scipy.stats import binom
 
-from mmwave_env.episodes.mobility import MOBILITIES, SCENARIOS, mobilities_of, plan_of
+from mmwave_env.episodes.mobility import (
+    MOBILITIES,
+    SCENARIOS,
+    Gait,
+    Limits,
+    Mobility,
+    Phase,
+    mobilities_of,
+    plan_of,
+)
 from mmwave_env.episodes.simulated import SimulatedSource
 from mmwave_env.models.radio import RADIOS
 from mmwave_env.models.scene import SCENES
@@ -219,3 +229,85 @@ def test_scenarios_are_the_mobilities_and_their_mixture():
 def test_unknown_scenario_lists_the_valid_ones():
     with pytest.raises(ValueError, match="'train'.*pedestrian, vehicle, .*mixed"):
         mobilities_of("train")
+
+
+SCOOTER = {
+    "phases": [
+        {
+            "limits": {
+                "acceleration_mps2": [0.5, 1.5], "braking_mps2": [1.0, 2.0],
+                "lateral_mps2": [1.0, 2.0], "jerk_mps3": 2, "corner_radius_m": 3,
+            },
+            "gaits": [{"low_mps": 3, "high_mps": 7}],
+        }
+    ],
+    "blocks": 2,
+}  # fmt: skip
+
+
+def write(folder, content):
+    path = folder / "scooter.json"
+    path.write_text(json.dumps(content), encoding="utf-8")
+    return path
+
+
+def with_phase(**changes):
+    (phase,) = SCOOTER["phases"]
+    return SCOOTER | {"phases": [phase | changes]}
+
+
+def test_a_mobility_file_is_a_kind_of_user(tmp_path):
+    (scooter,) = mobilities_of(write(tmp_path, SCOOTER))
+    limits = Limits((0.5, 1.5), (1.0, 2.0), (1.0, 2.0), 2.0, 3.0)
+    assert scooter == Mobility("scooter", (Phase(limits, (Gait(3.0, 7.0),)),), blocks=2)
+    assert mobilities_of(scooter) == (scooter,)
+
+
+def test_a_kind_of_user_of_ones_own_keeps_to_its_limits(tmp_path):
+    source = SimulatedSource(SCENES["street"], RADIOS["handset"], write(tmp_path, SCOOTER), dt=0.2)
+    assert source.name == "scooter"
+    for seed in range(5):
+        episode = source.sample(np.random.default_rng(seed))
+        speed = np.linalg.norm(episode.truth_velocity_mps, axis=1)
+        assert episode.name == "scooter" and speed.max() <= 7.0 + 1e-9
+        assert 2.0 < speed.max() and np.diff(speed).max() / 0.2 <= 1.5 + 1e-9
+        from_street = 20.0 - np.abs(episode.truth_position_m[:, :2] % 40.0 - 20.0)
+        assert from_street.min(axis=1).max() < 1.0  # corners of 3 m are cut by less
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        ({}, "phases: found none, expected one"),
+        (
+            SCOOTER | {"phases": []},
+            "phases of mobility 'scooter': found (), expected a list",
+        ),
+        (SCOOTER | {"speed": 3}, "key: found 'speed', expected one of name, phases"),
+        (with_phase(gaits=[{"low_mps": 3}]), "phases[0].gaits[0].high_mps: found none, expected"),
+        (with_phase(gaits=[{"low_mps": 3, "high_mps": 2}]), "gaits[0].high_mps: found 2.0"),
+        (with_phase(gaits=[{"low_mps": 3, "high_mps": 200}]), "expected 0 to 100 m/s"),
+        (with_phase(duration_s=[10, 20]), "phases[0].duration_s: found it in the last phase"),
+        (with_phase(limits={}), "phases[0].limits.acceleration_mps2: found none, expected one"),
+        (with_phase(limits=3), "phases[0].limits: found 3, expected an object"),
+        (SCOOTER | {"ends_as_it_began": True}, "phases[0].duration_s: found none, expected [low"),
+        (SCOOTER | {"phases": SCOOTER["phases"] * 2}, "phases[0].duration_s: found none"),
+        (
+            SCOOTER | {"blocks": 0},
+            "blocks of mobility 'scooter': found 0, expected an integer",
+        ),
+    ],
+    ids=lambda value: value[:40] if isinstance(value, str) else "",
+)
+def test_a_damaged_mobility_file_says_what_is_wrong(tmp_path, content, message):
+    path = write(tmp_path, content)
+    with pytest.raises(ValueError, match="mobility.schema.json") as error:
+        mobilities_of(path)
+    start = f"{path}: not a mobility file: "
+    assert str(error.value).startswith(start) and message in str(error.value)
+
+
+def test_corners_that_do_not_fit_between_crossings_are_refused(tmp_path):
+    path = write(tmp_path, SCOOTER | {"blocks": 16})
+    with pytest.raises(ValueError, match="corner_radius_m.*'scooter': found 3.0.* of the 5 m"):
+        SimulatedSource(SCENES["street"], RADIOS["handset"], path)

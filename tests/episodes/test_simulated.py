@@ -14,11 +14,12 @@ from mmwave_env.episodes.drawing import _draw
 from mmwave_env.episodes.episode import Episode, EpisodeBatch
 from mmwave_env.episodes.mobility import mobilities_of, plan_of
 from mmwave_env.episodes.simulated import CHUNK, SimulatedSource
+from mmwave_env.episodes.trajectory import Trajectory
 from mmwave_env.models.measurement import Layout
 from mmwave_env.models.radio import RADIOS
 from mmwave_env.models.scene import SCENES
 from mmwave_env.numerics.pytree import flatten, unflatten
-from tests.episodes.roads import trajectories
+from tests.episodes.roads import around_a_block, trajectories
 from tests.filters.tracks import geometry
 
 SOURCES = {
@@ -27,6 +28,10 @@ SOURCES = {
         SCENES["o1"], RADIOS["high"], "walk-ride", dt=0.1, odometry=True
     ),
     "jam": SimulatedSource(SCENES["dynamic-doppler"], RADIOS["standard"], "jam", 0.5, epochs=77),
+    "windows of a way": SimulatedSource(
+        SCENES["street"], RADIOS["handset"], around_a_block(), dt=0.7, epochs=30, odometry=True
+    ),
+    "a whole way": SimulatedSource(SCENES["o1"], RADIOS["high"], around_a_block([200.0, 600.0])),
 }
 
 
@@ -75,14 +80,24 @@ def channel(radio, scene, distance, speed, dt, rng):
     return snr, detected, bias, scene.hz_per_mps * (radio.spread_gain * speed * scatter + floor)
 
 
+def way(source, rng):
+    """The name of a user, and its positions and velocities (T, 6)."""
+    scenario, T = source.scenario, source.epochs
+    if isinstance(scenario, Trajectory):
+        whole = scenario.resampled(source.dt)
+        first = int(rng.random() * (len(whole) - T + 1))
+        return scenario.name, whole[first : first + T]
+    choices = mobilities_of(scenario)
+    mobility = choices[int(rng.random() * len(choices))]
+    tracks = np.empty((1, T, 6))
+    trajectories(plan_of([mobility], source.scene.streets), [0], source.dt, [rng], tracks)
+    return mobility.name, tracks[0]
+
+
 def plain(source, rng):
     """An episode, straight from the model's description."""
     scene, radio, layout, T = source.scene, source.radio, source.layout, source.epochs
-    choices = mobilities_of(source.scenario)
-    mobility = choices[int(rng.random() * len(choices))]
-    tracks = np.empty((1, T, 6))
-    trajectories(plan_of([mobility], scene.streets), [0], source.dt, [rng], tracks)
-    track = tracks[0]
+    name, track = way(source, rng)
     position, velocity = track[:, :3], track[:, 3:]
     speed = np.linalg.norm(velocity, axis=1)
     z = geometry(position, velocity, scene, layout)
@@ -101,7 +116,7 @@ def plain(source, rng):
     covariance = radio.prior_covariance(scene)
     state = np.concatenate([track[0], drift[:1]])
     return Episode(
-        mobility.name, scene.anchors_m, scene.hz_per_mps, source.dt * np.arange(T), z, sigma,
+        name, scene.anchors_m, scene.hz_per_mps, source.dt * np.arange(T), z, sigma,
         visible, snr, spread, state + np.sqrt(np.diag(covariance)) * rng.standard_normal(7),
         covariance, position, velocity, layout,
     )  # fmt: skip

@@ -1,5 +1,6 @@
 """The radio against formulas written afresh; statistics at 99.9 % confidence each."""
 
+import json
 from dataclasses import replace
 from types import SimpleNamespace
 
@@ -302,3 +303,56 @@ def test_radio_by_name_or_by_itself():
     assert radio_from("high") is RADIOS["high"] and radio_from(CLEAR) is CLEAR
     with pytest.raises(ValueError, match="'lab'.*handset, standard, high"):
         radio_from("lab")
+
+
+def write(folder, content, name="phone.json"):
+    path = folder / name
+    path.write_text(json.dumps(content), encoding="utf-8")
+    return path
+
+
+def test_a_radio_file_says_what_is_other_than_in_its_base(tmp_path):
+    own = {"base": "handset", "shadowing_db": 6, "range_floor_m": [1, 2.5], "gnb_elements": 16}
+    assert radio_from(write(tmp_path, own)) == replace(
+        RADIOS["handset"], name="phone", shadowing_db=6.0, range_floor_m=(1.0, 2.5), gnb_elements=16
+    )
+    assert radio_from(str(write(tmp_path, {"name": "lab"}))) == Radio("lab")
+
+
+def test_angles_of_a_radio_file_are_in_the_unit_that_their_names_say(tmp_path):
+    in_degrees = radio_from(write(tmp_path, {"aoa_floor_deg": 2.0}))
+    in_radians = radio_from(write(tmp_path, {"aoa_floor_rad": np.radians(2.0)}))
+    assert in_degrees == in_radians == replace(Radio("phone"), aoa_floor_rad=np.radians(2.0))
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        ({"aoa_flor_deg": 2.0}, "key: found 'aoa_flor_deg', expected one of name, gnb_elements"),
+        ({"base": "lab"}, "base: found 'lab', expected one of handset, standard, high"),
+        ({"base": 3}, "base: found 3, expected one of"),
+        ({"aoa_floor_deg": 2.0, "aoa_floor_rad": 0.1}, "the same angle in the other unit"),
+        ({"aoa_floor_deg": -2.0}, "aoa_floor_rad of radio 'phone': found -0.03"),
+        (
+            {"aoa_floor_deg": "2"},
+            "aoa_floor_rad of radio 'phone': found '2', expected a number > 0",
+        ),
+        ({"gnb_elements": 2.5}, "gnb_elements of radio 'phone': found 2.5, expected an integer"),
+        ({"gnb_elements": True}, "gnb_elements of radio 'phone': found True"),
+        ({"range_floor_m": 0.2}, "range_floor_m of radio 'phone': found 0.2, expected [a number"),
+        ({"name": 7}, "name of radio 7: found 7, expected str"),
+        ([], "found list, expected an object"),
+    ],
+    ids=repr,
+)
+def test_a_damaged_radio_file_says_what_is_wrong(tmp_path, content, message):
+    path = write(tmp_path, content)
+    with pytest.raises(ValueError, match="radio.schema.json") as error:
+        radio_from(path)
+    said = str(error.value)
+    assert said.startswith(f"{path}: not a radio file: ") and message in said
+
+
+def test_a_missing_radio_file_is_named():
+    with pytest.raises(FileNotFoundError, match="nowhere.json: found no such file"):
+        radio_from("nowhere.json")

@@ -182,7 +182,7 @@ def test_a_scene_survives_a_file_of_its_anchors(tmp_path, name):
         (ANCHORS | {"base_station_m": [0, 0, 0]}, "anchors and base_station_m, expected either"),
         (ANCHORS | {"walls": []}, "anchors and walls, expected either"),
         (ANCHORS | {"color": 1}, "key: found 'color', expected one of name, anchors, carrier_hz"),
-        (ANCHORS | {"anchors": []}, "anchors: found none, expected a list"),
+        (ANCHORS | {"anchors": []}, "anchors: found (), expected a list of one or more"),
         (ANCHORS | {"anchors": {}}, "anchors: found {}, expected a list"),
         (ANCHORS | {"anchors": [0, 0, 0]}, "anchors[0]: found 0, expected [x, y, z]"),
         (

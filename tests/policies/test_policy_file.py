@@ -285,8 +285,8 @@ def test_a_card_of_the_wrong_kind_is_neither_read_nor_made(path, changes, messag
 @pytest.mark.parametrize(
     ("modes", "message"),
     [
-        (None, "no list under 'modes'"),
-        ([], "at least one mode"),
+        (None, "modes: found None, expected a list of one or more"),
+        ([], "modes: found .., expected a list of one or more"),
         (["ekf"], "modes.0.: found 'ekf', expected an object"),
         ([{"name": "a", "algorithm": "pf"}], "'pf'.*ekf, ukf, ckf"),
         ([{"name": "a", "sigma_q": 1.0}], "'sigma_q'.*sigma_p"),

@@ -1,0 +1,128 @@
+"""JSON schemas of users' files, made from the dataclasses that read them.
+
+``make schemas`` writes them to mmwave_env/data/schemas, after a change of such a dataclass.
+"""
+
+import inspect
+import json
+import math
+import re
+from dataclasses import MISSING, fields, is_dataclass
+from types import NoneType
+from typing import Annotated, get_args, get_origin
+
+from mmwave_env.episodes.mobility import Mobility
+from mmwave_env.filters.modes import ALGORITHMS, Mode
+from mmwave_env.models.radio import RADIOS, Radio
+from mmwave_env.models.scene import AnchorScene, Scene
+from mmwave_env.records import Bound, hints_of
+from tests.paths import ROOT
+
+FOLDER = ROOT / "mmwave_env" / "data" / "schemas"
+TYPES = {str: "string", bool: "boolean", int: "integer", float: "number", NoneType: "null"}
+
+
+def described(kind):
+    """What the docstring of a dataclass says of each attribute."""
+    _, _, section = inspect.getdoc(kind).partition("Attributes:\n")
+    section = section.split("\n\n")[0]
+    entries = re.findall(r"^    (\w[\w, ]*): (.*(?:\n {5,}.*)*)", section, re.MULTILINE)
+    said = {name: text for names, text in entries for name in names.split(", ")}
+    return {
+        name: " ".join(text.replace("`", "").rstrip(".").split()) for name, text in said.items()
+    }
+
+
+def bounds(bound):
+    """The keywords of a schema for the bounds of a number."""
+    low = {"exclusiveMinimum": bound.above} if bound.least is None else {"minimum": bound.least}
+    high = {"exclusiveMaximum": bound.below} if bound.most is None else {"maximum": bound.most}
+    return {key: value for key, value in (low | high).items() if math.isfinite(value)}
+
+
+def schema_of(hint):
+    """Of a type as fields have it."""
+    origin, inside = get_origin(hint), get_args(hint)
+    if is_dataclass(hint):
+        return object_schema(hint)
+    if hint in TYPES:
+        return {"type": TYPES[hint]}
+    if origin is Annotated:
+        base, said = inside
+        more = bounds(said) if isinstance(said, Bound) else {}
+        some = {"minItems": 1} if get_origin(base) is tuple and get_args(base)[-1] is ... else {}
+        return schema_of(base) | more | some
+    if origin is tuple:
+        count = {} if inside[-1] is ... else {"minItems": len(inside), "maxItems": len(inside)}
+        return {"type": "array", "items": schema_of(inside[0])} | count
+    return {"anyOf": [schema_of(one) for one in inside]}
+
+
+def object_schema(kind, optional=(), replaced=None):
+    """Of a dataclass; some fields are optional in its file, some are not what their type says."""
+    said, replaced = described(kind), replaced or {}
+    properties, required = {}, []
+    for field in fields(kind):
+        one = replaced.get(field.name) or schema_of(hints_of(kind)[field.name])
+        default = json_of(field)
+        known = {"description": said[field.name]} if field.name in said else {}
+        properties[field.name] = one | known | default
+        if field.default is field.default_factory is MISSING and field.name not in optional:
+            required.append(field.name)
+    return {
+        "type": "object", "properties": properties, "required": required,
+        "additionalProperties": False,
+    }  # fmt: skip
+
+
+def json_of(field):
+    """The default of a field, where JSON can hold it."""
+    try:
+        return {"default": json.loads(json.dumps(field.default, allow_nan=False))}
+    except (TypeError, ValueError):
+        return {}
+
+
+def radio():
+    """Of a radio's file: a base, and what differs from it."""
+    schema = object_schema(Radio, optional=["name"])
+    properties = schema["properties"]
+    for name in [n for n in properties if n.endswith("_rad")]:
+        degrees = {k: v for k, v in properties[name].items() if k != "default"}
+        degrees["description"] += f", in degrees in place of {name}"
+        properties[name.removesuffix("_rad") + "_deg"] = degrees
+    base = {"enum": list(RADIOS), "default": "standard"}
+    base["description"] = "shipped profile that gives what is left out; defaults are of standard"
+    return schema | {"properties": {"base": base} | properties}
+
+
+def modes():
+    """Of a mode file; what else it holds, such as the command that made it, is not looked at."""
+    mode = object_schema(Mode, replaced={"algorithm": {"enum": list(ALGORITHMS)}})
+    modes = {"type": "array", "items": mode, "minItems": 1, "description": "no name twice"}
+    return {"type": "object", "properties": {"modes": modes}, "required": ["modes"]}
+
+
+def schemas():
+    """All of them, by name."""
+    scene = {"oneOf": [object_schema(kind, optional=["name"]) for kind in (Scene, AnchorScene)]}
+    for form, title in zip(scene["oneOf"], ("by its walls", "by its anchors"), strict=True):
+        form["title"] = title
+    found = {
+        "scene": ("A street: a base station and the walls that mirror it", scene),
+        "radio": ("A radio profile", radio()),
+        "modes": ("Filter modes", modes()),
+        "mobility": ("A kind of user", object_schema(Mobility, optional=["name"])),
+    }
+    dialect = {"$schema": "https://json-schema.org/draft/2020-12/schema"}
+    return {name: dialect | {"title": title} | body for name, (title, body) in found.items()}
+
+
+def path_of(name):
+    """Where a schema is shipped."""
+    return FOLDER / f"{name}.schema.json"
+
+
+if __name__ == "__main__":
+    for name, schema in schemas().items():
+        path_of(name).write_text(json.dumps(schema, indent=2) + "\n", encoding="utf-8")

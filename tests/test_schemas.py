@@ -1,0 +1,171 @@
+"""The schemas of users' files say what the readers read."""
+
+import json
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from jsonschema import Draft202012Validator
+
+from mmwave_env.episodes.mobility import read_mobility
+from mmwave_env.filters.mode_files import read_modes
+from mmwave_env.models.radio import RADIOS, read_radio
+from mmwave_env.models.scene import read_scene
+from tests.paths import ROOT
+from tests.schemas import path_of, schemas
+
+READERS = {
+    "scene": read_scene, "radio": read_radio, "modes": read_modes, "mobility": read_mobility,
+}  # fmt: skip
+SCHEMAS = schemas()
+VALIDATORS = {name: Draft202012Validator(schema) for name, schema in SCHEMAS.items()}
+DATA = ROOT / "mmwave_env" / "data"
+
+every_file = pytest.mark.parametrize("name", READERS)
+
+
+def values(schema):
+    """What a schema accepts."""
+    if "enum" in schema:
+        return st.sampled_from(schema["enum"])
+    for key in ("anyOf", "oneOf"):
+        if key in schema:
+            return st.one_of(*map(values, schema[key]))
+    kind = schema["type"]
+    if kind == "object":
+        parts = {key: values(part) for key, part in schema["properties"].items()}
+        needed = {key: parts.pop(key) for key in schema["required"]}
+        return st.fixed_dictionaries(needed, optional=parts)
+    if kind == "array":
+        count = schema.get("minItems", 0), schema.get("maxItems", 3)
+        return st.lists(values(schema["items"]), min_size=count[0], max_size=count[1])
+    low = schema.get("exclusiveMinimum", schema.get("minimum", -1e6))
+    high = schema.get("exclusiveMaximum", schema.get("maximum", max(2.0 * low, 1e6)))
+    ends = {
+        "exclude_min": "exclusiveMinimum" in schema,
+        "exclude_max": "exclusiveMaximum" in schema,
+    }
+    return {
+        "string": st.text(), "boolean": st.booleans(), "null": st.none(),
+        "integer": st.integers(int(low) if abs(low) < 1e6 else 0, 1000),
+        "number": st.floats(low, high, **ends),
+    }[kind]  # fmt: skip
+
+
+def consistent(content):
+    """The content, where parts contradict each other that a schema can't compare, put right."""
+    if isinstance(content, list):
+        pair = len(content) == 2 and all(isinstance(v, float) for v in content)
+        return sorted(content) if pair else [consistent(one) for one in content]
+    if not isinstance(content, dict):
+        return content
+    content = {key: consistent(value) for key, value in content.items()}
+    if "low_mps" in content:
+        content["high_mps"] = content["low_mps"]
+    if "normal" in content:
+        content["normal"] = [0.6, -0.8]
+    for part in content.get("phases", []):
+        part["duration_s"] = [10.0, 20.0]
+    if "phases" in content and not content.get("ends_as_it_began"):
+        del content["phases"][-1]["duration_s"]
+    for key in ("x_m", "y_m", "block_m"):
+        content.pop(key, None)
+    both = [key for key in content if key.removesuffix("_deg") + "_rad" in content]
+    return {key: value for key, value in content.items() if not (both and key.endswith("_deg"))}
+
+
+def files(name):
+    """Contents of files that the schema accepts."""
+    return values(SCHEMAS[name]).map(consistent)
+
+
+def places(content, path=()):
+    """The ways to every part of a content."""
+    parts = content.items() if isinstance(content, dict) else enumerate(content)
+    for key, value in parts:
+        yield (*path, key)
+        if isinstance(value, (dict, list)):
+            yield from places(value, (*path, key))
+
+
+@st.composite
+def damaged(draw, name):
+    """A content with one part dropped, or put in the place of another, or one key too many."""
+    content = draw(files(name))
+    *path, last = draw(st.sampled_from([*places(content), ("color",)]))
+    inner = content
+    for key in path:
+        inner = inner[key]
+    drop = last != "color" and draw(st.booleans())
+    if drop:
+        del inner[last]
+    else:
+        inner[last] = draw(st.sampled_from([None, True, "much", -1.0, 3.5e9, [], {}, [1.0]]))
+    return content
+
+
+def refusal(name, content, folder):
+    """What the reader says against a content, which names the file and the schema; or None."""
+    path = folder / f"{name}.json"
+    path.write_text(json.dumps(content), encoding="utf-8")
+    try:
+        READERS[name](path)
+    except ValueError as error:
+        said, schema = str(error), path_of(name).relative_to(ROOT).as_posix()
+        return said if said.startswith(f"{path}: not a {name} file: ") and schema in said else ""
+    return None
+
+
+@every_file
+def test_the_shipped_schema_is_that_of_the_dataclass(name):
+    shipped = json.loads(path_of(name).read_text(encoding="utf-8"))
+    assert shipped == SCHEMAS[name], "after a change of a dataclass: make schemas"
+    Draft202012Validator.check_schema(shipped)
+
+
+@every_file
+@settings(max_examples=15, deadline=None)
+@given(data=st.data())
+def test_what_a_schema_accepts_is_read(name, data, tmp_path_factory):
+    content = data.draw(files(name))
+    assert not list(VALIDATORS[name].iter_errors(content))
+    assert refusal(name, content, tmp_path_factory.getbasetemp()) is None
+
+
+@every_file
+@settings(max_examples=40, deadline=None)
+@given(data=st.data())
+def test_what_a_schema_refuses_is_refused(name, data, tmp_path_factory):
+    content = data.draw(damaged(name))
+    if not VALIDATORS[name].is_valid(content):
+        assert refusal(name, content, tmp_path_factory.getbasetemp())
+
+
+@pytest.mark.parametrize(
+    ("name", "path"),
+    [("modes", path) for path in sorted((DATA / "modes").glob("*.json"))]
+    + [("scene", path) for path in sorted((DATA / "logs").glob("*/scene.json"))],
+    ids=lambda value: value if isinstance(value, str) else value.parent.name + "/" + value.name,
+)
+def test_a_schema_accepts_what_is_shipped(name, path):
+    VALIDATORS[name].validate(json.loads(path.read_text(encoding="utf-8")))
+
+
+def test_every_field_of_every_schema_says_what_it_is():
+    def unsaid(schema):
+        for key, part in schema.get("properties", {}).items():
+            yield from [] if "description" in part else [key]
+            yield from unsaid(part.get("items", part))
+
+    forms = [form for schema in SCHEMAS.values() for form in schema.get("oneOf", [schema])]
+    assert not [key for form in forms for key in unsaid(form)]
+
+
+def test_defaults_are_those_of_standard_and_of_no_other_base():
+    properties = SCHEMAS["radio"]["properties"]
+    assert properties["base"]["enum"] == list(RADIOS)
+    for field, value in vars(RADIOS["standard"]).items():
+        if field != "name":
+            assert properties[field]["default"] == (
+                list(value) if isinstance(value, tuple) else value
+            )
