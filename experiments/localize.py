@@ -11,6 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from experiments.arguments.localize import Args
+from experiments.cli.diagnosis_report import diagnosis_figures, diagnosis_markdown
 from experiments.cli.main import run
 from experiments.cli.pictures import require_picture
 from experiments.cli.terminal import ask_speed, parse_speed, progress
@@ -23,6 +24,8 @@ from mmwave_env.episodes.samples import sample_folder
 from mmwave_env.files import require_writable, write_json
 from mmwave_env.filters.mode_files import modes_from
 from mmwave_env.filters.modes import DESIGN_LIMIT_MPS, Mode, robust
+from mmwave_env.localization.contradictions import contradictions
+from mmwave_env.localization.diagnosis import diagnose
 from mmwave_env.localization.localizer import localize
 from mmwave_env.localization.track_files import table_beside, track_files
 from mmwave_env.localization.track_scores import Course, Groups, TruthScores
@@ -111,6 +114,8 @@ def _modes(args: Args) -> tuple[Mode, ...]:
 
 def _check(args: Args, given: Inputs) -> None:
     """Refuse options that contradict each other, and files that would overwrite each other."""
+    if args.diagnose and (args.out or args.plot):
+        raise ValueError("diagnose: found with --out or --plot, expected no track")
     if args.speed == "auto" and args.outside == "abort":
         raise ValueError("outside: found abort with --speed auto, expected a speed in m/s")
     if args.speed != "auto" and args.follow == "odometry":
@@ -190,11 +195,22 @@ def _run(
     return Result(figures, picture, error)
 
 
+def _diagnose(args: Args, log: Path, scene: Scene, mode: Mode) -> None:
+    """What is wrong with the log, as a table."""
+    block = next(read_log(log, scene, odometry=False, limits=False))
+    findings = diagnose(block, scene, radio_from(args.radio), mode)
+    if args.json:
+        write_json(args.json, diagnosis_figures(findings))
+    show(diagnosis_markdown(findings))
+
+
 def main(args: Args) -> None:
     """Run the command."""
     given = inputs(args)
     _check(args, given)
     scene, modes = scene_from(given.scene), _modes(args)
+    if args.diagnose:
+        return _diagnose(args, given.log, scene, modes[-1])
     blocks = read_log(given.log, scene, EPOCHS_PER_BLOCK, args.odometry)
     first = next(blocks)
     if args.follow == "odometry" and not first.layout.odometry:
@@ -206,6 +222,9 @@ def main(args: Args) -> None:
     for path in filter(None, _outputs(args).values()):
         require_writable(path)
     figures, picture, error = _run(args, chosen, scene, chain([first], blocks), truth)
+    doubts = contradictions(first, scene, radio_from(args.radio), figures["groups"])
+    for doubt in doubts:
+        warnings.warn(f"{doubt}; --diagnose tries likely mistakes", stacklevel=2)
     kind, written = "smoothed" if args.smoothing else "filtered", {}
     if args.out:
         written[f"{kind} track"] = str(args.out)
@@ -214,7 +233,13 @@ def main(args: Args) -> None:
         picture.save(args.plot, f"{'/'.join(given.log.parts[-2:])}, {kind} track")
         written["picture"] = str(args.plot)
     origin = {"log": str(given.log), "scene": scene.name, "radio": args.radio, "rule": chosen.why}
-    figures = {**origin, **figures, "written": written, "error": error and str(error)}
+    figures = {
+        **origin,
+        **figures,
+        "contradictions": [d._asdict() for d in doubts],
+        "written": written,
+        "error": error and str(error),
+    }
     if args.json:  # first, because whoever reads what is shown may leave
         write_json(args.json, figures)
     try:

@@ -114,7 +114,8 @@ def test_every_column_of_a_log_is_described():
 
 def test_localizing_the_sample_prints_what_is_shown(tmp_path):
     page = TEXT["data.md"]
-    (command,) = re.findall(r"```\nmmwave-loc (localize .*?)\n```", page, re.DOTALL)
+    command, diagnosis = re.findall(r"```\nmmwave-loc (localize .*?)\n```", page, re.DOTALL)
+    assert "consistent as it is" in succeed(*shlex.split(diagnosis.replace("\\\n", " ")))
     words = shlex.split(command.replace("\\\n", " "))
     for name in ("track.tum", "track.png"):
         words[words.index(name)] = str(tmp_path / name)

@@ -17,6 +17,9 @@ class OutputArgs:
     """write a picture of the track, .png"""
     json: Path | None = None
     """write every figure to this file"""
+    diagnose: bool = False
+    """try likely mistakes on the first epochs (units, signs, ends, frames, order of anchors), and
+    say which one makes the log consistent; no track"""
 
 
 @dataclass(kw_only=True)

@@ -10,19 +10,22 @@ from mmwave_env.episodes.episode import Episode
 from mmwave_env.logs.log_tables import SUFFIXES, LogError, require_arrow
 from mmwave_env.models.measurement import LINK, SPEED_OF_LIGHT
 from mmwave_env.numerics.arrays import Array, Mask
+from mmwave_env.numerics.numbers import PI
 
 
 def log_columns(episode: Episode) -> dict[str, Array]:
     """The columns (n,) of an episode's log, NaN where empty; a row for each epoch and anchor.
 
     Numbers of groups that can't be used are left out. The SNR stays where a link or the
-    Doppler shift needs it.
+    Doppler shift needs it. An elevation that noise pushes past the vertical ends there, as a
+    receiver's does.
     """
     layout, usable = episode.layout, episode.usable
     T, L = len(episode), layout.anchors
     links = np.where(
         usable[:, :L, None], episode.measurement[:, : layout.doppler].reshape(T, L, 4), np.nan
     )
+    links[..., 2] = np.clip(links[..., 2], -PI / 2, PI / 2)
     heard = usable[:, :L].copy()
     heard[:, 0] |= usable[:, L]
 

@@ -100,19 +100,12 @@ def _filtered(
     height_m: float | None,
 ) -> Iterator[TrackBlock]:
     tracker: Tracker | None = None
-    prior = np.zeros(7), np.eye(7)
     for piece in pieces:
         block = piece.block
-        sigma, visible = radio.sigma(block.snr_db, scene, block.layout), block.visible
+        episode = episode_from(block, scene, radio, piece.begins)
         if tracker is None:
             pipeline = Pipeline(tuple(modes), block.layout, planar=height_m is not None)
             tracker = Tracker(pipeline, 1, rule)
-        if piece.begins:
-            fix = block.measurement[0, :4], sigma[0, :4]
-            prior = prior_from_fix(scene.anchors_m[0], *fix, radio, scene)
-            visible = visible.copy()
-            visible[0, 0] = False  # or the link would be used twice
-        episode = _episode(block, visible, sigma, scene, prior)
         if height_m is not None:
             episode = episode.on_flat_ground(height_m)
         tracker.load([episode], go_on=not piece.begins)
@@ -128,7 +121,7 @@ def _filtered(
             smooth_P=P,
             mode=mode.astype(np.int64),
             nis=nis,
-            visible=visible,
+            visible=episode.visible,
             accepted=accepted > 0.5,
             incomplete=block.incomplete,
             segment=piece.segment,
@@ -154,10 +147,23 @@ def _while_finite(track: TrackBlock) -> Iterator[TrackBlock]:
     )
 
 
-def _episode(
-    block: LogBlock, visible: Mask, sigma: Array, scene: Scene, prior: tuple[Array, Array]
-) -> Episode:
-    mean, covariance = prior
+def episode_from(block: LogBlock, scene: Scene, radio: Radio, begins: bool = True) -> Episode:
+    """Epochs of a log as an episode whose truth is not known.
+
+    Args:
+        block: the epochs.
+        scene: whose anchors were measured.
+        radio: profile of the receiver, for standard deviations and the prior.
+        begins: whether a track begins here, with a prior from the link to anchor 1; that link
+            is then not visible, or it would be used twice. Otherwise the prior means nothing.
+    """
+    sigma, visible = radio.sigma(block.snr_db, scene, block.layout), block.visible
+    prior = np.zeros(7), np.eye(7)
+    if begins:
+        fix = block.measurement[0, :4], sigma[0, :4]
+        prior = prior_from_fix(scene.anchors_m[0], *fix, radio, scene)
+        visible = visible.copy()
+        visible[0, 0] = False
     return Episode(
         name="log",
         scene_anchors_m=scene.anchors_m,
@@ -168,8 +174,8 @@ def _episode(
         visible=visible,
         snr_db=block.snr_db,
         doppler_spread_hz=block.doppler_spread_hz,
-        prior_mean=mean,
-        prior_covariance=covariance,
+        prior_mean=prior[0],
+        prior_covariance=prior[1],
         truth_position_m=None,
         truth_velocity_mps=None,
         layout=block.layout,

@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from mmwave_env.logs.log import LogBlock
+from mmwave_env.logs.log import RANGE_LIMITS_M, LogBlock
 from mmwave_env.logs.log_tables import LogError
 from mmwave_env.models.prior import GAP_S
 
@@ -67,15 +67,16 @@ def segments(blocks: Iterable[LogBlock]) -> Iterator[Piece]:
         raise
     if not held:
         raise ValueError(
-            f"log: found {skipped} epochs without a line of sight, expected one with range, angles "
-            f"and SNR of anchor 1, where the track begins ({incomplete} have only some of these)"
+            f"log: found {skipped} epochs without a line of sight, expected one with a range of "
+            f"at least {RANGE_LIMITS_M[0]:g} m, angles and SNR of anchor 1, where the track begins "
+            f"({incomplete} have only some of these)"
         )
     yield held
 
 
 def _first_fix(block: LogBlock) -> int:
     """The first epoch that gives a prior; without one, the number of epochs."""
-    fixes = np.flatnonzero(block.visible[:, 0] & (block.measurement[:, 0] > 0.0))
+    fixes = np.flatnonzero(block.visible[:, 0] & (block.measurement[:, 0] >= RANGE_LIMITS_M[0]))
     return int(fixes[0]) if len(fixes) else len(block)
 
 

@@ -12,6 +12,7 @@ A log may be longer than memory, so it is read in blocks.
 
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
+from itertools import chain
 from pathlib import Path
 from typing import NamedTuple
 
@@ -27,7 +28,9 @@ from mmwave_env.numerics.arrays import Array, Mask
 
 Cells = dict[str, Array]  # quantity -> (n,)
 
-_LONGEST_RANGE_M = 1e6  # beyond any cell; a unit mistaken goes further
+RANGE_LIMITS_M = (1e-3, 1e6)  # of any antenna, of any cell; a unit mistaken goes further
+WIDEST_DEG = {"aoa_azimuth": 360.0, "aoa_elevation": 90.0, "aod_azimuth": 360.0}
+_ROUNDING_DEG = 1e-4  # of angles that were 32-bit numbers once
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,9 +66,16 @@ class LogBlock(Block):
 
 
 def read_log(
-    path: Path, scene: Scene, epochs_per_block: int = 4096, odometry: bool = True
+    path: Path,
+    scene: Scene,
+    epochs_per_block: int = 4096,
+    odometry: bool = True,
+    limits: bool = True,
 ) -> Iterator[LogBlock]:
     """The epochs of a log, ``epochs_per_block`` at a time; the last block may be shorter.
+
+    Angles are in the frame of the map. Arrival is seen at the anchor: the direction anchor ->
+    user. Departure is the azimuth user -> anchor. docs/data.md has a figure, and how to convert.
 
     Where the log is damaged, every whole epoch before the damage is delivered first. An epoch
     whose end the damage hides (no next time can be read, and not all anchors are there) counts
@@ -77,6 +87,8 @@ def read_log(
         epochs_per_block: their number.
         odometry: False to leave columns of odometry alone. Otherwise ``layout`` has odometry
             where the log has it.
+        limits: False to take ranges and angles of any size as they are, angles not wrapped, for
+            a diagnosis.
 
     Raises:
         LogError: at once for a file or a header that is not a log's, later for a damaged row,
@@ -88,10 +100,11 @@ def read_log(
         raise ValueError(f"epochs_per_block: found {epochs_per_block}, expected at least 1")
     log = open_log(path, scene.hz_per_mps, odometry)
     layout = Layout(len(scene.anchors_m), "speed" in log.columns)
-    return _regroup(_require_measurements(log.path, _blocks(log, layout)), epochs_per_block)
+    blocks = _blocks(log, layout, limits)
+    return _regroup(_require_measurements(log.path, blocks), epochs_per_block)
 
 
-def _blocks(log: LogFile, layout: Layout) -> Iterator[LogBlock]:
+def _blocks(log: LogFile, layout: Layout, limits: bool) -> Iterator[LogBlock]:
     """Blocks of as many epochs as each table happens to bring to their end."""
     cells, rows, done, share = np.empty((len(log.columns), 0)), np.empty(0, np.int64), 0, 0.0
     for table in log.tables():
@@ -100,15 +113,16 @@ def _blocks(log: LogFile, layout: Layout) -> Iterator[LogBlock]:
         rows = np.concatenate([rows, table.rows])
         done, share = done + len(table.rows), table.share
         named = dict(zip(log.columns, cells, strict=True))
-        damaged, error = _first_damage(log, named, rows, layout.anchors, table.damage)
+        checks = chain(_checks(named, layout.anchors), _limits(log, named) if limits else ())
+        damaged, error = _first_damage(log, checks, rows, table.damage)
         end = _whole_epochs(named["time"], damaged, layout.anchors)
         if end:
-            yield _block(log, cells[:, :end], layout, done, share)
+            yield _block(log, cells[:, :end], layout, limits, done, share)
         if error:
             raise error
         cells, rows = cells[:, end:], rows[end:]
     if len(rows):
-        yield _block(log, cells, layout, done, share)
+        yield _block(log, cells, layout, limits, done, share)
 
 
 def _require_measurements(path: Path, blocks: Iterable[LogBlock]) -> Iterator[LogBlock]:
@@ -144,13 +158,13 @@ class _Check(NamedTuple):
 
 
 def _first_damage(
-    log: LogFile, cells: Cells, rows: NDArray[np.int64], anchors: int, damage: LogError | None
+    log: LogFile, checks: Iterable[_Check], rows: NDArray[np.int64], damage: LogError | None
 ) -> tuple[int, LogError | None]:
     """Index and error of the first damaged row; without one, the number of rows."""
     n = len(rows)
     first, error = (n - 1, damage) if damage else (n, None)
     with np.errstate(invalid="ignore", over="ignore"):  # infinite times, endless ranges
-        for check in _checks(log, cells, anchors) if n else ():
+        for check in checks if n else ():
             row = int(np.argmax(check.wrong))
             if check.wrong[row] and row < first:
                 first, expected = row, f"expected {check.expected}"
@@ -158,8 +172,8 @@ def _first_damage(
     return first, error
 
 
-def _checks(log: LogFile, cells: Cells, anchors: int) -> Iterator[_Check]:
-    """Everything to check, where damage already seen in a row may hide what comes later."""
+def _checks(cells: Cells, anchors: int) -> Iterator[_Check]:
+    """What to check of any log; damage already seen in a row may hide what comes later."""
     time, anchor = cells["time"], cells["anchor"]
 
     def cell(quantity: str) -> Callable[[int], str]:
@@ -190,14 +204,6 @@ def _checks(log: LogFile, cells: Cells, anchors: int) -> Iterator[_Check]:
         "each anchor once in an epoch",
     )
     yield _Check("toa", cells["toa"] < 0.0, cell("toa"), "at least 0")
-    unit = log.columns["toa"].unit
-    range_m = cells["toa"] * unit.multiply / unit.divide
-    yield _Check(
-        "toa",
-        range_m > _LONGEST_RANGE_M,
-        lambda row: f"{_show(cells['toa'][row])}, which is {range_m[row]:.2g} m",
-        f"at most {_LONGEST_RANGE_M / 1e3:g} km, in the unit that the name of the column ends with",
-    )
     if "doppler" in cells:
         elsewhere = ~np.isnan(cells["doppler"]) & (anchor != 1.0)
         yield _Check("doppler", elsewhere, cell("doppler"), "none but in the rows of anchor 1")
@@ -207,6 +213,33 @@ def _checks(log: LogFile, cells: Cells, anchors: int) -> Iterator[_Check]:
     for quantity in ("doppler_spread", "speed", "heading"):
         if quantity in cells:
             yield _once(quantity, cells[quantity], epoch)
+
+
+def _limits(log: LogFile, cells: Cells) -> Iterator[_Check]:
+    """No range and no angle is beyond what there can be."""
+
+    def converted(quantity: str) -> Array:
+        unit = log.columns[quantity].unit
+        return cells[quantity] * unit.multiply / unit.divide
+
+    def check(quantity: str, values: Array, most: float, unit: str, expected: str) -> _Check:
+        def found(row: int) -> str:
+            return f"{_show(cells[quantity][row])}, which is {values[row]:.3g} {unit}"
+
+        return _Check(
+            quantity,
+            abs(values) > most,
+            found,
+            f"{expected}, in the unit that the name of the column ends with",
+        )
+
+    longest = f"at most {RANGE_LIMITS_M[1] / 1e3:g} km"
+    yield check("toa", converted("toa"), RANGE_LIMITS_M[1], "m", longest)
+    for quantity, widest in WIDEST_DEG.items():
+        level = " from the horizon" if quantity == "aoa_elevation" else ""
+        expected = f"{-widest:g} to {widest:g} degrees{level} (docs/data.md, Angles)"
+        most = widest + _ROUNDING_DEG
+        yield check(quantity, np.degrees(converted(quantity)), most, "degrees", expected)
 
 
 def _once(quantity: str, values: Array, epoch: NDArray[np.int64]) -> _Check:
@@ -255,7 +288,9 @@ def _epochs(time: Array) -> NDArray[np.int64]:
     return np.concatenate([[0], np.cumsum(np.diff(time) != 0.0)])
 
 
-def _block(log: LogFile, rows: Array, layout: Layout, done: int, share: float) -> LogBlock:
+def _block(
+    log: LogFile, rows: Array, layout: Layout, wrap: bool, done: int, share: float
+) -> LogBlock:
     """The epochs of valid rows (quantities, n)."""
     cells = {
         quantity: values * column.unit.multiply / column.unit.divide
@@ -281,7 +316,8 @@ def _block(log: LogFile, rows: Array, layout: Layout, done: int, share: float) -
     if layout.odometry:
         measurement[:, layout.doppler + 1] = once("speed")
         measurement[:, layout.doppler + 2] = once("heading")
-    wrap_angles(measurement, layout)
+    if wrap:
+        wrap_angles(measurement, layout)
     visible, incomplete = whole_groups(measurement, np.isfinite(snr), layout)
     return LogBlock(
         layout=layout,

@@ -28,6 +28,7 @@ from mmwave_env.logs.tum import read_tum, tum_lines
 from mmwave_env.models.radio import RADIOS
 from mmwave_env.models.scene import SCENES, read_scene
 from tests.cli import command, environment
+from tests.localization.mistakes import MISTAKES, read_columns, write_columns
 from tests.paths import LOGS
 
 WALK, RIDE = LOGS / "canyon28_pedestrian", LOGS / "canyon28_vehicle"
@@ -265,6 +266,7 @@ def gapped(folder, first, last, rows=""):
     return log
 
 
+@pytest.mark.filterwarnings("ignore:Doppler")  # a tenth of the speed that it says
 def test_after_a_long_gap_the_track_begins_anew(capsys, tmp_path):
     out = tmp_path / "track.tum"
     found = figures(WALK, "--speed", "1", "--out", out, truth=False, log=gapped(tmp_path, 100, 130))
@@ -277,6 +279,7 @@ def test_after_a_long_gap_the_track_begins_anew(capsys, tmp_path):
     assert found["restarts"] == 0 and "restarted" not in capsys.readouterr().out.split("once")[-1]
 
 
+@pytest.mark.filterwarnings("ignore:Doppler")  # a tenth of the speed that it says
 def test_epochs_skipped_after_a_gap_are_counted(capsys, tmp_path):
     log = gapped(tmp_path, 100, 130)
     lines = log.read_text().splitlines()
@@ -476,7 +479,7 @@ HALF_WAY = {  # line 602 is the first of epoch 201, whose first 200 epochs are w
     "negative range": (with_line(602, lambda l: cell(l, 2, "-1")), "line 602, column 'toa_s", 200),
     "nanoseconds": (
         with_line(602, lambda l: cell(l, 2, "303.2")),
-        "303.2, which is 9.1e+10 m",
+        "303.2, which is 9.09e+10 m",
         200,
     ),
     "at the end": (with_line(1199, lambda l: l[:20]), "line 1199: found", 399),
@@ -656,3 +659,67 @@ def test_memory_does_not_grow_with_the_log(tmp_path):
         assert f"{rows // 1200 * 400} epochs" in done.stdout
         peaks.append(int(done.stdout.split()[-1]) / 1024)
     assert peaks[1] < 500 and peaks[1] < peaks[0] + 30, peaks
+
+
+# --- a log that contradicts its scene
+
+
+@pytest.fixture(scope="module")
+def downlink(tmp_path_factory):
+    """The ride as a downlink receiver reports it: the other end's angles."""
+    log = tmp_path_factory.mktemp("downlink") / "log.csv"
+    mistake = MISTAKES["arrival is at the user, as in a downlink"]
+    write_columns(log, mistake(read_columns(RIDE / "log.csv")))
+    return log
+
+
+def test_a_contradiction_is_a_warning_each_and_in_the_json_file(tmp_path, downlink):
+    given = options(downlink, "--speed", "auto", "--radio", "standard", folder=RIDE)
+    done = command("localize", *given, "--json", tmp_path / "found.json")
+    assert done.returncode == 0 and "NIS / dof" in done.stdout
+    lines = done.stderr.splitlines()
+    assert re.fullmatch(
+        r"warning: anchor 1: found .*, expected .*; --diagnose tries likely mistakes",
+        lines[0],
+    )
+    said = json.loads((tmp_path / "found.json").read_text())["contradictions"]
+    assert len(said) == len(lines)
+    for line, one in zip(lines, said, strict=True):
+        assert f"{one['group']}: found {one['found']}, expected {one['expected']};" in line
+
+
+def test_a_diagnosis_names_the_mistake_and_writes_no_track(tmp_path, downlink):
+    before, file = downlink.read_bytes(), tmp_path / "found.json"
+    given = options(downlink, "--radio", "standard", "--diagnose", "--json", file, folder=RIDE)
+    done = command("localize", *given)
+    assert done.returncode == 0 and done.stderr == "" and downlink.read_bytes() == before
+    name = "arrival is at the user, as in a downlink"
+    assert done.stdout.startswith(f"The log is consistent if {name}.")
+    first, *others = json.loads(file.read_text())["hypotheses"]
+    assert first["hypothesis"] == name and first["contradictions"] == []
+    assert all(other["contradictions"] for other in others)
+    for hypothesis in [first, *others]:
+        assert hypothesis["hypothesis"] in done.stdout
+
+
+def test_a_log_that_is_refused_can_be_diagnosed(tmp_path):
+    log = tmp_path / "log.csv"
+    write_columns(log, MISTAKES["angles are in degrees"](read_columns(RIDE / "log.csv")))
+    given = options(log, "--radio", "standard", folder=RIDE)
+    assert command("localize", *given, "--speed", "auto").returncode == 2
+    done = command("localize", *given, "--diagnose")
+    assert done.stdout.startswith("The log is consistent if angles are in degrees.")
+
+
+def test_a_diagnosis_of_a_right_log_and_of_one_that_nothing_explains():
+    given = options(RIDE / "log.csv", "--radio", "standard", "--diagnose", folder=RIDE)
+    assert command("localize", *given).stdout.startswith("The log is consistent as it is.")
+    other = [*map(str, (RIDE / "log.csv", "--scene", "street", "--diagnose"))]
+    assert command("localize", *other).stdout.startswith("None of these makes the log consistent.")
+
+
+def test_a_diagnosis_makes_no_track(capsys, tmp_path):
+    _, line = refused(
+        capsys, options(WALK / "log.csv", "--diagnose", "--out", tmp_path / "track.tum")
+    )
+    assert "diagnose: found with --out or --plot, expected no track" in line

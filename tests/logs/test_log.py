@@ -122,7 +122,7 @@ def test_every_number_has_its_place(tmp_path):
         ("aoa_azimuth_deg", "270", 1, -np.pi / 2),
         ("aoa_azimuth_deg", "180", 1, -np.pi),
         ("aoa_elevation_deg", "45", 2, np.pi / 4),
-        ("aod_azimuth_deg", "-450", 3, -np.pi / 2),
+        ("aod_azimuth_deg", "-270", 3, np.pi / 2),
         ("doppler_hz", "-934.0", 12, -934.0),
         ("doppler_khz", "-0.934", 12, -934.0),
         ("doppler_mps", "2.0", 12, 2.0 * 28e9 / SPEED_OF_LIGHT),
@@ -330,6 +330,18 @@ def test_numbers_that_cannot_be_used_are_not_written(tmp_path):
     assert not block.visible[4, 0] and block.visible[4, 3] and not block.incomplete.any()
 
 
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_an_elevation_that_noise_pushes_past_the_vertical_is_written_as_one_that_is_read(
+    tmp_path, sign
+):
+    true = episode(1)
+    measurement, visible = true.measurement.copy(), true.visible.copy()
+    measurement[1, 2], visible[1, 0] = sign * 1.6, True
+    path = tmp_path / "log.csv"
+    write_log(path, replace(true, measurement=measurement, visible=visible))
+    assert read(path).measurement[1, 2] == sign * np.pi / 2
+
+
 def test_a_file_is_written_alike_every_time(tmp_path):
     for name in ("one.csv.gz", "two.csv.gz"):
         write_log(tmp_path / name, episode())
@@ -370,6 +382,10 @@ DAMAGE = {  # change, message, epochs delivered
     "anchor 1.5": (edit(7, ANCHOR, "1.5"), "line 9, column 'anchor': found 1.5,", 2),
     "same anchor": (edit(8, ANCHOR, "2"), "line 10, column 'anchor': found 2 a second time", 2),
     "negative toa": (edit(7, TOA, "-1e-9"), "line 9, column 'toa_s': found -1e-09.*at least 0", 2),
+    "zenith angle": (edit(7, ELEVATION, "1.67"), "line 9, column 'aoa_elevation_rad': found 1.67, "
+                     "which is 95.7 degrees, expected -90 to 90 degrees from the horizon", 2),
+    "degrees": (edit(7, AOD, "-57.3"), "line 9, column 'aod_azimuth_rad': found -57.3, which is "
+                "-3.28e.03 degrees, expected -360 to 360 degrees .docs/data.md, Angles.", 2),
     "doppler of anchor 2": (edit(7, DOPPLER, "3"), "line 9, column 'doppler_hz': found 3.*1", 2),
     "short row": (lambda lines: lines[7].pop(), "line 9: found 7 cells, expected 8", 2),
     "long row": (lambda lines: lines[7].append("1"), "line 9: found 9 cells, expected 8", 2),
@@ -412,6 +428,21 @@ def assert_named_and_delivered(tmp_path, name, size):
             np.testing.assert_array_equal(
                 getattr(joined(blocks), field), getattr(whole, field)[:epochs]
             )
+
+
+@pytest.mark.parametrize("angle", [np.pi / 2, -np.pi / 2, float(np.float32(np.pi / 2))])
+def test_straight_up_and_down_are_elevations(tmp_path, angle):
+    lines = rows()
+    edit(7, ELEVATION, repr(angle))(lines)
+    assert read(store(tmp_path, text(lines))).measurement[2, 6] == angle
+
+
+def test_without_limits_numbers_stay_as_they_are_found(tmp_path):
+    lines = rows()
+    for column, value in ((AOA, "57.3"), (ELEVATION, "95.7"), (AOD, "-360.5"), (TOA, "1.0")):
+        edit(7, column, value)(lines)
+    block = read(store(tmp_path, text(lines)), limits=False)
+    np.testing.assert_allclose(block.measurement[2, 4:8], [SPEED_OF_LIGHT, 57.3, 95.7, -360.5])
 
 
 def test_rows_of_an_epoch_that_are_apart_are_named(tmp_path):

@@ -1,0 +1,286 @@
+"""What is wrong with a log? Likely mistakes are undone, one by one, on its first epochs.
+
+A hypothesis says what the numbers of the file mean. All of them are tracked side by side by the
+same filter, without gates, and ranked by the likelihood of the file's own numbers, so that
+hypotheses of different units compare. NIS / dof then says whether a hypothesis fits at all, and
+:mod:`~mmwave_env.localization.contradictions` whether anything else speaks against it. Where no
+mistake explains the log alone, two do. The log itself is never changed.
+"""
+
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import replace
+from itertools import combinations, permutations
+from typing import NamedTuple
+
+import numpy as np
+from scipy.special import chdtri
+
+from mmwave_env.engines.track_engine import Tracker
+from mmwave_env.filters.modes import Mode
+from mmwave_env.filters.pipeline import Pipeline
+from mmwave_env.localization.contradictions import Contradiction, contradictions, impossible
+from mmwave_env.localization.localizer import episode_from
+from mmwave_env.logs.log import LogBlock
+from mmwave_env.models.measurement import wrap_angles
+from mmwave_env.models.radio import RADIOS, Radio
+from mmwave_env.models.scene import Scene
+from mmwave_env.numerics.arrays import Array, Mask
+from mmwave_env.numerics.numbers import PI
+
+DIAGNOSED_EPOCHS = 200
+AS_IT_IS = "as it is"
+
+_RANGE, _AZIMUTH, _ELEVATION, _DEPARTURE = range(4)  # rows of a link
+_AZIMUTHS = (_AZIMUTH, _DEPARTURE)
+_ANGLES = (*_AZIMUTHS, _ELEVATION)
+_UNITS = {
+    "thousandths of its unit (ms for s)": 1e-3,
+    "millionths of its unit (us for s)": 1e-6,
+    "billionths of its unit (ns for s)": 1e-9,
+    "thousands of its unit (s for ms)": 1e3,
+    "millions of its unit (s for us)": 1e6,
+    "billions of its unit (s for ns)": 1e9,
+}
+_OUTLIER_QUANTILE = 1e-6  # a group's NIS beyond it counts as much as there: it is an outlier
+
+
+class Reading(NamedTuple):
+    """What the numbers of a log mean, by one hypothesis.
+
+    Attributes:
+        block: the epochs; angles need not be wrapped.
+        scene, radio: what they were measured in, and with.
+        log_scale: logarithms of the factors between these numbers and those of the file, summed
+            over all that were measured. It turns a likelihood of these into one of those.
+    """
+
+    block: LogBlock
+    scene: Scene
+    radio: Radio
+    log_scale: float = 0.0
+
+
+Hypothesis = Callable[[Reading], Reading]
+
+
+class Finding(NamedTuple):
+    """What became of a hypothesis.
+
+    Attributes:
+        hypothesis: in words.
+        nis_per_dof: by group, the median over epochs, so that outliers don't count, over the
+            median of chi-square: 1 if right. None where it was not measured or not tracked.
+        log_likelihood: mean over epochs, of the file's numbers; None where there is no track.
+        contradictions: what speaks against it; nothing if the log is consistent by it.
+    """
+
+    hypothesis: str
+    nis_per_dof: dict[str, float | None]
+    log_likelihood: float | None
+    contradictions: list[Contradiction]
+
+
+# --- what may be wrong
+
+
+def _rows(rows: Callable[[LogBlock], list[int]], factor: float, offset: float = 0.0) -> Hypothesis:
+    """Rows of the measurement times a factor, plus an offset."""
+
+    def change(reading: Reading) -> Reading:
+        block = reading.block
+        z, changed = block.measurement.copy(), rows(block)
+        z[:, changed] = offset + factor * z[:, changed]
+        count = _measured(block)[:, changed].sum()
+        return reading._replace(
+            block=replace(block, measurement=z),
+            log_scale=reading.log_scale + float(count * np.log(abs(factor))),
+        )
+
+    return change
+
+
+def _measured(block: LogBlock) -> Mask:
+    """(T, rows) what was measured."""
+    return np.repeat(block.visible, [g.stop - g.start for g in block.layout.groups], axis=1)
+
+
+def _links(parts: Iterable[int], factor: float, offset: float = 0.0) -> Hypothesis:
+    """Parts of every link times a factor, plus an offset."""
+    kept = tuple(parts)
+    return _rows(lambda b: [4 * a + p for a in range(b.layout.anchors) for p in kept],
+                 factor, offset)  # fmt: skip
+
+
+def _doppler(factor: float) -> Hypothesis:
+    """The Doppler shift times a factor."""
+    return _rows(lambda block: [block.layout.doppler], factor)
+
+
+def _time(factor: float) -> Hypothesis:
+    """Times, times a factor."""
+
+    def change(reading: Reading) -> Reading:
+        return reading._replace(block=replace(reading.block, time_s=factor * reading.block.time_s))
+
+    return change
+
+
+def _ends_exchanged(reading: Reading) -> Reading:
+    """Arrival is departure."""
+    block, links = reading.block, reading.block.layout.doppler
+    z = block.measurement.copy()
+    z[:, _AZIMUTH:links:4] = block.measurement[:, _DEPARTURE:links:4]
+    z[:, _DEPARTURE:links:4] = block.measurement[:, _AZIMUTH:links:4]
+    return reading._replace(block=replace(block, measurement=z))
+
+
+def _anchors(order: Sequence[int]) -> Hypothesis:
+    """The log's n-th anchor is the scene's ``order[n]``-th."""
+
+    def change(reading: Reading) -> Reading:
+        gnb, *others = [(x, y, z) for x, y, z in reading.scene.anchors_m[list(order)].tolist()]
+        scene = replace(
+            reading.scene, base_station_m=gnb, walls=(), virtual_anchors_m=tuple(others)
+        )
+        return reading._replace(scene=scene)
+
+    return change
+
+
+def _radio(radio: Radio) -> Hypothesis:
+    return lambda reading: reading._replace(radio=radio)
+
+
+def _orders(anchors: int) -> list[tuple[int, ...]]:
+    """Two anchors exchanged, or all of them counted from another one."""
+    right = list(range(anchors))
+    orders = [tuple(right[1:] + right[:1]), tuple(right[-1:] + right[:-1])]
+    for i, j in combinations(right, 2):
+        order = right.copy()
+        order[i], order[j] = j, i
+        orders.append(tuple(order))
+    return [order for order in dict.fromkeys(orders) if order != tuple(right)]
+
+
+def hypotheses(scene: Scene, radio: Radio) -> dict[str, Hypothesis]:
+    """Likely mistakes in words, and what a log means if they were made."""
+    shift = scene.hz_per_mps
+    upside_down = _links([_ELEVATION], -1.0)
+    return {
+        "arrival and departure are exchanged": _ends_exchanged,
+        "elevation has the other sign": upside_down,
+        "arrival is at the user, as in a downlink": lambda r: upside_down(_ends_exchanged(r)),
+        "elevation is a zenith angle": _links([_ELEVATION], -1.0, PI / 2.0),
+        "elevation is a nadir angle": _links([_ELEVATION], 1.0, -PI / 2.0),
+        "azimuths are clockwise from north": _links(_AZIMUTHS, -1.0, PI / 2.0),
+        "angles are in degrees": _links(_ANGLES, PI / 180.0),
+        "angles are in radians": _links(_ANGLES, 180.0 / PI),
+        "time of flight is there and back": _links([_RANGE], 0.5),
+        **{f"time of flight is in {u}": _links([_RANGE], k) for u, k in _UNITS.items()},
+        **{f"time is in {u}": _time(k) for u, k in _UNITS.items()},
+        "Doppler shift has the other sign": _doppler(-1.0),
+        "Doppler shift is in m/s, not in Hz": _doppler(shift),
+        "Doppler shift is in Hz, not in m/s": _doppler(1.0 / shift),
+        "Doppler shift is in kHz, not in Hz": _doppler(1e3),
+        "Doppler shift is in Hz, not in kHz": _doppler(1e-3),
+        **{
+            f"anchors are the scene's {', '.join(str(i + 1) for i in order)}": _anchors(order)
+            for order in _orders(len(scene.anchors_m))
+        },
+        **{
+            f"radio is {name}": _radio(other)
+            for name, other in RADIOS.items()
+            if name != radio.name
+        },
+    }
+
+
+# --- which of it explains the log
+
+
+def diagnose(block: LogBlock, scene: Scene, radio: Radio, mode: Mode) -> list[Finding]:
+    """Try likely mistakes on the first epochs of a log.
+
+    Args:
+        block: the epochs, as ``read_log(..., limits=False, odometry=False)`` gives them.
+        scene: whose anchors were measured, as far as known.
+        radio: profile of the receiver, as far as known.
+        mode: whose tuning and algorithm to track with.
+
+    Returns:
+        A finding for the log as it is and for every hypothesis, those that make the log
+        consistent first, then by likelihood. If none does, the best of two mistakes at once are
+        among them.
+
+    Raises:
+        ValueError: there is no line of sight to begin with.
+    """
+    fixes = np.flatnonzero(block.visible[:, 0] & (block.measurement[:, 0] > 0.0))
+    if not len(fixes):
+        raise ValueError(f"log: found no link of anchor 1 in {len(block)} epochs, expected one")
+    first = block.part(slice(fixes[0], fixes[0] + DIAGNOSED_EPOCHS))
+    given = Reading(first, scene, radio)
+    single = hypotheses(scene, radio)
+    readings = {AS_IT_IS: given} | {name: change(given) for name, change in single.items()}
+    findings = _findings(readings, mode)
+    if findings[0].contradictions:
+        double = {f"{a}; {b}": single[b](single[a](given)) for a, b in permutations(single, 2)}
+        best = [f for f in _findings(double, mode) if not f.contradictions]
+        findings = best[:1] + findings
+    return findings
+
+
+def _findings(readings: dict[str, Reading], mode: Mode) -> list[Finding]:
+    plain = replace(
+        mode, gate=None, recovery=None, adaptive=False, robust=False, blockage_aware=False
+    )
+    ruled_out = {name: list(impossible(r.block)) for name, r in readings.items()}
+    tracked = {name: r for name, r in readings.items() if not ruled_out[name]}
+    found = [Finding(name, {}, None, why) for name, why in ruled_out.items() if why]
+    if tracked:
+        found += _track(tracked, plain)
+    return sorted(found, key=_rank)
+
+
+def _rank(finding: Finding) -> tuple[bool, float]:
+    likelihood = finding.log_likelihood
+    return bool(finding.contradictions), np.inf if likelihood is None else -likelihood
+
+
+def _track(readings: dict[str, Reading], mode: Mode) -> Iterable[Finding]:
+    blocks = [_wrapped(reading.block) for reading in readings.values()]
+    episodes = [
+        episode_from(block, r.scene, r.radio)
+        for block, r in zip(blocks, readings.values(), strict=True)
+    ]
+    tracker = Tracker(Pipeline((mode,), blocks[0].layout), len(episodes))
+    tracker.load(episodes)
+    nis, likelihood = tracker.run("memory.nis", "log_likelihood").values()
+    for i, (name, reading) in enumerate(readings.items()):
+        yield _finding(name, reading, blocks[i], episodes[i].visible, nis[i], likelihood[i])
+
+
+def _wrapped(block: LogBlock) -> LogBlock:
+    z = block.measurement.copy()
+    wrap_angles(z, block.layout)
+    return replace(block, measurement=z)
+
+
+def _finding(
+    name: str, reading: Reading, block: LogBlock, visible: Mask, nis: Array, likelihood: Array
+) -> Finding:
+    layout = block.layout
+    dof = np.array([group.stop - group.start for group in layout.groups])
+    fits: dict[str, float | None] = {}
+    for g, group in enumerate(layout.group_names):
+        seen = nis[visible[:, g], g]
+        fits[group] = float(np.median(seen) / chdtri(dof[g], 0.5)) if len(seen) else None
+    if not np.isfinite(likelihood).all():
+        return Finding(name, fits, None, [Contradiction("track", "no number", "numbers")])
+    spared = np.maximum(nis - chdtri(dof, _OUTLIER_QUANTILE), 0.0).sum()
+    mean = (float(likelihood.sum() + 0.5 * spared) + reading.log_scale) / len(block)
+    groups = {
+        group: {"seen": int(seen), "rejected_share": 0.0, "nis_per_dof": fits[group]}
+        for group, seen in zip(layout.group_names, visible.sum(axis=0), strict=True)
+    }
+    return Finding(name, fits, mean, contradictions(block, reading.scene, reading.radio, groups))

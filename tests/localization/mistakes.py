@@ -1,0 +1,71 @@
+"""Right logs made wrong: the mistakes that a stranger's receiver, driver or script makes."""
+
+import csv
+from pathlib import Path
+
+import numpy as np
+
+from tests.paths import LOGS
+
+FOLDERS = [LOGS / "canyon28_vehicle", LOGS / "canyon28_pedestrian"]
+AZIMUTHS = ("aoa_azimuth_rad", "aod_azimuth_rad")
+ANGLES = (*AZIMUTHS, "aoa_elevation_rad")
+HZ_PER_MPS = 28e9 / 299_792_458.0
+
+
+def read_columns(path: Path) -> dict[str, np.ndarray]:
+    """The columns of a log by name, NaN where empty."""
+    with path.open(newline="") as file:
+        rows = list(csv.DictReader(file))
+    return {name: np.array([float(row[name] or "nan") for row in rows]) for name in rows[0]}
+
+
+def write_columns(path: Path, columns: dict[str, np.ndarray]) -> None:
+    """A log of these columns."""
+    cells = np.column_stack(list(columns.values())).tolist()
+    with path.open("w", newline="") as file:
+        writer = csv.writer(file)
+        writer.writerow(columns)
+        writer.writerows([["" if v != v else repr(v) for v in row] for row in cells])
+
+
+def linear(factor, *names, offset=0.0):
+    """These columns times a factor, plus an offset."""
+    return lambda c: {**c, **{name: offset + factor * c[name] for name in names}}
+
+
+def exchanged(c):
+    """Arrival for departure."""
+    return {**c, **{name: c[other] for name, other in zip(AZIMUTHS, AZIMUTHS[::-1], strict=True)}}
+
+
+upside_down = linear(-1.0, "aoa_elevation_rad")
+MISTAKES = {  # hypothesis that explains it -> what was done to the log
+    "arrival and departure are exchanged": exchanged,
+    "elevation has the other sign": upside_down,
+    "arrival is at the user, as in a downlink": lambda c: upside_down(exchanged(c)),
+    "elevation is a zenith angle": linear(-1.0, "aoa_elevation_rad", offset=np.pi / 2),
+    "elevation is a nadir angle": linear(1.0, "aoa_elevation_rad", offset=np.pi / 2),
+    "azimuths are clockwise from north": linear(-1.0, *AZIMUTHS, offset=np.pi / 2),
+    "angles are in degrees": linear(180.0 / np.pi, *ANGLES),
+    "angles are in radians": linear(np.pi / 180.0, *ANGLES),
+    "time of flight is there and back": linear(2.0, "toa_s"),
+    "time of flight is in thousandths of its unit (ms for s)": linear(1e3, "toa_s"),
+    "time of flight is in millionths of its unit (us for s)": linear(1e6, "toa_s"),
+    "time of flight is in billionths of its unit (ns for s)": linear(1e9, "toa_s"),
+    "time of flight is in thousands of its unit (s for ms)": linear(1e-3, "toa_s"),
+    "time of flight is in millions of its unit (s for us)": linear(1e-6, "toa_s"),
+    "time of flight is in billions of its unit (s for ns)": linear(1e-9, "toa_s"),
+    "time is in thousandths of its unit (ms for s)": linear(1e3, "time_s"),
+    "time is in millionths of its unit (us for s)": linear(1e6, "time_s"),
+    "time is in billionths of its unit (ns for s)": linear(1e9, "time_s"),
+    "time is in thousands of its unit (s for ms)": linear(1e-3, "time_s"),
+    "time is in millions of its unit (s for us)": linear(1e-6, "time_s"),
+    "time is in billions of its unit (s for ns)": linear(1e-9, "time_s"),
+    "Doppler shift has the other sign": linear(-1.0, "doppler_hz"),
+    "Doppler shift is in m/s, not in Hz": linear(1.0 / HZ_PER_MPS, "doppler_hz"),
+    "Doppler shift is in Hz, not in m/s": linear(HZ_PER_MPS, "doppler_hz"),
+    "Doppler shift is in kHz, not in Hz": linear(1e-3, "doppler_hz"),
+    "Doppler shift is in Hz, not in kHz": linear(1e3, "doppler_hz"),
+}
+ORDERS = [(2, 1, 3), (3, 2, 1), (1, 3, 2), (2, 3, 1), (3, 1, 2)]  # of a scene's anchors, mistaken

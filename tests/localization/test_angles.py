@@ -1,0 +1,66 @@
+"""The convention of angles: the page's table of conversions and its figure are computed."""
+
+import numpy as np
+import pytest
+
+from experiments.paper.angles import SCENE, USER_M, angles_deg, draw
+from mmwave_env.localization.contradictions import NIS_LIMITS, SNR_LIMITS_DB
+from mmwave_env.localization.segments import GAP_S
+from mmwave_env.models.measurement import Layout, exact_rows
+from tests.paths import ROOT
+
+PAGE = (ROOT / "docs" / "data.md").read_text(encoding="utf-8")
+TABLE = PAGE.split("<!-- conversions:")[1].split("<!-- end of conversions")[0]
+ROWS = [
+    [cell.strip(" `") for cell in row.strip("|").split("|")]
+    for row in TABLE.splitlines()
+    if row.startswith("| ") and "you have" not in row
+]
+
+
+def between(p, q):
+    """Azimuth and elevation of the direction from p to q, degrees."""
+    d = np.subtract(q, p)
+    return np.degrees(np.arctan2(d[1], d[0])), np.degrees(np.arctan2(d[2], np.hypot(d[0], d[1])))
+
+
+def reported(anchor, user):
+    """What the receivers of the table's rows report, in their order."""
+    (out, elevation), (back, at_user) = between(anchor, user), between(user, anchor)
+    return [
+        {"arrival": back, "elevation": at_user, "departure": out},
+        {"zenith": 90.0 - elevation},
+        {"arrival": 90.0 - out, "departure": 90.0 - back},
+        {"arrival": out - 25.0, "anchor_yaw": 25.0, "departure": back + 70.0, "user_yaw": -70.0},
+    ]
+
+
+@pytest.mark.parametrize("user", [(30.0, 9.0, 1.5), (-20.0, -4.0, 1.5), (3.0, -40.0, 12.0)])
+def test_every_conversion_of_the_page_gives_our_angles(user):
+    anchor = (1.0, 2.0, 10.0)
+    rows = exact_rows(user, [0.0] * 3, [anchor], 1.0, Layout(1))
+    right = np.degrees(rows[1:4])
+    receivers = reported(anchor, user)
+    assert len(ROWS) == len(receivers)
+    for (_, *formulas), names in zip(ROWS, receivers, strict=True):
+        for formula, angle in zip(formulas, right, strict=True):
+            if formula:
+                turn = eval(formula, {}, names) - angle
+                assert (turn + 180.0) % 360.0 - 180.0 == pytest.approx(0.0, abs=1e-9), formula
+
+
+def test_the_figure_shows_the_angles_of_the_measurement_model(tmp_path):
+    for anchor, (azimuth, elevation, departure) in zip(SCENE.anchors_m, angles_deg(), strict=True):
+        assert (azimuth, elevation) == pytest.approx(between(anchor, USER_M))
+        assert departure == pytest.approx(between(USER_M, anchor)[0])
+    draw(tmp_path / "angles.png")
+    drawn = (tmp_path / "angles.png").read_bytes()
+    assert drawn.startswith(b"\x89PNG") and len(drawn) > 10_000
+
+
+def test_the_limits_on_the_page_are_the_programs():
+    section = PAGE.split("### When something is wrong")[1].split("###")[0]
+    low, high = SNR_LIMITS_DB
+    assert f"outside {low:g} to {high:g} dB" in section
+    assert f"outside {NIS_LIMITS[0]:g} to {NIS_LIMITS[1]:g}" in section
+    assert f"more than {GAP_S:g} s apart" in section

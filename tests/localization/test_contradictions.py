@@ -1,0 +1,116 @@
+"""Right logs are not doubted; what contradicts scene, radio or world is."""
+
+from dataclasses import replace
+from itertools import product
+
+import numpy as np
+import pytest
+
+from mmwave_env.episodes.log_writer import write_log
+from mmwave_env.episodes.simulated import SimulatedSource
+from mmwave_env.localization.contradictions import contradictions
+from mmwave_env.logs.log import read_log
+from mmwave_env.models.radio import RADIOS
+from mmwave_env.models.scene import SCENES
+from tests.localization.test_diagnosis import doubts
+
+KINDS = ("pedestrian", "vehicle", "walk-ride", "jam", "cyclist")
+WORLDS = list(product(RADIOS.values(), SCENES.values(), KINDS))
+SCENE, RADIO = SCENES["street"], RADIOS["standard"]
+FINE = {"seen": 200, "rejected_share": 0.1, "nis_per_dof": 1.0}
+
+
+def blocks_of(folder, scene, radio, kind, seed):
+    """A simulated log, written and read."""
+    episode = SimulatedSource(scene, radio, kind).sample(np.random.default_rng(seed))
+    write_log(folder / "log.csv", episode)
+    return list(read_log(folder / "log.csv", scene))
+
+
+@pytest.fixture(scope="module")
+def block(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("log")
+    return blocks_of(folder, SCENE, RADIO, "vehicle", 0)[0]
+
+
+def found(block, **group):
+    groups = {"anchor 1": FINE | group, "all": FINE | {"nis_per_dof": 1e9}}
+    return [str(doubt) for doubt in contradictions(block, SCENE, RADIO, groups)]
+
+
+@pytest.mark.parametrize("world", WORLDS[::4], ids=lambda w: f"{w[0].name}-{w[1].name}-{w[2]}")
+def test_a_right_log_is_not_doubted(tmp_path, world):
+    radio, scene, kind = world
+    assert not doubts(blocks_of(tmp_path, scene, radio, kind, 0), scene, radio)
+
+
+@pytest.mark.slow
+def test_of_a_thousand_right_logs_at_most_ten_are_doubted(tmp_path):
+    wrong = {}
+    for n in range(1000):
+        radio, scene, kind = WORLDS[n % len(WORLDS)]
+        if said := doubts(blocks_of(tmp_path, scene, radio, kind, n), scene, radio):
+            wrong[radio.name, scene.name, kind, n] = said
+    assert len(wrong) <= 10, wrong
+
+
+@pytest.mark.parametrize(
+    ("group", "message"),
+    [
+        ({}, None),
+        ({"nis_per_dof": 0.19}, "anchor 1: found NIS / dof 0.19, expected 0.2 to 5"),
+        ({"nis_per_dof": 2078.4}, "anchor 1: found NIS / dof 2.08e+03, expected 0.2 to 5"),
+        ({"nis_per_dof": 2078.4, "seen": 19}, None),
+        ({"rejected_share": 0.34}, "anchor 1: found 34 % rejected, expected at most a third"),
+        ({"rejected_share": 0.34, "seen": 99}, None),
+        ({"rejected_share": 1.0, "nis_per_dof": None}, "100 % rejected"),
+        ({"seen": 0, "rejected_share": None, "nis_per_dof": None}, None),
+    ],
+)
+def test_a_group_that_does_not_fit_the_track_is_doubted(block, group, message):
+    said = found(block, **group)
+    assert (not said) if message is None else (len(said) == 1 and message in said[0])
+
+
+def test_a_doppler_shift_may_be_predicted_better_than_claimed(block):
+    for nis, doubted in ((0.01, False), (5.1, True)):
+        groups = {"Doppler": FINE | {"nis_per_dof": nis}}
+        assert bool(contradictions(block, SCENE, RADIO, groups)) == doubted
+
+
+def test_an_snr_that_no_receiver_has_is_doubted(block):
+    snr = block.snr_db.copy()
+    snr[5, 1] = 120.0
+    (line,) = found(replace(block, snr_db=snr))
+    assert line.startswith("anchor 2: found SNR of ")
+    assert line.endswith(" to 120 dB, expected -60 to 90 dB")
+
+
+def test_epochs_too_far_apart_for_a_track_are_doubted(block):
+    lines = found(replace(block, time_s=1e3 * block.time_s))
+    assert lines[0].startswith("time: found epochs 1e+03 s apart, expected at most 15 s")
+
+
+def test_a_user_above_the_base_station_is_doubted(block):
+    measurement = block.measurement.copy()
+    measurement[:, 2] *= -1.0
+    (line,) = found(replace(block, measurement=measurement))
+    assert "the user above it in " in line and "expected below: a negative elevation" in line
+
+
+@pytest.mark.parametrize("factor", [-1.0, 1e-3, 1.0 / SCENE.hz_per_mps, 3.0])
+def test_a_doppler_shift_that_the_range_contradicts_is_doubted(block, factor):
+    measurement = block.measurement.copy()
+    measurement[:, block.layout.doppler] *= factor
+    (line,) = found(replace(block, measurement=measurement))
+    grows = float(line.split("grows by ")[1].split(" m")[0])
+    assert grows == pytest.approx(1.0 / factor, rel=0.1)
+
+
+@pytest.mark.parametrize("factor", [-1.0, 1e-3])
+def test_a_doppler_shift_of_a_user_at_rest_says_nothing(block, factor):
+    rng = np.random.default_rng(0)
+    measurement = block.measurement.copy()
+    measurement[:, 0] = 50.0 + 0.2 * rng.standard_normal(len(block))
+    measurement[:, block.layout.doppler] = factor * 10.0 * rng.standard_normal(len(block))
+    assert not found(replace(block, measurement=measurement))

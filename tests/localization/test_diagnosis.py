@@ -1,0 +1,139 @@
+"""Every likely mistake in a log is refused or doubted, and the diagnosis names it."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from mmwave_env.filters.mode_files import default_modes
+from mmwave_env.localization.contradictions import contradictions
+from mmwave_env.localization.diagnosis import AS_IT_IS, diagnose, hypotheses
+from mmwave_env.localization.localizer import localize
+from mmwave_env.localization.track_scores import Groups
+from mmwave_env.logs.log import read_log
+from mmwave_env.models.radio import RADIOS
+from mmwave_env.models.scene import read_scene
+from policies.speed_rule import by_predicted_speed
+from tests.localization.mistakes import (
+    FOLDERS,
+    MISTAKES,
+    ORDERS,
+    exchanged,
+    linear,
+    read_columns,
+    write_columns,
+)
+
+RADIO = RADIOS["standard"]
+MODES = default_modes("standard")
+IDS = [folder.name for folder in FOLDERS]
+both = pytest.mark.parametrize("folder", FOLDERS, ids=IDS)
+
+
+def doubts(blocks, scene, radio=RADIO):
+    """What localize warns of."""
+    blocks, groups = list(blocks), Groups()
+    modes = default_modes(radio.name)
+    for block in localize(blocks, scene, radio, modes, by_predicted_speed, window=None):
+        groups.add(block)
+    return [str(doubt) for doubt in contradictions(blocks[0], scene, radio, groups.figures())]
+
+
+def findings(path, scene, radio=RADIO):
+    block = next(read_log(path, scene, odometry=False, limits=False))
+    return diagnose(block, scene, radio, MODES[1])
+
+
+def reordered(scene, order):
+    gnb, *others = [tuple(scene.anchors_m[n - 1].tolist()) for n in order]
+    return replace(scene, base_station_m=gnb, virtual_anchors_m=tuple(others))
+
+
+def wrong_log(tmp_path, folder, mistake):
+    path = tmp_path / "log.csv"
+    write_columns(path, mistake(read_columns(folder / "log.csv")))
+    return path
+
+
+@both
+def test_a_right_log_is_consistent_as_it_is(folder):
+    scene = read_scene(folder / "scene.json")
+    assert not doubts(read_log(folder / "log.csv", scene), scene)
+    best, *others = findings(folder / "log.csv", scene)
+    assert best.hypothesis == AS_IT_IS and not best.contradictions
+    assert {f.hypothesis for f in others} == set(hypotheses(scene, RADIO))
+    for group, nis in best.nis_per_dof.items():
+        assert (0.0 if group == "Doppler" else 0.5) < nis < 2.0
+
+
+@pytest.mark.parametrize(
+    "folder", [FOLDERS[0], pytest.param(FOLDERS[1], marks=pytest.mark.slow)], ids=IDS
+)
+@pytest.mark.parametrize("name", MISTAKES)
+def test_a_mistake_is_refused_or_doubted_and_named(tmp_path, folder, name):
+    scene = read_scene(folder / "scene.json")
+    path = wrong_log(tmp_path, folder, MISTAKES[name])
+    try:
+        found = doubts(read_log(path, scene), scene)
+    except ValueError as error:
+        found = [str(error)]
+    assert found and all("found" in line and "expected" in line for line in found)
+    best, second, *_ = findings(path, scene)
+    assert best.hypothesis == name and not best.contradictions
+    assert second.contradictions
+
+
+@both
+@pytest.mark.parametrize("order", ORDERS, ids=str)
+def test_a_wrong_order_of_anchors_is_doubted_and_named(folder, order):
+    right = read_scene(folder / "scene.json")
+    scene = reordered(right, order)
+    assert doubts(read_log(folder / "log.csv", scene), scene)
+    best = findings(folder / "log.csv", scene)[0]
+    # Where the log's anchors stand in the mistaken scene.
+    names = ", ".join(str(order.index(n) + 1) for n in (1, 2, 3))
+    assert best.hypothesis == f"anchors are the scene's {names}" and not best.contradictions
+
+
+@both
+def test_two_mistakes_at_once_are_named(tmp_path, folder):
+    scene = read_scene(folder / "scene.json")
+    zenith = MISTAKES["elevation is a zenith angle"]
+    path = wrong_log(tmp_path, folder, lambda c: zenith(exchanged(c)))
+    best = findings(path, scene)[0]
+    assert not best.contradictions
+    assert set(best.hypothesis.split("; ")) == {
+        "arrival and departure are exchanged", "elevation is a zenith angle"
+    }  # fmt: skip
+
+
+def test_a_frame_turned_by_any_angle_is_doubted_and_not_explained_away(tmp_path):
+    folder = FOLDERS[0]
+    scene = read_scene(folder / "scene.json")
+    turned = linear(1.0, "aoa_azimuth_rad", "aod_azimuth_rad", offset=0.7)
+    path = wrong_log(tmp_path, folder, turned)
+    assert doubts(read_log(path, scene), scene)
+    assert all(finding.contradictions for finding in findings(path, scene))
+
+
+def test_a_log_of_another_radio_is_named():
+    scene = read_scene(FOLDERS[0] / "scene.json")
+    best = findings(FOLDERS[0] / "log.csv", scene, RADIOS["handset"])[0]
+    assert best.hypothesis == "radio is standard" and not best.contradictions
+
+
+def test_a_diagnosis_leaves_the_log_alone():
+    scene = read_scene(FOLDERS[0] / "scene.json")
+    block = next(read_log(FOLDERS[0] / "log.csv", scene, limits=False))
+    before = {name: np.copy(getattr(block, name)) for name in block.per_epoch}
+    diagnose(block, scene, RADIO, MODES[1])
+    for name, values in before.items():
+        np.testing.assert_array_equal(getattr(block, name), values)
+
+
+def test_a_log_without_the_base_station_is_refused():
+    scene = read_scene(FOLDERS[0] / "scene.json")
+    block = next(read_log(FOLDERS[0] / "log.csv", scene, limits=False))
+    block.visible[:, 0] = False
+    with pytest.raises(ValueError, match=r"found no link of anchor 1 in 120 epochs, expected one"):
+        diagnose(block, scene, RADIO, MODES[1])
