@@ -85,11 +85,10 @@ class MmWaveLocEnv(gym.Env[NDArray[np.float32], np.int64]):
     ## Episode End
 
     Truncation after `episode_steps` epochs (default 200, of a trajectory at most; recordings and
-    logs: all of them). With
-    `terminate_on_divergence=True` an episode terminates when the error exceeds 50 m, and that
-    step pays the worst reward for every epoch left, so that failing fast does not pay. A paired
-    reward then also loses what the IMM earns in those epochs: its sum over an episode is always
-    the agent's minus the IMM's.
+    logs: all of them). With `terminate_on_divergence=True` an episode terminates when the error
+    exceeds 50 m, and that step pays the worst reward for every epoch left, so that failing fast
+    does not pay. A paired reward then also loses what the IMM earns in those epochs: its sum over
+    an episode is always the agent's minus the IMM's.
 
     ## Information
 

@@ -18,7 +18,7 @@ from experiments.evaluation.training_seeds import (
     seeds_markdown,
 )
 from mmwave_env.files import write_json, write_text
-from mmwave_env.models.radio import radio_from
+from mmwave_env.models.radio import profile_of, radio_from
 
 
 def report(command: str, args: EpisodeArgs, found: tuple[Comparison, str, dict[str, Any]]) -> None:
@@ -69,7 +69,7 @@ def results(
     if args.episodes_csv:
         write_text(args.episodes_csv, episodes_csv(scores, args.seed))
     result = compare_scores(
-        scores, learned, scenario=source.name, radio=args.radio, episodes=args.episodes,
+        scores, learned, scenario=source.name, radio=profile_of(args.radio), episodes=args.episodes,
         seed=args.seed,
     )  # fmt: skip
     text, content = str(result), result.json

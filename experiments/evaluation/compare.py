@@ -66,7 +66,8 @@ def compare(
     own = [contender(name, agent) for name, agent in policies.items()]
     scores = score_contenders([*own, *beside], source, radio, episodes, seed)
     return compare_scores(
-        scores, list(policies), scenario=source.name, radio=radio, episodes=episodes, seed=seed
+        scores, list(policies), scenario=source.name, radio=source.radio.name,
+        episodes=episodes, seed=seed,
     )
 
 

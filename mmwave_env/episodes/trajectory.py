@@ -15,7 +15,7 @@ from mmwave_env.models.scene import Scene
 from mmwave_env.numerics.arrays import Array, Mask
 
 LONGEST_GAP_S = 15.0  # over which positions are interpolated; a log's track begins anew there, too
-CLOSEST_M = 1.0  # to an anchor: the path loss is that at 1 m and beyond
+REACH_M = (1.0, 5000.0)  # from an anchor, where the path loss holds (3GPP TR 38.901, UMi)
 STANDING_M, STANDING_S = 0.1, 60.0  # who stays within the one for the other is perhaps in degrees
 
 
@@ -74,7 +74,14 @@ class Trajectory:
         unit = f"{most}: is t in seconds, and are x, y in meters, not in degrees?"
         self._require(speed <= FASTEST_MPS, speed, "m/s since the row before", unit)
         if v is not None:
-            self._require(np.linalg.norm(v, axis=1) <= FASTEST_MPS, v, "vx, vy, vz", most)
+            fast = np.linalg.norm(v, axis=1)
+            self._require(fast <= FASTEST_MPS, v, "vx, vy, vz", most)
+            way, said = np.linalg.norm(moved, axis=1).sum(), fast[1:] @ step[1:]
+            if said > 2.0 * way + STANDING_M:
+                raise ValueError(
+                    f"{self.name}: vx, vy, vz: found a way of {said:.6g} m, expected that of the "
+                    f"positions, {way:.6g} m: are they in m/s?"
+                )
         if t[-1] - t[0] >= STANDING_S and np.ptp(p, axis=0).max() < STANDING_M:
             warnings.warn(
                 f"{self.name}: found all of {t[-1] - t[0]:g} s within {STANDING_M:g} m; x, y are "
@@ -131,8 +138,11 @@ class Trajectory:
             refuse(epoch, f"a place on the base station's side of {wall}")
         for anchor in scene.anchors_m:
             distance = np.linalg.norm(position - anchor, axis=1)
-            if distance.min() < CLOSEST_M:
-                refuse(int(distance.argmin()), f"{CLOSEST_M:g} m or more from anchor {anchor}")
+            outside = (distance < REACH_M[0]) | (distance > REACH_M[1])
+            if outside.any():
+                near, far = REACH_M
+                reach = f"a place {near:g} to {far:g} m from the anchor at {anchor.tolist()}"
+                refuse(int(outside.argmax()), reach)
         return TravelPlan(
             phases=np.zeros(0, np.int64), returns=np.zeros(0, np.bool_),
             duration=np.zeros((0, 0, 2)), ranges=np.zeros((0, 0, 3, 2)),

@@ -2,10 +2,13 @@
 
 import json
 from collections import Counter
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from scipy.stats import binom
 
 from mmwave_env.episodes.mobility import (
@@ -311,3 +314,26 @@ def test_corners_that_do_not_fit_between_crossings_are_refused(tmp_path):
     path = write(tmp_path, SCOOTER | {"blocks": 16})
     with pytest.raises(ValueError, match="corner_radius_m.*'scooter': found 3.0.* of the 5 m"):
         SimulatedSource(SCENES["street"], RADIOS["handset"], path)
+
+
+def ranges(low, high):
+    return st.lists(st.floats(low, high), min_size=2, max_size=2).map(sorted).map(tuple)
+
+
+GAITS = st.lists(st.floats(0.0, 40.0).map(lambda v: Gait(v / 2.0, v, 10.0)), min_size=1, max_size=3)
+LIMITS = st.builds(
+    Limits, ranges(0.3, 10.0), ranges(0.3, 10.0), ranges(0.3, 10.0), st.floats(0.5, 30.0),
+    st.floats(0.1, 10.0), st.floats(0.0, 1.0), ranges(0.0, 5.0),
+)  # fmt: skip
+
+
+@settings(max_examples=20, deadline=None)
+@given(limits=LIMITS, gaits=GAITS, blocks=st.integers(1, 4), twice=st.booleans())
+def test_users_of_any_kind_stay_on_the_streets(limits, gaits, blocks, twice):
+    phase = Phase(limits, tuple(gaits))
+    phases = (replace(phase, duration_s=(5.0, 20.0)), phase) if twice else (phase,)
+    source = SimulatedSource(
+        SCENES["street"], RADIOS["handset"], Mobility("any", phases, blocks), epochs=60
+    )
+    x, y, _ = source.sample(np.random.default_rng(0)).truth_position_m.T
+    assert -5.0 < x.min() and x.max() < 165.0 and -165.0 < y.min() and y.max() < 5.0

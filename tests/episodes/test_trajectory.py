@@ -124,6 +124,12 @@ def test_velocities_beyond_any_user_are_refused_by_line(tmp_path):
         read_trajectory(write(tmp_path, rows, "t,x,y,z,vx,vy,vz"))
 
 
+def test_velocities_in_kilometers_per_hour_are_refused(tmp_path):
+    rows = [[*row, 3.6 * 2.0, 0.0, 0.0] for row in straight()]
+    with pytest.raises(ValueError, match="way of 28.8 m, expected that of the positions, 8 m: are"):
+        read_trajectory(write(tmp_path, rows, "t,x,y,z,vx,vy,vz"))
+
+
 def test_arrays_are_refused_by_row():
     time_s, position = np.arange(5.0), np.zeros((5, 3))
     position[2, 1] = np.nan
@@ -146,8 +152,12 @@ def test_a_way_behind_a_wall_or_at_an_anchor_is_refused():
 
     with pytest.raises(ValueError, match=r"mine, row 7: x, y, z: found 30, 28, 1.5.*Wall.*street"):
         SimulatedSource(STREET, RADIOS["handset"], way([0, -20, 1.5], [50, 60, 1.5]))
-    with pytest.raises(ValueError, match="mine, row 6: .*1 m or more from anchor"):
+    with pytest.raises(
+        ValueError, match="mine, row 6: .*5000 m from the anchor at .10.0"
+    ):
         SimulatedSource(STREET, RADIOS["handset"], way([5, 5, 10], [15, 15, 10]))
+    with pytest.raises(ValueError, match="mine, row 1: .* a place 1 to 5000 m from the anchor"):
+        SimulatedSource(STREET, RADIOS["handset"], way([-9e5, -5e6, 1], [-9e5, -5e6 + 50, 1]))
     with pytest.raises(ValueError, match="mine: found 10 s, expected 20, dt"):
         SimulatedSource(STREET, RADIOS["handset"], way([0, -20, 1], [50, -20, 1]), dt=20.0)
 

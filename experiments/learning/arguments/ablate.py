@@ -16,7 +16,7 @@ class Args:
     variants: tuple[str, ...] = ()
     """which; all where none is named"""
     radio: str = "handset"
-    """handset, standard or high"""
+    """handset, standard, high or a JSON file"""
     modes: tuple[str, ...] = ()
     """to choose from, as of train"""
     seeds: int = 3
