@@ -107,7 +107,7 @@ def require_fields(record: Any, of: str = "") -> None:
     Raises:
         ValueError: naming the field, what was found and what was expected.
     """
-    for name, hint in hints_of(type(record)).items():
+    for name, hint in hints_of(type(record)).items():  # type: ignore[arg-type]
         _require(hint, getattr(record, name), name, of)
 
 
@@ -134,7 +134,7 @@ def object_from(kind: type[T], content: Any, where: str = "") -> T:
     """
     if not isinstance(content, dict):
         raise ValueError(f"{where[:-1]}{': ' * bool(where)}found {content!r}, expected an object")
-    hints = hints_of(kind)
+    hints = hints_of(kind)  # type: ignore[arg-type]
     for key in content:
         choose(hints, key, f"{where}key")
     for field in fields(kind):  # type: ignore[arg-type]

@@ -9,13 +9,7 @@ import pytest
 
 from tests.paths import ROOT
 
-EVERYBODY = {
-    "mmwave_env",
-    "files",
-    "lookup",
-    "metrics",
-    "records",
-}  # seen by all; the first is __init__.py
+EVERYBODY = {"mmwave_env", "files", "lookup", "metrics", "records"}  # the first: __init__.py
 FILTER_SIDE = {"numerics", "models", "filters"}
 FACE = {"features", "observation", "reward", "info", "task"}
 WORLDS = FILTER_SIDE | {"compiler", "episodes"} | FACE

@@ -9,7 +9,7 @@ import pytest
 
 from mmwave_env.episodes.trajectory import read_trajectory
 from mmwave_env.filters.mode_files import read_modes
-from mmwave_env.localization.tum import read_tum
+from mmwave_env.logs.tum import read_tum
 from mmwave_env.task import task_from
 from tests.cli import assert_one_clear_line, command
 from tests.paths import ROOT

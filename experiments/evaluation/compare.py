@@ -68,7 +68,7 @@ def compare(
     return compare_scores(
         scores, list(policies), scenario=source.name, radio=source.radio.name,
         episodes=episodes, seed=seed,
-    )
+    )  # fmt: skip
 
 
 def evaluate(policy: Agent, **where: Any) -> Comparison:

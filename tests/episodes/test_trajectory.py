@@ -152,9 +152,7 @@ def test_a_way_behind_a_wall_or_at_an_anchor_is_refused():
 
     with pytest.raises(ValueError, match=r"mine, row 7: x, y, z: found 30, 28, 1.5.*Wall.*street"):
         SimulatedSource(STREET, RADIOS["handset"], way([0, -20, 1.5], [50, 60, 1.5]))
-    with pytest.raises(
-        ValueError, match="mine, row 6: .*5000 m from the anchor at .10.0"
-    ):
+    with pytest.raises(ValueError, match="mine, row 6: .*5000 m from the anchor at .10.0"):
         SimulatedSource(STREET, RADIOS["handset"], way([5, 5, 10], [15, 15, 10]))
     with pytest.raises(ValueError, match="mine, row 1: .* a place 1 to 5000 m from the anchor"):
         SimulatedSource(STREET, RADIOS["handset"], way([-9e5, -5e6, 1], [-9e5, -5e6 + 50, 1]))
