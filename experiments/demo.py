@@ -1,5 +1,7 @@
 """mmwave-loc demo: the tables of docs/results.md, on simulated and on ray-traced streets."""
 
+import sys
+
 from experiments.arguments.demo import Args
 from experiments.arguments.shared import EpisodeArgs
 from experiments.cli.main import run
@@ -18,6 +20,10 @@ def main(args: Args) -> None:
     runs += [EpisodeArgs(data=name, episodes=args.draws) for name in sample_names()]
     tables, everything, made = [], {}, provenance("demo", args)
     for one in runs:
+        what = (
+            f"{one.data or 'mixed'}: {len(all_contenders(one))} policies, {one.episodes} episodes"
+        )
+        print(f"{what} each", file=sys.stderr, flush=True)
         result, text, content = results(one, all_contenders(one))
         show(str(result.of(SHOWN)))
         tables.append(text)
@@ -30,6 +36,9 @@ def main(args: Args) -> None:
     print(f"All {len(all_contenders(runs[0]))} policies and all paired differences are in")
     print(f"{args.out / 'tables.md'}, with every figure in {files}.")
     print("README.md and docs/results.md say what the columns mean.")
+    print(
+        "next: mmwave-loc list policies, or mmwave-loc compare --policies ppo imm --radio standard"
+    )
 
 
 if __name__ == "__main__":

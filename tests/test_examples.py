@@ -63,7 +63,9 @@ def test_the_page_of_clients_has_every_example_and_the_versions_they_run_with():
     for path in FOLDER.glob("*.txt"):
         pins |= dict(re.findall(r"^([\w-]+)(?:\[.*\])?==(\S+)$", path.read_text("utf-8"), re.M))
     torch = re.search(r"^torch==(\S+)$", (ROOT / "constraints.txt").read_text("utf-8"), re.M)[1]
-    rows = re.findall(r"^\| (.+?) \| `([\w-]+) ([\d.]+)` \|.*\(\.\./examples/(\w+)\.py\)", PAGE, re.M)
+    rows = re.findall(
+        r"^\| (.+?) \| `([\w-]+) ([\d.]+)` \|.*\(\.\./examples/(\w+)\.py\)", PAGE, re.M
+    )
     assert {package: version for _, package, version, _ in rows} == {
         package: version for package, version in (pins | {"torch": torch}).items()
         if package != "gymnasium"

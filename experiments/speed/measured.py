@@ -8,7 +8,7 @@ from itertools import pairwise
 from statistics import median
 from typing import Any
 
-from experiments.speed.fresh import fresh
+from experiments.speed.fresh import STARTS, fresh, start_s
 from experiments.speed.operations import Operations, count
 from experiments.speed.roofline import KINDS, instruction_s, limit_s
 from experiments.speed.workloads import (
@@ -84,6 +84,7 @@ class Measured:
         instructions_s: seconds of an instruction where a core does nothing else.
         cold_start_s: seconds from the start of a process to the end of its first step.
         peak_mb: most resident memory of the process, MiB (2^20 bytes).
+        starts_s: seconds of new processes that only import something, or show help.
     """
 
     def __init__(self, sizes: Sequence[int]) -> None:
@@ -98,13 +99,14 @@ class Measured:
         }
         self.cold_start_s: Rounds = {name: [] for name in self._processes}
         self.peak_mb: Rounds = {name: [] for name in self._processes}
+        self.starts_s: Rounds = {name: [] for name in STARTS}
 
     def run(self, seconds: float, repeats: int) -> Iterator[float]:
         """Measure, and tell the share done after every piece.
 
         In every round each workload has its turn, so that a drifting machine hits all alike.
         """
-        processes = min(FRESH_RUNS, repeats) * len(self._processes)
+        processes = min(FRESH_RUNS, repeats) * (len(self._processes) + 1)
         workloads = len(self.rates) + len(self.filters)
         pieces = processes + workloads + repeats * (workloads + 1)
         for done, _ in enumerate(self._pieces(seconds, repeats), start=1):
@@ -117,6 +119,9 @@ class Measured:
                 self.cold_start_s[name].append(first_step_s)
                 self.peak_mb[name].append(peak_mb)
                 yield
+            for name, words in STARTS.items():
+                self.starts_s[name].append(start_s(words))
+            yield
         running = {}
         for name, make in (environments(self.sizes) | filters()).items():
             running[name] = make()
@@ -194,6 +199,7 @@ class Measured:
             "steps_per_s": {name: one.steps_per_s for name, one in rates.items()},
             "cold_start_s": self.cold_start_s,
             "peak_rss_mb": self.peak_mb,
+            "start_s": self.starts_s,
             "cost_of_a_step": self.costs(),
             "between_ends_steps_per_s": {
                 name: one.between_ends for name, one in rates.items() if one.between_ends

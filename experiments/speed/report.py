@@ -142,6 +142,11 @@ def _first_steps(measured: Measured) -> str:
     return grid(["fresh process", "seconds to the end of the first step"], rows)
 
 
+def _starts(measured: Measured) -> str:
+    rows = [[f"`{name}`", spread(found)] for name, found in measured.starts_s.items()]
+    return grid(["fresh process", "seconds to its end"], rows)
+
+
 def _machine(measured: Measured) -> str:
     rounds = len(measured.rates["filterpy"].steps_per_s)
     return (
@@ -166,6 +171,7 @@ _TABLES: dict[str, Callable[[Measured], str]] = {
     "Operations": _operations,
     "Peak memory": _memory,
     "First step": _first_steps,
+    "First words": _starts,
     "Machine": _machine,
 }
 TITLES = tuple(_TABLES)

@@ -112,6 +112,8 @@ def measured():
         rates.cores[:] = [1.0] * 3
     for limits in (found.limits_s | found.instructions_s).values():
         limits[:] = rng.uniform(1e-9, 1e-8, 3).tolist()
+    for seconds in found.starts_s.values():
+        seconds[:] = [0.1, 0.2, 0.3]
     for n, name in enumerate(found.peak_mb):
         found.cold_start_s[name], found.peak_mb[name] = [1.5] * 3, [100.0 + n] * 3
     return found
