@@ -2,6 +2,7 @@
 
 import re
 import shlex
+from contextlib import nullcontext
 from pathlib import Path
 
 import pytest
@@ -81,17 +82,15 @@ LINES = sorted(set(command_lines()))
 
 
 @pytest.mark.parametrize(("page", "line"), LINES, ids=[f"{p}: {line[:60]}" for p, line in LINES])
-def test_command_lines_are_understood(page, line, capsys):
+def test_command_lines_are_understood(page, line):
     name, *options = shlex.split(line)
     if name.startswith("-"):
         assert succeed(name)
         return
     module, _ = commands()[name]
     if options:  # a name alone stands for the command, whose arguments need not be there
-        try:
+        with nullcontext() if "--help" not in options else pytest.raises(SystemExit, match="0"):
             read_arguments(module, options, name)
-        except SystemExit as end:
-            assert not end.code, capsys.readouterr().err  # 0 after help
 
 
 def test_targets_of_make_are_there():

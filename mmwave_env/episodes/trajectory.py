@@ -11,10 +11,10 @@ import numpy as np
 from mmwave_env.episodes.mobility import FASTEST_MPS
 from mmwave_env.episodes.tables import TRAJECTORY, read_table
 from mmwave_env.episodes.travel import TravelPlan
+from mmwave_env.models.prior import GAP_S
 from mmwave_env.models.scene import Scene
 from mmwave_env.numerics.arrays import Array, Mask
 
-LONGEST_GAP_S = 15.0  # over which positions are interpolated; a log's track begins anew there, too
 REACH_M = (1.0, 5000.0)  # from an anchor, where the path loss holds (3GPP TR 38.901, UMi)
 STANDING_M, STANDING_S = 0.1, 60.0  # who stays within the one for the other is perhaps in degrees
 
@@ -66,8 +66,8 @@ class Trajectory:
         moved = np.diff(p, axis=0, prepend=p[:1])
         self._require(step > 0.0, t, "t", "more than in the row before")
         self._require(
-            step <= LONGEST_GAP_S, t, "t",
-            f"at most {LONGEST_GAP_S:g} s after the row before; cut the trajectory there",
+            step <= GAP_S, t, "t",
+            f"at most {GAP_S:g} s after the row before; cut the trajectory there",
         )  # fmt: skip
         speed = np.linalg.norm(moved, axis=1) / step
         most = f"at most {FASTEST_MPS:g} m/s"

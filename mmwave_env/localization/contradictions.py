@@ -10,8 +10,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from mmwave_env.localization.segments import GAP_S
 from mmwave_env.logs.log import RANGE_LIMITS_M, WIDEST_DEG, LogBlock
+from mmwave_env.models.prior import GAP_S
 from mmwave_env.models.radio import Radio
 from mmwave_env.models.scene import Scene
 from mmwave_env.numerics.arrays import Array
