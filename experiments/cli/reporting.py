@@ -48,10 +48,8 @@ def results(
     Returns:
         The comparison, all tables as Markdown, and every figure as JSON.
     """
-    if args.reward == "paired":
-        raise ValueError("reward: found 'paired', but policies are paired here with each other")
     task, runs = task_of(args), runs_of(args, names)
-    source = task.source
+    source, scoring = task.source, Scoring.of(task)
     if bound and args.planar:
         raise ValueError("bound: found with planar, whose bound there is not; expected one of them")
     if figure:
@@ -63,7 +61,7 @@ def results(
     everybody = [chosen[file] for file in trainings(names, runs)]
     found = score_contenders(
         everybody, source, args.radio, args.episodes, args.seed,
-        watch=seen.add if seen else None, scoring=Scoring(task.reward, args.planar),
+        watch=seen.add if seen else None, scoring=scoring,
     )  # fmt: skip
     scores = {name: found[file] for name, file in files.items()}
     if args.episodes_csv:

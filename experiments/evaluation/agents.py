@@ -17,6 +17,7 @@ from policies import Policy
 Act = Callable[[NDArray[np.float32]], Any]  # observations (n, features) -> actions (n,)
 
 MODULE = re.compile(r"[\w.]+:[\w.]+")
+GUIDE = "docs/own-agent.md"
 TRIED = 3  # observations to try an agent on
 
 
@@ -60,12 +61,12 @@ def agent_from(name: str, trust_zip: bool = False) -> Act:
     except Exception as error:  # whatever a user's code does
         raise ValueError(
             f"policy {name}: {in_one_line(error)}; expected module:function, a function "
-            "without arguments that returns the agent"
+            f"without arguments that returns the agent ({GUIDE})"
         ) from error
     if not callable(agent):
         raise ValueError(
             f"policy {name}: found {agent!r}, expected a function from observations "
-            "(n, features) to actions (n,)"
+            f"(n, features) to actions (n,), see {GUIDE}"
         )
     return cast(Act, agent)
 
@@ -94,7 +95,7 @@ def tried(name: str, agent: Act, table: Observation) -> Policy:
         raise ValueError(
             f"policy {name}: {in_one_line(error)}; it was shown observations "
             f"{shown.shape} of float32: observation={table.kind!r}, modes "
-            f"{', '.join(mode.name for mode in table.modes)}"
+            f"{', '.join(mode.name for mode in table.modes)} ({GUIDE})"
         ) from error
     require_actions(name, found, TRIED, len(table.modes))
     return policy
@@ -110,7 +111,7 @@ def require_actions(name: str, found: Any, n: int, modes: int) -> NDArray[np.int
     if actions.shape != (n,) or actions.dtype.kind not in "iu":
         raise ValueError(
             f"actions of {name}: found shape {actions.shape} of {actions.dtype}, expected ({n},) "
-            "of integers, one for each row of the observations"
+            f"of integers, one for each row of the observations ({GUIDE})"
         )
     if actions.min() < 0 or actions.max() >= modes:
         raise ValueError(

@@ -8,12 +8,11 @@ from typing import Any
 from experiments.evaluation.agents import Act
 from experiments.evaluation.comparison import Comparison, compare_scores
 from experiments.evaluation.contenders import Contender, contender_from
-from experiments.evaluation.runner import score_contenders
-from mmwave_env.episodes.simulated import SimulatedSource
+from experiments.evaluation.runner import Scoring, score_contenders
+from mmwave_env.episodes.episode import EpisodeSource
 from mmwave_env.filters.mode_files import modes_from
 from mmwave_env.filters.modes import Mode
-from mmwave_env.models.radio import radio_from
-from mmwave_env.models.scene import scene_from
+from mmwave_env.task import task_from
 
 Agent = str | os.PathLike[str] | Act
 
@@ -21,13 +20,15 @@ Agent = str | os.PathLike[str] | Act
 def compare(
     policies: Mapping[str, Agent],
     beside: Sequence[str] = ("fixed-ukf", "speed-rule", "imm"),
-    scenario: str = "mixed",
+    scenario: str | None = None,
     radio: str = "handset",
     episodes: int = 200,
     seed: int = 0,
     modes: Sequence[Mode | str] | str | None = None,
     observation: str = "full",
     trust_zip: bool = False,
+    data: str | os.PathLike[str] | EpisodeSource | None = None,
+    **world: Any,
 ) -> Comparison:
     """Agents of one's own and known contenders on the same episodes.
 
@@ -45,6 +46,9 @@ def compare(
         modes, observation: what agents of one's own were trained with, as of the environment.
             Policy files say it themselves.
         trust_zip: whether code from a ``.zip`` may run, which loading it means.
+        data: recorded or own episodes, as of the environment's ``episodes``.
+        world: further arguments of the environment: ``scene``, ``dt``, ``episode_steps``,
+            ``planar``, ``odometry``, ``reward``.
 
     Returns:
         The metrics of all, and their paired differences; ``print`` shows it as Markdown.
@@ -54,7 +58,8 @@ def compare(
             that can't be loaded, fails, or returns no numbers of modes: before an episode runs.
         FileNotFoundError: there is no such file.
     """
-    source = SimulatedSource(scene_from("street"), radio_from(radio), scenario)
+    task = task_from(scenario=scenario, radio=radio, episodes=data, **world)
+    scoring = Scoring.of(task)
 
     def contender(name: str, agent: Agent) -> Contender:
         if not isinstance(agent, (str, os.PathLike)):
@@ -64,9 +69,9 @@ def compare(
         return replace(found, name=name)
 
     own = [contender(name, agent) for name, agent in policies.items()]
-    scores = score_contenders([*own, *beside], source, radio, episodes, seed)
+    scores = score_contenders([*own, *beside], task.source, radio, episodes, seed, scoring=scoring)
     return compare_scores(
-        scores, list(policies), scenario=source.name, radio=source.radio.name,
+        scores, list(policies), scenario=task.source.name, radio=task.radio.name,
         episodes=episodes, seed=seed,
     )  # fmt: skip
 

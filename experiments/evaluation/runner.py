@@ -19,6 +19,7 @@ from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.metrics import METRICS, summary
 from mmwave_env.numerics.arrays import Array
 from mmwave_env.reward import Reward, TrackingReward
+from mmwave_env.task import Task
 from policies import Policy
 
 
@@ -32,6 +33,20 @@ class Scoring(NamedTuple):
 
     reward: Reward = TrackingReward()
     planar: bool = False
+
+    @classmethod
+    def of(cls, task: Task) -> "Scoring":
+        """What counts in a task.
+
+        Raises:
+            ValueError: its reward is paired.
+        """
+        if task.baseline is not None:
+            raise ValueError(
+                "reward: found a paired one, expected one that is not: differences between "
+                "policies, the IMM among them, are shown anyway"
+            )
+        return cls(task.reward, task.pipeline.planar)
 
 
 PLAIN = Scoring()

@@ -47,3 +47,17 @@ def test_other_mistakes_are_named():
         compare({"imm": np.zeros_like}, beside=("imm",))
     with pytest.raises(ValueError, match="scenario: found 'train'"):
         compare({}, scenario="train")
+
+
+def test_other_places_are_arguments_of_the_environment():
+    def act(observations):
+        return np.ones(len(observations), int)
+
+    where = {"data": "canyon28_vehicle", "episode_steps": 20, "planar": True, "reward": "log-score"}
+    found = compare({"mine": act}, beside=("fixed-ukf",), episodes=2, **where)
+    assert found.scenario == "canyon28_vehicle"
+    assert found.policies["mine"] == found.policies["fixed-ukf"]
+    with pytest.raises(ValueError, match="reward: found a paired one, expected one that is not"):
+        compare({"mine": act}, reward="paired")
+    with pytest.raises(TypeError, match="'odometer', expected one of .*odometry"):
+        compare({"mine": act}, odometer=True)
