@@ -14,7 +14,7 @@ class JsonArgs:
 
 @dataclass(kw_only=True)
 class EpisodeResultArgs(JsonArgs):
-    """Results of episodes."""
+    """Results."""
 
     episodes_csv: Path | None = None
     """write every metric of every policy and episode to this table, a row each"""

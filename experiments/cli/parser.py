@@ -86,11 +86,13 @@ def parser_of(arguments: type[Any], program: str) -> argparse.ArgumentParser:
         formatter_class=_Help,
         allow_abbrev=False,
     )
+    groups: dict[str, Any] = {}
     for declares in arguments.__mro__[:-1]:
         title = (inspect.getdoc(declares) or "").rstrip(".").lower()
-        group = parser if declares is arguments else parser.add_argument_group(title)
+        if declares is not arguments and title not in groups:
+            groups[title] = parser.add_argument_group(title)
         for name, text in _texts(declares).items():
-            _add(group, known[name], kinds[name], text)
+            _add(groups.get(title, parser), known[name], kinds[name], text)
     parser.set_defaults(**{f.name: f.default for f in known.values() if f.default is not MISSING})
     return parser
 
@@ -162,7 +164,7 @@ def _reader(kind: Any) -> Callable[[str], Any]:
 
 def _shown(default: Any) -> str:
     """A default as help shows it, where there is something to show."""
-    if default in (MISSING, None, False, ()):
+    if default is MISSING or default is None or default is False or default == ():
         return ""
     values = default if isinstance(default, tuple) else ("yes",) if default is True else (default,)
     return f" (default: {' '.join(map(str, values))})"
