@@ -26,7 +26,9 @@ def shown(monkeypatch, capsys):
     return lines
 
 
-@settings(max_examples=50, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(
+    max_examples=25, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
+)
 @given(
     names=st.lists(WORDS, min_size=1, max_size=5),
     cells=st.lists(WORDS, min_size=1, max_size=9),
