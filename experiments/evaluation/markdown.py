@@ -3,7 +3,7 @@
 import math
 import re
 import textwrap
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from itertools import zip_longest
 
 from rich.console import Console
@@ -61,24 +61,25 @@ def _tables(text: str, width: int) -> Iterator[list[str]]:
         max(map(len, [*column, *title.split()]))
         for title, *column in zip(header, *rows, strict=True)
     ]
-    columns = [0]
-    for i in range(1, len(header) + 1):
-        full = i == len(header) or sum(needed[k] + GAP for k in (*columns, i)) - GAP > width
-        if full and columns != [0]:
-            yield _table(
-                [[row[k] for k in columns] for row in (header, *rows)], [needed[k] for k in columns]
-            )
-            columns = [0]
-        columns.append(i)
+    parts = [[0]]
+    for i in range(1, len(header)):
+        if len(parts[-1]) > 1 and sum(needed[k] + GAP for k in (*parts[-1], i)) - GAP > width:
+            parts.append([0])
+        parts[-1].append(i)
+    for part in parts:
+        yield _table([[row[k] for k in part] for row in (header, *rows)], [needed[k] for k in part])
 
 
 def _table(rows: Sequence[Sequence[str]], widths: Sequence[int]) -> list[str]:
     """Lines of a table, the first row of which is the header."""
     folded = [textwrap.wrap(title, n) for title, n in zip(rows[0], widths, strict=True)]
-    above = zip_longest(*folded, fillvalue="")
-    lines = [
+    header = zip_longest(*folded, fillvalue="")
+    rule = ["─" * (sum(widths) + GAP * (len(widths) - 1))]
+    return [*_aligned(header, widths), *rule, *_aligned(rows[1:], widths)]
+
+
+def _aligned(rows: Iterable[Sequence[str]], widths: Sequence[int]) -> list[str]:
+    return [
         (" " * GAP).join(cell.ljust(n) for cell, n in zip(row, widths, strict=True)).rstrip()
-        for row in (*above, *rows[1:])
+        for row in rows
     ]
-    rule = "─" * (sum(widths) + GAP * (len(widths) - 1))
-    return [*lines[: 1 - len(rows)], rule, *lines[1 - len(rows) :]]

@@ -30,8 +30,8 @@ def shown(monkeypatch, capsys):
     max_examples=25, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
 )
 @given(
-    names=st.lists(WORDS, min_size=1, max_size=5),
-    cells=st.lists(WORDS, min_size=1, max_size=9),
+    names=st.lists(WORDS, max_size=5),
+    cells=st.lists(WORDS, max_size=9),
     width=st.integers(44, 120),
 )
 def test_no_cell_of_a_table_is_cut_and_no_line_is_too_long(shown, names, cells, width):
