@@ -26,20 +26,19 @@ def _verdict(findings: Sequence[Finding]) -> str:
 
 def diagnosis_markdown(findings: Sequence[Finding]) -> str:
     """A verdict and a table of all hypotheses, the best first."""
-    groups = next((list(f.nis_per_dof) for f in findings if f.nis_per_dof), [])
-    header = ["hypothesis", *groups, "log-likelihood", "consistent"]
+    header = ["hypothesis", "anchors", "Doppler", "consistent"]
     rows = [
         [
             f.hypothesis,
-            *(_number(f.nis_per_dof.get(group)) for group in groups),
-            _number(f.log_likelihood),
+            _number(f.worst_anchor),
+            _number(f.nis_per_dof.get("Doppler")),
             "no" if f.contradictions else "yes",
         ]
         for f in findings
     ]
     return (
-        f"{_verdict(findings)}\n\n{grid(header, rows)}\n\nMedian NIS / dof of each group, 1 if "
-        "right; log-likelihood of the numbers in the file, per epoch. - : no track is possible.\n"
+        f"{_verdict(findings)}\n\n{grid(header, rows)}\n\nMedian NIS / dof, of the anchor that is "
+        "farthest from 1, and of the Doppler shift; -: no track is possible.\n"
     )
 
 

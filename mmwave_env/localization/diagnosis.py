@@ -1,10 +1,10 @@
 """What is wrong with a log? Likely mistakes are undone, one by one, on its first epochs.
 
 A hypothesis says what the numbers of the file mean. All of them are tracked side by side by the
-same filter, without gates, and ranked by the likelihood of the file's own numbers, so that
-hypotheses of different units compare. NIS / dof then says whether a hypothesis fits at all, and
-:mod:`~mmwave_env.localization.contradictions` whether anything else speaks against it. Where no
-mistake explains the log alone, two do. The log itself is never changed.
+same filter, without gates. NIS / dof says whether one fits, and
+:mod:`~mmwave_env.localization.contradictions` whether anything else speaks against it. Those that
+make the log consistent are ranked by the likelihood of the file's own numbers, so that different
+units compare. Where no mistake explains the log alone, two are tried. The log is never changed.
 """
 
 from collections.abc import Callable, Iterable, Sequence
@@ -33,13 +33,13 @@ AS_IT_IS = "as it is"
 _RANGE, _AZIMUTH, _ELEVATION, _DEPARTURE = range(4)  # rows of a link
 _AZIMUTHS = (_AZIMUTH, _DEPARTURE)
 _ANGLES = (*_AZIMUTHS, _ELEVATION)
-_UNITS = {
-    "thousandths of its unit (ms for s)": 1e-3,
-    "millionths of its unit (us for s)": 1e-6,
-    "billionths of its unit (ns for s)": 1e-9,
-    "thousands of its unit (s for ms)": 1e3,
-    "millions of its unit (s for us)": 1e6,
-    "billions of its unit (s for ns)": 1e9,
+_FACTORS = {
+    "1e3 times too large (ms?)": 1e-3,
+    "1e6 times too large (us?)": 1e-6,
+    "1e9 times too large (ns?)": 1e-9,
+    "1e3 times too small (s?)": 1e3,
+    "1e6 times too small (s?)": 1e6,
+    "1e9 times too small (s?)": 1e9,
 }
 _OUTLIER_QUANTILE = 1e-6  # a group's NIS beyond it counts as much as there: it is an outlier
 
@@ -78,6 +78,12 @@ class Finding(NamedTuple):
     nis_per_dof: dict[str, float | None]
     log_likelihood: float | None
     contradictions: list[Contradiction]
+
+    @property
+    def worst_anchor(self) -> float | None:
+        """NIS / dof of the anchor that is farthest from 1."""
+        anchors = [nis for name, nis in self.nis_per_dof.items() if name.startswith("anchor")]
+        return max(filter(None, anchors), key=lambda nis: abs(np.log(nis)), default=None)
 
 
 # --- what may be wrong
@@ -176,8 +182,8 @@ def hypotheses(scene: Scene, radio: Radio) -> dict[str, Hypothesis]:
         "angles are in degrees": _links(_ANGLES, PI / 180.0),
         "angles are in radians": _links(_ANGLES, 180.0 / PI),
         "time of flight is there and back": _links([_RANGE], 0.5),
-        **{f"time of flight is in {u}": _links([_RANGE], k) for u, k in _UNITS.items()},
-        **{f"time is in {u}": _time(k) for u, k in _UNITS.items()},
+        **{f"time of flight is {what}": _links([_RANGE], k) for what, k in _FACTORS.items()},
+        **{f"time is {what}": _time(k) for what, k in _FACTORS.items()},
         "Doppler shift has the other sign": _doppler(-1.0),
         "Doppler shift is in m/s, not in Hz": _doppler(shift),
         "Doppler shift is in Hz, not in m/s": _doppler(1.0 / shift),
@@ -208,9 +214,9 @@ def diagnose(block: LogBlock, scene: Scene, radio: Radio, mode: Mode) -> list[Fi
         mode: whose tuning and algorithm to track with.
 
     Returns:
-        A finding for the log as it is and for every hypothesis, those that make the log
-        consistent first, then by likelihood. If none does, the best of two mistakes at once are
-        among them.
+        A finding for the log as it is and for every hypothesis: those that make the log
+        consistent, the most likely first, then those that don't, the best fit first. If none
+        does but two at once do, the most likely two come before all.
 
     Raises:
         ValueError: there is no line of sight to begin with.
@@ -243,8 +249,11 @@ def _findings(readings: dict[str, Reading], mode: Mode) -> list[Finding]:
 
 
 def _rank(finding: Finding) -> tuple[bool, float]:
-    likelihood = finding.log_likelihood
-    return bool(finding.contradictions), np.inf if likelihood is None else -likelihood
+    """The most likely of the consistent first, then those that fit best."""
+    if not finding.contradictions and finding.log_likelihood is not None:
+        return False, -finding.log_likelihood
+    worst = finding.worst_anchor
+    return True, np.inf if worst is None else abs(np.log(worst))
 
 
 def _track(readings: dict[str, Reading], mode: Mode) -> Iterable[Finding]:

@@ -5,8 +5,8 @@ import pytest
 
 from experiments.paper.angles import SCENE, USER_M, angles_deg, draw
 from mmwave_env.localization.contradictions import NIS_LIMITS, SNR_LIMITS_DB
-from mmwave_env.localization.segments import GAP_S
 from mmwave_env.models.measurement import Layout, exact_rows
+from mmwave_env.models.prior import GAP_S
 from tests.paths import ROOT
 
 PAGE = (ROOT / "docs" / "data.md").read_text(encoding="utf-8")
