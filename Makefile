@@ -3,6 +3,7 @@
 PYTHON ?= python3
 BIN := .venv/bin
 TORCH := $(shell grep '^torch==' constraints.txt)
+FRESH := env -u PYTHONPATH .venv-dist/fresh/bin# sees the wheel, not this folder
 OLDEST_GYMNASIUM := $(shell sed -n 's/.*"gymnasium>=\([0-9.]*\),.*/gymnasium==\1/p' pyproject.toml)
 
 .PHONY: help demo test test-slow coverage golden schemas lint format types types-base gymnasium-oldest docs dist clean
@@ -56,9 +57,9 @@ dist: .venv-dist/.ready ## what would be published, checked: sdist and wheel, th
 	.venv-dist/bin/python -m build
 	.venv-dist/bin/python -m twine check --strict dist/*
 	$(PYTHON) -m venv --clear .venv-dist/fresh
-	.venv-dist/fresh/bin/python -m pip install --quiet dist/*.whl
-	.venv-dist/fresh/bin/mmwave-loc --help
-	.venv-dist/fresh/bin/mmwave-loc evaluate --policy imm --episodes 10
+	$(FRESH)/python -m pip install --quiet dist/*.whl
+	$(FRESH)/mmwave-loc --help
+	$(FRESH)/mmwave-loc evaluate --policy imm --episodes 10
 
 clean: ## remove environments, caches and build outputs; results/ and runs/ stay
 	rm -rf .venv .venv-* build dist site *.egg-info .coverage .coverage.* coverage.xml
