@@ -84,10 +84,10 @@ def rewards() -> dict[str, str]:
 
 def main(args: Args) -> None:
     """Run the command."""
-    radio_from(args.radio)  # refuses an unknown name
+    radio = radio_from(args.radio).name
     kinds: dict[str, Callable[[], dict[str, str]]] = {
-        "policies": lambda: policies(args.radio), "scenarios": lambda: SCENARIOS, "radios": radios,
-        "scenes": scenes, "modes": lambda: modes(args.radio), "samples": samples,
+        "policies": lambda: policies(radio), "scenarios": lambda: SCENARIOS, "radios": radios,
+        "scenes": scenes, "modes": lambda: modes(radio), "samples": samples,
         "rewards": rewards,
     }  # fmt: skip
     for kind in [args.what] if args.what else kinds:

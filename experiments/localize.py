@@ -98,7 +98,7 @@ def inputs(args: Args) -> Inputs:
 
 def _modes(args: Args) -> tuple[Mode, ...]:
     """The low and the high mobility pipeline."""
-    modes = modes_from(args.modes, args.radio)
+    modes = modes_from(args.modes, radio_from(args.radio).name)
     if len(modes) != 2:
         raise ValueError(
             f"{args.modes}: found {len(modes)} modes, expected 2, for low and for high mobility"

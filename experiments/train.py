@@ -24,6 +24,7 @@ from mmwave_env.files import write_bytes, write_json
 from mmwave_env.filters.mode_files import as_written, modes_from
 from mmwave_env.filters.modes import Mode
 from mmwave_env.lookup import choose
+from mmwave_env.models.radio import radio_from
 from mmwave_env.reward import REWARDS, PairedReward, Reward, TrackingReward
 
 SMOKE_EPISODES = 20  # to judge a policy on
@@ -173,7 +174,8 @@ def main(args: Args) -> None:
     for name in ("seeds", "total_timesteps", "jobs", "checkpoint_every"):
         if getattr(args, name) < 1:
             raise ValueError(f"{name}: found {getattr(args, name)}, expected 1 or more")
-    modes, recipe = modes_from(args.modes or None, args.radio), hyperparameters(args)
+    modes = modes_from(args.modes or None, radio_from(args.radio).name)
+    recipe = hyperparameters(args)
     task = TrainingTask(args.scenario, args.radio, modes, args.observation, rewards(args))
     manifest = manifest_of(args, modes, recipe)
     if args.smoke:

@@ -17,7 +17,7 @@ from experiments.evaluation.runs import Run
 from experiments.evaluation.seeds import draw_episodes
 from mmwave_env.episodes.samples import sample_names
 from mmwave_env.files import write_json
-from mmwave_env.models.radio import RADIOS
+from mmwave_env.models.radio import RADIOS, radio_from
 from mmwave_env.models.scene import SCENES
 
 TRANSFER_RIVALS = ("speed-rule", "imm", "imm-robust")
@@ -69,7 +69,7 @@ def _policy(name: str, radio: str) -> Contender:
 
 def tried(args: Args) -> tuple[str, dict[str, Any]]:
     """The policies in every place, as Markdown and as JSON."""
-    policies = [_policy(name, args.radio) for name in args.policies]
+    policies = [_policy(name, radio_from(args.radio).name) for name in args.policies]
     found = {name: compared(place, policies) for name, place in places(args).items()}
     columns = next(iter(found.values()))
     rows = [[place, *map(str, row.values())] for place, row in found.items()]

@@ -24,7 +24,7 @@ from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.lookup import choose
 from mmwave_env.metrics import scored
 from mmwave_env.models.measurement import Layout
-from mmwave_env.models.radio import RADIOS, profile_of
+from mmwave_env.models.radio import RADIOS, radio_from
 from mmwave_env.numerics.arrays import Array
 
 Objective = Callable[[Mode], Array]
@@ -129,7 +129,7 @@ def surface_table(free: Sequence[str], axes: Sequence[Array], surface: Array) ->
 def main(args: Args) -> None:
     """Run the command."""
     require_tuning_seed(args.seed)
-    profile = profile_of(args.radio)
+    profile = radio_from(args.radio).name
     # One that nobody has tuned yet starts from the modes of "standard".
     modes = modes_from(args.modes, profile if profile in RADIOS else "standard")
     if len(args.scenarios) != len(modes):

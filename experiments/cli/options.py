@@ -48,12 +48,12 @@ def provenance(name: str, args: Any) -> dict[str, Any]:
 
 def all_contenders(args: EpisodeArgs) -> tuple[str, ...]:
     """Names of all there are for the modes asked for."""
-    return tuple(contenders(args.radio, _modes(args)))
+    return tuple(contenders(_profile(args), _modes(args)))
 
 
 def contender_of(args: EpisodeArgs, name: str) -> Contender:
     """One of them, or an agent by name or file."""
-    return contender_from(name, args.radio, _modes(args), args.observation, args.trust_zip)
+    return contender_from(name, _profile(args), _modes(args), args.observation, args.trust_zip)
 
 
 def runs_of(args: EpisodeArgs, names: Sequence[str]) -> dict[str, Run]:
@@ -70,4 +70,8 @@ def task_of(args: WorldArgs) -> Task:
 
 
 def _modes(args: EpisodeArgs) -> tuple[Mode, ...] | None:
-    return modes_from(args.modes, args.radio) if args.modes else None
+    return modes_from(args.modes, _profile(args)) if args.modes else None
+
+
+def _profile(args: EpisodeArgs) -> str:
+    return radio_from(args.radio).name

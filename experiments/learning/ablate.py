@@ -13,6 +13,7 @@ from experiments.training.hyperparameters import read_hyperparameters, shipped_h
 from mmwave_env.files import write_json
 from mmwave_env.filters.mode_files import as_written, default_modes
 from mmwave_env.lookup import choose
+from mmwave_env.models.radio import radio_from
 
 
 class Variant(NamedTuple):
@@ -55,7 +56,7 @@ def training(args: Args, name: str) -> TrainArgs:
         write_json(path, asdict(recipe))
         options = replace(options, hyperparameters=path)
     if variant.one_tuning:
-        low, high = default_modes(args.radio)
+        low, high = default_modes(radio_from(args.radio).name)
         path = args.out / f"{name}-modes.json"
         alike = [replace(high, name=low.name, algorithm=low.algorithm), high]
         write_json(path, {"modes": [as_written(mode) for mode in alike]})
