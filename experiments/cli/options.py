@@ -14,6 +14,7 @@ from experiments.evaluation.runs import Run
 from mmwave_env import __version__
 from mmwave_env.filters.mode_files import modes_from
 from mmwave_env.filters.modes import Mode
+from mmwave_env.models.radio import radio_from
 from mmwave_env.task import Task, TaskArguments, task_from
 
 OUTPUTS = ("json", "episodes_csv", "figure", "decisions", "plot", "docs", "out")
