@@ -85,6 +85,8 @@ def evaluate(policy: Agent, **where: Any) -> Comparison:
     Returns:
         Its metrics with 95 % intervals; ``print`` shows it as Markdown.
     """
-    given = isinstance(policy, (str, os.PathLike))
-    name = os.fspath(policy) if given else getattr(policy, "__name__", type(policy).__name__)  # type: ignore[arg-type]
+    if isinstance(policy, (str, os.PathLike)):
+        name = os.fspath(policy)
+    else:
+        name = getattr(policy, "__name__", type(policy).__name__)
     return compare({name: policy}, (), **where)
