@@ -6,7 +6,7 @@ TORCH := $(shell grep '^torch==' constraints.txt)
 FRESH := env -u PYTHONPATH .venv-dist/fresh/bin# sees the wheel, not this folder
 OLDEST_GYMNASIUM := $(shell sed -n 's/.*"gymnasium>=\([0-9.]*\),.*/gymnasium==\1/p' pyproject.toml)
 
-.PHONY: help demo test test-slow coverage golden schemas lint format types types-base gymnasium-oldest docs dist clean
+.PHONY: help demo test test-slow coverage golden schemas lint format types types-base gymnasium-oldest docs dist examples clean
 
 help: ## list these targets
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "make %-18s %s\n", $$1, $$2 }' Makefile
@@ -61,6 +61,12 @@ dist: .venv-dist/.ready ## what would be published, checked: sdist and wheel, th
 	$(FRESH)/mmwave-loc --help
 	$(FRESH)/mmwave-loc evaluate --policy imm --episodes 10
 
+# Each environment has the libraries of one examples/NAME.txt; RLlib and TorchRL have one of their own.
+examples: .venv-clients/.ready .venv-rllib/.ready .venv-torchrl/.ready ## every example with its library, at the version of docs/clients.md
+	.venv-clients/bin/python -m pytest -m slow tests/test_examples.py --durations=0
+	.venv-rllib/bin/python -m pytest -m slow tests/test_examples.py -k rllib
+	.venv-torchrl/bin/python -m pytest -m slow tests/test_examples.py -k torchrl
+
 clean: ## remove environments, caches and build outputs; results/ and runs/ stay
 	rm -rf .venv .venv-* build dist site *.egg-info .coverage .coverage.* coverage.xml
 	rm -rf .pytest_cache .mypy_cache .ruff_cache .hypothesis
@@ -105,4 +111,12 @@ clean: ## remove environments, caches and build outputs; results/ and runs/ stay
 	@$(PYTHON) -m venv .venv-dist
 	@echo '*' > .venv-dist/.gitignore
 	@.venv-dist/bin/python -m pip install --quiet build twine
+	@touch $@
+
+.venv-clients/.ready .venv-rllib/.ready .venv-torchrl/.ready: .venv-%/.ready: examples/%.txt pyproject.toml constraints.txt
+	@echo "Setting up .venv-$*: PyTorch and what examples/$*.txt lists, about 1.5 GB"
+	@$(PYTHON) -m venv .venv-$*
+	@echo '*' > .venv-$*/.gitignore
+	@.venv-$*/bin/python -m pip install $(TORCH)
+	@.venv-$*/bin/python -m pip install --quiet -c constraints.txt -r $< --editable . pytest
 	@touch $@

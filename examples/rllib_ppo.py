@@ -15,16 +15,18 @@ def make(config):
     return NormalizeObservation(gym.make_vec("mmwave_env:MmWaveLoc-v0", **config))
 
 
+torch.set_num_threads(1)
 register_env("mmwave", make)
 config = PPOConfig().environment("mmwave", env_config={"radio": "handset"})
 config.env_runners(
     num_env_runners=0, gym_env_vectorize_mode="vector_entry_point", num_envs_per_env_runner=64
 )
 config.learners(num_learners=0).debugging(seed=10_000_000)
-config.rl_module(model_config=DefaultModelConfig(fcnet_hiddens=[64, 64]))
-config.training(gamma=0.9, lr=1e-3, train_batch_size=4096, minibatch_size=1024, num_epochs=6)
+config.rl_module(model_config=DefaultModelConfig(fcnet_hiddens=[64, 64], vf_share_layers=False))
+config.training(gamma=0.9, lambda_=0.95, lr=1e-3, vf_clip_param=1000.0)  # returns are large
+config.training(train_batch_size=4096, minibatch_size=1024, num_epochs=8)
 ppo = config.build_algo()
-for _ in range(25):
+for _ in range(40):
     ppo.train()
 envs, module = ppo.env_runner.env.env, ppo.get_module()
 

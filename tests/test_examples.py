@@ -20,7 +20,7 @@ PAGE = (ROOT / "docs" / "clients.md").read_text("utf-8")
 
 def imported(source: str) -> set[str]:
     """The packages that a script imports."""
-    nodes = [node for node in ast.walk(ast.parse(source))]
+    nodes = list(ast.walk(ast.parse(source)))
     names = [alias.name for node in nodes if isinstance(node, ast.Import) for alias in node.names]
     names += [str(node.module) for node in nodes if isinstance(node, ast.ImportFrom)]
     return {name.split(".")[0] for name in names}
