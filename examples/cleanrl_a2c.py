@@ -7,7 +7,6 @@ from gymnasium.wrappers.vector import NormalizeObservation
 
 from experiments.evaluation.compare import compare
 
-torch.set_num_threads(1)
 torch.manual_seed(0)
 envs = NormalizeObservation(gym.make_vec("mmwave_env:MmWaveLoc-v0", num_envs=64))
 widths = (envs.single_observation_space.shape[0], 64)
