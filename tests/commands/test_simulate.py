@@ -93,7 +93,7 @@ def test_sample_logs_are_the_recordings_episodes(name):
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        (["--data", "canyon28_vehicle", "--odometry"], "odometry: found with --data"),
+        (["--data", "canyon28_vehicle", "--odometry"], "odometry: found True, but recorded"),
         (["--data", "canyon28_vehicle", "--scenario", "jam"], "scenario: found 'jam', but"),
         (["--scenario", "train"], "'train'.*pedestrian"),
         (["--radio", "lab"], "'lab'.*handset"),
