@@ -13,6 +13,7 @@ from tianshou.utils.net.common import Net
 from experiments.evaluation.compare import compare
 
 torch.set_num_threads(1)
+torch.manual_seed(0)
 envs = DummyVectorEnv([lambda: gym.make("mmwave_env:MmWaveLoc-v0") for _ in range(16)])
 envs = VectorEnvNormObs(envs)
 envs.seed(10_000_000)
@@ -20,10 +21,10 @@ actions = envs.action_space[0]
 net = Net(state_shape=envs.observation_space[0].shape, action_shape=actions.n, hidden_sizes=[64])
 policy = DiscreteQLearningPolicy(model=net, action_space=actions, eps_training=0.1)
 dqn = DQN(policy=policy, optim=AdamOptimizerFactory(lr=1e-3), gamma=0.9, target_update_freq=500)
-collector = Collector(dqn, envs, VectorReplayBuffer(20_000, 16), exploration_noise=True)
+collector = Collector(dqn, envs, VectorReplayBuffer(50_000, 16), exploration_noise=True)
 dqn.run_training(
     OffPolicyTrainerParams(
-        training_collector=collector, max_epochs=1, epoch_num_steps=20_000,
+        training_collector=collector, max_epochs=1, epoch_num_steps=50_000, batch_size=256,
         collection_step_num_env_steps=16, update_step_num_gradient_steps_per_sample=0.1,
         show_progress=False,
     )
