@@ -188,7 +188,8 @@ def _run(
                 raise
             error = damage
     figures = {**course.figures(), "groups": groups.figures()}
-    if scores and scores.scored:
+    if truth and scores and scores.scored:
+        truth.warn_if_few(scores.scored, course.epochs, course.first_s, course.last_s)
         figures["truth"] = scores.figures()
     elif truth and not error:
         error = truth.no_match(course.first_s, course.last_s)

@@ -14,8 +14,10 @@ from mmwave_env.models.scene import Scene
 from mmwave_env.numerics.arrays import Array, Mask
 from mmwave_env.numerics.numbers import wrap
 
-_FAR = (50.0, 0.5, 0.5, 0.5)  # m, rad: more than noise, blockage or multipath do to a median
-_ENOUGH = 10  # epochs for a median
+# m, rad: medians beyond _FAR are wrong however noisy, those within _NEAR hardly matter.
+_FAR, _NEAR = (50.0, 0.5, 0.5, 0.5), (5.0, 0.05, 0.05, 0.05)
+_NOISE = 0.6745 * np.sqrt(2.0)  # median size of a difference of two errors of unit deviation
+_ENOUGH = 20  # epochs for a median
 
 
 def numbers(record: str, field: str, values: ArrayLike, shape: tuple[int | None, ...]) -> Array:
@@ -84,7 +86,8 @@ def warn_of_contradictions(
 ) -> None:
     """Warn where links are, in the median, far from what the true positions make them.
 
-    That is a convention or a unit mistaken, or a truth in another frame; not noise.
+    That is a convention or a unit mistaken, or a truth in another frame; not noise, which is
+    judged by how much errors differ from one epoch to the next.
 
     Args:
         record: for the message.
@@ -98,10 +101,14 @@ def warn_of_contradictions(
     far = []
     for a in range(layout.anchors):
         seen = visible[:, a] & np.isfinite(position_m).all(axis=1)
-        for i, (name, limit) in enumerate(zip(LINK, _FAR, strict=True)):
+        if seen.sum() < _ENOUGH:
+            continue
+        for i, name in enumerate(LINK):
             error = (measurement[:, 4 * a + i] - exact[4 * a + i])[seen]
-            median = float(np.median(np.abs(wrap(error) if i else error))) if seen.any() else 0.0
-            if median > limit and len(error) >= _ENOUGH:
+            step = np.diff(error)
+            median, differ = (float(np.median(np.abs(wrap(e) if i else e))) for e in (error, step))
+            # Noise alone makes the median two thirds of its deviation.
+            if median > min(_FAR[i], max(_NEAR[i], 2.0 * differ / _NOISE)):
                 far.append(f"{name} of anchor {a + 1} by {median:.3g}")
     if far:
         warnings.warn(

@@ -39,8 +39,11 @@ def read_log_folder(folder: Path) -> MeasuredTrack:
     scene, truth = read_scene(folder / SCENE), Truth(folder / TRUTH)
     log = LogBlock.joined(list(read_log(path, scene)))
     position = truth.at(log.time_s, tolerance_s(log.time_s))
-    if np.isnan(position).all():
-        raise truth.no_match(float(log.time_s[0]), float(log.time_s[-1]))
+    ends = float(log.time_s[0]), float(log.time_s[-1])
+    matched = int(np.isfinite(position[:, 0]).sum())
+    if not matched:
+        raise truth.no_match(*ends)
+    truth.warn_if_few(matched, len(log), *ends)
     return MeasuredTrack(
         name=folder.resolve().name,
         scene=scene,

@@ -198,6 +198,12 @@ class MeasuredSource:
         self.track, self.radio = track, radio_from(radio)
         runs = stretches(track.time_s, track.position_m)
         if not runs:
+            step = float(np.median(np.diff(track.time_s))) if len(track) > 1 else 0.0
+            if step > GAP_S:
+                refuse(
+                    f"track {track.name!r}", "time_s", f"epochs {step:.4g} s apart",
+                    f"at most {GAP_S:g} s: are its times in seconds?",
+                )  # fmt: skip
             raise ValueError(
                 f"track {track.name!r}: found no two epochs in a row with a true position, "
                 "expected some, which reward and metrics need (docs/own-log.md)"

@@ -1,5 +1,6 @@
 """Where a user was, by time."""
 
+import warnings
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -76,4 +77,16 @@ class Truth:
         return ValueError(
             f"{self.path}: found times from {self.first_s!r} to {self.last_s!r} s, expected some "
             f"within {TOLERANCE_S} s of the log's, which are from {first_s!r} to {last_s!r} s"
+        )
+
+    def warn_if_few(self, matched: int, epochs: int, first_s: float, last_s: float) -> None:
+        """Warn where less than half of a log's epochs have a pose: another clock, or unit."""
+        if 2 * matched >= epochs:
+            return
+        self.read_on()
+        warnings.warn(
+            f"{self.path}: found a true position for {matched} of the log's {epochs} epochs, "
+            f"expected half at least; the log's times are {first_s:.10g} to {last_s:.10g} s, the "
+            f"truth's {self.first_s:.10g} to {self.last_s:.10g} s: are both in seconds?",
+            stacklevel=3,
         )

@@ -234,6 +234,13 @@ def test_truth_is_for_scores_alone(tmp_path):
     assert with_truth.read_bytes() == without.read_bytes() and "truth" not in found
 
 
+def test_a_truth_of_few_epochs_is_warned_of(tmp_path):
+    truth, few = read_tum(RIDE / "truth.tum"), tmp_path / "few.tum"
+    few.write_text(tum_lines(truth.time_s[:20], truth.position_m[:20]))
+    with pytest.warns(UserWarning, match="few.tum: found a true position for 20 of .* 120 epochs"):
+        figures(RIDE, "--speed", "10", "--truth", few, truth=False)
+
+
 def test_truth_of_another_time_is_an_error_that_names_both(capsys, tmp_path):
     truth, out = tmp_path / "truth.tum", tmp_path / "track.tum"
     truth.write_text(tum_lines(np.array([1000.0, 1002.5]), np.zeros((2, 3))))

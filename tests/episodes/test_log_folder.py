@@ -20,6 +20,7 @@ from mmwave_env.logs.tum import tum_lines
 from mmwave_env.models.radio import RADIOS
 from mmwave_env.models.scene import SCENES
 from tests.cli import assert_one_clear_line, command, succeed
+from tests.localization.mistakes import linear, read_columns, write_columns
 from tests.paths import LOGS, RECORDINGS
 
 STREET = SCENES["street"]
@@ -131,6 +132,32 @@ def test_a_truth_of_another_time_is_refused(folder):
     (folder / "truth.tum").write_text(tum_lines(track.time_s + 1e9, track.position_m))
     with pytest.raises(ValueError, match=r"truth.tum: found times from 1000000000.0 to .*expected"):
         source_from(folder, "handset")
+
+
+@pytest.fixture
+def sample(tmp_path):
+    shutil.copytree(sample_folder("canyon28_vehicle"), tmp_path, dirs_exist_ok=True)
+    return tmp_path
+
+
+def changed(folder, factor, column):
+    """The log of a folder with a column times a factor."""
+    write_columns(folder / "log.csv", linear(factor, column)(read_columns(folder / "log.csv")))
+
+
+def test_an_elevation_of_the_other_sign_is_warned_of(sample):
+    changed(sample, -1.0, "aoa_elevation_rad")
+    with pytest.warns(UserWarning, match="far from the truth, aoa_elevation_rad of anchor 1 by"):
+        source_from(sample, "standard")
+
+
+def test_times_in_milliseconds_are_refused_beside_those_of_the_truth(sample):
+    changed(sample, 1e3, "time_s")
+    with (
+        pytest.raises(ValueError, match="time_s of .*: found epochs 100 s apart, expected at most"),
+        pytest.warns(UserWarning, match=r"a true position for 1 of .* 0 to 11900 s, .* 0 to 11.9"),
+    ):
+        source_from(sample, "standard")
 
 
 def test_a_damaged_log_is_refused_by_its_line(folder):

@@ -129,15 +129,18 @@ def test_arrays_that_do_not_fit_are_named(changes, message):
         (lambda a: {"aoa_azimuth_rad": np.degrees(a["aoa_azimuth_rad"])}, "aoa_azimuth_rad of"),
         (lambda a: {"aoa_elevation_rad": np.pi / 2 - a["aoa_elevation_rad"]},
          "aoa_elevation_rad of anchor 1 by"),
+        (lambda a: {"aoa_elevation_rad": -a["aoa_elevation_rad"]}, "truth, aoa_elevation_rad of"),
+        (lambda a: {"aoa_azimuth_rad": a["aoa_azimuth_rad"] + 0.2}, "truth, aoa_azimuth_rad of"),
         (lambda a: {"range_m": 2.0 * a["range_m"]}, "range_m of anchor 1 by"),
         (lambda a: {"anchors_m": a["anchors_m"][::-1]}, "anchor 3"),
         (lambda a: {"position_m": a["position_m"] + [1000.0, 0.0, 0.0]}, "range_m of anchor 1 by"),
     ],
-    ids=["exchanged", "degrees", "zenith", "round trip", "anchors reversed", "another frame"],
+    ids=["exchanged", "degrees", "zenith", "upside down", "turned", "round trip",
+         "anchors reversed", "another frame"],
 )  # fmt: skip
 def test_what_contradicts_the_truth_is_warned_of(changes, message):
     with pytest.warns(UserWarning, match=rf"track 'own': .*{message}.*docs/data.md"):
-        track(**changes(arrays(simulated())))
+        track(**changes(arrays(simulated(radio=RADIOS["standard"]))))
 
 
 def quiet(seeds):
@@ -240,6 +243,12 @@ def test_a_track_without_truth_is_refused():
     given = arrays(simulated())
     with pytest.raises(ValueError, match="track 'own': found no two epochs in a row with a true"):
         MeasuredSource(track(position_m=np.full_like(given["position_m"], np.nan)), RADIO)
+
+
+def test_times_in_another_unit_are_refused():
+    given = track(time_s=1e3 * arrays(simulated())["time_s"])
+    with pytest.raises(ValueError, match="time_s of .*found epochs 1000 s apart, .* 15 s: are its"):
+        MeasuredSource(given, RADIO)
 
 
 def test_the_environment_takes_a_track_or_a_recording():
