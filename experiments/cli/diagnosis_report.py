@@ -12,7 +12,7 @@ def _number(value: float | None) -> str:
 
 
 def _verdict(findings: Sequence[Finding]) -> str:
-    """One sentence."""
+    """What is wrong, and what to do about it."""
     best = findings[0]
     if best.contradictions:
         return (
@@ -21,11 +21,14 @@ def _verdict(findings: Sequence[Finding]) -> str:
         )
     if best.hypothesis == AS_IT_IS:
         return "The log is consistent as it is."
-    return f"The log is consistent if {best.hypothesis}. It was not changed."
+    return (
+        f"The log is consistent if {best.hypothesis}. It was not changed. To mend it, {best.cure} "
+        "(docs/data.md)."
+    )
 
 
 def diagnosis_markdown(findings: Sequence[Finding]) -> str:
-    """A verdict and a table of all hypotheses, the best first."""
+    """A verdict, a table of the hypotheses that can be tracked, the best first, and the others."""
     header = ["hypothesis", "anchors", "Doppler", "consistent"]
     rows = [
         [
@@ -35,10 +38,14 @@ def diagnosis_markdown(findings: Sequence[Finding]) -> str:
             "no" if f.contradictions else "yes",
         ]
         for f in findings
+        if f.nis_per_dof
     ]
+    others = "; ".join(f.hypothesis for f in findings if not f.nis_per_dof)
+    impossible = f" No track is possible if: {others}." if others else ""
     return (
         f"{_verdict(findings)}\n\n{grid(header, rows)}\n\nMedian NIS / dof, of the anchor that is "
-        "farthest from 1, and of the Doppler shift; -: no track is possible.\n"
+        "farthest from 1, and of the Doppler shift. Consistent also asks for a user mostly below "
+        f"the base station and for an SNR and a Doppler shift that can be.{impossible}\n"
     )
 
 

@@ -33,13 +33,18 @@ AS_IT_IS = "as it is"
 _RANGE, _AZIMUTH, _ELEVATION, _DEPARTURE = range(4)  # rows of a link
 _AZIMUTHS = (_AZIMUTH, _DEPARTURE)
 _ANGLES = (*_AZIMUTHS, _ELEVATION)
-_FACTORS = {
-    "1e3 times too large (ms?)": 1e-3,
-    "1e6 times too large (us?)": 1e-6,
-    "1e9 times too large (ns?)": 1e-9,
-    "1e3 times too small (s?)": 1e3,
-    "1e6 times too small (s?)": 1e6,
-    "1e9 times too small (s?)": 1e9,
+_COLUMNS = {
+    "azimuth of arrival": ("aoa_azimuth", _AZIMUTH),
+    "azimuth of departure": ("aod_azimuth", _DEPARTURE),
+    "elevation": ("aoa_elevation", _ELEVATION),
+}
+_FACTORS = {  # mistake -> factor, and the units to rename a column from and to
+    "1e3 times too large (ms?)": (1e-3, "s", "ms"),
+    "1e6 times too large (us?)": (1e-6, "s", "us"),
+    "1e9 times too large (ns?)": (1e-9, "s", "ns"),
+    "1e3 times too small (s?)": (1e3, "ms", "s"),
+    "1e6 times too small (s?)": (1e6, "us", "s"),
+    "1e9 times too small (s?)": (1e9, "ns", "s"),
 }
 _OUTLIER_QUANTILE = 1e-6  # a group's NIS beyond it counts as much as there: it is an outlier
 
@@ -63,6 +68,13 @@ class Reading(NamedTuple):
 Hypothesis = Callable[[Reading], Reading]
 
 
+class Mistake(NamedTuple):
+    """How to undo a mistake: in what was read, and, in words, in the log."""
+
+    undo: Hypothesis
+    cure: str
+
+
 class Finding(NamedTuple):
     """What became of a hypothesis.
 
@@ -72,12 +84,14 @@ class Finding(NamedTuple):
             median of chi-square: 1 if right. None where it was not measured or not tracked.
         log_likelihood: mean over epochs, of the file's numbers; None where there is no track.
         contradictions: what speaks against it; nothing if the log is consistent by it.
+        cure: what to do to the log if this is right; nothing for the log as it is.
     """
 
     hypothesis: str
     nis_per_dof: dict[str, float | None]
     log_likelihood: float | None
     contradictions: list[Contradiction]
+    cure: str = ""
 
     @property
     def worst_anchor(self) -> float | None:
@@ -168,37 +182,77 @@ def _orders(anchors: int) -> list[tuple[int, ...]]:
     return [order for order in dict.fromkeys(orders) if order != tuple(right)]
 
 
-def hypotheses(scene: Scene, radio: Radio) -> dict[str, Hypothesis]:
-    """Likely mistakes in words, and what a log means if they were made."""
-    shift = scene.hz_per_mps
+def hypotheses(scene: Scene, radio: Radio) -> dict[str, Mistake]:
+    """Likely mistakes in words, and how to undo them."""
+    return {**_of_angles(), **_of_times(), **_of_shifts(scene), **_of_the_world(scene, radio)}
+
+
+def _of_angles() -> dict[str, Mistake]:
     upside_down = _links([_ELEVATION], -1.0)
-    return {
-        "arrival and departure are exchanged": _ends_exchanged,
-        "elevation has the other sign": upside_down,
-        "arrival is at the user, as in a downlink": lambda r: upside_down(_ends_exchanged(r)),
-        "elevation is a zenith angle": _links([_ELEVATION], -1.0, PI / 2.0),
-        "elevation is a nadir angle": _links([_ELEVATION], 1.0, -PI / 2.0),
-        "azimuths are clockwise from north": _links(_AZIMUTHS, -1.0, PI / 2.0),
-        "angles are in degrees": _links(_ANGLES, PI / 180.0),
-        "angles are in radians": _links(_ANGLES, 180.0 / PI),
-        "time of flight is there and back": _links([_RANGE], 0.5),
-        **{f"time of flight is {what}": _links([_RANGE], k) for what, k in _FACTORS.items()},
-        **{f"time is {what}": _time(k) for what, k in _FACTORS.items()},
-        "Doppler shift has the other sign": _doppler(-1.0),
-        "Doppler shift is in m/s, not in Hz": _doppler(shift),
-        "Doppler shift is in Hz, not in m/s": _doppler(1.0 / shift),
-        "Doppler shift is in kHz, not in Hz": _doppler(1e3),
-        "Doppler shift is in Hz, not in kHz": _doppler(1e-3),
-        **{
-            f"anchors are the scene's {', '.join(str(i + 1) for i in order)}": _anchors(order)
-            for order in _orders(len(scene.anchors_m))
-        },
-        **{
-            f"radio is {name}": _radio(other)
-            for name, other in RADIOS.items()
-            if name != radio.name
-        },
+    swap = "exchange the columns of aoa_azimuth and aod_azimuth"
+    mistakes = {
+        "arrival and departure are exchanged": Mistake(_ends_exchanged, swap),
+        "elevation has the other sign": Mistake(upside_down, "negate aoa_elevation"),
+        "arrival is at the user, as in a downlink": Mistake(
+            lambda r: upside_down(_ends_exchanged(r)), f"{swap}, negate aoa_elevation"
+        ),
+        "elevation is a zenith angle": Mistake(
+            _links([_ELEVATION], -1.0, PI / 2.0), "write 90 degrees - aoa_elevation"
+        ),
+        "elevation is a nadir angle": Mistake(
+            _links([_ELEVATION], 1.0, -PI / 2.0), "write aoa_elevation - 90 degrees"
+        ),
+        "azimuths are clockwise from north": Mistake(
+            _links(_AZIMUTHS, -1.0, PI / 2.0),
+            "write 90 degrees - aoa_azimuth and 90 degrees - aod_azimuth",
+        ),
     }
+    for name, (column, row) in _COLUMNS.items():
+        mistakes[f"{name} is in degrees"] = Mistake(
+            _links([row], PI / 180.0), f"rename {column}_rad to {column}_deg"
+        )
+    for unit, suffix, factor in (("degrees", "deg", PI / 180.0), ("radians", "rad", 180.0 / PI)):
+        cure = f"name the columns of angles by their unit, such as aoa_azimuth_{suffix}"
+        mistakes[f"angles are in {unit}"] = Mistake(_links(_ANGLES, factor), cure)
+    return mistakes
+
+
+def _of_times() -> dict[str, Mistake]:
+    back = Mistake(_links([_RANGE], 0.5), "halve it")
+    mistakes = {"time of flight is there and back": back}
+    for what, (factor, old, new) in _FACTORS.items():
+        for name, column, undo in (
+            ("time of flight", "toa", _links([_RANGE], factor)),
+            ("time", "time", _time(factor)),
+        ):
+            cure = f"multiply it by {factor:g}, or rename {column}_{old} to {column}_{new}"
+            mistakes[f"{name} is {what}"] = Mistake(undo, cure)
+    return mistakes
+
+
+def _of_shifts(scene: Scene) -> dict[str, Mistake]:
+    mistakes = {"Doppler shift has the other sign": Mistake(_doppler(-1.0), "negate doppler")}
+    for unit, suffix, factor in (("m/s", "mps", scene.hz_per_mps), ("kHz", "khz", 1e3)):
+        mistakes[f"Doppler shift is in {unit}, not in Hz"] = Mistake(
+            _doppler(factor), f"rename doppler_hz to doppler_{suffix}"
+        )
+        mistakes[f"Doppler shift is in Hz, not in {unit}"] = Mistake(
+            _doppler(1.0 / factor), f"rename doppler_{suffix} to doppler_hz"
+        )
+    return mistakes
+
+
+def _of_the_world(scene: Scene, radio: Radio) -> dict[str, Mistake]:
+    mistakes = {}
+    for order in _orders(len(scene.anchors_m)):
+        numbers = ", ".join(str(i + 1) for i in order)
+        cure = f"write the scene's anchors in the order {numbers}"
+        mistakes[f"anchors are the scene's {numbers}"] = Mistake(_anchors(order), cure)
+    for name, other in RADIOS.items():
+        if name != radio.name:
+            cure = f"give --radio {name}, or radio={name!r}"
+            mistakes[f"radio is {name}"] = Mistake(_radio(other), cure)
+    return mistakes
 
 
 # --- which of it explains the log
@@ -227,13 +281,20 @@ def diagnose(block: LogBlock, scene: Scene, radio: Radio, mode: Mode) -> list[Fi
     first = block.part(slice(fixes[0], fixes[0] + DIAGNOSED_EPOCHS))
     given = Reading(first, scene, radio)
     single = hypotheses(scene, radio)
-    readings = {AS_IT_IS: given} | {name: change(given) for name, change in single.items()}
+    readings = {AS_IT_IS: given} | {name: m.undo(given) for name, m in single.items()}
     findings = _findings(readings, mode)
     if findings[0].contradictions:
-        double = {f"{a}; {b}": single[b](single[a](given)) for a, b in permutations(single, 2)}
+        double = {
+            f"{a}; {b}": single[b].undo(single[a].undo(given)) for a, b in permutations(single, 2)
+        }
         best = [f for f in _findings(double, mode) if not f.contradictions]
         findings = best[:1] + findings
-    return findings
+    return [f._replace(cure=_cure(f.hypothesis, single)) for f in findings]
+
+
+def _cure(hypothesis: str, single: dict[str, Mistake]) -> str:
+    """Of one mistake, or of several, in their order."""
+    return "; then ".join(single[name].cure for name in hypothesis.split("; ") if name in single)
 
 
 def _findings(readings: dict[str, Reading], mode: Mode) -> list[Finding]:

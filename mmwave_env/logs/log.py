@@ -226,11 +226,14 @@ def _limits(log: LogFile, cells: Cells) -> Iterator[_Check]:
         def found(row: int) -> str:
             return f"{_show(cells[quantity][row])}, which is {values[row]:.3g} {unit}"
 
+        stem, _, ending = log.columns[quantity].name.rpartition("_")
+        degrees = f"if it is in degrees, name the column {stem}_deg; " if ending == "rad" else ""
         return _Check(
             quantity,
             abs(values) > most,
             found,
-            f"{expected}, in the unit that the name of the column ends with",
+            f"{expected}, in the unit that the name of the column ends with; {degrees}"
+            "mmwave-loc localize --diagnose tries likely mistakes",
         )
 
     longest = f"at most {RANGE_LIMITS_M[1] / 1e3:g} km"

@@ -237,8 +237,9 @@ def test_truth_is_for_scores_alone(tmp_path):
 def test_a_truth_of_few_epochs_is_warned_of(tmp_path):
     truth, few = read_tum(RIDE / "truth.tum"), tmp_path / "few.tum"
     few.write_text(tum_lines(truth.time_s[:20], truth.position_m[:20]))
-    with pytest.warns(UserWarning, match="few.tum: found a true position for 20 of .* 120 epochs"):
-        figures(RIDE, "--speed", "10", "--truth", few, truth=False)
+    given = options(RIDE / "log.csv", "--speed", "10", "--truth", few, folder=RIDE)
+    said = command("localize", *given).stderr
+    assert "few.tum: found a true position for 20 of the log's 120 epochs" in said
 
 
 def test_truth_of_another_time_is_an_error_that_names_both(capsys, tmp_path):
@@ -702,6 +703,8 @@ def test_a_diagnosis_names_the_mistake_and_writes_no_track(tmp_path, downlink):
     assert done.returncode == 0 and done.stderr == "" and downlink.read_bytes() == before
     name = "arrival is at the user, as in a downlink"
     assert done.stdout.startswith(f"The log is consistent if {name}.")
+    cure = "exchange the columns of aoa_azimuth and aod_azimuth, negate aoa_elevation"
+    assert f"To mend it, {cure} (docs/data.md)." in done.stdout
     first, *others = json.loads(file.read_text())["hypotheses"]
     assert first["hypothesis"] == name and first["contradictions"] == []
     assert all(other["contradictions"] for other in others)
@@ -713,7 +716,9 @@ def test_a_log_that_is_refused_can_be_diagnosed(tmp_path):
     log = tmp_path / "log.csv"
     write_columns(log, MISTAKES["angles are in degrees"](read_columns(RIDE / "log.csv")))
     given = options(log, "--radio", "standard", folder=RIDE)
-    assert command("localize", *given, "--speed", "auto").returncode == 2
+    refusal = command("localize", *given, "--speed", "auto")
+    assert refusal.returncode == 2
+    assert "if it is in degrees, name the column aoa_azimuth_deg; mmwave-loc loc" in refusal.stderr
     done = command("localize", *given, "--diagnose")
     assert done.stdout.startswith("The log is consistent if angles are in degrees.")
 

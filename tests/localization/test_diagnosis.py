@@ -79,7 +79,7 @@ def test_a_mistake_is_refused_or_doubted_and_named(tmp_path, folder, name):
         found = [str(error)]
     assert found and all("found" in line and "expected" in line for line in found)
     best, second, *_ = findings(path, scene)
-    assert best.hypothesis == name and not best.contradictions
+    assert best.hypothesis == name and not best.contradictions and best.cure
     assert second.contradictions
 
 
