@@ -86,6 +86,9 @@ def inputs(args: Args) -> Inputs:
     if args.sample is None:
         if args.log is None:
             raise ValueError("log: found none, expected a measurement log, or --sample NAME")
+        if args.log.is_dir():
+            files = f"{args.log / LOG} --scene {args.log / SCENE} --truth {args.log / TRUTH}"
+            raise ValueError(f"log: found the folder {args.log}, expected files, such as {files}")
         if args.scene is None:
             raise ValueError(f"scene: found none, expected --scene with that of {args.log}")
         return Inputs(args.log, args.scene, args.truth)

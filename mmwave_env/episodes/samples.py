@@ -73,6 +73,8 @@ def _read(name: str | os.PathLike[str]) -> Recording | MeasuredTrack:
     if name in sample_names():
         return recording_from(str(name))
     folder = Path(name)
+    if folder.is_file():
+        raise ValueError(f"episodes: found the file {folder}, expected its folder, {folder.parent}")
     if not folder.is_dir():
         raise ValueError(
             f"episodes: found {os.fspath(name)!r}, expected one of {', '.join(sample_names())}, "

@@ -392,6 +392,12 @@ def test_what_contradicts_itself_is_refused(capsys, monkeypatch, tmp_path, name)
     assert re.search(message, line), line
 
 
+def test_a_folder_in_place_of_a_log_is_refused_by_naming_its_files(capsys):
+    _, line = refused(capsys, [str(WALK)])
+    files = f"{WALK / 'log.csv'} --scene {WALK / 'scene.json'} --truth {WALK / 'truth.tum'}"
+    assert line.endswith(f"log: found the folder {WALK}, expected files, such as {files}")
+
+
 @pytest.mark.parametrize("out", ["log.tum", "truth.tum"])
 def test_no_output_takes_the_place_of_an_input(capsys, tmp_path, out):
     for name in ("log.csv", "truth.tum", "scene.json"):

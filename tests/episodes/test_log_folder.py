@@ -121,6 +121,11 @@ def test_what_is_missing_is_named(folder, names, message):
     assert str(error.value).startswith(f"{folder}: ")
 
 
+def test_a_file_where_its_folder_is_meant_is_refused_by_naming_it(folder):
+    with pytest.raises(ValueError, match=rf"found the file .*log.csv, .* its folder, {folder}$"):
+        source_from(folder / "log.csv", "handset")
+
+
 def test_two_logs_are_one_too_many(folder):
     shutil.copy(folder / "log.csv", folder / "log.parquet")
     with pytest.raises(ValueError, match="found log.csv and log.parquet, expected a log"):
