@@ -14,7 +14,7 @@ from mmwave_env.logs.log import LogBlock, read_log
 from mmwave_env.logs.log_tables import SUFFIXES
 from mmwave_env.logs.truth import Truth, tolerance_s
 from mmwave_env.logs.tum import COLUMNS, tum_lines
-from mmwave_env.models.scene import Scene, anchors_json, read_scene
+from mmwave_env.models.scene import Scene, read_scene, scene_json
 
 LOG, SCENE, TRUTH = "log.csv", "scene.json", "truth.tum"
 _LOGS = tuple(f"log{suffix}" for suffix in SUFFIXES)
@@ -86,7 +86,7 @@ def write_log_folder(folder: Path, episode: Episode, scene: Scene, origin: str) 
     """
     with atomic_path(folder / LOG) as log:
         write_log(log, episode)
-    write_json(folder / SCENE, anchors_json(scene))
+    write_json(folder / SCENE, scene_json(scene))
     if episode.truth_position_m is None:
         return [LOG, SCENE]
     track = tum_lines(episode.time_s, episode.truth_position_m)

@@ -5,7 +5,7 @@ one reflection measures range and angles as if it came from there (paper, Sec. I
 """
 
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -207,14 +207,15 @@ def read_scene(path: Path) -> Scene:
     return read_object(path, "scene", lambda content: _scene({"name": path.stem} | content))
 
 
-def anchors_json(scene: Scene) -> dict[str, Any]:
-    """The scene by its anchors, as :func:`read_scene` reads it; walls and streets are lost."""
-    return {
-        "name": scene.name,
-        "anchors": scene.anchors_m.tolist(),
-        "carrier_hz": scene.carrier_hz,
-        "bandwidth_hz": scene.bandwidth_hz,
-    }
+def scene_json(scene: Scene) -> dict[str, Any]:
+    """The scene as :func:`read_scene` reads it back: by its walls, or else by its anchors."""
+    if scene.walls:
+        return asdict(scene)
+    anchors = tuple((x, y, z) for x, y, z in scene.anchors_m.tolist())
+    listed = asdict(AnchorScene(scene.name, anchors, scene.carrier_hz, scene.bandwidth_hz))
+    # Of recordings nobody knows the streets: none are written.
+    known = {} if scene.streets == Streets() else {"streets": asdict(scene.streets)}
+    return {key: value for key, value in listed.items() if key != "streets"} | known
 
 
 @dataclass(frozen=True)

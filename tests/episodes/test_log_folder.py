@@ -18,7 +18,7 @@ from mmwave_env.episodes.simulated import SimulatedSource
 from mmwave_env.logs.log_tables import LogError
 from mmwave_env.logs.tum import tum_lines
 from mmwave_env.models.radio import RADIOS
-from mmwave_env.models.scene import SCENES
+from mmwave_env.models.scene import SCENES, read_scene
 from tests.cli import assert_one_clear_line, command, succeed
 from tests.localization.mistakes import linear, read_columns, write_columns
 from tests.paths import LOGS, RECORDINGS
@@ -42,6 +42,7 @@ def test_a_simulated_log_is_the_simulated_episode(tmp_path, odometry):
     options = ["--odometry"] if odometry else []
     succeed("simulate", "--scenario", "vehicle", "--seed", 3, "--out", tmp_path, *options)
     true = simulated(3, odometry)
+    assert read_scene(tmp_path / "scene.json") == STREET
     found = source_from(tmp_path, "handset").sample(np.random.default_rng(0))
     assert found.layout == true.layout and found.name == tmp_path.name
     for field in ("time_s", "usable", "doppler_spread_hz", "scene_anchors_m", "truth_position_m"):

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mmwave_env.models.scene import SCENES, Scene, Streets, Wall, anchors_json, scene_from
+from mmwave_env.models.scene import SCENES, Scene, Streets, Wall, scene_from, scene_json
 
 coordinates = st.floats(-1e3, 1e3, allow_subnormal=False)
 points = st.tuples(coordinates, coordinates, coordinates)
@@ -164,14 +164,20 @@ def test_virtual_anchors_follow_the_mirror_images():
     )
 
 
-@pytest.mark.parametrize("name", SCENES)
-def test_a_scene_survives_a_file_of_its_anchors(tmp_path, name):
-    scene = SCENES[name]
-    found = scene_from(write(tmp_path, anchors_json(scene)))
-    np.testing.assert_array_equal(found.anchors_m, scene.anchors_m)
-    assert (found.name, found.carrier_hz, found.bandwidth_hz) == (
-        name, scene.carrier_hz, scene.bandwidth_hz
-    )  # fmt: skip
+@pytest.mark.parametrize(
+    "scene",
+    [
+        *SCENES.values(),
+        replace(SCENES["o1"], name="both", virtual_anchors_m=((1.0, 2.0, 3.0),)),
+        Scene("surveyed", (1.0, 2.0, 3.0), virtual_anchors_m=((4.0, 5.0, 6.0),)),
+        Scene("alone", (1.0, 2.0, 3.0), (), Streets(y_m=(0.0, 80.0)), 39e9, 4e8),
+    ],
+    ids=lambda scene: scene.name,
+)
+def test_a_written_scene_reads_back_equal(tmp_path, scene):
+    written = scene_json(scene)
+    assert scene_from(write(tmp_path, written)) == scene
+    assert ("anchors" in written) == (not scene.walls)
 
 
 @pytest.mark.parametrize(
