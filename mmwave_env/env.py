@@ -1,6 +1,7 @@
 """The environment: ``gymnasium.make("MmWaveLoc-v0")``."""
 
 import inspect
+from collections.abc import Mapping
 from copy import deepcopy
 from dataclasses import replace
 from typing import Any, cast
@@ -163,6 +164,8 @@ class MmWaveLocEnv(gym.Env[NDArray[np.float32], np.int64]):
 
     def __init__(
         self,
+        env_config: Mapping[str, Any] | None = None,
+        /,
         *,
         observation: str = "full",
         infos: str = "sparse",
@@ -170,6 +173,9 @@ class MmWaveLocEnv(gym.Env[NDArray[np.float32], np.int64]):
         render_mode: str | None = None,
         **arguments: Any,
     ) -> None:
+        if env_config:  # RLlib hands a class all arguments in one
+            self.__init__(**env_config)  # type: ignore[misc]
+            return
         if render_mode is not None:
             choose(dict.fromkeys(self.metadata["render_modes"]), render_mode, "render_mode")
             require_extra("pygame", "render", f"render_mode={render_mode!r}")

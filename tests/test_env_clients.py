@@ -208,3 +208,13 @@ def test_an_unknown_argument_is_refused_in_pythons_words(make):
     """TorchRL tries `frameskip` and goes on without it only then."""
     with pytest.raises(TypeError, match="unexpected keyword argument 'frameskip', expected one of"):
         make(ID, frameskip=1)
+
+
+def test_the_class_takes_all_arguments_in_one_as_rllib_hands_them():
+    config = {"scenario": "vehicle", "observation": "prior", "episode_steps": 20}
+    one, other = MmWaveLocEnv(config), MmWaveLocEnv(**config)
+    np.testing.assert_array_equal(one.reset(seed=1)[0], other.reset(seed=1)[0])
+    assert one.source.scenario == "vehicle"
+    assert MmWaveLocEnv({}).action_space == MmWaveLocEnv().action_space
+    with pytest.raises(TypeError, match="scenery"):
+        MmWaveLocEnv({"scenery": "vehicle"})
