@@ -9,7 +9,7 @@ from experiments.evaluation.contenders import contenders
 from mmwave_env.episodes.samples import recording_from, sample_names
 from mmwave_env.filters.mode_files import as_written, named_modes
 from mmwave_env.models.radio import RADIOS, radio_from
-from mmwave_env.models.scene import SCENES
+from mmwave_env.models.scene import SCENES, Scene
 from mmwave_env.reward import REWARDS
 
 SCENARIOS = {
@@ -63,12 +63,20 @@ def radios() -> dict[str, str]:
 
 
 def scenes() -> dict[str, str]:
-    """Streets."""
-    return {
-        name: f"{len(one.anchors_m)} anchors, {one.carrier_hz / 1e9:g} GHz, "
-        f"{one.bandwidth_hz / 1e6:g} MHz"
-        for name, one in SCENES.items()
-    }
+    """Streets by where they lie: x east, y north, m."""
+    return {name: _about_scene(scene) for name, scene in SCENES.items()}
+
+
+def _about_scene(scene: Scene) -> str:
+    x, y, z = base = scene.base_station_m
+    (west, east), (south, north) = scene.streets.x_m, scene.streets.y_m
+    return "; ".join([
+        f"{len(scene.anchors_m)} anchors, {scene.carrier_hz / 1e9:g} GHz, "
+        f"{scene.bandwidth_hz / 1e6:g} MHz",
+        f"base station at ({x:g}, {y:g}, {z:g}) m",
+        f"streets x {west:g} to {east:g} m, y {south:g} to {north:g} m",
+        f"inside the walls {' and '.join(wall.side_of(base) for wall in scene.walls)}",
+    ])  # fmt: skip
 
 
 def samples() -> dict[str, str]:

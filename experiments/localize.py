@@ -101,6 +101,8 @@ def inputs(args: Args) -> Inputs:
 
 def _modes(args: Args) -> tuple[Mode, ...]:
     """The low and the high mobility pipeline."""
+    if args.modes is not None and args.modes.suffix != ".json":
+        raise ValueError(f"modes: found {str(args.modes)!r}, expected a mode file (.json)")
     modes = modes_from(args.modes, radio_from(args.radio).name)
     if len(modes) != 2:
         raise ValueError(

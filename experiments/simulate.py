@@ -5,7 +5,7 @@ from pathlib import Path
 
 from experiments.arguments.simulate import Args
 from experiments.cli.main import run
-from experiments.cli.options import command_line, task_of
+from experiments.cli.options import command_line, source_of
 from experiments.evaluation.seeds import draw_episodes
 from mmwave_env.episodes.log_folder import write_log_folder
 from mmwave_env.episodes.measured import MeasuredSource
@@ -15,7 +15,7 @@ from mmwave_env.episodes.simulated import SimulatedSource
 
 def main(args: Args) -> None:
     """Run the command."""
-    source = task_of(args).source
+    source = source_of(args)
     assert isinstance(
         source, SimulatedSource | RecordedSource | MeasuredSource
     )  # what options name
@@ -23,6 +23,9 @@ def main(args: Args) -> None:
     origin = command_line("simulate", replace(args, out=Path(".")))
     names = write_log_folder(args.out, episode, source.scene, origin)
     print(f"written to {args.out}/: {', '.join(names)}")
+    if isinstance(source, SimulatedSource) and source.trajectory:
+        begin, end = source.trajectory.seconds_of(episode.truth_position_m, source.dt)
+        print(f"seconds {begin:g} to {end:g} of {source.trajectory.name}")
 
 
 if __name__ == "__main__":

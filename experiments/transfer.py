@@ -8,7 +8,7 @@ import numpy as np
 from experiments.arguments.shared import EpisodeArgs
 from experiments.arguments.transfer import Args
 from experiments.cli.main import run
-from experiments.cli.options import contender_of, provenance, task_of
+from experiments.cli.options import contender_of, provenance, source_of
 from experiments.evaluation.contenders import Contender, contender_from
 from experiments.evaluation.intervals import Interval, bootstrap
 from experiments.evaluation.markdown import grid, show
@@ -45,7 +45,7 @@ def places(args: Args) -> dict[str, EpisodeArgs]:
 
 def compared(place: EpisodeArgs, policies: list[Contender]) -> dict[str, Interval]:
     """Reward of every policy, and what it gains on each rival of the place's radio, by name."""
-    source = task_of(place).source
+    source = source_of(place)
     episodes = draw_episodes(source, range(place.seed, place.seed + place.episodes))
     rivals = [contender_of(place, name) for name in TRANSFER_RIVALS]
     reward = {

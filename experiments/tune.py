@@ -11,7 +11,7 @@ from scipy.special import chdtri
 from experiments.arguments.shared import WorldArgs
 from experiments.arguments.tune import Args
 from experiments.cli.main import run
-from experiments.cli.options import provenance, task_of
+from experiments.cli.options import provenance, source_of
 from experiments.evaluation.intervals import bootstrap
 from experiments.evaluation.markdown import grid
 from experiments.evaluation.seeds import draw_episodes, require_tuning_seed
@@ -145,7 +145,7 @@ def main(args: Args) -> None:
         require_writable(args.out)
     tuned, figures = [], []
     for mode, scenario in zip(modes, args.scenarios, strict=True):
-        source = task_of(WorldArgs(scenario=scenario, radio=args.radio)).source
+        source = source_of(WorldArgs(scenario=scenario, radio=args.radio))
         episodes = draw_episodes(source, range(args.seed, args.seed + args.episodes))
         started = replace(mode, coupling=mode.coupling and not args.diagonal)
         objective = objective_of(args.objective, started, episodes)

@@ -13,7 +13,7 @@ from scipy.special import expit, logit, softmax
 from experiments.arguments.shared import WorldArgs
 from experiments.arguments.tune_imm import Args
 from experiments.cli.main import run
-from experiments.cli.options import command_line, task_of
+from experiments.cli.options import command_line, source_of
 from experiments.evaluation.intervals import Interval, bootstrap
 from experiments.evaluation.seeds import draw_episodes, require_tuning_seed
 from experiments.tune import CAP
@@ -111,7 +111,7 @@ def quantile(limited: bool) -> float:
 
 def tuned(args: Args, radio: str, name: str) -> dict[str, Any]:
     """An IMM as the shipped file holds it; its gains are over where the tuning started."""
-    source = task_of(WorldArgs(scenario=args.scenario, radio=radio)).source
+    source = source_of(WorldArgs(scenario=args.scenario, radio=radio))
     first, bank = args.seed + args.episodes, TUNED_IMMS[name]
     tuning, held_out = (
         EpisodeBatch.of(draw_episodes(source, seeds))

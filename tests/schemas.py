@@ -89,8 +89,11 @@ def radio():
     properties = schema["properties"]
     for name in [n for n in properties if n.endswith("_rad")]:
         degrees = {k: v for k, v in properties[name].items() if k != "default"}
+        if "maximum" in degrees:
+            degrees["maximum"] = round(math.degrees(degrees["maximum"]), 9)
         degrees["description"] += f", in degrees in place of {name}"
         properties[name.removesuffix("_rad") + "_deg"] = degrees
+    properties["name"]["not"] = {"enum": list(RADIOS)}
     base = {"enum": list(RADIOS), "default": "standard"}
     base["description"] = "shipped profile that gives what is left out; defaults are of standard"
     return schema | {"properties": {"base": base} | properties}

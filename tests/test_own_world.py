@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from mmwave_env.episodes.trajectory import read_trajectory
-from mmwave_env.filters.mode_files import read_modes
+from mmwave_env.filters.mode_files import read_modes, shipped_modes
 from mmwave_env.logs.tum import read_tum
 from mmwave_env.task import task_from
-from tests.cli import assert_one_clear_line, command
+from tests.cli import assert_one_clear_line, command, succeed
 from tests.paths import ROOT
 
 PAGE = (ROOT / "docs" / "own-world.md").read_text(encoding="utf-8")
@@ -70,14 +70,43 @@ def test_a_street_is_compared_on(folder):
     assert "### pedestrian on plaza, handset" in run(folder, find("--scene plaza.json")).stdout
 
 
+def test_a_longer_way_says_which_seconds_were_written(folder):
+    shown = succeed("simulate", "--scenario", "ride.csv", "--episode-steps", 3, "--seed", 1,
+                    "--out", "part", cwd=folder)  # fmt: skip
+    begin, end, name = re.search(r"seconds (\d) to (\d) of (.*)$", shown).groups()
+    way, truth = read_trajectory(folder / "ride.csv"), read_tum(folder / "part" / "truth.tum")
+    assert name == "ride.csv"
+    np.testing.assert_allclose(
+        truth.position_m, way.position_m[int(begin) : int(end) + 1], atol=1e-9
+    )
+
+
+def test_so_few_epochs_that_rpe_is_none_are_warned_of(folder):
+    assert run(folder, find("evaluate")).stderr.splitlines() == [
+        "warning: episodes of 7 epochs: metrics leave out the first 10; 1 left, RPE needs more "
+        "than 1 and is 0"
+    ]
+
+
+def test_policies_with_modes_of_their_own_say_so(folder):
+    done = command("compare", "--policies", "ppo-handset", "imm", "--modes", "two.json",
+                   "--episodes", 2, cwd=folder)  # fmt: skip
+    assert done.stderr.splitlines() == [
+        "warning: ppo-handset brings its own modes; --modes is not for it"
+    ]
+
+
 def test_a_radio_that_was_not_tuned_says_so_and_can_be(folder):
+    shipped_modes.cache_clear()  # as in a new process: it is said once
     untuned = find("--modes modes.json").replace("--modes modes.json", "")
     done = run(folder, untuned)
     (line,) = done.stderr.splitlines()
     assert "phone" in done.stdout and "mmwave-loc tune --radio phone.json" in line
+    shipped_modes.cache_clear()
     done = run(folder, f"{find('tune')} --free sigma_v")
     assert done.stderr == "" and "### ekf on pedestrian, phone:" in done.stdout
     assert [mode.name for mode in read_modes(folder / "modes.json")] == ["ekf", "ukf"]
+    shipped_modes.cache_clear()
     assert run(folder, find("--modes modes.json")).stderr == ""
 
 

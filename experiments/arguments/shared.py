@@ -54,7 +54,8 @@ class EpisodeArgs(WorldArgs, EpisodeResultArgs):
     modes: tuple[str, ...] = ()
     """modes to work with in place of the profile's ekf and ukf: names (ekf, ukf, ckf, ekf-robust,
     ukf-robust, or extended for a bank of eight) and mode files; policies are then fixed-NAME,
-    likelihood-rule, random, imm and, with two modes, speed-rule"""
+    likelihood-rule, random, imm and, with two modes, speed-rule, which takes the first for low
+    and the second for high mobility; learned policies bring their own modes"""
     observation: str = "full"
     """what agents of your own were trained with: full, or prior; policy files say it themselves"""
     trust_zip: bool = False

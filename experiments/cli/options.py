@@ -2,6 +2,7 @@
 
 import platform
 import shlex
+import warnings
 from collections.abc import Sequence
 from dataclasses import fields, replace
 from importlib.metadata import version
@@ -12,6 +13,7 @@ from experiments.arguments.shared import EpisodeArgs, WorldArgs
 from experiments.evaluation.contenders import Contender, contender_from, contenders
 from experiments.evaluation.runs import Run
 from mmwave_env import __version__
+from mmwave_env.episodes.episode import EpisodeSource
 from mmwave_env.filters.mode_files import modes_from
 from mmwave_env.filters.modes import Mode
 from mmwave_env.models.radio import radio_from
@@ -53,8 +55,12 @@ def all_contenders(args: EpisodeArgs) -> tuple[str, ...]:
 
 
 def contender_of(args: EpisodeArgs, name: str) -> Contender:
-    """One of them, or an agent by name or file."""
-    return contender_from(name, _profile(args), _modes(args), args.observation, args.trust_zip)
+    """One of them, or an agent by name or file; a warning where it has modes of its own."""
+    modes = _modes(args)
+    found = contender_from(name, _profile(args), modes, args.observation, args.trust_zip)
+    if modes and found.modes != modes:
+        warnings.warn(f"{name} brings its own modes; --modes is not for it", stacklevel=2)
+    return found
 
 
 def runs_of(args: EpisodeArgs, names: Sequence[str]) -> dict[str, Run]:
@@ -63,11 +69,21 @@ def runs_of(args: EpisodeArgs, names: Sequence[str]) -> dict[str, Run]:
     return {n: Run.read(n) for n in names if n not in known and Path(n).is_dir()}
 
 
-def task_of(args: WorldArgs) -> Task:
+def task_of(args: EpisodeArgs) -> Task:
     """The task of an environment with the options of the same names."""
+    return _task(args, _modes(args))
+
+
+def source_of(args: WorldArgs) -> EpisodeSource:
+    """Where episodes come from."""
+    # What filters them is not asked: of modes of its own nobody is told that they are not tuned.
+    return _task(args, [Mode("none")]).source
+
+
+def _task(args: WorldArgs, modes: Sequence[Mode] | None) -> Task:
     names = {field.name for field in fields(TaskArguments)} - {"episodes", "modes"}
     given = {name: value for name, value in vars(args).items() if name in names}
-    return task_from(**given, episodes=args.data)
+    return task_from(**given, episodes=args.data, modes=modes)
 
 
 def _modes(args: EpisodeArgs) -> tuple[Mode, ...] | None:

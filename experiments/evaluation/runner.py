@@ -1,5 +1,6 @@
 """Contenders run on the same episodes, and their metrics (docs/results.md has the protocol)."""
 
+import warnings
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
@@ -16,7 +17,7 @@ from mmwave_env.engines.imm_engine import ImmEngine
 from mmwave_env.episodes.episode import Episode, EpisodeSource
 from mmwave_env.filters.modes import Mode
 from mmwave_env.filters.pipeline import Pipeline
-from mmwave_env.metrics import METRICS, summary
+from mmwave_env.metrics import BURN_IN, METRICS, scored, summary
 from mmwave_env.numerics.arrays import Array
 from mmwave_env.reward import Reward, TrackingReward
 from mmwave_env.task import Task
@@ -97,20 +98,31 @@ def run_contender(
     engine.reset(episodes)
     policy.reset(np.ones(n, bool))
     program = engine.batch.program
-    scored = rows_of(program.parts(TOLD))
-    told, modes = np.empty((n, T, len(scored))), np.empty((n, T), np.int8)
+    rows = rows_of(program.parts(TOLD))
+    told, modes = np.empty((n, T, len(rows))), np.empty((n, T), np.int8)
     observations = engine.observations()
     for t in range(T):
         found = policy(observations)
         actions = require_actions(contender.name, found, n, len(contender.modes))
         modes[:, t] = actions
-        observations, told[:, t] = engine.step(actions, scored)
+        observations, told[:, t] = engine.step(actions, rows)
     return program.by_name(TOLD, told) | {"mode": modes}
 
 
 def step_s(episode: Episode) -> float:
     """Time between two epochs, s; of an episode of one epoch, 1."""
     return float(np.median(np.diff(episode.time_s))) if len(episode) > 1 else 1.0
+
+
+def _warn_of_short(episode: Episode) -> None:
+    """Say where the epochs that count are too few for RPE."""
+    counted, second = len(episode.time_s[scored(len(episode))]), round(1.0 / step_s(episode))
+    if counted <= max(1, second):
+        warnings.warn(
+            f"episodes of {len(episode)} epochs: metrics leave out the first {BURN_IN}; "
+            f"{counted} left, RPE needs more than {max(1, second)} and is 0",
+            stacklevel=3,
+        )
 
 
 def _summary(told: EpochResults, episodes: Sequence[Episode], scoring: Scoring) -> Scores:
@@ -160,6 +172,8 @@ def score_contenders(
             for one in seeds:
                 batch += draw_episodes(source, [one])
                 progress.advance(task)
+            if not first:
+                _warn_of_short(batch[0])
             for contender, policy in zip(chosen, policies, strict=True):
                 told = run_contender(contender, policy, batch, scoring)
                 parts[contender.name].append(_summary(told, batch, scoring))

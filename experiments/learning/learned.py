@@ -15,7 +15,7 @@ from experiments.arguments.shared import EpisodeArgs, WorldArgs
 from experiments.arguments.transfer import Args as TransferArgs
 from experiments.cli.doc_pages import page_to_renew, renewed
 from experiments.cli.main import run
-from experiments.cli.options import task_of
+from experiments.cli.options import source_of
 from experiments.cli.reporting import results
 from experiments.evaluation.intervals import Interval, crossed_bootstrap, mean
 from experiments.evaluation.markdown import grid, show
@@ -81,7 +81,7 @@ def trainings(args: Args) -> tuple[str, str, dict[str, Any]]:
 
 def ablations(args: Args) -> tuple[str, str, dict[str, Any]]:
     """What each variant of the training is worth."""
-    source = task_of(WorldArgs()).source
+    source = source_of(WorldArgs())
     files = {
         name: Run.read(str(folder)).policies
         for name in VARIANTS

@@ -349,6 +349,11 @@ class SimulatedSource:
             return read_trajectory(self.scenario)
         return mobilities_of(self.scenario)
 
+    @property
+    def trajectory(self) -> Trajectory | None:
+        """The way that is simulated; None where users are drawn."""
+        return self._users if isinstance(self._users, Trajectory) else None
+
     @cached_property
     def _names(self) -> list[str]:
         users = self._users

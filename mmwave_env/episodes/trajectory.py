@@ -115,6 +115,14 @@ class Trajectory:
         at = np.minimum(self.time_s[0] + dt * np.arange(count), self.time_s[-1])
         return np.hstack([way(at), way(at, 1)])
 
+    def seconds_of(self, position_m: Array, dt: float) -> tuple[float, float]:
+        """When an episode's positions (E, 3), at steps of ``dt``, begin and end in the file."""
+        way = self.resampled(dt)[:, :3]
+        windows = np.lib.stride_tricks.sliding_window_view(way, len(position_m), axis=0)
+        first = int((windows == position_m.T).all(axis=(1, 2)).argmax())
+        begin = float(self.time_s[0]) + dt * first
+        return begin, begin + dt * (len(position_m) - 1)
+
     def plan(self, scene: Scene, dt: float) -> TravelPlan:
         """The way through a scene, as it is drawn from.
 
@@ -135,7 +143,8 @@ class Trajectory:
             )
 
         for epoch, wall in scene.behind_walls(position):
-            refuse(epoch, f"a place on the base station's side of {wall}")
+            side = wall.side_of(scene.base_station_m)
+            refuse(epoch, f"{side}, where the base station is,")
         for anchor in scene.anchors_m:
             distance = np.linalg.norm(position - anchor, axis=1)
             outside = (distance < REACH_M[0]) | (distance > REACH_M[1])

@@ -124,9 +124,11 @@ def modes_from(
     for mode in modes:
         if isinstance(mode, Mode):
             result.append(mode)
+        elif not isinstance(mode, (str, os.PathLike)):
+            raise ValueError(f"modes: found {mode!r}, expected a name, a mode file or a Mode")
         elif mode == EXTENDED:
             result += extended_modes()
-        elif mode.endswith(".json"):
+        elif str(mode).endswith(".json"):
             result += read_modes(mode)
         else:
             known = named_modes(radio)

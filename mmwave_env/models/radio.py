@@ -9,7 +9,7 @@ import math
 import os
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 
@@ -19,6 +19,7 @@ from mmwave_env.models.scene import Scene
 from mmwave_env.numerics.arrays import Array
 from mmwave_env.numerics.numbers import Number, Vector, clip, exp, sqrt
 from mmwave_env.records import (
+    Bound,
     Count,
     NonNegative,
     Positive,
@@ -31,6 +32,10 @@ from mmwave_env.records import (
 
 DEGREE = math.pi / 180.0
 DECIBEL = math.log(10.0) / 10.0  # natural logarithm of 1 dB
+AngleFloor = Annotated[
+    float,
+    Bound("a number > 0, at most pi / 4; in degrees by _deg", above=0.0, most=45.0 * DEGREE),
+]
 SNR_LIMITS_DB = (-30.0, 80.0)  # beyond them noise no longer follows the SNR
 
 
@@ -77,9 +82,9 @@ class Radio:
     gnb_elements: Count = 8
     ue_elements: Count = 4
     range_floor_m: tuple[Positive, Positive] = (0.2, 0.4)
-    aoa_floor_rad: Positive = 1.0 * DEGREE
-    aod_floor_rad: Positive = 0.5 * DEGREE
-    elevation_floor_rad: Positive = 0.7 * DEGREE
+    aoa_floor_rad: AngleFloor = 1.0 * DEGREE
+    aod_floor_rad: AngleFloor = 0.5 * DEGREE
+    elevation_floor_rad: AngleFloor = 0.7 * DEGREE
     doppler_floor_mps: Positive = 0.1
     prior_position_m: Positive = 3.0
     prior_height_m: Positive = 0.5
@@ -229,6 +234,10 @@ def read_radio(path: str | os.PathLike[str]) -> Radio:
 
     def make(content: dict[str, Any]) -> Radio:
         given = {"name": Path(path).stem} | _in_radians(content)
+        if given["name"] in list(RADIOS):
+            raise ValueError(
+                f"name: found {given['name']!r}, that of a shipped profile, expected another"
+            )
         base = choose(RADIOS, given.pop("base", "standard"), "base")
         return object_from(Radio, vars(base) | given)
 

@@ -50,6 +50,14 @@ class Wall:
         nx, ny = self.unit_normal
         return nx * point[0] + ny * point[1] - self.offset_m
 
+    def side_of(self, point: Point) -> str:
+        """The side of the wall that a point is on, in words: "y below 25 m"."""
+        nx, ny = self.unit_normal
+        along = "y" if nx == 0.0 else "x" if ny == 0.0 else f"{nx:.3g} x {ny:+.3g} y"
+        sign = nx + ny if along in ("x", "y") else 1.0  # the axis may point the other way
+        side = "below" if sign * self.signed_distance(point) < 0.0 else "above"
+        return f"{along} {side} {sign * self.offset_m + 0.0:g} m"
+
     def mirror(self, point: Point) -> Point:
         """The mirror image of a point."""
         nx, ny = self.unit_normal
@@ -129,7 +137,8 @@ class Scene:
         for _, wall in self.behind_walls(np.array(corners)):
             raise ValueError(
                 f"streets of scene {self.name!r}: found {self.streets.x_m} x "
-                f"{self.streets.y_m}, expected all on the base station's side of {wall}"
+                f"{self.streets.y_m}, expected all at {wall.side_of(self.base_station_m)}, "
+                "where the base station is"
             )
 
     def behind_walls(self, points_m: NDArray[np.float64]) -> Iterator[tuple[int, Wall]]:

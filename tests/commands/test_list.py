@@ -29,6 +29,14 @@ def test_without_a_kind_all_are_listed():
     assert succeed("list") == "".join(succeed("list", kind) for kind in NAMES)
 
 
+def test_streets_say_where_they_lie():
+    _, street, *_ = succeed("list", "scenes").splitlines()
+    assert street.split("; ")[1:] == [
+        "base station at (10, 10, 10) m", "streets x 0 to 160 m, y -160 to 0 m",
+        "inside the walls y below 25 m and x below 185 m",
+    ]  # fmt: skip
+
+
 @pytest.mark.parametrize("radio", RADIOS)
 def test_policies_of_every_radio_have_a_line(radio):
     _, *lines = succeed("list", "policies", "--radio", radio).splitlines()

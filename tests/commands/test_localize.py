@@ -343,6 +343,8 @@ def test_modes_may_come_from_a_file(capsys, tmp_path):
     file.write_text(json.dumps({"modes": modes[:1]}))
     _, line = refused(capsys, options(RIDE / "log.csv", "--speed", "1", "--modes", file))
     assert "found 1 modes, expected 2, for low and for high mobility" in line
+    _, line = refused(capsys, options(RIDE / "log.csv", "--speed", "1", "--modes", "ekf-robust"))
+    assert "modes: found 'ekf-robust', expected a mode file (.json)" in line
 
 
 @pytest.fixture(scope="module")

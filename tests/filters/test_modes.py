@@ -95,6 +95,11 @@ def test_a_bank_goes_with_other_modes_and_not_with_itself():
         modes_from(["extended", "extended"])
 
 
+def test_what_is_no_mode_is_refused():
+    with pytest.raises(ValueError, match="found {'name': 'own'}, expected a name, a mode file or"):
+        modes_from(["ekf", {"name": "own"}])
+
+
 def test_a_name_alone_is_no_list():
     with pytest.raises(ValueError, match="found the string 'ekf', expected a list .*'extended'"):
         modes_from("ekf")

@@ -44,6 +44,19 @@ def test_a_reflection_is_as_long_as_the_line_from_the_mirror_image(wall, ahead, 
     assert np.linalg.norm(user - image) == pytest.approx(path, rel=1e-9)
 
 
+@pytest.mark.parametrize(
+    ("wall", "side"),
+    [
+        (Wall((0, 1), 25.0), "y below 25 m"),
+        (Wall((0, -2), -25.0), "y below 25 m"),
+        (Wall((1, 0), -5.0), "x above -5 m"),
+        (Wall((3, 4), 20.0), "0.6 x +0.8 y below 20 m"),
+    ],
+)
+def test_a_wall_says_on_which_side_a_point_is(wall, side):
+    assert wall.side_of((10.0, 10.0, 10.0)) == side
+
+
 def test_anchors_of_the_default_street():
     np.testing.assert_allclose(
         SCENES["street"].anchors_m, [[10, 10, 10], [10, 40, 10], [360, 10, 10]], atol=1e-12
@@ -238,5 +251,5 @@ def test_users_of_the_shipped_scenes_stay_in_front_of_the_walls(name):
 
 def test_streets_behind_a_wall_are_refused():
     scene = Scene("odd", (10.0, 10.0, 10.0), (Wall((0, 1), -50.0),))
-    with pytest.raises(ValueError, match="streets of scene 'odd'.*side of Wall"):
+    with pytest.raises(ValueError, match="streets of scene 'odd'.*all at y above -50 m, where"):
         scene.require_streets_in_front()
