@@ -10,6 +10,10 @@ from experiments.arguments.shared import EpisodeArgs
 class Args(EpisodeArgs):
     """Compare policies on the same seeded episodes, with paired differences.
 
+    All figures, the reward too, leave out the first 10 epochs of an episode. Everybody is paired
+    with the best fixed mode, speed-rule and imm, learned policies and agents of your own also with
+    every other IMM; where none of those three is named, with everybody else.
+
     mmwave-loc compare --policies fixed-ukf speed-rule imm ppo --episodes 200
     """
 

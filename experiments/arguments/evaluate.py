@@ -9,6 +9,8 @@ from experiments.arguments.shared import EpisodeArgs
 class Args(EpisodeArgs):
     """Evaluate one policy on seeded episodes.
 
+    All figures, the reward too, leave out the first 10 epochs of an episode.
+
     mmwave-loc evaluate --policy ppo --scenario vehicle --episodes 200
     """
 

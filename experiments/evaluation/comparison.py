@@ -63,8 +63,9 @@ class Comparison:
 
     def _paired_table(self) -> str:
         """Each policy minus the references."""
-        pairs = [pair.rsplit(" - ", 1) for pair in self.paired]  # paths have any name
-        references = list(dict.fromkeys(reference for _, reference in pairs))
+        everybody = self.policies  # names may hold " - "
+        subtracted = {f"{one} - {other}": other for one in everybody for other in everybody}
+        references = list(dict.fromkeys(subtracted[pair] for pair in self.paired))
         rows = []
         for name in self.policies:
             cells = []
@@ -108,6 +109,8 @@ def compare_scores(
 ) -> Comparison:
     """Intervals of every contender, and paired differences against the references.
 
+    Where no reference is among them, everybody is paired with everybody.
+
     Args:
         scores: of :func:`~experiments.evaluation.runner.score_contenders`.
         learned: contenders to compare with every IMM.
@@ -123,8 +126,8 @@ def compare_scores(
         }
 
     stacked = {name: np.stack([s[m] for m in metrics], axis=1) for name, s in scores.items()}
-    pairs, everyones = {}, references(scores)
-    for reference in rivals(scores) if learned else everyones:
+    pairs, everyones = {}, references(scores) or list(scores)
+    for reference in dict.fromkeys([*everyones, *rivals(scores)]):
         for name in scores if reference in everyones else learned:
             if name != reference:
                 pairs[f"{name} - {reference}"] = stacked[name] - stacked[reference]

@@ -42,6 +42,17 @@ def test_everyone_is_compared_with_every_reference():
     assert list(compare_scores(table, **WHAT).paired) == expected
 
 
+def test_where_no_reference_is_everybody_is_compared_with_everybody():
+    table = scores(mine=[0, 1], yours=[1, 3], imm_tuned=[2, 2])
+    table["runs/a - b"] = table.pop("yours")
+    found = compare_scores(table, ["mine"], **WHAT)
+    assert set(found.paired) == {f"{a} - {b}" for a in table for b in table if a != b}
+    assert found.paired["runs/a - b - mine"]["reward"].mean == pytest.approx(1.5)
+    (header,) = [line for line in str(found).splitlines() if line.startswith("| reward of")]
+    assert header == "| reward of | minus mine | minus imm-tuned | minus runs/a - b |"
+    assert not compare_scores(scores(mine=[0, 1]), **WHAT).paired
+
+
 def test_paired_differences_are_taken_episode_by_episode():
     rng = np.random.default_rng(0)
     hardness = rng.normal(0.0, 10.0, 40)  # shared, so that it cancels

@@ -6,6 +6,9 @@ import sys
 
 import pytest
 
+from experiments.arguments.compare import Args as compare
+from experiments.arguments.evaluate import Args as evaluate
+from mmwave_env.metrics import BURN_IN
 from tests.cli import command
 from tests.paths import ROOT
 
@@ -38,6 +41,11 @@ def folder(tmp_path, monkeypatch):
     monkeypatch.setattr(sys, "path", [*sys.path])
     yield tmp_path
     sys.modules.pop("my_agents", None)
+
+
+@pytest.mark.parametrize("told", [PAGE[1], compare.__doc__, evaluate.__doc__])
+def test_the_burn_in_is_told(told):
+    assert f"the reward too, leave out the first {BURN_IN} epochs of an episode." in told
 
 
 def test_functions_are_compared(capsys):
