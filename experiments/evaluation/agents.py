@@ -18,6 +18,7 @@ Act = Callable[[NDArray[np.float32]], Any]  # observations (n, features) -> acti
 
 MODULE = re.compile(r"[\w.]+:[\w.]+")
 GUIDE = "docs/own-agent.md"
+OF_A_MODEL = "of a model, lambda seen: model.predict(seen, deterministic=True)[0]"
 TRIED = 3  # observations to try an agent on
 
 
@@ -57,18 +58,12 @@ def agent_from(name: str, trust_zip: bool = False) -> Act:
         found: Any = importlib.import_module(module)
         for part in path.split("."):
             found = getattr(found, part)
-        agent = found()
+        return cast(Act, found())
     except Exception as error:  # whatever a user's code does
         raise ValueError(
             f"policy {name}: {in_one_line(error)}; expected module:function, a function "
             f"without arguments that returns the agent ({GUIDE})"
         ) from error
-    if not callable(agent):
-        raise ValueError(
-            f"policy {name}: found {agent!r}, expected a function from observations "
-            f"(n, features) to actions (n,), see {GUIDE}"
-        )
-    return cast(Act, agent)
 
 
 def tried(name: str, agent: Act, table: Observation) -> Policy:
@@ -81,8 +76,14 @@ def tried(name: str, agent: Act, table: Observation) -> Policy:
         table: what it is shown.
 
     Raises:
-        ValueError: it was trained on other observations, fails, or returns no actions.
+        ValueError: it is no function, was trained on other observations, fails, or returns no
+            actions.
     """
+    if not callable(agent):
+        raise ValueError(
+            f"policy {name}: found {agent!r}, expected a function from observations (n, features) "
+            f"to actions (n,); {OF_A_MODEL} ({GUIDE})"
+        )
     if hasattr(agent, "require_trained_on"):
         agent.require_trained_on(table)
     policy = cast(Policy, agent if hasattr(agent, "reset") else _Function(agent))
@@ -107,7 +108,13 @@ def require_actions(name: str, found: Any, n: int, modes: int) -> NDArray[np.int
     Raises:
         ValueError: they are not one number of a mode for each of n observations.
     """
-    actions: NDArray[Any] = np.asarray(found)
+    try:
+        actions: NDArray[Any] = np.asarray(found)
+    except ValueError:  # parts of different shapes
+        raise ValueError(
+            f"actions of {name}: found a {type(found).__name__} of parts that are no array, "
+            f"expected ({n},) of integers; {OF_A_MODEL} ({GUIDE})"
+        ) from None
     if actions.shape != (n,) or actions.dtype.kind not in "iu":
         raise ValueError(
             f"actions of {name}: found shape {actions.shape} of {actions.dtype}, expected ({n},) "

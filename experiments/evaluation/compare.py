@@ -3,6 +3,7 @@
 import os
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from numbers import Integral
 from typing import Any
 
 from experiments.evaluation.agents import Act
@@ -54,10 +55,20 @@ def compare(
         The metrics of all, and their paired differences; ``print`` shows it as Markdown.
 
     Raises:
-        ValueError: unknown scenario, radio or contender, a name twice, no episodes, or an agent
-            that can't be loaded, fails, or returns no numbers of modes: before an episode runs.
+        ValueError: no dict of policies, unknown scenario, radio or contender, a name twice, no
+            number of episodes, or an agent that can't be loaded, fails, or returns no numbers of
+            modes: before an episode runs.
         FileNotFoundError: there is no such file.
     """
+    if not isinstance(policies, Mapping):
+        raise ValueError(
+            f"policies: found a {type(policies).__name__}, expected a dict of agents by name, such "
+            "as {'mine': act}"
+        )
+    if not isinstance(episodes, Integral):
+        raise ValueError(
+            f"episodes: found {episodes!r}, expected how many; data= takes recordings and logs"
+        )
     task = task_from(scenario=scenario, radio=radio, episodes=data, **world)
     scoring = Scoring.of(task)
 

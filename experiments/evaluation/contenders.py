@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
-from experiments.evaluation.agents import Act, agent_from, is_agent, tried
+from experiments.evaluation.agents import GUIDE, Act, agent_from, is_agent, tried
 from experiments.evaluation.runs import Run, require_no_smoke
 from mmwave_env.filters.mode_files import default_modes, modes_from, named_modes
 from mmwave_env.filters.modes import Mode
@@ -188,4 +188,7 @@ def contender_from(
         return Contender.learned(Run.read(name).policy, name)
     if is_agent(name):
         return Contender.own(name, agent_from(name, trust_zip), radio, modes, observation)
-    raise ValueError(unknown("policy", name, [*known, *shipped, *OTHERS]))
+    stem = name.removesuffix(".py")
+    module = f"; {Path(stem).name}:FUNCTION names an agent in a module ({GUIDE})"
+    hint = module if Path(f"{stem}.py").is_file() else ""
+    raise ValueError(unknown("policy", name, [*known, *shipped, *OTHERS]) + hint)

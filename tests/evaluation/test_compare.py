@@ -33,6 +33,14 @@ def test_always_the_second_mode_scores_exactly_what_fixed_ukf_does():
         (lambda o: np.ones(len(o)), "mine: found shape .* of float64, expected .* of integers"),
         (lambda o: 1, r"mine: found shape \(\)"),
         (lambda o: np.full(len(o), 2), "mine: found 2 to 2, expected 0 to 1"),
+        (
+            lambda o: (np.ones(len(o), int), None),
+            r"found a tuple of parts .*, expected \(3,\) of integers; of a model, lambda",
+        ),
+        (
+            np.ones(3),
+            r"policy mine: found array.*, expected a function .*; of a model, lambda seen",
+        ),
     ],
 )
 def test_actions_that_are_none_are_refused(act, message):
@@ -47,6 +55,12 @@ def test_other_mistakes_are_named():
         compare({"imm": np.zeros_like}, beside=("imm",))
     with pytest.raises(ValueError, match="scenario: found 'train'"):
         compare({}, scenario="train")
+    with pytest.raises(ValueError, match="policies: found a builtin.*, expected a dict of agents"):
+        compare(len)
+    with pytest.raises(ValueError, match="policies: found a list, expected a dict of agents"):
+        compare(["imm"])
+    with pytest.raises(ValueError, match="episodes: found 'ride', expected how many; data= takes"):
+        compare({}, episodes="ride")
 
 
 def test_other_places_are_arguments_of_the_environment():
