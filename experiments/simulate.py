@@ -24,6 +24,7 @@ def main(args: Args) -> None:
     names = write_log_folder(args.out, episode, source.scene, origin)
     print(f"written to {args.out}/: {', '.join(names)}")
     if isinstance(source, SimulatedSource) and source.trajectory:
+        assert episode.truth_position_m is not None  # who is simulated has one
         begin, end = source.trajectory.seconds_of(episode.truth_position_m, source.dt)
         print(f"seconds {begin:g} to {end:g} of {source.trajectory.name}")
 

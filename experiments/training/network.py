@@ -93,8 +93,13 @@ def learner(world: TrainingEnv, recipe: Hyperparameters, seed: int) -> OnPolicyA
 
 
 def falling(recipe: Hyperparameters, left: float) -> float:
-    """What remains of a rate when a fraction of the training is left."""
-    return recipe.final_fraction + (1.0 - recipe.final_fraction) * left
+    """What remains of a rate when a fraction of the training is left.
+
+    The last update may end beyond the training, with less than nothing left: there the rate falls
+    on, but stays positive.
+    """
+    last = recipe.final_fraction
+    return max(last + (1.0 - last) * left, 0.5 * last)
 
 
 def actor_of(model: OnPolicyAlgorithm, world: TrainingEnv, recipe: Hyperparameters) -> Tensors:

@@ -26,7 +26,7 @@ from experiments.training.hyperparameters import (
     read_hyperparameters,
     shipped_hyperparameters,
 )
-from experiments.training.network import actor_of, learner
+from experiments.training.network import actor_of, falling, learner
 from experiments.training.progress_log import ProgressLog
 from experiments.training.training_env import (
     TRUTH,
@@ -191,6 +191,12 @@ def test_the_exported_actor_acts_as_the_trained_one(kind, tmp_path):
 
 
 # --- recipes
+
+
+@pytest.mark.parametrize("left", [1.0, 0.5, 0.0, -0.01, -0.5, -16_000.0])
+def test_rates_fall_but_stay_positive_beyond_the_end(left):
+    rate = falling(replace(RECIPE, final_fraction=0.1), left)
+    assert rate == pytest.approx(max(0.1 + 0.9 * left, 0.05))
 
 
 def test_shipped_recipes_are_sound():
