@@ -16,6 +16,7 @@ from mmwave_env.episodes.simulated import Scenario, SimulatedSource
 from mmwave_env.filters.mode_files import modes_from
 from mmwave_env.filters.modes import Mode
 from mmwave_env.filters.pipeline import Pipeline
+from mmwave_env.lookup import did_you_mean
 from mmwave_env.models.radio import Radio, radio_from
 from mmwave_env.models.scene import Scene, scene_from
 from mmwave_env.numerics.arrays import Array, Index
@@ -110,8 +111,11 @@ def task_from(**arguments: Any) -> Task:
     known = [field.name for field in fields(TaskArguments)]
     for name in arguments:
         if name not in known:
+            # "data" is what commands and ``compare`` call it
+            hint = did_you_mean("episodes" if name == "data" else name, known)
             raise TypeError(  # libraries look for Python's own words
-                f"got an unexpected keyword argument {name!r}, expected one of {', '.join(known)}"
+                f"got an unexpected keyword argument {name!r}, expected one of "
+                f"{', '.join(known)}{hint}"
             )
     given = TaskArguments(**arguments)
     source, radio = _source(given, radio_from(given.radio))

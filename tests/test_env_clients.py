@@ -218,3 +218,11 @@ def test_the_class_takes_all_arguments_in_one_as_rllib_hands_them():
     assert MmWaveLocEnv({}).action_space == MmWaveLocEnv().action_space
     with pytest.raises(TypeError, match="scenery"):
         MmWaveLocEnv({"scenery": "vehicle"})
+
+
+@pytest.mark.parametrize(
+    ("mistake", "meant"), [("epsiode_steps", "episode_steps"), ("data", "episodes")]
+)
+def test_an_argument_of_nearly_a_name_is_told_the_name(mistake, meant):
+    with pytest.raises(TypeError, match=rf"argument '{mistake}', .*; did you mean {meant}\?"):
+        gym.make(ID, **{mistake: None})
