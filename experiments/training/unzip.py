@@ -66,7 +66,8 @@ def _unzip(model: str, normalize: Path | None, out: Path) -> None:
         try:
             require_actor(agent.policy)
         except ValueError as error:
-            raise ValueError(f"{model}: {error}") from error
+            hint = "" if agent.normalized else "; compare --trust-zip plays it as it is"
+            raise ValueError(f"{model}: {error}{hint}") from error
         if agent.normalized and normalize is None:
             raise ValueError(
                 f"{model}: normalize: found none, expected the file that VecNormalize.save wrote, "
