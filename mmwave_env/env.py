@@ -145,8 +145,8 @@ class MmWaveLocEnv(gym.Env[NDArray[np.float32], np.int64]):
 
     ## Vectorized environment
 
-    `gym.make_vec("MmWaveLoc-v0", num_envs=1024)` steps all environments in one call of a
-    compiled kernel; environment i is a single one seeded alike, to the last bit. Further
+    `gym.make_vec("mmwave_env:MmWaveLoc-v0", num_envs=1024)` steps all environments in one call
+    of a compiled kernel; environment i is a single one seeded alike, to the last bit. Further
     arguments: `autoreset_mode` ("NextStep", the default, "SameStep" or "Disabled", a string)
     and `threads`. An environment takes 62 KiB at 200 steps an episode. Rendering and
     `backend="filterpy"` need `vectorization_mode="sync"`.

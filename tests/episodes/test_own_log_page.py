@@ -28,6 +28,8 @@ def test_the_page_runs_from_top_to_bottom(tmp_path, monkeypatch, capsys):
             told += done.stdout
     rows = re.findall(r"^\| ([\w-]+) \| -", told, re.MULTILINE)
     assert rows[:4] == ["fixed-ukf", "speed-rule", "imm", "ppo"]
-    assert re.match(r"\d+\.\d m off\n", capsys.readouterr().out)
+    printed = capsys.readouterr().out
+    assert re.match(r"\d+\.\d m off\n", printed) and "### walk, standard, 20 epis" in printed
+    assert "| mine | -" in printed
     assert names["track"].visible[:, :2].all() and names["recording"].visible.all()
     assert names["info"]["episode_name"] == "traced walk"
