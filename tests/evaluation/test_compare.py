@@ -67,7 +67,7 @@ def test_other_places_are_arguments_of_the_environment():
     def act(observations):
         return np.ones(len(observations), int)
 
-    where = {"data": "canyon28_vehicle", "episode_steps": 20, "planar": True, "reward": "log-score"}
+    where = {"data": "canyon28_vehicle", "episode_steps": 30, "planar": True, "reward": "log-score"}
     found = compare({"mine": act}, beside=("fixed-ukf",), episodes=2, **where)
     assert found.scenario == "canyon28_vehicle"
     assert found.policies["mine"] == found.policies["fixed-ukf"]
