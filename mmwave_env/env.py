@@ -134,6 +134,7 @@ class MmWaveLocEnv(gym.Env[NDArray[np.float32], np.int64]):
     * `render_mode`: "rgb_array" (480 x 480) or "human"; needs the extra `render`.
     * `backend`: "lanes", or "filterpy" for the same modes on filterpy's filters (slow; needs the
       extra `filterpy`).
+    * `env_config`: by position, all of these in one mapping, as RLlib hands them to the class.
 
     ```python
     >>> import gymnasium as gym

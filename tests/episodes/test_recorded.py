@@ -1,6 +1,5 @@
 import pickle
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -72,11 +71,13 @@ def test_names_of_the_samples():
 
 
 def test_unknown_name(tmp_path):
-    for name in ("canyon", tmp_path / "nowhere", str(Path(__file__))):
+    for name in ("canyon", tmp_path / "nowhere"):
         with pytest.raises(ValueError, match=r"expected one of .*, or the folder of a") as error:
             source_from(name, RADIO)
         assert str(name) in str(error.value)
         assert all(sample in str(error.value) for sample in NAMES)
+    with pytest.raises(ValueError, match="found the file .*, expected its folder"):
+        source_from(__file__, RADIO)
 
 
 def test_it_is_an_episode_source():
