@@ -190,7 +190,7 @@ class MmWaveLocEnv(gym.Env[NDArray[np.float32], np.int64]):
         self._actions, self._path = np.empty(0, np.int64), np.empty((0, 3))
         self._set_up()
         self.observation_space = cast(Any, self.observation.space)
-        self.action_space = spaces.Discrete(len(self.modes))
+        self.action_space = spaces.Discrete(len(self.observation.actions))
 
     def _set_up(self) -> None:
         """Make what follows from the arguments; `_remade` names it, for copies do the same."""
@@ -204,9 +204,12 @@ class MmWaveLocEnv(gym.Env[NDArray[np.float32], np.int64]):
             from mmwave_env.filters.filterpy_reference import filterpy_pipeline
 
             pipeline = filterpy_pipeline(pipeline)
-        self._engine = Engine(pipeline, 1, self.reward, self._observation_kind, on_floats)
-        self._replay = Replay(pipeline, on_floats)
-        self._baseline = task.baseline and Baseline(task.baseline, task.reward, self._engine.batch)
+        self._engine = Engine(
+            pipeline, 1, self.reward, self._observation_kind, task.bank, on_floats
+        )
+        self._replay = Replay(pipeline, task.bank, on_floats)
+        imm = task.imm()
+        self._baseline = imm and Baseline(imm, self._engine.batch)
         self.modes, self.observation = pipeline.modes, self._engine.observation
         at, span = self._engine.at, self._engine.span
         self._observed, self._P = span(at.observation), span(at.P)
@@ -306,7 +309,7 @@ class MmWaveLocEnv(gym.Env[NDArray[np.float32], np.int64]):
             return None if self.render_mode != "rgb_array" else blank_picture()
         truth = self._true_positions(episode)
         if self._picture is None:
-            self._picture = Picture([m.name for m in self.modes], self.render_mode == "human")
+            self._picture = Picture(self.observation.actions, self.render_mode == "human")
             self._picture.begin(episode.scene_anchors_m, truth)
         now: Any = self._engine.column(0)
         variances = now[self._P]  # packed: xx, xy, yy first
@@ -337,7 +340,8 @@ class MmWaveLocEnv(gym.Env[NDArray[np.float32], np.int64]):
     def _worded(self, info: dict[str, Any]) -> dict[str, Any]:
         """An info as ``infos`` asks for it."""
         groups = len(self._task.pipeline.layout.groups)
-        return fixed_info(info, groups) if self._infos == "fixed" else info
+        beliefs = len(self.modes) if self._task.bank else 1
+        return fixed_info(info, groups, beliefs) if self._infos == "fixed" else info
 
     @staticmethod
     def _true_positions(episode: Episode) -> NDArray[np.float64]:

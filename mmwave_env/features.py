@@ -15,12 +15,22 @@ from mmwave_env.models.epoch import Epoch, Site
 from mmwave_env.models.measurement import Layout
 from mmwave_env.models.motion import move
 from mmwave_env.numerics.linalg import dot
-from mmwave_env.numerics.numbers import Matrix, Number, Vector, log, sqrt, where
+from mmwave_env.numerics.numbers import Matrix, Number, Vector, log, maximum, sqrt, where
 
 Index = TypeVar("Index")
 
 MISSING_SNR_DB = -20.0
+_LEAST = 1e-9  # probability, where its logarithm is taken
 _WAYS = {"along": "along the predicted velocity", "across": "to the left of it"}
+
+
+class MixtureView(NamedTuple):
+    """What a feature may look at where every mode keeps its own belief."""
+
+    # predicted, posterior: (modes,) probabilities before and after the coming epoch's measurement
+    predicted: list[Number]
+    posterior: list[Number]
+    spread_averages_hz: list[Number]  # of the Doppler spread, from fast to slow
 
 
 class View(NamedTuple):
@@ -33,6 +43,7 @@ class View(NamedTuple):
     candidates: list[ModeResult]  # per mode, what it would make of the coming epoch
     epoch: Epoch  # the coming epoch
     site: Site  # anchors and carrier
+    mixture: MixtureView | None = None  # where every mode keeps its own belief
 
 
 @dataclass(frozen=True)
@@ -49,24 +60,31 @@ class Feature:
     value: Callable[[View], Number]  # the formula
 
 
-def context(pipeline: Pipeline) -> list[Feature]:
-    """What is known before any mode has looked at the coming epoch."""
+def context(pipeline: Pipeline, per_mode: bool = False) -> list[Feature]:
+    """What is known before any mode has looked at the coming epoch.
+
+    Args:
+        pipeline: modes and layout.
+        per_mode: whether every mode keeps its own belief. Nothing then depends on how large a
+            street is, so that what is learned in one holds in others.
+    """
     layout = pipeline.layout
-    return [
-        *_speed_and_spread(layout), *_last_epoch(layout), *_belief(), *_links(layout),
-        *_previous(pipeline), *_averages(), *_recovery(),
-    ]  # fmt: skip
+    first = [*_speed_and_spread(layout), *_last_epoch(layout), *_belief()]
+    last = [*_averages(), *_recovery()]
+    if per_mode:
+        return [*first, *_signals(layout), *last, *_spread_averages(), *_predicted(pipeline)]
+    return [*first, *_links(layout), *_previous(pipeline), *last]
 
 
-def coming(pipeline: Pipeline) -> list[Feature]:
-    """How the modes see the coming epoch."""
+def coming(pipeline: Pipeline, per_mode: bool = False) -> list[Feature]:
+    """How the modes see the coming epoch; ``per_mode`` is as of :func:`context`."""
     layout, modes = pipeline.layout, pipeline.modes
     table = _innovation(pipeline)
     for m, mode in enumerate(modes):
         table += _candidate(layout, m, mode.name)
         if m < len(modes) - 1:
             table += _against(layout, m, mode.name, modes[-1].name)
-    return table
+    return table + _posterior(pipeline) if per_mode else table
 
 
 def _at(function: Callable[[View, Index], Number], index: Index) -> Callable[[View], Number]:
@@ -154,24 +172,39 @@ def _distance(view: View, anchor: int) -> Number:
     return sqrt(dot(step, step))
 
 
+def _signal(anchor: int) -> list[Feature]:
+    return [
+        Feature(
+            f"SNR anchor {anchor + 1}", f"of the coming epoch; {MISSING_SNR_DB:g} dB where missing",
+            "dB", 20, -1, 4, _at(_snr, anchor),
+        ),
+        Feature(
+            f"SNR drop anchor {anchor + 1}", "its slow mean minus SNR; 0 where missing", "dB", 10,
+            -2, 4, _at(_snr_drop, anchor),
+        ),
+    ]  # fmt: skip
+
+
 def _links(layout: Layout) -> list[Feature]:
     table = []
     for a in range(layout.anchors):
-        table += [
-            Feature(
-                f"SNR anchor {a + 1}", f"of the coming epoch; {MISSING_SNR_DB:g} dB where missing",
-                "dB", 20, -1, 4, _at(_snr, a),
-            ),
-            Feature(
-                f"SNR drop anchor {a + 1}", "its slow mean minus SNR; 0 where missing", "dB", 10,
-                -2, 4, _at(_snr_drop, a),
-            ),
+        table += _signal(a)
+        table.append(
             Feature(
                 f"distance anchor {a + 1}", "of the predicted position", "m", 100, 0, 10,
                 _at(_distance, a),
-            ),
-        ]  # fmt: skip
+            )
+        )  # fmt: skip
     return table
+
+
+def _signals(layout: Layout) -> list[Feature]:
+    each = [1.0] * layout.anchors
+    seen = Feature(
+        "visible links", "of the coming epoch", "links", 1, 0, layout.anchors,
+        lambda v: dot(each, v.epoch.visible[: layout.anchors]),
+    )  # fmt: skip
+    return [*(feature for a in range(layout.anchors) for feature in _signal(a)), seen]
 
 
 def _previous(pipeline: Pipeline) -> list[Feature]:
@@ -302,3 +335,59 @@ def _against(layout: Layout, m: int, name: str, last: str) -> list[Feature]:
         for i, pace in enumerate(("fast", "slow"))
     ]  # fmt: skip
     return [now, *past]
+
+
+def _mixture(view: View) -> MixtureView:
+    assert view.mixture is not None  # these features are of environments that have one
+    return view.mixture
+
+
+def _log_odds(p: Number) -> Number:
+    return log(maximum(p, _LEAST) / maximum(1.0 - p, _LEAST))
+
+
+def _spread_averages() -> list[Feature]:
+    return [
+        Feature(
+            f"Doppler spread {pace} average", "over f_c / c", "m/s", 2, 0, 8,
+            _at(lambda v, i: _mixture(v).spread_averages_hz[i] / v.site.hz_per_mps, i),
+        )
+        for i, pace in enumerate(("fast", "slow", "slowest"))
+    ]  # fmt: skip
+
+
+def _predicted(pipeline: Pipeline) -> list[Feature]:
+    return [
+        Feature(
+            f"predicted log-odds {mode.name}", "of the mode, before the coming measurement", "",
+            4, -4, 4, _at(lambda v, m: _log_odds(_mixture(v).predicted[m]), m),
+        )
+        for m, mode in enumerate(pipeline.modes)
+    ]  # fmt: skip
+
+
+def _posterior(pipeline: Pipeline) -> list[Feature]:
+    """The modes after the coming measurement: how probable each is, and how it says one moves."""
+    table = []
+    for m, mode in enumerate(pipeline.modes):
+        table += [
+            Feature(
+                f"coming log-odds {mode.name}", "of the mode, after the coming measurement", "", 4,
+                -4, 4, _at(lambda v, m: _log_odds(_mixture(v).posterior[m]), m),
+            ),
+            Feature(
+                f"coming speed {mode.name}", "ln of the horizontal speed + 0.05 m/s", "ln m/s", 1,
+                -4, 4, _at(_log_speed, m),
+            ),
+            Feature(
+                f"coming velocity variance {mode.name}",
+                "ln of the trace of its P, horizontal velocity", "ln (m/s)^2", 5, -4, 4,
+                _at(lambda v, m: log(v.candidates[m].P[9] + v.candidates[m].P[14] + 1e-12), m),
+            ),
+        ]  # fmt: skip
+    return table
+
+
+def _log_speed(view: View, mode: int) -> Number:
+    v = view.candidates[mode].x[3:5]
+    return log(0.05 + sqrt(dot(v, v) + 1e-9))

@@ -11,6 +11,7 @@ from mmwave_env.numerics.arrays import Array, Mask
 
 STATE_KEYS = ("truth", "estimate")  # told at reset, too
 STEP_KEYS = ("position_error_m", "nees", "nis", "accepted", "rejected", "mode", "gamma")
+PROBABILITIES = "mode_probabilities"  # told where every mode keeps its own belief
 FLAGS = ("accepted", "rejected")
 EPISODE_KEYS = {
     "ate_m": "ate_m", "rmse_m": "rmse_m", "rpe_m": "rpe_m", "nees": "mean_nees",
@@ -25,14 +26,17 @@ def told_rows(at: Any) -> dict[str, Any]:
     """The parts of an environment's workspace that its infos tell, all but ``mode``.
 
     Args:
-        at: workspace of :mod:`~mmwave_env.engines.env_engine` with row numbers as leaves.
+        at: workspace of :mod:`~mmwave_env.engines.shared_epoch` with row numbers as leaves.
     """
     memory = at.memory
-    return {
+    told = {
         "position_error_m": at.distance, "nees": at.nees, "nis": memory.nis,
         "accepted": memory.accepted, "rejected": memory.rejected, "gamma": memory.gamma,
         "truth": at.truth, "estimate": at.x,
     }  # fmt: skip
+    if hasattr(at, PROBABILITIES):
+        told[PROBABILITIES] = at.mode_probabilities
+    return told
 
 
 def masked(values: dict[str, NDArray[Any]], where: Mask) -> dict[str, Any]:
@@ -51,16 +55,19 @@ def masked(values: dict[str, NDArray[Any]], where: Mask) -> dict[str, Any]:
 
 def stepped(infos: dict[str, Any], where: Mask) -> dict[str, Any]:
     """What a step told of all environments, if it did something in some (n,) of them only."""
-    did = {key: infos[key] for key in STEP_KEYS}
+    did = {
+        key: infos[key] for key in (*STEP_KEYS, PROBABILITIES) if key in infos
+    }
     return masked(did, where) | {key: infos[key] for key in (*STATE_KEYS, *mask_keys(STATE_KEYS))}
 
 
-def fixed_info(info: dict[str, Any], groups: int) -> dict[str, Any]:
+def fixed_info(info: dict[str, Any], groups: int, beliefs: int = 1) -> dict[str, Any]:
     """An info of a reset or a step with the same keys, types and shapes always.
 
     Args:
         info: what there is to tell.
         groups: of the measurement: links, Doppler, odometry.
+        beliefs: how many the modes keep.
 
     Returns:
         All numbers that are ever told, as numpy's; NaN, False or -1 where there is nothing to tell.
@@ -68,6 +75,8 @@ def fixed_info(info: dict[str, Any], groups: int) -> dict[str, Any]:
     unknown: dict[str, Any] = dict.fromkeys((*STEP_KEYS, *LAST_KEYS), np.nan)
     unknown |= {key: np.zeros(groups, np.bool_) for key in FLAGS}
     unknown |= {"nis": np.full(groups, np.nan), "mode": -1, "nonfinite": -1}
+    if beliefs > 1:
+        unknown[PROBABILITIES] = np.full(beliefs, np.nan)
     known = unknown | {key: value for key, value in info.items() if key != "episode_name"}
     return {key: np.asarray(value)[()] for key, value in known.items()}
 

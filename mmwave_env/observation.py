@@ -8,9 +8,15 @@ from numpy.typing import NDArray
 
 from mmwave_env.features import View, coming, context
 from mmwave_env.filters.pipeline import Pipeline
+from mmwave_env.lookup import choose
 from mmwave_env.numerics.numbers import Number, clip
 
 OBSERVATIONS = {"full": "everything", "prior": "nothing of how each mode sees the coming epoch"}
+
+BELIEFS = {
+    "shared": "one belief, which the mode chosen updates",
+    "per-mode": "one belief a mode; they interact, and the agent says which to trust",
+}
 
 
 class Observation:
@@ -19,18 +25,29 @@ class Observation:
     Attributes:
         features: the table.
         kind: "full" or "prior".
+        beliefs: "shared" or "per-mode".
         modes: of the pipeline that the features describe.
     """
 
-    def __init__(self, pipeline: Pipeline, kind: str = "full") -> None:
+    def __init__(self, pipeline: Pipeline, kind: str = "full", beliefs: str = "shared") -> None:
         if kind not in OBSERVATIONS:
             raise ValueError(f"observation: found {kind!r}, expected one of {list(OBSERVATIONS)}")
-        self.kind, self.modes = kind, pipeline.modes
-        self.features = context(pipeline) + (coming(pipeline) if kind == "full" else [])
+        self.kind, self.modes, self.beliefs = kind, pipeline.modes, beliefs
+        choose(BELIEFS, beliefs, "beliefs")
+        per_mode = beliefs == "per-mode"
+        self.features = context(pipeline, per_mode)
+        if kind == "full":
+            self.features += coming(pipeline, per_mode)
         self._index = {feature.name: i for i, feature in enumerate(self.features)}
 
     def __len__(self) -> int:
         return len(self.features)
+
+    @property
+    def actions(self) -> list[str]:
+        """What the actions are called: the modes; where each keeps its belief, first "none"."""
+        names = [mode.name for mode in self.modes]
+        return ["none", *names] if self.beliefs == "per-mode" else names
 
     @property
     def space(self) -> spaces.Box:

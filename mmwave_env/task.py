@@ -8,18 +8,21 @@ from typing import Any, cast
 import numpy as np
 
 from mmwave_env.compiler.rng import Generators
+from mmwave_env.engines.imm_engine import ImmEngine
 from mmwave_env.episodes.episode import Episode, EpisodeBatch, EpisodeSource
 from mmwave_env.episodes.measured import MeasuredTrack
 from mmwave_env.episodes.recorded import Recording
 from mmwave_env.episodes.samples import source_from
 from mmwave_env.episodes.simulated import Scenario, SimulatedSource
+from mmwave_env.filters.bank import Bank, bank_from
 from mmwave_env.filters.mode_files import modes_from
 from mmwave_env.filters.modes import Mode
 from mmwave_env.filters.pipeline import Pipeline
-from mmwave_env.lookup import did_you_mean
+from mmwave_env.lookup import choose, did_you_mean
 from mmwave_env.models.radio import Radio, radio_from
 from mmwave_env.models.scene import Scene, scene_from
 from mmwave_env.numerics.arrays import Array, Index
+from mmwave_env.observation import BELIEFS
 from mmwave_env.reward import PairedReward, Reward, reward_from
 
 EPISODE_STEPS = 200
@@ -33,17 +36,26 @@ class Task:
         source: of episodes.
         radio: profile of the receiver.
         pipeline: modes and layout.
+        bank: of the modes, where every mode keeps its own belief; None where they share one.
         reward: function of (belief, truth).
-        baseline: modes of the IMM whose reward is subtracted; None where none is.
+        baseline: the IMM whose reward is subtracted; None where none is.
         worst: what a diverged episode pays for every epoch left; None where none ends early.
     """
 
     source: EpisodeSource
     radio: Radio
     pipeline: Pipeline
+    bank: Bank | None
     reward: Reward
-    baseline: Pipeline | None
+    baseline: Bank | None
     worst: float | None
+
+    def imm(self) -> ImmEngine | None:
+        """The IMM whose reward is subtracted."""
+        if self.baseline is None:
+            return None
+        bank, pipeline = self.baseline, replace(self.pipeline, modes=self.baseline.modes)
+        return ImmEngine(pipeline, self.reward, bank.transition, bank.nis_quantile)
 
     def draw(self, rng: np.random.Generator) -> Episode:
         """The next episode of an environment."""
@@ -91,7 +103,8 @@ class TaskArguments:
     scenario: Scenario | None = None
     radio: str | os.PathLike[str] | Radio = "handset"
     scene: str | Scene | None = None
-    modes: Sequence[Mode | str] | str | os.PathLike[str] | None = None
+    modes: Bank | Sequence[Mode | str] | str | os.PathLike[str] | None = None
+    beliefs: str = "shared"
     reward: str | Reward | PairedReward = "tracking"
     episode_steps: int | None = None
     dt: float | None = None
@@ -120,17 +133,31 @@ def task_from(**arguments: Any) -> Task:
     given = TaskArguments(**arguments)
     source, radio = _source(given, radio_from(given.radio))
     pays = reward_from(given.reward)
-    pipeline = Pipeline(modes_from(given.modes, radio.name), source.layout, given.planar)
+    bank, modes = _modes(given, radio)
+    pipeline = Pipeline(modes, source.layout, given.planar)
     baseline = None
     if isinstance(pays, PairedReward):
-        baseline = replace(pipeline, modes=modes_from(None, radio.name))
+        baseline = bank or Bank(modes_from(None, radio.name))
         pays = pays.reward
     worst = None
     if given.terminate_on_divergence:
         if getattr(pays, "worst", None) is None:
             raise ValueError("terminate_on_divergence: the reward needs an attribute `worst`")
         worst = pays.worst - max(mode.cost for mode in pipeline.modes)  # type: ignore[attr-defined]
-    return Task(source, radio, pipeline, pays, baseline, worst)
+    return Task(source, radio, pipeline, bank, pays, baseline, worst)
+
+
+def _modes(given: TaskArguments, radio: Radio) -> tuple[Bank | None, tuple[Mode, ...]]:
+    """The modes, and their bank where each keeps its own belief."""
+    choose(BELIEFS, given.beliefs, "beliefs")
+    if given.beliefs == "per-mode":
+        bank = bank_from(given.modes, radio.name)
+        return bank, bank.modes
+    if isinstance(given.modes, Bank):
+        raise ValueError(
+            "modes: found a bank, expected a list of modes; a bank is for beliefs='per-mode'"
+        )
+    return None, modes_from(given.modes, radio.name)
 
 
 def _source(given: TaskArguments, radio: Radio) -> tuple[EpisodeSource, Radio]:

@@ -98,18 +98,21 @@ class MmWaveLocVectorEnv(gym.vector.VectorEnv[Observations, Index, NDArray[Any]]
                 f"max_episode_steps: found {max_episode_steps}, expected None or {epochs}; "
                 "episode_steps= draws episodes of another length"
             )
-        self._engine = Engine(task.pipeline, num_envs, task.reward, observation, threads=threads)
+        self._engine = Engine(
+            task.pipeline, num_envs, task.reward, observation, task.bank, threads=threads
+        )
         self.batch = self._engine.batch
         self.modes, self.observation = task.pipeline.modes, self._engine.observation
         self.single_observation_space = cast(Any, self.observation.space)
-        self.single_action_space = cast(Any, spaces.Discrete(len(self.modes)))
+        self.single_action_space = cast(Any, spaces.Discrete(len(self.observation.actions)))
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
-        self._stepper, self._replay = Stepper(self._engine), Replay(task.pipeline)
-        self._baseline = task.baseline and Baseline(task.baseline, task.reward, self.batch, threads)
+        self._stepper, self._replay = Stepper(self._engine), Replay(task.pipeline, task.bank)
+        imm = task.imm()
+        self._baseline = imm and Baseline(imm, self.batch, threads)
         self._generators = Generators(num_envs, task.simulated)
         self._begun = False
-        self._mode_count = np.array(len(self.modes), np.uint64)
+        self._mode_count = np.array(len(self.observation.actions), np.uint64)
         self._none_over = np.zeros(num_envs, np.bool_)
         self._over, self._ended = self._none_over, 0
 

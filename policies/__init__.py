@@ -4,7 +4,7 @@ from policies.baselines import FixedMode, LikelihoodRule, RandomMode
 from policies.learned import LearnedSwitch, shipped_policies
 from policies.policy import Policy
 from policies.speed_rule import SpeedRule
-from policies.tuned_imms import TUNED_IMMS, Transition, TunedImm, tuned_imm
+from policies.tuned_imms import TUNED_IMMS, tuned_imm
 
 __all__ = [
     "TUNED_IMMS",
@@ -14,8 +14,6 @@ __all__ = [
     "Policy",
     "RandomMode",
     "SpeedRule",
-    "Transition",
-    "TunedImm",
     "shipped_policies",
     "tuned_imm",
 ]

@@ -5,14 +5,12 @@ from functools import cache
 from importlib.resources import files
 from typing import Any, NamedTuple
 
-from mmwave_env.filters.modes import Mode
+from mmwave_env.filters.bank import Bank, bank_in
 from mmwave_env.lookup import choose
 from mmwave_env.models.radio import profile_of
 
-Transition = tuple[tuple[float, ...], ...]
 
-
-class Bank(NamedTuple):
+class Untuned(NamedTuple):
     """What the tuning of an IMM starts from."""
 
     modes: tuple[str, ...]  # names
@@ -26,16 +24,8 @@ _BANKS = {
     "imm-robust": ("ekf-robust", "ukf-robust"),
     "imm-extended": ("extended",),
 }
-TUNED_IMMS: dict[str, Bank] = {name: Bank(modes, limited=False) for name, modes in _BANKS.items()}
-TUNED_IMMS |= {f"{name}-limited": Bank(modes, limited=True) for name, modes in _BANKS.items()}
-
-
-class TunedImm(NamedTuple):
-    """An IMM as ``mmwave-loc tune-imm`` left it."""
-
-    modes: tuple[Mode, ...]  # what it weighs
-    transition: Transition  # (modes, modes) transition probabilities (from, to)
-    nis_quantile: float  # as :class:`~mmwave_env.engines.imm_engine.ImmEngine` has it
+TUNED_IMMS = {name: Untuned(modes, limited=False) for name, modes in _BANKS.items()}
+TUNED_IMMS |= {f"{name}-limited": Untuned(modes, limited=True) for name, modes in _BANKS.items()}
 
 
 @cache
@@ -44,8 +34,8 @@ def _shipped() -> dict[str, Any]:
     return json.loads(text)  # type: ignore[no-any-return]
 
 
-def tuned_imm(name: str, radio: str) -> TunedImm:
-    """A tuned IMM.
+def tuned_imm(name: str, radio: str) -> Bank:
+    """A tuned IMM, as ``mmwave-loc tune-imm`` left it.
 
     Args:
         name: one of :data:`TUNED_IMMS`.
@@ -57,5 +47,4 @@ def tuned_imm(name: str, radio: str) -> TunedImm:
     radios = _shipped()
     known = radios["standard"] | radios.get(profile_of(radio), {})
     found = choose({imm: known[imm] for imm in TUNED_IMMS}, name, "tuned IMM")
-    modes = tuple(Mode(**mode) for mode in found["modes"])
-    return TunedImm(modes, tuple(map(tuple, found["transition"])), found["nis_quantile"])
+    return bank_in(found)

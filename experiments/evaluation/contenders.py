@@ -8,6 +8,7 @@ from pathlib import Path
 
 from experiments.evaluation.agents import GUIDE, Act, agent_from, is_agent, tried
 from experiments.evaluation.runs import Run, require_no_smoke
+from mmwave_env.filters.bank import Transition
 from mmwave_env.filters.mode_files import default_modes, modes_from, named_modes
 from mmwave_env.filters.modes import Mode
 from mmwave_env.filters.pipeline import Pipeline
@@ -23,7 +24,6 @@ from policies import (
     Policy,
     RandomMode,
     SpeedRule,
-    Transition,
     shipped_policies,
     tuned_imm,
 )

@@ -109,10 +109,11 @@ def _tracks(
     pipeline = Pipeline((mode,), episodes[0].layout, planar)
     tracker = Tracker(pipeline, len(episodes))
     tracker.load(episodes)
-    found = tracker.run("x", "P", "P_predicted", "error", "nees")
+    found = tracker.run("x", "P", "x_predicted", "P_predicted", "error", "nees")
     x, error = found["x"], found["error"]
     dt = np.diff(episodes[0].time_s)
-    better_x, better_P = smooth(x, found["P"], found["P_predicted"], dt, planar)
+    predicted = found["x_predicted"], found["P_predicted"]
+    better_x, better_P = smooth(x, found["P"], *predicted, dt, planar)
     better = error + better_x[..., :3] - x[..., :3]
     covariance = unpack(list(np.moveaxis(better_P, -1, 0)), zero=pipeline.known_axes)
     # The error as the state and the origin as the truth: NEES sees their difference alone.

@@ -11,27 +11,24 @@ import numpy as np
 from mmwave_env.compiler.threads import portions, share
 from mmwave_env.engines.batch import Batch
 from mmwave_env.engines.imm_engine import ImmEngine
-from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.numerics.arrays import Array, Index
-from mmwave_env.reward import Reward
 
 TOGETHER = 256  # episodes at once: few enough for their memory not to count
 
 
 class Baseline:
-    """Rewards of the textbook's IMM on the episodes of a batch.
+    """Rewards of an IMM on the episodes of a batch.
 
     Args:
-        pipeline: the modes that the IMM mixes.
-        reward: function of (belief, truth).
+        imm: it.
         batch: what holds the episodes.
         threads: how many may work at once; results do not depend on it.
     """
 
     def __init__(
-        self, pipeline: Pipeline, reward: Reward, batch: Batch[Any], threads: int = 1
+        self, imm: ImmEngine, batch: Batch[Any], threads: int = 1
     ) -> None:
-        self._imm, self._batch, self._threads = ImmEngine(pipeline, reward), batch, threads
+        self._imm, self._batch, self._threads = imm, batch, threads
         self._rewards = np.zeros((batch.n, 0), np.float32)
 
     def begin(self, places: Index) -> None:

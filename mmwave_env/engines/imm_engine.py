@@ -10,17 +10,23 @@ from functools import lru_cache
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike
-from scipy.special import chdtri
 
 from mmwave_env.compiler.lanes import WIDTH
 from mmwave_env.compiler.program import BatchState, Program, StepIO, rows_of
 from mmwave_env.engines.batch import Batch
 from mmwave_env.engines.track_engine import untuned
 from mmwave_env.episodes.episode import Episode, EpisodeBatch, Incoming, blank_incoming
+from mmwave_env.filters.bank import Bank, Transition, settings_of
 from mmwave_env.filters.belief import Belief
-from mmwave_env.filters.imm import Mixture, begin, estimate, imm_epoch, stay_matrix
-from mmwave_env.filters.modes import Tuning
+from mmwave_env.filters.imm import (
+    ImmSettings,
+    Mixture,
+    begin,
+    estimate,
+    imm_epoch,
+    prediction,
+    trusting,
+)
 from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.models.epoch import Site, blank_site
 from mmwave_env.numerics.arrays import Array, Index
@@ -36,27 +42,42 @@ class ImmState(NamedTuple):
     incoming: Incoming  # the epoch just filtered
     site: Site  # anchors, carrier and prior
     is_first: Number  # 1 to start over from the prior
-    transition: list[list[Number]]  # (modes, modes) transition probabilities (from, to)
-    tunings: list[Tuning]  # process noise of every mode
-    limits: list[Number]  # (groups,) NIS that counts at most in a likelihood
+    action: Number  # the mode to trust, from 1, where an agent acts; 0 for none
+    settings: ImmSettings  # of the bank
     mixture: Mixture  # belief and probability of every mode
-    # x, P: (7,), (28,) the combined belief
+    # x, P: (7,), (28,) the combined belief; x_predicted, P_predicted: before the epoch's update
     x: list[Number]
     P: list[Number]
-    # reward, error, nees: of the epoch, as in :class:`~mmwave_env.engines.env_engine.Workspace`
+    x_predicted: list[Number]
+    P_predicted: list[Number]
+    # reward, error, nees: of the epoch, as in :class:`~mmwave_env.engines.shared_epoch.EnvState`
     reward: Number
     error: list[Number]
     nees: Number
 
 
+def imm_program(pipeline: Pipeline, reward: Reward, acted: bool = False) -> Program[ImmState]:
+    """The compiled epoch of an IMM; pipelines whose modes differ in tuning alone share it.
+
+    Args:
+        pipeline: modes and layout.
+        reward: function of (belief, truth).
+        acted: whether the mixture takes actions.
+    """
+    return _program(untuned(pipeline), reward, acted)
+
+
 @lru_cache(maxsize=32)
-def _program(pipeline: Pipeline, reward: Reward) -> Program[ImmState]:
+def _program(pipeline: Pipeline, reward: Reward, acted: bool) -> Program[ImmState]:
     def function(w: ImmState) -> ImmState:
         prior = begin(pipeline, w.site.prior_x, w.site.prior_P)
         mixture = select(w.is_first > 0.5, prior, w.mixture)
         coming = w.incoming.epoch(pipeline.layout)
-        mixture = imm_epoch(pipeline, w.transition, w.tunings, w.limits, mixture, coming, w.site)
+        mixture, predicted, results = imm_epoch(pipeline, w.settings, mixture, coming, w.site)
+        if acted:
+            mixture = trusting(mixture, w.action, coming.dt)
         x, P = estimate(mixture)
+        x_predicted, P_predicted = prediction(predicted, results)
         belief = Belief(x, P, pipeline.position_axes)
         truth = w.incoming.truth
         return w._replace(
@@ -64,51 +85,30 @@ def _program(pipeline: Pipeline, reward: Reward) -> Program[ImmState]:
             mixture=mixture,
             x=x,
             P=pack(P),
+            x_predicted=x_predicted,
+            P_predicted=P_predicted,
             reward=reward(belief, truth),
             error=belief.error(truth),
             nees=belief.nees(truth),
         )
 
-    site, modes = blank_site(pipeline.layout), pipeline.modes
+    site = blank_site(pipeline.layout)
     template = ImmState(
         incoming=blank_incoming(pipeline.layout),
         site=site,
         is_first=1.0,
-        transition=[[0.0] * len(modes) for _ in modes],
-        tunings=[mode.tuning for mode in modes],
-        limits=[0.0] * len(pipeline.layout.groups),
+        action=0.0,
+        settings=settings_of(Bank(pipeline.modes), pipeline.layout),
         mixture=begin(pipeline, site.prior_x, site.prior_P),
         x=site.prior_x,
         P=site.prior_P,
+        x_predicted=site.prior_x,
+        P_predicted=site.prior_P,
         reward=0.0,
         error=[0.0] * 3,
         nees=0.0,
     )
     return Program(function, template)
-
-
-def transition_from(transition: ArrayLike | None, modes: int) -> Array:
-    """Transition probabilities (from, to) as an array (modes, modes).
-
-    Args:
-        transition: such a matrix; None to stay with probability 0.95.
-        modes: how many there are.
-
-    Raises:
-        ValueError: another shape, rows that are no probabilities, or a mode that none leads to.
-    """
-    found = np.array(stay_matrix(modes) if transition is None else transition, float)
-    if (
-        found.shape != (modes, modes)
-        or not (found >= 0.0).all()
-        or not np.allclose(found.sum(axis=1), 1.0, rtol=0.0, atol=1e-6)
-        or not found.any(axis=0).all()
-    ):
-        raise ValueError(
-            f"transition: found {found.tolist()}, expected {modes} rows of {modes} probabilities "
-            "that sum to 1, and none of the modes out of reach"
-        )
-    return found
 
 
 class ImmEngine:
@@ -117,32 +117,23 @@ class ImmEngine:
     Args:
         pipeline: modes and layout.
         reward: function of (belief, truth), for comparison with policies.
-        transition: (modes, modes) transition probabilities (from, to); None for the default,
-            which stays with probability 0.95.
-        nis_quantile: chi-square quantile up to which the NIS of a link counts in a likelihood;
-            1 for all of it, as in the textbook.
-
-    Raises:
-        ValueError: a quantile outside (0, 1], or no transition (:func:`transition_from`).
+        transition, nis_quantile: as of :class:`~mmwave_env.filters.bank.Bank`, which also says
+            what is refused.
     """
 
     def __init__(
         self,
         pipeline: Pipeline,
         reward: Reward,
-        transition: ArrayLike | None = None,
+        transition: Transition | None = None,
         nis_quantile: float = 1.0,
     ) -> None:
-        if not 0.0 < nis_quantile <= 1.0:
-            raise ValueError(f"nis_quantile: found {nis_quantile}, expected a quantile in (0, 1]")
         self.pipeline = pipeline
-        self.transition = transition_from(transition, len(pipeline.modes))
-        self._program = _program(untuned(pipeline), reward)
-        index, self._start = self._program.index, self._program.start.copy()
-        self._start[flatten(index.transition)] = self.transition.ravel()
-        self._start[flatten(index.tunings)] = flatten([mode.tuning for mode in pipeline.modes])
-        rows = [group.stop - group.start for group in pipeline.layout.groups]
-        self._start[flatten(index.limits)] = chdtri(rows, 1.0 - nis_quantile)
+        self.bank = Bank(pipeline.modes, transition, nis_quantile)
+        self._program = imm_program(pipeline, reward)
+        self._start = self._program.start.copy()
+        settings = flatten(settings_of(self.bank, pipeline.layout))
+        self._start[flatten(self._program.index.settings)] = settings
 
     def run(self, episodes: EpisodeBatch | Sequence[Episode], *names: str) -> dict[str, Array]:
         """Filter episodes from their priors to their ends.

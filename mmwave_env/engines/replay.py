@@ -17,7 +17,9 @@ from mmwave_env.compiler.lazy_jit import LazyJit
 from mmwave_env.compiler.program import Program, call, rows_of
 from mmwave_env.compiler.transpose import address, gather, pick
 from mmwave_env.engines.batch import Batch
+from mmwave_env.engines.imm_engine import ImmState, imm_program
 from mmwave_env.engines.track_engine import TrackState, program_of
+from mmwave_env.filters.bank import Bank, settings_of
 from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.filters.smoother import (
     BackwardState,
@@ -29,6 +31,7 @@ from mmwave_env.filters.smoother import (
 from mmwave_env.numerics.arrays import Array, Index
 from mmwave_env.numerics.numbers import Number
 from mmwave_env.numerics.pytree import flatten
+from mmwave_env.reward import TrackingReward
 
 Actions = NDArray[np.integer[Any]]
 
@@ -52,8 +55,10 @@ class ReturnState(NamedTuple):
     smoothed_error: list[Number]  # (3,) position error of the smoothed mean of the epoch at hand, m
 
 
-def _replayed(track: TrackState) -> ReplayedEpoch:
-    filtered = ForwardEpoch(track.incoming.dt, track.x, track.P, track.P_predicted)
+def _replayed(track: TrackState | ImmState) -> ReplayedEpoch:
+    filtered = ForwardEpoch(
+        track.incoming.dt, track.x, track.P, track.x_predicted, track.P_predicted
+    )
     return ReplayedEpoch(filtered, track.error, track.nees)
 
 
@@ -74,14 +79,26 @@ class Replay:
 
     Args:
         pipeline: modes and layout.
+        bank: of its modes, where every mode keeps its own belief; None where they share one.
         on_floats: run forwards in plain Python instead of on lanes.
     """
 
-    def __init__(self, pipeline: Pipeline, on_floats: bool = False) -> None:
-        self._there, self._back = program_of(pipeline), _way_back(pipeline.known_axes)
+    def __init__(
+        self, pipeline: Pipeline, bank: Bank | None = None, on_floats: bool = False
+    ) -> None:
+        self._there: Program[Any]
+        if bank:
+            self._there = imm_program(pipeline, TrackingReward(), acted=True)
+            tuned: Any = self._there.index.settings
+            numbers = flatten(settings_of(bank, pipeline.layout))
+        else:
+            self._there = program_of(pipeline)
+            tuned = self._there.index.tunings
+            numbers = flatten([mode.tuning for mode in pipeline.modes])
+        self._back = _way_back(pipeline.known_axes)
         there, at = self._there.index, self._back.index
         self._start = self._there.start.copy()
-        self._start[rows_of(there.tunings)] = flatten([mode.tuning for mode in pipeline.modes])
+        self._start[rows_of(tuned)] = numbers
         self._site, self._keep = rows_of(there.site), rows_of(_replayed(there))
         self._show = rows_of([at.incoming.error, at.incoming.nees, at.smoothed_error])
         self._on_floats = on_floats

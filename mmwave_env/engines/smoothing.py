@@ -35,14 +35,15 @@ def _program(known_axes: tuple[int, ...]) -> Program[SmoothingState]:
 
 
 def smooth(
-    x: Array, P: Array, P_predicted: Array, dt: Array, planar: bool = False
+    x: Array, P: Array, x_predicted: Array, P_predicted: Array, dt: Array, planar: bool = False
 ) -> tuple[Array, Array]:
     """Smoothed means (N, T, 7) and packed covariances (N, T, 28) of finished tracks.
 
     Args:
         x: (N, T, 7) filtered means.
         P: (N, T, 28) filtered covariances, packed.
-        P_predicted: (N, T, 28) covariances predicted for each epoch, before its update.
+        x_predicted, P_predicted: (N, T, 7), (N, T, 28) beliefs predicted for each epoch, before its
+            update.
         dt: (T - 1,) seconds from each epoch to the next, or (N, T - 1) of every track's own.
         planar: z and vz are known exactly.
     """
@@ -50,7 +51,7 @@ def smooth(
     N, T, _ = x.shape
     since = np.ones((N, T))
     since[:, 1:] = dt
-    forwards = np.concatenate([since[..., None], x, P, P_predicted], axis=2)
+    forwards = np.concatenate([since[..., None], x, P, x_predicted, P_predicted], axis=2)
     rows = np.tile(program.start[None, :, None], (-(-N // WIDTH), 1, WIDTH))
     io = StepIO.of(N, T, output_rows=rows_of([program.index.after.x, program.index.after.P]))
     backwards = np.ascontiguousarray(forwards[:, ::-1])

@@ -41,7 +41,9 @@ class TrackState(NamedTuple):
     # x, P: (7,), (28,) belief after the epoch
     x: list[Number]
     P: list[Number]
-    P_predicted: list[Number]  # (28,) covariance predicted for it
+    # x_predicted, P_predicted: (7,), (28,) belief predicted for it
+    x_predicted: list[Number]
+    P_predicted: list[Number]
     memory: Memory  # of the track; ``memory.mode`` ran
     log_likelihood: Number  # as in :class:`~mmwave_env.filters.update.Posterior`
     error: list[Number]  # (3,) position error, m; NaN where the truth is not known
@@ -67,6 +69,7 @@ def track_epoch(w: TrackState, pipeline: Pipeline, rule: Rule | None) -> TrackSt
         is_first=0.0,
         x=chosen.x,
         P=chosen.P,
+        x_predicted=chosen.x_predicted,
         P_predicted=chosen.P_predicted,
         memory=memory,
         log_likelihood=chosen.log_likelihood,
@@ -91,6 +94,7 @@ def _program(pipeline: Pipeline, rule: Rule | None) -> Program[TrackState]:
         tunings=[Tuning(*[0.0] * len(Tuning._fields)) for _ in pipeline.modes],
         x=site.prior_x,
         P=site.prior_P,
+        x_predicted=site.prior_x,
         P_predicted=site.prior_P,
         memory=initial_memory(pipeline.layout, len(pipeline.modes)),
         log_likelihood=0.0,
@@ -106,6 +110,7 @@ def untuned(pipeline: Pipeline) -> Pipeline:
         replace(
             mode, name=str(i), sigma_p=0.0, sigma_v=0.0, sigma_pz=0.0, sigma_vz=0.0,
             sigma_b_mps=0.0, spread_gain=0.0, coupling=False, cost=0.0,
+            acceleration_mps2=float(mode.acceleration_mps2 != 0.0),
         )
         for i, mode in enumerate(pipeline.modes)
     ]  # fmt: skip

@@ -16,7 +16,7 @@ from mmwave_env.compiler.program import PLAIN_BLOCK_EPOCHS, advance, rows_of
 from mmwave_env.compiler.threads import share
 from mmwave_env.engines.action_history import ActionHistory
 from mmwave_env.engines.env_engine import Engine
-from mmwave_env.info import FLAGS, STATE_KEYS, STEP_KEYS, mask_keys, told_rows
+from mmwave_env.info import FLAGS, STATE_KEYS, mask_keys, told_rows
 from mmwave_env.numerics.arrays import Array, Index, Mask
 from mmwave_env.numerics.pytree import flatten
 
@@ -45,8 +45,9 @@ class Stepper:
         }
         self._engine, self._groups, self._told = engine, len(at.memory.accepted), tuple(told)
         self._action, self._obs_rows = rows_of(at.action), rows_of(at.observation)
-        self._mask_keys, self._everywhere = mask_keys(STEP_KEYS + STATE_KEYS), np.ones(n, np.bool_)
-        self.history = ActionHistory(n, len(engine.pipeline.modes))
+        self._mask_keys = mask_keys([*self._told, *FLAGS, "mode"])
+        self._everywhere = np.ones(n, np.bool_)
+        self.history = ActionHistory(n, len(engine.observation.actions))
 
     def step(self, actions: Index) -> tuple[NDArray[np.float32], Array, Mask, int, Infos]:
         """Commit every environment to its mode and consider the next epoch; see `Engine.step`.

@@ -10,16 +10,28 @@ from dataclasses import replace
 from typing import NamedTuple
 
 from mmwave_env.filters.memory import Memory, initial_memory, memory_after, memory_before
-from mmwave_env.filters.mode_result import limited_likelihood
+from mmwave_env.filters.mode_result import ModeResult, limited_likelihood
 from mmwave_env.filters.modes import Tuning
 from mmwave_env.filters.pipeline import Pipeline, predict_update
 from mmwave_env.models.epoch import Epoch, Site
 from mmwave_env.models.measurement import STATE_SIZE
 from mmwave_env.numerics.linalg import dot, unpack
-from mmwave_env.numerics.numbers import Matrix, Number, Vector, exp, maximum
+from mmwave_env.numerics.numbers import Matrix, Number, Vector, exp, maximum, minimum, where
+from mmwave_env.numerics.pytree import select
 
-DEFAULT_STAY = 0.95  # probability of a mode to stay from one epoch to the next
+DEFAULT_STAY = 0.95  # probability of a mode to stay for a second
+TRUST = 3.0  # log of the factor on the probability of a mode that is trusted for a second
 _LEAST = 1e-12  # keeps the probability of a mode off zero, from which it could not return
+
+
+class ImmSettings(NamedTuple):
+    """What an IMM may be tuned in, as numbers, so that one compiled IMM can run any tuning."""
+
+    transition: list[list[Number]]  # (modes, modes) probabilities (from, to) over a second
+    tunings: list[Tuning]  # motion model of every mode
+    # (groups,) as in :func:`~mmwave_env.filters.mode_result.limited_likelihood`; infinite in the
+    # textbook
+    limits: list[Number]
 
 
 class ModeTrack(NamedTuple):
@@ -86,43 +98,94 @@ def mix(mixture: Mixture, transition: Matrix) -> tuple[Vector, list[tuple[Vector
     return predicted, mixed
 
 
+def over_step(transition: Matrix, dt: Number) -> list[list[Number]]:
+    """Transition probabilities (from, to) over a step, of those over a second.
+
+    A mode is left at a rate of (1 - p_ii) a second. The first epoch of an episode, whose step is 0,
+    and steps above a second count as one, so that rows stay probabilities.
+    """
+    step = step_weight(dt)
+    return [
+        [p + (1.0 - step) * (1.0 - p) if i == j else step * p for j, p in enumerate(row)]
+        for i, row in enumerate(transition)
+    ]
+
+
+def step_weight(dt: Number) -> Number:
+    """How much of what is stated per second happens in a step of dt seconds."""
+    return where(dt > 0.0, minimum(dt, 1.0), 1.0)
+
+
+class ImmEpoch(NamedTuple):
+    """What an IMM makes of an epoch."""
+
+    mixture: Mixture  # after it
+    predicted: list[Number]  # (modes,) probabilities before its measurement
+    results: list[ModeResult]  # of every mode, from its mixed belief
+
+
 def imm_epoch(
-    pipeline: Pipeline,
-    transition: Matrix,
-    tunings: Sequence[Tuning],
-    limits: Vector,
-    mixture: Mixture,
-    epoch: Epoch,
-    site: Site,
-) -> Mixture:
-    """The mixture after one more epoch: mix, run every mode, weigh them by their likelihood.
+    pipeline: Pipeline, settings: ImmSettings, mixture: Mixture, epoch: Epoch, site: Site
+) -> ImmEpoch:
+    """One more epoch: mix, run every mode, weigh them by their likelihood.
 
     Args:
         pipeline, epoch, site: as of :func:`~mmwave_env.filters.pipeline.predict_update`.
-        transition: (modes, modes) probabilities (from, to).
-        tunings: process noise, in place of the modes' own.
-        limits: (groups,) as in :func:`limited_likelihood`; infinite in the textbook.
+        settings: whose tunings take the place of the modes' own.
         mixture: after the epoch before.
     """
-    predicted, mixed = mix(mixture, transition)
-    tracks, likelihoods = [], []
+    predicted, mixed = mix(mixture, over_step(settings.transition, epoch.dt))
+    tracks, results = [], []
     for one, tuning, track, (x, P) in zip(
-        single(pipeline), tunings, mixture.tracks, mixed, strict=True
+        single(pipeline), settings.tunings, mixture.tracks, mixed, strict=True
     ):
-        candidate = predict_update(one, one.modes[0], x, P, track.memory, epoch, site, tuning)
-        memory = memory_before(track.memory, [candidate], epoch, pipeline.layout)
-        memory = memory_after(one.layout, 0.0, x, candidate, memory, epoch.dt, epoch.visible)
-        tracks.append(ModeTrack(candidate.x, candidate.P, memory))
-        likelihoods.append(limited_likelihood(candidate, limits))
+        result = predict_update(one, one.modes[0], x, P, track.memory, epoch, site, tuning)
+        memory = memory_before(track.memory, [result], epoch, pipeline.layout)
+        memory = memory_after(one.layout, 0.0, x, result, memory, epoch.dt, epoch.visible)
+        tracks.append(ModeTrack(result.x, result.P, memory))
+        results.append(result)
+    likelihoods = [limited_likelihood(result, settings.limits) for result in results]
     best = likelihoods[0]
     for likelihood in likelihoods[1:]:
         best = maximum(best, likelihood)
     weights = [
-        maximum(p * exp(likelihood - best), _LEAST)
-        for p, likelihood in zip(predicted, likelihoods, strict=True)
+        p * exp(likelihood - best) for p, likelihood in zip(predicted, likelihoods, strict=True)
     ]
-    total = dot(weights, [1.0] * len(weights))
-    return Mixture(tracks, [w / total for w in weights])
+    return ImmEpoch(Mixture(tracks, _normalized(weights)), predicted, results)
+
+
+def trusting(mixture: Mixture, mode: Number, dt: Number) -> Mixture:
+    """The mixture with the probability of a mode raised, the others lowered in proportion.
+
+    Args:
+        mixture: after an epoch.
+        mode: number of the mode to trust, from 1; 0 leaves the probabilities as they are.
+        dt: the epoch's step, seconds: trust is given per second, like transitions.
+    """
+    gain = exp(TRUST * step_weight(dt))
+    weights = [
+        where(abs(mode - (m + 1.0)) < 0.5, gain * p, p) for m, p in enumerate(mixture.probability)
+    ]
+    trusted = _normalized(weights)
+    probability = select(mode > 0.5, trusted, mixture.probability)
+    return Mixture(mixture.tracks, probability)
+
+
+def _normalized(weights: Sequence[Number]) -> list[Number]:
+    """Probabilities in proportion to the weights, none of them zero."""
+    held = [maximum(weight, _LEAST) for weight in weights]
+    total = dot(held, [1.0] * len(held))
+    return [weight / total for weight in held]
+
+
+def most_probable(mixture: Mixture) -> Number:
+    """Number of the mode, the first of equals."""
+    found: Number = 0.0
+    best = mixture.probability[0]
+    for number, probability in enumerate(mixture.probability[1:], start=1):
+        found = where(probability > best, float(number), found)
+        best = maximum(best, probability)
+    return found
 
 
 def estimate(mixture: Mixture) -> tuple[list[Number], list[list[Number]]]:
@@ -133,3 +196,12 @@ def estimate(mixture: Mixture) -> tuple[list[Number], list[list[Number]]]:
         [track.P for track in mixture.tracks],
     )
     return x, unpack(P)
+
+
+def prediction(predicted: Vector, results: Sequence[ModeResult]) -> tuple[list[Number], Vector]:
+    """Mean (7,) and packed covariance (28,) of the whole mixture before an epoch's update."""
+    return moments(
+        predicted,
+        [result.x_predicted for result in results],
+        [result.P_predicted for result in results],
+    )

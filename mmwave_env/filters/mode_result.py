@@ -14,7 +14,9 @@ class ModeResult(NamedTuple):
 
     x: list[Number]  # (7,) posterior mean
     P: list[Number]  # (28,) packed posterior covariance
-    P_predicted: list[Number]  # (28,) packed covariance before the update (for smoothing)
+    # x_predicted, P_predicted: (7,), (28,) belief before the update, for smoothing
+    x_predicted: list[Number]
+    P_predicted: list[Number]
     # nis, accepted: (groups,) as in :class:`~mmwave_env.filters.update.Posterior`
     nis: list[Number]
     accepted: list[Number]

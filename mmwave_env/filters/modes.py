@@ -15,7 +15,7 @@ DESIGN_LIMIT_MPS = 20.0  # above it a speed is outside the paper's design window
 
 
 class Tuning(NamedTuple):
-    """A mode's process noise as numbers, so that one compiled filter can run many tunings.
+    """A mode's motion model as numbers, so that one compiled filter can run many tunings.
 
     Attributes are those of :class:`Mode`; ``coupling`` is 1 or 0.
     """
@@ -27,6 +27,7 @@ class Tuning(NamedTuple):
     sigma_b_mps: Number
     spread_gain: Number
     coupling: Number
+    acceleration_mps2: Number
 
 
 @dataclass(frozen=True)
@@ -49,6 +50,8 @@ class Mode:
             (m/s)^2 / s / Hz, on top of sigma_v^2 (paper, Sec. II-A).
         coupling: whether velocity noise also moves the position within a step (discrete
             white-noise acceleration); False is the paper's plain diagonal.
+        acceleration_mps2: known acceleration along the predicted horizontal velocity, below zero
+            to brake, to a standstill at most; m/s^2.
         gate: chi-square quantile of the gates; None for no gates (paper, Sec. III-D).
         recovery: epochs in a row with every visible link rejected after which updates
             accept the links until one passes its gate again; None for never, as in the paper.
@@ -70,6 +73,7 @@ class Mode:
     sigma_b_mps: NonNegative = 0.05
     spread_gain: NonNegative = 0.0
     coupling: bool = True
+    acceleration_mps2: float = 0.0
     gate: Quantile | None = 0.99
     recovery: Count | None = 2
     adaptive: bool = True
@@ -86,7 +90,7 @@ class Mode:
 
     @property
     def tuning(self) -> Tuning:
-        """Its process noise."""
+        """Its process noise and acceleration."""
         return Tuning(*(float(getattr(self, field)) for field in Tuning._fields))
 
     @property

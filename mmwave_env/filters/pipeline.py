@@ -20,6 +20,7 @@ from mmwave_env.models.epoch import Epoch, Site
 from mmwave_env.models.measurement import Layout, Measurement
 from mmwave_env.models.motion import (
     ProcessNoise,
+    accelerate,
     move,
     predict_covariance,
     white_noise_acceleration,
@@ -148,6 +149,8 @@ def predict_update(
         mode, x, unpack(P, zero=pipeline.known_axes), noise, epoch.dt
     )
     x_predicted = [x[i] if i in pipeline.known_axes else v for i, v in enumerate(x_predicted)]
+    if mode.acceleration_mps2:
+        x_predicted = accelerate(x_predicted, (tuning or mode.tuning).acceleration_mps2, epoch.dt)
     if mode.widen_p or mode.widen_v:
         p, v = mode.widen_p**2, mode.widen_v**2
         extra = (p, p, 0.0, v, v, 0.0, 0.0)
@@ -164,6 +167,7 @@ def predict_update(
     return ModeResult(
         x=after.x,
         P=pack(after.P),
+        x_predicted=x_predicted,
         P_predicted=pack(P_predicted),
         nis=after.nis,
         accepted=after.accepted,

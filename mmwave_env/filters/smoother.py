@@ -7,7 +7,7 @@ Särkkä, "Bayesian Filtering and Smoothing" (2013), Sec. 8.2. With matrices, as
 from typing import NamedTuple
 
 from mmwave_env.models.measurement import STATE_SIZE
-from mmwave_env.models.motion import move, transition_times
+from mmwave_env.models.motion import transition_times
 from mmwave_env.numerics.linalg import backward, cholesky, dot, forward, pack, symmetric, unpack
 from mmwave_env.numerics.numbers import Matrix, Number, Vector
 from mmwave_env.numerics.pytree import select
@@ -22,15 +22,18 @@ class ForwardEpoch(NamedTuple):
     # x, P: (7,), (28,) belief after the epoch; covariances are packed
     x: list[Number]
     P: list[Number]
-    P_predicted: list[Number]  # (28,) covariance predicted for the epoch, before its update
+    # x_predicted, P_predicted: (7,), (28,) belief predicted for the epoch, before its update
+    x_predicted: list[Number]
+    P_predicted: list[Number]
 
 
 class BackwardState(NamedTuple):
     """What the way back brings along from the epoch after the one at hand."""
 
     is_last: Number  # 1 where there is no such epoch, because the track ends with the one at hand
-    # dt, P_predicted: of that epoch, as in :class:`ForwardEpoch`
+    # dt, x_predicted, P_predicted: of that epoch, as in :class:`ForwardEpoch`
     dt: Number
+    x_predicted: list[Number]
     P_predicted: list[Number]
     # x, P: (7,), (28,) its smoothed belief; P is empty where only means are smoothed
     x: list[Number]
@@ -40,20 +43,21 @@ class BackwardState(NamedTuple):
 def blank_epoch() -> ForwardEpoch:
     """A sound epoch, to be overwritten."""
     identity = [float(i == j) for i in range(STATE_SIZE) for j in range(i + 1)]
-    return ForwardEpoch(1.0, [0.0] * STATE_SIZE, identity, identity)
+    nothing = [0.0] * STATE_SIZE
+    return ForwardEpoch(1.0, nothing, identity, nothing, identity)
 
 
 def track_end(with_covariance: bool) -> BackwardState:
     """The state from which the way back begins."""
     blank = blank_epoch()
     P = blank.P if with_covariance else []
-    return BackwardState(1.0, blank.dt, blank.P_predicted, blank.x, P)
+    return BackwardState(1.0, blank.dt, blank.x_predicted, blank.P_predicted, blank.x, P)
 
 
 def _mean(x: Vector, P: Matrix, factor: Matrix, after: BackwardState) -> list[Number]:
-    """x + P F' P_predicted^-1 (x_after - F x), with the Cholesky factor of P_predicted."""
+    """x + P F' P_predicted^-1 (x_after - x_predicted), with the Cholesky factor of P_predicted."""
     FP = transition_times(P, after.dt)
-    step = [a - b for a, b in zip(after.x, move(x, after.dt), strict=True)]
+    step = [a - b for a, b in zip(after.x, after.x_predicted, strict=True)]
     y = backward(factor, forward(factor, step))
     return [a + dot([row[i] for row in FP], y) for i, a in enumerate(x)]
 
@@ -61,14 +65,14 @@ def _mean(x: Vector, P: Matrix, factor: Matrix, after: BackwardState) -> list[Nu
 def smooth_mean(
     now: ForwardEpoch, after: BackwardState, known_axes: tuple[int, ...] = ()
 ) -> BackwardState:
-    """The smoothed mean of an epoch: x + C (x_after - F x), C = P F' P_predicted^-1.
+    """The smoothed mean of an epoch: x + C (x_after - x_predicted), C = P F' P_predicted^-1.
 
     ``after`` is where the way back has come to.
     """
     P = unpack(now.P, zero=known_axes)
     factor = cholesky(unpack(after.P_predicted, zero=known_axes))
     x = select(after.is_last > 0.5, now.x, _mean(now.x, P, factor, after))
-    return BackwardState(0.0, now.dt, now.P_predicted, x, [])
+    return BackwardState(0.0, now.dt, now.x_predicted, now.P_predicted, x, [])
 
 
 def smooth_epoch(
@@ -93,6 +97,7 @@ def smooth_epoch(
     return BackwardState(
         0.0,
         now.dt,
+        now.x_predicted,
         now.P_predicted,
         select(is_last, now.x, _mean(now.x, P, factor, after)),
         select(is_last, now.P, pack(smoothed)),

@@ -27,7 +27,9 @@ from mmwave_env.models.radio import Radio
 from mmwave_env.models.scene import Scene
 from mmwave_env.numerics.arrays import Array, Mask
 
-_FILTERED = ("x", "P", "P_predicted", "memory.mode", "memory.nis", "memory.accepted")
+_FILTERED = (
+    "x", "P", "x_predicted", "P_predicted", "memory.mode", "memory.nis", "memory.accepted",
+)  # fmt: skip
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,7 +42,9 @@ class TrackBlock(Block):
     # x, P: (T, 7), (T, 28) filtered belief after each epoch; covariances are packed
     x: Array
     P: Array
-    P_predicted: Array  # (T, 28) covariance predicted for each epoch
+    # x_predicted, P_predicted: (T, 7), (T, 28) belief predicted for each epoch
+    x_predicted: Array
+    P_predicted: Array
     # smooth_x, smooth_P: (T, 7), (T, 28) smoothed belief; the filtered one without smoothing
     smooth_x: Array
     smooth_P: Array
@@ -56,8 +60,8 @@ class TrackBlock(Block):
     share: float  # of the log read so far, 0 to 1
 
     per_epoch = (
-        "time_s", "x", "P", "P_predicted", "smooth_x", "smooth_P", "mode", "nis", "visible",
-        "accepted", "incomplete",
+        "time_s", "x", "P", "x_predicted", "P_predicted", "smooth_x", "smooth_P", "mode", "nis",
+        "visible", "accepted", "incomplete",
     )  # fmt: skip
 
 
@@ -109,13 +113,15 @@ def _filtered(
         if height_m is not None:
             episode = episode.on_flat_ground(height_m)
         tracker.load([episode], go_on=not piece.begins)
-        x, P, P_predicted, mode, nis, accepted = (v[0] for v in tracker.run(*_FILTERED).values())
+        found = (values[0] for values in tracker.run(*_FILTERED).values())
+        x, P, x_predicted, P_predicted, mode, nis, accepted = found
         track = TrackBlock(
             layout=block.layout,
             planar=height_m is not None,
             time_s=block.time_s,
             x=x,
             P=P,
+            x_predicted=x_predicted,
             P_predicted=P_predicted,
             smooth_x=x,
             smooth_P=P,
@@ -189,9 +195,11 @@ def _smoothed(blocks: Iterable[TrackBlock], window: int) -> Iterator[TrackBlock]
     """The track in blocks of whole windows, smoothed all at once, and what is left of segments."""
     for block in in_windows(blocks, window, lambda block: block.segment):
         epochs = min(window, len(block))
-        x, P, P_predicted, time_s = (
+        x, P, x_predicted, P_predicted, time_s = (
             values.reshape(-1, epochs, *values.shape[1:])
-            for values in (block.x, block.P, block.P_predicted, block.time_s)
+            for values in (
+                block.x, block.P, block.x_predicted, block.P_predicted, block.time_s,
+            )  # fmt: skip
         )
-        x, P = smooth(x, P, P_predicted, np.diff(time_s), block.planar)
+        x, P = smooth(x, P, x_predicted, P_predicted, np.diff(time_s), block.planar)
         yield replace(block, smooth_x=x.reshape(block.x.shape), smooth_P=P.reshape(block.P.shape))

@@ -1,10 +1,13 @@
-"""Constant-velocity motion: process noise and prediction (paper, Sec. II-A and III-B)."""
+"""Motion of a user: constant velocity with noise (paper, Sec. II-A and III-B), and a maneuver."""
 
 from typing import NamedTuple
 
 from mmwave_env.models.measurement import STATE_SIZE
 from mmwave_env.numerics.linalg import symmetric
-from mmwave_env.numerics.numbers import Matrix, Number, Vector
+from mmwave_env.numerics.numbers import Matrix, Number, Vector, maximum, sqrt
+
+STANDING_MPS = 0.2  # a velocity much below it has no direction to accelerate in
+_SHORTEST_S = 1e-9
 
 
 class ProcessNoise(NamedTuple):
@@ -41,6 +44,25 @@ def white_noise_acceleration(
 def move(x: Vector, dt: Number) -> list[Number]:
     """F x: the mean one step on."""
     return [x[i] + dt * x[i + 3] if i < 3 else x[i] for i in range(STATE_SIZE)]
+
+
+def accelerate(x: Vector, acceleration: Number, dt: Number) -> list[Number]:
+    """The mean (7,) after a step with a known acceleration along the horizontal velocity.
+
+    A known input in the terms of Bar-Shalom et al. 2001, Sec. 5.2: it moves the mean, and leaves
+    the covariance as constant velocity has it. Braking ends at a standstill.
+
+    Args:
+        x: where constant velocity would lead to, (7,).
+        acceleration: m/s^2; below zero brakes.
+        dt: step, seconds.
+    """
+    v = x[3:5]
+    speed = sqrt(v[0] * v[0] + v[1] * v[1] + STANDING_MPS**2)
+    a = maximum(acceleration, -speed / maximum(dt, _SHORTEST_S))
+    change = [a * dt * (component / speed) for component in v]
+    moved = [x[i] + (0.5 * dt) * change[i] for i in range(2)]
+    return [*moved, x[2], *(v[i] + change[i] for i in range(2)), *x[5:]]
 
 
 def transition_times(P: Matrix, dt: Number) -> list[list[Number]]:

@@ -1,0 +1,148 @@
+"""The epoch of an environment in which every mode keeps its own belief.
+
+The modes interact as in an IMM (:mod:`mmwave_env.filters.imm`). An action says which of them to
+trust in the epoch that was just filtered: its probability is raised before the beliefs are
+combined, scored and mixed again. Trusting none, action 0, is the IMM itself.
+"""
+
+from functools import lru_cache, partial
+from typing import NamedTuple
+
+from mmwave_env.compiler.program import Program
+from mmwave_env.engines.shared_epoch import PendingEpoch
+from mmwave_env.episodes.episode import Incoming, blank_incoming
+from mmwave_env.features import MixtureView, View
+from mmwave_env.filters.bank import Bank, settings_of
+from mmwave_env.filters.belief import Belief
+from mmwave_env.filters.imm import (
+    ImmSettings,
+    Mixture,
+    begin,
+    estimate,
+    imm_epoch,
+    most_probable,
+    trusting,
+)
+from mmwave_env.filters.memory import Memory, initial_memory, memory_before
+from mmwave_env.filters.pipeline import Pipeline
+from mmwave_env.models.epoch import Site, blank_site
+from mmwave_env.numerics.linalg import pack, unpack
+from mmwave_env.numerics.numbers import Number, where
+from mmwave_env.numerics.pytree import select, tree_at
+from mmwave_env.observation import Observation
+from mmwave_env.reward import Reward
+
+SPREAD_MEMORIES = (0.6, 0.9, 0.97)  # weights of the past in averages of the Doppler spread
+
+
+class PerModeState(NamedTuple):
+    """Everything such an environment holds between two epochs."""
+
+    incoming: Incoming  # the epoch under consideration
+    site: Site  # anchors, carrier and prior
+    is_first: Number  # 1 to start over from the prior instead of taking the action
+    action: Number  # the mode to trust, from 1; 0 for none
+    settings: ImmSettings  # of the bank
+    pending: PendingEpoch  # the epoch whose mixture waits for an action
+    mixture: Mixture  # after that epoch
+    spread_averages_hz: list[Number]  # of the Doppler spread, one for each of SPREAD_MEMORIES
+    # of the last epoch that an action was taken in:
+    mode_probabilities: list[Number]  # (modes,) after the action
+    # x, P: (7,), (28,) the combined belief
+    x: list[Number]
+    P: list[Number]
+    memory: Memory  # of the most probable mode; its preferences cover all modes
+    observation: list[Number]  # (features,)
+    # reward, truth, error, distance, nees: as in :class:`~mmwave_env.engines.shared_epoch.EnvState`
+    reward: Number
+    truth: list[Number]
+    error: list[Number]
+    distance: Number
+    nees: Number
+
+
+def _template(pipeline: Pipeline, features: int) -> PerModeState:
+    layout, modes = pipeline.layout, len(pipeline.modes)
+    incoming, site = blank_incoming(layout), blank_site(layout)
+    return PerModeState(
+        incoming=incoming,
+        site=site,
+        is_first=1.0,
+        action=0.0,
+        settings=settings_of(Bank(pipeline.modes), layout),
+        pending=PendingEpoch(0.0, [0.0] * len(layout.groups), incoming.truth),
+        mixture=begin(pipeline, site.prior_x, site.prior_P),
+        spread_averages_hz=[0.0] * len(SPREAD_MEMORIES),
+        mode_probabilities=[1.0 / modes] * modes,
+        x=site.prior_x,
+        P=site.prior_P,
+        memory=initial_memory(layout, modes),
+        observation=[0.0] * features,
+        reward=0.0,
+        truth=incoming.truth,
+        error=[0.0] * 3,
+        distance=0.0,
+        nees=0.0,
+    )
+
+
+def epoch(
+    w: PerModeState, pipeline: Pipeline, observation: Observation, reward: Reward
+) -> PerModeState:
+    """One step of an environment, on numbers."""
+    dt, _, truth = w.pending
+    layout, costs = pipeline.layout, [0.0, *(mode.cost for mode in pipeline.modes)]
+    mixture = trusting(w.mixture, w.action, dt)
+    x, covariance = estimate(mixture)
+    belief = Belief(x, covariance, pipeline.position_axes)
+    score = reward(belief, truth) - tree_at(w.action, costs)
+    probabilities = mixture.probability
+    believed = most_probable(mixture)
+    memory: Memory = tree_at(believed, [track.memory for track in mixture.tracks])
+    memory = memory._replace(mode=believed, preference=w.memory.preference)
+
+    is_first = w.is_first > 0.5
+    x = select(is_first, w.site.prior_x, x)
+    P = select(is_first, w.site.prior_P, pack(covariance))
+    mixture = select(is_first, begin(pipeline, w.site.prior_x, w.site.prior_P), mixture)
+    memory = select(is_first, initial_memory(layout, len(pipeline.modes)), memory)
+    coming = w.incoming.epoch(layout)
+    mixture, predicted, results = imm_epoch(pipeline, w.settings, mixture, coming, w.site)
+    memory = memory_before(memory, results, coming, layout)
+    spread = coming.doppler_spread_hz
+    averages = [
+        where(is_first, spread, keep * old + (1.0 - keep) * spread)
+        for old, keep in zip(w.spread_averages_hz, SPREAD_MEMORIES, strict=True)
+    ]
+    shown = MixtureView(predicted, mixture.probability, averages)
+    view = View(x, unpack(P, zero=pipeline.known_axes), memory, results, coming, w.site, shown)
+    return w._replace(
+        is_first=0.0,
+        pending=PendingEpoch(coming.dt, coming.visible, w.incoming.truth),
+        mixture=mixture,
+        spread_averages_hz=averages,
+        mode_probabilities=probabilities,
+        x=x,
+        P=P,
+        memory=memory,
+        observation=observation.values(view),
+        reward=score,
+        truth=select(is_first, w.incoming.truth, truth),
+        error=belief.error(truth),
+        distance=belief.distance(truth),
+        nees=belief.nees(truth),
+    )
+
+
+@lru_cache(maxsize=32)
+def program_of(pipeline: Pipeline, kind: str, reward: Reward) -> Program[PerModeState]:
+    """The compiled epoch, shared by every environment that is set up alike.
+
+    Args:
+        pipeline: modes and layout; the tunings are part of the state.
+        kind: of observation.
+        reward: function of (belief, truth).
+    """
+    observation = Observation(pipeline, kind, "per-mode")
+    step = partial(epoch, pipeline=pipeline, observation=observation, reward=reward)
+    return Program(step, _template(pipeline, len(observation)))

@@ -1,0 +1,141 @@
+"""Banks: modes that interact, with what an IMM over them was tuned to."""
+
+import os
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cache
+from importlib.resources import files
+from pathlib import Path
+from typing import Any
+
+from mmwave_env.filters.imm import ImmSettings, stay_matrix
+from mmwave_env.filters.mode_files import modes_from, modes_in
+from mmwave_env.filters.modes import Mode
+from mmwave_env.models.measurement import Layout
+from mmwave_env.models.radio import RADIOS, profile_of
+from mmwave_env.records import read_object
+
+Transition = tuple[tuple[float, ...], ...]
+_ROUNDING = 1e-6  # of rows that sum to 1
+
+
+@dataclass(frozen=True)
+class Bank:
+    """Modes that keep a belief each, and how the beliefs interact.
+
+    Attributes:
+        modes: two or more.
+        transition: (modes, modes) probabilities (from, to) over a second; None to stay with
+            probability 0.95.
+        nis_quantile: chi-square quantile up to which the NIS of a link counts in a likelihood; 1
+            for all of it, as in the textbook.
+
+    Raises:
+        ValueError: fewer modes, a quantile outside (0, 1], another shape of the transition, rows
+            that are no probabilities, or a mode that none leads to.
+    """
+
+    modes: tuple[Mode, ...]
+    transition: Transition | None = None
+    nis_quantile: float = 1.0
+
+    def __post_init__(self) -> None:
+        if not self.modes:
+            raise ValueError("modes of a bank: found none, expected one or more")
+        if not 0.0 < self.nis_quantile <= 1.0:
+            raise ValueError(
+                f"nis_quantile: found {self.nis_quantile}, expected a quantile in (0, 1]"
+            )
+        if self.transition is not None:
+            _require_probabilities(self.transition, len(self.modes))
+
+    @property
+    def probabilities(self) -> Transition:
+        """The transition probabilities over a second."""
+        return stay_matrix(len(self.modes)) if self.transition is None else self.transition
+
+
+def settings_of(bank: Bank, layout: Layout) -> ImmSettings:
+    """A bank as numbers, for measurements of a layout."""
+    from scipy.special import chdtri  # where used: a bank is described without it
+
+    rows = [group.stop - group.start for group in layout.groups]
+    return ImmSettings(
+        [list(row) for row in bank.probabilities],
+        [mode.tuning for mode in bank.modes],
+        [float(chdtri(k, 1.0 - bank.nis_quantile)) for k in rows],
+    )
+
+
+def _require_probabilities(transition: Transition, modes: int) -> None:
+    rows_sound = all(
+        len(row) == modes and min(row) >= 0.0 and abs(sum(row) - 1.0) <= _ROUNDING
+        for row in transition
+    )
+    if len(transition) != modes or not rows_sound or not all(map(any, zip(*transition))):
+        raise ValueError(
+            f"transition: found {[list(row) for row in transition]}, expected {modes} rows of "
+            f"{modes} probabilities that sum to 1, and none of the modes out of reach"
+        )
+
+
+def bank_in(content: dict[str, Any]) -> Bank:
+    """The bank of a JSON object: "modes" as in a mode file, and what else :class:`Bank` has.
+
+    Raises:
+        ValueError: saying what is wrong in it.
+    """
+    transition = content.get("transition")
+    if transition is not None:
+        try:
+            transition = tuple(tuple(float(p) for p in row) for row in transition)
+        except (TypeError, ValueError) as error:
+            raise ValueError(
+                f"transition: found {transition!r}, expected a list of rows of probabilities"
+            ) from error
+    quantile = content.get("nis_quantile", 1.0)
+    if isinstance(quantile, bool) or not isinstance(quantile, int | float):
+        raise ValueError(f"nis_quantile: found {quantile!r}, expected a quantile in (0, 1]")
+    return Bank(modes_in(content), transition, float(quantile))
+
+
+@cache
+def best_bank(radio: str = "handset") -> Bank:
+    """The bank of the strongest IMM that ``mmwave-loc tune-imm`` found for a radio profile.
+
+    Args:
+        radio: name or file of the profile; one that was not tuned gets that of "standard".
+    """
+    name = profile_of(radio)
+    path = f"data/banks/{name if name in RADIOS else 'standard'}.json"
+    return read_object(Path(str(files("mmwave_env").joinpath(path))), "modes", bank_in)
+
+
+def bank_from(
+    modes: Bank | Sequence[Mode | str] | str | os.PathLike[str] | None, radio: str = "handset"
+) -> Bank:
+    """The bank of a ``modes=`` argument where every mode keeps its own belief.
+
+    Args:
+        modes: a bank; a mode file, which may say "transition" and "nis_quantile", too; or what
+            else :func:`~mmwave_env.filters.mode_files.modes_from` takes. None for
+            :func:`best_bank`.
+        radio: profile that named modes are tuned for.
+
+    Raises:
+        ValueError: as :class:`Bank`, or there are fewer than two modes.
+    """
+    if modes is None:
+        bank = best_bank(radio)
+    elif isinstance(modes, Bank):
+        bank = modes
+    elif isinstance(modes, (str, os.PathLike)) and str(modes).endswith(".json"):
+        bank = read_object(Path(modes), "modes", bank_in)
+    else:
+        bank = Bank(modes_from(modes, radio))
+    if len(bank.modes) < 2:
+        raise ValueError(
+            f"modes: found {bank.modes[0].name!r} alone, expected two or more where every mode "
+            "keeps its own belief"
+        )
+    return bank
