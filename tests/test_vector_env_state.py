@@ -23,6 +23,7 @@ CONFIGURATIONS = {
         "episode_steps": 18, "terminate_on_divergence": True, "scenario": "vehicle",
         "modes": MODES[:1],  # which loses a vehicle
     },
+    "per mode": {"episode_steps": 4, "beliefs": "per-mode"},
     "flat": {"episode_steps": 5, "planar": True, "dt": 0.5, "modes": MODES[:1]},
 }  # fmt: skip
 

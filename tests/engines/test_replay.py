@@ -44,8 +44,9 @@ def test_a_replay_repeats_what_was_seen_and_smooths_it(planar):
 
     tracker = Tracker(pipeline, N)
     tracker.load(episodes)
-    run = tracker.run("x", "P", "P_predicted", "error", actions=ACTIONS)
-    x, _ = smooth(run["x"], run["P"], run["P_predicted"], np.ones(T - 1), planar)
+    run = tracker.run("x", "P", "x_predicted", "P_predicted", "error", actions=ACTIONS)
+    predicted = run["x_predicted"], run["P_predicted"]
+    x, _ = smooth(run["x"], run["P"], *predicted, np.ones(T - 1), planar)
     expected = run["error"] + (x - run["x"])[..., :3]
     np.testing.assert_allclose(again[2], expected, rtol=1e-9, atol=1e-9)
     assert np.abs(again[2] - again[0]).max() > 0.1

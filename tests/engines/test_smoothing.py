@@ -30,10 +30,11 @@ def test_a_linear_model_is_smoothed_as_by_filterpy(dt):
     kf.F, kf.Q = textbook.F(dt), dt * (0.1 * root @ root.T + 0.05 * np.eye(7))
     kf.H, kf.R = rng.normal(size=(4, 7)), np.diag([0.5, 1.0, 2.0, 4.0])
     kf.x, kf.P = rng.normal(size=(7, 1)), 10.0 * np.eye(7)
-    x, P, P_predicted = [], [], []
+    x, P, x_predicted, P_predicted = [], [], [], []
     for t in range(epochs):
         if t:
             kf.predict()
+        x_predicted.append(kf.x.copy())
         P_predicted.append(kf.P.copy())
         kf.update(rng.normal(0.0, 5.0, (4, 1)))
         x.append(kf.x.copy())
@@ -43,6 +44,7 @@ def test_a_linear_model_is_smoothed_as_by_filterpy(dt):
     found_x, found_P = smooth(
         np.array(x)[None, ..., 0],
         packed(np.array(P))[None],
+        np.array(x_predicted)[None, ..., 0],
         packed(np.array(P_predicted))[None],
         np.full(epochs - 1, dt),
     )
@@ -51,21 +53,21 @@ def test_a_linear_model_is_smoothed_as_by_filterpy(dt):
 
 
 def tracks(planar, n=9, epochs=120):
-    """Filtered tracks (n, epochs, ...) of an EKF, over two blocks of lanes: x, P, predicted P."""
+    """Filtered tracks (n, epochs, ...) of an EKF, over two blocks of lanes: x, P, both predicted."""
     source = SimulatedSource(SCENES["street"], RADIOS["handset"], epochs=epochs)
     episodes = [source.sample(np.random.default_rng(seed)) for seed in range(n)]
     pipeline = Pipeline(modes_from(["ekf"]), source.layout, planar)
     tracker = Tracker(pipeline, n)
     tracker.load(episodes)
-    return list(tracker.run("x", "P", "P_predicted").values())
+    return list(tracker.run("x", "P", "x_predicted", "P_predicted").values())
 
 
 @pytest.mark.parametrize("planar", [False, True])
 def test_our_tracks_are_smoothed_as_by_numpy(planar):
-    x, P, P_predicted = tracks(planar)
+    x, P, x_predicted, P_predicted = tracks(planar)
     time_s = np.arange(x.shape[1], dtype=float)
     free = [0, 1, 3, 4, 6] if planar else list(range(7))
-    found_x, found_P = smooth(x, P, P_predicted, np.diff(time_s), planar)
+    found_x, found_P = smooth(x, P, x_predicted, P_predicted, np.diff(time_s), planar)
     for e in range(len(x)):
         expected_x, expected_P = textbook.rts(
             x[e], unpacked(P[e]), unpacked(P_predicted[e]), time_s, free
@@ -82,32 +84,39 @@ def test_uneven_epochs_are_smoothed_with_their_own_steps():
     roots = rng.normal(size=(2, 30, 7, 7))
     P, P_predicted = roots @ np.swapaxes(roots, -1, -2) + np.eye(7)
     x, time_s = rng.normal(size=(30, 7)), rng.uniform(0.2, 2.0, 30).cumsum()
-    found_x, _ = smooth(x[None], packed(P)[None], packed(P_predicted)[None], np.diff(time_s))
+    steps = np.diff(time_s)
+    x_predicted = x.copy()
+    x_predicted[1:] = [textbook.F(dt) @ before for dt, before in zip(steps, x[:-1], strict=True)]
+    found_x, _ = smooth(
+        x[None], packed(P)[None], x_predicted[None], packed(P_predicted)[None], steps
+    )
     expected_x, _ = textbook.rts(x, P, P_predicted, time_s)
     # Arbitrary covariances make the backward recursion grow, so compare to its size.
     assert np.abs(found_x[0] - expected_x).max() <= TOLERANCE * np.abs(expected_x).max()
 
 
 def test_the_last_epoch_is_smooth_already():
-    x, P, P_predicted = (part[:2] for part in tracks(planar=False))
-    found_x, found_P = smooth(x, P, P_predicted, np.ones(x.shape[1] - 1))
+    x, P, x_predicted, P_predicted = (part[:2] for part in tracks(planar=False))
+    found_x, found_P = smooth(x, P, x_predicted, P_predicted, np.ones(x.shape[1] - 1))
     np.testing.assert_array_equal(found_x[:, -1], x[:, -1])
     np.testing.assert_array_equal(found_P[:, -1], P[:, -1])
     assert (found_P[:, :-1, 0] < P[:, :-1, 0]).all()  # and earlier ones gain from later ones
 
 
 def test_one_epoch_is_smooth_already():
-    x, P, P_predicted = (part[:1, :1] for part in tracks(planar=False))
-    found_x, found_P = smooth(x, P, P_predicted, np.empty(0))
+    x, P, x_predicted, P_predicted = (part[:1, :1] for part in tracks(planar=False))
+    found_x, found_P = smooth(x, P, x_predicted, P_predicted, np.empty(0))
     np.testing.assert_array_equal(found_x, x)
     np.testing.assert_array_equal(found_P, P)
 
 
 def test_tracks_may_have_their_own_times():
-    x, P, P_predicted = (part[:3] for part in tracks(planar=False))
+    x, P, x_predicted, P_predicted = (part[:3] for part in tracks(planar=False))
     times = np.random.default_rng(0).uniform(0.2, 2.0, x.shape[:2]).cumsum(axis=1)
-    found = smooth(x, P, P_predicted, np.diff(times))
+    found = smooth(x, P, x_predicted, P_predicted, np.diff(times))
     for e in range(3):
-        alone = smooth(x[e : e + 1], P[e : e + 1], P_predicted[e : e + 1], np.diff(times[e]))
+        alone = smooth(
+            *(part[e : e + 1] for part in (x, P, x_predicted, P_predicted)), np.diff(times[e])
+        )
         for together, one in zip(found, alone, strict=True):
             np.testing.assert_array_equal(together[e], one[0])

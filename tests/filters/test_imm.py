@@ -60,11 +60,12 @@ def test_planar_mixture_keeps_height_and_climb():
     assert np.isfinite(imm["x"]).all()
 
 
-def textbook_imm(episode, modes, transition, nis_quantile=1.0):
+def textbook_imm(episode, modes, transitions, nis_quantile=1.0, change=None):
     """Bar-Shalom, Li and Kirubarajan 2001, Sec. 11.6.6: plain modes without gates and scaling.
 
-    ``modes`` are (method, Q of one second); returns x (T, 7), P (T, 7, 7), probabilities (T, M).
-    In a likelihood, NIS counts up to a chi-square quantile.
+    ``modes`` are (method, Q of one second), ``transitions`` one matrix an epoch; returns x (T, 7),
+    P (T, 7, 7), probabilities (T, M). In a likelihood, NIS counts up to a chi-square quantile.
+    ``change(t, probabilities)`` gives those that are taken instead after epoch t.
     """
     most = chi2.ppf(nis_quantile, [4, 4, 4, 1])
     sensor = textbook.Sensor(episode.scene_anchors_m, episode.hz_per_mps)
@@ -74,7 +75,7 @@ def textbook_imm(episode, modes, transition, nis_quantile=1.0):
     out = []
     for t in range(len(episode)):
         dt = episode.time_s[t] - episode.time_s[t - 1] if t else 0.0
-        joint = transition * probability[:, None]
+        joint = transitions[t] * probability[:, None]
         predicted = joint.sum(axis=0)
         weights = joint / predicted
         mixed_x = weights.T @ x
@@ -93,6 +94,8 @@ def textbook_imm(episode, modes, transition, nis_quantile=1.0):
             log_likelihood[j] = step.log_likelihood + 0.5 * np.maximum(step.nis - most, 0.0).sum()
         probability = predicted * np.exp(log_likelihood - log_likelihood.max())
         probability /= probability.sum()
+        if change:
+            probability = change(t, probability)
         mean = probability @ x
         covariance = sum(
             p * (Pj + np.outer(xj - mean, xj - mean))
@@ -136,7 +139,7 @@ def test_equals_textbook_mixture(tunings, nis_quantile):
             for _, sigma_v in tunings
         ]
         per_mode = [(name, q) for (name, _), q in zip(tunings, Q, strict=True)]
-        x, P, probability = textbook_imm(episode, per_mode, transition, nis_quantile)
+        x, P, probability = textbook_imm(episode, per_mode, [transition] * 30, nis_quantile)
         sigma = np.sqrt(np.einsum("...ii->...i", P))
         np.testing.assert_allclose((ours["x"][:, e] - x) / sigma, 0.0, atol=1e-8)
         scale = sigma[..., :, None] * sigma[..., None, :]

@@ -157,7 +157,7 @@ def test_every_window_is_smoothed_and_what_is_left_too(block, window):
     found = run(cut(block, [64]), window=window)
     for first in range(0, T - 2, window):
         part = slice(first, first + window)
-        values = (found.x, found.P, found.P_predicted)
+        values = (found.x, found.P, found.x_predicted, found.P_predicted)
         x, P = smooth(*(v[None, part] for v in values), np.diff(found.time_s[part]))
         np.testing.assert_allclose(found.smooth_x[part], x[0], rtol=1e-12, atol=1e-12)
         np.testing.assert_allclose(found.smooth_P[part], P[0], rtol=1e-12, atol=1e-12)

@@ -10,10 +10,12 @@ from hypothesis.extra import numpy as hnp
 
 from mmwave_env.models.motion import (
     ProcessNoise,
+    accelerate,
     move,
     predict_covariance,
     white_noise_acceleration,
 )
+from mmwave_env.engines.track_engine import Tracker
 from tests.filters import textbook
 from tests.filters.tracks import pipeline_of, simulated, track, unpacked
 
@@ -116,3 +118,53 @@ def test_a_widened_mode_may_be_anywhere_on_the_ground_at_any_velocity_along_it(p
     )
     expected = np.broadcast_to(np.diag([9.0, 9.0, 0.0, 4.0, 4.0, 0.0, 0.0]), plain.shape)
     np.testing.assert_allclose(widened - plain, expected, atol=1e-9)
+
+
+positions = hnp.arrays(float, 7, elements=st.floats(-300.0, 300.0))
+headings = st.floats(-np.pi, np.pi)
+
+
+@given(x=positions, heading=headings, speed=st.floats(5.0, 40.0), a=st.floats(-4.0, 4.0), dt=steps)
+def test_a_fast_user_accelerates_along_the_velocity(x, heading, speed, a, dt):
+    ahead = np.array([np.cos(heading), np.sin(heading)])
+    x[3:5] = speed * ahead
+    found = np.array(accelerate(x.tolist(), a, dt))
+    a = max(a, -speed / dt) if dt else a
+    expected = x.copy()
+    expected[:2] += 0.5 * a * dt**2 * ahead
+    expected[3:5] += a * dt * ahead
+    # At rest a velocity has no direction: what is below 0.2 m/s counts less, which 5 m/s feel.
+    np.testing.assert_allclose(found, expected, atol=2e-3 * (1.0 + abs(a) * dt) * (1.0 + dt))
+
+
+@given(heading=headings, speed=st.floats(0.0, 3.0), dt=st.floats(0.05, 5.0))
+def test_braking_ends_at_a_standstill(heading, speed, dt):
+    v = speed * np.array([np.cos(heading), np.sin(heading)])
+    found = np.array(accelerate([0.0, 0.0, 1.5, *v, 0.1, 7.0], -100.0, dt))
+    np.testing.assert_allclose(found[3:5], 0.0, atol=1e-12)
+    np.testing.assert_allclose(found[:2], -0.5 * dt * v, atol=1e-12)  # half way back of move's dt v
+    np.testing.assert_array_equal(found[[2, 5, 6]], [1.5, 0.1, 7.0])
+
+
+@given(a=st.floats(-4.0, 4.0), dt=steps)
+def test_who_stands_stays(a, dt):
+    still = [3.0, 4.0, 1.5, 0.0, 0.0, 0.0, 7.0]
+    assert accelerate(still, a, dt) == still
+
+
+def test_a_driven_mode_predicts_the_acceleration_and_nothing_else_changes():
+    """On lanes, on floats and on filterpy: one step of a mode with and without it."""
+    episodes, found = simulated(3, epochs=4), []
+    for a in (0.0, 1.5):
+        pipeline = pipeline_of(algorithms=["ekf"], acceleration_mps2=a)
+        tracker = Tracker(pipeline, 3)
+        tracker.load(episodes)
+        found.append(tracker.run("x", "x_predicted", "P_predicted"))
+    plain, driven = found
+    np.testing.assert_allclose(plain["P_predicted"][:, 0], driven["P_predicted"][:, 0])
+    np.testing.assert_array_equal(plain["x_predicted"][:, 0], driven["x_predicted"][:, 0])  # dt 0
+    for e in range(3):
+        moved = textbook.F(1.0) @ driven["x"][e, 0]
+        np.testing.assert_allclose(
+            driven["x_predicted"][e, 1], accelerate(moved.tolist(), 1.5, 1.0), rtol=1e-12
+        )

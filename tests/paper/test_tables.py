@@ -48,8 +48,8 @@ def test_smoothed_nees_is_that_of_the_smoothed_error(bench, planar):
     found = track(mode, episodes, planar).smoothed
     tracker = Tracker(Pipeline((mode,), episodes[0].layout, planar), len(episodes))
     tracker.load(episodes)
-    run = tracker.run("x", "P", "P_predicted")
-    x, P = smooth(run["x"], run["P"], run["P_predicted"], np.diff(episodes[0].time_s), planar)
+    run = tracker.run("x", "P", "x_predicted", "P_predicted")
+    x, P = smooth(*run.values(), np.diff(episodes[0].time_s), planar)
     axes = [0, 1] if planar else [0, 1, 2]
     error = (x[..., :3] - np.stack([e.truth_position_m for e in episodes]))[:, 10:]
     block = unpacked(P)[:, 10:][..., axes, :][..., axes]

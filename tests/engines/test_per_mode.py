@@ -1,0 +1,176 @@
+"""A belief for every mode: trusting none is the IMM, trusting one is what the textbook says."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from mmwave_env.engines.env_engine import Engine
+from mmwave_env.engines.imm_engine import ImmEngine
+from mmwave_env.engines.replay import Replay
+from mmwave_env.engines.smoothing import smooth
+from mmwave_env.engines.track_engine import Tracker
+from mmwave_env.filters.bank import Bank, best_bank
+from mmwave_env.filters.modes import Mode
+from mmwave_env.filters.pipeline import Pipeline
+from mmwave_env.models.radio import RADIOS
+from mmwave_env.reward import TrackingReward
+from tests.filters import textbook
+from tests.filters.test_imm import textbook_imm
+from tests.filters.tracks import STREET, simulated, unpacked
+
+T = 60
+PLAIN = {"gate": None, "adaptive": False, "coupling": False}
+BANK = Bank(
+    (Mode("slow", "ekf", sigma_v=0.3, **PLAIN), Mode("fast", "ukf", sigma_v=1.8, **PLAIN)),
+    ((0.9, 0.1), (0.3, 0.7)),
+    0.99,
+)
+
+
+def in_steps_of(dt, episodes):
+    return [replace(episode, time_s=dt * np.arange(len(episode))) for episode in episodes]
+
+
+def played(bank, episodes, actions, names=("x", "P", "mode_probabilities"), **options):
+    """An engine after the actions (n, T), and parts of its workspace on the way (n, T, ...)."""
+    pipeline = Pipeline(bank.modes, episodes[0].layout, options.pop("planar", False))
+    engine = Engine(pipeline, len(episodes), TrackingReward(), bank=bank, **options)
+    engine.reset(episodes)
+    history = {name: [] for name in names}
+    for chosen in actions.T:
+        engine.step(chosen)
+        for name, values in history.items():
+            values.append(engine.read(getattr(engine.at, name)))
+    return engine, {name: np.stack(values, axis=1) for name, values in history.items()}
+
+
+@pytest.mark.parametrize("dt", [1.0, 0.1])
+@pytest.mark.parametrize("radio", RADIOS)
+def test_trusting_none_is_the_imm(radio, dt):
+    bank, episodes = best_bank(radio), in_steps_of(dt, simulated(9, epochs=200))
+    _, found = played(bank, episodes, np.zeros((9, 200), int), ("x", "P", "reward", "nees"))
+    pipeline = Pipeline(bank.modes, STREET)
+    imm = ImmEngine(pipeline, TrackingReward(), bank.transition, bank.nis_quantile)
+    expected = imm.run(episodes, *found)
+    for name, values in found.items():
+        np.testing.assert_allclose(values, expected[name], rtol=1e-10, atol=1e-10, err_msg=name)
+
+
+@pytest.mark.parametrize("dt", [1.0, 0.25])
+def test_trust_raises_the_odds_of_a_mode_as_in_the_textbook(dt):
+    """The textbook's IMM with its probabilities changed by hand after every epoch."""
+    episodes = in_steps_of(dt, simulated(4, epochs=30))
+    actions = np.random.default_rng(1).integers(0, 3, (4, 30))
+    _, ours = played(BANK, episodes, actions)
+    for e, episode in enumerate(episodes):
+        drift = BANK.modes[0].sigma_b_mps * episode.hz_per_mps
+        modes = [
+            (mode.algorithm, np.diag(np.square([0.1, 0.1, 0.02, *[mode.sigma_v] * 2, 0.03, drift])))
+            for mode in BANK.modes
+        ]
+
+        def change(t, probability, chosen=actions[e]):
+            step = dt if t else 1.0
+            factor = np.ones(2)
+            if chosen[t]:
+                factor[chosen[t] - 1] = np.exp(3.0 * step)
+            return factor * probability / (factor @ probability)
+
+        step = [1.0, *[dt] * 29]
+        T_ij = np.array(BANK.transition)
+        transitions = [np.eye(2) + s * (T_ij - np.eye(2)) for s in step]
+        x, P, probability = textbook_imm(episode, modes, transitions, BANK.nis_quantile, change)
+        sigma = np.sqrt(np.einsum("...ii->...i", P))
+        np.testing.assert_allclose((ours["x"][e] - x) / sigma, 0.0, atol=1e-8)
+        scale = sigma[..., :, None] * sigma[..., None, :]
+        np.testing.assert_allclose((unpacked(ours["P"][e]) - P) / scale, 0.0, atol=1e-8)
+        np.testing.assert_allclose(ours["mode_probabilities"][e], probability, rtol=1e-7, atol=1e-9)
+
+
+def test_floats_and_lanes_agree():
+    bank, episodes = best_bank(), simulated(2, epochs=12)
+    actions = np.random.default_rng(2).integers(0, 6, (2, 12))
+    names = ("x", "P", "mode_probabilities", "observation", "reward")
+    lanes, floats = (
+        played(bank, episodes, actions, names, on_floats=on_floats)[1]
+        for on_floats in (False, True)
+    )
+    for name in names:
+        np.testing.assert_allclose(floats[name], lanes[name], rtol=1e-9, atol=1e-9, err_msg=name)
+
+
+@pytest.mark.parametrize("planar", [False, True])
+def test_a_replay_repeats_what_was_seen(planar):
+    bank, episodes = best_bank(), simulated(9, epochs=T)
+    if planar:
+        episodes = [e.on_flat_ground(float(e.truth_position_m[0, 2])) for e in episodes]
+    actions = np.random.default_rng(3).integers(0, 6, (9, T)).astype(np.uint8)
+    engine, seen = played(bank, episodes, actions, ("error", "nees"), planar=planar)
+    replay = Replay(engine.pipeline, bank)
+    error, nees, smoothed = replay.run(engine.batch, np.arange(9), actions)
+    np.testing.assert_allclose(error, seen["error"], rtol=1e-9, atol=1e-9)
+    np.testing.assert_allclose(nees, seen["nees"], rtol=1e-9, atol=1e-9)
+    np.testing.assert_array_equal(smoothed[:, -1], error[:, -1])
+    away = [np.linalg.norm(e, axis=-1)[:, 10:].mean() for e in (smoothed, error)]
+    assert away[0] < 0.9 * away[1]
+
+
+def test_twins_are_smoothed_as_one_filter_is():
+    """However two equal modes are trusted, the mixture is the single filter, also backwards."""
+    mode = Mode("a", "ukf", sigma_v=1.2)
+    twins, episodes = Bank((mode, replace(mode, name="b"))), simulated(5, epochs=T)
+    actions = np.random.default_rng(4).integers(0, 3, (5, T)).astype(np.uint8)
+    engine, _ = played(twins, episodes, actions)
+    _, _, found = Replay(engine.pipeline, twins).run(engine.batch, np.arange(5), actions)
+    tracker = Tracker(Pipeline((mode,), STREET), 5)
+    tracker.load(episodes)
+    run = tracker.run("x", "P", "x_predicted", "P_predicted", "error")
+    predicted = run["x_predicted"], run["P_predicted"]
+    x, _ = smooth(run["x"], run["P"], *predicted, np.ones(T - 1))
+    expected = run["error"] + (x - run["x"])[..., :3]
+    np.testing.assert_allclose(found, expected, rtol=1e-7, atol=1e-7)
+
+
+def test_the_prediction_of_a_mixture_is_the_mean_over_its_modes():
+    """x_predicted, P_predicted: before the update, of the mixture that the modes were mixed from.
+
+    Of constant velocity they are F x and F P F' plus the modes' mean Q.
+    """
+    modes = tuple(replace(mode, spread_gain=0.0) for mode in BANK.modes)
+    imm = ImmEngine(Pipeline(modes, STREET), TrackingReward(), BANK.transition, 0.99)
+    run = imm.run(simulated(3, epochs=20), "x", "P", "x_predicted", "P_predicted",
+                  "mixture.probability")  # fmt: skip
+    F, P = textbook.F(1.0), unpacked(run["P"])
+    np.testing.assert_allclose(run["x_predicted"][:, 1:], run["x"][:, :-1] @ F.T, rtol=1e-9,
+                               atol=1e-9)  # fmt: skip
+    weights = run["mixture.probability"][:, :-1] @ np.array(BANK.transition)
+    Q = unpacked(run["P_predicted"])[:, 1:] - F @ P[:, :-1] @ F.T
+    velocity = weights @ np.square([mode.sigma_v for mode in modes])
+    np.testing.assert_allclose(Q[..., 3, 3], velocity, rtol=1e-6)
+    np.testing.assert_allclose(Q[..., 0, 0], 0.01, rtol=1e-4)
+
+
+def test_a_mode_that_is_trusted_costs_what_it_says():
+    costly = tuple(replace(mode, cost=0.25) for mode in BANK.modes)
+    episodes, actions = simulated(3, epochs=10), np.tile([0, 1, 2, 0, 2], (3, 2))
+    free, paid = (
+        played(bank, episodes, actions, ("reward",))[1]["reward"]
+        for bank in (BANK, replace(BANK, modes=costly))
+    )
+    np.testing.assert_allclose(free - paid, 0.25 * (actions > 0), atol=1e-12)
+
+
+def test_environments_take_banks_of_their_own():
+    one, other = best_bank("handset"), best_bank("high")
+    episodes, actions = simulated(10, epochs=15), np.zeros((10, 15), int)
+    engine = Engine(Pipeline(one.modes, STREET), 10, TrackingReward(), bank=one)
+    engine.tune(other, np.arange(5, 10))
+    engine.reset(episodes)
+    for chosen in actions.T:
+        engine.step(chosen)
+    for bank, some in ((one, slice(5)), (other, slice(5, 10))):
+        alone, _ = played(bank, episodes[some], actions[some])
+        np.testing.assert_array_equal(
+            engine.read(engine.at.x)[some], alone.read(alone.at.x)
+        )
