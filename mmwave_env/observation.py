@@ -1,5 +1,6 @@
 """The observation: one table of features that makes the space, the docs and the values."""
 
+from collections.abc import Sequence
 from hashlib import sha256
 
 import numpy as np
@@ -7,6 +8,7 @@ from gymnasium import spaces
 from numpy.typing import NDArray
 
 from mmwave_env.features import View, coming, context
+from mmwave_env.filters.modes import Mode
 from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.lookup import choose
 from mmwave_env.numerics.numbers import Number, clip
@@ -17,6 +19,12 @@ BELIEFS = {
     "shared": "one belief, which the mode chosen updates",
     "per-mode": "one belief a mode; they interact, and the agent says which to trust",
 }
+
+
+def action_names(modes: Sequence[Mode], beliefs: str) -> list[str]:
+    """What the actions are called: the modes; where each keeps its belief, first "none"."""
+    names = [mode.name for mode in modes]
+    return ["none", *names] if beliefs == "per-mode" else names
 
 
 class Observation:
@@ -45,9 +53,14 @@ class Observation:
 
     @property
     def actions(self) -> list[str]:
-        """What the actions are called: the modes; where each keeps its belief, first "none"."""
-        names = [mode.name for mode in self.modes]
-        return ["none", *names] if self.beliefs == "per-mode" else names
+        """What the actions are called."""
+        return action_names(self.modes, self.beliefs)
+
+    @property
+    def made_with(self) -> str:
+        """The arguments of the environment that make this table, for messages."""
+        modes = ", ".join(mode.name for mode in self.modes)
+        return f"observation={self.kind!r}, beliefs={self.beliefs!r} and the modes {modes}"
 
     @property
     def space(self) -> spaces.Box:

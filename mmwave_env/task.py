@@ -27,6 +27,8 @@ from mmwave_env.reward import PairedReward, Reward, reward_from
 
 EPISODE_STEPS = 200
 
+Modes = Bank | Sequence[Mode | str] | str | os.PathLike[str] | None  # of a ``modes=`` argument
+
 
 @dataclass(frozen=True)
 class Task:
@@ -103,7 +105,7 @@ class TaskArguments:
     scenario: Scenario | None = None
     radio: str | os.PathLike[str] | Radio = "handset"
     scene: str | Scene | None = None
-    modes: Bank | Sequence[Mode | str] | str | os.PathLike[str] | None = None
+    modes: Modes = None
     beliefs: str = "shared"
     reward: str | Reward | PairedReward = "tracking"
     episode_steps: int | None = None
@@ -133,7 +135,7 @@ def task_from(**arguments: Any) -> Task:
     given = TaskArguments(**arguments)
     source, radio = _source(given, radio_from(given.radio))
     pays = reward_from(given.reward)
-    bank, modes = _modes(given, radio)
+    bank, modes = bank_and_modes(given.modes, given.beliefs, radio.name)
     pipeline = Pipeline(modes, source.layout, given.planar)
     baseline = None
     if isinstance(pays, PairedReward):
@@ -147,17 +149,28 @@ def task_from(**arguments: Any) -> Task:
     return Task(source, radio, pipeline, bank, pays, baseline, worst)
 
 
-def _modes(given: TaskArguments, radio: Radio) -> tuple[Bank | None, tuple[Mode, ...]]:
-    """The modes, and their bank where each keeps its own belief."""
-    choose(BELIEFS, given.beliefs, "beliefs")
-    if given.beliefs == "per-mode":
-        bank = bank_from(given.modes, radio.name)
+def bank_and_modes(modes: Modes, beliefs: str, radio: str) -> tuple[Bank | None, tuple[Mode, ...]]:
+    """What the arguments ``modes=`` and ``beliefs=`` mean.
+
+    Args:
+        modes, beliefs: as of :class:`~mmwave_env.env.MmWaveLocEnv`.
+        radio: profile that named modes are tuned for.
+
+    Returns:
+        The bank where every mode keeps its own belief, None where they share one; and the modes.
+
+    Raises:
+        ValueError: one that means nothing; the message says what would.
+    """
+    choose(BELIEFS, beliefs, "beliefs")
+    if beliefs == "per-mode":
+        bank = bank_from(modes, radio)
         return bank, bank.modes
-    if isinstance(given.modes, Bank):
+    if isinstance(modes, Bank):
         raise ValueError(
             "modes: found a bank, expected a list of modes; a bank is for beliefs='per-mode'"
         )
-    return None, modes_from(given.modes, radio.name)
+    return None, modes_from(modes, radio)
 
 
 def _source(given: TaskArguments, radio: Radio) -> tuple[EpisodeSource, Radio]:

@@ -8,6 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mmwave_env import __version__
+from mmwave_env.filters.bank import Bank
+from mmwave_env.models.radio import profile_of
 from mmwave_env.observation import Observation
 from policies.policy_file import Tensors, read_policy
 
@@ -21,7 +23,7 @@ def shipped_policies() -> dict[str, Path]:
 
 
 class LearnedSwitch:
-    """A network that chooses the mode: the most probable action.
+    """A network that chooses the mode, or the mode to trust: the most probable action.
 
     ```python
     >>> policy = LearnedSwitch("runs/mine.safetensors")
@@ -32,6 +34,16 @@ class LearnedSwitch:
 
     ```
 
+    Where every mode keeps its own belief, an environment takes the bank of its radio:
+
+    ```python
+    >>> policy = LearnedSwitch("runs/per-mode.safetensors")
+    >>> env = gym.make(
+    ...     "mmwave_env:MmWaveLoc-v0", beliefs=policy.beliefs, modes=policy.bank("handset")
+    ... )
+
+    ```
+
     Args:
         path: a policy file (``.safetensors``), or the name of a shipped one.
         observation: the environment's table of features, to be sure that it is the one the
@@ -39,7 +51,8 @@ class LearnedSwitch:
 
     Attributes:
         card: how it was trained.
-        modes: of the environments it works in.
+        modes: of the environments it works in; where each keeps its own belief, of the first bank.
+        beliefs: of these environments, "shared" or "per-mode".
 
     Raises:
         ValueError: unknown name, a damaged file, or another table of features.
@@ -51,7 +64,7 @@ class LearnedSwitch:
     ) -> None:
         self._path = _located(path)
         tensors, self.card = read_policy(self._path)
-        self.modes = self.card.modes
+        self.modes, self.beliefs = self.card.modes, self.card.beliefs
         self._low, self._high = tensors["low"], tensors["high"]
         self._memories: list[_Frames | _Lstm] = []
         if self.card.frames > 1:
@@ -66,25 +79,51 @@ class LearnedSwitch:
         if observation is not None:
             self.require_trained_on(observation)
 
+    def bank(self, radio: str = "handset") -> Bank:
+        """The bank to use with a radio, where every mode keeps its own belief.
+
+        Args:
+            radio: name or file of the profile; one it was not trained with gets the bank of
+                "standard", or the first, where there is none of that.
+
+        Raises:
+            ValueError: it was trained with a belief that the modes share.
+        """
+        banks = self.card.banks
+        if not banks:
+            raise ValueError(
+                f"{self._path}: found no banks, as it was trained with beliefs='shared'; use "
+                "policy.modes"
+            )
+        first, *_ = banks.values()
+        return banks.get(profile_of(radio), banks.get("standard", first))
+
     def require_trained_on(self, observation: Observation) -> None:
-        """Refuse an environment that shows other features than in training.
+        """Refuse an environment that shows or offers something else than in training.
 
         Raises:
             ValueError: saying what it was trained with, what the environment has, what to do.
         """
         card, found = self.card, observation
-        trained = f"{self._path}: trained with"
-        if found.modes != card.modes:
+        trained, arguments = f"{self._path}: trained with", "modes=policy.modes"
+        if card.banks:
+            arguments = f'beliefs="per-mode", modes=policy.bank("{next(iter(card.banks))}")'
+        if found.beliefs != card.beliefs:
+            raise ValueError(
+                f"{trained} beliefs={card.beliefs!r}, found {found.beliefs!r}; make the "
+                f'environment with its modes: gym.make("MmWaveLoc-v0", {arguments})'
+            )
+        if found.modes not in [card.modes, *(bank.modes for bank in card.banks.values())]:
             here, there = ([mode.name for mode in modes] for modes in (found.modes, card.modes))
             tuned = ", of another tuning" if here == there else ""
             raise ValueError(
                 f"{trained} the modes {there}, found {here}{tuned}; make the environment with its "
-                'modes: gym.make("MmWaveLoc-v0", modes=policy.modes)'
+                f'modes: gym.make("MmWaveLoc-v0", {arguments})'
             )
         if found.kind != card.observation:
             raise ValueError(
                 f"{trained} observation={card.observation!r}, found {found.kind!r}; make the "
-                f'environment with it: gym.make("MmWaveLoc-v0", modes=policy.modes, '
+                f'environment with it: gym.make("MmWaveLoc-v0", {arguments}, '
                 f"observation={card.observation!r})"
             )
         if found.digest != card.digest:

@@ -7,7 +7,7 @@ Tensors, float32; the actor is the network that chooses:
   before an episode begins are the middle of these bounds;
 - ``layer.0.weight`` (out, in), ``layer.0.bias`` (out,), ``layer.1.weight``, ...: an MLP with
   tanh between its layers. ``in`` of the first is features times frames, ``out`` of the last the
-  number of modes;
+  number of actions: the modes; where each keeps its own belief, none of them and the modes;
 - of a recurrent actor ``lstm.weight_ih`` (4 h, in), ``lstm.weight_hh`` (4 h, h) and
   ``lstm.bias`` (4 h,), gates in PyTorch's order (input, forget, cell, output): it comes first,
   and the MLP sees its h.
@@ -19,7 +19,7 @@ The file's metadata hold, under "policy", a JSON object with the number of this 
 import json
 import os
 from collections.abc import Iterable
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass, field, fields
 from hashlib import sha256
 from pathlib import Path
 from typing import Any, get_origin, get_type_hints
@@ -29,13 +29,16 @@ from numpy.typing import NDArray
 from safetensors import SafetensorError, safe_open
 from safetensors.numpy import save
 
+from mmwave_env.filters.bank import Bank, bank_as_written, bank_in
 from mmwave_env.filters.mode_files import as_written, modes_from, modes_in
 from mmwave_env.filters.modes import Mode
 from mmwave_env.lookup import choose
-from mmwave_env.observation import OBSERVATIONS
+from mmwave_env.observation import BELIEFS, OBSERVATIONS, action_names
 
 FORMAT = 1
 _KEY = "policy"  # one only: the library writes several in any order, and files would differ
+_PER_MODE = ("beliefs", "banks")  # not written where beliefs are shared, as before there were any
+_BANK = ("modes", "transition", "nis_quantile")
 
 Tensors = dict[str, NDArray[np.float32]]
 
@@ -45,7 +48,8 @@ class Card:
     """What a policy file tells about its weights.
 
     Attributes:
-        modes: what the actions stand for.
+        modes: what the actions stand for; where each keeps its own belief, those of the first
+            bank, and action 0 stands for none of them.
         observation: "full" or "prior".
         digest: of the table of features, :attr:`~mmwave_env.observation.Observation.digest`.
         frames: observations the actor sees at once.
@@ -57,6 +61,12 @@ class Card:
         command: that made the file.
         evaluation: figures, JSON of any form.
         versions: of packages at training; "mmwave-loc" is one of them.
+        beliefs: "shared" or "per-mode".
+        banks: of beliefs per mode, by the radio profile it was trained with; of modes that are
+            called alike in all of them.
+
+    Raises:
+        ValueError: saying what is wrong in it.
     """
 
     modes: tuple[Mode, ...]
@@ -71,6 +81,8 @@ class Card:
     command: str
     evaluation: dict[str, Any]
     versions: dict[str, str]
+    beliefs: str = "shared"
+    banks: dict[str, Bank] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         for name, hint in get_type_hints(Card).items():
@@ -82,6 +94,36 @@ class Card:
             raise ValueError(f"frames: found {self.frames}, expected 1 or more")
         if not isinstance(self.versions.get("mmwave-loc"), str):
             raise ValueError(f"versions: found {self.versions!r}, expected one of 'mmwave-loc'")
+        choose(BELIEFS, self.beliefs, "beliefs")
+        if self.beliefs == "per-mode":
+            self._require_banks()
+        elif self.banks:
+            raise ValueError(
+                f"banks: found those of {', '.join(self.banks)}, expected none where beliefs are "
+                "'shared'"
+            )
+
+    def _require_banks(self) -> None:
+        """Refuse banks that do not fit each other or the modes."""
+        if not self.banks:
+            raise ValueError("banks: found none, expected one or more where beliefs are 'per-mode'")
+        first, *_ = self.banks.values()
+        if self.modes != first.modes:
+            raise ValueError(
+                f"modes: found {_names(self.modes)}, expected {_names(first.modes)} as the first "
+                "bank has them"
+            )
+        for radio, bank in self.banks.items():
+            if _names(bank.modes) != _names(self.modes):
+                raise ValueError(
+                    f"bank of radio {radio!r}: found the modes {_names(bank.modes)}, expected "
+                    f"{_names(self.modes)}"
+                )
+
+    @property
+    def actions(self) -> list[str]:
+        """What the actions are called."""
+        return action_names(self.modes, self.beliefs)
 
     @classmethod
     def from_json(cls, content: Any) -> "Card":
@@ -92,8 +134,12 @@ class Card:
         """
         if not isinstance(content, dict):
             raise ValueError(f"card: found {content!r}, expected an object")
-        _require_names("card", content, (field.name for field in fields(cls)))
-        return cls(**{**content, "modes": modes_from(modes_in(content))})
+        names = [field.name for field in fields(cls)]
+        if not any(name in content for name in _PER_MODE):
+            names = [name for name in names if name not in _PER_MODE]
+        _require_names("card", content, names)
+        banks = _banks_in(content.get("banks", {}))
+        return cls(**{**content, "modes": modes_from(modes_in(content)), "banks": banks})
 
     def as_json(self) -> dict[str, Any]:
         """The card as a policy file holds it.
@@ -101,7 +147,32 @@ class Card:
         Raises:
             ValueError: a mode's algorithm is a function, which no file can hold.
         """
-        return {**asdict(self), "modes": [as_written(mode) for mode in self.modes]}
+        content = {**asdict(self), "modes": [as_written(mode) for mode in self.modes]}
+        if self.beliefs == "shared":
+            return {name: value for name, value in content.items() if name not in _PER_MODE}
+        banks = {radio: bank_as_written(bank) for radio, bank in self.banks.items()}
+        return content | {"banks": banks}
+
+
+def _banks_in(content: Any) -> dict[str, Bank]:
+    """The banks of a card as a policy file holds them."""
+    if not isinstance(content, dict):
+        raise ValueError(f"banks: found {content!r}, expected an object, a bank for each radio")
+    found = {}
+    for radio, bank in content.items():
+        where = f"bank of radio {radio!r}"
+        if not isinstance(bank, dict):
+            raise ValueError(f"{where}: found {bank!r}, expected an object")
+        _require_names(where, bank, _BANK)
+        try:
+            found[radio] = bank_in(bank)
+        except ValueError as error:
+            raise ValueError(f"{where}: {error}") from error
+    return found
+
+
+def _names(modes: Iterable[Mode]) -> str:
+    return ", ".join(mode.name for mode in modes)
 
 
 def to_bytes(tensors: Tensors, card: Card) -> bytes:
@@ -206,7 +277,7 @@ def _shapes(tensors: Tensors, card: Card) -> dict[str, tuple[int, ...]]:
         width = hidden
     layers = sum(name.startswith("layer.") and name.endswith(".weight") for name in tensors)
     for i in range(max(layers, 1)):
-        out = size.get(f"layer.{i}.bias", 0) if i < layers - 1 else len(card.modes)
+        out = size.get(f"layer.{i}.bias", 0) if i < layers - 1 else len(card.actions)
         shapes[f"layer.{i}.weight"], shapes[f"layer.{i}.bias"] = (out, width), (out,)
         width = out
     return shapes

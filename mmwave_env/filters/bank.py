@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from mmwave_env.filters.imm import ImmSettings, stay_matrix
-from mmwave_env.filters.mode_files import modes_from, modes_in
+from mmwave_env.filters.mode_files import as_written, modes_from, modes_in
 from mmwave_env.filters.modes import Mode
 from mmwave_env.models.measurement import Layout
 from mmwave_env.models.radio import RADIOS, profile_of
@@ -72,7 +72,8 @@ def _require_probabilities(transition: Transition, modes: int) -> None:
         len(row) == modes and min(row) >= 0.0 and abs(sum(row) - 1.0) <= _ROUNDING
         for row in transition
     )
-    if len(transition) != modes or not rows_sound or not all(map(any, zip(*transition))):
+    square = len(transition) == modes and rows_sound
+    if not square or not all(map(any, zip(*transition, strict=True))):
         raise ValueError(
             f"transition: found {[list(row) for row in transition]}, expected {modes} rows of "
             f"{modes} probabilities that sum to 1, and none of the modes out of reach"
@@ -89,14 +90,28 @@ def bank_in(content: dict[str, Any]) -> Bank:
     if transition is not None:
         try:
             transition = tuple(tuple(float(p) for p in row) for row in transition)
-        except (TypeError, ValueError) as error:
+        except (TypeError, ValueError, OverflowError) as error:
             raise ValueError(
                 f"transition: found {transition!r}, expected a list of rows of probabilities"
             ) from error
     quantile = content.get("nis_quantile", 1.0)
     if isinstance(quantile, bool) or not isinstance(quantile, int | float):
         raise ValueError(f"nis_quantile: found {quantile!r}, expected a quantile in (0, 1]")
-    return Bank(modes_in(content), transition, float(quantile))
+    return Bank(modes_in(content), transition, quantile)
+
+
+def bank_as_written(bank: Bank) -> dict[str, Any]:
+    """A bank as JSON files hold it, all of it; :func:`bank_in` reads it.
+
+    Raises:
+        ValueError: a mode's algorithm is a function, which no file can hold.
+    """
+    transition = bank.transition
+    return {
+        "modes": [as_written(mode) for mode in bank.modes],
+        "transition": None if transition is None else [list(row) for row in transition],
+        "nis_quantile": bank.nis_quantile,
+    }
 
 
 @cache
@@ -117,8 +132,8 @@ def bank_from(
     """The bank of a ``modes=`` argument where every mode keeps its own belief.
 
     Args:
-        modes: a bank; a mode file, which may say "transition" and "nis_quantile", too; or what
-            else :func:`~mmwave_env.filters.mode_files.modes_from` takes. None for
+        modes: a bank; a mode file, alone, which may say "transition" and "nis_quantile", too; or
+            what else :func:`~mmwave_env.filters.mode_files.modes_from` takes. None for
             :func:`best_bank`.
         radio: profile that named modes are tuned for.
 
@@ -129,10 +144,12 @@ def bank_from(
         bank = best_bank(radio)
     elif isinstance(modes, Bank):
         bank = modes
-    elif isinstance(modes, (str, os.PathLike)) and str(modes).endswith(".json"):
-        bank = read_object(Path(modes), "modes", bank_in)
     else:
-        bank = Bank(modes_from(modes, radio))
+        alone = modes[0] if isinstance(modes, (list, tuple)) and len(modes) == 1 else modes
+        if isinstance(alone, (str, os.PathLike)) and str(alone).endswith(".json"):
+            bank = read_object(alone, "modes", bank_in)
+        else:
+            bank = Bank(modes_from(modes, radio))
     if len(bank.modes) < 2:
         raise ValueError(
             f"modes: found {bank.modes[0].name!r} alone, expected two or more where every mode "

@@ -16,7 +16,18 @@ from mmwave_env.models.measurement import Layout
 from mmwave_env.observation import Observation
 from policies import LearnedSwitch, learned, shipped_policies
 from tests.paths import ROOT
-from tests.training.actors import FEATURES, MODES, TABLE, actor, card_of, write
+from tests.training.actors import (
+    FEATURES,
+    HANDSET,
+    MODES,
+    PER_MODE_TABLE,
+    STANDARD,
+    TABLE,
+    actor,
+    card_of,
+    write,
+    write_per_mode,
+)
 
 KINDS = {
     "plain": {},
@@ -298,6 +309,72 @@ def test_another_environment_is_refused(make, tmp_path, pipeline, kind, message)
         LearnedSwitch(tmp_path / "plain.safetensors", other)
 
 
+# --- beliefs per mode
+
+
+@pytest.fixture
+def per_mode(tmp_path):
+    """A policy over modes that keep a belief each, with banks for two radios."""
+    return LearnedSwitch(write_per_mode(tmp_path / "trust.safetensors"))
+
+
+def test_a_policy_over_beliefs_per_mode_acts_in_an_environment_of_its_bank(per_mode):
+    arguments = {"beliefs": per_mode.beliefs, "modes": per_mode.bank("handset")}
+    env = gym.make("MmWaveLoc-v0", episode_steps=15, **arguments)
+    per_mode.require_trained_on(env.unwrapped.observation)
+    observation, _ = env.reset(seed=0)
+    over, taken = False, []
+    while not over:
+        (action,) = per_mode(observation[None])
+        observation, _, _, over, info = env.step(action)
+        taken.append(info["mode"])
+    assert math.isfinite(info["ate_m"]) and {0, 3} < {*taken, 0, 3} <= set(range(4))
+
+
+def test_a_radio_has_the_bank_it_was_trained_with_and_others_that_of_standard(per_mode, tmp_path):
+    assert per_mode.modes == MODES and per_mode.beliefs == "per-mode"
+    assert per_mode.bank() == per_mode.bank("handset") == HANDSET
+    assert per_mode.bank("standard") == per_mode.bank("high") == STANDARD
+    (tmp_path / "radio.json").write_text('{"name": "lab", "base": "handset"}')
+    banks = {"handset": HANDSET, "lab": STANDARD}
+    mine = LearnedSwitch(write_per_mode(tmp_path / "mine.safetensors", banks=banks))
+    assert mine.bank(str(tmp_path / "radio.json")) == STANDARD  # a file's is the name in it
+    assert mine.bank("standard") == HANDSET  # the first
+
+
+def test_a_policy_over_a_shared_belief_has_no_bank(make):
+    policy, _ = make("plain")
+    assert policy.beliefs == "shared"
+    with pytest.raises(ValueError, match="plain.safetensors: found no banks, .*; use policy.modes"):
+        policy.bank("handset")
+
+
+PER_MODE_ARGUMENTS = r'gym.make\("MmWaveLoc-v0", beliefs="per-mode", modes=policy.bank\("handset"\)'
+
+
+def test_any_of_its_banks_suits_a_policy_and_nothing_else(per_mode, make):
+    for bank in (HANDSET, STANDARD):
+        per_mode.require_trained_on(Observation(Pipeline(bank.modes, Layout()), "full", "per-mode"))
+    other = (replace(MODES[0], sigma_v=9.0), *MODES[1:])
+    for table, message in {
+        TABLE: r"beliefs='per-mode', found 'shared'; make the environment with its modes: ",
+        Observation(Pipeline(other, Layout()), "full", "per-mode"):
+            r"the modes \['stand', .*of another tuning; make the environment with its modes: ",
+        Observation(Pipeline(MODES, Layout()), "prior", "per-mode"):
+            "observation='full', found 'prior'; make the environment with it: ",
+    }.items():  # fmt: skip
+        with pytest.raises(
+            ValueError, match=f"trust.*: trained with {message}{PER_MODE_ARGUMENTS}"
+        ):
+            per_mode.require_trained_on(table)
+    shared, _ = make("plain")
+    message = (
+        r"beliefs='shared', found 'per-mode'; .*gym.make\(\"MmWaveLoc-v0\", modes=policy.modes\)"
+    )
+    with pytest.raises(ValueError, match=message):
+        shared.require_trained_on(PER_MODE_TABLE)
+
+
 def test_features_of_another_version_are_refused(tmp_path):
     old = card_of(digest="0" * 16, versions={"mmwave-loc": "0.0.7"})
     path = write(tmp_path / "old.safetensors", actor(), old)
@@ -326,8 +403,8 @@ def test_shipped_policies_go_by_name(tmp_path, monkeypatch):
 def test_every_shipped_policy_suits_this_version():
     for path in shipped_policies().values():
         policy = LearnedSwitch(path)
-        table = Observation(Pipeline(policy.modes, Layout()), policy.card.observation)
-        policy.require_trained_on(table)
+        pipeline = Pipeline(policy.modes, Layout())
+        policy.require_trained_on(Observation(pipeline, policy.card.observation, policy.beliefs))
 
 
 def test_a_missing_file_is_named():

@@ -4,6 +4,7 @@ import json
 import pickle
 import struct
 from dataclasses import asdict, replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -12,10 +13,13 @@ from hypothesis import strategies as st
 from safetensors import safe_open
 from safetensors.numpy import save
 
+from mmwave_env.filters.bank import bank_as_written
+from mmwave_env.filters.mode_files import as_written
 from mmwave_env.filters.modes import Mode
 from mmwave_env.filters.update import ekf
+from policies import shipped_policies
 from policies.policy_file import Card, _checksum, read_policy, to_bytes
-from tests.training.actors import MODES, actor, card_of, write
+from tests.training.actors import HANDSET, MODES, PER_MODE, STANDARD, actor, card_of, write
 
 SMALL = {"features": 3, "hidden": (2,)}
 KINDS = {
@@ -24,9 +28,11 @@ KINDS = {
     "frames": (actor(**SMALL, frames=4), card_of(frames=4)),
     "lstm": (actor(**SMALL, lstm=2), card_of()),
     "both": (actor(**SMALL, frames=2, lstm=2), card_of(frames=2, observation="prior")),
+    "per-mode": (actor(**SMALL, actions=4), card_of(**PER_MODE)),
 }
 TENSORS, CARD = KINDS["both"]
 WHOLE = to_bytes(TENSORS, CARD)
+PER_MODE_TENSORS, PER_MODE_CARD = KINDS["per-mode"]
 
 in_one_folder = settings(suppress_health_check=[HealthCheck.function_scoped_fixture], deadline=None)
 
@@ -83,10 +89,45 @@ def test_own_modes_and_figures_of_any_form_come_back(path):
     modes = (Mode("slow", "ckf", gate=None, widen_p=3.0), Mode("fast", sigma_v=0.1 + 0.2))
     figures = {"mixed": {"reward": [-1.7, 0.1 + 0.2]}, "seeds": None, "10": 1, "9": 2}
     card = card_of(modes=modes, evaluation=figures)
-    assert read_policy(write(path, actor(3, modes=2), card))[1] == card
+    assert read_policy(write(path, actor(3, actions=2), card))[1] == card
     numbered = replace(card, evaluation={10: 1, 9: (2, 3)})
-    read = read_policy(write(path, actor(3, modes=2), numbered))[1]
+    read = read_policy(write(path, actor(3, actions=2), numbered))[1]
     assert read.evaluation == {"10": 1, "9": [2, 3]}
+
+
+@pytest.mark.parametrize("name", shipped_policies())
+def test_a_shipped_file_is_written_again_to_the_last_byte(name):
+    path = shipped_policies()[name]
+    assert to_bytes(*read_policy(path)) == path.read_bytes()
+
+
+def test_files_of_shared_beliefs_are_what_they_were_before_there_were_others():
+    assert CARD.beliefs == "shared" and CARD.banks == {}
+    assert not {"beliefs", "banks"} & set(CARD.as_json())
+
+
+def test_the_bank_of_every_radio_is_in_the_card():
+    content = json.loads(json.dumps(PER_MODE_CARD.as_json()))
+    assert content["beliefs"] == "per-mode" and list(content["banks"]) == ["handset", "standard"]
+    assert content["modes"] == content["banks"]["handset"]["modes"]
+    assert content["banks"]["standard"] == {
+        "modes": [{"name": "stand", "algorithm": "ekf", "sigma_p": 0.1, "sigma_v": 0.05},
+                  *content["modes"][1:]],
+        "transition": [[0.8, 0.1, 0.1], [0.2, 0.7, 0.1], [0.3, 0.3, 0.4]],
+        "nis_quantile": 1.0,
+    }  # fmt: skip
+    stays = replace(HANDSET, transition=None)
+    card = replace(PER_MODE_CARD, banks={"lab": stays})
+    assert card.as_json()["banks"]["lab"]["transition"] is None
+    assert Card.from_json(card.as_json()) == card
+
+
+def test_of_beliefs_per_mode_there_is_one_more_action_than_modes(path):
+    assert PER_MODE_CARD.actions == ["none", "stand", "walk", "ride"]
+    for actions in (3, 5):
+        tensors = actor(**SMALL, actions=actions)
+        message = f"layer.1.weight': found shape .{actions}, 2., expected .4, 2."
+        refused(path, assembled(tensors, PER_MODE_CARD.as_json()), message)
 
 
 def test_any_program_can_read_the_file(path):
@@ -192,6 +233,17 @@ def test_a_mode_may_hold_anything_and_is_read_as_it_stands_or_refused(path, mode
         assert all(getattr(found[1].modes[1], name) == value for name, value in mode.items())
 
 
+@settings(in_one_folder, max_examples=100)
+@given(st.sampled_from(["modes", "transition", "nis_quantile", "?"]), ANYTHING)
+def test_a_bank_may_hold_anything_and_is_read_as_it_stands_or_refused(path, name, value):
+    card = PER_MODE_CARD.as_json()
+    card["banks"]["standard"] = card["banks"]["standard"] | {name: value}
+    found = read_or_refused(path, assembled(PER_MODE_TENSORS, card))
+    if found is not None:
+        written = found[1].as_json()["banks"]["standard"]
+        assert json.dumps(written[name]) == json.dumps(value)
+
+
 @in_one_folder
 @given(ANYTHING)
 def test_metadata_may_hold_anything(path, value):
@@ -282,6 +334,69 @@ def test_a_card_of_the_wrong_kind_is_neither_read_nor_made(path, changes, messag
         Card(**vars(CARD) | changes)
 
 
+RENAMED = replace(STANDARD, modes=tuple(replace(mode, name=f"my {mode.name}") for mode in MODES))
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"beliefs": "mine"}, "beliefs: found 'mine', expected one of shared, per-mode"),
+        ({"beliefs": 1}, "beliefs: found 1, expected str"),
+        ({"beliefs": "shared"}, "banks: found those of handset, standard, expected none where bel"),
+        ({"banks": {}}, "banks: found none, expected one or more where beliefs are 'per-mode'"),
+        ({"banks": {"standard": STANDARD, "handset": HANDSET}, "modes": MODES[:2]},
+         "modes: found stand, walk, expected stand, walk, ride as the first bank has them"),
+        ({"banks": {"handset": HANDSET, "lab": RENAMED}},
+         "bank of radio 'lab': found the modes my stand, my walk, my ride, expected stand, walk, "),
+    ],
+)  # fmt: skip
+def test_banks_that_fit_nothing_are_neither_read_nor_made(path, changes, message):
+    card = SimpleNamespace(**vars(PER_MODE_CARD) | changes)
+    with pytest.raises(ValueError, match=message):
+        Card(**vars(card))
+    content = PER_MODE_CARD.as_json() | {"beliefs": card.beliefs}
+    content["modes"] = [as_written(mode) for mode in card.modes]
+    content["banks"] = {radio: bank_as_written(bank) for radio, bank in card.banks.items()}
+    refused(path, assembled(PER_MODE_TENSORS, content), message)
+
+
+BANK = PER_MODE_CARD.as_json()["banks"]["handset"]
+
+
+@pytest.mark.parametrize(
+    ("banks", "message"),
+    [
+        ([BANK], "banks: found .*, expected an object, a bank for each radio"),
+        ({"lab": None}, "bank of radio 'lab': found None, expected an object"),
+        (
+            {"lab": {"modes": BANK["modes"]}},
+            "'lab': missing nis_quantile, transition, unknown none",
+        ),
+        ({"lab": BANK | {"cap": 1}}, "'lab': missing none, unknown cap"),
+        ({"lab": BANK | {"modes": []}}, "'lab': modes: found .., expected a list of one or more"),
+        (
+            {"lab": BANK | {"transition": [[1.0]]}},
+            "'lab': transition: .* expected 3 rows of 3 prob",
+        ),
+        (
+            {"lab": BANK | {"transition": [[10**400]]}},
+            "'lab': transition: .* expected a list of ro",
+        ),
+        ({"lab": BANK | {"nis_quantile": 2}}, "'lab': nis_quantile: found 2, expected a quantile"),
+    ],
+)
+def test_damaged_banks_are_refused(path, banks, message):
+    content = PER_MODE_CARD.as_json() | {"banks": banks}
+    refused(path, assembled(PER_MODE_TENSORS, content), message)
+
+
+@pytest.mark.parametrize("name", ["beliefs", "banks"])
+def test_beliefs_and_banks_belong_together(path, name):
+    content = PER_MODE_CARD.as_json()
+    del content[name]
+    refused(path, assembled(PER_MODE_TENSORS, content), f"card: missing {name}, unknown none")
+
+
 @pytest.mark.parametrize(
     ("modes", "message"),
     [
@@ -300,7 +415,7 @@ def test_unknown_modes_are_refused(path, modes, message):
 
 def test_no_file_can_hold_a_function():
     with pytest.raises(ValueError, match="algorithm of mode 'own': found a function"):
-        to_bytes(actor(3, modes=1), card_of(modes=(Mode("own", ekf),)))
+        to_bytes(actor(3, actions=1), card_of(modes=(Mode("own", ekf),)))
 
 
 def test_a_missing_file_is_named(path, tmp_path):

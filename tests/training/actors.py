@@ -1,7 +1,10 @@
 """Small learned switchers for tests, with random weights."""
 
+from dataclasses import replace
+
 import numpy as np
 
+from mmwave_env.filters.bank import Bank
 from mmwave_env.filters.modes import Mode
 from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.models.measurement import Layout
@@ -11,6 +14,11 @@ from policies.policy_file import Card, to_bytes
 MODES = (Mode("stand", sigma_v=0.1), Mode("walk"), Mode("ride", sigma_v=2.0))  # quick to compile
 TABLE = Observation(Pipeline(MODES, Layout()))
 FEATURES = len(TABLE)
+
+HANDSET = Bank(MODES, ((0.8, 0.1, 0.1), (0.2, 0.7, 0.1), (0.3, 0.3, 0.4)), 0.999)
+STANDARD = replace(HANDSET, modes=(replace(MODES[0], sigma_v=0.05), *MODES[1:]), nis_quantile=1.0)
+PER_MODE = {"beliefs": "per-mode", "banks": {"handset": HANDSET, "standard": STANDARD}}
+PER_MODE_TABLE = Observation(Pipeline(MODES, Layout()), "full", "per-mode")
 
 
 def card_of(table=TABLE, **changes):
@@ -24,7 +32,7 @@ def card_of(table=TABLE, **changes):
     return Card(**told | changes)
 
 
-def actor(features=FEATURES, modes=3, hidden=(5, 4), frames=1, lstm=0, seed=0):
+def actor(features=FEATURES, actions=3, hidden=(5, 4), frames=1, lstm=0, seed=0):
     """Tensors of an actor; an ``lstm`` of that many cells comes first."""
     rng = np.random.default_rng(seed)
 
@@ -42,10 +50,16 @@ def actor(features=FEATURES, modes=3, hidden=(5, 4), frames=1, lstm=0, seed=0):
             "lstm.bias": draw(4 * lstm),
         }
         width = lstm
-    for i, out in enumerate((*hidden, modes)):
+    for i, out in enumerate((*hidden, actions)):
         tensors |= {f"layer.{i}.weight": draw(out, width), f"layer.{i}.bias": draw(out)}
         width = out
     return tensors
+
+
+def write_per_mode(path, seed=0, **changes):
+    """Write a policy file of an actor for modes that keep a belief each; its path."""
+    tensors = actor(len(PER_MODE_TABLE), actions=4, seed=seed)
+    return write(path, tensors, card_of(PER_MODE_TABLE, **PER_MODE | changes))
 
 
 def write(path, tensors, card):
