@@ -65,6 +65,25 @@ class MmWaveLocEnv(gym.Env[NDArray[np.float32], np.int64]):
 
     {table}
 
+    ## Beliefs per Mode
+
+    By default the modes share one belief, which the mode chosen updates. With `beliefs="per-mode"`
+    each keeps its own, and they interact as in an IMM (Blom and Bar-Shalom 1988):
+
+    * Action space: `Discrete(len(modes) + 1)`. Action 0 trusts no mode: the weights are those of
+      the likelihoods, and taking it throughout is the IMM itself. Action k multiplies the
+      probability of the k-th mode by e^3 over a second before the beliefs are combined and mixed
+      again, and its `cost` is subtracted. `mode` of the information is the action.
+    * Observation space: as above without distances and the previous mode; the log-odds of every
+      mode before and after the coming measurement, its speed and velocity variance, and further
+      averages of the Doppler spread come on top. `env.unwrapped.observation.table()` shows it.
+    * Information: `mode_probabilities`, after the action; estimate, NEES and reward are of the
+      beliefs combined, what gates tell (`nis`, `accepted`, `rejected`, `gamma`) of the most
+      probable mode. `reward="paired"` subtracts what action 0 throughout would earn.
+    * `modes=None` is the bank of the strongest IMM of the radio,
+      `mmwave_env.filters.bank.best_bank`. A mode file may say "transition" (probabilities over a
+      second) and "nis_quantile", too.
+
     ## Rewards
 
     `reward="tracking"` (default): -(1.0 min(error, 10 m) + 0.2 min(|ln(NEES / 3)|, 3)), with
@@ -95,12 +114,13 @@ class MmWaveLocEnv(gym.Env[NDArray[np.float32], np.int64]):
 
     Every step: `position_error_m`, `nees`, `nis`, `accepted`, `rejected` (per anchor, then
     Doppler), `mode`, `gamma`, `truth` (position, velocity), `estimate` (position, velocity,
-    bias). `reset`: `episode_name`, `nonfinite` (links, Doppler shifts and odometry with a NaN or
-    infinity, which count as missing), `truth`, `estimate`. The last step adds `ate_m`,
-    `rmse_m`, `rpe_m`, `mean_nees`, `in_bounds`, `divergence` (without the first 10 epochs) and
-    `smoothed_ate_m` (Rauch-Tung-Striebel over the episode). `infos="fixed"` has the same keys at
-    every reset and step, for what asks for that (docs/clients.md): numbers only, so without
-    `episode_name`; what there is not to tell is NaN, False or -1.
+    bias); with beliefs per mode also `mode_probabilities`. `reset`: `episode_name`, `nonfinite`
+    (links, Doppler shifts and odometry with a NaN or infinity, which count as missing), `truth`,
+    `estimate`. The last step adds `ate_m`, `rmse_m`, `rpe_m`, `mean_nees`, `in_bounds`,
+    `divergence` (without the first 10 epochs) and `smoothed_ate_m` (Rauch-Tung-Striebel over the
+    episode). `infos="fixed"` has the same keys at every reset and step, for what asks for that
+    (docs/clients.md): numbers only, so without `episode_name`; what there is not to tell is NaN,
+    False or -1.
 
     ## Copies
 
@@ -119,7 +139,8 @@ class MmWaveLocEnv(gym.Env[NDArray[np.float32], np.int64]):
     * `modes`: list of modes, each a name ("ekf", "ukf", "ckf", "ekf-robust", "ukf-robust"), a
       mode file or a `Mode`, whose algorithm may be your own function (docs/own-filters.md); or
       one mode file, as `mmwave-loc tune` writes it; or "extended", a bank of eight: more
-      tunings, two robust modes, and one that finds a lost user again.
+      tunings, two robust modes, and one that finds a lost user again; or a `Bank`.
+    * `beliefs`: "shared" (default) or "per-mode", see Beliefs per Mode.
     * `reward`: "tracking", "log-score", "paired", a function or a `PairedReward`.
     * `observation`: "full" or "prior".
     * `infos`: "sparse" (default) or "fixed", see Information.
@@ -270,7 +291,7 @@ class MmWaveLocEnv(gym.Env[NDArray[np.float32], np.int64]):
     def step(
         self, action: np.int64
     ) -> tuple[NDArray[np.float32], float, bool, bool, dict[str, Any]]:
-        """Process the epoch with a mode. See Gymnasium's `Env.step`."""
+        """Process the epoch with a mode, or trust one. See Gymnasium's `Env.step`."""
         episode = self._episode
         if episode is None or self._over:
             raise ResetNeeded("Call reset before step: there is no episode under way.")
