@@ -1,0 +1,36 @@
+"""Banks as files hold them."""
+
+import json
+
+import pytest
+
+from mmwave_env.filters.bank import Bank, bank_as_written, bank_from, bank_in, best_bank
+from mmwave_env.filters.modes import Mode
+from mmwave_env.filters.update import ekf
+
+BANK = Bank((Mode("slow", "ckf", sigma_v=0.1 + 0.2), Mode("fast")), ((0.9, 0.1), (0.3, 0.7)), 0.99)
+
+
+@pytest.mark.parametrize("bank", [BANK, Bank(BANK.modes), best_bank("standard")])
+def test_a_bank_comes_back_from_json_as_it_was_written(bank):
+    assert bank_in(json.loads(json.dumps(bank_as_written(bank)))) == bank
+
+
+def test_a_mode_file_says_how_modes_interact_by_itself_and_in_a_list(tmp_path):
+    path = tmp_path / "bank.json"
+    path.write_text(json.dumps(bank_as_written(BANK)))
+    assert bank_from(path) == bank_from(str(path)) == bank_from([path]) == bank_from((str(path),))
+    assert bank_from([path]) == BANK
+    assert bank_from([path, "ekf"]).transition is None  # of three modes nothing is said
+
+
+@pytest.mark.parametrize("number", [10**400, "p", None, [1.0]])
+def test_a_transition_of_what_are_no_numbers_is_refused(number):
+    content = bank_as_written(BANK) | {"transition": [[number, 0.1], [0.3, 0.7]]}
+    with pytest.raises(ValueError, match="transition: found .*, expected a list of rows of prob"):
+        bank_in(content)
+
+
+def test_no_file_can_hold_a_bank_of_functions():
+    with pytest.raises(ValueError, match="algorithm of mode 'own': found a function"):
+        bank_as_written(Bank((Mode("own", ekf),)))
