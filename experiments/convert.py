@@ -15,7 +15,7 @@ from experiments.training.unzip import CHOSEN, SHOWN, unzipped
 from mmwave_env import __version__
 from mmwave_env.files import require_writable, write_bytes
 from mmwave_env.observation import Observation
-from mmwave_env.task import task_from
+from mmwave_env.task import Task, task_from
 from policies import LearnedSwitch
 from policies.policy_file import Card, Tensors, to_bytes
 
@@ -32,12 +32,14 @@ def main(args: Args) -> None:
         if not path.is_file():
             raise FileNotFoundError(f"{path}: found no file, expected what Stable-Baselines3 saved")
     require_writable(args.policy)
-    task = task_from(scenario=args.scenario, radio=args.radio, modes=args.modes or None)
-    table = Observation(task.pipeline, args.observation)
+    task = task_from(
+        scenario=args.scenario, radio=args.radio, modes=args.modes or None, beliefs=args.beliefs
+    )
+    table = Observation(task.pipeline, args.observation, args.beliefs)
     tensors, told = unzipped(args.model, args.normalize)
     shown, chosen = tensors.pop(SHOWN), tensors.pop(CHOSEN)
     _require_trained_on(args, table, tensors)
-    content = to_bytes(tensors, _card(args, table, told))
+    content = to_bytes(tensors, _card(args, task, table, told))
     alike = _decided(content, shown) == chosen
     if alike.mean() < 1.0 - TIES:
         raise ValueError(
@@ -59,12 +61,11 @@ def _require_trained_on(args: Args, table: Observation, tensors: Tensors) -> Non
     """
     low, layers = tensors["low"], [name for name in tensors if name.startswith("layer.")]
     found = f"{len(low)} features and {len(tensors[f'layer.{len(layers) // 2 - 1}.bias'])} actions"
-    expected = f"{len(table)} features and {len(table.modes)} actions"
+    expected = f"{len(table)} features and {len(table.actions)} actions"
     if found != expected:
         raise ValueError(
-            f"{args.model}: found {found}, expected {expected}, as of observation={table.kind!r} "
-            f"and the modes {', '.join(mode.name for mode in table.modes)}; say --observation and "
-            "--modes as in its training"
+            f"{args.model}: found {found}, expected {expected}, as of {table.made_with}; say "
+            "--observation, --beliefs and --modes as in its training"
         )
     space = table.space
     if args.normalize is None and not (
@@ -76,7 +77,7 @@ def _require_trained_on(args: Args, table: Observation, tensors: Tensors) -> Non
         )
 
 
-def _card(args: Args, table: Observation, told: dict[str, Any]) -> Card:
+def _card(args: Args, task: Task, table: Observation, told: dict[str, Any]) -> Card:
     seed = told["seed"]
     return Card(
         modes=table.modes, observation=table.kind, digest=table.digest, frames=1,
@@ -84,6 +85,7 @@ def _card(args: Args, table: Observation, told: dict[str, Any]) -> Card:
         seed=-1 if seed is None else seed, timesteps=told["timesteps"],
         command=command_line("convert", args), evaluation={},
         versions={"mmwave-loc": __version__} | {name: version(name) for name in PACKAGES},
+        beliefs=table.beliefs, banks={task.radio.name: task.bank} if task.bank else {},
     )  # fmt: skip
 
 

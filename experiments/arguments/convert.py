@@ -14,9 +14,11 @@ class TrainedArgs:
     """handset, standard, high or a JSON file"""
     modes: tuple[str, ...] = ()
     """modes that it chooses from: extended, names and mode files; the radio's ekf and ukf where
-    none is named"""
+    none is named, with beliefs per mode those of its best IMM"""
     observation: str = "full"
     """full or prior"""
+    beliefs: str = "shared"
+    """shared or per-mode"""
 
 
 @dataclass(kw_only=True)

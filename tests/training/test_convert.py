@@ -14,7 +14,7 @@ import pytest
 import mmwave_env  # noqa: F401  registers the environment
 from experiments.evaluation.compare import compare
 from tests.cli import assert_one_clear_line, command, succeed
-from tests.training.actors import MODES
+from tests.training.actors import HANDSET, MODES
 
 pytest.importorskip("stable_baselines3")
 
@@ -25,6 +25,7 @@ from stable_baselines3.common.vec_env import VecNormalize
 
 from experiments.training import unzip
 from experiments.training.actor import actor_tensors
+from mmwave_env.filters.bank import bank_as_written
 from mmwave_env.filters.mode_files import as_written
 from mmwave_env.sb3 import SB3VecEnv
 from policies import LearnedSwitch
@@ -77,10 +78,9 @@ def modes(tmp_path):
     return path
 
 
-def environment(normalized=False):
-    native = gym.make_vec(
-        "MmWaveLoc-v0", num_envs=4, modes=MODES, episode_steps=6, autoreset_mode="SameStep"
-    )
+def environment(normalized=False, **arguments):
+    arguments = {"modes": MODES, "episode_steps": 6, "autoreset_mode": "SameStep"} | arguments
+    native = gym.make_vec("MmWaveLoc-v0", num_envs=4, **arguments)
     env = SB3VecEnv(native)
     return VecNormalize(env, norm_reward=False, clip_obs=3.0) if normalized else env
 
@@ -125,6 +125,40 @@ def test_a_converted_model_decides_as_the_model(kind, normalized, tmp_path, mode
         taken |= set(actions.tolist())
         seen, _, begins, _ = env.step(actions)
     assert len(taken) > 1
+
+
+@pytest.fixture
+def trusting(tmp_path):
+    """A model over modes that keep a belief each, and the mode file of their bank."""
+    bank = tmp_path / "bank.json"
+    bank.write_text(json.dumps(bank_as_written(HANDSET)))
+    env = environment(beliefs="per-mode", modes=HANDSET)
+    trained("ppo", env).save(tmp_path / "trusting.zip")
+    return tmp_path / "trusting.zip", bank
+
+
+@pytest.mark.usefixtures("same_process")
+def test_a_model_over_beliefs_per_mode_is_converted_with_its_bank(trusting, tmp_path):
+    (file, bank), out = trusting, tmp_path / "policy.safetensors"
+    shown = succeed("convert", file, out, "--beliefs", "per-mode", "--modes", bank)
+    assert "on 1000 of 1000 observations" in shown
+    card = LearnedSwitch(out).card
+    assert card.beliefs == "per-mode" and card.banks == {"handset": HANDSET}
+    found = compare(
+        {"zip": str(file), "file": out}, (), episodes=2, beliefs="per-mode", modes=HANDSET,
+        trust_zip=True,
+    )  # fmt: skip
+    assert found.policies["zip"] == found.policies["file"]
+
+
+@pytest.mark.usefixtures("same_process")
+def test_a_model_over_beliefs_per_mode_is_refused_where_they_are_shared(trusting, tmp_path):
+    file, bank = trusting
+    done = command("convert", file, tmp_path / "policy.safetensors", "--modes", bank)
+    message = "and 4 actions, expected .* and 3 actions, .*beliefs='shared'.*--beliefs and --modes"
+    assert_one_clear_line(done, message)
+    with pytest.raises(ValueError, match="found .*Discrete.4., expected .*Discrete.3., as of .*sh"):
+        compare({"mine": str(file)}, (), modes=MODES, trust_zip=True)
 
 
 @pytest.mark.slow
