@@ -28,8 +28,11 @@ POLICIES = {
     "imm-tuned": "IMM whose transition is tuned",
     "imm-robust": "tuned IMM over modes that doubt outliers",
     "imm-extended": "tuned IMM over a bank of eight modes",
+    "imm-best": "tuned IMM over modes that stand, cruise, turn, accelerate and brake",
     "ppo": "learned switcher over the profile's two modes",
     "ppo-extended": "learned switcher over a bank of eight modes",
+    "guided": "learned trust in the modes of imm-best, which keep a belief each",
+    "guided-ppo": "the same learned with PPO alone",
 }
 
 

@@ -45,7 +45,7 @@ def places(args: Args) -> dict[str, EpisodeArgs]:
 
 def compared(place: EpisodeArgs, policies: list[Contender]) -> dict[str, Interval]:
     """Reward of every policy, and what it gains on each rival of the place's radio, by name."""
-    source = source_of(place)
+    source, policies = source_of(place), [one.at(place.radio) for one in policies]
     episodes = draw_episodes(source, range(place.seed, place.seed + place.episodes))
     rivals = [contender_of(place, name) for name in TRANSFER_RIVALS]
     reward = {

@@ -95,18 +95,18 @@ def tried(name: str, agent: Act, table: Observation) -> Policy:
     except Exception as error:  # whatever a user's code does
         raise ValueError(
             f"policy {name}: {in_one_line(error)}; it was shown observations "
-            f"{shown.shape} of float32: observation={table.kind!r}, modes "
-            f"{', '.join(mode.name for mode in table.modes)} ({GUIDE})"
+            f"{shown.shape} of float32: {table.made_with} ({GUIDE})"
         ) from error
-    require_actions(name, found, TRIED, len(table.modes))
+    require_actions(name, found, TRIED, len(table.actions))
     return policy
 
 
-def require_actions(name: str, found: Any, n: int, modes: int) -> NDArray[np.integer[Any]]:
+def require_actions(name: str, found: Any, n: int, count: int) -> NDArray[np.integer[Any]]:
     """Actions (n,) as an array.
 
     Raises:
-        ValueError: they are not one number of a mode for each of n observations.
+        ValueError: they are not one of ``count`` actions, by its number, for each of n
+            observations.
     """
     try:
         actions: NDArray[Any] = np.asarray(found)
@@ -120,9 +120,9 @@ def require_actions(name: str, found: Any, n: int, modes: int) -> NDArray[np.int
             f"actions of {name}: found shape {actions.shape} of {actions.dtype}, expected ({n},) "
             f"of integers, one for each row of the observations ({GUIDE})"
         )
-    if actions.min() < 0 or actions.max() >= modes:
+    if actions.min() < 0 or actions.max() >= count:
         raise ValueError(
             f"actions of {name}: found {actions.min()} to {actions.max()}, expected 0 to "
-            f"{modes - 1}"
+            f"{count - 1}"
         )
     return actions

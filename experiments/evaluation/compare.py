@@ -11,9 +11,7 @@ from experiments.evaluation.comparison import Comparison, compare_scores
 from experiments.evaluation.contenders import Contender, contender_from
 from experiments.evaluation.runner import Scoring, score_contenders
 from mmwave_env.episodes.episode import EpisodeSource
-from mmwave_env.filters.mode_files import modes_from
-from mmwave_env.filters.modes import Mode
-from mmwave_env.task import task_from
+from mmwave_env.task import Modes, bank_and_modes, task_from
 
 Agent = str | os.PathLike[str] | Act
 
@@ -25,10 +23,11 @@ def compare(
     radio: str = "handset",
     episodes: int = 200,
     seed: int = 0,
-    modes: Sequence[Mode | str] | str | None = None,
+    modes: Modes = None,
     observation: str = "full",
     trust_zip: bool = False,
     data: str | os.PathLike[str] | EpisodeSource | None = None,
+    beliefs: str = "shared",
     **world: Any,
 ) -> Comparison:
     """Agents of one's own and known contenders on the same episodes.
@@ -39,13 +38,14 @@ def compare(
             integers; or whatever ``mmwave-loc compare --policies`` takes: a policy file, a
             ``.zip`` of Stable-Baselines3, "module:function", the folder of a run, a name.
             A function may have a method ``reset(begins)`` (bool (n,): where an episode begins),
-            and attributes ``modes`` and ``observation``, which go before the arguments here.
+            and attributes ``modes``, ``observation`` and ``beliefs``, which go before the arguments
+            here.
         beside: names of contenders, see :func:`~experiments.evaluation.contenders.contenders`.
         scenario, radio: as of the environment.
         episodes: how many; 1000 or more to publish.
         seed: of the first; test seeds start at 0 and belong to no training.
-        modes, observation: what agents of one's own were trained with, as of the environment.
-            Policy files say it themselves.
+        modes, observation, beliefs: what agents of one's own were trained with, as of the
+            environment. Policy files say it themselves.
         trust_zip: whether code from a ``.zip`` may run, which loading it means.
         data: recorded or own episodes, as of the environment's ``episodes``.
         world: further arguments of the environment: ``scene``, ``dt``, ``episode_steps``,
@@ -56,8 +56,8 @@ def compare(
 
     Raises:
         ValueError: no dict of policies, unknown scenario, radio or contender, a name twice, no
-            number of episodes, or an agent that can't be loaded, fails, or returns no numbers of
-            modes: before an episode runs.
+            number of episodes, or an agent that can't be loaded, fails, or returns no actions:
+            before an episode runs.
         FileNotFoundError: there is no such file.
     """
     if not isinstance(policies, Mapping):
@@ -74,9 +74,10 @@ def compare(
 
     def contender(name: str, agent: Agent) -> Contender:
         if not isinstance(agent, (str, os.PathLike)):
-            return Contender.own(name, agent, radio, modes, observation)
-        chosen = None if modes is None else modes_from(modes, radio)
-        found = contender_from(os.fspath(agent), radio, chosen, observation, trust_zip)
+            return Contender.own(name, agent, radio, modes, observation, beliefs)
+        bank, chosen = bank_and_modes(modes, beliefs, radio)
+        of = None if modes is None else bank or chosen
+        found = contender_from(os.fspath(agent), radio, of, observation, trust_zip, beliefs)
         return replace(found, name=name)
 
     own = [contender(name, agent) for name, agent in policies.items()]

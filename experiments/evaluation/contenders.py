@@ -1,21 +1,22 @@
 """Contenders: a policy with the modes it chooses from, or an IMM; all that have a name."""
 
 import os
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 
 from experiments.evaluation.agents import GUIDE, Act, agent_from, is_agent, tried
 from experiments.evaluation.runs import Run, require_no_smoke
-from mmwave_env.filters.bank import Transition
-from mmwave_env.filters.mode_files import default_modes, modes_from, named_modes
+from mmwave_env.filters.bank import Bank, Transition, best_bank
+from mmwave_env.filters.mode_files import default_modes, named_modes
 from mmwave_env.filters.modes import Mode
 from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.lookup import unknown
 from mmwave_env.models.measurement import Layout
 from mmwave_env.models.radio import profile_of
-from mmwave_env.observation import Observation
+from mmwave_env.observation import Observation, action_names
+from mmwave_env.task import Modes, bank_and_modes
 from policies import (
     TUNED_IMMS,
     FixedMode,
@@ -29,10 +30,12 @@ from policies import (
 )
 
 POLICY_SEED = 0
+BEST_IMM = "imm-best"  # the IMM over best_bank
 OTHERS = (
     "a .safetensors file", "the folder of a run", "a .zip of Stable-Baselines3", "module:function",
 )  # fmt: skip
-SHIPPED = ("ppo", "ppo-extended")  # learned contenders of a radio, where its policy is shipped
+# Learned contenders, where a policy of the radio (NAME-RADIO) or one for all (NAME) is shipped
+SHIPPED = ("ppo", "ppo-extended", "guided", "guided-ppo")
 
 
 @dataclass(frozen=True)
@@ -43,9 +46,13 @@ class Contender:
         name: as on the command line and in results.
         modes: what it works with.
         policy: from the observation table to a policy; None for the IMM over the modes.
-        transition, nis_quantile: as of :class:`~mmwave_env.engines.imm_engine.ImmEngine`.
+        transition, nis_quantile: as of :class:`~mmwave_env.filters.bank.Bank`, of an IMM and where
+            every mode keeps its own belief.
         observation: what the policy sees, "full" or "prior".
         trained: whether the policy was learned.
+        beliefs: of the modes that the policy chooses from, "shared" or "per-mode".
+        bank_of: from a radio profile to the bank that the policy has for it; None where it works
+            with the same modes everywhere.
     """
 
     name: str
@@ -55,23 +62,31 @@ class Contender:
     nis_quantile: float = 1.0
     observation: str = "full"
     trained: bool = False
+    beliefs: str = "shared"
+    bank_of: Callable[[str], Bank] | None = None
 
     @classmethod
-    def learned(cls, path: str | os.PathLike[str], name: str | None = None) -> "Contender":
+    def learned(
+        cls, path: str | os.PathLike[str], name: str | None = None, radio: str = "handset"
+    ) -> "Contender":
         """The switcher of a policy file, or a shipped one by its name.
 
         Args:
             path: as of :class:`~policies.LearnedSwitch`.
             name: in results; None for the path.
+            radio: profile, of which it takes the bank if it has several.
         """
-        card = LearnedSwitch(path).card
-        return cls(
+        switch = LearnedSwitch(path)
+        found = cls(
             os.fspath(path) if name is None else name,
-            card.modes,
+            switch.modes,
             partial(LearnedSwitch, path),
-            observation=card.observation,
+            observation=switch.card.observation,
             trained=True,
+            beliefs=switch.beliefs,
+            bank_of=switch.bank if switch.beliefs == "per-mode" else None,
         )
+        return found.at(radio)
 
     @classmethod
     def own(
@@ -79,26 +94,66 @@ class Contender:
         name: str,
         agent: Act,
         radio: str,
-        modes: Sequence[Mode | str] | str | None = None,
+        modes: Modes = None,
         observation: str = "full",
+        beliefs: str = "shared",
     ) -> "Contender":
-        """An agent of one's own; its attributes ``modes`` and ``observation`` go first.
+        """An agent of one's own.
+
+        Its attributes ``modes``, ``observation`` and ``beliefs`` go first, and where it has several
+        banks its method ``bank(radio)``.
 
         Args:
             name: in results.
             agent: from observations (n, features) to actions (n,); see
                 :func:`~experiments.evaluation.agents.tried`.
             radio: profile.
-            modes: that it chooses from, as of ``MmWaveLoc-v0``; None for the profile's two.
+            modes: that it chooses from, as of ``MmWaveLoc-v0``; None for the profile's own.
             observation: what it sees, "full" or "prior".
+            beliefs: of the modes, "shared" or "per-mode".
+
+        Raises:
+            ValueError: modes or beliefs that there are not; the message says what there is.
         """
-        chosen = modes_from(getattr(agent, "modes", modes), radio)
-        observation = getattr(agent, "observation", observation)
-        return cls(name, chosen, partial(tried, name, agent), observation=observation, trained=True)
+        beliefs, modes = getattr(agent, "beliefs", beliefs), getattr(agent, "modes", modes)
+        bank_of = getattr(agent, "bank", None) if beliefs == "per-mode" else None
+        bank, chosen = bank_and_modes(bank_of(radio) if bank_of else modes, beliefs, radio)
+        found = cls(
+            name,
+            chosen,
+            partial(tried, name, agent),
+            observation=getattr(agent, "observation", observation),
+            trained=True,
+            beliefs=beliefs,
+            bank_of=bank_of,
+        )
+        return found._over(bank) if bank else found
+
+    def at(self, radio: str) -> "Contender":
+        """The same with a radio: with the bank it has for it, if it has several."""
+        return self._over(self.bank_of(radio)) if self.bank_of else self
+
+    def _over(self, bank: Bank) -> "Contender":
+        return replace(
+            self, modes=bank.modes, transition=bank.transition, nis_quantile=bank.nis_quantile
+        )
+
+    @property
+    def bank(self) -> Bank | None:
+        """Of its modes, where each keeps its own belief and a policy chooses; else None."""
+        if self.beliefs == "shared":
+            return None
+        return Bank(self.modes, self.transition, self.nis_quantile)
+
+    @property
+    def actions(self) -> list[str]:
+        """What its policy chooses from."""
+        return action_names(self.modes, self.beliefs)
 
     def start(self, layout: Layout, planar: bool = False) -> Policy | None:
         """A new policy for measurements of a layout; None for the IMM."""
-        table = Observation(Pipeline(self.modes, layout, planar), self.observation)
+        pipeline = Pipeline(self.modes, layout, planar)
+        table = Observation(pipeline, self.observation, self.beliefs)
         return self.policy and self.policy(table)
 
 
@@ -109,13 +164,29 @@ def _fixed(name: str, modes: tuple[Mode, ...], action: int) -> Contender:
     return Contender(name, modes, lambda table: FixedMode(action))
 
 
+def _imm(name: str, bank: Bank) -> Contender:
+    return Contender(name, bank.modes, None, bank.transition, bank.nis_quantile)
+
+
 def _tuned_imm(name: str, radio: str) -> Contender:
-    imm = tuned_imm(name, radio)
-    return Contender(name, imm.modes, None, imm.transition, imm.nis_quantile)
+    return _imm(name, tuned_imm(name, radio))
 
 
-def _of_any_modes(modes: tuple[Mode, ...]) -> dict[str, Make]:
+def _best_imm(radio: str) -> Contender:
+    return _imm(BEST_IMM, best_bank(radio))
+
+
+def shipped_for(radio: str) -> dict[str, str]:
+    """Names of shipped policy files, by what they are called as contenders with a radio profile."""
+    shipped = shipped_policies()
+    of_radio = {name: f"{name}-{radio}" for name in SHIPPED}
+    found = {name: file if file in shipped else name for name, file in of_radio.items()}
+    return {name: file for name, file in found.items() if file in shipped}
+
+
+def _of_any_modes(bank: Bank) -> dict[str, Make]:
     """What works with any modes: each of them alone, rules, chance and the IMM."""
+    modes = bank.modes
     names = [mode.name for mode in modes]
     found: dict[str, Make] = {
         f"fixed-{name}": partial(_fixed, f"fixed-{name}", modes, i) for i, name in enumerate(names)
@@ -127,41 +198,41 @@ def _of_any_modes(modes: tuple[Mode, ...]) -> dict[str, Make]:
         policies["likelihood-rule"] = lambda table: LikelihoodRule(table, names)
         policies["random"] = lambda table: RandomMode(len(modes), POLICY_SEED)
     found |= {name: partial(Contender, name, modes, policy) for name, policy in policies.items()}
-    return found | {"imm": partial(Contender, "imm", modes, None)}
+    return found | {"imm": partial(_imm, "imm", bank)}
 
 
-def contenders(radio: str, modes: tuple[Mode, ...] | None = None) -> dict[str, Make]:
+def contenders(radio: str, modes: Bank | tuple[Mode, ...] | None = None) -> dict[str, Make]:
     """How to make every contender there is, by name; nothing is read from files before.
 
     Args:
         radio: profile, a name or a JSON file.
-        modes: what they work with; None for the profile's two, beside which the profile has
-            single modes of other kinds, tuned IMMs, and the learned switchers that are shipped
-            for it.
+        modes: what they work with, of a bank with its transition; None for the profile's two,
+            beside which the profile has single modes of other kinds, tuned IMMs, and the learned
+            switchers that are shipped for it.
     """
     if modes is not None:
-        return _of_any_modes(modes)
+        return _of_any_modes(modes if isinstance(modes, Bank) else Bank(modes))
     radio = profile_of(radio)
     named, two = named_modes(radio), default_modes(radio)
     alone = {f"fixed-{name}": (named[name],) for name in ("ckf", "ekf-robust", "ukf-robust")}
     fixed: dict[str, Make] = {n: partial(_fixed, n, mode, 0) for n, mode in alone.items()}
-    imms = {name: partial(_tuned_imm, name, radio) for name in TUNED_IMMS}
-    shipped = shipped_policies()
+    imms: dict[str, Make] = {name: partial(_tuned_imm, name, radio) for name in TUNED_IMMS}
+    imms[BEST_IMM] = partial(_best_imm, radio)
     learned = {
-        name: partial(Contender.learned, f"{name}-{radio}", name)
-        for name in SHIPPED
-        if f"{name}-{radio}" in shipped
+        name: partial(Contender.learned, file, name, radio)
+        for name, file in shipped_for(radio).items()
     }
-    ekf, ukf, rule, *rest = _of_any_modes(two).items()
+    ekf, ukf, rule, *rest = _of_any_modes(Bank(two)).items()
     return dict([ekf, ukf, *fixed.items(), rule, *rest]) | imms | learned
 
 
 def contender_from(
     name: str,
     radio: str,
-    modes: tuple[Mode, ...] | None = None,
+    modes: Bank | tuple[Mode, ...] | None = None,
     observation: str = "full",
     trust_zip: bool = False,
+    beliefs: str = "shared",
 ) -> Contender:
     """A contender by name; see :func:`contenders`.
 
@@ -170,7 +241,7 @@ def contender_from(
             run, which stands for its median training, or what
             :func:`~experiments.evaluation.agents.agent_from` takes.
         radio, modes: as of :func:`contenders`.
-        observation: of agents of one's own, as of :meth:`Contender.own`.
+        observation, beliefs: of agents of one's own, as of :meth:`Contender.own`.
         trust_zip: whether code from a ``.zip`` may run.
 
     Raises:
@@ -183,11 +254,12 @@ def contender_from(
         return known[name]()
     if name in shipped or name.endswith(".safetensors"):
         require_no_smoke(name, LearnedSwitch(name).card.command)
-        return Contender.learned(name)
+        return Contender.learned(name, radio=radio)
     if Path(name).is_dir():
-        return Contender.learned(Run.read(name).policy, name)
+        return Contender.learned(Run.read(name).policy, name, radio)
     if is_agent(name):
-        return Contender.own(name, agent_from(name, trust_zip), radio, modes, observation)
+        agent = agent_from(name, trust_zip)
+        return Contender.own(name, agent, radio, modes, observation, beliefs)
     stem = name.removesuffix(".py")
     module = f"; {Path(stem).name}:FUNCTION names an agent in a module ({GUIDE})"
     hint = module if Path(f"{stem}.py").is_file() else ""

@@ -63,7 +63,7 @@ class Around:
     events: int  # how many; those cut off at an end of their episode count where they are
     epochs: Array  # how many epochs are summed
     error_m: Array  # position errors
-    chosen: Array  # (modes, w) how often each mode was chosen; (0, w) of those who do not decide
+    chosen: Array  # (actions, w) how often each was chosen; (0, w) of those who do not decide
 
     def __add__(self, other: "Around") -> "Around":
         return Around(
@@ -83,8 +83,7 @@ class Decisions:
     """Contenders around every kind of event."""
 
     names: Mapping[str, str]  # in figures, by contender; of others nothing is taken
-    # names of what each policy that decides chooses from
-    modes: dict[str, list[str]] = field(default_factory=dict)
+    actions: dict[str, list[str]] = field(default_factory=dict)  # of each policy that decides
     time_s: Array = field(default_factory=lambda: np.zeros(0))  # (w,) of epochs around an event
     # per kind of event and name
     around: dict[str, dict[str, Around]] = field(
@@ -96,9 +95,9 @@ class Decisions:
         if contender.name not in self.names:
             return
         name, step = self.names[contender.name], step_s(episodes[0])
-        modes: list[str] = []
+        actions: list[str] = []
         if "mode" in told and not contender.name.startswith(("fixed-", "random")):
-            modes = self.modes[name] = [mode.name for mode in contender.modes]
+            actions = self.actions[name] = contender.actions
         offsets = np.arange(-round(BEFORE_S / step), round(AFTER_S / step) + 1)
         self.time_s = np.asarray(offsets * step, np.float64)
         speed = np.stack([_speed(episode) for episode in episodes])
@@ -108,7 +107,7 @@ class Decisions:
             inside = (window >= BURN_IN) & (window < speed.shape[1])
             at = places[:, None], np.where(inside, window, 0)
             error = np.where(inside, np.linalg.norm(told["error"][at], axis=-1), 0.0)
-            chosen = [((told["mode"][at] == i) & inside).sum(axis=0) for i in range(len(modes))]
+            chosen = [((told["mode"][at] == i) & inside).sum(axis=0) for i in range(len(actions))]
             found = Around(
                 len(epochs), inside.sum(axis=0).astype(float), error.sum(axis=0),
                 np.array(chosen, float).reshape(-1, len(offsets)),
@@ -129,14 +128,14 @@ class Decisions:
                 "events": next(iter(table.values())).events,
                 "error_m": {name: numbers(one.mean(one.error_m)) for name, one in table.items()},
                 "share": {
-                    name: dict(zip(modes, map(numbers, self._shares(kind, name)), strict=True))
-                    for name, modes in self.modes.items()
+                    name: dict(zip(actions, map(numbers, self._shares(kind, name)), strict=True))
+                    for name, actions in self.actions.items()
                 },
             }
         return content
 
     def _shares(self, kind: str, name: str) -> Array:
-        """Of each mode (modes, w)."""
+        """Of each action (actions, w)."""
         around = self.around[kind][name]
         return around.mean(around.chosen)
 
@@ -144,19 +143,19 @@ class Decisions:
         """As PNG: errors of all above the shares of modes, a column a kind of event."""
         from matplotlib.figure import Figure
 
-        rows = 1 + len(self.modes)
-        figure = Figure(figsize=(11.0, 3.0 + 2.2 * len(self.modes)), layout="constrained")
+        rows = 1 + len(self.actions)
+        figure = Figure(figsize=(11.0, 3.0 + 2.2 * len(self.actions)), layout="constrained")
         panels = figure.subplots(rows, len(EVENTS), sharex=True, sharey="row", squeeze=False)
         for column, (kind, table) in zip(panels.T, self.around.items(), strict=True):
             self._draw_errors(column[0], kind, table)
-            for axes, name in zip(column[1:], self.modes, strict=True):
+            for axes, name in zip(column[1:], self.actions, strict=True):
                 self._draw_shares(axes, kind, name)
             column[-1].set_xlabel(f"time since the {kind} (s)")
         for axes in panels[:, -1]:
             axes.legend(loc="upper left", bbox_to_anchor=(1.01, 1.0), frameon=False,
                         fontsize="small")  # fmt: skip
         panels[0, 0].set_ylabel("mean position error (m)")
-        for axes, name in zip(panels[1:, 0], self.modes, strict=True):
+        for axes, name in zip(panels[1:, 0], self.actions, strict=True):
             axes.set_ylabel(f"{Path(name).name}\nshare of modes")
         with atomic_path(path) as temporary:
             figure.savefig(temporary, dpi=120)
@@ -175,7 +174,7 @@ class Decisions:
         axes.grid(alpha=0.3)
 
     def _draw_shares(self, axes: Any, kind: str, name: str) -> None:
-        axes.stackplot(self.time_s, self._shares(kind, name), labels=self.modes[name])
+        axes.stackplot(self.time_s, self._shares(kind, name), labels=self.actions[name])
         axes.axvline(0.0, color="black", lw=0.8)
         axes.set_ylim(0.0, 1.0)
         axes.margins(x=0.0)

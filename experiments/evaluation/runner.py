@@ -83,7 +83,7 @@ def run_contender(
 
     Returns:
         "reward" and "nees" (n, T), "error" (n, T, 3) in m and, where there is a policy, "mode"
-        (n, T), the numbers of its choices.
+        (n, T), its actions.
     """
     for episode in episodes:
         episode.require_truth()
@@ -94,19 +94,19 @@ def run_contender(
         imm = ImmEngine(pipeline, scoring.reward, contender.transition, contender.nis_quantile)
         return imm.run(episodes, *TOLD)
     n, T = len(episodes), len(episodes[0])
-    engine = Engine(pipeline, n, scoring.reward, contender.observation)
+    engine = Engine(pipeline, n, scoring.reward, contender.observation, contender.bank)
     engine.reset(episodes)
     policy.reset(np.ones(n, bool))
     program = engine.batch.program
     rows = rows_of(program.parts(TOLD))
-    told, modes = np.empty((n, T, len(rows))), np.empty((n, T), np.int8)
+    told, taken = np.empty((n, T, len(rows))), np.empty((n, T), np.int8)
     observations = engine.observations()
     for t in range(T):
         found = policy(observations)
-        actions = require_actions(contender.name, found, n, len(contender.modes))
-        modes[:, t] = actions
+        actions = require_actions(contender.name, found, n, len(contender.actions))
+        taken[:, t] = actions
         observations, told[:, t] = engine.step(actions, rows)
-    return program.by_name(TOLD, told) | {"mode": modes}
+    return program.by_name(TOLD, told) | {"mode": taken}
 
 
 def step_s(episode: Episode) -> float:

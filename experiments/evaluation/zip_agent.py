@@ -71,13 +71,11 @@ class ZipAgent:
         """
         box, discrete = self.policy.observation_space, self.policy.action_space
         trained = f"{_shape(box)} and {discrete}"
-        expected = f"{_shape(table.space)} and Discrete({len(table.modes)})"
+        expected = f"{_shape(table.space)} and Discrete({len(table.actions)})"
         if trained != expected:
             raise ValueError(
                 f"{self._path}: observations and actions: found {trained}, expected {expected}, as "
-                f"of observation={table.kind!r} and the modes "
-                f"{', '.join(mode.name for mode in table.modes)}; say --observation and --modes as "
-                "in its training"
+                f"of {table.made_with}; say --observation, --beliefs and --modes as in its training"
             )
         if self.normalized:
             raise ValueError(

@@ -17,6 +17,7 @@ from experiments.cli.doc_pages import page_to_renew, renewed
 from experiments.cli.main import run
 from experiments.cli.options import source_of
 from experiments.cli.reporting import results
+from experiments.evaluation.contenders import BEST_IMM
 from experiments.evaluation.intervals import Interval, crossed_bootstrap, mean
 from experiments.evaluation.markdown import grid, show
 from experiments.evaluation.runner import score_contenders
@@ -31,7 +32,7 @@ from policies import TUNED_IMMS
 RADIOS = ("handset", "standard")
 PAGE_RIVALS = (
     "speed-rule", "fixed-ekf", "fixed-ukf", "fixed-ckf", "fixed-ekf-robust", "fixed-ukf-robust",
-    "imm", *TUNED_IMMS,
+    "imm", *TUNED_IMMS, BEST_IMM,
 )  # fmt: skip
 SHIPPED = "as-shipped"
 

@@ -1,5 +1,6 @@
 """Agents of one's own: by name, from modules and files, and what is refused before an episode."""
 
+import json
 import sys
 
 import numpy as np
@@ -7,10 +8,12 @@ import pytest
 
 from experiments.evaluation.compare import compare, evaluate
 from experiments.evaluation.contenders import contender_from
+from mmwave_env.filters.bank import Bank, bank_as_written
+from mmwave_env.filters.mode_files import modes_from
 from mmwave_env.models.measurement import Layout
 from policies import LearnedSwitch
 from tests.cli import assert_one_clear_line, command, succeed
-from tests.training.actors import MODES, actor, card_of, write
+from tests.training.actors import HANDSET, MODES, actor, card_of, write, write_per_mode
 
 OWN = '''
 import numpy as np
@@ -29,6 +32,11 @@ def extended():
     agent.modes, agent.observation = "extended", "prior"
     return agent
 
+def trusting():
+    agent = Second()
+    agent.modes, agent.beliefs = ["ekf", "ckf"], "per-mode"
+    return agent
+
 def nothing():
     return None
 
@@ -37,6 +45,9 @@ def wrong():
 
 def beyond():
     return lambda observations: np.full(len(observations), 2)
+
+def many():
+    return lambda observations: np.full(len(observations), 4)
 
 def stumbling():
     def act(observations):
@@ -97,6 +108,12 @@ def test_an_agent_says_what_it_was_trained_with():
     assert len(found.modes) == 8 and found.observation == "prior" and found.trained
     plain = contender_from("my_agents:second", "handset", observation="prior")
     assert len(plain.modes) == 2 and plain.observation == "prior"
+    per_mode = contender_from("my_agents:trusting", "handset")
+    assert per_mode.bank == Bank(modes_from(["ekf", "ckf"])) and per_mode.beliefs == "per-mode"
+    named = contender_from("my_agents:second", "handset", HANDSET, beliefs="per-mode")
+    assert named.bank == HANDSET
+    with pytest.raises(ValueError, match="beliefs: found 'mine', expected one of shared, per-mode"):
+        contender_from("my_agents:second", "handset", beliefs="mine")
     with pytest.raises(ValueError, match="observation: found 'half'"):
         contender_from("my_agents:second", "handset", observation="half").start(Layout())
 
@@ -128,6 +145,42 @@ def test_python_takes_what_the_command_line_takes(tmp_path):
     assert rows["object"] == rows["module"] == rows["fixed-ukf"]
     assert rows["file"] == rows["loaded"] != rows["fixed-ukf"]
     assert all(begins.all() for begins in mine.told) and len(mine.told[-1]) == 2
+
+
+def test_a_policy_over_beliefs_per_mode_is_the_same_by_file_and_loaded(tmp_path):
+    file = write_per_mode(tmp_path / "trust.safetensors")
+    for radio in ("handset", "standard"):  # a bank of its own each
+        agents = {"file": file, "loaded": LearnedSwitch(file)}
+        rows = compare(agents, (), radio=radio, episodes=2).policies
+        assert rows["file"] == rows["loaded"]
+
+
+@pytest.fixture
+def bank_file(tmp_path):
+    """A mode file that says how its modes interact, too."""
+    path = tmp_path / "bank.json"
+    path.write_text(json.dumps(bank_as_written(HANDSET)))
+    return path
+
+
+def test_the_command_line_has_beliefs_per_mode(folder, bank_file):
+    words = ("--beliefs", "per-mode", "--modes", bank_file, "--episodes", 2)
+    done = command("compare", "--policies", "my_agents:second", "imm", *words, cwd=folder)
+    assert done.returncode == 0, done.stderr
+    assert "| my_agents:second | -" in done.stdout and "minus imm" in done.stdout
+    rows = compare({"mine": "my_agents:second"}, (), beliefs="per-mode", modes=HANDSET, episodes=2)
+    mine = str(rows).split("| mine |")[1].partition("\n")[0]
+    assert f"| my_agents:second |{mine}" in done.stdout
+
+
+def test_beliefs_that_there_are_not_are_refused(folder, bank_file):
+    done = command("evaluate", "--policy", "imm", "--beliefs", "mine")
+    assert_one_clear_line(done, "beliefs: found 'mine', expected one of shared, per-mode")
+    done = command("evaluate", "--policy", "imm", "--beliefs", "per-mode", "--modes", "ekf")
+    assert_one_clear_line(done, "modes: found 'ekf' alone, expected two or more where every mode")
+    words = ("--beliefs", "per-mode", "--modes", bank_file)
+    done = command("evaluate", "--policy", "my_agents:many", *words, cwd=folder)
+    assert_one_clear_line(done, "my_agents:many: found 4 to 4, expected 0 to 3")
 
 
 def test_evaluate_takes_one():

@@ -5,6 +5,7 @@ import pytest
 
 from experiments.evaluation.compare import compare
 from mmwave_env.metrics import METRICS
+from tests.training.actors import HANDSET
 
 
 def test_always_the_second_mode_scores_exactly_what_fixed_ukf_does():
@@ -59,8 +60,34 @@ def test_other_mistakes_are_named():
         compare(len)
     with pytest.raises(ValueError, match="policies: found a list, expected a dict of agents"):
         compare(["imm"])
+    with pytest.raises(ValueError, match="modes: found a bank, .*; a bank is for beliefs='per-mod"):
+        compare({"mine": np.zeros_like}, modes=HANDSET)
     with pytest.raises(ValueError, match="episodes: found 'ride', expected how many; data= takes"):
         compare({}, episodes="ride")
+
+
+def test_an_agent_over_beliefs_per_mode_that_trusts_none_scores_what_the_imm_does():
+    def none(observations):
+        return np.zeros(len(observations), int)
+
+    def trusting(observations):
+        return np.full(len(observations), 2)
+
+    agents = {"none": none, "trusting": trusting}
+    found = compare(agents, ("imm",), episodes=2, beliefs="per-mode", modes=["ekf", "ukf"])
+    for metric in METRICS:
+        assert abs(found.paired["none - imm"][metric].mean) < 1e-9
+    assert abs(found.paired["trusting - imm"]["reward"].mean) > 1e-3
+
+
+@pytest.mark.slow
+def test_the_modes_of_beliefs_per_mode_are_by_default_those_of_the_best_imm():
+    def none(observations):
+        return np.zeros(len(observations), int)
+
+    for radio in ("handset", "standard"):
+        found = compare({"none": none}, ("imm-best",), None, radio, 2, beliefs="per-mode")
+        assert abs(found.paired["none - imm-best"]["reward"].mean) < 1e-9
 
 
 def test_other_places_are_arguments_of_the_environment():

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from matplotlib.image import imread
 
-from experiments.evaluation.contenders import contender_from
+from experiments.evaluation.contenders import Contender, contender_from
 from experiments.evaluation.decisions import Decisions, pull_aways, stops
 from experiments.evaluation.runner import run_contender
 from experiments.evaluation.seeds import draw_episodes
@@ -15,6 +15,7 @@ from mmwave_env.episodes.simulated import SimulatedSource
 from mmwave_env.metrics import BURN_IN
 from mmwave_env.models.radio import RADIOS
 from mmwave_env.models.scene import SCENES
+from tests.training.actors import HANDSET
 
 N, T = 12, 60
 
@@ -186,3 +187,16 @@ def test_modes_are_those_that_were_chosen(episodes):
         assert (run_contender(fixed, fixed.start(SOURCE.layout), episodes)["mode"] == mode).all()
     imm = contender_from("imm", "handset")
     assert "mode" not in run_contender(imm, imm.start(SOURCE.layout), episodes)
+
+
+def test_where_modes_keep_a_belief_each_the_shares_are_of_whom_it_trusts(episodes, told):
+    own = Contender.own("mine", np.zeros_like, "handset", HANDSET, beliefs="per-mode")
+    decisions = Decisions({"mine": "mine"})
+    actions = np.random.default_rng(3).integers(4, size=(N, T))
+    decisions.add(own, episodes, {"error": told["imm"]["error"], "mode": actions})
+    shares = decisions.json["stop"]["share"]["mine"]
+    assert list(shares) == ["none", "stand", "walk", "ride"]
+    assert np.sum([shares[name] for name in shares], axis=0) == pytest.approx(np.ones(31))
+    speed = np.stack([np.linalg.norm(episode.truth_velocity_mps, axis=1) for episode in episodes])
+    there = [(e, t) for e, t in np.argwhere(stops(speed)) if t >= BURN_IN]
+    assert shares["ride"][10] == pytest.approx(np.mean([actions[at] == 3 for at in there]))

@@ -10,11 +10,12 @@ import pytest
 import mmwave_env  # noqa: F401  registers the environment
 from experiments.evaluation import contenders as contenders_module
 from experiments.evaluation import runner as evaluation
-from experiments.evaluation.contenders import contender_from, contenders
+from experiments.evaluation.contenders import Contender, contender_from, contenders
 from experiments.evaluation.runner import score, score_contenders
 from experiments.evaluation.seeds import draw_episodes
 from mmwave_env.engines.imm_engine import ImmEngine
 from mmwave_env.episodes.simulated import SimulatedSource
+from mmwave_env.filters.bank import best_bank
 from mmwave_env.filters.mode_files import modes_from
 from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.metrics import BURN_IN, METRICS
@@ -22,7 +23,15 @@ from mmwave_env.models.radio import RADIOS
 from mmwave_env.models.scene import SCENES
 from mmwave_env.reward import TrackingReward
 from policies import TUNED_IMMS, FixedMode, learned, tuned_imm
-from tests.training.actors import MODES, actor, card_of, write
+from tests.training.actors import (
+    HANDSET,
+    MODES,
+    STANDARD,
+    actor,
+    card_of,
+    write,
+    write_per_mode,
+)
 
 # Estimates of a lost track can be fast; the rule's own test looks at the warning.
 pytestmark = pytest.mark.filterwarnings("ignore:speed .* outside the design window")
@@ -82,7 +91,7 @@ def test_every_radio_has_every_contender(radio):
     found = {name: make() for name, make in contenders(radio).items()}
     assert list(found) == [
         "fixed-ekf", "fixed-ukf", "fixed-ckf", "fixed-ekf-robust", "fixed-ukf-robust",
-        "speed-rule", "likelihood-rule", "random", "imm", *TUNED_IMMS,
+        "speed-rule", "likelihood-rule", "random", "imm", *TUNED_IMMS, "imm-best",
         *(() if radio == "high" else ("ppo", "ppo-extended")),
     ]  # fmt: skip
     assert all(c.name == name and c.modes for name, c in found.items())
@@ -169,10 +178,26 @@ def test_shipped_policies_are_contenders_of_their_radio():
     assert "ppo" not in contenders("handset", MODES)  # it brings its own
     assert contender_from("ppo", "handset").trained
     assert not contender_from("imm", "handset").trained
+    assert "guided" not in contenders("handset")
     named = contender_from("ppo-handset", "standard")
     assert named.name == "ppo-handset" and named.modes == MODES
     with pytest.raises(ValueError, match="found 'ppo-high', expected.*ppo-handset, a .safetensors"):
         contender_from("ppo-high", "high")
+
+
+def test_a_policy_shipped_for_all_radios_is_a_contender_of_each_with_its_bank(
+    file, tmp_path, monkeypatch
+):
+    trust = write_per_mode(tmp_path / "guided.safetensors")
+    shipped = {"ppo-handset": Path(file), "guided": trust, "guided-standard": Path(file)}
+    for module in (contenders_module, learned):
+        monkeypatch.setattr(module, "shipped_policies", lambda: shipped)
+    for radio, modes in {"handset": HANDSET.modes, "high": STANDARD.modes}.items():
+        found = contenders(radio)["guided"]()
+        assert (found.name, found.modes, found.beliefs) == ("guided", modes, "per-mode")
+    assert contenders("standard")["guided"]().beliefs == "shared"  # the radio's own goes first
+    assert list(contenders("high"))[-2:] == ["imm-best", "guided"]
+    assert contender_from("guided", "high", MODES).bank == STANDARD  # --modes are not for it
 
 
 @pytest.mark.usefixtures("shipped")
@@ -200,3 +225,76 @@ def test_what_is_watched_is_what_is_scored():
     for name in names:
         distance = np.linalg.norm(told[name]["error"], axis=-1)
         np.testing.assert_allclose(distance[:, BURN_IN:].mean(axis=1), scores[name]["ate_m"])
+
+
+# --- beliefs per mode
+
+
+def none(observations):
+    return np.zeros(len(observations), int)
+
+
+@pytest.fixture
+def trust(tmp_path):
+    """The file of a policy over modes that keep a belief each."""
+    return write_per_mode(tmp_path / "trust.safetensors")
+
+
+def test_trusting_no_mode_is_the_imm_over_the_bank():
+    own = Contender.own("none", none, "handset", HANDSET, beliefs="per-mode")
+    assert own.bank == HANDSET and own.actions == ["none", "stand", "walk", "ride"]
+    imm = contenders("handset", HANDSET)["imm"]()
+    assert imm.policy is None and imm.transition == HANDSET.transition
+    found, expected = score_contenders([own, imm], SOURCE, "handset", 3, 0).values()
+    for metric, values in expected.items():
+        np.testing.assert_allclose(found[metric], values, rtol=1e-9)
+    elsewhere = replace(imm, transition=None, nis_quantile=1.0)
+    other = score(elsewhere, None, draw_episodes(SOURCE, range(3)))
+    assert (other["reward"] != expected["reward"]).all()
+
+
+def test_the_best_imm_is_over_the_best_bank_of_its_radio():
+    for radio in RADIOS:
+        imm, bank = contender_from("imm-best", radio), best_bank(radio)
+        assert (imm.modes, imm.transition, imm.nis_quantile) == (
+            bank.modes, bank.transition, bank.nis_quantile,
+        )  # fmt: skip
+        own = Contender.own("mine", none, radio, beliefs="per-mode")
+        assert own.bank == bank
+        assert imm.bank is None  # nobody chooses
+
+
+def test_a_policy_scores_what_it_earns_in_an_environment_of_its_bank(trust):
+    contender, told = Contender.learned(trust), {}
+    (scores,) = score_contenders(
+        [contender], SOURCE, "handset", 2, 0,
+        watch=lambda _, episodes, tells: told.update(tells),
+    ).values()  # fmt: skip
+    env = gym.make("MmWaveLoc-v0", beliefs="per-mode", modes=HANDSET)
+    for e in range(2):
+        policy = contender.policy(env.unwrapped.observation)
+        observation, _ = env.reset(seed=e)
+        rewards, taken, over = [], [], False
+        while not over:
+            (action,) = policy(observation[None])
+            observation, reward, _, over, info = env.step(action)
+            rewards.append(reward)
+            taken.append(info["mode"])
+        assert scores["reward"][e] == pytest.approx(np.mean(rewards[BURN_IN:]), rel=1e-12)
+        assert scores["ate_m"][e] == pytest.approx(info["ate_m"], rel=1e-12)
+        assert told["mode"][e].tolist() == taken
+    assert told["mode"].max() == len(MODES)  # the last mode is trusted, too
+
+
+def test_a_policy_takes_the_bank_of_the_radio(trust):
+    handset, standard = (contender_from(str(trust), radio) for radio in ("handset", "standard"))
+    assert (handset.bank, standard.bank) == (HANDSET, STANDARD)
+    assert handset.at("high").bank == STANDARD and standard.at("handset").bank == HANDSET
+    imm = contender_from("imm", "handset")
+    assert imm.at("standard") is imm
+
+
+def test_actions_beyond_none_and_the_modes_are_refused(trust):
+    contender = Contender.learned(trust)
+    with pytest.raises(ValueError, match="found 4 to 4, expected 0 to 3"):
+        score(contender, FixedMode(4), draw_episodes(SOURCE, [0]))
