@@ -55,9 +55,7 @@ def masked(values: dict[str, NDArray[Any]], where: Mask) -> dict[str, Any]:
 
 def stepped(infos: dict[str, Any], where: Mask) -> dict[str, Any]:
     """What a step told of all environments, if it did something in some (n,) of them only."""
-    did = {
-        key: infos[key] for key in (*STEP_KEYS, PROBABILITIES) if key in infos
-    }
+    did = {key: infos[key] for key in (*STEP_KEYS, PROBABILITIES) if key in infos}
     return masked(did, where) | {key: infos[key] for key in (*STATE_KEYS, *mask_keys(STATE_KEYS))}
 
 

@@ -25,9 +25,7 @@ class Baseline:
         threads: how many may work at once; results do not depend on it.
     """
 
-    def __init__(
-        self, imm: ImmEngine, batch: Batch[Any], threads: int = 1
-    ) -> None:
+    def __init__(self, imm: ImmEngine, batch: Batch[Any], threads: int = 1) -> None:
         self._imm, self._batch, self._threads = imm, batch, threads
         self._rewards = np.zeros((batch.n, 0), np.float32)
 

@@ -198,7 +198,11 @@ def _smoothed(blocks: Iterable[TrackBlock], window: int) -> Iterator[TrackBlock]
         x, P, x_predicted, P_predicted, time_s = (
             values.reshape(-1, epochs, *values.shape[1:])
             for values in (
-                block.x, block.P, block.x_predicted, block.P_predicted, block.time_s,
+                block.x,
+                block.P,
+                block.x_predicted,
+                block.P_predicted,
+                block.time_s,
             )  # fmt: skip
         )
         x, P = smooth(x, P, x_predicted, P_predicted, np.diff(time_s), block.planar)

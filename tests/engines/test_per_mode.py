@@ -171,6 +171,4 @@ def test_environments_take_banks_of_their_own():
         engine.step(chosen)
     for bank, some in ((one, slice(5)), (other, slice(5, 10))):
         alone, _ = played(bank, episodes[some], actions[some])
-        np.testing.assert_array_equal(
-            engine.read(engine.at.x)[some], alone.read(alone.at.x)
-        )
+        np.testing.assert_array_equal(engine.read(engine.at.x)[some], alone.read(alone.at.x))

@@ -1,0 +1,68 @@
+"""The benchmark's protocol: what is kept apart, and how an entry stands."""
+
+import numpy as np
+import pytest
+
+from experiments.evaluation.protocol import (
+    KINDS,
+    RECORDED,
+    TRAINED,
+    UNSEEN,
+    Judged,
+    entry,
+    judge,
+    standing,
+    unseen_file,
+    venues,
+)
+from mmwave_env.models.radio import RADIOS
+from mmwave_env.models.scene import SCENES, scene_from
+
+
+def test_what_is_unseen_is_known_to_nobody():
+    assert not set(UNSEEN) & {*SCENES, *RADIOS}
+
+
+def test_unseen_streets_differ_in_carrier_and_geometry():
+    scenes = [scene_from(unseen_file(name)) for name in UNSEEN[:-1]]
+    for scene in scenes:
+        scene.require_streets_in_front()
+        assert len(scene.anchors_m) == 3
+    assert len({scene.carrier_hz for scene in scenes}) > 1
+    assert len({scene.streets for scene in scenes}) == len(scenes)
+
+
+def test_the_venues_are_those_of_the_page():
+    kinds = [venue.kind for venue in venues()]
+    assert [kinds.count(kind) for kind in KINDS] == [9, 7, 4]
+    assert len({venue.name for venue in venues()}) == 20
+    assert all(venue.source.layout.anchors == 3 for venue in venues())
+
+
+def test_a_contender_meets_every_imm_on_the_same_episodes():
+    (venue,) = (venue for venue in venues() if venue.name == "street:tablet")
+    judged = judge(["speed-rule", "imm-best"], venue, 4, seed=3)
+    assert set(judged.imms) >= {"imm", "imm-best", "imm-robust-limited"}
+    figures = judged.figures("speed-rule")
+    expected = (judged.reward["speed-rule"] - judged.reward["imm"]).mean()
+    assert figures["minus"]["imm"]["mean"] == pytest.approx(expected)
+    assert figures["reward"]["mean"] == pytest.approx(judged.reward["speed-rule"].mean())
+    assert "imm-best" not in judged.figures("imm-best")["minus"]
+    low, high = entry("imm-best", [judged])["mean_gain"]["unseen"]["ci95"]
+    assert low == high == 0.0
+
+
+@pytest.mark.parametrize(
+    ("gains", "expected"),
+    [((0.1, 0.2), "above"), ((0.1, 0.0), "level"), ((0.1, -0.2), "below")],
+)
+def test_an_entry_stands_above_level_with_or_below_the_imms(gains, expected):
+    rng = np.random.default_rng(0)
+    base, noise = rng.normal(size=400), rng.normal(0.0, 0.1, 400)
+    noise -= noise.mean()
+    rewards = {"mine": base, "imm": base - gains[0] + noise, "imm-best": base - gains[1] - noise}
+    (trained, *_), ate = venues(), {name: np.abs(base) for name in rewards}
+    judged = Judged(trained, rewards, ate, ("imm", "imm-best"))
+    assert standing(judged.figures("mine")) == expected
+    assert entry("mine", [judged])["mean_gain"][TRAINED]["mean"] == pytest.approx(gains[1])
+    assert RECORDED not in entry("mine", [judged])["mean_gain"]
