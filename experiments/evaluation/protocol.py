@@ -53,7 +53,7 @@ class Venue:
     @property
     def source(self) -> EpisodeSource:
         """Where its episodes come from."""
-        # What filters them is not asked: of modes of its own nobody is told that they are not tuned.
+        # What filters them is not asked, so that nobody is told that modes are not tuned.
         none = [Mode("none")]
         return task_from(scene=self.scene, radio=self.radio, episodes=self.data, modes=none).source
 

@@ -53,7 +53,7 @@ def test_a_linear_model_is_smoothed_as_by_filterpy(dt):
 
 
 def tracks(planar, n=9, epochs=120):
-    """Filtered tracks (n, epochs, ...) of an EKF, over two blocks of lanes: x, P, both predicted."""
+    """Filtered tracks (n, epochs, ...) of an EKF, over two blocks: x, P, both predicted."""
     source = SimulatedSource(SCENES["street"], RADIOS["handset"], epochs=epochs)
     episodes = [source.sample(np.random.default_rng(seed)) for seed in range(n)]
     pipeline = Pipeline(modes_from(["ekf"]), source.layout, planar)

@@ -8,6 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
+from mmwave_env.engines.track_engine import Tracker
 from mmwave_env.models.motion import (
     ProcessNoise,
     accelerate,
@@ -15,7 +16,6 @@ from mmwave_env.models.motion import (
     predict_covariance,
     white_noise_acceleration,
 )
-from mmwave_env.engines.track_engine import Tracker
 from tests.filters import textbook
 from tests.filters.tracks import pipeline_of, simulated, track, unpacked
 
