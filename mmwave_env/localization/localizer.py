@@ -195,15 +195,9 @@ def _smoothed(blocks: Iterable[TrackBlock], window: int) -> Iterator[TrackBlock]
     """The track in blocks of whole windows, smoothed all at once, and what is left of segments."""
     for block in in_windows(blocks, window, lambda block: block.segment):
         epochs = min(window, len(block))
+        values = (block.x, block.P, block.x_predicted, block.P_predicted, block.time_s)
         x, P, x_predicted, P_predicted, time_s = (
-            values.reshape(-1, epochs, *values.shape[1:])
-            for values in (
-                block.x,
-                block.P,
-                block.x_predicted,
-                block.P_predicted,
-                block.time_s,
-            )  # fmt: skip
+            one.reshape(-1, epochs, *one.shape[1:]) for one in values
         )
         x, P = smooth(x, P, x_predicted, P_predicted, np.diff(time_s), block.planar)
         yield replace(block, smooth_x=x.reshape(block.x.shape), smooth_P=P.reshape(block.P.shape))

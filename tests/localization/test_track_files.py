@@ -26,8 +26,8 @@ def some_track(epochs, seed=0):
     return TrackBlock(
         layout=Layout(3), planar=False, time_s=1.7e9 + np.arange(epochs) / 3.0, x=x, P=P,
         x_predicted=x, P_predicted=P, smooth_x=x + 1.0, smooth_P=2.0 * P,
-        mode=rng.integers(2, size=epochs), nis=rng.random((epochs, 4)), visible=groups, accepted=groups, incomplete=~groups,
-        segment=0, skipped=0, dropped=0, share=1.0,
+        mode=rng.integers(2, size=epochs), nis=rng.random((epochs, 4)), visible=groups,
+        accepted=groups, incomplete=~groups, segment=0, skipped=0, dropped=0, share=1.0,
     )  # fmt: skip
 
 
