@@ -13,7 +13,7 @@ from gymnasium.envs.registration import EnvSpec
 from gymnasium.error import InvalidAction, ResetNeeded
 from numpy.typing import NDArray
 
-from mmwave_env.engines.baseline import Baseline
+from mmwave_env.engines.baseline import baseline_of
 from mmwave_env.engines.env_engine import Engine
 from mmwave_env.engines.replay import Replay
 from mmwave_env.episodes.episode import Episode
@@ -229,8 +229,7 @@ class MmWaveLocEnv(gym.Env[NDArray[np.float32], np.int64]):
             pipeline, 1, self.reward, self._observation_kind, task.bank, on_floats
         )
         self._replay = Replay(pipeline, task.bank, on_floats)
-        imm = task.imm()
-        self._baseline = imm and Baseline(imm, self._engine.batch)
+        self._baseline = baseline_of(task, self._engine.batch)
         self.modes, self.observation = pipeline.modes, self._engine.observation
         at, span = self._engine.at, self._engine.span
         self._observed, self._P = span(at.observation), span(at.P)

@@ -2,13 +2,12 @@
 
 import os
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, fields
 from typing import Any, cast
 
 import numpy as np
 
 from mmwave_env.compiler.rng import Generators
-from mmwave_env.engines.imm_engine import ImmEngine
 from mmwave_env.episodes.episode import Episode, EpisodeBatch, EpisodeSource
 from mmwave_env.episodes.measured import MeasuredTrack
 from mmwave_env.episodes.recorded import Recording
@@ -51,13 +50,6 @@ class Task:
     reward: Reward
     baseline: Bank | None
     worst: float | None
-
-    def imm(self) -> ImmEngine | None:
-        """The IMM whose reward is subtracted."""
-        if self.baseline is None:
-            return None
-        bank, pipeline = self.baseline, replace(self.pipeline, modes=self.baseline.modes)
-        return ImmEngine(pipeline, self.reward, bank.transition, bank.nis_quantile)
 
     def draw(self, rng: np.random.Generator) -> Episode:
         """The next episode of an environment."""

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from mmwave_env.compiler.rng import Generators
 from mmwave_env.compiler.threads import portions, share
-from mmwave_env.engines.baseline import Baseline
+from mmwave_env.engines.baseline import baseline_of
 from mmwave_env.engines.env_engine import Engine
 from mmwave_env.engines.replay import Replay
 from mmwave_env.engines.vector_step import Stepper
@@ -108,8 +108,7 @@ class MmWaveLocVectorEnv(gym.vector.VectorEnv[Observations, Index, NDArray[Any]]
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
         self._stepper, self._replay = Stepper(self._engine), Replay(task.pipeline, task.bank)
-        imm = task.imm()
-        self._baseline = imm and Baseline(imm, self.batch, threads)
+        self._baseline = baseline_of(task, self.batch, threads)
         self._generators = Generators(num_envs, task.simulated)
         self._begun = False
         self._mode_count = np.array(len(self.observation.actions), np.uint64)

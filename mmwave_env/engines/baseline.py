@@ -3,6 +3,7 @@
 No action changes an episode, so what the IMM earns in it is known as soon as it is loaded.
 """
 
+from dataclasses import replace
 from math import fsum
 from typing import Any
 
@@ -12,6 +13,7 @@ from mmwave_env.compiler.threads import portions, share
 from mmwave_env.engines.batch import Batch
 from mmwave_env.engines.imm_engine import ImmEngine
 from mmwave_env.numerics.arrays import Array, Index
+from mmwave_env.task import Task
 
 TOGETHER = 256  # episodes at once: few enough for their memory not to count
 
@@ -58,3 +60,13 @@ class Baseline:
         tracks = self._batch.state
         spans = zip(places, tracks.epoch[places] - 1, tracks.length[places], strict=True)
         return np.array([fsum(self._rewards[place, now:end]) for place, now, end in spans])
+
+
+def baseline_of(task: Task, batch: Batch[Any], threads: int = 1) -> Baseline | None:
+    """The baseline of a task, on the episodes of a batch; None where nothing is subtracted."""
+    bank = task.baseline
+    if bank is None:
+        return None
+    pipeline = replace(task.pipeline, modes=bank.modes)
+    imm = ImmEngine(pipeline, task.reward, bank.transition, bank.nis_quantile)
+    return Baseline(imm, batch, threads)
