@@ -85,7 +85,7 @@ def moments(
     return mean, [dot(weights, [Pi[k] for Pi in P]) + value for k, value in enumerate(spread)]
 
 
-def mix(mixture: Mixture, transition: Matrix) -> tuple[Vector, list[tuple[Vector, Vector]]]:
+def mix(mixture: Mixture, transition: Matrix) -> tuple[list[Number], list[tuple[Vector, Vector]]]:
     """Predicted mode probabilities, and each mode's mixed initial belief."""
     modes = range(len(mixture.tracks))
     predicted = [dot([row[j] for row in transition], mixture.probability) for j in modes]
@@ -198,7 +198,9 @@ def estimate(mixture: Mixture) -> tuple[list[Number], list[list[Number]]]:
     return x, unpack(P)
 
 
-def prediction(predicted: Vector, results: Sequence[ModeResult]) -> tuple[list[Number], Vector]:
+def prediction(
+    predicted: Vector, results: Sequence[ModeResult]
+) -> tuple[list[Number], list[Number]]:
     """Mean (7,) and packed covariance (28,) of the whole mixture before an epoch's update."""
     return moments(
         predicted,
