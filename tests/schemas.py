@@ -103,18 +103,7 @@ def modes():
     """Of a mode file; what else it holds, such as the command that made it, is not looked at."""
     mode = object_schema(Mode, replaced={"algorithm": {"enum": list(ALGORITHMS)}})
     modes = {"type": "array", "items": mode, "minItems": 1, "description": "no name twice"}
-    row = {"type": "array", "items": {"type": "number", "minimum": 0.0, "maximum": 1.0}}
-    bank = {
-        "transition": {
-            "type": "array", "items": row,
-            "description": "of a bank: probabilities (from, to) over a second, a row a mode",
-        },
-        "nis_quantile": {
-            "type": "number", "exclusiveMinimum": 0.0, "maximum": 1.0,
-            "description": "of a bank: up to which the NIS of a link counts in a likelihood",
-        },
-    }  # fmt: skip
-    return {"type": "object", "properties": {"modes": modes} | bank, "required": ["modes"]}
+    return {"type": "object", "properties": {"modes": modes}, "required": ["modes"]}
 
 
 def schemas():
