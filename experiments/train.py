@@ -2,9 +2,9 @@
 
 import json
 import shutil
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import asdict, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -14,17 +14,19 @@ from rich.progress import Progress, TimeElapsedColumn
 from experiments.arguments.train import Args
 from experiments.cli.main import run
 from experiments.cli.options import command_line
+from experiments.evaluation.intervals import Interval
 from experiments.evaluation.markdown import grid
 from experiments.training.hyperparameters import (
     Hyperparameters,
     read_hyperparameters,
+    recipe_as_written,
     shipped_hyperparameters,
 )
+from experiments.training.places import Place, places_from
+from experiments.training.training_task import TrainingTask, banks_of
 from mmwave_env.files import write_bytes, write_json
-from mmwave_env.filters.mode_files import as_written, modes_from
-from mmwave_env.filters.modes import Mode
+from mmwave_env.filters.bank import Bank, bank_as_written
 from mmwave_env.lookup import choose
-from mmwave_env.models.radio import radio_from
 from mmwave_env.reward import REWARDS, PairedReward, Reward, TrackingReward
 
 SMOKE_EPISODES = 20  # to judge a policy on
@@ -57,7 +59,7 @@ def hyperparameters(args: Args) -> Hyperparameters:
     Raises:
         ValueError: those of another algorithm.
     """
-    path = args.hyperparameters or shipped_hyperparameters(args.algo)
+    path = args.hyperparameters or shipped_hyperparameters(args.algo, args.beliefs)
     recipe = read_hyperparameters(path)
     if (recipe.lstm > 0) != (args.algo == "recurrent-ppo"):
         expected = "0" if args.algo == "ppo" else "1 or more"
@@ -67,12 +69,30 @@ def hyperparameters(args: Args) -> Hyperparameters:
     return replace(recipe, paired=recipe.paired or args.reward == "paired")
 
 
-def manifest_of(args: Args, modes: Sequence[Mode], recipe: Hyperparameters) -> dict[str, Any]:
+def places_of(args: Args) -> tuple[Place, ...]:
+    """Where to train.
+
+    Raises:
+        ValueError: a place that there is not or that is named twice; or a radio beside places.
+    """
+    if not args.places:
+        return (Place("street", args.radio),)
+    if args.radio != Args.radio:
+        raise ValueError(f"radio: found {args.radio!r} beside places, which bring theirs")
+    return places_from(args.places)
+
+
+def manifest_of(
+    args: Args, banks: Mapping[str, Bank], recipe: Hyperparameters
+) -> dict[str, Any]:
     """What decides how a run goes on, as JSON holds it."""
+    written = {radio: bank_as_written(bank) for radio, bank in banks.items()}
+    first, *_ = written.values()
+    choices = {"banks": written} if args.beliefs == "per-mode" else {"modes": first["modes"]}
     return {
         "command": command_line("train", replace(args, **ASIDE)),
-        "recipe": {**asdict(recipe), "hidden": list(recipe.hidden)},
-        "modes": [as_written(mode) for mode in modes],
+        "recipe": recipe_as_written(recipe),
+        **choices,
     }
 
 
@@ -104,15 +124,14 @@ def _require_same(path: Path, manifest: dict[str, Any]) -> None:
     """Refuse to go on with the run of another manifest."""
     try:
         run = json.loads(path.read_text(encoding="utf-8"))
-        found = {"command": run["command"], "modes": run["modes"], **run["recipe"]}
+        found, expected = ({**one, **one["recipe"]} for one in (run, manifest))
     except (ValueError, TypeError, KeyError) as error:
         raise ValueError(f"{path}: not the manifest of a run; it was damaged") from error
-    expected = {"command": manifest["command"], "modes": manifest["modes"], **manifest["recipe"]}
-    for key, value in expected.items():
-        if found.get(key) != value:
+    for key in [key for key in {**expected, **found} if key != "recipe"]:  # its parts say more
+        if found.get(key) != expected.get(key):
             raise ValueError(
-                f"{path}: {key}: found {found.get(key)}, expected {value}; resume a run with "
-                "the options it was started with"
+                f"{path}: {key}: found {found.get(key)}, expected {expected.get(key)}; resume a "
+                "run with the options it was started with"
             )
 
 
@@ -136,25 +155,17 @@ def shown(jobs: list[Any]) -> Iterator[Any]:
 
 def summary(outcomes: list[dict[str, Any]]) -> str:
     """All seeds as a Markdown table, best first."""
-    rows = []
+    rows, minus = [], [key for key in outcomes[0]["best"] if key.startswith("minus ")]
     for outcome in outcomes:
         best, beat = outcome["best"], outcome["beat_rule"]
-        rivals = [best[f"minus {name}"] for name in ("speed-rule", "imm")]
+        gains = [Interval(best[what]["mean"], *best[what]["ci95"]) for what in minus]
         rows.append([
             str(outcome["seed"]), f"{best['reward']:.4f}", str(best["timesteps"]),
-            *(f"{r['mean']:.3f} [{r['ci95'][0]:.3f}, {r['ci95'][1]:.3f}]" for r in rivals),
+            *map(str, gains),
             f"{beat['seconds']:g} s, {beat['timesteps']} steps" if beat else "never",
             f"{outcome['seconds']:g} s",
         ])  # fmt: skip
-    header = [
-        "seed",
-        "reward",
-        "best after",
-        "minus speed-rule",
-        "minus imm",
-        "beat the rule after",
-        "time",
-    ]
+    header = ["seed", "reward", "best after", *minus, "beat the rule after", "time"]
     return grid(header, rows)
 
 
@@ -164,7 +175,6 @@ def main(args: Args) -> None:
         from experiments.training.evaluator import EPISODES
         from experiments.training.processes import side_by_side
         from experiments.training.trainer import Job
-        from experiments.training.training_env import TrainingTask
     except ImportError as error:
         raise ValueError(
             f"train needs more than the base install: {error}; pip install 'mmwave-loc[train]'"
@@ -174,10 +184,12 @@ def main(args: Args) -> None:
     for name in ("seeds", "total_timesteps", "jobs", "checkpoint_every"):
         if getattr(args, name) < 1:
             raise ValueError(f"{name}: found {getattr(args, name)}, expected 1 or more")
-    modes = modes_from(args.modes or None, radio_from(args.radio).name)
-    recipe = hyperparameters(args)
-    task = TrainingTask(args.scenario, args.radio, modes, args.observation, rewards(args))
-    manifest = manifest_of(args, modes, recipe)
+    places, recipe = places_of(args), hyperparameters(args)
+    banks = banks_of(args.modes, places, args.beliefs)
+    task = TrainingTask(
+        args.scenario, places, banks, args.observation, rewards(args), args.beliefs
+    )
+    manifest = manifest_of(args, banks, recipe)
     if args.smoke:
         args = smoke(args)
     jobs = [

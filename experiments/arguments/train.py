@@ -34,14 +34,21 @@ class TaskArgs:
     """pedestrian, vehicle, walk-ride, jam, cyclist or mixed (equal shares), or a JSON file;
     or a way of your own, a CSV file with columns t, x, y, z"""
     radio: str = "handset"
-    """handset, standard, high or a JSON file"""
+    """handset, standard, high or a JSON file: of the street, where no places are named"""
+    places: tuple[str, ...] = ()
+    """one or more of SCENE:RADIO and SCENE:RADIO:DT in place of a radio, such as street:handset and
+    o1:standard:0.1: names or JSON files, and the seconds between epochs, 1 where left out; the
+    environments and the episodes that policies are judged on are spread over them evenly"""
+    beliefs: Literal["shared", "per-mode"] = "shared"
+    """per-mode: every mode keeps its own belief, and the agent says which of them to trust"""
     modes: tuple[str, ...] = ()
-    """to choose from: extended, names and mode files; the radio's ekf and ukf by default"""
+    """to choose from: extended, names and mode files; the radio's ekf and ukf by default, and its
+    best bank with beliefs per mode"""
     observation: str = "full"
     """full, or prior: nothing of how each mode sees the coming epoch"""
     reward: str = "tracking"
     """tracking or log-score, minus the IMM's where the hyperparameters say paired; or paired, which
-    always is tracking minus the IMM's"""
+    always is tracking minus the IMM's: of the bank, with beliefs per mode"""
     nees_weight: float = TrackingReward.nees_weight
     """weight of the NEES in the tracking reward"""
 
@@ -58,7 +65,8 @@ class Args(FolderArgs, TaskArgs):
     total_timesteps: int = 4_000_000
     """epochs to train each for, rounded up to whole updates"""
     hyperparameters: Path | None = None
-    """a JSON file in place of the algorithm's own, experiments/training/ppo.json"""
+    """a JSON file in place of the algorithm's own, experiments/training/ppo.json, or
+    guided-ppo.json with beliefs per mode"""
     smoke: bool = False
     """one seed and one update, in seconds, to see that all is installed and works: in runs/smoke
     unless --out names another folder; its policy is refused where results are made"""

@@ -1,58 +1,88 @@
 """How good a policy in training is: on tuning seeds, beside those that need no training."""
 
 import warnings
+from collections.abc import Callable, Sequence
+from functools import partial
+from itertools import accumulate
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from experiments.evaluation.contenders import Contender, contender_from
-from experiments.evaluation.intervals import bootstrap
+from experiments.evaluation.intervals import Interval, bootstrap
 from experiments.evaluation.runner import Scores, score
 from experiments.evaluation.seeds import TUNING_SEED, draw_episodes
-from experiments.training.training_env import TrainingTask
-from mmwave_env.episodes.simulated import SimulatedSource
-from mmwave_env.models.radio import radio_from
-from mmwave_env.models.scene import scene_from
+from experiments.training.places import Place, shares
+from experiments.training.training_task import TrainingTask
+from mmwave_env.episodes.episode import Episode
+from mmwave_env.numerics.arrays import Array
 
-TRAINING_RIVALS = ("speed-rule", "imm")
+TRAINING_RIVALS = ("speed-rule", "imm")  # of every training
+PER_MODE_RIVALS = (*TRAINING_RIVALS, "imm-best")  # where every mode keeps its own belief
 EPISODES = 500
+
+
+class _Look(NamedTuple):
+    """The episodes that policies are judged on at a place."""
+
+    place: Place
+    episodes: Sequence[Episode]
 
 
 class Evaluator:
     """Scores policies on the same tuning episodes, by the protocol's reward.
 
     Args:
-        task: what is learned.
-        episodes: how many.
+        task: what is learned; its places share the episodes evenly.
+        episodes: how many; at least one a place.
     """
 
     def __init__(self, task: TrainingTask, episodes: int = EPISODES) -> None:
-        radio = radio_from(task.radio)
-        source = SimulatedSource(scene_from("street"), radio, task.scenario)
-        self._layout = source.layout
-        self._episodes = draw_episodes(source, range(TUNING_SEED, TUNING_SEED + episodes))
+        counts = shares(max(episodes, len(task.places)), len(task.places))
+        self._looks = []
+        for place, last, n in zip(task.places, accumulate(counts), counts, strict=True):
+            seeds = range(TUNING_SEED + last - n, TUNING_SEED + last)
+            self._looks.append(_Look(place, draw_episodes(place.source(task.scenario), seeds)))
+        rivals = PER_MODE_RIVALS if task.beliefs == "per-mode" else TRAINING_RIVALS
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # that the rule leaves its design window is no news
             self._rivals = {
-                name: self._score(contender_from(name, radio.name))["reward"]
-                for name in TRAINING_RIVALS
+                name: self._scores(partial(contender_from, name))["reward"] for name in rivals
             }
 
     def examine(self, path: Path) -> dict[str, Any]:
         """Figures of a policy file, with 95 % intervals.
 
         Returns:
-            Means of every metric, "modes" (the share of each), and "minus NAME" of every rival.
+            Means of every metric over all places, and "minus NAME" of every rival; of several
+            places also "PLACE minus NAME".
         """
-        scores = self._score(Contender.learned(path))
-        differences = np.stack([scores["reward"] - r for r in self._rivals.values()], axis=1)
-        pairs = zip(TRAINING_RIVALS, bootstrap(differences), strict=True)
+        scores = self._scores(lambda radio: Contender.learned(path, radio=radio))
+        differences = {name: scores["reward"] - reward for name, reward in self._rivals.items()}
+        figures = _gains(differences)
+        if len(self._looks) > 1:
+            first = 0
+            for place, episodes in self._looks:
+                here = slice(first, first := first + len(episodes))
+                gains = _gains({name: values[here] for name, values in differences.items()})
+                figures |= {f"{place} {what}": interval for what, interval in gains.items()}
         return {
-            "seed": TUNING_SEED, "episodes": len(self._episodes),
+            "seed": TUNING_SEED, "episodes": len(scores["reward"]),
             **{metric: float(values.mean()) for metric, values in scores.items()},
-            **{f"minus {name}": interval.json for name, interval in pairs},
+            **{what: interval.json for what, interval in figures.items()},
         }  # fmt: skip
 
-    def _score(self, contender: Contender) -> Scores:
-        return score(contender, contender.start(self._layout), self._episodes)
+    def _scores(self, contender_at: Callable[[str], Contender]) -> Scores:
+        """Of the contender for each radio, on the episodes of all places."""
+        found = []
+        for place, episodes in self._looks:
+            contender = contender_at(place.profile)
+            found.append(score(contender, contender.start(episodes[0].layout), episodes))
+        return {metric: np.concatenate([one[metric] for one in found]) for metric in found[0]}
+
+
+def _gains(differences: dict[str, Array]) -> dict[str, Interval]:
+    """Intervals of differences (episodes,), by what is subtracted."""
+    intervals = bootstrap(np.stack(list(differences.values()), axis=1))
+    return {f"minus {name}": gain for name, gain in zip(differences, intervals, strict=True)}

@@ -1,7 +1,7 @@
 """How a switcher is trained: hyperparameters, as small JSON files beside this one hold them."""
 
 import json
-from dataclasses import dataclass, fields
+from dataclasses import MISSING, dataclass, fields
 from pathlib import Path
 from typing import Any, get_type_hints
 
@@ -31,6 +31,9 @@ class Hyperparameters:
     # there, so the best policy stays the same and the variance falls
     paired: bool
     truth_critic: bool  # the critic, which is not needed after training, also sees the truth
+    # added to the logit of action 0 at the start. Where every mode keeps its own belief, action 0
+    # trusts none: learning starts level with the IMM
+    first_action_bias: float = 0.0
 
     def __post_init__(self) -> None:
         for name, kind in get_type_hints(Hyperparameters).items():
@@ -60,7 +63,9 @@ class Hyperparameters:
 
 
 def read_hyperparameters(path: Path) -> Hyperparameters:
-    """The recipe of a hyperparameter file, a JSON object with every attribute of `Hyperparameters`.
+    """The recipe of a hyperparameter file, a JSON object with the attributes of `Hyperparameters`.
+
+    Those with a default may be left out.
 
     Raises:
         ValueError: naming the file and what is wrong in it.
@@ -70,9 +75,10 @@ def read_hyperparameters(path: Path) -> Hyperparameters:
         found: Any = json.loads(path.read_text(encoding="utf-8"))
         if not isinstance(found, dict):
             raise ValueError(f"found {type(found).__name__}, expected an object")
-        known = {field.name for field in fields(Hyperparameters)}
-        if set(found) != known:
-            missing, unknown = known - set(found), set(found) - known
+        known = {field.name: field.default is MISSING for field in fields(Hyperparameters)}
+        missing = {name for name, needed in known.items() if needed} - set(found)
+        unknown = set(found) - set(known)
+        if missing or unknown:
             raise ValueError(
                 f"missing {', '.join(sorted(missing)) or 'none'}, "
                 f"unknown {', '.join(sorted(unknown)) or 'none'}"
@@ -84,6 +90,16 @@ def read_hyperparameters(path: Path) -> Hyperparameters:
         raise ValueError(f"{path}: not a hyperparameter file: {error}") from error
 
 
-def shipped_hyperparameters(algorithm: str) -> Path:
-    """The hyperparameter file of an algorithm."""
-    return Path(__file__).with_name(f"{algorithm}.json")
+def recipe_as_written(recipe: Hyperparameters) -> dict[str, Any]:
+    """A recipe as its file holds it; what has a default and is as by default is left out."""
+    return {
+        field.name: list(value) if isinstance(value, tuple) else value
+        for field in fields(Hyperparameters)
+        if (value := getattr(recipe, field.name)) != field.default
+    }
+
+
+def shipped_hyperparameters(algorithm: str, beliefs: str = "shared") -> Path:
+    """The hyperparameter file of an algorithm, where modes share a belief or keep their own."""
+    guided = algorithm == "ppo" and beliefs == "per-mode"
+    return Path(__file__).with_name(f"{'guided-' if guided else ''}{algorithm}.json")

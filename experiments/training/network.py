@@ -8,7 +8,7 @@ from stable_baselines3 import PPO
 from stable_baselines3.common.on_policy_algorithm import OnPolicyAlgorithm
 from stable_baselines3.common.policies import ActorCriticPolicy
 from stable_baselines3.common.torch_layers import MlpExtractor
-from torch import Tensor, nn
+from torch import Tensor, nn, no_grad
 
 from experiments.training.actor import Normalization, actor_tensors
 from experiments.training.hyperparameters import Hyperparameters
@@ -87,9 +87,15 @@ def learner(world: TrainingEnv, recipe: Hyperparameters, seed: int) -> OnPolicyA
             "lstm_hidden_size": recipe.lstm, "activation_fn": nn.Tanh,
             "net_arch": {"pi": list(recipe.hidden), "vf": list(recipe.hidden)},
         }  # fmt: skip
-        return RecurrentPPO("MlpLstmPolicy", world.venv, policy_kwargs=shape, **what)
-    seen = world.features * recipe.frames
-    return PPO(_Policy, world.venv, policy_kwargs={"actor": seen, "hidden": recipe.hidden}, **what)
+        model: OnPolicyAlgorithm = RecurrentPPO(
+            "MlpLstmPolicy", world.venv, policy_kwargs=shape, **what
+        )
+    else:
+        views = {"actor": world.features * recipe.frames, "hidden": recipe.hidden}
+        model = PPO(_Policy, world.venv, policy_kwargs=views, **what)
+    with no_grad():
+        model.policy.action_net.bias[0] += recipe.first_action_bias
+    return model
 
 
 def falling(recipe: Hyperparameters, left: float) -> float:

@@ -18,7 +18,8 @@ from experiments.training.evaluator import EPISODES, Evaluator
 from experiments.training.hyperparameters import Hyperparameters
 from experiments.training.network import actor_of, falling, learner
 from experiments.training.progress_log import ProgressLog
-from experiments.training.training_env import TrainingEnv, TrainingTask
+from experiments.training.training_env import TrainingEnv
+from experiments.training.training_task import TrainingTask
 from mmwave_env import __version__
 from mmwave_env.files import write_bytes, write_json
 from policies.policy_file import Card, to_bytes
@@ -149,7 +150,7 @@ class Training(BaseCallback):
             self.logger.record_mean(f"rollout/{key}", mean)
         self._ended.clear()
         actions = self._learner.rollout_buffer.actions.astype(np.int64).ravel()
-        names = [mode.name for mode in self._job.task.modes]
+        names = self._env.observation.actions
         for name, n in zip(names, np.bincount(actions, minlength=len(names)), strict=True):
             self.logger.record_mean(f"share/{name}", n / len(actions))
         self.logger.record("seconds", self._seconds())
@@ -174,13 +175,15 @@ class Training(BaseCallback):
         self._tell(timesteps, news)
 
     def _write(self, path: Path, evaluation: dict[str, Any]) -> None:
-        job, table = self._job, self._env.env.observation
+        job, task, table = self._job, self._job.task, self._env.observation
+        per_mode = task.beliefs == "per-mode"
         card = Card(
-            modes=job.task.modes, observation=job.task.observation, digest=table.digest,
-            frames=job.recipe.frames, scenario=job.task.scenario, radio=self._env.env.radio.name,
+            modes=task.bank.modes, observation=task.observation, digest=table.digest,
+            frames=job.recipe.frames, scenario=task.scenario, radio=", ".join(task.banks),
             algorithm=job.algorithm, seed=job.seed, timesteps=self._learner.num_timesteps,
             command=job.command, evaluation=evaluation,
             versions={"mmwave-loc": __version__} | {p: version(p) for p in PACKAGES},
+            beliefs=task.beliefs, banks=dict(task.banks) if per_mode else {},
         )  # fmt: skip
         actor = actor_of(self._learner, self._env, job.recipe)
         write_bytes(path, to_bytes(actor, card))

@@ -1,6 +1,5 @@
 """What a switcher is trained in: the native vector environment, and wrappers around it."""
 
-from dataclasses import dataclass
 from typing import Any, cast
 
 import gymnasium as gym
@@ -10,42 +9,17 @@ from stable_baselines3.common.running_mean_std import RunningMeanStd
 from stable_baselines3.common.vec_env import VecEnv, VecEnvWrapper, VecFrameStack, VecNormalize
 
 from experiments.training.hyperparameters import Hyperparameters
-from mmwave_env.filters.modes import Mode
-from mmwave_env.observation import Observation
-from mmwave_env.reward import PairedReward, Reward
+from experiments.training.places import shares
+from experiments.training.places_env import PlacesVecEnv
+from experiments.training.training_task import TrainingTask
+from mmwave_env.episodes.simulated import SimulatedSource
+from mmwave_env.reward import PairedReward
 from mmwave_env.sb3 import Infos, SB3VecEnv
-from mmwave_env.task import task_from
 from mmwave_env.vector_env import MmWaveLocVectorEnv
 
 Array = NDArray[Any]
 
 TRUTH = 7  # numbers of the truth that a critic sees
-
-
-@dataclass(frozen=True)
-class TrainingTask:
-    """What is learned: arguments of ``MmWaveLoc-v0``.
-
-    Attributes:
-        scenario, radio, observation: names.
-        modes: to choose from.
-        reward: function of (belief, truth).
-
-    Raises:
-        ValueError: one that means nothing; the message says what would.
-    """
-
-    scenario: str
-    radio: str
-    modes: tuple[Mode, ...]
-    observation: str
-    reward: Reward
-
-    def __post_init__(self) -> None:
-        task = task_from(
-            scenario=self.scenario, radio=self.radio, modes=self.modes, reward=self.reward
-        )
-        Observation(task.pipeline, self.observation)
 
 
 class PrivilegedObservation(VecEnvWrapper):
@@ -111,27 +85,48 @@ class TrainingEnv:
         recipe: how.
 
     Attributes:
-        env: the native environment.
-        venv: what the algorithm steps.
+        envs: the native environments, of a place each.
+        observation: their table of features.
         features: of an observation, without the truth.
+        venv: what the algorithm steps: the environments of all places, in their order.
+
+    Raises:
+        ValueError: there are more places than environments.
     """
 
     def __init__(self, task: TrainingTask, recipe: Hyperparameters) -> None:
-        self.env = MmWaveLocVectorEnv(
-            recipe.num_envs, scenario=task.scenario, radio=task.radio, modes=task.modes,
-            observation=task.observation, autoreset_mode="SameStep", threads=1,
-            reward=PairedReward(task.reward) if recipe.paired else task.reward,
-        )  # fmt: skip
-        self.features = len(self.env.observation)
-        self._adapter = SB3VecEnv(self.env)
-        venv: VecEnv = self._adapter
+        if recipe.num_envs < len(task.places):
+            raise ValueError(
+                f"num_envs: found {recipe.num_envs}, expected {len(task.places)} or more, one for "
+                "each of the places"
+            )
+        reward = PairedReward(task.reward) if recipe.paired else task.reward
+        self.envs = [
+            MmWaveLocVectorEnv(
+                n, **task.arguments(place), observation=task.observation, reward=reward,
+                autoreset_mode="SameStep", threads=1,
+            )
+            for place, n in zip(
+                task.places, shares(recipe.num_envs, len(task.places)), strict=True
+            )
+        ]  # fmt: skip
+        self.observation = self.envs[0].observation
+        self.features = len(self.observation)
+        self._adapters = [SB3VecEnv(env) for env in self.envs]
+        parts: list[VecEnv] = [*self._adapters]
         if recipe.truth_critic:
-            venv = PrivilegedObservation(venv, self.env)
+            parts = [PrivilegedObservation(*of) for of in zip(parts, self.envs, strict=True)]
+        venv = parts[0] if len(parts) == 1 else PlacesVecEnv(parts, self._ahead())
         venv = self.normal = VecNormalize(venv, norm_reward=False, clip_obs=recipe.clip_observation)
         self._stack: VecFrameStack | None = None
         if recipe.frames > 1:
             venv = self._stack = VecFrameStack(venv, recipe.frames)
         self.venv = venv
+
+    def _ahead(self) -> list[int]:
+        """How many epochs the places are ahead of the first: their episodes end by turns."""
+        epochs = [cast(SimulatedSource, env.source).epochs for env in self.envs]
+        return [k * length // len(epochs) for k, length in enumerate(epochs)]
 
     @property
     def seen(self) -> RunningMeanStd:
@@ -141,16 +136,22 @@ class TrainingEnv:
     def state(self) -> dict[str, Any]:
         """All that what comes next depends on, for :meth:`restore`."""
         seen = self.seen
+        places = zip(self.envs, self._adapters, strict=True)
         return {
-            "env": self.env.state(), "returns": self._adapter.state(),
+            "places": {
+                str(i): {"env": env.state(), "returns": adapter.state()}
+                for i, (env, adapter) in enumerate(places)
+            },
             "normal": {"mean": seen.mean, "var": seen.var, "count": np.float64(seen.count)},
             "stack": {} if self._stack is None else {"of": self._stack.stacked_obs.stacked_obs},
         }  # fmt: skip
 
     def restore(self, state: dict[str, Any]) -> None:
         """Go on, to the last bit, as the world that gave this :meth:`state`."""
-        self.env.restore(state["env"])
-        self._adapter.restore(state["returns"])
+        for i, (env, adapter) in enumerate(zip(self.envs, self._adapters, strict=True)):
+            place = state["places"][str(i)]
+            env.restore(place["env"])
+            adapter.restore(place["returns"])
         seen = self.seen
         seen.mean, seen.var = state["normal"]["mean"], state["normal"]["var"]
         seen.count = float(state["normal"]["count"])

@@ -28,13 +28,11 @@ from experiments.training.hyperparameters import (
 )
 from experiments.training.network import actor_of, falling, learner
 from experiments.training.progress_log import ProgressLog
-from experiments.training.training_env import (
-    TRUTH,
-    PrivilegedObservation,
-    TrainingEnv,
-    TrainingTask,
-)
+from experiments.training.places import Place
+from experiments.training.training_env import TRUTH, PrivilegedObservation, TrainingEnv
+from experiments.training.training_task import TrainingTask
 from mmwave_env.files import write_json
+from mmwave_env.filters.bank import Bank
 from mmwave_env.filters.mode_files import default_modes
 from mmwave_env.reward import TrackingReward
 from mmwave_env.sb3 import SB3VecEnv
@@ -45,7 +43,8 @@ from tests.training.actors import MODES, card_of, write
 
 pytestmark = pytest.mark.torch
 
-TASK = TrainingTask("mixed", "handset", MODES, "full", TrackingReward())
+STREET = Place("street", "handset")
+TASK = TrainingTask("mixed", (STREET,), {"handset": Bank(MODES)}, "full", TrackingReward())
 RECIPE = Hyperparameters(
     num_envs=8, n_steps=16, batch_size=64, n_epochs=2, learning_rate=0.003, ent_coef=0.01,
     final_fraction=0.1, gamma=0.95, gae_lambda=0.9, clip_range=0.2, max_grad_norm=0.5,
@@ -174,7 +173,7 @@ def test_the_exported_actor_acts_as_the_trained_one(kind, tmp_path):
     place.normal.training = False
     with torch.no_grad():
         model.policy.action_net.weight *= 100.0  # or hardly any logits would differ
-    table = place.env.observation
+    table = place.observation
     card = card_of(table, frames=recipe.frames)
     path = write(tmp_path / "actor.safetensors", actor_of(model, place, recipe), card)
     policy = LearnedSwitch(path, table)
@@ -303,7 +302,8 @@ def test_without_the_extra_it_says_what_to_install(package, tmp_path):
 def folder_of(path, modes=None, recipe=None, **options):
     """A run that could be resumed, by its manifest."""
     args = Args(out=path, **options)
-    manifest = manifest_of(args, modes or default_modes("handset"), recipe or hyperparameters(args))
+    banks = {"handset": Bank(modes or default_modes("handset"))}
+    manifest = manifest_of(args, banks, recipe or hyperparameters(args))
     write_json(path / "run.json", manifest)
     return path
 

@@ -25,6 +25,7 @@ import torch
 from experiments.training import evaluator as examiner
 from experiments.training.processes import side_by_side
 from experiments.training.trainer import Job, Training
+from mmwave_env.filters.bank import Bank
 from mmwave_env.filters.mode_files import default_modes
 from tests.training.test_train import RECIPE, TASK, content
 
@@ -245,7 +246,8 @@ def until_replaced(path, process):
 def test_an_interrupted_command_ends_at_once_and_goes_on_when_resumed(tmp_path, started):
     """By the death of the command, by that of a training, and by Ctrl-C."""
     _, recipe = RECIPES["ppo"]
-    job = job_of(tmp_path / "whole", task=replace(TASK, modes=default_modes("handset")))
+    task = replace(TASK, banks={"handset": Bank(default_modes("handset"))})
+    job = job_of(tmp_path / "whole", task=task)
     job = replace(job, timesteps=10 * job.timesteps)  # seconds, for interrupts in between
     hyperparameters, out = tmp_path / "mine.json", tmp_path / "run"
     hyperparameters.write_text(json.dumps(content(recipe)))

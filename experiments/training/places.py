@@ -1,0 +1,98 @@
+"""Places: the streets, the radios and the rates that a switcher is trained at."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import cast
+
+from experiments.evaluation.protocol import UNSEEN
+from mmwave_env.episodes.simulated import Scenario, SimulatedSource
+from mmwave_env.filters.modes import Mode
+from mmwave_env.task import task_from
+
+FORM = "SCENE:RADIO or SCENE:RADIO:DT, such as street:handset or o1:standard:0.1"
+
+
+@dataclass(frozen=True)
+class Place:
+    """Where users move, what receives them and how often; ``str`` is as on the command line.
+
+    Attributes:
+        scene, radio: names or JSON files, as of ``MmWaveLoc-v0``.
+        dt: seconds between epochs.
+
+    Raises:
+        ValueError: there is no such scene or radio, no such rate, or no training may see them.
+        FileNotFoundError: there is no such file.
+    """
+
+    scene: str
+    radio: str
+    dt: float = 1.0
+
+    def __post_init__(self) -> None:
+        source = self.source("mixed")
+        for what, name in (("scene", source.scene.name), ("radio", source.radio.name)):
+            if name in UNSEEN:
+                raise ValueError(
+                    f"{what}: found {name!r}, expected one to train on: the benchmark keeps "
+                    f"{', '.join(UNSEEN)} unseen"
+                )
+
+    def __str__(self) -> str:
+        rate = "" if self.dt == 1.0 else f":{self.dt:g}"
+        return f"{self.scene}:{self.radio}{rate}"
+
+    @cached_property
+    def profile(self) -> str:
+        """The name of the radio, which modes and IMMs tuned for it go by."""
+        return self.source("mixed").radio.name
+
+    def source(self, scenario: Scenario) -> SimulatedSource:
+        """Episodes of kinds of users at the place."""
+        # What filters them is not asked: of modes of its own nobody is told that they are not tuned.
+        task = task_from(
+            scenario=scenario, scene=self.scene, radio=self.radio, dt=self.dt, modes=[Mode("none")]
+        )
+        return cast(SimulatedSource, task.source)  # it was given no recorded episodes
+
+
+def place_from(text: str) -> Place:
+    """The place of a word on the command line, :data:`FORM`.
+
+    Raises:
+        ValueError: naming the word, what was found in it and what was expected.
+        FileNotFoundError: there is no such file.
+    """
+    scene, *rest = text.split(":")
+    if not (scene and all(rest) and len(rest) in (1, 2)):
+        raise ValueError(f"places: found {text!r}, expected {FORM}")
+    radio, *rate = rest
+    try:
+        dt = float(rate[0]) if rate else 1.0
+    except ValueError:
+        raise ValueError(
+            f"places: {text}: dt: found {rate[0]!r}, expected a number of seconds"
+        ) from None
+    try:
+        return Place(scene, radio, dt)
+    except ValueError as error:
+        raise ValueError(f"places: {text}: {error}") from error
+
+
+def places_from(words: Sequence[str]) -> tuple[Place, ...]:
+    """The places of the command line, in order.
+
+    Raises:
+        ValueError: as :func:`place_from`, or one is named twice.
+    """
+    places = tuple(map(place_from, words))
+    if len(set(places)) < len(places):
+        raise ValueError(f"places: found {', '.join(map(str, places))}, expected none twice")
+    return places
+
+
+def shares(count: int, places: int) -> list[int]:
+    """How many of ``count`` environments or episodes each of some places gets, as even as can be."""
+    each, more = divmod(count, places)
+    return [each + (place < more) for place in range(places)]
