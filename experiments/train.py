@@ -82,9 +82,7 @@ def places_of(args: Args) -> tuple[Place, ...]:
     return places_from(args.places)
 
 
-def manifest_of(
-    args: Args, banks: Mapping[str, Bank], recipe: Hyperparameters
-) -> dict[str, Any]:
+def manifest_of(args: Args, banks: Mapping[str, Bank], recipe: Hyperparameters) -> dict[str, Any]:
     """What decides how a run goes on, as JSON holds it."""
     written = {radio: bank_as_written(bank) for radio, bank in banks.items()}
     first, *_ = written.values()
@@ -186,9 +184,7 @@ def main(args: Args) -> None:
             raise ValueError(f"{name}: found {getattr(args, name)}, expected 1 or more")
     places, recipe = places_of(args), hyperparameters(args)
     banks = banks_of(args.modes, places, args.beliefs)
-    task = TrainingTask(
-        args.scenario, places, banks, args.observation, rewards(args), args.beliefs
-    )
+    task = TrainingTask(args.scenario, places, banks, args.observation, rewards(args), args.beliefs)
     manifest = manifest_of(args, banks, recipe)
     if args.smoke:
         args = smoke(args)

@@ -50,7 +50,7 @@ class Place:
 
     def source(self, scenario: Scenario) -> SimulatedSource:
         """Episodes of kinds of users at the place."""
-        # What filters them is not asked: of modes of its own nobody is told that they are not tuned.
+        # What filters them is not asked: with modes named, nobody is told that some are not tuned.
         task = task_from(
             scenario=scenario, scene=self.scene, radio=self.radio, dt=self.dt, modes=[Mode("none")]
         )
@@ -93,6 +93,6 @@ def places_from(words: Sequence[str]) -> tuple[Place, ...]:
 
 
 def shares(count: int, places: int) -> list[int]:
-    """How many of ``count`` environments or episodes each of some places gets, as even as can be."""
+    """How many of ``count`` environments or episodes each place gets, as evenly as can be."""
     each, more = divmod(count, places)
     return [each + (place < more) for place in range(places)]

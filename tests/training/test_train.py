@@ -24,11 +24,12 @@ from experiments.training.checkpoint import read_checkpoint, with_arrays, write_
 from experiments.training.hyperparameters import (
     Hyperparameters,
     read_hyperparameters,
+    recipe_as_written,
     shipped_hyperparameters,
 )
 from experiments.training.network import actor_of, falling, learner
-from experiments.training.progress_log import ProgressLog
 from experiments.training.places import Place
+from experiments.training.progress_log import ProgressLog
 from experiments.training.training_env import TRUTH, PrivilegedObservation, TrainingEnv
 from experiments.training.training_task import TrainingTask
 from mmwave_env.files import write_json
@@ -38,6 +39,7 @@ from mmwave_env.reward import TrackingReward
 from mmwave_env.sb3 import SB3VecEnv
 from mmwave_env.vector_env import MmWaveLocVectorEnv
 from policies import LearnedSwitch
+from policies.policy_file import read_policy
 from tests.cli import command, succeed
 from tests.training.actors import MODES, card_of, write
 
@@ -61,7 +63,7 @@ RECIPES = {
 
 
 def content(recipe=RECIPE):
-    """A recipe as its file holds it."""
+    """All of a recipe as its file holds it."""
     return asdict(recipe) | {"hidden": list(recipe.hidden)}
 
 
@@ -200,7 +202,35 @@ def test_rates_fall_but_stay_positive_beyond_the_end(left):
 
 def test_shipped_recipes_are_sound():
     assert read_hyperparameters(shipped_hyperparameters("ppo")).lstm == 0
-    assert read_hyperparameters(shipped_hyperparameters("recurrent-ppo")).lstm > 0
+    for beliefs in ("shared", "per-mode"):
+        assert read_hyperparameters(shipped_hyperparameters("recurrent-ppo", beliefs)).lstm > 0
+
+
+def test_with_beliefs_per_mode_learning_starts_near_the_imm():
+    """By the recipe: the rewards are minus the IMM's, and action 0, which is the IMM, is likely."""
+    recipe = read_hyperparameters(shipped_hyperparameters("ppo", "per-mode"))
+    assert recipe.paired and recipe.first_action_bias > 0.0
+
+
+def test_a_bias_makes_the_first_action_likelier_at_the_start():
+    world = TrainingEnv(TASK, RECIPE)
+    models = [
+        learner(world, replace(RECIPE, first_action_bias=bias), seed=1) for bias in (0.0, 2.0)
+    ]
+    seen = torch.as_tensor(world.venv.reset())
+    logits = [model.policy.get_distribution(seen).distribution.logits for model in models]
+    odds = [each[:, :1] - each[:, 1:] for each in logits]
+    torch.testing.assert_close(odds[1] - odds[0], torch.full_like(odds[0], 2.0))
+
+
+def test_what_has_a_default_may_be_left_out_of_a_recipe(tmp_path):
+    """Recipes written before there was such a thing are read, and written, as they were."""
+    path = written(tmp_path / "old.json", {"first_action_bias": None})
+    assert read_hyperparameters(path) == RECIPE
+    assert recipe_as_written(RECIPE) == json.loads(path.read_text())
+    biased = replace(RECIPE, first_action_bias=1.5)
+    path.write_text(json.dumps(recipe_as_written(biased)))
+    assert read_hyperparameters(path) == biased
 
 
 BAD = {
@@ -222,6 +252,7 @@ BAD = {
     "empty list": ({"hidden": []}, r"hidden: found \(\), expected a list of counts"),
     "words": ({"hidden": "64"}, "hidden: found '64', expected a list"),
     "no neurons": ({"hidden": [64, 0]}, r"hidden: found \(64, 0\), expected a list of counts"),
+    "bias": ({"first_action_bias": "1"}, "first_action_bias: found '1', expected a number"),
     "both": ({"truth_critic": True, "frames": 2}, "truth_critic: found true, expected false"),
     "algorithm": ({"lstm": 8}, "lstm: found 8, expected 0 for --algo ppo"),
 }
@@ -259,6 +290,11 @@ def test_a_bad_recipe_is_refused_in_one_line(change, tmp_path):
     [
         (("--scenario", "train"), "'train'.*pedestrian"),
         (("--radio", "lab"), "'lab'.*handset"),
+        (("--places", "street"), "places: found 'street', expected SCENE:RADIO"),
+        (("--places", "street:high", "steet:high"), "steet:high: .*; did you mean street"),
+        (("--radio", "high", "--places", "o1:high"), "radio: found 'high' beside places"),
+        (("--beliefs", "permode"), "beliefs: found 'permode', expected .*per-mode"),
+        (("--beliefs", "per-mode", "--modes", "ukf"), "modes: found 'ukf' alone"),
         (("--modes", "oracle"), "'oracle'.*ekf"),
         (("--observation", "half"), "observation: found 'half'"),
         (("--reward", "money"), "'money'.*tracking"),
@@ -335,6 +371,7 @@ def test_there_must_be_a_run_to_resume(tmp_path):
     [
         (("--seeds", 6), "command: found mmwave-loc train, expected mmwave-loc train --seeds 6;"),
         (("--scenario", "jam"), "command: found .*--scenario jam; resume a run with the options"),
+        (("--places", "o1:high"), "command: found .*--places o1:high; resume"),
     ],
 )
 def test_a_run_with_other_options_is_not_resumed(words, message, tmp_path):
@@ -350,6 +387,15 @@ def test_a_run_with_other_modes_or_another_recipe_is_not_resumed(tmp_path):
     assert "modes: found [{'name': 'stand'" in refused(*resume, found)
     found = folder_of(tmp_path / "gamma", recipe=replace(RECIPE, gamma=0.5), hyperparameters=path)
     assert "gamma: found 0.5, expected 0.95" in refused(*resume, found)
+    biased = replace(RECIPE, first_action_bias=0.5)
+    found = folder_of(tmp_path / "bias", recipe=biased, hyperparameters=path)
+    assert "first_action_bias: found 0.5, expected None" in refused(*resume, found)
+
+
+def test_a_run_with_other_banks_is_not_resumed(tmp_path):
+    found = folder_of(tmp_path, beliefs="per-mode", modes=MODES)
+    line = refused("--beliefs", "per-mode", "--out", found, "--resume")
+    assert "banks: found {'handset': {'modes': [{'name': 'stand'" in line
 
 
 @pytest.mark.parametrize("damaged", ["", "[]", "{}", '{"command": 1, "modes": 2, "recipe": 3}'])
@@ -446,3 +492,28 @@ def test_a_smoke_run_says_so_and_is_refused_as_a_result(algo, tmp_path):
         refusal = command("evaluate", "--policy", policy, cwd=tmp_path)
         assert refusal.returncode == 2
         assert f"{policy}: found what train --smoke left" in refusal.stderr
+
+
+PLACES = ("street:handset", "o1:standard:0.5")
+
+
+@pytest.mark.slow
+def test_trained_at_two_places_with_beliefs_per_mode_a_policy_plays_at_a_third(tmp_path):
+    """From the command that trains to the one that evaluates."""
+    shown = succeed("train", "--beliefs", "per-mode", "--places", *PLACES, "--smoke", cwd=tmp_path)
+    assert "| minus imm-best |" in shown
+    (outcome,) = json.loads((tmp_path / "runs/smoke/summary.json").read_text())["seeds"]
+    best = outcome["best"]
+    for rival in ("speed-rule", "imm", "imm-best"):
+        each = [best[f"{place} minus {rival}"]["mean"] for place in PLACES]
+        assert best[f"minus {rival}"]["mean"] == pytest.approx(np.mean(each))  # as many episodes
+    assert abs(best["minus imm-best"]["mean"]) < 0.05  # it starts near the IMM
+
+    smoke = tmp_path / "runs/smoke/policy.safetensors"
+    tensors, card = read_policy(smoke)
+    assert card.beliefs == "per-mode" and list(card.banks) == ["handset", "standard"]
+    policy = write(
+        tmp_path / "whole.safetensors", tensors, replace(card, command="mmwave-loc train")
+    )
+    words = ("--radio", "high", "--scene", "dynamic-doppler", "--episodes", 5)
+    assert f"| {policy} |" in succeed("evaluate", "--policy", policy, *words)

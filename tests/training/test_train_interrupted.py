@@ -23,10 +23,12 @@ pytest.importorskip("stable_baselines3")
 import torch
 
 from experiments.training import evaluator as examiner
+from experiments.training.places import places_from
 from experiments.training.processes import side_by_side
 from experiments.training.trainer import Job, Training
 from mmwave_env.filters.bank import Bank
 from mmwave_env.filters.mode_files import default_modes
+from tests.training.actors import MODES
 from tests.training.test_train import RECIPE, TASK, content
 
 pytestmark = [
@@ -40,12 +42,21 @@ RECIPES = {
     "ppo": ("ppo", replace(SMALL, truth_critic=True)),
     "frames": ("ppo", replace(SMALL, frames=2)),
     "recurrent": ("recurrent-ppo", replace(SMALL, frames=2, lstm=4, hidden=(8,))),
+    "places": ("ppo", replace(SMALL, first_action_bias=1.0)),
 }
+PLACES = places_from(["street:handset", "o1:standard:0.5"])
+TASKS = {
+    "places": replace(
+        TASK, places=PLACES, banks=dict.fromkeys(["handset", "standard"], Bank(MODES)),
+        beliefs="per-mode",
+    )
+}  # fmt: skip
 UPDATES = 14  # episodes end after every eighth
 
 
-def job_of(folder, kind="ppo", task=TASK, **changes):
+def job_of(folder, kind="ppo", **changes):
     algorithm, recipe = RECIPES[kind]
+    task = TASKS.get(kind, TASK)
     timesteps = UPDATES * recipe.num_envs * recipe.n_steps
     job = Job(task, recipe, algorithm, 0, timesteps, folder, "mmwave-loc train", 1)
     return replace(job, **changes)
