@@ -94,7 +94,7 @@ def learner(world: TrainingEnv, recipe: Hyperparameters, seed: int) -> OnPolicyA
         views = {"actor": world.features * recipe.frames, "hidden": recipe.hidden}
         model = PPO(_Policy, world.venv, policy_kwargs=views, **what)
     with no_grad():
-        model.policy.action_net.bias[0] += recipe.first_action_bias
+        cast(nn.Linear, model.policy.action_net).bias[0] += recipe.first_action_bias
     return model
 
 

@@ -5,6 +5,7 @@ import json
 import numpy as np
 import pytest
 
+from experiments.evaluation.protocol import UNSEEN_RADIOS, UNSEEN_SCENES, unseen_file
 from experiments.training import places as module
 from experiments.training.places import Place, place_from, places_from, shares
 from mmwave_env.models.radio import RADIOS
@@ -34,7 +35,7 @@ def test_the_street_is_where_the_environment_is_without_a_scene():
 @pytest.fixture
 def files(tmp_path):
     """A scene and a radio of one's own."""
-    scene, radio = tmp_path / "plaza.json", tmp_path / "phone.json"
+    scene, radio = tmp_path / "square.json", tmp_path / "phone.json"
     scene.write_text(json.dumps({"base_station_m": [10.0, 10.0, 8.0]}))
     radio.write_text(json.dumps({"name": "mine", "base": "handset"}))
     return scene, radio
@@ -42,7 +43,7 @@ def files(tmp_path):
 
 def test_scenes_and_radios_of_ones_own_are_places_too(files):
     place = place_from(":".join(map(str, files)))
-    assert place.profile == "mine" and place.source("mixed").scene.name == "plaza"
+    assert place.profile == "mine" and place.source("mixed").scene.name == "square"
 
 
 @pytest.mark.parametrize(
@@ -73,13 +74,24 @@ def test_a_file_that_is_not_there_is_named(tmp_path):
         place_from(f"{tmp_path}/nowhere.json:handset")
 
 
-@pytest.mark.parametrize("unseen", ["plaza", "mine"])
+@pytest.mark.parametrize("unseen", ["square", "mine"])
 def test_no_training_sees_what_the_benchmark_keeps_unseen(unseen, files, monkeypatch):
     """By the names in the files, whatever these are called."""
-    monkeypatch.setattr(module, "UNSEEN", ("plaza-2", unseen))
-    with pytest.raises(ValueError, match=f"^places: .*: found '{unseen}', .* plaza-2, {unseen} un"):
+    monkeypatch.setattr(module, "UNSEEN", ("square-2", unseen))
+    with pytest.raises(ValueError, match=f"^places: .*'{unseen}', .* square-2, {unseen} unseen"):
         place_from(":".join(map(str, files)))
     place_from("street:handset")
+
+
+def test_the_streets_and_the_radio_that_are_unseen_are_refused():
+    for name in UNSEEN_SCENES:
+        for word in (f"{name}:handset", f"{unseen_file(name)}:handset"):
+            with pytest.raises(ValueError, match=f"scene: found '{name}', expected one to train"):
+                place_from(word)
+    for name in UNSEEN_RADIOS:
+        for word in (f"street:{name}", f"street:{unseen_file(name)}"):
+            with pytest.raises(ValueError, match=f"radio: found '{name}', expected one to train"):
+                place_from(word)
 
 
 @pytest.mark.parametrize(("count", "places"), [(256, 9), (9, 9), (500, 3), (7, 1)])

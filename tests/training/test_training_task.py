@@ -43,10 +43,10 @@ def test_a_bank_of_ones_own_is_used_everywhere(tmp_path):
 
 
 def test_an_agent_sees_the_same_features_everywhere(tmp_path):
-    path = tmp_path / "plaza.json"
+    path = tmp_path / "square.json"
     path.write_text(json.dumps({"base_station_m": [10.0, 10.0, 8.0]}))  # no walls
     places = (PLACES[0], Place(str(path), "handset"))
-    message = r"places: found \d+ features at street:handset and \d+ others at .*plaza.json:handset"
+    message = r"places: found \d+ features at street:handset and \d+ others at .*square.json:hand"
     with pytest.raises(ValueError, match=message):
         task(places)
 
