@@ -61,7 +61,11 @@ class MmWaveLocEnv(gym.Env[NDArray[np.float32], np.int64]):
 
     `Box(float32)` of the features below: what the estimator knows, never the truth. It already
     shows the next epoch's measurement as each mode would see it; `observation="prior"` leaves
-    those last features ("coming ...", "preference ...") out. With the default arguments:
+    those last features ("coming ...", "preference ...") out. A feature is shown as
+    (value - mean) / deviation, with the constants below: they were measured over all streets and
+    radios, so that an agent needs no wrapper that normalizes. `low` and `high` are the bounds of
+    what is shown; `env.unwrapped.observation.read(observation, name)` is a value in its own unit.
+    With the default arguments:
 
     {table}
 

@@ -48,13 +48,16 @@ class View(NamedTuple):
 
 @dataclass(frozen=True)
 class Feature:
-    """One component of the observation: clip(value / scale, low, high)."""
+    """One component of the observation: (clip(value, low, high) - mean) / deviation.
+
+    Mean and deviation are those of its kind (:mod:`mmwave_env.observation`).
+    """
 
     name: str  # unique in the table
+    kind: str  # the name without which anchor or mode it is of
     meaning: str  # what it is, with the formula where the name does not say it
     unit: str  # of the value
-    scale: float  # what one unit of the observation stands for
-    # low, high: bounds of the observation
+    # low, high: limits of the value
     low: float
     high: float
     value: Callable[[View], Number]  # the formula
@@ -99,21 +102,24 @@ def _speed(view: View) -> Number:
 
 def _speed_and_spread(layout: Layout) -> list[Feature]:
     table = [
-        Feature("predicted speed", "norm of the predicted velocity", "m/s", 10, 0, 5, _speed),
         Feature(
-            "Doppler spread", "of the coming epoch, over f_c / c", "m/s", 10, 0, 5,
+            "predicted speed", "predicted speed", "norm of the predicted velocity", "m/s", 0, 50,
+            _speed,
+        ),
+        Feature(
+            "Doppler spread", "Doppler spread", "of the coming epoch, over f_c / c", "m/s", 0, 50,
             lambda v: v.epoch.doppler_spread_hz / v.site.hz_per_mps,
         ),
         Feature(
-            "Doppler spread average", "the same, averaged", "m/s", 10, 0, 5,
+            "Doppler spread average", "Doppler spread average", "the same, averaged", "m/s", 0, 50,
             lambda v: v.memory.spread_average_hz / v.site.hz_per_mps,
         ),
     ]  # fmt: skip
     if layout.odometry:
         table.append(
             Feature(
-                "odometry speed", "of the coming epoch; predicted speed where missing", "m/s", 10,
-                0, 5,
+                "odometry speed", "odometry speed",
+                "of the coming epoch; predicted speed where missing", "m/s", 0, 50,
                 lambda v: where(
                     v.epoch.visible[-1] > 0.5, v.epoch.z[layout.doppler + 1], _speed(v)
                 ),
@@ -122,20 +128,28 @@ def _speed_and_spread(layout: Layout) -> list[Feature]:
     return table
 
 
+def _groups(layout: Layout) -> list[tuple[int, str, str]]:
+    """Number, name and kind of every group of measurements."""
+    return [
+        (g, name, "link" if g < layout.anchors else name)
+        for g, name in enumerate(layout.group_names)
+    ]
+
+
 def _last_epoch(layout: Layout) -> list[Feature]:
     nis = [
         Feature(
-            f"NIS {name}", "ln(1 + NIS) of the last epoch", "", 1, 0, 10,
+            f"NIS {name}", f"NIS {kind}", "ln(1 + NIS) of the last epoch", "", 0, 10,
             _at(lambda v, g: log(1.0 + v.memory.nis[g]), g),
         )
-        for g, name in enumerate(layout.group_names)
+        for g, name, kind in _groups(layout)
     ]  # fmt: skip
     verdict = [
         Feature(
-            f"verdict {name}", "last epoch: 1 accepted, -1 gated, 0 missing", "", 1, -1, 1,
-            _at(lambda v, g: v.memory.accepted[g] - v.memory.rejected[g], g),
+            f"verdict {name}", f"verdict {kind}", "last epoch: 1 accepted, -1 gated, 0 missing",
+            "", -1, 1, _at(lambda v, g: v.memory.accepted[g] - v.memory.rejected[g], g),
         )
-        for g, name in enumerate(layout.group_names)
+        for g, name, kind in _groups(layout)
     ]  # fmt: skip
     return nis + verdict
 
@@ -147,12 +161,12 @@ def _log_trace(first: int) -> Callable[[View], Number]:
 def _belief() -> list[Feature]:
     return [
         Feature(
-            "position variance", "ln of the trace of P, horizontal position", "ln m^2", 5, -4, 4,
-            _log_trace(0),
+            "position variance", "position variance", "ln of the trace of P, horizontal position",
+            "ln m^2", -20, 20, _log_trace(0),
         ),
         Feature(
-            "velocity variance", "ln of the trace of P, horizontal velocity", "ln (m/s)^2", 5, -4,
-            4, _log_trace(3),
+            "velocity variance", "velocity variance", "ln of the trace of P, horizontal velocity",
+            "ln (m/s)^2", -20, 20, _log_trace(3),
         ),
     ]  # fmt: skip
 
@@ -175,12 +189,13 @@ def _distance(view: View, anchor: int) -> Number:
 def _signal(anchor: int) -> list[Feature]:
     return [
         Feature(
-            f"SNR anchor {anchor + 1}", f"of the coming epoch; {MISSING_SNR_DB:g} dB where missing",
-            "dB", 20, -1, 4, _at(_snr, anchor),
+            f"SNR anchor {anchor + 1}", "SNR",
+            f"of the coming epoch; {MISSING_SNR_DB:g} dB where missing", "dB", -20, 80,
+            _at(_snr, anchor),
         ),
         Feature(
-            f"SNR drop anchor {anchor + 1}", "its slow mean minus SNR; 0 where missing", "dB", 10,
-            -2, 4, _at(_snr_drop, anchor),
+            f"SNR drop anchor {anchor + 1}", "SNR drop",
+            "its slow mean minus SNR; 0 where missing", "dB", -20, 40, _at(_snr_drop, anchor),
         ),
     ]  # fmt: skip
 
@@ -191,7 +206,7 @@ def _links(layout: Layout) -> list[Feature]:
         table += _signal(a)
         table.append(
             Feature(
-                f"distance anchor {a + 1}", "of the predicted position", "m", 100, 0, 10,
+                f"distance anchor {a + 1}", "distance", "of the predicted position", "m", 0, 1000,
                 _at(_distance, a),
             )
         )  # fmt: skip
@@ -201,7 +216,7 @@ def _links(layout: Layout) -> list[Feature]:
 def _signals(layout: Layout) -> list[Feature]:
     each = [1.0] * layout.anchors
     seen = Feature(
-        "visible links", "of the coming epoch", "links", 1, 0, layout.anchors,
+        "visible links", "visible links", "of the coming epoch", "links", 0, layout.anchors,
         lambda v: dot(each, v.epoch.visible[: layout.anchors]),
     )  # fmt: skip
     return [*(feature for a in range(layout.anchors) for feature in _signal(a)), seen]
@@ -210,7 +225,8 @@ def _signals(layout: Layout) -> list[Feature]:
 def _previous(pipeline: Pipeline) -> list[Feature]:
     return [
         Feature(
-            f"previous mode {mode.name}", "1 if it ran in the last epoch", "", 1, 0, 1,
+            f"previous mode {mode.name}", "previous mode", "1 if it ran in the last epoch", "",
+            0, 1,
             _at(lambda v, m: where(abs(v.memory.mode - float(m)) < 0.5, 1.0, 0.0), m),
         )
         for m, mode in enumerate(pipeline.modes)
@@ -220,15 +236,16 @@ def _previous(pipeline: Pipeline) -> list[Feature]:
 def _averages() -> list[Feature]:
     nis = [
         Feature(
-            f"NIS {pace} average", "of NIS / dof of what was accepted", "", 1, 0, 10,
-            _at(lambda v, i: v.memory.nis_average[i], i),
+            f"NIS {pace} average", f"NIS {pace} average", "of NIS / dof of what was accepted", "",
+            0, 10, _at(lambda v, i: v.memory.nis_average[i], i),
         )
         for i, pace in enumerate(("fast", "slow"))
     ]  # fmt: skip
     correction = [
         Feature(
-            f"correction {way}", f"average position correction {way} the velocity", "m", 1, -10,
-            10, _at(lambda v, i: v.memory.correction[i], i),
+            f"correction {way}", f"correction {way}",
+            f"average position correction {way} the velocity", "m", -10, 10,
+            _at(lambda v, i: v.memory.correction[i], i),
         )
         for i, way in enumerate(("along", "across"))
     ]  # fmt: skip
@@ -237,13 +254,15 @@ def _averages() -> list[Feature]:
 
 def _recovery() -> list[Feature]:
     return [
-        Feature("gamma", "adaptive scale of Q and R", "", 1, 0.5, 2, lambda v: v.memory.gamma),
         Feature(
-            "lock-out", "epochs in a row with no visible link within its gate", "epochs", 1, 0, 10,
-            lambda v: v.memory.lockout,
+            "gamma", "gamma", "adaptive scale of Q and R", "", 0.5, 2, lambda v: v.memory.gamma
         ),
         Feature(
-            "time since fix", "since a link was last accepted", "s", 10, 0, 5,
+            "lock-out", "lock-out", "epochs in a row with no visible link within its gate",
+            "epochs", 0, 10, lambda v: v.memory.lockout,
+        ),
+        Feature(
+            "time since fix", "time since fix", "since a link was last accepted", "s", 0, 50,
             lambda v: v.memory.unfixed_s,
         ),
     ]  # fmt: skip
@@ -261,15 +280,16 @@ def _doppler_innovation(view: View, layout: Layout) -> Number:
 def _innovation(pipeline: Pipeline) -> list[Feature]:
     layout, last = pipeline.layout, pipeline.modes[-1].name
     doppler = Feature(
-        "coming Doppler innovation", "of the radial velocity; 0 where missing", "m/s", 1, -10, 10,
+        "coming Doppler innovation", "coming Doppler innovation",
+        "of the radial velocity; 0 where missing", "m/s", -10, 10,
         lambda v: _doppler_innovation(v, layout),
     )  # fmt: skip
     nis = [
         Feature(
-            f"coming NIS {name} {last}", "ln(1 + NIS) of the group", "", 1, 0, 10,
-            _at(lambda v, g: log(1.0 + v.candidates[-1].nis[g]), g),
+            f"coming NIS {name} {last}", f"coming NIS {kind}", "ln(1 + NIS) of the group", "", 0,
+            10, _at(lambda v, g: log(1.0 + v.candidates[-1].nis[g]), g),
         )
-        for g, name in enumerate(layout.group_names)
+        for g, name, kind in _groups(layout)
     ]  # fmt: skip
     return [doppler, *nis]
 
@@ -294,23 +314,26 @@ def _candidate(layout: Layout, m: int, name: str) -> list[Feature]:
     links = [1.0] * layout.anchors
     table = [
         Feature(
-            f"coming NIS {name}", "ln(1 + NIS / dof) over the visible groups", "", 1, 0, 10,
-            lambda v: log(1.0 + _mean_nis(layout, v.candidates[m], v.epoch)),
+            f"coming NIS {name}", "coming NIS", "ln(1 + NIS / dof) over the visible groups", "", 0,
+            10, lambda v: log(1.0 + _mean_nis(layout, v.candidates[m], v.epoch)),
         ),
         Feature(
-            f"coming rejected {name}", "links it would reject", "links", 1, 0, layout.anchors,
+            f"coming rejected {name}", "coming rejected", "links it would reject", "links", 0,
+            layout.anchors,
             lambda v: dot(links, v.epoch.visible) - dot(links, v.candidates[m].accepted),
         ),
         Feature(
-            f"coming variance {name}", "ln of the trace of its P, horizontal position", "ln m^2",
-            5, -4, 4, lambda v: log(v.candidates[m].P[0] + v.candidates[m].P[2] + 1e-12),
+            f"coming variance {name}", "coming variance",
+            "ln of the trace of its P, horizontal position", "ln m^2", -20, 20,
+            lambda v: log(v.candidates[m].P[0] + v.candidates[m].P[2] + 1e-12),
         ),
     ]  # fmt: skip
     for of, first, unit in (("position", 0, "m"), ("velocity", 3, "m/s")):
         for way, across in (("along", False), ("across", True)):
             table.append(
                 Feature(
-                    f"coming {of} correction {way} {name}", _WAYS[way], unit, 1, -10, 10,
+                    f"coming {of} correction {way} {name}", f"coming {of} correction {way}",
+                    _WAYS[way], unit, -10, 10,
                     _at(lambda v, at: _correction(v, m, *at), (first, across)),
                 )
             )  # fmt: skip
@@ -319,8 +342,8 @@ def _candidate(layout: Layout, m: int, name: str) -> list[Feature]:
 
 def _against(layout: Layout, m: int, name: str, last: str) -> list[Feature]:
     now = Feature(
-        f"coming log-likelihood {name}", f"minus that of {last}; NIS counts up to 99.9 %", "nats",
-        5, -6, 6,
+        f"coming log-likelihood {name}", "coming log-likelihood",
+        f"minus that of {last}; NIS counts up to 99.9 %", "nats", -30, 30,
         lambda v: (
             capped_log_likelihood(v.candidates[m], layout)
             - capped_log_likelihood(v.candidates[-1], layout)
@@ -328,8 +351,8 @@ def _against(layout: Layout, m: int, name: str, last: str) -> list[Feature]:
     )  # fmt: skip
     past = [
         Feature(
-            f"preference {pace} {name}",
-            f"{pace} average of its log-likelihood minus that of {last}", "nats", 5, -6, 6,
+            f"preference {pace} {name}", f"preference {pace}",
+            f"{pace} average of its log-likelihood minus that of {last}", "nats", -30, 30,
             _at(lambda v, i: v.memory.preference[i][m], i),
         )
         for i, pace in enumerate(("fast", "slow"))
@@ -349,7 +372,8 @@ def _log_odds(p: Number) -> Number:
 def _spread_averages() -> list[Feature]:
     return [
         Feature(
-            f"Doppler spread {pace} average", "over f_c / c", "m/s", 2, 0, 8,
+            f"Doppler spread {pace} average", f"Doppler spread {pace} average", "over f_c / c",
+            "m/s", 0, 16,
             _at(lambda v, i: _mixture(v).spread_averages_hz[i] / v.site.hz_per_mps, i),
         )
         for i, pace in enumerate(("fast", "slow", "slowest"))
@@ -359,8 +383,9 @@ def _spread_averages() -> list[Feature]:
 def _predicted(pipeline: Pipeline) -> list[Feature]:
     return [
         Feature(
-            f"predicted log-odds {mode.name}", "of the mode, before the coming measurement", "",
-            4, -4, 4, _at(lambda v, m: _log_odds(_mixture(v).predicted[m]), m),
+            f"predicted log-odds {mode.name}", "predicted log-odds",
+            "of the mode, before the coming measurement", "", -16, 16,
+            _at(lambda v, m: _log_odds(_mixture(v).predicted[m]), m),
         )
         for m, mode in enumerate(pipeline.modes)
     ]  # fmt: skip
@@ -372,16 +397,17 @@ def _posterior(pipeline: Pipeline) -> list[Feature]:
     for m, mode in enumerate(pipeline.modes):
         table += [
             Feature(
-                f"coming log-odds {mode.name}", "of the mode, after the coming measurement", "", 4,
-                -4, 4, _at(lambda v, m: _log_odds(_mixture(v).posterior[m]), m),
+                f"coming log-odds {mode.name}", "coming log-odds",
+                "of the mode, after the coming measurement", "", -16, 16,
+                _at(lambda v, m: _log_odds(_mixture(v).posterior[m]), m),
             ),
             Feature(
-                f"coming speed {mode.name}", "ln of the horizontal speed + 0.05 m/s", "ln m/s", 1,
-                -4, 4, _at(_log_speed, m),
+                f"coming speed {mode.name}", "coming speed",
+                "ln of the horizontal speed + 0.05 m/s", "ln m/s", -4, 4, _at(_log_speed, m),
             ),
             Feature(
-                f"coming velocity variance {mode.name}",
-                "ln of the trace of its P, horizontal velocity", "ln (m/s)^2", 5, -4, 4,
+                f"coming velocity variance {mode.name}", "coming velocity variance",
+                "ln of the trace of its P, horizontal velocity", "ln (m/s)^2", -20, 20,
                 _at(lambda v, m: log(v.candidates[m].P[9] + v.candidates[m].P[14] + 1e-12), m),
             ),
         ]  # fmt: skip

@@ -1,13 +1,22 @@
-"""The observation: one table of features that makes the space, the docs and the values."""
+"""The observation: one table of features that makes the space, the docs and the values.
 
+Every feature is standardized by the mean and the deviation of its kind. They are constants of the
+package, which ``mmwave-loc standardize`` measured in many places, so that an observation means the
+same everywhere and a network learns from it as it is.
+"""
+
+import json
 from collections.abc import Sequence
+from functools import cache
 from hashlib import sha256
+from importlib.resources import files
+from typing import NamedTuple
 
 import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
-from mmwave_env.features import View, coming, context
+from mmwave_env.features import Feature, View, coming, context
 from mmwave_env.filters.modes import Mode
 from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.lookup import choose
@@ -27,11 +36,36 @@ def action_names(modes: Sequence[Mode], beliefs: str) -> list[str]:
     return ["none", *names] if beliefs == "per-mode" else names
 
 
+class Scale(NamedTuple):
+    """What a feature is standardized by, in its unit."""
+
+    mean: float
+    deviation: float
+
+
+@cache
+def feature_scales() -> dict[str, Scale]:
+    """Mean and deviation of every kind of feature, as ``mmwave-loc standardize`` left them."""
+    text = files("mmwave_env").joinpath("data/feature_scales.json").read_text(encoding="utf-8")
+    return {kind: Scale(**scale) for kind, scale in json.loads(text)["kinds"].items()}
+
+
+def _scale_of(feature: Feature) -> Scale:
+    scale = feature_scales().get(feature.kind)
+    if scale is None:
+        raise KeyError(
+            f"feature {feature.name!r}: found no kind {feature.kind!r} in feature_scales.json, "
+            "expected its mean and deviation; add 0 and 1, then run mmwave-loc standardize"
+        )
+    return scale
+
+
 class Observation:
     """The table of features of an environment, in order.
 
     Attributes:
         features: the table.
+        scales: what each of them is standardized by.
         kind: "full" or "prior".
         beliefs: "shared" or "per-mode".
         modes: of the pipeline that the features describe.
@@ -46,6 +80,7 @@ class Observation:
         self.features = context(pipeline, per_mode)
         if kind == "full":
             self.features += coming(pipeline, per_mode)
+        self.scales = [_scale_of(feature) for feature in self.features]
         self._index = {feature.name: i for i, feature in enumerate(self.features)}
 
     def __len__(self) -> int:
@@ -65,25 +100,32 @@ class Observation:
     @property
     def space(self) -> spaces.Box:
         """The Box of one observation, float32."""
-        low = np.array([f.low for f in self.features], np.float32)
-        high = np.array([f.high for f in self.features], np.float32)
+        low, high = np.array(self._bounds(), np.float32).T
         return spaces.Box(low, high, dtype=np.float32)
+
+    def _bounds(self) -> list[tuple[Number, Number]]:
+        """The limits of every feature, standardized."""
+        rows = zip(self.features, self.scales, strict=True)
+        return [(_standardized(f.low, s), _standardized(f.high, s)) for f, s in rows]
 
     @property
     def digest(self) -> str:
         """A name for the table: all that learned weights depend on, but for the modes' tuning."""
         rows = [
-            (f.name, f.meaning, f.unit, float(f.scale), float(f.low), float(f.high))
-            for f in self.features
+            (f.name, f.meaning, f.unit, *map(float, (*scale, f.low, f.high)))
+            for f, scale in zip(self.features, self.scales, strict=True)
         ]
         return sha256(repr(rows).encode()).hexdigest()[:16]
 
     def values(self, view: View) -> list[Number]:
         """The observation as numbers."""
-        return [clip(f.value(view) * (1.0 / f.scale), f.low, f.high) for f in self.features]
+        rows = zip(self.features, self.scales, strict=True)
+        return [_standardized(clip(f.value(view), f.low, f.high), scale) for f, scale in rows]
 
     def read(self, observation: NDArray[np.float32], name: str) -> NDArray[np.float64]:
         """A feature in its own unit, from observations (..., features).
+
+        It is as exact as single precision tells; what is zero or a count reads as that.
 
         Raises:
             KeyError: there is no feature of that name; the message lists those there are.
@@ -91,17 +133,24 @@ class Observation:
         if name not in self._index:
             raise KeyError(f"feature {name!r}: expected one of {', '.join(self._index)}")
         i = self._index[name]
-        return observation[..., i].astype(np.float64) * self.features[i].scale
+        seen, (mean, deviation) = observation[..., i].astype(np.float32), self.scales[i]
+        value = seen.astype(np.float64) * deviation + mean
+        # Rounded to a power of two that is no finer than what single precision tells apart here.
+        step = np.exp2(np.ceil(np.log2(np.spacing(np.abs(seen)).astype(np.float64) * deviation)))
+        return np.asarray(np.rint(value / step) * step)
 
     def table(self) -> str:
         """The features as a Markdown table."""
         lines = [
-            "| # | feature | meaning | unit | scale | low | high |",
-            "|---|---|---|---|---|---|---|",
+            "| # | feature | meaning | unit | mean | deviation | low | high |",
+            "|---|---|---|---|---|---|---|---|",
         ]
-        for i, f in enumerate(self.features):
-            lines.append(
-                f"| {i} | {f.name} | {f.meaning} | {f.unit} | {f.scale:g} | {f.low:g} "
-                f"| {f.high:g} |"
-            )
+        rows = zip(self.features, self.scales, self._bounds(), strict=True)
+        for i, (f, scale, bounds) in enumerate(rows):
+            numbers = " | ".join(f"{number:.4g}" for number in (*scale, *bounds))
+            lines.append(f"| {i} | {f.name} | {f.meaning} | {f.unit} | {numbers} |")
         return "\n".join(lines)
+
+
+def _standardized(value: Number, scale: Scale) -> Number:
+    return (value - scale.mean) * (1.0 / scale.deviation)

@@ -1,5 +1,6 @@
 """The observation: one table makes space and values, and the values say what they promise."""
 
+import math
 from dataclasses import replace
 from itertools import pairwise
 from types import SimpleNamespace
@@ -12,15 +13,17 @@ from gymnasium import spaces
 from scipy.stats import chi2
 
 import mmwave_env  # noqa: F401  registers the environment
+from mmwave_env import observation
 from mmwave_env.engines.env_engine import Engine
 from mmwave_env.env import MmWaveLocEnv
 from mmwave_env.episodes.simulated import SimulatedSource
 from mmwave_env.filters.mode_files import modes_from
+from mmwave_env.filters.modes import Mode
 from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.models.measurement import Layout
 from mmwave_env.models.radio import RADIOS
 from mmwave_env.models.scene import SCENES
-from mmwave_env.observation import Observation
+from mmwave_env.observation import BELIEFS, Observation, feature_scales
 from mmwave_env.reward import TrackingReward
 
 PIPELINES = {
@@ -75,10 +78,11 @@ def test_the_table_makes_the_space(pipeline, kind):
     space = table.space
     assert isinstance(space, spaces.Box) and space.dtype == np.float32
     assert space.shape == (len(table),)
-    np.testing.assert_array_equal(space.low, np.float32([f.low for f in table.features]))
-    np.testing.assert_array_equal(space.high, np.float32([f.high for f in table.features]))
+    mean, deviation = np.array(table.scales).T
+    limits = np.array([(f.low, f.high) for f in table.features]).T
+    np.testing.assert_allclose([space.low, space.high], (limits - mean) / deviation, rtol=1e-6)
     assert (space.low < space.high).all() and space.is_bounded()
-    assert all(f.scale > 0.0 and f.meaning for f in table.features)
+    assert (deviation > 0.0).all() and all(f.meaning for f in table.features)
 
 
 @every_pipeline
@@ -95,7 +99,7 @@ def test_the_documented_table_lists_every_feature_in_order(pipeline, kind):
     head, rule, *rows = table.table().splitlines()
     cells = [[cell.strip() for cell in row.strip("|").split("|")] for row in rows]
     assert [(int(number), name) for number, name, *_ in cells] == list(enumerate(names(table)))
-    assert all(len(row) == 7 == head.count("|") - 1 == rule.count("|") - 1 for row in cells)
+    assert all(len(row) == 8 == head.count("|") - 1 == rule.count("|") - 1 for row in cells)
 
 
 def test_the_environment_s_docstring_holds_the_table():
@@ -103,14 +107,66 @@ def test_the_environment_s_docstring_holds_the_table():
     assert Observation(PIPELINES["default"]).table() in documented
 
 
-def test_reading_a_feature_inverts_its_scale():
-    table = Observation(PIPELINES["default"])
-    observation = np.arange(3 * len(table), dtype=np.float32).reshape(3, -1)
+def observed(table, values):
+    """Observations (n, features) that show these values of every feature (n,)."""
+    mean, deviation = np.array(table.scales).T
+    return ((np.asarray(values)[:, None] - mean) / deviation).astype(np.float32)
+
+
+@every_pipeline
+@pytest.mark.parametrize("beliefs", BELIEFS)
+def test_reading_a_feature_inverts_its_standardization(pipeline, beliefs):
+    table = Observation(pipeline, beliefs=beliefs)
+    values = np.random.default_rng(0).uniform(-40.0, 40.0, 1000)
+    observations = observed(table, values)
     for i, feature in enumerate(table.features):
-        read = table.read(observation, feature.name)
+        read = table.read(observations, feature.name)
         assert read.dtype == np.float64
-        np.testing.assert_allclose(read, observation[:, i].astype(float) * feature.scale)
-        assert table.read(observation[0], feature.name) == read[0]
+        known = np.spacing(np.abs(observations[:, i])) * table.scales[i].deviation
+        assert (np.abs(read - values) <= 2.0 * known + 1e-12).all()
+        assert table.read(observations[0], feature.name) == read[0]
+
+
+@pytest.mark.parametrize("beliefs", BELIEFS)
+def test_whole_numbers_read_exactly(beliefs):
+    table = Observation(PIPELINES["odometry"], beliefs=beliefs)
+    whole = np.arange(-30.0, 31.0)
+    for feature in table.features:
+        read = table.read(observed(table, whole), feature.name)
+        np.testing.assert_array_equal(read, whole, err_msg=feature.name)
+
+
+# --- the constants
+
+OWN = {
+    "one anchor": Pipeline(modes_from(["ukf"]), Layout(1)),
+    "five anchors and odometry": Pipeline(modes_from(None), Layout(5, True)),
+    "eight modes": Pipeline(modes_from("extended"), Layout()),
+    "names of one's own": Pipeline((Mode("slow feet"), Mode("fast wheels")), Layout(2), True),
+}
+
+
+@pytest.mark.parametrize("beliefs", BELIEFS)
+@pytest.mark.parametrize("pipeline", OWN.values(), ids=OWN)
+def test_every_feature_of_whatever_task_is_of_a_kind_in_the_table(pipeline, beliefs):
+    table = Observation(pipeline, beliefs=beliefs)
+    kinds = {feature.kind for feature in table.features}
+    assert kinds <= feature_scales().keys()
+    assert all(math.isfinite(mean) and deviation > 0.0 for mean, deviation in table.scales)
+    assert all("1" not in kind and "feet" not in kind and "ukf" not in kind for kind in kinds)
+
+
+def test_the_table_has_no_kind_that_no_feature_is_of():
+    tables = [Observation(PIPELINES["odometry"], beliefs=beliefs) for beliefs in BELIEFS]
+    kinds = {feature.kind for table in tables for feature in table.features}
+    assert kinds == feature_scales().keys()
+
+
+def test_a_kind_that_was_not_measured_is_refused(monkeypatch):
+    known = {kind: scale for kind, scale in feature_scales().items() if kind != "gamma"}
+    monkeypatch.setattr(observation, "feature_scales", lambda: known)
+    with pytest.raises(KeyError, match="'gamma'.*feature_scales.json.*mmwave-loc standardize"):
+        Observation(PIPELINES["default"])
 
 
 def test_an_unknown_feature_lists_the_valid_ones():
@@ -145,7 +201,7 @@ def test_tables_that_differ_have_other_digests():
 
 
 @pytest.mark.parametrize("place", [0, 7, -1])
-@pytest.mark.parametrize("attribute", ["name", "meaning", "unit", "scale", "low", "high"])
+@pytest.mark.parametrize("attribute", ["name", "meaning", "unit", "low", "high"])
 def test_every_attribute_of_every_feature_counts(place, attribute):
     table = Observation(PIPELINES["default"])
     before, feature = table.digest, table.features[place]
@@ -153,6 +209,15 @@ def test_every_attribute_of_every_feature_counts(place, attribute):
     assert (table.digest == before) == (table.features[place] == feature)
     table.features[place] = feature
     assert table.digest == before
+
+
+@pytest.mark.parametrize("place", [0, 7, -1])
+@pytest.mark.parametrize("constant", ["mean", "deviation"])
+def test_the_constants_of_every_feature_count(place, constant):
+    table = Observation(PIPELINES["default"])
+    before, scale = table.digest, table.scales[place]
+    table.scales[place] = scale._replace(**{constant: getattr(scale, constant) + 1.0})
+    assert table.digest != before
 
 
 # --- the values

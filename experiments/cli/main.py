@@ -37,6 +37,10 @@ STUDIES = {  # of a checkout: the installed package goes without them
         "experiments.learning.learned",
         "the tables and figures of docs/learning.md, from recorded runs",
     ),
+    "standardize": (
+        "experiments.learning.standardize",
+        "mean and deviation of every kind of feature, over all places",
+    ),
     "soak": (
         "experiments.reliability.soak",
         "many steps of all modes on damaged data, every number checked",

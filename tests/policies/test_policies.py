@@ -32,14 +32,16 @@ def table():
 
 
 def observe(table, **features):
-    """Observations (n, features): zeros but for features by name, in their own unit."""
+    """Observations (n, features): averages but for features by name, in their own unit."""
     columns = {name.replace("_", " "): np.atleast_1d(v) for name, v in features.items()}
     n = max(len(column) for column in columns.values())
     observation = np.zeros((n, len(table)))
-    for i, feature in enumerate(table.features):
+    for i, (feature, (mean, deviation)) in enumerate(
+        zip(table.features, table.scales, strict=True)
+    ):
         if feature.name in columns:
-            scaled = columns[feature.name] * (1.0 / feature.scale)
-            observation[:, i] = np.clip(scaled, feature.low, feature.high)
+            value = np.clip(columns[feature.name], feature.low, feature.high)
+            observation[:, i] = (value - mean) / deviation
     return observation.astype(np.float32)
 
 

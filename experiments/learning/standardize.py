@@ -1,0 +1,115 @@
+"""mmwave-loc standardize: mean and deviation of every kind of feature, over all places."""
+
+from collections.abc import Iterator, Mapping, Sequence
+from itertools import product
+from math import floor, log10
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+from rich.progress import track
+
+from experiments.cli.main import run
+from experiments.learning.arguments.standardize import Args
+from mmwave_env.files import require_writable, write_json
+from mmwave_env.filters.bank import best_bank
+from mmwave_env.models.radio import RADIOS
+from mmwave_env.models.scene import SCENES
+from mmwave_env.numerics.arrays import Array
+from mmwave_env.observation import BELIEFS, Observation, Scale, feature_scales
+
+SEED = 50_000_000  # of the first episode: a training seed that no training has come to
+DIGITS = 3  # of a deviation; its mean is as fine
+TOLERANCE = 0.01  # of a deviation, between two machines
+
+Moments = dict[str, Array]  # by kind (2, episodes): mean and mean square over an episode
+
+
+def tasks() -> Iterator[dict[str, Any]]:
+    """Arguments of the environments that are measured in, each counting the same."""
+    for scene, radio, beliefs in product(SCENES, RADIOS, BELIEFS):
+        place = {"scene": scene, "radio": radio, "beliefs": beliefs}
+        yield place | {"modes": ["ekf", "ukf"]}
+        yield place | {"modes": ["ekf", "ukf"], "odometry": True}
+        yield place | {"modes": "extended"}
+        yield place | {"modes": list(best_bank(radio).modes)}
+
+
+def moments(task: Mapping[str, Any], episodes: int, seed: int = SEED) -> Moments:
+    """Of every kind of feature in an environment, where actions are drawn at random.
+
+    Args:
+        task: arguments of the environment.
+        episodes: how many; all of their epochs count.
+        seed: of the first episode.
+    """
+    envs: Any = gym.make_vec(
+        "mmwave_env:MmWaveLoc-v0", num_envs=episodes, autoreset_mode="Disabled", **task
+    )
+    rng = np.random.default_rng(seed)
+    actions = int(envs.single_action_space.n)
+    shown, over = [envs.reset(seed=seed)[0]], np.zeros(episodes, np.bool_)
+    while not over.all():
+        now, _, _, over, _ = envs.step(rng.integers(actions, size=episodes))
+        shown.append(now)
+    return _by_kind(envs.unwrapped.observation, np.array(shown[:-1]))  # nothing follows an end
+
+
+def _by_kind(table: Observation, observations: Array) -> Moments:
+    """From observations (epochs, episodes, features)."""
+    values: dict[str, list[Array]] = {}
+    for feature in table.features:
+        values.setdefault(feature.kind, []).append(table.read(observations, feature.name))
+    return {
+        kind: np.array([np.mean(found, axis=(0, 1)), np.mean(np.square(found), axis=(0, 1))])
+        for kind, found in values.items()
+    }
+
+
+def pooled(found: Sequence[Moments]) -> Moments:
+    """Over the tasks that have a kind."""
+    kinds = dict.fromkeys(kind for one in found for kind in one)
+    return {kind: np.mean([one[kind] for one in found if kind in one], axis=0) for kind in kinds}
+
+
+def _scale(of: Array) -> Scale:
+    """Mean and deviation of a kind, rounded."""
+    mean, square = np.mean(of, axis=1)
+    deviation = float(np.sqrt(square - mean**2))
+    decimals = DIGITS - 1 - floor(log10(deviation))
+    return Scale(round(float(mean), decimals), round(deviation, decimals))
+
+
+def _require_same(found: Mapping[str, Scale], table: Mapping[str, Scale]) -> None:
+    if missing := found.keys() ^ table.keys():
+        raise ValueError(f"kinds of features: found {', '.join(missing)} on one side only")
+    for kind, (mean, deviation) in found.items():
+        step = TOLERANCE * deviation
+        if abs(table[kind].mean - mean) > step or abs(table[kind].deviation - deviation) > step:
+            raise ValueError(
+                f"{kind}: found mean {table[kind].mean}, deviation {table[kind].deviation}, "
+                f"expected {mean}, {deviation}; mmwave-loc standardize writes the table"
+            )
+
+
+def main(args: Args) -> None:
+    """Run the command."""
+    require_writable(args.out)
+    if args.episodes < 1:
+        raise ValueError(f"episodes: found {args.episodes}, expected at least 1")
+    each = track(list(tasks()), description="standardize", transient=True)
+    kinds = pooled([moments(task, args.episodes) for task in each])
+    found = {kind: _scale(of) for kind, of in kinds.items()}
+    if args.check:
+        _require_same(found, feature_scales())
+        print(f"{len(found)} kinds of features, as they were")
+        return
+    write_json(args.out, {
+        "command": "mmwave-loc standardize", "seed": SEED, "episodes": args.episodes,
+        "kinds": {kind: scale._asdict() for kind, scale in found.items()},
+    })  # fmt: skip
+    print(f"{args.out}: {len(found)} kinds of features")
+
+
+if __name__ == "__main__":
+    run("standardize")
