@@ -6,7 +6,7 @@ from tianshou.algorithm import DQN
 from tianshou.algorithm.modelfree.dqn import DiscreteQLearningPolicy
 from tianshou.algorithm.optim import AdamOptimizerFactory
 from tianshou.data import Batch, Collector, VectorReplayBuffer
-from tianshou.env import DummyVectorEnv
+from tianshou.env import DummyVectorEnv, VectorEnvNormObs
 from tianshou.trainer import OffPolicyTrainerParams
 from tianshou.utils.net.common import Net
 
@@ -15,6 +15,7 @@ from experiments.evaluation.compare import compare
 torch.set_num_threads(1)
 torch.manual_seed(0)
 envs = DummyVectorEnv([lambda: gym.make("mmwave_env:MmWaveLoc-v0") for _ in range(16)])
+envs = VectorEnvNormObs(envs)
 envs.seed(10_000_000)
 actions = envs.action_space[0]
 net = Net(state_shape=envs.observation_space[0].shape, action_shape=actions.n, hidden_sizes=[64])
@@ -31,6 +32,7 @@ dqn.run_training(
 
 
 def act(observations):
+    observations = (observations - envs.obs_rms.mean) / (envs.obs_rms.var + 1e-8) ** 0.5
     return policy(Batch(obs=observations, info={})).act
 
 

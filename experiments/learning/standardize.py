@@ -7,6 +7,7 @@ from typing import Any
 
 import gymnasium as gym
 import numpy as np
+from numpy.typing import NDArray
 from rich.progress import track
 
 from experiments.cli.main import run
@@ -55,7 +56,7 @@ def moments(task: Mapping[str, Any], episodes: int, seed: int = SEED) -> Moments
     return _by_kind(envs.unwrapped.observation, np.array(shown[:-1]))  # nothing follows an end
 
 
-def _by_kind(table: Observation, observations: Array) -> Moments:
+def _by_kind(table: Observation, observations: NDArray[np.float32]) -> Moments:
     """From observations (epochs, episodes, features)."""
     values: dict[str, list[Array]] = {}
     for feature in table.features:
