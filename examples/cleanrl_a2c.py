@@ -3,11 +3,12 @@
 import gymnasium as gym
 import numpy as np
 import torch
+from gymnasium.wrappers.vector import NormalizeObservation
 
 from experiments.evaluation.compare import compare
 
 torch.manual_seed(0)
-envs = gym.make_vec("mmwave_env:MmWaveLoc-v0", num_envs=64)
+envs = NormalizeObservation(gym.make_vec("mmwave_env:MmWaveLoc-v0", num_envs=64))
 widths = (envs.single_observation_space.shape[0], 64)
 actor, critic = (
     torch.nn.Sequential(torch.nn.Linear(*widths), torch.nn.Tanh(), torch.nn.Linear(64, outputs))
@@ -35,7 +36,8 @@ for _ in range(1000):
 
 
 def act(observations):
-    return actor(torch.tensor(observations)).argmax(1).numpy()
+    scaled = (observations - envs.obs_rms.mean) / np.sqrt(envs.obs_rms.var + envs.epsilon)
+    return actor(torch.tensor(scaled).float()).argmax(1).numpy()
 
 
 print(compare({"a2c": act}, beside=("fixed-ukf",), episodes=200))

@@ -4,6 +4,7 @@ import gymnasium as gym
 import optuna
 import torch
 from stable_baselines3 import PPO
+from stable_baselines3.common.vec_env import VecNormalize
 
 from experiments.evaluation.compare import compare
 from mmwave_env.sb3 import SB3VecEnv
@@ -15,12 +16,12 @@ def reward(trial):
     gamma = trial.suggest_float("gamma", 0.8, 0.99)
     rate = trial.suggest_float("learning_rate", 1e-4, 3e-3, log=True)
     envs = gym.make_vec("mmwave_env:MmWaveLoc-v0", num_envs=64, autoreset_mode="SameStep")
-    envs = SB3VecEnv(envs)
+    envs = VecNormalize(SB3VecEnv(envs), norm_reward=False, gamma=gamma)
     model = PPO("MlpPolicy", envs, rate, 64, 1024, gamma=gamma, seed=10_000_000, device="cpu")
     model.learn(total_timesteps=50_000)
 
     def act(observations):
-        return model.predict(observations, deterministic=True)[0]
+        return model.predict(envs.normalize_obs(observations), deterministic=True)[0]
 
     seed = 5_000_000  # tuning seeds: neither training's nor the test's
     found = compare({"trial": act}, beside=("fixed-ukf",), episodes=100, seed=seed).policies

@@ -63,7 +63,7 @@ class MmWaveLocEnv(gym.Env[NDArray[np.float32], np.int64]):
     shows the next epoch's measurement as each mode would see it; `observation="prior"` leaves
     those last features ("coming ...", "preference ...") out. A feature is shown as
     (value - mean) / deviation, with the constants below: they were measured over all streets and
-    radios, so that an agent needs no wrapper that normalizes. `low` and `high` are the bounds of
+    radios. `low` and `high` are the bounds of
     what is shown; `env.unwrapped.observation.read(observation, name)` is a value in its own unit.
     With the default arguments:
 
