@@ -1,0 +1,208 @@
+"""Environments at many places at once, and what each action would earn in them.
+
+The world does not depend on actions. So copies of an environment meet the very same measurements
+whatever they do, and what one action earns more than another is free of the noise between episodes
+(common random numbers).
+"""
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from experiments.training.actor import Normalization
+from experiments.training.training_task import TrainingTask
+from mmwave_env.compiler.lanes import WIDTH
+from mmwave_env.compiler.program import rows_of
+from mmwave_env.compiler.rng import Generators
+from mmwave_env.engines.env_engine import Engine
+from mmwave_env.engines.track_engine import untuned
+from mmwave_env.filters.pipeline import Pipeline
+from mmwave_env.models.measurement import Layout
+from mmwave_env.numerics.arrays import Array, Index
+
+CONSTANT = 1e-4  # deviation of a feature that never changes
+
+Observations = NDArray[np.float32]
+Act = Callable[[Observations], Index]
+
+
+class Tried(NamedTuple):
+    """States in which every action was tried.
+
+    Attributes:
+        observations: (k, features) there.
+        values: (k, actions) discounted reward of each action and what followed it.
+    """
+
+    observations: Observations
+    values: Array
+
+
+class BranchingEnv:
+    """N environments, spread over the places of a task and over the epochs of an episode.
+
+    Eight that lie side by side are at one place and in one epoch; the first episodes are cut short,
+    so that the others are in other epochs.
+
+    Args:
+        task: what is learned.
+        n: number of environments, a multiple of eight.
+        horizon: epochs that an action is followed for.
+        discount: of a reward one second later.
+        seed: of the first environment; the others count up from it.
+
+    Attributes:
+        observation: the table of features.
+        observations: (n, features) that wait for an action.
+
+    Raises:
+        ValueError: no multiple of eight, too few for the places, or banks of more than one program.
+    """
+
+    def __init__(
+        self, task: TrainingTask, n: int, horizon: int, discount: float, seed: int
+    ) -> None:
+        places = task.places
+        if n % WIDTH or n < WIDTH * len(places):
+            raise ValueError(
+                f"num_envs: found {n}, expected a multiple of {WIDTH}, {WIDTH * len(places)} or "
+                f"more for {len(places)} places"
+            )
+        self._sources = [place.source(task.scenario) for place in places]
+        self._horizon, self._everyone = horizon, np.arange(n)
+        block = self._everyone // WIDTH
+        self._place = block % len(places)
+        pipeline = _one_pipeline(task, self._sources[0].layout)
+        bank = task.bank if task.beliefs == "per-mode" else None
+        same = (task.reward, task.observation, bank)
+        self._engine = Engine(pipeline, n, *same)
+        self.observation = self._engine.observation
+        self._copies = Engine(pipeline, n * len(self.observation.actions), *same)
+        if bank:
+            for i, place in enumerate(places):
+                here = np.flatnonzero(self._place == i)
+                self._engine.tune(task.banks[place.profile], here)
+        step_s = np.array([place.dt for place in places])[self._place]
+        self._weights = discount ** (step_s[:, None] * np.arange(horizon))
+        self._reward_row = rows_of(self._engine.at.reward)
+        self._generators = Generators(n)
+        for i in range(n):
+            self._generators.seed(i, seed + i)
+        self.observations = np.zeros((n, len(self.observation)), np.float32)
+        self._begin(self._everyone)
+        length = self._engine.batch.state.length
+        length[:] = 1 + block * (length - 1) // (block[-1] + 1)
+
+    @property
+    def epochs(self) -> int:
+        """Longest episode."""
+        return max(source.epochs for source in self._sources)
+
+    def step(self, actions: Index) -> Array:
+        """Take an action in every environment (n,); where an episode ends another begins.
+
+        Returns:
+            The rewards (n,).
+        """
+        self.observations, told = self._engine.step(actions, self._reward_row)
+        state = self._engine.batch.state
+        over = np.flatnonzero(state.epoch > state.length)
+        if len(over):
+            self._begin(over)
+        return told[:, 0]
+
+    def _begin(self, places: Index) -> None:
+        """New episodes in some environments (k,)."""
+        for i, source in enumerate(self._sources):
+            here = places[self._place[places] == i]
+            if len(here):
+                with self._generators.states(here) as states:
+                    self._engine.load(source.sample_batch(states), here)
+        begun, _ = self._engine.start(places)
+        self.observations[places] = begun[places]
+
+    def measured_normalization(self, clip: float) -> Normalization:
+        """Mean and deviation of observations while action 0 is taken for the longest episode.
+
+        Args:
+            clip: deviations from the mean at which observations are clipped.
+        """
+        seen = []
+        for _ in range(self.epochs):
+            self.step(np.zeros(len(self._everyone), np.int64))
+            seen.append(self.observations)
+        observations = np.concatenate(seen)
+        mean, sigma = observations.mean(0), observations.std(0) + CONSTANT
+        return Normalization(mean - clip * sigma, mean + clip * sigma, mean, sigma)
+
+    def branch(self, act: Act) -> Tried:
+        """Try every action in all states that are at least the horizon from their end.
+
+        Args:
+            act: chooses the actions after the first, for observations (actions * n, features):
+                the copies of all environments that began with action 0, then those with 1, ...
+        """
+        n, actions = len(self._everyone), len(self.observation.actions)
+        self._copy()
+        values, taken = np.zeros((actions, n)), np.repeat(np.arange(actions), n)
+        for weights in self._weights.T:
+            observations, told = self._copies.step(taken, self._reward_row)
+            values += weights * told[:, 0].reshape(actions, n)
+            taken = act(observations)
+        state = self._engine.batch.state
+        whole = state.epoch - 1 + self._horizon <= state.length
+        return Tried(self.observations[whole], values.T[whole])
+
+    def _copy(self) -> None:
+        """Give every action a copy of each environment, and the epochs up to the horizon."""
+        state, batch = self._engine.batch.state, self._copies.batch
+        actions, n = len(self.observation.actions), len(self._everyone)
+        columns = state.table.shape[2]
+        if batch.state.table.shape[1] != self._horizon:
+            table = np.empty((actions * n, self._horizon, columns))
+            length = np.full(actions * n, self._horizon)
+            batch.state = batch.state._replace(table=table, length=length)
+        # past the end of an episode, where nothing is counted, its last epoch stands in
+        epochs = np.minimum(state.epoch[:, None] + np.arange(self._horizon), self.epochs - 1)
+        ahead = state.table[self._everyone[:, None], epochs]
+        batch.state.table.reshape(actions, *ahead.shape)[:] = ahead
+        batch.state.rows.reshape(actions, *state.rows.shape)[:] = state.rows
+        batch.state.epoch[:] = 0
+
+    def state(self) -> dict[str, Any]:
+        """All that what comes next depends on, for :meth:`restore`: copies."""
+        state = self._engine.batch.state
+        return {
+            "rows": state.rows.copy(), "table": state.table.copy(),
+            "length": state.length.copy(), "epoch": state.epoch.copy(),
+            "generators": self._generators.bare(), "observations": self.observations.copy(),
+        }  # fmt: skip
+
+    def restore(self, state: dict[str, Any]) -> None:
+        """Go on, to the last bit, as the environments that gave this :meth:`state`."""
+        here = self._engine.batch.state
+        for name, array in zip(here._fields, here, strict=True):
+            if name in state:
+                array[:] = state[name]
+        self._generators.set_bare(state["generators"])
+        self.observations = state["observations"].copy()
+
+
+def _one_pipeline(task: TrainingTask, layout: Layout) -> Pipeline:
+    """The pipeline that runs all banks of a task.
+
+    Raises:
+        ValueError: they differ in more than what is tuned.
+    """
+    pipeline = Pipeline(task.bank.modes, layout)
+    for radio, bank in task.banks.items():
+        if untuned(replace(pipeline, modes=bank.modes)) != untuned(pipeline):
+            raise ValueError(
+                f"bank of {radio}: found other algorithms or safeguards than in that of "
+                f"{task.places[0].profile}, expected modes that differ in process noise and known "
+                "accelerations alone"
+            )
+    return pipeline

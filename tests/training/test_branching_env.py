@@ -1,0 +1,156 @@
+"""Environments that branch: what is counted, what stays as it is, and what is refused."""
+
+from dataclasses import replace
+
+import gymnasium as gym
+import numpy as np
+import pytest
+
+from mmwave_env.filters.bank import Bank
+from mmwave_env.filters.mode_files import default_modes
+from mmwave_env.reward import TrackingReward
+from tests.training.actors import MODES
+
+pytest.importorskip("stable_baselines3")
+
+from experiments.training.branching_env import BranchingEnv
+from experiments.training.places import Place
+from experiments.training.training_task import TrainingTask
+
+pytestmark = pytest.mark.torch
+
+SEED, DISCOUNT, HORIZON = 10_000_000, 0.9, 5
+WALKED = 20  # epochs before all actions are tried
+TUNED = Bank(tuple(replace(mode, sigma_v=1.5 * mode.sigma_v) for mode in MODES), nis_quantile=0.99)
+BANKS = {"handset": Bank(MODES), "standard": TUNED}
+PLACES = (Place("street", "handset"), Place("o1", "standard", 0.5))
+
+
+def task(beliefs="per-mode", places=PLACES, banks=BANKS):
+    return TrainingTask("mixed", places, banks, "full", TrackingReward(), beliefs)
+
+
+def environment(of=None, n=16, seed=SEED):
+    return BranchingEnv(of or task(), n, HORIZON, DISCOUNT, seed)
+
+
+def chaotic(actions):
+    """A policy whose choices hang on the last digits of what it sees."""
+    return lambda seen: (np.abs(seen[:, 1:9]).sum(1) * 1e4).astype(np.int64) % actions
+
+
+def walked(env, epochs=WALKED, seed=0):
+    """Actions (epochs, n) that an environment was walked with."""
+    rng = np.random.default_rng(seed)
+    actions = rng.integers(len(env.observation.actions), size=(epochs, len(env.observations)))
+    for now in actions:
+        env.step(now)
+    return actions
+
+
+def by_hand(place, seed, first_episode, actions, first, act, beliefs):
+    """The discounted reward of an action and what follows it, in an environment of its own."""
+    bank = BANKS[place.radio]
+    env = gym.make(
+        "MmWaveLoc-v0", scene=place.scene, radio=place.radio, dt=place.dt, beliefs=beliefs,
+        modes=bank if beliefs == "per-mode" else bank.modes,
+    )  # fmt: skip
+    env.reset(seed=seed)
+    for action in actions[:first_episode]:
+        env.step(action)
+    if first_episode < len(actions):
+        env.reset()
+        for action in actions[first_episode:]:
+            env.step(action)
+    value, action = 0.0, first
+    for epoch in range(HORIZON):
+        seen, reward, *_ = env.step(action)
+        value += DISCOUNT ** (place.dt * epoch) * reward
+        (action,) = act(seen[None])
+    return value
+
+
+@pytest.mark.parametrize(
+    ("beliefs", "places"),
+    [("per-mode", PLACES), ("shared", (PLACES[0], replace(PLACES[1], radio="handset")))],
+)
+def test_an_action_earns_what_it_earns_in_an_environment_played_by_hand(beliefs, places):
+    env = environment(task(beliefs, places, {p.radio: BANKS[p.radio] for p in places}))
+    actions, count = walked(env), len(env.observation.actions)
+    tried = env.branch(chaotic(count))
+    assert tried.values.shape == (16, count) == (len(env.observations), count)
+    np.testing.assert_array_equal(tried.observations, env.observations)
+    for i, place, first_episode in ((0, places[0], 1), (13, places[1], WALKED)):
+        expected = [
+            by_hand(place, SEED + i, first_episode, actions[:, i], a, chaotic(count), beliefs)
+            for a in range(count)
+        ]
+        np.testing.assert_allclose(tried.values[i], expected, rtol=1e-9)
+        assert np.ptp(expected) > 0.0
+
+
+def test_trying_changes_nothing():
+    tries, plain = environment(), environment()
+    for env in (tries, plain):
+        walked(env)
+    first = tries.branch(chaotic(4))
+    second = tries.branch(chaotic(4))
+    np.testing.assert_array_equal(first.values, second.values)
+    actions = np.random.default_rng(1).integers(4, size=(250, 16))
+    for now in actions:
+        np.testing.assert_array_equal(tries.step(now), plain.step(now))
+        np.testing.assert_array_equal(tries.observations, plain.observations)
+
+
+def test_it_goes_on_to_the_last_bit():
+    first, second = environment(), environment(seed=SEED + 500)
+    walked(first, 90)
+    second.restore(first.state())
+    for now in np.random.default_rng(1).integers(4, size=(220, 16)):
+        np.testing.assert_array_equal(first.step(now), second.step(now))
+    np.testing.assert_array_equal(first.observations, second.observations)
+    np.testing.assert_array_equal(*(env.branch(chaotic(4)).values for env in (first, second)))
+
+
+def test_states_near_an_end_are_left_out():
+    """The first environments begin anew at once, and end after 200 epochs."""
+    env = environment()
+    walked(env, 200 - HORIZON + 1)
+    assert len(env.branch(chaotic(4)).values) == 16
+    walked(env, 1)
+    assert len(env.branch(chaotic(4)).values) == 8
+    walked(env, HORIZON - 1)
+    assert len(env.branch(chaotic(4)).values) == 16
+
+
+def test_places_are_spread_over_the_epochs_of_an_episode():
+    env = environment(n=64)
+    walked(env, 30)
+    state = env.state()
+    left = (state["length"] - state["epoch"]).reshape(8, 8)
+    assert (left == left[:, :1]).all() and len(set(left[:, 0])) == 8
+
+
+@pytest.mark.parametrize("n", [8, 12, 0])
+def test_too_few_environments_for_the_places_are_refused(n):
+    with pytest.raises(ValueError, match=rf"^num_envs: found {n}, expected a multiple of 8, 16 or"):
+        environment(n=n)
+
+
+def test_banks_of_other_algorithms_are_refused():
+    ukfs = tuple(replace(mode, algorithm="ukf") for mode in MODES)
+    banks = {"handset": Bank(MODES), "standard": Bank(ukfs)}
+    with pytest.raises(ValueError, match="^bank of standard: found other algorithms or safeguards"):
+        environment(task(banks=banks))
+
+
+def test_the_normalization_is_that_of_observations_seen():
+    env = environment(task(places=PLACES[:1], banks={"handset": Bank(default_modes("handset"))}))
+    normal = env.measured_normalization(6.0)
+    again = environment(task(places=PLACES[:1], banks={"handset": Bank(default_modes("handset"))}))
+    seen = []
+    for _ in range(200):
+        again.step(np.zeros(16, np.int64))
+        seen.append(again.observations)
+    np.testing.assert_allclose(normal.mean, np.mean(seen, axis=(0, 1)), atol=1e-4)
+    assert (normal.high - normal.mean) / normal.sigma == pytest.approx(6.0, rel=1e-4)
