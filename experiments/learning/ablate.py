@@ -49,9 +49,8 @@ def training(args: Args, name: str) -> TrainArgs:
     )  # fmt: skip
     options = replace(options, **variant.options)
     if variant.recipe:
-        recipe = replace(
-            read_hyperparameters(shipped_hyperparameters(options.algo)), **variant.recipe
-        )
+        shipped = shipped_hyperparameters(options.algo)
+        recipe = replace(read_hyperparameters(shipped, options.algo), **variant.recipe)
         path = args.out / f"{name}.json"
         write_json(path, asdict(recipe))
         options = replace(options, hyperparameters=path)

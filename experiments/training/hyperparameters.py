@@ -36,46 +36,97 @@ class Hyperparameters:
     first_action_bias: float = 0.0
 
     def __post_init__(self) -> None:
-        for name, kind in get_type_hints(Hyperparameters).items():
-            value = getattr(self, name)
-            if kind in (int, float):
-                sound = type(value) in {kind, int} and 0 <= value < float("inf")
-                expected = "a number of 0 or more" if kind is float else "a count of 0 or more"
-            elif kind is bool:
-                sound, expected = type(value) is bool, "true or false"
-            else:
-                sound = isinstance(value, tuple) and all(type(n) is int and n > 0 for n in value)
-                sound, expected = sound and bool(value), "a list of counts of neurons"
-            if not sound:
-                raise ValueError(f"{name}: found {value!r}, expected {expected}")
-        for name, least in (
-            ("num_envs", 1), ("n_steps", 1), ("n_epochs", 1), ("frames", 1),
-            ("batch_size", 2),  # one advantage alone can't be normalized
-        ):  # fmt: skip
-            if getattr(self, name) < least:
-                found = getattr(self, name)
-                raise ValueError(f"{name}: found {found}, expected {least} or more")
-        for name in ("gamma", "gae_lambda", "final_fraction"):
-            if getattr(self, name) > 1:
-                raise ValueError(f"{name}: found {getattr(self, name)}, expected 0 to 1")
+        _require_kinds(self)
+        _require_least(
+            self, num_envs=1, n_steps=1, n_epochs=1, frames=1,
+            batch_size=2,  # one advantage alone can't be normalized
+        )  # fmt: skip
+        _require_fractions(self, "gamma", "gae_lambda", "final_fraction")
         if self.truth_critic and (self.lstm or self.frames > 1):
             raise ValueError("truth_critic: found true, expected false beside lstm or frames")
 
 
-def read_hyperparameters(path: Path) -> Hyperparameters:
-    """The recipe of a hyperparameter file, a JSON object with the attributes of `Hyperparameters`.
+@dataclass(frozen=True)
+class BranchHyperparameters:
+    """Hyperparameters of rollout policy iteration (:mod:`experiments.training.branch`)."""
+
+    num_envs: int  # environments stepped at once
+    horizon: int  # epochs that an action is followed for
+    gamma: float  # discount per second
+    stride: int  # epochs between two states of an environment in which all actions are tried
+    states: int  # in which all actions are tried between two updates, at least
+    memory: int  # latest states that an update learns from
+    gradient_steps: int  # of an update
+    batch_size: int  # states of a gradient step
+    # learning_rate, ent_coef: at the start; both fall linearly
+    learning_rate: float
+    ent_coef: float
+    final_fraction: float  # what is left of them at the end
+    hidden: tuple[int, ...]  # neurons of each tanh layer
+    clip_observation: float  # normalized observations lie between minus this and this
+    first_action_bias: float  # logit of action 0 at the start, beside about 0 of the others
+
+    def __post_init__(self) -> None:
+        _require_kinds(self)
+        counts = ("num_envs", "horizon", "stride", "states", "gradient_steps", "batch_size")
+        _require_least(self, **dict.fromkeys(counts, 1), memory=self.num_envs)
+        _require_fractions(self, "gamma", "final_fraction")
+
+
+AnyHyperparameters = Hyperparameters | BranchHyperparameters
+KINDS: dict[str, type[AnyHyperparameters]] = {
+    "ppo": Hyperparameters, "recurrent-ppo": Hyperparameters, "branch": BranchHyperparameters,
+}  # fmt: skip
+
+
+def _require_kinds(recipe: AnyHyperparameters) -> None:
+    """Refuse values of another type than the field's, negative ones and infinite ones."""
+    for name, kind in get_type_hints(type(recipe)).items():
+        value = getattr(recipe, name)
+        if kind in (int, float):
+            sound = type(value) in {kind, int} and 0 <= value < float("inf")
+            expected = "a number of 0 or more" if kind is float else "a count of 0 or more"
+        elif kind is bool:
+            sound, expected = type(value) is bool, "true or false"
+        else:
+            sound = isinstance(value, tuple) and all(type(n) is int and n > 0 for n in value)
+            sound, expected = sound and bool(value), "a list of counts of neurons"
+        if not sound:
+            raise ValueError(f"{name}: found {value!r}, expected {expected}")
+
+
+def _require_least(recipe: AnyHyperparameters, **least: int) -> None:
+    for name, bound in least.items():
+        found = getattr(recipe, name)
+        if found < bound:
+            raise ValueError(f"{name}: found {found}, expected {bound} or more")
+
+
+def _require_fractions(recipe: AnyHyperparameters, *names: str) -> None:
+    for name in names:
+        if getattr(recipe, name) > 1:
+            raise ValueError(f"{name}: found {getattr(recipe, name)}, expected 0 to 1")
+
+
+def read_hyperparameters(path: Path, algorithm: str) -> AnyHyperparameters:
+    """The recipe of a hyperparameter file, a JSON object with the attributes of its kind.
 
     Those with a default may be left out.
+
+    Args:
+        path: the file.
+        algorithm: one of :data:`KINDS`.
 
     Raises:
         ValueError: naming the file and what is wrong in it.
         FileNotFoundError: there is no such file.
     """
+    kind = KINDS[algorithm]
     try:
         found: Any = json.loads(path.read_text(encoding="utf-8"))
         if not isinstance(found, dict):
             raise ValueError(f"found {type(found).__name__}, expected an object")
-        known = {field.name: field.default is MISSING for field in fields(Hyperparameters)}
+        known = {field.name: field.default is MISSING for field in fields(kind)}
         missing = {name for name, needed in known.items() if needed} - set(found)
         unknown = set(found) - set(known)
         if missing or unknown:
@@ -85,16 +136,16 @@ def read_hyperparameters(path: Path) -> Hyperparameters:
             )
         if isinstance(found["hidden"], list):  # JSON has no tuples
             found["hidden"] = tuple(found["hidden"])
-        return Hyperparameters(**found)
+        return kind(**found)
     except ValueError as error:
         raise ValueError(f"{path}: not a hyperparameter file: {error}") from error
 
 
-def recipe_as_written(recipe: Hyperparameters) -> dict[str, Any]:
+def recipe_as_written(recipe: AnyHyperparameters) -> dict[str, Any]:
     """A recipe as its file holds it; what has a default and is as by default is left out."""
     return {
         field.name: list(value) if isinstance(value, tuple) else value
-        for field in fields(Hyperparameters)
+        for field in fields(recipe)
         if (value := getattr(recipe, field.name)) != field.default
     }
 
@@ -103,3 +154,16 @@ def shipped_hyperparameters(algorithm: str, beliefs: str = "shared") -> Path:
     """The hyperparameter file of an algorithm, where modes share a belief or keep their own."""
     guided = algorithm == "ppo" and beliefs == "per-mode"
     return Path(__file__).with_name(f"{'guided-' if guided else ''}{algorithm}.json")
+
+
+def falling(last: float, left: float) -> float:
+    """What remains of a rate when a fraction of the training is left.
+
+    The last update may end beyond the training, with less than nothing left: there the rate falls
+    on, but stays positive.
+
+    Args:
+        last: what remains at the end.
+        left: of the training.
+    """
+    return max(last + (1.0 - last) * left, 0.5 * last)

@@ -11,7 +11,7 @@ from stable_baselines3.common.torch_layers import MlpExtractor
 from torch import Tensor, nn, no_grad
 
 from experiments.training.actor import Normalization, actor_tensors
-from experiments.training.hyperparameters import Hyperparameters
+from experiments.training.hyperparameters import Hyperparameters, falling
 from experiments.training.training_env import TrainingEnv
 from policies.policy_file import Tensors
 
@@ -77,7 +77,7 @@ def learner(world: TrainingEnv, recipe: Hyperparameters, seed: int) -> OnPolicyA
     """
     what: dict[str, Any] = {
         "n_steps": recipe.n_steps, "batch_size": recipe.batch_size, "n_epochs": recipe.n_epochs,
-        "learning_rate": lambda left: recipe.learning_rate * falling(recipe, left),
+        "learning_rate": lambda left: recipe.learning_rate * falling(recipe.final_fraction, left),
         "ent_coef": recipe.ent_coef, "gamma": recipe.gamma, "gae_lambda": recipe.gae_lambda,
         "clip_range": recipe.clip_range, "max_grad_norm": recipe.max_grad_norm,
         "target_kl": recipe.target_kl, "seed": seed, "device": "cpu",
@@ -96,16 +96,6 @@ def learner(world: TrainingEnv, recipe: Hyperparameters, seed: int) -> OnPolicyA
     with no_grad():
         cast(nn.Linear, model.policy.action_net).bias[0] += recipe.first_action_bias
     return model
-
-
-def falling(recipe: Hyperparameters, left: float) -> float:
-    """What remains of a rate when a fraction of the training is left.
-
-    The last update may end beyond the training, with less than nothing left: there the rate falls
-    on, but stays positive.
-    """
-    last = recipe.final_fraction
-    return max(last + (1.0 - last) * left, 0.5 * last)
 
 
 def actor_of(model: OnPolicyAlgorithm, world: TrainingEnv, recipe: Hyperparameters) -> Tensors:

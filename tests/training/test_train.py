@@ -22,12 +22,14 @@ from experiments.train import Args, hyperparameters, manifest_of
 from experiments.training import training_env as worlds
 from experiments.training.checkpoint import read_checkpoint, with_arrays, write_checkpoint
 from experiments.training.hyperparameters import (
+    KINDS,
     Hyperparameters,
+    falling,
     read_hyperparameters,
     recipe_as_written,
     shipped_hyperparameters,
 )
-from experiments.training.network import actor_of, falling, learner
+from experiments.training.network import actor_of, learner
 from experiments.training.places import Place
 from experiments.training.progress_log import ProgressLog
 from experiments.training.training_env import TRUTH, PrivilegedObservation, TrainingEnv
@@ -196,19 +198,21 @@ def test_the_exported_actor_acts_as_the_trained_one(kind, tmp_path):
 
 @pytest.mark.parametrize("left", [1.0, 0.5, 0.0, -0.01, -0.5, -16_000.0])
 def test_rates_fall_but_stay_positive_beyond_the_end(left):
-    rate = falling(replace(RECIPE, final_fraction=0.1), left)
+    rate = falling(0.1, left)
     assert rate == pytest.approx(max(0.1 + 0.9 * left, 0.05))
 
 
 def test_shipped_recipes_are_sound():
-    assert read_hyperparameters(shipped_hyperparameters("ppo")).lstm == 0
     for beliefs in ("shared", "per-mode"):
-        assert read_hyperparameters(shipped_hyperparameters("recurrent-ppo", beliefs)).lstm > 0
+        for algorithm in KINDS:
+            shipped = shipped_hyperparameters(algorithm, beliefs)
+            recipe = read_hyperparameters(shipped, algorithm)
+            assert (getattr(recipe, "lstm", 0) > 0) == (algorithm == "recurrent-ppo")
 
 
 def test_with_beliefs_per_mode_learning_starts_near_the_imm():
     """By the recipe: the rewards are minus the IMM's, and action 0, which is the IMM, is likely."""
-    recipe = read_hyperparameters(shipped_hyperparameters("ppo", "per-mode"))
+    recipe = read_hyperparameters(shipped_hyperparameters("ppo", "per-mode"), "ppo")
     assert recipe.paired and recipe.first_action_bias > 0.0
 
 
@@ -226,11 +230,11 @@ def test_a_bias_makes_the_first_action_likelier_at_the_start():
 def test_what_has_a_default_may_be_left_out_of_a_recipe(tmp_path):
     """Recipes written before there was such a thing are read, and written, as they were."""
     path = written(tmp_path / "old.json", {"first_action_bias": None})
-    assert read_hyperparameters(path) == RECIPE
+    assert read_hyperparameters(path, "ppo") == RECIPE
     assert recipe_as_written(RECIPE) == json.loads(path.read_text())
     biased = replace(RECIPE, first_action_bias=1.5)
     path.write_text(json.dumps(recipe_as_written(biased)))
-    assert read_hyperparameters(path) == biased
+    assert read_hyperparameters(path, "ppo") == biased
 
 
 BAD = {
@@ -306,6 +310,9 @@ def test_a_bad_recipe_is_refused_in_one_line(change, tmp_path):
         (("--hyperparameters", "nowhere.json"), "nowhere.json"),
         (("--algo", "recurrent-ppo", "--hyperparameters", shipped_hyperparameters("ppo")),
          "lstm: found 0, expected 1 or more for --algo recurrent-ppo"),
+        (("--algo", "branch", "--hyperparameters", shipped_hyperparameters("ppo")),
+         "missing gradient_steps, horizon, .* unknown batch_size|clip_range"),
+        (("--algo", "branch", "--places", "street:handset", "street:lab"), "street:lab: .*'lab'"),
     ],
 )  # fmt: skip
 def test_a_mistake_is_refused_before_a_folder_is_made(words, message, tmp_path):
@@ -484,7 +491,7 @@ def test_the_journal_writes_a_row_a_call_and_goes_on(tmp_path):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("algo", ["ppo", "recurrent-ppo"])
+@pytest.mark.parametrize("algo", ["ppo", "recurrent-ppo", "branch"])
 def test_a_smoke_run_says_so_and_is_refused_as_a_result(algo, tmp_path):
     for _ in range(2):  # the second takes the place of the first
         assert "A smoke run" in succeed("train", "--smoke", "--algo", algo, cwd=tmp_path)

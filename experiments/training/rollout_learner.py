@@ -1,0 +1,124 @@
+"""Rollout policy iteration: a network moves towards the actions that rollouts found better.
+
+In every state that is remembered all actions were tried, each followed by the policy of then
+(Bertsekas, Rollout, Policy Iteration, and Distributed Reinforcement Learning, 2020). The network
+maximizes the mean of sum_a pi(a | s) (Q(s, a) - Q(s, 0)), with a little entropy.
+"""
+
+from copy import deepcopy
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor, nn
+
+from experiments.training.actor import Normalization
+from experiments.training.branching_env import Observations, Tried
+from experiments.training.hyperparameters import BranchHyperparameters
+from mmwave_env.numerics.arrays import Index
+
+
+class RolloutLearner:
+    """The network, its optimizer and the states it learns from.
+
+    Args:
+        features, actions: how many.
+        recipe: hyperparameters.
+        normal: of an observation.
+    """
+
+    def __init__(
+        self, features: int, actions: int, recipe: BranchHyperparameters, normal: Normalization
+    ) -> None:
+        self._recipe = recipe
+        self._low, self._high, self._mean, self._sigma = (
+            torch.from_numpy(part.astype(np.float32)) for part in normal
+        )
+        layers: list[nn.Module] = []
+        width = features
+        for neurons in recipe.hidden:
+            layers += [nn.Linear(width, neurons), nn.Tanh()]
+            width = neurons
+        last = nn.Linear(width, actions)
+        with torch.no_grad():
+            last.weight *= 0.1
+            last.bias.zero_()
+            last.bias[0] = recipe.first_action_bias
+        self.network = nn.Sequential(*layers, last)
+        self._optimizer = torch.optim.Adam(self.network.parameters(), lr=recipe.learning_rate)
+        self._observations = torch.empty((recipe.memory, features))
+        self._gains = torch.empty((recipe.memory, actions))
+        self._seen = 0
+
+    def _logits(self, observations: Observations) -> Tensor:
+        logits: Tensor = self.network(self._normal(observations))
+        return logits
+
+    def _normal(self, observations: Observations) -> Tensor:
+        clipped = torch.clamp(torch.from_numpy(observations), self._low, self._high)
+        return (clipped - self._mean) / self._sigma
+
+    @torch.no_grad()
+    def greedy(self, observations: Observations) -> Index:
+        """The most probable actions (n,) for observations (n, features)."""
+        found: Index = self._logits(observations).argmax(1).numpy()
+        return found
+
+    @torch.no_grad()
+    def sampled(self, observations: Observations) -> Index:
+        """Actions (n,) drawn by their probabilities, for observations (n, features)."""
+        probabilities = torch.softmax(self._logits(observations), 1)
+        found: Index = torch.multinomial(probabilities, 1)[:, 0].numpy()
+        return found
+
+    def remember(self, tried: Tried) -> None:
+        """Learn from these states from now on, and forget the oldest."""
+        memory = len(self._gains)
+        rows = torch.arange(self._seen, self._seen + len(tried.values)) % memory
+        gains = tried.values - tried.values[:, :1]
+        self._observations[rows] = self._normal(tried.observations)
+        self._gains[rows] = torch.from_numpy(gains.astype(np.float32))
+        self._seen += len(gains)
+
+    def improve(self, left: float) -> dict[str, float]:
+        """Gradient steps on random states of the memory.
+
+        Args:
+            left: of the rates, from 1 down.
+
+        Returns:
+            Figures for the journal: the mean gain over action 0 that the policy expects, and
+            that of the best actions; and the entropy.
+        """
+        recipe, filled = self._recipe, min(self._seen, len(self._gains))
+        for group in self._optimizer.param_groups:
+            group["lr"] = recipe.learning_rate * left
+        told = np.zeros(3)
+        for _ in range(recipe.gradient_steps):
+            some = torch.randint(filled, (recipe.batch_size,))
+            gains = self._gains[some]
+            log_p = torch.log_softmax(self.network(self._observations[some]), 1)
+            p = log_p.exp()
+            expected = (p * gains).sum(1).mean()
+            entropy = -(p * log_p).sum(1).mean()
+            loss = -expected - recipe.ent_coef * left * entropy
+            self._optimizer.zero_grad()
+            loss.backward()  # type: ignore[no-untyped-call]
+            self._optimizer.step()
+            told += expected.item(), gains.amax(1).mean().item(), entropy.item()
+        names = ("gain/expected", "gain/possible", "entropy")
+        return dict(zip(names, (told / recipe.gradient_steps).tolist(), strict=True))
+
+    def state(self) -> dict[str, Any]:
+        """All that what comes next depends on, for :meth:`restore`."""
+        return {
+            "network": self.network.state_dict(), "optimizer": self._optimizer.state_dict(),
+            "observations": self._observations, "gains": self._gains, "seen": self._seen,
+        }  # fmt: skip
+
+    def restore(self, state: dict[str, Any]) -> None:
+        """Go on, to the last bit, as the learner that gave this :meth:`state`."""
+        self.network.load_state_dict(state["network"])
+        self._optimizer.load_state_dict(deepcopy(state["optimizer"]))  # it would keep the tensors
+        self._observations[:], self._gains[:] = state["observations"], state["gains"]
+        self._seen = state["seen"]
