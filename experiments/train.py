@@ -17,7 +17,8 @@ from experiments.cli.options import command_line
 from experiments.evaluation.intervals import Interval
 from experiments.evaluation.markdown import grid
 from experiments.training.hyperparameters import (
-    Hyperparameters,
+    AnyHyperparameters,
+    BranchHyperparameters,
     read_hyperparameters,
     recipe_as_written,
     shipped_hyperparameters,
@@ -30,6 +31,7 @@ from mmwave_env.lookup import choose
 from mmwave_env.reward import REWARDS, PairedReward, Reward, TrackingReward
 
 SMOKE_EPISODES = 20  # to judge a policy on
+TIMESTEPS = {"ppo": 4_000_000, "recurrent-ppo": 4_000_000, "branch": 1_200_000}  # to train for
 
 # Options that a policy does not depend on: the command in its file leaves them out.
 ASIDE: dict[str, Any] = {
@@ -53,14 +55,16 @@ def rewards(args: Args) -> Reward:
     return reward
 
 
-def hyperparameters(args: Args) -> Hyperparameters:
+def hyperparameters(args: Args) -> AnyHyperparameters:
     """The hyperparameters.
 
     Raises:
         ValueError: those of another algorithm.
     """
     path = args.hyperparameters or shipped_hyperparameters(args.algo, args.beliefs)
-    recipe = read_hyperparameters(path)
+    recipe = read_hyperparameters(path, args.algo)
+    if isinstance(recipe, BranchHyperparameters):
+        return recipe  # it learns from differences: what is subtracted from a reward is not in them
     if (recipe.lstm > 0) != (args.algo == "recurrent-ppo"):
         expected = "0" if args.algo == "ppo" else "1 or more"
         raise ValueError(
@@ -82,7 +86,9 @@ def places_of(args: Args) -> tuple[Place, ...]:
     return places_from(args.places)
 
 
-def manifest_of(args: Args, banks: Mapping[str, Bank], recipe: Hyperparameters) -> dict[str, Any]:
+def manifest_of(
+    args: Args, banks: Mapping[str, Bank], recipe: AnyHyperparameters
+) -> dict[str, Any]:
     """What decides how a run goes on, as JSON holds it."""
     written = {radio: bank_as_written(bank) for radio, bank in banks.items()}
     first, *_ = written.values()
@@ -171,8 +177,8 @@ def main(args: Args) -> None:
     """Run the command."""
     try:
         from experiments.training.evaluator import EPISODES
+        from experiments.training.job import Job
         from experiments.training.processes import side_by_side
-        from experiments.training.trainer import Job
     except ImportError as error:
         raise ValueError(
             f"train needs more than the base install: {error}; pip install 'mmwave-loc[train]'"
@@ -180,17 +186,19 @@ def main(args: Args) -> None:
     if args.resume and args.overwrite:
         raise ValueError("overwrite: found it beside resume, expected one of them")
     for name in ("seeds", "total_timesteps", "jobs", "checkpoint_every"):
-        if getattr(args, name) < 1:
-            raise ValueError(f"{name}: found {getattr(args, name)}, expected 1 or more")
+        count = getattr(args, name)
+        if count is not None and count < 1:
+            raise ValueError(f"{name}: found {count}, expected 1 or more")
     places, recipe = places_of(args), hyperparameters(args)
     banks = banks_of(args.modes, places, args.beliefs)
     task = TrainingTask(args.scenario, places, banks, args.observation, rewards(args), args.beliefs)
     manifest = manifest_of(args, banks, recipe)
     if args.smoke:
         args = smoke(args)
+    timesteps = args.total_timesteps or TIMESTEPS[args.algo]
     jobs = [
         Job(
-            task, recipe, args.algo, seed, args.total_timesteps, args.out / f"seed-{seed}",
+            task, recipe, args.algo, seed, timesteps, args.out / f"seed-{seed}",
             manifest["command"], args.checkpoint_every,
             SMOKE_EPISODES if args.smoke else EPISODES,
         )

@@ -28,8 +28,9 @@ class FolderArgs:
 class TaskArgs:
     """What is learned."""
 
-    algo: Literal["ppo", "recurrent-ppo"] = "ppo"
-    """algorithm of Stable-Baselines3"""
+    algo: Literal["ppo", "recurrent-ppo", "branch"] = "ppo"
+    """ppo and recurrent-ppo are those of Stable-Baselines3; branch is rollout policy iteration with
+    common random numbers: every action is tried on the same measurements"""
     scenario: str = "mixed"
     """pedestrian, vehicle, walk-ride, jam, cyclist or mixed (equal shares), or a JSON file;
     or a way of your own, a CSV file with columns t, x, y, z"""
@@ -55,15 +56,16 @@ class TaskArgs:
 
 @dataclass(kw_only=True)
 class Args(FolderArgs, TaskArgs):
-    """Train switchers with PPO; the best policy of every seed, and the median one, are kept.
+    """Train switchers; the best policy of every seed, and the median one, are kept.
 
     mmwave-loc train --seeds 2 --total-timesteps 500000 --out runs/short
     """
 
     seeds: int = 5
     """how many trainings"""
-    total_timesteps: int = 4_000_000
-    """epochs to train each for, rounded up to whole updates"""
+    total_timesteps: int | None = None
+    """epochs to train each for, 4000000 where none is given; of branch, states to try every action
+    in, 1200000; rounded up to whole updates"""
     hyperparameters: Path | None = None
     """a JSON file in place of the algorithm's own, experiments/training/ppo.json, or
     guided-ppo.json with beliefs per mode"""

@@ -10,20 +10,21 @@ from multiprocessing.connection import Connection, wait
 from multiprocessing.process import BaseProcess
 from typing import Any, cast
 
-from experiments.training.trainer import Job, Training
+from experiments.training.job import Job
+from experiments.training.trainers import TRAINERS
 
 Outcome = dict[str, Any]
 
 
 def side_by_side(
-    jobs: Sequence[Job], at_once: int, tell: Callable[[Job, int, str], None]
+    jobs: Sequence[Job[Any]], at_once: int, tell: Callable[[Job[Any], int, str], None]
 ) -> list[Outcome]:
     """Run trainings; where one fails or somebody interrupts, the others end, too.
 
     Args:
         jobs: what to do.
         at_once: how many processes.
-        tell: takes a job, the number of epochs trained for and what is new.
+        tell: takes a job, the number of timesteps so far and what is new.
 
     Returns:
         An outcome for every job.
@@ -33,7 +34,7 @@ def side_by_side(
         ChildProcessError: a training failed in another way, or was ended from outside.
     """
     waiting, outcomes = list(reversed(jobs)), dict[int, Outcome]()
-    running: dict[Any, tuple[Job, BaseProcess]] = {}
+    running: dict[Any, tuple[Job[Any], BaseProcess]] = {}
     try:
         while waiting or running:
             while waiting and len(running) < at_once:
@@ -67,7 +68,7 @@ def side_by_side(
     return [outcomes[job.seed] for job in jobs]
 
 
-def _started(job: Job) -> tuple[Connection, BaseProcess]:
+def _started(job: Job[Any]) -> tuple[Connection, BaseProcess]:
     """A process that trains, and the line on which it tells."""
     spawn = multiprocessing.get_context("spawn")  # a fork would share PyTorch's locks
     os.environ["OPENBLAS_NUM_THREADS"] = "1"  # or the trainings are in each other's way
@@ -88,13 +89,14 @@ def _deaf_to_interrupts() -> Iterator[None]:
         signal.signal(signal.SIGINT, before)
 
 
-def _train(job: Job, line: Connection) -> None:
+def _train(job: Job[Any], line: Connection) -> None:
     """One training; ends at its next word when nobody listens any more."""
     try:
         if job.outcome.is_file():
             outcome = json.loads(job.outcome.read_text(encoding="utf-8"))
         else:
-            outcome = Training(job, lambda *told: line.send(("news", *told))).run()
+            trainer = TRAINERS[job.algorithm](job, lambda *told: line.send(("news", *told)))
+            outcome = trainer.run()
         line.send(("done", outcome))
     except BrokenPipeError:
         return

@@ -23,9 +23,10 @@ pytest.importorskip("stable_baselines3")
 import torch
 
 from experiments.training import evaluator as examiner
+from experiments.training.job import Job
 from experiments.training.places import places_from
+from experiments.training.ppo import PpoTraining
 from experiments.training.processes import side_by_side
-from experiments.training.trainer import Job, Training
 from mmwave_env.filters.bank import Bank
 from mmwave_env.filters.mode_files import default_modes
 from tests.training.actors import MODES
@@ -67,7 +68,7 @@ def silent(*_):
 
 
 def train(job):
-    Training(job, silent).run()
+    PpoTraining(job, silent).run()
 
 
 def forked(job):

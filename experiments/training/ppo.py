@@ -1,10 +1,6 @@
-"""Train one switcher: learn, look how good it is on tuning seeds, keep the best, stop and go on."""
+"""Train a switcher with PPO: learn, look how good it is, keep the best, stop and go on."""
 
 import time
-from collections.abc import Callable
-from dataclasses import dataclass
-from importlib.metadata import version
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -14,55 +10,22 @@ from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.logger import Logger
 
 from experiments.training.checkpoint import read_checkpoint, with_arrays, write_checkpoint
-from experiments.training.evaluator import EPISODES, Evaluator
-from experiments.training.hyperparameters import Hyperparameters
-from experiments.training.network import actor_of, falling, learner
+from experiments.training.hyperparameters import Hyperparameters, falling
+from experiments.training.job import Job, Tell
+from experiments.training.looks import Looks
+from experiments.training.network import actor_of, learner
 from experiments.training.progress_log import ProgressLog
 from experiments.training.training_env import TrainingEnv
-from experiments.training.training_task import TrainingTask
-from mmwave_env import __version__
-from mmwave_env.files import write_bytes, write_json
-from policies.policy_file import Card, to_bytes
+from mmwave_env.files import write_json
 
-TRAINING_SEED = 10_000_000  # of the first training; each has a million of its own
-SEEDS_EACH = 1_000_000
 # Updates between two rows of the journal, and between two looks: until the rule is beaten, and
 # after that.
 LOG, EARLY, LATER = 4, 2, 16
 
 LOGGED = ("ate_m", "rmse_m", "mean_nees", "in_bounds", "divergence", "smoothed_ate_m")
-PACKAGES = ("gymnasium", "numpy", "numba", "torch", "stable-baselines3", "sb3-contrib")
-
-Tell = Callable[[int, str], None]
 
 
-@dataclass(frozen=True)
-class Job:
-    """One training."""
-
-    # task, recipe: what is learned, and how
-    task: TrainingTask
-    recipe: Hyperparameters
-    algorithm: str  # name
-    seed: int  # number of the training, from 0
-    timesteps: int  # epochs to train for, in all environments together
-    folder: Path  # for all that is written
-    command: str  # that makes the policy file
-    checkpoint_every: int  # updates between two checkpoints
-    episodes: int = EPISODES  # that policies are judged on
-
-    @property
-    def outcome(self) -> Path:
-        """Figures of the policy; there once the training is over."""
-        return self.folder / "outcome.json"
-
-    @property
-    def policy(self) -> Path:
-        """The best policy so far."""
-        return self.folder / "policy.safetensors"
-
-
-class Training(BaseCallback):
+class PpoTraining(BaseCallback):
     """A training under way; Stable-Baselines3 calls it around the epochs it collects.
 
     Args:
@@ -73,21 +36,19 @@ class Training(BaseCallback):
         ValueError: the checkpoint is damaged.
     """
 
-    def __init__(self, job: Job, tell: Tell) -> None:
+    def __init__(self, job: Job[Hyperparameters], tell: Tell) -> None:
         super().__init__()
         self._begun_s = time.monotonic()
         torch.set_num_threads(1)  # networks this small gain nothing from more
         self._job, self._tell = job, tell
-        self._checkpoint = job.folder / "checkpoint.pt"
         self._stand: dict[str, Any] = {
             "update": -1, "best": None, "beat_rule": None, "seconds": 0.0, "rows": [],
         }  # fmt: skip
-        if self._checkpoint.exists():
-            self._stand = read_checkpoint(self._checkpoint)
+        if job.checkpoint.exists():
+            self._stand = read_checkpoint(job.checkpoint)
         self._env = TrainingEnv(job.task, job.recipe)
-        seed = TRAINING_SEED + SEEDS_EACH * job.seed
-        self._learner = learner(self._env, job.recipe, seed)
-        self._examiner = Evaluator(job.task, job.episodes)
+        self._learner = learner(self._env, job.recipe, job.first_seed)
+        self._looks = Looks(job, tell, self._stand)
         self._journal = ProgressLog(job.folder, self._stand["rows"])
         self._ended: list[dict[str, Any]] = []
 
@@ -113,7 +74,7 @@ class Training(BaseCallback):
             "best": stand["best"],
         }  # fmt: skip
         write_json(job.outcome, outcome)
-        self._checkpoint.unlink(missing_ok=True)
+        job.checkpoint.unlink(missing_ok=True)
         return outcome
 
     def _seconds(self) -> float:
@@ -122,7 +83,7 @@ class Training(BaseCallback):
 
     def _on_rollout_start(self) -> None:
         model, recipe, stand = self._learner, self._job.recipe, self._stand
-        model.ent_coef = recipe.ent_coef * falling(recipe, 1.0 - self._done())
+        model.ent_coef = recipe.ent_coef * falling(recipe.final_fraction, 1.0 - self._done())
         update = model.num_timesteps // (recipe.num_envs * recipe.n_steps)
         if update == stand["update"]:
             return  # the checkpoint that this training goes on from
@@ -156,42 +117,18 @@ class Training(BaseCallback):
         self.logger.record("seconds", self._seconds())
 
     def _look(self) -> None:
-        """Examine the policy, and keep it if it is the best so far."""
-        stand, timesteps = self._stand, self._learner.num_timesteps
-        latest = self._job.folder / "latest.safetensors"
-        self._write(latest, {})
-        figures = self._examiner.examine(latest)
-        for key, value in figures.items():
-            number = value["mean"] if isinstance(value, dict) else value
-            self.logger.record(f"tuning/{key}", number)
-        if stand["best"] is None or figures["reward"] > stand["best"]["reward"]:
-            stand["best"] = {"timesteps": timesteps, **figures}
-            self._write(self._job.policy, stand["best"])
-        news = f"reward {figures['reward']:.3f}"
-        if stand["beat_rule"] is None and figures["minus speed-rule"]["ci95"][0] > 0.0:
-            seconds = round(self._seconds(), 1)
-            stand["beat_rule"] = {"timesteps": timesteps, "seconds": seconds}
-            news = f"beats the 2 m/s rule after {timesteps} steps, {seconds} s; {news}"
-        self._tell(timesteps, news)
-
-    def _write(self, path: Path, evaluation: dict[str, Any]) -> None:
-        job, task, table = self._job, self._job.task, self._env.observation
-        per_mode = task.beliefs == "per-mode"
-        card = Card(
-            modes=task.bank.modes, observation=task.observation, digest=table.digest,
-            frames=job.recipe.frames, scenario=task.scenario, radio=", ".join(task.banks),
-            algorithm=job.algorithm, seed=job.seed, timesteps=self._learner.num_timesteps,
-            command=job.command, evaluation=evaluation,
-            versions={"mmwave-loc": __version__} | {p: version(p) for p in PACKAGES},
-            beliefs=task.beliefs, banks=dict(task.banks) if per_mode else {},
-        )  # fmt: skip
-        actor = actor_of(self._learner, self._env, job.recipe)
-        write_bytes(path, to_bytes(actor, card))
+        job, model = self._job, self._learner
+        actor = actor_of(model, self._env, job.recipe)
+        figures = self._looks.take(
+            actor, self._env.observation, model.num_timesteps, self._seconds(), job.recipe.frames
+        )
+        for key, number in figures.items():
+            self.logger.record(key, number)
 
     def _save(self) -> None:
         self._journal.save()
         write_checkpoint(
-            self._checkpoint,
+            self._job.checkpoint,
             self._stand | {
                 "seconds": self._seconds(), "rows": self._journal.rows,
                 "world": self._env.state(), "learner": self._learner_state(),
