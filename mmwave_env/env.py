@@ -62,10 +62,10 @@ class MmWaveLocEnv(gym.Env[NDArray[np.float32], np.int64]):
     `Box(float32)` of the features below: what the estimator knows, never the truth. It already
     shows the next epoch's measurement as each mode would see it; `observation="prior"` leaves
     those last features ("coming ...", "preference ...") out. A feature is shown as
-    (value - mean) / deviation, with the constants below: they were measured over all streets and
-    radios. `low` and `high` are the bounds of
-    what is shown; `env.unwrapped.observation.read(observation, name)` is a value in its own unit.
-    With the default arguments:
+    (value - mean) / deviation, with the constants below: medians over all streets and radios.
+    What is rare is shown at most ten deviations from the mean; `low` and `high` are the bounds of
+    what is shown. `env.unwrapped.observation.read(observation, name)` is a value in its own unit,
+    within these bounds. With the default arguments:
 
     {table}
 

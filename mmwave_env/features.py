@@ -50,7 +50,8 @@ class View(NamedTuple):
 class Feature:
     """One component of the observation: (clip(value, low, high) - mean) / deviation.
 
-    Mean and deviation are those of its kind (:mod:`mmwave_env.observation`).
+    Mean and deviation are those of its kind (:mod:`mmwave_env.observation`), from where it is
+    also limited to ten deviations.
     """
 
     name: str  # unique in the table

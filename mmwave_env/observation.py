@@ -2,7 +2,8 @@
 
 Every feature is standardized by the mean and the deviation of its kind. They are constants of the
 package, which ``mmwave-loc standardize`` measured in many places, so that an observation means the
-same everywhere and a network learns from it as it is.
+same everywhere and a network learns from it as it is. What is rare may be far from the mean: it is
+shown at most ten deviations away.
 """
 
 import json
@@ -21,6 +22,8 @@ from mmwave_env.filters.modes import Mode
 from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.lookup import choose
 from mmwave_env.numerics.numbers import Number, clip
+
+LIMIT = 10.0  # deviations from the mean that a feature is shown up to
 
 OBSERVATIONS = {"full": "everything", "prior": "nothing of how each mode sees the coming epoch"}
 
@@ -104,15 +107,15 @@ class Observation:
         return spaces.Box(low, high, dtype=np.float32)
 
     def _bounds(self) -> list[tuple[Number, Number]]:
-        """The limits of every feature, standardized."""
+        """Between what every feature is shown."""
         rows = zip(self.features, self.scales, strict=True)
-        return [(_standardized(f.low, s), _standardized(f.high, s)) for f, s in rows]
+        return [(_shown(f.low, f, s), _shown(f.high, f, s)) for f, s in rows]
 
     @property
     def digest(self) -> str:
         """A name for the table: all that learned weights depend on, but for the modes' tuning."""
         rows = [
-            (f.name, f.meaning, f.unit, *map(float, (*scale, f.low, f.high)))
+            (f.name, f.meaning, f.unit, *map(float, (*scale, f.low, f.high, LIMIT)))
             for f, scale in zip(self.features, self.scales, strict=True)
         ]
         return sha256(repr(rows).encode()).hexdigest()[:16]
@@ -120,12 +123,13 @@ class Observation:
     def values(self, view: View) -> list[Number]:
         """The observation as numbers."""
         rows = zip(self.features, self.scales, strict=True)
-        return [_standardized(clip(f.value(view), f.low, f.high), scale) for f, scale in rows]
+        return [_shown(f.value(view), f, scale) for f, scale in rows]
 
     def read(self, observation: NDArray[np.float32], name: str) -> NDArray[np.float64]:
         """A feature in its own unit, from observations (..., features).
 
-        It is as exact as single precision tells; what is zero or a count reads as that.
+        It is as exact as single precision tells; what is zero or a count reads as that. What was
+        beyond a limit reads as the limit.
 
         Raises:
             KeyError: there is no feature of that name; the message lists those there are.
@@ -152,5 +156,8 @@ class Observation:
         return "\n".join(lines)
 
 
-def _standardized(value: Number, scale: Scale) -> Number:
-    return (value - scale.mean) * (1.0 / scale.deviation)
+def _shown(value: Number, feature: Feature, scale: Scale) -> Number:
+    """The value, limited and standardized."""
+    reach = LIMIT * scale.deviation
+    low, high = max(feature.low, scale.mean - reach), min(feature.high, scale.mean + reach)
+    return (clip(value, low, high) - scale.mean) * (1.0 / scale.deviation)

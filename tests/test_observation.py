@@ -80,7 +80,8 @@ def test_the_table_makes_the_space(pipeline, kind):
     assert space.shape == (len(table),)
     mean, deviation = np.array(table.scales).T
     limits = np.array([(f.low, f.high) for f in table.features]).T
-    np.testing.assert_allclose([space.low, space.high], (limits - mean) / deviation, rtol=1e-6)
+    bounds = np.clip((limits - mean) / deviation, -10.0, 10.0)
+    np.testing.assert_allclose([space.low, space.high], bounds, rtol=1e-6)
     assert (space.low < space.high).all() and space.is_bounded()
     assert (deviation > 0.0).all() and all(f.meaning for f in table.features)
 
@@ -266,6 +267,13 @@ class Rollout(NamedTuple):
     def read(self, name):
         return self.table.read(self.observations, name)
 
+    def limited(self, name, values):
+        """Values of a feature as it shows them: within its limits, and ten deviations."""
+        i = names(self.table).index(name)
+        feature, (mean, deviation) = self.table.features[i], self.table.scales[i]
+        reach = 10.0 * deviation
+        return np.clip(np.clip(values, feature.low, feature.high), mean - reach, mean + reach)
+
 
 @pytest.fixture(scope="module", params=["as drawn", "with a gap"])
 def rollout(request):
@@ -294,7 +302,7 @@ def close(found, expected, tolerance=1e-5):
 
 def test_predicted_speed_is_the_estimate_s(rollout):
     speed = [np.linalg.norm(info["estimate"][3:6]) for info in rollout.infos]
-    close(rollout.read("predicted speed"), np.minimum(speed, 50.0))
+    close(rollout.read("predicted speed"), rollout.limited("predicted speed", speed))
 
 
 def test_nis_and_verdicts_are_those_of_the_last_epoch(rollout):
@@ -364,7 +372,8 @@ def test_the_doppler_innovation_is_the_measured_minus_the_predicted_radial_veloc
             step = x[:3] - episode.scene_anchors_m[0]
             radial = x[3:6] @ step / np.linalg.norm(step)
             expected = (episode.measurement[t, 12] - x[6]) / episode.hz_per_mps - radial
-        close(rollout.read("coming Doppler innovation")[t], np.clip(expected, -10.0, 10.0), 1e-4)
+        name = "coming Doppler innovation"
+        close(rollout.read(name)[t], rollout.limited(name, expected), 1e-4)
 
 
 def test_gamma_is_the_windowed_mean_of_nis_over_dof(rollout):
@@ -386,8 +395,9 @@ def test_nis_averages_forget_exponentially(rollout):
             if used.any():
                 ratio = info["nis"][used].sum() / dof[used].sum()
                 average = keep * average + (1.0 - keep) * ratio
-            expected.append(min(average, 10.0))
-        close(rollout.read(f"NIS {pace} average"), expected)
+            expected.append(average)
+        name = f"NIS {pace} average"
+        close(rollout.read(name), rollout.limited(name, expected))
 
 
 def test_the_previous_mode_is_marked(rollout):
@@ -405,8 +415,8 @@ def test_lock_out_and_time_since_fix_count(rollout):
         fixed, passed = links.any(), (links & (info["nis"][:3] <= chi2.ppf(0.99, 4))).any()
         lockout.append(0.0 if passed else lockout[-1] + seen)
         unfixed_s.append(0.0 if fixed else unfixed_s[-1] + (1.0 if t else 0.0))
-    close(rollout.read("lock-out"), np.minimum(lockout, 10.0))
-    close(rollout.read("time since fix"), np.minimum(unfixed_s, 50.0))
+    close(rollout.read("lock-out"), rollout.limited("lock-out", lockout))
+    close(rollout.read("time since fix"), rollout.limited("time since fix", unfixed_s))
 
 
 def test_what_a_mode_would_make_of_the_coming_epoch_is_what_it_makes_of_it(rollout):
@@ -417,15 +427,20 @@ def test_what_a_mode_would_make_of_the_coming_epoch_is_what_it_makes_of_it(rollo
         def coming(what, name=name, t=t):
             return rollout.read(f"coming {what} {name}")[t]
 
+        def limited(what, value, name=name):
+            return rollout.limited(f"coming {what} {name}", value)
+
         seen = rollout.episode.usable[t]
         mean_nis = info["nis"][seen].sum() / max(dof[seen].sum(), 1)
-        close(coming("NIS"), min(np.log1p(mean_nis), 10.0))
+        close(coming("NIS"), limited("NIS", np.log1p(mean_nis)))
         assert coming("rejected") == info["rejected"][:3].sum()
         if name == "ukf":  # the last mode: NIS of every group
             for g, group in enumerate(("anchor 1", "anchor 2", "anchor 3", "Doppler")):
-                close(coming(f"NIS {group}"), min(np.log1p(info["nis"][g]), 10.0))
+                what = f"NIS {group}"
+                close(coming(what), limited(what, np.log1p(info["nis"][g])))
         after = rollout.read("position variance")[t + 1]
-        close(coming("variance"), after, 1e-4)
+        both = rollout.limited("position variance", coming("variance"))
+        close(both, limited("variance", after), 1e-4)
         x, dt = before["estimate"], float(t > 0)
         step = info["estimate"][:2] - (x[:2] + dt * x[3:5])
         ahead = x[3:5] / np.sqrt(x[3:5] @ x[3:5] + 1e-6)
@@ -433,8 +448,8 @@ def test_what_a_mode_would_make_of_the_coming_epoch_is_what_it_makes_of_it(rollo
         faster = info["estimate"][3:5] - x[3:5]
         for of, change in (("position", step), ("velocity", faster)):
             for way, axis in (("along", ahead), ("across", left)):
-                value = np.clip(change @ axis, -10.0, 10.0)
-                close(coming(f"{of} correction {way}"), value, 1e-4)
+                what = f"{of} correction {way}"
+                close(coming(what), limited(what, change @ axis), 1e-4)
 
 
 def test_corrections_are_averaged(rollout):
@@ -446,8 +461,9 @@ def test_corrections_are_averaged(rollout):
         along = 0.8 * along + 0.2 * step @ ahead
         across = 0.8 * across + 0.2 * (step[1] * ahead[0] - step[0] * ahead[1])
         expected.append((along, across))
-    found = np.stack([rollout.read(f"correction {way}") for way in ("along", "across")], axis=1)
-    close(found, np.clip(expected, -10.0, 10.0), 1e-4)
+    for i, way in enumerate(("along", "across")):
+        name = f"correction {way}"
+        close(rollout.read(name), rollout.limited(name, np.array(expected)[:, i]), 1e-4)
 
 
 def test_preferences_average_the_log_likelihood_difference(rollout):

@@ -39,7 +39,7 @@ STUDIES = {  # of a checkout: the installed package goes without them
     ),
     "standardize": (
         "experiments.learning.standardize",
-        "mean and deviation of every kind of feature, over all places",
+        "mean and deviation of every kind of feature, medians over many places",
     ),
     "soak": (
         "experiments.reliability.soak",

@@ -1,9 +1,10 @@
-"""mmwave-loc standardize: mean and deviation of every kind of feature, over all places."""
+"""mmwave-loc standardize: mean and deviation of every kind of feature in a typical place."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from itertools import product
-from math import floor, log10
+from math import floor, inf, log10
 from typing import Any
+from unittest.mock import patch
 
 import gymnasium as gym
 import numpy as np
@@ -12,6 +13,7 @@ from rich.progress import track
 
 from experiments.cli.main import run
 from experiments.learning.arguments.standardize import Args
+from mmwave_env import observation
 from mmwave_env.files import require_writable, write_json
 from mmwave_env.filters.bank import best_bank
 from mmwave_env.models.radio import RADIOS
@@ -21,6 +23,7 @@ from mmwave_env.observation import BELIEFS, Observation, Scale, feature_scales
 
 SEED = 50_000_000  # of the first episode: a training seed that no training has come to
 DIGITS = 3  # of a deviation; its mean is as fine
+LEAST = 1e-9  # variance over mean square of what is not constant
 TOLERANCE = 0.01  # of a deviation, between two machines
 
 Moments = dict[str, Array]  # by kind (2, episodes): mean and mean square over an episode
@@ -36,6 +39,7 @@ def tasks() -> Iterator[dict[str, Any]]:
         yield place | {"modes": list(best_bank(radio).modes)}
 
 
+@patch.object(observation, "LIMIT", inf)  # or constants would depend on those before them
 def moments(task: Mapping[str, Any], episodes: int, seed: int = SEED) -> Moments:
     """Of every kind of feature in an environment, where actions are drawn at random.
 
@@ -67,18 +71,25 @@ def _by_kind(table: Observation, observations: NDArray[np.float32]) -> Moments:
     }
 
 
-def pooled(found: Sequence[Moments]) -> Moments:
-    """Over the tasks that have a kind."""
+def typical(found: Sequence[Moments]) -> dict[str, Scale]:
+    """Mean and deviation of every kind, each the median over the tasks.
+
+    So a few tasks where tracks are lost, with deviations many times those of the others, don't
+    make features small in all of them. A task where a kind is constant, or that lacks it, does
+    not count for it.
+    """
     kinds = dict.fromkeys(kind for one in found for kind in one)
-    return {kind: np.mean([one[kind] for one in found if kind in one], axis=0) for kind in kinds}
+    return {kind: _median([one[kind] for one in found if kind in one]) for kind in kinds}
 
 
-def _scale(of: Array) -> Scale:
-    """Mean and deviation of a kind, rounded."""
-    mean, square = np.mean(of, axis=1)
-    deviation = float(np.sqrt(square - mean**2))
+def _median(found: Sequence[Array]) -> Scale:
+    """The medians of a kind over tasks, rounded."""
+    mean, square = np.mean(found, axis=-1).T
+    variance = square - mean**2
+    varies = variance > LEAST * square
+    center, deviation = np.median([mean[varies], np.sqrt(variance[varies])], axis=1).tolist()
     decimals = DIGITS - 1 - floor(log10(deviation))
-    return Scale(round(float(mean), decimals), round(deviation, decimals))
+    return Scale(round(center, decimals), round(deviation, decimals))
 
 
 def _require_same(found: Mapping[str, Scale], table: Mapping[str, Scale]) -> None:
@@ -99,8 +110,7 @@ def main(args: Args) -> None:
     if args.episodes < 1:
         raise ValueError(f"episodes: found {args.episodes}, expected at least 1")
     each = track(list(tasks()), description="standardize", transient=True)
-    kinds = pooled([moments(task, args.episodes) for task in each])
-    found = {kind: _scale(of) for kind, of in kinds.items()}
+    found = typical([moments(task, args.episodes) for task in each])
     if args.check:
         _require_same(found, feature_scales())
         print(f"{len(found)} kinds of features, as they were")

@@ -6,7 +6,7 @@ from pathlib import Path
 
 @dataclass(kw_only=True)
 class Args:
-    """Measure what features are standardized by, on training seeds.
+    """Measure what features are standardized by, on training seeds: medians over many tasks.
 
     A new kind of feature needs a line in the table before it can be measured: mean 0, deviation 1.
     Policy files fit the table they were trained with, and no other.
@@ -18,5 +18,5 @@ class Args:
     """the table to write"""
     check: bool = False
     """measure and compare with the table that is used, write nothing"""
-    episodes: int = 64
+    episodes: int = 24
     """simulated episodes of each place and each kind of task"""
