@@ -3,56 +3,50 @@
 import json
 from collections.abc import Callable
 from dataclasses import replace
-from typing import Any
+from pathlib import Path
+from time import process_time
+from typing import Any, NamedTuple
 
 import numpy as np
 from rich.console import Console
 from scipy.optimize import minimize
-from scipy.special import expit, logit, softmax
+from scipy.special import logit
 
 from experiments.arguments.shared import WorldArgs
 from experiments.arguments.tune_imm import Args
+from experiments.cli.doc_pages import page_to_renew, renewed
 from experiments.cli.main import run
 from experiments.cli.options import command_line, source_of
 from experiments.evaluation.intervals import Interval, bootstrap
+from experiments.evaluation.markdown import grid, show
 from experiments.evaluation.seeds import draw_episodes, require_tuning_seed
 from experiments.tune import CAP
+from experiments.tuning.designs import DESIGNS
+from experiments.tuning.scores import Scores, drawn, scores
+from experiments.tuning.search import best_bank_of
+from experiments.tuning.search_space import ENTER, STAY, search_space, transition_of
 from mmwave_env.engines.imm_engine import ImmEngine
 from mmwave_env.episodes.episode import EpisodeBatch
-from mmwave_env.files import write_json
+from mmwave_env.files import write_json, write_text
+from mmwave_env.filters.bank import Bank
 from mmwave_env.filters.imm import DEFAULT_STAY
 from mmwave_env.filters.mode_files import as_written, modes_from
 from mmwave_env.filters.modes import Mode
 from mmwave_env.filters.pipeline import Pipeline
-from mmwave_env.lookup import choose
+from mmwave_env.lookup import choose, require_extra
 from mmwave_env.metrics import scored
 from mmwave_env.numerics.arrays import Array
 from mmwave_env.reward import TrackingReward
-from policies import TUNED_IMMS
+from policies import TUNED_IMMS, tuned_imm
 
 Build = Callable[[Array], tuple[tuple[Mode, ...], Array]]
 
-STAY = (-6.0, 9.0)  # log odds to stay, where they are looked for
-ENTER = (-20.0, 20.0)  # log probability to be entered, over that of the last mode
+RIVAL = "imm-robust-limited"  # the strongest IMM before there were banks
+SHARES = 3  # of the tuning episodes, of which a generation of the search sees one
 NOISE = {"sigma_p": (0.005, 2.0), "sigma_v": (0.03, 4.0)}  # as tune's RANGES, but lower
 
 
-def transition_of(stay: Array, enter: Array) -> Array:
-    """Transition probabilities (from, to): a mode is left for the others in fixed proportions.
-
-    p_ij = (1 - s_i) q_j / sum of q_k over k != i, and p_ii = s_i.
-
-    Args:
-        stay: (modes,) log odds of s.
-        enter: (modes,) log q, up to a constant.
-    """
-    s, modes = expit(stay), len(stay)
-    others = np.where(np.eye(modes, dtype=bool), -np.inf, enter)
-    transition: Array = np.diag(s) + (1.0 - s)[:, None] * softmax(others, axis=1)
-    return transition
-
-
-def search_space(modes: tuple[Mode, ...], noise: bool) -> tuple[Array, Array, Build]:
+def imm_space(modes: tuple[Mode, ...], noise: bool) -> tuple[Array, Array, Build]:
     """Where to search: the start (k,), the bounds (k, 2), and what a point stands for.
 
     Args:
@@ -93,7 +87,7 @@ def tune(
 
     The reward has small steps, where a link passes a gate or does not, so no gradients.
     """
-    start, bounds, build = search_space(modes, limited)
+    start, bounds, build = imm_space(modes, limited)
     found = minimize(
         lambda point: -rewards(*build(point), quantile(limited), episodes).mean(),
         start,
@@ -139,19 +133,152 @@ def tuned(args: Args, radio: str, name: str) -> dict[str, Any]:
     }
 
 
-def main(args: Args) -> None:
-    """Run the command."""
-    require_tuning_seed(args.seed)
+def tune_imms(args: Args) -> None:
+    """Tune IMMs of named modes, in few numbers."""
     for name in args.imms:
         choose(TUNED_IMMS, name, "imms")
-    found: dict[str, Any] = {}
-    if args.json and args.json.is_file():
-        found = json.loads(args.json.read_text(encoding="utf-8"))
+    found = recorded(args.json)
     for radio in args.radios:
         for name in args.imms:
             found.setdefault(radio, {})[name] = tuned(args, radio, name)
             if args.json:
                 write_json(args.json, found)
+
+
+def recorded(path: Path | None) -> dict[str, Any]:
+    """The results that a file holds already, by radio."""
+    if path is None or not path.is_file():
+        return {}
+    return json.loads(path.read_text(encoding="utf-8"))  # type: ignore[no-any-return]
+
+
+class TunedBank(NamedTuple):
+    """A bank, and what came of it on held-out episodes."""
+
+    bank: Bank
+    numbers: int  # how many were tuned
+    seconds: float  # of one core
+    scores: Scores
+
+
+def tuned_bank(
+    name: str, tuning: list[list[EpisodeBatch]], held_out: list[EpisodeBatch], evaluations: int
+) -> TunedBank:
+    """The best bank of a design that the search finds on tuning episodes, in shares."""
+    space = search_space(DESIGNS[name])
+
+    def value(bank: Bank, generation: int) -> float:
+        return float(scores(bank, tuning[generation % len(tuning)]).reward.mean())
+
+    began = process_time()
+    with Console(stderr=True).status(name):
+        bank = best_bank_of(space, value, evaluations)
+    return TunedBank(bank, len(space.start), process_time() - began, scores(bank, held_out))
+
+
+def figures_of(found: TunedBank, rival: Scores, first: TunedBank) -> dict[str, Interval]:
+    """What a bank earns on held-out episodes; differences are paired.
+
+    Args:
+        found: the bank.
+        rival: what :data:`RIVAL` earns.
+        first: the bank that the others of the command are compared with.
+    """
+    reward = found.scores.reward
+    columns = {
+        "reward": reward,
+        f"minus {RIVAL}": reward - rival.reward,
+        "minus the first": reward - first.scores.reward,
+        "lost": found.scores.lost,
+    }
+    return dict(zip(columns, bootstrap(np.stack([*columns.values()], axis=1)), strict=True))
+
+
+def banks_of(args: Args, radio: str) -> tuple[dict[str, TunedBank], dict[str, dict[str, Interval]]]:
+    """The best bank of each design for a radio, and what it earns, by name."""
+    sources = [
+        source_of(WorldArgs(scenario=args.scenario, radio=radio, scene=scene, dt=dt))
+        for scene in args.scenes
+        for dt in args.steps
+    ]
+    first = args.seed + args.episodes // len(sources)
+    tuning = drawn(sources, range(args.seed, first), SHARES)
+    (held_out,) = drawn(sources, range(first, first + args.held_out // len(sources)))
+    rival = scores(tuned_imm(RIVAL, radio), held_out)
+    banks: dict[str, TunedBank] = {}
+    figures: dict[str, dict[str, Interval]] = {}
+    for name in args.banks:
+        banks[name] = tuned_bank(name, tuning, held_out, args.evaluations)
+        figures[name] = figures_of(banks[name], rival, banks[args.banks[0]])
+        figure = f"reward minus {RIVAL} {figures[name][f'minus {RIVAL}']}"
+        print(f"{radio} {name}: {banks[name].seconds:.0f} s, {figure}", flush=True)
+    return banks, figures
+
+
+def as_recorded(found: TunedBank, figures: dict[str, Interval], args: Args) -> dict[str, Any]:
+    """A tuned bank as a file holds it.
+
+    Args:
+        found, figures: the bank and what it earns.
+        args: of the command that makes it.
+    """
+    return {
+        "command": command_line("tune-imm", replace(args, json=None, out=None, docs=None)),
+        "modes": [as_written(mode) for mode in found.bank.modes],
+        "transition": [list(row) for row in found.bank.probabilities],
+        "nis_quantile": found.bank.nis_quantile,
+        "numbers": found.numbers,
+        "seconds": round(found.seconds),
+        "held_out": {what: interval.json for what, interval in figures.items()},
+    }
+
+
+def bank_table(banks: dict[str, TunedBank], figures: dict[str, dict[str, Interval]]) -> str:
+    """Tuned banks as Markdown, a row each."""
+    header = ["bank", "modes", "numbers", "tuned for", "reward", f"minus {RIVAL}"]
+    header += [f"minus {next(iter(banks))}", "lost"]
+    rows = [
+        [
+            name, str(len(bank.bank.modes)), str(bank.numbers), f"{bank.seconds:.0f} s",
+            *(str(interval) for interval in list(figures[name].values())[:-1]),
+            f"{figures[name]['lost'].mean:.2%}",
+        ]
+        for name, bank in banks.items()
+    ]  # fmt: skip
+    rows[0][-2] = ""  # minus itself
+    return grid(header, rows)
+
+
+def tune_banks(args: Args) -> None:
+    """Tune whole banks, each in everything that is data, on all scenes at once."""
+    for name in args.banks:
+        choose(DESIGNS, name, "banks")
+    if args.out and len(args.banks) > 1:
+        raise ValueError(f"banks: found {len(args.banks)}, expected one for the files of --out")
+    for option in ("scenes", "steps"):
+        if not getattr(args, option):
+            raise ValueError(f"{option}: found none, expected one or more")
+    require_extra("cmaes", "tune", "tune-imm --banks")
+    page = page_to_renew(args.docs) if args.docs else ""
+    tables, content = {}, recorded(args.json)
+    for radio in args.radios:
+        banks, figures = banks_of(args, radio)
+        alone = replace(args, radios=(radio,))
+        content[radio] = {n: as_recorded(banks[n], figures[n], alone) for n in banks}
+        tables[radio] = bank_table(banks, figures)
+        show(f"### {radio}\n\n{tables[radio]}\n")
+        if args.out:
+            write_json(args.out / f"{radio}.json", content[radio][args.banks[0]])
+        if args.json:
+            write_json(args.json, content)
+    if args.docs:
+        write_text(args.docs, renewed(page, tables))
+
+
+def main(args: Args) -> None:
+    """Run the command."""
+    require_tuning_seed(args.seed)
+    (tune_banks if args.banks else tune_imms)(args)
 
 
 if __name__ == "__main__":

@@ -32,10 +32,13 @@ SEES = {
     **dict.fromkeys([*EVERYBODY, "info", "rendering"], frozenset({"numerics"})),
     "experiments": LIBRARY,
 }
-LIBRARIES = {"evaluation", "arguments", "cli", "training", "paper", "speed"}  # of the commands
+# of the commands:
+LIBRARIES = {"evaluation", "arguments", "cli", "training", "tuning", "paper", "speed"}
 SEES_INSIDE = {  # experiments; "" are the commands, one a page
     "evaluation": set(),
-    **dict.fromkeys(["arguments", "training", "paper", "speed"], frozenset({"evaluation"})),
+    **dict.fromkeys(
+        ["arguments", "training", "tuning", "paper", "speed"], frozenset({"evaluation"})
+    ),
     "cli": {"evaluation", "arguments"},
     "": LIBRARIES,
     **dict.fromkeys(["learning", "reliability"], frozenset({*LIBRARIES, ""})),  # studies

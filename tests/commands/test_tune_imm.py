@@ -8,14 +8,16 @@ import pytest
 from scipy.special import logit
 
 from experiments.evaluation.seeds import draw_episodes
-from experiments.tune_imm import rewards, search_space, transition_of, tune
+from experiments.tune_imm import imm_space, rewards, tune
+from experiments.tuning.search_space import transition_of
 from mmwave_env.episodes.episode import EpisodeBatch
 from mmwave_env.episodes.simulated import SimulatedSource
+from mmwave_env.filters.bank import bank_from
 from mmwave_env.filters.imm import stay_matrix
 from mmwave_env.filters.mode_files import as_written, modes_from
 from mmwave_env.models.radio import RADIOS
 from mmwave_env.models.scene import SCENES
-from tests.cli import command
+from tests.cli import assert_one_clear_line, command
 
 SOURCE = SimulatedSource(SCENES["street"], RADIOS["handset"], epochs=60)
 
@@ -34,7 +36,7 @@ def test_a_mode_is_left_for_the_others_in_their_proportions():
 @pytest.mark.parametrize("names", [("ekf", "ukf"), ("ekf", "ukf", "ckf"), ("extended",)])
 def test_the_search_starts_from_the_default_imm(names):
     modes = modes_from(names)
-    start, bounds, build = search_space(modes, noise=True)
+    start, bounds, build = imm_space(modes, noise=True)
     assert len(start) == len(bounds) == (6 if len(modes) == 2 else 2 * len(modes) - 1)
     assert (bounds[:, 0] <= start).all() and (start <= bounds[:, 1]).all()
     found, transition = build(start)
@@ -44,7 +46,7 @@ def test_the_search_starts_from_the_default_imm(names):
 
 def test_every_point_is_a_transition_and_the_noise_of_two_modes():
     modes = modes_from(["ekf", "ukf"])
-    _, bounds, build = search_space(modes, noise=True)
+    _, bounds, build = imm_space(modes, noise=True)
     for point in np.random.default_rng(0).uniform(*bounds.T, (20, len(bounds))):
         found, transition = build(point)
         assert (transition >= 0.0).all()
@@ -57,7 +59,7 @@ def test_every_point_is_a_transition_and_the_noise_of_two_modes():
 
 def test_the_transition_alone_is_two_numbers_of_two_modes():
     modes = modes_from(["ekf", "ukf"])
-    start, _, build = search_space(modes, noise=False)
+    start, _, build = imm_space(modes, noise=False)
     assert len(start) == 2 and build(start)[0] == modes
 
 
@@ -92,3 +94,40 @@ def test_the_command_writes_a_file_as_it_is_shipped(tmp_path):
         assert imm["nis_quantile"] == (0.999 if name.endswith("limited") else 1.0)
         low, high = imm["held_out_gain"]["ci95"]
         assert low <= imm["held_out_gain"]["mean"] <= high
+
+
+def test_banks_are_tuned_on_every_scene_and_written_as_they_are_shipped(tmp_path):
+    page = tmp_path / "page.md"
+    page.write_text("<!-- table: high -->\n<!-- end -->\n")
+    options = ["--radios", "high", "--banks", "two", "--scenes", "street", "o1", "--steps", 0.5,
+               "--episodes", 6, "--held-out", 4, "--evaluations", 20]  # fmt: skip
+    done = command("tune-imm", *options, "--out", tmp_path, "--docs", page)
+    assert done.returncode == 0, done.stderr
+    written = json.loads((tmp_path / "high.json").read_text())
+    assert shlex.split(written["command"])[2:] == [str(option) for option in options]
+    bank = bank_from(tmp_path / "high.json")
+    assert [mode.name for mode in bank.modes] == ["stand", "turn"]
+    figures = written["held_out"]
+    low, high = figures["minus imm-robust-limited"]["ci95"]
+    assert low <= figures["minus imm-robust-limited"]["mean"] <= high
+    assert figures["minus the first"]["mean"] == 0.0
+    (row,) = [line for line in page.read_text().splitlines() if line.startswith("| two")]
+    assert f"{figures['reward']['mean']:.3f}" in row and row in done.stdout
+
+
+BANK_MISTAKES = {
+    "unknown bank": (("--banks", "eleven"), "banks: found 'eleven', expected one of maneuvers"),
+    "two banks of a file": (("--banks", "two", "three", "--out", "banks"), "found 2, expected one"),
+    "too few episodes": (("--banks", "two", "--episodes", "8"), "found 1 for each scene"),
+    "unknown scene": (("--banks", "two", "--scenes", "moon"), "'moon'.*street, o1"),
+    "no scene": (("--banks", "two", "--scenes"), "scenes: found none, expected one or more"),
+    "no step": (("--banks", "two", "--steps"), "steps: found none, expected one or more"),
+    "no rate": (("--banks", "two", "--steps", "0"), "dt: found 0"),
+}
+
+
+@pytest.mark.parametrize("mistake", BANK_MISTAKES)
+def test_mistakes_about_banks_end_with_one_clear_line(mistake, tmp_path):
+    words, message = BANK_MISTAKES[mistake]
+    assert_one_clear_line(command("tune-imm", "--radios", "high", *words, cwd=tmp_path), message)
+    assert not list(tmp_path.iterdir())

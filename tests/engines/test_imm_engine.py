@@ -5,15 +5,22 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from experiments.evaluation.seeds import draw_episodes
 from mmwave_env.engines.env_engine import Engine
 from mmwave_env.engines.imm_engine import ImmEngine
 from mmwave_env.engines.track_engine import Tracker
 from mmwave_env.episodes.episode import EpisodeBatch
+from mmwave_env.episodes.simulated import SimulatedSource
+from mmwave_env.filters.bank import best_bank
 from mmwave_env.filters.belief import Belief
 from mmwave_env.filters.mode_files import default_modes
 from mmwave_env.filters.modes import Mode
 from mmwave_env.filters.pipeline import Pipeline
+from mmwave_env.models.epoch import blank_site
 from mmwave_env.models.measurement import Layout
+from mmwave_env.models.radio import RADIOS
+from mmwave_env.models.scene import SCENES
+from mmwave_env.numerics.pytree import indices
 from mmwave_env.reward import LogScore, TrackingReward
 from tests.filters.tracks import STREET, simulated, unpacked
 
@@ -115,3 +122,23 @@ def test_another_layout_is_refused(episodes):
     one = ImmEngine(Pipeline(default_modes(), Layout(1)), TrackingReward())
     with pytest.raises(ValueError, match="layout of episode .*: found .*, expected Layout"):
         one.run(episodes, "x")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("radio", RADIOS)
+def test_a_track_that_starts_far_off_comes_back(radio):
+    source, bank = SimulatedSource(SCENES["street"], RADIOS[radio]), best_bank(radio)
+    batch = EpisodeBatch.of(draw_episodes(source, range(5_000_000, 5_000_040)))
+    site, prior = batch.site.copy(), indices(blank_site(batch.layout)).prior_x
+    direction = np.random.default_rng(0).uniform(0.0, 2.0 * np.pi, len(site))
+    site[:, prior[0]] += 100.0 * np.cos(direction)
+    site[:, prior[1]] += 100.0 * np.sin(direction)
+    imm = ImmEngine(
+        Pipeline(bank.modes, batch.layout), TrackingReward(), bank.transition, bank.nis_quantile
+    )
+    good, bad = (
+        np.linalg.norm(imm.run(some, "error")["error"], axis=2)
+        for some in (batch, batch._replace(site=site))
+    )
+    assert (bad[:, 0] > 50.0).mean() > 0.5
+    assert (bad[:, -1] < good[:, -1] + 5.0).all()

@@ -1,0 +1,107 @@
+"""Where the best bank is searched: points of numbers, and the bank that a point stands for."""
+
+from collections.abc import Callable
+from dataclasses import replace
+from itertools import product
+from typing import NamedTuple
+
+import numpy as np
+from scipy.special import expit, logit, softmax
+
+from experiments.tuning.designs import Design
+from mmwave_env.filters.bank import Bank
+from mmwave_env.filters.imm import DEFAULT_STAY
+from mmwave_env.filters.modes import Mode
+from mmwave_env.numerics.arrays import Array
+
+STAY = (-6.0, 9.0)  # log odds to stay, where they are looked for
+ENTER = (-20.0, 20.0)  # log probability to be entered, over that of the last mode
+ODDS = (-14.0, 8.0)  # log of a probability to change over that to stay
+# Less velocity noise earns a little more where users walk as straight as simulated ones do. One who
+# weaves a few degrees, as in the recording of a pedestrian, would leave such a filter behind.
+FREE = {"sigma_p": (0.005, 2.0), "sigma_v": (0.03, 6.0), "acceleration_mps2": (0.3, 6.0)}
+NINES = (1.0, 9.0)  # of the quantile up to which NIS counts: 3 stand for 0.999
+DECIMALS = 6  # of probabilities
+
+_PROBABILITY_STEP, _NOISE_STEP, _NINES_STEP = 0.6, 0.25, 0.3  # first standard deviations
+
+
+def transition_of(stay: Array, enter: Array) -> Array:
+    """Transition probabilities (from, to): a mode is left for the others in fixed proportions.
+
+    p_ij = (1 - s_i) q_j / sum of q_k over k != i, and p_ii = s_i.
+
+    Args:
+        stay: (modes,) log odds of s.
+        enter: (modes,) log q, up to a constant.
+    """
+    s, modes = expit(stay), len(stay)
+    others = np.where(np.eye(modes, dtype=bool), -np.inf, enter)
+    transition: Array = np.diag(s) + (1.0 - s)[:, None] * softmax(others, axis=1)
+    return transition
+
+
+def rows_as_softmax(odds: Array) -> Array:
+    """Transition probabilities (modes, modes), (from, to), of which each is free.
+
+    Args:
+        odds: (modes (modes - 1),) log of p_ij / p_ii, row by row and the diagonal left out.
+    """
+    modes = 1 + int(np.sqrt(len(odds)))
+    logits = np.zeros((modes, modes))
+    logits[~np.eye(modes, dtype=bool)] = odds
+    transition: Array = softmax(logits, axis=1)
+    return transition
+
+
+class SearchSpace(NamedTuple):
+    """Where to search for k numbers."""
+
+    start: Array  # (k,)
+    deviation: Array  # (k,) of the first points
+    bounds: Array  # (k, 2)
+    bank_at: Callable[[Array], Bank]  # what a point stands for, as a file holds it
+
+
+def search_space(design: Design) -> SearchSpace:
+    """All of a design that is data: transition, noise, accelerations, and which NIS counts."""
+    modes, n = design.modes, len(design.modes)
+    if design.proportional:
+        chances, limits = [logit(DEFAULT_STAY)] * n + [0.0] * n, [STAY] * n + [ENTER] * n
+    else:
+        change = np.log((1.0 - DEFAULT_STAY) / (n - 1) / DEFAULT_STAY)
+        chances, limits = [change] * (n * (n - 1)), [ODDS] * (n * (n - 1))
+    free = [(i, field) for i, field in product(range(n), FREE) if getattr(modes[i], field)]
+    noise = [np.log(abs(getattr(modes[i], field))) for i, field in free]
+    first = len(chances)
+
+    def bank_at(point: Array) -> Bank:
+        drawn = point[:first]
+        transition = (
+            transition_of(drawn[:n], drawn[n:]) if design.proportional else rows_as_softmax(drawn)
+        )
+        found = list(modes)
+        for (i, field), value in zip(free, np.exp(point[first:-1]), strict=True):
+            found[i] = _with_size(found[i], field, value)
+        return Bank(tuple(found), _written(transition), 1.0 - float(f"{10.0 ** -point[-1]:.2g}"))
+
+    return SearchSpace(
+        np.array([*chances, *noise, 3.0]),
+        np.repeat([_PROBABILITY_STEP, _NOISE_STEP, _NINES_STEP], [first, len(free), 1]),
+        np.array([*limits, *(np.log(FREE[field]) for _, field in free), NINES]),
+        bank_at,
+    )
+
+
+def _with_size(mode: Mode, field: str, size: float) -> Mode:
+    """The mode with a field of another size, to three digits, and the same sign."""
+    value = float(np.copysign(float(f"{size:.3g}"), getattr(mode, field)))
+    return replace(mode, **{field: value})  # type: ignore[arg-type]
+
+
+def _written(transition: Array) -> tuple[tuple[float, ...], ...]:
+    """Probabilities of few decimals, whose rows still sum to 1."""
+    short = transition.round(DECIMALS)
+    np.fill_diagonal(short, 0.0)
+    np.fill_diagonal(short, (1.0 - short.sum(axis=1)).round(DECIMALS))
+    return tuple(map(tuple, short.tolist()))

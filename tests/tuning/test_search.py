@@ -1,0 +1,97 @@
+"""The search over banks: what a point stands for, and that the best one is found."""
+
+import numpy as np
+import pytest
+
+from experiments.tuning.designs import DESIGNS
+from experiments.tuning.search import best_bank_of
+from experiments.tuning.search_space import rows_as_softmax, search_space
+from mmwave_env.filters.bank import bank_in
+from mmwave_env.filters.imm import stay_matrix
+from mmwave_env.filters.mode_files import as_written
+
+
+def distance(bank, planted):
+    """How far a bank is from another of the same modes, in logarithms."""
+    pairs = [(np.array(bank.transition), np.array(planted.transition))]
+    for field in ("sigma_p", "sigma_v", "acceleration_mps2"):
+        values = [[getattr(mode, field) for mode in one.modes] for one in (bank, planted)]
+        pairs.append((np.abs(values[0]) + 1e-3, np.abs(values[1]) + 1e-3))
+    return float(sum(np.square(np.log(a / b)).sum() for a, b in pairs))
+
+
+@pytest.mark.parametrize("name", ["three", "proportional"])
+def test_the_search_finds_a_planted_bank(name):
+    space = search_space(DESIGNS[name])
+    point = space.start + 0.7 * space.deviation * np.random.default_rng(0).standard_normal(
+        len(space.start)
+    )
+    planted = space.bank_at(point)
+    start, found = (
+        best_bank_of(space, lambda bank, _: -distance(bank, planted), evaluations)
+        for evaluations in (0, 3000)
+    )
+    assert distance(found, planted) < 0.02 * distance(start, planted)
+
+
+def test_generations_are_numbered_and_no_more_is_asked_than_allowed():
+    asked = []
+
+    def value(bank, generation):
+        asked.append(generation)
+        return 0.0
+
+    best_bank_of(search_space(DESIGNS["two"]), value, 40)
+    size = asked.count(0)
+    assert asked == [i // size for i in range(len(asked))]
+    assert 40 - size < len(asked) <= 40
+
+
+def test_the_same_search_finds_the_same_bank():
+    space = search_space(DESIGNS["two"])
+
+    def value(bank, generation):
+        return bank.modes[0].sigma_v
+
+    assert best_bank_of(space, value, 60) == best_bank_of(space, value, 60)
+
+
+def test_softmax_rows_are_probabilities_that_stand_to_staying_as_said():
+    for odds in np.random.default_rng(0).uniform(-14.0, 8.0, (20, 12)):
+        found = rows_as_softmax(odds)
+        assert found.shape == (4, 4) and (found > 0.0).all()
+        np.testing.assert_allclose(found.sum(axis=1), 1.0)
+        ratio = found / np.diag(found)[:, None]
+        np.testing.assert_allclose(np.log(ratio[~np.eye(4, dtype=bool)]), odds, atol=1e-9)
+
+
+@pytest.mark.parametrize("name", DESIGNS)
+def test_the_search_starts_from_the_design_and_moves_all_of_its_numbers(name):
+    design, space = DESIGNS[name], search_space(DESIGNS[name])
+    n = len(design.modes)
+    start = space.bank_at(space.start)
+    assert start.modes == design.modes and start.nis_quantile == 0.999
+    np.testing.assert_allclose(start.transition, stay_matrix(n), atol=1e-5)
+    maneuvers = sum(mode.acceleration_mps2 != 0.0 for mode in design.modes)
+    chances = 2 * n if design.proportional else n * (n - 1)
+    assert len(space.start) == chances + 2 * n + maneuvers + 1
+    for i, deviation in enumerate(space.deviation):
+        moved = space.start.copy()
+        moved[i] += deviation
+        assert space.bank_at(moved) != start
+
+
+@pytest.mark.parametrize("name", DESIGNS)
+def test_every_point_is_a_bank_that_a_file_can_hold(name):
+    design, space = DESIGNS[name], search_space(DESIGNS[name])
+    for point in np.random.default_rng(0).uniform(*space.bounds.T, (20, len(space.start))):
+        bank = space.bank_at(point)
+        content = {
+            "modes": [as_written(mode) for mode in bank.modes],
+            "transition": bank.transition,
+            "nis_quantile": bank.nis_quantile,
+        }
+        assert bank_in(content) == bank
+        for before, after in zip(design.modes, bank.modes, strict=True):
+            assert (before.name, before.update) == (after.name, after.update)
+            assert np.sign(before.acceleration_mps2) == np.sign(after.acceleration_mps2)
