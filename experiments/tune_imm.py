@@ -75,7 +75,8 @@ def imm_space(modes: tuple[Mode, ...], noise: bool) -> tuple[Array, Array, Build
 
 def rewards(modes: tuple[Mode, ...], transition: Array | None, q: float, on: EpisodeBatch) -> Array:
     """Mean reward (episodes,) of an IMM."""
-    imm = ImmEngine(Pipeline(modes, on.layout), TrackingReward(), transition, q)
+    rows = None if transition is None else tuple(map(tuple, transition.tolist()))
+    imm = ImmEngine(Pipeline(modes, on.layout), TrackingReward(), rows, q)
     earned = imm.run(on, "reward")["reward"]
     return earned[:, scored(earned.shape[1])].mean(axis=1)  # type: ignore[no-any-return]
 

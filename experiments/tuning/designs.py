@@ -4,17 +4,22 @@ from dataclasses import dataclass
 
 from mmwave_env.filters.modes import Mode
 
-# Where the search starts: where an earlier one, of fewer numbers, had ended.
-_ROBUST = {"robust": True, "blockage_aware": True, "adaptive": False, "sigma_p": 0.01}
-STAND = Mode("stand", "ekf", sigma_v=0.04, **_ROBUST)
-CRUISE = Mode("cruise", "ukf", sigma_v=0.5, **_ROBUST)
-TURN = Mode("turn", "ukf", sigma_v=1.9, **_ROBUST)
-ACCELERATE = Mode("accelerate", "ukf", sigma_v=0.3, acceleration_mps2=2.0, **_ROBUST)
-BRAKE = Mode("brake", "ukf", sigma_v=0.2, acceleration_mps2=-2.0, **_ROBUST)
+
+def _doubting(name: str, algorithm: str, sigma_v: float, acceleration_mps2: float = 0.0) -> Mode:
+    """A mode that doubts outliers instead of rejecting them."""
+    return Mode(
+        name, algorithm, sigma_p=0.01, sigma_v=sigma_v, acceleration_mps2=acceleration_mps2,
+        adaptive=False, blockage_aware=True, robust=True,
+    )  # fmt: skip
+
+
+STAND = _doubting("stand", "ekf", 0.04)
+CRUISE = _doubting("cruise", "ukf", 0.5)
+TURN = _doubting("turn", "ukf", 1.9)
+ACCELERATE, BRAKE = _doubting("accelerate", "ukf", 0.3, 2.0), _doubting("brake", "ukf", 0.2, -2.0)
+PULL_AWAY, STOP = _doubting("pull-away", "ukf", 0.3, 4.0), _doubting("stop", "ukf", 0.2, -4.0)
 GATED = Mode("gated", "ukf", sigma_v=0.8, adaptive=False, blockage_aware=True)
 REACQUIRE = Mode("reacquire", "ukf", sigma_v=2.0, adaptive=False, gate=None, widen_p=10.0)
-PULL_AWAY = Mode("pull-away", "ukf", sigma_v=0.3, acceleration_mps2=4.0, **_ROBUST)
-STOP = Mode("stop", "ukf", sigma_v=0.2, acceleration_mps2=-4.0, **_ROBUST)
 _MANEUVERS = (STAND, CRUISE, TURN, ACCELERATE, BRAKE)
 
 
