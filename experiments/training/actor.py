@@ -21,15 +21,12 @@ class Normalization(NamedTuple):
 def actor_tensors(policy: Any, normal: Normalization, frames: int = 1) -> Tensors:
     """The tensors of an actor, with the normalization of observations in its first weights.
 
-    They are W / sigma, with the bias b - (W / sigma) mean.
-
     Args:
         policy: of an actor-critic algorithm of Stable-Baselines3.
         normal: of one observation.
         frames: observations that the actor sees at once.
     """
     tensors = layer_tensors([*policy.mlp_extractor.policy_net, policy.action_net])
-    tensors |= {"low": normal.low, "high": normal.high}
     first, bias = "layer.0.weight", "layer.0.bias"
     if lstm := getattr(policy, "lstm_actor", None):
         first, bias = "lstm.weight_ih", "lstm.bias"
@@ -37,16 +34,40 @@ def actor_tensors(policy: Any, normal: Normalization, frames: int = 1) -> Tensor
             first: _array(lstm.weight_ih_l0), "lstm.weight_hh": _array(lstm.weight_hh_l0),
             bias: _array(lstm.bias_ih_l0) + _array(lstm.bias_hh_l0),
         }  # fmt: skip
-    tensors[first] = tensors[first] / np.tile(normal.sigma, frames)
-    tensors[bias] = tensors[bias] - tensors[first] @ np.tile(normal.mean, frames)
-    return {name: tensor.astype(np.float32) for name, tensor in tensors.items()}
+    return folded(tensors, normal, first, bias, frames)
 
 
 def layer_tensors(layers: Iterable[Any]) -> dict[str, Array]:
     """Weights and biases of the linear ones among some layers, as a policy file calls them."""
     linear = [layer for layer in layers if type(layer).__name__ == "Linear"]
-    weights = {f"layer.{i}.weight": _array(layer.weight) for i, layer in enumerate(linear)}
-    return weights | {f"layer.{i}.bias": _array(layer.bias) for i, layer in enumerate(linear)}
+    tensors: dict[str, Array] = {}
+    for i, layer in enumerate(linear):
+        tensors[f"layer.{i}.weight"] = _array(layer.weight)
+        tensors[f"layer.{i}.bias"] = _array(layer.bias)
+    return tensors
+
+
+def folded(
+    tensors: dict[str, Array],
+    normal: Normalization,
+    first: str = "layer.0.weight",
+    bias: str = "layer.0.bias",
+    frames: int = 1,
+) -> Tensors:
+    """The same with the normalization in the first weights: W / sigma, b - (W / sigma) mean.
+
+    Args:
+        tensors: of an actor on normalized observations.
+        normal: of one observation; its bounds are among what is returned.
+        first, bias: names of the first weights and of their bias.
+        frames: observations that the actor sees at once.
+    """
+    weight = tensors[first] / np.tile(normal.sigma, frames)
+    moved = {
+        "low": normal.low, "high": normal.high, first: weight,
+        bias: tensors[bias] - weight @ np.tile(normal.mean, frames),
+    }  # fmt: skip
+    return {name: tensor.astype(np.float32) for name, tensor in (tensors | moved).items()}
 
 
 def require_actor(policy: Any) -> None:

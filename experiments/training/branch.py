@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 import torch
 
+from experiments.training.actor import folded, layer_tensors
 from experiments.training.branching_env import BranchingEnv
 from experiments.training.checkpoint import read_checkpoint, with_arrays, write_checkpoint
 from experiments.training.hyperparameters import BranchHyperparameters, falling
@@ -49,8 +50,9 @@ class BranchTraining:
         self._env = BranchingEnv(
             job.task, recipe.num_envs, recipe.horizon, recipe.gamma, job.first_seed
         )
+        self._normal = self._env.measured_normalization(recipe.clip_observation)
         table = self._env.observation
-        self._learner = RolloutLearner(len(table), len(table.actions), recipe)
+        self._learner = RolloutLearner(len(table), len(table.actions), recipe, self._normal)
         self._looks = Looks(job, tell, self._stand)
         self._journal = ProgressLog(job.folder, self._stand["rows"])
 
@@ -100,7 +102,8 @@ class BranchTraining:
         return float(self._stand["seconds"]) + time.monotonic() - self._begun_s
 
     def _look(self) -> dict[str, float]:
-        actor, states = self._learner.actor(), self._stand["states"]
+        actor = folded(layer_tensors(self._learner.network), self._normal)
+        states = self._stand["states"]
         return self._looks.take(actor, self._env.observation, states, self._seconds())
 
     def _save(self) -> None:

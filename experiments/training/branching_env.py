@@ -12,6 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from experiments.training.actor import Normalization
 from experiments.training.training_task import TrainingTask
 from mmwave_env.compiler.lanes import WIDTH
 from mmwave_env.compiler.program import rows_of
@@ -21,6 +22,8 @@ from mmwave_env.engines.track_engine import untuned
 from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.models.measurement import Layout
 from mmwave_env.numerics.arrays import Array, Index
+
+CONSTANT = 1e-4  # deviation of a feature that never changes
 
 Observations = NDArray[np.float32]
 Act = Callable[[Observations], Index]
@@ -120,6 +123,20 @@ class BranchingEnv:
                     self._engine.load(source.sample_batch(states), here)
         begun, _ = self._engine.start(places)
         self.observations[places] = begun[places]
+
+    def measured_normalization(self, clip: float) -> Normalization:
+        """Mean and deviation of observations while action 0 is taken for the longest episode.
+
+        Args:
+            clip: deviations from the mean at which observations are clipped.
+        """
+        seen = []
+        for _ in range(self.epochs):
+            self.step(np.zeros(len(self._everyone), np.int64))
+            seen.append(self.observations)
+        observations = np.concatenate(seen)
+        mean, sigma = observations.mean(0), observations.std(0) + CONSTANT
+        return Normalization(mean - clip * sigma, mean + clip * sigma, mean, sigma)
 
     def branch(self, act: Act) -> Tried:
         """Try every action in all states that are at least the horizon from their end.

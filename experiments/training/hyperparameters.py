@@ -63,9 +63,7 @@ class BranchHyperparameters:
     ent_coef: float
     final_fraction: float  # what is left of them at the end
     hidden: tuple[int, ...]  # neurons of each tanh layer
-    clip_observation: (
-        float  # observations, which are standardized, are clipped at minus and plus it
-    )
+    clip_observation: float  # normalized observations lie between minus this and this
     first_action_bias: float  # logit of action 0 at the start, beside about 0 of the others
 
     def __post_init__(self) -> None:

@@ -12,11 +12,10 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from experiments.training.actor import layer_tensors
+from experiments.training.actor import Normalization
 from experiments.training.branching_env import Observations, Tried
 from experiments.training.hyperparameters import BranchHyperparameters
 from mmwave_env.numerics.arrays import Index
-from policies.policy_file import Tensors
 
 
 class RolloutLearner:
@@ -25,13 +24,16 @@ class RolloutLearner:
     Args:
         features, actions: how many.
         recipe: hyperparameters.
-
-    Attributes:
-        network: from observations, clipped, to the logits of actions.
+        normal: of an observation.
     """
 
-    def __init__(self, features: int, actions: int, recipe: BranchHyperparameters) -> None:
+    def __init__(
+        self, features: int, actions: int, recipe: BranchHyperparameters, normal: Normalization
+    ) -> None:
         self._recipe = recipe
+        self._low, self._high, self._mean, self._sigma = (
+            torch.from_numpy(part.astype(np.float32)) for part in normal
+        )
         layers: list[nn.Module] = []
         width = features
         for neurons in recipe.hidden:
@@ -49,12 +51,12 @@ class RolloutLearner:
         self._seen = 0
 
     def _logits(self, observations: Observations) -> Tensor:
-        logits: Tensor = self.network(self._clipped(observations))
+        logits: Tensor = self.network(self._normal(observations))
         return logits
 
-    def _clipped(self, observations: Observations) -> Tensor:
-        limit = self._recipe.clip_observation
-        return torch.from_numpy(observations).clamp(-limit, limit)
+    def _normal(self, observations: Observations) -> Tensor:
+        clipped = torch.clamp(torch.from_numpy(observations), self._low, self._high)
+        return (clipped - self._mean) / self._sigma
 
     @torch.no_grad()
     def greedy(self, observations: Observations) -> Index:
@@ -74,7 +76,7 @@ class RolloutLearner:
         memory = len(self._gains)
         rows = torch.arange(self._seen, self._seen + len(tried.values)) % memory
         gains = tried.values - tried.values[:, :1]
-        self._observations[rows] = self._clipped(tried.observations)
+        self._observations[rows] = self._normal(tried.observations)
         self._gains[rows] = torch.from_numpy(gains.astype(np.float32))
         self._seen += len(gains)
 
@@ -106,12 +108,6 @@ class RolloutLearner:
             told += expected.item(), gains.amax(1).mean().item(), entropy.item()
         names = ("gain/expected", "gain/possible", "entropy")
         return dict(zip(names, (told / recipe.gradient_steps).tolist(), strict=True))
-
-    def actor(self) -> Tensors:
-        """The network as a policy file holds it."""
-        limit = np.full(self._observations.shape[1], self._recipe.clip_observation)
-        tensors = layer_tensors(self.network) | {"low": -limit, "high": limit}
-        return {name: tensor.astype(np.float32) for name, tensor in tensors.items()}
 
     def state(self) -> dict[str, Any]:
         """All that what comes next depends on, for :meth:`restore`."""

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from mmwave_env.filters.bank import Bank
+from mmwave_env.filters.mode_files import default_modes
 from mmwave_env.reward import TrackingReward
 from tests.training.actors import MODES
 
@@ -141,3 +142,15 @@ def test_banks_of_other_algorithms_are_refused():
     banks = {"handset": Bank(MODES), "standard": Bank(ukfs)}
     with pytest.raises(ValueError, match="^bank of standard: found other algorithms or safeguards"):
         environment(task(banks=banks))
+
+
+def test_the_normalization_is_that_of_observations_seen():
+    env = environment(task(places=PLACES[:1], banks={"handset": Bank(default_modes("handset"))}))
+    normal = env.measured_normalization(6.0)
+    again = environment(task(places=PLACES[:1], banks={"handset": Bank(default_modes("handset"))}))
+    seen = []
+    for _ in range(200):
+        again.step(np.zeros(16, np.int64))
+        seen.append(again.observations)
+    np.testing.assert_allclose(normal.mean, np.mean(seen, axis=(0, 1)), atol=1e-4)
+    assert (normal.high - normal.mean) / normal.sigma == pytest.approx(6.0, rel=1e-4)

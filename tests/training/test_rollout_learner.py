@@ -9,6 +9,7 @@ pytest.importorskip("torch")
 
 import torch
 
+from experiments.training.actor import Normalization
 from experiments.training.branching_env import Tried
 from experiments.training.hyperparameters import BranchHyperparameters
 from experiments.training.rollout_learner import RolloutLearner
@@ -21,6 +22,8 @@ RECIPE = BranchHyperparameters(
     batch_size=128, learning_rate=0.01, ent_coef=0.001, final_fraction=0.1, hidden=(16,),
     clip_observation=6.0, first_action_bias=1.0,
 )  # fmt: skip
+MEAN, SIGMA = np.array([5.0, -3.0, 0.0, 1.0]), np.array([2.0, 0.1, 1.0, 30.0])
+NORMAL = Normalization(MEAN - 6.0 * SIGMA, MEAN + 6.0 * SIGMA, MEAN, SIGMA)
 
 
 @pytest.fixture(autouse=True)
@@ -30,11 +33,11 @@ def one_thread():
 
 def learner(recipe=RECIPE, seed=0):
     torch.manual_seed(seed)
-    return RolloutLearner(FEATURES, ACTIONS, recipe)
+    return RolloutLearner(FEATURES, ACTIONS, recipe, NORMAL)
 
 
 def states(n, seed, turned=False):
-    """States where action 1 is best where the first feature is positive, and action 2 elsewhere.
+    """States where action 1 is best above the mean of the first feature, and action 2 below.
 
     All actions earn a large sum that depends on the state; which one is best is hidden in it.
     """
@@ -43,7 +46,7 @@ def states(n, seed, turned=False):
     best = np.where((x[:, 0] > 0.0) != turned, 1, 2)
     values = rng.normal(0.0, 100.0, (n, 1)) + np.zeros(ACTIONS)
     values[np.arange(n), best] += abs(x[:, 0])
-    return Tried(x.astype(np.float32), values), best
+    return Tried((MEAN + SIGMA * x).astype(np.float32), values), best
 
 
 def test_before_training_the_imm_decides():
@@ -61,18 +64,11 @@ def test_it_learns_which_action_is_best():
     assert again["gain/expected"] > told["gain/expected"] and again["entropy"] < told["entropy"]
 
 
-def test_observations_are_clipped():
-    model, far = learner(), np.full((1, FEATURES), 100.0, np.float32)
-    model.remember(Tried(far, np.zeros((1, ACTIONS))))
-    np.testing.assert_array_equal(model._observations[0], RECIPE.clip_observation)
-    assert (model.actor()["high"] == RECIPE.clip_observation).all()
-
-
 def test_draws_follow_the_probabilities():
     """As probable as the loss makes them: by hand, of one state."""
     model = learner(replace(RECIPE, first_action_bias=2.0))
     one = np.repeat(states(1, 0)[0].observations, 4000, axis=0)
-    x = torch.from_numpy(one[:1])
+    x = torch.from_numpy(((one[:1] - MEAN) / SIGMA).astype(np.float32))
     expected = torch.softmax(model.network(x), 1).detach().numpy()[0]
     shares = np.bincount(model.sampled(one), minlength=ACTIONS) / len(one)
     np.testing.assert_allclose(shares, expected, atol=0.03)
