@@ -11,7 +11,7 @@ from experiments.evaluation.markdown import show
 from mmwave_env.episodes.samples import sample_names
 from mmwave_env.files import write_json, write_text
 
-SHOWN = ("fixed-ekf", "fixed-ukf", "speed-rule", "imm-robust-limited", "ppo", "ppo-extended")
+SHOWN = ("fixed-ekf", "fixed-ukf", "speed-rule", "imm-best", "ppo-extended", "guided")
 
 
 def main(args: Args) -> None:
