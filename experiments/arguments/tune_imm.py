@@ -16,7 +16,7 @@ class Args:
     With --banks everything of a bank of modes that is data, by CMA-ES (extra "tune").
 
     mmwave-loc tune-imm --radios handset --imms imm-tuned --json imms.json
-    mmwave-loc tune-imm --radios handset --banks maneuvers --evaluations 3000 --out banks
+    mmwave-loc tune-imm --radios handset --banks maneuvers --out banks
     """
 
     scenario: str = "mixed"
