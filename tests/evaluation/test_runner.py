@@ -92,7 +92,7 @@ def test_every_radio_has_every_contender(radio):
     assert list(found) == [
         "fixed-ekf", "fixed-ukf", "fixed-ckf", "fixed-ekf-robust", "fixed-ukf-robust",
         "speed-rule", "likelihood-rule", "random", "imm", *TUNED_IMMS, "imm-best",
-        *(() if radio == "high" else ("ppo", "ppo-extended")),
+        *(() if radio == "high" else ("ppo", "ppo-extended")), "guided", "guided-ppo",
     ]  # fmt: skip
     assert all(c.name == name and c.modes for name, c in found.items())
 
