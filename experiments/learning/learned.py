@@ -35,6 +35,7 @@ PAGE_RIVALS = (
     "imm", *TUNED_IMMS, BEST_IMM,
 )  # fmt: skip
 SHIPPED = "as-shipped"
+TRUSTING = ("guided", "guided-ppo")  # runs with beliefs per mode, judged on docs/benchmark.md
 
 
 def runs_of(args: Args, radio: str) -> list[str]:
@@ -64,7 +65,7 @@ def trainings(args: Args) -> tuple[str, str, dict[str, Any]]:
     """How long trainings took, and a figure of their course."""
     rows, content = [], {}
     names = [name for radio in RADIOS for name in runs_of(args, radio)]
-    for name in names:
+    for name in (*names, *(str(args.runs / kind) for kind in TRUSTING)):
         found = Run.read(name).outcomes
         beaten = [one["beat_rule"] for one in found]
         seconds = [one["seconds"] for one in beaten if one]
