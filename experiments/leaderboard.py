@@ -48,7 +48,7 @@ def ranking(entries: list[dict[str, Any]]) -> str:
     """All entries, best first by their mean gain in the places to train in."""
     rows = []
     for one in sorted(entries, key=lambda one: -one["mean_gain"][KINDS[0]]["mean"]):
-        cells = [one["entry"]]
+        cells = [one["entry"].removesuffix("/policy.safetensors")]
         for kind in KINDS:
             stands = [standing(v) for v in one["venues"].values() if v["kind"] == kind]
             counts = f"{stands.count('above')} / {stands.count('level')} / {stands.count('below')}"
@@ -61,7 +61,12 @@ def ranking(entries: list[dict[str, Any]]) -> str:
 
 
 def by_venue(entries: list[dict[str, Any]]) -> str:
-    """The reward of every entry minus that of the best IMM of each venue, whichever it is there."""
+    """The reward of entries minus that of the best IMM of each venue, whichever it is there.
+
+    Files, such as the single trainings of a run, have their row in the ranking alone, where there
+    are entries that have a name.
+    """
+    entries = [one for one in entries if "/" not in one["entry"]] or entries
     rows = []
     for venue in venues():
         cells = [venue.name]
