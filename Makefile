@@ -19,7 +19,7 @@ test: .venv/.dev ## all tests but the slow ones; FLAGS="..." are for pytest
 	$(BIN)/python -m pytest -m "not slow" -n auto --dist worksteal $(FLAGS)
 
 test-slow: .venv/.dev ## the slow tests
-	$(BIN)/python -m pytest -m slow -n auto --durations=5
+	$(BIN)/python -m pytest -m slow -n auto --durations=15
 
 golden: .venv/.dev ## write tests/golden anew, after a change that is to move numbers
 	$(BIN)/python -m tests.golden.write
@@ -47,7 +47,7 @@ types: .venv/.dev ## mypy, strict
 	$(BIN)/mypy mmwave_env policies experiments
 
 gymnasium-oldest: .venv-oldest/.ready ## the environment on the oldest Gymnasium supported
-	.venv-oldest/bin/python -m pytest -m "not slow and not torch" tests/test_env.py tests/test_vector_env.py
+	.venv-oldest/bin/python -m pytest -m "not slow and not torch" -n auto tests/test_env.py tests/test_vector_env.py
 
 docs: .venv-docs/.ready ## the documentation site, into site/; its warnings are errors
 	NO_MKDOCS_2_WARNING=1 .venv-docs/bin/python -m mkdocs build --strict
@@ -96,7 +96,7 @@ clean: ## remove environments, caches and build outputs; results/ and runs/ stay
 	@$(PYTHON) -m venv .venv-oldest
 	@echo '*' > .venv-oldest/.gitignore
 	@.venv-oldest/bin/python -m pip install --quiet -c constraints.txt \
-		--editable '.[render,filterpy]' $(OLDEST_GYMNASIUM) pytest hypothesis
+		--editable '.[render,filterpy]' $(OLDEST_GYMNASIUM) pytest pytest-xdist hypothesis
 	@touch $@
 
 .venv-docs/.ready: pyproject.toml constraints.txt

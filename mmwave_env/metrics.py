@@ -1,9 +1,10 @@
 """How good a track is: position errors and consistency (paper, Sec. IV; design: fixed protocol).
 
 Errors are unaligned because the frame is known, so ATE, RMSE and RPE equal what evo computes
-from the translation part without alignment. NEES is that of the position; with 3 axes its
-expectation is 3 and 95 % of the epochs lie in the two-sided chi-square interval [0.22, 9.35].
-(The paper gates a 3-D NEES at 5.99, the one-sided 95 % quantile for 2 axes; for 3 it is 7.81.)
+from the translation part without alignment. NEES is that of the position, which
+:meth:`mmwave_env.filters.belief.Belief.nees` computes; with 3 axes its expectation is 3, and 95 %
+of the epochs lie in the two-sided chi-square interval [0.22, 9.35]. (The paper gates a 3-D NEES at
+5.99, the one-sided 95 % quantile for 2 axes; for 3 it is 7.81.)
 """
 
 import numpy as np

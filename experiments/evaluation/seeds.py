@@ -1,4 +1,4 @@
-"""Seeds of episodes: test seeds start at 0, tuning and training seeds far away from them."""
+"""Seeds of episodes: those of tests start at 0, those of tuning and training far away."""
 
 from collections.abc import Sequence
 
@@ -6,7 +6,9 @@ import numpy as np
 
 from mmwave_env.episodes.episode import Episode, EpisodeSource
 
-TUNING_SEED = 5_000_000  # test seeds start at 0, training seeds at 10 000 000
+TUNING_SEED = 5_000_000
+TRAINING_SEED = 10_000_000  # of the first training; each has a million of its own
+SEEDS_EACH = 1_000_000
 
 
 def require_tuning_seed(seed: int) -> None:

@@ -46,6 +46,7 @@ def motion():
     return move_on, lambda address: change(address._arr, kinematics.observe)
 
 
+@pytest.mark.slow  # compiles what draws episodes
 @pytest.mark.parametrize("scenario", mobility.MOBILITIES)
 def test_episodes_are_the_same_to_the_bit(scenario, go):
     source = SimulatedSource(SCENES["street"], RADIOS["handset"], scenario)

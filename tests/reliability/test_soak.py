@@ -66,7 +66,10 @@ SOMETIMES = {
 }
 
 
-@pytest.mark.parametrize("how", SOMETIMES)
+@pytest.mark.parametrize(
+    "how",
+    [pytest.param(how, marks=[pytest.mark.slow] if "P" in how else []) for how in SOMETIMES],
+)
 def test_a_violation_is_found_and_can_be_brought_back(how, monkeypatch, capsys, tmp_path):
     modes = {"ekf": named_modes()["ekf"], "rotten": rotten(how)}
     monkeypatch.setattr(soak, "named_modes", lambda: modes)
