@@ -5,12 +5,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Generic, Protocol, TypeVar
 
+from experiments.evaluation.seeds import SEEDS_EACH, TRAINING_SEED
 from experiments.training.evaluator import EPISODES
 from experiments.training.hyperparameters import AnyHyperparameters
 from experiments.training.training_task import TrainingTask
-
-TRAINING_SEED = 10_000_000  # of the first training; each has a million of its own
-SEEDS_EACH = 1_000_000
 
 Recipe = TypeVar("Recipe", bound=AnyHyperparameters)
 Tell = Callable[[int, str], None]  # takes the number of timesteps so far and what is new

@@ -9,7 +9,6 @@ from sb3_contrib.common.recurrent.type_aliases import RNNStates
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.logger import Logger
 
-from experiments.evaluation.seeds import SEEDS_EACH, TRAINING_SEED
 from experiments.training.checkpoint import read_checkpoint, with_arrays, write_checkpoint
 from experiments.training.hyperparameters import Hyperparameters, falling
 from experiments.training.job import Job, Tell
