@@ -19,12 +19,11 @@ from mmwave_env.filters.bank import best_bank
 from mmwave_env.models.radio import RADIOS
 from mmwave_env.models.scene import SCENES
 from mmwave_env.numerics.arrays import Array
-from mmwave_env.observation import BELIEFS, Observation, Scale, feature_scales
+from mmwave_env.observation import BELIEFS, Observation, Scale
 
 SEED = 50_000_000  # of the first episode: a training seed that no training has come to
 DIGITS = 3  # of a deviation; its mean is as fine
 LEAST = 1e-9  # variance over mean square of what is not constant
-TOLERANCE = 0.01  # of a deviation, between two machines
 
 Moments = dict[str, Array]  # by kind (2, episodes): mean and mean square over an episode
 
@@ -92,18 +91,6 @@ def _median(found: Sequence[Array]) -> Scale:
     return Scale(round(center, decimals), round(deviation, decimals))
 
 
-def _require_same(found: Mapping[str, Scale], table: Mapping[str, Scale]) -> None:
-    if missing := found.keys() ^ table.keys():
-        raise ValueError(f"kinds of features: found {', '.join(missing)} on one side only")
-    for kind, (mean, deviation) in found.items():
-        step = TOLERANCE * deviation
-        if abs(table[kind].mean - mean) > step or abs(table[kind].deviation - deviation) > step:
-            raise ValueError(
-                f"{kind}: found mean {table[kind].mean}, deviation {table[kind].deviation}, "
-                f"expected {mean}, {deviation}; mmwave-loc standardize writes the table"
-            )
-
-
 def main(args: Args) -> None:
     """Run the command."""
     require_writable(args.out)
@@ -111,10 +98,6 @@ def main(args: Args) -> None:
         raise ValueError(f"episodes: found {args.episodes}, expected at least 1")
     each = track(list(tasks()), description="standardize", transient=True)
     found = typical([moments(task, args.episodes) for task in each])
-    if args.check:
-        _require_same(found, feature_scales())
-        print(f"{len(found)} kinds of features, as they were")
-        return
     write_json(args.out, {
         "command": "mmwave-loc standardize", "seed": SEED, "episodes": args.episodes,
         "kinds": {kind: scale._asdict() for kind, scale in found.items()},
