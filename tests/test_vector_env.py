@@ -58,7 +58,7 @@ CONFIGURATIONS = {
         "modes": ["ckf", Mode("robust", robust=True, cost=0.1), "ekf"],
     },
     "prior": {"episode_steps": 12, "observation": "prior", "reward": "log-score"} | EKF,
-    "per mode": {"episode_steps": 6, "beliefs": "per-mode", "radio": "standard"},
+    "per mode": {"episode_steps": 6, "beliefs": "per-mode", "modes": ["ekf", "ukf"]},
     "recorded": {"episodes": "canyon28_pedestrian", "episode_steps": 11} | EKF,
     "patchy": {"episodes": Patchy()},
     "twice": {"episodes": Twice(SCENES["street"], RADIOS["handset"], epochs=4)} | EKF,

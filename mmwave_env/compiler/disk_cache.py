@@ -21,6 +21,7 @@ import sys
 import tempfile
 from collections.abc import Callable
 from contextlib import suppress
+from functools import cache
 from hashlib import sha256
 from os.path import getmtime
 from pathlib import Path
@@ -29,9 +30,11 @@ from typing import Any, BinaryIO
 import numba
 import numpy as np
 from numba.core.caching import NullCache
+from numba.core.ccallback import CFunc
 from numba.core.compiler import CompileResult
 from numba.core.registry import cpu_target
 from numba.core.serialize import dumps
+from numba.core.sigutils import normalize_signature
 from numba.misc.appdirs import user_cache_dir
 
 _PACKAGE = Path(__file__).parents[1]  # with all rooms: whatever is edited makes a new version
@@ -44,11 +47,26 @@ def compiled(function: Callable[..., Any]) -> Any:
 
     For what Python calls; functions that only compiled ones call need ``numba.njit`` alone.
     """
-    dispatcher = numba.njit(nogil=True)(function)
+    return _with_cache(numba.njit(nogil=True)(function), function)
+
+
+def compiled_callback(signature: Any, function: Callable[..., Any]) -> Any:
+    """A function as ``numba.cfunc`` makes it, compiled here.
+
+    What differs from process to process without a change in our sources, such as what a user's
+    function computes, must be told by its qualified name: so files and symbols are told apart.
+    """
+    arguments, returned = normalize_signature(signature)
+    callback = _with_cache(CFunc(function, (arguments, returned), {}, {}), function)
+    callback.compile()
+    return callback
+
+
+def _with_cache(compiler: Any, function: Callable[..., Any]) -> Any:
     folder = _folder()
     if folder is not None:
-        dispatcher._cache = _Kept(function, folder)
-    return dispatcher
+        compiler._cache = _Kept(function, folder)
+    return compiler
 
 
 def is_compiled(function: Any, arguments: tuple[Any, ...]) -> bool:
@@ -57,6 +75,7 @@ def is_compiled(function: Any, arguments: tuple[Any, ...]) -> bool:
     return signature in function.overloads or (isinstance(cache, _Kept) and cache.has(signature))
 
 
+@cache  # of the sources as they were when this process read them
 def _folder() -> Path | None:
     """Where this version's functions are kept; None where nothing can be written.
 

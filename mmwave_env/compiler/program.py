@@ -19,6 +19,8 @@ from numba.core.compiler_lock import global_compiler_lock
 from numba.extending import intrinsic, overload, register_jitable
 from numpy.typing import NDArray
 
+from mmwave_env.compiler.disk_cache import compiled_callback
+from mmwave_env.compiler.fingerprint import fingerprint
 from mmwave_env.compiler.lanes import WIDTH, kernel
 from mmwave_env.compiler.lazy_jit import LazyJit
 from mmwave_env.compiler.transpose import LINE, address, gather, prefetch, scatter, scatter_single
@@ -108,20 +110,21 @@ def tree_kernel(function: Callable[[Tree], Tree], template: Tree) -> Any:
     return kernel(build)
 
 
-def c_function(function: Any) -> Any:
-    """What ``numba.cfunc`` made, as an argument for compiled functions.
+def c_function(signature: Any, function: Callable[..., Any]) -> Any:
+    """A function, compiled, as an argument for compiled functions.
 
-    Its arguments and what it returns are addresses and 64-bit integers, or nothing.
+    Its arguments and what it returns are addresses and 64-bit integers, or nothing; its name tells
+    what it does, as of :func:`~mmwave_env.compiler.disk_cache.compiled_callback`.
     """
     kinds: dict[Any, Any] = {
         types.voidptr: ctypes.c_void_p,
         types.int64: ctypes.c_int64,
         types.void: None,
     }
-    signature = function._sig
+    callback = compiled_callback(signature, function)
     takes = [kinds[kind] for kind in signature.args]
-    pointer: Any = ctypes.CFUNCTYPE(kinds[signature.return_type], *takes)(function.address)
-    pointer.code = function  # which lives as long
+    pointer: Any = ctypes.CFUNCTYPE(kinds[signature.return_type], *takes)(callback.address)
+    pointer.code = callback  # which lives as long
     return pointer
 
 
@@ -146,7 +149,7 @@ def _jump(_, run, block):  # type: ignore[no-untyped-def]
 
 
 class Program(Generic[Workspace]):
-    """A function of numbers with its workspace, compiled at its first run on lanes.
+    """A function of numbers with its workspace, compiled, if not on disk, at its first run on lanes.
 
     Args:
         function: from a workspace tree to a workspace tree of the same shape.
@@ -219,11 +222,11 @@ class Program(Generic[Workspace]):
     def _compile(self) -> Any:
         run, shape = tree_kernel(self.function, self.template), (self.size, WIDTH)
 
-        @numba.cfunc(types.void(types.voidptr))  # type: ignore[untyped-decorator]
         def on_address(address):  # type: ignore[no-untyped-def]
             run(numba.carray(address, shape, np.float64))
 
-        return on_address
+        on_address.__qualname__ = f"Program.{fingerprint(self.function, self.template)}"
+        return compiled_callback(types.void(types.voidptr), on_address)
 
 
 @register_jitable  # type: ignore[untyped-decorator]

@@ -2,8 +2,9 @@
 
 import os
 from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor
 from functools import lru_cache
+from threading import Lock
 from typing import Any, TypeVar
 
 from mmwave_env.compiler.lanes import WIDTH
@@ -26,24 +27,34 @@ def share(
 ) -> list[Result]:
     """What ``function(*job)`` returns for every job, in order.
 
-    At most ``threads`` of them work at once, the calling one among them.
+    At most ``threads`` of them work at once, the calling one among them. After an error or an
+    interrupt no further job begins, and those under way have ended when it comes through.
     """
     if threads == 1 or len(jobs) == 1:
         return [function(*job) for job in jobs]
     found: list[Any] = [None] * len(jobs)
     waiting = iter(range(len(jobs)))  # next() is atomic
 
-    def work() -> None:
-        for i in waiting:
-            found[i] = function(*jobs[i])
+    def work(here: Lock) -> None:
+        with here:
+            for i in waiting:
+                found[i] = function(*jobs[i])
 
-    others = [_helpers().submit(work) for _ in range(min(threads, len(jobs)) - 1)]
+    # Not by their futures: an interrupt may come before the one of a job under way is known.
+    places = [Lock() for _ in range(min(threads, len(jobs)) - 1)]
+    others: list[Future[None]] = []
     try:
-        work()
+        others.extend(_helpers().submit(work, place) for place in places)
+        work(Lock())
     finally:
-        for other in others:
-            if not other.cancel():  # one that has not begun, because all are busy, is not needed
-                other.result()
+        for _ in waiting:  # whoever has not begun finds nothing to do
+            pass
+        for place in places:
+            with place:
+                pass
+    for other in others:
+        if not other.cancel():
+            other.result()
     return found
 
 

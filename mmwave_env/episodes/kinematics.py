@@ -154,7 +154,6 @@ def motion() -> tuple[Any, Any]:
     """
     shape, substep, look = (len(AT), WIDTH), tree_kernel(move, AT), tree_kernel(observe, AT)
 
-    @numba.cfunc(types.int64(types.voidptr, types.int64, types.int64))  # type: ignore[untyped-decorator]
     def move_on(address, substeps, here):  # type: ignore[no-untyped-def]
         block = numba.carray(address, shape, np.float64)
         due = False
@@ -165,8 +164,8 @@ def motion() -> tuple[Any, Any]:
                 due |= block[AT.due, lane] > 0.0
         return substeps
 
-    @numba.cfunc(types.void(types.voidptr))  # type: ignore[untyped-decorator]
     def observed(address):  # type: ignore[no-untyped-def]
         look(numba.carray(address, shape, np.float64))
 
-    return c_function(move_on), c_function(observed)
+    moving = types.int64(types.voidptr, types.int64, types.int64)
+    return c_function(moving, move_on), c_function(types.void(types.voidptr), observed)

@@ -89,6 +89,7 @@ def test_a_run_is_compared_over_its_training_seeds(run, tmp_path):
         assert (imread(picture) != 1.0).any(axis=2).mean() > 0.05  # not blank
 
 
+@pytest.mark.slow
 def test_one_policy_is_evaluated_by_file_and_by_run(run, tmp_path):
     files = [tmp_path / "file.json", tmp_path / "run.json"]
     alone = run / "seed-0" / "policy.safetensors"

@@ -135,6 +135,7 @@ def test_an_edit_in_any_room_makes_a_new_version(whole, monkeypatch, room):
     assert disk_cache._version() == before
 
 
+@pytest.mark.slow
 def test_functions_lie_beside_the_bytecode_of_a_writable_package(package):
     run(package)
     assert [path.parent.parent for path in kept(package)] == [package / "__pycache__"]
@@ -158,7 +159,7 @@ READ_ONLY = {
 }
 
 
-@pytest.mark.parametrize("case", representative(READ_ONLY, "a home"))
+@pytest.mark.parametrize("case", representative(READ_ONLY))
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="homes are elsewhere")
 def test_a_package_that_is_read_only_works(package, tmp_path, case):
     variables, hits = READ_ONLY[case]
@@ -170,6 +171,7 @@ def test_a_package_that_is_read_only_works(package, tmp_path, case):
     assert not list(tmp_path.rglob("~*"))
 
 
+@pytest.mark.slow
 def test_a_folder_that_vanishes_costs_no_more_than_a_compilation(package):
     vanishing = (
         "import shutil\n"
@@ -246,6 +248,7 @@ def test_processes_may_start_at_once(package):
     assert run(package) == (41, 1)
 
 
+@pytest.mark.slow
 def test_versions_long_out_of_use_are_removed(package):
     for age in range(30):
         old = package / "__pycache__" / f"mmwave_env-{age}"

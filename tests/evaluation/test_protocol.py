@@ -39,6 +39,7 @@ def test_the_venues_are_those_of_the_page():
     assert all(venue.source.layout.anchors == 3 for venue in venues())
 
 
+@pytest.mark.slow  # compiles every IMM there is
 def test_a_contender_meets_every_imm_on_the_same_episodes():
     (venue,) = (venue for venue in venues() if venue.name == "street:tablet")
     judged = judge(["speed-rule", "imm-best"], venue, 4, seed=3)

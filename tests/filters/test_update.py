@@ -23,7 +23,7 @@ with_odometry = pytest.mark.parametrize("odometry", [False, True], ids=["radio",
 @with_odometry
 @pytest.mark.parametrize("gate", GATES.values(), ids=GATES)
 @given(data=st.data())
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=15, deadline=None)
 def test_update_equals_textbook(algorithm, odometry, gate, data):
     problem = data.draw(problems(odometry))
     expected = problem.textbook(textbook.METHODS[algorithm], gate)
@@ -35,7 +35,7 @@ def test_update_equals_textbook(algorithm, odometry, gate, data):
 @algorithms
 @with_odometry
 @given(data=st.data())
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=15, deadline=None)
 def test_robust_update_inflates_doubtful_links_and_gates_the_rest(algorithm, odometry, data):
     problem = data.draw(problems(odometry))
     gate = Gate(0.99, robust=True)
@@ -50,7 +50,7 @@ def test_robust_update_inflates_doubtful_links_and_gates_the_rest(algorithm, odo
 @algorithms
 @with_odometry
 @given(data=st.data())
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=15, deadline=None)
 def test_force_accepts_visible_links_alone(algorithm, odometry, data):
     problem = data.draw(problems(odometry))
     gate = Gate(0.5, force=1.0)
@@ -87,7 +87,7 @@ def test_any_scaled_sigma_points_equal_textbook(odometry, parameters, data):
 )
 @with_odometry
 @given(data=st.data())
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=12, deadline=None)
 def test_planar_update_is_that_of_the_five_free_states(algorithm, moments, odometry, data):
     problem, gate = data.draw(problems(odometry)), Gate(0.99)
     free, known_axes = [0, 1, 3, 4, 6], [2, 5]
@@ -111,7 +111,7 @@ def test_planar_update_is_that_of_the_five_free_states(algorithm, moments, odome
 @algorithms
 @with_odometry
 @given(data=st.data())
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=12, deadline=None)
 def test_nothing_visible_leaves_the_prior(algorithm, odometry, data):
     problem = data.draw(problems(odometry))
     problem = problem._replace(visible=np.zeros_like(problem.visible))
@@ -127,7 +127,7 @@ def test_nothing_visible_leaves_the_prior(algorithm, odometry, data):
 
 @algorithms
 @given(data=st.data())
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=12, deadline=None)
 def test_numbers_of_a_missing_group_do_not_matter(algorithm, data):
     problem = data.draw(problems(odometry=True, anchors=3))
     missing = ~np.repeat(problem.visible, [g.stop - g.start for g in problem.sensor.groups])

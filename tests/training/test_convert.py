@@ -194,6 +194,7 @@ def with_a_trap(file, trap):
             archive.writestr(name, part)
 
 
+@pytest.mark.slow
 def test_code_in_a_model_runs_with_leave_only_and_never_in_the_converting_process(tmp_path, modes):
     file, trap = tmp_path / "model.zip", tmp_path / "trap"
     trained("ppo", environment()).save(file)

@@ -1,0 +1,76 @@
+"""A name for what a function of numbers computes.
+
+The function runs once on numbers that write down every operation asked of them. Two functions
+share a name only if they ask for the same operations on the same rows and constants, whoever wrote
+them, so what is compiled of one serves the other: a mode's or a reward's own code needs no name of
+its own, and a change in it is never missed. This takes a hundredth of the time to compile.
+"""
+
+from collections.abc import Callable, Sequence
+from hashlib import sha256
+from typing import Any
+
+from mmwave_env.numerics.pytree import Tree, flatten, unflatten
+from mmwave_env.numerics.tracer import Tracer, TracerCondition
+
+
+def fingerprint(function: Callable[[Tree], Tree], template: Tree) -> str:
+    """A name (20 hexadecimal digits) for a function from a tree to a tree of the same shape."""
+    tape: list[tuple[Any, ...]] = []
+    rows = [_Number(tape, -1 - row) for row in range(len(flatten(template)))]
+    results = _references(flatten(function(unflatten(template, iter(rows)))))
+    return sha256(repr((len(rows), tape, results)).encode()).hexdigest()[:20]
+
+
+class _Recorded:
+    """A result of the operation of that number on the tape; negative: a row of the template."""
+
+    __slots__ = ("number", "tape")
+
+    def __init__(self, tape: list[tuple[Any, ...]], number: int) -> None:
+        self.tape, self.number = tape, number
+
+    def _record(self, op: str, *operands: Any) -> tuple[list[tuple[Any, ...]], int]:
+        self.tape.append((op, *_references(operands)))
+        return self.tape, len(self.tape) - 1
+
+
+def _references(operands: Sequence[Any]) -> list[int | float]:
+    """Numbers of operations as integers, constants as floats."""
+    return [a.number if isinstance(a, _Recorded) else float(a) for a in operands]
+
+
+class _Condition(_Recorded, TracerCondition):
+    __slots__ = ()
+
+    def __and__(self, other: "_Condition") -> "_Condition":
+        return _Condition(*self._record("&", self, other))
+
+    def __or__(self, other: "_Condition") -> "_Condition":
+        return _Condition(*self._record("|", self, other))
+
+    def select(self, a: Any, b: Any) -> "_Number":
+        return _Number(*self._record("select", self, a, b))
+
+
+def _recording(op: str) -> Any:
+    return lambda *operands: _Number(*operands[0]._record(op, *operands))
+
+
+class _Number(_Recorded, Tracer):
+    __slots__ = ()
+
+    def combine(self, op: str, a: Any, b: Any) -> "_Number":
+        return _Number(*self._record(op, a, b))
+
+    def compare(self, op: str, other: Any) -> _Condition:
+        return _Condition(*self._record(op, self, other))
+
+    __neg__, __abs__, sqrt = _recording("neg"), _recording("abs"), _recording("sqrt")
+    log, exp, atan2 = _recording("log"), _recording("exp"), _recording("atan2")
+
+    def constant(self, value: float) -> "_Number":
+        return _Number(*self._record("constant", value))
+
+    def cos_sin(self) -> "tuple[_Number, _Number]":
+        return _Number(*self._record("cos", self)), _Number(*self._record("sin", self))

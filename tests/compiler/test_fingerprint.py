@@ -1,0 +1,138 @@
+"""Kernels on disk: named after what they compute, whoever wrote it."""
+
+import os
+import subprocess
+import sys
+import textwrap
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import pytest
+
+import mmwave_env
+from mmwave_env.compiler.fingerprint import fingerprint
+from mmwave_env.numerics.numbers import atan2, cos_sin, exp, log, maximum, sqrt, where
+
+
+class Pair(NamedTuple):
+    x: Any
+    y: Any
+
+
+def name_of(change):
+    return fingerprint(lambda w: w._replace(x=change(w.x, w.y)), Pair(0.0, 0.0))
+
+
+FUNCTIONS = {
+    "x": lambda x, y: x,
+    "y": lambda x, y: y,
+    "constant": lambda x, y: 1.0,
+    "sum": lambda x, y: x + y,
+    "sum turned round": lambda x, y: y + x,
+    "difference": lambda x, y: x - y,
+    "product": lambda x, y: x * y,
+    "ratio": lambda x, y: x / y,
+    "negative": lambda x, y: -x,
+    "magnitude": lambda x, y: abs(x),
+    "root": lambda x, y: sqrt(x),
+    "log": lambda x, y: log(x),
+    "exp": lambda x, y: exp(x),
+    "angle": lambda x, y: atan2(x, y),
+    "angle of a constant": lambda x, y: atan2(2.0, y),
+    "cosine": lambda x, y: cos_sin(x)[0],
+    "sine": lambda x, y: cos_sin(x)[1],
+    "larger": lambda x, y: maximum(x, y),
+    "where": lambda x, y: where(x < y, x, y),
+    "where not less": lambda x, y: where(x <= y, x, y),
+    "both": lambda x, y: where((x < y) & (x < 0.0), x, y),
+    "either": lambda x, y: where((x < y) | (x < 0.0), x, y),
+    "tenth": lambda x, y: x * 0.1,
+    "next to a tenth": lambda x, y: x * 0.10000000000000002,
+    "zero": lambda x, y: where(x < y, 0.0, x),
+    "negative zero": lambda x, y: where(x < y, -0.0, x),
+    "same once more": lambda x, y: (x + y) * (x + y),
+    "square": lambda x, y: (lambda s: s * s)(x + y),
+}
+
+
+def test_what_computes_something_else_has_another_name():
+    names = {what: name_of(function) for what, function in FUNCTIONS.items()}
+    assert len(set(names.values())) == len(names)
+
+
+def test_what_computes_the_same_has_the_same_name():
+    def double(x, y):
+        both = [x, y]
+        return sum(both[1:], start=both[0])
+
+    assert name_of(double) == name_of(FUNCTIONS["sum"])
+    assert len(name_of(double)) == 20
+
+
+def test_rows_that_are_passed_through_count():
+    swapped = fingerprint(lambda w: Pair(w.y, w.x), Pair(0.0, 0.0))
+    kept = fingerprint(lambda w: w, Pair(0.0, 0.0))
+    longer = fingerprint(lambda w: w, [0.0, 0.0, 0.0])
+    assert len({swapped, kept, longer}) == 3
+
+
+@pytest.fixture
+def started(tmp_path):
+    """Runs code in a process of its own, whose kernels are kept in this test's folder."""
+
+    def run(code):
+        variables = {"NUMBA_CACHE_DIR": str(tmp_path / "kept")}
+        variables["PYTHONPATH"] = str(Path(mmwave_env.__file__).parents[1])
+        done = subprocess.run(
+            [sys.executable, "-c", textwrap.dedent(code)],
+            env=os.environ | variables, capture_output=True, text=True, check=False,
+        )  # fmt: skip
+        assert done.returncode == 0, done.stderr
+        return done.stdout.split()
+
+    run.kernels = lambda: sorted((tmp_path / "kept").glob("*/*.Program.*"))
+    return run
+
+
+PROGRAMS = """
+    from typing import Any, NamedTuple
+    import numpy as np
+    from mmwave_env.compiler.program import Program, call
+    class Pair(NamedTuple):
+        incoming: list[Any]
+        x: Any
+    def shown(change):
+        program = Program(lambda w: w._replace(x=change(w.x)), Pair([], 0.0))
+        block = np.ones((1, 8))
+        call(program.on_lanes(), block)
+        print(block[0, 3], program._compiled._cache_hits)
+"""
+
+
+def test_kernels_of_several_processes_are_not_mixed_up(started):
+    """Each compiles its own as its first, and so may call it by the same symbol."""
+    changes = ["lambda x: x + 4.0", "lambda x: x * 3.0", "lambda x: x - 7.0"]
+    for change, value in zip(changes, ["5.0", "3.0", "-6.0"], strict=True):
+        assert started(PROGRAMS + f"    shown({change})") == [value, "0"]
+    assert len(started.kernels()) == 3
+    together = "".join(f"    shown({change})\n" for change in changes)
+    assert started(PROGRAMS + together) == ["5.0", "1", "3.0", "1", "-6.0", "1"]
+
+
+@pytest.mark.slow
+def test_an_environment_finds_its_kernels_and_new_ones_for_a_new_reward(started):
+    """To the last bit; that of the reward before is not taken for it."""
+    code = """
+        import gymnasium as gym
+        def reward(belief, truth):
+            return {} * belief.error(truth)[0]
+        env = gym.make("mmwave_env:MmWaveLoc-v0", reward=reward)
+        env.reset(seed=0)
+        print(*(repr(float(env.step(0)[1])) for _ in range(50)))
+    """
+    first, kernels = started(code.format("1.0")), started.kernels()
+    assert started(code.format("1.0")) == first
+    assert started.kernels() == kernels
+    twice = started(code.format("2.0"))
+    assert [float(r) for r in twice] == pytest.approx([2.0 * float(r) for r in first])
+    assert len(started.kernels()) == len(kernels) + 1
