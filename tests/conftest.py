@@ -1,7 +1,25 @@
 """What holds for all tests."""
 
 import os
+import subprocess
+import sys
 
 # Tests run side by side, one to a core; threads of torch and BLAS on top only wait for each other.
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
+# The loops that draw, step and repeat episodes take half a minute to compile, where they are not
+# on disk yet; until then they run as plain Python.
+LOOPS = """
+import gymnasium as gym
+env = gym.make_vec("mmwave_env:MmWaveLoc-v0", num_envs=8192, episode_steps=3)
+env.reset(seed=0)
+for _ in range(4):
+    env.step(env.action_space.sample())
+"""
+
+
+def pytest_sessionstart(session):
+    """Compile the loops once for all processes that run tests, while these collect theirs."""
+    if getattr(session.config.option, "numprocesses", None):  # the process that starts the others
+        subprocess.Popen([sys.executable, "-c", LOOPS])

@@ -149,7 +149,7 @@ def _jump(_, run, block):  # type: ignore[no-untyped-def]
 
 
 class Program(Generic[Workspace]):
-    """A function of numbers with its workspace, compiled, if not on disk, at its first run on lanes.
+    """A function of numbers with its workspace, compiled or found on disk when lanes first run.
 
     Args:
         function: from a workspace tree to a workspace tree of the same shape.

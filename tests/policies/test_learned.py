@@ -318,6 +318,7 @@ def per_mode(tmp_path):
     return LearnedSwitch(write_per_mode(tmp_path / "trust.safetensors"))
 
 
+@pytest.mark.slow  # compiles five modes
 def test_a_policy_over_beliefs_per_mode_acts_in_an_environment_of_its_bank(per_mode):
     arguments = {"beliefs": per_mode.beliefs, "modes": per_mode.bank("handset")}
     env = gym.make("MmWaveLoc-v0", episode_steps=15, **arguments)
