@@ -1,11 +1,11 @@
 """Banks before they are tuned, each of them with other parts."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from mmwave_env.filters.modes import Mode
 
 
-def _doubting(name: str, algorithm: str, sigma_v: float, acceleration_mps2: float = 0.0) -> Mode:
+def _mode(name: str, algorithm: str, sigma_v: float, acceleration_mps2: float = 0.0) -> Mode:
     """A mode that doubts outliers instead of rejecting them."""
     return Mode(
         name, algorithm, sigma_p=0.01, sigma_v=sigma_v, acceleration_mps2=acceleration_mps2,
@@ -13,13 +13,17 @@ def _doubting(name: str, algorithm: str, sigma_v: float, acceleration_mps2: floa
     )  # fmt: skip
 
 
-STAND = _doubting("stand", "ekf", 0.04)
-CRUISE = _doubting("cruise", "ukf", 0.5)
-TURN = _doubting("turn", "ukf", 1.9)
-ACCELERATE, BRAKE = _doubting("accelerate", "ukf", 0.3, 2.0), _doubting("brake", "ukf", 0.2, -2.0)
-PULL_AWAY, STOP = _doubting("pull-away", "ukf", 0.3, 4.0), _doubting("stop", "ukf", 0.2, -4.0)
-GATED = Mode("gated", "ukf", sigma_v=0.8, adaptive=False, blockage_aware=True)
+def _rejecting(mode: Mode) -> Mode:
+    return replace(mode, robust=False)
+
+
+# Of steady motion, so that what contradicts them is an outlier rather than a maneuver.
+STAND, CRUISE = _rejecting(_mode("stand", "ekf", 0.04)), _rejecting(_mode("cruise", "ukf", 0.5))
+TURN = _mode("turn", "ukf", 1.9)
+ACCELERATE, BRAKE = _mode("accelerate", "ukf", 0.3, 2.0), _mode("brake", "ukf", 0.2, -2.0)
+PULL_AWAY, STOP = _mode("pull-away", "ukf", 0.3, 4.0), _mode("stop", "ukf", 0.2, -4.0)
 REACQUIRE = Mode("reacquire", "ukf", sigma_v=2.0, adaptive=False, gate=None, widen_p=10.0)
+DOUBTING = (replace(STAND, robust=True), replace(CRUISE, robust=True))
 _MANEUVERS = (STAND, CRUISE, TURN, ACCELERATE, BRAKE)
 
 
@@ -43,7 +47,7 @@ DESIGNS = {
     "two": Design((STAND, TURN)),
     "three": Design((STAND, CRUISE, TURN)),
     "proportional": Design(_MANEUVERS, proportional=True),
-    "gated": Design((*_MANEUVERS, GATED)),
+    "doubting": Design((*DOUBTING, *_MANEUVERS[2:])),
     "reacquire": Design((*_MANEUVERS, REACQUIRE)),
     "two-levels": Design((*_MANEUVERS, PULL_AWAY, STOP)),
 }
