@@ -28,7 +28,7 @@ class Args:
     transition; with -limited after the name the process noise of two modes as well, and outliers
     count in the likelihoods up to a quantile"""
     banks: tuple[str, ...] = ()
-    """in place of IMMs: maneuvers, two, three, proportional, gated, reacquire or two-levels;
+    """in place of IMMs: maneuvers, two, three, proportional, doubting, reacquire or two-levels;
     each is compared with the first"""
     scenes: tuple[str, ...] = tuple(SCENES)
     """where the episodes of banks are, in equal shares; IMMs are tuned on the street"""
