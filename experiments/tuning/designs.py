@@ -18,7 +18,7 @@ def _rejecting(mode: Mode) -> Mode:
 
 
 # Of steady motion, so that what contradicts them is an outlier rather than a maneuver.
-STAND, CRUISE = _rejecting(_mode("stand", "ekf", 0.04)), _rejecting(_mode("cruise", "ukf", 0.5))
+STAND, CRUISE = _rejecting(_mode("stand", "ekf", 0.05)), _rejecting(_mode("cruise", "ukf", 0.5))
 TURN = _mode("turn", "ukf", 1.9)
 ACCELERATE, BRAKE = _mode("accelerate", "ukf", 0.3, 2.0), _mode("brake", "ukf", 0.2, -2.0)
 PULL_AWAY, STOP = _mode("pull-away", "ukf", 0.3, 4.0), _mode("stop", "ukf", 0.2, -4.0)
