@@ -1,4 +1,4 @@
-"""mmwave-loc localize: the track of a recorded measurement log (paper, Algorithm 1)."""
+"""mmwave-loc localize: the track of a recorded log, by the paper's Algorithm 1 or by an IMM."""
 
 import warnings
 from collections.abc import Iterable, Sequence
@@ -17,11 +17,13 @@ from experiments.cli.pictures import require_picture
 from experiments.cli.terminal import ask_speed, parse_speed, progress
 from experiments.cli.track_plot import TrackPicture
 from experiments.cli.track_report import track_markdown
+from experiments.evaluation.contenders import imm_banks
 from experiments.evaluation.markdown import show
 from mmwave_env.engines.track_engine import Rule
 from mmwave_env.episodes.log_folder import LOG, SCENE, TRUTH
 from mmwave_env.episodes.samples import sample_folder
 from mmwave_env.files import require_writable, write_json
+from mmwave_env.filters.bank import Bank, bank_from
 from mmwave_env.filters.mode_files import modes_from
 from mmwave_env.filters.modes import DESIGN_LIMIT_MPS, Mode, robust
 from mmwave_env.localization.contradictions import contradictions
@@ -32,6 +34,7 @@ from mmwave_env.localization.track_scores import Course, Groups, TruthScores
 from mmwave_env.logs.log import LogBlock, read_log
 from mmwave_env.logs.log_tables import LogError
 from mmwave_env.logs.truth import Truth
+from mmwave_env.lookup import choose
 from mmwave_env.models.radio import radio_from
 from mmwave_env.models.scene import Scene, scene_from
 from policies.speed_rule import SLOW_MPS, by_odometry_speed, by_predicted_speed, mode_at
@@ -50,18 +53,26 @@ class Inputs(NamedTuple):
 
 
 class ModePlan(NamedTuple):
-    """What runs: the modes, the rule between them if there are two, and why in words."""
+    """What runs: modes and the rule between them if there are two, or a bank; why in words."""
 
-    modes: Sequence[Mode]
+    modes: Sequence[Mode] | Bank
     rule: Rule | None
     why: str
 
+    @property
+    def names(self) -> list[str]:
+        """Of the modes."""
+        modes = self.modes.modes if isinstance(self.modes, Bank) else self.modes
+        return [mode.name for mode in modes]
 
-# --- the speed (Algorithm 1, Steps 1 to 3)
+
+# --- what runs (Algorithm 1, Steps 1 to 3)
 
 
-def plan(args: Args, modes: Sequence[Mode]) -> ModePlan:
+def plan(args: Args, modes: Sequence[Mode] | Bank) -> ModePlan:
     """Which pipelines run (Algorithm 1, Step 3), asking for the speed if it is not given."""
+    if isinstance(modes, Bank):
+        return ModePlan(modes, None, f"of {args.imm} by their probability")
     if args.speed == "auto":
         followed = "odometry's" if args.follow == "odometry" else "the predicted"
         return ModePlan(
@@ -99,6 +110,15 @@ def inputs(args: Args) -> Inputs:
     return Inputs(folder / LOG, str(folder / SCENE), args.truth or folder / TRUTH)
 
 
+def _imm(args: Args, name: str) -> Bank:
+    """The bank of an IMM, by its name or from a mode file."""
+    if name.endswith(".json"):
+        bank = bank_from(name, radio_from(args.radio).name)
+    else:
+        bank = choose(imm_banks(args.radio), name, "imm")()
+    return replace(bank, modes=_as_asked(args, bank.modes))
+
+
 def _modes(args: Args) -> tuple[Mode, ...]:
     """The low and the high mobility pipeline."""
     if args.modes is not None and args.modes.suffix != ".json":
@@ -108,6 +128,11 @@ def _modes(args: Args) -> tuple[Mode, ...]:
         raise ValueError(
             f"{args.modes}: found {len(modes)} modes, expected 2, for low and for high mobility"
         )
+    return _as_asked(args, modes)
+
+
+def _as_asked(args: Args, modes: tuple[Mode, ...]) -> tuple[Mode, ...]:
+    """The modes with the safeguards that the options leave them."""
     if args.robust:
         modes = tuple(map(robust, modes))
     if not args.gating:
@@ -121,8 +146,13 @@ def _check(args: Args, given: Inputs) -> None:
     """Refuse options that contradict each other, and files that would overwrite each other."""
     if args.diagnose and (args.out or args.plot):
         raise ValueError("diagnose: found with --out or --plot, expected no track")
-    if args.speed == "auto" and args.outside == "abort":
-        raise ValueError("outside: found abort with --speed auto, expected a speed in m/s")
+    if args.imm is not None:
+        for name, found in (("speed", args.speed), ("modes", args.modes)):
+            if found is not None:
+                raise ValueError(f"{name}: found {found} with --imm, expected one of them")
+    if (args.imm or args.speed == "auto") and args.outside == "abort":
+        other = "--imm" if args.imm else "--speed auto"
+        raise ValueError(f"outside: found abort with {other}, expected a speed in m/s")
     if args.speed != "auto" and args.follow == "odometry":
         raise ValueError("follow: found odometry without --speed auto, expected both")
     if not 2 <= args.window <= LONGEST_WINDOW:
@@ -136,7 +166,7 @@ def _check(args: Args, given: Inputs) -> None:
         require_picture("plot", args.plot)
     seen: dict[Path, str] = {}
     files = {"the log": given.log, "scene": Path(given.scene), "truth": given.truth,
-             "modes": args.modes}  # fmt: skip
+             "modes": args.modes, "imm": Path(args.imm) if args.imm else None}  # fmt: skip
     for name, path in (files | _outputs(args)).items():
         if path is not None and seen.setdefault(path.resolve(), name) != name:
             raise ValueError(
@@ -168,7 +198,7 @@ def _run(
     Raises:
         LogError: the log is damaged before there is any track; nothing is written.
     """
-    names = [mode.name for mode in chosen.modes]
+    names = chosen.names
     course, groups, picture = Course(names), Groups(), TrackPicture(names, scene.anchors_m)
     tracks = ["filtered", "smoothed"] if args.smoothing else ["filtered"]
     scores = TruthScores(truth, tracks, args.height is not None) if truth else None
@@ -214,9 +244,10 @@ def main(args: Args) -> None:
     """Run the command."""
     given = inputs(args)
     _check(args, given)
-    scene, modes = scene_from(given.scene), _modes(args)
+    scene = scene_from(given.scene)
     if args.diagnose:
-        return _diagnose(args, given.log, scene, modes[-1])
+        return _diagnose(args, given.log, scene, _modes(args)[-1])
+    modes = _modes(args) if args.imm is None else _imm(args, args.imm)
     blocks = read_log(given.log, scene, EPOCHS_PER_BLOCK, args.odometry)
     first = next(blocks)
     if args.follow == "odometry" and not first.layout.odometry:
@@ -238,7 +269,13 @@ def main(args: Args) -> None:
     if args.plot:
         picture.save(args.plot, f"{'/'.join(given.log.parts[-2:])}, {kind} track")
         written["picture"] = str(args.plot)
-    origin = {"log": str(given.log), "scene": scene.name, "radio": args.radio, "rule": chosen.why}
+    origin = {
+        "log": str(given.log),
+        "scene": scene.name,
+        "radio": args.radio,
+        "imm": args.imm,
+        "rule": chosen.why,
+    }
     figures = {
         **origin,
         **figures,

@@ -30,6 +30,9 @@ class FilterArgs:
     """handset, standard, high or a JSON file: noise by SNR, and the tuning of the modes"""
     modes: Path | None = None
     """mode file with other pipelines: the one for low, then the one for high mobility"""
+    imm: str | None = None
+    """in place of one pipeline at a time, all modes of an IMM at once, mixed by how well each
+    explains the log: imm-best, imm or another of mmwave-loc list, or a bank's mode file"""
     gating: bool = True
     """reject measurements outside their 99 % chi-square gates"""
     adaptive: bool = True
@@ -50,9 +53,10 @@ class FilterArgs:
 class Args(FilterArgs, OutputArgs):
     """The track of a measurement log, by the paper's EKF and UKF pipelines (Algorithm 1).
 
-    Up to 2 m/s the EKF pipeline runs, above it the UKF pipeline.
+    Up to 2 m/s the EKF pipeline runs, above it the UKF pipeline; or both, and more, in an IMM.
 
     mmwave-loc localize log.csv --scene scene.json --speed auto --out track.tum
+    mmwave-loc localize log.csv --scene scene.json --imm imm-best --out track.tum
     """
 
     log: Path | None = field(default=None, metadata={"positional": True})

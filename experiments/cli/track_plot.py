@@ -11,7 +11,8 @@ from mmwave_env.localization.localizer import TrackBlock
 from mmwave_env.numerics.arrays import Array
 
 _POINTS = 6000  # kept of a track of any length, at least half of them
-_COLORS = ("#0072b2", "#d55e00")  # of the modes; told apart by color-blind people, too
+# of the modes, over and over; told apart by color-blind people, too
+_COLORS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#f0e442")
 _DIAGONAL = [0, 2, 5]  # of the position in a packed covariance
 
 
@@ -68,7 +69,7 @@ class TrackPicture:
         steps = np.stack([position[:-1], position[1:]], axis=1)
         whole = np.diff(self._kept[:, 9]) == 0.0  # where the track begins anew, no line leads there
         for number in np.unique(mode).astype(int):
-            color, label = _COLORS[number], f"estimate, {self._modes[number]}"
+            color, label = _COLORS[number % len(_COLORS)], f"estimate, {self._modes[number]}"
             if self._every == 1:
                 axes.add_collection(
                     LineCollection(steps[whole & (mode[1:] == number)], color=color, lw=1.2)

@@ -36,7 +36,7 @@ def _course(figures: dict[str, Any]) -> list[str]:
     switches = f", switched {_times(f['switches'])}" if len(f["modes"]) > 1 else ""
     lines.append(f"modes {f['rule']}: {shares} of the epochs{switches}")
     fast = speed["epochs_above_design_limit"]
-    if len(f["modes"]) > 1 and fast:
+    if not f["imm"] and len(f["modes"]) > 1 and fast:
         lines.append(
             f"warning: {fast} epochs above {DESIGN_LIMIT_MPS:g} m/s, outside the design window of "
             f"the speed gate; {list(f['modes'])[1]} ran there"

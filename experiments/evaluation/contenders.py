@@ -164,16 +164,20 @@ def _fixed(name: str, modes: tuple[Mode, ...], action: int) -> Contender:
     return Contender(name, modes, lambda table: FixedMode(action))
 
 
-def _imm(name: str, bank: Bank) -> Contender:
+def _imm(name: str, bank_of: Callable[[], Bank]) -> Contender:
+    bank = bank_of()
     return Contender(name, bank.modes, None, bank.transition, bank.nis_quantile)
 
 
-def _tuned_imm(name: str, radio: str) -> Contender:
-    return _imm(name, tuned_imm(name, radio))
+def imm_banks(radio: str) -> dict[str, Callable[[], Bank]]:
+    """How to get the bank of every IMM there is, by name; nothing is read from files before.
 
-
-def _best_imm(radio: str) -> Contender:
-    return _imm(BEST_IMM, best_bank(radio))
+    Args:
+        radio: profile, a name or a JSON file.
+    """
+    radio = profile_of(radio)
+    tuned = {name: partial(tuned_imm, name, radio) for name in TUNED_IMMS}
+    return {"imm": lambda: Bank(default_modes(radio)), **tuned, BEST_IMM: lambda: best_bank(radio)}
 
 
 def shipped_for(radio: str) -> dict[str, str]:
@@ -198,7 +202,7 @@ def _of_any_modes(bank: Bank) -> dict[str, Make]:
         policies["likelihood-rule"] = lambda table: LikelihoodRule(table, names)
         policies["random"] = lambda table: RandomMode(len(modes), POLICY_SEED)
     found |= {name: partial(Contender, name, modes, policy) for name, policy in policies.items()}
-    return found | {"imm": partial(_imm, "imm", bank)}
+    return found | {"imm": partial(_imm, "imm", lambda: bank)}
 
 
 def contenders(radio: str, modes: Bank | tuple[Mode, ...] | None = None) -> dict[str, Make]:
@@ -216,8 +220,7 @@ def contenders(radio: str, modes: Bank | tuple[Mode, ...] | None = None) -> dict
     named, two = named_modes(radio), default_modes(radio)
     alone = {f"fixed-{name}": (named[name],) for name in ("ckf", "ekf-robust", "ukf-robust")}
     fixed: dict[str, Make] = {n: partial(_fixed, n, mode, 0) for n, mode in alone.items()}
-    imms: dict[str, Make] = {name: partial(_tuned_imm, name, radio) for name in TUNED_IMMS}
-    imms[BEST_IMM] = partial(_best_imm, radio)
+    imms = {name: partial(_imm, name, bank_of) for name, bank_of in imm_banks(radio).items()}
     learned = {
         name: partial(Contender.learned, file, name, radio)
         for name, file in shipped_for(radio).items()

@@ -14,7 +14,7 @@ import numpy as np
 from mmwave_env.compiler.lanes import WIDTH
 from mmwave_env.compiler.program import BatchState, Program, StepIO, rows_of
 from mmwave_env.engines.batch import Batch
-from mmwave_env.engines.track_engine import untuned
+from mmwave_env.engines.track_engine import EpisodeFilter, untuned
 from mmwave_env.episodes.episode import Episode, EpisodeBatch, Incoming, blank_incoming
 from mmwave_env.filters.bank import Bank, Transition, settings_of
 from mmwave_env.filters.belief import Belief
@@ -24,16 +24,19 @@ from mmwave_env.filters.imm import (
     begin,
     estimate,
     imm_epoch,
+    most_probable_memory,
     prediction,
     trusting,
 )
+from mmwave_env.filters.memory import Memory, initial_memory
 from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.models.epoch import Site, blank_site
+from mmwave_env.models.measurement import Layout
 from mmwave_env.numerics.arrays import Array, Index
 from mmwave_env.numerics.linalg import pack
 from mmwave_env.numerics.numbers import Number
 from mmwave_env.numerics.pytree import flatten, select
-from mmwave_env.reward import Reward
+from mmwave_env.reward import Reward, TrackingReward
 
 
 class ImmState(NamedTuple):
@@ -50,6 +53,7 @@ class ImmState(NamedTuple):
     P: list[Number]
     x_predicted: list[Number]
     P_predicted: list[Number]
+    memory: Memory  # of the most probable mode
     # reward, error, nees: of the epoch, as in :class:`~mmwave_env.engines.shared_epoch.EnvState`
     reward: Number
     error: list[Number]
@@ -73,11 +77,10 @@ def _program(pipeline: Pipeline, reward: Reward, acted: bool) -> Program[ImmStat
         prior = begin(pipeline, w.site.prior_x, w.site.prior_P)
         mixture = select(w.is_first > 0.5, prior, w.mixture)
         coming = w.incoming.epoch(pipeline.layout)
-        mixture, predicted, results = imm_epoch(pipeline, w.settings, mixture, coming, w.site)
-        if acted:
-            mixture = trusting(mixture, w.action, coming.dt)
+        now = imm_epoch(pipeline, w.settings, mixture, coming, w.site)
+        mixture = trusting(now.mixture, w.action, coming.dt) if acted else now.mixture
         x, P = estimate(mixture)
-        x_predicted, P_predicted = prediction(predicted, results)
+        x_predicted, P_predicted = prediction(now, coming.dt)
         belief = Belief(x, P, pipeline.position_axes)
         truth = w.incoming.truth
         return w._replace(
@@ -87,6 +90,7 @@ def _program(pipeline: Pipeline, reward: Reward, acted: bool) -> Program[ImmStat
             P=pack(P),
             x_predicted=x_predicted,
             P_predicted=P_predicted,
+            memory=most_probable_memory(mixture),
             reward=reward(belief, truth),
             error=belief.error(truth),
             nees=belief.nees(truth),
@@ -104,6 +108,7 @@ def _program(pipeline: Pipeline, reward: Reward, acted: bool) -> Program[ImmStat
         P=site.prior_P,
         x_predicted=site.prior_x,
         P_predicted=site.prior_P,
+        memory=initial_memory(pipeline.layout, 1),
         reward=0.0,
         error=[0.0] * 3,
         nees=0.0,
@@ -184,3 +189,21 @@ class ImmEngine:
         io = StepIO.of(n, epochs, output_rows=rows_of(program.parts(names)))
         program.run_on_lanes(BatchState.of(table, rows)._replace(length=length), io)
         return program.by_name(names, io.outputs)
+
+
+class ImmTracker(EpisodeFilter[ImmState]):
+    """N tracks of an IMM, which may go on from one episode to the next.
+
+    Args:
+        bank: modes, and how they interact.
+        layout: rows of the measurements.
+        n: number of tracks.
+        planar: as of :class:`~mmwave_env.filters.pipeline.Pipeline`.
+    """
+
+    def __init__(self, bank: Bank, layout: Layout, n: int, planar: bool = False) -> None:
+        program = imm_program(Pipeline(bank.modes, layout, planar), TrackingReward())
+        batch = Batch(program, layout, n, rows_of(program.index.action))
+        settings = np.array(flatten(settings_of(bank, layout)), float)
+        batch.write(program.index.settings, np.tile(settings, (n, 1)))
+        super().__init__(batch)

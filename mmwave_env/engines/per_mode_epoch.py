@@ -20,7 +20,7 @@ from mmwave_env.filters.imm import (
     begin,
     estimate,
     imm_epoch,
-    most_probable,
+    most_probable_memory,
     trusting,
 )
 from mmwave_env.filters.memory import Memory, initial_memory, memory_before
@@ -97,9 +97,7 @@ def epoch(
     belief = Belief(x, covariance, pipeline.position_axes)
     score = reward(belief, truth) - tree_at(w.action, costs)
     probabilities = mixture.probability
-    believed = most_probable(mixture)
-    memory: Memory = tree_at(believed, [track.memory for track in mixture.tracks])
-    memory = memory._replace(mode=believed, preference=w.memory.preference)
+    memory = most_probable_memory(mixture)._replace(preference=w.memory.preference)
 
     is_first = w.is_first > 0.5
     x = select(is_first, w.site.prior_x, x)
@@ -107,7 +105,7 @@ def epoch(
     mixture = select(is_first, begin(pipeline, w.site.prior_x, w.site.prior_P), mixture)
     memory = select(is_first, initial_memory(layout, len(pipeline.modes)), memory)
     coming = w.incoming.epoch(layout)
-    mixture, predicted, results = imm_epoch(pipeline, w.settings, mixture, coming, w.site)
+    mixture, predicted, _, results = imm_epoch(pipeline, w.settings, mixture, coming, w.site)
     memory = memory_before(memory, results, coming, layout)
     spread = coming.doppler_spread_hz
     averages = [

@@ -8,12 +8,12 @@ runs any tuning.
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import lru_cache, partial
-from typing import Any, NamedTuple
+from typing import Any, Generic, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from mmwave_env.compiler.program import Program, rows_of
+from mmwave_env.compiler.program import Program, Workspace, rows_of
 from mmwave_env.engines.batch import Batch
 from mmwave_env.episodes.episode import Episode, Incoming, blank_incoming
 from mmwave_env.filters.belief import Belief
@@ -117,36 +117,19 @@ def untuned(pipeline: Pipeline) -> Pipeline:
     return replace(pipeline, modes=tuple(blank))
 
 
-class Tracker:
-    """N tracks, each filtered from the first epoch of an episode to the last.
+class EpisodeFilter(Generic[Workspace]):
+    """N tracks of a program, each filtered from the first epoch of an episode to the last.
 
     Args:
-        pipeline: the mode, or the modes to choose from.
-        n: number of tracks.
-        rule: from the state (7,) after the epoch before and the coming epoch to the number of
-            the mode to run; None where there is one mode, or :meth:`run` is told which.
-        on_floats: run in plain Python instead of on lanes: slow, for reference.
+        batch: of n environments, told what they do not take from episodes.
 
     Attributes:
         program: an epoch as a function of numbers.
     """
 
-    def __init__(
-        self, pipeline: Pipeline, n: int, rule: Rule | None = None, on_floats: bool = False
-    ) -> None:
-        self.pipeline = pipeline
-        self.program = program_of(pipeline, rule)
-        action = rows_of(self.program.index.action)
-        self._batch = Batch(self.program, pipeline.layout, n, action, on_floats)
-        self._rule = rule
+    def __init__(self, batch: Batch[Workspace]) -> None:
+        self.program, self._batch = batch.program, batch
         self._epochs, self._end_s = 0, 0.0
-        self.tune([mode.tuning for mode in pipeline.modes])
-
-    def tune(self, tunings: Sequence[Tuning]) -> None:
-        """Take other process noise, one :class:`Tuning` a mode, and start over."""
-        row = np.array(flatten(list(tunings)), float)
-        self._batch.write(self._batch.at.tunings, np.tile(row, (self._batch.n, 1)))
-        self._batch.restart()
 
     def load(self, episodes: Sequence[Episode], go_on: bool = False) -> None:
         """Take N episodes, to filter from their priors.
@@ -167,11 +150,50 @@ class Tracker:
         """Filter the episodes loaded, once.
 
         Args:
-            names: parts of :class:`TrackState` to return, such as "x" or "memory.nis".
-            actions: (n, epochs) numbers of the modes to run, where there is no rule.
+            names: parts of the program's state to return, such as "x" or "memory.nis".
+            actions: (n, epochs) what goes into ``action`` of the state; None for 0.
 
         Returns:
             Per name (n, epochs) of a single number, else (n, epochs, numbers).
+        """
+        io = self._batch.io(self._epochs, rows_of(self.program.parts(names)))
+        io.inputs[..., 0] = 0 if actions is None else actions
+        self._batch.advance(io)
+        return self.program.by_name(names, io.outputs)
+
+
+class Tracker(EpisodeFilter[TrackState]):
+    """N tracks of a pipeline, one of whose modes runs in every epoch.
+
+    Args:
+        pipeline: the mode, or the modes to choose from.
+        n: number of tracks.
+        rule: from the state (7,) after the epoch before and the coming epoch to the number of
+            the mode to run; None where there is one mode, or :meth:`run` is told which.
+        on_floats: run in plain Python instead of on lanes: slow, for reference.
+    """
+
+    def __init__(
+        self, pipeline: Pipeline, n: int, rule: Rule | None = None, on_floats: bool = False
+    ) -> None:
+        program = program_of(pipeline, rule)
+        action = rows_of(program.index.action)
+        super().__init__(Batch(program, pipeline.layout, n, action, on_floats))
+        self.pipeline, self._rule = pipeline, rule
+        self.tune([mode.tuning for mode in pipeline.modes])
+
+    def tune(self, tunings: Sequence[Tuning]) -> None:
+        """Take other process noise, one :class:`Tuning` a mode, and start over."""
+        row = np.array(flatten(list(tunings)), float)
+        self._batch.write(self._batch.at.tunings, np.tile(row, (self._batch.n, 1)))
+        self._batch.restart()
+
+    def run(self, *names: str, actions: NDArray[np.integer[Any]] | None = None) -> dict[str, Array]:
+        """As :meth:`EpisodeFilter.run`, of :class:`TrackState`.
+
+        Args:
+            names: parts of it.
+            actions: (n, epochs) numbers of the modes to run, where there is no rule.
 
         Raises:
             ValueError: several modes, and nothing that says which to run.
@@ -179,7 +201,4 @@ class Tracker:
         modes = len(self.pipeline.modes)
         if self._rule is None and actions is None and modes > 1:
             raise ValueError(f"modes: found {modes}, no rule and no actions, expected one mode")
-        io = self._batch.io(self._epochs, rows_of(self.program.parts(names)))
-        io.inputs[..., 0] = 0 if actions is None else actions
-        self._batch.advance(io)
-        return self.program.by_name(names, io.outputs)
+        return super().run(*names, actions=actions)

@@ -15,9 +15,10 @@ from mmwave_env.filters.modes import Tuning
 from mmwave_env.filters.pipeline import Pipeline, predict_update
 from mmwave_env.models.epoch import Epoch, Site
 from mmwave_env.models.measurement import STATE_SIZE
+from mmwave_env.models.motion import move
 from mmwave_env.numerics.linalg import dot, unpack
 from mmwave_env.numerics.numbers import Matrix, Number, Vector, exp, maximum, minimum, where
-from mmwave_env.numerics.pytree import select
+from mmwave_env.numerics.pytree import select, tree_at
 
 DEFAULT_STAY = 0.95  # probability of a mode to stay for a second
 TRUST = 3.0  # log of the factor on the probability of a mode that is trusted for a second
@@ -77,12 +78,17 @@ def moments(
     weights: Sequence[Number], x: Sequence[Vector], P: Sequence[Vector]
 ) -> tuple[list[Number], list[Number]]:
     """Mean (7,) and packed covariance (28,) of a Gaussian mixture."""
+    mean, between = spread(weights, x)
+    return mean, [dot(weights, [Pi[k] for Pi in P]) + value for k, value in enumerate(between)]
+
+
+def spread(weights: Sequence[Number], x: Sequence[Vector]) -> tuple[list[Number], list[Number]]:
+    """Mean (7,) and packed covariance (28,) of weighed points."""
     mean = [dot(weights, [xi[i] for xi in x]) for i in range(STATE_SIZE)]
     offset = [[xi[i] - mean[i] for i in range(STATE_SIZE)] for xi in x]
-    spread = [
+    return mean, [
         dot(weights, [d[i] * d[j] for d in offset]) for i in range(STATE_SIZE) for j in range(i + 1)
     ]
-    return mean, [dot(weights, [Pi[k] for Pi in P]) + value for k, value in enumerate(spread)]
 
 
 def mix(mixture: Mixture, transition: Matrix) -> tuple[list[Number], list[tuple[Vector, Vector]]]:
@@ -121,6 +127,7 @@ class ImmEpoch(NamedTuple):
 
     mixture: Mixture  # after it
     predicted: list[Number]  # (modes,) probabilities before its measurement
+    mixed: list[Vector]  # (modes,) means (7,) of the mixed beliefs, unpredicted
     results: list[ModeResult]  # of every mode, from its mixed belief
 
 
@@ -151,7 +158,9 @@ def imm_epoch(
     weights = [
         p * exp(likelihood - best) for p, likelihood in zip(predicted, likelihoods, strict=True)
     ]
-    return ImmEpoch(Mixture(tracks, _normalized(weights)), predicted, results)
+    return ImmEpoch(
+        Mixture(tracks, _normalized(weights)), predicted, [x for x, _ in mixed], results
+    )
 
 
 def trusting(mixture: Mixture, mode: Number, dt: Number) -> Mixture:
@@ -188,6 +197,13 @@ def most_probable(mixture: Mixture) -> Number:
     return found
 
 
+def most_probable_memory(mixture: Mixture) -> Memory:
+    """The memory of the most probable mode, whose number counts as that of the mode that ran."""
+    number = most_probable(mixture)
+    memory: Memory = tree_at(number, [track.memory for track in mixture.tracks])
+    return memory._replace(mode=number)
+
+
 def estimate(mixture: Mixture) -> tuple[list[Number], list[list[Number]]]:
     """Mean (7,) and covariance (7, 7) of the whole mixture."""
     x, P = moments(
@@ -198,12 +214,24 @@ def estimate(mixture: Mixture) -> tuple[list[Number], list[list[Number]]]:
     return x, unpack(P)
 
 
-def prediction(
-    predicted: Vector, results: Sequence[ModeResult]
-) -> tuple[list[Number], list[Number]]:
-    """Mean (7,) and packed covariance (28,) of the whole mixture before an epoch's update."""
-    return moments(
-        predicted,
-        [result.x_predicted for result in results],
-        [result.P_predicted for result in results],
-    )
+def prediction(now: ImmEpoch, dt: Number) -> tuple[list[Number], list[Number]]:
+    """Mean (7,) and packed covariance (28,) of the whole mixture before an epoch's update.
+
+    The Rauch-Tung-Striebel smoother takes it that x_predicted = F x + noise, with noise that does
+    not depend on x. So where modes accelerate, their accelerations count as such noise: with their
+    correlation with the modes' means, smoothed variances could fall below zero.
+
+    Args:
+        now: the epoch.
+        dt: its step, seconds.
+    """
+    moved = [move(x, dt) for x in now.mixed]
+    shifts = [
+        [a - b for a, b in zip(result.x_predicted, x, strict=True)]
+        for result, x in zip(now.results, moved, strict=True)
+    ]
+    x, P = moments(now.predicted, moved, [result.P_predicted for result in now.results])
+    shift, of_shifts = spread(now.predicted, shifts)
+    return [a + b for a, b in zip(x, shift, strict=True)], [
+        a + b for a, b in zip(P, of_shifts, strict=True)
+    ]

@@ -1,4 +1,4 @@
-"""A measurement log becomes a track, block by block (paper, Algorithm 1, Step 3).
+"""A measurement log becomes a track, block by block (paper, Algorithm 1, Step 3; or an IMM).
 
 A track begins at the first line of sight, which gives its prior, and anew after a long gap
 (``segments.py``); every ``window`` epochs from there on are smoothed. A log may be longer than
@@ -7,13 +7,16 @@ memory, and what is made of it does not depend on how it is cut into blocks.
 
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from mmwave_env.engines.imm_engine import ImmTracker
 from mmwave_env.engines.smoothing import smooth
-from mmwave_env.engines.track_engine import Rule, Tracker
+from mmwave_env.engines.track_engine import EpisodeFilter, Rule, Tracker
 from mmwave_env.episodes.episode import Episode
+from mmwave_env.filters.bank import Bank
 from mmwave_env.filters.modes import Mode
 from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.filters.smoother import SMOOTHING_WINDOW
@@ -39,7 +42,8 @@ class TrackBlock(Block):
     layout: Layout  # groups of the measurements
     planar: bool  # whether z and vz are known exactly
     time_s: Array  # (T,) increasing, also from block to block
-    # x, P: (T, 7), (T, 28) filtered belief after each epoch; covariances are packed
+    # x, P: (T, 7), (T, 28) filtered belief after each epoch; covariances are packed. Of an IMM
+    # they are the moments of its mixture, and so are x_predicted and P_predicted
     x: Array
     P: Array
     # x_predicted, P_predicted: (T, 7), (T, 28) belief predicted for each epoch
@@ -48,8 +52,8 @@ class TrackBlock(Block):
     # smooth_x, smooth_P: (T, 7), (T, 28) smoothed belief; the filtered one without smoothing
     smooth_x: Array
     smooth_P: Array
-    mode: NDArray[np.int64]  # (T,) number of the mode that ran
-    nis: Array  # (T, groups); 0 where not visible
+    mode: NDArray[np.int64]  # (T,) number of the mode that ran; of an IMM, the most probable one
+    nis: Array  # (T, groups) of that mode; 0 where not visible
     # visible, accepted, incomplete: (T, groups); the link that gave the prior is not visible
     visible: Mask
     accepted: Mask
@@ -69,7 +73,7 @@ def localize(
     blocks: Iterable[LogBlock],
     scene: Scene,
     radio: Radio,
-    modes: Sequence[Mode],
+    modes: Sequence[Mode] | Bank,
     rule: Rule | None = None,
     window: int | None = SMOOTHING_WINDOW,
     height_m: float | None = None,
@@ -82,14 +86,14 @@ def localize(
         blocks: of the log; each is filtered in one go, so let them be large.
         scene: whose anchors were measured.
         radio: profile of the receiver: standard deviations by SNR, oscillator, prior.
-        modes: one, or those that ``rule`` picks from in every epoch.
+        modes: one, or those that ``rule`` picks from in every epoch; or the bank of an IMM.
         rule: as :class:`~mmwave_env.engines.track_engine.Tracker` takes it.
         window: epochs smoothed together; None for no smoothing.
         height_m: of flat terrain, where it is known (paper, Sec. II-A).
 
     Raises:
         LogError: from ``blocks``.
-        ValueError: there is no line of sight to begin with.
+        ValueError: there is no line of sight to begin with; or a bank with a rule.
     """
     track = _filtered(segments(blocks), scene, radio, modes, rule, height_m)
     return track if window is None else _smoothed(track, window)
@@ -99,17 +103,16 @@ def _filtered(
     pieces: Iterable[Piece],
     scene: Scene,
     radio: Radio,
-    modes: Sequence[Mode],
+    modes: Sequence[Mode] | Bank,
     rule: Rule | None,
     height_m: float | None,
 ) -> Iterator[TrackBlock]:
-    tracker: Tracker | None = None
+    tracker: EpisodeFilter[Any] | None = None
     for piece in pieces:
         block = piece.block
         episode = episode_from(block, scene, radio, piece.begins)
         if tracker is None:
-            pipeline = Pipeline(tuple(modes), block.layout, planar=height_m is not None)
-            tracker = Tracker(pipeline, 1, rule)
+            tracker = _tracker(modes, rule, block.layout, planar=height_m is not None)
         if height_m is not None:
             episode = episode.on_flat_ground(height_m)
         tracker.load([episode], go_on=not piece.begins)
@@ -136,6 +139,17 @@ def _filtered(
             share=block.share,
         )
         yield from _while_finite(track)
+
+
+def _tracker(
+    modes: Sequence[Mode] | Bank, rule: Rule | None, layout: Layout, planar: bool
+) -> EpisodeFilter[Any]:
+    """What filters a single track."""
+    if not isinstance(modes, Bank):
+        return Tracker(Pipeline(tuple(modes), layout, planar), 1, rule)
+    if rule is not None:
+        raise ValueError("rule: found one with a bank, expected none, because its IMM runs all")
+    return ImmTracker(modes, layout, 1, planar)
 
 
 def _while_finite(track: TrackBlock) -> Iterator[TrackBlock]:

@@ -4,13 +4,16 @@ import numpy as np
 import pytest
 from filterpy.kalman import KalmanFilter
 
+from mmwave_env.engines.imm_engine import ImmEngine
 from mmwave_env.engines.smoothing import smooth
 from mmwave_env.engines.track_engine import Tracker
 from mmwave_env.episodes.simulated import SimulatedSource
+from mmwave_env.filters.bank import best_bank
 from mmwave_env.filters.mode_files import modes_from
 from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.models.radio import RADIOS
 from mmwave_env.models.scene import SCENES
+from mmwave_env.reward import TrackingReward
 from tests.filters import textbook
 from tests.filters.tracks import TRIANGLE, unpacked
 
@@ -77,6 +80,46 @@ def test_our_tracks_are_smoothed_as_by_numpy(planar):
         np.testing.assert_allclose(
             unpacked(found_P[e])[block], expected_P[block], rtol=1e-8, atol=TOLERANCE
         )
+
+
+@pytest.fixture(scope="module", params=[1.0, 0.1], ids=["1 s", "0.1 s"])
+def mixture(request):
+    """dt, the error of the truth (9, T, 3) and what smoothing takes, of an IMM."""
+    source, bank = (
+        SimulatedSource(SCENES["street"], RADIOS["handset"], dt=request.param),
+        best_bank(),
+    )
+    episodes = [source.sample(np.random.default_rng(seed)) for seed in range(9)]
+    imm = ImmEngine(
+        Pipeline(bank.modes, source.layout), TrackingReward(), bank.transition, bank.nis_quantile
+    )
+    names = ("x", "P", "x_predicted", "P_predicted")
+    truth = np.stack([episode.truth_position_m for episode in episodes])
+    return request.param, truth, list(imm.run(episodes, *names).values())
+
+
+def test_a_mixture_is_smoothed_as_by_numpy(mixture):
+    dt, _, (x, P, x_predicted, P_predicted) = mixture
+    time_s = dt * np.arange(x.shape[1])
+    found_x, found_P = smooth(x, P, x_predicted, P_predicted, np.diff(time_s))
+    for e in range(len(x)):
+        expected = textbook.rts(x[e], unpacked(P[e]), unpacked(P_predicted[e]), time_s,
+                                x_predicted=x_predicted[e])  # fmt: skip
+        np.testing.assert_allclose(found_x[e], expected[0], rtol=1e-7, atol=1e-7)
+        np.testing.assert_allclose(unpacked(found_P[e]), expected[1], rtol=1e-6, atol=1e-6)
+
+
+def test_smoothing_a_mixture_makes_it_better_and_surer(mixture):
+    dt, truth, (x, P, x_predicted, P_predicted) = mixture
+    # The predicted covariance holds that of what was known before: F P F', and noise.
+    F = textbook.F(dt)
+    noise = unpacked(P_predicted)[:, 1:] - F @ unpacked(P)[:, :-1] @ F.T
+    assert np.linalg.eigvalsh(noise).min() > 0.0
+    found_x, found_P = smooth(x, P, x_predicted, P_predicted, np.full(x.shape[1] - 1, dt))
+    assert np.linalg.eigvalsh(unpacked(found_P)).min() > 0.0
+    assert np.trace(unpacked(found_P - P)[..., :3, :3], axis1=-2, axis2=-1).mean() < 0.0
+    before, after = (np.linalg.norm(track[..., :3] - truth, axis=-1) for track in (x, found_x))
+    assert (after.mean(axis=1) < before.mean(axis=1)).all()
 
 
 def test_uneven_epochs_are_smoothed_with_their_own_steps():

@@ -108,13 +108,19 @@ def predict(x, P, Q, dt):
     return F(dt) @ x, F(dt) @ P @ F(dt).T + Q
 
 
-def rts(x, P, P_predicted, time_s, free=range(7)):
-    """Rauch-Tung-Striebel over one track (T, ...); only the ``free`` components are uncertain."""
+def rts(x, P, P_predicted, time_s, free=range(7), x_predicted=None):
+    """Rauch-Tung-Striebel over one track (T, ...); only the ``free`` components are uncertain.
+
+    ``x_predicted`` (T, 7) is F x where none is given.
+    """
+    if x_predicted is None:
+        steps = zip(np.diff(time_s, prepend=np.nan), np.roll(x, 1, axis=0), strict=True)
+        x_predicted = [F(dt) @ before for dt, before in steps]
     x, P, block = x.copy(), P.copy(), np.ix_(free, free)
     for t in reversed(range(len(x) - 1)):
         Ft, gain = F(time_s[t + 1] - time_s[t]), np.zeros((7, 7))
         gain[block] = (P[t] @ Ft.T)[block] @ np.linalg.inv(P_predicted[t + 1][block])
-        x[t] += gain @ (x[t + 1] - Ft @ x[t])
+        x[t] += gain @ (x[t + 1] - x_predicted[t + 1])
         P[t] += gain @ (P[t + 1] - P_predicted[t + 1]) @ gain.T
     return x, P
 

@@ -10,10 +10,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from mmwave_env.engines.imm_engine import ImmEngine
 from mmwave_env.engines.smoothing import smooth
 from mmwave_env.episodes.episode import Episode
 from mmwave_env.episodes.log_writer import write_log
 from mmwave_env.episodes.simulated import SimulatedSource
+from mmwave_env.filters.bank import Bank, best_bank
 from mmwave_env.filters.mode_files import default_modes
 from mmwave_env.filters.modes import Mode, robust
 from mmwave_env.filters.pipeline import Pipeline
@@ -23,6 +25,7 @@ from mmwave_env.logs.log_tables import LogError
 from mmwave_env.models.prior import prior_from_fix
 from mmwave_env.models.radio import RADIOS
 from mmwave_env.models.scene import SCENES
+from mmwave_env.reward import TrackingReward
 from policies.speed_rule import by_odometry_speed, by_predicted_speed
 from tests.filters.tracks import track
 
@@ -30,6 +33,7 @@ SCENE, RADIO = SCENES["street"], RADIOS["handset"]
 T = 230
 SHIFT = 3  # group of the Doppler shift
 EKF, UKF = default_modes()
+BANK = best_bank()
 PER_EPOCH = [
     field.name for field in fields(TrackBlock)
     if field.name not in ("layout", "planar", "segment", "skipped", "dropped", "share")
@@ -149,12 +153,49 @@ def test_flat_terrain_keeps_its_height(block):
         assert (x[:, 2] == 1.5).all() and (x[:, 5] == 0.0).all()
 
 
+def assert_imms(found, block, bank):
+    """The filtered track is the IMM engine's on the same epochs, in pieces or not."""
+    names = ("x", "P", "x_predicted", "P_predicted")
+    imm = ImmEngine(
+        Pipeline(bank.modes, block.layout), TrackingReward(), bank.transition, bank.nis_quantile
+    )
+    expected = imm.run([episode_of(block)], *names, "mixture.probability", "memory.nis")
+    for name in names:
+        np.testing.assert_allclose(
+            getattr(found, name), expected[name][0], rtol=1e-9, atol=1e-9, err_msg=name
+        )
+    np.testing.assert_array_equal(found.mode, expected["mixture.probability"][0].argmax(axis=1))
+    np.testing.assert_allclose(found.nis, expected["memory.nis"][0], rtol=1e-9, atol=1e-9)
+    assert not found.nis[~found.visible].any()
+
+
+@pytest.mark.parametrize("size", [1, 50, T])
+def test_an_imm_is_the_engines(block, size):
+    found = run(cut(block, [size]), BANK)
+    assert_imms(found, block, BANK)
+    assert len(np.unique(found.mode)) > 2 and found.share == 1.0
+
+
+@pytest.mark.slow
+def test_an_imm_keeps_the_height_of_flat_terrain(block):
+    found = run([block], BANK, height_m=1.5)
+    for x in (found.x, found.smooth_x):
+        np.testing.assert_allclose(x[:, 2], 1.5, rtol=1e-12)
+        assert not x[:, 5].any()
+
+
+def test_an_imm_takes_no_rule(block):
+    with pytest.raises(ValueError, match="rule: found one with a bank, expected none"):
+        run([block], BANK, by_predicted_speed)
+
+
 # --- smoothed
 
 
+@pytest.mark.parametrize("modes", [(EKF,), BANK], ids=["one", "imm"])
 @pytest.mark.parametrize("window", [2, 50, 57, T - 2, 1000])
-def test_every_window_is_smoothed_and_what_is_left_too(block, window):
-    found = run(cut(block, [64]), window=window)
+def test_every_window_is_smoothed_and_what_is_left_too(block, window, modes):
+    found = run(cut(block, [64]), modes, window=window)
     for first in range(0, T - 2, window):
         part = slice(first, first + window)
         values = (found.x, found.P, found.x_predicted, found.P_predicted)
@@ -170,14 +211,17 @@ def test_without_smoothing_the_track_is_the_filtered_one(block):
     np.testing.assert_array_equal(found.x, run([block]).x)
 
 
+@pytest.mark.parametrize(
+    ("modes", "rule"), [((EKF, UKF), by_predicted_speed), (BANK, None)], ids=["rule", "imm"]
+)
 @settings(max_examples=15, deadline=None)
 @given(sizes=st.lists(st.integers(1, T), min_size=1, max_size=5), window=st.integers(2, 300))
-def test_a_track_does_not_depend_on_the_blocks(folder, sizes, window):
+def test_a_track_does_not_depend_on_the_blocks(folder, modes, rule, sizes, window):
     block = log(folder)
     first, second = with_gap(unseen(block, slice(101, 104)), 40.0)
     block = joined(first, with_gap(second, 20.0, at=30)[0], with_gap(second, 20.0, at=30)[1])
-    expected = run([block], (EKF, UKF), by_predicted_speed, window=window)
-    found = run(cut(block, sizes), (EKF, UKF), by_predicted_speed, window=window)
+    expected = run([block], modes, rule, window=window)
+    found = run(cut(block, sizes), modes, rule, window=window)
     for name in PER_EPOCH:
         np.testing.assert_array_equal(getattr(found, name), getattr(expected, name), err_msg=name)
     for name in ("segment", "skipped", "dropped"):
@@ -220,13 +264,14 @@ def damaged(blocks):
     raise LogError("log.csv, line 7: found 'x'")
 
 
+@pytest.mark.parametrize("modes", [(EKF,), BANK], ids=["one", "imm"])
 @pytest.mark.parametrize("window", [None, 50, 1000])
-def test_damage_comes_after_the_epochs_before_it(block, window):
+def test_damage_comes_after_the_epochs_before_it(block, window, modes):
     blocks = []
     pieces = cut(block.part(slice(0, 130)), [40])
     with pytest.raises(LogError, match="line 7"):
-        blocks.extend(localize(damaged(pieces), SCENE, RADIO, [EKF], window=window))
-    found, expected = whole(blocks), run(pieces, window=window)
+        blocks.extend(localize(damaged(pieces), SCENE, RADIO, modes, window=window))
+    found, expected = whole(blocks), run(pieces, modes, window=window)
     for name in PER_EPOCH:
         np.testing.assert_array_equal(getattr(found, name), getattr(expected, name), err_msg=name)
     assert len(found) == 128
@@ -237,17 +282,25 @@ def test_damage_before_a_line_of_sight_is_the_error():
         list(localize(damaged([]), SCENE, RADIO, [EKF]))
 
 
+UNGATED = replace(UKF, gate=None)
+
+
+@pytest.mark.parametrize(  # an IMM loses its weights at once, a filter's state overflows later
+    ("modes", "finite"),
+    [((UNGATED,), 1), (Bank((UNGATED, replace(UNGATED, name="twin"))), 0)],
+    ids=["one", "imm"],
+)
 @pytest.mark.parametrize("first", [1, 100])
 @pytest.mark.parametrize("window", [None, 30])
-def test_a_measurement_no_filter_survives_is_damage(block, first, window):
+def test_a_measurement_no_filter_survives_is_damage(block, first, window, modes, finite):
     measurement, visible = block.measurement.copy(), block.visible.copy()
     measurement[2 + first, block.layout.doppler], visible[2 + first, SHIFT] = 1e300, True
     damaged = replace(block, measurement=measurement, visible=visible)
-    blocks, mode = [], replace(UKF, gate=None)
+    blocks = []
     with pytest.raises(LogError, match=r"time \d.*found no finite state after this epoch"):
-        blocks.extend(localize([damaged], SCENE, RADIO, [mode], window=window))
+        blocks.extend(localize([damaged], SCENE, RADIO, modes, window=window))
     found = whole(blocks)
-    assert len(found) == first + 1 and np.isfinite(found.smooth_x).all()
+    assert len(found) == first + finite and np.isfinite(found.smooth_x).all()
 
 
 # --- gaps
@@ -267,14 +320,15 @@ def joined(*blocks):
     return replace(blocks[-1], **arrays)
 
 
+@pytest.mark.parametrize("modes", [(UKF,), BANK], ids=["one", "imm"])
 @pytest.mark.parametrize("window", [None, 30, 1000])
-def test_after_a_long_gap_the_track_is_that_of_the_rest_alone(block, window):
+def test_after_a_long_gap_the_track_is_that_of_the_rest_alone(block, window, modes):
     before, after = with_gap(block, 60.0)
-    blocks = list(localize([joined(before, after)], SCENE, RADIO, [UKF], window=window))
+    blocks = list(localize([joined(before, after)], SCENE, RADIO, modes, window=window))
     assert [b.segment for b in blocks] == sorted(b.segment for b in blocks)
     for number, part in enumerate((before, after)):
         found = whole(b for b in blocks if b.segment == number)
-        expected = run([part], [UKF], window=window)
+        expected = run([part], modes, window=window)
         for name in PER_EPOCH:
             np.testing.assert_array_equal(
                 getattr(found, name), getattr(expected, name), err_msg=name
