@@ -19,8 +19,10 @@ import numpy as np
 import pytest
 
 from experiments.cli.main import run
+from experiments.evaluation.contenders import imm_banks
 from mmwave_env.episodes.log_writer import write_log
 from mmwave_env.episodes.simulated import SimulatedSource
+from mmwave_env.filters.bank import best_bank
 from mmwave_env.filters.mode_files import default_modes
 from mmwave_env.localization.localizer import localize
 from mmwave_env.logs.log import read_log
@@ -347,6 +349,48 @@ def test_modes_may_come_from_a_file(capsys, tmp_path):
     assert "modes: found 'ekf-robust', expected a mode file (.json)" in line
 
 
+@pytest.mark.parametrize("folder", [WALK, RIDE], ids=["walk", "ride"])
+def test_an_imm_is_smoothed_to_less_than_the_filtered_error(tmp_path, folder):
+    out = tmp_path / "track.tum"
+    found = figures(folder, "--imm", "imm-best", "--radio", "standard", "--out", out)
+    bank, scene = best_bank("standard"), read_scene(folder / "scene.json")
+    assert list(found["modes"]) == [mode.name for mode in bank.modes] and found["imm"] == "imm-best"
+    assert sum(found["modes"].values()) == EPOCHS[folder]
+    filtered, smoothed = (found["truth"]["tracks"][t] for t in ("filtered", "smoothed"))
+    for metric in ("ate_m", "rmse_m", "rpe_m"):
+        assert smoothed[metric] < filtered[metric]
+    assert 0.8 < found["groups"]["all"]["nis_per_dof"] < 1.2 and smoothed["in_bounds"] > 0.85
+    blocks = list(localize(read_log(folder / "log.csv", scene), scene, RADIOS["standard"], bank))
+    x, mode = (np.concatenate([getattr(b, name) for b in blocks]) for name in ("smooth_x", "mode"))
+    np.testing.assert_array_equal(read_tum(out).position_m, x[:, :3])
+    with (tmp_path / "track.csv").open(newline="") as file:
+        said = [row["mode"] for row in csv.DictReader(file)]
+    assert said == [bank.modes[m].name for m in mode]
+
+
+def test_the_modes_of_an_imm_are_told_and_drawn(capsys, tmp_path):
+    picture = tmp_path / "track.png"
+    figures(RIDE, "--imm", "imm-best", "--radio", "standard", "--plot", picture, "--no-smoothing")
+    shown = capsys.readouterr().out
+    assert re.search(r"modes of imm-best by their probability: stand \d.*brake .*switched", shown)
+    assert "smoothed" not in shown and picture.stat().st_size > 20_000
+
+
+@pytest.mark.slow
+def test_an_imm_may_come_from_a_bank_s_file_or_by_any_name_of_the_project(tmp_path):
+    file = tmp_path / "bank.json"
+    modes = [{"name": "calm"}, {"name": "wild", "algorithm": "ckf", "sigma_v": 2.0}]
+    bank = {"modes": modes, "transition": [[0.9, 0.1], [0.2, 0.8]], "nis_quantile": 0.99}
+    file.write_text(json.dumps(bank))
+    assert list(figures(RIDE, "--imm", file)["modes"]) == ["calm", "wild"]
+    robust = figures(RIDE, "--imm", file, "--robust", "--no-gating")
+    assert list(robust["modes"]) == ["calm-robust", "wild-robust"]
+    assert robust["groups"]["all"]["rejected"] == 0
+    for name in imm_banks("handset"):
+        found = figures(RIDE, "--imm", name)["truth"]["tracks"]
+        assert found["smoothed"]["ate_m"] < found["filtered"]["ate_m"] < 0.5
+
+
 @pytest.fixture(scope="module")
 def driven(tmp_path_factory):
     """A log with odometry."""
@@ -374,6 +418,12 @@ def test_odometry_is_used_where_the_log_has_it(capsys, driven):
 CONTRADICTIONS = {
     "auto and abort": (["--speed", "auto", "--outside", "abort"], "outside: found abort"),
     "odometry and a speed": (["--speed", "1", "--follow", "odometry"], "follow: found odometry"),
+    "an imm and a speed": (["--imm", "imm", "--speed", "1"], "speed: found 1 with --imm, expected"),
+    "an imm and modes": (["--imm", "imm", "--modes", "m.json"], "modes: found m.json with --imm"),
+    "an imm and abort": (["--imm", "imm", "--outside", "abort"], "outside: found abort with --imm"),
+    "imm": (["--imm", "imm-bets"], "imm: found 'imm-bets', expected.*did you mean imm-best"),
+    "no imm": (["--imm", "guided"], "imm: found 'guided', expected one of imm, imm-tuned"),
+    "bank": (["--imm", "missing.json"], "missing.json"),
     "window": (["--speed", "1", "--window", "1"], "window: found 1, expected 2 to 20000 epochs"),
     "long window": (["--speed", "1", "--window", "20001"], "window: found 20001"),
     "height": (["--speed", "1", "--height", "nan"], "height: found nan"),
