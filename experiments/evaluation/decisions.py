@@ -1,9 +1,6 @@
-"""What policies choose around stops and pull-aways, and how far off everyone is there.
+"""What policies choose around fast stops and pull-aways, and how far off everyone is there.
 
-A user pulls away in the first epoch in which the true horizontal speed exceeds 0.5 m/s after
-it has been below 0.3 m/s for 3 s (between the two, it may linger), if it exceeds 2 m/s within
-5 s: so a pedestrian does not. A stop is the same backwards in time: the last epoch above
-0.5 m/s. Truth is nothing that a policy changes, so all contenders have the same events.
+:mod:`experiments.evaluation.events` says which these are.
 """
 
 from collections.abc import Mapping, Sequence
@@ -13,47 +10,26 @@ from typing import Any
 
 import numpy as np
 
+from experiments.evaluation.colors import COLORS, draw_shares
 from experiments.evaluation.contenders import Contender
+from experiments.evaluation.events import (
+    Windows,
+    fast_pull_aways,
+    fast_stops,
+    speeds,
+    velocities,
+)
 from experiments.evaluation.runner import EpochResults, step_s
 from mmwave_env.episodes.episode import Episode
 from mmwave_env.files import atomic_path
-from mmwave_env.metrics import BURN_IN
-from mmwave_env.numerics.arrays import Array, Mask
+from mmwave_env.numerics.arrays import Array
 
-STILL_MPS, MOVING_MPS, FAST_MPS = 0.3, 0.5, 2.0
-STILL_S, FAST_S = 3.0, 5.0  # how long it stands, and how soon it is fast
 BEFORE_S, AFTER_S = 10.0, 20.0  # what is looked at
-COLORS = 10  # there are; more lines are dashed
+STYLES = ("-", "--", ":")  # where there are more lines than colors
+LINE_INCHES = 0.22  # height of a line of the legend
 
 
-def pull_aways(speed_mps: Array, step_s: float = 1.0) -> Mask:
-    """Epochs (n, T) in which users pull away, from their true speeds (n, T)."""
-    n, T = speed_mps.shape
-    enough, soon = max(1, round(STILL_S / step_s)), round(FAST_S / step_s)
-    still, stands = np.zeros(n, np.int64), np.zeros(n, bool)
-    found = np.zeros((n, T), bool)
-    for t, speed in enumerate(speed_mps.T):
-        moves = speed > MOVING_MPS
-        found[:, t] = stands & moves & (speed_mps[:, t : t + soon + 1] > FAST_MPS).any(axis=1)
-        still = np.where(speed < STILL_MPS, still + 1, 0)
-        stands = (stands & ~moves) | (still >= enough)
-    return found
-
-
-def stops(speed_mps: Array, step_s: float = 1.0) -> Mask:
-    """Epochs (n, T) in which users come to a stop: a pull-away backwards in time."""
-    return pull_aways(speed_mps[:, ::-1], step_s)[:, ::-1]
-
-
-EVENTS = {"stop": stops, "pull-away": pull_aways}
-
-
-def _speed(episode: Episode) -> Array:
-    """True horizontal speed (T,), m/s."""
-    episode.require_truth()
-    velocity = np.asarray(episode.truth_velocity_mps)
-    speed: Array = np.hypot(velocity[:, 0], velocity[:, 1])
-    return speed
+EVENTS = {"stop": fast_stops, "pull-away": fast_pull_aways}
 
 
 @dataclass
@@ -100,18 +76,17 @@ class Decisions:
             actions = self.actions[name] = contender.actions
         offsets = np.arange(-round(BEFORE_S / step), round(AFTER_S / step) + 1)
         self.time_s = np.asarray(offsets * step, np.float64)
-        speed = np.stack([_speed(episode) for episode in episodes])
+        speed = speeds(velocities(episodes))
+        error = np.linalg.norm(told["error"], axis=-1)
         for kind, find in EVENTS.items():
-            places, epochs = np.nonzero(find(speed, step))
-            window = epochs[:, None] + offsets
-            inside = (window >= BURN_IN) & (window < speed.shape[1])
-            at = places[:, None], np.where(inside, window, 0)
-            error = np.where(inside, np.linalg.norm(told["error"][at], axis=-1), 0.0)
-            chosen = [((told["mode"][at] == i) & inside).sum(axis=0) for i in range(len(actions))]
-            found = Around(
-                len(epochs), inside.sum(axis=0).astype(float), error.sum(axis=0),
-                np.array(chosen, float).reshape(-1, len(offsets)),
-            )  # fmt: skip
+            windows = Windows.around(find(speed, step), offsets)
+            chosen = [(told["mode"] == i) * 1.0 for i in range(len(actions))]
+            epochs, errors, *shares = (
+                windows.sums(values).sum(axis=0)
+                for values in (np.ones_like(error), error, *chosen)
+            )
+            counts = np.array(shares).reshape(-1, len(offsets))
+            found = Around(len(windows.place), epochs, errors, counts)
             before = self.around[kind].get(name)
             self.around[kind][name] = found if before is None else before + found
 
@@ -143,13 +118,16 @@ class Decisions:
         """As PNG: errors of all above the shares of modes, a column a kind of event."""
         from matplotlib.figure import Figure
 
-        rows = 1 + len(self.actions)
-        figure = Figure(figsize=(11.0, 3.0 + 2.2 * len(self.actions)), layout="constrained")
-        panels = figure.subplots(rows, len(EVENTS), sharex=True, sharey="row", squeeze=False)
+        heights = [max(3.0, LINE_INCHES * len(self.around["stop"])), *[2.2] * len(self.actions)]
+        figure = Figure(figsize=(11.0, sum(heights)), layout="constrained")
+        panels = figure.subplots(
+            len(heights), len(EVENTS), sharex=True, sharey="row", squeeze=False,
+            height_ratios=heights,
+        )  # fmt: skip
         for column, (kind, table) in zip(panels.T, self.around.items(), strict=True):
             self._draw_errors(column[0], kind, table)
             for axes, name in zip(column[1:], self.actions, strict=True):
-                self._draw_shares(axes, kind, name)
+                draw_shares(axes, self.time_s, self._shares(kind, name), self.actions[name])
             column[-1].set_xlabel(f"time since the {kind} (s)")
         for axes in panels[:, -1]:
             axes.legend(loc="upper left", bbox_to_anchor=(1.01, 1.0), frameon=False,
@@ -164,17 +142,13 @@ class Decisions:
         from matplotlib.ticker import LogLocator, NullFormatter
 
         for i, (name, around) in enumerate(table.items()):
-            style = "-" if i < COLORS else "--"
-            axes.plot(self.time_s, around.mean(around.error_m), style, label=Path(name).name)
+            round_, color = divmod(i, len(COLORS))
+            style = STYLES[round_ % len(STYLES)]
+            axes.plot(self.time_s, around.mean(around.error_m), style, color=COLORS[color],
+                      label=Path(name).name)  # fmt: skip
         axes.set(title=f"{next(iter(table.values())).events} {kind}s", yscale="log")
         axes.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
         axes.yaxis.set_major_formatter("{x:g}")
         axes.yaxis.set_minor_formatter(NullFormatter())
         axes.axvline(0.0, color="black", lw=0.8)
         axes.grid(alpha=0.3)
-
-    def _draw_shares(self, axes: Any, kind: str, name: str) -> None:
-        axes.stackplot(self.time_s, self._shares(kind, name), labels=self.actions[name])
-        axes.axvline(0.0, color="black", lw=0.8)
-        axes.set_ylim(0.0, 1.0)
-        axes.margins(x=0.0)

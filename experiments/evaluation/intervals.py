@@ -72,11 +72,20 @@ def bootstrap(values: Array, seed: int = 0) -> list[Interval]:
     return [Interval(float(m), float(a), float(b)) for m, a, b in columns]
 
 
-def bootstrap_ratio(over: Array, under: Array, seed: int = 0) -> Interval:
-    """Ratio of two means over the same episodes, each (episodes,)."""
-    means = _resampled_means(np.stack([over, under], axis=1), seed)
-    low, high = np.percentile(means[:, 0] / means[:, 1], [2.5, 97.5])
-    return Interval(float(over.mean() / under.mean()), float(low), float(high))
+def bootstrap_ratio(over: Array, under: Array, seed: int = 0) -> list[Interval]:
+    """Ratios of means of columns over the same episodes, each (episodes, k).
+
+    There is none where what is below has a mean of 0, and no interval where a resample has.
+    """
+
+    def ratios(means: Array) -> Array:
+        above, below = np.split(means, 2, axis=-1)
+        return np.divide(above, below, out=np.full(above.shape, np.nan), where=below != 0.0)
+
+    both = np.concatenate([over, under], axis=1)
+    low, high = np.percentile(ratios(_resampled_means(both, seed)), [2.5, 97.5], axis=0)
+    columns = zip(ratios(both.mean(axis=0)), low, high, strict=True)
+    return [Interval(float(m), float(a), float(b)) for m, a, b in columns]
 
 
 def mean(values: Array, F: Array) -> Array:

@@ -78,12 +78,18 @@ def run_contender(
     policy: Policy | None,
     episodes: Sequence[Episode],
     scoring: Scoring = PLAIN,
+    shown: Sequence[str] = (),
 ) -> EpochResults:
     """What a contender and its policy tell of every epoch, on episodes of one length.
 
+    Args:
+        contender, policy, episodes, scoring: as of :func:`score`.
+        shown: parts of the environment's state, such as "mixture.probability", to tell as they
+            are when the policy chooses; nothing of an IMM's.
+
     Returns:
         "reward" and "nees" (n, T), "error" (n, T, 3) in m and, where there is a policy, "mode"
-        (n, T), its actions.
+        (n, T), its actions; of each part shown (n, T, numbers).
     """
     for episode in episodes:
         episode.require_truth()
@@ -100,13 +106,17 @@ def run_contender(
     program = engine.batch.program
     rows = rows_of(program.parts(TOLD))
     told, taken = np.empty((n, T, len(rows))), np.empty((n, T), np.int8)
+    states: dict[str, list[Array]] = {name: [] for name in shown}
     observations = engine.observations()
     for t in range(T):
+        for name, part in zip(shown, program.parts(shown), strict=True):
+            states[name].append(engine.read(part))
         found = policy(observations)
         actions = require_actions(contender.name, found, n, len(contender.actions))
         taken[:, t] = actions
         observations, told[:, t] = engine.step(actions, rows)
-    return program.by_name(TOLD, told) | {"mode": taken}
+    seen = {name: np.stack(parts, axis=1) for name, parts in states.items()}
+    return program.by_name(TOLD, told) | {"mode": taken} | seen
 
 
 def step_s(episode: Episode) -> float:

@@ -4,10 +4,9 @@ import csv
 from collections.abc import Sequence
 from pathlib import Path
 
+from experiments.evaluation.colors import COLORS
 from experiments.training.evaluator import TRAINING_RIVALS
 from mmwave_env.files import atomic_path
-
-COLORS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7")  # told apart by color-blind people, too
 
 
 def curve(journal: Path, figure: str) -> tuple[list[float], list[float]]:

@@ -120,7 +120,7 @@ def smoothing(bench: Bench) -> Section:
             run = bench.run(setting.tuned(coupling), setting)
             before, after = _ates(run)
             name = "coupled" if coupling else "plain diagonal"
-            ratio = bootstrap_ratio(after, before)
+            (ratio,) = bootstrap_ratio(after[:, None], before[:, None])
             figures = [*_means(before, after), ratio]
             section.rows.append([setting.scenario, setting.radio, name, *figures])
     return section
@@ -144,8 +144,8 @@ def improvement(bench: Bench) -> Section:
             [bench.run(untuned(a, True), setting).filtered for a in ("ekf", "ukf", "ckf")]
         )
         row: list[Cell] = [setting.scenario, setting.radio, *_means(before[0], tuned, best)]
-        for ate in before:
-            ratio = bootstrap_ratio(best, ate)
+        afterwards = np.repeat(best[:, None], len(before), axis=1)
+        for ratio in bootstrap_ratio(afterwards, np.stack(before, axis=1)):
             percent = [100.0 * (1.0 - v) for v in (ratio.mean, ratio.high, ratio.low)]
             row.append(Interval(*percent))
         section.rows.append(row)

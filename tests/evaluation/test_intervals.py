@@ -59,10 +59,20 @@ def test_intervals_are_repeatable():
 
 def test_a_ratio_of_means_has_an_interval():
     rng = np.random.default_rng(0)
-    under = rng.uniform(1.0, 2.0, 400)
-    ratio = bootstrap_ratio(0.5 * under + rng.normal(0.0, 0.01, 400), under)
+    under = rng.uniform(1.0, 2.0, (400, 1))
+    (ratio,) = bootstrap_ratio(0.5 * under + rng.normal(0.0, 0.01, (400, 1)), under)
     assert ratio.low < 0.5 < ratio.high and ratio.high - ratio.low < 0.01
-    assert bootstrap_ratio(3.0 * under, under).low == pytest.approx(3.0)
+    assert bootstrap_ratio(3.0 * under, under)[0].low == pytest.approx(3.0)
+
+
+def test_columns_have_a_ratio_each_and_none_where_there_is_nothing_below():
+    over = np.random.default_rng(0).uniform(1.0, 2.0, (50, 3))
+    under = np.stack([over[:, 0], np.zeros(50), 2.0 * over[:, 2]], axis=1)
+    one, nothing, half = bootstrap_ratio(over, under)
+    assert (one.mean, half.mean) == pytest.approx((1.0, 0.5))
+    assert np.isnan([nothing.mean, nothing.low, nothing.high]).all()
+    (once,) = bootstrap_ratio(over[:, :1], np.eye(50)[:, :1])
+    assert once.mean == pytest.approx(over[:, 0].sum()) and not once.known  # some draw no such
 
 
 # --- of a distribution

@@ -1,0 +1,165 @@
+"""Whom a policy trusts around events, what the modes' likelihoods say there, and what it gains.
+
+For a policy of which every mode keeps its own belief. An epoch counts for each event that it is
+near to. Intervals are over episodes: events of one episode may depend on each other.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from experiments.evaluation.colors import COLORS, draw_shares
+from experiments.evaluation.contenders import Contender
+from experiments.evaluation.events import (
+    Windows,
+    blockages,
+    pull_aways,
+    speeds,
+    stops,
+    turns,
+    velocities,
+    visible_links,
+)
+from experiments.evaluation.intervals import Interval, bootstrap_ratio
+from experiments.evaluation.markdown import grid
+from experiments.evaluation.runner import run_contender, step_s
+from mmwave_env.episodes.episode import Episode
+from mmwave_env.files import atomic_path
+from mmwave_env.numerics.arrays import Array, Mask
+
+EVENTS: dict[str, Callable[[Sequence[Episode]], Mask]] = {
+    "stop": lambda episodes: stops(speeds(velocities(episodes))),
+    "pull-away": lambda episodes: pull_aways(speeds(velocities(episodes))),
+    "turn": lambda episodes: turns(velocities(episodes), step_s(episodes[0])),
+    "blockage": lambda episodes: blockages(visible_links(episodes)),
+}
+AROUND_S = 10.0  # what is looked at, before and after
+MOMENTS_S = (-3.0, 0.0, 3.0)  # rows of the table
+PROBABILITY = "mixture.probability"
+
+
+@dataclass(frozen=True)
+class Around:
+    """What happens around events of one kind, per epoch (w,) around them."""
+
+    events: int  # how many; those cut off at an end of their episode count where they are
+    trusted: Array  # (1 + modes, w) share of the epochs in which none or a mode is trusted
+    probability: Array  # (modes, w) mean before trust
+    error_m: dict[str, list[Interval]]  # (w,) mean position errors, by contender
+    gain_m: list[Interval]  # (w,) the error of the policy minus that of its rival
+
+
+@dataclass(frozen=True)
+class Trust:
+    """A policy and its rival around every kind of event; its ``str`` is a Markdown table."""
+
+    actions: list[str]  # "none" and the modes
+    time_s: Array  # (w,) of epochs around an event
+    around: dict[str, Around]  # per kind of event
+
+    @classmethod
+    def measured(cls, policy: Contender, rival: Contender, episodes: Sequence[Episode]) -> "Trust":
+        """Run both on episodes of one length.
+
+        Args:
+            policy: whose modes keep a belief each.
+            rival: whose errors stand beside its own.
+            episodes: with truth.
+        """
+        layout, step = episodes[0].layout, step_s(episodes[0])
+        told = run_contender(policy, policy.start(layout), episodes, shown=[PROBABILITY])
+        other = run_contender(rival, rival.start(layout), episodes)
+        error = {
+            Path(one.name).name: np.linalg.norm(of["error"], axis=-1)
+            for one, of in ((policy, told), (rival, other))
+        }
+        trusted = [(told["mode"] == i) * 1.0 for i in range(len(policy.actions))]
+        probability = list(np.moveaxis(told[PROBABILITY], -1, 0))
+        offsets = np.arange(-round(AROUND_S / step), round(AROUND_S / step) + 1)
+        around = {
+            kind: _around(Windows.around(find(episodes), offsets), trusted, probability, error)
+            for kind, find in EVENTS.items()
+        }
+        return cls(policy.actions, offsets * step, around)
+
+    @property
+    def json(self) -> dict[str, Any]:
+        """As results files hold it."""
+        content: dict[str, Any] = {"time_s": self.time_s.tolist()}
+        for kind, one in self.around.items():
+            content[kind] = {
+                "events": one.events,
+                "trusted": dict(zip(self.actions, one.trusted.tolist(), strict=True)),
+                "probability": dict(
+                    zip(self.actions[1:], one.probability.tolist(), strict=True)
+                ),
+                "error_m": {name: [i.json for i in row] for name, row in one.error_m.items()},
+                "gain_m": [interval.json for interval in one.gain_m],
+            }  # fmt: skip
+        return content
+
+    def __str__(self) -> str:
+        """Around each kind of event: shares of whom is trusted, and errors."""
+        name, rival = next(iter(self.around.values())).error_m
+        header = ["event", "time s", *self.actions, f"error of {name} m", f"minus {rival} m"]
+        rows = []
+        for kind, one in self.around.items():
+            for moment in MOMENTS_S:
+                at = int(np.argmin(abs(self.time_s - moment)))
+                shares = [f"{share:.2f}" for share in one.trusted[:, at]]
+                when = f"{self.time_s[at]:+g}" if moment else "0"
+                rows.append([kind, when, *shares, str(one.error_m[name][at]), str(one.gain_m[at])])
+        return grid(header, rows)
+
+    def draw(self, path: Path) -> None:
+        """As PNG: trust, probabilities and errors, a column a kind of event."""
+        from matplotlib.figure import Figure
+
+        figure = Figure(figsize=(12.0, 7.4), layout="constrained")
+        panels = figure.subplots(3, len(self.around), sharex=True, sharey="row")
+        for column, (kind, one) in zip(panels.T, self.around.items(), strict=True):
+            draw_shares(column[0], self.time_s, one.trusted, self.actions)
+            draw_shares(column[1], self.time_s, one.probability, self.actions[1:])
+            self._draw_errors(column[2], one)
+            column[0].set_title(f"{one.events:,} {kind}s")
+            column[2].set_xlabel(f"time since the {kind} (s)")
+        labels = ("share of decisions\nthat trust a mode", "mean probability of\nmodes before trust",
+                  "mean position error (m)")  # fmt: skip
+        for axes, label in zip(panels[:, 0], labels, strict=True):
+            axes.set_ylabel(label)
+        for axes in panels[[0, 2], -1]:
+            axes.legend(loc="upper left", bbox_to_anchor=(1.01, 1.0), frameon=False,
+                        reverse=axes is panels[0, -1])  # fmt: skip
+        figure.align_ylabels(panels[:, 0])
+        with atomic_path(path) as temporary:
+            figure.savefig(temporary, dpi=120)
+
+    def _draw_errors(self, axes: Any, one: Around) -> None:
+        for (name, row), color in zip(one.error_m.items(), COLORS, strict=False):
+            mean, low, high = np.transpose([(i.mean, i.low, i.high) for i in row])
+            axes.plot(self.time_s, mean, color=color, label=name)
+            axes.fill_between(self.time_s, low, high, color=color, alpha=0.2, lw=0.0)
+        axes.axvline(0.0, color="black", lw=0.8)
+        axes.grid(alpha=0.3)
+
+
+def _around(
+    windows: Windows, trusted: list[Array], probability: list[Array], error: dict[str, Array]
+) -> Around:
+    """Means over epochs near events, of tables (n, T) each."""
+    epochs = windows.sums(np.ones_like(trusted[0]))
+    total = epochs.sum(axis=0)
+
+    def means(tables: list[Array]) -> Array:
+        sums = np.array([windows.sums(table).sum(axis=0) for table in tables])
+        return np.divide(sums, total, out=np.full(sums.shape, np.nan), where=total > 0.0)
+
+    mine, others = (windows.sums(table) for table in error.values())
+    both = [bootstrap_ratio(sums, epochs) for sums in (mine, others)]
+    return Around(
+        len(windows.place), means(trusted), means(probability),
+        dict(zip(error, both, strict=True)), bootstrap_ratio(mine - others, epochs),
+    )  # fmt: skip
