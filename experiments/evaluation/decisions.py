@@ -129,9 +129,9 @@ class Decisions:
             for axes, name in zip(column[1:], self.actions, strict=True):
                 draw_shares(axes, self.time_s, self._shares(kind, name), self.actions[name])
             column[-1].set_xlabel(f"time since the {kind} (s)")
-        for axes in panels[:, -1]:
+        for axes in panels[:, -1]:  # of shares in the order in which they lie
             axes.legend(loc="upper left", bbox_to_anchor=(1.01, 1.0), frameon=False,
-                        fontsize="small")  # fmt: skip
+                        fontsize="small", reverse=axes is not panels[0, -1])  # fmt: skip
         panels[0, 0].set_ylabel("mean position error (m)")
         for axes, name in zip(panels[1:, 0], self.actions, strict=True):
             axes.set_ylabel(f"{Path(name).name}\nshare of modes")
@@ -147,7 +147,7 @@ class Decisions:
             axes.plot(self.time_s, around.mean(around.error_m), style, color=COLORS[color],
                       label=Path(name).name)  # fmt: skip
         axes.set(title=f"{next(iter(table.values())).events} {kind}s", yscale="log")
-        axes.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+        axes.yaxis.set_major_locator(LogLocator(subs=(1.0, 1.5, 2.0, 3.0, 5.0, 7.0)))
         axes.yaxis.set_major_formatter("{x:g}")
         axes.yaxis.set_minor_formatter(NullFormatter())
         axes.axvline(0.0, color="black", lw=0.8)

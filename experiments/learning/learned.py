@@ -17,14 +17,17 @@ from experiments.cli.doc_pages import page_to_renew, renewed
 from experiments.cli.main import run
 from experiments.cli.options import source_of
 from experiments.cli.reporting import results
-from experiments.evaluation.contenders import BEST_IMM
+from experiments.evaluation.contenders import BEST_IMM, contender_from
+from experiments.evaluation.decisions import Decisions
 from experiments.evaluation.intervals import Interval, crossed_bootstrap, mean
 from experiments.evaluation.markdown import grid, show
 from experiments.evaluation.runner import score_contenders
 from experiments.evaluation.runs import Run
+from experiments.evaluation.seeds import draw_episodes
 from experiments.learning.ablate import VARIANTS
 from experiments.learning.arguments.learned import Args
 from experiments.learning.curves import draw_curves
+from experiments.learning.trust import Trust
 from mmwave_env.files import require_writable, write_json, write_text
 from mmwave_env.numerics.arrays import Array
 from policies import TUNED_IMMS
@@ -35,7 +38,8 @@ PAGE_RIVALS = (
     "imm", *TUNED_IMMS, BEST_IMM,
 )  # fmt: skip
 SHIPPED = "as-shipped"
-TRUSTING = ("guided", "guided-ppo")  # runs with beliefs per mode, judged on docs/benchmark.md
+GUIDED = "guided"  # the policy for all places
+TRUSTING = (GUIDED, "guided-ppo")  # runs with beliefs per mode, judged on docs/benchmark.md
 
 
 def runs_of(args: Args, radio: str) -> list[str]:
@@ -48,10 +52,12 @@ def tables(args: Args) -> Iterator[tuple[str, str, dict[str, Any]]]:
     yield trainings(args)
     for radio in RADIOS:
         what = EpisodeArgs(radio=radio, episodes=args.episodes, seed=args.seed)
-        figures = (args.out / f"{kind}-{radio}.png" for kind in ("profiles", "decisions"))
-        _, text, content = results(what, [*runs_of(args, radio), *PAGE_RIVALS], False, *figures)
+        names, figure = [*runs_of(args, radio), *PAGE_RIVALS], args.out / f"profiles-{radio}.png"
+        _, text, content = results(what, names, figure=figure)
+        content |= {"decisions": around_events(args, radio)}
         text = text.partition("\n\n")[2].rstrip("\n")  # titles of pages are the pages' own
         yield radio, text.replace(f"{args.runs}/", ""), content
+    yield trust(args, RADIOS[0])
     for radio in RADIOS:
         elsewhere = TransferArgs(
             radio=radio, policies=tuple(runs_of(args, radio)), episodes=args.episodes // 4,
@@ -79,6 +85,26 @@ def trainings(args: Args) -> tuple[str, str, dict[str, Any]]:
     draw_curves([Path(name) for name in names], args.out / "curves.png")
     header = ["run", "seeds", "steps each", "wall time each", "beat the rule after", "steps"]
     return "trainings", grid(header, rows), content
+
+
+def around_events(args: Args, radio: str) -> dict[str, Any]:
+    """What a few contenders choose around stops and pull-aways, as JSON, and a figure of it."""
+    guided, switcher = (str(args.runs / name) for name in (GUIDED, f"ppo-extended-{radio}"))
+    names = [guided, BEST_IMM, switcher, "speed-rule"]
+    decisions = Decisions({name: name for name in names})
+    source = source_of(WorldArgs(radio=radio))
+    score_contenders(names, source, radio, args.episodes, args.seed, watch=decisions.add)
+    decisions.draw(args.out / f"decisions-{radio}.png")
+    return decisions.json
+
+
+def trust(args: Args, radio: str) -> tuple[str, str, dict[str, Any]]:
+    """Whom the policy for all places trusts around events, and a figure of it."""
+    guided, best = (contender_from(name, radio) for name in (str(args.runs / GUIDED), BEST_IMM))
+    seeds = range(args.seed, args.seed + max(1, args.episodes // 2))
+    found = Trust.measured(guided, best, draw_episodes(source_of(WorldArgs(radio=radio)), seeds))
+    found.draw(args.out / f"trust-{radio}.png")
+    return f"trust, {radio}", str(found), found.json
 
 
 def ablations(args: Args) -> tuple[str, str, dict[str, Any]]:
@@ -118,7 +144,7 @@ def main(args: Args) -> None:
     if args.docs:
         args = replace(args, out=args.docs.with_suffix(""))
     bodies, content = {}, {}
-    for title, text, figures in track(tables(args), total=6, description="learned", transient=True):
+    for title, text, figures in track(tables(args), total=7, description="learned", transient=True):
         bodies[title], content[title] = text, figures
     everything = "\n\n".join(f"### {title}\n\n{text}" for title, text in bodies.items()) + "\n"
     if args.docs:

@@ -87,18 +87,26 @@ class Trust:
 
     @property
     def json(self) -> dict[str, Any]:
-        """As results files hold it."""
+        """As results files hold it; null where there is no epoch."""
+
+        def number(value: float) -> float | None:
+            return None if np.isnan(value) else float(value)
+
+        def shares(names: list[str], table: Array) -> dict[str, list[float | None]]:
+            return {name: [*map(number, row)] for name, row in zip(names, table, strict=True)}
+
+        def intervals(row: list[Interval]) -> list[dict[str, Any]]:
+            return [interval.json | {"mean": number(interval.mean)} for interval in row]
+
         content: dict[str, Any] = {"time_s": self.time_s.tolist()}
         for kind, one in self.around.items():
             content[kind] = {
                 "events": one.events,
-                "trusted": dict(zip(self.actions, one.trusted.tolist(), strict=True)),
-                "probability": dict(
-                    zip(self.actions[1:], one.probability.tolist(), strict=True)
-                ),
-                "error_m": {name: [i.json for i in row] for name, row in one.error_m.items()},
-                "gain_m": [interval.json for interval in one.gain_m],
-            }  # fmt: skip
+                "trusted": shares(self.actions, one.trusted),
+                "probability": shares(self.actions[1:], one.probability),
+                "error_m": {name: intervals(row) for name, row in one.error_m.items()},
+                "gain_m": intervals(one.gain_m),
+            }
         return content
 
     def __str__(self) -> str:

@@ -1,4 +1,4 @@
-"""What happens around stops and pull-aways, against definitions written out."""
+"""What happens around stops and pull-aways, against means written out."""
 
 import json
 from dataclasses import replace
@@ -8,7 +8,8 @@ import pytest
 from matplotlib.image import imread
 
 from experiments.evaluation.contenders import Contender, contender_from
-from experiments.evaluation.decisions import Decisions, pull_aways, stops
+from experiments.evaluation.decisions import Decisions
+from experiments.evaluation.events import fast_pull_aways, fast_stops
 from experiments.evaluation.runner import run_contender
 from experiments.evaluation.seeds import draw_episodes
 from mmwave_env.episodes.simulated import SimulatedSource
@@ -18,73 +19,6 @@ from mmwave_env.models.scene import SCENES
 from tests.training.actors import HANDSET
 
 N, T = 12, 60
-
-
-def speeds(text):
-    return np.array([[float(word) for word in text.split()]])
-
-
-def epochs(mask):
-    return np.flatnonzero(mask[0]).tolist()
-
-
-PULL_AWAYS = {
-    "a plain one": ("0 0 0 1 3 5", [3]),
-    "too short a stop": ("0 0 1 3 5", []),
-    "a stop broken": ("0 0 0.4 0 1 3 5", []),
-    "lingering": ("0 0 0 0.4 0.4 0.6 3", [5]),
-    "at the limits": ("0 0 0 0.5 0.51 2 2.01", [4]),
-    "not quite still": ("0.3 0.3 0.3 0.3 3", []),
-    "a pedestrian": ("0 0 0 1 1 1 1 1 1 1 3", []),
-    "slowly": ("0 0 0 1 1 1 1 1 3", [3]),
-    "two": ("0 0 0 4 4 0 0 0 9", [3, 8]),
-    "never still": ("1 2 3 4 5", []),
-}
-
-
-@pytest.mark.parametrize("case", PULL_AWAYS)
-def test_pull_aways_are_where_they_are_defined_to_be(case):
-    text, expected = PULL_AWAYS[case]
-    assert epochs(pull_aways(speeds(text))) == expected
-    backwards = " ".join(reversed(text.split()))
-    last = len(text.split()) - 1
-    assert epochs(stops(speeds(backwards))) == sorted(last - t for t in expected)
-
-
-def test_users_do_not_mix():
-    table = np.concatenate([speeds("0 0 0 1 3 5"), speeds("0 0 1 3 5 5"), speeds("9 0 0 0 9 9")])
-    assert np.argwhere(pull_aways(table)).tolist() == [[0, 3], [2, 4]]
-
-
-def test_seconds_count_not_epochs():
-    slow = speeds("0 0 0 1 1 1 1 1 3")
-    assert epochs(pull_aways(np.repeat(slow, 10, axis=1), 0.1)) == [30]
-    assert epochs(pull_aways(slow, 0.1)) == []
-    assert epochs(pull_aways(speeds("0 0 3"), 2.0)) == [2]
-
-
-def plain_pull_aways(speed):
-    """Epoch by epoch, looking back and ahead."""
-    found = []
-    for t in range(len(speed)):
-        moved = max((i + 1 for i in range(t) if speed[i] > 0.5), default=0)  # after the last time
-        stood = any((speed[i : i + 3] < 0.3).all() for i in range(moved, t - 2))
-        if speed[t] > 0.5 and stood and speed[t : t + 6].max() > 2.0:
-            found.append(t)
-    return found
-
-
-def test_random_walks_agree_with_looking_back_and_ahead():
-    rng = np.random.default_rng(0)
-    table = rng.choice([0.0, 0.1, 0.4, 0.6, 3.0], (200, T), p=[0.5, 0.2, 0.1, 0.1, 0.1])
-    found = pull_aways(table)
-    assert [epochs(row[None]) for row in found] == [plain_pull_aways(row) for row in table]
-    assert found.sum() > 200
-
-
-# --- sums over events
-
-
 SOURCE = SimulatedSource(SCENES["street"], RADIOS["handset"], "vehicle", epochs=T)
 NAMES = ("speed-rule", "imm", "fixed-ukf", "random")
 
@@ -122,8 +56,8 @@ def test_numbers_are_means_over_events(episodes, told):
     content = collected(episodes, told).json
     assert content["time_s"] == list(range(-10, 21))
     speed = np.stack([np.linalg.norm(episode.truth_velocity_mps, axis=1) for episode in episodes])
-    for kind, find in (("stop", stops), ("pull-away", pull_aways)):
-        events, row = np.argwhere(find(speed)), content[kind]
+    for kind, find in (("stop", fast_stops), ("pull-away", fast_pull_aways)):
+        events, row = np.argwhere(find(speed, 1.0)), content[kind]
         assert row["events"] == len(events) > 10
         assert list(row["error_m"]) == ["speed-rule", "imm", "fixed-ukf"]
         for i, offset in enumerate(range(-10, 21)):
@@ -198,5 +132,5 @@ def test_where_modes_keep_a_belief_each_the_shares_are_of_whom_it_trusts(episode
     assert list(shares) == ["none", "stand", "walk", "ride"]
     assert np.sum([shares[name] for name in shares], axis=0) == pytest.approx(np.ones(31))
     speed = np.stack([np.linalg.norm(episode.truth_velocity_mps, axis=1) for episode in episodes])
-    there = [(e, t) for e, t in np.argwhere(stops(speed)) if t >= BURN_IN]
+    there = [(e, t) for e, t in np.argwhere(fast_stops(speed, 1.0)) if t >= BURN_IN]
     assert shares["ride"][10] == pytest.approx(np.mean([actions[at] == 3 for at in there]))

@@ -11,7 +11,7 @@ import mmwave_env  # noqa: F401  registers the environment
 from experiments.evaluation import contenders as contenders_module
 from experiments.evaluation import runner as evaluation
 from experiments.evaluation.contenders import Contender, contender_from, contenders
-from experiments.evaluation.runner import score, score_contenders
+from experiments.evaluation.runner import run_contender, score, score_contenders
 from experiments.evaluation.seeds import draw_episodes
 from mmwave_env.engines.imm_engine import ImmEngine
 from mmwave_env.episodes.simulated import SimulatedSource
@@ -251,6 +251,22 @@ def test_trusting_no_mode_is_the_imm_over_the_bank():
     elsewhere = replace(imm, transition=None, nis_quantile=1.0)
     other = score(elsewhere, None, draw_episodes(SOURCE, range(3)))
     assert (other["reward"] != expected["reward"]).all()
+
+
+def test_before_an_action_probabilities_are_those_of_the_imm():
+    own = Contender.own("none", none, "handset", HANDSET, beliefs="per-mode")
+    episodes = draw_episodes(SOURCE, range(2))
+    imm = ImmEngine(
+        Pipeline(HANDSET.modes, SOURCE.layout), TrackingReward(), HANDSET.transition,
+        HANDSET.nis_quantile,
+    )  # fmt: skip
+    name = "mixture.probability"
+    found = run_contender(own, own.start(SOURCE.layout), episodes, shown=[name])[name]
+    assert found.shape == (2, len(episodes[0]), len(MODES))
+    np.testing.assert_allclose(found, imm.run(episodes, name)[name], atol=1e-9)
+    stand = run_contender(own, FixedMode(1), episodes, shown=[name])[name]
+    np.testing.assert_array_equal(stand[:, 0], found[:, 0])  # no action was taken yet
+    assert stand[:, 1:, 0].mean() > found[:, 1:, 0].mean()
 
 
 def test_the_best_imm_is_over_the_best_bank_of_its_radio():

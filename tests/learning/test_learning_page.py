@@ -75,5 +75,5 @@ def test_the_page_is_what_the_command_writes(tmp_path):
     assert re.sub(r"\d", "", made) == re.sub(r"\d", "", shown)
     # Another processor rounds otherwise; a near tie between two modes answers to that.
     assert np.isclose(numbers(made), numbers(shown), rtol=0.03, atol=0.005).mean() > 0.99
-    for name in ("curves", "profiles-handset", "decisions-standard"):
+    for name in ("curves", "profiles-handset", "decisions-standard", "trust-handset"):
         assert (tmp_path / "learning" / f"{name}.png").read_bytes().startswith(b"\x89PNG")
