@@ -82,8 +82,7 @@ class Decisions:
             windows = Windows.around(find(speed, step), offsets)
             chosen = [(told["mode"] == i) * 1.0 for i in range(len(actions))]
             epochs, errors, *shares = (
-                windows.sums(values).sum(axis=0)
-                for values in (np.ones_like(error), error, *chosen)
+                windows.sums(values).sum(axis=0) for values in (np.ones_like(error), error, *chosen)
             )
             counts = np.array(shares).reshape(-1, len(offsets))
             found = Around(len(windows.place), epochs, errors, counts)

@@ -80,7 +80,9 @@ def bootstrap_ratio(over: Array, under: Array, seed: int = 0) -> list[Interval]:
 
     def ratios(means: Array) -> Array:
         above, below = np.split(means, 2, axis=-1)
-        return np.divide(above, below, out=np.full(above.shape, np.nan), where=below != 0.0)
+        found = np.full(above.shape, np.nan)
+        np.divide(above, below, out=found, where=below != 0.0)
+        return found
 
     both = np.concatenate([over, under], axis=1)
     low, high = np.percentile(ratios(_resampled_means(both, seed)), [2.5, 97.5], axis=0)

@@ -83,7 +83,7 @@ class Trust:
             kind: _around(Windows.around(find(episodes), offsets), trusted, probability, error)
             for kind, find in EVENTS.items()
         }
-        return cls(policy.actions, offsets * step, around)
+        return cls(policy.actions, np.asarray(offsets * step, np.float64), around)
 
     @property
     def json(self) -> dict[str, Any]:
@@ -134,8 +134,11 @@ class Trust:
             self._draw_errors(column[2], one)
             column[0].set_title(f"{one.events:,} {kind}s")
             column[2].set_xlabel(f"time since the {kind} (s)")
-        labels = ("share of decisions\nthat trust a mode", "mean probability of\nmodes before trust",
-                  "mean position error (m)")  # fmt: skip
+        labels = (
+            "share of decisions\nthat trust a mode",
+            "mean probability of\nmodes before trust",
+            "mean position error (m)",
+        )
         for axes, label in zip(panels[:, 0], labels, strict=True):
             axes.set_ylabel(label)
         for axes in panels[[0, 2], -1]:
@@ -163,7 +166,9 @@ def _around(
 
     def means(tables: list[Array]) -> Array:
         sums = np.array([windows.sums(table).sum(axis=0) for table in tables])
-        return np.divide(sums, total, out=np.full(sums.shape, np.nan), where=total > 0.0)
+        found = np.full(sums.shape, np.nan)
+        np.divide(sums, total, out=found, where=total > 0.0)
+        return found
 
     mine, others = (windows.sums(table) for table in error.values())
     both = [bootstrap_ratio(sums, epochs) for sums in (mine, others)]
