@@ -151,7 +151,17 @@ class LearnedSwitch:
             )
 
     def __call__(self, observation: Array) -> NDArray[np.int64]:
-        """Actions (n,) for observations (n, features).
+        """Actions (n,) for observations (n, features); errors are those of :meth:`logits`."""
+        actions: NDArray[np.int64] = self.logits(observation).argmax(axis=1)
+        return actions
+
+    def logits(self, observation: Array) -> Array:
+        """Logarithms of the actions' probabilities (n, actions), up to a constant of each row.
+
+        A policy with a memory takes the observations in, as when it is called.
+
+        Args:
+            observation: (n, features).
 
         Raises:
             ValueError: another number of features, or, of a policy with a memory, another
@@ -177,8 +187,8 @@ class LearnedSwitch:
             x = x @ w
             x += b
             np.tanh(x, out=x)
-        actions: NDArray[np.int64] = (x @ weight + bias).argmax(axis=1)
-        return actions
+        found: Array = x @ weight + bias
+        return found
 
 
 def _located(path: str | os.PathLike[str]) -> Path:

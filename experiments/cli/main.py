@@ -33,6 +33,10 @@ COMMANDS = {
 }
 STUDIES = {  # of a checkout: the installed package goes without them
     "ablate": ("experiments.learning.ablate", "trainings with one thing changed at a time"),
+    "studies": (
+        "experiments.learning.studies",
+        "what beliefs per mode, rollouts, places and modes are worth, in short trainings",
+    ),
     "learned": (
         "experiments.learning.learned",
         "the tables and figures of docs/learning.md, from recorded runs",

@@ -19,7 +19,7 @@ from experiments.cli.options import source_of
 from experiments.cli.reporting import results
 from experiments.evaluation.contenders import BEST_IMM, contender_from
 from experiments.evaluation.decisions import Decisions
-from experiments.evaluation.intervals import Interval, crossed_bootstrap, mean
+from experiments.evaluation.intervals import Interval, over_seeds_and_episodes
 from experiments.evaluation.markdown import grid, show
 from experiments.evaluation.runner import score_contenders
 from experiments.evaluation.runs import Run
@@ -27,9 +27,9 @@ from experiments.evaluation.seeds import draw_episodes
 from experiments.learning.ablate import VARIANTS
 from experiments.learning.arguments.learned import Args
 from experiments.learning.curves import draw_curves
+from experiments.learning.study_tables import STUDIES, study_tables
 from experiments.learning.trust import Trust
 from mmwave_env.files import require_writable, write_json, write_text
-from mmwave_env.numerics.arrays import Array
 from policies import TUNED_IMMS
 
 RADIOS = ("handset", "standard")
@@ -65,6 +65,7 @@ def tables(args: Args) -> Iterator[tuple[str, str, dict[str, Any]]]:
         )  # fmt: skip
         yield f"transfer, {radio}", *transfer.tried(elsewhere)
     yield ablations(args)
+    yield from study_tables(args.runs, args.episodes // 2, args.seed)
 
 
 def trainings(args: Args) -> tuple[str, str, dict[str, Any]]:
@@ -123,18 +124,12 @@ def ablations(args: Args) -> tuple[str, str, dict[str, Any]]:
         columns = {"reward": rewards, "minus imm": rewards - scores["imm"]["reward"]}
         if name != SHIPPED and len(rewards) == len(found[SHIPPED]):
             columns[f"minus {SHIPPED}"] = rewards - found[SHIPPED]
-        intervals = {key: _over_both(values) for key, values in columns.items()}
+        intervals = {key: over_seeds_and_episodes(values) for key, values in columns.items()}
         rows.append([name, str(len(rewards)), *map(str, intervals.values())])
         content[name] = {key: interval.json for key, interval in intervals.items()}
     rows[0] += [""] * (5 - len(rows[0]))
     header = ["variant", "seeds", "reward", "minus imm", f"minus {SHIPPED}"]
     return "ablations", grid(header, rows), content
-
-
-def _over_both(values: Array) -> Interval:
-    """Mean of values (seeds, episodes) with its interval over both."""
-    ((center, low, high),) = crossed_bootstrap(values, mean)
-    return Interval(float(center), float(low), float(high))
 
 
 def main(args: Args) -> None:
@@ -144,7 +139,8 @@ def main(args: Args) -> None:
     if args.docs:
         args = replace(args, out=args.docs.with_suffix(""))
     bodies, content = {}, {}
-    for title, text, figures in track(tables(args), total=7, description="learned", transient=True):
+    total = 7 + len(STUDIES)
+    for title, text, figures in track(tables(args), "learned", total, transient=True):
         bodies[title], content[title] = text, figures
     everything = "\n\n".join(f"### {title}\n\n{text}" for title, text in bodies.items()) + "\n"
     if args.docs:

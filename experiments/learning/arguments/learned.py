@@ -14,9 +14,11 @@ class Args(JsonArgs):
     """
 
     runs: Path = Path("docs/learning")
-    """folder of the recorded runs: ppo-RADIO, ppo-extended-RADIO, and ablation/VARIANT"""
+    """folder of the recorded runs: ppo-RADIO, ppo-extended-RADIO, ablation/VARIANT and those of
+    studies, studies/TRAINING"""
     episodes: int = 2000
-    """simulated episodes of the results; a quarter of them for each place and variant"""
+    """simulated episodes of the results; half of them for each study, a quarter for each place and
+    variant"""
     seed: int = 0
     """seed of the first episode; test seeds start at 0"""
     out: Path = Path("results/learning")

@@ -1,0 +1,141 @@
+"""mmwave-loc studies: what beliefs per mode, rollouts, places and modes are worth."""
+
+from collections.abc import Mapping
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any, Literal, NamedTuple
+
+from experiments import train
+from experiments.arguments.train import Args as TrainArgs
+from experiments.cli.main import run
+from experiments.cli.options import command_line
+from experiments.evaluation.seeds import TUNING_SEED
+from experiments.learning.arguments.studies import Args
+from experiments.learning.evolution import evolved
+from experiments.training.places import Place, place_from
+from experiments.tuning.designs import Design
+from experiments.tuning.scores import drawn, scores
+from experiments.tuning.search import best_bank_of
+from experiments.tuning.search_space import search_space
+from mmwave_env.files import write_json
+from mmwave_env.filters.bank import Bank, bank_as_written, best_bank
+from mmwave_env.lookup import choose, require_extra
+
+# Two minutes or less on one core.
+PPO_STEPS, BRANCH_STATES = 1_000_000, 250_000
+BANK_EPISODES, BANK_SHARES = 450, 3  # of the tuning of a bank; a generation sees one share
+STREET = "street:handset"
+
+
+class Training(NamedTuple):
+    """A training, and what is other in it."""
+
+    algo: Literal["ppo", "branch"] = "branch"
+    beliefs: Literal["shared", "per-mode"] = "per-mode"
+    places: tuple[str, ...] = (STREET,)
+    without: tuple[str, ...] = ()  # modes of the radio's best bank that are left out
+
+
+TRAININGS: Mapping[str, Training] = MappingProxyType({
+    "shared": Training("ppo", "shared"),
+    "ppo": Training("ppo"),
+    "branch": Training(),
+    "many-places": Training(
+        places=tuple(
+            f"{scene}:{radio}"
+            for scene in ("street", "o1", "dynamic-doppler")
+            for radio in ("handset", "standard", "high")
+        )
+    ),
+    "no-accelerate-brake": Training(without=("accelerate", "brake")),
+    "no-turn": Training(without=("turn",)),
+})  # fmt: skip
+EVOLUTION = "evolution"
+
+
+def bank_without(names: tuple[str, ...], place: Place, evaluations: int) -> Bank:
+    """The modes of the radio's best bank but for some, tuned anew on tuning episodes of a place.
+
+    A bank out of which a mode is only taken would be worse than it need be: noise and transitions
+    of the others were tuned beside it.
+
+    Raises:
+        ValueError: a name that no mode has.
+    """
+    modes = {mode.name: mode for mode in best_bank(place.profile).modes}
+    for name in names:
+        choose(modes, name, "mode")
+    tuning = drawn(
+        [place.source("mixed")], range(TUNING_SEED, TUNING_SEED + BANK_EPISODES), BANK_SHARES
+    )
+
+    def value(bank: Bank, generation: int) -> float:
+        return float(scores(bank, tuning[generation % BANK_SHARES]).reward.mean())
+
+    kept = tuple(mode for name, mode in modes.items() if name not in names)
+    return best_bank_of(search_space(Design(kept)), value, evaluations)
+
+
+def options_of(args: Args, name: str) -> TrainArgs:
+    """The training as ``mmwave-loc train`` takes it; a bank of its own lies beside its run."""
+    training, out = TRAININGS[name], args.out / name
+    steps = PPO_STEPS if training.algo == "ppo" else BRANCH_STATES
+    modes: tuple[str, ...] = ()
+    if training.without or training.beliefs == "shared":
+        path = args.out / f"{name}-bank.json"
+        if not path.is_file():
+            write_json(path, bank_as_written(_bank_of(args, training)))
+        modes = (str(path),)
+    return TrainArgs(
+        algo=training.algo, beliefs=training.beliefs, places=training.places, modes=modes,
+        seeds=args.seeds, jobs=1, total_timesteps=args.total_timesteps or steps, out=out,
+        resume=(out / "run.json").is_file(),
+    )  # fmt: skip
+
+
+def _bank_of(args: Args, training: Training) -> Bank:
+    """The bank that a training gets as a file."""
+    place = place_from(training.places[0])
+    if not training.without:
+        return best_bank(place.profile)
+    require_extra("cmaes", "tune", "a bank without some modes")
+    return bank_without(training.without, place, args.evaluations)
+
+
+def evolution(args: Args, path: Path) -> None:
+    """Search continuous trust by an evolution strategy, and record what was found."""
+    require_extra("cmaes", "tune", "studies --trainings evolution")
+    place = place_from(STREET)
+    trust, figures = evolved(
+        best_bank(place.profile), place.source("mixed"), args.generations,
+        lambda generation, gain: print(f"{generation} generations: {gain:+.4f} over its IMM"),
+    )  # fmt: skip
+    alone = replace(args, trainings=(EVOLUTION,), out=Args.out)
+    write_json(path, {"command": command_line("studies", alone)} | figures | trust.json)
+
+
+def main(args: Args) -> None:
+    """Run the command."""
+    known: dict[str, Any] = {
+        name: (args.out / name / "summary.json", partial(_train, args, name)) for name in TRAININGS
+    }
+    record = args.out / EVOLUTION / "trust.json"
+    known[EVOLUTION] = (record, partial(evolution, args, record))
+    for name in args.trainings or known:
+        recorded, make = choose(known, name, "trainings")
+        print(f"\n{name}\n", flush=True)
+        if recorded.is_file():
+            print(f"{recorded} is there already")
+        else:
+            make()
+
+
+def _train(args: Args, name: str) -> None:
+    """Run a training."""
+    train.main(options_of(args, name))
+
+
+if __name__ == "__main__":
+    run("studies")
