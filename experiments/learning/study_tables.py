@@ -84,11 +84,10 @@ def rows_of(runs: Path) -> dict[str, Row]:
     for name in TRAININGS:
         run = Run.read(str(runs / "studies" / name))
         found[name] = _row_of(run, run.policies, str(len(run.seeds)))
-    for name in BANKS:
-        bank = Contender.learned(runs / "studies" / name / "seed-0" / "policy.safetensors").bank
-        assert bank is not None  # its modes keep a belief each
-        imm = Contender(name, bank.modes, None, bank.transition, bank.nis_quantile)
-        found[f"imm {name}"] = Row(partial(_rewards_of, [imm]))
+        if name in BANKS:
+            bank = LearnedSwitch(Path(run.policy)).bank(RADIO)
+            imm = Contender(name, bank.modes, None, bank.transition, bank.nis_quantile)
+            found[f"imm {name}"] = Row(partial(_rewards_of, [imm]))
     guided = Run.read(str(runs / GUIDED))
     found[GUIDED] = _row_of(guided, [guided.policy], f"median of {len(guided.seeds)}")
     switch = LearnedSwitch(Path(guided.policy))

@@ -122,6 +122,15 @@ def test_actions_are_those_of_a_plain_loop(make, kind):
     assert_chosen(actions, np.stack([logits_of_an_episode(tensors, frames, e) for e in episodes]))
 
 
+def test_logits_are_those_of_a_plain_loop(make):
+    policy, tensors = make("both")
+    episodes = observations(20, 15)
+    policy.reset(np.ones(20, bool))
+    logits = np.stack([policy.logits(now) for now in episodes.swapaxes(0, 1)], axis=1)
+    expected = [logits_of_an_episode(tensors, policy.card.frames, e) for e in episodes]
+    np.testing.assert_allclose(logits, expected, atol=1e-4)
+
+
 @pytest.mark.torch
 @pytest.mark.parametrize("kind", KINDS)
 def test_actions_are_those_of_torch(make, kind):
