@@ -5,7 +5,7 @@ from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any, Literal, NamedTuple
+from typing import Literal, NamedTuple
 
 from experiments import train
 from experiments.arguments.train import Args as TrainArgs
@@ -23,8 +23,8 @@ from mmwave_env.files import write_json
 from mmwave_env.filters.bank import Bank, bank_as_written, best_bank
 from mmwave_env.lookup import choose, require_extra
 
-# Two minutes or less on one core.
-PPO_STEPS, BRANCH_STATES = 1_000_000, 250_000
+# As many as take about two minutes of one core.
+PPO_STEPS, BRANCH_STATES = 1_500_000, 330_000
 BANK_EPISODES, BANK_SHARES = 450, 3  # of the tuning of a bank; a generation sees one share
 STREET = "street:handset"
 
@@ -104,7 +104,12 @@ def _bank_of(args: Args, training: Training) -> Bank:
     return bank_without(training.without, place, args.evaluations)
 
 
-def evolution(args: Args, path: Path) -> None:
+def record_of(folder: Path, name: str) -> Path:
+    """The file that is there once a training is recorded, in a folder of studies."""
+    return folder / name / ("trust.json" if name == EVOLUTION else "summary.json")
+
+
+def evolution(args: Args) -> None:
     """Search continuous trust by an evolution strategy, and record what was found."""
     require_extra("cmaes", "tune", "studies --trainings evolution")
     place = place_from(STREET)
@@ -113,21 +118,19 @@ def evolution(args: Args, path: Path) -> None:
         lambda generation, gain: print(f"{generation} generations: {gain:+.4f} over its IMM"),
     )  # fmt: skip
     alone = replace(args, trainings=(EVOLUTION,), out=Args.out)
-    write_json(path, {"command": command_line("studies", alone)} | figures | trust.json)
+    written = {"command": command_line("studies", alone)} | figures | trust.json
+    write_json(record_of(args.out, EVOLUTION), written)
 
 
 def main(args: Args) -> None:
     """Run the command."""
-    known: dict[str, Any] = {
-        name: (args.out / name / "summary.json", partial(_train, args, name)) for name in TRAININGS
-    }
-    record = args.out / EVOLUTION / "trust.json"
-    known[EVOLUTION] = (record, partial(evolution, args, record))
-    for name in args.trainings or known:
-        recorded, make = choose(known, name, "trainings")
+    makers = {name: partial(_train, args, name) for name in TRAININGS}
+    makers[EVOLUTION] = partial(evolution, args)
+    for name in args.trainings or makers:
+        make, record = choose(makers, name, "trainings"), record_of(args.out, name)
         print(f"\n{name}\n", flush=True)
-        if recorded.is_file():
-            print(f"{recorded} is there already")
+        if record.is_file():
+            print(f"{record} is there already")
         else:
             make()
 

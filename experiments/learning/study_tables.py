@@ -17,7 +17,7 @@ from experiments.evaluation.runs import Run
 from experiments.evaluation.seeds import TUNING_SEED, draw_episodes
 from experiments.learning.continuous_trust import Trust, TrustEngine, mean_factor, mean_trust
 from experiments.learning.evolution import TUNING_EPISODES, LinearTrust
-from experiments.learning.studies import EVOLUTION, TRAININGS
+from experiments.learning.studies import EVOLUTION, TRAININGS, record_of
 from experiments.training.places import Place
 from mmwave_env.episodes.episode import Episode
 from mmwave_env.filters.bank import Bank
@@ -72,17 +72,15 @@ class Row(NamedTuple):
 
 
 def rows_of(runs: Path) -> dict[str, Row]:
-    """All rows of all tables, by name.
+    """All rows that are recorded, by name.
 
     Args:
         runs: folder of the recorded runs.
-
-    Raises:
-        FileNotFoundError: one of them is not recorded.
     """
     found = {BEST_IMM: Row(partial(_rewards_of, [contender_from(BEST_IMM, RADIO)]))}
-    for name in TRAININGS:
-        run = Run.read(str(runs / "studies" / name))
+    studies = runs / "studies"
+    for name in [name for name in TRAININGS if record_of(studies, name).is_file()]:
+        run = Run.read(str(studies / name))
         found[name] = _row_of(run, run.policies, str(len(run.seeds)))
         if name in BANKS:
             bank = LearnedSwitch(Path(run.policy)).bank(RADIO)
@@ -94,10 +92,11 @@ def rows_of(runs: Path) -> dict[str, Row]:
     for how, trust in (("trust", mean_trust(switch)), ("factor", mean_factor(switch))):
         rewards = partial(_rewards_with, trust, switch.bank(RADIO))
         found[f"{GUIDED}, mean {how}"] = found[GUIDED]._replace(rewards=rewards)
-    record = json.loads((runs / "studies" / EVOLUTION / "trust.json").read_text(encoding="utf-8"))
-    linear = LinearTrust.of(record)
-    rewards = partial(_rewards_with, linear, linear.bank)
-    found[EVOLUTION] = Row(rewards, "1", f"{record['seconds']:.0f} s")
+    if (record := record_of(studies, EVOLUTION)).is_file():
+        evolved = json.loads(record.read_text(encoding="utf-8"))
+        linear = LinearTrust.of(evolved)
+        rewards = partial(_rewards_with, linear, linear.bank)
+        found[EVOLUTION] = Row(rewards, "1", f"{evolved['seconds']:.0f} s")
     return found
 
 
@@ -122,7 +121,7 @@ def _rewards_with(trust: Trust, bank: Bank, episodes: Sequence[Episode]) -> Arra
 
 
 def study_tables(runs: Path, episodes: int, seed: int) -> Iterator[tuple[str, str, dict[str, Any]]]:
-    """Title, Markdown and JSON of every study.
+    """Title, Markdown and JSON of every study; its rows are those that are recorded.
 
     Args:
         runs: folder of the recorded runs.
@@ -132,18 +131,17 @@ def study_tables(runs: Path, episodes: int, seed: int) -> Iterator[tuple[str, st
     rows = rows_of(runs)
     judged = _Judged(rows, episodes, seed)
     for title, study in STUDIES.items():
-        rivals = (BEST_IMM, study.reference)
+        rivals = [rival for rival in (BEST_IMM, study.reference) if rival in rows]
+        columns = {f"{v.name}: minus {rival}": (v, rival) for v in study.venues for rival in rivals}
         lines, content = [], {}
-        for name in study.rows:
+        for name in [name for name in study.rows if name in rows]:
             gains = {
-                f"{venue.name}: minus {rival}": over_seeds_and_episodes(
+                column: over_seeds_and_episodes(
                     judged.rewards(venue, name) - judged.rewards(venue, rival)
                 )
-                for venue in study.venues
-                for rival in rivals
+                for column, (venue, rival) in columns.items()
                 if rival != name
             }
-            columns = [f"{v.name}: minus {rival}" for v in study.venues for rival in rivals]
             cells = [str(gains[column]) if column in gains else "" for column in columns]
             lines.append([name, rows[name].seeds, rows[name].trained, *cells])
             content[name] = {what: gain.json for what, gain in gains.items()}

@@ -1,5 +1,7 @@
 """`studies` as a user types it, and what its tables are made of."""
 
+import shutil
+
 import pytest
 
 from experiments.learning.arguments.studies import Args
@@ -60,8 +62,15 @@ def test_an_unknown_training_is_one_line(tmp_path):
     assert_one_clear_line(done, "trainings: found 'everything', expected one of shared, ppo")
 
 
-@pytest.mark.skipif(not (RECORDED / "studies").is_dir(), reason="no studies are recorded")
-def test_every_row_of_every_table_is_recorded():
-    rows = rows_of(RECORDED)
+def test_tables_show_what_is_recorded(tmp_path):
+    """Nothing but the policy that was there before: its row, and none of trainings."""
+    shutil.copytree(RECORDED / "guided", tmp_path / "guided")
+    rows = set(rows_of(tmp_path))
+    assert {"imm-best", *STUDIES["trust"].rows} == rows
+    assert rows <= set(rows_of(RECORDED))
+
+
+def test_every_row_of_every_table_is_of_a_training():
+    made = {*TRAININGS, EVOLUTION, *STUDIES["trust"].rows}
     for study in STUDIES.values():
-        assert {study.reference, *study.rows} <= set(rows)
+        assert {name.removeprefix("imm ") for name in (study.reference, *study.rows)} <= made
