@@ -19,7 +19,7 @@ from experiments.cli.options import source_of
 from experiments.cli.reporting import results
 from experiments.evaluation.contenders import BEST_IMM, contender_from
 from experiments.evaluation.decisions import Decisions
-from experiments.evaluation.intervals import Interval, over_seeds_and_episodes
+from experiments.evaluation.intervals import over_seeds_and_episodes
 from experiments.evaluation.markdown import grid, show
 from experiments.evaluation.runner import score_contenders
 from experiments.evaluation.runs import Run
