@@ -14,10 +14,10 @@ from experiments.evaluation.contenders import Contender, contender_from, contend
 from experiments.evaluation.runs import Run
 from mmwave_env import __version__
 from mmwave_env.episodes.episode import EpisodeSource
-from mmwave_env.filters.bank import Bank
+from mmwave_env.filters.bank import bank_over
 from mmwave_env.filters.modes import Mode
 from mmwave_env.models.radio import radio_from
-from mmwave_env.task import Modes, Task, TaskArguments, bank_and_modes, task_from
+from mmwave_env.task import Modes, Task, TaskArguments, task_from
 
 OUTPUTS = ("json", "episodes_csv", "figure", "decisions", "plot", "docs", "out")
 
@@ -51,17 +51,14 @@ def provenance(name: str, args: Any) -> dict[str, Any]:
 
 def all_contenders(args: EpisodeArgs) -> tuple[str, ...]:
     """Names of all there are for the modes asked for."""
-    return tuple(contenders(_profile(args), _modes(args)))
+    return tuple(contenders(_profile(args), args.modes or None))
 
 
 def contender_of(args: EpisodeArgs, name: str) -> Contender:
     """One of them, or an agent by name or file; a warning where it has modes of its own."""
-    modes = _modes(args)
-    found = contender_from(
-        name, _profile(args), modes, args.observation, args.trust_zip, args.beliefs
-    )
-    asked = modes.modes if isinstance(modes, Bank) else modes
-    if asked and found.modes != asked:
+    radio, modes = _profile(args), args.modes or None
+    found = contender_from(name, radio, modes, args.observation, args.trust_zip, args.beliefs)
+    if modes and found.modes != bank_over(modes, radio).modes:
         warnings.warn(f"{name} brings its own modes; --modes is not for it", stacklevel=2)
     return found
 
@@ -74,7 +71,7 @@ def runs_of(args: EpisodeArgs, names: Sequence[str]) -> dict[str, Run]:
 
 def task_of(args: EpisodeArgs) -> Task:
     """The task of an environment with the options of the same names."""
-    return _task(args, _modes(args), args.beliefs)
+    return _task(args, args.modes or None, args.beliefs)
 
 
 def source_of(args: WorldArgs) -> EpisodeSource:
@@ -87,13 +84,6 @@ def _task(args: WorldArgs, modes: Modes, beliefs: str = "shared") -> Task:
     names = {field.name for field in fields(TaskArguments)} - {"episodes", "modes", "beliefs"}
     given = {name: value for name, value in vars(args).items() if name in names}
     return task_from(**given, episodes=args.data, modes=modes, beliefs=beliefs)
-
-
-def _modes(args: EpisodeArgs) -> Bank | tuple[Mode, ...] | None:
-    if not args.modes:
-        return None
-    bank, modes = bank_and_modes(args.modes, args.beliefs, _profile(args))
-    return bank or modes
 
 
 def _profile(args: EpisodeArgs) -> str:

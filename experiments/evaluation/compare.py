@@ -11,7 +11,7 @@ from experiments.evaluation.comparison import Comparison, compare_scores
 from experiments.evaluation.contenders import Contender, contender_from
 from experiments.evaluation.runner import Scoring, score_contenders
 from mmwave_env.episodes.episode import EpisodeSource
-from mmwave_env.task import Modes, bank_and_modes, task_from
+from mmwave_env.task import Modes, task_from
 
 Agent = str | os.PathLike[str] | Act
 
@@ -45,7 +45,8 @@ def compare(
         episodes: how many; 1000 or more to publish.
         seed: of the first; test seeds start at 0 and belong to no training.
         modes, observation, beliefs: what agents of one's own were trained with, as of the
-            environment. Policy files say it themselves.
+            environment. Policy files say it themselves; "imm" among the policies is over these
+            modes, with the transition and quantile of a bank or of a file that says them.
         trust_zip: whether code from a ``.zip`` may run, which loading it means.
         data: recorded or own episodes, as of the environment's ``episodes``.
         world: further arguments of the environment: ``scene``, ``dt``, ``episode_steps``,
@@ -75,9 +76,7 @@ def compare(
     def contender(name: str, agent: Agent) -> Contender:
         if not isinstance(agent, (str, os.PathLike)):
             return Contender.own(name, agent, radio, modes, observation, beliefs)
-        bank, chosen = bank_and_modes(modes, beliefs, radio)
-        of = None if modes is None else bank or chosen
-        found = contender_from(os.fspath(agent), radio, of, observation, trust_zip, beliefs)
+        found = contender_from(os.fspath(agent), radio, modes, observation, trust_zip, beliefs)
         return replace(found, name=name)
 
     own = [contender(name, agent) for name, agent in policies.items()]

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from experiments.evaluation.agents import GUIDE, Act, agent_from, is_agent, tried
 from experiments.evaluation.runs import Run, require_no_smoke
-from mmwave_env.filters.bank import Bank, Transition, best_bank
+from mmwave_env.filters.bank import Bank, Transition, bank_over, best_bank
 from mmwave_env.filters.mode_files import default_modes, named_modes
 from mmwave_env.filters.modes import Mode
 from mmwave_env.filters.pipeline import Pipeline
@@ -205,18 +205,19 @@ def _of_any_modes(bank: Bank) -> dict[str, Make]:
     return found | {"imm": partial(_imm, "imm", lambda: bank)}
 
 
-def contenders(radio: str, modes: Bank | tuple[Mode, ...] | None = None) -> dict[str, Make]:
+def contenders(radio: str, modes: Modes = None) -> dict[str, Make]:
     """How to make every contender there is, by name; nothing is read from files before.
 
     Args:
         radio: profile, a name or a JSON file.
-        modes: what they work with, of a bank with its transition; None for the profile's two,
-            beside which the profile has single modes of other kinds, tuned IMMs, and the learned
+        modes: what they work with, as of ``MmWaveLoc-v0``; the IMM over a bank, or over a mode
+            file that says them, has its transition and quantile. None for the profile's two, beside
+            which the profile has single modes of other kinds, tuned IMMs, and the learned
             switchers that are shipped for it.
     """
-    if modes is not None:
-        return _of_any_modes(modes if isinstance(modes, Bank) else Bank(modes))
     radio = profile_of(radio)
+    if modes is not None:
+        return _of_any_modes(bank_over(modes, radio))
     named, two = named_modes(radio), default_modes(radio)
     alone = {f"fixed-{name}": (named[name],) for name in ("ckf", "ekf-robust", "ukf-robust")}
     fixed: dict[str, Make] = {n: partial(_fixed, n, mode, 0) for n, mode in alone.items()}
@@ -232,7 +233,7 @@ def contenders(radio: str, modes: Bank | tuple[Mode, ...] | None = None) -> dict
 def contender_from(
     name: str,
     radio: str,
-    modes: Bank | tuple[Mode, ...] | None = None,
+    modes: Modes = None,
     observation: str = "full",
     trust_zip: bool = False,
     beliefs: str = "shared",

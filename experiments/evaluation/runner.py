@@ -15,12 +15,11 @@ from mmwave_env.compiler.program import rows_of
 from mmwave_env.engines.env_engine import Engine
 from mmwave_env.engines.imm_engine import ImmEngine
 from mmwave_env.episodes.episode import Episode, EpisodeSource
-from mmwave_env.filters.modes import Mode
 from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.metrics import BURN_IN, METRICS, scored, summary
 from mmwave_env.numerics.arrays import Array
 from mmwave_env.reward import Reward, TrackingReward
-from mmwave_env.task import Task
+from mmwave_env.task import Modes, Task
 from policies import Policy
 
 
@@ -146,7 +145,7 @@ def score_contenders(
     radio: str,
     episodes: int,
     seed: int,
-    modes: tuple[Mode, ...] | None = None,
+    modes: Modes = None,
     watch: Watch | None = None,
     scoring: Scoring = PLAIN,
 ) -> dict[str, Scores]:

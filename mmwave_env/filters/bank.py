@@ -2,7 +2,7 @@
 
 import os
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from importlib.resources import files
 from pathlib import Path
@@ -126,30 +126,41 @@ def best_bank(radio: str = "handset") -> Bank:
     return read_object(Path(str(files("mmwave_env").joinpath(path))), "modes", bank_in)
 
 
+def bank_over(
+    modes: Bank | Sequence[Mode | str] | str | os.PathLike[str], radio: str = "handset"
+) -> Bank:
+    """The bank over the modes of a ``modes=`` argument, one mode or more.
+
+    Args:
+        modes: a bank; a mode file, alone, which may say "transition" and "nis_quantile", too; or
+            what else :func:`~mmwave_env.filters.mode_files.modes_from` takes.
+        radio: profile that named modes are tuned for.
+
+    Raises:
+        ValueError: as :class:`Bank`, or two modes of one name.
+    """
+    if isinstance(modes, Bank):
+        return modes
+    alone = modes[0] if isinstance(modes, (list, tuple)) and len(modes) == 1 else modes
+    if not isinstance(alone, (str, os.PathLike)) or not str(alone).endswith(".json"):
+        return Bank(modes_from(modes, radio))
+    bank = read_object(alone, "modes", bank_in)
+    return replace(bank, modes=modes_from(bank.modes, radio))  # which refuses a name twice
+
+
 def bank_from(
     modes: Bank | Sequence[Mode | str] | str | os.PathLike[str] | None, radio: str = "handset"
 ) -> Bank:
     """The bank of a ``modes=`` argument where every mode keeps its own belief.
 
     Args:
-        modes: a bank; a mode file, alone, which may say "transition" and "nis_quantile", too; or
-            what else :func:`~mmwave_env.filters.mode_files.modes_from` takes. None for
-            :func:`best_bank`.
+        modes: as of :func:`bank_over`; None for :func:`best_bank`.
         radio: profile that named modes are tuned for.
 
     Raises:
-        ValueError: as :class:`Bank`, or there are fewer than two modes.
+        ValueError: as :func:`bank_over`, or there are fewer than two modes.
     """
-    if modes is None:
-        bank = best_bank(radio)
-    elif isinstance(modes, Bank):
-        bank = modes
-    else:
-        alone = modes[0] if isinstance(modes, (list, tuple)) and len(modes) == 1 else modes
-        if isinstance(alone, (str, os.PathLike)) and str(alone).endswith(".json"):
-            bank = read_object(alone, "modes", bank_in)
-        else:
-            bank = Bank(modes_from(modes, radio))
+    bank = best_bank(radio) if modes is None else bank_over(modes, radio)
     if len(bank.modes) < 2:
         raise ValueError(
             f"modes: found {bank.modes[0].name!r} alone, expected two or more where every mode "

@@ -80,6 +80,16 @@ def test_an_agent_over_beliefs_per_mode_that_trusts_none_scores_what_the_imm_doe
     assert abs(found.paired["trusting - imm"]["reward"].mean) > 1e-3
 
 
+def test_the_imm_by_name_is_over_the_bank_with_its_transition():
+    def none(observations):
+        return np.zeros(len(observations), int)
+
+    none.beliefs, none.modes = "per-mode", HANDSET
+    found = compare({"none": none, "over it": "imm"}, (), episodes=2, modes=HANDSET)
+    for metric in METRICS:
+        assert abs(found.paired["none - over it"][metric].mean) < 1e-9
+
+
 @pytest.mark.slow
 def test_the_modes_of_beliefs_per_mode_are_by_default_those_of_the_best_imm():
     def none(observations):

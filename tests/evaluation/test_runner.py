@@ -1,5 +1,6 @@
 """The evaluation protocol: contenders, and the same episodes for all of them."""
 
+import json
 from dataclasses import replace
 from pathlib import Path
 
@@ -15,12 +16,13 @@ from experiments.evaluation.runner import run_contender, score, score_contenders
 from experiments.evaluation.seeds import draw_episodes
 from mmwave_env.engines.imm_engine import ImmEngine
 from mmwave_env.episodes.simulated import SimulatedSource
-from mmwave_env.filters.bank import best_bank
+from mmwave_env.filters.bank import bank_as_written, best_bank
 from mmwave_env.filters.mode_files import modes_from
 from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.metrics import BURN_IN, METRICS
 from mmwave_env.models.radio import RADIOS
 from mmwave_env.models.scene import SCENES
+from mmwave_env.observation import BELIEFS
 from mmwave_env.reward import TrackingReward
 from policies import TUNED_IMMS, FixedMode, learned, tuned_imm
 from tests.training.actors import (
@@ -251,6 +253,17 @@ def test_trusting_no_mode_is_the_imm_over_the_bank():
     elsewhere = replace(imm, transition=None, nis_quantile=1.0)
     other = score(elsewhere, None, draw_episodes(SOURCE, range(3)))
     assert (other["reward"] != expected["reward"]).all()
+
+
+def test_the_imm_over_a_file_that_says_a_transition_has_it_whatever_the_beliefs(tmp_path):
+    path = tmp_path / "bank.json"
+    path.write_text(json.dumps(bank_as_written(HANDSET)))
+    for modes in (HANDSET, path, str(path), (str(path),)):
+        for beliefs in BELIEFS:
+            assert contender_from("imm", "handset", modes, beliefs=beliefs) == Contender(
+                "imm", HANDSET.modes, None, HANDSET.transition, HANDSET.nis_quantile
+            )
+    assert contender_from("fixed-walk", "handset", path).modes == HANDSET.modes
 
 
 def test_before_an_action_probabilities_are_those_of_the_imm():

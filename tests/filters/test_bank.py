@@ -24,6 +24,13 @@ def test_a_mode_file_says_how_modes_interact_by_itself_and_in_a_list(tmp_path):
     assert bank_from([path, "ekf"]).transition is None  # of three modes nothing is said
 
 
+def test_a_name_twice_in_a_file_is_refused(tmp_path):
+    path = tmp_path / "twins.json"
+    path.write_text(json.dumps(bank_as_written(Bank((Mode("one"), Mode("one", "ckf"))))))
+    with pytest.raises(ValueError, match="modes: found .'one', 'one'., expected .* no name twice"):
+        bank_from(path)
+
+
 @pytest.mark.parametrize("number", [10**400, "p", None, [1.0]])
 def test_a_transition_of_what_are_no_numbers_is_refused(number):
     content = bank_as_written(BANK) | {"transition": [[number, 0.1], [0.3, 0.7]]}
