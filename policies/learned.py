@@ -105,26 +105,23 @@ class LearnedSwitch:
             ValueError: saying what it was trained with, what the environment has, what to do.
         """
         card, found = self.card, observation
-        trained, arguments = f"{self._path}: trained with", "modes=policy.modes"
-        if card.banks:
-            arguments = f'beliefs="per-mode", modes=policy.bank("{next(iter(card.banks))}")'
+        trained = f"{self._path}: trained with"
         if found.beliefs != card.beliefs:
             raise ValueError(
                 f"{trained} beliefs={card.beliefs!r}, found {found.beliefs!r}; make the "
-                f'environment with its modes: gym.make("MmWaveLoc-v0", {arguments})'
+                f"environment with its modes: {self._made_with}"
             )
         if found.modes not in [card.modes, *(bank.modes for bank in card.banks.values())]:
             here, there = ([mode.name for mode in modes] for modes in (found.modes, card.modes))
             tuned = ", of another tuning" if here == there else ""
             raise ValueError(
                 f"{trained} the modes {there}, found {here}{tuned}; make the environment with its "
-                f'modes: gym.make("MmWaveLoc-v0", {arguments})'
+                f"modes: {self._made_with}"
             )
         if found.kind != card.observation:
             raise ValueError(
                 f"{trained} observation={card.observation!r}, found {found.kind!r}; make the "
-                f'environment with it: gym.make("MmWaveLoc-v0", {arguments}, '
-                f"observation={card.observation!r})"
+                f"environment with it: {self._made_with}"
             )
         if found.digest != card.digest:
             raise ValueError(
@@ -133,6 +130,14 @@ class LearnedSwitch:
                 f"{__version__}; give the environment as many anchors and the odometry it was "
                 "trained with, or train it again with this version"
             )
+
+    @property
+    def _made_with(self) -> str:
+        """How to make an environment that it works in."""
+        arguments = "modes=policy.modes"
+        if self.card.banks:
+            arguments = f'beliefs="per-mode", modes=policy.bank("{next(iter(self.card.banks))}")'
+        return f'gym.make("MmWaveLoc-v0", {arguments}, observation={self.card.observation!r})'
 
     def reset(self, mask: NDArray[np.bool_]) -> None:
         """Forget the past of the environments (n,) in which an episode begins.
@@ -168,10 +173,7 @@ class LearnedSwitch:
                 number of environments than at the last reset.
         """
         if observation.ndim != 2 or observation.shape[1] != len(self._low):
-            raise ValueError(
-                f"observation: found shape {observation.shape}, expected (n, {len(self._low)}); "
-                "for a single environment, (action,) = policy(observation[None])"
-            )
+            raise ValueError(self._about_shape(observation.shape))
         x = np.minimum(np.maximum(observation, self._low), self._high)
         if self._memories:
             if len(x) != len(self._begins):
@@ -189,6 +191,15 @@ class LearnedSwitch:
             np.tanh(x, out=x)
         found: Array = x @ weight + bias
         return found
+
+    def _about_shape(self, shape: tuple[int, ...]) -> str:
+        """The message about observations of another shape."""
+        message = f"observation: found shape {shape}, expected (n, {len(self._low)})"
+        if len(shape) == 1:
+            message += "; for a single environment, (action,) = policy(observation[None])"
+        if shape[-1:] != self._low.shape:
+            message += f"; make the environment as in training: {self._made_with}"
+        return message
 
 
 def _located(path: str | os.PathLike[str]) -> Path:

@@ -253,11 +253,29 @@ def test_a_memory_must_know_its_environments(make, kind):
         policy.reset(np.array([True, False, True]))
 
 
-@pytest.mark.parametrize("shape", [(FEATURES,), (2, FEATURES - 1), (1, 2, FEATURES)])
-def test_observations_of_another_shape_are_refused(make, shape):
+SINGLE = r"; for a single environment, \(action,\) = policy\(observation\[None\]\)"
+AS_IN_TRAINING = "; make the environment as in training: "
+MADE_WITH = r"gym.make\(.MmWaveLoc-v0., modes=policy.modes, observation='full'\)"
+
+
+@pytest.mark.parametrize(
+    ("shape", "hint"),
+    [
+        ((FEATURES,), SINGLE),
+        ((FEATURES - 1,), SINGLE + AS_IN_TRAINING + MADE_WITH),
+        ((2, FEATURES - 1), AS_IN_TRAINING + MADE_WITH),
+        ((1, 2, FEATURES), ""),
+    ],
+)
+def test_observations_of_another_shape_are_refused_with_what_mends_it(make, shape, hint):
     policy, _ = make("plain")
-    with pytest.raises(ValueError, match=rf"expected \(n, {FEATURES}\).*observation\[None\]"):
+    with pytest.raises(ValueError, match=rf"expected \(n, {FEATURES}\){hint}$"):
         policy(np.zeros(shape, np.float32))
+
+
+def test_a_policy_over_beliefs_per_mode_says_so_to_observations_of_another_shape(per_mode):
+    with pytest.raises(ValueError, match=AS_IN_TRAINING + PER_MODE_ARGUMENTS):
+        per_mode(np.zeros((1, 5), np.float32))
 
 
 # --- environments
@@ -378,9 +396,7 @@ def test_any_of_its_banks_suits_a_policy_and_nothing_else(per_mode, make):
         ):
             per_mode.require_trained_on(table)
     shared, _ = make("plain")
-    message = (
-        r"beliefs='shared', found 'per-mode'; .*gym.make\(\"MmWaveLoc-v0\", modes=policy.modes\)"
-    )
+    message = rf"beliefs='shared', found 'per-mode'; .*{MADE_WITH}"
     with pytest.raises(ValueError, match=message):
         shared.require_trained_on(PER_MODE_TABLE)
 
