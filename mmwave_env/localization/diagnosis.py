@@ -145,13 +145,17 @@ def _time(factor: float) -> Hypothesis:
     return change
 
 
-def _ends_exchanged(reading: Reading) -> Reading:
-    """Arrival is departure."""
-    block, links = reading.block, reading.block.layout.doppler
-    z = block.measurement.copy()
-    z[:, _AZIMUTH:links:4] = block.measurement[:, _DEPARTURE:links:4]
-    z[:, _DEPARTURE:links:4] = block.measurement[:, _AZIMUTH:links:4]
-    return reading._replace(block=replace(block, measurement=z))
+def _exchanged(one: int, other: int) -> Hypothesis:
+    """Two parts of every link, one for the other."""
+
+    def change(reading: Reading) -> Reading:
+        block, links = reading.block, reading.block.layout.doppler
+        z = block.measurement.copy()
+        z[:, one:links:4] = block.measurement[:, other:links:4]
+        z[:, other:links:4] = block.measurement[:, one:links:4]
+        return reading._replace(block=replace(block, measurement=z))
+
+    return change
 
 
 def _anchors(order: Sequence[int]) -> Hypothesis:
@@ -189,12 +193,17 @@ def hypotheses(scene: Scene, radio: Radio) -> dict[str, Mistake]:
 
 def _of_angles() -> dict[str, Mistake]:
     upside_down = _links([_ELEVATION], -1.0)
+    ends = _exchanged(_AZIMUTH, _DEPARTURE)
     swap = "exchange the columns of aoa_azimuth and aod_azimuth"
     mistakes = {
-        "arrival and departure are exchanged": Mistake(_ends_exchanged, swap),
+        "arrival and departure are exchanged": Mistake(ends, swap),
+        "azimuth and elevation of arrival are exchanged": Mistake(
+            _exchanged(_AZIMUTH, _ELEVATION),
+            "exchange the columns of aoa_azimuth and aoa_elevation",
+        ),
         "elevation has the other sign": Mistake(upside_down, "negate aoa_elevation"),
         "arrival is at the user, as in a downlink": Mistake(
-            lambda r: upside_down(_ends_exchanged(r)), f"{swap}, negate aoa_elevation"
+            lambda r: upside_down(ends(r)), f"{swap}, negate aoa_elevation"
         ),
         "elevation is a zenith angle": Mistake(
             _links([_ELEVATION], -1.0, PI / 2.0), "write 90 degrees - aoa_elevation"

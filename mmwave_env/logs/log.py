@@ -227,15 +227,19 @@ def _limits(log: LogFile, cells: Cells) -> Iterator[_Check]:
             return f"{_show(cells[quantity][row])}, which is {values[row]:.3g} {unit}"
 
         stem, _, ending = log.columns[quantity].name.rpartition("_")
-        degrees = f"if it is in degrees, name the column {stem}_deg; " if ending == "rad" else ""
+        wrong = abs(values) > most
+        likely = f"if it is in degrees, name the column {stem}_deg; " if ending == "rad" else ""
+        if quantity == "aoa_elevation" and abs(values[np.argmax(wrong)]) <= azimuth_most:
+            likely += f"if it is the azimuth, exchange {log.columns['aoa_azimuth'].name} with it; "
         return _Check(
             quantity,
-            abs(values) > most,
+            wrong,
             found,
-            f"{expected}, in the unit that the name of the column ends with; {degrees}"
+            f"{expected}, in the unit that the name of the column ends with; {likely}"
             "mmwave-loc localize --diagnose tries likely mistakes",
         )
 
+    azimuth_most = WIDEST_DEG["aoa_azimuth"] + _ROUNDING_DEG
     longest = f"at most {RANGE_LIMITS_M[1] / 1e3:g} km"
     yield check("toa", converted("toa"), RANGE_LIMITS_M[1], "m", longest)
     for quantity, widest in WIDEST_DEG.items():

@@ -34,14 +34,18 @@ def linear(factor, *names, offset=0.0):
     return lambda c: {**c, **{name: offset + factor * c[name] for name in names}}
 
 
-def exchanged(c):
-    """Arrival for departure."""
-    return {**c, **{name: c[other] for name, other in zip(AZIMUTHS, AZIMUTHS[::-1], strict=True)}}
+def exchange(one, other):
+    """Two columns, one for the other."""
+    return lambda c: {**c, one: c[other], other: c[one]}
+
+
+exchanged = exchange(*AZIMUTHS)  # arrival for departure
 
 
 upside_down = linear(-1.0, "aoa_elevation_rad")
 MISTAKES = {  # hypothesis that explains it -> what was done to the log
     "arrival and departure are exchanged": exchanged,
+    "azimuth and elevation of arrival are exchanged": exchange(AZIMUTHS[0], "aoa_elevation_rad"),
     "elevation has the other sign": upside_down,
     "arrival is at the user, as in a downlink": lambda c: upside_down(exchanged(c)),
     "elevation is a zenith angle": linear(-1.0, "aoa_elevation_rad", offset=np.pi / 2),

@@ -384,6 +384,9 @@ DAMAGE = {  # change, message, epochs delivered
     "negative toa": (edit(7, TOA, "-1e-9"), "line 9, column 'toa_s': found -1e-09.*at least 0", 2),
     "zenith angle": (edit(7, ELEVATION, "1.67"), "line 9, column 'aoa_elevation_rad': found 1.67, "
                      "which is 95.7 degrees, expected -90 to 90 degrees from the horizon", 2),
+    "azimuth for elevation": (
+        edit(7, ELEVATION, "-3"), "found -3, which is -172 degrees, .*aoa_elevation_deg; if it is "
+        "the azimuth, exchange aoa_azimuth_rad with it; mmwave-loc localize --diagnose", 2),
     "degrees": (edit(7, AOD, "-57.3"), "line 9, column 'aod_azimuth_rad': found -57.3, which is "
                 "-3.28e.03 degrees, expected -360 to 360 degrees .docs/data.md, Angles.", 2),
     "doppler of anchor 2": (edit(7, DOPPLER, "3"), "line 9, column 'doppler_hz': found 3.*1", 2),
