@@ -250,6 +250,29 @@ def bank_table(banks: dict[str, TunedBank], figures: dict[str, dict[str, Interva
     return grid(header, rows)
 
 
+def names_of(args: Args) -> dict[str, str]:
+    """What the results of each radio go by, so their files, too: of a radio's file, its stem.
+
+    Raises:
+        ValueError: two radios go by one name, or the result would replace a radio's file.
+    """
+    names: dict[str, str] = {}
+    for radio in args.radios:
+        name = Path(radio).stem if radio.endswith(".json") else radio
+        if name in names.values():
+            raise ValueError(f"radios: found two that go by {name!r}, expected one of them")
+        names[radio] = name
+    files = {Path(radio).resolve(): radio for radio in names if radio.endswith(".json")}
+    for name in names.values() if args.out else ():
+        result = args.out / f"{name}.json"
+        if result.resolve() in files:
+            raise ValueError(
+                f"out: found {result}, which is the radio {files[result.resolve()]}, expected "
+                "another folder for the result"
+            )
+    return names
+
+
 def tune_banks(args: Args) -> None:
     """Tune whole banks, each in everything that is data, on all scenes at once."""
     for name in args.banks:
@@ -259,17 +282,18 @@ def tune_banks(args: Args) -> None:
     for option in ("scenes", "steps"):
         if not getattr(args, option):
             raise ValueError(f"{option}: found none, expected one or more")
+    names = names_of(args)
     require_extra("cmaes", "tune", "tune-imm --banks")
     page = page_to_renew(args.docs) if args.docs else ""
     tables, content = {}, recorded(args.json)
-    for radio in args.radios:
+    for radio, name in names.items():
         banks, figures = banks_of(args, radio)
         alone = replace(args, radios=(radio,))
-        content[radio] = {n: as_recorded(banks[n], figures[n], alone) for n in banks}
-        tables[radio] = bank_table(banks, figures)
-        show(f"### {radio}\n\n{tables[radio]}\n")
+        content[name] = {n: as_recorded(banks[n], figures[n], alone) for n in banks}
+        tables[name] = bank_table(banks, figures)
+        show(f"### {name}\n\n{tables[name]}\n")
         if args.out:
-            write_json(args.out / f"{radio}.json", content[radio][args.banks[0]])
+            write_json(args.out / f"{name}.json", content[name][args.banks[0]])
         if args.json:
             write_json(args.json, content)
     if args.docs:

@@ -32,7 +32,8 @@ def drawn(
     """
     if len(seeds) < shares:
         raise ValueError(
-            f"episodes: found {len(seeds)} for each scene and step, expected {shares} or more"
+            f"episodes: found {len(seeds)} for each scene and step, expected {shares} or more, "
+            f"{shares * len(sources)} in all"
         )
     episodes = [draw_episodes(source, seeds) for source in sources]
     return [[EpisodeBatch.of(some[share::shares]) for some in episodes] for share in range(shares)]

@@ -115,15 +115,32 @@ def test_banks_are_tuned_on_every_scene_and_written_as_they_are_shipped(tmp_path
     assert f"{figures['reward']['mean']:.3f}" in row and row in done.stdout
 
 
+def test_a_bank_goes_by_the_name_of_its_radios_file(tmp_path):
+    radio = tmp_path / "phone.json"
+    radio.write_text("{}")
+    options = ["--radios", radio, "--banks", "two", "--scenes", "street", "--steps", 1,
+               "--episodes", 3, "--held-out", 2, "--evaluations", 10]  # fmt: skip
+    done = command("tune-imm", *options, "--out", tmp_path / "banks")
+    assert done.returncode == 0, done.stderr
+    assert "### phone\n" in done.stdout
+    assert [path.name for path in (tmp_path / "banks").iterdir()] == ["phone.json"]
+    assert radio.read_text() == "{}"
+
+
 BANK_MISTAKES = {
     "unknown bank": (("--banks", "eleven"), "banks: found 'eleven', expected one of maneuvers"),
     "two banks of a file": (("--banks", "two", "three", "--out", "banks"), "found 2, expected one"),
-    "too few episodes": (("--banks", "two", "--episodes", "8"), "found 1 for each scene"),
+    "too few episodes": (("--banks", "two", "--episodes", "8"), 
+                         "found 1 for each scene and step, expected 3 or more, 18 in all"),
     "unknown scene": (("--banks", "two", "--scenes", "moon"), "'moon'.*street, o1"),
     "no scene": (("--banks", "two", "--scenes"), "scenes: found none, expected one or more"),
     "no step": (("--banks", "two", "--steps"), "steps: found none, expected one or more"),
     "no rate": (("--banks", "two", "--steps", "0"), "dt: found 0"),
-}
+    "radios of a name": (("--banks", "two", "--radios", "a/my.json", "b/my.json"),
+                         "radios: found two that go by 'my', expected one of them"),
+    "the radio's own file": (("--banks", "two", "--radios", "my.json", "--out", "."),
+                             "out: found my.json, which is the radio my.json, expected another"),
+}  # fmt: skip
 
 
 @pytest.mark.parametrize("mistake", BANK_MISTAKES)
