@@ -12,7 +12,15 @@ from experiments.cli.main import run
 from experiments.cli.options import provenance
 from experiments.evaluation.intervals import Interval
 from experiments.evaluation.markdown import grid, show
-from experiments.evaluation.protocol import KINDS, RECORDED, entry, judge, standing, venues
+from experiments.evaluation.protocol import (
+    KINDS,
+    RECORDED,
+    entry,
+    judge,
+    require_contenders,
+    standing,
+    venues,
+)
 from mmwave_env.files import write_json, write_text
 
 
@@ -44,17 +52,26 @@ def _interval(figures: dict[str, Any]) -> Interval:
     return Interval(figures["mean"], low, high)
 
 
+def _episodes(one: dict[str, Any]) -> str:
+    """The fewest in a simulated venue and on a recording: entries of few mean less."""
+    simulated, recorded = (
+        min(v["episodes"] for v in one["venues"].values() if (v["kind"] == RECORDED) == of_those)
+        for of_those in (False, True)
+    )
+    return f"{simulated} / {recorded}"
+
+
 def ranking(entries: list[dict[str, Any]]) -> str:
     """All entries, best first by their mean gain in the places to train in."""
     rows = []
     for one in sorted(entries, key=lambda one: -one["mean_gain"][KINDS[0]]["mean"]):
-        cells = [one["entry"].removesuffix("/policy.safetensors")]
+        cells = [one["entry"].removesuffix("/policy.safetensors"), _episodes(one)]
         for kind in KINDS:
             stands = [standing(v) for v in one["venues"].values() if v["kind"] == kind]
             counts = f"{stands.count('above')} / {stands.count('level')} / {stands.count('below')}"
             cells += [str(_interval(one["mean_gain"][kind])), counts]
         rows.append(cells)
-    header = ["entry"]
+    header = ["entry", "episodes / draws"]
     for kind in KINDS:
         header += [f"{kind}: minus imm-best", "above / level / below every IMM"]
     return grid(header, rows)
@@ -80,6 +97,7 @@ def by_venue(entries: list[dict[str, Any]]) -> str:
 
 def _play(args: Args) -> None:
     """Judge the contenders, and keep their entries."""
+    require_contenders(args.policies)
     judged = []
     for venue in venues():
         print(f"{venue.name} ({venue.kind})", file=sys.stderr, flush=True)

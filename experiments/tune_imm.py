@@ -263,8 +263,8 @@ def names_of(args: Args) -> dict[str, str]:
             raise ValueError(f"radios: found two that go by {name!r}, expected one of them")
         names[radio] = name
     files = {Path(radio).resolve(): radio for radio in names if radio.endswith(".json")}
-    for name in names.values() if args.out else ():
-        result = args.out / f"{name}.json"
+    results = [args.out / f"{name}.json" for name in names.values()] if args.out else []
+    for result in results:
         if result.resolve() in files:
             raise ValueError(
                 f"out: found {result}, which is the radio {files[result.resolve()]}, expected "

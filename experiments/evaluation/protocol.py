@@ -101,6 +101,20 @@ class Judged:
         }  # fmt: skip
 
 
+def require_contenders(names: Sequence[str]) -> None:
+    """Find out before any of them runs whether there is each of them in every venue.
+
+    Raises:
+        ValueError, FileNotFoundError: as of
+            :func:`~experiments.evaluation.contenders.contender_from`.
+    """
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # as in judge
+        for radio in dict.fromkeys(venue.radio for venue in venues()):
+            for name in names:
+                contender_from(name, radio)
+
+
 def judge(names: Sequence[str], venue: Venue, episodes: int, seed: int) -> Judged:
     """Run contenders and every IMM in a venue, on the same episodes."""
     with warnings.catch_warnings():

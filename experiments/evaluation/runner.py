@@ -6,6 +6,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from rich.console import Console
 from rich.progress import Progress
 
 from experiments.evaluation.agents import require_actions
@@ -173,7 +174,8 @@ def score_contenders(
         raise ValueError(f"policies: found {', '.join(found)}, expected no name twice")
     policies = [contender.start(source.layout, scoring.planar) for contender in chosen]
     parts: dict[str, list[Scores]] = {c.name: [] for c in chosen}
-    with Progress(transient=True) as progress:
+    console = Console(stderr=True)  # what is printed is the result alone
+    with Progress(console=console, transient=True, disable=not console.is_terminal) as progress:
         task = progress.add_task(source.name, total=episodes * (1 + len(chosen)))
         for first in range(0, episodes, CHUNK):
             seeds = range(seed + first, seed + min(first + CHUNK, episodes))

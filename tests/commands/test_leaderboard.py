@@ -6,6 +6,7 @@ import pytest
 
 from experiments.evaluation.protocol import entry, judge, venues
 from tests.cli import assert_one_clear_line, command, succeed
+from tests.paths import ROOT
 
 
 @pytest.fixture(scope="module")
@@ -26,7 +27,8 @@ def test_entries_are_ranked_and_a_page_is_renewed(entries, tmp_path):
         "<!-- table: leaderboard -->\n<!-- end -->\n<!-- table: venues -->\n<!-- end -->\n"
     )
     shown = succeed("leaderboard", "--out", entries, "--docs", page)
-    assert shown.index("| imm-best | 0.000 [0.000, 0.000]") < shown.index("| speed-rule | -")
+    best = "| imm-best | 2 / 2 | 0.000 [0.000, 0.000]"
+    assert shown.index(best) < shown.index("| speed-rule | 2 / 2 | -")
     assert all(f"| {venue.name} | " in shown for venue in venues())
     for line in shown.splitlines():
         assert line in page.read_text()
@@ -53,6 +55,19 @@ def test_what_is_no_entry_is_refused(entries, tmp_path):
 )
 def test_nothing_to_judge_is_refused(options, message, tmp_path):
     assert_one_clear_line(command("leaderboard", *options, "--out", tmp_path), message)
+
+
+def test_a_contender_that_there_is_not_is_refused_before_any_venue(tmp_path):
+    done = command("leaderboard", "--policies", "imm-bets", "--out", tmp_path)
+    assert_one_clear_line(done, "policy: found 'imm-bets', expected one of .*imm-best")
+
+
+def test_every_entry_is_shown_with_its_episodes(tmp_path):
+    made = json.loads((ROOT / "docs" / "leaderboard" / "guided.json").read_text())
+    for venue in made["venues"].values():
+        venue["episodes"] = 5 if venue["kind"] == "recorded" else 20
+    (tmp_path / "short.json").write_text(json.dumps(made | {"entry": "short"}))
+    assert "| short | 20 / 5 | " in succeed("leaderboard", "--out", tmp_path)
 
 
 def test_a_file_that_is_no_json_is_named(tmp_path):

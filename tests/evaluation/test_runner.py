@@ -81,6 +81,11 @@ def test_seeds_run_from_the_first_one():
     assert all(len(both[m]) == 2 and both[m][1] == second[m][0] for m in METRICS)
 
 
+def test_nothing_is_printed_beside_the_result(capsys):
+    score_contenders(["fixed-ukf"], SOURCE, "handset", episodes=1, seed=0)
+    assert capsys.readouterr() == ("", "")
+
+
 def test_contenders_see_the_same_episodes():
     together = score_contenders(["fixed-ekf", "fixed-ukf"], SOURCE, "handset", episodes=2, seed=0)
     alone = score_contenders(["fixed-ukf"], SOURCE, "handset", episodes=2, seed=0)
