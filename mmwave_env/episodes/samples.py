@@ -6,7 +6,7 @@ from pathlib import Path
 
 from mmwave_env.episodes.deepmimo import read_deepmimo
 from mmwave_env.episodes.deepmimo_files import PARAMS
-from mmwave_env.episodes.log_folder import read_log_folder
+from mmwave_env.episodes.log_folder import LOG, read_log_folder
 from mmwave_env.episodes.measured import MeasuredSource, MeasuredTrack
 from mmwave_env.episodes.recorded import RecordedSource, Recording
 from mmwave_env.lookup import choose
@@ -74,7 +74,12 @@ def _read(name: str | os.PathLike[str]) -> Recording | MeasuredTrack:
         return recording_from(str(name))
     folder = Path(name)
     if folder.is_file():
-        raise ValueError(f"episodes: found the file {folder}, expected its folder, {folder.parent}")
+        other = folder.suffix == ".csv" and folder.name != LOG
+        hint = f"; if it is a trajectory, give it as the scenario: --scenario {folder}"
+        raise ValueError(
+            f"episodes: found the file {folder}, expected its folder, {folder.parent}"
+            f"{hint if other else ''}"
+        )
     if not folder.is_dir():
         raise ValueError(
             f"episodes: found {os.fspath(name)!r}, expected one of {', '.join(sample_names())}, "

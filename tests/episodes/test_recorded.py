@@ -80,6 +80,16 @@ def test_unknown_name(tmp_path):
         source_from(__file__, RADIO)
 
 
+def test_a_trajectory_in_place_of_a_folder_is_sent_to_the_scenario(tmp_path):
+    trip, log = tmp_path / "trip.csv", tmp_path / "log.csv"
+    for file in (trip, log):
+        file.write_text("t,x,y,z\n")
+    with pytest.raises(ValueError, match=f"give it as the scenario: --scenario {trip}$"):
+        source_from(trip, RADIO)
+    with pytest.raises(ValueError, match=f"expected its folder, {tmp_path}$"):
+        source_from(log, RADIO)
+
+
 def test_it_is_an_episode_source():
     source: EpisodeSource = RecordedSource(VEHICLE, RADIO)
     episode = source.sample(generator())
