@@ -130,7 +130,7 @@ def test_a_bank_goes_by_the_name_of_its_radios_file(tmp_path):
 BANK_MISTAKES = {
     "unknown bank": (("--banks", "eleven"), "banks: found 'eleven', expected one of maneuvers"),
     "two banks of a file": (("--banks", "two", "three", "--out", "banks"), "found 2, expected one"),
-    "too few episodes": (("--banks", "two", "--episodes", "8"), 
+    "too few episodes": (("--banks", "two", "--episodes", "8"),
                          "found 1 for each scene and step, expected 3 or more, 18 in all"),
     "unknown scene": (("--banks", "two", "--scenes", "moon"), "'moon'.*street, o1"),
     "no scene": (("--banks", "two", "--scenes"), "scenes: found none, expected one or more"),
