@@ -14,7 +14,7 @@ from mmwave_env.filters.modes import Mode
 from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.lookup import unknown
 from mmwave_env.models.measurement import Layout
-from mmwave_env.models.radio import profile_of
+from mmwave_env.models.radio import RADIOS, profile_of
 from mmwave_env.observation import Observation, action_names
 from mmwave_env.task import Modes, bank_and_modes
 from policies import (
@@ -267,4 +267,21 @@ def contender_from(
     stem = name.removesuffix(".py")
     module = f"; {Path(stem).name}:FUNCTION names an agent in a module ({GUIDE})"
     hint = module if Path(f"{stem}.py").is_file() else ""
-    raise ValueError(unknown("policy", name, [*known, *shipped, *OTHERS]) + hint)
+    # Shipped for all radios, a policy is among those known, too.
+    everything = dict.fromkeys([*known, *shipped, *OTHERS])
+    raise ValueError(_of_other_radios(name, radio) or unknown("policy", name, everything) + hint)
+
+
+def _of_other_radios(name: str, radio: str) -> str | None:
+    """The message about a learned contender that a radio, or modes given, do not have."""
+    files = {f"{name}-{other}": other for other in RADIOS}
+    trained = {file: other for file, other in files.items() if file in shipped_policies()}
+    if name not in SHIPPED or not trained:
+        return None
+    likely = [f"{name}-{profile_of(radio)}", f"{name}-standard", *trained]
+    meant = next(file for file in likely if file in trained)
+    return (
+        f"policy: found {name!r}, expected {' or '.join(trained)}: it was trained for "
+        f"{' and '.join(trained.values())}, and goes by {name!r} only with these radios and where "
+        f"no modes are given; did you mean {meant}?"
+    )

@@ -192,6 +192,28 @@ def test_shipped_policies_are_contenders_of_their_radio():
         contender_from("ppo-high", "high")
 
 
+def test_a_policy_that_a_radio_has_not_is_refused_with_the_radios_it_was_trained_for(
+    file, monkeypatch
+):
+    shipped = {name: Path(file) for name in ("ppo-handset", "ppo-standard", "guided", "extra")}
+    monkeypatch.setattr(contenders_module, "shipped_policies", lambda: shipped)
+    why = (
+        "policy: found 'ppo', expected ppo-handset or ppo-standard: it was trained for handset and "
+        "standard, and goes by 'ppo' only with these radios and where no modes are given; did you "
+        "mean {}[?]$"
+    )
+    for radio, modes, meant in (
+        ("high", None, "ppo-standard"), ("phone", MODES, "ppo-standard"),
+        ("handset", MODES, "ppo-handset"),
+    ):  # fmt: skip
+        with pytest.raises(ValueError, match=why.format(meant)):
+            contender_from("ppo", radio, modes)
+    with pytest.raises(ValueError, match="expected one of .*, guided, ppo-handset") as refused:
+        contender_from("ppo-extended", "handset")  # of no radio
+    names = str(refused.value).partition("expected one of ")[2].partition(";")[0].split(", ")
+    assert len(set(names)) == len(names)
+
+
 def test_a_policy_shipped_for_all_radios_is_a_contender_of_each_with_its_bank(
     file, tmp_path, monkeypatch
 ):
