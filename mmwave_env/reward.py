@@ -100,6 +100,17 @@ def reward_from(reward: str | Reward | PairedReward) -> Reward | PairedReward:
     return reward
 
 
+def reward_name(reward: Reward) -> str:
+    """What a reward is called: its name in :data:`REWARDS`, or else that of the function or class.
+
+    A named one with other weights goes by its class.
+    """
+    for name, known in REWARDS.items():
+        if reward == known:
+            return name
+    return str(getattr(reward, "__name__", type(reward).__name__))
+
+
 def _check(reward: Reward) -> None:
     """Try a function on numbers that hide their value, as the compiler will."""
     P = [[FloatTracer(4.0 if i == j else 0.5) for j in range(7)] for i in range(7)]

@@ -22,7 +22,14 @@ from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.models.radio import radio_from
 from mmwave_env.models.scene import scene_from
 from mmwave_env.numerics.numbers import maximum
-from mmwave_env.reward import REWARDS, LogScore, PairedReward, TrackingReward, reward_from
+from mmwave_env.reward import (
+    REWARDS,
+    LogScore,
+    PairedReward,
+    TrackingReward,
+    reward_from,
+    reward_name,
+)
 from mmwave_env.task import task_from
 from tests.training.actors import MODES
 
@@ -33,6 +40,13 @@ def belief(error_m=(0.0, 0.0, 0.0), variance_m2=1.0, axes=(0, 1, 2)):
     """About a user at the origin, equally sure along all axes."""
     P = (variance_m2 * np.eye(7)).tolist()
     return Belief([*map(float, error_m), 0.0, 0.0, 0.0, 0.0], P, axes)
+
+
+def test_a_reward_goes_by_its_own_name_unless_it_is_a_named_one_as_it_is():
+    for name, reward in REWARDS.items():
+        assert reward_name(reward) == name
+    assert reward_name(TrackingReward(error_limit_m=5.0)) == "TrackingReward"
+    assert reward_name(belief) == "belief"
 
 
 # Error 3 m with 1 m^2 per axis: NEES 9, |ln(9 / 3)| = 1.0986; and so on.

@@ -19,6 +19,7 @@ from experiments.evaluation.training_seeds import (
 )
 from mmwave_env.files import write_json, write_text
 from mmwave_env.models.radio import profile_of, radio_from
+from mmwave_env.reward import reward_name
 
 
 def report(command: str, args: EpisodeArgs, found: tuple[Comparison, str, dict[str, Any]]) -> None:
@@ -68,7 +69,7 @@ def results(
         write_text(args.episodes_csv, episodes_csv(scores, args.seed))
     result = compare_scores(
         scores, learned, scenario=source.name, radio=profile_of(args.radio), episodes=args.episodes,
-        seed=args.seed,
+        seed=args.seed, reward=reward_name(scoring.reward),
     )  # fmt: skip
     text, content = str(result), result.json
     if bound:

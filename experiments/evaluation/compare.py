@@ -11,6 +11,7 @@ from experiments.evaluation.comparison import Comparison, compare_scores
 from experiments.evaluation.contenders import Contender, contender_from
 from experiments.evaluation.runner import Scoring, score_contenders
 from mmwave_env.episodes.episode import EpisodeSource
+from mmwave_env.reward import reward_name
 from mmwave_env.task import Modes, task_from
 
 Agent = str | os.PathLike[str] | Act
@@ -83,7 +84,7 @@ def compare(
     scores = score_contenders([*own, *beside], task.source, radio, episodes, seed, scoring=scoring)
     return compare_scores(
         scores, list(policies), scenario=task.source.name, radio=task.radio.name,
-        episodes=episodes, seed=seed,
+        episodes=episodes, seed=seed, reward=reward_name(scoring.reward),
     )  # fmt: skip
 
 

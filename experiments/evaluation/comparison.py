@@ -26,6 +26,7 @@ class Comparison:
     seed: int
     policies: dict[str, dict[str, Interval]]  # per contender and metric
     paired: dict[str, dict[str, Interval]]  # the same for differences "A - B", episode by episode
+    reward: str = "tracking"  # that the column of this name shows
 
     @property
     def json(self) -> dict[str, Any]:
@@ -48,7 +49,9 @@ class Comparison:
         seeds = f"{self.episodes} episodes, seeds {self.seed} and up"
         if self.episodes == 1:
             seeds = f"1 episode, seed {self.seed}, too few for intervals"
-        parts = [f"### {self.scenario}, {self.radio}, {seeds}\n", self._policies_table()]
+        # Rewards of different kinds are not to be compared.
+        reward = "" if self.reward == "tracking" else f", reward {self.reward}"
+        parts = [f"### {self.scenario}, {self.radio}, {seeds}{reward}\n", self._policies_table()]
         if self.paired:
             intervals = ", 95 % intervals" if self.episodes > 1 else ""
             parts += [f"\nPaired differences of the reward{intervals}:\n", self._paired_table()]

@@ -108,6 +108,7 @@ def test_other_places_are_arguments_of_the_environment():
     found = compare({"mine": act}, beside=("fixed-ukf",), episodes=2, **where)
     assert found.scenario == "canyon28_vehicle"
     assert found.policies["mine"] == found.policies["fixed-ukf"]
+    assert str(found).splitlines()[0].endswith(", seeds 0 and up, reward log-score")
     with pytest.raises(ValueError, match="reward: found a paired one, expected one that is not"):
         compare({"mine": act}, reward="paired")
     with pytest.raises(TypeError, match="'odometer', expected one of .*odometry"):

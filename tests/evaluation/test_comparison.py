@@ -78,6 +78,12 @@ def test_some_of_the_contenders_are_shown_alone():
     assert all(row in str(result) for row in rows)
 
 
+def test_the_heading_names_a_reward_that_is_not_the_usual_one():
+    result = compare_scores(scores(imm=[1, 2, 3]), **WHAT, reward="log-score")
+    title, *_ = str(result).splitlines()
+    assert title == "### mixed, handset, 3 episodes, seeds 0 and up, reward log-score"
+
+
 def test_results_as_json():
     result = compare_scores(scores(speed_rule=[1.0, 2.0, 3.0], imm=[2.0, 2.0, 2.0]), **WHAT).json
     assert {key: result[key] for key in WHAT} == WHAT
