@@ -29,7 +29,7 @@ from mmwave_env.filters.modes import DESIGN_LIMIT_MPS, Mode, robust
 from mmwave_env.localization.contradictions import contradictions
 from mmwave_env.localization.diagnosis import diagnose
 from mmwave_env.localization.localizer import localize
-from mmwave_env.localization.track_files import table_beside, track_files
+from mmwave_env.localization.track_files import require_own_table, table_beside, track_files
 from mmwave_env.localization.track_scores import Course, Groups, TruthScores
 from mmwave_env.logs.log import LogBlock, read_log
 from mmwave_env.logs.log_tables import LogError
@@ -143,7 +143,7 @@ def _as_asked(args: Args, modes: tuple[Mode, ...]) -> tuple[Mode, ...]:
 
 
 def _check(args: Args, given: Inputs) -> None:
-    """Refuse options that contradict each other, and files that would overwrite each other."""
+    """Refuse options that contradict each other, and outputs in the place of other files."""
     if args.diagnose and (args.out or args.plot):
         raise ValueError("diagnose: found with --out or --plot, expected no track")
     if args.imm is not None:
@@ -172,6 +172,8 @@ def _check(args: Args, given: Inputs) -> None:
             raise ValueError(
                 f"{name}: found {path}, which is also {seen[path.resolve()]}, expected another file"
             )
+    if args.out is not None:
+        require_own_table(args.out)
 
 
 def _outputs(args: Args) -> dict[str, Path | None]:

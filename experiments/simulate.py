@@ -7,20 +7,36 @@ from experiments.arguments.simulate import Args
 from experiments.cli.main import run
 from experiments.cli.options import command_line, source_of
 from experiments.evaluation.seeds import draw_episodes
-from mmwave_env.episodes.log_folder import write_log_folder
+from mmwave_env.episodes.log_folder import LOG, SCENE, TRUTH, write_log_folder
 from mmwave_env.episodes.measured import MeasuredSource
 from mmwave_env.episodes.recorded import RecordedSource
 from mmwave_env.episodes.simulated import SimulatedSource
 
 
+def _require_none(folder: Path) -> None:
+    """Refuse to replace the files of an episode: perhaps they were recorded, and are the only ones.
+
+    Raises:
+        ValueError: there are some.
+    """
+    found = [name for name in (LOG, SCENE, TRUTH) if (folder / name).exists()]
+    if found:
+        raise ValueError(
+            f"out: found {', '.join(found)} in {folder}, expected a folder without them; "
+            "--overwrite replaces them, --out names another folder"
+        )
+
+
 def main(args: Args) -> None:
     """Run the command."""
+    if not args.overwrite:
+        _require_none(args.out)
     source = source_of(args)
     assert isinstance(
         source, SimulatedSource | RecordedSource | MeasuredSource
     )  # what options name
     (episode,) = draw_episodes(source, [args.seed])
-    origin = command_line("simulate", replace(args, out=Path(".")))
+    origin = command_line("simulate", replace(args, out=Path("."), overwrite=False))
     names = write_log_folder(args.out, episode, source.scene, origin)
     print(f"written to {args.out}/: {', '.join(names)}")
     if isinstance(source, SimulatedSource) and source.trajectory:

@@ -15,5 +15,7 @@ class Args(WorldArgs):
 
     out: Path
     """the folder"""
+    overwrite: bool = False
+    """replace the files of an episode that are there"""
     seed: int = 0
     """seed of the episode, the same that evaluate runs"""

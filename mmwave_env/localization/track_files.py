@@ -34,6 +34,27 @@ def table_beside(track: Path) -> Path:
     return table
 
 
+def require_own_table(track: Path) -> None:
+    """Make sure that the table beside a TUM file replaces nothing but such a table.
+
+    Its name was never typed, so whatever else has it is not meant to go.
+
+    Raises:
+        ValueError: a file of another header has that name.
+        OSError: it can't be read.
+    """
+    table = table_beside(track)
+    if not table.is_file():
+        return
+    header = (",".join(TABLE_COLUMNS) + "\n").encode()
+    with table.open("rb") as file:
+        if file.read(len(header)) != header:
+            raise ValueError(
+                f"out: found {table}, which is no table of a track and which that of {track} would "
+                f"replace, expected another name, such as {track.with_stem(f'{track.stem}-track')}"
+            )
+
+
 @contextmanager
 def track_files(track: Path, modes: Sequence[str]) -> Iterator[Callable[[TrackBlock], None]]:
     """A function that writes the next block of a track; at the end the files take their places.

@@ -450,6 +450,16 @@ def test_a_folder_in_place_of_a_log_is_refused_by_naming_its_files(capsys):
     assert line.endswith(f"log: found the folder {WALK}, expected files, such as {files}")
 
 
+def test_a_table_does_not_take_the_place_of_a_file_of_the_users(capsys, tmp_path):
+    (tmp_path / "trip.csv").write_text("t,x,y,z\n")
+    _, line = refused(
+        capsys, options(WALK / "log.csv", "--speed", "1", "--out", tmp_path / "trip.tum")
+    )
+    assert "trip.csv, which is no table of a track" in line
+    assert [path.name for path in tmp_path.iterdir()] == ["trip.csv"]
+    assert (tmp_path / "trip.csv").read_text() == "t,x,y,z\n"
+
+
 @pytest.mark.parametrize("out", ["log.tum", "truth.tum"])
 def test_no_output_takes_the_place_of_an_input(capsys, tmp_path, out):
     for name in ("log.csv", "truth.tum", "scene.json"):

@@ -107,6 +107,22 @@ def test_mistakes_end_with_one_clear_line(tmp_path, capsys, options, message):
     assert not (tmp_path / "out").exists()
 
 
+@pytest.mark.parametrize("name", FILES)
+def test_an_episode_that_is_there_is_replaced_only_if_asked(tmp_path, capsys, name):
+    (tmp_path / name).write_text("mine")
+    with pytest.raises(SystemExit) as stop:
+        simulate(tmp_path)
+    (line,) = capsys.readouterr().err.splitlines()
+    assert stop.value.code == 2 and f"out: found {name} in {tmp_path}" in line
+    assert "--overwrite replaces" in line
+    assert [path.name for path in tmp_path.iterdir()] == [name]
+    assert (tmp_path / name).read_text() == "mine"
+    simulate(tmp_path, "--overwrite")
+    assert "--overwrite" not in (tmp_path / "truth.tum").read_text()
+    assert sorted(path.name for path in tmp_path.iterdir()) == FILES
+    assert (tmp_path / name).read_text() != "mine"
+
+
 def test_a_folder_that_cannot_be_made_is_named(tmp_path, capsys):
     blocked = tmp_path / "file"
     blocked.write_text("")
