@@ -382,12 +382,12 @@ def test_an_imm_may_come_from_a_bank_s_file_or_by_any_name_of_the_project(tmp_pa
     modes = [{"name": "calm"}, {"name": "wild", "algorithm": "ckf", "sigma_v": 2.0}]
     bank = {"modes": modes, "transition": [[0.9, 0.1], [0.2, 0.8]], "nis_quantile": 0.99}
     file.write_text(json.dumps(bank))
-    assert list(figures(RIDE, "--imm", file)["modes"]) == ["calm", "wild"]
-    robust = figures(RIDE, "--imm", file, "--robust", "--no-gating")
+    assert list(figures(RIDE, "--radio", "standard", "--imm", file)["modes"]) == ["calm", "wild"]
+    robust = figures(RIDE, "--radio", "standard", "--imm", file, "--robust", "--no-gating")
     assert list(robust["modes"]) == ["calm-robust", "wild-robust"]
     assert robust["groups"]["all"]["rejected"] == 0
-    for name in imm_banks("handset"):
-        found = figures(RIDE, "--imm", name)["truth"]["tracks"]
+    for name in imm_banks("standard"):
+        found = figures(RIDE, "--radio", "standard", "--imm", name)["truth"]["tracks"]
         assert found["smoothed"]["ate_m"] < found["filtered"]["ate_m"] < 0.5
 
 
