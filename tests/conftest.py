@@ -18,8 +18,16 @@ for _ in range(4):
     env.step(env.action_space.sample())
 """
 
+compiling = []
+
 
 def pytest_sessionstart(session):
     """Compile the loops once for all processes that run tests, while these collect theirs."""
     if getattr(session.config.option, "numprocesses", None):  # the process that starts the others
-        subprocess.Popen([sys.executable, "-c", LOOPS])
+        compiling.append(subprocess.Popen([sys.executable, "-c", LOOPS]))
+
+
+def pytest_sessionfinish():
+    for process in compiling:
+        process.terminate()
+        process.wait()
