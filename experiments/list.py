@@ -9,6 +9,7 @@ from experiments.evaluation.contenders import contenders
 from mmwave_env.episodes.samples import recording_from, sample_names
 from mmwave_env.filters.mode_files import as_written, named_modes
 from mmwave_env.models.radio import RADIOS, radio_from
+from mmwave_env.models.random_scene import RANDOM
 from mmwave_env.models.scene import SCENES, Scene
 from mmwave_env.reward import REWARDS
 
@@ -67,7 +68,9 @@ def radios() -> dict[str, str]:
 
 def scenes() -> dict[str, str]:
     """Streets by where they lie: x east, y north, m."""
-    return {name: _about_scene(scene) for name, scene in SCENES.items()}
+    return {name: _about_scene(scene) for name, scene in SCENES.items()} | {
+        RANDOM: "each episode its own: blocks, base station and walls are drawn"
+    }
 
 
 def _about_scene(scene: Scene) -> str:

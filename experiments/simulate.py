@@ -11,6 +11,8 @@ from mmwave_env.episodes.log_folder import LOG, SCENE, TRUTH, write_log_folder
 from mmwave_env.episodes.measured import MeasuredSource
 from mmwave_env.episodes.recorded import RecordedSource
 from mmwave_env.episodes.simulated import SimulatedSource
+from mmwave_env.models.random_scene import RandomScene
+from mmwave_env.models.scene import scene_of_anchors
 
 
 def _require_none(folder: Path) -> None:
@@ -37,7 +39,12 @@ def main(args: Args) -> None:
     )  # what options name
     (episode,) = draw_episodes(source, [args.seed])
     origin = command_line("simulate", replace(args, out=Path("."), overwrite=False))
-    names = write_log_folder(args.out, episode, source.scene, origin)
+    scene = source.scene
+    if isinstance(scene, RandomScene):  # the file is to bring the anchors of this very episode
+        scene = scene_of_anchors(
+            scene.name, episode.scene_anchors_m, scene.carrier_hz, scene.bandwidth_hz
+        )
+    names = write_log_folder(args.out, episode, scene, origin)
     print(f"written to {args.out}/: {', '.join(names)}")
     if isinstance(source, SimulatedSource) and source.trajectory:
         assert episode.truth_position_m is not None  # who is simulated has one

@@ -139,7 +139,8 @@ class MmWaveLocEnv(gym.Env[NDArray[np.float32], np.int64]):
       `Trajectory` for a way of your own, of which `episode_steps` epochs at most are drawn.
     * `radio`: "handset" (default), "standard", "high", a JSON file, or a `Radio`. Default modes are
       tuned for these three names; others get those of "standard" and a warning.
-    * `scene`: "street" (default), "o1", "dynamic-doppler", a JSON file, or a `Scene`.
+    * `scene`: "street" (default), "o1", "dynamic-doppler", a JSON file, or a `Scene`; "random" or
+      a `RandomScene`, and each episode draws streets, base station and walls of its own.
     * `modes`: list of modes, each a name ("ekf", "ukf", "ckf", "ekf-robust", "ukf-robust"), a
       mode file or a `Mode`, whose algorithm may be your own function (docs/own-filters.md); or
       one mode file, as `mmwave-loc tune` writes it; or "extended", a bank of eight: more

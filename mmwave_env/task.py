@@ -19,7 +19,8 @@ from mmwave_env.filters.modes import Mode
 from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.lookup import choose, did_you_mean
 from mmwave_env.models.radio import Radio, radio_from
-from mmwave_env.models.scene import Scene, scene_from
+from mmwave_env.models.random_scene import RandomScene, scenes_from
+from mmwave_env.models.scene import Scene
 from mmwave_env.numerics.arrays import Array, Index
 from mmwave_env.observation import BELIEFS
 from mmwave_env.reward import PairedReward, Reward, reward_from
@@ -96,7 +97,7 @@ class TaskArguments:
 
     scenario: Scenario | None = None
     radio: str | os.PathLike[str] | Radio = "handset"
-    scene: str | Scene | None = None
+    scene: str | Scene | RandomScene | None = None
     modes: Modes = None
     beliefs: str = "shared"
     reward: str | Reward | PairedReward = "tracking"
@@ -169,7 +170,7 @@ def _source(given: TaskArguments, radio: Radio) -> tuple[EpisodeSource, Radio]:
     """Where the episodes come from, and the radio that they were received with."""
     if given.episodes is None:
         simulated = SimulatedSource(
-            scene_from("street" if given.scene is None else given.scene),
+            scenes_from("street" if given.scene is None else given.scene),
             radio,
             "mixed" if given.scenario is None else given.scenario,
             1.0 if given.dt is None else given.dt,

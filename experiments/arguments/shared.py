@@ -30,7 +30,8 @@ class WorldArgs:
     radio: str = "handset"
     """handset, standard, high or a JSON file"""
     scene: str | None = None
-    """street (where none is named), o1, dynamic-doppler or a JSON file"""
+    """street (where none is named), o1, dynamic-doppler, random (each episode its own) or a JSON
+    file"""
     data: str | None = None
     """recorded data instead of a simulation: canyon28_vehicle, canyon28_pedestrian, or a folder, of
     a DeepMIMO scenario (each seed draws receiver noise and prior anew) or of a measurement log with

@@ -5,7 +5,7 @@ from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from types import MappingProxyType
-from typing import Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 from experiments import train
 from experiments.arguments.train import Args as TrainArgs
@@ -13,6 +13,8 @@ from experiments.cli.main import run
 from experiments.cli.options import command_line
 from experiments.evaluation.seeds import TUNING_SEED
 from experiments.learning.arguments.studies import Args
+from experiments.learning.defaults import STEPS as DEFAULT_STEPS
+from experiments.learning.defaults import defaults
 from experiments.learning.evolution import evolved
 from experiments.training.places import Place, place_from
 from experiments.tuning.designs import Design
@@ -52,7 +54,8 @@ TRAININGS: Mapping[str, Training] = MappingProxyType({
     "no-accelerate-brake": Training(without=("accelerate", "brake")),
     "no-turn": Training(without=("turn",)),
 })  # fmt: skip
-EVOLUTION = "evolution"
+EVOLUTION, DEFAULTS = "evolution", "defaults"
+RECORDS = {EVOLUTION: "trust.json", DEFAULTS: "rewards.json"}  # of others: summary.json
 
 
 def bank_without(names: tuple[str, ...], place: Place, evaluations: int) -> Bank:
@@ -106,7 +109,7 @@ def _bank_of(args: Args, training: Training) -> Bank:
 
 def record_of(folder: Path, name: str) -> Path:
     """The file that is there once a training is recorded, in a folder of studies."""
-    return folder / name / ("trust.json" if name == EVOLUTION else "summary.json")
+    return folder / name / RECORDS.get(name, "summary.json")
 
 
 def evolution(args: Args) -> None:
@@ -117,15 +120,25 @@ def evolution(args: Args) -> None:
         best_bank(place.profile), place.source("mixed"), args.generations,
         lambda generation, gain: print(f"{generation} generations: {gain:+.4f} over its IMM"),
     )  # fmt: skip
-    alone = replace(args, trainings=(EVOLUTION,), out=Args.out)
-    written = {"command": command_line("studies", alone)} | figures | trust.json
-    write_json(record_of(args.out, EVOLUTION), written)
+    _write_record(args, EVOLUTION, figures | trust.json)
+
+
+def of_libraries(args: Args) -> None:
+    """Train with the defaults of other libraries, and record what it came to."""
+    require_extra("stable_baselines3", "train", "studies --trainings defaults")
+    steps = args.total_timesteps or DEFAULT_STEPS
+    _write_record(args, DEFAULTS, defaults(steps, args.seeds, args.episodes))
+
+
+def _write_record(args: Args, name: str, found: dict[str, Any]) -> None:
+    alone = replace(args, trainings=(name,), out=Args.out)
+    write_json(record_of(args.out, name), {"command": command_line("studies", alone)} | found)
 
 
 def main(args: Args) -> None:
     """Run the command."""
     makers = {name: partial(_train, args, name) for name in TRAININGS}
-    makers[EVOLUTION] = partial(evolution, args)
+    makers |= {EVOLUTION: partial(evolution, args), DEFAULTS: partial(of_libraries, args)}
     for name in args.trainings or makers:
         make, record = choose(makers, name, "trainings"), record_of(args.out, name)
         print(f"\n{name}\n", flush=True)

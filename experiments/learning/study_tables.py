@@ -16,8 +16,9 @@ from experiments.evaluation.runner import score
 from experiments.evaluation.runs import Run
 from experiments.evaluation.seeds import TUNING_SEED, draw_episodes
 from experiments.learning.continuous_trust import Trust, TrustEngine, mean_factor, mean_trust
+from experiments.learning.defaults import defaults_table
 from experiments.learning.evolution import TUNING_EPISODES, LinearTrust
-from experiments.learning.studies import EVOLUTION, TRAININGS, record_of
+from experiments.learning.studies import DEFAULTS, EVOLUTION, TRAININGS, record_of
 from experiments.training.places import Place
 from mmwave_env.episodes.episode import Episode
 from mmwave_env.filters.bank import Bank
@@ -146,6 +147,9 @@ def study_tables(runs: Path, episodes: int, seed: int) -> Iterator[tuple[str, st
             lines.append([name, rows[name].seeds, rows[name].trained, *cells])
             content[name] = {what: gain.json for what, gain in gains.items()}
         yield title, grid(["", "seeds", "trained for", *columns], lines), content
+    if (record := record_of(runs / "studies", DEFAULTS)).is_file():
+        found = json.loads(record.read_text(encoding="utf-8"))
+        yield DEFAULTS, defaults_table(found), found
 
 
 class _Judged:

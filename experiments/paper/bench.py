@@ -89,7 +89,7 @@ class Bench:
         """Filter and smooth every episode of a setting; ``planar`` knows z and vz."""
         episodes = self.episodes(setting)
         if planar:
-            height = setting.source().scene.streets.height_m
+            height = SCENES["street"].streets.height_m
             episodes = [episode.on_flat_ground(height) for episode in episodes]
         return track(mode, episodes, planar)
 

@@ -51,15 +51,16 @@ def _draw(rng, out, links, rows):  # type: ignore[no-untyped-def]
 
 @register_jitable
 def _simulate(  # type: ignore[no-untyped-def]
-    rng, memory, states, plan, dt, stride, move_on, observe, run, start, layout, keep, time_s,
+    rng, memory, states, plan, nets, dt, stride, move_on, observe, run, start, layout, keep, time_s,
     kinds, first, prior, tables,
 ):  # fmt: skip
     """Draw and simulate episodes, eight at a time, so that their draws stay in a cache.
 
     Args:
         rng, memory, states: of the dice, which numba takes long to recognize as a tuple.
-        plan, dt, stride, move_on, observe: see :func:`~mmwave_env.episodes.travel.travel`.
-        run, start: the program, and its workspace (size,) before the first epoch.
+        plan, nets, dt, stride, move_on, observe: see :func:`~mmwave_env.episodes.travel.travel`.
+        run, start: the program, and its workspace before the first epoch, (1, size) for all
+            episodes or (n, size).
         layout: numbers of links, of rows and of columns drawn, and the column of dt in a table.
         keep: rows of the workspace that make an epoch of ``tables``.
         time_s: (T,) of the epochs.
@@ -69,7 +70,7 @@ def _simulate(  # type: ignore[no-untyped-def]
         tables: (n, T, columns) gets the episodes.
     """
     (links, rows, columns, dt_column), view, T = layout, RngView(rng, memory, states), len(time_s)
-    draws, block = np.empty((WIDTH, T, columns)), np.empty((1, len(start), WIDTH))
+    draws, block = np.empty((WIDTH, T, columns)), np.empty((1, start.shape[1], WIDTH))
     blank, nothing, none = np.zeros(columns), np.empty((WIDTH, T, 0)), np.empty(0, np.int64)
     length, running = np.full(WIDTH, T), np.ones(WIDTH, np.bool_)
     for begin in range(0, len(kinds), WIDTH):
@@ -79,7 +80,7 @@ def _simulate(  # type: ignore[no-untyped-def]
             load_state(view, e)
             kinds[e] = draw_kind(rng, plan, T)
             save_state(view, e)
-        travel(view, begin, kinds[begin:end], plan, dt, stride, move_on, observe, draws)
+        travel(view, begin, kinds[begin:end], plan, nets, dt, stride, move_on, observe, draws)
         for e in range(begin, end):
             drawn = draws[e - begin]
             load_state(view, e)
@@ -90,9 +91,10 @@ def _simulate(  # type: ignore[no-untyped-def]
             for i in range(6):
                 first[e, i] = drawn[0, i]
             first[e, 6] = drawn[0, columns - 1]
-        for i in range(len(start)):
-            for lane in range(WIDTH):
-                block[0, i, lane] = start[i]
+        for lane in range(WIDTH):
+            own = start[(begin + lane) % len(start)]
+            for i in range(len(own)):
+                block[0, i, lane] = own[i]
         advance(
             0, 1, run, blank, block, draws[:here], length[:here], np.zeros(here, np.int64),
             running[:here], none, nothing[:here], keep, tables[begin:end], none,

@@ -9,7 +9,7 @@ from typing import Annotated
 
 import numpy as np
 
-from mmwave_env.episodes.travel import TravelPlan
+from mmwave_env.episodes.travel import StreetNets, TravelPlan
 from mmwave_env.lookup import choose
 from mmwave_env.models.scene import Streets
 from mmwave_env.records import (
@@ -189,8 +189,8 @@ def read_mobility(path: str | os.PathLike[str]) -> Mobility:
     return read_object(path, "mobility", lambda content: object_from(Mobility, name | content))
 
 
-def plan_of(mobilities: Sequence[Mobility], streets: Streets) -> TravelPlan:
-    """Mobilities in some streets, in numbers.
+def plan_of(mobilities: Sequence[Mobility], block_m: float) -> TravelPlan:
+    """Mobilities in numbers, for streets that are so far apart, or farther.
 
     Raises:
         ValueError: corners that do not fit between two crossings.
@@ -203,7 +203,7 @@ def plan_of(mobilities: Sequence[Mobility], streets: Streets) -> TravelPlan:
     for i, phases in enumerate(acts):
         for j, phase in enumerate(phases):
             limits = phase.limits
-            apart = streets.block_m / mobilities[i].blocks
+            apart = block_m / mobilities[i].blocks
             if 2.0 * limits.corner_radius_m > apart:
                 raise ValueError(
                     f"corner_radius_m of mobility {mobilities[i].name!r}: found "
@@ -215,9 +215,6 @@ def plan_of(mobilities: Sequence[Mobility], streets: Streets) -> TravelPlan:
             fixed[i, j] = (limits.jerk_mps3, limits.corner_radius_m,
                            limits.red_light_probability, *limits.red_light_s)  # fmt: skip
             gaits[i, j, : len(phase.gaits)] = [astuple(gait) for gait in phase.gaits]
-    block = np.array([streets.block_m / m.blocks for m in mobilities])
-    (west, east), (south, north) = streets.x_m, streets.y_m
-    extent = np.array([east - west, north - south])
     return TravelPlan(
         phases=np.array([len(phases) for phases in acts]),
         returns=np.array([m.ends_as_it_began for m in mobilities]),
@@ -225,9 +222,17 @@ def plan_of(mobilities: Sequence[Mobility], streets: Streets) -> TravelPlan:
         ranges=ranges,
         fixed=fixed,
         gaits=gaits,
-        block=block,
-        counts=np.round(extent / block[:, None]),
-        origin=np.array([west, south]),
-        height=streets.height_m,
         way=np.empty((0, 6)),
+    )
+
+
+def nets_of(mobilities: Sequence[Mobility], streets: Sequence[Streets]) -> StreetNets:
+    """Nets of streets as each mobility knows them, in numbers."""
+    closer = np.array([m.blocks for m in mobilities], float)
+    block = np.array([s.block_m for s in streets])[:, None] / closer
+    extent = np.array([[s.x_m[1] - s.x_m[0], s.y_m[1] - s.y_m[0]] for s in streets])
+    return StreetNets(
+        block=block,
+        counts=np.round(extent[:, None] / block[..., None]),
+        origin=np.array([[s.x_m[0], s.y_m[0], s.height_m] for s in streets]),
     )

@@ -7,35 +7,27 @@ What follows is arithmetic: functions of numbers that run on lanes, an episode t
 import os
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import cached_property, lru_cache
-from typing import Any, NamedTuple
+from functools import cached_property
+from typing import Any
 
 import numpy as np
 
-from mmwave_env.compiler.program import Program
-from mmwave_env.compiler.rng import RngView, Words, rng_view, whole_rng
+from mmwave_env.compiler.rng import RngView, Words, load_state, rng_view, save_state, whole_rng
 from mmwave_env.compiler.threads import portions, share
 from mmwave_env.episodes.drawing import simulate
-from mmwave_env.episodes.episode import Episode, EpisodeBatch, Incoming, blank_incoming, columns_of
+from mmwave_env.episodes.episode import Episode, EpisodeBatch, columns_of
 from mmwave_env.episodes.kinematics import motion
-from mmwave_env.episodes.mobility import MIXED, Mobility, mobilities_of, plan_of
+from mmwave_env.episodes.mobility import MIXED, Mobility, mobilities_of, nets_of, plan_of
+from mmwave_env.episodes.simulation import EpisodeConstants, kept_rows, program_of
 from mmwave_env.episodes.trajectory import Trajectory, read_trajectory
-from mmwave_env.episodes.travel import TravelPlan, stride_of
-from mmwave_env.models.channel import (
-    Channel,
-    ChannelDraws,
-    ChannelState,
-    channel_epoch,
-    channel_of,
-    initial_state,
-)
+from mmwave_env.episodes.travel import StreetNets, TravelPlan, stride_of
+from mmwave_env.models.channel import channel_of
 from mmwave_env.models.epoch import Site
-from mmwave_env.models.measurement import STATE_SIZE, Layout, exact_rows
-from mmwave_env.models.radio import Radio, deviations
+from mmwave_env.models.measurement import STATE_SIZE, Layout
+from mmwave_env.models.radio import Radio
+from mmwave_env.models.random_scene import RandomScene
 from mmwave_env.models.scene import Scene
-from mmwave_env.numerics.arrays import Array, Index
-from mmwave_env.numerics.linalg import dot
-from mmwave_env.numerics.numbers import Number, Vector, sqrt, where, wrap
+from mmwave_env.numerics.arrays import Array
 from mmwave_env.numerics.pytree import flatten, indices
 
 Scenario = str | os.PathLike[str] | Mobility | Trajectory
@@ -43,151 +35,12 @@ Scenario = str | os.PathLike[str] | Mobility | Trajectory
 CHUNK = 64  # episodes a thread draws at once, at most
 
 
-class Draws(NamedTuple):
-    """The randomness of an epoch, and where the user is.
-
-    Attributes:
-        truth: (6,) position (m) and velocity (m/s).
-        channel: of the links.
-        noise: (rows,) normals.
-        drift: normal of the oscillator.
-    """
-
-    truth: list[Number]
-    channel: ChannelDraws
-    noise: list[Number]
-    drift: Number
-
-
-class EpisodeConstants(NamedTuple):
-    """What stays the same through an episode.
-
-    Attributes:
-        anchors: (L, 3) positions, m.
-        hz_per_mps: carrier frequency over the speed of light.
-        channel: radio and scene.
-        first_bias_mps, drift_mps: oscillator: standard deviation of the first bias, and of
-            its change over a step.
-    """
-
-    anchors: list[list[Number]]
-    hz_per_mps: Number
-    channel: Channel
-    first_bias_mps: Number
-    drift_mps: Number
-
-
-class Simulation(NamedTuple):
-    """A simulated episode between two epochs.
-
-    Attributes:
-        draws: of the epoch.
-        constants: where.
-        is_first: 1 before the first epoch.
-        channel_state: of the links.
-        bias_mps: of the oscillator.
-        measured: the epoch, as an engine loads it.
-    """
-
-    draws: Draws
-    constants: EpisodeConstants
-    is_first: Number
-    channel_state: ChannelState
-    bias_mps: Number
-    measured: Incoming
-
-
-def simulate_epoch(w: Simulation, layout: Layout) -> Simulation:
-    """One epoch: the channel, then what a receiver measures."""
-    constants, draws, is_first = w.constants, w.draws, w.is_first > 0.5
-    position, velocity = draws.truth[:3], draws.truth[3:]
-    speed = sqrt(dot(velocity, velocity))
-    exact = exact_rows(position, velocity, constants.anchors, constants.hz_per_mps, layout)
-    distance = [exact[layout.link(a)][0] for a in range(layout.anchors)]
-    channel_state, reception = channel_epoch(
-        constants.channel, w.channel_state, is_first, draws.channel, distance, speed
-    )
-    bias_mps = where(
-        is_first,
-        constants.first_bias_mps * draws.drift,
-        w.bias_mps + constants.drift_mps * draws.drift,
-    )
-    bias_hz = constants.hz_per_mps * bias_mps
-    c = constants.channel
-    sigma = deviations(c.floor_variance, c.bound_variance, reception.snr_db, layout)
-    added = [value for link in reception.bias for value in link] + [bias_hz]
-    added += [0.0] * (layout.size - len(added))
-    z = [e + s * n + b for e, s, n, b in zip(exact, sigma, draws.noise, added, strict=True)]
-    z = [wrap(wrap(v)) if row in layout.angles else v for row, v in enumerate(z)]
-    visible = [*reception.detected, reception.detected[0]]
-    if layout.odometry:
-        visible.append(where(speed < c.odometry_slowest_mps, 0.0, 1.0))
-    measured = Incoming(
-        dt=0.0,  # the same for all: filled in afterwards
-        z=_where_seen(visible, z, 0.0, layout),
-        signed_sigma=_where_seen(visible, sigma, -1.0, layout),
-        snr_db=[
-            where(v > 0.5, snr, 0.0) for v, snr in zip(visible, reception.snr_db, strict=False)
-        ],
-        doppler_spread_hz=reception.doppler_spread_hz,
-        truth=list(draws.truth),
-    )
-    return w._replace(
-        is_first=0.0,
-        channel_state=channel_state,
-        bias_mps=bias_mps,
-        measured=measured,
-    )
-
-
-def _where_seen(visible: Vector, rows: Vector, otherwise: float, layout: Layout) -> list[Number]:
-    """The rows (rows,) of the groups that are visible (groups,), else a constant."""
-    seen = [v > 0.5 for v, group in zip(visible, layout.groups, strict=True)
-            for _ in range(group.start, group.stop)]  # fmt: skip
-    return [where(s, value, otherwise) for s, value in zip(seen, rows, strict=True)]
-
-
-def _blank_draws(layout: Layout) -> Draws:
-    L = layout.anchors
-    each, angles = [0.0] * L, [[0.0] * 3] * L
-    channel = ChannelDraws(each, each, each, 0.0, each, each, angles, angles, each, 0.0, 0.0)
-    return Draws([0.0] * 6, channel, [0.0] * layout.size, 0.0)
-
-
-@lru_cache(maxsize=8)
-def _program(layout: Layout) -> Program[Simulation]:
-    rows, L = layout.size, layout.anchors
-    radio, scene = Radio("blank"), Scene("blank", (0.0, 0.0, 10.0))
-    channel = channel_of(radio, scene, layout, 1.0)
-    anchors = [[0.0, 0.0, 10.0 + a] for a in range(L)]
-    template = Simulation(
-        draws=_blank_draws(layout),
-        constants=EpisodeConstants(anchors, 1.0, channel, 1.0, 1.0),
-        is_first=1.0,
-        channel_state=initial_state(L),
-        bias_mps=0.0,
-        measured=blank_incoming(layout),
-    )
-    assert len(flatten(channel.floor_variance)) == rows
-
-    def function(w: Simulation) -> Simulation:
-        return simulate_epoch(w, layout)
-
-    return Program(function, template)
-
-
-@lru_cache(maxsize=8)
-def _kept(layout: Layout) -> Index:
-    """The rows that are kept of every epoch: as measured."""
-    return np.array(flatten(_program(layout).index.measured))
-
-
 @dataclass(frozen=True)
 class SimulatedSource:
     """Episodes of simulated users in a street scene.
 
     Attributes:
-        scene: geometry and carrier.
+        scene: geometry and carrier; or where each episode draws its own from.
         radio: noise, blockage, multipath.
         scenario: kind of user: a name, "mixed", a JSON file or a Mobility; or the way of one: a CSV
             file or a Trajectory.
@@ -197,7 +50,7 @@ class SimulatedSource:
         odometry: whether the user also reports speed and heading.
     """
 
-    scene: Scene
+    scene: Scene | RandomScene
     radio: Radio
     scenario: Scenario = "mixed"
     dt: float = 1.0
@@ -215,7 +68,12 @@ class SimulatedSource:
     @cached_property
     def layout(self) -> Layout:
         """Rows of every episode's measurements."""
-        return Layout(len(self.scene.anchors_m), self.odometry)
+        return Layout(len(self._example.anchors_m), self.odometry)
+
+    @cached_property
+    def _example(self) -> Scene:
+        """The scene, or one of those that are drawn: carrier and number of anchors are as here."""
+        return self.scene.example if isinstance(self.scene, RandomScene) else self.scene
 
     @property
     def time_s(self) -> Array:
@@ -232,8 +90,9 @@ class SimulatedSource:
 
     def sample(self, rng: np.random.Generator) -> Episode:
         """Draw one episode; all randomness comes from ``rng``."""
-        tables = np.empty((1, self.epochs, len(_kept(self.layout))))
-        names, priors = self._fill(tables, lambda _: whole_rng(rng), [slice(None)])
+        tables = np.empty((1, self.epochs, len(kept_rows(self.layout))))
+        scenes = self._scenes(whole_rng(rng), 1)
+        names, priors = self._fill(tables, scenes, lambda _: whole_rng(rng), [slice(None)])
         at = columns_of(self.layout)
 
         def columns(of: Any) -> Array:
@@ -243,8 +102,8 @@ class SimulatedSource:
         starts = [group.start for group in self.layout.groups]
         return Episode(
             name=names[0],
-            scene_anchors_m=self.scene.anchors_m,
-            hz_per_mps=self.scene.hz_per_mps,
+            scene_anchors_m=scenes[0].anchors_m,
+            hz_per_mps=self._example.hz_per_mps,
             time_s=self.time_s,
             measurement=columns(at.z),
             sigma=np.abs(signed_sigma),
@@ -252,7 +111,7 @@ class SimulatedSource:
             snr_db=columns(at.snr_db),
             doppler_spread_hz=columns(at.doppler_spread_hz),
             prior_mean=priors[0],
-            prior_covariance=self.radio.prior_covariance(self.scene),
+            prior_covariance=self.radio.prior_covariance(self._example),
             truth_position_m=columns(at.truth[:3]),
             truth_velocity_mps=columns(at.truth[3:]),
             layout=self.layout,
@@ -272,7 +131,7 @@ class SimulatedSource:
             ValueError: ``out`` has another shape, or gaps.
         """
         n = len(states)
-        shape = (n, self.epochs, len(_kept(self.layout)))
+        shape = (n, self.epochs, len(kept_rows(self.layout)))
         table = np.empty(shape) if out is None else out
         if table.shape != shape or not table.flags.c_contiguous:
             raise ValueError(
@@ -280,10 +139,14 @@ class SimulatedSource:
                 f"{shape}, contiguous True"
             )
         parts = portions(n, threads, CHUNK)
-        names, priors = self._fill(table, lambda some: rng_view(states[some]), parts, threads)
-        site, mean = self._site
+        scenes = self._scenes(rng_view(states), n)
+        names, priors = self._fill(
+            table, scenes, lambda some: rng_view(states[some]), parts, threads
+        )
+        site, at = self._site
         sites = np.empty((n, len(site)))
-        sites[:], sites[:, mean] = site, priors
+        sites[:], sites[:, at.prior_x] = site, priors
+        sites[:, flatten(at.anchors)] = [scene.anchors_m.ravel() for scene in scenes]
         return EpisodeBatch(
             names=names,
             nonfinite=np.zeros(n, np.int64),
@@ -293,9 +156,20 @@ class SimulatedSource:
             layout=self.layout,
         )
 
+    def _scenes(self, view: RngView, n: int) -> list[Scene]:
+        """The scenes of n episodes, each drawn before the rest of its episode; or one for all."""
+        if not isinstance(self.scene, RandomScene):
+            return [self.scene]
+        scenes = []
+        for episode in range(n):
+            scenes.append(self.scene.draw(load_state(view, episode)))
+            save_state(view, episode)
+        return scenes
+
     def _fill(
         self,
         tables: Array,
+        scenes: Sequence[Scene],
         view: Callable[[slice], RngView],
         parts: Sequence[slice],
         threads: int = 1,
@@ -307,39 +181,47 @@ class SimulatedSource:
 
         Args:
             tables: to fill.
+            scenes: one for all, or one for each.
             view: gives a thread what to draw a part from.
             parts: of the tables, each drawn by one thread.
             threads: how many may draw at once.
         """
-        layout, program, n = self.layout, _program(self.layout), len(tables)
+        layout, program, n = self.layout, program_of(self.layout), len(tables)
         kinds, first, prior = np.empty(n, np.int64), np.empty((n, 7)), np.empty((n, STATE_SIZE))
+        nets, start, one = self._nets(scenes), self._start(scenes), len(scenes) == 1
         same = (
-            self._plan, self.dt, stride_of(self.dt), *motion(), program.on_lanes(), self._start,
             (layout.anchors, layout.size, len(program.blank), columns_of(layout).dt),
-            _kept(layout), self.time_s,
+            kept_rows(layout), self.time_s,
         )  # fmt: skip
 
         def arguments(some: slice) -> tuple[Any, ...]:
-            return *view(some), *same, kinds[some], first[some], prior[some], tables[some]
+            here = slice(None) if one else some
+            return (
+                *view(some), self._plan, StreetNets(*(numbers[here] for numbers in nets)), self.dt,
+                stride_of(self.dt), *motion(), program.on_lanes(), start[here], *same,
+                kinds[some], first[some], prior[some], tables[some],
+            )  # fmt: skip
 
         draw = simulate.choice(n * self.epochs, *arguments(parts[0]))
         share(lambda some: draw(*arguments(some)), [(some,) for some in parts], threads)
-        first[:, 6] = self.scene.hz_per_mps * (self.radio.prior_bias_mps * first[:, 6])
+        first[:, 6] = self._example.hz_per_mps * (self.radio.prior_bias_mps * first[:, 6])
         prior *= self._prior_deviations
         names = self._names
         return [names[kind] for kind in kinds] if len(names) > 1 else names * n, first + prior
 
     @cached_property
-    def _site(self) -> tuple[Array, list[Any]]:
-        """A row of :meth:`Episode.site`, and where in it the mean of the prior belongs."""
-        covariance = self.radio.prior_covariance(self.scene)[np.tril_indices(STATE_SIZE)]
-        anchors, mean = self.scene.anchors_m.tolist(), [0.0] * STATE_SIZE
-        site = Site(anchors, self.scene.hz_per_mps, mean, covariance.tolist())
-        return np.array(flatten(site)), indices(site).prior_x
+    def _site(self) -> tuple[Array, Any]:
+        """A row of :meth:`Episode.site` of the example, and what is where in it."""
+        scene = self._example
+        covariance = self.radio.prior_covariance(scene)[np.tril_indices(STATE_SIZE)]
+        site = Site(
+            scene.anchors_m.tolist(), scene.hz_per_mps, [0.0] * STATE_SIZE, covariance.tolist()
+        )
+        return np.array(flatten(site)), indices(site)
 
     @cached_property
     def _prior_deviations(self) -> Array:
-        return np.sqrt(np.diag(self.radio.prior_covariance(self.scene)))
+        return np.sqrt(np.diag(self.radio.prior_covariance(self._example)))
 
     @cached_property
     def _users(self) -> tuple[Mobility, ...] | Trajectory:
@@ -361,16 +243,36 @@ class SimulatedSource:
 
     @cached_property
     def _plan(self) -> TravelPlan:
-        users = self._users
+        users, scene = self._users, self.scene
+        if isinstance(scene, RandomScene):
+            if isinstance(users, Trajectory):
+                raise ValueError(
+                    f"scene: found {scene.name!r}, expected one scene: {users.name} is a way in "
+                    "streets of its own"
+                )
+            return plan_of(users, scene.block_m[0])
         if isinstance(users, Trajectory):
-            return users.plan(self.scene, self.dt)
-        self.scene.require_streets_in_front()
-        return plan_of(users, self.scene.streets)
+            return users.plan(scene, self.dt)
+        scene.require_streets_in_front()
+        return plan_of(users, scene.streets.block_m)
+
+    def _nets(self, scenes: Sequence[Scene]) -> StreetNets:
+        """The streets of scenes, in numbers."""
+        users = () if isinstance(self._users, Trajectory) else self._users
+        return nets_of(users, [scene.streets for scene in scenes])
+
+    def _start(self, scenes: Sequence[Scene]) -> Array:
+        """Workspaces (scenes, size) of an episode before its first epoch."""
+        program, rows = program_of(self.layout), np.tile(self._blank_start, (len(scenes), 1))
+        rows[:, flatten(program.index.constants.anchors)] = [
+            scene.anchors_m.ravel() for scene in scenes
+        ]
+        return rows
 
     @cached_property
-    def _start(self) -> Array:
-        """The workspace (size,) of an episode before its first epoch."""
-        radio, scene = self.radio, self.scene
+    def _blank_start(self) -> Array:
+        """The workspace (size,) of an episode of the example before its first epoch."""
+        radio, scene = self.radio, self._example
         constants = EpisodeConstants(
             anchors=scene.anchors_m.tolist(),
             hz_per_mps=scene.hz_per_mps,
@@ -379,5 +281,5 @@ class SimulatedSource:
             drift_mps=radio.drift_mps * self.dt**0.5,
         )
         return np.array(
-            flatten(_program(self.layout).template._replace(constants=constants)), float
+            flatten(program_of(self.layout).template._replace(constants=constants)), float
         )

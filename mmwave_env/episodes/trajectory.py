@@ -155,8 +155,7 @@ class Trajectory:
         return TravelPlan(
             phases=np.zeros(0, np.int64), returns=np.zeros(0, np.bool_),
             duration=np.zeros((0, 0, 2)), ranges=np.zeros((0, 0, 3, 2)),
-            fixed=np.zeros((0, 0, 5)), gaits=np.zeros((0, 0, 0, 4)), block=np.zeros(0),
-            counts=np.zeros((0, 2)), origin=np.zeros(2), height=0.0, way=way,
+            fixed=np.zeros((0, 0, 5)), gaits=np.zeros((0, 0, 0, 4)), way=way,
         )  # fmt: skip
 
 

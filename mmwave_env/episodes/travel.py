@@ -38,12 +38,16 @@ class TravelPlan(NamedTuple):
     # length (s)
     fixed: Array
     gaits: Array  # (K, phases, gaits, 4) low and high speed (m/s), mean duration (s), weight
-    block: Array  # (K,) distance of crossings, m
-    counts: Array  # (K, 2) blocks west to east and south to north
-    origin: Array  # (2,) the crossing to the south-west, m
-    height: float  # of the user equipment, m
     # (E, 6) where K is 0: the way of all users, positions (m) and velocities (m/s)
     way: Array
+
+
+class StreetNets(NamedTuple):
+    """S nets of streets in numbers: one for all travelers, or one for each."""
+
+    block: Array  # (S, K) distance of a kind's crossings, m
+    counts: Array  # (S, K, 2) blocks west to east and south to north
+    origin: Array  # (S, 3) the crossing to the south-west at the height of the user equipment, m
 
 
 @register_jitable
@@ -188,12 +192,12 @@ def _draw_phases(rng, plan, kind, total_s, limits):  # type: ignore[no-untyped-d
 
 
 @register_jitable
-def _begin(rng, now, plan, kind, total_s, limits):  # type: ignore[no-untyped-def]
+def _begin(rng, now, plan, nets, net, kind, total_s, limits):  # type: ignore[no-untyped-def]
     """Set a traveler off from a crossing, in a direction that leads somewhere."""
     _draw_phases(rng, plan, kind, total_s, limits)
-    now[AT.block] = plan.block[kind]
-    now[AT.blocks_x], now[AT.blocks_y] = plan.counts[kind, 0], plan.counts[kind, 1]
-    now[AT.origin_x], now[AT.origin_y] = plan.origin[0], plan.origin[1]
+    now[AT.block] = nets.block[net, kind]
+    now[AT.blocks_x], now[AT.blocks_y] = nets.counts[net, kind, 0], nets.counts[net, kind, 1]
+    now[AT.origin_x], now[AT.origin_y] = nets.origin[net, 0], nets.origin[net, 1]
     now[AT.node_x] = int(rng.random() * (now[AT.blocks_x] + 1))
     now[AT.node_y] = int(rng.random() * (now[AT.blocks_y] + 1))
     heading = int(rng.random() * 4)
@@ -217,7 +221,7 @@ def draw_kind(rng, plan, epochs):  # type: ignore[no-untyped-def]
 
 
 @register_jitable
-def travel(view, first, kinds, plan, dt, stride, move_on, observe, out):  # type: ignore[no-untyped-def]
+def travel(view, first, kinds, plan, nets, dt, stride, move_on, observe, out):  # type: ignore[no-untyped-def]
     """The whole way of up to eight travelers; all randomness of each is its own.
 
     Args:
@@ -225,6 +229,7 @@ def travel(view, first, kinds, plan, dt, stride, move_on, observe, out):  # type
         first: which of the dice's states is the first traveler's; the others' follow.
         kinds: (n,) of :func:`draw_kind`.
         plan: kinds of users.
+        nets: one for all of the view's travelers, or one for each.
         dt: seconds between epochs.
         stride: substeps between epochs.
         move_on, observe: of :func:`~mmwave_env.episodes.kinematics.motion`.
@@ -241,13 +246,15 @@ def travel(view, first, kinds, plan, dt, stride, move_on, observe, out):  # type
     limits = np.empty((here, plan.duration.shape[1], 9))
     for lane in range(here):
         load_state(view, first + lane)
-        _begin(rng, block[:, lane], plan, kinds[lane], epochs * dt, limits[lane])
+        net = (first + lane) % len(nets.origin)
+        _begin(rng, block[:, lane], plan, nets, net, kinds[lane], epochs * dt, limits[lane])
         save_state(view, first + lane)
     for epoch in range(epochs):
         observe(block.ctypes)
         for lane in range(here):
             now, row = block[:, lane], out[lane, epoch]
-            row[0], row[1], row[2] = now[AT.x], now[AT.y], plan.height
+            row[0], row[1] = now[AT.x], now[AT.y]
+            row[2] = nets.origin[(first + lane) % len(nets.origin), 2]
             row[3], row[4], row[5] = now[AT.vx], now[AT.vy], 0.0
         left = stride
         while left > 0:

@@ -18,8 +18,8 @@ def around_a_block(corner=(10.0, -20.0)):
     return Trajectory("block", time_s, position)
 
 
-def trajectories(plan, kinds, dt, rngs, out):
+def trajectories(plan, nets, kinds, dt, rngs, out):
     """Fill (n, epochs, 6) with positions (m) and velocities (m/s) of users of a plan's kinds."""
     for kind, rng, row in zip(kinds, rngs, out, strict=True):
         kind = np.array([kind])
-        travel(whole_rng(rng), 0, kind, plan, dt, stride_of(dt), *motion(), row[None])
+        travel(whole_rng(rng), 0, kind, plan, nets, dt, stride_of(dt), *motion(), row[None])

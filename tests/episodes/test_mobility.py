@@ -19,6 +19,7 @@ from mmwave_env.episodes.mobility import (
     Mobility,
     Phase,
     mobilities_of,
+    nets_of,
     plan_of,
 )
 from mmwave_env.episodes.simulated import SimulatedSource
@@ -80,10 +81,11 @@ def tracks():
 
 
 def run(names, seeds, dt, epochs, scene="street"):
-    plan = plan_of([MOBILITIES[name] for name in names], SCENES[scene].streets)
+    users, streets = [MOBILITIES[name] for name in names], SCENES[scene].streets
+    plan, nets = plan_of(users, streets.block_m), nets_of(users, [streets])
     rngs = [np.random.default_rng(seed) for seed in seeds]
     out = np.empty((len(rngs), epochs, 6))
-    trajectories(plan, range(len(rngs)), dt, rngs, out)
+    trajectories(plan, nets, range(len(rngs)), dt, rngs, out)
     return out[..., :3], out[..., 3:]
 
 

@@ -9,14 +9,16 @@ import numpy as np
 import pytest
 
 from mmwave_env.compiler.rng import Generators
-from mmwave_env.episodes import simulated as simulation
+from mmwave_env.episodes import simulated
 from mmwave_env.episodes.drawing import _draw
 from mmwave_env.episodes.episode import Episode, EpisodeBatch
-from mmwave_env.episodes.mobility import mobilities_of, plan_of
+from mmwave_env.episodes.mobility import mobilities_of, nets_of, plan_of
 from mmwave_env.episodes.simulated import CHUNK, SimulatedSource
+from mmwave_env.episodes.simulation import program_of
 from mmwave_env.episodes.trajectory import Trajectory
 from mmwave_env.models.measurement import Layout
 from mmwave_env.models.radio import RADIOS
+from mmwave_env.models.random_scene import RandomScene
 from mmwave_env.models.scene import SCENES
 from mmwave_env.numerics.pytree import flatten, unflatten
 from tests.episodes.roads import around_a_block, trajectories
@@ -31,6 +33,7 @@ SOURCES = {
     "windows of a way": SimulatedSource(
         SCENES["street"], RADIOS["handset"], around_a_block(), dt=0.7, epochs=30, odometry=True
     ),
+    "streets at random": SimulatedSource(RandomScene(), RADIOS["standard"], epochs=60),
     "a whole way": SimulatedSource(SCENES["o1"], RADIOS["high"], around_a_block([200.0, 600.0])),
 }
 
@@ -80,7 +83,7 @@ def channel(radio, scene, distance, speed, dt, rng):
     return snr, detected, bias, scene.hz_per_mps * (radio.spread_gain * speed * scatter + floor)
 
 
-def way(source, rng):
+def way(source, streets, rng):
     """The name of a user, and its positions and velocities (T, 6)."""
     scenario, T = source.scenario, source.epochs
     if isinstance(scenario, Trajectory):
@@ -90,14 +93,17 @@ def way(source, rng):
     choices = mobilities_of(scenario)
     mobility = choices[int(rng.random() * len(choices))]
     tracks = np.empty((1, T, 6))
-    trajectories(plan_of([mobility], source.scene.streets), [0], source.dt, [rng], tracks)
+    plan, nets = plan_of([mobility], streets.block_m), nets_of([mobility], [streets])
+    trajectories(plan, nets, [0], source.dt, [rng], tracks)
     return mobility.name, tracks[0]
 
 
 def plain(source, rng):
     """An episode, straight from the model's description."""
     scene, radio, layout, T = source.scene, source.radio, source.layout, source.epochs
-    name, track = way(source, rng)
+    if isinstance(scene, RandomScene):
+        scene = scene.draw(rng)
+    name, track = way(source, scene.streets, rng)
     position, velocity = track[:, :3], track[:, 3:]
     speed = np.linalg.norm(velocity, axis=1)
     z = geometry(position, velocity, scene, layout)
@@ -179,7 +185,7 @@ NEEDED = {  # by the fields of Draws and of ChannelDraws
 @pytest.mark.parametrize("layout", [Layout(1), Layout(3), Layout(3, odometry=True)], ids=str)
 def test_draws_fill_the_fields_that_need_their_kind(layout):
     """The columns are filled in one file and named in another."""
-    blank = simulation._program(layout).template.draws
+    blank = program_of(layout).template.draws
     columns = np.zeros((4, len(flatten(blank))))
     _draw(Kinds(), columns, layout.anchors, layout.size)
     for epoch in columns:
@@ -239,13 +245,13 @@ def test_where_tables_do_not_fit_is_refused(out, found):
 
 def test_threads_do_not_choose_each_for_itself_whether_to_compile(monkeypatch):
     """Else some would compile, and hold the interpreter, while others run as plain Python."""
-    choose, works = simulation.simulate.choice, []
+    choose, works = simulated.simulate.choice, []
 
     def choice(work, *arguments):
         works.append((work, threading.get_ident()))
         return choose(work, *arguments)
 
-    monkeypatch.setattr(simulation.simulate, "choice", choice)
+    monkeypatch.setattr(simulated.simulate, "choice", choice)
     source, n = SimulatedSource(SCENES["street"], RADIOS["handset"], epochs=3), 3 * CHUNK + 5
     generators = Generators(n)
     with generators.states(np.arange(n)) as states:

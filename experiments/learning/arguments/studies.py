@@ -23,5 +23,7 @@ class Args:
     """of banks without some modes, in tuning them"""
     generations: int = 500
     """of evolution"""
+    episodes: int = 2000
+    """on test seeds, that defaults is judged on while it is there; others are judged by learned"""
     out: Path = Path("runs/studies")
     """folder for a run each"""

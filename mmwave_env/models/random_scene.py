@@ -1,0 +1,107 @@
+"""Scenes drawn at random: so that a switcher cannot learn one street by heart."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+
+from mmwave_env.lookup import choose
+from mmwave_env.models.scene import (
+    SCENES,
+    Bandwidth,
+    Carrier,
+    Extent,
+    Scene,
+    Streets,
+    Wall,
+    scene_from,
+)
+from mmwave_env.records import Bound, require_fields
+
+RANDOM = "random"
+CROSSINGS = "streets of at most so many blocks, at least 1"
+
+
+@dataclass(frozen=True)
+class RandomScene:
+    """A net of streets, a base station at one of its crossings and two walls, all drawn.
+
+    One wall closes the net to the north or south, the other to the east or west, so that every
+    scene has three anchors, as the scenes with names have. Ranges are uniform, in meters.
+
+    Attributes:
+        name: shown in results.
+        block_m: distance of parallel streets.
+        blocks: west to east and south to north, from none, which leaves one street, up to these.
+        beside_m: of the base station from its crossing, along either street to either side.
+        height_m: of the base station.
+        behind_m: of a wall behind the last street, or behind the base station where that is
+            farther out.
+        user_height_m: of the user equipment.
+        carrier_hz, bandwidth_hz: as of :class:`~mmwave_env.models.scene.Scene`.
+    """
+
+    name: str = RANDOM
+    block_m: Extent = (60.0, 140.0)
+    blocks: Annotated[int, Bound(CROSSINGS, least=1)] = 3
+    beside_m: Extent = (5.0, 25.0)
+    height_m: Extent = (4.0, 12.0)
+    behind_m: Extent = (5.0, 30.0)
+    user_height_m: float = 1.5
+    carrier_hz: Carrier = 28e9
+    bandwidth_hz: Bandwidth = 100e6
+
+    def __post_init__(self) -> None:
+        require_fields(self)
+        for name in ("block_m", "beside_m", "height_m", "behind_m"):
+            low, high = getattr(self, name)
+            if not 0.0 < low <= high:
+                raise ValueError(f"{name}: found {(low, high)}, expected 0 < low <= high")
+
+    @property
+    def example(self) -> Scene:
+        """One of the scenes; carrier, bandwidth and number of anchors are those of all."""
+        return self.draw(np.random.default_rng(0))
+
+    def draw(self, rng: np.random.Generator) -> Scene:
+        """A scene; the order of drawing is part of what a seed means."""
+        block = float(rng.uniform(*self.block_m))
+        each = self.blocks + 1
+        counts = divmod(1 + int(rng.random() * (each * each - 1)), each)  # not 0 blocks both ways
+        ends, base, walls = [], [], []
+        for axis, count in enumerate(counts):
+            end = count * block
+            beside = float(rng.uniform(*self.beside_m)) * _either(rng)
+            base.append(int(rng.random() * (count + 1)) * block + beside)
+            behind, side = float(rng.uniform(*self.behind_m)), _either(rng)
+            wall = max(end, base[axis]) + behind if side > 0.0 else min(0.0, base[axis]) - behind
+            walls.append(Wall(((1.0, 0.0), (0.0, 1.0))[axis], wall))
+            ends.append(end)
+        return Scene(
+            self.name,
+            (base[0], base[1], float(rng.uniform(*self.height_m))),
+            tuple(walls),
+            Streets((0.0, ends[0]), (0.0, ends[1]), block, self.user_height_m),
+            self.carrier_hz,
+            self.bandwidth_hz,
+        )
+
+
+def _either(rng: np.random.Generator) -> float:
+    """1 or -1."""
+    return 1.0 if rng.random() < 0.5 else -1.0
+
+
+def scenes_from(scene: str | Path | Scene | RandomScene) -> Scene | RandomScene:
+    """What episodes' scenes come from, by a ``scene=`` argument: "random", or one for all of them.
+
+    Raises:
+        ValueError: unknown name, or a file that lacks a field or holds something else there.
+    """
+    if isinstance(scene, RandomScene):
+        return scene
+    if isinstance(scene, Scene) or str(scene).endswith(".json"):
+        return scene_from(scene)
+    named: dict[str, Scene | RandomScene] = {**SCENES, RANDOM: RandomScene()}
+    return choose(named, str(scene), "scene")
