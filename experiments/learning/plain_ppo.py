@@ -93,7 +93,8 @@ def _loss(agent: ActorCritic, batch: list[Tensor]) -> Tensor:
     returns, near = advantages + values, values + (value - values).clamp(-CLIP, CLIP)
     of_critic: Tensor = 0.5 * torch.max((value - returns) ** 2, (near - returns) ** 2).mean()
     entropy: Tensor = choice.entropy().mean()
-    return of_actor - ENTROPY * entropy + VALUE * of_critic
+    loss: Tensor = of_actor - ENTROPY * entropy + VALUE * of_critic
+    return loss
 
 
 def train(envs: gym.vector.VectorEnv, steps: int, seed: int) -> Act:
