@@ -5,7 +5,14 @@ import shutil
 import pytest
 
 from experiments.learning.arguments.studies import Args
-from experiments.learning.studies import EVOLUTION, TRAININGS, bank_without, options_of
+from experiments.learning.studies import (
+    DEFAULTS,
+    EVOLUTION,
+    TRAININGS,
+    bank_without,
+    options_of,
+    record_of,
+)
 from experiments.learning.study_tables import STUDIES, rows_of
 from experiments.training.places import place_from
 from mmwave_env.filters.bank import bank_from, best_bank
@@ -46,14 +53,14 @@ def test_a_mode_that_there_is_not_is_refused():
 
 
 def test_what_is_recorded_is_left_as_it_is(tmp_path):
-    for name in TRAININGS:
-        (tmp_path / name).mkdir()
-        (tmp_path / name / "summary.json").write_text("{}")
-    (tmp_path / EVOLUTION).mkdir()
-    (tmp_path / EVOLUTION / "trust.json").write_text("{}")
+    names = [*TRAININGS, EVOLUTION, DEFAULTS]
+    for name in names:
+        record = record_of(tmp_path, name)
+        record.parent.mkdir()
+        record.write_text("{}")
     done = command("studies", "--out", tmp_path)
     assert done.returncode == 0, done.stderr
-    assert done.stdout.count("is there already") == len(TRAININGS) + 1
+    assert done.stdout.count("is there already") == len(names)
     assert not list(tmp_path.glob("*.json"))  # no bank was made
 
 
