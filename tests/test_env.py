@@ -396,6 +396,7 @@ def test_odometry_adds_a_group():
     assert accepted.shape == (200, 5) and accepted[:, 4].mean() > 0.3
 
 
+@pytest.mark.slow
 def test_odometry_helps():
     errors = {}
     for odometry in (False, True):

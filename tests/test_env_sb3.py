@@ -33,6 +33,7 @@ def test_stable_baselines3_s_checker_is_content(arguments):
 
 
 @pytest.mark.slow
+@pytest.mark.slow
 def test_ppo_learns_for_a_few_steps_and_is_evaluated_repeatably():
     env = gym.make("MmWaveLoc-v0", episode_steps=20)
     model = PPO("MlpPolicy", env, n_steps=64, batch_size=32, n_epochs=1, seed=0, device="cpu")

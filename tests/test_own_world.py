@@ -88,6 +88,7 @@ def test_so_few_epochs_that_rpe_is_none_are_warned_of(folder):
     ]
 
 
+@pytest.mark.slow
 def test_policies_with_modes_of_their_own_say_so(folder):
     done = command("compare", "--policies", "ppo-handset", "imm", "--modes", "two.json",
                    "--episodes", 2, cwd=folder)  # fmt: skip
@@ -96,6 +97,7 @@ def test_policies_with_modes_of_their_own_say_so(folder):
     ]
 
 
+@pytest.mark.slow
 def test_a_radio_that_was_not_tuned_says_so_and_can_be(folder):
     shipped_modes.cache_clear()  # as in a new process: it is said once
     untuned = find("--modes modes.json").replace("--modes modes.json", "")

@@ -20,6 +20,7 @@ from mmwave_env.models.measurement import Layout
 from mmwave_env.models.radio import RADIOS
 from mmwave_env.models.scene import SCENES
 from mmwave_env.vector_env import MmWaveLocVectorEnv
+from tests.marks import representative
 from tests.vector_checker import check_vector_env, rollout, same
 
 ID = "MmWaveLoc-v0"
@@ -89,18 +90,13 @@ def configuration(request):
 # --- Gymnasium's rules
 
 
-def test_the_checker_is_content(configuration):
-    check_vector_env(lambda: native(9, **configuration))
+@pytest.mark.parametrize("name", representative(CONFIGURATIONS, "patchy", "twice", "recorded"))
+def test_the_checker_is_content(name):
+    check_vector_env(lambda: native(9, **CONFIGURATIONS[name]))
 
 
-@pytest.mark.parametrize(
-    ("mode", "name"),
-    [
-        pytest.param(mode, name, marks=[] if name == "patchy" else pytest.mark.slow)
-        for mode in ("SameStep", "Disabled")
-        for name in CONFIGURATIONS
-    ],
-)
+@pytest.mark.parametrize("name", representative(CONFIGURATIONS, "patchy"))
+@pytest.mark.parametrize("mode", ["SameStep", "Disabled"])
 def test_the_checker_is_content_with_other_resets(mode, name):
     check_vector_env(lambda: native(9, mode, **CONFIGURATIONS[name]))
 
@@ -205,6 +201,7 @@ def test_threads_do_not_matter(mode, monkeypatch):
         assert same(one, other)
 
 
+@pytest.mark.slow
 def test_a_forked_child_has_threads_of_its_own(monkeypatch):
     code = (
         "import os, gymnasium as gym, numpy as np, mmwave_env.engines.batch as batch\n"

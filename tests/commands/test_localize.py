@@ -31,6 +31,7 @@ from mmwave_env.models.radio import RADIOS
 from mmwave_env.models.scene import SCENES, read_scene
 from tests.cli import command, environment
 from tests.localization.mistakes import MISTAKES, read_columns, write_columns
+from tests.marks import representative
 from tests.paths import LOGS
 
 WALK, RIDE = LOGS / "canyon28_pedestrian", LOGS / "canyon28_vehicle"
@@ -145,6 +146,7 @@ def session(answers, seconds=60.0):
     return process.wait(timeout=seconds), screen.decode().replace("\r\n", "\n")
 
 
+@pytest.mark.slow
 def test_on_a_terminal_the_prompt_asks_until_the_answer_is_a_speed():
     wrong = ["walking", "-1", "nan", "inf", "", "auto"]
     code, screen = session([f"{word}\n".encode() for word in [*wrong, "1.4"]])
@@ -502,6 +504,7 @@ buffered_or_not = pytest.mark.parametrize(
 
 
 @buffered_or_not
+@pytest.mark.slow
 def test_figures_are_written_when_nobody_reads_what_is_shown(tmp_path, unbuffered):
     file, (ours, theirs) = tmp_path / "figures.json", os.pipe()
     os.close(ours)
@@ -564,7 +567,7 @@ HALF_WAY = {  # line 602 is the first of epoch 201, whose first 200 epochs are w
 
 
 @pytest.mark.parametrize("zipped", [False, True], ids=["plain", "gz"])
-@pytest.mark.parametrize("name", HALF_WAY)
+@pytest.mark.parametrize("name", representative(HALF_WAY, "no number", "at the end"))
 def test_a_log_damaged_half_way_gives_the_track_up_to_there(capsys, tmp_path, name, zipped):
     content, message, epochs = HALF_WAY[name]
     log, out = tmp_path / ("log.csv.gz" if zipped else "log.csv"), tmp_path / "track.tum"
@@ -689,6 +692,7 @@ def written_beside(folder):
 @pytest.mark.parametrize(
     "sent", [signal.SIGINT, pytest.param(signal.SIGKILL, marks=pytest.mark.slow)]
 )
+@pytest.mark.slow
 def test_a_run_cut_short_leaves_the_output_alone(tmp_path, sent):
     log, out = tmp_path / "log.csv", tmp_path / "track.tum"
     long_log(log, 400_000)

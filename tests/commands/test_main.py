@@ -28,6 +28,7 @@ def assert_intervals(row):
 # --- results
 
 
+@pytest.mark.slow
 def test_evaluate_writes_the_same_results_every_time(tmp_path):
     options = ("--policy", "fixed-ckf", "--scenario", "vehicle", "--episodes", 3, "--seed", 5)
     files = [tmp_path / "first.json", tmp_path / "new" / "second.json"]

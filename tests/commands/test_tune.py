@@ -55,6 +55,7 @@ def test_the_error_is_a_mean_square():
     np.testing.assert_allclose(negative_mean_square({"error": error}, Layout(3)), expected)
 
 
+@pytest.mark.slow
 def test_the_command_writes_a_mode_file_that_is_taken_everywhere(tmp_path):
     modes, figures = tmp_path / "modes.json", tmp_path / "figures.json"
     options = ["--modes", "ekf", "ukf-robust", "--scenarios", "pedestrian", "jam", "--episodes", 3,

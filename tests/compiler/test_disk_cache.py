@@ -10,6 +10,7 @@ import pytest
 
 import mmwave_env
 from mmwave_env.compiler import disk_cache
+from tests.marks import representative
 
 SOURCES = {
     "__init__.py": "",
@@ -26,11 +27,6 @@ SCRIPT = """
 from mmwave_env.caller import function
 print(function(20), sum(function.stats.cache_hits.values()))
 """
-
-
-def representative(cases, *quick):
-    """All cases, those that are not named as slow: each takes some processes that import numba."""
-    return [case if case in quick else pytest.param(case, marks=pytest.mark.slow) for case in cases]
 
 
 @pytest.fixture
@@ -95,6 +91,7 @@ def test_the_next_process_does_not_compile(package):
     assert [run(package), run(package)] == [(41, 0), (41, 1)]
 
 
+@pytest.mark.slow
 def test_an_edit_is_never_answered_by_old_code(package):
     assert run(package) == (41, 0)
     edit(package / "caller.py", "+ 1", "+ 2")
@@ -338,13 +335,15 @@ UNTRUSTED = {
 posix = pytest.mark.skipif(not hasattr(os, "geteuid"), reason="no owners and modes of files")
 
 
+@pytest.mark.slow
 def test_a_file_of_ours_is_trusted(package, tmp_path, planted):
     assert run(package, NUMBA_CACHE_DIR=str(planted.parent.parent)) == (41, 0)
     assert (tmp_path / "planted code ran").exists()  # or the next test shows nothing
 
 
 @posix
-@pytest.mark.parametrize("case", representative(UNTRUSTED, "a folder all may write to"))
+@pytest.mark.slow
+@pytest.mark.parametrize("case", UNTRUSTED)
 def test_what_others_may_have_written_is_not_read(package, tmp_path, planted, case):
     script = (UNTRUSTED[case](planted) or "") + SCRIPT
     shared = str(planted.parent.parent)

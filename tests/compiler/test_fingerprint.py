@@ -109,6 +109,7 @@ PROGRAMS = """
 """
 
 
+@pytest.mark.slow
 def test_kernels_of_several_processes_are_not_mixed_up(started):
     """Each compiles its own as its first, and so may call it by the same symbol."""
     changes = ["lambda x: x + 4.0", "lambda x: x * 3.0", "lambda x: x - 7.0"]

@@ -338,6 +338,7 @@ def test_filters_switched_on_lanes_equal_filters_on_floats(name):
         pytest.param(ALL, True, id="planar, switched", marks=pytest.mark.slow),
     ],
 )
+@pytest.mark.slow
 def test_odometry_on_lanes_equals_odometry_on_floats(algorithms, planar):
     episodes = simulated(3, epochs=60, odometry=True)
     pipeline = pipeline_of(episodes[0].layout, algorithms, planar)

@@ -151,6 +151,7 @@ def process(code, tmp_path):
 posix = pytest.mark.skipif(not hasattr(os, "fork"), reason="needs fork and signals")
 
 
+@pytest.mark.slow
 def test_idle_threads_burn_nothing_and_none_of_numba_is_started(tmp_path):
     code = """
     before = time.process_time()
@@ -239,6 +240,7 @@ def test_an_environment_goes_on_after_an_interrupted_step(tmp_path):
 
 
 @posix
+@pytest.mark.slow
 def test_a_forked_child_compiles_steps_and_ends_like_any_process(tmp_path):
     code = """
     child = os.fork()

@@ -116,6 +116,7 @@ def test_a_replay_repeats_what_was_seen(planar):
     assert away[0] < 0.9 * away[1]
 
 
+@pytest.mark.slow
 def test_twins_are_smoothed_as_one_filter_is():
     """However two equal modes are trusted, the mixture is the single filter, also backwards."""
     mode = Mode("a", "ukf", sigma_v=1.2)

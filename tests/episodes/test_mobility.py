@@ -26,6 +26,7 @@ from mmwave_env.episodes.simulated import SimulatedSource
 from mmwave_env.models.radio import RADIOS
 from mmwave_env.models.scene import SCENES
 from tests.episodes.roads import trajectories
+from tests.marks import representative
 
 STEP_S, STEPS, SEEDS = 0.1, 2000, 40
 
@@ -51,7 +52,7 @@ BOUNDS = {
 LATERAL_MPS2 = 5.0  # drivers aim at 3.5 at most; corners are taken a little faster
 
 every_mobility = pytest.mark.parametrize("name", BOUNDS)
-every_scene = pytest.mark.parametrize("scene", SCENES)
+every_scene = pytest.mark.parametrize("scene", representative(SCENES, "street"))
 
 
 class BatchState(NamedTuple):

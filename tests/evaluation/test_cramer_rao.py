@@ -98,6 +98,7 @@ def mean_and_error(squared):
 
 @pytest.mark.parametrize("runs", RUNS)
 @pytest.mark.parametrize("model", MODELS)
+@pytest.mark.slow
 def test_no_filter_beats_the_averaged_bound(model, runs):
     squared, averaged, _ = filtered(model, runs)
     z = norm.isf(LEVEL / (len(FILTERS) * (EPOCHS + 1)))

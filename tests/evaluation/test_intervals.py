@@ -17,6 +17,7 @@ from experiments.evaluation.intervals import (
     share_above,
 )
 from experiments.evaluation.markdown import rounded
+from tests.marks import representative
 
 # --- over episodes
 
@@ -187,7 +188,7 @@ def coverage(K, spread, trials=400, episodes=40):
 
 
 @pytest.mark.parametrize("spread", SPREADS)
-@pytest.mark.parametrize("K", [3, 5, 10])
+@pytest.mark.parametrize("K", representative([3, 5, 10], 5))
 @pytest.mark.usefixtures("fewer_resamples")
 def test_intervals_hold_the_truth_as_often_as_they_say(K, spread):
     found = coverage(K, SPREADS[spread])

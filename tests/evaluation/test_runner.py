@@ -150,6 +150,7 @@ def test_actions_beyond_the_modes_are_refused():
         score(contender, FixedMode(5), draw_episodes(SOURCE, [0]))
 
 
+@pytest.mark.slow
 def test_own_modes_bring_their_own_contenders():
     modes = modes_from(["ekf", "ckf", "ukf-robust"])
     found = contenders("handset", modes)

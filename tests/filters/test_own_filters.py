@@ -154,6 +154,7 @@ def test_it_is_evaluated_like_a_mode_of_ours(mine):
     np.testing.assert_allclose(scores["imm"]["ate_m"], scores["fixed-iekf"]["ate_m"], rtol=1e-6)
 
 
+@pytest.mark.slow
 def test_vector_environments_give_the_numbers_of_single_ones(mine):
     arguments = {"modes": ["ekf", mine], "episode_steps": 5}
     single = gym.make("MmWaveLoc-v0", **arguments)

@@ -47,7 +47,8 @@ def smallest_eigenvalues(pipeline, episodes, actions):
 @pytest.mark.parametrize(
     ("n", "epochs"),
     [
-        pytest.param(24, 200, id="five thousand epochs"),
+        pytest.param(8, 40, id="three hundred epochs"),
+        pytest.param(24, 200, id="five thousand epochs", marks=pytest.mark.slow),
         pytest.param(1000, 1000, id="a million epochs", marks=pytest.mark.slow),
         pytest.param(1, 50_000, id="one long track", marks=pytest.mark.slow),
     ],

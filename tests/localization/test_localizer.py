@@ -134,6 +134,7 @@ def test_the_speed_gate_decides_in_every_epoch(block):
     assert 0.1 < found.mode.mean() < 0.9
 
 
+@pytest.mark.slow
 def test_the_speed_gate_may_follow_odometry(folder):
     block = log(folder, odometry=True)
     modes = (EKF, replace(EKF, name="fast", sigma_v=3.0))

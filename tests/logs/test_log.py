@@ -744,6 +744,7 @@ print(rows, resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before)
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="no resource module")
+@pytest.mark.slow
 def test_a_long_log_takes_little_memory(tmp_path):
     path = tmp_path / "log.csv"
     lines = [line.split(",", 1)[1] for line in log_text(episode(epochs=1)).splitlines()]

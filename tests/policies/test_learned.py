@@ -346,6 +346,7 @@ def per_mode(tmp_path):
 
 
 @pytest.mark.slow  # compiles five modes
+@pytest.mark.slow
 def test_a_policy_over_beliefs_per_mode_acts_in_an_environment_of_its_bank(per_mode):
     arguments = {"beliefs": per_mode.beliefs, "modes": per_mode.bank("handset")}
     env = gym.make("MmWaveLoc-v0", episode_steps=15, **arguments)

@@ -20,6 +20,7 @@ from tests.cli import assert_one_clear_line, command, succeed
 SMALL = ("--steps", "1.2e4", "--num-envs", "16")
 
 
+@pytest.mark.slow
 def test_a_short_soak_tells_what_it_did(tmp_path):
     file = tmp_path / "soak.json"
     shown = succeed("soak", *SMALL, "--json", file)

@@ -43,6 +43,7 @@ def assert_same_ends(found, expected):
         np.testing.assert_array_equal(*last)
 
 
+@pytest.mark.slow
 def test_several_places_are_what_each_of_them_is_alone():
     """Seeds go on from place to place; later places are ahead, so that episodes end by turns."""
     together = TrainingEnv(TASK, PAIRED).normal.venv

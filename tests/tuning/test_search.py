@@ -21,6 +21,7 @@ def distance(bank, planted):
 
 
 @pytest.mark.parametrize("name", ["three", "proportional"])
+@pytest.mark.slow
 def test_the_search_finds_a_planted_bank(name):
     space = search_space(DESIGNS[name])
     point = space.start + 0.7 * space.deviation * np.random.default_rng(0).standard_normal(
