@@ -238,7 +238,9 @@ def travel(view, first, kinds, plan, nets, dt, stride, move_on, observe, out):  
     rng, here, epochs = view[0], len(kinds), out.shape[1]
     if len(plan.way):
         for lane in range(here):
-            out[lane, :, :6] = plan.way[kinds[lane] : kinds[lane] + epochs]
+            for epoch in range(epochs):
+                for i in range(6):  # slices take numba two seconds more to compile
+                    out[lane, epoch, i] = plan.way[kinds[lane] + epoch, i]
         return
     block = np.zeros((len(AT), WIDTH))
     for lane in range(WIDTH):
