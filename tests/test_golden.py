@@ -30,13 +30,13 @@ def test_there_are_no_files_but_those_of_a_kind_and_they_name_their_generator():
     assert {path.name.split(".")[0] for path in paths} == {"machine", *KINDS}
     for path in paths:
         assert path.suffix == ".json" or path.read_text("utf-8").startswith(f"# {GENERATOR}"), path
-    assert sum(path.stat().st_size for path in paths) < 1.2e6
+    assert sum(path.stat().st_size for path in paths) < 1.3e6
 
 
 def test_the_rollouts_show_what_they_are_for():
     """Both kinds of ends, resets, masks and what an episode ended with."""
     rollouts = {path.name: cells(path.name, path.read_text("utf-8")) for path in ROLLOUTS}
-    assert len(rollouts) == 20
+    assert len(rollouts) == 24
 
     def where(column, *values):
         """The files that have one of these values in a column."""
@@ -44,11 +44,12 @@ def test_the_rollouts_show_what_they_are_for():
         return {name for name, (_, at), cell in found if at == column and cell in values}
 
     vectors = {name for name in rollouts if name.split(".")[1] in AUTORESET}
-    assert len(vectors) == 6
-    assert len(where("terminated", "T")) == 4 and len(where("truncated", "T")) == 16
-    assert {"rollout-high.same-step.csv", "rollout-standard.same-step.csv"} == where(
-        "final_obs", "in row final"
-    )
+    assert len(vectors) == 8
+    assert len(where("terminated", "T")) == 4 and len(where("truncated", "T")) == 20
+    same_step = {f"rollout-{group}.same-step.csv" for group in ("high", "per-mode", "standard")}
+    assert same_step == where("final_obs", "in row final")
+    for action in "012345":  # trust none, and each of five modes
+        assert any("per-mode" in name for name in where("action", action)), action
     assert where("episode_name", "~None") == vectors, "masks"
     for name in vectors:
         rows = {row for row, _ in rollouts[name]}

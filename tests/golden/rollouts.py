@@ -18,6 +18,7 @@ FLAT = {"radio": "standard", "planar": True, "odometry": True}
 PRIOR = {"radio": "high", "observation": "prior", "reward": "log-score"}
 LOST = {"episode_steps": 16, "seed": 37} | EARLY | PRIOR
 EIGHT = {"modes": "extended", "steps": 5}  # without an end: what that runs takes long to compile
+PER_MODE = {"beliefs": "per-mode", "episode_steps": 6}
 
 # Environments of a group share a compiled program: all that is compiled into it (modes, the profile
 # that tunes them, layout, observation, reward) is the same. ``steps`` are those of the rollout.
@@ -50,6 +51,12 @@ ROLLOUTS: dict[str, dict[str, dict[str, Any]]] = {
         "mixed": EIGHT,
         "jam": {"scenario": "jam"} | EIGHT,
         "next-step": {"autoreset_mode": "NextStep"} | EIGHT,
+    },
+    "per-mode": {  # the tunings of the two radios' banks are data of one program
+        "handset": {"scene": "dynamic-doppler"} | PER_MODE,
+        "standard": {"radio": "standard", "dt": 0.1} | PER_MODE,
+        "next-step": {"autoreset_mode": "NextStep", "radio": "standard"} | PER_MODE,
+        "same-step": {"autoreset_mode": "SameStep", "seed": 1} | PER_MODE,
     },
 }
 
