@@ -1,5 +1,7 @@
 """The features that an observation consists of, each with its formula.
 
+How each mode sees the coming epoch is in ``coming_features.py``, all else is here.
+
 Every feature is something an estimator knows at run time; none sees the truth. The formulas
 are functions of numbers, so they are computed inside the SIMD kernel.
 """
@@ -9,7 +11,7 @@ from dataclasses import dataclass
 from typing import NamedTuple, TypeVar
 
 from mmwave_env.filters.memory import Memory
-from mmwave_env.filters.mode_result import ModeResult, capped_log_likelihood
+from mmwave_env.filters.mode_result import ModeResult
 from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.models.epoch import Epoch, Site
 from mmwave_env.models.measurement import Layout
@@ -21,7 +23,6 @@ Index = TypeVar("Index")
 
 MISSING_SNR_DB = -20.0
 _LEAST = 1e-9  # probability, where its logarithm is taken
-_WAYS = {"along": "along the predicted velocity", "across": "to the left of it"}
 
 
 class MixtureView(NamedTuple):
@@ -80,18 +81,7 @@ def context(pipeline: Pipeline, per_mode: bool = False) -> list[Feature]:
     return [*first, *_links(layout), *_previous(pipeline), *last]
 
 
-def coming(pipeline: Pipeline, per_mode: bool = False) -> list[Feature]:
-    """How the modes see the coming epoch; ``per_mode`` is as of :func:`context`."""
-    layout, modes = pipeline.layout, pipeline.modes
-    table = _innovation(pipeline)
-    for m, mode in enumerate(modes):
-        table += _candidate(layout, m, mode.name)
-        if m < len(modes) - 1:
-            table += _against(layout, m, mode.name, modes[-1].name)
-    return table + _posterior(pipeline) if per_mode else table
-
-
-def _at(function: Callable[[View, Index], Number], index: Index) -> Callable[[View], Number]:
+def at(function: Callable[[View, Index], Number], index: Index) -> Callable[[View], Number]:
     """The formula of one anchor, group or mode."""
     return lambda view: function(view, index)
 
@@ -129,7 +119,7 @@ def _speed_and_spread(layout: Layout) -> list[Feature]:
     return table
 
 
-def _groups(layout: Layout) -> list[tuple[int, str, str]]:
+def named_groups(layout: Layout) -> list[tuple[int, str, str]]:
     """Number, name and kind of every group of measurements."""
     return [
         (g, name, "link" if g < layout.anchors else name)
@@ -141,16 +131,16 @@ def _last_epoch(layout: Layout) -> list[Feature]:
     nis = [
         Feature(
             f"NIS {name}", f"NIS {kind}", "ln(1 + NIS) of the last epoch", "", 0, 10,
-            _at(lambda v, g: log(1.0 + v.memory.nis[g]), g),
+            at(lambda v, g: log(1.0 + v.memory.nis[g]), g),
         )
-        for g, name, kind in _groups(layout)
+        for g, name, kind in named_groups(layout)
     ]  # fmt: skip
     verdict = [
         Feature(
             f"verdict {name}", f"verdict {kind}", "last epoch: 1 accepted, -1 gated, 0 missing",
-            "", -1, 1, _at(lambda v, g: v.memory.accepted[g] - v.memory.rejected[g], g),
+            "", -1, 1, at(lambda v, g: v.memory.accepted[g] - v.memory.rejected[g], g),
         )
-        for g, name, kind in _groups(layout)
+        for g, name, kind in named_groups(layout)
     ]  # fmt: skip
     return nis + verdict
 
@@ -192,11 +182,11 @@ def _signal(anchor: int) -> list[Feature]:
         Feature(
             f"SNR anchor {anchor + 1}", "SNR",
             f"of the coming epoch; {MISSING_SNR_DB:g} dB where missing", "dB", -20, 80,
-            _at(_snr, anchor),
+            at(_snr, anchor),
         ),
         Feature(
             f"SNR drop anchor {anchor + 1}", "SNR drop",
-            "its slow mean minus SNR; 0 where missing", "dB", -20, 40, _at(_snr_drop, anchor),
+            "its slow mean minus SNR; 0 where missing", "dB", -20, 40, at(_snr_drop, anchor),
         ),
     ]  # fmt: skip
 
@@ -208,7 +198,7 @@ def _links(layout: Layout) -> list[Feature]:
         table.append(
             Feature(
                 f"distance anchor {a + 1}", "distance", "of the predicted position", "m", 0, 1000,
-                _at(_distance, a),
+                at(_distance, a),
             )
         )  # fmt: skip
     return table
@@ -228,7 +218,7 @@ def _previous(pipeline: Pipeline) -> list[Feature]:
         Feature(
             f"previous mode {mode.name}", "previous mode", "1 if it ran in the last epoch", "",
             0, 1,
-            _at(lambda v, m: where(abs(v.memory.mode - float(m)) < 0.5, 1.0, 0.0), m),
+            at(lambda v, m: where(abs(v.memory.mode - float(m)) < 0.5, 1.0, 0.0), m),
         )
         for m, mode in enumerate(pipeline.modes)
     ]  # fmt: skip
@@ -238,7 +228,7 @@ def _averages() -> list[Feature]:
     nis = [
         Feature(
             f"NIS {pace} average", f"NIS {pace} average", "of NIS / dof of what was accepted", "",
-            0, 10, _at(lambda v, i: v.memory.nis_average[i], i),
+            0, 10, at(lambda v, i: v.memory.nis_average[i], i),
         )
         for i, pace in enumerate(("fast", "slow"))
     ]  # fmt: skip
@@ -246,7 +236,7 @@ def _averages() -> list[Feature]:
         Feature(
             f"correction {way}", f"correction {way}",
             f"average position correction {way} the velocity", "m", -10, 10,
-            _at(lambda v, i: v.memory.correction[i], i),
+            at(lambda v, i: v.memory.correction[i], i),
         )
         for i, way in enumerate(("along", "across"))
     ]  # fmt: skip
@@ -269,104 +259,14 @@ def _recovery() -> list[Feature]:
     ]  # fmt: skip
 
 
-def _doppler_innovation(view: View, layout: Layout) -> Number:
-    """Radial velocity measured minus predicted, m/s; 0 where missing."""
-    x, base = move(view.x, view.epoch.dt), view.site.anchors[0]
-    step = [x[i] - base[i] for i in range(3)]
-    radial = dot(step, x[3:6]) / sqrt(dot(step, step))
-    measured = (view.epoch.z[layout.doppler] - x[6]) / view.site.hz_per_mps
-    return where(view.epoch.visible[layout.anchors] > 0.5, measured - radial, 0.0)
-
-
-def _innovation(pipeline: Pipeline) -> list[Feature]:
-    layout, last = pipeline.layout, pipeline.modes[-1].name
-    doppler = Feature(
-        "coming Doppler innovation", "coming Doppler innovation",
-        "of the radial velocity; 0 where missing", "m/s", -10, 10,
-        lambda v: _doppler_innovation(v, layout),
-    )  # fmt: skip
-    nis = [
-        Feature(
-            f"coming NIS {name} {last}", f"coming NIS {kind}", "ln(1 + NIS) of the group", "", 0,
-            10, _at(lambda v, g: log(1.0 + v.candidates[-1].nis[g]), g),
-        )
-        for g, name, kind in _groups(layout)
-    ]  # fmt: skip
-    return [doppler, *nis]
-
-
-def _mean_nis(layout: Layout, candidate: ModeResult, epoch: Epoch) -> Number:
-    rows = dot(epoch.visible, [float(r.stop - r.start) for r in layout.groups])
-    total = dot(epoch.visible, candidate.nis)
-    return total / where(rows > 0.5, rows, 1.0)
-
-
-def _correction(view: View, mode: int, first: int, across: bool) -> Number:
-    """Candidate minus prediction, of two state components, along the velocity or to its left."""
-    predicted, candidate = move(view.x, view.epoch.dt), view.candidates[mode]
-    step = [candidate.x[i] - predicted[i] for i in (first, first + 1)]
-    v = predicted[3:5]
-    speed = sqrt(v[0] * v[0] + v[1] * v[1] + 1e-6)
-    product = step[1] * v[0] - step[0] * v[1] if across else dot(step, v)
-    return product / speed
-
-
-def _candidate(layout: Layout, m: int, name: str) -> list[Feature]:
-    links = [1.0] * layout.anchors
-    table = [
-        Feature(
-            f"coming NIS {name}", "coming NIS", "ln(1 + NIS / dof) over the visible groups", "", 0,
-            10, lambda v: log(1.0 + _mean_nis(layout, v.candidates[m], v.epoch)),
-        ),
-        Feature(
-            f"coming rejected {name}", "coming rejected", "links it would reject", "links", 0,
-            layout.anchors,
-            lambda v: dot(links, v.epoch.visible) - dot(links, v.candidates[m].accepted),
-        ),
-        Feature(
-            f"coming variance {name}", "coming variance",
-            "ln of the trace of its P, horizontal position", "ln m^2", -20, 20,
-            lambda v: log(v.candidates[m].P[0] + v.candidates[m].P[2] + 1e-12),
-        ),
-    ]  # fmt: skip
-    for of, first, unit in (("position", 0, "m"), ("velocity", 3, "m/s")):
-        for way, across in (("along", False), ("across", True)):
-            table.append(
-                Feature(
-                    f"coming {of} correction {way} {name}", f"coming {of} correction {way}",
-                    _WAYS[way], unit, -10, 10,
-                    _at(lambda v, at: _correction(v, m, *at), (first, across)),
-                )
-            )  # fmt: skip
-    return table
-
-
-def _against(layout: Layout, m: int, name: str, last: str) -> list[Feature]:
-    now = Feature(
-        f"coming log-likelihood {name}", "coming log-likelihood",
-        f"minus that of {last}; NIS counts up to 99.9 %", "nats", -30, 30,
-        lambda v: (
-            capped_log_likelihood(v.candidates[m], layout)
-            - capped_log_likelihood(v.candidates[-1], layout)
-        ),
-    )  # fmt: skip
-    past = [
-        Feature(
-            f"preference {pace} {name}", f"preference {pace}",
-            f"{pace} average of its log-likelihood minus that of {last}", "nats", -30, 30,
-            _at(lambda v, i: v.memory.preference[i][m], i),
-        )
-        for i, pace in enumerate(("fast", "slow"))
-    ]  # fmt: skip
-    return [now, *past]
-
-
-def _mixture(view: View) -> MixtureView:
+def mixture_of(view: View) -> MixtureView:
+    """What only features of beliefs per mode look at."""
     assert view.mixture is not None  # these features are of environments that have one
     return view.mixture
 
 
-def _log_odds(p: Number) -> Number:
+def log_odds(p: Number) -> Number:
+    """ln(p / (1 - p)) of a probability, which may be 0 or 1."""
     return log(maximum(p, _LEAST) / maximum(1.0 - p, _LEAST))
 
 
@@ -375,7 +275,7 @@ def _spread_averages() -> list[Feature]:
         Feature(
             f"Doppler spread {pace} average", f"Doppler spread {pace} average", "over f_c / c",
             "m/s", 0, 16,
-            _at(lambda v, i: _mixture(v).spread_averages_hz[i] / v.site.hz_per_mps, i),
+            at(lambda v, i: mixture_of(v).spread_averages_hz[i] / v.site.hz_per_mps, i),
         )
         for i, pace in enumerate(("fast", "slow", "slowest"))
     ]  # fmt: skip
@@ -386,35 +286,7 @@ def _predicted(pipeline: Pipeline) -> list[Feature]:
         Feature(
             f"predicted log-odds {mode.name}", "predicted log-odds",
             "of the mode, before the coming measurement", "", -16, 16,
-            _at(lambda v, m: _log_odds(_mixture(v).predicted[m]), m),
+            at(lambda v, m: log_odds(mixture_of(v).predicted[m]), m),
         )
         for m, mode in enumerate(pipeline.modes)
     ]  # fmt: skip
-
-
-def _posterior(pipeline: Pipeline) -> list[Feature]:
-    """The modes after the coming measurement: how probable each is, and how it says one moves."""
-    table = []
-    for m, mode in enumerate(pipeline.modes):
-        table += [
-            Feature(
-                f"coming log-odds {mode.name}", "coming log-odds",
-                "of the mode, after the coming measurement", "", -16, 16,
-                _at(lambda v, m: _log_odds(_mixture(v).posterior[m]), m),
-            ),
-            Feature(
-                f"coming speed {mode.name}", "coming speed",
-                "ln of the horizontal speed + 0.05 m/s", "ln m/s", -4, 4, _at(_log_speed, m),
-            ),
-            Feature(
-                f"coming velocity variance {mode.name}", "coming velocity variance",
-                "ln of the trace of its P, horizontal velocity", "ln (m/s)^2", -20, 20,
-                _at(lambda v, m: log(v.candidates[m].P[9] + v.candidates[m].P[14] + 1e-12), m),
-            ),
-        ]  # fmt: skip
-    return table
-
-
-def _log_speed(view: View, mode: int) -> Number:
-    v = view.candidates[mode].x[3:5]
-    return log(0.05 + sqrt(dot(v, v) + 1e-9))

@@ -17,7 +17,8 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
-from mmwave_env.features import Feature, View, coming, context
+from mmwave_env.coming_features import coming
+from mmwave_env.features import Feature, View, context
 from mmwave_env.filters.modes import Mode
 from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.lookup import choose

@@ -11,7 +11,7 @@ from tests.paths import ROOT
 
 EVERYBODY = {"mmwave_env", "files", "lookup", "metrics", "records"}  # the first: __init__.py
 FILTER_SIDE = {"numerics", "models", "filters"}
-FACE = {"features", "observation", "reward", "info", "task"}
+FACE = {"features", "coming_features", "observation", "reward", "info", "task"}
 WORLDS = FILTER_SIDE | {"compiler", "episodes"} | FACE
 ENVIRONMENT = WORLDS | {"engines", "rendering"}
 LIBRARY = ENVIRONMENT | {"logs", "policies", "localization", "env", "vector_env", "sb3"}
@@ -22,7 +22,9 @@ SEES = {
     "filters": {"numerics", "models"},  # and never episodes:
     "logs": {"numerics", "models"},
     "episodes": {"numerics", "models", "compiler", "logs"},  # no agent changes the world
-    **dict.fromkeys(["features", "observation", "reward"], frozenset(FILTER_SIDE | FACE)),
+    **dict.fromkeys(
+        ["features", "coming_features", "observation", "reward"], frozenset(FILTER_SIDE | FACE)
+    ),
     "task": WORLDS,
     "engines": WORLDS,
     "policies": FILTER_SIDE | FACE,
