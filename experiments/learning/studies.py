@@ -51,6 +51,7 @@ TRAININGS: Mapping[str, Training] = MappingProxyType({
             for radio in ("handset", "standard", "high")
         )
     ),
+    "random-streets": Training(places=("random:handset",)),
     "no-accelerate-brake": Training(without=("accelerate", "brake")),
     "no-turn": Training(without=("turn",)),
 })  # fmt: skip

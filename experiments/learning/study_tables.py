@@ -54,7 +54,9 @@ STUDIES: Mapping[str, Study] = {
     "beliefs": Study("shared", ("shared", "ppo")),
     "algorithms": Study("ppo", ("ppo", "branch")),
     "places": Study(
-        "branch", ("branch", "many-places"), tuple(map(Venue, ("street", "o1", "dynamic-doppler")))
+        "branch",
+        ("branch", "many-places", "random-streets"),
+        tuple(map(Venue, ("street", "o1", "dynamic-doppler"))),
     ),
     "modes": Study("branch", ("branch", *(row for name in BANKS for row in (f"imm {name}", name)))),
     "trust": Study(GUIDED, (GUIDED, f"{GUIDED}, mean trust", f"{GUIDED}, mean factor")),
