@@ -23,7 +23,7 @@ from experiments.training.hyperparameters import (
     recipe_as_written,
     shipped_hyperparameters,
 )
-from experiments.training.places import Place, places_from
+from experiments.training.places import Place, places_from, require_environments
 from experiments.training.training_task import TrainingTask, banks_of
 from mmwave_env.files import write_bytes, write_json
 from mmwave_env.filters.bank import Bank, bank_as_written
@@ -55,14 +55,19 @@ def rewards(args: Args) -> Reward:
     return reward
 
 
-def hyperparameters(args: Args) -> AnyHyperparameters:
+def hyperparameters(args: Args, places: int) -> AnyHyperparameters:
     """The hyperparameters.
 
     Raises:
-        ValueError: those of another algorithm.
+        ValueError: those of another algorithm, or of environments that can't be spread over so
+            many places.
     """
     path = args.hyperparameters or shipped_hyperparameters(args.algo, args.beliefs)
     recipe = read_hyperparameters(path, args.algo)
+    try:
+        require_environments(recipe.num_envs, places, recipe.together)
+    except ValueError as error:
+        raise ValueError(f"{path}: {error}") from error
     if isinstance(recipe, BranchHyperparameters):
         return recipe  # it learns from differences: what is subtracted from a reward is not in them
     if (recipe.lstm > 0) != (args.algo == "recurrent-ppo"):
@@ -189,7 +194,8 @@ def main(args: Args) -> None:
         count = getattr(args, name)
         if count is not None and count < 1:
             raise ValueError(f"{name}: found {count}, expected 1 or more")
-    places, recipe = places_of(args), hyperparameters(args)
+    places = places_of(args)
+    recipe = hyperparameters(args, len(places))
     banks = banks_of(args.modes, places, args.beliefs)
     task = TrainingTask(args.scenario, places, banks, args.observation, rewards(args), args.beliefs)
     manifest = manifest_of(args, banks, recipe)

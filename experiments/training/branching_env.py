@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from experiments.training.actor import Normalization
+from experiments.training.places import require_environments
 from experiments.training.training_task import TrainingTask
 from mmwave_env.compiler.lanes import WIDTH
 from mmwave_env.compiler.program import rows_of
@@ -66,11 +67,7 @@ class BranchingEnv:
         self, task: TrainingTask, n: int, horizon: int, discount: float, seed: int
     ) -> None:
         places = task.places
-        if n % WIDTH or n < WIDTH * len(places):
-            raise ValueError(
-                f"num_envs: found {n}, expected a multiple of {WIDTH}, {WIDTH * len(places)} or "
-                f"more for {len(places)} places"
-            )
+        require_environments(n, len(places), WIDTH)
         self._sources = [place.source(task.scenario) for place in places]
         self._horizon, self._everyone = horizon, np.arange(n)
         block = self._everyone // WIDTH

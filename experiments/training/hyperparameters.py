@@ -5,6 +5,8 @@ from dataclasses import MISSING, dataclass, fields
 from pathlib import Path
 from typing import Any, get_type_hints
 
+from mmwave_env.compiler.lanes import WIDTH
+
 
 @dataclass(frozen=True)
 class Hyperparameters:
@@ -34,6 +36,8 @@ class Hyperparameters:
     # added to the logit of action 0 at the start. Where every mode keeps its own belief, action 0
     # trusts none: learning starts level with the IMM
     first_action_bias: float = 0.0
+
+    together = 1  # environments side by side that have to be at one place: any may be anywhere
 
     def __post_init__(self) -> None:
         _require_kinds(self)
@@ -65,6 +69,8 @@ class BranchHyperparameters:
     hidden: tuple[int, ...]  # neurons of each tanh layer
     clip_observation: float  # normalized observations lie between minus this and this
     first_action_bias: float  # logit of action 0 at the start, beside about 0 of the others
+
+    together = WIDTH  # environments side by side that have to be at one place: they run as lanes
 
     def __post_init__(self) -> None:
         _require_kinds(self)

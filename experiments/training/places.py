@@ -96,6 +96,25 @@ def places_from(words: Sequence[str]) -> tuple[Place, ...]:
     return places
 
 
+def require_environments(count: int, places: int, together: int = 1) -> None:
+    """Refuse environments that can't be spread over the places.
+
+    Args:
+        count: of environments.
+        places: how many there are.
+        together: environments side by side that have to be at one place.
+
+    Raises:
+        ValueError: saying how many there may be.
+    """
+    if count % together or count < together * places:
+        multiple = f"a multiple of {together}, " if together > 1 else ""
+        raise ValueError(
+            f"num_envs: found {count}, expected {multiple}{together * places} or more for "
+            f"{places} places"
+        )
+
+
 def shares(count: int, places: int) -> list[int]:
     """How many of ``count`` environments or episodes each place gets, as evenly as can be."""
     each, more = divmod(count, places)

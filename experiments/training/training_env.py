@@ -9,7 +9,7 @@ from stable_baselines3.common.running_mean_std import RunningMeanStd
 from stable_baselines3.common.vec_env import VecEnv, VecEnvWrapper, VecFrameStack, VecNormalize
 
 from experiments.training.hyperparameters import Hyperparameters
-from experiments.training.places import shares
+from experiments.training.places import require_environments, shares
 from experiments.training.places_env import PlacesVecEnv
 from experiments.training.training_task import TrainingTask
 from mmwave_env.episodes.simulated import SimulatedSource
@@ -95,11 +95,7 @@ class TrainingEnv:
     """
 
     def __init__(self, task: TrainingTask, recipe: Hyperparameters) -> None:
-        if recipe.num_envs < len(task.places):
-            raise ValueError(
-                f"num_envs: found {recipe.num_envs}, expected {len(task.places)} or more, one for "
-                "each of the places"
-            )
+        require_environments(recipe.num_envs, len(task.places))
         reward = PairedReward(task.reward) if recipe.paired else task.reward
         self.envs = [
             MmWaveLocVectorEnv(

@@ -18,7 +18,7 @@ pytest.importorskip("stable_baselines3")
 
 import torch
 
-from experiments.train import Args, hyperparameters, manifest_of
+from experiments.train import Args, hyperparameters, main, manifest_of
 from experiments.training import training_env as worlds
 from experiments.training.checkpoint import read_checkpoint, with_arrays, write_checkpoint
 from experiments.training.hyperparameters import (
@@ -321,6 +321,27 @@ def test_a_mistake_is_refused_before_a_folder_is_made(words, message, tmp_path):
     assert not (tmp_path / "run").exists()
 
 
+@pytest.mark.parametrize(
+    ("algorithm", "message"),
+    [
+        ("ppo", "num_envs: found 1, expected 2 or more for 2 places"),
+        ("branch", "num_envs: found 1, expected a multiple of 8, 16 or more for 2 places"),
+    ],
+)
+def test_too_few_environments_for_the_places_are_refused_before_a_folder_is_made(
+    algorithm, message, tmp_path
+):
+    shipped = json.loads(shipped_hyperparameters(algorithm).read_text())
+    path, out = tmp_path / "few.json", tmp_path / "run"
+    path.write_text(json.dumps(shipped | {"num_envs": 1}))
+    args = Args(
+        algo=algorithm, hyperparameters=path, places=("street:handset", "o1:handset"), out=out
+    )
+    with pytest.raises(ValueError, match=f"^{re.escape(f'{path}: {message}')}$"):
+        main(args)
+    assert not out.exists()
+
+
 @pytest.mark.parametrize("package", ["torch", pytest.param("sb3_contrib", marks=pytest.mark.slow)])
 def test_without_the_extra_it_says_what_to_install(package, tmp_path):
     code = (
@@ -346,7 +367,7 @@ def folder_of(path, modes=None, recipe=None, **options):
     """A run that could be resumed, by its manifest."""
     args = Args(out=path, **options)
     banks = {"handset": Bank(modes or default_modes("handset"))}
-    manifest = manifest_of(args, banks, recipe or hyperparameters(args))
+    manifest = manifest_of(args, banks, recipe or hyperparameters(args, 1))
     write_json(path / "run.json", manifest)
     return path
 
