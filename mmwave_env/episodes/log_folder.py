@@ -77,7 +77,8 @@ def write_log_folder(folder: Path, episode: Episode, scene: Scene, origin: str) 
 
     Args:
         folder: made where it is not there.
-        episode: without its prior; without truth where it has none.
+        episode: without its prior. Where it has no truth, one that lies in the folder is removed:
+            it is not that of the new log.
         scene: that it is in.
         origin: how it was made, for a comment in the truth.
 
@@ -88,6 +89,7 @@ def write_log_folder(folder: Path, episode: Episode, scene: Scene, origin: str) 
         write_log(log, episode)
     write_json(folder / SCENE, scene_json(scene))
     if episode.truth_position_m is None:
+        (folder / TRUTH).unlink(missing_ok=True)
         return [LOG, SCENE]
     track = tum_lines(episode.time_s, episode.truth_position_m)
     write_text(folder / TRUTH, f"# {' '.join(COLUMNS)}; {origin}\n{track}")

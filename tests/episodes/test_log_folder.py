@@ -37,6 +37,12 @@ def folder(tmp_path):
     return tmp_path
 
 
+def test_the_truth_of_another_episode_goes(folder):
+    unknown = replace(simulated(), truth_position_m=None, truth_velocity_mps=None)
+    assert write_log_folder(folder, unknown, STREET, "") == ["log.csv", "scene.json"]
+    assert sorted(path.name for path in folder.iterdir()) == ["log.csv", "scene.json"]
+
+
 @pytest.mark.parametrize("odometry", [False, True])
 def test_a_simulated_log_is_the_simulated_episode(tmp_path, odometry):
     options = ["--odometry"] if odometry else []
