@@ -1,6 +1,7 @@
 """`transfer`, `ablate` and `learned` as a user types them."""
 
 import json
+import re
 
 import numpy as np
 import pytest
@@ -13,7 +14,7 @@ from experiments.learning.curves import curve, draw_curves
 from mmwave_env.episodes.simulated import SimulatedSource
 from mmwave_env.models.radio import RADIOS
 from mmwave_env.models.scene import SCENES
-from tests.cli import command
+from tests.cli import command, succeed
 from tests.paths import ROOT
 
 RECORDED = ROOT / "docs" / "learning"
@@ -50,6 +51,15 @@ def test_learned_needs_recorded_runs(tmp_path):
     done = command("learned", "--runs", tmp_path, "--episodes", 20, "--out", tmp_path / "out")
     assert done.returncode == 2
     assert "ppo-handset" in done.stderr and "found no file" in done.stderr
+
+
+def test_the_help_names_every_recorded_run():
+    said = " ".join(succeed("learned", "--help").split())
+    named = said.split("folder of the recorded runs: ")[1].split("--episodes")[0]
+    runs = [path.name for path in RECORDED.iterdir() if path.is_dir()]
+    assert {re.sub("-(handset|standard)$", "-RADIO", run) for run in runs} <= set(
+        re.findall(r"[\w-]+", named)
+    )
 
 
 def test_curves_are_those_of_the_journals(tmp_path):
