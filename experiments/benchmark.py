@@ -25,6 +25,7 @@ def main(args: Args) -> None:
     for name in _ONE_THREAD:
         os.environ.setdefault(name, "1")
     from experiments.cli.doc_pages import page_to_renew, renewed
+    from experiments.cli.options import provenance
     from experiments.cli.terminal import progress
     from experiments.evaluation.markdown import show
     from experiments.speed.figure import draw
@@ -46,7 +47,7 @@ def main(args: Args) -> None:
     found = tables(measured)
     show("\n".join(f"### {title}\n\n{table}\n" for title, table in found.items()))
     if args.json:
-        write_json(args.json, measured.json())
+        write_json(args.json, provenance("benchmark", args) | measured.json())
     for figure in figures:
         draw(measured, figure)
     if args.docs:

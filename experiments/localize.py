@@ -13,6 +13,7 @@ import numpy as np
 from experiments.arguments.localize import Args
 from experiments.cli.diagnosis_report import diagnosis_figures, diagnosis_markdown
 from experiments.cli.main import run
+from experiments.cli.options import provenance
 from experiments.cli.pictures import require_picture
 from experiments.cli.terminal import ask_speed, parse_speed, progress
 from experiments.cli.track_plot import TrackPicture
@@ -238,7 +239,7 @@ def _diagnose(args: Args, log: Path, scene: Scene, mode: Mode) -> None:
     block = next(read_log(log, scene, odometry=False, limits=False))
     findings = diagnose(block, scene, radio_from(args.radio), mode)
     if args.json:
-        write_json(args.json, diagnosis_figures(findings))
+        write_json(args.json, provenance("localize", args) | diagnosis_figures(findings))
     show(diagnosis_markdown(findings))
 
 
@@ -286,7 +287,7 @@ def main(args: Args) -> None:
         "error": error and str(error),
     }
     if args.json:  # first, because whoever reads what is shown may leave
-        write_json(args.json, figures)
+        write_json(args.json, provenance("localize", args) | figures)
     try:
         show(track_markdown(figures))
     finally:

@@ -25,7 +25,8 @@ OUTPUTS = ("json", "episodes_csv", "figure", "decisions", "plot", "docs", "out")
 def command_line(name: str, args: Any) -> str:
     """The command that a dataclass of arguments stands for, defaults left out."""
     nameless = [field.name for field in fields(args) if field.metadata.get("positional")]
-    words = ["mmwave-loc", name, *(str(getattr(args, field)) for field in nameless)]
+    given = [value for field in nameless if (value := getattr(args, field)) is not None]
+    words = ["mmwave-loc", name, *map(str, given)]
     for field in fields(args):
         value, option = getattr(args, field.name), field.name.replace("_", "-")
         if field.name in nameless or value == field.default:

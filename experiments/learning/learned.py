@@ -15,7 +15,7 @@ from experiments.arguments.shared import EpisodeArgs, WorldArgs
 from experiments.arguments.transfer import Args as TransferArgs
 from experiments.cli.doc_pages import page_to_renew, renewed
 from experiments.cli.main import run
-from experiments.cli.options import source_of
+from experiments.cli.options import provenance, source_of
 from experiments.cli.reporting import results
 from experiments.evaluation.contenders import BEST_IMM, contender_from
 from experiments.evaluation.decisions import Decisions
@@ -148,7 +148,7 @@ def main(args: Args) -> None:
     else:
         write_text(args.out / "tables.md", everything)
     if args.json:
-        write_json(args.json, content)
+        write_json(args.json, provenance("learned", args) | content)
     show(everything)
 
 

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from experiments.cli.main import run
+from experiments.cli.options import provenance
 from experiments.cli.terminal import progress
 from experiments.evaluation.seeds import draw_episodes
 from experiments.reliability.arguments.soak import Args
@@ -185,7 +186,8 @@ def main(args: Args) -> None:
     print(tally)
     if args.json:
         what = {"steps": args.steps, "seed": args.seed, "num_envs": args.num_envs}
-        write_json(args.json, {"asked": what, "found": asdict(tally)})
+        made = provenance("soak", args)
+        write_json(args.json, made | {"asked": what, "found": asdict(tally)})
     if tally.violations:
         sys.exit(1)
 

@@ -6,6 +6,7 @@ import json
 import os
 import pty
 import re
+import shlex
 import signal
 import subprocess
 import sys
@@ -229,6 +230,19 @@ def test_what_is_printed_is_what_json_holds(capsys, tmp_path):
     assert groups["anchor 1"]["seen"] == 399  # one gave the prior
     assert found["error"] is None
     assert all(abs(groups[f"anchor {a}"]["nis_in_bounds"] - 0.95) < 0.03 for a in (1, 2, 3))
+
+
+def test_figures_say_how_to_make_them_again(tmp_path):
+    """But for the outputs; a sample has no log to name."""
+    file, again = tmp_path / "figures.json", tmp_path / "again.json"
+    words = ["--sample", RIDE.name, "--speed", "9", "--no-gating"]
+    run("localize", [*words, "--json", str(file), "--out", str(tmp_path / "track.tum")])
+    found = json.loads(file.read_text())
+    program, name, *made = shlex.split(found["command"])
+    assert (program, name, sorted(made)) == ("mmwave-loc", "localize", sorted(words))
+    assert {"mmwave-loc", "python", "numba"} <= set(found["versions"])
+    run(name, [*made, "--json", str(again)])
+    assert json.loads(again.read_text()) == found | {"written": {}}
 
 
 def test_truth_is_for_scores_alone(tmp_path):
@@ -777,7 +791,9 @@ def test_a_diagnosis_names_the_mistake_and_writes_no_track(tmp_path, downlink):
     assert done.stdout.startswith(f"The log is consistent if {name}.")
     cure = "exchange the columns of aoa_azimuth and aod_azimuth, negate aoa_elevation"
     assert f"To mend it, {cure} (docs/data.md)." in done.stdout
-    first, *others = json.loads(file.read_text())["hypotheses"]
+    found = json.loads(file.read_text())
+    assert "--diagnose" in found["command"] and "numba" in found["versions"]
+    first, *others = found["hypotheses"]
     assert first["hypothesis"] == name and first["contradictions"] == []
     assert all(other["contradictions"] for other in others)
     for hypothesis in [first, *others]:

@@ -10,6 +10,7 @@ from experiments.evaluation.contenders import contender_from
 from experiments.evaluation.runner import score
 from experiments.evaluation.runs import Run
 from experiments.evaluation.seeds import draw_episodes
+from experiments.learning import learned
 from experiments.learning.curves import curve, draw_curves
 from mmwave_env.episodes.simulated import SimulatedSource
 from mmwave_env.models.radio import RADIOS
@@ -60,6 +61,16 @@ def test_the_help_names_every_recorded_run():
     assert {re.sub("-(handset|standard)$", "-RADIO", run) for run in runs} <= set(
         re.findall(r"[\w-]+", named)
     )
+
+
+def test_figures_say_how_to_make_them_again(tmp_path, monkeypatch):
+    table = ("trainings", "| run |", {"seeds": 5})
+    monkeypatch.setattr(learned, "tables", lambda args: iter([table]))
+    file = tmp_path / "all.json"
+    learned.main(learned.Args(episodes=20, json=file, out=tmp_path))
+    found = json.loads(file.read_text())
+    assert found["command"] == "mmwave-loc learned --episodes 20"
+    assert "numba" in found["versions"] and found["trainings"] == {"seeds": 5}
 
 
 def test_curves_are_those_of_the_journals(tmp_path):

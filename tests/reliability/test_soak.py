@@ -25,6 +25,8 @@ def test_a_short_soak_tells_what_it_did(tmp_path):
     file = tmp_path / "soak.json"
     shown = succeed("soak", *SMALL, "--json", file)
     result = json.loads(file.read_text())
+    assert result["command"] == "mmwave-loc soak --steps 12000.0 --num-envs 16"
+    assert "numba" in result["versions"]
     assert result["asked"] == {"steps": 12000.0, "seed": 0, "num_envs": 16}
     found = result["found"]
     assert found["violations"] == [] and "violations: 0" in shown
