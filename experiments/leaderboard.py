@@ -15,6 +15,7 @@ from experiments.evaluation.markdown import grid, show
 from experiments.evaluation.protocol import (
     KINDS,
     RECORDED,
+    TRAINED,
     entry,
     judge,
     require_contenders,
@@ -52,20 +53,31 @@ def _interval(figures: dict[str, Any]) -> Interval:
     return Interval(figures["mean"], low, high)
 
 
-def _episodes(one: dict[str, Any]) -> str:
-    """The fewest in a simulated venue and on a recording: entries of few mean less."""
+def _episodes(one: dict[str, Any]) -> tuple[int, int]:
+    """The fewest in a simulated venue and on a recording."""
     simulated, recorded = (
         min(v["episodes"] for v in one["venues"].values() if (v["kind"] == RECORDED) == of_those)
         for of_those in (False, True)
     )
-    return f"{simulated} / {recorded}"
+    return simulated, recorded
+
+
+def _short(one: dict[str, Any]) -> bool:
+    """Whether it has fewer episodes than the protocol asks for, which the command plays."""
+    simulated, recorded = _episodes(one)
+    return simulated < Args.episodes or recorded < Args.draws
 
 
 def ranking(entries: list[dict[str, Any]]) -> str:
-    """All entries, best first by their mean gain in the places to train in."""
+    """All entries, best first by their mean gain in the places to train in.
+
+    Those of too few episodes come last, and are marked: luck would rank them.
+    """
     rows = []
-    for one in sorted(entries, key=lambda one: -one["mean_gain"][KINDS[0]]["mean"]):
-        cells = [one["entry"].removesuffix("/policy.safetensors"), _episodes(one)]
+    for one in sorted(entries, key=lambda one: (_short(one), -one["mean_gain"][TRAINED]["mean"])):
+        simulated, recorded = _episodes(one)
+        episodes = f"{simulated} / {recorded}{' (too few)' if _short(one) else ''}"
+        cells = [one["entry"].removesuffix("/policy.safetensors"), episodes]
         for kind in KINDS:
             stands = [standing(v) for v in one["venues"].values() if v["kind"] == kind]
             counts = f"{stands.count('above')} / {stands.count('level')} / {stands.count('below')}"

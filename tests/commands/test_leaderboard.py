@@ -4,9 +4,12 @@ import json
 
 import pytest
 
+from experiments.arguments.leaderboard import Args
 from experiments.evaluation.protocol import entry, judge, venues
 from tests.cli import assert_one_clear_line, command, succeed
 from tests.paths import ROOT
+
+GOOD, POOR = "guided", "imm-best"  # entries in docs/leaderboard
 
 
 @pytest.fixture(scope="module")
@@ -27,8 +30,8 @@ def test_entries_are_ranked_and_a_page_is_renewed(entries, tmp_path):
         "<!-- table: leaderboard -->\n<!-- end -->\n<!-- table: venues -->\n<!-- end -->\n"
     )
     shown = succeed("leaderboard", "--out", entries, "--docs", page)
-    best = "| imm-best | 2 / 2 | 0.000 [0.000, 0.000]"
-    assert shown.index(best) < shown.index("| speed-rule | 2 / 2 | -")
+    best = "| imm-best | 2 / 2 (too few) | 0.000 [0.000, 0.000]"
+    assert shown.index(best) < shown.index("| speed-rule | 2 / 2 (too few) | -")
     assert all(f"| {venue.name} | " in shown for venue in venues())
     for line in shown.splitlines():
         assert line in page.read_text()
@@ -62,12 +65,23 @@ def test_a_contender_that_there_is_not_is_refused_before_any_venue(tmp_path):
     assert_one_clear_line(done, "policy: found 'imm-bets', expected one of .*imm-best")
 
 
-def test_every_entry_is_shown_with_its_episodes(tmp_path):
-    made = json.loads((ROOT / "docs" / "leaderboard" / "guided.json").read_text())
-    for venue in made["venues"].values():
-        venue["episodes"] = 5 if venue["kind"] == "recorded" else 20
-    (tmp_path / "short.json").write_text(json.dumps(made | {"entry": "short"}))
-    assert "| short | 20 / 5 | " in succeed("leaderboard", "--out", tmp_path)
+@pytest.mark.parametrize(("episodes", "draws"), [(20, 5), (1999, 200), (2000, 199)])
+def test_an_entry_of_too_few_episodes_comes_last_and_is_marked(episodes, draws, tmp_path):
+    folder = ROOT / "docs" / "leaderboard"
+    good, poor = (json.loads((folder / f"{name}.json").read_text()) for name in (GOOD, POOR))
+    (tmp_path / "full.json").write_text(json.dumps(poor))
+    for venue in good["venues"].values():
+        venue["episodes"] = draws if venue["kind"] == "recorded" else episodes
+    (tmp_path / "a-short.json").write_text(json.dumps(good | {"entry": "short"}))
+    shown = succeed("leaderboard", "--out", tmp_path)
+    full, short = f"| {POOR} | 2000 / 200 | ", f"| short | {episodes} / {draws} (too few) | "
+    assert shown.index(full) < shown.index(short)
+
+
+def test_the_episodes_of_a_full_entry_are_those_of_the_page_and_of_the_command():
+    page = (ROOT / "docs" / "benchmark.md").read_text("utf-8")
+    said = f"{Args.episodes} a simulated street, {Args.draws} draws of receiver noise a recording"
+    assert said in page
 
 
 def test_a_file_that_is_no_json_is_named(tmp_path):
