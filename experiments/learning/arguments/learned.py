@@ -14,8 +14,8 @@ class Args(JsonArgs):
     """
 
     runs: Path = Path("docs/learning")
-    """folder of the recorded runs: ppo-RADIO, ppo-extended-RADIO, guided and guided-ppo (beliefs per
-    mode), ablation/VARIANT and those of studies, studies/TRAINING"""
+    """folder of the recorded runs: ppo-RADIO, ppo-extended-RADIO, guided and guided-ppo (with
+    beliefs per mode), ablation/VARIANT and those of studies, studies/TRAINING"""
     episodes: int = 2000
     """simulated episodes of the results; half of them for each study, a quarter for each place and
     variant"""
