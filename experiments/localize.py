@@ -30,7 +30,7 @@ from mmwave_env.filters.modes import DESIGN_LIMIT_MPS, Mode, robust
 from mmwave_env.localization.contradictions import contradictions
 from mmwave_env.localization.diagnosis import diagnose
 from mmwave_env.localization.localizer import localize
-from mmwave_env.localization.track_files import require_own_table, table_beside, track_files
+from mmwave_env.localization.track_files import require_own_files, table_beside, track_files
 from mmwave_env.localization.track_scores import Course, Groups, TruthScores
 from mmwave_env.logs.log import LogBlock, read_log
 from mmwave_env.logs.log_tables import LogError
@@ -174,7 +174,7 @@ def _check(args: Args, given: Inputs) -> None:
                 f"{name}: found {path}, which is also {seen[path.resolve()]}, expected another file"
             )
     if args.out is not None:
-        require_own_table(args.out)
+        require_own_files(args.out)
 
 
 def _outputs(args: Args) -> dict[str, Path | None]:

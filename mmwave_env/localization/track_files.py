@@ -17,6 +17,8 @@ TABLE_COLUMNS = (
     "time_s", "x_m", "y_m", "z_m", "sigma_x_m", "sigma_y_m", "sigma_z_m", "vx_mps", "vy_mps",
     "vz_mps", "sigma_vx_mps", "sigma_vy_mps", "sigma_vz_mps", "mode",
 )  # fmt: skip
+_TRACK_HEADER = f"# {' '.join(COLUMNS)}; mmwave-loc localize\n"
+_TABLE_HEADER = ",".join(TABLE_COLUMNS) + "\n"
 
 
 def table_beside(track: Path) -> Path:
@@ -34,25 +36,33 @@ def table_beside(track: Path) -> Path:
     return table
 
 
-def require_own_table(track: Path) -> None:
-    """Make sure that the table beside a TUM file replaces nothing but such a table.
+def require_own_files(track: Path) -> None:
+    """Make sure that a track and the table beside it replace nothing but a track and its table.
 
-    Its name was never typed, so whatever else has it is not meant to go.
+    These can be made again from their log; whatever else has such a name may be the only one of its
+    kind: a recorded truth is a TUM file, too, and the name of the table was never typed.
 
     Raises:
-        ValueError: a file of another header has that name.
+        ValueError: a file of another header has one of the names.
         OSError: it can't be read.
     """
     table = table_beside(track)
-    if not table.is_file():
-        return
-    header = (",".join(TABLE_COLUMNS) + "\n").encode()
-    with table.open("rb") as file:
-        if file.read(len(header)) != header:
+    for path, header, found in (
+        (track, _TRACK_HEADER, "no track of mmwave-loc localize and which the new one"),
+        (table, _TABLE_HEADER, f"no table of a track and which that of {track}"),
+    ):
+        if path.is_file() and not _begins(path, header):
             raise ValueError(
-                f"out: found {table}, which is no table of a track and which that of {track} would "
-                f"replace, expected another name, such as {track.with_stem(f'{track.stem}-track')}"
+                f"out: found {path}, which is {found} would replace, expected another name, such "
+                f"as {track.with_stem(f'{track.stem}-track')}"
             )
+
+
+def _begins(path: Path, header: str) -> bool:
+    """Whether a file begins with a header."""
+    expected = header.encode()
+    with path.open("rb") as file:
+        return file.read(len(expected)) == expected
 
 
 @contextmanager
@@ -71,8 +81,8 @@ def track_files(track: Path, modes: Sequence[str]) -> Iterator[Callable[[TrackBl
         track_path.open("w", encoding="utf-8", newline="\n") as tum,
         table_path.open("w", encoding="utf-8", newline="\n") as table,
     ):
-        tum.write(f"# {' '.join(COLUMNS)}; mmwave-loc localize\n")
-        table.write(",".join(TABLE_COLUMNS) + "\n")
+        tum.write(_TRACK_HEADER)
+        table.write(_TABLE_HEADER)
 
         def write(block: TrackBlock) -> None:
             x = block.smooth_x

@@ -27,7 +27,7 @@ from mmwave_env.filters.bank import best_bank
 from mmwave_env.filters.mode_files import default_modes
 from mmwave_env.localization.localizer import localize
 from mmwave_env.logs.log import read_log
-from mmwave_env.logs.tum import read_tum, tum_lines
+from mmwave_env.logs.tum import COLUMNS, read_tum, tum_lines
 from mmwave_env.models.radio import RADIOS
 from mmwave_env.models.scene import SCENES, read_scene
 from tests.cli import command, environment
@@ -37,6 +37,7 @@ from tests.paths import LOGS
 
 WALK, RIDE = LOGS / "canyon28_pedestrian", LOGS / "canyon28_vehicle"
 EPOCHS = {WALK: 400, RIDE: 120}
+OLD = f"# {' '.join(COLUMNS)}; mmwave-loc localize\n"  # a track that may be replaced
 PROMPT = "Enter current speed (m/s): "
 
 
@@ -476,6 +477,16 @@ def test_a_table_does_not_take_the_place_of_a_file_of_the_users(capsys, tmp_path
     assert (tmp_path / "trip.csv").read_text() == "t,x,y,z\n"
 
 
+def test_a_track_does_not_take_the_place_of_a_truth(capsys, tmp_path):
+    """Not even of one that the command was not told of."""
+    truth = tmp_path / "truth.tum"
+    truth.write_bytes((WALK / "truth.tum").read_bytes())
+    _, line = refused(capsys, options(WALK / "log.csv", "--speed", "1", "--out", truth))
+    assert f"out: found {truth}, which is no track of mmwave-loc localize" in line
+    assert [path.name for path in tmp_path.iterdir()] == ["truth.tum"]
+    assert truth.read_bytes() == (WALK / "truth.tum").read_bytes()
+
+
 @pytest.mark.parametrize("out", ["log.tum", "truth.tum"])
 def test_no_output_takes_the_place_of_an_input(capsys, tmp_path, out):
     for name in ("log.csv", "truth.tum", "scene.json"):
@@ -586,7 +597,7 @@ def test_a_log_damaged_half_way_gives_the_track_up_to_there(capsys, tmp_path, na
     content, message, epochs = HALF_WAY[name]
     log, out = tmp_path / ("log.csv.gz" if zipped else "log.csv"), tmp_path / "track.tum"
     log.write_bytes(gzip.compress(content.encode()) if zipped else content.encode())
-    out.write_text("old")
+    out.write_text(OLD)
     more = ("--speed", "1", "--no-smoothing", "--truth", WALK / "truth.tum", "--out", out)
     shown, line = refused(capsys, options(log, *more, "--json", tmp_path / "found.json"))
     assert message in line and str(log) in line and f"; {epochs} epochs are written" in line
@@ -662,22 +673,22 @@ def test_a_log_without_a_track_leaves_the_output_alone(capsys, tmp_path, name):
         pytest.importorskip("pyarrow")
     log, out = tmp_path / file, tmp_path / "track.tum"
     log.write_bytes(content)
-    out.write_text("old")
+    out.write_text(OLD)
     _, line = refused(
         capsys, options(log, "--speed", "1", "--out", out, "--plot", tmp_path / "a.png")
     )
     assert message in line and "written" not in line
-    assert out.read_text() == "old"
+    assert out.read_text() == OLD
     assert sorted(p.name for p in tmp_path.iterdir()) == sorted([file, "track.tum"])
 
 
 def test_truth_damaged_half_way_leaves_the_output_alone(capsys, tmp_path):
     truth, out = tmp_path / "truth.tum", tmp_path / "track.tum"
     truth.write_text((WALK / "truth.tum").read_text().replace("\n20.0 ", "\ntwenty "))
-    out.write_text("old")
+    out.write_text(OLD)
     more = ("--speed", "1", "--truth", truth, "--out", out)
     _, line = refused(capsys, options(WALK / "log.csv", *more))
-    assert "truth.tum, line 202, t: found 'twenty'" in line and out.read_text() == "old"
+    assert "truth.tum, line 202, t: found 'twenty'" in line and out.read_text() == OLD
 
 
 # --- long logs
@@ -710,7 +721,7 @@ def written_beside(folder):
 def test_a_run_cut_short_leaves_the_output_alone(tmp_path, sent):
     log, out = tmp_path / "log.csv", tmp_path / "track.tum"
     long_log(log, 400_000)
-    out.write_text("old")
+    out.write_text(OLD)
     pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
     # A shell in the background ignores SIGINT, and so would its children's children.
     heeds = {"preexec_fn": partial(signal.signal, signal.SIGINT, signal.SIG_DFL)}
@@ -721,7 +732,7 @@ def test_a_run_cut_short_leaves_the_output_alone(tmp_path, sent):
         time.sleep(0.01)
     process.send_signal(sent)
     shown, err = process.communicate(timeout=60)
-    assert out.read_text() == "old" and shown == ""
+    assert out.read_text() == OLD and shown == ""
     if sent == signal.SIGINT:
         assert process.returncode == 130 and err == "mmwave-loc localize: interrupted\n"
         assert sorted(p.name for p in tmp_path.iterdir()) == ["log.csv", "track.tum"]

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from mmwave_env.localization.localizer import TrackBlock
-from mmwave_env.localization.track_files import require_own_table, table_beside, track_files
+from mmwave_env.localization.track_files import require_own_files, table_beside, track_files
 from mmwave_env.logs.tum import read_tum
 from mmwave_env.models.measurement import Layout
 
@@ -31,16 +31,21 @@ def some_track(epochs, seed=0):
     )  # fmt: skip
 
 
-def test_a_table_replaces_tables_alone(tmp_path):
+def test_a_track_and_its_table_replace_their_like_alone(tmp_path):
     out, table = tmp_path / "trip.tum", tmp_path / "trip.csv"
     for _ in range(2):  # the second time over the first
-        require_own_table(out)
+        require_own_files(out)
         with track_files(out, NAMES) as write:
             write(some_track(2))
     for other in (b"t,x,y,z\n0,1,2,3\n", b"\xff\xfe", b""):
         table.write_bytes(other)
         with pytest.raises(ValueError, match=r"found .*trip\.csv, which is no .*trip-track\.tum$"):
-            require_own_table(out)
+            require_own_files(out)
+    table.unlink()
+    for other in (b"# t x y z qx qy qz qw; mmwave-loc simulate\n", b"0 1 2 3 0 0 0 1\n", b""):
+        out.write_bytes(other)
+        with pytest.raises(ValueError, match=r"found .*trip\.tum, which is no .*trip-track\.tum$"):
+            require_own_files(out)
 
 
 def test_a_track_is_written_in_blocks_as_tum_and_as_a_table(tmp_path):
