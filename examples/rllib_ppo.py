@@ -26,7 +26,7 @@ config.rl_module(model_config=DefaultModelConfig(fcnet_hiddens=[64, 64], vf_shar
 config.training(gamma=0.9, lambda_=0.95, lr=1e-3, vf_clip_param=1000.0)  # returns are large
 config.training(train_batch_size=4096, minibatch_size=1024, num_epochs=8)
 ppo = config.build_algo()
-for _ in range(40):
+for _ in range(100):
     ppo.train()
 envs, module = ppo.env_runner.env.env, ppo.get_module()
 
