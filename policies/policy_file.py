@@ -30,7 +30,7 @@ from safetensors import SafetensorError, safe_open
 from safetensors.numpy import save
 
 from mmwave_env.filters.bank import Bank, bank_as_written, bank_in
-from mmwave_env.filters.mode_files import as_written, modes_from, modes_in
+from mmwave_env.filters.mode_files import SETTINGS, as_written, modes_from, modes_in
 from mmwave_env.filters.modes import Mode
 from mmwave_env.lookup import choose
 from mmwave_env.observation import BELIEFS, OBSERVATIONS, action_names
@@ -38,7 +38,6 @@ from mmwave_env.observation import BELIEFS, OBSERVATIONS, action_names
 FORMAT = 1
 _KEY = "policy"  # one only: the library writes several in any order, and files would differ
 _PER_MODE = ("beliefs", "banks")  # not written where beliefs are shared, as before there were any
-_BANK = ("modes", "transition", "nis_quantile")
 
 Tensors = dict[str, NDArray[np.float32]]
 
@@ -163,7 +162,7 @@ def _banks_in(content: Any) -> dict[str, Bank]:
         where = f"bank of radio {radio!r}"
         if not isinstance(bank, dict):
             raise ValueError(f"{where}: found {bank!r}, expected an object")
-        _require_names(where, bank, _BANK)
+        _require_names(where, bank, SETTINGS)
         try:
             found[radio] = bank_in(bank)
         except ValueError as error:

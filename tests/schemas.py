@@ -12,6 +12,8 @@ from types import NoneType
 from typing import Annotated, get_args, get_origin
 
 from mmwave_env.episodes.mobility import Mobility
+from mmwave_env.filters.bank import Bank
+from mmwave_env.filters.mode_files import NOTES
 from mmwave_env.filters.modes import ALGORITHMS, Mode
 from mmwave_env.models.radio import RADIOS, Radio
 from mmwave_env.models.scene import AnchorScene, Scene
@@ -100,10 +102,12 @@ def radio():
 
 
 def modes():
-    """Of a mode file; what else it holds, such as the command that made it, is not looked at."""
+    """Of a mode file: a bank, and notes of how it was made, which are not looked at."""
     mode = object_schema(Mode, replaced={"algorithm": {"enum": list(ALGORITHMS)}})
-    modes = {"type": "array", "items": mode, "minItems": 1, "description": "no name twice"}
-    return {"type": "object", "properties": {"modes": modes}, "required": ["modes"]}
+    modes = {"type": "array", "items": mode, "minItems": 1}
+    bank = object_schema(Bank, replaced={"modes": modes})
+    bank["properties"] |= {name: {"description": said} for name, said in NOTES.items()}
+    return bank
 
 
 def schemas():

@@ -6,16 +6,17 @@ from dataclasses import dataclass, replace
 from functools import cache
 from importlib.resources import files
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 from mmwave_env.filters.imm import ImmSettings, stay_matrix
-from mmwave_env.filters.mode_files import as_written, modes_from, modes_in
+from mmwave_env.filters.mode_files import as_written, modes_from, modes_in, read_mode_file
 from mmwave_env.filters.modes import Mode
 from mmwave_env.models.measurement import Layout
 from mmwave_env.models.radio import RADIOS, profile_of
-from mmwave_env.records import read_object
+from mmwave_env.records import Bound, Probability
 
-Transition = tuple[tuple[float, ...], ...]
+Transition = tuple[tuple[Probability, ...], ...]
+_QUANTILE = Bound("a quantile in (0, 1]", above=0.0, most=1.0)
 _ROUNDING = 1e-6  # of rows that sum to 1
 
 
@@ -24,27 +25,27 @@ class Bank:
     """Modes that keep a belief each, and how the beliefs interact.
 
     Attributes:
-        modes: two or more.
+        modes: one or more; no name twice.
         transition: (modes, modes) probabilities (from, to) over a second; None to stay with
             probability 0.95.
         nis_quantile: chi-square quantile up to which the NIS of a link counts in a likelihood; 1
             for all of it, as in the textbook.
 
     Raises:
-        ValueError: fewer modes, a quantile outside (0, 1], another shape of the transition, rows
+        ValueError: no modes, a quantile outside (0, 1], another shape of the transition, rows
             that are no probabilities, or a mode that none leads to.
     """
 
     modes: tuple[Mode, ...]
     transition: Transition | None = None
-    nis_quantile: float = 1.0
+    nis_quantile: Annotated[float, _QUANTILE] = 1.0
 
     def __post_init__(self) -> None:
         if not self.modes:
             raise ValueError("modes of a bank: found none, expected one or more")
-        if not 0.0 < self.nis_quantile <= 1.0:
+        if not _QUANTILE.holds(self.nis_quantile):
             raise ValueError(
-                f"nis_quantile: found {self.nis_quantile}, expected a quantile in (0, 1]"
+                f"nis_quantile: found {self.nis_quantile}, expected {_QUANTILE.expected}"
             )
         if self.transition is not None:
             _require_probabilities(self.transition, len(self.modes))
@@ -89,14 +90,14 @@ def bank_in(content: dict[str, Any]) -> Bank:
     transition = content.get("transition")
     if transition is not None:
         try:
-            transition = tuple(tuple(float(p) for p in row) for row in transition)
+            transition = tuple(tuple(map(_number, row)) for row in transition)
         except (TypeError, ValueError, OverflowError) as error:
             raise ValueError(
                 f"transition: found {transition!r}, expected a list of rows of probabilities"
             ) from error
     quantile = content.get("nis_quantile", 1.0)
     if isinstance(quantile, bool) or not isinstance(quantile, int | float):
-        raise ValueError(f"nis_quantile: found {quantile!r}, expected a quantile in (0, 1]")
+        raise ValueError(f"nis_quantile: found {quantile!r}, expected {_QUANTILE.expected}")
     return Bank(modes_in(content), transition, quantile)
 
 
@@ -114,6 +115,23 @@ def bank_as_written(bank: Bank) -> dict[str, Any]:
     }
 
 
+def _number(value: Any) -> float:
+    """A number of a JSON file; "1" and true are none."""
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        raise TypeError
+    return float(value)
+
+
+def read_bank(path: str | os.PathLike[str]) -> Bank:
+    """The bank of a mode file.
+
+    Raises:
+        ValueError: naming the file and what is wrong in it.
+        FileNotFoundError: there is no such file.
+    """
+    return read_mode_file(path, bank_in)
+
+
 @cache
 def best_bank(radio: str = "handset") -> Bank:
     """The bank of the strongest IMM that ``mmwave-loc tune-imm`` found for a radio profile.
@@ -123,7 +141,7 @@ def best_bank(radio: str = "handset") -> Bank:
     """
     name = profile_of(radio)
     path = f"data/banks/{name if name in RADIOS else 'standard'}.json"
-    return read_object(Path(str(files("mmwave_env").joinpath(path))), "modes", bank_in)
+    return read_bank(Path(str(files("mmwave_env").joinpath(path))))
 
 
 def bank_over(
@@ -144,7 +162,7 @@ def bank_over(
     alone = modes[0] if isinstance(modes, (list, tuple)) and len(modes) == 1 else modes
     if not isinstance(alone, (str, os.PathLike)) or not str(alone).endswith(".json"):
         return Bank(modes_from(modes, radio))
-    bank = read_object(alone, "modes", bank_in)
+    bank = read_bank(alone)
     return replace(bank, modes=modes_from(bank.modes, radio))  # which refuses a name twice
 
 

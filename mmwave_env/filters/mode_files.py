@@ -2,19 +2,28 @@
 
 import os
 import warnings
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, replace
 from functools import cache
 from importlib.resources import files
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 from mmwave_env.filters.modes import Mode, robust
 from mmwave_env.lookup import choose
 from mmwave_env.models.radio import RADIOS, profile_of
 from mmwave_env.records import object_from, read_object
 
+T = TypeVar("T")
+
 EXTENDED = "extended"  # name of the shipped bank of modes
+SETTINGS = ("modes", "transition", "nis_quantile")  # of a bank, as files hold them
+# What else a mode file may say: how it was made, which nobody looks at.
+NOTES = {
+    "about": "what the modes are for", "command": "that made the file",
+    "numbers": "how many were tuned", "seconds": "that this took on one core",
+    "held_out": "figures on episodes that were not tuned on",
+}  # fmt: skip
 
 
 def read_modes(path: str | os.PathLike[str]) -> tuple[Mode, ...]:
@@ -27,7 +36,27 @@ def read_modes(path: str | os.PathLike[str]) -> tuple[Mode, ...]:
         ValueError: naming the file and what is wrong in it.
         FileNotFoundError: there is no such file.
     """
-    return read_object(path, "modes", modes_in)
+    return read_mode_file(path, modes_in)
+
+
+def read_mode_file(path: str | os.PathLike[str], make: Callable[[dict[str, Any]], T]) -> T:
+    """What a mode file holds.
+
+    Args:
+        path: of the file.
+        make: from the file's object, which has known keys only: one misspelt would be missed.
+
+    Raises:
+        ValueError: naming the file and what is wrong in it.
+        FileNotFoundError: there is no such file.
+    """
+
+    def made(content: dict[str, Any]) -> T:
+        for key in content:
+            choose(dict.fromkeys([*SETTINGS, *NOTES]), key, "key")
+        return make(content)
+
+    return read_object(path, "modes", made)
 
 
 def modes_in(content: dict[str, Any]) -> tuple[Mode, ...]:

@@ -5,6 +5,7 @@ import json
 import pytest
 
 from mmwave_env.filters.bank import Bank, bank_as_written, bank_from, bank_in, best_bank
+from mmwave_env.filters.mode_files import read_modes
 from mmwave_env.filters.modes import Mode
 from mmwave_env.filters.update import ekf
 
@@ -24,6 +25,20 @@ def test_a_mode_file_says_how_modes_interact_by_itself_and_in_a_list(tmp_path):
     assert bank_from([path, "ekf"]).transition is None  # of three modes nothing is said
 
 
+@pytest.mark.parametrize("read", [bank_from, read_modes])
+@pytest.mark.parametrize(
+    ("misspelt", "key"), [("transitions", "transition"), ("nis_quantil", "nis_quantile")]
+)
+def test_a_misspelt_key_is_refused(tmp_path, read, misspelt, key):
+    content = bank_as_written(BANK)
+    content[misspelt] = content.pop(key)
+    path = tmp_path / "bank.json"
+    path.write_text(json.dumps(content))
+    said = f"bank.json: .*key: found '{misspelt}', expected one of modes, .*; did you mean {key}[?]"
+    with pytest.raises(ValueError, match=said):
+        read(path)
+
+
 def test_a_name_twice_in_a_file_is_refused(tmp_path):
     path = tmp_path / "twins.json"
     path.write_text(json.dumps(bank_as_written(Bank((Mode("one"), Mode("one", "ckf"))))))
@@ -31,7 +46,7 @@ def test_a_name_twice_in_a_file_is_refused(tmp_path):
         bank_from(path)
 
 
-@pytest.mark.parametrize("number", [10**400, "p", None, [1.0]])
+@pytest.mark.parametrize("number", [10**400, "p", "1", True, None, [1.0]])
 def test_a_transition_of_what_are_no_numbers_is_refused(number):
     content = bank_as_written(BANK) | {"transition": [[number, 0.1], [0.3, 0.7]]}
     with pytest.raises(ValueError, match="transition: found .*, expected a list of rows of prob"):
