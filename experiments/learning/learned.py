@@ -39,6 +39,7 @@ PAGE_RIVALS = (
 )  # fmt: skip
 SHIPPED = "as-shipped"
 GUIDED = "guided"  # the policy for all places
+RECORDED_SHARE = 20  # a recording is drawn for one in so many episodes, in the tables of transfer
 TRUSTING = (GUIDED, "guided-ppo")  # runs with beliefs per mode, judged on docs/benchmark.md
 
 
@@ -61,7 +62,7 @@ def tables(args: Args) -> Iterator[tuple[str, str, dict[str, Any]]]:
     for radio in RADIOS:
         elsewhere = TransferArgs(
             radio=radio, policies=tuple(runs_of(args, radio)), episodes=args.episodes // 4,
-            draws=args.episodes // 20, seed=args.seed,
+            draws=args.episodes // RECORDED_SHARE, seed=args.seed,
         )  # fmt: skip
         yield f"transfer, {radio}", *transfer.tried(elsewhere)
     yield ablations(args)
@@ -134,6 +135,11 @@ def ablations(args: Args) -> tuple[str, str, dict[str, Any]]:
 
 def main(args: Args) -> None:
     """Run the command."""
+    if args.episodes < RECORDED_SHARE:
+        raise ValueError(
+            f"episodes: found {args.episodes}, expected at least {RECORDED_SHARE}, of which "
+            "recordings get one"
+        )
     require_writable(args.out / "tables.md")
     page = page_to_renew(args.docs) if args.docs else ""
     if args.docs:

@@ -15,7 +15,7 @@ from experiments.learning.curves import curve, draw_curves
 from mmwave_env.episodes.simulated import SimulatedSource
 from mmwave_env.models.radio import RADIOS
 from mmwave_env.models.scene import SCENES
-from tests.cli import command, succeed
+from tests.cli import assert_one_clear_line, command, succeed
 from tests.paths import ROOT
 
 RECORDED = ROOT / "docs" / "learning"
@@ -71,6 +71,11 @@ def test_figures_say_how_to_make_them_again(tmp_path, monkeypatch):
     found = json.loads(file.read_text())
     assert found["command"] == "mmwave-loc learned --episodes 20"
     assert "numba" in found["versions"] and found["trainings"] == {"seeds": 5}
+
+
+def test_learned_refuses_too_few_episodes_at_once(tmp_path):
+    done = command("learned", "--runs", tmp_path, "--episodes", 19, "--out", tmp_path / "out")
+    assert_one_clear_line(done, "episodes: found 19, expected at least 20")
 
 
 def test_curves_are_those_of_the_journals(tmp_path):

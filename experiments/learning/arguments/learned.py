@@ -18,7 +18,7 @@ class Args(JsonArgs):
     beliefs per mode), ablation/VARIANT and those of studies, studies/TRAINING"""
     episodes: int = 2000
     """simulated episodes of the results; half of them for each study, a quarter for each place and
-    variant"""
+    variant, a twentieth for each recording; 20 or more"""
     seed: int = 0
     """seed of the first episode; test seeds start at 0"""
     out: Path = Path("results/learning")
