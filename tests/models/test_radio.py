@@ -329,6 +329,11 @@ def test_angles_of_a_radio_file_are_in_the_unit_that_their_names_say(tmp_path):
     ("content", "message"),
     [
         ({"aoa_flor_deg": 2.0}, "key: found 'aoa_flor_deg', expected one of name, gnb_elements"),
+        (
+            {"bandwidth_hz": 400e6},
+            "key: found 'bandwidth_hz', a field of a scene, expected it in a scene file, which "
+            "scene= and --scene take",
+        ),
         ({"base": "lab"}, "base: found 'lab', expected one of handset, standard, high"),
         ({"base": 3}, "base: found 3, expected one of"),
         ({"aoa_floor_deg": 2.0, "aoa_floor_rad": 0.1}, "the same angle in the other unit"),
