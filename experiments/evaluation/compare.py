@@ -54,7 +54,9 @@ def compare(
             ``planar``, ``odometry``, ``reward``.
 
     Returns:
-        The metrics of all, and their paired differences; ``print`` shows it as Markdown.
+        The metrics of all, and their paired differences: of agents of one's own from everybody
+        beside them, of those among each other as ``mmwave-loc compare`` shows them. ``print`` shows
+        it as Markdown.
 
     Raises:
         ValueError: no dict of policies, unknown scenario, radio or contender, a name twice, no
@@ -81,9 +83,12 @@ def compare(
         return replace(found, name=name)
 
     own = [contender(name, agent) for name, agent in policies.items()]
-    scores = score_contenders([*own, *beside], task.source, radio, episodes, seed, scoring=scoring)
+    others = [contender_from(name, radio) for name in beside]
+    everybody = [*own, *others]
+    scores = score_contenders(everybody, task.source, radio, episodes, seed, scoring=scoring)
+    learned = [*policies, *(one.name for one in others if one.trained)]
     return compare_scores(
-        scores, list(policies), scenario=task.source.name, radio=task.radio.name,
+        scores, learned, list(policies), scenario=task.source.name, radio=task.radio.name,
         episodes=episodes, seed=seed, reward=reward_name(scoring.reward),
     )  # fmt: skip
 

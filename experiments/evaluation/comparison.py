@@ -108,7 +108,10 @@ def rivals(scores: dict[str, Scores]) -> list[str]:
 
 
 def compare_scores(
-    scores: dict[str, Scores], learned: Sequence[str] = (), **what: Any
+    scores: dict[str, Scores],
+    learned: Sequence[str] = (),
+    own: Sequence[str] = (),
+    **what: Any,
 ) -> Comparison:
     """Intervals of every contender, and paired differences against the references.
 
@@ -117,6 +120,7 @@ def compare_scores(
     Args:
         scores: of :func:`~experiments.evaluation.runner.score_contenders`.
         learned: contenders to compare with every IMM.
+        own: contenders to compare with all that are not among them.
         what: the other attributes of :class:`Comparison`.
     """
     metrics = list(METRICS)
@@ -130,9 +134,11 @@ def compare_scores(
 
     stacked = {name: np.stack([s[m] for m in metrics], axis=1) for name, s in scores.items()}
     pairs, everyones = {}, references(scores) or list(scores)
-    for reference in dict.fromkeys([*everyones, *rivals(scores)]):
-        for name in scores if reference in everyones else learned:
-            if name != reference:
+    imms, beside = rivals(scores), [name for name in scores if own and name not in own]
+    for reference in dict.fromkeys([*everyones, *imms, *beside]):
+        asked = {*(learned if reference in imms else ()), *(own if reference in beside else ())}
+        for name in scores:
+            if name != reference and (reference in everyones or name in asked):
                 pairs[f"{name} - {reference}"] = stacked[name] - stacked[reference]
     paired = rows(pairs) if pairs else {}
     return Comparison(policies=rows(stacked), paired=paired, **what)

@@ -3,6 +3,8 @@
 import numpy as np
 import pytest
 
+from experiments.arguments.shared import EpisodeArgs
+from experiments.cli.reporting import results
 from experiments.evaluation.compare import compare
 from mmwave_env.metrics import METRICS
 from tests.training.actors import HANDSET
@@ -25,6 +27,17 @@ def test_always_the_second_mode_scores_exactly_what_fixed_ukf_does():
     assert all(o.shape == seen[0].shape and o.dtype == np.float32 for o in seen)
     assert len(seen) == 201 and len(seen[0]) == 3  # it is tried once before
     assert "| mine | -" in str(found) and "minus fixed-ukf" in str(found)
+
+
+def test_what_is_beside_is_compared_as_by_the_command():
+    def act(observations):
+        return np.ones(len(observations), int)
+
+    beside = ("guided", "imm-best", "speed-rule")
+    found = compare({"mine": act}, beside, episodes=1, episode_steps=20)
+    _, _, by_command = results(EpisodeArgs(episodes=1, episode_steps=20), beside)
+    mine = {f"mine - {other}" for other in beside}
+    assert set(found.paired) == {*by_command["paired"], *mine}
 
 
 @pytest.mark.parametrize(

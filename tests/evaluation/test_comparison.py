@@ -42,6 +42,15 @@ def test_everyone_is_compared_with_every_reference():
     assert list(compare_scores(table, **WHAT).paired) == expected
 
 
+def test_ones_own_are_compared_with_everybody_beside_them():
+    table = scores(mine=[0, 1], guided=[1, 3], imm_best=[2, 2], speed_rule=[1, 1])
+    found = compare_scores(table, ["mine", "guided"], ["mine"], **WHAT)
+    assert list(found.paired) == [
+        "mine - speed-rule", "guided - speed-rule", "imm-best - speed-rule",
+        "mine - imm-best", "guided - imm-best", "mine - guided",
+    ]  # fmt: skip
+
+
 def test_where_no_reference_is_everybody_is_compared_with_everybody():
     table = scores(mine=[0, 1], yours=[1, 3], imm_tuned=[2, 2])
     table["runs/a - b"] = table.pop("yours")
