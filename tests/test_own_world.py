@@ -7,6 +7,7 @@ import warnings
 import numpy as np
 import pytest
 
+from experiments.training.places import place_from
 from mmwave_env.episodes.trajectory import read_trajectory
 from mmwave_env.filters.mode_files import read_modes, shipped_modes
 from mmwave_env.logs.tum import read_tum
@@ -48,7 +49,7 @@ def find(what):
 
 def test_the_page_has_all_five_files():
     assert [name for name, _ in FILES] == [
-        "scooter.json", "ride.csv", "plaza.json", "phone.json", "two.json"
+        "scooter.json", "ride.csv", "market.json", "phone.json", "two.json"
     ]  # fmt: skip
 
 
@@ -67,7 +68,13 @@ def test_a_way_is_evaluated_on_and_becomes_a_log(folder):
 
 @pytest.mark.slow
 def test_a_street_is_compared_on(folder):
-    assert "### pedestrian on plaza, handset" in run(folder, find("--scene plaza.json")).stdout
+    assert "### pedestrian on market, handset" in run(folder, find("--scene market.json")).stdout
+
+
+def test_the_street_may_be_trained_on(folder):
+    streets = [name for name, text in FILES if "base_station_m" in text]
+    found = [place_from(f"{folder / name}:handset").source("mixed").scene.name for name in streets]
+    assert found == ["market"]
 
 
 def test_a_longer_way_says_which_seconds_were_written(folder):
