@@ -7,13 +7,15 @@ from mmwave_env.episodes import mobility
 from mmwave_env.episodes.samples import sample_names
 from mmwave_env.filters.mode_files import named_modes
 from mmwave_env.models.radio import RADIOS
+from mmwave_env.models.random_scene import RANDOM
 from mmwave_env.models.scene import SCENES
 from mmwave_env.reward import REWARDS
 from tests.cli import assert_one_clear_line, command, succeed
 
 NAMES = {
     "policies": contenders("handset"), "scenarios": mobility.SCENARIOS, "radios": RADIOS,
-    "scenes": SCENES, "modes": named_modes(), "samples": sample_names(), "rewards": REWARDS,
+    "scenes": [*SCENES, RANDOM], "modes": named_modes(), "samples": sample_names(),
+    "rewards": REWARDS,
 }  # fmt: skip
 
 

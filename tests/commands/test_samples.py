@@ -63,6 +63,7 @@ def test_a_sample_is_localized_with_its_scene_and_truth(tmp_path):
     for words in (given, named):
         succeed("localize", *words, *shared, "--json", tmp_path / "figures.json")
         figures.append(json.loads((tmp_path / "figures.json").read_text()))
+        assert figures[-1].pop("command").startswith("mmwave-loc localize")  # says how it was asked
     assert figures[0] == figures[1] and figures[0]["truth"]["scored"] == 120
 
 
