@@ -24,6 +24,8 @@ ACCELERATE, BRAKE = _mode("accelerate", "ukf", 0.3, 2.0), _mode("brake", "ukf", 
 PULL_AWAY, STOP = _mode("pull-away", "ukf", 0.3, 4.0), _mode("stop", "ukf", 0.2, -4.0)
 REACQUIRE = Mode("reacquire", "ukf", sigma_v=2.0, adaptive=False, gate=None, widen_p=10.0)
 DOUBTING = (replace(STAND, robust=True), replace(CRUISE, robust=True))
+LEFT, RIGHT = (replace(_mode(name, "ukf", 0.5), turn_rate_radps=rate)
+               for name, rate in (("left", 0.3), ("right", -0.3)))  # fmt: skip
 _MANEUVERS = (STAND, CRUISE, TURN, ACCELERATE, BRAKE)
 
 
@@ -49,5 +51,6 @@ DESIGNS = {
     "proportional": Design(_MANEUVERS, proportional=True),
     "doubting": Design((*DOUBTING, *_MANEUVERS[2:])),
     "reacquire": Design((*_MANEUVERS, REACQUIRE)),
+    "turn-rates": Design((*_MANEUVERS, LEFT, RIGHT)),
     "two-levels": Design((*_MANEUVERS, PULL_AWAY, STOP)),
 }

@@ -19,7 +19,10 @@ ENTER = (-20.0, 20.0)  # log probability to be entered, over that of the last mo
 ODDS = (-14.0, 8.0)  # log of a probability to change over that to stay
 # Less velocity noise earns a little more where users walk as straight as simulated ones do. One who
 # weaves a few degrees, as in the recording of a pedestrian, would leave such a filter behind.
-FREE = {"sigma_p": (0.005, 2.0), "sigma_v": (0.04, 6.0), "acceleration_mps2": (0.3, 6.0)}
+FREE = {
+    "sigma_p": (0.005, 2.0), "sigma_v": (0.04, 6.0), "acceleration_mps2": (0.3, 6.0),
+    "turn_rate_radps": (0.02, 1.0),
+}  # fmt: skip
 NINES = (1.0, 9.0)  # of the quantile up to which NIS counts: 3 stand for 0.999
 DECIMALS = 6  # of probabilities
 
@@ -64,7 +67,7 @@ class SearchSpace(NamedTuple):
 
 
 def search_space(design: Design) -> SearchSpace:
-    """All of a design that is data: transition, noise, accelerations, and which NIS counts."""
+    """All of a design that is data: transition, noise, maneuvers, and which NIS counts."""
     modes, n = design.modes, len(design.modes)
     if design.proportional:
         chances, limits = [logit(DEFAULT_STAY)] * n + [0.0] * n, [STAY] * n + [ENTER] * n

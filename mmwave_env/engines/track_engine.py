@@ -111,6 +111,7 @@ def untuned(pipeline: Pipeline) -> Pipeline:
             mode, name=str(i), sigma_p=0.0, sigma_v=0.0, sigma_pz=0.0, sigma_vz=0.0,
             sigma_b_mps=0.0, spread_gain=0.0, coupling=False,
             acceleration_mps2=float(mode.acceleration_mps2 != 0.0),
+            turn_rate_radps=float(mode.turn_rate_radps != 0.0),
         )
         for i, mode in enumerate(pipeline.modes)
     ]  # fmt: skip

@@ -28,6 +28,7 @@ class Tuning(NamedTuple):
     spread_gain: Number
     coupling: Number
     acceleration_mps2: Number
+    turn_rate_radps: Number
 
 
 @dataclass(frozen=True)
@@ -52,6 +53,8 @@ class Mode:
             white-noise acceleration); False is the paper's plain diagonal.
         acceleration_mps2: known acceleration along the predicted horizontal velocity, below zero
             to brake, to a standstill at most; m/s^2.
+        turn_rate_radps: known turn rate of the predicted horizontal velocity, above zero to the
+            left; rad/s.
         gate: chi-square quantile of the gates; None for no gates (paper, Sec. III-D).
         recovery: epochs in a row with every visible link rejected after which updates
             accept the links until one passes its gate again; None for never, as in the paper.
@@ -74,6 +77,7 @@ class Mode:
     spread_gain: NonNegative = 0.0
     coupling: bool = True
     acceleration_mps2: float = 0.0
+    turn_rate_radps: float = 0.0
     gate: Quantile | None = 0.99
     recovery: Count | None = 2
     adaptive: bool = True

@@ -23,6 +23,7 @@ from mmwave_env.models.motion import (
     accelerate,
     move,
     predict_covariance,
+    turn,
     white_noise_acceleration,
 )
 from mmwave_env.numerics.linalg import dot, pack, unpack
@@ -151,6 +152,8 @@ def predict_update(
     x_predicted = [x[i] if i in pipeline.known_axes else v for i, v in enumerate(x_predicted)]
     if mode.acceleration_mps2:
         x_predicted = accelerate(x_predicted, (tuning or mode.tuning).acceleration_mps2, epoch.dt)
+    if mode.turn_rate_radps:
+        x_predicted = turn(x_predicted, (tuning or mode.tuning).turn_rate_radps, epoch.dt)
     if mode.widen_p or mode.widen_v:
         p, v = mode.widen_p**2, mode.widen_v**2
         extra = (p, p, 0.0, v, v, 0.0, 0.0)

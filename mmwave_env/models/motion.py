@@ -4,10 +4,11 @@ from typing import NamedTuple
 
 from mmwave_env.models.measurement import STATE_SIZE
 from mmwave_env.numerics.linalg import symmetric
-from mmwave_env.numerics.numbers import Matrix, Number, Vector, maximum, sqrt
+from mmwave_env.numerics.numbers import Matrix, Number, Vector, cos_sin, maximum, sqrt, where
 
 STANDING_MPS = 0.2  # a velocity much below it has no direction to accelerate in
 _SHORTEST_S = 1e-9
+_LEAST_RAD = 1e-9  # a smaller angle is taken for this one, which no digit shows
 
 
 class ProcessNoise(NamedTuple):
@@ -63,6 +64,27 @@ def accelerate(x: Vector, acceleration: Number, dt: Number) -> list[Number]:
     change = [a * dt * (component / speed) for component in v]
     moved = [x[i] + (0.5 * dt) * change[i] for i in range(2)]
     return [*moved, x[2], *(v[i] + change[i] for i in range(2)), *x[5:]]
+
+
+def turn(x: Vector, rate: Number, dt: Number) -> list[Number]:
+    """The mean (7,) after a step with a known turn rate: along an arc, at the same speed.
+
+    The coordinated turn of Bar-Shalom et al. 2001, Sec. 4.2.2, taken as a known input: it moves the
+    mean, and leaves the covariance as constant velocity has it.
+
+    Args:
+        x: where constant velocity would lead to, (7,).
+        rate: rad/s, positive to the left.
+        dt: step, seconds.
+    """
+    turned, (vx, vy) = rate * dt, x[3:5]
+    angle = where(turned * turned < _LEAST_RAD**2, _LEAST_RAD, turned)
+    cosine, sine = cos_sin(angle)
+    ahead, aside = (sine / angle - 1.0) * dt, (1.0 - cosine) / angle * dt
+    return [
+        x[0] + ahead * vx - aside * vy, x[1] + ahead * vy + aside * vx, x[2],
+        cosine * vx - sine * vy, sine * vx + cosine * vy, *x[5:],
+    ]  # fmt: skip
 
 
 def transition_times(P: Matrix, dt: Number) -> list[list[Number]]:

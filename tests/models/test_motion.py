@@ -14,6 +14,7 @@ from mmwave_env.models.motion import (
     accelerate,
     move,
     predict_covariance,
+    turn,
     white_noise_acceleration,
 )
 from tests.filters import textbook
@@ -150,6 +151,36 @@ def test_braking_ends_at_a_standstill(heading, speed, dt):
 def test_who_stands_stays(a, dt):
     still = [3.0, 4.0, 1.5, 0.0, 0.0, 0.0, 7.0]
     assert accelerate(still, a, dt) == still
+
+
+@given(x=positions, rate=st.floats(-1.5, 1.5), dt=steps)
+def test_a_turn_is_the_coordinated_turn_of_the_textbook(x, rate, dt):
+    """The transition matrix of Bar-Shalom et al. 2001, (11.7.1-4), and straight on at rate 0."""
+    s, c = np.sin(rate * dt), np.cos(rate * dt)
+    along, across = (s / rate, (1.0 - c) / rate) if abs(rate) > 1e-4 else (dt, 0.5 * rate * dt**2)
+    F = np.eye(7)
+    F[:2, 3:5] = [[along, -across], [across, along]]
+    F[3:5, 3:5] = [[c, -s], [s, c]]
+    F[2, 5] = dt
+    straight = np.array(textbook.F(dt)) @ x
+    np.testing.assert_allclose(turn(straight.tolist(), rate, dt), F @ x, rtol=1e-9, atol=1e-5)
+    assert np.hypot(*turn(straight.tolist(), rate, dt)[3:5]) == pytest.approx(np.hypot(*x[3:5]))
+
+
+def test_a_turning_mode_follows_the_arc_and_nothing_else_changes():
+    episodes, found = simulated(3, epochs=4), []
+    for rate in (0.0, 0.4):
+        pipeline = pipeline_of(algorithms=["ekf"], turn_rate_radps=rate)
+        tracker = Tracker(pipeline, 3)
+        tracker.load(episodes)
+        found.append(tracker.run("x", "x_predicted", "P_predicted"))
+    plain, turning = found
+    np.testing.assert_allclose(plain["P_predicted"][:, 0], turning["P_predicted"][:, 0])
+    for e in range(3):
+        moved = textbook.F(1.0) @ turning["x"][e, 0]
+        np.testing.assert_allclose(
+            turning["x_predicted"][e, 1], turn(moved.tolist(), 0.4, 1.0), rtol=1e-12
+        )
 
 
 def test_a_driven_mode_predicts_the_acceleration_and_nothing_else_changes():

@@ -73,7 +73,7 @@ def test_the_search_starts_from_the_design_and_moves_all_of_its_numbers(name):
     start = space.bank_at(space.start)
     assert start.modes == design.modes and start.nis_quantile == 0.999
     np.testing.assert_allclose(start.transition, stay_matrix(n), atol=1e-5)
-    maneuvers = sum(mode.acceleration_mps2 != 0.0 for mode in design.modes)
+    maneuvers = sum(bool(mode.acceleration_mps2 or mode.turn_rate_radps) for mode in design.modes)
     chances = 2 * n if design.proportional else n * (n - 1)
     assert len(space.start) == chances + 2 * n + maneuvers + 1
     for i, deviation in enumerate(space.deviation):
@@ -96,3 +96,4 @@ def test_every_point_is_a_bank_that_a_file_can_hold(name):
         for before, after in zip(design.modes, bank.modes, strict=True):
             assert (before.name, before.update) == (after.name, after.update)
             assert np.sign(before.acceleration_mps2) == np.sign(after.acceleration_mps2)
+            assert np.sign(before.turn_rate_radps) == np.sign(after.turn_rate_radps)
