@@ -13,7 +13,7 @@ from tests.golden.write import FOLDER, MACHINE, changes, read, same_machine
 
 TRACE = "track-ekf.canyon28_vehicle.csv"
 ROLLOUTS = sorted(FOLDER.glob("rollout-*.csv"))
-SLOW = ("rollout-extended",)  # eight modes take as long to compile as half of all else
+SLOW = ("rollout-extended", "rollout-per-mode")  # many modes take long to compile
 AUTORESET = ("next-step", "same-step", "disabled")
 
 

@@ -133,6 +133,7 @@ def test_files_in_the_wrong_place_are_refused_in_a_line(folder, words, message):
     assert_one_clear_line(command("evaluate", *words.split(), cwd=folder), message)
 
 
+@pytest.mark.slow
 def test_the_python_of_the_page_runs(folder, capsys, monkeypatch):
     monkeypatch.chdir(folder)
     with warnings.catch_warnings():

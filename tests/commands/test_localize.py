@@ -119,6 +119,7 @@ def test_what_is_no_speed_is_refused(capsys, word):
     assert f"speed: found {word!r}, expected a number of m/s, at least 0" in line
 
 
+@pytest.mark.slow
 def test_without_a_terminal_the_option_is_named():
     piped = {"stdin": subprocess.DEVNULL, "stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
     process = child(options(WALK / "log.csv"), **piped)
@@ -367,6 +368,7 @@ def test_modes_may_come_from_a_file(capsys, tmp_path):
 
 
 @pytest.mark.parametrize("folder", [WALK, RIDE], ids=["walk", "ride"])
+@pytest.mark.slow
 def test_an_imm_is_smoothed_to_less_than_the_filtered_error(tmp_path, folder):
     out = tmp_path / "track.tum"
     found = figures(folder, "--imm", "imm-best", "--radio", "standard", "--out", out)

@@ -96,6 +96,7 @@ def test_the_command_writes_a_file_as_it_is_shipped(tmp_path):
         assert low <= imm["held_out_gain"]["mean"] <= high
 
 
+@pytest.mark.slow
 def test_banks_are_tuned_on_every_scene_and_written_as_they_are_shipped(tmp_path):
     page = tmp_path / "page.md"
     page.write_text("<!-- table: high -->\n<!-- end -->\n")

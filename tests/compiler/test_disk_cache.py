@@ -87,6 +87,7 @@ def edit(path, old, new):
     assert (path.stat().st_size, path.stat().st_mtime_ns) == (stat.st_size, stat.st_mtime_ns)
 
 
+@pytest.mark.slow
 def test_the_next_process_does_not_compile(package):
     assert [run(package), run(package)] == [(41, 0), (41, 1)]
 

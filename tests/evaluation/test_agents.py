@@ -163,6 +163,7 @@ def bank_file(tmp_path):
     return path
 
 
+@pytest.mark.slow
 def test_the_command_line_has_beliefs_per_mode(folder, bank_file):
     words = ("--beliefs", "per-mode", "--modes", bank_file, "--episodes", 2)
     done = command("compare", "--policies", "my_agents:second", "imm", *words, cwd=folder)

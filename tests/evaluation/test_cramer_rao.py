@@ -110,6 +110,7 @@ def test_no_filter_beats_the_averaged_bound(model, runs):
 
 @pytest.mark.parametrize("runs", RUNS)
 @pytest.mark.parametrize("name", ["ekf", "ukf"])
+@pytest.mark.slow
 def test_filters_reach_the_averaged_bound_in_an_easy_scene(name, runs):
     squared, averaged, _ = filtered("easy", runs)
     mean, error = mean_and_error(squared[name].mean(axis=0))

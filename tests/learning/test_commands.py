@@ -21,6 +21,7 @@ from tests.paths import ROOT
 RECORDED = ROOT / "docs" / "learning"
 
 
+@pytest.mark.slow
 def test_transfer_meets_the_rivals_of_each_place(tmp_path):
     file = tmp_path / "transfer.json"
     done = command("transfer", "--policies", "ppo", "--episodes", 3, "--draws", 2, "--json", file)
