@@ -8,7 +8,7 @@ from mmwave_env.numerics.numbers import Matrix, Number, Vector, cos_sin, maximum
 
 STANDING_MPS = 0.2  # a velocity much below it has no direction to accelerate in
 _SHORTEST_S = 1e-9
-_LEAST_RAD = 1e-9  # a smaller angle is taken for this one, which no digit shows
+_LEAST_RAD = 1e-9  # the arc of a smaller angle is straight to the last digit
 
 
 class ProcessNoise(NamedTuple):
@@ -69,7 +69,7 @@ def accelerate(x: Vector, acceleration: Number, dt: Number) -> list[Number]:
 def turn(x: Vector, rate: Number, dt: Number) -> list[Number]:
     """The mean (7,) after a step with a known turn rate: along an arc, at the same speed.
 
-    The coordinated turn of Bar-Shalom et al. 2001, Sec. 4.2.2, taken as a known input: it moves the
+    The coordinated turn of Bar-Shalom et al. 2001, Sec. 11.7.1, taken as a known input: it moves the
     mean, and leaves the covariance as constant velocity has it.
 
     Args:
@@ -77,10 +77,11 @@ def turn(x: Vector, rate: Number, dt: Number) -> list[Number]:
         rate: rad/s, positive to the left.
         dt: step, seconds.
     """
-    turned, (vx, vy) = rate * dt, x[3:5]
-    angle = where(turned * turned < _LEAST_RAD**2, _LEAST_RAD, turned)
-    cosine, sine = cos_sin(angle)
-    ahead, aside = (sine / angle - 1.0) * dt, (1.0 - cosine) / angle * dt
+    angle, (vx, vy) = rate * dt, x[3:5]
+    straight = angle * angle < _LEAST_RAD**2
+    divisor, (cosine, sine) = where(straight, 1.0, angle), cos_sin(angle)
+    ahead = where(straight, 0.0, (sine / divisor - 1.0) * dt)
+    aside = (1.0 - cosine) / divisor * dt
     return [
         x[0] + ahead * vx - aside * vy, x[1] + ahead * vy + aside * vx, x[2],
         cosine * vx - sine * vy, sine * vx + cosine * vy, *x[5:],

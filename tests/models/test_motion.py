@@ -155,7 +155,7 @@ def test_who_stands_stays(a, dt):
 
 @given(x=positions, rate=st.floats(-1.5, 1.5), dt=steps)
 def test_a_turn_is_the_coordinated_turn_of_the_textbook(x, rate, dt):
-    """The transition matrix of Bar-Shalom et al. 2001, (11.7.1-4), and straight on at rate 0."""
+    """The transition matrix of Bar-Shalom et al. 2001, Sec. 11.7.1, and straight on at rate 0."""
     s, c = np.sin(rate * dt), np.cos(rate * dt)
     along, across = (s / rate, (1.0 - c) / rate) if abs(rate) > 1e-4 else (dt, 0.5 * rate * dt**2)
     F = np.eye(7)
@@ -167,27 +167,15 @@ def test_a_turn_is_the_coordinated_turn_of_the_textbook(x, rate, dt):
     assert np.hypot(*turn(straight.tolist(), rate, dt)[3:5]) == pytest.approx(np.hypot(*x[3:5]))
 
 
-def test_a_turning_mode_follows_the_arc_and_nothing_else_changes():
-    episodes, found = simulated(3, epochs=4), []
-    for rate in (0.0, 0.4):
-        pipeline = pipeline_of(algorithms=["ekf"], turn_rate_radps=rate)
-        tracker = Tracker(pipeline, 3)
-        tracker.load(episodes)
-        found.append(tracker.run("x", "x_predicted", "P_predicted"))
-    plain, turning = found
-    np.testing.assert_allclose(plain["P_predicted"][:, 0], turning["P_predicted"][:, 0])
-    for e in range(3):
-        moved = textbook.F(1.0) @ turning["x"][e, 0]
-        np.testing.assert_allclose(
-            turning["x_predicted"][e, 1], turn(moved.tolist(), 0.4, 1.0), rtol=1e-12
-        )
-
-
-def test_a_driven_mode_predicts_the_acceleration_and_nothing_else_changes():
+@pytest.mark.parametrize(
+    ("field", "value", "maneuver"),
+    [("acceleration_mps2", 1.5, accelerate), ("turn_rate_radps", 0.4, turn)],
+)
+def test_a_driven_mode_predicts_its_maneuver_and_nothing_else_changes(field, value, maneuver):
     """On lanes, on floats and on filterpy: one step of a mode with and without it."""
     episodes, found = simulated(3, epochs=4), []
-    for a in (0.0, 1.5):
-        pipeline = pipeline_of(algorithms=["ekf"], acceleration_mps2=a)
+    for driven_by in (0.0, value):
+        pipeline = pipeline_of(algorithms=["ekf"], **{field: driven_by})
         tracker = Tracker(pipeline, 3)
         tracker.load(episodes)
         found.append(tracker.run("x", "x_predicted", "P_predicted"))
@@ -197,5 +185,5 @@ def test_a_driven_mode_predicts_the_acceleration_and_nothing_else_changes():
     for e in range(3):
         moved = textbook.F(1.0) @ driven["x"][e, 0]
         np.testing.assert_allclose(
-            driven["x_predicted"][e, 1], accelerate(moved.tolist(), 1.5, 1.0), rtol=1e-12
+            driven["x_predicted"][e, 1], maneuver(moved.tolist(), value, 1.0), rtol=1e-12
         )
