@@ -69,8 +69,8 @@ def accelerate(x: Vector, acceleration: Number, dt: Number) -> list[Number]:
 def turn(x: Vector, rate: Number, dt: Number) -> list[Number]:
     """The mean (7,) after a step with a known turn rate: along an arc, at the same speed.
 
-    The coordinated turn of Bar-Shalom et al. 2001, Sec. 11.7.1, taken as a known input: it moves the
-    mean, and leaves the covariance as constant velocity has it.
+    The coordinated turn of Bar-Shalom et al. 2001, Sec. 11.7.1, taken as a known input: it moves
+    the mean, and leaves the covariance as constant velocity has it.
 
     Args:
         x: where constant velocity would lead to, (7,).
