@@ -11,6 +11,7 @@ from stable_baselines3.common.torch_layers import MlpExtractor
 from torch import Tensor, nn, no_grad
 
 from experiments.training.actor import Normalization, actor_tensors
+from experiments.training.fast_ppo import FastPPO
 from experiments.training.hyperparameters import Hyperparameters, falling
 from experiments.training.training_env import TrainingEnv
 from policies.policy_file import Tensors
@@ -67,13 +68,18 @@ class _Policy(ActorCriticPolicy):
         self.mlp_extractor = cast(MlpExtractor, views)  # which has the same methods
 
 
-def learner(world: TrainingEnv, recipe: Hyperparameters, seed: int) -> OnPolicyAlgorithm:
+def learner(
+    world: TrainingEnv, recipe: Hyperparameters, seed: int, fast: bool = True
+) -> OnPolicyAlgorithm:
     """The algorithm of a recipe, ready to learn in a world.
+
+    A network with a memory learns by Stable-Baselines3's own loop, any other by ours.
 
     Args:
         world: to learn in; it is seeded, too.
         recipe: hyperparameters.
         seed: of everything that is drawn.
+        fast: False for Stable-Baselines3's own loop in any case.
     """
     what: dict[str, Any] = {
         "n_steps": recipe.n_steps, "batch_size": recipe.batch_size, "n_epochs": recipe.n_epochs,
@@ -92,7 +98,12 @@ def learner(world: TrainingEnv, recipe: Hyperparameters, seed: int) -> OnPolicyA
         )
     else:
         views = {"actor": world.features * recipe.frames, "hidden": recipe.hidden}
-        model = PPO(_Policy, world.venv, policy_kwargs=views, **what)
+        shape = {**views, "optimizer_kwargs": {"eps": 1e-5, "fused": fast}}  # eps is its default
+        model = (
+            FastPPO(_Policy, world.venv, world=world, policy_kwargs=shape, **what)
+            if fast
+            else PPO(_Policy, world.venv, policy_kwargs=shape, **what)
+        )
     with no_grad():
         cast(nn.Linear, model.policy.action_net).bias[0] += recipe.first_action_bias
     return model

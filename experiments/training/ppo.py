@@ -106,7 +106,7 @@ class PpoTraining(BaseCallback):
         return True
 
     def _on_rollout_end(self) -> None:
-        for key in LOGGED if self._ended else ():
+        for key in (key for key in LOGGED if self._ended and key in self._ended[0]):
             mean = float(np.mean([info[key] for info in self._ended]))
             self.logger.record_mean(f"rollout/{key}", mean)
         self._ended.clear()

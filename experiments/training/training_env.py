@@ -44,13 +44,13 @@ class PrivilegedObservation(VecEnvWrapper):
         observations, rewards, over, infos = self.venv.step_wait()
         for i in np.flatnonzero(over):
             end = infos[i]
-            truth = _wrong(end["estimate"][None], end["truth"][None])[0]
+            truth = how_wrong(end["estimate"][None], end["truth"][None])[0]
             end["terminal_observation"] = np.append(end["terminal_observation"], truth)
         return self._extended(_one_array(observations)), rewards, over, infos
 
     def _extended(self, observations: Array) -> Array:
         at, read = self._batch.at, self._batch.read
-        return np.concatenate([observations, _wrong(read(at.x), read(at.truth))], axis=1)
+        return np.concatenate([observations, how_wrong(read(at.x), read(at.truth))], axis=1)
 
 
 def _one_array(observations: object) -> Array:
@@ -58,7 +58,7 @@ def _one_array(observations: object) -> Array:
     return cast(Array, observations)
 
 
-def _wrong(estimate: Array, truth: Array) -> NDArray[np.float32]:
+def how_wrong(estimate: Array, truth: Array) -> NDArray[np.float32]:
     """What `PrivilegedObservation` adds (n, 7).
 
     Args:
@@ -88,6 +88,9 @@ class TrainingEnv:
         envs: the native environments, of a place each.
         observation: their table of features.
         features: of an observation, without the truth.
+        truth: numbers of the truth that follow them for the critic.
+        adapters: each place for Stable-Baselines3.
+        normal: normalizes the observations.
         venv: what the algorithm steps: the environments of all places, in their order.
 
     Raises:
@@ -108,8 +111,9 @@ class TrainingEnv:
         ]  # fmt: skip
         self.observation = self.envs[0].observation
         self.features = len(self.observation)
-        self._adapters = [SB3VecEnv(env) for env in self.envs]
-        parts: list[VecEnv] = [*self._adapters]
+        self.truth = TRUTH if recipe.truth_critic else 0
+        self.adapters = [SB3VecEnv(env) for env in self.envs]
+        parts: list[VecEnv] = [*self.adapters]
         if recipe.truth_critic:
             parts = [PrivilegedObservation(*of) for of in zip(parts, self.envs, strict=True)]
         venv = parts[0] if len(parts) == 1 else PlacesVecEnv(parts, self._ahead())
@@ -129,10 +133,18 @@ class TrainingEnv:
         """Mean and variance of the observations so far."""
         return cast(RunningMeanStd, self.normal.obs_rms)  # a dict of them for dict observations
 
+    def hand_back(self, observations: Array) -> None:
+        """Go on after epochs that ``venv`` did not see; the latest observations as it tells them.
+
+        Of each of :attr:`adapters` its own ``restore`` is to be called.
+        """
+        if self._stack is not None:
+            self._stack.stacked_obs.stacked_obs[:] = observations
+
     def state(self) -> dict[str, Any]:
         """All that what comes next depends on, for :meth:`restore`."""
         seen = self.seen
-        places = zip(self.envs, self._adapters, strict=True)
+        places = zip(self.envs, self.adapters, strict=True)
         return {
             "places": {
                 str(i): {"env": env.state(), "returns": adapter.state()}
@@ -144,7 +156,7 @@ class TrainingEnv:
 
     def restore(self, state: dict[str, Any]) -> None:
         """Go on, to the last bit, as the world that gave this :meth:`state`."""
-        for i, (env, adapter) in enumerate(zip(self.envs, self._adapters, strict=True)):
+        for i, (env, adapter) in enumerate(zip(self.envs, self.adapters, strict=True)):
             place = state["places"][str(i)]
             env.restore(place["env"])
             adapter.restore(place["returns"])

@@ -132,7 +132,7 @@ def test_a_critic_sees_the_truth_at_ends_too():
 
 def test_a_critic_sees_a_user_at_rest():
     truth = np.array([[1.0, 2.0, 3.0, 0.0, 0.0, 0.0]])
-    found = worlds._wrong(truth + 1.0, truth)
+    found = worlds.how_wrong(truth + 1.0, truth)
     np.testing.assert_array_equal(found, [[1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 0.0]])
 
 
