@@ -23,7 +23,7 @@ from experiments.training.training_env import TrainingEnv
 from mmwave_env.numerics.arrays import Index
 
 
-class _Networks(NamedTuple):
+class Networks(NamedTuple):
     """The networks of a policy, on the memory of its parameters."""
 
     actor: TanhNetwork
@@ -38,6 +38,11 @@ class FastPPO(PPO):
     Args:
         policy, env, **arguments: as of PPO.
         world: whose ``venv`` the environment is.
+
+    Attributes:
+        networks: actor and critic on arrays.
+        steps: steps the environments.
+        normalization: of what they show.
     """
 
     def __init__(self, policy: Any, env: VecEnv, *, world: TrainingEnv, **arguments: Any) -> None:
@@ -51,13 +56,13 @@ class FastPPO(PPO):
         actor = TanhNetwork(extractor.policy_net, policy.action_net, gradients)
         critic = TanhNetwork(extractor.value_net, policy.value_net, gradients)
         loss = PpoLoss(actor, critic, gradients, self.batch_size)
-        self._networks = _Networks(actor, critic, gradients, loss)
-        self._steps = NativeSteps(self._world)
-        self._normalized = RunningNormalization(self._world.normal, self.n_envs)
+        self.networks = Networks(actor, critic, gradients, loss)
+        self.steps = NativeSteps(self._world)
+        self.normalization = RunningNormalization(self._world.normal, self.n_envs)
 
     def _excluded_save_params(self) -> list[str]:
         """What a model's file leaves out: all that is made anew from the rest."""
-        ours = ["_world", "_networks", "_steps", "_normalized"]
+        ours = ["_world", "networks", "steps", "normalization"]
         return [*super()._excluded_save_params(), *ours]
 
     # --- the rollout
@@ -67,15 +72,16 @@ class FastPPO(PPO):
         n_rollout_steps: int,
     ) -> bool:  # fmt: skip
         """Fill the rollout with what the policy does; whether to go on."""
-        rollout, steps = rollout_buffer, self._steps
+        rollout, steps = rollout_buffer, self.steps
         assert isinstance(rollout, Rollout)
         rollout.reset()
         callback.on_rollout_start()
         steps.take_over()
-        rollout.seen[0], rollout.episode_starts[0] = self._last_obs, self._last_episode_starts
+        latest: Any = self._last_obs  # an array, as the space is a box
+        rollout.seen[0], rollout.episode_starts[0] = latest, self._last_episode_starts
         cut: list[tuple[int, Index, Rows]] = []  # epoch, environments and what they saw last
         for t in range(n_rollout_steps):
-            actions = self._drawn(rollout.seen[t], rollout.logits[t])
+            actions = self.draw(rollout.seen[t], rollout.logits[t])
             ends = steps.step(actions)
             self.num_timesteps += self.n_envs
             callback.update_locals({"infos": ends.infos if ends else []})
@@ -88,21 +94,22 @@ class FastPPO(PPO):
                 cut.append((t, *self._cut(rollout.seen[t], ends)))
             if t + 1 < n_rollout_steps:
                 rollout.episode_starts[t + 1] = steps.over
-        self._judge(rollout, cut)
-        self._last_obs, self._last_episode_starts = rollout.seen[-1].copy(), steps.over.copy()
+        self.judge(rollout, cut)
+        latest = rollout.seen[-1].copy()
+        self._last_obs, self._last_episode_starts = latest, steps.over.copy()
         steps.hand_back()
-        self._world.hand_back(self._last_obs)
+        self._world.hand_back(latest)
         callback.on_rollout_end()
         return True
 
-    def _drawn(self, seen: Rows, logits: Rows) -> Index:
+    def draw(self, seen: Rows, logits: Rows) -> Index:
         """Actions (n,), drawn as PyTorch's ``multinomial`` does: the first of exponential clocks.
 
         Args:
             seen: (n, features).
             logits: (actions, n), written.
         """
-        logits[:] = self._networks.actor.all(seen)
+        logits[:] = self.networks.actor.all(seen)
         clocks = torch.empty(logits.shape[::-1]).exponential_().numpy().T
         chances = np.exp(logits - logits.max(axis=0))
         actions: Index = (chances / clocks).argmax(axis=0)
@@ -110,28 +117,28 @@ class FastPPO(PPO):
 
     def _look_around(self, rollout: Rollout, t: int) -> None:
         """Write what is seen after an epoch."""
-        observations, out = self._steps.observations, rollout.seen[t + 1]
-        self._normalized.update(observations)
+        observations, out = self.steps.observations, rollout.seen[t + 1]
+        self.normalization.update(observations)
         features = observations.shape[1]
         if features == out.shape[1]:
-            self._normalized(observations, out)
+            self.normalization.write(observations, out)
             return
         now = np.empty_like(observations)
-        self._normalized(observations, now)
-        stack(rollout.seen[t], now, self._steps.over, out)
+        self.normalization.write(observations, now)
+        stack(rollout.seen[t], now, self.steps.over, out)
 
     def _cut(self, before: Rows, ends: Ends) -> tuple[Index, Rows]:
         """Where episodes were cut off, and what the critic sees of their ends."""
         where, last = ends.where[ends.truncated], ends.observations[ends.truncated]
         seen = np.zeros((len(where), before.shape[1]), np.float32)
         now = np.empty_like(last)
-        self._normalized(last, now)
+        self.normalization.write(last, now)
         stack(before[where], now, np.zeros(len(where), np.bool_), seen)
         return where, seen
 
-    def _judge(self, rollout: Rollout, cut: list[tuple[int, Index, Rows]]) -> None:
+    def judge(self, rollout: Rollout, cut: list[tuple[int, Index, Rows]]) -> None:
         """Values, log-probabilities, advantages and returns of a rollout."""
-        critic, shape = self._networks.critic, rollout.rewards.shape
+        critic, shape = self.networks.critic, rollout.rewards.shape
         for t, where, seen in cut:
             rollout.rewards[t, where] += np.float32(self.gamma) * critic.all(seen)[0]
         values = critic.all(rollout.seen.reshape(-1, rollout.seen.shape[2]))[0]
@@ -140,7 +147,7 @@ class FastPPO(PPO):
         actions = rollout.actions.reshape(1, *shape).astype(np.int64)
         rollout.log_probs[:] = np.take_along_axis(log_p, actions, axis=0)[0]
         last = torch.from_numpy(values[-self.n_envs :])
-        rollout.compute_returns_and_advantage(last, self._steps.over)
+        rollout.compute_returns_and_advantage(last, self.steps.over)
         rollout.pos, rollout.full = rollout.buffer_size, True
 
     # --- the update
@@ -153,7 +160,7 @@ class FastPPO(PPO):
         clip = self.clip_range(self._current_progress_remaining)
         weights = Weights(clip, self.ent_coef, self.vf_coef)
         taken, losses, latest = _taken(self.rollout_buffer), list[Loss](), 0
-        self._networks.gradients.hand_over()
+        self.networks.gradients.hand_over()
         for _ in range(self.n_epochs):
             latest = len(losses)
             near = self._pass(self.rollout_buffer, taken, weights, losses)
@@ -164,11 +171,11 @@ class FastPPO(PPO):
 
     def _pass(self, rollout: Rollout, taken: Taken, weights: Weights, losses: list[Loss]) -> bool:
         """A gradient step for each batch; whether the policy is still near the one that acted."""
-        gradients, size = self._networks.gradients, len(taken.actions)
+        gradients, size = self.networks.gradients, len(taken.actions)
         order = rollout.time_major(np.random.permutation(size))  # noqa: NPY002  as its buffer
         for first in range(0, size, self.batch_size):
             batch = taken.rows(order[first : first + self.batch_size])
-            losses.append(self._networks.loss(batch, weights))
+            losses.append(self.networks.loss(batch, weights))
             if self.target_kl is not None and losses[-1].approx_kl > 1.5 * self.target_kl:
                 return False
             gradients.shorten(self.max_grad_norm)

@@ -6,7 +6,7 @@
 with the entropy H of the policy p, normalized advantages A and returns R.
 """
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,9 +30,10 @@ class Taken(NamedTuple):
     advantages: Rows
     returns: Rows
 
-    def rows(self, where: NDArray[np.int64]) -> "Taken":
-        """Some of them."""
-        return Taken(*(part.take(where, axis=0) for part in self))
+    def rows(self, where: NDArray[np.int64] | slice) -> "Taken":
+        """Some of them; a slice copies none."""
+        some: list[Any] = [part[where] for part in self]
+        return Taken(*some)
 
 
 class Weights(NamedTuple):
@@ -88,7 +89,7 @@ class PpoLoss:
         self._gradients.flat[:] = 0.0
         for first in range(0, size, ROWS):
             here = slice(first, min(first + ROWS, size))
-            self._add(Taken(*(part[here] for part in taken)), here, size, weights)
+            self._add(taken.rows(here), here, size, weights)
         log_ratio = self._log_ratio[:size]
         policy = -float(self._gain[:size].mean())
         error, entropy = self._error[:size], float(self._entropy[:size].mean())
@@ -107,10 +108,8 @@ class PpoLoss:
         self._critic.backward(block.observations, slopes[None])
 
         log_p, p = log_softmax(self._actor.forward(block.observations))
-        columns = self._columns[: len(block.actions)]
-        log_ratio = np.subtract(
-            log_p[block.actions, columns], block.log_probs, out=self._log_ratio[here]
-        )
+        taken = block.actions * len(block.actions) + self._columns[: len(block.actions)]
+        log_ratio = np.subtract(log_p.take(taken), block.log_probs, out=self._log_ratio[here])
         ratio = np.exp(log_ratio)
         low, high = np.float32(1.0 - weights.clip), np.float32(1.0 + weights.clip)
         gain = block.advantages * ratio
@@ -125,7 +124,7 @@ class PpoLoss:
         slopes = (log_p + entropy) * np.float32(weights.entropy / size)
         slopes -= by_action
         slopes *= p
-        slopes[block.actions, columns] += by_action
+        slopes.reshape(-1)[taken] += by_action
         self._actor.backward(block.observations, slopes)
 
 

@@ -65,7 +65,7 @@ class RunningNormalization:
         second = (self._weights @ deviations).astype(np.float64)
         seen.update_from_moments(origin + first, second - first * first, len(observations))
 
-    def __call__(self, observations: Rows, out: Rows) -> None:
+    def write(self, observations: Rows, out: Rows) -> None:
         """Normalize observations (k, features) into ``out``, of the same shape."""
         normal, seen = self._normal, cast(RunningMeanStd, self._normal.obs_rms)
         scale = (1.0 / np.sqrt(seen.var + normal.epsilon)).astype(np.float32)

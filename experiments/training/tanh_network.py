@@ -4,7 +4,7 @@ The networks of a switcher are so small that most of PyTorch's time goes to what
 their products. Here a block of rows goes forth and back while it is in the cache.
 """
 
-from typing import NamedTuple
+from typing import NamedTuple, cast
 
 import numpy as np
 import torch
@@ -13,7 +13,7 @@ from torch import nn
 
 Rows = NDArray[np.float32]
 
-ROWS = 512  # that are worked on at once: their activations fit in the second-level cache
+ROWS = 1024  # that are worked on at once: their activations stay in the second-level cache
 
 
 class _Layer(NamedTuple):
@@ -27,7 +27,9 @@ class _Layer(NamedTuple):
 
 
 class Gradients:
-    """The gradients of some parameters, side by side in memory.
+    """The gradients of some parameters, side by side in memory, and room to compute them.
+
+    Networks run by turns, so they have one room for all: it stays in the cache.
 
     Args:
         parameters: get these gradients by :meth:`hand_over`.
@@ -37,11 +39,11 @@ class Gradients:
     """
 
     def __init__(self, parameters: list[nn.Parameter]) -> None:
-        self._parameters = parameters
+        self._rooms: dict[tuple[str, int, int], Rows] = {}
         self.flat = np.zeros(sum(one.numel() for one in parameters), np.float32)
         ends = np.cumsum([one.numel() for one in parameters]).tolist()
         self._views = {
-            one: self.flat[end - one.numel() : end].reshape(one.shape)
+            cast(torch.Tensor, one): self.flat[end - one.numel() : end].reshape(one.shape)
             for one, end in zip(parameters, ends, strict=True)
         }
 
@@ -52,6 +54,10 @@ class Gradients:
             weight.detach().numpy(), bias.detach().numpy(),
             self._views[weight], self._views[bias], np.zeros(weight.shape, np.float32),
         )  # fmt: skip
+
+    def room(self, way: str, depth: int, width: int) -> Rows:
+        """Memory (ROWS, width) for a way through the layers at a depth."""
+        return self._rooms.setdefault((way, depth, width), np.zeros((ROWS, width), np.float32))
 
     def hand_over(self) -> None:
         """Let the parameters have them as their ``grad``, which an optimizer reads."""
@@ -76,12 +82,12 @@ class TanhNetwork:
 
     def __init__(self, hidden: nn.Module, head: nn.Linear, gradients: Gradients) -> None:
         linear = [layer for layer in hidden.children() if isinstance(layer, nn.Linear)]
+        widths = [layer.out_features for layer in linear]
         self._layers = [gradients.of(layer) for layer in linear]
         self._head = gradients.of(head)
         self._inputs = linear[0].in_features
-        self._activations = [_room(layer.out_features) for layer in linear]
-        self._slopes = [_room(layer.out_features) for layer in linear]
-        self._squares = [_room(layer.out_features) for layer in linear]
+        self._activations = [gradients.room("forth", i, width) for i, width in enumerate(widths)]
+        self._slopes = [gradients.room("back", i, width) for i, width in enumerate(widths)]
         self._outputs = np.zeros((head.out_features, ROWS), np.float32)
         self._ones = np.ones(ROWS, np.float32)
 
@@ -102,6 +108,8 @@ class TanhNetwork:
     def backward(self, rows: Rows, slopes: Rows) -> None:
         """Add to the gradients what some rows contribute, the latest of :meth:`forward`.
 
+        No other network with these gradients may have run in between.
+
         Args:
             rows: (k, more or all inputs).
             slopes: (outputs, k) of what is minimized, by what came out.
@@ -113,10 +121,10 @@ class TanhNetwork:
         head.bias_gradient[...] += slopes @ ones
         back = np.matmul(slopes.T, head.weight, out=self._slopes[-1][:k])
         for i in reversed(range(len(self._layers))):
-            layer, after, square = self._layers[i], before[i + 1], self._squares[i][:k]
-            np.multiply(after, after, out=square)
-            square *= back
-            back -= square  # times 1 - tanh^2
+            layer, after = self._layers[i], before[i + 1]
+            after *= after  # nobody needs it any more
+            after *= back
+            back -= after  # times 1 - tanh^2
             layer.weight_gradient[...] += np.matmul(back.T, before[i], out=layer.part)
             layer.bias_gradient[...] += ones @ back
             if i:
@@ -128,7 +136,3 @@ class TanhNetwork:
         for first in range(0, len(rows), ROWS):
             found[:, first : first + ROWS] = self.forward(rows[first : first + ROWS])
         return found
-
-
-def _room(width: int) -> Rows:
-    return np.zeros((ROWS, width), np.float32)
