@@ -174,8 +174,8 @@ class FastPPO(PPO):
         gradients, size = self.networks.gradients, len(taken.actions)
         order = rollout.time_major(np.random.permutation(size))  # noqa: NPY002  as its buffer
         for first in range(0, size, self.batch_size):
-            batch = taken.rows(order[first : first + self.batch_size])
-            losses.append(self.networks.loss(batch, weights))
+            batch = order[first : first + self.batch_size]
+            losses.append(self.networks.loss(taken, batch, weights))
             if self.target_kl is not None and losses[-1].approx_kl > 1.5 * self.target_kl:
                 return False
             gradients.shorten(self.max_grad_norm)

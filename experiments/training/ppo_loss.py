@@ -6,12 +6,12 @@
 with the entropy H of the policy p, normalized advantages A and returns R.
 """
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from experiments.training.tanh_network import ROWS, Gradients, Rows, TanhNetwork
+from mmwave_env.numerics.arrays import Index
 
 
 class Taken(NamedTuple):
@@ -25,15 +25,19 @@ class Taken(NamedTuple):
     """
 
     observations: Rows
-    actions: NDArray[np.int64]
+    actions: Index
     log_probs: Rows
     advantages: Rows
     returns: Rows
 
-    def rows(self, where: NDArray[np.int64] | slice) -> "Taken":
-        """Some of them; a slice copies none."""
-        some: list[Any] = [part[where] for part in self]
-        return Taken(*some)
+    def rows(self, where: Index, room: Rows) -> "Taken":
+        """Some of them (k,); their observations are written into ``room`` (k or more, features)."""
+        # "clip" spares a buffer: no index is beyond the end
+        seen = np.take(self.observations, where, axis=0, out=room[: len(where)], mode="clip")
+        return Taken(
+            seen, self.actions.take(where), self.log_probs.take(where),
+            self.advantages.take(where), self.returns.take(where),
+        )  # fmt: skip
 
 
 class Weights(NamedTuple):
@@ -79,17 +83,18 @@ class PpoLoss:
         self._clipped = np.zeros(size, np.bool_)
         self._columns = np.arange(ROWS)
 
-    def __call__(self, taken: Taken, weights: Weights) -> Loss:
-        """The loss over a batch; the gradients are set to its own."""
-        size, advantages = len(taken.actions), taken.advantages
+    def __call__(self, taken: Taken, batch: Index, weights: Weights) -> Loss:
+        """The loss over a batch, rows (k,) of what was taken; the gradients are set to its own."""
+        size, advantages = len(batch), taken.advantages.take(batch)
         if size > 1:
-            deviation = advantages.std(ddof=1, dtype=np.float32)
+            deviation = advantages.std(ddof=1)
             advantages = (advantages - advantages.mean()) / (deviation + np.float32(1e-8))
-        taken = taken._replace(advantages=advantages)
         self._gradients.flat[:] = 0.0
+        room = self._gradients.room("seen", 0, taken.observations.shape[1])
         for first in range(0, size, ROWS):
             here = slice(first, min(first + ROWS, size))
-            self._add(taken.rows(here), here, size, weights)
+            block = taken.rows(batch[here], room)._replace(advantages=advantages[here])
+            self._add(block, here, size, weights)
         log_ratio = self._log_ratio[:size]
         policy = -float(self._gain[:size].mean())
         error, entropy = self._error[:size], float(self._entropy[:size].mean())
