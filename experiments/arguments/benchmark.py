@@ -11,6 +11,7 @@ class Args(JsonArgs):
     """Measure steps per second, the same work side by side.
 
     mmwave-loc benchmark --sizes 1 64 1024 --repeats 3
+    mmwave-loc benchmark --training
     """
 
     sizes: tuple[int, ...] = (1, 8, 64, 1024, 16384)
@@ -19,6 +20,8 @@ class Args(JsonArgs):
     """time per measurement, at least; whole episodes are measured"""
     repeats: int = 5
     """rounds, in which every workload has its turn; medians and ranges are printed"""
+    training: bool = False
+    """measure how fast PPO trains instead, beside Stable-Baselines3's own loop"""
     plot: Path | None = None
     """draw rates and limits (PNG)"""
     docs: Path | None = None

@@ -2,6 +2,7 @@
 
 import time
 from collections.abc import Iterator
+from math import lcm
 from typing import Any
 
 import torch
@@ -22,7 +23,8 @@ from mmwave_env.reward import TrackingReward
 
 PARTS = ("environment", "normalization", "actor and critic", "update", "other")
 ENVIRONMENT, NORMALIZATION, NETWORKS, UPDATE, OTHER = PARTS
-LOOPS = {"ours": True, "stable-baselines3": False}  # whether it is the fast one
+LOOPS = {"ours": True, "Stable-Baselines3's own": False}  # whether it is the fast one
+EPISODE = 200  # epochs of an episode
 Rounds = dict[str, list[float]]
 
 
@@ -72,17 +74,17 @@ class TrainingSpeed:
 
     Attributes:
         steps_per_s: by loop.
-        us: of a step, by loop and part: "ours update".
+        us: microseconds of a step, by loop and part.
     """
 
     def __init__(self) -> None:
         self.steps_per_s: Rounds = {loop: [] for loop in LOOPS}
-        self.us: Rounds = {f"{loop} {part}": [] for loop in LOOPS for part in PARTS}
+        self.us: dict[str, Rounds] = {loop: {part: [] for part in PARTS} for loop in LOOPS}
 
     def run(self, seconds: float, repeats: int) -> Iterator[float]:
         """Measure, and tell the share done after every piece.
 
-        In every round each loop has its turn, of whole updates, for at least that many seconds. A
+        In every round each loop has its turn, of whole episodes, for at least that many seconds. A
         turn of each before does not count: it compiles.
         """
         torch.set_num_threads(1)
@@ -94,14 +96,15 @@ class TrainingSpeed:
                 if counts:
                     self.steps_per_s[loop].append(steps / sum(watch.seconds.values()))
                     for part, spent in watch.seconds.items():
-                        self.us[f"{loop} {part}"].append(1e6 * spent / steps)
+                        self.us[loop][part].append(1e6 * spent / steps)
                 done += 1
                 yield done / pieces
 
-    def ratios(self) -> list[float]:
-        """Our steps per second over Stable-Baselines3's, round by round."""
+    def json(self) -> dict[str, Any]:
+        """Every round of every figure."""
         ours, theirs = self.steps_per_s.values()
-        return [a / b for a, b in zip(ours, theirs, strict=True)]
+        ratios = [a / b for a, b in zip(ours, theirs, strict=True)]
+        return {"ratios": ratios, "steps_per_s": self.steps_per_s, "us_per_step": self.us}
 
 
 def _begun(fast: bool) -> tuple[OnPolicyAlgorithm, Stopwatch]:
@@ -132,12 +135,16 @@ def _begun(fast: bool) -> tuple[OnPolicyAlgorithm, Stopwatch]:
 
 
 def _turn(model: OnPolicyAlgorithm, watch: Stopwatch, seconds: float) -> int:
-    """Train for at least that many seconds; how many steps that were."""
-    before, size = model.num_timesteps, model.n_steps * model.n_envs
+    """Train for at least that many seconds, until episodes end; how many steps that were."""
+    begun = model.num_timesteps
+    epochs = lcm(model.n_steps, EPISODE)  # then an episode ends with an update
     watch.start()
     while True:
         # Its own type knows no None for the interval, its code does.
-        model.learn(size, log_interval=None, reset_num_timesteps=not model.num_timesteps)  # type: ignore[arg-type]
+        model.learn(
+            epochs * model.n_envs, log_interval=None,  # type: ignore[arg-type]
+            reset_num_timesteps=not model.num_timesteps,
+        )  # fmt: skip
         watch.stop()
         if sum(watch.seconds.values()) >= seconds:
-            return model.num_timesteps - before
+            return model.num_timesteps - begun

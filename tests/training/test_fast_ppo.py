@@ -1,6 +1,9 @@
 """PPO on arrays: the rollouts and updates of Stable-Baselines3's own loop."""
 
+import csv
+import io
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
@@ -13,11 +16,15 @@ from stable_baselines3 import PPO
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.logger import Logger
 
+from experiments.training import ppo
 from experiments.training.fast_ppo import FastPPO
+from experiments.training.hyperparameters import read_hyperparameters, shipped_hyperparameters
+from experiments.training.job import Job
 from experiments.training.network import learner
 from experiments.training.places import places_from
 from experiments.training.training_env import TrainingEnv
 from mmwave_env.filters.bank import Bank
+from mmwave_env.filters.mode_files import default_modes
 from tests.training.actors import MODES
 from tests.training.test_train import RECIPE, TASK
 
@@ -187,3 +194,25 @@ def test_a_saved_model_is_one_of_stable_baselines3(tmp_path):
     )
     state = found.policy.optimizer.state_dict()["state"]
     assert len(state) == len(list(found.policy.parameters()))
+
+
+@pytest.mark.slow
+def test_short_trainings_end_where_those_of_stable_baselines3_do(tmp_path, monkeypatch):
+    """The mean tuning reward over seeds lies in the 95 % interval of Stable-Baselines3's loop."""
+    recipe = read_hyperparameters(shipped_hyperparameters("ppo"), "ppo")
+    task = replace(TASK, banks={"handset": Bank(default_modes("handset"))})
+    rewards = {}
+    for loop, fast in (("ours", True), ("theirs", False)):
+        monkeypatch.setattr(ppo, "learner", partial(learner, fast=fast))
+        rewards[loop] = []
+        for seed in range(4):
+            folder = tmp_path / f"{loop}-{seed}"
+            job = Job(task, recipe, "ppo", seed, 12 * 256 * 64, folder, "mmwave-loc train", 100)
+            ppo.PpoTraining(job, lambda *_: None).run()
+            *_, last = csv.DictReader(io.StringIO((folder / "progress.csv").read_text()))
+            rewards[loop].append(float(last["tuning/reward"]))
+    theirs = np.array(rewards["theirs"])
+    half = 3.182 * theirs.std(ddof=1) / 2.0  # Student's t of three degrees of freedom
+    assert abs(np.mean(rewards["ours"]) - theirs.mean()) < half, rewards
+    print(rewards)
+    assert half < 0.05  # or it would say little: untrained, they are ten times as far apart
