@@ -11,7 +11,6 @@ class Args(JsonArgs):
     """Measure steps per second, the same work side by side.
 
     mmwave-loc benchmark --sizes 1 64 1024 --repeats 3
-    mmwave-loc benchmark --training
     """
 
     sizes: tuple[int, ...] = (1, 8, 64, 1024, 16384)
