@@ -1,8 +1,9 @@
 """PPO of Stable-Baselines3 whose loops run on arrays: the same training in less time.
 
-What is learned from an epoch takes 20 operations of PyTorch and a dictionary for every environment
-in Stable-Baselines3. Here environments write into the rollout, and actor and critic run on numpy
-(:mod:`experiments.training.tanh_network`). Models, files, callbacks and figures are the same.
+What is learned from an epoch takes many small operations of PyTorch and, for every environment, a
+dictionary in Stable-Baselines3. Here environments write into the rollout, and actor and critic run
+on numpy (:mod:`experiments.training.tanh_network`). Models, files, callbacks and figures
+are the same.
 """
 
 from typing import Any, NamedTuple
