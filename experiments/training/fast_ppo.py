@@ -46,6 +46,9 @@ class FastPPO(PPO):
         normalization: of what they show.
     """
 
+    _last_obs: Any  # arrays, as the space is a box
+    _last_episode_starts: Any
+
     def __init__(self, policy: Any, env: VecEnv, *, world: TrainingEnv, **arguments: Any) -> None:
         self._world = world
         super().__init__(policy, env, rollout_buffer_class=Rollout, **arguments)
@@ -78,8 +81,8 @@ class FastPPO(PPO):
         rollout.reset()
         callback.on_rollout_start()
         steps.take_over()
-        latest: Any = self._last_obs  # an array, as the space is a box
-        rollout.seen[0], rollout.episode_starts[0] = latest, self._last_episode_starts
+        rollout.seen[0] = self._last_obs
+        rollout.episode_starts[0] = self._last_episode_starts
         cut: list[tuple[int, Index, Rows]] = []  # epoch, environments and what they saw last
         for t in range(n_rollout_steps):
             actions = self.draw(rollout.seen[t], rollout.logits[t])
