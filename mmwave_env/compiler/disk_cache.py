@@ -5,7 +5,8 @@ a function it calls was edited in another file; some versions miss edits that ke
 size, too. Processes that start at once can mix up its files, and a damaged file or a full disk
 ends the program. Here a folder is named after all sources, each compiled function is one file
 in it, and whatever goes wrong with a file means that the function is compiled anew. A checksum
-tells a damaged file before anything in it is run.
+tells a damaged file before anything in it is run. A process whose sources are edited while it runs
+neither reads nor writes files: nobody knows which of them it runs.
 
 The files are pickles, as numba's own are, and whoever writes a pickle runs code where it is read.
 So folders and files are made for us alone, and nothing is read that another user owns, that others
@@ -19,6 +20,7 @@ import shutil
 import stat
 import sys
 import tempfile
+import time
 from collections.abc import Callable
 from contextlib import suppress
 from functools import cache
@@ -38,6 +40,7 @@ from numba.core.sigutils import normalize_signature
 from numba.misc.appdirs import user_cache_dir
 
 _PACKAGE = Path(__file__).parents[1]  # with all rooms: whatever is edited makes a new version
+_READ = time.time()  # what was edited later, this process may have read before or after
 _KEPT = 8  # versions of the sources whose compiled functions stay
 _CHECKSUM = sha256().digest_size  # bytes at the beginning of each file
 
@@ -124,6 +127,14 @@ def _version() -> str | None:
     return whole.hexdigest()[:20]
 
 
+def _edited() -> bool:
+    """Whether a source changed since this process read the first of them."""
+    with suppress(OSError):
+        found = map(os.stat, _PACKAGE.rglob("*.py"))
+        return any(max(file.st_mtime, file.st_ctime) > _READ for file in found)
+    return True
+
+
 def _opened(file: Path) -> BinaryIO:
     """A file that only we can have written, in such a folder; OSError for any other.
 
@@ -182,6 +193,8 @@ class _Kept(NullCache):  # type: ignore[misc]
 
     def load_overload(self, signature: Any, context: Any) -> Any:
         context.refresh()
+        if _edited():
+            return None
         key, file = self._entry(signature, context.codegen())
         with suppress(Exception), _opened(file) as entry:  # none there, or none to rely on
             checksum, content = entry.read(_CHECKSUM), entry.read()
@@ -190,7 +203,7 @@ class _Kept(NullCache):  # type: ignore[misc]
         return None
 
     def save_overload(self, signature: Any, result: Any) -> None:
-        if result.library.has_dynamic_globals:  # addresses of this process
+        if result.library.has_dynamic_globals or _edited():  # the first: addresses of this process
             return
         key, file = self._entry(signature, result.codegen)
         with suppress(OSError), tempfile.TemporaryDirectory(dir=self._folder) as atomic_path:

@@ -103,6 +103,22 @@ def test_an_edit_is_never_answered_by_old_code(package):
     assert run(package) == (42, 1)  # a version there was before
 
 
+EDITED = """
+from pathlib import Path
+from mmwave_env import caller
+source = Path(caller.__file__).with_name("callee.py")
+source.write_text(source.read_text().replace("x * 2", "x * 3"))
+"""
+
+
+@pytest.mark.slow
+def test_a_process_whose_sources_change_leaves_nothing_behind(package):
+    """It may have read them before or after, and run one under the name of the other."""
+    finished(started(package, EDITED + SCRIPT))
+    assert kept(package) == []
+    assert run(package) == (61, 0)
+
+
 PACKAGE = Path(mmwave_env.__file__).parent
 ROOMS = sorted({str(path.parent.relative_to(PACKAGE)) for path in PACKAGE.rglob("*.py")})
 
