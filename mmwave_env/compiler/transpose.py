@@ -111,6 +111,8 @@ def _compiled_scatter(kind: ir.Type) -> Callable[..., Any]:
                 first = min(tile, count - WIDTH)
                 turn_out(block.ctypes.data, rows.ctypes.data, targets.ctypes.data, first)
 
+        # What is kept of two processes is linked by names: else one kind may run the other's code.
+        compiled.__qualname__ += f".{kind}"
         return compiled
 
     return choose

@@ -1,5 +1,9 @@
 """Tiles move numbers as numpy would, compiled and not, and touch nothing beyond."""
 
+import os
+import subprocess
+import sys
+
 import numba
 import numpy as np
 import pytest
@@ -103,3 +107,36 @@ def test_an_address_is_that_of_the_numbers(address):
 @pytest.mark.parametrize("prefetch", [tiles.prefetch, compiled_prefetch])
 def test_prefetching_what_is_not_there_does_no_harm(prefetch):
     prefetch(8)
+
+
+USERS = """
+import numpy as np
+from mmwave_env.compiler.disk_cache import compiled
+from mmwave_env.compiler.transpose import scatter, scatter_single
+
+@compiled
+def wide(block, rows, targets):
+    scatter(block, rows, targets)
+
+@compiled
+def narrow(block, rows, targets):
+    scatter_single(block, rows, targets)
+
+def out_of(function, kind):
+    block, out = np.arange(80.0).reshape(10, 8), np.zeros((8, 30), kind)
+    targets = out.ctypes.data + out.strides[0] * np.arange(8)
+    function(block, np.arange(10), targets)
+    assert (out[:, :10] == block.T).all() and (out[:, 10:] == 0).all(), out
+"""
+
+
+@pytest.mark.slow
+def test_functions_kept_by_two_processes_work_in_a_third(tmp_path):
+    """numba numbers what it compiles in each process anew, and links by names and numbers."""
+    (tmp_path / "users.py").write_text(USERS)
+    site = os.pathsep.join([str(tmp_path), *filter(None, sys.path)])
+    variables = os.environ | {"PYTHONPATH": site, "NUMBA_CACHE_DIR": str(tmp_path)}
+    wide, narrow = "out_of(wide, np.float64)", "out_of(narrow, np.float32)"
+    for calls in (wide, narrow, f"{wide}; {narrow}"):
+        script = f"from users import *; {calls}"
+        subprocess.run([sys.executable, "-c", script], env=variables, check=True, timeout=120)
