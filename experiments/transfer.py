@@ -8,13 +8,12 @@ import numpy as np
 from experiments.arguments.shared import EpisodeArgs
 from experiments.arguments.transfer import Args
 from experiments.cli.main import run
-from experiments.cli.options import contender_of, provenance, source_of
+from experiments.cli.options import contender_of, provenance, selection_of, source_of
 from experiments.evaluation.contenders import Contender, contender_from
 from experiments.evaluation.intervals import Interval, bootstrap
 from experiments.evaluation.markdown import grid, show
 from experiments.evaluation.runner import score
 from experiments.evaluation.runs import Run
-from experiments.evaluation.seeds import draw_episodes
 from mmwave_env.episodes.samples import sample_names
 from mmwave_env.files import write_json
 from mmwave_env.models.radio import RADIOS, radio_from
@@ -46,7 +45,7 @@ def places(args: Args) -> dict[str, EpisodeArgs]:
 def compared(place: EpisodeArgs, policies: list[Contender]) -> dict[str, Interval]:
     """Reward of every policy, and what it gains on each rival of the place's radio, by name."""
     source, policies = source_of(place), [one.at(place.radio) for one in policies]
-    episodes = draw_episodes(source, range(place.seed, place.seed + place.episodes))
+    episodes = selection_of(place, source).draw(source)
     rivals = [contender_of(place, name) for name in TRANSFER_RIVALS]
     reward = {
         one.name: score(one, one.start(source.layout), episodes)["reward"]

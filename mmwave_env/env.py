@@ -4,6 +4,7 @@ import inspect
 from collections.abc import Mapping
 from copy import deepcopy
 from dataclasses import replace
+from functools import partial
 from typing import Any, cast
 
 import gymnasium as gym
@@ -16,11 +17,21 @@ from numpy.typing import NDArray
 from mmwave_env.engines.baseline import baseline_of
 from mmwave_env.engines.env_engine import Engine
 from mmwave_env.engines.replay import Replay
+from mmwave_env.engines.tally import Tally, count
 from mmwave_env.episodes.episode import Episode
+from mmwave_env.episodes.keys import draw_key, key_from
 from mmwave_env.episodes.simulated import SimulatedSource
 from mmwave_env.filters.mode_files import default_modes, modes_from
 from mmwave_env.filters.pipeline import Pipeline
-from mmwave_env.info import FLAGS, INFOS, STATE_KEYS, episode_info, fixed_info, told_rows
+from mmwave_env.info import (
+    FLAGS,
+    INFOS,
+    STATE_KEYS,
+    episode_info,
+    fixed_info,
+    smoothed_info,
+    told_rows,
+)
 from mmwave_env.lookup import choose, require_extra
 from mmwave_env.metrics import DIVERGENCE_M
 from mmwave_env.models.radio import RADIOS, radio_from
@@ -29,6 +40,7 @@ from mmwave_env.observation import Observation
 from mmwave_env.rendering import FRAMES_PER_SECOND, Picture, blank_picture
 from mmwave_env.task import task_from
 
+_INTEGERS = (int, np.int64)  # that actions usually are
 _HERE = np.zeros(1, np.int64)  # the place of the environment in a batch of one
 BACKENDS = {"lanes": "SIMD lanes", "filterpy": "filterpy's filters, slow, independent"}
 
@@ -118,13 +130,22 @@ class MmWaveLocEnv(gym.Env[NDArray[np.float32], np.int64]):
 
     Every step: `position_error_m`, `nees`, `nis`, `accepted`, `rejected` (per anchor, then
     Doppler), `mode`, `gamma`, `truth` (position, velocity), `estimate` (position, velocity,
-    bias); with beliefs per mode also `mode_probabilities`. `reset`: `episode_name`, `nonfinite`
-    (links, Doppler shifts and odometry with a NaN or infinity, which count as missing), `truth`,
-    `estimate`. The last step adds `ate_m`, `rmse_m`, `rpe_m`, `mean_nees`, `in_bounds`,
-    `divergence` (without the first 10 epochs) and `smoothed_ate_m` (Rauch-Tung-Striebel over the
-    episode). `infos="fixed"` has the same keys at every reset and step, for what asks for that
-    (docs/clients.md): numbers only, so without `episode_name`; what there is not to tell is NaN,
-    False or -1.
+    bias); with beliefs per mode also `mode_probabilities`. `reset`: `episode_name`, `episode_key`
+    (of simulated episodes), `nonfinite` (links, Doppler shifts and odometry with a NaN or infinity,
+    which count as missing), `truth`, `estimate`. The last step adds `ate_m`, `rmse_m`, `rpe_m`,
+    `mean_nees`, `in_bounds`, `divergence` (without the first 10 epochs), and with `smoothed=True`
+    also `smoothed_ate_m` (Rauch-Tung-Striebel over the episode, which is run again for it).
+    `infos="episode"` tells of resets and last steps alone, `infos="none"` nothing: for trainers
+    that look at neither. `infos="fixed"` has the same keys at every reset and step, for what asks
+    for that (docs/clients.md): numbers only, so without `episode_name` and `episode_key`; what
+    there is not to tell is NaN, False or -1.
+
+    ## Keys
+
+    A simulated episode is a function of its key, 64 bits that `reset` draws from the environment's
+    generator. `reset(options={"episode_key": key})` plays that episode again, in this environment
+    or any other with the same scenario, scene, radio and steps. The user goes the same way with
+    another radio, too.
 
     ## Copies
 
@@ -148,7 +169,8 @@ class MmWaveLocEnv(gym.Env[NDArray[np.float32], np.int64]):
     * `beliefs`: "shared" (default) or "per-mode", see Beliefs per Mode.
     * `reward`: "tracking", "log-score", "paired", a function or a `PairedReward`.
     * `observation`: "full" or "prior".
-    * `infos`: "sparse" (default) or "fixed", see Information.
+    * `infos`: "all" (default), "episode", "none" or "fixed", see Information.
+    * `smoothed`: whether the last step tells `smoothed_ate_m`; False by default.
     * `episode_steps`, `dt`: epochs per episode and seconds per epoch.
     * `episodes`: recorded data instead of a simulation: "canyon28_vehicle",
       "canyon28_pedestrian", the folder of a DeepMIMO scenario or of a measurement log with its
@@ -175,8 +197,8 @@ class MmWaveLocEnv(gym.Env[NDArray[np.float32], np.int64]):
     `gym.make_vec("mmwave_env:MmWaveLoc-v0", num_envs=1024)` steps all environments in one call
     of a compiled kernel; environment i is a single one seeded alike, to the last bit. Further
     arguments: `autoreset_mode` ("NextStep", the default, "SameStep" or "Disabled", a string)
-    and `threads`. An environment takes 62 KiB at 200 steps an episode. Rendering and
-    `backend="filterpy"` need `vectorization_mode="sync"`.
+    and `threads`. `step(actions, out=(observations, rewards, terminated, truncated))` fills arrays
+    of yours. Rendering, `infos="fixed"` and `backend="filterpy"` need `vectorization_mode="sync"`.
 
     ## Version History
 
@@ -195,7 +217,8 @@ class MmWaveLocEnv(gym.Env[NDArray[np.float32], np.int64]):
         /,
         *,
         observation: str = "full",
-        infos: str = "sparse",
+        infos: str = "all",
+        smoothed: bool = False,
         backend: str = "lanes",
         render_mode: str | None = None,
         **arguments: Any,
@@ -210,9 +233,11 @@ class MmWaveLocEnv(gym.Env[NDArray[np.float32], np.int64]):
         choose(INFOS, infos, "infos")
         self.render_mode, self._backend, self._infos = render_mode, backend, infos
         self._observation_kind, self._task = observation, task_from(**arguments)
-        self._episode: Episode | None = None
-        self._over = True
-        self._steps = 0
+        self._smoothing = smoothed
+        self._drawn: Episode | None = None
+        self._begun, self._over = False, True
+        self._steps, self._length = 0, 0
+        self._sums, self._errors = [0.0], [[0.0]]
         self._actions, self._path = np.empty(0, np.int64), np.empty((0, 3))
         self._set_up()
         self.observation_space = cast(Any, self.observation.space)
@@ -233,11 +258,14 @@ class MmWaveLocEnv(gym.Env[NDArray[np.float32], np.int64]):
         self._engine = Engine(
             pipeline, 1, self.reward, self._observation_kind, task.bank, on_floats
         )
-        self._replay = Replay(pipeline, task.bank, on_floats)
+        self._replay = Replay(pipeline, task.bank, on_floats) if self._smoothing else None
+        self._tally = Tally(1, len(pipeline.position_axes))
+        self._interval = self._tally.interval.tolist()
         self._baseline = baseline_of(task, self._engine.batch)
         self.modes, self.observation = pipeline.modes, self._engine.observation
         at, span = self._engine.at, self._engine.span
-        self._observed, self._P = span(at.observation), span(at.P)
+        self._io = self._engine.io()
+        self._observed, self._P, self._error = span(at.observation), span(at.P), span(at.error)
         self._told = {
             key: part if isinstance(part, int) else span(part)
             for key, part in told_rows(at).items()
@@ -247,16 +275,17 @@ class MmWaveLocEnv(gym.Env[NDArray[np.float32], np.int64]):
     def __getstate__(self) -> dict[str, Any]:
         """What a copy cannot make anew; a window is not part of it."""
         kept = {key: value for key, value in vars(self).items() if key not in self._remade}
-        return kept | {"tracks": self._engine.batch.state}
+        return kept | {"tracks": self._engine.batch.state, "keys": self._engine.keys}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         """Go on, to the last bit, as the environment did that was copied."""
         vars(self).update(state)
-        tracks = vars(self).pop("tracks")
+        tracks, keys = vars(self).pop("tracks"), vars(self).pop("keys")
         self._set_up()
-        self._engine.batch.state = tracks
-        if self._baseline and self._episode:
-            self._baseline.begin(_HERE)
+        self._engine.keys = keys
+        self._engine.go_on(self._task, tracks)
+        if self._baseline and self._begun:
+            self._baseline.begin(_HERE, partial(self._engine.episodes, self._task))
 
     def __deepcopy__(self, memo: dict[int, Any]) -> "MmWaveLocEnv":
         """A copy that goes on by itself; the task, which no step changes, is shared."""
@@ -277,65 +306,102 @@ class MmWaveLocEnv(gym.Env[NDArray[np.float32], np.int64]):
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[NDArray[np.float32], dict[str, Any]]:
-        """Draw an episode; the same seed gives the same one. See Gymnasium's `Env.reset`."""
+        """Draw an episode; the same seed gives the same one. See Gymnasium's `Env.reset`.
+
+        ``options={"episode_key": k}`` plays the episode of a key instead, as infos tell it.
+        """
+        key = (options or {}).get("episode_key")
+        if key is not None:
+            self._task.require_keys(seed)
+            key = key_from(key)
         super().reset(seed=seed, options=options)
-        episode = self._task.draw(self.np_random)
-        self._engine.reset([episode])
+        info = self._begin(key)
+        task, length = self._task, int(self._engine.batch.state.length[0])
         if self._baseline:
-            self._baseline.begin(_HERE)
-        self._episode, self._over, self._steps = episode, False, 0
-        self._actions, self._path = np.zeros(len(episode), np.int64), np.empty((len(episode), 3))
+            self._baseline.begin(_HERE, partial(self._engine.episodes, task))
+        self._begun, self._over, self._steps, self._length = True, False, 0, length
+        self._tally.begin(_HERE, self._engine.steps_s(_HERE))
+        self._sums = self._tally.sums[0].tolist()
+        self._errors = self._tally.errors[0].tolist()
+        self._actions, self._path = np.zeros(length, np.int64), np.empty((length, 3))
         if self._picture is not None:
-            self._picture.begin(episode.scene_anchors_m, self._true_positions(episode))
+            self._picture.begin(self._episode.scene_anchors_m, self._true_positions())
         column = self._engine.column(0)
-        info: dict[str, Any] = {"episode_name": episode.name, "nonfinite": episode.nonfinite}
         info |= {key: column[self._told[key]] for key in STATE_KEYS}
-        return column[self._observed].astype(np.float32), self._worded(info)
+        return column[self._observed].astype(np.float32), self._worded(info, begins=True)
+
+    def _begin(self, key: int | None) -> dict[str, Any]:
+        """Begin the episode of a key, or the next one; what is told of it."""
+        task, engine = self._task, self._engine
+        self._drawn = None
+        if not task.has_keys:
+            self._drawn = episode = task.draw(self.np_random)
+            engine.reset([episode])
+            return {"episode_name": episode.name, "nonfinite": episode.nonfinite}
+        key = draw_key(self.np_random) if key is None else key
+        (name,) = engine.begin(task, np.array([key], np.uint64), _HERE)
+        engine.batch.advance()
+        return {"episode_name": name, "episode_key": np.uint64(key), "nonfinite": 0}
+
+    @property
+    def _episode(self) -> Episode:
+        """The whole episode under way."""
+        if self._drawn is None:
+            self._drawn = self._task.simulated.episode(int(self._engine.keys[0]))
+        return self._drawn
 
     def step(
         self, action: np.int64
     ) -> tuple[NDArray[np.float32], float, bool, bool, dict[str, Any]]:
         """Process the epoch with a mode, or trust one. See Gymnasium's `Env.step`."""
-        episode = self._episode
-        if episode is None or self._over:
+        if self._over:
             raise ResetNeeded("Call reset before step: there is no episode under way.")
-        if not self.action_space.contains(action):
+        # Gymnasium's own check takes longer than the filters
+        known = type(action) in _INTEGERS and 0 <= action < len(self.observation.actions)
+        if not (known or self.action_space.contains(action)):
             raise InvalidAction(
                 f"action: found {action!r} ({type(action)}), expected an integer in "
                 f"{self.action_space}"
             )
-        observations, _ = self._engine.step(action)
+        self._io.inputs[0, 0, 0] = action
+        self._engine.batch.advance(self._io)
         column = self._engine.column(0)
         info = self._step_info(column, int(action))
         rewards, distance = np.array([column[self._engine.at.reward]]), info["position_error_m"]
         if self._baseline:
             self._baseline.subtract(rewards, _HERE)
+        count(
+            self._sums, self._errors, len(self._errors), self._interval, self._steps,
+            *column[self._error].tolist(), info["nees"],
+        )  # fmt: skip
         self._actions[self._steps] = action
         self._path[self._steps] = info["estimate"][:3]
         self._steps += 1
         terminated = False
         if self._task.worst is not None and not distance <= DIVERGENCE_M:
             terminated = True
-            rewards += self._task.worst * (len(episode) - self._steps)
+            rewards += self._task.worst * (self._length - self._steps)
             if self._baseline:
                 rewards -= self._baseline.rest(_HERE)
-        truncated = not terminated and self._steps == len(episode)
+        truncated = not terminated and self._steps == self._length
         if terminated or truncated:
             self._over = True
-            info |= self._episode_info(episode)
+            info |= self._episode_info()
         if self.render_mode == "human":
             self.render()
-        return observations[0], float(rewards[0]), terminated, truncated, self._worded(info)
+        worded = self._worded(info, ends=self._over)
+        observation = self._io.observations[0, 0].copy()
+        return observation, float(rewards[0]), terminated, truncated, worded
 
     def render(self) -> NDArray[np.uint8] | None:
         """The epoch just processed, from above: (480, 480, 3) for "rgb_array"."""
-        episode, steps = self._episode, self._steps
-        if self.render_mode is None or episode is None or steps == 0:
+        steps = self._steps
+        if self.render_mode is None or steps == 0:
             return None if self.render_mode != "rgb_array" else blank_picture()
-        truth = self._true_positions(episode)
+        truth = self._true_positions()
         if self._picture is None:
             self._picture = Picture(self.observation.actions, self.render_mode == "human")
-            self._picture.begin(episode.scene_anchors_m, truth)
+            self._picture.begin(self._episode.scene_anchors_m, truth)
         now: Any = self._engine.column(0)
         variances = now[self._P]  # packed: xx, xy, yy first
         picture = self._picture.draw(
@@ -362,24 +428,31 @@ class MmWaveLocEnv(gym.Env[NDArray[np.float32], np.int64]):
             info[key] = float(value) if isinstance(rows, int) else value
         return info | {key: info[key] > 0.5 for key in FLAGS} | {"mode": mode}
 
-    def _worded(self, info: dict[str, Any]) -> dict[str, Any]:
+    def _worded(
+        self, info: dict[str, Any], begins: bool = False, ends: bool = False
+    ) -> dict[str, Any]:
         """An info as ``infos`` asks for it."""
+        if self._infos == "none" or (self._infos == "episode" and not (begins or ends)):
+            return {}
+        if self._infos != "fixed":
+            return info
         groups = len(self._task.pipeline.layout.groups)
         beliefs = len(self.modes) if self._task.bank else 1
-        return fixed_info(info, groups, beliefs) if self._infos == "fixed" else info
+        return fixed_info(info, groups, beliefs)
 
-    @staticmethod
-    def _true_positions(episode: Episode) -> NDArray[np.float64]:
-        assert episode.truth_position_m is not None
-        return episode.truth_position_m
+    def _true_positions(self) -> NDArray[np.float64]:
+        found = self._episode.truth_position_m
+        assert found is not None
+        return found
 
-    def _episode_info(self, episode: Episode) -> dict[str, float]:
+    def _episode_info(self) -> dict[str, float]:
         """Metrics of the epochs stepped through."""
-        error, nees, smoothed = self._replay.run(
-            self._engine.batch, _HERE, self._actions[None, : self._steps]
-        )
-        dt = np.diff(episode.time_s[None, : self._steps])
-        found = episode_info(error, nees, smoothed, dt, self._engine.pipeline.planar)
+        self._tally.sums[0] = self._sums
+        found = episode_info(self._tally.metrics(_HERE, np.array([self._steps])))
+        if self._replay:
+            episodes = self._engine.episodes(self._task, _HERE)
+            *_, errors = self._replay.run(episodes, self._actions[None, : self._steps])
+            found |= smoothed_info(errors)
         return {key: float(value[0]) for key, value in found.items()}
 
 

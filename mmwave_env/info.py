@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mmwave_env.metrics import accuracy, ate, scored
+from mmwave_env.metrics import ate, scored
 from mmwave_env.numerics.arrays import Array, Mask
 
 STATE_KEYS = ("truth", "estimate")  # told at reset, too
@@ -18,8 +18,15 @@ EPISODE_KEYS = {
     "in_bounds": "in_bounds", "divergence_rate": "divergence",
 }  # fmt: skip
 
-LAST_KEYS = (*EPISODE_KEYS.values(), "smoothed_ate_m")  # told at the last step
-INFOS = {"sparse": "what there is to tell", "fixed": "the same numbers always"}
+NAMED = ("episode_name", "episode_key")  # told at reset, by what an episode is called
+SMOOTHED_KEY = "smoothed_ate_m"
+LAST_KEYS = (*EPISODE_KEYS.values(), SMOOTHED_KEY)  # told at the last step
+INFOS = {
+    "all": "what there is to tell",
+    "fixed": "the same numbers always",
+    "episode": "what there is to tell at ends of episodes",
+    "none": "nothing",
+}
 
 
 def told_rows(at: Any) -> dict[str, Any]:
@@ -56,7 +63,8 @@ def masked(values: dict[str, NDArray[Any]], where: Mask) -> dict[str, Any]:
 def stepped(infos: dict[str, Any], where: Mask) -> dict[str, Any]:
     """What a step told of all environments, if it did something in some (n,) of them only."""
     did = {key: infos[key] for key in (*STEP_KEYS, PROBABILITIES) if key in infos}
-    return masked(did, where) | {key: infos[key] for key in (*STATE_KEYS, *mask_keys(STATE_KEYS))}
+    kept = (*STATE_KEYS, *mask_keys(STATE_KEYS))
+    return masked(did, where) | {key: infos[key] for key in kept if key in infos}
 
 
 def fixed_info(info: dict[str, Any], groups: int, beliefs: int = 1) -> dict[str, Any]:
@@ -75,7 +83,7 @@ def fixed_info(info: dict[str, Any], groups: int, beliefs: int = 1) -> dict[str,
     unknown |= {"nis": np.full(groups, np.nan), "mode": -1, "nonfinite": -1}
     if beliefs > 1:
         unknown[PROBABILITIES] = np.full(beliefs, np.nan)
-    known = unknown | {key: value for key, value in info.items() if key != "episode_name"}
+    known = unknown | {key: value for key, value in info.items() if key not in NAMED}
     return {key: np.asarray(value)[()] for key, value in known.items()}
 
 
@@ -84,28 +92,11 @@ def mask_keys(keys: Iterable[str]) -> list[str]:
     return [f"_{key}" for key in keys]
 
 
-def episode_info(
-    error: Array, nees: Array, smoothed: Array, dt: Array, planar: bool
-) -> dict[str, Array]:
-    """Metrics (n,) of n tracks of T epochs.
+def episode_info(metrics: dict[str, Array]) -> dict[str, Array]:
+    """What the last step of an episode tells of its metrics."""
+    return {EPISODE_KEYS[name]: values for name, values in metrics.items()}
 
-    Every track gets the same numbers, to the last bit, whatever tracks are beside it.
 
-    Args:
-        error: (n, T, 3) estimated minus true position, m.
-        nees: (n, T).
-        smoothed: (n, T, 3) errors of the smoothed track, m.
-        dt: (n, T - 1) seconds between epochs.
-        planar: z and vz are known exactly.
-    """
-    n, epochs = nees.shape
-    rate = 1.0 / np.median(dt, axis=-1) if epochs > 1 else np.ones(n)
-    second = np.maximum(1, np.round(rate))
-    found = {name: np.empty(n) for name in EPISODE_KEYS.values()}
-    seconds = set(second.tolist())  # epochs in one; usually all tracks have as many
-    for alike in seconds:
-        some = slice(None) if len(seconds) == 1 else second == alike
-        metrics = accuracy(error[some], nees[some], alike, 2 if planar else 3)
-        for name, values in metrics.items():
-            found[EPISODE_KEYS[name]][some] = values
-    return {**found, "smoothed_ate_m": ate(smoothed[:, scored(epochs)])}
+def smoothed_info(smoothed: Array) -> dict[str, Array]:
+    """What the last step tells of smoothed tracks, by their position errors (n, T, 3), m."""
+    return {SMOOTHED_KEY: ate(smoothed[:, scored(smoothed.shape[1])])}

@@ -1,14 +1,14 @@
 """What the arguments of ``MmWaveLoc-v0`` mean, for the single and the vector environment."""
 
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from typing import Any, cast
 
 import numpy as np
 
-from mmwave_env.compiler.rng import Generators
 from mmwave_env.episodes.episode import Episode, EpisodeBatch, EpisodeSource
+from mmwave_env.episodes.keys import Keys
 from mmwave_env.episodes.measured import MeasuredTrack
 from mmwave_env.episodes.recorded import Recording
 from mmwave_env.episodes.samples import source_from
@@ -21,7 +21,6 @@ from mmwave_env.lookup import choose, did_you_mean
 from mmwave_env.models.radio import Radio, radio_from
 from mmwave_env.models.random_scene import RandomScene, scenes_from
 from mmwave_env.models.scene import Scene
-from mmwave_env.numerics.arrays import Array, Index
 from mmwave_env.observation import BELIEFS
 from mmwave_env.reward import PairedReward, Reward, reward_from
 
@@ -60,32 +59,37 @@ class Task:
             episode = episode.on_flat_ground()
         return episode
 
-    def draw_many(
-        self,
-        generators: Generators,
-        places: Index,
-        room: Callable[[int], Array | None],
-        threads: int = 1,
-    ) -> EpisodeBatch:
-        """The next episodes of many environments, the same as one by one.
-
-        Args:
-            generators: of the environments; whole ones unless ``simulated``.
-            places: (n,) which of them.
-            room: gives room for tables of some epochs (n, epochs, columns), to fill; or None.
-            threads: how many may draw at once.
-        """
-        if not self.simulated:
-            return EpisodeBatch.of([self.draw(generators.whole(int(place))) for place in places])
-        source = cast(SimulatedSource, self.source)
-        with generators.states(places) as states:
-            episodes = source.sample_batch(states, room(source.epochs), threads)
+    def tables(self, keys: Keys, threads: int = 1) -> EpisodeBatch:
+        """The simulated episodes of keys (n,), drawn at once by some threads."""
+        episodes = self.simulated.sample_batch(keys, threads=threads)
         return episodes.on_flat_ground() if self.pipeline.planar else episodes
 
     @property
-    def simulated(self) -> bool:
-        """Whether episodes are drawn many at once, from nothing but random states."""
+    def has_keys(self) -> bool:
+        """Whether an episode is a function of a key."""
         return type(self.source) is SimulatedSource  # others may draw in ways of their own
+
+    def require_keys(self, seed: Any) -> None:
+        """Refuse keys of episodes that have none, and a key beside a seed, which draws one.
+
+        Raises:
+            ValueError: either.
+        """
+        if not self.has_keys:
+            raise ValueError(
+                f"options['episode_key']: found one, but {self.source.name!r} is recorded or a "
+                "source of your own; only simulated episodes have keys: expected none"
+            )
+        if seed is not None:
+            raise ValueError(
+                f"options['episode_key'] and seed: found both (seed {seed!r}), expected one of "
+                "them: a seed draws keys"
+            )
+
+    @property
+    def simulated(self) -> SimulatedSource:
+        """The source, where episodes have keys."""
+        return cast(SimulatedSource, self.source)
 
 
 @dataclass(frozen=True, kw_only=True)

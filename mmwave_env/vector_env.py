@@ -13,15 +13,12 @@ from gymnasium.vector import AutoresetMode
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
-from mmwave_env.compiler.rng import Generators
-from mmwave_env.compiler.threads import portions, share
 from mmwave_env.engines.baseline import baseline_of
 from mmwave_env.engines.env_engine import Engine
 from mmwave_env.engines.replay import Replay
-from mmwave_env.engines.vector_step import Stepper
-from mmwave_env.episodes.episode import columns_of
-from mmwave_env.episodes.simulated import SimulatedSource
-from mmwave_env.info import episode_info, masked, stepped
+from mmwave_env.engines.vector_step import StepBuffers, Stepper
+from mmwave_env.episodes.keys import Generators, Keys, key_from
+from mmwave_env.info import INFOS, masked, stepped
 from mmwave_env.lookup import choose
 from mmwave_env.metrics import DIVERGENCE_M
 from mmwave_env.numerics.arrays import Array, Index, Mask
@@ -30,7 +27,8 @@ from mmwave_env.task import task_from
 Observations = NDArray[np.float32]
 Step = tuple[Observations, Array, Mask, Mask, dict[str, Any]]
 
-DRAWN, REPLAYED = 256, 64  # episodes at once: few enough for their memory not to count
+
+BEGUN = 512  # episodes at once: few enough for their memory not to count
 
 
 class MmWaveLocVectorEnv(gym.vector.VectorEnv[Observations, Index, NDArray[Any]]):
@@ -45,11 +43,12 @@ class MmWaveLocVectorEnv(gym.vector.VectorEnv[Observations, Index, NDArray[Any]]
             "SameStep" (the step that ends resets too; what it ended with is in ``final_obs``
             and ``final_info``) or "Disabled" (reset by
             ``reset(options={"reset_mask": mask})``, a bool array (N,); others stay untouched).
-        threads: how many may work at once where it pays: at ends of episodes from N = 9 on,
-            in between from 2048 on; results do not depend on it.
+        threads: how many may work at once where it pays, from N = 1024 on; results do not depend
+            on it.
         max_episode_steps: None, or the length of the episodes, as the specification of a single
             environment has it; ``episode_steps`` sets it.
-        infos: "sparse".
+        infos: "all", "episode" (as episodes begin and end) or "none".
+        smoothed: whether the last step of an episode also tells ``smoothed_ate_m``.
         render_mode: None.
         backend: "lanes".
         **arguments: of :class:`~mmwave_env.env.MmWaveLocEnv`.
@@ -67,7 +66,8 @@ class MmWaveLocVectorEnv(gym.vector.VectorEnv[Observations, Index, NDArray[Any]]
         threads: int = min(2, os.cpu_count() or 1),
         observation: str = "full",
         max_episode_steps: int | None = None,
-        infos: str = "sparse",
+        infos: str = "all",
+        smoothed: bool = False,
         render_mode: str | None = None,
         backend: str = "lanes",
         **arguments: Any,
@@ -77,13 +77,13 @@ class MmWaveLocVectorEnv(gym.vector.VectorEnv[Observations, Index, NDArray[Any]]
                 raise ValueError(f"{name}: found {count}, expected at least 1")
         for name, value, only in (
             ("render_mode", render_mode, None), ("backend", backend, "lanes"),
-            ("infos", infos, "sparse"),
         ):  # fmt: skip
             if value != only:
                 raise ValueError(
                     f"{name}: found {value!r}, expected {only!r}; others need gymnasium.make, or "
                     'make_vec with vectorization_mode="sync"'
                 )
+        self._infos = choose({kind: kind for kind in INFOS if kind != "fixed"}, infos, "infos")
         modes = {mode.value: mode for mode in AutoresetMode}
         self.autoreset_mode = choose(
             modes, cast(str, getattr(autoreset_mode, "value", autoreset_mode)), "autoreset_mode"
@@ -107,9 +107,10 @@ class MmWaveLocVectorEnv(gym.vector.VectorEnv[Observations, Index, NDArray[Any]]
         self.single_action_space = cast(Any, spaces.Discrete(len(self.observation.actions)))
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
-        self._stepper, self._replay = Stepper(self._engine), Replay(task.pipeline, task.bank)
+        replay = Replay(task.pipeline, task.bank) if smoothed else None
+        self._stepper = Stepper(self._engine, infos == "all", replay)
         self._baseline = baseline_of(task, self.batch, threads)
-        self._generators = Generators(num_envs, task.simulated)
+        self._generators = Generators(num_envs, task.has_keys)
         self._begun = False
         self._mode_count = np.array(len(self.observation.actions), np.uint64)
         self._none_over = np.zeros(num_envs, np.bool_)
@@ -125,16 +126,18 @@ class MmWaveLocVectorEnv(gym.vector.VectorEnv[Observations, Index, NDArray[Any]]
 
         Args:
             seed: s for s, s + 1, ...; or one for each environment, None to go on.
-            options: ``reset_mask`` is a bool array (N,).
+            options: ``reset_mask`` is a bool array (N,); ``episode_key`` are the keys (N,) of the
+                episodes to play, of which those elsewhere are not looked at.
 
         Returns:
             All observations (N, features), and the infos of those reset.
         """
         chosen = self._reset_mask(options)
         places = np.flatnonzero(chosen)
+        keys = self._keys(options, seed)
         self._begun &= not chosen.all()  # until all is drawn
         self._seed(seed, places)
-        drawn = self._draw(places)
+        drawn = self._draw(places, None if keys is None else keys[places])
         _, state = self._stepper.start(places)
         self._begun = True
         return self._engine.observations(), masked(drawn | state, chosen)
@@ -159,6 +162,20 @@ class MmWaveLocVectorEnv(gym.vector.VectorEnv[Observations, Index, NDArray[Any]]
             )
         return mask
 
+    def _keys(self, options: dict[str, Any] | None, seed: Any) -> Keys | None:
+        """The keys (N,) that the options name."""
+        given = (options or {}).get("episode_key")
+        if given is None:
+            return None
+        self._task.require_keys(seed)
+        keys = np.atleast_1d(np.asarray(given, object))
+        if keys.shape != (self.num_envs,):
+            raise ValueError(
+                f"options['episode_key']: found shape {np.shape(given)}, expected "
+                f"({self.num_envs},), one an environment"
+            )
+        return np.array([key_from(key) for key in keys], np.uint64)
+
     def _seed(self, seed: int | Sequence[int | None] | None, places: Index) -> None:
         """New generators where there is a seed, as the single environment makes them."""
         n = self.num_envs
@@ -182,52 +199,87 @@ class MmWaveLocVectorEnv(gym.vector.VectorEnv[Observations, Index, NDArray[Any]]
         """The seed of each environment, as of a `SyncVectorEnv`."""
         return self._generators.seeds()
 
-    def _draw(self, places: Index) -> dict[str, NDArray[Any]]:
-        """Load new episodes in some environments; what ``reset`` tells of them, (N,) each."""
-        names = np.full(self.num_envs, None, object)
-        nonfinite = np.zeros(self.num_envs, np.int64)
-        for first in range(0, len(places), DRAWN):
-            some = places[first : first + DRAWN]
-            room = partial(self._engine.batch.room, some)
-            episodes = self._task.draw_many(self._generators, some, room, self._threads)
-            self._engine.load(episodes, some)
-            names[some], nonfinite[some] = episodes.names, episodes.nonfinite
+    def _draw(self, places: Index, keys: Keys | None = None) -> dict[str, NDArray[Any]]:
+        """Begin episodes in some environments; what ``reset`` tells of them, (N,) each."""
+        task, engine = self._task, self._engine
+        told: dict[str, NDArray[Any]] = {"episode_name": np.full(self.num_envs, None, object)}
+        told["nonfinite"] = np.zeros(self.num_envs, np.int64)
+        if task.has_keys:
+            keys = self._generators.keys(places) if keys is None else keys
+            for first in range(0, len(places), BEGUN):
+                now = slice(first, first + BEGUN)
+                names = engine.begin(task, keys[now], places[now], self._threads)
+                told["episode_name"][places[now]] = names
+            told["episode_key"] = engine.keys.copy()
+        else:
+            drawn = [task.draw(self._generators.whole(int(place))) for place in places]
+            engine.load(drawn, places)
+            told["episode_name"][places] = [episode.name for episode in drawn]
+            told["nonfinite"][places] = [episode.nonfinite for episode in drawn]
         if self._baseline:
-            self._baseline.begin(places)
-        self._stepper.history.make_room(self._engine.batch.state.table.shape[1])
+            self._baseline.begin(places, partial(engine.episodes, task))
+        self._stepper.tally.begin(places, engine.steps_s(places))
+        self._stepper.remember(int(engine.batch.state.length.max()))
         self._over = self._over.copy()
         self._over[places] = False
         self._ended = int(np.count_nonzero(self._over))
-        return {"episode_name": names, "nonfinite": nonfinite}
+        return {} if self._infos == "none" else told
 
-    def step(self, actions: Index) -> Step:
-        """Process an epoch in every environment with its mode; see the class on ends."""
+    def step(
+        self, actions: Index, *, out: tuple[Observations, Array, Mask, Mask] | None = None
+    ) -> Step:
+        """Process an epoch in every environment with its mode; see the class on ends.
+
+        Args:
+            actions: (N,) numbers of the modes.
+            out: observations (N, features) float32, rewards (N,) float64, terminated and truncated
+                (N,) bool: arrays to fill and return; None for new ones. Where an episode ends,
+                arrays of its own are made all the same.
+
+        Raises:
+            ValueError: ``out`` has other shapes, types or gaps; then nothing was stepped.
+        """
         actions = self._checked(actions)
+        buffers = StepBuffers.fresh(self.num_envs, len(self.observation))
+        if out is not None:
+            buffers = StepBuffers(*out)
+            buffers.require_room(self.num_envs, len(self.observation))
+        observations, rewards, terminated, truncated = buffers
         fresh, resets = self._over, self._ended  # none where autoreset is not NextStep
         drawn = self._draw(np.flatnonzero(fresh)) if resets else {}
-        observations, rewards, truncated, self._ended, infos = self._stepper.step(actions)
-        terminated, error = np.zeros(self.num_envs, np.bool_), infos["position_error_m"]
+        self._ended, infos = self._stepper.step(actions, buffers)
+        terminated[:] = False
         if self._baseline:
             self._baseline.subtract(rewards, np.flatnonzero(~fresh))
         if resets:
             rewards[fresh] = 0.0
             infos = stepped(infos, ~fresh) | masked(drawn, fresh)
         if self._task.worst is not None:
-            terminated = ~(fresh | (error <= DIVERGENCE_M))
-            tracks = self._engine.batch.state  # an epoch ahead: it waits for the next action
-            left = (tracks.length + 1 - tracks.epoch)[terminated]
-            rewards[terminated] += self._task.worst * left
-            if self._baseline:
-                rewards[terminated] -= self._baseline.rest(np.flatnonzero(terminated))
+            terminated[:] = ~(fresh | (self._stepper.distances_m <= DIVERGENCE_M))
+            self._charge(rewards, np.flatnonzero(terminated))
             truncated &= ~terminated
             self._ended = int(np.count_nonzero(terminated | truncated))
         self._over = self._none_over
         if self._ended:
             self._over = terminated | truncated
-            infos |= masked(self._metrics(), self._over)
-            if self.autoreset_mode == AutoresetMode.SAME_STEP:
-                infos = self._same_step(observations, infos)
+            infos = self._end(observations, infos)
         return observations, rewards, terminated, truncated, infos
+
+    def _charge(self, rewards: Array, places: Index) -> None:
+        """Take the worst reward for every epoch left where an episode ends early."""
+        assert self._task.worst is not None
+        tracks = self._engine.batch.state  # an epoch ahead: it waits for the next action
+        rewards[places] += self._task.worst * (tracks.length + 1 - tracks.epoch)[places]
+        if self._baseline:
+            rewards[places] -= self._baseline.rest(places)
+
+    def _end(self, observations: Observations, infos: dict[str, Any]) -> dict[str, Any]:
+        """What is told where episodes end; begin others where that is to be in the same step."""
+        if self._infos != "none":
+            infos |= masked(self._metrics(), self._over)
+        if self.autoreset_mode == AutoresetMode.SAME_STEP:
+            return self._same_step(observations, infos)
+        return infos
 
     def _checked(self, actions: Any) -> Index:
         """A copy of the actions (N,), if all that are not ignored mean a mode."""
@@ -252,26 +304,12 @@ class MmWaveLocVectorEnv(gym.vector.VectorEnv[Observations, Index, NDArray[Any]]
         )
 
     def _metrics(self) -> dict[str, NDArray[Any]]:
-        """What the last step of an episode tells, (N,) each: the episodes are run again."""
-        batch, planar = self._engine.batch, self._task.pipeline.planar
-
-        def metrics(some: Index, steps: int) -> dict[str, Array]:
-            actions = self._stepper.history.of(some, steps)
-            error, nees, smoothed = self._replay.run(batch, some, actions)
-            dt = batch.state.table[some, 1:steps, columns_of(batch.layout).dt]
-            return episode_info(error, nees, smoothed, dt, planar)
-
-        jobs = []
+        """What the last step of an episode tells, (N,) each."""
         ended = np.flatnonzero(self._over)
-        taken = batch.state.epoch[ended] - 1
-        for steps in set(taken.tolist()):
-            alike = ended[taken == steps]
-            parts = portions(len(alike), self._threads, REPLAYED)
-            jobs += [(alike[some], steps) for some in parts]
-        found: dict[str, NDArray[Any]] = {}
-        for (some, _), values in zip(jobs, share(metrics, jobs, self._threads), strict=True):
-            for key, value in values.items():
-                found.setdefault(key, np.zeros(self.num_envs))[some] = value
+        told = self._stepper.metrics(self._task, ended, self._threads)
+        found = {key: np.zeros(self.num_envs) for key in told}
+        for key, values in told.items():
+            found[key][ended] = values
         return found
 
     def _same_step(self, observations: Observations, infos: dict[str, Any]) -> dict[str, Any]:
@@ -288,6 +326,8 @@ class MmWaveLocVectorEnv(gym.vector.VectorEnv[Observations, Index, NDArray[Any]]
         observations[ended] = first[ended]
         for key, anew in begun.items():
             infos[key][ended] = anew[ended]
+        if self._infos == "none":
+            return {}
         return stepped(infos, ~over) | masked(drawn, over) | {
             "final_obs": final_obs, "_final_obs": over.copy(), "final_info": final,
             "_final_info": over.copy(),
@@ -303,12 +343,18 @@ class MmWaveLocVectorEnv(gym.vector.VectorEnv[Observations, Index, NDArray[Any]]
         if not self._begun:
             raise ResetNeeded("Call reset before state: there is no episode under way.")
         self._require_simulated("state")
-        tracks = self.batch.state
-        return {
-            "rows": tracks.rows.copy(), "table": tracks.table.copy(),
-            "length": tracks.length.copy(), "epoch": tracks.epoch.copy(),
-            "generators": self._generators.bare(), "over": self._over.copy(),
+        return {name: array.copy() for name, array in self._arrays().items()} | {
+            "generators": self._generators.states(), "over": self._over.copy(),
             "actions": self._stepper.history.all(),
+        }  # fmt: skip
+
+    def _arrays(self) -> dict[str, NDArray[Any]]:
+        """What a state copies as it is."""
+        tracks, tally = self.batch.state, self._stepper.tally
+        return {
+            "rows": tracks.rows, "worlds": tracks.feed.kept, "table": tracks.table,
+            "length": tracks.length, "epoch": tracks.epoch, "keys": self._engine.keys,
+            "sums": tally.sums, "errors": tally.errors, "second": tally.second,
         }  # fmt: skip
 
     def restore(self, state: dict[str, NDArray[Any]]) -> None:
@@ -322,31 +368,40 @@ class MmWaveLocVectorEnv(gym.vector.VectorEnv[Observations, Index, NDArray[Any]]
                 episodes come from a source that is given whole generators.
         """
         self._require_simulated("restore")
-        n, tracks = self.num_envs, self.batch.state
-        epochs = cast(SimulatedSource, self.source).epochs
-        for name, expected in {
-            "rows": tracks.rows.shape, "table": (n, epochs, tracks.table.shape[2]),
-            "length": (n,), "epoch": (n,), "generators": (n, 4), "over": (n,),
-            "actions": (epochs, n),
-        }.items():  # fmt: skip
+        n, history, source = self.num_envs, self._stepper.history, self._task.simulated
+        self._make_room()
+        arrays = self._arrays()
+        others = {"generators": (n, 4), "over": (n,), "actions": history.rows.shape}
+        for name, shape in (others | {key: array.shape for key, array in arrays.items()}).items():
             found = state[name].shape if name in state else "nothing"
-            if found != expected:
+            if found != shape:
                 raise ValueError(
-                    f"{name} of the state: found {found}, expected {expected}, as in an "
+                    f"{name} of the state: found {found}, expected {shape}, as in an "
                     "environment with the same arguments"
                 )
-        tracks.rows[:], tracks.length[:] = state["rows"], state["length"]
-        tracks.epoch[:] = state["epoch"]
-        self.batch.state = tracks._replace(table=state["table"].copy())
-        self._generators.set_bare(state["generators"])
-        self._stepper.history.set_all(state["actions"])
+        epochs = set(state["length"].tolist())
+        if epochs != {source.epochs}:
+            raise ValueError(
+                f"length of the state: found episodes of {epochs} epochs, expected {source.epochs}"
+            )
+        for name, array in arrays.items():
+            array[:] = state[name]
+        self._generators.set_states(state["generators"])
+        history.set_all(state["actions"])
         self._over, self._ended = state["over"].copy(), int(np.count_nonzero(state["over"]))
         if self._baseline:
-            self._baseline.begin(np.arange(n))
+            self._baseline.begin(np.arange(n), partial(self._engine.episodes, self._task))
         self._begun = True
 
+    def _make_room(self) -> None:
+        """For what a state holds of simulated episodes; those under way go on."""
+        source = self._task.simulated
+        self._engine.attach(self._task)
+        self._stepper.tally.make_room(round(1.0 / source.dt))
+        self._stepper.remember(source.epochs)
+
     def _require_simulated(self, what: str) -> None:
-        if not self._task.simulated:
+        if not self._task.has_keys:
             raise ValueError(
                 f"{what}: found episodes of a source of your own, or recorded ones, expected "
                 "simulated ones; what such a source remembers is not known here"

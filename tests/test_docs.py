@@ -157,7 +157,7 @@ LOCALIZATION = (
     "IMM", "RTS", "ATE", "RPE", "RMSE",
 )  # fmt: skip
 LEARNING = (
-    "PPO", "episode", "observation", "action", "reward", "policy", "vector", "autoreset",
+    "PPO", "episode", "key", "observation", "action", "reward", "policy", "vector", "autoreset",
     "training seed",
 )  # fmt: skip
 

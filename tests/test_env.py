@@ -37,8 +37,11 @@ STEP_KEYS = {
     "estimate",
 }  # fmt: skip
 END_KEYS = {
-    "ate_m", "rmse_m", "rpe_m", "mean_nees", "in_bounds", "divergence", "smoothed_ate_m",
+    "ate_m", "rmse_m", "rpe_m", "mean_nees", "in_bounds", "divergence",
 }  # fmt: skip
+
+
+SMOOTHED = "smoothed_ate_m"  # where it is asked for
 
 
 def draw(seed=0, **changes):
@@ -163,7 +166,7 @@ def test_the_docstring_explains_every_argument_and_every_info():
     for name in (*own, *(field.name for field in fields(TaskArguments))):
         assert f"`{name}`" in arguments
     information = page.split("## Information")[1].split("## Arguments")[0]
-    for key in STEP_KEYS | END_KEYS | {"episode_name", "nonfinite"}:
+    for key in STEP_KEYS | END_KEYS | {"episode_name", "episode_key", "nonfinite", SMOOTHED}:
         assert f"`{key}`" in information
 
 
@@ -266,7 +269,7 @@ def test_an_episode_is_truncated_after_its_steps(episode_steps):
 def test_info_holds_what_is_documented():
     env = gym.make(ID, episode_steps=5)
     _, info = env.reset(seed=0)
-    assert set(info) == {"episode_name", "nonfinite", "truth", "estimate"}
+    assert set(info) == {"episode_name", "episode_key", "nonfinite", "truth", "estimate"}
     assert info["episode_name"] in ("pedestrian", "vehicle", "walk-ride", "jam", "cyclist")
     assert info["nonfinite"] == 0
     done = roll(env)
@@ -441,7 +444,7 @@ def test_divergence_in_the_last_epoch_pays_nothing_more():
 
 @pytest.mark.parametrize("dt", [0.5, 1.0])
 def test_the_end_sums_up_the_steps(dt):
-    env = gym.make(ID, dt=dt)
+    env = gym.make(ID, dt=dt, smoothed=True)
     infos = [info for *_, info in roll(env, seed=2)]
     truth = np.array([info["truth"][:3] for info in infos])
     error = np.array([info["estimate"][:3] for info in infos]) - truth
@@ -465,11 +468,68 @@ def test_the_end_sums_up_the_steps(dt):
         "mean_nees": nees.mean(),
         "in_bounds": ((nees >= low) & (nees <= high)).mean(),
         "divergence": float(distance.max() > 50.0),
-        "smoothed_ate_m": np.linalg.norm(smoothed[:, :3] - truth, axis=1)[10:].mean(),
+        SMOOTHED: np.linalg.norm(smoothed[:, :3] - truth, axis=1)[10:].mean(),
     }
-    found = {key: infos[-1][key] for key in END_KEYS}
+    found = {key: infos[-1][key] for key in END_KEYS | {SMOOTHED}}
     assert found == pytest.approx(expected, rel=1e-9)
-    assert found["smoothed_ate_m"] < found["ate_m"]
+    assert found[SMOOTHED] < found["ate_m"]
+
+
+def test_lean_infos_tell_of_episodes_alone_or_nothing():
+    all_, lean, none = (
+        roll(gym.make(ID, episode_steps=12, infos=infos, **EKF), steps=12)
+        for infos in ("all", "episode", "none")
+    )
+    for (*step, told), (*same, end), (*again, nothing) in zip(all_, lean, none, strict=True):
+        assert_same(step, same)
+        assert_same(step, again)
+        assert nothing == {}
+        assert_same(end, told if step[2] or step[3] else {})
+    env = gym.make(ID, infos="episode", **EKF)
+    assert "episode_key" in env.reset(seed=0)[1]
+
+
+# --- keys
+
+
+def test_a_key_plays_its_episode_again():
+    env = gym.make(ID, **EKF)
+    observation, info = env.reset(seed=3)
+    for key in (info["episode_key"], int(info["episode_key"])):
+        again, told = env.reset(options={"episode_key": key})
+        np.testing.assert_array_equal(again, observation)
+        assert_same(told, info)
+    assert info["episode_key"].dtype == np.uint64
+    vector = gym.make_vec(ID, num_envs=3, **EKF)
+    several, told = vector.reset(options={"episode_key": [5, info["episode_key"], 6]})
+    np.testing.assert_array_equal(several[1], observation)
+    assert told["episode_key"].tolist() == [5, int(info["episode_key"]), 6]
+    for _ in range(5):
+        one, many = env.step(0), vector.step(np.zeros(3, int))
+        np.testing.assert_array_equal(many[0][1], one[0])
+        assert many[1][1] == one[1]
+
+
+@pytest.mark.parametrize("key", [-1, 2**64, 1.5, "7", True, None])
+def test_what_is_no_key_is_refused(key):
+    env = gym.make(ID, **EKF)
+    if key is None:  # no key is asked for
+        env.reset(options={"episode_key": None})
+        return
+    with pytest.raises(ValueError, match=r"episode_key: found .*expected an integer from 0 to 2"):
+        env.reset(options={"episode_key": key})
+
+
+def test_a_key_beside_a_seed_is_refused():
+    with pytest.raises(ValueError, match="episode_key'. and seed: found both .seed 3., expected"):
+        gym.make(ID, **EKF).reset(seed=3, options={"episode_key": 1})
+
+
+def test_recorded_episodes_have_no_keys():
+    env = gym.make(ID, episodes="canyon28_vehicle", **EKF)
+    with pytest.raises(ValueError, match="'canyon28_vehicle' is recorded or a source of your own"):
+        env.reset(options={"episode_key": 1})
+    assert "episode_key" not in env.reset(seed=0)[1]
 
 
 @pytest.mark.parametrize("unknown", ["truth_position_m", "truth_velocity_mps"])

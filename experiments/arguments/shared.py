@@ -3,6 +3,8 @@
 from dataclasses import dataclass
 from pathlib import Path
 
+USUAL_EPISODES = 1000
+
 
 @dataclass(kw_only=True)
 class JsonArgs:
@@ -48,10 +50,14 @@ class WorldArgs:
 class EpisodeArgs(WorldArgs, EpisodeResultArgs):
     """Episodes and modes."""
 
-    episodes: int = 1000
-    """how many; 1000 or more to publish"""
-    seed: int = 0
-    """seed of the first episode; test seeds start at 0, tuning seeds at 5000000"""
+    episodes: int | None = None
+    """how many (1000 where none is given); 1000 or more to publish"""
+    seed: int | None = None
+    """seed of the first episode (0 where none is given); test seeds start at 0, tuning seeds at
+    5000000"""
+    keys: tuple[int, ...] | None = None
+    """keys of simulated episodes to play in place of those of seeds, as --episodes-csv and the
+    environment's infos tell them"""
     modes: tuple[str, ...] = ()
     """modes to work with in place of the profile's ekf and ukf: names (ekf, ukf, ckf, ekf-robust,
     ukf-robust, or extended for a bank of eight) and mode files; policies are then fixed-NAME,

@@ -9,9 +9,10 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
-from experiments.arguments.shared import EpisodeArgs, WorldArgs
+from experiments.arguments.shared import USUAL_EPISODES, EpisodeArgs, WorldArgs
 from experiments.evaluation.contenders import Contender, contender_from, contenders
 from experiments.evaluation.runs import Run
+from experiments.evaluation.seeds import Selection
 from mmwave_env import __version__
 from mmwave_env.episodes.episode import EpisodeSource
 from mmwave_env.filters.bank import bank_over
@@ -79,6 +80,11 @@ def source_of(args: WorldArgs) -> EpisodeSource:
     """Where episodes come from."""
     # What filters them is not asked: of modes of its own nobody is told that they are not tuned.
     return _task(args, [Mode("none")]).source
+
+
+def selection_of(args: EpisodeArgs, source: EpisodeSource) -> Selection:
+    """Which episodes are asked for."""
+    return Selection.of(source, args.episodes, args.seed, args.keys, USUAL_EPISODES)
 
 
 def _task(args: WorldArgs, modes: Modes, beliefs: str = "shared") -> Task:

@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Any
 
 from experiments.arguments.shared import EpisodeArgs
-from experiments.cli.options import contender_of, provenance, runs_of, task_of
+from experiments.cli.options import contender_of, provenance, runs_of, selection_of, task_of
 from experiments.evaluation.bounds import bound_markdown, over_bound
 from experiments.evaluation.comparison import Comparison, compare_scores, episodes_csv
 from experiments.evaluation.decisions import Decisions
@@ -51,6 +51,7 @@ def results(
     """
     task, runs = task_of(args), runs_of(args, names)
     source, scoring = task.source, Scoring.of(task)
+    selection = selection_of(args, source)
     if bound and args.planar:
         raise ValueError("bound: found with planar, whose bound there is not; expected one of them")
     if figure:
@@ -61,19 +62,19 @@ def results(
     seen = Decisions({file: name for name, file in files.items()}) if decisions else None
     everybody = [chosen[file] for file in trainings(names, runs)]
     found = score_contenders(
-        everybody, source, args.radio, args.episodes, args.seed,
-        watch=seen.add if seen else None, scoring=scoring,
+        everybody, source, args.radio, selection, watch=seen.add if seen else None,
+        scoring=scoring,
     )  # fmt: skip
     scores = {name: found[file] for name, file in files.items()}
     if args.episodes_csv:
-        write_text(args.episodes_csv, episodes_csv(scores, args.seed))
+        write_text(args.episodes_csv, episodes_csv(scores, selection, source))
     result = compare_scores(
-        scores, learned, scenario=source.name, radio=profile_of(args.radio), episodes=args.episodes,
-        seed=args.seed, reward=reward_name(scoring.reward),
+        scores, learned, scenario=source.name, radio=profile_of(args.radio), selection=selection,
+        reward=reward_name(scoring.reward),
     )  # fmt: skip
     text, content = str(result), result.json
     if bound:
-        over = over_bound(scores, source, radio_from(args.radio), args.seed)
+        over = over_bound(scores, source, radio_from(args.radio), selection)
         text, content = text + bound_markdown(over), content | {"bound": over.json}
     if runs:
         trained = {run: [found[file] for file in run.policies] for run in runs.values()}

@@ -20,7 +20,7 @@ from experiments.evaluation.cramer_rao import (
 from experiments.evaluation.intervals import Interval, bootstrap
 from experiments.evaluation.markdown import grid
 from experiments.evaluation.runner import CHUNK, Scores
-from experiments.evaluation.seeds import draw_episodes
+from experiments.evaluation.seeds import Selection
 from mmwave_env.episodes.episode import Episode, EpisodeSource
 from mmwave_env.metrics import scored
 from mmwave_env.models.radio import Radio
@@ -83,18 +83,17 @@ class OverBound:
 
 
 def over_bound(
-    scores: Mapping[str, Scores], source: EpisodeSource, radio: Radio, seed: int
+    scores: Mapping[str, Scores], source: EpisodeSource, radio: Radio, selection: Selection
 ) -> OverBound:
     """Contenders over the bounds of the episodes that their scores are from.
 
     Args:
-        scores: per contender, of the episodes with seeds ``seed`` and up.
-        source, radio: of the episodes.
-        seed: the first.
+        scores: per contender, of the episodes.
+        source, radio, selection: of the episodes.
     """
     squared = np.stack([np.square(s["rmse_m"]) for s in scores.values()], axis=1)
     # The episodes are drawn again rather than kept while all contenders run.
-    bounds = bounds_of(draw_episodes(source, range(seed, seed + len(squared))), radio.drift_mps)
+    bounds = bounds_of(selection.draw(source), radio.drift_mps)
     columns = {
         "rmse_m": 1.0,
         "over_averaged": 1.0 / bounds.averaged_m,

@@ -1,7 +1,7 @@
 """Agents of one's own beside those that are known, in one call: :func:`compare`."""
 
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from numbers import Integral
 from typing import Any
@@ -10,9 +10,12 @@ from experiments.evaluation.agents import Act
 from experiments.evaluation.comparison import Comparison, compare_scores
 from experiments.evaluation.contenders import Contender, contender_from
 from experiments.evaluation.runner import Scoring, score_contenders
+from experiments.evaluation.seeds import Selection
 from mmwave_env.episodes.episode import EpisodeSource
 from mmwave_env.reward import reward_name
 from mmwave_env.task import Modes, task_from
+
+USUAL_EPISODES = 200
 
 Agent = str | os.PathLike[str] | Act
 
@@ -22,13 +25,14 @@ def compare(
     beside: Sequence[str] = ("fixed-ukf", "speed-rule", "imm"),
     scenario: str | None = None,
     radio: str = "handset",
-    episodes: int = 200,
-    seed: int = 0,
+    episodes: int | None = None,
+    seed: int | None = None,
     modes: Modes = None,
     observation: str = "full",
     trust_zip: bool = False,
     data: str | os.PathLike[str] | EpisodeSource | None = None,
     beliefs: str = "shared",
+    keys: Iterable[int] | None = None,
     **world: Any,
 ) -> Comparison:
     """Agents of one's own and known contenders on the same episodes.
@@ -43,13 +47,14 @@ def compare(
             here.
         beside: names of contenders, see :func:`~experiments.evaluation.contenders.contenders`.
         scenario, radio: as of the environment.
-        episodes: how many; 1000 or more to publish.
-        seed: of the first; test seeds start at 0 and belong to no training.
+        episodes: how many, 200 where none is given; 1000 or more to publish.
+        seed: of the first, 0 where none is given; test seeds start at 0 and belong to no training.
         modes, observation, beliefs: what agents of one's own were trained with, as of the
             environment. Policy files say it themselves; "imm" among the policies is over these
             modes, with the transition and quantile of a bank or of a file that says them.
         trust_zip: whether code from a ``.zip`` may run, which loading it means.
         data: recorded or own episodes, as of the environment's ``episodes``.
+        keys: of simulated episodes to play in place of those of seeds, as infos tell them.
         world: further arguments of the environment: ``scene``, ``dt``, ``episode_steps``,
             ``planar``, ``odometry``, ``reward``.
 
@@ -59,8 +64,9 @@ def compare(
         it as Markdown.
 
     Raises:
-        ValueError: no dict of policies, unknown scenario, radio or contender, a name twice, no
-            number of episodes, or an agent that can't be loaded, fails, or returns no actions:
+        ValueError: no dict of policies, unknown scenario, radio or contender, a name or a
+            key twice, no number of episodes, a key that is none or beside ``episodes``, ``seed`` or
+            recorded data, or an agent that can't be loaded, fails, or returns no actions:
             before an episode runs.
         FileNotFoundError: there is no such file.
     """
@@ -69,12 +75,13 @@ def compare(
             f"policies: found a {type(policies).__name__}, expected a dict of agents by name, such "
             "as {'mine': act}"
         )
-    if not isinstance(episodes, Integral):
+    if not isinstance(episodes, Integral | None):
         raise ValueError(
             f"episodes: found {episodes!r}, expected how many; data= takes recordings and logs"
         )
     task = task_from(scenario=scenario, radio=radio, episodes=data, **world)
     scoring = Scoring.of(task)
+    selection = Selection.of(task.source, episodes, seed, keys, USUAL_EPISODES)
 
     def contender(name: str, agent: Agent) -> Contender:
         if not isinstance(agent, (str, os.PathLike)):
@@ -85,11 +92,11 @@ def compare(
     own = [contender(name, agent) for name, agent in policies.items()]
     others = [contender_from(name, radio) for name in beside]
     everybody = [*own, *others]
-    scores = score_contenders(everybody, task.source, radio, episodes, seed, scoring=scoring)
+    scores = score_contenders(everybody, task.source, radio, selection, scoring=scoring)
     learned = [*policies, *(one.name for one in others if one.trained)]
     return compare_scores(
         scores, learned, list(policies), scenario=task.source.name, radio=task.radio.name,
-        episodes=episodes, seed=seed, reward=reward_name(scoring.reward),
+        selection=selection, reward=reward_name(scoring.reward),
     )  # fmt: skip
 
 

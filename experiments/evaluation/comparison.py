@@ -11,6 +11,8 @@ import numpy as np
 from experiments.evaluation.intervals import Interval, bootstrap
 from experiments.evaluation.markdown import HEADERS, grid, rounded
 from experiments.evaluation.runner import Scores
+from experiments.evaluation.seeds import Selection
+from mmwave_env.episodes.episode import EpisodeSource
 from mmwave_env.metrics import METRICS
 from mmwave_env.numerics.arrays import Array
 
@@ -19,11 +21,10 @@ from mmwave_env.numerics.arrays import Array
 class Comparison:
     """Contenders on one source of episodes; its ``str`` is what they came to, as Markdown."""
 
-    # scenario, radio, episodes, seed: what was run
+    # scenario, radio, selection: what was run
     scenario: str
     radio: str
-    episodes: int
-    seed: int
+    selection: Selection
     policies: dict[str, dict[str, Interval]]  # per contender and metric
     paired: dict[str, dict[str, Interval]]  # the same for differences "A - B", episode by episode
     reward: str = "tracking"  # that the column of this name shows
@@ -36,8 +37,8 @@ class Comparison:
             return {k: {m: i.json for m, i in row.items()} for k, row in rows.items()}
 
         return {
-            "scenario": self.scenario, "radio": self.radio, "episodes": self.episodes,
-            "seed": self.seed, "policies": table(self.policies), "paired": table(self.paired),
+            "scenario": self.scenario, "radio": self.radio, **self.selection.json,
+            "policies": table(self.policies), "paired": table(self.paired),
         }  # fmt: skip
 
     def of(self, names: Sequence[str]) -> "Comparison":
@@ -46,14 +47,12 @@ class Comparison:
 
     def __str__(self) -> str:
         """Every policy with 95 % half-widths, then the paired differences of the reward."""
-        seeds = f"{self.episodes} episodes, seeds {self.seed} and up"
-        if self.episodes == 1:
-            seeds = f"1 episode, seed {self.seed}, too few for intervals"
         # Rewards of different kinds are not to be compared.
         reward = "" if self.reward == "tracking" else f", reward {self.reward}"
-        parts = [f"### {self.scenario}, {self.radio}, {seeds}{reward}\n", self._policies_table()]
+        parts = [f"### {self.scenario}, {self.radio}, {self.selection}{reward}\n"]
+        parts.append(self._policies_table())
         if self.paired:
-            intervals = ", 95 % intervals" if self.episodes > 1 else ""
+            intervals = ", 95 % intervals" if len(self.selection) > 1 else ""
             parts += [f"\nPaired differences of the reward{intervals}:\n", self._paired_table()]
         return "\n".join(parts) + "\n"
 
@@ -79,19 +78,23 @@ class Comparison:
         return grid(["reward of", *(f"minus {reference}" for reference in references)], rows)
 
 
-def episodes_csv(scores: dict[str, Scores], seed: int) -> str:
+def episodes_csv(scores: dict[str, Scores], selection: Selection, source: EpisodeSource) -> str:
     """Every metric of every contender and episode as CSV, a row each.
+
+    An episode of a seed shows its key, too, where it has one; "seed" of a key is empty.
 
     Args:
         scores: of :func:`~experiments.evaluation.runner.score_contenders`.
-        seed: of the first episode.
+        selection, source: of the episodes.
     """
     table = io.StringIO()
     rows = csv.writer(table, lineterminator="\n")
-    rows.writerow(["policy", "seed", *METRICS])
+    rows.writerow(["policy", "seed", "key", *METRICS])
+    seeds, keys = selection.seeds(), selection.keys(source)
+    which = list(zip(seeds, [None] * len(seeds) if keys is None else keys.tolist(), strict=True))
     for name, metrics in scores.items():
         values = zip(*(metrics[metric].tolist() for metric in METRICS), strict=True)
-        rows.writerows([name, seed + i, *row] for i, row in enumerate(values))
+        rows.writerows([name, *one, *row] for one, row in zip(which, values, strict=True))
     return table.getvalue()
 
 

@@ -14,6 +14,7 @@ import numpy as np
 from experiments.evaluation.contenders import BEST_IMM, Contender, contender_from, contenders
 from experiments.evaluation.intervals import Interval, bootstrap
 from experiments.evaluation.runner import score_contenders
+from experiments.evaluation.seeds import Selection
 from mmwave_env.episodes.episode import EpisodeSource
 from mmwave_env.episodes.samples import sample_names
 from mmwave_env.filters.modes import Mode
@@ -117,13 +118,14 @@ def require_contenders(names: Sequence[str]) -> None:
 
 def judge(names: Sequence[str], venue: Venue, episodes: int, seed: int) -> Judged:
     """Run contenders and every IMM in a venue, on the same episodes."""
+    selection = Selection(range(seed, seed + episodes))
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # that no modes are tuned for an unseen radio is the point
         imms = [name for name in contenders(venue.radio) if name.startswith("imm")]
         chosen: list[Contender] = [
             contender_from(name, venue.radio) for name in dict.fromkeys([*names, *imms])
         ]
-        scores = score_contenders(chosen, venue.source, venue.radio, episodes, seed)
+        scores = score_contenders(chosen, venue.source, venue.radio, selection)
     reward = {name: metrics["reward"] for name, metrics in scores.items()}
     ate = {name: metrics["ate_m"] for name, metrics in scores.items()}
     return Judged(venue, reward, ate, tuple(imms))

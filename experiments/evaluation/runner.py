@@ -11,11 +11,11 @@ from rich.progress import Progress
 
 from experiments.evaluation.agents import require_actions
 from experiments.evaluation.contenders import Contender, contender_from
-from experiments.evaluation.seeds import draw_episodes, require_seeds
+from experiments.evaluation.seeds import Selection
 from mmwave_env.compiler.program import rows_of
 from mmwave_env.engines.env_engine import Engine
 from mmwave_env.engines.imm_engine import ImmEngine
-from mmwave_env.episodes.episode import Episode, EpisodeSource
+from mmwave_env.episodes.episode import Episode, EpisodeBatch, EpisodeSource
 from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.metrics import BURN_IN, METRICS, scored, summary
 from mmwave_env.numerics.arrays import Array
@@ -91,15 +91,30 @@ def run_contender(
         "reward" and "nees" (n, T), "error" (n, T, 3) in m and, where there is a policy, "mode"
         (n, T), its actions; of each part shown (n, T, numbers).
     """
+    return _run(contender, policy, _packed(episodes, scoring), scoring, shown)
+
+
+def _packed(episodes: Sequence[Episode], scoring: Scoring) -> EpisodeBatch:
+    """Episodes with a truth, as engines load them."""
     for episode in episodes:
         episode.require_truth()
-    if scoring.planar:
-        episodes = [one.on_flat_ground() for one in episodes]
-    pipeline = Pipeline(contender.modes, episodes[0].layout, scoring.planar)
+    packed = EpisodeBatch.of(episodes)
+    return packed.on_flat_ground() if scoring.planar else packed
+
+
+def _run(
+    contender: Contender,
+    policy: Policy | None,
+    episodes: EpisodeBatch,
+    scoring: Scoring,
+    shown: Sequence[str] = (),
+) -> EpochResults:
+    """:func:`run_contender` on what is packed."""
+    pipeline = Pipeline(contender.modes, episodes.layout, scoring.planar)
     if policy is None:
         imm = ImmEngine(pipeline, scoring.reward, contender.transition, contender.nis_quantile)
         return imm.run(episodes, *TOLD)
-    n, T = len(episodes), len(episodes[0])
+    n, T, _ = episodes.table.shape
     engine = Engine(pipeline, n, scoring.reward, contender.observation, contender.bank)
     engine.reset(episodes)
     policy.reset(np.ones(n, bool))
@@ -144,28 +159,25 @@ def score_contenders(
     names: Sequence[str | Contender],
     source: EpisodeSource,
     radio: str,
-    episodes: int,
-    seed: int,
+    selection: Selection,
     modes: Modes = None,
     watch: Watch | None = None,
     scoring: Scoring = PLAIN,
 ) -> dict[str, Scores]:
-    """Scores of contenders on the same episodes, seeds ``seed .. seed + episodes - 1``.
+    """Scores of contenders on the same episodes.
 
     Args:
         names: see :func:`contender_from`; or contenders themselves.
         source: of the episodes.
         radio: profile.
-        episodes: how many.
-        seed: of the first.
+        selection: which of them, by seeds or keys.
         modes: as of :func:`contenders`.
         watch: gets every contender, episodes, and what :func:`run_contender` tells of them.
         scoring: for all of them.
 
     Raises:
-        ValueError: unknown or repeated contender, or fewer than one episode.
+        ValueError: unknown or repeated contender.
     """
-    require_seeds(range(seed, seed + episodes))
     chosen = [
         one if isinstance(one, Contender) else contender_from(one, radio, modes) for one in names
     ]
@@ -176,17 +188,15 @@ def score_contenders(
     parts: dict[str, list[Scores]] = {c.name: [] for c in chosen}
     console = Console(stderr=True)  # what is printed is the result alone
     with Progress(console=console, transient=True, disable=not console.is_terminal) as progress:
-        task = progress.add_task(source.name, total=episodes * (1 + len(chosen)))
-        for first in range(0, episodes, CHUNK):
-            seeds = range(seed + first, seed + min(first + CHUNK, episodes))
-            batch = []
-            for one in seeds:
-                batch += draw_episodes(source, [one])
-                progress.advance(task)
+        task = progress.add_task(source.name, total=len(selection) * (1 + len(chosen)))
+        for first in range(0, len(selection), CHUNK):
+            batch = selection.part(first, CHUNK).draw(source)
+            progress.advance(task, len(batch))
             if not first:
                 _warn_of_short(batch[0])
+            packed = _packed(batch, scoring)
             for contender, policy in zip(chosen, policies, strict=True):
-                told = run_contender(contender, policy, batch, scoring)
+                told = _run(contender, policy, packed, scoring)
                 parts[contender.name].append(_summary(told, batch, scoring))
                 if watch:
                     watch(contender, batch, told)

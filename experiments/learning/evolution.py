@@ -15,9 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from experiments.evaluation.intervals import bootstrap
-from experiments.evaluation.seeds import TRAINING_SEED, TUNING_SEED
+from experiments.evaluation.seeds import TRAINING_SEED, TUNING_SEED, keys_of
 from experiments.learning.continuous_trust import TrustEngine
-from mmwave_env.compiler.rng import Generators
 from mmwave_env.episodes.episode import EpisodeBatch
 from mmwave_env.episodes.simulated import SimulatedSource
 from mmwave_env.filters.bank import Bank, bank_as_written, bank_in
@@ -143,11 +142,7 @@ def _none(bank: Bank) -> LinearTrust:
 
 def _drawn(source: SimulatedSource, seed: int, episodes: int) -> EpisodeBatch:
     """The episodes of seeds ``seed .. seed + episodes - 1``."""
-    generators = Generators(episodes)
-    for place in range(episodes):
-        generators.seed(place, seed + place)
-    with generators.states(np.arange(episodes)) as states:
-        return source.sample_batch(states)
+    return source.sample_batch(keys_of(range(seed, seed + episodes)))
 
 
 def _copies(episodes: EpisodeBatch, times: int) -> EpisodeBatch:

@@ -23,7 +23,7 @@ from experiments.evaluation.intervals import over_seeds_and_episodes
 from experiments.evaluation.markdown import grid, show
 from experiments.evaluation.runner import score_contenders
 from experiments.evaluation.runs import Run
-from experiments.evaluation.seeds import draw_episodes
+from experiments.evaluation.seeds import Selection, draw_episodes
 from experiments.learning.ablate import VARIANTS
 from experiments.learning.arguments.learned import Args
 from experiments.learning.curves import draw_curves
@@ -95,7 +95,8 @@ def around_events(args: Args, radio: str) -> dict[str, Any]:
     names = [guided, BEST_IMM, switcher, "speed-rule"]
     decisions = Decisions({name: name for name in names})
     source = source_of(WorldArgs(radio=radio))
-    score_contenders(names, source, radio, args.episodes, args.seed, watch=decisions.add)
+    selection = Selection(range(args.seed, args.seed + args.episodes))
+    score_contenders(names, source, radio, selection, watch=decisions.add)
     decisions.draw(args.out / f"decisions-{radio}.png")
     return decisions.json
 
@@ -118,7 +119,8 @@ def ablations(args: Args) -> tuple[str, str, dict[str, Any]]:
         if (folder := args.runs / "ablation" / name).is_dir()
     }
     names, episodes = [*chain(*files.values()), "imm"], args.episodes // 4
-    scores = score_contenders(names, source, "handset", episodes, args.seed)
+    selection = Selection(range(args.seed, args.seed + episodes))
+    scores = score_contenders(names, source, "handset", selection)
     found = {name: np.stack([scores[f]["reward"] for f in each]) for name, each in files.items()}
     rows, content = [], {}
     for name, rewards in found.items():

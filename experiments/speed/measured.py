@@ -23,10 +23,12 @@ from experiments.speed.workloads import (
     filters,
     native_name,
     pipeline,
+    source,
 )
 from mmwave_env.compiler.lanes import WIDTH
 from mmwave_env.engines.env_engine import Engine
 from mmwave_env.engines.track_engine import Tracker
+from mmwave_env.episodes.travel import stride_of
 from mmwave_env.filters.mode_files import named_modes
 from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.reward import TrackingReward
@@ -221,13 +223,20 @@ class Measured:
 
 
 def kernels() -> dict[str, Operations]:
-    """The operations of the filters alone, and of a step of the environment."""
+    """The operations of the filters alone, and of a step of the environment with its world.
+
+    Of the world what happens now and then (gaits, crossings) is left out.
+    """
     layout, modes = pipeline().layout, named_modes(RADIO)
     programs: dict[str, Any] = {
         name: Tracker(Pipeline((modes[name],), layout), 1).program for name in FILTERS
     }
     programs[STEP] = Engine(pipeline(), 1, TrackingReward()).batch.program
-    return {name: count(one.function, one.template) for name, one in programs.items()}
+    counted = {name: count(one.function, one.template) for name, one in programs.items()}
+    drawn = source()
+    observed, _, moved = (count(part, drawn.world.template) for part in drawn.world.parts)
+    made = zip(counted[STEP], observed, *[moved] * stride_of(drawn.dt), strict=True)
+    return counted | {STEP: Operations(*map(sum, made))}
 
 
 def quotients(over: Sequence[float], under: Sequence[float]) -> list[float]:

@@ -104,13 +104,13 @@ def _copying() -> Any:
 
 
 def _repeated(build: Callable[[Any], None]) -> Any:
-    run = kernel(build)
+    run = kernel(build, [ROWS])
 
     @numba.njit  # type: ignore[untyped-decorator]
     def repeat(blocks, calls):  # type: ignore[no-untyped-def]
         for _ in range(calls):
             for block in blocks:
-                run(block)
+                run((block.ctypes.data,))
 
     return repeat
 

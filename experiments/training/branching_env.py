@@ -17,9 +17,9 @@ from experiments.training.places import require_environments
 from experiments.training.training_task import TrainingTask
 from mmwave_env.compiler.lanes import WIDTH
 from mmwave_env.compiler.program import rows_of
-from mmwave_env.compiler.rng import Generators
 from mmwave_env.engines.env_engine import Engine
 from mmwave_env.engines.track_engine import untuned
+from mmwave_env.episodes.keys import Generators
 from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.models.measurement import Layout
 from mmwave_env.numerics.arrays import Array, Index
@@ -116,8 +116,7 @@ class BranchingEnv:
         for i, source in enumerate(self._sources):
             here = places[self._place[places] == i]
             if len(here):
-                with self._generators.states(here) as states:
-                    self._engine.load(source.sample_batch(states), here)
+                self._engine.load(source.sample_batch(self._generators.keys(here)), here)
         begun, _ = self._engine.start(places)
         self.observations[places] = begun[places]
 
@@ -175,16 +174,16 @@ class BranchingEnv:
         return {
             "rows": state.rows.copy(), "table": state.table.copy(),
             "length": state.length.copy(), "epoch": state.epoch.copy(),
-            "generators": self._generators.bare(), "observations": self.observations.copy(),
+            "generators": self._generators.states(), "observations": self.observations.copy(),
         }  # fmt: skip
 
     def restore(self, state: dict[str, Any]) -> None:
         """Go on, to the last bit, as the environments that gave this :meth:`state`."""
         here = self._engine.batch.state
         for name, array in zip(here._fields, here, strict=True):
-            if name in state:
+            if name in state and isinstance(array, np.ndarray):
                 array[:] = state[name]
-        self._generators.set_bare(state["generators"])
+        self._generators.set_states(state["generators"])
         self.observations = state["observations"].copy()
 
 

@@ -7,8 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from experiments.training.training_env import TrainingEnv, how_wrong
-from mmwave_env.numerics.arrays import Array, Index, Mask
-from mmwave_env.vector_env import MmWaveLocVectorEnv
+from mmwave_env.numerics.arrays import Index, Mask
 
 Observations = NDArray[np.float32]
 Told = dict[str, Any]
@@ -28,15 +27,6 @@ class Ends(NamedTuple):
     observations: Observations
     truncated: Mask
     infos: list[Told]
-
-
-def _step_into(
-    env: MmWaveLocVectorEnv, actions: Index, observations: Observations, rewards: Array,
-    terminated: Mask, truncated: Mask,
-) -> Told:  # fmt: skip
-    """Step into arrays of the caller's; what the environments tell."""
-    observations[:], rewards[:], terminated[:], truncated[:], told = env.step(actions)
-    return told
 
 
 class NativeSteps:
@@ -83,10 +73,10 @@ class NativeSteps:
     def step(self, actions: Index) -> Ends | None:
         """Take actions (n,); the episodes that ended, if any did."""
         for i, (at, env) in enumerate(zip(self._at, self._world.envs, strict=True)):
-            self._told[i] = _step_into(
-                env, actions[at], self._seen[at], self.rewards[at], self._terminated[at],
-                self._truncated[at],
+            out = (
+                self._seen[at], self.rewards[at], self._terminated[at], self._truncated[at]
             )  # fmt: skip
+            *_, self._told[i] = env.step(actions[at], out=out)
         if self._world.truth:
             self._add_truth()
         self._returns += self.rewards

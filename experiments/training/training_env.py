@@ -100,10 +100,12 @@ class TrainingEnv:
     def __init__(self, task: TrainingTask, recipe: Hyperparameters) -> None:
         require_environments(recipe.num_envs, len(task.places))
         reward = PairedReward(task.reward) if recipe.paired else task.reward
+        # the truth at the end of an episode is among what a step tells
+        infos = "all" if recipe.truth_critic else "episode"
         self.envs = [
             MmWaveLocVectorEnv(
                 n, **task.arguments(place), observation=task.observation, reward=reward,
-                autoreset_mode="SameStep", threads=1,
+                autoreset_mode="SameStep", infos=infos, threads=1,
             )
             for place, n in zip(
                 task.places, shares(recipe.num_envs, len(task.places)), strict=True

@@ -68,9 +68,38 @@ class _Number(_Recorded, Tracer):
 
     __neg__, __abs__, sqrt = _recording("neg"), _recording("abs"), _recording("sqrt")
     log, exp, atan2 = _recording("log"), _recording("exp"), _recording("atan2")
+    floor = _recording("floor")
+
+    def as_word(self) -> "_Word":
+        return _Word(*self._record("as word", self))
 
     def constant(self, value: float) -> "_Number":
         return _Number(*self._record("constant", value))
 
     def cos_sin(self) -> "tuple[_Number, _Number]":
         return _Number(*self._record("cos", self)), _Number(*self._record("sin", self))
+
+
+class _Word(_Recorded):
+    __slots__ = ()
+
+    def __add__(self, other: "_Word | int") -> "_Word":
+        return _Word(*self._record("+", self, other))
+
+    def __xor__(self, other: "_Word") -> "_Word":
+        return _Word(*self._record("^", self, other))
+
+    def __or__(self, other: "_Word") -> "_Word":
+        return _Word(*self._record("|", self, other))
+
+    def __lshift__(self, bits: int) -> "_Word":
+        return _Word(*self._record("<<", self, bits))
+
+    def __rshift__(self, bits: int) -> "_Word":
+        return _Word(*self._record(">>", self, bits))
+
+    def scaled(self, factor: float) -> _Number:
+        return _Number(*self._record("scaled", self, factor))
+
+    def as_number(self) -> _Number:
+        return _Number(*self._record("as number", self))

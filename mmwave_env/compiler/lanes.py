@@ -7,7 +7,8 @@ code; called with floats it is itself. :func:`kernel` does the wrapping.
 
 import math
 import operator
-from collections.abc import Callable
+from bisect import bisect
+from collections.abc import Callable, Sequence
 from typing import Any
 
 from llvmlite import ir
@@ -99,6 +100,14 @@ class Lanes(Tracer):
         """Square root per lane, correctly rounded."""
         return self._call("sqrt")
 
+    def floor(self) -> "Lanes":
+        """The next lower integer."""
+        return self._call("floor")
+
+    def as_word(self) -> "WordLanes":
+        """The same bits as eight words."""
+        return WordLanes(self.builder, self.builder.bitcast(self.value, _BITS))
+
     def _call(self, name: str) -> "Lanes":
         signature = ir.FunctionType(_VECTOR, [_VECTOR])
         full = f"llvm.{name}.v{WIDTH}f64"
@@ -167,6 +176,39 @@ class Lanes(Tracer):
         return result
 
 
+class WordLanes:
+    """Eight words of 64 bits (:class:`~mmwave_env.numerics.random.Word`) in one SIMD value."""
+
+    __slots__ = ("builder", "value")
+
+    def __init__(self, builder: Any, value: Any) -> None:
+        self.builder, self.value = builder, value
+
+    def __add__(self, other: "WordLanes | int") -> "WordLanes":
+        term = _bits(other) if isinstance(other, int) else other.value
+        return WordLanes(self.builder, self.builder.add(self.value, term))
+
+    def __xor__(self, other: "WordLanes") -> "WordLanes":
+        return WordLanes(self.builder, self.builder.xor(self.value, other.value))
+
+    def __or__(self, other: "WordLanes") -> "WordLanes":
+        return WordLanes(self.builder, self.builder.or_(self.value, other.value))
+
+    def __lshift__(self, bits: int) -> "WordLanes":
+        return WordLanes(self.builder, self.builder.shl(self.value, _bits(bits)))
+
+    def __rshift__(self, bits: int) -> "WordLanes":
+        return WordLanes(self.builder, self.builder.lshr(self.value, _bits(bits)))
+
+    def scaled(self, factor: float) -> Any:
+        """The integers, below 2^63, times a factor."""
+        return Lanes(self.builder, self.builder.sitofp(self.value, _VECTOR)) * factor
+
+    def as_number(self) -> Lanes:
+        """The numbers of these bits."""
+        return Lanes(self.builder, self.builder.bitcast(self.value, _VECTOR))
+
+
 def _bits(value: int) -> Any:
     return ir.Constant(_BITS, [value] * WIDTH)
 
@@ -176,13 +218,15 @@ def _lift(a: Any) -> Any:
 
 
 class _Rows:
-    """Rows of a workspace block: reading loads eight lanes, writing stores them."""
+    """Rows of a workspace: reading loads eight lanes, writing stores them."""
 
-    def __init__(self, builder: Any, base: Any) -> None:
-        self.builder, self.base = builder, base
+    def __init__(self, builder: Any, bases: Sequence[Any], ends: Sequence[int]) -> None:
+        self.builder, self.bases, self.ends = builder, bases, ends
 
     def _at(self, row: int) -> Any:
-        return self.builder.gep(self.base, [ir.Constant(ir.IntType(64), operator.index(row))])
+        part = bisect(self.ends, operator.index(row))
+        within = row - (self.ends[part - 1] if part else 0)
+        return self.builder.gep(self.bases[part], [ir.Constant(ir.IntType(64), within)])
 
     def __getitem__(self, row: int) -> Lanes:
         return Lanes(self.builder, self.builder.load(self._at(row), align=8))
@@ -203,21 +247,29 @@ def _align_stack(builder: Any) -> None:
     builder.asm(use, "", "r", [vector], side_effect=True)  # else it is optimized away
 
 
-def kernel(function: Callable[[Any], None]) -> Any:
-    """A numba function of one (rows, 8) float64 workspace block that runs ``function(rows)``.
+def kernel(function: Callable[[Any], None], ends: Sequence[int]) -> Any:
+    """A numba function that runs ``function(rows)`` on a workspace of one or more parts.
 
     ``rows[i]`` reads row i as Lanes and ``rows[i] = value`` writes it. The function is
     called once, when numba compiles the caller.
+
+    Args:
+        function: what to run.
+        ends: the row where each part ends.
+
+    Returns:
+        A function of a tuple with the address of each part, (rows, 8) doubles.
     """
 
     @intrinsic  # type: ignore[untyped-decorator]
-    def run(typing_context: Any, block: Any) -> Any:
+    def run(typing_context: Any, addresses: Any) -> Any:
         def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-            array = context.make_array(signature.args[0])(context, builder, arguments[0])
             _align_stack(builder)
-            function(_Rows(builder, builder.bitcast(array.data, _VECTOR.as_pointer())))
+            places = [builder.extract_value(arguments[0], i) for i in range(len(ends))]
+            bases = [builder.inttoptr(place, _VECTOR.as_pointer()) for place in places]
+            function(_Rows(builder, bases, ends))
             return context.get_dummy_value()
 
-        return types.void(block), generate
+        return types.void(addresses), generate
 
     return run

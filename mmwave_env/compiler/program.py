@@ -5,25 +5,21 @@ A program maps a workspace tree to a workspace tree. Its leaves are rows of an a
 ``incoming``, is loaded before each run from a table of whole tracks.
 """
 
-import ctypes
 import os
 from collections.abc import Callable, Sequence
 from operator import attrgetter
 from typing import Any, Generic, NamedTuple, TypeVar
 
-import numba
 import numpy as np
-from llvmlite import ir
 from numba import types
 from numba.core.compiler_lock import global_compiler_lock
-from numba.extending import intrinsic, overload, register_jitable
 from numpy.typing import NDArray
 
+from mmwave_env.compiler.advance import advance
 from mmwave_env.compiler.disk_cache import compiled_callback
 from mmwave_env.compiler.fingerprint import fingerprint
 from mmwave_env.compiler.lanes import WIDTH, kernel
 from mmwave_env.compiler.lazy_jit import LazyJit
-from mmwave_env.compiler.transpose import LINE, address, gather, prefetch, scatter, scatter_single
 from mmwave_env.numerics.arrays import Array, Index
 from mmwave_env.numerics.pytree import Tree, flatten, indices, unflatten
 
@@ -32,7 +28,6 @@ Blocks = tuple[int, int]  # first, end
 
 NO_ROWS = np.empty(0, np.int64)
 PLAIN_BLOCK_EPOCHS = 1000  # of blocks, before compiling, which takes as long as 4000 of them
-NEAR = 2**16  # numbers that the core's own caches hold of workspaces
 
 # numba's own lock guards all that compiles. A child forked while another thread holds it would
 # wait for ever, for that thread is not in the child; so a fork waits for the compilation.
@@ -49,10 +44,39 @@ def rows_of(tree: Any) -> Index:
     return np.array(flatten(tree), np.int64)
 
 
+def blocks_of(start: Array, n: int) -> Array:
+    """Workspaces of n tracks (blocks, size, 8), and of the lanes past them, all as one (size,)."""
+    return np.tile(start[None, :, None], (-(-n // WIDTH), 1, WIDTH))
+
+
+def lanes_of(n: int) -> tuple[Index, Index]:
+    """Blocks and lanes (n,) of n tracks."""
+    return np.divmod(np.arange(n), WIDTH)
+
+
+class Feed(NamedTuple):
+    """What makes the rows that come in, epoch by epoch, instead of a table.
+
+    It has a workspace of its own, the same tracks in the same lanes.
+    """
+
+    run: int  # address of a C function of the addresses of what comes in, settings and kept rows
+    settings: Array  # (rows, 8) read only, the same for all
+    kept: Array  # (blocks, rows, 8) changed in place
+    timed: int  # the row that comes in which gets a number of the epoch instead
+    times: Array  # (epochs,) these numbers
+
+    @classmethod
+    def none(cls) -> "Feed":
+        """Nothing but tables: the address is 0."""
+        return cls(0, np.empty((0, WIDTH)), np.empty((0, 0, WIDTH)), 0, np.empty(0))
+
+
 class BatchState(NamedTuple):
     """N tracks and how far they are."""
 
     rows: Array  # (blocks, size, 8) workspace, changed in place
+    feed: Feed  # what makes the epochs, if there is no table
     table: Array  # (n, epochs, incoming) what to load
     length: Index  # (n,) epochs there are of each track; past them a blank one is loaded
     epoch: Index  # (n,) the epoch each runs next, changed in place
@@ -62,7 +86,8 @@ class BatchState(NamedTuple):
     def of(cls, table: Array, rows: Array) -> "BatchState":
         """Tracks of equal length, from their first epoch."""
         n, epochs, _ = table.shape
-        return cls(rows, table, np.full(n, epochs), np.zeros(n, np.int64), np.ones(n, np.bool_))
+        everyone = np.ones(n, np.bool_)
+        return cls(rows, Feed.none(), table, np.full(n, epochs), np.zeros(n, np.int64), everyone)
 
 
 class StepIO(NamedTuple):
@@ -92,60 +117,27 @@ class StepIO(NamedTuple):
         )  # fmt: skip
 
 
-def tree_kernel(function: Callable[[Tree], Tree], template: Tree) -> Any:
-    """A numba function of a (rows, 8) block that changes it by a function of numbers.
+def tree_kernel(
+    function: Callable[[Tree], Tree], template: Tree, ends: Sequence[int] | None = None
+) -> Any:
+    """A numba function that changes a workspace by a function of numbers.
 
     Args:
         function: from a tree to a tree of the same shape.
         template: a tree of that shape; its leaves in order are the rows.
+        ends: as of :func:`~mmwave_env.compiler.lanes.kernel`, which says what it is a function of;
+            None for one part.
     """
+    size = len(flatten(template))
 
     def build(rows: Any) -> None:
-        before = [rows[i] for i in range(len(flatten(template)))]
+        before = [rows[i] for i in range(size)]
         after = flatten(function(unflatten(template, iter(before))))
         for i, (old, new) in enumerate(zip(before, after, strict=True)):
             if new is not old:
                 rows[i] = new
 
-    return kernel(build)
-
-
-def c_function(signature: Any, function: Callable[..., Any]) -> Any:
-    """A function, compiled, as an argument for compiled functions.
-
-    Its arguments and what it returns are addresses and 64-bit integers, or nothing; its name tells
-    what it does, as of :func:`~mmwave_env.compiler.disk_cache.compiled_callback`.
-    """
-    kinds: dict[Any, Any] = {
-        types.voidptr: ctypes.c_void_p,
-        types.int64: ctypes.c_int64,
-        types.void: None,
-    }
-    callback = compiled_callback(signature, function)
-    takes = [kinds[kind] for kind in signature.args]
-    pointer: Any = ctypes.CFUNCTYPE(kinds[signature.return_type], *takes)(callback.address)
-    pointer.code = callback  # which lives as long
-    return pointer
-
-
-def call(run: int, block: Array) -> None:
-    """Run a program on a block (size, 8), by the address that ``Program.on_lanes`` returns."""
-    ctypes.CFUNCTYPE(None, ctypes.c_void_p)(run)(block.ctypes)
-
-
-@overload(call)  # type: ignore[untyped-decorator]
-def _compiled_call(run, block):  # type: ignore[no-untyped-def]
-    return lambda run, block: _jump(run, block.ctypes.data)
-
-
-@intrinsic  # type: ignore[untyped-decorator]
-def _jump(_, run, block):  # type: ignore[no-untyped-def]
-    def build(context, builder, signature, addresses):  # type: ignore[no-untyped-def]
-        function = ir.FunctionType(ir.VoidType(), [addresses[1].type])
-        builder.call(builder.inttoptr(addresses[0], function.as_pointer()), [addresses[1]])
-        return context.get_dummy_value()
-
-    return types.void(run, block), build
+    return kernel(build, ends or [size])
 
 
 class Program(Generic[Workspace]):
@@ -190,7 +182,7 @@ class Program(Generic[Workspace]):
 
     def run_on_floats(self, state: BatchState, io: StepIO) -> None:
         """Run all, one environment at a time in plain Python: slow, for reference."""
-        rows, table, length, epoch, running = state
+        rows, _, table, length, epoch, running = state  # no feed: that is for lanes
         input_rows, inputs, output_rows, outputs, obs_rows, observations = io
         for e in np.flatnonzero(running):
             lanes = rows[e // WIDTH, :, e % WIDTH]
@@ -220,94 +212,13 @@ class Program(Generic[Workspace]):
         return self._compiled.address  # type: ignore[no-any-return]
 
     def _compile(self) -> Any:
-        run, shape = tree_kernel(self.function, self.template), (self.size, WIDTH)
+        run = tree_kernel(self.function, self.template)
 
         def on_address(address):  # type: ignore[no-untyped-def]
-            run(numba.carray(address, shape, np.float64))
+            run((address,))
 
         on_address.__qualname__ = f"Program.{fingerprint(self.function, self.template)}"
-        return compiled_callback(types.void(types.voidptr), on_address)
-
-
-@register_jitable  # type: ignore[untyped-decorator]
-def _load(block, sources, first, here, step, blank, table, length, epoch, input_rows, inputs):  # type: ignore[no-untyped-def]
-    """Set the rows that come in; lanes past the last track run their block's first."""
-    for lane in range(WIDTH):
-        e = first + lane if lane < here else first
-        t = epoch[e] + step
-        sources[lane] = address(table, e, t) if t < length[e] else blank.ctypes.data
-        for i in range(len(input_rows)):
-            block[input_rows[i], lane] = inputs[e, step, i]
-    gather(block, sources, len(blank))
-
-
-@register_jitable  # type: ignore[untyped-decorator]
-def _aim(targets, first, here, step, running, out, nowhere):  # type: ignore[no-untyped-def]
-    """Where lanes write to; those of no track that runs, where nobody looks."""
-    for lane in range(WIDTH):
-        e = first + lane
-        runs = lane < here and running[e]
-        targets[lane] = address(out, e, step) if runs else nowhere.ctypes.data
-
-
-@register_jitable  # type: ignore[untyped-decorator]
-def _announce(first, end, table, length, epoch):  # type: ignore[no-untyped-def]
-    """Prefetch the next epochs of some tracks into the caches."""
-    for e in range(first, end):
-        if epoch[e] < length[e]:
-            for byte in range(0, table.strides[1], LINE):
-                prefetch(address(table, e, epoch[e]) + byte)
-
-
-@register_jitable  # type: ignore[untyped-decorator]
-def advance(  # type: ignore[no-untyped-def]
-    begin, end, run, blank, rows, table, length, epoch, running, input_rows, inputs,
-    output_rows, outputs, obs_rows, observations,
-):  # fmt: skip
-    """Run the tracks of blocks ``begin`` to ``end``.
-
-    Ignore the number that is returned. It is there because the compiler would otherwise drop the
-    reads that bring rows into the caches.
-
-    A program reads its rows in an order that no prefetcher guesses. Where the blocks of all
-    environments do not fit into the near caches, touching the rows in order first halves its time.
-    The epochs that the next block will load are as far apart as episodes are long.
-    Plain loops, because slices of arrays take numba long to compile.
-    """
-    n, epochs, size = len(length), outputs.shape[1], rows.shape[1]
-    before = np.empty((size, WIDTH))
-    at, nowhere = np.empty(WIDTH, np.int64), np.empty(max(len(output_rows), len(obs_rows)))
-    touched = 0.0
-    for b in range(begin, end):
-        block, first = rows[b], b * WIDTH
-        here = min(WIDTH, n - first)
-        busy = 0
-        for e in range(first, first + here):
-            busy += running[e]
-        if busy == 0:
-            continue
-        if rows.size > NEAR:
-            for i in range(size):
-                touched = max(touched, block[i, 0])
-        _announce(first + here, min(first + here + WIDTH, end * WIDTH, n), table, length, epoch)
-        if busy < here:
-            for i in range(size):
-                for lane in range(WIDTH):
-                    before[i, lane] = block[i, lane]
-        for step in range(epochs):
-            _load(block, at, first, here, step, blank, table, length, epoch, input_rows, inputs)
-            call(run, block)
-            _aim(at, first, here, step, running, outputs, nowhere)
-            scatter(block, output_rows, at)
-            _aim(at, first, here, step, running, observations, nowhere)
-            scatter_single(block, obs_rows, at)
-        for lane in range(here):
-            if running[first + lane]:
-                epoch[first + lane] += epochs
-                continue
-            for i in range(size):
-                block[i, lane] = before[i, lane]
-    return touched
+        return compiled_callback(types.void(types.int64), on_address)
 
 
 _advance = LazyJit(advance, PLAIN_BLOCK_EPOCHS)

@@ -78,7 +78,7 @@ def _compiled_gather(block, sources, count):  # type: ignore[no-untyped-def]
         if count < WIDTH:
             for lane in range(WIDTH):
                 for i in range(count):
-                    block[i, lane] = _double_at(sources[lane] + 8 * i)
+                    block[i, lane] = number_at(sources[lane] + 8 * i)
             return
         for first in range(0, count, WIDTH):  # the last tile overlaps the one before
             _turn_in(block.ctypes.data, sources.ctypes.data, min(first, count - WIDTH))
@@ -141,7 +141,9 @@ def _prefetch(_, address):  # type: ignore[no-untyped-def]
 
 
 @intrinsic  # type: ignore[untyped-decorator]
-def _double_at(_, address):  # type: ignore[no-untyped-def]
+def number_at(_, address):  # type: ignore[no-untyped-def]
+    """The number in double precision at an address, in compiled code."""
+
     def build(context, builder, signature, arguments):  # type: ignore[no-untyped-def]
         return builder.load(_pointer(builder, arguments[0], _DOUBLE))
 

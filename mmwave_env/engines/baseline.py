@@ -3,6 +3,7 @@
 No action changes an episode, so what the IMM earns in it is known as soon as it is loaded.
 """
 
+from collections.abc import Callable
 from dataclasses import replace
 from math import fsum
 from typing import Any
@@ -12,6 +13,7 @@ import numpy as np
 from mmwave_env.compiler.threads import portions, share
 from mmwave_env.engines.batch import Batch
 from mmwave_env.engines.imm_engine import ImmEngine
+from mmwave_env.episodes.episode import EpisodeBatch
 from mmwave_env.numerics.arrays import Array, Index
 from mmwave_env.task import Task
 
@@ -23,7 +25,7 @@ class Baseline:
 
     Args:
         imm: it.
-        batch: what holds the episodes.
+        batch: what runs the episodes.
         threads: how many may work at once; results do not depend on it.
     """
 
@@ -31,13 +33,18 @@ class Baseline:
         self._imm, self._batch, self._threads = imm, batch, threads
         self._rewards = np.zeros((batch.n, 0), np.float32)
 
-    def begin(self, places: Index) -> None:
-        """Run the IMM on the episodes that were loaded into some environments (n,)."""
-        missing = self._batch.state.table.shape[1] - self._rewards.shape[1]
-        self._rewards = np.pad(self._rewards, ((0, 0), (0, missing)))
+    def begin(self, places: Index, episodes: Callable[[Index], EpisodeBatch]) -> None:
+        """Run the IMM on the episodes that begin in some environments (n,).
+
+        Args:
+            places: the environments.
+            episodes: gives those of some of them.
+        """
+        missing = self._batch.state.length.max() - self._rewards.shape[1]
+        self._rewards = np.pad(self._rewards, ((0, 0), (0, max(0, missing))))
 
         def run(some: Index) -> None:
-            rewards = self._imm.rewards(self._batch, some)
+            rewards = self._imm.run(episodes(some), "reward")["reward"]
             self._rewards[some, : rewards.shape[1]] = rewards
 
         parts = portions(len(places), self._threads, TOGETHER)

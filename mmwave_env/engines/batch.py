@@ -13,14 +13,22 @@ import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
 from mmwave_env.compiler.lanes import WIDTH
-from mmwave_env.compiler.program import NO_ROWS, BatchState, Program, StepIO, Workspace
+from mmwave_env.compiler.program import (
+    NO_ROWS,
+    BatchState,
+    Program,
+    StepIO,
+    Workspace,
+    blocks_of,
+)
 from mmwave_env.compiler.threads import share
 from mmwave_env.episodes.episode import Episode, EpisodeBatch, columns_of
+from mmwave_env.episodes.simulated import Begun, SimulatedSource
 from mmwave_env.models.measurement import Layout
 from mmwave_env.numerics.arrays import Array, Index
 from mmwave_env.numerics.pytree import flatten
 
-BLOCKS_PER_THREAD = 128  # waking a thread costs as much as 64 of them
+BLOCKS_PER_THREAD = 64  # waking a thread costs as much as 32 of them
 
 
 class Batch(Generic[Workspace]):
@@ -52,7 +60,7 @@ class Batch(Generic[Workspace]):
         self.program, self.layout, self.n = program, layout, n
         self.at = program.index
         blocks = -(-n // WIDTH)
-        rows = np.tile(program.start[None, :, None], (blocks, 1, WIDTH))
+        rows = blocks_of(program.start, n)
         self.state = BatchState.of(np.empty((n, 0, len(program.blank))), rows)
         self._input_rows = input_rows
         self._run: Callable[..., None] = (
@@ -88,10 +96,9 @@ class Batch(Generic[Workspace]):
                 f"{self.layout}"
             )
         epochs = found.table.shape[1]
-        self._make_room(epochs)
+        self.make_room(epochs)
         self.state.length[places] = found.length
-        if not np.may_share_memory(self.state.table, found.table):
-            self.state.table[places, :epochs] = found.table
+        self.state.table[places, :epochs] = found.table
         if gap_s is not None:
             self.state.table[places, 0, columns_of(self.layout).dt] = gap_s
             self.state.epoch[places] = 0
@@ -100,18 +107,31 @@ class Batch(Generic[Workspace]):
         self.write(site, found.site, places)
         self.restart(places)
 
-    def room(self, places: Index, epochs: int) -> Array | None:
-        """Where the tables (places, epochs, columns) of episodes to come lie, to fill and load.
+    def begin(self, source: SimulatedSource, begun: Begun, places: Index) -> None:
+        """Start over with episodes that are simulated as the environments go.
 
-        None where they do not lie side by side, so that they have to be loaded from elsewhere.
-        The places are in ascending order.
+        Args:
+            source: of the episodes, the same always.
+            begun: what each of the places begins with.
+            places: the environments to begin.
         """
-        self._make_room(epochs)
-        first, end = places[0], places[-1] + 1
-        table = self.state.table[first:end]
-        return table if (len(table), table.shape[1]) == (len(places), epochs) else None
+        self.attach(source)
+        block, lane = np.divmod(places, WIDTH)
+        self.state.feed.kept[block, :, lane] = begun.worlds
+        self.state.length[places] = source.epochs
+        _, site, _, *_ = self.at
+        self.write(site, begun.sites, places)
+        self.restart(places)
 
-    def _make_room(self, epochs: int) -> None:
+    def attach(self, source: SimulatedSource) -> None:
+        """Have the episodes of a source simulated from the next :meth:`begin` on."""
+        if not self.state.feed.run:
+            blank = source.begin(np.zeros(1, np.uint64)).worlds
+            feed = source.feed(np.tile(blank, (self.n, 1)))
+            self.state = self.state._replace(feed=feed)
+
+    def make_room(self, epochs: int) -> None:
+        """For tables of so many epochs; those loaded stay."""
         table = self.state.table
         n, had, columns = table.shape
         if epochs > had:
@@ -126,12 +146,19 @@ class Batch(Generic[Workspace]):
         self.write(is_first, 1.0, places)
         self.state.epoch[places] = 0
 
-    def sites(self, places: Index) -> Array:
-        """The sites of some environments (places, numbers), as :meth:`Episode.site` has them."""
+    def episodes(self, places: Index) -> EpisodeBatch:
+        """The episodes loaded in some environments, without their names."""
         _, site, *_ = self.at
         block, lane = np.divmod(places, WIDTH)
-        found: Array = self.state.rows[block, self.span(site), lane]
-        return found
+        length = self.state.length[places]
+        return EpisodeBatch(
+            names=[""] * len(places),
+            nonfinite=np.zeros(len(places), np.int64),
+            length=length,
+            table=self.state.table[places, : length.max(initial=0)],
+            site=self.state.rows[block, self.span(site), lane],
+            layout=self.layout,
+        )
 
     def io(
         self, epochs: int = 1, output_rows: Index = NO_ROWS, obs_rows: Index = NO_ROWS

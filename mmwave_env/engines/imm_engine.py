@@ -7,12 +7,18 @@ that one compiled program runs any of it.
 
 from collections.abc import Sequence
 from functools import lru_cache
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
-from mmwave_env.compiler.lanes import WIDTH
-from mmwave_env.compiler.program import BatchState, Program, StepIO, rows_of
+from mmwave_env.compiler.program import (
+    BatchState,
+    Program,
+    StepIO,
+    blocks_of,
+    lanes_of,
+    rows_of,
+)
 from mmwave_env.engines.batch import Batch
 from mmwave_env.engines.track_engine import EpisodeFilter, untuned
 from mmwave_env.episodes.episode import Episode, EpisodeBatch, Incoming, blank_incoming
@@ -32,7 +38,7 @@ from mmwave_env.filters.memory import Memory, initial_memory
 from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.models.epoch import Site, blank_site
 from mmwave_env.models.measurement import Layout
-from mmwave_env.numerics.arrays import Array, Index
+from mmwave_env.numerics.arrays import Array
 from mmwave_env.numerics.linalg import pack
 from mmwave_env.numerics.numbers import Number
 from mmwave_env.numerics.pytree import flatten, select
@@ -161,33 +167,13 @@ class ImmEngine:
                 f"layout of episode {packed.names[0]!r}: found {packed.layout}, expected "
                 f"{self.pipeline.layout}"
             )
-        return self._filter(packed.table, packed.site, packed.length, names)
-
-    def rewards(self, batch: Batch[Any], places: Index) -> Array:
-        """What it would earn on episodes that are loaded in a batch, which stays as it is.
-
-        Args:
-            batch: what holds the episodes.
-            places: (n,) where.
-
-        Returns:
-            Rewards (n, epochs); what is past the end of an episode means nothing.
-        """
-        length = batch.state.length[places]
-        table = batch.state.table[places, : length.max()]
-        return self._filter(table, batch.sites(places), length, ["reward"])["reward"]
-
-    def _filter(
-        self, table: Array, site: Array, length: Index, names: Sequence[str]
-    ) -> dict[str, Array]:
-        """Filter tables (n, epochs, columns) at sites (n, numbers)."""
-        n, epochs, _ = table.shape
+        n, epochs, _ = packed.table.shape
         program = self._program
-        rows = np.tile(self._start[None, :, None], (-(-n // WIDTH), 1, WIDTH))
-        block, lane = np.divmod(np.arange(n), WIDTH)
-        rows[block[:, None], flatten(program.index.site), lane[:, None]] = site
+        rows, (block, lane) = blocks_of(self._start, n), lanes_of(n)
+        rows[block[:, None], flatten(program.index.site), lane[:, None]] = packed.site
         io = StepIO.of(n, epochs, output_rows=rows_of(program.parts(names)))
-        program.run_on_lanes(BatchState.of(table, rows)._replace(length=length), io)
+        state = BatchState.of(packed.table, rows)._replace(length=packed.length)
+        program.run_on_lanes(state, io)
         return program.by_name(names, io.outputs)
 
 

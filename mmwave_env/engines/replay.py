@@ -12,13 +12,14 @@ import numpy as np
 from numba.extending import register_jitable
 from numpy.typing import NDArray
 
+from mmwave_env.compiler.advance import call
 from mmwave_env.compiler.lanes import WIDTH
 from mmwave_env.compiler.lazy_jit import LazyJit
-from mmwave_env.compiler.program import Program, call, rows_of
+from mmwave_env.compiler.program import Program, blocks_of, lanes_of, rows_of
 from mmwave_env.compiler.transpose import address, gather, pick
-from mmwave_env.engines.batch import Batch
 from mmwave_env.engines.imm_engine import ImmState, imm_program
 from mmwave_env.engines.track_engine import TrackState, program_of
+from mmwave_env.episodes.episode import EpisodeBatch
 from mmwave_env.filters.bank import Bank, settings_of
 from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.filters.smoother import (
@@ -103,30 +104,28 @@ class Replay:
         self._show = rows_of([at.incoming.error, at.incoming.nees, at.smoothed_error])
         self._on_floats = on_floats
 
-    def run(self, batch: Batch[Any], places: Index, actions: Actions) -> tuple[Array, ...]:
-        """Run episodes that are loaded in a batch, which stays as it is.
+    def run(self, episodes: EpisodeBatch, actions: Actions) -> tuple[Array, ...]:
+        """Run episodes.
 
         Every episode gets the same numbers, to the last bit, whatever others are beside it.
 
         Args:
-            batch: what holds the episodes.
-            places: (n,) where.
+            episodes: n of them.
             actions: (n, T) modes of their first T epochs.
 
         Returns:
             Position errors (n, T, 3), m, filtered; their NEES (n, T); errors smoothed.
         """
-        there, back, n = self._there, self._back, len(places)
-        rows = np.tile(self._start[None, :, None], (-(-n // WIDTH), 1, WIDTH))
-        block, lane = np.divmod(np.arange(n), WIDTH)
-        rows[block[:, None], self._site, lane[:, None]] = batch.sites(places)
-        keep, show, tables = self._keep, self._show, batch.state.table
+        there, back, n = self._there, self._back, len(actions)
+        rows, (block, lane) = blocks_of(self._start, n), lanes_of(n)
+        rows[block[:, None], self._site, lane[:, None]] = episodes.site
+        keep, show, tables = self._keep, self._show, episodes.table
         figures = np.empty((len(show), *actions.shape))  # numpy reduces what lies side by side
         if self._on_floats:
-            self._on_floats_there(rows, tables[places], actions, keep, show, figures)
+            self._on_floats_there(rows, tables, actions, keep, show, figures)
         else:
             _round_trip(
-                actions.size, there.on_lanes(), back.on_lanes(), rows, back.start, tables, places,
+                actions.size, there.on_lanes(), back.on_lanes(), rows, back.start, tables,
                 actions, there.index.action, keep, show, figures,
             )  # fmt: skip
         error, nees, smoothed = figures[:AXES], figures[AXES], figures[AXES + 1 :]
@@ -167,7 +166,7 @@ def _return(run, start, way, show, out):  # type: ignore[no-untyped-def]
 
 @register_jitable  # type: ignore[untyped-decorator]
 def _there_and_back(  # type: ignore[no-untyped-def]
-    there, back, rows, start, tables, places, actions, action, keep, show, out
+    there, back, rows, start, tables, actions, action, keep, show, out
 ):
     """Eight episodes at a time, so that what lies between the two ways stays in a cache."""
     n, epochs = actions.shape
@@ -179,7 +178,7 @@ def _there_and_back(  # type: ignore[no-untyped-def]
         for t in range(epochs):
             for lane in range(WIDTH):  # those past n run their block's first episode
                 e = first + lane if first + lane < end else first
-                sources[lane] = address(tables, places[e], t)
+                sources[lane] = address(tables, e, t)
                 block[action, lane] = actions[e, t]
             gather(block, sources, tables.shape[2])
             call(there, block)

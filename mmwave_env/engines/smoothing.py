@@ -5,8 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from mmwave_env.compiler.lanes import WIDTH
-from mmwave_env.compiler.program import BatchState, Program, StepIO, rows_of
+from mmwave_env.compiler.program import BatchState, Program, StepIO, blocks_of, rows_of
 from mmwave_env.filters.pipeline import VERTICAL
 from mmwave_env.filters.smoother import (
     BackwardState,
@@ -52,7 +51,7 @@ def smooth(
     since = np.ones((N, T))
     since[:, 1:] = dt
     forwards = np.concatenate([since[..., None], x, P, x_predicted, P_predicted], axis=2)
-    rows = np.tile(program.start[None, :, None], (-(-N // WIDTH), 1, WIDTH))
+    rows = blocks_of(program.start, N)
     io = StepIO.of(N, T, output_rows=rows_of([program.index.after.x, program.index.after.P]))
     backwards = np.ascontiguousarray(forwards[:, ::-1])
     program.run_on_lanes(BatchState.of(backwards, rows), io)

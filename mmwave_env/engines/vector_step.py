@@ -4,23 +4,74 @@ What Python does around that call costs few environments a third of their step a
 is put together there and taken apart again.
 """
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numba.extending import register_jitable
 from numpy.typing import NDArray
 
+from mmwave_env.compiler.advance import advance
 from mmwave_env.compiler.lanes import WIDTH
 from mmwave_env.compiler.lazy_jit import LazyJit
-from mmwave_env.compiler.program import PLAIN_BLOCK_EPOCHS, advance, rows_of
-from mmwave_env.compiler.threads import share
+from mmwave_env.compiler.program import PLAIN_BLOCK_EPOCHS, rows_of
+from mmwave_env.compiler.threads import portions, share
 from mmwave_env.engines.action_history import ActionHistory
 from mmwave_env.engines.env_engine import Engine
-from mmwave_env.info import FLAGS, STATE_KEYS, mask_keys, told_rows
+from mmwave_env.engines.replay import Replay
+from mmwave_env.engines.tally import Tally, count
+from mmwave_env.info import (
+    FLAGS,
+    SMOOTHED_KEY,
+    STATE_KEYS,
+    episode_info,
+    mask_keys,
+    smoothed_info,
+    told_rows,
+)
 from mmwave_env.numerics.arrays import Array, Index, Mask
 from mmwave_env.numerics.pytree import flatten
+from mmwave_env.task import Task
+
+REPLAYED = 64  # episodes at once: few enough for their memory not to count
 
 Infos = dict[str, NDArray[Any]]
+
+
+class StepBuffers(NamedTuple):
+    """What a step fills, of the shapes and types that it returns; C-contiguous."""
+
+    observations: NDArray[np.float32]  # (n, features)
+    rewards: Array  # (n,)
+    terminated: Mask  # (n,)
+    truncated: Mask  # (n,)
+
+    @classmethod
+    def fresh(cls, n: int, features: int) -> "StepBuffers":
+        """Buffers of a step's own."""
+        flags = np.zeros((2, n), np.bool_)
+        return cls(np.empty((n, features), np.float32), np.empty(n), flags[0], flags[1])
+
+    def require_room(self, n: int, features: int) -> None:
+        """Refuse what a step can't fill.
+
+        Raises:
+            ValueError: naming the buffer, what it is and what is expected.
+        """
+        wants = self.fresh(n, features)._asdict()
+        for name, found in self._asdict().items():
+            expected: NDArray[Any] = wants[name]
+            wanted = f"a C-contiguous {expected.dtype} array of shape {expected.shape}"
+            if not isinstance(found, np.ndarray):
+                raise ValueError(f"out, {name}: found {type(found).__name__}, expected {wanted}")
+            flags = found.flags
+            if (found.dtype, found.shape) != (expected.dtype, expected.shape) or not (
+                flags.c_contiguous and flags.writeable
+            ):
+                raise ValueError(
+                    f"out, {name}: found {found.dtype} of shape {found.shape}, contiguous "
+                    f"{flags.c_contiguous}, writeable {flags.writeable}; expected {wanted}, "
+                    "writeable"
+                )
 
 
 class Stepper:
@@ -28,50 +79,60 @@ class Stepper:
 
     Args:
         engine: the environments, on lanes.
+        tells: whether infos of steps are wanted.
+        replay: runs finished episodes again, if they are to be smoothed.
 
     Attributes:
         history: the modes they chose lately.
+        tally: of the metrics of the episodes under way.
     """
 
-    def __init__(self, engine: Engine) -> None:
-        at, n, told = engine.at, engine.batch.n, told_rows(engine.at)
-        flags = [told.pop(key) for key in FLAGS]
-        tree = {"reward": at.reward, "flags": flags, **told}  # _step_blocks reads the first two
+    def __init__(self, engine: Engine, tells: bool = True, replay: Replay | None = None) -> None:
+        at, n = engine.at, engine.batch.n
+        told = told_rows(at) if tells else {}
+        flags = [told.pop(key) for key in FLAGS if key in told]
+        # _step_blocks reads the first of them
+        tree = {"reward": at.reward, "nees": at.nees, "error": at.error, "flags": flags}
+        tree |= {key: part for key, part in told.items() if key != "nees"}
         self._rows = rows_of(list(tree.values()))
         ends = np.cumsum([len(flatten(part)) for part in tree.values()]).tolist()
         self._columns = {
             name: (slice(None), 0, end - 1 if isinstance(part, int) else slice(begin, end))
             for (name, part), begin, end in zip(tree.items(), [0, *ends], ends, strict=False)
         }
-        self._engine, self._groups, self._told = engine, len(at.memory.accepted), tuple(told)
+        self._engine, self._told = engine, tuple(told)
+        self._groups = len(at.memory.accepted) if tells else 0
         self._action, self._obs_rows = rows_of(at.action), rows_of(at.observation)
         self._mask_keys = mask_keys([*self._told, *FLAGS, "mode"])
         self._everywhere = np.ones(n, np.bool_)
+        self._outputs = np.empty((n, 1, len(self._rows)))
         self.history = ActionHistory(n, len(engine.observation.actions))
+        self.history.make_room(1)
+        self._replay = replay
+        self.tally = Tally(n, len(engine.pipeline.position_axes))
 
-    def step(self, actions: Index) -> tuple[NDArray[np.float32], Array, Mask, int, Infos]:
+    def step(self, actions: Index, out: StepBuffers) -> tuple[int, Infos]:
         """Commit every environment to its mode and consider the next epoch; see `Engine.step`.
 
         Args:
             actions: (n,), taken over.
+            out: gets observations; rewards as the reward function has them; and as truncated,
+                where the episode has no epoch left. ``terminated`` stays as it is.
 
         Returns:
-            Fresh arrays: observations (n, features); rewards (n,) as the reward function has them;
-            (n,) True where the episode has no epoch left; how many these are; infos of all
-            environments, with their masks.
+            How many have no epoch left; fresh infos of all environments, with their masks, if they
+            are wanted.
         """
         batch, history, n = self._engine.batch, self.history, len(actions)
-        observations = np.empty((n, 1, len(self._obs_rows)), np.float32)
-        outputs, flags = (
-            np.empty((n, 1, len(self._rows))),
-            np.empty((2, n, self._groups), np.bool_),
-        )
-        rewards, truncated = np.empty(n), np.empty(n, np.bool_)
-        program, parts = batch.program, batch.parts
+        flags = np.empty((2, n, self._groups), np.bool_)
+        if self._told:
+            self._outputs = np.empty_like(self._outputs)  # the one before was given away
+        outputs, program, parts, tally = self._outputs, batch.program, batch.parts, self.tally
         arguments = (
-            actions, history.rows, history.turn, rewards, flags, truncated,
+            actions, history.rows, history.turn, out.rewards, flags, out.truncated,
+            tally.sums, tally.errors, tally.second, tally.interval,
             program.on_lanes(), program.blank, *batch.state, self._action, self._rows, outputs,
-            self._obs_rows, observations,
+            self._obs_rows, out.observations[:, None],
         )  # fmt: skip
         history.next()  # before an interrupt can come between the step and it
         if len(parts) == 1:
@@ -80,11 +141,44 @@ class Stepper:
         else:
             jobs = [(end - begin, begin, end, *arguments) for begin, end in parts]
             ended = sum(share(_step, jobs, len(jobs)))
+        if not self._told:
+            return ended, {}
         at = self._columns
         infos: Infos = {key: outputs[at[key]] for key in self._told}
         infos |= {"accepted": flags[0], "rejected": flags[1], "mode": actions}
         infos |= dict.fromkeys(self._mask_keys, self._everywhere.copy())
-        return observations[:, 0], rewards, truncated, ended, infos
+        return ended, infos
+
+    @property
+    def distances_m(self) -> Array:
+        """Position errors (n,) in the epoch stepped last."""
+        error = self._outputs[self._columns["error"]]
+        return np.sqrt((error * error).sum(axis=1))  # type: ignore[no-any-return]
+
+    def remember(self, epochs: int) -> None:
+        """Remember the modes of so many steps, if anybody will ask for them."""
+        if self._replay:
+            self.history.make_room(epochs)
+
+    def metrics(self, task: Task, ended: Index, threads: int) -> Infos:
+        """What the last step tells of episodes that ended in some environments (k,)."""
+        epochs = self._engine.batch.state.epoch[ended] - 1
+        told = episode_info(self.tally.metrics(ended, epochs))
+        if not self._replay:
+            return told
+        jobs = []
+        for steps in set(epochs.tolist()):
+            alike = np.flatnonzero(epochs == steps)
+            jobs += [(alike[part], steps) for part in portions(len(alike), threads, REPLAYED)]
+        smoothed, replay = np.zeros(len(ended)), self._replay
+
+        def smooth(some: Index, steps: int) -> None:
+            episodes = self._engine.episodes(task, ended[some])
+            *_, errors = replay.run(episodes, self.history.of(ended[some], steps))
+            (smoothed[some],) = smoothed_info(errors).values()
+
+        share(smooth, jobs, threads)
+        return told | {SMOOTHED_KEY: smoothed}
 
     def start(self, places: Index) -> tuple[NDArray[np.float32], Infos]:
         """Consider the first epoch in environments just loaded; the others stay as they are.
@@ -94,13 +188,14 @@ class Stepper:
             these.
         """
         observations, outputs = self._engine.start(places, self._rows)
-        return observations, {key: outputs[:, None][self._columns[key]] for key in STATE_KEYS}
+        keys = [key for key in STATE_KEYS if key in self._told]
+        return observations, {key: outputs[:, None][self._columns[key]] for key in keys}
 
 
 @register_jitable  # type: ignore[untyped-decorator]
 def _step_blocks(  # type: ignore[no-untyped-def]
-    begin, end, actions, noted, turn, rewards, flags, truncated,
-    run, blank, rows, table, length, epoch, running, input_rows, output_rows, outputs,
+    begin, end, actions, noted, turn, rewards, flags, truncated, sums, errors, second, interval,
+    run, blank, rows, feed, table, length, epoch, running, input_rows, output_rows, outputs,
     obs_rows, observations,
 ):  # fmt: skip
     """Step the environments of blocks ``begin`` to ``end``; how many episodes ended."""
@@ -111,15 +206,19 @@ def _step_blocks(  # type: ignore[no-untyped-def]
         inputs[e, 0, 0] = actions[e]
         noted[turn, e] = actions[e]
     advance(
-        begin, end, run, blank, rows, table, length, epoch, running, input_rows, inputs,
+        begin, end, run, blank, rows, feed, table, length, epoch, running, input_rows, inputs,
         output_rows, outputs, obs_rows, observations,
     )  # fmt: skip
     groups, ended = flags.shape[2], 0
     for e in range(first, last):
         rewards[e] = outputs[e, 0, 0]
+        k = epoch[e] - 2  # one ahead: the next one is considered
+        if k >= 0:
+            nees, x, y, z = outputs[e, 0, 1], outputs[e, 0, 2], outputs[e, 0, 3], outputs[e, 0, 4]
+            count(sums[e], errors[e], second[e], interval, k, x, y, z, nees)
         for flag in range(2):
             for i in range(groups):
-                flags[flag, e, i] = outputs[e, 0, 1 + flag * groups + i] > 0.5
+                flags[flag, e, i] = outputs[e, 0, 5 + flag * groups + i] > 0.5
         truncated[e] = epoch[e] > length[e]
         ended += truncated[e]
     return ended

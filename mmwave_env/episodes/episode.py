@@ -198,10 +198,15 @@ class EpisodeBatch(NamedTuple):
 
     def on_flat_ground(self) -> "EpisodeBatch":
         """The same with the height known, as :meth:`Episode.on_flat_ground` at the first epoch."""
-        site, prior = self.site.copy(), indices(blank_site(self.layout)).prior_x
-        site[:, prior[2]] = self.table[:, 0, columns_of(self.layout).truth[2]]
-        site[:, prior[5]] = 0.0
-        return self._replace(site=site)
+        height_m = self.table[:, 0, columns_of(self.layout).truth[2]]
+        return self._replace(site=level(self.site, height_m, self.layout))
+
+
+def level(sites: Array, height_m: Array, layout: Layout) -> Array:
+    """Sites (n, numbers) where the height (n,) is known and vz is 0."""
+    sites, prior = sites.copy(), indices(blank_site(layout)).prior_x
+    sites[:, prior[2]], sites[:, prior[5]] = height_m, 0.0
+    return sites
 
 
 class Incoming(NamedTuple):

@@ -7,11 +7,10 @@ from math import inf
 from pathlib import Path
 from typing import Annotated
 
-import numpy as np
-
-from mmwave_env.episodes.travel import StreetNets, TravelPlan
+from mmwave_env.episodes import travel
+from mmwave_env.episodes.kinematics import FAR
+from mmwave_env.episodes.travel import PhasePlan, TravelPlan, blank_plan
 from mmwave_env.lookup import choose
-from mmwave_env.models.scene import Streets
 from mmwave_env.records import (
     Bound,
     Count,
@@ -25,6 +24,7 @@ from mmwave_env.records import (
 )
 
 FASTEST_MPS = 100.0  # beyond any user of streets
+ROOM = 3  # phases and gaits there is room for at least: all kinds that come along share a program
 
 Speed = Annotated[float, Bound(f"0 to {FASTEST_MPS:g} m/s", least=0.0, most=FASTEST_MPS)]
 Duration = Annotated[float, Bound("a number > 0", above=0.0, most=inf)]
@@ -189,50 +189,60 @@ def read_mobility(path: str | os.PathLike[str]) -> Mobility:
     return read_object(path, "mobility", lambda content: object_from(Mobility, name | content))
 
 
-def plan_of(mobilities: Sequence[Mobility], block_m: float) -> TravelPlan:
+def plans_of(mobilities: Sequence[Mobility], block_m: float) -> list[TravelPlan]:
     """Mobilities in numbers, for streets that are so far apart, or farther.
+
+    All have as many phases and gaits, of which some do not count.
 
     Raises:
         ValueError: corners that do not fit between two crossings.
     """
     acts = [m.phases + m.phases[:1] * m.ends_as_it_began for m in mobilities]
-    most = max(len(phases) for phases in acts)
-    duration, ranges = np.full((len(acts), most, 2), np.inf), np.zeros((len(acts), most, 3, 2))
-    gaits = np.zeros((len(acts), most, max(len(p.gaits) for phases in acts for p in phases), 4))
-    fixed = np.zeros((len(acts), most, 5))
-    for i, phases in enumerate(acts):
-        for j, phase in enumerate(phases):
-            limits = phase.limits
-            apart = block_m / mobilities[i].blocks
-            if 2.0 * limits.corner_radius_m > apart:
-                raise ValueError(
-                    f"corner_radius_m of mobility {mobilities[i].name!r}: found "
-                    f"{limits.corner_radius_m}, expected at most half of the {apart:g} m between "
-                    "crossings"
-                )
-            duration[i, j] = phase.duration_s
-            ranges[i, j] = limits.acceleration_mps2, limits.braking_mps2, limits.lateral_mps2
-            fixed[i, j] = (limits.jerk_mps3, limits.corner_radius_m,
-                           limits.red_light_probability, *limits.red_light_s)  # fmt: skip
-            gaits[i, j, : len(phase.gaits)] = [astuple(gait) for gait in phase.gaits]
-    return TravelPlan(
-        phases=np.array([len(phases) for phases in acts]),
-        returns=np.array([m.ends_as_it_began for m in mobilities]),
-        duration=duration,
-        ranges=ranges,
-        fixed=fixed,
-        gaits=gaits,
-        way=np.empty((0, 6)),
+    room = max(ROOM, *(len(phases) for phases in acts))
+    gaits = max(ROOM, *(len(phase.gaits) for phases in acts for phase in phases))
+    plans = []
+    for mobility, phases in zip(mobilities, acts, strict=True):
+        _require_room(mobility, block_m / mobility.blocks)
+        (unused,) = blank_plan(1, gaits).phases
+        listed = [_phase_plan(phase, gaits) for phase in phases]
+        if mobility.ends_as_it_began:
+            listed[-2] = listed[-2]._replace(ends_early=1.0)
+        listed += [unused] * (room - len(listed))
+        plans.append(TravelPlan(float(mobility.blocks), listed))
+    return plans
+
+
+def _require_room(mobility: Mobility, apart: float) -> None:
+    """Refuse corners that do not fit between crossings so far apart, m."""
+    for phase in mobility.phases:
+        if 2.0 * phase.limits.corner_radius_m > apart:
+            raise ValueError(
+                f"corner_radius_m of mobility {mobility.name!r}: found "
+                f"{phase.limits.corner_radius_m}, expected at most half of the {apart:g} m between "
+                "crossings"
+            )
+
+
+def _phase_plan(phase: Phase, gaits: int) -> PhasePlan:
+    """A phase in numbers, with room for some gaits."""
+    limits = phase.limits
+    wanted = [travel.Gait(*map(_finite, astuple(gait))) for gait in phase.gaits]
+    wanted += [travel.Gait(0.0, 0.0, 1.0, 0.0)] * (gaits - len(wanted))
+    fixed = travel.Phase(
+        acceleration=0.0, braking=0.0, lateral=0.0, jerk=limits.jerk_mps3,
+        radius=limits.corner_radius_m, red_probability=limits.red_light_probability,
+        red_low=limits.red_light_s[0], red_high=limits.red_light_s[1], end=0.0, gaits=wanted,
+    )  # fmt: skip
+    return PhasePlan(
+        length=list(map(_finite, phase.duration_s)),
+        acceleration=list(limits.acceleration_mps2),
+        braking=list(limits.braking_mps2),
+        lateral=list(limits.lateral_mps2),
+        ends_early=0.0,
+        phase=fixed,
     )
 
 
-def nets_of(mobilities: Sequence[Mobility], streets: Sequence[Streets]) -> StreetNets:
-    """Nets of streets as each mobility knows them, in numbers."""
-    closer = np.array([m.blocks for m in mobilities], float)
-    block = np.array([s.block_m for s in streets])[:, None] / closer
-    extent = np.array([[s.x_m[1] - s.x_m[0], s.y_m[1] - s.y_m[0]] for s in streets])
-    return StreetNets(
-        block=block,
-        counts=np.round(extent[:, None] / block[..., None]),
-        origin=np.array([[s.x_m[0], s.y_m[0], s.height_m] for s in streets]),
-    )
+def _finite(value: float) -> float:
+    """The value; a time without end as one that no episode sees the end of."""
+    return min(value, FAR)

@@ -1,38 +1,75 @@
 """Simulated episodes: a user in the streets, seen through a channel.
 
-All randomness of an episode is drawn first, in one go and from the episode's own generator.
-What follows is arithmetic: functions of numbers that run on lanes, an episode to a lane.
+An episode is a function of its key: from the key follows how it begins, and from there it runs
+epoch by epoch, eight episodes at a time.
 """
 
 import os
-from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from itertools import pairwise
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from mmwave_env.compiler.rng import RngView, Words, load_state, rng_view, save_state, whole_rng
-from mmwave_env.compiler.threads import portions, share
-from mmwave_env.episodes.drawing import simulate
-from mmwave_env.episodes.episode import Episode, EpisodeBatch, columns_of
-from mmwave_env.episodes.kinematics import motion
-from mmwave_env.episodes.mobility import MIXED, Mobility, mobilities_of, nets_of, plan_of
-from mmwave_env.episodes.simulation import EpisodeConstants, kept_rows, program_of
+from mmwave_env.compiler.lanes import WIDTH
+from mmwave_env.compiler.program import (
+    BatchState,
+    Feed,
+    Program,
+    StepIO,
+    blocks_of,
+    lanes_of,
+    rows_of,
+)
+from mmwave_env.compiler.threads import share
+from mmwave_env.episodes.beginning import USER, Beginning, beginning
+from mmwave_env.episodes.episode import Episode, EpisodeBatch, columns_of, level
+from mmwave_env.episodes.keys import Keys, draw_key
+from mmwave_env.episodes.mobility import MIXED, Mobility, mobilities_of, plans_of
+from mmwave_env.episodes.simulation import (
+    World,
+    WorldSettings,
+    as_measured,
+    on_a_way,
+    world_of,
+)
 from mmwave_env.episodes.trajectory import Trajectory, read_trajectory
-from mmwave_env.episodes.travel import StreetNets, TravelPlan, stride_of
+from mmwave_env.episodes.travel import TravelPlan, stride_of
 from mmwave_env.models.channel import channel_of
 from mmwave_env.models.epoch import Site
 from mmwave_env.models.measurement import STATE_SIZE, Layout
 from mmwave_env.models.radio import Radio
 from mmwave_env.models.random_scene import RandomScene
 from mmwave_env.models.scene import Scene
-from mmwave_env.numerics.arrays import Array
+from mmwave_env.numerics.arrays import Array, Index
 from mmwave_env.numerics.pytree import flatten, indices
+from mmwave_env.numerics.random import Dice, seeded
 
 Scenario = str | os.PathLike[str] | Mobility | Trajectory
 
-CHUNK = 64  # episodes a thread draws at once, at most
+
+class Begun(NamedTuple):
+    """What n episodes begin with.
+
+    Attributes:
+        kinds: (n,) numbers of the kinds of users; 0 of a given way.
+        worlds: (n, numbers) what is kept of each world, before the first epoch; the receiver's
+            alone where a way is given.
+        truth: (n, epochs, 6) to load into them where a way is given; else (n, epochs, 0).
+        first: (n, 7) true states at the first epoch.
+        sites: (n, numbers) rows of :meth:`Episode.site`.
+    """
+
+    kinds: Index
+    worlds: Array
+    truth: Array
+    first: Array
+    sites: Array
+
+    def on_flat_ground(self, layout: Layout) -> "Begun":
+        """The same with the height known, as :meth:`Episode.on_flat_ground`."""
+        return self._replace(sites=level(self.sites, self.first[:, 2], layout))
 
 
 @dataclass(frozen=True)
@@ -62,8 +99,8 @@ class SimulatedSource:
             raise ValueError(f"dt: found {self.dt}, expected a positive number of seconds")
         if self.epochs < 1:
             raise ValueError(f"epochs: found {self.epochs}, expected at least 1")
-        if len(self._plan.way):
-            object.__setattr__(self, "epochs", min(self.epochs, len(self._plan.way)))
+        if not self._plans:
+            object.__setattr__(self, "epochs", min(self.epochs, len(self._way)))
 
     @cached_property
     def layout(self) -> Layout:
@@ -80,29 +117,48 @@ class SimulatedSource:
         """(epochs,) of every episode."""
         return self.dt * np.arange(self.epochs, dtype=np.float64)
 
+    @cached_property
+    def steps_s(self) -> Array:
+        """(epochs,) seconds since the epoch before, 0 in the first."""
+        return np.diff(self.time_s, prepend=0.0)
+
     @property
     def name(self) -> str:
         """The scenario, and the scene where it is not the default street."""
         users, scene = self._users, self.scene.name
         many = isinstance(users, tuple) and len(users) > 1
-        who = MIXED if many else self._names[0]
+        who = MIXED if many else self.names[0]
         return who if scene == "street" else f"{who} on {scene}"
 
     def sample(self, rng: np.random.Generator) -> Episode:
-        """Draw one episode; all randomness comes from ``rng``."""
-        tables = np.empty((1, self.epochs, len(kept_rows(self.layout))))
-        scenes = self._scenes(whole_rng(rng), 1)
-        names, priors = self._fill(tables, scenes, lambda _: whole_rng(rng), [slice(None)])
-        at = columns_of(self.layout)
+        """Draw one episode; all that it takes from ``rng`` is its key."""
+        return self.episode(draw_key(rng))
+
+    def episode(self, key: int) -> Episode:
+        """The episode of a key."""
+        (episode,) = self.episodes(np.array([key], np.uint64))
+        return episode
+
+    def episodes(self, keys: Keys) -> list[Episode]:
+        """The episodes of keys (n,)."""
+        found = self.sample_batch(keys)
+        return [
+            self._as_episode(*each)
+            for each in zip(found.names, found.table, found.site, strict=True)
+        ]
+
+    def _as_episode(self, name: str, table: Array, site: Array) -> Episode:
+        """An episode of a batch."""
+        at, where = columns_of(self.layout), self._site[1]
 
         def columns(of: Any) -> Array:
-            return np.ascontiguousarray(tables[0][:, of])
+            return np.ascontiguousarray(table[:, of])
 
         signed_sigma = columns(at.signed_sigma)
         starts = [group.start for group in self.layout.groups]
         return Episode(
-            name=names[0],
-            scene_anchors_m=scenes[0].anchors_m,
+            name=name,
+            scene_anchors_m=site[flatten(where.anchors)].reshape(-1, 3),
             hz_per_mps=self._example.hz_per_mps,
             time_s=self.time_s,
             measurement=columns(at.z),
@@ -110,118 +166,87 @@ class SimulatedSource:
             visible=signed_sigma[:, starts] > 0.0,
             snr_db=columns(at.snr_db),
             doppler_spread_hz=columns(at.doppler_spread_hz),
-            prior_mean=priors[0],
+            prior_mean=site[where.prior_x],
             prior_covariance=self.radio.prior_covariance(self._example),
             truth_position_m=columns(at.truth[:3]),
             truth_velocity_mps=columns(at.truth[3:]),
             layout=self.layout,
         )
 
-    def sample_batch(
-        self, states: Words, out: Array | None = None, threads: int = 1
-    ) -> EpisodeBatch:
-        """Draw an episode from each state, as :meth:`sample` would from a generator.
+    def scene_of(self, key: int) -> Scene:
+        """The scene of an episode."""
+        if not isinstance(self.scene, RandomScene):
+            return self.scene
+        word = float(np.array(key, np.uint64).view(np.float64))
+        return self.scene.scene_of(self.scene.draw_numbers(Dice(seeded(word, USER))))
 
-        Args:
-            states: (n, 4) of PCG64, changed in place.
-            out: (n, epochs, columns) to fill and return, C-contiguous; None for a new array.
-            threads: how many may draw at once.
-
-        Raises:
-            ValueError: ``out`` has another shape, or gaps.
-        """
-        n = len(states)
-        shape = (n, self.epochs, len(kept_rows(self.layout)))
-        table = np.empty(shape) if out is None else out
-        if table.shape != shape or not table.flags.c_contiguous:
-            raise ValueError(
-                f"out: found shape {table.shape}, contiguous {table.flags.c_contiguous}, expected "
-                f"{shape}, contiguous True"
-            )
-        parts = portions(n, threads, CHUNK)
-        scenes = self._scenes(rng_view(states), n)
-        names, priors = self._fill(
-            table, scenes, lambda some: rng_view(states[some]), parts, threads
-        )
-        site, at = self._site
-        sites = np.empty((n, len(site)))
-        sites[:], sites[:, at.prior_x] = site, priors
-        sites[:, flatten(at.anchors)] = [scene.anchors_m.ravel() for scene in scenes]
+    def sample_batch(self, keys: Keys, threads: int = 1) -> EpisodeBatch:
+        """The episodes of keys (n,); so many threads may draw at once."""
+        n, at = len(keys), columns_of(self.layout)
+        begun = self.begin(keys)
+        program, state = self._along(begun) if self.travels else self._on_the_way(begun)
+        measured = rows_of(program.index.measured)
+        io = StepIO.of(n, self.epochs, output_rows=measured)
+        program.on_lanes()  # else some threads would wait for what others compile
+        jobs = [(state, io, part) for part in _parts(len(state.rows), threads)]
+        share(program.run_on_lanes, jobs, threads)
+        io.outputs[:, :, at.dt] = self.steps_s
         return EpisodeBatch(
-            names=names,
+            names=[self.names[kind] for kind in begun.kinds],
             nonfinite=np.zeros(n, np.int64),
             length=np.full(n, self.epochs),
-            table=table,
-            site=sites,
+            table=io.outputs,
+            site=begun.sites,
             layout=self.layout,
         )
 
-    def _scenes(self, view: RngView, n: int) -> list[Scene]:
-        """The scenes of n episodes, each drawn before the rest of its episode; or one for all."""
-        if not isinstance(self.scene, RandomScene):
-            return [self.scene]
-        scenes = []
-        for episode in range(n):
-            scenes.append(self.scene.draw(load_state(view, episode)))
-            save_state(view, episode)
-        return scenes
+    def feed(self, worlds: Array) -> Feed:
+        """What makes epochs of drawn users from the worlds (n, numbers) they begin in."""
+        kept, (block, lane) = blocks_of(self._blank_kept, len(worlds)), lanes_of(len(worlds))
+        kept[block, :, lane] = worlds
+        timed = columns_of(self.layout).dt
+        return Feed(self.world.on_lanes(), self._settings_rows, kept, timed, self.steps_s)
 
-    def _fill(
-        self,
-        tables: Array,
-        scenes: Sequence[Scene],
-        view: Callable[[slice], RngView],
-        parts: Sequence[slice],
-        threads: int = 1,
-    ) -> tuple[list[str], Array]:
-        """Fill tables (n, epochs, columns); the names, and the means (n, 7) of the priors.
+    def _along(self, begun: Begun) -> tuple[Program[Any], BatchState]:
+        """What runs, from where, so that drawn users are simulated."""
+        program, n = as_measured(self.layout), len(begun.worlds)
+        state = BatchState.of(np.empty((n, self.epochs, 0)), blocks_of(program.start, n))
+        return program, state._replace(feed=self.feed(begun.worlds))
 
-        Before the threads begin, motion and program are compiled, and it is chosen for all of
-        them whether the drawing is: else some would repeat, or wait for, what others compile.
+    def _on_the_way(self, begun: Begun) -> tuple[Program[Any], BatchState]:
+        """The same for a way that is given."""
+        program, n = on_a_way(self.layout), len(begun.worlds)
+        at, rows, (block, lane) = program.index, blocks_of(program.start, n), lanes_of(n)
+        rows[:, rows_of(at.settings)] = self._settings_rows
+        rows[block[:, None], rows_of(at.receiver), lane[:, None]] = begun.worlds
+        return program, BatchState.of(begun.truth, rows)
 
-        Args:
-            tables: to fill.
-            scenes: one for all, or one for each.
-            view: gives a thread what to draw a part from.
-            parts: of the tables, each drawn by one thread.
-            threads: how many may draw at once.
-        """
-        layout, program, n = self.layout, program_of(self.layout), len(tables)
-        kinds, first, prior = np.empty(n, np.int64), np.empty((n, 7)), np.empty((n, STATE_SIZE))
-        nets, start, one = self._nets(scenes), self._start(scenes), len(scenes) == 1
-        same = (
-            (layout.anchors, layout.size, len(program.blank), columns_of(layout).dt),
-            kept_rows(layout), self.time_s,
-        )  # fmt: skip
+    @property
+    def travels(self) -> bool:
+        """Whether users are drawn, so that an episode needs no table; else a way is given."""
+        return bool(self._plans)
 
-        def arguments(some: slice) -> tuple[Any, ...]:
-            here = slice(None) if one else some
-            return (
-                *view(some), self._plan, StreetNets(*(numbers[here] for numbers in nets)), self.dt,
-                stride_of(self.dt), *motion(), program.on_lanes(), start[here], *same,
-                kinds[some], first[some], prior[some], tables[some],
-            )  # fmt: skip
-
-        draw = simulate.choice(n * self.epochs, *arguments(parts[0]))
-        share(lambda some: draw(*arguments(some)), [(some,) for some in parts], threads)
-        first[:, 6] = self._example.hz_per_mps * (self.radio.prior_bias_mps * first[:, 6])
-        prior *= self._prior_deviations
-        names = self._names
-        return [names[kind] for kind in kinds] if len(names) > 1 else names * n, first + prior
-
-    @cached_property
-    def _site(self) -> tuple[Array, Any]:
-        """A row of :meth:`Episode.site` of the example, and what is where in it."""
-        scene = self._example
-        covariance = self.radio.prior_covariance(scene)[np.tril_indices(STATE_SIZE)]
-        site = Site(
-            scene.anchors_m.tolist(), scene.hz_per_mps, [0.0] * STATE_SIZE, covariance.tolist()
-        )
-        return np.array(flatten(site)), indices(site)
-
-    @cached_property
-    def _prior_deviations(self) -> Array:
-        return np.sqrt(np.diag(self.radio.prior_covariance(self._example)))
+    def begin(self, keys: Keys) -> Begun:
+        """What the episodes of keys (n,) begin with."""
+        n, program = len(keys), self._beginning
+        at = program.index.begun
+        parts = [at.choice, at.first, at.prior_noise, at.receiver.anchors]
+        world = [at.receiver, at.user] if self.travels else [at.receiver]
+        io = StepIO.of(n, 1, output_rows=rows_of([parts, world]))
+        tables, rows = keys.view(np.float64).reshape(n, 1, 1), blocks_of(self._before, n)
+        program.run_on_lanes(BatchState.of(tables, rows), io)
+        ends = np.cumsum([len(flatten(part)) for part in parts])
+        choice, first, noise, anchors, worlds = np.split(io.outputs[:, 0], ends, axis=1)
+        kinds, truth = choice[:, 0].astype(np.int64), np.empty((n, self.epochs, 0))
+        if not self.travels:
+            starts = (choice[:, 0] * (len(self._way) - self.epochs + 1)).astype(np.int64)
+            truth = self._way[starts[:, None] + np.arange(self.epochs)]
+            first[:, :6] = truth[:, 0]
+        site, where = self._site
+        sites = np.tile(site, (n, 1))
+        sites[:, where.prior_x] = first + noise
+        sites[:, flatten(where.anchors)] = anchors
+        return Begun(kinds, worlds, truth, first, sites)
 
     @cached_property
     def _users(self) -> tuple[Mobility, ...] | Trajectory:
@@ -237,49 +262,94 @@ class SimulatedSource:
         return self._users if isinstance(self._users, Trajectory) else None
 
     @cached_property
-    def _names(self) -> list[str]:
+    def names(self) -> list[str]:
+        """Of the kinds of users, or of the way."""
         users = self._users
         return [users.name] if isinstance(users, Trajectory) else [user.name for user in users]
 
     @cached_property
-    def _plan(self) -> TravelPlan:
+    def _plans(self) -> list[TravelPlan]:
+        """Kinds of users; none where a way is given."""
         users, scene = self._users, self.scene
-        if isinstance(scene, RandomScene):
-            if isinstance(users, Trajectory):
+        if isinstance(users, Trajectory):
+            if isinstance(scene, RandomScene):
                 raise ValueError(
                     f"scene: found {scene.name!r}, expected one scene: {users.name} is a way in "
                     "streets of its own"
                 )
-            return plan_of(users, scene.block_m[0])
-        if isinstance(users, Trajectory):
-            return users.plan(scene, self.dt)
+            return []
+        if isinstance(scene, RandomScene):
+            return plans_of(users, scene.block_m[0])
         scene.require_streets_in_front()
-        return plan_of(users, scene.streets.block_m)
-
-    def _nets(self, scenes: Sequence[Scene]) -> StreetNets:
-        """The streets of scenes, in numbers."""
-        users = () if isinstance(self._users, Trajectory) else self._users
-        return nets_of(users, [scene.streets for scene in scenes])
-
-    def _start(self, scenes: Sequence[Scene]) -> Array:
-        """Workspaces (scenes, size) of an episode before its first epoch."""
-        program, rows = program_of(self.layout), np.tile(self._blank_start, (len(scenes), 1))
-        rows[:, flatten(program.index.constants.anchors)] = [
-            scene.anchors_m.ravel() for scene in scenes
-        ]
-        return rows
+        return plans_of(users, scene.streets.block_m)
 
     @cached_property
-    def _blank_start(self) -> Array:
-        """The workspace (size,) of an episode of the example before its first epoch."""
-        radio, scene = self.radio, self._example
-        constants = EpisodeConstants(
-            anchors=scene.anchors_m.tolist(),
+    def _way(self) -> Array:
+        """The way that is given (E, 6), positions (m) and velocities (m/s)."""
+        users = self._users
+        assert isinstance(users, Trajectory)
+        return users.way(self._example, self.dt)
+
+    @property
+    def world(self) -> World:
+        """What runs from epoch to epoch, of drawn users."""
+        return world_of(self.layout, *self._room)
+
+    @property
+    def _room(self) -> tuple[int, int]:
+        """How many phases and gaits there is room for."""
+        phases = [plan.phases for plan in self._plans]
+        return (len(phases[0]), len(phases[0][0].phase.gaits)) if phases else (1, 1)
+
+    @property
+    def _beginning(self) -> Program[Beginning]:
+        streets = self.scene if isinstance(self.scene, RandomScene) else None
+        return beginning(self.layout, len(self._plans), *self._room, streets)
+
+    @cached_property
+    def _before(self) -> Array:
+        """The workspace (size,) that an episode is begun from, but for its key."""
+        scene, radio, template = self._example, self.radio, self._beginning.template
+        filled = template._replace(
+            plans=self._plans,
+            scene=scene.numbers,
+            duration_s=self.epochs * self.dt,
+            prior_deviation=np.sqrt(np.diag(radio.prior_covariance(scene))).tolist(),
+            first_bias_hz=scene.hz_per_mps * radio.prior_bias_mps,
+        )
+        return np.array(flatten(filled), float)
+
+    @cached_property
+    def _settings_rows(self) -> Array:
+        """(rows, 8) what is the same in all episodes."""
+        radio, scene, stride = self.radio, self._example, stride_of(self.dt)
+        settings = WorldSettings(
             hz_per_mps=scene.hz_per_mps,
             channel=channel_of(radio, scene, self.layout, self.dt),
-            first_bias_mps=radio.prior_bias_mps,
-            drift_mps=radio.drift_mps * self.dt**0.5,
+            drift_hz=scene.hz_per_mps * (radio.drift_mps * self.dt**0.5),
+            step_s=self.dt / stride,
+            stride=float(stride),
         )
-        return np.array(
-            flatten(program_of(self.layout).template._replace(constants=constants)), float
+        return np.repeat(np.array(flatten(settings), float)[:, None], WIDTH, axis=1)
+
+    @cached_property
+    def _blank_kept(self) -> Array:
+        """What an unused lane keeps of a world."""
+        _, _, receiver, user = self.world.template
+        return np.array(flatten([receiver, user]), float)
+
+    @cached_property
+    def _site(self) -> tuple[Array, Any]:
+        """A row of :meth:`Episode.site` of the example, and what is where in it."""
+        scene = self._example
+        covariance = self.radio.prior_covariance(scene)[np.tril_indices(STATE_SIZE)]
+        site = Site(
+            scene.anchors_m.tolist(), scene.hz_per_mps, [0.0] * STATE_SIZE, covariance.tolist()
         )
+        return np.array(flatten(site)), indices(site)
+
+
+def _parts(blocks: int, threads: int) -> list[tuple[int, int]]:
+    """First block and end of what each thread draws."""
+    ends = np.linspace(0, blocks, min(threads, blocks) + 1).astype(int).tolist()
+    return list(pairwise(ends))

@@ -10,7 +10,6 @@ import numpy as np
 
 from mmwave_env.episodes.mobility import FASTEST_MPS
 from mmwave_env.episodes.tables import TRAJECTORY, read_table
-from mmwave_env.episodes.travel import TravelPlan
 from mmwave_env.models.prior import GAP_S
 from mmwave_env.models.scene import Scene
 from mmwave_env.numerics.arrays import Array, Mask
@@ -123,8 +122,8 @@ class Trajectory:
         begin = float(self.time_s[0]) + dt * first
         return begin, begin + dt * (len(position_m) - 1)
 
-    def plan(self, scene: Scene, dt: float) -> TravelPlan:
-        """The way through a scene, as it is drawn from.
+    def way(self, scene: Scene, dt: float) -> Array:
+        """The way through a scene, (E, 6) as of :meth:`resampled`.
 
         Raises:
             ValueError: shorter than a step; behind a wall that mirrors, or at an anchor.
@@ -152,11 +151,7 @@ class Trajectory:
                 near, far = REACH_M
                 reach = f"a place {near:g} to {far:g} m from the anchor at {anchor.tolist()}"
                 refuse(int(outside.argmax()), reach)
-        return TravelPlan(
-            phases=np.zeros(0, np.int64), returns=np.zeros(0, np.bool_),
-            duration=np.zeros((0, 0, 2)), ranges=np.zeros((0, 0, 3, 2)),
-            fixed=np.zeros((0, 0, 5)), gaits=np.zeros((0, 0, 0, 4)), way=way,
-        )  # fmt: skip
+        return way
 
 
 def read_trajectory(path: str | os.PathLike[str]) -> Trajectory:

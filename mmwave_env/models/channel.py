@@ -5,12 +5,14 @@ randomness comes in as draws; what lasts from epoch to epoch is a :class:`Channe
 """
 
 import math
+from collections.abc import Callable
 from typing import NamedTuple
 
 from mmwave_env.models.measurement import Layout
 from mmwave_env.models.radio import DECIBEL, Radio
 from mmwave_env.models.scene import Scene
 from mmwave_env.numerics.numbers import Number, Vector, clip, exp, log, maximum, sqrt, where
+from mmwave_env.numerics.random import Dice
 
 
 class DisturbanceParams(NamedTuple):
@@ -134,6 +136,30 @@ class ChannelDraws(NamedTuple):
     # scatter, floor: normals of the Doppler spread
     scatter: Number
     floor: Number
+
+
+def draw_channel(dice: Dice, anchors: int) -> ChannelDraws:
+    """The randomness of an epoch for so many links."""
+
+    def each(draw: Callable[[], Number]) -> list[Number]:
+        return [draw() for _ in range(anchors)]
+
+    def angles() -> list[Number]:
+        return [dice.normal() for _ in range(3)]
+
+    return ChannelDraws(
+        shadowing=each(dice.normal),
+        blockage=each(dice.uniform),
+        multipath=each(dice.uniform),
+        outage=dice.uniform(),
+        blockage_range=each(dice.exponential),
+        multipath_range=each(dice.exponential),
+        blockage_angles=each(angles),
+        multipath_angles=each(angles),
+        detection=each(dice.uniform),
+        scatter=dice.normal(),
+        floor=dice.normal(),
+    )
 
 
 class Reception(NamedTuple):

@@ -4,8 +4,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
-import numpy as np
-
 from mmwave_env.lookup import choose
 from mmwave_env.models.scene import (
     SCENES,
@@ -13,10 +11,13 @@ from mmwave_env.models.scene import (
     Carrier,
     Extent,
     Scene,
+    SceneNumbers,
     Streets,
     Wall,
     scene_from,
 )
+from mmwave_env.numerics.numbers import Number, floor, maximum, minimum, where
+from mmwave_env.numerics.random import Dice, seeded
 from mmwave_env.records import Bound, require_fields
 
 RANDOM = "random"
@@ -62,35 +63,46 @@ class RandomScene:
     @property
     def example(self) -> Scene:
         """One of the scenes; carrier, bandwidth and number of anchors are those of all."""
-        return self.draw(np.random.default_rng(0))
+        return self.scene_of(self.draw_numbers(Dice(seeded(0.0, 0))))
 
-    def draw(self, rng: np.random.Generator) -> Scene:
-        """A scene; the order of drawing is part of what a seed means."""
-        block = float(rng.uniform(*self.block_m))
-        each = self.blocks + 1
-        counts = divmod(1 + int(rng.random() * (each * each - 1)), each)  # not 0 blocks both ways
-        ends, base, walls = [], [], []
-        for axis, count in enumerate(counts):
+    def draw_numbers(self, dice: Dice) -> SceneNumbers:
+        """A scene in numbers; the order of drawing is part of what a key means."""
+        block, each = dice.uniform(*self.block_m), float(self.blocks + 1)
+        counts = floor(1.0 + (each * each - 1.0) * dice.uniform())  # not 0 blocks both ways
+        east = floor((counts + 0.5) * (1.0 / each))
+        extent, base, walls = [], [], []
+        for count in (east, counts - each * east):
             end = count * block
-            beside = float(rng.uniform(*self.beside_m)) * _either(rng)
-            base.append(int(rng.random() * (count + 1)) * block + beside)
-            behind, side = float(rng.uniform(*self.behind_m)), _either(rng)
-            wall = max(end, base[axis]) + behind if side > 0.0 else min(0.0, base[axis]) - behind
-            walls.append(Wall(((1.0, 0.0), (0.0, 1.0))[axis], wall))
-            ends.append(end)
+            beside = dice.uniform(*self.beside_m) * _either(dice)
+            base.append(floor((count + 1.0) * dice.uniform()) * block + beside)
+            behind, side = dice.uniform(*self.behind_m), _either(dice)
+            high, low = maximum(end, base[-1]) + behind, minimum(0.0, base[-1]) - behind
+            walls.append(where(side > 0.0, high, low))
+            extent.append(end)
+        (x, y), height = base, dice.uniform(*self.height_m)
+        anchors = [
+            [x, y, height], [2.0 * walls[0] - x, y, height], [x, 2.0 * walls[1] - y, height]
+        ]  # fmt: skip
+        return SceneNumbers(anchors, block, extent, [0.0, 0.0], self.user_height_m)
+
+    def scene_of(self, numbers: SceneNumbers) -> Scene:
+        """The scene of the numbers that :meth:`draw_numbers` draws on floats."""
+        (x, y, height), west, south = numbers.anchors
+        walls = Wall((1.0, 0.0), (west[0] + x) / 2.0), Wall((0.0, 1.0), (south[1] + y) / 2.0)
+        east, north = numbers.extent_m
         return Scene(
             self.name,
-            (base[0], base[1], float(rng.uniform(*self.height_m))),
-            tuple(walls),
-            Streets((0.0, ends[0]), (0.0, ends[1]), block, self.user_height_m),
+            (x, y, height),
+            walls,
+            Streets((0.0, east), (0.0, north), numbers.block_m, self.user_height_m),
             self.carrier_hz,
             self.bandwidth_hz,
         )
 
 
-def _either(rng: np.random.Generator) -> float:
+def _either(dice: Dice) -> Number:
     """1 or -1."""
-    return 1.0 if rng.random() < 0.5 else -1.0
+    return where(dice.uniform() < 0.5, 1.0, -1.0)
 
 
 def scenes_from(scene: str | Path | Scene | RandomScene) -> Scene | RandomScene:

@@ -7,7 +7,7 @@ one reflection measures range and angles as if it came from there (paper, Sec. I
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -95,6 +95,17 @@ class Streets:
             raise ValueError(f"x_m, y_m: found {self.x_m}, {self.y_m}, expected a street")
 
 
+class SceneNumbers(NamedTuple):
+    """What a simulation needs to know of a scene; its numbers may be lanes."""
+
+    anchors: list[list[Any]]  # (L, 3) positions, m
+    block_m: Any  # distance of parallel streets
+    # extent_m, origin_m: of the net of streets, (2,): west to east, south to north; its corner
+    extent_m: list[Any]
+    origin_m: list[Any]
+    height_m: Any  # of the user equipment
+
+
 @dataclass(frozen=True)
 class Scene:
     """A base station among walls.
@@ -148,6 +159,15 @@ class Scene:
             behind = wall.signed_distance(points_m.T) * side <= 0.0
             if behind.any():
                 yield int(behind.argmax()), wall
+
+    @property
+    def numbers(self) -> SceneNumbers:
+        """What a simulation needs."""
+        (west, east), (south, north) = self.streets.x_m, self.streets.y_m
+        return SceneNumbers(
+            self.anchors_m.tolist(), self.streets.block_m, [east - west, north - south],
+            [west, south], self.streets.height_m,
+        )  # fmt: skip
 
     @property
     def hz_per_mps(self) -> float:

@@ -47,12 +47,19 @@ def exp(a: Number) -> Number:
     return np.exp(a) if isinstance(a, np.ndarray) else a.exp()
 
 
+def floor(a: Number) -> Number:
+    """The largest integer that is no larger."""
+    if _is_float(a):
+        return float(math.floor(a))
+    return np.floor(a) if isinstance(a, np.ndarray) else a.floor()
+
+
 def atan2(y: Number, x: Number) -> Number:
-    """Angle of the vector (x, y) in radians, in [-pi, pi]."""
+    """Angle of the vector (x, y) in radians, in (-pi, pi]: -0 counts as 0."""
     if _is_float(y) and _is_float(x):
-        return math.atan2(y, x)
+        return math.atan2(y + 0.0, x + 0.0)
     if isinstance(y, np.ndarray) or isinstance(x, np.ndarray):
-        return np.arctan2(y, x)
+        return np.arctan2(np.add(y, 0.0), np.add(x, 0.0))
     return (x.constant(y) if _is_float(y) else y).atan2(x)
 
 

@@ -37,7 +37,8 @@ def indices(template: Tree) -> Tree:
 
 def select(condition: Any, a: Tree, b: Tree) -> Tree:
     """Leaf by leaf ``where(condition, a, b)``."""
-    chosen = [where(condition, u, v) for u, v in zip(flatten(a), flatten(b), strict=True)]
+    pairs = zip(flatten(a), flatten(b), strict=True)
+    chosen = [u if u is v else where(condition, u, v) for u, v in pairs]
     return unflatten(a, iter(chosen))
 
 

@@ -182,6 +182,7 @@ class FloatTracer(Tracer):
         return FloatTracer(value)
 
     sqrt, log, exp = _applying(numbers.sqrt), _applying(numbers.log), _applying(numbers.exp)
+    floor = _applying(numbers.floor)
 
     def cos_sin(self) -> "tuple[FloatTracer, FloatTracer]":
         """Cosine and sine."""

@@ -8,6 +8,7 @@ from experiments import demo
 from experiments.arguments.shared import EpisodeArgs
 from experiments.cli.options import all_contenders
 from experiments.evaluation.comparison import compare_scores
+from experiments.evaluation.seeds import Selection
 from mmwave_env.metrics import METRICS
 
 
@@ -16,7 +17,7 @@ def test_six_rows_a_place_are_printed_and_everybody_is_written(tmp_path, monkeyp
         rng = np.random.default_rng(0)
         scores = {name: {m: rng.normal(size=3) for m in METRICS} for name in names}
         scenario = args.data or "mixed"
-        what = {"radio": args.radio, "episodes": args.episodes, "seed": args.seed}
+        what = {"radio": args.radio, "selection": Selection(range(args.episodes))}
         found = compare_scores(scores, scenario=scenario, **what)
         return found, str(found), found.json
 

@@ -414,7 +414,7 @@ def test_an_imm_may_come_from_a_bank_s_file_or_by_any_name_of_the_project(tmp_pa
 def driven(tmp_path_factory):
     """A log with odometry."""
     folder = tmp_path_factory.mktemp("driven")
-    run("simulate", ["--scenario", "walk-ride", "--odometry", "--seed", "1", "--out", str(folder)])
+    run("simulate", ["--scenario", "walk-ride", "--odometry", "--seed", "2", "--out", str(folder)])
     return folder
 
 

@@ -55,7 +55,7 @@ def test_results_say_how_to_make_them_again(results, tmp_path):
 
 def test_the_table_of_episodes_has_a_row_for_every_policy_and_seed(results):
     found, rows = results
-    assert list(rows[0]) == ["policy", "seed", *METRICS]
+    assert list(rows[0]) == ["policy", "seed", "key", *METRICS]
     assert [(row["policy"], row["seed"]) for row in rows] == [
         (name, seed) for name in POLICIES for seed in ("4", "5")
     ]
@@ -63,6 +63,67 @@ def test_the_table_of_episodes_has_a_row_for_every_policy_and_seed(results):
         for metric, interval in found["policies"][name].items():
             values = [float(row[metric]) for row in rows if row["policy"] == name]
             assert np.mean(values) == pytest.approx(interval["mean"])
+
+
+@pytest.fixture
+def by_keys(results, tmp_path):
+    """The same of the keys that the table names."""
+    keys = [row["key"] for row in results[1] if row["policy"] == "fixed-ekf"]
+    files = ("--json", tmp_path / "k.json", "--episodes-csv", tmp_path / "k.csv")
+    shown = succeed("compare", *TWO[:3], *TWO[5:7], "--keys", *keys, *files)
+    with (tmp_path / "k.csv").open() as file:
+        return (
+            keys,
+            shown,
+            json.loads((tmp_path / "k.json").read_text()),
+            list(csv.DictReader(file)),
+        )
+
+
+def test_keys_of_the_table_give_the_same_figures_to_the_last_digit(results, by_keys):
+    keys, shown, found, rows = by_keys
+    assert shown.startswith("### mixed, handset, 2 episodes by their keys\n")
+    assert found["keys"] == [int(key) for key in keys] and "seed" not in found
+    assert all(found[part] == results[0][part] for part in ("episodes", "policies", "paired"))
+    assert rows == [row | {"seed": ""} for row in results[1]]
+    assert shlex.join(["--keys", *keys]) in found["command"]
+    pytest.importorskip("jsonschema").validate(found, SCHEMA)
+
+
+def test_the_key_of_a_seed_is_that_of_the_environment(results):
+    env = gymnasium.make("MmWaveLoc-v0", episode_steps=15)
+    assert {row["key"] for row in results[1] if row["seed"] == "5"} == {
+        str(env.reset(seed=5)[1]["episode_key"])
+    }
+
+
+def test_recorded_episodes_have_seeds_and_no_keys(tmp_path):
+    where = ("--data", "canyon28_vehicle", "--episode-steps", 15, "--episodes", 1)
+    succeed("evaluate", "--policy", "fixed-ukf", *where, "--episodes-csv", tmp_path / "r.csv")
+    with (tmp_path / "r.csv").open() as file:
+        (row,) = csv.DictReader(file)
+    assert (row["seed"], row["key"]) == ("0", "")
+
+
+REFUSED = {
+    "no key": (("--keys",), "keys: found none, expected at least 1"),
+    "no number": (("--keys", "first"), "keys: found 'first', expected a whole number"),
+    "too large": (("--keys", 2**64), "keys: .*found 18446744073709551616, expected an integer"),
+    "below 0": (("--keys", -1), "keys: .*found -1, expected an integer from 0"),
+    "twice": (("--keys", 3, 4, 3), "keys: found 3 2 times, expected each key once"),
+    "a seed": (("--keys", 3, "--seed", 0), "keys: found beside seed 0, expected keys alone"),
+    "how many": (("--keys", 3, "--episodes", 1000), "keys: found beside episodes 1000, expected"),
+    "recorded": (
+        ("--keys", 3, "--data", "canyon28_vehicle"), "keys: found 1, but .* recorded .*: expected n"
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("mistake", REFUSED)
+def test_keys_that_are_none_are_refused(mistake):
+    words, message = REFUSED[mistake]
+    for name in ("evaluate", "compare"):
+        assert_one_clear_line(command(name, *words), f"^mmwave-loc {name}: {message}")
 
 
 def test_a_table_that_cannot_be_written_is_refused_before_the_episodes(tmp_path):

@@ -6,11 +6,11 @@ import pytest
 from gymnasium.utils.env_checker import data_equivalence
 
 from mmwave_env.compiler.lazy_jit import LazyJit
-from mmwave_env.episodes import kinematics, mobility
-from mmwave_env.episodes import simulated as simulation
+from mmwave_env.episodes import mobility
 from mmwave_env.episodes.simulated import SimulatedSource
 from mmwave_env.models.radio import RADIOS
 from mmwave_env.models.scene import SCENES
+from mmwave_env.numerics.pytree import flatten, unflatten
 
 
 @pytest.fixture
@@ -27,38 +27,16 @@ def go(monkeypatch: pytest.MonkeyPatch):
     return begin
 
 
-def motion():
-    """What `kinematics.motion` compiles, in Python, on the arrays behind the addresses."""
-
-    def change(block, function):
-        for lane in np.flatnonzero(block[kinematics.AT.jerk]):  # where somebody travels
-            block[:, lane] = function(kinematics.Traveler(*block[:, lane].tolist()))
-
-    def move_on(address, substeps, here):
-        block = address._arr
-        while substeps > 0:
-            change(block, kinematics.move)
-            substeps -= 1
-            if (block[kinematics.AT.due, :here] > 0.0).any():
-                break
-        return substeps
-
-    return move_on, lambda address: change(address._arr, kinematics.observe)
-
-
-@pytest.mark.slow  # compiles what draws episodes
 @pytest.mark.parametrize("scenario", mobility.MOBILITIES)
 def test_episodes_are_the_same_to_the_bit(scenario, go):
     source = SimulatedSource(SCENES["street"], RADIOS["handset"], scenario)
-    rngs = [np.random.default_rng(seed) for seed in (0, 1, 2, 0, 1, 2)]
+    keys = np.arange(3, dtype=np.uint64)
     go("compiled")
-    compiled = [source.sample(rng) for rng in rngs[:3]]
+    compiled = source.sample_batch(keys)
     go("plain")
-    plain = [source.sample(rng) for rng in rngs[3:]]
-    for a, b in zip(compiled, plain, strict=True):
-        np.testing.assert_array_equal(a.table(), b.table())
-        np.testing.assert_array_equal(a.site(), b.site())
-    assert [rng.random() for rng in rngs[:3]] == [rng.random() for rng in rngs[3:]]
+    plain = source.sample_batch(keys)
+    np.testing.assert_array_equal(compiled.table, plain.table)
+    np.testing.assert_array_equal(compiled.site, plain.site)
 
 
 @pytest.mark.parametrize("mode", ["NextStep", "SameStep"])
@@ -74,15 +52,16 @@ def test_environments_are_the_same_to_the_bit(mode, go):
 
 
 @pytest.mark.parametrize("scenario", mobility.MOBILITIES)
-def test_motion_on_lanes_is_motion_on_floats(scenario, go, monkeypatch):
+def test_a_world_on_lanes_is_the_world_on_floats(scenario):
     source = SimulatedSource(SCENES["street"], RADIOS["handset"], scenario, epochs=60)
-    go("compiled")
-    compiled = source.sample(np.random.default_rng(0))
-    go("plain")
-    monkeypatch.setattr(simulation, "motion", motion)
-    on_floats = source.sample(np.random.default_rng(0))
-    for field in ("truth_position_m", "truth_velocity_mps", "measurement", "snr_db"):
-        np.testing.assert_allclose(
-            getattr(on_floats, field), getattr(compiled, field), rtol=1e-9, atol=1e-9
-        )
-    np.testing.assert_array_equal(on_floats.visible, compiled.visible)
+    episodes = source.sample_batch(np.arange(3, dtype=np.uint64))
+    begun, world = source.begin(np.arange(3, dtype=np.uint64)), source.world
+    settings = source.feed(begun.worlds).settings[:, 0]
+    blank = np.zeros(world.ends[0])
+    for kept, expected in zip(begun.worlds, episodes.table, strict=True):
+        w = unflatten(world.template, iter(np.concatenate([blank, settings, kept]).tolist()))
+        table = []
+        for dt in source.steps_s:
+            w = world.epoch(w)
+            table.append(flatten(w.measured._replace(dt=dt)))
+        np.testing.assert_allclose(table, expected, rtol=1e-9, atol=1e-9)

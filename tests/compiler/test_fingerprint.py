@@ -97,7 +97,8 @@ def started(tmp_path):
 PROGRAMS = """
     from typing import Any, NamedTuple
     import numpy as np
-    from mmwave_env.compiler.program import Program, call
+    from mmwave_env.compiler.advance import call
+    from mmwave_env.compiler.program import Program
     class Pair(NamedTuple):
         incoming: list[Any]
         x: Any

@@ -57,12 +57,12 @@ def compiled(function, arity):
     def build(rows):
         rows[arity] = function(*(rows[i] for i in range(arity)))
 
-    run = kernel(build)
+    run = kernel(build, [arity + 1])
 
     @numba.njit
     def main(blocks):
         for b in range(len(blocks)):
-            run(blocks[b])
+            run((blocks[b].ctypes.data,))
 
     return main
 
@@ -260,7 +260,7 @@ def test_asking_for_a_value_says_what_to_write_instead(lanes, use, instead):
 
 def test_probes_are_lanes_in_all_but_the_value():
     """What a trial on probes accepts, lanes do, and the other way round."""
-    inner = {"builder", "value", "hidden", "_call", "_negated"}
+    inner = {"builder", "value", "hidden", "_call", "_negated", "as_word"}
     for ours, theirs in ((Lanes, FloatTracer), (Mask, FloatCondition)):
         assert set(dir(ours)) - inner == set(dir(theirs)) - inner
 

@@ -89,7 +89,7 @@ def test_episodes_in_a_batch_are_scored_and_the_batch_goes_on_as_before(episodes
         for action in (0, 1, 1):
             engine.step(np.int64(action))
     places = np.array([1, 4, 10])
-    found = imm.rewards(engines[0].batch, places)
+    found = imm.run(engines[0].batch.episodes(places), "reward")["reward"]
     expected = imm.run([episodes[place] for place in places], "reward")["reward"]
     np.testing.assert_array_equal(found, expected)
     stepped = [engine.step(np.int64(0))[0] for engine in engines]

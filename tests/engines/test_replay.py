@@ -37,7 +37,7 @@ def test_a_replay_repeats_what_was_seen_and_smooths_it(planar):
     pipeline = Pipeline(default_modes(), STREET, planar)
     engine, errors, nees = played(pipeline, episodes, ACTIONS)
     before = engine.column(3)
-    again = Replay(pipeline).run(engine.batch, np.arange(N), ACTIONS)
+    again = Replay(pipeline).run(engine.batch.episodes(np.arange(N)), ACTIONS)
     np.testing.assert_array_equal(engine.column(3), before)
     np.testing.assert_allclose(again[0], errors, rtol=1e-9, atol=1e-9)
     np.testing.assert_allclose(again[1], nees, rtol=1e-9, atol=1e-9)
@@ -56,9 +56,9 @@ def test_company_and_place_change_no_bit():
     pipeline = Pipeline(default_modes(), STREET)
     engine, *_ = played(pipeline, simulated(N, epochs=T), ACTIONS)
     replay, places = Replay(pipeline), np.arange(N)
-    together = replay.run(engine.batch, places, ACTIONS)
+    together = replay.run(engine.batch.episodes(places), ACTIONS)
     for some in ([4], [10, 0, 7], [8, 9, 10, 1, 2, 3, 4, 5, 6]):
-        apart = replay.run(engine.batch, places[some], ACTIONS[some])
+        apart = replay.run(engine.batch.episodes(places[some]), ACTIONS[some])
         for a, b in zip(apart, together, strict=True):
             np.testing.assert_array_equal(a, b[some])
 
@@ -66,7 +66,9 @@ def test_company_and_place_change_no_bit():
 def test_an_episode_cut_short_is_smoothed_from_where_it_ended():
     pipeline = Pipeline(default_modes(), STREET)
     engine, errors, _ = played(pipeline, simulated(2, epochs=T), ACTIONS[:2])
-    found, nees, smoothed = Replay(pipeline).run(engine.batch, np.arange(2), ACTIONS[:2, :9])
+    found, nees, smoothed = Replay(pipeline).run(
+        engine.batch.episodes(np.arange(2)), ACTIONS[:2, :9]
+    )
     assert found.shape == smoothed.shape == (2, 9, 3) and nees.shape == (2, 9)
     np.testing.assert_allclose(found, errors[:, :9], rtol=1e-9, atol=1e-9)
     np.testing.assert_array_equal(smoothed[:, -1], found[:, -1])
@@ -76,10 +78,10 @@ def test_a_replay_runs_on_floats_and_on_filterpy():
     ours, episodes = Pipeline(default_modes(), STREET), simulated(2, epochs=20)
     actions = ACTIONS[:2, :20]
     engine, *_ = played(ours, episodes, actions)
-    expected = Replay(ours).run(engine.batch, np.arange(2), actions)
+    expected = Replay(ours).run(engine.batch.episodes(np.arange(2)), actions)
     for pipeline in (ours, filterpy_pipeline(ours)):
         engine, errors, _ = played(pipeline, episodes, actions, on_floats=True)
-        found = Replay(pipeline, on_floats=True).run(engine.batch, np.arange(2), actions)
+        found = Replay(pipeline, on_floats=True).run(engine.batch.episodes(np.arange(2)), actions)
         np.testing.assert_array_equal(found[0], errors)
         for a, b in zip(found, expected, strict=True):
             np.testing.assert_allclose(a, b, rtol=1e-8, atol=1e-8)

@@ -1,11 +1,8 @@
-"""Users on their way, one by one."""
+"""A way that is given."""
 
 import numpy as np
 
-from mmwave_env.compiler.rng import whole_rng
-from mmwave_env.episodes.kinematics import motion
 from mmwave_env.episodes.trajectory import Trajectory
-from mmwave_env.episodes.travel import stride_of, travel
 
 
 def around_a_block(corner=(10.0, -20.0)):
@@ -16,10 +13,3 @@ def around_a_block(corner=(10.0, -20.0)):
     x, y = np.minimum(traveled, 80.0), np.maximum(traveled - 80.0, 0.0)
     position = np.column_stack([corner[0] + x, corner[1] - y, np.full(len(x), 1.5)])
     return Trajectory("block", time_s, position)
-
-
-def trajectories(plan, nets, kinds, dt, rngs, out):
-    """Fill (n, epochs, 6) with positions (m) and velocities (m/s) of users of a plan's kinds."""
-    for kind, rng, row in zip(kinds, rngs, out, strict=True):
-        kind = np.array([kind])
-        travel(whole_rng(rng), 0, kind, plan, nets, dt, stride_of(dt), *motion(), row[None])

@@ -269,7 +269,7 @@ DAMAGE = {
 
 @pytest.mark.parametrize("field", DAMAGE)
 def test_validation_names_field_and_episode(episode, field):
-    with pytest.raises(ValueError, match=f"^{field} of episode 'jam': found .*, expected "):
+    with pytest.raises(ValueError, match=f"^{field} of episode 'cyclist': found .*, expected "):
         replace(episode, **{field: DAMAGE[field](getattr(episode, field))})
 
 

@@ -11,6 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.stats import binom
 
+from experiments.evaluation.seeds import keys_of
 from mmwave_env.episodes.mobility import (
     MOBILITIES,
     SCENARIOS,
@@ -19,13 +20,10 @@ from mmwave_env.episodes.mobility import (
     Mobility,
     Phase,
     mobilities_of,
-    nets_of,
-    plan_of,
 )
 from mmwave_env.episodes.simulated import SimulatedSource
 from mmwave_env.models.radio import RADIOS
 from mmwave_env.models.scene import SCENES
-from tests.episodes.roads import trajectories
 from tests.marks import representative
 
 STEP_S, STEPS, SEEDS = 0.1, 2000, 40
@@ -70,7 +68,7 @@ def tracks():
 
     def draw(name, scene="street"):
         if (name, scene) not in drawn:
-            position, velocity = run([name] * SEEDS, range(SEEDS), STEP_S, STEPS, scene)
+            position, velocity = run(name, range(SEEDS), STEP_S, STEPS, scene)
             assert (velocity[..., 2] == 0.0).all()
             speed = np.linalg.norm(velocity, axis=-1)
             drawn[name, scene] = BatchState(
@@ -81,17 +79,14 @@ def tracks():
     return draw
 
 
-def run(names, seeds, dt, epochs, scene="street"):
-    users, streets = [MOBILITIES[name] for name in names], SCENES[scene].streets
-    plan, nets = plan_of(users, streets.block_m), nets_of(users, [streets])
-    rngs = [np.random.default_rng(seed) for seed in seeds]
-    out = np.empty((len(rngs), epochs, 6))
-    trajectories(plan, nets, range(len(rngs)), dt, rngs, out)
-    return out[..., :3], out[..., 3:]
+def run(name, seeds, dt, epochs, scene="street"):
+    source = SimulatedSource(SCENES[scene], RADIOS["handset"], name, dt, epochs)
+    truth = source.sample_batch(keys_of(seeds)).table[..., -6:]
+    return truth[..., :3], truth[..., 3:]
 
 
 def run_one(name, seed, dt, epochs):
-    position, velocity = run([name], [seed], dt, epochs)
+    position, velocity = run(name, [seed], dt, epochs)
     return position[0], velocity[0]
 
 
@@ -211,7 +206,7 @@ def test_any_step_gives_a_sound_trajectory(name, dt):
 
 
 @every_mobility
-def test_the_same_generator_gives_the_same_trajectory(name):
+def test_the_same_key_gives_the_same_trajectory(name):
     np.testing.assert_array_equal(run_one(name, 7, 1.0, 50), run_one(name, 7, 1.0, 50))
     assert not np.array_equal(run_one(name, 7, 1.0, 50), run_one(name, 8, 1.0, 50))
 
@@ -219,8 +214,7 @@ def test_the_same_generator_gives_the_same_trajectory(name):
 def test_mixed_draws_every_mobility_alike():
     draws = 2000
     source = SimulatedSource(SCENES["street"], RADIOS["handset"], "mixed", epochs=1)
-    rng = np.random.default_rng(0)
-    counts = Counter(source.sample(rng).name for _ in range(draws))
+    counts = Counter(source.sample_batch(keys_of(range(draws))).names)
     assert set(counts) == set(MOBILITIES)
     # 99 % for all five together (Bonferroni)
     low, high = binom.interval(1.0 - 0.01 / 5, draws, 1.0 / 5)

@@ -97,7 +97,7 @@ MISTAKES = {
 @pytest.mark.parametrize("name", MISTAKES)
 def test_what_is_no_agent_is_refused_before_an_episode_runs(name, folder, monkeypatch):
     (folder / "mine.zip").write_bytes(b"")
-    monkeypatch.setattr("experiments.evaluation.runner.draw_episodes", None)
+    monkeypatch.setattr("experiments.evaluation.seeds.Selection.draw", None)
     done = command("evaluate", "--policy", name, cwd=folder)
     assert_one_clear_line(done, f"^mmwave-loc evaluate: .*{MISTAKES[name]}")
 

@@ -15,7 +15,7 @@ from experiments.evaluation.cramer_rao import (
 )
 from experiments.evaluation.intervals import RESAMPLES
 from experiments.evaluation.runner import score
-from experiments.evaluation.seeds import draw_episodes
+from experiments.evaluation.seeds import Selection, draw_episodes
 from mmwave_env.episodes.simulated import SimulatedSource
 from mmwave_env.metrics import BURN_IN
 from mmwave_env.models.radio import RADIOS
@@ -94,7 +94,7 @@ def test_bounds_are_those_of_the_episodes_that_were_scored():
     episodes = draw_episodes(source, range(7, 12))
     contender = contender_from("imm", RADIO.name)
     scores = {"imm": score(contender, contender.start(source.layout), episodes)}
-    over = over_bound(scores, source, RADIO, seed=7)
+    over = over_bound(scores, source, RADIO, Selection(range(7, 12)))
     assert over.bounds == bounds_of(episodes, RADIO.drift_mps)
     squared = np.square(scores["imm"]["rmse_m"])
     pooled = over.policies["imm"]["rmse_m"]

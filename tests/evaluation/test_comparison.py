@@ -5,6 +5,7 @@ import pytest
 
 from experiments.evaluation.comparison import compare_scores, references, rivals
 from experiments.evaluation.intervals import bootstrap
+from experiments.evaluation.seeds import Selection
 from mmwave_env.metrics import METRICS
 
 
@@ -18,7 +19,7 @@ def scores(**rewards):
     }
 
 
-WHAT = {"scenario": "mixed", "radio": "handset", "episodes": 3, "seed": 0}
+WHAT = {"scenario": "mixed", "radio": "handset", "selection": Selection(range(3))}
 
 
 def test_references_are_the_best_fixed_mode_the_paper_s_rule_and_the_imm():
@@ -95,8 +96,9 @@ def test_the_heading_names_a_reward_that_is_not_the_usual_one():
 
 def test_results_as_json():
     result = compare_scores(scores(speed_rule=[1.0, 2.0, 3.0], imm=[2.0, 2.0, 2.0]), **WHAT).json
-    assert {key: result[key] for key in WHAT} == WHAT
-    assert list(result) == [*WHAT, "policies", "paired"]
+    said = {"scenario": "mixed", "radio": "handset", "episodes": 3, "seed": 0}
+    assert {key: result[key] for key in said} == said
+    assert list(result) == [*said, "policies", "paired"]
     assert result["policies"]["imm"]["reward"] == {"mean": 2.0, "ci95": [2.0, 2.0]}
     assert list(result["paired"]["imm - speed-rule"]) == list(METRICS)
 

@@ -112,6 +112,7 @@ def test_a_picture_is_drawn(episodes, told, tmp_path):
     assert some.shape[0] > without.shape[0]  # a row for the rule
 
 
+@pytest.mark.filterwarnings("ignore:speed above 20 m/s")  # of a track that is lost
 def test_modes_are_those_that_were_chosen(episodes):
     rule = contender_from("speed-rule", "handset")
     told = run_contender(rule, rule.start(SOURCE.layout), episodes)

@@ -1,5 +1,6 @@
 """docs/own-agent.md: every block runs as shown, on fewer episodes."""
 
+import csv
 import re
 import shlex
 import sys
@@ -14,7 +15,7 @@ from tests.paths import ROOT
 
 PAGE = ("own-agent.md", (ROOT / "docs" / "own-agent.md").read_text(encoding="utf-8"))
 BLOCKS = re.findall(r"```python\n(.*?)```", PAGE[1], re.DOTALL)
-FUNCTION, MODULE, TRAIN, MODES, PAIRED = BLOCKS
+FUNCTION, MODULE, TRAIN, MODES, AGAIN, PAIRED = BLOCKS
 LINES = re.findall(r"^mmwave-loc (.*)$", PAGE[1], re.MULTILINE)
 
 pytestmark = pytest.mark.filterwarnings("ignore:speed .* is outside the design window")
@@ -55,8 +56,21 @@ def test_functions_are_compared(capsys):
 
 
 def test_modules_are_compared(folder):
-    (compared,) = (line for line in LINES if line.startswith("compare --policies my_agents"))
+    compared, _ = (line for line in LINES if line.startswith("compare --policies my_agents"))
     assert "| my_agents:make_policy | -" in shown(compared, folder)
+
+
+def test_the_episode_that_is_lost_most_is_played_again(folder, capsys):
+    _, compared = (line for line in LINES if line.startswith("compare --policies my_agents"))
+    shown(compared, folder)
+    with (folder / "episodes.csv").open() as file:
+        table = {(row["policy"], row["key"]): row for row in csv.DictReader(file)}
+    found = {}
+    exec(compile(AGAIN, *PAGE[:1], "exec"), found)
+    *steps, last = capsys.readouterr().out.splitlines()
+    assert len(steps) == 200
+    told = float(last.removeprefix("mean position error, m: "))
+    assert told == pytest.approx(float(table["my_agents:make_policy", found["key"]]["ate_m"]))
 
 
 @pytest.mark.slow

@@ -13,7 +13,7 @@ from experiments.evaluation import contenders as contenders_module
 from experiments.evaluation import runner as evaluation
 from experiments.evaluation.contenders import Contender, contender_from, contenders
 from experiments.evaluation.runner import run_contender, score, score_contenders
-from experiments.evaluation.seeds import draw_episodes
+from experiments.evaluation.seeds import Selection, draw_episodes
 from mmwave_env.engines.imm_engine import ImmEngine
 from mmwave_env.episodes.simulated import SimulatedSource
 from mmwave_env.filters.bank import bank_as_written, best_bank
@@ -70,25 +70,25 @@ def test_the_batch_scores_what_stepping_one_environment_scores():
 
 
 def test_chunks_change_nothing(monkeypatch):
-    whole = score_contenders(["speed-rule"], SOURCE, "handset", episodes=5, seed=0)
+    whole = score_contenders(["speed-rule"], SOURCE, "handset", Selection(range(5)))
     monkeypatch.setattr(evaluation, "CHUNK", 2)
-    assert_equal(score_contenders(["speed-rule"], SOURCE, "handset", episodes=5, seed=0), whole)
+    assert_equal(score_contenders(["speed-rule"], SOURCE, "handset", Selection(range(5))), whole)
 
 
 def test_seeds_run_from_the_first_one():
-    both = score_contenders(["fixed-ukf"], SOURCE, "handset", episodes=2, seed=7)["fixed-ukf"]
-    second = score_contenders(["fixed-ukf"], SOURCE, "handset", episodes=1, seed=8)["fixed-ukf"]
+    both = score_contenders(["fixed-ukf"], SOURCE, "handset", Selection(range(7, 9)))["fixed-ukf"]
+    second = score_contenders(["fixed-ukf"], SOURCE, "handset", Selection(range(8, 9)))["fixed-ukf"]
     assert all(len(both[m]) == 2 and both[m][1] == second[m][0] for m in METRICS)
 
 
 def test_nothing_is_printed_beside_the_result(capsys):
-    score_contenders(["fixed-ukf"], SOURCE, "handset", episodes=1, seed=0)
+    score_contenders(["fixed-ukf"], SOURCE, "handset", Selection(range(1)))
     assert capsys.readouterr() == ("", "")
 
 
 def test_contenders_see_the_same_episodes():
-    together = score_contenders(["fixed-ekf", "fixed-ukf"], SOURCE, "handset", episodes=2, seed=0)
-    alone = score_contenders(["fixed-ukf"], SOURCE, "handset", episodes=2, seed=0)
+    together = score_contenders(["fixed-ekf", "fixed-ukf"], SOURCE, "handset", Selection(range(2)))
+    alone = score_contenders(["fixed-ukf"], SOURCE, "handset", Selection(range(2)))
     assert_equal({"fixed-ukf": together["fixed-ukf"]}, alone)
     assert (together["fixed-ekf"]["ate_m"] != together["fixed-ukf"]["ate_m"]).all()
 
@@ -106,13 +106,13 @@ def test_every_radio_has_every_contender(radio):
 
 def test_an_unknown_contender_lists_the_valid_ones():
     with pytest.raises(ValueError, match="policy: found 'oracle'.*fixed-ekf.*imm"):
-        score_contenders(["oracle"], SOURCE, "handset", episodes=1, seed=0)
+        score_contenders(["oracle"], SOURCE, "handset", Selection(range(1)))
 
 
 @pytest.mark.parametrize("episodes", [0, -3])
 def test_no_episodes_are_refused(episodes):
     with pytest.raises(ValueError, match="episodes"):
-        score_contenders(["fixed-ukf"], SOURCE, "handset", episodes=episodes, seed=0)
+        score_contenders(["fixed-ukf"], SOURCE, "handset", Selection(range(episodes)))
 
 
 def test_episodes_without_truth_are_refused():
@@ -141,7 +141,7 @@ def test_an_imm_is_run_as_it_was_tuned():
 
 def test_a_name_twice_is_refused():
     with pytest.raises(ValueError, match="policies: found imm, imm, expected no name twice"):
-        score_contenders(["imm", "imm"], SOURCE, "handset", episodes=1, seed=0)
+        score_contenders(["imm", "imm"], SOURCE, "handset", Selection(range(1)))
 
 
 def test_actions_beyond_the_modes_are_refused():
@@ -159,8 +159,8 @@ def test_own_modes_bring_their_own_contenders():
     ]  # fmt: skip
     assert all(make().modes == modes for make in found.values())
     assert "speed-rule" in contenders("handset", modes[:2])
-    own = score_contenders(["fixed-ckf"], SOURCE, "handset", episodes=2, seed=0, modes=modes)
-    named = score_contenders(["fixed-ckf"], SOURCE, "handset", episodes=2, seed=0)
+    own = score_contenders(["fixed-ckf"], SOURCE, "handset", Selection(range(2)), modes=modes)
+    named = score_contenders(["fixed-ckf"], SOURCE, "handset", Selection(range(2)))
     for metric, values in own["fixed-ckf"].items():
         np.testing.assert_allclose(values, named["fixed-ckf"][metric], rtol=1e-9)
 
@@ -238,7 +238,7 @@ def test_a_policy_plays_the_same_by_name_and_by_file(file):
         told[contender.name] = tells
         assert len(episodes) == 2
 
-    scores = score_contenders(names, SOURCE, "handset", episodes=2, seed=0, watch=watch)
+    scores = score_contenders(names, SOURCE, "handset", Selection(range(2)), watch=watch)
     assert list(scores) == list(told) == names
     for name in names[1:]:
         assert_equal({name: scores["ppo"]}, {name: scores[name]})
@@ -249,7 +249,7 @@ def test_what_is_watched_is_what_is_scored():
     told = {}
     names = ["speed-rule", "imm"]
     scores = score_contenders(
-        names, SOURCE, "handset", episodes=3, seed=0,
+        names, SOURCE, "handset", Selection(range(3)),
         watch=lambda contender, episodes, tells: told.update({contender.name: tells}),
     )  # fmt: skip
     for name in names:
@@ -275,7 +275,7 @@ def test_trusting_no_mode_is_the_imm_over_the_bank():
     assert own.bank == HANDSET and own.actions == ["none", "stand", "walk", "ride"]
     imm = contenders("handset", HANDSET)["imm"]()
     assert imm.policy is None and imm.transition == HANDSET.transition
-    found, expected = score_contenders([own, imm], SOURCE, "handset", 3, 0).values()
+    found, expected = score_contenders([own, imm], SOURCE, "handset", Selection(range(3))).values()
     for metric, values in expected.items():
         np.testing.assert_allclose(found[metric], values, rtol=1e-9)
     elsewhere = replace(imm, transition=None, nis_quantile=1.0)
@@ -324,7 +324,7 @@ def test_the_best_imm_is_over_the_best_bank_of_its_radio():
 def test_a_policy_scores_what_it_earns_in_an_environment_of_its_bank(trust):
     contender, told = Contender.learned(trust), {}
     (scores,) = score_contenders(
-        [contender], SOURCE, "handset", 2, 0,
+        [contender], SOURCE, "handset", Selection(range(2)),
         watch=lambda _, episodes, tells: told.update(tells),
     ).values()  # fmt: skip
     env = gym.make("MmWaveLoc-v0", beliefs="per-mode", modes=HANDSET)

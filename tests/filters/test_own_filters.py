@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 from scipy.stats import chi2
 
 from experiments.evaluation.runner import score_contenders
+from experiments.evaluation.seeds import Selection
 from mmwave_env.engines.imm_engine import ImmEngine
 from mmwave_env.engines.track_engine import Tracker
 from mmwave_env.episodes.log_writer import write_log
@@ -149,7 +150,9 @@ def test_a_log_is_localized_with_it(iekf, tmp_path):
 
 def test_it_is_evaluated_like_a_mode_of_ours(mine):
     source = SimulatedSource(SCENES["street"], RADIOS["handset"], epochs=30)
-    scores = score_contenders(["fixed-iekf", "imm"], source, "handset", 2, 0, (mine,))
+    scores = score_contenders(
+        ["fixed-iekf", "imm"], source, "handset", Selection(range(2)), (mine,)
+    )
     assert np.isfinite(scores["fixed-iekf"]["ate_m"]).all()
     np.testing.assert_allclose(scores["imm"]["ate_m"], scores["fixed-iekf"]["ate_m"], rtol=1e-6)
 

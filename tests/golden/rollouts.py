@@ -16,7 +16,7 @@ STEPS = 12  # of an episode, if nothing else is said
 EARLY = {"terminate_on_divergence": True, "scenario": "vehicle"}
 FLAT = {"radio": "standard", "planar": True, "odometry": True}
 PRIOR = {"radio": "high", "observation": "prior", "reward": "log-score"}
-LOST = {"episode_steps": 16, "seed": 37} | EARLY | PRIOR
+LOST = {"episode_steps": 16, "seed": 711} | EARLY | PRIOR
 EIGHT = {"modes": "extended", "steps": 5}  # without an end: what that runs takes long to compile
 PER_MODE = {"beliefs": "per-mode", "episode_steps": 6}
 
@@ -32,8 +32,8 @@ ROLLOUTS: dict[str, dict[str, dict[str, Any]]] = {
         "jam": {"scenario": "jam", "scene": "o1"},
         "cyclist": {"scenario": "cyclist"},
         "recorded": {"episodes": "canyon28_vehicle"},
-        "diverging": {"episode_steps": 14, "seed": 1361} | EARLY,
-        "next-step": {"autoreset_mode": "NextStep", "episode_steps": 14, "seed": 157} | EARLY,
+        "diverging": {"episode_steps": 14, "seed": 603} | EARLY,
+        "next-step": {"autoreset_mode": "NextStep", "episode_steps": 14, "seed": 603} | EARLY,
     },
     "standard": {
         "pedestrian": {"scenario": "pedestrian"} | FLAT,
@@ -82,7 +82,7 @@ def _in_order(column: str) -> tuple[bool, str, int]:
 
 
 def _one(steps: int, seed: int, arguments: dict[str, Any]) -> Iterator[Row]:
-    env, actions = gym.make(ID, **arguments), np.random.default_rng(seed)
+    env, actions = gym.make(ID, smoothed=True, **arguments), np.random.default_rng(seed)
     yield {"row": "0 reset"} | _told(*env.reset(seed=seed))
     for step in range(1, steps + 1):
         action = actions.integers(env.action_space.n)
@@ -93,7 +93,10 @@ def _one(steps: int, seed: int, arguments: dict[str, Any]) -> Iterator[Row]:
 
 
 def _three(steps: int, seed: int, arguments: dict[str, Any]) -> Iterator[Row]:
-    env, actions = gym.make_vec(ID, num_envs=ENVS, **arguments), np.random.default_rng(seed)
+    env, actions = (
+        gym.make_vec(ID, num_envs=ENVS, smoothed=True, **arguments),
+        np.random.default_rng(seed),
+    )
     yield from _resets(0, *env.reset(seed=seed))
     for step in range(1, steps + 1):
         chosen = actions.integers(env.single_action_space.n, size=ENVS)

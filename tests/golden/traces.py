@@ -21,8 +21,13 @@ import numpy as np
 
 import mmwave_env
 from experiments.cli.main import run
-from mmwave_env.engines.imm_engine import ImmEngine
+from experiments.speed.operations import Operations, count
+from mmwave_env.engines.env_engine import Engine
+from mmwave_env.engines.imm_engine import ImmEngine, imm_program
+from mmwave_env.engines.track_engine import Tracker
 from mmwave_env.episodes.episode import Episode
+from mmwave_env.episodes.simulated import SimulatedSource
+from mmwave_env.filters.bank import best_bank
 from mmwave_env.filters.imm import begin
 from mmwave_env.filters.mode_files import default_modes, named_modes
 from mmwave_env.filters.pipeline import Pipeline
@@ -31,9 +36,10 @@ from mmwave_env.localization.localizer import TrackBlock, localize
 from mmwave_env.logs.log import read_log
 from mmwave_env.models.prior import prior_from_fix
 from mmwave_env.models.radio import radio_from
-from mmwave_env.models.scene import read_scene
+from mmwave_env.models.scene import read_scene, scene_from
 from mmwave_env.numerics.pytree import unflatten
 from mmwave_env.reward import TrackingReward
+from mmwave_env.vector_env import MmWaveLocVectorEnv
 from tests.golden.rollouts import ROLLOUTS, rollout
 from tests.golden.text import table
 
@@ -172,10 +178,53 @@ def compare() -> Files:
     return {"compare.mixed-handset.json": json.dumps(figures, indent=2) + "\n"}
 
 
+# --- what it costs: a gate without clocks
+
+
+def operations() -> Files:
+    """SIMD instructions of every kernel, each on eight environments."""
+    rows = ({"kernel": name} | count(*it)._asdict() for name, it in _kernels().items())
+    what = "instructions of a kernel on eight environments"
+    return {"operations.csv": table(what, ["kernel", *Operations._fields], rows)}
+
+
+def _kernels() -> dict[str, tuple[Callable[[Any], Any], Any]]:
+    """A function of numbers and its workspace, by name."""
+    source = SimulatedSource(scene_from("street"), radio_from("handset"))
+    modes, reward, bank = named_modes("handset"), TrackingReward(), best_bank()
+    both, five = (Pipeline(some, source.layout) for some in (default_modes(), bank.modes))
+    programs: dict[str, Any] = {
+        f"track {name}": Tracker(Pipeline((modes[name],), source.layout), 1).program
+        for name in MODES
+    }
+    programs["step, shared beliefs"] = Engine(both, 1, reward).batch.program
+    programs["step, per-mode beliefs"] = Engine(five, 1, reward, bank=bank).batch.program
+    programs["IMM of five modes"] = imm_program(five, reward)
+    kernels = {name: (one.function, one.template) for name, one in programs.items()}
+    parts = ("measured", "something happens", "a substep")
+    for name, part in zip(parts, source.world.parts, strict=True):
+        kernels[f"world: {name}"] = part, source.world.template
+    return kernels
+
+
+def memory() -> Files:
+    """Bytes that an environment keeps from step to step, one among 64."""
+    rows = []
+    for beliefs in ("shared", "per-mode"):
+        env = MmWaveLocVectorEnv(64, beliefs=beliefs)
+        env.reset(seed=0)
+        kept = {name: array.nbytes // 64 for name, array in env.state().items()}
+        kept["together"] = sum(kept.values())
+        rows += [{"array": f"{beliefs}: {name}", "bytes": size} for name, size in kept.items()]
+    return {"memory.csv": table("bytes of an environment", ["array", "bytes"], rows)}
+
+
 KINDS: dict[str, Callable[[], Files]] = {
     **{f"track-{mode}": partial(track, mode) for mode in MODES},
     "track-imm": track_imm,
     "smoother": smoother,
     **{f"rollout-{group}": partial(rollouts, group) for group in ROLLOUTS},
     "compare": compare,
+    "operations": operations,
+    "memory": memory,
 }

@@ -7,6 +7,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import gymnasium as gym
 import numpy as np
 import pytest
 
@@ -37,6 +38,21 @@ def test_stable_baselines3_takes_the_native_environment(capsys):
     exec(compile(shortened(example), "learning.md", "exec"), found)
     assert found["model"].num_timesteps == 4096
     assert "| mine |" in capsys.readouterr().out
+
+
+def test_a_loop_of_ones_own_steps_into_its_arrays(capsys):
+    (example,) = (one for one in EXAMPLES if "out=out" in one)
+    found = {}
+    exec(compile(example, "learning.md", "exec"), found)
+    ended, mean = capsys.readouterr().out.splitlines()
+    assert 0.5 < float(re.fullmatch(r"after 200 steps: (\S+) m", ended)[1]) < 20.0
+    assert mean == f"mean reward: {found['rewards'].mean()}"
+    envs = gym.make_vec("MmWaveLoc-v0", num_envs=64, autoreset_mode="SameStep", reward="paired")
+    observations, _ = envs.reset(seed=10_000_000)
+    for t in range(3):
+        np.testing.assert_array_equal(found["observations"][t], observations)
+        observations, rewards, *_ = envs.step(found["actions"][t])
+        np.testing.assert_array_equal(found["rewards"][t], rewards)
 
 
 @pytest.mark.parametrize("kind", KINDS)

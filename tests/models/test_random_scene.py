@@ -6,12 +6,16 @@ import gymnasium as gym
 import numpy as np
 import pytest
 
+from experiments.evaluation.seeds import keys_of
 from mmwave_env.episodes.mobility import MOBILITIES
+from mmwave_env.episodes.simulated import SimulatedSource
+from mmwave_env.models.radio import RADIOS
 from mmwave_env.models.random_scene import RandomScene, scenes_from
 from mmwave_env.models.scene import SCENES
 from tests.episodes.roads import around_a_block
 
-DRAWN = [RandomScene().draw(np.random.default_rng(seed)) for seed in range(2000)]
+SOURCE = SimulatedSource(RandomScene(), RADIOS["handset"])
+DRAWN = [SOURCE.scene_of(int(key)) for key in keys_of(range(2000))]
 
 
 def test_users_and_base_station_are_before_both_walls():

@@ -83,10 +83,16 @@ def assert_same_rollout(ours, theirs):
     np.testing.assert_array_equal(ours.actions, theirs.actions)
     np.testing.assert_array_equal(ours.episode_starts, theirs.episode_starts)
     assert ours.episode_starts.any() and ours.full and ours.pos == theirs.pos
-    for name in ("observations", "rewards", "values", "log_probs", "advantages", "returns"):
+    for name in ("rewards", "values", "log_probs", "advantages", "returns"):
         np.testing.assert_allclose(
             getattr(ours, name), getattr(theirs, name), **CLOSE, err_msg=name
         )
+    assert_same_observations(ours.observations, theirs.observations)
+
+
+def assert_same_observations(ours, theirs):
+    """A feature that hardly varies is divided by a small deviation, and so is its last digit."""
+    np.testing.assert_allclose(ours, theirs, rtol=1e-5, atol=3e-5)
 
 
 @pytest.mark.parametrize("kind", RECIPES)
@@ -101,7 +107,7 @@ def test_rollouts_are_those_of_stable_baselines3(kind):
             for adapter in world.adapters:
                 assert (adapter.state()["lengths"] > 0).any()
         assert_same_rollout(ours[0].rollout_buffer, theirs[0].rollout_buffer)
-        np.testing.assert_allclose(ours[0]._last_obs, theirs[0]._last_obs, **CLOSE)
+        assert_same_observations(ours[0]._last_obs, theirs[0]._last_obs)
         np.testing.assert_array_equal(ours[0]._last_episode_starts, theirs[0]._last_episode_starts)
         for name in ("mean", "var", "count"):
             found, expected = (getattr(world.seen, name) for _, world, _ in (ours, theirs))

@@ -1,0 +1,115 @@
+"""Random numbers as functions of numbers, so that they are drawn on lanes.
+
+The generator is SFC64 (Chris Doty-Humphrey, PractRand), which numpy has, too: additions, shifts and
+a rotation. Its four words of 64 bits travel as the bits of four numbers, as the words of eight
+environments do in the rows of a workspace.
+"""
+
+import math
+import struct
+from collections.abc import Sequence
+from typing import Any
+
+from mmwave_env.numerics.numbers import Number, Vector, cos_sin, log, sqrt
+
+STATE_WORDS = 4
+_MASK = 2**64 - 1
+_WARM_UP = 18  # words dropped after seeding
+
+
+class Word:
+    """64 bits with the operators of an unsigned integer, which wraps around."""
+
+    __slots__ = ("value",)
+
+    def __init__(self, value: int) -> None:
+        self.value = value & _MASK
+
+    def __add__(self, other: "Word | int") -> "Word":
+        return Word(self.value + (other if isinstance(other, int) else other.value))
+
+    def __xor__(self, other: "Word") -> "Word":
+        return Word(self.value ^ other.value)
+
+    def __or__(self, other: "Word") -> "Word":
+        return Word(self.value | other.value)
+
+    def __lshift__(self, bits: int) -> "Word":
+        return Word(self.value << bits)
+
+    def __rshift__(self, bits: int) -> "Word":
+        return Word(self.value >> bits)
+
+    def scaled(self, factor: float) -> float:
+        """The integer times a factor, exact below 2^53."""
+        return self.value * factor
+
+    def as_number(self) -> float:
+        """The number of these bits."""
+        return struct.unpack("<d", struct.pack("<Q", self.value))[0]  # type: ignore[no-any-return]
+
+
+def word_of(number: Number) -> Any:
+    """The bits of a number, of a float or of lanes."""
+    if isinstance(number, float):
+        return Word(struct.unpack("<Q", struct.pack("<d", number))[0])
+    return number.as_word()
+
+
+def next_word(state: Sequence[Any]) -> tuple[Any, list[Any]]:
+    """A word of SFC64 and the state after it; words of any kind."""
+    a, b, c, counter = state
+    word = a + b + counter
+    rotated = (c << 24) | (c >> 40)
+    return word, [b ^ (b >> 11), c + (c << 3), rotated + word, counter + 1]
+
+
+def seeded(key: Number, stream: int) -> list[Number]:
+    """The state (4,) that belongs to a key.
+
+    Args:
+        key: travels as the bits of a number.
+        stream: which of its streams of numbers; they have nothing in common.
+    """
+    word = word_of(key)
+    none = word ^ word
+    state = [word, word, none + stream, none + 1]
+    for _ in range(_WARM_UP):
+        _, state = next_word(state)
+    return [word.as_number() for word in state]
+
+
+class Dice:
+    """Numbers drawn one after the other; the order of drawing is part of what a key means.
+
+    Args:
+        state: (4,) of the generator.
+    """
+
+    def __init__(self, state: Vector) -> None:
+        self._words = [word_of(number) for number in state]
+        self._spare: Number | None = None
+
+    @property
+    def state(self) -> list[Number]:
+        """(4,) of the generator now."""
+        return [word.as_number() for word in self._words]
+
+    def uniform(self, low: Number = 0.0, high: Number = 1.0) -> Number:
+        """Uniform in [low, high); in [0, 1) the number that numpy makes of the word."""
+        word, self._words = next_word(self._words)
+        return low + (high - low) * (word >> 11).scaled(2.0**-53)
+
+    def exponential(self) -> Number:
+        """Exponential of mean 1, at most 36.7."""
+        return -log(1.0 - self.uniform())
+
+    def normal(self) -> Number:
+        """Standard normal, at most 8.6 from zero; two at a time (Box and Muller 1958)."""
+        if self._spare is not None:
+            drawn, self._spare = self._spare, None
+            return drawn
+        length = sqrt(2.0 * self.exponential())
+        cosine, sine = cos_sin(2.0 * math.pi * self.uniform())
+        self._spare = length * sine
+        return length * cosine

@@ -1,0 +1,158 @@
+"""Random numbers against numpy's generator, and against what they are to be distributed as."""
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from mmwave_env.compiler.program import BatchState, Program, StepIO, rows_of
+from mmwave_env.numerics.random import Dice, next_word, seeded, word_of
+
+_BITS = 2 ** np.arange(64, dtype=np.uint64)
+_FIRST = np.arange(40, dtype=np.uint64)
+KEYS = np.concatenate([_FIRST, _BITS, ~_FIRST[:24]])
+EACH = 8  # numbers that a run draws, of every kind
+
+
+def number(key):
+    return float(np.uint64(key).view(np.float64))
+
+
+def theirs(key, stream):
+    """numpy's generator in the state that a key has before it is warmed up."""
+    bits = np.random.SFC64(0)
+    state = bits.state
+    state["state"]["state"] = np.array([key, key, stream, 1], np.uint64)
+    bits.state = state
+    return bits
+
+
+@pytest.mark.parametrize("stream", [0, 1])
+def test_words_are_those_of_numpy(stream):
+    for key in KEYS:
+        state = [word_of(each) for each in seeded(number(key), stream)]
+        expected = theirs(key, stream)
+        expected.random_raw(18)
+        for _ in range(20):
+            word, state = next_word(state)
+            assert word.value == expected.random_raw()
+
+
+def _draw(w):
+    nothing, state, *_ = w
+    dice = Dice(state)
+    uniform = [dice.uniform() for _ in range(EACH)]
+    exponential = [dice.exponential() for _ in range(EACH)]
+    normal = [dice.normal() for _ in range(EACH)]
+    return [nothing, dice.state, uniform, exponential, normal]
+
+
+def _seed(w):
+    return [w[0], seeded(w[0][0], 0)]
+
+
+SEEDER = Program(_seed, [[0.0], [0.0] * 4])
+DRAWER = Program(_draw, [[], [0.0] * 4, *[[0.0] * EACH] * 3])
+
+
+def drawn(keys, runs):
+    """Uniforms, exponentials and normals (3, keys, runs * 8), on lanes."""
+    n = len(keys)
+    rows = np.tile(SEEDER.start[None, :, None], (-(-n // 8), 1, 8))
+    io = StepIO.of(n, 1, output_rows=rows_of(SEEDER.index[1]))
+    SEEDER.run_on_lanes(BatchState.of(keys.view(np.float64).reshape(n, 1, 1), rows), io)
+    rows = np.tile(DRAWER.start[None, :, None], (-(-n // 8), 1, 8))
+    block, lane = np.divmod(np.arange(n), 8)
+    rows[block[:, None], rows_of(DRAWER.index[1]), lane[:, None]] = io.outputs[:, 0]
+    io = StepIO.of(n, runs, output_rows=rows_of(DRAWER.index[2:]))
+    DRAWER.run_on_lanes(BatchState.of(np.empty((n, runs, 0)), rows), io)
+    return io.outputs.reshape(n, runs, 3, EACH).transpose(2, 0, 1, 3).reshape(3, n, -1)
+
+
+def test_lanes_draw_what_floats_and_numpy_draw():
+    found = drawn(KEYS, 3)
+    for key, uniform, exponential, normal in zip(KEYS, *found, strict=True):
+        dice, bits = Dice(seeded(number(key), 0)), theirs(key, 0)
+        bits.random_raw(18)
+        rng = np.random.Generator(bits)
+        for run in range(3):
+            now = slice(run * EACH, (run + 1) * EACH)
+            np.testing.assert_array_equal(uniform[now], [dice.uniform() for _ in range(EACH)])
+            np.testing.assert_array_equal(uniform[now], rng.random(EACH))
+            expected = -np.log1p(-rng.random(EACH))
+            np.testing.assert_allclose(exponential[now], expected, rtol=1e-14)
+            np.testing.assert_allclose(
+                exponential[now], [dice.exponential() for _ in range(EACH)], rtol=1e-14
+            )
+            lengths, turns = rng.random((EACH // 2, 2)).T
+            lengths, angles = np.sqrt(-2.0 * np.log1p(-lengths)), 2.0 * np.pi * turns
+            expected = np.stack([lengths * np.cos(angles), lengths * np.sin(angles)], 1).ravel()
+            np.testing.assert_allclose(normal[now], expected, rtol=1e-12, atol=1e-14)
+            np.testing.assert_allclose(
+                normal[now], [dice.normal() for _ in range(EACH)], rtol=1e-12, atol=1e-14
+            )
+
+
+KINDS = {
+    "uniform": stats.uniform(), "exponential": stats.expon(), "normal": stats.norm(),
+}  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def many():
+    """Ten million of each kind, of a thousand keys that count up."""
+    return dict(zip(KINDS, drawn(np.arange(1000, dtype=np.uint64), 1250), strict=True))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", KINDS)
+def test_numbers_are_distributed_as_they_are_to_be(many, kind):
+    """At 99.9 % each; moments at four of their own standard errors."""
+    values, exact = many[kind].ravel(), KINDS[kind]
+    n = values.size
+    assert n == 10_000_000
+    assert stats.kstest(values, exact.cdf).pvalue > 1e-3
+    for order in (1, 2, 3, 4):
+        error = np.sqrt((exact.moment(2 * order) - exact.moment(order) ** 2) / n)
+        assert abs((values**order).mean() - exact.moment(order)) < 4.0 * error
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("sigma", [3.0, 3.5, 4.0, 4.5, 5.0])
+def test_tails_of_normals_are_as_heavy_as_they_are_to_be(many, sigma):
+    values = many["normal"]
+    for beyond in (values > sigma, values < -sigma):
+        low, high = stats.binom.interval(1.0 - 1e-4, values.size, stats.norm.sf(sigma))
+        assert low <= beyond.sum() <= high
+
+
+@pytest.mark.slow
+def test_neighbors_are_not_correlated(many):
+    """Numbers that follow each other, keys that follow each other, and the lanes of a block.
+
+    Each correlation of n pairs has a standard error of 1 / sqrt(n); bounds are at 99.9 % for all
+    lags together (Bonferroni).
+    """
+    values = stats.norm.ppf(np.clip(many["uniform"], 1e-12, 1.0))
+    lags = 16
+    bound = stats.norm.isf(0.0005 / (2 * lags))
+    for lag in range(1, lags + 1):
+        for a, b in (
+            (values[:, :-lag], values[:, lag:]), (values[:-lag], values[lag:]),
+        ):  # fmt: skip
+            assert abs((a * b).mean()) * np.sqrt(a.size) < bound
+
+
+@pytest.mark.slow
+def test_keys_that_differ_in_a_bit_and_both_streams_have_nothing_in_common():
+    """At 99.9 % for all pairs together."""
+    base = np.uint64(0x0123456789ABCDEF)
+    keys = np.append(base, base ^ _BITS)
+    first, *others = stats.norm.ppf(drawn(keys, 2500)[0])
+    bound = stats.norm.isf(0.0005 / len(others))
+    for other in others:
+        assert abs((first * other).mean()) * np.sqrt(first.size) < bound
+    bits = theirs(base, 1)
+    bits.random_raw(18)
+    uniform = np.random.Generator(bits).random(20_000)
+    other = stats.norm.ppf(uniform)
+    assert abs((first[:20_000] * other).mean()) * np.sqrt(other.size) < bound
