@@ -18,7 +18,6 @@ from mmwave_env.engines.baseline import baseline_of
 from mmwave_env.engines.env_engine import Engine
 from mmwave_env.engines.replay import Replay
 from mmwave_env.engines.tally import Tally, count
-from mmwave_env.episodes.episode import Episode
 from mmwave_env.episodes.keys import draw_key, key_from
 from mmwave_env.episodes.simulated import SimulatedSource
 from mmwave_env.filters.mode_files import default_modes, modes_from
@@ -27,6 +26,7 @@ from mmwave_env.info import (
     FLAGS,
     INFOS,
     STATE_KEYS,
+    drawn_rows,
     episode_info,
     fixed_info,
     smoothed_info,
@@ -37,7 +37,8 @@ from mmwave_env.metrics import DIVERGENCE_M
 from mmwave_env.models.radio import RADIOS, radio_from
 from mmwave_env.models.scene import scene_from
 from mmwave_env.observation import Observation
-from mmwave_env.rendering import FRAMES_PER_SECOND, Picture, blank_picture
+from mmwave_env.rendering.frames import FRAMES_PER_SECOND, SMALLEST, require_drawable
+from mmwave_env.rendering.history import Recorder
 from mmwave_env.task import task_from
 
 _INTEGERS = (int, np.int64)  # that actions usually are
@@ -179,7 +180,10 @@ class MmWaveLocEnv(gym.Env[NDArray[np.float32], np.int64]):
     * `planar`: flat terrain: z and vz are known.
     * `odometry`: the user also measures speed and heading.
     * `terminate_on_divergence`: see Episode End.
-    * `render_mode`: "rgb_array" (480 x 480) or "human"; needs the extra `render`.
+    * `render_mode`: "rgb_array" or "human", a window in which `h` lists the keys; needs the extra
+      `render`.
+    * `render_size`, `render_theme`: height and width of pictures, 480 (default) to 1080; "light"
+      (default) or "dark".
     * `backend`: "lanes", or "filterpy" for the same modes on filterpy's filters (slow; needs the
       extra `filterpy`).
     * `env_config`: by position, all of these in one mapping, as RLlib hands them to the class.
@@ -198,7 +202,8 @@ class MmWaveLocEnv(gym.Env[NDArray[np.float32], np.int64]):
     of a compiled kernel; environment i is a single one seeded alike, to the last bit. Further
     arguments: `autoreset_mode` ("NextStep", the default, "SameStep" or "Disabled", a string)
     and `threads`. `step(actions, out=(observations, rewards, terminated, truncated))` fills arrays
-    of yours. Rendering, `infos="fixed"` and `backend="filterpy"` need `vectorization_mode="sync"`.
+    of yours. `render_mode="rgb_array"` draws the first few environments. "human", `infos="fixed"`
+    and `backend="filterpy"` need `vectorization_mode="sync"`.
 
     ## Version History
 
@@ -221,6 +226,8 @@ class MmWaveLocEnv(gym.Env[NDArray[np.float32], np.int64]):
         smoothed: bool = False,
         backend: str = "lanes",
         render_mode: str | None = None,
+        render_size: int = SMALLEST,
+        render_theme: str = "light",
         **arguments: Any,
     ) -> None:
         if env_config:  # RLlib hands a class all arguments in one
@@ -228,25 +235,33 @@ class MmWaveLocEnv(gym.Env[NDArray[np.float32], np.int64]):
             return
         if render_mode is not None:
             choose(dict.fromkeys(self.metadata["render_modes"]), render_mode, "render_mode")
-            require_extra("pygame", "render", f"render_mode={render_mode!r}")
+            require_drawable(render_size, render_theme, f"render_mode={render_mode!r}")
+            if render_mode == "human":
+                from mmwave_env.rendering.window import require_display
+
+                require_display()
         choose(BACKENDS, backend, "backend")
         choose(INFOS, infos, "infos")
         self.render_mode, self._backend, self._infos = render_mode, backend, infos
         self._observation_kind, self._task = observation, task_from(**arguments)
         self._smoothing = smoothed
-        self._drawn: Episode | None = None
+        self._drawing = render_size, render_theme
         self._begun, self._over = False, True
         self._steps, self._length = 0, 0
         self._sums, self._errors = [0.0], [[0.0]]
-        self._actions, self._path = np.empty(0, np.int64), np.empty((0, 3))
+        self._actions = np.empty(0, np.int64)
         self._set_up()
+        rows = drawn_rows(self._engine.at, self._engine.span)
+        axes = len(self._task.pipeline.position_axes)
+        self._recorder = Recorder(rows, axes) if render_mode else None
         self.observation_space = cast(Any, self.observation.space)
         self.action_space = spaces.Discrete(len(self.observation.actions))
 
     def _set_up(self) -> None:
         """Make what follows from the arguments; `_remade` names it, for copies do the same."""
         given = set(vars(self))
-        self._picture: Picture | None = None
+        self._picture: Any = None
+        self._window: Any = None
         task, on_floats = self._task, self._backend == "filterpy"
         self.source, self.radio, self.reward = task.source, task.radio, task.reward
         pipeline = task.pipeline
@@ -265,7 +280,7 @@ class MmWaveLocEnv(gym.Env[NDArray[np.float32], np.int64]):
         self.modes, self.observation = pipeline.modes, self._engine.observation
         at, span = self._engine.at, self._engine.span
         self._io = self._engine.io()
-        self._observed, self._P, self._error = span(at.observation), span(at.P), span(at.error)
+        self._observed, self._error = span(at.observation), span(at.error)
         self._told = {
             key: part if isinstance(part, int) else span(part)
             for key, part in told_rows(at).items()
@@ -323,32 +338,27 @@ class MmWaveLocEnv(gym.Env[NDArray[np.float32], np.int64]):
         self._tally.begin(_HERE, self._engine.steps_s(_HERE))
         self._sums = self._tally.sums[0].tolist()
         self._errors = self._tally.errors[0].tolist()
-        self._actions, self._path = np.zeros(length, np.int64), np.empty((length, 3))
-        if self._picture is not None:
-            self._picture.begin(self._episode.scene_anchors_m, self._true_positions())
+        self._actions = np.zeros(length, np.int64)
         column = self._engine.column(0)
+        if self._recorder:
+            streets = self._task.streets_of(int(self._engine.keys[0]))
+            self._recorder.begin(info["episode_name"], streets, column)
+            if self.render_mode == "human":
+                self.render()
         info |= {key: column[self._told[key]] for key in STATE_KEYS}
         return column[self._observed].astype(np.float32), self._worded(info, begins=True)
 
     def _begin(self, key: int | None) -> dict[str, Any]:
         """Begin the episode of a key, or the next one; what is told of it."""
         task, engine = self._task, self._engine
-        self._drawn = None
         if not task.has_keys:
-            self._drawn = episode = task.draw(self.np_random)
+            episode = task.draw(self.np_random)
             engine.reset([episode])
             return {"episode_name": episode.name, "nonfinite": episode.nonfinite}
         key = draw_key(self.np_random) if key is None else key
         (name,) = engine.begin(task, np.array([key], np.uint64), _HERE)
         engine.batch.advance()
         return {"episode_name": name, "episode_key": np.uint64(key), "nonfinite": 0}
-
-    @property
-    def _episode(self) -> Episode:
-        """The whole episode under way."""
-        if self._drawn is None:
-            self._drawn = self._task.simulated.episode(int(self._engine.keys[0]))
-        return self._drawn
 
     def step(
         self, action: np.int64
@@ -375,7 +385,6 @@ class MmWaveLocEnv(gym.Env[NDArray[np.float32], np.int64]):
             *column[self._error].tolist(), info["nees"],
         )  # fmt: skip
         self._actions[self._steps] = action
-        self._path[self._steps] = info["estimate"][:3]
         self._steps += 1
         terminated = False
         if self._task.worst is not None and not distance <= DIVERGENCE_M:
@@ -387,38 +396,40 @@ class MmWaveLocEnv(gym.Env[NDArray[np.float32], np.int64]):
         if terminated or truncated:
             self._over = True
             info |= self._episode_info()
-        if self.render_mode == "human":
-            self.render()
+        if self._recorder:
+            self._recorder.add(column, int(action))
+            if self.render_mode == "human":
+                self.render()
         worded = self._worded(info, ends=self._over)
         observation = self._io.observations[0, 0].copy()
         return observation, float(rewards[0]), terminated, truncated, worded
 
     def render(self) -> NDArray[np.uint8] | None:
-        """The epoch just processed, from above: (480, 480, 3) for "rgb_array"."""
-        steps = self._steps
-        if self.render_mode is None or steps == 0:
-            return None if self.render_mode != "rgb_array" else blank_picture()
-        truth = self._true_positions()
+        """The epochs so far, from above: (480, 480, 3) for "rgb_array", or of another size."""
+        if self._recorder is None:
+            return None
+        if not self._begun:
+            raise ResetNeeded("Call reset before render: there is no episode under way.")
+        size, theme = self._drawing
         if self._picture is None:
-            self._picture = Picture(self.observation.actions, self.render_mode == "human")
-            self._picture.begin(self._episode.scene_anchors_m, truth)
-        now: Any = self._engine.column(0)
-        variances = now[self._P]  # packed: xx, xy, yy first
-        picture = self._picture.draw(
-            truth[:steps],
-            self._path[:steps],
-            np.array([[variances[0], variances[1]], [variances[1], variances[2]]]),
-            self._actions[:steps],
-            now[self._told["accepted"]] > 0.5,
-            now[self._told["rejected"]] > 0.5,
-        )
-        return picture if self.render_mode == "rgb_array" else None
+            from mmwave_env.rendering.picture import Picture
+
+            self._picture = Picture(self.observation.actions, size, theme)
+        picture: NDArray[np.uint8] = self._picture.draw(self._recorder.history)
+        if self.render_mode == "rgb_array":
+            return picture
+        if self._window is None:
+            from mmwave_env.rendering.window import Window
+
+            self._window = Window(size, size)
+        self._window.show(picture)
+        return None
 
     def close(self) -> None:
         """Close the window, if there is one."""
-        if self._picture is not None:
-            self._picture.close()
-            self._picture = None
+        if self._window is not None:
+            self._window.close()
+            self._window = None
 
     def _step_info(self, column: NDArray[np.float64], mode: int) -> dict[str, Any]:
         """What a step tells, from the workspace (size,) after it."""
@@ -439,11 +450,6 @@ class MmWaveLocEnv(gym.Env[NDArray[np.float32], np.int64]):
         groups = len(self._task.pipeline.layout.groups)
         beliefs = len(self.modes) if self._task.bank else 1
         return fixed_info(info, groups, beliefs)
-
-    def _true_positions(self) -> NDArray[np.float64]:
-        found = self._episode.truth_position_m
-        assert found is not None
-        return found
 
     def _episode_info(self) -> dict[str, float]:
         """Metrics of the epochs stepped through."""

@@ -1,6 +1,6 @@
 """What environments tell: the info of a step, for many at once, and that of a whole episode."""
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from typing import Any
 
 import numpy as np
@@ -44,6 +44,19 @@ def told_rows(at: Any) -> dict[str, Any]:
     if hasattr(at, PROBABILITIES):
         told[PROBABILITIES] = at.mode_probabilities
     return told
+
+
+def drawn_rows(at: Any, span: Callable[[Any], slice]) -> dict[str, slice]:
+    """What a :class:`~mmwave_env.rendering.history.Recorder` reads of a workspace.
+
+    Args:
+        at: as of :func:`told_rows`.
+        span: the rows of a part of it.
+    """
+    told = told_rows(at)
+    parts = {name: told[name] for name in ("truth", "estimate", "nees", "accepted", "rejected")}
+    parts |= {"P": at.P, "dt": at.pending.dt, "anchors": at.site.anchors}
+    return {name: span(part) for name, part in parts.items()}
 
 
 def masked(values: dict[str, NDArray[Any]], where: Mask) -> dict[str, Any]:

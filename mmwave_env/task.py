@@ -9,7 +9,7 @@ import numpy as np
 
 from mmwave_env.episodes.episode import Episode, EpisodeBatch, EpisodeSource
 from mmwave_env.episodes.keys import Keys
-from mmwave_env.episodes.measured import MeasuredTrack
+from mmwave_env.episodes.measured import MeasuredSource, MeasuredTrack
 from mmwave_env.episodes.recorded import Recording
 from mmwave_env.episodes.samples import source_from
 from mmwave_env.episodes.simulated import Scenario, SimulatedSource
@@ -20,7 +20,7 @@ from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.lookup import choose, did_you_mean
 from mmwave_env.models.radio import Radio, radio_from
 from mmwave_env.models.random_scene import RandomScene, scenes_from
-from mmwave_env.models.scene import Scene
+from mmwave_env.models.scene import Scene, Streets
 from mmwave_env.observation import BELIEFS
 from mmwave_env.reward import PairedReward, Reward, reward_from
 
@@ -68,6 +68,20 @@ class Task:
     def has_keys(self) -> bool:
         """Whether an episode is a function of a key."""
         return type(self.source) is SimulatedSource  # others may draw in ways of their own
+
+    def streets_of(self, key: int) -> Streets | None:
+        """The streets of an episode, for its picture; None where nobody knows them.
+
+        Args:
+            key: of the episode, where it has one.
+        """
+        if isinstance(self.source, MeasuredSource):
+            scene = self.source.track.scene
+            return scene.streets if scene.streets_known else None
+        if not self.has_keys:
+            return None
+        scene = self.simulated.scene_of(key)
+        return scene.streets if self.simulated.travels or scene.streets_known else None
 
     def require_keys(self, seed: Any) -> None:
         """Refuse keys of episodes that have none, and a key beside a seed, which draws one.

@@ -18,10 +18,12 @@ from mmwave_env.engines.env_engine import Engine
 from mmwave_env.engines.replay import Replay
 from mmwave_env.engines.vector_step import StepBuffers, Stepper
 from mmwave_env.episodes.keys import Generators, Keys, key_from
-from mmwave_env.info import INFOS, masked, stepped
+from mmwave_env.info import INFOS, drawn_rows, masked, stepped
 from mmwave_env.lookup import choose
 from mmwave_env.metrics import DIVERGENCE_M
 from mmwave_env.numerics.arrays import Array, Index, Mask
+from mmwave_env.rendering.frames import FRAMES_PER_SECOND, SMALLEST, require_drawable
+from mmwave_env.rendering.gallery import Gallery
 from mmwave_env.task import task_from
 
 Observations = NDArray[np.float32]
@@ -49,7 +51,8 @@ class MmWaveLocVectorEnv(gym.vector.VectorEnv[Observations, Index, NDArray[Any]]
             environment has it; ``episode_steps`` sets it.
         infos: "all", "episode" (as episodes begin and end) or "none".
         smoothed: whether the last step of an episode also tells ``smoothed_ate_m``.
-        render_mode: None.
+        render_mode: None or "rgb_array".
+        render_size, render_theme: as of the single environment.
         backend: "lanes".
         **arguments: of :class:`~mmwave_env.env.MmWaveLocEnv`.
 
@@ -69,26 +72,34 @@ class MmWaveLocVectorEnv(gym.vector.VectorEnv[Observations, Index, NDArray[Any]]
         infos: str = "all",
         smoothed: bool = False,
         render_mode: str | None = None,
+        render_size: int = SMALLEST,
+        render_theme: str = "light",
         backend: str = "lanes",
         **arguments: Any,
     ) -> None:
         for name, count in (("num_envs", num_envs), ("threads", threads)):
             if count < 1:
                 raise ValueError(f"{name}: found {count}, expected at least 1")
-        for name, value, only in (
-            ("render_mode", render_mode, None), ("backend", backend, "lanes"),
+        for name, value, known in (
+            ("render_mode", render_mode, (None, "rgb_array")), ("backend", backend, ("lanes",)),
         ):  # fmt: skip
-            if value != only:
+            if value not in known:
                 raise ValueError(
-                    f"{name}: found {value!r}, expected {only!r}; others need gymnasium.make, or "
-                    'make_vec with vectorization_mode="sync"'
+                    f"{name}: found {value!r}, expected {' or '.join(map(repr, known))}; others "
+                    'need gymnasium.make, or make_vec with vectorization_mode="sync"'
                 )
+        if render_mode:
+            require_drawable(render_size, render_theme, f"render_mode={render_mode!r}")
+        self.render_mode = render_mode
         self._infos = choose({kind: kind for kind in INFOS if kind != "fixed"}, infos, "infos")
         modes = {mode.value: mode for mode in AutoresetMode}
         self.autoreset_mode = choose(
             modes, cast(str, getattr(autoreset_mode, "value", autoreset_mode)), "autoreset_mode"
         )
-        self.metadata = {"render_modes": [], "autoreset_mode": self.autoreset_mode}
+        self.metadata = {
+            "render_modes": ["rgb_array"], "render_fps": FRAMES_PER_SECOND,
+            "autoreset_mode": self.autoreset_mode,
+        }  # fmt: skip
         self.num_envs, self._threads = num_envs, threads
         self._task = task = task_from(**arguments)
         self.source, self.radio, self.reward = task.source, task.radio, task.reward
@@ -111,10 +122,37 @@ class MmWaveLocVectorEnv(gym.vector.VectorEnv[Observations, Index, NDArray[Any]]
         self._stepper = Stepper(self._engine, infos == "all", replay)
         self._baseline = baseline_of(task, self.batch, threads)
         self._generators = Generators(num_envs, task.has_keys)
+        self._gallery = self._gallery_of(render_size, render_theme) if render_mode else None
+        self._names = np.full(num_envs, "", object)  # of the episodes, for pictures
         self._begun = False
         self._mode_count = np.array(len(self.observation.actions), np.uint64)
         self._none_over = np.zeros(num_envs, np.bool_)
         self._over, self._ended = self._none_over, 0
+
+    def _gallery_of(self, size: int, theme: str) -> Gallery:
+        engine = self._engine
+        axes, actions = len(engine.pipeline.position_axes), self.observation.actions
+        rows = drawn_rows(engine.at, engine.span)
+        return Gallery(self.num_envs, rows, axes, actions, size, theme, engine.column)
+
+    def render(self) -> tuple[NDArray[np.uint8], ...] | None:  # type: ignore[override]
+        """Pictures (480, 480, 3), or of another size, of the environments, the first few drawn.
+
+        Gymnasium's `wrappers.vector.RecordVideo` makes a grid of them.
+        """
+        if self._gallery is None:
+            return None
+        if not self._begun:
+            raise ResetNeeded("Call reset before render: there is no episode under way.")
+        return self._gallery.draw()
+
+    def _begin_pictures(self, places: Index) -> None:
+        """Start over in the pictures of environments whose episodes just began."""
+        if self._gallery:
+            keys = self._engine.keys
+            self._gallery.begin(
+                places, self._names.tolist(), lambda place: self._task.streets_of(int(keys[place]))
+            )
 
     def reset(
         self,
@@ -140,6 +178,7 @@ class MmWaveLocVectorEnv(gym.vector.VectorEnv[Observations, Index, NDArray[Any]]
         drawn = self._draw(places, None if keys is None else keys[places])
         _, state = self._stepper.start(places)
         self._begun = True
+        self._begin_pictures(places)
         return self._engine.observations(), masked(drawn | state, chosen)
 
     def _reset_mask(self, options: dict[str, Any] | None) -> Mask:
@@ -220,6 +259,7 @@ class MmWaveLocVectorEnv(gym.vector.VectorEnv[Observations, Index, NDArray[Any]]
             self._baseline.begin(places, partial(engine.episodes, task))
         self._stepper.tally.begin(places, engine.steps_s(places))
         self._stepper.remember(int(engine.batch.state.length.max()))
+        self._names[places] = told["episode_name"][places]
         self._over = self._over.copy()
         self._over[places] = False
         self._ended = int(np.count_nonzero(self._over))
@@ -248,6 +288,9 @@ class MmWaveLocVectorEnv(gym.vector.VectorEnv[Observations, Index, NDArray[Any]]
         fresh, resets = self._over, self._ended  # none where autoreset is not NextStep
         drawn = self._draw(np.flatnonzero(fresh)) if resets else {}
         self._ended, infos = self._stepper.step(actions, buffers)
+        if self._gallery:
+            self._begin_pictures(np.flatnonzero(fresh))
+            self._gallery.add(np.flatnonzero(~fresh), actions)
         terminated[:] = False
         if self._baseline:
             self._baseline.subtract(rewards, np.flatnonzero(~fresh))
@@ -324,6 +367,7 @@ class MmWaveLocVectorEnv(gym.vector.VectorEnv[Observations, Index, NDArray[Any]]
         drawn = self._draw(ended)
         first, begun = self._stepper.start(ended)
         observations[ended] = first[ended]
+        self._begin_pictures(ended)
         for key, anew in begun.items():
             infos[key][ended] = anew[ended]
         if self._infos == "none":
@@ -391,6 +435,7 @@ class MmWaveLocVectorEnv(gym.vector.VectorEnv[Observations, Index, NDArray[Any]]
         self._over, self._ended = state["over"].copy(), int(np.count_nonzero(state["over"]))
         if self._baseline:
             self._baseline.begin(np.arange(n), partial(self._engine.episodes, self._task))
+        self._begin_pictures(np.arange(n))  # the way up to here is not part of a state
         self._begun = True
 
     def _make_room(self) -> None:

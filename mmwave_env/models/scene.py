@@ -138,6 +138,11 @@ class Scene:
         images = [wall.mirror(self.base_station_m) for wall in self.walls]
         return np.array([self.base_station_m, *images, *self.virtual_anchors_m], float)
 
+    @property
+    def streets_known(self) -> bool:
+        """Whether anybody said where the streets are: of recordings nobody knows."""
+        return bool(self.walls) or self.streets != Streets()
+
     def require_streets_in_front(self) -> None:
         """Refuse streets behind a wall, where its mirror image can't be seen.
 
@@ -242,8 +247,7 @@ def scene_json(scene: Scene) -> dict[str, Any]:
         return asdict(scene)
     anchors = tuple((x, y, z) for x, y, z in scene.anchors_m.tolist())
     listed = asdict(AnchorScene(scene.name, anchors, scene.carrier_hz, scene.bandwidth_hz))
-    # Of recordings nobody knows the streets: none are written.
-    known = {} if scene.streets == Streets() else {"streets": asdict(scene.streets)}
+    known = {"streets": asdict(scene.streets)} if scene.streets_known else {}
     return {key: value for key, value in listed.items() if key != "streets"} | known
 
 

@@ -1,0 +1,1 @@
+"""Pictures of an episode; drawing them takes the extra ``render``."""

@@ -1,0 +1,98 @@
+"""What part of the map is shown: always the user and the estimate, without jumps."""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from mmwave_env.numerics.arrays import Array
+from mmwave_env.rendering.canvas import Point, Rect
+from mmwave_env.rendering.history import History
+
+_MEMORY_S, _LAG_S = 20.0, 4.0  # of the past that counts; with which it fades
+_AHEAD_S = 4.0  # of the user's way that fits between the middle and the rim
+_LEAST_M = 25.0  # from the middle to the upper rim
+_INNER = 0.5  # of the picture's height and width, in which user and estimate stay
+
+
+class View(NamedTuple):
+    """A part of the map in a part of the picture.
+
+    Attributes:
+        center_m: (2,) what is in the middle.
+        scale: px in a meter.
+        frame: where it is drawn.
+    """
+
+    center_m: Array
+    scale: float
+    frame: Rect
+
+    def pixels(self, points_m: Array) -> Array:
+        """Where points (n, 2 or more) of the map are in the picture, (n, 2)."""
+        offset = (points_m[:, :2] - self.center_m) * self.scale
+        middle = (
+            self.frame.left + self.frame.width / 2.0, self.frame.top + self.frame.height / 2.0
+        )  # fmt: skip
+        return middle + offset * (1.0, -1.0)
+
+    @property
+    def extent_m(self) -> tuple[Array, Array]:
+        """South-west and north-east corners (2,) of what is shown."""
+        half = np.array([self.frame.width, self.frame.height]) / (2.0 * self.scale)
+        return self.center_m - half, self.center_m + half
+
+
+def follow(history: History, frame: Rect) -> View:
+    """The view of the last epoch: a function of the history, so that a copy shows the same.
+
+    Middle and scale are averages over the last seconds, so that they change smoothly, unless that
+    would lose the user or the estimate.
+    """
+    recent = history.time_s >= history.time_s[-1] - _MEMORY_S
+    weights = np.exp((history.time_s[recent] - history.time_s[-1]) / _LAG_S)
+    weights /= weights.sum()
+    user = history.user[recent]
+    truth, speed = user[:, :2], np.linalg.norm(user[:, 3:6], axis=1)
+    estimate = np.where(
+        np.isfinite(history.estimate[recent, :2]), history.estimate[recent, :2], truth
+    )
+    gap = abs(truth - estimate).max(axis=1)
+    deviation = np.sqrt(np.maximum(np.nan_to_num(history.P[recent][:, [0, 2]]).max(axis=1), 0.0))
+    wanted = np.maximum.reduce([
+        np.full(len(gap), _LEAST_M), _AHEAD_S * speed, 1.2 * gap, 3.0 * deviation,
+    ])  # fmt: skip
+    shape = np.array([frame.width / frame.height, 1.0])
+    half = max(
+        float(weights @ wanted),
+        float((abs(truth[-1] - estimate[-1]) / (2.0 * _INNER * shape)).max()) * 1.01,
+    )
+    center = weights @ ((truth + estimate) / 2.0)
+    inner = _INNER * half * shape
+    now = np.stack([truth[-1], estimate[-1]])
+    center = np.clip(center, now.max(axis=0) - inner, now.min(axis=0) + inner)
+    return View(center, frame.height / (2.0 * half), frame)
+
+
+def clipped(start: Point, end: Point, frame: Rect) -> tuple[Point, Point] | None:
+    """The part of a line that is in a frame (Liang and Barsky 1984); None where none is."""
+    (x, y), (dx, dy) = start, (end[0] - start[0], end[1] - start[1])
+    first, last = 0.0, 1.0
+    for step, room in (
+        (-dx, x - frame.left), (dx, frame.right - x), (-dy, y - frame.top), (dy, frame.bottom - y),
+    ):  # fmt: skip
+        if step == 0.0:
+            if room < 0.0:
+                return None
+            continue
+        at = room / step
+        first, last = (max(first, at), last) if step < 0.0 else (first, min(last, at))
+    if first > last:
+        return None
+    return (x + first * dx, y + first * dy), (x + last * dx, y + last * dy)
+
+
+def nice(value: float) -> float:
+    """The largest of ..., 1, 2, 5, 10, ... that is no larger."""
+    power = 10.0 ** math.floor(math.log10(value))
+    return next(step * power for step in (10.0, 5.0, 2.0, 1.0) if step * power <= value * 1.000001)

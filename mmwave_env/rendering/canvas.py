@@ -1,0 +1,205 @@
+"""Shapes and words on a pygame surface."""
+
+import math
+import os
+from functools import lru_cache
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mmwave_env.numerics.arrays import Array
+from mmwave_env.rendering.theme import Color
+
+os.environ.setdefault("PYGAME_HIDE_SUPPORT_PROMPT", "1")  # it would go to standard output
+import pygame
+
+Point = tuple[float, float]
+_TIMES = 2  # shapes are drawn so many times as large and made small again: smooth edges
+_FAR = 1e4  # px; what is farther out is not told apart
+
+
+class Rect(NamedTuple):
+    """A part of a picture, px from its upper left corner."""
+
+    left: float
+    top: float
+    width: float
+    height: float
+
+    @property
+    def right(self) -> float:
+        """Its right edge."""
+        return self.left + self.width
+
+    @property
+    def bottom(self) -> float:
+        """Its lower edge."""
+        return self.top + self.height
+
+    def inset(self, by: float) -> "Rect":
+        """The part of it that is so far from its edges."""
+        return Rect(self.left + by, self.top + by, self.width - 2.0 * by, self.height - 2.0 * by)
+
+    def overlaps(self, other: "Rect") -> bool:
+        """Whether they share more than an edge."""
+        across = self.left < other.right and other.left < self.right
+        return across and self.top < other.bottom and other.top < self.bottom
+
+
+class Canvas:
+    """A picture in the making: shapes first, then words.
+
+    Args:
+        width, height: px.
+        unit: px of what is 1 px wide in the smallest picture; fonts and lines grow with it.
+    """
+
+    def __init__(self, width: int, height: int, unit: float) -> None:
+        pygame.font.init()
+        self.unit = unit
+        self._large = pygame.Surface((width * _TIMES, height * _TIMES), 0, 32)
+        self.surface = pygame.Surface((width, height), 0, 32)
+        self._words: list[tuple[Any, Point]] = []
+
+    def clip(self, part: Rect | None) -> None:
+        """Draw shapes in a part of the picture only; None for all of it."""
+        self._large.set_clip(None if part is None else _scaled(part))
+
+    def fill(self, color: Color, part: Rect | None = None) -> None:
+        """Fill a part of the picture, or all of it."""
+        self._large.fill(color, None if part is None else _scaled(part))
+
+    def polygon(self, points: Array, color: Color, opacity: float = 1.0) -> None:
+        """Fill a polygon (n, 2)."""
+        large = _large(points)
+        if opacity == 1.0:
+            pygame.draw.polygon(self._large, color, large)
+            return
+        low, high = large.min(axis=0), large.max(axis=0)
+        box = pygame.Rect(low, high - low + 1).clip(self._large.get_clip())
+        glass = pygame.Surface(box.size, pygame.SRCALPHA)
+        pygame.draw.polygon(glass, (*color, round(255 * opacity)), large - box.topleft)
+        self._large.blit(glass, box)
+
+    def line(self, points: Array, color: Color, width: float = 1.0, closed: bool = False) -> None:
+        """A line through points (n, 2), at least two."""
+        pygame.draw.lines(self._large, color, closed, _large(points), self._width(width))
+
+    def dashes(self, start: Point, end: Point, color: Color, width: float = 1.0) -> None:
+        """A dashed line between two points in the picture."""
+        (x, y), dx, dy = start, end[0] - start[0], end[1] - start[1]
+        length, dash, thick = math.hypot(dx, dy), 5.0 * self.unit, self._width(width)
+        for i in range(math.ceil(length / (2.0 * dash))):
+            first, last = 2.0 * i * dash / length, min((2.0 * i + 1.0) * dash / length, 1.0)
+            tail, head = (((x + at * dx) * _TIMES, (y + at * dy) * _TIMES) for at in (first, last))
+            pygame.draw.line(self._large, color, tail, head, thick)
+
+    def disc(self, center: Point, radius: float, color: Color) -> None:
+        """A filled circle, its radius in units."""
+        ((x, y),) = _large(np.array([center]))
+        pygame.draw.circle(self._large, color, (x, y), radius * self.unit * _TIMES)
+
+    def words(
+        self, text: str, at: Point, color: Color, size: float = 15.0, align: float = 0.0,
+    ) -> Rect:  # fmt: skip
+        """Write a line, its middle height at a point; returns what it covers.
+
+        Args:
+            text: from :func:`printable`, if it is anybody else's.
+            at: its left end, or its right end with ``align`` 1, or its middle with 0.5.
+            color: of the letters.
+            size: in units.
+            align: share of its width that lies left of the point.
+        """
+        drawn = written(text, color, round(size * self.unit))
+        width, height = drawn.get_size()
+        place = Rect(at[0] - align * width, at[1] - height / 2.0, width, height)
+        self._words.append((drawn, (round(place.left), round(place.top))))
+        return place
+
+    def width_of(self, text: str, size: float = 15.0) -> float:
+        """How wide a line of words is, px."""
+        return float(_font(round(size * self.unit)).size(text)[0])
+
+    def fitting(self, text: str, width: float, size: float = 15.0) -> str:
+        """The words, cut to a width in px if they are wider."""
+        if self.width_of(text, size) <= width:
+            return text
+        kept = len(text)
+        while kept and self.width_of(text[:kept] + "...", size) > width:
+            kept -= 1
+        return text[:kept] + "..."
+
+    def finish(self) -> NDArray[np.uint8]:
+        """Bring shapes and words together; returns the picture (height, width, 3)."""
+        pygame.transform.smoothscale(self._large, self.surface.get_size(), self.surface)
+        self.surface.blits(self._words, False)
+        self._words = []
+        width, height = self.surface.get_size()
+        pixels = np.frombuffer(pygame.image.tobytes(self.surface, "RGB"), np.uint8)
+        return pixels.reshape(height, width, 3).copy()
+
+    def _width(self, units: float) -> int:
+        return max(1, round(units * self.unit * _TIMES))
+
+
+def printable(text: str) -> str:
+    """A name on one line, with its code in place of what has no letter in the font."""
+    words = " ".join(text.split())
+    return "".join(char if _has_letter(char) else _code(char) for char in words)
+
+
+def _code(char: str) -> str:
+    return char.encode("unicode_escape").decode("ascii")
+
+
+@lru_cache(maxsize=1024)
+def _has_letter(char: str) -> bool:
+    """Whether the font has a letter of its own for it."""
+    if char.isascii():
+        return char.isprintable()
+    if not char.isprintable():
+        return False
+    font = _font(15)
+    drawn, none = (
+        pygame.image.tobytes(font.render(one, False, (0, 0, 0), (255, 255, 255)), "RGB")
+        for one in (char, "\ue000")
+    )
+    return bool(drawn != none)
+
+
+@lru_cache(maxsize=32)
+def _font(size: int) -> Any:
+    pygame.font.init()
+    return pygame.font.Font(None, size)
+
+
+@lru_cache(maxsize=512)
+def written(text: str, color: Color, size: int) -> Any:
+    """A surface with a line of words, so many px high."""
+    return _font(size).render(text, True, color)
+
+
+def _large(points: Array) -> Array:
+    """Where points (n, 2) are on the large surface."""
+    # not np.clip: these take the number where the other is NaN
+    large: Array = np.fmax(np.fmin(points, _FAR), -_FAR) * _TIMES
+    return large
+
+
+def _scaled(part: Rect) -> tuple[int, int, int, int]:
+    left, top, right, bottom = (
+        round(edge * _TIMES) for edge in (part.left, part.top, part.right, part.bottom)
+    )
+    return left, top, right - left, bottom - top
+
+
+def ellipse(center: Array, P: Array, deviations: float) -> Array:
+    """The outline (n, 2) of a covariance (2, 2), so many standard deviations around a center."""
+    angle = np.linspace(0.0, 2.0 * np.pi, 48, endpoint=False)
+    variances, axes = np.linalg.eigh(P)
+    lengths = np.sqrt(np.maximum(variances, 0.0))
+    circle = np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    outline: Array = center + deviations * (circle * lengths) @ axes.T
+    return outline

@@ -1,0 +1,168 @@
+"""The epochs of an episode so far: what a picture is drawn from, and nothing of what is to come."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mmwave_env.models.scene import Streets
+from mmwave_env.numerics.arrays import Array, Index
+
+NO_MODE = -1  # of the prior, which no mode made
+GATE = 0.99  # chi-square quantile that NIS is shown beside: that of the gates of most modes
+POSITION_NUMBERS = 6  # of a packed covariance; those of the position come first
+
+
+class Scenery(NamedTuple):
+    """What stays the same through an episode.
+
+    Attributes:
+        name: of the episode.
+        anchors_m: (L, 3) the base station first.
+        streets: None where nobody knows them.
+    """
+
+    name: str
+    anchors_m: Array
+    streets: Streets | None
+
+
+@dataclass(frozen=True, eq=False)
+class History:
+    """The prior and the k epochs after it, in rows: the first row is the prior's.
+
+    Attributes:
+        scenery: of the episode.
+        axes: position axes that NEES covers.
+        time_s: (k + 1,) since the first epoch.
+        modes: (k + 1,) number of the mode that ran; ``NO_MODE`` in the first row.
+        truth: (k + 1, 6) position (m), velocity (m/s); NaN where nobody knows them.
+        estimate: (k + 1, 7) position (m), velocity (m/s), bias (Hz).
+        P: (k + 1, 6) covariance of the position, packed: xx, xy, yy, xz, yz, zz, m^2.
+        nees: (k + 1,), NaN in the first row, and where nobody knows the truth.
+        accepted, rejected: (k + 1, groups) links first, then the Doppler shift.
+        nis_share: (k + 1,) the largest NIS of a group, as a share of the chi-square quantile
+            :data:`GATE`; NaN where nothing was measured. None where the truth is known.
+    """
+
+    scenery: Scenery
+    axes: int
+    time_s: Array
+    modes: Index
+    truth: Array
+    estimate: Array
+    P: Array
+    nees: Array
+    accepted: NDArray[np.bool_]
+    rejected: NDArray[np.bool_]
+    nis_share: Array | None = None
+
+    @property
+    def epochs(self) -> int:
+        """How many have been processed."""
+        return len(self.modes) - 1
+
+    @property
+    def has_truth(self) -> bool:
+        """Whether anybody knows where the user is."""
+        return bool(np.isfinite(self.truth[0, 0]))
+
+    @property
+    def user(self) -> Array:
+        """(k + 1, 6) where the user is, and how fast; as estimated where nobody knows it."""
+        return self.truth if self.has_truth else self.estimate[:, :6]
+
+    @cached_property
+    def error_m(self) -> Array:
+        """(k + 1,) length of the position error."""
+        return np.linalg.norm(self.estimate[:, :3] - self.truth[:, :3], axis=1)  # type: ignore[no-any-return]
+
+    @cached_property
+    def speed_mps(self) -> tuple[Array, Array]:
+        """(k + 1,) true and estimated."""
+        true, estimated = self.truth[:, 3:6], self.estimate[:, 3:6]
+        return np.linalg.norm(true, axis=1), np.linalg.norm(estimated, axis=1)
+
+    @cached_property
+    def error_95_m(self) -> Array:
+        """(k + 1,) below which the belief expects 95 % of the errors.
+
+        The squared error of a Gaussian belief is a weighted sum of chi-squares; here it is the
+        scaled chi-square with the same mean and variance (Satterthwaite).
+        """
+        from scipy.special import chdtri
+
+        xx, xy, yy, xz, yz, zz = self.P.T
+        if self.axes == 2:
+            xz, yz, zz = 0.0 * xz, 0.0 * yz, 0.0 * zz
+        mean = xx + yy + zz
+        square = xx**2 + yy**2 + zz**2 + 2.0 * (xy**2 + xz**2 + yz**2)
+        with np.errstate(invalid="ignore", divide="ignore"):
+            found: Array = np.sqrt(square / mean * chdtri(mean**2 / square, 0.05))
+        return found
+
+    def until(self, epochs: int) -> "History":
+        """As it was after so many epochs."""
+        rows = slice(epochs + 1)
+        return History(
+            self.scenery, self.axes, self.time_s[rows], self.modes[rows], self.truth[rows],
+            self.estimate[rows], self.P[rows], self.nees[rows], self.accepted[rows],
+            self.rejected[rows], None if self.nis_share is None else self.nis_share[rows],
+        )  # fmt: skip
+
+
+class Recorder:
+    """Writes down the epochs of an environment as it steps.
+
+    Args:
+        rows: where its workspace has ``anchors``, ``dt`` of the next epoch, ``truth``,
+            ``estimate``, ``P`` (packed), ``nees``, ``accepted`` and ``rejected``.
+        axes: position axes that NEES covers.
+    """
+
+    def __init__(self, rows: Mapping[str, slice], axes: int) -> None:
+        P = slice(rows["P"].start, rows["P"].start + POSITION_NUMBERS)
+        numbers = {key: np.r_[part] for key, part in {**rows, "P": P}.items()}
+        self._anchors = numbers.pop("anchors")
+        ends = np.cumsum([len(part) for part in numbers.values()]).tolist()
+        self._columns = {
+            key: slice(begin, end)
+            for key, begin, end in zip(numbers, [0, *ends], ends, strict=False)
+        }
+        self._rows, self._axes = np.concatenate(list(numbers.values())), axes
+        self._time_s, self._mode = ends[-1], ends[-1] + 1  # the last two columns
+        self._scenery = Scenery("", np.zeros((0, 3)), None)
+        self._table, self._count = np.empty((0, ends[-1] + 2)), 0
+
+    def begin(self, name: str, streets: Streets | None, workspace: Array) -> None:
+        """Start over with the prior, which the workspace (size,) holds."""
+        self._scenery = Scenery(name, workspace[self._anchors].reshape(-1, 3), streets)
+        # a new table: histories given away are views of the old one
+        self._table, self._count = np.empty((64, self._mode + 1)), 0
+        self._append(workspace, 0.0, NO_MODE)
+        self._table[0, self._columns["nees"]] = np.nan  # the workspace has that of before
+
+    def add(self, workspace: Array, mode: int) -> None:
+        """Write down the epoch that a mode just processed."""
+        last = self._table[self._count - 1]
+        self._append(workspace, last[self._time_s] + last[self._columns["dt"]][0], mode)
+
+    def _append(self, workspace: Array, time_s: float, mode: int) -> None:
+        if self._count == len(self._table):
+            self._table = np.vstack([self._table, np.empty_like(self._table)])
+        self._table[self._count] = np.append(workspace[self._rows], (time_s, mode))
+        self._count += 1
+
+    @property
+    def history(self) -> History:
+        """All epochs so far."""
+        table = self._table[: self._count]
+        part = {key: table[:, columns] for key, columns in self._columns.items()}
+        return History(
+            self._scenery, self._axes, table[:, self._time_s],
+            table[:, self._mode].astype(np.int64), part["truth"], part["estimate"], part["P"],
+            part["nees"][:, 0], part["accepted"] > 0.5, part["rejected"] > 0.5,
+        )  # fmt: skip

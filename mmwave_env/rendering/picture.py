@@ -1,0 +1,146 @@
+"""A picture of an episode from above, with what the filter makes of it; needs pygame."""
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mmwave_env.lookup import choose
+from mmwave_env.rendering.camera import follow
+from mmwave_env.rendering.canvas import Canvas, Rect, printable
+from mmwave_env.rendering.frames import SMALLEST
+from mmwave_env.rendering.history import History
+from mmwave_env.rendering.street_map import draw_map
+from mmwave_env.rendering.strips import draw_strips
+from mmwave_env.rendering.theme import THEMES
+
+_COLUMNS, _ROWS = 4, 3  # of the legend of modes at most
+
+
+def legend_rows(modes: int) -> int:
+    """How many rows the legend of so many modes needs, as far as it is shown."""
+    return min(_ROWS, -(-modes // _COLUMNS))
+
+
+class Picture:
+    """Draws the epochs of an episode.
+
+    Args:
+        modes: what the actions are called.
+        size: px, height and width.
+        theme: "light" or "dark".
+        title: a line above everything else; empty for none.
+        rows: of the legend of modes at least.
+    """
+
+    def __init__(
+        self,
+        modes: Sequence[str],
+        size: int = SMALLEST,
+        theme: str = "light",
+        title: str = "",
+        rows: int = 0,
+    ) -> None:
+        self._size, self._theme = size, choose(THEMES, theme, "render_theme")
+        self._canvas = Canvas(size, size, size / SMALLEST)
+        self._modes = [f"{number} {printable(name)}" for number, name in enumerate(modes)]
+        self._title, self._rows = printable(title), max(rows, legend_rows(len(modes)))
+
+    def draw(self, history: History, beside: Sequence[History] = ()) -> NDArray[np.uint8]:
+        """The last epoch of a history and the way to it: (size, size, 3).
+
+        It depends on nothing else: the same history makes the same picture.
+
+        Args:
+            history: what is drawn.
+            beside: what else is to be seen, of the same episode: speeds and errors of all have the
+                same scale.
+        """
+        canvas, theme, unit = self._canvas, self._theme, self._canvas.unit
+        legend = unit * (15.0 * self._rows + 4.0)
+        strips = unit * 160.0
+        title, links = unit * (24.0 if self._title else 0.0), unit * 17.0
+        header = title + unit * 20.0
+        below = self._size - legend - strips
+        canvas.fill(theme.paper)
+        self._draw_title(title)
+        self._draw_header(history, title + unit * 10.0)
+        frame = Rect(0.0, header, self._size, below - links - header)
+        draw_map(canvas, follow(history, frame), history, theme)
+        self._draw_key(history, below - links / 2.0)
+        draw_strips(canvas, Rect(0.0, below, self._size, strips), history, theme, beside)
+        self._draw_modes(history, self._size - legend)
+        return canvas.finish()
+
+    def blank(self, words: str) -> NDArray[np.uint8]:
+        """Words alone, (size, size, 3)."""
+        canvas, middle = self._canvas, self._size / 2.0
+        canvas.fill(self._theme.paper)
+        canvas.words(words, (middle, middle), self._theme.quiet, align=0.5)
+        return canvas.finish()
+
+    def _draw_title(self, height: float) -> None:
+        if self._title:
+            pad = 8.0 * self._canvas.unit
+            title = self._canvas.fitting(self._title, self._size - 2.0 * pad, 22)
+            self._canvas.words(title, (pad, height / 2.0 + pad / 4.0), self._theme.ink, 22)
+
+    def _draw_header(self, history: History, y: float) -> None:
+        """The epoch in numbers, in one line."""
+        canvas, theme, pad = self._canvas, self._theme, 8.0 * self._canvas.unit
+        known = history.has_truth
+        error = f"error {history.error_m[-1]:.2f} m" if known else "no truth"
+        nees = f"NEES {history.nees[-1]:.3g}   " if known else ""
+        if history.epochs == 0:
+            numbers = f"prior   {error}"
+        else:
+            links = history.accepted.shape[1] - 1
+            numbers = (
+                f"epoch {history.epochs}   {history.time_s[-1]:g} s   "
+                f"{'true ' * known}{np.linalg.norm(history.user[-1, 3:]):.1f} m/s   "
+                f"{error}   {nees}"
+                f"links {history.accepted[-1, :links].sum()} of {links}"
+            )
+        room = self._size - 3.0 * pad - canvas.width_of(numbers)
+        name = canvas.fitting(printable(history.scenery.name), room)
+        canvas.words(name, (pad, y), theme.ink)
+        canvas.words(numbers, (self._size - pad, y), theme.ink, align=1.0)
+
+    def _draw_key(self, history: History, y: float) -> None:
+        """What symbols and lines of the map mean."""
+        canvas, theme, unit = self._canvas, self._theme, self._canvas.unit
+        x = 12.0 * unit
+        mode = theme.mode(int(history.modes[-1])) if history.epochs else theme.quiet
+        if history.has_truth:
+            canvas.disc((x, y), 4.0, theme.truth)
+            x = canvas.words("user", (x + 8.0 * unit, y), theme.quiet, 14).right + 16.0 * unit
+        canvas.disc((x, y), 4.0, mode)
+        canvas.disc((x, y), 2.0, theme.paper)
+        x = canvas.words("estimate, 2σ", (x + 8.0 * unit, y), theme.quiet, 14).right
+        canvas.words("links:", (x + 16.0 * unit, y), theme.quiet, 14)
+        x += 16.0 * unit + canvas.width_of("links: ", 14)
+        for meaning, color, width in (
+            ("accepted", theme.accepted, 1.4), ("rejected", theme.rejected, 1.6),
+            ("missing", theme.missing, 1.4),
+        ):  # fmt: skip
+            start, end = (x, y), (x + 22.0 * unit, y)
+            if meaning == "rejected":
+                canvas.dashes(start, end, color, width)
+            else:
+                canvas.line(np.array([start, end]), color, width)
+            x = canvas.words(meaning, (end[0] + 4.0 * unit, y), theme.quiet, 14).right
+            x += 12.0 * unit
+
+    def _draw_modes(self, history: History, top: float) -> None:
+        """The legend of the modes; the name of the one that ran stands out."""
+        canvas, theme, unit = self._canvas, self._theme, self._canvas.unit
+        columns = min(_COLUMNS, len(self._modes))
+        width = (self._size - 16.0 * unit) / columns
+        shown = self._modes[: _COLUMNS * _ROWS]
+        for mode, name in enumerate(shown):
+            left = 8.0 * unit + mode % columns * width
+            y = top + (mode // columns * 15.0 + 8.0) * unit
+            color, now = theme.mode(mode), int(history.modes[-1]) == mode
+            canvas.fill(color, Rect(left, y - 5.0 * unit, 14.0 * unit, 10.0 * unit))
+            words = canvas.fitting(name, width - 24.0 * unit, 14)
+            canvas.words(words, (left + 19.0 * unit, y), theme.ink if now else theme.quiet, 14)

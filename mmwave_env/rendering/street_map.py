@@ -1,0 +1,228 @@
+"""The map: streets, walls, anchors and links, the ways of the user and of the estimate."""
+
+import math
+from itertools import pairwise
+
+import numpy as np
+
+from mmwave_env.models.scene import Streets
+from mmwave_env.numerics.arrays import Array, Index
+from mmwave_env.rendering.camera import View, clipped, nice
+from mmwave_env.rendering.canvas import Canvas, Point, Rect, ellipse
+from mmwave_env.rendering.history import History
+from mmwave_env.rendering.theme import Color, Theme
+
+_STREET_M = 14.0  # how wide streets are drawn, if blocks leave the room
+_FACADE_M = 4.0  # how deep a wall is drawn
+_SAME_HEIGHT_M = 0.1  # the image in a vertical wall is as high as the base station
+_TRAIL = 1500  # epochs of a way that are drawn at most
+
+
+def draw_map(canvas: Canvas, view: View, history: History, theme: Theme) -> None:
+    """All of it, in the frame of the view."""
+    canvas.clip(view.frame)
+    canvas.fill(theme.ground, view.frame)
+    if history.scenery.streets:
+        _draw_streets(canvas, view, history.scenery.streets, theme)
+    _draw_walls(canvas, view, history.scenery.anchors_m, theme)
+    _draw_links(canvas, view, history, theme)
+    _draw_ways(canvas, view, history, theme)
+    _draw_anchors(canvas, view, history, theme)
+    canvas.clip(None)
+
+
+def _draw_streets(canvas: Canvas, view: View, streets: Streets, theme: Theme) -> None:
+    """Streets of a width that is nobody's measurement, and the blocks of houses between them."""
+    half = min(_STREET_M, streets.block_m / 4.0) / 2.0
+    (west, east), (south, north) = streets.x_m, streets.y_m
+    net = np.array([[west - half, south - half], [east + half, north + half]])
+    canvas.fill(theme.street, _box(view, net))
+    low, high = view.extent_m
+    if streets.block_m * view.scale < 4.0:  # too small to be told apart
+        return
+    columns = _blocks(streets.x_m, streets.block_m, low[0], high[0])
+    rows = _blocks(streets.y_m, streets.block_m, low[1], high[1])
+    for x in columns:
+        for y in rows:
+            block = np.array([[x, y], [x, y]]) + [[half], [streets.block_m - half]]
+            canvas.fill(theme.building, _box(view, block))
+
+
+def _blocks(extent_m: tuple[float, float], block_m: float, low: float, high: float) -> Array:
+    """Where the blocks between two limits begin."""
+    first = max(0, math.floor((low - extent_m[0]) / block_m))
+    last = min(
+        round((extent_m[1] - extent_m[0]) / block_m), math.ceil((high - extent_m[0]) / block_m)
+    )
+    return extent_m[0] + block_m * np.arange(first, last, dtype=np.float64)
+
+
+def _box(view: View, corners_m: Array) -> Rect:
+    """South-west and north-east corners (2, 2) as a part of the picture, no larger than needed."""
+    frame = view.frame.inset(-2.0)
+    (left, bottom), (right, top) = np.clip(
+        view.pixels(corners_m), (frame.left, frame.top), (frame.right, frame.bottom)
+    )
+    return Rect(left, top, right - left, bottom - top)
+
+
+def _draw_walls(canvas: Canvas, view: View, anchors_m: Array, theme: Theme) -> None:
+    """The vertical walls halfway between the base station and its mirror images."""
+    reach = 2.0 * float(np.hypot(view.frame.width, view.frame.height)) / view.scale
+    for image in anchors_m[1:]:
+        way = image[:2] - anchors_m[0, :2]
+        distance = float(np.hypot(*way))
+        if distance == 0.0 or abs(image[2] - anchors_m[0, 2]) > _SAME_HEIGHT_M:
+            continue
+        normal = way / distance
+        along = np.array([-normal[1], normal[0]])
+        middle = (anchors_m[0, :2] + image[:2]) / 2.0
+        foot = middle + along * ((view.center_m - middle) @ along)
+        front = view.pixels(np.array([foot - reach * along, foot + reach * along]))
+        deep = max(_FACADE_M * view.scale, 3.0 * canvas.unit) * normal * (1.0, -1.0)
+        canvas.polygon(np.vstack([front, front[::-1] + deep]), theme.building)
+        canvas.line(front, theme.wall, 1.5)
+
+
+def _draw_links(canvas: Canvas, view: View, history: History, theme: Theme) -> None:
+    """A line from the user to every anchor: what became of its measurement."""
+    if history.epochs == 0:
+        return
+    user = _point(view, history.user[-1])
+    for link, anchor in enumerate(view.pixels(history.scenery.anchors_m)):
+        ends = clipped(user, (float(anchor[0]), float(anchor[1])), view.frame)
+        if ends is None:
+            continue
+        if history.rejected[-1, link]:
+            canvas.dashes(*ends, theme.rejected, 1.6)
+        elif history.accepted[-1, link]:
+            canvas.line(np.array(ends), theme.accepted, 1.2)
+        else:
+            canvas.line(np.array(ends), theme.missing, 1.0)
+
+
+def _draw_ways(canvas: Canvas, view: View, history: History, theme: Theme) -> None:
+    """Where user and estimate went, and where they are."""
+    rows = slice(-_TRAIL, None)
+    truth, track = (view.pixels(way[rows]) for way in (history.truth, history.estimate))
+    color = theme.quiet if history.epochs == 0 else theme.mode(int(history.modes[-1]))
+    if np.isfinite(history.P[-1, :3]).all():
+        xx, xy, yy = history.P[-1, :3]
+        outline = view.pixels(
+            ellipse(history.estimate[-1, :2], np.array([[xx, xy], [xy, yy]]), 2.0)
+        )
+        canvas.polygon(outline, color, 0.18)
+        canvas.line(outline, color, 1.2, closed=True)
+    if history.has_truth and len(truth) > 1:
+        canvas.line(truth, theme.truth, 1.4)
+    if len(track) > 1:
+        draw_by_mode(canvas, track, history.modes[rows], theme, 2.2)
+    if history.has_truth:
+        canvas.disc(_point(view, history.truth[-1]), 4.0, theme.truth)
+    for radius, filled in ((5.0, theme.paper), (4.0, color), (2.0, theme.paper)):
+        canvas.disc(_point(view, history.estimate[-1]), radius, filled)
+
+
+def draw_by_mode(canvas: Canvas, points: Array, modes: Index, theme: Theme, width: float) -> None:
+    """A line (n, 2) in the colors of the modes (n,); the first point's does not count."""
+    for begin, end in runs(modes[1:]):
+        color = theme.mode(int(modes[begin + 1]))
+        canvas.line(points[begin : end + 1], color, width)
+
+
+def runs(modes: Index) -> list[tuple[int, int]]:
+    """First and end of the stretches in which the mode stays the same."""
+    changes = np.flatnonzero(np.diff(modes)) + 1
+    return list(pairwise([0, *changes.tolist(), len(modes)]))
+
+
+def _draw_scale(canvas: Canvas, view: View, theme: Theme, taken: list[Rect]) -> None:
+    """A bar of a round length, in a lower corner that nothing has taken."""
+    unit, frame = canvas.unit, view.frame
+    length = nice(110.0 * unit / view.scale)
+    width, height = length * view.scale + 12.0 * unit, 25.0 * unit
+    corners = [
+        Rect(left, frame.bottom - height - 2.0 * unit, width, height)
+        for left in (frame.right - width - 4.0 * unit, frame.left + 4.0 * unit)
+    ]
+    place = next((one for one in corners if not any(map(one.overlaps, taken))), corners[0])
+    taken.append(place)
+    _plate(canvas, place, theme)
+    bar, tick = place.inset(6.0 * unit), np.array([0.0, 3.0 * unit])
+    ends = np.array([[bar.left, bar.bottom], [bar.right, bar.bottom]])
+    for line in (ends, ends[:1] + [-tick, tick], ends[1:] + [-tick, tick]):
+        canvas.line(line, theme.ink, 1.2)
+    middle = (bar.left + bar.width / 2.0, bar.bottom - 10.0 * unit)
+    canvas.words(f"{length:g} m", middle, theme.ink, 14, 0.5)
+
+
+def _draw_anchors(canvas: Canvas, view: View, history: History, theme: Theme) -> None:
+    """The anchors, or arrows at the rim towards those outside, with their distance; the scale."""
+    inner = view.frame.inset(7.0 * canvas.unit)
+    user, here = _point(view, history.user[-1]), history.user[-1, :3]
+    around = 9.0 * canvas.unit
+    names: list[tuple[str, Point]] = []
+    for number, anchor in enumerate(history.scenery.anchors_m):
+        at, name = _point(view, anchor), f"anchor {number + 1}" if number else "gNB"
+        if clipped(at, at, inner):
+            _draw_mast(canvas, at, theme, hollow=number > 0)
+        else:
+            rim = clipped(user, at, inner)
+            if rim is None:  # of an anchor that is nowhere
+                continue
+            at = rim[1]
+            _draw_arrow(canvas, user, at, theme.wall if number else theme.ink)
+            name += f", {np.linalg.norm(anchor - here):.0f} m"
+        names.append((name, at))
+    symbols = [user, _point(view, history.estimate[-1]), *(at for _, at in names)]
+    taken = [Rect(x - around, y - around, 2.0 * around, 2.0 * around) for x, y in symbols]
+    _draw_scale(canvas, view, theme, taken)
+    for name, at in names:
+        _label(canvas, name, at, view.frame, theme, taken)
+
+
+def _draw_arrow(canvas: Canvas, start: Point, tip: Point, color: Color) -> None:
+    way = np.subtract(tip, start)
+    way /= max(float(np.hypot(*way)), 1e-9)
+    side, length = np.array([-way[1], way[0]]), 10.0 * canvas.unit
+    back = np.array(tip) - length * way
+    canvas.polygon(np.array([tip, back + 0.5 * length * side, back - 0.5 * length * side]), color)
+
+
+def _draw_mast(canvas: Canvas, at: Point, theme: Theme, hollow: bool) -> None:
+    """The base station: a filled triangle; a mirror image of it: a hollow one."""
+    shape = at + np.array([[0.0, -7.0], [6.0, 5.0], [-6.0, 5.0]]) * canvas.unit
+    canvas.polygon(shape, theme.paper if hollow else theme.ink)
+    canvas.line(shape, theme.wall if hollow else theme.ink, 1.5, closed=True)
+
+
+def _label(
+    canvas: Canvas, text: str, at: Point, frame: Rect, theme: Theme, taken: list[Rect]
+) -> None:
+    """A name near a point, inside the frame, where nothing is taken if there is such a place."""
+    unit = canvas.unit
+    width, height = canvas.width_of(text, 14) + 6.0 * unit, 15.0 * unit
+    room, gap = frame.inset(2.0 * unit), 10.0 * unit
+    places = []
+    for row in (0, 1, -1, 2, -2, 3, -3):
+        top = min(max(at[1] + (row - 0.5) * height, room.top), room.bottom - height)
+        for beside in (at[0] + gap, at[0] - gap - width, at[0] - width / 2.0):
+            left = min(max(beside, room.left), room.right - width)
+            places.append(Rect(left, top, width, height))
+    free = (one for one in places if not any(one.overlaps(other) for other in taken))
+    place = next(free, places[0])
+    taken.append(place)
+    _plate(canvas, place, theme)
+    canvas.words(text, (place.left + 3.0 * unit, place.top + height / 2.0), theme.ink, 14)
+
+
+def _plate(canvas: Canvas, place: Rect, theme: Theme) -> None:
+    """Quiet ground under words."""
+    corners = [(place.left, place.top), (place.right, place.top)]
+    corners += [(place.right, place.bottom), (place.left, place.bottom)]
+    canvas.polygon(np.array(corners), theme.paper, 0.8)
+
+
+def _point(view: View, position_m: Array) -> Point:
+    ((x, y),) = view.pixels(position_m[None])
+    return float(x), float(y)

@@ -1,0 +1,237 @@
+"""Strips below the map: speed, error, NEES and modes over time."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from mmwave_env.metrics import nees_interval
+from mmwave_env.numerics.arrays import Array, Index
+from mmwave_env.rendering.camera import nice
+from mmwave_env.rendering.canvas import Canvas, Rect
+from mmwave_env.rendering.history import GATE, History
+from mmwave_env.rendering.street_map import draw_by_mode, runs
+from mmwave_env.rendering.theme import Theme
+
+_WINDOW = 120  # epochs that are shown
+_NEES = (0.03, 300.0)  # that are shown; others at the edge
+_NIS = (0.03, 30.0)
+_WORDS_SHARE = 0.235  # of the width, left of the strips
+_TICKS_SHARE = 0.06  # right of them
+_ROW = 13.0  # height of a line of words, in units
+
+
+@dataclass(frozen=True)
+class Strip:
+    """What is shown over n epochs.
+
+    Attributes:
+        title: with its unit.
+        curve: (n,) of the estimate, in the colors of the modes, and what it is called.
+        truth: (n,) beside it, and what it is called; or None.
+        band: lower and upper edge, (n,) or numbers, and what it is called; or None.
+        values: at the lower and upper edge of the strip.
+        ticks: values to name.
+        logarithmic: whether values are shown by their logarithm.
+    """
+
+    title: str
+    curve: tuple[Array, str]
+    truth: tuple[Array, str] | None
+    band: tuple[Array | float, Array | float, str] | None
+    values: tuple[float, float]
+    ticks: tuple[float, ...]
+    logarithmic: bool = False
+
+    def heights(self, values: Array | float) -> Array:
+        """Where values are, from 0 at the lower edge to 1; those beyond an edge on it."""
+        low, high = self.values
+        shown = np.fmax(np.fmin(values, high), low)  # NaN is as bad as it gets
+        if self.logarithmic:
+            low, high, shown = math.log(low), math.log(high), np.log(shown)
+        return np.asarray((shown - low) / (high - low))
+
+
+def draw_strips(
+    canvas: Canvas, place: Rect, history: History, theme: Theme, beside: Sequence[History] = ()
+) -> None:
+    """All of them in a part of the picture, from top to bottom.
+
+    Args:
+        canvas, place: what is drawn on, and where.
+        history: what is drawn.
+        theme: of the colors.
+        beside: drawn elsewhere, to be compared: heights mean the same there.
+    """
+    unit, rows = canvas.unit, slice(max(1, history.epochs - _WINDOW + 1), None)
+    words, ticks = _WORDS_SHARE * place.width, _TICKS_SHARE * place.width
+    ribbon, clock = 12.0 * unit, 15.0 * unit
+    height = (place.height - ribbon - clock) / 3.0
+    lane = Rect(place.left + words, place.top, place.width - words - ticks, height)
+    first, last = _times(history, rows)
+    x = lane.left + (history.time_s[rows] - first) / (last - first) * lane.width
+    modes = history.modes[rows]
+    shown = (_speed, _error, _nees) if history.has_truth else (_speed, _radius, _nis)
+    for i, make in enumerate(shown):
+        strip = _on_one_scale(make(history, rows), [make(other, rows) for other in beside])
+        plot = lane._replace(top=place.top + i * height + 2.0 * unit, height=height - 4.0 * unit)
+        _draw_strip(canvas, place, plot, strip, x, modes, theme)
+    lane = lane._replace(top=place.top + 3.0 * height + 1.0, height=ribbon)
+    _draw_ribbon(canvas, place, lane, x, modes, theme)
+    _draw_clock(canvas, lane, (first, last), theme)
+
+
+def _on_one_scale(strip: Strip, others: Sequence[Strip]) -> Strip:
+    """With room for what others show; logarithmic ones have the same scale anyhow."""
+    if strip.logarithmic:
+        return strip
+    top = max(one.values[1] for one in (strip, *others))
+    return replace(strip, values=(0.0, top), ticks=(0.0, top))
+
+
+def _times(history: History, rows: slice) -> tuple[float, float]:
+    """At the left and right edge: a window that moves on when it is full."""
+    time_s = history.time_s[rows]
+    step = float(np.median(np.diff(time_s))) if len(time_s) > 1 else 1.0
+    first = float(time_s[0]) if len(time_s) else 0.0
+    return first, float(max([first + (_WINDOW - 1) * step, *time_s[-1:]]))
+
+
+def _speed(history: History, rows: slice) -> Strip:
+    true, estimated = (speed[rows] for speed in history.speed_mps)
+    if not history.has_truth:
+        top = _top(estimated, 2.0)
+        return Strip("speed, m/s", (estimated, "estimate"), None, None, (0.0, top), (0.0, top))
+    most = 2.0 * float(true.max(initial=1.0))  # an estimate far beyond is shown at the edge
+    top = _top(np.maximum(true, np.fmin(estimated, most)), 2.0)
+    curve, truth = (estimated, "estimate"), (true, "true")
+    return Strip("speed, m/s", curve, truth, None, (0.0, top), (0.0, top))
+
+
+def _error(history: History, rows: slice) -> Strip:
+    error, expected = history.error_m[rows], history.error_95_m[rows]
+    top = max(_top(error, 2.0), _top(np.sort(expected)[: max(1, len(expected) // 2)], 2.0))
+    band = (0.0, expected, "95 % band")
+    return Strip("error, m", (error, "estimate"), None, band, (0.0, top), (0.0, top))
+
+
+def _nees(history: History, rows: slice) -> Strip:
+    low, high = nees_interval(history.axes)
+    band = (low, high, f"95 % of χ²({history.axes})")
+    curve = (history.nees[rows], "estimate")
+    return Strip("NEES", curve, None, band, _NEES, (0.1, 3.0, 100.0), logarithmic=True)
+
+
+def _radius(history: History, rows: slice) -> Strip:
+    radius = history.error_95_m[rows]
+    top = _top(radius, 2.0)
+    curve = (radius, "95 % radius")
+    return Strip("uncertainty, m", curve, None, None, (0.0, top), (0.0, top))
+
+
+def _nis(history: History, rows: slice) -> Strip:
+    assert history.nis_share is not None
+    band = (_NIS[0], 1.0, f"{GATE * 100:g} % gate")
+    curve = (history.nis_share[rows], "largest")
+    return Strip("NIS / gate", curve, None, band, _NIS, (0.1, 1.0, 10.0), logarithmic=True)
+
+
+def _top(values: Array, least: float) -> float:
+    """The upper edge, a round value, so that values (n,) are below it."""
+    known = values[np.isfinite(values)]
+    largest = max(least, 1.05 * float(known.max(initial=0.0)))
+    below = nice(largest)
+    return next(step * below for step in (1.0, 2.0, 2.5) if step * below >= largest)
+
+
+def _draw_strip(
+    canvas: Canvas, place: Rect, plot: Rect, strip: Strip, x: Array, modes: Index, theme: Theme
+) -> None:
+    """Frame, ticks, band, lines; and what they mean, left of them."""
+    unit = canvas.unit
+
+    def y(values: Array | float) -> Array:
+        return plot.bottom - strip.heights(values) * plot.height
+
+    canvas.fill(theme.ground, plot)
+    color = theme.mode(int(modes[-1])) if len(modes) else theme.quiet
+    keys = []
+    if strip.truth:
+        keys.append((strip.truth[1], theme.truth, 1.6))
+    keys.append((strip.curve[1], color, 2.4))
+    if strip.band:
+        low, high, meaning = strip.band
+        keys.append((meaning, theme.band, 9.0))
+        if len(x) > 1 or not isinstance(high, np.ndarray):
+            edges = np.array([plot.left, plot.right]) if np.ndim(high) == 0 else x
+            lower, upper = (np.broadcast_to(y(edge), edges.shape) for edge in (low, high))
+            outline = np.stack([np.r_[edges, edges[::-1]], np.r_[lower, upper[::-1]]], axis=1)
+            canvas.polygon(outline, theme.band)
+    for tick in strip.ticks:
+        level = float(y(tick))
+        canvas.line(np.array([[plot.left, level], [plot.right, level]]), theme.grid, 0.6)
+        inside = min(max(level, plot.top + 5.0 * unit), plot.bottom - 5.0 * unit)
+        canvas.words(f"{tick:g}", (plot.right + 4.0 * unit, inside), theme.quiet, 13)
+    if len(x) > 1:
+        if strip.truth:
+            canvas.line(np.stack([x, y(strip.truth[0])], axis=1), theme.truth, 1.4)
+        draw_by_mode(canvas, np.stack([x, y(strip.curve[0])], axis=1), modes, theme, 1.8)
+    _draw_keys(canvas, place, plot, strip.title, keys, theme)
+
+
+def _draw_keys(
+    canvas: Canvas,
+    place: Rect,
+    plot: Rect,
+    title: str,
+    keys: list[tuple[str, tuple[int, int, int], float]],
+    theme: Theme,
+) -> None:
+    """A title, and a sample of every line and band with its meaning."""
+    unit, left = canvas.unit, place.left + 8.0 * canvas.unit
+    row = min(_ROW * unit, plot.height / (len(keys) + 1))
+    top = plot.top + row / 2.0
+    canvas.words(title, (left, top), theme.ink, 15)
+    for i, (meaning, color, width) in enumerate(keys, start=1):
+        y = top + i * row
+        canvas.line(np.array([[left, y], [left + 14.0 * unit, y]]), color, width)
+        canvas.words(meaning, (left + 19.0 * unit, y), theme.quiet, 13)
+
+
+def _draw_ribbon(
+    canvas: Canvas, place: Rect, lane: Rect, x: Array, modes: Index, theme: Theme
+) -> None:
+    """Which mode ran when, with its number where there is room."""
+    unit = canvas.unit
+    middle = lane.top + lane.height / 2.0
+    canvas.words("mode", (place.left + 8.0 * unit, middle), theme.ink, 15)
+    canvas.fill(theme.ground, lane)
+    if len(x) == 0:
+        return
+    ends = np.r_[x, 2.0 * x[-1] - x[-2] if len(x) > 1 else x[-1] + lane.width / _WINDOW]
+    for begin, end in runs(modes):
+        left, right = float(ends[begin]), min(float(ends[end]), lane.right)
+        mode = int(modes[begin])
+        color = theme.mode(mode)
+        canvas.fill(color, lane._replace(left=left, width=right - left))
+        if right - left > 12.0 * unit:
+            canvas.words(str(mode), ((left + right) / 2.0, middle), _readable_on(color), 13, 0.5)
+
+
+def _readable_on(color: tuple[int, int, int]) -> tuple[int, int, int]:
+    """Black or white, whichever stands out more from a color."""
+    red, green, blue = color
+    light = 0.299 * red + 0.587 * green + 0.114 * blue > 140.0
+    return (0, 0, 0) if light else (255, 255, 255)
+
+
+def _draw_clock(canvas: Canvas, lane: Rect, times_s: tuple[float, float], theme: Theme) -> None:
+    """The time axis, under the ribbon."""
+    first, last = times_s
+    step = nice((last - first) / 4.0)
+    for time in np.arange(math.ceil(first / step), last / step + 1e-9) * step:
+        x = lane.left + (time - first) / (last - first) * lane.width
+        y = lane.bottom
+        canvas.line(np.array([[x, y], [x, y + 3.0 * canvas.unit]]), theme.quiet, 0.8)
+        canvas.words(f"{time:g} s", (x, y + 9.0 * canvas.unit), theme.quiet, 13, 0.5)

@@ -1,0 +1,56 @@
+"""Colors of a picture, in light and dark.
+
+Those of modes are of Okabe and Ito (2008), which color-blind readers tell apart, in an order that
+keeps neighbors far apart; some are lighter or darker than theirs, to stand out from the ground.
+"""
+
+from typing import NamedTuple
+
+Color = tuple[int, int, int]
+
+
+class Theme(NamedTuple):
+    """What is drawn in which color."""
+
+    paper: Color
+    ink: Color
+    quiet: Color  # of explanations
+    grid: Color
+    ground: Color
+    street: Color
+    building: Color
+    wall: Color
+    truth: Color
+    accepted: Color
+    rejected: Color
+    missing: Color
+    band: Color
+    modes: tuple[Color, ...]
+
+    def mode(self, number: int) -> Color:
+        """The color of a mode; beyond those there are, they come again."""
+        return self.modes[number % len(self.modes)]
+
+
+THEMES = {
+    "light": Theme(
+        paper=(255, 255, 255), ink=(34, 34, 38), quiet=(104, 106, 112), grid=(214, 214, 210),
+        ground=(240, 239, 234), street=(253, 253, 252), building=(228, 226, 219),
+        wall=(140, 136, 128), truth=(34, 34, 38), accepted=(96, 100, 108),
+        rejected=(213, 94, 0), missing=(212, 211, 206), band=(205, 211, 220),
+        modes=(
+            (0, 114, 178), (230, 159, 0), (0, 158, 115), (204, 121, 167), (86, 180, 233),
+            (160, 60, 0), (140, 130, 0), (128, 128, 128), (70, 50, 130),
+        ),
+    ),
+    "dark": Theme(
+        paper=(17, 19, 24), ink=(238, 238, 235), quiet=(158, 162, 170), grid=(58, 62, 70),
+        ground=(25, 28, 34), street=(42, 46, 54), building=(33, 36, 43),
+        wall=(128, 130, 136), truth=(245, 245, 240), accepted=(160, 164, 172),
+        rejected=(240, 120, 40), missing=(62, 66, 74), band=(62, 72, 88),
+        modes=(
+            (86, 180, 233), (230, 159, 0), (0, 178, 130), (214, 134, 178), (240, 228, 66),
+            (213, 94, 0), (60, 120, 220), (170, 170, 170), (160, 140, 230),
+        ),
+    ),
+}  # fmt: skip

@@ -1,0 +1,130 @@
+"""Pictures of vector environments, and Gymnasium's wrappers around pictures."""
+
+import gymnasium as gym
+import numpy as np
+import pytest
+
+from mmwave_env.rendering.gallery import DRAWN
+
+ID = "mmwave_env:MmWaveLoc-v0"
+STEPS = 6
+
+
+def many(n=3, mode="NextStep", **arguments):
+    arguments = {"render_mode": "rgb_array", "episode_steps": STEPS, **arguments}
+    return gym.make_vec(ID, num_envs=n, vectorization_mode="vector_entry_point",
+                        autoreset_mode=mode, **arguments)  # fmt: skip
+
+
+def single(seed, steps, before=0, **arguments):
+    """A single environment after some episodes and some steps of the next."""
+    env = gym.make(ID, render_mode="rgb_array", episode_steps=STEPS, **arguments).unwrapped
+    env.reset(seed=seed)
+    for _ in range(before):
+        env.reset()
+    for _ in range(steps):
+        env.step(1)
+    return env.render()
+
+
+@pytest.mark.parametrize("arguments", [{}, {"scene": "random"}, {"episodes": "canyon28_vehicle"}])
+def test_pictures_are_those_of_single_environments(arguments):
+    envs = many(**arguments)
+    envs.reset(seed=5)
+    for steps in range(3):
+        pictures = envs.render()
+        assert isinstance(pictures, tuple) and len(pictures) == 3
+        for i, picture in enumerate(pictures):
+            np.testing.assert_array_equal(picture, single(5 + i, steps, **arguments))
+        envs.step(np.ones(3, np.int64))
+
+
+def test_the_next_episode_has_pictures_of_its_own():
+    for mode, steps in (("NextStep", STEPS + 1), ("SameStep", STEPS)):
+        envs = many(mode=mode)
+        envs.reset(seed=5)
+        for _ in range(steps):
+            envs.step(np.ones(3, np.int64))
+        for i, picture in enumerate(envs.render()):
+            np.testing.assert_array_equal(picture, single(5 + i, 0, 1))
+
+
+def test_a_reset_of_some_leaves_the_pictures_of_others():
+    envs = many(mode="Disabled")
+    envs.reset(seed=5)
+    envs.step(np.ones(3, np.int64))
+    before = envs.render()
+    envs.reset(options={"reset_mask": np.array([False, True, False])})
+    after = envs.render()
+    np.testing.assert_array_equal(after[0], before[0])
+    np.testing.assert_array_equal(after[1], single(6, 0, 1))
+
+
+def test_of_many_the_first_are_drawn():
+    envs = many(DRAWN + 3)
+    envs.reset(seed=0)
+    pictures = envs.render()
+    assert len(pictures) == DRAWN + 3
+    assert len({picture.tobytes() for picture in pictures}) == DRAWN + 1
+
+
+def test_a_state_restored_begins_a_picture_anew():
+    envs = many()
+    envs.reset(seed=0)
+    envs.step(np.ones(3, np.int64))
+    envs.restore(envs.state())
+    envs.step(np.zeros(3, np.int64))
+    assert len(envs.render()) == 3
+
+
+def test_there_is_no_picture_before_a_reset_or_without_a_mode():
+    with pytest.raises(gym.error.ResetNeeded):
+        many().render()
+    assert many(render_mode=None).render() is None
+
+
+def test_lists_of_pictures_come_of_gymnasiums_wrapper():
+    env = gym.make(ID, render_mode="rgb_array_list", episode_steps=STEPS)
+    env.reset(seed=0)
+    for _ in range(3):
+        env.step(1)
+    pictures = env.render()
+    assert len(pictures) == 4 and all(picture.shape == (480, 480, 3) for picture in pictures)
+
+
+def frames(path):
+    """How many pictures a video has, and their size."""
+    from moviepy import VideoFileClip
+
+    with VideoFileClip(str(path)) as clip:
+        return sum(1 for _ in clip.iter_frames()), tuple(clip.size)
+
+
+@pytest.mark.slow
+@pytest.mark.filterwarnings("ignore")  # moviepy's own
+def test_a_video_of_an_episode_has_all_its_pictures(tmp_path):
+    pytest.importorskip("moviepy")
+    env = gym.make(ID, render_mode="rgb_array", episode_steps=STEPS)
+    env = gym.wrappers.RecordVideo(env, str(tmp_path), episode_trigger=lambda _: True)
+    env.reset(seed=0)
+    for _ in range(STEPS):
+        env.step(1)
+    env.close()
+    (video,) = tmp_path.glob("*.mp4")
+    assert frames(video) == (STEPS + 1, (480, 480))
+
+
+@pytest.mark.slow
+@pytest.mark.filterwarnings("ignore")
+def test_a_video_of_a_vector_environment_is_a_grid(tmp_path):
+    pytest.importorskip("moviepy")
+    wrappers = pytest.importorskip("gymnasium.wrappers.vector")
+    if not hasattr(wrappers, "RecordVideo"):
+        pytest.skip("Gymnasium has no such wrapper before 1.2")
+    envs = wrappers.RecordVideo(many(4), str(tmp_path), episode_trigger=lambda _: True)
+    envs.reset(seed=0)
+    for _ in range(STEPS):
+        envs.step(np.ones(4, np.int64))
+    envs.close()
+    (video,) = tmp_path.glob("*.mp4")
+    assert frames(video) == (STEPS + 1, (960, 960))

@@ -1,0 +1,299 @@
+"""Pictures: what is in them, for every state of an episode."""
+
+import copy
+import pickle
+import re
+from dataclasses import replace
+
+import gymnasium as gym
+import numpy as np
+import pytest
+
+from mmwave_env.env import MmWaveLocEnv
+from mmwave_env.models.scene import Streets
+from mmwave_env.rendering.canvas import printable
+from mmwave_env.rendering.history import NO_MODE, History, Scenery
+from mmwave_env.rendering.picture import Picture
+from mmwave_env.rendering.theme import THEMES
+
+ID = "mmwave_env:MmWaveLoc-v0"
+LIGHT = THEMES["light"]
+GROUPS = 4
+NOTHING = np.zeros(GROUPS, bool)
+
+
+def near(picture, color):
+    """Where a color is, but for what smoothing of edges does to it."""
+    return (abs(picture.astype(int) - color) < 12).all(axis=-1)
+
+
+def history(
+    truth=((0.0, 0.0),), estimate=((0.0, 0.0),), modes=(0,), accepted=NOTHING, rejected=NOTHING,
+    anchors=((200.0, 150.0, 10.0),), streets=None, name="test", variance=0.01,
+):  # fmt: skip
+    """The prior and then so many epochs, a second apart."""
+
+    def states(points, size):
+        filled = np.zeros((len(points) + 1, size))
+        filled[1:, :2], filled[0, :2] = points, points[0]
+        return filled
+
+    rows = len(truth) + 1
+    P = np.tile([variance, 0.0, variance, 0.0, 0.0, variance], (rows, 1))
+    return History(
+        Scenery(name, np.array(anchors), streets), 3, np.maximum(0.0, np.arange(rows) - 1.0),
+        np.array([NO_MODE, *modes]), states(truth, 6), states(estimate, 7), P, np.full(rows, 3.0),
+        np.tile(accepted, (rows, 1)), np.tile(rejected, (rows, 1)),
+    )  # fmt: skip
+
+
+def drawn(names=("ekf", "ukf"), **arguments):
+    return Picture(names).draw(history(**arguments))
+
+
+def played(steps, seed=0, action=lambda k: k % 2, **arguments):
+    env = gym.make(ID, render_mode="rgb_array", **arguments)
+    env.reset(seed=seed)
+    for k in range(steps):
+        env.step(action(k))
+    return env
+
+
+# --- what is in it
+
+
+def test_without_truth_only_the_estimate_is_drawn():
+    way = [(0.0, 0.0), (10.0, 0.0), (20.0, 5.0)]
+    known = history(truth=[(x, 8.0) for x, _ in way], estimate=way, modes=(0, 0, 1))
+    blind = replace(
+        known, truth=np.full_like(known.truth, np.nan), nees=np.full(4, np.nan),
+        nis_share=np.array([np.nan, 0.5, np.nan, 40.0]),
+    )  # fmt: skip
+    with_truth, without = (Picture(["ekf", "ukf"]).draw(one) for one in (known, blind))
+    dark = [near(one, LIGHT.truth)[60:280].sum() for one in (with_truth, without)]
+    assert dark[1] < dark[0] - 100  # labels stay
+    for mode in (0, 1):
+        assert near(without, LIGHT.mode(mode))[60:280].any()  # map
+        assert near(without, LIGHT.mode(mode))[300:440, 112:450].any()  # strips
+
+
+def test_the_first_picture_shows_the_prior_and_the_user():
+    env = played(0)
+    first = env.render()
+    assert first.shape == (480, 480, 3) and first.dtype == np.uint8
+    assert near(first, LIGHT.truth)[20:280].sum() > 20  # the user, and the prior in gray
+    assert near(first, LIGHT.quiet)[20:280].sum() > 20
+    env.step(1)
+    assert (env.render() != first).any()
+
+
+@pytest.mark.parametrize("size", [480, 1080])
+@pytest.mark.parametrize("theme", THEMES)
+def test_sizes_and_themes(size, theme):
+    picture = played(3, render_size=size, render_theme=theme).render()
+    assert picture.shape == (size, size, 3)
+    assert near(picture, THEMES[theme].paper).mean() > 0.1
+
+
+def test_links_are_solid_dashed_or_faint():
+    first = np.eye(GROUPS, dtype=bool)[0]
+    contrast = {}
+    for kind, gates in {"accepted": {"accepted": first}, "rejected": {"rejected": first},
+                        "missing": {}}.items():  # fmt: skip
+        picture = drawn(anchors=[(200.0, 0.0, 10.0)], **gates).astype(int)
+        link = picture[140:160, 260:360]  # east of the user
+        contrast[kind] = abs(link - LIGHT.ground).max(axis=(0, 2))
+        orange = (link[..., 0] - link[..., 2] > 60).any()
+        assert orange == (kind == "rejected")
+    assert contrast["accepted"].min() > 40
+    assert contrast["rejected"].max() > 40 and contrast["rejected"].min() < 5
+    assert 5 < contrast["missing"].min() and contrast["missing"].max() < 40
+
+
+def test_the_trail_has_the_color_of_the_mode_that_ran():
+    way = [(2.0 * k, 0.0) for k in range(10)]
+    beside = [(x, 4.0) for x, _ in way]
+    one, both = (
+        drawn(truth=way, estimate=beside, modes=modes)[20:280]
+        for modes in ([0] * 10, [0] * 5 + [1] * 5)
+    )
+    blue, orange = LIGHT.modes[:2]
+    assert near(one, blue).sum() > 100 and not near(one, orange).any()
+    left, right = (np.nonzero(near(both, color))[1].mean() for color in (blue, orange))
+    assert left < right
+
+
+def test_the_estimate_is_drawn_where_it_is():
+    picture = drawn(truth=[(0.0, 0.0)], estimate=[(10.0, 10.0)], modes=[1])[80:220, 160:320]
+    rows, columns = np.nonzero(near(picture, LIGHT.modes[1]))
+    user = np.argwhere(near(picture, LIGHT.truth)).mean(axis=0)
+    assert rows.mean() < user[0] and columns.mean() > user[1]  # north-east of the user
+
+
+def test_a_wall_is_drawn_halfway_between_the_base_station_and_its_image():
+    gnb, image = (0.0, 10.0, 10.0), (20.0, 10.0, 10.0)
+    picture = drawn(anchors=[gnb, image])[20:280]
+    wall = near(picture, LIGHT.wall)
+    column = int(np.argmax(wall.sum(axis=0)))
+    assert wall[:, column].sum() > 200  # from top to bottom
+    assert 250 < column < 400  # 10 m east of the user
+    # an image at another height is none in a vertical wall
+    lower = near(drawn(anchors=[gnb, (20.0, 10.0, 4.0)])[20:280], LIGHT.wall)
+    assert lower.sum(axis=0).max() < 100
+
+
+def test_streets_are_drawn_where_they_are_known():
+    with_streets = drawn(streets=Streets((-80.0, 80.0), (-80.0, 80.0), 80.0))[20:280]
+    without = drawn()[20:280]
+    assert near(with_streets, LIGHT.building).mean() > 0.3
+    assert near(without, LIGHT.building).mean() < 0.02  # but for the edges of other things
+
+
+@pytest.mark.parametrize(
+    ("anchor", "side"),
+    [
+        ((500.0, 0.0), "east"),
+        ((-500.0, 3.0), "west"),
+        ((0.0, 900.0), "north"),
+        ((2.0, -1e7), "south"),
+    ],
+)
+def test_an_anchor_outside_is_an_arrow_at_the_rim(anchor, side):
+    picture = drawn(anchors=[(*anchor, 10.0)])
+    strips = {
+        "east": picture[20:262, 455:], "west": picture[20:262, :25], "north": picture[20:45],
+        "south": picture[262:284, :330],
+    }  # fmt: skip
+    dark = {name: int(near(strip, LIGHT.ink).sum()) for name, strip in strips.items()}
+    assert dark[side] > 20 and max(dark, key=dark.get) == side
+
+
+def test_the_same_history_makes_the_same_picture():
+    env = played(30, scene="random")
+    first = env.render()
+    np.testing.assert_array_equal(env.render(), first)
+    for twin in (copy.deepcopy(env), pickle.loads(pickle.dumps(env))):
+        np.testing.assert_array_equal(twin.render(), first)
+        twin.step(0)
+        env_again = copy.deepcopy(env)
+        env_again.step(0)
+        np.testing.assert_array_equal(twin.render(), env_again.render())
+    np.testing.assert_array_equal(env.render(), first)
+
+
+def test_no_picture_knows_what_is_to_come():
+    short, long = (played(20, seed=3, episode_steps=steps) for steps in (21, 60))
+    np.testing.assert_array_equal(short.render(), long.render())
+
+
+def test_a_history_is_cut_as_it_was():
+    env = played(10).unwrapped
+    then = Picture(env.observation.actions).draw(env._recorder.history)
+    for _ in range(5):
+        env.step(1)
+    history = env._recorder.history
+    assert history.epochs == 15 and history.until(10).epochs == 10
+    np.testing.assert_array_equal(Picture(env.observation.actions).draw(history.until(10)), then)
+
+
+# --- episodes of all kinds
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        {"scene": "random"},
+        {"scene": "o1", "scenario": "vehicle"},
+        {"episodes": "canyon28_pedestrian"},
+        {"backend": "filterpy"},
+        # these compile kernels of their own:
+        pytest.param({"odometry": True}, marks=pytest.mark.slow),
+        pytest.param({"modes": "extended"}, marks=pytest.mark.slow),
+        pytest.param({"beliefs": "per-mode"}, marks=pytest.mark.slow),
+        pytest.param({"planar": True}, marks=pytest.mark.slow),
+    ],
+    ids=str,
+)
+def test_every_kind_of_episode_has_its_picture(arguments):
+    if "backend" in arguments:
+        pytest.importorskip("filterpy")
+    env = gym.make(ID, render_mode="rgb_array", **arguments)
+    env.reset(seed=1)
+    for k in range(5):
+        env.step(k % env.action_space.n)
+    shown = env.render()
+    assert near(shown[20:280], LIGHT.truth).sum() > 20
+    assert env.unwrapped._recorder.history.epochs == 5
+
+
+def test_streets_of_a_recording_are_not_known():
+    env = played(1, episodes="canyon28_vehicle").unwrapped
+    assert env._recorder.history.scenery.streets is None
+
+
+def test_time_is_that_of_the_episode():
+    env = played(12, episodes="canyon28_vehicle").unwrapped
+    np.testing.assert_allclose(
+        env._recorder.history.time_s, [0.0, *np.arange(12) / 10.0], atol=1e-6
+    )
+
+
+def test_an_estimate_that_is_no_number_breaks_nothing():
+    lost = history(truth=[(0.0, 0.0)] * 3, estimate=[(0.0, 0.0)] * 3, modes=[0] * 3)
+    for broken in (np.nan, np.inf, 1e300):
+        lost.estimate[-1], lost.P[-1], lost.nees[-1] = broken, broken, broken
+        Picture(["ekf"]).draw(lost)
+
+
+# --- names
+
+
+@pytest.mark.parametrize(
+    ("name", "shown"),
+    [
+        ("$x^2$\n two", "$x^2$ two"),
+        ("a\x00b\x1b[31m", r"a\x00b\x1b[31m"),
+        ("Привет λ", "Привет λ"),
+        ("中", r"\u4e2d"),
+        ("\ud800", r"\ud800"),
+        ("", ""),
+    ],
+)
+def test_names_are_on_one_line_and_can_be_told_apart(name, shown):
+    assert printable(name) == shown
+    assert drawn([name, "x" * 500], name=name * 50).shape == (480, 480, 3)
+
+
+def test_a_legend_of_eight_modes_shows_every_color():
+    shown = drawn([f"mode {i}" for i in range(8)])[-40:]
+    for color in LIGHT.modes[:8]:
+        assert near(shown, color).sum() >= 80
+
+
+# --- arguments and mistakes
+
+
+def test_without_a_render_mode_there_is_no_picture():
+    env = gym.make(ID).unwrapped
+    env.reset(seed=0)
+    assert env.render() is None
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"render_mode": "ansi"}, "render_mode: found 'ansi'.*human, rgb_array"),
+        ({"render_size": 479}, "render_size: found 479, expected an even number from 480 to 1080"),
+        ({"render_size": 481}, "render_size: found 481, expected an even number"),
+        ({"render_theme": "blue"}, "render_theme: found 'blue', expected one of light, dark"),
+    ],
+)
+def test_what_cannot_be_drawn_is_refused(arguments, message):
+    with pytest.raises(ValueError, match=message):
+        MmWaveLocEnv(**{"render_mode": "rgb_array"} | arguments)
+
+
+def test_there_is_no_picture_before_a_reset():
+    env = MmWaveLocEnv(render_mode="rgb_array")
+    with pytest.raises(gym.error.ResetNeeded, match=re.escape("Call reset before render")):
+        env.render()

@@ -1,0 +1,148 @@
+"""Videos: read back, they are the pictures that were written."""
+
+import sys
+
+import numpy as np
+import pytest
+
+from mmwave_env.rendering.history import NO_MODE, History, Scenery
+from mmwave_env.rendering.picture import Picture
+from mmwave_env.rendering.playback import Playback
+from mmwave_env.rendering.video import require_video, write_video
+
+HEIGHT, WIDTH, COUNT = 60, 100, 7
+
+
+def square(number):
+    """A picture of a square that goes right."""
+    picture = np.full((HEIGHT, WIDTH, 3), 255, np.uint8)
+    picture[20:40, 10 * number : 10 * number + 20] = (0, 114, 178)
+    return picture
+
+
+def gif(path):
+    """Its pictures (n, height, width, 3), and how long each lasts, ms."""
+    image = pytest.importorskip("PIL.Image")
+    pictures, lasts = [], []
+    with image.open(path) as file:
+        for number in range(file.n_frames):
+            file.seek(number)
+            pictures.append(np.asarray(file.convert("RGB")))
+            lasts.append(file.info["duration"])
+    return np.array(pictures), lasts
+
+
+def mp4(path):
+    """Its pictures (n, height, width, 3), and how many go by in a second."""
+    ffmpeg = pytest.importorskip("imageio_ffmpeg")
+    reader = ffmpeg.read_frames(str(path))
+    about = next(reader)
+    width, height = about["size"]
+    pictures = [np.frombuffer(one, np.uint8).reshape(height, width, 3) for one in reader]
+    return np.array(pictures), about["fps"]
+
+
+def written(path, draw=square):
+    shares = []
+    require_video("out", path)
+    write_video(path, draw, range(COUNT), 5, shares.append)
+    assert shares[-1] == 1.0 and len(shares) == COUNT
+    assert list(path.parent.iterdir()) == [path]
+    return path
+
+
+def test_a_gif_has_every_picture(tmp_path):
+    pytest.importorskip("PIL")
+    pictures, lasts = gif(written(tmp_path / "square.gif"))
+    np.testing.assert_array_equal(pictures, [square(number) for number in range(COUNT)])
+    assert lasts[:-1] == [200] * (COUNT - 1) and lasts[-1] > 1000
+
+
+def test_an_mp4_has_every_picture(tmp_path):
+    pytest.importorskip("imageio_ffmpeg")
+    pictures, fps = mp4(written(tmp_path / "square.mp4"))
+    assert pictures.shape == (COUNT, HEIGHT, WIDTH, 3) and fps == 5
+    blue = pictures[:, 30, :, 0] < 100
+    assert blue.argmax(axis=1).tolist() == pytest.approx([10 * n for n in range(COUNT)], abs=2)
+
+
+@pytest.mark.parametrize("ending", ["gif", "mp4"])
+def test_a_video_that_fails_leaves_what_was_there(ending, tmp_path):
+    pytest.importorskip({"gif": "PIL", "mp4": "imageio_ffmpeg"}[ending])
+    path = tmp_path / f"square.{ending}"
+    path.write_bytes(b"before")
+
+    def fails(number):
+        if number == 3:
+            raise ValueError("no more")
+        return square(number)
+
+    with pytest.raises(ValueError, match="no more"):
+        write_video(path, fails, range(COUNT), 5, lambda _: None)
+    assert path.read_bytes() == b"before" and list(tmp_path.iterdir()) == [path]
+
+
+@pytest.mark.parametrize("name", ["square", "square.avi", "gif"])
+def test_other_endings_are_refused(name, tmp_path):
+    with pytest.raises(ValueError, match=f"out: found .*{name}, expected.*[.]gif or [.]mp4$"):
+        require_video("out", tmp_path / name)
+
+
+@pytest.mark.parametrize(("package", "ending"), [("PIL", "gif"), ("imageio_ffmpeg", "mp4")])
+def test_the_extra_is_named(package, ending, tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, package, None)  # as if it were not installed
+    with pytest.raises(ImportError, match=rf"needs {package}: .*mmwave-loc\[video\]"):
+        require_video("out", tmp_path / f"square.{ending}")
+
+
+# --- side by side
+
+
+def history(error_m, rows=6):
+    """A user at rest, and an estimate that goes away from it."""
+    truth, estimate = np.zeros((rows, 6)), np.zeros((rows, 7))
+    estimate[:, 0] = error_m * np.arange(rows)
+    gates = np.zeros((rows, 2), bool)
+    return History(
+        Scenery("test", np.array([[50.0, 30.0, 10.0]]), None), 3, np.arange(rows) - 1.0,
+        np.r_[NO_MODE, np.zeros(rows - 1, int)], truth, estimate,
+        np.tile([1.0, 0.0, 1.0, 0.0, 0.0, 1.0], (rows, 1)), np.ones(rows), gates, gates,
+    )  # fmt: skip
+
+
+def test_side_by_side_are_the_pictures_of_each():
+    histories, titles = [history(1.0), history(4.0), history(2.0)], ["one", "two", "three"]
+    playback = Playback(histories, [["ekf"]] * 3, titles, 480, "dark")
+    for epochs in (0, 3, 5):
+        whole = playback.draw(epochs)
+        assert whole.shape == (480, 3 * 480, 3)
+        for place, (one, title) in enumerate(zip(histories, titles, strict=True)):
+            part = whole[:, place * 480 : (place + 1) * 480]
+            known = [each.until(epochs) for each in histories]
+            alone = Picture(["ekf"], 480, "dark", title).draw(one.until(epochs), known)
+            np.testing.assert_array_equal(part[:, 4:], alone[:, 4:])  # but for a gap
+
+
+def test_errors_side_by_side_have_one_scale():
+    near, far = history(0.1), history(30.0)
+    ticks = np.s_[300:380, 452:]  # beside the strips of speed and error
+    whole = Playback([near, far], [["ekf"]] * 2, ["near", "far"], 480, "light").draw(5)
+    of_near, of_far = whole[:, :480][ticks], whole[:, 480:][ticks]
+    np.testing.assert_array_equal(of_near, of_far)
+    alone = Picture(["ekf"], 480, "light", "near").draw(near)
+    assert (alone[ticks] != of_near).any()
+
+
+def test_strips_are_at_one_height_whatever_the_modes():
+    many = [f"mode {number}" for number in range(9)]
+    whole = Playback([history(1.0)] * 2, [["ekf"], many], ["one", "two"], 480, "light").draw(5)
+    few, more = whole[240:420, 20:480], whole[240:420, 500:]
+    np.testing.assert_array_equal(few, more)
+
+
+def test_a_title_is_a_line_of_its_own():
+    one, other = (Picture(["ekf"], title=title).draw(history(1.0)) for title in ("rule", "ppo"))
+    differs = (one != other).any(axis=(1, 2))
+    assert differs[:24].any() and not differs[24:].any()
+    for title in ("a" * 500, "a\nb\x1b[31m", "$x$ | 名"):
+        assert (Picture(["ekf"], title=title).draw(history(1.0)) != one).any()

@@ -1,0 +1,123 @@
+"""The window: keys, speed, closing, and a machine without a display."""
+
+import subprocess
+import sys
+
+import gymnasium as gym
+import numpy as np
+import pygame
+import pytest
+
+from mmwave_env.rendering.window import SPEEDS, Window
+from tests.paths import ROOT
+
+ID = "mmwave_env:MmWaveLoc-v0"
+
+
+@pytest.fixture
+def window(monkeypatch):
+    monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")
+    window = Window(480, 480)
+    window.speed = SPEEDS[-1]
+    yield window
+    window.close()
+
+
+def press(*keys):
+    for key in keys:
+        pygame.event.post(pygame.event.Event(pygame.KEYDOWN, key=key))
+
+
+def screen():
+    return pygame.surfarray.array3d(pygame.display.get_surface())
+
+
+PICTURE = np.zeros((480, 480, 3), np.uint8)
+
+
+def test_single_steps_pause_and_another_space_goes_on(window):
+    press(pygame.K_SPACE, pygame.K_n)
+    window.show(PICTURE)
+    assert window.paused
+    press(pygame.K_n)
+    window.show(PICTURE)
+    assert window.paused
+    press(pygame.K_SPACE)
+    window.show(PICTURE)
+    assert not window.paused
+
+
+def test_as_many_steps_as_presses(window):
+    press(pygame.K_n, pygame.K_RIGHT)
+    window.show(PICTURE)
+    window.show(PICTURE)  # would wait if the first had taken both
+    press(pygame.K_SPACE)
+    window.show(PICTURE)
+
+
+def test_speed_keys_stop_at_the_ends(window):
+    press(pygame.K_PLUS)
+    window.show(PICTURE)
+    assert window.speed == SPEEDS[-1]
+    press(pygame.K_MINUS, pygame.K_DOWN)
+    window.show(PICTURE)
+    assert window.speed == SPEEDS[-3]
+    press(*[pygame.K_MINUS] * 9, pygame.K_UP, pygame.K_n)
+    window.show(PICTURE)
+    assert window.speed == SPEEDS[1]
+
+
+def test_h_lists_the_keys(window):
+    window.show(PICTURE)
+    before = screen()
+    press(pygame.K_h)
+    window.show(PICTURE)
+    assert (screen() > 100).sum() > 2 * (before > 100).sum()
+    press(pygame.K_h)
+    window.show(PICTURE)
+    np.testing.assert_array_equal(screen(), before)
+
+
+def test_a_closed_window_stays_closed_and_nothing_waits(window):
+    pygame.event.post(pygame.event.Event(pygame.QUIT))
+    window.show(PICTURE)
+    assert not pygame.display.get_init()
+    window.paused = True
+    window.show(PICTURE)
+
+
+def test_an_environment_shows_every_epoch_from_the_prior_on(monkeypatch):
+    monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")
+    shown = []
+    monkeypatch.setattr(Window, "show", lambda self, picture: shown.append(picture.shape))
+    env = gym.make(ID, render_mode="human", episode_steps=4, render_size=600)
+    for seed in range(2):
+        env.reset(seed=seed)
+        for _ in range(4):
+            env.step(1)
+    assert shown == [(600, 600, 3)] * 10
+    assert pygame.display.get_surface().get_size() == (600, 600)
+    env.close()
+    assert not pygame.display.get_init()
+
+
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="others need no variable")
+def test_without_a_display_the_variable_is_named(monkeypatch):
+    for name in ("DISPLAY", "WAYLAND_DISPLAY", "SDL_VIDEODRIVER", "SDL_VIDEO_DRIVER"):
+        monkeypatch.delenv(name, raising=False)
+    code = f"import gymnasium as gym; gym.make({ID!r}, render_mode='human')"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=ROOT)
+    last = done.stderr.strip().splitlines()[-1]
+    assert last.startswith('OSError: render_mode="human": found no display')
+    assert "DISPLAY or WAYLAND_DISPLAY" in last and done.stdout == ""
+
+
+def test_a_picture_is_shown_as_it_is(monkeypatch):
+    monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")
+    wide = Window(960, 480)
+    picture = np.random.default_rng(0).integers(0, 256, (480, 960, 3), np.uint8)
+    wide.show(picture)
+    shown = screen().swapaxes(0, 1)
+    np.testing.assert_array_equal(shown[100:], picture[100:])  # above are the keys
+    wide.close()
+    assert not wide.is_open
