@@ -11,7 +11,7 @@ import os
 
 from experiments.arguments.benchmark import Args
 from experiments.cli.main import run
-from experiments.cli.pictures import require_picture
+from experiments.figures.canvas import require_picture
 from mmwave_env.files import write_json, write_text
 from mmwave_env.lookup import require_extra
 
@@ -35,8 +35,8 @@ def _environments(args: Args) -> None:
     require_extra("filterpy", "filterpy", "benchmark")
     from experiments.cli.doc_pages import page_to_renew, renewed
     from experiments.cli.options import provenance
-    from experiments.cli.terminal import progress
     from experiments.evaluation.markdown import show
+    from experiments.evaluation.terminal import progress
     from experiments.speed.figure import draw
     from experiments.speed.measured import Measured
     from experiments.speed.report import TITLES, TRAINING, tables
@@ -70,8 +70,8 @@ def _training(args: Args) -> None:
         require_extra(package, "train", "benchmark --training")
     from experiments.cli.doc_pages import page_to_renew, renewed
     from experiments.cli.options import provenance
-    from experiments.cli.terminal import progress
     from experiments.evaluation.markdown import show
+    from experiments.evaluation.terminal import progress
     from experiments.speed.report import TITLES, TRAINING, training_table
     from experiments.training.speed import TrainingSpeed
 

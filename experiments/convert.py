@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from experiments.arguments.convert import Args
 from experiments.cli.main import run
 from experiments.cli.options import command_line
+from experiments.evaluation.terminal import say
 from experiments.training.unzip import CHOSEN, SHOWN, unzipped
 from mmwave_env import __version__
 from mmwave_env.files import require_writable, write_bytes
@@ -47,7 +48,7 @@ def main(args: Args) -> None:
             "observations, expected all of them: its policy computes more than they do"
         )
     write_bytes(args.policy, content)
-    print(
+    say(
         f"{args.policy}: decides as {args.model} on {alike.sum()} of {alike.size} observations; "
         f"mmwave-loc compare --policies {args.policy} speed-rule imm"
     )

@@ -1,13 +1,14 @@
 """mmwave-loc demo: the tables of docs/results.md, on simulated and on ray-traced streets."""
 
-import sys
-
 from experiments.arguments.demo import Args
+from experiments.arguments.report import Args as ReportArgs
 from experiments.arguments.shared import EpisodeArgs
 from experiments.cli.main import run
 from experiments.cli.options import all_contenders, provenance
 from experiments.cli.reporting import results
 from experiments.evaluation.markdown import show
+from experiments.evaluation.terminal import note, say
+from experiments.webpage.page import write_page
 from mmwave_env.episodes.samples import sample_names
 from mmwave_env.files import write_json, write_text
 
@@ -23,7 +24,7 @@ def main(args: Args) -> None:
         what = (
             f"{one.data or 'mixed'}: {len(all_contenders(one))} policies, {one.episodes} episodes"
         )
-        print(f"{what} each", file=sys.stderr, flush=True)
+        note(f"{what} each")
         result, text, content = results(one, all_contenders(one))
         show(str(result.of(SHOWN)))
         tables.append(text)
@@ -32,13 +33,15 @@ def main(args: Args) -> None:
     write_text(args.out / "tables.md", "\n".join(tables))
     if args.json:
         write_json(args.json, everything)
-    files = ", ".join(f"{args.out / scenario}.json" for scenario in everything)
-    print(f"All {len(all_contenders(runs[0]))} policies and all paired differences are in")
-    print(f"{args.out / 'tables.md'}, with every figure in {files}.")
-    print("README.md and docs/results.md say what the columns mean.")
-    print(
-        "next: mmwave-loc list policies, or mmwave-loc compare --policies ppo imm --radio standard"
-    )
+    files = tuple(args.out / f"{scenario}.json" for scenario in everything)
+    report = ReportArgs(results=files, out=args.out / "report.html")
+    note("the web page: some episodes again, epoch by epoch")
+    write_page(report)
+    say(f"All {len(all_contenders(runs[0]))} policies and all paired differences are in")
+    say(f"{args.out / 'tables.md'}, with every figure in {', '.join(map(str, files))}.")
+    say(f"{report.out} is a web page of them, with episodes to play: open it in a browser.")
+    say("README.md and docs/results.md say what the columns mean.")
+    say("next: mmwave-loc list policies, or mmwave-loc compare --policies ppo imm --radio standard")
 
 
 if __name__ == "__main__":

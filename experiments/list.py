@@ -6,6 +6,8 @@ from collections.abc import Callable
 from experiments.arguments.list import Args
 from experiments.cli.main import run
 from experiments.evaluation.contenders import contenders
+from experiments.evaluation.terminal import say, terminal_width
+from experiments.evaluation.text import entries
 from mmwave_env.episodes.samples import recording_from, sample_names
 from mmwave_env.filters.mode_files import as_written, named_modes
 from mmwave_env.models.radio import RADIOS, radio_from
@@ -106,8 +108,7 @@ def main(args: Args) -> None:
     }  # fmt: skip
     for kind in [args.what] if args.what else kinds:
         found = kinds[kind]()
-        print(f"{kind}:")
-        print(*(f"  {name:22} {about}" for name, about in found.items()), sep="\n")
+        say(f"{kind}:", *entries(found, 25, terminal_width()))
 
 
 if __name__ == "__main__":

@@ -1,7 +1,7 @@
 """mmwave-loc localize: the track of a recorded log, by the paper's Algorithm 1 or by an IMM."""
 
 import warnings
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import ExitStack
 from dataclasses import replace
 from itertools import chain
@@ -14,12 +14,14 @@ from experiments.arguments.localize import Args
 from experiments.cli.diagnosis_report import diagnosis_figures, diagnosis_markdown
 from experiments.cli.main import run
 from experiments.cli.options import provenance
-from experiments.cli.pictures import require_picture
-from experiments.cli.terminal import ask_speed, parse_speed, progress
-from experiments.cli.track_plot import TrackPicture
+from experiments.cli.terminal import ask_speed, parse_speed
+from experiments.cli.track_plot import TrackSampler
 from experiments.cli.track_report import track_markdown
 from experiments.evaluation.contenders import imm_banks
 from experiments.evaluation.markdown import show
+from experiments.evaluation.terminal import progress
+from experiments.figures.canvas import require_picture
+from experiments.figures.trajectory import draw_trajectory
 from mmwave_env.engines.track_engine import Rule
 from mmwave_env.episodes.log_folder import LOG, SCENE, TRUTH
 from mmwave_env.episodes.samples import sample_folder
@@ -29,7 +31,7 @@ from mmwave_env.filters.mode_files import modes_from
 from mmwave_env.filters.modes import DESIGN_LIMIT_MPS, Mode, robust
 from mmwave_env.localization.contradictions import contradictions
 from mmwave_env.localization.diagnosis import diagnose
-from mmwave_env.localization.localizer import localize
+from mmwave_env.localization.localizer import TrackBlock, localize
 from mmwave_env.localization.track_files import require_own_files, table_beside, track_files
 from mmwave_env.localization.track_scores import Course, Groups, TruthScores
 from mmwave_env.logs.log import LogBlock, read_log
@@ -185,37 +187,73 @@ def _outputs(args: Args) -> dict[str, Path | None]:
 # --- running
 
 
+class Work(NamedTuple):
+    """What is localized, and by what."""
+
+    scene: Scene
+    plan: ModePlan
+    first: LogBlock  # of the log
+    blocks: Iterable[LogBlock]  # all of them
+    truth: Truth | None
+
+
+def _work(args: Args, given: Inputs, scene: Scene, epochs_per_block: int) -> Work:
+    """Open the log, and the truth if there is one; asks for the speed if it is not given."""
+    modes = _modes(args) if args.imm is None else _imm(args, args.imm)
+    blocks = read_log(given.log, scene, epochs_per_block, args.odometry)
+    first = next(blocks)
+    if args.follow == "odometry" and not first.layout.odometry:
+        raise ValueError(
+            f"follow: found odometry, but no speed in {given.log}, expected prediction"
+        )
+    truth = Truth(given.truth) if given.truth else None
+    return Work(scene, plan(args, modes), first, chain([first], blocks), truth)
+
+
+def _track(args: Args, work: Work, window: int | None) -> Iterator[TrackBlock]:
+    radio, chosen = radio_from(args.radio), work.plan
+    return localize(work.blocks, work.scene, radio, chosen.modes, chosen.rule, window, args.height)
+
+
+def beginning(args: Args, epochs: int) -> tuple[TrackBlock, Work]:
+    """The first epochs of a track, filtered, and what they are of.
+
+    Raises:
+        ValueError: as the command.
+        OSError: a file can't be read.
+    """
+    given = inputs(args)
+    work = _work(args, given, scene_from(given.scene), epochs)
+    return next(_track(args, work, None)), work
+
+
 class Result(NamedTuple):
-    """What came out: figures, a picture, and what is wrong with the log or the truth."""
+    """What came out: figures, what to draw, and what is wrong with the log or the truth."""
 
     figures: dict[str, Any]
-    picture: TrackPicture
+    sampler: TrackSampler
     error: ValueError | None
 
 
-def _run(
-    args: Args, chosen: ModePlan, scene: Scene, blocks: Iterable[LogBlock], truth: Truth | None
-) -> Result:
+def _run(args: Args, work: Work) -> Result:
     """Localize, score and write, block by block.
 
     Raises:
         LogError: the log is damaged before there is any track; nothing is written.
     """
-    names = chosen.names
-    course, groups, picture = Course(names), Groups(), TrackPicture(names, scene.anchors_m)
+    names, truth = work.plan.names, work.truth
+    course, groups, sampler = Course(names), Groups(), TrackSampler(names, work.scene.anchors_m)
     tracks = ["filtered", "smoothed"] if args.smoothing else ["filtered"]
     scores = TruthScores(truth, tracks, args.height is not None) if truth else None
     window = args.window if args.smoothing else None
-    track = localize(
-        blocks, scene, radio_from(args.radio), chosen.modes, chosen.rule, window, args.height
-    )
+    track = _track(args, work, window)
     error: ValueError | None = None
     with ExitStack() as stack:
         write = stack.enter_context(track_files(args.out, names)) if args.out else None
         report = stack.enter_context(progress("localizing"))
         try:
             for block in track:
-                picture.add(block, scores.add(block) if scores else None)
+                sampler.add(block, scores.add(block) if scores else None)
                 course.add(block)
                 groups.add(block)
                 if write:
@@ -231,13 +269,14 @@ def _run(
         figures["truth"] = scores.figures()
     elif truth and not error:
         error = truth.no_match(course.first_s, course.last_s)
-    return Result(figures, picture, error)
+    return Result(figures, sampler, error)
 
 
 def _diagnose(args: Args, log: Path, scene: Scene, mode: Mode) -> None:
     """What is wrong with the log, as a table."""
     block = next(read_log(log, scene, odometry=False, limits=False))
-    findings = diagnose(block, scene, radio_from(args.radio), mode)
+    with progress("trying likely mistakes"):
+        findings = diagnose(block, scene, radio_from(args.radio), mode)
     if args.json:
         write_json(args.json, provenance("localize", args) | diagnosis_figures(findings))
     show(diagnosis_markdown(findings))
@@ -250,19 +289,11 @@ def main(args: Args) -> None:
     scene = scene_from(given.scene)
     if args.diagnose:
         return _diagnose(args, given.log, scene, _modes(args)[-1])
-    modes = _modes(args) if args.imm is None else _imm(args, args.imm)
-    blocks = read_log(given.log, scene, EPOCHS_PER_BLOCK, args.odometry)
-    first = next(blocks)
-    if args.follow == "odometry" and not first.layout.odometry:
-        raise ValueError(
-            f"follow: found odometry, but no speed in {given.log}, expected prediction"
-        )
-    truth = Truth(given.truth) if given.truth else None
-    chosen = plan(args, modes)
+    work = _work(args, given, scene, EPOCHS_PER_BLOCK)
     for path in filter(None, _outputs(args).values()):
         require_writable(path)
-    figures, picture, error = _run(args, chosen, scene, chain([first], blocks), truth)
-    doubts = contradictions(first, scene, radio_from(args.radio), figures["groups"])
+    figures, sampler, error = _run(args, work)
+    doubts = contradictions(work.first, scene, radio_from(args.radio), figures["groups"])
     for doubt in doubts:
         warnings.warn(f"{doubt}; --diagnose tries likely mistakes", stacklevel=2)
     kind, written = "smoothed" if args.smoothing else "filtered", {}
@@ -270,14 +301,15 @@ def main(args: Args) -> None:
         written[f"{kind} track"] = str(args.out)
         written["its standard deviations and modes"] = str(table_beside(args.out))
     if args.plot:
-        picture.save(args.plot, f"{'/'.join(given.log.parts[-2:])}, {kind} track")
+        title = f"{'/'.join(given.log.parts[-2:])}, {kind} track"
+        draw_trajectory(sampler.track, args.plot, title)
         written["picture"] = str(args.plot)
     origin = {
         "log": str(given.log),
         "scene": scene.name,
         "radio": args.radio,
         "imm": args.imm,
-        "rule": chosen.why,
+        "rule": work.plan.why,
     }
     figures = {
         **origin,

@@ -8,6 +8,8 @@ import numpy as np
 from experiments.arguments.samples import Args
 from experiments.cli.main import run
 from experiments.evaluation.markdown import grid, show
+from experiments.evaluation.terminal import say
+from experiments.evaluation.text import escaped
 from mmwave_env.episodes.log_folder import read_log_folder
 from mmwave_env.episodes.samples import recording_from, sample_folder, sample_names
 from mmwave_env.files import require_writable, write_bytes
@@ -31,9 +33,9 @@ def listed() -> str:
     folders = {kind: sample_folder(sample_names()[0], kind).parent for kind in ("log", "recording")}
     return (
         f"{grid(['sample', 'kind', 'epochs', 'step s', 'length s'], rows)}\n\n"
-        f"- logs, for `localize --sample NAME`, are in {folders['log']}\n"
+        f"- logs, for `localize --sample NAME`, are in {escaped(str(folders['log']))}\n"
         "- recordings, for `--data NAME` and `episodes=NAME`, are in "
-        f"{folders['recording']}"
+        f"{escaped(str(folders['recording']))}"
     )
 
 
@@ -57,7 +59,7 @@ def main(args: Args) -> None:
     if args.copy is None or args.out is None:
         show(listed())
     else:
-        print(copied(args.copy, args.kind, args.out))
+        say(copied(args.copy, args.kind, args.out))
 
 
 if __name__ == "__main__":

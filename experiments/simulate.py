@@ -7,6 +7,7 @@ from experiments.arguments.simulate import Args
 from experiments.cli.main import run
 from experiments.cli.options import command_line, source_of
 from experiments.evaluation.seeds import draw_episodes
+from experiments.evaluation.terminal import progress, say
 from mmwave_env.episodes.log_folder import LOG, SCENE, TRUTH, write_log_folder
 from mmwave_env.episodes.measured import MeasuredSource
 from mmwave_env.episodes.recorded import RecordedSource
@@ -37,7 +38,8 @@ def main(args: Args) -> None:
     assert isinstance(
         source, SimulatedSource | RecordedSource | MeasuredSource
     )  # what options name
-    (episode,) = draw_episodes(source, [args.seed])
+    with progress("simulating"):
+        (episode,) = draw_episodes(source, [args.seed])
     origin = command_line("simulate", replace(args, out=Path("."), overwrite=False))
     scene = source.scene
     if isinstance(scene, RandomScene):  # the file is to bring the anchors of this very episode
@@ -45,11 +47,11 @@ def main(args: Args) -> None:
             scene.name, episode.scene_anchors_m, scene.carrier_hz, scene.bandwidth_hz
         )
     names = write_log_folder(args.out, episode, scene, origin)
-    print(f"written to {args.out}/: {', '.join(names)}")
+    say(f"written to {args.out}/: {', '.join(names)}")
     if isinstance(source, SimulatedSource) and source.trajectory:
         assert episode.truth_position_m is not None  # who is simulated has one
         begin, end = source.trajectory.seconds_of(episode.truth_position_m, source.dt)
-        print(f"seconds {begin:g} to {end:g} of {source.trajectory.name}")
+        say(f"seconds {begin:g} to {end:g} of {source.trajectory.name}")
 
 
 if __name__ == "__main__":

@@ -4,14 +4,13 @@ import csv
 import io
 from collections.abc import Iterator
 
-from rich.progress import track
-
 from experiments.arguments.tables import Args
 from experiments.cli.doc_pages import page_to_renew, renewed
 from experiments.cli.main import run
 from experiments.cli.options import provenance
-from experiments.cli.pictures import require_picture
 from experiments.evaluation.markdown import show
+from experiments.evaluation.terminal import say, tracked
+from experiments.figures.canvas import require_picture
 from experiments.paper.accuracy import error_budget, headline
 from experiments.paper.bench import Bench, Section
 from experiments.paper.claims import CLAIMS
@@ -43,7 +42,7 @@ def main(args: Args) -> None:
     page = page_to_renew(args.docs) if args.docs else ""
     bench = Bench(args.episodes, args.seed)
     found = {}
-    for section in track(sections(bench), total=SECTIONS, description="tables", transient=True):
+    for section in tracked(sections(bench), "tables", SECTIONS):
         found[section.title] = section
     text = "\n".join(section.markdown() for section in found.values())
     records = [record for section in found.values() for record in section.records()]
@@ -62,7 +61,7 @@ def main(args: Args) -> None:
         bodies = {title: section.body() for title, section in found.items()}
         write_text(args.docs, renewed(page, bodies))
     show(text)
-    print(f"written to {args.out}/")
+    say(f"written to {args.out}/")
 
 
 if __name__ == "__main__":

@@ -8,14 +8,14 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from rich.console import Console
-from rich.progress import Progress, TimeElapsedColumn
+from rich.progress import TimeElapsedColumn
 
 from experiments.arguments.train import Args
 from experiments.cli.main import run
 from experiments.cli.options import command_line
 from experiments.evaluation.intervals import Interval
-from experiments.evaluation.markdown import grid
+from experiments.evaluation.markdown import grid, show
+from experiments.evaluation.terminal import bars, say
 from experiments.training.hyperparameters import (
     AnyHyperparameters,
     BranchHyperparameters,
@@ -147,17 +147,13 @@ def _require_same(path: Path, manifest: dict[str, Any]) -> None:
 @contextmanager
 def shown(jobs: list[Any]) -> Iterator[Any]:
     """A bar for each training, on a terminal; the function takes the news of one."""
-    console = Console(stderr=True)
-    with Progress(
-        *Progress.get_default_columns(), TimeElapsedColumn(), console=console, transient=True,
-        disable=not console.is_terminal,
-    ) as bar:  # fmt: skip
+    with bars(TimeElapsedColumn()) as bar:
         tasks = {job.seed: bar.add_task(f"seed {job.seed}", total=job.timesteps) for job in jobs}
 
         def tell(job: Any, timesteps: int, what: str) -> None:
             bar.update(tasks[job.seed], completed=timesteps)
             if what:
-                console.print(f"seed {job.seed}, {timesteps} steps: {what}", soft_wrap=True)
+                bar.console.print(f"seed {job.seed}, {timesteps} steps: {what}", soft_wrap=True)
 
         yield tell
 
@@ -218,14 +214,15 @@ def main(args: Args) -> None:
     policy = jobs[median["seed"]].policy
     write_bytes(args.out / "policy.safetensors", policy.read_bytes())
     write_json(args.out / "summary.json", manifest | {"seeds": outcomes, "median": median["seed"]})
-    print(summary(outcomes))
+    show(summary(outcomes))
     if args.smoke:
-        print(
-            f"\nA smoke run, judged on {SMOKE_EPISODES} episodes: training works. How well is said "
-            "by a run without --smoke; evaluate and compare refuse the policy of this one."
+        say(
+            "",
+            f"A smoke run, judged on {SMOKE_EPISODES} episodes: training works. How well is said "
+            "by a run without --smoke; evaluate and compare refuse the policy of this one.",
         )
     else:
-        print(f"\nthe median seed, {median['seed']}, is {args.out / 'policy.safetensors'}")
+        say("", f"the median seed, {median['seed']}, is {args.out / 'policy.safetensors'}")
 
 
 if __name__ == "__main__":

@@ -14,6 +14,7 @@ from experiments.evaluation.intervals import Interval, bootstrap
 from experiments.evaluation.markdown import grid, show
 from experiments.evaluation.runner import score
 from experiments.evaluation.runs import Run
+from experiments.evaluation.terminal import tracked
 from mmwave_env.episodes.samples import sample_names
 from mmwave_env.files import write_json
 from mmwave_env.models.radio import RADIOS, radio_from
@@ -69,7 +70,11 @@ def _policy(name: str, radio: str) -> Contender:
 def tried(args: Args) -> tuple[str, dict[str, Any]]:
     """The policies in every place, as Markdown and as JSON."""
     policies = [_policy(name, radio_from(args.radio).name) for name in args.policies]
-    found = {name: compared(place, policies) for name, place in places(args).items()}
+    there = places(args)
+    found = {
+        name: compared(place, policies)
+        for name, place in tracked(there.items(), "transfer", len(there))
+    }
     columns = next(iter(found.values()))
     rows = [[place, *map(str, row.values())] for place, row in found.items()]
     figures = {

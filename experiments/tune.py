@@ -4,7 +4,6 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 
 import numpy as np
-from rich.progress import track
 from scipy.optimize import minimize
 from scipy.special import chdtri
 
@@ -13,8 +12,10 @@ from experiments.arguments.tune import Args
 from experiments.cli.main import run
 from experiments.cli.options import provenance, source_of
 from experiments.evaluation.intervals import bootstrap
-from experiments.evaluation.markdown import grid
+from experiments.evaluation.markdown import grid, show
 from experiments.evaluation.seeds import draw_episodes, require_tuning_seed
+from experiments.evaluation.terminal import say, tracked
+from experiments.evaluation.text import escaped
 from mmwave_env.engines.track_engine import Tracker
 from mmwave_env.episodes.episode import Episode
 from mmwave_env.files import require_writable, write_json
@@ -97,7 +98,7 @@ def tune(mode: Mode, free: Sequence[str], objective: Objective) -> tuple[Mode, l
         return replace(mode, **{k: float(v) for k, v in zip(free, values, strict=False)})  # type: ignore[arg-type]
 
     surface = np.array([
-        objective(at(point)).mean() for point in track(points, mode.name, transient=True)
+        objective(at(point)).mean() for point in tracked(points, mode.name)
     ])  # fmt: skip
     start = [getattr(at(points[np.nanargmax(surface)]), name) for name in free]
     bounds = np.log([RANGES[name] for name in free])
@@ -153,10 +154,10 @@ def main(args: Args) -> None:
         tuned.append(best)
         value = bootstrap(objective(best)[:, None])[0]
         what = OBJECTIVES[args.objective][2]
-        print(f"### {mode.name} on {source.name}, {profile}: {what}\n")
-        print(surface_table(args.free, axes, surface))
+        show(f"### {escaped(mode.name)} on {escaped(source.name)}, {profile}: {what}\n")
+        show(surface_table(args.free, axes, surface))
         found = ", ".join(f"{name} {getattr(best, name):g}" for name in args.free)
-        print(f"\nbest: {found}: {value}\n")
+        say("", f"best: {found}: {value}", "")
         figures.append({
             "mode": mode.name, "scenario": scenario, "objective": what, **value.json,
             "axes": {name: axis.tolist() for name, axis in zip(args.free, axes, strict=False)},

@@ -8,7 +8,6 @@ from time import process_time
 from typing import Any, NamedTuple
 
 import numpy as np
-from rich.console import Console
 from scipy.optimize import minimize
 from scipy.special import logit
 
@@ -20,6 +19,7 @@ from experiments.cli.options import command_line, source_of
 from experiments.evaluation.intervals import Interval, bootstrap
 from experiments.evaluation.markdown import grid, show
 from experiments.evaluation.seeds import draw_episodes, require_tuning_seed
+from experiments.evaluation.terminal import progress, say
 from experiments.tune import CAP
 from experiments.tuning.designs import DESIGNS
 from experiments.tuning.scores import Scores, drawn, scores
@@ -113,7 +113,7 @@ def tuned(args: Args, radio: str, name: str) -> dict[str, Any]:
         for seeds in (range(args.seed, first), range(first, first + args.held_out))
     )
     started, q = modes_from(bank.modes, radio), quantile(bank.limited)
-    with Console(stderr=True).status(f"{name}, {radio}"):
+    with progress(f"{name}, {radio}"):
         modes, transition = tune(started, bank.limited, tuning, args.evaluations)
     found: dict[str, Interval] = {}
     for prefix, episodes in (("", tuning), ("held_out_", held_out)):
@@ -121,8 +121,8 @@ def tuned(args: Args, radio: str, name: str) -> dict[str, Any]:
         gain = reward - rewards(started, None, 1.0, episodes)
         pair = bootstrap(np.stack([reward, gain], axis=1))
         found[f"{prefix}reward"], found[f"{prefix}gain"] = pair
-    print(f"{radio} {name}: reward {found['reward']}, gain {found['gain']}; held out "
-          f"{found['held_out_reward']}, gain {found['held_out_gain']}", flush=True)  # fmt: skip
+    say(f"{radio} {name}: reward {found['reward']}, gain {found['gain']}; held out "
+          f"{found['held_out_reward']}, gain {found['held_out_gain']}")  # fmt: skip
     return {
         "command": command_line(
             "tune-imm", replace(args, radios=(radio,), imms=(name,), json=None)
@@ -172,7 +172,7 @@ def tuned_bank(
         return float(scores(bank, tuning[generation % len(tuning)]).reward.mean())
 
     began = process_time()
-    with Console(stderr=True).status(name):
+    with progress(name):
         bank = best_bank_of(space, value, evaluations)
     return TunedBank(bank, len(space.start), process_time() - began, scores(bank, held_out))
 
@@ -212,7 +212,7 @@ def banks_of(args: Args, radio: str) -> tuple[dict[str, TunedBank], dict[str, di
         banks[name] = tuned_bank(name, tuning, held_out, args.evaluations)
         figures[name] = figures_of(banks[name], rival, banks[args.banks[0]])
         figure = f"reward minus {RIVAL} {figures[name][f'minus {RIVAL}']}"
-        print(f"{radio} {name}: {banks[name].seconds:.0f} s, {figure}", flush=True)
+        say(f"{radio} {name}: {banks[name].seconds:.0f} s, {figure}")
     return banks, figures
 
 

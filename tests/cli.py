@@ -17,7 +17,7 @@ def command(*words, cwd=ROOT, columns=200):
     """``mmwave-loc <words>`` in this process, as :func:`process` would run it.
 
     User warnings are shown as the program shows them. Any other warning is an error here, as in
-    all tests, and an exception that the program does not expect comes through.
+    all tests, and an exception that the program does not expect ends it with code 1.
     """
     out, err, there = StringIO(), StringIO(), os.getcwd()
     typed = ["mmwave-loc", *map(str, words)]

@@ -1,5 +1,6 @@
 """Whatever README and docs show is there and runs: links, blocks, command lines, names."""
 
+import json
 import re
 import shlex
 from contextlib import nullcontext
@@ -13,8 +14,20 @@ from tests.cli import succeed
 from tests.paths import ROOT, numbers
 
 DOCS = ROOT / "docs"
-PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted(DOCS.glob("*.md"))]
-TEXT = {page.name: page.read_text(encoding="utf-8") for page in PAGES}
+NOTEBOOKS = sorted(DOCS.glob("notebooks/*.ipynb"))
+PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted(DOCS.glob("*.md")), *NOTEBOOKS]
+
+
+def text_of(page: Path) -> str:
+    """A page; of a notebook the words, as Jupyter and tests/test_notebook.py run the code."""
+    text = page.read_text(encoding="utf-8")
+    if page not in NOTEBOOKS:
+        return text
+    cells = json.loads(text)["cells"]
+    return "\n\n".join("".join(c["source"]) for c in cells if c["cell_type"] == "markdown")
+
+
+TEXT = {page.name: text_of(page) for page in PAGES}
 BLOCK = re.compile(r"^```(\w*)\n(.*?)^```", re.DOTALL | re.MULTILINE)
 
 
@@ -28,6 +41,8 @@ def prose(page: str) -> str:
 
 def anchors(page: Path) -> set[str]:
     """What links into a page may name, as GitHub makes it of the headings."""
+    if page.suffix == ".html":
+        return set(re.findall(r' id="tab-([^"]+)"', page.read_text("utf-8")))  # of a report
     headings = re.findall(r"^#+ (.*)$", BLOCK.sub("", page.read_text("utf-8")), re.MULTILINE)
     return {re.sub(r"[^\w\- ]", "", h.lower()).replace(" ", "-") for h in headings}
 
@@ -48,7 +63,7 @@ def test_every_page_is_reached_from_the_readme():
         page = todo.pop()
         if page not in reached:
             reached.add(page)
-            links = re.findall(r"\]\(([^)#\s]+\.md)", page.read_text("utf-8"))
+            links = re.findall(r"\]\(([^)#\s]+\.(?:md|ipynb))", page.read_text("utf-8"))
             todo += [(page.parent / link).resolve() for link in links if "://" not in link]
     assert set(PAGES) <= reached
 

@@ -23,12 +23,13 @@ EXTRAS = PROJECT.split("[project.optional-dependencies]\n")[1].split("\n[")[0]
         ("matplotlib", ["benchmark", "--plot"]),
         ("matplotlib", ["tables", "--out"]),
         ("filterpy", ["benchmark", "--plot"]),
+        ("shtab", ["completion", "--shell", "bash", "--out"]),
     ],
     ids=lambda value: value if isinstance(value, str) else " ".join(map(str, value[::-3])),
 )
 def test_a_command_names_the_extra_and_writes_nothing(package, words, tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, package, None)  # as if it were not installed
-    extra = "plot" if package == "matplotlib" else "filterpy"
+    extra = {"matplotlib": "plot", "shtab": "completion"}.get(package, package)
     assert_one_clear_line(
         command(*words, tmp_path / "new.png"),
         rf"needs {package}: pip install 'mmwave-loc\[{extra}\]'",

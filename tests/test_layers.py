@@ -31,17 +31,20 @@ SEES = {
     **dict.fromkeys(["env", "vector_env"], frozenset(ENVIRONMENT)),
     "localization": ENVIRONMENT | {"logs"},
     "sb3": {"vector_env"},
-    **dict.fromkeys([*EVERYBODY, "info", "rendering"], frozenset({"numerics"})),
+    **dict.fromkeys([*EVERYBODY, "info"], frozenset({"numerics"})),
+    "rendering": {"numerics", "models"},  # streets, and numbers: no filter and no episode
     "experiments": LIBRARY,
 }
 # of the commands:
-LIBRARIES = {"evaluation", "arguments", "cli", "training", "tuning", "paper", "speed"}
+LIBRARIES = {
+    "evaluation", "figures", "arguments", "cli", "training", "tuning", "paper", "speed", "webpage",
+}  # fmt: skip
 SEES_INSIDE = {  # experiments; "" are the commands, one a page
     "evaluation": set(),
-    **dict.fromkeys(
-        ["arguments", "training", "tuning", "paper", "speed"], frozenset({"evaluation"})
-    ),
-    "cli": {"evaluation", "arguments"},
+    **dict.fromkeys(["arguments", "figures", "training", "tuning"], frozenset({"evaluation"})),
+    **dict.fromkeys(["paper", "speed"], frozenset({"evaluation", "figures"})),
+    "cli": {"evaluation", "figures", "arguments"},
+    "webpage": {"evaluation", "figures", "arguments", "cli"},
     "": LIBRARIES,
     **dict.fromkeys(["learning", "reliability"], frozenset({*LIBRARIES, ""})),  # studies
 }

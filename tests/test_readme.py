@@ -21,6 +21,11 @@ def test_it_is_read_in_a_minute():
     assert len([line for line in EXAMPLE.splitlines() if line]) <= 16
 
 
+def test_the_moving_picture_loads_quickly():
+    (picture,) = re.findall(r"\]\((docs/\w+\.gif)\)", README)
+    assert (ROOT / picture).stat().st_size < 1.5e6
+
+
 # --- the training example
 
 

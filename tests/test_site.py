@@ -1,6 +1,7 @@
 """What makes the documentation site, and the description on package indexes, of the sources."""
 
 import importlib.util
+import json
 import re
 
 import pytest
@@ -39,6 +40,13 @@ def test_the_navigation_has_every_page_and_no_other(hooks):
         ("../mmwave_env/reward.py", "data.md", "docs/data.md", "api/signals.md#mmwave_env.reward"),
         ("../data.md", "api/index.md", "docs/api/index.md", "../data.md"),
         ("docs/switching.png", "index.md", "README.md", "switching.png"),
+        (
+            "notebooks/first_switcher.ipynb",
+            "data.md",
+            "docs/data.md",
+            "notebooks/first_switcher.md",
+        ),
+        ("../data.md", "notebooks/a.md", "docs/notebooks/a.md", "../data.md"),
         ("LICENSE", "index.md", "README.md", "REPOSITORY/blob/main/LICENSE"),
         ("../tests/filters", "data.md", "docs/data.md", "REPOSITORY/tree/main/tests/filters"),
         ("nowhere.md", "data.md", "docs/data.md", "nowhere.md"),
@@ -56,6 +64,16 @@ def test_the_environment_s_page_is_its_docstring_with_the_tables_filled_in(hooks
     page = hooks.environment_page()
     assert page.startswith("# MmWaveLoc-v0\n\nAn agent chooses")
     assert "| predicted speed |" in page and "{table}" not in page and "{modes}" not in page
+
+
+def test_a_notebook_is_a_page_of_its_cells_with_a_link_to_the_file(hooks):
+    ((uri, name),) = hooks.NOTEBOOKS.items()
+    page, cells = hooks.made()[uri](), json.loads((ROOT / name).read_text("utf-8"))["cells"]
+    places = [page.index("".join(cell["source"])) for cell in cells]
+    assert places == sorted(places) and page.startswith("# ")
+    code = ["".join(cell["source"]) for cell in cells if cell["cell_type"] == "code"]
+    assert re.findall(r"^```python\n(.*?)\n```$", page, re.DOTALL | re.MULTILINE) == code
+    assert "\n[file]: first_switcher.ipynb\n" in hooks.relinked(page, uri, ROOT / "docs" / uri)
 
 
 def test_every_command_shows_its_help(hooks):
@@ -88,6 +106,21 @@ def test_roles_of_docstrings_become_links_and_figures_stay_on_one_line(hooks):
     assert hooks.on_page_content(cells).count('<td class="whole">') == 3
 
 
+def test_a_paragraph_that_is_but_a_link_to_a_report_gets_it_in_a_frame(hooks):
+    html = '<p><a href="../report.html#episodes">Play it</a></p>'
+    shown = hooks.on_page_content(html)
+    assert shown.startswith(html)
+    frame = '<iframe class="page" src="../report.html#episodes" title="Play it" loading="lazy">'
+    assert frame in shown
+    for other in ('<p>See <a href="report.html">it</a>.</p>', '<p><a href="data/">it</a></p>'):
+        assert "<iframe" not in hooks.on_page_content(other)
+
+
+def test_no_page_asks_a_code_host_for_stars(hooks):
+    told = '<a href="https://github.com/a/b" class="md-source" data-md-component="source">'
+    assert hooks.on_post_page(told) == '<a href="https://github.com/a/b" class="md-source">'
+
+
 def test_the_description_on_an_index_links_into_the_repository_at_its_tag():
     texts = [
         (ROOT / name).read_text("utf-8")
@@ -99,4 +132,4 @@ def test_the_description_on_an_index_links_into_the_repository_at_its_tag():
     assert links and all(link.startswith(("https://", "#")) for link in links)
     for kind, path in re.findall(rf"\({re.escape(repository)}/(\w+)/v0\.1\.0/([^)#]+)", text):
         assert (ROOT / path).is_file()
-        assert (kind == "raw") == path.endswith(".png")
+        assert (kind == "raw") == path.endswith((".png", ".gif"))

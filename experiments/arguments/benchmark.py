@@ -22,7 +22,7 @@ class Args(JsonArgs):
     training: bool = False
     """measure how fast PPO trains instead, beside Stable-Baselines3's own loop"""
     plot: Path | None = None
-    """draw rates and limits (PNG)"""
+    """draw rates and limits to this .png, .svg or .pdf file"""
     docs: Path | None = None
     """also renew the tables of this page, between its `<!-- table: ... -->` lines, and the
     figure beside it"""

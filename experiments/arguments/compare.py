@@ -24,7 +24,12 @@ class Args(EpisodeArgs):
     bound: bool = False
     """also show each policy's RMSE over the posterior Cramer-Rao bound"""
     figure: Path | None = None
-    """draw the performance profiles of runs, over training seeds and episodes, to this .png file"""
+    """draw the performance profiles of runs, over training seeds and episodes, to this .png, .svg
+    or .pdf file"""
+    errors: Path | None = None
+    """draw how often horizontal and vertical errors stay below so much to this file, too"""
+    consistency: Path | None = None
+    """draw NEES beside its chi-square bounds to this file, too"""
     decisions: Path | None = None
-    """draw what policies choose around stops and pull-aways, and all errors there, to this .png
-    file"""
+    """draw what policies choose around stops and pull-aways, and the differences of errors there,
+    to this .png, .svg or .pdf file"""

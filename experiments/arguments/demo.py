@@ -20,4 +20,4 @@ class Args(JsonArgs):
     draws: int = 200
     """draws of receiver noise on each ray-traced scenario"""
     out: Path = Path("results")
-    """folder for tables.md and one JSON file a comparison"""
+    """folder for tables.md, one JSON file a comparison, and report.html, a web page of them"""

@@ -14,7 +14,7 @@ class OutputArgs:
     out: Path | None = None
     """write the track in TUM format, and a .csv with standard deviations and modes beside it"""
     plot: Path | None = None
-    """write a picture of the track, .png"""
+    """draw the track to this .png, .svg or .pdf file"""
     json: Path | None = None
     """write every figure to this file"""
     diagnose: bool = False

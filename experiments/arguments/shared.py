@@ -47,17 +47,9 @@ class WorldArgs:
 
 
 @dataclass(kw_only=True)
-class EpisodeArgs(WorldArgs, EpisodeResultArgs):
-    """Episodes and modes."""
+class ModeArgs(WorldArgs):
+    """Modes and agents."""
 
-    episodes: int | None = None
-    """how many (1000 where none is given); 1000 or more to publish"""
-    seed: int | None = None
-    """seed of the first episode (0 where none is given); test seeds start at 0, tuning seeds at
-    5000000"""
-    keys: tuple[int, ...] | None = None
-    """keys of simulated episodes to play in place of those of seeds, as --episodes-csv and the
-    environment's infos tell them"""
     modes: tuple[str, ...] = ()
     """modes to work with in place of the profile's ekf and ukf: names (ekf, ukf, ckf, ekf-robust,
     ukf-robust, or extended for a bank of eight) and mode files; policies are then fixed-NAME,
@@ -73,5 +65,19 @@ class EpisodeArgs(WorldArgs, EpisodeResultArgs):
     makes policy files of them, which hold none"""
     planar: bool = False
     """flat terrain: height and vertical velocity are known"""
+
+
+@dataclass(kw_only=True)
+class EpisodeArgs(ModeArgs, EpisodeResultArgs):
+    """Episodes."""
+
+    episodes: int | None = None
+    """how many (1000 where none is given); 1000 or more to publish"""
+    seed: int | None = None
+    """seed of the first episode (0 where none is given); test seeds start at 0, tuning seeds at
+    5000000"""
+    keys: tuple[int, ...] | None = None
+    """keys of simulated episodes to play in place of those of seeds, as --episodes-csv and the
+    environment's infos tell them"""
     reward: str = "tracking"
     """tracking or log-score"""

@@ -7,12 +7,17 @@ Options are read first, and little is imported until they are: help and mistakes
 import importlib
 import importlib.util
 import os
+import shutil
 import signal
 import sys
+import traceback
 import warnings
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext, redirect_stdout
+from io import TextIOWrapper
 from typing import Any, NoReturn
+
+from experiments.evaluation.text import entries, printable
 
 COMMANDS = {
     "localize": "the track of a measurement log, by the paper's pipelines (Algorithm 1)",
@@ -26,9 +31,12 @@ COMMANDS = {
     "tune": "process noise of modes, by likelihood or error, on tuning seeds",
     "tune-imm": "the best transition and process noise of IMMs, on tuning seeds",
     "benchmark": "steps per second beside filterpy's and the core's limit, memory, first step",
+    "watch": "an episode as policies go through it, side by side, in a window or as a video",
     "simulate": "one episode as files: measurement log, scene and truth",
     "samples": "the logs and recordings that come with the package: listed, or copied",
     "list": "policies, scenarios, radios, scenes, modes, samples and rewards by name",
+    "completion": "completes commands and options in your shell: writes what it needs",
+    "report": "one self-contained web page of results: compare, train, localize, transfer",
     "demo": "the tables of docs/results.md, on simulated and ray-traced streets",
 }
 STUDIES = {  # of a checkout: the installed package goes without them
@@ -66,7 +74,7 @@ def _is_there(module: str) -> bool:
 
 
 def _show_warning(message: Warning | str, *_: Any, **__: Any) -> None:
-    print(f"warning: {message}", file=sys.stderr)
+    print(f"warning: {printable(str(message))}", file=sys.stderr)
 
 
 def _leave(code: int) -> NoReturn:
@@ -107,27 +115,61 @@ def read_arguments(module: str, words: Sequence[str], program: str) -> Any:
     return parse(importlib.import_module(f"{folder}.arguments.{name}").Args, words, program)
 
 
+@contextmanager
+def _quiet() -> Iterator[None]:
+    """Neither bars nor anything printed, but for warnings and errors."""
+    from experiments.evaluation.terminal import QUIET
+
+    token = QUIET.set(True)
+    try:
+        with open(os.devnull, "w", encoding="utf-8") as nowhere, redirect_stdout(nowhere):
+            yield
+    finally:
+        QUIET.reset(token)
+
+
+def _complain(program: str, error: BaseException, debug: bool) -> None:
+    """Say in one line what went wrong; and where, if that is asked for."""
+    if debug:
+        traceback.print_exception(error)
+    if isinstance(error, (ValueError, OSError)):
+        line = str(error)
+    else:
+        where = "" if debug else "; --debug shows where, please report it"
+        line = f"failed with {type(error).__name__}: {error}{where}"
+    print(f"{program}: {printable(line)}", file=sys.stderr)
+
+
 def run(name: str, words: Sequence[str] | None = None) -> None:
-    """Run one command; bad input ends with one line and exit code 2.
+    """Run one command; bad input ends with one line and exit code 2, a fault of ours with 1.
 
     Args:
         name: of the command.
         words: its options; None for those the program was started with.
     """
     program, (module, _) = f"mmwave-loc {name}", commands()[name]
+    words = sys.argv[1:] if words is None else words
+    debug = "--debug" in words
     warnings.showwarning = _show_warning
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, TextIOWrapper):  # names may hold letters that the terminal has not
+            stream.reconfigure(errors="backslashreplace")
     try:
         with _stopped_at_once():
-            args = read_arguments(module, sys.argv[1:] if words is None else words, program)
+            args = read_arguments(module, words, program)
             command = importlib.import_module(module)
         _require_results_can_be_written(args)
-        command.main(args)
+        with _quiet() if "--quiet" in words else nullcontext():
+            command.main(args)
         print(end="", flush=True)
     except BrokenPipeError:  # the reader has seen enough
         _leave(141)  # as a shell reports a program that SIGPIPE ended
     except (ValueError, OSError) as error:
-        print(f"{program}: {error}", file=sys.stderr)
+        _complain(program, error, debug)
         _leave(2)
+    except Exception as error:
+        _complain(program, error, debug)
+        _leave(1)
     except KeyboardInterrupt:
         print(f"{program}: interrupted", file=sys.stderr)
         sys.exit(130)
@@ -147,8 +189,8 @@ def main() -> None:
     words, there = sys.argv[1:], commands()
     if not words or words[0] in ("-h", "--help"):
         print("usage: mmwave-loc <command> [options]; --help after a command lists its options\n")
-        for name, (_, what) in there.items():
-            print(f"  {name:16} {what}")
+        whats = {name: what for name, (_, what) in there.items()}
+        print(*entries(whats, 16, min(79, shutil.get_terminal_size().columns)), sep="\n")
         sys.exit(0 if words else 2)
     if words[0] in there:
         run(words[0], words[1:])
@@ -159,5 +201,5 @@ def main() -> None:
     if words[0] in ("-V", "--version"):
         print(f"mmwave-loc {__version__}")
         return
-    print(unknown("command", words[0], there), file=sys.stderr)
+    print(printable(unknown("command", words[0], there)), file=sys.stderr)
     sys.exit(2)

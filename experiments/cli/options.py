@@ -9,7 +9,7 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
-from experiments.arguments.shared import USUAL_EPISODES, EpisodeArgs, WorldArgs
+from experiments.arguments.shared import USUAL_EPISODES, EpisodeArgs, ModeArgs, WorldArgs
 from experiments.evaluation.contenders import Contender, contender_from, contenders
 from experiments.evaluation.runs import Run
 from experiments.evaluation.seeds import Selection
@@ -20,14 +20,16 @@ from mmwave_env.filters.modes import Mode
 from mmwave_env.models.radio import radio_from
 from mmwave_env.task import Modes, Task, TaskArguments, task_from
 
-OUTPUTS = ("json", "episodes_csv", "figure", "decisions", "plot", "docs", "out")
+OUTPUTS = (
+    "json", "episodes_csv", "figure", "decisions", "errors", "consistency", "plot", "docs", "out",
+)  # fmt: skip
 
 
 def command_line(name: str, args: Any) -> str:
     """The command that a dataclass of arguments stands for, defaults left out."""
     nameless = [field.name for field in fields(args) if field.metadata.get("positional")]
     given = [value for field in nameless if (value := getattr(args, field)) is not None]
-    words = ["mmwave-loc", name, *map(str, given)]
+    words = ["mmwave-loc", name, *(word for value in given for word in _words(value))]
     for field in fields(args):
         value, option = getattr(args, field.name), field.name.replace("_", "-")
         if field.name in nameless or value == field.default:
@@ -35,8 +37,12 @@ def command_line(name: str, args: Any) -> str:
         if isinstance(value, bool):
             words.append(f"--{option}" if value else f"--no-{option}")
         else:
-            words += [f"--{option}", *map(str, value if isinstance(value, tuple) else (value,))]
+            words += [f"--{option}", *_words(value)]
     return shlex.join(words)
+
+
+def _words(value: Any) -> list[str]:
+    return [*map(str, value if isinstance(value, tuple) else (value,))]
 
 
 def provenance(name: str, args: Any) -> dict[str, Any]:
@@ -51,12 +57,12 @@ def provenance(name: str, args: Any) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def all_contenders(args: EpisodeArgs) -> tuple[str, ...]:
+def all_contenders(args: ModeArgs) -> tuple[str, ...]:
     """Names of all there are for the modes asked for."""
     return tuple(contenders(_profile(args), args.modes or None))
 
 
-def contender_of(args: EpisodeArgs, name: str) -> Contender:
+def contender_of(args: ModeArgs, name: str) -> Contender:
     """One of them, or an agent by name or file; a warning where it has modes of its own."""
     radio, modes = _profile(args), args.modes or None
     found = contender_from(name, radio, modes, args.observation, args.trust_zip, args.beliefs)
@@ -71,7 +77,7 @@ def runs_of(args: EpisodeArgs, names: Sequence[str]) -> dict[str, Run]:
     return {n: Run.read(n) for n in names if n not in known and Path(n).is_dir()}
 
 
-def task_of(args: EpisodeArgs) -> Task:
+def task_of(args: ModeArgs) -> Task:
     """The task of an environment with the options of the same names."""
     return _task(args, args.modes or None, args.beliefs)
 
@@ -93,5 +99,5 @@ def _task(args: WorldArgs, modes: Modes, beliefs: str = "shared") -> Task:
     return task_from(**given, episodes=args.data, modes=modes, beliefs=beliefs)
 
 
-def _profile(args: EpisodeArgs) -> str:
+def _profile(args: ModeArgs) -> str:
     return radio_from(args.radio).name

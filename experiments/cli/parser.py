@@ -16,10 +16,15 @@ from dataclasses import MISSING, Field, fields
 from pathlib import Path
 from typing import Any, Literal, NoReturn, TypeVar, Union, get_args, get_origin, get_type_hints
 
+from experiments.evaluation.text import printable
 from mmwave_env.lookup import did_you_mean, unknown
 
 T = TypeVar("T")
 
+EVERYWHERE = {  # options of every command, which the program itself understands
+    "--quiet": "show neither tables nor progress, only warnings and errors",
+    "--debug": "where something fails, show where in the program",
+}
 METAVARS = {int: "INT", float: "FLOAT", str: "TEXT", Path: "PATH"}
 NUMBERS = {int: "a whole number", float: "a number"}
 
@@ -38,9 +43,9 @@ def parse(arguments: type[T], words: Sequence[str], program: str) -> T:
     """
     parser = parser_of(arguments, program)
     found, rest = parser.parse_known_args(words)
-    values = vars(found)
+    values = {name: value for name, value in vars(found).items() if _option(name) not in EVERYWHERE}
     if rest:
-        parser.error(_not_understood(rest[0], [*map(_option, values), "--help"]))
+        parser.error(_not_understood(rest[0], [*map(_option, values), *EVERYWHERE, "--help"]))
     lists = {name: tuple(value) for name, value in values.items() if isinstance(value, list)}
     return arguments(**values | lists)
 
@@ -56,7 +61,7 @@ class _Parser(argparse.ArgumentParser):
     """Complains in one line, as commands do."""
 
     def error(self, message: str) -> NoReturn:
-        self.exit(2, f"{self.prog}: {re.sub('^argument (--)?', '', message)}\n")
+        self.exit(2, f"{self.prog}: {printable(re.sub('^argument (--)?', '', message))}\n")
 
 
 class _Help(argparse.HelpFormatter):
@@ -87,12 +92,15 @@ def parser_of(arguments: type[Any], program: str) -> argparse.ArgumentParser:
         allow_abbrev=False,
     )
     groups: dict[str, Any] = {}
+    everywhere = parser.add_argument_group("terminal")
     for declares in arguments.__mro__[:-1]:
         title = (inspect.getdoc(declares) or "").rstrip(".").lower()
         if declares is not arguments and title not in groups:
             groups[title] = parser.add_argument_group(title)
         for name, text in _texts(declares).items():
             _add(groups.get(title, parser), known[name], kinds[name], text)
+    for option, text in EVERYWHERE.items():
+        everywhere.add_argument(option, action="store_true", default=argparse.SUPPRESS, help=text)
     parser.set_defaults(**{f.name: f.default for f in known.values() if f.default is not MISSING})
     return parser
 
@@ -100,7 +108,8 @@ def parser_of(arguments: type[Any], program: str) -> argparse.ArgumentParser:
 def _usage(field: Field[Any], kind: Any) -> str:
     """What can't be left out, as the line of usage shows it."""
     words = [] if field.metadata.get("positional") else [_option(field.name)]
-    return " ".join([*words, _metavar(field, kind)])
+    several = "..." if get_origin(kind) is tuple else ""
+    return " ".join([*words, _metavar(field, kind) + several])
 
 
 def _texts(declares: type[Any]) -> dict[str, str]:
@@ -127,7 +136,7 @@ def _add(group: Any, field: Field[Any], kind: Any, text: str) -> None:
         (kind,) = (one for one in get_args(kind) if one is not type(None))
     if get_origin(kind) is tuple:
         kind = get_args(kind)[0]
-        options["nargs"] = "*"
+        options["nargs"] = "+" if required else "*"
     if kind is bool:
         options["action"] = argparse.BooleanOptionalAction if field.default else "store_true"
     else:

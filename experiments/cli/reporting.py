@@ -9,14 +9,15 @@ from experiments.cli.options import contender_of, provenance, runs_of, selection
 from experiments.evaluation.bounds import bound_markdown, over_bound
 from experiments.evaluation.comparison import Comparison, compare_scores, episodes_csv
 from experiments.evaluation.decisions import Decisions
+from experiments.evaluation.epochs import EpochErrors
 from experiments.evaluation.markdown import show
 from experiments.evaluation.runner import Scoring, score_contenders
 from experiments.evaluation.runs import Run, trainings
-from experiments.evaluation.training_seeds import (
-    draw_profiles,
-    over_training_seeds,
-    seeds_markdown,
-)
+from experiments.evaluation.terminal import progress
+from experiments.evaluation.training_seeds import over_training_seeds, seeds_markdown
+from experiments.figures.curves import draw_profiles
+from experiments.figures.errors import draw_consistency, draw_error_cdf
+from experiments.figures.events import draw_decisions
 from mmwave_env.files import write_json, write_text
 from mmwave_env.models.radio import profile_of, radio_from
 from mmwave_env.reward import reward_name
@@ -36,6 +37,8 @@ def results(
     bound: bool = False,
     figure: Path | None = None,
     decisions: Path | None = None,
+    errors: Path | None = None,
+    consistency: Path | None = None,
 ) -> tuple[Comparison, str, dict[str, Any]]:
     """Run contenders on the episodes.
 
@@ -45,6 +48,8 @@ def results(
         bound: whether to measure them in posterior Cramer-Rao bounds, too.
         figure: gets the performance profiles of runs.
         decisions: gets a picture of what policies choose around stops and pull-aways.
+        errors: gets the distribution of errors.
+        consistency: gets NEES beside its bounds.
 
     Returns:
         The comparison, all tables as Markdown, and every figure as JSON.
@@ -59,11 +64,12 @@ def results(
     files = {name: runs[name].policy if name in runs else name for name in names}
     chosen = {file: contender_of(args, file) for file in trainings(names, runs)}
     learned = [name for name, file in files.items() if chosen[file].trained]
-    seen = Decisions({file: name for name, file in files.items()}) if decisions else None
+    shown = {file: name for name, file in files.items()}
+    seen, epochs = Decisions(shown), EpochErrors(shown)
+    watched = [seen.add] * bool(decisions) + [epochs.add] * bool(errors or consistency)
     everybody = [chosen[file] for file in trainings(names, runs)]
     found = score_contenders(
-        everybody, source, args.radio, selection, watch=seen.add if seen else None,
-        scoring=scoring,
+        everybody, source, args.radio, selection, watch=watched, scoring=scoring,
     )  # fmt: skip
     scores = {name: found[file] for name, file in files.items()}
     if args.episodes_csv:
@@ -74,7 +80,8 @@ def results(
     )  # fmt: skip
     text, content = str(result), result.json
     if bound:
-        over = over_bound(scores, source, radio_from(args.radio), selection)
+        with progress("bound"):
+            over = over_bound(scores, source, radio_from(args.radio), selection)
         text, content = text + bound_markdown(over), content | {"bound": over.json}
     if runs:
         trained = {run: [found[file] for file in run.policies] for run in runs.values()}
@@ -83,9 +90,13 @@ def results(
         content |= {"training_seeds": {one.run.name: one.json for one in seeds}}
         if figure:
             draw_profiles(seeds, figure)
-    if seen and decisions:
+    if decisions:
         content |= {"decisions": seen.json}
-        seen.draw(decisions)
+        draw_decisions(seen, decisions)
+    if errors:
+        draw_error_cdf(epochs.errors_m, errors)
+    if consistency:
+        draw_consistency(epochs.time_s, epochs.nees, 2 if args.planar else 3, consistency)
     return result, text, content
 
 

@@ -1,11 +1,6 @@
-"""What is asked and shown on a terminal."""
+"""What is asked on a terminal."""
 
 import sys
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
-
-from rich.console import Console
-from rich.progress import Progress
 
 from mmwave_env.logs.lines import number
 
@@ -46,12 +41,3 @@ def ask_speed() -> float:
             return parse_speed(answer)
         except ValueError as error:
             print(error, file=screen)
-
-
-@contextmanager
-def progress(what: str) -> Iterator[Callable[[float], None]]:
-    """A bar that vanishes at the end; the function takes the share done. Nothing elsewhere."""
-    console = Console(stderr=True)
-    with Progress(console=console, transient=True, disable=not console.is_terminal) as bar:
-        task = bar.add_task(what, total=1.0)
-        yield lambda share: bar.update(task, completed=share)

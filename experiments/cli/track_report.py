@@ -3,6 +3,7 @@
 from typing import Any
 
 from experiments.evaluation.markdown import HEADERS, grid
+from experiments.evaluation.text import escaped
 from mmwave_env.filters.modes import DESIGN_LIMIT_MPS
 from mmwave_env.models.prior import GAP_S
 
@@ -32,14 +33,14 @@ def _course(figures: dict[str, Any]) -> list[str]:
         what = f"restarted {_times(f['restarts'])} after" if f["restarts"] else "ended at"
         gaps = "a gap" if f["restarts"] < 2 else "gaps"
         lines.append(f"{what} {gaps} of more than {GAP_S:g} s; {f['dropped']} epochs skipped")
-    shares = ", ".join(f"{name} {_percent(n / epochs)}" for name, n in f["modes"].items())
+    shares = ", ".join(f"{escaped(name)} {_percent(n / epochs)}" for name, n in f["modes"].items())
     switches = f", switched {_times(f['switches'])}" if len(f["modes"]) > 1 else ""
-    lines.append(f"modes {f['rule']}: {shares} of the epochs{switches}")
+    lines.append(f"modes {escaped(f['rule'])}: {shares} of the epochs{switches}")
     fast = speed["epochs_above_design_limit"]
     if not f["imm"] and len(f["modes"]) > 1 and fast:
         lines.append(
             f"warning: {fast} epochs above {DESIGN_LIMIT_MPS:g} m/s, outside the design window of "
-            f"the speed gate; {list(f['modes'])[1]} ran there"
+            f"the speed gate; {escaped(list(f['modes'])[1])} ran there"
         )
     return lines
 
@@ -78,6 +79,6 @@ def track_markdown(figures: dict[str, Any]) -> str:
     if "truth" in figures:
         parts.append(_accuracy(figures["truth"], figures["epochs"]))
     if figures["written"]:
-        files = (f"{path} ({what})" for what, path in figures["written"].items())
+        files = (f"{escaped(path)} ({what})" for what, path in figures["written"].items())
         parts.append(f"Written: {', '.join(files)}\n")
     return "\n".join(parts)

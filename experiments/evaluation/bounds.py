@@ -21,10 +21,16 @@ from experiments.evaluation.intervals import Interval, bootstrap
 from experiments.evaluation.markdown import grid
 from experiments.evaluation.runner import CHUNK, Scores
 from experiments.evaluation.seeds import Selection
+from experiments.evaluation.text import escaped
 from mmwave_env.episodes.episode import Episode, EpisodeSource
 from mmwave_env.metrics import scored
 from mmwave_env.models.radio import Radio
 from mmwave_env.numerics.arrays import Array
+
+COLUMNS = {  # of tables
+    "rmse_m": "RMSE m", "over_averaged": "over averaged bound",
+    "over_conditional": "over conditional bound",
+}  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -110,7 +116,7 @@ def bound_markdown(over: OverBound) -> str:
     """Contenders over the bounds as Markdown, and what the bounds are."""
     b = over.bounds
     motion = "; ".join(
-        f"{kind} {sigma['horizontal']:.3g}, vertical {sigma['vertical']:.3g}"
+        f"{escaped(kind)} {sigma['horizontal']:.3g}, vertical {sigma['vertical']:.3g}"
         for kind, sigma in b.sigma_v.items()
     )
     about = (
@@ -119,6 +125,6 @@ def bound_markdown(over: OverBound) -> str:
         f"have the variance of the true ones (sigma_v {motion}): not strict for real maneuvers, "
         "and without the biases of blockage and multipath. Pooled over episodes, 95 % intervals:"
     )
-    header = ["policy", "RMSE m", "over averaged bound", "over conditional bound"]
+    header = ["policy", *COLUMNS.values()]
     rows = [[name, *map(str, row.values())] for name, row in over.policies.items()]
     return f"\n{about}\n\n{grid(header, rows)}\n"

@@ -12,6 +12,7 @@ from experiments.evaluation.intervals import Interval, bootstrap
 from experiments.evaluation.markdown import HEADERS, grid, rounded
 from experiments.evaluation.runner import Scores
 from experiments.evaluation.seeds import Selection
+from experiments.evaluation.text import escaped
 from mmwave_env.episodes.episode import EpisodeSource
 from mmwave_env.metrics import METRICS
 from mmwave_env.numerics.arrays import Array
@@ -49,7 +50,7 @@ class Comparison:
         """Every policy with 95 % half-widths, then the paired differences of the reward."""
         # Rewards of different kinds are not to be compared.
         reward = "" if self.reward == "tracking" else f", reward {self.reward}"
-        parts = [f"### {self.scenario}, {self.radio}, {self.selection}{reward}\n"]
+        parts = [f"### {escaped(self.scenario)}, {self.radio}, {self.selection}{reward}\n"]
         parts.append(self._policies_table())
         if self.paired:
             intervals = ", 95 % intervals" if len(self.selection) > 1 else ""

@@ -6,7 +6,7 @@ stratified bootstrap of rliable (Agarwal et al. 2021), where each run of each ta
 training of its own, would take K policies on n episodes for K n of them.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
@@ -31,6 +31,12 @@ class Interval:
     mean: float
     low: float
     high: float
+
+    @classmethod
+    def of(cls, figures: Mapping[str, Any]) -> "Interval":
+        """The one that a results file holds."""
+        low, high = figures["ci95"] or (float("nan"), float("nan"))
+        return cls(figures["mean"], low, high)
 
     @property
     def json(self) -> dict[str, Any]:

@@ -5,11 +5,14 @@ import re
 import textwrap
 from collections.abc import Iterable, Iterator, Sequence
 from itertools import zip_longest
+from typing import NamedTuple
 
+from rich.cells import cell_len
 from rich.console import Console
 from rich.markdown import Markdown
 
 from experiments.evaluation.intervals import Interval
+from experiments.evaluation.text import escaped, printable_lines, unescaped
 
 HEADERS = {
     "reward": "reward", "ate_m": "ATE m", "rmse_m": "RMSE m", "rpe_m": "RPE m", "nees": "NEES",
@@ -18,6 +21,9 @@ HEADERS = {
 
 
 TABLE = re.compile(r"((?:^\|.*\n?)+)", re.MULTILINE)
+CELL = re.compile(r"((?:\\.|[^|\\])*)\|")  # with the bar behind it
+UNIT = re.compile(r" (?=(?:m|s|%)(?: |$))")  # the space before a unit, where no line ends
+GLUED = "\u00a0"  # a space that is none to :mod:`textwrap`
 GAP = 2  # between columns
 
 
@@ -30,15 +36,26 @@ def rounded(interval: Interval) -> str:
     return f"{interval.mean:.{digits}f} ± {half:.{digits}f}"
 
 
-def grid(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-    """A Markdown table."""
-    lines = ["| " + " | ".join(cells) + " |" for cells in (header, *rows)]
+class Table(NamedTuple):
+    """What a table says, whatever it is written as."""
+
+    header: Sequence[str]
+    rows: Sequence[Sequence[str | Interval]]
+
+
+def grid(header: Sequence[str], rows: Sequence[Sequence[str | Interval]]) -> str:
+    """A Markdown table of plain text, which may hold anything."""
+    table = [[escaped(str(cell)) for cell in cells] for cells in (header, *rows)]
+    lines = ["| " + " | ".join(cells) + " |" for cells in table]
     return "\n".join([lines[0], "|---" * len(header) + "|", *lines[1:]])
 
 
 def show(text: str) -> None:
-    """Print Markdown; on a terminal, tables that are too wide go on below."""
-    console = Console()
+    """Print Markdown; on a terminal, tables that are too wide go on below.
+
+    Nothing in it reaches the terminal but letters, not even from names of others.
+    """
+    console, text = Console(), printable_lines(text)
     if not console.is_terminal:
         print(text)
         return
@@ -55,10 +72,13 @@ def _tables(text: str, width: int) -> Iterator[list[str]]:
 
     Each has the first column. Headers are folded at their spaces, cells never.
     """
-    lines = ([cell.strip() for cell in line[1:-1].split("|")] for line in text.splitlines())
+    lines = (
+        [unescaped(cell.strip()) for cell in CELL.findall(line[1:])] for line in text.splitlines()
+    )
     header, _, *rows = lines
+    header = [UNIT.sub(GLUED, title) for title in header]
     needed = [
-        max(map(len, [*column, *title.split()]))
+        max(map(cell_len, [*column, *title.split(" ")]))
         for title, *column in zip(header, *rows, strict=True)
     ]
     parts = [[0]]
@@ -72,7 +92,10 @@ def _tables(text: str, width: int) -> Iterator[list[str]]:
 
 def _table(rows: Sequence[Sequence[str]], widths: Sequence[int]) -> list[str]:
     """Lines of a table, the first row of which is the header."""
-    folded = [textwrap.wrap(title, n) for title, n in zip(rows[0], widths, strict=True)]
+    folded = [
+        [line.replace(GLUED, " ") for line in textwrap.wrap(title, n)]
+        for title, n in zip(rows[0], widths, strict=True)
+    ]
     header = zip_longest(*folded, fillvalue="")
     rule = ["─" * (sum(widths) + GAP * (len(widths) - 1))]
     return [*_aligned(header, widths), *rule, *_aligned(rows[1:], widths)]
@@ -80,6 +103,8 @@ def _table(rows: Sequence[Sequence[str]], widths: Sequence[int]) -> list[str]:
 
 def _aligned(rows: Iterable[Sequence[str]], widths: Sequence[int]) -> list[str]:
     return [
-        (" " * GAP).join(cell.ljust(n) for cell, n in zip(row, widths, strict=True)).rstrip()
+        (" " * GAP)
+        .join(cell + " " * (n - cell_len(cell)) for cell, n in zip(row, widths, strict=True))
+        .rstrip()
         for row in rows
     ]

@@ -6,12 +6,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from rich.console import Console
-from rich.progress import Progress
 
 from experiments.evaluation.agents import require_actions
 from experiments.evaluation.contenders import Contender, contender_from
 from experiments.evaluation.seeds import Selection
+from experiments.evaluation.terminal import bars
 from mmwave_env.compiler.program import rows_of
 from mmwave_env.engines.env_engine import Engine
 from mmwave_env.engines.imm_engine import ImmEngine
@@ -70,7 +69,8 @@ def score(
     scoring: Scoring = PLAIN,
 ) -> Scores:
     """Metrics per episode of a contender and its policy, on episodes of one length."""
-    return _summary(run_contender(contender, policy, episodes, scoring), episodes, scoring)
+    told = _run(contender, policy, _packed(episodes, scoring), scoring)
+    return _summary(told, episodes, scoring)
 
 
 def run_contender(
@@ -79,19 +79,25 @@ def run_contender(
     episodes: Sequence[Episode],
     scoring: Scoring = PLAIN,
     shown: Sequence[str] = (),
+    after: Sequence[str] = (),
 ) -> EpochResults:
     """What a contender and its policy tell of every epoch, on episodes of one length.
 
     Args:
-        contender, policy, episodes, scoring: as of :func:`score`.
+        contender, policy, episodes, scoring: as of :func:`score`; but episodes need no truth,
+            unless they are planar.
         shown: parts of the environment's state, such as "mixture.probability", to tell as they
             are when the policy chooses; nothing of an IMM's.
+        after: parts of the state to tell as they are after every epoch: every contender has "x",
+            "P", "memory.nis", "memory.accepted" and "memory.rejected".
 
     Returns:
         "reward" and "nees" (n, T), "error" (n, T, 3) in m and, where there is a policy, "mode"
-        (n, T), its actions; of each part shown (n, T, numbers).
+        (n, T), its actions; of each part asked for (n, T, numbers). Without a truth the first
+        three are NaN.
     """
-    return _run(contender, policy, _packed(episodes, scoring), scoring, shown)
+    packed = EpisodeBatch.of(episodes) if not scoring.planar else _packed(episodes, scoring)
+    return _run(contender, policy, packed, scoring, shown, after)
 
 
 def _packed(episodes: Sequence[Episode], scoring: Scoring) -> EpisodeBatch:
@@ -108,18 +114,19 @@ def _run(
     episodes: EpisodeBatch,
     scoring: Scoring,
     shown: Sequence[str] = (),
+    after: Sequence[str] = (),
 ) -> EpochResults:
     """:func:`run_contender` on what is packed."""
-    pipeline = Pipeline(contender.modes, episodes.layout, scoring.planar)
+    pipeline, names = Pipeline(contender.modes, episodes.layout, scoring.planar), (*TOLD, *after)
     if policy is None:
         imm = ImmEngine(pipeline, scoring.reward, contender.transition, contender.nis_quantile)
-        return imm.run(episodes, *TOLD)
+        return imm.run(episodes, *names)
     n, T, _ = episodes.table.shape
     engine = Engine(pipeline, n, scoring.reward, contender.observation, contender.bank)
     engine.reset(episodes)
     policy.reset(np.ones(n, bool))
     program = engine.batch.program
-    rows = rows_of(program.parts(TOLD))
+    rows = rows_of(program.parts(names))
     told, taken = np.empty((n, T, len(rows))), np.empty((n, T), np.int8)
     states: dict[str, list[Array]] = {name: [] for name in shown}
     observations = engine.observations()
@@ -131,7 +138,7 @@ def _run(
         taken[:, t] = actions
         observations, told[:, t] = engine.step(actions, rows)
     seen = {name: np.stack(parts, axis=1) for name, parts in states.items()}
-    return program.by_name(TOLD, told) | {"mode": taken} | seen
+    return program.by_name(names, told) | {"mode": taken} | seen
 
 
 def step_s(episode: Episode) -> float:
@@ -161,7 +168,7 @@ def score_contenders(
     radio: str,
     selection: Selection,
     modes: Modes = None,
-    watch: Watch | None = None,
+    watch: Sequence[Watch] = (),
     scoring: Scoring = PLAIN,
 ) -> dict[str, Scores]:
     """Scores of contenders on the same episodes.
@@ -172,7 +179,7 @@ def score_contenders(
         radio: profile.
         selection: which of them, by seeds or keys.
         modes: as of :func:`contenders`.
-        watch: gets every contender, episodes, and what :func:`run_contender` tells of them.
+        watch: each gets every contender, episodes, and what :func:`run_contender` tells of them.
         scoring: for all of them.
 
     Raises:
@@ -186,8 +193,7 @@ def score_contenders(
         raise ValueError(f"policies: found {', '.join(found)}, expected no name twice")
     policies = [contender.start(source.layout, scoring.planar) for contender in chosen]
     parts: dict[str, list[Scores]] = {c.name: [] for c in chosen}
-    console = Console(stderr=True)  # what is printed is the result alone
-    with Progress(console=console, transient=True, disable=not console.is_terminal) as progress:
+    with bars() as progress:
         task = progress.add_task(source.name, total=len(selection) * (1 + len(chosen)))
         for first in range(0, len(selection), CHUNK):
             batch = selection.part(first, CHUNK).draw(source)
@@ -198,8 +204,8 @@ def score_contenders(
             for contender, policy in zip(chosen, policies, strict=True):
                 told = _run(contender, policy, packed, scoring)
                 parts[contender.name].append(_summary(told, batch, scoring))
-                if watch:
-                    watch(contender, batch, told)
+                for one in watch:
+                    one(contender, batch, told)
                 progress.advance(task, len(batch))
     return {
         name: {m: np.concatenate([part[m] for part in scores]) for m in METRICS}

@@ -6,7 +6,6 @@ tasks: here a run is a training, and a task is an episode, the same for all of t
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -23,11 +22,10 @@ from experiments.evaluation.intervals import (
 from experiments.evaluation.markdown import grid
 from experiments.evaluation.runner import Scores
 from experiments.evaluation.runs import Run
-from mmwave_env.files import atomic_path
+from experiments.evaluation.text import escaped
 from mmwave_env.numerics.arrays import Array
 
 LEVELS = 81  # of a performance profile
-COLUMNS = 5  # of panels
 
 
 @dataclass(frozen=True)
@@ -141,36 +139,7 @@ def seeds_markdown(found: TrainingSeeds) -> str:
         ["interquartile mean", *(str(column.iqm) for column in columns)],
     ]
     about = (
-        f"Over training seeds, {run.name}, best on tuning seeds first; 95 % intervals, of one seed "
-        "over episodes, of all over seeds and episodes:"
+        f"Over training seeds, {escaped(run.name)}, best on tuning seeds first; 95 % intervals, of "
+        "one seed over episodes, of all over seeds and episodes:"
     )
     return f"\n{about}\n\n{grid(header, rows)}\n"
-
-
-def draw_profiles(found: Sequence[TrainingSeeds], path: Path) -> None:
-    """Performance profiles as PNG: how often runs gain more than so much, a panel a rival."""
-    from matplotlib.figure import Figure as Picture
-
-    panels = list(found[0].minus)
-    columns = min(COLUMNS, len(panels))
-    rows = -(-len(panels) // columns)
-    picture = Picture(figsize=(1.0 + 3.6 * columns, 3.6 * rows), layout="constrained")
-    grid_of_axes = picture.subplots(rows, columns, sharey=True, squeeze=False)
-    for axes in grid_of_axes.flat[len(panels) :]:
-        axes.remove()
-    for axes, rival in zip(grid_of_axes.flat, panels, strict=False):
-        for one in found:
-            figure = one.minus[rival]
-            share, low, high = figure.above
-            (line,) = axes.plot(figure.levels, share, label=Path(one.run.name).name)
-            axes.fill_between(figure.levels, low, high, color=line.get_color(), alpha=0.2, lw=0.0)
-        axes.axvline(0.0, color="black", lw=0.8)
-        axes.axhline(0.5, color="black", lw=0.8, ls=":")
-        axes.set(xlabel=f"reward more than {rival}'s by", ylim=(0.0, 1.0))
-        axes.margins(x=0.0)
-        axes.grid(alpha=0.3)
-    for axes in grid_of_axes[:, 0]:
-        axes.set_ylabel("share of seeds and episodes")
-    grid_of_axes[0, 0].legend(loc="upper right", frameon=False)
-    with atomic_path(path) as temporary:
-        picture.savefig(temporary, dpi=120)

@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 from experiments import train
 from experiments.arguments.train import Args as TrainArgs
 from experiments.cli.main import run
+from experiments.evaluation.terminal import say
 from experiments.learning.arguments.ablate import Args
 from experiments.training.hyperparameters import read_hyperparameters, shipped_hyperparameters
 from mmwave_env.files import write_json
@@ -66,7 +67,7 @@ def training(args: Args, name: str) -> TrainArgs:
 def main(args: Args) -> None:
     """Run the command."""
     for options in [training(args, name) for name in args.variants or VARIANTS]:
-        print(f"\n{options.out.name}\n")
+        say("", options.out.name, "")
         train.main(options)
 
 

@@ -22,6 +22,7 @@ from experiments.evaluation.intervals import Interval, over_seeds_and_episodes
 from experiments.evaluation.markdown import grid
 from experiments.evaluation.runner import score
 from experiments.evaluation.seeds import SEEDS_EACH, TRAINING_SEED, draw_episodes
+from experiments.evaluation.terminal import tracked
 from experiments.training.places import Place
 from mmwave_env.numerics.arrays import Array
 
@@ -88,7 +89,10 @@ def defaults(steps: int, seeds: int, episodes: int = EPISODES) -> dict[str, Any]
             for kind in kinds
         }
         rivals = {name: _rewards(contender_from(name, RADIO), episodes) for name in RIVALS}
-        rows = [_row(*kind, [job.result() for job in some], rivals) for kind, some in jobs.items()]
+        rows = [
+            _row(*kind, [job.result() for job in some], rivals)
+            for kind, some in tracked(jobs.items(), "defaults", len(jobs))
+        ]
     return {"steps": steps, "seeds": seeds, "episodes": episodes, "rows": rows}
 
 

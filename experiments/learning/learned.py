@@ -8,7 +8,6 @@ from statistics import median
 from typing import Any
 
 import numpy as np
-from rich.progress import track
 
 from experiments import transfer
 from experiments.arguments.shared import EpisodeArgs, WorldArgs
@@ -24,6 +23,8 @@ from experiments.evaluation.markdown import grid, show
 from experiments.evaluation.runner import score_contenders
 from experiments.evaluation.runs import Run
 from experiments.evaluation.seeds import Selection, draw_episodes
+from experiments.evaluation.terminal import tracked
+from experiments.figures.events import draw_decisions
 from experiments.learning.ablate import VARIANTS
 from experiments.learning.arguments.learned import Args
 from experiments.learning.curves import draw_curves
@@ -96,8 +97,8 @@ def around_events(args: Args, radio: str) -> dict[str, Any]:
     decisions = Decisions({name: name for name in names})
     source = source_of(WorldArgs(radio=radio))
     selection = Selection(range(args.seed, args.seed + args.episodes))
-    score_contenders(names, source, radio, selection, watch=decisions.add)
-    decisions.draw(args.out / f"decisions-{radio}.png")
+    score_contenders(names, source, radio, selection, watch=[decisions.add])
+    draw_decisions(decisions, args.out / f"decisions-{radio}.png")
     return decisions.json
 
 
@@ -148,7 +149,7 @@ def main(args: Args) -> None:
         args = replace(args, out=args.docs.with_suffix(""))
     bodies, content = {}, {}
     total = 7 + len(STUDIES)
-    for title, text, figures in track(tables(args), "learned", total, transient=True):
+    for title, text, figures in tracked(tables(args), "learned", total):
         bodies[title], content[title] = text, figures
     everything = "\n\n".join(f"### {title}\n\n{text}" for title, text in bodies.items()) + "\n"
     if args.docs:

@@ -9,9 +9,9 @@ from unittest.mock import patch
 import gymnasium as gym
 import numpy as np
 from numpy.typing import NDArray
-from rich.progress import track
 
 from experiments.cli.main import run
+from experiments.evaluation.terminal import say, tracked
 from experiments.learning.arguments.standardize import Args
 from mmwave_env import observation
 from mmwave_env.files import require_writable, write_json
@@ -96,13 +96,13 @@ def main(args: Args) -> None:
     require_writable(args.out)
     if args.episodes < 1:
         raise ValueError(f"episodes: found {args.episodes}, expected at least 1")
-    each = track(list(tasks()), description="standardize", transient=True)
+    each = tracked(list(tasks()), "standardize")
     found = typical([moments(task, args.episodes) for task in each])
     write_json(args.out, {
         "command": "mmwave-loc standardize", "seed": SEED, "episodes": args.episodes,
         "kinds": {kind: scale._asdict() for kind, scale in found.items()},
     })  # fmt: skip
-    print(f"{args.out}: {len(found)} kinds of features")
+    say(f"{args.out}: {len(found)} kinds of features")
 
 
 if __name__ == "__main__":

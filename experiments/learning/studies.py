@@ -10,8 +10,9 @@ from typing import Any, Literal, NamedTuple
 from experiments import train
 from experiments.arguments.train import Args as TrainArgs
 from experiments.cli.main import run
-from experiments.cli.options import command_line
+from experiments.cli.options import provenance
 from experiments.evaluation.seeds import TUNING_SEED
+from experiments.evaluation.terminal import say
 from experiments.learning.arguments.studies import Args
 from experiments.learning.defaults import STEPS as DEFAULT_STEPS
 from experiments.learning.defaults import defaults
@@ -119,7 +120,7 @@ def evolution(args: Args) -> None:
     place = place_from(STREET)
     trust, figures = evolved(
         best_bank(place.profile), place.source("mixed"), args.generations,
-        lambda generation, gain: print(f"{generation} generations: {gain:+.4f} over its IMM"),
+        lambda generation, gain: say(f"{generation} generations: {gain:+.4f} over its IMM"),
     )  # fmt: skip
     _write_record(args, EVOLUTION, figures | trust.json)
 
@@ -133,7 +134,7 @@ def of_libraries(args: Args) -> None:
 
 def _write_record(args: Args, name: str, found: dict[str, Any]) -> None:
     alone = replace(args, trainings=(name,), out=Args.out)
-    write_json(record_of(args.out, name), {"command": command_line("studies", alone)} | found)
+    write_json(record_of(args.out, name), provenance("studies", alone) | found)
 
 
 def main(args: Args) -> None:
@@ -142,9 +143,9 @@ def main(args: Args) -> None:
     makers |= {EVOLUTION: partial(evolution, args), DEFAULTS: partial(of_libraries, args)}
     for name in args.trainings or makers:
         make, record = choose(makers, name, "trainings"), record_of(args.out, name)
-        print(f"\n{name}\n", flush=True)
+        say("", name, "")
         if record.is_file():
-            print(f"{record} is there already")
+            say(f"{record} is there already")
         else:
             make()
 

@@ -11,7 +11,6 @@ from typing import Any
 
 import numpy as np
 
-from experiments.evaluation.colors import COLORS, draw_shares
 from experiments.evaluation.contenders import Contender
 from experiments.evaluation.events import (
     Windows,
@@ -26,8 +25,9 @@ from experiments.evaluation.events import (
 from experiments.evaluation.intervals import Interval, bootstrap_ratio
 from experiments.evaluation.markdown import grid
 from experiments.evaluation.runner import run_contender, step_s
+from experiments.figures.canvas import caption
+from experiments.figures.events import Lines, Shares, draw_around_events
 from mmwave_env.episodes.episode import Episode
-from mmwave_env.files import atomic_path
 from mmwave_env.numerics.arrays import Array, Mask
 
 EVENTS: dict[str, Callable[[Sequence[Episode]], Mask]] = {
@@ -123,38 +123,23 @@ class Trust:
         return grid(header, rows)
 
     def draw(self, path: Path) -> None:
-        """As PNG: trust, probabilities and errors, a column a kind of event."""
-        from matplotlib.figure import Figure
-
-        figure = Figure(figsize=(12.0, 7.4), layout="constrained")
-        panels = figure.subplots(3, len(self.around), sharex=True, sharey="row")
-        for column, (kind, one) in zip(panels.T, self.around.items(), strict=True):
-            draw_shares(column[0], self.time_s, one.trusted, self.actions)
-            draw_shares(column[1], self.time_s, one.probability, self.actions[1:])
-            self._draw_errors(column[2], one)
-            column[0].set_title(f"{one.events:,} {kind}s")
-            column[2].set_xlabel(f"time since the {kind} (s)")
-        labels = (
-            "share of decisions\nthat trust a mode",
-            "mean probability of\nmodes before trust",
-            "mean position error (m)",
-        )
-        for axes, label in zip(panels[:, 0], labels, strict=True):
-            axes.set_ylabel(label)
-        for axes in panels[[0, 2], -1]:
-            axes.legend(loc="upper left", bbox_to_anchor=(1.01, 1.0), frameon=False,
-                        reverse=axes is panels[0, -1])  # fmt: skip
-        figure.align_ylabels(panels[:, 0])
-        with atomic_path(path) as temporary:
-            figure.savefig(temporary, dpi=120)
-
-    def _draw_errors(self, axes: Any, one: Around) -> None:
-        for (name, row), color in zip(one.error_m.items(), COLORS, strict=False):
-            mean, low, high = np.transpose([(i.mean, i.low, i.high) for i in row])
-            axes.plot(self.time_s, mean, color=color, label=name)
-            axes.fill_between(self.time_s, low, high, color=color, alpha=0.2, lw=0.0)
-        axes.axvline(0.0, color="black", lw=0.8)
-        axes.grid(alpha=0.3)
+        """As a picture: trust, probabilities and errors, a column a kind of event."""
+        shares = [
+            Shares("share of decisions\nthat trust a mode", self.actions,
+                   {kind: one.trusted for kind, one in self.around.items()}),
+            Shares("mean probability of\nmodes before trust", self.actions[1:],
+                   {kind: one.probability for kind, one in self.around.items()}),
+        ]  # fmt: skip
+        errors = {
+            kind: {
+                caption(name): np.transpose([(i.mean, i.low, i.high) for i in row])
+                for name, row in one.error_m.items()
+            }
+            for kind, one in self.around.items()
+        }
+        events = {kind: one.events for kind, one in self.around.items()}
+        lines = Lines("mean position\nerror (m)", errors)
+        draw_around_events(self.time_s, events, shares, lines, path)
 
 
 def _around(

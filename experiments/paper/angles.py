@@ -6,14 +6,14 @@ from typing import Any
 
 import numpy as np
 
-from mmwave_env.files import atomic_path
+from experiments.figures.canvas import picture
 from mmwave_env.models.measurement import Layout, exact_rows
 from mmwave_env.models.scene import Scene, Wall
 from mmwave_env.numerics.arrays import Array
 
 SCENE = Scene("figure", base_station_m=(0.0, 0.0, 10.0), walls=(Wall((0.0, 1.0), 14.0),))
 USER_M = (30.0, 9.0, 1.5)
-_ANCHOR, _USER, _MUTED = "#0072b2", "#d55e00", "#777777"  # told apart by color-blind people, too
+_ANCHOR, _USER, _MUTED = "C0", "C6", "C5"
 _WIDTH_M = (-6.0, 52.0)
 
 
@@ -26,25 +26,19 @@ def angles_deg() -> Array:
 
 
 def draw(path: Path) -> None:
-    """Draw the conventions as PNG, seen from above and from the side."""
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(9.0, 8.6), layout="constrained")
-    FigureCanvasAgg(figure)
-    above, side = figure.subplots(2, 1, height_ratios=(38, 15))
-    _draw_above(above, angles_deg())
-    _draw_side(side, float(angles_deg()[0, 1]))
-    for axes in (above, side):
-        axes.set_aspect("equal")
-        axes.spines[["top", "right"]].set_visible(False)
-    with atomic_path(path) as temporary:
-        figure.savefig(temporary, dpi=120)
+    """Draw the conventions as a picture, seen from above and from the side."""
+    with picture(path, 9.0, 8.6) as figure:
+        above, side = figure.subplots(2, 1, height_ratios=(38, 15))
+        _draw_above(above, angles_deg())
+        _draw_side(side, float(angles_deg()[0, 1]))
+        for axes in (above, side):
+            axes.set_aspect("equal")
+            axes.grid(visible=False)
 
 
 def _draw_above(axes: Any, angles: Array) -> None:
     axes.set_title("From above: azimuths are counterclockwise from the x axis of the map")
-    axes.set(xlabel="x, m (east)", ylabel="y, m (north)", xlim=_WIDTH_M, ylim=(-5.0, 33.0))
+    axes.set(xlabel="x (m, east)", ylabel="y (m, north)", xlim=_WIDTH_M, ylim=(-5.0, 33.0))
     wall = SCENE.walls[0]
     axes.axhline(wall.offset_m, color=_MUTED, linewidth=3.0)
     axes.text(-5.5, wall.offset_m + 0.7, "wall", color=_MUTED)
@@ -72,7 +66,7 @@ def _draw_side(axes: Any, elevation: float) -> None:
     anchor = SCENE.anchors_m[0]
     away = float(np.hypot(*(np.array(USER_M) - anchor)[:2]))
     axes.set_title("From the side: elevation is from the horizon, at the anchor")
-    axes.set(xlabel="horizontal distance, m", ylabel="z, m", xlim=_WIDTH_M, ylim=(0.0, 15.0))
+    axes.set(xlabel="horizontal distance (m)", ylabel="z (m)", xlim=_WIDTH_M, ylim=(0.0, 15.0))
     axes.plot([0.0, away], [anchor[2], USER_M[2]], color=_ANCHOR, linewidth=1.5)
     axes.plot(0.0, anchor[2], "^", color=_ANCHOR, markersize=12)
     axes.text(0.0, anchor[2] + 1.6, "anchor 1: base station", color=_ANCHOR)

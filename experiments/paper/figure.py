@@ -5,12 +5,13 @@ from pathlib import Path
 from typing import Any
 
 from experiments.evaluation.intervals import Interval
+from experiments.figures.canvas import picture, plain_numbers
 from experiments.paper.bench import Cell, Section
 from mmwave_env.models.radio import RADIOS
 
 COUPLED = 3  # column of the ATE with coupled process noise; the paper's stands first
 FILTERS = 4  # rows that the paper has, too
-COLORS = {"ekf": "tab:blue", "ukf": "tab:orange"}
+COLORS = {"ekf": "C0", "ukf": "C1"}
 
 
 def _errorbars(axes: Any, x: Sequence[float], cells: Sequence[Cell], **style: Any) -> None:
@@ -24,8 +25,8 @@ def _meters(axes: Any) -> None:
     """A logarithmic axis of ATE, the same in every panel."""
     axes.set_yscale("log")
     axes.set_ylim(0.1, 1000.0)
-    axes.yaxis.set_major_formatter("{x:g}")
-    axes.set_ylabel("ATE, m")
+    plain_numbers(axes.yaxis)
+    axes.set_ylabel("ATE (m)")
 
 
 def _bars(axes: Any, sections: Sequence[Section], title: str) -> None:
@@ -41,7 +42,7 @@ def _bars(axes: Any, sections: Sequence[Section], title: str) -> None:
     axes.set_xticks(range(FILTERS), [str(row[0]).replace(" ", "\n") for row in rows])
     _meters(axes)
     axes.set_title(title)
-    axes.grid(axis="y", alpha=0.3)
+    axes.grid(visible=False, axis="x")
 
 
 def _sweep(axes: Any, section: Section) -> None:
@@ -55,23 +56,21 @@ def _sweep(axes: Any, section: Section) -> None:
             color=COLORS[algorithm.lower()], linestyle=styles[gates],
         )  # fmt: skip
     axes.set_xscale("log")
-    axes.xaxis.set_major_formatter("{x:g}")
-    axes.set_xlabel("process noise sigma_v, m/s")
+    plain_numbers(axes.xaxis)
+    axes.set_xlabel("process noise sigma_v (m/s)")
     _meters(axes)
     axes.set_title("Vehicle, standard: process noise")
-    axes.legend(fontsize="small", loc="lower left")
-    axes.grid(alpha=0.3)
+    axes.legend(loc="lower left")
 
 
 def draw(sections: dict[str, Section], path: Path) -> None:
-    """Write the picture (PNG)."""
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(13, 4.2), layout="constrained")
-    axes = figure.subplots(1, 3)
-    for panel, number, scenario in zip(axes, ("I", "II"), ("pedestrian", "vehicle"), strict=False):
-        tables = [sections[f"Table {number}: {scenario}, {radio}"] for radio in RADIOS]
-        _bars(panel, tables, f"Table {number}: {scenario}")
-    axes[0].legend(fontsize="small", markerscale=0.6)
-    _sweep(axes[2], sections["Vehicle ATE against process noise, m"])
-    figure.savefig(path, dpi=150)
+    """Write the picture."""
+    with picture(path, 13.0, 4.2) as figure:
+        axes = figure.subplots(1, 3)
+        for panel, number, scenario in zip(
+            axes, ("I", "II"), ("pedestrian", "vehicle"), strict=False
+        ):
+            tables = [sections[f"Table {number}: {scenario}, {radio}"] for radio in RADIOS]
+            _bars(panel, tables, f"Table {number}: {scenario}")
+        axes[0].legend(markerscale=0.6)
+        _sweep(axes[2], sections["Vehicle ATE against process noise, m"])

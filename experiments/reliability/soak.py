@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 
 from experiments.cli.main import run
 from experiments.cli.options import provenance
-from experiments.cli.terminal import progress
 from experiments.evaluation.seeds import draw_episodes
+from experiments.evaluation.terminal import progress, say
 from experiments.reliability.arguments.soak import Args
 from experiments.reliability.damage import damaged
 from mmwave_env.engines.env_engine import Engine
@@ -183,7 +183,7 @@ def main(args: Args) -> None:
     with progress("soaking") as show:
         soak(args, tally, show)
     tally.seconds = time.perf_counter() - begin
-    print(tally)
+    say(*str(tally).split("\n"))
     if args.json:
         what = {"steps": args.steps, "seed": args.seed, "num_envs": args.num_envs}
         made = provenance("soak", args)

@@ -4,28 +4,22 @@ from pathlib import Path
 from statistics import median
 from typing import Any
 
+from experiments.figures.canvas import picture, plain_numbers
 from experiments.speed.measured import Measured
 from experiments.speed.report import label, limited
 from experiments.speed.workloads import CARTPOLES, SYNC, SYNC_NAME, THREADS
-from mmwave_env.files import atomic_path
-
-_COLORS = ("#0072b2", "#d55e00")  # told apart by color-blind people, too
 
 
 def draw(measured: Measured, path: Path) -> None:
-    """Write it (PNG), in one step."""
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(12.0, 4.6), layout="constrained")
-    rates, limits = figure.subplots(1, 2)
-    _draw_rates(rates, measured)
-    _draw_limits(limits, measured)
-    with atomic_path(path) as temporary:
-        figure.savefig(temporary, dpi=130, format="png")
+    """Write it."""
+    with picture(path, 12.0, 4.6) as figure:
+        rates, limits = figure.subplots(1, 2)
+        _draw_rates(rates, measured)
+        _draw_limits(limits, measured)
 
 
 def _draw_rates(axes: Any, measured: Measured) -> None:
-    for threads, color in zip(THREADS, _COLORS, strict=True):
+    for threads, color in zip(THREADS, ("C0", "C1"), strict=True):
         rates = [measured.rates[name] for name in measured.natives(threads)]
         _line(axes, measured.sizes, [one.steps_per_s for one in rates], color=color, marker="o",
               label=f"native, {threads} thread{'s' * (threads > 1)}")  # fmt: skip
@@ -38,8 +32,8 @@ def _draw_rates(axes: Any, measured: Measured) -> None:
               mfc="gray" if "cartpole" in name else "black", ls="", label=label(name))  # fmt: skip
     axes.set(xscale="log", yscale="log", xlabel="environments N", ylabel="steps per second",
              title="Steps per second")  # fmt: skip
-    axes.xaxis.set_major_formatter("{x:,g}")
-    axes.grid(alpha=0.3)
+    for axis in (axes.xaxis, axes.yaxis):
+        plain_numbers(axis)
     axes.legend(fontsize="x-small")
 
 
@@ -58,10 +52,10 @@ def _draw_limits(axes: Any, measured: Measured) -> None:
         [1e9 * median(values) for values in column] for column in zip(*found.values(), strict=True)
     )
     axes.hlines(list(found), limits, taken, color="#cccccc", lw=4.0)
-    axes.plot(limits, list(found), "|", color="#009e73", ms=12, mew=3, label="limit of the core")
+    axes.plot(limits, list(found), "|", color="C4", ms=12, mew=3, label="limit of the core")
     axes.plot(taken, list(found), "o", color="black", ms=5, label="taken")
     axes.invert_yaxis()
     axes.set(xscale="log", xlabel="ns a step, one thread", title="Limit of the core")
-    axes.xaxis.set_major_formatter("{x:,g}")
-    axes.grid(axis="x", alpha=0.3)
+    plain_numbers(axes.xaxis)
+    axes.grid(visible=False, axis="y")
     axes.legend(fontsize="x-small")

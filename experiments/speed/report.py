@@ -143,7 +143,7 @@ def _first_steps(measured: Measured) -> str:
 
 
 def _starts(measured: Measured) -> str:
-    rows = [[f"`{name}`", spread(found)] for name, found in measured.starts_s.items()]
+    rows = [[name, spread(found)] for name, found in measured.starts_s.items()]
     return grid(["fresh process", "seconds to its end"], rows)
 
 

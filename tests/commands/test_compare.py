@@ -124,7 +124,7 @@ MISTAKES = {
     "no folder": (None, ("runs/never",), "policy: found 'runs/never', expected.*imm.*of a run"),
     "no file": (None, ("never.safetensors",), "never.safetensors: found no file"),
     "nobody to compare with": (None, ("--figure", "f.png"), "figure: found nobody.*speed-rule"),
-    "not a picture": (None, ("--decisions", "f.pdf"), "decisions: found f.pdf.*ends with .png"),
+    "not a picture": (None, ("--decisions", "f.gif"), "found f.gif.*ends with .png, .svg, .pdf"),
     "one file for two": (
         None, ("--figure", "f.png", "--decisions", "f.png"), "decisions: found .*f.png.*another",
     ),
@@ -146,3 +146,13 @@ def test_a_figure_needs_a_run(tmp_path):
     done = command("compare", "--policies", "imm", "--figure", tmp_path / "f.png")
     assert done.returncode == 2 and done.stdout == ""
     assert done.stderr.startswith("mmwave-loc compare: figure: found no folder of a run")
+
+
+def test_errors_and_consistency_are_drawn_of_the_same_run(tmp_path):
+    pictures = [tmp_path / "errors.svg", tmp_path / "nees.pdf"]
+    succeed("compare", "--policies", "fixed-ukf", "imm", "--episodes", 3,
+            "--errors", pictures[0], "--consistency", pictures[1])  # fmt: skip
+    assert pictures[0].read_text().startswith("<?xml")
+    assert pictures[1].read_bytes().startswith(b"%PDF")
+    done = command("compare", "--errors", tmp_path / "a.png", "--consistency", tmp_path / "a.png")
+    assert_one_clear_line(done, "consistency: found .*a.png, expected another file than --errors")

@@ -21,7 +21,9 @@ def test_six_rows_a_place_are_printed_and_everybody_is_written(tmp_path, monkeyp
         found = compare_scores(scores, scenario=scenario, **what)
         return found, str(found), found.json
 
+    pages = []
     monkeypatch.setattr(demo, "results", results)
+    monkeypatch.setattr(demo, "write_page", pages.append)  # the report has tests of its own
     demo.main(demo.Args(out=tmp_path, json=tmp_path / "all.json"))
     shown = capsys.readouterr().out
     rows = [line.split(" | ")[0][2:] for line in shown.splitlines() if "±" in line]
@@ -32,6 +34,9 @@ def test_six_rows_a_place_are_printed_and_everybody_is_written(tmp_path, monkeyp
     everyone = all_contenders(EpisodeArgs())
     assert len(everyone) > len(demo.SHOWN) and f"All {len(everyone)} policies" in shown
     assert all(written.count(f"\n| {name} |") == 2 * len(places) for name in everyone)
+    (page,) = pages
+    assert page.results == tuple(tmp_path / f"{place}.json" for place in places)
+    assert str(page.out) in shown
     together = json.loads((tmp_path / "all.json").read_text())
     for place in places:
         assert str(tmp_path / f"{place}.json") in shown

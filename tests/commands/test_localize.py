@@ -7,6 +7,7 @@ import os
 import pty
 import re
 import shlex
+import shutil
 import signal
 import subprocess
 import sys
@@ -446,7 +447,7 @@ CONTRADICTIONS = {
     "window": (["--speed", "1", "--window", "1"], "window: found 1, expected 2 to 20000 epochs"),
     "long window": (["--speed", "1", "--window", "20001"], "window: found 20001"),
     "height": (["--speed", "1", "--height", "nan"], "height: found nan"),
-    "plot": (["--speed", "1", "--plot", "track.pdf"], "plot: found track.pdf, expected.*png"),
+    "plot": (["--speed", "1", "--plot", "track.gif"], "plot: found track.gif, expected.*png"),
     "radio": (["--speed", "1", "--radio", "lab"], "'lab'.*handset, standard, high"),
     "truth": (["--speed", "1", "--truth", "missing.tum"], "missing.tum"),
     "modes": (["--speed", "1", "--modes", "missing.json"], "missing.json"),
@@ -509,6 +510,17 @@ def test_a_picture_is_drawn(tmp_path):
     for path in (tmp_path / "new" / "track.png", tmp_path / "plain.png"):
         content = path.read_bytes()
         assert content.startswith(b"\x89PNG") and len(content) > 20_000
+
+
+def test_a_dollar_in_a_name_costs_neither_the_picture_nor_the_figures(tmp_path):
+    folder = tmp_path / "a$b_{^$ | \x1b[31m\n"
+    shutil.copytree(RIDE, folder)
+    picture = folder / "track.svg"
+    done = command("localize", folder / "log.csv", "--scene", folder / "scene.json",
+                   "--speed", "9", "--plot", picture)  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    assert picture.read_text().startswith("<?xml")
+    assert all(line.isprintable() for line in (done.stdout + done.stderr).splitlines())
 
 
 def test_folders_are_made_and_what_cannot_be_written_is_named(capsys, tmp_path):

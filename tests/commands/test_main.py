@@ -207,3 +207,44 @@ def test_results_that_cannot_be_written_are_named(tmp_path):
     done = command("evaluate", *options)
     assert done.returncode == 2 and "Traceback" not in done.stderr
     assert str(blocked) in done.stderr
+
+
+# --- what is shown
+
+
+def test_quiet_shows_nothing_but_writes_the_results(tmp_path):
+    options = ("--policies", "fixed-ukf", "imm", "--episodes", 2)
+    done = command("compare", *options, "--quiet", "--json", tmp_path / "all.json")
+    assert (done.returncode, done.stdout, done.stderr) == (0, "", "")
+    assert list(json.loads((tmp_path / "all.json").read_text())["policies"]) == ["fixed-ukf", "imm"]
+    assert "fixed-ukf" in command("compare", *options).stdout  # not for good
+    assert_one_clear_line(command("evaluate", "--quiet", "--radio", "lab"), "'lab'.*handset")
+
+
+def test_a_traceback_is_shown_only_where_it_is_asked_for(monkeypatch):
+    def fails(args):
+        raise ZeroDivisionError("by\x1b[31m zero")
+
+    monkeypatch.setattr("experiments.list.main", fails)
+    done = command("list")
+    assert (done.returncode, done.stdout) == (1, "")
+    (line,) = done.stderr.splitlines()
+    assert line.startswith(
+        r"mmwave-loc list: failed with ZeroDivisionError: by\x1b[31m zero; --debug"
+    )
+    shown = command("list", "--debug").stderr
+    assert shown.startswith("Traceback") and "in fails" in shown
+    assert "Traceback" in command("evaluate", "--debug", "--radio", "lab").stderr
+
+
+@pytest.mark.parametrize("word", ["lab\x1b]0;owned\x07", "a\nb", "a\u202eb", "\udcff"])
+def test_a_mistake_shows_no_control_characters(word):
+    for words in (("evaluate", "--radio", word), ("evaluate", "--policy", word), (word,)):
+        done = command(*words)
+        assert all(line.isprintable() for line in (done.stdout + done.stderr).splitlines())
+        assert done.returncode == 2
+    assert_one_clear_line(command("evaluate", f"--no{word}"), "found '--no")
+
+
+def test_the_list_of_commands_fits_80_columns():
+    assert max(map(len, command().stdout.splitlines())) <= 80

@@ -12,6 +12,7 @@ from experiments.evaluation.decisions import Decisions
 from experiments.evaluation.events import fast_pull_aways, fast_stops
 from experiments.evaluation.runner import run_contender
 from experiments.evaluation.seeds import draw_episodes
+from experiments.figures.events import draw_decisions
 from mmwave_env.episodes.simulated import SimulatedSource
 from mmwave_env.metrics import BURN_IN
 from mmwave_env.models.radio import RADIOS
@@ -71,6 +72,17 @@ def test_numbers_are_means_over_events(episodes, told):
         assert list(row["share"]) == ["speed-rule"]  # the others decide nothing
 
 
+def test_differences_are_of_the_same_events_and_from_the_rule(episodes, told):
+    for kind in ("stop", "pull-away"):
+        row = collected(episodes, told).json[kind]
+        assert row["minus"] == "speed-rule" and list(row["error_minus_m"]) == ["imm", "fixed-ukf"]
+        for name, band in row["error_minus_m"].items():
+            errors = (np.array(row["error_m"][of], float) for of in (name, "speed-rule"))
+            assert band["mean"] == pytest.approx(np.subtract(*errors), nan_ok=True)
+            assert (np.array(band["low"]) <= band["mean"]).all()
+            assert (np.array(band["mean"]) <= band["high"]).all()
+
+
 def test_parts_add_up_to_the_whole(episodes, told):
     whole = collected(episodes, told).json
     parts = collected(episodes, told, slice(0, 5), slice(5, 6), slice(6, N)).json
@@ -99,13 +111,13 @@ def test_without_events_there_are_no_numbers(episodes, told, tmp_path):
     for kind in ("stop", "pull-away"):
         assert content[kind]["events"] == 0
         assert set(content[kind]["error_m"]["imm"]) == {None}
-    decisions.draw(tmp_path / "none.png")
+    draw_decisions(decisions, tmp_path / "none.png")
 
 
 def test_a_picture_is_drawn(episodes, told, tmp_path):
-    collected(episodes, told).draw(tmp_path / "some.png")
+    draw_decisions(collected(episodes, told), tmp_path / "some.png")
     ruled = collected(episodes, {name: told[name] for name in ("imm", "fixed-ukf")})
-    ruled.draw(tmp_path / "without.png")
+    draw_decisions(ruled, tmp_path / "without.png")
     some, without = (imread(tmp_path / f"{name}.png") for name in ("some", "without"))
     assert (some != 1.0).any(axis=2).mean() > 0.2  # shares fill their panels
     assert (without != 1.0).any(axis=2).mean() > 0.01

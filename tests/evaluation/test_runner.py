@@ -238,7 +238,7 @@ def test_a_policy_plays_the_same_by_name_and_by_file(file):
         told[contender.name] = tells
         assert len(episodes) == 2
 
-    scores = score_contenders(names, SOURCE, "handset", Selection(range(2)), watch=watch)
+    scores = score_contenders(names, SOURCE, "handset", Selection(range(2)), watch=[watch])
     assert list(scores) == list(told) == names
     for name in names[1:]:
         assert_equal({name: scores["ppo"]}, {name: scores[name]})
@@ -250,7 +250,7 @@ def test_what_is_watched_is_what_is_scored():
     names = ["speed-rule", "imm"]
     scores = score_contenders(
         names, SOURCE, "handset", Selection(range(3)),
-        watch=lambda contender, episodes, tells: told.update({contender.name: tells}),
+        watch=[lambda contender, episodes, tells: told.update({contender.name: tells})],
     )  # fmt: skip
     for name in names:
         distance = np.linalg.norm(told[name]["error"], axis=-1)
@@ -325,7 +325,7 @@ def test_a_policy_scores_what_it_earns_in_an_environment_of_its_bank(trust):
     contender, told = Contender.learned(trust), {}
     (scores,) = score_contenders(
         [contender], SOURCE, "handset", Selection(range(2)),
-        watch=lambda _, episodes, tells: told.update(tells),
+        watch=[lambda _, episodes, tells: told.update(tells)],
     ).values()  # fmt: skip
     env = gym.make("MmWaveLoc-v0", beliefs="per-mode", modes=HANDSET)
     for e in range(2):

@@ -9,12 +9,8 @@ from scipy.stats import trim_mean
 
 from experiments.evaluation.intervals import bootstrap
 from experiments.evaluation.runs import Run
-from experiments.evaluation.training_seeds import (
-    LEVELS,
-    draw_profiles,
-    over_training_seeds,
-    seeds_markdown,
-)
+from experiments.evaluation.training_seeds import LEVELS, over_training_seeds, seeds_markdown
+from experiments.figures.curves import draw_profiles
 
 RUN = Run("runs/a", (2, 0, 1), 0)
 OTHER = Run("runs/b", (0, 1, 2, 3), 3)

@@ -43,6 +43,13 @@ def test_transfer_meets_the_rivals_of_each_place(tmp_path):
     assert found == pytest.approx((earned["ppo"] - earned["imm"]).mean(), abs=1e-9)
 
 
+@pytest.mark.slow
+def test_transfer_shows_on_a_terminal_how_far_it_is(monkeypatch):
+    monkeypatch.setenv("FORCE_COLOR", "1")  # as if it were one
+    done = command("transfer", "--policies", "fixed-ukf", "--episodes", 1, "--draws", 1)
+    assert done.returncode == 0 and "100%" in done.stderr
+
+
 def test_an_unknown_policy_is_one_line():
     done = command("transfer", "--policies", "oracle", "--episodes", 1, "--draws", 1)
     assert done.returncode == 2

@@ -1,0 +1,99 @@
+"""Entries of the benchmark as files, and the tables that rank them."""
+
+import json
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from experiments.evaluation.intervals import Interval
+from experiments.evaluation.markdown import Table
+from experiments.evaluation.protocol import KINDS, RECORDED, TRAINED, standing, venues
+
+
+def read_entry(path: Path) -> dict[str, Any]:
+    """An entry as :func:`~experiments.evaluation.protocol.entry` made it.
+
+    Raises:
+        ValueError: naming the file and what is wrong in it.
+    """
+    try:
+        found: Any = json.loads(path.read_text(encoding="utf-8"))
+        if not isinstance(found, dict):
+            raise ValueError(f"found {type(found).__name__}, expected an object")
+        for key in ("entry", "venues", "mean_gain"):
+            if key not in found:
+                raise ValueError(f"{key}: found none, expected one beside {', '.join(found)}")
+        require_entry(found)
+    except (ValueError, KeyError, TypeError, AttributeError) as error:
+        raise ValueError(f"{path}: not an entry: {error}") from error
+    return found
+
+
+def require_entry(found: Mapping[str, Any]) -> None:
+    """Refuse an entry that tables can't be made of.
+
+    Raises:
+        ValueError, KeyError, TypeError, AttributeError: what is wrong in it.
+    """
+    missing = [venue.name for venue in venues() if venue.name not in found["venues"]]
+    if missing:
+        raise ValueError(f"venues: missing {', '.join(missing)}")
+    ranking([found], 0, 0)
+    by_venue([found])
+
+
+def _episodes(one: Mapping[str, Any]) -> tuple[int, int]:
+    """The fewest in a simulated venue and on a recording."""
+    simulated, recorded = (
+        min(v["episodes"] for v in one["venues"].values() if (v["kind"] == RECORDED) == of_those)
+        for of_those in (False, True)
+    )
+    return simulated, recorded
+
+
+def ranking(entries: Sequence[Mapping[str, Any]], episodes: int, draws: int) -> Table:
+    """All entries, best first by their mean gain in the places to train in.
+
+    Those of too few episodes come last, and are marked: luck would rank them.
+
+    Args:
+        entries: in any order.
+        episodes, draws: that the protocol asks for, on each simulated street and each recording.
+    """
+
+    def short(one: Mapping[str, Any]) -> bool:
+        simulated, recorded = _episodes(one)
+        return simulated < episodes or recorded < draws
+
+    rows: list[list[str | Interval]] = []
+    for one in sorted(entries, key=lambda one: (short(one), -one["mean_gain"][TRAINED]["mean"])):
+        simulated, recorded = _episodes(one)
+        played = f"{simulated} / {recorded}{' (too few)' if short(one) else ''}"
+        cells: list[str | Interval] = [one["entry"].removesuffix("/policy.safetensors"), played]
+        for kind in KINDS:
+            stands = [standing(v) for v in one["venues"].values() if v["kind"] == kind]
+            counts = f"{stands.count('above')} / {stands.count('level')} / {stands.count('below')}"
+            cells += [Interval.of(one["mean_gain"][kind]), counts]
+        rows.append(cells)
+    header = ["entry", "episodes / draws"]
+    for kind in KINDS:
+        header += [f"{kind}: minus imm-best", "above / level / below every IMM"]
+    return Table(header, rows)
+
+
+def by_venue(entries: Sequence[Mapping[str, Any]]) -> Table:
+    """The reward of entries minus that of the best IMM of each venue, whichever it is there.
+
+    Files, such as the single trainings of a run, have their row in the ranking alone, where there
+    are entries that have a name.
+    """
+    entries = [one for one in entries if "/" not in one["entry"]] or entries
+    rows = []
+    for venue in venues():
+        cells = [venue.name]
+        for one in entries:
+            minus = one["venues"][venue.name]["minus"]
+            best = min(minus, key=lambda imm: minus[imm]["mean"])
+            cells.append(f"{Interval.of(minus[best])} ({best})")
+        rows.append(cells)
+    return Table(["venue", *(one["entry"] for one in entries)], rows)

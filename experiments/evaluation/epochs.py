@@ -1,0 +1,40 @@
+"""Errors and NEES of contenders epoch by epoch, for pictures."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from experiments.evaluation.contenders import Contender
+from experiments.evaluation.runner import EpochResults
+from mmwave_env.episodes.episode import Episode
+from mmwave_env.metrics import scored
+from mmwave_env.numerics.arrays import Array
+
+
+@dataclass
+class EpochErrors:
+    """What contenders told of all epochs that count, of episodes of one length."""
+
+    names: Mapping[str, str]  # in figures, by contender; of others nothing is taken
+    time_s: Array = field(default_factory=lambda: np.zeros(0))  # (T,) since the first epoch
+    _errors: dict[str, list[Array]] = field(default_factory=dict)
+    _nees: dict[str, list[Array]] = field(default_factory=dict)
+
+    def add(self, contender: Contender, episodes: Sequence[Episode], told: EpochResults) -> None:
+        """Take what a contender told of episodes."""
+        if contender.name in self.names:
+            name, counts = self.names[contender.name], scored(len(episodes[0]))
+            self.time_s = (episodes[0].time_s - episodes[0].time_s[0])[counts]
+            self._errors.setdefault(name, []).append(told["error"][:, counts].astype(np.float32))
+            self._nees.setdefault(name, []).append(told["nees"][:, counts])
+
+    @property
+    def errors_m(self) -> dict[str, Array]:
+        """Position errors (n, T, 3) by name, m."""
+        return {name: np.concatenate(parts) for name, parts in self._errors.items()}
+
+    @property
+    def nees(self) -> dict[str, Array]:
+        """NEES (n, T) by name."""
+        return {name: np.concatenate(parts) for name, parts in self._nees.items()}

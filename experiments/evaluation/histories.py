@@ -1,0 +1,70 @@
+"""An episode as a contender goes through it, epoch by epoch, for pictures."""
+
+import numpy as np
+from scipy.special import chdtri
+
+from experiments.evaluation.contenders import Contender
+from experiments.evaluation.runner import PLAIN, Scoring, run_contender
+from mmwave_env.episodes.episode import Episode
+from mmwave_env.models.scene import Streets
+from mmwave_env.numerics.arrays import Array
+from mmwave_env.rendering.history import GATE, NO_MODE, POSITION_NUMBERS, History, Scenery
+
+_KEPT = ("x", "P", "memory.accepted", "memory.rejected", "memory.mode", "memory.nis")
+
+
+def history_of(
+    contender: Contender,
+    episode: Episode,
+    scoring: Scoring = PLAIN,
+    streets: Streets | None = None,
+) -> History:
+    """The prior, and what the contender makes of every epoch.
+
+    Args:
+        contender: its modes in the history are the actions of its policy, or the most probable
+            modes of an IMM; an IMM's gates are those of that mode, too.
+        episode: with or without a truth.
+        scoring: as of :func:`~experiments.evaluation.runner.run_contender`.
+        streets: of the episode; None where nobody knows them.
+
+    Raises:
+        ValueError: the policy fails, or the episode is planar and has no truth.
+    """
+    policy = contender.start(episode.layout, scoring.planar)
+    told = run_contender(contender, policy, [episode], scoring, after=_KEPT)
+    made = {name: values[0] for name, values in told.items()}
+    begun = episode.on_flat_ground() if scoring.planar else episode
+    prior_P = begun.prior_covariance[np.tril_indices(3)]
+    truth, nis_share = np.full((len(episode), 6), np.nan), None
+    if episode.truth_position_m is not None and episode.truth_velocity_mps is not None:
+        truth = np.hstack([episode.truth_position_m, episode.truth_velocity_mps])
+    else:
+        nis_share = _after(np.nan, _nis_share(made["memory.nis"], episode))
+    none = np.zeros_like(made["memory.accepted"][0])
+    return History(
+        Scenery(episode.name, episode.scene_anchors_m, streets),
+        2 if scoring.planar else 3,
+        time_s=_after(0.0, episode.time_s - episode.time_s[0]),
+        modes=_after(NO_MODE, made.get("mode", made["memory.mode"])).astype(np.int64),
+        truth=_after(truth[0], truth),
+        estimate=_after(begun.prior_mean, made["x"]),
+        P=_after(prior_P, made["P"][:, :POSITION_NUMBERS]),
+        nees=_after(np.nan, made["nees"]),
+        accepted=_after(none, made["memory.accepted"]) > 0.5,
+        rejected=_after(none, made["memory.rejected"]) > 0.5,
+        nis_share=nis_share,
+    )
+
+
+def _nis_share(nis: Array, episode: Episode) -> Array:
+    """(T,) of NIS (T, groups): the largest, as a share of the quantile of its chi-square."""
+    rows = [group.stop - group.start for group in episode.layout.groups]
+    share = nis / chdtri(np.array(rows), 1.0 - GATE)
+    largest: Array = np.where(episode.usable, share, -np.inf).max(axis=1)
+    return np.where(episode.usable.any(axis=1), largest, np.nan)
+
+
+def _after(prior: Array | float, epochs: Array) -> Array:
+    """Rows (T + 1, ...): the prior's, then those of the epochs (T, ...)."""
+    return np.concatenate([np.asarray(prior)[None], epochs])

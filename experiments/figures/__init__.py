@@ -1,0 +1,1 @@
+"""Pictures, one call each, in one style."""

@@ -1,0 +1,130 @@
+"""Pictures in the project's style (publication.mplstyle): as files, and what many have in them."""
+
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from experiments.evaluation.text import printable
+from mmwave_env.files import atomic_path, require_writable
+from mmwave_env.lookup import require_extra
+from mmwave_env.numerics.arrays import Array
+
+STYLE = Path(__file__).with_name("publication.mplstyle")
+UNDATED: dict[str, dict[str, Any]] = {  # the same picture is the same file
+    ".png": {}, ".svg": {"Date": None}, ".pdf": {"CreationDate": None},
+}  # fmt: skip
+NO_MODE = "#e0e0e0"  # the color of choosing none
+
+
+def require_picture(option: str, path: Path) -> None:
+    """Refuse a picture that could not be drawn or written, before any work.
+
+    Args:
+        option: that names the file.
+        path: of the file.
+
+    Raises:
+        ValueError: it does not end with .png, .svg or .pdf.
+        MissingExtraError: matplotlib is not installed.
+        OSError: the file can't be written.
+    """
+    if path.suffix.lower() not in UNDATED:
+        raise ValueError(
+            f"{option}: found {path}, expected a name that ends with {', '.join(UNDATED)}"
+        )
+    require_extra("matplotlib", "plot", f"{option}, a picture,")
+    require_writable(path)
+
+
+@contextmanager
+def picture(path: Path, width_in: float, height_in: float) -> Iterator[Any]:
+    """A matplotlib figure to draw into; written at the end, in one step.
+
+    Whatever the reader's own settings of matplotlib are, it is drawn in the project's style.
+
+    Args:
+        path: .png, .svg or .pdf.
+        width_in, height_in: inches.
+    """
+    from matplotlib import style
+    from matplotlib.figure import Figure
+
+    with style.context(STYLE, after_reset=True):
+        figure = Figure(figsize=(width_in, height_in))
+        yield figure
+        suffix = path.suffix.lower()
+        with atomic_path(path) as temporary:
+            figure.savefig(temporary, format=suffix[1:], metadata=UNDATED[suffix])
+
+
+def caption(name: str) -> str:
+    """A name as pictures show it: what the font lacks, or has no look, is spelled out."""
+    from matplotlib.font_manager import findfont, get_font
+
+    font = get_font(findfont("DejaVu Sans"))  # comes with matplotlib
+    return "".join(
+        one if font.get_char_index(ord(one)) else one.encode("unicode_escape").decode()
+        for one in printable(name)
+    )
+
+
+def contenders(names: Iterable[str]) -> dict[str, str]:
+    """Contenders as a picture shows them, by name.
+
+    Policies and runs go by the last parts of their paths, as many as tell all of them apart.
+    """
+    parts, shown = {name: Path(name).parts for name in names}, {}
+    for name, own in parts.items():
+        others = [other for one, other in parts.items() if one != name]
+        alone = (k for k in range(1, len(own)) if all(o[-k:] != own[-k:] for o in others))
+        shown[name] = caption(str(Path(*own[-next(alone, len(own)) :])))
+    return shown
+
+
+def legend_beside(axes: Any, **options: Any) -> None:
+    """A legend to the right of a panel, where it hides nothing."""
+    axes.legend(loc="upper left", bbox_to_anchor=(1.01, 1.02), borderaxespad=0.0, **options)
+
+
+def plain_numbers(axis: Any) -> None:
+    """Numbers of a logarithmic axis as they are written, at 1, 2 and 5 where there is room."""
+    from matplotlib.ticker import LogLocator, NullFormatter
+
+    low, high = axis.get_view_interval()
+    few = high / max(low, 1e-300) > 1e3
+    axis.set_major_locator(LogLocator(subs=(1.0,) if few else (1.0, 2.0, 5.0)))
+    axis.set_major_formatter("{x:,g}")
+    axis.set_minor_formatter(NullFormatter())
+
+
+def stacked_shares(axes: Any, x: Array, shares: Array, names: Sequence[str]) -> None:
+    """Shares (k, w) that add up to 1, one upon the other, over x (w,).
+
+    A mode has the same color whether there is "none" beside it or not.
+    """
+    modes = len([name for name in names if name != "none"])
+    colors = [*([NO_MODE] * (len(names) - modes)), *(f"C{i}" for i in range(modes))]
+    labels = [caption(name) for name in names]
+    axes.stackplot(x, shares, labels=labels, colors=colors, edgecolor="white", lw=0.4)
+    axes.set_ylim(0.0, 1.0)
+    axes.yaxis.set_major_formatter(lambda share, _: f"{100.0 * share:.0f} %")
+
+
+def line_with_band(axes: Any, x: Array, band: Array, **style: Any) -> None:
+    """A line with its interval, of band (3, w): values, and low and high ends."""
+    values, low, high = band
+    (line,) = axes.plot(x, values, **style)
+    axes.fill_between(x, low, high, color=line.get_color(), alpha=0.2, lw=0.0)
+
+
+def lines_of(names: Sequence[str], width: int) -> list[str]:
+    """Names with commas in lines of about a width; no name is cut."""
+    lines = [names[0]]
+    for name in names[1:]:
+        if len(lines[-1]) + len(name) + 2 > width:
+            lines[-1] += ","
+            lines.append(name)
+        else:
+            lines[-1] += f", {name}"
+    return lines

@@ -1,0 +1,149 @@
+"""A track from above with its ellipses, its error over time, and the modes that ran."""
+
+import textwrap
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy.stats import chi2
+
+from experiments.figures.canvas import caption, legend_beside, picture
+from experiments.figures.timeline import mode_ribbon
+from mmwave_env.numerics.arrays import Array, Index
+
+ELLIPSES = 15  # along a track, about
+TITLE_LETTERS = 80  # in a line
+_ENLARGED = (1, 2, 5, 10, 20, 50, 100)  # by how much, so that they can be seen
+_VISIBLE = 0.02  # of the extent of the track: a small ellipse that can be seen
+
+
+@dataclass(frozen=True, eq=False)
+class DrawnTrack:
+    """A track of T epochs to draw.
+
+    Attributes:
+        time_s: (T,).
+        position_m: (T, 3).
+        covariance_m2: (T, 3, 3) of the position.
+        truth_m: (T, 3), NaN where not known.
+        mode: (T,) number of the mode that ran.
+        segment: (T,) a track that begins anew has another number.
+        modes: their names.
+        anchors_m: (L, 3), the physical gNB first.
+        whole: no epoch is left out. Lines between epochs far apart would cross where nobody went.
+    """
+
+    time_s: Array
+    position_m: Array
+    covariance_m2: Array
+    truth_m: Array
+    mode: Index
+    segment: Index
+    modes: Sequence[str]
+    anchors_m: Array
+    whole: bool = True
+
+
+def draw_trajectory(track: DrawnTrack, path: Path, title: str) -> None:
+    """A track as a picture: from above, its error over time, and its modes, if it has several."""
+    several = len(np.unique(track.mode)) > 1
+    heights = (5.0, 1.8, 0.3) if several else (5.0, 1.8)
+    with picture(path, 10.0, sum(heights) + 1.2) as figure:
+        panels = figure.subplots(len(heights), 1, height_ratios=heights)
+        _draw_above(panels[0], track)
+        seconds, unit = _time_unit(track.time_s)
+        time = (track.time_s - track.time_s[0]) / seconds
+        _draw_error(panels[1], track, time)
+        if several:
+            panels[1].tick_params(labelbottom=False)
+            panels[1].sharex(panels[2])
+            mode_ribbon(panels[2], time, track.mode, len(track.modes))
+            panels[2].set_yticks([0.5], ["mode"])
+        panels[-1].set_xlabel(f"time since the first epoch ({unit})")
+        lines = textwrap.wrap(caption(title), TITLE_LETTERS, break_on_hyphens=False)
+        figure.suptitle("\n".join(lines), x=0.02, ha="left")
+
+
+def _time_unit(time_s: Array) -> tuple[float, str]:
+    return (3600.0, "h") if time_s[-1] - time_s[0] > 3 * 3600.0 else (1.0, "s")
+
+
+def _draw_above(axes: Any, track: DrawnTrack) -> None:
+    position, mode = track.position_m[:, :2], track.mode
+    dots = {"ls": "", "marker": "."}
+    if np.isfinite(track.truth_m).any():
+        style: dict[str, Any] = {"lw": 4.0} if track.whole else dots | {"ms": 5.0}
+        axes.plot(*track.truth_m[:, :2].T, color="black", alpha=0.25, label="truth", **style)
+    for number in np.unique(mode):
+        look: dict[str, Any] = {"color": f"C{number}", "lw": 1.4}
+        name = f"estimate, {caption(track.modes[number])}"
+        if track.whole:
+            _add_steps(axes, track, mode[1:] == number, look)
+            axes.plot([], [], label=name, **look)
+        else:
+            axes.plot(*position[mode == number].T, label=name, **look | dots | {"ms": 2.0})
+    _draw_ellipses(axes, track)
+    axes.plot(*position[0], "o", color="black", ms=5, label="start")
+    _draw_anchors(axes, position, track.anchors_m)
+    axes.set(xlabel="x (m)", ylabel="y (m)", aspect="equal")
+    axes.set_adjustable("datalim")
+    legend_beside(axes, markerscale=1.0 if track.whole else 2.0)
+
+
+def _add_steps(axes: Any, track: DrawnTrack, chosen: Array, look: dict[str, Any]) -> None:
+    """Lines from epoch to epoch of those chosen (T - 1,), none to where a track begins anew."""
+    from matplotlib.collections import LineCollection
+
+    position = track.position_m[:, :2]
+    steps = np.stack([position[:-1], position[1:]], axis=1)
+    whole = np.diff(track.segment) == 0
+    axes.add_collection(LineCollection(steps[whole & chosen], **look))
+
+
+def _draw_ellipses(axes: Any, track: DrawnTrack) -> None:
+    """Of 95 %, at a few epochs, enlarged where they are too small to be seen."""
+    from matplotlib.patches import Ellipse
+
+    at = np.unique(np.linspace(0, len(track.time_s) - 1, ELLIPSES).astype(int))
+    variances, directions = np.linalg.eigh(track.covariance_m2[at, :2, :2])
+    axes_m = np.sqrt(chi2.ppf(0.95, 2) * np.maximum(variances, 0.0))  # half, the short one first
+    extent = float(np.ptp(track.position_m[:, :2], axis=0).max())
+    wanted = _VISIBLE * extent / max(float(np.median(axes_m[:, 1])), 1e-9)
+    enlarged = next((n for n in _ENLARGED if n >= wanted), _ENLARGED[-1])
+    for place, (short, long), turn in zip(at, axes_m, directions, strict=True):
+        angle = np.degrees(np.arctan2(turn[1, 1], turn[0, 1]))
+        size, center = (
+            2.0 * enlarged * np.array([long, short]),
+            track.position_m[place, :2].tolist(),
+        )
+        axes.add_patch(Ellipse(center, *size, angle=angle, fc="none", ec="black", lw=0.8))
+    label = "95 % ellipses" + (f",\nenlarged {enlarged} times" if enlarged > 1 else "")
+    axes.plot([], [], "o", mfc="none", mec="black", mew=0.8, ms=8, label=label)
+
+
+def _draw_anchors(axes: Any, position: Array, anchors_m: Array) -> None:
+    """Those no further from the track than the track is long."""
+    low, high = position.min(axis=0), position.max(axis=0)
+    reach = max(float((high - low).max()), 30.0)
+    middle = 0.5 * (low + high)
+    for number, anchor in enumerate(anchors_m[:, :2], start=1):
+        if ((anchor > low - reach) & (anchor < high + reach)).all():
+            name = "gNB" if number == 1 else f"virtual anchor {number}"
+            axes.plot(*anchor, "^" if number == 1 else "v", color="black", ms=8,
+                      mfc="black" if number == 1 else "white")  # fmt: skip
+            right = anchor[0] > middle[0]  # so that the name points into the picture
+            axes.annotate(name, anchor, (-7 if right else 7, 0), textcoords="offset points",
+                          va="center", ha="right" if right else "left")  # fmt: skip
+
+
+def _draw_error(axes: Any, track: DrawnTrack, time: Array) -> None:
+    error = np.linalg.norm(track.position_m - track.truth_m, axis=1)
+    sigma = np.sqrt(np.trace(track.covariance_m2, axis1=1, axis2=2))
+    axes.fill_between(time, 0.0, 2.0 * sigma, color="C2", alpha=0.35, lw=0.0,
+                      label="2 standard deviations")  # fmt: skip
+    if np.isfinite(error).any():
+        axes.plot(time, error, color="black", lw=0.8, label="error")
+    axes.set(ylabel="position error (m)", ylim=(0.0, None))
+    legend_beside(axes)

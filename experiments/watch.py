@@ -1,0 +1,211 @@
+"""mmwave-loc watch: an episode as contenders go through it, in a window or as a video."""
+
+import warnings
+from collections.abc import Sequence
+from dataclasses import fields, replace
+from typing import NamedTuple
+
+import numpy as np
+
+from experiments.arguments.shared import WorldArgs
+from experiments.arguments.watch import Args
+from experiments.cli.main import run
+from experiments.cli.options import contender_of, task_of
+from experiments.evaluation.contenders import Contender
+from experiments.evaluation.histories import history_of
+from experiments.evaluation.moments import PullAways
+from experiments.evaluation.runner import PLAIN, Scoring, score_contenders
+from experiments.evaluation.seeds import TUNING_SEED, Selection, require_tuning_seed
+from experiments.evaluation.terminal import progress, say
+from mmwave_env.episodes.episode import Episode
+from mmwave_env.localization.localizer import episode_from
+from mmwave_env.localization.segments import segments
+from mmwave_env.logs.log import LogBlock, read_log
+from mmwave_env.models.radio import radio_from
+from mmwave_env.models.scene import Streets, scene_from
+from mmwave_env.numerics.arrays import Array
+from mmwave_env.rendering.frames import require_drawable
+from mmwave_env.rendering.history import History
+from mmwave_env.rendering.video import require_video, write_video
+from mmwave_env.task import Task
+
+MOST = 3  # side by side
+FASTEST = 50  # pictures a second that a GIF can have
+_OF_A_LOG = ("log", "scene", "radio")  # options of the world that say something of a log
+
+
+class Ride(NamedTuple):
+    """What is played.
+
+    Attributes:
+        episode: with or without truth.
+        streets: None where nobody knows them.
+        which: it is, in words.
+    """
+
+    episode: Episode
+    streets: Streets | None
+    which: str
+
+
+def main(args: Args) -> None:
+    """Run the command."""
+    _check(args)
+    contenders, rows = [contender_of(args, name) for name in args.policies], None
+    if args.log is not None:
+        ride, scoring = _logged(args), PLAIN
+    else:
+        task = task_of(args)
+        scoring, keys = Scoring.of(task), None if args.key is None else [args.key]
+        if args.clearest is None:
+            selection = Selection.of(task.source, None, args.seed, keys, usual=1)
+        else:
+            selection, rows = _clearest(args, task, contenders)
+        ride = _drawn(task, selection)
+    with progress("filtering"):
+        histories = [history_of(one, ride.episode, scoring, ride.streets) for one in contenders]
+    if rows is None:
+        rows = _between(histories[0].time_s, args.begin, args.end)
+    names = [contender.name for contender in contenders]
+    say(*_told(names, histories, rows, ride.which))
+    _show(args, contenders, histories, rows)
+
+
+def _check(args: Args) -> None:
+    """Refuse, before any work, what can't be shown."""
+    if not 1 <= len(args.policies) <= MOST:
+        raise ValueError(f"policies: found {len(args.policies)}, expected 1 to {MOST}")
+    if not 1 <= args.fps <= FASTEST:
+        raise ValueError(f"fps: found {args.fps}, expected 1 to {FASTEST}")
+    if args.clearest is not None:
+        for name, value in (("key", args.key), ("begin", args.begin), ("end", args.end)):
+            if value is not None:
+                raise ValueError(f"{name}: found {value} with --clearest, expected one of them")
+        if args.clearest < 1 or len(args.policies) < 2:
+            raise ValueError(
+                f"clearest: found {args.clearest} episodes and {len(args.policies)} policies, "
+                "expected at least 1 and 2"
+            )
+        require_tuning_seed(TUNING_SEED if args.seed is None else args.seed)
+    if args.log is not None:
+        _check_log(args)
+    require_drawable(args.render_size, args.render_theme, "watch")
+    if args.out:
+        require_video("out", args.out)
+    else:
+        from mmwave_env.rendering.window import require_display
+
+        require_display("window", "write a video with --out FILE.gif")
+
+
+def _check_log(args: Args) -> None:
+    """Refuse what a log brings itself, or does not have."""
+    if args.scene is None:
+        raise ValueError(f"scene: found none, expected --scene with that of {args.log}")
+    world = [field for field in fields(WorldArgs) if field.name not in _OF_A_LOG]
+    own = [field for field in fields(Args) if field.name in ("seed", "key", "clearest", "planar")]
+    for field in (*world, *own):
+        if (found := getattr(args, field.name)) != field.default:
+            raise ValueError(f"{field.name}: found {found} with --log, expected one of them")
+
+
+def _logged(args: Args) -> Ride:
+    """The first track of a log, up to the first long gap."""
+    assert args.log is not None and args.scene is not None
+    scene = scene_from(args.scene)
+    first, *others = segments([LogBlock.joined(list(read_log(args.log, scene)))])
+    begin_s, end_s = first.block.time_s[[0, -1]]
+    if others:
+        warnings.warn(
+            f"{args.log}: found a long gap after {end_s:g} s, where the track ends; what comes "
+            "after it is not played",
+            stacklevel=2,
+        )
+    episode = episode_from(first.block, scene, radio_from(args.radio))
+    streets = scene.streets if scene.streets_known else None
+    name = args.log.name
+    return Ride(replace(episode, name=name), streets, f"{name}, no truth, begun at {begin_s:g} s")
+
+
+def _clearest(
+    args: Args, task: Task, contenders: Sequence[Contender]
+) -> tuple[Selection, Sequence[int]]:
+    """The episode with the clearest pull-away, and the rows of histories around it."""
+    assert args.clearest is not None
+    first, (loser, *_, keeper) = TUNING_SEED if args.seed is None else args.seed, contenders
+    among = Selection(range(first, first + args.clearest))
+    pulls = PullAways(loser.name, keeper.name)
+    score_contenders(
+        [loser, keeper], task.source, args.radio, among, watch=[pulls.add],
+        scoring=Scoring.of(task),
+    )  # fmt: skip
+    place, (begin, end) = pulls.clearest
+    return among.part(place, 1), range(begin + 1, end + 2)  # the first row is the prior's
+
+
+def _drawn(task: Task, selection: Selection) -> Ride:
+    """The episode that is asked for."""
+    (episode,), keys = selection.draw(task.source), selection.keys(task.source)
+    streets = task.streets_of(0 if keys is None else int(keys[0]))
+    kind = "key" if selection.keyed else "seed"
+    return Ride(episode, streets, f"{episode.name}, {kind} {selection.numbers[0]}")
+
+
+def _between(time_s: Array, begin: float | None, end: float | None) -> Sequence[int]:
+    """The rows of a history between two times, the prior's among them at the beginning."""
+    low, high = -np.inf if begin is None else begin, np.inf if end is None else end
+    rows: list[int] = np.flatnonzero((time_s >= low) & (time_s <= high)).tolist()
+    if begin is not None and rows[:1] == [0]:
+        del rows[0]
+    if not rows:
+        raise ValueError(
+            f"begin, end: found {low:g} to {high:g} s, expected some of the 0 to "
+            f"{time_s[-1]:g} s of the episode"
+        )
+    return rows
+
+
+def _told(
+    names: Sequence[str], histories: Sequence[History], rows: Sequence[int], which: str
+) -> list[str]:
+    """What is played, and how far off everybody is in it, or may be."""
+    first, last = histories[0].time_s[[rows[0], rows[-1]]]
+    lines = [f"{which}, {first:g} to {last:g} s"]
+    for name, history in zip(names, histories, strict=True):
+        if not history.has_truth:
+            radius = np.median(history.error_95_m[np.asarray(rows)])
+            lines.append(f"{name}: 95 % radius {radius:.1f} m by its own belief (median)")
+            continue
+        error = history.error_m[np.asarray(rows)]
+        lines.append(f"{name}: {error.mean():.1f} m off on average, {error.max():.1f} m at most")
+    return lines
+
+
+def _show(
+    args: Args, contenders: Sequence[Contender], histories: Sequence[History], rows: Sequence[int]
+) -> None:
+    """Write the video, or play it in a window until it is closed or a key ends it."""
+    from mmwave_env.rendering.playback import Playback
+
+    size, theme = args.render_size, args.render_theme
+    modes, names = [one.actions for one in contenders], [one.name for one in contenders]
+    playback = Playback(histories, modes, names, size, theme)
+    if args.out:
+        with progress("drawing") as report:
+            write_video(args.out, playback.draw, rows, args.fps, report)
+        say(f"written to {args.out}: {len(rows)} pictures")
+        return
+    from mmwave_env.rendering.window import Window
+
+    window = Window(size * len(contenders), size)
+    window.speed = args.fps
+    for row in rows:
+        window.paused |= row == rows[-1]  # until a key, or until it is closed
+        window.show(playback.draw(row))
+        if not window.is_open:
+            break
+    window.close()
+
+
+if __name__ == "__main__":
+    run("watch")

@@ -1,0 +1,1 @@
+"""Results as one web page that needs nothing else, part by part."""

@@ -1,0 +1,190 @@
+"""mmwave-loc watch: episodes in a window and as videos."""
+
+import re
+import shlex
+import sys
+
+import numpy as np
+import pytest
+
+from experiments.evaluation.seeds import keys_of
+from tests.cli import assert_one_clear_line, command, succeed
+from tests.paths import ROOT
+
+pytest.importorskip("pygame")
+SHORT = ("--episode-steps", 12)
+
+
+def frames(path):
+    """How many pictures a GIF has, and how wide and high they are."""
+    image = pytest.importorskip("PIL.Image")
+    with image.open(path) as file:
+        return file.n_frames, file.size
+
+
+def picture(path, number):
+    """One of the pictures of a GIF, (height, width, 3)."""
+    image = pytest.importorskip("PIL.Image")
+    with image.open(path) as file:
+        file.seek(number)
+        return np.asarray(file.convert("RGB"))
+
+
+@pytest.fixture
+def window(monkeypatch):
+    """What a window that nobody sees was shown."""
+    monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")
+    from mmwave_env.rendering.window import Window
+
+    shown = []
+    monkeypatch.setattr(Window, "show", lambda _, picture: shown.append(picture))
+    return shown
+
+
+def test_contenders_are_side_by_side_from_the_prior_on(tmp_path):
+    pytest.importorskip("PIL")
+    out = tmp_path / "new" / "both.gif"
+    shown = succeed("watch", "--policies", "fixed-ekf", "imm", *SHORT, "--seed", 3, "--out", out)
+    assert frames(out) == (13, (960, 480))
+    what, first, second, written = shown.splitlines()
+    assert re.fullmatch(r"\w+, seed 3, 0 to 11 s", what)
+    assert re.fullmatch(r"fixed-ekf: [\d.]+ m off on average, [\d.]+ m at most", first)
+    assert second.startswith("imm: ") and written == f"written to {out}: 13 pictures"
+
+
+def test_a_key_plays_the_episode_of_its_seed(tmp_path):
+    pytest.importorskip("PIL")
+    files = [tmp_path / "seed.gif", tmp_path / "key.gif"]
+    options = ("--policies", "fixed-ukf", *SHORT, "--out")
+    by_seed = succeed("watch", "--seed", 7, *options, files[0])
+    by_key = succeed("watch", "--key", int(keys_of([7])[0]), *options, files[1])
+    assert by_seed.splitlines()[1] == by_key.splitlines()[1]
+    assert files[0].read_bytes() == files[1].read_bytes()
+
+
+def test_a_part_of_a_recording_and_of_a_log_is_played(tmp_path, window):
+    part = ("--policies", "fixed-ukf", "--begin", 3, "--end", 8)
+    succeed("watch", "--data", "canyon28_pedestrian", *part)
+    succeed("simulate", *SHORT, "--out", tmp_path / "ride")
+    before = len(window)
+    assert succeed("watch", "--data", tmp_path / "ride", *part).startswith("ride, seed 0, 3 to 8 s")
+    assert before > 0 and len(window) - before == 6
+
+
+@pytest.fixture
+def log(tmp_path):
+    """A log whose truth nobody has written down, and its scene; it begins at 0 s."""
+    succeed("simulate", "--episode-steps", 40, "--out", tmp_path / "ride")
+    (tmp_path / "ride" / "truth.tum").unlink()
+    return ("--log", tmp_path / "ride" / "log.csv", "--scene", tmp_path / "ride" / "scene.json")
+
+
+def test_a_log_without_truth_is_played(log, window):
+    lines = succeed("watch", "--policies", "fixed-ukf", "imm", *log).splitlines()
+    begun = re.fullmatch(r"log[.]csv, no truth, begun at (\d+) s, 0 to (\d+) s", lines[0])
+    assert sum(map(int, begun.groups())) == 39
+    assert [line.split(":")[0] for line in lines[1:]] == ["fixed-ukf", "imm"]
+    assert all("95 % radius" in line and "off on average" not in line for line in lines[1:])
+    assert len(window) == int(begun[2]) + 2 and window[0].shape == (480, 960, 3)
+
+
+def test_what_a_log_brings_is_refused_beside_it(log):
+    for option in (("--seed", 3), ("--dt", 0.5), ("--data", "canyon28_vehicle"), ("--planar",)):
+        message = f"watch: {option[0][2:]}: found .* with --log, expected one of them"
+        assert_one_clear_line(command("watch", *log, *option), message)
+    assert_one_clear_line(command("watch", *log[:2]), "watch: scene: found none, expected --scene")
+
+
+def test_a_log_is_played_up_to_its_first_long_gap(log, window):
+    path = log[1]
+    header, *rows = path.read_text().splitlines()
+    late = [
+        row.replace(row.split(",")[0], f"{float(row.split(',')[0]) + 600:g}", 1) for row in rows
+    ]
+    path.write_text("\n".join([header, *rows, *late]))
+    done = command("watch", "--policies", "fixed-ukf", *log)
+    assert done.returncode == 0 and len(window) <= 41
+    assert re.search("found a long gap after 39 s, where the track ends", done.stderr)
+
+
+def test_a_window_is_as_wide_as_what_it_shows(window):
+    succeed("watch", "--policies", "fixed-ekf", "fixed-ukf", *SHORT, "--render-size", 500)
+    assert [picture.shape for picture in window] == [(500, 1000, 3)] * 13
+
+
+def test_a_window_that_is_closed_ends_it(monkeypatch, window):
+    from mmwave_env.rendering.window import Window
+
+    def show(self, picture):
+        window.append(picture)
+        self.close()
+
+    monkeypatch.setattr(Window, "show", show)
+    succeed("watch", "--policies", "fixed-ukf", *SHORT)
+    assert len(window) == 1
+
+
+def test_the_clearest_moment_is_played(window):
+    options = ("--policies", "fixed-ekf", "fixed-ukf", "--scenario", "vehicle", "--clearest", 30)
+    what, *_ = succeed("watch", *options).splitlines()
+    seed, begin, end = map(int, re.fullmatch(r"\w+, seed (\d+), (\d+) to (\d+) s", what).groups())
+    assert 5_000_000 <= seed < 5_000_030 and end - begin == 35 and len(window) == 36
+
+
+MISTAKES = {
+    "unknown policy": (("--policies", "oracle"), "policy: found 'oracle', expected one of"),
+    "too many": (("--policies", *["imm"] * 4), "policies: found 4, expected 1 to 3$"),
+    "no policies": (("--policies",), "policies: found 0, expected 1 to 3$"),
+    "a key of a recording": (("--key", 1, "--data", "canyon28_vehicle"), "keys: found 1, but"),
+    "key and seed": (("--key", 1, "--seed", 2), "keys: found beside seed 2"),
+    "unknown ending": (("--out", "video.avi"), "out: found video.avi, expected.*.gif or .mp4$"),
+    "unknown theme": (("--render-theme", "blue"), "render_theme: found 'blue'.*light, dark"),
+    "small": (("--render-size", 100), "render_size: found 100, expected an even number from 480"),
+    "speed": (("--fps", 0), "fps: found 0, expected 1 to 50$"),
+    "nothing left": (("--begin", 9000), "begin, end: found 9000 to inf s, expected.*199 s"),
+    "test seeds": (("--clearest", 9, "--seed", 0), "seed: found 0, expected a tuning seed"),
+    "a key and a search": (("--clearest", 9, "--key", 1), "key: found 1 with --clearest"),
+    "a search for one": (("--clearest", 9, "--policies", "imm"), "clearest: found 9 .* and 1 pol"),
+    "no pull-away": (("--clearest", 2, "--scenario", "pedestrian"), "clearest: found none of 2"),
+}  # fmt: skip
+
+
+@pytest.mark.usefixtures("window")
+@pytest.mark.parametrize("mistake", MISTAKES)
+def test_a_mistake_ends_with_one_clear_line(mistake, tmp_path):
+    words, message = MISTAKES[mistake]
+    if "--policies" not in words:
+        words = ("--policies", "fixed-ekf", "fixed-ukf", *words)
+    assert_one_clear_line(command("watch", *words, cwd=tmp_path), f"^mmwave-loc watch: {message}")
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="others need no variable")
+def test_without_a_display_variable_and_way_out_are_named(monkeypatch):
+    for name in ("DISPLAY", "WAYLAND_DISPLAY", "SDL_VIDEODRIVER", "SDL_VIDEO_DRIVER"):
+        monkeypatch.delenv(name, raising=False)
+    done = command("watch", "--policies", "fixed-ukf")
+    assert_one_clear_line(
+        done, "watch: window: found no display.*DISPLAY or WAYLAND_DISPLAY.*--out"
+    )
+
+
+def test_without_pygame_the_extra_is_named(monkeypatch, tmp_path):
+    monkeypatch.setitem(sys.modules, "pygame", None)  # as if it were not installed
+    done = command("watch", "--out", tmp_path / "x.gif")
+    assert_one_clear_line(done, r"watch needs pygame: pip install 'mmwave-loc\[render\]'")
+
+
+@pytest.mark.slow
+def test_the_moving_picture_of_the_readme_is_made_by_its_command(tmp_path):
+    pages = {path.name: path.read_text("utf-8") for path in (ROOT / "docs").glob("*.md")}
+    (line,) = re.findall(r"^mmwave-loc (watch .*docs/watch.gif)$", pages["commands.md"], re.M)
+    made, there = tmp_path / "watch.gif", ROOT / "docs" / "watch.gif"
+    told = succeed(*shlex.split(line.replace("docs/watch.gif", str(made))))
+    assert frames(made) == frames(there)
+    # Not byte by byte: another libm may round otherwise, another font engine draw otherwise.
+    for number in (0, 20, frames(there)[0] - 1):
+        differs = (picture(made, number) != picture(there, number)).any(axis=-1)
+        assert differs.mean() < 0.02
+    rule, learned = (float(n) for n in re.findall(r": ([\d.]+) m off on average", told))
+    assert learned < 3.0 < rule

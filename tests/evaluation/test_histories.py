@@ -1,0 +1,91 @@
+"""What pictures are drawn from is what environments record and what comparisons score."""
+
+from dataclasses import replace
+
+import gymnasium as gym
+import numpy as np
+import pytest
+
+from experiments.evaluation.contenders import contender_from
+from experiments.evaluation.histories import history_of
+from experiments.evaluation.runner import Scoring, score_contenders
+from experiments.evaluation.seeds import Selection, draw_episodes, keys_of
+from mmwave_env.episodes.samples import source_from
+from mmwave_env.metrics import BURN_IN
+from mmwave_env.rendering.history import NO_MODE
+from mmwave_env.reward import TrackingReward
+from mmwave_env.task import task_from
+
+SEED = 5
+TASK = task_from()
+(EPISODE,) = draw_episodes(TASK.source, [SEED])
+STREETS = TASK.streets_of(int(keys_of([SEED])[0]))
+SCORES = {"rtol": 1e-9, "atol": 1e-9}
+
+
+@pytest.mark.parametrize(
+    ("name", "arguments"),
+    [
+        ("speed-rule", {}),
+        # these compile kernels of their own:
+        pytest.param("fixed-ukf", {"planar": True}, marks=pytest.mark.slow),
+        pytest.param("guided", {"beliefs": "per-mode"}, marks=pytest.mark.slow),
+    ],
+)
+def test_a_history_is_what_an_environment_records(name, arguments):
+    pytest.importorskip("pygame")
+    scoring = Scoring(TrackingReward(), arguments.get("planar", False))
+    contender = contender_from(name, "handset")
+    found = history_of(contender, EPISODE, scoring, STREETS)
+    modes = contender.bank or contender.modes
+    env = gym.make("MmWaveLoc-v0", render_mode="rgb_array", modes=modes, **arguments).unwrapped
+    env.reset(seed=SEED)
+    for mode in found.modes[1:]:
+        env.step(mode)
+    recorded = env._recorder.history
+    assert found.axes == recorded.axes and found.epochs == recorded.epochs == len(EPISODE)
+    assert found.scenery.name == recorded.scenery.name
+    assert found.scenery.streets == recorded.scenery.streets is not None
+    np.testing.assert_array_equal(found.scenery.anchors_m, recorded.scenery.anchors_m)
+    for field in ("time_s", "modes", "truth", "estimate", "P", "nees", "accepted", "rejected"):
+        np.testing.assert_allclose(
+            getattr(found, field), getattr(recorded, field), err_msg=field, **SCORES
+        )
+
+
+@pytest.mark.parametrize("name", ["fixed-ekf", "speed-rule", "ppo", "imm"])
+def test_errors_are_those_that_comparisons_score(name):
+    scores = score_contenders([name], TASK.source, "handset", Selection([SEED]))[name]
+    history = history_of(contender_from(name, "handset"), EPISODE)
+    counted = slice(1 + BURN_IN, None)
+    assert history.error_m[counted].mean() == pytest.approx(scores["ate_m"][0], rel=1e-9)
+    assert history.nees[counted].mean() == pytest.approx(scores["nees"][0], rel=1e-9)
+
+
+def test_an_imm_s_modes_are_the_most_probable_ones():
+    contender = contender_from("imm", "handset")
+    history = history_of(contender, EPISODE)
+    assert history.modes[0] == NO_MODE
+    assert set(history.modes[1:]) == set(range(len(contender.actions)))
+    assert (history.accepted[1:] | history.rejected[1:]).any()
+
+
+def test_without_truth_estimates_stay_and_nis_is_told():
+    blind = replace(EPISODE, truth_position_m=None, truth_velocity_mps=None)
+    for name in ("speed-rule", "imm"):
+        contender = contender_from(name, "handset")
+        known, found = history_of(contender, EPISODE), history_of(contender, blind)
+        np.testing.assert_array_equal(found.estimate, known.estimate)
+        np.testing.assert_array_equal(found.modes, known.modes)
+        assert known.has_truth and not found.has_truth and np.isnan(found.error_m).all()
+        # what a gate at 99 % rejects lies beyond it (and is accepted after many rejections)
+        rejected = found.rejected[1:].any(axis=1)
+        assert rejected.any() and (found.nis_share[1:][rejected] > 1.0).all()
+
+
+def test_a_recording_begins_at_its_prior():
+    (episode,) = draw_episodes(source_from("canyon28_pedestrian", "handset"), [0])
+    history = history_of(contender_from("fixed-ukf", "handset"), episode)
+    np.testing.assert_array_equal(history.estimate[0], episode.prior_mean)
+    assert history.scenery.streets is None and history.time_s[0] == history.time_s[1] == 0.0
+    assert history.time_s[-1] == episode.time_s[-1] - episode.time_s[0]

@@ -1,0 +1,168 @@
+"""Pictures are drawn whatever names are in them, show what they are of, and hide nothing."""
+
+import re
+import warnings
+from xml.etree import ElementTree
+
+import matplotlib as mpl
+import numpy as np
+import pytest
+from matplotlib.image import imread
+
+from experiments.evaluation.contenders import contender_from
+from experiments.evaluation.histories import history_of
+from experiments.evaluation.seeds import draw_episodes
+from experiments.figures.canvas import caption, contenders, lines_of, picture
+from experiments.figures.curves import draw_learning_curves
+from experiments.figures.errors import draw_consistency, draw_error_cdf
+from experiments.figures.events import Lines, Shares, alike, draw_around_events
+from experiments.figures.timeline import draw_histories, draw_timeline
+from experiments.figures.trajectory import DrawnTrack, draw_trajectory
+from mmwave_env.task import task_from
+
+AWKWARD = "a$b_{^$ | \x1b[31m <b>\n漢字 \u202eق"
+T = 50
+
+
+def track(modes, position_m=None):
+    rng = np.random.default_rng(0)
+    if position_m is None:
+        position_m = np.cumsum(rng.normal(size=(T, 3)), axis=0)
+    return DrawnTrack(
+        np.arange(T) * 1.0, position_m, np.tile(0.01 * np.eye(3), (T, 1, 1)), position_m + 0.1,
+        np.arange(T) // 20 % len(modes), np.zeros(T, int), modes, np.zeros((2, 3)),
+    )  # fmt: skip
+
+
+def drawn(name, path):
+    """Every picture there is, with a name in it."""
+    errors = np.random.default_rng(1).normal(size=(4, T, 3))
+    one = path / "track.svg", path / "cdf.svg", path / "nees.svg", path / "time.svg", path / "l.svg"
+    draw_trajectory(track([name, "ukf"]), one[0], name)
+    draw_error_cdf({name: errors, "imm": 2.0 * errors}, one[1])
+    draw_consistency(np.arange(T) * 1.0, {name: (errors**2).sum(axis=-1)}, 3, one[2])
+    draw_timeline(
+        np.arange(T) * 1.0, {name: np.arange(T) % 3 - 1}, [name, "ukf"], one[3],
+        above={f"error of {name}": {name: np.arange(T) * 1.0, f"not {name}": np.ones(T)}},
+    )  # fmt: skip
+    draw_learning_curves({f"reward minus {name}": {name: [([1e3, 1e6], [0.0, 1.0])]}}, one[4])
+    return one
+
+
+@pytest.mark.parametrize("name", ["$", "$x$", r"a\$b$", AWKWARD, "\udcff.csv"])
+def test_no_name_breaks_a_picture(name, tmp_path):
+    for path in drawn(name, tmp_path):
+        ElementTree.parse(path)
+    assert len(list(tmp_path.iterdir())) == 5
+
+
+def test_names_are_shown_as_they_are_and_what_cannot_be_seen_is_spelled_out():
+    assert caption("a$b_{^$ | <b>") == "a$b_{^$ | <b>"
+    assert caption("\x1b[31m\n") == r"\x1b[31m\n"
+    assert caption("漢") == r"\u6f22"  # the font of matplotlib has none
+    assert caption("\udcff") == r"\udcff"  # of a file name that is no UTF-8
+
+
+@pytest.mark.parametrize(
+    ("suffix", "begin"), [(".png", b"\x89PNG"), (".pdf", b"%PDF"), (".SVG", b"<?xml")]
+)
+def test_the_ending_says_the_format_and_the_same_picture_is_the_same_file(tmp_path, suffix, begin):
+    content = []
+    for name in ("a", "b"):
+        path = tmp_path / f"{name}{suffix}"
+        draw_timeline(np.arange(T) * 1.0, {"rule": np.arange(T) % 2}, ["ekf", "ukf"], path)
+        content.append(path.read_bytes())
+    assert content[0].startswith(begin) and content[0] == content[1]
+
+
+def test_settings_of_the_reader_change_no_picture(tmp_path):
+    draw_timeline(np.arange(T) * 1.0, {"rule": np.arange(T) % 2}, ["ekf"] * 2, tmp_path / "a.png")
+    with mpl.rc_context({"text.usetex": True, "axes.facecolor": "red"}):
+        draw_timeline(
+            np.arange(T) * 1.0, {"rule": np.arange(T) % 2}, ["ekf"] * 2, tmp_path / "b.png"
+        )
+        assert mpl.rcParams["axes.facecolor"] == "red"
+    assert (tmp_path / "a.png").read_bytes() == (tmp_path / "b.png").read_bytes()
+
+
+def test_a_failed_picture_leaves_the_one_before(tmp_path):
+    path = tmp_path / "a.png"
+    path.write_text("before")
+    with pytest.raises(ZeroDivisionError), picture(path, 1.0, 1.0):
+        raise ZeroDivisionError
+    assert path.read_text() == "before"
+
+
+def test_a_part_of_an_episode_shows_that_part_and_who_is_who(tmp_path):
+    (episode,) = draw_episodes(task_from(episode_steps=30).source, [0])
+    histories = {
+        name: history_of(contender_from(name, "handset"), episode)
+        for name in ("speed-rule", "fixed-ukf")
+    }
+    path = tmp_path / "part.svg"
+    draw_histories(histories, ["ekf", "ukf"], slice(11, 21), path)
+    words = re.findall(r"<!-- (.*?) -->", path.read_text())
+    assert {"true speed", "estimated speed (m/s)", "position error (m)", "time (s)"} <= set(words)
+    for name in histories:  # in two legends, and beside its ribbon
+        assert words.count(name) == 3
+    seconds = [float(word) for word in words[: words.index("time (s)")] if word.isdecimal()]
+    assert max(seconds) <= 19.0
+
+
+def test_small_ellipses_are_enlarged_and_it_is_said(tmp_path):
+    still = np.zeros((T, 3))
+    way = still + np.linspace(0.0, 100.0, T)[:, None]
+    for name, position in (("still", still), ("way", way)):
+        draw_trajectory(track(["ekf", "ukf"], position), tmp_path / f"{name}.svg", name)
+    assert "enlarged" not in (tmp_path / "still.svg").read_text()
+    assert "enlarged" in (tmp_path / "way.svg").read_text()
+
+
+def test_an_error_cdf_without_vertical_errors_is_drawn(tmp_path):
+    flat = np.random.default_rng(2).normal(size=(3, T, 3)) * [1.0, 1.0, 0.0]
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        draw_error_cdf({"imm": flat}, tmp_path / "flat.png")
+    assert (imread(tmp_path / "flat.png")[..., :3] != 1.0).any(axis=2).mean() > 0.02
+
+
+def test_where_nobody_stopped_that_is_said(tmp_path):
+    time_s, nothing = np.linspace(-10.0, 20.0, 31), np.full((3, 31), np.nan)
+    shares = [Shares("modes of\nrule", ["ekf"], {"stop": nothing[:1], "pull-away": nothing[:1]})]
+    bands = {kind: {"imm": nothing} for kind in ("stop", "pull-away")}
+    lines = Lines("error minus\nrule's (m)", bands)
+    events = {"stop": 0, "pull-away": 0}
+    draw_around_events(time_s, events, shares, lines, tmp_path / "none.svg")
+    shown = (tmp_path / "none.svg").read_text()
+    assert shown.count("<!-- none -->") == 4 and "<!-- 20 -->" in shown  # texts are paths
+    assert "<!-- 1e" not in shown
+
+
+def test_what_coincides_is_one_group_and_nobody_is_left_out():
+    lines = {"a": 0.0, "b": 0.4, "c": 5.0, "d": -0.4, "e": 5.1}
+    groups = alike({name: np.full(3, value) for name, value in lines.items()}, 0.5)
+    assert groups == [["a", "b", "d"], ["c", "e"]]
+
+
+def test_runs_are_told_apart_by_as_much_of_their_paths_as_that_takes():
+    paths = ["runs/a/ppo", "runs/b/ppo", "/tmp/c/policy.safetensors", "imm", "runs/ppo", "ppo"]
+    assert [*contenders(paths).values()] == [
+        "a/ppo", "b/ppo", "policy.safetensors", "imm", "runs/ppo", "ppo",
+    ]  # fmt: skip
+    assert contenders(["runs/x$"]) == {"runs/x$": "x$"}
+
+
+def test_a_long_title_is_as_narrow_as_the_picture(tmp_path):
+    widths = {}
+    for title in ("n" * 20, "n" * 70, "n" * 200):
+        draw_trajectory(track(["ekf"]), tmp_path / "a.png", title)
+        ink = (imread(tmp_path / "a.png")[..., :3] < 0.5).all(axis=2)
+        widths[title] = ink[:18].any(axis=0).nonzero()[0].max() / ink.shape[1]
+    assert max(widths.values()) < 0.99 < 3.0 * widths["n" * 20] + 0.5
+
+
+def test_names_are_never_cut():
+    names = ["imm-extended-limited", "imm", "x" * 60, "y"]
+    lines = lines_of(names, 26)
+    assert "".join(lines).replace(" ", "").split(",") == names
+    assert all(len(line) <= 28 or "x" * 60 in line for line in lines)

@@ -1,0 +1,131 @@
+"""The documentation site in a real browser: built as `make docs` does it, served from here."""
+
+import subprocess
+import sys
+import threading
+from functools import partial
+from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
+
+import pytest
+
+from tests.cli import environment
+from tests.paths import ROOT
+
+playwright = pytest.importorskip("playwright.sync_api")
+pytest.importorskip("material")
+pytest.importorskip("mkdocstrings")
+pytestmark = pytest.mark.slow
+
+PHONE = 390  # px
+LACKING = """() => [...document.querySelectorAll("img, iframe")]
+  .filter((one) => !(one.getAttribute("alt") || one.title)).map((one) => one.outerHTML)"""
+
+
+class Quiet(SimpleHTTPRequestHandler):
+    def log_message(self, *args):
+        pass
+
+
+@pytest.fixture(scope="module")
+def site(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("site")
+    subprocess.run(
+        [sys.executable, "-m", "mkdocs", "build", "--strict", "--quiet", "--site-dir", folder],
+        cwd=ROOT, env=environment() | {"NO_MKDOCS_2_WARNING": "1"}, check=True,
+    )  # fmt: skip
+    return folder
+
+
+@pytest.fixture(scope="module")
+def address(site):
+    """Where the site is served."""
+    server = ThreadingHTTPServer(("127.0.0.1", 0), partial(Quiet, directory=site))
+    thread = threading.Thread(target=server.serve_forever)
+    thread.start()
+    yield f"http://127.0.0.1:{server.server_port}/"
+    server.shutdown()
+    thread.join()
+    server.server_close()
+
+
+@pytest.fixture
+def opened(chromium, address):
+    """How to open a page; what it complained of and asked others for is in the list."""
+    contexts, complaints = [], []
+
+    def open_page(path, width=1280, **options):
+        contexts.append(chromium.new_context(viewport={"width": width, "height": 800}, **options))
+        page = contexts[-1].new_page()
+        page.on("console", lambda message: complaints.append(f"{path}: {message.text}"))
+        page.on("pageerror", lambda error: complaints.append(f"{path}: {error}"))
+        page.on("request", lambda one: asked(path, one.url))
+        page.goto(address + path)
+        return page
+
+    def asked(path, url):
+        if not url.startswith((address, "data:", "blob:")):
+            complaints.append(f"{path}: {url}")
+
+    yield open_page, complaints
+    for context in contexts:
+        context.close()
+
+
+def pages(site):
+    """All of them, as addresses below the site's."""
+    return sorted(file.relative_to(site).as_posix() for file in site.rglob("*.html"))
+
+
+def test_every_page_opens_on_a_phone_without_complaint_or_request_to_others(site, opened):
+    open_page, complaints = opened
+    found = pages(site)
+    assert len(found) > 30 and {"index.html", "report.html"} <= set(found)
+    for path in found:
+        page = open_page(path, PHONE)
+        width = page.evaluate("document.documentElement.scrollWidth")
+        complaints += [f"{path}: {width} px wide"] * (width > PHONE)
+        complaints += [f"{path}: no alternative: {one}" for one in page.evaluate(LACKING)]
+        page.close()
+    assert complaints == []
+
+
+@pytest.mark.parametrize(("path", "width"), [("", 1280), ("results/", PHONE)])
+def test_a_report_plays_inside_a_page(opened, path, width):
+    open_page, complaints = opened
+    page = open_page(path, width)
+    page.locator("iframe").scroll_into_view_if_needed()
+    report = page.frame_locator("iframe")
+    report.get_by_role("tab", name="Episodes").click()
+    report.locator("#play").click()
+    playwright.expect(report.locator("#play")).to_have_text("Pause")
+    playwright.expect(report.locator("#time")).not_to_have_value("0")
+    assert complaints == []
+
+
+def test_the_first_page_moves_and_begins_with_episodes(opened):
+    open_page, complaints = opened
+    page = open_page("")
+    assert page.locator("img[src='watch.gif']").evaluate("one => one.naturalWidth") > 400
+    page.locator("iframe").scroll_into_view_if_needed()
+    shown = page.frame_locator("iframe").get_by_role("tabpanel")
+    playwright.expect(shown).to_have_accessible_name("Episodes")
+    assert complaints == []
+
+
+def test_the_theme_is_that_of_the_system_and_can_be_changed(opened):
+    open_page, complaints = opened
+    page = open_page("", color_scheme="dark")
+    scheme = "document.body.getAttribute('data-md-color-scheme')"
+    assert page.evaluate(scheme) == "slate"
+    page.locator("label[title='Light']").click()
+    assert page.evaluate(scheme) == "default"
+    assert complaints == []
+
+
+def test_the_search_finds_a_page_of_the_site(opened):
+    open_page, complaints = opened
+    page = open_page("")
+    page.keyboard.press("/")
+    page.keyboard.type("chi-square")
+    playwright.expect(page.locator(".md-search-result__link").first).to_be_visible()
+    assert complaints == []
