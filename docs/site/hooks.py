@@ -1,12 +1,13 @@
 """Hooks of mkdocs: pages made at the build, and links that work on the site as on a code host.
 
 What the site shows beside the files of docs/ has its source elsewhere, once: the README, the
-docstring of the environment, the help of the commands, CITATION.cff and the docstrings of the
-modules. Nothing of it is copied into the repository.
+docstring of the environment, the help of the commands, CITATION.cff, notebooks and the docstrings
+of the modules. Nothing of it is copied into the repository.
 """
 
 import ast
 import inspect
+import json
 import os
 import re
 from collections.abc import Callable, Iterator
@@ -25,6 +26,7 @@ MIRRORED = {  # pages of the site that are files beside docs/
     "contributing.md": "CONTRIBUTING.md",
     "changelog.md": "CHANGELOG.md",
 }
+NOTEBOOKS = {"notebooks/first_switcher.md": "docs/notebooks/first_switcher.ipynb"}
 API = {  # page: title, modules and folders of modules
     "environment": ("Around the environment", ["vector_env", "sb3"]),
     "signals": ("Rewards and observations", ["reward", "observation", "features", "metrics"]),
@@ -38,6 +40,7 @@ API = {  # page: title, modules and folders of modules
 }
 CODE = re.compile(r"^```.*?^```", re.DOTALL | re.MULTILINE)
 LINK = re.compile(r"\]\(([^)\s:#]+)(#[^)\s]*)?\)")
+PAGE_ALONE = re.compile(r'<p><a href="([^"]+\.html(?:#[^"]*)?)">([^<"]+)</a></p>')
 CELL = re.compile(r"<td>(?=(?:[a-z]+(?:-[a-z0-9]+)*|[^<a-zA-Z]+|<code>[^<]{1,20}</code>)</td>)")
 ROLE = re.compile(r":(?:class|func|meth|mod|data|attr|exc):<code>~?([\w.]+)</code>")
 
@@ -76,6 +79,7 @@ def made() -> dict[str, Callable[[], str]]:
         "environment.md": environment_page,
         "command-help.md": help_page,
         "citing.md": citing_page,
+        **{page: partial(notebook_page, ROOT / name) for page, name in NOTEBOOKS.items()},
         "api/index.md": api_index,
         **{f"api/{name}.md": partial(api_page, name) for name in API},
     }
@@ -136,6 +140,21 @@ The same stands in [CITATION.cff]({source_of("CITATION.cff")}), which reference 
 """
 
 
+def notebook_page(path: Path) -> str:
+    """The cells of a notebook below each other, and where to have the file."""
+    first, *others = json.loads(path.read_text("utf-8"))["cells"]
+    # By reference, as :func:`relinked` leads links to a notebook to this page.
+    parts = [
+        "".join(first["source"]),
+        "This page is a notebook, shown without its outputs: it is made to be run. [Download it]"
+        f"[file]{{ download }}.\n\n[file]: {path.name}",
+    ]
+    for cell in others:
+        source = "".join(cell["source"])
+        parts.append(source if cell["cell_type"] == "markdown" else f"```python\n{source}\n```")
+    return "\n\n".join(parts) + "\n"
+
+
 def modules_of(part: str) -> Iterator[str]:
     """Dotted names of a module of mmwave_env, or of all in a folder; "/" first: of the checkout."""
     path = ROOT / part.strip("/") if part.startswith("/") else ROOT / "mmwave_env" / part
@@ -188,7 +207,7 @@ def source_of(name: str) -> str:
 @cache
 def pages() -> dict[str, str]:
     """Page of the site by file of the checkout, for files that the site shows in another form."""
-    found = {source: page for page, source in MIRRORED.items()}
+    found = {source: page for page, source in (MIRRORED | NOTEBOOKS).items()}
     for name, (_, parts) in API.items():
         for module in (m for part in parts for m in modules_of(part)):
             found[f"{module.replace('.', '/')}.py"] = f"api/{name}.md#{module}"
@@ -234,11 +253,23 @@ def _address(target: Path, folder: str) -> str:
 
 
 def on_page_content(html: str, **_: Any) -> str:
-    """Make links of the roles that docstrings use; keep figures and names in tables on one line."""
+    """Make links of the roles that docstrings use; keep figures and names in tables on one line.
+
+    A paragraph that is but a link to a web page of ours, such as a report, gets that page in a
+    frame.
+    """
 
     def linked(match: re.Match[str]) -> str:
         name = match[1]
         word = f"<code>{name.rpartition('.')[2]}</code>"
         return f'<autoref optional identifier="{name}">{word}</autoref>' if "." in name else word
 
+    html = PAGE_ALONE.sub(
+        r'\g<0>\n<iframe class="page" src="\1" title="\2" loading="lazy"></iframe>', html
+    )
     return CELL.sub('<td class="whole">', ROLE.sub(linked, html))
+
+
+def on_post_page(output: str, **_: Any) -> str:
+    """Keep the theme from asking a code host for stars: nothing is loaded from elsewhere."""
+    return output.replace(' data-md-component="source"', "")
