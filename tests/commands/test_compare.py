@@ -148,6 +148,7 @@ def test_a_figure_needs_a_run(tmp_path):
     assert done.stderr.startswith("mmwave-loc compare: figure: found no folder of a run")
 
 
+@pytest.mark.slow
 def test_errors_and_consistency_are_drawn_of_the_same_run(tmp_path):
     pictures = [tmp_path / "errors.svg", tmp_path / "nees.pdf"]
     succeed("compare", "--policies", "fixed-ukf", "imm", "--episodes", 3,

@@ -49,6 +49,7 @@ def drawn(name, path):
     return one
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["$", "$x$", r"a\$b$", AWKWARD, "\udcff.csv"])
 def test_no_name_breaks_a_picture(name, tmp_path):
     for path in drawn(name, tmp_path):
@@ -152,6 +153,7 @@ def test_runs_are_told_apart_by_as_much_of_their_paths_as_that_takes():
     assert contenders(["runs/x$"]) == {"runs/x$": "x$"}
 
 
+@pytest.mark.slow
 def test_a_long_title_is_as_narrow_as_the_picture(tmp_path):
     widths = {}
     for title in ("n" * 20, "n" * 70, "n" * 200):

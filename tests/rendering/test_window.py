@@ -101,6 +101,7 @@ def test_an_environment_shows_every_epoch_from_the_prior_on(monkeypatch):
     assert not pygame.display.get_init()
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="others need no variable")
 def test_without_a_display_the_variable_is_named(monkeypatch):
     for name in ("DISPLAY", "WAYLAND_DISPLAY", "SDL_VIDEODRIVER", "SDL_VIDEO_DRIVER"):
