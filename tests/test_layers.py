@@ -38,10 +38,13 @@ SEES = {
 # of the commands:
 LIBRARIES = {
     "evaluation", "figures", "arguments", "cli", "training", "tuning", "paper", "speed", "webpage",
+    "inspection",
 }  # fmt: skip
 SEES_INSIDE = {  # experiments; "" are the commands, one a page
     "evaluation": set(),
-    **dict.fromkeys(["arguments", "figures", "training", "tuning"], frozenset({"evaluation"})),
+    **dict.fromkeys(
+        ["arguments", "figures", "inspection", "training", "tuning"], frozenset({"evaluation"})
+    ),
     **dict.fromkeys(["paper", "speed"], frozenset({"evaluation", "figures"})),
     "cli": {"evaluation", "figures", "arguments"},
     "webpage": {"evaluation", "figures", "arguments", "cli"},

@@ -33,6 +33,7 @@ COMMANDS = {
     "benchmark": "steps per second beside filterpy's and the core's limit, memory, first step",
     "watch": "an episode as policies go through it, side by side, in a window or as a video",
     "simulate": "one episode as files: measurement log, scene and truth",
+    "inspect": "what a data set is: format, epochs, anchors, speeds, problems",
     "samples": "the logs and recordings that come with the package: listed, or copied",
     "list": "policies, scenarios, radios, scenes, modes, samples and rewards by name",
     "completion": "completes commands and options in your shell: writes what it needs",

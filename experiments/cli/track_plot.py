@@ -4,6 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from experiments.evaluation.thinned import Thinned
 from experiments.figures.trajectory import DrawnTrack
 from mmwave_env.localization.localizer import TrackBlock
 from mmwave_env.numerics.arrays import Array
@@ -22,28 +23,24 @@ class TrackSampler:
 
     def __init__(self, modes: Sequence[str], anchors_m: Array) -> None:
         self._modes, self._anchors_m = list(modes), anchors_m
-        self._kept = np.empty((0, 18))  # time, mode, segment, position, truth, covariance
-        self._every, self._epochs = 1, 0
+        # time, mode, segment, position, truth, covariance
+        self._kept = Thinned(18, _POINTS)
 
     def add(self, block: TrackBlock, truth: Array | None) -> None:
         """Take a block and its true positions (T, 3), NaN where not known."""
         if truth is None:
             truth = np.full((len(block), 3), np.nan)
-        rows = np.column_stack([
+        self._kept.add(np.column_stack([
             block.time_s, block.mode, np.full(len(block), block.segment),
             block.smooth_x[:, :3], truth, block.smooth_P[:, _POSITION],
-        ])  # fmt: skip
-        self._kept = np.concatenate([self._kept, rows[-self._epochs % self._every :: self._every]])
-        self._epochs += len(rows)
-        while len(self._kept) > _POINTS:
-            self._kept, self._every = self._kept[::2], 2 * self._every
+        ]))  # fmt: skip
 
     @property
     def track(self) -> DrawnTrack:
         """What was kept."""
-        kept = self._kept
+        kept = self._kept.rows
         return DrawnTrack(
             kept[:, 0], kept[:, 3:6], kept[:, 9:].reshape(-1, 3, 3), kept[:, 6:9],
             kept[:, 1].astype(np.int64), kept[:, 2].astype(np.int64),
-            self._modes, self._anchors_m, whole=self._every == 1,
+            self._modes, self._anchors_m, whole=self._kept.every == 1,
         )  # fmt: skip

@@ -53,7 +53,7 @@ def draw_trajectory(track: DrawnTrack, path: Path, title: str) -> None:
     with picture(path, 10.0, sum(heights) + 1.2) as figure:
         panels = figure.subplots(len(heights), 1, height_ratios=heights)
         _draw_above(panels[0], track)
-        seconds, unit = _time_unit(track.time_s)
+        seconds, unit = time_unit(track.time_s)
         time = (track.time_s - track.time_s[0]) / seconds
         _draw_error(panels[1], track, time)
         if several:
@@ -66,7 +66,8 @@ def draw_trajectory(track: DrawnTrack, path: Path, title: str) -> None:
         figure.suptitle("\n".join(lines), x=0.02, ha="left")
 
 
-def _time_unit(time_s: Array) -> tuple[float, str]:
+def time_unit(time_s: Array) -> tuple[float, str]:
+    """Seconds of the unit that times (T,) are shown in, and its sign."""
     return (3600.0, "h") if time_s[-1] - time_s[0] > 3 * 3600.0 else (1.0, "s")
 
 
@@ -86,7 +87,7 @@ def _draw_above(axes: Any, track: DrawnTrack) -> None:
             axes.plot(*position[mode == number].T, label=name, **look | dots | {"ms": 2.0})
     _draw_ellipses(axes, track)
     axes.plot(*position[0], "o", color="black", ms=5, label="start")
-    _draw_anchors(axes, position, track.anchors_m)
+    draw_anchors(axes, position, track.anchors_m)
     axes.set(xlabel="x (m)", ylabel="y (m)", aspect="equal")
     axes.set_adjustable("datalim")
     legend_beside(axes, markerscale=1.0 if track.whole else 2.0)
@@ -123,7 +124,7 @@ def _draw_ellipses(axes: Any, track: DrawnTrack) -> None:
     axes.plot([], [], "o", mfc="none", mec="black", mew=0.8, ms=8, label=label)
 
 
-def _draw_anchors(axes: Any, position: Array, anchors_m: Array) -> None:
+def draw_anchors(axes: Any, position: Array, anchors_m: Array) -> None:
     """Those no further from the track than the track is long."""
     low, high = position.min(axis=0), position.max(axis=0)
     reach = max(float((high - low).max()), 30.0)

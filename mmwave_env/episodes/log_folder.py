@@ -35,7 +35,7 @@ def read_log_folder(folder: Path) -> MeasuredTrack:
             was expected.
         OSError: a file can't be read.
     """
-    path = _log_of(folder)
+    path = log_of(folder)
     scene, truth = read_scene(folder / SCENE), Truth(folder / TRUTH)
     log = LogBlock.joined(list(read_log(path, scene)))
     position = truth.at(log.time_s, tolerance_s(log.time_s))
@@ -58,7 +58,7 @@ def read_log_folder(folder: Path) -> MeasuredTrack:
     )
 
 
-def _log_of(folder: Path) -> Path:
+def log_of(folder: Path) -> Path:
     """The log of a folder that has everything."""
     logs = [name for name in _LOGS if (folder / name).exists()]
     missing = [] if logs else [LOG]

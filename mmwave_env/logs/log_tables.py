@@ -78,7 +78,7 @@ def open_log(path: Path, hz_per_mps: float, odometry: bool = True) -> LogFile:
     with path.open("rb") as file:
         if not file.read(1):
             raise LogError(f"{path}: found an empty file, expected a measurement log")
-    names = _parquet_names(path) if _is_parquet(path) else _csv_names(path)
+    names = parquet_names(path) if _is_parquet(path) else _csv_names(path)
     try:
         columns = columns_of(names, hz_per_mps, odometry)
     except ValueError as error:
@@ -201,7 +201,12 @@ def _open_parquet(path: Path) -> Any:
         raise LogError(f"{path}: found no readable Parquet ({error}), expected Parquet") from error
 
 
-def _parquet_names(path: Path) -> list[str]:
+def parquet_names(path: Path) -> list[str]:
+    """The names of the columns of a Parquet file.
+
+    Raises:
+        LogError: it is none, or the extra that reads it is not installed.
+    """
     with _open_parquet(path) as file:
         return list(file.schema_arrow.names)
 

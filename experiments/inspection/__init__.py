@@ -1,0 +1,1 @@
+"""What a data set is: recognized, read in blocks, summed up."""
