@@ -38,10 +38,10 @@ SEES = {
 # of the commands:
 LIBRARIES = {
     "evaluation", "figures", "arguments", "cli", "training", "tuning", "paper", "speed", "webpage",
-    "inspection",
+    "health", "inspection",
 }  # fmt: skip
 SEES_INSIDE = {  # experiments; "" are the commands, one a page
-    "evaluation": set(),
+    **dict.fromkeys(["evaluation", "health"], frozenset()),
     **dict.fromkeys(
         ["arguments", "figures", "inspection", "training", "tuning"], frozenset({"evaluation"})
     ),

@@ -34,6 +34,7 @@ COMMANDS = {
     "watch": "an episode as policies go through it, side by side, in a window or as a video",
     "simulate": "one episode as files: measurement log, scene and truth",
     "inspect": "what a data set is: format, epochs, anchors, speeds, problems",
+    "doctor": "versions, compiled functions on disk, a self-test of every kernel, extras",
     "samples": "the logs and recordings that come with the package: listed, or copied",
     "list": "policies, scenarios, radios, scenes, modes, samples and rewards by name",
     "completion": "completes commands and options in your shell: writes what it needs",

@@ -27,7 +27,7 @@ from functools import cache
 from hashlib import sha256
 from os.path import getmtime
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any, BinaryIO, NamedTuple
 
 import numba
 import numpy as np
@@ -88,10 +88,7 @@ def _folder() -> Path | None:
     version = _version()
     if version is None:
         return None
-    places = [_PACKAGE / "__pycache__", Path(user_cache_dir("mmwave-env", appauthor=False))]
-    if numba.config.CACHE_DIR:
-        places.insert(0, Path(numba.config.CACHE_DIR).absolute())
-    for place in places:
+    for place in _places():
         folder = place / f"{_PACKAGE.name}-{version}"
         with suppress(OSError):
             if not place.is_absolute():  # nobody's home
@@ -104,6 +101,48 @@ def _folder() -> Path | None:
             _prune(place)
             return folder
     return None
+
+
+def _places() -> list[Path]:
+    """Where folders may lie, the first choice first."""
+    places = [_PACKAGE / "__pycache__", Path(user_cache_dir("mmwave-env", appauthor=False))]
+    return [*([Path(numba.config.CACHE_DIR).absolute()] * bool(numba.config.CACHE_DIR)), *places]
+
+
+class KeptFunctions(NamedTuple):
+    """What lies in a place for compiled functions."""
+
+    place: Path
+    used: bool  # by this process
+    owner: int | None  # of the folder, by number; None where the system has no owners
+    mode: int  # its permissions
+    versions: int  # of the sources, this one among them if it is in use
+    functions: int  # of this version
+    size: int  # bytes of all versions
+    doubtful: int  # folders that are left alone: others own them, may write to them, or are links
+
+
+def kept_functions() -> list[KeptFunctions]:
+    """The places there are, the first choice first; makes this version's folder if it can."""
+    here = _folder()
+    return [_kept(place, here) for place in _places() if place.is_dir()]
+
+
+def _kept(place: Path, here: Path | None) -> KeptFunctions:
+    versions = list(place.glob(f"{_PACKAGE.name}-*"))
+    used = here is not None and here.parent == place
+    files = [file for version in versions for file in version.glob("*") if file.is_file()]
+    found = os.lstat(here if used and here else place)
+    return KeptFunctions(
+        place=place,
+        used=used,
+        owner=found.st_uid if hasattr(os, "geteuid") else None,
+        mode=stat.S_IMODE(found.st_mode),
+        versions=len(versions),
+        functions=sum(file.parent == here for file in files),
+        size=sum(file.stat().st_size for file in files),
+        doubtful=sum(not _is_ours(os.lstat(version), stat.S_IFDIR) for version in versions),
+    )
 
 
 def _prune(place: Path) -> None:
