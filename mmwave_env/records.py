@@ -13,7 +13,7 @@ from functools import cache
 from numbers import Integral, Real
 from pathlib import Path
 from types import UnionType
-from typing import Annotated, Any, TypeVar, Union, get_args, get_origin, get_type_hints
+from typing import Annotated, Any, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
 
 import numpy as np
 
@@ -70,8 +70,8 @@ def _fits(hint: Any, value: Any) -> bool:
             kind = isinstance(value, _KINDS[base][0]) and not isinstance(value, bool)
             return kind and said.holds(value)
         return _fits(base, value) and len(value) > 0
-    if origin in (Union, UnionType):
-        return any(_fits(one, value) for one in inside)
+    if origin in (Literal, Union, UnionType):
+        return value in inside if origin is Literal else any(_fits(one, value) for one in inside)
     if origin is tuple:
         every = inside[:1] * len(value) if inside[-1] is ... and _is_list(value) else inside
         return _is_list(value) and len(value) == len(every) and all(map(_fits, every, value))
@@ -89,6 +89,8 @@ def _said(hint: Any) -> str:
         return _KINDS[hint][1]
     if origin is Annotated:
         return inside[1].expected if isinstance(inside[1], Bound) else inside[1]  # type: ignore[no-any-return]
+    if origin is Literal:
+        return f"one of {', '.join(map(str, inside))}"
     if origin in (Union, UnionType):
         return " or ".join(map(_said, inside))
     if origin is tuple:

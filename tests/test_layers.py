@@ -38,7 +38,7 @@ SEES = {
 # of the commands:
 LIBRARIES = {
     "evaluation", "figures", "arguments", "cli", "training", "tuning", "paper", "speed", "webpage",
-    "health", "inspection",
+    "health", "inspection", "sweeping",
 }  # fmt: skip
 SEES_INSIDE = {  # experiments; "" are the commands, one a page
     **dict.fromkeys(["evaluation", "health"], frozenset()),
@@ -46,6 +46,7 @@ SEES_INSIDE = {  # experiments; "" are the commands, one a page
         ["arguments", "figures", "inspection", "training", "tuning"], frozenset({"evaluation"})
     ),
     **dict.fromkeys(["paper", "speed"], frozenset({"evaluation", "figures"})),
+    **dict.fromkeys(["sweeping"], frozenset({"evaluation", "arguments"})),
     "cli": {"evaluation", "figures", "arguments"},
     "webpage": {"evaluation", "figures", "arguments", "cli"},
     "": LIBRARIES,

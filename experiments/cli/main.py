@@ -28,6 +28,7 @@ COMMANDS = {
     "convert": "a model of Stable-Baselines3 as a policy file, which holds no code",
     "transfer": "switchers on streets, radios and recordings they were not trained on",
     "leaderboard": "the benchmark of docs/benchmark.md: entries judged alike, and ranked",
+    "sweep": "grids of evaluations and trainings, cell by cell, here or on a Ray cluster",
     "tune": "process noise of modes, by likelihood or error, on tuning seeds",
     "tune-imm": "the best transition and process noise of IMMs, on tuning seeds",
     "benchmark": "steps per second beside filterpy's and the core's limit, memory, first step",

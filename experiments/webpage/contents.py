@@ -12,6 +12,7 @@ from experiments.webpage.kinds import (
     EVOLUTION,
     GAINS,
     RUN,
+    SWEEP,
     TRACK,
     TRANSFER,
     TRUST,
@@ -22,6 +23,7 @@ from experiments.webpage.learning import (
     add_evolution,
     add_gains,
     add_runs,
+    add_sweeps,
     add_transfer,
     add_trust,
 )
@@ -72,6 +74,7 @@ _ADDERS: tuple[tuple[Kind, Callable[[Page, Shown], None]], ...] = (  # in the or
     (ENTRY, _add_entries),
     (RUN, add_runs),
     (TRANSFER, add_transfer),
+    (SWEEP, add_sweeps),
     (GAINS, add_gains),
     (TRUST, add_trust),
     (DEFAULTS, add_defaults),

@@ -176,6 +176,10 @@ GAINS = Kind(
     check=lambda content: _require_table(content["title"], content["gains"]),
 )  # fmt: skip
 TRUST = Kind("trust", ("versions", "title", "trust"), check=_check_trust, mark="time_s")
+SWEEP = Kind(
+    "sweep", ("versions", "cells", "failed", "sweep"),
+    check=lambda content: _require_table("sweep", content["sweep"]), mark="sweep",
+)  # fmt: skip
 # Records of studies that are older than reports do not say their versions.
 DEFAULTS = Kind(
     "defaults", ("steps", "seeds", "episodes", "rows"), ("versions",), _check_defaults, "rows",

@@ -4,9 +4,10 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from experiments.evaluation.markdown import HEADERS
 from experiments.webpage import charts
 from experiments.webpage.kinds import gains_of
-from experiments.webpage.markup import Cell, Written, folded, paragraph, table, whole
+from experiments.webpage.markup import Cell, Written, folded, paragraph, short, table, whole
 from experiments.webpage.played import Played
 from experiments.webpage.sections import Page
 from experiments.webpage.source import Source
@@ -109,6 +110,20 @@ def add_gains(page: Page, found: Sequence[tuple[Source, Played]]) -> None:
         columns = list(dict.fromkeys(column for row in gains.values() for column in row))
         rows = [[name, *(whole(row.get(c)) for c in columns)] for name, row in gains.items()]
         page.add(STUDIES, table(f"{title}: reward on test seeds", ["", *columns], rows))
+
+
+def add_sweeps(page: Page, found: Sequence[tuple[Source, Played]]) -> None:
+    """What every combination of a sweep came to, and what failed."""
+    for source, _ in found:
+        rows, failed = source.content["sweep"], source.content["failed"]
+        columns = [one for one in HEADERS if any(one in row for row in rows.values())]
+        header = ["cells", *(HEADERS[one] for one in columns)]
+        body = [[name, *(short(row[one]) for one in columns)] for name, row in rows.items()]
+        page.add("Sweeps", table(f"{source.path}: {source.content['cells']} cells", header, body))
+        if failed:
+            told = (f"{one['cell']}: {one['error']}" for one in failed)
+            page.add("Sweeps", paragraph(f"{len(failed)} cells failed.", "warning"))
+            page.add("Sweeps", folded("Cells that failed", map(paragraph, told)))
 
 
 def add_trust(page: Page, found: Sequence[tuple[Source, Played]]) -> None:

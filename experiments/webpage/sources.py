@@ -12,6 +12,7 @@ from experiments.webpage.kinds import (
     EVOLUTION,
     GAINS,
     RUN,
+    SWEEP,
     TRACK,
     TRANSFER,
     TRUST,
@@ -180,4 +181,5 @@ READERS: Mapping[str, Reader] = {  # by the command that wrote it
     "leaderboard": _one_of(ENTRY),
     "learned": _learned,
     "studies": _one_of(EVOLUTION, DEFAULTS),
+    "sweep": _one_of(SWEEP),
 }

@@ -1,0 +1,1 @@
+"""Grids of evaluations and trainings: what to do, who does it, and what is kept of it."""

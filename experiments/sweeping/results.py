@@ -1,0 +1,152 @@
+"""What a sweep came to: a Parquet data set, partitioned by run, that grows cell by cell."""
+
+import hashlib
+import json
+import os
+import time
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from experiments.evaluation.intervals import Interval, bootstrap
+from experiments.sweeping.spec import Cell, Spec
+from mmwave_env.files import atomic_path, write_bytes
+from mmwave_env.lookup import require_extra
+from mmwave_env.metrics import METRICS
+
+EPISODE = ("episode_seed", "episode_key")  # columns that say which episode a row is
+_EVERY_S = 1.0  # cells that are over within it share a file
+
+
+class ResultSet:
+    """The partition of a run: files of whole cells, each there or not.
+
+    Args:
+        out: folder of the data set.
+        spec: what is to be done.
+
+    Attributes:
+        folder: of the run.
+    """
+
+    def __init__(self, out: Path, spec: Spec) -> None:
+        require_extra("pyarrow", "sweep", "sweep")
+        self.folder, self._spec = out / f"run={spec.run}", spec
+        self._waiting: list[tuple[Cell, Mapping[str, Any]]] = []
+        self._written_s = time.monotonic()
+
+    @contextmanager
+    def locked(self) -> Iterator[None]:
+        """Nobody else writes to the run meanwhile; what waits is written at the end.
+
+        Raises:
+            BlockingIOError: somebody else does.
+        """
+        self.folder.mkdir(parents=True, exist_ok=True)
+        with (self.folder / ".lock").open("w") as file:
+            _lock(file.fileno(), self.folder)
+            try:
+                yield
+            finally:
+                self.flush()
+
+    def finished(self) -> set[str]:
+        """Names of the cells that are there.
+
+        Raises:
+            ValueError: a file can't be read; the message names it.
+        """
+        from pyarrow import ArrowException, parquet
+
+        def cells(path: Path) -> set[str]:
+            try:
+                return {*parquet.read_table(path, columns=["cell"])["cell"].unique().to_pylist()}
+            except (ArrowException, OSError) as error:
+                raise ValueError(
+                    f"{path}: found no readable Parquet ({error}); remove it, and its cells are "
+                    "computed again"
+                ) from error
+
+        return set().union(*map(cells, self.folder.glob("*.parquet")))
+
+    def add(self, cell: Cell, result: Mapping[str, Any]) -> None:
+        """Keep a cell; it is on disk within a second of the next ones, and at the end."""
+        if "policy" in result:
+            write_bytes(self.folder / "policies" / f"{cell.name}.safetensors", result["policy"])
+        self._waiting.append((cell, result))
+        if time.monotonic() - self._written_s >= _EVERY_S:
+            self.flush()
+
+    def flush(self) -> None:
+        """Write what waits, in one file, beside and renamed."""
+        if not self._waiting:
+            return
+        from pyarrow import concat_tables, parquet
+
+        table = concat_tables([self._table(cell, result) for cell, result in self._waiting])
+        told = "".join(cell.name for cell, _ in self._waiting)
+        name = f"cells-{hashlib.sha256(told.encode()).hexdigest()[:16]}.parquet"
+        with atomic_path(self.folder / name) as temporary:
+            parquet.write_table(table, temporary)
+        self._waiting, self._written_s = [], time.monotonic()
+
+    def _table(self, cell: Cell, result: Mapping[str, Any]) -> Any:
+        """A row an episode: the cell, its axes as text, the episode, its metrics."""
+        import pyarrow
+
+        values, rows = dict(cell.values), len(result["scores"]["reward"])
+
+        def text(axis: str) -> str | None:
+            value = values.get(axis)
+            return value if value is None or isinstance(value, str) else json.dumps(value)
+
+        columns: dict[str, Any] = {
+            name: pyarrow.array([said] * rows, pyarrow.string())
+            for name, said in (
+                ("cell", cell.name), ("kind", cell.kind), *((a, text(a)) for a in self._spec.axes)
+            )
+        }  # fmt: skip
+        for name, kind in zip(EPISODE, (pyarrow.int64(), pyarrow.uint64()), strict=True):
+            columns[name] = pyarrow.array(result[name], kind)
+        return pyarrow.table(columns | {m: result["scores"][m] for m in METRICS})
+
+    def summary(self) -> dict[str, dict[str, Interval]]:
+        """Means with intervals over episodes by combination, first seeds left out."""
+        from pyarrow import dataset
+
+        axes = [axis for axis in self._spec.axes if axis != "seed" and self._varies(axis)]
+        found = dataset.dataset(self.folder, format="parquet", exclude_invalid_files=True)
+        if not any(self.folder.glob("*.parquet")):
+            return {}
+        table = found.to_table(columns=["kind", *axes, *METRICS])
+        keys = ["kind", *axes]
+        grouped = table.group_by(keys).aggregate([(m, "list") for m in METRICS]).sort_by(
+            [(key, "ascending") for key in keys]
+        )  # fmt: skip
+        rows = {}
+        for row in grouped.to_pylist():
+            values = np.array([row[f"{m}_list"] for m in METRICS]).T
+            name = ", ".join(f"{axis} {row[axis]}" for axis in axes if row[axis] is not None)
+            intervals = dict(zip(METRICS, bootstrap(values), strict=True))
+            rows[name or row["kind"]] = intervals
+        return rows
+
+    def _varies(self, axis: str) -> bool:
+        return len({dict(cell.values).get(axis) for cell in self._spec.cells}) > 1
+
+
+def _lock(descriptor: int, folder: Path) -> None:
+    """Take a lock that ends with this process, however it ends."""
+    if os.name != "posix":
+        return
+    import fcntl
+
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        raise BlockingIOError(
+            f"{folder}: found another sweep at work there, expected none"
+        ) from None

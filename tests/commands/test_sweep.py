@@ -1,0 +1,169 @@
+"""mmwave-loc sweep: every cell is kept once, whatever happens on the way."""
+
+import json
+import os
+import random
+import signal
+import subprocess
+import sys
+import time
+
+import pytest
+
+from tests.cli import assert_one_clear_line, command, environment, succeed
+from tests.paths import ROOT
+
+dataset = pytest.importorskip("pyarrow.dataset")
+
+SMALL = """
+[evaluate]
+policy = ["fixed-ekf", "imm"]
+scenario = ["pedestrian", "vehicle"]
+seed = [0, 3]
+episodes = 3
+episode_steps = 30
+"""
+
+
+def rows(out):
+    """All rows of a data set, in an order of their own."""
+    found = dataset.dataset(out, format="parquet", partitioning="hive", exclude_invalid_files=True)
+    return found.to_table().sort_by([("cell", "ascending"), ("episode_seed", "ascending")])
+
+
+@pytest.fixture(scope="module")
+def swept(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("sweep")
+    (folder / "small.toml").write_text(SMALL)
+    told = succeed("sweep", folder / "small.toml", "--out", folder / "out", "--workers", "1")
+    return folder, told
+
+
+def test_rows_are_what_compare_tells_of_the_same_episodes(swept, tmp_path):
+    folder, _ = swept
+    table = rows(folder / "out").to_pylist()
+    assert len(table) == 2 * 2 * 2 * 3
+    words = ["--policies", "fixed-ekf", "imm", "--scenario", "vehicle", "--episode-steps", "30"]
+    succeed("compare", *words, "--episodes", "6", "--episodes-csv", tmp_path / "rows.csv")
+    header, *lines = (tmp_path / "rows.csv").read_text().splitlines()
+    names = header.split(",")
+    expected = {}
+    for line in lines:
+        row = dict(zip(names, line.split(","), strict=True))
+        expected[row["policy"], int(row["seed"])] = (int(row["key"]), float(row["reward"]))
+    found = {
+        (row["policy"], row["episode_seed"]): (row["episode_key"], row["reward"])
+        for row in table
+        if row["scenario"] == "vehicle"
+    }
+    assert found == expected
+
+
+def test_what_is_there_is_not_computed_again(swept):
+    folder, told = swept
+    (run,) = (folder / "out").iterdir()
+    before = {path: path.stat().st_mtime_ns for path in run.glob("*.parquet")}
+    again = command("sweep", folder / "small.toml", "--out", folder / "out")
+    assert again.stdout == told and "8 cells in" in again.stderr and "8 there" in again.stderr
+    assert {path: path.stat().st_mtime_ns for path in run.glob("*.parquet")} == before
+
+
+def test_a_part_that_is_lost_is_computed_again(swept, tmp_path):
+    folder, _ = swept
+    expected = rows(folder / "out")
+    (run,) = (folder / "out").iterdir()
+    first = min(run.glob("*.parquet"))
+    first.unlink()
+    succeed("sweep", folder / "small.toml", "--out", folder / "out", "--workers", "1")
+    assert rows(folder / "out").equals(expected)
+    second = min(run.glob("*.parquet"))
+    second.write_bytes(second.read_bytes()[:-20])
+    done = command("sweep", folder / "small.toml", "--out", folder / "out")
+    assert done.returncode == 2 and f"{second}: found no readable Parquet" in done.stderr
+    second.unlink()
+    succeed("sweep", folder / "small.toml", "--out", folder / "out", "--workers", "1")
+    assert rows(folder / "out").equals(expected)
+
+
+def test_a_cell_that_fails_leaves_the_others_whole(tmp_path):
+    (tmp_path / "bad.toml").write_text(SMALL.replace('"imm"', '"nobody"'))
+    done = command("sweep", tmp_path / "bad.toml", "--out", tmp_path / "out", "--workers", "1")
+    assert done.returncode == 2
+    assert "4 of 8 cells failed 2 times, and the others are there" in done.stderr
+    (run,) = (tmp_path / "out").iterdir()
+    failed = json.loads((run / "summary.json").read_text())["failed"]
+    assert len(failed) == 4 and all("found 'nobody'" in one["error"] for one in failed)
+    assert set(rows(tmp_path / "out")["policy"].to_pylist()) == {"fixed-ekf"}
+
+
+def test_a_report_shows_it(swept, tmp_path):
+    folder, _ = swept
+    succeed("report", folder / "out", "--out", tmp_path / "report.html")
+    page = (tmp_path / "report.html").read_text()
+    assert "policy fixed-ekf, scenario vehicle" in page and "8 cells" in page
+
+
+def test_two_at_once_on_one_run_are_refused(swept):
+    fcntl = pytest.importorskip("fcntl")
+    folder, _ = swept
+    (run,) = (folder / "out").iterdir()
+    with (run / ".lock").open("w") as held:
+        fcntl.flock(held, fcntl.LOCK_EX)
+        done = command("sweep", folder / "small.toml", "--out", folder / "out")
+    assert_one_clear_line(done, "found another sweep at work there, expected none")
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["there.toml"], "there.toml: found no file, expected a sweep, TOML"),
+        (["there.toml", "--workers", "0"], "workers: found 0, expected 1 or more"),
+        (["there.toml", "--address", "auto"], "address: found one beside engine local, expected"),
+    ],
+)
+def test_mistakes_end_with_one_clear_line(tmp_path, words, message):
+    assert_one_clear_line(command("sweep", *words, cwd=tmp_path), message)
+
+
+@pytest.mark.slow
+@pytest.mark.torch
+def test_trainings_are_kept_with_their_policies(tmp_path):
+    (tmp_path / "train.toml").write_text(
+        "[train]\ntotal_timesteps = 1\nepisodes = 12\nseed = [0, 1]\n"
+        "hyperparameters.learning_rate = 1e-3\n"
+    )
+    succeed("sweep", tmp_path / "train.toml", "--out", tmp_path / "out")
+    (run,) = (tmp_path / "out").iterdir()
+    table = rows(tmp_path / "out").to_pylist()
+    assert {row["episode_seed"] for row in table} == set(range(5_000_000, 5_000_012))
+    policies = {path.stem for path in (run / "policies").iterdir()}
+    assert policies == {row["cell"] for row in table} and len(policies) == 2
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(os.name != "posix", reason="kills as POSIX has them")
+@pytest.mark.parametrize("engine", ["local", "ray"])
+def test_a_sweep_killed_ten_times_ends_equal_to_one_undisturbed(tmp_path, engine):
+    if engine == "ray":
+        pytest.importorskip("ray")
+    seeds = ", ".join(map(str, range(0, 200, 2)))
+    text = f'[evaluate]\npolicy = ["fixed-ekf", "fixed-ukf"]\nseed = [{seeds}]\nepisodes = 2\n'
+    (tmp_path / "grid.toml").write_text(text + "episode_steps = 100\n")
+    succeed("sweep", tmp_path / "grid.toml", "--out", tmp_path / "calm")
+    words = ["sweep", tmp_path / "grid.toml", "--out", tmp_path / "killed", "--engine", engine]
+    rng, kills = random.Random(0), 0
+    while kills < 10:
+        running = subprocess.Popen(
+            [sys.executable, "-m", "experiments.cli", *map(str, words)], cwd=ROOT,
+            env=environment(), stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
+            start_new_session=True,
+        )  # fmt: skip
+        time.sleep(rng.uniform(2.0, 6.0 if engine == "local" else 14.0))
+        if running.poll() is not None:
+            break  # it was done before it could be killed
+        os.kill(running.pid, signal.SIGKILL)
+        running.wait()
+        kills += 1
+    done = command(*words)
+    assert done.returncode == 0, done.stderr
+    assert rows(tmp_path / "killed").drop(["run"]).equals(rows(tmp_path / "calm").drop(["run"]))

@@ -1,0 +1,63 @@
+"""Engines compute every cell, try again what fails, and survive the death of a worker."""
+
+import os
+import signal
+from pathlib import Path
+
+import pytest
+
+from experiments.sweeping.engines import local, on_ray
+from experiments.sweeping.spec import Cell
+
+CELLS = [Cell("evaluate", (("number", n),)) for n in range(20)]
+
+
+def square(cell):
+    ((_, number),) = cell.values
+    return {"square": number**2}
+
+
+def moody(cell):
+    """Fails at the first try of odd numbers, always at 13, and ends its process once at 4."""
+    number, folder = dict(cell.values)["number"], Path(os.environ["MOODY"])
+    tried = folder / str(number)
+    first = not tried.exists()
+    tried.touch()
+    if number == 4 and first:
+        os.kill(os.getpid(), signal.SIGKILL)
+    if number == 13 or (number % 2 and first):
+        raise ValueError(f"moody about {number}")
+    return square(cell)
+
+
+@pytest.fixture(params=[local, pytest.param(on_ray, marks=pytest.mark.slow)])
+def engine(request, monkeypatch):
+    if request.param is on_ray:
+        pytest.importorskip("ray")
+    path = os.pathsep.join([str(Path(__file__).parents[2]), os.environ.get("PYTHONPATH", "")])
+    monkeypatch.setenv("PYTHONPATH", path)  # workers import this module
+    return request.param
+
+
+def test_every_cell_is_computed_once(engine):
+    found = {done.cell: done.result for done in engine(square, CELLS, 2, 1)}
+    assert found == {cell: square(cell) for cell in CELLS}
+
+
+def test_what_fails_is_tried_again_and_then_told(engine, tmp_path, monkeypatch):
+    monkeypatch.setenv("MOODY", str(tmp_path))
+    found = {dict(done.cell.values)["number"]: done for done in engine(moody, CELLS, 2, 3)}
+    assert sorted(found) == list(range(20))
+    assert [n for n, done in found.items() if done.result is None] == [13]
+    assert "moody about 13" in found[13].error
+    assert all(found[n].result == {"square": n**2} for n in range(20) if n != 13)
+
+
+def test_whoever_stops_listening_ends_the_workers():
+    running = local(square, CELLS, 2, 1)
+    next(running)
+    running.close()  # as an interrupt does
+
+
+def test_nothing_to_do_is_done(engine):
+    assert list(engine(square, [], 2, 1)) == []
