@@ -1,7 +1,7 @@
 """What the arguments of ``MmWaveLoc-v0`` mean, for the single and the vector environment."""
 
 import os
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
 from typing import Any, cast
 
@@ -26,7 +26,8 @@ from mmwave_env.reward import PairedReward, Reward, reward_from
 
 EPISODE_STEPS = 200
 
-Modes = Bank | Sequence[Mode | str] | str | os.PathLike[str] | None  # of a ``modes=`` argument
+# of a ``modes=`` argument; a mapping is what a mode file holds
+Modes = Bank | Sequence[Mode | str] | Mapping[str, Any] | str | os.PathLike[str] | None
 
 
 @dataclass(frozen=True)

@@ -23,13 +23,16 @@ EXTRAS = PROJECT.split("[project.optional-dependencies]\n")[1].split("\n[")[0]
         ("matplotlib", ["benchmark", "--plot"]),
         ("matplotlib", ["tables", "--out"]),
         ("filterpy", ["benchmark", "--plot"]),
+        ("minari", ["collect", "--policies", "random", "--out"]),
+        ("h5py", ["collect", "--policies", "random", "--out"]),
         ("shtab", ["completion", "--shell", "bash", "--out"]),
     ],
     ids=lambda value: value if isinstance(value, str) else " ".join(map(str, value[::-3])),
 )
 def test_a_command_names_the_extra_and_writes_nothing(package, words, tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, package, None)  # as if it were not installed
-    extra = {"matplotlib": "plot", "shtab": "completion"}.get(package, package)
+    extras = {"matplotlib": "plot", "shtab": "completion", "minari": "offline", "h5py": "offline"}
+    extra = extras.get(package, package)
     assert_one_clear_line(
         command(*words, tmp_path / "new.png"),
         rf"needs {package}: pip install 'mmwave-loc\[{extra}\]'",

@@ -6,7 +6,14 @@ from pathlib import Path
 
 import pytest
 
-from mmwave_env.files import atomic_path, require_writable, write_bytes, write_json, write_text
+from mmwave_env.files import (
+    atomic_folder,
+    atomic_path,
+    require_writable,
+    write_bytes,
+    write_json,
+    write_text,
+)
 
 
 def names(folder):
@@ -42,6 +49,32 @@ def test_a_block_may_fail_after_its_file_is_gone(tmp_path):
     with pytest.raises(FileNotFoundError), atomic_path(tmp_path / "log.csv") as temporary:
         temporary.unlink()
     assert names(tmp_path) == []
+
+
+def test_a_folder_takes_its_place_at_the_end_and_that_of_an_old_one(tmp_path):
+    path = tmp_path / "new" / "set-v0"
+    for name in ("first", "second"):
+        with atomic_folder(path) as beside:
+            assert beside.name == "set-v0" and names(beside) == []
+            (beside / name).write_text("numbers")
+            assert not (path / name).exists()
+        assert names(path) == [name] and names(path.parent) == ["set-v0"]
+
+
+@pytest.mark.parametrize("error", [ValueError, KeyboardInterrupt])
+def test_a_folder_that_is_not_filled_leaves_everything_as_it_was(tmp_path, error):
+    path = tmp_path / "set-v0"
+    path.mkdir()
+    (path / "old").write_text("old")
+
+    def fill():
+        with atomic_folder(path) as beside:
+            (beside / "half").write_text("of the new")
+            raise error
+
+    with pytest.raises(error):
+        fill()
+    assert names(path) == ["old"] and names(tmp_path) == ["set-v0"]
 
 
 def test_text_bytes_and_json_replace_what_was_there(tmp_path):

@@ -37,16 +37,17 @@ SEES = {
 }
 # of the commands:
 LIBRARIES = {
-    "evaluation", "figures", "arguments", "cli", "training", "tuning", "paper", "speed", "webpage",
-    "health", "inspection", "sweeping",
+    "evaluation", "figures", "arguments", "cli", "training", "tuning", "offline", "paper", "speed",
+    "webpage", "health", "inspection", "sweeping",
 }  # fmt: skip
 SEES_INSIDE = {  # experiments; "" are the commands, one a page
     **dict.fromkeys(["evaluation", "health"], frozenset()),
     **dict.fromkeys(
-        ["arguments", "figures", "inspection", "training", "tuning"], frozenset({"evaluation"})
+        ["arguments", "figures", "inspection", "training", "tuning", "offline"],
+        frozenset({"evaluation"}),
     ),
     **dict.fromkeys(["paper", "speed"], frozenset({"evaluation", "figures"})),
-    **dict.fromkeys(["sweeping"], frozenset({"evaluation", "arguments"})),
+    "sweeping": {"evaluation", "arguments"},
     "cli": {"evaluation", "figures", "arguments"},
     "webpage": {"evaluation", "figures", "arguments", "cli"},
     "": LIBRARIES,

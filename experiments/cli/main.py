@@ -33,6 +33,7 @@ COMMANDS = {
     "tune-imm": "the best transition and process noise of IMMs, on tuning seeds",
     "benchmark": "steps per second beside filterpy's and the core's limit, memory, first step",
     "watch": "an episode as policies go through it, side by side, in a window or as a video",
+    "collect": "what policies see, choose and earn, as a Minari data set to learn from",
     "simulate": "one episode as files: measurement log, scene and truth",
     "inspect": "what a data set is: format, epochs, anchors, speeds, problems",
     "doctor": "versions, compiled functions on disk, a self-test of every kernel, extras",

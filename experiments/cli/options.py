@@ -93,10 +93,15 @@ def selection_of(args: EpisodeArgs, source: EpisodeSource) -> Selection:
     return Selection.of(source, args.episodes, args.seed, args.keys, USUAL_EPISODES)
 
 
-def _task(args: WorldArgs, modes: Modes, beliefs: str = "shared") -> Task:
+def world_arguments(args: WorldArgs) -> dict[str, Any]:
+    """The arguments of an environment that options of the same names give, but for its modes."""
     names = {field.name for field in fields(TaskArguments)} - {"episodes", "modes", "beliefs"}
     given = {name: value for name, value in vars(args).items() if name in names}
-    return task_from(**given, episodes=args.data, modes=modes, beliefs=beliefs)
+    return given | {"episodes": args.data}
+
+
+def _task(args: WorldArgs, modes: Modes, beliefs: str = "shared") -> Task:
+    return task_from(**world_arguments(args), modes=modes, beliefs=beliefs)
 
 
 def _profile(args: ModeArgs) -> str:

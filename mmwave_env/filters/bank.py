@@ -1,7 +1,7 @@
 """Banks: modes that interact, with what an IMM over them was tuned to."""
 
 import os
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
 from importlib.resources import files
@@ -9,7 +9,13 @@ from pathlib import Path
 from typing import Annotated, Any
 
 from mmwave_env.filters.imm import ImmSettings, stay_matrix
-from mmwave_env.filters.mode_files import as_written, modes_from, modes_in, read_mode_file
+from mmwave_env.filters.mode_files import (
+    as_written,
+    known_only,
+    modes_from,
+    modes_in,
+    read_mode_file,
+)
 from mmwave_env.filters.modes import Mode
 from mmwave_env.models.measurement import Layout
 from mmwave_env.models.radio import RADIOS, profile_of
@@ -145,13 +151,15 @@ def best_bank(radio: str = "handset") -> Bank:
 
 
 def bank_over(
-    modes: Bank | Sequence[Mode | str] | str | os.PathLike[str], radio: str = "handset"
+    modes: Bank | Sequence[Mode | str] | Mapping[str, Any] | str | os.PathLike[str],
+    radio: str = "handset",
 ) -> Bank:
     """The bank over the modes of a ``modes=`` argument, one mode or more.
 
     Args:
-        modes: a bank; a mode file, alone, which may say "transition" and "nis_quantile", too; or
-            what else :func:`~mmwave_env.filters.mode_files.modes_from` takes.
+        modes: a bank; a mode file, alone, or what one holds, which may say "transition" and
+            "nis_quantile", too; or what else :func:`~mmwave_env.filters.mode_files.modes_from`
+            takes.
         radio: profile that named modes are tuned for.
 
     Raises:
@@ -160,14 +168,18 @@ def bank_over(
     if isinstance(modes, Bank):
         return modes
     alone = modes[0] if isinstance(modes, (list, tuple)) and len(modes) == 1 else modes
-    if not isinstance(alone, (str, os.PathLike)) or not str(alone).endswith(".json"):
+    if isinstance(modes, Mapping):
+        bank = bank_in(known_only(modes))
+    elif isinstance(alone, (str, os.PathLike)) and str(alone).endswith(".json"):
+        bank = read_bank(alone)
+    else:
         return Bank(modes_from(modes, radio))
-    bank = read_bank(alone)
     return replace(bank, modes=modes_from(bank.modes, radio))  # which refuses a name twice
 
 
 def bank_from(
-    modes: Bank | Sequence[Mode | str] | str | os.PathLike[str] | None, radio: str = "handset"
+    modes: Bank | Sequence[Mode | str] | Mapping[str, Any] | str | os.PathLike[str] | None,
+    radio: str = "handset",
 ) -> Bank:
     """The bank of a ``modes=`` argument where every mode keeps its own belief.
 

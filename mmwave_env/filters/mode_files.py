@@ -2,7 +2,7 @@
 
 import os
 import warnings
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, replace
 from functools import cache
 from importlib.resources import files
@@ -50,13 +50,18 @@ def read_mode_file(path: str | os.PathLike[str], make: Callable[[dict[str, Any]]
         ValueError: naming the file and what is wrong in it.
         FileNotFoundError: there is no such file.
     """
+    return read_object(path, "modes", lambda content: make(known_only(content)))
 
-    def made(content: dict[str, Any]) -> T:
-        for key in content:
-            choose(dict.fromkeys([*SETTINGS, *NOTES]), key, "key")
-        return make(content)
 
-    return read_object(path, "modes", made)
+def known_only(content: Mapping[str, Any]) -> dict[str, Any]:
+    """What a mode file holds, or an object like it, if it has the keys that there are.
+
+    Raises:
+        ValueError: naming a key that there is not.
+    """
+    for key in content:
+        choose(dict.fromkeys([*SETTINGS, *NOTES]), key, "key")
+    return dict(content)
 
 
 def modes_in(content: dict[str, Any]) -> tuple[Mode, ...]:
@@ -127,13 +132,15 @@ def named_modes(radio: str = "handset") -> dict[str, Mode]:
 
 
 def modes_from(
-    modes: Sequence[Mode | str] | str | os.PathLike[str] | None, radio: str = "handset"
+    modes: Sequence[Mode | str] | Mapping[str, Any] | str | os.PathLike[str] | None,
+    radio: str = "handset",
 ) -> tuple[Mode, ...]:
     """The modes of a ``modes=`` argument.
 
     Args:
-        modes: a list of names, mode files and Mode objects; or one mode file, or "extended";
-            None for the default two. "extended" stands for all of :func:`extended_modes`.
+        modes: a list of names, mode files and Mode objects; or one mode file, what one holds, or
+            "extended"; None for the default two. "extended" stands for all of
+            :func:`extended_modes`.
         radio: profile that named modes are tuned for.
 
     Raises:
@@ -141,6 +148,8 @@ def modes_from(
     """
     if modes is None:
         return default_modes(radio)
+    if isinstance(modes, Mapping):
+        modes = modes_in(known_only(modes))
     if isinstance(modes, (str, os.PathLike)):
         name = os.fspath(modes)
         if name != EXTENDED and not name.endswith(".json"):

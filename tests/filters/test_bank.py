@@ -5,7 +5,7 @@ import json
 import pytest
 
 from mmwave_env.filters.bank import Bank, bank_as_written, bank_from, bank_in, best_bank
-from mmwave_env.filters.mode_files import read_modes
+from mmwave_env.filters.mode_files import modes_from, read_modes
 from mmwave_env.filters.modes import Mode
 from mmwave_env.filters.update import ekf
 
@@ -23,6 +23,16 @@ def test_a_mode_file_says_how_modes_interact_by_itself_and_in_a_list(tmp_path):
     assert bank_from(path) == bank_from(str(path)) == bank_from([path]) == bank_from((str(path),))
     assert bank_from([path]) == BANK
     assert bank_from([path, "ekf"]).transition is None  # of three modes nothing is said
+
+
+def test_what_a_mode_file_holds_is_as_good_as_the_file():
+    content = bank_as_written(BANK)
+    assert bank_from(content) == BANK and modes_from(content) == BANK.modes
+    for read in (bank_from, modes_from):
+        with pytest.raises(ValueError, match="key: found 'mode', expected one of modes"):
+            read({"mode": content["modes"]})
+        with pytest.raises(ValueError, match=r"modes: found None, expected a list of one or more"):
+            read({})
 
 
 @pytest.mark.parametrize("read", [bank_from, read_modes])

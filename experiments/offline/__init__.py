@@ -1,0 +1,1 @@
+"""Data sets of transitions, for those who learn offline."""
