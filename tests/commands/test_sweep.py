@@ -3,6 +3,7 @@
 import json
 import os
 import random
+import re
 import signal
 import subprocess
 import sys
@@ -10,6 +11,7 @@ import time
 
 import pytest
 
+from experiments.sweeping.spec import read_spec
 from tests.cli import assert_one_clear_line, command, environment, succeed
 from tests.paths import ROOT
 
@@ -123,6 +125,20 @@ def test_two_at_once_on_one_run_are_refused(swept):
 )
 def test_mistakes_end_with_one_clear_line(tmp_path, words, message):
     assert_one_clear_line(command("sweep", *words, cwd=tmp_path), message)
+
+
+def test_the_example_of_the_page_runs(tmp_path, monkeypatch, capsys):
+    page = (ROOT / "docs" / "sweep.md").read_text("utf-8")
+    first, second = re.findall(r"^```toml\n(.*?)^```", page, re.DOTALL | re.MULTILINE)
+    (tmp_path / "training.toml").write_text(second)
+    assert len(read_spec(tmp_path / "training.toml").cells) == 6
+    shorter = first.replace("[0, 50]", "0").replace("episodes = 50", "episodes = 1")
+    (tmp_path / "grid.toml").write_text(shorter)
+    succeed("sweep", "grid.toml", "--out", "sweeps", "--workers", "1", cwd=tmp_path)
+    monkeypatch.chdir(tmp_path)
+    (block,) = re.findall(r"^```python\n(.*?)^```", page, re.DOTALL | re.MULTILINE)
+    exec(compile(block, "sweep.md", "exec"), {})
+    assert capsys.readouterr().out.count("'ate_m_mean'") == 6
 
 
 @pytest.mark.slow
