@@ -6,7 +6,7 @@ TORCH := $(shell grep '^torch==' constraints.txt)
 FRESH := env -u PYTHONPATH .venv-dist/fresh/bin# sees the wheel, not this folder
 OLDEST_GYMNASIUM := $(shell sed -n 's/.*"gymnasium>=\([0-9.]*\),.*/gymnasium==\1/p' pyproject.toml)
 
-.PHONY: help demo test test-slow coverage golden schemas lint format types types-base gymnasium-oldest docs dist examples clean
+.PHONY: help demo test test-slow coverage golden schemas licenses lint format types types-base supply-chain lock locked gymnasium-oldest docs dist examples clean
 
 help: ## list these targets
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "make %-18s %s\n", $$1, $$2 }' Makefile
@@ -27,6 +27,9 @@ golden: .venv/.dev ## write tests/golden anew, after a change that is to move nu
 schemas: .venv/.dev ## write the JSON schemas anew, after a change of what a file may hold
 	$(BIN)/python -m tests.schemas
 
+licenses: .venv/.dev ## write docs/licenses.md anew, after a change of dependencies
+	$(BIN)/python -m tests.licenses
+
 coverage: ## the same tests, and the lines and branches they miss; 90 % must be covered
 	@$(MAKE) test FLAGS="--cov --cov-report="
 	$(BIN)/coverage report --fail-under=90
@@ -45,6 +48,19 @@ types-base: .venv-lint/.ready ## mypy without PyTorch, whose types are then unkn
 
 types: .venv/.dev ## mypy, strict
 	$(BIN)/mypy mmwave_env policies experiments
+
+supply-chain: .venv/.dev ## unused and undeclared dependencies, and the workflows
+	$(BIN)/deptry .
+	$(BIN)/zizmor --offline .github/workflows
+
+LOCKED := plot filterpy video data sweep tune offline completion
+lock: .venv-locked/.uv ## requirements.lock anew: every package that the tests without PyTorch need, by its hashes
+	printf '%s\n' setuptools pytest pytest-xdist hypothesis jsonschema | .venv-locked/bin/uv pip compile \
+		--quiet --universal --python-version 3.10 --generate-hashes --no-annotate -c constraints.txt \
+		--custom-compile-command "make lock" $(LOCKED:%=--extra %) pyproject.toml - -o requirements.lock
+
+locked: .venv-locked/.ready ## the tests without PyTorch on exactly the packages of requirements.lock
+	.venv-locked/bin/python -m pytest -m "not slow and not torch" -n auto --dist worksteal
 
 gymnasium-oldest: .venv-oldest/.ready ## the environment on the oldest Gymnasium supported
 	.venv-oldest/bin/python -m pytest -m "not slow and not torch" -n auto tests/test_env.py tests/test_vector_env.py
@@ -97,6 +113,20 @@ clean: ## remove environments, caches and build outputs; results/ and runs/ stay
 	@echo '*' > .venv-oldest/.gitignore
 	@.venv-oldest/bin/python -m pip install --quiet -c constraints.txt \
 		--editable '.[render,filterpy]' $(OLDEST_GYMNASIUM) pytest pytest-xdist hypothesis
+	@touch $@
+
+.venv-locked/.uv:
+	@$(PYTHON) -m venv .venv-locked
+	@echo '*' > .venv-locked/.gitignore
+	@.venv-locked/bin/python -m pip install --quiet uv
+	@touch $@
+
+.venv-locked/.ready: requirements.lock pyproject.toml
+	@echo "Setting up .venv-locked: requirements.lock"
+	@$(PYTHON) -m venv --clear .venv-locked
+	@echo '*' > .venv-locked/.gitignore
+	@.venv-locked/bin/python -m pip install --quiet --require-hashes -r requirements.lock
+	@.venv-locked/bin/python -m pip install --quiet --no-deps --no-build-isolation --editable .
 	@touch $@
 
 .venv-docs/.ready: pyproject.toml constraints.txt

@@ -25,6 +25,7 @@ MIRRORED = {  # pages of the site that are files beside docs/
     "index.md": "README.md",
     "contributing.md": "CONTRIBUTING.md",
     "changelog.md": "CHANGELOG.md",
+    "security.md": "SECURITY.md",
 }
 NOTEBOOKS = {"notebooks/first_switcher.md": "docs/notebooks/first_switcher.ipynb"}
 API = {  # page: title, modules and folders of modules
