@@ -34,7 +34,7 @@ API = {  # page: title, modules and folders of modules
     "numerics": ("Numbers", ["numerics/numbers", "numerics/linalg"]),
     "models": ("Models", ["models/"]),
     "filters": ("Filters", ["filters/"]),
-    "episodes": ("Episodes", ["episodes/"]),
+    "episodes": ("Episodes", ["episodes/", "episodes/deepmimo/"]),
     "localization": ("Localization", ["localization/", "logs/"]),
     "policies": ("Policies", ["/policies/"]),
     "evaluation": ("Evaluation", ["/experiments/evaluation/"]),

@@ -10,7 +10,7 @@ from typing import NamedTuple
 from experiments.inspection.data_set import DataSet
 from experiments.inspection.logs import log_data_set
 from experiments.inspection.tracks import recording_data_set, tum_data_set, way_data_set
-from mmwave_env.episodes.deepmimo_files import PARAMS
+from mmwave_env.episodes.deepmimo.params import PARAMS
 from mmwave_env.episodes.log_folder import SCENE, TRUTH, log_of
 from mmwave_env.episodes.samples import sample_folder, sample_names
 from mmwave_env.episodes.tables import TRAJECTORY

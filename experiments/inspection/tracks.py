@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from experiments.inspection.data_set import DataSet, Epochs
-from mmwave_env.episodes.deepmimo import read_deepmimo
+from mmwave_env.episodes.deepmimo.recording import read_deepmimo
 from mmwave_env.episodes.trajectory import read_trajectory
 from mmwave_env.logs.tum import tum_blocks
 from mmwave_env.numerics.arrays import Array
@@ -17,7 +17,7 @@ def recording_data_set(folder: Path) -> DataSet:
     """The data set of a DeepMIMO scenario.
 
     Raises:
-        ValueError, OSError: as :func:`~mmwave_env.episodes.deepmimo.read_deepmimo`.
+        ValueError, OSError: as :func:`~mmwave_env.episodes.deepmimo.recording.read_deepmimo`.
     """
     with warnings.catch_warnings(record=True) as said:
         warnings.simplefilter("always")

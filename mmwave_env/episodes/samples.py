@@ -4,8 +4,8 @@ import os
 from importlib import resources
 from pathlib import Path
 
-from mmwave_env.episodes.deepmimo import read_deepmimo
-from mmwave_env.episodes.deepmimo_files import PARAMS
+from mmwave_env.episodes.deepmimo.params import PARAMS
+from mmwave_env.episodes.deepmimo.recording import read_deepmimo
 from mmwave_env.episodes.log_folder import LOG, read_log_folder
 from mmwave_env.episodes.measured import MeasuredSource, MeasuredTrack
 from mmwave_env.episodes.recorded import RecordedSource, Recording

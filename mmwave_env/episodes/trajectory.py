@@ -66,7 +66,7 @@ class Trajectory:
         self._require(step > 0.0, t, "t", "more than in the row before")
         self._require(
             step <= GAP_S, t, "t",
-            f"at most {GAP_S:g} s after the row before; cut the trajectory there",
+            f"at most {GAP_S:g} s after the row before; cut the trajectory there, if t is in s",
         )  # fmt: skip
         speed = np.linalg.norm(moved, axis=1) / step
         most = f"at most {FASTEST_MPS:g} m/s"

@@ -1,0 +1,90 @@
+"""The paths of a scenario, whichever files they were read from: in SI units, in the files' meaning.
+
+:mod:`mmwave_env.episodes.deepmimo.anchors` makes sense of them.
+"""
+
+from collections import Counter
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import NoReturn
+
+import numpy as np
+
+from mmwave_env.episodes.tables import refuse
+from mmwave_env.numerics.arrays import Array
+
+# Values of ``interactions``: a digit for each interaction, from the base station to the receiver.
+LINE_OF_SIGHT, REFLECTION, TWO_REFLECTIONS = 0.0, 1.0, 11.0
+_KINDS = {
+    LINE_OF_SIGHT: "line of sight",
+    REFLECTION: "one reflection",
+    TWO_REFLECTIONS: "two reflections",
+    2.0: "one diffraction",
+    3.0: "one scattering",
+    4.0: "one transmission",
+}
+
+
+@dataclass(frozen=True, eq=False)
+class StationPaths:
+    """The paths between one base station and E receivers, at most P for each.
+
+    Paths with ``interactions`` 0 or 1 have finite numbers everywhere (a bounce where there is
+    one); those of others mean nothing.
+
+    Attributes:
+        name: which station it is, in the words of the files.
+        position_m: (3,) of the station.
+        interactions: (E, P) 0 line of sight, 1 one reflection, ...; NaN where there is no path.
+        bounce_m: (E, P, 3) first point of interaction.
+        gain_db: (E, P) 20 log10 |a|.
+        delay_s: (E, P) absolute.
+        arrival, departure: (E, P, 2) azimuth and zenith angle at the receiver and at the station,
+            rad; whether along propagation or against it, lines of sight tell.
+        doppler_hz: (E, P) as stored, positive while the path grows; None where none is stored.
+        source: the file, and the receiver's number in it, that a key of an epoch was read from.
+    """
+
+    name: str
+    position_m: Array
+    interactions: Array
+    bounce_m: Array
+    gain_db: Array
+    delay_s: Array
+    arrival: Array
+    departure: Array
+    source: Callable[[str, int], tuple[Path, int]]
+    doppler_hz: Array | None = None
+
+    def kinds(self) -> dict[str, int]:
+        """How many paths there are of each kind, such as "line of sight"."""
+        counts: Counter[str] = Counter()
+        values, times = np.unique(
+            self.interactions[np.isfinite(self.interactions)], return_counts=True
+        )
+        for value, count in zip(values.tolist(), times.tolist(), strict=True):
+            counts[_KINDS.get(value, "other")] += count
+        return dict(counts)
+
+    def refuse(self, key: str, epoch: int, found: str, expected: str) -> NoReturn:
+        """Raise a ValueError about what a file says of a receiver."""
+        file, receiver = self.source(key, epoch)
+        refuse(file, key, f"{found} of receiver {receiver}", expected)
+
+
+@dataclass(frozen=True, eq=False)
+class Paths:
+    """The paths of E receivers, which become the epochs of one track.
+
+    Attributes:
+        name: of the scenario, for results and messages.
+        carrier_hz: carrier frequency.
+        position_m: (E, 3) of the receivers.
+        stations: one at least.
+    """
+
+    name: str
+    carrier_hz: float
+    position_m: Array
+    stations: tuple[StationPaths, ...]

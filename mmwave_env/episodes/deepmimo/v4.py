@@ -1,0 +1,272 @@
+"""DeepMIMO v4 scenario folders: from files to checked paths.
+
+A scenario is a folder with ``params.json`` and one array a file, named
+``{key}_t{txset}_tx{tx}_r{rxset}.npz`` (or ``.npy``, ``.mat``). A dynamic one has such files in one
+sub-folder a scene, whose sorted order is that of time. Neither times nor velocities are stored.
+"""
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mmwave_env.episodes.deepmimo.array_files import array_shape, find_array, read_array
+from mmwave_env.episodes.deepmimo.params import Params
+from mmwave_env.episodes.deepmimo.paths import LINE_OF_SIGHT, REFLECTION, Paths, StationPaths
+from mmwave_env.episodes.tables import refuse
+from mmwave_env.numerics.arrays import Array, Mask
+
+TOLERANCE_M = 0.05  # float32 files agree to 1e-4 m; places closer than this are one
+_RECEIVERS = re.compile(r"rx_pos_(t\d+_tx\d+)_r(\d+)\.(?:npz|npy|mat)")
+
+
+@dataclass(frozen=True)
+class Scenario:
+    """What a folder holds, before its arrays are read.
+
+    Attributes:
+        folder: of the scenario.
+        scenes: folders with the arrays, in the order of time; of a static scenario the folder.
+        stations: which base stations there are, such as ``t000_tx000``.
+        receiver_set: which set of receivers, such as ``001``.
+        receivers: how many are in the set, in every scene.
+        carrier_hz: carrier frequency.
+    """
+
+    folder: Path
+    scenes: tuple[Path, ...]
+    stations: tuple[str, ...]
+    receiver_set: str
+    receivers: int
+    carrier_hz: float
+
+    @property
+    def is_dynamic(self) -> bool:
+        """Whether the epochs are scenes, not receivers."""
+        return self.scenes != (self.folder,)
+
+    def file(self, scene: int, key: str, station: str) -> Path:
+        """The file of a key.
+
+        Raises:
+            FileNotFoundError: there is none.
+        """
+        return find_array(self.scenes[scene], f"{key}_{station}_r{self.receiver_set}")
+
+    def grid(self, scene: int = 0) -> Array:
+        """Positions (N, 3) of all receivers in a scene, m."""
+        return self._positions(scene, None)
+
+    def positions(self, epochs: NDArray[np.int_]) -> Array:
+        """Positions (E, 3) of the receivers of epochs, as of :meth:`epochs`, m."""
+        return np.concatenate([self._positions(*group) for group in _by_scene(epochs)])
+
+    def name_of(self, epoch: NDArray[np.int_]) -> str:
+        """The receiver of an epoch (2,), for messages."""
+        scene, row = epoch.tolist()
+        return f"receiver {row}" + (f" in {self.scenes[scene].name}" if self.is_dynamic else "")
+
+    def _positions(self, scene: int, rows: NDArray[np.int_] | None) -> Array:
+        file = self.file(scene, "rx_pos", self.stations[0])
+        return _finite(file, "rx_pos", read_array(file, "rx_pos", (self.receivers, 3), rows), rows)
+
+    def epochs(self, users: int | Sequence[int] | NDArray[np.int_] | None) -> NDArray[np.int_]:
+        """Scene and row (E, 2) of the receiver of every epoch.
+
+        Args:
+            users: rows of receivers, from 0. Of a static scenario one for each epoch, or None for
+                all of them. Of a dynamic one that of every scene, or one for all scenes, or None
+                where there is but one receiver.
+
+        Raises:
+            ValueError: other numbers, or another number of them.
+        """
+        rows = np.arange(self.receivers) if users is None else np.asarray(users)
+        if rows.size == 0 or rows.dtype.kind not in "iu" or rows.ndim > 1:
+            raise ValueError(f"users: found {users!r}, expected numbers of receivers")
+        outside = rows[(rows < 0) | (rows >= self.receivers)]
+        if outside.size:
+            raise ValueError(f"users: found {outside.flat[0]}, expected 0 to {self.receivers - 1}, "
+                             f"the receivers of {self.folder}")  # fmt: skip
+        if not self.is_dynamic:
+            return np.column_stack([np.zeros(rows.size, int), rows.reshape(-1)])
+        scenes = np.arange(len(self.scenes))
+        if rows.size not in (1, len(scenes)):
+            raise ValueError(
+                f"users: found {rows.size}, expected 1 or {len(scenes)}, one for each scene of "
+                f"{self.folder}, which has {self.receivers} receivers in each"
+            )
+        return np.column_stack([scenes, np.broadcast_to(rows.reshape(-1), len(scenes))])
+
+
+def open_scenario(folder: Path, receiver_set: int | None = None) -> Scenario:
+    """What a folder holds.
+
+    Args:
+        folder: of the scenario.
+        receiver_set: number of a set of receivers; None for the only one.
+
+    Raises:
+        FileNotFoundError: the folder or a file that must be there is missing.
+        ValueError: ``params.json`` can't be read or contradicts the files, or there are several
+            sets of receivers; the message names them.
+    """
+    if not folder.exists():
+        raise FileNotFoundError(f"{folder}: found nothing, expected the folder of a scenario")
+    if not folder.is_dir():
+        refuse(folder, "folder", "a file", "the folder of a DeepMIMO v4 scenario")
+    params = Params(folder)
+    scenes = _scenes(folder, params)
+    number, stations = _stations(scenes[0], receiver_set)
+    file = find_array(scenes[0], f"rx_pos_{stations[0]}_r{number}")
+    receivers, _ = array_shape(file, "rx_pos", ("N", 3))
+    if receivers == 0:
+        refuse(file, "rx_pos", "no receivers", "at least one")
+    params.require_receivers(int(number), receivers)
+    return Scenario(folder, scenes, stations, number, receivers, params.carrier_hz)
+
+
+def _scenes(folder: Path, params: Params) -> tuple[Path, ...]:
+    """The folders of the scenes, in the order of time."""
+    count = params.scenes
+    if count == 1:
+        return (folder,)
+    found = sorted(sub for sub in folder.iterdir() if sub.is_dir() and any(sub.glob("rx_pos_*")))
+    if len(found) != count:
+        refuse(params.file, "scene.num_scenes", count,
+               f"{len(found)}, the number of sub-folders with receivers")  # fmt: skip
+    return tuple(found)
+
+
+def _stations(scene: Path, receiver_set: int | None) -> tuple[str, tuple[str, ...]]:
+    """The set of receivers, and the base stations that have paths to it."""
+    links = sorted(m.groups() for f in scene.iterdir() if (m := _RECEIVERS.fullmatch(f.name)))
+    if not links:
+        raise FileNotFoundError(
+            f"{scene}: found no rx_pos_t*_tx*_r*.npz, .npy or .mat, expected the receivers of a "
+            "DeepMIMO v4 scenario"
+        )
+    sets = sorted({number for _, number in links})
+    chosen = [n for n in sets if receiver_set is None or int(n) == receiver_set]
+    if len(chosen) != 1:
+        found = "all" if receiver_set is None else receiver_set
+        raise ValueError(f"receiver_set: found {found}, expected one of "
+                         f"{', '.join(str(int(n)) for n in sets)} of {scene}")  # fmt: skip
+    return chosen[0], tuple(station for station, number in links if number == chosen[0])
+
+
+def read_paths(
+    scenario: Scenario, epochs: NDArray[np.int_], base_station: int | None = None
+) -> Paths:
+    """The paths of some receivers; of .npz and .npy files nothing else is kept.
+
+    Args:
+        scenario: as of :func:`open_scenario`.
+        epochs: (E, 2) scenes, increasing, and rows, as of :meth:`Scenario.epochs`.
+        base_station: number of the only one to read, from 1 in the order of ``stations``; None
+            for all.
+
+    Raises:
+        FileNotFoundError: a file is missing.
+        ValueError: a file can't be read or contradicts another; the message names file and key.
+    """
+    stations = scenario.stations
+    if base_station is not None:
+        if not 1 <= base_station <= len(stations):
+            raise ValueError(f"base_station: found {base_station}, expected 1 to {len(stations)}: "
+                             f"{', '.join(stations)} of {scenario.folder}")  # fmt: skip
+        stations = stations[base_station - 1 : base_station]
+    return Paths(
+        name=scenario.folder.resolve().name,
+        carrier_hz=scenario.carrier_hz,
+        position_m=scenario.positions(epochs),
+        stations=tuple(_read_station(scenario, epochs, station) for station in stations),
+    )
+
+
+def _by_scene(epochs: NDArray[np.int_]) -> list[tuple[int, NDArray[np.int_]]]:
+    """Scenes and the rows of receivers in each."""
+    scenes, rows = epochs.T
+    return [(int(scene), rows[scenes == scene]) for scene in np.unique(scenes)]
+
+
+def _read_station(scenario: Scenario, epochs: NDArray[np.int_], station: str) -> StationPaths:
+    scenes = [_read_scene(scenario, scene, station, rows) for scene, rows in _by_scene(epochs)]
+    here = scenes[0].pop("tx_pos")
+    for scene, arrays in enumerate(scenes[1:], start=1):
+        moved = arrays.pop("tx_pos")
+        if np.linalg.norm(moved - here) > TOLERANCE_M:
+            refuse(scenario.file(scene, "tx_pos", station), "tx_pos", moved[0].tolist(),
+                   f"{here[0].tolist()}, as in the first scene: a station that stays")  # fmt: skip
+    path = {key: _stacked([arrays[key] for arrays in scenes]) for key in scenes[0]}
+
+    def source(key: str, epoch: int) -> tuple[Path, int]:
+        scene, row = epochs[epoch].tolist()
+        return scenario.file(scene, key, station), row
+
+    return StationPaths(
+        name=station,
+        position_m=here[0],
+        interactions=path["inter"],
+        bounce_m=path["inter_pos"],
+        gain_db=path["power"],
+        delay_s=path["delay"],
+        arrival=np.radians(np.stack([path["aoa_az"], path["aoa_el"]], axis=-1)),
+        departure=np.radians(np.stack([path["aod_az"], path["aod_el"]], axis=-1)),
+        source=source,
+    )
+
+
+def _read_scene(
+    scenario: Scenario, scene: int, station: str, rows: NDArray[np.int_]
+) -> dict[str, Array]:
+    """The arrays (R, P, ...) of some receivers in a scene, and ``tx_pos`` (1, 3)."""
+
+    def read(key: str, *shape: int | str, rows: NDArray[np.int_] | None = rows) -> Array:
+        return read_array(scenario.file(scene, key, station), key, shape, rows)
+
+    def check(key: str, array: Array, used: Mask | None = None) -> Array:
+        return _finite(scenario.file(scene, key, station), key, array, rows, used)
+
+    N = scenario.receivers
+    inter = read("inter", N, "P")
+    P = inter.shape[1]
+    used = (inter == LINE_OF_SIGHT) | (inter == REFLECTION)
+    points = read("inter_pos", N, P, "I", 3)  # the largest: what is too much is refused here
+    first = points[:, :, 0] if points.shape[2] else np.full((*inter.shape, 3), np.nan)
+    arrays = {
+        "tx_pos": check("tx_pos", read("tx_pos", 1, 3, rows=None)),
+        "inter": inter,
+        "inter_pos": check("inter_pos", first, inter == REFLECTION),
+    }
+    for key in ("power", "delay", "aoa_az", "aoa_el", "aod_az", "aod_el"):
+        arrays[key] = check(key, read(key, N, P), used)
+    return arrays
+
+
+def _finite(
+    file: Path, key: str, array: Array, rows: NDArray[np.int_] | None, used: Mask | None = None
+) -> Array:
+    """Refuses NaN and infinity; where ``used`` (R, P) is given only there, with NaN elsewhere."""
+    if used is not None:
+        used = used.reshape(used.shape + (1,) * (array.ndim - 2))
+        array = np.where(used, array, np.nan)
+    bad = ~np.isfinite(array) & (True if used is None else used)
+    if bad.any():
+        at = [int(i) for i in np.argwhere(bad)[0]]
+        found = array[tuple(at)]
+        at[0] = at[0] if rows is None else int(rows[at[0]])
+        refuse(file, f"{key}[{', '.join(map(str, at))}]", found, "a finite number")
+    return array
+
+
+def _stacked(scenes: Sequence[Array]) -> Array:
+    """Arrays (R, P, ...) of scenes below each other, with as many paths as most have."""
+    most = max(array.shape[1] for array in scenes)
+    missing = [[(0, 0), (0, most - a.shape[1]), *[(0, 0)] * (a.ndim - 2)] for a in scenes]
+    return np.concatenate(
+        [np.pad(a, by, constant_values=np.nan) for a, by in zip(scenes, missing, strict=True)]
+    )

@@ -1,0 +1,132 @@
+"""Scenario folders to read: copies of those in the package, damaged, rewritten, or made up."""
+
+import json
+import shutil
+
+import numpy as np
+from scipy.io import savemat
+
+from mmwave_env.models.measurement import SPEED_OF_LIGHT
+from tests.paths import RECORDINGS
+
+VEHICLE, PEDESTRIAN = RECORDINGS / "canyon28_vehicle", RECORDINGS / "canyon28_pedestrian"
+STATION = "t000_tx000"
+LINK = f"{STATION}_r001"
+KEYS = ("rx_pos", "tx_pos", "power", "delay", "aoa_az", "aoa_el", "aod_az", "aod_el", "inter",
+        "inter_pos")  # fmt: skip
+TRUTH = "trajectory.csv"
+SAVE = {  # how an array becomes a file, by its suffix
+    ".npz": lambda file, key, array: np.savez_compressed(file, **{key: array}),
+    ".npy": lambda file, key, array: np.save(file, array),
+    ".mat": lambda file, key, array: savemat(file, {key: array}, do_compression=True),
+}
+
+
+def load(folder, key, link=LINK):
+    with np.load(folder / f"{key}_{link}.npz") as file:
+        return file[key]
+
+
+def store(folder, key, array, link=LINK, suffix=".npz"):
+    SAVE[suffix](folder / f"{key}_{link}{suffix}", key, array)
+
+
+def edit(folder, key, change, link=LINK):
+    """Store what ``change`` returns, or the array it changed in place."""
+    array = load(folder, key, link)
+    changed = change(array)
+    store(folder, key, array if changed is None else changed, link)
+
+
+def edit_params(folder, change):
+    file = folder / "params.json"
+    params = json.loads(file.read_text())
+    change(params)
+    file.write_text(json.dumps(params))
+
+
+def set_counts(folder, receivers, scenes=1):
+    def change(params):
+        params["txrx_sets"]["txrx_set_1"]["num_points"] = receivers
+        params["scene"]["num_scenes"] = scenes
+
+    edit_params(folder, change)
+
+
+def edit_line(folder, number, line):
+    """Replace a line of the sidecar, counted from 1; None drops it."""
+    file = folder / TRUTH
+    lines = file.read_text().splitlines()
+    lines[number - 1 : number] = [] if line is None else [line]
+    file.write_text("\n".join(lines) + "\n")
+
+
+def shortened(folder, epochs, suffix=".npz", source=VEHICLE):
+    """The first epochs of a recording in the package, in any format of arrays."""
+    folder.mkdir(parents=True)
+    shutil.copy(source / "params.json", folder)
+    set_counts(folder, epochs)
+    lines = (source / TRUTH).read_text().splitlines()
+    (folder / TRUTH).write_text("\n".join(lines[: epochs + 1]) + "\n")
+    for key in KEYS:
+        array = load(source, key)
+        store(folder, key, array if key == "tx_pos" else array[:epochs], suffix=suffix)
+    return folder
+
+
+def dynamic_twin(static, folder, others=0):
+    """A scenario with a scene for every receiver of a static one.
+
+    Each has the paths that there are, and no more, and as many ``others``, receivers that stand
+    still where the first epoch was; the user comes after them.
+    """
+    folder.mkdir()
+    shutil.copy(static / TRUTH, folder)
+    shutil.copy(static / "params.json", folder)
+    arrays = {key: load(static, key) for key in KEYS}
+    N = len(arrays["rx_pos"])
+    set_counts(folder, others + 1, N)
+    for n in range(N):
+        scene = folder / f"scene_{n:04}"
+        scene.mkdir()
+        rows = [0] * others + [n]
+        most = int(np.isfinite(arrays["inter"][rows]).sum(axis=1).max())
+        for key, array in arrays.items():
+            chosen = array if key == "tx_pos" else array[rows]
+            store(scene, key, chosen if key[1:] == "x_pos" else chosen[:, :most])
+    return folder
+
+
+def reflect(point, normal, offset):
+    return point - 2.0 * (point @ normal - offset)[..., None] * normal
+
+
+def write_hall(folder, gnb, receivers, walls, link=LINK):
+    """A scenario with the line of sight and one bounce off each endless wall (normal, offset)."""
+    (folder / "params.json").write_text((VEHICLE / "params.json").read_text())
+    N, P = len(receivers), 1 + len(walls)
+    set_counts(folder, N)
+    aim = np.empty((2, N, P, 3))
+    length, bounce = np.empty((N, P)), np.full((N, P, 1, 3), np.nan)
+    aim[0, :, 0], aim[1, :, 0] = gnb - receivers, receivers - gnb
+    length[:, 0] = np.linalg.norm(receivers - gnb, axis=1)
+    for w, (normal, offset) in enumerate(walls, start=1):
+        image = reflect(gnb, normal, offset)
+        ray = image - receivers
+        q = receivers + ((offset - receivers @ normal) / (ray @ normal))[:, None] * ray
+        aim[0, :, w], aim[1, :, w], bounce[:, w, 0] = q - receivers, q - gnb, q
+        length[:, w] = np.linalg.norm(ray, axis=1)
+    aim /= np.linalg.norm(aim, axis=-1, keepdims=True)
+    for name, unit in zip(("aoa", "aod"), aim, strict=True):
+        azimuth, zenith = np.arctan2(unit[..., 1], unit[..., 0]), np.arccos(unit[..., 2])
+        store(folder, f"{name}_az", np.degrees(azimuth), link)
+        store(folder, f"{name}_el", np.degrees(zenith), link)
+    store(folder, "delay", length / SPEED_OF_LIGHT, link)
+    store(folder, "power", -70.0 - 20.0 * np.log10(length), link)
+    store(folder, "inter", np.tile([0.0] + [1.0] * len(walls), (N, 1)), link)
+    store(folder, "inter_pos", bounce, link)
+    store(folder, "rx_pos", receivers, link)
+    store(folder, "tx_pos", gnb[None], link)
+    rows = ["t,x,y,z,vx,vy,vz"]
+    rows += [f"{i},{x:.9f},{y:.9f},{z:.9f},1,0,0" for i, (x, y, z) in enumerate(receivers)]
+    (folder / TRUTH).write_text("\n".join(rows))
