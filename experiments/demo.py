@@ -17,8 +17,11 @@ SHOWN = ("fixed-ekf", "fixed-ukf", "speed-rule", "imm-best", "ppo-extended", "gu
 
 def main(args: Args) -> None:
     """Run the command."""
-    runs = [EpisodeArgs(episodes=args.episodes)]
-    runs += [EpisodeArgs(data=name, episodes=args.draws) for name in sample_names()]
+    runs = [EpisodeArgs(episodes=args.episodes, percentiles=args.percentiles)]
+    runs += [
+        EpisodeArgs(data=name, episodes=args.draws, percentiles=args.percentiles)
+        for name in sample_names()
+    ]
     tables, everything, made = [], {}, provenance("demo", args)
     for one in runs:
         what = (

@@ -7,7 +7,8 @@ from experiments.cli.reporting import report, results
 
 def main(args: Args) -> None:
     """Run the command."""
-    report("evaluate", args, results(args, [args.policy]))
+    pictures = {"stanford": args.stanford} if args.stanford else {}
+    report("evaluate", args, results(args, [args.policy], pictures=pictures))
 
 
 if __name__ == "__main__":

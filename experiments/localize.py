@@ -21,6 +21,7 @@ from experiments.evaluation.contenders import imm_banks
 from experiments.evaluation.markdown import show
 from experiments.evaluation.terminal import progress
 from experiments.figures.canvas import require_picture
+from experiments.figures.stanford import draw_stanford
 from experiments.figures.trajectory import draw_trajectory
 from mmwave_env.engines.track_engine import Rule
 from mmwave_env.episodes.log_folder import LOG, SCENE, TRUTH
@@ -32,6 +33,7 @@ from mmwave_env.filters.modes import DESIGN_LIMIT_MPS, Mode, robust
 from mmwave_env.localization.contradictions import contradictions
 from mmwave_env.localization.diagnosis import diagnose
 from mmwave_env.localization.localizer import TrackBlock, localize
+from mmwave_env.localization.protection import require_limit, require_risk
 from mmwave_env.localization.track_files import require_own_files, table_beside, track_files
 from mmwave_env.localization.track_scores import Course, Groups, TruthScores
 from mmwave_env.logs.log import LogBlock, read_log
@@ -147,8 +149,8 @@ def _as_asked(args: Args, modes: tuple[Mode, ...]) -> tuple[Mode, ...]:
 
 def _check(args: Args, given: Inputs) -> None:
     """Refuse options that contradict each other, and outputs in the place of other files."""
-    if args.diagnose and (args.out or args.plot):
-        raise ValueError("diagnose: found with --out or --plot, expected no track")
+    if args.diagnose and (args.out or args.plot or args.stanford):
+        raise ValueError("diagnose: found with --out, --plot or --stanford, expected no track")
     if args.imm is not None:
         for name, found in (("speed", args.speed), ("modes", args.modes)):
             if found is not None:
@@ -165,6 +167,7 @@ def _check(args: Args, given: Inputs) -> None:
         )
     if args.height is not None and not np.isfinite(args.height):
         raise ValueError(f"height: found {args.height}, expected a number of meters")
+    _check_integrity(args, given)
     if args.plot is not None:
         require_picture("plot", args.plot)
     seen: dict[Path, str] = {}
@@ -179,9 +182,21 @@ def _check(args: Args, given: Inputs) -> None:
         require_own_files(args.out)
 
 
+def _check_integrity(args: Args, given: Inputs) -> None:
+    require_risk(args.risk)
+    require_limit(args.alert_limit)
+    if args.stanford is not None:
+        require_picture("stanford", args.stanford)
+        if given.truth is None:
+            raise ValueError("stanford: found no truth, expected --truth to know errors by")
+
+
 def _outputs(args: Args) -> dict[str, Path | None]:
     table = None if args.out is None else table_beside(args.out)
-    return {"out": args.out, "the table beside out": table, "plot": args.plot, "json": args.json}
+    return {
+        "out": args.out, "the table beside out": table, "plot": args.plot, "json": args.json,
+        "stanford": args.stanford,
+    }  # fmt: skip
 
 
 # --- running
@@ -232,6 +247,7 @@ class Result(NamedTuple):
 
     figures: dict[str, Any]
     sampler: TrackSampler
+    scores: TruthScores | None  # against the truth, if there is one
     error: ValueError | None
 
 
@@ -244,7 +260,8 @@ def _run(args: Args, work: Work) -> Result:
     names, truth = work.plan.names, work.truth
     course, groups, sampler = Course(names), Groups(), TrackSampler(names, work.scene.anchors_m)
     tracks = ["filtered", "smoothed"] if args.smoothing else ["filtered"]
-    scores = TruthScores(truth, tracks, args.height is not None) if truth else None
+    planar = args.height is not None
+    scores = TruthScores(truth, tracks, planar, args.risk) if truth else None
     window = args.window if args.smoothing else None
     track = _track(args, work, window)
     error: ValueError | None = None
@@ -269,7 +286,7 @@ def _run(args: Args, work: Work) -> Result:
         figures["truth"] = scores.figures()
     elif truth and not error:
         error = truth.no_match(course.first_s, course.last_s)
-    return Result(figures, sampler, error)
+    return Result(figures, sampler, scores, error)
 
 
 def _diagnose(args: Args, log: Path, scene: Scene, mode: Mode) -> None:
@@ -292,7 +309,7 @@ def main(args: Args) -> None:
     work = _work(args, given, scene, EPOCHS_PER_BLOCK)
     for path in filter(None, _outputs(args).values()):
         require_writable(path)
-    figures, sampler, error = _run(args, work)
+    figures, sampler, scores, error = _run(args, work)
     doubts = contradictions(work.first, scene, radio_from(args.radio), figures["groups"])
     for doubt in doubts:
         warnings.warn(f"{doubt}; --diagnose tries likely mistakes", stacklevel=2)
@@ -304,6 +321,9 @@ def main(args: Args) -> None:
         title = f"{'/'.join(given.log.parts[-2:])}, {kind} track"
         draw_trajectory(sampler.track, args.plot, title)
         written["picture"] = str(args.plot)
+    if args.stanford and scores and scores.scored:
+        draw_stanford(scores.errors, args.alert_limit, args.stanford)
+        written["Stanford diagram"] = str(args.stanford)
     origin = {
         "log": str(given.log),
         "scene": scene.name,

@@ -25,16 +25,21 @@ EXTRAS = PROJECT.split("[project.optional-dependencies]\n")[1].split("\n[")[0]
         ("filterpy", ["benchmark", "--plot"]),
         ("minari", ["collect", "--policies", "random", "--out"]),
         ("h5py", ["collect", "--policies", "random", "--out"]),
+        ("matplotlib", ["evaluate", "--stanford"]),
+        ("pyarrow", ["evaluate", "--epochs-parquet"]),
         ("shtab", ["completion", "--shell", "bash", "--out"]),
     ],
     ids=lambda value: value if isinstance(value, str) else " ".join(map(str, value[::-3])),
 )
 def test_a_command_names_the_extra_and_writes_nothing(package, words, tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, package, None)  # as if it were not installed
-    extras = {"matplotlib": "plot", "shtab": "completion", "minari": "offline", "h5py": "offline"}
+    extras = {
+        "matplotlib": "plot", "pyarrow": "data", "shtab": "completion", "minari": "offline",
+        "h5py": "offline",
+    }  # fmt: skip
     extra = extras.get(package, package)
     assert_one_clear_line(
-        command(*words, tmp_path / "new.png"),
+        command(*words, tmp_path / ("new.parquet" if package == "pyarrow" else "new.png")),
         rf"needs {package}: pip install 'mmwave-loc\[{extra}\]'",
     )
     assert not list(tmp_path.iterdir())

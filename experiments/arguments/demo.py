@@ -19,5 +19,7 @@ class Args(JsonArgs):
     """simulated episodes"""
     draws: int = 200
     """draws of receiver noise on each ray-traced scenario"""
+    percentiles: bool = False
+    """also give percentiles of errors and protection levels, in the files"""
     out: Path = Path("results")
     """folder for tables.md, one JSON file a comparison, and report.html, a web page of them"""

@@ -4,6 +4,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal
 
+from experiments.arguments.integrity import IntegrityArgs
 from mmwave_env.filters.smoother import SMOOTHING_WINDOW
 
 
@@ -50,7 +51,7 @@ class FilterArgs:
 
 
 @dataclass(kw_only=True)
-class Args(FilterArgs, OutputArgs):
+class Args(FilterArgs, IntegrityArgs, OutputArgs):
     """The track of a measurement log, by the paper's EKF and UKF pipelines (Algorithm 1).
 
     Up to 2 m/s the EKF pipeline runs, above it the UKF pipeline; or both, and more, in an IMM.

@@ -3,6 +3,8 @@
 from dataclasses import dataclass
 from pathlib import Path
 
+from experiments.arguments.integrity import IntegrityArgs
+
 USUAL_EPISODES = 1000
 
 
@@ -20,6 +22,11 @@ class EpisodeResultArgs(JsonArgs):
 
     episodes_csv: Path | None = None
     """write every metric of every policy and episode to this table, a row each"""
+    epochs_parquet: Path | None = None
+    """write every epoch of every policy and episode to this Parquet file, a row each"""
+    percentiles: bool = False
+    """also show percentiles of horizontal and vertical errors, shares within a distance, and how
+    often errors exceed their protection levels"""
 
 
 @dataclass(kw_only=True)
@@ -68,7 +75,7 @@ class ModeArgs(WorldArgs):
 
 
 @dataclass(kw_only=True)
-class EpisodeArgs(ModeArgs, EpisodeResultArgs):
+class EpisodeArgs(ModeArgs, IntegrityArgs, EpisodeResultArgs):
     """Episodes."""
 
     episodes: int | None = None

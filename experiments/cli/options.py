@@ -22,6 +22,7 @@ from mmwave_env.task import Modes, Task, TaskArguments, task_from
 
 OUTPUTS = (
     "json", "episodes_csv", "figure", "decisions", "errors", "consistency", "plot", "docs", "out",
+    "stanford", "epochs_parquet",
 )  # fmt: skip
 
 

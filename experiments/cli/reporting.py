@@ -2,22 +2,20 @@
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 from experiments.arguments.shared import EpisodeArgs
 from experiments.cli.options import contender_of, provenance, runs_of, selection_of, task_of
+from experiments.cli.watchers import require_options, watchers
 from experiments.evaluation.bounds import bound_markdown, over_bound
 from experiments.evaluation.comparison import Comparison, compare_scores, episodes_csv
-from experiments.evaluation.decisions import Decisions
-from experiments.evaluation.epochs import EpochErrors
 from experiments.evaluation.markdown import show
 from experiments.evaluation.runner import Scoring, score_contenders
 from experiments.evaluation.runs import Run, trainings
 from experiments.evaluation.terminal import progress
 from experiments.evaluation.training_seeds import over_training_seeds, seeds_markdown
 from experiments.figures.curves import draw_profiles
-from experiments.figures.errors import draw_consistency, draw_error_cdf
-from experiments.figures.events import draw_decisions
 from mmwave_env.files import write_json, write_text
 from mmwave_env.models.radio import profile_of, radio_from
 from mmwave_env.reward import reward_name
@@ -35,42 +33,38 @@ def results(
     args: EpisodeArgs,
     names: Sequence[str],
     bound: bool = False,
-    figure: Path | None = None,
-    decisions: Path | None = None,
-    errors: Path | None = None,
-    consistency: Path | None = None,
+    pictures: Mapping[str, Path] = MappingProxyType({}),
 ) -> tuple[Comparison, str, dict[str, Any]]:
     """Run contenders on the episodes.
 
     Args:
-        args: which episodes.
+        args: which episodes, and which tables.
         names: of the contenders; the folder of a run stands for its median training.
         bound: whether to measure them in posterior Cramer-Rao bounds, too.
-        figure: gets the performance profiles of runs.
-        decisions: gets a picture of what policies choose around stops and pull-aways.
-        errors: gets the distribution of errors.
-        consistency: gets NEES beside its bounds.
+        pictures: those of :func:`~experiments.cli.watchers.watchers`, and "figure", which gets the
+            performance profiles of runs.
 
     Returns:
         The comparison, all tables as Markdown, and every figure as JSON.
     """
+    require_options(args, pictures)
     task, runs = task_of(args), runs_of(args, names)
     source, scoring = task.source, Scoring.of(task)
     selection = selection_of(args, source)
     if bound and args.planar:
         raise ValueError("bound: found with planar, whose bound there is not; expected one of them")
-    if figure:
+    if "figure" in pictures:
         _require_profiles(names, runs)
     files = {name: runs[name].policy if name in runs else name for name in names}
     chosen = {file: contender_of(args, file) for file in trainings(names, runs)}
     learned = [name for name, file in files.items() if chosen[file].trained]
     shown = {file: name for name, file in files.items()}
-    seen, epochs = Decisions(shown), EpochErrors(shown)
-    watched = [seen.add] * bool(decisions) + [epochs.add] * bool(errors or consistency)
     everybody = [chosen[file] for file in trainings(names, runs)]
-    found = score_contenders(
-        everybody, source, args.radio, selection, watch=watched, scoring=scoring,
-    )  # fmt: skip
+    with watchers(args, shown, source, selection, pictures) as watched:
+        found = score_contenders(
+            everybody, source, args.radio, selection, watch=[one.add for one in watched],
+            scoring=scoring, after=[*dict.fromkeys(part for one in watched for part in one.parts)],
+        )  # fmt: skip
     scores = {name: found[file] for name, file in files.items()}
     if args.episodes_csv:
         write_text(args.episodes_csv, episodes_csv(scores, selection, source))
@@ -88,15 +82,11 @@ def results(
         seeds = over_training_seeds(trained, scores)
         text += "".join(map(seeds_markdown, seeds))
         content |= {"training_seeds": {one.run.name: one.json for one in seeds}}
-        if figure:
-            draw_profiles(seeds, figure)
-    if decisions:
-        content |= {"decisions": seen.json}
-        draw_decisions(seen, decisions)
-    if errors:
-        draw_error_cdf(epochs.errors_m, errors)
-    if consistency:
-        draw_consistency(epochs.time_s, epochs.nees, 2 if args.planar else 3, consistency)
+        if "figure" in pictures:
+            draw_profiles(seeds, pictures["figure"])
+    for one in watched:
+        more, figures = one.finish()
+        text, content = text + more, content | figures
     return result, text, content
 
 

@@ -3,6 +3,7 @@
 from typing import Any
 
 from experiments.evaluation.markdown import HEADERS, grid
+from experiments.evaluation.positions import kinds_of, positions_markdown
 from experiments.evaluation.text import escaped
 from mmwave_env.filters.modes import DESIGN_LIMIT_MPS
 from mmwave_env.models.prior import GAP_S
@@ -66,10 +67,12 @@ def _accuracy(truth: dict[str, Any], epochs: int) -> str:
     header = ["track", *(HEADERS[m].replace("in 95", "NEES in 95") for m in metrics)]
     rows = [[name, *(_decimals(row[m]) for m in metrics)] for name, row in truth["tracks"].items()]
     low, high = truth["nees_interval"]
+    kinds = {name: kinds_of(row) for name, row in truth["tracks"].items()}
     over = "" if truth["rpe_s"] is None else f"RPE is over {truth['rpe_s']:.3g} s; "
     return (
         f"{grid(header, rows)}\n\n{truth['scored']} of {epochs} epochs have a true position. {over}"
-        f"NEES should be {truth['nees_expected']}, 95 % of it within [{low:.2f}, {high:.2f}].\n"
+        f"NEES should be {truth['nees_expected']}, 95 % of it within [{low:.2f}, {high:.2f}].\n\n"
+        f"{positions_markdown('track', kinds, truth['risk'])}"
     )
 
 

@@ -170,6 +170,7 @@ def score_contenders(
     modes: Modes = None,
     watch: Sequence[Watch] = (),
     scoring: Scoring = PLAIN,
+    after: Sequence[str] = (),
 ) -> dict[str, Scores]:
     """Scores of contenders on the same episodes.
 
@@ -181,6 +182,7 @@ def score_contenders(
         modes: as of :func:`contenders`.
         watch: each gets every contender, episodes, and what :func:`run_contender` tells of them.
         scoring: for all of them.
+        after: as of :func:`run_contender`, for those who watch.
 
     Raises:
         ValueError: unknown or repeated contender.
@@ -202,7 +204,7 @@ def score_contenders(
                 _warn_of_short(batch[0])
             packed = _packed(batch, scoring)
             for contender, policy in zip(chosen, policies, strict=True):
-                told = _run(contender, policy, packed, scoring)
+                told = _run(contender, policy, packed, scoring, after=after)
                 parts[contender.name].append(_summary(told, batch, scoring))
                 for one in watch:
                     one(contender, batch, told)

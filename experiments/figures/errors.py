@@ -8,9 +8,9 @@ import numpy as np
 from scipy.stats import chi2
 
 from experiments.figures.canvas import contenders, legend_beside, picture, plain_numbers
+from mmwave_env.localization.position_errors import SHARES, horizontal, vertical
 from mmwave_env.numerics.arrays import Array
 
-MARKS = (0.50, 0.67, 0.80, 0.90, 0.95)  # shares of epochs at which errors are usually compared
 SMALLEST_M = 1e-3  # that a logarithmic axis shows
 BOUNDS = "95 % bounds if consistent"
 _SHARES = np.linspace(0.0, 0.999, 400)
@@ -29,23 +29,22 @@ def draw_error_cdf(errors_m: Mapping[str, Array], path: Path) -> None:
         path: .png, .svg or .pdf.
     """
     with picture(path, 11.0, max(4.2, 1.0 + 0.19 * len(errors_m))) as figure:
-        horizontal, vertical = figure.subplots(1, 2, sharey=True)
+        left, right = figure.subplots(1, 2, sharey=True)
         labels = contenders(errors_m)
         for number, (name, errors) in enumerate(errors_m.items()):
-            across = np.hypot(errors[..., 0], errors[..., 1])
             look = _style(number) | {"label": labels[name]}
-            for axes, sizes in ((horizontal, across), (vertical, np.abs(errors[..., 2]))):
+            for axes, sizes in ((left, horizontal(errors)), (right, vertical(errors))):
                 values = np.maximum(sizes, SMALLEST_M)  # a known height has none
                 axes.plot(np.quantile(values, _SHARES), _SHARES, **look)
-                axes.plot(np.quantile(values, MARKS), MARKS, "o", ms=3.5, color=look["color"])
-        for axes, kind in ((horizontal, "horizontal"), (vertical, "vertical")):
+                axes.plot(np.quantile(values, SHARES), SHARES, "o", ms=3.5, color=look["color"])
+        for axes, kind in ((left, "horizontal"), (right, "vertical")):
             low = min(np.interp(0.03, line.get_ydata(), line.get_xdata()) for line in axes.lines)
             axes.set(xscale="log", ylim=(0.0, 1.0), xlabel=f"{kind} position error (m)")
             axes.set_xlim(left=low)
             plain_numbers(axes.xaxis)
-        horizontal.set_yticks(MARKS, [f"{100.0 * mark:.0f} %" for mark in MARKS])
-        horizontal.set_ylabel("share of epochs below")
-        legend_beside(vertical)
+        left.set_yticks(SHARES, [f"{100.0 * share:.0f} %" for share in SHARES])
+        left.set_ylabel("share of epochs below")
+        legend_beside(right)
 
 
 def draw_consistency(time_s: Array, nees: Mapping[str, Array], dof: int, path: Path) -> None:

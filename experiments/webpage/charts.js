@@ -1,6 +1,7 @@
-// Pictures of data: lines, and means with whiskers. Every picture is drawn anew for its width.
+// Pictures of data: lines, means with whiskers, and what is in stanford.js. Every picture is drawn anew for its width.
 
 const redraws = [];
+const DRAWN = { lines, whiskers, stanford };
 let clips = 0; // names of clip paths
 
 function chart(place, data) {
@@ -20,8 +21,7 @@ function chart(place, data) {
   function draw() {
     const width = Math.max(280, place.clientWidth);
     if (!place.clientWidth) return; // in a hidden section
-    const drawn = data.kind === "lines" ? lines : whiskers;
-    holder.replaceChildren(drawn(data.views[view], data.title, width, off));
+    holder.replaceChildren(DRAWN[data.kind](data.views[view], data.title, width, off));
     if (data.kind === "lines") labels();
   }
 

@@ -7,15 +7,15 @@ import numpy as np
 from scipy.special import chdtri
 
 from experiments.evaluation.text import printable
-from experiments.figures.errors import MARKS
 from experiments.webpage.episodes import numbers
 from experiments.webpage.kinds import events
 from experiments.webpage.played import Played
 from experiments.webpage.source import Source
+from mmwave_env.localization.position_errors import SHARES, horizontal, vertical
 from mmwave_env.metrics import METRICS, nees_interval
 from mmwave_env.numerics.arrays import Array
 
-_SHARES = sorted({*np.linspace(0.0, 0.99, 100).round(4).tolist(), 0.995, 0.999, *MARKS})
+_SHARES = sorted({*np.linspace(0.0, 0.99, 100).round(4).tolist(), 0.995, 0.999, *SHARES})
 _LOWEST_SHARE = 0.03  # where a logarithmic axis of errors begins
 _WORST_NEES, _LEAST_NEES = 1e3, 1e-2  # that its axis shows
 
@@ -63,16 +63,17 @@ def paired(content: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
 def error_curves(played: Played) -> Chart:
     """How often horizontal and vertical errors stay below so much."""
     views = []
-    for kind in ("horizontal", "vertical"):
+    for kind, sizes in (("horizontal", horizontal), ("vertical", vertical)):
         lines = [
-            _line(name, _quantiles(sizes(errors, kind), _SHARES), _SHARES)
+            _line(name, _quantiles(sizes(errors), _SHARES), _SHARES)
             for name, errors in played.errors_m.items()
         ]
         low = [line["x"][int(_LOWEST_SHARE * 100)] or 0.01 for line in lines]
         views.append({
             "name": f"{kind} error",
             "x": {"label": f"{kind} position error (m)", "log": True, "from": max(1e-3, min(low))},
-            "y": {"label": "share of epochs below", "from": 0.0, "to": 1.0, "ticks": [0.0, *MARKS]},
+            "y": {"label": "share of epochs below", "from": 0.0, "to": 1.0,
+                  "ticks": [0.0, *SHARES]},
             "lines": lines,
         })  # fmt: skip
     return {"kind": "lines", "title": "Distribution of errors", "views": views}
@@ -82,13 +83,6 @@ def _quantiles(values: Array, shares: Sequence[float]) -> list[float | None]:
     """Of all that are finite."""
     finite = values[np.isfinite(values)]
     return numbers(np.quantile(finite, shares)) if finite.size else [None] * len(shares)
-
-
-def sizes(errors: Any, kind: str) -> Any:
-    """Horizontal or vertical errors (...,) of errors (..., 3), m."""
-    if kind == "horizontal":
-        return np.hypot(errors[..., 0], errors[..., 1])
-    return np.abs(errors[..., 2])
 
 
 def nees_curves(played: Played) -> Chart:

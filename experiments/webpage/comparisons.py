@@ -3,15 +3,13 @@
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-import numpy as np
-
 from experiments.evaluation.bounds import COLUMNS
 from experiments.evaluation.markdown import HEADERS
-from experiments.figures.errors import MARKS
 from experiments.webpage import charts
 from experiments.webpage.kinds import selected
-from experiments.webpage.markup import Cell, heading, paragraph, short, table, whole
+from experiments.webpage.markup import heading, paragraph, short, table, whole
 from experiments.webpage.played import Played, watched_names
+from experiments.webpage.positions import position_table, stanford
 from experiments.webpage.sections import Page
 from experiments.webpage.shown_episodes import add_episodes, left_out
 from experiments.webpage.source import Source
@@ -61,6 +59,9 @@ def _add_comparison(page: Page, source: Source) -> None:
         ]
         caption = "Paired differences of the reward, episode by episode, with 95 % intervals"
         page.add("Results", table(caption, header, rows))
+    if "position_errors" in content:
+        errors = content["position_errors"]
+        page.add("Results", position_table("policy", errors["policies"], errors["risk"]))
     if "bound" in content:
         _add_bound(page, content["bound"])
     if "training_seeds" in content:
@@ -99,21 +100,12 @@ def _add_errors(page: Page, source: Source, played: Played) -> None:
                 "10 epochs of an episode are left out."
             )
         )
-        header = ["policy"]
-        for kind in ("horizontal", "vertical"):
-            header += [f"{kind} {100.0 * mark:.0f} % (m)" for mark in MARKS]
-        rows = []
-        for name, errors in played.errors_m.items():
-            cells: list[str | Cell] = [name]
-            for kind in ("horizontal", "vertical"):
-                sizes = charts.sizes(errors, kind)
-                cells += [_meters(value) for value in np.quantile(sizes, MARKS).tolist()]
-            rows.append(cells)
-        caption = "Error that 50, 67, 80, 90 and 95 % of the epochs stay below"
-        parts += [page.drawn(charts.error_curves(played)), table(caption, header, rows)]
+        figures = {name: one.figures() for name, one in played.positions.items()}
+        (risk,) = {one.risk for one in played.positions.values()}
+        parts += [
+            page.drawn(charts.error_curves(played)),
+            position_table("policy", figures, risk),
+            page.drawn(stanford(played.positions)),
+        ]
         parts.append(page.drawn(charts.nees_curves(played)))
     page.add("Errors", *parts)
-
-
-def _meters(value: float) -> Cell:
-    return Cell(f"{value:.3g}" if value < 100.0 else f"{value:.0f}", value)

@@ -5,6 +5,7 @@ from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
 
 from experiments.evaluation.entries import require_entry
+from experiments.evaluation.positions import kinds_of
 from experiments.evaluation.seeds import Selection
 
 
@@ -59,12 +60,31 @@ def _check_comparison(content: Mapping[str, Any]) -> None:
             _require_table(where, {"seeds": figure["seeds"]})
             _require_table(where, {"": {k: figure[k] for k in ("mean", "interquartile_mean")}})
             _require_lists(f"{where}.profile", figure["profile"], "above", "share", "low", "high")
+    if "position_errors" in content:
+        _require_positions("position_errors", content["position_errors"])
     decisions = content.get("decisions", {})
     for kind in events(decisions):
         for name, band in decisions[kind]["error_minus_m"].items():
             lines = {**band, "time_s": decisions["time_s"]}
             where = f"decisions.{kind}.error_minus_m.{name}"
             _require_lists(where, lines, "time_s", "mean", "low", "high")
+
+
+def _require_positions(key: str, found: Mapping[str, Any]) -> None:
+    """Refuse errors without what tables show of them; what is not known is null."""
+    if not is_number(found["risk"]):
+        raise ValueError(f"{key}.risk: found {found['risk']!r:.60}, expected a number")
+    for name, kinds in found["policies"].items():
+        for kind, one in kinds.items():
+            values = [
+                *one["percentiles_m"].values(),
+                *one["within_m"].values(),
+                *(one["ci95"] or ()),
+            ]
+            for value in (*values, one["median_level_m"], one["share"]):
+                if value is not None and not is_number(value):
+                    where = f"{key}.{name}.{kind}"
+                    raise ValueError(f"{where}: found {value!r:.60}, expected a number")
 
 
 def selected(content: Mapping[str, Any]) -> Selection:
@@ -85,6 +105,9 @@ def _check_track(content: Mapping[str, Any]) -> None:
     if "truth" in content:
         for row in content["truth"]["tracks"].values():
             row["ate_m"], row["in_bounds"]
+        if "risk" in content["truth"]:
+            rows = {name: kinds_of(row) for name, row in content["truth"]["tracks"].items()}
+            _require_positions("truth", {**content["truth"], "policies": rows})
 
 
 def _seen(groups: Mapping[str, Any]) -> tuple[list[tuple[str, Any]], str]:
@@ -156,7 +179,8 @@ class Kind(NamedTuple):
 
 COMPARISON = Kind(
     "comparison", ("versions", "scenario", "radio", "episodes", "policies", "paired"),
-    ("seed", "keys", "bound", "training_seeds", "decisions"), _check_comparison, "policies",
+    ("seed", "keys", "bound", "training_seeds", "decisions", "position_errors"),
+    _check_comparison, "policies",
 )  # fmt: skip
 TRANSFER = Kind(
     "transfer", ("versions", "radio", "seed", "places"),

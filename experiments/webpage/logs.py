@@ -3,8 +3,10 @@
 from collections.abc import Sequence
 
 from experiments.evaluation.markdown import HEADERS
+from experiments.evaluation.positions import kinds_of
 from experiments.webpage.markup import Cell, heading, paragraph, table
 from experiments.webpage.played import Played
+from experiments.webpage.positions import position_table
 from experiments.webpage.sections import Page
 from experiments.webpage.shown_episodes import add_episodes, left_out
 from experiments.webpage.source import Source
@@ -34,6 +36,9 @@ def _add_track(page: Page, source: Source, played: Played) -> None:
                 for name, row in c["truth"]["tracks"].items()]  # fmt: skip
         header = ["track", *(HEADERS[metric] for metric in metrics)]
         parts.append(table("Against the truth", header, rows))
+        errors = {name: kinds_of(row) for name, row in c["truth"]["tracks"].items()}
+        if "risk" in c["truth"]:  # older results have no such figures
+            parts.append(position_table("track", errors, c["truth"]["risk"]))
     names = {"seen": "seen", "rejected": "rejected", "incomplete": "incomplete",
              "nis_per_dof": "NIS / dof", "nis_in_bounds": "NIS in 95 % bounds"}  # fmt: skip
     rows = [[name, *(_number(group.get(key)) for key in names)]

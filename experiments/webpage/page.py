@@ -18,7 +18,7 @@ from experiments.webpage.sources import read_source
 from mmwave_env.files import write_text
 
 LARGEST_BYTES = 5_000_000
-SCRIPTS = ("drawing.js", "charts.js", "map.js", "browser.js", "page.js")
+SCRIPTS = ("drawing.js", "charts.js", "stanford.js", "map.js", "browser.js", "page.js")
 
 
 def write_page(args: Args, localized: Callable[[Source], Played] | None = None) -> int:

@@ -21,6 +21,7 @@ from experiments.webpage.episodes import Gates, Place, course, scenery
 from experiments.webpage.source import Source
 from mmwave_env.episodes.episode import Episode
 from mmwave_env.episodes.samples import sample_names
+from mmwave_env.localization.position_errors import PositionErrors
 from mmwave_env.metrics import scored
 from mmwave_env.numerics.arrays import Array
 from mmwave_env.task import Task
@@ -38,6 +39,7 @@ class Played:
         which: the episodes, in words.
         axes: position axes that NEES covers.
         errors_m: (n, T, 3) by contender, of the epochs that count, m.
+        positions: the same by contender, with protection levels.
         nees: (n, T) by contender, of the same.
         shown: episodes to watch, as JSON holds them.
         missing: why there is nothing of a contender; of all of them under the name "".
@@ -46,6 +48,7 @@ class Played:
     which: str = "no episodes"
     axes: int = 3
     errors_m: dict[str, Array] = field(default_factory=dict)
+    positions: dict[str, PositionErrors] = field(default_factory=dict)
     nees: dict[str, Array] = field(default_factory=dict)
     shown: list[dict[str, Any]] = field(default_factory=list)
     missing: dict[str, str] = field(default_factory=dict)
@@ -85,6 +88,8 @@ def play(source: Source, episodes: int, watched: int) -> Played:
         parts = AFTER if policy else (*AFTER, "mixture.probability")
         told = run_contender(contender, policy, batch, scoring, after=parts)
         found.errors_m[name], found.nees[name] = told["error"][:, counted], told["nees"][:, counted]
+        found.positions[name] = PositionErrors(args.risk, scoring.planar)
+        found.positions[name].add(found.errors_m[name], told["P"][:, counted])
         for i, one in enumerate(shown if name in watch else []):
             one["contenders"][name] = _course(contender, told, i)
     return found

@@ -10,6 +10,8 @@ from mmwave_env.filters.belief import Belief
 from mmwave_env.filters.modes import DESIGN_LIMIT_MPS
 from mmwave_env.filters.pipeline import VERTICAL
 from mmwave_env.localization.localizer import TrackBlock
+from mmwave_env.localization.position_errors import PositionErrors
+from mmwave_env.localization.protection import RISK
 from mmwave_env.logs.truth import Truth, tolerance_s
 from mmwave_env.metrics import nees_interval
 from mmwave_env.numerics.arrays import Array
@@ -110,10 +112,19 @@ class Pairs:
 
 
 class TruthScores:
-    """Tracks beside the truth: "filtered", "smoothed" or both; planar where the height is known."""
+    """Tracks beside the truth: "filtered", "smoothed" or both; planar where the height is known.
 
-    def __init__(self, truth: Truth, names: Sequence[str], planar: bool) -> None:
-        self.truth, self.scored = truth, 0
+    Attributes:
+        truth: where the user was.
+        scored: epochs so far.
+        errors: of each track, with protection levels at the risk.
+    """
+
+    def __init__(
+        self, truth: Truth, names: Sequence[str], planar: bool, risk: float = RISK
+    ) -> None:
+        self.truth, self.scored, self._risk = truth, 0, risk
+        self.errors = {name: PositionErrors(risk, planar) for name in names}
         self._axes: tuple[int, ...] = (0, 1) if planar else (0, 1, 2)
         self._pinned: tuple[int, ...] = VERTICAL if planar else ()
         self._tracks = {name: Accuracy(len(self._axes)) for name in names}
@@ -132,11 +143,13 @@ class TruthScores:
             for name, accuracy in self._tracks.items():
                 smooth = name == "smoothed"
                 x, P = (block.smooth_x, block.smooth_P) if smooth else (block.x, block.P)
-                accuracy.add(*self._errors(x[known], P[known], truth[known]))
+                error, nees = self._against(x[known], P[known], truth[known])
+                accuracy.add(error, nees)
+                self.errors[name].add(error, P[known])
         self._pair()
         return truth
 
-    def _errors(self, x: Array, P: Array, truth: Array) -> tuple[Array, Array]:
+    def _against(self, x: Array, P: Array, truth: Array) -> tuple[Array, Array]:
         belief = Belief(list(x.T), unpack(list(P.T), zero=self._pinned), self._axes)
         where = list(truth.T)
         return np.column_stack(belief.error(where)), belief.nees(where)
@@ -149,13 +162,17 @@ class TruthScores:
     def figures(self) -> dict[str, Any]:
         """Every track's accuracy, and what it means."""
         self._pair(end=True)
-        tracks = {name: accuracy.figures() for name, accuracy in self._tracks.items()}
+        tracks = {
+            name: {**accuracy.figures(), **self.errors[name].figures()}
+            for name, accuracy in self._tracks.items()
+        }
         paired = any(row["rpe_m"] is not None for row in tracks.values())
         return {
             "scored": self.scored,
             "rpe_s": self._pairs.apart_s if paired else None,
             "nees_expected": len(self._axes),
             "nees_interval": nees_interval(len(self._axes)),
+            "risk": self._risk,
             "tracks": tracks,
         }
 

@@ -14,6 +14,7 @@ from mmwave_env.metrics import METRICS
 
 def test_six_rows_a_place_are_printed_and_everybody_is_written(tmp_path, monkeypatch, capsys):
     def results(args, names):
+        asked.append(args.percentiles)
         rng = np.random.default_rng(0)
         scores = {name: {m: rng.normal(size=3) for m in METRICS} for name in names}
         scenario = args.data or "mixed"
@@ -21,14 +22,14 @@ def test_six_rows_a_place_are_printed_and_everybody_is_written(tmp_path, monkeyp
         found = compare_scores(scores, scenario=scenario, **what)
         return found, str(found), found.json
 
-    pages = []
+    pages, asked = [], []
     monkeypatch.setattr(demo, "results", results)
     monkeypatch.setattr(demo, "write_page", pages.append)  # the report has tests of its own
-    demo.main(demo.Args(out=tmp_path, json=tmp_path / "all.json"))
+    demo.main(demo.Args(out=tmp_path, json=tmp_path / "all.json", percentiles=True))
     shown = capsys.readouterr().out
     rows = [line.split(" | ")[0][2:] for line in shown.splitlines() if "±" in line]
     places = ["mixed", "canyon28_pedestrian", "canyon28_vehicle"]
-    assert rows == [*demo.SHOWN] * len(places)
+    assert rows == [*demo.SHOWN] * len(places) and asked == [True] * len(places)
     assert "Paired" not in shown and str(tmp_path / "tables.md") in shown
     written = (tmp_path / "tables.md").read_text()
     everyone = all_contenders(EpisodeArgs())

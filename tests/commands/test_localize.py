@@ -31,7 +31,7 @@ from mmwave_env.logs.log import read_log
 from mmwave_env.logs.tum import COLUMNS, read_tum, tum_lines
 from mmwave_env.models.radio import RADIOS
 from mmwave_env.models.scene import SCENES, read_scene
-from tests.cli import command, environment
+from tests.cli import assert_one_clear_line, command, environment
 from tests.localization.mistakes import MISTAKES, read_columns, write_columns
 from tests.marks import representative
 from tests.paths import LOGS
@@ -222,8 +222,12 @@ def test_what_is_printed_is_what_json_holds(capsys, tmp_path):
     shown = capsys.readouterr().out
     assert f"{out} (smoothed track)" in shown and f"{tmp_path / 'track.csv'} (its" in shown
     assert "400 epochs, 0 to 39.9 s" in shown and "skipped" not in shown
-    for row in found["truth"]["tracks"].values():
-        assert " | ".join(f"{value:.3f}" for value in row.values()) in shown
+    for name, row in found["truth"]["tracks"].items():
+        numbers = [value for value in row.values() if isinstance(value, float)]
+        assert len(numbers) == 5 and " | ".join(f"{value:.3f}" for value in numbers) in shown
+        for kind in ("horizontal", "vertical"):
+            cells = " | ".join(f"{v:#.3g}" for v in row[kind]["percentiles_m"].values())
+            assert f"| {name}, {kind} | {cells} |" in shown
     groups = found["groups"]
     assert list(groups) == ["anchor 1", "anchor 2", "anchor 3", "Doppler", "all"]
     for name, g in groups.items():
@@ -233,6 +237,34 @@ def test_what_is_printed_is_what_json_holds(capsys, tmp_path):
     assert groups["anchor 1"]["seen"] == 399  # one gave the prior
     assert found["error"] is None
     assert all(abs(groups[f"anchor {a}"]["nis_in_bounds"] - 0.95) < 0.03 for a in (1, 2, 3))
+
+
+def test_percentiles_are_those_of_the_files(tmp_path):
+    truth, out = read_tum(RIDE / "truth.tum"), tmp_path / "track.tum"
+    more = ("--risk", "0.2", "--stanford", tmp_path / "stanford.svg")
+    found = figures(RIDE, "--speed", "auto", "--out", out, *more)
+    error = read_tum(out).position_m - truth.position_m
+    row = found["truth"]["tracks"]["smoothed"]
+    across, upwards = np.hypot(error[:, 0], error[:, 1]), np.abs(error[:, 2])
+    shares = [0.5, 0.67, 0.8, 0.9, 0.95]
+    for kind, sizes in (("horizontal", across), ("vertical", upwards)):
+        expected = np.quantile(sizes, shares)
+        assert [*row[kind]["percentiles_m"].values()] == pytest.approx(expected, abs=1e-9)
+    sigma = np.loadtxt(tmp_path / "track.csv", delimiter=",", skiprows=1, usecols=6)
+    levels = 1.2815515655446004 * sigma  # the normal distribution leaves 0.1 on each side
+    assert found["truth"]["risk"] == 0.2
+    assert row["vertical"]["median_level_m"] == pytest.approx(np.median(levels), rel=1e-5)
+    assert row["vertical"]["exceeded"] == (upwards > levels).sum()
+    assert "smoothed, vertical" in (tmp_path / "stanford.svg").read_text()
+    assert found["written"]["Stanford diagram"] == str(tmp_path / "stanford.svg")
+
+
+def test_a_stanford_diagram_needs_a_truth(tmp_path):
+    given = options(
+        RIDE / "log.csv", "--speed", "auto", "--stanford", tmp_path / "s.png", folder=RIDE
+    )
+    assert_one_clear_line(command("localize", *given), "stanford: found no truth, expected --truth")
+    assert not list(tmp_path.iterdir())
 
 
 def test_figures_say_how_to_make_them_again(tmp_path):
@@ -847,4 +879,4 @@ def test_a_diagnosis_makes_no_track(capsys, tmp_path):
     _, line = refused(
         capsys, options(WALK / "log.csv", "--diagnose", "--out", tmp_path / "track.tum")
     )
-    assert "diagnose: found with --out or --plot, expected no track" in line
+    assert "diagnose: found with --out, --plot or --stanford, expected no track" in line

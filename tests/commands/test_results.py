@@ -43,6 +43,45 @@ def test_results_are_as_their_schema_says(results, tmp_path):
     validate(one, SCHEMA)
 
 
+def test_percentiles_are_in_a_table_and_in_the_file_where_they_are_asked_for(results, tmp_path):
+    assert "position_errors" not in results[0]
+    shown = succeed("compare", *TWO, "--percentiles", "--json", tmp_path / "p.json")
+    found = json.loads((tmp_path / "p.json").read_text())
+    pytest.importorskip("jsonschema").validate(found, SCHEMA)
+    errors = found.pop("position_errors")
+    assert "--percentiles" in found["command"]
+    assert found | {"command": ""} == results[0] | {"command": ""}
+    assert errors["risk"] == 1e-3 and tuple(errors["policies"]) == POLICIES
+    lines = shown.splitlines()
+    for name, kinds in errors["policies"].items():
+        for kind, figures in kinds.items():
+            (row,) = [line for line in lines if line.startswith(f"| {name}, {kind} |")]
+            assert f" {figures['percentiles_m']['95']:#.3g} |" in row
+            assert figures["epochs"] == 2 * (15 - BURN_IN)
+    assert "at a risk of 0.001" in shown
+
+
+def test_a_stanford_diagram_changes_no_results(results, tmp_path):
+    succeed("compare", *TWO, "--stanford", tmp_path / "s.svg", "--json", tmp_path / "s.json")
+    assert json.loads((tmp_path / "s.json").read_text()) == results[0]
+    assert "fixed-ukf, vertical" in (tmp_path / "s.svg").read_text()
+
+
+MISTAKES = {
+    "no risk": (("--risk", 0), "risk: found 0, expected more than 0"),
+    "all risk": (("--risk", 1), "risk: found 1, expected more than 0 and at most 0.5"),
+    "no limit": (("--alert-limit", 0), "alert_limit: found 0, expected a distance above 0"),
+    "no picture": (("--stanford", "new.txt"), "stanford: found new.txt, expected a name that ends"),
+}
+
+
+@pytest.mark.parametrize("mistake", MISTAKES)
+def test_what_is_no_risk_limit_or_picture_is_refused_before_the_episodes(mistake):
+    words, message = MISTAKES[mistake]
+    many = ("--episodes", 10**9, *words)
+    assert_one_clear_line(command("evaluate", *many), f"^mmwave-loc evaluate: {message}")
+
+
 def test_results_say_how_to_make_them_again(results, tmp_path):
     made = results[0]
     assert made["versions"]["mmwave-loc"] == mmwave_env.__version__

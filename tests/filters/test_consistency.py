@@ -2,7 +2,8 @@
 
 Users move as the modes believe (white-noise acceleration, oscillator drift), start from the
 prior and are measured with Gaussian noise, far enough from the anchors for the geometry to
-be nearly flat across the prior. Then NEES and NIS are chi-square, whatever the algorithm.
+be nearly flat across the prior. Then NEES and NIS are chi-square, whatever the algorithm, and
+errors exceed protection levels as often as these promise.
 Each test makes all its checks together at the 1 % level (Bonferroni), with seed 0.
 """
 
@@ -13,6 +14,7 @@ from scipy.stats import binom, chi2
 from mmwave_env.engines.env_engine import Engine
 from mmwave_env.filters.modes import Mode
 from mmwave_env.filters.pipeline import Pipeline
+from mmwave_env.localization.position_errors import PositionErrors
 from mmwave_env.reward import TrackingReward
 from tests.filters.tracks import STREET, far_from_the_anchors, process_noise
 
@@ -25,7 +27,9 @@ TUNING = {"sigma_v": 0.3, "adaptive": False}
 
 @pytest.fixture(scope="module")
 def runs():
-    """Per algorithm: NEES (T, runs), NIS (T, runs, groups), and what a 99 % gate would reject."""
+    """Per algorithm: NEES (T, runs), NIS (T, runs, groups), what a 99 % gate would reject, and
+    errors (T, runs, 3) with their packed covariances.
+    """
     plain = [Mode(a, a, gate=None, **TUNING) for a in ALGORITHMS]
     gated = [Mode(f"{a} gated", a, gate=0.99, **TUNING) for a in ALGORITHMS]
     pipeline = Pipeline((*plain, *gated), STREET)
@@ -34,7 +38,7 @@ def runs():
     engine = Engine(pipeline, RUNS, TrackingReward())
     found = {}
     for m, algorithm in enumerate(ALGORITHMS):
-        nees, nis, rejected = [], [], []
+        nees, nis, rejected, errors, P = [], [], [], [], []
         engine.reset(episodes)
         for _ in range(EPOCHS):
             candidates = engine.at.candidates
@@ -42,7 +46,9 @@ def runs():
             rejected.append(1.0 - engine.read(candidates[m + len(ALGORITHMS)].accepted))
             engine.step(np.full(RUNS, m))
             nees.append(engine.read(engine.at.nees))
-        found[algorithm] = np.array(nees), np.array(nis), np.array(rejected)
+            errors.append(engine.read(engine.at.error))
+            P.append(engine.read(engine.at.P))
+        found[algorithm] = tuple(map(np.array, (nees, nis, rejected, errors, P)))
     return found
 
 
@@ -57,21 +63,35 @@ def assert_chi_square_means(means, dof):
 
 @pytest.mark.parametrize("algorithm", ALGORITHMS)
 def test_nees_of_the_position_is_chi_square(runs, algorithm):
-    nees, _, _ = runs[algorithm]
+    nees, *_ = runs[algorithm]
     assert_chi_square_means(nees[list(CHECKED)].mean(axis=1), 3)
 
 
 @pytest.mark.parametrize("algorithm", ALGORITHMS)
 def test_nis_of_every_group_is_chi_square(runs, algorithm):
-    _, nis, _ = runs[algorithm]
+    _, nis, *_ = runs[algorithm]
     assert_chi_square_means(nis[list(CHECKED)].mean(axis=1), DOF)
 
 
 @pytest.mark.parametrize("algorithm", ALGORITHMS)
 def test_gate_rejects_one_good_group_in_a_hundred(runs, algorithm):
-    _, _, rejected = runs[algorithm]
+    _, _, rejected, *_ = runs[algorithm]
     trials = RUNS * EPOCHS
     tail = LEVEL / len(DOF) / 2
     low, high = binom.ppf([tail, 1 - tail], trials, 0.01)
     counts = rejected.sum(axis=(0, 1))
     assert np.all((counts >= low) & (counts <= high)), (low, counts, high)
+
+
+@pytest.mark.parametrize("algorithm", ALGORITHMS)
+def test_protection_levels_hold_at_the_stated_risk(runs, algorithm):
+    *_, errors, P = runs[algorithm]
+    risks = (0.2, 0.05, 0.01)
+    tail = LEVEL / (len(risks) * len(CHECKED) * 2) / 2  # of both kinds
+    for risk in risks:
+        low, high = binom.ppf([tail, 1 - tail], RUNS, risk)
+        for epoch in CHECKED:  # episodes are independent, epochs of one are not
+            found = PositionErrors(risk)
+            found.add(errors[epoch], P[epoch])
+            for kind, figures in found.figures().items():
+                assert low <= figures["exceeded"] <= high, (risk, epoch, kind)

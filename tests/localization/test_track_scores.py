@@ -7,6 +7,7 @@ import pytest
 from scipy.stats import chi2
 
 from mmwave_env.filters.pipeline import VERTICAL
+from mmwave_env.localization.protection import horizontal_level
 from mmwave_env.localization.track_scores import Course, Groups, TruthScores
 from mmwave_env.logs.truth import Truth
 from mmwave_env.logs.tum import tum_lines
@@ -36,7 +37,8 @@ def test_accuracy_is_that_of_the_metrics(tmp_path, sizes, planar, known):
     block = replace(some_track(T), planar=planar)
     truth = block.x[:, :3] + np.random.default_rng(1).standard_normal((T, 3))
     (tmp_path / "truth.tum").write_text(tum_lines(block.time_s[known], truth[known]))
-    scores = TruthScores(Truth(tmp_path / "truth.tum"), ["filtered", "smoothed"], planar)
+    kinds = ["filtered", "smoothed"]
+    scores = TruthScores(Truth(tmp_path / "truth.tum"), kinds, planar, risk=0.1)
     found = np.concatenate([scores.add(piece) for piece in pieces(block, sizes)])
     np.testing.assert_array_equal(found[known], truth[known])
     figures = scores.figures()
@@ -54,6 +56,11 @@ def test_accuracy_is_that_of_the_metrics(tmp_path, sizes, planar, known):
         nees = np.einsum("ti,ti->t", error[:, axes],
                          np.linalg.solve(position, error[:, axes, None])[..., 0])  # fmt: skip
         assert row["nees"] == pytest.approx(nees.mean(), rel=1e-6)
+        across = np.hypot(error[:, 0], error[:, 1])
+        levels = horizontal_level(P[known], figures["risk"])
+        assert row["horizontal"]["percentiles_m"]["67"] == np.quantile(across, 0.67)
+        assert row["horizontal"]["exceeded"] == (across > levels).sum()
+        assert ("vertical" in row) is not planar
         low, high = chi2.ppf([0.025, 0.975], len(axes))
         assert row["in_bounds"] == pytest.approx(((nees >= low) & (nees <= high)).mean())
         if n > 3:

@@ -33,6 +33,14 @@ def comparison(names=("imm", "speed-rule"), **more):
     } | more  # fmt: skip
 
 
+def errors(**more):
+    """Of one kind, as --percentiles writes them."""
+    return {
+        "epochs": 40, "percentiles_m": {"50": 0.5, "95": None}, "within_m": {"1": 0.75},
+        "median_level_m": 2.5, "exceeded": 1, "share": 0.025, "ci95": [0.0, 0.15],
+    } | more  # fmt: skip
+
+
 def transfer():
     """Of one policy in two places."""
     row = {"ppo": interval(-1.25), "ppo minus imm": interval(0.375)}

@@ -206,6 +206,20 @@ def test_lines_can_be_left_out(opened):
     assert lines.count() == count - 1
 
 
+def test_errors_and_levels_are_chosen_and_say_their_regions(opened):
+    panel = tab(opened(), "Errors")
+    title = "Errors and protection levels"
+    choose = panel.get_by_role("combobox", name=title).first
+    shown = panel.locator(f'svg[aria-label^="{title}"]').first
+    seen = set()
+    for name in choose.locator("option").all_inner_texts():
+        choose.select_option(name)
+        words = shown.get_attribute("aria-label")
+        assert name in words and "hazardously misleading" in words
+        seen.add(words)
+    assert len(seen) == choose.locator("option").count() >= 4  # horizontal and vertical
+
+
 def test_the_theme_is_that_of_the_system_and_can_be_changed(opened):
     page = opened(color_scheme="dark")
     ground = "getComputedStyle(document.body).backgroundColor"

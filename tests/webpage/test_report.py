@@ -12,6 +12,7 @@ from experiments.webpage.page import in_script
 from experiments.webpage.played import play
 from experiments.webpage.sources import read_source
 from mmwave_env import __version__
+from mmwave_env.metrics import BURN_IN
 from tests.cli import assert_one_clear_line, command, succeed
 from tests.paths import ROOT
 from tests.webpage import results
@@ -147,11 +148,39 @@ def test_episodes_are_played_again(tmp_path):
         ]
         told = course["error_m"]
         assert all(flat <= whole + 0.03 for flat, whole in zip(error, told, strict=True))
-    rows = page.table("50, 67, 80, 90 and 95 %")
-    assert len(rows) == 3 and len(rows[0]) == 11
-    for row in rows[1:]:
-        horizontal = [float(value) for _, value in row[1:6]]
-        assert horizontal == sorted(horizontal) and horizontal[0] > 0.0
+    header, *rows = page.table("Errors that so many percent of the epochs stay below")
+    assert len(rows) == 4 and len(header) == 12
+    for (name, _), *cells in rows:
+        assert name.split(", ")[1] in ("horizontal", "vertical")
+        for part in (slice(0, 5), slice(5, 9)):  # percentiles, shares within a distance
+            values = [float(value) for _, value in cells[part]]
+            assert values == sorted(values) and values[-1] > 0.0
+    (chart,) = [one for one in json.loads(page.data)["charts"] if one["kind"] == "stanford"]
+    assert [view["name"] for view in chart["views"]] == [
+        f"{kind}, {name}" for kind in ("horizontal", "vertical") for name in ("imm", "speed-rule")
+    ]
+    for view in chart["views"]:
+        assert sum(count for *_, count in view["cells"]) == 2 * (30 - BURN_IN)
+        assert max(place for *at, _ in view["cells"] for place in at) < view["side"]
+
+
+def test_percentiles_of_a_whole_comparison_and_of_a_track_are_shown(tmp_path):
+    files = [tmp_path / "r.json", tmp_path / "t.json"]
+    succeed("compare", "--policies", "imm", "speed-rule", "--episodes", 2, "--episode-steps", 15,
+            "--percentiles", "--risk", 0.05, "--json", files[0])  # fmt: skip
+    succeed("localize", "--sample", "canyon28_vehicle", "--speed", 9, "--json", files[1])
+    contents = [json.loads(file.read_text()) for file in files]
+    whole = contents[0]["position_errors"]["policies"]
+    tracks = contents[1]["truth"]["tracks"]
+    page = report(tmp_path, *files, *NONE)
+    for known, risk in ((whole, "0.05"), (tracks, "0.001")):
+        _, *rows = page.table(f"which a risk of {risk} allows")
+        expected = [
+            [*one[kind]["percentiles_m"].values(), *one[kind]["within_m"].values(),
+             one[kind]["median_level_m"], one[kind]["share"]]
+            for one in known.values() for kind in ("horizontal", "vertical")
+        ]  # fmt: skip
+        assert [[float(value) for _, value in cells[1:]] for cells in rows] == expected
 
 
 @pytest.mark.slow
@@ -174,7 +203,8 @@ def test_code_of_others_is_not_run_for_a_page(tmp_path):
     page = report(tmp_path, file)
     for name in ("os:getcwd", "never.zip"):
         assert f"{name} was not played again: it is code of its own" in page.text
-    assert [row[0][0] for row in page.table("50, 67")[1:]] == ["speed-rule"]
+    rows = page.table("Errors that so many percent of the epochs stay below")[1:]
+    assert [row[0][0] for row in rows] == ["speed-rule, horizontal", "speed-rule, vertical"]
 
 
 def test_a_command_that_is_not_understood_leaves_the_tables(tmp_path):
@@ -211,6 +241,16 @@ MISTAKES = {
         results.comparison(paired={"a - b": {"reward": {"ci95": None}}}), "paired.a - b.reward",
     ),
     "a seed that is none": (results.comparison(seed=-1), "r.json: seed: found -1, expected 0 or"),
+    "no number of meters": (
+        results.comparison(position_errors={"risk": 1e-3, "policies": {
+            "imm": {"horizontal": results.errors(median_level_m="far")},
+        }}), "position_errors.imm.horizontal: found 'far', expected a number",
+    ),
+    "no share": (
+        results.comparison(position_errors={"risk": 1e-3, "policies": {
+            "imm": {"vertical": {"percentiles_m": {}, "within_m": {}, "ci95": None}},
+        }}), "median_level_m: found none, written by",
+    ),
     "a table of nothing": (results.comparison(policies=[]), "r.json: policies: found list"),
     "no groups": (results.track(groups={"a": {}}), "r.json: seen: found none, written by"),
     "a diagnosis": (

@@ -1,0 +1,207 @@
+"""Evaluations epoch by epoch, as a Parquet table for other programs (extra ``data``)."""
+
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, cast
+
+import numpy as np
+
+from experiments.evaluation.contenders import Contender
+from experiments.evaluation.runner import EpochResults, Watch
+from experiments.evaluation.seeds import Selection
+from experiments.evaluation.text import printable
+from mmwave_env import __version__
+from mmwave_env.episodes.episode import Episode, EpisodeSource
+from mmwave_env.files import atomic_path, require_writable
+from mmwave_env.localization.position_errors import horizontal, vertical
+from mmwave_env.localization.protection import horizontal_level, vertical_level
+from mmwave_env.lookup import require_extra
+from mmwave_env.metrics import scored
+from mmwave_env.models.measurement import Layout
+from mmwave_env.numerics.arrays import Array
+
+PARTS = ("x", "P", "memory.mode", "memory.nis", "memory.accepted")  # of the state, for its columns
+COLUMNS = {  # name: type of pyarrow, and what it is
+    "policy": ("string", "name"),
+    "seed": ("int64", "of the episode; null where keys were named"),
+    "key": ("uint64", "of the episode; null of recorded ones"),
+    "epoch": ("int32", "number in the episode, from 0"),
+    "time_s": ("float64", "since the first epoch"),
+    "counts": ("bool", "whether averages count it: not the first 10 epochs"),
+    "mode": ("string", "what the policy chose; of an IMM the most probable mode"),
+    "reward": ("float64", "of the epoch"),
+    "true_x_m": ("float64", "true position along x"),
+    "true_y_m": ("float64", "along y"),
+    "true_z_m": ("float64", "along z"),
+    "x_m": ("float64", "estimated position along x"),
+    "y_m": ("float64", "along y"),
+    "z_m": ("float64", "along z"),
+    "error_m": ("float64", "length of the difference of both"),
+    "horizontal_error_m": ("float64", "its length in x and y"),
+    "vertical_error_m": ("float64", "its size in z"),
+    "horizontal_level_m": ("float64", "protection level at the risk in the metadata"),
+    "vertical_level_m": ("float64", "the same; null where the height is known"),
+    "nees": ("float64", "of the position"),
+}
+GROUP_COLUMNS = {  # of each group of measurements, behind its name: doppler_nis, say
+    "nis": ("float64", "of the mode that ran; null where it was not measured"),
+    "accepted": ("bool", "whether it passed its gate; null where it was not measured"),
+}
+ROWS_PER_GROUP = 1 << 16
+
+
+def require_parquet(path: Path) -> None:
+    """Refuse a table that could not be written, before any work.
+
+    Raises:
+        ValueError: it does not end with .parquet.
+        MissingExtraError: pyarrow is not installed.
+        OSError: the file can't be written.
+    """
+    if path.suffix != ".parquet":
+        raise ValueError(f"epochs_parquet: found {path}, expected a name that ends with .parquet")
+    require_extra("pyarrow", "data", "epochs_parquet, a Parquet file,")
+    require_writable(path)
+
+
+@contextmanager
+def epochs_parquet(
+    path: Path,
+    names: Mapping[str, str],
+    selection: Selection,
+    source: EpisodeSource,
+    risk: float,
+    planar: bool = False,
+) -> Iterator[Watch]:
+    """A table that takes what contenders tell; at the end it takes its place.
+
+    Args:
+        path: of the table, which is written as it comes, a chunk of episodes at a time.
+        names: as policies, by contender; of others nothing is taken.
+        selection, source: of the episodes.
+        risk: of protection levels.
+        planar: whether the height is known.
+    """
+    from pyarrow.parquet import ParquetWriter
+
+    schema, taken = _schema(source, risk), dict.fromkeys(names, 0)
+    with atomic_path(path) as temporary, ParquetWriter(temporary, schema) as writer:
+
+        def add(contender: Contender, episodes: Sequence[Episode], told: EpochResults) -> None:
+            if contender.name not in names:
+                return
+            part = selection.part(taken[contender.name], len(episodes))
+            taken[contender.name] += len(episodes)
+            columns = {
+                "policy": _named(np.zeros(told["nees"].shape, int), [names[contender.name]]),
+                **_which(part, source, episodes),
+                "mode": _mode(contender, told),
+                **_positions(episodes, told, risk, planar),
+                **_groups(episodes, told),
+            }
+            writer.write_table(_table(columns, schema), row_group_size=ROWS_PER_GROUP)
+
+        yield add
+
+
+def columns_of(layout: Layout) -> dict[str, tuple[str, str]]:
+    """Type and meaning of all columns, by name, where measurements have a layout."""
+    of_groups = {
+        f"{name}_{what}": column
+        for name in _group_names(layout)
+        for what, column in GROUP_COLUMNS.items()
+    }
+    return COLUMNS | of_groups
+
+
+def _group_names(layout: Layout) -> list[str]:
+    return [name.lower().replace(" ", "_") for name in layout.group_names]
+
+
+def _schema(source: EpisodeSource, risk: float) -> Any:
+    import pyarrow
+
+    fields = [
+        pyarrow.field(name, pyarrow.type_for_alias(kind), metadata={"description": what})
+        for name, (kind, what) in columns_of(source.layout).items()
+    ]
+    made = {"made_by": f"mmwave-loc {__version__}", "scenario": source.name, "risk": f"{risk:g}"}
+    return pyarrow.schema(fields, metadata=made)
+
+
+def _table(columns: Mapping[str, Any], schema: Any) -> Any:
+    """Of columns (n, T), which are null where they are masked; those of text are pyarrow's."""
+    import pyarrow
+
+    def column(field: Any) -> Any:
+        values = columns[field.name]
+        if not isinstance(values, np.ndarray):
+            return values
+        null = np.ma.getmaskarray(values).ravel()
+        return pyarrow.array(np.ma.getdata(values).ravel(), field.type, mask=null)
+
+    return pyarrow.table([column(field) for field in schema], schema=schema)
+
+
+def _named(numbers: Any, names: Sequence[str]) -> Any:
+    """A column of text from numbers (n, T) of names."""
+    from pyarrow import DictionaryArray, array, string
+
+    codes = array(np.ravel(numbers), "int32")
+    return DictionaryArray.from_arrays(codes, array([*map(printable, names)])).cast(string())
+
+
+def _which(part: Selection, source: EpisodeSource, episodes: Sequence[Episode]) -> dict[str, Any]:
+    """Which epoch it is, of which episode."""
+    shape = len(episodes), len(episodes[0])
+    keys, nothing = part.keys(source), np.zeros(shape[0], np.int64)
+    seed: Any = np.ma.array(nothing if part.keyed else part.numbers, mask=part.keyed)
+    key: Any = np.ma.array(nothing if keys is None else keys, mask=keys is None)
+    time_s = np.stack([episode.time_s - episode.time_s[0] for episode in episodes])
+    counts = np.zeros(shape, bool)
+    counts[:, scored(shape[1])] = True
+    return {
+        "seed": seed.repeat(shape[1]),
+        "key": key.repeat(shape[1]),
+        "epoch": np.broadcast_to(np.arange(shape[1]), shape),
+        "time_s": time_s,
+        "counts": counts,
+    }
+
+
+def _mode(contender: Contender, told: EpochResults) -> Any:
+    if "mode" in told:
+        return _named(told["mode"], contender.actions)
+    return _named(told["memory.mode"].astype(int), [mode.name for mode in contender.modes])
+
+
+def _positions(
+    episodes: Sequence[Episode], told: EpochResults, risk: float, planar: bool
+) -> dict[str, Any]:
+    """Where the user was, is believed to be, and how sure that is."""
+    error, P = told["error"], told["P"]
+    truth = np.stack([cast(Array, episode.truth_position_m) for episode in episodes])
+    level = np.full(error.shape[:2], np.nan) if planar else vertical_level(P, risk)
+    return {
+        "reward": told["reward"],
+        **{f"true_{axis}_m": truth[..., i] for i, axis in enumerate("xyz")},
+        **{f"{axis}_m": told["x"][..., i] for i, axis in enumerate("xyz")},
+        "error_m": np.linalg.norm(error, axis=-1),
+        "horizontal_error_m": horizontal(error),
+        "vertical_error_m": vertical(error),
+        "horizontal_level_m": horizontal_level(P, risk),
+        "vertical_level_m": np.ma.array(level, mask=planar),
+        "nees": told["nees"],
+    }
+
+
+def _groups(episodes: Sequence[Episode], told: EpochResults) -> dict[str, Any]:
+    """What became of measurements."""
+    missing = ~np.stack([episode.usable for episode in episodes])
+    found = {"nis": told["memory.nis"], "accepted": told["memory.accepted"] > 0.5}
+    return {
+        f"{name}_{what}": np.ma.array(values[..., i], mask=missing[..., i])
+        for i, name in enumerate(_group_names(episodes[0].layout))
+        for what, values in found.items()
+    }

@@ -1,0 +1,110 @@
+"""Position errors of contenders as the field reports them: percentiles and protection levels."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from experiments.evaluation.contenders import Contender
+from experiments.evaluation.markdown import grid
+from experiments.evaluation.runner import EpochResults
+from mmwave_env.episodes.episode import Episode
+from mmwave_env.localization.position_errors import DISTANCES_M, SHARES, PositionErrors
+from mmwave_env.localization.protection import RISK
+from mmwave_env.metrics import scored
+
+KINDS = ("horizontal", "vertical")
+PARTS = ("P",)  # of the state, that are needed after every epoch
+HEADER = (
+    *(f"{100.0 * share:.0f} % m" for share in SHARES),
+    *(f"within {limit:g} m" for limit in DISTANCES_M),
+    "level m", "above level",
+)  # fmt: skip
+
+
+@dataclass
+class Positions:
+    """Errors of all epochs that count, with protection levels.
+
+    Attributes:
+        names: in figures, by contender; of others nothing is taken.
+        risk: of the levels.
+        planar: whether the height is known.
+        errors: by the name in figures.
+    """
+
+    names: Mapping[str, str]
+    risk: float = RISK
+    planar: bool = False
+    errors: dict[str, PositionErrors] = field(default_factory=dict)
+
+    def add(self, contender: Contender, episodes: Sequence[Episode], told: EpochResults) -> None:
+        """Take what a contender told of episodes, :data:`PARTS` among it."""
+        if contender.name in self.names:
+            name, counts = self.names[contender.name], scored(len(episodes[0]))
+            errors = self.errors.setdefault(name, PositionErrors(self.risk, self.planar))
+            errors.add(told["error"][:, counts], told["P"][:, counts])
+
+    def figures(self) -> dict[str, Any]:
+        """As results files hold them."""
+        policies = {name: errors.figures() for name, errors in self.errors.items()}
+        return {"risk": self.risk, "policies": policies}
+
+
+def positions_markdown(what: str, rows: Mapping[str, Any], risk: float) -> str:
+    """A table of errors and protection levels, and what its last columns mean.
+
+    Args:
+        what: the rows are of.
+        rows: figures of :class:`~mmwave_env.localization.position_errors.PositionErrors` by name.
+        risk: of the levels.
+    """
+    cells = [
+        [f"{name}, {kind}", *row_of(one)] for name, kinds in rows.items() for kind, one in
+        kinds.items()
+    ]  # fmt: skip
+    return (
+        f"{grid([what, *HEADER], cells)}\n\nErrors that so many percent of the epochs stay below; "
+        "shares of the epochs within a distance. Level is the median protection level; at a risk "
+        f"of {risk:g}, errors should be above theirs in {percent(risk)} of the epochs.\n"
+    )
+
+
+def kinds_of(row: Mapping[str, Any]) -> dict[str, Any]:
+    """Figures of each kind of error that there are, of a row with others."""
+    return {kind: row[kind] for kind in KINDS if kind in row}
+
+
+def row_of(figures: Mapping[str, Any]) -> list[str]:
+    """Cells of errors of one kind, under :data:`HEADER`."""
+    return [
+        *(meters(value) for value in figures["percentiles_m"].values()),
+        *(percent(share) for share in figures["within_m"].values()),
+        meters(figures["median_level_m"]),
+        exceeded(figures),
+    ]
+
+
+def exceeded(figures: Mapping[str, Any]) -> str:
+    """How often levels were exceeded, with the interval."""
+    if figures["share"] is None:
+        return "-"
+    low, high = (percent(end).removesuffix(" %") for end in figures["ci95"])
+    return f"{percent(figures['share'])} [{low}, {high}]"
+
+
+def meters(value: float | None) -> str:
+    """A distance to three digits, of large ones all before the point."""
+    if value is None:
+        return "-"
+    return f"{value:#.3g}" if value < 99.95 else f"{value:.0f}"
+
+
+def percent(share: float | None) -> str:
+    """A share, small ones and those next to all to two digits."""
+    if share is None:
+        return "-"
+    rest = 100.0 * min(share, 1.0 - share)
+    digits = 1 if rest >= 1.0 or rest < 5e-5 else min(4, 1 - int(np.floor(np.log10(rest))))
+    return f"{100.0 * share:.{digits}f} %"

@@ -1,0 +1,85 @@
+"""Percentiles and shares against numpy's on the same errors, however they come."""
+
+import json
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as hnp
+
+from mmwave_env.localization.position_errors import DISTANCES_M, SHARES, PositionErrors
+from mmwave_env.localization.protection import horizontal_level, vertical_level
+
+ERRORS = hnp.arrays(float, st.tuples(st.integers(1, 60), st.just(3)), elements=st.floats(-50, 50))
+
+
+def covariances(n, seed=0):
+    """Packed (n, 28), of which only those of the position matter."""
+    factor = np.random.default_rng(seed).normal(size=(n, 7, 7))
+    return (factor @ np.swapaxes(factor, 1, 2))[(..., *np.tril_indices(7))]
+
+
+def assert_figures(found, size, level):
+    assert found["epochs"] == len(size)
+    assert [*found["percentiles_m"].values()] == np.quantile(size, SHARES).tolist()
+    assert [*found["within_m"].values()] == [(size <= limit).mean() for limit in DISTANCES_M]
+    assert found["median_level_m"] == np.median(level)
+    assert found["exceeded"] == (size > level).sum()
+
+
+@settings(max_examples=25, deadline=None)
+@given(error=ERRORS, cut=st.integers(0, 60))
+def test_figures_are_numpy_s_of_the_same_errors_in_any_pieces(error, cut):
+    errors, P = PositionErrors(risk=0.05), covariances(len(error))
+    for part in (slice(cut), slice(cut, None)):
+        errors.add(error[part], P[part])
+    found = errors.figures()
+    assert found == errors.figures()
+    across, upwards = np.hypot(error[:, 0], error[:, 1]), np.abs(error[:, 2])
+    assert_figures(found["horizontal"], across, horizontal_level(P, 0.05))
+    assert_figures(found["vertical"], upwards, vertical_level(P, 0.05))
+
+
+def test_names_of_figures_are_percents_and_meters():
+    errors = PositionErrors()
+    errors.add(np.ones((4, 5, 3)), covariances(20).reshape(4, 5, 28))
+    found = errors.figures()["horizontal"]
+    assert [*found["percentiles_m"]] == ["50", "67", "80", "90", "95"]
+    assert [*found["within_m"]] == ["0.2", "1", "3", "10"] and found["epochs"] == 20
+
+
+def test_errors_that_wait_on_a_disk_are_the_same():
+    error, P = np.random.default_rng(1).normal(size=(150_000, 3)), covariances(1)
+    errors = PositionErrors()
+    for part in np.split(error, 30):
+        errors.add(part, np.broadcast_to(P, (len(part), 28)))
+    upwards = np.abs(error[:, 2])
+    np.testing.assert_array_equal(errors.kinds["vertical"].rows()[:, 0], upwards)
+    found = errors.figures()["vertical"]["percentiles_m"]
+    assert [*found.values()] == np.quantile(upwards, SHARES).tolist()
+
+
+def test_a_known_height_has_no_vertical_errors():
+    errors = PositionErrors(planar=True)
+    errors.add(np.ones((3, 3)), covariances(3))
+    assert [*errors.figures()] == ["horizontal"]
+
+
+@pytest.mark.parametrize("lost", [np.nan, np.inf])
+def test_lost_tracks_have_large_errors_and_figures_that_json_can_hold(lost):
+    error = np.ones((10, 3))
+    error[6:] = lost
+    errors = PositionErrors()
+    errors.add(error, covariances(10))
+    found = errors.figures()["horizontal"]
+    assert found["percentiles_m"]["50"] == pytest.approx(2**0.5)
+    assert found["percentiles_m"]["90"] is None and found["within_m"]["10"] == 0.6
+    assert found["exceeded"] >= 4
+    json.dumps(errors.figures(), allow_nan=False)
+
+
+def test_no_errors_have_no_figures():
+    found = PositionErrors().figures()["horizontal"]
+    assert found["epochs"] == 0 and found["share"] is None
+    assert {*found["percentiles_m"].values(), *found["within_m"].values()} == {None}

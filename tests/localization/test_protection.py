@@ -1,0 +1,128 @@
+"""Protection levels against integrals of scipy's, and draws from the covariances themselves."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.integrate import quad
+from scipy.stats import beta, binom, norm
+
+from mmwave_env.localization.protection import (
+    Region,
+    exceedance,
+    horizontal_level,
+    regions,
+    require_limit,
+    require_risk,
+    vertical_level,
+)
+
+risks = st.floats(-7.0, np.log10(0.5)).map(lambda power: 10.0**power)
+
+
+def packed(P):
+    """Covariances (..., 3, 3) as filters pack them."""
+    return np.asarray(P)[(..., *np.tril_indices(3))]
+
+
+def turned(major, minor, angle):
+    """The packed covariance of an ellipse, with some variance upwards."""
+    c, s = np.cos(angle), np.sin(angle)
+    turn = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+    return packed(turn @ np.diag([major**2, minor**2, 1.0]) @ turn.T)
+
+
+def beyond(distance, major, minor):
+    """P(|e| > distance) of e ~ N(0, diag(major^2, minor^2)), given one axis after the other."""
+
+    def given_minor(y):
+        rest = np.sqrt(max(distance**2 - (minor * y) ** 2, 0.0)) / major
+        return norm.pdf(y) * 2.0 * norm.sf(rest)
+
+    end = min(distance / minor, 40.0)
+    inside, _ = quad(given_minor, 0.0, end, epsabs=1e-13, limit=300, points=[end / 9.0, end / 3.0])
+    return 2.0 * (inside + norm.sf(distance / minor))
+
+
+@settings(max_examples=25, deadline=None)
+@given(
+    risk=risks, major=st.floats(0.01, 100.0), ratio=st.floats(0.01, 1.0), angle=st.floats(0.0, 7.0)
+)
+def test_errors_exceed_the_horizontal_level_with_the_stated_probability(risk, major, ratio, angle):
+    level = float(horizontal_level(turned(major, ratio * major, angle), risk))
+    assert beyond(level, major, ratio * major) == pytest.approx(risk, rel=2e-5)
+
+
+@settings(max_examples=25, deadline=None)
+@given(risk=risks, sigma=st.floats(0.01, 100.0))
+def test_ends_are_those_of_textbooks(risk, sigma):
+    line, circle = (horizontal_level(turned(sigma, minor, 1.0), risk) for minor in (0.0, sigma))
+    assert line == pytest.approx(sigma * norm.isf(0.5 * risk), rel=1e-6)
+    assert circle == pytest.approx(sigma * np.sqrt(-2.0 * np.log(risk)), rel=1e-6)  # Rayleigh
+    upwards = packed(np.diag([9.0, 4.0, sigma**2]))
+    assert vertical_level(upwards, risk) == pytest.approx(sigma * norm.isf(0.5 * risk))
+
+
+def test_levels_of_many_covariances_are_those_of_each():
+    P = np.stack([turned(3.0, 1.0, 0.3), turned(1.0, 1.0, 0.0), turned(2.0, 0.0, 1.0)])
+    many = horizontal_level(P.reshape(3, 1, 6), 1e-3)
+    assert many.shape == (3, 1)
+    assert many[:, 0].tolist() == [float(horizontal_level(one, 1e-3)) for one in P]
+
+
+@pytest.mark.parametrize("risk", [0.3, 1e-2, 1e-3])
+def test_levels_hold_at_the_stated_risk_for_errors_drawn_from_the_covariances(risk):
+    """Counts of exceedances within their binomial 99 % intervals, both at once; seed 0."""
+    rng, n = np.random.default_rng(0), 200_000
+    factor = rng.normal(size=(n, 3, 3)) * rng.lognormal(size=(n, 1, 1))
+    P = packed(factor @ np.swapaxes(factor, 1, 2))
+    error = (factor @ rng.normal(size=(n, 3, 1)))[..., 0]
+    low, high = binom.ppf([0.0025, 0.9975], n, risk)
+    for size, level in (
+        (np.hypot(error[:, 0], error[:, 1]), horizontal_level(P, risk)),
+        (np.abs(error[:, 2]), vertical_level(P, risk)),
+    ):
+        assert low <= exceedance(size, level)["exceeded"] <= high
+
+
+@pytest.mark.parametrize(("exceeded", "epochs"), [(0, 50), (3, 200), (7, 7)])
+def test_the_interval_is_clopper_and_pearson_s(exceeded, epochs):
+    error = np.zeros(epochs)
+    error[:exceeded] = 2.0
+    found = exceedance(error, np.ones(epochs))
+    low = beta.ppf(0.025, exceeded, epochs - exceeded + 1) if exceeded else 0.0
+    high = beta.ppf(0.975, exceeded + 1, epochs - exceeded) if exceeded < epochs else 1.0
+    assert found["exceeded"] == exceeded and found["share"] == exceeded / epochs
+    assert found["ci95"] == pytest.approx([low, high])
+
+
+def test_what_is_no_number_is_no_protection_and_no_epochs_say_nothing():
+    error, level = np.array([np.nan, 1.0, 1.0]), np.array([5.0, np.nan, 5.0])
+    assert exceedance(error, level)["exceeded"] == 2
+    nothing = exceedance(np.empty(0), np.empty(0))
+    assert nothing == {"exceeded": 0, "share": None, "ci95": None}
+
+
+def test_every_epoch_is_in_one_region():
+    places = {
+        Region.NOMINAL: [(1.0, 2.0), (0.0, 10.0), (10.0, 10.0)],
+        Region.MISLEADING: [(2.0, 1.0), (10.0, 9.0)],
+        Region.HAZARDOUS: [(11.0, 10.0), (np.nan, 1.0)],
+        Region.UNAVAILABLE: [(1.0, 11.0), (12.0, 13.0)],
+        Region.UNAVAILABLE_MISLEADING: [(13.0, 12.0), (1.0, np.nan)],
+    }
+    for region, rows in places.items():
+        found = regions(*np.array(rows).T, 10.0)
+        assert found == dict.fromkeys(Region, 0) | {region: len(rows)}
+
+
+@pytest.mark.parametrize("risk", [0.0, -1.0, 0.6, np.nan, np.inf])
+def test_what_is_no_risk_is_refused(risk):
+    with pytest.raises(ValueError, match="risk: found .*, expected more than 0 and at most 0.5"):
+        require_risk(risk)
+
+
+@pytest.mark.parametrize("limit", [0.0, -1.0, np.nan, np.inf])
+def test_what_is_no_alert_limit_is_refused(limit):
+    with pytest.raises(ValueError, match="alert_limit: found .*, expected a distance above 0 m"):
+        require_limit(limit)
