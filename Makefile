@@ -6,7 +6,7 @@ TORCH := $(shell grep '^torch==' constraints.txt)
 FRESH := env -u PYTHONPATH .venv-dist/fresh/bin# sees the wheel, not this folder
 OLDEST_GYMNASIUM := $(shell sed -n 's/.*"gymnasium>=\([0-9.]*\),.*/gymnasium==\1/p' pyproject.toml)
 
-.PHONY: help demo test test-slow coverage golden schemas licenses lint format types types-base supply-chain lock locked gymnasium-oldest docs dist examples clean
+.PHONY: help demo test test-slow coverage golden schemas licenses lint format types types-base supply-chain lock locked gymnasium-oldest deepmimo docs dist examples clean
 
 help: ## list these targets
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "make %-18s %s\n", $$1, $$2 }' Makefile
@@ -64,6 +64,9 @@ locked: .venv-locked/.ready ## the tests without PyTorch on exactly the packages
 
 gymnasium-oldest: .venv-oldest/.ready ## the environment on the oldest Gymnasium supported
 	.venv-oldest/bin/python -m pytest -m "not slow and not torch" -n auto tests/test_env.py tests/test_vector_env.py
+
+deepmimo: .venv-deepmimo/.ready ## our DeepMIMO folders, shipped and written, in DeepMIMO's own packages
+	.venv-deepmimo/bin/python -m pytest tests/episodes/deepmimo/test_package.py
 
 docs: .venv-docs/.ready ## the documentation site, into site/; its warnings are errors
 	NO_MKDOCS_2_WARNING=1 .venv-docs/bin/python -m mkdocs build --strict
@@ -127,6 +130,14 @@ clean: ## remove environments, caches and build outputs; results/ and runs/ stay
 	@echo '*' > .venv-locked/.gitignore
 	@.venv-locked/bin/python -m pip install --quiet --require-hashes -r requirements.lock
 	@.venv-locked/bin/python -m pip install --quiet --no-deps --no-build-isolation --editable .
+	@touch $@
+
+# Without the constraints: deepmimo wants an older numpy.
+.venv-deepmimo/.ready: pyproject.toml
+	@echo "Setting up .venv-deepmimo: deepmimo and the base install"
+	@$(PYTHON) -m venv .venv-deepmimo
+	@echo '*' > .venv-deepmimo/.gitignore
+	@.venv-deepmimo/bin/python -m pip install --quiet --editable '.[filterpy]' 'deepmimo>=4.0.5,<5' 'DeepMIMOv3==0.2.9' pytest hypothesis
 	@touch $@
 
 .venv-docs/.ready: pyproject.toml constraints.txt

@@ -35,6 +35,7 @@ COMMANDS = {
     "watch": "an episode as policies go through it, side by side, in a window or as a video",
     "collect": "what policies see, choose and earn, as a Minari data set to learn from",
     "simulate": "one episode as files: measurement log, scene and truth",
+    "record": "one user of a DeepMIMO grid or dynamic scenario as a recording of its own",
     "inspect": "what a data set is: format, epochs, anchors, speeds, problems",
     "doctor": "versions, compiled functions on disk, a self-test of every kernel, extras",
     "samples": "the logs and recordings that come with the package: listed, or copied",

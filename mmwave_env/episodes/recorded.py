@@ -20,11 +20,18 @@ from mmwave_env.episodes.arrays import (
 )
 from mmwave_env.episodes.checks import refuse, require_epochs, require_finite
 from mmwave_env.episodes.episode import Episode
-from mmwave_env.models.measurement import Layout, range_rate, whole_groups, wrap_angles
+from mmwave_env.models.measurement import (
+    Layout,
+    direction,
+    range_rate,
+    whole_groups,
+    wrap_angles,
+)
 from mmwave_env.models.prior import draw_prior, prior_from_fix
 from mmwave_env.models.radio import Radio, doppler_spread, oscillator_bias, radio_from
 from mmwave_env.models.scene import Scene, scene_of_anchors
 from mmwave_env.numerics.arrays import Array
+from mmwave_env.numerics.numbers import PI
 
 _NO_PATH_DB = -200.0  # gain of a missing path: as good as none, yet its sigmas stay finite
 
@@ -132,6 +139,42 @@ class Recording:
         warn_of_contradictions(record, scene, layout, rows, visible, position)
         return cls(name, anchors, carrier_hz, bandwidth_hz, time, rows, visible, gain, position,
                    velocity, layout)  # fmt: skip
+
+    @classmethod
+    def of_episode(cls, episode: Episode, scene: Scene, radio: Radio) -> "Recording":
+        """What a perfect receiver would have measured in an episode: no noise, no biases.
+
+        Links are there where the episode has them, with the gain that its SNR says. The Doppler
+        shift is there with the line of sight; odometry is left out.
+
+        Args:
+            episode: of a simulation, a recording or a log.
+            scene: that it is in.
+            radio: that it was measured with.
+
+        Raises:
+            ValueError: nobody knows where the user was.
+        """
+        episode.require_truth()
+        assert episode.truth_position_m is not None
+        offset = episode.truth_position_m[:, None] - episode.scene_anchors_m
+        distance, azimuth, elevation = direction(list(np.moveaxis(offset, -1, 0)))
+        seen = episode.usable[:, : episode.layout.anchors]
+        gain = radio.path_gain_db(episode.snr_db, scene.bandwidth_hz)
+        return cls.from_arrays(
+            time_s=episode.time_s,
+            anchors_m=episode.scene_anchors_m,
+            range_m=distance,
+            aoa_azimuth_rad=azimuth,
+            aoa_elevation_rad=elevation,
+            aod_azimuth_rad=azimuth + PI,
+            path_gain_db=np.where(seen, gain, np.nan),
+            position_m=episode.truth_position_m,
+            velocity_mps=episode.truth_velocity_mps,
+            carrier_hz=scene.carrier_hz,
+            bandwidth_hz=scene.bandwidth_hz,
+            name=episode.name,
+        )
 
     def __len__(self) -> int:
         return len(self.time_s)

@@ -4,7 +4,7 @@ import os
 from importlib import resources
 from pathlib import Path
 
-from mmwave_env.episodes.deepmimo.params import PARAMS
+from mmwave_env.episodes.deepmimo.formats import is_scenario
 from mmwave_env.episodes.deepmimo.recording import read_deepmimo
 from mmwave_env.episodes.log_folder import LOG, read_log_folder
 from mmwave_env.episodes.measured import MeasuredSource, MeasuredTrack
@@ -85,4 +85,4 @@ def _read(name: str | os.PathLike[str]) -> Recording | MeasuredTrack:
             f"episodes: found {os.fspath(name)!r}, expected one of {', '.join(sample_names())}, "
             "or the folder of a measurement log with scene and truth, or of a DeepMIMO scenario"
         )
-    return (read_deepmimo if (folder / PARAMS).exists() else read_log_folder)(folder)
+    return (read_deepmimo if is_scenario(folder) else read_log_folder)(folder)

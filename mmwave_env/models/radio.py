@@ -140,6 +140,10 @@ class Radio:
         """SNR of links with the given path gain (negative, dB)."""
         return self.link_budget_db + path_gain_db - self.thermal_noise_dbm(bandwidth_hz)
 
+    def path_gain_db(self, snr_db: Array, bandwidth_hz: float) -> Array:
+        """Path gain (dB) of links with the given SNR: :meth:`snr_db` the other way."""
+        return snr_db - self.link_budget_db + self.thermal_noise_dbm(bandwidth_hz)
+
     def variances(self, scene: Scene, layout: Layout) -> tuple[list[float], list[float]]:
         """Noise floor, and Cramer-Rao bound at 0 dB, of every row: m^2, rad^2, Hz^2."""
         range_bound = SPEED_OF_LIGHT / (2.0 * math.pi * scene.bandwidth_hz / math.sqrt(12.0))

@@ -9,7 +9,7 @@ import pytest
 from experiments.cli.main import run
 from mmwave_env.episodes.log_writer import log_text
 from mmwave_env.episodes.recorded import RecordedSource
-from mmwave_env.episodes.samples import recording_from, sample_names
+from mmwave_env.episodes.samples import recording_from, sample_names, source_from
 from mmwave_env.episodes.simulated import SimulatedSource
 from mmwave_env.logs.log import read_log
 from mmwave_env.logs.tum import read_tum
@@ -90,6 +90,30 @@ def test_sample_logs_are_the_recordings_episodes(name):
     assert not block.incomplete.any()
 
 
+def test_an_episode_is_written_as_a_scenario_of_its_paths(tmp_path, capsys):
+    simulate(tmp_path, "--scenario", "vehicle", "--seed", 3, "--format", "deepmimo")
+    assert f"written to {tmp_path}/: params.json, objects.json," in capsys.readouterr().out
+    source = SimulatedSource(SCENES["street"], RADIOS["handset"], "vehicle")
+    episode = source.sample(np.random.default_rng(3))
+    recording = source_from(tmp_path, "handset").recording
+    np.testing.assert_array_equal(recording.position_m, episode.truth_position_m)
+    np.testing.assert_array_equal(recording.visible[:, 0], episode.usable[:, 0])
+
+
+@pytest.mark.parametrize("formats", [("log", "deepmimo"), ("deepmimo", "log")])
+def test_a_folder_holds_an_episode_in_one_format(tmp_path, capsys, formats):
+    first, second = formats
+    simulate(tmp_path, "--format", first)
+    names = sorted(tmp_path.iterdir())
+    for options in ([], ["--overwrite"]):
+        with pytest.raises(SystemExit):
+            simulate(tmp_path, "--format", second, *options)
+        (line,) = capsys.readouterr().err.splitlines()
+        assert f"in {tmp_path}, expected a folder without them; --out names another" in line
+    assert sorted(tmp_path.iterdir()) == names
+    simulate(tmp_path, "--format", first, "--overwrite", "--seed", 1)
+
+
 @pytest.mark.parametrize(
     ("options", "message"),
     [
@@ -97,6 +121,7 @@ def test_sample_logs_are_the_recordings_episodes(name):
         (["--data", "canyon28_vehicle", "--scenario", "jam"], "scenario: found 'jam', but"),
         (["--scenario", "train"], "'train'.*pedestrian"),
         (["--radio", "lab"], "'lab'.*handset"),
+        (["--format", "tum"], "format: found 'tum', expected one of log, deepmimo"),
     ],
 )
 def test_mistakes_end_with_one_clear_line(tmp_path, capsys, options, message):

@@ -20,15 +20,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mmwave_env.episodes.deepmimo.mistakes import likely_mistake
-from mmwave_env.episodes.deepmimo.paths import LINE_OF_SIGHT, REFLECTION, StationPaths
+from mmwave_env.episodes.deepmimo.paths import (
+    LINE_OF_SIGHT,
+    REFLECTION,
+    TOLERANCE_M,
+    StationPaths,
+    propagation,
+)
 from mmwave_env.models.measurement import LINK, SPEED_OF_LIGHT, direction
 from mmwave_env.numerics.arrays import Array, Mask
 from mmwave_env.numerics.numbers import PI, wrap
 
-NEAR_M = 0.05  # float32 files agree to 1e-4 m; images closer than this are one
 _FLAT = 0.7  # a mirror's normal rises more than it leads sideways: ground, not wall
 _ROW_KEYS = ("delay", "aoa_az", "aoa_el", "aod_az")  # where the rows of a link come from
-_TOLERANCES = (2.0 * NEAR_M, 0.02, 0.02, 0.02)  # m, rad; tells conventions, not noise
+_TOLERANCES = (2.0 * TOLERANCE_M, 0.02, 0.02, 0.02)  # m, rad; tells conventions, not noise
 
 
 @dataclass(frozen=True, eq=False)
@@ -107,7 +112,7 @@ def _anchors(paths: StationPaths, position_m: Array) -> tuple[Array, NDArray[np.
     tree = cKDTree(images) if len(images) else None
     for i in range(len(images)):
         if leads[i] < 0 and tree is not None:
-            near = np.array(tree.query_ball_point(images[i], NEAR_M))
+            near = np.array(tree.query_ball_point(images[i], TOLERANCE_M))
             near = np.sort(near[leads[near] < 0])
             leads[near] = len(anchors)
             anchors.append(np.median(images[near], axis=0))
@@ -121,8 +126,8 @@ def _measure(
     """Rows of a link (E, P, 4), m and rad, that each path is to its anchor."""
     sight = (position_m - paths.position_m)[:, None]
     direct = member == 0
-    arrival = _propagation(paths.arrival, sight, direct)
-    departure = _propagation(paths.departure, sight, direct)
+    arrival = propagation(paths.arrival, sight, direct)
+    departure = propagation(paths.departure, sight, direct)
     normal = (anchors[0] - anchors)[member]  # of the mirror; none for the line of sight
     squared = np.maximum(np.sum(normal * normal, axis=-1, keepdims=True), np.finfo(float).tiny)
     departure -= 2.0 * np.sum(departure * normal, axis=-1, keepdims=True) / squared * normal
@@ -130,20 +135,6 @@ def _measure(
     _, leaving, _ = direction(list(np.moveaxis(departure, -1, 0)))
     rows = [SPEED_OF_LIGHT * paths.delay_s, azimuth, elevation, wrap(leaving + PI)]
     return np.stack(rows, axis=-1)
-
-
-def _propagation(angles: Array, sight: Array, direct: Mask) -> Array:
-    """Unit vectors (E, P, 3) along propagation, from azimuths and zenith angles (E, P, 2).
-
-    Some converters store directions along propagation, some against it; lines of sight tell.
-    """
-    azimuth, zenith = np.moveaxis(angles, -1, 0)
-    horizontal = np.sin(zenith)
-    unit = np.stack(
-        [horizontal * np.cos(azimuth), horizontal * np.sin(azimuth), np.cos(zenith)], axis=-1
-    )
-    along = np.sum(unit * sight, axis=-1)[direct]
-    return unit if np.median(along) > 0.0 else -unit
 
 
 def _require_geometry(

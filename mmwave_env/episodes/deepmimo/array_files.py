@@ -72,14 +72,14 @@ def read_array(file: Path, key: str, shape: Shape, rows: NDArray[np.int_] | None
     if count * math.prod(stored.shape[1:]) * 8 > MOST_BYTES:
         refuse(file, key, f"{count} rows of {math.prod(stored.shape[1:])} numbers",
                f"at most {MOST_BYTES} bytes in memory: choose users")  # fmt: skip
-    with _readable(file, key):
+    with readable(file, key):
         return np.asarray(stored.rows(rows), float)
 
 
 def _opened(file: Path, key: str, shape: Shape) -> NpyArray | MatArray:
     if not file.is_file():  # a pipe or a device would be waited for
         refuse(file, key, "no regular file", f"a file of numbers, {', '.join(_READERS)}")
-    with _readable(file, key):
+    with readable(file, key):
         stored = _READERS[file.suffix](file, key)
     if stored.dtype.kind not in "fiu":
         refuse(file, key, f"type {stored.dtype}", "real numbers")
@@ -93,7 +93,7 @@ def _opened(file: Path, key: str, shape: Shape) -> NpyArray | MatArray:
 
 
 @contextmanager
-def _readable(file: Path, key: str) -> Iterator[None]:
+def readable(file: Path, key: str) -> Iterator[None]:
     """One error for a damaged file, for which numpy, zipfile, zlib and scipy have many."""
     try:
         yield

@@ -1,14 +1,17 @@
-"""MATLAB's files of versions 5 to 7: arrays of numbers, and nothing else of what they may hold.
+"""MATLAB's files of versions 5 to 7: arrays of numbers, and cells and structs of such arrays.
 
 A file is a preamble and elements: kind, length, content. Matrices are elements of elements: flags,
-dimensions, name, numbers. scipy reads more of them, but a damaged file can end its process, and it
-allocates whatever a length claims.
+dimensions, name, and numbers, or matrices again. What is not asked for is skipped. scipy reads more
+of them, but a damaged file can end its process, and it allocates whatever a length claims.
+
+Source: MathWorks, MAT-File Format, Level 5.
 """
 
 import math
 import struct
 import zlib
 from collections.abc import Iterator
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -22,8 +25,72 @@ _MATRIX, _COMPRESSED = 14, 15  # kinds of elements, beside those of numbers:
 _NUMBERS = {
     1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 9: "f8", 12: "i8", 13: "u8",
 }  # fmt: skip
-_OTHERS = {1: "cell", 2: "struct", 3: "object", 4: "char", 5: "sparse"}  # classes of matrices
+_CELL, _STRUCT = "cell", "struct"
+_OTHERS = {1: _CELL, 2: _STRUCT, 3: "object", 4: "char", 5: "sparse"}  # classes of matrices
 _LAST_CLASS, _COMPLEX = 15, 0x800
+
+
+@dataclass(frozen=True, eq=False)
+class Matrix:
+    """A matrix of a file.
+
+    Attributes:
+        name: of a variable; empty inside of cells and structs.
+        shape: of it.
+        kind: "numbers", or what else it holds, such as "cell".
+        parts: what follows its name, kinds and contents.
+        order: of bytes in numbers, as of numpy.
+    """
+
+    name: str
+    shape: tuple[int, ...]
+    kind: str
+    parts: list[tuple[int, memoryview]]
+    order: str
+
+    def numbers(self) -> NDArray[Any]:
+        """The array itself.
+
+        Raises:
+            ValueError: it does not hold real numbers, or not as many as its shape says.
+        """
+        if self.kind != "numbers":
+            raise ValueError(f"{self.kind}, no array of real numbers")
+        ((stored, content),) = self.parts or [(9, memoryview(b""))]
+        if stored not in _NUMBERS:
+            raise ValueError(f"numbers of kind {stored}, which there is not")
+        numbers = np.frombuffer(content, f"{self.order}{_NUMBERS[stored]}")
+        if math.prod(self.shape) != len(numbers):
+            raise ValueError(f"shape {self.shape} of {len(numbers)} numbers")
+        return numbers.reshape(self.shape, order="F")
+
+    def cell(self, index: int) -> "Matrix":
+        """An entry of a cell array, counted from 0, column by column.
+
+        Raises:
+            Exception: of many kinds: it is none, has fewer entries, or a damaged one.
+        """
+        if self.kind != _CELL or index >= len(self.parts):
+            raise ValueError(f"{len(self.parts)} entries of {self.kind}, no cell {index + 1}")
+        return _matrix(self.parts[index][1], self.order)
+
+    def field(self, name: str) -> "Matrix":
+        """A field of a struct.
+
+        Raises:
+            Exception: of many kinds: it is no single struct, has no such field, or a damaged one.
+        """
+        if self.kind != _STRUCT or math.prod(self.shape) != 1:
+            raise ValueError(f"{self.kind} of shape {self.shape}, no struct")
+        (_, width), (_, letters), *values = self.parts
+        (length,) = struct.unpack(f"{self.order}i", width)
+        names = [
+            bytes(letters[at : at + length]).partition(b"\0")[0].decode("ascii")
+            for at in range(0, len(letters), max(length, 1))
+        ]
+        if name not in names:
+            raise ValueError(f"only {', '.join(names) or 'nothing'}, no field {name}")
+        return _matrix(values[names.index(name)][1], self.order)
 
 
 class MatArray:
@@ -42,25 +109,30 @@ class MatArray:
     """
 
     def __init__(self, path: Path, key: str) -> None:
-        content, order = _content(path)
         names = []
-        for matrix in _matrices(content, order):
-            flags, dims, name, *values = _elements(matrix, order)
-            names.append(bytes(name[1]).decode("ascii"))
+        for variable in variables(path):
+            names.append(variable.name)
             if names[-1] == key:
-                self.shape = tuple(np.frombuffer(dims[1], f"{order}i4").tolist())
-                self._numbers = _numbers(flags, values, order)
+                self._array = variable.numbers()
                 break
         else:
             raise ValueError(f"only {', '.join(names) or 'nothing'}, no array named {key}")
-        self.dtype = self._numbers.dtype
-        if min(self.shape) < 0 or math.prod(self.shape) != len(self._numbers):
-            raise ValueError(f"shape {self.shape} of {len(self._numbers)} numbers")
+        self.shape, self.dtype = self._array.shape, self._array.dtype
 
     def rows(self, wanted: NDArray[np.int_] | None) -> NDArray[Any]:
         """Rows (R, ...) by their numbers (R,), in any order; None for all."""
-        array = self._numbers.reshape(self.shape, order="F")
-        return array if wanted is None else array[wanted]
+        return self._array if wanted is None else self._array[wanted]
+
+
+def variables(path: Path) -> Iterator[Matrix]:
+    """The variables of a file, one in memory at a time.
+
+    Raises:
+        Exception: of many kinds: not such a file, a damaged one, or one of more than MOST_BYTES.
+    """
+    content, order = _content(path)
+    for element in _matrices(content, order):
+        yield _matrix(element, order)
 
 
 def _content(path: Path) -> tuple[memoryview, str]:
@@ -84,6 +156,25 @@ def _matrices(content: memoryview, order: str) -> Iterator[memoryview]:
             ((kind, element),) = _elements(_decompressed(element), order)  # noqa: PLW2901
         if kind == _MATRIX:
             yield element
+
+
+def _matrix(element: memoryview, order: str) -> Matrix:
+    """What a matrix is; one without a byte is empty."""
+    if not element:
+        return Matrix("", (0, 0), "numbers", [], order)
+    (_, flags), (_, dims), (_, name), *parts = _elements(element, order)
+    (word,) = struct.unpack_from(f"{order}I", flags)
+    shape = tuple(np.frombuffer(dims, f"{order}i4").tolist())
+    if min(shape, default=-1) < 0:
+        raise ValueError(f"shape {shape}")
+    return Matrix(bytes(name).decode("ascii"), shape, _kind(word), parts, order)
+
+
+def _kind(flags: int) -> str:
+    number = flags & 0xFF
+    if number in _OTHERS or number > _LAST_CLASS:
+        return _OTHERS.get(number, f"class {number}")
+    return "complex numbers" if flags & _COMPLEX else "numbers"
 
 
 def _elements(
@@ -114,17 +205,3 @@ def _decompressed(element: memoryview) -> memoryview:
     if not inflater.eof:
         raise ValueError(f"an element that is cut off, or of more than {MOST_BYTES} bytes")
     return memoryview(plain)
-
-
-def _numbers(
-    flags: tuple[int, memoryview], values: list[tuple[int, memoryview]], order: str
-) -> NDArray[Any]:
-    """The numbers of a matrix, one after the other."""
-    (word,) = struct.unpack_from(f"{order}I", flags[1])
-    if (kind := word & 0xFF) in _OTHERS or kind > _LAST_CLASS or word & _COMPLEX:
-        what = "complex numbers" if word & _COMPLEX else _OTHERS.get(kind, f"class {kind}")
-        raise ValueError(f"{what}, no array of real numbers")
-    ((stored, content),) = values
-    if stored not in _NUMBERS:
-        raise ValueError(f"numbers of kind {stored}, which there is not")
-    return np.frombuffer(content, f"{order}{_NUMBERS[stored]}")

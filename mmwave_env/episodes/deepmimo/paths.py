@@ -12,8 +12,9 @@ from typing import NoReturn
 import numpy as np
 
 from mmwave_env.episodes.tables import refuse
-from mmwave_env.numerics.arrays import Array
+from mmwave_env.numerics.arrays import Array, Mask
 
+TOLERANCE_M = 0.05  # float32 files agree to 1e-4 m; places closer than this are one
 # Values of ``interactions``: a digit for each interaction, from the base station to the receiver.
 LINE_OF_SIGHT, REFLECTION, TWO_REFLECTIONS = 0.0, 1.0, 11.0
 _KINDS = {
@@ -43,6 +44,7 @@ class StationPaths:
         arrival, departure: (E, P, 2) azimuth and zenith angle at the receiver and at the station,
             rad; whether along propagation or against it, lines of sight tell.
         doppler_hz: (E, P) as stored, positive while the path grows; None where none is stored.
+        phase_rad: (E, P) of a; None where nobody knows it.
         source: the file, and the receiver's number in it, that a key of an epoch was read from.
     """
 
@@ -56,6 +58,7 @@ class StationPaths:
     departure: Array
     source: Callable[[str, int], tuple[Path, int]]
     doppler_hz: Array | None = None
+    phase_rad: Array | None = None
 
     def kinds(self) -> dict[str, int]:
         """How many paths there are of each kind, such as "line of sight"."""
@@ -88,3 +91,17 @@ class Paths:
     carrier_hz: float
     position_m: Array
     stations: tuple[StationPaths, ...]
+
+
+def propagation(angles: Array, sight: Array, direct: Mask) -> Array:
+    """Unit vectors (E, P, 3) along propagation, from azimuths and zenith angles (E, P, 2).
+
+    Some converters store directions along propagation, some against it; lines of sight tell.
+    """
+    azimuth, zenith = np.moveaxis(angles, -1, 0)
+    horizontal = np.sin(zenith)
+    unit = np.stack(
+        [horizontal * np.cos(azimuth), horizontal * np.sin(azimuth), np.cos(zenith)], axis=-1
+    )
+    along = np.sum(unit * sight, axis=-1)[direct]
+    return unit if np.median(along) > 0.0 else -unit

@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mmwave_env.episodes.deepmimo.anchors import StationLinks, find_links
+from mmwave_env.episodes.deepmimo.formats import open_scenario
 from mmwave_env.episodes.deepmimo.paths import LINE_OF_SIGHT, Paths
-from mmwave_env.episodes.deepmimo.v4 import open_scenario, read_paths
 from mmwave_env.episodes.deepmimo.way import way_of
 from mmwave_env.episodes.recorded import Recording
 from mmwave_env.models.measurement import SPEED_OF_LIGHT, Layout, range_rate
@@ -42,7 +42,7 @@ def read_deepmimo(
     first. The Doppler shift is that of the first anchor, of the true velocity.
 
     Args:
-        folder: of a DeepMIMO v4 scenario.
+        folder: of a DeepMIMO scenario, of version 4 or 3.
         virtual_anchors: how many at most; those seen in most epochs are kept.
         ground: whether the image in the ground counts as an anchor.
         bandwidth_hz: of the signal. The scenario's own is the ray tracer's, which no path
@@ -62,7 +62,7 @@ def read_deepmimo(
     scenario = open_scenario(Path(folder), receiver_set)
     epochs = scenario.epochs(users)
     way = way_of(scenario, epochs, dt_s)
-    paths = replace(read_paths(scenario, epochs, base_station), position_m=way.position_m)
+    paths = replace(scenario.paths(epochs, base_station), position_m=way.position_m)
     velocity = np.asarray(way.velocity_mps)
     return recording_of(paths, way.time_s, velocity, virtual_anchors, ground, bandwidth_hz)
 

@@ -15,38 +15,29 @@ from numpy.typing import NDArray
 
 from mmwave_env.episodes.deepmimo.array_files import array_shape, find_array, read_array
 from mmwave_env.episodes.deepmimo.params import Params
-from mmwave_env.episodes.deepmimo.paths import LINE_OF_SIGHT, REFLECTION, Paths, StationPaths
+from mmwave_env.episodes.deepmimo.paths import (
+    LINE_OF_SIGHT,
+    REFLECTION,
+    TOLERANCE_M,
+    Paths,
+    StationPaths,
+)
+from mmwave_env.episodes.deepmimo.scenario import Scenario, by_scene
 from mmwave_env.episodes.tables import refuse
 from mmwave_env.numerics.arrays import Array, Mask
 
-TOLERANCE_M = 0.05  # float32 files agree to 1e-4 m; places closer than this are one
 _RECEIVERS = re.compile(r"rx_pos_(t\d+_tx\d+)_r(\d+)\.(?:npz|npy|mat)")
 
 
-@dataclass(frozen=True)
-class Scenario:
-    """What a folder holds, before its arrays are read.
+@dataclass(frozen=True, kw_only=True)
+class V4Scenario(Scenario):
+    """A scenario with one array a file.
 
     Attributes:
-        folder: of the scenario.
-        scenes: folders with the arrays, in the order of time; of a static scenario the folder.
-        stations: which base stations there are, such as ``t000_tx000``.
         receiver_set: which set of receivers, such as ``001``.
-        receivers: how many are in the set, in every scene.
-        carrier_hz: carrier frequency.
     """
 
-    folder: Path
-    scenes: tuple[Path, ...]
-    stations: tuple[str, ...]
     receiver_set: str
-    receivers: int
-    carrier_hz: float
-
-    @property
-    def is_dynamic(self) -> bool:
-        """Whether the epochs are scenes, not receivers."""
-        return self.scenes != (self.folder,)
 
     def file(self, scene: int, key: str, station: str) -> Path:
         """The file of a key.
@@ -62,47 +53,23 @@ class Scenario:
 
     def positions(self, epochs: NDArray[np.int_]) -> Array:
         """Positions (E, 3) of the receivers of epochs, as of :meth:`epochs`, m."""
-        return np.concatenate([self._positions(*group) for group in _by_scene(epochs)])
+        return np.concatenate([self._positions(*group) for group in by_scene(epochs)])
 
-    def name_of(self, epoch: NDArray[np.int_]) -> str:
-        """The receiver of an epoch (2,), for messages."""
-        scene, row = epoch.tolist()
-        return f"receiver {row}" + (f" in {self.scenes[scene].name}" if self.is_dynamic else "")
+    def paths(self, epochs: NDArray[np.int_], base_station: int | None = None) -> Paths:
+        """As of :class:`Scenario`; of .npz and .npy files nothing else is kept."""
+        return Paths(
+            name=self.folder.resolve().name,
+            carrier_hz=self.carrier_hz,
+            position_m=self.positions(epochs),
+            stations=tuple(_read_station(self, epochs, name) for name in self.chosen(base_station)),
+        )
 
     def _positions(self, scene: int, rows: NDArray[np.int_] | None) -> Array:
         file = self.file(scene, "rx_pos", self.stations[0])
         return _finite(file, "rx_pos", read_array(file, "rx_pos", (self.receivers, 3), rows), rows)
 
-    def epochs(self, users: int | Sequence[int] | NDArray[np.int_] | None) -> NDArray[np.int_]:
-        """Scene and row (E, 2) of the receiver of every epoch.
 
-        Args:
-            users: rows of receivers, from 0. Of a static scenario one for each epoch, or None for
-                all of them. Of a dynamic one that of every scene, or one for all scenes, or None
-                where there is but one receiver.
-
-        Raises:
-            ValueError: other numbers, or another number of them.
-        """
-        rows = np.arange(self.receivers) if users is None else np.asarray(users)
-        if rows.size == 0 or rows.dtype.kind not in "iu" or rows.ndim > 1:
-            raise ValueError(f"users: found {users!r}, expected numbers of receivers")
-        outside = rows[(rows < 0) | (rows >= self.receivers)]
-        if outside.size:
-            raise ValueError(f"users: found {outside.flat[0]}, expected 0 to {self.receivers - 1}, "
-                             f"the receivers of {self.folder}")  # fmt: skip
-        if not self.is_dynamic:
-            return np.column_stack([np.zeros(rows.size, int), rows.reshape(-1)])
-        scenes = np.arange(len(self.scenes))
-        if rows.size not in (1, len(scenes)):
-            raise ValueError(
-                f"users: found {rows.size}, expected 1 or {len(scenes)}, one for each scene of "
-                f"{self.folder}, which has {self.receivers} receivers in each"
-            )
-        return np.column_stack([scenes, np.broadcast_to(rows.reshape(-1), len(scenes))])
-
-
-def open_scenario(folder: Path, receiver_set: int | None = None) -> Scenario:
+def open_v4(folder: Path, receiver_set: int | None = None) -> V4Scenario:
     """What a folder holds.
 
     Args:
@@ -114,10 +81,6 @@ def open_scenario(folder: Path, receiver_set: int | None = None) -> Scenario:
         ValueError: ``params.json`` can't be read or contradicts the files, or there are several
             sets of receivers; the message names them.
     """
-    if not folder.exists():
-        raise FileNotFoundError(f"{folder}: found nothing, expected the folder of a scenario")
-    if not folder.is_dir():
-        refuse(folder, "folder", "a file", "the folder of a DeepMIMO v4 scenario")
     params = Params(folder)
     scenes = _scenes(folder, params)
     number, stations = _stations(scenes[0], receiver_set)
@@ -126,7 +89,10 @@ def open_scenario(folder: Path, receiver_set: int | None = None) -> Scenario:
     if receivers == 0:
         refuse(file, "rx_pos", "no receivers", "at least one")
     params.require_receivers(int(number), receivers)
-    return Scenario(folder, scenes, stations, number, receivers, params.carrier_hz)
+    return V4Scenario(
+        folder=folder, scenes=scenes, stations=stations, receivers=receivers,
+        carrier_hz=params.carrier_hz, receiver_set=number,
+    )  # fmt: skip
 
 
 def _scenes(folder: Path, params: Params) -> tuple[Path, ...]:
@@ -158,43 +124,8 @@ def _stations(scene: Path, receiver_set: int | None) -> tuple[str, tuple[str, ..
     return chosen[0], tuple(station for station, number in links if number == chosen[0])
 
 
-def read_paths(
-    scenario: Scenario, epochs: NDArray[np.int_], base_station: int | None = None
-) -> Paths:
-    """The paths of some receivers; of .npz and .npy files nothing else is kept.
-
-    Args:
-        scenario: as of :func:`open_scenario`.
-        epochs: (E, 2) scenes, increasing, and rows, as of :meth:`Scenario.epochs`.
-        base_station: number of the only one to read, from 1 in the order of ``stations``; None
-            for all.
-
-    Raises:
-        FileNotFoundError: a file is missing.
-        ValueError: a file can't be read or contradicts another; the message names file and key.
-    """
-    stations = scenario.stations
-    if base_station is not None:
-        if not 1 <= base_station <= len(stations):
-            raise ValueError(f"base_station: found {base_station}, expected 1 to {len(stations)}: "
-                             f"{', '.join(stations)} of {scenario.folder}")  # fmt: skip
-        stations = stations[base_station - 1 : base_station]
-    return Paths(
-        name=scenario.folder.resolve().name,
-        carrier_hz=scenario.carrier_hz,
-        position_m=scenario.positions(epochs),
-        stations=tuple(_read_station(scenario, epochs, station) for station in stations),
-    )
-
-
-def _by_scene(epochs: NDArray[np.int_]) -> list[tuple[int, NDArray[np.int_]]]:
-    """Scenes and the rows of receivers in each."""
-    scenes, rows = epochs.T
-    return [(int(scene), rows[scenes == scene]) for scene in np.unique(scenes)]
-
-
-def _read_station(scenario: Scenario, epochs: NDArray[np.int_], station: str) -> StationPaths:
-    scenes = [_read_scene(scenario, scene, station, rows) for scene, rows in _by_scene(epochs)]
+def _read_station(scenario: V4Scenario, epochs: NDArray[np.int_], station: str) -> StationPaths:
+    scenes = [_read_scene(scenario, scene, station, rows) for scene, rows in by_scene(epochs)]
     here = scenes[0].pop("tx_pos")
     for scene, arrays in enumerate(scenes[1:], start=1):
         moved = arrays.pop("tx_pos")
@@ -221,7 +152,7 @@ def _read_station(scenario: Scenario, epochs: NDArray[np.int_], station: str) ->
 
 
 def _read_scene(
-    scenario: Scenario, scene: int, station: str, rows: NDArray[np.int_]
+    scenario: V4Scenario, scene: int, station: str, rows: NDArray[np.int_]
 ) -> dict[str, Array]:
     """The arrays (R, P, ...) of some receivers in a scene, and ``tx_pos`` (1, 3)."""
 

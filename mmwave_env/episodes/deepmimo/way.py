@@ -1,9 +1,10 @@
-"""When a user was at the receivers of a v4 scenario, which stores neither times nor velocities."""
+"""When a user was at the receivers of a scenario, which stores neither times nor velocities."""
 
 import numpy as np
 from numpy.typing import NDArray
 
-from mmwave_env.episodes.deepmimo.v4 import TOLERANCE_M, Scenario
+from mmwave_env.episodes.deepmimo.paths import TOLERANCE_M
+from mmwave_env.episodes.deepmimo.scenario import Scenario
 from mmwave_env.episodes.tables import TRAJECTORY, refuse
 from mmwave_env.episodes.trajectory import Trajectory, read_trajectory
 

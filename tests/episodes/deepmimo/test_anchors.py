@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from mmwave_env.episodes.deepmimo import read_deepmimo
 from mmwave_env.episodes.deepmimo.anchors import find_links
 from mmwave_env.episodes.deepmimo.census import census
-from mmwave_env.episodes.deepmimo.v4 import open_scenario, read_paths
+from mmwave_env.episodes.deepmimo.formats import open_scenario
 from mmwave_env.models.measurement import SPEED_OF_LIGHT, range_rate
 from tests.episodes.deepmimo.scenarios import (
     KEYS,
@@ -31,7 +31,7 @@ USERS = np.column_stack([np.linspace(5.0, 55.0, 26), np.full(26, -8.0), np.full(
 
 def paths_of(folder):
     scenario = open_scenario(folder)
-    return read_paths(scenario, scenario.epochs(None))
+    return scenario.paths(scenario.epochs(None))
 
 
 def hide_line_of_sight(folder, link, epochs):

@@ -18,7 +18,7 @@ import json, re, sys, tracemalloc
 from pathlib import Path
 import numpy as np
 from mmwave_env.episodes.deepmimo import read_deepmimo
-from mmwave_env.episodes.deepmimo.v4 import open_scenario
+from mmwave_env.episodes.deepmimo.formats import open_scenario
 
 small, large, users = sys.argv[1], sys.argv[2], json.loads(sys.argv[3])
 read_deepmimo(small, dt_s=1.0)  # imports
@@ -26,11 +26,23 @@ status = Path("/proc/self/status")
 memory = lambda name: 1024 * int(re.search(name + r":\\s+(\\d+)", status.read_text())[1])
 before = memory("VmRSS")
 tracemalloc.start()
+{work}
+traced = tracemalloc.get_traced_memory()[1]
+print(json.dumps([traced, memory("VmHWM") - before, recording.visible.sum(axis=0).tolist()]))
+"""
+
+CHOOSE = """
 grid = open_scenario(Path(large)).grid()
 recording = read_deepmimo(large, users=users, dt_s=1.0)
 assert np.array_equal(grid[users], recording.position_m)
-traced = tracemalloc.get_traced_memory()[1]
-print(json.dumps([traced, memory("VmHWM") - before, recording.visible.sum(axis=0).tolist()]))
+"""
+WALK = """
+from mmwave_env.episodes.deepmimo.along import record_along
+from mmwave_env.episodes.trajectory import Trajectory
+grid = open_scenario(Path(large)).grid()
+way = Trajectory("walk", np.arange(len(users)), grid[users])
+recording, count, error_m = record_along(large, way, 1.0)
+assert count == len(users) and error_m.max() == 0.0
 """
 
 pytestmark = pytest.mark.skipif(not Path("/proc/self/status").exists(), reason="reads /proc")
@@ -72,10 +84,11 @@ def write_grid(folder, chosen, receivers, paths, suffix):
     return hall
 
 
-def peaks(tmp_path, receivers, paths, suffix):
+def peaks(tmp_path, receivers, paths, suffix, work=CHOOSE):
     users = [receivers // 2 + 5 * n for n in range(200)]
     hall = write_grid(tmp_path / "grid", users, receivers, paths, suffix)
-    command = [sys.executable, "-c", MEASURE, hall, tmp_path / "grid", json.dumps(users)]
+    script = MEASURE.replace("{work}", work)
+    command = [sys.executable, "-c", script, hall, tmp_path / "grid", json.dumps(users)]
     done = subprocess.run(list(map(str, command)), capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
     traced, resident, seen = json.loads(done.stdout)
@@ -95,3 +108,10 @@ def test_of_a_grid_only_the_positions_and_the_users_chosen_are_in_memory(tmp_pat
 def test_a_grid_as_large_as_o1_takes_64_mib(tmp_path, suffix):
     traced, resident = peaks(tmp_path, 1_200_000, 25, suffix)  # 1.5 GB
     assert max(traced, resident) < 64 * 2**20, (traced, resident)
+
+
+@pytest.mark.slow
+def test_a_walk_through_a_grid_as_large_as_o1_takes_192_mib(tmp_path):
+    """Beside what its users take, where all of them stand, sorted for the search."""
+    traced, resident = peaks(tmp_path, 1_200_000, 25, ".npy", WALK)
+    assert max(traced, resident) < 192 * 2**20, (traced, resident)

@@ -3,9 +3,12 @@
 import re
 import shlex
 
+import numpy as np
 import pytest
 
 from tests.cli import command
+from tests.episodes.deepmimo.test_along import grid_paths
+from tests.episodes.deepmimo.v3_folder import write_static
 from tests.paths import ROOT
 
 PAGE = (ROOT / "docs" / "deepmimo.md").read_text("utf-8")
@@ -16,6 +19,8 @@ BLOCKS = re.findall(r"^```(python)?\n(.*?)^```", PAGE, re.DOTALL | re.MULTILINE)
 def test_the_page_runs_from_top_to_bottom(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     names, told = {}, ""
+    write_static(tmp_path / "O1_28", grid_paths(), a_file=200)
+    (tmp_path / "way.csv").write_text("t,x,y,z\n0,25,-5,1.5\n10,38,-2,1.5\n20,51,1,1.5\n")
     for language, block in BLOCKS:
         if language:  # "```python" blocks share their names, as in one session
             exec(compile(block, "deepmimo.md", "exec"), names)
@@ -25,7 +30,7 @@ def test_the_page_runs_from_top_to_bottom(tmp_path, monkeypatch, capsys):
             assert done.returncode == 0 and not done.stderr, done.stderr
             told += done.stdout
     rows = re.findall(r"^\| ([\w-]+) \| -", told, re.MULTILINE)
-    assert rows == ["fixed-ukf", "speed-rule", "imm"]
+    assert rows[:3] == ["fixed-ukf", "speed-rule", "imm"] and rows.count("imm") == 3
     assert len(names["recording"].anchors_m) == 2
     printed = capsys.readouterr().out.splitlines()
     assert printed[:2] == [
@@ -36,3 +41,6 @@ def test_the_page_runs_from_top_to_bottom(tmp_path, monkeypatch, capsys):
         "t000_tx000 base station [-5.0, 4.0, 6.0] 120",
         "t000_tx000 image in the ground [-5.0, 4.0, -6.1] 120",
     ]
+    assert printed[-1] == "201 epochs from 67 users, 0.000 m from the way at most"
+    assert re.search(r"201 epochs from \d\d users; measured 0\.\d+ m from the way", told)
+    np.testing.assert_array_equal(names["again"].visible, names["recording"].visible)

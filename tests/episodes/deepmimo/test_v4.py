@@ -12,7 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from mmwave_env.episodes.deepmimo import array_files, read_deepmimo
-from mmwave_env.episodes.deepmimo.v4 import open_scenario, read_paths
+from mmwave_env.episodes.deepmimo.formats import open_scenario
 from mmwave_env.episodes.recorded import Recording
 from mmwave_env.episodes.samples import source_from
 from tests.episodes.deepmimo.scenarios import (
@@ -307,7 +307,7 @@ def test_parameters_of_any_kind_are_refused_or_harmless(undamaged, entry, value)
 
 def test_the_paths_are_those_of_the_files(static):
     scenario = open_scenario(static)
-    paths = read_paths(scenario, scenario.epochs(None))
+    paths = scenario.paths(scenario.epochs(None))
     (station,) = paths.stations
     inter = load(static, "inter")
     np.testing.assert_array_equal(station.interactions, inter)
@@ -318,5 +318,5 @@ def test_the_paths_are_those_of_the_files(static):
     assert station.source("power", 3) == (static / f"power_{LINK}.npz", 3)
     assert station.kinds() == {"line of sight": 12, "one reflection": int((inter == 1).sum())}
     store(static, "inter", np.where(inter == 1.0, 11.0, inter))
-    (station,) = read_paths(scenario, scenario.epochs([0, 1])).stations
+    (station,) = scenario.paths(scenario.epochs([0, 1])).stations
     assert station.kinds() == {"line of sight": 2, "two reflections": int((inter[:2] == 1).sum())}
