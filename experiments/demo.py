@@ -7,9 +7,9 @@ from experiments.cli.main import run
 from experiments.cli.options import all_contenders, provenance
 from experiments.cli.reporting import results
 from experiments.evaluation.markdown import show
+from experiments.evaluation.protocol import RECORDINGS
 from experiments.evaluation.terminal import note, say
 from experiments.webpage.page import write_page
-from mmwave_env.episodes.samples import sample_names
 from mmwave_env.files import write_json, write_text
 
 SHOWN = ("fixed-ekf", "fixed-ukf", "speed-rule", "imm-best", "ppo-extended", "guided")
@@ -20,7 +20,7 @@ def main(args: Args) -> None:
     runs = [EpisodeArgs(episodes=args.episodes, percentiles=args.percentiles)]
     runs += [
         EpisodeArgs(data=name, episodes=args.draws, percentiles=args.percentiles)
-        for name in sample_names()
+        for name in RECORDINGS
     ]
     tables, everything, made = [], {}, provenance("demo", args)
     for one in runs:

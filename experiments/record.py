@@ -2,16 +2,13 @@
 
 from experiments.arguments.record import Args
 from experiments.cli.main import run
-from experiments.evaluation.seeds import draw_episodes
+from experiments.cli.options import way_of
 from experiments.evaluation.terminal import progress, say
 from mmwave_env.episodes.deepmimo import read_deepmimo
 from mmwave_env.episodes.deepmimo.along import record_along
 from mmwave_env.episodes.deepmimo.formats import is_scenario, open_scenario
 from mmwave_env.episodes.deepmimo.writer import write_deepmimo
 from mmwave_env.episodes.recorded import Recording
-from mmwave_env.episodes.simulated import SimulatedSource
-from mmwave_env.episodes.trajectory import Trajectory, read_trajectory, read_waypoints
-from mmwave_env.models.radio import RADIOS
 from mmwave_env.models.scene import scene_from
 
 
@@ -47,28 +44,15 @@ def _of_user(args: Args) -> Recording:
 
 def _along(args: Args, along: str) -> Recording:
     """Of those along a way through a grid; says how far they are from it."""
+    way = way_of(along, scene_from(args.scene), args.dt, args.episode_steps, args.seed)
     sampled = record_along(
-        args.scenario, _way(args, along), args.dt, args.interpolate, args.within,
+        args.scenario, way, args.dt, args.interpolate, args.within,
         args.virtual_anchors, base_station=args.base_station,
     )  # fmt: skip
     error = sampled.error_m
     say(f"{len(error)} epochs from {sampled.users} users; measured {error.mean():.3f} m from the "
         f"way, at most {error.max():.3f} m")  # fmt: skip
     return sampled.recording
-
-
-def _way(args: Args, along: str) -> Trajectory:
-    """The way through the grid."""
-    if along.endswith(".csv"):
-        if args.speed is None:
-            return read_trajectory(along)
-        return read_waypoints(along, args.speed, args.dt)
-    scene = scene_from(args.scene)
-    source = SimulatedSource(scene, RADIOS["standard"], along, args.dt, args.episode_steps)
-    (episode,) = draw_episodes(source, [args.seed])
-    assert episode.truth_position_m is not None  # who is simulated has one
-    name = f"{along} on {scene.name}"
-    return Trajectory(name, episode.time_s, episode.truth_position_m, episode.truth_velocity_mps)
 
 
 if __name__ == "__main__":

@@ -12,10 +12,10 @@ from experiments.cli.options import contender_of, provenance, selection_of, sour
 from experiments.evaluation.contenders import Contender, contender_from
 from experiments.evaluation.intervals import Interval, bootstrap
 from experiments.evaluation.markdown import grid, show
+from experiments.evaluation.protocol import RECORDINGS
 from experiments.evaluation.runner import score
 from experiments.evaluation.runs import Run
 from experiments.evaluation.terminal import tracked
-from mmwave_env.episodes.samples import sample_names
 from mmwave_env.files import write_json
 from mmwave_env.models.radio import RADIOS, radio_from
 from mmwave_env.models.scene import SCENES
@@ -39,7 +39,7 @@ def places(args: Args) -> dict[str, EpisodeArgs]:
     }
     return streets | {
         f"{name}, {radio}": EpisodeArgs(data=name, radio=radio, episodes=args.draws, seed=seed)
-        for name in sample_names()
+        for name in RECORDINGS
     }
 
 

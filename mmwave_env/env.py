@@ -174,10 +174,11 @@ class MmWaveLocEnv(gym.Env[NDArray[np.float32], np.int64]):
     * `infos`: "all" (default), "episode", "none" or "fixed", see Information.
     * `smoothed`: whether the last step tells `smoothed_ate_m`; False by default.
     * `episode_steps`, `dt`: epochs per episode and seconds per epoch.
-    * `episodes`: recorded data instead of a simulation: "canyon28_vehicle",
-      "canyon28_pedestrian", the folder of a DeepMIMO scenario or of a measurement log with its
-      scene and truth, a `Recording`, a `MeasuredTrack` (docs/own-log.md), or any episode source
-      (whose `radio`, if it has one, then selects the default modes' tuning).
+    * `episodes`: recorded data instead of a simulation: a recording that comes along, such as
+      "canyon28_vehicle" (`mmwave-loc list samples`), the folder of a DeepMIMO scenario or of a
+      measurement log with its scene and truth, a `Recording`, a `MeasuredTrack`
+      (docs/own-log.md), or any episode source (whose `radio`, if it has one, then selects the
+      default modes' tuning).
     * `planar`: flat terrain: z and vz are known.
     * `odometry`: the user also measures speed and heading.
     * `terminate_on_divergence`: see Episode End.

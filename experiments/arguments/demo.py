@@ -8,7 +8,7 @@ from experiments.arguments.shared import JsonArgs
 
 @dataclass(kw_only=True)
 class Args(JsonArgs):
-    """Compare every policy on `mixed` and on the shipped ray-traced scenarios.
+    """Compare every policy on `mixed` and on two ray-traced recordings.
 
     Six of them are printed; the files have all of them, and every paired difference.
 

@@ -9,10 +9,8 @@ class WayArgs:
     """The way through a grid."""
 
     along: str | None = None
-    """a CSV file with columns t, x, y, z, or x, y, z of way-points and --speed; or a kind of user
-    (pedestrian, vehicle, walk-ride, jam, cyclist or a JSON file) who moves in --scene"""
-    speed: float | None = None
-    """m/s from way-point to way-point, of a file without times"""
+    """a CSV file of a way (columns t, x, y, z) or of way-points (x, y, z, speed_mps); or a kind of
+    user (pedestrian, vehicle, walk-ride, jam, cyclist or a JSON file) who moves in --scene"""
     scene: str = "o1"
     """streets of a kind of user, in the frame of the grid: o1, dynamic-doppler, street or a JSON
     file"""

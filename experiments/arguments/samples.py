@@ -4,10 +4,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
+from experiments.arguments.shared import USUAL_EPISODES
+
 
 @dataclass(kw_only=True)
 class Args:
-    """List the logs and recordings that come with the package, or copy one of them.
+    """List the logs and recordings that come with the package, copy one, or compare on them.
 
     A log is what a receiver measured; of a recording, every seed draws the noise anew.
 
@@ -20,3 +22,7 @@ class Args:
     """which of that name"""
     out: Path | None = None
     """the folder for the copy"""
+    policies: tuple[str, ...] = ()
+    """compare these, as the command compare does, on every recording"""
+    episodes: int = USUAL_EPISODES
+    """how many of each recording, with --policies"""

@@ -36,6 +36,7 @@ COMMANDS = {
     "collect": "what policies see, choose and earn, as a Minari data set to learn from",
     "simulate": "one episode as files: measurement log, scene and truth",
     "record": "one user of a DeepMIMO grid or dynamic scenario as a recording of its own",
+    "raytrace": "a user's way through ray-traced streets, as a DeepMIMO scenario",
     "inspect": "what a data set is: format, epochs, anchors, speeds, problems",
     "doctor": "versions, compiled functions on disk, a self-test of every kernel, extras",
     "samples": "the logs and recordings that come with the package: listed, or copied",

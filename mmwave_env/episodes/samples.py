@@ -25,6 +25,11 @@ def sample_names() -> tuple[str, ...]:
     return tuple(_folders(_RECORDINGS))
 
 
+def log_names() -> tuple[str, ...]:
+    """Names of the measurement logs that come with the package."""
+    return tuple(_folders(_LOGS))
+
+
 def sample_folder(name: str, kind: str = "log") -> Path:
     """The folder of a sample: of a ``log`` or a ``recording``.
 

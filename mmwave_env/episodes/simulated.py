@@ -34,8 +34,9 @@ from mmwave_env.episodes.simulation import (
     on_a_way,
     world_of,
 )
-from mmwave_env.episodes.trajectory import Trajectory, read_trajectory
+from mmwave_env.episodes.trajectory import Trajectory
 from mmwave_env.episodes.travel import TravelPlan, stride_of
+from mmwave_env.episodes.waypoints import read_way
 from mmwave_env.models.channel import channel_of
 from mmwave_env.models.epoch import Site
 from mmwave_env.models.measurement import STATE_SIZE, Layout
@@ -253,7 +254,7 @@ class SimulatedSource:
         if isinstance(self.scenario, Trajectory):
             return self.scenario
         if not isinstance(self.scenario, Mobility) and str(self.scenario).endswith(".csv"):
-            return read_trajectory(self.scenario)
+            return read_way(self.scenario)
         return mobilities_of(self.scenario)
 
     @property

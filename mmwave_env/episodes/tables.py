@@ -32,15 +32,7 @@ def read_table(
         ValueError: naming file, line and column.
         FileNotFoundError: there is no such file.
     """
-    if not file.is_file():
-        raise FileNotFoundError(f"{file}: found no such file, expected CSV")
-    try:
-        with file.open(newline="", encoding="utf-8-sig") as lines:
-            reader = csv.reader(lines, skipinitialspace=True)
-            table = [(reader.line_num, row) for row in reader if row] or [(1, [])]
-    except (ValueError, OSError, csv.Error) as error:
-        raise ValueError(f"{file}: found no readable CSV ({error}), expected CSV") from error
-    (_, header), *rows = table
+    (_, header), *rows = _rows(file)
     names = [*needed, *(optional if any(name in header for name in optional) else ())]
     if any(name not in header for name in names):
         refuse(file, "header", repr(",".join(header)), f"the columns {','.join(names)}")
@@ -51,6 +43,28 @@ def read_table(
             refuse(file, f"line {line}", f"{len(row)} values", f"{len(header)}")
         values[i] = [_number(file, f"line {line}, column {n}", row[c]) for n, c in columns.items()]
     return [line for line, _ in rows], values
+
+
+def columns_of(file: Path) -> list[str]:
+    """The names in the header of a table.
+
+    Raises:
+        ValueError: no CSV.
+        FileNotFoundError: there is no such file.
+    """
+    return _rows(file)[0][1]
+
+
+def _rows(file: Path) -> list[tuple[int, list[str]]]:
+    """Lines of a CSV file that are not empty, with their numbers; the first is the header."""
+    if not file.is_file():
+        raise FileNotFoundError(f"{file}: found no such file, expected CSV")
+    try:
+        with file.open(newline="", encoding="utf-8-sig") as lines:
+            reader = csv.reader(lines, skipinitialspace=True)
+            return [(reader.line_num, row) for row in reader if row] or [(1, [])]
+    except (ValueError, OSError, csv.Error) as error:
+        raise ValueError(f"{file}: found no readable CSV ({error}), expected CSV") from error
 
 
 def _number(file: Path, what: str, text: str) -> float:

@@ -167,34 +167,3 @@ def read_trajectory(path: str | os.PathLike[str]) -> Trajectory:
     lines, table = read_table(Path(path), TRAJECTORY[:4], TRAJECTORY[4:])
     velocity = table[:, 4:] if table.shape[1] > 4 else None
     return Trajectory(os.fspath(path), table[:, 0], table[:, 1:4], velocity, lines)
-
-
-def read_waypoints(path: str | os.PathLike[str], speed_mps: float, dt: float) -> Trajectory:
-    """A straight way from each way-point to the next, at one speed: CSV with the columns x, y, z.
-
-    Args:
-        path: of the file; other columns are not looked at.
-        speed_mps: of the user.
-        dt: seconds between the rows of the trajectory.
-
-    Raises:
-        ValueError: naming the file, the row and what is wrong in it.
-        FileNotFoundError: there is no such file.
-    """
-    for name, value in (("speed_mps", speed_mps), ("dt", dt)):
-        if not 0.0 < value < np.inf:
-            raise ValueError(f"{name}: found {value}, expected > 0")
-    lines, points = read_table(Path(path), TRAJECTORY[1:4])
-    legs = np.diff(points, axis=0)
-    lengths = np.linalg.norm(legs, axis=1)
-    if not len(lengths) or lengths.min() == 0.0:
-        row = f", line {lines[int(lengths.argmin()) + 1]}" if len(lengths) else ""
-        found = "the way-point before again" if len(lengths) else f"{len(lines)} way-points"
-        raise ValueError(f"{path}{row}: x, y, z: found {found}, expected two or more, all apart")
-    reached_s = np.concatenate([[0.0], np.cumsum(lengths)]) / speed_mps
-    count = int(reached_s[-1] / dt * (1.0 + 1e-12)) + 1
-    time = dt * np.arange(count, dtype=np.float64)
-    leg = np.minimum(np.searchsorted(reached_s, time, "right") - 1, len(legs) - 1)
-    velocity = speed_mps * (legs / lengths[:, None])[leg]
-    position = points[leg] + (time - reached_s[leg])[:, None] * velocity
-    return Trajectory(os.fspath(path), time, position, velocity)

@@ -46,10 +46,11 @@ def test_a_way_through_a_grid_becomes_a_recording(tmp_path, grid, way):
     assert "| imm |" in table
 
 
-def test_way_points_are_enough_with_a_speed(tmp_path, grid):
-    (tmp_path / "corners.csv").write_text("x,y,z\n25,-5,1.5\n35,-5,1.5\n35,5,1.5\n")
-    options = ("--along", tmp_path / "corners.csv", "--speed", 2, "--dt", 0.5)
-    assert "21 epochs from 21 users" in succeed("record", grid, *options, "--out", tmp_path / "out")
+def test_way_points_are_enough(tmp_path, grid):
+    points = "x,y,z,speed_mps\n25,-5,1.5,2\n35,-5,1.5,2\n"
+    (tmp_path / "points.csv").write_text(points)
+    options = ("--along", tmp_path / "points.csv", "--dt", 0.5)
+    assert "11 epochs from 11 users" in succeed("record", grid, *options, "--out", tmp_path / "out")
 
 
 def test_a_kind_of_user_moves_through_the_streets_of_a_scene(tmp_path, grid):

@@ -1,12 +1,14 @@
 """mmwave-loc samples, and localize --sample: what comes with the package is found."""
 
 import json
+import re
+from itertools import product
 
 import pytest
 
 from mmwave_env.episodes.samples import sample_names
 from tests.cli import assert_one_clear_line, command, succeed
-from tests.paths import LOGS, RECORDINGS
+from tests.paths import LOGS, RECORDINGS, ROOT, numbers
 
 
 def test_every_sample_is_listed_and_where_it_is():
@@ -16,9 +18,12 @@ def test_every_sample_is_listed_and_where_it_is():
         ["canyon28_pedestrian", "log", "400"],
         ["canyon28_vehicle", "log", "120"],
         ["canyon28_pedestrian", "recording", "400"],
+        ["canyon28_stop_and_go", "recording", "587"],
         ["canyon28_vehicle", "recording", "120"],
+        ["canyon28_walk_ride_walk", "recording", "908"],
     ]
-    assert {row[3] for row in rows} == {"0.1"} and {row[4] for row in rows} == {"39.9", "11.9"}
+    assert {row[3] for row in rows} == {"0.1"}
+    assert [row[4] for row in rows] == ["39.9", "11.9", "39.9", "58.6", "11.9", "90.7"]
     assert str(LOGS) in told and str(RECORDINGS) in told
 
 
@@ -50,6 +55,36 @@ def test_a_copy_overwrites_nothing(tmp_path):
 def test_mistakes_end_with_one_clear_line(tmp_path, words, message):
     assert_one_clear_line(command("samples", *words, cwd=tmp_path), message)
     assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.slow  # compiles the policies for each
+def test_policies_meet_on_every_recording_as_compare_runs_them(tmp_path):
+    policies = ("fixed-ekf", "fixed-ukf")
+    told = succeed("samples", "--policies", *policies, "--episodes", 2)
+    rows = [line.strip("| ").split(" | ") for line in told.splitlines() if line.startswith("| can")]
+    assert [tuple(row[:2]) for row in rows] == list(product(sample_names(), policies))
+    for name in sample_names():
+        alone = succeed("compare", "--data", name, "--policies", *policies, "--episodes", 2)
+        for policy in policies:
+            (row,) = (row for row in rows if row[:2] == [name, policy])
+            assert f"| {' | '.join(row[1:4])} |" in alone
+
+
+def test_data_md_has_the_table_of_every_recording():
+    page = (ROOT / "docs" / "data.md").read_text(encoding="utf-8")
+    part = page.split("<!-- samples:")[1].split("<!-- end of samples")[0]
+    shown = re.findall(r"^\| (canyon\w+) \| ([\w-]+) \|", part, re.MULTILINE)
+    (line,) = re.findall(r"^mmwave-loc samples --policies (.*)$", page, re.MULTILINE)
+    assert shown == list(product(sample_names(), line.split()))
+
+
+@pytest.mark.slow
+def test_the_table_in_data_md_is_what_the_command_prints():
+    page = (ROOT / "docs" / "data.md").read_text(encoding="utf-8")
+    part = page.split("<!-- samples:")[1].split("-->\n", 1)[1].split("<!-- end of samples")[0]
+    (line,) = re.findall(r"^mmwave-loc (samples --policies .*)$", page, re.MULTILINE)
+    made = succeed(*line.split())
+    assert numbers(made) == pytest.approx(numbers(part), abs=0.002)
 
 
 # --- localize --sample

@@ -9,7 +9,7 @@ import pytest
 from experiments.cli.main import run
 from mmwave_env.episodes.log_writer import log_text
 from mmwave_env.episodes.recorded import RecordedSource
-from mmwave_env.episodes.samples import recording_from, sample_names, source_from
+from mmwave_env.episodes.samples import log_names, recording_from, source_from
 from mmwave_env.episodes.simulated import SimulatedSource
 from mmwave_env.logs.log import read_log
 from mmwave_env.logs.tum import read_tum
@@ -58,7 +58,7 @@ def test_truth_says_how_it_was_made(tmp_path):
     assert len(poses) == 200
 
 
-@pytest.mark.parametrize("name", sample_names())
+@pytest.mark.parametrize("name", log_names())
 def test_sample_logs_are_what_the_command_writes(tmp_path, name):
     simulate(tmp_path, "--data", name, "--radio", "standard")
     assert sorted(path.name for path in (LOGS / name).iterdir()) == FILES
@@ -78,7 +78,7 @@ def test_sample_logs_are_what_the_command_writes(tmp_path, name):
         )
 
 
-@pytest.mark.parametrize("name", sample_names())
+@pytest.mark.parametrize("name", log_names())
 def test_sample_logs_are_the_recordings_episodes(name):
     source = RecordedSource(recording_from(name), RADIOS["standard"])
     episode = source.sample(np.random.default_rng(0))

@@ -13,7 +13,7 @@ from mmwave_env.episodes.log_folder import read_log_folder, write_log_folder
 from mmwave_env.episodes.log_writer import write_log
 from mmwave_env.episodes.measured import MeasuredSource
 from mmwave_env.episodes.recorded import RecordedSource
-from mmwave_env.episodes.samples import sample_folder, sample_names, source_from
+from mmwave_env.episodes.samples import log_names, sample_folder, source_from
 from mmwave_env.episodes.simulated import SimulatedSource
 from mmwave_env.logs.log_tables import LogError
 from mmwave_env.logs.tum import tum_lines
@@ -97,7 +97,7 @@ def test_epochs_are_matched_to_poses_by_time(folder):
 # --- which folder is which
 
 
-@pytest.mark.parametrize("name", sample_names())
+@pytest.mark.parametrize("name", log_names())
 def test_samples_are_found_by_name_and_by_folder(name):
     assert sample_folder(name) == LOGS / name
     assert sample_folder(name, "recording") == RECORDINGS / name

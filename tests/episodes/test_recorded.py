@@ -14,7 +14,9 @@ from mmwave_env.models.radio import RADIOS
 from mmwave_env.models.scene import Scene, Wall
 from tests.filters.tracks import geometry
 
-NAMES = ("canyon28_pedestrian", "canyon28_vehicle")
+NAMES = (
+    "canyon28_pedestrian", "canyon28_stop_and_go", "canyon28_vehicle", "canyon28_walk_ride_walk",
+)  # fmt: skip
 VEHICLE = recording_from("canyon28_vehicle")
 PEDESTRIAN = recording_from("canyon28_pedestrian")
 RADIO = RADIOS["standard"]
@@ -63,7 +65,7 @@ def track(epochs=50, dt=1.0, odometry=False):
 
 def test_names_of_the_samples():
     assert sample_names() == NAMES
-    for name, epochs in zip(NAMES, (400, 120), strict=True):
+    for name, epochs in zip(NAMES, (400, 587, 120, 908), strict=True):
         recording = recording_from(name)
         assert recording.name == name
         assert len(recording) == epochs

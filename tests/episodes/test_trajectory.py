@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from mmwave_env.episodes.simulated import SimulatedSource
-from mmwave_env.episodes.trajectory import Trajectory, read_trajectory, read_waypoints
+from mmwave_env.episodes.trajectory import Trajectory, read_trajectory
 from mmwave_env.models.radio import RADIOS
 from mmwave_env.models.scene import SCENES
 
@@ -175,30 +175,3 @@ def test_windows_begin_anywhere_and_a_short_way_is_one_episode():
     assert begins == {20, 22, 24, 26}
     assert SimulatedSource(STREET, RADIOS["handset"], walk).epochs == 7
     assert source.name == "walk"
-
-
-def test_way_points_are_walked_through_at_one_speed(tmp_path):
-    corners = [[20.0, -80.0, 1.5], [30.0, -80.0, 1.5], [30.0, -75.0, 1.5]]
-    way = read_waypoints(write(tmp_path, corners, "x,y,z"), 2.0, 0.25)
-    assert way.time_s[-1] == 7.5
-    np.testing.assert_allclose(way.position_m[[0, 20, 30]], corners, atol=1e-12)
-    np.testing.assert_allclose(np.linalg.norm(way.velocity_mps, axis=1), 2.0)
-    np.testing.assert_allclose(
-        np.diff(way.position_m, axis=0), 0.25 * way.velocity_mps[:-1], atol=1e-12
-    )
-
-
-@pytest.mark.parametrize(
-    ("points", "speed", "message"),
-    [
-        ([[0, 0, 1]], 1.0, "way.csv: x, y, z: found 1 way-points, expected two or more"),
-        ([[0, 0, 1], [5, 0, 1], [5, 0, 1]], 1.0, "way.csv, line 4: .*the way-point before again"),
-        ([[0, 0, 1], [5, 0, 1]], 0.0, "speed_mps: found 0.0, expected > 0"),
-        ([[0, 0, 1], [5, 0, 1]], np.inf, "speed_mps: found inf, expected > 0"),
-        ([[0, 0, 1], [5000, 0, 1]], 300.0, "way.csv.*expected at most 100 m/s"),
-        ([[0, 0, 1], [0.1, 0, 1]], 1.0, "way.csv: found 1 rows"),
-    ],
-)
-def test_way_points_that_are_no_way_are_refused(tmp_path, points, speed, message):
-    with pytest.raises(ValueError, match=message):
-        read_waypoints(write(tmp_path, points, "x,y,z"), speed, 0.5)
