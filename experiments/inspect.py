@@ -25,7 +25,7 @@ def main(args: Args) -> None:
         write_json(args.json, provenance("inspect", args) | figures)
     show(summary_markdown(figures))
     if args.plot:
-        draw_data_set(summary.drawn.rows, found.anchors_m, args.plot, args.data)
+        draw_data_set(summary.drawn.rows, found.anchors_m, args.plot, args.data, found.timed)
     if found.damage:
         raise ValueError(f"{found.damage}; what is shown is of the {summary.count} epochs before")
 

@@ -36,6 +36,7 @@ from mmwave_env.localization.localizer import TrackBlock, localize
 from mmwave_env.localization.protection import require_limit, require_risk
 from mmwave_env.localization.track_files import require_own_files, table_beside, track_files
 from mmwave_env.localization.track_scores import Course, Groups, TruthScores
+from mmwave_env.logs.clock import ClockComparison
 from mmwave_env.logs.log import LogBlock, read_log
 from mmwave_env.logs.log_tables import LogError
 from mmwave_env.logs.truth import Truth
@@ -262,8 +263,10 @@ def _run(args: Args, work: Work) -> Result:
     tracks = ["filtered", "smoothed"] if args.smoothing else ["filtered"]
     planar = args.height is not None
     scores = TruthScores(truth, tracks, planar, args.risk) if truth else None
-    window = args.window if args.smoothing else None
-    track = _track(args, work, window)
+    clocks = ClockComparison(work.scene)
+    if truth:
+        work = work._replace(blocks=clocks.beside(Truth(truth.path), work.blocks))
+    track = _track(args, work, args.window if args.smoothing else None)
     error: ValueError | None = None
     with ExitStack() as stack:
         write = stack.enter_context(track_files(args.out, names)) if args.out else None
@@ -283,7 +286,10 @@ def _run(args: Args, work: Work) -> Result:
     figures = {**course.figures(), "groups": groups.figures()}
     if truth and scores and scores.scored:
         truth.warn_if_few(scores.scored, course.epochs, course.first_s, course.last_s)
-        figures["truth"] = scores.figures()
+        clock = clocks.offset()
+        figures["truth"] = scores.figures() | {"clock": clock and clock.figures()}
+        if clock and clock.matters:
+            warnings.warn(f"{truth.path}: {clock.advice}", stacklevel=2)
     elif truth and not error:
         error = truth.no_match(course.first_s, course.last_s)
     return Result(figures, sampler, scores, error)

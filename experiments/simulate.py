@@ -60,10 +60,12 @@ def main(args: Args) -> None:
         origin = command_line("simulate", replace(args, out=Path("."), overwrite=False))
         names = write_log_folder(args.out, episode, scene, origin)
     say(f"written to {args.out}/: {', '.join(names)}")
-    if isinstance(source, SimulatedSource) and source.trajectory:
+    if isinstance(source, SimulatedSource) and not source.travels:
         assert episode.truth_position_m is not None  # who is simulated has one
-        begin, end = source.trajectory.seconds_of(episode.truth_position_m, source.dt)
-        say(f"seconds {begin:g} to {end:g} of {source.trajectory.name}")
+        name, begin, end = source.ways.find(episode.truth_position_m)
+        say(f"seconds {begin:g} to {end:g} of {name}")
+        if source.ways.about:
+            say(source.ways.about)
 
 
 if __name__ == "__main__":

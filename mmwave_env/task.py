@@ -12,7 +12,8 @@ from mmwave_env.episodes.keys import Keys
 from mmwave_env.episodes.measured import MeasuredSource, MeasuredTrack
 from mmwave_env.episodes.recorded import Recording
 from mmwave_env.episodes.samples import source_from
-from mmwave_env.episodes.simulated import Scenario, SimulatedSource
+from mmwave_env.episodes.scenarios import Scenario
+from mmwave_env.episodes.simulated import SimulatedSource
 from mmwave_env.filters.bank import Bank, bank_from
 from mmwave_env.filters.mode_files import modes_from
 from mmwave_env.filters.modes import Mode

@@ -8,8 +8,11 @@ from tests.paths import ROOT
 
 PAGE = ROOT / "docs" / "licenses.md"
 FOR_WORK = ("dev", "docs", "lint")  # extras for working on the package, not for running it
-NOT_IN_DEV = {"ray": "Apache-2.0", "tomli": "MIT"}  # looked up by hand
+NOT_IN_DEV = {  # looked up by hand
+    "eclipse-sumo": "EPL-2.0", "ray": "Apache-2.0", "sionna-rt": "Apache-2.0", "tomli": "MIT",
+}  # fmt: skip
 FAMILIES = {  # by how it is told in metadata; of several, what is told first
+    "EPL-2.0": r"EPL|Eclipse Public",
     "LGPL": r"LGPL|Lesser General Public",
     "GPL": r"GPL|General Public",
     "MPL-2.0": r"MPL|Mozilla",

@@ -32,6 +32,7 @@ COMMANDS = {
     "tune": "process noise of modes, by likelihood or error, on tuning seeds",
     "tune-imm": "the best transition and process noise of IMMs, on tuning seeds",
     "benchmark": "steps per second beside filterpy's and the core's limit, memory, first step",
+    "traffic": "vehicles and pedestrians of a town, simulated by SUMO, for --scenario",
     "watch": "an episode as policies go through it, side by side, in a window or as a video",
     "collect": "what policies see, choose and earn, as a Minari data set to learn from",
     "simulate": "one episode as files: measurement log, scene and truth",

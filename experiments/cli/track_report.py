@@ -62,6 +62,17 @@ def _groups(groups: dict[str, Any]) -> str:
     return grid(header, rows)
 
 
+def _clock(truth: dict[str, Any]) -> str:
+    """How times of the truth lie to those of the log: the end of a sentence, and perhaps one."""
+    between, clock = truth["interpolated"], truth["clock"]
+    away = f"{1e3 * truth['nearest_pose_s']:.1f} ms from the nearest pose on average"
+    said = f", {between} of them between poses, {away}." if between else "."
+    if clock:
+        ahead, deviation = (1e3 * clock[key] for key in ("ahead_s", "deviation_s"))
+        said += f" The truth's clock is ahead of the log's by {ahead:.0f} ± {deviation:.0f} ms."
+    return said
+
+
 def _accuracy(truth: dict[str, Any], epochs: int) -> str:
     metrics = ("ate_m", "rmse_m", "rpe_m", "nees", "in_bounds")
     header = ["track", *(HEADERS[m].replace("in 95", "NEES in 95") for m in metrics)]
@@ -70,7 +81,8 @@ def _accuracy(truth: dict[str, Any], epochs: int) -> str:
     kinds = {name: kinds_of(row) for name, row in truth["tracks"].items()}
     over = "" if truth["rpe_s"] is None else f"RPE is over {truth['rpe_s']:.3g} s; "
     return (
-        f"{grid(header, rows)}\n\n{truth['scored']} of {epochs} epochs have a true position. {over}"
+        f"{grid(header, rows)}\n\n{truth['scored']} of {epochs} epochs have a true position"
+        f"{_clock(truth)} {over}"
         f"NEES should be {truth['nees_expected']}, 95 % of it within [{low:.2f}, {high:.2f}].\n\n"
         f"{positions_markdown('track', kinds, truth['risk'])}"
     )

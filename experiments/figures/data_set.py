@@ -13,7 +13,9 @@ from mmwave_env.numerics.arrays import Array, Mask
 _RIBBON_IN = 0.28  # height of an anchor's, inches
 
 
-def draw_data_set(rows: Array, anchors_m: Array, path: Path, title: str) -> None:
+def draw_data_set(
+    rows: Array, anchors_m: Array, path: Path, title: str, timed: bool = True
+) -> None:
     """A data set as a picture.
 
     Args:
@@ -21,6 +23,7 @@ def draw_data_set(rows: Array, anchors_m: Array, path: Path, title: str) -> None
         anchors_m: (L, 3), the base station first.
         path: .png, .svg or .pdf.
         title: of the picture.
+        timed: whether times are seconds; else they are numbers.
     """
     anchors = len(anchors_m)
     heights = [5.0, *([_RIBBON_IN * anchors] if anchors else [])]
@@ -30,7 +33,8 @@ def draw_data_set(rows: Array, anchors_m: Array, path: Path, title: str) -> None
         above, *ribbons = figure.subplots(len(heights), 1, height_ratios=heights, squeeze=False)[
             :, 0
         ]
-        _draw_above(above, figure, rows, time, anchors_m, f"time since the first epoch ({unit})")
+        label = f"time since the first epoch ({unit})" if timed else "number"
+        _draw_above(above, figure, rows, time, anchors_m, label)
         for axes in ribbons:
             _draw_seen(axes, time, rows[:, 4:] > 0.0)
             axes.set_xlabel(f"time since the first epoch ({unit})")

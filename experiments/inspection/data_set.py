@@ -26,6 +26,7 @@ class DataSet:
         epochs: read as they are iterated over, so that they may be more than fit into memory.
         positions: where those of the epochs come from, in words.
         are_true: whether they are the truth, so that speeds follow from them.
+        timed: whether they follow one another; else times are numbers, and there are no speeds.
         anchors_m: (L, 3), the base station first.
         facts: what else there is to say, by what it is about.
         problems: what is wrong; reading the epochs may add to them.
@@ -36,6 +37,7 @@ class DataSet:
     epochs: Iterable[Epochs]
     positions: str
     are_true: bool = True
+    timed: bool = True
     anchors_m: Array = field(default_factory=lambda: np.empty((0, 3)))
     facts: dict[str, str] = field(default_factory=dict)
     problems: list[str] = field(default_factory=list)

@@ -9,11 +9,19 @@ from typing import NamedTuple
 
 from experiments.inspection.data_set import DataSet
 from experiments.inspection.logs import log_data_set
-from experiments.inspection.tracks import recording_data_set, tum_data_set, way_data_set
+from experiments.inspection.tracks import (
+    scenario_data_set,
+    traffic_data_set,
+    tum_data_set,
+    way_data_set,
+)
+from mmwave_env.episodes.deepmimo.formats import is_scenario
 from mmwave_env.episodes.deepmimo.params import PARAMS
+from mmwave_env.episodes.fcd import SUFFIXES
 from mmwave_env.episodes.log_folder import SCENE, TRUTH, log_of
 from mmwave_env.episodes.samples import sample_folder, sample_names
 from mmwave_env.episodes.tables import TRAJECTORY
+from mmwave_env.episodes.waypoints import WAYPOINT
 
 _FIRST_LINE = 1 << 16  # bytes of a file that are looked at
 
@@ -47,8 +55,8 @@ def _log(path: Path, beside: Beside) -> DataSet:
 FORMATS = (
     Format(
         f"the folder of a DeepMIMO scenario, with {PARAMS}",
-        lambda path, columns: (path / PARAMS).exists(),
-        lambda path, beside: recording_data_set(path),
+        lambda path, columns: is_scenario(path),
+        lambda path, beside: scenario_data_set(path),
     ),
     Format(
         f"the folder of a measurement log, with {SCENE} and {TRUTH}",
@@ -61,8 +69,13 @@ FORMATS = (
         lambda path, beside: tum_data_set(path),
     ),
     Format(
-        f"a way (.csv with the columns {','.join(TRAJECTORY[:4])})",
-        lambda path, columns: {*TRAJECTORY[:4]} <= {*columns},
+        f"traffic of SUMO ({', '.join(SUFFIXES)})",
+        lambda path, columns: ".xml" in path.suffixes or "timestep_time" in columns,
+        lambda path, beside: traffic_data_set(path),
+    ),
+    Format(
+        f"a way (.csv with the columns {','.join(TRAJECTORY[:4])}, or of way-points)",
+        lambda path, columns: {*TRAJECTORY[:4]} <= {*columns} or {*WAYPOINT[:4]} <= {*columns},
         lambda path, beside: way_data_set(path),
     ),
     Format(

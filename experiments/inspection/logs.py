@@ -12,7 +12,7 @@ from mmwave_env.episodes.arrays import warn_of_contradictions
 from mmwave_env.localization.contradictions import contradictions
 from mmwave_env.logs.log import LogBlock, read_log
 from mmwave_env.logs.log_tables import LogError
-from mmwave_env.logs.truth import Truth, tolerance_s
+from mmwave_env.logs.truth import Truth
 from mmwave_env.models.radio import radio_from
 from mmwave_env.models.scene import Scene, scene_from
 from mmwave_env.numerics.arrays import Array
@@ -34,14 +34,13 @@ def log_data_set(path: Path, scene: str, truth: Path | None, radio: str) -> Data
     there, given = scene_from(scene), Truth(truth) if truth else None
     blocks = read_log(path, there)
     first = next(blocks)
-    tolerance = tolerance_s(first.time_s)
 
     def epochs() -> Iterator[Epochs]:
         incomplete = np.zeros(len(first.layout.groups), np.int64)
         try:
             for block in chain([first], blocks):
                 incomplete += block.incomplete.sum(axis=0)
-                position = given.at(block.time_s, tolerance) if given else _fixes(block, there)
+                position = given.at(block.time_s).position_m if given else _fixes(block, there)
                 if block is first:
                     said = "links" if given else "links, the fixes taken for the truth"
                     found.problems += _misplaced(said, block, there, position)

@@ -70,11 +70,12 @@ class Summary:
 
     def figures(self, found: DataSet) -> dict[str, Any]:
         """All of it, for JSON and for the tables."""
-        moving = found.are_true and self._speeds.sum()
+        moving = found.are_true and found.timed and self._speeds.sum()
         speeds = {f"{p} %": self._speed_at(p / 100.0) for p in (50, 95)} if moving else {}
         n = self.count
         return {
             "format": found.format,
+            "timed": found.timed,
             "epochs": n,
             "first_s": self.first_s,
             "last_s": self.last_s,
@@ -101,8 +102,11 @@ class Summary:
     def _oddities(self, found: DataSet) -> list[str]:
         """What the counts themselves say."""
         said = [
-            (self.gaps, f"gaps of more than {GAP_S:g} s: tracks begin anew there"),
-            (self.jumps, f"steps faster than {FASTEST_MPS:g} m/s: are units and order right?"),
+            (self.gaps * found.timed, f"gaps of more than {GAP_S:g} s: tracks begin anew there"),
+            (
+                self.jumps * found.timed,
+                f"steps faster than {FASTEST_MPS:g} m/s: are units and order right?",
+            ),
             (self.count - self.known if found.are_true else 0, "epochs without a true position"),
             (self.without if len(self.seen) else 0, "epochs in which no anchor was seen"),
         ]

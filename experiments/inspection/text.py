@@ -13,18 +13,19 @@ def _percent(share: float) -> str:
 def _lines(f: dict[str, Any]) -> list[str]:
     step, speed = f["step_s"], f["speed_mps"]
     lines = [f"format: {f['format']}"]
-    lines.append(
-        f"{f['epochs']} epochs, {f['first_s']:.10g} to {f['last_s']:.10g} s: "
-        f"{f['duration_s']:.6g} s"
-    )
-    if step is not None:
+    if f["timed"]:
+        lines.append(
+            f"{f['epochs']} epochs, {f['first_s']:.10g} to {f['last_s']:.10g} s: "
+            f"{f['duration_s']:.6g} s"
+        )
+    if f["timed"] and step is not None:
         uneven = f", {f['uneven_steps']} of them uneven" if f["uneven_steps"] else ""
         lines.append(
             f"rate: {1.0 / step:.4g} Hz, steps of {step:.4g} s{uneven}; the longest is "
             f"{f['longest_step_s']:.4g} s"
         )
     positions = f["positions"]
-    lines.append(f"positions: {positions['from']}, known in {positions['known']} epochs")
+    lines.append(f"positions: {positions['from']}; {positions['known']} known")
     if speed:
         shares = ", ".join(f"{v:.2f} m/s at {name}" for name, v in speed.items() if name != "max")
         lines.append(f"speed: {shares}, {speed['max']:.2f} m/s at most")

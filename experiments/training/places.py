@@ -6,7 +6,8 @@ from functools import cached_property
 from typing import cast
 
 from experiments.evaluation.protocol import UNSEEN
-from mmwave_env.episodes.simulated import Scenario, SimulatedSource
+from mmwave_env.episodes.scenarios import Scenario
+from mmwave_env.episodes.simulated import SimulatedSource
 from mmwave_env.filters.modes import Mode
 from mmwave_env.task import task_from
 

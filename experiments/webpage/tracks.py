@@ -11,7 +11,7 @@ from mmwave_env.filters.belief import Belief
 from mmwave_env.filters.modes import Mode
 from mmwave_env.filters.pipeline import VERTICAL
 from mmwave_env.localization.localizer import TrackBlock
-from mmwave_env.logs.truth import Truth, tolerance_s
+from mmwave_env.logs.truth import Truth
 from mmwave_env.models.scene import Scene
 from mmwave_env.numerics.linalg import unpack
 
@@ -31,7 +31,7 @@ def shown_track(
     axes = (0, 1) if block.planar else (0, 1, 2)
     known = np.full((len(block), 3), np.nan)
     if truth:
-        known = truth.at(block.time_s, tolerance_s(block.time_s))
+        known = truth.at(block.time_s).position_m
     zero = VERTICAL if block.planar else ()
     belief = Belief([*block.x.T], unpack([*block.P.T], zero=zero), axes)
     nees = np.asarray(belief.nees([*known.T]))

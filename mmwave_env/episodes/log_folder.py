@@ -1,5 +1,6 @@
 """An episode as a folder: measurement log, scene and truth, as ``mmwave-loc simulate`` writes."""
 
+import warnings
 from pathlib import Path
 
 import numpy as np
@@ -10,9 +11,10 @@ from mmwave_env.episodes.episode import Episode
 from mmwave_env.episodes.log_writer import write_log
 from mmwave_env.episodes.measured import MeasuredTrack
 from mmwave_env.files import atomic_path, write_json, write_text
+from mmwave_env.logs.clock import ClockComparison
 from mmwave_env.logs.log import LogBlock, read_log
 from mmwave_env.logs.log_tables import SUFFIXES
-from mmwave_env.logs.truth import Truth, tolerance_s
+from mmwave_env.logs.truth import Truth
 from mmwave_env.logs.tum import COLUMNS, tum_lines
 from mmwave_env.models.scene import Scene, read_scene, scene_json
 
@@ -23,8 +25,8 @@ _LOGS = tuple(f"log{suffix}" for suffix in SUFFIXES)
 def read_log_folder(folder: Path) -> MeasuredTrack:
     """The track of a folder with a log, its scene and its truth, all of it in memory.
 
-    A pose of the truth belongs to the epoch it is within 0.01 s of, and within half a step.
-    Velocities are differences of its positions.
+    Positions are those of :class:`~mmwave_env.logs.truth.Truth` at the times of the epochs,
+    velocities their differences. A truth with another clock than the log's is warned of.
 
     Args:
         folder: with ``log.csv`` (or ``.csv.gz``, ``.parquet``), ``scene.json``, ``truth.tum``.
@@ -38,12 +40,16 @@ def read_log_folder(folder: Path) -> MeasuredTrack:
     path = log_of(folder)
     scene, truth = read_scene(folder / SCENE), Truth(folder / TRUTH)
     log = LogBlock.joined(list(read_log(path, scene)))
-    position = truth.at(log.time_s, tolerance_s(log.time_s))
+    true = truth.at(log.time_s)
     ends = float(log.time_s[0]), float(log.time_s[-1])
-    matched = int(np.isfinite(position[:, 0]).sum())
+    matched = int(np.isfinite(true.position_m[:, 0]).sum())
     if not matched:
         raise truth.no_match(*ends)
     truth.warn_if_few(matched, len(log), *ends)
+    clocks = ClockComparison(scene)
+    clocks.add(log, true)
+    if (clock := clocks.offset()) and clock.matters:
+        warnings.warn(f"{truth.path}: {clock.advice}", stacklevel=2)
     return MeasuredTrack(
         name=folder.resolve().name,
         scene=scene,
@@ -53,8 +59,8 @@ def read_log_folder(folder: Path) -> MeasuredTrack:
         visible=log.visible,
         snr_db=log.snr_db,
         doppler_spread_hz=log.doppler_spread_hz,
-        position_m=position,
-        velocity_mps=velocity_of(log.time_s, position),
+        position_m=true.position_m,
+        velocity_mps=velocity_of(log.time_s, true.position_m),
     )
 
 

@@ -4,7 +4,7 @@ An episode is a function of its key: from the key follows how it begins, and fro
 epoch by epoch, eight episodes at a time.
 """
 
-import os
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
@@ -26,7 +26,8 @@ from mmwave_env.compiler.threads import share
 from mmwave_env.episodes.beginning import USER, Beginning, beginning
 from mmwave_env.episodes.episode import Episode, EpisodeBatch, columns_of, level
 from mmwave_env.episodes.keys import Keys, draw_key
-from mmwave_env.episodes.mobility import MIXED, Mobility, mobilities_of, plans_of
+from mmwave_env.episodes.mobility import MIXED, plans_of
+from mmwave_env.episodes.scenarios import Scenario, Users, users_of
 from mmwave_env.episodes.simulation import (
     World,
     WorldSettings,
@@ -34,9 +35,8 @@ from mmwave_env.episodes.simulation import (
     on_a_way,
     world_of,
 )
-from mmwave_env.episodes.trajectory import Trajectory
 from mmwave_env.episodes.travel import TravelPlan, stride_of
-from mmwave_env.episodes.waypoints import read_way
+from mmwave_env.episodes.ways import Ways
 from mmwave_env.models.channel import channel_of
 from mmwave_env.models.epoch import Site
 from mmwave_env.models.measurement import STATE_SIZE, Layout
@@ -47,14 +47,12 @@ from mmwave_env.numerics.arrays import Array, Index
 from mmwave_env.numerics.pytree import flatten, indices
 from mmwave_env.numerics.random import Dice, seeded
 
-Scenario = str | os.PathLike[str] | Mobility | Trajectory
-
 
 class Begun(NamedTuple):
     """What n episodes begin with.
 
     Attributes:
-        kinds: (n,) numbers of the kinds of users; 0 of a given way.
+        kinds: (n,) numbers of the kinds of users, or of the ways given.
         worlds: (n, numbers) what is kept of each world, before the first epoch; the receiver's
             alone where a way is given.
         truth: (n, epochs, 6) to load into them where a way is given; else (n, epochs, 0).
@@ -81,9 +79,10 @@ class SimulatedSource:
         scene: geometry and carrier; or where each episode draws its own from.
         radio: noise, blockage, multipath.
         scenario: kind of user: a name, "mixed", a JSON file or a Mobility; or the way of one: a CSV
-            file or a Trajectory.
+            file or a Trajectory; or those of a traffic simulation: a file of floating-car data, a
+            JSON file or a Traffic.
         dt: seconds between epochs.
-        epochs: length of an episode; at most, of a trajectory: a window that is drawn, or all of
+        epochs: length of an episode; at most, of given ways: a window that is drawn, or all of
             one that is shorter.
         odometry: whether the user also reports speed and heading.
     """
@@ -101,7 +100,7 @@ class SimulatedSource:
         if self.epochs < 1:
             raise ValueError(f"epochs: found {self.epochs}, expected at least 1")
         if not self._plans:
-            object.__setattr__(self, "epochs", min(self.epochs, len(self._way)))
+            object.__setattr__(self, "epochs", self.ways.epochs)
 
     @cached_property
     def layout(self) -> Layout:
@@ -127,8 +126,8 @@ class SimulatedSource:
     def name(self) -> str:
         """The scenario, and the scene where it is not the default street."""
         users, scene = self._users, self.scene.name
-        many = isinstance(users, tuple) and len(users) > 1
-        who = MIXED if many else self.names[0]
+        who = users.name if not isinstance(users, tuple) else users[0].name
+        who = MIXED if isinstance(users, tuple) and len(users) > 1 else who
         return who if scene == "street" else f"{who} on {scene}"
 
     def sample(self, rng: np.random.Generator) -> Episode:
@@ -240,8 +239,7 @@ class SimulatedSource:
         choice, first, noise, anchors, worlds = np.split(io.outputs[:, 0], ends, axis=1)
         kinds, truth = choice[:, 0].astype(np.int64), np.empty((n, self.epochs, 0))
         if not self.travels:
-            starts = (choice[:, 0] * (len(self._way) - self.epochs + 1)).astype(np.int64)
-            truth = self._way[starts[:, None] + np.arange(self.epochs)]
+            kinds, truth = self.ways.draw(choice[:, 0])
             first[:, :6] = truth[:, 0]
         site, where = self._site
         sites = np.tile(site, (n, 1))
@@ -250,29 +248,20 @@ class SimulatedSource:
         return Begun(kinds, worlds, truth, first, sites)
 
     @cached_property
-    def _users(self) -> tuple[Mobility, ...] | Trajectory:
-        if isinstance(self.scenario, Trajectory):
-            return self.scenario
-        if not isinstance(self.scenario, Mobility) and str(self.scenario).endswith(".csv"):
-            return read_way(self.scenario)
-        return mobilities_of(self.scenario)
-
-    @property
-    def trajectory(self) -> Trajectory | None:
-        """The way that is simulated; None where users are drawn."""
-        return self._users if isinstance(self._users, Trajectory) else None
+    def _users(self) -> Users:
+        return users_of(self.scenario)
 
     @cached_property
-    def names(self) -> list[str]:
-        """Of the kinds of users, or of the way."""
+    def names(self) -> Sequence[str]:
+        """Of the kinds of users, or of those who went the ways."""
         users = self._users
-        return [users.name] if isinstance(users, Trajectory) else [user.name for user in users]
+        return [user.name for user in users] if isinstance(users, tuple) else self.ways.names
 
     @cached_property
     def _plans(self) -> list[TravelPlan]:
-        """Kinds of users; none where a way is given."""
+        """Kinds of users; none where ways are given."""
         users, scene = self._users, self.scene
-        if isinstance(users, Trajectory):
+        if not isinstance(users, tuple):
             if isinstance(scene, RandomScene):
                 raise ValueError(
                     f"scene: found {scene.name!r}, expected one scene: {users.name} is a way in "
@@ -285,11 +274,11 @@ class SimulatedSource:
         return plans_of(users, scene.streets.block_m)
 
     @cached_property
-    def _way(self) -> Array:
-        """The way that is given (E, 6), positions (m) and velocities (m/s)."""
+    def ways(self) -> Ways:
+        """The ways that are given, where users are not drawn."""
         users = self._users
-        assert isinstance(users, Trajectory)
-        return users.way(self._example, self.dt)
+        assert not isinstance(users, tuple)
+        return users.ways(self._example, self.dt, self.epochs)
 
     @property
     def world(self) -> World:

@@ -10,6 +10,7 @@ import numpy as np
 
 from mmwave_env.episodes.mobility import FASTEST_MPS
 from mmwave_env.episodes.tables import TRAJECTORY, read_table
+from mmwave_env.episodes.ways import Ways
 from mmwave_env.models.prior import GAP_S
 from mmwave_env.models.scene import Scene
 from mmwave_env.numerics.arrays import Array, Mask
@@ -114,14 +115,6 @@ class Trajectory:
         at = np.minimum(self.time_s[0] + dt * np.arange(count), self.time_s[-1])
         return np.hstack([way(at), way(at, 1)])
 
-    def seconds_of(self, position_m: Array, dt: float) -> tuple[float, float]:
-        """When an episode's positions (E, 3), at steps of ``dt``, begin and end in the file."""
-        way = self.resampled(dt)[:, :3]
-        windows = np.lib.stride_tricks.sliding_window_view(way, len(position_m), axis=0)
-        first = int((windows == position_m.T).all(axis=(1, 2)).argmax())
-        begin = float(self.time_s[0]) + dt * first
-        return begin, begin + dt * (len(position_m) - 1)
-
     def way(self, scene: Scene, dt: float) -> Array:
         """The way through a scene, (E, 6) as of :meth:`resampled`.
 
@@ -152,6 +145,10 @@ class Trajectory:
                 reach = f"a place {near:g} to {far:g} m from the anchor at {anchor.tolist()}"
                 refuse(int(outside.argmax()), reach)
         return way
+
+    def ways(self, scene: Scene, dt: float, epochs: int) -> Ways:
+        """The one way, for episodes of so many epochs; errors as of :meth:`way`."""
+        return Ways([self.name], [float(self.time_s[0])], [self.way(scene, dt)], dt, epochs)
 
 
 def read_trajectory(path: str | os.PathLike[str]) -> Trajectory:

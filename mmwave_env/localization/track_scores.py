@@ -12,7 +12,7 @@ from mmwave_env.filters.pipeline import VERTICAL
 from mmwave_env.localization.localizer import TrackBlock
 from mmwave_env.localization.position_errors import PositionErrors
 from mmwave_env.localization.protection import RISK
-from mmwave_env.logs.truth import Truth, tolerance_s
+from mmwave_env.logs.truth import Truth
 from mmwave_env.metrics import nees_interval
 from mmwave_env.numerics.arrays import Array
 from mmwave_env.numerics.linalg import unpack
@@ -128,18 +128,18 @@ class TruthScores:
         self._axes: tuple[int, ...] = (0, 1) if planar else (0, 1, 2)
         self._pinned: tuple[int, ...] = VERTICAL if planar else ()
         self._tracks = {name: Accuracy(len(self._axes)) for name in names}
-        self._tolerance_s: float | None = None
         self._pairs = Pairs()
+        self._between, self._away_s = 0, 0.0
 
     def add(self, block: TrackBlock) -> Array:
         """Score a block; returns true positions (T, 3), NaN where not known."""
-        if self._tolerance_s is None:
-            self._tolerance_s = tolerance_s(block.time_s)
-        truth = self.truth.at(block.time_s, self._tolerance_s)
+        truth, _, away = self.truth.at(block.time_s)
         known = np.flatnonzero(~np.isnan(truth[:, 0]))
         self._pairs.add(block.time_s, known, block.segment)
         if len(known):
             self.scored += len(known)
+            self._between += int(np.count_nonzero(away[known]))
+            self._away_s += float(np.abs(away[known]).sum())
             for name, accuracy in self._tracks.items():
                 smooth = name == "smoothed"
                 x, P = (block.smooth_x, block.smooth_P) if smooth else (block.x, block.P)
@@ -169,6 +169,8 @@ class TruthScores:
         paired = any(row["rpe_m"] is not None for row in tracks.values())
         return {
             "scored": self.scored,
+            "interpolated": self._between,
+            "nearest_pose_s": ratio(self._away_s, self.scored),
             "rpe_s": self._pairs.apart_s if paired else None,
             "nees_expected": len(self._axes),
             "nees_interval": nees_interval(len(self._axes)),

@@ -1,28 +1,40 @@
 """Where a user was, by time."""
 
 import warnings
-from collections.abc import Iterator
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
 from mmwave_env.logs.tum import Poses, tum_blocks
 from mmwave_env.numerics.arrays import Array
 
-TOLERANCE_S = 0.01  # evo's default
+BRIDGED_S = 1.5  # poses farther apart are the ends of a gap: GPS, once a second, may be late
+TOLERANCE_S = 0.01  # from a pose that nothing can be interpolated with; evo's default
+_REACH_S = 2.0 * BRIDGED_S  # what is true at a time hangs on two poses on either side
 
 
-def tolerance_s(time_s: Array) -> float:
-    """How far poses may be from epochs at times (T,), s.
+class TrueEpochs(NamedTuple):
+    """Where a user was in T epochs, and how near in time poses say so.
 
-    At most half a step, so that no pose counts twice.
+    Attributes:
+        position_m: (T, 3), NaN where not known.
+        velocity_mps: (T, 3), NaN where no pose is before or none after.
+        away_s: (T,) from the nearest pose, negative where that is earlier; NaN where not known.
     """
-    half = 0.5 * np.median(np.diff(time_s)) if len(time_s) > 1 else np.inf
-    return min(TOLERANCE_S, float(half))
+
+    position_m: Array
+    velocity_mps: Array
+    away_s: Array
 
 
 class Truth:
     """True positions by time, from a TUM file that is read as far as it is needed.
+
+    Between two poses at most ``BRIDGED_S`` apart a position is that of the cubic (Hermite) through
+    both, whose velocity at a pose is that of the parabola through it and its neighbors; at the time
+    of a pose it is that pose, to the last bit. Beside a gap and at the ends, the pose within
+    ``TOLERANCE_S``, if there is one.
 
     Args:
         path: of the file.
@@ -39,32 +51,31 @@ class Truth:
     def __init__(self, path: Path) -> None:
         self.path = path
         self._blocks = tum_blocks(path)
-        self._near = [next(self._blocks)]
-        self.first_s, self.last_s = (float(self._near[0].time_s[i]) for i in (0, -1))
+        self._near = next(self._blocks)
+        self._ended = False
+        self.first_s, self.last_s = (float(self._near.time_s[i]) for i in (0, -1))
 
-    def at(self, time_s: Array, tolerance_s: float = TOLERANCE_S) -> Array:
-        """Positions (T, 3) nearest to times (T,); NaN where none is within the tolerance.
+    def at(self, time_s: Array) -> TrueEpochs:
+        """What is known at times (T,), which must increase, also from call to call."""
+        parts, start = [], 0
+        while start < len(time_s):
+            settled = time_s[start:] < self.last_s - _REACH_S
+            stop = len(time_s) if self._ended else start + int(settled.sum())
+            parts.append(_interpolated(self._near, time_s[start:stop]))
+            start = stop
+            if start < len(time_s):
+                self._read(time_s[start] - _REACH_S)
+        return TrueEpochs(*map(np.concatenate, zip(*parts, strict=True)))
 
-        Times must increase, also from call to call.
-        """
-        position, distance = np.full((len(time_s), 3), np.nan), np.full(len(time_s), np.inf)
-        for poses in self._until(time_s[-1] + tolerance_s):
-            after = np.searchsorted(poses.time_s, time_s)
-            for index in (np.maximum(after - 1, 0), np.minimum(after, len(poses.time_s) - 1)):
-                away = np.abs(poses.time_s[index] - time_s)
-                nearer = (away < distance) & (away <= tolerance_s)
-                distance[nearer] = away[nearer]
-                position[nearer] = poses.position_m[index[nearer]]
-        self._near = [p for p in self._near if p.time_s[-1] >= time_s[-1] - tolerance_s]
-        return position
-
-    def _until(self, time_s: float) -> Iterator[Poses]:
-        """The poses kept, and more, up to a time; of those read, the last two blocks are kept."""
-        yield from self._near
-        while self.last_s < time_s and (poses := next(self._blocks, None)):
-            self.last_s = float(poses.time_s[-1])
-            self._near = [*self._near[-1:], poses]
-            yield poses
+    def _read(self, first_s: float) -> None:
+        """Read on, and forget the poses before a time."""
+        poses = next(self._blocks, None)
+        if poses is None:
+            self._ended = True
+            return
+        kept = self._near.time_s >= first_s
+        both = zip(Poses(*(part[kept] for part in self._near)), poses, strict=True)
+        self._near, self.last_s = Poses(*map(np.concatenate, both)), float(poses.time_s[-1])
 
     def read_on(self) -> None:
         """Read to the end, for ``last_s``."""
@@ -76,17 +87,57 @@ class Truth:
         self.read_on()
         return ValueError(
             f"{self.path}: found times from {self.first_s!r} to {self.last_s!r} s, expected some "
-            f"within {TOLERANCE_S} s of the log's, which are from {first_s!r} to {last_s!r} s"
+            f"within {TOLERANCE_S} s of the log's, or two around one, at most {BRIDGED_S:g} s "
+            f"apart; the log's are from {first_s!r} to {last_s!r} s"
         )
 
     def warn_if_few(self, matched: int, epochs: int, first_s: float, last_s: float) -> None:
-        """Warn where less than half of a log's epochs have a pose: another clock, or unit."""
+        """Warn where less than half of a log's epochs have a position: another clock, or unit."""
         if 2 * matched >= epochs:
             return
         self.read_on()
         warnings.warn(
             f"{self.path}: found a true position for {matched} of the log's {epochs} epochs, "
             f"expected half at least; the log's times are {first_s:.10g} to {last_s:.10g} s, the "
-            f"truth's {self.first_s:.10g} to {self.last_s:.10g} s: are both in seconds?",
+            f"truth's {self.first_s:.10g} to {self.last_s:.10g} s: are both in seconds, and is the "
+            f"truth without gaps of more than {BRIDGED_S:g} s?",
             stacklevel=3,
         )
+
+
+def _interpolated(poses: Poses, time_s: Array) -> TrueEpochs:
+    """What poses (N,) say of times (T,)."""
+    from scipy.interpolate import CubicHermiteSpline
+
+    t, p = poses
+    after = np.searchsorted(t, time_s)
+    before, after = np.maximum(after - 1, 0), np.minimum(after, len(t) - 1)
+    nearest = np.where(time_s - t[before] <= t[after] - time_s, before, after)
+    away, slope = t[nearest] - time_s, _slopes(poses)
+    held = np.abs(away) <= TOLERANCE_S
+    position = np.where(held[:, None], p[nearest], np.nan)
+    velocity = np.where((away == 0.0)[:, None], slope[nearest], np.nan)
+    step = t[after] - t[before]
+    between = (t[before] < time_s) & (time_s < t[after]) & (step <= BRIDGED_S)
+    if between.any():
+        way = CubicHermiteSpline(t, p, np.nan_to_num(slope))
+        position[between], velocity[between] = way(time_s[between]), way(time_s[between], 1)
+    return TrueEpochs(position, velocity, np.where(held | between, away, np.nan))
+
+
+def _slopes(poses: Poses) -> Array:
+    """Velocities (N, 3) at poses, gaps not bridged; NaN of a pose between two gaps."""
+    t, p = poses
+    step = np.diff(t)
+    chord = np.zeros((len(t) + 1, 3))  # from the pose before to each, and from the last to none
+    chord[1:-1] = np.diff(p, axis=0) / step[:, None]
+    near = np.pad(step, 1, constant_values=np.inf)
+    near = np.where(near <= BRIDGED_S, near, 0.0)
+    before, after = near[:-1], near[1:]
+    # Each chord weighs as much as the other is long: the parabola. One alone weighs all.
+    alone = (before == 0.0) | (after == 0.0)
+    of_before = np.where(alone, before > 0.0, after)[:, None]
+    of_after = np.where(alone, after > 0.0, before)[:, None]
+    with np.errstate(invalid="ignore"):
+        slope: Array = (of_before * chord[:-1] + of_after * chord[1:]) / (of_before + of_after)
+    return slope

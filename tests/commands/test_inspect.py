@@ -10,7 +10,9 @@ import pytest
 from mmwave_env.episodes.log_folder import read_log_folder
 from mmwave_env.episodes.samples import recording_from
 from tests.cli import assert_one_clear_line, command, succeed
-from tests.paths import LOGS, RECORDINGS
+from tests.paths import LOGS, RECORDINGS, ROOT
+
+DATA = ROOT / "mmwave_env" / "data"
 
 VEHICLE = LOGS / "canyon28_vehicle"
 
@@ -150,3 +152,23 @@ def test_a_lonely_log_asks_for_its_scene(tmp_path):
     copy(tmp_path, names=("log.csv",))
     done = command("inspect", tmp_path / "log.csv")
     assert_one_clear_line(done, "scene: found none, and no .*scene.json; expected --scene")
+
+
+def test_a_recording_tells_of_its_paths(tmp_path):
+    _, told = inspected(tmp_path, "canyon28_vehicle")
+    assert "paths: 120 line of sight, 300 one reflection; 0 of them lead to no anchor" in told
+    assert "1 base station" in told and "1 image in the ground" in told
+
+
+def test_a_grid_without_a_track_is_told_too(tmp_path):
+    shutil.copytree(RECORDINGS / "canyon28_vehicle", tmp_path / "grid")
+    (tmp_path / "grid" / "trajectory.csv").unlink()
+    figures, told = inspected(tmp_path, tmp_path / "grid")
+    assert figures["timed"] is False and "users: 120 in -45 to 50.0001 m" in told
+    assert "no times: mmwave-loc record" in figures["problems"][0]
+
+
+def test_traffic_is_counted_by_type(tmp_path):
+    figures, told = inspected(tmp_path, DATA / "traffic" / "grid.xml.gz")
+    assert "trips: 35: 20 DEFAULT_VEHTYPE, 15 DEFAULT_PEDTYPE" in told
+    assert figures["speed_mps"] is None and figures["problems"] == []

@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.interpolate import CubicSpline
 
 from experiments.evaluation.contenders import contender_from
 from experiments.evaluation.runner import score
@@ -34,6 +35,12 @@ def simulated(seed=3, odometry=False):
 @pytest.fixture
 def folder(tmp_path):
     write_log_folder(tmp_path, simulated(), STREET, "made by a test")
+    return tmp_path
+
+
+@pytest.fixture
+def sample(tmp_path):
+    shutil.copytree(sample_folder("canyon28_vehicle"), tmp_path, dirs_exist_ok=True)
     return tmp_path
 
 
@@ -86,12 +93,34 @@ def test_the_log_may_be_packed(folder, name):
 def test_epochs_are_matched_to_poses_by_time(folder):
     track = read_log_folder(folder)
     early = slice(10, 150)
-    lines = tum_lines(track.time_s[early] + 0.009, track.position_m[early])
+    lines = tum_lines(track.time_s[early], track.position_m[early])
     (folder / "truth.tum").write_text(lines)
     with pytest.warns(UserWarning, match="found 200 epochs, .*, 140 epochs from 10 s on"):
         episode = source_from(folder, "handset").sample(np.random.default_rng(0))
     np.testing.assert_array_equal(episode.truth_position_m, track.position_m[early])
     np.testing.assert_array_equal(episode.time_s, track.time_s[early])
+
+
+def at_another_rate(folder, late_s=0.0):
+    """The truth of a folder, written 30 times a second in place of 10."""
+    track = read_log_folder(folder)
+    time = np.arange(0.004, track.time_s[-1], 1.0 / 30.0)
+    way = CubicSpline(track.time_s, track.position_m)(time)
+    (folder / "truth.tum").write_text(tum_lines(time + late_s, way))
+    return track.position_m
+
+
+def test_truth_at_another_rate_is_that_of_the_epochs(sample):
+    expected = at_another_rate(sample)
+    found = read_log_folder(sample).position_m
+    np.testing.assert_allclose(found[1:-1], expected[1:-1], atol=1e-3)
+
+
+def test_a_clock_that_is_off_is_named_and_nothing_is_moved(sample):
+    expected = at_another_rate(sample, late_s=0.1)
+    with pytest.warns(UserWarning, match=r"truth.tum: found its clock 1\d\d ± \d+ ms ahead of the"):
+        found = read_log_folder(sample).position_m
+    np.testing.assert_allclose(found[2:-1], expected[1:-2], atol=1e-3)
 
 
 # --- which folder is which
@@ -144,12 +173,6 @@ def test_a_truth_of_another_time_is_refused(folder):
     (folder / "truth.tum").write_text(tum_lines(track.time_s + 1e9, track.position_m))
     with pytest.raises(ValueError, match=r"truth.tum: found times from 1000000000.0 to .*expected"):
         source_from(folder, "handset")
-
-
-@pytest.fixture
-def sample(tmp_path):
-    shutil.copytree(sample_folder("canyon28_vehicle"), tmp_path, dirs_exist_ok=True)
-    return tmp_path
 
 
 def changed(folder, factor, column):

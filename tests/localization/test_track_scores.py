@@ -120,12 +120,15 @@ def test_rpe_does_not_cross_where_the_track_began_anew(tmp_path):
     assert found == pytest.approx(mean_change(x, [(k, k + 1) for k in range(T - 1) if k != 99]))
 
 
-def test_a_pose_counts_once(tmp_path):
+def test_what_is_between_poses_counts(tmp_path):
     block = replace(some_track(T), time_s=np.arange(T) * 0.001)
     (tmp_path / "truth.tum").write_text(tum_lines(np.arange(0.0, 0.3, 0.1), np.zeros((3, 3))))
     scores = TruthScores(Truth(tmp_path / "truth.tum"), ["filtered"], planar=False)
     scores.add(block)
-    assert scores.scored == 3
+    figures = scores.figures()
+    assert figures["scored"] == 211 and figures["interpolated"] == 208  # 10 ms after the last, too
+    away = np.abs(block.time_s[:211, None] - [0.0, 0.1, 0.2]).min(axis=1)
+    assert figures["nearest_pose_s"] == pytest.approx(away.mean())
 
 
 def test_a_truth_that_never_matches_scores_nothing(tmp_path):
