@@ -28,7 +28,7 @@ def main(args: Args) -> None:
             f"{one.data or 'mixed'}: {len(all_contenders(one))} policies, {one.episodes} episodes"
         )
         note(f"{what} each")
-        result, text, content = results(one, all_contenders(one))
+        result, text, content, _ = results(one, all_contenders(one))
         show(str(result.of(SHOWN)))
         tables.append(text)
         everything[result.scenario] = made | content

@@ -4,10 +4,10 @@ import inspect
 from collections.abc import Callable
 
 from experiments.arguments.list import Args
+from experiments.cli.entries import entries
 from experiments.cli.main import run
 from experiments.evaluation.contenders import contenders
 from experiments.evaluation.terminal import say, terminal_width
-from experiments.evaluation.text import entries
 from mmwave_env.episodes.samples import recording_from, sample_names
 from mmwave_env.filters.mode_files import as_written, named_modes
 from mmwave_env.models.radio import RADIOS, radio_from

@@ -324,8 +324,6 @@ def main(args: Args) -> None:
         written[f"{kind} track"] = str(args.out)
         written["its standard deviations and modes"] = str(table_beside(args.out))
     if args.plot:
-        title = f"{'/'.join(given.log.parts[-2:])}, {kind} track"
-        draw_trajectory(sampler.track, args.plot, title)
         written["picture"] = str(args.plot)
     if args.stanford and scores and scores.scored:
         draw_stanford(scores.errors, args.alert_limit, args.stanford)
@@ -346,6 +344,16 @@ def main(args: Args) -> None:
     }
     if args.json:  # first, because whoever reads what is shown may leave
         write_json(args.json, provenance("localize", args) | figures)
+    try:
+        if args.plot:
+            title = f"{'/'.join(given.log.parts[-2:])}, {kind} track"
+            draw_trajectory(sampler.track, args.plot, title)
+    finally:  # a picture that fails costs nobody the figures
+        _show(args, figures, error)
+
+
+def _show(args: Args, figures: dict[str, Any], error: ValueError | None) -> None:
+    """The figures, and what is wrong with log or truth."""
     try:
         show(track_markdown(figures))
     finally:

@@ -1,6 +1,5 @@
 """mmwave-loc train: switchers that learn, on several training seeds."""
 
-import json
 import shutil
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
@@ -25,7 +24,7 @@ from experiments.training.hyperparameters import (
 )
 from experiments.training.places import Place, places_from, require_environments
 from experiments.training.training_task import TrainingTask, banks_of
-from mmwave_env.files import write_bytes, write_json
+from mmwave_env.files import read_json, write_bytes, write_json
 from mmwave_env.filters.bank import Bank, bank_as_written
 from mmwave_env.lookup import choose
 from mmwave_env.reward import REWARDS, PairedReward, Reward, TrackingReward
@@ -131,11 +130,11 @@ def begin(args: Args, manifest: dict[str, Any]) -> None:
 
 def _require_same(path: Path, manifest: dict[str, Any]) -> None:
     """Refuse to go on with the run of another manifest."""
-    try:
-        run = json.loads(path.read_text(encoding="utf-8"))
-        found, expected = ({**one, **one["recipe"]} for one in (run, manifest))
-    except (ValueError, TypeError, KeyError) as error:
-        raise ValueError(f"{path}: not the manifest of a run; it was damaged") from error
+
+    def flat(run: dict[str, Any]) -> dict[str, Any]:
+        return {**run, **run["recipe"]}
+
+    found, expected = read_json(path, "the manifest of a run", flat), flat(manifest)
     for key in [key for key in {**expected, **found} if key != "recipe"]:  # its parts say more
         if found.get(key) != expected.get(key):
             raise ValueError(
@@ -163,7 +162,7 @@ def summary(outcomes: list[dict[str, Any]]) -> str:
     rows, minus = [], [key for key in outcomes[0]["best"] if key.startswith("minus ")]
     for outcome in outcomes:
         best, beat = outcome["best"], outcome["beat_rule"]
-        gains = [Interval(best[what]["mean"], *best[what]["ci95"]) for what in minus]
+        gains = [Interval.of(best[what]) for what in minus]
         rows.append([
             str(outcome["seed"]), f"{best['reward']:.4f}", str(best["timesteps"]),
             *map(str, gains),

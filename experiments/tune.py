@@ -154,7 +154,7 @@ def main(args: Args) -> None:
         tuned.append(best)
         value = bootstrap(objective(best)[:, None])[0]
         what = OBJECTIVES[args.objective][2]
-        show(f"### {escaped(mode.name)} on {escaped(source.name)}, {profile}: {what}\n")
+        show(f"### {escaped(mode.name)} on {escaped(source.name)}, {escaped(profile)}: {what}\n")
         show(surface_table(args.free, axes, surface))
         found = ", ".join(f"{name} {getattr(best, name):g}" for name in args.free)
         say("", f"best: {found}: {value}", "")

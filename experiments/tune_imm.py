@@ -1,6 +1,5 @@
 """mmwave-loc tune-imm: the strongest IMMs over given modes, on tuning seeds."""
 
-import json
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -27,13 +26,13 @@ from experiments.tuning.search import best_bank_of
 from experiments.tuning.search_space import ENTER, STAY, search_space, transition_of
 from mmwave_env.engines.imm_engine import ImmEngine
 from mmwave_env.episodes.episode import EpisodeBatch
-from mmwave_env.files import write_json, write_text
+from mmwave_env.files import read_json, write_json, write_text
 from mmwave_env.filters.bank import Bank
 from mmwave_env.filters.imm import DEFAULT_STAY
 from mmwave_env.filters.mode_files import as_written, modes_from
 from mmwave_env.filters.modes import Mode
 from mmwave_env.filters.pipeline import Pipeline
-from mmwave_env.lookup import choose, require_extra
+from mmwave_env.lookup import choose, quoted, require_extra
 from mmwave_env.metrics import scored
 from mmwave_env.numerics.arrays import Array
 from mmwave_env.reward import TrackingReward
@@ -150,7 +149,15 @@ def recorded(path: Path | None) -> dict[str, Any]:
     """The results that a file holds already, by radio."""
     if path is None or not path.is_file():
         return {}
-    return json.loads(path.read_text(encoding="utf-8"))  # type: ignore[no-any-return]
+    return read_json(path, "a file of tuned IMMs", _by_radio)
+
+
+def _by_radio(found: dict[str, Any]) -> dict[str, Any]:
+    """The content of such a file, where there is an object for every radio."""
+    for radio, banks in found.items():
+        if not isinstance(banks, dict):
+            raise ValueError(f"{radio}: found {quoted(banks)}, expected an object")
+    return found
 
 
 class TunedBank(NamedTuple):

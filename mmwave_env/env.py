@@ -18,7 +18,7 @@ from mmwave_env.engines.baseline import baseline_of
 from mmwave_env.engines.env_engine import Engine
 from mmwave_env.engines.replay import Replay
 from mmwave_env.engines.tally import Tally, count
-from mmwave_env.episodes.keys import draw_key, key_from
+from mmwave_env.episodes.keys import draw_key, key_from, option_of
 from mmwave_env.episodes.simulated import SimulatedSource
 from mmwave_env.filters.mode_files import default_modes, modes_from
 from mmwave_env.filters.pipeline import Pipeline
@@ -329,7 +329,7 @@ class MmWaveLocEnv(gym.Env[NDArray[np.float32], np.int64]):
 
         ``options={"episode_key": k}`` plays the episode of a key instead, as infos tell it.
         """
-        key = (options or {}).get("episode_key")
+        key = option_of(options, "episode_key")
         if key is not None:
             self._task.require_keys(seed)
             key = key_from(key)

@@ -1,4 +1,7 @@
-"""Looking things up by name, with an error that lists the valid names or says how to get it."""
+"""Names: what they may be, how they are shown, and looking things up by them.
+
+Errors list the valid ones, or say how to get what is missing.
+"""
 
 import importlib.util
 from collections.abc import Iterable, Mapping
@@ -6,6 +9,39 @@ from difflib import get_close_matches
 from typing import TypeVar
 
 T = TypeVar("T")
+LONGEST = 80  # letters of a name, and of a value that a message quotes
+
+
+# --- names of others
+
+
+def spelled(letter: str) -> str:
+    """A letter by its code, in place of what has no look of its own."""
+    return letter.encode("unicode_escape", "surrogatepass").decode("ascii")
+
+
+def printable(text: str) -> str:
+    """The text with what has no look of its own (escape sequences, line ends) spelled out."""
+    return "".join(one if one.isprintable() else spelled(one) for one in text)
+
+
+def is_name(value: object) -> bool:
+    """Whether it can stand in tables and pictures as it is."""
+    return isinstance(value, str) and 1 <= len(value) <= LONGEST and value.isprintable()
+
+
+def as_name(text: str) -> str:
+    """What a file or a folder is called, as a name: spelled out where need be, and cut."""
+    return printable(text)[:LONGEST] or "unnamed"
+
+
+def quoted(value: object) -> str:
+    """A value as messages quote it, cut where it is long."""
+    shown = repr(value)
+    return shown if len(shown) <= LONGEST else f"{shown[: LONGEST - 3]}..."
+
+
+# --- looked up
 
 
 def choose(options: Mapping[str, T], name: str, what: str) -> T:
@@ -22,12 +58,14 @@ def choose(options: Mapping[str, T], name: str, what: str) -> T:
 def unknown(what: str, name: object, known: Iterable[str]) -> str:
     """The message about a name that is none of those that are known."""
     names = list(known)
-    return f"{what}: found {name!r}, expected one of {', '.join(names)}{did_you_mean(name, names)}"
+    hint = did_you_mean(name, names)
+    return f"{what}: found {quoted(name)}, expected one of {', '.join(names)}{hint}"
 
 
 def did_you_mean(name: object, known: Iterable[str]) -> str:
     """The end of a message that names the closest of the names known; empty if none is close."""
-    close = get_close_matches(name, list(known), 1) if isinstance(name, str) else []
+    typed = isinstance(name, str) and len(name) <= LONGEST
+    close = get_close_matches(str(name), list(known), 1) if typed else []
     return f"; did you mean {close[0]}?" if close else ""
 
 

@@ -76,8 +76,7 @@ class Observation:
     """
 
     def __init__(self, pipeline: Pipeline, kind: str = "full", beliefs: str = "shared") -> None:
-        if kind not in OBSERVATIONS:
-            raise ValueError(f"observation: found {kind!r}, expected one of {list(OBSERVATIONS)}")
+        choose(OBSERVATIONS, kind, "observation")
         self.kind, self.modes, self.beliefs = kind, pipeline.modes, beliefs
         choose(BELIEFS, beliefs, "beliefs")
         per_mode = beliefs == "per-mode"

@@ -4,7 +4,6 @@ A dataclass refuses what does not fit its fields (:func:`require_fields`), a JSO
 it (:func:`read_object`), and mmwave_env/data/schemas describes the file: all by the same types.
 """
 
-import json
 import math
 import os
 from collections.abc import Callable, Mapping
@@ -17,7 +16,8 @@ from typing import Annotated, Any, Literal, TypeVar, Union, get_args, get_origin
 
 import numpy as np
 
-from mmwave_env.lookup import choose
+from mmwave_env.files import read_json
+from mmwave_env.lookup import LONGEST, choose, is_name, quoted
 
 T = TypeVar("T")
 
@@ -38,11 +38,23 @@ class Bound:
         return bool(low and (value < self.below if self.most is None else value <= self.most))
 
 
+@dataclass(frozen=True)
+class Printable:
+    """Text that can stand in tables and pictures as it is."""
+
+    expected: str = f"1 to {LONGEST} printable letters"
+
+    def holds(self, value: Any) -> bool:
+        """Whether a text is such a name."""
+        return is_name(value)
+
+
 FINITE = Bound("a finite number")
 Positive = Annotated[float, Bound("a number > 0", above=0.0)]
 NonNegative = Annotated[float, Bound("a number >= 0", least=0.0)]
 Probability = Annotated[float, Bound("a number in [0, 1]", least=0.0, most=1.0)]
 Filled = Annotated[tuple[T, ...], "a list of one or more"]
+Name = Annotated[str, Printable()]
 Count = Annotated[int, Bound("an integer >= 1", least=1)]
 
 _KINDS: dict[Any, tuple[type, str]] = {
@@ -66,7 +78,7 @@ def _fits(hint: Any, value: Any) -> bool:
         return kind and (hint is not float or FINITE.holds(value))
     if origin is Annotated:
         base, said = inside
-        if isinstance(said, Bound):
+        if isinstance(said, (Bound, Printable)):
             kind = isinstance(value, _KINDS[base][0]) and not isinstance(value, bool)
             return kind and said.holds(value)
         return _fits(base, value) and len(value) > 0
@@ -88,7 +100,8 @@ def _said(hint: Any) -> str:
     if hint in _KINDS:
         return _KINDS[hint][1]
     if origin is Annotated:
-        return inside[1].expected if isinstance(inside[1], Bound) else inside[1]  # type: ignore[no-any-return]
+        said = inside[1]
+        return said if isinstance(said, str) else said.expected  # type: ignore[no-any-return]
     if origin is Literal:
         return f"one of {', '.join(map(str, inside))}"
     if origin in (Union, UnionType):
@@ -113,6 +126,15 @@ def require_fields(record: Any, of: str = "") -> None:
         _require(hint, getattr(record, name), name, of)
 
 
+def require(name: str, value: Any, hint: Any) -> None:
+    """Refuse an argument of another type than a field of this one may hold.
+
+    Raises:
+        ValueError: naming it, what was found and what was expected.
+    """
+    _require(hint, value, name, "")
+
+
 def _require(hint: Any, value: Any, name: str, of: str) -> None:
     if _fits(hint, value):
         return
@@ -120,7 +142,7 @@ def _require(hint: Any, value: Any, name: str, of: str) -> None:
     if get_origin(bare) is tuple and get_args(bare)[-1] is ... and _is_list(value):
         for i, one in enumerate(value):  # which of them
             _require(get_args(bare)[0], one, f"{name}[{i}]", of)
-    raise ValueError(f"{name}{of}: found {value!r}, expected {_said(hint)}")
+    raise ValueError(f"{name}{of}: found {quoted(value)}, expected {_said(hint)}")
 
 
 def object_from(kind: type[T], content: Any, where: str = "") -> T:
@@ -135,7 +157,9 @@ def object_from(kind: type[T], content: Any, where: str = "") -> T:
         ValueError: a key too many or too few, or what the dataclass refuses.
     """
     if not isinstance(content, dict):
-        raise ValueError(f"{where[:-1]}{': ' * bool(where)}found {content!r}, expected an object")
+        raise ValueError(
+            f"{where[:-1]}{': ' * bool(where)}found {quoted(content)}, expected an object"
+        )
     hints = hints_of(kind)  # type: ignore[arg-type]
     for key in content:
         choose(hints, key, f"{where}key")
@@ -173,16 +197,7 @@ def read_object(path: str | os.PathLike[str], what: str, make: Callable[[dict[st
 
     Raises:
         ValueError: naming the file, what is wrong in it and the schema.
-        FileNotFoundError: there is no such file.
+        OSError: it can't be read; FileNotFoundError where there is no such file.
     """
-    file = Path(path)
-    if not file.is_file():
-        raise FileNotFoundError(f"{file}: found no such file, expected a {what} file, JSON")
-    try:
-        content = json.loads(file.read_text(encoding="utf-8"))
-        if not isinstance(content, dict):
-            raise ValueError(f"found {type(content).__name__}, expected an object")
-        return make(content)
-    except (ValueError, RecursionError) as error:
-        schema = f"mmwave_env/data/schemas/{what}.schema.json"
-        raise ValueError(f"{file}: not a {what} file: {error} ({schema})") from error
+    schema = f"mmwave_env/data/schemas/{what}.schema.json"
+    return read_json(Path(path), f"a {what} file", make, schema)

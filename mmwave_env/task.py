@@ -23,6 +23,7 @@ from mmwave_env.models.radio import Radio, radio_from
 from mmwave_env.models.random_scene import RandomScene, scenes_from
 from mmwave_env.models.scene import Scene, Streets
 from mmwave_env.observation import BELIEFS
+from mmwave_env.records import require
 from mmwave_env.reward import PairedReward, Reward, reward_from
 
 EPISODE_STEPS = 200
@@ -146,6 +147,8 @@ def task_from(**arguments: Any) -> Task:
                 f"{', '.join(known)}{hint}"
             )
     given = TaskArguments(**arguments)
+    require("episode_steps", given.episode_steps, int | None)
+    require("dt", given.dt, float | None)
     source, radio = _source(given, radio_from(given.radio))
     pays = reward_from(given.reward)
     bank, modes = bank_and_modes(given.modes, given.beliefs, radio.name)

@@ -17,11 +17,12 @@ from mmwave_env.engines.baseline import baseline_of
 from mmwave_env.engines.env_engine import Engine
 from mmwave_env.engines.replay import Replay
 from mmwave_env.engines.vector_step import StepBuffers, Stepper
-from mmwave_env.episodes.keys import Generators, Keys, key_from
+from mmwave_env.episodes.keys import Generators, Keys, key_from, option_of
 from mmwave_env.info import INFOS, drawn_rows, masked, stepped
 from mmwave_env.lookup import choose
 from mmwave_env.metrics import DIVERGENCE_M
 from mmwave_env.numerics.arrays import Array, Index, Mask
+from mmwave_env.records import require
 from mmwave_env.rendering.frames import FRAMES_PER_SECOND, SMALLEST, require_drawable
 from mmwave_env.rendering.gallery import Gallery
 from mmwave_env.task import task_from
@@ -78,6 +79,7 @@ class MmWaveLocVectorEnv(gym.vector.VectorEnv[Observations, Index, NDArray[Any]]
         **arguments: Any,
     ) -> None:
         for name, count in (("num_envs", num_envs), ("threads", threads)):
+            require(name, count, int)
             if count < 1:
                 raise ValueError(f"{name}: found {count}, expected at least 1")
         for name, value, known in (
@@ -182,7 +184,7 @@ class MmWaveLocVectorEnv(gym.vector.VectorEnv[Observations, Index, NDArray[Any]]
         return self._engine.observations(), masked(drawn | state, chosen)
 
     def _reset_mask(self, options: dict[str, Any] | None) -> Mask:
-        mask = (options or {}).get("reset_mask")
+        mask = option_of(options, "reset_mask")
         if mask is None:
             return np.ones(self.num_envs, np.bool_)
         if not (
@@ -203,7 +205,7 @@ class MmWaveLocVectorEnv(gym.vector.VectorEnv[Observations, Index, NDArray[Any]]
 
     def _keys(self, options: dict[str, Any] | None, seed: Any) -> Keys | None:
         """The keys (N,) that the options name."""
-        given = (options or {}).get("episode_key")
+        given = option_of(options, "episode_key")
         if given is None:
             return None
         self._task.require_keys(seed)

@@ -29,13 +29,16 @@ from numpy.typing import NDArray
 from safetensors import SafetensorError, safe_open
 from safetensors.numpy import save
 
+from mmwave_env.files import naming, open_regular, parse_json, told
 from mmwave_env.filters.bank import Bank, bank_as_written, bank_in
 from mmwave_env.filters.mode_files import SETTINGS, as_written, modes_from, modes_in
 from mmwave_env.filters.modes import Mode
-from mmwave_env.lookup import choose
+from mmwave_env.lookup import choose, quoted
 from mmwave_env.observation import BELIEFS, OBSERVATIONS, action_names
 
 FORMAT = 1
+MOST_BYTES = 128 << 20  # of a file: a thousand times one of ours
+MOST_HEADER = 16 << 20  # of what stands before its numbers: names, shapes and the card
 _KEY = "policy"  # one only: the library writes several in any order, and files would differ
 _PER_MODE = ("beliefs", "banks")  # not written where beliefs are shared, as before there were any
 
@@ -87,7 +90,7 @@ class Card:
         for name, hint in get_type_hints(Card).items():
             value, expected = getattr(self, name), get_origin(hint) or hint
             if type(value) is not expected:
-                raise ValueError(f"{name}: found {value!r}, expected {expected.__name__}")
+                raise ValueError(f"{name}: found {quoted(value)}, expected {expected.__name__}")
         choose(OBSERVATIONS, self.observation, "observation")
         if self.frames < 1:
             raise ValueError(f"frames: found {self.frames}, expected 1 or more")
@@ -132,7 +135,7 @@ class Card:
             ValueError: saying what is wrong in it.
         """
         if not isinstance(content, dict):
-            raise ValueError(f"card: found {content!r}, expected an object")
+            raise ValueError(f"card: found {quoted(content)}, expected an object")
         names = [field.name for field in fields(cls)]
         if not any(name in content for name in _PER_MODE):
             names = [name for name in names if name not in _PER_MODE]
@@ -156,12 +159,14 @@ class Card:
 def _banks_in(content: Any) -> dict[str, Bank]:
     """The banks of a card as a policy file holds them."""
     if not isinstance(content, dict):
-        raise ValueError(f"banks: found {content!r}, expected an object, a bank for each radio")
+        raise ValueError(
+            f"banks: found {quoted(content)}, expected an object, a bank for each radio"
+        )
     found = {}
     for radio, bank in content.items():
-        where = f"bank of radio {radio!r}"
+        where = f"bank of radio {quoted(radio)}"
         if not isinstance(bank, dict):
-            raise ValueError(f"{where}: found {bank!r}, expected an object")
+            raise ValueError(f"{where}: found {quoted(bank)}, expected an object")
         _require_names(where, bank, SETTINGS)
         try:
             found[radio] = bank_in(bank)
@@ -194,11 +199,10 @@ def read_policy(path: str | os.PathLike[str]) -> tuple[Tensors, Card]:
 
     Raises:
         ValueError: naming the file and what is wrong in it.
-        FileNotFoundError: there is no such file.
+        OSError: it can't be read; FileNotFoundError where there is no such file.
     """
     path = Path(path)
-    if not path.is_file():
-        raise FileNotFoundError(f"{path}: found no file, expected a policy (.safetensors)")
+    _require_header(path)
     try:
         with safe_open(path, "np") as file:
             document = _document((file.metadata() or {}).get(_KEY))
@@ -208,12 +212,23 @@ def read_policy(path: str | os.PathLike[str]) -> tuple[Tensors, Card]:
         expected = _checksum(tensors, document["card"])
         if document["sha256"] != expected:
             raise ValueError(
-                f"sha256: found {document['sha256']!r}, expected {expected!r}; the file was "
+                f"sha256: found {quoted(document['sha256'])}, expected {expected!r}; the file was "
                 "damaged: copy or train it again"
             )
-    except (ValueError, SafetensorError) as error:
-        raise ValueError(f"{path}: not a policy file: {error}") from error
+    # What another shape of the card makes code raise, too.
+    except (ValueError, TypeError, AttributeError, LookupError, SafetensorError) as error:
+        raise ValueError(f"{path}: not a policy file: {told(error)}") from error
     return tensors, card
+
+
+def _require_header(path: Path) -> None:
+    """Refuse a file that is none, or that says to be larger than policies are, before its data."""
+    with open_regular(path, "a policy (.safetensors)") as file, naming(path):
+        size, header = os.fstat(file.fileno()).st_size, int.from_bytes(file.read(8), "little")
+    if size > MOST_BYTES or header > MOST_HEADER:
+        found = f"a file of {size} bytes and a header of {header}"
+        most = f"{MOST_BYTES} and {MOST_HEADER} at most"
+        raise ValueError(f"{path}: not a policy file: found {found}, expected {most}")
 
 
 def _document(text: str | None) -> dict[str, Any]:
@@ -221,15 +236,15 @@ def _document(text: str | None) -> dict[str, Any]:
     if text is None:
         raise ValueError(f"metadata: found nothing under {_KEY!r}, expected format, sha256, card")
     try:
-        document = json.loads(text)
-    except (ValueError, RecursionError) as error:
+        document = parse_json(text)
+    except ValueError as error:
         raise ValueError(f"metadata {_KEY!r}: found no JSON: {error}") from error
     if not isinstance(document, dict):
-        raise ValueError(f"metadata {_KEY!r}: found {document!r}, expected an object")
+        raise ValueError(f"metadata {_KEY!r}: found {quoted(document)}, expected an object")
     if document.get("format") != FORMAT:
         raise ValueError(
-            f"format: found {document.get('format')!r}, expected {FORMAT}; use the version of "
-            "mmwave-loc that wrote it, or train it again"
+            f"format: found {quoted(document.get('format'))}, expected {FORMAT}; use the version "
+            "of mmwave-loc that wrote it, or train it again"
         )
     _require_names(f"metadata {_KEY!r}", document, ("format", "sha256", "card"))
     return document

@@ -16,13 +16,17 @@ from mmwave_env.episodes.traffic import Traffic
 from mmwave_env.filters.bank import Bank
 from mmwave_env.filters.mode_files import NOTES
 from mmwave_env.filters.modes import ALGORITHMS, Mode
+from mmwave_env.lookup import LONGEST
 from mmwave_env.models.radio import RADIOS, Radio
 from mmwave_env.models.scene import AnchorScene, Scene
-from mmwave_env.records import Bound, hints_of
+from mmwave_env.records import Bound, Printable, hints_of
 from tests.paths import ROOT
 
 FOLDER = ROOT / "mmwave_env" / "data" / "schemas"
 TYPES = {str: "string", bool: "boolean", int: "integer", float: "number", NoneType: "null"}
+
+# Readers refuse more than control characters; which letters are printable no pattern says.
+NAME = {"minLength": 1, "maxLength": LONGEST, "pattern": r"^[^\x00-\x1f\x7f-\x9f]*$"}
 
 
 def described(kind):
@@ -53,6 +57,7 @@ def schema_of(hint):
     if origin is Annotated:
         base, said = inside
         more = bounds(said) if isinstance(said, Bound) else {}
+        more |= NAME if isinstance(said, Printable) else {}
         some = {"minItems": 1} if get_origin(base) is tuple and get_args(base)[-1] is ... else {}
         return schema_of(base) | more | some
     if origin is tuple:

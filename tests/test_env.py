@@ -350,6 +350,12 @@ def test_what_a_step_returned_stays_as_it_is():
         ({"render_mode": "ascii"}, "render_mode: found 'ascii'.*human, rgb_array"),
         ({"dt": 0.0}, "dt: found 0.0"),
         ({"dt": -1.0}, "dt: found -1.0"),
+        ({"dt": "1"}, "dt: found '1', expected a number or None"),
+        ({"episode_steps": "3"}, "episode_steps: found '3', expected int or None"),
+        ({"episode_steps": 1.5}, "episode_steps: found 1.5, expected int or None"),
+        ({"modes": 5}, "modes: found 5, expected a list of names"),
+        ({"modes": [5]}, "modes: found 5, expected a name"),
+        ({"observation": []}, r"observation: found \[\], expected one of full, prior"),
         ({"episode_steps": 0}, "epochs: found 0|episode_steps: found 0"),
         ({"episodes": "canyon28_vehicle", "episode_steps": 0}, "found 0"),
         ({"episodes": "canyon28_vehicle", "episode_steps": 10_000}, "found 10000.*1 to "),
@@ -364,6 +370,13 @@ def test_what_a_step_returned_stays_as_it_is():
 def test_wrong_arguments_are_refused_with_the_valid_ones(arguments, message):
     with pytest.raises(ValueError, match=message):
         gym.make(ID, **arguments)
+
+
+@pytest.mark.parametrize("options", [5, "episode_key", []])
+def test_options_that_are_no_dict_are_refused(options):
+    for env in (gym.make(ID), gym.make_vec(ID, num_envs=2)):
+        with pytest.raises(ValueError, match=r"^options: found .*, expected a dict or None"):
+            env.unwrapped.reset(options=options)
 
 
 @pytest.mark.parametrize("name", ["ekf", "ukf", "ckf"])

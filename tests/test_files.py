@@ -1,19 +1,34 @@
-"""Files of results: whole or not there."""
+"""Files: those read are files, and bounded; results are whole or not there; errors name them."""
 
+import errno
 import json
 import os
+import re
+import socket
+import stat
 from pathlib import Path
 
 import pytest
 
 from mmwave_env.files import (
+    JSON_BYTES,
+    JSON_DEPTH,
+    JSON_DIGITS,
     atomic_folder,
     atomic_path,
+    naming,
+    open_regular,
+    parse_json,
+    read_bounded,
+    read_json,
+    read_text,
     require_writable,
     write_bytes,
     write_json,
     write_text,
 )
+
+posix = pytest.mark.skipif(os.name != "posix", reason="modes, links and FIFOs as POSIX has them")
 
 
 def names(folder):
@@ -27,7 +42,6 @@ def test_a_file_takes_its_place_at_the_end(tmp_path):
         temporary.write_bytes(b"numbers")
         assert not path.exists()
     assert path.read_bytes() == b"numbers" and names(path.parent) == ["log.csv.gz"]
-    assert path.stat().st_mode & 0o777 == 0o644
 
 
 @pytest.mark.parametrize("error", [ValueError, KeyboardInterrupt])
@@ -94,3 +108,199 @@ def test_what_is_no_file_is_not_written(tmp_path):
     for path, found in ((tmp_path, "a folder"), (os.devnull, "a device")):
         with pytest.raises(OSError, match=f"found {found}, expected a file"):
             require_writable(Path(path))
+
+
+# --- who may read a result, and where it goes
+
+
+@pytest.fixture
+def umask():
+    """Sets the umask, and brings the old one back."""
+    before = os.umask(0o022)
+    yield os.umask
+    os.umask(before)
+
+
+def mode_of(path):
+    return stat.S_IMODE(path.stat().st_mode)
+
+
+@posix
+@pytest.mark.parametrize(("mask", "mode"), [(0o022, 0o644), (0o077, 0o600), (0o002, 0o664)])
+def test_a_new_file_is_as_the_umask_says(tmp_path, umask, mask, mode):
+    umask(mask)
+    write_text(tmp_path / "where.tum", "0 1 2 3 0 0 0 1")
+    assert mode_of(tmp_path / "where.tum") == mode
+
+
+@posix
+@pytest.mark.parametrize("mode", [0o600, 0o640, 0o666, 0o444])
+def test_a_file_that_is_replaced_keeps_who_may_read_it(tmp_path, umask, mode):
+    path = tmp_path / "where.tum"
+    path.write_text("old")
+    path.chmod(mode)
+    with atomic_path(path) as temporary:
+        assert mode_of(temporary) == 0o600  # nobody else, before it is whole
+        temporary.write_text("new")
+    assert (path.read_text(), mode_of(path)) == ("new", mode)
+
+
+@posix
+@pytest.mark.parametrize("there", [True, False])
+def test_of_a_link_the_file_behind_it_is_written(tmp_path, there):
+    (tmp_path / "store").mkdir()
+    target, link = tmp_path / "store" / "a.json", tmp_path / "a.json"
+    if there:
+        target.write_text("old")
+    link.symlink_to(target)
+    require_writable(link)
+    write_json(link, {"ate_m": 0.5})
+    assert link.is_symlink() and json.loads(target.read_text()) == {"ate_m": 0.5}
+    assert names(tmp_path) == ["a.json", "store"] and names(target.parent) == ["a.json"]
+
+
+@posix
+def test_no_device_behind_a_link_is_replaced(tmp_path):
+    link = tmp_path / "a.json"
+    link.symlink_to(os.devnull)
+    with pytest.raises(OSError, match="a.json: found a device, expected a file to write"):
+        write_text(link, "{}")
+    assert names(tmp_path) == ["a.json"]
+
+
+# --- errors name the file that the user gave
+
+
+def full_disk(*_, **__):
+    raise OSError(errno.ENOSPC, "No space left on device")
+
+
+def test_a_full_disk_is_said_of_the_result(tmp_path, monkeypatch):
+    monkeypatch.setattr(Path, "write_text", full_disk)
+    with pytest.raises(OSError, match=f"No space left on device: '{tmp_path}/a.json'$") as error:
+        write_json(tmp_path / "a.json", {})
+    assert error.value.errno == errno.ENOSPC and names(tmp_path) == []
+
+
+def test_no_error_names_a_temporary_file(tmp_path, monkeypatch):
+    with pytest.raises(FileNotFoundError) as error, atomic_path(tmp_path / "a") as temporary:
+        temporary.unlink()
+    assert str(error.value) == f"[Errno 2] No such file or directory: '{tmp_path / 'a'}'"
+
+    def refused(*_, **__):
+        raise PermissionError(errno.EACCES, "Permission denied", str(tmp_path / "tmpxyz"))
+
+    monkeypatch.setattr("tempfile.TemporaryFile", refused)
+    with pytest.raises(PermissionError, match=f"Permission denied: '{tmp_path}/a'$"):
+        require_writable(tmp_path / "a")
+
+
+def test_an_error_about_another_file_stays_as_it_is(tmp_path):
+    for of_ours in (atomic_path, naming):
+        nowhere = pytest.raises(FileNotFoundError, match=r"No such file.*'nowhere.csv'$")
+        with nowhere, of_ours(tmp_path / "a.json"):
+            Path("nowhere.csv").read_text()
+        with pytest.raises(OSError, match="^said already$"), of_ours(tmp_path / "a.json"):
+            raise OSError("said already")
+    with pytest.raises(OSError, match="No space.*'a.csv'"), naming(Path("a.csv")):
+        full_disk()
+
+
+# --- what is read
+
+
+@pytest.fixture(params=["folder", "FIFO", "device", "socket"])
+def special(request, tmp_path):
+    """What is no file, and what messages call it."""
+    path = tmp_path / "odd.json"
+    if request.param == "folder":
+        path.mkdir()
+    elif os.name != "posix":
+        pytest.skip("no such thing")
+    elif request.param == "FIFO":
+        os.mkfifo(path)
+    elif request.param == "device":
+        path.symlink_to("/dev/zero")
+    else:
+        with socket.socket(socket.AF_UNIX) as made:
+            made.bind(os.path.relpath(path))
+    return path, request.param
+
+
+def test_what_is_no_file_is_refused_before_it_is_opened(special):
+    path, what = special
+    for read in (open_regular, lambda p: read_bounded(p, 10), read_text):
+        with pytest.raises(OSError, match=f"odd.json: found a {what}, expected"):
+            read(path)
+    with pytest.raises(OSError, match=f"odd.json: found a {what}, expected a scene, JSON"):
+        read_json(path, "a scene", dict)
+
+
+def test_a_missing_file_is_named_with_what_was_expected(tmp_path):
+    for path in (tmp_path / "a", tmp_path / "a\0b"):
+        with pytest.raises(FileNotFoundError, match=r"found no such file, expected a log$"):
+            open_regular(path, "a log")
+
+
+def test_no_more_is_read_than_is_said(tmp_path):
+    path = tmp_path / "long"
+    path.write_bytes(b"12345")
+    assert read_bounded(path, 5) == b"12345"
+    with pytest.raises(OSError, match="long: found 5 bytes, expected a log of at most 4"):
+        read_bounded(path, 4, "a log")
+    with path.open("wb") as file:  # takes no room on the disk
+        file.truncate(JSON_BYTES + 1)
+    with pytest.raises(OSError, match=f"found {JSON_BYTES + 1} bytes.*at most {JSON_BYTES}"):
+        read_json(path, "a scene", dict)
+
+
+@pytest.mark.skipif(not Path("/proc/self/status").exists(), reason="no procfs")
+def test_files_that_tell_no_size_are_bounded_too():
+    assert b"VmHWM" in read_bounded(Path("/proc/self/status"), 1 << 20)
+    with pytest.raises(OSError, match="status: found more than 10 bytes"):
+        read_bounded(Path("/proc/self/status"), 10)
+
+
+def test_text_is_utf8_with_or_without_its_mark(tmp_path):
+    path = tmp_path / "t.csv"
+    path.write_bytes(b"\xef\xbb\xbft,x\r\n\xc3\xa9")
+    assert read_text(path) == "t,x\r\né"
+    path.write_bytes(b"t,x\n1,\xff")
+    with pytest.raises(ValueError, match=r"t.csv, line 2: found b'\\xff', expected text in UTF-8"):
+        read_text(path)
+
+
+def test_nested_json_is_read_to_a_depth():
+    for begin, end in (("[", "]"), ('{"a":', "}")):
+        assert parse_json(begin * JSON_DEPTH + "1" + end * JSON_DEPTH)
+        for depth in (JSON_DEPTH + 1, 900, 100_000):
+            with pytest.raises(ValueError, match="found lists or objects in each other"):
+                parse_json(begin * depth + "1" + end * depth)
+
+
+def test_numbers_of_json_have_so_many_digits():
+    assert parse_json("9" * JSON_DIGITS) == int("9" * JSON_DIGITS)
+    with pytest.raises(ValueError, match="^line 3: found a number of 400 digits .* 11111"):
+        parse_json('{"a":\n1,\n"b": ' + "1" * 400 + "}")
+
+
+WRONG = {
+    "no JSON": ("{", "Expecting property name .*line 1"),
+    "a list": ("[]", "found list, expected an object"),
+    "without the key": ("{}", "modes: found none"),
+    "of another type": ('{"modes": 5}', "'int' object is not"),
+    "too large": ('{"modes": [1' + "0" * 299 + "0.0e99]}", "cannot convert float infinity"),
+}
+
+
+@pytest.mark.parametrize("damage", WRONG)
+def test_what_code_makes_of_another_content_is_said_of_the_file(tmp_path, damage):
+    content, message = WRONG[damage]
+    path = tmp_path / "m.json"
+    path.write_text(content)
+    said = f"^{re.escape(str(path))}: not a mode file: .*{message}"
+    with pytest.raises(ValueError, match=said) as error:
+        read_json(path, "a mode file", lambda found: [int(mode) for mode in found["modes"]], "see")
+    assert str(error.value).endswith(" (see)")
+    path.write_text('{"modes": [1.0]}')
+    assert read_json(path, "a mode file", lambda found: found["modes"]) == [1.0]

@@ -43,6 +43,9 @@ def values(schema):
     if kind == "array":
         count = schema.get("minItems", 0), schema.get("maxItems", 3)
         return st.lists(values(schema["items"]), min_size=count[0], max_size=count[1])
+    if "maxLength" in schema:
+        printable = st.characters().filter(str.isprintable)
+        return st.text(printable, min_size=1, max_size=schema["maxLength"])
     low = schema.get("exclusiveMinimum", schema.get("minimum", -1e6))
     high = schema.get("exclusiveMaximum", schema.get("maximum", max(2.0 * low, 1e6)))
     ends = {

@@ -243,6 +243,9 @@ def test_an_episode_goes_on_where_the_generator_was():
     ("arguments", "message"),
     [
         ({"num_envs": 0}, "num_envs: found 0, expected at least 1"),
+        ({"num_envs": "3"}, "num_envs: found '3', expected int"),
+        ({"num_envs": None}, "num_envs: found None, expected int"),
+        ({"threads": 1.5}, "threads: found 1.5, expected int"),
         ({"threads": 0}, "threads: found 0, expected at least 1"),
         ({"autoreset_mode": "same"}, "autoreset_mode: found 'same'.*NextStep, SameStep, Disabled"),
         ({"render_mode": "human"}, "render_mode: found 'human', expected None or.*sync"),

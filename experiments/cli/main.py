@@ -8,16 +8,16 @@ import importlib
 import importlib.util
 import os
 import shutil
-import signal
 import sys
 import traceback
 import warnings
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager, nullcontext, redirect_stdout
+from contextlib import contextmanager, nullcontext, redirect_stdout, suppress
 from io import TextIOWrapper
 from typing import Any, NoReturn
 
-from experiments.evaluation.text import entries, printable
+from experiments.cli.entries import entries
+from experiments.evaluation.signals import Ended, ended_by_signals, stopped_at_once
 
 COMMANDS = {
     "localize": "the track of a measurement log, by the paper's pipelines (Algorithm 1)",
@@ -46,6 +46,7 @@ COMMANDS = {
     "report": "one self-contained web page of results: compare, train, localize, transfer",
     "demo": "the tables of docs/results.md, on simulated and ray-traced streets",
 }
+LONGEST_LINE = 2000  # letters of a message
 STUDIES = {  # of a checkout: the installed package goes without them
     "ablate": ("experiments.learning.ablate", "trainings with one thing changed at a time"),
     "studies": (
@@ -81,33 +82,24 @@ def _is_there(module: str) -> bool:
 
 
 def _show_warning(message: Warning | str, *_: Any, **__: Any) -> None:
-    print(f"warning: {printable(str(message))}", file=sys.stderr)
+    print(f"warning: {_in_one_line(str(message))}", file=sys.stderr)
+
+
+def _in_one_line(text: str) -> str:
+    """A message with nothing in it but letters, cut where it quotes much of a file."""
+    from mmwave_env.lookup import printable
+
+    line = printable(text)
+    return line if len(line) <= LONGEST_LINE else f"{line[:LONGEST_LINE]} ..."
 
 
 def _leave(code: int) -> NoReturn:
     """Exit, without a complaint of Python's where nobody reads what is left to write."""
     try:
         print(end="", flush=True)
-    except BrokenPipeError:
+    except OSError:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
     sys.exit(code)
-
-
-def _stop(*_: Any) -> NoReturn:
-    os.write(2, b"mmwave-loc: interrupted\n")
-    os._exit(130)
-
-
-@contextmanager
-def _stopped_at_once() -> Iterator[None]:
-    """Ctrl-C ends the process: out of an import it would be a traceback, or get lost."""
-    before = signal.getsignal(signal.SIGINT)
-    if before is not signal.SIG_IGN:  # as a shell starts programs in the background
-        signal.signal(signal.SIGINT, _stop)
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGINT, before)
 
 
 def read_arguments(module: str, words: Sequence[str], program: str) -> Any:
@@ -139,12 +131,14 @@ def _complain(program: str, error: BaseException, debug: bool) -> None:
     """Say in one line what went wrong; and where, if that is asked for."""
     if debug:
         traceback.print_exception(error)
-    if isinstance(error, (ValueError, OSError)):
+    if isinstance(error, OSError) and error.errno is not None and error.filename is None:
+        line = f"what is printed: {error.strerror}"  # of files, errors name the file
+    elif isinstance(error, (ValueError, OSError)):
         line = str(error)
     else:
         where = "" if debug else "; --debug shows where, please report it"
         line = f"failed with {type(error).__name__}: {error}{where}"
-    print(f"{program}: {printable(line)}", file=sys.stderr)
+    print(f"{program}: {_in_one_line(line)}", file=sys.stderr)
 
 
 def run(name: str, words: Sequence[str] | None = None) -> None:
@@ -162,11 +156,11 @@ def run(name: str, words: Sequence[str] | None = None) -> None:
         if isinstance(stream, TextIOWrapper):  # names may hold letters that the terminal has not
             stream.reconfigure(errors="backslashreplace")
     try:
-        with _stopped_at_once():
+        with stopped_at_once():
             args = read_arguments(module, words, program)
             command = importlib.import_module(module)
-        _require_results_can_be_written(args)
-        with _quiet() if "--quiet" in words else nullcontext():
+        with ended_by_signals(), _quiet() if "--quiet" in words else nullcontext():
+            _require_results_can_be_written(args)
             command.main(args)
         print(end="", flush=True)
     except BrokenPipeError:  # the reader has seen enough
@@ -180,6 +174,10 @@ def run(name: str, words: Sequence[str] | None = None) -> None:
     except KeyboardInterrupt:
         print(f"{program}: interrupted", file=sys.stderr)
         sys.exit(130)
+    except Ended as end:
+        with suppress(OSError):  # the terminal may be gone
+            print(f"{program}: {end.told}", file=sys.stderr)
+        _leave(int(str(end.code)))
 
 
 def _require_results_can_be_written(args: Any) -> None:
@@ -202,11 +200,11 @@ def main() -> None:
     if words[0] in there:
         run(words[0], words[1:])
         return
-    with _stopped_at_once():
+    with stopped_at_once():
         from mmwave_env import __version__
         from mmwave_env.lookup import unknown
     if words[0] in ("-V", "--version"):
         print(f"mmwave-loc {__version__}")
         return
-    print(printable(unknown("command", words[0], there)), file=sys.stderr)
+    print(_in_one_line(unknown("command", words[0], there)), file=sys.stderr)
     sys.exit(2)

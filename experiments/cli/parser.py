@@ -16,8 +16,7 @@ from dataclasses import MISSING, Field, fields
 from pathlib import Path
 from typing import Any, Literal, NoReturn, TypeVar, Union, get_args, get_origin, get_type_hints
 
-from experiments.evaluation.text import printable
-from mmwave_env.lookup import did_you_mean, unknown
+from mmwave_env.lookup import did_you_mean, printable, unknown
 
 T = TypeVar("T")
 

@@ -1,9 +1,10 @@
 """Contenders run and compared, as ``score_contenders``, ``compare`` and ``demo`` print it."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any
+from typing import Any, NamedTuple
 
 from experiments.arguments.shared import EpisodeArgs
 from experiments.cli.options import contender_of, provenance, runs_of, selection_of, task_of
@@ -21,12 +22,28 @@ from mmwave_env.models.radio import profile_of, radio_from
 from mmwave_env.reward import reward_name
 
 
-def report(command: str, args: EpisodeArgs, found: tuple[Comparison, str, dict[str, Any]]) -> None:
-    """Print the tables of :func:`results` and write ``args.json``."""
-    _, text, content = found
-    show(text)
-    if args.json:
-        write_json(args.json, provenance(command, args) | content)
+class Results(NamedTuple):
+    """What a comparison came to."""
+
+    comparison: Comparison
+    text: str  # all tables as Markdown
+    json: dict[str, Any]  # every figure
+    pictures: Sequence[Callable[[], None]]  # draw what was asked for
+
+    def draw(self) -> None:
+        """Write the pictures."""
+        for picture in self.pictures:
+            picture()
+
+
+def report(command: str, args: EpisodeArgs, found: Results) -> None:
+    """Write ``args.json``, then the pictures, and print the tables of :func:`results`."""
+    if args.json:  # first, because whoever reads what is shown may leave
+        write_json(args.json, provenance(command, args) | found.json)
+    try:
+        found.draw()
+    finally:  # a picture that fails costs nobody the tables
+        show(found.text)
 
 
 def results(
@@ -34,7 +51,7 @@ def results(
     names: Sequence[str],
     bound: bool = False,
     pictures: Mapping[str, Path] = MappingProxyType({}),
-) -> tuple[Comparison, str, dict[str, Any]]:
+) -> Results:
     """Run contenders on the episodes.
 
     Args:
@@ -43,9 +60,6 @@ def results(
         bound: whether to measure them in posterior Cramer-Rao bounds, too.
         pictures: those of :func:`~experiments.cli.watchers.watchers`, and "figure", which gets the
             performance profiles of runs.
-
-    Returns:
-        The comparison, all tables as Markdown, and every figure as JSON.
     """
     require_options(args, pictures)
     task, runs = task_of(args), runs_of(args, names)
@@ -68,6 +82,7 @@ def results(
     scores = {name: found[file] for name, file in files.items()}
     if args.episodes_csv:
         write_text(args.episodes_csv, episodes_csv(scores, selection, source))
+    drawn: list[Callable[[], None]] = []
     result = compare_scores(
         scores, learned, scenario=source.name, radio=profile_of(args.radio), selection=selection,
         reward=reward_name(scoring.reward),
@@ -83,11 +98,12 @@ def results(
         text += "".join(map(seeds_markdown, seeds))
         content |= {"training_seeds": {one.run.name: one.json for one in seeds}}
         if "figure" in pictures:
-            draw_profiles(seeds, pictures["figure"])
+            drawn.append(partial(draw_profiles, seeds, pictures["figure"]))
     for one in watched:
-        more, figures = one.finish()
+        more, figures = one.told()
         text, content = text + more, content | figures
-    return result, text, content
+        drawn.append(one.draw)
+    return Results(result, text, content, drawn)
 
 
 def _require_profiles(names: Sequence[str], runs: Mapping[str, Run]) -> None:

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -27,12 +28,14 @@ class Watcher(NamedTuple):
 
     Attributes:
         add: takes what every contender tells.
-        finish: draws, and says what there is beside pictures.
+        told: Markdown below the tables, and figures.
+        draw: writes the pictures.
         parts: of the state, that it needs after every epoch.
     """
 
     add: Watch
-    finish: Callable[[], Made] = lambda: ("", {})
+    told: Callable[[], Made] = lambda: ("", {})
+    draw: Callable[[], None] = lambda: None
     parts: Sequence[str] = ()
 
 
@@ -92,25 +95,22 @@ def watchers(
 def _decisions(names: Mapping[str, str], path: Path) -> Watcher:
     seen = Decisions(names)
 
-    def finish() -> Made:
-        draw_decisions(seen, path)
-        return "", {"decisions": seen.json}
-
-    return Watcher(seen.add, finish)
+    return Watcher(
+        seen.add, lambda: ("", {"decisions": seen.json}), partial(draw_decisions, seen, path)
+    )
 
 
 def _errors(args: EpisodeArgs, names: Mapping[str, str], pictures: Mapping[str, Path]) -> Watcher:
     epochs = EpochErrors(names)
 
-    def finish() -> Made:
+    def draw() -> None:
         if "errors" in pictures:
             draw_error_cdf(epochs.errors_m, pictures["errors"])
         if "consistency" in pictures:
             dof = 2 if args.planar else 3
             draw_consistency(epochs.time_s, epochs.nees, dof, pictures["consistency"])
-        return "", {}
 
-    return Watcher(epochs.add, finish)
+    return Watcher(epochs.add, draw=draw)
 
 
 def _positions(
@@ -118,13 +118,15 @@ def _positions(
 ) -> Watcher:
     seen = Positions(names, args.risk, args.planar)
 
-    def finish() -> Made:
+    def draw() -> None:
         if "stanford" in pictures:
             draw_stanford(seen.errors, args.alert_limit, pictures["stanford"])
+
+    def told() -> Made:
         if not args.percentiles:
             return "", {}
         figures = seen.figures()
         text = positions_markdown("policy", figures["policies"], args.risk)
         return f"\n{text}", {"position_errors": figures}
 
-    return Watcher(seen.add, finish, positions.PARTS)
+    return Watcher(seen.add, told, draw, positions.PARTS)

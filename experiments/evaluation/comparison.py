@@ -49,8 +49,8 @@ class Comparison:
     def __str__(self) -> str:
         """Every policy with 95 % half-widths, then the paired differences of the reward."""
         # Rewards of different kinds are not to be compared.
-        reward = "" if self.reward == "tracking" else f", reward {self.reward}"
-        parts = [f"### {escaped(self.scenario)}, {self.radio}, {self.selection}{reward}\n"]
+        reward = "" if self.reward == "tracking" else f", reward {escaped(self.reward)}"
+        parts = [f"### {escaped(self.scenario)}, {escaped(self.radio)}, {self.selection}{reward}\n"]
         parts.append(self._policies_table())
         if self.paired:
             intervals = ", 95 % intervals" if len(self.selection) > 1 else ""

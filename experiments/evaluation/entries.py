@@ -1,6 +1,5 @@
 """Entries of the benchmark as files, and the tables that rank them."""
 
-import json
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -8,6 +7,7 @@ from typing import Any
 from experiments.evaluation.intervals import Interval
 from experiments.evaluation.markdown import Table
 from experiments.evaluation.protocol import KINDS, RECORDED, TRAINED, standing, venues
+from mmwave_env.files import read_json
 
 
 def read_entry(path: Path) -> dict[str, Any]:
@@ -16,17 +16,15 @@ def read_entry(path: Path) -> dict[str, Any]:
     Raises:
         ValueError: naming the file and what is wrong in it.
     """
-    try:
-        found: Any = json.loads(path.read_text(encoding="utf-8"))
-        if not isinstance(found, dict):
-            raise ValueError(f"found {type(found).__name__}, expected an object")
+
+    def checked(found: dict[str, Any]) -> dict[str, Any]:
         for key in ("entry", "venues", "mean_gain"):
             if key not in found:
                 raise ValueError(f"{key}: found none, expected one beside {', '.join(found)}")
         require_entry(found)
-    except (ValueError, KeyError, TypeError, AttributeError) as error:
-        raise ValueError(f"{path}: not an entry: {error}") from error
-    return found
+        return found
+
+    return read_json(path, "an entry", checked)
 
 
 def require_entry(found: Mapping[str, Any]) -> None:

@@ -1,10 +1,12 @@
 """Folders of ``mmwave-loc train``: one policy a training seed."""
 
-import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Any
+
+from mmwave_env.files import read_json
 
 
 def require_no_smoke(name: str, command: str) -> None:
@@ -41,19 +43,19 @@ class Run:
                 f"{path}: found no file, expected the summary of a run that is over; "
                 "mmwave-loc train --resume goes on with one that is not"
             )
-        try:
-            summary: Any = json.loads(path.read_text(encoding="utf-8"))
-            outcomes = tuple(summary["seeds"])
-            seeds = tuple(outcome["seed"] for outcome in outcomes)
-            median, command = summary["median"], str(summary.get("command"))
-        except (ValueError, KeyError, TypeError) as error:
-            raise ValueError(f"{path}: not the summary of a run: {error!r}") from error
-        require_no_smoke(name, command)
+        return read_json(path, "the summary of a run", partial(cls._of, name))
+
+    @classmethod
+    def _of(cls, name: str, summary: dict[str, Any]) -> "Run":
+        """The run of a summary."""
+        require_no_smoke(name, str(summary.get("command")))
+        outcomes, median = tuple(summary["seeds"]), summary["median"]
+        seeds = tuple(outcome["seed"] for outcome in outcomes)
         numbers = {seed for seed in seeds if type(seed) is int}
         if not seeds or len(numbers) < len(seeds):
-            raise ValueError(f"{path}: seeds: found {list(seeds)}, expected different numbers")
+            raise ValueError(f"seeds: found {list(seeds)}, expected different numbers")
         if median not in seeds:
-            raise ValueError(f"{path}: median: found {median!r}, expected one of {list(seeds)}")
+            raise ValueError(f"median: found {median!r}, expected one of {list(seeds)}")
         return cls(name, seeds, median, outcomes)
 
     @property

@@ -5,9 +5,8 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from experiments.evaluation.text import printable
 from mmwave_env.files import atomic_path, require_writable
-from mmwave_env.lookup import require_extra
+from mmwave_env.lookup import printable, require_extra, spelled
 from mmwave_env.numerics.arrays import Array
 
 STYLE = Path(__file__).with_name("publication.mplstyle")
@@ -64,8 +63,7 @@ def caption(name: str) -> str:
 
     font = get_font(findfont("DejaVu Sans"))  # comes with matplotlib
     return "".join(
-        one if font.get_char_index(ord(one)) else one.encode("unicode_escape").decode()
-        for one in printable(name)
+        one if font.get_char_index(ord(one)) else spelled(one) for one in printable(name)
     )
 
 

@@ -3,6 +3,7 @@
 import csv
 import gzip
 from collections.abc import Callable, Sequence
+from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
@@ -22,6 +23,7 @@ from mmwave_env.episodes.log_folder import SCENE, TRUTH, log_of
 from mmwave_env.episodes.samples import sample_folder, sample_names
 from mmwave_env.episodes.tables import TRAJECTORY
 from mmwave_env.episodes.waypoints import WAYPOINT
+from mmwave_env.files import open_regular
 
 _FIRST_LINE = 1 << 16  # bytes of a file that are looked at
 
@@ -116,10 +118,11 @@ def _columns(path: Path) -> Sequence[str]:
         return parquet_names(path)
     if not path.name.lower().endswith((".csv", ".csv.gz")):
         return ()
-    opened = gzip.open if path.suffix.lower() == ".gz" else open
-    with opened(path, "rb") as file:
+    with open_regular(path) as plain, ExitStack() as stack:
+        packed = path.suffix.lower() == ".gz"
+        file = stack.enter_context(gzip.open(plain)) if packed else plain
         try:
             line = file.readline(_FIRST_LINE).decode("utf-8-sig")
-        except (UnicodeDecodeError, EOFError, gzip.BadGzipFile):
+        except (UnicodeDecodeError, EOFError, OSError):
             return ()
     return [name.strip() for name in next(csv.reader([line]), [])]

@@ -2,15 +2,17 @@
 
 import csv
 from collections.abc import Sequence
+from io import StringIO
 from pathlib import Path
 
 from experiments.figures.curves import draw_learning_curves
 from experiments.training.evaluator import TRAINING_RIVALS
+from mmwave_env.files import read_text
 
 
 def curve(journal: Path, figure: str) -> tuple[list[float], list[float]]:
     """Steps and a figure of a journal, where it has both."""
-    with journal.open(encoding="utf-8", newline="") as lines:
+    with StringIO(read_text(journal, "a journal of a training"), newline="") as lines:
         rows = [row for row in csv.DictReader(lines) if row.get(figure)]
     return [float(row["timesteps"]) for row in rows], [float(row[figure]) for row in rows]
 

@@ -55,7 +55,9 @@ def tables(args: Args) -> Iterator[tuple[str, str, dict[str, Any]]]:
     for radio in RADIOS:
         what = EpisodeArgs(radio=radio, episodes=args.episodes, seed=args.seed)
         names, figure = [*runs_of(args, radio), *PAGE_RIVALS], args.out / f"profiles-{radio}.png"
-        _, text, content = results(what, names, pictures={"figure": figure})
+        found = results(what, names, pictures={"figure": figure})
+        found.draw()
+        text, content = found.text, found.json
         content |= {"decisions": around_events(args, radio)}
         text = text.partition("\n\n")[2].rstrip("\n")  # titles of pages are the pages' own
         yield radio, text.replace(f"{args.runs}/", ""), content

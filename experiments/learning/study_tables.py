@@ -1,6 +1,5 @@
 """What the studies of beliefs per mode came to, on test seeds: tables of docs/learning.md."""
 
-import json
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import partial
 from pathlib import Path
@@ -21,6 +20,7 @@ from experiments.learning.evolution import TUNING_EPISODES, LinearTrust
 from experiments.learning.studies import DEFAULTS, EVOLUTION, TRAININGS, record_of
 from experiments.training.places import Place
 from mmwave_env.episodes.episode import Episode
+from mmwave_env.files import read_json
 from mmwave_env.filters.bank import Bank
 from mmwave_env.numerics.arrays import Array
 from policies import LearnedSwitch
@@ -96,7 +96,7 @@ def rows_of(runs: Path) -> dict[str, Row]:
         rewards = partial(_rewards_with, trust, switch.bank(RADIO))
         found[f"{GUIDED}, mean {how}"] = found[GUIDED]._replace(rewards=rewards)
     if (record := record_of(studies, EVOLUTION)).is_file():
-        evolved = json.loads(record.read_text(encoding="utf-8"))
+        evolved = read_json(record, "the record of a study", dict)
         linear = LinearTrust.of(evolved)
         rewards = partial(_rewards_with, linear, linear.bank)
         found[EVOLUTION] = Row(rewards, "1", f"{evolved['seconds']:.0f} s")
@@ -150,7 +150,7 @@ def study_tables(runs: Path, episodes: int, seed: int) -> Iterator[tuple[str, st
             content[name] = {what: gain.json for what, gain in gains.items()}
         yield title, grid(["", "seeds", "trained for", *columns], lines), content
     if (record := record_of(runs / "studies", DEFAULTS)).is_file():
-        found = json.loads(record.read_text(encoding="utf-8"))
+        found = read_json(record, "the record of a study", dict)
         yield DEFAULTS, defaults_table(found), found
 
 

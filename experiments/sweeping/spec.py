@@ -3,8 +3,10 @@
 import hashlib
 import itertools
 import json
+import sys
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +14,8 @@ from experiments.arguments.shared import EpisodeArgs
 from experiments.arguments.train import TaskArgs
 from experiments.evaluation.seeds import TRAINING_SEED
 from mmwave_env import __version__
-from mmwave_env.lookup import choose
+from mmwave_env.files import read_text
+from mmwave_env.lookup import as_name, choose
 from mmwave_env.records import require_fields
 
 HYPERPARAMETER = "hyperparameters."  # begins the name of an axis of a training
@@ -84,22 +87,17 @@ def read_spec(path: Path) -> Spec:
         ValueError: naming the file, the key, what was found and what was expected.
         FileNotFoundError: there is no such file.
     """
-    if not path.is_file():
-        raise FileNotFoundError(f"{path}: found no file, expected a sweep, TOML")
+    text = read_text(path, "a sweep, TOML")
     try:
-        content = _toml().loads(path.read_text(encoding="utf-8"))
+        content = _toml().loads(text)
         cells = tuple(_cells(content))
     except (ValueError, RecursionError) as error:
         raise ValueError(f"{path}: not a sweep: {error} (docs/sweep.md)") from error
-    return Spec(path.stem, cells)
+    return Spec(as_name(path.stem), cells)
 
 
 def _toml() -> Any:
-    try:
-        import tomllib
-    except ModuleNotFoundError:  # Python 3.10
-        import tomli as tomllib
-    return tomllib
+    return import_module("tomllib" if sys.version_info >= (3, 11) else "tomli")
 
 
 def _cells(content: Mapping[str, Any]) -> Iterator[Cell]:

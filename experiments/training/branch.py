@@ -14,7 +14,12 @@ import torch
 
 from experiments.training.actor import folded, layer_tensors
 from experiments.training.branching_env import BranchingEnv
-from experiments.training.checkpoint import read_checkpoint, with_arrays, write_checkpoint
+from experiments.training.checkpoint import (
+    going_on_from,
+    read_stand,
+    with_arrays,
+    write_checkpoint,
+)
 from experiments.training.hyperparameters import BranchHyperparameters, falling
 from experiments.training.job import Job, Tell
 from experiments.training.looks import Looks
@@ -45,7 +50,7 @@ class BranchTraining:
             "update": 0, "states": 0, "best": None, "beat_rule": None, "seconds": 0.0, "rows": [],
         }  # fmt: skip
         if job.checkpoint.exists():
-            self._stand = read_checkpoint(job.checkpoint)
+            self._stand = read_stand(job.checkpoint, self._stand)
         recipe = job.recipe
         self._env = BranchingEnv(
             job.task, recipe.num_envs, recipe.horizon, recipe.gamma, job.first_seed
@@ -60,7 +65,8 @@ class BranchTraining:
         """Train to the end; figures of the training and of its best policy."""
         job, stand = self._job, self._stand
         if "learner" in stand:
-            self._restore()
+            with going_on_from(job.checkpoint):
+                self._restore()
         while stand["states"] < job.timesteps:
             figures = self._update()
             if stand["update"] % LOOK == 0 or stand["states"] >= job.timesteps:

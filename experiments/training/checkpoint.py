@@ -1,15 +1,21 @@
 """Where a training stands, on disk: written beside and renamed, read without unpickling."""
 
 import io
+from collections.abc import Iterator
+from contextlib import contextmanager
 from hashlib import sha256
 from pathlib import Path
-from pickle import UnpicklingError
 from typing import Any
+from zipfile import ZIP_STORED, ZipFile
 
 import numpy as np
 import torch
 
-from mmwave_env.files import write_bytes
+from experiments.evaluation.outcomes import require_outcome
+from mmwave_env.files import read_bounded, told, write_bytes
+from mmwave_env.lookup import quoted
+
+MOST_BYTES = 1 << 30  # of a checkpoint: what rollouts remember takes most of it
 
 
 def write_checkpoint(path: Path, state: dict[str, Any]) -> None:
@@ -25,21 +31,63 @@ def read_checkpoint(path: Path) -> dict[str, Any]:
 
     Raises:
         ValueError: it is damaged; nothing in it is executed.
+        OSError: it can't be read.
     """
-    written = path.read_bytes()
+    written = read_bounded(path, MOST_BYTES, "a checkpoint")
     checksum, content = written[: sha256().digest_size], written[sha256().digest_size :]
     try:
         if sha256(content).digest() != checksum:
             raise ValueError("found another checksum than that of its content")
+        with ZipFile(io.BytesIO(content)) as archive:  # what is packed could unpack to anything
+            if any(part.compress_type != ZIP_STORED for part in archive.infolist()):
+                raise ValueError("found compressed parts, which PyTorch does not write")
         state: dict[str, Any] = torch.load(
             io.BytesIO(content), map_location="cpu", weights_only=True
         )
-    except (ValueError, UnpicklingError) as error:
-        reason = str(error).partition("\n")[0]
-        raise ValueError(
-            f"{path}: not a checkpoint: {reason}; remove it to train from the start"
-        ) from error
+        if not isinstance(state, dict):
+            raise ValueError(f"found {type(state).__name__}")
+    except Exception as error:  # bytes that are none of PyTorch's make it raise anything
+        raise _no_checkpoint(path, error) from error
     return state
+
+
+def _no_checkpoint(path: Path, error: Exception) -> ValueError:
+    return ValueError(f"{path}: not a checkpoint: {told(error)}; remove it to train from the start")
+
+
+@contextmanager
+def going_on_from(path: Path) -> Iterator[None]:
+    """What the state of another training makes code raise in the block is said of its file.
+
+    Raises:
+        ValueError: naming the file.
+    """
+    try:
+        yield
+    except Exception as error:
+        raise _no_checkpoint(path, error) from error
+
+
+def read_stand(path: Path, begin: dict[str, Any]) -> dict[str, Any]:
+    """Where a training stands, of a checkpoint.
+
+    Args:
+        path: of the checkpoint.
+        begin: where it stood at its beginning, whose keys are those of any.
+
+    Raises:
+        ValueError: it is damaged, or of something else.
+    """
+    stand = read_checkpoint(path)
+    with going_on_from(path):
+        for key, value in begin.items():
+            if value is not None and type(stand[key]) is not type(value):
+                raise ValueError(f"{key}: found {quoted(stand[key])}, expected another type")
+        if stand["best"] is not None:
+            require_outcome({"seed": 0, **stand})
+        for row in stand["rows"]:
+            float(row["timesteps"])
+    return stand
 
 
 def _with_tensors(tree: Any) -> Any:

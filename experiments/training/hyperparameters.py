@@ -1,11 +1,13 @@
 """How a switcher is trained: hyperparameters, as small JSON files beside this one hold them."""
 
-import json
 from dataclasses import MISSING, dataclass, fields
+from functools import partial
 from pathlib import Path
 from typing import Any, get_type_hints
 
 from mmwave_env.compiler.lanes import WIDTH
+from mmwave_env.files import read_json
+from mmwave_env.lookup import quoted
 
 
 @dataclass(frozen=True)
@@ -80,6 +82,7 @@ class BranchHyperparameters:
 
 
 AnyHyperparameters = Hyperparameters | BranchHyperparameters
+MOST = 1e15  # of any of them: more is a slip, and too much for memory and time
 KINDS: dict[str, type[AnyHyperparameters]] = {
     "ppo": Hyperparameters, "recurrent-ppo": Hyperparameters, "branch": BranchHyperparameters,
 }  # fmt: skip
@@ -90,7 +93,7 @@ def _require_kinds(recipe: AnyHyperparameters) -> None:
     for name, kind in get_type_hints(type(recipe)).items():
         value = getattr(recipe, name)
         if kind in (int, float):
-            sound = type(value) in {kind, int} and 0 <= value < float("inf")
+            sound = type(value) in {kind, int} and 0 <= value < MOST
             expected = "a number of 0 or more" if kind is float else "a count of 0 or more"
         elif kind is bool:
             sound, expected = type(value) is bool, "true or false"
@@ -98,7 +101,7 @@ def _require_kinds(recipe: AnyHyperparameters) -> None:
             sound = isinstance(value, tuple) and all(type(n) is int and n > 0 for n in value)
             sound, expected = sound and bool(value), "a list of counts of neurons"
         if not sound:
-            raise ValueError(f"{name}: found {value!r}, expected {expected}")
+            raise ValueError(f"{name}: found {quoted(value)}, expected {expected}")
 
 
 def _require_least(recipe: AnyHyperparameters, **least: int) -> None:
@@ -127,24 +130,21 @@ def read_hyperparameters(path: Path, algorithm: str) -> AnyHyperparameters:
         ValueError: naming the file and what is wrong in it.
         FileNotFoundError: there is no such file.
     """
-    kind = KINDS[algorithm]
-    try:
-        found: Any = json.loads(path.read_text(encoding="utf-8"))
-        if not isinstance(found, dict):
-            raise ValueError(f"found {type(found).__name__}, expected an object")
-        known = {field.name: field.default is MISSING for field in fields(kind)}
-        missing = {name for name, needed in known.items() if needed} - set(found)
-        unknown = set(found) - set(known)
-        if missing or unknown:
-            raise ValueError(
-                f"missing {', '.join(sorted(missing)) or 'none'}, "
-                f"unknown {', '.join(sorted(unknown)) or 'none'}"
-            )
-        if isinstance(found["hidden"], list):  # JSON has no tuples
-            found["hidden"] = tuple(found["hidden"])
-        return kind(**found)
-    except ValueError as error:
-        raise ValueError(f"{path}: not a hyperparameter file: {error}") from error
+    return read_json(path, "a hyperparameter file", partial(_recipe, KINDS[algorithm]))
+
+
+def _recipe(kind: type[AnyHyperparameters], found: dict[str, Any]) -> AnyHyperparameters:
+    """The recipe of a file's object."""
+    known = {field.name: field.default is MISSING for field in fields(kind)}
+    missing = {name for name, needed in known.items() if needed} - set(found)
+    unknown = set(found) - set(known)
+    if missing or unknown:
+        raise ValueError(
+            f"missing {', '.join(sorted(missing)) or 'none'}, "
+            f"unknown {', '.join(sorted(unknown)) or 'none'}"
+        )
+    hidden = found["hidden"]  # JSON has no tuples
+    return kind(**found | {"hidden": tuple(hidden) if isinstance(hidden, list) else hidden})
 
 
 def recipe_as_written(recipe: AnyHyperparameters) -> dict[str, Any]:

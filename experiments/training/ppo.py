@@ -9,14 +9,19 @@ from sb3_contrib.common.recurrent.type_aliases import RNNStates
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.logger import Logger
 
-from experiments.training.checkpoint import read_checkpoint, with_arrays, write_checkpoint
+from experiments.training.checkpoint import (
+    going_on_from,
+    read_stand,
+    with_arrays,
+    write_checkpoint,
+)
 from experiments.training.hyperparameters import Hyperparameters, falling
 from experiments.training.job import Job, Tell
 from experiments.training.looks import Looks
 from experiments.training.network import actor_of, learner
 from experiments.training.progress_log import ProgressLog
 from experiments.training.training_env import TrainingEnv
-from mmwave_env.files import write_json
+from mmwave_env.files import atomic_path, write_json
 
 # Updates between two rows of the journal, and between two looks: until the rule is beaten, and
 # after that.
@@ -45,7 +50,7 @@ class PpoTraining(BaseCallback):
             "update": -1, "best": None, "beat_rule": None, "seconds": 0.0, "rows": [],
         }  # fmt: skip
         if job.checkpoint.exists():
-            self._stand = read_checkpoint(job.checkpoint)
+            self._stand = read_stand(job.checkpoint, self._stand)
         self._env = TrainingEnv(job.task, job.recipe)
         self._learner = learner(self._env, job.recipe, job.first_seed)
         self._looks = Looks(job, tell, self._stand)
@@ -57,16 +62,19 @@ class PpoTraining(BaseCallback):
         job, model, stand = self._job, self._learner, self._stand
         model.set_logger(Logger(None, [self._journal]))
         if "learner" in stand:
-            self._restore(stand.pop("learner"))
-            self._env.restore(with_arrays(stand.pop("world")))
+            with going_on_from(job.checkpoint):
+                self._restore(stand.pop("learner"))
+                self._env.restore(with_arrays(stand.pop("world")))
         left = job.timesteps - model.num_timesteps
         fresh = not model.num_timesteps
         # It counts anew. Its own type knows no None, its code does: log when this class says so.
         model.learn(left, self, log_interval=None, reset_num_timesteps=fresh)  # type: ignore[arg-type]
         self._look()
         model.dump_logs()
-        model.save(job.folder / "model.zip")
-        self._env.normal.save(str(job.folder / "normalization.pkl"))
+        with atomic_path(job.folder / "model.zip") as path:
+            model.save(path)
+        with atomic_path(job.folder / "normalization.pkl") as path:
+            self._env.normal.save(str(path))
         self._journal.close()
         outcome = {
             "seed": job.seed, "timesteps": model.num_timesteps,

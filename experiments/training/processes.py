@@ -1,6 +1,5 @@
 """Trainings side by side, each in a process of its own."""
 
-import json
 import multiprocessing
 import os
 import signal
@@ -10,8 +9,11 @@ from multiprocessing.connection import Connection, wait
 from multiprocessing.process import BaseProcess
 from typing import Any, cast
 
+from experiments.evaluation.outcomes import is_number, require_outcome
+from experiments.evaluation.signals import ended_by_signals
 from experiments.training.job import Job
 from experiments.training.trainers import TRAINERS
+from mmwave_env.files import read_json
 
 Outcome = dict[str, Any]
 
@@ -92,13 +94,32 @@ def _deaf_to_interrupts() -> Iterator[None]:
 def _train(job: Job[Any], line: Connection) -> None:
     """One training; ends at its next word when nobody listens any more."""
     try:
-        if job.outcome.is_file():
-            outcome = json.loads(job.outcome.read_text(encoding="utf-8"))
-        else:
-            trainer = TRAINERS[job.algorithm](job, lambda *told: line.send(("news", *told)))
-            outcome = trainer.run()
-        line.send(("done", outcome))
+        with ended_by_signals():
+            if job.outcome.is_file():
+                outcome = _outcome(job)
+            else:
+                trainer = TRAINERS[job.algorithm](job, lambda *told: line.send(("news", *told)))
+                outcome = trainer.run()
+            line.send(("done", outcome))
     except BrokenPipeError:
         return
     except (ValueError, OSError) as error:
         line.send(("refused", str(error)))
+
+
+def _outcome(job: Job[Any]) -> Outcome:
+    """What a training that is over came to, as it wrote it.
+
+    Raises:
+        ValueError: something else is in its file.
+    """
+
+    def checked(found: Outcome) -> Outcome:
+        require_outcome(found)
+        if found["seed"] != job.seed:
+            raise ValueError(f"seed: found {found['seed']}, expected {job.seed}")
+        if not is_number(found["seconds"]):
+            raise ValueError(f"seconds: found {found['seconds']!r}, expected a number")
+        return found
+
+    return read_json(job.outcome, "the outcome of a training", checked)

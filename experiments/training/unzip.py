@@ -18,6 +18,7 @@ from safetensors.numpy import save_file
 
 from experiments.evaluation.zip_agent import ZipAgent, in_one_line
 from experiments.training.actor import Normalization, actor_tensors, require_actor
+from mmwave_env.files import open_regular
 
 EPOCHS, EPISODES = 20, 50  # to see what the model decides in
 SHOWN, CHOSEN = "shown", "chosen"
@@ -44,7 +45,11 @@ def unzipped(model: Path, normalize: Path | None) -> tuple[dict[str, NDArray[Any
             target=_unzip, args=(str(model), normalize, out), daemon=True
         )
         process.start()
-        process.join()
+        try:
+            process.join()
+        finally:  # it ends, too, where somebody ends this one
+            process.kill()
+            process.join()
         refusal = out.with_suffix(".txt")
         if refusal.exists():
             raise ValueError(refusal.read_text(encoding="utf-8"))
@@ -96,7 +101,7 @@ def _normalization(path: Path | None, box: Any) -> Normalization:
     from stable_baselines3.common.vec_env import VecNormalize
 
     try:
-        with path.open("rb") as file:
+        with open_regular(path) as file:
             normal: Any = pickle.load(file)
         if not isinstance(normal, VecNormalize):
             raise TypeError(f"found {type(normal).__name__}")

@@ -6,12 +6,12 @@ from typing import Any
 import numpy as np
 from scipy.special import chdtri
 
-from experiments.evaluation.text import printable
 from experiments.webpage.episodes import numbers
 from experiments.webpage.kinds import events
 from experiments.webpage.played import Played
 from experiments.webpage.source import Source
 from mmwave_env.localization.position_errors import SHARES, horizontal, vertical
+from mmwave_env.lookup import printable
 from mmwave_env.metrics import METRICS, nees_interval
 from mmwave_env.numerics.arrays import Array
 

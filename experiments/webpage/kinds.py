@@ -1,26 +1,12 @@
 """Kinds of results: which keys each has, and what must be behind them."""
 
-import math
 from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
 
 from experiments.evaluation.entries import require_entry
+from experiments.evaluation.outcomes import is_number, require_interval
 from experiments.evaluation.positions import kinds_of
 from experiments.evaluation.seeds import Selection
-
-
-def is_number(value: Any) -> bool:
-    """Whether it is a finite number."""
-    return isinstance(value, int | float) and math.isfinite(value)
-
-
-def require_interval(key: str, found: Any) -> None:
-    """Refuse what is no mean with its interval."""
-    if isinstance(found, dict) and is_number(found.get("mean")) and "ci95" in found:
-        ends = found["ci95"]
-        if ends is None or (len(ends) == 2 and all(map(is_number, ends))):
-            return
-    raise ValueError(f"{key}: found {found!r:.60}, expected a mean and its ci95")
 
 
 def _require_table(key: str, table: Any) -> None:

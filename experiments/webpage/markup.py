@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 
 from experiments.evaluation.intervals import Interval
 from experiments.evaluation.markdown import rounded
-from experiments.evaluation.text import printable
+from mmwave_env.lookup import printable
 
 
 class Cell(NamedTuple):

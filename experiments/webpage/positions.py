@@ -6,12 +6,12 @@ from typing import Any
 import numpy as np
 
 from experiments.evaluation.positions import HEADER, KINDS, percent, row_of
-from experiments.evaluation.text import printable
 from experiments.figures.stanford import counts_of, edges_of
 from experiments.webpage.charts import Chart
 from experiments.webpage.markup import Cell, table
 from mmwave_env.localization.position_errors import PositionErrors
 from mmwave_env.localization.protection import ALERT_LIMIT_M, regions
+from mmwave_env.lookup import printable
 from mmwave_env.numerics.arrays import Array
 
 

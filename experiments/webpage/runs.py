@@ -1,12 +1,15 @@
 """Folders of runs of train, whether they are over or not."""
 
 import csv
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from io import StringIO
 from pathlib import Path
-from typing import Any
 
-from experiments.webpage.kinds import RUN, is_number, require_interval
-from experiments.webpage.source import Source, read_object, require_keys, told, writer_of
+from experiments.evaluation.outcomes import require_outcome
+from experiments.webpage.kinds import RUN
+from experiments.webpage.source import Source, read_object, require_keys, writer_of
+from mmwave_env.files import read_text, told
+from mmwave_env.lookup import quoted
 
 STEP = "timesteps"  # the column of a journal that the others are over
 
@@ -26,25 +29,12 @@ def read_run(path: Path) -> Source:
         seeds = [read_object(f) for one in trainings if (f := one / "outcome.json").is_file()]
     try:
         for one in seeds:
-            check_outcome(one)
+            require_outcome(one)
     except (KeyError, TypeError, ValueError) as error:
         raise ValueError(f"{file}: seeds: {told(error)}, expected outcomes of training") from error
     curves = {folder.name: curves_of(folder / "progress.csv") for folder in trainings}
     rest = {"name": str(path), "over": over, "seeds": seeds, "curves": curves}
     return Source(str(path), RUN, content | rest, versions)
-
-
-def check_outcome(one: Mapping[str, Any]) -> None:
-    """Refuse what is no outcome of a training."""
-    best, beat = one["best"], one.get("beat_rule")
-    for value in (one["seed"], best["reward"], best["timesteps"]):
-        if not is_number(value):
-            raise ValueError(f"found {value!r}, expected a number")
-    for key, gain in best.items():
-        if key.startswith("minus "):
-            require_interval(key, gain)
-    if beat:
-        beat["timesteps"], beat["seconds"]
 
 
 def _number(name: str) -> int:
@@ -66,19 +56,26 @@ def curves_of(journal: Path) -> dict[str, tuple[list[float], list[float]]]:
     found: dict[str, tuple[list[float], list[float]]] = {}
     if not journal.is_file():
         return found
-    with journal.open(encoding="utf-8", newline="") as lines:
+    lines = StringIO(read_text(journal, "a journal of a training"), newline="")
+    try:
         for number, row in enumerate(csv.DictReader(lines), start=2):
-            for name, value in row.items():
-                if not (isinstance(name, str) and name.startswith("tuning/") and value):
-                    continue
-                try:
-                    step, figure = float(row[STEP]), float(value)
-                except (KeyError, TypeError, ValueError) as error:
-                    raise ValueError(
-                        f"{journal}: line {number}: {name}: found {value!r}, expected a number "
-                        f"over {STEP}"
-                    ) from error
-                steps, values = found.setdefault(name.removeprefix("tuning/"), ([], []))
+            for name, step, figure in _figures(f"{journal}: line {number}", row):
+                steps, values = found.setdefault(name, ([], []))
                 steps.append(step)
                 values.append(figure)
+    except csv.Error as error:
+        raise ValueError(f"{journal}: found no readable CSV ({error}), expected CSV") from error
     return found
+
+
+def _figures(where: str, row: Mapping[str, str]) -> Iterator[tuple[str, float, float]]:
+    """The figures on tuning seeds in a row, with the steps that they are over."""
+    for name, value in row.items():
+        if not (isinstance(name, str) and name.startswith("tuning/") and value):
+            continue
+        try:
+            yield name.removeprefix("tuning/"), float(row[STEP]), float(value)
+        except (KeyError, TypeError, ValueError) as error:
+            raise ValueError(
+                f"{where}: {name:.80}: found {quoted(value)}, expected a number over {STEP}"
+            ) from error

@@ -2,11 +2,11 @@
 
 from collections.abc import Sequence
 
-from experiments.evaluation.text import printable
 from experiments.webpage.episodes import LONGEST
 from experiments.webpage.markup import paragraph
 from experiments.webpage.played import Played
 from experiments.webpage.sections import Page
+from mmwave_env.lookup import printable
 
 
 def left_out(played: Played) -> list[str]:

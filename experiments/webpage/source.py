@@ -1,6 +1,5 @@
 """Results of one command: what all kinds have in common, and what is refused of each."""
 
-import json
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -8,6 +7,7 @@ from typing import Any
 
 from experiments.webpage.kinds import Kind
 from mmwave_env import __version__
+from mmwave_env.files import read_json, told
 
 
 @dataclass(frozen=True)
@@ -58,27 +58,15 @@ def read_object(path: Path) -> dict[str, Any]:
 
     Raises:
         ValueError: it holds none.
+        OSError: it can't be read.
     """
-    try:
-        found: Any = json.loads(path.read_text(encoding="utf-8"))
-    except ValueError as error:  # not UTF-8 is one, too
-        raise ValueError(f"{path}: not JSON: {error}") from error
-    if not isinstance(found, dict):
-        raise ValueError(f"{path}: found {type(found).__name__}, expected an object of results")
-    return found
+    return read_json(path, "results", dict)
 
 
 def writer_of(versions: Any) -> str:
     """The version that wrote results, in words."""
     found = versions.get("mmwave-loc") if isinstance(versions, dict) else None
     return f"mmwave-loc {found}" if found else "an unknown version of mmwave-loc"
-
-
-def told(error: Exception) -> str:
-    """What an error says; of a key that is not there, which."""
-    if isinstance(error, KeyError):
-        return f"{error.args[0]}: found none"
-    return str(error)
 
 
 def words(names: Iterable[str]) -> str:

@@ -5,6 +5,7 @@ from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
+from experiments.evaluation.outcomes import require_outcome
 from experiments.webpage.kinds import (
     COMPARISON,
     DEFAULTS,
@@ -18,9 +19,10 @@ from experiments.webpage.kinds import (
     TRUST,
     Kind,
 )
-from experiments.webpage.runs import check_outcome, read_run
-from experiments.webpage.source import Source, read_object, told, words, writer_of
+from experiments.webpage.runs import read_run
+from experiments.webpage.source import Source, read_object, words, writer_of
 from mmwave_env import __version__
+from mmwave_env.files import told
 
 MADE = ("command", "versions")
 Reader = Callable[[str, Mapping[str, Any]], list[Source]]  # of a file's name and content
@@ -131,7 +133,7 @@ def _trainings(
     try:
         for outcomes in part.values():
             for one in outcomes:
-                check_outcome(one)
+                require_outcome(one)
     except (KeyError, TypeError, ValueError) as error:
         raise ValueError(f"{name}: {told(error)}, expected outcomes of training") from error
     versions = made.get("versions", {})

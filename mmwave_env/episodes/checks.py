@@ -5,12 +5,20 @@ from typing import Any, NoReturn
 
 import numpy as np
 
+from mmwave_env.lookup import is_name, quoted
 from mmwave_env.numerics.arrays import Array
+from mmwave_env.records import Printable
 
 
 def refuse(record: str, field: str, found: str, expected: str) -> NoReturn:
     """Raise the ValueError of a field of a record, such as "episode 'jam'"."""
     raise ValueError(f"{field} of {record}: found {found}, expected {expected}")
+
+
+def require_name(record: str, name: object) -> None:
+    """Refuse a name that tables and pictures can't show as it is."""
+    if not is_name(name):
+        refuse(record, "name", quoted(name), Printable.expected)
 
 
 def require_epochs(record: str, of: Any, shapes: Mapping[str, tuple[int, ...]]) -> None:

@@ -44,6 +44,17 @@ def key_from(key: Any) -> int:
     return number
 
 
+def option_of(options: Any, name: str) -> Any:
+    """What ``reset(options=...)`` says under a name; None where it says nothing.
+
+    Raises:
+        ValueError: the options are no dict.
+    """
+    if options is not None and not isinstance(options, dict):
+        raise ValueError(f"options: found {options!r}, expected a dict or None")
+    return (options or {}).get(name)
+
+
 def _product(a: Words, b: np.uint64) -> tuple[Words, Words]:
     """High and low words of the product of words."""
     a_high, a_low, b_high, b_low = a >> _HALF, a & _LOW, b >> _HALF, b & _LOW

@@ -16,6 +16,7 @@ from mmwave_env.logs.log import LogBlock, read_log
 from mmwave_env.logs.log_tables import SUFFIXES
 from mmwave_env.logs.truth import Truth
 from mmwave_env.logs.tum import COLUMNS, tum_lines
+from mmwave_env.lookup import as_name
 from mmwave_env.models.scene import Scene, read_scene, scene_json
 
 LOG, SCENE, TRUTH = "log.csv", "scene.json", "truth.tum"
@@ -51,7 +52,7 @@ def read_log_folder(folder: Path) -> MeasuredTrack:
     if (clock := clocks.offset()) and clock.matters:
         warnings.warn(f"{truth.path}: {clock.advice}", stacklevel=2)
     return MeasuredTrack(
-        name=folder.resolve().name,
+        name=as_name(folder.resolve().name),
         scene=scene,
         layout=log.layout,
         time_s=log.time_s,

@@ -18,8 +18,9 @@ from mmwave_env.episodes.arrays import (
     truth_of,
     warn_of_contradictions,
 )
-from mmwave_env.episodes.checks import refuse, require_epochs
+from mmwave_env.episodes.checks import refuse, require_epochs, require_name
 from mmwave_env.episodes.episode import Episode
+from mmwave_env.lookup import quoted
 from mmwave_env.models.measurement import Layout, whole_groups
 from mmwave_env.models.prior import GAP_S, draw_prior
 from mmwave_env.models.radio import Radio, radio_from
@@ -65,7 +66,8 @@ class MeasuredTrack:
             "snr_db": (T, L), "doppler_spread_hz": (T,), "position_m": (T, 3),
             "velocity_mps": (T, 3),
         }  # fmt: skip
-        record = f"track {self.name!r}"
+        record = f"track {quoted(self.name)}"
+        require_name(record, self.name)
         require_epochs(record, self, shapes)
         if len(self.scene.anchors_m) != L:
             refuse(record, "anchors", f"{len(self.scene.anchors_m)} in the scene", f"{L}")

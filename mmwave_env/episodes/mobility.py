@@ -10,11 +10,12 @@ from typing import Annotated
 from mmwave_env.episodes import travel
 from mmwave_env.episodes.kinematics import FAR
 from mmwave_env.episodes.travel import PhasePlan, TravelPlan, blank_plan
-from mmwave_env.lookup import choose
+from mmwave_env.lookup import as_name, choose, quoted
 from mmwave_env.records import (
     Bound,
     Count,
     Filled,
+    Name,
     NonNegative,
     Positive,
     Probability,
@@ -118,13 +119,13 @@ class Mobility:
         ends_as_it_began: whether the episode ends with its first phase again.
     """
 
-    name: str
+    name: Name
     phases: Filled[Phase]
     blocks: Count = 1
     ends_as_it_began: bool = False
 
     def __post_init__(self) -> None:
-        require_fields(self, f" of mobility {self.name!r}")
+        require_fields(self, f" of mobility {quoted(self.name)}")
         lasts = self.phases[-1].duration_s[0] == inf
         for i, phase in enumerate(self.phases):
             last = i == len(self.phases) - 1
@@ -185,7 +186,7 @@ def read_mobility(path: str | os.PathLike[str]) -> Mobility:
         ValueError: naming the file and what is wrong in it.
         FileNotFoundError: there is no such file.
     """
-    name = {"name": Path(path).stem}
+    name = {"name": as_name(Path(path).stem)}
     return read_object(path, "mobility", lambda content: object_from(Mobility, name | content))
 
 

@@ -18,8 +18,9 @@ from mmwave_env.episodes.arrays import (
     truth_of,
     warn_of_contradictions,
 )
-from mmwave_env.episodes.checks import refuse, require_epochs, require_finite
+from mmwave_env.episodes.checks import refuse, require_epochs, require_finite, require_name
 from mmwave_env.episodes.episode import Episode
+from mmwave_env.lookup import quoted
 from mmwave_env.models.measurement import (
     Layout,
     direction,
@@ -76,7 +77,8 @@ class Recording:
             "visible": (T, len(groups)), "path_gain_db": (T, L), "position_m": (T, 3),
             "velocity_mps": (T, 3),
         }  # fmt: skip
-        record = f"recording {self.name!r}"
+        record = f"recording {quoted(self.name)}"
+        require_name(record, self.name)
         require_epochs(record, self, shapes)
         require_finite(record, self, ("anchors_m", "time_s", "position_m", "velocity_mps"))
         widths = [rows.stop - rows.start for rows in groups]

@@ -1,6 +1,5 @@
 """What a ``scenario=`` argument means: kinds of users, or ways that somebody went."""
 
-import json
 import os
 from pathlib import Path
 
@@ -9,6 +8,7 @@ from mmwave_env.episodes.mobility import Mobility, mobilities_of
 from mmwave_env.episodes.traffic import Traffic, read_traffic
 from mmwave_env.episodes.trajectory import Trajectory
 from mmwave_env.episodes.waypoints import read_way
+from mmwave_env.files import parse_json, read_text
 
 Scenario = str | os.PathLike[str] | Mobility | Trajectory | Traffic
 Users = tuple[Mobility, ...] | Trajectory | Traffic
@@ -37,6 +37,6 @@ def users_of(scenario: Scenario) -> Users:
 def _holds_traffic(path: Path) -> bool:
     """Whether a JSON file is about traffic; if it is broken, who reads it says so."""
     try:
-        return path.suffix == ".json" and "fcd" in json.loads(path.read_text(encoding="utf-8"))
-    except (ValueError, TypeError, OSError, RecursionError):
+        return path.suffix == ".json" and "fcd" in parse_json(read_text(path))
+    except (ValueError, TypeError, OSError):
         return False

@@ -2,12 +2,16 @@
 
 import csv
 import math
-from collections.abc import Sequence
+from array import array
+from collections.abc import Iterator, Mapping, Sequence
+from io import StringIO
 from pathlib import Path
 from typing import NoReturn
 
 import numpy as np
 
+from mmwave_env.files import read_text
+from mmwave_env.lookup import quoted
 from mmwave_env.numerics.arrays import Array
 
 TRAJECTORY = ("t", "x", "y", "z", "vx", "vy", "vz")  # columns of where a user was when
@@ -30,19 +34,25 @@ def read_table(
 
     Raises:
         ValueError: naming file, line and column.
-        FileNotFoundError: there is no such file.
+        OSError: it can't be read; FileNotFoundError where there is no such file.
     """
-    (_, header), *rows = _rows(file)
-    names = [*needed, *(optional if any(name in header for name in optional) else ())]
-    if any(name not in header for name in names):
-        refuse(file, "header", repr(",".join(header)), f"the columns {','.join(names)}")
-    columns = {name: header.index(name) for name in names}
-    values = np.empty((len(rows), len(names)))
-    for i, (line, row) in enumerate(rows):
-        if len(row) != len(header):
-            refuse(file, f"line {line}", f"{len(row)} values", f"{len(header)}")
-        values[i] = [_number(file, f"line {line}, column {n}", row[c]) for n, c in columns.items()]
-    return [line for line, _ in rows], values
+    rows = _rows(file)
+    try:
+        _, header = next(rows, (1, []))
+        names = [*needed, *(optional if any(name in header for name in optional) else ())]
+        if any(name not in header for name in names):
+            refuse(file, "header", quoted(",".join(header)), f"the columns {','.join(names)}")
+        columns = {name: header.index(name) for name in names}
+        lines: list[int] = []
+        values = array("d")  # takes a fraction of what the rows would as text
+        for line, row in rows:
+            if len(row) != len(header):
+                refuse(file, f"line {line}", f"{len(row)} values", f"{len(header)}")
+            values.extend(_numbers(file, line, {n: row[c] for n, c in columns.items()}))
+            lines.append(line)
+    except csv.Error as error:
+        raise ValueError(f"{file}: found no readable CSV ({error}), expected CSV") from error
+    return lines, np.array(values).reshape(len(lines), len(names))
 
 
 def columns_of(file: Path) -> list[str]:
@@ -50,28 +60,28 @@ def columns_of(file: Path) -> list[str]:
 
     Raises:
         ValueError: no CSV.
-        FileNotFoundError: there is no such file.
+        OSError: it can't be read; FileNotFoundError where there is no such file.
     """
-    return _rows(file)[0][1]
-
-
-def _rows(file: Path) -> list[tuple[int, list[str]]]:
-    """Lines of a CSV file that are not empty, with their numbers; the first is the header."""
-    if not file.is_file():
-        raise FileNotFoundError(f"{file}: found no such file, expected CSV")
     try:
-        with file.open(newline="", encoding="utf-8-sig") as lines:
-            reader = csv.reader(lines, skipinitialspace=True)
-            return [(reader.line_num, row) for row in reader if row] or [(1, [])]
-    except (ValueError, OSError, csv.Error) as error:
+        return next(_rows(file), (1, []))[1]
+    except csv.Error as error:
         raise ValueError(f"{file}: found no readable CSV ({error}), expected CSV") from error
 
 
-def _number(file: Path, what: str, text: str) -> float:
-    try:
-        value = float(text)
-    except ValueError:
-        value = math.nan
-    if not math.isfinite(value):
-        refuse(file, what, repr(text), "a finite number")
-    return value
+def _rows(file: Path) -> Iterator[tuple[int, list[str]]]:
+    """Lines of a CSV file that are not empty, with their numbers; the first is the header."""
+    reader = csv.reader(StringIO(read_text(file, "CSV"), newline=""), skipinitialspace=True)
+    yield from ((reader.line_num, row) for row in reader if row)
+
+
+def _numbers(file: Path, line: int, cells: Mapping[str, str]) -> list[float]:
+    """The numbers in the cells of a line, by column."""
+    found = []
+    for name, text in cells.items():
+        try:
+            found.append(float(text))
+        except ValueError:
+            found.append(math.nan)
+        if not math.isfinite(found[-1]):
+            refuse(file, f"line {line}, column {name}", quoted(text), "a finite number")
+    return found

@@ -16,6 +16,7 @@ import numpy as np
 from mmwave_env.episodes.mobility import FASTEST_MPS
 from mmwave_env.episodes.tables import TRAJECTORY, columns_of, read_table, refuse
 from mmwave_env.episodes.trajectory import Trajectory, read_trajectory
+from mmwave_env.lookup import quoted
 from mmwave_env.numerics.arrays import Array
 
 WAYPOINT = ("x", "y", "z", "speed_mps", "acceleration_mps2", "wait_s")  # columns
@@ -33,8 +34,16 @@ def read_way(path: str | os.PathLike[str]) -> Trajectory:
         ValueError, FileNotFoundError: as of
             :func:`~mmwave_env.episodes.trajectory.read_trajectory` and :func:`read_waypoints`.
     """
-    timed = TRAJECTORY[0] in columns_of(Path(path))
-    return read_trajectory(path) if timed else read_waypoints(path)
+    columns = columns_of(Path(path))
+    if TRAJECTORY[0] in columns:
+        return read_trajectory(path)
+    if WAYPOINT[3] not in columns:
+        refuse(
+            Path(path), "header", quoted(",".join(columns)),
+            f"the columns {','.join(TRAJECTORY[:4])} of a way, or {','.join(WAYPOINT[:4])} of "
+            "way-points",
+        )  # fmt: skip
+    return read_waypoints(path)
 
 
 def read_waypoints(path: str | os.PathLike[str]) -> Trajectory:

@@ -2,7 +2,7 @@
 
 import os
 import warnings
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict, replace
 from functools import cache
 from importlib.resources import files
@@ -84,7 +84,7 @@ def as_written(mode: Mode) -> dict[str, Any]:
     """
     if not isinstance(mode.algorithm, str):
         raise ValueError(f"algorithm of mode {mode.name!r}: found a function, expected a name")
-    default = asdict(Mode(""))
+    default = asdict(Mode("default"))
     always = ("name", "algorithm", "sigma_p", "sigma_v")
     return {k: v for k, v in asdict(mode).items() if k in always or v != default[k]}
 
@@ -158,6 +158,8 @@ def modes_from(
                 f"{EXTENDED!r} or a mode file (.json)"
             )
         modes = [name]
+    elif not isinstance(modes, Iterable):
+        raise ValueError(f"modes: found {modes!r}, expected a list of names, mode files and Modes")
     result: list[Mode] = []
     for mode in modes:
         if isinstance(mode, Mode):

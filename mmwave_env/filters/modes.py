@@ -4,9 +4,9 @@ from dataclasses import dataclass, replace
 from typing import Annotated, NamedTuple
 
 from mmwave_env.filters.update import Algorithm, ckf, ekf, ukf
-from mmwave_env.lookup import choose
+from mmwave_env.lookup import choose, quoted
 from mmwave_env.numerics.numbers import Number
-from mmwave_env.records import Bound, Count, NonNegative, require_fields
+from mmwave_env.records import Bound, Count, Name, NonNegative, require_fields
 
 ALGORITHMS: dict[str, Algorithm] = {"ekf": ekf, "ukf": ukf, "ckf": ckf}
 Quantile = Annotated[float, Bound("a quantile in (0, 1)", above=0.0, below=1.0)]
@@ -39,7 +39,7 @@ class Mode:
     the paper's dt = 1 s the figures are the standard deviations per epoch.
 
     Attributes:
-        name: shown in tables and messages.
+        name: shown in tables and messages; up to 80 letters.
         algorithm: "ekf", "ukf", "ckf", or a function with the signature of
             :data:`~mmwave_env.filters.update.Algorithm` (docs/own-filters.md).
         sigma_p: extra horizontal position noise, m / sqrt(s).
@@ -67,7 +67,7 @@ class Mode:
         cost: subtracted from the reward of every epoch that runs this mode.
     """
 
-    name: str
+    name: Name
     algorithm: str | Algorithm = "ekf"
     sigma_p: NonNegative = 0.1
     sigma_v: NonNegative = 0.5
@@ -88,7 +88,7 @@ class Mode:
     cost: NonNegative = 0.0
 
     def __post_init__(self) -> None:
-        require_fields(self, f" of mode {self.name!r}")
+        require_fields(self, f" of mode {quoted(self.name)}")
         if isinstance(self.algorithm, str):
             choose(ALGORITHMS, self.algorithm, f"algorithm of mode {self.name!r}")
 

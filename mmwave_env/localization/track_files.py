@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from mmwave_env.files import atomic_path
+from mmwave_env.files import atomic_path, naming
 from mmwave_env.localization.localizer import TrackBlock
 from mmwave_env.logs.tum import COLUMNS, tum_lines
 
@@ -86,16 +86,21 @@ def track_files(track: Path, modes: Sequence[str]) -> Iterator[Callable[[TrackBl
 
         def write(block: TrackBlock) -> None:
             x = block.smooth_x
-            tum.write(tum_lines(block.time_s, x[:, :3]))
+            with naming(track):
+                tum.write(tum_lines(block.time_s, x[:, :3]))
             # Not below 0: rounding may take a variance there that is known to be 0.
             sigma = np.sqrt(np.maximum(block.smooth_P[:, _VARIANCES], 0.0))
             numbers = np.column_stack(
                 [block.time_s, x[:, :3], sigma[:, :3], x[:, 3:6], sigma[:, 3:]]
             ).tolist()
             modes_run = block.mode.tolist()
-            table.writelines([row((*n, names[m])) for n, m in zip(numbers, modes_run, strict=True)])
+            rows = [row((*n, names[m])) for n, m in zip(numbers, modes_run, strict=True)]
+            with naming(table_beside(track)):
+                table.writelines(rows)
 
         yield write
+        with naming(track):
+            tum.flush()
 
 
 def _as_cell(name: str) -> str:

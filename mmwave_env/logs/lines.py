@@ -8,6 +8,8 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from mmwave_env.files import naming, open_regular
+
 _BLOCK_BYTES = 1 << 20
 
 
@@ -39,7 +41,7 @@ def line_blocks(path: Path) -> Iterator[LineBlock]:
         OSError: the file can't be opened or read.
         DamagedFileError: its compression is broken, or a line is longer than a block.
     """
-    with path.open("rb") as raw:
+    with open_regular(path) as raw, naming(path):
         total = max(os.fstat(raw.fileno()).st_size, 1)
         zipped = path.suffix.lower() == ".gz"
         file: Any = gzip.GzipFile(fileobj=raw) if zipped else raw

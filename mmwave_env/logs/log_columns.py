@@ -5,6 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from mmwave_env.lookup import quoted
 from mmwave_env.models.measurement import SPEED_OF_LIGHT
 
 
@@ -94,12 +95,12 @@ def _quantity(name: str) -> str:
     spelled = {**{quantity: quantity for quantity in QUANTITIES}, "range": "toa"}
     meant = [start for start in spelled if name == start or name.startswith(f"{start}_")]
     if meant:
-        spellings = QUANTITIES[spelled[max(meant, key=len)]]
-        raise ValueError(f"column {name!r}: found no unit we know, expected {_one_of(spellings)}")
+        expected = _one_of(QUANTITIES[spelled[max(meant, key=len)]])
+        raise ValueError(f"column {quoted(name)}: found no unit we know, expected {expected}")
     known = ", ".join(next(iter(spellings)) for spellings in QUANTITIES.values())
     raise ValueError(
-        f"column {name!r}: found no quantity we know, expected columns divided by commas out of "
-        f"{known}, or the same in other units"
+        f"column {quoted(name)}: found no quantity we know, expected columns divided by commas "
+        f"out of {known}, or the same in other units"
     )
 
 

@@ -14,8 +14,10 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from mmwave_env.files import naming, open_regular
 from mmwave_env.logs.lines import DamagedFileError, line_blocks, number
 from mmwave_env.logs.log_columns import Column, columns_of
+from mmwave_env.lookup import quoted
 from mmwave_env.numerics.arrays import Array
 
 Rows = NDArray[np.int64]
@@ -75,7 +77,7 @@ def open_log(path: Path, hz_per_mps: float, odometry: bool = True) -> LogFile:
     """
     if not path.name.lower().endswith(SUFFIXES):
         raise LogError(f"{path}: found {path.suffix!r}, expected a name in {', '.join(SUFFIXES)}")
-    with path.open("rb") as file:
+    with open_regular(path, "a measurement log") as file, naming(path):
         if not file.read(1):
             raise LogError(f"{path}: found an empty file, expected a measurement log")
     names = parquet_names(path) if _is_parquet(path) else _csv_names(path)
@@ -169,7 +171,7 @@ def _parse_carefully(log: LogFile, lines: list[str], first: int, share: float) -
                 values[i] = number(word)
                 empty = not word or word.lower().lstrip("+-") == "nan"
                 if damage is None and math.isnan(values[i]) and not empty:
-                    damage = log.error(row, quantity, repr(word), _NOT_A_NUMBER)
+                    damage = log.error(row, quantity, quoted(word), _NOT_A_NUMBER)
         cells.append(values)
         rows.append(row)
         if damage:
@@ -207,8 +209,12 @@ def parquet_names(path: Path) -> list[str]:
     Raises:
         LogError: it is none, or the extra that reads it is not installed.
     """
-    with _open_parquet(path) as file:
-        return list(file.schema_arrow.names)
+    try:
+        with _open_parquet(path) as file:
+            return list(file.schema_arrow.names)
+    except UnicodeDecodeError as error:
+        expected = "names of columns in UTF-8"
+        raise LogError(f"{path}: found {error.object[:40]!r}, expected {expected}") from error
 
 
 def _require_numbers(log: LogFile) -> None:

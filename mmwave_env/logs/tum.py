@@ -8,6 +8,7 @@ from typing import NamedTuple, NoReturn
 import numpy as np
 
 from mmwave_env.logs.lines import LineBlock, line_blocks, number
+from mmwave_env.lookup import quoted
 from mmwave_env.numerics.arrays import Array
 
 COLUMNS = ("t", "x", "y", "z", "qx", "qy", "qz", "qw")
@@ -57,6 +58,8 @@ def _parse(path: Path, block: LineBlock, last_s: float) -> Array:
     if not poses:
         return np.empty((0, 4))
     try:
+        if any("\r" in line for line in poses):
+            raise ValueError("a line end that is none")
         rows = np.loadtxt(poses, comments="#", ndmin=2, encoding=None)
     except ValueError:
         _find_damage(path, block, last_s)
@@ -71,14 +74,17 @@ def _find_damage(path: Path, block: LineBlock, last_s: float) -> NoReturn:
     for n, line in enumerate(block.lines, start=block.first):
         words = line.split("#")[0].split()
         where = f"{path}, line {n}"
+        if words and "\r" in line.rstrip("\r"):
+            raise ValueError(f"{where}: found a carriage return inside, expected one at its end")
         if words and len(words) != len(COLUMNS):
             raise ValueError(
                 f"{where}: found {len(words)} numbers, expected {len(COLUMNS)}: {' '.join(COLUMNS)}"
             )
         for name, word in zip(COLUMNS, words, strict=False):
             if not math.isfinite(number(word)):
-                raise ValueError(f"{where}, {name}: found {word!r}, expected a finite number")
+                raise ValueError(f"{where}, {name}: found {quoted(word)}, expected a finite number")
         if words and not float(words[0]) > last_s:
             raise ValueError(f"{where}, t: found {words[0]}, expected more than {last_s}")
         last_s = float(words[0]) if words else last_s
-    raise AssertionError(f"{path}: numpy and Python read its numbers differently")
+    where = f"{path}, lines {block.first} to {block.first + len(block.lines) - 1}"
+    raise ValueError(f"{where}: found what numpy does not read, expected {' '.join(COLUMNS)}")

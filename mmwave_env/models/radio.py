@@ -13,7 +13,7 @@ from typing import Annotated, Any
 
 import numpy as np
 
-from mmwave_env.lookup import choose
+from mmwave_env.lookup import as_name, choose, quoted
 from mmwave_env.models.measurement import SPEED_OF_LIGHT, Layout
 from mmwave_env.models.scene import Scene
 from mmwave_env.numerics.arrays import Array
@@ -21,6 +21,7 @@ from mmwave_env.numerics.numbers import Number, Vector, clip, exp, sqrt
 from mmwave_env.records import (
     Bound,
     Count,
+    Name,
     NonNegative,
     Positive,
     Probability,
@@ -78,7 +79,7 @@ class Radio:
         odometry_slowest_mps: below it odometry gives no heading and is missing.
     """
 
-    name: str
+    name: Name
     gnb_elements: Count = 8
     ue_elements: Count = 4
     range_floor_m: tuple[Positive, Positive] = (0.2, 0.4)
@@ -125,7 +126,7 @@ class Radio:
     odometry_slowest_mps: float = 0.2
 
     def __post_init__(self) -> None:
-        require_fields(self, f" of radio {self.name!r}")
+        require_fields(self, f" of radio {quoted(self.name)}")
 
     @property
     def link_budget_db(self) -> float:
@@ -237,7 +238,7 @@ def read_radio(path: str | os.PathLike[str]) -> Radio:
     """
 
     def make(content: dict[str, Any]) -> Radio:
-        given = {"name": Path(path).stem} | _in_radians(content)
+        given = {"name": as_name(Path(path).stem)} | _in_radians(content)
         if given["name"] in list(RADIOS):
             raise ValueError(
                 f"name: found {given['name']!r}, that of a shipped profile, expected another"

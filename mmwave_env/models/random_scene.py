@@ -18,7 +18,7 @@ from mmwave_env.models.scene import (
 )
 from mmwave_env.numerics.numbers import Number, floor, maximum, minimum, where
 from mmwave_env.numerics.random import Dice, seeded
-from mmwave_env.records import Bound, require_fields
+from mmwave_env.records import Bound, Name, require_fields
 
 RANDOM = "random"
 CROSSINGS = "streets of at most so many blocks, at least 1"
@@ -43,7 +43,7 @@ class RandomScene:
         carrier_hz, bandwidth_hz: as of :class:`~mmwave_env.models.scene.Scene`.
     """
 
-    name: str = RANDOM
+    name: Name = RANDOM
     block_m: Extent = (60.0, 140.0)
     blocks: Annotated[int, Bound(CROSSINGS, least=1)] = 3
     beside_m: Extent = (5.0, 25.0)

@@ -12,9 +12,17 @@ from typing import Annotated, Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from mmwave_env.lookup import choose
+from mmwave_env.lookup import as_name, choose
 from mmwave_env.models.measurement import SPEED_OF_LIGHT
-from mmwave_env.records import Bound, Filled, Positive, object_from, read_object, require_fields
+from mmwave_env.records import (
+    Bound,
+    Filled,
+    Name,
+    Positive,
+    object_from,
+    read_object,
+    require_fields,
+)
 
 Point = Annotated[tuple[float, float, float], "[x, y, z]"]
 Extent = Annotated[tuple[float, float], "[low, high]"]
@@ -121,7 +129,7 @@ class Scene:
             tracing.
     """
 
-    name: str
+    name: Name
     base_station_m: Point
     walls: tuple[Wall, ...] = ()
     streets: Streets = field(default_factory=Streets)
@@ -238,7 +246,9 @@ def read_scene(path: Path) -> Scene:
         ValueError: naming the file and what is wrong in it.
         FileNotFoundError: there is no such file.
     """
-    return read_object(path, "scene", lambda content: _scene({"name": path.stem} | content))
+    return read_object(
+        path, "scene", lambda content: _scene({"name": as_name(path.stem)} | content)
+    )
 
 
 def scene_json(scene: Scene) -> dict[str, Any]:
@@ -260,7 +270,7 @@ class AnchorScene:
         name, carrier_hz, bandwidth_hz, streets: as of :class:`Scene`.
     """
 
-    name: str
+    name: Name
     anchors: Filled[Point]
     carrier_hz: Carrier
     bandwidth_hz: Bandwidth

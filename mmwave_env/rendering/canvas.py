@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from mmwave_env.lookup import spelled
 from mmwave_env.numerics.arrays import Array
 from mmwave_env.rendering.theme import Color
 
@@ -147,11 +148,7 @@ class Canvas:
 def printable(text: str) -> str:
     """A name on one line, with its code in place of what has no letter in the font."""
     words = " ".join(text.split())
-    return "".join(char if _has_letter(char) else _code(char) for char in words)
-
-
-def _code(char: str) -> str:
-    return char.encode("unicode_escape").decode("ascii")
+    return "".join(char if _has_letter(char) else spelled(char) for char in words)
 
 
 @lru_cache(maxsize=1024)

@@ -113,7 +113,7 @@ def without_a_policy(run):
 
 MISTAKES = {
     "a truncated policy": (truncated, (), r"seed-1/policy.safetensors: not a policy file"),
-    "a missing policy": (without_a_policy, (), r"seed-2/policy.safetensors: found no file"),
+    "a missing policy": (without_a_policy, (), r"seed-2/policy.safetensors: found no such file"),
     "a damaged summary": (
         lambda run: (run / "summary.json").write_text("[]"), (), "summary.json: not the summary",
     ),
@@ -122,7 +122,7 @@ MISTAKES = {
     ),
     "the run twice": (None, ("RUN/",), "policies: found .*expected no name twice"),
     "no folder": (None, ("runs/never",), "policy: found 'runs/never', expected.*imm.*of a run"),
-    "no file": (None, ("never.safetensors",), "never.safetensors: found no file"),
+    "no file": (None, ("never.safetensors",), "never.safetensors: found no such file"),
     "nobody to compare with": (None, ("--figure", "f.png"), "figure: found nobody.*speed-rule"),
     "not a picture": (None, ("--decisions", "f.gif"), "found f.gif.*ends with .png, .svg, .pdf"),
     "one file for two": (

@@ -47,7 +47,7 @@ def test_what_is_beside_is_compared_as_by_the_command():
 
     beside = ("guided", "imm-best", "speed-rule")
     found = compare({"mine": act}, beside, episodes=1, episode_steps=20)
-    _, _, by_command = results(EpisodeArgs(episodes=1, episode_steps=20), beside)
+    _, _, by_command, _ = results(EpisodeArgs(episodes=1, episode_steps=20), beside)
     mine = {f"mine - {other}" for other in beside}
     assert set(found.paired) == {*by_command["paired"], *mine}
 

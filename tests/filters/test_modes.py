@@ -119,7 +119,7 @@ def test_a_name_alone_is_no_list():
         ('{"modes": 3}', "modes: found .*expected a list of one or more"),
         ('{"modes": {"ekf": {}}}', "modes: found .*expected a list of one or more"),
         ('{"modes": [null]}', "modes.0.: found None, expected an object"),
-        ('{"modes": [{"name": 7}]}', "name of mode 7: found 7, expected str"),
+        ('{"modes": [{"name": 7}]}', "name of mode 7: found 7, expected 1 to 80 printable letters"),
         (
             '{"modes": [{"name": "a", "robust": "false"}]}',
             "robust of mode 'a': found 'false', .*bool",

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from mmwave_env.episodes.samples import sample_names, source_from
+from mmwave_env.episodes.samples import log_names, source_from
 from mmwave_env.logs.clock import ClockComparison
 from mmwave_env.logs.log import LogBlock
 from mmwave_env.logs.truth import TrueEpochs
@@ -147,5 +147,5 @@ def test_short_logs_and_a_truth_that_is_not_known_tell_nothing():
 
 
 def test_logs_in_the_package_have_the_clock_of_their_truth():
-    for name in sample_names():
+    for name in log_names():
         source_from(LOGS / name, "standard")  # a warning would be an error

@@ -693,6 +693,12 @@ class TestParquet:
         with pytest.raises(LogError, match=r"log.parquet: found no readable Parquet"):
             read_log(path, SCENE)
 
+    def test_names_of_columns_that_are_no_text_are_refused(self, tmp_path):
+        path = self.store(tmp_path, self.columns(odd_note=[1.0] * len(rows())))
+        path.write_bytes(path.read_bytes().replace(b"odd_note", b"odd\xffnote"))
+        with pytest.raises(LogError, match=r"log.parquet: found (b'odd.xffnote'|no readable)"):
+            read_log(path, SCENE)
+
     def test_what_is_named_parquet_is_parquet(self, tmp_path):
         with pytest.raises(LogError, match=r"log.parquet: found no readable Parquet"):
             read_log(store(tmp_path, text(rows()), "log.parquet"), SCENE)

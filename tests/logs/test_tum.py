@@ -146,3 +146,11 @@ def test_every_line_may_be_of_the_wrong_length(tmp_path):
 def test_a_file_that_is_not_there(tmp_path):
     with pytest.raises(FileNotFoundError, match=r"truth.tum"):
         read_tum(tmp_path / "truth.tum")
+
+
+@pytest.mark.parametrize("line", ["0 1 2 3 0 0\r0 1", "0 1 2 3 0 0 0 1\r1 1 2 3 0 0 0 1"])
+def test_a_carriage_return_inside_a_line_is_refused(tmp_path, line):
+    path = tmp_path / "t.tum"
+    path.write_bytes(f"# t x y z\r\n{line}\n".encode())
+    with pytest.raises(ValueError, match=r"t.tum, line 2: found a carriage return inside"):
+        read_tum(path)

@@ -18,7 +18,14 @@ from mmwave_env.filters.mode_files import as_written
 from mmwave_env.filters.modes import Mode
 from mmwave_env.filters.update import ekf
 from policies import shipped_policies
-from policies.policy_file import Card, _checksum, read_policy, to_bytes
+from policies.policy_file import (
+    MOST_BYTES,
+    MOST_HEADER,
+    Card,
+    _checksum,
+    read_policy,
+    to_bytes,
+)
 from tests.training.actors import HANDSET, MODES, PER_MODE, STANDARD, actor, card_of, write
 
 SMALL = {"features": 3, "hidden": (2,)}
@@ -380,7 +387,7 @@ BANK = PER_MODE_CARD.as_json()["banks"]["handset"]
         ),
         (
             {"lab": BANK | {"transition": [[10**400]]}},
-            "'lab': transition: .* expected a list of ro",
+            "metadata 'policy': found no JSON: line 1: found a number of 401 digits",
         ),
         ({"lab": BANK | {"nis_quantile": 2}}, "'lab': nis_quantile: found 2, expected a quantile"),
     ],
@@ -418,8 +425,25 @@ def test_no_file_can_hold_a_function():
         to_bytes(actor(3, actions=1), card_of(modes=(Mode("own", ekf),)))
 
 
-def test_a_missing_file_is_named(path, tmp_path):
-    with pytest.raises(FileNotFoundError, match="mine.safetensors: found no file"):
+def test_what_a_file_says_of_its_size_is_looked_at_before_its_numbers(path):
+    for header in (MOST_HEADER + 1, 2**63):
+        refused(path, header.to_bytes(8, "little") + b"{}", f"found .* a header of {header}")
+    with path.open("wb") as file:  # takes no room on the disk
+        file.truncate(MOST_BYTES + 1)
+    with pytest.raises(ValueError, match=f"found a file of {MOST_BYTES + 1} bytes"):
         read_policy(path)
-    with pytest.raises(FileNotFoundError, match="found no file"):
+
+
+@pytest.mark.parametrize("part", ["modes", "evaluation", "versions"])
+def test_a_card_of_lists_in_lists_is_refused(path, part):
+    nested = f'"{part}": {"[" * 900 + "]" * 900}'
+    card = json.dumps(CARD.as_json() | {part: 0}).replace(f'"{part}": 0', nested)
+    document = f'{{"format": 1, "sha256": "", "card": {card}}}'
+    refused(path, save(TENSORS, {"policy": document}), "found lists or objects in each other")
+
+
+def test_a_missing_file_is_named(path, tmp_path):
+    with pytest.raises(FileNotFoundError, match="mine.safetensors: found no such file"):
+        read_policy(path)
+    with pytest.raises(IsADirectoryError, match="found a folder, expected a policy"):
         read_policy(tmp_path)

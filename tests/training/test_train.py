@@ -1,5 +1,6 @@
 """Training of switchers: the world they learn in, what is written, and how it goes on."""
 
+import io
 import json
 import math
 import os
@@ -7,10 +8,14 @@ import re
 import subprocess
 import sys
 from dataclasses import asdict, replace
+from hashlib import sha256
+from zipfile import ZIP_DEFLATED, ZipFile
 
 import gymnasium as gym
 import numpy as np
 import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
 
 from tests.paths import ROOT
 
@@ -20,7 +25,12 @@ import torch
 
 from experiments.train import Args, hyperparameters, main, manifest_of
 from experiments.training import training_env as worlds
-from experiments.training.checkpoint import read_checkpoint, with_arrays, write_checkpoint
+from experiments.training.checkpoint import (
+    read_checkpoint,
+    read_stand,
+    with_arrays,
+    write_checkpoint,
+)
 from experiments.training.hyperparameters import (
     KINDS,
     Hyperparameters,
@@ -29,8 +39,10 @@ from experiments.training.hyperparameters import (
     recipe_as_written,
     shipped_hyperparameters,
 )
+from experiments.training.job import Job
 from experiments.training.network import actor_of, learner
 from experiments.training.places import Place
+from experiments.training.ppo import PpoTraining
 from experiments.training.progress_log import ProgressLog
 from experiments.training.training_env import TRUTH, PrivilegedObservation, TrainingEnv
 from experiments.training.training_task import TrainingTask
@@ -43,6 +55,7 @@ from mmwave_env.vector_env import MmWaveLocVectorEnv
 from policies import LearnedSwitch
 from policies.policy_file import read_policy
 from tests.cli import command, succeed
+from tests.damage import damaged
 from tests.training.actors import MODES, card_of, write
 
 pytestmark = pytest.mark.torch
@@ -479,6 +492,72 @@ class Malicious:
 
     def __reduce__(self):
         return os.mkdir, (str(self.path),)
+
+
+@settings(
+    max_examples=60, deadline=None, derandomize=True,
+    suppress_health_check=[HealthCheck.function_scoped_fixture],
+)  # fmt: skip
+@given(data=st.data())
+def test_a_checkpoint_with_a_right_checksum_over_anything_is_read_or_refused(tmp_path, data):
+    path = tmp_path / "checkpoint.pt"
+    write_checkpoint(path, STATE)
+    forge(path, data.draw(damaged(path.read_bytes()[32:])))
+    try:
+        read_checkpoint(path)
+    except ValueError as error:
+        refusal = str(error)
+    else:
+        return
+    assert "checkpoint.pt: not a checkpoint: " in refusal
+
+
+def forge(path, content):
+    path.write_bytes(sha256(content).digest() + content)
+
+
+def test_a_checkpoint_unpacks_to_no_more_than_it_holds(tmp_path):
+    path = tmp_path / "checkpoint.pt"
+    write_checkpoint(path, STATE | {"zeros": np.zeros(1_000_000)})
+    packed = io.BytesIO()
+    with (
+        ZipFile(io.BytesIO(path.read_bytes()[32:])) as whole,
+        ZipFile(packed, "w", ZIP_DEFLATED) as small,
+    ):
+        for name in whole.namelist():
+            small.writestr(name, whole.read(name))
+    forge(path, packed.getvalue())
+    assert path.stat().st_size < 100_000
+    with pytest.raises(ValueError, match="not a checkpoint: found compressed parts"):
+        read_checkpoint(path)
+
+
+BEGIN = {"update": -1, "best": None, "beat_rule": None, "seconds": 0.0, "rows": []}
+FORGED = {
+    "nothing": (["a list"], "found list"),
+    "no time": ({"update": 3}, "seconds: found none"),
+    "an update of text": (BEGIN | {"update": "3"}, "update: found '3', expected another type"),
+    "a best without reward": (BEGIN | {"best": {"timesteps": 3}}, "reward"),
+    "rows of numbers": (BEGIN | {"rows": [3]}, "not subscriptable"),
+}
+
+
+@pytest.mark.parametrize("kind", FORGED)
+def test_the_checkpoint_of_something_else_is_refused(tmp_path, kind):
+    state, message = FORGED[kind]
+    path = tmp_path / "checkpoint.pt"
+    write_checkpoint(path, state)
+    with pytest.raises(ValueError, match=f"checkpoint.pt: not a checkpoint: .*{message}.*remove"):
+        read_stand(path, BEGIN)
+
+
+def test_a_checkpoint_of_another_network_is_named(tmp_path):
+    """Its checksum and its kind are right; what is in it fits no network of this training."""
+    path = tmp_path / "checkpoint.pt"
+    write_checkpoint(path, BEGIN | {"learner": {"timesteps": 3}, "world": {}})
+    job = Job(TASK, RECIPE, "ppo", 0, 1000, tmp_path, "mmwave-loc train", 1)
+    with pytest.raises(ValueError, match="not a checkpoint: updates: found none; remove"):
+        PpoTraining(job, lambda *_: None).run()
 
 
 def test_a_malicious_checkpoint_is_refused_and_not_executed(tmp_path):

@@ -189,15 +189,21 @@ def test_trainings_differ_by_their_seeds_alone(tmp_path, quick):
 # --- processes
 
 
+def outcome(seed):
+    """What a training came to, as it writes it."""
+    best = {"reward": 0.5, "timesteps": 100}
+    return {"seed": seed, "timesteps": 200, "seconds": 1.5, "beat_rule": None, "best": best}
+
+
 def finished(folder, seed):
     folder.mkdir(parents=True)
-    (folder / "outcome.json").write_text(json.dumps({"seed": seed}))
+    (folder / "outcome.json").write_text(json.dumps(outcome(seed)))
     return job_of(folder, seed=seed)
 
 
 def test_finished_trainings_are_not_run_again(tmp_path):
     jobs = [finished(tmp_path / f"{seed}", seed) for seed in range(3)]
-    assert side_by_side(jobs, 2, silent) == [{"seed": 0}, {"seed": 1}, {"seed": 2}]
+    assert side_by_side(jobs, 2, silent) == [outcome(seed) for seed in range(3)]
     assert not multiprocessing.active_children()
 
 
@@ -256,7 +262,7 @@ def until_replaced(path, process):
 
 
 def test_an_interrupted_command_ends_at_once_and_goes_on_when_resumed(tmp_path, started):
-    """By the death of the command, by that of a training, and by Ctrl-C."""
+    """By the death of the command, by that of a training, by Ctrl-C, and by other signals."""
     _, recipe = RECIPES["ppo"]
     task = replace(TASK, banks={"handset": Bank(default_modes("handset"))})
     job = job_of(tmp_path / "whole", task=task)
@@ -292,6 +298,16 @@ def test_an_interrupted_command_ends_at_once_and_goes_on_when_resumed(tmp_path, 
     assert command.returncode == 130 and told[0] == ""
     assert told[1].splitlines()[-1] == "mmwave-loc train: interrupted"
     assert "Traceback" not in told[1] and gone(command.pid)
+
+    for sent, send in ((signal.SIGTERM, os.kill), (signal.SIGHUP, os.killpg)):
+        command = started(*words, "--resume")
+        until_replaced(checkpoint, command)
+        send(command.pid, sent)  # to the command alone, as a scheduler does; to all of a terminal
+        told = command.communicate(timeout=600)
+        assert command.returncode == 128 + sent and told[0] == ""
+        assert told[1].splitlines()[-1] == f"mmwave-loc train: ended by {sent.name}"
+        assert "Traceback" not in told[1] and gone(command.pid)
+        assert not list(out.rglob(".*"))
 
     command = started(*words, "--resume")
     summary, _ = command.communicate(timeout=1800)

@@ -7,11 +7,11 @@ import pytest
 
 from experiments.evaluation.intervals import Interval
 from experiments.evaluation.markdown import rounded
-from experiments.evaluation.text import printable
 from experiments.webpage.page import in_script
 from experiments.webpage.played import play
 from experiments.webpage.sources import read_source
 from mmwave_env import __version__
+from mmwave_env.lookup import printable
 from mmwave_env.metrics import BURN_IN
 from tests.cli import assert_one_clear_line, command, succeed
 from tests.paths import ROOT
@@ -232,7 +232,7 @@ MISTAKES = {
         "r.json: command: found the command 'fly', written by mmwave-loc 9.9; .*reads results of",
     ),
     "no results": ({"a": 1}, "r.json: command: found no command.*an unknown version"),
-    "no object": ([1], "r.json: found list, expected an object"),
+    "no object": ([1], "r.json: not results: found list, expected an object"),
     "no interval": (
         results.comparison(policies={"imm": {"reward": 3}}),
         "r.json: policies.imm.reward: found 3, expected a mean",
@@ -281,7 +281,10 @@ FOLDERS = {
     "an empty folder": (lambda folder: folder.mkdir(), "run: found neither run.json nor results"),
     "a broken journal": (broken_journal, "progress.csv: line 2: tuning/a: found 'x'"),
     "an unknown key": (unknown_key_of_a_run, "summary.json: new: found a key.*unknown version"),
-    "not JSON": (lambda folder: folder.write_text("{"), "run: not JSON"),
+    "not JSON": (
+        lambda folder: folder.write_text("{"),
+        "run: not results: Expecting property name",
+    ),
 }
 
 

@@ -40,6 +40,7 @@ from mmwave_env.episodes.deepmimo.v3_files import (
     read_station,
 )
 from mmwave_env.episodes.tables import refuse
+from mmwave_env.lookup import as_name
 from mmwave_env.models.measurement import SPEED_OF_LIGHT
 from mmwave_env.numerics.arrays import Array
 
@@ -77,7 +78,7 @@ class V3Scenario(Scenario):
         """As of :class:`Scenario`; of the files one is in memory at a time."""
         position = self.positions(epochs)
         return Paths(
-            name=self.folder.resolve().name,
+            name=as_name(self.folder.resolve().name),
             carrier_hz=self.carrier_hz,
             position_m=position,
             stations=tuple(

@@ -24,6 +24,7 @@ from mmwave_env.episodes.deepmimo.paths import (
 )
 from mmwave_env.episodes.deepmimo.scenario import Scenario, by_scene
 from mmwave_env.episodes.tables import refuse
+from mmwave_env.lookup import as_name
 from mmwave_env.numerics.arrays import Array, Mask
 
 _RECEIVERS = re.compile(r"rx_pos_(t\d+_tx\d+)_r(\d+)\.(?:npz|npy|mat)")
@@ -58,7 +59,7 @@ class V4Scenario(Scenario):
     def paths(self, epochs: NDArray[np.int_], base_station: int | None = None) -> Paths:
         """As of :class:`Scenario`; of .npz and .npy files nothing else is kept."""
         return Paths(
-            name=self.folder.resolve().name,
+            name=as_name(self.folder.resolve().name),
             carrier_hz=self.carrier_hz,
             position_m=self.positions(epochs),
             stations=tuple(_read_station(self, epochs, name) for name in self.chosen(base_station)),

@@ -1,0 +1,69 @@
+"""Ends from outside: what a scheduler or a closed terminal sends cleans up as Ctrl-C does."""
+
+import os
+import signal
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from typing import Any, NoReturn
+
+# Those that there are: on Windows no SIGHUP.
+ENDING = tuple(getattr(signal, n) for n in ("SIGTERM", "SIGHUP") if hasattr(signal, n))
+SAME_S = 1.0  # within it, a signal that comes again is the same: sent to a group, and to each in it
+
+
+class Ended(SystemExit):
+    """A signal ended the program; its exit code is what shells make of it."""
+
+    def __init__(self, number: int) -> None:
+        super().__init__(128 + number)
+        self.told = _told(number)
+
+
+def _told(number: int) -> str:
+    return "interrupted" if number == signal.SIGINT else f"ended by {signal.Signals(number).name}"
+
+
+@contextmanager
+def _answered(numbers: Sequence[int], answer: Callable[[int, Any], None]) -> Iterator[None]:
+    """Signals call a function in the block; those that are ignored, as under nohup, stay so."""
+    before = {number: signal.getsignal(number) for number in numbers}
+    heeded = {number: old for number, old in before.items() if old is not signal.SIG_IGN}
+    for number in heeded:
+        signal.signal(number, answer)
+    try:
+        yield
+    finally:
+        for number, old in heeded.items():
+            signal.signal(number, old)
+
+
+@contextmanager
+def ended_by_signals() -> Iterator[None]:
+    """SIGTERM and SIGHUP raise in the block, so that what is half written is removed.
+
+    Raises:
+        Ended: one of them came.
+    """
+    last_s = -SAME_S
+
+    def end(number: int, _: Any) -> None:
+        nonlocal last_s
+        again, last_s = time.monotonic() - last_s < SAME_S, time.monotonic()
+        if not again:
+            raise Ended(number)
+
+    with _answered(ENDING, end):
+        yield
+
+
+def _leave(number: int, _: Any) -> NoReturn:
+    os.write(2, f"mmwave-loc: {_told(number)}\n".encode())
+    os._exit(128 + number)
+
+
+@contextmanager
+def stopped_at_once() -> Iterator[None]:
+    """Ctrl-C and the others end the process: out of an import they would be a traceback."""
+    with _answered((signal.SIGINT, *ENDING), _leave):
+        yield

@@ -1,0 +1,125 @@
+"""``mmwave-loc localize`` and files: those that are none, full disks, pictures that fail, names."""
+
+import errno
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from tests.cli import assert_one_clear_line, command, environment
+from tests.paths import LOGS, ROOT
+
+RIDE = LOGS / "canyon28_vehicle"
+SAMPLE = ("localize", "--sample", RIDE.name, "--speed", "9")
+
+
+def test_a_picture_that_fails_costs_neither_file_nor_figures(tmp_path, monkeypatch):
+    def fails(*_):
+        raise ValueError("no such font")
+
+    monkeypatch.setattr("experiments.localize.draw_trajectory", fails)
+    done = command(*SAMPLE, "--plot", tmp_path / "t.png", "--json", tmp_path / "t.json",
+                   "--out", tmp_path / "t.tum")  # fmt: skip
+    assert done.returncode == 2 and done.stderr == "mmwave-loc localize: no such font\n"
+    assert json.loads((tmp_path / "t.json").read_text())["epochs"] == 120
+    assert "120 epochs" in done.stdout
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["t.csv", "t.json", "t.tum"]
+
+
+def test_a_picture_that_fails_costs_no_comparison_its_results(tmp_path, monkeypatch):
+    def fails(*_):
+        raise OSError(errno.ENOSPC, "No space left on device", str(tmp_path / "e.png"))
+
+    monkeypatch.setattr("experiments.cli.reporting.draw_error_cdf", fails)
+    done = command("compare", "--policies", "fixed-ekf", "--episodes", 1, "--episode-steps", 20,
+                   "--errors", tmp_path / "e.png", "--json", tmp_path / "e.json")  # fmt: skip
+    assert done.returncode == 2 and done.stderr.endswith(f"device: '{tmp_path / 'e.png'}'\n")
+    assert list(json.loads((tmp_path / "e.json").read_text())["policies"]) == ["fixed-ekf"]
+    assert "| fixed-ekf |" in done.stdout
+
+
+def test_a_full_disk_is_said_of_the_file_that_was_asked_for(tmp_path, monkeypatch):
+    def full(*_):
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr("mmwave_env.localization.track_files.tum_lines", full)
+    out = tmp_path / "t.tum"
+    done = command(*SAMPLE, "--out", out)
+    assert done.returncode == 2 and list(tmp_path.iterdir()) == []
+    assert done.stderr.splitlines()[-1].endswith(f"No space left on device: '{out}'")
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="no such device")
+def test_what_cannot_be_printed_is_said():
+    with open("/dev/full", "w") as full:
+        done = subprocess.run(
+            [sys.executable, "-m", "experiments.cli", "list"], env=environment(), cwd=ROOT,
+            stdout=full, stderr=subprocess.PIPE, text=True,
+        )  # fmt: skip
+    assert done.stderr == "mmwave-loc list: what is printed: No space left on device\n"
+    assert done.returncode == 2
+
+
+ODD = {
+    "folder": lambda path: path.mkdir(),
+    "FIFO": lambda path: os.mkfifo(path),
+    "device": lambda path: path.symlink_to("/dev/zero"),
+}
+
+
+@pytest.mark.skipif(os.name != "posix", reason="no such things")
+@pytest.mark.parametrize("found", ODD)
+@pytest.mark.parametrize("option", ["log", "--scene", "--truth", "--modes", "--radio"])
+def test_what_is_no_file_is_refused_before_it_is_read(tmp_path, found, option):
+    odd = tmp_path / ("odd.csv" if option == "log" else "odd.json")
+    ODD[found](odd)
+    given = {"log": RIDE / "log.csv", "--scene": RIDE / "scene.json"} | {option: odd}
+    log = given.pop("log")
+    words = [word for pair in given.items() for word in pair]
+    done = command("localize", log, *words, "--speed", "9")
+    assert_one_clear_line(done, f"odd.*: found a {found}, expected|found the {found} .*odd.csv")
+
+
+HOSTILE = "a|b `c` <img src=x> [d](http://e) $f$ *g*"
+
+
+def test_a_name_of_a_mode_is_shown_letter_by_letter_and_breaks_no_table(tmp_path):
+    modes = tmp_path / "m.json"
+    modes.write_text(json.dumps({"modes": [{"name": HOSTILE}, {"name": "ukf"}]}))
+    done = command("localize", RIDE / "log.csv", "--scene", RIDE / "scene.json", "--speed", "auto",
+                   "--modes", modes, "--plot", tmp_path / "t.svg")  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    shown = r"a\|b \`c\` \<img src=x> [d\](http://e) \$f\$ \*g\*"
+    assert shown in done.stdout
+    assert (tmp_path / "t.svg").stat().st_size > 1000
+
+
+@pytest.mark.parametrize("name", ["a\nb", "e\x1b]0;owned\x07", "\ud800", "x" * 81, "", 7])
+@pytest.mark.parametrize("kind", ["modes", "scene"])
+def test_a_name_that_is_none_is_refused_by_file_and_key(tmp_path, kind, name):
+    content = {
+        "modes": {"modes": [{"name": name}]},
+        "scene": {"name": name, "base_station_m": [0.0, 0.0, 10.0]},
+    }[kind]
+    path = tmp_path / f"{kind}.json"
+    path.write_text(json.dumps(content))
+    scene = path if kind == "scene" else RIDE / "scene.json"
+    more = ("--modes", path) if kind == "modes" else ()
+    done = command("localize", RIDE / "log.csv", "--scene", scene, "--speed", "9", *more)
+    assert_one_clear_line(
+        done, f"{kind}.json: .*name.*: found .*expected 1 to 80 printable letters"
+    )
+    assert len(done.stderr) < 1000
+
+
+def test_a_scene_is_called_as_its_file_whatever_that_is(tmp_path):
+    for name in ("x" * 200, "a\nb\x1b[31m"):
+        scene = tmp_path / f"{name}.json"
+        content = json.loads((RIDE / "scene.json").read_text())
+        content.pop("name", None)
+        scene.write_text(json.dumps(content))
+        done = command("localize", RIDE / "log.csv", "--scene", scene, "--speed", "9")
+        assert done.returncode == 0, done.stderr

@@ -1,0 +1,55 @@
+"""Files damaged as disks, editors and strangers damage them, for tests of readers."""
+
+import json
+from copy import deepcopy
+
+from hypothesis import strategies as st
+
+PIECES = (
+    b"", b"\r", b"\n", b"\x00", b"\xff", b"\x1b[31m", b"\xef\xbb\xbf", b"\\ud800", b'"', b",", b"#",
+    b"[" * 2000, b'{"a":' * 2000, b"9" * 400, b"1e999", b"-1", b"NaN", b"Infinity", b"null",
+    "\uff11".encode(), "\u202e".encode(), b"x" * 100,
+)  # fmt: skip
+VALUES = (
+    None, True, 0, -1, 10**20, 10**400, 1e308, -1e-320, float("nan"), float("inf"), "", "much",
+    "\x1b]0;owned\x07", "\ud800", "x" * 1000, "../..", [], [[]], [1.0, "a"], {}, {"mean": None},
+)  # fmt: skip
+
+
+@st.composite
+def damaged(draw, content):
+    """Bytes with some cut out, and others in their place."""
+    for _ in range(draw(st.integers(1, 3))):
+        begin = draw(st.integers(0, len(content)))
+        end = begin + draw(st.sampled_from((0, 1, 2, 8, len(content))))
+        piece = draw(st.sampled_from(PIECES) | st.binary(max_size=4))
+        content = content[:begin] + piece + content[end:]
+    return content
+
+
+def places(content, path=()):
+    """The ways to every part of a JSON content, none of which is too far down a list."""
+    parts = content.items() if isinstance(content, dict) else enumerate(content[:5])
+    for key, value in parts:
+        yield (*path, key)
+        if isinstance(value, (dict, list)):
+            yield from places(value, (*path, key))
+
+
+@st.composite
+def changed(draw, content):
+    """A JSON content with parts that are something else, or not there."""
+    content = json.loads(json.dumps(content))
+    for _ in range(draw(st.integers(1, 2))):
+        ways = list(places(content))
+        if not ways:
+            break
+        *path, last = draw(st.sampled_from(ways))
+        inner = content
+        for key in path:
+            inner = inner[key]
+        if draw(st.booleans()):
+            inner[last] = deepcopy(draw(st.sampled_from(VALUES)))
+        else:
+            del inner[last]
+    return content
