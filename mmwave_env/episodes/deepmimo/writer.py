@@ -21,6 +21,7 @@ from mmwave_env.episodes.checks import refuse
 from mmwave_env.episodes.deepmimo.paths import LINE_OF_SIGHT, REFLECTION, Paths, StationPaths
 from mmwave_env.episodes.deepmimo.v4_writer import write_v4
 from mmwave_env.episodes.recorded import Recording
+from mmwave_env.episodes.trajectory import Trajectory
 from mmwave_env.models.measurement import LINK, SPEED_OF_LIGHT, direction
 from mmwave_env.numerics.arrays import Array
 from mmwave_env.numerics.numbers import PI, wrap
@@ -35,7 +36,8 @@ def write_deepmimo(
 
     All of it is exact geometry, without a receiver's noise. There are no buildings in it, as a
     recording knows none. :mod:`~mmwave_env.episodes.deepmimo.recording` reads it back: anchors
-    then come in the order of how often they are seen, and one that is never seen does not come.
+    then come in the order of how often they are seen, and one that is never seen does not come;
+    without a line of sight to the base station at any epoch, nothing is read.
 
     Args:
         folder: made where it is not there.
@@ -47,12 +49,14 @@ def write_deepmimo(
         The names of the files.
 
     Raises:
-        ValueError: nobody knows where the user was; a link contradicts where user and anchor
-            are; an anchor can't be an image, because the user is behind its wall; or arrays of
-            another scenario lie in the folder.
+        ValueError: nobody knows where the user was, or it is no way of a user; a link contradicts
+            where user and anchor are; an anchor can't be an image, because the user is behind its
+            wall; or arrays of another scenario lie in the folder.
         OSError: a file can't be written.
     """
     paths, velocity = paths_of(recording, stations)
+    record = f"recording {recording.name!r}"
+    Trajectory(record, recording.time_s, paths.position_m, velocity)  # refuses what none reads back
     rays = {
         "raytracer_version": __version__,
         "ray_casting_method": "mirror images",

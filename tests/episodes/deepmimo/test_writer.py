@@ -218,6 +218,15 @@ def test_a_recording_without_truth_is_refused(tmp_path):
         write_deepmimo(tmp_path, nobody)
 
 
+def test_a_track_that_could_not_be_read_back_is_refused(tmp_path):
+    with pytest.raises(ValueError, match="recording 'street': found 1 rows, expected at least 2"):
+        write_deepmimo(tmp_path, straight().window(3, 1))
+    slow = straight()
+    with pytest.raises(ValueError, match="recording 'street', row 2: t: found 20, expected"):
+        write_deepmimo(tmp_path, replace(slow, time_s=40.0 * slow.time_s))
+    assert not list(tmp_path.iterdir())
+
+
 def test_arrays_of_another_scenario_are_not_mixed_in(tmp_path):
     write_deepmimo(tmp_path, straight(), stations=True)
     with pytest.raises(ValueError, match="found aoa_az_t000_tx001_r001.npz of another scenario"):
