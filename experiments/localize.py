@@ -30,6 +30,7 @@ from mmwave_env.files import require_writable, write_json
 from mmwave_env.filters.bank import Bank, bank_from
 from mmwave_env.filters.mode_files import modes_from
 from mmwave_env.filters.modes import DESIGN_LIMIT_MPS, Mode, robust
+from mmwave_env.localization.association import Association, associate
 from mmwave_env.localization.contradictions import contradictions
 from mmwave_env.localization.diagnosis import diagnose
 from mmwave_env.localization.localizer import TrackBlock, localize
@@ -39,6 +40,7 @@ from mmwave_env.localization.track_scores import Course, Groups, TruthScores
 from mmwave_env.logs.clock import ClockComparison
 from mmwave_env.logs.log import LogBlock, read_log
 from mmwave_env.logs.log_tables import LogError
+from mmwave_env.logs.path_log import read_paths
 from mmwave_env.logs.truth import Truth
 from mmwave_env.lookup import choose
 from mmwave_env.models.radio import radio_from
@@ -150,8 +152,8 @@ def _as_asked(args: Args, modes: tuple[Mode, ...]) -> tuple[Mode, ...]:
 
 def _check(args: Args, given: Inputs) -> None:
     """Refuse options that contradict each other, and outputs in the place of other files."""
-    if args.diagnose and (args.out or args.plot or args.stanford):
-        raise ValueError("diagnose: found with --out, --plot or --stanford, expected no track")
+    if args.diagnose:
+        _check_diagnosis(args)
     if args.imm is not None:
         for name, found in (("speed", args.speed), ("modes", args.modes)):
             if found is not None:
@@ -192,6 +194,13 @@ def _check_integrity(args: Args, given: Inputs) -> None:
             raise ValueError("stanford: found no truth, expected --truth to know errors by")
 
 
+def _check_diagnosis(args: Args) -> None:
+    if args.out or args.plot or args.stanford:
+        raise ValueError("diagnose: found with --out, --plot or --stanford, expected no track")
+    if args.associate:
+        raise ValueError("diagnose: found with --associate, expected rows with anchors")
+
+
 def _outputs(args: Args) -> dict[str, Path | None]:
     table = None if args.out is None else table_beside(args.out)
     return {
@@ -211,19 +220,32 @@ class Work(NamedTuple):
     first: LogBlock  # of the log
     blocks: Iterable[LogBlock]  # all of them
     truth: Truth | None
+    association: Association | None  # what was associated so far
 
 
 def _work(args: Args, given: Inputs, scene: Scene, epochs_per_block: int) -> Work:
     """Open the log, and the truth if there is one; asks for the speed if it is not given."""
     modes = _modes(args) if args.imm is None else _imm(args, args.imm)
-    blocks = read_log(given.log, scene, epochs_per_block, args.odometry)
+    association = Association(len(scene.anchors_m)) if args.associate else None
+    blocks = _blocks(args, given.log, scene, epochs_per_block, association)
     first = next(blocks)
     if args.follow == "odometry" and not first.layout.odometry:
         raise ValueError(
             f"follow: found odometry, but no speed in {given.log}, expected prediction"
         )
     truth = Truth(given.truth) if given.truth else None
-    return Work(scene, plan(args, modes), first, chain([first], blocks), truth)
+    return Work(scene, plan(args, modes), first, chain([first], blocks), truth, association)
+
+
+def _blocks(
+    args: Args, log: Path, scene: Scene, epochs_per_block: int, association: Association | None
+) -> Iterator[LogBlock]:
+    """The log, with anchors as it has them or as they are found."""
+    if association is None:
+        return read_log(log, scene, epochs_per_block, args.odometry)
+    paths, radio = read_paths(log, scene, args.odometry), radio_from(args.radio)
+    fast = modes_from(args.modes, radio.name)[-1]
+    return associate(paths, scene, radio, fast, association, epochs_per_block)
 
 
 def _track(args: Args, work: Work, window: int | None) -> Iterator[TrackBlock]:
@@ -284,6 +306,8 @@ def _run(args: Args, work: Work) -> Result:
                 raise
             error = damage
     figures = {**course.figures(), "groups": groups.figures()}
+    if work.association:
+        figures["association"] = work.association.figures()
     if truth and scores and scores.scored:
         truth.warn_if_few(scores.scored, course.epochs, course.first_s, course.last_s)
         clock = clocks.offset()

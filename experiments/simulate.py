@@ -42,6 +42,12 @@ def _require_none(folder: Path, wanted: str, overwrite: bool) -> None:
 def main(args: Args) -> None:
     """Run the command."""
     choose(FORMATS, args.format, "format")
+    if args.unassociated and args.format == "deepmimo":
+        raise ValueError("unassociated: found beside format deepmimo, expected a log")
+    if args.false_paths and not args.unassociated:
+        raise ValueError(
+            f"false-paths: found {args.false_paths}, expected --unassociated beside it"
+        )
     _require_none(args.out, args.format, args.overwrite)
     source = source_of(args)
     assert isinstance(
@@ -58,7 +64,9 @@ def main(args: Args) -> None:
         names = write_deepmimo(args.out, Recording.of_episode(episode, scene, source.radio))
     else:
         origin = command_line("simulate", replace(args, out=Path("."), overwrite=False))
-        names = write_log_folder(args.out, episode, scene, origin)
+        names = write_log_folder(
+            args.out, episode, scene, origin, not args.unassociated, args.false_paths, args.seed
+        )
     say(f"written to {args.out}/: {', '.join(names)}")
     if isinstance(source, SimulatedSource) and not source.travels:
         assert episode.truth_position_m is not None  # who is simulated has one

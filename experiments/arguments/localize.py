@@ -72,5 +72,8 @@ class Args(FilterArgs, IntegrityArgs, OutputArgs):
     """above 20 m/s, outside the design window: run the UKF pipeline, or stop"""
     follow: Literal["prediction", "odometry"] = "prediction"
     """the speed that --speed auto follows"""
+    associate: bool = False
+    """rows are paths that nobody has given an anchor: find out which belong to which, and which are
+    false"""
     truth: Path | None = None
     """true track in TUM format, to score against; the filters never see it"""

@@ -23,3 +23,8 @@ class Args(WorldArgs):
     """replace the files of an episode that are there"""
     seed: int = 0
     """seed of the episode, the same that evaluate runs"""
+    unassociated: bool = False
+    """rows are paths in random order, without the number of an anchor; localize --associate reads
+    them"""
+    false_paths: int = 0
+    """drawn among the others in every epoch, with --unassociated"""

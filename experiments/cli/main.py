@@ -65,6 +65,10 @@ STUDIES = {  # of a checkout: the installed package goes without them
         "experiments.reliability.soak",
         "many steps of all modes on damaged data, every number checked",
     ),
+    "association": (
+        "experiments.reliability.association",
+        "what a track loses where nobody says which path is which anchor's",
+    ),
 }
 
 

@@ -32,8 +32,10 @@ def _course(figures: dict[str, Any]) -> list[str]:
         lines.append(f"{f['skipped']} epochs before the first line of sight were skipped")
     if f["restarts"] or f["dropped"]:
         what = f"restarted {_times(f['restarts'])} after" if f["restarts"] else "ended at"
-        gaps = "a gap" if f["restarts"] < 2 else "gaps"
-        lines.append(f"{what} {gaps} of more than {GAP_S:g} s; {f['dropped']} epochs skipped")
+        gaps = f"{'a gap' if f['restarts'] < 2 else 'gaps'} of more than {GAP_S:g} s"
+        if "association" in f:
+            gaps += ", or where another track explained the paths better"
+        lines.append(f"{what} {gaps}; {f['dropped']} epochs skipped")
     shares = ", ".join(f"{escaped(name)} {_percent(n / epochs)}" for name, n in f["modes"].items())
     switches = f", switched {_times(f['switches'])}" if len(f["modes"]) > 1 else ""
     lines.append(f"modes {escaped(f['rule'])}: {shares} of the epochs{switches}")
@@ -73,6 +75,30 @@ def _clock(truth: dict[str, Any]) -> str:
     return said
 
 
+def _association(found: dict[str, Any]) -> list[str]:
+    between, starts = found["without_track"], found["starts"]
+    lines = [
+        f"{found['paths']} paths, {found['false']} of them false; the track was found "
+        f"{_times(starts)}"
+    ]
+    if found["incomplete"]:
+        lines.append(f"{found['incomplete']} paths with only some of their numbers were left out")
+    if between["epochs"]:
+        lines.append(
+            f"{between['epochs']} epochs without a track, whose {between['paths']} paths belong to "
+            "no anchor"
+        )
+    return lines
+
+
+def _associated(found: dict[str, Any]) -> str:
+    rows = [
+        [name, str(paths), str(found["missed"][name])]
+        for name, paths in found["associated"].items()
+    ]
+    return grid(["anchor", "paths", "missed"], rows)
+
+
 def _accuracy(truth: dict[str, Any], epochs: int) -> str:
     metrics = ("ate_m", "rmse_m", "rpe_m", "nees", "in_bounds")
     header = ["track", *(HEADERS[m].replace("in 95", "NEES in 95") for m in metrics)]
@@ -90,7 +116,12 @@ def _accuracy(truth: dict[str, Any], epochs: int) -> str:
 
 def track_markdown(figures: dict[str, Any]) -> str:
     """The figures of a track, as the command collects them, as Markdown."""
-    parts = ["".join(f"- {line}\n" for line in _course(figures)), _groups(figures["groups"]) + "\n"]
+    found = figures.get("association")
+    lines = _course(figures) + (_association(found) if found else [])
+    parts = ["".join(f"- {line}\n" for line in lines)]
+    if found:
+        parts.append(_associated(found) + "\n")
+    parts.append(_groups(figures["groups"]) + "\n")
     if "truth" in figures:
         parts.append(_accuracy(figures["truth"], figures["epochs"]))
     if figures["written"]:

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from mmwave_env.episodes.episode import Episode
+from mmwave_env.episodes.unassociated import path_columns
 from mmwave_env.logs.log_tables import SUFFIXES, LogError, require_arrow
 from mmwave_env.models.measurement import LINK, SPEED_OF_LIGHT
 from mmwave_env.numerics.arrays import Array, Mask
@@ -50,33 +51,47 @@ def log_columns(episode: Episode) -> dict[str, Array]:
     return columns
 
 
-def log_text(episode: Episode) -> str:
-    """The log of an episode as CSV, exact to the last bit."""
-    columns = log_columns(episode)
+def log_text(columns: dict[str, Array]) -> str:
+    """Columns (n,) as CSV, exact to the last bit."""
     words = [
         ["" if math.isnan(v) else repr(v) for v in values.tolist()] for values in columns.values()
     ]
     return "".join(",".join(row) + "\n" for row in [tuple(columns), *zip(*words, strict=True)])
 
 
-def write_log(path: Path, episode: Episode) -> None:
+def write_log(
+    path: Path, episode: Episode, associated: bool = True, false_paths: int = 0, seed: int = 0
+) -> None:
     """Write the log of an episode, as CSV or Parquet by the name of the file.
+
+    Args:
+        path: of the file.
+        episode: its measurements.
+        associated: whether rows have the number of their anchor; otherwise they are paths in random
+            order, as :func:`~mmwave_env.logs.path_log.read_paths` reads them.
+        false_paths: drawn among the others in every epoch, where they are not associated.
+        seed: of false paths and order.
 
     Raises:
         LogError: another kind of file, or pyarrow is missing.
+        ValueError: false paths among rows that have anchors, or fewer than none; or a log of paths
+            of an episode without truth.
         OSError: it can't be written.
     """
-    name = path.name.lower()
+    name, columns = path.name.lower(), log_columns(episode)
+    if not associated:
+        columns = path_columns(columns, episode, false_paths, seed)
+    elif false_paths:
+        raise ValueError(f"false_paths: found {false_paths} among rows with anchors, expected none")
     if name.endswith(".parquet"):
         pyarrow, parquet = require_arrow(path)
-        columns = {
-            name: pyarrow.array(values, mask=np.isnan(values))
-            for name, values in log_columns(episode).items()
+        arrays = {
+            name: pyarrow.array(values, mask=np.isnan(values)) for name, values in columns.items()
         }
-        parquet.write_table(pyarrow.table(columns), path, write_page_checksum=True)
+        parquet.write_table(pyarrow.table(arrays), path, write_page_checksum=True)
     elif name.endswith(".csv.gz"):
-        path.write_bytes(gzip.compress(log_text(episode).encode(), mtime=0))
+        path.write_bytes(gzip.compress(log_text(columns).encode(), mtime=0))
     elif name.endswith(".csv"):
-        path.write_text(log_text(episode), encoding="utf-8", newline="\n")
+        path.write_text(log_text(columns), encoding="utf-8", newline="\n")
     else:
         raise LogError(f"{path}: found {path.suffix!r}, expected a name in {', '.join(SUFFIXES)}")

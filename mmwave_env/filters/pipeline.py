@@ -123,6 +123,43 @@ def measurement_of(
     return Measurement(site.anchors, site.hz_per_mps, epoch.z, variance, epoch.visible, layout)
 
 
+def predict(
+    pipeline: Pipeline,
+    mode: Mode,
+    x: Vector,
+    P: Vector,
+    gamma: Number,
+    epoch: Epoch,
+    hz_per_mps: Number,
+    tuning: Tuning | None = None,
+) -> tuple[list[Number], Matrix]:
+    """Mean (7,) and covariance (7, 7) that a mode predicts for the coming epoch.
+
+    Args:
+        pipeline, mode, x, P, epoch, tuning: as :func:`predict_update` takes them.
+        gamma: adaptive scale of Q, which a mode that is not adaptive leaves alone.
+        hz_per_mps: carrier frequency over the speed of light.
+    """
+    scale = gamma if mode.adaptive else 1.0
+    noise = process_noise(tuning or mode.tuning, epoch, hz_per_mps, scale, pipeline.planar)
+    x_predicted, P_predicted = pipeline.predict(
+        mode, x, unpack(P, zero=pipeline.known_axes), noise, epoch.dt
+    )
+    x_predicted = [x[i] if i in pipeline.known_axes else v for i, v in enumerate(x_predicted)]
+    if mode.acceleration_mps2:
+        x_predicted = accelerate(x_predicted, (tuning or mode.tuning).acceleration_mps2, epoch.dt)
+    if mode.turn_rate_radps:
+        x_predicted = turn(x_predicted, (tuning or mode.tuning).turn_rate_radps, epoch.dt)
+    if mode.widen_p or mode.widen_v:
+        p, v = mode.widen_p**2, mode.widen_v**2
+        extra = (p, p, 0.0, v, v, 0.0, 0.0)
+        P_predicted = [
+            [value + extra[i] if i == j else value for j, value in enumerate(row)]
+            for i, row in enumerate(P_predicted)
+        ]
+    return x_predicted, P_predicted
+
+
 def predict_update(
     pipeline: Pipeline,
     mode: Mode,
@@ -144,23 +181,9 @@ def predict_update(
         site: anchors and carrier.
         tuning: process noise in place of the mode's own.
     """
-    gamma = memory.gamma if mode.adaptive else 1.0
-    noise = process_noise(tuning or mode.tuning, epoch, site.hz_per_mps, gamma, pipeline.planar)
-    x_predicted, P_predicted = pipeline.predict(
-        mode, x, unpack(P, zero=pipeline.known_axes), noise, epoch.dt
+    x_predicted, P_predicted = predict(
+        pipeline, mode, x, P, memory.gamma, epoch, site.hz_per_mps, tuning
     )
-    x_predicted = [x[i] if i in pipeline.known_axes else v for i, v in enumerate(x_predicted)]
-    if mode.acceleration_mps2:
-        x_predicted = accelerate(x_predicted, (tuning or mode.tuning).acceleration_mps2, epoch.dt)
-    if mode.turn_rate_radps:
-        x_predicted = turn(x_predicted, (tuning or mode.tuning).turn_rate_radps, epoch.dt)
-    if mode.widen_p or mode.widen_v:
-        p, v = mode.widen_p**2, mode.widen_v**2
-        extra = (p, p, 0.0, v, v, 0.0, 0.0)
-        P_predicted = [
-            [value + extra[i] if i == j else value for j, value in enumerate(row)]
-            for i, row in enumerate(P_predicted)
-        ]
     force = 0.0
     if mode.recovery is not None:
         force = where(memory.lockout > mode.recovery - 0.5, 1.0, 0.0)

@@ -10,7 +10,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from mmwave_env.logs.log import RANGE_LIMITS_M, WIDEST_DEG, LogBlock
+from mmwave_env.logs.log import LogBlock
+from mmwave_env.logs.log_checks import RANGE_LIMITS_M, WIDEST_DEG
 from mmwave_env.models.prior import GAP_S
 from mmwave_env.models.radio import Radio
 from mmwave_env.models.scene import Scene

@@ -10,9 +10,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from mmwave_env.logs.log import RANGE_LIMITS_M, LogBlock
+from mmwave_env.logs.log import LogBlock
+from mmwave_env.logs.log_checks import RANGE_LIMITS_M
 from mmwave_env.logs.log_tables import LogError
-from mmwave_env.models.prior import GAP_S
+from mmwave_env.models.prior import GAP_S, STEEPEST_FIX_RAD
+from mmwave_env.numerics.arrays import Array, Mask
 
 
 class Piece(NamedTuple):
@@ -28,8 +30,8 @@ class Piece(NamedTuple):
 def segments(blocks: Iterable[LogBlock]) -> Iterator[Piece]:
     """The segments of a log, piece by piece.
 
-    One ends when neither a link nor odometry was seen for more than ``GAP_S``; the next begins
-    with the next line of sight.
+    One ends when neither a link nor odometry was seen for more than ``GAP_S``, or where the log
+    says that a track must begin anew; the next begins with the next line of sight.
 
     Raises:
         LogError: from ``blocks``, after the epochs before the damage.
@@ -54,7 +56,7 @@ def segments(blocks: Iterable[LogBlock]) -> Iterator[Piece]:
                     if not len(block):
                         break
                     last_s = float(block.time_s[0])
-                end, last_s = _end(block, last_s)
+                end, last_s = _end(block, last_s, begins)
                 if end:
                     if held:
                         yield held
@@ -68,27 +70,39 @@ def segments(blocks: Iterable[LogBlock]) -> Iterator[Piece]:
     if not held:
         raise ValueError(
             f"log: found {skipped} epochs without a line of sight, expected one with a range of "
-            f"at least {RANGE_LIMITS_M[0]:g} m, angles and SNR of anchor 1, where the track begins "
+            f"at least {RANGE_LIMITS_M[0]:g} m, angles and SNR of anchor 1, and an elevation of at "
+            f"most {np.degrees(STEEPEST_FIX_RAD):g} degrees, where the track begins "
             f"({incomplete} have only some of these)"
         )
     yield held
 
 
+def gives_fix(links: Array) -> Mask:
+    """Which links (n, 4 or more), m and rad, give a prior.
+
+    Straight above or below an anchor an azimuth means nothing, and near there the direction is as
+    uncertain as it is steep, which a Gaussian does not know.
+    """
+    return (links[:, 0] >= RANGE_LIMITS_M[0]) & (abs(links[:, 2]) <= STEEPEST_FIX_RAD)
+
+
 def _first_fix(block: LogBlock) -> int:
     """The first epoch that gives a prior; without one, the number of epochs."""
-    fixes = np.flatnonzero(block.visible[:, 0] & (block.measurement[:, 0] >= RANGE_LIMITS_M[0]))
+    fixes = np.flatnonzero(block.visible[:, 0] & gives_fix(block.measurement))
     return int(fixes[0]) if len(fixes) else len(block)
 
 
-def _end(block: LogBlock, last_s: float) -> tuple[int, float | None]:
+def _end(block: LogBlock, last_s: float, begins: bool) -> tuple[int, float | None]:
     """Epochs of the block still in the segment, and when something was last seen in it.
 
-    None for the time if the segment ends in this block.
+    None for the time if the segment ends in this block, which may be the one it ``begins`` with.
     """
     seen = block.visible[:, : block.layout.anchors].any(axis=1)
     if block.layout.odometry:  # dead reckoning bridges two minutes as well as ten seconds
         seen |= block.visible[:, -1]
     latest = np.maximum.accumulate(np.where(seen, block.time_s, last_s))
     before = np.concatenate([[last_s], latest[:-1]])
-    over = np.flatnonzero(block.time_s - before > GAP_S)
+    ends = (block.time_s - before > GAP_S) | block.restarts
+    ends[0] &= not begins
+    over = np.flatnonzero(ends)
     return (int(over[0]), None) if len(over) else (len(block), float(latest[-1]))

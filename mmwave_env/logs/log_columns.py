@@ -26,8 +26,10 @@ QUANTITIES: dict[str, dict[str, Unit]] = {
     "anchor": {"anchor": Unit()},
     "toa": {**_FLIGHT, "range_m": Unit()},
     "aoa_azimuth": {f"aoa_azimuth{unit}": u for unit, u in _ANGLE.items()},
+    "aoa_azimuth_station": {f"aoa_azimuth_station{unit}": u for unit, u in _ANGLE.items()},
     "aoa_elevation": {f"aoa_elevation{unit}": u for unit, u in _ANGLE.items()},
     "aod_azimuth": {f"aod_azimuth{unit}": u for unit, u in _ANGLE.items()},
+    "aod_azimuth_body": {f"aod_azimuth_body{unit}": u for unit, u in _ANGLE.items()},
     "snr": {"snr_db": Unit()},
     "doppler": {f"doppler{unit}": u for unit, u in _SHIFT.items()},
     "doppler_spread": {f"doppler_spread{unit}": u for unit, u in _SHIFT.items()},
@@ -39,6 +41,14 @@ QUANTITIES: dict[str, dict[str, Unit]] = {
 LINK_QUANTITIES = ("toa", "aoa_azimuth", "aoa_elevation", "aod_azimuth")
 ODOMETRY_QUANTITIES = ("speed", "heading")
 _REQUIRED = ("time", "anchor", *LINK_QUANTITIES, "snr")
+# In place of aoa_azimuth: as the base station sees it, also where a wall mirrors the path.
+_STATION = "aoa_azimuth_station"
+_BODY = "aod_azimuth_body"  # in place of aod_azimuth, if there is a heading
+
+_HINTS = {
+    "anchor": "; mmwave-loc localize --associate does without (docs/association.md)",
+    "heading": ", which turns the azimuth of departure from the body's frame to the map's",
+}
 
 
 class Column(NamedTuple):
@@ -49,10 +59,13 @@ class Column(NamedTuple):
     unit: Unit  # to convert by
 
 
-def columns_of(names: Sequence[str], hz_per_mps: float, odometry: bool = True) -> dict[str, Column]:
+def columns_of(
+    names: Sequence[str], hz_per_mps: float, odometry: bool = True, associated: bool = True
+) -> dict[str, Column]:
     """The quantities of a log and where they stand, from the names of all its columns.
 
-    Without ``odometry`` its columns are left alone.
+    Without ``odometry`` its columns are left alone, but for a heading that angles need; a column of
+    anchors is, where rows are not ``associated``.
 
     Raises:
         ValueError: a name that is not known or lacks its unit, a quantity given twice, or one
@@ -69,21 +82,40 @@ def columns_of(names: Sequence[str], hz_per_mps: float, odometry: bool = True) -
         if name.startswith("doppler") and name.endswith("_mps"):
             unit = Unit(hz_per_mps)
         columns[quantity] = Column(name, place, unit)
-    for quantity in _REQUIRED:
+    if not associated:
+        columns.pop("anchor", None)
+    if not odometry:
+        columns.pop("speed", None)
+        if _BODY not in columns:
+            columns.pop("heading", None)
+    _require(columns, names, associated)
+    return columns
+
+
+def _require(columns: dict[str, Column], names: Sequence[str], associated: bool) -> None:
+    """Refuse columns that are not all, or too many."""
+    instead: dict[str, str] = {}
+    for usual, other, needed in (
+        ("aoa_azimuth", _STATION, _STATION),
+        ("aod_azimuth", _BODY, "heading"),
+    ):
+        if other in columns:
+            instead[usual] = needed
+            if usual in columns:
+                both = f"both {columns[usual].name!r} and {columns[other].name!r}"
+                raise ValueError(f"columns: found {both}, expected {usual} in one frame")
+    for quantity in (instead.get(one, one) for one in _REQUIRED if associated or one != "anchor"):
         if quantity not in columns:
             raise ValueError(
                 f"columns: found no {quantity} in {', '.join(names)}, "
-                f"expected {_one_of(QUANTITIES[quantity])}"
+                f"expected {_one_of(QUANTITIES[quantity])}{_HINTS.get(quantity, '')}"
             )
-    if not odometry:
-        return {q: column for q, column in columns.items() if q not in ODOMETRY_QUANTITIES}
     for one, other in (ODOMETRY_QUANTITIES, ODOMETRY_QUANTITIES[::-1]):
-        if one in columns and other not in columns:
+        if one in columns and other not in columns and (one, _BODY in columns) != ("heading", True):
             raise ValueError(
                 f"columns: found {columns[one].name!r} alone, expected {other} "
                 f"({_one_of(QUANTITIES[other])}) beside it"
             )
-    return columns
 
 
 def _quantity(name: str) -> str:

@@ -63,13 +63,16 @@ class LogFile:
         return _parquet_tables(self) if _is_parquet(self.path) else _csv_tables(self)
 
 
-def open_log(path: Path, hz_per_mps: float, odometry: bool = True) -> LogFile:
+def open_log(
+    path: Path, hz_per_mps: float, odometry: bool = True, associated: bool = True
+) -> LogFile:
     """Read the header of a log.
 
     Args:
         path: of a CSV (plain or gzipped) or Parquet file.
         hz_per_mps: f_c / c, for Doppler shifts given in m/s.
         odometry: False to leave the columns of odometry alone.
+        associated: False where rows are paths: a column of anchors is left alone.
 
     Raises:
         LogError: not such a file, or its columns are not those of a log.
@@ -82,7 +85,7 @@ def open_log(path: Path, hz_per_mps: float, odometry: bool = True) -> LogFile:
             raise LogError(f"{path}: found an empty file, expected a measurement log")
     names = parquet_names(path) if _is_parquet(path) else _csv_names(path)
     try:
-        columns = columns_of(names, hz_per_mps, odometry)
+        columns = columns_of(names, hz_per_mps, odometry, associated)
     except ValueError as error:
         raise LogError(f"{path}: {error}") from error
     log = LogFile(path, columns, len(names))

@@ -30,6 +30,7 @@ from mmwave_env.numerics.numbers import (
     Number,
     Vector,
     atan2,
+    cos_sin,
     maximum,
     sqrt,
     where,
@@ -101,9 +102,13 @@ def wrap_angles(measurement: NDArray[np.float64], layout: Layout) -> None:
     Those that are there already stay as they are, to the bit.
     """
     rows = layout.angles
-    angles = measurement[:, rows]
+    measurement[:, rows] = wrapped(measurement[:, rows])
+
+
+def wrapped(angles: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Angles of any size, moved into [-pi, pi) where they are not there already."""
     moved = np.remainder(angles + PI, 2.0 * PI) - PI
-    measurement[:, rows] = np.where((angles >= -PI) & (angles < PI), angles, moved)
+    return np.where((angles >= -PI) & (angles < PI), angles, moved)
 
 
 def whole_groups(
@@ -176,6 +181,23 @@ def direction(d: Vector) -> tuple[Number, Number, Number]:
     """Range (m), azimuth and elevation (rad) of p - anchor (paper, eqs. for ToA and AoA)."""
     horizontal, distance = norms(d)
     return distance, atan2(d[1], d[0]), atan2(d[2], horizontal)
+
+
+def seen_from_image(
+    azimuth: Number, elevation: Number, station: Vector, image: Vector
+) -> tuple[Number, Number]:
+    """A direction (rad) at the base station (3,) as its mirror image (3,) in a wall sees it.
+
+    What leaves the station towards the wall leaves the image in the direction d - 2 (d.n) n, with
+    n along image - station, and goes straight on; where both are one there is no wall.
+    """
+    n = [image[i] - station[i] for i in range(3)]
+    (cos_az, sin_az), (cos_el, sin_el) = cos_sin(azimuth), cos_sin(elevation)
+    d = [cos_el * cos_az, cos_el * sin_az, sin_el]
+    squared = n[0] * n[0] + n[1] * n[1] + n[2] * n[2]
+    along = 2.0 * (d[0] * n[0] + d[1] * n[1] + d[2] * n[2]) / (squared if squared else 1.0)
+    _, *mirrored = direction([d[i] - along * n[i] for i in range(3)])
+    return mirrored[0], mirrored[1]
 
 
 def range_rate(d: Vector, velocity: Vector) -> Number:

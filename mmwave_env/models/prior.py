@@ -1,5 +1,7 @@
 """Where a track begins: the state before the first epoch, and how well it is known."""
 
+import math
+
 import numpy as np
 
 from mmwave_env.models.radio import Radio
@@ -8,6 +10,7 @@ from mmwave_env.numerics.arrays import Array
 from mmwave_env.numerics.numbers import PI, wrap
 
 GAP_S = 15.0  # the longest that is bridged: of 100 vehicles none is lost in 10 s, some are in 20 s
+STEEPEST_FIX_RAD = math.radians(85.0)  # 2.5 deviations of a handset's elevation from the vertical
 # Horizontal, per axis, of a user nobody knows: twice that is the 20 m/s the filters are made for.
 UNKNOWN_VELOCITY_MPS = 10.0
 

@@ -7,6 +7,7 @@ import numpy as np
 from experiments import demo
 from experiments.arguments.shared import EpisodeArgs
 from experiments.cli.options import all_contenders
+from experiments.cli.reporting import Results
 from experiments.evaluation.comparison import compare_scores
 from experiments.evaluation.seeds import Selection
 from mmwave_env.metrics import METRICS
@@ -20,7 +21,7 @@ def test_six_rows_a_place_are_printed_and_everybody_is_written(tmp_path, monkeyp
         scenario = args.data or "mixed"
         what = {"radio": args.radio, "selection": Selection(range(args.episodes))}
         found = compare_scores(scores, scenario=scenario, **what)
-        return found, str(found), found.json
+        return Results(found, str(found), found.json, ())
 
     pages, asked = [], []
     monkeypatch.setattr(demo, "results", results)

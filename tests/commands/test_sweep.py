@@ -118,7 +118,7 @@ def test_two_at_once_on_one_run_are_refused(swept):
 @pytest.mark.parametrize(
     ("words", "message"),
     [
-        (["there.toml"], "there.toml: found no file, expected a sweep, TOML"),
+        (["there.toml"], "there.toml: found no such file, expected a sweep, TOML"),
         (["there.toml", "--workers", "0"], "workers: found 0, expected 1 or more"),
         (["there.toml", "--address", "auto"], "address: found one beside engine local, expected"),
     ],

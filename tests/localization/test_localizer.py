@@ -20,11 +20,12 @@ from mmwave_env.filters.mode_files import default_modes
 from mmwave_env.filters.modes import Mode, robust
 from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.localization.localizer import TrackBlock, localize
-from mmwave_env.logs.log import read_log
+from mmwave_env.logs.log import LogBlock, read_log
 from mmwave_env.logs.log_tables import LogError
+from mmwave_env.models.measurement import Layout, exact_rows
 from mmwave_env.models.prior import prior_from_fix
 from mmwave_env.models.radio import RADIOS
-from mmwave_env.models.scene import SCENES
+from mmwave_env.models.scene import SCENES, Scene
 from mmwave_env.reward import TrackingReward
 from policies.speed_rule import by_odometry_speed, by_predicted_speed
 from tests.filters.tracks import track
@@ -316,7 +317,7 @@ def with_gap(block, seconds, at=100):
 
 
 def joined(*blocks):
-    names = ("time_s", "measurement", "visible", "incomplete", "snr_db", "doppler_spread_hz")
+    names = LogBlock.per_epoch
     arrays = {f: np.concatenate([getattr(b, f) for b in blocks]) for f in names}
     return replace(blocks[-1], **arrays)
 
@@ -362,3 +363,23 @@ def test_long_gaps_do_not_lose_the_track():
 def test_modes_without_a_rule_are_refused(block):
     with pytest.raises(ValueError, match="modes: found 2, no rule and no actions"):
         run([block], (Mode("a"), Mode("b")))
+
+
+@pytest.mark.parametrize("steep", [0.0, 1e-9, 0.02], ids=["exactly", "all but", "about"])
+@pytest.mark.parametrize("side", [-1.0, 1.0], ids=["below", "above"])
+def test_a_log_that_begins_straight_below_or_above_an_anchor_starts_at_the_next_usable_fix(
+    steep, side
+):
+    scene = Scene("lamp", (3.0, 4.0, 10.0), virtual_anchors_m=((3.0, 34.0, 10.0),))
+    layout, epochs = Layout(2), 60
+    along = np.concatenate([np.full(4, steep), 1.5 * np.arange(1, epochs - 3)])
+    position = np.stack([3.0 + along, np.full(epochs, 4.0), np.full(epochs, 10.0 + 8.0 * side)])
+    velocity = [np.where(along > steep, 1.5, 0.0), np.zeros(epochs), np.zeros(epochs)]
+    rows = exact_rows(list(position), velocity, scene.anchors_m.tolist(), scene.hz_per_mps, layout)
+    seen, snr, spread = np.ones((epochs, 3), bool), np.full((epochs, 2), 30.0), np.zeros(epochs)
+    time, table = np.arange(epochs, dtype=float), np.stack(rows, axis=1)
+    block = LogBlock(layout, time, table, seen, ~seen, snr, spread, spread > 0, epochs, 1.0)
+    found = whole(localize([block], scene, RADIO, [EKF], window=None))
+    assert found.skipped == 4 and found.time_s[0] == 4.0
+    error = np.linalg.norm(found.x[:, :3] - position.T[4:], axis=1)
+    assert error.max() < 1.0

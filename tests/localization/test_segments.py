@@ -21,8 +21,9 @@ def log(time_s, seen, odometry=True):
     for epoch, groups in enumerate(seen):
         visible[epoch, list(groups)] = True
     time = np.array(time_s, float)
-    rows = np.full((T, layout.size), 7.0)
-    return LogBlock(layout, time, rows, visible, ~visible, np.zeros((T, 2)), np.zeros(T), T, 1.0)
+    rows = np.full((T, layout.size), 1.0)
+    return LogBlock(layout, time, rows, visible, ~visible, np.zeros((T, 2)), np.zeros(T),
+                    np.zeros(T, bool), T, 1.0)  # fmt: skip
 
 
 def found(*blocks):
@@ -53,6 +54,14 @@ def test_any_link_and_odometry_go_on_with_a_segment():
 
 def test_a_segment_may_end_before_the_log():
     assert found(log(range(40), [FIX] + [NOTHING] * 39)) == [(list(range(16)), 0, True, 0, 24)]
+
+
+def test_a_log_may_say_that_a_track_begins_anew():
+    block = log(range(8), [FIX] * 4 + [OTHER] + [FIX] * 3)
+    block.restarts[[0, 3, 4]] = True  # where one begins anyway, it says nothing new
+    assert found(block) == [
+        ([0, 1, 2], 0, True, 0, 0), ([3], 1, True, 0, 1), ([5, 6, 7], 2, True, 0, 1)
+    ]  # fmt: skip
 
 
 def test_slow_logs_begin_anew_in_every_epoch():

@@ -14,9 +14,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mmwave_env.episodes.log_writer import log_text, write_log
+from mmwave_env.episodes.log_writer import log_columns, log_text, write_log
 from mmwave_env.episodes.simulated import SimulatedSource
-from mmwave_env.logs.log import read_log
+from mmwave_env.logs.log import LogBlock, read_log
 from mmwave_env.logs.log_columns import QUANTITIES
 from mmwave_env.logs.log_tables import LogError
 from mmwave_env.models.measurement import SPEED_OF_LIGHT, Layout
@@ -28,7 +28,7 @@ L = 3
 HEADER = ("time_s,anchor,toa_s,aoa_azimuth_rad,aoa_elevation_rad,aod_azimuth_rad,doppler_hz,"
           "snr_db")  # fmt: skip
 TIME, ANCHOR, TOA, AOA, ELEVATION, AOD, DOPPLER, SNR = range(8)
-PER_EPOCH = ("time_s", "measurement", "visible", "incomplete", "snr_db", "doppler_spread_hz")
+PER_EPOCH = LogBlock.per_epoch
 SUFFIXES = (".csv", ".csv.gz", ".parquet")
 
 
@@ -103,6 +103,52 @@ def test_every_number_has_its_place(tmp_path):
     np.testing.assert_array_equal(block.snr_db, np.tile([21.0, 22.0, 23.0], (4, 1)))
     np.testing.assert_array_equal(block.doppler_spread_hz, np.zeros(4))
     assert block.rows == 12 and block.share == 1.0
+
+
+@pytest.mark.parametrize("suffix", ["rad", "deg"])
+def test_arrivals_as_the_base_station_sees_them_are_mirrored(tmp_path, suffix):
+    ours = episode(epochs=5)
+    columns = log_columns(ours)
+    path, station = tmp_path / "station.csv", SCENE.anchors_m[0]
+    azimuth, elevation = columns.pop("aoa_azimuth_rad"), columns["aoa_elevation_rad"]
+    images = SCENE.anchors_m[columns["anchor"].astype(int) - 1]
+    n = images - station
+    n /= np.maximum(np.linalg.norm(n, axis=1), 1e-300)[:, None]
+    d = np.stack([np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth),
+                  np.sin(elevation)], axis=1)  # fmt: skip
+    d -= 2.0 * (d * n).sum(axis=1)[:, None] * n  # what the wall makes of it is what there was
+    seen = np.arctan2(d[:, 1], d[:, 0])
+    columns[f"aoa_azimuth_station_{suffix}"] = np.degrees(seen) if suffix == "deg" else seen
+    columns["aoa_elevation_rad"] = np.arctan2(d[:, 2], np.hypot(d[:, 0], d[:, 1]))
+    path.write_text(log_text(columns))
+    write_log(tmp_path / "image.csv", ours)
+    one, two = read(path), read(tmp_path / "image.csv")
+    np.testing.assert_array_equal(one.visible, two.visible)
+    np.testing.assert_allclose(one.measurement, two.measurement, rtol=1e-9, equal_nan=True)
+
+
+BODY = HEADER.replace("aod_azimuth_rad", "aod_azimuth_body_deg")
+
+
+@pytest.mark.parametrize("odometry", [True, False])
+@pytest.mark.parametrize("columns", [",heading_deg", ",speed_mps,heading_deg"])
+def test_departures_in_the_frame_of_the_body_are_turned_by_the_heading(tmp_path, columns, odometry):
+    lines = rows(2)
+    for line, heading in zip(lines, ("", "170", "", "-40", "", "-40"), strict=True):
+        line[AOD] = "20.0"
+        line += ["1.5", heading] if "speed" in columns else [heading]
+    block = read(store(tmp_path, text(lines, BODY + columns)), odometry=odometry)
+    departures = np.degrees(block.measurement[:, 3:12:4])  # of a row, by the heading of its epoch
+    np.testing.assert_allclose(departures, [[-170.0] * 3, [-20.0] * 3])
+    assert block.visible.all()
+    assert block.layout == Layout(L, odometry and "speed" in columns)
+
+
+def test_a_departure_of_a_body_without_heading_is_empty(tmp_path):
+    lines = [[*line, "90" if line[TIME] == "1" else ""] for line in rows(2)]
+    block = read(store(tmp_path, text(lines, BODY + ",heading_deg")))
+    np.testing.assert_array_equal(block.visible[:, :L], [[False] * 3, [True] * 3])
+    np.testing.assert_array_equal(block.incomplete[:, :L], [[True] * 3, [False] * 3])
 
 
 @pytest.mark.parametrize(
@@ -346,7 +392,7 @@ def test_a_file_is_written_alike_every_time(tmp_path):
     for name in ("one.csv.gz", "two.csv.gz"):
         write_log(tmp_path / name, episode())
     one, two = ((tmp_path / name).read_bytes() for name in ("one.csv.gz", "two.csv.gz"))
-    assert one == two and gzip.decompress(one).decode() == log_text(episode())
+    assert one == two and gzip.decompress(one).decode() == log_text(log_columns(episode()))
 
 
 # --- what is refused
@@ -487,7 +533,7 @@ def test_whatever_cell_is_damaged_the_epochs_before_are_delivered(
     row, column, cell, size, table_bytes
 ):
     true = episode(epochs=25)
-    header, *lines = [line.split(",") for line in log_text(true).splitlines()]
+    header, *lines = [line.split(",") for line in log_text(log_columns(true)).splitlines()]
     lines[row][column : column + 1] = [] if cell is None else [cell]
     with tempfile.TemporaryDirectory() as folder, pytest.MonkeyPatch.context() as patch:
         patch.setattr("mmwave_env.logs.lines._BLOCK_BYTES", table_bytes)
@@ -526,6 +572,22 @@ HEADERS = {
     "zeros": (b"\0" * 90, "line 1: found '.x00|column '.x00"),
     "endless name": ("a" * 200_000 + "," + HEADER, "line 1: found 'aaa.*names of columns"),
     "heading alone": (HEADER + ",heading_deg", "found 'heading_deg' alone, expected speed"),
+    "body without heading": (
+        HEADER.replace("aod_azimuth", "aod_azimuth_body"),
+        "found no heading in .*expected heading_rad or heading_deg, which turns the azimuth of dep",
+    ),
+    "arrivals twice": (
+        HEADER + ",aoa_azimuth_station_deg",
+        "found both 'aoa_azimuth_rad' and 'aoa_azimuth_station_deg', expected aoa_azimuth in one",
+    ),
+    "two frames": (
+        HEADER + ",aod_azimuth_body_deg,heading_deg",
+        "found both 'aod_azimuth_rad' and 'aod_azimuth_body_deg', expected aod_azimuth in one fr",
+    ),
+    "body with speed alone": (
+        HEADER.replace("aod_azimuth", "aod_azimuth_body") + ",speed_mps",
+        "found no heading in .*expected heading_rad",
+    ),
     "not UTF-8": (b"time_s,\xff\xfe", r"column '.*xff.*xfe': found no quantity"),
 } | {
     f"no {name}": (",".join(c for c in HEADER.split(",") if c != name), f"found no .*{name}")
@@ -589,7 +651,7 @@ def test_blocks_hold_at_least_an_epoch(tmp_path):
 @pytest.mark.parametrize("left", [0.2, 0.5, 0.99])
 def test_gzip_that_ends_too_early(tmp_path, left):
     true = episode(epochs=2000)
-    packed = gzip.compress(log_text(true).encode(), mtime=0)
+    packed = gzip.compress(log_text(log_columns(true)).encode(), mtime=0)
     path = store(tmp_path, packed[: int(left * len(packed))], "log.csv.gz")
     blocks, error = delivered(path, epochs_per_block=100)
     assert re.search(r"log.csv.gz, line \d+: found broken gzip data \(.*\), expected a file", error)
@@ -602,7 +664,7 @@ def test_gzip_that_ends_too_early(tmp_path, left):
 
 @pytest.mark.parametrize("where", [2, 3, 5000, -6])
 def test_gzip_with_a_wrong_byte(tmp_path, where):
-    packed = bytearray(gzip.compress(log_text(episode(epochs=2000)).encode(), mtime=0))
+    packed = bytearray(gzip.compress(log_text(log_columns(episode(epochs=2000))).encode(), mtime=0))
     packed[where] ^= 0xFF
     path = store(tmp_path, bytes(packed), "log.csv.gz")
     with pytest.raises(LogError, match="log.csv.gz"):
@@ -741,7 +803,7 @@ def test_parquet_without_pyarrow_says_what_to_install(tmp_path, monkeypatch, act
 MEMORY = """
 import resource, sys
 from pathlib import Path
-from mmwave_env.logs.log import read_log
+from mmwave_env.logs.log import LogBlock, read_log
 from mmwave_env.models.scene import SCENES
 before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
 rows = [block.rows for block in read_log(Path(sys.argv[1]), SCENES["street"])][-1]
@@ -753,7 +815,9 @@ print(rows, resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before)
 @pytest.mark.slow
 def test_a_long_log_takes_little_memory(tmp_path):
     path = tmp_path / "log.csv"
-    lines = [line.split(",", 1)[1] for line in log_text(episode(epochs=1)).splitlines()]
+    lines = [
+        line.split(",", 1)[1] for line in log_text(log_columns(episode(epochs=1))).splitlines()
+    ]
     with path.open("w") as file:
         file.write(f"time_s,{lines[0]}\n")
         for t in range(300_000):

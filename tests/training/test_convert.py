@@ -67,6 +67,9 @@ def same_process(monkeypatch):
         def join(self):
             pass
 
+        def kill(self):
+            pass
+
     monkeypatch.setattr(unzip, "get_context", lambda how: SimpleNamespace(Process=Process))
 
 

@@ -1,0 +1,178 @@
+"""Paths without anchor numbers become a log with them, epoch by epoch.
+
+A filter of its own follows the user (``path_tracker.py``). In every epoch it predicts, and paths
+are assigned to anchors by global nearest neighbor at that prediction (``filters/association.py``).
+What comes out is a log like any other, so all that localizes a log localizes this one.
+
+A track begins where a hypothesis about the line of sight explains enough of the coming epochs; and
+anew where it is lost, or where another one explains more.
+"""
+
+from collections import deque
+from collections.abc import Iterable, Iterator, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from mmwave_env.filters.association import NO_PATH
+from mmwave_env.filters.modes import Mode
+from mmwave_env.localization.path_tracker import PathTrack, PathTracker
+from mmwave_env.logs.log import LogBlock
+from mmwave_env.logs.log_tables import LogError
+from mmwave_env.logs.path_log import PathEpoch
+from mmwave_env.models.epoch import Epoch
+from mmwave_env.models.prior import GAP_S
+from mmwave_env.models.radio import Radio
+from mmwave_env.models.scene import Scene
+from mmwave_env.numerics.arrays import Index
+
+LOOK_AHEAD = 10  # epochs in which a hypothesis about the line of sight is tried
+
+
+class Association:
+    """How the paths of a log were associated, in running sums.
+
+    Args:
+        anchors: of the scene.
+    """
+
+    def __init__(self, anchors: int) -> None:
+        self.epochs = self.untracked_epochs = self.starts = 0
+        self._paths = self._incomplete = self._untracked = 0
+        self._associated, self._missed = np.zeros((2, anchors), np.int64)
+
+    def add(self, paths: PathEpoch, found: Index | None, begins: bool) -> None:
+        """Take an epoch: the path of every anchor (L,); None where there is no track."""
+        self.epochs += 1
+        self.starts += begins
+        self._paths += len(paths.snr_db)
+        self._incomplete += paths.incomplete
+        if found is None:
+            self.untracked_epochs += 1
+            self._untracked += len(paths.snr_db)
+            return
+        self._associated += found != NO_PATH
+        self._missed += found == NO_PATH
+
+    def figures(self) -> dict[str, Any]:
+        """What was added up."""
+        named = [f"anchor {a + 1}" for a in range(len(self._missed))]
+        return {
+            "paths": self._paths,
+            "incomplete": self._incomplete,
+            "associated": dict(zip(named, self._associated.tolist(), strict=True)),
+            "missed": dict(zip(named, self._missed.tolist(), strict=True)),
+            "false": self._paths - self._untracked - int(self._associated.sum()),
+            "without_track": {"epochs": self.untracked_epochs, "paths": self._untracked},
+            "starts": self.starts,
+        }
+
+
+def associate(
+    epochs: Iterable[PathEpoch],
+    scene: Scene,
+    radio: Radio,
+    mode: Mode,
+    tally: Association,
+    epochs_per_block: int = 4096,
+) -> Iterator[LogBlock]:
+    """The log of paths whose anchors are found.
+
+    Where the log is damaged, the epochs before the damage are delivered first.
+
+    Args:
+        epochs: of the log of paths.
+        scene: whose anchors were measured.
+        radio: profile of the receiver: standard deviations by SNR, oscillator, prior.
+        mode: that follows the user while paths are associated; one for high mobility, whose
+            predictions are wide enough for any user.
+        tally: counts what was associated.
+        epochs_per_block: their number; the last block may be shorter.
+
+    Raises:
+        LogError: from ``epochs``.
+    """
+    held: list[_Labelled] = []
+    try:
+        for one in _labelled(epochs, scene, radio, mode, tally):
+            held.append(one)
+            if len(held) == epochs_per_block:
+                yield _block(held)
+                held = []
+    except LogError:
+        if held:
+            yield _block(held)
+        raise
+    if held:
+        yield _block(held)
+
+
+class _Labelled(NamedTuple):
+    """An epoch, and what of it belongs to the anchors."""
+
+    paths: PathEpoch
+    epoch: Epoch
+    begins: bool  # whether a track does here, in place of another one, perhaps
+
+
+def _block(epochs: Sequence[_Labelled]) -> LogBlock:
+    """Epochs with labels as a block of a log."""
+    last = epochs[-1].paths
+    visible = np.array([one.epoch.visible for one in epochs]) > 0.5
+    snr = np.array([one.epoch.snr_db for one in epochs])
+    return LogBlock(
+        layout=last.layout,
+        time_s=np.array([one.paths.time_s for one in epochs]),
+        measurement=np.array([one.epoch.z for one in epochs]),
+        visible=visible,
+        incomplete=np.zeros_like(visible),
+        snr_db=np.where(visible[:, : last.layout.anchors], snr, -np.inf),
+        doppler_spread_hz=np.array([one.paths.doppler_spread_hz for one in epochs]),
+        restarts=np.array([one.begins for one in epochs]),
+        rows=last.rows,
+        share=last.share,
+    )
+
+
+def _labelled(
+    epochs: Iterable[PathEpoch], scene: Scene, radio: Radio, mode: Mode, tally: Association
+) -> Iterator[_Labelled]:
+    """Every epoch with what belongs to the anchors; between tracks nothing does."""
+    track: PathTrack | None = None
+    tracker: PathTracker | None = None
+    for window in _windows(epochs, LOOK_AHEAD):
+        paths = window[0]
+        tracker = tracker or PathTracker(scene, radio, mode, paths.layout)
+        if track and paths.time_s - track.seen_s > GAP_S:
+            track = None
+        try:
+            track = track and tracker.follow(track, paths)
+            rival = tracker.rival(track, window)
+        except ArithmeticError as error:
+            raise LogError(
+                f"log, time {paths.time_s} s: found a user straight above or below an anchor, or "
+                "further away than numbers reach; expected measurements that a receiver can make"
+            ) from error
+        track = rival or track
+        tally.add(paths, track and track.found, rival is not None)
+        epoch = track.epoch if track else tracker.nothing(paths)
+        yield _Labelled(paths, epoch, rival is not None)
+
+
+def _windows(epochs: Iterable[PathEpoch], size: int) -> Iterator[list[PathEpoch]]:
+    """Every epoch with up to ``size - 1`` that follow; before a LogError all that were read."""
+    held: deque[PathEpoch] = deque()
+    error: LogError | None = None
+    try:
+        for epoch in epochs:
+            held.append(epoch)
+            if len(held) == size:
+                yield list(held)
+                held.popleft()
+    except LogError as damage:
+        error = damage
+    while held:
+        yield list(held)
+        held.popleft()
+    if error:
+        raise error

@@ -1,0 +1,210 @@
+"""A user followed through paths without anchor numbers, and hypotheses about where one is.
+
+A track begins with a hypothesis, *this path is the line of sight*: it gives a position, and from
+there on the paths of a few epochs fit, or do not. Tracks are values, so that several can be tried.
+"""
+
+from collections.abc import Iterator, Sequence
+from typing import NamedTuple
+
+import numpy as np
+from scipy.special import chdtri
+
+from mmwave_env.filters.association import NO_PATH, assign, disagreement, path_nis
+from mmwave_env.filters.memory import Memory, initial_memory, memory_after, memory_before
+from mmwave_env.filters.modes import Mode
+from mmwave_env.filters.pipeline import Pipeline, predict, predict_update
+from mmwave_env.localization.segments import gives_fix
+from mmwave_env.logs.path_log import PathEpoch
+from mmwave_env.models.epoch import Epoch, Site
+from mmwave_env.models.measurement import Layout, seen_from_image
+from mmwave_env.models.prior import GAP_S, prior_from_fix
+from mmwave_env.models.radio import Radio
+from mmwave_env.models.scene import Scene
+from mmwave_env.numerics.arrays import Array, Index
+from mmwave_env.numerics.linalg import pack
+
+GATE_QUANTILE = 0.99  # chi-square quantile of the NIS up to which a path can be an anchor's
+CLEARLY_MORE = 0.5  # paths an epoch that a new track explains beyond the one that it replaces
+
+
+class PathTrack(NamedTuple):
+    """Where the user is believed to be, after an epoch."""
+
+    x: list[float]  # (7,)
+    P: list[float]  # (28,) packed
+    memory: Memory
+    time_s: float
+    seen_s: float  # when a path, or odometry, was last there for it
+    found: Index  # (L,) the path of every anchor in this epoch
+    epoch: Epoch  # with these labels
+
+    @property
+    def fitted(self) -> int:
+        """How many paths it explains in this epoch."""
+        return int((self.found != NO_PATH).sum())
+
+
+class _Links(NamedTuple):
+    """The n paths of an epoch as links of every anchor."""
+
+    # z, sigma: (L, n, 4) their rows and standard deviations, m and rad
+    z: Array
+    sigma: Array
+    doppler_sigma: Array  # (n,) of their Doppler shifts, were they the base station's, Hz
+
+
+class PathTracker:
+    """Follows users through paths.
+
+    Args:
+        scene, radio, mode: as :func:`~mmwave_env.localization.association.associate` takes them.
+        layout: of the log.
+    """
+
+    def __init__(self, scene: Scene, radio: Radio, mode: Mode, layout: Layout) -> None:
+        self._scene, self._radio, self._mode, self._layout = scene, radio, mode, layout
+        self._pipeline = Pipeline((mode,), layout)
+        self._anchors = scene.anchors_m.tolist()
+        self._memory = initial_memory(layout, 1)
+        self._gate = float(chdtri(4, 1.0 - GATE_QUANTILE))
+        self._disagreement = float(chdtri(1, 1.0 - GATE_QUANTILE))
+        unheard = np.zeros((1, layout.anchors))  # odometry knows no SNR
+        self._odometry_sigma = radio.sigma(unheard, scene, layout)[0, layout.doppler + 1 :].tolist()
+
+    def follow(self, track: PathTrack, paths: PathEpoch) -> PathTrack:
+        """The track one epoch on."""
+        links, coming = self._links(paths), self.nothing(paths, paths.time_s - track.time_s)
+        x, P = predict(
+            self._pipeline, self._mode, track.x, track.P, track.memory.gamma, coming,
+            self._scene.hz_per_mps,
+        )  # fmt: skip
+        found = assign(path_nis(x, P, self._anchors, links.z, links.sigma), self._gate)
+        epoch = self._with_labels(coming, paths, links, found)
+        return self._updated(track._replace(found=found, epoch=epoch), paths)
+
+    def rival(self, track: PathTrack | None, window: Sequence[PathEpoch]) -> PathTrack | None:
+        """A track that begins here and explains more of the coming epochs, if there is one.
+
+        None as well where a track that begins later explains more, as one does that waits for the
+        end of a blockage instead of taking a reflection for the line of sight.
+        """
+        horizon = window[0].time_s + GAP_S
+        paths, *coming = (one for one in window if one.time_s <= horizon)
+        best, fitted = self._best(track, paths, coming)
+        if best is None:
+            return None
+        # The path that it begins with proves nothing; a further one in every epoch does. A new
+        # track knows no velocity, so its gates are wide, and it has to explain clearly more.
+        own = 0.0 if track is None else self._fitted(track, coming) + CLEARLY_MORE * len(coming)
+        if fitted - 1 < max(own, len(coming)):
+            return None
+        later = (self._best(None, one, coming[k + 1 :])[1] for k, one in enumerate(coming))
+        return best if fitted >= max(later, default=0) else None
+
+    def _best(
+        self, track: PathTrack | None, paths: PathEpoch, coming: Sequence[PathEpoch]
+    ) -> tuple[PathTrack | None, int]:
+        """The track that begins here and explains most paths, with their number."""
+        best: PathTrack | None = None
+        most = 0
+        for one in self._beginnings(track, paths):
+            fitted = self._fitted(one, coming)
+            if fitted > most:
+                best, most = one, fitted
+        return best, most
+
+    def _fitted(self, track: PathTrack, coming: Sequence[PathEpoch]) -> int:
+        """How many paths a track explains, with those of coming epochs."""
+        fitted = track.fitted
+        for paths in coming:
+            track = self.follow(track, paths)
+            fitted += track.fitted
+        return fitted
+
+    def _beginnings(self, track: PathTrack | None, paths: PathEpoch) -> Iterator[PathTrack]:
+        """Tracks from every path that may be the line of sight, and is not explained yet."""
+        links = self._links(paths)
+        sights = links.z[0]
+        likely = gives_fix(sights) & (disagreement(sights, links.sigma[0]) < self._disagreement)
+        if track:
+            likely[track.found[track.found != NO_PATH]] = False
+            if track.found[0] != NO_PATH:  # no way is shorter than the line of sight
+                likely &= sights[:, 0] < sights[track.found[0], 0]
+        for path in np.flatnonzero(likely):
+            begun = self._begin(paths, links, int(path))
+            if begun:
+                yield begun
+
+    def _begin(self, paths: PathEpoch, links: _Links, path: int) -> PathTrack | None:
+        """A track whose line of sight is this path; None behind a wall."""
+        anchors, fix = self._scene.anchors_m, (links.z[0, path], links.sigma[0, path])
+        mean, covariance = prior_from_fix(anchors[0], *fix, self._radio, self._scene)
+        distance = np.linalg.norm(mean[:3] - anchors, axis=1)
+        if distance.argmin() != 0:  # nearer to a mirror image than to what it mirrors
+            return None
+        x, P = mean.tolist(), covariance.tolist()
+        nis = path_nis(x, P, self._anchors, links.z, links.sigma)
+        nis[0], nis[:, path] = np.inf, np.inf
+        found = assign(nis, self._gate)
+        epoch = self._with_labels(self.nothing(paths), paths, links, found)
+        prior = PathTrack(x, pack(P), self._memory, paths.time_s, paths.time_s, found, epoch)
+        track = self._updated(prior, paths)
+        found = found.copy()
+        found[0] = path
+        return track._replace(found=found, epoch=self._with_labels(epoch, paths, links, found))
+
+    def _links(self, paths: PathEpoch) -> _Links:
+        layout, n = self._layout, len(paths.snr_db)
+        snr = np.repeat(paths.snr_db[:, None], layout.anchors, axis=1)
+        sigma = self._radio.sigma(snr, self._scene, layout)
+        of_links = sigma[:, : layout.doppler].reshape(n, layout.anchors, 4).swapaxes(0, 1)
+        z = np.broadcast_to(paths.measurement[:, :4], of_links.shape).copy()
+        if paths.at_station:
+            for link, anchor in zip(z, self._anchors, strict=True):
+                link[:, 1], link[:, 2] = seen_from_image(
+                    link[:, 1], link[:, 2], self._anchors[0], anchor
+                )
+        return _Links(z, of_links, sigma[:, layout.doppler])
+
+    def nothing(self, paths: PathEpoch, dt: float = 0.0) -> Epoch:
+        """An epoch in which no path belongs to an anchor; odometry needs none."""
+        layout = self._layout
+        z, sigma = [0.0] * layout.size, [1.0] * layout.size
+        visible, snr = [0.0] * len(layout.groups), [0.0] * layout.anchors
+        if layout.odometry and np.isfinite(paths.odometry).all():
+            rows = slice(layout.doppler + 1, layout.size)
+            z[rows], sigma[rows], visible[-1] = paths.odometry.tolist(), self._odometry_sigma, 1.0
+        return Epoch(dt, z, sigma, visible, snr, paths.doppler_spread_hz)
+
+    def _with_labels(self, epoch: Epoch, paths: PathEpoch, links: _Links, found: Index) -> Epoch:
+        """The epoch with the paths of the anchors in their places."""
+        layout = self._layout
+        z, sigma, visible, snr = (list(part) for part in epoch[1:5])
+        for anchor in np.flatnonzero(found != NO_PATH).tolist():
+            path, rows = found[anchor], layout.link(anchor)
+            z[rows], sigma[rows] = (part[anchor, path].tolist() for part in links[:2])
+            visible[anchor], snr[anchor] = 1.0, float(paths.snr_db[path])
+        sight, row = found[0], layout.doppler
+        if sight != NO_PATH and np.isfinite(paths.measurement[sight, 4]):
+            z[row], sigma[row] = (
+                float(paths.measurement[sight, 4]),
+                float(links.doppler_sigma[sight]),
+            )
+            visible[layout.anchors] = 1.0
+        return epoch._replace(z=z, sigma=sigma, visible=visible, snr_db=snr)
+
+    def _updated(self, track: PathTrack, paths: PathEpoch) -> PathTrack:
+        """The track after the update with its epoch."""
+        epoch, layout = track.epoch, self._layout
+        site = Site(self._anchors, self._scene.hz_per_mps, track.x, track.P)
+        after = predict_update(
+            self._pipeline, self._mode, track.x, track.P, track.memory, epoch, site
+        )
+        memory = memory_before(track.memory, [after], epoch, layout)
+        memory = memory_after(layout, 0.0, track.x, after, memory, epoch.dt, epoch.visible)
+        seen = any(epoch.visible[: layout.anchors]) or (layout.odometry and epoch.visible[-1])
+        return track._replace(
+            x=after.x, P=after.P, memory=memory, time_s=paths.time_s,
+            seen_s=paths.time_s if seen else track.seen_s,
+        )  # fmt: skip

@@ -1,0 +1,258 @@
+"""The rows of a measurement log, checked and converted, as far as they are sound.
+
+What is wrong is an error that names the row; the whole epochs before it are delivered first.
+"""
+
+from collections.abc import Callable, Iterable, Iterator
+from itertools import chain
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mmwave_env.logs.log_tables import LogError, LogFile
+from mmwave_env.numerics.arrays import Array, Mask
+
+Cells = dict[str, Array]  # quantity -> (n,)
+
+RANGE_LIMITS_M = (1e-3, 1e6)  # of any antenna, of any cell; a unit mistaken goes further
+WIDEST_DEG = {
+    "aoa_azimuth": 360.0, "aoa_azimuth_station": 360.0, "aoa_elevation": 90.0,
+    "aod_azimuth": 360.0, "aod_azimuth_body": 360.0,
+}  # fmt: skip
+MOST_PATHS = 1000  # in an epoch, of a log without anchor numbers
+_ROUNDING_DEG = 1e-4  # of angles that were 32-bit numbers once
+
+
+class EpochRows(NamedTuple):
+    """Rows of whole epochs."""
+
+    cells: Cells  # in s, m, rad, Hz, dB, m/s; NaN where empty
+    epoch: NDArray[np.int64]  # (n,) of every row, counted from 0
+    rows: int  # of the file, read up to the end of these or somewhat further
+    share: float  # of the file read so far, 0 to 1
+
+    @property
+    def epochs(self) -> int:
+        """Their number."""
+        return int(self.epoch[-1]) + 1
+
+    def once(self, quantity: str) -> Array:
+        """What belongs to an epoch and may stand in any of its rows (epochs,); NaN without."""
+        out = np.full(self.epochs, np.nan)
+        if quantity in self.cells:
+            some = ~np.isnan(self.cells[quantity])
+            out[self.epoch[some]] = self.cells[quantity][some]
+        return out
+
+
+def whole_epochs(log: LogFile, anchors: int | None, limits: bool) -> Iterator[EpochRows]:
+    """As many whole epochs at a time as each table happens to bring to their end.
+
+    Args:
+        log: the file.
+        anchors: their number in the scene; None where the rows are paths without an anchor.
+        limits: whether to refuse ranges and angles beyond what there can be.
+
+    Raises:
+        LogError: for the first damaged row.
+    """
+    cells, rows, done, share = np.empty((len(log.columns), 0)), np.empty(0, np.int64), 0, 0.0
+    for table in log.tables():
+        # What is left of the tables before is the last epoch, which may go on.
+        cells = np.concatenate([cells, table.cells], axis=1)
+        rows = np.concatenate([rows, table.rows])
+        done, share = done + len(table.rows), table.share
+        named = dict(zip(log.columns, cells, strict=True))
+        checks = chain(_checks(named, anchors), _limits(log, named) if limits else ())
+        damaged, error = _first_damage(log, checks, rows, table.damage)
+        end = _end_of_epochs(named["time"], damaged, anchors)
+        if end:
+            yield _converted(log, cells[:, :end], done, share)
+        if error:
+            raise error
+        cells, rows = cells[:, end:], rows[end:]
+    if len(rows):
+        yield _converted(log, cells, done, share)
+
+
+def _converted(log: LogFile, rows: Array, done: int, share: float) -> EpochRows:
+    cells = {
+        quantity: values * column.unit.multiply / column.unit.divide
+        for (quantity, column), values in zip(log.columns.items(), rows, strict=True)
+    }
+    # By the times in the file: two of them may be one in seconds.
+    found = EpochRows(cells, _epochs(rows[list(log.columns).index("time")]), done, share)
+    if "aod_azimuth_body" in cells:  # where the epoch has no heading there is no departure
+        heading = found.once("heading")[found.epoch]
+        cells["aod_azimuth"] = cells["aod_azimuth_body"] + heading
+    return found
+
+
+# --- what is wrong
+
+
+class _Check(NamedTuple):
+    """Something that must not be: in which rows (n,) of a column it is, and how to say it."""
+
+    quantity: str
+    wrong: Mask
+    found: Callable[[int], str]
+    expected: str
+
+
+def _first_damage(
+    log: LogFile, checks: Iterable[_Check], rows: NDArray[np.int64], damage: LogError | None
+) -> tuple[int, LogError | None]:
+    """Index and error of the first damaged row; without one, the number of rows."""
+    n = len(rows)
+    first, error = (n - 1, damage) if damage else (n, None)
+    with np.errstate(invalid="ignore", over="ignore"):  # infinite times, endless ranges
+        for check in checks if n else ():
+            row = int(np.argmax(check.wrong))
+            if check.wrong[row] and row < first:
+                first, expected = row, f"expected {check.expected}"
+                error = log.error(rows[row], check.quantity, check.found(row), expected)
+    return first, error
+
+
+def _checks(cells: Cells, anchors: int | None) -> Iterator[_Check]:
+    """What to check of any log; damage already seen in a row may hide what comes later."""
+    time = cells["time"]
+    for quantity, values in cells.items():
+        found = _shows(cells, quantity)
+        yield _Check(quantity, np.isinf(values), found, "a finite number, or nothing")
+    yield _Check("time", np.isnan(time), lambda row: "nothing", "a time in every row")
+    yield _Check(
+        "time",
+        np.concatenate([[False], np.diff(time) < 0.0]),
+        lambda row: f"{_show(time[row])} after {_show(time[row - 1])}",
+        "times that increase, and the rows of an epoch together",
+    )
+    epoch = _epochs(time)
+    yield from _path_checks(epoch) if anchors is None else _anchor_checks(cells, anchors, epoch)
+    for quantity in ("toa", "doppler_spread"):
+        if quantity in cells:
+            yield _Check(quantity, cells[quantity] < 0.0, _shows(cells, quantity), "at least 0")
+    for quantity in ("doppler_spread", "speed", "heading"):
+        if quantity in cells:
+            yield _once(quantity, cells[quantity], epoch)
+
+
+def _anchor_checks(cells: Cells, anchors: int, epoch: NDArray[np.int64]) -> Iterator[_Check]:
+    """Rows that belong to an anchor."""
+    time, anchor = cells["time"], cells["anchor"]
+    known = np.isin(anchor, np.arange(1, anchors + 1))
+    yield _Check(
+        "anchor",
+        ~known,
+        _shows(cells, "anchor"),
+        f"the number of an anchor of the scene, 1 to {anchors}, 1 being the physical one",
+    )
+    place = epoch * anchors + np.where(known, anchor, 1.0).astype(np.int64) - 1
+    yield _Check(
+        "anchor",
+        _first(place)[place] != np.arange(len(place)),
+        lambda row: f"{_show(anchor[row])} a second time at time {_show(time[row])}",
+        "each anchor once in an epoch",
+    )
+    if "doppler" in cells:
+        elsewhere = ~np.isnan(cells["doppler"]) & (anchor != 1.0)
+        expected = "none but in the rows of anchor 1"
+        yield _Check("doppler", elsewhere, _shows(cells, "doppler"), expected)
+
+
+def _path_checks(epoch: NDArray[np.int64]) -> Iterator[_Check]:
+    """Rows that are paths: so many that an epoch has an end."""
+    number = np.arange(len(epoch)) - _first(epoch)[epoch]  # of the path in its epoch, from 0
+    yield _Check(
+        "time",
+        number >= MOST_PATHS,
+        lambda row: f"{number[row] + 1} paths at one time",
+        f"at most {MOST_PATHS}",
+    )
+
+
+def _limits(log: LogFile, cells: Cells) -> Iterator[_Check]:
+    """No range and no angle is beyond what there can be."""
+
+    def converted(quantity: str) -> Array:
+        unit = log.columns[quantity].unit
+        return cells[quantity] * unit.multiply / unit.divide
+
+    def check(quantity: str, values: Array, most: float, unit: str, expected: str) -> _Check:
+        def found(row: int) -> str:
+            return f"{_show(cells[quantity][row])}, which is {values[row]:.3g} {unit}"
+
+        stem, _, ending = log.columns[quantity].name.rpartition("_")
+        wrong = abs(values) > most
+        likely = f"if it is in degrees, name the column {stem}_deg; " if ending == "rad" else ""
+        if quantity == "aoa_elevation" and abs(values[np.argmax(wrong)]) <= azimuth_most:
+            likely += f"if it is the azimuth, exchange {azimuth.name} with it; "
+        return _Check(
+            quantity,
+            wrong,
+            found,
+            f"{expected}, in the unit that the name of the column ends with; {likely}"
+            "mmwave-loc localize --diagnose tries likely mistakes",
+        )
+
+    azimuth = log.columns.get("aoa_azimuth") or log.columns["aoa_azimuth_station"]
+    azimuth_most = WIDEST_DEG["aoa_azimuth"] + _ROUNDING_DEG
+    longest = f"at most {RANGE_LIMITS_M[1] / 1e3:g} km"
+    yield check("toa", converted("toa"), RANGE_LIMITS_M[1], "m", longest)
+    for quantity, widest in WIDEST_DEG.items():
+        if quantity not in cells:
+            continue
+        level = " from the horizon" if quantity == "aoa_elevation" else ""
+        expected = f"{-widest:g} to {widest:g} degrees{level} (docs/data.md, Angles)"
+        most = widest + _ROUNDING_DEG
+        yield check(quantity, np.degrees(converted(quantity)), most, "degrees", expected)
+
+
+def _once(quantity: str, values: Array, epoch: NDArray[np.int64]) -> _Check:
+    """The check that rows of an epoch don't contradict each other."""
+    some = np.flatnonzero(~np.isnan(values))
+    first = np.full(epoch[-1] + 1, np.nan)
+    first[epoch[some[::-1]]] = values[some[::-1]]
+    return _Check(
+        quantity,
+        ~np.isnan(values) & (values != first[epoch]),
+        lambda row: f"{_show(values[row])} beside {_show(first[epoch[row]])} at one time",
+        "one value in an epoch",
+    )
+
+
+def _first(place: NDArray[np.int64]) -> NDArray[np.int64]:
+    """The first row at every place, from the place of every row (n,)."""
+    out = np.zeros(place.max() + 1, np.int64)
+    out[place[::-1]] = np.arange(len(place))[::-1]  # of several, the last one stored stays
+    return out
+
+
+def _shows(cells: Cells, quantity: str) -> Callable[[int], str]:
+    """What stands in a row of a column."""
+    return lambda row: _show(cells[quantity][row])
+
+
+def _show(value: float) -> str:
+    return "nothing" if np.isnan(value) else repr(float(value)).removesuffix(".0")
+
+
+def _end_of_epochs(time: Array, damaged: int, anchors: int | None) -> int:
+    """Number of rows, of those before a damaged one, in epochs that are known to be whole."""
+    if damaged == 0:
+        return 0
+    last = time[damaged - 1]
+    start = int(np.searchsorted(time[:damaged], last))
+    if damaged == len(time):  # no damage, but the next table may go on with the same epoch
+        return start
+    following = time[damaged]
+    moved_on = last < following < np.inf
+    complete = damaged - start == anchors and following != last
+    return damaged if moved_on or complete else start
+
+
+def _epochs(time: Array) -> NDArray[np.int64]:
+    """The epoch, counted from 0, of every row (n,); the rows of an epoch share their time."""
+    return np.concatenate([[0], np.cumsum(np.diff(time) != 0.0)])

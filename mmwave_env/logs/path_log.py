@@ -1,0 +1,89 @@
+"""Logs of paths: one row per epoch and path, as a receiver finds them, with no anchor number.
+
+The columns are those of a log (`log.py`) without ``anchor``. Rows of an epoch come in any order,
+false paths among them. Every path may have a Doppler shift, because nobody knows yet which one is
+the base station's.
+"""
+
+from collections.abc import Iterator
+from itertools import pairwise
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from mmwave_env.logs.log_checks import EpochRows, whole_epochs
+from mmwave_env.logs.log_columns import LINK_QUANTITIES
+from mmwave_env.logs.log_tables import LogError, open_log
+from mmwave_env.models.measurement import Layout, wrapped
+from mmwave_env.models.scene import Scene
+from mmwave_env.numerics.arrays import Array
+
+
+class PathEpoch(NamedTuple):
+    """The n paths of an epoch, all their numbers measured but perhaps the Doppler shift."""
+
+    layout: Layout  # of the scene's anchors, and whether odometry follows
+    time_s: float
+    measurement: Array  # (n, 5) rows of a link, m and rad, and its Doppler shift, Hz, or NaN
+    at_station: bool  # whether the base station saw the arrivals itself, not its mirror image
+    snr_db: Array  # (n,)
+    incomplete: int  # paths with only some of their numbers, which are left out
+    doppler_spread_hz: float  # 0 where none was measured
+    odometry: Array  # (2,) speed, m/s, and heading, rad; NaN where not measured
+    rows: int  # of the file, read up to this epoch or somewhat further
+    share: float  # of the file read so far, 0 to 1
+
+
+def read_paths(path: Path, scene: Scene, odometry: bool = True) -> Iterator[PathEpoch]:
+    """The epochs of a log of paths, one after the other.
+
+    A column of anchors is left alone, so that a log with labels can be read as one without.
+
+    Args:
+        path, scene, odometry: as :func:`~mmwave_env.logs.log.read_log` takes them.
+
+    Raises:
+        LogError: as :func:`~mmwave_env.logs.log.read_log`; and for too many paths in an epoch.
+        OSError: the file can't be read.
+    """
+    log = open_log(path, scene.hz_per_mps, odometry, associated=False)
+    layout, measured, rows = Layout(len(scene.anchors_m), "speed" in log.columns), False, 0
+    for epochs in whole_epochs(log, None, limits=True):
+        rows = epochs.rows
+        for epoch in _split(epochs, layout):
+            measured = measured or len(epoch.snr_db) > 0
+            yield epoch
+    if not measured:
+        found = f"{rows} rows" if rows else "a header and no rows"
+        raise LogError(f"{path}: found {found} without a whole path, expected at least one")
+
+
+def _split(rows: EpochRows, layout: Layout) -> Iterator[PathEpoch]:
+    """The paths of every epoch, those with all their numbers."""
+    cells, at_station = rows.cells, "aoa_azimuth_station" in rows.cells
+    if at_station:
+        cells["aoa_azimuth"] = cells["aoa_azimuth_station"]
+    nothing = np.full(len(rows.epoch), np.nan)
+    columns = [cells.get(quantity, nothing) for quantity in (*LINK_QUANTITIES, "doppler")]
+    measurement, snr = np.column_stack(columns), cells["snr"]
+    measurement[:, 1:4] = wrapped(measurement[:, 1:4])
+    there = np.isfinite(np.column_stack([measurement[:, :4], snr]))
+    whole = there.all(axis=1)
+    ends = np.searchsorted(rows.epoch, np.arange(rows.epochs), side="right")
+    spread = np.nan_to_num(rows.once("doppler_spread"))
+    odometry = np.column_stack([rows.once("speed"), wrapped(rows.once("heading"))])
+    for epoch, (first, end) in enumerate(pairwise([0, *ends.tolist()])):
+        kept = np.flatnonzero(whole[first:end]) + first
+        yield PathEpoch(
+            layout=layout,
+            time_s=float(cells["time"][first]),
+            measurement=measurement[kept],
+            at_station=at_station,
+            snr_db=snr[kept],
+            incomplete=int((there[first:end].any(axis=1) & ~whole[first:end]).sum()),
+            doppler_spread_hz=float(spread[epoch]),
+            odometry=odometry[epoch],
+            rows=rows.rows,
+            share=rows.share,
+        )

@@ -1,0 +1,72 @@
+"""Which path belongs to which anchor, beside the textbook's equations and all assignments."""
+
+from itertools import permutations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from mmwave_env.filters.association import NO_PATH, assign, disagreement, path_nis
+from tests.filters.problems import numbers, problems
+from tests.filters.textbook import tangent
+
+
+@settings(deadline=None, max_examples=30)
+@given(problem=problems(anchors=3), data=st.data())
+def test_the_nis_of_a_path_is_the_textbooks(problem, data):
+    n, links = data.draw(st.integers(0, 4)), problem.sensor.links
+    predicted = tangent(problem.sensor, problem.x, problem.P)
+    offset = data.draw(numbers(-0.3, 0.3, (n, 4)))
+    paths = predicted.mean[np.arange(n)[:, None] % links * 4 + np.arange(4)] + offset
+    paths[:, 1:] = (paths[:, 1:] + np.pi) % (2 * np.pi) - np.pi
+    sigma = np.sqrt(problem.R[: 4 * links]).reshape(links, 1, 4).repeat(n, axis=1)
+    found = path_nis(
+        problem.x.tolist(),
+        problem.P.tolist(),
+        problem.sensor.anchors.tolist(),
+        np.stack([paths] * links),
+        sigma,
+    )
+    assert found.shape == (links, n)
+    for link, path in np.ndindex(found.shape):
+        rows = slice(4 * link, 4 * link + 4)
+        whole = predicted.mean.copy()
+        whole[rows] = paths[path]
+        innovation = problem.sensor.difference(whole, predicted.mean)[rows]
+        S = predicted.S[rows, rows] + np.diag(sigma[link, path] ** 2)
+        right = innovation @ np.linalg.solve(S, innovation)
+        assert found[link, path] == pytest.approx(right, rel=1e-6, abs=1e-9)
+
+
+@settings(deadline=None)
+@given(st.data())
+def test_no_other_assignment_is_better(data):
+    anchors, n = data.draw(st.integers(1, 4)), data.draw(st.integers(0, 4))
+    nis, gate = data.draw(numbers(0.0, 30.0, (anchors, n))), 13.3
+    found = assign(nis, gate)
+    taken = found[found != NO_PATH]
+    assert len(set(taken.tolist())) == len(taken)
+
+    def cost(chosen):
+        """An anchor without a path costs the gate."""
+        kept = [nis[a, p] for a, p in enumerate(chosen) if p < n and nis[a, p] < gate]
+        return sum(kept) + gate * (anchors - len(kept))
+
+    best = min(map(cost, permutations(range(n + anchors), anchors)))
+    assert cost(np.where(found == NO_PATH, n, found)) == pytest.approx(best)
+
+
+def test_the_best_for_all_is_not_the_nearest_for_each():
+    nis = np.array([[1.0, 2.0], [1.1, 12.0]])  # both anchors are nearest to the first path
+    assert assign(nis, 13.0).tolist() == [1, 0]
+    assert assign(nis, 1.5).tolist() == [0, NO_PATH]
+    assert assign(np.full((2, 1), np.inf), 13.0).tolist() == [NO_PATH, NO_PATH]
+
+
+def test_arrival_and_departure_are_looks_at_one_bearing():
+    sigma = np.tile([0.2, 0.03, 0.01, 0.04], (3, 1))
+    paths = np.array([[9.0, 1.0, 0.1, 1.0 - np.pi], [9.0, 3.0, 0.1, 0.1 + 3.0 - np.pi],
+                      [9.0, -3.1, -1.5, 0.05]])  # fmt: skip
+    right = [0.0, 0.1**2 / 0.05**2, (-3.1 + np.pi - 0.05) ** 2 / 0.05**2]
+    np.testing.assert_allclose(disagreement(paths, sigma), right, atol=1e-12)

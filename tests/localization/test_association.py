@@ -1,0 +1,209 @@
+"""Paths without anchor numbers: whose they are, where a track begins, and what is counted."""
+
+from functools import lru_cache
+from itertools import islice
+
+import numpy as np
+import pytest
+
+from mmwave_env.episodes.log_folder import read_log_folder
+from mmwave_env.episodes.log_writer import write_log
+from mmwave_env.episodes.simulated import SimulatedSource
+from mmwave_env.filters.mode_files import default_modes
+from mmwave_env.localization.association import Association, associate
+from mmwave_env.localization.localizer import localize
+from mmwave_env.localization.segments import segments
+from mmwave_env.logs.log import LogBlock, read_log
+from mmwave_env.logs.log_tables import LogError
+from mmwave_env.logs.path_log import PathEpoch, read_paths
+from mmwave_env.models.measurement import Layout, exact_rows, seen_from_image
+from mmwave_env.models.prior import GAP_S
+from mmwave_env.models.radio import RADIOS
+from mmwave_env.models.scene import SCENES, Scene
+from policies.speed_rule import by_predicted_speed
+from tests.marks import representative
+from tests.paths import LOGS
+
+RADIO = RADIOS["standard"]
+MODES = default_modes("standard")
+# A street 20 m wide, the base station nearer to its northern wall.
+SCENE = Scene("canyon", (0.0, 3.0, 8.0), virtual_anchors_m=((0.0, 17.0, 8.0), (0.0, -23.0, 8.0)))
+LAYOUT = Layout(3)
+
+
+def labelled(epochs, scene=SCENE, tally=None, **more):
+    """What association makes of epochs, as one block."""
+    tally = tally or Association(len(scene.anchors_m))
+    return LogBlock.joined(list(associate(epochs, scene, RADIO, MODES[-1], tally, **more)))
+
+
+def walk(seen, false_paths=0, seed=0, y_m=-2.0):
+    """A user on the way east past the base station, and which anchors are seen in every epoch."""
+    rng, time = np.random.default_rng(seed), np.arange(len(seen), dtype=float)
+    position = [20.0 + 1.4 * time, np.full(len(seen), y_m), np.full(len(seen), 1.5)]
+    velocity = [np.full(len(seen), 1.4), np.zeros(len(seen)), np.zeros(len(seen))]
+    anchors = SCENE.anchors_m.tolist()
+    exact = np.stack(exact_rows(position, velocity, anchors, SCENE.hz_per_mps, LAYOUT), axis=1)
+    sigma = RADIO.sigma(np.full((1, 3), 25.0), SCENE, LAYOUT)
+    noisy = exact + sigma * rng.standard_normal(exact.shape)
+    for t, links in enumerate(seen):
+        rows = noisy[t, :12].reshape(3, 4)[list(links)]
+        shifts = np.full((len(rows), 1), noisy[t, 12])
+        false = np.column_stack([
+            rng.uniform(2.0, 60.0, false_paths),
+            rng.uniform([-np.pi, -0.6, -np.pi], [np.pi, 0.2, np.pi], (false_paths, 3)),
+            rng.uniform(-200.0, 200.0, false_paths),
+        ])  # fmt: skip
+        paths = np.concatenate([np.hstack([rows, shifts]), false])
+        paths = paths[rng.permutation(len(paths))]
+        yield PathEpoch(LAYOUT, time[t], paths, False, np.full(len(paths), 25.0), 0, 100.0,
+                        np.full(2, np.nan), t + 1, 1.0)  # fmt: skip
+
+
+ALL, NONE = (0, 1, 2), ()
+
+
+def seen_in(block):
+    return [tuple(np.flatnonzero(row[:3]).tolist()) for row in block.visible]
+
+
+@lru_cache
+def shipped(name):
+    """Measured track and its log, with labels."""
+    track = read_log_folder(LOGS / name)
+    return track, track.episode("standard", np.random.default_rng(0))
+
+
+def ate(block, scene, truth_m, times):
+    tracks = list(localize([block], scene, RADIO, MODES, by_predicted_speed, window=None))
+    x, time = (np.concatenate([getattr(t, name) for t in tracks]) for name in ("x", "time_s"))
+    return np.linalg.norm(x[:, :3] - truth_m[np.searchsorted(times, time)], axis=1).mean()
+
+
+@pytest.mark.parametrize(
+    "name", representative(["canyon28_vehicle", "canyon28_pedestrian"], "canyon28_vehicle")
+)
+def test_the_track_of_a_sample_stays_without_its_labels(tmp_path, name):
+    track, episode = shipped(name)
+    path, tally = tmp_path / "log.csv", Association(3)
+    write_log(path, episode, associated=False, false_paths=5, seed=1)
+    found = labelled(read_paths(path, track.scene), track.scene, tally)
+    (true,) = read_log(LOGS / name / "log.csv", track.scene)
+    given, there = found.visible[:, :3], true.visible[:, :3]
+    same = (found.measurement == true.measurement)[:, :12].reshape(-1, 3, 4).all(axis=2)
+    assert not (given & ~(there & same)).any()
+    assert (given & there).sum() > 0.98 * there.sum()
+    errors = [ate(b, track.scene, track.position_m, track.time_s) for b in (true, found)]
+    assert errors[1] < 1.1 * errors[0]
+    figures = tally.figures()
+    T = len(track)
+    assert figures["paths"] == 5 * T + there.sum() and figures["starts"] == 1
+    assert figures["associated"] == {f"anchor {a + 1}": given[:, a].sum() for a in range(3)}
+    assert figures["missed"] == {f"anchor {a + 1}": T - given[:, a].sum() for a in range(3)}
+    assert figures["false"] == figures["paths"] - given.sum()
+    assert figures["without_track"] == {"epochs": 0, "paths": 0}
+
+
+def test_arrivals_may_be_as_the_base_station_sees_them():
+    """Nobody can say what an image sees who does not know yet which wall mirrors the path."""
+
+    def as_the_station_sees(epoch, anchor):
+        z = epoch.measurement.copy()
+        z[:, 1], z[:, 2] = seen_from_image(z[:, 1], z[:, 2], SCENE.anchors_m[0], anchor)
+        return z
+
+    def seen_at_station():
+        for one in walk([ALL] * 20):
+            mirrored = [as_the_station_sees(one, anchor) for anchor in SCENE.anchors_m]
+            order = np.argsort(np.argsort(one.measurement[:, 0]))  # as ranges of anchors 1 to 3 are
+            z = np.stack([mirrored[rank][path] for path, rank in enumerate(order)])
+            yield one._replace(measurement=z, at_station=True)
+
+    block, usual = labelled(seen_at_station()), labelled(walk([ALL] * 20))
+    assert seen_in(block) == seen_in(usual)
+    np.testing.assert_allclose(block.measurement, usual.measurement, rtol=1e-9)
+
+
+def test_blocks_make_no_difference():
+    whole, cut = (labelled(walk([ALL] * 25, 3), epochs_per_block=n) for n in (4096, 7))
+    for name in LogBlock.per_epoch:
+        np.testing.assert_array_equal(getattr(whole, name), getattr(cut, name))
+
+
+def test_a_log_is_not_read_further_than_needed():
+    read = []
+
+    def endless():
+        for epoch in walk([ALL] * 1000):
+            read.append(epoch.time_s)
+            yield epoch
+
+    blocks = associate(endless(), SCENE, RADIO, MODES[-1], Association(3), epochs_per_block=10)
+    assert [len(block) for block in islice(blocks, 2)] == [10, 10]
+    assert len(read) < 30
+
+
+def test_a_reflection_is_not_taken_for_the_line_of_sight_that_comes_soon():
+    seen = [(1,)] * 3 + [ALL] * 20
+    block = labelled(walk(seen, 2, seed=4))
+    assert seen_in(block) == [NONE] * 3 + [ALL] * 20
+    assert np.flatnonzero(block.restarts).tolist() == [3]
+
+
+def test_a_track_of_a_reflection_gives_way_to_the_line_of_sight():
+    seen, tally = [(1,)] * 30 + [ALL] * 20, Association(3)
+    # The image is 14 m north of the base station, so the user seems to be 14 m further south.
+    block = labelled(walk(seen, seed=4, y_m=6.0), tally=tally)
+    begins = np.flatnonzero(block.restarts).tolist()
+    assert seen_in(block)[:20] == [(0,)] * 20 and begins[0] == 0  # all that it knows fits
+    assert len(begins) == 2 and 20 < begins[1] <= 30
+    assert seen_in(block)[30:] == seen[30:] and tally.figures()["starts"] == 2
+    pieces = list(segments([block]))
+    assert [piece.segment for piece in pieces] == [0, 1] and len(pieces[1].block) >= 20
+
+
+@pytest.mark.parametrize("false_paths", [0, 5])
+def test_a_track_is_found_again_after_a_gap(false_paths):
+    gap = int(GAP_S) + 5
+    seen, tally = [ALL] * 10 + [NONE] * gap + [(0, 2)] * 10, Association(3)
+    block = labelled(walk(seen, false_paths, seed=2), tally=tally)
+    wrong = sum(set(a) - set(b) != set() for a, b in zip(seen_in(block), seen, strict=True))
+    assert wrong <= (1 if false_paths else 0)
+    assert seen_in(block)[-9:] == seen[-9:]
+    pieces = list(segments([block]))
+    assert {piece.segment for piece in pieces} == {0, 1} and tally.figures()["starts"] == 2
+
+
+def test_false_paths_alone_are_no_track():
+    tally = Association(3)
+    block = labelled(walk([NONE] * 60, 5, seed=3), tally=tally)
+    assert block.visible.sum() <= 5
+    figures = tally.figures()
+    assert figures["without_track"]["epochs"] >= 55 and figures["paths"] == 300
+
+
+def test_odometry_stays_where_it_was(tmp_path):
+    source = SimulatedSource(SCENES["street"], RADIO, "vehicle", epochs=40, odometry=True)
+    episode = source.sample(np.random.default_rng(1))
+    path = tmp_path / "log.csv"
+    write_log(path, episode, associated=False, false_paths=2)
+    found = labelled(read_paths(path, SCENES["street"]), SCENES["street"])
+    np.testing.assert_array_equal(found.visible[:, -1], episode.usable[:, -1])
+    shown = found.visible[:, -1]
+    np.testing.assert_array_equal(found.measurement[shown, 13:], episode.measurement[shown, 13:])
+
+
+def test_damage_comes_after_the_epochs_before_it():
+    def damaged():
+        yield from walk([ALL] * 12)
+        raise LogError("line 40")
+
+    blocks = []
+    with pytest.raises(LogError, match="line 40"):
+        blocks.extend(associate(damaged(), SCENE, RADIO, MODES[-1], Association(3), 5))
+    assert [len(block) for block in blocks] == [5, 5, 2]
+
+
+def test_a_single_epoch_is_enough():
+    block = labelled(walk([ALL]))
+    assert seen_in(block) == [ALL]

@@ -1,0 +1,104 @@
+"""Logs of paths: what is read, and what is refused where."""
+
+import re
+
+import numpy as np
+import pytest
+
+from mmwave_env.logs.log_checks import MOST_PATHS
+from mmwave_env.logs.log_tables import LogError
+from mmwave_env.logs.path_log import read_paths
+from mmwave_env.models.measurement import SPEED_OF_LIGHT, Layout
+from mmwave_env.models.scene import SCENES
+
+SCENE = SCENES["street"]
+HEADER = "time_s,toa_s,aoa_azimuth_rad,aoa_elevation_rad,aod_azimuth_rad,doppler_hz,snr_db"
+PATH = "1e-7,0.5,-0.1,-2.6,12.5,20"
+
+
+def store(folder, *lines, header=HEADER, name="log.csv"):
+    path = folder / name
+    path.write_text("\n".join([header, *lines]) + "\n")
+    return path
+
+
+def delivered(path):
+    """The epochs before the error, and the error."""
+    epochs = []
+    with pytest.raises(LogError) as error:
+        epochs.extend(read_paths(path, SCENE))
+    return epochs, str(error.value)
+
+
+def test_an_epoch_may_have_any_number_of_paths(tmp_path):
+    lines = [f"0,{PATH}", "1,,,,,,", f"2.5,{PATH}", "2.5,2e-7,4,0.1,-4,,21", f"2.5,{PATH}"]
+    one, none, three = read_paths(store(tmp_path, *lines), SCENE)
+    assert [e.time_s for e in (one, none, three)] == [0.0, 1.0, 2.5]
+    assert [len(e.snr_db) for e in (one, none, three)] == [1, 0, 3]
+    assert none.measurement.shape == (0, 5) and one.layout == Layout(3)
+    assert (three.incomplete, three.doppler_spread_hz) == (0, 0.0)
+    first = [1e-7 * SPEED_OF_LIGHT, 0.5, -0.1, -2.6, 12.5]
+    second = [2e-7 * SPEED_OF_LIGHT, 4 - 2 * np.pi, 0.1, 2 * np.pi - 4, np.nan]
+    np.testing.assert_allclose(three.measurement, [first, second, first], rtol=1e-12)
+    assert three.snr_db.tolist() == [20, 21, 20] and three.rows == 5 and three.share == 1.0
+
+
+def test_numbers_of_anchors_are_left_alone(tmp_path):
+    labelled = store(tmp_path, f"0,1,{PATH}", f"0,1,{PATH}", f"0,99,{PATH}",
+                     header=HEADER.replace("time_s", "time_s,anchor"))  # fmt: skip
+    (epoch,) = read_paths(labelled, SCENE)
+    assert len(epoch.snr_db) == 3
+
+
+def test_a_path_with_only_some_of_its_numbers_is_left_out(tmp_path):
+    lines = ["0,1e-7,0.5,,-2.6,12.5,20", "0,1e-7,0.5,-0.1,-2.6,12.5,", f"0,{PATH}", "0,,,,,,"]
+    (epoch,) = read_paths(store(tmp_path, *lines), SCENE)
+    assert len(epoch.snr_db) == 1 and epoch.incomplete == 2
+
+
+def test_what_belongs_to_the_epoch_may_stand_in_any_of_its_rows(tmp_path):
+    header = HEADER + ",doppler_spread_hz,speed_mps,heading_deg"
+    lines = [f"0,{PATH},,,", f"0,{PATH},7,,190", f"0,{PATH},,2.5,", f"1,{PATH},,,"]
+    one, two = read_paths(store(tmp_path, *lines, header=header), SCENE)
+    assert one.layout == Layout(3, odometry=True) and one.doppler_spread_hz == 7.0
+    np.testing.assert_allclose(one.odometry, [2.5, np.radians(-170.0)])
+    assert np.isnan(two.odometry).all() and two.doppler_spread_hz == 0.0
+    without = next(read_paths(store(tmp_path, *lines, header=header), SCENE, odometry=False))
+    assert without.layout == Layout(3)
+
+
+def test_epochs_before_the_damage_are_delivered_first(tmp_path):
+    lines = [f"0,{PATH}", f"0,{PATH}", f"1,{PATH}", "2,1e-7,0.5,x,-2.6,12.5,20"]
+    epochs, error = delivered(store(tmp_path, *lines))
+    assert [len(e.snr_db) for e in epochs] == [2, 1]
+    assert "line 5, column 'aoa_elevation_rad': found 'x'" in error
+
+
+@pytest.mark.parametrize(
+    ("line", "message"),
+    [
+        ("1,1e-7,0.5,95,-2.6,12.5,20", "line 3, column 'aoa_elevation_rad': found 95.*degrees"),
+        ("1,-1e-7,0.5,0,-2.6,12.5,20", "line 3, column 'toa_s': found -1e-07, expected at least 0"),
+        (f"-1,{PATH}", "line 3, column 'time_s': found -1 after 0, expected times that increase"),
+        (f"inf,{PATH}", "line 3, column 'time_s': found inf"),
+    ],
+)
+def test_a_damaged_row_is_named(tmp_path, line, message):
+    _, error = delivered(store(tmp_path, f"0,{PATH}", line))
+    assert re.search(message, error)
+
+
+def test_an_epoch_has_an_end(tmp_path):
+    lines = [f"0,{PATH}", *[f"1,{PATH}"] * (MOST_PATHS + 1)]
+    epochs, error = delivered(store(tmp_path, *lines))
+    assert len(epochs) == 1
+    assert (
+        f"line {MOST_PATHS + 3}, column 'time_s': found {MOST_PATHS + 1} paths at one ti" in error
+    )
+    assert sum(1 for _ in read_paths(store(tmp_path, *lines[:-1]), SCENE)) == 2
+
+
+@pytest.mark.parametrize("lines", [[], ["0,,,,,,"], ["0,1e-7,,,,,20"] * 3])
+def test_a_log_without_a_whole_path_is_refused(tmp_path, lines):
+    _, error = delivered(store(tmp_path, *lines))
+    assert "without a whole path, expected at least one" in error
