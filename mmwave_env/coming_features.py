@@ -7,7 +7,7 @@ from mmwave_env.features import Feature, View, at, log_odds, mixture_of, named_g
 from mmwave_env.filters.mode_result import ModeResult, capped_log_likelihood
 from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.models.epoch import Epoch
-from mmwave_env.models.measurement import Layout
+from mmwave_env.models.measurement import Layout, range_rate
 from mmwave_env.models.motion import move
 from mmwave_env.numerics.linalg import dot
 from mmwave_env.numerics.numbers import Number, log, sqrt, where
@@ -34,9 +34,9 @@ def _doppler_innovation(view: View, layout: Layout) -> Number:
     """Radial velocity measured minus predicted, m/s; 0 where missing."""
     x, base = move(view.x, view.epoch.dt), view.site.anchors[0]
     step = [x[i] - base[i] for i in range(3)]
-    radial = dot(step, x[3:6]) / sqrt(dot(step, step))
     measured = (view.epoch.z[layout.doppler] - x[6]) / view.site.hz_per_mps
-    return where(view.epoch.visible[layout.anchors] > 0.5, measured - radial, 0.0)
+    innovation = measured - range_rate(step, x[3:6])
+    return where(view.epoch.visible[layout.anchors] > 0.5, innovation, 0.0)
 
 
 def _innovation(pipeline: Pipeline) -> list[Feature]:

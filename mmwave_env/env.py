@@ -25,12 +25,14 @@ from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.info import (
     FLAGS,
     INFOS,
+    NONFINITE_KEY,
     STATE_KEYS,
     drawn_rows,
     episode_info,
     fixed_info,
     smoothed_info,
     told_rows,
+    warn_of_nonfinite,
 )
 from mmwave_env.lookup import choose, require_extra
 from mmwave_env.metrics import DIVERGENCE_M
@@ -135,7 +137,8 @@ class MmWaveLocEnv(gym.Env[NDArray[np.float32], np.int64]):
     (of simulated episodes), `nonfinite` (links, Doppler shifts and odometry with a NaN or infinity,
     which count as missing), `truth`, `estimate`. The last step adds `ate_m`, `rmse_m`, `rpe_m`,
     `mean_nees`, `in_bounds`, `divergence` (without the first 10 epochs), and with `smoothed=True`
-    also `smoothed_ate_m` (Rauch-Tung-Striebel over the episode, which is run again for it).
+    also `smoothed_ate_m` (Rauch-Tung-Striebel over the episode, which is run again for it). Where
+    a belief was NaN or infinite, it warns and tells `nonfinite_beliefs`: after how many epochs.
     `infos="episode"` tells of resets and last steps alone, `infos="none"` nothing: for trainers
     that look at neither. `infos="fixed"` has the same keys at every reset and step, for what asks
     for that (docs/clients.md): numbers only, so without `episode_name` and `episode_key`; what
@@ -455,15 +458,20 @@ class MmWaveLocEnv(gym.Env[NDArray[np.float32], np.int64]):
         beliefs = len(self.modes) if self._task.bank else 1
         return fixed_info(info, groups, beliefs)
 
-    def _episode_info(self) -> dict[str, float]:
-        """Metrics of the epochs stepped through."""
+    def _episode_info(self) -> dict[str, Any]:
+        """Metrics of the epochs stepped through, and how many ended without a finite belief."""
         self._tally.sums[0] = self._sums
         found = episode_info(self._tally.metrics(_HERE, np.array([self._steps])))
         if self._replay:
             episodes = self._engine.episodes(self._task, _HERE)
             *_, errors = self._replay.run(episodes, self._actions[None, : self._steps])
             found |= smoothed_info(errors)
-        return {key: float(value[0]) for key, value in found.items()}
+        told: dict[str, Any] = {key: float(value[0]) for key, value in found.items()}
+        (lost,) = self._tally.nonfinite(_HERE).tolist()
+        if lost:
+            warn_of_nonfinite()
+            told[NONFINITE_KEY] = lost
+        return told
 
 
 def _with_tables(docstring: str) -> str:

@@ -1,5 +1,6 @@
 """What environments tell: the info of a step, for many at once, and that of a whole episode."""
 
+import warnings
 from collections.abc import Callable, Iterable
 from typing import Any
 
@@ -20,6 +21,7 @@ EPISODE_KEYS = {
 
 NAMED = ("episode_name", "episode_key")  # told at reset, by what an episode is called
 SMOOTHED_KEY = "smoothed_ate_m"
+NONFINITE_KEY = "nonfinite_beliefs"  # told at the last step, where there were some
 LAST_KEYS = (*EPISODE_KEYS.values(), SMOOTHED_KEY)  # told at the last step
 INFOS = {
     "all": "what there is to tell",
@@ -93,7 +95,7 @@ def fixed_info(info: dict[str, Any], groups: int, beliefs: int = 1) -> dict[str,
     """
     unknown: dict[str, Any] = dict.fromkeys((*STEP_KEYS, *LAST_KEYS), np.nan)
     unknown |= {key: np.zeros(groups, np.bool_) for key in FLAGS}
-    unknown |= {"nis": np.full(groups, np.nan), "mode": -1, "nonfinite": -1}
+    unknown |= {"nis": np.full(groups, np.nan), "mode": -1, "nonfinite": -1, NONFINITE_KEY: 0}
     if beliefs > 1:
         unknown[PROBABILITIES] = np.full(beliefs, np.nan)
     known = unknown | {key: value for key, value in info.items() if key not in NAMED}
@@ -108,6 +110,16 @@ def mask_keys(keys: Iterable[str]) -> list[str]:
 def episode_info(metrics: dict[str, Array]) -> dict[str, Array]:
     """What the last step of an episode tells of its metrics."""
     return {EPISODE_KEYS[name]: values for name, values in metrics.items()}
+
+
+def warn_of_nonfinite(stacklevel: int = 3) -> None:
+    """Say that an episode ended whose beliefs were no finite numbers; Python shows it once."""
+    warnings.warn(
+        f"an episode ended whose belief was NaN or infinite; info[{NONFINITE_KEY!r}] tells after "
+        "how many epochs, its metrics are NaN (docs/reliability.md)",
+        RuntimeWarning,
+        stacklevel,
+    )
 
 
 def smoothed_info(smoothed: Array) -> dict[str, Array]:

@@ -18,7 +18,15 @@ from mmwave_env.engines.env_engine import Engine
 from mmwave_env.engines.replay import Replay
 from mmwave_env.engines.vector_step import StepBuffers, Stepper
 from mmwave_env.episodes.keys import Generators, Keys, key_from, option_of
-from mmwave_env.info import INFOS, drawn_rows, masked, stepped
+from mmwave_env.info import (
+    INFOS,
+    NONFINITE_KEY,
+    drawn_rows,
+    mask_keys,
+    masked,
+    stepped,
+    warn_of_nonfinite,
+)
 from mmwave_env.lookup import choose
 from mmwave_env.metrics import DIVERGENCE_M
 from mmwave_env.numerics.arrays import Array, Index, Mask
@@ -320,8 +328,12 @@ class MmWaveLocVectorEnv(gym.vector.VectorEnv[Observations, Index, NDArray[Any]]
 
     def _end(self, observations: Observations, infos: dict[str, Any]) -> dict[str, Any]:
         """What is told where episodes end; begin others where that is to be in the same step."""
+        lost = np.zeros(self.num_envs, np.int64)
+        lost[self._over] = self._stepper.tally.nonfinite(np.flatnonzero(self._over))
+        if lost.any():
+            warn_of_nonfinite()
         if self._infos != "none":
-            infos |= masked(self._metrics(), self._over)
+            infos |= masked(self._metrics(), self._over) | masked({NONFINITE_KEY: lost}, lost > 0)
         if self.autoreset_mode == AutoresetMode.SAME_STEP:
             return self._same_step(observations, infos)
         return infos
@@ -366,6 +378,9 @@ class MmWaveLocVectorEnv(gym.vector.VectorEnv[Observations, Index, NDArray[Any]]
             final_obs[place] = observation.copy()
         values = {key: value for key, value in infos.items() if not key.startswith("_")}
         final = masked({key: value.copy() for key, value in values.items()}, over)
+        if NONFINITE_KEY in final:
+            (mask,) = mask_keys([NONFINITE_KEY])
+            final[mask] = final[NONFINITE_KEY] > 0
         drawn = self._draw(ended)
         first, begun = self._stepper.start(ended)
         observations[ended] = first[ended]

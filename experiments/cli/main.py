@@ -69,6 +69,10 @@ STUDIES = {  # of a checkout: the installed package goes without them
         "experiments.reliability.association",
         "what a track loses where nobody says which path is which anchor's",
     ),
+    "extremes": (
+        "experiments.reliability.extremes",
+        "modes on numbers at the ends of the envelope, and beyond them",
+    ),
 }
 
 

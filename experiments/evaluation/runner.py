@@ -157,6 +157,19 @@ def _warn_of_short(episode: Episode) -> None:
         )
 
 
+def _warn_of_nonfinite(contender: Contender, told: EpochResults) -> None:
+    """Say that a contender's means will be NaN, and why; none of its episodes is left out."""
+    finite = np.isfinite(told["error"]).all(axis=-1) & np.isfinite(told["nees"])
+    lost = np.count_nonzero(~finite.all(axis=1))
+    if lost:
+        warnings.warn(
+            f"{contender.name}: {lost} of {len(finite)} episodes had beliefs that were NaN or "
+            "infinite; its means over them are NaN (docs/reliability.md)",
+            RuntimeWarning,
+            stacklevel=3,
+        )
+
+
 def _summary(told: EpochResults, episodes: Sequence[Episode], scoring: Scoring) -> Scores:
     rate, axes = 1.0 / step_s(episodes[0]), 2 if scoring.planar else 3
     return summary(told["reward"], told["error"], told["nees"], rate, axes)
@@ -205,6 +218,7 @@ def score_contenders(
             packed = _packed(batch, scoring)
             for contender, policy in zip(chosen, policies, strict=True):
                 told = _run(contender, policy, packed, scoring, after=after)
+                _warn_of_nonfinite(contender, told)
                 parts[contender.name].append(_summary(told, batch, scoring))
                 for one in watch:
                     one(contender, batch, told)

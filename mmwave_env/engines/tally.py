@@ -9,7 +9,8 @@ from mmwave_env.metrics import BURN_IN, DIVERGENCE_M, nees_interval
 from mmwave_env.numerics.arrays import Array, Index
 
 LENGTH, SQUARED, CHANGE, NEES, INSIDE, LARGEST = range(6)  # sums, and the largest squared error
-SUMS = 6
+NONFINITE = 6  # epochs, of all, after which error or NEES was no finite number
+SUMS = 7
 
 
 class Tally:
@@ -20,7 +21,7 @@ class Tally:
         axes: position axes that NEES covers.
 
     Attributes:
-        sums: (n, 6).
+        sums: (n, 7).
         errors: (n, T, 3) the latest position errors, m, in turns; T is enough for a second.
         second: (n,) epochs in a second, at least one.
         interval: (2,) of the NEES of a consistent filter.
@@ -40,6 +41,10 @@ class Tally:
         missing = epochs - self.errors.shape[1]
         if missing > 0:
             self.errors = np.pad(self.errors, ((0, 0), (0, missing), (0, 0)))
+
+    def nonfinite(self, places: Index) -> Index:
+        """How many epochs (k,) ended without a finite belief, of whole tracks; for some (k,)."""
+        return self.sums[places, NONFINITE].astype(np.int64)  # type: ignore[no-any-return]
 
     def metrics(self, places: Index, epochs: Index) -> dict[str, Array]:
         """What :func:`~mmwave_env.metrics.accuracy` makes of whole tracks, for some (k,).
@@ -68,15 +73,19 @@ def count(sums, errors, second, interval, k, x, y, z, nees):  # type: ignore[no-
     Up to the burn-in an epoch replaces those before: of an episode so short the last one counts.
 
     Args:
-        sums: (6,) of the environment, changed in place.
+        sums: (7,) of the environment, changed in place.
         errors: (T, 3) of the environment, changed in place.
         second: epochs in a second.
         interval: of the NEES.
     """
     if k <= BURN_IN:
-        for i in range(len(sums)):
+        for i in range(NONFINITE):
             sums[i] = 0.0
+    if k == 0:
+        sums[NONFINITE] = 0.0
     squared = x * x + y * y + z * z
+    if not (math.isfinite(squared) and math.isfinite(nees)):
+        sums[NONFINITE] += 1.0
     sums[LENGTH] += math.sqrt(squared)
     sums[SQUARED] += squared
     sums[NEES] += nees

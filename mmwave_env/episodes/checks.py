@@ -7,7 +7,7 @@ import numpy as np
 
 from mmwave_env.lookup import is_name, quoted
 from mmwave_env.numerics.arrays import Array
-from mmwave_env.records import Printable
+from mmwave_env.records import Bound, Printable
 
 
 def refuse(record: str, field: str, found: str, expected: str) -> NoReturn:
@@ -40,6 +40,21 @@ def require_increasing(record: str, time_s: Array) -> None:
     """Refuse times (T,) of epochs that do not increase."""
     if len(time_s) < 1 or not (np.diff(time_s) > 0.0).all():
         refuse(record, "time_s", "times that do not increase", "at least one, increasing")
+
+
+def require_within(record: str, field: str, what: str, values: Array, bound: Bound) -> None:
+    """Refuse numbers of a field outside of a bound with two ends, and NaN.
+
+    Args:
+        record, field: for the message.
+        what: they are, such as "a step of", where the field does not say it.
+        values: any shape.
+        bound: where they may lie.
+    """
+    assert bound.least is not None and bound.most is not None
+    wrong = ~((values >= bound.least) & (values <= bound.most))
+    if wrong.any():
+        refuse(record, field, f"{what} {values[wrong].flat[0]:g}".lstrip(), bound.expected)
 
 
 def require_finite(record: str, of: Any, fields: Iterable[str]) -> None:

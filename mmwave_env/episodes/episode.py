@@ -5,7 +5,7 @@ over epochs, drawn from a simulation or taken from a recording. Everything downs
 both alike.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 from typing import Any, NamedTuple, Protocol
@@ -13,12 +13,14 @@ from typing import Any, NamedTuple, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from mmwave_env.episodes.checks import refuse, require_epochs, require_finite
+from mmwave_env.episodes.checks import refuse, require_epochs, require_finite, require_within
+from mmwave_env.models import envelope
 from mmwave_env.models.epoch import Epoch, Site, blank_site
 from mmwave_env.models.measurement import Layout
 from mmwave_env.numerics.arrays import Array, Index
 from mmwave_env.numerics.numbers import Number, where
 from mmwave_env.numerics.pytree import flatten, indices
+from mmwave_env.records import Bound
 
 
 @dataclass(frozen=True, eq=False)
@@ -26,7 +28,8 @@ class Episode:
     """T epochs of one user.
 
     Missing groups are a mask, never a magic value: where ``visible`` is False the numbers
-    mean nothing. Measurements that are NaN or infinite are marked missing and counted.
+    mean nothing. Measurements that are NaN or infinite are marked missing and counted. Numbers
+    that the filters are not made for are refused (:mod:`~mmwave_env.models.envelope`).
 
     Attributes:
         name: what it is, for results and messages.
@@ -70,16 +73,39 @@ class Episode:
             "prior_covariance": (7, 7), "truth_position_m": (T, 3), "truth_velocity_mps": (T, 3),
         }  # fmt: skip
         require_epochs(self._record, self, shapes)
-        if not 0.0 < self.hz_per_mps < np.inf:
-            refuse(self._record, "hz_per_mps", f"{self.hz_per_mps}", "> 0")
         if not (self.sigma > 0.0).all():
             wrong = self.sigma[~(self.sigma > 0.0)]
             refuse(self._record, "sigma", f"{wrong[0]}", "> 0 everywhere")
-        finite = ("scene_anchors_m", "doppler_spread_hz", "prior_mean")
-        require_finite(self._record, self, (*finite, "truth_position_m", "truth_velocity_mps"))
+        require_finite(self._record, self, ("truth_position_m", "truth_velocity_mps"))
         P = self.prior_covariance
         if not (abs(P - P.T).max() <= 1e-8 * abs(P).max() and np.linalg.eigvalsh(P)[0] > 0.0):
             refuse(self._record, "prior_covariance", f"{P.tolist()}", "a positive definite matrix")
+        for field, what, values, bound in self._bounded():
+            require_within(self._record, field, what, values, bound)
+
+    def _bounded(self) -> Iterator[tuple[str, str, Array, Bound]]:
+        """What the envelope bounds: field, what its numbers are, these, and where they may lie."""
+        mean, deviation = self.prior_mean, np.sqrt(np.diag(self.prior_covariance))
+        sigma, layout = np.where(self._used, self.sigma, np.nan), self.layout
+        lengths = np.setdiff1d(np.arange(layout.size), [*layout.angles, layout.doppler])
+        yield "hz_per_mps", "", np.array([self.hz_per_mps]), envelope.HZ_PER_MPS
+        yield "time_s", "a step of", np.diff(self.time_s), envelope.STEP_S
+        yield "doppler_spread_hz", "", self.doppler_spread_hz, envelope.DOPPLER_SPREAD_HZ
+        yield "scene_anchors_m", "", self.scene_anchors_m, envelope.POSITION_M
+        yield "prior_mean", "a position of", mean[:3], envelope.POSITION_M
+        yield "prior_mean", "a velocity of", mean[3:6], envelope.VELOCITY_MPS
+        yield "prior_mean", "a bias of", mean[6:], envelope.BIAS_HZ
+        for rows, bound in (
+            (slice(3), envelope.POSITION_SIGMA_M), (slice(3, 6), envelope.VELOCITY_SIGMA_MPS),
+            (slice(6, 7), envelope.BIAS_SIGMA_HZ),
+        ):  # fmt: skip
+            yield "prior_covariance", "a deviation of", deviation[rows], bound
+        for columns, bound in (
+            (lengths, envelope.RANGE_SIGMA_M), (layout.angles, envelope.ANGLE_SIGMA_RAD),
+            ([layout.doppler], envelope.DOPPLER_SIGMA_HZ),
+        ):  # fmt: skip
+            used = sigma[:, columns]
+            yield "sigma", "", used[~np.isnan(used)], bound
 
     @property
     def _record(self) -> str:
@@ -97,6 +123,13 @@ class Episode:
         starts = [rows.start for rows in self.layout.groups]
         usable: NDArray[np.bool_] = self.visible & np.logical_and.reduceat(finite, starts, axis=1)
         return usable
+
+    @property
+    def _used(self) -> NDArray[np.bool_]:
+        """(T, rows) :attr:`usable`, row by row."""
+        widths = [rows.stop - rows.start for rows in self.layout.groups]
+        used: NDArray[np.bool_] = np.repeat(self.usable, widths, axis=1)
+        return used
 
     @property
     def nonfinite(self) -> int:
@@ -131,7 +164,7 @@ class Episode:
     def table(self) -> Array:
         """(T, columns) as the engine loads it; :func:`columns_of` says which column is what."""
         at, links = columns_of(self.layout), self.usable[:, : self.layout.anchors]
-        keep = np.repeat(self.usable, [r.stop - r.start for r in self.layout.groups], axis=1)
+        keep = self._used
         position, velocity = self.truth_position_m, self.truth_velocity_mps
         table = np.empty((len(self), at.truth[-1] + 1))
         table[:, at.dt] = np.diff(self.time_s, prepend=self.time_s[0])

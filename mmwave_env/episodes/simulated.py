@@ -38,6 +38,7 @@ from mmwave_env.episodes.simulation import (
 from mmwave_env.episodes.travel import TravelPlan, stride_of
 from mmwave_env.episodes.ways import Ways
 from mmwave_env.models.channel import channel_of
+from mmwave_env.models.envelope import STEP_S
 from mmwave_env.models.epoch import Site
 from mmwave_env.models.measurement import STATE_SIZE, Layout
 from mmwave_env.models.radio import Radio
@@ -95,8 +96,8 @@ class SimulatedSource:
     odometry: bool = False
 
     def __post_init__(self) -> None:
-        if not 0.0 < self.dt < float("inf"):
-            raise ValueError(f"dt: found {self.dt}, expected a positive number of seconds")
+        if not STEP_S.holds(self.dt):
+            raise ValueError(f"dt: found {self.dt}, expected {STEP_S.expected}")
         if self.epochs < 1:
             raise ValueError(f"epochs: found {self.epochs}, expected at least 1")
         if not self._plans:

@@ -33,12 +33,13 @@ from mmwave_env.filters.update import Algorithm, Posterior
 from mmwave_env.lookup import choose
 from mmwave_env.models.measurement import Layout, Measurement
 from mmwave_env.models.motion import ProcessNoise
-from mmwave_env.numerics.arrays import Array
+from mmwave_env.numerics.arrays import Array, Mask
 from mmwave_env.numerics.numbers import Matrix, Vector
 
 Rows = NDArray[np.int64]
 _STATES = 7
 _AT_REST_MPS = 1e-3  # below it the odometry's Jacobian is that of this speed
+_NEAREST_M = 1e-3  # up to it there is no direction to an anchor, or to its vertical
 
 
 def transition(dt: float) -> Array:
@@ -63,11 +64,25 @@ def measure(x: Array, anchors: Array, hz_per_mps: float, odometry: bool) -> Arra
     azimuth = np.arctan2(d[:, 1], d[:, 0])
     elevation = np.arctan2(d[:, 2], np.hypot(d[:, 0], d[:, 1]))
     links = np.column_stack([distance, azimuth, elevation, azimuth + np.pi])
-    doppler = hz_per_mps * (x[3:6] @ d[0]) / distance[0] + x[6]
+    doppler = hz_per_mps * (x[3:6] @ d[0]) / max(distance[0], _NEAREST_M) + x[6]
     rows = [*links.ravel(), doppler]
     if odometry:
         rows += [np.linalg.norm(x[3:6]), np.arctan2(x[4], x[3])]
     return np.array(rows)
+
+
+def _inverse(length: float) -> float:
+    """1 / length; of a length that gives no direction 0."""
+    return 1.0 / length if length > _NEAREST_M else 0.0
+
+
+def silent(x: Array, anchors: Array, odometry: bool) -> Mask:
+    """Rows (rows,) of directions that are not there at x: they tell nothing."""
+    d = x[:3] - anchors
+    vertical = np.hypot(d[:, 0], d[:, 1]) <= _NEAREST_M
+    there = np.linalg.norm(d, axis=1) <= _NEAREST_M
+    links = np.column_stack([np.zeros_like(there), vertical, there, vertical])
+    return np.array([*links.ravel(), there[0], *[False] * 2 * odometry])
 
 
 def jacobian(x: Array, anchors: Array, hz_per_mps: float, odometry: bool) -> Array:
@@ -75,15 +90,17 @@ def jacobian(x: Array, anchors: Array, hz_per_mps: float, odometry: bool) -> Arr
     links = np.zeros((len(anchors), 4, _STATES))
     for rows, (dx, dy, dz) in zip(links, x[:3] - anchors, strict=True):
         horizontal, distance = np.hypot(dx, dy), np.sqrt(dx**2 + dy**2 + dz**2)
-        rows[0, :3] = np.array([dx, dy, dz]) / distance
-        rows[1, :2] = rows[3, :2] = np.array([-dy, dx]) / horizontal**2
-        rows[2, :3] = np.array([-dx * dz, -dy * dz, horizontal**2]) / (horizontal * distance**2)
+        inverse_horizontal, inverse = _inverse(horizontal), _inverse(distance)
+        rows[0, :3] = np.array([dx, dy, dz]) * inverse
+        rows[1, :2] = rows[3, :2] = np.array([-dy, dx]) * inverse_horizontal**2
+        rows[2, :2] = np.array([-dx, -dy]) * (dz * inverse_horizontal * inverse**2)
+        rows[2, 2] = horizontal * inverse**2
     doppler = np.zeros((1, _STATES))
     d, v = x[:3] - anchors[0], x[3:6]
-    distance = np.linalg.norm(d)
-    doppler[0, :3] = hz_per_mps * (v / distance - (v @ d) * d / distance**3)
-    doppler[0, 3:6] = hz_per_mps * d / distance
-    doppler[0, 6] = 1.0
+    inverse = _inverse(float(np.linalg.norm(d)))
+    doppler[0, :3] = hz_per_mps * (v * inverse - (v @ d) * d * inverse**3)
+    doppler[0, 3:6] = hz_per_mps * d * inverse
+    doppler[0, 6] = inverse > 0.0
     H = [*links.reshape(-1, _STATES), *doppler]
     if odometry:
         speed_row, heading_row = np.zeros(_STATES), np.zeros(_STATES)
@@ -101,6 +118,7 @@ class _Sight:
         self._anchors = np.array(measurement.anchors, float)
         self._hz_per_mps = float(measurement.hz_per_mps)
         self._at_mean = self._measure(mean)
+        self._silent = silent(mean, self._anchors, self._layout.odometry)
         self.innovation = self._difference(np.array(measurement.z, float))
         self.variance = np.array(measurement.variance, float)
 
@@ -116,8 +134,8 @@ class _Sight:
         return measure(x, self._anchors, self._hz_per_mps, self._layout.odometry)
 
     def _difference(self, z: Array) -> Array:
-        """z - h(m), angles in [-pi, pi]."""
-        dz = z - self._at_mean
+        """z - h(m), angles in [-pi, pi]; 0 in rows that are silent at m."""
+        dz = np.where(self._silent, 0.0, z - self._at_mean)
         angles = self._layout.angles
         dz[angles] = np.remainder(dz[angles] + np.pi, 2.0 * np.pi) - np.pi
         return dz

@@ -5,10 +5,13 @@ from typing import Annotated, NamedTuple
 
 from mmwave_env.filters.update import Algorithm, ckf, ekf, ukf
 from mmwave_env.lookup import choose, quoted
+from mmwave_env.models.envelope import PROCESS_NOISE, WIDENING
 from mmwave_env.numerics.numbers import Number
 from mmwave_env.records import Bound, Count, Name, NonNegative, require_fields
 
 ALGORITHMS: dict[str, Algorithm] = {"ekf": ekf, "ukf": ukf, "ckf": ckf}
+Noise = Annotated[float, PROCESS_NOISE]
+Widening = Annotated[float, WIDENING]
 Quantile = Annotated[float, Bound("a quantile in (0, 1)", above=0.0, below=1.0)]
 
 DESIGN_LIMIT_MPS = 20.0  # above it a speed is outside the paper's design window
@@ -69,12 +72,12 @@ class Mode:
 
     name: Name
     algorithm: str | Algorithm = "ekf"
-    sigma_p: NonNegative = 0.1
-    sigma_v: NonNegative = 0.5
-    sigma_pz: NonNegative = 0.02
-    sigma_vz: NonNegative = 0.03
-    sigma_b_mps: NonNegative = 0.05
-    spread_gain: NonNegative = 0.0
+    sigma_p: Noise = 0.1
+    sigma_v: Noise = 0.5
+    sigma_pz: Noise = 0.02
+    sigma_vz: Noise = 0.03
+    sigma_b_mps: Noise = 0.05
+    spread_gain: Noise = 0.0
     coupling: bool = True
     acceleration_mps2: float = 0.0
     turn_rate_radps: float = 0.0
@@ -83,8 +86,8 @@ class Mode:
     adaptive: bool = True
     blockage_aware: bool = False
     robust: bool = False
-    widen_p: NonNegative = 0.0
-    widen_v: NonNegative = 0.0
+    widen_p: Widening = 0.0
+    widen_v: Widening = 0.0
     cost: NonNegative = 0.0
 
     def __post_init__(self) -> None:

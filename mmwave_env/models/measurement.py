@@ -14,6 +14,11 @@ Each *group* (a link, the Doppler, the odometry) is gated on its own and is pres
 missing as a whole. A group is described by three things: its value, its Jacobian, and its
 exact change under a finite step of the state, which sigma points need and which never
 crosses the cut of an angle.
+
+Straight below or above an anchor there is no azimuth, and at the anchor no direction at all: the
+tangent's azimuth grows as one over the horizontal distance, and what a filter learns from it as
+the square of that. Lengths up to :data:`NEAREST_M` count as none, and a direction that is not there
+tells nothing: innovation, gradient and change of its rows are 0.
 """
 
 from collections.abc import Callable
@@ -41,6 +46,8 @@ SPEED_OF_LIGHT = 299_792_458.0  # m/s
 STATE = ("px", "py", "pz", "vx", "vy", "vz", "b")  # m, m/s, Hz
 STATE_SIZE = len(STATE)
 LINK = ("range_m", "aoa_azimuth_rad", "aoa_elevation_rad", "aod_azimuth_rad")
+# Millimeters are below what an antenna's place means, and far above rounding at 1000 km (1e-10 m).
+NEAREST_M = 1e-3
 _SLOWEST_ODOMETRY = 1e-3  # m/s; keeps heading and speed differentiable at rest
 
 
@@ -201,8 +208,14 @@ def seen_from_image(
 
 
 def range_rate(d: Vector, velocity: Vector) -> Number:
-    """Rate of change of |d|, m/s, for an anchor at rest."""
-    return (d[0] * velocity[0] + d[1] * velocity[1] + d[2] * velocity[2]) / norms(d)[1]
+    """Rate of change of |d|, m/s, for an anchor at rest; 0 at the anchor itself."""
+    along = d[0] * velocity[0] + d[1] * velocity[1] + d[2] * velocity[2]
+    return along / maximum(norms(d)[1], NEAREST_M)
+
+
+def _inverse(length: Number) -> Number:
+    """1 / length, or 0 where it counts as none, so that no gradient hangs on it."""
+    return where(length > NEAREST_M, 1.0 / maximum(length, NEAREST_M), 0.0)
 
 
 def exact_rows(
@@ -241,13 +254,16 @@ def link_group(x: Vector, anchor: Vector, z: Vector, variance: Vector) -> Group:
     distance, azimuth, elevation = direction(d)
     horizontal = norms(d)[0]
     range_variance, arrival_variance, elevation_variance, departure_variance = variance
-    arrival = wrap(z[1] - azimuth)
-    departure = wrap(wrap(z[3] - azimuth + PI))
+    aside, apart = horizontal > NEAREST_M, distance > NEAREST_M
+    arrival = where(aside, wrap(z[1] - azimuth), 0.0)
+    departure = where(aside, wrap(wrap(z[3] - azimuth + PI)), 0.0)
     total = arrival_variance + departure_variance
     bearing = (arrival * departure_variance + departure * arrival_variance) / total
-    inverse, inverse_horizontal = 1.0 / distance, 1.0 / horizontal
+    inverse, inverse_horizontal = _inverse(distance), _inverse(horizontal)
     slope = d[2] * inverse_horizontal * inverse * inverse
     across = inverse_horizontal * inverse_horizontal
+    east, north = where(aside, d[0], 0.0), where(aside, d[1], 0.0)
+    level, up = where(apart, horizontal, 0.0), where(apart, d[2], 0.0)
     still = [0.0] * 4
     disagreement = arrival - departure
 
@@ -255,14 +271,12 @@ def link_group(x: Vector, anchor: Vector, z: Vector, variance: Vector) -> Group:
         q = [d[i] + step[i] for i in range(3)]
         q_horizontal, q_distance = norms(q)
         vertical = all(isinstance(s, float) and s == 0.0 for s in step[:2])
-        turn = 0.0 if vertical else atan2(q[1] * d[0] - q[0] * d[1], q[0] * d[0] + q[1] * d[1])
-        rise = atan2(
-            q[2] * horizontal - q_horizontal * d[2], q_horizontal * horizontal + q[2] * d[2]
-        )
+        turn = 0.0 if vertical else atan2(q[1] * east - q[0] * north, q[0] * east + q[1] * north)
+        rise = atan2(q[2] * level - q_horizontal * up, q_horizontal * level + q[2] * up)
         return [q_distance - distance, turn, rise]
 
     return Group(
-        innovation=[z[0] - distance, bearing, wrap(z[2] - elevation)],
+        innovation=[z[0] - distance, bearing, where(apart, wrap(z[2] - elevation), 0.0)],
         variance=[
             range_variance,
             arrival_variance * departure_variance / total,
@@ -284,22 +298,23 @@ def doppler_group(
     x: Vector, anchor: Vector, hz_per_mps: Number, z: Vector, variance: Vector
 ) -> Group:
     """The Doppler shift of the physical anchor, hertz; linear in velocity and bias."""
-    d = [x[i] - anchor[i] for i in range(3)]
-    inverse = 1.0 / norms(d)[1]
+    d, v = [x[i] - anchor[i] for i in range(3)], x[3:6]
+    distance = norms(d)[1]
+    inverse, told = _inverse(distance), where(distance > NEAREST_M, 1.0, 0.0)
     u = [d[i] * inverse for i in range(3)]
-    rate = range_rate(d, x[3:6])
+    rate = range_rate(d, v)
 
     def change(step: Vector) -> list[Number]:
         q = [d[i] + step[i] for i in range(3)]
-        velocity = [x[3 + i] + step[3 + i] for i in range(3)]
-        return [hz_per_mps * (range_rate(q, velocity) - rate) + step[6]]
+        velocity = [v[i] + step[3 + i] for i in range(3)]
+        return [told * (hz_per_mps * (range_rate(q, velocity) - rate) + step[6])]
 
-    transverse = [hz_per_mps * inverse * (x[3 + i] - u[i] * rate) for i in range(3)]
+    transverse = [hz_per_mps * inverse * (v[i] - u[i] * rate) for i in range(3)]
     radial = [hz_per_mps * u[i] for i in range(3)]
     return Group(
-        innovation=[z[0] - (hz_per_mps * rate + x[6])],
+        innovation=[told * (z[0] - (hz_per_mps * rate + x[6]))],
         variance=variance,
-        jacobian=[[*transverse, *radial, 1.0]],
+        jacobian=[[*transverse, *radial, told]],
         change=change,
         curved=3,
     )

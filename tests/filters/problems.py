@@ -81,15 +81,15 @@ def problems(draw, odometry=False, anchors=None, outliers=True):
     return Problem(x, 0.5 * (P + P.T), sensor, z, sigma**2, visible)
 
 
-def assert_same(ours, expected):
-    """Equal to RTOL; the state in units of its standard deviations."""
+def assert_same(ours, expected, rtol=RTOL):
+    """Equal to a tolerance; the state in units of its standard deviations."""
     P = np.array(ours.P)
     sigma = np.sqrt(np.diag(expected.P))
     assert ours.accepted == expected.accepted.tolist()
-    np.testing.assert_allclose((ours.x - expected.x) / sigma, 0.0, atol=RTOL)
-    np.testing.assert_allclose((P - expected.P) / np.outer(sigma, sigma), 0.0, atol=RTOL)
-    np.testing.assert_allclose(ours.nis, expected.nis, rtol=RTOL, atol=RTOL)
-    np.testing.assert_allclose(ours.log_likelihood, expected.log_likelihood, rtol=RTOL, atol=RTOL)
+    np.testing.assert_allclose((ours.x - expected.x) / sigma, 0.0, atol=rtol)
+    np.testing.assert_allclose((P - expected.P) / np.outer(sigma, sigma), 0.0, atol=rtol)
+    np.testing.assert_allclose(ours.nis, expected.nis, rtol=rtol, atol=rtol)
+    np.testing.assert_allclose(ours.log_likelihood, expected.log_likelihood, rtol=rtol, atol=rtol)
     np.testing.assert_array_equal(P, P.T)
 
 

@@ -114,7 +114,10 @@ def test_a_name_alone_is_no_list():
         ('{"modes": [{"algorithm": "ekf"}]}', "modes.0..name: found none"),
         ('{"modes": [{"name": "a", "sigma_q": 1}]}', "'sigma_q'.*sigma_p, sigma_v"),
         ('{"modes": [{"name": "a", "sigma_v": -1}]}', "sigma_v of mode 'a': found -1"),
-        ('{"modes": [{"name": "a", "sigma_v": "much"}]}', "found 'much', expected a number >= 0"),
+        (
+            '{"modes": [{"name": "a", "sigma_v": "much"}]}',
+            "found 'much', expected a number of",
+        ),
         ('{"modes": [{"name": "a", "algorithm": "pf"}]}', "'pf'.*ekf, ukf, ckf"),
         ('{"modes": 3}', "modes: found .*expected a list of one or more"),
         ('{"modes": {"ekf": {}}}', "modes: found .*expected a list of one or more"),

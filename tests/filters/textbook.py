@@ -2,6 +2,8 @@
 
 Rows of a measurement, for anchors l = 1..L: [range, azimuth and elevation of arrival, azimuth
 of departure] each, then the Doppler shift of anchor 1, then, optionally, [speed, heading].
+Seen from within NEAREST_M of the vertical of an anchor its azimuths are silent, from within that of
+the anchor itself its elevation and Doppler shift, too: no residual, no gradient, no spread.
 """
 
 from collections.abc import Callable
@@ -10,6 +12,12 @@ from typing import NamedTuple
 
 import numpy as np
 from scipy.stats import chi2
+
+NEAREST_M = 1e-3
+
+
+def inverse(length):
+    return 1.0 / length if length > NEAREST_M else 0.0
 
 
 @dataclass(frozen=True)
@@ -45,7 +53,7 @@ class Sensor:
             elevation = np.arctan2(up, np.hypot(east, north))
             z += [np.sqrt(east**2 + north**2 + up**2), azimuth, elevation, azimuth + np.pi]
         d = x[:3] - self.anchors[0]
-        z.append(self.hz_per_mps * (d @ x[3:6]) / np.sqrt(d @ d) + x[6])
+        z.append(self.hz_per_mps * (d @ x[3:6]) / max(np.sqrt(d @ d), NEAREST_M) + x[6])
         if self.odometry:
             z += [np.sqrt(x[3:6] @ x[3:6]), np.arctan2(x[4], x[3])]
         return np.array(z)
@@ -54,27 +62,40 @@ class Sensor:
         H = []
         for anchor in self.anchors:
             d = x[:3] - anchor
-            (east, north, up), r2 = d, d @ d
-            rho2 = east**2 + north**2
-            rho = np.sqrt(rho2)
-            azimuth = [-north / rho2, east / rho2, 0, 0, 0, 0, 0]
-            elevation = [-east * up / (r2 * rho), -north * up / (r2 * rho), rho / r2, 0, 0, 0, 0]
-            H += [[*(d / np.sqrt(r2)), 0, 0, 0, 0], azimuth, elevation, azimuth]
+            east, north, up = d
+            rho = np.sqrt(east**2 + north**2)
+            i, j = inverse(np.sqrt(d @ d)), inverse(rho)
+            azimuth = [-north * j**2, east * j**2, 0, 0, 0, 0, 0]
+            elevation = [-east * up * i**2 * j, -north * up * i**2 * j, rho * i**2, 0, 0, 0, 0]
+            H += [[*(d * i), 0, 0, 0, 0], azimuth, elevation, azimuth]
         d, v = x[:3] - self.anchors[0], x[3:6]
-        r = np.sqrt(d @ d)
-        u = d / r
-        across = (np.eye(3) - np.outer(u, u)) @ v / r
-        H.append([*(self.hz_per_mps * across), *(self.hz_per_mps * u), 1])
+        i = inverse(np.sqrt(d @ d))
+        u = d * i
+        across = (np.eye(3) - np.outer(u, u)) @ v * i
+        H.append([*(self.hz_per_mps * across), *(self.hz_per_mps * u), i > 0.0])
         if self.odometry:
             vx, vy, _ = v
             H.append([0, 0, 0, *(v / np.sqrt(v @ v)), 0])
             H.append([0, 0, 0, -vy / (vx**2 + vy**2), vx / (vx**2 + vy**2), 0, 0])
         return np.array(H)
 
+    def silent(self, x):
+        """Rows (rows,) that tell nothing of a state."""
+        d = x[:3] - self.anchors
+        on_vertical = np.hypot(d[:, 0], d[:, 1]) <= NEAREST_M
+        there = np.sqrt((d * d).sum(axis=1)) <= NEAREST_M
+        never = np.zeros(self.links, bool)
+        links = np.column_stack([never, on_vertical, there, on_vertical])
+        return np.array([*links.ravel(), there[0], *[False, False] * self.odometry])
+
     def difference(self, a, b):
         """a - b, angles in [-pi, pi)."""
         wrapped = (a - b + np.pi) % (2 * np.pi) - np.pi
         return np.where(self.angles, wrapped, a - b)
+
+    def residual(self, a, b, x):
+        """a - b as far as it tells something at x."""
+        return np.where(self.silent(x), 0.0, self.difference(a, b))
 
 
 @dataclass(frozen=True)
@@ -96,8 +117,8 @@ class Restricted:
     def jacobian(self, x):
         return self.sensor.jacobian(self._whole(x))[:, self.free]
 
-    def difference(self, a, b):
-        return self.sensor.difference(a, b)
+    def residual(self, a, b, x):
+        return self.sensor.residual(a, b, self._whole(x))
 
 
 def F(dt):
@@ -166,7 +187,7 @@ def cubature(sensor, x, P):
 
 def _moments(sensor, x, points, mean_weights, weights):
     center = sensor.h(x)
-    relative = np.array([sensor.difference(sensor.h(point), center) for point in points])
+    relative = np.array([sensor.residual(sensor.h(point), center, x) for point in points])
     shift = mean_weights @ relative
     spread = relative - shift
     S = (spread.T * weights) @ spread
@@ -192,7 +213,7 @@ def statistics(moments, sensor, groups, x, P, z, R):
     """Innovation covariance (rows, rows), and NIS and log det S of every group."""
     mean, S, _ = moments(sensor, x, P)
     S = S + np.diag(R)
-    y = sensor.difference(z, mean)
+    y = sensor.residual(z, mean, x)
     nis = np.array([y[g] @ np.linalg.inv(S[g, g]) @ y[g] for g in groups])
     return S, nis, np.array([np.log(np.linalg.det(S[g, g])) for g in groups])
 
@@ -230,7 +251,7 @@ def update(moments, sensor, groups, links, x, P, z, R, *gate):
     mean, S, C = moments(sensor, x, P)
     S = (S + np.diag(R))[np.ix_(keep, keep)]
     K = np.linalg.solve(S, C[:, keep].T).T
-    new_x = x + K @ sensor.difference(z, mean)[keep]
+    new_x = x + K @ sensor.residual(z, mean, x)[keep]
     if moments is tangent:
         A = np.eye(len(x)) - K @ sensor.jacobian(x)[keep]
         new_P = A @ P @ A.T + (K * R[keep]) @ K.T
@@ -249,7 +270,7 @@ def iterated(iterations, sensor, groups, links, x, P, z, R, *gate):
     for _ in range(iterations):
         H = sensor.jacobian(iterate)[keep]
         K = P @ H.T @ np.linalg.inv(H @ P @ H.T + R)
-        residual = sensor.difference(z, sensor.h(iterate))[keep]
+        residual = sensor.residual(z, sensor.h(iterate), iterate)[keep]
         iterate = x + K @ (residual - H @ (x - iterate))
     A = np.eye(len(x)) - K @ H
     return Update(iterate, A @ P @ A.T + K @ R @ K.T, nis, accepted, log_likelihood)

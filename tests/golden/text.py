@@ -45,7 +45,8 @@ def cells(name: str, text: str) -> Cells:
     lines = [line for line in text.splitlines() if not line.startswith("#")]
     if not name.endswith(".csv"):
         return {(key, "value"): value for key, value in (line.split(" ", 1) for line in lines)}
-    columns, *rows = (line.split(",") for line in lines)
+    columns = lines[0].split(",")
+    rows = [line.rsplit(",", len(columns) - 1) for line in lines[1:]]  # names of rows hold commas
     found = {
         (row[0], column): value for row in rows for column, value in zip(columns, row, strict=True)
     }

@@ -47,6 +47,7 @@ def log_of(time_s, position_m, rng, bias=0.0):
         incomplete=np.zeros((T, 4), bool),
         snr_db=np.full((T, 3), 20.0),
         doppler_spread_hz=np.zeros(T),
+        restarts=np.zeros(T, bool),
         rows=T,
         share=1.0,
     )

@@ -1,0 +1,103 @@
+"""Beliefs straight below an anchor, above it and at it: the textbook, filterpy and ours agree."""
+
+import numpy as np
+import pytest
+
+from mmwave_env.filters.gating import Gate
+from mmwave_env.filters.update import ckf, ekf, ukf
+from mmwave_env.models.measurement import NEAREST_M, Layout, exact_rows
+from tests.filters import textbook
+from tests.filters.problems import HZ_PER_MPS, Problem, assert_same
+from tests.filters.test_filterpy_reference import both
+from tests.filters.tracks import OwnModel, assert_same_beliefs, pipeline_of, process_noise
+
+OURS = {"ekf": ekf, "ukf": ukf, "ckf": ckf}
+ANCHORS = np.array([[0.0, 0.0, 10.0], [80.0, 60.0, 12.0], [-50.0, 70.0, 15.0]])
+MEANT = {"vertical": [1, 3], "anchor": [1, 2, 3, 12]}  # rows that are silent
+OFFSETS = {  # of the mean from the first anchor, m, and what has no direction there
+    "below": ((0.0, 0.0, -8.5), "vertical"),
+    "above": ((0.0, 0.0, 20.0), "vertical"),
+    "hardly beside its vertical": ((0.6 * NEAREST_M, -0.6 * NEAREST_M, -8.5), "vertical"),
+    "at it": ((0.0, 0.0, 0.0), "anchor"),
+    "hardly beside it": ((0.3 * NEAREST_M, -0.4 * NEAREST_M, 0.5 * NEAREST_M), "anchor"),
+    "a little beside its vertical": ((1.2 * NEAREST_M, 0.7 * NEAREST_M, -8.5), None),
+    "a little beside it": ((-1.1 * NEAREST_M, 1.2 * NEAREST_M, 0.9 * NEAREST_M), None),
+}
+algorithms = pytest.mark.parametrize("algorithm", OURS)
+everywhere = pytest.mark.parametrize("where", OFFSETS)
+
+
+def near(where, odometry=False):
+    """An update whose prior mean is that near to an anchor; the user is 2 m off."""
+    sensor = textbook.Sensor(ANCHORS, HZ_PER_MPS, odometry)
+    x = np.array([*(ANCHORS[0] + OFFSETS[where][0]), 3.0, -2.0, 0.1, 20.0])
+    scale = np.array([3.0, 3.0, 1.0, 1.0, 1.0, 0.3, 50.0])
+    factor = scale[:, None] * (np.eye(7) + np.tril(np.full((7, 7), 0.2), -1))
+    sigma = np.array([0.5, 0.05, 0.05, 0.05] * 3 + [50.0] + [0.5, 0.1] * odometry)
+    z = sensor.h(x + factor @ [0.5, -0.3, 0.4, 0.2, 0.1, -0.2, 0.3])
+    visible = np.ones(len(sensor.groups), bool)
+    return Problem(x, factor @ factor.T, sensor, z, sigma**2, visible)
+
+
+@algorithms
+@everywhere
+@pytest.mark.parametrize("odometry", [False, True], ids=["radio", "odometry"])
+@pytest.mark.parametrize("gate", [Gate(None), Gate(0.99), Gate(0.99, robust=True)], ids=str)
+def test_an_update_near_an_anchor_is_the_textbooks(algorithm, where, odometry, gate):
+    problem = near(where, odometry)
+    assert_same(
+        problem.ours(OURS[algorithm], gate),
+        problem.textbook(textbook.METHODS[algorithm], gate),
+        rtol=1e-6,  # right beside an anchor angles are a thousand radians a meter
+    )
+
+
+@everywhere
+def test_what_has_no_direction_says_nothing_and_the_rest_is_the_derivative(where):
+    problem, (_, lost) = near(where), OFFSETS[where]
+    s, x = problem.sensor, problem.x
+    silent = MEANT.get(lost, [])
+    assert np.flatnonzero(s.silent(x)).tolist() == silent
+    H = s.jacobian(x)
+    assert np.isfinite(H).all() and not H[silent].any()
+    if lost is None:
+        step = 1e-7 * np.eye(7)
+        columns = [s.difference(s.h(x + e), s.h(x - e)) / 2e-7 for e in step]
+        np.testing.assert_allclose(H, np.array(columns).T, rtol=1e-4, atol=1e-3)
+
+
+@algorithms
+@pytest.mark.parametrize("azimuth", [-3.1, -1.0, 0.0, 2.0, 3.14])
+def test_an_azimuth_measured_straight_below_moves_nothing(algorithm, azimuth):
+    problem = near("below")
+    problem.z[[1, 3]] = azimuth, azimuth - np.pi * np.sign(azimuth or 1.0)
+    turned = near("below")
+    a, b = (one.ours(OURS[algorithm], Gate(0.99)) for one in (problem, turned))
+    assert a.accepted == b.accepted
+    np.testing.assert_allclose(a.x, b.x, atol=1e-9)
+    np.testing.assert_allclose(a.P, b.P, atol=1e-9)
+
+
+def starts_near(where):
+    """Users whose filters begin right there; they walk off, and are measured well."""
+    sensor = textbook.Sensor(ANCHORS, HZ_PER_MPS)
+    mean = np.array([*(ANCHORS[0] + OFFSETS[where][0]), 2.0, 1.0, 0.0, 10.0])
+    (mode,) = pipeline_of(algorithms=["ekf"]).modes
+    sigma = np.array([0.5, 0.02, 0.02, 0.02] * 3 + [20.0])
+    prior = np.array([1.0, 1.0, 0.3, 0.5, 0.5, 0.1, 20.0])
+    return OwnModel(sensor, mean, prior, process_noise(mode), sigma, 1.0)
+
+
+@everywhere
+def test_whole_tracks_from_there_are_finite_and_those_of_filterpy(where):
+    episodes = [starts_near(where).draw(np.random.default_rng(seed), 12) for seed in range(3)]
+    for place, algorithm in enumerate(OURS):
+        pipeline = pipeline_of(algorithms=[algorithm])
+        ours, twin = both(pipeline, episodes[place : place + 1], 0, ("x", "P", "nees"))
+        assert np.isfinite(ours["x"]).all() and np.isfinite(ours["nees"]).all()
+        assert_same_beliefs(twin, ours, rtol=1e-6)
+
+
+def test_a_user_at_an_anchor_is_measured_in_numbers():
+    rows = exact_rows([1.0, 2.0, 3.0], [3.0, 0.0, 0.0], [[1.0, 2.0, 3.0]], 93.4, Layout(1))
+    assert rows == [0.0, 0.0, 0.0, np.pi, 0.0]
