@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from experiments.inspection.data_set import DataSet
-from experiments.inspection.logs import log_data_set
+from experiments.inspection.logs import log_data_set, paths_data_set
 from experiments.inspection.tracks import (
     scenario_data_set,
     traffic_data_set,
@@ -51,7 +51,10 @@ def _log(path: Path, beside: Beside) -> DataSet:
         raise ValueError(f"scene: found none, and no {scene}; expected --scene, whose anchors "
                          f"{path} is about")  # fmt: skip
     found = beside.truth or (truth if truth.exists() else None)
-    return log_data_set(path, beside.scene or str(scene), found, beside.radio)
+    where = beside.scene or str(scene)
+    if "anchor" not in _columns(path):
+        return paths_data_set(path, where, found)
+    return log_data_set(path, where, found, beside.radio)
 
 
 FORMATS = (

@@ -2,7 +2,7 @@
 
 import warnings
 from collections.abc import Iterator
-from itertools import chain
+from itertools import chain, islice
 from pathlib import Path
 
 import numpy as np
@@ -10,8 +10,10 @@ import numpy as np
 from experiments.inspection.data_set import DataSet, Epochs
 from mmwave_env.episodes.arrays import warn_of_contradictions
 from mmwave_env.localization.contradictions import contradictions
+from mmwave_env.logs.clock import ClockComparison
 from mmwave_env.logs.log import LogBlock, read_log
 from mmwave_env.logs.log_tables import LogError
+from mmwave_env.logs.path_log import read_paths
 from mmwave_env.logs.truth import Truth
 from mmwave_env.models.radio import radio_from
 from mmwave_env.models.scene import Scene, scene_from
@@ -32,7 +34,7 @@ def log_data_set(path: Path, scene: str, truth: Path | None, radio: str) -> Data
         OSError: a file can't be read.
     """
     there, given = scene_from(scene), Truth(truth) if truth else None
-    blocks = read_log(path, there)
+    blocks, clocks = read_log(path, there), ClockComparison(there)
     first = next(blocks)
 
     def epochs() -> Iterator[Epochs]:
@@ -40,13 +42,20 @@ def log_data_set(path: Path, scene: str, truth: Path | None, radio: str) -> Data
         try:
             for block in chain([first], blocks):
                 incomplete += block.incomplete.sum(axis=0)
-                position = given.at(block.time_s).position_m if given else _fixes(block, there)
+                position = _fixes(block, there)
+                if given:
+                    true = given.at(block.time_s)
+                    position = true.position_m
+                    clocks.add(block, true)
                 if block is first:
                     said = "links" if given else "links, the fixes taken for the truth"
                     found.problems += _misplaced(said, block, there, position)
                 yield Epochs(block.time_s, position, block.visible[:, : block.layout.anchors])
         except LogError as damage:
             found.damage = damage
+        clock = clocks.offset()
+        if clock and clock.matters:
+            found.problems.append(clock.advice)
         found.problems += [
             f"{count} times only some of the numbers of {name}, which count as not measured"
             for name, count in zip(first.layout.group_names, incomplete, strict=True)
@@ -61,6 +70,41 @@ def log_data_set(path: Path, scene: str, truth: Path | None, radio: str) -> Data
         anchors_m=there.anchors_m,
         facts=_facts(first, there),
         problems=list(map(str, contradictions(first, there, radio_from(radio), {}))),
+    )
+    return found
+
+
+_TOGETHER = 1000  # epochs of a log of paths that are summed up at once
+
+
+def paths_data_set(path: Path, scene: str, truth: Path | None) -> DataSet:
+    """The data set of a log without the numbers of anchors; arguments as of :func:`log_data_set`.
+
+    Raises:
+        ValueError, OSError: as :func:`log_data_set`.
+    """
+    there, given = scene_from(scene), Truth(truth) if truth else None
+
+    def epochs() -> Iterator[Epochs]:
+        paths = incomplete = 0
+        try:
+            rows = read_paths(path, there)
+            while some := list(islice(rows, _TOGETHER)):
+                paths += sum(len(epoch.snr_db) for epoch in some)
+                incomplete += sum(epoch.incomplete for epoch in some)
+                time_s, n = np.array([epoch.time_s for epoch in some]), len(some)
+                position = given.at(time_s).position_m if given else np.full((n, 3), np.nan)
+                yield Epochs(time_s, position, np.zeros((n, 0), bool))
+        except LogError as damage:
+            found.damage = damage
+        found.facts["paths"] = f"{paths}, and {incomplete} with only some of their numbers"
+
+    found = DataSet(
+        format="measurement log of paths without anchors (localize --associate)",
+        epochs=epochs(),
+        positions=f"truth, {truth}" if truth else "none",
+        are_true=truth is not None,
+        facts={"scene": f"{there.name}, {len(there.anchors_m)} anchors"},
     )
     return found
 

@@ -172,3 +172,21 @@ def test_traffic_is_counted_by_type(tmp_path):
     figures, told = inspected(tmp_path, DATA / "traffic" / "grid.xml.gz")
     assert "trips: 35: 20 DEFAULT_VEHTYPE, 15 DEFAULT_PEDTYPE" in told
     assert figures["speed_mps"] is None and figures["problems"] == []
+
+
+def test_a_log_of_paths_without_anchors_is_counted(tmp_path):
+    simulated = ["--data", "canyon28_vehicle", "--radio", "standard", "--unassociated"]
+    succeed("simulate", *simulated, "--false-paths", 5, "--out", tmp_path / "paths")
+    figures, told = inspected(tmp_path, tmp_path / "paths")
+    assert "without anchors" in told and figures["anchors"] == []
+    assert f"paths: {120 + 111 + 69 + 5 * 120}, and 0 with" in told
+    assert figures["epochs"] == 120 and figures["speed_mps"]["max"] > 9.0
+
+
+def test_a_truth_with_another_clock_is_a_problem(tmp_path):
+    folder = copy(tmp_path)
+    lines = [line.split() for line in (folder / "truth.tum").read_text().splitlines()]
+    moved = [" ".join([repr(float(t) + 0.3), *rest]) for t, *rest in lines if t != "#"]
+    (folder / "truth.tum").write_text("\n".join(moved) + "\n")
+    figures, _ = inspected(tmp_path, folder)
+    assert any("clock" in problem for problem in figures["problems"])
