@@ -12,6 +12,7 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from experiments.evaluation.signals import Ended, ended_by_signals
 from experiments.sweeping.spec import Cell
 from mmwave_env.lookup import require_extra
 
@@ -47,7 +48,7 @@ def local(compute: Compute, cells: Sequence[Cell], workers: int, tries: int) -> 
                     while waiting and len(running) < workers * _AHEAD:
                         cell = waiting.pop()
                         tried[cell] += 1
-                        running[pool.submit(compute, cell)] = cell
+                        running[pool.submit(_ended_cleanly, compute, cell)] = cell
                     for future in wait(running, return_when=FIRST_COMPLETED).done:
                         cell = running.pop(future)
                         try:
@@ -81,6 +82,15 @@ def _pool(workers: int) -> Iterator[ProcessPoolExecutor]:
         raise
     finally:
         pool.shutdown(wait=True, cancel_futures=True)
+
+
+def _ended_cleanly(compute: Compute, cell: Cell) -> dict[str, Any]:
+    """A cell; where the pool ends its process, folders that it made for a while vanish."""
+    try:
+        with ended_by_signals():
+            return compute(cell)
+    except Ended as end:
+        os._exit(int(str(end.code)))  # or the process would go on with what waits
 
 
 def _begin() -> None:

@@ -16,6 +16,7 @@ from experiments.evaluation.agents import is_agent
 from experiments.evaluation.contenders import Contender
 from experiments.evaluation.runner import EpochResults, Scoring, run_contender
 from experiments.evaluation.seeds import Selection
+from experiments.evaluation.signals import Ended
 from experiments.evaluation.terminal import tracked
 from experiments.webpage.episodes import Gates, Place, course, scenery
 from experiments.webpage.source import Source
@@ -116,6 +117,8 @@ def arguments_of(source: Source) -> Any:
     try:
         with redirect_stderr(complaint):
             return read_arguments(commands()[name][0], words, name)
+    except Ended:  # a signal came meanwhile
+        raise
     except SystemExit:
         raise ValueError(f"command: {complaint.getvalue().strip()}") from None
 

@@ -45,8 +45,8 @@ def main():
     each_ms = 1e3 * (whole_s - first_s) / (args.cells - 1)
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
     print(f"{args.engine}, {args.workers} workers: {there} cells kept, the first after "
-          f"{first_s:.1f} s, each {each_ms:.2f} ms; {len(files)} files, {size / there:.0f} bytes a cell; peak "
-          f"memory {peak:.0f} MiB")  # fmt: skip
+          f"{first_s:.1f} s, each {each_ms:.2f} ms; {len(files)} files, "
+          f"{size / there:.0f} bytes a cell; peak memory {peak:.0f} MiB")  # fmt: skip
 
 
 if __name__ == "__main__":

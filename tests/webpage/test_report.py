@@ -1,12 +1,15 @@
 """mmwave-loc report: what is on the page, and what is refused."""
 
 import json
+import signal
 
 import numpy as np
 import pytest
 
 from experiments.evaluation.intervals import Interval
 from experiments.evaluation.markdown import rounded
+from experiments.evaluation.signals import Ended
+from experiments.webpage import played
 from experiments.webpage.page import in_script
 from experiments.webpage.played import play
 from experiments.webpage.sources import read_source
@@ -43,6 +46,16 @@ def test_the_leaderboard_shows_the_figures_of_the_file_best_first(tmp_path):
     ((_, (minus, value)),) = [row for row in page.table("Paired")[1:] if row[1][0]]
     assert float(value) == -0.5 and minus == "-0.500 [-0.600, -0.400]"
     assert "none were asked for" in page.text
+
+
+def test_a_signal_while_the_options_of_results_are_read_ends_it(tmp_path, monkeypatch):
+    def end(*_):
+        raise Ended(signal.SIGTERM)
+
+    monkeypatch.setattr(played, "read_arguments", end)
+    path, out = write(tmp_path / "r.json", results.comparison()), tmp_path / "page.html"
+    done = command("report", path, "--out", out)
+    assert (done.returncode, done.stdout) == (143, "") and not out.exists()
 
 
 def test_transfer_track_and_run_have_their_tables(tmp_path):
