@@ -8,8 +8,9 @@ from tests.paths import ROOT
 
 PAGE = ROOT / "docs" / "licenses.md"
 FOR_WORK = ("dev", "docs", "lint")  # extras for working on the package, not for running it
-NOT_IN_DEV = {  # looked up by hand
-    "eclipse-sumo": "EPL-2.0", "ray": "Apache-2.0", "sionna-rt": "Apache-2.0", "tomli": "MIT",
+BY_HAND = {  # looked up: not installed with dev, or untold in their metadata
+    "atheris": "Apache-2.0", "eclipse-sumo": "EPL-2.0", "ray": "Apache-2.0",
+    "sionna-rt": "Apache-2.0", "tomli": "MIT",
 }  # fmt: skip
 FAMILIES = {  # by how it is told in metadata; of several, what is told first
     "EPL-2.0": r"EPL|Eclipse Public",
@@ -46,7 +47,7 @@ def license_of(package):
     said = " ".join([*said, (found.get("License") or "")[:200]])
     places = {name: re.search(words, said) for name, words in FAMILIES.items()}
     told = [name for name, place in places.items() if place]
-    return min(told, key=lambda name: places[name].start(), default="untold")
+    return min(told, key=lambda name: places[name].start(), default=BY_HAND.get(package, "untold"))
 
 
 def rows():
@@ -73,7 +74,7 @@ def brought(package, seen):
 def page():
     """The page; needs all extras installed."""
     return HEAD + "".join(
-        f"| {extra} | {name} | {said or NOT_IN_DEV[name]} |\n" for extra, name, said in rows()
+        f"| {extra} | {name} | {said or BY_HAND[name]} |\n" for extra, name, said in rows()
     )
 
 

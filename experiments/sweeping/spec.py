@@ -15,7 +15,7 @@ from experiments.arguments.train import TaskArgs
 from experiments.evaluation.seeds import TRAINING_SEED
 from mmwave_env import __version__
 from mmwave_env.files import read_text
-from mmwave_env.lookup import as_name, choose
+from mmwave_env.lookup import as_name, choose, quoted
 from mmwave_env.records import require_fields
 
 HYPERPARAMETER = "hyperparameters."  # begins the name of an axis of a training
@@ -140,6 +140,11 @@ def _values(key: str, value: Any) -> Sequence[Any]:
     values = [tuple(v) if isinstance(v, list) else v for v in (value if several else [value])]
     if not values:
         raise ValueError(f"{key}: found an empty list, expected values")
+    for one in values:
+        if any(isinstance(v, (dict, list)) for v in (one if isinstance(one, tuple) else [one])):
+            raise ValueError(
+                f"{key}: found {quoted(one)}, expected words, numbers or a list of them"
+            )
     return values
 
 

@@ -32,6 +32,14 @@ def test_update_equals_textbook(algorithm, odometry, gate, data):
     assert_same(problem.ours(OURS[algorithm], gate), expected)
 
 
+@given(problem=problems(anchors=9))
+@settings(max_examples=3, deadline=None)
+def test_determinants_of_many_links_are_those_of_the_textbook(problem):
+    """More than are multiplied before a logarithm is taken."""
+    expected = problem.textbook(textbook.tangent, Gate(None))
+    assert_same(problem.ours(ekf, Gate(None)), expected)
+
+
 @algorithms
 @with_odometry
 @given(data=st.data())
@@ -183,3 +191,10 @@ def test_textbook_jacobian_is_the_derivative(problem):
 def test_sigma_points_without_reach_are_refused(alpha, kappa):
     with pytest.raises(ValueError, match="alpha > 0"):
         SigmaPoints(alpha, 2.0, kappa)
+
+
+@pytest.mark.parametrize(("alpha", "kappa", "least"), [(1.0, 7.0, -1.0), (0.5, 21.0, -0.75)])
+def test_curvature_without_a_covariance_is_refused(alpha, kappa, least):
+    assert SigmaPoints(alpha, least + 0.01, kappa).reach > 0.0
+    with pytest.raises(ValueError, match=f"beta: found .*expected at least {least:g}"):
+        SigmaPoints(alpha, least - 0.01, kappa)

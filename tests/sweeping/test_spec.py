@@ -77,3 +77,10 @@ def test_different_values_have_different_names(values):
 def test_what_is_wrong_is_named(tmp_path, text, message):
     with pytest.raises(ValueError, match=message):
         spec_of(tmp_path, text)
+
+
+@pytest.mark.parametrize("value", ["[1e-3, {}]", "[1e-3, [[]]]", "[{a = 1}]"])
+def test_a_value_within_a_value_is_refused(tmp_path, value):
+    text = f"[train]\ntotal_timesteps = 1000\nhyperparameters.learning_rate = {value}\n"
+    with pytest.raises(ValueError, match="learning_rate: found .*expected words, numbers or a"):
+        spec_of(tmp_path, text)

@@ -1,0 +1,384 @@
+"""Whole epochs on plain floats against the textbook: modes, memory, mixtures, smoothing, scores.
+
+Engines run the same functions compiled; here no compiler is in between, so each of these tests
+takes a second at most, and notices what ``python -m tests.mutation`` changes in the equations.
+"""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import assume, given, settings
+from hypothesis import strategies as st
+from scipy.stats import chi2, multivariate_normal
+
+from mmwave_env.filters import imm, memory, smoother
+from mmwave_env.filters.belief import Belief
+from mmwave_env.filters.mode_result import ModeResult, capped_log_likelihood
+from mmwave_env.filters.modes import Mode
+from mmwave_env.filters.pipeline import Pipeline, measurement_of, predict_update
+from mmwave_env.models.epoch import Epoch, Site
+from mmwave_env.models.measurement import Layout
+from mmwave_env.models.motion import accelerate, turn
+from mmwave_env.numerics.linalg import pack
+from tests.filters import textbook
+from tests.filters.problems import HZ_PER_MPS, assume_clear_of, problems
+from tests.filters.test_imm import textbook_imm
+from tests.filters.tracks import simulated, unpacked
+
+few = settings(max_examples=6, deadline=None)
+
+
+def epoch_of(problem, dt=0.7, snr_db=20.0, spread_hz=300.0):
+    sensor = problem.sensor
+    return Epoch(
+        dt, problem.z.tolist(), np.sqrt(problem.R).tolist(), problem.visible.astype(float).tolist(),
+        [snr_db] * sensor.links, spread_hz,
+    )  # fmt: skip
+
+
+def layout_of(problem):
+    return Layout(problem.sensor.links, problem.sensor.odometry)
+
+
+def noise_of(mode, spread_hz, dt, gamma):
+    """Q (7, 7) of a step, from the documented tuning: discrete white-noise acceleration."""
+    velocity = np.array([mode.sigma_v**2 + mode.spread_gain * spread_hz] * 2 + [mode.sigma_vz**2])
+    position = np.array([mode.sigma_p**2] * 2 + [mode.sigma_pz**2])
+    q, half = velocity * dt, 0.5 * dt * mode.coupling
+    Q = np.diag([*(position * dt + q * half**2), *q, (mode.sigma_b_mps * HZ_PER_MPS) ** 2 * dt])
+    Q[range(3), range(3, 6)] = Q[range(3, 6), range(3)] = q * half
+    return gamma * Q
+
+
+def assert_same(result, expected, sigma):
+    np.testing.assert_allclose((result.x - expected.x) / sigma, 0.0, atol=1e-8)
+    P = unpacked(np.array(result.P))
+    np.testing.assert_allclose((P - expected.P) / np.outer(sigma, sigma), 0.0, atol=1e-8)
+    np.testing.assert_allclose(result.nis, expected.nis, rtol=1e-7, atol=1e-9)
+    np.testing.assert_array_equal(result.accepted, expected.accepted)
+    assert result.log_likelihood == pytest.approx(expected.log_likelihood, rel=1e-7, abs=1e-7)
+
+
+MODES = [
+    Mode("adaptive", "ekf", spread_gain=0.003),
+    Mode("plain", "ukf", adaptive=False, coupling=False, gate=0.9, recovery=None),
+    Mode("forced", "ckf", gate=0.5, recovery=3),
+    Mode("robust", "ekf", robust=True, blockage_aware=True),
+    Mode("wide", "ekf", gate=None, widen_p=3.0, widen_v=1.5),
+    Mode("faster", "ekf", gate=None, widen_v=1.5),
+    Mode("hasty", "ekf", gate=None, acceleration_mps2=1.2),
+    Mode("turning", "ekf", gate=None, turn_rate_radps=0.4),
+]
+
+
+@pytest.mark.parametrize("lockout", [2.0, 3.0])
+@pytest.mark.parametrize("mode", MODES, ids=lambda mode: mode.name)
+@given(data=st.data())
+@few
+def test_an_epoch_of_a_mode_is_the_textbooks(mode, lockout, data):
+    problem = data.draw(problems(odometry=True, anchors=2))
+    epoch, layout, gamma, drop_db = epoch_of(problem), layout_of(problem), 1.7, 9.0
+    before = memory.initial_memory(layout, 1)._replace(
+        gamma=gamma, lockout=lockout, snr_mean_db=[20.0, 20.0 + drop_db]
+    )
+    scale = gamma if mode.adaptive else 1.0
+    x, P = textbook.predict(
+        problem.x, problem.P, noise_of(mode, 300.0, epoch.dt, scale), epoch.dt
+    )  # fmt: skip
+    if mode.acceleration_mps2:
+        x = np.array(accelerate(x.tolist(), mode.acceleration_mps2, epoch.dt))
+    if mode.turn_rate_radps:
+        x = np.array(turn(x.tolist(), mode.turn_rate_radps, epoch.dt))
+    P = P + np.diag([mode.widen_p**2] * 2 + [0.0] + [mode.widen_v**2] * 2 + [0.0, 0.0])
+    R = scale * problem.R
+    if mode.blockage_aware:
+        R[4:8] *= 1.0 + 3.0 * (drop_db - 6.0) / 6.0
+    forced = mode.recovery is not None and lockout >= mode.recovery
+    residual = problem.sensor.difference(problem.z, problem.sensor.h(x))
+    assume(np.all(np.abs(residual[problem.sensor.angles]) < np.pi - 1e-3))
+    expected = textbook.update(
+        textbook.METHODS[mode.algorithm], problem.sensor, problem.sensor.groups, 2, x, P,
+        problem.z, R, problem.visible, mode.gate, forced, mode.robust,
+    )  # fmt: skip
+    if mode.gate is not None:
+        assume_clear_of(expected.nis, problem.sensor, [lambda n: chi2.ppf(mode.gate, n)])
+    site = Site(problem.sensor.anchors.tolist(), HZ_PER_MPS, problem.x.tolist(), [])
+    found = predict_update(
+        Pipeline((mode,), layout), mode, problem.x.tolist(), pack(problem.P.tolist()), before,
+        epoch, site,
+    )  # fmt: skip
+    sigma = np.sqrt(np.diag(expected.P))
+    assert_same(found, expected, sigma)
+    np.testing.assert_allclose(found.x_predicted, x, rtol=1e-12, atol=1e-12)
+    np.testing.assert_allclose(unpacked(np.array(found.P_predicted)), P, rtol=1e-9, atol=1e-9)
+    within = expected.nis[:2] <= (np.inf if mode.gate is None else chi2.ppf(mode.gate, 4))
+    passed = problem.visible[:2] & (within | mode.robust)
+    assert found.passed == passed.sum()
+
+
+@given(data=st.data())
+@few
+def test_on_flat_ground_height_and_climb_stay_and_the_rest_is_the_textbooks(data):
+    problem = data.draw(problems(anchors=3))
+    mode, free, known = Mode("flat", "ekf", gate=None, adaptive=False), [0, 1, 3, 4, 6], [2, 5]
+    P = problem.P.copy()
+    P[known, :] = P[:, known] = 0.0
+    x, dt = np.where(np.isin(range(7), 5), 0.0, problem.x), 0.7
+    Q = noise_of(mode, 300.0, dt, 1.0)
+    Q[known, :] = Q[:, known] = 0.0
+    moved = textbook.predict(x, P, Q, dt)
+    expected = textbook.update(
+        textbook.tangent, textbook.Restricted(problem.sensor, moved[0], free),
+        problem.sensor.groups, 3, moved[0][free], moved[1][np.ix_(free, free)], problem.z,
+        problem.R, problem.visible,
+    )  # fmt: skip
+    site = Site(problem.sensor.anchors.tolist(), HZ_PER_MPS, x.tolist(), [])
+    pipeline, layout = Pipeline((mode,), layout_of(problem), planar=True), layout_of(problem)
+    found = predict_update(
+        pipeline, mode, x.tolist(), pack(P.tolist()), memory.initial_memory(layout, 1),
+        epoch_of(problem, dt), site,
+    )  # fmt: skip
+    whole = unpacked(np.array(found.P))
+    reduced = found._replace(
+        x=np.array(found.x)[free], P=whole[np.ix_(free, free)][np.tril_indices(5)]
+    )
+    sigma = np.sqrt(np.diag(expected.P))
+    np.testing.assert_allclose((reduced.x - expected.x) / sigma, 0.0, atol=1e-8)
+    np.testing.assert_allclose(whole[np.ix_(free, free)], expected.P, rtol=1e-7, atol=1e-9)
+    assert [found.x[i] for i in known] == x[known].tolist() and not whole[known].any()
+    assert pipeline.position_axes == (0, 1)
+
+
+@pytest.mark.parametrize(("now_db", "factor"), [(19.0, 1.0), (11.0, 2.5), (-30.0, 10.0)])
+def test_a_link_below_its_mean_counts_less(now_db, factor):
+    mode, layout = Mode("aware", blockage_aware=True), Layout(1)
+    before = memory.initial_memory(layout, 1)._replace(snr_mean_db=[20.0])
+    epoch = Epoch(1.0, [0.0] * 5, [2.0] * 5, [1.0, 1.0], [now_db], 0.0)
+    site = Site([[0.0, 0.0, 6.0]], HZ_PER_MPS, [0.0] * 7, [])
+    variance = measurement_of(mode, before, epoch, site, layout).variance
+    np.testing.assert_allclose(variance, [4.0 * factor] * 4 + [4.0])
+
+
+# --- memory
+
+
+def result(nis, accepted, passed=0.0, log_likelihood=0.0, x=(0.0,) * 7):
+    return ModeResult(list(x), [], [], [], nis, accepted, passed, log_likelihood)
+
+
+def test_memory_follows_its_definition_over_many_epochs():
+    rng, layout, modes, dt = np.random.default_rng(4), Layout(2), 3, 0.5
+    dof, keep = np.array([4.0, 4.0, 1.0]), np.array([0.6, 0.9])
+    found = memory.initial_memory(layout, modes)
+    window, average, lockout, unfixed = np.ones(10), np.ones(2), 0.0, 0.0
+    snr, spread, correction = np.full(2, -100.0), 0.0, np.zeros(2)
+    preference = np.zeros((2, modes))
+    assert found.mode == 0.0 and found.gamma == 1.0 and found.unfixed_s == 0.0
+    assert [found.nis, found.accepted, found.rejected] == [[0.0] * 3] * 3
+    for _ in range(60):
+        visible = rng.random(3) < 0.6
+        accepted = visible & (rng.random(3) < 0.6)
+        nis = rng.chisquare(dof) * rng.choice([0.1, 1.0, 3.0]) * visible
+        now_db, now_hz = rng.uniform(-30, 30, 2), rng.uniform(0, 300)
+        likelihoods = rng.normal(0.0, 40.0, modes)
+        x, before = rng.normal(0, 5, 7), rng.normal(0, 5, 7)
+        passed = float(accepted[:2].sum()) * (rng.random() < 0.5)
+        epoch = Epoch(dt, [], [], visible.astype(float).tolist(), now_db.tolist(), now_hz)
+        candidates = [result([0.0] * 3, [0.0] * 3, log_likelihood=v) for v in likelihoods]
+        found = memory.memory_before(found, candidates, epoch, layout)
+        chosen = result(nis.tolist(), accepted.astype(float).tolist(), passed, x=x)
+        found = memory.memory_after(
+            layout, 2.0, before.tolist(), chosen, found, dt, visible.astype(float).tolist()
+        )
+
+        grown = np.where(snr == -100.0, now_db, 0.95 * snr + 0.05 * now_db)
+        snr = np.where(visible[:2], grown, snr)
+        spread = 0.8 * spread + 0.2 * now_hz
+        keeps = np.array([[0.6], [0.85]])
+        difference = np.clip(likelihoods - likelihoods[-1], -30, 30)
+        preference = keeps * preference + (1 - keeps) * difference
+        if accepted.any():
+            ratio = nis[accepted].sum() / dof[accepted].sum()
+            window = np.array([ratio, *window[:-1]])
+            average = keep * average + (1 - keep) * ratio
+        lockout = 0.0 if passed else lockout + visible[:2].any()
+        unfixed = 0.0 if accepted[:2].any() else unfixed + dt
+        step, v = x[:2] - (before[:2] + dt * before[3:5]), before[3:5]
+        ahead = v / np.sqrt(v @ v + 1e-6)
+        correction = 0.8 * correction + 0.2 * np.array(
+            [step @ ahead, ahead[0] * step[1] - ahead[1] * step[0]]
+        )
+        expected = {
+            "window": window, "gamma": np.clip(window.mean(), 0.5, 2.0), "nis_average": average,
+            "lockout": lockout, "unfixed_s": unfixed, "snr_mean_db": snr, "mode": 2.0,
+            "spread_average_hz": spread, "correction": correction, "preference": preference,
+            "nis": nis, "accepted": accepted, "rejected": visible & ~accepted,
+        }  # fmt: skip
+        for name, value in expected.items():
+            np.testing.assert_allclose(getattr(found, name), value, rtol=1e-9, err_msg=name)
+
+
+def test_outliers_count_up_to_a_quantile_where_modes_are_compared():
+    cap, nis = chi2.ppf(0.999, [4, 4, 1]), np.array([3.0, 50.0, 40.0])
+    found = capped_log_likelihood(result(nis.tolist(), [], log_likelihood=-50.0), Layout(2))
+    assert found == pytest.approx(-50.0 + 0.5 * np.maximum(nis - cap, 0.0).sum())
+
+
+# --- mixtures
+
+
+def run_imm(modes, episode, transition, limits=(np.inf,) * 4, rates=None):
+    """Moments, probabilities and what was predicted by an IMM on floats, epoch by epoch."""
+    pipeline, P = Pipeline(tuple(modes), Layout(3)), pack(episode.prior_covariance.tolist())
+    tunings = rates or [mode.tuning for mode in modes]
+    rows = imm.ImmSettings([list(row) for row in transition], tunings, list(limits))
+    mixture = imm.begin(pipeline, episode.prior_mean.tolist(), P)
+    site = Site(
+        episode.scene_anchors_m.tolist(), episode.hz_per_mps, episode.prior_mean.tolist(), P
+    )
+    for t in range(len(episode)):
+        dt = episode.time_s[t] - episode.time_s[t - 1] if t else 0.0
+        epoch = Epoch(
+            float(dt), episode.table()[t, 1:14].tolist(), episode.sigma[t].tolist(),
+            episode.usable[t].astype(float).tolist(), episode.snr_db[t].tolist(),
+            float(episode.doppler_spread_hz[t]),
+        )  # fmt: skip
+        now = imm.imm_epoch(pipeline, rows, mixture, epoch, site)
+        mixture = now.mixture
+        yield now, float(dt)
+
+
+@pytest.mark.parametrize(("nis_quantile", "off_m"), [(1.0, 0.0), (0.9, 0.0), (1.0, 90.0)])
+def test_a_mixture_is_the_textbooks(nis_quantile, off_m):
+    """Also where no mode explains a range, and likelihoods are too small to be added up."""
+    (episode,) = simulated(1, epochs=8)
+    episode.measurement[:, 4] += off_m
+    plain = {"gate": None, "adaptive": False, "coupling": False}
+    tunings = [("ekf", 0.3), ("ekf", 4.0), ("ukf", 1.0)]
+    modes = [Mode(f"{a} {v}", a, sigma_v=v, **plain) for a, v in tunings]
+    transition = np.array([[0.9, 0.06, 0.04], [0.2, 0.7, 0.1], [0.3, 0.3, 0.4]])
+    drift = modes[0].sigma_b_mps * episode.hz_per_mps
+    per_mode = [(a, np.diag(np.square([0.1, 0.1, 0.02, v, v, 0.03, drift]))) for a, v in tunings]
+    limits = chi2.ppf(nis_quantile, [4, 4, 4, 1])
+    expected = textbook_imm(episode, per_mode, [transition] * len(episode), nis_quantile)
+    for (now, _), x, P, probability in zip(
+        run_imm(modes, episode, transition, limits), *expected, strict=True
+    ):
+        mean, covariance = imm.estimate(now.mixture)
+        sigma = np.sqrt(np.diag(P))
+        np.testing.assert_allclose((mean - x) / sigma, 0.0, atol=1e-7)
+        np.testing.assert_allclose((covariance - P) / np.outer(sigma, sigma), 0.0, atol=1e-8)
+        np.testing.assert_allclose(now.mixture.probability, probability, rtol=1e-7, atol=1e-9)
+        best = imm.most_probable(now.mixture)
+        assert best == np.argmax(probability)
+        chosen = imm.most_probable_memory(now.mixture)
+        assert chosen == now.mixture.tracks[int(best)].memory._replace(mode=best)
+
+
+def test_what_a_mixture_predicts_has_the_moments_of_its_modes_and_their_maneuvers():
+    (episode,) = simulated(1, epochs=5)
+    modes = [Mode("a", sigma_v=0.3), Mode("b", acceleration_mps2=2.0)]
+    for now, dt in run_imm(modes, episode, [[0.8, 0.2], [0.3, 0.7]]):
+        x, P = imm.prediction(now, dt)
+        weights, F = np.array(now.predicted), textbook.F(dt)
+        moved = np.array([F @ mixed for mixed in now.mixed])
+        shifts = np.array([one.x_predicted for one in now.results]) - moved
+        each = unpacked(np.array([one.P_predicted for one in now.results]))
+        covariance = np.einsum("m,mij->ij", weights, each) + spread(weights, moved)
+        np.testing.assert_allclose(x, weights @ (moved + shifts), rtol=1e-9, atol=1e-9)
+        np.testing.assert_allclose(
+            unpacked(np.array(P)), covariance + spread(weights, shifts), rtol=1e-9, atol=1e-9
+        )
+
+
+def spread(weights, points):
+    offset = points - weights @ points
+    return np.einsum("m,mi,mj->ij", weights, offset, offset)
+
+
+def test_a_mode_stays_or_moves_to_any_other_alike():
+    np.testing.assert_allclose(imm.stay_matrix(3, 0.9), 0.05 + 0.85 * np.eye(3))
+    assert imm.stay_matrix(1) == ((1.0,),)
+
+
+def test_transitions_are_given_per_second():
+    matrix = [[0.9, 0.1], [0.4, 0.6]]
+    np.testing.assert_allclose(imm.over_step(matrix, 0.25), [[0.975, 0.025], [0.1, 0.9]])
+    for dt in (0.0, 1.0, 7.0):
+        np.testing.assert_allclose(imm.over_step(matrix, dt), matrix)
+
+
+def test_trust_multiplies_the_odds_of_a_mode_and_zero_trusts_nobody():
+    track = imm.ModeTrack([], [], None)
+    mixture = imm.Mixture([track] * 3, [0.2, 0.5, 0.3])
+    assert imm.trusting(mixture, 0.0, 0.5).probability == mixture.probability
+    found = np.array(imm.trusting(mixture, 2.0, 0.5).probability)
+    expected = np.array([0.2, 0.5 * np.exp(1.5), 0.3])
+    np.testing.assert_allclose(found, expected / expected.sum())
+    assert imm.most_probable(mixture) == 1.0
+    dead = imm.trusting(imm.Mixture([track] * 2, [1.0, 0.0]), 1.0, 1.0)
+    assert 0.0 < dead.probability[1] == pytest.approx(1e-12 / np.exp(3.0), rel=1e-6)
+
+
+# --- smoothing and scores
+
+
+def way_back(x, P, P_predicted, x_predicted, dt, known, step, with_covariance):
+    after, found = smoother.track_end(with_covariance), []
+    for t in reversed(range(len(x))):
+        now = smoother.ForwardEpoch(
+            dt[t], x[t].tolist(), pack(P[t].tolist()), x_predicted[t].tolist(),
+            pack(P_predicted[t].tolist()),
+        )  # fmt: skip
+        after = step(now, after, known)
+        found.insert(0, after)
+    return found
+
+
+@pytest.mark.parametrize("known", [(), (2, 5)], ids=["spatial", "planar"])
+def test_the_way_back_is_the_textbooks(known):
+    rng, T = np.random.default_rng(8), 6
+    free = [i for i in range(7) if i not in known]
+    time_s = rng.uniform(0.3, 1.5, T).cumsum()
+    dt = [0.0, *np.diff(time_s)]
+    x, P, P_predicted = np.zeros((T, 7)), np.zeros((T, 7, 7)), np.zeros((T, 7, 7))
+    x_predicted = np.zeros((T, 7))
+    for t in range(T):
+        factor = rng.normal(0.0, 1.0, (7, 7)) + 3.0 * np.eye(7)
+        P[t][np.ix_(free, free)] = (factor @ factor.T)[np.ix_(free, free)]
+        F = textbook.F(dt[t])
+        P_predicted[t] = F @ (P[t - 1] if t else P[t]) @ F.T
+        P_predicted[t][np.ix_(free, free)] += 0.5 * np.eye(len(free))
+        x[t, free] = rng.normal(0.0, 10.0, len(free))
+        x_predicted[t] = F @ x[t - 1] + np.isin(range(7), free)
+    expected, covariance = textbook.rts(x, P, P_predicted, time_s, free, x_predicted)
+    given_all = x, P, P_predicted, x_predicted, dt, known
+    both = way_back(*given_all, smoother.smooth_epoch, True)
+    alone = way_back(*given_all, smoother.smooth_mean, False)
+    for t in range(T):
+        np.testing.assert_allclose(both[t].x, expected[t], rtol=1e-9, atol=1e-9)
+        np.testing.assert_allclose(alone[t].x, expected[t], rtol=1e-9, atol=1e-9)
+        found = unpacked(np.array(both[t].P))
+        np.testing.assert_allclose(found, covariance[t], rtol=1e-8, atol=1e-8)
+        assert alone[t].P == [] and both[t].is_last == 0.0
+
+
+@pytest.mark.parametrize("axes", [(0, 1, 2), (0, 1)])
+def test_scores_of_a_belief_are_those_of_its_gaussian(axes):
+    rng = np.random.default_rng(2)
+    factor, x, truth = rng.normal(size=(7, 7)), rng.normal(size=7), rng.normal(size=7)
+    P, e = factor @ factor.T, x[:3] - truth[:3]
+    belief, within = Belief(x.tolist(), P.tolist(), axes), list(axes)
+    block = P[np.ix_(within, within)]
+    assert belief.distance(truth) == pytest.approx(np.linalg.norm(e))
+    np.testing.assert_allclose(belief.error(truth), e)
+    assert belief.nees(truth) == pytest.approx(e[within] @ np.linalg.solve(block, e[within]))
+    density = multivariate_normal(x[within], block).logpdf(truth[within])
+    assert belief.log_density(truth) == pytest.approx(density)
+
+
+def test_a_pipeline_of_each_mode_keeps_all_else():
+    pipeline = Pipeline((MODES[0], replace(MODES[0], name="b")), Layout(2), planar=True)
+    assert [one.modes for one in imm.single(pipeline)] == [(mode,) for mode in pipeline.modes]
+    assert all(one.planar and one.layout == pipeline.layout for one in imm.single(pipeline))
