@@ -182,7 +182,8 @@ def test_fixed_infos_have_the_same_keys_types_and_shapes_always():
     for told, expected in zip(*infos, strict=True):
         assert set(first) >= set(expected) - {"episode_name", "episode_key"}
         for key, value in told.items():
-            wanted = expected.get(key, {"f": np.nan, "i": -1, "b": False}[value.dtype.kind])
+            nothing = {"f": np.nan, "i": -1, "b": False}[value.dtype.kind]
+            wanted = expected.get(key, 0 if key == "nonfinite_beliefs" else nothing)
             np.testing.assert_array_equal(value, np.broadcast_to(wanted, np.shape(value)))
 
 

@@ -20,6 +20,7 @@ from mmwave_env.episodes.simulated import SimulatedSource
 from mmwave_env.filters.mode_files import modes_from
 from mmwave_env.filters.modes import Mode
 from mmwave_env.filters.pipeline import Pipeline
+from mmwave_env.models.envelope import DOPPLER_SPREAD_HZ
 from mmwave_env.models.measurement import Layout
 from mmwave_env.models.radio import RADIOS
 from mmwave_env.models.scene import SCENES
@@ -232,7 +233,7 @@ def absurd(episode):
         episode,
         measurement=measurement,
         snr_db=np.where(np.arange(len(episode))[:, None] % 5, episode.snr_db, 1e9),
-        doppler_spread_hz=episode.doppler_spread_hz * 1e9,
+        doppler_spread_hz=np.full(len(episode), DOPPLER_SPREAD_HZ.most),
         prior_mean=episode.prior_mean * 1e3,
     )
 

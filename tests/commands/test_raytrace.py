@@ -67,7 +67,7 @@ def test_a_scenario_that_is_there_stays_unless_told_otherwise(tmp_path):
     [
         (["--scenario", "scooter"], "scenario: found 'scooter', expected one of pedestrian"),
         (["--scenario", "nowhere.csv"], "nowhere.csv: found no such file, expected CSV"),
-        (["--scenario", "pedestrian", "--dt", "0"], "dt: found 0.0, expected a positive"),
+        (["--scenario", "pedestrian", "--dt", "0"], "dt: found 0.0, expected a number of 1e-30"),
         (["--scenario", "WAY", "--dt", "0"], "dt: found 0, expected 0.000586.* to 58.6"),
         (["--scenario", "WAY", "--dt", "nan"], "dt: found nan, expected 0.000586"),
         (["--scenario", "WAY", "--geometry", "o1"], "geometry: found 'o1', expected one of simple"),

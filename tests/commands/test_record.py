@@ -53,6 +53,7 @@ def test_way_points_are_enough(tmp_path, grid):
     assert "11 epochs from 11 users" in succeed("record", grid, *options, "--out", tmp_path / "out")
 
 
+@pytest.mark.slow
 def test_a_kind_of_user_moves_through_the_streets_of_a_scene(tmp_path, grid):
     streets = Streets((30.0, 60.0), (0.0, 0.0), block_m=30.0)
     scene = Scene("short", (10.0, 10.0, 10.0), (Wall((0, 1), 25.0),), streets)

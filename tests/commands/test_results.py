@@ -61,6 +61,7 @@ def test_percentiles_are_in_a_table_and_in_the_file_where_they_are_asked_for(res
     assert "at a risk of 0.001" in shown
 
 
+@pytest.mark.slow
 def test_a_stanford_diagram_changes_no_results(results, tmp_path):
     succeed("compare", *TWO, "--stanford", tmp_path / "s.svg", "--json", tmp_path / "s.json")
     assert json.loads((tmp_path / "s.json").read_text()) == results[0]

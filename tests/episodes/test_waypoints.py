@@ -110,7 +110,7 @@ def test_a_file_with_times_is_a_trajectory_and_one_without_has_waypoints(tmp_pat
     np.testing.assert_array_equal(timed.time_s, [0.0, 1.0])
     assert read_way(write(tmp_path, ROWS)).time_s[-1] == pytest.approx(29.0)
     short = ",".join(WAYPOINT[:4])
-    with pytest.raises(ValueError, match=f"header: found 'x,y,z', expected the columns {short}"):
+    with pytest.raises(ValueError, match=f"header: found 'x,y,z', expected .* or {short} of"):
         read_way(write(tmp_path, [[0, 0, 0]], "x,y,z"))
 
 

@@ -44,6 +44,7 @@ def test_every_cell_is_computed_once(engine):
     assert found == {cell: square(cell) for cell in CELLS}
 
 
+@pytest.mark.slow
 def test_what_fails_is_tried_again_and_then_told(engine, tmp_path, monkeypatch):
     monkeypatch.setenv("MOODY", str(tmp_path))
     found = {dict(done.cell.values)["number"]: done for done in engine(moody, CELLS, 2, 3)}
