@@ -310,7 +310,7 @@ def _run(args: Args, work: Work) -> Result:
         figures["association"] = work.association.figures()
     if truth and scores and scores.scored:
         truth.warn_if_few(scores.scored, course.epochs, course.first_s, course.last_s)
-        clock = clocks.offset()
+        clock = clocks.offset(truth.path)
         figures["truth"] = scores.figures() | {"clock": clock and clock.figures()}
         if clock and clock.matters:
             warnings.warn(f"{truth.path}: {clock.advice}", stacklevel=2)

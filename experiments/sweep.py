@@ -108,7 +108,8 @@ def main(args: Args) -> None:
     with results.locked():
         there = results.finished()
         todo = [cell for cell in spec.cells if cell.name not in there]
-        note(f"{len(spec.cells)} cells in {results.folder}, {len(spec.cells) - len(todo)} there")
+        kept = len(spec.cells) - len(todo)
+        note(f"{len(spec.cells)} cells, {kept} of them kept from before, in {results.folder}")
         _run(args, results, todo, failed)
     _tell(args, results, failed, len(spec.cells))
 

@@ -47,7 +47,7 @@ SEES_INSIDE = {  # experiments; "" are the commands, one a page
         frozenset({"evaluation"}),
     ),
     **dict.fromkeys(["paper", "speed"], frozenset({"evaluation", "figures"})),
-    "sweeping": {"evaluation", "arguments"},
+    "sweeping": {"evaluation", "arguments", "training"},
     "cli": {"evaluation", "figures", "arguments"},
     "webpage": {"evaluation", "figures", "arguments", "cli"},
     "": LIBRARIES,

@@ -53,7 +53,7 @@ def log_data_set(path: Path, scene: str, truth: Path | None, radio: str) -> Data
                 yield Epochs(block.time_s, position, block.visible[:, : block.layout.anchors])
         except LogError as damage:
             found.damage = damage
-        clock = clocks.offset()
+        clock = clocks.offset(truth)
         if clock and clock.matters:
             found.problems.append(clock.advice)
         found.problems += [

@@ -114,18 +114,26 @@ class ResultSet:
         return pyarrow.table(columns | {m: result["scores"][m] for m in METRICS})
 
     def summary(self) -> dict[str, dict[str, Interval]]:
-        """Means with intervals over episodes by combination, first seeds left out."""
-        from pyarrow import dataset
+        """Means with intervals over episodes by combination.
 
-        axes = [axis for axis in self._spec.axes if axis != "seed" and self._varies(axis)]
-        found = dataset.dataset(self.folder, format="parquet", exclude_invalid_files=True)
+        First seeds of episodes are left out; every training has a row of its own, because episodes
+        of one training do not tell how another would have gone.
+        """
+        from pyarrow import compute, dataset
+
         if not any(self.folder.glob("*.parquet")):
             return {}
-        table = found.to_table(columns=["kind", *axes, *METRICS])
+        found = dataset.dataset(self.folder, format="parquet", exclude_invalid_files=True)
+        # In an order of their own, so that intervals do not depend on which cell was done first.
+        table = found.to_table().sort_by([(name, "ascending") for name in ("cell", *EPISODE)])
+        axes = [axis for axis in self._spec.axes if self._varies(axis)]
+        if "seed" in axes:
+            trained = compute.equal(table["kind"], "train")
+            seeds = compute.if_else(trained, table["seed"], None)
+            table = table.set_column(table.schema.get_field_index("seed"), "seed", seeds)
         keys = ["kind", *axes]
-        grouped = table.group_by(keys).aggregate([(m, "list") for m in METRICS]).sort_by(
-            [(key, "ascending") for key in keys]
-        )  # fmt: skip
+        grouped = table.group_by(keys, use_threads=False).aggregate([(m, "list") for m in METRICS])
+        grouped = grouped.sort_by([(key, "ascending") for key in keys])
         rows = {}
         for row in grouped.to_pylist():
             values = np.array([row[f"{m}_list"] for m in METRICS]).T

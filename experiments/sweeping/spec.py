@@ -7,12 +7,14 @@ import sys
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields
 from importlib import import_module
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
-from experiments.arguments.shared import EpisodeArgs
+from experiments.arguments.shared import USUAL_EPISODES, EpisodeArgs, ModeArgs
 from experiments.arguments.train import TaskArgs
 from experiments.evaluation.seeds import TRAINING_SEED
+from experiments.training.hyperparameters import KINDS as RECIPES
 from mmwave_env import __version__
 from mmwave_env.files import read_text
 from mmwave_env.lookup import as_name, choose, quoted
@@ -20,7 +22,7 @@ from mmwave_env.records import require_fields
 
 HYPERPARAMETER = "hyperparameters."  # begins the name of an axis of a training
 JUDGED = 200  # episodes that a trained policy is judged on, where none are given
-_EVALUATED = {f.name for f in fields(EpisodeArgs)} - {"json", "episodes_csv", "keys", "trust_zip"}
+_EVALUATED = {f.name for f in fields(ModeArgs)} - {"trust_zip"} | {"episodes", "seed", "reward"}
 _TRAINED = {f.name for f in fields(TaskArgs)} | {"total_timesteps"}
 KINDS: Mapping[str, tuple[frozenset[str], frozenset[str]]] = {  # axes needed, axes known
     "evaluate": (frozenset({"policy"}), frozenset({"policy", *_EVALUATED})),
@@ -118,6 +120,19 @@ def _cells(content: Mapping[str, Any]) -> Iterator[Cell]:
                 raise ValueError(f"{kind}: found {cell} twice, expected each combination once")
             seen.add(cell)
             yield cell
+        if kind == "evaluate":
+            _require_apart(axes)
+
+
+def _require_apart(axes: Mapping[str, Sequence[Any]]) -> None:
+    """Refuse first seeds so near to each other that episodes would count twice."""
+    least = max(axes.get("episodes", [USUAL_EPISODES]))
+    for one, other in pairwise(sorted(axes.get("seed", []))):
+        if other - one < least:
+            raise ValueError(
+                f"evaluate.seed: found {one} and {other}, expected first seeds {least} apart, the "
+                "episodes of a cell: others would count twice"
+            )
 
 
 def _axes(
@@ -159,6 +174,13 @@ def _require_sound(cell: Cell) -> None:
                 raise ValueError(f"{name}: found {found!r}, expected a whole number")
         if cell.kind == "train" and values.get("seed", 0) >= TRAINING_SEED:
             raise ValueError(f"seed: found {values['seed']}, expected the number of a training")
+        if cell.kind == "train":
+            recipe = dict.fromkeys(
+                field.name for field in fields(RECIPES[values.get("algo", "ppo")])
+            )
+            for axis in values:
+                if axis.startswith(HYPERPARAMETER):
+                    choose(recipe, axis.removeprefix(HYPERPARAMETER), HYPERPARAMETER[:-1])
     except ValueError as error:
         raise ValueError(f"{cell.kind}.{error}") from error
 

@@ -64,8 +64,15 @@ def _in_folder(path: Path) -> Iterator[Source]:
     for one in sorted(path.iterdir()):
         if one.is_dir() and not one.name.startswith("."):
             yield from _in_folder(one)
-        elif one.suffix == ".json" and "command" in read_object(one):
+        elif one.suffix == ".json" and _is_shown(read_object(one)):
             yield from read_source(one)
+
+
+def _is_shown(content: Mapping[str, Any]) -> bool:
+    """Whether a file in a folder is results of a command that pages show; others may lie there."""
+    made = [content] if "command" in content else [one for one in content.values() if _is_made(one)]
+    words = [_split(one.get("command"))[1:2] for one in made]
+    return any(word and word[0] in READERS for word in words)
 
 
 def _is_made(content: Any) -> bool:

@@ -49,7 +49,7 @@ def read_log_folder(folder: Path) -> MeasuredTrack:
     truth.warn_if_few(matched, len(log), *ends)
     clocks = ClockComparison(scene)
     clocks.add(log, true)
-    if (clock := clocks.offset()) and clock.matters:
+    if (clock := clocks.offset(truth.path)) and clock.matters:
         warnings.warn(f"{truth.path}: {clock.advice}", stacklevel=2)
     return MeasuredTrack(
         name=as_name(folder.resolve().name),

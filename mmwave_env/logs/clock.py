@@ -10,10 +10,15 @@ some meters, so that only what changes with the velocity tells of a clock: on a 
 an even speed nothing does. tau is the least-squares estimate. Errors hang together over seconds,
 so its standard error is that of the jackknife: how it differs when one stretch of time at a time
 is left out (B. Efron, C. Stein, "The jackknife estimate of variance", 1981).
+
+To first order only: a tau of tenths of a second is meters, over which a log is not straight. So the
+beginning of the log is compared again with the truth at times moved by the estimate, until what is
+left is within its error (Gauss-Newton).
 """
 
 import math
 from collections.abc import Iterable, Iterator
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
@@ -31,6 +36,8 @@ _CHANCE = 0.005  # that a clock without an offset is called one that has some
 _PART = 0.01  # of the squared error, raw noise and all: what explains less does not matter
 _STEP_M = 1e-3  # over which rows of a link are taken as straight
 _ENOUGH, _OUTLIER = 20, 6.0  # epochs for a deviation; deviations of what is no noise
+_KEPT = 4096  # epochs of the beginning, to compare again
+_ROUNDS, _FARTHEST_S = 12, 10.0  # of comparing again; beyond it two clocks have nothing in common
 _LEAST = 1e-6  # m, rad: deviation of a log without noise
 
 
@@ -83,6 +90,7 @@ class ClockComparison:
         # of products of 1, the error, and what it grows by with tau and with s, by stretch and row
         self._sums = np.zeros((_STRETCHES, rows, 6, 6))
         self._length_s, self._first_s = _SHORTEST_S, math.nan
+        self._scene, self._kept = scene, list[LogBlock]()
 
     def beside(self, truth: Truth, blocks: Iterable[LogBlock]) -> Iterator[LogBlock]:
         """The same blocks of a log, compared with a truth on their way."""
@@ -92,6 +100,8 @@ class ClockComparison:
 
     def add(self, log: LogBlock, truth: TrueEpochs) -> None:
         """Take T epochs of a log, and what is true in them."""
+        if (room := _KEPT - sum(map(len, self._kept))) > 0:
+            self._kept.append(log.part(slice(room)))
         p, v = truth.position_m, truth.velocity_mps
         error = self._difference(log.measurement[:, : self._layout.doppler], self._exact(p))
         error[~np.repeat(log.visible[:, : self._layout.anchors], 4, axis=1)] = np.nan
@@ -136,8 +146,36 @@ class ClockComparison:
             part = terms[stretch == s]
             self._sums[s] += np.einsum("tri,trj->rij", part, part)
 
-    def offset(self) -> ClockOffset | None:
-        """The estimate; None where too little was added, or the velocity never changed."""
+    def offset(self, again: Path | None = None) -> ClockOffset | None:
+        """The estimate; None where too little was added, or the velocity never changed.
+
+        Args:
+            again: the truth's file, to compare the beginning of the log with it at other times.
+        """
+        found = self._linear()
+        return self._refined(found, again) if found and again else found
+
+    def _refined(self, first: ClockOffset, path: Path) -> ClockOffset:
+        """An estimate where it is far from where the rows are straight, else the first one."""
+        log, seconds = self._kept[0].joined(self._kept), first.seconds
+        for _ in range(_ROUNDS):
+            moved = ClockComparison(self._scene)
+            moved.add(log, Truth(path).at(log.time_s + seconds))
+            left = moved._linear()
+            if left is None or abs(seconds + left.seconds) > _FARTHEST_S:
+                return first
+            seconds += left.seconds
+            if abs(left.seconds) < 0.1 * left.deviation_s:
+                break
+        else:
+            return first
+        if abs(seconds - first.seconds) < left.deviation_s:
+            return first
+        noise = np.nanmean((moved._deviation / self._deviation) ** 2)
+        return ClockOffset(seconds, left.deviation_s, max(0.0, 1.0 - float(noise)), left.limit)
+
+    def _linear(self) -> ClockOffset | None:
+        """The estimate to first order."""
         from scipy.stats import t
 
         sums = self._sums[self._sums[:, :, 0, 0].any(axis=1)]
