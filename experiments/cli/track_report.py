@@ -71,7 +71,8 @@ def _clock(truth: dict[str, Any]) -> str:
     said = f", {between} of them between poses, {away}." if between else "."
     if clock:
         ahead, deviation = (1e3 * clock[key] for key in ("ahead_s", "deviation_s"))
-        said += f" The truth's clock is ahead of the log's by {ahead:.0f} ± {deviation:.0f} ms."
+        side = "behind" if ahead < 0.0 else "ahead of"
+        said += f" The truth's clock is {abs(ahead):.0f} ± {deviation:.0f} ms {side} the log's."
     return said
 
 

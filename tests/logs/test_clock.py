@@ -3,12 +3,13 @@
 import numpy as np
 import pytest
 
-from mmwave_env.episodes.samples import log_names, source_from
+from mmwave_env.episodes.samples import log_names, sample_folder, source_from
 from mmwave_env.logs.clock import ClockComparison
-from mmwave_env.logs.log import LogBlock
-from mmwave_env.logs.truth import TrueEpochs
+from mmwave_env.logs.log import LogBlock, read_log
+from mmwave_env.logs.truth import TrueEpochs, Truth
+from mmwave_env.logs.tum import read_tum, tum_lines
 from mmwave_env.models.measurement import LINK, Layout
-from mmwave_env.models.scene import SCENES
+from mmwave_env.models.scene import SCENES, read_scene
 from tests.paths import LOGS
 
 STREET = SCENES["street"]
@@ -150,3 +151,17 @@ def test_short_logs_and_a_truth_that_is_not_known_tell_nothing():
 def test_logs_in_the_package_have_the_clock_of_their_truth():
     for name in log_names():
         source_from(LOGS / name, "standard")  # a warning would be an error
+
+
+@pytest.mark.parametrize("late_s", [-1.0, -0.5, -0.2, 0.2, 0.5, 1.0])
+def test_an_offset_over_which_a_log_is_not_straight_is_found_too(tmp_path, late_s):
+    folder, path = sample_folder("canyon28_vehicle"), tmp_path / "truth.tum"
+    poses = read_tum(folder / "truth.tum")
+    path.write_text(tum_lines(poses.time_s + late_s, poses.position_m))
+    scene = read_scene(folder / "scene.json")
+    clocks = ClockComparison(scene)
+    for _ in clocks.beside(Truth(path), read_log(folder / "log.csv", scene)):
+        pass
+    found = clocks.offset(path)
+    assert found.matters and found.seconds == pytest.approx(late_s, abs=0.03)
+    assert found.deviation_s < 0.02
