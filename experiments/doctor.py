@@ -98,7 +98,9 @@ def report(checks: list[Check], places: list[KeptFunctions], found: list[Package
         if found
         else ("mmwave-loc is run from a folder and not installed, so nobody knows what it asks for")
     )
-    return f"{lines}\n{kept}\n\n{tested}\n\n{extras}\n"
+    passed = sum(one.passed for one in checks)
+    verdict = f"{passed} of {len(checks)} kernels are what their twins are."
+    return f"{lines}\n{kept}\n\n{tested}\n\n{extras}\n\n{verdict}\n"
 
 
 def main(args: Args) -> None:
