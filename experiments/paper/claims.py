@@ -170,7 +170,7 @@ def process_noise(bench: Bench) -> Section:
         ates = []
         for options in gates.values():
             for algorithm in ("ekf", "ukf"):
-                mode = Mode("", algorithm, sigma_v=sigma_v, coupling=False, adaptive=False)
+                mode = Mode(algorithm, algorithm, sigma_v=sigma_v, coupling=False, adaptive=False)
                 ates += _ates([bench.run(replace(mode, **options), setting).filtered])  # type: ignore[arg-type]
         section.rows.append([f"{sigma_v:g}", *_means(*ates)])
     return section

@@ -23,7 +23,7 @@ from experiments.reliability.arguments.association import Args
 from mmwave_env.episodes.episode import Episode
 from mmwave_env.episodes.log_folder import read_log_folder
 from mmwave_env.episodes.log_writer import write_log
-from mmwave_env.episodes.samples import sample_folder, sample_names
+from mmwave_env.episodes.samples import log_names, sample_folder
 from mmwave_env.episodes.simulated import SimulatedSource
 from mmwave_env.files import write_json
 from mmwave_env.filters.mode_files import modes_from
@@ -66,7 +66,7 @@ class Case(NamedTuple):
 def cases(args: Args) -> Iterator[Case]:
     """The shipped logs, and every kind of user and radio."""
     radio = RADIOS[LOGS_RADIO]
-    for name in sample_names():
+    for name in log_names():
         track = read_log_folder(sample_folder(name))
         episode = track.episode(radio, np.random.default_rng(args.seed))
         yield Case(name, radio, track.scene, [episode] * min(args.episodes, LOG_REPEATS))
@@ -162,7 +162,7 @@ def main(args: Args) -> None:
     """Run the command."""
     if args.episodes < 1:
         raise ValueError(f"episodes: found {args.episodes}, expected at least 1")
-    kinds = len(sample_names()) + len(USERS) * len(PROFILES)
+    kinds = len(log_names()) + len(USERS) * len(PROFILES)
     found: dict[str, list[Outcome]] = {}
     with TemporaryDirectory() as folder, progress("associating") as report:
         for number, case in enumerate(cases(args)):
@@ -171,7 +171,7 @@ def main(args: Args) -> None:
                 outcomes.append(outcome(case, episode, args, args.seed + k, Path(folder)))
                 report((number + (k + 1) / len(case.episodes)) / kinds)
     rows = {name: summary(outcomes) for name, outcomes in found.items()}
-    simulated = [one for name, some in found.items() if name not in sample_names() for one in some]
+    simulated = [one for name, some in found.items() if name not in log_names() for one in some]
     rows["all simulated"] = summary(simulated)
     if args.json:
         episodes = {name: [one._asdict() for one in some] for name, some in found.items()}
