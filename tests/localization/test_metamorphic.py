@@ -22,6 +22,8 @@ from mmwave_env.models.scene import read_scene, scene_of_anchors
 from tests.filters.tracks import TRIANGLE, assert_same_beliefs, unpacked
 from tests.localization.mistakes import AZIMUTHS, FOLDERS, read_columns, write_columns
 
+pytestmark = pytest.mark.slow  # all together half a minute
+
 RADIO = RADIOS["standard"]
 PIPELINES = {name: [mode] for name, mode in named_modes("standard").items()}
 ROTATABLE = ["ekf", "ekf-robust"]  # sigma points lie along the axes of the map

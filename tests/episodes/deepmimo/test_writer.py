@@ -17,6 +17,8 @@ from mmwave_env.models.random_scene import RandomScene
 from mmwave_env.models.scene import SCENES, Scene, Wall
 from tests.filters.tracks import geometry
 
+pytestmark = pytest.mark.slow  # all together half a minute
+
 # What float32 leaves of a street of 1 km: m; rad; dB.
 RANGE_M, GAIN_DB, ANCHOR_M = 1e-4, 1e-5, 1e-3
 ARRIVAL_RAD, DEPARTURE_RAD = 2e-6, 1e-4  # departures are mirrored in walls that are read back, too
