@@ -17,20 +17,17 @@ from experiments.cli.options import contender_of, provenance, selection_of, task
 from experiments.evaluation.markdown import HEADERS, grid, rounded, show
 from experiments.evaluation.runner import Scoring, score_contenders
 from experiments.evaluation.seeds import TUNING_SEED
-from experiments.evaluation.terminal import note, progress
+from experiments.evaluation.terminal import note, progress, say
+from experiments.sweeping.cell import HYPERPARAMETER, JUDGED, Cell, episode_args, task_args
 from experiments.sweeping.engines import Done, local, on_ray
 from experiments.sweeping.results import ResultSet
-from experiments.sweeping.spec import (
-    HYPERPARAMETER,
-    JUDGED,
-    Cell,
-    episode_args,
-    read_spec,
-    task_args,
-)
+from experiments.sweeping.spec import Spec, read_spec
+from experiments.sweeping.tuner import trials
+from experiments.training.hyperparameters import AnyHyperparameters, recipe_as_written
 from mmwave_env.files import write_json
 
 SHOWN = ("reward", "ate_m", "rmse_m", "nees", "divergence_rate")
+BEST = "hyperparameters.json"
 Result = dict[str, Any]
 
 
@@ -63,19 +60,13 @@ def _evaluated(args: EpisodeArgs, policy: str) -> Result:
 
 def _trained(values: Mapping[str, Any]) -> Result:
     """A policy, and what it earns on tuning seeds: a choice among trainings must not see others."""
-    from experiments.train import hyperparameters, places_of, rewards
+    from experiments.train import places_of, rewards
     from experiments.training.job import Job
     from experiments.training.trainers import TRAINERS
     from experiments.training.training_task import TrainingTask, banks_of
 
-    args = TrainArgs(**vars(task_args(values)), total_timesteps=values["total_timesteps"])
+    args, recipe = _train_args(values), _recipe(values)
     places = places_of(args)
-    changed = {
-        axis.removeprefix(HYPERPARAMETER): value
-        for axis, value in values.items()
-        if axis.startswith(HYPERPARAMETER)
-    }
-    recipe = replace(hyperparameters(args, len(places)), **changed)
     banks = banks_of(args.modes, places, args.beliefs)
     task = TrainingTask(args.scenario, places, banks, args.observation, rewards(args), args.beliefs)
     episodes = values.get("episodes", JUDGED)
@@ -91,6 +82,23 @@ def _trained(values: Mapping[str, Any]) -> Result:
         return _evaluated(judged, str(job.policy)) | {"policy": job.policy.read_bytes()}
 
 
+def _train_args(values: Mapping[str, Any]) -> TrainArgs:
+    return TrainArgs(**vars(task_args(values)), total_timesteps=values["total_timesteps"])
+
+
+def _recipe(values: Mapping[str, Any]) -> AnyHyperparameters:
+    """The shipped hyperparameters, but for those that a cell has."""
+    from experiments.train import hyperparameters, places_of
+
+    args = _train_args(values)
+    changed = {
+        axis.removeprefix(HYPERPARAMETER): value
+        for axis, value in values.items()
+        if axis.startswith(HYPERPARAMETER)
+    }
+    return replace(hyperparameters(args, len(places_of(args))), **changed)
+
+
 def main(args: Args) -> None:
     """Run the command.
 
@@ -103,46 +111,58 @@ def main(args: Args) -> None:
     if args.address is not None and args.engine != "ray":
         raise ValueError("address: found one beside engine local, expected --engine ray")
     spec = read_spec(args.spec)
+    if spec.search is not None and args.engine != "ray":
+        raise ValueError("engine: found local beside a table [search], expected --engine ray")
     results = ResultSet(args.out, spec)
-    failed: list[Done] = []
     with results.locked():
         there = results.finished()
+        note(f"{len(spec)} cells, {len(there)} of them kept from before, in {results.folder}")
+        failed = _run(args, spec, results, there)
+    _tell(args, spec, results, failed)
+
+
+def _run(args: Args, spec: Spec, results: ResultSet, there: set[str]) -> list[Done]:
+    """Compute what is not there and keep it; what failed."""
+    if spec.search is None:
+        engine = partial(on_ray, address=args.address) if args.engine == "ray" else local
         todo = [cell for cell in spec.cells if cell.name not in there]
-        kept = len(spec.cells) - len(todo)
-        note(f"{len(spec.cells)} cells, {kept} of them kept from before, in {results.folder}")
-        _run(args, results, todo, failed)
-    _tell(args, results, failed, len(spec.cells))
-
-
-def _run(args: Args, results: ResultSet, todo: list[Cell], failed: list[Done]) -> None:
-    engine = partial(on_ray, address=args.address) if args.engine == "ray" else local
-    said = set[str]()
+        found, count = engine(compute, todo, args.workers, args.tries), len(todo)
+    else:
+        found = trials(compute, spec.search, results.folder, args.workers, args.tries, args.address)
+        count = len(spec)
+    failed, said = list[Done](), set[str]()
     with progress("cells") as told:
-        for count, done in enumerate(engine(compute, todo, args.workers, args.tries), start=1):
+        for number, done in enumerate(found, start=1):
             if done.result is None:
                 failed.append(done)
-            else:
+            elif done.cell.name not in there:
                 results.add(done.cell, done.result)
+                there.add(done.cell.name)
                 for warning in sorted({*done.result["warnings"]} - said):
                     warnings.warn(warning, stacklevel=2)
                 said.update(done.result["warnings"])
-            told(count / len(todo))
+            told(number / count)
+    return failed
 
 
-def _tell(args: Args, results: ResultSet, failed: list[Done], cells: int) -> None:
-    """The summary, as a table and as a file that report reads."""
+def _tell(args: Args, spec: Spec, results: ResultSet, failed: list[Done]) -> None:
+    """The summary, as a table and as a file that report reads; the best of a search as one."""
     summary = results.summary()
     write_json(results.folder / "summary.json", provenance("sweep", args) | {
-        "cells": cells,
+        "cells": len(spec),
         "failed": [{"cell": str(one.cell), "error": one.error} for one in failed],
         "sweep": {name: {m: i.json for m, i in row.items()} for name, row in summary.items()},
     })  # fmt: skip
     show(_table(summary))
+    if spec.search is not None and summary:
+        best, path = _recipe(dict(spec.search.fixed) | results.best()), results.folder / BEST
+        write_json(path, recipe_as_written(best))
+        say("", f"hyperparameters of the best are {path}, for train --hyperparameters")
     if failed:
         raise ValueError(
-            f"{len(failed)} of {cells} cells failed {args.tries} times, and the others are there; "
-            f"the first is {failed[0].cell}: {failed[0].error}; {results.folder}/summary.json "
-            "names all"
+            f"{len(failed)} of {len(spec)} cells failed {args.tries} times, and the others are "
+            f"there; the first is {failed[0].cell}: {failed[0].error}; "
+            f"{results.folder}/summary.json names all"
         )
 
 

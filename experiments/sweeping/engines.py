@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from experiments.evaluation.signals import Ended, ended_by_signals
-from experiments.sweeping.spec import Cell
+from experiments.sweeping.cell import Cell
 from mmwave_env.lookup import require_extra
 
 Compute = Callable[[Cell], dict[str, Any]]
@@ -120,14 +120,7 @@ def on_ray(
         workers: how many processes, where no address says who there is.
         address: of a cluster, which gets the code by Ray, too; None for this machine alone.
     """
-    require_extra("ray", "ray", "engine ray")
-    import ray
-
-    where: dict[str, Any] = {"num_cpus": workers, "include_dashboard": False}
-    if address is not None:
-        where = {"address": address, "runtime_env": {"py_modules": _packages()}}
-    ray.init(log_to_driver=False, logging_level="error", **where)
-    try:
+    with ray_at(address, workers) as ray:
         task = ray.remote(num_cpus=1, max_retries=tries - 1, retry_exceptions=True)(compute)
         ahead = max(1, int(ray.cluster_resources().get("CPU", workers))) * _AHEAD
         waiting, running = list(reversed(cells)), dict[Any, Cell]()
@@ -141,6 +134,20 @@ def on_ray(
                 yield Done(cell, ray.get(one), "")
             except ray.exceptions.RayError as error:
                 yield Done(cell, None, _told(getattr(error, "cause", None) or error))
+
+
+@contextmanager
+def ray_at(address: str | None, workers: int) -> Iterator[Any]:
+    """The module ``ray``, with its workers until this ends; arguments as of :func:`on_ray`."""
+    require_extra("ray", "ray", "engine ray")
+    import ray
+
+    where: dict[str, Any] = {"num_cpus": workers, "include_dashboard": False}
+    if address is not None:
+        where = {"address": address, "runtime_env": {"py_modules": _packages()}}
+    ray.init(log_to_driver=False, logging_level="error", **where)
+    try:
+        yield ray
     finally:
         ray.shutdown()
 

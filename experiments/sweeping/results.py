@@ -12,7 +12,8 @@ from typing import Any
 import numpy as np
 
 from experiments.evaluation.intervals import Interval, bootstrap
-from experiments.sweeping.spec import Cell, Spec
+from experiments.sweeping.cell import HYPERPARAMETER, Cell
+from experiments.sweeping.spec import Spec
 from mmwave_env.files import atomic_path, write_bytes
 from mmwave_env.lookup import require_extra
 from mmwave_env.metrics import METRICS
@@ -117,15 +118,14 @@ class ResultSet:
         """Means with intervals over episodes by combination.
 
         First seeds of episodes are left out; every training has a row of its own, because episodes
-        of one training do not tell how another would have gone.
+        of one training do not tell how another would have gone. Of a search the best comes first.
         """
-        from pyarrow import compute, dataset
+        from pyarrow import compute
 
         if not any(self.folder.glob("*.parquet")):
             return {}
-        found = dataset.dataset(self.folder, format="parquet", exclude_invalid_files=True)
         # In an order of their own, so that intervals do not depend on which cell was done first.
-        table = found.to_table().sort_by([(name, "ascending") for name in ("cell", *EPISODE)])
+        table = self._rows().sort_by([(name, "ascending") for name in ("cell", *EPISODE)])
         axes = [axis for axis in self._spec.axes if self._varies(axis)]
         if "seed" in axes:
             trained = compute.equal(table["kind"], "train")
@@ -140,9 +140,27 @@ class ResultSet:
             name = ", ".join(f"{axis} {row[axis]}" for axis in axes if row[axis] is not None)
             intervals = dict(zip(METRICS, bootstrap(values), strict=True))
             rows[name or row["kind"]] = intervals
+        if self._spec.search is not None:
+            rows = dict(sorted(rows.items(), key=lambda row: -row[1]["reward"].mean))
         return rows
 
+    def best(self) -> dict[str, Any]:
+        """Hyperparameters of the training with the greatest mean reward, by axis."""
+        rewards = self._rows().group_by(["cell"], use_threads=False)
+        axes = [axis for axis in self._spec.axes if axis.startswith(HYPERPARAMETER)]
+        means = rewards.aggregate([("reward", "mean"), *((axis, "min") for axis in axes)])
+        (best,) = means.sort_by([("reward_mean", "descending")]).slice(0, 1).to_pylist()
+        return {axis: json.loads(best[f"{axis}_min"]) for axis in axes}
+
+    def _rows(self) -> Any:
+        from pyarrow import dataset
+
+        found = dataset.dataset(self.folder, format="parquet", exclude_invalid_files=True)
+        return found.to_table()
+
     def _varies(self, axis: str) -> bool:
+        if self._spec.search is not None:
+            return axis in dict(self._spec.search.free)
         return len({dict(cell.values).get(axis) for cell in self._spec.cells}) > 1
 
 

@@ -15,7 +15,7 @@ from pyarrow import concat_tables, parquet
 from safetensors.numpy import load_file
 
 from experiments.sweep import compute
-from experiments.sweeping.spec import Cell
+from experiments.sweeping.cell import Cell
 from experiments.training.checkpoint import read_checkpoint
 from experiments.training.hyperparameters import read_hyperparameters, shipped_hyperparameters
 from tests.cli import succeed

@@ -10,9 +10,10 @@ import tempfile
 import time
 from pathlib import Path
 
+from experiments.sweeping.cell import Cell
 from experiments.sweeping.engines import local, on_ray
 from experiments.sweeping.results import ResultSet
-from experiments.sweeping.spec import Cell, Spec
+from experiments.sweeping.spec import Spec
 from mmwave_env.metrics import METRICS
 
 

@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
+from experiments.sweeping.cell import Cell
 from experiments.sweeping.engines import local, on_ray
-from experiments.sweeping.spec import Cell
 
 CELLS = [Cell("evaluate", (("number", n),)) for n in range(20)]
 

@@ -4,7 +4,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from experiments.sweeping.spec import Cell, read_spec
+from experiments.sweeping.cell import Cell
+from experiments.sweeping.spec import read_spec
 
 GRID = """
 [evaluate]

@@ -1,0 +1,99 @@
+"""Hyperparameters are searched for by Ray Tune, with Optuna's sampler."""
+
+import logging
+import os
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from experiments.sweeping.cell import Cell
+from experiments.sweeping.engines import Done, ray_at
+from experiments.sweeping.search import Range, Search
+from mmwave_env.lookup import require_extra
+
+Compute = Callable[[Cell], dict[str, Any]]
+_FOLDER = "tune"  # where Tune keeps how far it is
+_SEED = 0  # of the sampler: with one worker, a search proposes the same again
+
+
+def trials(
+    compute: Compute, search: Search, folder: Path, workers: int, tries: int,
+    address: str | None = None,
+) -> Iterator[Done]:  # fmt: skip
+    """All trials, once they are over; those of an interrupted search are not computed again.
+
+    Args:
+        compute: what a trial comes to; a function of a module.
+        search: what is free.
+        folder: where Tune keeps its state; with an address, one that every machine sees.
+        workers, tries, address: as of :func:`~experiments.sweeping.engines.on_ray`.
+    """
+    require_extra("optuna", "ray", "a search")
+    os.environ["TUNE_DISABLE_SIGINT_HANDLER"] = "1"  # Ctrl-C ends the command, as everywhere
+    os.environ["TUNE_DISABLE_AUTO_CALLBACK_LOGGERS"] = "1"  # rows are kept in the data set
+    with ray_at(address, workers):
+        from ray import tune
+
+        logging.getLogger("ray.tune").setLevel(logging.ERROR)
+
+        def trial(config: dict[str, Any]) -> None:
+            tune.report(_reported(compute(search.cell(config))))
+
+        path = str((folder / _FOLDER).resolve())
+        if tune.Tuner.can_restore(path):
+            tuner = tune.Tuner.restore(path, trial, restart_errored=True)
+        else:
+            tuner = _begun(trial, search, folder, workers, tries)
+        for found in tuner.fit():
+            cell, error = search.cell(found.config or {}), found.error
+            if error is None:
+                yield Done(cell, found.metrics, "")
+            else:
+                yield Done(cell, None, str(error).strip().splitlines()[-1])
+
+
+def _begun(
+    trial: Callable[[dict[str, Any]], None], search: Search, folder: Path, workers: int, tries: int
+) -> Any:
+    """A search that has not begun."""
+    from ray import tune
+    from ray.tune.search.optuna import OptunaSearch
+
+    return tune.Tuner(
+        trial,
+        param_space={axis: _space(free) for axis, free in search.free},
+        tune_config=tune.TuneConfig(
+            metric="mean_reward", mode="max", num_samples=search.trials,
+            search_alg=OptunaSearch(seed=_SEED), max_concurrent_trials=workers,
+        ),
+        run_config=tune.RunConfig(
+            name=_FOLDER, storage_path=str(folder.resolve()), verbose=0,
+            failure_config=tune.FailureConfig(max_failures=tries - 1),
+        ),
+    )  # fmt: skip
+
+
+def _space(free: Range | tuple[Any, ...]) -> Any:
+    """What is free, as Tune has it."""
+    from ray import tune
+
+    if isinstance(free, tuple):
+        return tune.choice(list(free))
+    if isinstance(free.low, int) and isinstance(free.high, int):  # Tune leaves out the upper end
+        return (tune.lograndint if free.log else tune.randint)(free.low, free.high + 1)
+    return (tune.loguniform if free.log else tune.uniform)(free.low, free.high)
+
+
+def _reported(result: dict[str, Any]) -> dict[str, Any]:
+    """A result without its policy, in types that Tune's files have; and what is made great.
+
+    Whoever has found hyperparameters trains with them, on several seeds.
+    """
+    scores = {metric: np.asarray(of).tolist() for metric, of in result["scores"].items()}
+    told = {key: list(value) for key, value in result.items() if key not in ("scores", "policy")}
+    keys = [None if key is None else int(key) for key in told["episode_key"]]
+    return told | {
+        "scores": scores, "episode_key": keys, "mean_reward": float(np.mean(scores["reward"])),
+    }  # fmt: skip
