@@ -59,7 +59,7 @@ class SpeedRule(Policy):
             self._warned = True
             warnings.warn(
                 f"speed above {DESIGN_LIMIT_MPS:g} m/s is outside the design window of the paper's "
-                "rule (speed-rule), which runs mode 1 there",
+                "rule (speed-rule), which chooses its mode for high mobility there",
                 stacklevel=2,
             )
         # An observation is float32: a speed at the threshold may read a rounding above it.

@@ -9,7 +9,7 @@ from tests.paths import ROOT
 PAGE = ROOT / "docs" / "licenses.md"
 FOR_WORK = ("dev", "docs", "lint")  # extras for working on the package, not for running it
 BY_HAND = {  # looked up: not installed with dev, or untold in their metadata
-    "atheris": "Apache-2.0", "eclipse-sumo": "EPL-2.0", "ray": "Apache-2.0",
+    "atheris": "Apache-2.0", "eclipse-sumo": "EPL-2.0", "optuna": "MIT", "ray": "Apache-2.0",
     "sionna-rt": "Apache-2.0", "tomli": "MIT",
 }  # fmt: skip
 FAMILIES = {  # by how it is told in metadata; of several, what is told first

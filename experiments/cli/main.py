@@ -40,7 +40,7 @@ COMMANDS = {
     "raytrace": "a user's way through ray-traced streets, as a DeepMIMO scenario",
     "inspect": "what a data set is: format, epochs, anchors, speeds, problems",
     "doctor": "versions, compiled functions on disk, a self-test of every kernel, extras",
-    "samples": "the logs and recordings that come with the package: listed, or copied",
+    "samples": "the logs and recordings that come with the package: listed, copied, or compared on",
     "list": "policies, scenarios, radios, scenes, modes, samples and rewards by name",
     "completion": "completes commands and options in your shell: writes what it needs",
     "report": "one self-contained web page of results: compare, train, localize, transfer",

@@ -37,7 +37,13 @@ def sample_folder(name: str, kind: str = "log") -> Path:
         ValueError: there is none; the message lists those that there are.
     """
     kinds = {"log": _LOGS, "recording": _RECORDINGS}
-    return choose(_folders(choose(kinds, kind, "kind")), name, "sample")
+    found = _folders(choose(kinds, kind, "kind"))
+    if kind == "log" and name not in found and name in sample_names():
+        raise ValueError(
+            f"sample: found {name!r}, a recording, which compare plays with --data {name}; "
+            f"expected a log, one of {', '.join(found)}"
+        )
+    return choose(found, name, "sample")
 
 
 def recording_from(name: str) -> Recording:

@@ -133,9 +133,11 @@ def test_mistakes_end_with_one_clear_line(tmp_path, words, message):
 @pytest.mark.slow
 def test_the_example_of_the_page_runs(tmp_path, monkeypatch, capsys):
     page = (ROOT / "docs" / "sweep.md").read_text("utf-8")
-    first, second = re.findall(r"^```toml\n(.*?)^```", page, re.DOTALL | re.MULTILINE)
+    first, second, third = re.findall(r"^```toml\n(.*?)^```", page, re.DOTALL | re.MULTILINE)
     (tmp_path / "training.toml").write_text(second)
-    assert len(read_spec(tmp_path / "training.toml").cells) == 6
+    assert len(read_spec(tmp_path / "training.toml")) == 6
+    (tmp_path / "search.toml").write_text(third)
+    assert len(read_spec(tmp_path / "search.toml")) == 20
     shorter = first.replace("[0, 50]", "0").replace("episodes = 50", "episodes = 1")
     (tmp_path / "grid.toml").write_text(shorter)
     succeed("sweep", "grid.toml", "--out", "sweeps", "--workers", "1", cwd=tmp_path)
