@@ -17,7 +17,7 @@ from mmwave_env.engines.baseline import baseline_of
 from mmwave_env.engines.env_engine import Engine
 from mmwave_env.engines.replay import Replay
 from mmwave_env.engines.vector_step import StepBuffers, Stepper
-from mmwave_env.episodes.keys import Generators, Keys, key_from, option_of
+from mmwave_env.episodes.keys import Generators, Keys, keys_from, option_of
 from mmwave_env.info import (
     INFOS,
     NONFINITE_KEY,
@@ -182,10 +182,13 @@ class MmWaveLocVectorEnv(gym.vector.VectorEnv[Observations, Index, NDArray[Any]]
         """
         chosen = self._reset_mask(options)
         places = np.flatnonzero(chosen)
-        keys = self._keys(options, seed)
+        keys = option_of(options, "episode_key")
+        if keys is not None:
+            self._task.require_keys(seed)
+            keys = keys_from(keys, self.num_envs)[places]
         self._begun &= not chosen.all()  # until all is drawn
-        self._seed(seed, places)
-        drawn = self._draw(places, None if keys is None else keys[places])
+        self._generators.seed_some(seed, places)
+        drawn = self._draw(places, keys)
         _, state = self._stepper.start(places)
         self._begun = True
         self._begin_pictures(places)
@@ -210,33 +213,6 @@ class MmWaveLocVectorEnv(gym.vector.VectorEnv[Observations, Index, NDArray[Any]]
                 "Reset all environments before some of them: no episode is under way."
             )
         return mask
-
-    def _keys(self, options: dict[str, Any] | None, seed: Any) -> Keys | None:
-        """The keys (N,) that the options name."""
-        given = option_of(options, "episode_key")
-        if given is None:
-            return None
-        self._task.require_keys(seed)
-        keys = np.atleast_1d(np.asarray(given, object))
-        if keys.shape != (self.num_envs,):
-            raise ValueError(
-                f"options['episode_key']: found shape {np.shape(given)}, expected "
-                f"({self.num_envs},), one an environment"
-            )
-        return np.array([key_from(key) for key in keys], np.uint64)
-
-    def _seed(self, seed: int | Sequence[int | None] | None, places: Index) -> None:
-        """New generators where there is a seed, as the single environment makes them."""
-        n = self.num_envs
-        if isinstance(seed, (int, np.integer)):
-            seed = [int(seed) + i for i in range(n)]
-        elif seed is not None and len(seed) != n:
-            raise ValueError(f"seed: found {len(seed)} seeds, expected {n}, one an environment")
-        if seed is None:
-            return
-        for place in places:
-            if seed[place] is not None:
-                self._generators.seed(place, seed[place])
 
     @property  # type: ignore[misc]
     def np_random(self) -> Any:

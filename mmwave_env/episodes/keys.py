@@ -5,7 +5,7 @@ environments keep the bare states of their generators, 32 bytes each, which step
 """
 
 import operator
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from copy import deepcopy
 from typing import Any
 
@@ -42,6 +42,21 @@ def key_from(key: Any) -> int:
     if isinstance(key, bool | np.bool_) or not 0 <= number < 2**64:
         raise ValueError(f"episode_key: found {key!r}, expected an integer from 0 to 2**64 - 1")
     return number
+
+
+def keys_from(keys: Any, n: int) -> Keys:
+    """The keys (n,) that a user gave for as many environments.
+
+    Raises:
+        ValueError: not one an environment, or no integers of 64 bits.
+    """
+    given = np.atleast_1d(np.asarray(keys, object))
+    if given.shape != (n,):
+        raise ValueError(
+            f"options['episode_key']: found shape {np.shape(keys)}, expected ({n},), one an "
+            "environment"
+        )
+    return np.array([key_from(key) for key in given], np.uint64)
 
 
 def option_of(options: Any, name: str) -> Any:
@@ -104,6 +119,27 @@ class Generators:
             self._whole[place] = generator
         else:
             self._states[place] = _words_of(generator)
+
+    def seed_some(self, seed: int | Sequence[int | None] | None, places: Index) -> None:
+        """Start the generators of some environments, as a vector environment's ``reset`` does.
+
+        Args:
+            seed: s for s + i of environment i; or one for each of all, None to go on.
+            places: which start.
+
+        Raises:
+            ValueError: there is not one for each.
+        """
+        n = len(self._seeds)
+        if isinstance(seed, (int, np.integer)):
+            seed = [int(seed) + i for i in range(n)]
+        elif seed is not None and len(seed) != n:
+            raise ValueError(f"seed: found {len(seed)} seeds, expected {n}, one an environment")
+        if seed is None:
+            return
+        for place in places:
+            if seed[place] is not None:
+                self.seed(place, seed[place])
 
     def seeds(self) -> tuple[int, ...]:
         """(n,) the seeds the generators started from."""

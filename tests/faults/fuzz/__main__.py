@@ -20,7 +20,7 @@ ROOMS = [
     "mmwave_env.episodes.mobility", "mmwave_env.episodes.tables",
     "mmwave_env.episodes.trajectory", "mmwave_env.episodes.fcd",
     "mmwave_env.filters.bank", "mmwave_env.filters.mode_files",
-    "policies.policy_file", "experiments.webpage", "experiments.sweeping.spec",
+    "policies.policy_file", "experiments.webpage", "experiments.sweeping",
     "experiments.evaluation.runs", "experiments.training.hyperparameters",
     "experiments.training.checkpoint",
 ]  # fmt: skip
@@ -65,7 +65,6 @@ def _in_a_process(reader: Reader, cases: int, seed: int) -> Mapping[str, Any]:
             resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
             silence = os.open(os.devnull, os.O_WRONLY)
             os.dup2(silence, 1)
-            # os.dup2(silence, 2)
             try:
                 fuzz(reader, cases, seed, report)
             finally:  # where it fails itself

@@ -162,6 +162,14 @@ episodes = 10
 total_timesteps = 1000
 hyperparameters.learning_rate = [1e-3, 3e-4]
 """
+_SEARCH = b"""[search]
+trials = 12
+total_timesteps = 1000
+radio = "handset"
+hyperparameters.learning_rate = { low = 1e-4, high = 1e-2, log = true }
+hyperparameters.n_epochs = { low = 4, high = 16 }
+hyperparameters.hidden = [[64, 64], [32]]
+"""
 _STEP = (
     '<timestep time="%.1f"><vehicle id="a" x="%.1f" y="2.0" angle="90.0" type="car" speed="5.0"/>'
     '<person id="b" x="1.0" y="%.1f" angle="0.0" speed="1.0" edge="e"/></timestep>\n'
@@ -234,7 +242,10 @@ READERS = (
     Reader("DeepMIMO v3 folder", _scenario_v3, read_deepmimo),
     Reader("traffic of SUMO", _alone("fcd.xml", _TRAFFIC.encode()),
            lambda folder: read_fcd(folder / "fcd.xml", lambda *_: True)),
-    Reader("sweep", _alone("grid.toml", _GRID), lambda folder: read_spec(folder / "grid.toml")),
+    Reader(
+        "sweep", _alone("grid.toml", _GRID), lambda folder: read_spec(folder / "grid.toml"),
+        also={"grid.toml": _SEARCH},
+    ),
 )  # fmt: skip
 
 
