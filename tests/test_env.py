@@ -128,6 +128,7 @@ def test_gymnasium_s_checker_is_content(configuration, monkeypatch):
     env.close()
 
 
+@pytest.mark.slow
 def test_the_prefixed_id_needs_no_import():
     code = (
         "import gymnasium, sys; env = gymnasium.make('mmwave_env:MmWaveLoc-v0', modes=['ekf']);"

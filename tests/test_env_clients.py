@@ -213,6 +213,7 @@ def test_an_unknown_argument_is_refused_in_pythons_words(make):
         make(ID, frameskip=1)
 
 
+@pytest.mark.slow
 def test_the_class_takes_all_arguments_in_one_as_rllib_hands_them():
     config = {"scenario": "vehicle", "observation": "prior", "episode_steps": 20}
     one, other = MmWaveLocEnv(config), MmWaveLocEnv(**config)

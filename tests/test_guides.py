@@ -62,6 +62,7 @@ def test_the_refusal_is_the_one_shown(tmp_path, monkeypatch):
 # --- docs/install.md
 
 
+@pytest.mark.slow
 def test_the_environment_works_beside_folders_of_the_same_names(tmp_path):
     for name in ("policies", "experiments"):
         (tmp_path / name).mkdir()

@@ -88,6 +88,7 @@ def test_a_vector_environment_warns_also_where_nobody_wants_infos():
     assert told == [{}] * STEPS
 
 
+@pytest.mark.slow
 def test_a_comparison_leaves_no_such_episode_out_and_says_which_contender_had_some():
     source = SimulatedSource(SCENES["street"], RADIOS["standard"], epochs=STEPS)
     chosen = Contender("mine", tuple(TASK["modes"]), lambda observation: FixedMode(0))

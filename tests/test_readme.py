@@ -29,6 +29,7 @@ def test_the_moving_picture_loads_quickly():
 # --- the training example
 
 
+@pytest.mark.slow
 @pytest.mark.torch
 @pytest.mark.filterwarnings("ignore:speed .* is outside the design window")
 def test_the_training_example_runs(capsys):

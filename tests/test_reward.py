@@ -316,6 +316,7 @@ def test_a_paired_return_is_the_agents_minus_the_imms_where_an_episode_ends_earl
     assert 3 <= ended / 2 <= 9
 
 
+@pytest.mark.slow
 def test_any_reward_can_be_paired():
     task = {"modes": ["ekf"], "episode_steps": 4}
     env = gym.make("MmWaveLoc-v0", reward=PairedReward(capped), **task)

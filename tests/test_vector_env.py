@@ -94,12 +94,13 @@ def configuration(request):
 # --- Gymnasium's rules
 
 
-@pytest.mark.parametrize("name", representative(CONFIGURATIONS, "patchy", "twice", "recorded"))
+@pytest.mark.parametrize("name", representative(CONFIGURATIONS, "recorded"))
 def test_the_checker_is_content(name):
     check_vector_env(lambda: native(9, **CONFIGURATIONS[name]))
 
 
-@pytest.mark.parametrize("name", representative(CONFIGURATIONS, "patchy"))
+@pytest.mark.slow
+@pytest.mark.parametrize("name", CONFIGURATIONS)
 @pytest.mark.parametrize("mode", ["SameStep", "Disabled"])
 def test_the_checker_is_content_with_other_resets(mode, name):
     check_vector_env(lambda: native(9, mode, **CONFIGURATIONS[name]))

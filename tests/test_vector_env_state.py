@@ -72,6 +72,7 @@ def test_a_reset_after_it_goes_on_too(mode):
     assert other.np_random_seed == (-1,) * 9  # as in Gymnasium: nobody knows it
 
 
+@pytest.mark.slow
 def test_a_state_goes_on_in_another_process(tmp_path):
     env = make()
     env.reset(seed=4)

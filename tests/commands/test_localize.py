@@ -167,6 +167,7 @@ def test_the_first_answer_may_be_right():
     assert code == 0 and screen.count(PROMPT) == 1 and "ukf 100.0 %" in screen
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "answers", [pytest.param([b"\x04"], marks=pytest.mark.slow), [b"slow\n", b"\x04"]]
 )
@@ -409,6 +410,7 @@ def test_the_track_is_the_localizers(tmp_path):
     np.testing.assert_array_equal(read_tum(out).position_m, x[:, :3])
 
 
+@pytest.mark.slow
 def test_every_switch_changes_the_track():
     tracks = {}
     for switch in ([], ["--no-gating"], ["--no-adaptive"], ["--no-smoothing"], ["--robust"],
@@ -487,6 +489,7 @@ def driven(tmp_path_factory):
     return folder
 
 
+@pytest.mark.slow
 def test_odometry_is_used_where_the_log_has_it(capsys, driven):
     used = figures(driven, "--speed", "auto")
     ignored = figures(driven, "--speed", "auto", "--no-odometry")
@@ -904,6 +907,7 @@ def test_a_log_that_is_refused_can_be_diagnosed(tmp_path):
     assert done.stdout.startswith("The log is consistent if angles are in degrees.")
 
 
+@pytest.mark.slow
 def test_a_diagnosis_of_a_right_log_and_of_one_that_nothing_explains():
     given = options(RIDE / "log.csv", "--radio", "standard", "--diagnose", folder=RIDE)
     assert command("localize", *given).stdout.startswith("The log is consistent as it is.")

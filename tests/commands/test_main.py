@@ -143,6 +143,7 @@ def test_a_mistake_ends_with_one_clear_line(mistake):
     assert_one_clear_line(command(*words), f"^mmwave-loc {words[0]}: .*{message}")
 
 
+@pytest.mark.slow
 def test_a_mistake_ends_with_one_clear_line_without_the_cli_too():
     (name, *words), message = MISTAKES["unknown policy"]
     assert_one_clear_line(process(*words, module=f"experiments.{name}"), message)

@@ -116,6 +116,7 @@ def test_banks_are_tuned_on_every_scene_and_written_as_they_are_shipped(tmp_path
     assert f"{figures['reward']['mean']:.3f}" in row and row in done.stdout
 
 
+@pytest.mark.slow
 def test_a_bank_goes_by_the_name_of_its_radios_file(tmp_path):
     radio = tmp_path / "phone.json"
     radio.write_text("{}")

@@ -197,7 +197,8 @@ def test_a_folder_that_vanishes_costs_no_more_than_a_compilation(package):
     assert not kept(package)
 
 
-@pytest.mark.parametrize("size", representative([0, 10, 32, 1000], 10))
+@pytest.mark.slow
+@pytest.mark.parametrize("size", [0, 10, 32, 1000])
 def test_a_damaged_file_is_made_anew(package, size):
     run(package)
     (file,) = kept(package)
@@ -385,6 +386,7 @@ def test_a_folder_that_is_exchanged_in_a_running_process_is_not_read(package, tm
     assert out == ["41", "False"]
 
 
+@pytest.mark.slow
 @posix
 def test_what_is_written_is_for_us_alone(package):
     process = started(package, "import os\nos.umask(0)\n" + SCRIPT)

@@ -315,8 +315,7 @@ def compared(name, algorithms):
 @pytest.mark.parametrize(
     "name",
     [  # each compiles three filters
-        pytest.param(name, marks=() if name in ("default", "robust") else pytest.mark.slow)
-        for name in OPTIONS
+        pytest.param(name, marks=() if name == "default" else pytest.mark.slow) for name in OPTIONS
     ],
 )
 def test_filters_on_lanes_equal_filters_on_floats(name):
@@ -334,8 +333,8 @@ def test_filters_switched_on_lanes_equal_filters_on_floats(name):
     [
         pytest.param(["ckf"], False, id="hilly"),
         pytest.param(["ukf"], True, id="planar"),
-        pytest.param(ALL, False, id="hilly, switched", marks=pytest.mark.slow),
-        pytest.param(ALL, True, id="planar, switched", marks=pytest.mark.slow),
+        pytest.param(ALL, False, id="hilly, switched"),
+        pytest.param(ALL, True, id="planar, switched"),
     ],
 )
 @pytest.mark.slow
@@ -346,6 +345,7 @@ def test_odometry_on_lanes_equals_odometry_on_floats(algorithms, planar):
     assert_same_tracks(*lanes_and_floats(pipeline, episodes, actions))
 
 
+@pytest.mark.slow
 def test_a_user_at_rest_with_odometry_starts_on_lanes_as_on_floats():
     episodes = [
         replace(e, prior_mean=e.prior_mean * [1, 1, 1, 0, 0, 0, 1])

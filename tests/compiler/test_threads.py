@@ -180,6 +180,7 @@ def test_an_environment_goes_while_threads_are_idle(tmp_path):
     assert process(code, tmp_path) == ["None", "True"]
 
 
+@pytest.mark.slow
 @posix
 def test_an_interrupt_waits_for_the_others_and_the_next_reset_starts_over(tmp_path):
     code = """
@@ -310,6 +311,7 @@ def test_environments_are_stepped_by_several_threads_at_once(tmp_path):
     assert process(code, tmp_path) == ["True"] * 8
 
 
+@pytest.mark.slow
 def test_more_threads_than_cores_change_nothing(tmp_path):
     """And the process ends though an environment is there and threads are idle."""
     code = "print(np.array_equal(rewards, stepped(threads=50)[1]), threading.active_count() > 1)"

@@ -56,6 +56,7 @@ def test_a_transition_says_which_mode_is_likely(episodes):
     assert share[0] + 0.2 < share[1] < share[2] - 0.2
 
 
+@pytest.mark.slow
 def test_a_tuning_is_data(episodes):
     other = Mode("other", "ukf", sigma_v=0.7, sigma_p=0.3, spread_gain=0.01, coupling=False)
     built = Pipeline((default_modes()[1], replace(default_modes()[1], name="again")), STREET)

@@ -152,6 +152,7 @@ def test_the_prediction_of_a_mixture_is_the_mean_over_its_modes():
     np.testing.assert_allclose(Q[..., 0, 0], 0.01, rtol=1e-4)
 
 
+@pytest.mark.slow
 def test_a_mode_that_is_trusted_costs_what_it_says():
     costly = tuple(replace(mode, cost=0.25) for mode in BANK.modes)
     episodes, actions = simulated(3, epochs=10), np.tile([0, 1, 2, 0, 2], (3, 2))

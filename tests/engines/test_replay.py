@@ -29,6 +29,7 @@ def played(pipeline, episodes, actions, on_floats=False):
     return engine, np.stack(errors, axis=1), np.stack(nees, axis=1)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("planar", [False, True])
 def test_a_replay_repeats_what_was_seen_and_smooths_it(planar):
     episodes = simulated(N, epochs=T)

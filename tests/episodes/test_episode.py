@@ -205,6 +205,7 @@ def digest(seeds):
     return sha.hexdigest()
 
 
+@pytest.mark.slow
 def test_a_seed_gives_the_same_episode_in_every_process_to_the_bit():
     code = "import test_episode; print(test_episode.digest(range(5)))"
     here = os.path.dirname(__file__)

@@ -171,6 +171,7 @@ def test_keys_that_are_none_are_refused(where, message):
         compare({}, ("imm",), **where)
 
 
+@pytest.mark.slow
 def test_other_places_are_arguments_of_the_environment():
     def act(observations):
         return np.ones(len(observations), int)

@@ -187,6 +187,7 @@ def coverage(K, spread, trials=400, episodes=40):
     return held / trials
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("spread", SPREADS)
 @pytest.mark.parametrize("K", representative([3, 5, 10], 5))
 @pytest.mark.usefixtures("fewer_resamples")

@@ -54,6 +54,7 @@ def writing(tmp_path):
         process.communicate()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("sent", [signal.SIGINT, *ENDING])
 def test_a_signal_removes_what_is_half_written(writing, tmp_path, sent):
     heeds = partial(signal.signal, signal.SIGINT, signal.SIG_DFL)  # even started in the background
@@ -68,6 +69,7 @@ def test_a_signal_removes_what_is_half_written(writing, tmp_path, sent):
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.slow
 def test_a_terminal_that_is_gone_takes_no_message_but_leaves_nothing(writing, tmp_path):
     command = writing()
     command.stderr.close()
@@ -77,6 +79,7 @@ def test_a_terminal_that_is_gone_takes_no_message_but_leaves_nothing(writing, tm
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.slow
 def test_under_nohup_a_closed_terminal_ends_nothing(writing, tmp_path):
     command = writing(preexec_fn=partial(signal.signal, signal.SIGHUP, signal.SIG_IGN))
     command.send_signal(signal.SIGHUP)

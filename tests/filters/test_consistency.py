@@ -20,6 +20,7 @@ from tests.filters.tracks import STREET, far_from_the_anchors, process_noise
 
 RUNS, EPOCHS, CHECKED = 1000, 40, (0, 1, 5, 10, 20, 39)
 LEVEL = 0.01
+pytestmark = pytest.mark.slow
 ALGORITHMS = ("ekf", "ukf", "ckf")
 DOF = [4, 4, 4, 1]
 TUNING = {"sigma_v": 0.3, "adaptive": False}

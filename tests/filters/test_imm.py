@@ -117,13 +117,14 @@ THREE = [("ekf", 0.3), ("ukf", 1.8), ("ckf", 4.0)]
 EIGHT = [(a, sigma_v) for sigma_v in (0.1, 0.4, 1.6, 6.4) for a in ("ekf", "ukf")]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("tunings", "nis_quantile"),
     [
         (THREE[:2], 0.9),
         (THREE, 1.0),
-        pytest.param(EIGHT, 1.0, marks=pytest.mark.slow),
-        pytest.param(EIGHT, 0.999, marks=pytest.mark.slow),
+        (EIGHT, 1.0),
+        (EIGHT, 0.999),
     ],
 )
 def test_equals_textbook_mixture(tunings, nis_quantile):

@@ -108,9 +108,10 @@ def test_nothing_visible_leaves_the_prior(iekf, data):
     assert not any(posterior.accepted)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "planar",
-    [pytest.param(False, id="hilly"), pytest.param(True, id="planar", marks=pytest.mark.slow)],
+    [pytest.param(False, id="hilly"), pytest.param(True, id="planar")],
 )
 def test_lanes_equal_floats(mine, planar):
     episodes = simulated(3, epochs=40, odometry=True)
@@ -124,6 +125,7 @@ def test_lanes_equal_floats(mine, planar):
         np.testing.assert_allclose(lanes[name], floats[name], rtol=1e-8, atol=1e-8, err_msg=name)
 
 
+@pytest.mark.slow
 def test_wherever_modes_go(mine):
     """The engine, the tracker, the IMM of one mode and the localizer give the same track."""
     episodes = simulated(2, epochs=30)

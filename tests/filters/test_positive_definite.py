@@ -44,13 +44,14 @@ def smallest_eigenvalues(pipeline, episodes, actions):
     return smallest, smallest_scaled
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("n", "epochs"),
     [
         pytest.param(8, 40, id="three hundred epochs"),
-        pytest.param(24, 200, id="five thousand epochs", marks=pytest.mark.slow),
-        pytest.param(1000, 1000, id="a million epochs", marks=pytest.mark.slow),
-        pytest.param(1, 50_000, id="one long track", marks=pytest.mark.slow),
+        pytest.param(24, 200, id="five thousand epochs"),
+        pytest.param(1000, 1000, id="a million epochs"),
+        pytest.param(1, 50_000, id="one long track"),
     ],
 )
 def test_covariance_stays_positive_definite_under_random_modes(pipeline, n, epochs):

@@ -37,6 +37,7 @@ def earned(episodes, logs):
     return engine.run(episodes, lambda seen: np.tile(logs, (len(seen), 1)))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("action", "dt"), [(0, 1.0), (2, 1.0), (1, 0.1)])
 def test_trust_of_one_mode_is_the_action_of_the_environment(action, dt):
     episodes = drawn(dt)

@@ -102,6 +102,7 @@ def test_without_events_there_are_no_numbers(policy, imm, tmp_path):
     trust.draw(tmp_path / "none.png")
 
 
+@pytest.mark.slow
 def test_a_picture_is_drawn(trust, tmp_path):
     trust.draw(tmp_path / "trust.png")
     assert (imread(tmp_path / "trust.png") != 1.0).any(axis=2).mean() > 0.3  # shares fill panels

@@ -223,6 +223,7 @@ def test_a_blockage_lasts_4_s_on_average(dt):
     assert_share(begins, leave * 0.075 / (1.0 - 0.075))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("dt", [0.1, 1.0])
 def test_multipath_comes_and_goes_at_its_rates(dt):
     found = channel(replace(CLEAR, multipath_rate_hz=0.008), 2000, 200, dt=dt)

@@ -116,13 +116,13 @@ def test_odometry_needs_an_observation_that_shows_it():
         SpeedRule(plain, feature="odometry speed")(np.zeros((1, len(plain)), np.float32))
 
 
-def test_above_the_design_window_the_rule_warns_once_and_keeps_mode_1(table):
+def test_above_the_design_window_the_rule_warns_once_and_keeps_its_mode(table):
     rule = SpeedRule(table)
     fast = observe(table, predicted_speed=[1.0, 20.5, 35.0])
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         rule(observe(table, predicted_speed=[19.99]))
-    with pytest.warns(UserWarning, match="above 20 m/s.*mode 1") as caught:
+    with pytest.warns(UserWarning, match="above 20 m/s.*mode for high mobility") as caught:
         np.testing.assert_array_equal(rule(fast), [0, 1, 1])
     assert len(caught) == 1
     with warnings.catch_warnings():

@@ -221,6 +221,7 @@ ANYTHING = st.recursive(
 )
 
 
+@pytest.mark.slow
 @settings(in_one_folder, max_examples=100)
 @given(st.sampled_from(sorted(asdict(CARD))), ANYTHING)
 def test_a_card_may_hold_anything_and_is_read_as_it_stands_or_refused(path, name, value):

@@ -69,6 +69,7 @@ SOMETIMES = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "how",
     [pytest.param(how, marks=[pytest.mark.slow] if "P" in how else []) for how in SOMETIMES],

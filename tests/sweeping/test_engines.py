@@ -9,6 +9,7 @@ import pytest
 from experiments.sweeping.cell import Cell
 from experiments.sweeping.engines import local, on_ray
 
+pytestmark = pytest.mark.slow
 CELLS = [Cell("evaluate", (("number", n),)) for n in range(20)]
 
 
@@ -30,7 +31,7 @@ def moody(cell):
     return square(cell)
 
 
-@pytest.fixture(params=[local, pytest.param(on_ray, marks=pytest.mark.slow)])
+@pytest.fixture(params=[local, on_ray])
 def engine(request, monkeypatch):
     if request.param is on_ray:
         pytest.importorskip("ray")
@@ -44,7 +45,6 @@ def test_every_cell_is_computed_once(engine):
     assert found == {cell: square(cell) for cell in CELLS}
 
 
-@pytest.mark.slow
 def test_what_fails_is_tried_again_and_then_told(engine, tmp_path, monkeypatch):
     monkeypatch.setenv("MOODY", str(tmp_path))
     found = {dict(done.cell.values)["number"]: done for done in engine(moody, CELLS, 2, 3)}

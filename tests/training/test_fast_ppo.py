@@ -95,6 +95,7 @@ def assert_same_observations(ours, theirs):
     np.testing.assert_allclose(ours, theirs, rtol=1e-5, atol=3e-5)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", RECIPES)
 def test_rollouts_are_those_of_stable_baselines3(kind):
     """Two of them: the second goes on where the first left the world."""

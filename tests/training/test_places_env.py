@@ -68,6 +68,7 @@ def test_several_places_are_what_each_of_them_is_alone():
     assert ends == [(99, 3), (99, 4), (199, 0), (199, 1), (199, 2)]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("changes", [{}, {"truth_critic": True}, {"frames": 2}], ids=str)
 def test_several_places_go_on_to_the_last_bit(changes):
     recipe = replace(PAIRED, **changes)

@@ -355,7 +355,8 @@ def test_too_few_environments_for_the_places_are_refused_before_a_folder_is_made
     assert not out.exists()
 
 
-@pytest.mark.parametrize("package", ["torch", pytest.param("sb3_contrib", marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("package", ["torch", "sb3_contrib"])
 def test_without_the_extra_it_says_what_to_install(package, tmp_path):
     code = (
         "import sys\n"

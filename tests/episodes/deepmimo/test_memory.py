@@ -96,6 +96,7 @@ def peaks(tmp_path, receivers, paths, suffix, work=CHOOSE):
     return traced, resident
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("suffix", [".npy", ".npz"])
 def test_of_a_grid_only_the_positions_and_the_users_chosen_are_in_memory(tmp_path, suffix):
     whole = 20_000 * 25 * 4  # bytes of one key of ten, and there is one six times as large

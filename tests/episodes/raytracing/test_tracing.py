@@ -38,6 +38,7 @@ def test_paths_come_back_from_the_process_block_by_block(stand_in):
     assert made.visible.sum(axis=0).tolist() == [230, 230, (WAY[:, 0] > -40.0).sum(), 230]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("how", "message"),
     [
@@ -58,6 +59,7 @@ def test_a_tracer_that_cant_run_says_what_was_found_and_what_is_needed(
     assert isinstance(error.value, ValueError) and "\n" not in str(error.value)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("geometry", "message"),
     [
