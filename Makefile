@@ -4,6 +4,8 @@ PYTHON ?= python3
 BIN := .venv/bin
 TORCH := $(shell grep '^torch==' constraints.txt)
 FRESH := env -u PYTHONPATH .venv-dist/fresh/bin# sees the wheel, not this folder
+# Hundreds of processes start in the tests: without bytecode on disk each compiles all modules anew.
+unexport PYTHONDONTWRITEBYTECODE
 OLDEST_GYMNASIUM := $(shell sed -n 's/.*"gymnasium>=\([0-9.]*\),.*/gymnasium==\1/p' pyproject.toml)
 
 .PHONY: help demo test test-slow coverage golden schemas licenses lint format types types-base supply-chain lock locked gymnasium-oldest deepmimo docs dist examples clean

@@ -3,7 +3,7 @@
 import os
 import tempfile
 import warnings
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -25,6 +25,7 @@ from experiments.sweeping.spec import Spec, read_spec
 from experiments.sweeping.tuner import trials
 from experiments.training.hyperparameters import AnyHyperparameters, recipe_as_written
 from mmwave_env.files import write_json
+from mmwave_env.lookup import require_extra
 
 SHOWN = ("reward", "ate_m", "rmse_m", "nees", "divergence_rate")
 BEST = "hyperparameters.json"
@@ -111,6 +112,8 @@ def main(args: Args) -> None:
     if args.address is not None and args.engine != "ray":
         raise ValueError("address: found one beside engine local, expected --engine ray")
     spec = read_spec(args.spec)
+    if spec.trains:
+        require_extra("stable_baselines3", "train", f"{args.spec}, which trains,")
     if spec.search is not None and args.engine != "ray":
         raise ValueError("engine: found local beside a table [search], expected --engine ray")
     results = ResultSet(args.out, spec)
@@ -126,7 +129,8 @@ def _run(args: Args, spec: Spec, results: ResultSet, there: set[str]) -> list[Do
     if spec.search is None:
         engine = partial(on_ray, address=args.address) if args.engine == "ray" else local
         todo = [cell for cell in spec.cells if cell.name not in there]
-        found, count = engine(compute, todo, args.workers, args.tries), len(todo)
+        found: Iterable[Done] = engine(compute, todo, args.workers, args.tries)
+        count = len(todo)
     else:
         found = trials(compute, spec.search, results.folder, args.workers, args.tries, args.address)
         count = len(spec)

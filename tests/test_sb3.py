@@ -121,6 +121,7 @@ def collected(env):
     return model.rollout_buffer
 
 
+@pytest.mark.slow
 def test_values_follow_a_truncated_episode_but_not_a_terminated_one():
     buffer = collected(SB3VecEnv(Clocks()))
     expected = np.transpose([advantages_of(number) for number in range(4)])

@@ -86,7 +86,7 @@ def sync(n=9, mode="NextStep", **arguments):
     )
 
 
-@pytest.fixture(params=CONFIGURATIONS)
+@pytest.fixture(params=representative(CONFIGURATIONS, "default", "flat", "per mode", "recorded"))
 def configuration(request):
     return CONFIGURATIONS[request.param]
 

@@ -13,6 +13,7 @@ from mmwave_env.episodes.simulated import SimulatedSource
 from mmwave_env.filters.modes import Mode
 from mmwave_env.models.radio import RADIOS
 from mmwave_env.models.scene import SCENES
+from tests.marks import representative
 from tests.paths import ROOT
 from tests.training.actors import MODES
 from tests.vector_checker import forward, same
@@ -39,7 +40,7 @@ def go_on(env, steps, actions):
     return [forward(env, rng.integers(modes, size=env.num_envs)) for _ in range(steps)]
 
 
-@pytest.mark.parametrize("configuration", CONFIGURATIONS)
+@pytest.mark.parametrize("configuration", representative(CONFIGURATIONS, "ends early", "short"))
 @pytest.mark.parametrize("mode", AUTORESET)
 def test_a_state_taken_anywhere_goes_on(mode, configuration):
     """In a new environment, in one that was elsewhere, and in the one that gave it."""

@@ -45,6 +45,11 @@ class Spec:
         return sorted({axis for cell in self.cells for axis, _ in cell.values})
 
     @property
+    def trains(self) -> bool:
+        """Whether there are trainings among them."""
+        return self.search is not None or any(cell.kind == "train" for cell in self.cells)
+
+    @property
     def run(self) -> str:
         """The name of its partition: another sweep, or version of the program, has another."""
         what = [repr(self.search)] if self.search else sorted(cell.name for cell in self.cells)

@@ -2,12 +2,13 @@
 
 import logging
 import os
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from experiments.evaluation.terminal import note
 from experiments.sweeping.cell import Cell
 from experiments.sweeping.engines import Done, ray_at
 from experiments.sweeping.search import Range, Search
@@ -15,13 +16,14 @@ from mmwave_env.lookup import require_extra
 
 Compute = Callable[[Cell], dict[str, Any]]
 _FOLDER = "tune"  # where Tune keeps how far it is
+_GOAL = "mean_reward"  # what is made great
 _SEED = 0  # of the sampler: with one worker, a search proposes the same again
 
 
 def trials(
     compute: Compute, search: Search, folder: Path, workers: int, tries: int,
     address: str | None = None,
-) -> Iterator[Done]:  # fmt: skip
+) -> list[Done]:  # fmt: skip
     """All trials, once they are over; those of an interrupted search are not computed again.
 
     Args:
@@ -30,28 +32,30 @@ def trials(
         folder: where Tune keeps its state; with an address, one that every machine sees.
         workers, tries, address: as of :func:`~experiments.sweeping.engines.on_ray`.
     """
+    require_extra("ray", "ray", "a search")
     require_extra("optuna", "ray", "a search")
-    os.environ["TUNE_DISABLE_SIGINT_HANDLER"] = "1"  # Ctrl-C ends the command, as everywhere
-    os.environ["TUNE_DISABLE_AUTO_CALLBACK_LOGGERS"] = "1"  # rows are kept in the data set
+    os.environ |= {
+        "TUNE_DISABLE_SIGINT_HANDLER": "1",  # Ctrl-C ends the command, as everywhere
+        "TUNE_DISABLE_AUTO_CALLBACK_LOGGERS": "1",  # rows are kept in the data set
+        "TUNE_GLOBAL_CHECKPOINT_S": "1",  # so much is lost at most where it is killed
+        "RAY_AIR_NEW_OUTPUT": "0",  # its output would stand among our tables
+    }
     with ray_at(address, workers):
+        import optuna
         from ray import tune
 
-        logging.getLogger("ray.tune").setLevel(logging.ERROR)
+        logging.getLogger("ray.tune").setLevel(logging.CRITICAL)  # failures are told at the end
+        optuna.logging.set_verbosity(optuna.logging.WARNING)
 
         def trial(config: dict[str, Any]) -> None:
-            tune.report(_reported(compute(search.cell(config))))
+            tune.report(_reported(compute(_cell(search, config))))
 
         path = str((folder / _FOLDER).resolve())
         if tune.Tuner.can_restore(path):
             tuner = tune.Tuner.restore(path, trial, restart_errored=True)
         else:
             tuner = _begun(trial, search, folder, workers, tries)
-        for found in tuner.fit():
-            cell, error = search.cell(found.config or {}), found.error
-            if error is None:
-                yield Done(cell, found.metrics, "")
-            else:
-                yield Done(cell, None, str(error).strip().splitlines()[-1])
+        return [_done(search, found) for found in tuner.fit()]
 
 
 def _begun(
@@ -65,25 +69,57 @@ def _begun(
         trial,
         param_space={axis: _space(free) for axis, free in search.free},
         tune_config=tune.TuneConfig(
-            metric="mean_reward", mode="max", num_samples=search.trials,
+            metric=_GOAL, mode="max", num_samples=search.trials,
             search_alg=OptunaSearch(seed=_SEED), max_concurrent_trials=workers,
         ),
         run_config=tune.RunConfig(
             name=_FOLDER, storage_path=str(folder.resolve()), verbose=0,
             failure_config=tune.FailureConfig(max_failures=tries - 1),
+            callbacks=[_teller(search.trials)],
         ),
     )  # fmt: skip
 
 
+def _teller(count: int) -> Any:
+    """What tells of each trial as it is over."""
+    from ray import tune
+
+    class Teller(tune.Callback):  # type: ignore[misc]
+        def on_trial_complete(self, iteration: int, trials: Any, trial: Any, **more: Any) -> None:
+            before = sum(one.is_finished() for one in trials if one is not trial)
+            note(f"trial {before + 1} of {count}: reward {trial.last_result[_GOAL]:.4f}")
+
+    return Teller()
+
+
 def _space(free: Range | tuple[Any, ...]) -> Any:
-    """What is free, as Tune has it."""
+    """What is free, as Tune has it: of choices their places, for Optuna takes no lists."""
     from ray import tune
 
     if isinstance(free, tuple):
-        return tune.choice(list(free))
+        return tune.choice(list(range(len(free))))
     if isinstance(free.low, int) and isinstance(free.high, int):  # Tune leaves out the upper end
         return (tune.lograndint if free.log else tune.randint)(free.low, free.high + 1)
     return (tune.loguniform if free.log else tune.uniform)(free.low, free.high)
+
+
+def _cell(search: Search, config: Mapping[str, Any]) -> Cell:
+    """The training that Tune means; no hyperparameter needs more than three digits."""
+    free, found = dict(search.free), {}
+    for axis, value in config.items():
+        of = free[axis]
+        if isinstance(of, tuple):
+            found[axis] = of[value]
+        else:
+            found[axis] = value if isinstance(value, int) else float(f"{value:.3g}")
+    return search.cell(found)
+
+
+def _done(search: Search, found: Any) -> Done:
+    cell = _cell(search, found.config or {})
+    if found.error is None:
+        return Done(cell, found.metrics, "")
+    return Done(cell, None, str(found.error).strip().splitlines()[-1])
 
 
 def _reported(result: dict[str, Any]) -> dict[str, Any]:
@@ -95,5 +131,5 @@ def _reported(result: dict[str, Any]) -> dict[str, Any]:
     told = {key: list(value) for key, value in result.items() if key not in ("scores", "policy")}
     keys = [None if key is None else int(key) for key in told["episode_key"]]
     return told | {
-        "scores": scores, "episode_key": keys, "mean_reward": float(np.mean(scores["reward"])),
+        "scores": scores, "episode_key": keys, _GOAL: float(np.mean(scores["reward"])),
     }  # fmt: skip

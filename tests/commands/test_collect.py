@@ -14,6 +14,7 @@ from tests.cli import assert_one_clear_line, command, succeed
 
 minari = pytest.importorskip("minari")
 
+pytestmark = pytest.mark.slow
 POLICIES = ("ppo", "speed-rule", "random")
 SHORT = ("--episodes", 3, "--episode-steps", 12)
 FIRST = 10_000_000

@@ -458,6 +458,7 @@ def test_an_imm_is_smoothed_to_less_than_the_filtered_error(tmp_path, folder):
     assert said == [bank.modes[m].name for m in mode]
 
 
+@pytest.mark.slow
 def test_the_modes_of_an_imm_are_told_and_drawn(capsys, tmp_path):
     picture = tmp_path / "track.png"
     figures(RIDE, "--imm", "imm-best", "--radio", "standard", "--plot", picture, "--no-smoothing")

@@ -11,6 +11,7 @@ from mmwave_env.episodes.simulated import SimulatedSource
 from mmwave_env.models.radio import RADIOS
 from mmwave_env.models.scene import SCENES
 from mmwave_env.numerics.pytree import flatten, unflatten
+from tests.marks import representative
 
 
 @pytest.fixture
@@ -51,7 +52,7 @@ def test_environments_are_the_same_to_the_bit(mode, go):
     assert data_equivalence(run("plain"), run("compiled"), exact=True)
 
 
-@pytest.mark.parametrize("scenario", mobility.MOBILITIES)
+@pytest.mark.parametrize("scenario", representative(mobility.MOBILITIES, "walk-ride"))
 def test_a_world_on_lanes_is_the_world_on_floats(scenario):
     source = SimulatedSource(SCENES["street"], RADIOS["handset"], scenario, epochs=60)
     episodes = source.sample_batch(np.arange(3, dtype=np.uint64))

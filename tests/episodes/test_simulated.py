@@ -19,6 +19,7 @@ from mmwave_env.models.random_scene import RandomScene
 from mmwave_env.models.scene import SCENES
 from tests.episodes.roads import around_a_block
 from tests.filters.tracks import geometry
+from tests.marks import representative
 
 SOURCES = {
     "default": SimulatedSource(SCENES["street"], RADIOS["handset"]),
@@ -192,7 +193,7 @@ def wrapped(table, layout):
     return table
 
 
-@pytest.mark.parametrize("name", SOURCES)
+@pytest.mark.parametrize("name", representative(SOURCES, "default", "jam"))
 def test_a_key_means_the_episode_of_the_plain_simulation(name):
     source = SOURCES[name]
     for key, episode in zip(KEYS, source.episodes(KEYS), strict=True):
