@@ -158,29 +158,38 @@ def test_trainings_are_kept_with_their_policies(tmp_path):
     assert policies == {row["cell"] for row in table} and len(policies) == 2
 
 
+def kill_once(words, folder, early_s, rng):
+    """Start a sweep and kill it: at a random moment of its start, or soon after its next rows."""
+    before = len(list(folder.rglob("*.parquet")))
+    running = subprocess.Popen(
+        [sys.executable, "-m", "experiments.cli", *map(str, words)], cwd=ROOT, env=environment(),
+        stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, start_new_session=True,
+    )  # fmt: skip
+    if early_s:
+        time.sleep(rng.uniform(0.2, early_s))
+    else:
+        while len(list(folder.rglob("*.parquet"))) == before and running.poll() is None:
+            time.sleep(0.05)
+        time.sleep(rng.uniform(0.0, 0.5))
+    assert running.poll() is None, "it was over before it could be killed"
+    os.kill(running.pid, signal.SIGKILL)
+    running.wait()
+
+
 @pytest.mark.skipif(os.name != "posix", reason="kills as POSIX has them")
 @pytest.mark.parametrize("engine", ["local", "ray"])
 def test_a_sweep_killed_ten_times_ends_equal_to_one_undisturbed(tmp_path, engine):
     if engine == "ray":
         pytest.importorskip("ray")
-    seeds = ", ".join(map(str, range(0, 200, 2)))
-    text = f'[evaluate]\npolicy = ["fixed-ekf", "fixed-ukf"]\nseed = [{seeds}]\nepisodes = 2\n'
-    (tmp_path / "grid.toml").write_text(text + "episode_steps = 100\n")
+    seeds = ", ".join(map(str, range(0, 10_000, 100)))
+    text = f'[evaluate]\npolicy = ["fixed-ekf", "fixed-ukf"]\nseed = [{seeds}]\nepisodes = 100\n'
+    (tmp_path / "grid.toml").write_text(text)
     succeed("sweep", tmp_path / "grid.toml", "--out", tmp_path / "calm")
     words = ["sweep", tmp_path / "grid.toml", "--out", tmp_path / "killed", "--engine", engine]
-    rng, kills = random.Random(0), 0
-    while kills < 10:
-        running = subprocess.Popen(
-            [sys.executable, "-m", "experiments.cli", *map(str, words)], cwd=ROOT,
-            env=environment(), stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
-            start_new_session=True,
-        )  # fmt: skip
-        time.sleep(rng.uniform(2.0, 6.0 if engine == "local" else 14.0))
-        if running.poll() is not None:
-            break  # it was done before it could be killed
-        os.kill(running.pid, signal.SIGKILL)
-        running.wait()
-        kills += 1
+    rng, start_s = random.Random(0), 2.0 if engine == "local" else 6.0
+    for kill in range(10):
+        kill_once(words, tmp_path / "killed", start_s if kill % 2 else 0.0, rng)
     done = command(*words)
     assert done.returncode == 0, done.stderr
+    assert "200 cells" in done.stderr and "200 cells, 0 of them" not in done.stderr
     assert rows(tmp_path / "killed").drop(["run"]).equals(rows(tmp_path / "calm").drop(["run"]))
