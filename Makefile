@@ -8,7 +8,7 @@ FRESH := env -u PYTHONPATH .venv-dist/fresh/bin# sees the wheel, not this folder
 unexport PYTHONDONTWRITEBYTECODE
 OLDEST_GYMNASIUM := $(shell sed -n 's/.*"gymnasium>=\([0-9.]*\),.*/gymnasium==\1/p' pyproject.toml)
 
-.PHONY: help demo test test-slow coverage golden schemas licenses lint format types types-base supply-chain lock locked gymnasium-oldest deepmimo docs dist examples clean
+.PHONY: help demo test test-slow coverage golden schemas licenses lint format types types-base supply-chain lock locked gymnasium-oldest deepmimo ray docs dist examples clean
 
 help: ## list these targets
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "make %-18s %s\n", $$1, $$2 }' Makefile
@@ -69,6 +69,9 @@ gymnasium-oldest: .venv-oldest/.ready ## the environment on the oldest Gymnasium
 
 deepmimo: .venv-deepmimo/.ready ## our DeepMIMO folders, shipped and written, in DeepMIMO's own packages
 	.venv-deepmimo/bin/python -m pytest tests/episodes/deepmimo/test_package.py
+
+ray: .venv-ray/.ready ## sweeps and searches by Ray
+	.venv-ray/bin/python -m pytest tests/sweeping tests/commands/test_sweep.py -m slow -k "ray or trials"
 
 docs: .venv-docs/.ready ## the documentation site, into site/; its warnings are errors
 	NO_MKDOCS_2_WARNING=1 .venv-docs/bin/python -m mkdocs build --strict
@@ -140,6 +143,14 @@ clean: ## remove environments, caches and build outputs; results/ and runs/ stay
 	@$(PYTHON) -m venv .venv-deepmimo
 	@echo '*' > .venv-deepmimo/.gitignore
 	@.venv-deepmimo/bin/python -m pip install --quiet --editable '.[filterpy]' 'deepmimo>=4.0.5,<5' 'DeepMIMOv3==0.2.9' pytest hypothesis
+	@touch $@
+
+.venv-ray/.ready: pyproject.toml constraints.txt
+	@echo "Setting up .venv-ray: Ray, PyTorch and the base install"
+	@$(PYTHON) -m venv .venv-ray
+	@echo '*' > .venv-ray/.gitignore
+	@.venv-ray/bin/python -m pip install $(TORCH)
+	@.venv-ray/bin/python -m pip install --quiet -c constraints.txt --editable '.[ray,train]' pytest hypothesis
 	@touch $@
 
 .venv-docs/.ready: pyproject.toml constraints.txt
