@@ -12,6 +12,7 @@ import time
 import pytest
 
 from experiments.sweeping.spec import read_spec
+from experiments.training.hyperparameters import read_hyperparameters
 from tests.cli import assert_one_clear_line, command, environment, succeed
 from tests.paths import ROOT
 
@@ -156,6 +157,40 @@ def test_trainings_are_kept_with_their_policies(tmp_path):
     assert {row["episode_seed"] for row in table} == set(range(5_000_000, 5_000_012))
     policies = {path.stem for path in (run / "policies").iterdir()}
     assert policies == {row["cell"] for row in table} and len(policies) == 2
+
+
+SEARCH = """
+[search]
+trials = 2
+total_timesteps = 1
+episodes = 12
+hyperparameters.learning_rate = { low = 1e-4, high = 1e-2, log = true }
+"""
+
+
+@pytest.mark.torch
+def test_a_search_is_ray_s_alone(tmp_path):
+    (tmp_path / "search.toml").write_text(SEARCH)
+    done = command("sweep", "search.toml", cwd=tmp_path)
+    assert_one_clear_line(
+        done, "engine: found local beside a table [search], expected --engine ray"
+    )
+
+
+@pytest.mark.torch
+def test_trials_leave_rows_and_hyperparameters_to_train_with(tmp_path):
+    pytest.importorskip("ray.tune")
+    (tmp_path / "search.toml").write_text(SEARCH)
+    told = succeed("sweep", tmp_path / "search.toml", "--out", tmp_path / "out", "--engine", "ray")
+    (run,) = (tmp_path / "out").iterdir()
+    best = read_hyperparameters(run / "hyperparameters.json", "ppo").learning_rate
+    table = rows(tmp_path / "out").to_pylist()
+    tried = {float(row["hyperparameters.learning_rate"]) for row in table}
+    assert len(table) == 2 * 12 and len(tried) == 2 and best in tried and 1e-4 <= best <= 1e-2
+    assert f"hyperparameters.learning_rate {best}" in told.splitlines()[2]  # the best comes first
+    again = command("sweep", tmp_path / "search.toml", "--out", tmp_path / "out", "--engine", "ray")
+    assert again.returncode == 0 and "2 of them kept from before" in again.stderr
+    assert rows(tmp_path / "out").to_pylist() == table
 
 
 def kill_once(words, folder, early_s, rng):
