@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from experiments.sweeping.cell import HYPERPARAMETER, KINDS, Cell, kind_of, require_sound, values_of
+from experiments.training.hyperparameters import MOST
 from mmwave_env.lookup import choose, quoted
 
 _KEYS = ("low", "high", "log")
@@ -100,9 +101,9 @@ def _range(axis: str, value: Mapping[str, Any], *, whole: bool) -> Range:
     expected = "whole numbers" if whole else "numbers"
     if any(type(end) is not int and (whole or type(end) is not float) for end in (low, high)):
         raise ValueError(f"search.{axis}: found {quoted(value)}, expected low and high, {expected}")
-    if type(log) is not bool or not low < high or (log and low <= 0):
+    if type(log) is not bool or not 0 <= low < high < MOST or (log and low == 0):
         raise ValueError(
-            f"search.{axis}: found {quoted(value)}, expected low below high, and log true or "
-            "false, true above 0 alone"
+            f"search.{axis}: found {quoted(value)}, expected low below high, from 0 to {MOST:g}, "
+            "and log true or false, true above 0 alone"
         )
     return Range(low, high, log) if whole else Range(float(low), float(high), log)

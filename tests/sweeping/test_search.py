@@ -73,6 +73,8 @@ RATE = "[search]\ntrials = 3\ntotal_timesteps = 5\nhyperparameters."
         (RATE + "gamma = { low = 0.9 }\n", "gamma: found .*, expected low and high, numbers"),
         (RATE + "gamma = { low = 0.9, high = 0.8 }\n", "expected low below high"),
         (RATE + "gamma = { low = 0, high = 0.8, log = true }\n", "true above 0 alone"),
+        (RATE + "gamma = { low = 0, high = inf }\n", r"expected low below high, from 0 to 1e\+15"),
+        (RATE + f"gamma = {{ low = 0, high = 1{'0' * 400} }}\n", "expected low below high"),
         (RATE + "gamma = { from = 0.9, high = 1 }\n", "gamma: key: found 'from', expected one of"),
         (RATE + "n_epochs = { low = 1.5, high = 3 }\n", "expected low and high, whole numbers"),
         (RATE + "gamma = []\n", "gamma: found an empty list, expected values"),
