@@ -14,8 +14,6 @@ from experiments.health import self_test
 from mmwave_env.compiler import disk_cache
 from tests.cli import command, succeed
 
-pytestmark = pytest.mark.slow
-
 
 @pytest.fixture(scope="module")
 def told(tmp_path_factory):
@@ -42,6 +40,7 @@ def test_versions_and_the_folder_of_compiled_functions_are_told(told):
     assert used[0]["functions"] == len(list(folder.iterdir())) > 0
 
 
+@pytest.mark.slow
 def test_every_extra_has_a_row_and_what_is_missing_a_cure(monkeypatch, told):
     _, figures = told
     extras = set(metadata.metadata("mmwave-loc").get_all("Provides-Extra"))
@@ -60,6 +59,7 @@ def test_every_extra_has_a_row_and_what_is_missing_a_cure(monkeypatch, told):
     assert "tracks of EKF" not in text  # whose twin is not there
 
 
+@pytest.mark.slow
 def test_a_kernel_that_computes_something_else_fails(monkeypatch):
     smooth = self_test.smooth
 

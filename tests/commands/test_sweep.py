@@ -17,7 +17,6 @@ from tests.cli import assert_one_clear_line, command, environment, succeed
 from tests.paths import ROOT
 
 dataset = pytest.importorskip("pyarrow.dataset")
-pytestmark = pytest.mark.slow
 
 SMALL = """
 [evaluate]
@@ -72,6 +71,7 @@ def test_what_is_there_is_not_computed_again(swept):
     assert {path: path.stat().st_mtime_ns for path in run.glob("*.parquet")} == before
 
 
+@pytest.mark.slow
 def test_a_part_that_is_lost_is_computed_again(swept, tmp_path):
     folder, _ = swept
     expected = rows(folder / "out")
@@ -89,6 +89,7 @@ def test_a_part_that_is_lost_is_computed_again(swept, tmp_path):
     assert rows(folder / "out").equals(expected)
 
 
+@pytest.mark.slow
 def test_a_cell_that_fails_leaves_the_others_whole(tmp_path):
     (tmp_path / "bad.toml").write_text(SMALL.replace('"imm"', '"nobody"'))
     done = command("sweep", tmp_path / "bad.toml", "--out", tmp_path / "out", "--workers", "1")
@@ -100,6 +101,7 @@ def test_a_cell_that_fails_leaves_the_others_whole(tmp_path):
     assert set(rows(tmp_path / "out")["policy"].to_pylist()) == {"fixed-ekf"}
 
 
+@pytest.mark.slow
 def test_a_report_shows_it(swept, tmp_path):
     folder, _ = swept
     succeed("report", folder / "out", "--out", tmp_path / "report.html")
@@ -129,6 +131,7 @@ def test_mistakes_end_with_one_clear_line(tmp_path, words, message):
     assert_one_clear_line(command("sweep", *words, cwd=tmp_path), message)
 
 
+@pytest.mark.slow
 def test_the_example_of_the_page_runs(tmp_path, monkeypatch, capsys):
     page = (ROOT / "docs" / "sweep.md").read_text("utf-8")
     first, second, third = re.findall(r"^```toml\n(.*?)^```", page, re.DOTALL | re.MULTILINE)
@@ -145,6 +148,7 @@ def test_the_example_of_the_page_runs(tmp_path, monkeypatch, capsys):
     assert capsys.readouterr().out.count("'ate_m_mean'") == 6
 
 
+@pytest.mark.slow
 @pytest.mark.torch
 def test_trainings_are_kept_with_their_policies(tmp_path):
     (tmp_path / "train.toml").write_text(
@@ -177,6 +181,7 @@ def test_a_search_is_ray_s_alone(tmp_path):
     )
 
 
+@pytest.mark.slow
 @pytest.mark.torch
 def test_trials_leave_rows_and_hyperparameters_to_train_with(tmp_path):
     pytest.importorskip("ray.tune")
@@ -211,6 +216,7 @@ def kill_once(words, folder, early_s, rng):
     running.wait()
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(os.name != "posix", reason="kills as POSIX has them")
 @pytest.mark.parametrize("engine", ["local", "ray"])
 def test_a_sweep_killed_ten_times_ends_equal_to_one_undisturbed(tmp_path, engine):
