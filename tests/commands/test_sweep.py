@@ -177,7 +177,7 @@ def test_a_search_is_ray_s_alone(tmp_path):
     (tmp_path / "search.toml").write_text(SEARCH)
     done = command("sweep", "search.toml", cwd=tmp_path)
     assert_one_clear_line(
-        done, "engine: found local beside a table [search], expected --engine ray"
+        done, "engine: found local beside a table .search., expected --engine ray"
     )
 
 
