@@ -13,7 +13,7 @@ from experiments.arguments.shared import EpisodeArgs
 from experiments.arguments.sweep import Args
 from experiments.arguments.train import Args as TrainArgs
 from experiments.cli.main import run
-from experiments.cli.options import contender_of, provenance, selection_of, task_of
+from experiments.cli.options import command_line, contender_of, provenance, selection_of, task_of
 from experiments.evaluation.markdown import HEADERS, grid, rounded, show
 from experiments.evaluation.runner import Scoring, score_contenders
 from experiments.evaluation.seeds import TUNING_SEED
@@ -26,6 +26,7 @@ from experiments.sweeping.tuner import trials
 from experiments.training.hyperparameters import AnyHyperparameters, recipe_as_written
 from mmwave_env.files import write_json
 from mmwave_env.lookup import require_extra
+from mmwave_env.models.radio import radio_from
 
 SHOWN = ("reward", "ate_m", "rmse_m", "nees", "divergence_rate")
 BEST = "hyperparameters.json"
@@ -114,12 +115,16 @@ def main(args: Args) -> None:
     spec = read_spec(args.spec)
     if spec.trains:
         require_extra("stable_baselines3", "train", f"{args.spec}, which trains,")
-    if spec.search is not None and args.engine != "ray":
-        raise ValueError("engine: found local beside a table [search], expected --engine ray")
+    if spec.search is not None:
+        if args.engine != "ray":
+            raise ValueError("engine: found local beside a table [search], expected --engine ray")
+        radio_from(_train_args(dict(spec.search.fixed)).radio)
+        _recipe(dict(spec.search.fixed))  # what all trials have is wrong before any begins
     results = ResultSet(args.out, spec)
     with results.locked():
         there = results.finished()
-        note(f"{len(spec)} cells, {len(there)} of them kept from before, in {results.folder}")
+        kept = "what is over" if spec.search else f"{len(there)} of them"
+        note(f"{len(spec)} cells, {kept} kept from before, in {results.folder}")
         failed = _run(args, spec, results, there)
     _tell(args, spec, results, failed)
 
@@ -159,12 +164,13 @@ def _tell(args: Args, spec: Spec, results: ResultSet, failed: list[Done]) -> Non
     })  # fmt: skip
     show(_table(summary))
     if spec.search is not None and summary:
-        best, path = _recipe(dict(spec.search.fixed) | results.best()), results.folder / BEST
-        write_json(path, recipe_as_written(best))
-        say("", f"hyperparameters of the best are {path}, for train --hyperparameters")
+        fixed, path = dict(spec.search.fixed), results.folder / BEST
+        write_json(path, recipe_as_written(_recipe(fixed | results.best())))
+        train = command_line("train", replace(_train_args(fixed), hyperparameters=path))
+        say(f"On {fixed.get('episodes', JUDGED)} tuning episodes. To train as the best did:", train)
     if failed:
         raise ValueError(
-            f"{len(failed)} of {len(spec)} cells failed {args.tries} times, and the others are "
+            f"{len(failed)} of {len(spec)} cells failed {args.tries} times, the others are "
             f"there; the first is {failed[0].cell}: {failed[0].error}; "
             f"{results.folder}/summary.json names all"
         )

@@ -17,7 +17,7 @@ class Args:
     """
 
     spec: Path = field(metadata={"positional": True})
-    """TOML file with the tables [evaluate] and [train], whose lists are combined"""
+    """TOML file: [evaluate] and [train], whose lists are combined, or [search], by Ray alone"""
     out: Path = Path("sweeps")
     """folder of the data set: Parquet, a folder a run, a row an episode"""
     engine: Literal["local", "ray"] = "local"

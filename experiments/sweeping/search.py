@@ -60,23 +60,28 @@ def search_from(content: Mapping[str, Any]) -> Search:
     if len(content) > 1:
         others = ", ".join(name for name in content if name != "search")
         raise ValueError(f"search: found {quoted(others)} beside it, expected it alone in its file")
+    needed, known = KINDS["train"]
+    ours = {"trials", HYPERPARAMETER[:-1]}
+    for key in table:
+        choose(dict.fromkeys(sorted(ours | known)), key, "search: key")
+    for key in sorted((ours | needed) - set(table)):
+        raise ValueError(f"search.{key}: found none, expected one")
     table = dict(table)
-    trials, ranges = table.pop("trials", None), table.pop(HYPERPARAMETER[:-1], None)
+    trials, ranges = table.pop("trials"), table.pop(HYPERPARAMETER[:-1])
     if type(trials) is not int or trials < 1:
         raise ValueError(f"search.trials: found {quoted(trials)}, expected a whole number")
-    if not isinstance(ranges, dict) or not ranges:
+    if not isinstance(ranges, dict):
         raise ValueError(f"search.hyperparameters: found {quoted(ranges)}, expected ranges")
-    needed, known = KINDS["train"]
-    for key in table:
-        choose(dict.fromkeys(known), key, "search: key")
-    for axis in needed - set(table):
-        raise ValueError(f"search.{axis}: found none, expected one")
     fixed = {key: _only(key, values_of(key, value)) for key, value in table.items()}
     require_sound(Cell("train", tuple(sorted(fixed.items()))))
     free = {
         HYPERPARAMETER + name: _free(HYPERPARAMETER + name, value, fixed.get("algo", "ppo"))
         for name, value in ranges.items()
     }
+    if all(isinstance(of, tuple) and len(of) == 1 for of in free.values()):
+        raise ValueError(
+            "search.hyperparameters: found one combination, expected a range or a list"
+        )
     return Search(tuple(sorted(fixed.items())), tuple(sorted(free.items())), trials)
 
 
@@ -101,9 +106,13 @@ def _range(axis: str, value: Mapping[str, Any], *, whole: bool) -> Range:
     expected = "whole numbers" if whole else "numbers"
     if any(type(end) is not int and (whole or type(end) is not float) for end in (low, high)):
         raise ValueError(f"search.{axis}: found {quoted(value)}, expected low and high, {expected}")
-    if type(log) is not bool or not 0 <= low < high < MOST or (log and low == 0):
+    if not 0 <= low < high < MOST:
         raise ValueError(
-            f"search.{axis}: found {quoted(value)}, expected low below high, from 0 to {MOST:g}, "
-            "and log true or false, true above 0 alone"
+            f"search.{axis}: found {quoted(value)}, expected low below high, from 0 to {MOST:g}"
+        )
+    if type(log) is not bool or (log and low == 0):
+        raise ValueError(
+            f"search.{axis}: found {quoted(value)}, expected log true or false, and low above 0 "
+            "where it is true"
         )
     return Range(low, high, log) if whole else Range(float(low), float(high), log)

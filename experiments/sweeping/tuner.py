@@ -15,7 +15,7 @@ from experiments.sweeping.search import Range, Search
 from mmwave_env.lookup import require_extra
 
 Compute = Callable[[Cell], dict[str, Any]]
-_FOLDER = "tune"  # where Tune keeps how far it is
+_FOLDER = ".tune"  # where Tune keeps how far it is: hidden, for its files are not results
 _GOAL = "mean_reward"  # what is made great
 _SEED = 0  # of the sampler: with one worker, a search proposes the same again
 

@@ -94,7 +94,7 @@ def test_a_cell_that_fails_leaves_the_others_whole(tmp_path):
     (tmp_path / "bad.toml").write_text(SMALL.replace('"imm"', '"nobody"'))
     done = command("sweep", tmp_path / "bad.toml", "--out", tmp_path / "out", "--workers", "1")
     assert done.returncode == 2
-    assert "4 of 8 cells failed 2 times, and the others are there" in done.stderr
+    assert "4 of 8 cells failed 2 times, the others are there" in done.stderr
     (run,) = (tmp_path / "out").iterdir()
     failed = json.loads((run / "summary.json").read_text())["failed"]
     assert len(failed) == 4 and all("found 'nobody'" in one["error"] for one in failed)
@@ -192,9 +192,13 @@ def test_trials_leave_rows_and_hyperparameters_to_train_with(tmp_path):
     table = rows(tmp_path / "out").to_pylist()
     tried = {float(row["hyperparameters.learning_rate"]) for row in table}
     assert len(table) == 2 * 12 and len(tried) == 2 and best in tried and 1e-4 <= best <= 1e-2
+    (train,) = re.findall(r"^mmwave-loc train .*", told, re.MULTILINE)
+    assert train.endswith(f"--hyperparameters {run / 'hyperparameters.json'}")
     assert f"hyperparameters.learning_rate {best}" in told.splitlines()[2]  # the best comes first
     again = command("sweep", tmp_path / "search.toml", "--out", tmp_path / "out", "--engine", "ray")
-    assert again.returncode == 0 and "2 of them kept from before" in again.stderr
+    assert again.returncode == 0 and not re.search("^trial ", again.stderr, re.M)
+    succeed("report", tmp_path / "out", "--out", tmp_path / "report.html")
+    assert f"learning_rate {best}" in (tmp_path / "report.html").read_text()
     assert rows(tmp_path / "out").to_pylist() == table
 
 
