@@ -156,15 +156,15 @@ def run(name: str, words: Sequence[str] | None = None) -> None:
         name: of the command.
         words: its options; None for those the program was started with.
     """
-    program, (module, _) = f"mmwave-loc {name}", commands()[name]
-    words = sys.argv[1:] if words is None else words
+    program, words = f"mmwave-loc {name}", sys.argv[1:] if words is None else words
     debug = "--debug" in words
-    warnings.showwarning = _show_warning
-    for stream in (sys.stdout, sys.stderr):
-        if isinstance(stream, TextIOWrapper):  # names may hold letters that the terminal has not
-            stream.reconfigure(errors="backslashreplace")
     try:
         with stopped_at_once():
+            warnings.showwarning = _show_warning
+            for stream in (sys.stdout, sys.stderr):
+                if isinstance(stream, TextIOWrapper):  # which may not have all letters of names
+                    stream.reconfigure(errors="backslashreplace")
+            module, _ = commands()[name]
             args = read_arguments(module, words, program)
             command = importlib.import_module(module)
         with ended_by_signals(), _quiet() if "--quiet" in words else nullcontext():
@@ -199,7 +199,8 @@ def _require_results_can_be_written(args: Any) -> None:
 
 def main() -> None:
     """The program: the first argument names the command."""
-    words, there = sys.argv[1:], commands()
+    with stopped_at_once():
+        words, there = sys.argv[1:], commands()
     if not words or words[0] in ("-h", "--help"):
         print("usage: mmwave-loc <command> [options]; --help after a command lists its options\n")
         whats = {name: what for name, (_, what) in there.items()}

@@ -5,10 +5,13 @@ import signal
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from threading import Timer
+from types import FrameType
 from typing import Any, NoReturn
 
 # Those that there are: on Windows no SIGHUP.
 ENDING = tuple(getattr(signal, n) for n in ("SIGTERM", "SIGHUP") if hasattr(signal, n))
+SOON_S = 0.01  # after it, a signal that could not be answered comes again
 SAME_S = 1.0  # within it, a signal that comes again is the same: sent to a group, and to each in it
 
 
@@ -47,14 +50,26 @@ def ended_by_signals() -> Iterator[None]:
     """
     last_s = -SAME_S
 
-    def end(number: int, _: Any) -> None:
+    def end(number: int, frame: FrameType | None) -> None:
         nonlocal last_s
+        if _in_callback(frame):
+            Timer(SOON_S, os.kill, (os.getpid(), number)).start()
+            return
         again, last_s = time.monotonic() - last_s < SAME_S, time.monotonic()
         if not again:
             raise Ended(number)
 
     with _answered(ENDING, end):
         yield
+
+
+def _in_callback(frame: FrameType | None) -> bool:
+    """Whether C called the Python code that runs: there an exception is dropped, and its signal."""
+    while frame is not None:
+        if frame.f_code.co_name.startswith("_raw_object_cache"):  # of llvmlite
+            return True
+        frame = frame.f_back
+    return False
 
 
 def _leave(number: int, _: Any) -> NoReturn:

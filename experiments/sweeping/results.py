@@ -19,6 +19,7 @@ from mmwave_env.lookup import require_extra
 from mmwave_env.metrics import METRICS
 
 EPISODE = ("episode_seed", "episode_key")  # columns that say which episode a row is
+_WHOLE = "[!.]*.parquet"  # hidden ones are what kill -9 left half written
 _EVERY_S = 1.0  # cells that are over within it share a file
 
 
@@ -71,7 +72,7 @@ class ResultSet:
                     "computed again"
                 ) from error
 
-        return set().union(*map(cells, self.folder.glob("*.parquet")))
+        return set().union(*map(cells, self.folder.glob(_WHOLE)))
 
     def add(self, cell: Cell, result: Mapping[str, Any]) -> None:
         """Keep a cell; it is on disk within a second of the next ones, and at the end."""
@@ -122,7 +123,7 @@ class ResultSet:
         """
         from pyarrow import compute
 
-        if not any(self.folder.glob("*.parquet")):
+        if not any(self.folder.glob(_WHOLE)):
             return {}
         # In an order of their own, so that intervals do not depend on which cell was done first.
         table = self._rows().sort_by([(name, "ascending") for name in ("cell", *EPISODE)])

@@ -109,6 +109,16 @@ def test_a_report_shows_it(swept, tmp_path):
     assert "policy fixed-ekf, scenario vehicle" in page and "8 cells" in page
 
 
+def test_what_was_left_half_written_stops_nothing(swept):
+    folder, told = swept
+    (run,) = (folder / "out").iterdir()
+    half = run / ".0123456789abcdef.cells-of-a-killed-sweep.parquet"
+    half.write_bytes(b"PAR1 and no more")
+    again = command("sweep", folder / "small.toml", "--out", folder / "out")
+    half.unlink()
+    assert again.stdout == told and "8 of them kept from before" in again.stderr
+
+
 def test_two_at_once_on_one_run_are_refused(swept):
     fcntl = pytest.importorskip("fcntl")
     folder, _ = swept

@@ -119,4 +119,12 @@ def _run(
     warnings.simplefilter("ignore")
     warnings.simplefilter("default", UserWarning)
     multiprocessing.get_context = lambda method=None: FORK
-    main()
+    code = 0
+    try:
+        main()
+    except SystemExit as end:
+        code = int(end.code or 0)
+    for stream in (sys.stdout, sys.stderr):
+        with suppress(OSError):
+            stream.flush()
+    os._exit(code)  # what else the fork would do at its end is not the command's
