@@ -18,8 +18,16 @@ from experiments.evaluation.markdown import HEADERS, grid, rounded, show
 from experiments.evaluation.runner import Scoring, score_contenders
 from experiments.evaluation.seeds import TUNING_SEED
 from experiments.evaluation.terminal import note, progress, say
-from experiments.sweeping.cell import HYPERPARAMETER, JUDGED, Cell, episode_args, task_args
-from experiments.sweeping.engines import Done, local, on_ray
+from experiments.sweeping.cell import (
+    HYPERPARAMETER,
+    JUDGED,
+    Cell,
+    Done,
+    Result,
+    episode_args,
+    task_args,
+)
+from experiments.sweeping.engines import local, on_ray
 from experiments.sweeping.results import ResultSet
 from experiments.sweeping.spec import Spec, read_spec
 from experiments.sweeping.tuner import trials
@@ -30,7 +38,6 @@ from mmwave_env.models.radio import radio_from
 
 SHOWN = ("reward", "ate_m", "rmse_m", "nees", "divergence_rate")
 BEST = "hyperparameters.json"
-Result = dict[str, Any]
 
 
 def compute(cell: Cell) -> Result:

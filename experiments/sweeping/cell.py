@@ -2,9 +2,9 @@
 
 import hashlib
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields
-from typing import Any, get_type_hints
+from typing import Any, NamedTuple, get_type_hints
 
 from experiments.arguments.shared import EpisodeArgs, ModeArgs
 from experiments.arguments.train import TaskArgs
@@ -44,6 +44,18 @@ class Cell:
 
     def __str__(self) -> str:
         return f"{self.kind} {', '.join(f'{axis} {value}' for axis, value in self.values)}"
+
+
+Result = dict[str, Any]
+Compute = Callable[[Cell], Result]
+
+
+class Done(NamedTuple):
+    """A cell that is over."""
+
+    cell: Cell
+    result: Result | None  # of the cell; None where it failed
+    error: str  # of the last try
 
 
 def values_of(key: str, value: Any) -> Sequence[Any]:

@@ -1,37 +1,25 @@
 """Who computes the cells: processes of this machine, or Ray, on this machine or a cluster."""
 
-import multiprocessing
-import os
-import signal
-import threading
-from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from concurrent.futures import FIRST_COMPLETED, wait
 from concurrent.futures.process import BrokenProcessPool
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from importlib import import_module
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
-from experiments.evaluation.signals import Ended, ended_by_signals
-from experiments.sweeping.cell import Cell
+from experiments.sweeping.cell import Cell, Compute, Done
+from experiments.sweeping.worker import Worker, staff_of
 from mmwave_env.lookup import require_extra
 
-Compute = Callable[[Cell], dict[str, Any]]
-_AHEAD = 4  # cells handed to each worker before it asks: none of them waits for this process
-
-
-class Done(NamedTuple):
-    """A cell that is over."""
-
-    cell: Cell
-    result: dict[str, Any] | None  # of the cell; None where it failed
-    error: str  # of the last try
+_AHEAD = 4  # cells that Ray has for each worker: none of them waits for this process
 
 
 def local(compute: Compute, cells: Sequence[Cell], workers: int, tries: int) -> Iterator[Done]:
     """Cells as they are over, by processes of this machine.
 
-    A worker that is ended from outside costs the cells it had a try, and is replaced.
+    A worker that is ended from outside costs the cell it was at a try, and is replaced.
 
     Args:
         compute: what to do; a function of a module.
@@ -39,75 +27,39 @@ def local(compute: Compute, cells: Sequence[Cell], workers: int, tries: int) -> 
         workers: how many processes.
         tries: of each cell before it has failed.
     """
-    tried, waiting = dict.fromkeys(cells, 0), list(reversed(cells))
-    while waiting:
-        running: dict[Future[Any], Cell] = {}
-        with _pool(workers) as pool:
-            try:
-                while waiting or running:
-                    while waiting and len(running) < workers * _AHEAD:
-                        cell = waiting.pop()
-                        tried[cell] += 1
-                        running[pool.submit(_ended_cleanly, compute, cell)] = cell
-                    for future in wait(running, return_when=FIRST_COMPLETED).done:
-                        cell = running.pop(future)
-                        try:
-                            yield Done(cell, future.result(), "")
-                        except BrokenProcessPool:
-                            running[future] = cell
-                            raise
-                        except Exception as error:
-                            if tried[cell] < tries:
-                                waiting.append(cell)
-                            else:
-                                yield Done(cell, None, _told(error))
-            except BrokenProcessPool:
-                for cell in running.values():
+    tried, waiting = Counter[Cell](), list(reversed(cells))
+    with staff_of(compute, min(workers, len(cells))) as staff:
+        while waiting or any(worker.handed for worker in staff):
+            _hand_out(waiting, staff)
+            wait([one for worker in staff for one in worker.handed], return_when=FIRST_COMPLETED)
+            for worker in staff:
+                for cell, future in worker.over():
+                    error = future.exception()
+                    if error is None:
+                        yield Done(cell, future.result(), "")
+                        continue
+                    if isinstance(error, BrokenProcessPool):
+                        waiting += worker.renew()
+                    tried[cell] += 1
                     if tried[cell] < tries:
                         waiting.append(cell)
                     else:
-                        yield Done(cell, None, "its process was ended from outside")
+                        yield Done(cell, None, _told(error))
 
 
-@contextmanager
-def _pool(workers: int) -> Iterator[ProcessPoolExecutor]:
-    """Processes that end with this one; at an interrupt they do not go on with what waits."""
-    spawn = multiprocessing.get_context("spawn")  # a fork would share locks
-    pool = ProcessPoolExecutor(workers, spawn, _begin)
-    try:
-        yield pool
-    except BaseException:
-        for process in list(pool._processes.values()):
-            process.terminate()
-        with suppress(RuntimeError):  # it was ended before its own thread had begun
-            pool.shutdown(wait=True, cancel_futures=True)
-        raise
-    pool.shutdown(wait=True, cancel_futures=True)
-
-
-def _ended_cleanly(compute: Compute, cell: Cell) -> dict[str, Any]:
-    """A cell; where the pool ends its process, folders that it made for a while vanish."""
-    try:
-        with ended_by_signals():
-            return compute(cell)
-    except Ended as end:
-        os._exit(int(str(end.code)))  # or the process would go on with what waits
-
-
-def _begin() -> None:
-    """What a worker does first: leave Ctrl-C to the parent, and end where the parent is gone."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    parent = multiprocessing.parent_process()
-    assert parent is not None
-
-    def follow() -> None:
-        parent.join()
-        os._exit(1)
-
-    threading.Thread(target=follow, daemon=True).start()
+def _hand_out(waiting: list[Cell], staff: Sequence[Worker]) -> None:
+    """A cell for everybody; while many wait a second, so that nobody waits for this process."""
+    for least, ahead in ((0, 1), (len(staff), 2)):
+        for worker in staff:
+            while len(waiting) > least and len(worker.handed) < ahead:
+                if not worker.hand(waiting[-1]):
+                    break
+                waiting.pop()
 
 
 def _told(error: BaseException) -> str:
+    if isinstance(error, BrokenProcessPool):
+        return "its process was ended from outside"
     return f"{type(error).__name__}: {error}"
 
 

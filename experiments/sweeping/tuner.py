@@ -9,12 +9,11 @@ from typing import Any
 import numpy as np
 
 from experiments.evaluation.terminal import note
-from experiments.sweeping.cell import Cell
-from experiments.sweeping.engines import Done, ray_at
+from experiments.sweeping.cell import Cell, Compute, Done, Result
+from experiments.sweeping.engines import ray_at
 from experiments.sweeping.search import Range, Search
 from mmwave_env.lookup import require_extra
 
-Compute = Callable[[Cell], dict[str, Any]]
 _FOLDER = ".tune"  # where Tune keeps how far it is: hidden, for its files are not results
 _GOAL = "mean_reward"  # what is made great
 _SEED = 0  # of the sampler: with one worker, a search proposes the same again
@@ -122,7 +121,7 @@ def _done(search: Search, found: Any) -> Done:
     return Done(cell, None, str(found.error).strip().splitlines()[-1])
 
 
-def _reported(result: dict[str, Any]) -> dict[str, Any]:
+def _reported(result: Result) -> dict[str, Any]:
     """A result without its policy, in types that Tune's files have; and what is made great.
 
     Whoever has found hyperparameters trains with them, on several seeds.

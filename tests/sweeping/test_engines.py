@@ -1,7 +1,9 @@
 """Engines compute every cell, try again what fails, and survive the death of a worker."""
 
+import multiprocessing
 import os
 import signal
+import time
 from pathlib import Path
 
 import pytest
@@ -52,6 +54,31 @@ def test_what_fails_is_tried_again_and_then_told(engine, tmp_path, monkeypatch):
     assert [n for n, done in found.items() if done.result is None] == [13]
     assert "moody about 13" in found[13].error
     assert all(found[n].result == {"square": n**2} for n in range(20) if n != 13)
+
+
+def deadly(cell):
+    """Ends its process always at 0; beside it others are at work for longer."""
+    time.sleep(0.2 if dict(cell.values)["number"] == 0 else 0.6)
+    if dict(cell.values)["number"] == 0:
+        os.kill(os.getpid(), signal.SIGKILL)
+    return square(cell)
+
+
+def test_a_cell_that_ends_its_process_costs_no_other_a_try(engine):
+    found = {dict(done.cell.values)["number"]: done for done in engine(deadly, CELLS[:6], 2, 2)}
+    assert sorted(found) == list(range(6))
+    assert [n for n, done in found.items() if done.result is None] == [0]
+
+
+def test_workers_ended_between_two_cells_lose_none():
+    found = list[int]()
+    for done in local(square, CELLS, 2, 20):
+        found.append(dict(done.cell.values)["number"])
+        if len(found) in (3, 9):
+            for child in multiprocessing.active_children():
+                child.kill()
+            time.sleep(0.5)  # until the pool knows
+    assert sorted(found) == list(range(20))
 
 
 def test_whoever_stops_listening_ends_the_workers():
