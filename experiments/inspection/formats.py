@@ -22,6 +22,7 @@ from mmwave_env.episodes.fcd import SUFFIXES
 from mmwave_env.episodes.log_folder import SCENE, TRUTH, log_of
 from mmwave_env.episodes.samples import sample_folder, sample_names
 from mmwave_env.episodes.tables import TRAJECTORY
+from mmwave_env.episodes.traffic import Traffic, read_traffic
 from mmwave_env.episodes.waypoints import WAYPOINT
 from mmwave_env.files import open_regular
 
@@ -76,7 +77,12 @@ FORMATS = (
     Format(
         f"traffic of SUMO ({', '.join(SUFFIXES)})",
         lambda path, columns: ".xml" in path.suffixes or "timestep_time" in columns,
-        lambda path, beside: traffic_data_set(path),
+        lambda path, beside: traffic_data_set(Traffic(str(path))),
+    ),
+    Format(
+        "a choice of its trips (.json)",
+        lambda path, columns: path.suffix.lower() == ".json",
+        lambda path, beside: traffic_data_set(read_traffic(path)),
     ),
     Format(
         f"a way (.csv with the columns {','.join(TRAJECTORY[:4])}, or of way-points)",

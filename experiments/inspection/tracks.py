@@ -13,7 +13,7 @@ from mmwave_env.episodes.deepmimo.formats import open_scenario
 from mmwave_env.episodes.deepmimo.recording import read_deepmimo
 from mmwave_env.episodes.deepmimo.scenario import Scenario
 from mmwave_env.episodes.deepmimo.way import SIDECAR
-from mmwave_env.episodes.fcd import read_fcd
+from mmwave_env.episodes.traffic import Traffic
 from mmwave_env.episodes.waypoints import read_way
 from mmwave_env.logs.tum import tum_blocks
 from mmwave_env.numerics.arrays import Array
@@ -134,13 +134,13 @@ def way_data_set(path: Path) -> DataSet:
     )
 
 
-def traffic_data_set(path: Path) -> DataSet:
+def traffic_data_set(traffic: Traffic) -> DataSet:
     """The data set of a traffic simulation's trips, one after the other.
 
     Raises:
         ValueError, OSError: as :func:`~mmwave_env.episodes.fcd.read_fcd`.
     """
-    trips = read_fcd(path, lambda name, kind: True)
+    trips = traffic.trips
     kinds = Counter(trip.kind for trip in trips)
     places = np.concatenate([trip.position_m for trip in trips])
     times = np.concatenate([trip.time_s for trip in trips])

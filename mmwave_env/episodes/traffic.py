@@ -50,8 +50,8 @@ class Traffic:
             object.__setattr__(self, "name", Path(self.fcd).name)
 
     @cached_property
-    def _found(self) -> list[Trip]:
-        """The trips that are wanted.
+    def trips(self) -> list[Trip]:
+        """Those that are wanted, in any scene.
 
         Raises:
             ValueError: there is none.
@@ -83,7 +83,7 @@ class Traffic:
         """
         shift = self._shift(scene)
         shortest_s = max(self.min_seconds or dt, dt) * (1.0 - 1e-12)
-        lasting = [trip for trip in self._found if np.ptp(trip.time_s) >= shortest_s]
+        lasting = [trip for trip in self.trips if np.ptp(trip.time_s) >= shortest_s]
         tried = [self._way(trip, shift, scene, dt) for trip in lasting]
         refused = [one for one in tried if isinstance(one, str)]
         gone = [one for one in tried if not isinstance(one, str)]
@@ -91,19 +91,19 @@ class Traffic:
         least = 2 if self.min_seconds else min(epochs, longest)
         kept = [(trajectory, way) for trajectory, way in gone if len(way) >= least]
         counts = {
-            f"shorter than {self.min_seconds or dt * (least - 1):g} s": len(self._found)
+            f"shorter than {self.min_seconds or dt * (least - 1):g} s": len(self.trips)
             - len(refused)
             - len(kept),
             f"that nobody can go here, the first: {''.join(refused[:1])}": len(refused),
         }
         left_out = [f"{count} {why}" for why, count in counts.items() if count]
         about = (
-            f"{len(kept)} of {len(self._found)} trips, moved by ({shift[0]:g}, {shift[1]:g}) m"
+            f"{len(kept)} of {len(self.trips)} trips, moved by ({shift[0]:g}, {shift[1]:g}) m"
             f"{'; left out: ' * bool(left_out)}{'; '.join(left_out)}"
         )
         if not kept:
             raise ValueError(f"{self.fcd}: found {about}; expected one trip at least")
-        few = self.min_seconds is None and 2 * len(kept) < len(self._found)
+        few = self.min_seconds is None and 2 * len(kept) < len(self.trips)
         if refused or few:
             hint = "; there are more for shorter episodes (episode_steps)" * few
             warnings.warn(f"{self.fcd}: {about}{hint}", stacklevel=2)
@@ -140,7 +140,7 @@ class Traffic:
         """What is added to positions (2,)."""
         if self.shift_m is not None:
             return np.array(self.shift_m, float)
-        places = np.concatenate([trip.position_m for trip in self._found])
+        places = np.concatenate([trip.position_m for trip in self.trips])
         low, high = places.min(axis=0), places.max(axis=0)
         streets = np.array([scene.streets.x_m, scene.streets.y_m]).mean(axis=1)
         shift: Array = streets - 0.5 * (low + high)

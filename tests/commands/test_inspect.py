@@ -172,6 +172,10 @@ def test_traffic_is_counted_by_type(tmp_path):
     figures, told = inspected(tmp_path, DATA / "traffic" / "grid.xml.gz")
     assert "trips: 35: 20 DEFAULT_VEHTYPE, 15 DEFAULT_PEDTYPE" in told
     assert figures["speed_mps"] is None and figures["problems"] == []
+    shutil.copy(DATA / "traffic" / "grid.xml.gz", tmp_path)
+    walkers = tmp_path / "walkers.json"
+    walkers.write_text('{"fcd": "grid.xml.gz", "types": ["DEFAULT_PED*"]}')
+    assert "trips: 15: 15 DEFAULT_PEDTYPE" in inspected(tmp_path, walkers)[1]
 
 
 def test_a_log_of_paths_without_anchors_is_counted(tmp_path):
