@@ -130,8 +130,8 @@ def main(args: Args) -> None:
     results = ResultSet(args.out, spec)
     with results.locked():
         there = results.finished()
-        kept = "what is over" if spec.search else f"{len(there)} of them"
-        note(f"{len(spec)} cells, {kept} kept from before, in {results.folder}")
+        kept = "those over" if spec.search else f"{len(there)} of them"
+        note(f"{_counted(spec)}, {kept} kept from before, in {results.folder}")
         failed = _run(args, spec, results, there)
     _tell(args, spec, results, failed)
 
@@ -163,24 +163,33 @@ def _run(args: Args, spec: Spec, results: ResultSet, there: set[str]) -> list[Do
 
 def _tell(args: Args, spec: Spec, results: ResultSet, failed: list[Done]) -> None:
     """The summary, as a table and as a file that report reads; the best of a search as one."""
-    summary = results.summary()
+    summary, lost = results.summary(), {one.cell for one in failed}
     write_json(results.folder / "summary.json", provenance("sweep", args) | {
         "cells": len(spec),
         "failed": [{"cell": str(one.cell), "error": one.error} for one in failed],
         "sweep": {name: {m: i.json for m, i in row.items()} for name, row in summary.items()},
     })  # fmt: skip
-    show(_table(summary))
+    if summary:
+        show(_table(summary))
     if spec.search is not None and summary:
         fixed, path = dict(spec.search.fixed), results.folder / BEST
         write_json(path, recipe_as_written(_recipe(fixed | results.best())))
         train = command_line("train", replace(_train_args(fixed), hyperparameters=path))
         say(f"On {fixed.get('episodes', JUDGED)} tuning episodes. To train as the best did:", train)
+    elif trained := [one for one in spec.cells if one.kind == "train" and one not in lost]:
+        best = max(trained, key=lambda cell: summary[results.label(cell)]["reward"].mean)
+        say(f"The best of the trainings is {results.policy_of(best)}")
     if failed:
+        others = ", the others are there" if summary else ""
         raise ValueError(
-            f"{len(failed)} of {len(spec)} cells failed {args.tries} times, the others are "
-            f"there; the first is {failed[0].cell}: {failed[0].error}; "
-            f"{results.folder}/summary.json names all"
+            f"{len(failed)} of {_counted(spec)} failed {args.tries} times{others}; the first is "
+            f"{failed[0].cell}: {failed[0].error}; {results.folder}/summary.json names all"
         )
+
+
+def _counted(spec: Spec) -> str:
+    what = "cell" if spec.search is None else "trial"
+    return f"{len(spec)} {what}{'s' if len(spec) > 1 else ''}"
 
 
 def _table(summary: Mapping[str, Mapping[str, Any]]) -> str:

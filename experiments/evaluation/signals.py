@@ -48,19 +48,27 @@ def ended_by_signals() -> Iterator[None]:
     Raises:
         Ended: one of them came.
     """
-    last_s = -SAME_S
+    last_s, came = -SAME_S, 0
 
     def end(number: int, frame: FrameType | None) -> None:
-        nonlocal last_s
+        nonlocal last_s, came
         if _in_callback(frame):
             Timer(SOON_S, os.kill, (os.getpid(), number)).start()
             return
         again, last_s = time.monotonic() - last_s < SAME_S, time.monotonic()
         if not again:
+            came = number
             raise Ended(number)
 
     with _answered(ENDING, end):
-        yield
+        try:
+            yield
+        except (
+            SystemExit
+        ) as other:  # C code of Ray's drops what a handler raises for one of its own
+            if came and not isinstance(other, Ended):
+                raise Ended(came) from None
+            raise
 
 
 def _in_callback(frame: FrameType | None) -> bool:

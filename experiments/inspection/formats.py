@@ -18,7 +18,7 @@ from experiments.inspection.tracks import (
 )
 from mmwave_env.episodes.deepmimo.formats import is_scenario
 from mmwave_env.episodes.deepmimo.params import PARAMS
-from mmwave_env.episodes.fcd import SUFFIXES
+from mmwave_env.episodes.fcd import SUFFIXES, is_fcd
 from mmwave_env.episodes.log_folder import SCENE, TRUTH, log_of
 from mmwave_env.episodes.samples import sample_folder, sample_names
 from mmwave_env.episodes.tables import TRAJECTORY
@@ -76,7 +76,11 @@ FORMATS = (
     ),
     Format(
         f"traffic of SUMO ({', '.join(SUFFIXES)})",
-        lambda path, columns: ".xml" in path.suffixes or "timestep_time" in columns,
+        lambda path, columns: (
+            ".xml" in path.suffixes
+            or "timestep_time" in columns
+            or (path.suffix.lower() == ".csv" and is_fcd(path))
+        ),
         lambda path, beside: traffic_data_set(Traffic(str(path))),
     ),
     Format(
@@ -134,4 +138,5 @@ def _columns(path: Path) -> Sequence[str]:
             line = file.readline(_FIRST_LINE).decode("utf-8-sig")
         except (UnicodeDecodeError, EOFError, OSError):
             return ()
-    return [name.strip() for name in next(csv.reader([line]), [])]
+    divider = max(",;\t", key=line.count)
+    return [name.strip() for name in next(csv.reader([line], delimiter=divider), [])]

@@ -9,6 +9,7 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any
 
+from experiments.evaluation.signals import ended_by_signals
 from experiments.sweeping.cell import Cell, Compute, Done
 from experiments.sweeping.worker import Worker, staff_of
 from mmwave_env.lookup import require_extra
@@ -100,7 +101,8 @@ def ray_at(address: str | None, workers: int) -> Iterator[Any]:
         where = {"address": address, "runtime_env": {"py_modules": _packages()}}
     ray.init(log_to_driver=False, logging_level="error", **where)
     try:
-        yield ray
+        with ended_by_signals():  # Ray has just put handlers of its own in their place
+            yield ray
     finally:
         ray.shutdown()
 

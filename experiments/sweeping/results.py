@@ -37,6 +37,8 @@ class ResultSet:
     def __init__(self, out: Path, spec: Spec) -> None:
         require_extra("pyarrow", "sweep", "sweep")
         self.folder, self._spec = out / f"run={spec.run}", spec
+        self._mixed = len({cell.kind for cell in spec.cells}) > 1
+        self._told = [axis for axis in spec.axes if axis == "policy" or self._varies(axis)]
         self._waiting: list[tuple[Cell, Mapping[str, Any]]] = []
         self._written_s = time.monotonic()
 
@@ -77,7 +79,7 @@ class ResultSet:
     def add(self, cell: Cell, result: Mapping[str, Any]) -> None:
         """Keep a cell; it is on disk within a second of the next ones, and at the end."""
         if "policy" in result:
-            write_bytes(self.folder / "policies" / f"{cell.name}.safetensors", result["policy"])
+            write_bytes(self.policy_of(cell), result["policy"])
         self._waiting.append((cell, result))
         if time.monotonic() - self._written_s >= _EVERY_S:
             self.flush()
@@ -99,24 +101,18 @@ class ResultSet:
         """A row an episode: the cell, its axes as text, the episode, its metrics."""
         import pyarrow
 
-        values, rows = dict(cell.values), len(result["scores"]["reward"])
-
-        def text(axis: str) -> str | None:
-            value = values.get(axis)
-            return value if value is None or isinstance(value, str) else json.dumps(value)
-
+        values, rows = _as_text(cell), len(result["scores"]["reward"])
+        texts: dict[str, str | None] = {"cell": cell.name, "kind": cell.kind}
+        texts |= {axis: values.get(axis) for axis in self._spec.axes}
         columns: dict[str, Any] = {
-            name: pyarrow.array([said] * rows, pyarrow.string())
-            for name, said in (
-                ("cell", cell.name), ("kind", cell.kind), *((a, text(a)) for a in self._spec.axes)
-            )
-        }  # fmt: skip
+            name: pyarrow.array([said] * rows, pyarrow.string()) for name, said in texts.items()
+        }
         for name, kind in zip(EPISODE, (pyarrow.int64(), pyarrow.uint64()), strict=True):
             columns[name] = pyarrow.array(result[name], kind)
         return pyarrow.table(columns | {m: result["scores"][m] for m in METRICS})
 
     def summary(self) -> dict[str, dict[str, Interval]]:
-        """Means with intervals over episodes by combination.
+        """Means with intervals over episodes by combination, in the order of the file.
 
         First seeds of episodes are left out; every training has a row of its own, because episodes
         of one training do not tell how another would have gone. Of a search the best comes first.
@@ -127,23 +123,37 @@ class ResultSet:
             return {}
         # In an order of their own, so that intervals do not depend on which cell was done first.
         table = self._rows().sort_by([(name, "ascending") for name in ("cell", *EPISODE)])
-        axes = [axis for axis in self._spec.axes if self._varies(axis)]
-        if "seed" in axes:
+        if "seed" in self._spec.axes:
             trained = compute.equal(table["kind"], "train")
             seeds = compute.if_else(trained, table["seed"], None)
             table = table.set_column(table.schema.get_field_index("seed"), "seed", seeds)
-        keys = ["kind", *axes]
+        keys = ["kind", *self._spec.axes]
         grouped = table.group_by(keys, use_threads=False).aggregate([(m, "list") for m in METRICS])
-        grouped = grouped.sort_by([(key, "ascending") for key in keys])
         rows = {}
         for row in grouped.to_pylist():
             values = np.array([row[f"{m}_list"] for m in METRICS]).T
-            name = ", ".join(f"{axis} {row[axis]}" for axis in axes if row[axis] is not None)
             intervals = dict(zip(METRICS, bootstrap(values), strict=True))
-            rows[name or row["kind"]] = intervals
+            rows[self._label(row["kind"], row)] = intervals
         if self._spec.search is not None:
-            rows = dict(sorted(rows.items(), key=lambda row: -row[1]["reward"].mean))
-        return rows
+            return dict(sorted(rows.items(), key=lambda row: -row[1]["reward"].mean))
+        labels = (self.label(cell) for cell in self._spec.cells)
+        return {label: rows[label] for label in dict.fromkeys(labels) if label in rows}
+
+    def label(self, cell: Cell) -> str:
+        """What the row of the summary is called that a cell belongs to."""
+        values = _as_text(cell)
+        if cell.kind == "evaluate":
+            values.pop("seed", None)
+        return self._label(cell.kind, values)
+
+    def _label(self, kind: str, values: Mapping[str, str | None]) -> str:
+        """What is not the same in all cells, and always who was evaluated."""
+        parts = [f"{axis} {values[axis]}" for axis in self._told if values.get(axis) is not None]
+        return ", ".join([kind] * (self._mixed or not parts) + parts)
+
+    def policy_of(self, cell: Cell) -> Path:
+        """The file of what a training came to."""
+        return self.folder / "policies" / f"{cell.name}.safetensors"
 
     def best(self) -> dict[str, Any]:
         """Hyperparameters of the training with the greatest mean reward, by axis."""
@@ -151,7 +161,8 @@ class ResultSet:
         axes = [axis for axis in self._spec.axes if axis.startswith(HYPERPARAMETER)]
         means = rewards.aggregate([("reward", "mean"), *((axis, "min") for axis in axes)])
         (best,) = means.sort_by([("reward_mean", "descending")]).slice(0, 1).to_pylist()
-        return {axis: json.loads(best[f"{axis}_min"]) for axis in axes}
+        found = {axis: json.loads(best[f"{axis}_min"]) for axis in axes}
+        return {axis: tuple(v) if isinstance(v, list) else v for axis, v in found.items()}
 
     def _rows(self) -> Any:
         from pyarrow import dataset
@@ -163,6 +174,11 @@ class ResultSet:
         if self._spec.search is not None:
             return axis in dict(self._spec.search.free)
         return len({dict(cell.values).get(axis) for cell in self._spec.cells}) > 1
+
+
+def _as_text(cell: Cell) -> dict[str, str | None]:
+    """Values by axis as rows hold them."""
+    return {a: value if isinstance(value, str) else json.dumps(value) for a, value in cell.values}
 
 
 def _lock(descriptor: int, folder: Path) -> None:

@@ -13,6 +13,7 @@ from typing import Any
 
 from experiments.arguments.shared import USUAL_EPISODES
 from experiments.sweeping.cell import HYPERPARAMETER, KINDS, Cell, require_sound, values_of
+from experiments.sweeping.named_files import digests
 from experiments.sweeping.search import Search, search_from
 from mmwave_env import __version__
 from mmwave_env.files import read_text
@@ -51,9 +52,14 @@ class Spec:
 
     @property
     def run(self) -> str:
-        """The name of its partition: another sweep, or version of the program, has another."""
+        """The name of its partition.
+
+        Another sweep has another, and so has another version of the program, or the same sweep
+        after a file that it names was changed.
+        """
         what = [repr(self.search)] if self.search else sorted(cell.name for cell in self.cells)
-        told = json.dumps([__version__, what])
+        pairs = self.search.fixed if self.search else (v for c in self.cells for v in c.values)
+        told = json.dumps([__version__, what, digests(value for _, value in pairs)])
         return f"{self.name}-{hashlib.sha256(told.encode()).hexdigest()[:8]}"
 
 

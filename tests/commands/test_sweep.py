@@ -109,6 +109,37 @@ def test_a_report_shows_it(swept, tmp_path):
     assert "policy fixed-ekf, scenario vehicle" in page and "8 cells" in page
 
 
+@pytest.mark.slow
+def test_a_file_that_was_changed_is_another_sweep(tmp_path):
+    (tmp_path / "own.json").write_text('{"base": "handset", "ue_elements": 4}')
+    text = '[evaluate]\npolicy = "fixed-ekf"\nradio = "own.json"\nepisodes = 2\n'
+    (tmp_path / "own.toml").write_text(text)
+    succeed("sweep", "own.toml", cwd=tmp_path)
+    again = command("sweep", "own.toml", cwd=tmp_path)
+    assert "1 cell, 1 of them kept" in again.stderr
+    (tmp_path / "own.json").write_text('{"base": "handset", "ue_elements": 8}')
+    changed = command("sweep", "own.toml", cwd=tmp_path)
+    assert "1 cell, 0 of them kept" in changed.stderr and changed.stdout != again.stdout
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(os.name != "posix", reason="signals as POSIX has them")
+def test_a_sweep_by_ray_is_ended_as_any_command(tmp_path):
+    pytest.importorskip("ray")
+    text = '[evaluate]\npolicy = "fixed-ekf"\nseed = [0, 20000]\nepisodes = 20000\n'
+    (tmp_path / "long.toml").write_text(text)
+    words = ["sweep", "long.toml", "--engine", "ray"]
+    running = subprocess.Popen(
+        [sys.executable, "-m", "experiments.cli", *words], cwd=tmp_path,
+        env=environment(), stderr=subprocess.PIPE, text=True,
+    )  # fmt: skip
+    assert "2 cells" in running.stderr.readline()
+    time.sleep(8.0)  # until Ray has begun
+    running.send_signal(signal.SIGTERM)
+    _, told = running.communicate(timeout=60)
+    assert running.returncode == 143 and told == "mmwave-loc sweep: ended by SIGTERM\n"
+
+
 def test_what_was_left_half_written_stops_nothing(swept):
     folder, told = swept
     (run,) = (folder / "out").iterdir()
@@ -178,6 +209,7 @@ SEARCH = """
 trials = 2
 total_timesteps = 1
 episodes = 12
+hyperparameters.hidden = [[32, 32]]
 hyperparameters.learning_rate = { low = 1e-4, high = 1e-2, log = true }
 """
 
