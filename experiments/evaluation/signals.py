@@ -4,7 +4,7 @@ import os
 import signal
 import time
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from threading import Timer
 from types import FrameType
 from typing import Any, NoReturn
@@ -71,6 +71,13 @@ def ended_by_signals() -> Iterator[None]:
             raise
 
 
+@contextmanager
+def ignored() -> Iterator[None]:
+    """Ctrl-C and the others do nothing in the block: it is cleaning up after them."""
+    with _answered((signal.SIGINT, *ENDING), lambda number, frame: None):
+        yield
+
+
 def _in_callback(frame: FrameType | None) -> bool:
     """Whether C called the Python code that runs: there an exception is dropped, and its signal."""
     while frame is not None:
@@ -81,7 +88,8 @@ def _in_callback(frame: FrameType | None) -> bool:
 
 
 def _leave(number: int, _: Any) -> NoReturn:
-    os.write(2, f"mmwave-loc: {_told(number)}\n".encode())
+    with suppress(OSError):  # the terminal may be gone
+        os.write(2, f"mmwave-loc: {_told(number)}\n".encode())
     os._exit(128 + number)
 
 

@@ -2,10 +2,9 @@
 
 from collections import Counter
 from collections.abc import Iterator, Sequence
-from concurrent.futures import FIRST_COMPLETED, wait
-from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
 from importlib import import_module
+from multiprocessing.connection import wait
 from pathlib import Path
 from typing import Any
 
@@ -32,36 +31,23 @@ def local(compute: Compute, cells: Sequence[Cell], workers: int, tries: int) -> 
     with staff_of(compute, min(workers, len(cells))) as staff:
         while waiting or any(worker.handed for worker in staff):
             _hand_out(waiting, staff)
-            wait([one for worker in staff for one in worker.handed], return_when=FIRST_COMPLETED)
-            for worker in staff:
-                for cell, future in worker.over():
-                    error = future.exception()
-                    if error is None:
-                        yield Done(cell, future.result(), "")
-                        continue
-                    if isinstance(error, BrokenProcessPool):
-                        waiting += worker.renew()
-                    tried[cell] += 1
-                    if tried[cell] < tries:
-                        waiting.append(cell)
-                    else:
-                        yield Done(cell, None, _told(error))
+            at_work = {worker.pipe: worker for worker in staff if worker.handed}
+            for pipe in wait(at_work):
+                cell, (result, error), unbegun = at_work[pipe].answer()
+                waiting += unbegun
+                tried[cell] += 1
+                if result is None and tried[cell] < tries:
+                    waiting.append(cell)
+                else:
+                    yield Done(cell, result, error)
 
 
 def _hand_out(waiting: list[Cell], staff: Sequence[Worker]) -> None:
     """A cell for everybody; while many wait a second, so that nobody waits for this process."""
     for least, ahead in ((0, 1), (len(staff), 2)):
         for worker in staff:
-            while len(waiting) > least and len(worker.handed) < ahead:
-                if not worker.hand(waiting[-1]):
-                    break
-                waiting.pop()
-
-
-def _told(error: BaseException) -> str:
-    if isinstance(error, BrokenProcessPool):
-        return "its process was ended from outside"
-    return f"{type(error).__name__}: {error}"
+            if len(waiting) > least and len(worker.handed) < ahead:
+                worker.hand(waiting.pop())
 
 
 def on_ray(
@@ -75,19 +61,26 @@ def on_ray(
         address: of a cluster, which gets the code by Ray, too; None for this machine alone.
     """
     with ray_at(address, workers) as ray:
-        task = ray.remote(num_cpus=1, max_retries=tries - 1, retry_exceptions=True)(compute)
+        # Tries are counted here, for Ray does not count those that ran out of memory.
+        task = ray.remote(num_cpus=1, max_retries=0)(compute)
         ahead = max(1, int(ray.cluster_resources().get("CPU", workers))) * _AHEAD
-        waiting, running = list(reversed(cells)), dict[Any, Cell]()
+        tried, waiting, running = Counter[Cell](), list(reversed(cells)), dict[Any, Cell]()
         while waiting or running:
             while waiting and len(running) < ahead:
                 cell = waiting.pop()
                 running[task.remote(cell)] = cell
             (one,), _ = ray.wait(list(running), num_returns=1)
             cell = running.pop(one)
+            tried[cell] += 1
             try:
-                yield Done(cell, ray.get(one), "")
+                done = Done(cell, ray.get(one), "")
             except ray.exceptions.RayError as error:
-                yield Done(cell, None, _told(getattr(error, "cause", None) or error))
+                cause = getattr(error, "cause", None) or error
+                done = Done(cell, None, f"{type(cause).__name__}: {cause}")
+            if done.result is None and tried[cell] < tries:
+                waiting.append(cell)
+            else:
+                yield done
 
 
 @contextmanager

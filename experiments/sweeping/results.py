@@ -4,8 +4,9 @@ import hashlib
 import json
 import os
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +19,7 @@ from mmwave_env.files import atomic_path, write_bytes
 from mmwave_env.lookup import require_extra
 from mmwave_env.metrics import METRICS
 
+CELL, KIND = "cell", "kind"  # columns that say which cell a row is of, and what it did
 EPISODE = ("episode_seed", "episode_key")  # columns that say which episode a row is
 _WHOLE = "[!.]*.parquet"  # hidden ones are what kill -9 left half written
 _EVERY_S = 1.0  # cells that are over within it share a file
@@ -67,7 +69,7 @@ class ResultSet:
 
         def cells(path: Path) -> set[str]:
             try:
-                return {*parquet.read_table(path, columns=["cell"])["cell"].unique().to_pylist()}
+                return {*parquet.read_table(path, columns=[CELL])[CELL].unique().to_pylist()}
             except (ArrowException, OSError) as error:
                 raise ValueError(
                     f"{path}: found no readable Parquet ({error}); remove it, and its cells are "
@@ -88,28 +90,36 @@ class ResultSet:
         """Write what waits, in one file, beside and renamed."""
         if not self._waiting:
             return
-        from pyarrow import concat_tables, parquet
+        from pyarrow import parquet
 
-        table = concat_tables([self._table(cell, result) for cell, result in self._waiting])
         told = "".join(cell.name for cell, _ in self._waiting)
         name = f"cells-{hashlib.sha256(told.encode()).hexdigest()[:16]}.parquet"
         with atomic_path(self.folder / name) as temporary:
-            parquet.write_table(table, temporary)
+            parquet.write_table(self._table(), temporary)
         self._waiting, self._written_s = [], time.monotonic()
 
-    def _table(self, cell: Cell, result: Mapping[str, Any]) -> Any:
-        """A row an episode: the cell, its axes as text, the episode, its metrics."""
+    def _table(self) -> Any:
+        """What waits, a row an episode: the cell, its axes as text, the episode, its metrics."""
         import pyarrow
 
-        values, rows = _as_text(cell), len(result["scores"]["reward"])
-        texts: dict[str, str | None] = {"cell": cell.name, "kind": cell.kind}
-        texts |= {axis: values.get(axis) for axis in self._spec.axes}
-        columns: dict[str, Any] = {
-            name: pyarrow.array([said] * rows, pyarrow.string()) for name, said in texts.items()
-        }
+        rows = [len(result["episode_seed"]) for _, result in self._waiting]
+        texts = [_as_text(cell) | {CELL: cell.name, KIND: cell.kind} for cell, _ in self._waiting]
+
+        def text(name: str) -> Any:
+            each = np.repeat([said.get(name) for said in texts], rows)
+            return pyarrow.array(each, pyarrow.string())
+
+        def joined(values: Iterable[Sequence[Any]], kind: Any) -> Any:
+            return pyarrow.array(list(chain.from_iterable(values)), kind)
+
+        results = [result for _, result in self._waiting]
+        columns = {name: text(name) for name in (CELL, KIND)}
+        columns |= {column_of(axis): text(axis) for axis in self._spec.axes}
         for name, kind in zip(EPISODE, (pyarrow.int64(), pyarrow.uint64()), strict=True):
-            columns[name] = pyarrow.array(result[name], kind)
-        return pyarrow.table(columns | {m: result["scores"][m] for m in METRICS})
+            columns[name] = joined((result[name] for result in results), kind)
+        for metric in METRICS:
+            columns[metric] = joined((r["scores"][metric] for r in results), pyarrow.float64())
+        return pyarrow.table(columns)
 
     def summary(self) -> dict[str, dict[str, Interval]]:
         """Means with intervals over episodes by combination, in the order of the file.
@@ -122,18 +132,19 @@ class ResultSet:
         if not any(self.folder.glob(_WHOLE)):
             return {}
         # In an order of their own, so that intervals do not depend on which cell was done first.
-        table = self._rows().sort_by([(name, "ascending") for name in ("cell", *EPISODE)])
+        table = self._rows().sort_by([(name, "ascending") for name in (CELL, *EPISODE)])
         if "seed" in self._spec.axes:
-            trained = compute.equal(table["kind"], "train")
+            trained = compute.equal(table[KIND], "train")
             seeds = compute.if_else(trained, table["seed"], None)
             table = table.set_column(table.schema.get_field_index("seed"), "seed", seeds)
-        keys = ["kind", *self._spec.axes]
+        keys = [KIND, *map(column_of, self._spec.axes)]
         grouped = table.group_by(keys, use_threads=False).aggregate([(m, "list") for m in METRICS])
         rows = {}
         for row in grouped.to_pylist():
             values = np.array([row[f"{m}_list"] for m in METRICS]).T
             intervals = dict(zip(METRICS, bootstrap(values), strict=True))
-            rows[self._label(row["kind"], row)] = intervals
+            said = {axis: row[column_of(axis)] for axis in self._spec.axes}
+            rows[self._label(row[KIND], said)] = intervals
         if self._spec.search is not None:
             return dict(sorted(rows.items(), key=lambda row: -row[1]["reward"].mean))
         labels = (self.label(cell) for cell in self._spec.cells)
@@ -157,7 +168,7 @@ class ResultSet:
 
     def best(self) -> dict[str, Any]:
         """Hyperparameters of the training with the greatest mean reward, by axis."""
-        rewards = self._rows().group_by(["cell"], use_threads=False)
+        rewards = self._rows().group_by([CELL], use_threads=False)
         axes = [axis for axis in self._spec.axes if axis.startswith(HYPERPARAMETER)]
         means = rewards.aggregate([("reward", "mean"), *((axis, "min") for axis in axes)])
         (best,) = means.sort_by([("reward_mean", "descending")]).slice(0, 1).to_pylist()
@@ -174,6 +185,11 @@ class ResultSet:
         if self._spec.search is not None:
             return axis in dict(self._spec.search.free)
         return len({dict(cell.values).get(axis) for cell in self._spec.cells}) > 1
+
+
+def column_of(axis: str) -> str:
+    """Where rows have the value of an axis: the option ``reward`` is not the metric."""
+    return f"{axis}_{KIND}" if axis in METRICS else axis
 
 
 def _as_text(cell: Cell) -> dict[str, str | None]:

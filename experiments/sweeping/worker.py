@@ -5,86 +5,132 @@ import os
 import signal
 import threading
 from collections.abc import Iterator
-from concurrent.futures import Future, ProcessPoolExecutor
-from concurrent.futures.process import BrokenProcessPool
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
+from multiprocessing.connection import Connection
+from typing import NamedTuple
 
-from experiments.evaluation.signals import Ended, ended_by_signals
+from experiments.evaluation.signals import Ended, ended_by_signals, ignored
 from experiments.sweeping.cell import Cell, Compute, Result
+
+_PATIENCE_S = 5.0  # for a process that was asked to end: it may be in C code that never looks up
+
+
+class Answer(NamedTuple):
+    """What a worker came to with a cell."""
+
+    result: Result | None  # None where it failed
+    error: str
 
 
 class Worker:
     """A process, and the cells it was handed, in their order.
 
-    It is alone in its pool: where the process ends, the first of its cells that is not over is the
-    one that was under way, and nobody else has lost anything.
+    It has a pipe of its own, whose other end nobody else holds: where the process ends, also
+    within an answer, the pipe says so, and the first of the cells is the one that was under way.
 
     Args:
         compute: what to do; a function of a module.
+
+    Attributes:
+        handed: cells that are not over.
+        pipe: readable where a cell is over, or the process.
     """
 
     def __init__(self, compute: Compute) -> None:
-        self._compute, self._pool = compute, _pool_of_one()
-        self.handed: dict[Future[Result], Cell] = {}
+        self._compute, self.handed = compute, list[Cell]()
+        self._begin()
 
-    def hand(self, cell: Cell) -> bool:
-        """Give it a cell for when the others are over; False where its process has just ended."""
+    def _begin(self) -> None:
+        """Have a process that was handed nothing."""
+        spawn = multiprocessing.get_context("spawn")  # a fork would share locks and pipes
+        self.pipe, its = spawn.Pipe()
+        self._process = spawn.Process(target=_serve, args=(its, self._compute))
+        self._process.start()
+        its.close()
+
+    def hand(self, cell: Cell) -> None:
+        """Give it a cell for when the others are over."""
         try:
-            self.handed[self._pool.submit(_ended_cleanly, self._compute, cell)] = cell
-        except BrokenProcessPool:
-            if not self.handed:  # otherwise the first of them tells
-                self.renew()
-            return False
-        return True
+            self.pipe.send(cell)
+        except OSError:  # the process has ended, as its next answer will tell
+            if not self.handed:  # but there is none to come
+                self._renew()
+                self.pipe.send(cell)
+        self.handed.append(cell)
 
-    def over(self) -> Iterator[tuple[Cell, Future[Result]]]:
-        """Cells that are over since the last call, the one with which the process ended as last."""
-        while self.handed and (future := next(iter(self.handed))).done():
-            yield self.handed.pop(future), future
+    def answer(self) -> tuple[Cell, Answer, list[Cell]]:
+        """The next cell that is over; waits for it.
 
-    def renew(self) -> list[Cell]:
-        """Begin a process in place of one that has ended; cells that it had not begun."""
+        Returns:
+            The cell, its answer, and cells that it has not begun because the process ended; then
+            it has begun another.
+        """
+        try:
+            answer = Answer(*self.pipe.recv())
+            return self.handed.pop(0), answer, []
+        except (EOFError, OSError):
+            cell, *unbegun = self.handed
+            self.handed.clear()
+            self._renew()
+            return cell, Answer(None, "its process was ended from outside"), unbegun
+
+    def _renew(self) -> None:
         self.end()
-        self._pool, unbegun = _pool_of_one(), list(self.handed.values())
-        self.handed.clear()
-        return unbegun
+        self._begin()
+
+    def ask_to_end(self) -> None:
+        """End the process soon, also within a cell."""
+        self._process.terminate()
 
     def end(self) -> None:
-        """End the process, also within a cell."""
-        for process in list((self._pool._processes or {}).values()):
-            process.terminate()
-        with suppress(RuntimeError):  # this process is ended before the pool's thread had begun
-            self._pool.shutdown(wait=True, cancel_futures=True)
+        """End the process, if need be at once."""
+        self.ask_to_end()
+        self._process.join(_PATIENCE_S)
+        self._process.kill()
+        self._process.join()
+        self.pipe.close()
 
 
 @contextmanager
 def staff_of(compute: Compute, count: int) -> Iterator[list[Worker]]:
-    """Workers that end with this; at an interrupt they do not go on with what waits."""
-    staff = [Worker(compute) for _ in range(count)]
+    """Workers that end with this, whatever they are at; a second Ctrl-C can't leave them behind."""
+    staff = list[Worker]()
     try:
+        staff.extend(Worker(compute) for _ in range(count))
         yield staff
     finally:
-        for worker in staff:
-            worker.end()
+        with ignored():
+            for worker in staff:
+                worker.ask_to_end()
+            for worker in staff:
+                worker.end()
 
 
-def _pool_of_one() -> ProcessPoolExecutor:
-    spawn = multiprocessing.get_context("spawn")  # a fork would share locks
-    return ProcessPoolExecutor(1, spawn, _begin)
+def _serve(pipe: Connection, compute: Compute) -> None:
+    """What the process does: compute what comes until nobody asks any more.
 
-
-def _ended_cleanly(compute: Compute, cell: Cell) -> Result:
-    """A cell; where this process is ended, folders that it made for a while vanish."""
-    try:
-        with ended_by_signals():
-            return compute(cell)
-    except Ended as end:
-        os._exit(int(str(end.code)))  # or the process would go on with what waits
-
-
-def _begin() -> None:
-    """What a worker does first: leave Ctrl-C to the parent, and end where the parent is gone."""
+    Ctrl-C is left to the parent. Where this process is ended, folders that a cell made for a while
+    vanish.
+    """
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    _follow_parent()
+    while True:
+        try:
+            cell = pipe.recv()
+        except EOFError:
+            return
+        try:
+            with ended_by_signals():
+                answer = Answer(compute(cell), "")
+        except Ended as end:
+            os._exit(int(str(end.code)))
+        except Exception as error:
+            answer = Answer(None, f"{type(error).__name__}: {error}")
+        pipe.send(tuple(answer))
+
+
+def _follow_parent() -> None:
+    """End where the parent is gone, also within a cell."""
     parent = multiprocessing.parent_process()
     assert parent is not None
 
