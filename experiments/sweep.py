@@ -127,6 +127,9 @@ def main(args: Args) -> None:
             raise ValueError("engine: found local beside a table [search], expected --engine ray")
         radio_from(_train_args(dict(spec.search.fixed)).radio)
         _recipe(dict(spec.search.fixed))  # what all trials have is wrong before any begins
+    for cell in spec.cells:
+        if cell.kind == "train":
+            _recipe(dict(cell.values))
     results = ResultSet(args.out, spec)
     with results.locked():
         there = results.finished()

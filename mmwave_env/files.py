@@ -241,9 +241,15 @@ def atomic_folder(path: Path) -> Iterator[Path]:
         new = Path(beside, path.name)
         new.mkdir()
         yield new
-        if path.exists():
-            path.replace(Path(beside, "replaced"))
-        new.replace(path)
+        old = Path(beside, "replaced")
+        try:
+            if path.exists():
+                path.replace(old)
+            new.replace(path)
+        except BaseException:
+            if old.exists() and not path.exists():  # a signal came between the two
+                old.replace(path)
+            raise
 
 
 def write_text(path: Path, text: str) -> None:

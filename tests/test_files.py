@@ -91,6 +91,24 @@ def test_a_folder_that_is_not_filled_leaves_everything_as_it_was(tmp_path, error
     assert names(path) == ["old"] and names(tmp_path) == ["set-v0"]
 
 
+def test_a_folder_that_can_not_take_its_place_leaves_the_old_one(tmp_path, monkeypatch):
+    path = tmp_path / "set-v0"
+    path.mkdir()
+    (path / "old").write_text("old")
+    replace, renamed = Path.replace, []
+
+    def interrupted_at_the_second(self, target):
+        renamed.append(target)
+        if len(renamed) == 2:
+            raise KeyboardInterrupt
+        return replace(self, target)
+
+    monkeypatch.setattr(Path, "replace", interrupted_at_the_second)
+    with pytest.raises(KeyboardInterrupt), atomic_folder(path) as beside:
+        (beside / "new").write_text("new")
+    assert names(path) == ["old"] and names(tmp_path) == ["set-v0"]
+
+
 def test_text_bytes_and_json_replace_what_was_there(tmp_path):
     write_text(tmp_path / "a.txt", "one\n")
     write_text(tmp_path / "a.txt", "für\n")

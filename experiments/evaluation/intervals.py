@@ -6,7 +6,7 @@ stratified bootstrap of rliable (Agarwal et al. 2021), where each run of each ta
 training of its own, would take K policies on n episodes for K n of them.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
@@ -22,6 +22,7 @@ Statistic = Callable[[Array, Array], Array]
 
 RESAMPLES = 4000
 BLOCK = 100  # resamples at once: all of them would be large
+KEPT = 20_000  # episodes; resamples of more would be large as counts, too, and are not kept
 
 
 @dataclass(frozen=True)
@@ -55,17 +56,27 @@ class Interval:
 @lru_cache(maxsize=2)
 def _resamples(n: int, seed: int) -> NDArray[np.uint16]:
     """How often each of n episodes or seeds is drawn (resamples, n)."""
-    rng = np.random.default_rng(seed)
     counts = np.empty((RESAMPLES, n), np.uint16)
-    for rows in np.split(counts, RESAMPLES // BLOCK):  # int64 at once would be large
-        rows[:] = rng.multinomial(n, np.full(n, 1.0 / n), size=len(rows))
+    for first, rows in zip(range(0, RESAMPLES, BLOCK), _drawn(n, seed, BLOCK), strict=True):
+        counts[first : first + BLOCK] = rows
     return counts
+
+
+def _drawn(n: int, seed: int, rows: int) -> Iterator[NDArray[np.int64]]:
+    """The same, so many rows at a time: int64 of all of them would be large."""
+    rng = np.random.default_rng(seed)
+    for first in range(0, RESAMPLES, rows):
+        size = min(rows, RESAMPLES - first)
+        yield rng.multinomial(n, np.full(n, 1.0 / n), size=size)
 
 
 def _resampled_means(values: Array, seed: int) -> Array:
     """Means (resamples, k) of columns (episodes, k), which share the resamples."""
     n = len(values)
-    blocks = np.split(_resamples(n, seed), RESAMPLES // BLOCK)
+    if n > KEPT:
+        blocks: Iterable[Any] = _drawn(n, seed, max(1, BLOCK * KEPT // n))
+    else:
+        blocks = np.split(_resamples(n, seed), RESAMPLES // BLOCK)
     return np.concatenate([rows / n @ values for rows in blocks])
 
 

@@ -2,6 +2,7 @@
 
 import hashlib
 import json
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields
 from typing import Any, NamedTuple, get_type_hints
@@ -12,6 +13,7 @@ from experiments.evaluation.seeds import TRAINING_SEED
 from experiments.training.hyperparameters import KINDS as RECIPES
 from mmwave_env.lookup import choose, quoted
 from mmwave_env.records import require_fields
+from mmwave_env.reward import reward_from
 
 HYPERPARAMETER = "hyperparameters."  # begins the name of an axis of a training
 JUDGED = 200  # episodes that a trained policy is judged on, where none are given
@@ -21,6 +23,7 @@ KINDS: Mapping[str, tuple[frozenset[str], frozenset[str]]] = {  # axes needed, a
     "evaluate": (frozenset({"policy"}), frozenset({"policy", *_EVALUATED})),
     "train": (frozenset({"total_timesteps"}), frozenset({"seed", "episodes", *_TRAINED})),
 }
+_SEEDS = 1 << 62  # beyond it, seeds do not fit into their column
 _LISTS = frozenset({"modes", "places"})  # values that are lists themselves
 
 
@@ -67,11 +70,15 @@ def values_of(key: str, value: Any) -> Sequence[Any]:
     if not values:
         raise ValueError(f"{key}: found an empty list, expected values")
     for one in values:
-        if any(isinstance(v, (dict, list)) for v in (one if isinstance(one, tuple) else [one])):
+        if not all(_is_plain(v) for v in (one if isinstance(one, tuple) else [one])):
             raise ValueError(
-                f"{key}: found {quoted(one)}, expected words, numbers or a list of them"
+                f"{key}: found {quoted(one)}, expected words, finite numbers or a list of them"
             )
     return values
+
+
+def _is_plain(value: Any) -> bool:
+    return isinstance(value, (str, int)) or (isinstance(value, float) and math.isfinite(value))
 
 
 def require_sound(cell: Cell) -> None:
@@ -81,8 +88,12 @@ def require_sound(cell: Cell) -> None:
         episode_args(values) if cell.kind == "evaluate" else require_fields(task_args(values))
         for name in ("seed", "episodes", "total_timesteps"):
             found = values.get(name, 1)
-            if type(found) is not int or found < (name != "seed"):
-                raise ValueError(f"{name}: found {found!r}, expected a whole number")
+            if type(found) is not int or not (name != "seed") <= found < _SEEDS:
+                raise ValueError(f"{name}: found {found!r}, expected a whole number below 2^62")
+        reward_from(values.get("reward", "tracking"))
+        policy = values.get("policy", "-")
+        if not (isinstance(policy, str) and policy):
+            raise ValueError(f"policy: found {policy!r}, expected the name of one")
         if cell.kind == "train" and values.get("seed", 0) >= TRAINING_SEED:
             raise ValueError(f"seed: found {values['seed']}, expected the number of a training")
         if cell.kind == "train":

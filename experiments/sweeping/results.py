@@ -63,7 +63,8 @@ class ResultSet:
         """Names of the cells that are there.
 
         Raises:
-            ValueError: a file can't be read; the message names it.
+            ValueError: a file can't be read, or the policy of a training is missing; the message
+                names it.
         """
         from pyarrow import ArrowException, parquet
 
@@ -76,7 +77,20 @@ class ResultSet:
                     "computed again"
                 ) from error
 
-        return set().union(*map(cells, self.folder.glob(_WHOLE)))
+        there = set[str]()
+        for path in self.folder.glob(_WHOLE):
+            there |= (found := cells(path))
+            for cell in self._spec.cells:
+                if (
+                    cell.kind == "train"
+                    and cell.name in found
+                    and not self.policy_of(cell).is_file()
+                ):
+                    raise ValueError(
+                        f"{self.policy_of(cell)}: found no such file, expected the policy of a "
+                        f"training in {path}; remove that, and its cells are computed again"
+                    )
+        return there
 
     def add(self, cell: Cell, result: Mapping[str, Any]) -> None:
         """Keep a cell; it is on disk within a second of the next ones, and at the end."""

@@ -47,7 +47,7 @@ def trials(
         optuna.logging.set_verbosity(optuna.logging.WARNING)
 
         def trial(config: dict[str, Any]) -> None:
-            tune.report(_reported(compute(_cell(search, config))))
+            tune.report(_reported(compute(proposed(search, config))))
 
         path = str((folder / _FOLDER).resolve())
         if tune.Tuner.can_restore(path):
@@ -102,20 +102,22 @@ def _space(free: Range | tuple[Any, ...]) -> Any:
     return (tune.loguniform if free.log else tune.uniform)(free.low, free.high)
 
 
-def _cell(search: Search, config: Mapping[str, Any]) -> Cell:
-    """The training that Tune means; no hyperparameter needs more than three digits."""
+def proposed(search: Search, config: Mapping[str, Any]) -> Cell:
+    """The training that Tune means, in digits that can be read."""
     free, found = dict(search.free), {}
     for axis, value in config.items():
         of = free[axis]
         if isinstance(of, tuple):
             found[axis] = of[value]
+        elif isinstance(value, int):
+            found[axis] = value
         else:
-            found[axis] = value if isinstance(value, int) else float(f"{value:.3g}")
+            found[axis] = min(max(float(f"{value:.8g}"), of.low), of.high)
     return search.cell(found)
 
 
 def _done(search: Search, found: Any) -> Done:
-    cell = _cell(search, found.config or {})
+    cell = proposed(search, found.config or {})
     if found.error is None:
         return Done(cell, found.metrics, "")
     return Done(cell, None, str(found.error).strip().splitlines()[-1])

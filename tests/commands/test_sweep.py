@@ -8,6 +8,7 @@ import signal
 import subprocess
 import sys
 import time
+from pathlib import Path
 
 import pytest
 
@@ -150,6 +151,17 @@ def test_what_was_left_half_written_stops_nothing(swept):
     assert again.stdout == told and "8 of them kept from before" in again.stderr
 
 
+@pytest.mark.slow
+def test_an_option_that_is_called_as_a_metric_has_a_column_of_its_own(tmp_path):
+    text = '[evaluate]\npolicy = "imm"\nreward = ["tracking", "log-score"]\nepisodes = 3\n'
+    (tmp_path / "rewards.toml").write_text(text)
+    told = succeed("sweep", tmp_path / "rewards.toml", "--out", tmp_path / "out")
+    assert "policy imm, reward tracking |" in told and "policy imm, reward log-score |" in told
+    table = rows(tmp_path / "out").to_pylist()
+    assert {row["reward_kind"] for row in table} == {"tracking", "log-score"}
+    assert all(isinstance(row["reward"], float) for row in table)
+
+
 def test_two_at_once_on_one_run_are_refused(swept):
     fcntl = pytest.importorskip("fcntl")
     folder, _ = swept
@@ -196,12 +208,17 @@ def test_trainings_are_kept_with_their_policies(tmp_path):
         "[train]\ntotal_timesteps = 1\nepisodes = 12\nseed = [0, 1]\n"
         "hyperparameters.learning_rate = 1e-3\n"
     )
-    succeed("sweep", tmp_path / "train.toml", "--out", tmp_path / "out")
+    told = succeed("sweep", tmp_path / "train.toml", "--out", tmp_path / "out")
     (run,) = (tmp_path / "out").iterdir()
     table = rows(tmp_path / "out").to_pylist()
     assert {row["episode_seed"] for row in table} == set(range(5_000_000, 5_000_012))
     policies = {path.stem for path in (run / "policies").iterdir()}
     assert policies == {row["cell"] for row in table} and len(policies) == 2
+    (best,) = re.findall(r"^The best of the trainings is (.*)", told, re.MULTILINE)
+    succeed("evaluate", "--policy", best, "--episodes", "2")
+    Path(best).unlink()
+    again = command("sweep", tmp_path / "train.toml", "--out", tmp_path / "out")
+    assert_one_clear_line(again, f"{best}: found no such file, expected the policy of a training")
 
 
 SEARCH = """

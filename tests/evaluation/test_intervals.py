@@ -53,6 +53,14 @@ def test_columns_share_their_resamples():
     assert doubled.high == pytest.approx(2.0 * plain.high)
 
 
+def test_intervals_of_very_many_episodes_are_the_same_in_parts(monkeypatch):
+    values = np.random.default_rng(0).normal(size=(60, 2))
+    expected = bootstrap(values)
+    monkeypatch.setattr(intervals, "KEPT", 7)
+    for one, other in zip(bootstrap(values), expected, strict=True):
+        assert (one.low, one.high) == pytest.approx((other.low, other.high), rel=1e-12)
+
+
 def test_intervals_are_repeatable():
     values = np.random.default_rng(0).normal(size=(30, 1))
     assert bootstrap(values) == bootstrap(values) != bootstrap(values, seed=1)

@@ -1,10 +1,11 @@
 """A search is read, and what Ray Tune proposes lies within it."""
 
+import numpy as np
 import pytest
 
 from experiments.sweeping.search import Range
 from experiments.sweeping.spec import read_spec
-from experiments.sweeping.tuner import trials
+from experiments.sweeping.tuner import proposed, trials
 
 SEARCH = """
 [search]
@@ -51,6 +52,15 @@ def test_what_is_free_is_read(tmp_path):
 def test_another_range_is_another_run(tmp_path):
     other = spec_of(tmp_path, SEARCH.replace("1e-4", "2e-4")).run
     assert spec_of(tmp_path, SEARCH).run != other
+
+
+def test_trials_lie_in_their_range_and_apart(tmp_path):
+    near = "{ low = 0.999, high = 0.9999 }"
+    search = spec_of(tmp_path, f"{RATE}gamma = {near}\n").search
+    drawn = np.random.default_rng(0).uniform(0.999, 0.9999, 50)
+    cells = {proposed(search, {"hyperparameters.gamma": float(gamma)}) for gamma in drawn}
+    found = [dict(cell.values)["hyperparameters.gamma"] for cell in cells]
+    assert len(found) == 50 and min(found) >= 0.999 and max(found) <= 0.9999
 
 
 RATE = "[search]\ntrials = 3\ntotal_timesteps = 5\nhyperparameters."

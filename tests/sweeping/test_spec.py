@@ -48,6 +48,20 @@ def test_the_order_of_keys_and_lists_changes_no_name(tmp_path):
     assert {c.name for c in one.cells} == {c.name for c in other.cells} and one.run == other.run
 
 
+def test_other_content_of_a_file_that_is_named_is_another_run(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    text = '[evaluate]\npolicy = "mine"\nmodes = ["ekf", "own.json"]\n'
+    runs = [spec_of(tmp_path, text).run]
+    (tmp_path / "own.json").write_text("1")
+    runs.append(spec_of(tmp_path, text).run)
+    (tmp_path / "own.json").write_text("2")
+    runs.append(spec_of(tmp_path, text).run)
+    (tmp_path / "mine" / "seed-0").mkdir(parents=True)
+    (tmp_path / "mine" / "seed-0" / "policy").write_bytes(b"\xff")
+    runs.append(spec_of(tmp_path, text).run)
+    assert len(set(runs)) == 4 and spec_of(tmp_path, text).run == runs[-1]
+
+
 @given(st.dictionaries(st.text(), st.integers() | st.text(), max_size=4))
 def test_different_values_have_different_names(values):
     cell = Cell("evaluate", tuple(sorted(values.items())))
@@ -68,7 +82,11 @@ def test_different_values_have_different_names(values):
         ('[evaluate]\npolicy = "imm"\nseed = true\n', "evaluate.seed: found True, expected"),
         ('[evaluate]\npolicy = []\n', "policy: found an empty list, expected values"),
         ('[evaluate]\npolicy = ["imm", "imm"]\n', "found evaluate policy imm twice"),
-        ('[evaluate]\npolicy = "imm"\ndt = [nan]\n', "evaluate.dt: found nan"),
+        ('[evaluate]\npolicy = "imm"\ndt = [-inf]\n', "dt: found -inf, expected words, finite"),
+        ('[evaluate]\npolicy = ["imm", 3]\n', "policy: found 3, expected the name of one"),
+        ('[evaluate]\npolicy = ""\n', "policy: found '', expected the name of one"),
+        ('[evaluate]\npolicy = "imm"\nreward = "rmse"\n', "evaluate.reward: found 'rmse', exp"),
+        (f'[evaluate]\npolicy = "imm"\nseed = {2**63 - 1}\n', "expected a whole number below"),
         ("[train]\nalgo = \"ppo\"\n", "train.total_timesteps: found none, expected one"),
         ('[train]\nalgo = "dqn"\ntotal_timesteps = 5\n', "train.algo: found 'dqn', expected one"),
         ("[train]\ntotal_timesteps = 5\nseed = 10000000\n", "train.seed: found 10000000, expected"),
@@ -80,8 +98,10 @@ def test_what_is_wrong_is_named(tmp_path, text, message):
         spec_of(tmp_path, text)
 
 
-@pytest.mark.parametrize("value", ["[1e-3, {}]", "[1e-3, [[]]]", "[{a = 1}]"])
+@pytest.mark.parametrize(
+    "value", ["[1e-3, {}]", "[1e-3, [[]]]", "[{a = 1}]", "[1979-05-27]", "[nan]"]
+)
 def test_a_value_within_a_value_is_refused(tmp_path, value):
     text = f"[train]\ntotal_timesteps = 1000\nhyperparameters.learning_rate = {value}\n"
-    with pytest.raises(ValueError, match="learning_rate: found .*expected words, numbers or a"):
+    with pytest.raises(ValueError, match="learning_rate: found .*expected words, finite num"):
         spec_of(tmp_path, text)

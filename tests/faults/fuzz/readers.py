@@ -124,6 +124,11 @@ def _checkpoint() -> Content:
     return {"checkpoint.pt": memory.getvalue()}
 
 
+def _read_sweep(folder: Path) -> Any:
+    spec = read_spec(folder / "grid.toml")
+    return spec, spec.run
+
+
 def _read_checkpoint(path: Path) -> Any:
     from experiments.training.checkpoint import read_checkpoint
 
@@ -243,7 +248,7 @@ READERS = (
     Reader("traffic of SUMO", _alone("fcd.xml", _TRAFFIC.encode()),
            lambda folder: read_fcd(folder / "fcd.xml", lambda *_: True)),
     Reader(
-        "sweep", _alone("grid.toml", _GRID), lambda folder: read_spec(folder / "grid.toml"),
+        "sweep", _alone("grid.toml", _GRID), _read_sweep,
         also={"grid.toml": _SEARCH},
     ),
 )  # fmt: skip
