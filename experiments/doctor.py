@@ -133,7 +133,9 @@ def _figures(
     return {
         "machine": machine(),
         "self_test": [{**one._asdict(), "passed": one.passed} for one in checks],
-        "compiled_functions": [{**one._asdict(), "place": str(one.place)} for one in places],
+        "compiled_functions": [
+            {**one._asdict(), "place": str(one.place), "mode": f"{one.mode:04o}"} for one in places
+        ],
         "packages": [one._asdict() for one in found],
     }
 

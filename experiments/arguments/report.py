@@ -9,9 +9,9 @@ class Args:
     """One web page of results, which needs neither network nor anything installed.
 
     Results are JSON files (--json) of compare, evaluate, demo, transfer, localize and learned,
-    entries of leaderboard, records of studies, and folders of runs of train. What files do not hold
-    epoch by epoch is played again, by the command in them; agents that are code of their own
-    (module:function, .zip) are left out there.
+    entries of leaderboard, records of studies, and folders of sweeps and of runs of train. What
+    files do not hold epoch by epoch is played again, by the command in them; agents that are code
+    of their own (module:function, .zip) are left out there.
 
     mmwave-loc report results.json runs/train --out report.html
     """

@@ -63,9 +63,8 @@ def ended_by_signals() -> Iterator[None]:
     with _answered(ENDING, end):
         try:
             yield
-        except (
-            SystemExit
-        ) as other:  # C code of Ray's drops what a handler raises for one of its own
+        except BaseException as other:
+            # Ray's C code makes another exception of it; a bar fails where the terminal is gone.
             if came and not isinstance(other, Ended):
                 raise Ended(came) from None
             raise

@@ -31,9 +31,9 @@ def local(compute: Compute, cells: Sequence[Cell], workers: int, tries: int) -> 
     with staff_of(compute, min(workers, len(cells))) as staff:
         while waiting or any(worker.handed for worker in staff):
             _hand_out(waiting, staff)
-            at_work = {worker.pipe: worker for worker in staff if worker.handed}
-            for pipe in wait(at_work):
-                cell, (result, error), unbegun = at_work[pipe].answer()
+            ready = wait([worker.pipe for worker in staff if worker.handed])
+            for worker in [one for one in staff if one.pipe in ready]:
+                cell, (result, error), unbegun = worker.answer()
                 waiting += unbegun
                 tried[cell] += 1
                 if result is None and tried[cell] < tries:

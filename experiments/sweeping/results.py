@@ -23,6 +23,7 @@ CELL, KIND = "cell", "kind"  # columns that say which cell a row is of, and what
 EPISODE = ("episode_seed", "episode_key")  # columns that say which episode a row is
 _WHOLE = "[!.]*.parquet"  # hidden ones are what kill -9 left half written
 _EVERY_S = 1.0  # cells that are over within it share a file
+_MOST_ROWS = 100_000  # so do no more: what waits is in memory
 
 
 class ResultSet:
@@ -42,6 +43,7 @@ class ResultSet:
         self._mixed = len({cell.kind for cell in spec.cells}) > 1
         self._told = [axis for axis in spec.axes if axis == "policy" or self._varies(axis)]
         self._waiting: list[tuple[Cell, Mapping[str, Any]]] = []
+        self._rows_waiting = 0
         self._written_s = time.monotonic()
 
     @contextmanager
@@ -97,7 +99,8 @@ class ResultSet:
         if "policy" in result:
             write_bytes(self.policy_of(cell), result["policy"])
         self._waiting.append((cell, result))
-        if time.monotonic() - self._written_s >= _EVERY_S:
+        self._rows_waiting += len(result["episode_seed"])
+        if time.monotonic() - self._written_s >= _EVERY_S or self._rows_waiting >= _MOST_ROWS:
             self.flush()
 
     def flush(self) -> None:
@@ -110,7 +113,7 @@ class ResultSet:
         name = f"cells-{hashlib.sha256(told.encode()).hexdigest()[:16]}.parquet"
         with atomic_path(self.folder / name) as temporary:
             parquet.write_table(self._table(), temporary)
-        self._waiting, self._written_s = [], time.monotonic()
+        self._waiting, self._rows_waiting, self._written_s = [], 0, time.monotonic()
 
     def _table(self) -> Any:
         """What waits, a row an episode: the cell, its axes as text, the episode, its metrics."""

@@ -40,7 +40,7 @@ def read_source(path: Path) -> list[Source]:
         if not found:
             raise ValueError(
                 f"{path}: found neither run.json nor results (--json) in it, expected a folder of "
-                "train or of results"
+                "train, of results or of a sweep that is over"
             )
         return found
     if not path.is_file():

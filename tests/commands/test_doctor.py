@@ -36,7 +36,7 @@ def test_versions_and_the_folder_of_compiled_functions_are_told(told):
     folder = disk_cache._folder()
     assert [one["place"] for one in used] == [str(folder.parent)]
     assert escaped(str(folder.parent)) in text
-    assert used[0]["mode"] == stat.S_IMODE(folder.stat().st_mode) == 0o700
+    assert int(used[0]["mode"], 8) == stat.S_IMODE(folder.stat().st_mode) == 0o700
     assert used[0]["functions"] == len(list(folder.iterdir())) > 0
 
 

@@ -14,6 +14,8 @@ from experiments.evaluation.signals import ENDING, SAME_S, Ended, ended_by_signa
 from tests.cli import environment
 from tests.paths import ROOT
 
+pty = pytest.importorskip("pty")
+
 pytestmark = pytest.mark.skipif(os.name != "posix", reason="signals as POSIX has them")
 
 # A command that stands in the middle of writing its result, and says so.
@@ -109,3 +111,17 @@ def test_a_signal_that_comes_again_at_once_is_the_same_and_later_another():
 
     with pytest.raises(Ended):
         work()
+
+
+@pytest.mark.slow
+def test_a_terminal_that_is_closed_ends_a_command_as_its_signal_says():
+    child, terminal = pty.fork()
+    if not child:
+        words = ["-m", "experiments.cli", "compare", "--episodes", "100000"]
+        os.execve(sys.executable, [sys.executable, *words], environment())
+    told = b""
+    while b"%" not in (told := told + os.read(terminal, 1000)):
+        pass  # until there is a bar, which nobody can read any more
+    os.close(terminal)
+    _, status = os.waitpid(child, 0)
+    assert os.waitstatus_to_exitcode(status) == 128 + signal.SIGHUP

@@ -148,6 +148,7 @@ def test_on_flat_ground_height_and_climb_stay_and_the_rest_is_the_textbooks(data
     np.testing.assert_allclose(whole[np.ix_(free, free)], expected.P, rtol=1e-7, atol=1e-9)
     assert [found.x[i] for i in known] == x[known].tolist() and not whole[known].any()
     assert pipeline.position_axes == (0, 1)
+    assert replace(pipeline, planar=False).position_axes == (0, 1, 2)
 
 
 @pytest.mark.parametrize(("now_db", "factor"), [(19.0, 1.0), (11.0, 2.5), (-30.0, 10.0)])
@@ -299,12 +300,35 @@ def spread(weights, points):
 
 def test_a_mode_stays_or_moves_to_any_other_alike():
     np.testing.assert_allclose(imm.stay_matrix(3, 0.9), 0.05 + 0.85 * np.eye(3))
+    np.testing.assert_allclose(imm.stay_matrix(2, 0.05), [[0.05, 0.95], [0.95, 0.05]])
     assert imm.stay_matrix(1) == ((1.0,),)
+    with pytest.raises(ValueError, match="stay: found 1.05"):
+        imm.stay_matrix(2, 1.05)
+
+
+def test_a_mixture_begins_with_all_modes_alike():
+    pipeline = Pipeline((Mode("a"), Mode("b"), Mode("c")), Layout(3))
+    mixture = imm.begin(pipeline, [0.0] * 7, pack(np.eye(7).tolist()))
+    assert mixture.probability == [1 / 3] * 3 and len(mixture.tracks) == 3
+
+
+@pytest.mark.parametrize("sigmas", [(0.03, 30.0), (30.0, 0.03)])
+def test_a_mode_that_alone_explains_a_jump_has_all_probability(sigmas):
+    (episode,) = simulated(1, epochs=6)
+    episode.measurement[-1, 4] += 500.0
+    modes = [Mode(str(v), sigma_v=v, gate=None, adaptive=False) for v in sigmas]
+    *_, (now, _) = run_imm(modes, episode, [[0.9, 0.1], [0.1, 0.9]])
+    apart = abs(now.results[0].log_likelihood - now.results[1].log_likelihood)
+    assert apart > 800.0  # beyond what exp can tell from 0, or from infinity
+    loose = float(np.argmax(sigmas))
+    assert imm.most_probable(now.mixture) == loose
+    assert sum(now.mixture.probability) == pytest.approx(1.0)
 
 
 def test_transitions_are_given_per_second():
     matrix = [[0.9, 0.1], [0.4, 0.6]]
     np.testing.assert_allclose(imm.over_step(matrix, 0.25), [[0.975, 0.025], [0.1, 0.9]])
+    np.testing.assert_allclose(imm.over_step(matrix, 0.05), [[0.995, 0.005], [0.02, 0.98]])
     for dt in (0.0, 1.0, 7.0):
         np.testing.assert_allclose(imm.over_step(matrix, dt), matrix)
 

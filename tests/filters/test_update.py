@@ -193,6 +193,11 @@ def test_sigma_points_without_reach_are_refused(alpha, kappa):
         SigmaPoints(alpha, 2.0, kappa)
 
 
+def test_sigma_points_may_lie_as_near_as_one_likes():
+    for alpha, kappa in ((0.05, 0.0), (1.0, -6.95)):
+        assert SigmaPoints(alpha, 2.0, kappa).reach == pytest.approx(alpha * np.sqrt(7.0 + kappa))
+
+
 @pytest.mark.parametrize(("alpha", "kappa", "least"), [(1.0, 7.0, -1.0), (0.5, 21.0, -0.75)])
 def test_curvature_without_a_covariance_is_refused(alpha, kappa, least):
     assert SigmaPoints(alpha, least + 0.01, kappa).reach > 0.0

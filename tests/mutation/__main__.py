@@ -69,11 +69,11 @@ def _run_and_exit(session: pytest.Session, mutant: Mutant | None) -> None:
 
 def main() -> None:
     parser = argparse.ArgumentParser(prog="python -m tests.mutation", description=__doc__)
-    parser.add_argument("--mutants", type=int, default=150, help="drawn at random")
+    parser.add_argument("--mutants", type=int, help="so many, drawn at random; all by default")
     parser.add_argument("--seed", type=int, default=0)
     args = parser.parse_args()
     every = list(mutants())
-    chosen = random.Random(args.seed).sample(every, min(args.mutants, len(every)))
+    chosen = random.Random(args.seed).sample(every, min(args.mutants or len(every), len(every)))
     campaign, begin = Campaign(chosen), time.monotonic()
     with TemporaryDirectory() as cache:
         os.environ["NUMBA_CACHE_DIR"] = cache  # where a mutant that is compiled harms nobody

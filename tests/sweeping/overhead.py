@@ -10,6 +10,8 @@ import tempfile
 import time
 from pathlib import Path
 
+import numpy as np
+
 from experiments.sweeping.cell import Cell
 from experiments.sweeping.engines import local, on_ray
 from experiments.sweeping.results import ResultSet
@@ -18,9 +20,14 @@ from mmwave_env.metrics import METRICS
 
 
 def nothing(cell):
-    """What a cell of one episode leaves, without playing it."""
-    (_, number) = cell.values[0]
-    return {"scores": {m: [0.0] for m in METRICS}, "episode_seed": [number], "episode_key": [None]}
+    """What a cell leaves, without playing its episodes."""
+    values = dict(cell.values)
+    scores = np.random.default_rng(values["seed"]).normal(size=(len(METRICS), values["episodes"]))
+    seeds = range(values["seed"], values["seed"] + values["episodes"])
+    return {
+        "scores": dict(zip(METRICS, scores, strict=True)),
+        "episode_seed": list(seeds), "episode_key": list(seeds),
+    }  # fmt: skip
 
 
 def main():
@@ -28,9 +35,12 @@ def main():
     parser = argparse.ArgumentParser()
     parser.add_argument("--engine", choices=("local", "ray"), default="local")
     parser.add_argument("--cells", type=int, default=10_000)
+    parser.add_argument("--episodes", type=int, default=1, help="of a cell")
     parser.add_argument("--workers", type=int, default=os.cpu_count())
     args = parser.parse_args()
-    spec = Spec("nothing", tuple(Cell("evaluate", (("seed", n),)) for n in range(args.cells)))
+    firsts = range(0, args.cells * args.episodes, args.episodes)
+    values = ((("episodes", args.episodes), ("seed", first)) for first in firsts)
+    spec = Spec("nothing", tuple(Cell("evaluate", pairs) for pairs in values))
     with tempfile.TemporaryDirectory() as folder:
         results, begin = ResultSet(Path(folder), spec), time.perf_counter()
         engine = {"local": local, "ray": on_ray}[args.engine]
