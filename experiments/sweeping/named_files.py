@@ -3,16 +3,23 @@
 import hashlib
 import os
 from collections.abc import Iterable, Iterator
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
-_BLOCK = 1 << 20  # bytes read at once
+from mmwave_env.files import TEXT_BYTES, read_bounded
+
+_DEPTH = 2  # folders within a folder, as runs and recordings have; "/" by a slip has very many
 
 
 def digests(values: Iterable[Any]) -> dict[str, str]:
     """A digest of every file, or folder of files, that a value or a part of one is the path of."""
     words = {word for value in values for word in _words(value)}
-    return {word: _digest(Path(word)) for word in sorted(words) if os.path.exists(word)}
+    paths = {word: Path(word) for word in sorted(words) if os.path.exists(word)}
+    return {
+        word: "".join(_stamps(path, _DEPTH)) if path.is_dir() else _digest(path)
+        for word, path in paths.items()
+    }
 
 
 def _words(value: Any) -> Iterator[str]:
@@ -24,12 +31,25 @@ def _words(value: Any) -> Iterator[str]:
 
 
 def _digest(path: Path) -> str:
-    """Of names and content; of what is no regular file, which a cell will refuse, the name."""
-    whole = hashlib.sha256()
-    for one in sorted(path.rglob("*")) if path.is_dir() else [path]:
-        whole.update(f"{one.relative_to(path)}\0".encode(errors="surrogateescape"))
-        if one.is_file():
-            with one.open("rb") as file:
-                while block := file.read(_BLOCK):
-                    whole.update(block)
-    return whole.hexdigest()
+    """Of a small file the content; of another, or what is none, when it was last changed."""
+    try:
+        return hashlib.sha256(read_bounded(path, TEXT_BYTES)).hexdigest()
+    except (OSError, ValueError):
+        return _stamp(path)
+
+
+def _stamp(path: Path) -> str:
+    found = path.lstat()
+    return f"{path.name} {found.st_size} {found.st_mtime_ns};"
+
+
+def _stamps(folder: Path, depth: int) -> Iterator[str]:
+    """How the files in a folder were last changed; nothing of what vanishes or is not shown."""
+    with suppress(OSError):
+        for path in sorted(folder.iterdir()):
+            if not path.is_dir():
+                with suppress(OSError):
+                    yield _stamp(path)
+            elif depth:
+                yield f"{path.name}/"
+                yield from _stamps(path, depth - 1)
