@@ -1,6 +1,6 @@
 """Commands ended at random moments and kept from writing; then: is every file whole?
 
-``python -m tests.faults.campaign --runs 13 --seed 0`` disturbs each command 13 times in each way,
+``python -m tests.faults.campaign --runs 50 --seed 0`` disturbs each command 50 times in each way,
 and prints the table of docs/reliability.md. A command that was disturbed is started again, a few
 times over, until it ends by itself; its results must then be those of one that nobody disturbed.
 """

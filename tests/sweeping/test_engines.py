@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 
+from experiments.sweeping import worker
 from experiments.sweeping.cell import Cell
 from experiments.sweeping.engines import local, on_ray
 
@@ -79,6 +80,39 @@ def test_workers_ended_between_two_cells_lose_none():
                 child.kill()
             time.sleep(0.5)  # until the pool knows
     assert sorted(found) == list(range(20))
+
+
+def large(cell):
+    """A result that does not fit into a pipe, but of the first cell."""
+    return {"square": b"x" * (1 << 20) if dict(cell.values)["number"] else b""}
+
+
+def test_a_worker_ended_within_an_answer_costs_a_try():
+    found = list[int]()
+    for done in local(large, CELLS[:4], 1, 2):
+        found.append(len(done.result["square"]))
+        if len(found) == 1:
+            time.sleep(1.0)  # until it waits for somebody to read the rest
+            for child in multiprocessing.active_children():
+                child.kill()
+    assert found == [0, 1 << 20, 1 << 20, 1 << 20]
+
+
+def deaf(cell):
+    """Does not hear that it is to end, as C code; but for the first cell."""
+    if dict(cell.values)["number"]:
+        signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGTERM})
+        time.sleep(600.0)
+    return square(cell)
+
+
+def test_a_worker_that_does_not_hear_is_ended_all_the_same(monkeypatch):
+    monkeypatch.setattr(worker, "_PATIENCE_S", 0.5)
+    running = local(deaf, CELLS[:2], 1, 1)
+    next(running)
+    time.sleep(0.5)
+    running.close()
+    assert not multiprocessing.active_children()
 
 
 def test_whoever_stops_listening_ends_the_workers():
