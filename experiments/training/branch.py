@@ -67,15 +67,15 @@ class BranchTraining:
         if "learner" in stand:
             with going_on_from(job.checkpoint):
                 self._restore()
-        while stand["states"] < job.timesteps:
-            figures = self._update()
-            if stand["update"] % LOOK == 0 or stand["states"] >= job.timesteps:
-                figures |= self._look()
-            self._journal.write(figures | {"seconds": self._seconds()}, {}, stand["states"])
-            if stand["update"] % job.checkpoint_every == 0:
-                self._save()
-            self._tell(stand["states"], "")
-        self._journal.close()
+        with self._journal:
+            while stand["states"] < job.timesteps:
+                figures = self._update()
+                if stand["update"] % LOOK == 0 or stand["states"] >= job.timesteps:
+                    figures |= self._look()
+                self._journal.write(figures | {"seconds": self._seconds()}, {}, stand["states"])
+                if stand["update"] % job.checkpoint_every == 0:
+                    self._save()
+                self._tell(stand["states"], "")
         outcome = {
             "seed": job.seed, "timesteps": stand["states"], "seconds": round(self._seconds(), 1),
             "beat_rule": stand["beat_rule"], "best": stand["best"],

@@ -60,22 +60,25 @@ class PpoTraining(BaseCallback):
     def run(self) -> dict[str, Any]:
         """Train to the end; figures of the training and of its best policy."""
         job, model, stand = self._job, self._learner, self._stand
-        model.set_logger(Logger(None, [self._journal]))
-        if "learner" in stand:
-            with going_on_from(job.checkpoint):
-                self._restore(stand.pop("learner"))
-                self._env.restore(with_arrays(stand.pop("world")))
-        left = job.timesteps - model.num_timesteps
-        fresh = not model.num_timesteps
-        # It counts anew. Its own type knows no None, its code does: log when this class says so.
-        model.learn(left, self, log_interval=None, reset_num_timesteps=fresh)  # type: ignore[arg-type]
-        self._look()
-        model.dump_logs()
-        with atomic_path(job.folder / "model.zip") as path:
-            model.save(path)
-        with atomic_path(job.folder / "normalization.pkl") as path:
-            self._env.normal.save(str(path))
-        self._journal.close()
+        with self._journal:
+            model.set_logger(Logger(None, [self._journal]))
+            if "learner" in stand:
+                with going_on_from(job.checkpoint):
+                    self._restore(stand.pop("learner"))
+                    self._env.restore(with_arrays(stand.pop("world")))
+            left = job.timesteps - model.num_timesteps
+            fresh = not model.num_timesteps
+            # It counts anew. Its own type knows no None, its code does: log when this class
+            # says so.
+            model.learn(
+                left, self, log_interval=None, reset_num_timesteps=fresh  # type: ignore[arg-type]
+            )  # fmt: skip
+            self._look()
+            model.dump_logs()
+            with atomic_path(job.folder / "model.zip") as path:
+                model.save(path)
+            with atomic_path(job.folder / "normalization.pkl") as path:
+                self._env.normal.save(str(path))
         outcome = {
             "seed": job.seed, "timesteps": model.num_timesteps,
             "seconds": round(self._seconds(), 1), "beat_rule": stand["beat_rule"],

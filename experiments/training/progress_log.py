@@ -2,6 +2,7 @@
 
 import csv
 import io
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -50,7 +51,14 @@ class ProgressLog(KVWriter):
         )
         write_text(self._path, text.getvalue())
 
-    def close(self) -> None:
-        """Write all that is left."""
-        self.save()
-        self._events.close()
+    def __enter__(self) -> "ProgressLog":
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
+        """Write all that is left; where the training failed, end the thread that writes events."""
+        if kind is None:
+            self.save()
+            self._events.close()
+        else:
+            with suppress(OSError):  # such as the full disk that it failed of
+                self._events.close()
