@@ -7,6 +7,7 @@ import os
 import re
 import subprocess
 import sys
+import threading
 from dataclasses import asdict, replace
 from hashlib import sha256
 from zipfile import ZIP_DEFLATED, ZipFile
@@ -578,14 +579,27 @@ def test_the_journal_writes_a_row_a_call_and_goes_on(tmp_path):
     journal.write({"b": np.float32(0.123456789)}, {}, 20)
     journal.save()
     assert (tmp_path / "progress.csv").read_text() == "timesteps,a,b\n10,1,\n20,,0.123457\n"
-    again = ProgressLog(tmp_path, journal.rows)
     journal.write({"lost": 1}, {}, 30)
-    again.write({"a": 2, "c": 3}, {}, 30)
-    again.close()
     journal._events.close()
+    with ProgressLog(tmp_path, journal.rows[:2]) as again:
+        again.write({"a": 2, "c": 3}, {}, 30)
     assert (tmp_path / "progress.csv").read_text() == (
         "timesteps,a,b,c\n10,1,,\n20,,0.123457,\n30,2,,3\n"
     )
+
+
+def test_the_journal_of_a_training_that_fails_ends_its_thread(tmp_path):
+    before = threading.active_count()
+
+    def fail():
+        with ProgressLog(tmp_path, []) as journal:
+            journal.write({"a": 1}, {}, 10)
+            assert threading.active_count() > before
+            raise ValueError("a fault of its own")
+
+    with pytest.raises(ValueError, match="of its own"):
+        fail()
+    assert threading.active_count() == before and not (tmp_path / "progress.csv").exists()
 
 
 # --- a smoke run
