@@ -109,10 +109,10 @@ class ResultSet:
             return
         from pyarrow import parquet
 
-        told = "".join(cell.name for cell, _ in self._waiting)
+        table, told = self._table(), "".join(cell.name for cell, _ in self._waiting)
         name = f"cells-{hashlib.sha256(told.encode()).hexdigest()[:16]}.parquet"
         with atomic_path(self.folder / name) as temporary:
-            parquet.write_table(self._table(), temporary)
+            parquet.write_table(table, temporary)
         self._waiting, self._rows_waiting, self._written_s = [], 0, time.monotonic()
 
     def _table(self) -> Any:

@@ -263,7 +263,7 @@ def test_trials_leave_rows_and_hyperparameters_to_train_with(tmp_path):
 
 def kill_once(words, folder, early_s, rng):
     """Start a sweep and kill it: at a random moment of its start, or soon after its next rows."""
-    before = len(list(folder.rglob("*.parquet")))
+    before = len(list(folder.rglob("[!.]*.parquet")))  # hidden ones are half written
     running = subprocess.Popen(
         [sys.executable, "-m", "experiments.cli", *map(str, words)], cwd=ROOT, env=environment(),
         stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, start_new_session=True,
@@ -271,7 +271,7 @@ def kill_once(words, folder, early_s, rng):
     if early_s:
         time.sleep(rng.uniform(0.2, early_s))
     else:
-        while len(list(folder.rglob("*.parquet"))) == before and running.poll() is None:
+        while len(list(folder.rglob("[!.]*.parquet"))) == before and running.poll() is None:
             time.sleep(0.05)
         time.sleep(rng.uniform(0.0, 0.5))
     assert running.poll() is None, "it was over before it could be killed"
