@@ -78,7 +78,7 @@ def test_workers_ended_between_two_cells_lose_none():
         if len(found) in (3, 9):
             for child in multiprocessing.active_children():
                 child.kill()
-            time.sleep(0.5)  # until the pool knows
+            time.sleep(0.5)  # until they are gone
     assert sorted(found) == list(range(20))
 
 
