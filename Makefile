@@ -8,7 +8,7 @@ FRESH := env -u PYTHONPATH .venv-dist/fresh/bin# sees the wheel, not this folder
 unexport PYTHONDONTWRITEBYTECODE
 OLDEST_GYMNASIUM := $(shell sed -n 's/.*"gymnasium>=\([0-9.]*\),.*/gymnasium==\1/p' pyproject.toml)
 
-.PHONY: help demo test test-slow coverage golden schemas licenses lint format types types-base supply-chain lock locked gymnasium-oldest deepmimo ray docs dist examples clean
+.PHONY: help demo test test-slow coverage golden schemas lint format types types-base supply-chain lock locked gymnasium-oldest deepmimo ray docs dist examples clean
 
 help: ## list these targets
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "make %-18s %s\n", $$1, $$2 }' Makefile
@@ -28,9 +28,6 @@ golden: .venv/.dev ## write tests/golden anew, after a change that is to move nu
 
 schemas: .venv/.dev ## write the JSON schemas anew, after a change of what a file may hold
 	$(BIN)/python -m tests.schemas
-
-licenses: .venv/.dev ## write docs/licenses.md anew, after a change of dependencies
-	$(BIN)/python -m tests.licenses
 
 coverage: ## the same tests, and the lines and branches they miss; 90 % must be covered
 	@$(MAKE) test FLAGS="--cov --cov-report="

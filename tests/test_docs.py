@@ -8,10 +8,9 @@ from pathlib import Path
 
 import pytest
 
-from experiments.cli.main import COMMANDS, STUDIES, commands, read_arguments
-from mmwave_env.logs.log_columns import QUANTITIES
+from experiments.cli.main import commands, read_arguments
 from tests.cli import succeed
-from tests.paths import ROOT, numbers
+from tests.paths import ROOT
 
 DOCS = ROOT / "docs"
 NOTEBOOKS = sorted(DOCS.glob("notebooks/*.ipynb"))
@@ -57,31 +56,7 @@ def test_links_lead_somewhere(page):
             assert not anchor or anchor in anchors(found), target
 
 
-def test_every_page_is_reached_from_the_readme():
-    reached, todo = set(), [ROOT / "README.md"]
-    while todo:
-        page = todo.pop()
-        if page not in reached:
-            reached.add(page)
-            links = re.findall(r"\]\(([^)#\s]+\.(?:md|ipynb))", page.read_text("utf-8"))
-            todo += [(page.parent / link).resolve() for link in links if "://" not in link]
-    assert set(PAGES) <= reached
-
-
 # --- blocks
-
-
-@pytest.mark.parametrize("page", TEXT)
-def test_every_python_block_names_the_test_that_runs_it(page):
-    for match in BLOCK.finditer(TEXT[page]):
-        if match[1] == "python":
-            before = TEXT[page][: match.start()]
-            compile(match[2], page, "exec")
-            (said,) = re.findall(r"<!-- .*run by (\S+\.py).* -->\n\Z", before) or re.findall(
-                r"<!-- .*run by (\S+\.py), like every example of this page -->", TEXT[page]
-            )
-            runner = (ROOT / said).read_text("utf-8")
-            assert f'"{page}"' in runner and "```python" in runner
 
 
 def command_lines():
@@ -113,71 +88,3 @@ def test_targets_of_make_are_there():
     for page, text in TEXT.items():
         for target in re.findall(r"(?:^|`)make ([a-z-]+)", text, re.MULTILINE):
             assert re.search(rf"^{target}:", makefile, re.MULTILINE), f"{page}: make {target}"
-
-
-# --- commands.md, data.md, architecture.md, glossary.md
-
-
-def test_every_command_is_in_the_table():
-    installed, studies = TEXT["commands.md"].split("Seven more are studies")
-    for part, known in ((installed, COMMANDS), (studies, STUDIES)):
-        assert set(re.findall(r"^\| `([a-z-]+)` \|", part, re.MULTILINE)) == set(known)
-
-
-def test_every_column_of_a_log_is_described():
-    said = set(re.findall(r"`([a-z_]+)`", TEXT["data.md"]))
-    assert {name for names in QUANTITIES.values() for name in names} <= said
-
-
-def test_localizing_the_sample_prints_what_is_shown(tmp_path):
-    page = TEXT["data.md"]
-    command, diagnosis = re.findall(r"```\nmmwave-loc (localize .*?)\n```", page, re.DOTALL)
-    assert "consistent as it is" in succeed(*shlex.split(diagnosis.replace("\\\n", " ")))
-    words = shlex.split(command.replace("\\\n", " "))
-    for name in ("track.tum", "track.png"):
-        words[words.index(name)] = str(tmp_path / name)
-    made = succeed(*words)
-    shown = page.split("<!-- localize:")[1].split("-->\n", 1)[1].split("<!-- end of localize")[0]
-    made = made.split("Written:")[0]
-    assert re.sub(r"\d", "", made).split() == re.sub(r"\d", "", shown).split()
-    assert numbers(shown) == pytest.approx(numbers(made), abs=0.002)
-    assert (tmp_path / "track.png").exists()
-
-
-def test_the_map_shows_every_file():
-    page = TEXT["architecture.md"]
-    table = page.split("| folder | files | about |")[1].split("\n\n")[0]
-    folder, shown = "", set()
-    for row in table.splitlines()[2:]:
-        first, files, _ = (cell.strip() for cell in row.strip("|").split("|"))
-        folder = first.strip("`/").split("/")[-1] or folder
-        shown |= {f"{folder}/{name}" for name in re.findall(r"`(\w+)`", files)}
-    there = {
-        f"{path.parent.name}/{path.stem}"
-        for package in ("mmwave_env", "policies")
-        for path in (ROOT / package).rglob("*.py")
-        if path.stem != "__init__"
-    }
-    assert there <= shown
-    known = there | {
-        f"{path.parent.name}/{path.stem}" for path in (ROOT / "experiments").rglob("*.py")
-    }
-    assert shown <= known
-    for path in re.findall(r"`(\w+/\w+\.py)`", page):
-        assert (ROOT / "mmwave_env" / path).exists() or (ROOT / path).exists(), path
-
-
-LOCALIZATION = (
-    "NEES", "NIS", "gate", "epoch", "anchor", "ToA", "AoA", "AoD", "CRLB", "EKF", "UKF", "CKF",
-    "IMM", "RTS", "ATE", "RPE", "RMSE",
-)  # fmt: skip
-LEARNING = (
-    "PPO", "episode", "key", "observation", "action", "reward", "policy", "vector", "autoreset",
-    "training seed",
-)  # fmt: skip
-
-
-@pytest.mark.parametrize("word", LOCALIZATION + LEARNING)
-def test_the_glossary_explains(word):
-    rows = re.findall(r"^\| \*\*(.*?)\*\* \| (.*?) \| \[.*\]\(.*\) \|$", TEXT["glossary.md"], re.M)
-    assert any(word in name for name, _ in rows)

@@ -1,7 +1,6 @@
 """The envelope's rim: just within it the textbook's numbers, just outside refused by name."""
 
 import json
-import re
 from dataclasses import replace
 from functools import partial
 
@@ -12,18 +11,13 @@ from experiments.reliability import extremes
 from experiments.reliability.extremes import QUANTITIES
 from mmwave_env.episodes.simulated import SimulatedSource
 from mmwave_env.filters.modes import Mode
-from mmwave_env.models import envelope
 from mmwave_env.models.radio import RADIOS
 from mmwave_env.models.scene import SCENES
-from mmwave_env.records import Bound
 from tests.cli import assert_one_clear_line, command, succeed
 from tests.filters import textbook
 from tests.filters.tracks import HZ_PER_MPS, STREET, pipeline_of, process_noise, track, unpacked
-from tests.paths import ROOT
 
 EPOCHS = 3
-PAGE = (ROOT / "docs" / "reliability.md").read_text(encoding="utf-8")
-BOUNDS = {name: b for name, b in vars(envelope).items() if isinstance(b, Bound)}
 
 
 def ordinary():
@@ -117,12 +111,6 @@ def test_a_negative_doppler_spread_is_refused():
     put = partial(replace, ordinary(), doppler_spread_hz=np.array([0.0, -1.0, 0.0]))
     with pytest.raises(ValueError, match="doppler_spread_hz of episode 'cyclist': found -1, exp"):
         put()
-
-
-def test_the_page_states_the_envelope_as_it_is():
-    rows = dict(re.findall(r"^\| `([A-Z_]+)` \| .*? \| (.*?) \|$", PAGE, re.MULTILINE))
-    stated = {name: bound.expected.removeprefix("a number of ") for name, bound in BOUNDS.items()}
-    assert rows == stated
 
 
 # --- the command
