@@ -54,7 +54,7 @@ def require_video(option: str, path: Path) -> None:
     kind = path.suffix.lower()
     if kind not in _KINDS:
         raise ValueError(f"{option}: found {path}, expected a name that ends with .gif or .mp4")
-    require_extra(_KINDS[kind].package, "video", f"{option}, a {kind} file,")
+    require_extra(_KINDS[kind].package, "render", f"{option}, a {kind} file,")
     require_writable(path)
 
 
