@@ -1,34 +1,27 @@
-"""Golden traces: what filters, smoother, environments and comparisons compute, to the last bit.
+"""What the golden traces hold: filters, smoother and environments, a row an epoch, and costs.
 
-A change that is to move no number leaves the files as they are (test_golden.py); where numbers
-are to change, a diff of the files shows which. A *kind* is a function that returns its files as
-{name: text}; a file's name begins with its kind and a dot. What shares compiled programs is one
-kind, because compiling takes longest.
+A trace is a function that returns rows, dicts by column whose first cell names the row. Episodes
+go by keys, not by seeds: what a seed draws may change, what a key means does not.
 """
 
-import contextlib
-import io
-import json
-import tempfile
-import warnings
 from collections.abc import Callable, Iterator, Sequence
 from functools import partial
-from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
+import gymnasium as gym
 import numpy as np
 
 import mmwave_env
-from experiments.cli.main import run
-from experiments.speed.operations import Operations, count
+from experiments.speed.operations import count
 from mmwave_env.engines.env_engine import Engine
 from mmwave_env.engines.imm_engine import ImmEngine, imm_program
 from mmwave_env.engines.track_engine import Tracker
 from mmwave_env.episodes.episode import Episode
+from mmwave_env.episodes.recorded import RecordedSource
+from mmwave_env.episodes.samples import recording_from
 from mmwave_env.episodes.simulated import SimulatedSource
 from mmwave_env.filters.bank import best_bank
-from mmwave_env.filters.imm import begin
 from mmwave_env.filters.mode_files import default_modes, named_modes
 from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.filters.smoother import SMOOTHING_WINDOW
@@ -37,69 +30,55 @@ from mmwave_env.logs.log import read_log
 from mmwave_env.models.prior import prior_from_fix
 from mmwave_env.models.radio import radio_from
 from mmwave_env.models.scene import read_scene, scene_from
-from mmwave_env.numerics.pytree import unflatten
 from mmwave_env.reward import TrackingReward
 from mmwave_env.vector_env import MmWaveLocVectorEnv
-from tests.golden.rollouts import ROLLOUTS, rollout
-from tests.golden.text import table
 
-Files = dict[str, str]
+Row = dict[str, Any]
 
+ID = "mmwave_env:MmWaveLoc-v0"
 LOGS = Path(mmwave_env.__file__).parent / "data" / "logs"
-NAMES = ("canyon28_pedestrian", "canyon28_vehicle")
-MODES = ("ekf", "ukf", "ckf", "ekf-robust", "ukf-robust")
 RADIO = "standard"  # of the receiver that measured the logs
 STATE = ("px", "py", "pz", "vx", "vy", "vz", "b")
 DIAGONAL = [i * (i + 3) // 2 for i in range(7)]  # of a packed covariance
-EVERY_EPOCH, THEN_EVERY = 120, 12  # of a track: all of the shorter log
 
 
 # --- tracks of the measurement logs
 
 
-def track(mode: str) -> Files:
-    """The filtered track of every log in a mode."""
-    return {f"track-{mode}.{log}.csv": _track(log, mode) for log in NAMES}
+def track(log: str, mode: str) -> Iterator[Row]:
+    """The filtered track of a log in a mode."""
+    block = _localized(log, mode)
+    for k in _shown(block.x):
+        yield (
+            _belief(k, block.x, block.P)
+            | _parts("nis", block.nis[k])
+            | {"gates": _gates(block.visible[k], block.accepted[k])}
+        )
 
 
-def _track(log: str, mode: str) -> str:
-    block = localized(log, mode)
-    columns = _belief(block.x, block.P)
-    columns |= _groups("nis", block.nis)
-    flags = gates(block.visible, block.accepted)
-    return _epochs(f"{log}, mode {mode}", columns, {"gates": flags})
+def smoother(log: str, mode: str) -> Iterator[Row]:
+    """Smoothed means and variances of a track."""
+    block = _localized(log, mode, window=SMOOTHING_WINDOW)
+    for k in _shown(block.smooth_x):
+        yield _belief(k, block.smooth_x, block.smooth_P)
 
 
-def localized(log: str, mode: str, window: int | None = None) -> TrackBlock:
-    """The track of a log in a mode: one block, one segment."""
+def track_imm(log: str) -> Iterator[Row]:
+    """The track of a log by the IMM over the default modes."""
+    episode, modes = _episode(log), default_modes(RADIO)
+    engine = ImmEngine(Pipeline(modes, episode.layout), TrackingReward())
+    told = engine.run([episode], "x", "P", "mixture.probability")
+    x, P, probability = (values[0] for values in told.values())
+    for k in _shown(x):
+        yield _belief(k, x, P) | _parts("probability", probability[k])
+
+
+def _localized(log: str, mode: str, window: int | None = None) -> TrackBlock:
     scene = read_scene(LOGS / log / "scene.json")
-    blocks = read_log(LOGS / log / "log.csv", scene)
     modes = [named_modes(RADIO)[mode]]
+    blocks = read_log(LOGS / log / "log.csv", scene)
     (block,) = localize(blocks, scene, radio_from(RADIO), modes, window=window)
     return block
-
-
-def track_imm() -> Files:
-    """The track of every log by the IMM over the default modes."""
-    return {f"track-imm.{log}.csv": _track_imm(log) for log in NAMES}
-
-
-def _track_imm(log: str) -> str:
-    episode, modes = _episode(log), default_modes(RADIO)
-    pipeline = Pipeline(modes, episode.layout)
-    told = ImmEngine(pipeline, TrackingReward()).run(
-        [episode], "x", "P", "mixture.probability", "mixture.tracks"
-    )
-    x, P, probability, mixed = (values[0] for values in told.values())
-    tracks = unflatten(begin(pipeline, [0.0] * 7, [0.0] * 28).tracks, iter(mixed.T))
-    columns, flags = _belief(x, P), {}
-    for mode, share, one in zip(modes, probability.T, tracks, strict=True):
-        columns[f"probability {mode.name}"] = share
-        columns |= _groups(f"nis {mode.name}", np.transpose(one.memory.nis))
-        flagged = one.memory.accepted, one.memory.rejected
-        accepted, rejected = (np.transpose(flag) > 0.5 for flag in flagged)
-        flags[f"gates {mode.name}"] = gates(accepted | rejected, accepted)
-    return _epochs(f"{log}, IMM", columns, flags)
 
 
 def _episode(log: str) -> Episode:
@@ -116,115 +95,162 @@ def _episode(log: str) -> Episode:
     )  # fmt: skip
 
 
-def smoother() -> Files:
-    """Smoothed means and variances of a track, in windows."""
-    log, mode = NAMES[0], "ekf"
-    block = localized(log, mode, SMOOTHING_WINDOW)
-    columns = _belief(block.smooth_x, block.smooth_P)
-    return {f"smoother.{log}.csv": _epochs(f"{log}, mode {mode}, smoothed", columns, {})}
+def _shown(states: Any) -> list[int]:
+    """A few epochs of a track: the first ones, then all along."""
+    return [*range(8), *np.linspace(8, len(states) - 1, 16).astype(int).tolist()]
 
 
-def _belief(x: Any, P: Any) -> dict[str, Any]:
-    """Columns of a state (T, 7) and of the diagonal of its packed covariance (T, 28)."""
-    variances = {f"var {name}": P[:, at] for name, at in zip(STATE, DIAGONAL, strict=True)}
-    return {name: x[:, i] for i, name in enumerate(STATE)} | variances
+def _belief(k: int, x: Any, P: Any) -> Row:
+    """State (7,) and variances of the packed covariance (28,) of an epoch."""
+    variances = zip(STATE, P[k, DIAGONAL], strict=True)
+    state = dict(zip(STATE, x[k], strict=True))
+    return {"epoch": k} | state | {f"var {name}": variance for name, variance in variances}
 
 
-def _groups(what: str, values: Any) -> dict[str, Any]:
-    """Columns of a number (T, groups) of every group of a measurement."""
-    return {f"{what} {group}": column for group, column in enumerate(values.T)}
+def _gates(visible: Any, accepted: Any) -> str:
+    """For every group a letter: accepted, rejected, or - where it is missing."""
+    return "".join("-ra"[int(v) + int(v and a)] for v, a in zip(visible, accepted, strict=True))
 
 
-def gates(visible: Any, accepted: Any) -> list[str]:
-    """For every epoch (T,) a letter a group: accepted, rejected, or - where it is missing."""
-    return [
-        "".join("-ra"[seen + taken] for seen, taken in zip(*epoch, strict=True))
-        for epoch in zip(visible.astype(int), (visible & accepted).astype(int), strict=True)
-    ]
+def _parts(name: str, values: Any) -> Row:
+    """A cell for a scalar or for flags; one an element for numbers."""
+    if isinstance(values, np.ndarray) and values.dtype != np.bool_:
+        return {f"{name} {i}": value for i, value in enumerate(values)}
+    return {name: values}
 
 
-def _epochs(what: str, columns: dict[str, Any], flags: dict[str, Sequence[str]]) -> str:
-    """Epochs of a track as a table: numbers of some, flags (words) of all since the row before."""
-    T = len(columns["px"])
-    shown = [k for k in range(T) if k < EVERY_EPOCH or k % THEN_EVERY == 0 or k == T - 1]
-
-    def rows() -> Iterator[dict[str, object]]:
-        for before, k in pairwise([-1, *shown]):
-            since = {name: " ".join(words[before + 1 : k + 1]) for name, words in flags.items()}
-            yield {"epoch": k} | {name: column[k] for name, column in columns.items()} | since
-
-    if flags:
-        what += "; gates (a accepted, r rejected, - missing) of all epochs since the row before"
-    return table(what, ["epoch", *columns, *flags], rows())
+# --- environments: all that reset and step return
 
 
-# --- environments, and policies in them
+class Recorded(RecordedSource):
+    """A recording whose noise and window are always the same, whatever the seed."""
+
+    def sample(self, rng: np.random.Generator) -> Episode:
+        """The episode."""
+        return super().sample(np.random.Generator(np.random.PCG64(7)))
 
 
-def rollouts(group: str) -> Files:
-    """The rollouts of a group, whose environments share a compiled program."""
-    return {f"rollout-{group}.{name}.csv": rollout(**it) for name, it in ROLLOUTS[group].items()}
+def rollout(keys: Sequence[int | None], **arguments: Any) -> Iterator[Row]:
+    """The episodes of keys, to their ends; None for an environment without keys."""
+    env = gym.make(ID, **arguments)
+    for key in keys:
+        options = None if key is None else {"episode_key": key}
+        yield {"row": f"{key} reset"} | _told(*env.reset(options=options))
+        step, over = 0, False
+        while not over:
+            step += 1
+            action = _action(step, env)
+            observation, *scores, info = env.step(action)
+            over = scores[1] or scores[2]
+            yield _scored(f"{key} step {step}", action, *scores) | _told(observation, info)
 
 
-def compare() -> Files:
-    """The figures that ``mmwave-loc compare`` writes; how they were made is no figure."""
-    policies = ("fixed-ekf", "fixed-ukf", "speed-rule", "likelihood-rule", "imm", "ppo")
-    with tempfile.TemporaryDirectory() as folder, warnings.catch_warnings():
-        file = Path(folder, "compare.json")
-        with contextlib.redirect_stdout(io.StringIO()):
-            run("compare", ["--episodes", "20", "--json", str(file), "--policies", *policies])
-        written = json.loads(file.read_text(encoding="utf-8"))
-    figures = {key: part for key, part in written.items() if key not in ("command", "versions")}
-    return {"compare.mixed-handset.json": json.dumps(figures, indent=2) + "\n"}
+def vector_rollout(keys: Sequence[int], later: Sequence[int], **arguments: Any) -> Iterator[Row]:
+    """Episodes side by side, each reset to a later key once it has ended.
+
+    What an autoreset itself begins is drawn by a seed, and not told.
+    """
+    n = len(keys)
+    env = gym.make_vec(ID, num_envs=n, autoreset_mode="SameStep", **arguments)
+    observations, infos = env.reset(options={"episode_key": keys})
+    for i in range(n):
+        yield {"row": f"{i} reset"} | _told(observations[i], _of(i, infos))
+    for step in range(1, arguments["episode_steps"] + 1):
+        actions = np.array([_action(step + i, env) for i in range(n)])
+        observations, *scores, infos = env.step(actions)
+        over = scores[1] | scores[2]
+        for i, values in enumerate(zip(actions, *scores, strict=True)):
+            observation, info = observations[i], infos
+            if over[i]:
+                observation, info = infos["final_obs"][i], infos["final_info"]
+            yield _scored(f"{i} step {step}", *values) | _told(observation, _of(i, info))
+        if over.any() and step < arguments["episode_steps"]:
+            options = {"reset_mask": over, "episode_key": later}
+            observations, infos = env.reset(options=options)
+            for i in np.flatnonzero(over):
+                yield {"row": f"{i} reset {step}"} | _told(observations[i], _of(i, infos))
+
+
+def _action(step: int, env: Any) -> int:
+    """Actions that are the same everywhere, and none of which is left out."""
+    space = env.single_action_space if isinstance(env, gym.vector.VectorEnv) else env.action_space
+    return step * (step + 1) // 2 % int(space.n)
+
+
+def _scored(row: str, action: Any, reward: Any, terminated: Any, truncated: Any) -> Row:
+    ends = {"terminated": terminated, "truncated": truncated}
+    return {"row": row, "action": action, "reward": reward} | ends
+
+
+def _of(i: int, infos: Row) -> Row:
+    """What a vector environment's infos tell of one environment."""
+    keys = [key for key in infos if key[0] != "_" and not key.startswith("final")]
+    return {key: infos[key][i] for key in keys if infos[f"_{key}"][i]}
+
+
+def _told(observation: Any, info: Row) -> Row:
+    cells: Row = {}
+    for key in sorted(info):
+        cells |= _parts(key, info[key])
+    return cells | _parts("observation", observation)
 
 
 # --- what it costs: a gate without clocks
 
 
-def operations() -> Files:
+def operations() -> Iterator[Row]:
     """SIMD instructions of every kernel, each on eight environments."""
-    rows = ({"kernel": name} | count(*it)._asdict() for name, it in _kernels().items())
-    what = "instructions of a kernel on eight environments"
-    return {"operations.csv": table(what, ["kernel", *Operations._fields], rows)}
-
-
-def _kernels() -> dict[str, tuple[Callable[[Any], Any], Any]]:
-    """A function of numbers and its workspace, by name."""
     source = SimulatedSource(scene_from("street"), radio_from("handset"))
     modes, reward, bank = named_modes("handset"), TrackingReward(), best_bank()
     both, five = (Pipeline(some, source.layout) for some in (default_modes(), bank.modes))
     programs: dict[str, Any] = {
         f"track {name}": Tracker(Pipeline((modes[name],), source.layout), 1).program
-        for name in MODES
+        for name in ("ekf", "ukf", "ckf", "ekf-robust", "ukf-robust")
     }
     programs["step, shared beliefs"] = Engine(both, 1, reward).batch.program
     programs["step, per-mode beliefs"] = Engine(five, 1, reward, bank=bank).batch.program
     programs["IMM of five modes"] = imm_program(five, reward)
     kernels = {name: (one.function, one.template) for name, one in programs.items()}
-    parts = ("measured", "something happens", "a substep")
-    for name, part in zip(parts, source.world.parts, strict=True):
+    for name, part in zip(("measured", "happens", "substep"), source.world.parts, strict=True):
         kernels[f"world: {name}"] = part, source.world.template
-    return kernels
+    for name, kernel in kernels.items():
+        yield {"kernel": name} | count(*kernel)._asdict()
 
 
-def memory() -> Files:
+def memory() -> Iterator[Row]:
     """Bytes that an environment keeps from step to step, one among 64."""
-    rows = []
     for beliefs in ("shared", "per-mode"):
         env = MmWaveLocVectorEnv(64, beliefs=beliefs)
         env.reset(seed=0)
-        kept = {name: array.nbytes // 64 for name, array in env.state().items()}
-        kept["together"] = sum(kept.values())
-        rows += [{"array": f"{beliefs}: {name}", "bytes": size} for name, size in kept.items()]
-    return {"memory.csv": table("bytes of an environment", ["array", "bytes"], rows)}
+        for name, array in env.state().items():
+            yield {"array": f"{beliefs}: {name}", "bytes": array.nbytes // 64}
 
 
-KINDS: dict[str, Callable[[], Files]] = {
-    **{f"track-{mode}": partial(track, mode) for mode in MODES},
-    "track-imm": track_imm,
-    "smoother": smoother,
-    **{f"rollout-{group}": partial(rollouts, group) for group in ROLLOUTS},
-    "compare": compare,
+# Keys 3656569636567469460 and 9573841816382471088 diverge.
+TRACES: dict[str, Callable[[], Iterator[Row]]] = {
+    "track-ekf": partial(track, "canyon28_pedestrian", "ekf"),
+    "track-ukf": partial(track, "canyon28_vehicle", "ukf"),
+    "track-imm": partial(track_imm, "canyon28_vehicle"),
+    "smoother": partial(smoother, "canyon28_pedestrian", "ekf"),
+    "rollout-mixed": partial(
+        rollout, [11749869230777074271, 2**64 - 1], episode_steps=12, smoothed=True
+    ),
+    "rollout-diverging": partial(
+        rollout, [3656569636567469460], episode_steps=14, scenario="vehicle",
+        terminate_on_divergence=True,
+    ),
+    "rollout-recorded": lambda: rollout(
+        [None], episodes=Recorded(recording_from("canyon28_vehicle"), RADIO, epochs=8)
+    ),
+    "rollout-per-mode": partial(
+        rollout, [9441442522235856127], episode_steps=8, beliefs="per-mode", radio=RADIO,
+        scene="dynamic-doppler", dt=0.5, smoothed=True, planar=True, odometry=True,
+    ),
+    "rollout-vector": partial(
+        vector_rollout, [9573841816382471088, 6847638017495587239], [2, 3], episode_steps=12,
+        scenario="vehicle", radio="high", observation="prior", reward="log-score",
+        terminate_on_divergence=True,
+    ),
     "operations": operations,
     "memory": memory,
-}
+}  # fmt: skip

@@ -1,71 +1,78 @@
-"""Write the golden traces anew: ``make golden``; with ``--check`` only tell what would change."""
+"""Write the golden traces: ``make golden``; with ``--check`` tell what would change, to the bit.
 
-import argparse
+Compilers and libraries choose instructions by the processor, and so the last bits. Tests therefore
+compare numbers to 1e-9, observations (single precision) to 1e-5, of the number or of 1 where that
+is more; whole numbers and words exactly. ``--check`` compares text: for whoever refactors, on one
+machine, before and after.
+"""
+
+import math
 import sys
-import time
-from collections.abc import Sequence
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 
-from tests.golden.comparison import ADVICE, differences, machine, message
-from tests.golden.text import cells
-from tests.golden.traces import KINDS, Files
+import numpy as np
+
+from tests.golden.traces import TRACES
 
 FOLDER = Path(__file__).parent
-MACHINE = "machine.txt"
+HEADER = "# Written by `make golden` (tests/golden/write.py).\n"
+SHOWN = 5  # differences of a file
 
 
-def read(kind: str) -> Files:
-    """The files of a kind, as they were written."""
-    return {path.name: path.read_text("utf-8") for path in sorted(FOLDER.glob(f"{kind}.*"))}
+def text_of(rows: Iterable[Mapping[str, object]]) -> str:
+    """Rows as CSV: numbers in as few digits as give them back, a cell empty where there is none."""
+    rows = list(rows)
+    columns = list(dict.fromkeys(name for row in rows[::-1] for name in row))
+    lines = [columns, *([_word(row.get(name, "")) for name in columns] for row in rows)]
+    return HEADER + "".join(";".join(line) + "\n" for line in lines)
 
 
-def write(kind: str, files: Files) -> None:
-    """Write the files of a kind; those that it has no more are removed."""
-    for name in read(kind).keys() - files.keys():
-        (FOLDER / name).unlink()
-    for name, text in files.items():
-        (FOLDER / name).write_text(text, "utf-8", newline="\n")
+def _word(value: object) -> str:
+    if isinstance(value, np.ndarray):  # of flags
+        return "".join("FT"[int(flag)] for flag in value)
+    return repr(float(value)) if isinstance(value, np.float64) else str(value)
 
 
-def same_machine() -> bool:
-    """Whether this machine is of the kind that wrote the files, so that they hold exactly."""
-    there = read("machine").get(MACHINE, "")
-    return cells(MACHINE, there) == cells(MACHINE, machine())
+def differences(name: str, old: str, new: str) -> list[str]:
+    """Where two texts of a trace differ by more than rounding, one line a cell."""
+    before, after = ([line.split(";") for line in text.splitlines()[1:]] for text in (old, new))
+    if before[:1] != after[:1] or [row[0] for row in before] != [row[0] for row in after]:
+        return [f"{name}: other rows or columns"]
+    return [
+        f"{name}: row {row[0]!r}, column {column!r}: {a} became {b}"
+        for row, changed in zip(before, after, strict=True)
+        for column, a, b in zip(before[0], row, changed, strict=True)
+        if not _same(a, b, 1e-5 if column.startswith("observation") else 1e-9)
+    ]
 
 
-def changes(old: Files, new: Files, exact: bool) -> list[str]:
-    """What to tell of every file that differs, or that one side lacks."""
-    told = []
-    for name in sorted(old.keys() | new.keys()):
-        if name not in old:
-            told.append(f"{name}: is new")
-        elif name not in new:
-            told.append(f"{name}: nothing writes it any more")
-        elif found := differences(name, old[name], new[name], exact):
-            told.append(message(name, found))
-    return told
+def _same(a: str, b: str, tolerance: float) -> bool:
+    try:
+        number, other = float(a), float(b)
+    except ValueError:  # a word
+        return a == b
+    whole = a.lstrip("-").isdigit()
+    return a == b or (
+        not whole and math.isclose(number, other, rel_tol=tolerance, abs_tol=tolerance)
+    )
 
 
-def main(arguments: Sequence[str] | None = None) -> None:
-    """Write all files, or compare them with ``--check``: then exit code 1 where they differ."""
-    parser = argparse.ArgumentParser(prog="python -m tests.golden.write", description=__doc__)
-    parser.add_argument("--check", action="store_true", help="compare and write nothing")
-    check = parser.parse_args(arguments).check
-    exact, told = not check or same_machine(), []
-    for kind, function in KINDS.items():
-        begun, new = time.process_time(), function()
-        took, size = time.process_time() - begun, sum(map(len, new.values()))
-        print(f"{kind:18}{len(new):2} files{size / 1e3:7.1f} kB, {took:4.1f} s of processor time")
-        told += changes(read(kind), new, exact)
+def main(check: bool) -> None:
+    """Write all traces, or compare them with what is written: then exit code 1 if they differ."""
+    differ = 0
+    for name, trace in TRACES.items():
+        path, text = FOLDER / f"{name}.csv", text_of(trace())
+        old = path.read_text("utf-8") if path.exists() else HEADER
+        print(f"{name}: {'same' if text == old else 'differs'}")
+        if text != old:
+            differ += 1
+            print(*differences(name, old, text)[:SHOWN], sep="\n")
         if not check:
-            write(kind, new)
-    if not check:
-        write("machine", {MACHINE: machine()})
-    how = "to the last digit" if exact else "to a tolerance: this is another kind of machine"
-    print("\n".join([*told, f"{len(told)} files differ, compared {how}"]))
-    if check and told:
-        sys.exit(ADVICE)
+            path.write_text(text, "utf-8", newline="\n")
+    if check and differ:
+        sys.exit(f"{differ} traces differ. If this is meant, run `make golden` and say why.")
 
 
 if __name__ == "__main__":
-    main()
+    main("--check" in sys.argv[1:])
