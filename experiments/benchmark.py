@@ -3,8 +3,7 @@
 One run, the same work: a loop on filterpy's filters, a single environment, Gymnasium's sync
 vector and the native vector environment; then the filters alone, Gymnasium's CartPole-v1 as a
 yardstick, the limit of the core, peak memory and the time to the first step. Absolute figures
-depend on the machine; ratios much less, so they come first. ``--training`` measures PPO instead,
-by our loop and by Stable-Baselines3's own.
+depend on the machine; ratios much less, so they come first.
 """
 
 import os
@@ -24,14 +23,6 @@ def main(args: Args) -> None:
     _check(args)
     for name in _ONE_THREAD:
         os.environ.setdefault(name, "1")
-    if args.training:
-        _training(args)
-    else:
-        _environments(args)
-
-
-def _environments(args: Args) -> None:
-    """All but the training."""
     require_extra("filterpy", "filterpy", "benchmark")
     from experiments.cli.doc_pages import page_to_renew, renewed
     from experiments.cli.options import provenance
@@ -39,14 +30,14 @@ def _environments(args: Args) -> None:
     from experiments.evaluation.terminal import progress
     from experiments.speed.figure import draw
     from experiments.speed.measured import Measured
-    from experiments.speed.report import TITLES, TRAINING, tables
+    from experiments.speed.report import TITLES, tables
 
     figures = [args.plot] if args.plot else []
     page = ""
     if args.docs:
         page = page_to_renew(args.docs)
         # refuses a wrong mark before the work
-        renewed(page, dict.fromkeys(TITLES, ""), [TRAINING])
+        renewed(page, dict.fromkeys(TITLES, ""))
         figures.append(args.docs.with_suffix(".png"))
     for figure in figures:
         require_picture("plot", figure)
@@ -61,32 +52,7 @@ def _environments(args: Args) -> None:
     for figure in figures:
         draw(measured, figure)
     if args.docs:
-        write_text(args.docs, renewed(page, found, [TRAINING]))
-
-
-def _training(args: Args) -> None:
-    """The training alone."""
-    for package in ("stable_baselines3", "sb3_contrib", "tensorboard"):
-        require_extra(package, "train", "benchmark --training")
-    from experiments.cli.doc_pages import page_to_renew, renewed
-    from experiments.cli.options import provenance
-    from experiments.evaluation.markdown import show
-    from experiments.evaluation.terminal import progress
-    from experiments.speed.report import TITLES, TRAINING, training_table
-    from experiments.training.speed import TrainingSpeed
-
-    page = page_to_renew(args.docs) if args.docs else ""
-    renewed(page, {TRAINING: ""}, TITLES)
-    speed = TrainingSpeed()
-    with progress("benchmark") as tell:
-        for share in speed.run(args.seconds, args.repeats):
-            tell(share)
-    table = training_table(speed.steps_per_s, speed.us)
-    show(f"### {TRAINING}\n\n{table}\n")
-    if args.json:
-        write_json(args.json, provenance("benchmark", args) | speed.json())
-    if args.docs:
-        write_text(args.docs, renewed(page, {TRAINING: table}, TITLES))
+        write_text(args.docs, renewed(page, found))
 
 
 def _check(args: Args) -> None:
@@ -99,8 +65,6 @@ def _check(args: Args) -> None:
         raise ValueError(f"sizes: found {list(args.sizes)}, expected numbers of at least 1")
     if not 0.0 <= args.seconds < float("inf"):
         raise ValueError(f"seconds: found {args.seconds}, expected a time of at least 0")
-    if args.training and args.plot:
-        raise ValueError(f"plot: found {args.plot} beside training, expected none: it is no figure")
     if args.repeats < 1:
         raise ValueError(f"repeats: found {args.repeats}, expected at least 1")
 

@@ -19,8 +19,6 @@ class Args(JsonArgs):
     """time per measurement, at least; whole episodes are measured"""
     repeats: int = 5
     """rounds, in which every workload has its turn; medians and ranges are printed"""
-    training: bool = False
-    """measure how fast PPO trains instead, beside Stable-Baselines3's own loop"""
     plot: Path | None = None
     """draw rates and limits to this .png, .svg or .pdf file"""
     docs: Path | None = None

@@ -1,7 +1,7 @@
 """Pages whose tables a command renews, so that no figure is typed."""
 
 import re
-from collections.abc import Container, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 
 from mmwave_env.files import require_writable
@@ -23,13 +23,12 @@ def page_to_renew(path: Path) -> str:
     return page
 
 
-def renewed(page: str, tables: Mapping[str, str], others: Container[str] = ()) -> str:
+def renewed(page: str, tables: Mapping[str, str]) -> str:
     """The page with each table between its marks replaced by the one of its title.
 
     Args:
         page: Markdown.
         tables: Markdown by title.
-        others: titles of tables that stay as they are.
 
     Raises:
         ValueError: a mark names no table.
@@ -37,8 +36,6 @@ def renewed(page: str, tables: Mapping[str, str], others: Container[str] = ()) -
 
     def table(match: re.Match[str]) -> str:
         title = match[1]
-        if title in others:
-            return match[0]
         if title not in tables:
             raise ValueError(f"table of the page: found {title!r}, expected one of {list(tables)}")
         return f"<!-- table: {title} -->\n{tables[title]}\n<!-- end -->"

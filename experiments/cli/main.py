@@ -5,7 +5,6 @@ Options are read first, and little is imported until they are: help and mistakes
 """
 
 import importlib
-import importlib.util
 import os
 import shutil
 import sys
@@ -47,46 +46,13 @@ COMMANDS = {
     "demo": "the tables of docs/results.md, on simulated and ray-traced streets",
 }
 LONGEST_LINE = 2000  # letters of a message
-STUDIES = {  # of a checkout: the installed package goes without them
-    "ablate": ("experiments.learning.ablate", "trainings with one thing changed at a time"),
-    "studies": (
-        "experiments.learning.studies",
-        "what beliefs per mode, rollouts, places and modes are worth, in short trainings",
-    ),
-    "learned": (
-        "experiments.learning.learned",
-        "the tables and figures of docs/learning.md, from recorded runs",
-    ),
-    "standardize": (
-        "experiments.learning.standardize",
-        "mean and deviation of every kind of feature, medians over many places",
-    ),
-    "soak": (
-        "experiments.reliability.soak",
-        "many steps of all modes on damaged data, every number checked",
-    ),
-    "association": (
-        "experiments.reliability.association",
-        "what a track loses where nobody says which path is which anchor's",
-    ),
-    "extremes": (
-        "experiments.reliability.extremes",
-        "modes on numbers at the ends of the envelope, and beyond them",
-    ),
-}
 
 
 def commands() -> dict[str, tuple[str, str]]:
     """Module and meaning of every command there is."""
-    found = {
+    return {
         name: (f"experiments.{name.replace('-', '_')}", what) for name, what in COMMANDS.items()
     }
-    return found | {n: study for n, study in STUDIES.items() if _is_there(study[0])}
-
-
-def _is_there(module: str) -> bool:
-    package, _, _ = module.rpartition(".")
-    return importlib.util.find_spec(package) is not None
 
 
 def _show_warning(message: Warning | str, *_: Any, **__: Any) -> None:

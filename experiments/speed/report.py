@@ -4,7 +4,7 @@ import math
 import os
 import platform
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from statistics import median
 
@@ -162,27 +162,6 @@ def _processor() -> str:
     return platform.processor() or platform.machine()
 
 
-def training_table(
-    steps_per_s: Mapping[str, Sequence[float]], us: Mapping[str, Mapping[str, Sequence[float]]]
-) -> str:
-    """Rounds of trainings as a table.
-
-    Args:
-        steps_per_s: by loop, the one that is measured against last.
-        us: microseconds of a step, by loop and part.
-    """
-    base = list(steps_per_s)[-1]
-    rows = [
-        [
-            loop, spread(rates), spread(quotients(rates, steps_per_s[base])),
-            *(short(median(spent)) for spent in us[loop].values()),
-        ]
-        for loop, rates in steps_per_s.items()
-    ]  # fmt: skip
-    parts = (f"{part}, us" for part in us[base])
-    return grid(["loop", "steps per second", f"over {base}", *parts], rows)
-
-
 _TABLES: dict[str, Callable[[Measured], str]] = {
     "Ratios": _ratios,
     "Steps per second": _rates,
@@ -196,4 +175,3 @@ _TABLES: dict[str, Callable[[Measured], str]] = {
     "Machine": _machine,
 }
 TITLES = tuple(_TABLES)
-TRAINING = "Training"  # the title of what is measured apart

@@ -3,8 +3,7 @@
 Outside of it an episode or a mode is refused by name. A double has 16 digits, and an update adds
 what a measurement says, P / sigma^2, to 1: where a prior deviates a hundred million times as much
 as the noise in one direction and not in another, nothing is left of the other. The ends stand far
-from anything a receiver gives; ``mmwave-loc extremes`` tries them, docs/reliability.md says what
-came of it.
+from anything a receiver gives; tests/engines/test_extremes.py tries them.
 """
 
 from mmwave_env.records import Bound

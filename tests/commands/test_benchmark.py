@@ -6,7 +6,7 @@ import re
 import pytest
 
 from experiments.cli.doc_pages import MARK
-from experiments.speed.report import TITLES, TRAINING
+from experiments.speed.report import TITLES
 from tests.cli import assert_one_clear_line, command, succeed
 from tests.paths import ROOT
 
@@ -38,38 +38,8 @@ def test_a_short_run_writes_everything(tmp_path):
     for picture in (plot, page.with_suffix(".png")):
         assert picture.read_bytes().startswith(b"\x89PNG")
     renewed = {match[1]: match[0] for match in MARK.finditer(page.read_text())}
-    del renewed[TRAINING]  # by --training alone
     assert all(table.split("\n", 1)[1].rpartition("\n")[0] in shown
                for table in renewed.values())  # fmt: skip
-
-
-def test_the_page_has_every_table():
-    found = sorted(match[1] for match in MARK.finditer(PAGE.read_text()))
-    assert found == sorted([*TITLES, TRAINING])
-
-
-@pytest.mark.slow
-@pytest.mark.torch
-def test_training_renews_its_own_table_alone(tmp_path):
-    pytest.importorskip("stable_baselines3")
-    page, file = tmp_path / "page.md", tmp_path / "training.json"
-    page.write_text(PAGE.read_text())
-    options = ("--training", "--seconds", 0, "--repeats", 1, "--json", file, "--docs", page)
-    shown = succeed("benchmark", *options)
-    before, after = (
-        {match[1]: match[0] for match in MARK.finditer(path.read_text())} for path in (PAGE, page)
-    )
-    table = after.pop(TRAINING).split("\n", 1)[1].rpartition("\n")[0]
-    assert table in shown and "| Stable-Baselines3's own |" in table
-    del before[TRAINING]
-    assert after == before
-    result = json.loads(file.read_text())
-    ours, theirs = result["steps_per_s"].values()
-    assert result["ratios"] == [pytest.approx(ours[0] / theirs[0])]
-    for loop, parts in result["us_per_step"].items():
-        total = sum(spent for [spent] in parts.values())
-        assert total == pytest.approx(1e6 / result["steps_per_s"][loop][0])
-        assert all(spent > 0.0 for [spent] in parts.values())
 
 
 @pytest.mark.parametrize(
@@ -80,7 +50,6 @@ def test_training_renews_its_own_table_alone(tmp_path):
         (["--repeats", "0"], "repeats: found 0, expected at least 1"),
         (["--docs", "CHANGELOG.md"], "CHANGELOG.md: found no table"),
         (["--docs", "docs/paper.md"], "found 'Table I: pedestrian, handset', expected one of"),
-        (["--training", "--plot", "a.png"], "plot: found a.png beside training, expected none"),
         (["--plot", "docs"], "plot: found docs, expected a name that ends with .png"),
     ],
 )

@@ -6,7 +6,7 @@ import pytest
 from experiments.speed.figure import draw
 from experiments.speed.measured import Measured, Rates
 from experiments.speed.operations import Operations, count
-from experiments.speed.report import TITLES, label, short, spread, tables, training_table
+from experiments.speed.report import TITLES, label, short, spread, tables
 from experiments.speed.roofline import KINDS, LENGTH, interleaved, limit_s
 from experiments.speed.workloads import EPISODE, Lap, filterpy_episode, pipeline, source
 from mmwave_env.filters.filterpy_reference import filterpy_pipeline
@@ -171,16 +171,6 @@ def test_tables_hold_what_was_measured(measured):
     assert f"| single environment | {ratio} |" in found["Ratios"]
     assert "N = 1024, 1 thread" in found["Steps per second"]
     assert set(measured.instructions_s) == set(KINDS)
-
-
-def test_trainings_are_compared_round_by_round():
-    rates = {"ours": [40.0, 90.0, 60.0], "own": [20.0, 30.0, 20.0]}
-    us = {loop: {"update": [3.0, 4.0, 5.0], "other": [0.1, 0.2, 0.3]} for loop in rates}
-    assert training_table(rates, us).splitlines() == [
-        "| loop | steps per second | over own | update, us | other, us |", "|---|---|---|---|---|",
-        "| ours | 60.0 (40.0 to 90.0) | 3.00 (2.00 to 3.00) | 4.00 | 0.200 |",
-        "| own | 20.0 (20.0 to 30.0) | 1.00 (1.00 to 1.00) | 4.00 | 0.200 |",
-    ]  # fmt: skip
 
 
 def test_figures_are_short():

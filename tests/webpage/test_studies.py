@@ -5,7 +5,6 @@ import json
 import pytest
 
 from experiments.evaluation.intervals import Interval
-from experiments.webpage.sources import read_source
 from mmwave_env import __version__
 from tests.cli import assert_one_clear_line, command, succeed
 from tests.paths import ROOT
@@ -38,24 +37,6 @@ def test_a_folder_of_entries_is_ranked_with_their_figures(tmp_path):
         entries[0]["venues"]
     )
     assert page.text.count(entries[0]["command"]) == 1  # which wrote several files
-
-
-def test_a_folder_of_studies_is_read_with_its_runs_and_records(tmp_path):
-    page = report(tmp_path, DOCS / "learning" / "studies")
-    record = json.loads((DOCS / "learning/studies/defaults/rewards.json").read_text())
-    rows = page.table("Other libraries")[1:]
-    for row, known in zip(rows, record["rows"], strict=True):
-        assert row[0][0] == known["library"]
-        assert float(row[3][1]) == pytest.approx(sum(known["each"]) / 5)
-        assert float(row[6][1]) == known["minus imm"]["mean"]
-    (evolved,) = page.table("evolution strategy")[1:]
-    assert evolved[1][0] == "500" and evolved[5][0] == "0.030 [0.024, 0.036]"
-    assert "branch" in [row[0][0] for row in page.table("beside each other")[1:]]
-
-
-def test_files_that_say_how_to_train_are_no_results(tmp_path):
-    names = {source.path.rsplit("/", 1)[1] for source in read_source(DOCS / "learning/ablation")}
-    assert "larger" in names and not any(name.endswith(".json") for name in names)
 
 
 def test_every_table_of_learned_is_shown(tmp_path):

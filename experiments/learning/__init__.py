@@ -1,1 +1,0 @@
-"""What docs/learning.md shows: results of the recorded trainings, and what each part is worth."""

@@ -1,1 +1,0 @@
-"""Many steps on damaged data, every number checked."""

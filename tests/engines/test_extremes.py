@@ -1,0 +1,177 @@
+"""The envelope: numbers at its ends keep beliefs sound, numbers beyond are refused by name."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from itertools import combinations
+
+import numpy as np
+import pytest
+
+from mmwave_env.engines.track_engine import Tracker
+from mmwave_env.episodes.episode import Episode
+from mmwave_env.episodes.simulated import SimulatedSource
+from mmwave_env.filters.mode_files import named_modes
+from mmwave_env.filters.modes import Mode
+from mmwave_env.filters.pipeline import Pipeline
+from mmwave_env.models import envelope
+from mmwave_env.models.radio import RADIOS
+from mmwave_env.models.scene import SCENES
+from mmwave_env.records import Bound
+
+ASIDE = 0.01  # how far within an end or beyond it, as a share of it
+FAR = (1e30, 1e150, 1e300, np.nan)  # an infinite sigma is no error, but a row that is missing
+NOISES = ("sigma_p", "sigma_v", "sigma_pz", "sigma_vz", "sigma_b_mps")
+
+
+@dataclass(frozen=True)
+class Quantity:
+    """Something that the envelope bounds, and how an episode gets another value of it."""
+
+    name: str
+    bound: Bound
+    put: Callable[[Episode, float], Episode]
+
+    def within(self):
+        """Just within the ends; 0 is one itself."""
+        return [end * (1.0 - out) for end, out in self._ends()]
+
+    def beyond(self):
+        return [end * (1.0 + out) if end else -1.0 for end, out in self._ends()] + [*FAR]
+
+    def _ends(self):
+        least, most = self.bound.least, self.bound.most
+        return [(least, ASIDE * (1 if least < 0 else -1)), (most, ASIDE)]
+
+
+def mean(states):
+    def put(episode, value):
+        prior = episode.prior_mean.copy()
+        prior[states] = value
+        return replace(episode, prior_mean=prior)
+
+    return put
+
+
+def deviation(states):
+    def put(episode, value):
+        P = episode.prior_covariance.copy()
+        P[states, states] = value * value if abs(value) < 1e150 else value  # diagonal as drawn
+        return replace(episode, prior_covariance=P)
+
+    return put
+
+
+def sigma(rows):
+    def put(episode, value):
+        changed = episode.sigma.copy()
+        changed[:, rows] = value
+        return replace(episode, sigma=changed)
+
+    return put
+
+
+def steps(episode, value):
+    return replace(episode, time_s=np.arange(len(episode)) * value)
+
+
+def place(episode, value):
+    """Everything moved, anchors and user: a survey's coordinates."""
+    prior = episode.prior_mean.copy()
+    prior[:3] += value
+    return replace(episode, scene_anchors_m=episode.scene_anchors_m + value, prior_mean=prior)
+
+
+ANGLES, DOPPLER = [i for i in range(12) if i % 4], 12
+QUANTITIES = (
+    Quantity("step", envelope.STEP_S, steps),
+    Quantity("anchors and user at", envelope.POSITION_M, place),
+    Quantity("prior position", envelope.POSITION_M, mean(slice(3))),
+    Quantity("prior velocity", envelope.VELOCITY_MPS, mean(slice(3, 6))),
+    Quantity("prior bias", envelope.BIAS_HZ, mean(slice(6, 7))),
+    Quantity("deviation of position", envelope.POSITION_SIGMA_M, deviation([0, 1, 2])),
+    Quantity("deviation of one axis", envelope.POSITION_SIGMA_M, deviation([0])),
+    Quantity("deviation of velocity", envelope.VELOCITY_SIGMA_MPS, deviation([3, 4, 5])),
+    Quantity("deviation of bias", envelope.BIAS_SIGMA_HZ, deviation([6])),
+    Quantity("sigma of ranges", envelope.RANGE_SIGMA_M, sigma([0, 4, 8])),
+    Quantity("sigma of angles", envelope.ANGLE_SIGMA_RAD, sigma(ANGLES)),
+    Quantity("sigma of azimuths", envelope.ANGLE_SIGMA_RAD, sigma([1, 3, 5, 7, 9, 11])),
+    Quantity("sigma of Doppler", envelope.DOPPLER_SIGMA_HZ, sigma([DOPPLER])),
+    Quantity(
+        "Doppler spread", envelope.DOPPLER_SPREAD_HZ,
+        lambda e, value: replace(e, doppler_spread_hz=np.full(len(e), value)),
+    ),
+    Quantity("Hz per m/s", envelope.HZ_PER_MPS, lambda e, value: replace(e, hz_per_mps=value)),
+)  # fmt: skip
+LOUD = dict.fromkeys(NOISES, envelope.PROCESS_NOISE.most)
+CHANGES = (
+    {}, {"gate": None}, dict.fromkeys(NOISES, 0.0), LOUD, LOUD | {"gate": None},
+    dict.fromkeys(("widen_p", "widen_v"), envelope.WIDENING.most),
+    {"spread_gain": envelope.PROCESS_NOISE.most},
+)  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def episode():
+    source = SimulatedSource(SCENES["street"], RADIOS["handset"], epochs=60)
+    return source.sample(np.random.default_rng(3))
+
+
+def sound(x, P):
+    """Which tracks (n,) of x (n, T, 7) and packed P (n, T, 28) are finite and positive definite."""
+    finite = np.isfinite(np.concatenate([x, P], axis=2)).all(axis=(1, 2))
+    full, (i, j) = np.zeros((*P.shape[:2], 7, 7)), np.tril_indices(7)
+    full[..., i, j] = full[..., j, i] = np.where(finite[:, None, None], P, np.eye(7)[i, j])
+    scale = np.sqrt(np.maximum(np.einsum("...ii->...i", full), 1e-300))
+    least = np.linalg.eigvalsh(full / scale[..., :, None] / scale[..., None, :])[..., 0]
+    return finite & (least > -1e-9).all(axis=1)  # rounding of the eigenvalues
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", named_modes())
+def test_beliefs_are_sound_with_each_quantity_and_any_two_at_the_ends(name, episode):
+    single = [(quantity, value) for quantity in QUANTITIES for value in quantity.within()]
+    pairs = [pair for pair in combinations(single, 2) if pair[0][0].put is not pair[1][0].put]
+    cases = {}
+    for changes in [*((one,) for one in single), *pairs]:
+        changed = episode
+        for quantity, value in changes:
+            changed = quantity.put(changed, value)
+        cases[", ".join(f"{quantity.name} {value:g}" for quantity, value in changes)] = changed
+    assert len(cases) > 400
+    for change in CHANGES:
+        mode = replace(named_modes()[name], **change)
+        tracker = Tracker(Pipeline((mode,), episode.layout), len(cases))
+        tracker.load(list(cases.values()))
+        good = sound(**tracker.run("x", "P"))
+        assert [case for case, fine in zip(cases, good, strict=True) if not fine] == [], change
+
+
+def test_what_is_unsound_is_seen():
+    x, P = np.zeros((3, 2, 7)), np.tile(np.eye(7)[np.tril_indices(7)], (3, 2, 1))
+    P[0, 1, 1] = 1.1  # a correlation above 1
+    x[1, 0, 6] = np.nan
+    assert sound(x, P).tolist() == [False, False, True]
+
+
+BEYOND = [(quantity, value) for quantity in QUANTITIES for value in quantity.beyond()]
+
+
+@pytest.mark.parametrize(
+    ("quantity", "value"), BEYOND, ids=[f"{quantity.name} {value:g}" for quantity, value in BEYOND]
+)
+def test_beyond_the_ends_an_episode_is_refused_by_name(quantity, value, episode):
+    with np.errstate(all="ignore"), pytest.raises(ValueError, match="of episode '.*expected "):
+        quantity.put(episode, value)
+
+
+@pytest.mark.parametrize("name", [*NOISES, "spread_gain", "widen_p", "widen_v"])
+@pytest.mark.parametrize("value", [-0.1, 100.1, 1e150, np.nan])
+def test_a_mode_beyond_them_is_refused_by_name(name, value):
+    with pytest.raises(ValueError, match=f"{name} of mode 'loud': .* a number of 0 to "):
+        Mode("loud", **{name: value})
+
+
+@pytest.mark.parametrize("dt", [0.0, 61.0, 1e12, np.inf, np.nan])
+def test_a_step_of_minutes_is_refused_before_anything_is_drawn(dt):
+    with pytest.raises(ValueError, match=r"^dt: found .*, expected a number of 1e-30 to 60 s$"):
+        SimulatedSource(SCENES["street"], RADIOS["handset"], dt=dt)

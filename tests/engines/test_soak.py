@@ -1,0 +1,99 @@
+"""Many steps of all modes, mixed, on damaged data: after each every number is sound."""
+
+from dataclasses import replace
+from itertools import product
+
+import numpy as np
+import pytest
+
+from experiments.evaluation.seeds import draw_episodes
+from mmwave_env.engines.env_engine import Engine
+from mmwave_env.episodes.mobility import MOBILITIES
+from mmwave_env.episodes.simulated import SimulatedSource
+from mmwave_env.filters.mode_files import named_modes
+from mmwave_env.filters.modes import Mode
+from mmwave_env.filters.pipeline import Pipeline
+from mmwave_env.filters.update import ekf
+from mmwave_env.models.measurement import Layout, wrap_angles
+from mmwave_env.models.radio import RADIOS
+from mmwave_env.models.scene import scene_from
+from mmwave_env.numerics.linalg import cholesky, unpack
+from mmwave_env.numerics.numbers import where
+from mmwave_env.reward import TrackingReward
+
+pytestmark = pytest.mark.slow
+
+N = 128  # environments: 384,000 steps over all users and radios
+PARTS = ("x", "P", "memory", "candidates", "observation", "reward", "nees", "distance")
+STAY = (0.0, 0.95, 1.0)  # probabilities of keeping the mode; an environment has one of them
+
+
+def damaged(episode, rng):
+    """A copy: links missing alone, together and for long, values NaN, infinite or far off."""
+    layout, T = episode.layout, len(episode)
+    missing = rng.random((T, len(layout.groups))) < 0.03
+    for group in np.flatnonzero(rng.random(len(layout.groups)) < 0.4):
+        begin = rng.integers(T)
+        missing[begin : begin + rng.integers(5, 60), group] = True
+    if rng.random() < 0.25:
+        begin = rng.integers(T)
+        missing[begin : begin + rng.integers(50, 150), : layout.anchors] = True
+    z, hit = episode.measurement.copy(), rng.random(episode.measurement.shape)
+    far, broken = hit < 0.005, (hit >= 0.005) & (hit < 0.008)
+    off = rng.uniform(10.0, 1000.0, z.shape) * rng.choice([-1.0, 1.0], z.shape)
+    z[far] += (off * episode.sigma)[far]
+    wrap_angles(z, layout)
+    z[broken] = rng.choice([np.nan, np.inf, -np.inf], broken.sum())
+    return replace(episode, measurement=z, visible=episode.visible & ~missing)
+
+
+def unsound(engine):
+    """Kinds of numbers that are not finite in any environment, and P where it is not definite."""
+    found = []
+    for name in PARTS:
+        part = getattr(engine.at, name)
+        if not np.isfinite(engine.read(part if isinstance(part, int) else engine.span(part))).all():
+            found.append(name)
+    P = unpack(list(np.ascontiguousarray(engine.read(engine.span(engine.at.P)).T)))
+    with np.errstate(invalid="ignore", divide="ignore"):
+        factor = cholesky(P)
+        if not all((factor[i][i] > 0.0).all() for i in range(len(P))):
+            found.append("definite P")
+    return found
+
+
+def soaked(modes, users, n):
+    """Run damaged episodes with modes at random, until a number is not sound; these kinds."""
+    engine = Engine(Pipeline(tuple(modes), Layout(3)), n, TrackingReward())
+    for turn, (scenario, radio) in enumerate(users):
+        rng = np.random.default_rng(turn)
+        source = SimulatedSource(scene_from("street"), radio, scenario)
+        seeds = range(turn * n, (turn + 1) * n)
+        engine.reset([damaged(episode, rng) for episode in draw_episodes(source, seeds)])
+        actions, stay = rng.integers(len(modes), size=n), rng.choice(STAY, n)
+        for epoch in range(200):
+            engine.step(actions)
+            if found := unsound(engine):
+                return f"{scenario}, {radio.name}, epoch {epoch}", found
+            changed = rng.random(n) >= stay
+            actions = np.where(changed, rng.integers(len(modes), size=n), actions)
+    return None
+
+
+def test_every_number_stays_sound():
+    assert soaked(named_modes().values(), product(MOBILITIES, RADIOS.values()), N) is None
+
+
+def rotten(x, P, measurement, gate):
+    """An EKF whose covariance is indefinite once in a while."""
+    after = ekf(x, P, measurement, gate)
+    rows = [list(row) for row in after.P]
+    bad = after.nis[0] > 1e3
+    rows[0][1] = rows[1][0] = where(bad, 1.01 * after.P[0][0], after.P[0][1])
+    return after._replace(P=rows)
+
+
+def test_a_number_that_is_not_sound_is_found():
+    modes = [named_modes()["ekf"], Mode("rotten", rotten)]
+    _, found = soaked(modes, [("pedestrian", RADIOS["handset"])], 16)
+    assert set(found) & {"definite P", "candidates", "x"}
