@@ -10,7 +10,7 @@ CLIENTS ?= clients rllib torchrl
 # Makes the environment of a target anew, and keeps git from seeing it.
 MAKE_VENV = @echo "Setting up $(@D)" && $(PYTHON) -m venv --clear $(@D) && echo '*' > $(@D)/.gitignore
 
-.PHONY: help demo test test-slow coverage golden schemas lint format types supply-chain docs lock locked gymnasium-oldest dist examples deepmimo clean
+.PHONY: help demo test test-slow coverage golden generated lint format types supply-chain docs lock locked gymnasium-oldest dist examples deepmimo clean
 
 help: ## list these targets
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "make %-18s %s\n", $$1, $$2 }' Makefile
@@ -28,8 +28,9 @@ test-slow: .venv/.dev ## the slow tests
 golden: .venv/.dev ## write tests/golden anew, after a change that is to move numbers; FLAGS=--check compares exactly
 	$(BIN)/python -m tests.golden.write $(FLAGS)
 
-schemas: .venv/.dev ## write the JSON schemas anew, after a change of what a file may hold
+generated: .venv/.dev ## write anew what is made from code: the JSON schemas and docs/environment.md
 	$(BIN)/python -m tests.schemas
+	PYTHONPATH=. $(BIN)/python docs/site/environment.py
 
 coverage: ## the same tests, and the lines and branches they miss; 90 % must be covered
 	@$(MAKE) test FLAGS="--cov --cov-report="

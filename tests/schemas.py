@@ -1,6 +1,6 @@
 """JSON schemas of users' files, made from the dataclasses that read them.
 
-``make schemas`` writes them to mmwave_env/data/schemas, after a change of such a dataclass.
+``make generated`` writes them to mmwave_env/data/schemas, after a change of such a dataclass.
 """
 
 import inspect

@@ -131,7 +131,7 @@ def refusal(name, content, folder):
 @every_file
 def test_the_shipped_schema_is_that_of_the_dataclass(name):
     shipped = json.loads(path_of(name).read_text(encoding="utf-8"))
-    assert shipped == SCHEMAS[name], "after a change of a dataclass: make schemas"
+    assert shipped == SCHEMAS[name], "after a change of a dataclass: make generated"
     Draft202012Validator.check_schema(shipped)
 
 

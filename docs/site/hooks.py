@@ -1,12 +1,10 @@
 """Hooks of mkdocs: pages made at the build, and links that work on the site as on a code host.
 
 What the site shows beside the files of docs/ has its source elsewhere, once: the README, the
-docstring of the environment, the help of the commands, CITATION.cff, notebooks and the docstrings
-of the modules. Nothing of it is copied into the repository.
+help of the commands, CITATION.cff, notebooks and the docstrings of the modules.
 """
 
 import ast
-import inspect
 import json
 import os
 import re
@@ -77,20 +75,12 @@ def made() -> dict[str, Callable[[], str]]:
     """What makes the Markdown of each page made here, by its path on the site."""
     return {
         **{path: partial((ROOT / name).read_text, "utf-8") for path, name in MIRRORED.items()},
-        "environment.md": environment_page,
         "command-help.md": help_page,
         "citing.md": citing_page,
         **{page: partial(notebook_page, ROOT / name) for page, name in NOTEBOOKS.items()},
         "api/index.md": api_index,
         **{f"api/{name}.md": partial(api_page, name) for name in API},
     }
-
-
-def environment_page() -> str:
-    """The class docstring, whose tables the class fills in."""
-    from mmwave_env.env import MmWaveLocEnv
-
-    return f"# MmWaveLoc-v0\n\n{inspect.cleandoc(MmWaveLocEnv.__doc__ or '')}\n"
 
 
 def help_page() -> str:
