@@ -31,7 +31,7 @@ from experiments.sweeping.engines import local, on_ray
 from experiments.sweeping.results import ResultSet
 from experiments.sweeping.spec import Spec, read_spec
 from experiments.sweeping.tuner import trials
-from experiments.training.hyperparameters import AnyHyperparameters, recipe_as_written
+from experiments.training.hyperparameters import Hyperparameters, hyperparameters_as_written
 from mmwave_env.files import write_json
 from mmwave_env.lookup import require_extra
 from mmwave_env.models.radio import radio_from
@@ -71,20 +71,20 @@ def _trained(values: Mapping[str, Any]) -> Result:
     """A policy, and what it earns on tuning seeds: a choice among trainings must not see others."""
     from experiments.train import places_of, rewards
     from experiments.training.job import Job
-    from experiments.training.trainers import TRAINERS
+    from experiments.training.processes import train
     from experiments.training.training_task import TrainingTask, banks_of
 
-    args, recipe = _train_args(values), _recipe(values)
+    args, found = _train_args(values), _hyperparameters(values)
     places = places_of(args)
     banks = banks_of(args.modes, places, args.beliefs)
     task = TrainingTask(args.scenario, places, banks, args.observation, rewards(args), args.beliefs)
     episodes = values.get("episodes", JUDGED)
     with tempfile.TemporaryDirectory() as folder:
         job = Job(
-            task, recipe, args.algo, values.get("seed", 0), values["total_timesteps"],
-            Path(folder), "mmwave-loc sweep", checkpoint_every=1 << 30, episodes=episodes,
+            task, found, values.get("seed", 0), values["total_timesteps"], Path(folder),
+            "mmwave-loc sweep", checkpoint_every=1 << 30, episodes=episodes,
         )  # fmt: skip
-        TRAINERS[args.algo](job, lambda steps, news: None).run()
+        train(job, lambda news: None)
         judged = EpisodeArgs(
             scenario=args.scenario, radio=args.radio, seed=TUNING_SEED, episodes=episodes
         )
@@ -95,7 +95,7 @@ def _train_args(values: Mapping[str, Any]) -> TrainArgs:
     return TrainArgs(**vars(task_args(values)), total_timesteps=values["total_timesteps"])
 
 
-def _recipe(values: Mapping[str, Any]) -> AnyHyperparameters:
+def _hyperparameters(values: Mapping[str, Any]) -> Hyperparameters:
     """The shipped hyperparameters, but for those that a cell has."""
     from experiments.train import hyperparameters, places_of
 
@@ -126,10 +126,10 @@ def main(args: Args) -> None:
         if args.engine != "ray":
             raise ValueError("engine: found local beside a table [search], expected --engine ray")
         radio_from(_train_args(dict(spec.search.fixed)).radio)
-        _recipe(dict(spec.search.fixed))  # what all trials have is wrong before any begins
+        _hyperparameters(dict(spec.search.fixed))  # what all trials have is wrong before any begins
     for cell in spec.cells:
         if cell.kind == "train":
-            _recipe(dict(cell.values))
+            _hyperparameters(dict(cell.values))
     results = ResultSet(args.out, spec)
     with results.locked():
         there = results.finished()
@@ -176,7 +176,7 @@ def _tell(args: Args, spec: Spec, results: ResultSet, failed: list[Done]) -> Non
         show(_table(summary))
     if spec.search is not None and summary:
         fixed, path = dict(spec.search.fixed), results.folder / BEST
-        write_json(path, recipe_as_written(_recipe(fixed | results.best())))
+        write_json(path, hyperparameters_as_written(_hyperparameters(fixed | results.best())))
         train = command_line("train", replace(_train_args(fixed), hyperparameters=path))
         say(f"On {fixed.get('episodes', JUDGED)} tuning episodes. To train as the best did:", train)
     elif trained := [one for one in spec.cells if one.kind == "train" and one not in lost]:

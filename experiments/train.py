@@ -16,10 +16,10 @@ from experiments.evaluation.intervals import Interval
 from experiments.evaluation.markdown import grid, show
 from experiments.evaluation.terminal import bars, say
 from experiments.training.hyperparameters import (
-    AnyHyperparameters,
-    BranchHyperparameters,
+    Hyperparameters,
+    PpoHyperparameters,
+    hyperparameters_as_written,
     read_hyperparameters,
-    recipe_as_written,
     shipped_hyperparameters,
 )
 from experiments.training.places import Place, places_from, require_environments
@@ -30,7 +30,7 @@ from mmwave_env.lookup import choose
 from mmwave_env.reward import REWARDS, PairedReward, Reward, TrackingReward
 
 SMOKE_EPISODES = 20  # to judge a policy on
-TIMESTEPS = {"ppo": 4_000_000, "recurrent-ppo": 4_000_000, "branch": 1_200_000}  # to train for
+TIMESTEPS = {"ppo": 4_000_000, "rollouts": 1_200_000}  # to train for
 
 # Options that a policy does not depend on: the command in its file leaves them out.
 ASIDE: dict[str, Any] = {
@@ -54,27 +54,22 @@ def rewards(args: Args) -> Reward:
     return reward
 
 
-def hyperparameters(args: Args, places: int) -> AnyHyperparameters:
-    """The hyperparameters.
+def hyperparameters(args: Args, places: int) -> Hyperparameters:
+    """Read the hyperparameters.
 
     Raises:
         ValueError: those of another algorithm, or of environments that can't be spread over so
             many places.
     """
     path = args.hyperparameters or shipped_hyperparameters(args.algo, args.beliefs)
-    recipe = read_hyperparameters(path, args.algo)
+    found = read_hyperparameters(path, args.algo)
     try:
-        require_environments(recipe.num_envs, places, recipe.together)
+        require_environments(found.num_envs, places, found.together)
     except ValueError as error:
         raise ValueError(f"{path}: {error}") from error
-    if isinstance(recipe, BranchHyperparameters):
-        return recipe  # it learns from differences: what is subtracted from a reward is not in them
-    if (recipe.lstm > 0) != (args.algo == "recurrent-ppo"):
-        expected = "0" if args.algo == "ppo" else "1 or more"
-        raise ValueError(
-            f"{path}: lstm: found {recipe.lstm}, expected {expected} for --algo {args.algo}"
-        )
-    return replace(recipe, paired=recipe.paired or args.reward == "paired")
+    if isinstance(found, PpoHyperparameters):
+        return replace(found, paired=found.paired or args.reward == "paired")
+    return found  # rollouts learn from differences: what is subtracted from a reward is not in them
 
 
 def places_of(args: Args) -> tuple[Place, ...]:
@@ -90,16 +85,14 @@ def places_of(args: Args) -> tuple[Place, ...]:
     return places_from(args.places)
 
 
-def manifest_of(
-    args: Args, banks: Mapping[str, Bank], recipe: AnyHyperparameters
-) -> dict[str, Any]:
+def manifest_of(args: Args, banks: Mapping[str, Bank], found: Hyperparameters) -> dict[str, Any]:
     """What decides how a run goes on, as JSON holds it."""
     written = {radio: bank_as_written(bank) for radio, bank in banks.items()}
     first, *_ = written.values()
     choices = {"banks": written} if args.beliefs == "per-mode" else {"modes": first["modes"]}
     return {
         "command": command_line("train", replace(args, **ASIDE)),
-        "recipe": recipe_as_written(recipe),
+        "hyperparameters": hyperparameters_as_written(found),
         **choices,
     }
 
@@ -132,10 +125,12 @@ def _require_same(path: Path, manifest: dict[str, Any]) -> None:
     """Refuse to go on with the run of another manifest."""
 
     def flat(run: dict[str, Any]) -> dict[str, Any]:
-        return {**run, **run["recipe"]}
+        return {**run, **run["hyperparameters"]}
 
     found, expected = read_json(path, "the manifest of a run", flat), flat(manifest)
-    for key in [key for key in {**expected, **found} if key != "recipe"]:  # its parts say more
+    for key in [
+        key for key in {**expected, **found} if key != "hyperparameters"
+    ]:  # its parts say more
         if found.get(key) != expected.get(key):
             raise ValueError(
                 f"{path}: {key}: found {found.get(key)}, expected {expected.get(key)}; resume a "
@@ -149,10 +144,11 @@ def shown(jobs: list[Any]) -> Iterator[Any]:
     with bars(TimeElapsedColumn()) as bar:
         tasks = {job.seed: bar.add_task(f"seed {job.seed}", total=job.timesteps) for job in jobs}
 
-        def tell(job: Any, timesteps: int, what: str) -> None:
-            bar.update(tasks[job.seed], completed=timesteps)
-            if what:
-                bar.console.print(f"seed {job.seed}, {timesteps} steps: {what}", soft_wrap=True)
+        def tell(job: Any, news: Any) -> None:
+            bar.update(tasks[job.seed], completed=news.timesteps)
+            if news.text:
+                line = f"seed {job.seed}, {news.timesteps} steps: {news.text}"
+                bar.console.print(line, soft_wrap=True)
 
         yield tell
 
@@ -190,18 +186,17 @@ def main(args: Args) -> None:
         if count is not None and count < 1:
             raise ValueError(f"{name}: found {count}, expected 1 or more")
     places = places_of(args)
-    recipe = hyperparameters(args, len(places))
+    found = hyperparameters(args, len(places))
     banks = banks_of(args.modes, places, args.beliefs)
     task = TrainingTask(args.scenario, places, banks, args.observation, rewards(args), args.beliefs)
-    manifest = manifest_of(args, banks, recipe)
+    manifest = manifest_of(args, banks, found)
     if args.smoke:
         args = smoke(args)
     timesteps = args.total_timesteps or TIMESTEPS[args.algo]
     jobs = [
         Job(
-            task, recipe, args.algo, seed, timesteps, args.out / f"seed-{seed}",
-            manifest["command"], args.checkpoint_every,
-            SMOKE_EPISODES if args.smoke else EPISODES,
+            task, found, seed, timesteps, args.out / f"seed-{seed}", manifest["command"],
+            args.checkpoint_every, SMOKE_EPISODES if args.smoke else EPISODES,
         )
         for seed in range(args.seeds)
     ]  # fmt: skip

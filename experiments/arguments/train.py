@@ -28,9 +28,9 @@ class FolderArgs:
 class TaskArgs:
     """What is learned."""
 
-    algo: Literal["ppo", "recurrent-ppo", "branch"] = "ppo"
-    """ppo and recurrent-ppo are those of Stable-Baselines3; branch is rollout policy iteration with
-    common random numbers: every action is tried on the same measurements"""
+    algo: Literal["ppo", "rollouts"] = "ppo"
+    """ppo is that of Stable-Baselines3; rollouts is rollout policy iteration with common random
+    numbers: every action is tried on the same measurements"""
     scenario: str = "mixed"
     """pedestrian, vehicle, walk-ride, jam, cyclist or mixed (equal shares), or a JSON file;
     or a way of your own, a CSV file with columns t, x, y, z"""
@@ -64,7 +64,7 @@ class Args(FolderArgs, TaskArgs):
     seeds: int = 5
     """how many trainings"""
     total_timesteps: int | None = None
-    """epochs to train each for, 4000000 where none is given; of branch, states to try every action
+    """epochs to train each for, 4000000 where none is given; of rollouts, states to try every action
     in, 1200000; rounded up to whole updates"""
     hyperparameters: Path | None = None
     """a JSON file in place of the algorithm's own, experiments/training/ppo.json, or

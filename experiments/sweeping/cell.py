@@ -10,7 +10,7 @@ from typing import Any, NamedTuple, get_type_hints
 from experiments.arguments.shared import EpisodeArgs, ModeArgs
 from experiments.arguments.train import TaskArgs
 from experiments.evaluation.seeds import TRAINING_SEED
-from experiments.training.hyperparameters import KINDS as RECIPES
+from experiments.training.hyperparameters import KINDS as HYPERPARAMETERS
 from mmwave_env.lookup import choose, quoted
 from mmwave_env.records import require_fields
 from mmwave_env.reward import reward_from
@@ -110,7 +110,7 @@ def kind_of(axis: str, algorithm: str) -> type:
     Raises:
         ValueError: the algorithm has no such one.
     """
-    known = get_type_hints(RECIPES[algorithm])
+    known = get_type_hints(HYPERPARAMETERS[algorithm])
     kind: type = choose(known, axis.removeprefix(HYPERPARAMETER), HYPERPARAMETER[:-1])
     return kind
 

@@ -18,13 +18,12 @@ class Normalization(NamedTuple):
     sigma: Array
 
 
-def actor_tensors(policy: Any, normal: Normalization, frames: int = 1) -> Tensors:
+def actor_tensors(policy: Any, normal: Normalization) -> Tensors:
     """The tensors of an actor, with the normalization of observations in its first weights.
 
     Args:
         policy: of an actor-critic algorithm of Stable-Baselines3.
-        normal: of one observation.
-        frames: observations that the actor sees at once.
+        normal: of an observation.
     """
     tensors = layer_tensors([*policy.mlp_extractor.policy_net, policy.action_net])
     first, bias = "layer.0.weight", "layer.0.bias"
@@ -34,7 +33,7 @@ def actor_tensors(policy: Any, normal: Normalization, frames: int = 1) -> Tensor
             first: _array(lstm.weight_ih_l0), "lstm.weight_hh": _array(lstm.weight_hh_l0),
             bias: _array(lstm.bias_ih_l0) + _array(lstm.bias_hh_l0),
         }  # fmt: skip
-    return folded(tensors, normal, first, bias, frames)
+    return folded(tensors, normal, first, bias)
 
 
 def layer_tensors(layers: Iterable[Any]) -> dict[str, Array]:
@@ -52,20 +51,18 @@ def folded(
     normal: Normalization,
     first: str = "layer.0.weight",
     bias: str = "layer.0.bias",
-    frames: int = 1,
 ) -> Tensors:
     """The same with the normalization in the first weights: W / sigma, b - (W / sigma) mean.
 
     Args:
         tensors: of an actor on normalized observations.
-        normal: of one observation; its bounds are among what is returned.
+        normal: of an observation; its bounds are among what is returned.
         first, bias: names of the first weights and of their bias.
-        frames: observations that the actor sees at once.
     """
-    weight = tensors[first] / np.tile(normal.sigma, frames)
+    weight = tensors[first] / normal.sigma
     moved = {
         "low": normal.low, "high": normal.high, first: weight,
-        bias: tensors[bias] - weight @ np.tile(normal.mean, frames),
+        bias: tensors[bias] - weight @ normal.mean,
     }  # fmt: skip
     return {name: tensor.astype(np.float32) for name, tensor in (tensors | moved).items()}
 

@@ -23,7 +23,7 @@ PER_MODE_RIVALS = (*TRAINING_RIVALS, "imm-best")  # where every mode keeps its o
 EPISODES = 500
 
 
-class _Look(NamedTuple):
+class _Judged(NamedTuple):
     """The episodes that policies are judged on at a place."""
 
     place: Place
@@ -40,10 +40,10 @@ class Evaluator:
 
     def __init__(self, task: TrainingTask, episodes: int = EPISODES) -> None:
         counts = shares(max(episodes, len(task.places)), len(task.places))
-        self._looks = []
+        self._at = []
         for place, last, n in zip(task.places, accumulate(counts), counts, strict=True):
             seeds = range(TUNING_SEED + last - n, TUNING_SEED + last)
-            self._looks.append(_Look(place, draw_episodes(place.source(task.scenario), seeds)))
+            self._at.append(_Judged(place, draw_episodes(place.source(task.scenario), seeds)))
         rivals = PER_MODE_RIVALS if task.beliefs == "per-mode" else TRAINING_RIVALS
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # that the rule leaves its design window is no news
@@ -61,9 +61,9 @@ class Evaluator:
         scores = self._scores(lambda radio: Contender.learned(path, radio=radio))
         differences = {name: scores["reward"] - reward for name, reward in self._rivals.items()}
         figures = _gains(differences)
-        if len(self._looks) > 1:
+        if len(self._at) > 1:
             first = 0
-            for place, episodes in self._looks:
+            for place, episodes in self._at:
                 here = slice(first, first := first + len(episodes))
                 gains = _gains({name: values[here] for name, values in differences.items()})
                 figures |= {f"{place} {what}": interval for what, interval in gains.items()}
@@ -76,7 +76,7 @@ class Evaluator:
     def _scores(self, contender_at: Callable[[str], Contender]) -> Scores:
         """Of the contender for each radio, on the episodes of all places."""
         found = []
-        for place, episodes in self._looks:
+        for place, episodes in self._at:
             contender = contender_at(place.profile)
             found.append(score(contender, contender.start(episodes[0].layout), episodes))
         return {metric: np.concatenate([one[metric] for one in found]) for metric in found[0]}

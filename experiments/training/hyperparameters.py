@@ -11,7 +11,7 @@ from mmwave_env.lookup import quoted
 
 
 @dataclass(frozen=True)
-class Hyperparameters:
+class PpoHyperparameters:
     """Hyperparameters of PPO (Schulman et al. 2017), and what this task adds to it."""
 
     num_envs: int  # environments stepped at once
@@ -28,33 +28,29 @@ class Hyperparameters:
     max_grad_norm: float  # longest gradient
     target_kl: float  # an update stops when the policy has moved further
     hidden: tuple[int, ...]  # neurons of each tanh layer, of the actor and of the critic
-    lstm: int  # neurons of the memory that comes first; 0 for none
-    frames: int  # observations that the networks see at once
     clip_observation: float  # normalized observations lie between minus this and this
     # train on the reward minus that of an IMM on the same episode: its actions change nothing
     # there, so the best policy stays the same and the variance falls
     paired: bool
-    truth_critic: bool  # the critic, which is not needed after training, also sees the truth
     # added to the logit of action 0 at the start. Where every mode keeps its own belief, action 0
     # trusts none: learning starts level with the IMM
     first_action_bias: float = 0.0
 
+    algorithm = "ppo"
     together = 1  # environments side by side that have to be at one place: any may be anywhere
 
     def __post_init__(self) -> None:
         _require_kinds(self)
         _require_least(
-            self, num_envs=1, n_steps=1, n_epochs=1, frames=1,
+            self, num_envs=1, n_steps=1, n_epochs=1,
             batch_size=2,  # one advantage alone can't be normalized
         )  # fmt: skip
         _require_fractions(self, "gamma", "gae_lambda", "final_fraction")
-        if self.truth_critic and (self.lstm or self.frames > 1):
-            raise ValueError("truth_critic: found true, expected false beside lstm or frames")
 
 
 @dataclass(frozen=True)
-class BranchHyperparameters:
-    """Hyperparameters of rollout policy iteration (:mod:`experiments.training.branch`)."""
+class RolloutHyperparameters:
+    """Hyperparameters of rollout policy iteration (:mod:`experiments.training.rollouts`)."""
 
     num_envs: int  # environments stepped at once
     horizon: int  # epochs that an action is followed for
@@ -72,6 +68,7 @@ class BranchHyperparameters:
     clip_observation: float  # normalized observations lie between minus this and this
     first_action_bias: float  # logit of action 0 at the start, beside about 0 of the others
 
+    algorithm = "rollouts"
     together = WIDTH  # environments side by side that have to be at one place: they run as lanes
 
     def __post_init__(self) -> None:
@@ -81,17 +78,17 @@ class BranchHyperparameters:
         _require_fractions(self, "gamma", "final_fraction")
 
 
-AnyHyperparameters = Hyperparameters | BranchHyperparameters
+Hyperparameters = PpoHyperparameters | RolloutHyperparameters
 MOST = 1e15  # of any of them: more is a slip, and too much for memory and time
-KINDS: dict[str, type[AnyHyperparameters]] = {
-    "ppo": Hyperparameters, "recurrent-ppo": Hyperparameters, "branch": BranchHyperparameters,
-}  # fmt: skip
+KINDS: dict[str, type[Hyperparameters]] = {
+    kind.algorithm: kind for kind in (PpoHyperparameters, RolloutHyperparameters)
+}
 
 
-def _require_kinds(recipe: AnyHyperparameters) -> None:
+def _require_kinds(found: Hyperparameters) -> None:
     """Refuse values of another type than the field's, negative ones and infinite ones."""
-    for name, kind in get_type_hints(type(recipe)).items():
-        value = getattr(recipe, name)
+    for name, kind in get_type_hints(type(found)).items():
+        value = getattr(found, name)
         if kind in (int, float):
             sound = type(value) in {kind, int} and 0 <= value < MOST
             expected = "a number of 0 or more" if kind is float else "a count of 0 or more"
@@ -104,21 +101,20 @@ def _require_kinds(recipe: AnyHyperparameters) -> None:
             raise ValueError(f"{name}: found {quoted(value)}, expected {expected}")
 
 
-def _require_least(recipe: AnyHyperparameters, **least: int) -> None:
+def _require_least(found: Hyperparameters, **least: int) -> None:
     for name, bound in least.items():
-        found = getattr(recipe, name)
-        if found < bound:
-            raise ValueError(f"{name}: found {found}, expected {bound} or more")
+        if (value := getattr(found, name)) < bound:
+            raise ValueError(f"{name}: found {value}, expected {bound} or more")
 
 
-def _require_fractions(recipe: AnyHyperparameters, *names: str) -> None:
+def _require_fractions(found: Hyperparameters, *names: str) -> None:
     for name in names:
-        if getattr(recipe, name) > 1:
-            raise ValueError(f"{name}: found {getattr(recipe, name)}, expected 0 to 1")
+        if (value := getattr(found, name)) > 1:
+            raise ValueError(f"{name}: found {value}, expected 0 to 1")
 
 
-def read_hyperparameters(path: Path, algorithm: str) -> AnyHyperparameters:
-    """The recipe of a hyperparameter file, a JSON object with the attributes of its kind.
+def read_hyperparameters(path: Path, algorithm: str) -> Hyperparameters:
+    """Read a hyperparameter file, a JSON object with the attributes of its kind.
 
     Those with a default may be left out.
 
@@ -130,11 +126,11 @@ def read_hyperparameters(path: Path, algorithm: str) -> AnyHyperparameters:
         ValueError: naming the file and what is wrong in it.
         FileNotFoundError: there is no such file.
     """
-    return read_json(path, "a hyperparameter file", partial(_recipe, KINDS[algorithm]))
+    return read_json(path, "a hyperparameter file", partial(_made, KINDS[algorithm]))
 
 
-def _recipe(kind: type[AnyHyperparameters], found: dict[str, Any]) -> AnyHyperparameters:
-    """The recipe of a file's object."""
+def _made(kind: type[Hyperparameters], found: dict[str, Any]) -> Hyperparameters:
+    """Those of a file's object."""
     known = {field.name: field.default is MISSING for field in fields(kind)}
     missing = {name for name, needed in known.items() if needed} - set(found)
     unknown = set(found) - set(known)
@@ -147,12 +143,12 @@ def _recipe(kind: type[AnyHyperparameters], found: dict[str, Any]) -> AnyHyperpa
     return kind(**found | {"hidden": tuple(hidden) if isinstance(hidden, list) else hidden})
 
 
-def recipe_as_written(recipe: AnyHyperparameters) -> dict[str, Any]:
-    """A recipe as its file holds it; what has a default and is as by default is left out."""
+def hyperparameters_as_written(found: Hyperparameters) -> dict[str, Any]:
+    """Tell them as a file holds them; what has a default and is as by default is left out."""
     return {
         field.name: list(value) if isinstance(value, tuple) else value
-        for field in fields(recipe)
-        if (value := getattr(recipe, field.name)) != field.default
+        for field in fields(found)
+        if (value := getattr(found, field.name)) != field.default
     }
 
 

@@ -1,27 +1,42 @@
 """A training to do: what is learned, how, and where everything about it is written."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Generic, Protocol, TypeVar
+from typing import Generic, NamedTuple, TypeVar
 
 from experiments.evaluation.seeds import SEEDS_EACH, TRAINING_SEED
 from experiments.training.evaluator import EPISODES
-from experiments.training.hyperparameters import AnyHyperparameters
+from experiments.training.hyperparameters import Hyperparameters
 from experiments.training.training_task import TrainingTask
 
-Recipe = TypeVar("Recipe", bound=AnyHyperparameters)
-Tell = Callable[[int, str], None]  # takes the number of timesteps so far and what is new
+H = TypeVar("H", bound=Hyperparameters)
+
+
+class News(NamedTuple):
+    """What a training tells while it goes on.
+
+    Attributes:
+        timesteps: so far.
+        text: what happened, in words; mostly nothing.
+        evaluation: figures of a periodic evaluation, "reward" among them, by name.
+    """
+
+    timesteps: int
+    text: str = ""
+    evaluation: Mapping[str, float] | None = None
+
+
+Tell = Callable[[News], None]
 
 
 @dataclass(frozen=True)
-class Job(Generic[Recipe]):
+class Job(Generic[H]):
     """One training."""
 
-    # task, recipe: what is learned, and how
+    # task, hyperparameters: what is learned, and how
     task: TrainingTask
-    recipe: Recipe
-    algorithm: str  # name
+    hyperparameters: H
     seed: int  # number of the training, from 0
     # to train for: epochs in all environments together, or states in which all actions are tried
     timesteps: int
@@ -49,11 +64,3 @@ class Job(Generic[Recipe]):
     def first_seed(self) -> int:
         """Of the seeds that are the training's own."""
         return TRAINING_SEED + SEEDS_EACH * self.seed
-
-
-class Trainer(Protocol):
-    """A training under way."""
-
-    def run(self) -> dict[str, Any]:
-        """Train to the end; figures of the training and of its best policy."""
-        ...

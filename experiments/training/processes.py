@@ -11,22 +11,35 @@ from typing import Any, cast
 
 from experiments.evaluation.outcomes import is_number, require_outcome
 from experiments.evaluation.signals import ended_by_signals
-from experiments.training.job import Job
-from experiments.training.trainers import TRAINERS
+from experiments.training.hyperparameters import PpoHyperparameters
+from experiments.training.job import Job, News, Tell
+from experiments.training.ppo import PpoTraining
+from experiments.training.rollouts import RolloutTraining
 from mmwave_env.files import read_json
 
 Outcome = dict[str, Any]
 
 
+def train(job: Job[Any], tell: Tell) -> Outcome:
+    """Run a training in this process; figures of it and of its best policy.
+
+    Raises:
+        ValueError: its checkpoint is damaged.
+    """
+    if isinstance(job.hyperparameters, PpoHyperparameters):
+        return PpoTraining(job, tell).run()
+    return RolloutTraining(job, tell).run()
+
+
 def side_by_side(
-    jobs: Sequence[Job[Any]], at_once: int, tell: Callable[[Job[Any], int, str], None]
+    jobs: Sequence[Job[Any]], at_once: int, tell: Callable[[Job[Any], News], None]
 ) -> list[Outcome]:
     """Run trainings; where one fails or somebody interrupts, the others end, too.
 
     Args:
         jobs: what to do.
         at_once: how many processes.
-        tell: takes a job, the number of timesteps so far and what is new.
+        tell: takes a job and what is new of it.
 
     Returns:
         An outcome for every job.
@@ -55,7 +68,7 @@ def side_by_side(
                         "--resume goes on with the run"
                     ) from None
                 if kind == "news":
-                    tell(job, *told)
+                    tell(job, News(*told))
                 elif kind == "refused":
                     raise ValueError(f"seed {job.seed}: {told[0]}")
                 else:
@@ -98,8 +111,7 @@ def _train(job: Job[Any], line: Connection) -> None:
             if job.outcome.is_file():
                 outcome = _outcome(job)
             else:
-                trainer = TRAINERS[job.algorithm](job, lambda *told: line.send(("news", *told)))
-                outcome = trainer.run()
+                outcome = train(job, lambda news: line.send(("news", *news)))
             line.send(("done", outcome))
     except BrokenPipeError:
         return

@@ -13,8 +13,8 @@ import torch
 from torch import Tensor, nn
 
 from experiments.training.actor import Normalization
-from experiments.training.branching_env import Observations, Tried
-from experiments.training.hyperparameters import BranchHyperparameters
+from experiments.training.rollout_env import Observations, Tried
+from experiments.training.hyperparameters import RolloutHyperparameters
 from mmwave_env.numerics.arrays import Index
 
 
@@ -23,31 +23,31 @@ class RolloutLearner:
 
     Args:
         features, actions: how many.
-        recipe: hyperparameters.
+        hyper: hyperparameters.
         normal: of an observation.
     """
 
     def __init__(
-        self, features: int, actions: int, recipe: BranchHyperparameters, normal: Normalization
+        self, features: int, actions: int, hyper: RolloutHyperparameters, normal: Normalization
     ) -> None:
-        self._recipe = recipe
+        self._hyper = hyper
         self._low, self._high, self._mean, self._sigma = (
             torch.from_numpy(part.astype(np.float32)) for part in normal
         )
         layers: list[nn.Module] = []
         width = features
-        for neurons in recipe.hidden:
+        for neurons in hyper.hidden:
             layers += [nn.Linear(width, neurons), nn.Tanh()]
             width = neurons
         last = nn.Linear(width, actions)
         with torch.no_grad():
             last.weight *= 0.1
             last.bias.zero_()
-            last.bias[0] = recipe.first_action_bias
+            last.bias[0] = hyper.first_action_bias
         self.network = nn.Sequential(*layers, last)
-        self._optimizer = torch.optim.Adam(self.network.parameters(), lr=recipe.learning_rate)
-        self._observations = torch.empty((recipe.memory, features))
-        self._gains = torch.empty((recipe.memory, actions))
+        self._optimizer = torch.optim.Adam(self.network.parameters(), lr=hyper.learning_rate)
+        self._observations = torch.empty((hyper.memory, features))
+        self._gains = torch.empty((hyper.memory, actions))
         self._seen = 0
 
     def _logits(self, observations: Observations) -> Tensor:
@@ -87,27 +87,27 @@ class RolloutLearner:
             left: of the rates, from 1 down.
 
         Returns:
-            Figures for the journal: the mean gain over action 0 that the policy expects, and
+            Figures for the log: the mean gain over action 0 that the policy expects, and
             that of the best actions; and the entropy.
         """
-        recipe, filled = self._recipe, min(self._seen, len(self._gains))
+        hyper, filled = self._hyper, min(self._seen, len(self._gains))
         for group in self._optimizer.param_groups:
-            group["lr"] = recipe.learning_rate * left
+            group["lr"] = hyper.learning_rate * left
         told = np.zeros(3)
-        for _ in range(recipe.gradient_steps):
-            some = torch.randint(filled, (recipe.batch_size,))
+        for _ in range(hyper.gradient_steps):
+            some = torch.randint(filled, (hyper.batch_size,))
             gains = self._gains[some]
             log_p = torch.log_softmax(self.network(self._observations[some]), 1)
             p = log_p.exp()
             expected = (p * gains).sum(1).mean()
             entropy = -(p * log_p).sum(1).mean()
-            loss = -expected - recipe.ent_coef * left * entropy
+            loss = -expected - hyper.ent_coef * left * entropy
             self._optimizer.zero_grad()
             loss.backward()  # type: ignore[no-untyped-call]
             self._optimizer.step()
             told += expected.item(), gains.amax(1).mean().item(), entropy.item()
         names = ("gain/expected", "gain/possible", "entropy")
-        return dict(zip(names, (told / recipe.gradient_steps).tolist(), strict=True))
+        return dict(zip(names, (told / hyper.gradient_steps).tolist(), strict=True))
 
     def state(self) -> dict[str, Any]:
         """All that what comes next depends on, for :meth:`restore`."""

@@ -180,7 +180,7 @@ TRACK = Kind(
     _check_track,
 )  # fmt: skip
 ENTRY = Kind("leaderboard", ("versions", "entry", "venues", "mean_gain"), check=require_entry)
-RUN = Kind("run", ("recipe",), ("modes", "banks", "seeds", "median"))
+RUN = Kind("run", ("hyperparameters",), ("modes", "banks", "seeds", "median"))
 GAINS = Kind(
     "gains", ("versions", "title", "gains"),
     check=lambda content: _require_table(content["title"], content["gains"]),

@@ -105,7 +105,7 @@ def outcome(seed, reward):
 
 def run(folder: Path, over=True):
     """A folder as train leaves it, in the middle or at the end."""
-    manifest = {"command": "mmwave-loc train --seeds 2", "recipe": {}, "modes": []}
+    manifest = {"command": "mmwave-loc train --seeds 2", "hyperparameters": {}, "modes": []}
     for seed in range(2):
         (folder / f"seed-{seed}").mkdir(parents=True)
         journal = (

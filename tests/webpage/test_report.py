@@ -286,7 +286,7 @@ def broken_journal(folder):
 
 
 def unknown_key_of_a_run(folder):
-    write(results.run(folder) / "summary.json", {"command": "", "recipe": {}, "new": 1})
+    write(results.run(folder) / "summary.json", {"command": "", "hyperparameters": {}, "new": 1})
 
 
 FOLDERS = {

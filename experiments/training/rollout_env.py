@@ -42,7 +42,7 @@ class Tried(NamedTuple):
     values: Array
 
 
-class BranchingEnv:
+class RolloutEnv:
     """N environments, spread over the places of a task and over the epochs of an episode.
 
     Eight that lie side by side are at one place and in one epoch; the first episodes are cut short,

@@ -1,0 +1,109 @@
+"""What is written of a training: its log, its best policy, where it stands, its outcome."""
+
+import time
+from importlib.metadata import version
+from typing import Any
+
+from experiments.training.checkpoint import read_stand, write_checkpoint
+from experiments.training.evaluator import Evaluator
+from experiments.training.job import Job, News, Tell
+from experiments.training.progress_log import ProgressLog
+from mmwave_env import __version__
+from mmwave_env.files import write_bytes, write_json
+from mmwave_env.observation import Observation
+from policies.policy_file import Card, Tensors, to_bytes
+
+PACKAGES = ("gymnasium", "numpy", "numba", "torch", "stable-baselines3")
+
+
+class Record:
+    """The record of one training, which goes on where a checkpoint in its folder stands.
+
+    Args:
+        job: the training.
+        tell: takes what is new.
+
+    Attributes:
+        stand: where the training stands: updates and timesteps so far; the figures of the "best"
+            policy, and when it "beat_rule", the paper's, both None before; and what a checkpoint
+            holds besides, until the trainer takes it out.
+        log: of its progress.
+
+    Raises:
+        ValueError: the checkpoint is damaged.
+    """
+
+    def __init__(self, job: Job[Any], tell: Tell) -> None:
+        self._begun_s = time.monotonic()
+        self._job, self._tell = job, tell
+        self.stand: dict[str, Any] = {
+            "update": 0, "timesteps": 0, "best": None, "beat_rule": None, "seconds": 0.0,
+            "rows": [],
+        }  # fmt: skip
+        if job.checkpoint.exists():
+            self.stand = read_stand(job.checkpoint, self.stand)
+        self._evaluator = Evaluator(job.task, job.episodes)
+        self.log = ProgressLog(job.folder, self.stand["rows"])
+
+    @property
+    def seconds(self) -> float:
+        """Wall time of the training, of what came before an interruption too."""
+        return float(self.stand["seconds"]) + time.monotonic() - self._begun_s
+
+    def evaluate(self, actor: Tensors, table: Observation) -> dict[str, float]:
+        """Examine a policy, and keep it if it is the best so far.
+
+        Args:
+            actor: its tensors.
+            table: features that it sees.
+
+        Returns:
+            Figures for the log.
+        """
+        stand, latest = self.stand, self._job.folder / "latest.safetensors"
+        write_bytes(latest, to_bytes(actor, self._card(table, {})))
+        figures = self._evaluator.examine(latest)
+        timesteps = stand["timesteps"]
+        if stand["best"] is None or figures["reward"] > stand["best"]["reward"]:
+            stand["best"] = {"timesteps": timesteps, **figures}
+            write_bytes(self._job.policy, to_bytes(actor, self._card(table, stand["best"])))
+        text = f"reward {figures['reward']:.3f}"
+        if stand["beat_rule"] is None and figures["minus speed-rule"]["ci95"][0] > 0.0:
+            seconds = round(self.seconds, 1)
+            stand["beat_rule"] = {"timesteps": timesteps, "seconds": seconds}
+            text = f"beats the 2 m/s rule after {timesteps} steps, {seconds} s; {text}"
+        means = {
+            key: float(value["mean"] if isinstance(value, dict) else value)
+            for key, value in figures.items()
+        }
+        self._tell(News(timesteps, text, means))
+        return {f"tuning/{key}": mean for key, mean in means.items()}
+
+    def save(self, **more: Any) -> None:
+        """Write the log and a checkpoint with more to go on from."""
+        self.log.save()
+        here = {"seconds": self.seconds, "rows": self.log.rows}
+        write_checkpoint(self._job.checkpoint, self.stand | here | more)
+
+    def close(self) -> dict[str, Any]:
+        """Write and return the outcome: figures of the training and of its best policy."""
+        outcome = {
+            "seed": self._job.seed, "timesteps": self.stand["timesteps"],
+            "seconds": round(self.seconds, 1), "beat_rule": self.stand["beat_rule"],
+            "best": self.stand["best"],
+        }  # fmt: skip
+        write_json(self._job.outcome, outcome)
+        self._job.checkpoint.unlink(missing_ok=True)
+        return outcome
+
+    def _card(self, table: Observation, evaluation: dict[str, Any]) -> Card:
+        job, task = self._job, self._job.task
+        per_mode = task.beliefs == "per-mode"
+        return Card(
+            modes=task.bank.modes, observation=task.observation, digest=table.digest, frames=1,
+            scenario=task.scenario, radio=", ".join(task.banks),
+            algorithm=job.hyperparameters.algorithm, seed=job.seed,
+            timesteps=self.stand["timesteps"], command=job.command, evaluation=evaluation,
+            versions={"mmwave-loc": __version__} | {p: version(p) for p in PACKAGES},
+            beliefs=task.beliefs, banks=dict(task.banks) if per_mode else {},
+        )  # fmt: skip

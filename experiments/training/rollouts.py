@@ -1,0 +1,92 @@
+"""Train a switcher by rollout policy iteration with common random numbers.
+
+In states along the way of the current policy every action is tried on the very same measurements,
+each followed by the greedy policy for some epochs (:class:`RolloutEnv`); the network moves
+towards what was better (:class:`RolloutLearner`), and so on. That is rollout policy iteration
+(Bertsekas 2020), and exact but for the horizon: the world does not depend on actions.
+"""
+
+from typing import Any
+
+import numpy as np
+import torch
+
+from experiments.training.actor import folded, layer_tensors
+from experiments.training.checkpoint import going_on_from, with_arrays
+from experiments.training.hyperparameters import RolloutHyperparameters, falling
+from experiments.training.job import Job, News, Tell
+from experiments.training.record import Record
+from experiments.training.rollout_env import RolloutEnv
+from experiments.training.rollout_learner import RolloutLearner
+
+EVALUATE = 8  # updates between two evaluations
+
+
+class RolloutTraining:
+    """A training under way.
+
+    Args:
+        job: what to do; goes on where a checkpoint in its folder stands.
+        tell: takes what is new; a timestep is a state in which actions were tried.
+
+    Attributes:
+        env: where actions are tried.
+        learner: learns from that.
+
+    Raises:
+        ValueError: the checkpoint is damaged.
+    """
+
+    def __init__(self, job: Job[RolloutHyperparameters], tell: Tell) -> None:
+        torch.set_num_threads(1)  # networks this small gain nothing from more
+        torch.manual_seed(job.first_seed)
+        self._job, self._tell = job, tell
+        self._record = Record(job, tell)
+        hyper = job.hyperparameters
+        self.env = RolloutEnv(job.task, hyper.num_envs, hyper.horizon, hyper.gamma, job.first_seed)
+        self._normal = self.env.measured_normalization(hyper.clip_observation)
+        table = self.env.observation
+        self.learner = RolloutLearner(len(table), len(table.actions), hyper, self._normal)
+
+    def run(self) -> dict[str, Any]:
+        """Train to the end; figures of the training and of its best policy."""
+        job, record, stand = self._job, self._record, self._record.stand
+        if "learner" in stand:
+            with going_on_from(job.checkpoint):
+                self.env.restore(with_arrays(stand.pop("env")))
+                self.learner.restore(stand.pop("learner"))
+                torch.set_rng_state(stand.pop("torch"))
+        with record.log as log:
+            while stand["timesteps"] < job.timesteps:
+                figures = self._update()
+                if stand["update"] % EVALUATE == 0 or stand["timesteps"] >= job.timesteps:
+                    actor = folded(layer_tensors(self.learner.network), self._normal)
+                    figures |= record.evaluate(actor, self.env.observation)
+                log.write(figures | {"seconds": record.seconds}, {}, stand["timesteps"])
+                if stand["update"] % job.checkpoint_every == 0:
+                    record.save(
+                        env=self.env.state(), learner=self.learner.state(),
+                        torch=torch.get_rng_state(),
+                    )  # fmt: skip
+                self._tell(News(stand["timesteps"]))
+        return record.close()
+
+    def _update(self) -> dict[str, float]:
+        """Try all actions in some states and learn from them; figures for the log."""
+        hyper, env, learner = self._job.hyperparameters, self.env, self.learner
+        new, taken = 0, np.zeros(len(env.observation.actions), np.int64)
+        while new < hyper.states:
+            tried = env.branch(learner.greedy)
+            learner.remember(tried)
+            new += len(tried.values)
+            for _ in range(hyper.stride):
+                actions = learner.sampled(env.observations)
+                taken += np.bincount(actions, minlength=len(taken))
+                env.step(actions)
+        stand = self._record.stand
+        left = falling(hyper.final_fraction, 1.0 - stand["timesteps"] / self._job.timesteps)
+        stand["timesteps"] += new
+        stand["update"] += 1
+        names = (f"share/{name}" for name in env.observation.actions)
+        shares = dict(zip(names, (taken / taken.sum()).tolist(), strict=True))
+        return shares | learner.improve(left)

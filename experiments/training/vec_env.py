@@ -1,0 +1,131 @@
+"""The native vector environments of several places as one, for Stable-Baselines3."""
+
+from collections.abc import Sequence
+from itertools import accumulate
+from typing import Any, cast
+
+import numpy as np
+from numpy.typing import NDArray
+from stable_baselines3.common.vec_env import VecEnv
+
+from experiments.training.hyperparameters import PpoHyperparameters
+from experiments.training.places import require_environments, shares
+from experiments.training.training_task import TrainingTask
+from mmwave_env.episodes.simulated import SimulatedSource
+from mmwave_env.reward import PairedReward
+from mmwave_env.sb3 import Indices, Infos, SB3VecEnv
+from mmwave_env.vector_env import MmWaveLocVectorEnv
+
+
+class PlacesVecEnv(VecEnv):
+    """The environments of all places of a task beside each other, stepped together.
+
+    Before a reset returns, each place is played for another number of epochs, with action 0: its
+    episodes end at another time, and every update of a network sees all phases of an episode.
+
+    Args:
+        task: what is learned.
+        hyperparameters: how many environments there are, and whether rewards are paired.
+
+    Attributes:
+        envs: the native environments, of a place each.
+        observation: their table of features.
+
+    Raises:
+        ValueError: there are more places than environments.
+    """
+
+    def __init__(self, task: TrainingTask, hyperparameters: PpoHyperparameters) -> None:
+        counts, places = hyperparameters.num_envs, len(task.places)
+        require_environments(counts, places)
+        reward = PairedReward(task.reward) if hyperparameters.paired else task.reward
+        self.envs = [
+            MmWaveLocVectorEnv(
+                n, **task.arguments(place), observation=task.observation, reward=reward,
+                autoreset_mode="SameStep", infos="episode", threads=1,
+            )
+            for place, n in zip(task.places, shares(counts, places), strict=True)
+        ]  # fmt: skip
+        self.observation = self.envs[0].observation
+        self._parts = [SB3VecEnv(env) for env in self.envs]
+        self._firsts = [0, *accumulate(part.num_envs for part in self._parts)]
+        first = self._parts[0]
+        super().__init__(self._firsts[-1], first.observation_space, first.action_space)
+
+    def seed(self, seed: int | None = None) -> Sequence[int | None]:
+        """Seed s for environment 0, s + 1 for the next, and so on through all places."""
+        each = zip(self._parts, self._firsts, strict=False)
+        if seed is None:
+            return [one for part in self._parts for one in part.seed()]
+        return [one for part, first in each for one in part.seed(seed + first)]
+
+    def reset(self) -> NDArray[Any]:
+        """Begin episodes everywhere; observations (n, features)."""
+        observations = []
+        for k, (part, env) in enumerate(zip(self._parts, self.envs, strict=True)):
+            seen = part.reset()
+            for _ in range(k * cast(SimulatedSource, env.source).epochs // len(self._parts)):
+                seen, *_ = part.step(np.zeros(part.num_envs, np.int64))
+            observations.append(cast(NDArray[Any], seen))  # boxes, as the spaces say
+        self.reset_infos = [info for part in self._parts for info in part.reset_infos]
+        return np.concatenate(observations)
+
+    def step_async(self, actions: NDArray[Any]) -> None:
+        """Take actions (n,) for the step that :meth:`step_wait` makes."""
+        for part, some in zip(self._parts, np.split(actions, self._firsts[1:-1]), strict=True):
+            part.step_async(some)
+
+    def step_wait(self) -> tuple[NDArray[Any], NDArray[np.float32], NDArray[np.bool_], Infos]:
+        """Observations (n, features), rewards (n,), ends (n,) and infos of one step."""
+        observations, rewards, over, infos = zip(
+            *(part.step_wait() for part in self._parts), strict=True
+        )
+        together = [info for some in infos for info in some]
+        return np.concatenate(observations), np.concatenate(rewards), np.concatenate(over), together
+
+    def state(self) -> dict[str, Any]:
+        """All that what comes next depends on, for :meth:`restore`."""
+        return {
+            str(i): {"env": env.state(), "returns": part.state()}
+            for i, (env, part) in enumerate(zip(self.envs, self._parts, strict=True))
+        }
+
+    def restore(self, state: dict[str, Any]) -> None:
+        """Go on, to the last bit, as the environments that gave this :meth:`state`."""
+        for i, (env, part) in enumerate(zip(self.envs, self._parts, strict=True)):
+            env.restore(state[str(i)]["env"])
+            part.restore(state[str(i)]["returns"])
+
+    def close(self) -> None:
+        """Close all of them."""
+        for part in self._parts:
+            part.close()
+
+    def get_attr(self, attr_name: str, indices: Indices = None) -> list[Any]:
+        """An attribute of each environment, or of those of the indices."""
+        every = [one for part in self._parts for one in part.get_attr(attr_name)]
+        return [every[i] for i in self._get_indices(indices)]
+
+    def set_attr(self, attr_name: str, value: Any, indices: Indices = None) -> None:
+        """Set an attribute of all environments."""
+        self._require_all(indices, f"set_attr({attr_name!r})")
+        for part in self._parts:
+            part.set_attr(attr_name, value)
+
+    def env_method(
+        self, method_name: str, *method_args: Any, indices: Indices = None, **method_kwargs: Any
+    ) -> list[Any]:
+        """Call a method of all environments; what it returns for each."""
+        self._require_all(indices, f"env_method({method_name!r})")
+        told = [part.env_method(method_name, *method_args, **method_kwargs) for part in self._parts]
+        return [one for some in told for one in some]
+
+    def env_is_wrapped(self, wrapper_class: type[Any], indices: Indices = None) -> list[bool]:
+        """Whether each of the indices is wrapped so."""
+        return [
+            self._parts[0].env_is_wrapped(wrapper_class, 0)[0] for _ in self._get_indices(indices)
+        ]
+
+    def _require_all(self, indices: Indices, what: str) -> None:
+        if indices is not None:
+            raise ValueError(f"{what}: found indices {indices}, expected None, for all of them")
