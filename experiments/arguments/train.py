@@ -64,8 +64,8 @@ class Args(FolderArgs, TaskArgs):
     seeds: int = 5
     """how many trainings"""
     total_timesteps: int | None = None
-    """epochs to train each for, 4000000 where none is given; of rollouts, states to try every action
-    in, 1200000; rounded up to whole updates"""
+    """epochs to train each for, 4000000 where none is given; with rollouts, states to try every
+    action in, 1200000; rounded up to whole updates"""
     hyperparameters: Path | None = None
     """a JSON file in place of the algorithm's own, experiments/training/ppo.json, or
     guided-ppo.json with beliefs per mode"""

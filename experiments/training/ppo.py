@@ -1,4 +1,4 @@
-"""Train a switcher with PPO of Stable-Baselines3: learn, evaluate, keep the best, stop and go on."""
+"""Train a switcher with Stable-Baselines3's PPO: learn, evaluate, keep the best, stop, go on."""
 
 from typing import Any, cast
 

@@ -134,7 +134,7 @@ class RolloutEnv:
         mean, sigma = observations.mean(0), observations.std(0) + CONSTANT
         return Normalization(mean - clip * sigma, mean + clip * sigma, mean, sigma)
 
-    def branch(self, act: Act) -> Tried:
+    def try_all(self, act: Act) -> Tried:
         """Try every action in all states that are at least the horizon from their end.
 
         Args:

@@ -13,8 +13,8 @@ import torch
 from torch import Tensor, nn
 
 from experiments.training.actor import Normalization
-from experiments.training.rollout_env import Observations, Tried
 from experiments.training.hyperparameters import RolloutHyperparameters
+from experiments.training.rollout_env import Observations, Tried
 from mmwave_env.numerics.arrays import Index
 
 

@@ -76,7 +76,7 @@ class RolloutTraining:
         hyper, env, learner = self._job.hyperparameters, self.env, self.learner
         new, taken = 0, np.zeros(len(env.observation.actions), np.int64)
         while new < hyper.states:
-            tried = env.branch(learner.greedy)
+            tried = env.try_all(learner.greedy)
             learner.remember(tried)
             new += len(tried.values)
             for _ in range(hyper.stride):

@@ -1,4 +1,4 @@
-"""Environments that branch: what is counted, what stays as it is, and what is refused."""
+"""Environments in which all actions are tried: what is counted, what stays, what is refused."""
 
 from dataclasses import replace
 
@@ -13,8 +13,8 @@ from tests.training.actors import MODES
 
 pytest.importorskip("stable_baselines3")
 
-from experiments.training.branching_env import BranchingEnv
 from experiments.training.places import Place
+from experiments.training.rollout_env import RolloutEnv
 from experiments.training.training_task import TrainingTask
 
 pytestmark = pytest.mark.torch
@@ -31,7 +31,7 @@ def task(beliefs="per-mode", places=PLACES, banks=BANKS):
 
 
 def environment(of=None, n=16, seed=SEED):
-    return BranchingEnv(of or task(), n, HORIZON, DISCOUNT, seed)
+    return RolloutEnv(of or task(), n, HORIZON, DISCOUNT, seed)
 
 
 def chaotic(actions):
@@ -77,7 +77,7 @@ def by_hand(place, seed, first_episode, actions, first, act, beliefs):
 def test_an_action_earns_what_it_earns_in_an_environment_played_by_hand(beliefs, places):
     env = environment(task(beliefs, places, {p.radio: BANKS[p.radio] for p in places}))
     actions, count = walked(env), len(env.observation.actions)
-    tried = env.branch(chaotic(count))
+    tried = env.try_all(chaotic(count))
     assert tried.values.shape == (16, count) == (len(env.observations), count)
     np.testing.assert_array_equal(tried.observations, env.observations)
     for i, place, first_episode in ((0, places[0], 1), (13, places[1], WALKED)):
@@ -93,8 +93,8 @@ def test_trying_changes_nothing():
     tries, plain = environment(), environment()
     for env in (tries, plain):
         walked(env)
-    first = tries.branch(chaotic(4))
-    second = tries.branch(chaotic(4))
+    first = tries.try_all(chaotic(4))
+    second = tries.try_all(chaotic(4))
     np.testing.assert_array_equal(first.values, second.values)
     actions = np.random.default_rng(1).integers(4, size=(250, 16))
     for now in actions:
@@ -109,18 +109,18 @@ def test_it_goes_on_to_the_last_bit():
     for now in np.random.default_rng(1).integers(4, size=(220, 16)):
         np.testing.assert_array_equal(first.step(now), second.step(now))
     np.testing.assert_array_equal(first.observations, second.observations)
-    np.testing.assert_array_equal(*(env.branch(chaotic(4)).values for env in (first, second)))
+    np.testing.assert_array_equal(*(env.try_all(chaotic(4)).values for env in (first, second)))
 
 
 def test_states_near_an_end_are_left_out():
     """The first environments begin anew at once, and end after 200 epochs."""
     env = environment()
     walked(env, 200 - HORIZON + 1)
-    assert len(env.branch(chaotic(4)).values) == 16
+    assert len(env.try_all(chaotic(4)).values) == 16
     walked(env, 1)
-    assert len(env.branch(chaotic(4)).values) == 8
+    assert len(env.try_all(chaotic(4)).values) == 8
     walked(env, HORIZON - 1)
-    assert len(env.branch(chaotic(4)).values) == 16
+    assert len(env.try_all(chaotic(4)).values) == 16
 
 
 def test_places_are_spread_over_the_epochs_of_an_episode():

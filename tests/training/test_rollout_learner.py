@@ -10,14 +10,14 @@ pytest.importorskip("torch")
 import torch
 
 from experiments.training.actor import Normalization
-from experiments.training.branching_env import Tried
-from experiments.training.hyperparameters import BranchHyperparameters
+from experiments.training.hyperparameters import RolloutHyperparameters
+from experiments.training.rollout_env import Tried
 from experiments.training.rollout_learner import RolloutLearner
 
 pytestmark = pytest.mark.torch
 
 FEATURES, ACTIONS = 4, 3
-RECIPE = BranchHyperparameters(
+HYPER = RolloutHyperparameters(
     num_envs=8, horizon=2, gamma=0.9, stride=1, states=8, memory=512, gradient_steps=200,
     batch_size=128, learning_rate=0.01, ent_coef=0.001, final_fraction=0.1, hidden=(16,),
     clip_observation=6.0, first_action_bias=1.0,
@@ -31,9 +31,9 @@ def one_thread():
     torch.set_num_threads(1)
 
 
-def learner(recipe=RECIPE, seed=0):
+def learner(hyper=HYPER, seed=0):
     torch.manual_seed(seed)
-    return RolloutLearner(FEATURES, ACTIONS, recipe, NORMAL)
+    return RolloutLearner(FEATURES, ACTIONS, hyper, NORMAL)
 
 
 def states(n, seed, turned=False):
@@ -66,7 +66,7 @@ def test_it_learns_which_action_is_best():
 
 def test_draws_follow_the_probabilities():
     """As probable as the loss makes them: by hand, of one state."""
-    model = learner(replace(RECIPE, first_action_bias=2.0))
+    model = learner(replace(HYPER, first_action_bias=2.0))
     one = np.repeat(states(1, 0)[0].observations, 4000, axis=0)
     x = torch.from_numpy(((one[:1] - MEAN) / SIGMA).astype(np.float32))
     expected = torch.softmax(model.network(x), 1).detach().numpy()[0]

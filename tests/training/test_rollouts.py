@@ -10,19 +10,19 @@ import pytest
 
 pytest.importorskip("stable_baselines3")
 
-from experiments.training.branch import BranchTraining
-from experiments.training.hyperparameters import BranchHyperparameters
+from experiments.training.hyperparameters import RolloutHyperparameters
 from experiments.training.job import Job
+from experiments.training.rollouts import RolloutTraining
 from experiments.training.training_task import TrainingTask
 from mmwave_env.filters.bank import Bank
 from mmwave_env.filters.mode_files import default_modes
 from mmwave_env.reward import TrackingReward
 from policies import LearnedSwitch
-from tests.training.test_branching_env import PLACES, task
+from tests.training.test_rollout_env import PLACES, task
 
 pytestmark = pytest.mark.torch
 
-RECIPE = BranchHyperparameters(
+HYPER = RolloutHyperparameters(
     num_envs=16, horizon=3, gamma=0.95, stride=2, states=64, memory=200, gradient_steps=3,
     batch_size=64, learning_rate=0.01, ent_coef=0.002, final_fraction=0.1, hidden=(8, 8),
     clip_observation=6.0, first_action_bias=0.0,
@@ -30,9 +30,9 @@ RECIPE = BranchHyperparameters(
 UPDATES = 10
 
 
-def job_of(folder, of=None, recipe=RECIPE, **changes):
-    timesteps = UPDATES * recipe.states
-    job = Job(of or task(), recipe, "branch", 0, timesteps, folder, "mmwave-loc train", 1, 16)
+def job_of(folder, of=None, hyper=HYPER, **changes):
+    timesteps = UPDATES * hyper.states
+    job = Job(of or task(), hyper, 0, timesteps, folder, "mmwave-loc train", 1, 16)
     return replace(job, **changes)
 
 
@@ -41,7 +41,7 @@ def silent(*_):
 
 
 def train(job, tell=silent):
-    return BranchTraining(job, tell).run()
+    return RolloutTraining(job, tell).run()
 
 
 class Interrupted(Exception):
@@ -60,7 +60,7 @@ def interrupt_after(news):
 
 
 def progress(folder):
-    """Rows of the journal, as text, without wall time."""
+    """Rows of the log, as text, without wall time."""
     rows = list(csv.DictReader(io.StringIO((folder / "progress.csv").read_text())))
     assert all(float(row.pop("seconds")) > 0.0 for row in rows)
     return rows
@@ -82,7 +82,7 @@ def assert_same_training(found, expected):
 
 
 def test_interrupted_it_goes_on_to_the_same_end(tmp_path):
-    """Again and again, between updates and at a look; the states remembered come round."""
+    """Again and again, between updates and at an evaluation; the states remembered come round."""
     whole, job = job_of(tmp_path / "whole"), job_of(tmp_path / "part", checkpoint_every=2)
     train(whole)
     for news in (3, 2, 4):
@@ -102,11 +102,11 @@ def test_trainings_differ_by_their_seeds_alone(tmp_path):
 
 
 def test_the_policy_file_acts_as_the_network(tmp_path):
-    training = BranchTraining(job_of(tmp_path), silent)
+    training = RolloutTraining(job_of(tmp_path), silent)
     training.run()
-    env, learner = training._env, training._learner
+    env, learner = training.env, training.learner
     policy = LearnedSwitch(tmp_path / "latest.safetensors", env.observation)
-    assert policy.card.timesteps >= UPDATES * RECIPE.states and policy.card.algorithm == "branch"
+    assert policy.card.timesteps >= UPDATES * HYPER.states and policy.card.algorithm == "rollouts"
     assert set(policy.card.banks) == {place.radio for place in PLACES}
     alike, taken = [], set()
     for _ in range(100):
@@ -120,7 +120,7 @@ def test_the_policy_file_acts_as_the_network(tmp_path):
 # --- what it learns
 
 QUICK = replace(
-    RECIPE, num_envs=128, horizon=8, states=4096, memory=40_000, gradient_steps=40,
+    HYPER, num_envs=128, horizon=8, states=4096, memory=40_000, gradient_steps=40,
     batch_size=1024, learning_rate=0.002, hidden=(32, 32), first_action_bias=1.0,
 )  # fmt: skip
 

@@ -1,4 +1,4 @@
-"""Training of switchers: the world they learn in, what is written, and how it goes on."""
+"""Training of switchers: hyperparameters, folders, what is written and how it goes on."""
 
 import io
 import json
@@ -12,7 +12,6 @@ from dataclasses import asdict, replace
 from hashlib import sha256
 from zipfile import ZIP_DEFLATED, ZipFile
 
-import gymnasium as gym
 import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
@@ -23,9 +22,9 @@ from tests.paths import ROOT
 pytest.importorskip("stable_baselines3")
 
 import torch
+from stable_baselines3.common.vec_env import VecNormalize
 
 from experiments.train import Args, hyperparameters, main, manifest_of
-from experiments.training import training_env as worlds
 from experiments.training.checkpoint import (
     read_checkpoint,
     read_stand,
@@ -34,25 +33,22 @@ from experiments.training.checkpoint import (
 )
 from experiments.training.hyperparameters import (
     KINDS,
-    Hyperparameters,
+    PpoHyperparameters,
     falling,
+    hyperparameters_as_written,
     read_hyperparameters,
-    recipe_as_written,
     shipped_hyperparameters,
 )
 from experiments.training.job import Job
-from experiments.training.network import actor_of, learner
 from experiments.training.places import Place
-from experiments.training.ppo import PpoTraining
+from experiments.training.ppo import PpoTraining, learner
 from experiments.training.progress_log import ProgressLog
-from experiments.training.training_env import TRUTH, PrivilegedObservation, TrainingEnv
 from experiments.training.training_task import TrainingTask
+from experiments.training.vec_env import PlacesVecEnv
 from mmwave_env.files import write_json
 from mmwave_env.filters.bank import Bank
 from mmwave_env.filters.mode_files import default_modes
 from mmwave_env.reward import TrackingReward
-from mmwave_env.sb3 import SB3VecEnv
-from mmwave_env.vector_env import MmWaveLocVectorEnv
 from policies import LearnedSwitch
 from policies.policy_file import read_policy
 from tests.cli import command, succeed
@@ -63,24 +59,21 @@ pytestmark = pytest.mark.torch
 
 STREET = Place("street", "handset")
 TASK = TrainingTask("mixed", (STREET,), {"handset": Bank(MODES)}, "full", TrackingReward())
-RECIPE = Hyperparameters(
+HYPER = PpoHyperparameters(
     num_envs=8, n_steps=16, batch_size=64, n_epochs=2, learning_rate=0.003, ent_coef=0.01,
     final_fraction=0.1, gamma=0.95, gae_lambda=0.9, clip_range=0.2, max_grad_norm=0.5,
-    target_kl=0.1, hidden=(8, 8), lstm=0, frames=1, clip_observation=5.0, paired=False,
-    truth_critic=False,
+    target_kl=0.1, hidden=(8, 8), clip_observation=5.0, paired=False,
 )  # fmt: skip
-RECIPES = {
-    "ppo": RECIPE,
-    "truth": replace(RECIPE, truth_critic=True),
-    "frames": replace(RECIPE, frames=3),
-    "recurrent": replace(RECIPE, lstm=6, hidden=(8,)),
-    "both": replace(RECIPE, lstm=6, frames=2, hidden=(8,)),
-}
 
 
-def content(recipe=RECIPE):
-    """All of a recipe as its file holds it."""
-    return asdict(recipe) | {"hidden": list(recipe.hidden)}
+def job_of(folder, hyper=HYPER, **changes):
+    job = Job(TASK, hyper, 0, 1000, folder, "mmwave-loc train", 1, 20)
+    return replace(job, **changes)
+
+
+def content(hyper=HYPER):
+    """All hyperparameters as their file holds them."""
+    return asdict(hyper) | {"hidden": list(hyper.hidden)}
 
 
 @pytest.fixture(autouse=True)
@@ -89,125 +82,32 @@ def one_thread():
     torch.set_num_threads(1)
 
 
-# --- the world
-
-
-def short(n=5, steps=7):
-    return MmWaveLocVectorEnv(
-        n, modes=MODES, scenario="vehicle", episode_steps=steps, autoreset_mode="SameStep"
-    )
-
-
-def test_a_paired_recipe_trains_on_the_paired_reward():
-    world = TrainingEnv(TASK, replace(RECIPE, num_envs=3, paired=True))
-    env = gym.make_vec("MmWaveLoc-v0", num_envs=3, modes=MODES, reward="paired")
-    world.venv.seed(5)
-    world.venv.reset()
-    env.reset(seed=5)
-    for _ in range(4):
-        _, rewards, *_ = world.venv.step(np.ones(3, int))
-        np.testing.assert_array_equal(rewards, env.step(np.ones(3, int))[1].astype(np.float32))
-
-
-def wrong(estimate, truth):
-    """What the critic is shown: complex numbers turn the errors into the direction of travel."""
-    estimate, truth = estimate[:6].tolist(), truth.tolist()
-    error = [a - b for a, b in zip(estimate, truth, strict=True)]
-    heading = complex(truth[3], truth[4])
-    ahead = heading / abs(heading) if abs(heading) > 1e-9 else 1.0
-    position, velocity = (complex(*e) / ahead for e in (error[:2], error[3:5]))
-    return [position.real, position.imag, error[2], velocity.real, velocity.imag, error[5],
-            abs(heading)]  # fmt: skip
-
-
-def test_a_critic_sees_the_truth_at_ends_too():
-    env, plain = short(), short()
-    venv = PrivilegedObservation(SB3VecEnv(env), env)
-    venv.seed(1)
-    seen, (expected, told) = venv.reset(), plain.reset(seed=1)
-    rng, ends = np.random.default_rng(0), 0
-    assert seen.shape == (5, len(expected[0]) + TRUTH)
-    for t in range(30):
-        np.testing.assert_array_equal(seen[:, :-TRUTH], expected)
-        truth = [wrong(*pair) for pair in zip(told["estimate"], told["truth"], strict=True)]
-        np.testing.assert_allclose(seen[:, -TRUTH:], truth, rtol=1e-4, atol=1e-4)
-        actions = rng.integers(3, size=5)
-        seen, _, over, infos = venv.step(actions)
-        expected, *_, told = plain.step(actions)
-        for i in np.flatnonzero(over):
-            final, last = told["final_info"], infos[i]["terminal_observation"]
-            np.testing.assert_array_equal(last[:-TRUTH], told["final_obs"][i])
-            truth = wrong(final["estimate"][i], final["truth"][i])
-            np.testing.assert_allclose(last[-TRUTH:], truth, rtol=1e-4, atol=1e-4)
-            assert last.dtype == np.float32 and (t + 1) % 7 == 0
-            ends += 1
-    assert ends == 5 * 4
-
-
-def test_a_critic_sees_a_user_at_rest():
-    truth = np.array([[1.0, 2.0, 3.0, 0.0, 0.0, 0.0]])
-    found = worlds.how_wrong(truth + 1.0, truth)
-    np.testing.assert_array_equal(found, [[1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 0.0]])
-
-
-@pytest.mark.parametrize("kind", RECIPES)
-def test_a_world_goes_on_to_the_last_bit(kind):
-    recipe = replace(RECIPES[kind], num_envs=3)
-    first, second = TrainingEnv(TASK, recipe), TrainingEnv(TASK, recipe)
-    first.venv.seed(0)
-    second.venv.seed(99)
-    for world in (first, second):
-        world.venv.reset()
-    rng = np.random.default_rng(0)
-    actions = rng.integers(3, size=(215, 3))
-    for now in actions[:190]:
-        first.venv.step(now)
-    second.restore(first.state())
-    for now in actions[190:]:
-        (a, *scores, told), (b, *their_scores, their_told) = (
-            world.venv.step(now) for world in (first, second)
-        )
-        for x, y in zip((a, *scores), (b, *their_scores), strict=True):
-            np.testing.assert_array_equal(x, y)
-        for x, y in zip(told, their_told, strict=True):
-            assert x.get("episode", {}).get("r") == y.get("episode", {}).get("r")
-            np.testing.assert_array_equal(
-                x.get("terminal_observation", 0), y.get("terminal_observation", 0)
-            )
-
-
 # --- what a policy file takes over
 
 
-@pytest.mark.parametrize("kind", RECIPES)
-def test_the_exported_actor_acts_as_the_trained_one(kind, tmp_path):
+def test_the_exported_actor_acts_as_the_trained_one(tmp_path):
     """2000 observations, the ends of all episodes among them."""
-    recipe = RECIPES[kind]
-    place = TrainingEnv(TASK, recipe)
-    model = learner(place, recipe, seed=1)
-    now, rng = place.venv.reset(), np.random.default_rng(0)
+    training = PpoTraining(job_of(tmp_path), lambda *_: None)
+    env, model = training.normal, training.model
+    now, rng = env.reset(), np.random.default_rng(0)
     for _ in range(20):  # for the normalization
-        now, *_ = place.venv.step(rng.integers(3, size=8))
-    place.normal.training = False
+        now, *_ = env.step(rng.integers(3, size=8))
+    env.training = False
     with torch.no_grad():
         model.policy.action_net.weight *= 100.0  # or hardly any logits would differ
-    table = place.observation
-    card = card_of(table, frames=recipe.frames)
-    path = write(tmp_path / "actor.safetensors", actor_of(model, place, recipe), card)
+    table = training.env.observation
+    path = write(tmp_path / "actor.safetensors", training.actor, card_of(table))
     policy = LearnedSwitch(path, table)
-
-    now, state, begins = place.venv.reset(), None, np.ones(8, bool)
-    taken, alike = set(), []
+    now, taken, alike = env.reset(), set(), []
     for _ in range(250):
-        actions, state = model.predict(now, state, begins, deterministic=True)
-        policy.reset(begins)
-        alike.append(actions == policy(place.normal.get_original_obs()[:, : place.features]))
+        actions, _ = model.predict(now, deterministic=True)
+        alike.append(actions == policy(env.get_original_obs()))
         taken |= set(actions.tolist())
-        now, _, begins, _ = place.venv.step(actions)
+        now, *_ = env.step(actions)
     assert taken == {0, 1, 2} and np.mean(alike) == 1.0
 
 
-# --- recipes
+# --- hyperparameters
 
 
 @pytest.mark.parametrize("left", [1.0, 0.5, 0.0, -0.01, -0.5, -16_000.0])
@@ -216,38 +116,35 @@ def test_rates_fall_but_stay_positive_beyond_the_end(left):
     assert rate == pytest.approx(max(0.1 + 0.9 * left, 0.05))
 
 
-def test_shipped_recipes_are_sound():
+def test_shipped_hyperparameters_are_sound():
     for beliefs in ("shared", "per-mode"):
-        for algorithm in KINDS:
+        for algorithm, kind in KINDS.items():
             shipped = shipped_hyperparameters(algorithm, beliefs)
-            recipe = read_hyperparameters(shipped, algorithm)
-            assert (getattr(recipe, "lstm", 0) > 0) == (algorithm == "recurrent-ppo")
+            assert type(read_hyperparameters(shipped, algorithm)) is kind
 
 
 def test_with_beliefs_per_mode_learning_starts_near_the_imm():
-    """By the recipe: the rewards are minus the IMM's, and action 0, which is the IMM, is likely."""
-    recipe = read_hyperparameters(shipped_hyperparameters("ppo", "per-mode"), "ppo")
-    assert recipe.paired and recipe.first_action_bias > 0.0
+    """The rewards are minus the IMM's, and action 0, which is the IMM, is likely."""
+    hyper = read_hyperparameters(shipped_hyperparameters("ppo", "per-mode"), "ppo")
+    assert hyper.paired and hyper.first_action_bias > 0.0
 
 
 def test_a_bias_makes_the_first_action_likelier_at_the_start():
-    world = TrainingEnv(TASK, RECIPE)
-    models = [
-        learner(world, replace(RECIPE, first_action_bias=bias), seed=1) for bias in (0.0, 2.0)
-    ]
-    seen = torch.as_tensor(world.venv.reset())
+    env = VecNormalize(PlacesVecEnv(TASK, HYPER), norm_reward=False)
+    models = [learner(env, replace(HYPER, first_action_bias=bias), seed=1) for bias in (0.0, 2.0)]
+    seen = torch.as_tensor(env.reset())
     logits = [model.policy.get_distribution(seen).distribution.logits for model in models]
     odds = [each[:, :1] - each[:, 1:] for each in logits]
     torch.testing.assert_close(odds[1] - odds[0], torch.full_like(odds[0], 2.0))
 
 
-def test_what_has_a_default_may_be_left_out_of_a_recipe(tmp_path):
-    """Recipes written before there was such a thing are read, and written, as they were."""
+def test_what_has_a_default_may_be_left_out(tmp_path):
+    """Files written before there was such a thing are read, and written, as they were."""
     path = written(tmp_path / "old.json", {"first_action_bias": None})
-    assert read_hyperparameters(path, "ppo") == RECIPE
-    assert recipe_as_written(RECIPE) == json.loads(path.read_text())
-    biased = replace(RECIPE, first_action_bias=1.5)
-    path.write_text(json.dumps(recipe_as_written(biased)))
+    assert read_hyperparameters(path, "ppo") == HYPER
+    assert hyperparameters_as_written(HYPER) == json.loads(path.read_text())
+    biased = replace(HYPER, first_action_bias=1.5)
+    path.write_text(json.dumps(hyperparameters_as_written(biased)))
     assert read_hyperparameters(path, "ppo") == biased
 
 
@@ -271,8 +168,6 @@ BAD = {
     "words": ({"hidden": "64"}, "hidden: found '64', expected a list"),
     "no neurons": ({"hidden": [64, 0]}, r"hidden: found \(64, 0\), expected a list of counts"),
     "bias": ({"first_action_bias": "1"}, "first_action_bias: found '1', expected a number"),
-    "both": ({"truth_critic": True, "frames": 2}, "truth_critic: found true, expected false"),
-    "algorithm": ({"lstm": 8}, "lstm: found 8, expected 0 for --algo ppo"),
 }
 
 
@@ -295,7 +190,7 @@ def refused(*words):
 
 
 @pytest.mark.parametrize("change", BAD)
-def test_a_bad_recipe_is_refused_in_one_line(change, tmp_path):
+def test_a_bad_hyperparameter_is_refused_in_one_line(change, tmp_path):
     changes, message = BAD[change]
     path, out = written(tmp_path / "mine.json", changes), tmp_path / "run"
     line = refused("--hyperparameters", path, "--out", out)
@@ -322,11 +217,9 @@ def test_a_bad_recipe_is_refused_in_one_line(change, tmp_path):
         (("--total-timesteps", -1), "total_timesteps: found -1"),
         (("--resume", "--overwrite"), "overwrite: found it beside resume"),
         (("--hyperparameters", "nowhere.json"), "nowhere.json"),
-        (("--algo", "recurrent-ppo", "--hyperparameters", shipped_hyperparameters("ppo")),
-         "lstm: found 0, expected 1 or more for --algo recurrent-ppo"),
-        (("--algo", "branch", "--hyperparameters", shipped_hyperparameters("ppo")),
+        (("--algo", "rollouts", "--hyperparameters", shipped_hyperparameters("ppo")),
          "missing gradient_steps, horizon, .* unknown batch_size|clip_range"),
-        (("--algo", "branch", "--places", "street:handset", "street:lab"), "street:lab: .*'lab'"),
+        (("--algo", "rollouts", "--places", "street:handset", "street:lab"), "street:lab: .*'lab'"),
     ],
 )  # fmt: skip
 def test_a_mistake_is_refused_before_a_folder_is_made(words, message, tmp_path):
@@ -339,7 +232,7 @@ def test_a_mistake_is_refused_before_a_folder_is_made(words, message, tmp_path):
     ("algorithm", "message"),
     [
         ("ppo", "num_envs: found 1, expected 2 or more for 2 places"),
-        ("branch", "num_envs: found 1, expected a multiple of 8, 16 or more for 2 places"),
+        ("rollouts", "num_envs: found 1, expected a multiple of 8, 16 or more for 2 places"),
     ],
 )
 def test_too_few_environments_for_the_places_are_refused_before_a_folder_is_made(
@@ -357,7 +250,7 @@ def test_too_few_environments_for_the_places_are_refused_before_a_folder_is_made
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("package", ["torch", "sb3_contrib"])
+@pytest.mark.parametrize("package", ["torch", "stable_baselines3"])
 def test_without_the_extra_it_says_what_to_install(package, tmp_path):
     code = (
         "import sys\n"
@@ -378,11 +271,11 @@ def test_without_the_extra_it_says_what_to_install(package, tmp_path):
 # --- folders
 
 
-def folder_of(path, modes=None, recipe=None, **options):
+def folder_of(path, modes=None, hyper=None, **options):
     """A run that could be resumed, by its manifest."""
     args = Args(out=path, **options)
     banks = {"handset": Bank(modes or default_modes("handset"))}
-    manifest = manifest_of(args, banks, recipe or hyperparameters(args, 1))
+    manifest = manifest_of(args, banks, hyper or hyperparameters(args, 1))
     write_json(path / "run.json", manifest)
     return path
 
@@ -422,16 +315,16 @@ def test_a_run_with_other_options_is_not_resumed(words, message, tmp_path):
     assert re.search(f"run.json: {message}", line), line
 
 
-def test_a_run_with_other_modes_or_another_recipe_is_not_resumed(tmp_path):
+def test_a_run_with_other_modes_or_other_hyperparameters_is_not_resumed(tmp_path):
     """Files may have changed, or what names mean."""
     path = written(tmp_path / "mine.json", {})
     resume = ("--resume", "--hyperparameters", path, "--out")
     found = folder_of(tmp_path / "modes", modes=MODES, hyperparameters=path)
     assert "modes: found [{'name': 'stand'" in refused(*resume, found)
-    found = folder_of(tmp_path / "gamma", recipe=replace(RECIPE, gamma=0.5), hyperparameters=path)
+    found = folder_of(tmp_path / "gamma", hyper=replace(HYPER, gamma=0.5), hyperparameters=path)
     assert "gamma: found 0.5, expected 0.95" in refused(*resume, found)
-    biased = replace(RECIPE, first_action_bias=0.5)
-    found = folder_of(tmp_path / "bias", recipe=biased, hyperparameters=path)
+    biased = replace(HYPER, first_action_bias=0.5)
+    found = folder_of(tmp_path / "bias", hyper=biased, hyperparameters=path)
     assert "first_action_bias: found 0.5, expected None" in refused(*resume, found)
 
 
@@ -441,7 +334,7 @@ def test_a_run_with_other_banks_is_not_resumed(tmp_path):
     assert "banks: found {'handset': {'modes': [{'name': 'stand'" in line
 
 
-@pytest.mark.parametrize("damaged", ["", "[]", "{}", '{"command": 1, "modes": 2, "recipe": 3}'])
+@pytest.mark.parametrize("damaged", ["", "[]", "{}", '{"modes": 2, "hyperparameters": 3}'])
 def test_a_damaged_manifest_is_named(damaged, tmp_path):
     (tmp_path / "run.json").write_text(damaged)
     line = refused("--out", tmp_path, "--resume")
@@ -534,10 +427,12 @@ def test_a_checkpoint_unpacks_to_no_more_than_it_holds(tmp_path):
         read_checkpoint(path)
 
 
-BEGIN = {"update": -1, "best": None, "beat_rule": None, "seconds": 0.0, "rows": []}
+BEGIN = {
+    "update": 0, "timesteps": 0, "best": None, "beat_rule": None, "seconds": 0.0, "rows": [],
+}  # fmt: skip
 FORGED = {
     "nothing": (["a list"], "found list"),
-    "no time": ({"update": 3}, "seconds: found none"),
+    "no time": ({"update": 3, "timesteps": 3}, "seconds: found none"),
     "an update of text": (BEGIN | {"update": "3"}, "update: found '3', expected another type"),
     "a best without reward": (BEGIN | {"best": {"timesteps": 3}}, "reward"),
     "rows of numbers": (BEGIN | {"rows": [3]}, "not subscriptable"),
@@ -556,10 +451,9 @@ def test_the_checkpoint_of_something_else_is_refused(tmp_path, kind):
 def test_a_checkpoint_of_another_network_is_named(tmp_path):
     """Its checksum and its kind are right; what is in it fits no network of this training."""
     path = tmp_path / "checkpoint.pt"
-    write_checkpoint(path, BEGIN | {"learner": {"timesteps": 3}, "world": {}})
-    job = Job(TASK, RECIPE, "ppo", 0, 1000, tmp_path, "mmwave-loc train", 1)
+    write_checkpoint(path, BEGIN | {"learner": {"timesteps": 3}, "env": {}})
     with pytest.raises(ValueError, match="not a checkpoint: updates: found none; remove"):
-        PpoTraining(job, lambda *_: None).run()
+        PpoTraining(job_of(tmp_path), lambda *_: None).run()
 
 
 def test_a_malicious_checkpoint_is_refused_and_not_executed(tmp_path):
@@ -570,30 +464,30 @@ def test_a_malicious_checkpoint_is_refused_and_not_executed(tmp_path):
     assert not trap.exists()
 
 
-# --- the journal
+# --- the progress log
 
 
-def test_the_journal_writes_a_row_a_call_and_goes_on(tmp_path):
-    journal = ProgressLog(tmp_path, [])
-    journal.write({"a": 1, "time/fps": 9}, {}, 10)
-    journal.write({"b": np.float32(0.123456789)}, {}, 20)
-    journal.save()
+def test_the_log_writes_a_row_a_call_and_goes_on(tmp_path):
+    log = ProgressLog(tmp_path, [])
+    log.write({"a": 1, "time/fps": 9}, {}, 10)
+    log.write({"b": np.float32(0.123456789)}, {}, 20)
+    log.save()
     assert (tmp_path / "progress.csv").read_text() == "timesteps,a,b\n10,1,\n20,,0.123457\n"
-    journal.write({"lost": 1}, {}, 30)
-    journal._events.close()
-    with ProgressLog(tmp_path, journal.rows[:2]) as again:
+    log.write({"lost": 1}, {}, 30)
+    log._events.close()
+    with ProgressLog(tmp_path, log.rows[:2]) as again:
         again.write({"a": 2, "c": 3}, {}, 30)
     assert (tmp_path / "progress.csv").read_text() == (
         "timesteps,a,b,c\n10,1,,\n20,,0.123457,\n30,2,,3\n"
     )
 
 
-def test_the_journal_of_a_training_that_fails_ends_its_thread(tmp_path):
+def test_the_log_of_a_training_that_fails_ends_its_thread(tmp_path):
     before = threading.active_count()
 
     def fail():
-        with ProgressLog(tmp_path, []) as journal:
-            journal.write({"a": 1}, {}, 10)
+        with ProgressLog(tmp_path, []) as log:
+            log.write({"a": 1}, {}, 10)
             assert threading.active_count() > before
             raise ValueError("a fault of its own")
 
@@ -606,7 +500,7 @@ def test_the_journal_of_a_training_that_fails_ends_its_thread(tmp_path):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("algo", ["ppo", "recurrent-ppo", "branch"])
+@pytest.mark.parametrize("algo", ["ppo", "rollouts"])
 def test_a_smoke_run_says_so_and_is_refused_as_a_result(algo, tmp_path):
     for _ in range(2):  # the second takes the place of the first
         assert "A smoke run" in succeed("train", "--smoke", "--algo", algo, cwd=tmp_path)

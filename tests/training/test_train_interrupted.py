@@ -10,7 +10,6 @@ import signal
 import subprocess
 import sys
 import time
-import zipfile
 from dataclasses import replace
 
 import numpy as np
@@ -22,7 +21,7 @@ pytest.importorskip("stable_baselines3")
 
 import torch
 
-from experiments.training import evaluator as examiner
+from experiments.training.evaluator import EPISODES
 from experiments.training.job import Job
 from experiments.training.places import places_from
 from experiments.training.ppo import PpoTraining
@@ -30,7 +29,7 @@ from experiments.training.processes import side_by_side
 from mmwave_env.filters.bank import Bank
 from mmwave_env.filters.mode_files import default_modes
 from tests.training.actors import MODES
-from tests.training.test_train import RECIPE, TASK, content
+from tests.training.test_train import HYPER, TASK, content
 
 pytestmark = [
     pytest.mark.torch,
@@ -38,13 +37,8 @@ pytestmark = [
     pytest.mark.skipif(not hasattr(os, "fork"), reason="kills what it forked"),
 ]
 
-SMALL = replace(RECIPE, num_envs=4, n_steps=25, batch_size=50, paired=True)
-RECIPES = {
-    "ppo": ("ppo", replace(SMALL, truth_critic=True)),
-    "frames": ("ppo", replace(SMALL, frames=2)),
-    "recurrent": ("recurrent-ppo", replace(SMALL, frames=2, lstm=4, hidden=(8,))),
-    "places": ("ppo", replace(SMALL, first_action_bias=1.0)),
-}
+SMALL = replace(HYPER, num_envs=4, n_steps=25, batch_size=50, paired=True)
+KINDS = {"ppo": SMALL, "places": replace(SMALL, first_action_bias=1.0)}
 PLACES = places_from(["street:handset", "o1:standard:0.5"])
 TASKS = {
     "places": replace(
@@ -56,10 +50,10 @@ UPDATES = 14  # episodes end after every eighth
 
 
 def job_of(folder, kind="ppo", **changes):
-    algorithm, recipe = RECIPES[kind]
+    hyper = KINDS[kind]
     task = TASKS.get(kind, TASK)
-    timesteps = UPDATES * recipe.num_envs * recipe.n_steps
-    job = Job(task, recipe, algorithm, 0, timesteps, folder, "mmwave-loc train", 1)
+    timesteps = UPDATES * hyper.num_envs * hyper.n_steps
+    job = Job(task, hyper, 0, timesteps, folder, "mmwave-loc train", 1, 20)
     return replace(job, **changes)
 
 
@@ -78,29 +72,8 @@ def forked(job):
     return process
 
 
-def weights(folder):
-    """All tensors of a model, and of its optimizer, by name."""
-    found = {}
-    with zipfile.ZipFile(folder / "model.zip") as archive:
-        for name in ("policy.pth", "policy.optimizer.pth"):
-            tree = torch.load(io.BytesIO(archive.read(name)), weights_only=True)
-            found |= {f"{name} {key}": value for key, value in flat(tree)
-                      if isinstance(value, torch.Tensor)}  # fmt: skip
-    return found
-
-
-def flat(tree):
-    """Leaves of dicts and lists, with their paths."""
-    if not isinstance(tree, (dict, list)):
-        yield "", tree
-        return
-    for key, value in tree.items() if isinstance(tree, dict) else enumerate(tree):
-        for path, leaf in flat(value):
-            yield f"{key}/{path}", leaf
-
-
 def progress(folder):
-    """Rows of the journal, as text, without wall time."""
+    """Rows of the log, as text, without wall time."""
     text = (folder / "progress.csv").read_text()
     rows = list(csv.DictReader(io.StringIO(text)))
     assert all(float(row.pop("seconds")) > 0.0 for row in rows)
@@ -118,10 +91,6 @@ def assert_same_training(found, expected):
     """All but what a clock tells."""
     for name in ("policy.safetensors", "latest.safetensors"):
         assert (found / name).read_bytes() == (expected / name).read_bytes()
-    ours, theirs = weights(found), weights(expected)
-    assert ours.keys() == theirs.keys() and len(ours) > 10
-    for name, value in theirs.items():
-        assert torch.equal(ours[name], value), name
     assert progress(found) == progress(expected)
     outcomes = [json.loads((folder / "outcome.json").read_text()) for folder in (found, expected)]
     assert untimed(outcomes[0]) == untimed(outcomes[1])
@@ -129,14 +98,12 @@ def assert_same_training(found, expected):
 
 
 @pytest.fixture
-def quick(monkeypatch):
-    """Looks at few episodes, in this process and in its forks."""
-    monkeypatch.setattr(examiner, "EPISODES", 20)
+def one_thread():
     torch.set_num_threads(1)  # threads would not survive a fork
 
 
-@pytest.mark.parametrize("kind", RECIPES)
-def test_killed_at_random_moments_it_goes_on_to_the_same_end(kind, tmp_path, quick):
+@pytest.mark.parametrize("kind", KINDS)
+def test_killed_at_random_moments_it_goes_on_to_the_same_end(kind, tmp_path, one_thread):
     job, whole = job_of(tmp_path / "killed", kind), job_of(tmp_path / "whole", kind)
     train(whole)  # compiles, too
     checkpoint, rng, kills = job.folder / "checkpoint.pt", np.random.default_rng(5), 0
@@ -164,7 +131,7 @@ def stamp(path):
         return None
 
 
-def test_killed_before_the_first_checkpoint_it_starts_over(tmp_path, quick):
+def test_killed_before_the_first_checkpoint_it_starts_over(tmp_path, one_thread):
     job, whole = job_of(tmp_path / "killed"), job_of(tmp_path / "whole")
     train(whole)
     job = replace(job, checkpoint_every=100)
@@ -178,12 +145,12 @@ def test_killed_before_the_first_checkpoint_it_starts_over(tmp_path, quick):
     assert_same_training(job.folder, whole.folder)
 
 
-def test_trainings_differ_by_their_seeds_alone(tmp_path, quick):
+def test_trainings_differ_by_their_seeds_alone(tmp_path, one_thread):
     for name, seed in (("a", 0), ("b", 0), ("c", 1)):
         train(job_of(tmp_path / name, seed=seed))
     assert_same_training(tmp_path / "a", tmp_path / "b")
-    a, c = weights(tmp_path / "a"), weights(tmp_path / "c")
-    assert any((a[name] != c[name]).any() for name in a if "policy_net" in name)
+    a, c = ((tmp_path / name / "latest.safetensors").read_bytes() for name in "ac")
+    assert a != c
 
 
 # --- processes
@@ -263,12 +230,13 @@ def until_replaced(path, process):
 
 def test_an_interrupted_command_ends_at_once_and_goes_on_when_resumed(tmp_path, started):
     """By the death of the command, by that of a training, by Ctrl-C, and by other signals."""
-    _, recipe = RECIPES["ppo"]
     task = replace(TASK, banks={"handset": Bank(default_modes("handset"))})
     job = job_of(tmp_path / "whole", task=task)
-    job = replace(job, timesteps=10 * job.timesteps)  # seconds, for interrupts in between
+    job = replace(
+        job, timesteps=10 * job.timesteps, episodes=EPISODES
+    )  # seconds, for interrupts in between
     hyperparameters, out = tmp_path / "mine.json", tmp_path / "run"
-    hyperparameters.write_text(json.dumps(content(recipe)))
+    hyperparameters.write_text(json.dumps(content(KINDS["ppo"])))
     what = ("--seeds", 1, "--total-timesteps", job.timesteps, "--hyperparameters", hyperparameters)
     words = (*what, "--out", out, "--checkpoint-every", 1, "--jobs", 1)
     checkpoint = out / "seed-0" / "checkpoint.pt"

@@ -8,14 +8,14 @@ import pytest
 pytest.importorskip("stable_baselines3")
 
 from experiments.training.places import places_from
-from experiments.training.training_env import TrainingEnv
 from experiments.training.training_task import TrainingTask
+from experiments.training.vec_env import PlacesVecEnv
 from mmwave_env.filters.bank import Bank
 from mmwave_env.reward import PairedReward, TrackingReward
 from mmwave_env.sb3 import SB3VecEnv
 from mmwave_env.vector_env import MmWaveLocVectorEnv
 from tests.training.actors import MODES
-from tests.training.test_train import RECIPE
+from tests.training.test_train import HYPER
 
 pytestmark = pytest.mark.torch
 
@@ -26,7 +26,7 @@ TASK = TrainingTask(
     "mixed", PLACES, {"handset": Bank(PAIR), "standard": SLOWER}, "full", TrackingReward(),
     "per-mode",
 )  # fmt: skip
-PAIRED = replace(RECIPE, num_envs=5, paired=True)  # three environments and two
+PAIRED = replace(HYPER, num_envs=5, paired=True)  # three environments and two
 
 
 def alone(place, n):
@@ -46,7 +46,7 @@ def assert_same_ends(found, expected):
 @pytest.mark.slow
 def test_several_places_are_what_each_of_them_is_alone():
     """Seeds go on from place to place; later places are ahead, so that episodes end by turns."""
-    together = TrainingEnv(TASK, PAIRED).normal.venv
+    together = PlacesVecEnv(TASK, PAIRED)
     first, second = alone(PLACES[0], 3), alone(PLACES[1], 2)
     together.seed(10_000_000)
     first.seed(10_000_000)
@@ -69,26 +69,24 @@ def test_several_places_are_what_each_of_them_is_alone():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("changes", [{}, {"truth_critic": True}, {"frames": 2}], ids=str)
-def test_several_places_go_on_to_the_last_bit(changes):
-    recipe = replace(PAIRED, **changes)
-    first, second = TrainingEnv(TASK, recipe), TrainingEnv(TASK, recipe)
-    for world, seed in ((first, 0), (second, 99)):
-        world.venv.seed(seed)
-        world.venv.reset()
+def test_several_places_go_on_to_the_last_bit():
+    first, second = PlacesVecEnv(TASK, PAIRED), PlacesVecEnv(TASK, PAIRED)
+    for env, seed in ((first, 0), (second, 99)):
+        env.seed(seed)
+        env.reset()
     actions = np.random.default_rng(0).integers(3, size=(120, 5))
     for now in actions[:90]:
-        first.venv.step(now)
+        first.step(now)
     second.restore(first.state())
     for now in actions[90:]:
-        (*a, told), (*b, their_told) = (world.venv.step(now) for world in (first, second))
+        (*a, told), (*b, their_told) = (env.step(now) for env in (first, second))
         for x, y in zip(a, b, strict=True):
             np.testing.assert_array_equal(x, y)
         assert_same_ends(told, their_told)
 
 
 def test_what_algorithms_ask_is_answered_for_every_environment():
-    venv = TrainingEnv(TASK, PAIRED).normal.venv
+    venv = PlacesVecEnv(TASK, PAIRED)
     assert [source.dt for source in venv.get_attr("source")] == [1.0, 1.0, 1.0, 0.5, 0.5]
     assert [source.dt for source in venv.get_attr("source", [3, 0])] == [0.5, 1.0]
     with pytest.raises(ValueError, match=r"set_attr\('source'\): found indices 1, expected None"):
@@ -97,4 +95,4 @@ def test_what_algorithms_ask_is_answered_for_every_environment():
 
 def test_there_is_an_environment_for_every_place():
     with pytest.raises(ValueError, match="num_envs: found 1, expected 2 or more"):
-        TrainingEnv(TASK, replace(PAIRED, num_envs=1))
+        PlacesVecEnv(TASK, replace(PAIRED, num_envs=1))
