@@ -2,7 +2,6 @@
 
 import inspect
 from collections.abc import Mapping
-from copy import deepcopy
 from dataclasses import replace
 from functools import partial
 from typing import Any, cast
@@ -15,6 +14,7 @@ from gymnasium.error import InvalidAction, ResetNeeded
 from numpy.typing import NDArray
 
 from mmwave_env.engines.baseline import baseline_of
+from mmwave_env.engines.copies import Copied
 from mmwave_env.engines.env_engine import Engine
 from mmwave_env.engines.replay import Replay
 from mmwave_env.engines.tally import Tally, count
@@ -48,7 +48,7 @@ _HERE = np.zeros(1, np.int64)  # the place of the environment in a batch of one
 BACKENDS = {"lanes": "SIMD lanes", "filterpy": "filterpy's filters, slow, independent"}
 
 
-class MmWaveLocEnv(gym.Env[NDArray[np.float32], np.int64]):
+class MmWaveLocEnv(Copied, gym.Env[NDArray[np.float32], np.int64]):
     """An agent chooses which Kalman filter pipeline localizes a mobile user.
 
     ## Description
@@ -155,7 +155,7 @@ class MmWaveLocEnv(gym.Env[NDArray[np.float32], np.int64]):
 
     `copy.deepcopy` and `pickle` copy an environment in the middle of an episode; the copy goes on
     to the last bit, as planners need it. A deep copy shares the source of episodes and compiled
-    code. For many environments see `state` and `restore` of the vector environment.
+    code. Vector environments are copied alike; their `state` and `restore` do it by plain arrays.
 
     ## Arguments
 
@@ -253,11 +253,13 @@ class MmWaveLocEnv(gym.Env[NDArray[np.float32], np.int64]):
         self._observation_kind, self._task = observation, task_from(**arguments)
         self._smoothing = smoothed
         self._drawing = render_size, render_theme
+        self._tally = Tally(1, len(self._task.pipeline.position_axes))
+        self._interval = self._tally.interval.tolist()
         self._begun, self._over = False, True
         self._steps, self._length = 0, 0
-        self._sums, self._errors = [0.0], [[0.0]]
+        self._sums, self._errors, self._second = [0.0], [[0.0]], 1
         self._actions = np.empty(0, np.int64)
-        self._set_up()
+        self._set_up_noting()
         rows = drawn_rows(self._engine.at, self._engine.span)
         axes = len(self._task.pipeline.position_axes)
         self._recorder = Recorder(rows, axes) if render_mode else None
@@ -265,8 +267,7 @@ class MmWaveLocEnv(gym.Env[NDArray[np.float32], np.int64]):
         self.action_space = spaces.Discrete(len(self.observation.actions))
 
     def _set_up(self) -> None:
-        """Make what follows from the arguments; `_remade` names it, for copies do the same."""
-        given = set(vars(self))
+        """Make what follows from the arguments; copies do the same."""
         self._picture: Any = None
         self._window: Any = None
         task, on_floats = self._task, self._backend == "filterpy"
@@ -281,8 +282,6 @@ class MmWaveLocEnv(gym.Env[NDArray[np.float32], np.int64]):
             pipeline, 1, self.reward, self._observation_kind, task.bank, on_floats
         )
         self._replay = Replay(pipeline, task.bank, on_floats) if self._smoothing else None
-        self._tally = Tally(1, len(pipeline.position_axes))
-        self._interval = self._tally.interval.tolist()
         self._baseline = baseline_of(task, self._engine.batch)
         self.modes, self.observation = pipeline.modes, self._engine.observation
         at, span = self._engine.at, self._engine.span
@@ -292,29 +291,6 @@ class MmWaveLocEnv(gym.Env[NDArray[np.float32], np.int64]):
             key: part if isinstance(part, int) else span(part)
             for key, part in told_rows(at).items()
         }
-        self._remade = frozenset(vars(self)) - given
-
-    def __getstate__(self) -> dict[str, Any]:
-        """What a copy cannot make anew; a window is not part of it."""
-        kept = {key: value for key, value in vars(self).items() if key not in self._remade}
-        return kept | {"tracks": self._engine.batch.state, "keys": self._engine.keys}
-
-    def __setstate__(self, state: dict[str, Any]) -> None:
-        """Go on, to the last bit, as the environment did that was copied."""
-        vars(self).update(state)
-        tracks, keys = vars(self).pop("tracks"), vars(self).pop("keys")
-        self._set_up()
-        self._engine.keys = keys
-        self._engine.go_on(self._task, tracks)
-        if self._baseline and self._begun:
-            self._baseline.begin(_HERE, partial(self._engine.episodes, self._task))
-
-    def __deepcopy__(self, memo: dict[int, Any]) -> "MmWaveLocEnv":
-        """A copy that goes on by itself; the task, which no step changes, is shared."""
-        twin = type(self).__new__(type(self))
-        memo |= {id(self): twin, id(self._task): self._task}
-        twin.__setstate__(deepcopy(self.__getstate__(), memo))
-        return twin
 
     @property  # type: ignore[override]
     def spec(self) -> EnvSpec | None:
@@ -342,8 +318,8 @@ class MmWaveLocEnv(gym.Env[NDArray[np.float32], np.int64]):
         if self._baseline:
             self._baseline.begin(_HERE, partial(self._engine.episodes, task))
         self._begun, self._over, self._steps, self._length = True, False, 0, length
-        self._tally.begin(_HERE, self._engine.steps_s(_HERE))
-        self._sums = self._tally.sums[0].tolist()
+        self._tally.begin(_HERE, self._engine.steps_s(_HERE), np.array([length]))
+        self._sums, self._second = self._tally.sums[0].tolist(), int(self._tally.second[0])
         self._errors = self._tally.errors[0].tolist()
         self._actions = np.zeros(length, np.int64)
         column = self._engine.column(0)
@@ -388,7 +364,7 @@ class MmWaveLocEnv(gym.Env[NDArray[np.float32], np.int64]):
         if self._baseline:
             self._baseline.subtract(rewards, _HERE)
         count(
-            self._sums, self._errors, len(self._errors), self._interval, self._steps,
+            self._sums, self._errors, self._second, self._interval, self._steps,
             *column[self._error].tolist(), info["nees"],
         )  # fmt: skip
         self._actions[self._steps] = action

@@ -13,14 +13,18 @@ from gymnasium.vector import AutoresetMode
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
+from mmwave_env.engines.action_history import ActionHistory
 from mmwave_env.engines.baseline import baseline_of
+from mmwave_env.engines.copies import Copied
 from mmwave_env.engines.env_engine import Engine
 from mmwave_env.engines.replay import Replay
+from mmwave_env.engines.tally import Tally
 from mmwave_env.engines.vector_step import StepBuffers, Stepper
 from mmwave_env.episodes.keys import Generators, Keys, keys_from, option_of
 from mmwave_env.info import (
     INFOS,
     NONFINITE_KEY,
+    STATE_KEYS,
     drawn_rows,
     mask_keys,
     masked,
@@ -32,7 +36,8 @@ from mmwave_env.metrics import DIVERGENCE_M
 from mmwave_env.numerics.arrays import Array, Index, Mask
 from mmwave_env.records import require
 from mmwave_env.rendering.frames import FRAMES_PER_SECOND, SMALLEST, require_drawable
-from mmwave_env.rendering.gallery import Gallery
+from mmwave_env.rendering.gallery import DRAWN, Gallery
+from mmwave_env.rendering.history import Recorder
 from mmwave_env.task import task_from
 
 Observations = NDArray[np.float32]
@@ -42,7 +47,7 @@ Step = tuple[Observations, Array, Mask, Mask, dict[str, Any]]
 BEGUN = 512  # episodes at once: few enough for their memory not to count
 
 
-class MmWaveLocVectorEnv(gym.vector.VectorEnv[Observations, Index, NDArray[Any]]):
+class MmWaveLocVectorEnv(Copied, gym.vector.VectorEnv[Observations, Index, NDArray[Any]]):
     """N times :class:`~mmwave_env.env.MmWaveLocEnv` in one kernel call a step.
 
     Environment i sees the same episodes, observations, rewards and infos, to the last bit, as
@@ -58,7 +63,8 @@ class MmWaveLocVectorEnv(gym.vector.VectorEnv[Observations, Index, NDArray[Any]]
             on it.
         max_episode_steps: None, or the length of the episodes, as the specification of a single
             environment has it; ``episode_steps`` sets it.
-        infos: "all", "episode" (as episodes begin and end) or "none".
+        infos: "all", "episode" (as episodes begin and end) or "none" (but for what an episode ended
+            with, where the step that ends resets).
         smoothed: whether the last step of an episode also tells ``smoothed_ate_m``.
         render_mode: None or "rgb_array".
         render_size, render_theme: as of the single environment.
@@ -112,38 +118,47 @@ class MmWaveLocVectorEnv(gym.vector.VectorEnv[Observations, Index, NDArray[Any]]
         }  # fmt: skip
         self.num_envs, self._threads = num_envs, threads
         self._task = task = task_from(**arguments)
-        self.source, self.radio, self.reward = task.source, task.radio, task.reward
-        epochs = getattr(self.source, "epochs", None)
+        epochs = getattr(task.source, "epochs", None)
         if max_episode_steps not in {None, epochs}:
             raise ValueError(
                 f"max_episode_steps: found {max_episode_steps}, expected None or {epochs}; "
                 "episode_steps= draws episodes of another length"
             )
-        self._engine = Engine(
-            task.pipeline, num_envs, task.reward, observation, task.bank, threads=threads
-        )
-        self.batch = self._engine.batch
-        self.modes, self.observation = task.pipeline.modes, self._engine.observation
+        self._observation_kind, self._smoothing = observation, smoothed
+        self._drawing = render_size, render_theme
+        self._tally = Tally(num_envs, len(task.pipeline.position_axes))
+        self._history = ActionHistory(num_envs, len(task.pipeline.modes) + 1)
+        self._recorders: list[Recorder] = []  # of the environments that are drawn
+        self._set_up_noting()
+        rows = drawn_rows(self._engine.at, self._engine.span)
+        drawn = min(num_envs, DRAWN) if render_mode else 0
+        axes = len(task.pipeline.position_axes)
+        self._recorders += [Recorder(rows, axes) for _ in range(drawn)]
         self.single_observation_space = cast(Any, self.observation.space)
         self.single_action_space = cast(Any, spaces.Discrete(len(self.observation.actions)))
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
-        replay = Replay(task.pipeline, task.bank) if smoothed else None
-        self._stepper = Stepper(self._engine, infos == "all", replay)
-        self._baseline = baseline_of(task, self.batch, threads)
         self._generators = Generators(num_envs, task.has_keys)
-        self._gallery = self._gallery_of(render_size, render_theme) if render_mode else None
         self._names = np.full(num_envs, "", object)  # of the episodes, for pictures
         self._begun = False
         self._mode_count = np.array(len(self.observation.actions), np.uint64)
         self._none_over = np.zeros(num_envs, np.bool_)
         self._over, self._ended = self._none_over, 0
 
-    def _gallery_of(self, size: int, theme: str) -> Gallery:
-        engine = self._engine
-        axes, actions = len(engine.pipeline.position_axes), self.observation.actions
-        rows = drawn_rows(engine.at, engine.span)
-        return Gallery(self.num_envs, rows, axes, actions, size, theme, engine.column)
+    def _set_up(self) -> None:
+        """Make what follows from the arguments; copies do the same."""
+        task, n, kind = self._task, self.num_envs, self._observation_kind
+        self.source, self.radio, self.reward = task.source, task.radio, task.reward
+        self._engine = Engine(task.pipeline, n, task.reward, kind, task.bank, threads=self._threads)
+        self.batch = self._engine.batch
+        self.modes, self.observation = task.pipeline.modes, self._engine.observation
+        replay = Replay(task.pipeline, task.bank) if self._smoothing else None
+        self._stepper = Stepper(self._engine, self._tally, self._history, self._infos, replay)
+        self._baseline = baseline_of(task, self.batch, self._threads)
+        self._gallery: Gallery | None = None
+        if self.render_mode:
+            actions, (size, theme) = self.observation.actions, self._drawing
+            self._gallery = Gallery(n, self._recorders, actions, size, theme, self._engine.column)
 
     def render(self) -> tuple[NDArray[np.uint8], ...] | None:  # type: ignore[override]
         """Pictures (480, 480, 3), or of another size, of the environments, the first few drawn.
@@ -243,7 +258,8 @@ class MmWaveLocVectorEnv(gym.vector.VectorEnv[Observations, Index, NDArray[Any]]
             told["nonfinite"][places] = [episode.nonfinite for episode in drawn]
         if self._baseline:
             self._baseline.begin(places, partial(engine.episodes, task))
-        self._stepper.tally.begin(places, engine.steps_s(places))
+        length = engine.batch.state.length[places]
+        self._tally.begin(places, engine.steps_s(places), length)
         self._stepper.remember(int(engine.batch.state.length.max()))
         self._names[places] = told["episode_name"][places]
         self._over = self._over.copy()
@@ -291,6 +307,11 @@ class MmWaveLocVectorEnv(gym.vector.VectorEnv[Observations, Index, NDArray[Any]]
         self._over = self._none_over
         if self._ended:
             self._over = terminated | truncated
+        if self._infos == "episode" and (resets or self._ended):
+            told = self._stepper.look(actions)
+            state = masked({key: told.pop(key) for key in STATE_KEYS}, fresh | self._over)
+            infos |= masked(told, self._over) | state
+        if self._ended:
             infos = self._end(observations, infos)
         return observations, rewards, terminated, truncated, infos
 
@@ -305,7 +326,7 @@ class MmWaveLocVectorEnv(gym.vector.VectorEnv[Observations, Index, NDArray[Any]]
     def _end(self, observations: Observations, infos: dict[str, Any]) -> dict[str, Any]:
         """What is told where episodes end; begin others where that is to be in the same step."""
         lost = np.zeros(self.num_envs, np.int64)
-        lost[self._over] = self._stepper.tally.nonfinite(np.flatnonzero(self._over))
+        lost[self._over] = self._tally.nonfinite(np.flatnonzero(self._over))
         if lost.any():
             warn_of_nonfinite()
         if self._infos != "none":
@@ -363,9 +384,10 @@ class MmWaveLocVectorEnv(gym.vector.VectorEnv[Observations, Index, NDArray[Any]]
         self._begin_pictures(ended)
         for key, anew in begun.items():
             infos[key][ended] = anew[ended]
-        if self._infos == "none":
-            return {}
-        return stepped(infos, ~over) | masked(drawn, over) | {
+        told = stepped(infos, ~over)
+        if self._infos != "all":
+            told = {key: told[key] for key in (*begun, *mask_keys(begun))}
+        return told | masked(drawn, over) | {
             "final_obs": final_obs, "_final_obs": over.copy(), "final_info": final,
             "_final_info": over.copy(),
         }  # fmt: skip
@@ -382,12 +404,12 @@ class MmWaveLocVectorEnv(gym.vector.VectorEnv[Observations, Index, NDArray[Any]]
         self._require_simulated("state")
         return {name: array.copy() for name, array in self._arrays().items()} | {
             "generators": self._generators.states(), "over": self._over.copy(),
-            "actions": self._stepper.history.all(),
+            "actions": self._history.all(),
         }  # fmt: skip
 
     def _arrays(self) -> dict[str, NDArray[Any]]:
         """What a state copies as it is."""
-        tracks, tally = self.batch.state, self._stepper.tally
+        tracks, tally = self.batch.state, self._tally
         return {
             "rows": tracks.rows, "worlds": tracks.feed.kept, "table": tracks.table,
             "length": tracks.length, "epoch": tracks.epoch, "keys": self._engine.keys,
@@ -405,7 +427,7 @@ class MmWaveLocVectorEnv(gym.vector.VectorEnv[Observations, Index, NDArray[Any]]
                 episodes come from a source that is given whole generators.
         """
         self._require_simulated("restore")
-        n, history, source = self.num_envs, self._stepper.history, self._task.simulated
+        n, history, source = self.num_envs, self._history, self._task.simulated
         self._make_room()
         arrays = self._arrays()
         others = {"generators": (n, 4), "over": (n,), "actions": history.rows.shape}
@@ -435,7 +457,7 @@ class MmWaveLocVectorEnv(gym.vector.VectorEnv[Observations, Index, NDArray[Any]]
         """For what a state holds of simulated episodes; those under way go on."""
         source = self._task.simulated
         self._engine.attach(self._task)
-        self._stepper.tally.make_room(round(1.0 / source.dt))
+        self._tally.make_room(min(round(1.0 / source.dt), source.epochs))
         self._stepper.remember(source.epochs)
 
     def _require_simulated(self, what: str) -> None:

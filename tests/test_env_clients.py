@@ -46,6 +46,8 @@ class Patchy:
 def go_on(env, steps, actions=0):
     """What steps return, of this episode and of those after it; each ends in a reset."""
     rng, found = np.random.default_rng(actions), []
+    if isinstance(env, gym.vector.VectorEnv):
+        return [env.step(rng.integers(env.single_action_space.n, size=3)) for _ in range(steps)]
     for _ in range(steps):
         found.append(env.step(rng.integers(env.action_space.n)))
         if found[-1][2] or found[-1][3]:
@@ -60,7 +62,7 @@ COPIES = {
     "pickle": lambda env: pickle.loads(pickle.dumps(env)),
 }
 CONFIGURATIONS = {
-    "default": {"episode_steps": 6},
+    "ten a second": {"episode_steps": 25, "dt": 0.1},
     "own reward": {"episode_steps": 6, "reward": Closeness()} | EKF,
     "paired": {"episode_steps": 5, "reward": "paired"},
     "recorded": {"episodes": "canyon28_vehicle", "episode_steps": 7} | EKF,
@@ -76,11 +78,31 @@ def test_a_copy_goes_on_by_itself_to_the_last_bit(way, configuration):
     env.reset(seed=3)
     go_on(env, 2)
     twin = COPIES[way](env)
-    elsewhere = go_on(copy.deepcopy(twin), 9, actions=5)
-    expected = go_on(env, 9)
-    assert same(go_on(twin, 9), expected)
+    elsewhere = go_on(copy.deepcopy(twin), 26, actions=5)
+    expected = go_on(env, 26)
+    assert same(go_on(twin, 26), expected)
     if env.action_space.n > 1:
         assert not same(elsewhere, expected)
+
+
+VECTORS = {
+    "lean": {"dt": 0.5, "episode_steps": 14, "infos": "episode", "autoreset_mode": "SameStep"},
+    "recorded": {"episodes": "canyon28_vehicle", "episode_steps": 12, "smoothed": True},
+    "paired": {"episode_steps": 5, "reward": "paired", "render_mode": "rgb_array"},
+}
+
+
+@pytest.mark.parametrize("way", COPIES)
+@pytest.mark.parametrize("configuration", VECTORS)
+def test_a_copy_of_a_native_vector_environment_does_so_too(way, configuration):
+    env = gym.make_vec(ID, num_envs=3, **VECTORS[configuration])
+    assert same(COPIES[way](env).reset(seed=1), env.reset(seed=1))
+    go_on(env, 2)
+    twin = COPIES[way](env)
+    elsewhere = go_on(copy.deepcopy(twin), 16, actions=5)
+    expected = go_on(env, 16)
+    assert same(go_on(twin, 16), expected) and not same(elsewhere, expected)
+    assert same(twin.render(), env.render()) and same(twin.reset(), env.reset())
 
 
 @pytest.mark.parametrize("way", COPIES)

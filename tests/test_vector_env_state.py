@@ -20,7 +20,7 @@ from tests.vector_checker import forward, same
 
 AUTORESET = ["NextStep", "SameStep", "Disabled"]
 CONFIGURATIONS = {
-    "short": {"episode_steps": 3},
+    "short": {"episode_steps": 1, "dt": 0.5},
     "ends early": {
         "episode_steps": 18, "terminate_on_divergence": True, "scenario": "vehicle",
         "modes": [Mode("ekf", sigma_v=1e-3, sigma_p=1e-3, adaptive=False, recovery=None)],

@@ -22,8 +22,9 @@ class Tally:
 
     Attributes:
         sums: (n, 7).
-        errors: (n, T, 3) the latest position errors, m, in turns; T is enough for a second.
-        second: (n,) epochs in a second, at least one.
+        errors: (n, T, 3) the latest position errors, m, in turns; T is enough for a second, or
+            for the longest episode.
+        second: (n,) epochs in a second: at least one, at most those of the episode.
         interval: (2,) of the NEES of a consistent filter.
     """
 
@@ -31,9 +32,9 @@ class Tally:
         self.sums, self.errors = np.zeros((n, SUMS)), np.zeros((n, 1, 3))
         self.second, self.interval = np.ones(n, np.int64), np.array(nees_interval(axes))
 
-    def begin(self, places: Index, step_s: Array) -> None:
-        """Start over in some environments, with steps (places,) of so many seconds."""
-        self.second[places] = np.maximum(1, np.round(1.0 / step_s))
+    def begin(self, places: Index, step_s: Array, epochs: Index) -> None:
+        """Start over in some environments, with so many epochs (places,) in steps (places,), s."""
+        self.second[places] = np.clip(np.round(1.0 / step_s), 1, epochs)
         self.make_room(int(self.second.max()))
 
     def make_room(self, epochs: int) -> None:

@@ -79,17 +79,23 @@ class Stepper:
 
     Args:
         engine: the environments, on lanes.
-        tells: whether infos of steps are wanted.
-        replay: runs finished episodes again, if they are to be smoothed.
-
-    Attributes:
-        history: the modes they chose lately.
         tally: of the metrics of the episodes under way.
+        history: the modes chosen lately.
+        infos: "all" to tell of every step, "episode" where asked to, "none" to tell nothing.
+        replay: runs finished episodes again, if they are to be smoothed.
     """
 
-    def __init__(self, engine: Engine, tells: bool = True, replay: Replay | None = None) -> None:
+    def __init__(
+        self,
+        engine: Engine,
+        tally: Tally,
+        history: ActionHistory,
+        infos: str = "all",
+        replay: Replay | None = None,
+    ) -> None:
         at, n = engine.at, engine.batch.n
-        told = told_rows(at) if tells else {}
+        self._known = {} if infos == "none" else told_rows(at)
+        told = dict(self._known) if infos == "all" else {}
         flags = [told.pop(key) for key in FLAGS if key in told]
         # _step_blocks reads the first of them
         tree = {"reward": at.reward, "nees": at.nees, "error": at.error, "flags": flags}
@@ -101,15 +107,13 @@ class Stepper:
             for (name, part), begin, end in zip(tree.items(), [0, *ends], ends, strict=False)
         }
         self._engine, self._told = engine, tuple(told)
-        self._groups = len(at.memory.accepted) if tells else 0
+        self._groups = len(at.memory.accepted) if told else 0
         self._action, self._obs_rows = rows_of(at.action), rows_of(at.observation)
         self._mask_keys = mask_keys([*self._told, *FLAGS, "mode"])
         self._everywhere = np.ones(n, np.bool_)
         self._outputs = np.empty((n, 1, len(self._rows)))
-        self.history = ActionHistory(n, len(engine.observation.actions))
-        self.history.make_room(1)
-        self._replay = replay
-        self.tally = Tally(n, len(engine.pipeline.position_axes))
+        self._tally, self._history, self._replay = tally, history, replay
+        history.make_room(1)
 
     def step(self, actions: Index, out: StepBuffers) -> tuple[int, Infos]:
         """Commit every environment to its mode and consider the next epoch; see `Engine.step`.
@@ -123,11 +127,11 @@ class Stepper:
             How many have no epoch left; fresh infos of all environments, with their masks, if they
             are wanted.
         """
-        batch, history, n = self._engine.batch, self.history, len(actions)
+        batch, history, n = self._engine.batch, self._history, len(actions)
         flags = np.empty((2, n, self._groups), np.bool_)
         if self._told:
             self._outputs = np.empty_like(self._outputs)  # the one before was given away
-        outputs, program, parts, tally = self._outputs, batch.program, batch.parts, self.tally
+        outputs, program, parts, tally = self._outputs, batch.program, batch.parts, self._tally
         arguments = (
             actions, history.rows, history.turn, out.rewards, flags, out.truncated,
             tally.sums, tally.errors, tally.second, tally.interval,
@@ -149,6 +153,15 @@ class Stepper:
         infos |= dict.fromkeys(self._mask_keys, self._everywhere.copy())
         return ended, infos
 
+    def look(self, actions: Index) -> Infos:
+        """What infos tell of the step just made, for those that do not tell of every step."""
+        read = self._engine.read
+        told = {
+            key: read(part) > 0.5 if key in FLAGS else read(part)
+            for key, part in self._known.items()
+        }
+        return told and told | {"mode": actions}
+
     @property
     def distances_m(self) -> Array:
         """Position errors (n,) in the epoch stepped last."""
@@ -158,12 +171,12 @@ class Stepper:
     def remember(self, epochs: int) -> None:
         """Remember the modes of so many steps, if anybody will ask for them."""
         if self._replay:
-            self.history.make_room(epochs)
+            self._history.make_room(epochs)
 
     def metrics(self, task: Task, ended: Index, threads: int) -> Infos:
         """What the last step tells of episodes that ended in some environments (k,)."""
         epochs = self._engine.batch.state.epoch[ended] - 1
-        told = episode_info(self.tally.metrics(ended, epochs))
+        told = episode_info(self._tally.metrics(ended, epochs))
         if not self._replay:
             return told
         jobs = []
@@ -174,7 +187,7 @@ class Stepper:
 
         def smooth(some: Index, steps: int) -> None:
             episodes = self._engine.episodes(task, ended[some])
-            *_, errors = replay.run(episodes, self.history.of(ended[some], steps))
+            *_, errors = replay.run(episodes, self._history.of(ended[some], steps))
             (smoothed[some],) = smoothed_info(errors).values()
 
         share(smooth, jobs, threads)
@@ -188,8 +201,12 @@ class Stepper:
             these.
         """
         observations, outputs = self._engine.start(places, self._rows)
-        keys = [key for key in STATE_KEYS if key in self._told]
-        return observations, {key: outputs[:, None][self._columns[key]] for key in keys}
+        if self._told:
+            told = {key: outputs[:, None][self._columns[key]] for key in STATE_KEYS}
+        else:
+            known = [key for key in STATE_KEYS if key in self._known]
+            told = {key: self._engine.read(self._known[key]) for key in known}
+        return observations, told
 
 
 @register_jitable  # type: ignore[untyped-decorator]

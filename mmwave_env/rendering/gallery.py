@@ -1,6 +1,6 @@
 """Pictures of the first few of many environments, as Gymnasium's vector wrappers take them."""
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,11 +13,11 @@ DRAWN = 16  # more would be too small to read, and too many for memory
 
 
 class Gallery:
-    """Writes down and draws the first :data:`DRAWN` of N environments.
+    """Writes down and draws the first few of N environments, at most :data:`DRAWN`.
 
     Args:
         n: N.
-        rows, axes: as of :class:`~mmwave_env.rendering.history.Recorder`.
+        recorders: of the environments that are drawn.
         modes, size, theme: as of :class:`~mmwave_env.rendering.picture.Picture`.
         workspace: of an environment, (size,).
     """
@@ -25,8 +25,7 @@ class Gallery:
     def __init__(
         self,
         n: int,
-        rows: Mapping[str, slice],
-        axes: int,
+        recorders: Sequence[Recorder],
         modes: Sequence[str],
         size: int,
         theme: str,
@@ -35,7 +34,7 @@ class Gallery:
         from mmwave_env.rendering.picture import Picture
 
         self._n, self._workspace = n, workspace
-        self._recorders = [Recorder(rows, axes) for _ in range(min(n, DRAWN))]
+        self._recorders = recorders
         self._picture = Picture(modes, size, theme)
 
     def begin(

@@ -8,12 +8,12 @@ from mmwave_env.metrics import accuracy
 
 
 @pytest.mark.parametrize("axes", [2, 3])
-@pytest.mark.parametrize("dt", [0.1, 0.3, 1.0, 2.5])
+@pytest.mark.parametrize("dt", [1e-9, 0.1, 0.3, 1.0, 2.5])
 @pytest.mark.parametrize("epochs", [1, 5, 10, 11, 12, 25, 200])
 def test_an_episode_ends_with_the_metrics_of_its_track(epochs, dt, axes):
     rng, tally, where = np.random.default_rng(epochs), Tally(3, axes), np.array([1])
     for _ in range(2):  # the one before leaves nothing
-        tally.begin(where, np.array([dt]))
+        tally.begin(where, np.array([dt]), np.array([epochs]))
         errors = rng.normal(0.0, 20.0, (epochs, 3))
         nees = rng.chisquare(axes, epochs)
         for k, (error, number) in enumerate(zip(errors, nees, strict=True)):
@@ -26,6 +26,7 @@ def test_an_episode_ends_with_the_metrics_of_its_track(epochs, dt, axes):
         {key: float(value) for key, value in expected.items()}, rel=1e-12
     )
     assert not tally.sums[[0, 2]].any()
+    assert tally.errors.shape[1] <= epochs  # however many there are in a second
 
 
 def test_an_error_without_a_number_is_a_divergence_for_good():
