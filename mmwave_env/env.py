@@ -160,10 +160,9 @@ class MmWaveLocEnv(Copied, gym.Env[NDArray[np.float32], np.int64]):
     ## Arguments
 
     * `scenario`: "pedestrian", "vehicle", "walk-ride", "jam", "cyclist" or "mixed" (default); a
-      JSON file or a `Mobility` for a kind of user of your own; a CSV file (columns t, x, y, z) or a
-      `Trajectory` for a way of your own, of which `episode_steps` epochs at most are drawn; or
-      floating-car data of SUMO (XML, CSV, Parquet), a JSON file about it or a `Traffic`, for the
-      ways of many (docs/sumo.md).
+      JSON file or a `Mobility` for a kind of user of your own; or a CSV file of ways (columns t, x,
+      y, z, and id where they are those of several users), a `Trajectory` or `Ways`, of which
+      `episode_steps` epochs at most are drawn (docs/own-world.md).
     * `radio`: "handset" (default), "standard", "high", a JSON file, or a `Radio`. Default modes are
       tuned for these three names; others get those of "standard" and a warning.
     * `scene`: "street" (default), "o1", "dynamic-doppler", a JSON file, or a `Scene`; "random" or

@@ -12,7 +12,6 @@ from types import NoneType
 from typing import Annotated, get_args, get_origin
 
 from mmwave_env.episodes.mobility import Mobility
-from mmwave_env.episodes.traffic import Traffic
 from mmwave_env.filters.bank import Bank
 from mmwave_env.filters.mode_files import NOTES
 from mmwave_env.filters.modes import ALGORITHMS, Mode
@@ -126,7 +125,6 @@ def schemas():
         "radio": ("A radio profile", radio()),
         "modes": ("Filter modes", modes()),
         "mobility": ("A kind of user", object_schema(Mobility, optional=["name"])),
-        "traffic": ("Trips of a traffic simulation", object_schema(Traffic)),
     }
     dialect = {"$schema": "https://json-schema.org/draft/2020-12/schema"}
     return {name: dialect | {"title": title} | body for name, (title, body) in found.items()}

@@ -14,7 +14,7 @@ from experiments.training.hyperparameters import read_hyperparameters, shipped_h
 from experiments.webpage.runs import curves_of
 from experiments.webpage.sources import read_source
 from mmwave_env.episodes.mobility import read_mobility
-from mmwave_env.episodes.trajectory import read_trajectory
+from mmwave_env.episodes.ways import read_ways
 from mmwave_env.filters.bank import read_bank
 from mmwave_env.logs.log import read_log
 from mmwave_env.logs.tum import read_tum
@@ -78,7 +78,7 @@ BYTES = {
     "log": (head(RIDE / "log.csv", 40), "log.csv", log),
     "gzipped log": (gzip.compress(head(RIDE / "log.csv", 40), mtime=0), "log.csv.gz", log),
     "track": (head(RIDE / "truth.tum", 30), "truth.tum", read_tum),
-    "trajectory": (WAY, "way.csv", read_trajectory),
+    "trajectory": (WAY, "way.csv", read_ways),
     "journal": (JOURNAL, "progress.csv", curves_of),
     "policy": (policy(CARD), "p.safetensors", read_policy),
 }  # fmt: skip

@@ -38,12 +38,12 @@ SEES = {
 # of the commands:
 LIBRARIES = {
     "evaluation", "figures", "arguments", "cli", "training", "tuning", "offline", "paper", "speed",
-    "webpage", "health", "inspection", "sweeping",
+    "webpage", "health", "sweeping",
 }  # fmt: skip
 SEES_INSIDE = {  # experiments; "" are the commands, one a page
     **dict.fromkeys(["evaluation", "health"], frozenset()),
     **dict.fromkeys(
-        ["arguments", "figures", "inspection", "training", "tuning", "offline"],
+        ["arguments", "figures", "training", "tuning", "offline"],
         frozenset({"evaluation"}),
     ),
     **dict.fromkeys(["paper", "speed"], frozenset({"evaluation", "figures"})),

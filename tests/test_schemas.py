@@ -8,7 +8,6 @@ from hypothesis import strategies as st
 from jsonschema import Draft202012Validator
 
 from mmwave_env.episodes.mobility import read_mobility
-from mmwave_env.episodes.traffic import read_traffic
 from mmwave_env.filters.bank import read_bank
 from mmwave_env.models.radio import RADIOS, read_radio
 from mmwave_env.models.scene import read_scene
@@ -17,7 +16,6 @@ from tests.schemas import path_of, schemas
 
 READERS = {
     "scene": read_scene, "radio": read_radio, "modes": read_bank, "mobility": read_mobility,
-    "traffic": read_traffic,
 }  # fmt: skip
 SCHEMAS = schemas()
 VALIDATORS = {name: Draft202012Validator(schema) for name, schema in SCHEMAS.items()}
@@ -78,8 +76,6 @@ def consistent(content):
     if content.get("transition") is not None:
         modes = len(content["modes"])
         content["transition"] = [[1.0 / modes] * modes] * modes
-    if "fcd" in content:
-        content["fcd"] = "traffic.xml.gz"  # in the folder of the file
     for key in ("x_m", "y_m", "block_m"):
         content.pop(key, None)
     both = [key for key in content if key.removesuffix("_deg") + "_rad" in content]

@@ -35,8 +35,8 @@ class WorldArgs:
 
     scenario: str | None = None
     """kind of user: pedestrian, vehicle, walk-ride, jam, cyclist or mixed (equal shares; where
-    none is named), or a JSON file; or a way of your own, a CSV file with columns t, x, y, z; or
-    ways from SUMO, its floating-car data or a JSON file about it"""
+    none is named), or a JSON file; or ways of your own, a CSV file with columns t, x, y, z, and id
+    where there are several users"""
     radio: str = "handset"
     """handset, standard, high or a JSON file"""
     scene: str | None = None

@@ -10,15 +10,11 @@ from experiments.arguments.shared import WorldArgs
 class Args(WorldArgs):
     """Write one episode as a folder: log.csv (measurements), scene.json and truth.tum.
 
-    Or, with --format deepmimo, as a DeepMIMO v4 scenario: its paths and the track, without noise.
-
     mmwave-loc simulate --scenario vehicle --out episode
     """
 
     out: Path
     """the folder"""
-    format: str = "log"
-    """log, or deepmimo"""
     overwrite: bool = False
     """replace the files of an episode that are there"""
     seed: int = 0

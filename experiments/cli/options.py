@@ -12,19 +12,14 @@ from typing import Any
 from experiments.arguments.shared import USUAL_EPISODES, EpisodeArgs, ModeArgs, WorldArgs
 from experiments.evaluation.contenders import Contender, contender_from, contenders
 from experiments.evaluation.runs import Run
-from experiments.evaluation.seeds import Selection, draw_episodes
+from experiments.evaluation.seeds import Selection
 from mmwave_env import __version__
 from mmwave_env.episodes.episode import EpisodeSource
-from mmwave_env.episodes.simulated import SimulatedSource
-from mmwave_env.episodes.trajectory import Trajectory
-from mmwave_env.episodes.waypoints import read_way
 from mmwave_env.filters.bank import bank_over
 from mmwave_env.filters.modes import Mode
-from mmwave_env.models.radio import RADIOS, radio_from
-from mmwave_env.models.scene import Scene
+from mmwave_env.models.radio import radio_from
 from mmwave_env.task import Modes, Task, TaskArguments, task_from
 
-MOST_EPOCHS = 100_000  # of a way; that many are traced in half an hour
 OUTPUTS = (
     "json", "episodes_csv", "figure", "decisions", "errors", "consistency", "plot", "docs", "out",
     "stanford", "epochs_parquet",
@@ -97,27 +92,6 @@ def source_of(args: WorldArgs) -> EpisodeSource:
 def selection_of(args: EpisodeArgs, source: EpisodeSource) -> Selection:
     """Which episodes are asked for."""
     return Selection.of(source, args.episodes, args.seed, args.keys, USUAL_EPISODES)
-
-
-def way_of(who: str, scene: Scene, dt: float, epochs: int, seed: int) -> Trajectory:
-    """The way of a CSV file, or of a kind of user in the streets of a scene.
-
-    Args:
-        who: a .csv file, of a way or of way-points; or a kind of user: a name, or a JSON file.
-        scene, dt, epochs, seed: of a kind of user's episode.
-
-    Raises:
-        ValueError, FileNotFoundError: neither of them.
-    """
-    if who.endswith(".csv"):
-        return read_way(who)
-    if epochs > MOST_EPOCHS:
-        raise ValueError(f"episode_steps: found {epochs}, expected at most {MOST_EPOCHS}")
-    source = SimulatedSource(scene, RADIOS["standard"], who, dt, epochs)
-    (episode,) = draw_episodes(source, [seed])
-    assert episode.truth_position_m is not None  # who is simulated has one
-    name = f"{who} on {scene.name}"
-    return Trajectory(name, episode.time_s, episode.truth_position_m, episode.truth_velocity_mps)
 
 
 def world_arguments(args: WorldArgs) -> dict[str, Any]:

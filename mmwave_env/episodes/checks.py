@@ -1,6 +1,7 @@
 """What records of epochs have to fulfil; errors name the record and the field."""
 
 from collections.abc import Iterable, Mapping
+from pathlib import Path
 from typing import Any, NoReturn
 
 import numpy as np
@@ -13,6 +14,11 @@ from mmwave_env.records import Bound, Printable
 def refuse(record: str, field: str, found: str, expected: str) -> NoReturn:
     """Raise the ValueError of a field of a record, such as "episode 'jam'"."""
     raise ValueError(f"{field} of {record}: found {found}, expected {expected}")
+
+
+def refuse_in(file: Path, what: str, found: object, expected: str) -> NoReturn:
+    """Raise the ValueError of something in a file, such as a line or a key."""
+    raise ValueError(f"{file}: {what}: found {found}, expected {expected}")
 
 
 def require_name(record: str, name: object) -> None:

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from mmwave_env.episodes.arrays import velocity_of
-from mmwave_env.episodes.deepmimo.params import PARAMS
+from mmwave_env.episodes.deepmimo.v4 import PARAMS
 from mmwave_env.episodes.episode import Episode
 from mmwave_env.episodes.log_writer import write_log
 from mmwave_env.episodes.measured import MeasuredTrack

@@ -23,16 +23,14 @@ from mmwave_env.episodes.episode import Episode
 from mmwave_env.lookup import quoted
 from mmwave_env.models.measurement import (
     Layout,
-    direction,
     range_rate,
     whole_groups,
     wrap_angles,
 )
-from mmwave_env.models.prior import draw_prior, prior_from_fix
+from mmwave_env.models.prior import draw_prior
 from mmwave_env.models.radio import Radio, doppler_spread, oscillator_bias, radio_from
 from mmwave_env.models.scene import Scene, scene_of_anchors
 from mmwave_env.numerics.arrays import Array
-from mmwave_env.numerics.numbers import PI
 
 _NO_PATH_DB = -200.0  # gain of a missing path: as good as none, yet its sigmas stay finite
 
@@ -52,8 +50,8 @@ class Recording:
         measurement: (T, rows) exact, in the order of ``layout``: m, rad, Hz, m/s.
         visible: (T, groups) bool.
         path_gain_db: (T, L) of every link, negative.
-        position_m: (T, 3) truth, or None where nobody knows.
-        velocity_mps: (T, 3) truth, or None.
+        position_m: (T, 3) truth.
+        velocity_mps: (T, 3) truth.
         layout: rows and groups.
     """
 
@@ -65,8 +63,8 @@ class Recording:
     measurement: Array
     visible: NDArray[np.bool_]
     path_gain_db: Array
-    position_m: Array | None
-    velocity_mps: Array | None
+    position_m: Array
+    velocity_mps: Array
     layout: Layout
 
     def __post_init__(self) -> None:
@@ -142,42 +140,6 @@ class Recording:
         return cls(name, anchors, carrier_hz, bandwidth_hz, time, rows, visible, gain, position,
                    velocity, layout)  # fmt: skip
 
-    @classmethod
-    def of_episode(cls, episode: Episode, scene: Scene, radio: Radio) -> "Recording":
-        """What a perfect receiver would have measured in an episode: no noise, no biases.
-
-        Links are there where the episode has them, with the gain that its SNR says. The Doppler
-        shift is there with the line of sight; odometry is left out.
-
-        Args:
-            episode: of a simulation, a recording or a log.
-            scene: that it is in.
-            radio: that it was measured with.
-
-        Raises:
-            ValueError: nobody knows where the user was.
-        """
-        episode.require_truth()
-        assert episode.truth_position_m is not None
-        offset = episode.truth_position_m[:, None] - episode.scene_anchors_m
-        distance, azimuth, elevation = direction(list(np.moveaxis(offset, -1, 0)))
-        seen = episode.usable[:, : episode.layout.anchors]
-        gain = radio.path_gain_db(episode.snr_db, scene.bandwidth_hz)
-        return cls.from_arrays(
-            time_s=episode.time_s,
-            anchors_m=episode.scene_anchors_m,
-            range_m=distance,
-            aoa_azimuth_rad=azimuth,
-            aoa_elevation_rad=elevation,
-            aod_azimuth_rad=azimuth + PI,
-            path_gain_db=np.where(seen, gain, np.nan),
-            position_m=episode.truth_position_m,
-            velocity_mps=episode.truth_velocity_mps,
-            carrier_hz=scene.carrier_hz,
-            bandwidth_hz=scene.bandwidth_hz,
-            name=episode.name,
-        )
-
     def __len__(self) -> int:
         return len(self.time_s)
 
@@ -186,66 +148,40 @@ class Recording:
         """The anchors and the carrier; walls are not known."""
         return scene_of_anchors(self.name, self.anchors_m, self.carrier_hz, self.bandwidth_hz)
 
-    @property
-    def has_truth(self) -> bool:
-        """Whether both position and velocity are known."""
-        return self.position_m is not None and self.velocity_mps is not None
-
     def window(self, first: int, epochs: int) -> "Recording":
         """The recording of ``epochs`` epochs from epoch ``first`` on; times stay as they are."""
         cut = slice(first, first + epochs)
-        position, velocity = self.position_m, self.velocity_mps
         return replace(
             self,
             time_s=self.time_s[cut],
             measurement=self.measurement[cut],
             visible=self.visible[cut],
             path_gain_db=self.path_gain_db[cut],
-            position_m=None if position is None else position[cut],
-            velocity_mps=None if velocity is None else velocity[cut],
+            position_m=self.position_m[cut],
+            velocity_mps=self.velocity_mps[cut],
         )
 
 
 class RecordedSource:
     """Episodes of one recording; every draw has its own noise, oscillator, prior and window.
 
-    Without truth (position and velocity), the prior is the first epoch's line-of-sight fix
-    with an unknown velocity; that link then counts as missing in the first epoch, so that it
-    is not used twice.
-
     Args:
         recording: the exact measurements.
         radio: profile of the receiver, by name or itself: standard deviations, oscillator, prior.
-        noise: False for exact measurements without oscillator bias; the standard deviations
-            handed to the filters stay the profile's.
         epochs: length of an episode, a contiguous window drawn at random; None for the whole
             recording.
 
     Raises:
-        ValueError: a window longer than the recording or empty, or no line of sight to take
-            the prior from.
+        ValueError: a window longer than the recording or empty.
     """
 
-    def __init__(
-        self,
-        recording: Recording,
-        radio: str | Radio,
-        noise: bool = True,
-        epochs: int | None = None,
-    ) -> None:
-        self.recording, self.radio, self.noise = recording, radio_from(radio), noise
+    def __init__(self, recording: Recording, radio: str | Radio, epochs: int | None = None) -> None:
+        self.recording, self.radio = recording, radio_from(radio)
         self.epochs = len(recording) if epochs is None else epochs
         if not 1 <= self.epochs <= len(recording):
             raise ValueError(
                 f"epochs: found {epochs}, expected 1 to {len(recording)}, the length of "
                 f"recording {recording.name!r}"
-            )
-        starts = np.arange(len(recording) - self.epochs + 1)
-        self._starts = starts if recording.has_truth else starts[recording.visible[starts, 0]]
-        if not len(self._starts):
-            raise ValueError(
-                f"recording {recording.name!r}: found no line of sight at the first epoch, "
-                "expected one, because without truth the prior comes from it"
             )
 
     @property
@@ -265,36 +201,22 @@ class RecordedSource:
 
     def sample(self, rng: np.random.Generator) -> Episode:
         """Draw one episode; all randomness comes from ``rng``."""
-        recording = self.recording.window(int(rng.choice(self._starts)), self.epochs)
+        starts = np.arange(len(self.recording) - self.epochs + 1)
+        recording = self.recording.window(int(rng.choice(starts)), self.epochs)
         radio, scene, layout = self.radio, self.scene, self.layout
         seen = recording.visible[:, : layout.anchors]
         gain = np.where(seen, recording.path_gain_db, _NO_PATH_DB)
         snr = radio.snr_db(gain, recording.bandwidth_hz)
         sigma = radio.sigma(snr, scene, layout)
         measurement = recording.measurement.copy()
-        bias = np.zeros(self.epochs)
-        if self.noise:
-            measurement += sigma * rng.standard_normal(measurement.shape)
-            bias = oscillator_bias(radio, scene.hz_per_mps, recording.time_s, rng)
-            measurement[:, layout.doppler] += bias
-            wrap_angles(measurement, layout)
-        velocity = recording.velocity_mps  # where nobody knows it, the spread is that at rest
-        speed = np.zeros(self.epochs) if velocity is None else np.linalg.norm(velocity, axis=1)
-        if self.noise:
-            spread_hz = doppler_spread(radio, scene.hz_per_mps, speed, rng)
-        else:
-            spread_hz = radio.spread_gain * scene.hz_per_mps * speed
-        visible = recording.visible
-        if recording.position_m is not None and recording.velocity_mps is not None:
-            state = [recording.position_m[0], recording.velocity_mps[0], bias[:1]]
-            mean, covariance = draw_prior(np.concatenate(state), radio, scene, rng)
-        else:
-            link = layout.link(0)
-            mean, covariance = prior_from_fix(
-                recording.anchors_m[0], measurement[0, link], sigma[0, link], radio, scene
-            )
-            visible = visible.copy()
-            visible[0, 0] = False
+        measurement += sigma * rng.standard_normal(measurement.shape)
+        bias = oscillator_bias(radio, scene.hz_per_mps, recording.time_s, rng)
+        measurement[:, layout.doppler] += bias
+        wrap_angles(measurement, layout)
+        speed = np.linalg.norm(recording.velocity_mps, axis=1)
+        spread_hz = doppler_spread(radio, scene.hz_per_mps, speed, rng)
+        state = [recording.position_m[0], recording.velocity_mps[0], bias[:1]]
+        mean, covariance = draw_prior(np.concatenate(state), radio, scene, rng)
         return Episode(
             name=recording.name,
             scene_anchors_m=recording.anchors_m,
@@ -302,7 +224,7 @@ class RecordedSource:
             time_s=recording.time_s,
             measurement=measurement,
             sigma=sigma,
-            visible=visible,
+            visible=recording.visible,
             snr_db=snr,
             doppler_spread_hz=spread_hz,
             prior_mean=mean,

@@ -4,8 +4,8 @@ import os
 from importlib import resources
 from pathlib import Path
 
-from mmwave_env.episodes.deepmimo.formats import is_scenario
 from mmwave_env.episodes.deepmimo.recording import read_deepmimo
+from mmwave_env.episodes.deepmimo.v4 import is_scenario
 from mmwave_env.episodes.log_folder import LOG, read_log_folder
 from mmwave_env.episodes.measured import MeasuredSource, MeasuredTrack
 from mmwave_env.episodes.recorded import RecordedSource, Recording
@@ -76,7 +76,7 @@ def source_from(
         episodes = _read(episodes)
     if isinstance(episodes, MeasuredTrack):
         return MeasuredSource(episodes, radio, epochs)
-    return RecordedSource(episodes, radio, epochs=epochs)
+    return RecordedSource(episodes, radio, epochs)
 
 
 def _read(name: str | os.PathLike[str]) -> Recording | MeasuredTrack:

@@ -1,42 +1,37 @@
-"""What a ``scenario=`` argument means: kinds of users, or ways that somebody went."""
+"""What a ``scenario=`` argument means: kinds of users, or ways that users went."""
 
 import os
 from pathlib import Path
 
-from mmwave_env.episodes.fcd import SUFFIXES, is_fcd
 from mmwave_env.episodes.mobility import Mobility, mobilities_of
-from mmwave_env.episodes.traffic import Traffic, read_traffic
 from mmwave_env.episodes.trajectory import Trajectory
-from mmwave_env.episodes.waypoints import read_way
-from mmwave_env.files import parse_json, read_text
+from mmwave_env.episodes.ways import Ways, read_ways
 
-Scenario = str | os.PathLike[str] | Mobility | Trajectory | Traffic
-Users = tuple[Mobility, ...] | Trajectory | Traffic
+Scenario = str | os.PathLike[str] | Mobility | Trajectory | Ways
+_OF_SUMO = (".xml", ".gz", ".parquet")
+Users = tuple[Mobility, ...] | Ways
 
 
 def users_of(scenario: Scenario) -> Users:
-    """Kinds of users that are drawn, or the ways of some.
+    """Kinds of users that are drawn, or given ways.
 
     Raises:
         ValueError: unknown scenario; the message lists the valid ones. Or a file that holds
             something else than it should.
         FileNotFoundError: there is no such file.
     """
-    if isinstance(scenario, Trajectory | Traffic):
+    if isinstance(scenario, Ways):
         return scenario
+    if isinstance(scenario, Trajectory):
+        return Ways(scenario.name, (scenario,))
     if isinstance(scenario, Mobility):
         return (scenario,)
-    path = Path(str(scenario))
-    if path.name.lower().endswith(SUFFIXES):
-        return Traffic(os.fspath(scenario)) if is_fcd(path) else read_way(scenario)
-    if _holds_traffic(path):
-        return read_traffic(path)
+    suffix = Path(str(scenario)).suffix.lower()
+    if suffix == ".csv":
+        return read_ways(scenario)
+    if suffix in _OF_SUMO:
+        raise ValueError(
+            f"scenario: found {os.fspath(scenario)!r}, expected a .csv file of ways; "
+            "examples/sumo.py makes one of SUMO's floating-car data"
+        )
     return mobilities_of(scenario)
-
-
-def _holds_traffic(path: Path) -> bool:
-    """Whether a JSON file is about traffic; if it is broken, who reads it says so."""
-    try:
-        return path.suffix == ".json" and "fcd" in parse_json(read_text(path))
-    except (ValueError, TypeError, OSError):
-        return False

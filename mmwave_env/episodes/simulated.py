@@ -36,7 +36,7 @@ from mmwave_env.episodes.simulation import (
     world_of,
 )
 from mmwave_env.episodes.travel import TravelPlan, stride_of
-from mmwave_env.episodes.ways import Ways
+from mmwave_env.episodes.ways import PlacedWays
 from mmwave_env.models.channel import channel_of
 from mmwave_env.models.envelope import STEP_S
 from mmwave_env.models.epoch import Site
@@ -79,9 +79,8 @@ class SimulatedSource:
     Attributes:
         scene: geometry and carrier; or where each episode draws its own from.
         radio: noise, blockage, multipath.
-        scenario: kind of user: a name, "mixed", a JSON file or a Mobility; or the way of one: a CSV
-            file or a Trajectory; or those of a traffic simulation: a file of floating-car data, a
-            JSON file or a Traffic.
+        scenario: kind of user: a name, "mixed", a JSON file or a Mobility; or given ways: a CSV
+            file, a Trajectory or Ways.
         dt: seconds between epochs.
         epochs: length of an episode; at most, of given ways: a window that is drawn, or all of
             one that is shorter.
@@ -275,11 +274,11 @@ class SimulatedSource:
         return plans_of(users, scene.streets.block_m)
 
     @cached_property
-    def ways(self) -> Ways:
+    def ways(self) -> PlacedWays:
         """The ways that are given, where users are not drawn."""
         users = self._users
         assert not isinstance(users, tuple)
-        return users.ways(self._example, self.dt, self.epochs)
+        return users.placed(self._example, self.dt, self.epochs)
 
     @property
     def world(self) -> World:

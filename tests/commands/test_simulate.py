@@ -9,7 +9,7 @@ import pytest
 from experiments.cli.main import run
 from mmwave_env.episodes.log_writer import log_columns, log_text
 from mmwave_env.episodes.recorded import RecordedSource
-from mmwave_env.episodes.samples import log_names, recording_from, source_from
+from mmwave_env.episodes.samples import log_names, recording_from
 from mmwave_env.episodes.simulated import SimulatedSource
 from mmwave_env.logs.log import read_log
 from mmwave_env.logs.tum import read_tum
@@ -90,28 +90,26 @@ def test_sample_logs_are_the_recordings_episodes(name):
     assert not block.incomplete.any()
 
 
-def test_an_episode_is_written_as_a_scenario_of_its_paths(tmp_path, capsys):
-    simulate(tmp_path, "--scenario", "vehicle", "--seed", 3, "--format", "deepmimo")
-    assert f"written to {tmp_path}/: params.json, objects.json," in capsys.readouterr().out
-    source = SimulatedSource(SCENES["street"], RADIOS["handset"], "vehicle")
-    episode = source.sample(np.random.default_rng(3))
-    recording = source_from(tmp_path, "handset").recording
-    np.testing.assert_array_equal(recording.position_m, episode.truth_position_m)
-    np.testing.assert_array_equal(recording.visible[:, 0], episode.usable[:, 0])
+def test_of_a_file_of_several_ways_it_tells_which_user_it_is(tmp_path, capsys):
+    ways = tmp_path / "ways.csv"
+    rows = [f"{t},{i},{20 + t},{y},1.5" for t in range(40) for i, y in (("a", -80), ("b", -70))]
+    ways.write_text("\n".join(["t,id,x,y,z", *rows]))
+    simulate(tmp_path / "out", "--scenario", ways, "--episode-steps", 20, "--seed", 1)
+    _, told = capsys.readouterr().out.splitlines()
+    user = told.removeprefix("the user is ").removesuffix(f" of {ways}")
+    y = read_tum(tmp_path / "out" / "truth.tum").position_m[:, 1]
+    np.testing.assert_allclose(y, {"a": -80.0, "b": -70.0}[user])
 
 
-@pytest.mark.parametrize("formats", [("log", "deepmimo"), ("deepmimo", "log")])
-def test_a_folder_holds_an_episode_in_one_format(tmp_path, capsys, formats):
-    first, second = formats
-    simulate(tmp_path, "--format", first)
-    names = sorted(tmp_path.iterdir())
-    for options in ([], ["--overwrite"]):
-        with pytest.raises(SystemExit):
-            simulate(tmp_path, "--format", second, *options)
-        (line,) = capsys.readouterr().err.splitlines()
-        assert f"in {tmp_path}, expected a folder without them; --out names another" in line
-    assert sorted(tmp_path.iterdir()) == names
-    simulate(tmp_path, "--format", first, "--overwrite", "--seed", 1)
+@pytest.mark.filterwarnings("always::UserWarning")
+def test_a_way_with_a_hard_turn_is_warned_of_in_a_line(tmp_path, capfd):
+    way = tmp_path / "bus.csv"
+    east = [(t, 20 + 10 * t, -80) for t in range(6)]
+    north = [(5 + t, 70, -80 + 10 * t) for t in range(1, 6)]
+    way.write_text("t,x,y,z\n" + "".join(f"{t},{x},{y},1.5\n" for t, x, y in east + north))
+    simulate(tmp_path / "out", "--scenario", way, "--episode-steps", 8)
+    (line,) = capfd.readouterr().err.splitlines()
+    assert line.startswith(f"warning: {way}: found a turn at 5 s that pulls 14.1 m/s^2 sideways;")
 
 
 @pytest.mark.parametrize(
@@ -121,7 +119,6 @@ def test_a_folder_holds_an_episode_in_one_format(tmp_path, capsys, formats):
         (["--data", "canyon28_vehicle", "--scenario", "jam"], "scenario: found 'jam', but"),
         (["--scenario", "train"], "'train'.*pedestrian"),
         (["--radio", "lab"], "'lab'.*handset"),
-        (["--format", "tum"], "format: found 'tum', expected one of log, deepmimo"),
     ],
 )
 def test_mistakes_end_with_one_clear_line(tmp_path, capsys, options, message):

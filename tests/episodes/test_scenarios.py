@@ -7,12 +7,10 @@ import pytest
 
 from mmwave_env.episodes.mobility import MOBILITIES, Mobility
 from mmwave_env.episodes.scenarios import users_of
-from mmwave_env.episodes.traffic import Traffic
 from mmwave_env.episodes.trajectory import Trajectory
+from mmwave_env.episodes.ways import Ways
 
-HERE = Path(__file__).parent
 WAY = "t,x,y,z\n0,1,-80,1.5\n1,2,-80,1.5\n2,3,-80,1.5\n"
-FCD = "timestep_time;vehicle_id;vehicle_x;vehicle_y\n0;a;1;2\n1;a;2;2\n"
 MOBILITY = {
     "phases": [
         {
@@ -29,25 +27,31 @@ MOBILITY = {
 @pytest.mark.parametrize(
     ("name", "content", "kind"),
     [
-        ("way.csv", WAY, Trajectory),
-        ("traffic.csv", FCD, Traffic),
-        ("traffic.CSV", FCD, Traffic),
-        ("traffic.json", json.dumps({"fcd": "traffic.csv"}), Traffic),
+        ("way.csv", WAY, Ways),
+        ("WAY.CSV", WAY, Ways),
         ("scooter.json", json.dumps(MOBILITY), tuple),
     ],
 )
 @pytest.mark.parametrize("as_given", [str, Path])
-def test_a_file_is_what_is_in_it(tmp_path, name, content, kind, as_given):
+def test_a_file_is_what_its_ending_says(tmp_path, name, content, kind, as_given):
     path = tmp_path / name
     path.write_text(content)
     assert isinstance(users_of(as_given(path)), kind)
 
 
 def test_objects_are_taken_as_they_are():
-    traffic = Traffic(str(HERE / "traffic.xml.gz"))
-    assert users_of(traffic) is traffic
+    walk = Trajectory("walk", [0.0, 1.0], [[1.0, -80.0, 1.5], [2.0, -80.0, 1.5]])
+    ways = Ways("both", [walk, walk])
+    assert users_of(ways) is ways
+    assert users_of(walk).trajectories == (walk,) and users_of(walk).name == "walk"
     assert users_of(MOBILITIES["jam"]) == (MOBILITIES["jam"],)
     assert all(isinstance(user, Mobility) for user in users_of("mixed"))
+
+
+@pytest.mark.parametrize("name", ["town.xml", "town.xml.gz", "town.parquet"])
+def test_files_of_sumo_are_sent_to_the_example_that_converts_them(name):
+    with pytest.raises(ValueError, match=f"found '{name}', expected a .csv .* examples/sumo.py"):
+        users_of(name)
 
 
 @pytest.mark.parametrize(
@@ -55,7 +59,6 @@ def test_objects_are_taken_as_they_are():
     [
         ("a.json", "{", "a.json: not a mobility file"),
         ("a.json", "3", "a.json: not a mobility file: found int"),
-        ("a.json", '{"fcd": "b.xml", "phases": []}', "a.json: not a traffic file: key: found 'ph"),
         ("a.csv", "1;2;3", "a.csv: header: found .*expected the columns t,x,y,z"),
         ("a.csv", "", "a.csv: header"),
     ],

@@ -3,7 +3,6 @@
 :mod:`mmwave_env.episodes.deepmimo.anchors` makes sense of them.
 """
 
-from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,20 +10,12 @@ from typing import NoReturn
 
 import numpy as np
 
-from mmwave_env.episodes.tables import refuse
+from mmwave_env.episodes.checks import refuse_in
 from mmwave_env.numerics.arrays import Array, Mask
 
 TOLERANCE_M = 0.05  # float32 files agree to 1e-4 m; places closer than this are one
 # Values of ``interactions``: a digit for each interaction, from the base station to the receiver.
-LINE_OF_SIGHT, REFLECTION, TWO_REFLECTIONS = 0.0, 1.0, 11.0
-_KINDS = {
-    LINE_OF_SIGHT: "line of sight",
-    REFLECTION: "one reflection",
-    TWO_REFLECTIONS: "two reflections",
-    2.0: "one diffraction",
-    3.0: "one scattering",
-    4.0: "one transmission",
-}
+LINE_OF_SIGHT, REFLECTION = 0.0, 1.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,8 +34,6 @@ class StationPaths:
         delay_s: (E, P) absolute.
         arrival, departure: (E, P, 2) azimuth and zenith angle at the receiver and at the station,
             rad; whether along propagation or against it, lines of sight tell.
-        doppler_hz: (E, P) as stored, positive while the path grows; None where none is stored.
-        phase_rad: (E, P) of a; None where nobody knows it.
         source: the file, and the receiver's number in it, that a key of an epoch was read from.
     """
 
@@ -57,23 +46,11 @@ class StationPaths:
     arrival: Array
     departure: Array
     source: Callable[[str, int], tuple[Path, int]]
-    doppler_hz: Array | None = None
-    phase_rad: Array | None = None
-
-    def kinds(self) -> dict[str, int]:
-        """How many paths there are of each kind, such as "line of sight"."""
-        counts: Counter[str] = Counter()
-        values, times = np.unique(
-            self.interactions[np.isfinite(self.interactions)], return_counts=True
-        )
-        for value, count in zip(values.tolist(), times.tolist(), strict=True):
-            counts[_KINDS.get(value, "other")] += count
-        return dict(counts)
 
     def refuse(self, key: str, epoch: int, found: str, expected: str) -> NoReturn:
         """Raise a ValueError about what a file says of a receiver."""
         file, receiver = self.source(key, epoch)
-        refuse(file, key, f"{found} of receiver {receiver}", expected)
+        refuse_in(file, key, f"{found} of receiver {receiver}", expected)
 
 
 @dataclass(frozen=True, eq=False)

@@ -12,13 +12,17 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from mmwave_env.episodes.checks import refuse_in
 from mmwave_env.episodes.deepmimo.anchors import StationLinks, find_links
-from mmwave_env.episodes.deepmimo.formats import open_scenario
-from mmwave_env.episodes.deepmimo.paths import LINE_OF_SIGHT, Paths
-from mmwave_env.episodes.deepmimo.way import way_of
+from mmwave_env.episodes.deepmimo.paths import LINE_OF_SIGHT, TOLERANCE_M, Paths
+from mmwave_env.episodes.deepmimo.v4 import Scenario, open_scenario
 from mmwave_env.episodes.recorded import Recording
+from mmwave_env.episodes.trajectory import Trajectory
+from mmwave_env.episodes.ways import COLUMNS, read_trajectory
 from mmwave_env.models.measurement import SPEED_OF_LIGHT, Layout, range_rate
 from mmwave_env.numerics.arrays import Array
+
+SIDECAR = "trajectory.csv"  # ours: when the user was at the receivers, one row an epoch
 
 
 def read_deepmimo(
@@ -42,7 +46,7 @@ def read_deepmimo(
     first. The Doppler shift is that of the first anchor, of the true velocity.
 
     Args:
-        folder: of a DeepMIMO scenario, of version 4 or 3.
+        folder: of a DeepMIMO v4 scenario.
         virtual_anchors: how many at most; those seen in most epochs are kept.
         ground: whether the image in the ground counts as an anchor.
         bandwidth_hz: of the signal. The scenario's own is the ray tracer's, which no path
@@ -61,13 +65,59 @@ def read_deepmimo(
     """
     scenario = open_scenario(Path(folder), receiver_set)
     epochs = scenario.epochs(users)
-    way = way_of(scenario, epochs, dt_s)
+    way = _way_of(scenario, epochs, dt_s)
     paths = replace(scenario.paths(epochs, base_station), position_m=way.position_m)
     velocity = np.asarray(way.velocity_mps)
-    return recording_of(paths, way.time_s, velocity, virtual_anchors, ground, bandwidth_hz)
+    return _recording_of(paths, way.time_s, velocity, virtual_anchors, ground, bandwidth_hz)
 
 
-def recording_of(
+def _way_of(scenario: Scenario, epochs: NDArray[np.int_], dt_s: float | None) -> Trajectory:
+    """Times, positions and velocities of the epochs.
+
+    Args:
+        scenario: of the receivers.
+        epochs: (E, 2) scenes and rows, as of :meth:`Scenario.epochs`.
+        dt_s: between epochs; then velocities are differences of positions. None for those of
+            ``trajectory.csv``.
+
+    Raises:
+        FileNotFoundError: there is no such file, and no ``dt_s``.
+        ValueError: the file is damaged or not at the receivers, or the way is none of a user:
+            epochs more than 15 s apart, or a speed that no user has.
+    """
+    position = scenario.positions(epochs)
+    if dt_s is not None:
+        if not 0.0 < dt_s < np.inf:
+            raise ValueError(f"dt_s: found {dt_s}, expected > 0")
+        return Trajectory(f"{scenario.folder}, epochs every {dt_s:g} s",
+                          dt_s * np.arange(len(position), dtype=float), position)  # fmt: skip
+    file = scenario.folder / SIDECAR
+    if not file.exists():
+        raise FileNotFoundError(
+            f"{file}: found no such file, expected the times and velocities that DeepMIMO does "
+            f"not store: a row {','.join(COLUMNS)} for each epoch; or dt_s= of "
+            "read_deepmimo, the time between them"
+        )
+    way = read_trajectory(file)
+    rows = len(scenario.scenes) if scenario.is_dynamic else scenario.receivers
+    if len(way.time_s) != rows:
+        what = "scene" if scenario.is_dynamic else "receiver in rx_pos"
+        refuse_in(file, "rows", len(way.time_s), f"{rows}, one for each {what}")
+    chosen = np.arange(rows) if scenario.is_dynamic else epochs[:, 1]
+    way = Trajectory(
+        way.name, way.time_s[chosen], way.position_m[chosen], np.asarray(way.velocity_mps)[chosen],
+        np.asarray(way.lines)[chosen].tolist(),
+    )  # fmt: skip
+    away = np.linalg.norm(way.position_m - position, axis=1) > TOLERANCE_M
+    if away.any():
+        i = int(np.argmax(away))
+        line = np.asarray(way.lines)[i]
+        refuse_in(file, f"line {line}, columns x, y, z", way.position_m[i].tolist(),
+               f"{position[i].tolist()}, rx_pos of {scenario.name_of(epochs[i])}")  # fmt: skip
+    return way
+
+
+def _recording_of(
     paths: Paths,
     time_s: Array,
     velocity_mps: Array,
@@ -130,10 +180,7 @@ def _links(paths: Paths, virtual_anchors: int, ground: bool) -> list[tuple[Stati
 
 
 def _doppler(paths: Paths, station: StationLinks, velocity_mps: Array) -> Array:
-    """Doppler shifts (E,) of the line of sight, Hz: those stored, or those of the velocities."""
-    if station.paths.doppler_hz is not None:
-        _, strongest = station.strongest(0)
-        return station.paths.doppler_hz[np.arange(len(strongest)), strongest]
+    """Doppler shifts (E,) of the line of sight, Hz, from the true velocities."""
     away = list((paths.position_m - station.paths.position_m).T)
     hz_per_mps = paths.carrier_hz / SPEED_OF_LIGHT
     return np.asarray(hz_per_mps * range_rate(away, list(velocity_mps.T)))

@@ -9,12 +9,13 @@ import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from mmwave_env.episodes.deepmimo.array_files import array_shape, find_array, read_array
-from mmwave_env.episodes.deepmimo.params import Params
+from mmwave_env.episodes.checks import refuse_in
+from mmwave_env.episodes.deepmimo.arrays import find_array, read_array
 from mmwave_env.episodes.deepmimo.paths import (
     LINE_OF_SIGHT,
     REFLECTION,
@@ -22,23 +23,71 @@ from mmwave_env.episodes.deepmimo.paths import (
     Paths,
     StationPaths,
 )
-from mmwave_env.episodes.deepmimo.scenario import Scenario, by_scene
-from mmwave_env.episodes.tables import refuse
+from mmwave_env.files import read_json
 from mmwave_env.lookup import as_name
 from mmwave_env.numerics.arrays import Array, Mask
 
+PARAMS = "params.json"  # by which a folder is known as a scenario
 _RECEIVERS = re.compile(r"rx_pos_(t\d+_tx\d+)_r(\d+)\.(?:npz|npy|mat)")
 
 
 @dataclass(frozen=True, kw_only=True)
-class V4Scenario(Scenario):
-    """A scenario with one array a file.
+class Scenario:
+    """What a folder holds, before its arrays are read.
 
     Attributes:
+        folder: of the scenario.
+        scenes: folders with the arrays, in the order of time; of a static scenario the folder.
+        stations: names of its base stations, as in those of the files.
         receiver_set: which set of receivers, such as ``001``.
+        receivers: how many there are in every scene.
+        carrier_hz: carrier frequency.
     """
 
+    folder: Path
+    scenes: tuple[Path, ...]
+    stations: tuple[str, ...]
     receiver_set: str
+    receivers: int
+    carrier_hz: float
+
+    @property
+    def is_dynamic(self) -> bool:
+        """Whether the epochs are scenes, not receivers."""
+        return self.scenes != (self.folder,)
+
+    def name_of(self, epoch: NDArray[np.int_]) -> str:
+        """The receiver of an epoch (2,), for messages."""
+        scene, row = epoch.tolist()
+        return f"receiver {row}" + (f" in {self.scenes[scene].name}" if self.is_dynamic else "")
+
+    def epochs(self, users: int | Sequence[int] | NDArray[np.int_] | None) -> NDArray[np.int_]:
+        """Scene and row (E, 2) of the receiver of every epoch.
+
+        Args:
+            users: rows of receivers, from 0. Of a static scenario one for each epoch, or None for
+                all of them. Of a dynamic one that of every scene, or one for all scenes, or None
+                where there is but one receiver.
+
+        Raises:
+            ValueError: other numbers, or another number of them.
+        """
+        rows = np.arange(self.receivers) if users is None else np.asarray(users)
+        if rows.size == 0 or rows.dtype.kind not in "iu" or rows.ndim > 1:
+            raise ValueError(f"users: found {users!r}, expected numbers of receivers")
+        outside = rows[(rows < 0) | (rows >= self.receivers)]
+        if outside.size:
+            raise ValueError(f"users: found {outside.flat[0]}, expected 0 to {self.receivers - 1}, "
+                             f"the receivers of {self.folder}")  # fmt: skip
+        if not self.is_dynamic:
+            return np.column_stack([np.zeros(rows.size, int), rows.reshape(-1)])
+        scenes = np.arange(len(self.scenes))
+        if rows.size not in (1, len(scenes)):
+            raise ValueError(
+                f"users: found {rows.size}, expected 1 or {len(scenes)}, one for each scene of "
+                f"{self.folder}, which has {self.receivers} receivers in each"
+            )
+        return np.column_stack([scenes, np.broadcast_to(rows.reshape(-1), len(scenes))])
 
     def file(self, scene: int, key: str, station: str) -> Path:
         """The file of a key.
@@ -48,29 +97,58 @@ class V4Scenario(Scenario):
         """
         return find_array(self.scenes[scene], f"{key}_{station}_r{self.receiver_set}")
 
-    def grid(self, scene: int = 0) -> Array:
-        """Positions (N, 3) of all receivers in a scene, m."""
-        return self._positions(scene, None)
-
     def positions(self, epochs: NDArray[np.int_]) -> Array:
         """Positions (E, 3) of the receivers of epochs, as of :meth:`epochs`, m."""
-        return np.concatenate([self._positions(*group) for group in by_scene(epochs)])
+        return np.concatenate([self._positions(*group) for group in _by_scene(epochs)])
+
+    def _positions(self, scene: int, rows: NDArray[np.int_]) -> Array:
+        file = self.file(scene, "rx_pos", self.stations[0])
+        return _finite(file, "rx_pos", read_array(file, "rx_pos", (self.receivers, 3), rows), rows)
 
     def paths(self, epochs: NDArray[np.int_], base_station: int | None = None) -> Paths:
-        """As of :class:`Scenario`; of .npz and .npy files nothing else is kept."""
+        """The paths of some receivers.
+
+        Args:
+            epochs: (E, 2) scenes, increasing, and rows, as of :meth:`epochs`.
+            base_station: number of the only one to read, from 1 in the order of ``stations``;
+                None for all.
+
+        Raises:
+            FileNotFoundError: a file is missing.
+            ValueError: a file can't be read or contradicts another; the message names file and
+                key.
+        """
         return Paths(
             name=as_name(self.folder.resolve().name),
             carrier_hz=self.carrier_hz,
             position_m=self.positions(epochs),
-            stations=tuple(_read_station(self, epochs, name) for name in self.chosen(base_station)),
+            stations=tuple(
+                _read_station(self, epochs, name) for name in self._chosen(base_station)
+            ),
         )
 
-    def _positions(self, scene: int, rows: NDArray[np.int_] | None) -> Array:
-        file = self.file(scene, "rx_pos", self.stations[0])
-        return _finite(file, "rx_pos", read_array(file, "rx_pos", (self.receivers, 3), rows), rows)
+    def _chosen(self, base_station: int | None) -> tuple[str, ...]:
+        """The station of a number, from 1 in the order of ``stations``; all of them for None.
+
+        Raises:
+            ValueError: there is no such number.
+        """
+        if base_station is None:
+            return self.stations
+        if not 1 <= base_station <= len(self.stations):
+            raise ValueError(
+                f"base_station: found {base_station}, expected 1 to {len(self.stations)}: "
+                f"{', '.join(self.stations)} of {self.folder}"
+            )
+        return self.stations[base_station - 1 : base_station]
 
 
-def open_v4(folder: Path, receiver_set: int | None = None) -> V4Scenario:
+def is_scenario(folder: Path) -> bool:
+    """Whether a folder says of itself that it is a scenario."""
+    return (folder / PARAMS).exists()
+
+
+def open_scenario(folder: Path, receiver_set: int | None = None) -> Scenario:
     """What a folder holds.
 
     Args:
@@ -82,28 +160,78 @@ def open_v4(folder: Path, receiver_set: int | None = None) -> V4Scenario:
         ValueError: ``params.json`` can't be read or contradicts the files, or there are several
             sets of receivers; the message names them.
     """
-    params = Params(folder)
+    if not folder.exists():
+        raise FileNotFoundError(f"{folder}: found nothing, expected the folder of a scenario")
+    if not folder.is_dir():
+        refuse_in(folder, "folder", "a file", "the folder of a DeepMIMO scenario")
+    params = _read_params(folder)
     scenes = _scenes(folder, params)
     number, stations = _stations(scenes[0], receiver_set)
     file = find_array(scenes[0], f"rx_pos_{stations[0]}_r{number}")
-    receivers, _ = array_shape(file, "rx_pos", ("N", 3))
+    receivers = len(read_array(file, "rx_pos", ("N", 3)))
     if receivers == 0:
-        refuse(file, "rx_pos", "no receivers", "at least one")
-    params.require_receivers(int(number), receivers)
-    return V4Scenario(
+        refuse_in(file, "rx_pos", "no receivers", "at least one")
+    if (points := params.points.get(int(number))) != receivers:
+        refuse_in(
+            params.file, "txrx_sets", f"{points or 'no'} points in the set of id {int(number)}",
+            f"{receivers}, the number of receivers in rx_pos",
+        )  # fmt: skip
+    return Scenario(
         folder=folder, scenes=scenes, stations=stations, receivers=receivers,
         carrier_hz=params.carrier_hz, receiver_set=number,
     )  # fmt: skip
 
 
-def _scenes(folder: Path, params: Params) -> tuple[Path, ...]:
+class _Params(NamedTuple):
+    """What is used of ``params.json``."""
+
+    file: Path
+    carrier_hz: float
+    scenes: int  # more than one makes the scenario a dynamic one
+    points: dict[int, int]  # of every set of transmitters or receivers, by its number
+
+
+def _read_params(folder: Path) -> _Params:
+    """The parameters of a scenario; errors name the file and the entry."""
+    file = folder / PARAMS
+
+    def make(content: dict[str, Any]) -> _Params:
+        sets = [("txrx_sets", name) for name in _entry(content, "txrx_sets")]
+        return _Params(
+            file,
+            float(_number(content, "rt_params", "frequency", most=1e15)),
+            _number(content, "scene", "num_scenes"),
+            {_entry(content, *at, "id"): _number(content, *at, "num_points") for at in sets},
+        )
+
+    return read_json(file, "the parameters of a scenario", make)
+
+
+def _entry(tree: Any, *keys: str) -> Any:
+    """What stands under nested keys."""
+    for depth, key in enumerate(keys, start=1):
+        if not isinstance(tree, dict) or key not in tree:
+            raise ValueError(f"{'.'.join(keys[:depth])}: found nothing, expected an entry")
+        tree = tree[key]
+    return tree
+
+
+def _number(tree: Any, *keys: str, most: float = 1e9) -> Any:
+    """A number under nested keys."""
+    value = _entry(tree, *keys)
+    if not isinstance(value, int | float) or isinstance(value, bool) or not 1 <= value <= most:
+        raise ValueError(f"{'.'.join(keys)}: found {value!r}, expected a number from 1 to {most:g}")
+    return value
+
+
+def _scenes(folder: Path, params: _Params) -> tuple[Path, ...]:
     """The folders of the scenes, in the order of time."""
     count = params.scenes
     if count == 1:
         return (folder,)
     found = sorted(sub for sub in folder.iterdir() if sub.is_dir() and any(sub.glob("rx_pos_*")))
     if len(found) != count:
-        refuse(params.file, "scene.num_scenes", count,
+        refuse_in(params.file, "scene.num_scenes", count,
                f"{len(found)}, the number of sub-folders with receivers")  # fmt: skip
     return tuple(found)
 
@@ -125,13 +253,19 @@ def _stations(scene: Path, receiver_set: int | None) -> tuple[str, tuple[str, ..
     return chosen[0], tuple(station for station, number in links if number == chosen[0])
 
 
-def _read_station(scenario: V4Scenario, epochs: NDArray[np.int_], station: str) -> StationPaths:
-    scenes = [_read_scene(scenario, scene, station, rows) for scene, rows in by_scene(epochs)]
+def _by_scene(epochs: NDArray[np.int_]) -> list[tuple[int, NDArray[np.int_]]]:
+    """Scenes, and the rows of receivers in each, of epochs (E, 2)."""
+    scenes, rows = epochs.T
+    return [(int(scene), rows[scenes == scene]) for scene in np.unique(scenes)]
+
+
+def _read_station(scenario: Scenario, epochs: NDArray[np.int_], station: str) -> StationPaths:
+    scenes = [_read_scene(scenario, scene, station, rows) for scene, rows in _by_scene(epochs)]
     here = scenes[0].pop("tx_pos")
     for scene, arrays in enumerate(scenes[1:], start=1):
         moved = arrays.pop("tx_pos")
         if np.linalg.norm(moved - here) > TOLERANCE_M:
-            refuse(scenario.file(scene, "tx_pos", station), "tx_pos", moved[0].tolist(),
+            refuse_in(scenario.file(scene, "tx_pos", station), "tx_pos", moved[0].tolist(),
                    f"{here[0].tolist()}, as in the first scene: a station that stays")  # fmt: skip
     path = {key: _stacked([arrays[key] for arrays in scenes]) for key in scenes[0]}
 
@@ -153,7 +287,7 @@ def _read_station(scenario: V4Scenario, epochs: NDArray[np.int_], station: str) 
 
 
 def _read_scene(
-    scenario: V4Scenario, scene: int, station: str, rows: NDArray[np.int_]
+    scenario: Scenario, scene: int, station: str, rows: NDArray[np.int_]
 ) -> dict[str, Array]:
     """The arrays (R, P, ...) of some receivers in a scene, and ``tx_pos`` (1, 3)."""
 
@@ -191,7 +325,7 @@ def _finite(
         at = [int(i) for i in np.argwhere(bad)[0]]
         found = array[tuple(at)]
         at[0] = at[0] if rows is None else int(rows[at[0]])
-        refuse(file, f"{key}[{', '.join(map(str, at))}]", found, "a finite number")
+        refuse_in(file, f"{key}[{', '.join(map(str, at))}]", found, "a finite number")
     return array
 
 

@@ -7,8 +7,7 @@ from hypothesis import strategies as st
 
 from mmwave_env.episodes.deepmimo import read_deepmimo
 from mmwave_env.episodes.deepmimo.anchors import find_links
-from mmwave_env.episodes.deepmimo.census import census
-from mmwave_env.episodes.deepmimo.formats import open_scenario
+from mmwave_env.episodes.deepmimo.v4 import open_scenario
 from mmwave_env.models.measurement import SPEED_OF_LIGHT, range_rate
 from tests.episodes.deepmimo.scenarios import (
     KEYS,
@@ -88,36 +87,10 @@ def test_a_station_that_there_is_not(three_stations, number):
 def test_a_station_that_nobody_sees_is_no_anchor(three_stations):
     hide_line_of_sight(three_stations, LINK, slice(None))
     assert len(read_deepmimo(three_stations).anchors_m) == 2
-    assert census(paths_of(three_stations)).unseen == ("t000_tx000",)
     for link in OTHERS:
         hide_line_of_sight(three_stations, link, slice(None))
     with pytest.raises(ValueError, match="no line of sight .0. of any station"):
         read_deepmimo(three_stations)
-
-
-def test_a_census_tells_what_there_is(three_stations):
-    edit(three_stations, "inter", lambda inter: np.where(inter == 1.0, 11.0, inter))
-    found = census(paths_of(three_stations))
-    assert found.paths == {
-        "line of sight": 17 + 26 + 22, "two reflections": 26, "one reflection": 52,
-    }  # fmt: skip
-    assert (found.epochs, found.left_out, found.unseen) == (26, 26, ())
-    kinds = [(anchor.station, anchor.kind, anchor.epochs) for anchor in found.anchors]
-    assert kinds == [
-        ("t000_tx001", "base station", 26), ("t002_tx000", "base station", 22),
-        ("t000_tx000", "base station", 17), ("t000_tx001", "image in a wall", 26),
-        ("t002_tx000", "image in a wall", 26),
-    ]  # fmt: skip
-
-
-def test_the_census_of_the_canyon():
-    found = census(paths_of(PEDESTRIAN))
-    assert found.paths == {"line of sight": 400, "one reflection": 400 + 256 + 400}
-    assert found.left_out == 0
-    assert [(anchor.kind, anchor.epochs) for anchor in found.anchors] == [
-        ("base station", 400), ("image in a wall", 400), ("image in the ground", 400),
-        ("image in a wall", 256),
-    ]  # fmt: skip
 
 
 @settings(max_examples=25, deadline=None)

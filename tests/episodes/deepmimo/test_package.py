@@ -1,20 +1,13 @@
-"""Our folders in DeepMIMO's own packages: `make deepmimo`, in an environment of its own."""
+"""Our folders in DeepMIMO's own package: `make deepmimo`, in an environment of its own."""
 
 import shutil
 
 import numpy as np
 import pytest
 
-from mmwave_env.episodes.deepmimo.formats import open_scenario
-from mmwave_env.episodes.deepmimo.writer import write_deepmimo
-from mmwave_env.episodes.recorded import Recording
-from mmwave_env.episodes.samples import recording_from
-from mmwave_env.episodes.simulated import SimulatedSource
+from mmwave_env.episodes.deepmimo.v4 import open_scenario
 from mmwave_env.models.measurement import SPEED_OF_LIGHT
-from mmwave_env.models.radio import RADIOS
-from mmwave_env.models.scene import SCENES
 from tests.episodes.deepmimo.scenarios import dynamic_twin, shortened
-from tests.episodes.deepmimo.v3_folder import write_static
 from tests.paths import RECORDINGS
 
 # numpy below 2.3, so none of the environment that all other tests run in
@@ -28,11 +21,6 @@ def shelf(tmp_path, monkeypatch):
     """The folder in which the package looks for scenarios."""
     monkeypatch.chdir(tmp_path)
     return tmp_path / "deepmimo_scenarios"
-
-
-def episode(scene):
-    source = SimulatedSource(SCENES[scene], RADIOS["handset"], "vehicle", epochs=50)
-    return Recording.of_episode(source.episode(3), source.scene, source.radio)
 
 
 def assert_read_alike(theirs, position_m, station):
@@ -78,17 +66,6 @@ def test_shipped_recordings(shelf, name):
     assert_loads(name, shelf)
 
 
-@pytest.mark.parametrize("scene", ["street", "o1"])
-def test_written_episodes(shelf, scene):
-    write_deepmimo(shelf / scene, episode(scene))
-    assert_loads(scene, shelf)
-
-
-def test_written_base_stations(shelf):
-    write_deepmimo(shelf / "stations", recording_from("canyon28_vehicle"), stations=True)
-    assert_loads("stations", shelf)
-
-
 def test_scenes_of_a_dynamic_scenario(shelf):
     folder = dynamic_twin(shortened(shelf / "static", 6), shelf / "dynamic", others=2)
     scenes = deepmimo.load("dynamic")
@@ -98,29 +75,3 @@ def test_scenes_of_a_dynamic_scenario(shelf):
         epochs = np.column_stack([np.full(3, scene), rows])
         paths = ours.paths(epochs)
         assert_read_alike(theirs, paths.position_m, paths.stations[0])
-
-
-def test_version_3_of_our_making(tmp_path):
-    """Its loader and ours read the same from the files that our tests write."""
-    three = pytest.importorskip("DeepMIMOv3")
-    static = open_scenario(RECORDINGS / "canyon28_vehicle")
-    write_static(tmp_path / "canyon", static.paths(static.epochs(None)), a_file=120)
-    wanted = {"dataset_folder": str(tmp_path), "scenario": "canyon", "user_rows": np.arange(1),
-              "num_paths": 25, "active_BS": np.array([1]), "enable_BS2BS": False}  # fmt: skip
-    (theirs,) = three.generate_data(three.default_params() | wanted)
-    scenario = open_scenario(tmp_path / "canyon")
-    paths = scenario.paths(scenario.epochs(None))
-    (station,) = paths.stations
-    np.testing.assert_array_equal(theirs["location"], station.position_m)
-    np.testing.assert_array_equal(theirs["user"]["location"], paths.position_m)
-    for epoch, user in enumerate(theirs["user"]["paths"]):
-        there = slice(user["num_paths"])
-        assert np.isfinite(station.interactions[epoch]).sum() == user["num_paths"]
-        np.testing.assert_array_equal(user["ToA"], station.delay_s[epoch, there])
-        watts = 10.0 ** (station.gain_db[epoch, there] / 10.0)  # of 1 W sent
-        np.testing.assert_allclose(user["power"], watts, rtol=1e-12)
-        for key, angles in (("DoA", station.arrival), ("DoD", station.departure)):
-            ours = np.degrees(angles[epoch, there])
-            np.testing.assert_allclose(user[f"{key}_phi"], ours[:, 0], atol=1e-9)
-            np.testing.assert_allclose(user[f"{key}_theta"], ours[:, 1], atol=1e-9)
-        np.testing.assert_array_equal(user["LoS"] == 1.0, station.interactions[epoch, there] == 0)

@@ -221,20 +221,20 @@ def write(file, content):
 
 DAMAGE = {
     "no params": (drop("params.json"), ["params.json", "no such file"]),
-    "params not JSON": (write("params.json", b"{"), ["params.json", "JSON"]),
-    "params not text": (write("params.json", b"\xff\x00"), ["params.json", "JSON"]),
-    "params a list": (write("params.json", b"[]"), ["params.json", "scene", "nothing"]),
+    "params not JSON": (write("params.json", b"{"), ["params.json", "not the parameters"]),
+    "params not text": (write("params.json", b"\xff\x00"), ["params.json", "expected"]),
+    "params a list": (write("params.json", b"[]"), ["params.json", "found list"]),
     "no frequency": (
         lambda f: edit_params(f, lambda p: p["rt_params"].pop("frequency")),
         ["params.json", "rt_params.frequency", "nothing"],
     ),
     "frequency a word": (
         lambda f: edit_params(f, lambda p: p["rt_params"].update(frequency="28 GHz")),
-        ["rt_params.frequency", "28 GHz", "positive number"],
+        ["rt_params.frequency", "28 GHz", "a number"],
     ),
     "frequency without end": (
-        lambda f: edit_params(f, lambda p: p["rt_params"].update(frequency=10**400)),
-        ["rt_params.frequency", "positive number"],
+        lambda f: edit_params(f, lambda p: p["rt_params"].update(frequency=10**200)),
+        ["rt_params.frequency", "a number from 1 to"],
     ),
     "dynamic scenario": (
         lambda f: edit_params(f, lambda p: p["scene"].update(num_scenes=7)),
@@ -242,7 +242,7 @@ DAMAGE = {
     ),
     "other number of points": (
         lambda f: edit_params(f, lambda p: p["txrx_sets"]["txrx_set_1"].update(num_points=9)),
-        ["params.json", "num_points", "found 9", "expected 120"],
+        ["params.json", "found 9 points in the set of id 1", "expected 120"],
     ),
     "no such set": (
         lambda f: edit_params(f, lambda p: p.update(txrx_sets={})),

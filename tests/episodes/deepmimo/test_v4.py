@@ -11,8 +11,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mmwave_env.episodes.deepmimo import array_files, read_deepmimo
-from mmwave_env.episodes.deepmimo.formats import open_scenario
+from mmwave_env.episodes.deepmimo import arrays, read_deepmimo
+from mmwave_env.episodes.deepmimo.v4 import open_scenario
 from mmwave_env.episodes.recorded import Recording
 from mmwave_env.episodes.samples import source_from
 from tests.episodes.deepmimo.scenarios import (
@@ -26,7 +26,6 @@ from tests.episodes.deepmimo.scenarios import (
     load,
     set_counts,
     shortened,
-    store,
 )
 
 FIELDS = ("anchors_m", "time_s", "measurement", "visible", "path_gain_db", "position_m",
@@ -137,13 +136,13 @@ def test_a_grid_is_known_before_its_paths_are_read(static):
     for file in static.glob("[!r]*.npz"):
         file.unlink()
     scenario = open_scenario(static)
-    np.testing.assert_array_equal(scenario.grid(), load(static, "rx_pos"))
     chosen = scenario.positions(scenario.epochs([3, 1]))
     np.testing.assert_array_equal(chosen, load(static, "rx_pos")[[3, 1]])
 
 
-def test_a_grid_without_chosen_users_is_refused_before_it_is_read(static, monkeypatch):
-    monkeypatch.setattr(array_files, "MOST_BYTES", 12 * 4 * 8)  # all paths of a key, not bounces
+def test_a_grid_without_chosen_users_is_refused_before_it_is_read(tmp_path, monkeypatch):
+    static = shortened(tmp_path / "grid", 12, ".npy")
+    monkeypatch.setattr(arrays, "MOST_BYTES", 12 * 4 * 8)  # all paths of a key, not bounces
     with pytest.raises(ValueError, match=r"inter_pos: found 12 rows .* choose users"):
         read_deepmimo(static)
 
@@ -164,7 +163,7 @@ def test_names_in_the_parameters_lead_nowhere(static):
 @pytest.mark.parametrize("scenes", [11, 13, 10**9, 10**30, 0, -1, 2.5, "12", True, None])
 def test_a_number_of_scenes_that_there_are_not(dynamic, scenes):
     edit_params(dynamic, lambda params: params["scene"].update(num_scenes=scenes))
-    with pytest.raises(ValueError, match=r"params.json: scene.num_scenes: found") as error:
+    with pytest.raises(ValueError, match=r"params.json: .*scene.num_scenes: found") as error:
         read_deepmimo(dynamic)
     assert str(scenes) in str(error.value)
 
@@ -317,7 +316,3 @@ def test_the_paths_are_those_of_the_files(static):
     zenith = np.degrees(station.arrival[there, 1])
     np.testing.assert_allclose(zenith, load(static, "aoa_el")[there], rtol=1e-12)
     assert station.source("power", 3) == (static / f"power_{LINK}.npz", 3)
-    assert station.kinds() == {"line of sight": 12, "one reflection": int((inter == 1).sum())}
-    store(static, "inter", np.where(inter == 1.0, 11.0, inter))
-    (station,) = scenario.paths(scenario.epochs([0, 1])).stations
-    assert station.kinds() == {"line of sight": 2, "two reflections": int((inter[:2] == 1).sum())}

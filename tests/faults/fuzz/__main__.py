@@ -17,8 +17,7 @@ import atheris
 ROOMS = [
     "mmwave_env.files", "mmwave_env.records", "mmwave_env.lookup", "mmwave_env.logs",
     "mmwave_env.models.scene", "mmwave_env.models.radio", "mmwave_env.episodes.deepmimo",
-    "mmwave_env.episodes.mobility", "mmwave_env.episodes.tables",
-    "mmwave_env.episodes.trajectory", "mmwave_env.episodes.fcd",
+    "mmwave_env.episodes.mobility", "mmwave_env.episodes.trajectory", "mmwave_env.episodes.ways",
     "mmwave_env.filters.bank", "mmwave_env.filters.mode_files",
     "policies.policy_file", "experiments.webpage", "experiments.sweeping",
     "experiments.evaluation.runs", "experiments.training.hyperparameters",

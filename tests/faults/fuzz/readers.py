@@ -16,12 +16,10 @@ from experiments.evaluation.runs import Run
 from experiments.sweeping.spec import read_spec
 from experiments.training.hyperparameters import read_hyperparameters, shipped_hyperparameters
 from experiments.webpage.sources import read_source
-from mmwave_env.episodes.deepmimo.formats import open_scenario
 from mmwave_env.episodes.deepmimo.recording import read_deepmimo
-from mmwave_env.episodes.fcd import read_fcd
 from mmwave_env.episodes.mobility import read_mobility
 from mmwave_env.episodes.recorded import Recording
-from mmwave_env.episodes.trajectory import read_trajectory
+from mmwave_env.episodes.ways import read_ways
 from mmwave_env.filters.bank import read_bank
 from mmwave_env.logs.log import LogBlock, read_log
 from mmwave_env.logs.tum import read_tum
@@ -29,7 +27,6 @@ from mmwave_env.models.radio import read_radio
 from mmwave_env.models.scene import SCENES, read_scene, scene_json
 from policies.policy_file import _checksum, read_policy, save
 from tests.episodes.deepmimo.scenarios import shortened
-from tests.episodes.deepmimo.v3_folder import write_static
 from tests.paths import LOGS, ROOT
 from tests.training.actors import actor, card_of
 
@@ -141,15 +138,6 @@ def _scenario(suffix: str) -> Content:
         return {path.name: path.read_bytes() for path in made.iterdir()}
 
 
-def _scenario_v3() -> Content:
-    with TemporaryDirectory() as folder:
-        static = open_scenario(shortened(Path(folder, "v4"), EPOCHS))
-        made = Path(folder, "v3")
-        write_static(made, static.paths(static.epochs(None)))
-        (made / "trajectory.csv").write_bytes(Path(folder, "v4", "trajectory.csv").read_bytes())
-        return {path.name: path.read_bytes() for path in made.iterdir()}
-
-
 _LIMITS = {
     "acceleration_mps2": [0.5, 1.0], "braking_mps2": [0.5, 1.0], "lateral_mps2": [0.5, 1.0],
     "jerk_mps3": 1.0, "corner_radius_m": 1.0,
@@ -175,11 +163,6 @@ hyperparameters.learning_rate = { low = 1e-4, high = 1e-2, log = true }
 hyperparameters.n_epochs = { low = 4, high = 16 }
 hyperparameters.hidden = [[64, 64], [32]]
 """
-_STEP = (
-    '<timestep time="%.1f"><vehicle id="a" x="%.1f" y="2.0" angle="90.0" type="car" speed="5.0"/>'
-    '<person id="b" x="1.0" y="%.1f" angle="0.0" speed="1.0" edge="e"/></timestep>\n'
-)  # fmt: skip
-_TRAFFIC = f"<fcd-export>\n{''.join(_STEP % (t, 5 * t, t) for t in range(6))}</fcd-export>\n"
 _RESULTS = (ROOT / "docs" / "results.json").read_bytes()
 
 
@@ -228,7 +211,7 @@ READERS = (
     Reader("mobility", _alone("walk.json", _json(_WALK)),
            lambda folder: read_mobility(folder / "walk.json")),
     Reader("trajectory", _alone("way.csv", _WAY),
-           lambda folder: read_trajectory(folder / "way.csv")),
+           lambda folder: read_ways(folder / "way.csv")),
     Reader("policy file", _policy, _read_policy),
     Reader("policy file, signed anew",
            _alone("policy.safetensors", _json(card_of().as_json())),
@@ -244,9 +227,6 @@ READERS = (
            _read_results),
     Reader("DeepMIMO folder", lambda: _scenario(".npz"), read_deepmimo),
     Reader("DeepMIMO folder, .mat", lambda: _scenario(".mat"), read_deepmimo),
-    Reader("DeepMIMO v3 folder", _scenario_v3, read_deepmimo),
-    Reader("traffic of SUMO", _alone("fcd.xml", _TRAFFIC.encode()),
-           lambda folder: read_fcd(folder / "fcd.xml", lambda *_: True)),
     Reader(
         "sweep", _alone("grid.toml", _GRID), _read_sweep,
         also={"grid.toml": _SEARCH},

@@ -1,1 +1,0 @@
-"""What a data set is: recognized, read in blocks, summed up."""

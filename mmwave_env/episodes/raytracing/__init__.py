@@ -1,1 +1,0 @@
-"""Recordings from the ray tracer Sionna RT: from its paths, or along a way, in a child process."""

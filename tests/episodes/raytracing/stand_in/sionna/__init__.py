@@ -1,1 +1,0 @@
-"""Takes the place of Sionna in the process of the ray tracer, where it is not installed."""
