@@ -1,0 +1,117 @@
+"""SUMO: floating-car data as ways, of which every episode draws one.
+
+python examples/sumo.py traffic.xml.gz ways.csv --scene street
+mmwave-loc compare --policies fixed-ekf imm --scenario ways.csv --episode-steps 60
+
+The first argument is what `sumo --fcd-output` writes, XML, perhaps gzipped. With --make it is made
+first: vehicles and pedestrians go at random through a grid of streets with traffic lights
+(pip install -r examples/sumo.txt).
+"""
+
+import argparse
+import csv
+import gzip
+import os
+import subprocess
+import sys
+from importlib.metadata import distribution
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from xml.etree import ElementTree
+
+import numpy as np
+
+from mmwave_env.episodes.trajectory import Trajectory
+from mmwave_env.models.scene import scene_from
+
+
+def read_trips(path):
+    """Times and positions (N, 3) t, x, y of every vehicle and person, by id."""
+    trips = {}
+    with (gzip.open if path.suffix == ".gz" else open)(path, "rb") as file:
+        for _, step in ElementTree.iterparse(file):
+            if step.tag == "timestep":
+                for user in step:
+                    row = (step.get("time"), user.get("x"), user.get("y"))
+                    trips.setdefault(user.get("id"), []).append(tuple(map(float, row)))
+                step.clear()
+    return {name: np.array(rows) for name, rows in trips.items()}
+
+
+def ways_in(scene, trips, least_s, shift_m=None):
+    """Trips that a user can go in a scene, as trajectories; says which ones are left out, and why.
+
+    The middle of the traffic is put on the middle of the streets, unless a shift is given.
+    """
+    places = np.concatenate([rows[:, 1:] for rows in trips.values()])
+    if shift_m is None:
+        streets = np.mean([scene.streets.x_m, scene.streets.y_m], axis=1)
+        shift_m = np.round(streets - 0.5 * (places.min(axis=0) + places.max(axis=0)), 2)
+    print(f"{len(trips)} trips, moved by {tuple(map(float, shift_m))} m")
+    ways, short = [], 0
+    for name, rows in trips.items():
+        place = np.pad(
+            rows[:, 1:] + shift_m, [(0, 0), (0, 1)], constant_values=scene.streets.height_m
+        )
+        if np.ptp(rows[:, 0]) < least_s:
+            short += 1
+            continue
+        try:
+            way = Trajectory(name, rows[:, 0], place)
+            way.way(scene, 1.0)  # refuses what is behind a wall
+        except ValueError as error:
+            print(f"left out: {error}")
+        else:
+            ways.append(way)
+    print(f"{short} left out, shorter than {least_s:g} s")
+    return ways
+
+
+def write_ways(path, ways):
+    with path.open("w", newline="") as file:
+        writer = csv.writer(file)
+        writer.writerow(["t", "id", "x", "y", "z"])
+        for way in ways:
+            for t, place in zip(way.time_s, way.position_m, strict=True):
+                writer.writerow([f"{t:g}", way.name, *(f"{value:.2f}" for value in place)])
+    print(f"{len(ways)} ways written to {path}")
+
+
+def make_traffic(out, seconds, seed, blocks=2, block_m=80):
+    """Traffic by SUMO's programs netgenerate, randomTrips.py and sumo."""
+    home = Path(distribution("eclipse-sumo").locate_file("sumo"))
+
+    def run(program, *options):
+        tool = program.endswith(".py")
+        file = home / ("tools" if tool else "bin") / program
+        words = [sys.executable] * tool + [file, *options]
+        subprocess.run(list(map(str, words)), cwd=folder, check=True, stdout=subprocess.DEVNULL,
+                       env=os.environ | {"SUMO_HOME": str(home)})  # fmt: skip
+
+    with TemporaryDirectory() as folder:
+        run("netgenerate", "--grid", "--grid.number", blocks + 1, "--grid.length", block_m,
+            "--default-junction-type", "traffic_light", "--sidewalks.guess", "--crossings.guess",
+            "--no-turnarounds", "-o", "net.xml")  # fmt: skip
+        for kind, more in (("vehicle", []), ("pedestrian", ["--pedestrians"])):
+            run("randomTrips.py", "-n", "net.xml", "-o", f"{kind}.trips.xml", "-r", f"{kind}.xml",
+                "-e", seconds, "-p", 8, "--seed", seed, "--prefix", kind,
+                "--min-distance", 0.5 * blocks * block_m, *more)  # fmt: skip
+        run("sumo", "-n", "net.xml", "-r", "vehicle.xml,pedestrian.xml", "-e", seconds,
+            "--seed", seed, "--no-step-log", "--step-length", 1, "--lanechange.duration", 3,
+            "--fcd-output", out.resolve())  # fmt: skip
+
+
+if __name__ == "__main__":
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser.add_argument("traffic", type=Path, help="floating-car data, .xml or .xml.gz")
+    parser.add_argument("ways", type=Path, help="the CSV file to write")
+    parser.add_argument("--scene", default="street", help="whose streets the traffic is put on")
+    parser.add_argument("--least", type=float, default=60.0, help="seconds that a trip lasts")
+    parser.add_argument("--shift", type=float, nargs=2, help="meters, in place of the middle")
+    parser.add_argument("--make", type=int, metavar="SECONDS", help="make the traffic first")
+    parser.add_argument("--seed", type=int, default=0, help="of the traffic that is made")
+    args = parser.parse_args()
+    if args.make:
+        make_traffic(args.traffic, args.make, args.seed)
+    trips = read_trips(args.traffic)
+    write_ways(args.ways, ways_in(scene_from(args.scene), trips, args.least, args.shift))

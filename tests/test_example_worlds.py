@@ -1,0 +1,155 @@
+"""Examples that make worlds: SUMO's traffic as ways, ray-traced streets as a DeepMIMO folder."""
+
+import gzip
+import importlib.util
+import os
+import subprocess
+import sys
+from importlib.metadata import PackageNotFoundError, distribution
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from mmwave_env.episodes.deepmimo import read_deepmimo
+from mmwave_env.episodes.ways import read_ways
+from mmwave_env.models.measurement import SPEED_OF_LIGHT
+from mmwave_env.models.scene import SCENES
+from mmwave_env.task import task_from
+from tests.paths import RECORDINGS, ROOT
+
+
+def loaded(name):
+    spec = importlib.util.spec_from_file_location(name, ROOT / "examples" / f"{name}.py")
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+def run(name, *options, cwd):
+    words = [sys.executable, ROOT / "examples" / f"{name}.py", *options]
+    done = subprocess.run(list(map(str, words)), cwd=cwd, env=os.environ | {"PYTHONPATH": str(ROOT)},
+                          capture_output=True, text=True)  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    return done.stdout
+
+
+@pytest.mark.parametrize("name", ["raytrace", "sumo"])
+def test_a_world_s_example_is_short(name):
+    assert len((ROOT / "examples" / f"{name}.py").read_text("utf-8").splitlines()) <= 120
+
+
+# --- SUMO
+
+
+def write_traffic(path):
+    """What `sumo --fcd-output` writes: a car, a pedestrian, a short trip, one behind the wall."""
+    steps = []
+    for t in range(91):
+        users = [f'<vehicle id="car" x="{60 + t}" y="100.0" type="car" speed="1.0"/>',
+                 f'<person id="walker" x="60.0" y="{30 + t}" speed="1.0"/>',
+                 f'<vehicle id="lost" x="{60 + t}" y="{100 + 2 * t}" speed="1.0"/>']  # fmt: skip
+        users += [f'<vehicle id="brief" x="{t}" y="9.0" speed="1.0"/>'] * (t < 20)
+        steps.append(f'<timestep time="{t}.00">{"".join(users)}</timestep>')
+    content = f"<?xml version='1.0'?>\n<fcd-export>{''.join(steps)}</fcd-export>\n".encode()
+    path.write_bytes(gzip.compress(content) if path.suffix == ".gz" else content)
+
+
+@pytest.mark.parametrize("name", ["traffic.xml", "traffic.xml.gz"])
+def test_trips_become_ways_that_episodes_draw_from(tmp_path, name):
+    write_traffic(tmp_path / name)
+    said = run("sumo", name, "ways.csv", "--shift", 0, -140, cwd=tmp_path)
+    assert "4 trips, moved by (0.0, -140.0) m" in said
+    assert "left out: lost, row 34: x, y, z: found 93, 26, 1.5, expected y below 25 m" in said
+    assert "1 left out, shorter than 60 s" in said and "2 ways written to ways.csv" in said
+    car, walker = read_ways(tmp_path / "ways.csv").trajectories
+    np.testing.assert_array_equal(car.time_s, np.arange(91.0))
+    np.testing.assert_array_equal(car.position_m[[0, -1]], [[60, -40, 1.5], [150, -40, 1.5]])
+    source = task_from(scenario=tmp_path / "ways.csv", episode_steps=60).source
+    names = {source.sample(np.random.default_rng(seed)).name for seed in range(9)}
+    assert names == {car.name, walker.name}
+
+
+def test_the_middle_of_the_traffic_becomes_that_of_the_streets(tmp_path, capsys):
+    write_traffic(tmp_path / "traffic.xml")
+    sumo, street = loaded("sumo"), SCENES["street"]
+    sumo.ways_in(street, sumo.read_trips(tmp_path / "traffic.xml"), 60.0)
+    assert "moved by (5.0, -224.5) m" in capsys.readouterr().out  # x 0..150, y 9..280
+
+
+@pytest.mark.slow
+def test_sumo_makes_traffic(tmp_path):
+    try:
+        distribution("eclipse-sumo")
+    except PackageNotFoundError:
+        pytest.skip("needs examples/sumo.txt")
+    run("sumo", "--make", 120, "town.xml.gz", "ways.csv", "--least", 40, cwd=tmp_path)
+    assert len(read_ways(tmp_path / "ways.csv").trajectories) > 9
+
+
+# --- ray tracing
+
+STATION, WALL_Y = np.array([-5.0, 4.0, 6.0]), 10.0
+USERS = np.column_stack([np.linspace(0.0, 20.0, 21), np.full(21, -2.0), np.full(21, 1.5)])
+
+
+def sionna_paths(users_m, hidden=()):
+    """What Sionna RT's solver returns of a street with one wall, as far as the example reads it.
+
+    Arrays are [receiver, transmitter, path], those of interactions have a depth in front. The line
+    of sight is not the first path, and some receivers have none.
+    """
+    image = STATION * [1, -1, 1] + [0, 2 * WALL_Y, 0]
+    share = (WALL_Y - users_m[:, 1]) / (image[1] - users_m[:, 1])
+    bounce = users_m + share[:, None] * (image - users_m)
+    ends = [np.stack([bounce, np.broadcast_to(STATION, users_m.shape)], axis=1),
+            np.stack([bounce, users_m], axis=1)]  # fmt: skip
+    aim_r, aim_t = ends[0] - users_m[:, None], ends[1] - STATION
+    length = np.stack([np.linalg.norm(image - users_m, axis=1),
+                       np.linalg.norm(STATION - users_m, axis=1)], axis=1)  # fmt: skip
+    valid = np.ones((len(users_m), 1, 2), bool)
+    valid[list(hidden), 0, 1] = False
+    angles = {}
+    for end, aim in (("r", aim_r), ("t", aim_t)):
+        x, y, z = np.moveaxis(aim, -1, 0)
+        angles[f"phi_{end}"] = np.arctan2(y, x)[:, None]
+        angles[f"theta_{end}"] = np.arctan2(np.hypot(x, y), z)[:, None]
+    gain = (1e-3 / length)[:, None, None, None]
+    vertices = np.stack([bounce, np.zeros_like(bounce)], axis=1)[:, None]
+    kinds = np.broadcast_to([1, 0], (1, len(users_m), 1, 2))
+    return SimpleNamespace(
+        a=(gain, 0.0 * gain), tau=(length / SPEED_OF_LIGHT)[:, None], valid=valid,
+        interactions=kinds, vertices=vertices[None], **angles,
+    )  # fmt: skip
+
+
+def test_traced_paths_become_a_folder_that_is_read(tmp_path):
+    """The shapes are those of Sionna RT 2.2; the solver itself runs where that is installed."""
+    raytrace, velocity = loaded("raytrace"), np.tile([10.0, 0.0, 0.0], (21, 1))
+    blocks = [raytrace.arrays_of(sionna_paths(USERS[:12], hidden=[3])),
+              raytrace.arrays_of(sionna_paths(USERS[12:]))]  # fmt: skip
+    arrays = {key: raytrace.joined([block[key] for block in blocks]) for key in blocks[0]}
+    track = np.hstack([USERS, velocity])
+    raytrace.write_folder(tmp_path / "way", arrays, 28e9, STATION, 0.1 * np.arange(21), track)
+    recording = read_deepmimo(tmp_path / "way")
+    np.testing.assert_allclose(recording.anchors_m, [STATION, [-5.0, 16.0, 6.0]], atol=1e-4)
+    assert recording.visible[:, 0].tolist() == [row != 3 for row in range(21)]
+    assert recording.visible[:, 1].all()
+    np.testing.assert_array_equal(recording.velocity_mps, velocity)
+    direct = np.linalg.norm(USERS - STATION, axis=1)
+    seen = recording.visible[:, 0]
+    np.testing.assert_allclose(recording.measurement[seen, 0], direct[seen], atol=1e-4)
+    loss = 20.0 * np.log10(1e-3 / direct[seen])
+    np.testing.assert_allclose(recording.path_gain_db[seen, 0], loss, atol=1e-4)
+    assert len(task_from(episodes=tmp_path / "way").source.sample(np.random.default_rng(0))) == 21
+
+
+@pytest.mark.slow
+def test_a_shipped_recording_is_traced_again(tmp_path):
+    pytest.importorskip("sionna.rt", reason="needs examples/raytrace.txt")
+    shipped = RECORDINGS / "canyon28_walk_ride_walk"
+    run("raytrace", shipped / "trajectory.csv", tmp_path / "again", cwd=tmp_path)
+    found, expected = read_deepmimo(tmp_path / "again"), read_deepmimo(shipped)
+    np.testing.assert_array_equal(found.visible, expected.visible)
+    rows = np.repeat(expected.visible, [4, 4, 4, 1], axis=1)
+    np.testing.assert_allclose(found.measurement[rows], expected.measurement[rows], atol=1e-4)
