@@ -28,8 +28,10 @@ def loaded(name):
 
 def run(name, *options, cwd):
     words = [sys.executable, ROOT / "examples" / f"{name}.py", *options]
-    done = subprocess.run(list(map(str, words)), cwd=cwd, env=os.environ | {"PYTHONPATH": str(ROOT)},
-                          capture_output=True, text=True)  # fmt: skip
+    environment = os.environ | {"PYTHONPATH": str(ROOT)}
+    done = subprocess.run(
+        list(map(str, words)), cwd=cwd, env=environment, capture_output=True, text=True
+    )
     assert done.returncode == 0, done.stderr
     return done.stdout
 
