@@ -18,7 +18,7 @@ from mmwave_env.engines.copies import Copied
 from mmwave_env.engines.env_engine import Engine
 from mmwave_env.engines.replay import Replay
 from mmwave_env.engines.tally import Tally, count
-from mmwave_env.episodes.keys import draw_key, key_from, option_of
+from mmwave_env.episodes.keys import draw_key, key_from, keys_at, option_of, stream_of
 from mmwave_env.episodes.simulated import SimulatedSource
 from mmwave_env.filters.mode_files import default_modes, modes_from
 from mmwave_env.filters.pipeline import Pipeline
@@ -146,10 +146,10 @@ class MmWaveLocEnv(Copied, gym.Env[NDArray[np.float32], np.int64]):
 
     ## Keys
 
-    A simulated episode is a function of its key, 64 bits that `reset` draws from the environment's
-    generator. `reset(options={"episode_key": key})` plays that episode again, in this environment
-    or any other with the same scenario, scene, radio and steps. The user goes the same way with
-    another radio, too.
+    A simulated episode is a function of its key, 64 bits that follow from the environment's seed
+    and the number of episodes begun since. `reset(options={"episode_key": key})` plays that
+    episode again, in this environment or any other with the same scenario, scene, radio and
+    steps. The user goes the same way with another radio, too.
 
     ## Copies
 
@@ -258,6 +258,7 @@ class MmWaveLocEnv(Copied, gym.Env[NDArray[np.float32], np.int64]):
         self._steps, self._length = 0, 0
         self._sums, self._errors, self._second = [0.0], [[0.0]], 1
         self._actions = np.empty(0, np.int64)
+        self._stream, self._stream_from = np.zeros(2, np.uint64), None
         self._set_up_noting()
         rows = drawn_rows(self._engine.at, self._engine.span)
         axes = len(self._task.pipeline.position_axes)
@@ -337,10 +338,20 @@ class MmWaveLocEnv(Copied, gym.Env[NDArray[np.float32], np.int64]):
             episode = task.draw(self.np_random)
             engine.reset([episode])
             return {"episode_name": episode.name, "nonfinite": episode.nonfinite}
-        key = draw_key(self.np_random) if key is None else key
+        key = self._next_key() if key is None else key
         (name,) = engine.begin(task, np.array([key], np.uint64), _HERE)
         engine.batch.advance()
         return {"episode_name": name, "episode_key": np.uint64(key), "nonfinite": 0}
+
+    def _next_key(self) -> int:
+        """The key of the next episode in the stream of the environment's seed."""
+        rng, seed = self.np_random, self.np_random_seed
+        if rng is not self._stream_from:  # seeded anew, or somebody's own, whose seed is -1
+            self._stream_from = rng
+            self._stream[:] = draw_key(rng) if seed == -1 else stream_of(seed), 0
+        (key,) = keys_at(*self._stream)
+        self._stream[1] += np.uint64(1)
+        return int(key)
 
     def step(
         self, action: np.int64

@@ -20,7 +20,7 @@ from mmwave_env.engines.env_engine import Engine
 from mmwave_env.engines.replay import Replay
 from mmwave_env.engines.tally import Tally
 from mmwave_env.engines.vector_step import StepBuffers, Stepper
-from mmwave_env.episodes.keys import Generators, Keys, keys_from, option_of
+from mmwave_env.episodes.keys import Keys, Streams, keys_from, option_of
 from mmwave_env.info import (
     INFOS,
     NONFINITE_KEY,
@@ -138,7 +138,7 @@ class MmWaveLocVectorEnv(Copied, gym.vector.VectorEnv[Observations, Index, NDArr
         self.single_action_space = cast(Any, spaces.Discrete(len(self.observation.actions)))
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
-        self._generators = Generators(num_envs, task.has_keys)
+        self._streams = Streams(num_envs)
         self._names = np.full(num_envs, "", object)  # of the episodes, for pictures
         self._begun = False
         self._mode_count = np.array(len(self.observation.actions), np.uint64)
@@ -202,7 +202,7 @@ class MmWaveLocVectorEnv(Copied, gym.vector.VectorEnv[Observations, Index, NDArr
             self._task.require_keys(seed)
             keys = keys_from(keys, self.num_envs)[places]
         self._begun &= not chosen.all()  # until all is drawn
-        self._generators.seed_some(seed, places)
+        self._streams.seed_some(seed, places)
         drawn = self._draw(places, keys)
         _, state = self._stepper.start(places)
         self._begun = True
@@ -231,13 +231,13 @@ class MmWaveLocVectorEnv(Copied, gym.vector.VectorEnv[Observations, Index, NDArr
 
     @property  # type: ignore[misc]
     def np_random(self) -> Any:
-        """A generator for each environment, which draws what the environment will."""
-        return self._generators.copies()
+        """A generator for each environment, from which a source of your own draws episodes."""
+        return self._streams.generators()
 
     @property
     def np_random_seed(self) -> Any:
         """The seed of each environment, as of a `SyncVectorEnv`."""
-        return self._generators.seeds()
+        return self._streams.seeds()
 
     def _draw(self, places: Index, keys: Keys | None = None) -> dict[str, NDArray[Any]]:
         """Begin episodes in some environments; what ``reset`` tells of them, (N,) each."""
@@ -245,14 +245,14 @@ class MmWaveLocVectorEnv(Copied, gym.vector.VectorEnv[Observations, Index, NDArr
         told: dict[str, NDArray[Any]] = {"episode_name": np.full(self.num_envs, None, object)}
         told["nonfinite"] = np.zeros(self.num_envs, np.int64)
         if task.has_keys:
-            keys = self._generators.keys(places) if keys is None else keys
+            keys = self._streams.keys(places) if keys is None else keys
             for first in range(0, len(places), BEGUN):
                 now = slice(first, first + BEGUN)
                 names = engine.begin(task, keys[now], places[now], self._threads)
                 told["episode_name"][places[now]] = names
             told["episode_key"] = engine.keys.copy()
         else:
-            drawn = [task.draw(self._generators.whole(int(place))) for place in places]
+            drawn = [task.draw(self._streams.generator(int(place))) for place in places]
             engine.load(drawn, places)
             told["episode_name"][places] = [episode.name for episode in drawn]
             told["nonfinite"][places] = [episode.nonfinite for episode in drawn]
@@ -397,13 +397,13 @@ class MmWaveLocVectorEnv(Copied, gym.vector.VectorEnv[Observations, Index, NDArr
 
         Raises:
             ResetNeeded: no episode is under way.
-            ValueError: episodes come from a source that is given whole generators.
+            ValueError: episodes come from a source that draws from generators.
         """
         if not self._begun:
             raise ResetNeeded("Call reset before state: there is no episode under way.")
         self._require_simulated("state")
         return {name: array.copy() for name, array in self._arrays().items()} | {
-            "generators": self._generators.states(), "over": self._over.copy(),
+            "streams": self._streams.states(), "over": self._over.copy(),
             "actions": self._history.all(),
         }  # fmt: skip
 
@@ -424,13 +424,13 @@ class MmWaveLocVectorEnv(Copied, gym.vector.VectorEnv[Observations, Index, NDArr
 
         Raises:
             ValueError: that of an environment with others, as far as its arrays show; or
-                episodes come from a source that is given whole generators.
+                episodes come from a source that draws from generators.
         """
         self._require_simulated("restore")
         n, history, source = self.num_envs, self._history, self._task.simulated
         self._make_room()
         arrays = self._arrays()
-        others = {"generators": (n, 4), "over": (n,), "actions": history.rows.shape}
+        others = {"streams": (n, 2), "over": (n,), "actions": history.rows.shape}
         for name, shape in (others | {key: array.shape for key, array in arrays.items()}).items():
             found = state[name].shape if name in state else "nothing"
             if found != shape:
@@ -445,7 +445,7 @@ class MmWaveLocVectorEnv(Copied, gym.vector.VectorEnv[Observations, Index, NDArr
             )
         for name, array in arrays.items():
             array[:] = state[name]
-        self._generators.set_states(state["generators"])
+        self._streams.set_states(state["streams"])
         history.set_all(state["actions"])
         self._over, self._ended = state["over"].copy(), int(np.count_nonzero(state["over"]))
         if self._baseline:

@@ -11,7 +11,7 @@ from typing import Any, cast
 import numpy as np
 
 from mmwave_env.episodes.episode import Episode, EpisodeSource
-from mmwave_env.episodes.keys import Keys, draw_key, key_from
+from mmwave_env.episodes.keys import Keys, key_from, keys_of
 
 TUNING_SEED = 5_000_000
 TRAINING_SEED = 10_000_000  # of the first training; each has a million of its own
@@ -176,8 +176,3 @@ def draw_episodes(source: EpisodeSource, seeds: Sequence[int]) -> list[Episode]:
         ValueError: no seeds, or a negative one.
     """
     return Selection(seeds).draw(source)
-
-
-def keys_of(seeds: Sequence[int]) -> Keys:
-    """The keys of the episodes that ``env.reset(seed=...)`` draws where they have some."""
-    return np.array([draw_key(np.random.default_rng(seed)) for seed in seeds], np.uint64)

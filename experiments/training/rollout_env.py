@@ -19,7 +19,7 @@ from mmwave_env.compiler.lanes import WIDTH
 from mmwave_env.compiler.program import rows_of
 from mmwave_env.engines.env_engine import Engine
 from mmwave_env.engines.track_engine import untuned
-from mmwave_env.episodes.keys import Generators
+from mmwave_env.episodes.keys import Streams
 from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.models.measurement import Layout
 from mmwave_env.numerics.arrays import Array, Index
@@ -85,9 +85,9 @@ class RolloutEnv:
         step_s = np.array([place.dt for place in places])[self._place]
         self._weights = discount ** (step_s[:, None] * np.arange(horizon))
         self._reward_row = rows_of(self._engine.at.reward)
-        self._generators = Generators(n)
+        self._streams = Streams(n)
         for i in range(n):
-            self._generators.seed(i, seed + i)
+            self._streams.seed(i, seed + i)
         self.observations = np.zeros((n, len(self.observation)), np.float32)
         self._begin(self._everyone)
         length = self._engine.batch.state.length
@@ -116,7 +116,7 @@ class RolloutEnv:
         for i, source in enumerate(self._sources):
             here = places[self._place[places] == i]
             if len(here):
-                self._engine.load(source.sample_batch(self._generators.keys(here)), here)
+                self._engine.load(source.sample_batch(self._streams.keys(here)), here)
         begun, _ = self._engine.start(places)
         self.observations[places] = begun[places]
 
@@ -174,7 +174,7 @@ class RolloutEnv:
         return {
             "rows": state.rows.copy(), "table": state.table.copy(),
             "length": state.length.copy(), "epoch": state.epoch.copy(),
-            "generators": self._generators.states(), "observations": self.observations.copy(),
+            "streams": self._streams.states(), "observations": self.observations.copy(),
         }  # fmt: skip
 
     def restore(self, state: dict[str, Any]) -> None:
@@ -183,7 +183,7 @@ class RolloutEnv:
         for name, array in zip(here._fields, here, strict=True):
             if name in state and isinstance(array, np.ndarray):
                 array[:] = state[name]
-        self._generators.set_states(state["generators"])
+        self._streams.set_states(state["streams"])
         self.observations = state["observations"].copy()
 
 

@@ -1,12 +1,12 @@
 """Keys of episodes: 64 bits from which everything in a simulated episode follows.
 
-An environment draws the key of its next episode from the generator that Gymnasium seeds. Many
-environments keep the bare states of their generators, 32 bytes each, which step all at once.
+The seed of an environment begins a stream, a number of 64 bits. The key of its n-th episode is the
+n-th output of SplitMix64 (Steele, Lea and Flood 2014), which starts at the stream: a function of
+stream and n, so that many environments draw theirs at once and remember no generator.
 """
 
 import operator
 from collections.abc import Iterable, Sequence
-from copy import deepcopy
 from typing import Any
 
 import numpy as np
@@ -16,16 +16,39 @@ from numpy.typing import NDArray
 from mmwave_env.numerics.arrays import Index
 
 Keys = NDArray[np.uint64]
-Words = NDArray[np.uint64]
 
-_LOW = np.uint64(2**32 - 1)
-_HALF = np.uint64(32)
-# PCG64 (O'Neill 2014), numpy's default: a congruential generator of 128 bits and its multiplier
-_MULTIPLIER = (np.uint64(0x2360ED051FC65DA4), np.uint64(0x4385DF649FCCF645))
+_STRIDE = np.uint64(0x9E3779B97F4A7C15)  # 2**64 over the golden ratio, odd
+
+
+def keys_at(streams: NDArray[np.uint64], episodes: NDArray[np.uint64]) -> Keys:
+    """The keys (n,) of some episodes of streams.
+
+    Args:
+        streams: (n,) of environments, or one.
+        episodes: (n,) 0 for the first of a stream.
+    """
+    # arrays of integers wrap around, as is meant
+    bits = np.atleast_1d(streams) + (np.atleast_1d(episodes) + np.uint64(1)) * _STRIDE
+    bits = (bits ^ (bits >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
+    bits = (bits ^ (bits >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
+    keys: Keys = bits ^ (bits >> np.uint64(31))
+    return keys
+
+
+def stream_of(seed: int) -> np.uint64:
+    """The stream that a seed begins."""
+    stream: np.uint64 = np.random.SeedSequence(seed).generate_state(1, np.uint64)[0]
+    return stream
+
+
+def keys_of(seeds: Iterable[int]) -> Keys:
+    """The keys of the episodes that ``env.reset(seed=...)`` draws where they have some."""
+    streams = np.array([stream_of(seed) for seed in seeds], np.uint64)
+    return keys_at(streams, np.zeros(len(streams), np.uint64))
 
 
 def draw_key(rng: np.random.Generator) -> int:
-    """The key of the next episode of whoever owns the generator."""
+    """A key that follows from a generator alone, not from a seed."""
     return int(rng.integers(0, 2**64, dtype=np.uint64))
 
 
@@ -70,69 +93,45 @@ def option_of(options: Any, name: str) -> Any:
     return (options or {}).get(name)
 
 
-def _product(a: Words, b: np.uint64) -> tuple[Words, Words]:
-    """High and low words of the product of words."""
-    a_high, a_low, b_high, b_low = a >> _HALF, a & _LOW, b >> _HALF, b & _LOW
-    low = a_low * b_low
-    middle = a_high * b_low + (low >> _HALF)
-    other = a_low * b_high + (middle & _LOW)
-    return a_high * b_high + (middle >> _HALF) + (other >> _HALF), a * b
-
-
-def next_words(states: Words) -> Words:
-    """The next words (n,) of generators PCG64, whose states are changed in place.
-
-    Args:
-        states: (n, 4) high and low words of state and increment.
-    """
-    high, low, add_high, add_low = states.T.copy()
-    times_high, times_low = _MULTIPLIER
-    product_high, product_low = _product(low, times_low)
-    product_high = product_high + high * times_low + low * times_high
-    low = product_low + add_low
-    high = product_high + add_high + (low < product_low)
-    states[:, 0], states[:, 1] = high, low
-    turn = high >> np.uint64(58)
-    word = high ^ low
-    back = (np.uint64(64) - turn) & np.uint64(63)
-    words: Words = (word >> turn) | (word << back)
-    return words
-
-
-class Generators:
-    """What N environments would have as ``np_random``.
+class Streams:
+    """Where N environments are in their streams of keys; each one's begins at its first key.
 
     Args:
         n: number of environments.
-        bare: keep bare states, for :meth:`keys`; else generators, for :meth:`whole`.
     """
 
-    def __init__(self, n: int, bare: bool = True) -> None:
+    def __init__(self, n: int) -> None:
         self._seeds: list[int | None] = [None] * n
-        self._states: Words = np.zeros((n if bare else 0, 4), np.uint64)
-        self._whole: list[np.random.Generator | None] = [None] * (0 if bare else n)
+        self._states = np.zeros((n, 2), np.uint64)  # streams, and how many keys of them were drawn
+        self._generators: list[np.random.Generator | None] = [None] * n
 
     def seed(self, place: int, seed: int | None) -> None:
-        """Start an environment's generator as ``Env.reset`` does; None for any seed."""
-        generator, self._seeds[place] = seeding.np_random(seed)
-        if self._whole:
-            self._whole[place] = generator
-        else:
-            self._states[place] = _words_of(generator)
+        """Start an environment's stream as ``Env.reset`` does; None for any seed.
+
+        Raises:
+            ValueError: a negative seed.
+        """
+        if seed is None:
+            seed = int(np.random.SeedSequence().entropy)  # type: ignore[arg-type]
+        seed = operator.index(seed)
+        if seed < 0:
+            raise ValueError(f"seed: found {seed}, expected 0 or more")
+        self._seeds[place], self._generators[place] = seed, None
+        self._states[place] = stream_of(seed), 0
 
     def seed_some(self, seed: int | Sequence[int | None] | None, places: Index) -> None:
-        """Start the generators of some environments, as a vector environment's ``reset`` does.
+        """Start the streams of some environments, as a vector environment's ``reset`` does.
 
         Args:
             seed: s for s + i of environment i; or one for each of all, None to go on.
             places: which start.
 
         Raises:
-            ValueError: there is not one for each.
+            ValueError: there is not one for each, or a negative one.
         """
         n = len(self._seeds)
         if isinstance(seed, (int, np.integer)):
-            seed = [int(seed) + i for i in range(n)]
+            seed = range(int(seed), int(seed) + n)
         elif seed is not None and len(seed) != n:
             raise ValueError(f"seed: found {len(seed)} seeds, expected {n}, one an environment")
         if seed is None:
@@ -142,60 +141,43 @@ class Generators:
                 self.seed(place, seed[place])
 
     def seeds(self) -> tuple[int, ...]:
-        """(n,) the seeds the generators started from."""
+        """(n,) the seeds of the streams; -1 where nobody knows it."""
         self._seed_missing(range(len(self._seeds)))
         return tuple(seed for seed in self._seeds if seed is not None)
 
-    def copies(self) -> tuple[np.random.Generator, ...]:
-        """(n,) generators that draw what the environments will."""
-        self._seed_missing(range(len(self._seeds)))
-        if self._whole:
-            return tuple(deepcopy(rng) for rng in self._whole if rng is not None)
-        return tuple(_generator_of(state) for state in self._states)
-
-    def states(self) -> Words:
-        """States (n, 4), where they are bare: a copy."""
+    def states(self) -> NDArray[np.uint64]:
+        """(n, 2) streams, and how many keys of each were drawn: a copy."""
         self._seed_missing(range(len(self._seeds)))
         return self._states.copy()
 
-    def set_states(self, states: Words) -> None:
-        """Take on states (n, 4); they came from no seed that is known."""
+    def set_states(self, states: NDArray[np.uint64]) -> None:
+        """Take on states (n, 2); the seeds behind them are not known."""
         self._states[:] = states
         self._seeds = [-1] * len(self._seeds)
+        self._generators = [None] * len(self._seeds)
 
     def keys(self, places: Index) -> Keys:
-        """Keys (places,) of the next episodes of some environments."""
+        """Keys (places,) of the next episodes of some environments, each named once."""
         self._seed_missing(places)
-        states = self._states[places]
-        keys = next_words(states)
-        self._states[places] = states
+        keys = keys_at(*self._states[places].T)
+        self._states[places, 1] += np.uint64(1)
         return keys
 
-    def whole(self, place: int) -> np.random.Generator:
-        """The generator of an environment, for any use."""
+    def generator(self, place: int) -> np.random.Generator:
+        """What an environment has as ``np_random``; no key is drawn from it."""
         self._seed_missing([place])
-        generator = self._whole[place]
-        assert generator is not None
+        generator, seed = self._generators[place], self._seeds[place]
+        if generator is None:
+            known = int(self._states[place, 0]) if seed == -1 else seed
+            generator, _ = seeding.np_random(known)
+            self._generators[place] = generator
         return generator
+
+    def generators(self) -> tuple[np.random.Generator, ...]:
+        """(n,) those of all environments."""
+        return tuple(self.generator(place) for place in range(len(self._seeds)))
 
     def _seed_missing(self, places: Iterable[int]) -> None:
         for place in places:
             if self._seeds[place] is None:
                 self.seed(place, None)
-
-
-def _words_of(generator: np.random.Generator) -> list[int]:
-    """High and low words of state and increment (4,) of a PCG64."""
-    known: Any = generator.bit_generator.state["state"]
-    return [part >> 64 if high else part % 2**64 for part in known.values() for high in (1, 0)]
-
-
-def _generator_of(words: Words) -> np.random.Generator:
-    generator = np.random.Generator(np.random.PCG64(0))
-    state_high, state_low, step_high, step_low = words.tolist()
-    state: Any = generator.bit_generator.state
-    state["state"] = {
-        "state": (state_high << 64) | state_low, "inc": (step_high << 64) | step_low
-    }  # fmt: skip
-    generator.bit_generator.state = state
-    return generator

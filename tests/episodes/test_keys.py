@@ -1,52 +1,115 @@
-"""Keys of episodes, and the bare generators that draw them."""
+"""Keys of episodes, and the streams that they follow from."""
 
+import gymnasium as gym
 import numpy as np
 import pytest
 from gymnasium.utils import seeding
 
-from mmwave_env.episodes.keys import Generators, draw_key, key_from, next_words
+import mmwave_env  # noqa: F401  registers the environment
+from experiments.evaluation.seeds import Selection
+from mmwave_env.episodes.keys import Streams, key_from, keys_at, keys_of, stream_of
+
+SHORT = {"episode_steps": 2, "modes": ["ekf"]}
 
 
-def test_bare_generators_draw_what_numpys_do():
-    generators, places = Generators(50), np.arange(50)
-    for place in places:
-        generators.seed(place, 3 * int(place))
-    whole = [seeding.np_random(3 * int(place))[0] for place in places]
-    for _ in range(20):
-        assert generators.keys(places).tolist() == [draw_key(rng) for rng in whole]
-    some = np.array([7, 3])
-    assert generators.keys(some).tolist() == [draw_key(whole[place]) for place in some]
-    assert [a.random() for a in generators.copies()] == [b.random() for b in whole]
+def numbers(*given):
+    return np.array(given, np.uint64)
 
 
-def test_words_carry_over_from_the_low_half_to_the_high_one():
-    edge = 2**64 - 1
-    states = np.array([[0, edge, 0, 1], [edge] * 4, [1, 0, 0, 1], [0, 2**32, 5, edge]], np.uint64)
-    whole = []
-    for state_high, state_low, step_high, step_low in states.tolist():
-        rng = np.random.Generator(np.random.PCG64(0))
-        state = rng.bit_generator.state
-        state["state"] = {
-            "state": (state_high << 64) | state_low, "inc": (step_high << 64) | step_low
-        }  # fmt: skip
-        rng.bit_generator.state = state
-        whole.append(rng.bit_generator)
-    for _ in range(5):
-        assert next_words(states).tolist() == [bits.random_raw() for bits in whole]
+def test_keys_are_what_others_found_for_splitmix64():
+    """Vigna's reference in C for the state 1234567, as Rosetta Code has it."""
+    found = keys_at(numbers(1234567), np.arange(5, dtype=np.uint64))
+    assert found.tolist() == [
+        6457827717110365317, 3203168211198807973, 9817491932198370423, 4593380528125082431,
+        16408922859458223821,
+    ]  # fmt: skip
+
+
+def test_the_end_of_a_stream_is_followed_by_its_beginning():
+    first, _ = keys_at(numbers(5), numbers(2**64 - 1, 0))
+    then = keys_at(numbers(5 - 0x9E3779B97F4A7C15 + 2**64), numbers(0))
+    assert first == then
+
+
+def test_streams_are_those_of_numpys_seed_sequence():
+    assert stream_of(0) == np.random.SeedSequence(0).generate_state(1, np.uint64)[0]
+    assert len(set(keys_of(range(2000)).tolist())) == 2000
+
+
+def test_environments_draw_as_they_would_alone():
+    streams = Streams(3)
+    streams.seed_some(4, np.arange(3))
+    assert streams.keys(np.arange(3)).tolist() == keys_of([4, 5, 6]).tolist()
+    some = streams.keys(np.array([2, 0])), streams.keys(np.array([2]))
+    expected = keys_at(numbers(stream_of(6), stream_of(4), stream_of(6)), numbers(1, 1, 2))
+    assert np.concatenate(some).tolist() == expected.tolist()
+    assert streams.seeds() == (4, 5, 6)
 
 
 def test_states_go_on_elsewhere():
-    one, other, places = Generators(5), Generators(5), np.arange(5)
+    one, other, places = Streams(5), Streams(5), np.arange(5)
     one.keys(places)
     other.set_states(one.states())
     assert one.keys(places).tolist() == other.keys(places).tolist()
+    assert other.seeds() == (-1,) * 5
 
 
-def test_whole_generators_are_kept_where_a_source_asks_for_them():
-    generators = Generators(2, bare=False)
-    generators.seed(1, 4)
-    assert generators.whole(1).random() == seeding.np_random(4)[0].random()
-    assert len(generators.copies()) == 2 and generators.seeds()[1] == 4
+def test_without_a_seed_a_stream_begins_anywhere():
+    """It can be told, and gives the same keys again."""
+    one, again, places = Streams(2), Streams(2), np.arange(2)
+    keys = one.keys(places)
+    assert keys[0] != keys[1] != Streams(2).keys(places)[1]
+    again.seed_some(one.seeds(), places)
+    assert again.keys(places).tolist() == keys.tolist()
+
+
+def test_a_source_of_its_own_has_gymnasiums_generator():
+    streams = Streams(2)
+    streams.seed(1, 4)
+    assert streams.generator(1).random() == seeding.np_random(4)[0].random()
+    assert streams.generator(1) is streams.generators()[1]
+
+
+@pytest.mark.parametrize(
+    ("seed", "message"),
+    [([1, -2], "seed: found -2, expected 0 or more"), ([1], "seed: found 1 seeds, expected 2")],
+)
+def test_other_seeds_are_refused(seed, message):
+    with pytest.raises(ValueError, match=message):
+        Streams(2).seed_some(seed, np.arange(2))
+
+
+def test_a_seed_means_the_same_keys_everywhere():
+    """A single environment, both kinds of vector environments and evaluation."""
+    single = gym.make("MmWaveLoc-v0", **SHORT)
+    native = gym.make_vec("MmWaveLoc-v0", num_envs=2, autoreset_mode="Disabled", **SHORT)
+    gymnasiums = gym.make_vec("MmWaveLoc-v0", num_envs=2, vectorization_mode="sync", **SHORT)
+    expected = keys_at(stream_of(8), np.arange(3, dtype=np.uint64)).tolist()
+    for seed in (8, None, None):
+        keys = [
+            single.reset(seed=seed)[1]["episode_key"],
+            native.reset(seed=seed)[1]["episode_key"][0],
+            gymnasiums.reset(seed=seed)[1]["episode_key"][0],
+        ]
+        assert keys == [expected.pop(0)] * 3
+    found = Selection(range(8, 10)).keys(single.unwrapped.source).tolist()
+    assert found == native.reset(seed=8)[1]["episode_key"].tolist()
+
+
+def test_a_named_key_leaves_the_stream_where_it_is():
+    env = gym.make("MmWaveLoc-v0", **SHORT)
+    env.reset(seed=1)
+    env.reset(options={"episode_key": 7})
+    assert env.reset()[1]["episode_key"] == keys_at(stream_of(1), numbers(1))[0]
+
+
+def test_a_generator_of_ones_own_begins_a_stream():
+    env, keys = gym.make("MmWaveLoc-v0", **SHORT).unwrapped, []
+    for _ in range(2):
+        env.np_random = np.random.default_rng(3)
+        keys.append([env.reset()[1]["episode_key"] for _ in range(3)])
+    assert keys[0] == keys[1] and len(set(keys[0])) == 3
+    assert env.reset(seed=2)[1]["episode_key"] == keys_of([2])[0]
 
 
 @pytest.mark.parametrize("key", [0, 7, np.int32(5), np.uint64(2**64 - 1), 2**64 - 1])

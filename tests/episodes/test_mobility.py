@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.stats import binom
 
-from experiments.evaluation.seeds import keys_of
+from mmwave_env.episodes.keys import keys_of
 from mmwave_env.episodes.mobility import (
     MOBILITIES,
     SCENARIOS,

@@ -7,7 +7,7 @@ import pytest
 from experiments.arguments.shared import EpisodeArgs
 from experiments.cli.reporting import results
 from experiments.evaluation.compare import compare, evaluate
-from experiments.evaluation.seeds import keys_of
+from mmwave_env.episodes.keys import keys_of
 from mmwave_env.metrics import METRICS
 from mmwave_env.models.measurement import Layout
 from tests.training.actors import HANDSET

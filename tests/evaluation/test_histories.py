@@ -9,7 +9,8 @@ import pytest
 from experiments.evaluation.contenders import contender_from
 from experiments.evaluation.histories import history_of
 from experiments.evaluation.runner import Scoring, score_contenders
-from experiments.evaluation.seeds import Selection, draw_episodes, keys_of
+from experiments.evaluation.seeds import Selection, draw_episodes
+from mmwave_env.episodes.keys import keys_of
 from mmwave_env.episodes.samples import source_from
 from mmwave_env.metrics import BURN_IN
 from mmwave_env.rendering.history import NO_MODE

@@ -6,7 +6,7 @@ import gymnasium as gym
 import numpy as np
 import pytest
 
-from experiments.evaluation.seeds import keys_of
+from mmwave_env.episodes.keys import keys_of
 from mmwave_env.episodes.mobility import MOBILITIES
 from mmwave_env.episodes.simulated import SimulatedSource
 from mmwave_env.models.radio import RADIOS
