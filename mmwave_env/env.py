@@ -258,7 +258,8 @@ class MmWaveLocEnv(Copied, gym.Env[NDArray[np.float32], np.int64]):
         self._steps, self._length = 0, 0
         self._sums, self._errors, self._second = [0.0], [[0.0]], 1
         self._actions = np.empty(0, np.int64)
-        self._stream, self._stream_from = np.zeros(2, np.uint64), None
+        self._stream = np.zeros(2, np.uint64)  # as Streams.states
+        self._stream_from: np.random.Generator | None = None
         self._set_up_noting()
         rows = drawn_rows(self._engine.at, self._engine.span)
         axes = len(self._task.pipeline.position_axes)

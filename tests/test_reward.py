@@ -14,6 +14,7 @@ from scipy.stats import multivariate_normal
 import mmwave_env  # noqa: F401  registers the environment
 from mmwave_env.engines.env_engine import Engine
 from mmwave_env.engines.imm_engine import ImmEngine
+from mmwave_env.episodes.keys import keys_at, stream_of
 from mmwave_env.episodes.simulated import SimulatedSource
 from mmwave_env.filters.belief import Belief
 from mmwave_env.filters.mode_files import default_modes
@@ -231,8 +232,8 @@ def imm_rewards(seed, episodes, reward=REWARDS["tracking"], **task):
     """What the IMM earns (episodes, epochs) in the episodes that follow a seed."""
     source = task_from(**task)
     imm = ImmEngine(replace(source.pipeline, modes=default_modes("handset")), reward)
-    rng = np.random.default_rng(seed)
-    drawn = [source.draw(rng) for _ in range(episodes)]
+    keys = keys_at(stream_of(seed), np.arange(episodes, dtype=np.uint64))
+    drawn = source.tables(keys)
     return imm.run(drawn, "reward")["reward"].astype(np.float32)
 
 
