@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from experiments.cli.main import run
+from mmwave_env.episodes.keys import keys_of
 from mmwave_env.episodes.log_writer import log_columns, log_text
 from mmwave_env.episodes.recorded import RecordedSource
 from mmwave_env.episodes.samples import log_names, recording_from
@@ -31,7 +32,7 @@ def test_an_episode_is_written_as_evaluate_draws_it(tmp_path, capsys):
     assert capsys.readouterr().out == f"written to {out}/: log.csv, scene.json, truth.tum\n"
     assert sorted(path.name for path in out.iterdir()) == FILES
     source = SimulatedSource(SCENES["street"], RADIOS["handset"], "pedestrian")
-    episode = source.sample(np.random.default_rng(7))
+    episode = source.episode(int(keys_of([7])[0]))
     assert (out / "log.csv").read_text() == log_text(log_columns(episode))
     scene = read_scene(out / "scene.json")
     np.testing.assert_array_equal(scene.anchors_m, episode.scene_anchors_m)

@@ -10,6 +10,7 @@ from scipy.interpolate import CubicSpline
 
 from experiments.evaluation.contenders import contender_from
 from experiments.evaluation.runner import score
+from mmwave_env.episodes.keys import keys_of
 from mmwave_env.episodes.log_folder import read_log_folder, write_log_folder
 from mmwave_env.episodes.log_writer import write_log
 from mmwave_env.episodes.measured import MeasuredSource
@@ -29,7 +30,7 @@ STREET = SCENES["street"]
 
 def simulated(seed=3, odometry=False):
     source = SimulatedSource(STREET, RADIOS["handset"], "vehicle", odometry=odometry)
-    return source.sample(np.random.default_rng(seed))
+    return source.episode(int(keys_of([seed])[0]))
 
 
 @pytest.fixture
