@@ -1,5 +1,9 @@
 """Keys of episodes, and the streams that they follow from."""
 
+import pickle
+from copy import deepcopy
+from functools import partial
+
 import gymnasium as gym
 import numpy as np
 import pytest
@@ -101,6 +105,17 @@ def test_a_named_key_leaves_the_stream_where_it_is():
     env.reset(seed=1)
     env.reset(options={"episode_key": 7})
     assert env.reset()[1]["episode_key"] == keys_at(stream_of(1), numbers(1))[0]
+
+
+@pytest.mark.parametrize("copied", [deepcopy, lambda env: pickle.loads(pickle.dumps(env))])
+@pytest.mark.parametrize("make", [gym.make, partial(gym.make_vec, num_envs=2)])
+def test_a_copy_goes_on_in_the_stream(make, copied):
+    env = make("MmWaveLoc-v0", **SHORT).unwrapped
+    env.reset()
+    twin = copied(env)
+    for _ in range(2):
+        keys = [one.reset()[1]["episode_key"] for one in (env, twin)]
+        assert np.array_equal(*keys)
 
 
 def test_a_generator_of_ones_own_begins_a_stream():
