@@ -67,7 +67,7 @@ def positions_markdown(what: str, rows: Mapping[str, Any], risk: float) -> str:
     return (
         f"{grid([what, *HEADER], cells)}\n\nErrors that so many percent of the epochs stay below; "
         "shares of the epochs within a distance. Level is the median protection level; at a risk "
-        f"of {risk:g}, errors should be above theirs in {percent(risk)} of the epochs.\n"
+        f"of {risk:g}, errors should exceed it in {percent(risk)} of the epochs.\n"
     )
 
 
