@@ -1,19 +1,51 @@
 """mmwave-loc compare: several policies on the same episodes, with paired differences."""
 
-from experiments.arguments.compare import Args
-from experiments.cli.main import run
-from experiments.cli.options import all_contenders
-from experiments.cli.reporting import report, results
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+from tyro.conf import arg
+
+from experiments.console.options import EpisodeArgs
+
+
+@dataclass(kw_only=True)
+class Args(EpisodeArgs):
+    """Compare policies on the same seeded episodes, with paired differences.
+
+    All figures, the reward too, leave out the first 10 epochs of an episode. Everybody is paired
+    with the best fixed mode, speed-rule and imm, learned policies and agents of your own also with
+    every other IMM; where none of those three is named, with everybody else.
+
+    mmwave-loc compare --policies fixed-ukf speed-rule imm ppo --episodes 200
+    """
+
+    policies: Annotated[tuple[str, ...], arg(aliases=("--policy",))] = ()
+    """names of mmwave-loc list policies, policy files (.safetensors), folders of runs of mmwave-loc
+    train, models of Stable-Baselines3 (.zip, with --trust-zip) and module:function, a function
+    without arguments that returns an agent; all that have a name where none is named"""
+    bound: bool = False
+    """also show each policy's RMSE over the posterior Cramer-Rao bound"""
+    figure: Path | None = None
+    """draw the performance profiles of runs, over training seeds and episodes, to this .png, .svg
+    or .pdf file"""
+    errors: Path | None = None
+    """draw how often horizontal and vertical errors stay below so much to this file, too"""
+    consistency: Path | None = None
+    """draw NEES beside its chi-square bounds to this file, too"""
+    decisions: Path | None = None
+    """draw what policies choose around stops and pull-aways, and the differences of errors there,
+    to this .png, .svg or .pdf file"""
+
 
 PICTURES = ("figure", "decisions", "errors", "consistency", "stanford")
 
 
 def main(args: Args) -> None:
     """Run the command."""
+    from experiments.comparing.results import report, results
+    from experiments.evaluation.asked import all_contenders
+
     pictures = {name: getattr(args, name) for name in PICTURES if getattr(args, name) is not None}
     names = args.policies or all_contenders(args)
     report("compare", args, results(args, names, args.bound, pictures))
-
-
-if __name__ == "__main__":
-    run("compare")

@@ -1,24 +1,56 @@
 """mmwave-loc convert: a model of Stable-Baselines3 as a policy file, which holds no code."""
 
+from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-import numpy as np
-from numpy.typing import NDArray
+from tyro.conf import Positional
 
-from experiments.arguments.convert import Args
-from experiments.cli.main import run
-from experiments.cli.options import command_line
-from experiments.evaluation.terminal import say
-from experiments.training.unzip import CHOSEN, SHOWN, unzipped
-from mmwave_env import __version__
-from mmwave_env.files import require_writable, write_bytes
-from mmwave_env.observation import Observation
-from mmwave_env.task import Task, task_from
-from policies import LearnedSwitch
-from policies.policy_file import Card, Tensors, to_bytes
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
+    from mmwave_env.observation import Observation
+    from mmwave_env.task import Task
+    from policies.policy_file import Card, Tensors
+
+
+@dataclass(kw_only=True)
+class TrainedArgs:
+    """What it was trained with."""
+
+    scenario: str = "mixed"
+    """kind of user: pedestrian, vehicle, walk-ride, jam, cyclist or mixed"""
+    radio: str = "handset"
+    """handset, standard, high or a JSON file"""
+    modes: tuple[str, ...] = ()
+    """modes that it chooses from: extended, names and mode files; the radio's ekf and ukf where
+    none is named, with beliefs per mode those of its best IMM"""
+    observation: str = "full"
+    """full or prior"""
+    beliefs: str = "shared"
+    """shared or per-mode"""
+
+
+@dataclass(kw_only=True)
+class Args(TrainedArgs):
+    """Make a policy file of a model of Stable-Baselines3.
+
+    Loading a model runs code from its file. It is loaded in a process of its own, which is no
+    sandbox: convert what you would run. The policy file holds no code, and needs no PyTorch.
+
+    mmwave-loc convert model.zip policy.safetensors --normalize normalize.pkl
+    """
+
+    model: Positional[Path]
+    """file that model.save wrote (.zip), of PPO, A2C, TRPO, MaskablePPO or RecurrentPPO"""
+    policy: Positional[Path]
+    """file to write (.safetensors)"""
+    normalize: Path | None = None
+    """file that VecNormalize.save wrote, for a model trained under it; loading it runs code, too"""
+
 
 PACKAGES = ("gymnasium", "numpy", "torch", "stable-baselines3")
 TIES = 0.001  # of the observations: there rounding decides
@@ -26,6 +58,13 @@ TIES = 0.001  # of the observations: there rounding decides
 
 def main(args: Args) -> None:
     """Run the command."""
+    from experiments.console.progress import say
+    from experiments.training.unzip import CHOSEN, SHOWN, unzipped
+    from mmwave_env.files import require_writable, write_bytes
+    from mmwave_env.observation import Observation
+    from mmwave_env.task import task_from
+    from policies.policy_file import to_bytes
+
     for path, ending in ((args.model, ".zip"), (args.policy, ".safetensors")):
         if path.suffix != ending:
             raise ValueError(f"{path}: found another ending, expected {ending}")
@@ -54,12 +93,14 @@ def main(args: Args) -> None:
     )
 
 
-def _require_trained_on(args: Args, table: Observation, tensors: Tensors) -> None:
+def _require_trained_on(args: Args, table: "Observation", tensors: "Tensors") -> None:
     """Refuse a model of other observations or modes.
 
     Raises:
         ValueError: saying what was found and what was expected.
     """
+    import numpy as np
+
     low, layers = tensors["low"], [name for name in tensors if name.startswith("layer.")]
     found = f"{len(low)} features and {len(tensors[f'layer.{len(layers) // 2 - 1}.bias'])} actions"
     expected = f"{len(table)} features and {len(table.actions)} actions"
@@ -78,7 +119,11 @@ def _require_trained_on(args: Args, table: Observation, tensors: Tensors) -> Non
         )
 
 
-def _card(args: Args, task: Task, table: Observation, told: dict[str, Any]) -> Card:
+def _card(args: Args, task: "Task", table: "Observation", told: dict[str, Any]) -> "Card":
+    from experiments.console.provenance import command_line
+    from mmwave_env import __version__
+    from policies.policy_file import Card
+
     seed = told["seed"]
     return Card(
         modes=table.modes, observation=table.kind, digest=table.digest, frames=1,
@@ -90,15 +135,15 @@ def _card(args: Args, task: Task, table: Observation, told: dict[str, Any]) -> C
     )  # fmt: skip
 
 
-def _decided(content: bytes, shown: NDArray[np.float32]) -> NDArray[np.int64]:
+def _decided(content: bytes, shown: "NDArray[np.float32]") -> "NDArray[np.int64]":
     """The actions (epochs, episodes) of a policy file for observations shown to it."""
+    import numpy as np
+
+    from policies import LearnedSwitch
+
     with TemporaryDirectory() as folder:
         path = Path(folder) / "policy.safetensors"
         path.write_bytes(content)
         switch = LearnedSwitch(path)
     switch.reset(np.ones(shown.shape[1], np.bool_))
     return np.array([switch(seen) for seen in shown])
-
-
-if __name__ == "__main__":
-    run("convert")

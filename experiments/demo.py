@@ -1,22 +1,45 @@
 """mmwave-loc demo: the tables of docs/results.md, on simulated and on ray-traced streets."""
 
-from experiments.arguments.demo import Args
-from experiments.arguments.report import Args as ReportArgs
-from experiments.arguments.shared import EpisodeArgs
-from experiments.cli.main import run
-from experiments.cli.options import all_contenders, provenance
-from experiments.cli.reporting import results
-from experiments.evaluation.markdown import show
-from experiments.evaluation.protocol import RECORDINGS
-from experiments.evaluation.terminal import note, say
-from experiments.webpage.page import write_page
-from mmwave_env.files import write_json, write_text
+from dataclasses import dataclass
+from pathlib import Path
+
+from experiments.console.options import EpisodeArgs, JsonArgs
+
+
+@dataclass(kw_only=True)
+class Args(JsonArgs):
+    """Compare every policy on `mixed` and on two ray-traced recordings.
+
+    Six of them are printed; the files have all of them, and every paired difference.
+
+    mmwave-loc demo --episodes 100 --draws 20
+    """
+
+    episodes: int = 1000
+    """simulated episodes"""
+    draws: int = 200
+    """draws of receiver noise on each ray-traced scenario"""
+    percentiles: bool = False
+    """also give percentiles of errors and protection levels, in the files"""
+    out: Path = Path("results")
+    """folder for tables.md, one JSON file a comparison, and report.html, a web page of them"""
+
 
 SHOWN = ("fixed-ekf", "fixed-ukf", "speed-rule", "imm-best", "ppo-extended", "guided")
 
 
 def main(args: Args) -> None:
     """Run the command."""
+    from experiments.comparing.results import results
+    from experiments.console.progress import note, say
+    from experiments.console.provenance import provenance
+    from experiments.console.tables import show
+    from experiments.evaluation.asked import all_contenders
+    from experiments.evaluation.protocol import RECORDINGS
+    from experiments.report import Args as ReportArgs
+    from experiments.webpage.page import write_page
+    from mmwave_env.files import write_json, write_text
+
     runs = [EpisodeArgs(episodes=args.episodes, percentiles=args.percentiles)]
     runs += [
         EpisodeArgs(data=name, episodes=args.draws, percentiles=args.percentiles)
@@ -45,7 +68,3 @@ def main(args: Args) -> None:
     say(f"{report.out} is a web page of them, with episodes to play: open it in a browser.")
     say("README.md and docs/results.md say what the columns mean.")
     say("next: mmwave-loc list policies, or mmwave-loc compare --policies ppo imm --radio standard")
-
-
-if __name__ == "__main__":
-    run("demo")

@@ -1,20 +1,41 @@
 """mmwave-loc leaderboard: the benchmark of docs/benchmark.md, from entries in a folder."""
 
 import re
+from dataclasses import dataclass
+from pathlib import Path
 
-from experiments.arguments.leaderboard import Args
-from experiments.cli.doc_pages import page_to_renew, renewed
-from experiments.cli.main import run
-from experiments.cli.options import provenance
-from experiments.evaluation.entries import by_venue, ranking, read_entry
-from experiments.evaluation.markdown import grid, show
-from experiments.evaluation.protocol import RECORDED, entry, judge, require_contenders, venues
-from experiments.evaluation.terminal import note
-from mmwave_env.files import write_json, write_text
+
+@dataclass(kw_only=True)
+class Args:
+    """Judge contenders by the benchmark's protocol, and rank all entries there are.
+
+    Each of them runs in nine places to train in, in unseen ones and on recordings, beside every
+    IMM. Its entry, a JSON file, is kept in the folder; the table is made of all that lie there.
+
+    mmwave-loc leaderboard --policies imm-best --episodes 20 --draws 5
+    """
+
+    policies: tuple[str, ...] = ()
+    """as of mmwave-loc compare; none to show the entries there are"""
+    episodes: int = 2000
+    """on each simulated street"""
+    draws: int = 200
+    """of receiver noise on each recording"""
+    seed: int = 0
+    """seed of the first episode; test seeds start at 0"""
+    out: Path = Path("results/leaderboard")
+    """folder of entries, a JSON file each"""
+    docs: Path | None = None
+    """also renew the tables of this page, between its `<!-- table: ... -->` lines"""
 
 
 def _play(args: Args) -> None:
     """Judge the contenders, and keep their entries."""
+    from experiments.console.progress import note
+    from experiments.console.provenance import provenance
+    from experiments.evaluation.protocol import RECORDED, entry, judge, require_contenders, venues
+    from mmwave_env.files import write_json
+
     require_contenders(args.policies)
     judged = []
     for venue in venues():
@@ -29,6 +50,12 @@ def _play(args: Args) -> None:
 
 def main(args: Args) -> None:
     """Run the command."""
+    from experiments.console.doc_pages import page_to_renew, renewed
+    from experiments.console.tables import grid, show
+    from experiments.evaluation.entries import by_venue, ranking, read_entry
+    from experiments.evaluation.protocol import DRAWS, EPISODES
+    from mmwave_env.files import write_text
+
     for name in ("episodes", "draws"):
         if getattr(args, name) < 2:
             raise ValueError(f"{name}: found {getattr(args, name)}, expected at least 2")
@@ -38,12 +65,8 @@ def main(args: Args) -> None:
     entries = [read_entry(path) for path in sorted(args.out.glob("*.json"))]
     if not entries:
         raise ValueError(f"out: found no entries in {args.out}; --policies makes some")
-    ranked = ranking(entries, Args.episodes, Args.draws)
+    ranked = ranking(entries, EPISODES, DRAWS)
     tables = {"leaderboard": grid(*ranked), "venues": grid(*by_venue(entries))}
     show("\n\n".join(tables.values()))
     if args.docs:
         write_text(args.docs, renewed(page, tables))
-
-
-if __name__ == "__main__":
-    run("leaderboard")

@@ -1,19 +1,31 @@
 """mmwave-loc list: everything that has a name, a line each."""
 
 import inspect
-from collections.abc import Callable
+import textwrap
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Literal
 
-from experiments.arguments.list import Args
-from experiments.cli.entries import entries
-from experiments.cli.main import run
-from experiments.evaluation.contenders import contenders
-from experiments.evaluation.terminal import say, terminal_width
-from mmwave_env.episodes.samples import recording_from, sample_names
-from mmwave_env.filters.mode_files import as_written, named_modes
-from mmwave_env.models.radio import RADIOS, radio_from
-from mmwave_env.models.random_scene import RANDOM
-from mmwave_env.models.scene import SCENES, Scene
-from mmwave_env.reward import REWARDS
+from tyro.conf import Positional
+
+if TYPE_CHECKING:
+    from mmwave_env.models.scene import Scene
+
+What = Literal["policies", "scenarios", "radios", "scenes", "modes", "samples", "rewards"]
+
+
+@dataclass(kw_only=True)
+class Args:
+    """List what options and arguments of the environment take by name.
+
+    mmwave-loc list policies
+    """
+
+    what: Positional[What | None] = None
+    """policies, scenarios, radios, scenes, modes, samples or rewards; all where none is named"""
+    radio: str = "handset"
+    """profile whose policies and modes are listed"""
+
 
 SCENARIOS = {
     "pedestrian": "walks, stands, turns at crossings",
@@ -41,6 +53,8 @@ POLICIES = {
 
 def policies(radio: str) -> dict[str, str]:
     """Policies that a radio profile has by name."""
+    from experiments.evaluation.contenders import contenders
+
     return {name: _about_policy(name) for name in contenders(radio)}
 
 
@@ -53,6 +67,8 @@ def _about_policy(name: str) -> str:
 
 def modes(radio: str) -> dict[str, str]:
     """Modes as they are tuned for a radio profile: what differs from the defaults."""
+    from mmwave_env.filters.mode_files import as_written, named_modes
+
     return {
         name: ", ".join(f"{k} {v}" for k, v in as_written(mode).items() if k != "name")
         for name, mode in named_modes(radio).items()
@@ -61,6 +77,8 @@ def modes(radio: str) -> dict[str, str]:
 
 def radios() -> dict[str, str]:
     """Radio profiles by what matters most."""
+    from mmwave_env.models.radio import RADIOS
+
     return {
         name: f"{one.gnb_elements} x {one.gnb_elements} antennas at the base station, "
         f"{one.ue_elements} x {one.ue_elements} at the user"
@@ -70,12 +88,15 @@ def radios() -> dict[str, str]:
 
 def scenes() -> dict[str, str]:
     """Streets by where they lie: x east, y north, m."""
+    from mmwave_env.models.random_scene import RANDOM
+    from mmwave_env.models.scene import SCENES
+
     return {name: _about_scene(scene) for name, scene in SCENES.items()} | {
         RANDOM: "each episode its own: blocks, base station and walls are drawn"
     }
 
 
-def _about_scene(scene: Scene) -> str:
+def _about_scene(scene: "Scene") -> str:
     x, y, z = base = scene.base_station_m
     (west, east), (south, north) = scene.streets.x_m, scene.streets.y_m
     return "; ".join([
@@ -89,17 +110,41 @@ def _about_scene(scene: Scene) -> str:
 
 def samples() -> dict[str, str]:
     """Recordings that come with the package."""
+    from mmwave_env.episodes.samples import recording_from, sample_names
+
     epochs = {name: len(recording_from(name).time_s) for name in sample_names()}
     return {name: f"ray-traced street, {n} epochs" for name, n in epochs.items()}
 
 
 def rewards() -> dict[str, str]:
     """Rewards by the first line of what documents them."""
+    from mmwave_env.reward import REWARDS
+
     return {name: (inspect.getdoc(one) or "").partition("\n")[0] for name, one in REWARDS.items()}
+
+
+def entries(found: Mapping[str, str], column: int, width: int | None = None) -> list[str]:
+    """Lines of names and what they mean.
+
+    Args:
+        found: meanings by name.
+        column: where meanings begin.
+        width: that lines are folded at, their rest below the meaning; None for whole lines.
+    """
+    lines = [f"  {name:{column - 3}} {what}" for name, what in found.items()]
+    if width is None:
+        return lines
+    fold = textwrap.TextWrapper(
+        width, subsequent_indent=" " * column, break_long_words=False, break_on_hyphens=False
+    )
+    return [folded for line in lines for folded in fold.wrap(line)]
 
 
 def main(args: Args) -> None:
     """Run the command."""
+    from experiments.console.progress import say, terminal_width
+    from mmwave_env.models.radio import radio_from
+
     radio = radio_from(args.radio).name
     kinds: dict[str, Callable[[], dict[str, str]]] = {
         "policies": lambda: policies(radio), "scenarios": lambda: SCENARIOS, "radios": radios,
@@ -109,7 +154,3 @@ def main(args: Args) -> None:
     for kind in [args.what] if args.what else kinds:
         found = kinds[kind]()
         say(f"{kind}:", *entries(found, 25, terminal_width()))
-
-
-if __name__ == "__main__":
-    run("list")

@@ -1,390 +1,87 @@
 """mmwave-loc localize: the track of a recorded log, by the paper's Algorithm 1 or by an IMM."""
 
-import warnings
-from collections.abc import Iterable, Iterator, Sequence
-from contextlib import ExitStack
-from dataclasses import replace
-from itertools import chain
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Literal
 
-import numpy as np
+from tyro.conf import Positional
 
-from experiments.arguments.localize import Args
-from experiments.cli.diagnosis_report import diagnosis_figures, diagnosis_markdown
-from experiments.cli.main import run
-from experiments.cli.options import provenance
-from experiments.cli.terminal import ask_speed, parse_speed
-from experiments.cli.track_plot import TrackSampler
-from experiments.cli.track_report import track_markdown
-from experiments.evaluation.contenders import imm_banks
-from experiments.evaluation.markdown import show
-from experiments.evaluation.terminal import progress
-from experiments.figures.canvas import require_picture
-from experiments.figures.stanford import draw_stanford
-from experiments.figures.trajectory import draw_trajectory
-from mmwave_env.engines.track_engine import Rule
-from mmwave_env.episodes.log_folder import LOG, SCENE, TRUTH
-from mmwave_env.episodes.samples import sample_folder
-from mmwave_env.files import require_writable, write_json
-from mmwave_env.filters.bank import Bank, bank_from
-from mmwave_env.filters.mode_files import modes_from
-from mmwave_env.filters.modes import DESIGN_LIMIT_MPS, Mode, robust
-from mmwave_env.localization.association import Association, associate
-from mmwave_env.localization.contradictions import contradictions
-from mmwave_env.localization.diagnosis import diagnose
-from mmwave_env.localization.localizer import TrackBlock, localize
-from mmwave_env.localization.protection import require_limit, require_risk
-from mmwave_env.localization.track_files import require_own_files, table_beside, track_files
-from mmwave_env.localization.track_scores import Course, Groups, TruthScores
-from mmwave_env.logs.clock import ClockComparison
-from mmwave_env.logs.log import LogBlock, read_log
-from mmwave_env.logs.log_tables import LogError
-from mmwave_env.logs.path_log import read_paths
-from mmwave_env.logs.truth import Truth
-from mmwave_env.lookup import choose
-from mmwave_env.models.radio import radio_from
-from mmwave_env.models.scene import Scene, scene_from
-from policies.speed_rule import SLOW_MPS, by_odometry_speed, by_predicted_speed, mode_at
-
-EPOCHS_PER_BLOCK = 1 << 14
-LONGEST_WINDOW = 20_000  # epochs; all of a window are held at once
-RULES: dict[str, Rule] = {"prediction": by_predicted_speed, "odometry": by_odometry_speed}
+from experiments.console.options import IntegrityArgs
 
 
-class Inputs(NamedTuple):
-    """The files that are read: those given, or those of a sample."""
+@dataclass(kw_only=True)
+class OutputArgs:
+    """Results."""
 
-    log: Path
-    scene: str
-    truth: Path | None
-
-
-class ModePlan(NamedTuple):
-    """What runs: modes and the rule between them if there are two, or a bank; why in words."""
-
-    modes: Sequence[Mode] | Bank
-    rule: Rule | None
-    why: str
-
-    @property
-    def names(self) -> list[str]:
-        """Of the modes."""
-        modes = self.modes.modes if isinstance(self.modes, Bank) else self.modes
-        return [mode.name for mode in modes]
+    out: Path | None = None
+    """write the track in TUM format, and a .csv with standard deviations and modes beside it"""
+    plot: Path | None = None
+    """draw the track to this .png, .svg or .pdf file"""
+    json: Path | None = None
+    """write every figure to this file"""
+    diagnose: bool = False
+    """try likely mistakes on the first epochs (units, signs, ends, frames, order of anchors), and
+    say which one makes the log consistent; no track"""
 
 
-# --- what runs (Algorithm 1, Steps 1 to 3)
+@dataclass(kw_only=True)
+class FilterArgs:
+    """Filters."""
+
+    radio: str = "handset"
+    """handset, standard, high or a JSON file: noise by SNR, and the tuning of the modes"""
+    modes: Path | None = None
+    """mode file with other pipelines: the one for low, then the one for high mobility"""
+    imm: str | None = None
+    """in place of one pipeline at a time, all modes of an IMM at once, mixed by how well each
+    explains the log: imm-best, imm or another of mmwave-loc list, or a bank's mode file"""
+    gating: bool = True
+    """reject measurements outside their 99 % chi-square gates"""
+    adaptive: bool = True
+    """scale Q and R by the innovations"""
+    smoothing: bool = True
+    """Rauch-Tung-Striebel smoothing"""
+    window: int = 200
+    """epochs smoothed together"""
+    robust: bool = False
+    """doubt links far off instead of rejecting them; does without adaptive scaling"""
+    odometry: bool = True
+    """use speed and heading where the log has them"""
+    height: float | None = None
+    """flat terrain at this height, m"""
 
 
-def plan(args: Args, modes: Sequence[Mode] | Bank) -> ModePlan:
-    """Which pipelines run (Algorithm 1, Step 3), asking for the speed if it is not given."""
-    if isinstance(modes, Bank):
-        return ModePlan(modes, None, f"of {args.imm} by their probability")
-    if args.speed == "auto":
-        followed = "odometry's" if args.follow == "odometry" else "the predicted"
-        return ModePlan(
-            modes, RULES[args.follow], f"by {followed} speed, up to or above {SLOW_MPS:g} m/s"
-        )
-    speed = ask_speed() if args.speed is None else parse_speed(args.speed)
-    mode = modes[int(mode_at(speed))]
-    if speed > DESIGN_LIMIT_MPS:
-        window = f"outside the design window (up to {DESIGN_LIMIT_MPS:g} m/s)"
-        if args.outside == "abort":
-            raise ValueError(f"speed: found {speed:g} m/s, {window}; --outside fallback runs on")
-        warnings.warn(f"speed {speed:g} m/s is {window}; falling back to {mode.name}", stacklevel=2)
-    side = "up to" if speed <= SLOW_MPS else "above"
-    return ModePlan([mode], None, f"for {speed:g} m/s, {side} {SLOW_MPS:g} m/s")
+@dataclass(kw_only=True)
+class Args(FilterArgs, IntegrityArgs, OutputArgs):
+    """The track of a measurement log, by the paper's EKF and UKF pipelines (Algorithm 1).
 
+    Up to 2 m/s the EKF pipeline runs, above it the UKF pipeline; or both, and more, in an IMM.
 
-# --- what is asked for
-
-
-def inputs(args: Args) -> Inputs:
-    """The log, its scene and the truth, if there is one."""
-    if args.sample is None:
-        if args.log is None:
-            raise ValueError("log: found none, expected a measurement log, or --sample NAME")
-        if args.log.is_dir():
-            files = f"{args.log / LOG} --scene {args.log / SCENE} --truth {args.log / TRUTH}"
-            raise ValueError(f"log: found the folder {args.log}, expected files, such as {files}")
-        if args.scene is None:
-            raise ValueError(f"scene: found none, expected --scene with that of {args.log}")
-        return Inputs(args.log, args.scene, args.truth)
-    for name, given in (("log", args.log), ("scene", args.scene)):
-        if given is not None:
-            raise ValueError(f"{name}: found {given}, but --sample brings it; expected one of them")
-    folder = sample_folder(args.sample)
-    return Inputs(folder / LOG, str(folder / SCENE), args.truth or folder / TRUTH)
-
-
-def _imm(args: Args, name: str) -> Bank:
-    """The bank of an IMM, by its name or from a mode file."""
-    if name.endswith(".json"):
-        bank = bank_from(name, radio_from(args.radio).name)
-    else:
-        bank = choose(imm_banks(args.radio), name, "imm")()
-    return replace(bank, modes=_as_asked(args, bank.modes))
-
-
-def _modes(args: Args) -> tuple[Mode, ...]:
-    """The low and the high mobility pipeline."""
-    if args.modes is not None and args.modes.suffix != ".json":
-        raise ValueError(f"modes: found {str(args.modes)!r}, expected a mode file (.json)")
-    modes = modes_from(args.modes, radio_from(args.radio).name)
-    if len(modes) != 2:
-        raise ValueError(
-            f"{args.modes}: found {len(modes)} modes, expected 2, for low and for high mobility"
-        )
-    return _as_asked(args, modes)
-
-
-def _as_asked(args: Args, modes: tuple[Mode, ...]) -> tuple[Mode, ...]:
-    """The modes with the safeguards that the options leave them."""
-    if args.robust:
-        modes = tuple(map(robust, modes))
-    if not args.gating:
-        modes = tuple(replace(mode, gate=None) for mode in modes)
-    if not args.adaptive:
-        modes = tuple(replace(mode, adaptive=False) for mode in modes)
-    return modes
-
-
-def _check(args: Args, given: Inputs) -> None:
-    """Refuse options that contradict each other, and outputs in the place of other files."""
-    if args.diagnose:
-        _check_diagnosis(args)
-    if args.imm is not None:
-        for name, found in (("speed", args.speed), ("modes", args.modes)):
-            if found is not None:
-                raise ValueError(f"{name}: found {found} with --imm, expected one of them")
-    if (args.imm or args.speed == "auto") and args.outside == "abort":
-        other = "--imm" if args.imm else "--speed auto"
-        raise ValueError(f"outside: found abort with {other}, expected a speed in m/s")
-    if args.speed != "auto" and args.follow == "odometry":
-        raise ValueError("follow: found odometry without --speed auto, expected both")
-    if not 2 <= args.window <= LONGEST_WINDOW:
-        raise ValueError(
-            f"window: found {args.window}, expected 2 to {LONGEST_WINDOW} epochs; --no-smoothing "
-            "does without"
-        )
-    if args.height is not None and not np.isfinite(args.height):
-        raise ValueError(f"height: found {args.height}, expected a number of meters")
-    _check_integrity(args, given)
-    if args.plot is not None:
-        require_picture("plot", args.plot)
-    seen: dict[Path, str] = {}
-    files = {"the log": given.log, "scene": Path(given.scene), "truth": given.truth,
-             "modes": args.modes, "imm": Path(args.imm) if args.imm else None}  # fmt: skip
-    for name, path in (files | _outputs(args)).items():
-        if path is not None and seen.setdefault(path.resolve(), name) != name:
-            raise ValueError(
-                f"{name}: found {path}, which is also {seen[path.resolve()]}, expected another file"
-            )
-    if args.out is not None:
-        require_own_files(args.out)
-
-
-def _check_integrity(args: Args, given: Inputs) -> None:
-    require_risk(args.risk)
-    require_limit(args.alert_limit)
-    if args.stanford is not None:
-        require_picture("stanford", args.stanford)
-        if given.truth is None:
-            raise ValueError("stanford: found no truth, expected --truth to know errors by")
-
-
-def _check_diagnosis(args: Args) -> None:
-    if args.out or args.plot or args.stanford:
-        raise ValueError("diagnose: found with --out, --plot or --stanford, expected no track")
-    if args.associate:
-        raise ValueError("diagnose: found with --associate, expected rows with anchors")
-
-
-def _outputs(args: Args) -> dict[str, Path | None]:
-    table = None if args.out is None else table_beside(args.out)
-    return {
-        "out": args.out, "the table beside out": table, "plot": args.plot, "json": args.json,
-        "stanford": args.stanford,
-    }  # fmt: skip
-
-
-# --- running
-
-
-class Work(NamedTuple):
-    """What is localized, and by what."""
-
-    scene: Scene
-    plan: ModePlan
-    first: LogBlock  # of the log
-    blocks: Iterable[LogBlock]  # all of them
-    truth: Truth | None
-    association: Association | None  # what was associated so far
-
-
-def _work(args: Args, given: Inputs, scene: Scene, epochs_per_block: int) -> Work:
-    """Open the log, and the truth if there is one; asks for the speed if it is not given."""
-    modes = _modes(args) if args.imm is None else _imm(args, args.imm)
-    association = Association(len(scene.anchors_m)) if args.associate else None
-    blocks = _blocks(args, given.log, scene, epochs_per_block, association)
-    first = next(blocks)
-    if args.follow == "odometry" and not first.layout.odometry:
-        raise ValueError(
-            f"follow: found odometry, but no speed in {given.log}, expected prediction"
-        )
-    truth = Truth(given.truth) if given.truth else None
-    return Work(scene, plan(args, modes), first, chain([first], blocks), truth, association)
-
-
-def _blocks(
-    args: Args, log: Path, scene: Scene, epochs_per_block: int, association: Association | None
-) -> Iterator[LogBlock]:
-    """The log, with anchors as it has them or as they are found."""
-    if association is None:
-        return read_log(log, scene, epochs_per_block, args.odometry)
-    paths, radio = read_paths(log, scene, args.odometry), radio_from(args.radio)
-    fast = modes_from(args.modes, radio.name)[-1]
-    return associate(paths, scene, radio, fast, association, epochs_per_block)
-
-
-def _track(args: Args, work: Work, window: int | None) -> Iterator[TrackBlock]:
-    radio, chosen = radio_from(args.radio), work.plan
-    return localize(work.blocks, work.scene, radio, chosen.modes, chosen.rule, window, args.height)
-
-
-def beginning(args: Args, epochs: int) -> tuple[TrackBlock, Work]:
-    """The first epochs of a track, filtered, and what they are of.
-
-    Raises:
-        ValueError: as the command.
-        OSError: a file can't be read.
+    mmwave-loc localize log.csv --scene scene.json --speed auto --out track.tum
+    mmwave-loc localize log.csv --scene scene.json --imm imm-best --out track.tum
     """
-    given = inputs(args)
-    work = _work(args, given, scene_from(given.scene), epochs)
-    return next(_track(args, work, None)), work
 
-
-class Result(NamedTuple):
-    """What came out: figures, what to draw, and what is wrong with the log or the truth."""
-
-    figures: dict[str, Any]
-    sampler: TrackSampler
-    scores: TruthScores | None  # against the truth, if there is one
-    error: ValueError | None
-
-
-def _run(args: Args, work: Work) -> Result:
-    """Localize, score and write, block by block.
-
-    Raises:
-        LogError: the log is damaged before there is any track; nothing is written.
-    """
-    names, truth = work.plan.names, work.truth
-    course, groups, sampler = Course(names), Groups(), TrackSampler(names, work.scene.anchors_m)
-    tracks = ["filtered", "smoothed"] if args.smoothing else ["filtered"]
-    planar = args.height is not None
-    scores = TruthScores(truth, tracks, planar, args.risk) if truth else None
-    clocks = ClockComparison(work.scene)
-    if truth:
-        work = work._replace(blocks=clocks.beside(Truth(truth.path), work.blocks))
-    track = _track(args, work, args.window if args.smoothing else None)
-    error: ValueError | None = None
-    with ExitStack() as stack:
-        write = stack.enter_context(track_files(args.out, names)) if args.out else None
-        report = stack.enter_context(progress("localizing"))
-        try:
-            for block in track:
-                sampler.add(block, scores.add(block) if scores else None)
-                course.add(block)
-                groups.add(block)
-                if write:
-                    write(block)
-                report(block.share)
-        except LogError as damage:
-            if not course.epochs:
-                raise
-            error = damage
-    figures = {**course.figures(), "groups": groups.figures()}
-    if work.association:
-        figures["association"] = work.association.figures()
-    if truth and scores and scores.scored:
-        truth.warn_if_few(scores.scored, course.epochs, course.first_s, course.last_s)
-        clock = clocks.offset(truth.path)
-        figures["truth"] = scores.figures() | {"clock": clock and clock.figures()}
-        if clock and clock.matters:
-            warnings.warn(f"{truth.path}: {clock.advice}", stacklevel=2)
-    elif truth and not error:
-        error = truth.no_match(course.first_s, course.last_s)
-    return Result(figures, sampler, scores, error)
-
-
-def _diagnose(args: Args, log: Path, scene: Scene, mode: Mode) -> None:
-    """What is wrong with the log, as a table."""
-    block = next(read_log(log, scene, odometry=False, limits=False))
-    with progress("trying likely mistakes"):
-        findings = diagnose(block, scene, radio_from(args.radio), mode)
-    if args.json:
-        write_json(args.json, provenance("localize", args) | diagnosis_figures(findings))
-    show(diagnosis_markdown(findings))
+    log: Positional[Path | None] = None
+    """measurement log: .csv, .csv.gz or .parquet"""
+    scene: str | None = None
+    """JSON file with the anchors; or street, o1, dynamic-doppler"""
+    sample: str | None = None
+    """in place of a log: canyon28_vehicle or canyon28_pedestrian, with its scene and truth"""
+    speed: str | None = None
+    """of the user, m/s; or auto, to decide in every epoch; asked for on a terminal"""
+    outside: Literal["fallback", "abort"] = "fallback"
+    """above 20 m/s, outside the design window: run the UKF pipeline, or stop"""
+    follow: Literal["prediction", "odometry"] = "prediction"
+    """the speed that --speed auto follows"""
+    associate: bool = False
+    """rows are paths that nobody has given an anchor: find out which belong to which, and which are
+    false"""
+    truth: Path | None = None
+    """true track in TUM format, to score against; the filters never see it"""
 
 
 def main(args: Args) -> None:
     """Run the command."""
-    given = inputs(args)
-    _check(args, given)
-    scene = scene_from(given.scene)
-    if args.diagnose:
-        return _diagnose(args, given.log, scene, _modes(args)[-1])
-    work = _work(args, given, scene, EPOCHS_PER_BLOCK)
-    for path in filter(None, _outputs(args).values()):
-        require_writable(path)
-    figures, sampler, scores, error = _run(args, work)
-    doubts = contradictions(work.first, scene, radio_from(args.radio), figures["groups"])
-    for doubt in doubts:
-        warnings.warn(f"{doubt}; --diagnose tries likely mistakes", stacklevel=2)
-    kind, written = "smoothed" if args.smoothing else "filtered", {}
-    if args.out:
-        written[f"{kind} track"] = str(args.out)
-        written["its standard deviations and modes"] = str(table_beside(args.out))
-    if args.plot:
-        written["picture"] = str(args.plot)
-    if args.stanford and scores and scores.scored:
-        draw_stanford(scores.errors, args.alert_limit, args.stanford)
-        written["Stanford diagram"] = str(args.stanford)
-    origin = {
-        "log": str(given.log),
-        "scene": scene.name,
-        "radio": args.radio,
-        "imm": args.imm,
-        "rule": work.plan.why,
-    }
-    figures = {
-        **origin,
-        **figures,
-        "contradictions": [d._asdict() for d in doubts],
-        "written": written,
-        "error": error and str(error),
-    }
-    if args.json:  # first, because whoever reads what is shown may leave
-        write_json(args.json, provenance("localize", args) | figures)
-    try:
-        if args.plot:
-            title = f"{'/'.join(given.log.parts[-2:])}, {kind} track"
-            draw_trajectory(sampler.track, args.plot, title)
-    finally:  # a picture that fails costs nobody the figures
-        _show(args, figures, error)
+    from experiments.localization.algorithm import localized
 
-
-def _show(args: Args, figures: dict[str, Any], error: ValueError | None) -> None:
-    """The figures, and what is wrong with log or truth."""
-    try:
-        show(track_markdown(figures))
-    finally:
-        if error:
-            done = f"; {figures['epochs']} epochs are {'written' if args.out else 'shown'}"
-            raise ValueError(f"{error}{done}") from error
-
-
-if __name__ == "__main__":
-    run("localize")
+    localized(args)

@@ -1,19 +1,45 @@
 """mmwave-loc report: one self-contained web page of results."""
 
-from experiments.arguments.report import Args
-from experiments.cli.main import run
-from experiments.evaluation.terminal import say
-from experiments.localize import beginning
-from experiments.webpage.episodes import LONGEST
-from experiments.webpage.page import write_page
-from experiments.webpage.played import Played, arguments_of
-from experiments.webpage.source import Source
-from experiments.webpage.tracks import shown_track
-from mmwave_env.files import require_writable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from tyro.conf import Positional
+
+if TYPE_CHECKING:
+    from experiments.webpage.played import Played
+    from experiments.webpage.source import Source
 
 
-def localized(source: Source) -> Played:
+@dataclass(kw_only=True)
+class Args:
+    """One web page of results, which needs neither network nor anything installed.
+
+    Results are JSON files (--json) of compare, evaluate, demo, transfer, localize and learned,
+    entries of leaderboard, records of studies, and folders of sweeps and of runs of train. What
+    files do not hold epoch by epoch is played again, by the command in them; agents that are code
+    of their own (module:function, .zip) are left out there.
+
+    mmwave-loc report results.json runs/train --out report.html
+    """
+
+    results: Positional[tuple[Path, ...]]
+    """JSON files of results, folders of runs, or folders in which such lie"""
+    out: Path = Path("report.html")
+    """file to write"""
+    episodes: int = 30
+    """of each comparison to play again, for the distributions of errors and NEES; 0 for none"""
+    watch: int = 2
+    """how many of these can be watched epoch by epoch"""
+
+
+def localized(source: "Source") -> "Played":
     """The first epochs of a log, localized again; or why they are not."""
+    from experiments.localization.algorithm import beginning
+    from experiments.webpage.episodes import LONGEST
+    from experiments.webpage.played import Played, arguments_of
+    from experiments.webpage.tracks import shown_track
+
     try:
         args = arguments_of(source)
         if args.imm is None and args.speed is None:
@@ -26,6 +52,10 @@ def localized(source: Source) -> Played:
 
 def main(args: Args) -> None:
     """Run the command."""
+    from experiments.console.progress import say
+    from experiments.webpage.page import write_page
+    from mmwave_env.files import require_writable
+
     for name in ("episodes", "watch"):
         if getattr(args, name) < 0:
             raise ValueError(f"{name}: found {getattr(args, name)}, expected 0 or more")
@@ -34,7 +64,3 @@ def main(args: Args) -> None:
     require_writable(args.out)
     size = write_page(args, localized)
     say(f"{args.out}, {size / 1e6:.1f} MB: open it in a browser")
-
-
-if __name__ == "__main__":
-    run("report")

@@ -1,19 +1,29 @@
 """mmwave-loc simulate: one episode as files, for localize and for other people's tools."""
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
-from experiments.arguments.simulate import Args
-from experiments.cli.main import run
-from experiments.cli.options import command_line, source_of
-from experiments.evaluation.seeds import draw_episodes
-from experiments.evaluation.terminal import progress, say
-from mmwave_env.episodes.log_folder import LOG, SCENE, TRUTH, write_log_folder
-from mmwave_env.episodes.measured import MeasuredSource
-from mmwave_env.episodes.recorded import RecordedSource
-from mmwave_env.episodes.simulated import SimulatedSource
-from mmwave_env.models.random_scene import RandomScene
-from mmwave_env.models.scene import scene_of_anchors
+from experiments.console.options import WorldArgs
+
+
+@dataclass(kw_only=True)
+class Args(WorldArgs):
+    """Write one episode as a folder: log.csv (measurements), scene.json and truth.tum.
+
+    mmwave-loc simulate --scenario vehicle --out episode
+    """
+
+    out: Path
+    """the folder"""
+    overwrite: bool = False
+    """replace the files of an episode that are there"""
+    seed: int = 0
+    """seed of the episode, the same that evaluate runs"""
+    unassociated: bool = False
+    """rows are paths in random order, without the number of an anchor; localize --associate reads
+    them"""
+    false_paths: int = 0
+    """drawn among the others in every epoch, with --unassociated"""
 
 
 def _require_none(folder: Path, overwrite: bool) -> None:
@@ -22,6 +32,8 @@ def _require_none(folder: Path, overwrite: bool) -> None:
     Raises:
         ValueError: there are some that may not be replaced.
     """
+    from mmwave_env.episodes.log_folder import LOG, SCENE, TRUTH
+
     found = [name for name in (LOG, SCENE, TRUTH) if (folder / name).exists()]
     if found and not overwrite:
         raise ValueError(
@@ -32,6 +44,17 @@ def _require_none(folder: Path, overwrite: bool) -> None:
 
 def main(args: Args) -> None:
     """Run the command."""
+    from experiments.console.progress import progress, say
+    from experiments.console.provenance import command_line
+    from experiments.evaluation.asked import source_of
+    from experiments.evaluation.seeds import draw_episodes
+    from mmwave_env.episodes.log_folder import write_log_folder
+    from mmwave_env.episodes.measured import MeasuredSource
+    from mmwave_env.episodes.recorded import RecordedSource
+    from mmwave_env.episodes.simulated import SimulatedSource
+    from mmwave_env.models.random_scene import RandomScene
+    from mmwave_env.models.scene import scene_of_anchors
+
     if args.false_paths and not args.unassociated:
         raise ValueError(
             f"false-paths: found {args.false_paths}, expected --unassociated beside it"
@@ -55,7 +78,3 @@ def main(args: Args) -> None:
     say(f"written to {args.out}/: {', '.join(names)}")
     if isinstance(source, SimulatedSource) and not source.travels and len(source.names) > 1:
         say(f"the user is {episode.name}")
-
-
-if __name__ == "__main__":
-    run("simulate")

@@ -4,44 +4,55 @@ import os
 import tempfile
 import warnings
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any, Literal
 
-from experiments.arguments.shared import EpisodeArgs
-from experiments.arguments.sweep import Args
-from experiments.arguments.train import Args as TrainArgs
-from experiments.cli.main import run
-from experiments.cli.options import command_line, contender_of, provenance, selection_of, task_of
-from experiments.evaluation.markdown import HEADERS, grid, rounded, show
-from experiments.evaluation.runner import Scoring, score_contenders
-from experiments.evaluation.seeds import TUNING_SEED
-from experiments.evaluation.terminal import note, progress, say
-from experiments.sweeping.cell import (
-    HYPERPARAMETER,
-    JUDGED,
-    Cell,
-    Done,
-    Result,
-    episode_args,
-    task_args,
-)
-from experiments.sweeping.engines import local, on_ray
-from experiments.sweeping.results import ResultSet
-from experiments.sweeping.spec import Spec, read_spec
-from experiments.sweeping.tuner import trials
-from experiments.training.hyperparameters import Hyperparameters, hyperparameters_as_written
-from mmwave_env.files import write_json
-from mmwave_env.lookup import require_extra
-from mmwave_env.models.radio import radio_from
+from tyro.conf import Positional
+
+from experiments.console.options import EpisodeArgs
+
+if TYPE_CHECKING:
+    from experiments.sweeping.cell import Cell, Done, Result
+    from experiments.sweeping.results import ResultSet
+    from experiments.sweeping.spec import Spec
+    from experiments.train import Args as TrainArgs
+    from experiments.training.hyperparameters import Hyperparameters
+
+
+@dataclass(kw_only=True)
+class Args:
+    """Grids of policies, users, radios, scenes, seeds and hyperparameters, cell by cell.
+
+    The file says what is to be done (docs/sweep.md). What is there is not computed again: a sweep
+    that was ended goes on. Cells that fail are told at the end; the others are whole.
+
+    mmwave-loc sweep grid.toml --out sweeps
+    """
+
+    spec: Positional[Path]
+    """TOML file: [evaluate] and [train], whose lists are combined, or [search], by Ray alone"""
+    out: Path = Path("sweeps")
+    """folder of the data set: Parquet, a folder a run, a row an episode"""
+    engine: Literal["local", "ray"] = "local"
+    """processes of this machine, or Ray"""
+    address: str | None = None
+    """of a Ray cluster: auto, or HOST:PORT; this machine alone, where none is given"""
+    workers: int = os.cpu_count() or 1
+    """how many cells at once, without an address"""
+    tries: int = 2
+    """of a cell before it has failed"""
+
 
 SHOWN = ("reward", "ate_m", "rmse_m", "nees", "divergence_rate")
 BEST = "hyperparameters.json"
 
 
-def compute(cell: Cell) -> Result:
+def compute(cell: "Cell") -> "Result":
     """What a cell comes to: which episodes, the metrics of each, and warnings on the way."""
+    from experiments.sweeping.cell import episode_args
+
     os.environ["OPENBLAS_NUM_THREADS"] = "1"  # cells run side by side
     values = dict(cell.values)
     with warnings.catch_warnings(record=True) as said:
@@ -53,7 +64,10 @@ def compute(cell: Cell) -> Result:
     return found | {"warnings": sorted({str(one.message) for one in said})}
 
 
-def _evaluated(args: EpisodeArgs, policy: str) -> Result:
+def _evaluated(args: EpisodeArgs, policy: str) -> "Result":
+    from experiments.evaluation.asked import contender_of, selection_of, task_of
+    from experiments.evaluation.runner import Scoring, score_contenders
+
     task, contender = task_of(args), contender_of(args, policy)
     selection = selection_of(args, task.source)
     scores = score_contenders(
@@ -67,11 +81,13 @@ def _evaluated(args: EpisodeArgs, policy: str) -> Result:
     }
 
 
-def _trained(values: Mapping[str, Any]) -> Result:
+def _trained(values: Mapping[str, Any]) -> "Result":
     """A policy, and what it earns on tuning seeds: a choice among trainings must not see others."""
-    from experiments.train import places_of, rewards
+    from experiments.evaluation.seeds import TUNING_SEED
+    from experiments.sweeping.cell import JUDGED
     from experiments.training.job import Job
     from experiments.training.processes import train
+    from experiments.training.run import places_of, rewards
     from experiments.training.training_task import TrainingTask, banks_of
 
     args, found = _train_args(values), _hyperparameters(values)
@@ -91,13 +107,17 @@ def _trained(values: Mapping[str, Any]) -> Result:
         return _evaluated(judged, str(job.policy)) | {"policy": job.policy.read_bytes()}
 
 
-def _train_args(values: Mapping[str, Any]) -> TrainArgs:
+def _train_args(values: Mapping[str, Any]) -> "TrainArgs":
+    from experiments.sweeping.cell import task_args
+    from experiments.train import Args as TrainArgs
+
     return TrainArgs(**vars(task_args(values)), total_timesteps=values["total_timesteps"])
 
 
-def _hyperparameters(values: Mapping[str, Any]) -> Hyperparameters:
+def _hyperparameters(values: Mapping[str, Any]) -> "Hyperparameters":
     """The shipped hyperparameters, but for those that a cell has."""
-    from experiments.train import hyperparameters, places_of
+    from experiments.sweeping.cell import HYPERPARAMETER
+    from experiments.training.run import hyperparameters, places_of
 
     args = _train_args(values)
     changed = {
@@ -114,6 +134,12 @@ def main(args: Args) -> None:
     Raises:
         ValueError: cells failed; all others are there.
     """
+    from experiments.console.progress import note
+    from experiments.sweeping.results import ResultSet
+    from experiments.sweeping.spec import read_spec
+    from mmwave_env.lookup import require_extra
+    from mmwave_env.models.radio import radio_from
+
     for name in ("workers", "tries"):
         if getattr(args, name) < 1:
             raise ValueError(f"{name}: found {getattr(args, name)}, expected 1 or more")
@@ -139,8 +165,13 @@ def main(args: Args) -> None:
     _tell(args, spec, results, failed)
 
 
-def _run(args: Args, spec: Spec, results: ResultSet, there: set[str]) -> list[Done]:
+def _run(args: Args, spec: "Spec", results: "ResultSet", there: set[str]) -> "list[Done]":
     """Compute what is not there and keep it; what failed."""
+    from experiments.console.progress import progress
+    from experiments.sweeping.cell import Done
+    from experiments.sweeping.engines import local, on_ray
+    from experiments.sweeping.tuner import trials
+
     if spec.search is None:
         engine = partial(on_ray, address=args.address) if args.engine == "ray" else local
         todo = [cell for cell in spec.cells if cell.name not in there]
@@ -164,8 +195,15 @@ def _run(args: Args, spec: Spec, results: ResultSet, there: set[str]) -> list[Do
     return failed
 
 
-def _tell(args: Args, spec: Spec, results: ResultSet, failed: list[Done]) -> None:
+def _tell(args: Args, spec: "Spec", results: "ResultSet", failed: "list[Done]") -> None:
     """The summary, as a table and as a file that report reads; the best of a search as one."""
+    from experiments.console.progress import say
+    from experiments.console.provenance import command_line, provenance
+    from experiments.console.tables import show
+    from experiments.sweeping.cell import JUDGED
+    from experiments.training.hyperparameters import hyperparameters_as_written
+    from mmwave_env.files import write_json
+
     summary, lost = results.summary(), {one.cell for one in failed}
     write_json(results.folder / "summary.json", provenance("sweep", args) | {
         "cells": len(spec),
@@ -190,18 +228,17 @@ def _tell(args: Args, spec: Spec, results: ResultSet, failed: list[Done]) -> Non
         )
 
 
-def _counted(spec: Spec) -> str:
+def _counted(spec: "Spec") -> str:
     what = "cell" if spec.search is None else "trial"
     return f"{len(spec)} {what}{'s' if len(spec) > 1 else ''}"
 
 
 def _table(summary: Mapping[str, Mapping[str, Any]]) -> str:
+    from experiments.console.tables import HEADERS, grid
+    from experiments.evaluation.intervals import rounded
+
     def rows() -> Iterator[list[str]]:
         for name, row in summary.items():
             yield [name, *(rounded(row[metric]) for metric in SHOWN)]
 
     return grid(["cells", *(HEADERS[metric] for metric in SHOWN)], list(rows())) + "\n"
-
-
-if __name__ == "__main__":
-    run("sweep")

@@ -3,27 +3,44 @@
 import csv
 import io
 from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
 
-from experiments.arguments.tables import Args
-from experiments.cli.doc_pages import page_to_renew, renewed
-from experiments.cli.main import run
-from experiments.cli.options import provenance
-from experiments.evaluation.markdown import show
-from experiments.evaluation.terminal import say, tracked
-from experiments.figures.canvas import require_picture
-from experiments.paper.accuracy import error_budget, headline
-from experiments.paper.bench import Bench, Section
-from experiments.paper.claims import CLAIMS
-from experiments.paper.figure import draw
-from experiments.paper.printed import table_three, tables_one_and_two
-from mmwave_env.files import require_writable, write_json, write_text
+from experiments.console.options import JsonArgs
+
+if TYPE_CHECKING:
+    from experiments.paper.bench import Bench, Section
+
+
+@dataclass(kw_only=True)
+class Args(JsonArgs):
+    """Reproduce Tables I, II and III of the paper and test its claims.
+
+    mmwave-loc tables --episodes 100
+    """
+
+    episodes: int = 1000
+    """simulated episodes for each kind of user and radio"""
+    seed: int = 0
+    """seed of the first episode; test seeds start at 0"""
+    out: Path = Path("results/paper")
+    """folder for tables.md, tables.csv and tables.png"""
+    docs: Path | None = None
+    """also renew the tables of this page, between its `<!-- table: ... -->` lines, and the
+    figure beside it"""
+
 
 SECTIONS = 19
 FIELDS = ("section", "row", "column", "mean", "low", "high")
 
 
-def sections(bench: Bench) -> Iterator[Section]:
+def sections(bench: "Bench") -> "Iterator[Section]":
     """Everything there is, in order."""
+    from experiments.paper.accuracy import error_budget, headline
+    from experiments.paper.claims import CLAIMS
+    from experiments.paper.printed import table_three, tables_one_and_two
+
     yield from tables_one_and_two(bench)
     yield table_three(bench)
     yield from (claim(bench) for claim in CLAIMS)
@@ -33,6 +50,15 @@ def sections(bench: Bench) -> Iterator[Section]:
 
 def main(args: Args) -> None:
     """Run the command."""
+    from experiments.console.doc_pages import page_to_renew, renewed
+    from experiments.console.progress import say, tracked
+    from experiments.console.provenance import provenance
+    from experiments.console.tables import show
+    from experiments.figures.canvas import require_picture
+    from experiments.paper.bench import Bench
+    from experiments.paper.figure import draw
+    from mmwave_env.files import require_writable, write_json, write_text
+
     if args.episodes < 1:
         raise ValueError(f"episodes: found {args.episodes}, expected at least 1")
     figures = [args.out / "tables.png"] + ([args.docs.with_suffix(".png")] if args.docs else [])
@@ -63,7 +89,3 @@ def main(args: Args) -> None:
     finally:  # a picture that fails costs nobody the tables
         show(text)
     say(f"written to {args.out}/")
-
-
-if __name__ == "__main__":
-    run("tables")

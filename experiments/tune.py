@@ -1,52 +1,68 @@
 """mmwave-loc tune: process noise of modes, on tuning seeds."""
 
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Literal
 
-import numpy as np
-from scipy.optimize import minimize
-from scipy.special import chdtri
+from experiments.console.options import TUNING_SEED, JsonArgs, WorldArgs
 
-from experiments.arguments.shared import WorldArgs
-from experiments.arguments.tune import Args
-from experiments.cli.main import run
-from experiments.cli.options import provenance, source_of
-from experiments.evaluation.intervals import bootstrap
-from experiments.evaluation.markdown import grid, show
-from experiments.evaluation.seeds import draw_episodes, require_tuning_seed
-from experiments.evaluation.terminal import say, tracked
-from experiments.evaluation.text import escaped
-from mmwave_env.engines.track_engine import Tracker
-from mmwave_env.episodes.episode import Episode
-from mmwave_env.files import require_writable, write_json
-from mmwave_env.filters.mode_files import as_written, modes_from
-from mmwave_env.filters.modes import Mode
-from mmwave_env.filters.pipeline import Pipeline
-from mmwave_env.lookup import choose
-from mmwave_env.metrics import scored
-from mmwave_env.models.measurement import Layout
-from mmwave_env.models.radio import RADIOS, radio_from
-from mmwave_env.numerics.arrays import Array
+if TYPE_CHECKING:
+    Objective = Callable[["Mode"], "Array"]
+    from mmwave_env.episodes.episode import Episode
+    from mmwave_env.filters.modes import Mode
+    from mmwave_env.models.measurement import Layout
+    from mmwave_env.numerics.arrays import Array
 
-Objective = Callable[[Mode], Array]
+
+@dataclass(kw_only=True)
+class Args(JsonArgs):
+    """Tune the process noise of modes by likelihood or by position error.
+
+    mmwave-loc tune --radio handset --out modes.json
+    """
+
+    radio: str = "handset"
+    """handset, standard, high or a JSON file"""
+    modes: tuple[str, ...] = ("ekf", "ukf")
+    """what to tune: ekf, ukf, ckf, ekf-robust, ukf-robust, mode files"""
+    scenarios: tuple[str, ...] = ("pedestrian", "vehicle")
+    """kind of user each mode is tuned on, in the same order; names, JSON files or CSV files"""
+    free: tuple[str, ...] = ("sigma_v", "sigma_p")
+    """what to tune: sigma_p, sigma_v, sigma_pz, sigma_vz, sigma_b_mps, spread_gain"""
+    objective: Literal["likelihood", "rmse"] = "likelihood"
+    """likelihood of the measurements (needs no truth), or root mean square position error"""
+    diagonal: bool = False
+    """process noise as the paper prints it: a plain diagonal, no coupling"""
+    episodes: int = 300
+    """how many"""
+    seed: int = TUNING_SEED
+    """seed of the first episode; never a test seed"""
+    out: Path | None = None
+    """write the tuned modes to this mode file, for --modes and modes="""
+
 
 # Where each part of the process noise is looked for, in the units of Mode.
 RANGES = {
     "sigma_p": (0.01, 2.0), "sigma_v": (0.1, 4.0), "sigma_pz": (0.001, 0.2),
     "sigma_vz": (0.001, 0.2), "sigma_b_mps": (0.01, 0.5), "spread_gain": (1e-4, 0.1),
 }  # fmt: skip
-# NIS beyond this chi-square quantile counts as this quantile in a likelihood. On data of the
-# filter's own model 0.99 would bias sigma_v by -6 %, 0.999 by less than 1 %.
-CAP = 0.999
 POINTS = (6, 11)  # of the surface, along the second and the first parameter
 STEP = 0.3  # of the first simplex, in logarithms: a third
 
 
-def likelihood(history: dict[str, Array], layout: Layout) -> Array:
+def likelihood(history: "dict[str, Array]", layout: "Layout") -> "Array":
     """Mean log-likelihood per epoch (episodes,) of the innovations, outliers capped.
 
     Unmodeled blockage would otherwise decide. The constant -(rows / 2) log(2 pi) is left out.
     """
+    import numpy as np
+    from scipy.special import chdtri
+
+    from experiments.tuning.scores import CAP
+    from mmwave_env.metrics import scored
+    from mmwave_env.numerics.arrays import Array
+
     nis, log_likelihood = history["memory.nis"], history["log_likelihood"]
     rows = [group.stop - group.start for group in layout.groups]
     excess = np.maximum(nis - chdtri(rows, 1.0 - CAP), 0.0).sum(axis=-1)
@@ -55,8 +71,13 @@ def likelihood(history: dict[str, Array], layout: Layout) -> Array:
     return per_epoch
 
 
-def negative_mean_square(history: dict[str, Array], layout: Layout) -> Array:
+def negative_mean_square(history: "dict[str, Array]", layout: "Layout") -> "Array":
     """Minus the mean square position error (episodes,), m^2."""
+    import numpy as np
+
+    from mmwave_env.metrics import scored
+    from mmwave_env.numerics.arrays import Array
+
     error = history["error"]
     mean: Array = np.square(error[:, scored(error.shape[1])]).sum(axis=-1).mean(axis=-1)
     return -mean
@@ -68,8 +89,13 @@ OBJECTIVES = {
 }
 
 
-def objective_of(name: str, mode: Mode, episodes: Sequence[Episode]) -> Objective:
+def objective_of(name: str, mode: "Mode", episodes: "Sequence[Episode]") -> "Objective":
     """From a mode to what is maximized, per episode; the mode's algorithm is that of ``mode``."""
+    from mmwave_env.engines.track_engine import Tracker
+    from mmwave_env.filters.modes import Mode
+    from mmwave_env.filters.pipeline import Pipeline
+    from mmwave_env.numerics.arrays import Array
+
     function, names, _ = OBJECTIVES[name]
     layout = episodes[0].layout
     tracker = Tracker(Pipeline((mode,), layout), len(episodes))
@@ -82,7 +108,9 @@ def objective_of(name: str, mode: Mode, episodes: Sequence[Episode]) -> Objectiv
     return evaluate
 
 
-def tune(mode: Mode, free: Sequence[str], objective: Objective) -> tuple[Mode, list[Array], Array]:
+def tune(
+    mode: "Mode", free: Sequence[str], objective: "Objective"
+) -> "tuple[Mode, list[Array], Array]":
     """The best tuning, and the surface that leads there.
 
     The best point of a logarithmic grid over the first two parameters is the start of a
@@ -91,6 +119,12 @@ def tune(mode: Mode, free: Sequence[str], objective: Objective) -> tuple[Mode, l
     Returns:
         The mode; the axes of the surface; its values, (len(axis),) or (len(axis), len(axis)).
     """
+    import numpy as np
+    from scipy.optimize import minimize
+
+    from experiments.console.progress import tracked
+    from mmwave_env.filters.modes import Mode
+
     axes = [np.geomspace(*RANGES[name], POINTS[-1 - i]) for i, name in enumerate(free[:2])]
     points = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, len(axes))
 
@@ -118,8 +152,10 @@ def tune(mode: Mode, free: Sequence[str], objective: Objective) -> tuple[Mode, l
     return best, axes, surface.reshape([len(axis) for axis in axes])
 
 
-def surface_table(free: Sequence[str], axes: Sequence[Array], surface: Array) -> str:
+def surface_table(free: Sequence[str], axes: "Sequence[Array]", surface: "Array") -> str:
     """The surface as Markdown: the first parameter to the right, the second down."""
+    from experiments.console.tables import grid
+
     header = [" / ".join(reversed(free[:2])), *(f"{v:.3g}" for v in axes[0])]
     lines = surface.reshape(len(axes[0]), -1).T
     labels = [f"{v:.3g}" for v in axes[1]] if len(axes) > 1 else [""]
@@ -129,6 +165,18 @@ def surface_table(free: Sequence[str], axes: Sequence[Array], surface: Array) ->
 
 def main(args: Args) -> None:
     """Run the command."""
+    from experiments.console.progress import say
+    from experiments.console.provenance import provenance
+    from experiments.console.tables import show
+    from experiments.console.text import escaped
+    from experiments.evaluation.asked import source_of
+    from experiments.evaluation.intervals import bootstrap
+    from experiments.evaluation.seeds import draw_episodes, require_tuning_seed
+    from mmwave_env.files import require_writable, write_json
+    from mmwave_env.filters.mode_files import as_written, modes_from
+    from mmwave_env.lookup import choose
+    from mmwave_env.models.radio import RADIOS, radio_from
+
     require_tuning_seed(args.seed)
     profile = radio_from(args.radio).name
     # One that nobody has tuned yet starts from the modes of "standard".
@@ -169,7 +217,3 @@ def main(args: Args) -> None:
         write_json(args.json, made | result | {"tuned": figures})
     if args.out:
         write_json(args.out, result)
-
-
-if __name__ == "__main__":
-    run("tune")

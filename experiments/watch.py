@@ -2,32 +2,67 @@
 
 import warnings
 from collections.abc import Sequence
-from dataclasses import fields, replace
-from typing import NamedTuple
+from dataclasses import dataclass, fields, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, NamedTuple
 
-import numpy as np
+from experiments.console.options import ModeArgs, WorldArgs
 
-from experiments.arguments.shared import WorldArgs
-from experiments.arguments.watch import Args
-from experiments.cli.main import run
-from experiments.cli.options import contender_of, task_of
-from experiments.evaluation.contenders import Contender
-from experiments.evaluation.histories import history_of
-from experiments.evaluation.moments import PullAways
-from experiments.evaluation.runner import PLAIN, Scoring, score_contenders
-from experiments.evaluation.seeds import TUNING_SEED, Selection, require_tuning_seed
-from experiments.evaluation.terminal import progress, say
-from mmwave_env.episodes.episode import Episode
-from mmwave_env.localization.localizer import episode_from
-from mmwave_env.localization.segments import segments
-from mmwave_env.logs.log import LogBlock, read_log
-from mmwave_env.models.radio import radio_from
-from mmwave_env.models.scene import Streets, scene_from
-from mmwave_env.numerics.arrays import Array
-from mmwave_env.rendering.frames import require_drawable
-from mmwave_env.rendering.history import History
-from mmwave_env.rendering.video import require_video, write_video
-from mmwave_env.task import Task
+if TYPE_CHECKING:
+    from experiments.evaluation.contenders import Contender
+    from experiments.evaluation.seeds import Selection
+    from mmwave_env.episodes.episode import Episode
+    from mmwave_env.models.scene import Streets
+    from mmwave_env.numerics.arrays import Array
+    from mmwave_env.rendering.history import History
+    from mmwave_env.task import Task
+
+
+@dataclass(kw_only=True)
+class PlayArgs(ModeArgs):
+    """Episode."""
+
+    seed: int | None = None
+    """seed of the episode (0 where none is given), the same that evaluate runs"""
+    key: int | None = None
+    """key of a simulated episode in place of a seed, as --episodes-csv of compare tells it"""
+    log: Path | None = None
+    """measurement log (.csv, .csv.gz or .parquet) to play in place of an episode, with --scene; no
+    truth is needed; as of localize, a track begins at the first line of sight"""
+    begin: float | None = None
+    """second of the episode to begin at; the beginning where none is given"""
+    end: float | None = None
+    """second of the episode to end at; the end where none is given"""
+    clearest: int | None = None
+    """look among so many episodes, of seeds from 5000000 or --seed on, for the pull-away after a
+    stop in which the first policy falls farthest behind the last, and play the seconds around it"""
+
+
+@dataclass(kw_only=True)
+class PictureArgs(PlayArgs):
+    """Pictures."""
+
+    out: Path | None = None
+    """write a video, a .gif or .mp4 file, in place of a window"""
+    fps: int = 10
+    """epochs a second; in a window, keys change it (h lists them)"""
+    render_size: int = 480
+    """height and width of the picture of a policy, px, 480 to 1080"""
+    render_theme: str = "light"
+    """light or dark"""
+
+
+@dataclass(kw_only=True)
+class Args(PictureArgs):
+    """Play an episode as policies go through it, one beside the other, in a window or as a video.
+
+    mmwave-loc watch --policies speed-rule ppo --seed 3 --out ride.gif
+    """
+
+    policies: tuple[str, ...] = ("speed-rule", "ppo")
+    """up to three, as of compare: names of mmwave-loc list policies, policy files (.safetensors),
+    folders of runs, models of Stable-Baselines3 (.zip, with --trust-zip) and module:function"""
+
 
 MOST = 3  # side by side
 FASTEST = 50  # pictures a second that a GIF can have
@@ -43,13 +78,19 @@ class Ride(NamedTuple):
         which: it is, in words.
     """
 
-    episode: Episode
-    streets: Streets | None
+    episode: "Episode"
+    streets: "Streets | None"
     which: str
 
 
 def main(args: Args) -> None:
     """Run the command."""
+    from experiments.console.progress import progress, say
+    from experiments.evaluation.asked import contender_of, task_of
+    from experiments.evaluation.histories import history_of
+    from experiments.evaluation.runner import PLAIN, Scoring
+    from experiments.evaluation.seeds import Selection
+
     _check(args)
     contenders, rows = [contender_of(args, name) for name in args.policies], None
     if args.log is not None:
@@ -73,6 +114,10 @@ def main(args: Args) -> None:
 
 def _check(args: Args) -> None:
     """Refuse, before any work, what can't be shown."""
+    from experiments.evaluation.seeds import TUNING_SEED, require_tuning_seed
+    from mmwave_env.rendering.frames import require_drawable
+    from mmwave_env.rendering.video import require_video
+
     if not 1 <= len(args.policies) <= MOST:
         raise ValueError(f"policies: found {len(args.policies)}, expected 1 to {MOST}")
     if not 1 <= args.fps <= FASTEST:
@@ -111,6 +156,12 @@ def _check_log(args: Args) -> None:
 
 def _logged(args: Args) -> Ride:
     """The first track of a log, up to the first long gap."""
+    from mmwave_env.localization.localizer import episode_from
+    from mmwave_env.localization.segments import segments
+    from mmwave_env.logs.log import LogBlock, read_log
+    from mmwave_env.models.radio import radio_from
+    from mmwave_env.models.scene import scene_from
+
     assert args.log is not None and args.scene is not None
     scene = scene_from(args.scene)
     first, *others = segments([LogBlock.joined(list(read_log(args.log, scene)))])
@@ -128,9 +179,13 @@ def _logged(args: Args) -> Ride:
 
 
 def _clearest(
-    args: Args, task: Task, contenders: Sequence[Contender]
-) -> tuple[Selection, Sequence[int]]:
+    args: Args, task: "Task", contenders: "Sequence[Contender]"
+) -> "tuple[Selection, Sequence[int]]":
     """The episode with the clearest pull-away, and the rows of histories around it."""
+    from experiments.evaluation.moments import PullAways
+    from experiments.evaluation.runner import Scoring, score_contenders
+    from experiments.evaluation.seeds import TUNING_SEED, Selection
+
     assert args.clearest is not None
     first, (loser, *_, keeper) = TUNING_SEED if args.seed is None else args.seed, contenders
     among = Selection(range(first, first + args.clearest))
@@ -143,7 +198,7 @@ def _clearest(
     return among.part(place, 1), range(begin + 1, end + 2)  # the first row is the prior's
 
 
-def _drawn(task: Task, selection: Selection) -> Ride:
+def _drawn(task: "Task", selection: "Selection") -> Ride:
     """The episode that is asked for."""
     (episode,), keys = selection.draw(task.source), selection.keys(task.source)
     streets = task.streets_of(0 if keys is None else int(keys[0]))
@@ -151,8 +206,10 @@ def _drawn(task: Task, selection: Selection) -> Ride:
     return Ride(episode, streets, f"{episode.name}, {kind} {selection.numbers[0]}")
 
 
-def _between(time_s: Array, begin: float | None, end: float | None) -> Sequence[int]:
+def _between(time_s: "Array", begin: float | None, end: float | None) -> Sequence[int]:
     """The rows of a history between two times, the prior's among them at the beginning."""
+    import numpy as np
+
     low, high = -np.inf if begin is None else begin, np.inf if end is None else end
     rows: list[int] = np.flatnonzero((time_s >= low) & (time_s <= high)).tolist()
     if begin is not None and rows[:1] == [0]:
@@ -166,9 +223,11 @@ def _between(time_s: Array, begin: float | None, end: float | None) -> Sequence[
 
 
 def _told(
-    names: Sequence[str], histories: Sequence[History], rows: Sequence[int], which: str
+    names: Sequence[str], histories: "Sequence[History]", rows: Sequence[int], which: str
 ) -> list[str]:
     """What is played, and how far off everybody is in it, or may be."""
+    import numpy as np
+
     first, last = histories[0].time_s[[rows[0], rows[-1]]]
     lines = [f"{which}, {first:g} to {last:g} s"]
     for name, history in zip(names, histories, strict=True):
@@ -182,10 +241,15 @@ def _told(
 
 
 def _show(
-    args: Args, contenders: Sequence[Contender], histories: Sequence[History], rows: Sequence[int]
+    args: Args,
+    contenders: "Sequence[Contender]",
+    histories: "Sequence[History]",
+    rows: Sequence[int],
 ) -> None:
     """Write the video, or play it in a window until it is closed or a key ends it."""
+    from experiments.console.progress import progress, say
     from mmwave_env.rendering.playback import Playback
+    from mmwave_env.rendering.video import write_video
 
     size, theme = args.render_size, args.render_theme
     modes, names = [one.actions for one in contenders], [one.name for one in contenders]
@@ -205,7 +269,3 @@ def _show(
         if not window.is_open:
             break
     window.close()
-
-
-if __name__ == "__main__":
-    run("watch")

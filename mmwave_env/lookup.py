@@ -59,7 +59,8 @@ def unknown(what: str, name: object, known: Iterable[str]) -> str:
     """The message about a name that is none of those that are known."""
     names = list(known)
     hint = did_you_mean(name, names)
-    return f"{what}: found {quoted(name)}, expected one of {', '.join(names)}{hint}"
+    begin = f"{hint.removeprefix('; ')} E" if hint else "e"
+    return f"{what}: found {quoted(name)}, {begin}xpected one of {', '.join(names)}"
 
 
 def did_you_mean(name: object, known: Iterable[str]) -> str:

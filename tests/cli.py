@@ -9,7 +9,7 @@ from contextlib import redirect_stderr, redirect_stdout
 from io import StringIO
 from unittest.mock import patch
 
-from experiments.cli.main import main
+from experiments.console.main import main
 from tests.paths import ROOT
 
 
@@ -41,10 +41,10 @@ def command(*words, cwd=ROOT, columns=200):
     return subprocess.CompletedProcess(typed, code or 0, out.getvalue(), err.getvalue())
 
 
-def process(*words, module="experiments.cli", cwd=ROOT):
-    """``python -m experiments.cli <words>``, where the process itself is at issue."""
+def process(*words, cwd=ROOT):
+    """``python -m experiments.console <words>``, where the process itself is at issue."""
     return subprocess.run(
-        [sys.executable, "-m", module, *map(str, words)],
+        [sys.executable, "-m", "experiments.console", *map(str, words)],
         env=environment(),
         capture_output=True,
         text=True,

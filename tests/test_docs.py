@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from experiments.cli.main import commands, read_arguments
+from experiments.console.main import read_arguments
 from tests.cli import succeed
 from tests.paths import ROOT
 
@@ -77,10 +77,9 @@ def test_command_lines_are_understood(page, line):
     if name.startswith("-"):
         assert succeed(name)
         return
-    module, _ = commands()[name]
     if options:  # a name alone stands for the command, whose arguments need not be there
         with nullcontext() if "--help" not in options else pytest.raises(SystemExit, match="0"):
-            read_arguments(module, options, name)
+            read_arguments(name, options)
 
 
 def test_targets_of_make_are_there():

@@ -56,7 +56,7 @@ def test_an_example_beats_the_best_fixed_mode(name, tmp_path):
     source = EXAMPLES[name].read_text("utf-8")
     for package in imported(source):
         pytest.importorskip(package)
-    for words in [*(["-m", "experiments.cli", *line] for line in made_before(source)),
+    for words in [*(["-m", "experiments.console", *line] for line in made_before(source)),
                   [str(EXAMPLES[name])]]:  # fmt: skip
         done = subprocess.run(
             [sys.executable, "-W", "ignore", *words],

@@ -20,9 +20,9 @@ EXTRAS = PROJECT.split("[project.optional-dependencies]\n")[1].split("\n[")[0]
         ("matplotlib", ["localize", LOG / "log.csv", "--scene", LOG / "scene.json", "--plot"]),
         ("matplotlib", ["compare", "--policies", "fixed-ekf", "--figure"]),
         ("matplotlib", ["compare", "--policies", "fixed-ekf", "--decisions"]),
-        ("matplotlib", ["benchmark", "--plot"]),
+        ("matplotlib", ["speed", "--plot"]),
         ("matplotlib", ["tables", "--out"]),
-        ("filterpy", ["benchmark", "--plot"]),
+        ("filterpy", ["speed", "--plot"]),
         ("matplotlib", ["evaluate", "--stanford"]),
         ("pyarrow", ["evaluate", "--epochs-parquet"]),
     ],
@@ -30,9 +30,7 @@ EXTRAS = PROJECT.split("[project.optional-dependencies]\n")[1].split("\n[")[0]
 )
 def test_a_command_names_the_extra_and_writes_nothing(package, words, tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, package, None)  # as if it were not installed
-    extras = {
-    }  # fmt: skip
-    extra = extras.get(package, package)
+    extra = {"matplotlib": "plot", "pyarrow": "data"}.get(package, package)
     assert_one_clear_line(
         command(*words, tmp_path / ("new.parquet" if package == "pyarrow" else "new.png")),
         rf"needs {package}: pip install 'mmwave-loc\[{extra}\]'",

@@ -6,7 +6,7 @@ import re
 
 import pytest
 
-from experiments.cli.main import COMMANDS
+from experiments.console.main import COMMANDS
 from tests.paths import ROOT
 
 NAVIGATION = set(re.findall(r"^ +- .*?([\w/-]+\.md)$", (ROOT / "mkdocs.yml").read_text(), re.M))

@@ -85,7 +85,7 @@ def made() -> dict[str, Callable[[], str]]:
 
 def help_page() -> str:
     """What every command of the installed package says of itself."""
-    from experiments.cli.main import COMMANDS, run
+    from experiments.console.main import COMMANDS, run
 
     parts = [
         "# Options of the commands",

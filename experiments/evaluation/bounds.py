@@ -11,6 +11,8 @@ from typing import Any
 
 import numpy as np
 
+from experiments.console.tables import grid
+from experiments.console.text import escaped
 from experiments.evaluation.cramer_rao import (
     averaged_bound,
     conditional_bounds,
@@ -18,10 +20,8 @@ from experiments.evaluation.cramer_rao import (
     position_variance,
 )
 from experiments.evaluation.intervals import Interval, bootstrap
-from experiments.evaluation.markdown import grid
 from experiments.evaluation.runner import CHUNK, Scores
 from experiments.evaluation.seeds import Selection
-from experiments.evaluation.text import escaped
 from mmwave_env.episodes.episode import Episode, EpisodeSource
 from mmwave_env.metrics import scored
 from mmwave_env.models.radio import Radio

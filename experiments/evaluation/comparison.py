@@ -8,11 +8,11 @@ from typing import Any
 
 import numpy as np
 
-from experiments.evaluation.intervals import Interval, bootstrap
-from experiments.evaluation.markdown import HEADERS, grid, rounded
+from experiments.console.tables import HEADERS, grid
+from experiments.console.text import escaped
+from experiments.evaluation.intervals import Interval, bootstrap, rounded
 from experiments.evaluation.runner import Scores
 from experiments.evaluation.seeds import Selection
-from experiments.evaluation.text import escaped
 from mmwave_env.episodes.episode import EpisodeSource
 from mmwave_env.metrics import METRICS
 from mmwave_env.numerics.arrays import Array

@@ -4,8 +4,8 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from experiments.console.tables import Table
 from experiments.evaluation.intervals import Interval
-from experiments.evaluation.markdown import Table
 from experiments.evaluation.protocol import KINDS, RECORDED, TRAINED, standing, venues
 from mmwave_env.files import read_json
 

@@ -6,6 +6,7 @@ stratified bootstrap of rliable (Agarwal et al. 2021), where each run of each ta
 training of its own, would take K policies on n episodes for K n of them.
 """
 
+import math
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import lru_cache
@@ -51,6 +52,15 @@ class Interval:
 
     def __str__(self) -> str:
         return f"{self.mean:.3f}" + (f" [{self.low:.3f}, {self.high:.3f}]" if self.known else "")
+
+
+def rounded(interval: Interval) -> str:
+    """Mean and half the width of the interval, to the digits that the interval supports."""
+    if not interval.known:
+        return f"{interval.mean:.3f}"
+    half = (interval.high - interval.low) / 2.0
+    digits = 3 if half <= 0.0 else min(4, max(0, 1 - math.floor(math.log10(half))))
+    return f"{interval.mean:.{digits}f} ± {half:.{digits}f}"
 
 
 @lru_cache(maxsize=2)

@@ -6,8 +6,8 @@ from typing import Any
 
 import numpy as np
 
+from experiments.console.tables import grid
 from experiments.evaluation.contenders import Contender
-from experiments.evaluation.markdown import grid
 from experiments.evaluation.runner import EpochResults
 from mmwave_env.episodes.episode import Episode
 from mmwave_env.localization.position_errors import DISTANCES_M, SHARES, PositionErrors

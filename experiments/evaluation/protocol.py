@@ -27,6 +27,7 @@ UNSEEN_SCENES, UNSEEN_RADIOS = ("avenue", "plaza", "alley"), ("tablet",)
 UNSEEN = UNSEEN_SCENES + UNSEEN_RADIOS  # nothing is tuned or trained on them
 HEARD = ("handset", "standard")  # radios in unseen streets and on recordings
 # Of the published tables: recordings that come later are in docs/data.md.
+EPISODES, DRAWS = 2000, 200  # on each simulated street, and on each recording
 RECORDINGS = ("canyon28_pedestrian", "canyon28_vehicle")
 
 

@@ -7,10 +7,10 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from experiments.console.progress import bars
 from experiments.evaluation.agents import require_actions
 from experiments.evaluation.contenders import Contender, contender_from
 from experiments.evaluation.seeds import Selection
-from experiments.evaluation.terminal import bars
 from mmwave_env.compiler.program import rows_of
 from mmwave_env.engines.env_engine import Engine
 from mmwave_env.engines.imm_engine import ImmEngine

@@ -10,6 +10,8 @@ from typing import Any
 
 import numpy as np
 
+from experiments.console.tables import grid
+from experiments.console.text import escaped
 from experiments.evaluation.comparison import rivals
 from experiments.evaluation.intervals import (
     Interval,
@@ -19,10 +21,8 @@ from experiments.evaluation.intervals import (
     mean,
     share_above,
 )
-from experiments.evaluation.markdown import grid
 from experiments.evaluation.runner import Scores
 from experiments.evaluation.runs import Run
-from experiments.evaluation.text import escaped
 from mmwave_env.numerics.arrays import Array
 
 LEVELS = 81  # of a performance profile

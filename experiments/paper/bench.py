@@ -7,8 +7,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from experiments.evaluation.intervals import Interval
-from experiments.evaluation.markdown import grid, rounded
+from experiments.console.tables import grid
+from experiments.evaluation.intervals import Interval, rounded
 from experiments.evaluation.runner import Scores
 from experiments.evaluation.seeds import draw_episodes
 from mmwave_env.engines.smoothing import smooth

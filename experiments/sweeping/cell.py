@@ -7,8 +7,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields
 from typing import Any, NamedTuple, get_type_hints
 
-from experiments.arguments.shared import EpisodeArgs, ModeArgs
-from experiments.arguments.train import TaskArgs
+from experiments.console.options import EpisodeArgs, ModeArgs, TaskArgs
 from experiments.evaluation.seeds import TRAINING_SEED
 from experiments.training.hyperparameters import KINDS as HYPERPARAMETERS
 from mmwave_env.lookup import choose, quoted

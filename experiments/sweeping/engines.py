@@ -8,7 +8,7 @@ from multiprocessing.connection import wait
 from pathlib import Path
 from typing import Any
 
-from experiments.evaluation.signals import ended_by_signals
+from experiments.console.signals import ended_by_signals
 from experiments.sweeping.cell import Cell, Compute, Done
 from experiments.sweeping.worker import Worker, staff_of
 from mmwave_env.lookup import require_extra

@@ -11,7 +11,7 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
-from experiments.arguments.shared import USUAL_EPISODES
+from experiments.console.options import USUAL_EPISODES
 from experiments.sweeping.cell import HYPERPARAMETER, KINDS, Cell, require_sound, values_of
 from experiments.sweeping.named_files import digests
 from experiments.sweeping.search import Search, search_from

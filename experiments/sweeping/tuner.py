@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from experiments.evaluation.terminal import note
+from experiments.console.progress import note
 from experiments.sweeping.cell import Cell, Compute, Done, Result
 from experiments.sweeping.engines import ray_at
 from experiments.sweeping.search import Range, Search

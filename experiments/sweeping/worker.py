@@ -9,7 +9,7 @@ from contextlib import contextmanager
 from multiprocessing.connection import Connection
 from typing import NamedTuple
 
-from experiments.evaluation.signals import Ended, ended_by_signals, ignored
+from experiments.console.signals import Ended, ended_by_signals, ignored
 from experiments.sweeping.cell import Cell, Compute, Result
 
 _PATIENCE_S = 5.0  # for a process that was asked to end: it may be in C code that never looks up

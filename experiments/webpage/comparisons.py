@@ -3,8 +3,8 @@
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from experiments.console.tables import HEADERS
 from experiments.evaluation.bounds import COLUMNS
-from experiments.evaluation.markdown import HEADERS
 from experiments.webpage import charts
 from experiments.webpage.kinds import selected
 from experiments.webpage.markup import heading, paragraph, short, table, whole

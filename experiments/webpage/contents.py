@@ -2,8 +2,8 @@
 
 from collections.abc import Callable, Mapping, Sequence
 
-from experiments.arguments.leaderboard import Args as LeaderboardArgs
 from experiments.evaluation.entries import by_venue, ranking
+from experiments.evaluation.protocol import DRAWS, EPISODES
 from experiments.webpage.comparisons import add_comparisons
 from experiments.webpage.kinds import (
     COMPARISON,
@@ -59,7 +59,7 @@ def assembled(sources: Sequence[Source], played: Mapping[int, Played]) -> Page:
 def _add_entries(page: Page, found: Shown) -> None:
     """The benchmark, from its entries."""
     entries = [source.content for source, _ in found]
-    ranked = ranking(entries, LeaderboardArgs.episodes, LeaderboardArgs.draws)
+    ranked = ranking(entries, EPISODES, DRAWS)
     best = "The reward minus that of the best IMM of each venue, whichever it is there"
     page.add(
         "Benchmark",

@@ -4,7 +4,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from experiments.evaluation.markdown import HEADERS
+from experiments.console.tables import HEADERS
 from experiments.webpage import charts
 from experiments.webpage.kinds import gains_of
 from experiments.webpage.markup import Cell, Written, folded, paragraph, short, table, whole

@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 
-from experiments.evaluation.markdown import HEADERS
+from experiments.console.tables import HEADERS
 from experiments.evaluation.positions import kinds_of
 from experiments.webpage.markup import Cell, heading, paragraph, table
 from experiments.webpage.played import Played

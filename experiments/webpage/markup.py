@@ -5,8 +5,7 @@ from collections.abc import Iterable, Sequence
 from html import escape
 from typing import Any, NamedTuple
 
-from experiments.evaluation.intervals import Interval
-from experiments.evaluation.markdown import rounded
+from experiments.evaluation.intervals import Interval, rounded
 from mmwave_env.lookup import printable
 
 

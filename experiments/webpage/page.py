@@ -4,10 +4,9 @@ import json
 import re
 from collections.abc import Callable
 from importlib.resources import files
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from experiments.arguments.report import Args
-from experiments.cli.options import command_line
+from experiments.console.provenance import command_line
 from experiments.webpage.contents import assembled
 from experiments.webpage.kinds import COMPARISON, TRACK
 from experiments.webpage.markup import text
@@ -17,11 +16,14 @@ from experiments.webpage.source import Source
 from experiments.webpage.sources import read_source
 from mmwave_env.files import write_text
 
+if TYPE_CHECKING:
+    from experiments.report import Args
+
 LARGEST_BYTES = 5_000_000
 SCRIPTS = ("drawing.js", "charts.js", "stanford.js", "map.js", "browser.js", "page.js")
 
 
-def write_page(args: Args, localized: Callable[[Source], Played] | None = None) -> int:
+def write_page(args: "Args", localized: Callable[[Source], Played] | None = None) -> int:
     """Read results and write the page of them.
 
     Args:

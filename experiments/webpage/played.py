@@ -9,15 +9,15 @@ from typing import Any
 
 import numpy as np
 
-from experiments.arguments.shared import EpisodeArgs
-from experiments.cli.main import commands, read_arguments
-from experiments.cli.options import contender_of, selection_of, task_of
+from experiments.console.main import read_arguments
+from experiments.console.options import EpisodeArgs
+from experiments.console.progress import tracked
+from experiments.console.signals import Ended
 from experiments.evaluation.agents import is_agent
+from experiments.evaluation.asked import contender_of, selection_of, task_of
 from experiments.evaluation.contenders import Contender
 from experiments.evaluation.runner import EpochResults, Scoring, run_contender
 from experiments.evaluation.seeds import Selection
-from experiments.evaluation.signals import Ended
-from experiments.evaluation.terminal import tracked
 from experiments.webpage.episodes import Gates, Place, course, scenery
 from experiments.webpage.source import Source
 from mmwave_env.episodes.episode import Episode
@@ -116,7 +116,7 @@ def arguments_of(source: Source) -> Any:
     complaint = StringIO()
     try:
         with redirect_stderr(complaint):
-            return read_arguments(commands()[name][0], words, name)
+            return read_arguments(name, words)
     except Ended:  # a signal came meanwhile
         raise
     except SystemExit:

@@ -20,7 +20,7 @@ class Refuse:
             raise ImportError(name)
 
 sys.meta_path.insert(0, Refuse())
-from experiments.cli.main import main
+from experiments.console.main import main
 main()
 """
 

@@ -5,9 +5,9 @@ import json
 import numpy as np
 
 from experiments import demo
-from experiments.arguments.shared import EpisodeArgs
-from experiments.cli.options import all_contenders
-from experiments.cli.reporting import Results
+from experiments.comparing.results import Results
+from experiments.console.options import EpisodeArgs
+from experiments.evaluation.asked import all_contenders
 from experiments.evaluation.comparison import compare_scores
 from experiments.evaluation.seeds import Selection
 from mmwave_env.metrics import METRICS

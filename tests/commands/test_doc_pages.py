@@ -2,7 +2,7 @@
 
 import pytest
 
-from experiments.cli.doc_pages import page_to_renew, renewed
+from experiments.console.doc_pages import page_to_renew, renewed
 
 
 def test_a_page_is_renewed_between_its_marks_alone():

@@ -4,8 +4,8 @@ import json
 
 import pytest
 
-from experiments.arguments.leaderboard import Args
 from experiments.evaluation.protocol import entry, judge, venues
+from experiments.leaderboard import Args
 from tests.cli import assert_one_clear_line, command, succeed
 from tests.paths import ROOT
 
@@ -62,7 +62,7 @@ def test_nothing_to_judge_is_refused(options, message, tmp_path):
 
 def test_a_contender_that_there_is_not_is_refused_before_any_venue(tmp_path):
     done = command("leaderboard", "--policies", "imm-bets", "--out", tmp_path)
-    assert_one_clear_line(done, "policy: found 'imm-bets', expected one of .*imm-best")
+    assert_one_clear_line(done, "policy: found 'imm-bets', did you mean imm-best[?] Expected")
 
 
 @pytest.mark.parametrize(("episodes", "draws"), [(20, 5), (1999, 200), (2000, 199)])

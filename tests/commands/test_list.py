@@ -46,5 +46,7 @@ def test_policies_of_every_radio_have_a_line(radio):
 
 
 def test_an_unknown_kind_or_radio_is_refused():
-    assert_one_clear_line(command("list", "polices"), "WHAT: found 'polices'.*mean policies[?]$")
+    assert_one_clear_line(
+        command("list", "polices"), "what: found 'polices', did you mean policies[?]"
+    )
     assert_one_clear_line(command("list", "modes", "--radio", "lab"), "radio: found 'lab'")

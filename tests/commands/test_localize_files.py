@@ -20,7 +20,7 @@ def test_a_picture_that_fails_costs_neither_file_nor_figures(tmp_path, monkeypat
     def fails(*_):
         raise ValueError("no such font")
 
-    monkeypatch.setattr("experiments.localize.draw_trajectory", fails)
+    monkeypatch.setattr("experiments.localization.algorithm.draw_trajectory", fails)
     done = command(*SAMPLE, "--plot", tmp_path / "t.png", "--json", tmp_path / "t.json",
                    "--out", tmp_path / "t.tum")  # fmt: skip
     assert done.returncode == 2 and done.stderr == "mmwave-loc localize: no such font\n"
@@ -33,7 +33,7 @@ def test_a_picture_that_fails_costs_no_comparison_its_results(tmp_path, monkeypa
     def fails(*_):
         raise OSError(errno.ENOSPC, "No space left on device", str(tmp_path / "e.png"))
 
-    monkeypatch.setattr("experiments.cli.watchers.draw_error_cdf", fails)
+    monkeypatch.setattr("experiments.comparing.watchers.draw_error_cdf", fails)
     done = command("compare", "--policies", "fixed-ekf", "--episodes", 1, "--episode-steps", 20,
                    "--errors", tmp_path / "e.png", "--json", tmp_path / "e.json")  # fmt: skip
     assert done.returncode == 2 and done.stderr.endswith(f"device: '{tmp_path / 'e.png'}'\n")
@@ -56,7 +56,7 @@ def test_a_full_disk_is_said_of_the_file_that_was_asked_for(tmp_path, monkeypatc
 def test_what_cannot_be_printed_is_said():
     with open("/dev/full", "w") as full:
         done = subprocess.run(
-            [sys.executable, "-m", "experiments.cli", "list"], env=environment(), cwd=ROOT,
+            [sys.executable, "-m", "experiments.console", "list"], env=environment(), cwd=ROOT,
             stdout=full, stderr=subprocess.PIPE, text=True,
         )  # fmt: skip
     assert done.stderr == "mmwave-loc list: what is printed: No space left on device\n"

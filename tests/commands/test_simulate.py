@@ -6,7 +6,7 @@ import shlex
 import numpy as np
 import pytest
 
-from experiments.cli.main import run
+from experiments.console.main import run
 from mmwave_env.episodes.keys import keys_of
 from mmwave_env.episodes.log_writer import log_columns, log_text
 from mmwave_env.episodes.recorded import RecordedSource

@@ -131,7 +131,7 @@ def test_a_sweep_by_ray_is_ended_as_any_command(tmp_path):
     (tmp_path / "long.toml").write_text(text)
     words = ["sweep", "long.toml", "--engine", "ray"]
     running = subprocess.Popen(
-        [sys.executable, "-m", "experiments.cli", *words], cwd=tmp_path,
+        [sys.executable, "-m", "experiments.console", *words], cwd=tmp_path,
         env=environment(), stderr=subprocess.PIPE, text=True,
     )  # fmt: skip
     assert "2 cells" in running.stderr.readline()
@@ -265,7 +265,8 @@ def kill_once(words, folder, early_s, rng):
     """Start a sweep and kill it: at a random moment of its start, or soon after its next rows."""
     before = len(list(folder.rglob("[!.]*.parquet")))  # hidden ones are half written
     running = subprocess.Popen(
-        [sys.executable, "-m", "experiments.cli", *map(str, words)], cwd=ROOT, env=environment(),
+        [sys.executable, "-m", "experiments.console", *map(str, words)],
+        cwd=ROOT, env=environment(),
         stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, start_new_session=True,
     )  # fmt: skip
     if early_s:

@@ -4,8 +4,8 @@ import gymnasium as gym
 import numpy as np
 import pytest
 
-from experiments.arguments.shared import EpisodeArgs
-from experiments.cli.reporting import results
+from experiments.comparing.results import results
+from experiments.console.options import EpisodeArgs
 from experiments.evaluation.compare import compare, evaluate
 from mmwave_env.episodes.keys import keys_of
 from mmwave_env.metrics import METRICS

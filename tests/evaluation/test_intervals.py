@@ -14,9 +14,9 @@ from experiments.evaluation.intervals import (
     few_seeds_factor,
     interquartile_mean,
     mean,
+    rounded,
     share_above,
 )
-from experiments.evaluation.markdown import rounded
 from tests.marks import representative
 
 # --- over episodes

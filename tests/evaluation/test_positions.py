@@ -2,7 +2,7 @@
 
 import pytest
 
-from experiments.evaluation.markdown import HEADERS
+from experiments.console.tables import HEADERS
 from experiments.evaluation.positions import HEADER, exceeded, meters, percent, positions_markdown
 from mmwave_env.localization.position_errors import PositionErrors
 

@@ -18,7 +18,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-from experiments.evaluation.markdown import grid
+from experiments.console.tables import grid
 from tests.cli import succeed
 from tests.faults.cases import CASES, Case, hidden
 from tests.faults.child import Child

@@ -15,7 +15,7 @@ from collections.abc import Callable, Mapping
 from contextlib import suppress
 from pathlib import Path
 
-from experiments.cli.main import main
+from experiments.console.main import main
 from tests.cli import environment
 
 LONGEST_S = 120.0  # that a command, or what it leaves running, may take to end
@@ -112,7 +112,7 @@ def _run(
     prepare()
     os.write(told, b"\n")
     if fresh:
-        os.execv(sys.executable, [sys.executable, "-m", "experiments.cli", *words])
+        os.execv(sys.executable, [sys.executable, "-m", "experiments.console", *words])
     sys.stdout, sys.stderr = (os.fdopen(stream, "w", closefd=False) for stream in (1, 2))
     sys.argv = ["mmwave-loc", *words]
     warnings.resetwarnings()

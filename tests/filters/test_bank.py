@@ -29,7 +29,9 @@ def test_what_a_mode_file_holds_is_as_good_as_the_file():
     content = bank_as_written(BANK)
     assert bank_from(content) == BANK and modes_from(content) == BANK.modes
     for read in (bank_from, modes_from):
-        with pytest.raises(ValueError, match="key: found 'mode', expected one of modes"):
+        with pytest.raises(
+            ValueError, match="key: found 'mode', did you mean modes[?] Expected one of modes"
+        ):
             read({"mode": content["modes"]})
         with pytest.raises(ValueError, match=r"modes: found None, expected a list of one or more"):
             read({})
@@ -44,7 +46,7 @@ def test_a_misspelt_key_is_refused(tmp_path, read, misspelt, key):
     content[misspelt] = content.pop(key)
     path = tmp_path / "bank.json"
     path.write_text(json.dumps(content))
-    said = f"bank.json: .*key: found '{misspelt}', expected one of modes, .*; did you mean {key}[?]"
+    said = f"bank.json: .*key: found '{misspelt}', did you mean {key}[?] Expected one of modes"
     with pytest.raises(ValueError, match=said):
         read(path)
 

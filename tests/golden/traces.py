@@ -13,7 +13,7 @@ import gymnasium as gym
 import numpy as np
 
 import mmwave_env
-from experiments.speed.operations import count
+from experiments.timing.operations import count
 from mmwave_env.engines.env_engine import Engine
 from mmwave_env.engines.imm_engine import ImmEngine, imm_program
 from mmwave_env.engines.track_engine import Tracker

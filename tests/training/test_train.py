@@ -24,7 +24,7 @@ pytest.importorskip("stable_baselines3")
 import torch
 from stable_baselines3.common.vec_env import VecNormalize
 
-from experiments.train import Args, hyperparameters, main, manifest_of
+from experiments.train import Args, main
 from experiments.training.checkpoint import (
     read_checkpoint,
     read_stand,
@@ -43,6 +43,7 @@ from experiments.training.job import Job
 from experiments.training.places import Place
 from experiments.training.ppo import PpoTraining, learner
 from experiments.training.progress_log import ProgressLog
+from experiments.training.run import hyperparameters, manifest_of
 from experiments.training.training_task import TrainingTask
 from experiments.training.vec_env import PlacesVecEnv
 from mmwave_env.files import write_json
@@ -204,7 +205,7 @@ def test_a_bad_hyperparameter_is_refused_in_one_line(change, tmp_path):
         (("--scenario", "train"), "'train'.*pedestrian"),
         (("--radio", "lab"), "'lab'.*handset"),
         (("--places", "street"), "places: found 'street', expected SCENE:RADIO"),
-        (("--places", "street:high", "steet:high"), "steet:high: .*; did you mean street"),
+        (("--places", "street:high", "steet:high"), "steet:high: .*, did you mean street"),
         (("--radio", "high", "--places", "o1:high"), "radio: found 'high' beside places"),
         (("--beliefs", "permode"), "beliefs: found 'permode', expected .*per-mode"),
         (("--beliefs", "per-mode", "--modes", "ukf"), "modes: found 'ukf' alone"),
@@ -258,7 +259,7 @@ def test_without_the_extra_it_says_what_to_install(package, tmp_path):
         "    def find_spec(self, name, path=None, target=None):\n"
         f"        if name == {package!r}: raise ModuleNotFoundError('No module named ' + name)\n"
         "sys.meta_path.insert(0, Missing())\n"
-        "from experiments.cli.main import run\n"
+        "from experiments.console.main import run\n"
         f"run('train', ['--out', {str(tmp_path / 'run')!r}])\n"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=ROOT)

@@ -196,7 +196,7 @@ def started():
 
     def start(*words):
         commands.append(subprocess.Popen(
-            [sys.executable, "-m", "experiments.cli", "train", *map(str, words)], text=True,
+            [sys.executable, "-m", "experiments.console", "train", *map(str, words)], text=True,
             stdout=subprocess.PIPE, stderr=subprocess.PIPE, cwd=ROOT, start_new_session=True,
         ))  # fmt: skip
         return commands[-1]

@@ -6,9 +6,8 @@ import signal
 import numpy as np
 import pytest
 
-from experiments.evaluation.intervals import Interval
-from experiments.evaluation.markdown import rounded
-from experiments.evaluation.signals import Ended
+from experiments.console.signals import Ended
+from experiments.evaluation.intervals import Interval, rounded
 from experiments.webpage import played
 from experiments.webpage.page import in_script
 from experiments.webpage.played import play

@@ -1,1 +1,0 @@
-"""What commands may be asked; nothing here loads what they do it with."""

@@ -1,5 +1,0 @@
-"""``python -m experiments.cli <command>``."""
-
-from experiments.cli.main import main
-
-main()

@@ -1,0 +1,118 @@
+"""Contenders run and compared, as ``score_contenders``, ``compare`` and ``demo`` print it."""
+
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any, NamedTuple
+
+from experiments.comparing.watchers import require_options, watchers
+from experiments.console.options import EpisodeArgs
+from experiments.console.progress import progress
+from experiments.console.provenance import provenance
+from experiments.console.tables import show
+from experiments.evaluation.asked import contender_of, runs_of, selection_of, task_of
+from experiments.evaluation.bounds import bound_markdown, over_bound
+from experiments.evaluation.comparison import Comparison, compare_scores, episodes_csv
+from experiments.evaluation.runner import Scoring, score_contenders
+from experiments.evaluation.runs import Run, trainings
+from experiments.evaluation.training_seeds import over_training_seeds, seeds_markdown
+from experiments.figures.curves import draw_profiles
+from mmwave_env.files import write_json, write_text
+from mmwave_env.models.radio import profile_of, radio_from
+from mmwave_env.reward import reward_name
+
+
+class Results(NamedTuple):
+    """What a comparison came to."""
+
+    comparison: Comparison
+    text: str  # all tables as Markdown
+    json: dict[str, Any]  # every figure
+    pictures: Sequence[Callable[[], None]]  # draw what was asked for
+
+    def draw(self) -> None:
+        """Write the pictures."""
+        for picture in self.pictures:
+            picture()
+
+
+def report(command: str, args: EpisodeArgs, found: Results) -> None:
+    """Write ``args.json``, then the pictures, and print the tables of :func:`results`."""
+    if args.json:  # first, because whoever reads what is shown may leave
+        write_json(args.json, provenance(command, args) | found.json)
+    try:
+        found.draw()
+    finally:  # a picture that fails costs nobody the tables
+        show(found.text)
+
+
+def results(
+    args: EpisodeArgs,
+    names: Sequence[str],
+    bound: bool = False,
+    pictures: Mapping[str, Path] = MappingProxyType({}),
+) -> Results:
+    """Run contenders on the episodes.
+
+    Args:
+        args: which episodes, and which tables.
+        names: of the contenders; the folder of a run stands for its median training.
+        bound: whether to measure them in posterior Cramer-Rao bounds, too.
+        pictures: those of :func:`~experiments.comparing.watchers.watchers`, and "figure", with the
+            performance profiles of runs.
+    """
+    require_options(args, pictures)
+    task, runs = task_of(args), runs_of(args, names)
+    source, scoring = task.source, Scoring.of(task)
+    selection = selection_of(args, source)
+    if bound and args.planar:
+        raise ValueError("bound: found with planar, whose bound there is not; expected one of them")
+    if "figure" in pictures:
+        _require_profiles(names, runs)
+    files = {name: runs[name].policy if name in runs else name for name in names}
+    chosen = {file: contender_of(args, file) for file in trainings(names, runs)}
+    learned = [name for name, file in files.items() if chosen[file].trained]
+    shown = {file: name for name, file in files.items()}
+    everybody = [chosen[file] for file in trainings(names, runs)]
+    with watchers(args, shown, source, selection, pictures) as watched:
+        found = score_contenders(
+            everybody, source, args.radio, selection, watch=[one.add for one in watched],
+            scoring=scoring, after=[*dict.fromkeys(part for one in watched for part in one.parts)],
+        )  # fmt: skip
+    scores = {name: found[file] for name, file in files.items()}
+    if args.episodes_csv:
+        write_text(args.episodes_csv, episodes_csv(scores, selection, source))
+    drawn: list[Callable[[], None]] = []
+    result = compare_scores(
+        scores, learned, scenario=source.name, radio=profile_of(args.radio), selection=selection,
+        reward=reward_name(scoring.reward),
+    )  # fmt: skip
+    text, content = str(result), result.json
+    if bound:
+        with progress("bound"):
+            over = over_bound(scores, source, radio_from(args.radio), selection)
+        text, content = text + bound_markdown(over), content | {"bound": over.json}
+    if runs:
+        trained = {run: [found[file] for file in run.policies] for run in runs.values()}
+        seeds = over_training_seeds(trained, scores)
+        text += "".join(map(seeds_markdown, seeds))
+        content |= {"training_seeds": {one.run.name: one.json for one in seeds}}
+        if "figure" in pictures:
+            drawn.append(partial(draw_profiles, seeds, pictures["figure"]))
+    for one in watched:
+        more, figures = one.told()
+        text, content = text + more, content | figures
+        drawn.append(one.draw)
+    return Results(result, text, content, drawn)
+
+
+def _require_profiles(names: Sequence[str], runs: Mapping[str, Run]) -> None:
+    """Refuse a figure of performance profiles that would be empty."""
+    if not runs:
+        raise ValueError("figure: found no folder of a run among the policies, expected one")
+    if not any(name == "speed-rule" or name.startswith(("fixed-", "imm")) for name in names):
+        raise ValueError(
+            "figure: found nobody to compare runs with among the policies, expected speed-rule, "
+            "imm or a fixed mode"
+        )

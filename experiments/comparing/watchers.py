@@ -1,0 +1,132 @@
+"""Who watches every epoch of a comparison, as its options ask for it, and what comes of that."""
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from functools import partial
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from experiments.console.options import EpisodeArgs
+from experiments.evaluation import epochs_parquet, positions
+from experiments.evaluation.decisions import Decisions
+from experiments.evaluation.epochs import EpochErrors
+from experiments.evaluation.positions import Positions, positions_markdown
+from experiments.evaluation.runner import Watch
+from experiments.evaluation.seeds import Selection
+from experiments.figures.canvas import require_picture
+from experiments.figures.errors import draw_consistency, draw_error_cdf
+from experiments.figures.events import draw_decisions
+from experiments.figures.stanford import draw_stanford
+from mmwave_env.episodes.episode import EpisodeSource
+from mmwave_env.localization.protection import require_limit, require_risk
+
+Made = tuple[str, dict[str, Any]]  # Markdown below the tables, and figures
+
+
+class Watcher(NamedTuple):
+    """Somebody who watches.
+
+    Attributes:
+        add: takes what every contender tells.
+        told: Markdown below the tables, and figures.
+        draw: writes the pictures.
+        parts: of the state, that it needs after every epoch.
+    """
+
+    add: Watch
+    told: Callable[[], Made] = lambda: ("", {})
+    draw: Callable[[], None] = lambda: None
+    parts: Sequence[str] = ()
+
+
+def require_options(args: EpisodeArgs, pictures: Mapping[str, Path]) -> None:
+    """Refuse a risk, a limit or a file that there can't be, before any work.
+
+    Args:
+        args: the options that all commands have.
+        pictures: files by their options.
+
+    Raises:
+        ValueError: naming the option; two pictures in one file, too.
+        OSError: a file can't be written.
+    """
+    require_risk(args.risk)
+    require_limit(args.alert_limit)
+    seen: dict[Path, str] = {}
+    for option, path in pictures.items():
+        require_picture(option, path)
+        if seen.setdefault(path, option) != option:
+            raise ValueError(f"{option}: found {path}, expected another file than --{seen[path]}")
+    if args.epochs_parquet:
+        epochs_parquet.require_parquet(args.epochs_parquet)
+
+
+@contextmanager
+def watchers(
+    args: EpisodeArgs,
+    names: Mapping[str, str],
+    source: EpisodeSource,
+    selection: Selection,
+    pictures: Mapping[str, Path],
+) -> Iterator[list[Watcher]]:
+    """Everybody who was asked for; at the end a table of epochs takes its place.
+
+    Args:
+        args: the options that all commands have.
+        names: in figures, by contender.
+        source, selection: of the episodes.
+        pictures: of "decisions", "errors", "consistency" and "stanford", those asked for.
+    """
+    found = []
+    if "decisions" in pictures:
+        found.append(_decisions(names, pictures["decisions"]))
+    if "errors" in pictures or "consistency" in pictures:
+        found.append(_errors(args, names, pictures))
+    if args.percentiles or "stanford" in pictures:
+        found.append(_positions(args, names, pictures))
+    if not args.epochs_parquet:
+        yield found
+        return
+    what = names, selection, source, args.risk, args.planar
+    with epochs_parquet.epochs_parquet(args.epochs_parquet, *what) as add:
+        yield [*found, Watcher(add, parts=epochs_parquet.PARTS)]
+
+
+def _decisions(names: Mapping[str, str], path: Path) -> Watcher:
+    seen = Decisions(names)
+
+    return Watcher(
+        seen.add, lambda: ("", {"decisions": seen.json}), partial(draw_decisions, seen, path)
+    )
+
+
+def _errors(args: EpisodeArgs, names: Mapping[str, str], pictures: Mapping[str, Path]) -> Watcher:
+    epochs = EpochErrors(names)
+
+    def draw() -> None:
+        if "errors" in pictures:
+            draw_error_cdf(epochs.errors_m, pictures["errors"])
+        if "consistency" in pictures:
+            dof = 2 if args.planar else 3
+            draw_consistency(epochs.time_s, epochs.nees, dof, pictures["consistency"])
+
+    return Watcher(epochs.add, draw=draw)
+
+
+def _positions(
+    args: EpisodeArgs, names: Mapping[str, str], pictures: Mapping[str, Path]
+) -> Watcher:
+    seen = Positions(names, args.risk, args.planar)
+
+    def draw() -> None:
+        if "stanford" in pictures:
+            draw_stanford(seen.errors, args.alert_limit, pictures["stanford"])
+
+    def told() -> Made:
+        if not args.percentiles:
+            return "", {}
+        figures = seen.figures()
+        text = positions_markdown("policy", figures["policies"], args.risk)
+        return f"\n{text}", {"position_errors": figures}
+
+    return Watcher(seen.add, told, draw, positions.PARTS)

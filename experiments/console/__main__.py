@@ -1,0 +1,5 @@
+"""``python -m experiments.console <command>``."""
+
+from experiments.console.main import main
+
+main()

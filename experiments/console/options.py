@@ -1,0 +1,137 @@
+"""Options that several commands have.
+
+Help shows them, so nothing is imported here that takes long: numbers of the library stand here
+again, and a test compares them.
+"""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+USUAL_EPISODES = 1000
+TUNING_SEED = 5_000_000  # where seeds for tuning begin
+
+
+@dataclass(kw_only=True)
+class JsonArgs:
+    """Results."""
+
+    json: Path | None = None
+    """write every figure to this file"""
+
+
+@dataclass(kw_only=True)
+class EpisodeResultArgs(JsonArgs):
+    """Results."""
+
+    episodes_csv: Path | None = None
+    """write every metric of every policy and episode to this table, a row each"""
+    epochs_parquet: Path | None = None
+    """write every epoch of every policy and episode to this Parquet file, a row each"""
+    percentiles: bool = False
+    """also show percentiles of horizontal and vertical errors, shares within a distance, and how
+    often errors exceed their protection levels"""
+
+
+@dataclass(kw_only=True)
+class WorldArgs:
+    """Streets, users and radio, as of the environment."""
+
+    scenario: str | None = None
+    """kind of user: pedestrian, vehicle, walk-ride, jam, cyclist or mixed (equal shares; where
+    none is named), or a JSON file; or ways of your own, a CSV file with columns t, x, y, z, and id
+    where there are several users"""
+    radio: str = "handset"
+    """handset, standard, high or a JSON file"""
+    scene: str | None = None
+    """street (where none is named), o1, dynamic-doppler, random (each episode its own) or a JSON
+    file"""
+    data: str | None = None
+    """recorded data instead of a simulation: a recording of mmwave-loc samples, or a folder, of
+    a DeepMIMO scenario (each seed draws receiver noise and prior anew) or of a measurement log with
+    scene.json and truth.tum (each draws the prior anew)"""
+    dt: float | None = None
+    """seconds between epochs (1 where none is given)"""
+    episode_steps: int | None = None
+    """epochs of an episode (200 where none is given; all of recorded data)"""
+    odometry: bool = False
+    """the user measures speed and heading, too"""
+
+
+@dataclass(kw_only=True)
+class ModeArgs(WorldArgs):
+    """Modes and agents."""
+
+    modes: tuple[str, ...] = ()
+    """modes to work with in place of the profile's ekf and ukf: names (ekf, ukf, ckf, ekf-robust,
+    ukf-robust, or extended for a bank of eight) and mode files; policies are then fixed-NAME,
+    likelihood-rule, random, imm and, with two modes, speed-rule, which takes the first for low
+    and the second for high mobility; learned policies bring their own modes"""
+    observation: str = "full"
+    """what agents of your own were trained with: full, or prior; policy files say it themselves"""
+    beliefs: str = "shared"
+    """what agents of your own were trained with: shared, or per-mode, where the modes are those of
+    the radio's best IMM if none are named; policy files say it themselves"""
+    trust_zip: bool = False
+    """load models of Stable-Baselines3 (.zip), which runs code from the file; mmwave-loc convert
+    makes policy files of them, which hold none"""
+    planar: bool = False
+    """flat terrain: height and vertical velocity are known"""
+
+
+@dataclass(kw_only=True)
+class IntegrityArgs:
+    """Integrity."""
+
+    risk: float = 0.001
+    """that an error exceeds its protection level, if covariances are right"""
+    stanford: Path | None = None
+    """draw errors against protection levels, a Stanford diagram, to this .png, .svg or .pdf file"""
+    alert_limit: float = 10.0
+    """protection level above which positions are not to be used, m, in that diagram"""
+
+
+@dataclass(kw_only=True)
+class EpisodeArgs(ModeArgs, IntegrityArgs, EpisodeResultArgs):
+    """Episodes."""
+
+    episodes: int | None = None
+    """how many (1000 where none is given); 1000 or more to publish"""
+    seed: int | None = None
+    """seed of the first episode (0 where none is given); test seeds start at 0, tuning seeds at
+    5000000"""
+    keys: tuple[int, ...] | None = None
+    """keys of simulated episodes to play in place of those of seeds, as --episodes-csv and the
+    environment's infos tell them"""
+    reward: str = "tracking"
+    """tracking or log-score"""
+
+
+@dataclass(kw_only=True)
+class TaskArgs:
+    """What is learned."""
+
+    algo: Literal["ppo", "rollouts"] = "ppo"
+    """ppo is that of Stable-Baselines3; rollouts is rollout policy iteration with common random
+    numbers: every action is tried on the same measurements"""
+    scenario: str = "mixed"
+    """pedestrian, vehicle, walk-ride, jam, cyclist or mixed (equal shares), or a JSON file;
+    or a way of your own, a CSV file with columns t, x, y, z"""
+    radio: str = "handset"
+    """handset, standard, high or a JSON file: of the street, where no places are named"""
+    places: tuple[str, ...] = ()
+    """one or more of SCENE:RADIO and SCENE:RADIO:DT in place of a radio, such as street:handset and
+    o1:standard:0.1: names or JSON files, and the seconds between epochs, 1 where left out; the
+    environments and the episodes that policies are judged on are spread over them evenly"""
+    beliefs: Literal["shared", "per-mode"] = "shared"
+    """per-mode: every mode keeps its own belief, and the agent says which of them to trust"""
+    modes: tuple[str, ...] = ()
+    """to choose from: extended, names and mode files; the radio's ekf and ukf by default, and its
+    best bank with beliefs per mode"""
+    observation: str = "full"
+    """full, or prior: nothing of how each mode sees the coming epoch"""
+    reward: str = "tracking"
+    """tracking or log-score, minus the IMM's where the hyperparameters say paired; or paired, which
+    always is tracking minus the IMM's: of the bank, with beliefs per mode"""
+    nees_weight: float = 0.2
+    """weight of the NEES in the tracking reward"""

@@ -1,0 +1,202 @@
+"""Options of a command, read by tyro from the dataclass that declares them.
+
+The docstring of a dataclass is the help, and its last paragraph an example. The text below a field
+is the help of its option. Mistakes are told in one line.
+"""
+
+import ast
+import inspect
+import os
+import re
+import shutil
+import sys
+import textwrap
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager, redirect_stderr, redirect_stdout
+from dataclasses import dataclass, field, fields, make_dataclass
+from difflib import get_close_matches
+from io import StringIO
+from itertools import takewhile
+from types import UnionType
+from typing import Annotated, Any, NoReturn, TypeVar, Union, get_args, get_origin, get_type_hints
+
+from experiments.console.removed import OPTIONS
+
+T = TypeVar("T")
+WIDTH = 80  # of help, at most
+UNLIMITED = 10_000  # columns, so that no word of a message is cut
+NUMBERS = {int: "a whole number", float: "a number"}
+
+
+@dataclass(kw_only=True)
+class Everywhere:
+    """Options of every command, which the program itself understands."""
+
+    quiet: bool = False
+    """show neither tables nor progress, only warnings and errors"""
+    debug: bool = False
+    """where something fails, show where in the program"""
+
+
+def parse(arguments: type[T], words: Sequence[str], program: str) -> T:
+    """The options that were typed.
+
+    Args:
+        arguments: a dataclass with a text below every field.
+        words: what was typed after the name of the command.
+        program: the command, for help and errors.
+
+    Raises:
+        SystemExit: with 0 after showing help, with 2 after one line about a wrong option.
+    """
+    import tyro
+
+    read, kinds = described(arguments), get_type_hints(arguments)
+    width = min(WIDTH, shutil.get_terminal_size().columns)
+    options: dict[str, Any] = {
+        "prog": program, "args": words, "config": (tyro.conf.DisallowNone,), "description": "",
+    }  # fmt: skip
+    if not {"-h", "--help"}.isdisjoint(words):
+        print(_folded(inspect.getdoc(arguments) or "", width), end="\n\n")
+        with _columns(width):
+            tyro.cli(read, **options)
+    _refuse_unknown(program, words, read)
+    said = StringIO()
+    try:
+        with _columns(UNLIMITED), redirect_stdout(StringIO()), redirect_stderr(said):
+            found = tyro.cli(read, **options)
+    except SystemExit:
+        _refuse(program, _message(said.getvalue(), kinds))
+    return arguments(
+        **{
+            field.name: getattr(found, field.name)
+            for field in fields(read)
+            if field.name not in vars(Everywhere)
+        }
+    )
+
+
+def described(arguments: type[Any]) -> type[Any]:
+    """A dataclass for tyro: own options before inherited ones, the help of each one paragraph."""
+    from tyro.conf import FlagCreatePairsOff, arg
+
+    kinds = get_type_hints(Everywhere) | get_type_hints(arguments, include_extras=True)
+    known = {one.name: one for one in (*fields(Everywhere), *fields(arguments))}
+    made = []
+    for declares in (*arguments.__mro__[:-1], Everywhere):
+        for name, text in _texts(declares).items():
+            kind, default = kinds[name], known[name].default
+            usual = "" if default in (None, False, ()) else None  # None: as tyro shows it
+            kind = Annotated[
+                kind, arg(help=text, help_behavior_hint=usual, metavar=_metavar(name, kind))
+            ]
+            if default is False:  # there is no --no-NAME
+                kind = Annotated[kind, FlagCreatePairsOff]
+            made.append((name, kind, field(default=default)))
+    return make_dataclass(arguments.__name__, made, kw_only=True)
+
+
+def _texts(declares: type[Any]) -> dict[str, str]:
+    """The text below every field that a class declares itself."""
+    (tree,) = ast.parse(textwrap.dedent(inspect.getsource(declares))).body
+    assert isinstance(tree, ast.ClassDef)
+    found = {}
+    for one, text in zip(tree.body, tree.body[1:], strict=False):
+        if isinstance(one, ast.AnnAssign) and isinstance(one.target, ast.Name):
+            assert isinstance(text, ast.Expr) and isinstance(text.value, ast.Constant)
+            found[one.target.id] = " ".join(str(text.value.value).split())
+    return found
+
+
+def _metavar(name: str, kind: Any) -> str | None:
+    """What stands for a value in help; None for what tyro shows."""
+    several = "..." if get_origin(_plain(kind)) is tuple else ""
+    if is_positional(kind):
+        return name.upper() + several
+    return f"{get_args(_plain(kind))[0].__name__.upper()}{several}" if several else None
+
+
+def is_positional(kind: Any) -> bool:
+    """Whether an annotation says that the value is given without the name of its option."""
+    from tyro.conf import Positional
+
+    return Positional in get_args(kind)
+
+
+def _plain(kind: Any) -> Any:
+    """An annotation without what is said beside it, and without None."""
+    kind = get_args(kind)[0] if get_origin(kind) is Annotated else kind
+    if get_origin(kind) in (Union, UnionType):
+        (kind,) = (one for one in get_args(kind) if one is not type(None))
+    return kind
+
+
+def _folded(text: str, width: int) -> str:
+    """Paragraphs at a width; the last one is an example, a line of which is a command."""
+    *about, example = text.split("\n\n")
+    folded = ["\n".join(textwrap.wrap(part, width, break_on_hyphens=False)) for part in about]
+    return "\n\n".join([*folded, "example:\n" + textwrap.indent(example, "  ")])
+
+
+@contextmanager
+def _columns(count: int) -> Iterator[None]:
+    """As if the terminal were as wide."""
+    before = os.environ.get("COLUMNS")
+    os.environ["COLUMNS"] = str(count)
+    try:
+        yield
+    finally:
+        os.environ.pop("COLUMNS")
+        if before is not None:
+            os.environ["COLUMNS"] = before
+
+
+# --- mistakes
+
+
+def _refuse_unknown(program: str, words: Sequence[str], read: type[Any]) -> None:
+    """Refuse the first word that looks like an option and is none."""
+    kinds = get_type_hints(read, include_extras=True)
+    aliases = [one for kind in kinds.values() for m in get_args(kind) for one in _aliases(m)]
+    names = [f"--{name.replace('_', '-')}" for name in kinds]
+    negated = [f"--no-{one.name.replace('_', '-')}" for one in fields(read) if one.default is True]
+    known = ["--help", *names, *negated, *aliases]
+    for word in words:
+        option = word.partition("=")[0]
+        if not option.startswith("--") or option in known:
+            continue
+        if option in OPTIONS:
+            _refuse(program, f"{option} is gone: {OPTIONS[option]}")
+        close = get_close_matches(option, known, 1)
+        hint = f"did you mean {close[0]}? F" if close else "f"
+        end = "" if close else "; --help lists all"
+        _refuse(program, f"{hint}ound {word!r}, expected an option of this command{end}")
+
+
+def _aliases(said: Any) -> Sequence[str]:
+    return getattr(said, "aliases", None) or ()
+
+
+def _message(box: str, kinds: Mapping[str, Any]) -> str:
+    """What tyro says of a mistake, without the box around it and what follows it there."""
+    lines = takewhile(lambda line: set(line.strip()) != {"-"}, box.splitlines()[2:])
+    text = " ".join(" ".join(lines).split())
+    if choice := re.match(r"invalid choice '(.*?)' for argument '(?:--)?(.*?)'", text):
+        value, name = choice.groups()
+        from mmwave_env.lookup import unknown
+
+        return unknown(name, value, get_args(_plain(kinds[name.replace("-", "_")])))
+    if number := re.match(r"Error parsing (?:--)?([\w-]+): .*?('.*?')", text):
+        kind = _plain(kinds[number[1].lower().replace("-", "_")])
+        kind = get_args(kind)[0] if get_origin(kind) is tuple else kind
+        return f"{number[1]}: found {number[2]}, expected {NUMBERS[kind]}"
+    if missing := re.match("Missing value for argument '--(.*?)'", text):
+        return f"{missing[1]}: found no value, expected one"
+    return re.sub(r"^Missing from .*?: ", "required: ", text)
+
+
+def _refuse(program: str, message: str) -> NoReturn:
+    from mmwave_env.lookup import printable
+
+    print(f"{program}: {printable(message)}", file=sys.stderr)
+    sys.exit(2)

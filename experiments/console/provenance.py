@@ -1,0 +1,48 @@
+"""How results were made: the command, and versions."""
+
+import platform
+import shlex
+from dataclasses import fields, replace
+from importlib.metadata import version
+from typing import Any, get_type_hints
+
+from experiments.console.parser import is_positional
+from mmwave_env import __version__
+
+OUTPUTS = (
+    "json", "episodes_csv", "figure", "decisions", "errors", "consistency", "plot", "docs", "out",
+    "stanford", "epochs_parquet",
+)  # fmt: skip
+
+
+def command_line(name: str, args: Any) -> str:
+    """The command that a dataclass of arguments stands for, defaults left out."""
+    kinds = get_type_hints(type(args), include_extras=True)
+    nameless = [field.name for field in fields(args) if is_positional(kinds[field.name])]
+    given = [value for field in nameless if (value := getattr(args, field)) is not None]
+    words = ["mmwave-loc", name, *(word for value in given for word in _words(value))]
+    for field in fields(args):
+        value, option = getattr(args, field.name), field.name.replace("_", "-")
+        if field.name in nameless or value == field.default:
+            continue
+        if isinstance(value, bool):
+            words.append(f"--{option}" if value else f"--no-{option}")
+        else:
+            words += [f"--{option}", *_words(value)]
+    return shlex.join(words)
+
+
+def _words(value: Any) -> list[str]:
+    return [*map(str, value if isinstance(value, tuple) else (value,))]
+
+
+def provenance(name: str, args: Any) -> dict[str, Any]:
+    """What JSON results say of how they were made: the command, but for outputs; and versions."""
+    outputs = {f.name: f.default for f in fields(args) if f.name in OUTPUTS}
+    packages = {name: version(name) for name in ("gymnasium", "numpy", "numba", "scipy")}
+    return {
+        "command": command_line(name, replace(args, **outputs)),
+        "versions": {
+            "mmwave-loc": __version__, "python": platform.python_version(), **packages,
+        },
+    }  # fmt: skip

@@ -1,0 +1,68 @@
+"""Tasks, contenders and episodes, as the options of commands ask for them."""
+
+import warnings
+from collections.abc import Sequence
+from dataclasses import fields
+from pathlib import Path
+from typing import Any
+
+from experiments.console.options import USUAL_EPISODES, EpisodeArgs, ModeArgs, WorldArgs
+from experiments.evaluation.contenders import Contender, contender_from, contenders
+from experiments.evaluation.runs import Run
+from experiments.evaluation.seeds import Selection
+from mmwave_env.episodes.episode import EpisodeSource
+from mmwave_env.filters.bank import bank_over
+from mmwave_env.filters.modes import Mode
+from mmwave_env.models.radio import radio_from
+from mmwave_env.task import Modes, Task, TaskArguments, task_from
+
+
+def all_contenders(args: ModeArgs) -> tuple[str, ...]:
+    """Names of all there are for the modes asked for."""
+    return tuple(contenders(_profile(args), args.modes or None))
+
+
+def contender_of(args: ModeArgs, name: str) -> Contender:
+    """One of them, or an agent by name or file; a warning where it has modes of its own."""
+    radio, modes = _profile(args), args.modes or None
+    found = contender_from(name, radio, modes, args.observation, args.trust_zip, args.beliefs)
+    if modes and found.modes != bank_over(modes, radio).modes:
+        warnings.warn(f"{name} brings its own modes; --modes is not for it", stacklevel=2)
+    return found
+
+
+def runs_of(args: EpisodeArgs, names: Sequence[str]) -> dict[str, Run]:
+    """Those of the names that are folders of runs."""
+    known = all_contenders(args)
+    return {n: Run.read(n) for n in names if n not in known and Path(n).is_dir()}
+
+
+def task_of(args: ModeArgs) -> Task:
+    """The task of an environment with the options of the same names."""
+    return _task(args, args.modes or None, args.beliefs)
+
+
+def source_of(args: WorldArgs) -> EpisodeSource:
+    """Where episodes come from."""
+    # What filters them is not asked: of modes of its own nobody is told that they are not tuned.
+    return _task(args, [Mode("none")]).source
+
+
+def selection_of(args: EpisodeArgs, source: EpisodeSource) -> Selection:
+    """Which episodes are asked for."""
+    return Selection.of(source, args.episodes, args.seed, args.keys, USUAL_EPISODES)
+
+
+def world_arguments(args: WorldArgs) -> dict[str, Any]:
+    """The arguments of an environment that options of the same names give, but for its modes."""
+    names = {field.name for field in fields(TaskArguments)} - {"episodes", "modes", "beliefs"}
+    given = {name: value for name, value in vars(args).items() if name in names}
+    return given | {"episodes": args.data}
+
+
+def _task(args: WorldArgs, modes: Modes, beliefs: str = "shared") -> Task:
+    return task_from(**world_arguments(args), modes=modes, beliefs=beliefs)
+
+
+def _profile(args: ModeArgs) -> str:
+    return radio_from(args.radio).name

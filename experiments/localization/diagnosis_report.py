@@ -1,0 +1,57 @@
+"""What localize --diagnose prints."""
+
+from collections.abc import Sequence
+from typing import Any
+
+from experiments.console.tables import grid
+from mmwave_env.localization.diagnosis import AS_IT_IS, Finding
+
+
+def _number(value: float | None) -> str:
+    return "-" if value is None else f"{value:.3g}"
+
+
+def _verdict(findings: Sequence[Finding]) -> str:
+    """What is wrong, and what to do about it."""
+    best = findings[0]
+    if best.contradictions:
+        return (
+            "None of these makes the log consistent. Look at the scene, at angles in the frame of "
+            "the antenna instead of the map (docs/data.md, Angles), and at the radio."
+        )
+    if best.hypothesis == AS_IT_IS:
+        return "The log is consistent as it is."
+    return (
+        f"The log is consistent if {best.hypothesis}. It was not changed. To mend it, {best.cure} "
+        "(docs/data.md)."
+    )
+
+
+def diagnosis_markdown(findings: Sequence[Finding]) -> str:
+    """A verdict, a table of the hypotheses that can be tracked, the best first, and the others."""
+    header = ["hypothesis", "anchors", "Doppler", "consistent"]
+    rows = [
+        [
+            f.hypothesis,
+            _number(f.worst_anchor),
+            _number(f.nis_per_dof.get("Doppler")),
+            "no" if f.contradictions else "yes",
+        ]
+        for f in findings
+        if f.nis_per_dof
+    ]
+    others = "; ".join(f.hypothesis for f in findings if not f.nis_per_dof)
+    impossible = f" No track is possible if: {others}." if others else ""
+    return (
+        f"{_verdict(findings)}\n\n{grid(header, rows)}\n\nMedian NIS / dof, of the anchor that is "
+        "farthest from 1, and of the Doppler shift. Consistent also asks for a user mostly below "
+        f"the base station and for an SNR and a Doppler shift that can be.{impossible}\n"
+    )
+
+
+def diagnosis_figures(findings: Sequence[Finding]) -> dict[str, Any]:
+    """The same for a JSON file, with what contradicts each hypothesis."""
+    hypotheses = [
+        {**f._asdict(), "contradictions": [c._asdict() for c in f.contradictions]} for f in findings
+    ]
+    return {"verdict": _verdict(findings), "hypotheses": hypotheses}

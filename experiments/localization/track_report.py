@@ -1,0 +1,131 @@
+"""What localize prints about a track."""
+
+from typing import Any
+
+from experiments.console.tables import HEADERS, grid
+from experiments.console.text import escaped
+from experiments.evaluation.positions import kinds_of, positions_markdown
+from mmwave_env.filters.modes import DESIGN_LIMIT_MPS
+from mmwave_env.models.prior import GAP_S
+
+
+def _decimals(value: float | None, digits: int = 3) -> str:
+    return "-" if value is None else f"{value:.{digits}f}"
+
+
+def _percent(share: float | None) -> str:
+    return "-" if share is None else f"{100.0 * share:.1f} %"
+
+
+def _times(count: int) -> str:
+    return "once" if count == 1 else f"{count} times"
+
+
+def _course(figures: dict[str, Any]) -> list[str]:
+    f, speed = figures, figures["speed_mps"]
+    epochs = f["epochs"]
+    lines = [
+        f"{epochs} epochs, {f['first_s']:.10g} to {f['last_s']:.10g} s; estimated speed "
+        f"{speed['mean']:.2f} m/s on average, {speed['max']:.2f} m/s at most"
+    ]
+    if f["skipped"]:
+        lines.append(f"{f['skipped']} epochs before the first line of sight were skipped")
+    if f["restarts"] or f["dropped"]:
+        what = f"restarted {_times(f['restarts'])} after" if f["restarts"] else "ended at"
+        gaps = f"{'a gap' if f['restarts'] < 2 else 'gaps'} of more than {GAP_S:g} s"
+        if "association" in f:
+            gaps += ", or where another track explained the paths better"
+        lines.append(f"{what} {gaps}; {f['dropped']} epochs skipped")
+    shares = ", ".join(f"{escaped(name)} {_percent(n / epochs)}" for name, n in f["modes"].items())
+    switches = f", switched {_times(f['switches'])}" if len(f["modes"]) > 1 else ""
+    lines.append(f"modes {escaped(f['rule'])}: {shares} of the epochs{switches}")
+    fast = speed["epochs_above_design_limit"]
+    if not f["imm"] and len(f["modes"]) > 1 and fast:
+        lines.append(
+            f"warning: {fast} epochs above {DESIGN_LIMIT_MPS:g} m/s, outside the design window of "
+            f"the speed gate; {escaped(list(f['modes'])[1])} ran there"
+        )
+    return lines
+
+
+def _groups(groups: dict[str, Any]) -> str:
+    header = ["measured", "seen", "rejected", "incomplete", "NIS / dof", "NIS in 95 % bounds"]
+    rows = [
+        [
+            name,
+            str(g["seen"]),
+            f"{g['rejected']} ({_percent(g['rejected_share'])})" if g["seen"] else "-",
+            str(g["incomplete"]),
+            _decimals(g["nis_per_dof"]),
+            _decimals(g["nis_in_bounds"]),
+        ]
+        for name, g in groups.items()
+    ]
+    return grid(header, rows)
+
+
+def _clock(truth: dict[str, Any]) -> str:
+    """How times of the truth lie to those of the log: the end of a sentence, and perhaps one."""
+    between, clock = truth["interpolated"], truth["clock"]
+    away = f"{1e3 * truth['nearest_pose_s']:.1f} ms from the nearest pose on average"
+    said = f", {between} of them between poses, {away}." if between else "."
+    if clock:
+        ahead, deviation = (1e3 * clock[key] for key in ("ahead_s", "deviation_s"))
+        side = "behind" if ahead < 0.0 else "ahead of"
+        said += f" The truth's clock is {abs(ahead):.0f} ± {deviation:.0f} ms {side} the log's."
+    return said
+
+
+def _association(found: dict[str, Any]) -> list[str]:
+    between, starts = found["without_track"], found["starts"]
+    lines = [
+        f"{found['paths']} paths, {found['false']} of them false; the track was found "
+        f"{_times(starts)}"
+    ]
+    if found["incomplete"]:
+        lines.append(f"{found['incomplete']} paths with only some of their numbers were left out")
+    if between["epochs"]:
+        lines.append(
+            f"{between['epochs']} epochs without a track, whose {between['paths']} paths belong to "
+            "no anchor"
+        )
+    return lines
+
+
+def _associated(found: dict[str, Any]) -> str:
+    rows = [
+        [name, str(paths), str(found["missed"][name])]
+        for name, paths in found["associated"].items()
+    ]
+    return grid(["anchor", "paths", "missed"], rows)
+
+
+def _accuracy(truth: dict[str, Any], epochs: int) -> str:
+    metrics = ("ate_m", "rmse_m", "rpe_m", "nees", "in_bounds")
+    header = ["track", *(HEADERS[m].replace("in 95", "NEES in 95") for m in metrics)]
+    rows = [[name, *(_decimals(row[m]) for m in metrics)] for name, row in truth["tracks"].items()]
+    low, high = truth["nees_interval"]
+    kinds = {name: kinds_of(row) for name, row in truth["tracks"].items()}
+    over = "" if truth["rpe_s"] is None else f"RPE is over {truth['rpe_s']:.3g} s; "
+    return (
+        f"{grid(header, rows)}\n\n{truth['scored']} of {epochs} epochs have a true position"
+        f"{_clock(truth)} {over}"
+        f"NEES should be {truth['nees_expected']}, 95 % of it within [{low:.2f}, {high:.2f}].\n\n"
+        f"{positions_markdown('track', kinds, truth['risk'])}"
+    )
+
+
+def track_markdown(figures: dict[str, Any]) -> str:
+    """The figures of a track, as the command collects them, as Markdown."""
+    found = figures.get("association")
+    lines = _course(figures) + (_association(found) if found else [])
+    parts = ["".join(f"- {line}\n" for line in lines)]
+    if found:
+        parts.append(_associated(found) + "\n")
+    parts.append(_groups(figures["groups"]) + "\n")
+    if "truth" in figures:
+        parts.append(_accuracy(figures["truth"], figures["epochs"]))
+    if figures["written"]:
+        files = (f"{escaped(path)} ({what})" for what, path in figures["written"].items())
+        parts.append(f"Written: {', '.join(files)}\n")
+    return "\n".join(parts)

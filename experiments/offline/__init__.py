@@ -1,1 +1,0 @@
-"""Data sets of transitions, for those who learn offline."""

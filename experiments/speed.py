@@ -1,0 +1,92 @@
+"""mmwave-loc speed: how fast, beside what, and beside what the core could do.
+
+One run, the same work: a loop on filterpy's filters, a single environment, Gymnasium's sync
+vector and the native vector environment; then the filters alone, Gymnasium's CartPole-v1 as a
+yardstick, the limit of the core, peak memory and the time to the first step. Absolute figures
+depend on the machine; ratios much less, so they come first.
+"""
+
+import os
+from dataclasses import dataclass
+from pathlib import Path
+
+from experiments.console.options import JsonArgs
+
+
+@dataclass(kw_only=True)
+class Args(JsonArgs):
+    """Measure steps per second, the same work side by side.
+
+    mmwave-loc speed --sizes 1 64 1024 --repeats 3
+    """
+
+    sizes: tuple[int, ...] = (1, 8, 64, 1024, 16384)
+    """numbers of environments in the native vector environment"""
+    seconds: float = 0.5
+    """time per measurement, at least; whole episodes are measured"""
+    repeats: int = 5
+    """rounds, in which every workload has its turn; medians and ranges are printed"""
+    plot: Path | None = None
+    """draw rates and limits to this .png, .svg or .pdf file"""
+    docs: Path | None = None
+    """also renew the tables of this page, between its `<!-- table: ... -->` lines, and the
+    figure beside it"""
+
+
+# Nothing that loads numpy is imported up here: its linear algebra counts its threads once.
+_ONE_THREAD = ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "OMP_NUM_THREADS")
+
+
+def main(args: Args) -> None:
+    """Run the command."""
+    _check(args)
+    for name in _ONE_THREAD:
+        os.environ.setdefault(name, "1")
+    from mmwave_env.files import write_json, write_text
+    from mmwave_env.lookup import require_extra
+
+    require_extra("filterpy", "filterpy", "speed")
+    from experiments.console.doc_pages import page_to_renew, renewed
+    from experiments.console.progress import progress
+    from experiments.console.provenance import provenance
+    from experiments.console.tables import show
+    from experiments.figures.canvas import require_picture
+    from experiments.timing.figure import draw
+    from experiments.timing.measured import Measured
+    from experiments.timing.report import TITLES, tables
+
+    figures = [args.plot] if args.plot else []
+    page = ""
+    if args.docs:
+        page = page_to_renew(args.docs)
+        # refuses a wrong mark before the work
+        renewed(page, dict.fromkeys(TITLES, ""))
+        figures.append(args.docs.with_suffix(".png"))
+    for figure in figures:
+        require_picture("plot", figure)
+    measured = Measured(args.sizes)
+    with progress("speed") as tell:
+        for share in measured.run(args.seconds, args.repeats):
+            tell(share)
+    found = tables(measured)
+    show("\n".join(f"### {title}\n\n{table}\n" for title, table in found.items()))
+    if args.json:
+        write_json(args.json, provenance("speed", args) | measured.json())
+    for figure in figures:
+        draw(measured, figure)
+    if args.docs:
+        write_text(args.docs, renewed(page, found))
+
+
+def _check(args: Args) -> None:
+    """Refuse what can't be measured.
+
+    Raises:
+        ValueError: an argument is out of range.
+    """
+    if not args.sizes or min(args.sizes) < 1:
+        raise ValueError(f"sizes: found {list(args.sizes)}, expected numbers of at least 1")
+    if not 0.0 <= args.seconds < float("inf"):
+        raise ValueError(f"seconds: found {args.seconds}, expected a time of at least 0")
+    if args.repeats < 1:
+        raise ValueError(f"repeats: found {args.repeats}, expected at least 1")

@@ -1,0 +1,184 @@
+"""What was measured, as Markdown tables."""
+
+import math
+import os
+import platform
+import re
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from statistics import median
+
+import numba
+import numpy as np
+
+from experiments.console.tables import grid
+from experiments.timing.measured import (
+    BETWEEN_ENDS,
+    SMALLEST_FULL,
+    STEP,
+    Measured,
+    Rates,
+    quotients,
+)
+from experiments.timing.operations import Operations
+from experiments.timing.workloads import FILTERS, SYNC, SYNC_NAME, THREADS
+
+LABELS = {
+    "filterpy": "filterpy loop", "single": "single environment",
+    SYNC_NAME: f"Gymnasium's sync vector of {SYNC}", "cartpole": "CartPole-v1, single",
+    STEP: "step of the environment",
+} | {name: name.upper() for name in FILTERS}  # fmt: skip
+
+
+def label(name: str) -> str:
+    """How a workload is called in tables and pictures."""
+    if name in LABELS:
+        return LABELS[name]
+    what, n, *threads = name.split("_")  # such as native_64_2_threads
+    kind = {"native": "native", "cartpole": "CartPole-v1, vector"}[what]
+    return ", ".join([kind, f"N = {n}", *([" ".join(threads)] if threads else [])])
+
+
+def short(value: float) -> str:
+    """Three digits."""
+    if not value:
+        return "0"
+    digits = 2 - math.floor(math.log10(abs(value)))
+    return f"{round(value, digits):,.{max(0, digits)}f}"
+
+
+def spread(values: Sequence[float], unit: float = 1.0) -> str:
+    """Median of the rounds, and their range where there is more than one."""
+    values = [value * unit for value in values]
+    if len(values) == 1:
+        return short(values[0])
+    return f"{short(median(values))} ({short(min(values))} to {short(max(values))})"
+
+
+def tables(measured: Measured) -> dict[str, str]:
+    """All of it by title, the ratios first."""
+    return {title: make(measured) for title, make in _TABLES.items()}
+
+
+def _ratios(measured: Measured) -> str:
+    ratios = measured.ratios()
+    names = ["single"] + [name for threads in THREADS for name in measured.natives(threads)]
+    rows = [
+        [label(name)] + [spread(ratios[f"{name}_over_{base}"]) for base in ("filterpy", SYNC_NAME)]
+        for name in names
+    ]
+    header = ["steps per second of", *(f"over {label(base)}" for base in ("filterpy", SYNC_NAME))]
+    return grid(header, rows)
+
+
+def _rates(measured: Measured) -> str:
+    def row(name: str, rates: Rates) -> list[str]:
+        between = spread(rates.between_ends) if rates.between_ends else ""
+        cost = short(1e9 / median(rates.steps_per_s))
+        return [label(name), spread(rates.steps_per_s), between, cost, f"{median(rates.cores):.2f}"]
+
+    header = ["", "steps per second", "between ends of episodes", "ns a step", "cores busy"]
+    return grid(header, [row(*one) for one in measured.rates.items()])
+
+
+def _costs(measured: Measured) -> str:
+    best = measured.costs_at_best()
+    rows = [
+        [*map(label, name.split("_over_")), spread(cost), short(best[name])]
+        for name, cost in measured.costs().items()
+    ]
+    if not rows:
+        return f"Found no two sizes of at least {SMALLEST_FULL}."
+    return grid(["a step of", "over a step of", "cost", "best turns"], rows)
+
+
+def _filters(measured: Measured) -> str:
+    rows = [
+        [label(name), spread(rates.steps_per_s), short(1e9 / median(rates.steps_per_s))]
+        for name, rates in measured.filters.items()
+    ]
+    return grid(["filter", "epochs per second", "ns an epoch"], rows)
+
+
+def limited(measured: Measured) -> dict[str, tuple[list[float], list[float]]]:
+    """Limit of the core and time taken, seconds a step of one thread, by label."""
+    found = {}
+    for name, fractions in measured.fractions().items():
+        workload, between, _ = name.partition(BETWEEN_ENDS)
+        limits = measured.limits_s[workload if workload in FILTERS else STEP]
+        what = label(workload) + (", between ends" if between else "")
+        found[what] = (limits, quotients(limits, fractions))
+    return found
+
+
+def _limits(measured: Measured) -> str:
+    rows = [
+        [what, spread(limits, 1e9), spread(taken, 1e9), spread(quotients(limits, taken), 100.0)]
+        for what, (limits, taken) in limited(measured).items()
+    ]
+    return grid(["one thread", "limit of the core, ns a step", "taken, ns", "reached, %"], rows)
+
+
+def _operations(measured: Measured) -> str:
+    rows = [
+        [label(name), *map(str, found), str(found.arithmetic)]
+        for name, found in measured.operations.items()
+    ]
+    alone = [spread(found, 1e9) for found in measured.instructions_s.values()]
+    missing = [""] * (len(Operations._fields) + 1 - len(alone))
+    rows.append(["ns of one, alone", *alone, *missing])
+    return grid(["instructions on 8 environments", *Operations._fields, "arithmetic"], rows)
+
+
+def _memory(measured: Measured) -> str:
+    peaks = [[label(name), spread(found)] for name, found in measured.peak_mb.items()]
+    each = [
+        [span.replace("_", " "), short(found)]
+        for span, found in measured.kb_per_environment().items()
+    ]
+    return "\n\n".join(
+        [
+            grid(["fresh process", "peak memory, MiB"], peaks),
+            grid(["from N to N", "KiB for each further environment"], each),
+        ]
+    )
+
+
+def _first_steps(measured: Measured) -> str:
+    rows = [[label(name), spread(found)] for name, found in measured.cold_start_s.items()]
+    return grid(["fresh process", "seconds to the end of the first step"], rows)
+
+
+def _starts(measured: Measured) -> str:
+    rows = [[name, spread(found)] for name, found in measured.starts_s.items()]
+    return grid(["fresh process", "seconds to its end"], rows)
+
+
+def _machine(measured: Measured) -> str:
+    rounds = len(measured.rates["filterpy"].steps_per_s)
+    return (
+        f"{_processor()}, {os.cpu_count()} processors; Python {platform.python_version()}, "
+        f"numpy {np.__version__}, numba {numba.__version__}; {rounds} rounds."
+    )
+
+
+def _processor() -> str:
+    found = Path("/proc/cpuinfo")
+    if found.exists() and (names := re.findall(r"model name\s*: (.*)", found.read_text())):
+        return str(names[0])
+    return platform.processor() or platform.machine()
+
+
+_TABLES: dict[str, Callable[[Measured], str]] = {
+    "Ratios": _ratios,
+    "Steps per second": _rates,
+    "Cost of a step over N": _costs,
+    "Filters alone": _filters,
+    "Limit of the core": _limits,
+    "Operations": _operations,
+    "Peak memory": _memory,
+    "First step": _first_steps,
+    "First words": _starts,
+    "Machine": _machine,
+}
+TITLES = tuple(_TABLES)

@@ -1,0 +1,127 @@
+"""How fast a core can be with the operations of a kernel, whatever it does between them.
+
+The model: all arithmetic shares the vector pipes, so the kernel's operations are timed as a
+whole, in their proportions, on independent chains in registers; loads and stores have pipes of
+their own; the limit is the slower of the two. It leaves out waiting for results, registers that
+spill, caches, and the fetching of long code.
+"""
+
+import time
+from collections import Counter
+from collections.abc import Callable
+from functools import cache
+from typing import Any
+
+import numba
+import numpy as np
+
+from experiments.timing.operations import Operations
+from mmwave_env.compiler.lanes import WIDTH, kernel
+from mmwave_env.numerics.numbers import sqrt, where
+
+CHAINS = (8, 16, 24)  # which is fastest depends on registers and latencies
+LENGTH = 480  # operations of a timed kernel: many beside its loop, few enough for every cache
+BLOCKS, ROWS = 4, 64  # 16 KiB, which any first-level cache holds
+CALLS, TRIES = 1000, 10
+
+# What a chain does next; "one" and "zero" are numbers that the compiler does not know.
+_STEPS: dict[str, Callable[..., Any]] = {
+    "fused": lambda x, one, zero, other: x * one + zero,
+    "add": lambda x, one, zero, other: x + zero,
+    "multiply": lambda x, one, zero, other: x * one,
+    "divide": lambda x, one, zero, other: other / x,
+    "root": lambda x, one, zero, other: sqrt(x),
+    "select": lambda x, one, zero, other: where(x > zero, x, other),
+}
+_INSTRUCTIONS = dict.fromkeys(_STEPS, 1) | {"select": 2}  # of a step: a comparison and a choice
+KINDS = tuple(_STEPS)
+
+
+def limit_s(operations: Operations) -> float:
+    """Seconds that a core needs at least for the operations, each on eight environments."""
+    steps, rows = sum(_steps(operations).values()), max(operations.load, operations.store)
+    return max(steps * mix_s(operations), rows * copying_s())
+
+
+def instruction_s(kind: str) -> float:
+    """Seconds of an instruction where a core has nothing but its kind to do."""
+    return mix_s(Operations(**{kind: 1})) / _INSTRUCTIONS[kind]
+
+
+def mix_s(operations: Operations) -> float:
+    """Seconds a step of a mix, at the best number of chains."""
+    order = interleaved(operations)
+    blocks = np.full((1, ROWS, WIDTH), 1.7)
+    blocks[:, :2] = [[1.0], [0.0]]
+    return min(_seconds(_chains(order, chains), blocks) for chains in CHAINS) / LENGTH
+
+
+def copying_s() -> float:
+    """Seconds of a load and a store in the first-level cache."""
+    blocks = np.zeros((BLOCKS, ROWS, WIDTH))
+    return _seconds(_copying(), blocks) / (BLOCKS * ROWS // 2)
+
+
+def interleaved(operations: Operations) -> tuple[str, ...]:
+    """``LENGTH`` steps in the proportions of the operations, evenly spread."""
+    steps = _steps(operations)
+    total = sum(steps.values())
+    order: list[str] = []
+    for length in range(1, LENGTH + 1):
+        lag = {kind: length * steps[kind] / total - order.count(kind) for kind in KINDS}
+        order.append(max(KINDS, key=lag.__getitem__))
+    return tuple(order)
+
+
+def _steps(operations: Operations) -> dict[str, float]:
+    return {kind: getattr(operations, kind) / _INSTRUCTIONS[kind] for kind in KINDS}
+
+
+@cache
+def _chains(order: tuple[str, ...], chains: int) -> Any:
+    """Steps on independent chains; every kind goes round the chains by itself."""
+
+    def build(rows: Any) -> None:
+        one, zero, other, *x = (rows[row] for row in range(3 + chains))
+        taken = Counter[str]()
+        for kind in order:
+            chain = taken[kind] % chains
+            x[chain] = _STEPS[kind](x[chain], one, zero, other)
+            taken[kind] += 1
+        for row, value in enumerate(x, start=3):
+            rows[row] = value
+
+    return _repeated(build)
+
+
+@cache
+def _copying() -> Any:
+    def build(rows: Any) -> None:
+        for row in range(0, ROWS, 2):
+            rows[row] = rows[row + 1]
+
+    return _repeated(build)
+
+
+def _repeated(build: Callable[[Any], None]) -> Any:
+    run = kernel(build, [ROWS])
+
+    @numba.njit  # type: ignore[untyped-decorator]
+    def repeat(blocks, calls):  # type: ignore[no-untyped-def]
+        for _ in range(calls):
+            for block in blocks:
+                run((block.ctypes.data,))
+
+    return repeat
+
+
+def _seconds(repeat: Any, blocks: Any) -> float:
+    """Seconds a pass over the blocks, the shortest of several."""
+    repeat(blocks.copy(), 1)  # compiled
+    found = []
+    for _ in range(TRIES):
+        used = blocks.copy()
+        begin = time.perf_counter()
+        repeat(used, CALLS)
+        found.append(time.perf_counter() - begin)
+    return min(found) / CALLS

@@ -1,0 +1,225 @@
+"""A run of several trainings: folders, the course on a terminal, the summary."""
+
+import shutil
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from rich.progress import TimeElapsedColumn
+
+from experiments.console.options import TaskArgs
+from experiments.console.progress import bars, say
+from experiments.console.provenance import command_line
+from experiments.console.tables import grid, show
+from experiments.evaluation.intervals import Interval
+from experiments.training.hyperparameters import (
+    Hyperparameters,
+    PpoHyperparameters,
+    hyperparameters_as_written,
+    read_hyperparameters,
+    shipped_hyperparameters,
+)
+from experiments.training.places import Place, places_from, require_environments
+from experiments.training.training_task import TrainingTask, banks_of
+from mmwave_env.files import read_json, write_bytes, write_json
+from mmwave_env.filters.bank import Bank, bank_as_written
+from mmwave_env.lookup import choose
+from mmwave_env.reward import REWARDS, PairedReward, Reward, TrackingReward
+
+if TYPE_CHECKING:
+    from experiments.train import Args
+
+SMOKE_EPISODES = 20  # to judge a policy on
+TIMESTEPS = {"ppo": 4_000_000, "rollouts": 1_200_000}  # to train for
+
+# Options that a policy does not depend on: the command in its file leaves them out.
+ASIDE = ("jobs", "checkpoint_every", "out", "resume", "overwrite")
+
+
+def smoke(args: "Args") -> "Args":
+    """The same as a smoke run: as short as can be, and in a folder of its own to replace."""
+    short = replace(args, seeds=1, total_timesteps=1)
+    return (
+        short
+        if args.out != type(args).out
+        else replace(short, out=Path("runs/smoke"), overwrite=True)
+    )
+
+
+def rewards(args: TaskArgs) -> Reward:
+    """What is learned to earn, before anything is subtracted."""
+    reward = choose(REWARDS, args.reward, "reward")
+    if isinstance(reward, PairedReward):
+        reward = reward.reward
+    if isinstance(reward, TrackingReward):
+        return replace(reward, nees_weight=args.nees_weight)
+    return reward
+
+
+def hyperparameters(args: "Args", places: int) -> Hyperparameters:
+    """Read the hyperparameters.
+
+    Raises:
+        ValueError: those of another algorithm, or of environments that can't be spread over so
+            many places.
+    """
+    path = args.hyperparameters or shipped_hyperparameters(args.algo, args.beliefs)
+    found = read_hyperparameters(path, args.algo)
+    try:
+        require_environments(found.num_envs, places, found.together)
+    except ValueError as error:
+        raise ValueError(f"{path}: {error}") from error
+    if isinstance(found, PpoHyperparameters):
+        return replace(found, paired=found.paired or args.reward == "paired")
+    return found  # rollouts learn from differences: what is subtracted from a reward is not in them
+
+
+def places_of(args: TaskArgs) -> tuple[Place, ...]:
+    """Where to train.
+
+    Raises:
+        ValueError: a place that there is not or that is named twice; or a radio beside places.
+    """
+    if not args.places:
+        return (Place("street", args.radio),)
+    if args.radio != TaskArgs.radio:
+        raise ValueError(f"radio: found {args.radio!r} beside places, which bring theirs")
+    return places_from(args.places)
+
+
+def manifest_of(args: "Args", banks: Mapping[str, Bank], found: Hyperparameters) -> dict[str, Any]:
+    """What decides how a run goes on, as JSON holds it."""
+    written = {radio: bank_as_written(bank) for radio, bank in banks.items()}
+    first, *_ = written.values()
+    choices = {"banks": written} if args.beliefs == "per-mode" else {"modes": first["modes"]}
+    return {
+        "command": command_line(
+            "train", replace(args, **{name: getattr(type(args), name) for name in ASIDE})
+        ),
+        "hyperparameters": hyperparameters_as_written(found),
+        **choices,
+    }
+
+
+def begin(args: "Args", manifest: dict[str, Any]) -> None:
+    """Make the folder of a run, or make sure that it holds the one to go on with.
+
+    Raises:
+        ValueError: there is a run already; or none to go on with, or another one.
+    """
+    path = args.out / "run.json"
+    if args.resume:
+        if not path.is_file():
+            raise ValueError(f"out: found no run in {args.out} to resume")
+        _require_same(path, manifest)
+        return
+    if args.out.exists() and any(args.out.iterdir()):
+        if not args.overwrite:
+            raise ValueError(
+                f"out: found files in {args.out}; --resume goes on with the run there, "
+                "--overwrite replaces it, --out names another folder"
+            )
+        if not path.is_file():
+            raise ValueError(f"out: found files in {args.out} that are no run, and left them")
+        shutil.rmtree(args.out)
+    write_json(path, manifest)
+
+
+def _require_same(path: Path, manifest: dict[str, Any]) -> None:
+    """Refuse to go on with the run of another manifest."""
+
+    def flat(run: dict[str, Any]) -> dict[str, Any]:
+        return {**run, **run["hyperparameters"]}
+
+    found, expected = read_json(path, "the manifest of a run", flat), flat(manifest)
+    for key in [
+        key for key in {**expected, **found} if key != "hyperparameters"
+    ]:  # its parts say more
+        if found.get(key) != expected.get(key):
+            raise ValueError(
+                f"{path}: {key}: found {found.get(key)}, expected {expected.get(key)}; resume a "
+                "run with the options it was started with"
+            )
+
+
+@contextmanager
+def shown(jobs: list[Any]) -> Iterator[Any]:
+    """A bar for each training, on a terminal; the function takes the news of one."""
+    with bars(TimeElapsedColumn()) as bar:
+        tasks = {job.seed: bar.add_task(f"seed {job.seed}", total=job.timesteps) for job in jobs}
+
+        def tell(job: Any, news: Any) -> None:
+            bar.update(tasks[job.seed], completed=news.timesteps)
+            if news.text:
+                line = f"seed {job.seed}, {news.timesteps} steps: {news.text}"
+                bar.console.print(line, soft_wrap=True)
+
+        yield tell
+
+
+def summary(outcomes: list[dict[str, Any]]) -> str:
+    """All seeds as a Markdown table, best first."""
+    rows, minus = [], [key for key in outcomes[0]["best"] if key.startswith("minus ")]
+    for outcome in outcomes:
+        best, beat = outcome["best"], outcome["beat_rule"]
+        gains = [Interval.of(best[what]) for what in minus]
+        rows.append([
+            str(outcome["seed"]), f"{best['reward']:.4f}", str(best["timesteps"]),
+            *map(str, gains),
+            f"{beat['seconds']:g} s, {beat['timesteps']} steps" if beat else "never",
+            f"{outcome['seconds']:g} s",
+        ])  # fmt: skip
+    header = ["seed", "reward", "best after", *minus, "beat the rule after", "time"]
+    return grid(header, rows)
+
+
+def train(args: "Args") -> None:
+    """Run the command."""
+    try:
+        from experiments.training.evaluator import EPISODES
+        from experiments.training.job import Job
+        from experiments.training.processes import side_by_side
+    except ImportError as error:
+        raise ValueError(
+            f"train needs more than the base install: {error}; pip install 'mmwave-loc[train]'"
+        ) from error
+    if args.resume and args.overwrite:
+        raise ValueError("overwrite: found it beside resume, expected one of them")
+    for name in ("seeds", "total_timesteps", "jobs", "checkpoint_every"):
+        count = getattr(args, name)
+        if count is not None and count < 1:
+            raise ValueError(f"{name}: found {count}, expected 1 or more")
+    places = places_of(args)
+    found = hyperparameters(args, len(places))
+    banks = banks_of(args.modes, places, args.beliefs)
+    task = TrainingTask(args.scenario, places, banks, args.observation, rewards(args), args.beliefs)
+    manifest = manifest_of(args, banks, found)
+    if args.smoke:
+        args = smoke(args)
+    timesteps = args.total_timesteps or TIMESTEPS[args.algo]
+    jobs = [
+        Job(
+            task, found, seed, timesteps, args.out / f"seed-{seed}", manifest["command"],
+            args.checkpoint_every, SMOKE_EPISODES if args.smoke else EPISODES,
+        )
+        for seed in range(args.seeds)
+    ]  # fmt: skip
+    begin(args, manifest)
+    with shown(jobs) as tell:
+        outcomes = side_by_side(jobs, args.jobs, tell)
+    outcomes.sort(key=lambda outcome: -outcome["best"]["reward"])
+    median = outcomes[len(outcomes) // 2]
+    policy = jobs[median["seed"]].policy
+    write_bytes(args.out / "policy.safetensors", policy.read_bytes())
+    write_json(args.out / "summary.json", manifest | {"seeds": outcomes, "median": median["seed"]})
+    show(summary(outcomes))
+    if args.smoke:
+        say(
+            "",
+            f"A smoke run, judged on {SMOKE_EPISODES} episodes: training works. How well is said "
+            "by a run without --smoke; evaluate and compare refuse the policy of this one.",
+        )
+    else:
+        say("", f"the median seed, {median['seed']}, is {args.out / 'policy.safetensors'}")

@@ -1,0 +1,57 @@
+"""mmwave-loc speed, as it is typed."""
+
+import json
+import re
+
+import pytest
+
+from experiments.console.doc_pages import MARK
+from experiments.timing.report import TITLES
+from tests.cli import assert_one_clear_line, command, succeed
+from tests.paths import ROOT
+
+PAGE = ROOT / "docs" / "performance.md"
+
+
+@pytest.mark.slow
+def test_a_short_run_writes_everything(tmp_path):
+    page, file, plot = (tmp_path / name for name in ("page.md", "new/all.json", "plot.png"))
+    page.write_text(PAGE.read_text())
+    options = ("--sizes", 8, 64, "--seconds", 0, "--repeats", 1)
+    shown = succeed("speed", *options, "--json", file, "--plot", plot, "--docs", page)
+    assert re.findall("^### (.*)", shown, re.MULTILINE) == list(TITLES)
+    result = json.loads(file.read_text())
+    assert result["command"] == "mmwave-loc speed --sizes 8 64 --seconds 0.0 --repeats 1"
+    assert list(result)[:7] == [
+        "command", "versions", "ratios", "limit_fraction", "steps_per_s", "cold_start_s",
+        "peak_rss_mb",
+    ]  # fmt: skip
+    rates = result["steps_per_s"]
+    for pair, ratio in result["ratios"].items():
+        over, under = pair.split("_over_")
+        assert ratio == pytest.approx(rates[over] / rates[under])
+    assert {"ekf", "ukf", "ckf", "native_64_1_thread", "native_64_1_thread_between_ends"} <= set(
+        result["limit_fraction"]
+    )
+    assert set(result["cold_start_s"]) == set(result["peak_rss_mb"])
+    assert 20.0 < result["peak_rss_mb"]["cartpole"] < result["peak_rss_mb"]["native_64"]
+    for picture in (plot, page.with_suffix(".png")):
+        assert picture.read_bytes().startswith(b"\x89PNG")
+    renewed = {match[1]: match[0] for match in MARK.finditer(page.read_text())}
+    assert all(table.split("\n", 1)[1].rpartition("\n")[0] in shown
+               for table in renewed.values())  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (["--sizes", "8", "0"], r"sizes: found \[8, 0\], expected numbers of at least 1"),
+        (["--seconds", "-1"], "seconds: found -1.0, expected a time of at least 0"),
+        (["--repeats", "0"], "repeats: found 0, expected at least 1"),
+        (["--docs", "CHANGELOG.md"], "CHANGELOG.md: found no table"),
+        (["--docs", "docs/paper.md"], "found 'Table I: pedestrian, handset', expected one of"),
+        (["--plot", "docs"], "plot: found docs, expected a name that ends with .png"),
+    ],
+)
+def test_mistakes_end_with_one_clear_line_before_the_work(options, message):
+    assert_one_clear_line(command("speed", *options), f"^mmwave-loc speed: .*{message}")

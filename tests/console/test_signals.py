@@ -1,0 +1,127 @@
+"""What ends a command from outside cleans up as Ctrl-C does."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from contextlib import ExitStack
+from functools import partial
+
+import pytest
+
+from experiments.console.signals import ENDING, SAME_S, Ended, ended_by_signals
+from tests.cli import environment
+from tests.paths import ROOT
+
+pty = pytest.importorskip("pty")
+
+pytestmark = pytest.mark.skipif(os.name != "posix", reason="signals as POSIX has them")
+
+# A command that stands in the middle of writing its result, and says so.
+WRITING = """
+import sys, time
+from pathlib import Path
+import experiments.list
+from experiments.console.main import run
+from mmwave_env.files import atomic_path
+
+def writing(args):
+    with atomic_path(Path(sys.argv[1])) as temporary:
+        temporary.write_text("half of the ne")
+        print("writing", flush=True)
+        time.sleep(60)
+
+experiments.list.main = writing
+run("list", [])
+"""
+
+
+@pytest.fixture
+def writing(tmp_path):
+    """Starts that command for tmp_path/result.json, and waits until it stands there."""
+    started = []
+
+    def start(**options):
+        started.append(subprocess.Popen(
+            [sys.executable, "-c", WRITING, str(tmp_path / "result.json")], env=environment(),
+            cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, **options,
+        ))  # fmt: skip
+        assert started[-1].stdout.readline() == "writing\n"
+        return started[-1]
+
+    yield start
+    for process in started:
+        process.kill()
+        process.communicate()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("sent", [signal.SIGINT, *ENDING])
+def test_a_signal_removes_what_is_half_written(writing, tmp_path, sent):
+    heeds = partial(signal.signal, signal.SIGINT, signal.SIG_DFL)  # even started in the background
+    command = writing(preexec_fn=heeds)
+    assert len(list(tmp_path.iterdir())) == 1
+    command.send_signal(sent)
+    command.send_signal(sent if sent in ENDING else 0)  # as to a group, and to each in it
+    out, err = command.communicate(timeout=30)
+    assert command.returncode == 128 + sent and out == ""
+    what = "interrupted" if sent == signal.SIGINT else f"ended by {sent.name}"
+    assert err == f"mmwave-loc list: {what}\n"
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.slow
+def test_a_terminal_that_is_gone_takes_no_message_but_leaves_nothing(writing, tmp_path):
+    command = writing()
+    command.stderr.close()
+    command.stdout.close()
+    command.send_signal(signal.SIGHUP)
+    assert command.wait(timeout=30) == 128 + signal.SIGHUP
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.slow
+def test_under_nohup_a_closed_terminal_ends_nothing(writing, tmp_path):
+    command = writing(preexec_fn=partial(signal.signal, signal.SIGHUP, signal.SIG_IGN))
+    command.send_signal(signal.SIGHUP)
+    time.sleep(0.2)
+    assert command.poll() is None and len(list(tmp_path.iterdir())) == 1
+
+
+def test_signals_end_the_block_and_are_as_they_were_behind_it():
+    before = signal.getsignal(signal.SIGTERM)
+    with pytest.raises(Ended) as end, ended_by_signals():
+        signal.raise_signal(signal.SIGTERM)
+    assert (end.value.code, end.value.told) == (143, "ended by SIGTERM")
+    assert signal.getsignal(signal.SIGTERM) is before
+
+
+def test_a_signal_that_comes_again_at_once_is_the_same_and_later_another():
+    def clean_up():
+        signal.raise_signal(signal.SIGTERM)
+        time.sleep(1.1 * SAME_S)
+        with pytest.raises(Ended):
+            signal.raise_signal(signal.SIGHUP)
+
+    def work():
+        with ended_by_signals(), ExitStack() as stack:
+            stack.callback(clean_up)
+            signal.raise_signal(signal.SIGTERM)
+
+    with pytest.raises(Ended):
+        work()
+
+
+@pytest.mark.slow
+def test_a_terminal_that_is_closed_ends_a_command_as_its_signal_says():
+    child, terminal = pty.fork()
+    if not child:
+        words = ["-m", "experiments.console", "compare", "--episodes", "100000"]
+        os.execve(sys.executable, [sys.executable, *words], environment())
+    told = b""
+    while b"%" not in (told := told + os.read(terminal, 1000)):
+        pass  # until there is a bar, which nobody can read any more
+    os.close(terminal)
+    _, status = os.waitpid(child, 0)
+    assert os.waitstatus_to_exitcode(status) == 128 + signal.SIGHUP

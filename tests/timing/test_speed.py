@@ -1,0 +1,186 @@
+"""The benchmark's counts, loops and tables; what takes its time is in test_commands_benchmark."""
+
+import numpy as np
+import pytest
+
+from experiments.timing.figure import draw
+from experiments.timing.measured import Measured, Rates
+from experiments.timing.operations import Operations, count
+from experiments.timing.report import TITLES, label, short, spread, tables
+from experiments.timing.roofline import KINDS, LENGTH, interleaved, limit_s
+from experiments.timing.workloads import EPISODE, Lap, filterpy_episode, pipeline, source
+from mmwave_env.filters.filterpy_reference import filterpy_pipeline
+from mmwave_env.numerics.linalg import cholesky, dot
+from mmwave_env.numerics.numbers import atan2, maximum, sqrt, where
+
+# --- operations
+
+
+def counted(function, n):
+    """Operations of a function from n numbers to n; loads and stores left out."""
+    return count(function, [0.0] * n)._replace(load=0, store=0)
+
+
+@pytest.mark.parametrize(
+    ("function", "expected"),
+    [
+        (lambda a, b: a + b, Operations(add=1)),
+        (lambda a, b: a * b - 3.0, Operations(fused=1)),
+        (lambda a, b: a * b + b * a, Operations(add=1, multiply=1)),  # the same product
+        (lambda a, b: a / b, Operations(divide=1)),
+        (lambda a, b: a / b + 1.0 / b, Operations(add=1, divide=1, multiply=2)),  # one reciprocal
+        (lambda a, b: sqrt(a) - b, Operations(add=1, root=1)),
+        (lambda a, b: where(a > b, a, 1.0), Operations(select=2)),
+        (lambda a, b: where((a > b) & (a > 1.0), a, -b), Operations(select=5)),
+        (lambda a, b: maximum(a, b), Operations(select=1)),
+        (lambda a, b: maximum(a, 2.0), Operations(select=1)),
+        (lambda a, b: 1.0 * a + 0.0 * b, Operations()),
+    ],
+)
+def test_operations_of_an_expression(function, expected):
+    assert counted(lambda w: [function(*w), w[1]], 2) == expected
+
+
+def test_operations_of_small_algebra():
+    n = 4
+    assert counted(lambda w: [dot(w[:n], w[n:])] + w[1:], 2 * n) == Operations(multiply=1, fused=3)
+
+    def factor(w):
+        rows = [w[i * n : (i + 1) * n] for i in range(n)]
+        return [value for row in cholesky(rows) for value in row]
+
+    found = counted(factor, n * n)
+    assert (found.root, found.divide) == (4, 3)  # nobody needs the last reciprocal
+    assert found.fused + found.multiply == sum(j + (n - 1 - j) * (j + 1) for j in range(n))
+
+
+def test_what_nobody_needs_costs_nothing():
+    def function(w):
+        a, b, c = w
+        atan2(a, b)
+        return [a, b, c + 1.0]
+
+    assert count(function, [0.0] * 3) == Operations(add=1, load=1, store=1)
+
+
+def test_the_angle_is_counted_by_what_the_lanes_do():
+    found = counted(lambda w: [atan2(*w), w[1]], 2)
+    assert found.divide == 1 and found.fused >= 10 and found.root == 0
+
+
+def test_a_timed_mix_has_the_proportions_of_the_operations():
+    order = interleaved(Operations(fused=20, add=10, select=20))
+    assert len(order) == LENGTH
+    assert {kind: order.count(kind) for kind in set(order)} == {
+        "fused": LENGTH // 2, "add": LENGTH // 4, "select": LENGTH // 4,
+    }  # fmt: skip
+    assert interleaved(Operations(root=1)) == ("root",) * LENGTH
+
+
+def test_more_operations_have_a_later_limit():
+    few, many = Operations(fused=10, load=2, store=1), Operations(fused=1000, load=2, store=1)
+    assert 0.0 < limit_s(few) < limit_s(many)
+
+
+# --- loops
+
+
+def test_rounds_are_whole_episodes_and_tell_the_steps_between_ends_apart():
+    laps = iter([Lap(9, ends=False), Lap(1), Lap(9, ends=False), Lap(1)])
+    rates = Rates()
+    for _ in range(2):
+        rates.measure(laps, 0.0)
+    assert len(rates.steps_per_s) == len(rates.between_ends) == len(rates.cores) == 2
+    assert next(laps, None) is None
+
+
+def test_the_filterpy_loop_does_what_a_step_needs():
+    twin = filterpy_pipeline(pipeline())
+    total = filterpy_episode(twin, source().sample(np.random.default_rng(0)))
+    assert -5.0 < total / EPISODE < 0.0  # it follows the user: the worst reward is -10.6
+
+
+# --- results
+
+
+@pytest.fixture(scope="module")
+def measured():
+    """Three rounds that nobody ran."""
+    found, rng = Measured((1024, 8, 64)), np.random.default_rng(0)
+    for rates in (found.rates | found.filters).values():
+        rates.steps_per_s[:], rates.between_ends[:] = rng.uniform(1e3, 1e6, (2, 3)).tolist()
+        rates.cores[:] = [1.0] * 3
+    for limits in (found.limits_s | found.instructions_s).values():
+        limits[:] = rng.uniform(1e-9, 1e-8, 3).tolist()
+    for seconds in found.starts_s.values():
+        seconds[:] = [0.1, 0.2, 0.3]
+    for n, name in enumerate(found.peak_mb):
+        found.cold_start_s[name], found.peak_mb[name] = [1.5] * 3, [100.0 + n] * 3
+    return found
+
+
+def test_sizes_are_sorted_and_named(measured):
+    assert measured.sizes == [8, 64, 1024]
+    assert measured.natives(2) == ["native_8", "native_64", "native_1024"]
+    assert label("native_1024_1_thread") == "native, N = 1024, 1 thread"
+
+
+def test_ratios_are_taken_round_by_round(measured):
+    over, under = (measured.rates[name].steps_per_s for name in ("native_1024", "filterpy"))
+    ratio = np.divide(over, under)
+    assert measured.ratios()["native_1024_over_filterpy"] == pytest.approx(ratio)
+    result = measured.json()
+    assert result["ratios"]["native_1024_over_filterpy"] == pytest.approx(np.median(ratio))
+    spread_of = result["spread"]["ratios"]["native_1024_over_filterpy"]
+    assert spread_of == pytest.approx([ratio.min(), ratio.max()])
+
+
+def test_costs_are_of_full_lanes_and_one_thread(measured):
+    name = "native_1024_1_thread_over_native_64_1_thread"
+    many, few = (measured.rates[one].steps_per_s for one in name.split("_over_"))
+    assert measured.costs() == {name: pytest.approx(np.divide(few, many))}
+    assert measured.costs_at_best() == {name: pytest.approx(max(few) / max(many))}
+    assert f"| {short(max(few) / max(many))} |" in tables(measured)["Cost of a step over N"]
+
+
+def test_fractions_are_of_the_kernel_that_runs(measured):
+    found, limits = measured.fractions(), measured.limits_s
+    rates = measured.filters["ukf"].steps_per_s
+    assert found["ukf"] == pytest.approx(np.multiply(limits["ukf"], rates))
+    rates = measured.rates["native_64_1_thread"].between_ends
+    assert found["native_64_1_thread_between_ends"] == pytest.approx(
+        np.multiply(limits["step"], rates)
+    )
+
+
+def test_a_step_needs_more_than_its_filters(measured):
+    kernels = {name: found.arithmetic for name, found in measured.operations.items()}
+    assert kernels["ekf"] < kernels["ukf"] <= kernels["ckf"] < kernels["step"]
+
+
+def test_memory_is_that_of_each_further_environment(measured):
+    assert measured.kb_per_environment() == {
+        "8_to_64": pytest.approx(1024 / 56), "64_to_1024": pytest.approx(1024 / 960),
+    }  # fmt: skip
+
+
+def test_tables_hold_what_was_measured(measured):
+    found = tables(measured)
+    assert tuple(found) == TITLES
+    ratio = spread(measured.ratios()["single_over_filterpy"])
+    assert f"| single environment | {ratio} |" in found["Ratios"]
+    assert "N = 1024, 1 thread" in found["Steps per second"]
+    assert set(measured.instructions_s) == set(KINDS)
+
+
+def test_figures_are_short():
+    assert [short(v) for v in (0.0, 0.012345, 9.876, 1234.5, 4.4e6)] == [
+        "0", "0.0123", "9.88", "1,230", "4,400,000",
+    ]  # fmt: skip
+    assert spread([3.0, 1.0, 2.0], 10.0) == "20.0 (10.0 to 30.0)"
+    assert spread([0.5]) == "0.500"
+
+
+def test_the_picture_is_a_png(measured, tmp_path):
+    draw(measured, tmp_path / "picture.png")
+    assert (tmp_path / "picture.png").read_bytes().startswith(b"\x89PNG")
