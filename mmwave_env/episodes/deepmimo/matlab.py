@@ -19,18 +19,8 @@ from numpy.typing import NDArray
 _PREAMBLE = 128  # bytes; the last two tell the order of bytes in numbers
 _ORDER = {b"IM": "<", b"MI": ">"}
 _COMPRESSED = 15  # a kind of elements, beside those of numbers:
-_NUMBERS = {
-    1: "i1",
-    2: "u1",
-    3: "i2",
-    4: "u2",
-    5: "i4",
-    6: "u4",
-    7: "f4",
-    9: "f8",
-    12: "i8",
-    13: "u8",
-}
+_TYPES = ["i1", "u1", "i2", "u2", "i4", "u4", "f4", "f8", "i8", "u8"]
+_NUMBERS = dict(zip((*range(1, 8), 9, 12, 13), _TYPES, strict=True))
 _CLASSES, _COMPLEX = range(6, 16), 0x800  # classes of matrices of numbers; a flag
 
 
@@ -91,16 +81,11 @@ def _numbers(
     flags: memoryview, shape: memoryview, parts: list[tuple[int, memoryview]], order: str
 ) -> NDArray[Any]:
     (word,) = struct.unpack_from(f"{order}I", flags)
-    if (
-        word & 0xFF not in _CLASSES
-        or word & _COMPLEX
-        or len(parts) != 1
-        or parts[0][0] not in _NUMBERS
-    ):
+    if word & 0xFF not in _CLASSES or word & _COMPLEX:
         raise ValueError("a variable that is no matrix of real numbers")
     ((kind, content),) = parts
     lengths = np.frombuffer(shape, f"{order}i4").tolist()
-    numbers = np.frombuffer(content, f"{order}{_NUMBERS[kind]}")
-    if min(lengths, default=0) < 0 or math.prod(lengths) != len(numbers):
+    numbers = np.frombuffer(content, order + _NUMBERS[kind])
+    if min(lengths) < 0 or math.prod(lengths) != len(numbers):
         raise ValueError(f"shape {tuple(lengths)} of {len(numbers)} numbers")
     return numbers.reshape(lengths, order="F")

@@ -9,7 +9,7 @@ import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,7 +31,7 @@ PARAMS = "params.json"  # by which a folder is known as a scenario
 _RECEIVERS = re.compile(r"rx_pos_(t\d+_tx\d+)_r(\d+)\.(?:npz|npy|mat)")
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class Scenario:
     """What a folder holds, before its arrays are read.
 
@@ -99,11 +99,12 @@ class Scenario:
 
     def positions(self, epochs: NDArray[np.int_]) -> Array:
         """Positions (E, 3) of the receivers of epochs, as of :meth:`epochs`, m."""
-        return np.concatenate([self._positions(*group) for group in _by_scene(epochs)])
-
-    def _positions(self, scene: int, rows: NDArray[np.int_]) -> Array:
-        file = self.file(scene, "rx_pos", self.stations[0])
-        return _finite(file, "rx_pos", read_array(file, "rx_pos", (self.receivers, 3), rows), rows)
+        found = []
+        for scene, rows in _by_scene(epochs):
+            file = self.file(scene, "rx_pos", self.stations[0])
+            array = read_array(file, "rx_pos", (self.receivers, 3), rows)
+            found.append(_finite(file, "rx_pos", array, rows))
+        return np.concatenate(found)
 
     def paths(self, epochs: NDArray[np.int_], base_station: int | None = None) -> Paths:
         """The paths of some receivers.
@@ -115,32 +116,20 @@ class Scenario:
 
         Raises:
             FileNotFoundError: a file is missing.
-            ValueError: a file can't be read or contradicts another; the message names file and
-                key.
+            ValueError: there is no such station; or a file can't be read or contradicts another,
+                and the message names file and key.
         """
-        return Paths(
-            name=as_name(self.folder.resolve().name),
-            carrier_hz=self.carrier_hz,
-            position_m=self.positions(epochs),
-            stations=tuple(
-                _read_station(self, epochs, name) for name in self._chosen(base_station)
-            ),
-        )
-
-    def _chosen(self, base_station: int | None) -> tuple[str, ...]:
-        """The station of a number, from 1 in the order of ``stations``; all of them for None.
-
-        Raises:
-            ValueError: there is no such number.
-        """
-        if base_station is None:
-            return self.stations
-        if not 1 <= base_station <= len(self.stations):
-            raise ValueError(
-                f"base_station: found {base_station}, expected 1 to {len(self.stations)}: "
-                f"{', '.join(self.stations)} of {self.folder}"
-            )
-        return self.stations[base_station - 1 : base_station]
+        stations = self.stations
+        if base_station is not None:
+            if not 1 <= base_station <= len(stations):
+                raise ValueError(
+                    f"base_station: found {base_station}, expected 1 to {len(stations)}: "
+                    f"{', '.join(stations)} of {self.folder}"
+                )
+            stations = stations[base_station - 1 : base_station]
+        found = tuple(_read_station(self, epochs, name) for name in stations)
+        name = as_name(self.folder.resolve().name)
+        return Paths(name, self.carrier_hz, self.positions(epochs), found)
 
 
 def is_scenario(folder: Path) -> bool:
@@ -164,74 +153,44 @@ def open_scenario(folder: Path, receiver_set: int | None = None) -> Scenario:
         raise FileNotFoundError(f"{folder}: found nothing, expected the folder of a scenario")
     if not folder.is_dir():
         refuse_in(folder, "folder", "a file", "the folder of a DeepMIMO scenario")
-    params = _read_params(folder)
-    scenes = _scenes(folder, params)
+    carrier_hz, count = _read_params(folder / PARAMS)
+    scenes = _scenes(folder, count)
     number, stations = _stations(scenes[0], receiver_set)
     file = find_array(scenes[0], f"rx_pos_{stations[0]}_r{number}")
     receivers = len(read_array(file, "rx_pos", ("N", 3)))
     if receivers == 0:
         refuse_in(file, "rx_pos", "no receivers", "at least one")
-    if (points := params.points.get(int(number))) != receivers:
-        refuse_in(
-            params.file, "txrx_sets", f"{points or 'no'} points in the set of id {int(number)}",
-            f"{receivers}, the number of receivers in rx_pos",
-        )  # fmt: skip
-    return Scenario(
-        folder=folder, scenes=scenes, stations=stations, receivers=receivers,
-        carrier_hz=params.carrier_hz, receiver_set=number,
-    )  # fmt: skip
+    return Scenario(folder, scenes, stations, number, receivers, carrier_hz)
 
 
-class _Params(NamedTuple):
-    """What is used of ``params.json``."""
+def _read_params(file: Path) -> tuple[float, int]:
+    """Carrier frequency, Hz, and number of scenes; errors name the file and the entry."""
 
-    file: Path
-    carrier_hz: float
-    scenes: int  # more than one makes the scenario a dynamic one
-    points: dict[int, int]  # of every set of transmitters or receivers, by its number
+    def number(content: Any, part: str, name: str, most: float) -> Any:
+        for key in (part, name):
+            if not isinstance(content, dict) or key not in content:
+                raise ValueError(f"{part}.{name}: found nothing, expected an entry")
+            content = content[key]
+        if type(content) not in (int, float) or not 1 <= content <= most:
+            raise ValueError(
+                f"{part}.{name}: found {content!r}, expected a number from 1 to {most:g}"
+            )
+        return content
 
-
-def _read_params(folder: Path) -> _Params:
-    """The parameters of a scenario; errors name the file and the entry."""
-    file = folder / PARAMS
-
-    def make(content: dict[str, Any]) -> _Params:
-        sets = [("txrx_sets", name) for name in _entry(content, "txrx_sets")]
-        return _Params(
-            file,
-            float(_number(content, "rt_params", "frequency", most=1e15)),
-            _number(content, "scene", "num_scenes"),
-            {_entry(content, *at, "id"): _number(content, *at, "num_points") for at in sets},
-        )
+    def make(content: dict[str, Any]) -> tuple[float, int]:
+        carrier_hz = float(number(content, "rt_params", "frequency", 1e15))
+        return carrier_hz, number(content, "scene", "num_scenes", 1e9)
 
     return read_json(file, "the parameters of a scenario", make)
 
 
-def _entry(tree: Any, *keys: str) -> Any:
-    """What stands under nested keys."""
-    for depth, key in enumerate(keys, start=1):
-        if not isinstance(tree, dict) or key not in tree:
-            raise ValueError(f"{'.'.join(keys[:depth])}: found nothing, expected an entry")
-        tree = tree[key]
-    return tree
-
-
-def _number(tree: Any, *keys: str, most: float = 1e9) -> Any:
-    """A number under nested keys."""
-    value = _entry(tree, *keys)
-    if not isinstance(value, int | float) or isinstance(value, bool) or not 1 <= value <= most:
-        raise ValueError(f"{'.'.join(keys)}: found {value!r}, expected a number from 1 to {most:g}")
-    return value
-
-
-def _scenes(folder: Path, params: _Params) -> tuple[Path, ...]:
+def _scenes(folder: Path, count: int) -> tuple[Path, ...]:
     """The folders of the scenes, in the order of time."""
-    count = params.scenes
     if count == 1:
         return (folder,)
     found = sorted(sub for sub in folder.iterdir() if sub.is_dir() and any(sub.glob("rx_pos_*")))
     if len(found) != count:
-        refuse_in(params.file, "scene.num_scenes", count,
+        refuse_in(folder / PARAMS, "scene.num_scenes", count,
                f"{len(found)}, the number of sub-folders with receivers")  # fmt: skip
     return tuple(found)
 
