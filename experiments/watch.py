@@ -33,9 +33,6 @@ class PlayArgs(ModeArgs):
     """second of the episode to begin at; the beginning where none is given"""
     end: float | None = None
     """second of the episode to end at; the end where none is given"""
-    clearest: int | None = None
-    """look among so many episodes, of seeds from 5000000 or --seed on, for the pull-away after a
-    stop in which the first policy falls farthest behind the last, and play the seconds around it"""
 
 
 @dataclass(kw_only=True)
@@ -92,21 +89,16 @@ def main(args: Args) -> None:
     from experiments.evaluation.seeds import Selection
 
     _check(args)
-    contenders, rows = [contender_of(args, name) for name in args.policies], None
+    contenders = [contender_of(args, name) for name in args.policies]
     if args.log is not None:
         ride, scoring = _logged(args), PLAIN
     else:
         task = task_of(args)
         scoring, keys = Scoring.of(task), None if args.key is None else [args.key]
-        if args.clearest is None:
-            selection = Selection.of(task.source, None, args.seed, keys, usual=1)
-        else:
-            selection, rows = _clearest(args, task, contenders)
-        ride = _drawn(task, selection)
+        ride = _drawn(task, Selection.of(task.source, None, args.seed, keys, usual=1))
     with progress("filtering"):
         histories = [history_of(one, ride.episode, scoring, ride.streets) for one in contenders]
-    if rows is None:
-        rows = _between(histories[0].time_s, args.begin, args.end)
+    rows = _between(histories[0].time_s, args.begin, args.end)
     names = [contender.name for contender in contenders]
     say(*_told(names, histories, rows, ride.which))
     _show(args, contenders, histories, rows)
@@ -114,7 +106,6 @@ def main(args: Args) -> None:
 
 def _check(args: Args) -> None:
     """Refuse, before any work, what can't be shown."""
-    from experiments.evaluation.seeds import TUNING_SEED, require_tuning_seed
     from mmwave_env.rendering.frames import require_drawable
     from mmwave_env.rendering.video import require_video
 
@@ -122,16 +113,6 @@ def _check(args: Args) -> None:
         raise ValueError(f"policies: found {len(args.policies)}, expected 1 to {MOST}")
     if not 1 <= args.fps <= FASTEST:
         raise ValueError(f"fps: found {args.fps}, expected 1 to {FASTEST}")
-    if args.clearest is not None:
-        for name, value in (("key", args.key), ("begin", args.begin), ("end", args.end)):
-            if value is not None:
-                raise ValueError(f"{name}: found {value} with --clearest, expected one of them")
-        if args.clearest < 1 or len(args.policies) < 2:
-            raise ValueError(
-                f"clearest: found {args.clearest} episodes and {len(args.policies)} policies, "
-                "expected at least 1 and 2"
-            )
-        require_tuning_seed(TUNING_SEED if args.seed is None else args.seed)
     if args.log is not None:
         _check_log(args)
     require_drawable(args.render_size, args.render_theme, "watch")
@@ -148,7 +129,7 @@ def _check_log(args: Args) -> None:
     if args.scene is None:
         raise ValueError(f"scene: found none, expected --scene with that of {args.log}")
     world = [field for field in fields(WorldArgs) if field.name not in _OF_A_LOG]
-    own = [field for field in fields(Args) if field.name in ("seed", "key", "clearest", "planar")]
+    own = [field for field in fields(Args) if field.name in ("seed", "key", "planar")]
     for field in (*world, *own):
         if (found := getattr(args, field.name)) != field.default:
             raise ValueError(f"{field.name}: found {found} with --log, expected one of them")
@@ -176,26 +157,6 @@ def _logged(args: Args) -> Ride:
     streets = scene.streets if scene.streets_known else None
     name = args.log.name
     return Ride(replace(episode, name=name), streets, f"{name}, no truth, begun at {begin_s:g} s")
-
-
-def _clearest(
-    args: Args, task: "Task", contenders: "Sequence[Contender]"
-) -> "tuple[Selection, Sequence[int]]":
-    """The episode with the clearest pull-away, and the rows of histories around it."""
-    from experiments.evaluation.moments import PullAways
-    from experiments.evaluation.runner import Scoring, score_contenders
-    from experiments.evaluation.seeds import TUNING_SEED, Selection
-
-    assert args.clearest is not None
-    first, (loser, *_, keeper) = TUNING_SEED if args.seed is None else args.seed, contenders
-    among = Selection(range(first, first + args.clearest))
-    pulls = PullAways(loser.name, keeper.name)
-    score_contenders(
-        [loser, keeper], task.source, args.radio, among, watch=[pulls.add],
-        scoring=Scoring.of(task),
-    )  # fmt: skip
-    place, (begin, end) = pulls.clearest
-    return among.part(place, 1), range(begin + 1, end + 2)  # the first row is the prior's
 
 
 def _drawn(task: "Task", selection: "Selection") -> Ride:

@@ -124,13 +124,6 @@ def test_a_window_that_is_closed_ends_it(monkeypatch, window):
     assert len(window) == 1
 
 
-def test_the_clearest_moment_is_played(window):
-    options = ("--policies", "fixed-ekf", "fixed-ukf", "--scenario", "vehicle", "--clearest", 30)
-    what, *_ = succeed("watch", *options).splitlines()
-    seed, begin, end = map(int, re.fullmatch(r"\w+, seed (\d+), (\d+) to (\d+) s", what).groups())
-    assert 5_000_000 <= seed < 5_000_030 and end - begin == 35 and len(window) == 36
-
-
 MISTAKES = {
     "unknown policy": (("--policies", "oracle"), "policy: found 'oracle', expected one of"),
     "too many": (("--policies", *["imm"] * 4), "policies: found 4, expected 1 to 3$"),
@@ -142,10 +135,6 @@ MISTAKES = {
     "small": (("--render-size", 100), "render_size: found 100, expected an even number from 480"),
     "speed": (("--fps", 0), "fps: found 0, expected 1 to 50$"),
     "nothing left": (("--begin", 9000), "begin, end: found 9000 to inf s, expected.*199 s"),
-    "test seeds": (("--clearest", 9, "--seed", 0), "seed: found 0, expected a tuning seed"),
-    "a key and a search": (("--clearest", 9, "--key", 1), "key: found 1 with --clearest"),
-    "a search for one": (("--clearest", 9, "--policies", "imm"), "clearest: found 9 .* and 1 pol"),
-    "no pull-away": (("--clearest", 2, "--scenario", "pedestrian"), "clearest: found none of 2"),
 }  # fmt: skip
 
 
