@@ -1,10 +1,18 @@
 """Whatever is in a file, its reader reads it or refuses it in words that name it."""
 
 import gzip
+import io
 import json
+import shutil
 import warnings
-from functools import partial
+from collections.abc import Callable
+from dataclasses import fields, is_dataclass
+from functools import cache, partial
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any, NamedTuple
 
+import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
@@ -13,107 +21,192 @@ from experiments.evaluation.runs import Run
 from experiments.training.hyperparameters import read_hyperparameters, shipped_hyperparameters
 from experiments.webpage.runs import curves_of
 from experiments.webpage.sources import read_source
+from mmwave_env.episodes.deepmimo.recording import read_deepmimo
 from mmwave_env.episodes.mobility import read_mobility
+from mmwave_env.episodes.recorded import Recording
 from mmwave_env.episodes.ways import read_ways
 from mmwave_env.filters.bank import read_bank
-from mmwave_env.logs.log import read_log
+from mmwave_env.filters.mode_files import read_modes
+from mmwave_env.logs.log import LogBlock, read_log
+from mmwave_env.logs.path_log import read_paths
 from mmwave_env.logs.tum import read_tum
 from mmwave_env.models.radio import read_radio
-from mmwave_env.models.scene import read_scene
+from mmwave_env.models.scene import SCENES, read_scene, scene_json
 from policies.policy_file import _checksum, read_policy, save
 from tests.damage import changed, damaged
+from tests.episodes.deepmimo.scenarios import shortened
 from tests.paths import LOGS, ROOT
 from tests.training.actors import actor, card_of
 
 RIDE = LOGS / "canyon28_vehicle"
 SCENE = read_scene(RIDE / "scene.json")
-DATA = ROOT / "mmwave_env" / "data"
+BANK = json.loads((ROOT / "mmwave_env" / "data" / "banks" / "handset.json").read_text())
 RUN = ROOT / "docs" / "learning" / "ppo-standard"
+SUMMARY = json.loads((RUN / "summary.json").read_text())
 TENSORS, CARD = actor(3), card_of().as_json()
+CASES = 50  # of each kind of damage to each file
+SLOWEST_S = 20  # that a reader may take
+
+
+class Reader(NamedTuple):
+    """A reader of files that come from elsewhere, and what to damage."""
+
+    files: Callable[[], dict[str, Any]]  # by name: bytes, or what is written as JSON
+    read: Callable[[Path], Any]  # of a folder
+    write: Callable[[Any], bytes] = lambda content: json.dumps(content).encode()
 
 
 def head(path, lines):
     return b"".join(path.read_bytes().splitlines(keepends=True)[:lines])
 
 
-def written(content):
-    return json.dumps(content).encode()
-
-
-def policy(card):
+def signed(card):
     """A policy file with a right checksum over any card."""
     document = {"format": 1, "sha256": _checksum(TENSORS, card), "card": card}
     return save(TENSORS, {"policy": json.dumps(document)})
 
 
-def log(path):
-    list(read_log(path, SCENE))
+def parquet():
+    import pyarrow.csv
+    import pyarrow.parquet
+
+    memory = io.BytesIO()
+    pyarrow.parquet.write_table(
+        pyarrow.csv.read_csv(io.BytesIO(head(RIDE / "log.csv", 13))), memory
+    )
+    return {"log.parquet": memory.getvalue()}
 
 
-WAY = b"t,x,y,z\n" + b"".join(b"%.1f,%.2f,-20.0,1.5\n" % (0.1 * i, 20 + i) for i in range(30))
+@cache
+def deepmimo():
+    with TemporaryDirectory() as folder:
+        made = shortened(Path(folder, "scenario"), 4)
+        return {path.name: path.read_bytes() for path in sorted(made.iterdir())}
+
+
+def alone(name, content, read, **more):
+    return Reader(lambda: {name: content}, lambda folder: read(folder / name), **more)
+
+
+def log(name, content=b""):
+    return alone(name, content, lambda path: list(read_log(path, SCENE)))
+
+
 LIMITS = {
     "acceleration_mps2": [0.5, 1.0], "braking_mps2": [0.5, 1.0], "lateral_mps2": [0.5, 1.0],
     "jerk_mps3": 1.0, "corner_radius_m": 1.0,
 }  # fmt: skip
 WALK = {"phases": [{"limits": LIMITS, "gaits": [{"low_mps": 1.0, "high_mps": 1.5}]}]}
-JSON = {  # content, name of the file, reader
-    "scene": (json.loads((RIDE / "scene.json").read_text()), "scene.json", read_scene),
-    "modes": (json.loads((DATA / "banks" / "handset.json").read_text()), "m.json", read_bank),
-    "radio": ({"base": "standard", "gnb_elements": 16, "aoa_floor_deg": 2.0}, "r.json", read_radio),
-    "mobility": (WALK, "walk.json", read_mobility),
-    "hyperparameters": (
-        json.loads(shipped_hyperparameters("ppo").read_text()), "h.json",
-        partial(read_hyperparameters, algorithm="ppo"),
+WAY = b"t,x,y,z\n" + b"".join(b"%.1f,%.2f,-20.0,1.5\n" % (0.1 * i, 20 + i) for i in range(30))
+LOG = head(RIDE / "log.csv", 40)
+RECIPE = json.loads(shipped_hyperparameters("ppo").read_text())
+RESULTS = json.loads((ROOT / "docs" / "results.json").read_text())
+READERS = {
+    "log": log("log.csv", LOG),
+    "gzipped log": log("log.csv.gz", gzip.compress(LOG, mtime=0)),
+    "Parquet log": log("log.parquet")._replace(files=parquet),
+    "log of paths": alone("log.csv", LOG, lambda path: list(read_paths(path, SCENE))),
+    "truth": alone("truth.tum", head(RIDE / "truth.tum", 30), read_tum),
+    "scene": alone("scene.json", json.loads((RIDE / "scene.json").read_text()), read_scene),
+    "scene of walls": alone("scene.json", scene_json(SCENES["street"]), read_scene),
+    "radio": alone(
+        "r.json", {"base": "standard", "gnb_elements": 16, "aoa_floor_deg": 2.0}, read_radio
     ),
-    "summary": (
-        json.loads((RUN / "summary.json").read_text()), "summary.json",
-        lambda path: Run.read(str(path.parent)),
-    ),
-    "results": (json.loads((ROOT / "docs" / "results.json").read_text()), "c.json", read_source),
-    "run": (json.loads((RUN / "summary.json").read_text()), "run.json",
-            lambda path: read_source(path.parent)),
-}  # fmt: skip
-JOURNAL = head(RUN / "seed-0" / "progress.csv", 10)
-BYTES = {
-    "log": (head(RIDE / "log.csv", 40), "log.csv", log),
-    "gzipped log": (gzip.compress(head(RIDE / "log.csv", 40), mtime=0), "log.csv.gz", log),
-    "track": (head(RIDE / "truth.tum", 30), "truth.tum", read_tum),
-    "trajectory": (WAY, "way.csv", read_ways),
-    "journal": (JOURNAL, "progress.csv", curves_of),
-    "policy": (policy(CARD), "p.safetensors", read_policy),
-}  # fmt: skip
-CONTENTS = (
-    {f"{name}, bytes": (damaged(written(one[0])), *one[1:]) for name, one in JSON.items()}
-    | {f"{name}, values": (changed(one[0]).map(written), *one[1:]) for name, one in JSON.items()}
-    | {f"{name}, bytes": (damaged(one[0]), *one[1:]) for name, one in BYTES.items()}
-    | {"policy, card": (changed(CARD).map(policy), "p.safetensors", read_policy)}
+    "modes": alone("m.json", {"modes": BANK["modes"]}, read_modes),
+    "bank": alone("m.json", BANK, read_bank),
+    "mobility": alone("walk.json", WALK, read_mobility),
+    "way": alone("way.csv", WAY, read_ways),
+    "DeepMIMO": Reader(deepmimo, read_deepmimo),
+    "policy": alone("p.safetensors", signed(CARD), read_policy),
+    "policy, signed anew": alone("p.safetensors", CARD, read_policy, write=signed),
+    "hyperparameters": alone("h.json", RECIPE, partial(read_hyperparameters, algorithm="ppo")),
+    "summary": alone("summary.json", SUMMARY, lambda path: Run.read(str(path.parent))),
+    "results": alone("c.json", RESULTS, read_source),
+    "run": alone("run.json", SUMMARY, lambda path: read_source(path.parent)),
+    "journal": alone("progress.csv", head(RUN / "seed-0" / "progress.csv", 10), curves_of),
+}
+
+
+def numbers_in(found):
+    """Arrays that something will compute with; what is not visible means nothing."""
+    if isinstance(found, (LogBlock, Recording)):
+        rows = np.repeat(found.visible, [g.stop - g.start for g in found.layout.groups], axis=1)
+        yield from (found.time_s, found.measurement[rows])
+        if isinstance(found, Recording):
+            yield from (found.anchors_m, found.position_m, found.velocity_mps)
+    elif isinstance(found, (float, np.ndarray)):
+        yield np.asarray(found)
+    elif isinstance(found, dict):
+        for value in found.values():
+            yield from numbers_in(value)
+    elif isinstance(found, (list, tuple)):
+        for value in found:
+            yield from numbers_in(value)
+    elif is_dataclass(found):
+        for one in fields(found):
+            yield from numbers_in(getattr(found, one.name))
+
+
+# Shown, not computed with; of a path's log a number that is missing.
+MAY_BE_NAN = (
+    "results",
+    "run",
+    "summary",
+    "journal",
+    "policy",
+    "policy, signed anew",
+    "log of paths",
 )
 
 
-@pytest.mark.parametrize("kind", [*JSON, *BYTES])
+def read(kind, folder):
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", UserWarning)
+        found = READERS[kind].read(folder)
+    if kind not in MAY_BE_NAN:
+        numbers = [one for one in numbers_in(found) if one.dtype.kind == "f"]
+        assert not any(np.isnan(one).any() for one in numbers), "a NaN came through"
+
+
+def needs(kind):
+    if kind == "Parquet log":
+        pytest.importorskip("pyarrow")
+
+
+@pytest.mark.parametrize("kind", READERS)
 def test_what_is_to_be_damaged_is_read(tmp_path, kind):
-    content, name, read = (JSON | BYTES)[kind]
-    path = tmp_path / name
-    path.write_bytes(content if isinstance(content, bytes) else written(content))
-    read(path)
+    needs(kind)
+    for name, content in READERS[kind].files().items():
+        raw = isinstance(content, bytes)
+        (tmp_path / name).write_bytes(content if raw else READERS[kind].write(content))
+    read(kind, tmp_path)
 
 
-@pytest.mark.parametrize("kind", CONTENTS)
+@pytest.mark.parametrize("kind", READERS)
 @settings(
-    max_examples=50, deadline=None, derandomize=True,
-    suppress_health_check=[HealthCheck.function_scoped_fixture],
+    max_examples=2 * CASES, deadline=1000 * SLOWEST_S, derandomize=True,
+    suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow],
 )  # fmt: skip
 @given(data=st.data())
 def test_a_damaged_file_is_read_or_refused_by_name(tmp_path, kind, data):
-    contents, name, read = CONTENTS[kind]
-    path = tmp_path / name
-    path.write_bytes(data.draw(contents))
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", UserWarning)
-        try:
-            read(path)
-        except (ValueError, OSError) as error:
-            refusal = str(error)
+    needs(kind)
+    reader, folder = READERS[kind], tmp_path / "scenario"
+    shutil.rmtree(folder, ignore_errors=True)
+    folder.mkdir()
+    files = reader.files()
+    hit = data.draw(st.sampled_from(sorted(files)))
+    for name, content in files.items():
+        if isinstance(content, bytes):
+            content = data.draw(damaged(content)) if name == hit else content
+        elif data.draw(st.booleans()):
+            content = reader.write(data.draw(changed(content)))
         else:
-            return
-    assert path.name in refusal and len(refusal) < 5000
+            content = data.draw(damaged(reader.write(content)))
+        (folder / name).write_bytes(content)
+    try:
+        read(kind, folder)
+    except (ValueError, OSError) as error:
+        refusal = str(error)
+    else:
+        return
+    assert any(name in refusal for name in ("scenario", *files)) and len(refusal) < 5000

@@ -1,7 +1,7 @@
 """Whole epochs on plain floats against the textbook: modes, memory, mixtures, smoothing, scores.
 
 Engines run the same functions compiled; here no compiler is in between, so each of these tests
-takes a second at most, and notices what ``python -m tests.mutation`` changes in the equations.
+takes a second at most.
 """
 
 from dataclasses import replace

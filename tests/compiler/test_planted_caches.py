@@ -1,27 +1,28 @@
-"""Compiled functions damaged, planted and shared: a command comes to the same and runs no plants.
+"""Real compiled functions damaged, planted and shared: a command comes to the same, runs no plant.
 
-What each check of a file is for is in tests/compiler/test_disk_cache.py; here are real ones.
+What each check of a file is for is in test_disk_cache.py, on a small package.
 """
 
 import os
 import pickle
 import shutil
-import time
+import subprocess
+import sys
 
 import pytest
 
-pytest.importorskip("stable_baselines3")
-pytest.importorskip("pyarrow")
-
-from tests.faults.cases import CASES
-from tests.faults.child import Child
+from tests.cli import environment
+from tests.paths import LOGS
 
 pytestmark = [
-    pytest.mark.torch,
     pytest.mark.slow,
     pytest.mark.skipif(not hasattr(os, "geteuid"), reason="no owners and modes of files"),
 ]
 RAN = "planted code ran"
+LOCALIZE = (
+    "localize", LOGS / "canyon28_vehicle" / "log.csv", "--scene",
+    LOGS / "canyon28_vehicle" / "scene.json", "--speed", "auto", "--out", "track.tum",
+)  # fmt: skip
 
 
 class Planted:
@@ -45,37 +46,38 @@ DAMAGE = {
 
 
 def localized(folder, cache):
-    """What localize comes to in a new interpreter with these compiled functions."""
-    case = CASES["localize"]()
-    case.begin(folder, {})
-    variables = {"NUMBA_CACHE_DIR": str(cache), "HOME": str(cache.parent)}
-    code, told, _ = Child(case.words, folder, fresh=True, variables=variables).ended()
-    assert code == 0, told
+    """The track that a new interpreter makes with these compiled functions."""
+    folder.mkdir()
+    subprocess.run(
+        [sys.executable, "-m", "experiments.cli", *map(str, LOCALIZE)], cwd=folder, check=True,
+        env=environment() | {"NUMBA_CACHE_DIR": str(cache), "HOME": str(folder)},
+        capture_output=True,
+    )  # fmt: skip
     assert not (folder / RAN).exists()
-    return case.results(folder)
+    return (folder / "track.tum").read_bytes()
 
 
 @pytest.fixture(scope="module")
 def filled(tmp_path_factory):
-    """Compiled functions, and what localize comes to with them."""
+    """Compiled functions, and the track that they make."""
     root = tmp_path_factory.mktemp("filled")
     return root / "cache", localized(root / "run", root / "cache")
 
 
 @pytest.fixture
 def cache(filled, tmp_path):
-    """A copy of them."""
     return shutil.copytree(filled[0], tmp_path / "cache")
 
 
 def entries(cache):
-    return sorted(cache.glob("*/*"))
+    found = sorted(cache.glob("*/*"))
+    assert found
+    return found
 
 
 @pytest.mark.parametrize("damage", DAMAGE)
 def test_a_damaged_or_planted_function_is_compiled_anew(damage, cache, filled, tmp_path):
     before = entries(cache)
-    assert before
     for path in before:
         path.write_bytes(DAMAGE[damage](path.read_bytes()))
     damaged = [path.read_bytes() for path in before]
@@ -84,7 +86,7 @@ def test_a_damaged_or_planted_function_is_compiled_anew(damage, cache, filled, t
     assert all(path.read_bytes() != old for path, old in zip(before, damaged, strict=True))
 
 
-def test_a_shared_folder_is_left_alone(cache, filled, tmp_path):
+def test_a_folder_that_all_may_write_to_is_left_alone(cache, filled, tmp_path):
     for path in entries(cache):
         path.parent.chmod(0o777)
         path.write_bytes(pickle.dumps(Planted()))
@@ -95,9 +97,8 @@ def test_a_shared_folder_is_left_alone(cache, filled, tmp_path):
 
 def test_functions_from_the_future_are_as_good(cache, filled, tmp_path):
     """As they look when the clock was set back."""
-    later = time.time() + 1e8
     for path in entries(cache):
-        os.utime(path, (later, later))
+        os.utime(path, (4e9, 4e9))
     before = [path.read_bytes() for path in entries(cache)]
     assert localized(tmp_path / "run", cache) == filled[1]
     assert [path.read_bytes() for path in entries(cache)] == before

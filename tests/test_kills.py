@@ -1,0 +1,134 @@
+"""Commands killed at random moments or on a full disk: what they write is whole or not there."""
+
+import os
+import random
+import shutil
+import signal
+import sys
+import time
+
+import pytest
+
+resource = pytest.importorskip("resource")
+
+from experiments.cli.main import main
+from tests.cli import succeed
+from tests.paths import LOGS
+
+pytestmark = [
+    pytest.mark.slow,
+    pytest.mark.skipif(not hasattr(os, "fork"), reason="ends what it forked"),
+]
+HITS, TRIES = 3, 15  # of each command, in each way
+TOLD = "told.txt"  # beside its folder
+LOG, SCENE = (str(LOGS / "canyon28_vehicle" / name) for name in ("log.csv", "scene.json"))
+FEW = ("--episodes", "4", "--episode-steps", "30")
+COMMANDS = {
+    "localize": ("localize", LOG, "--scene", SCENE, "--speed", "auto", "--out", "track.tum",
+                 "--json", "track.json"),
+    "compare": ("compare", "--policies", "fixed-ekf", "speed-rule", *FEW, "--json", "c.json",
+                "--episodes-csv", "c.csv"),
+    "simulate": ("simulate", "--seed", "7", "--out", "made"),
+    "report": ("report", "c.json", "--episodes", "2", "--watch", "1", "--out", "page.html"),
+    "watch": ("watch", "--policies", "fixed-ekf", "--seed", "3", "--end", "8", "--out", "film.gif"),
+    "tune": ("tune", "--modes", "ekf", "--scenarios", "pedestrian", "--free", "sigma_v",
+             "--episodes", "2", "--out", "modes.json"),
+}  # fmt: skip
+WAYS = {  # signal, how a command may end that it hits
+    "KILL": (signal.SIGKILL, {-signal.SIGKILL}),
+    "TERM": (signal.SIGTERM, {-signal.SIGTERM, 128 + signal.SIGTERM}),
+    "INT": (signal.SIGINT, {-signal.SIGINT, 128 + signal.SIGINT}),
+    "full disk": (None, {2}),
+}
+
+
+def contents(folder):
+    """Of all files but those that begin with a dot, which a killed command may leave."""
+    return {
+        str(path.relative_to(folder)): path.read_bytes()
+        for path in sorted(folder.rglob("*"))
+        if path.is_file() and not any(part.startswith(".") for part in path.parts)
+    }
+
+
+def begun(words, folder, most):
+    """A process with the command in it; no file that it writes may be larger than most bytes."""
+    (folder.parent / TOLD).write_text("")
+    child = os.fork()
+    if child:
+        return child
+    code = 1
+    try:
+        os.setsid()
+        os.chdir(folder)
+        signal.signal(signal.SIGINT, signal.default_int_handler)
+        signal.signal(signal.SIGTERM, signal.SIG_DFL)
+        told = os.open(f"../{TOLD}", os.O_WRONLY)
+        os.dup2(told, 1)
+        os.dup2(told, 2)
+        sys.stdout, sys.stderr = (os.fdopen(stream, "w", closefd=False) for stream in (1, 2))
+        if most is not None:
+            resource.setrlimit(resource.RLIMIT_FSIZE, (most, most))
+        sys.argv = ["mmwave-loc", *words]
+        main()
+        code = 0
+    except SystemExit as end:
+        code = int(end.code or 0)
+    except KeyboardInterrupt:  # before the command has begun
+        code = 128 + signal.SIGINT
+    finally:
+        os._exit(code)
+
+
+@pytest.fixture(scope="module")
+def undisturbed(tmp_path_factory):
+    """What a command is given, what it writes, and for how long: found once, in this process."""
+    known = {}
+
+    def find(name):
+        if name not in known:
+            given = tmp_path_factory.mktemp(name) / "given"
+            given.mkdir()
+            if name == "report":
+                succeed(*COMMANDS["compare"], cwd=given)
+                (given / "c.csv").unlink()
+            made, again = (
+                shutil.copytree(given, given.parent / copy) for copy in ("made", "again")
+            )
+            succeed(*COMMANDS[name], cwd=made)
+            begin = time.monotonic()
+            succeed(*COMMANDS[name], cwd=again)  # with all compiled, as in its forks
+            known[name] = given, contents(made), time.monotonic() - begin
+            assert contents(again) == contents(made)
+        return known[name]
+
+    return find
+
+
+@pytest.mark.parametrize("way", WAYS)
+@pytest.mark.parametrize("name", COMMANDS)
+def test_files_are_whole_or_not_there(name, way, undisturbed, tmp_path):
+    given, whole, longest_s = undisturbed(name)
+    sent, codes = WAYS[way]
+    rng, hits = random.Random(f"{name} {way}"), 0
+    largest = max(len(content) for content in whole.values())
+    for number in range(TRIES):
+        folder = shutil.copytree(given, tmp_path / str(number))
+        begin = time.monotonic()
+        child = begun(COMMANDS[name], folder, None if sent else rng.randrange(largest))
+        if sent:
+            time.sleep(rng.uniform(0.0, longest_s))
+            os.kill(child, sent)
+        _, status = os.waitpid(child, 0)
+        code = os.waitstatus_to_exitcode(status)
+        told = (tmp_path / TOLD).read_text()
+        assert code in codes | {0} and "Traceback" not in told, told
+        found = contents(folder)
+        assert [file for file in found if found[file] != whole.get(file)] == []
+        assert {path.name for path in given.iterdir()} <= found.keys()
+        assert sent == signal.SIGKILL or not [*folder.rglob(".*")]
+        hits += code in codes
+        if hits == HITS:
+            return
+        longest_s = min(longest_s, time.monotonic() - begin)
+    raise AssertionError(f"found {hits} of {HITS} hits in {TRIES} tries")
