@@ -6,14 +6,16 @@ import shutil
 import signal
 import sys
 import time
+from contextlib import suppress
 
 import pytest
-
-resource = pytest.importorskip("resource")
 
 from experiments.cli.main import main
 from tests.cli import succeed
 from tests.paths import LOGS
+
+with suppress(ImportError):  # of no system that has no fork
+    import resource
 
 pytestmark = [
     pytest.mark.slow,

@@ -1,14 +1,12 @@
 """A log without anchor numbers, as it is typed: simulated, localized, and what goes wrong."""
 
 import json
-import re
-import shlex
 
 import pytest
 
 from mmwave_env.models.scene import read_scene
 from tests.cli import assert_one_clear_line, command, succeed
-from tests.paths import LOGS, ROOT
+from tests.paths import LOGS
 
 RIDE = LOGS / "canyon28_vehicle"
 
@@ -54,15 +52,6 @@ def test_the_command_says_what_was_associated(hidden, tmp_path):
     assert "association" not in labelled
     ates = [f["truth"]["tracks"]["filtered"]["ate_m"] for f in (figures, labelled)]
     assert ates[0] < 1.1 * ates[1]
-
-
-def test_the_page_shows_what_is_printed(tmp_path):
-    page = (ROOT / "docs" / "association.md").read_text(encoding="utf-8")
-    lines = re.search(r"```\n(mmwave-loc simulate .*?)\n```", page, re.DOTALL)[1].splitlines()
-    shown = [succeed(*shlex.split(line)[1:], cwd=tmp_path) for line in lines][-1]
-    block = page.split("<!-- associate:")[1].split("-->\n", 1)[1].split("<!-- end of associate")[0]
-    said = [line for line in block.splitlines() if line]
-    assert [line for line in shown.splitlines() if line][: len(said)] == said
 
 
 def test_numbers_of_anchors_that_are_there_are_not_looked_at(tmp_path):

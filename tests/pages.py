@@ -1,0 +1,177 @@
+"""Pages of the docs: what their blocks do; ``python -m tests.pages docs/PAGE.md`` renews tables.
+
+Comments say what is done with the block below them:
+
+- ``<!-- example -->``: it is run, Python blocks of a page in one session, lines that begin with
+  ``mmwave-loc`` as commands, all in one folder. Functions named test_... are called.
+- ``<!-- example: ride.csv -->``: it is the content of this file in that folder.
+- ``<!-- example: few -->``: run with 2 episodes and 4096 steps in place of as many as it says.
+- ``<!-- example: slow -->``: run by the slow tests alone; ``few`` and ``slow`` may be together.
+- ``<!-- published -->``: it takes minutes or more; only the renewal runs it.
+- ``<!-- not run: why -->``.
+
+Between ``<!-- table: printed -->`` and ``<!-- end -->`` is what the block above printed. Behind
+``printed`` may stand how the one table that is shown begins, or a line above it; before it the name
+of a file that the block wrote.
+"""
+
+import re
+import shlex
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager, redirect_stdout
+from dataclasses import dataclass
+from io import StringIO
+from itertools import dropwhile, takewhile
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+from tests.cli import succeed
+from tests.paths import ROOT
+
+PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").glob("*.md"))]
+BLOCK = re.compile(
+    r"(?:^<!-- (?P<mark>(?:example|published|not run)[^\n]*?) -->\n)?"
+    r"^```(?P<language>\w*)\n(?P<text>.*?)^```$",
+    re.DOTALL | re.MULTILINE,
+)
+TABLE = re.compile(
+    r"^<!-- table: (?P<file>\S+ )?printed ?(?P<begin>.*?) -->\n(?P<shown>.*?)^<!-- end -->$",
+    re.DOTALL | re.MULTILINE,
+)
+NUMBER = re.compile(r"-?\d[\d,]*(?:\.\d+)?")
+
+
+@dataclass
+class Block:
+    """A block of a page, with the tables below it that it makes."""
+
+    language: str
+    text: str
+    line: int  # of the page, from 1
+    mark: str  # "" without one
+    tables: list[re.Match[str]]
+
+    @property
+    def words(self) -> list[str]:
+        """What the mark says of it."""
+        return self.mark.partition(":")[2].split()
+
+    @property
+    def file(self) -> str:
+        """The file that it is the content of."""
+        return next((word for word in self.words if "." in word), "")
+
+    @property
+    def commands(self) -> list[str]:
+        """What follows ``mmwave-loc`` in each of its lines."""
+        return re.findall(r"^mmwave-loc (.*)$", self.text.replace("\\\n", " "), re.MULTILINE)
+
+
+def blocks_of(page: Path) -> list[Block]:
+    """All of a page, in order."""
+    text = page.read_text(encoding="utf-8")
+    found = list(BLOCK.finditer(text))
+    ends = [*(match.start() for match in found[1:]), len(text)]
+    return [
+        Block(
+            match["language"], match["text"], text.count("\n", 0, match.start("text")),
+            match["mark"] or "", list(TABLE.finditer(text, match.end(), end)),
+        )
+        for match, end in zip(found, ends, strict=False)  # of a page without blocks one end
+    ]  # fmt: skip
+
+
+class Session:
+    """A reader who goes through a page, in a folder of their own.
+
+    Args:
+        page: to go through.
+        folder: an empty one; its docs/ are those of the checkout.
+    """
+
+    def __init__(self, page: Path, folder: Path) -> None:
+        self.folder, self._done = folder, set[int]()
+        self._names: dict[str, Any] = {"__name__": page.stem}
+        (folder / "docs").symlink_to(ROOT / "docs")
+
+    def printed(self, block: Block) -> str:
+        """What a block prints; "" of one that was run before."""
+        if block.line in self._done:
+            return ""
+        self._done.add(block.line)
+        if block.file:
+            (self.folder / block.file).write_text(block.text, encoding="utf-8")
+            return ""
+        text = block.text
+        if "few" in block.words:
+            text = re.sub(r"(episodes[= ])[\d_]+", r"\g<1>2", text)
+            text = re.sub(r"(total[_-]timesteps[= ])[\d_]+", r"\g<1>4096", text)
+        block = Block(block.language, text, block.line, block.mark, block.tables)
+        if block.language != "python":
+            return "".join(succeed(*shlex.split(line), cwd=self.folder) for line in block.commands)
+        out = StringIO()
+        with redirect_stdout(out), self._inside():
+            before = set(self._names)
+            exec(compile("\n" * block.line + text, "example", "exec"), self._names)
+            for name in set(self._names) - before:
+                if name.startswith("test_"):
+                    self._names[name]()
+        return out.getvalue()
+
+    @contextmanager
+    def _inside(self) -> Iterator[None]:
+        """Modules of the folder can be imported, and are forgotten."""
+        from contextlib import chdir
+
+        sys.path.insert(0, str(self.folder))
+        try:
+            with chdir(self.folder):
+                yield
+        finally:
+            sys.path.remove(str(self.folder))
+            for name, module in list(sys.modules.items()):
+                if str(getattr(module, "__file__", "")).startswith(str(self.folder)):
+                    del sys.modules[name]
+
+
+def made(table: re.Match[str], printed: str, folder: Path) -> str:
+    """What stands between the marks of a table by what its block printed."""
+    text = (folder / table["file"].strip()).read_text() if table["file"] else printed
+    if not table["begin"]:
+        return f"\n{text.partition('Written:')[0].strip()}\n\n"  # names of files
+    lines = text.splitlines()
+    begin = next((i for i, line in enumerate(lines) if line.startswith(table["begin"])), None)
+    if begin is None:
+        raise ValueError(f"table of the page: found none that begins with {table['begin']!r}")
+    rows = dropwhile(lambda line: not line.startswith("|"), lines[begin:])
+    return "\n".join(takewhile(lambda line: line.startswith("|"), rows)) + "\n"
+
+
+def renewed(page: Path) -> str:
+    """The page with the tables that its blocks make today."""
+    text, changes = page.read_text(encoding="utf-8"), []
+    with TemporaryDirectory() as folder:
+        session = Session(page, Path(folder))
+        for block in blocks_of(page):
+            if block.mark.startswith(("example", "published")):
+                printed = session.printed(block)
+                changes += [
+                    (table.span("shown"), made(table, printed, session.folder))
+                    for table in block.tables
+                ]
+    for (begin, end), shown in reversed(changes):
+        text = text[:begin] + shown + text[end:]
+    return text
+
+
+def main() -> None:
+    """Renew the pages that are named."""
+    for name in sys.argv[1:]:
+        page = Path(name)
+        page.write_text(renewed(page), encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()
