@@ -10,7 +10,7 @@ from contextlib import suppress
 
 import pytest
 
-from experiments.cli.main import main
+from experiments.console.main import main
 from tests.cli import succeed
 from tests.paths import LOGS
 

@@ -49,7 +49,7 @@ def localized(folder, cache):
     """The track that a new interpreter makes with these compiled functions."""
     folder.mkdir()
     subprocess.run(
-        [sys.executable, "-m", "experiments.cli", *map(str, LOCALIZE)], cwd=folder, check=True,
+        [sys.executable, "-m", "experiments.console", *map(str, LOCALIZE)], cwd=folder, check=True,
         env=environment() | {"NUMBA_CACHE_DIR": str(cache), "HOME": str(folder)},
         capture_output=True,
     )  # fmt: skip
