@@ -21,8 +21,8 @@ from xml.etree import ElementTree
 
 import numpy as np
 
-from mmwave_env.episodes.trajectory import Trajectory
 from mmwave_env.models.scene import scene_from
+from mmwave_env.world.trajectory import Trajectory
 
 
 def read_trips(path):

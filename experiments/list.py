@@ -110,7 +110,7 @@ def _about_scene(scene: "Scene") -> str:
 
 def samples() -> dict[str, str]:
     """Recordings that come with the package."""
-    from mmwave_env.episodes.samples import recording_from, sample_names
+    from mmwave_env.datasets.samples import recording_from, sample_names
 
     epochs = {name: len(recording_from(name).time_s) for name in sample_names()}
     return {name: f"ray-traced street, {n} epochs" for name, n in epochs.items()}

@@ -32,7 +32,7 @@ def _require_none(folder: Path, overwrite: bool) -> None:
     Raises:
         ValueError: there are some that may not be replaced.
     """
-    from mmwave_env.episodes.log_folder import LOG, SCENE, TRUTH
+    from mmwave_env.datasets.log_folder import LOG, SCENE, TRUTH
 
     found = [name for name in (LOG, SCENE, TRUTH) if (folder / name).exists()]
     if found and not overwrite:
@@ -48,12 +48,12 @@ def main(args: Args) -> None:
     from experiments.console.provenance import command_line
     from experiments.evaluation.asked import source_of
     from experiments.evaluation.seeds import draw_episodes
-    from mmwave_env.episodes.log_folder import write_log_folder
-    from mmwave_env.episodes.measured import MeasuredSource
-    from mmwave_env.episodes.recorded import RecordedSource
-    from mmwave_env.episodes.simulated import SimulatedSource
+    from mmwave_env.datasets.log_folder import write_log_folder
+    from mmwave_env.datasets.measured import MeasuredSource
+    from mmwave_env.datasets.recorded import RecordedSource
     from mmwave_env.models.random_scene import RandomScene
     from mmwave_env.models.scene import scene_of_anchors
+    from mmwave_env.world.simulated import SimulatedSource
 
     if args.false_paths and not args.unassociated:
         raise ValueError(

@@ -9,10 +9,10 @@ from experiments.console.options import TUNING_SEED, JsonArgs, WorldArgs
 
 if TYPE_CHECKING:
     Objective = Callable[["Mode"], "Array"]
-    from mmwave_env.episodes.episode import Episode
     from mmwave_env.filters.modes import Mode
     from mmwave_env.models.measurement import Layout
     from mmwave_env.numerics.arrays import Array
+    from mmwave_env.world.episode import Episode
 
 
 @dataclass(kw_only=True)

@@ -11,11 +11,11 @@ from experiments.console.options import ModeArgs, WorldArgs
 if TYPE_CHECKING:
     from experiments.evaluation.contenders import Contender
     from experiments.evaluation.seeds import Selection
-    from mmwave_env.episodes.episode import Episode
     from mmwave_env.models.scene import Streets
     from mmwave_env.numerics.arrays import Array
     from mmwave_env.rendering.history import History
     from mmwave_env.task import Task
+    from mmwave_env.world.episode import Episode
 
 
 @dataclass(kw_only=True)

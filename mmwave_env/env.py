@@ -18,8 +18,6 @@ from mmwave_env.engines.copies import Copied
 from mmwave_env.engines.env_engine import Engine
 from mmwave_env.engines.replay import Replay
 from mmwave_env.engines.tally import Tally, count
-from mmwave_env.episodes.keys import draw_key, key_from, keys_at, option_of, stream_of
-from mmwave_env.episodes.simulated import SimulatedSource
 from mmwave_env.filters.mode_files import default_modes, modes_from
 from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.info import (
@@ -42,6 +40,8 @@ from mmwave_env.observation import Observation
 from mmwave_env.rendering.frames import FRAMES_PER_SECOND, SMALLEST, require_drawable
 from mmwave_env.rendering.history import Recorder
 from mmwave_env.task import task_from
+from mmwave_env.world.keys import draw_key, key_from, keys_at, option_of, stream_of
+from mmwave_env.world.simulated import SimulatedSource
 
 _INTEGERS = (int, np.int64)  # that actions usually are
 _HERE = np.zeros(1, np.int64)  # the place of the environment in a batch of one

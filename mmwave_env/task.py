@@ -7,13 +7,9 @@ from typing import Any, cast
 
 import numpy as np
 
-from mmwave_env.episodes.episode import Episode, EpisodeBatch, EpisodeSource
-from mmwave_env.episodes.keys import Keys
-from mmwave_env.episodes.measured import MeasuredSource, MeasuredTrack
-from mmwave_env.episodes.recorded import Recording
-from mmwave_env.episodes.samples import source_from
-from mmwave_env.episodes.scenarios import Scenario
-from mmwave_env.episodes.simulated import SimulatedSource
+from mmwave_env.datasets.measured import MeasuredSource, MeasuredTrack
+from mmwave_env.datasets.recorded import Recording
+from mmwave_env.datasets.samples import source_from
 from mmwave_env.filters.bank import Bank, bank_from
 from mmwave_env.filters.mode_files import modes_from
 from mmwave_env.filters.modes import Mode
@@ -25,6 +21,10 @@ from mmwave_env.models.scene import Scene, Streets
 from mmwave_env.observation import BELIEFS
 from mmwave_env.records import require
 from mmwave_env.reward import PairedReward, Reward, reward_from
+from mmwave_env.world.episode import Episode, EpisodeBatch, EpisodeSource
+from mmwave_env.world.keys import Keys
+from mmwave_env.world.scenarios import Scenario
+from mmwave_env.world.simulated import SimulatedSource
 
 EPISODE_STEPS = 200
 

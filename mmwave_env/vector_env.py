@@ -20,7 +20,6 @@ from mmwave_env.engines.env_engine import Engine
 from mmwave_env.engines.replay import Replay
 from mmwave_env.engines.tally import Tally
 from mmwave_env.engines.vector_step import StepBuffers, Stepper
-from mmwave_env.episodes.keys import Keys, Streams, keys_from, option_of
 from mmwave_env.info import (
     INFOS,
     NONFINITE_KEY,
@@ -39,6 +38,7 @@ from mmwave_env.rendering.frames import FRAMES_PER_SECOND, SMALLEST, require_dra
 from mmwave_env.rendering.gallery import DRAWN, Gallery
 from mmwave_env.rendering.history import Recorder
 from mmwave_env.task import task_from
+from mmwave_env.world.keys import Keys, Streams, keys_from, option_of
 
 Observations = NDArray[np.float32]
 Step = tuple[Observations, Array, Mask, Mask, dict[str, Any]]

@@ -11,7 +11,6 @@ from dataclasses import MISSING, fields, is_dataclass
 from types import NoneType
 from typing import Annotated, get_args, get_origin
 
-from mmwave_env.episodes.mobility import Mobility
 from mmwave_env.filters.bank import Bank
 from mmwave_env.filters.mode_files import NOTES
 from mmwave_env.filters.modes import ALGORITHMS, Mode
@@ -19,6 +18,7 @@ from mmwave_env.lookup import LONGEST
 from mmwave_env.models.radio import RADIOS, Radio
 from mmwave_env.models.scene import AnchorScene, Scene
 from mmwave_env.records import Bound, Printable, hints_of
+from mmwave_env.world.mobility import Mobility
 from tests.paths import ROOT
 
 FOLDER = ROOT / "mmwave_env" / "data" / "schemas"

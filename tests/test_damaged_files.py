@@ -21,10 +21,8 @@ from experiments.evaluation.runs import Run
 from experiments.training.hyperparameters import read_hyperparameters, shipped_hyperparameters
 from experiments.webpage.runs import curves_of
 from experiments.webpage.sources import read_source
-from mmwave_env.episodes.deepmimo.recording import read_deepmimo
-from mmwave_env.episodes.mobility import read_mobility
-from mmwave_env.episodes.recorded import Recording
-from mmwave_env.episodes.ways import read_ways
+from mmwave_env.datasets.deepmimo.recording import read_deepmimo
+from mmwave_env.datasets.recorded import Recording
 from mmwave_env.filters.bank import read_bank
 from mmwave_env.filters.mode_files import read_modes
 from mmwave_env.logs.log import LogBlock, read_log
@@ -32,9 +30,11 @@ from mmwave_env.logs.path_log import read_paths
 from mmwave_env.logs.tum import read_tum
 from mmwave_env.models.radio import read_radio
 from mmwave_env.models.scene import SCENES, read_scene, scene_json
+from mmwave_env.world.mobility import read_mobility
+from mmwave_env.world.ways import read_ways
 from policies.policy_file import _checksum, read_policy, save
 from tests.damage import changed, damaged
-from tests.episodes.deepmimo.scenarios import shortened
+from tests.datasets.deepmimo.scenarios import shortened
 from tests.paths import LOGS, ROOT
 from tests.training.actors import actor, card_of
 

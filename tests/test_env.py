@@ -19,14 +19,14 @@ from scipy.stats import chi2
 import mmwave_env  # noqa: F401  registers the environment
 from mmwave_env.engines.track_engine import Tracker
 from mmwave_env.env import MmWaveLocEnv
-from mmwave_env.episodes.keys import keys_of
-from mmwave_env.episodes.simulated import SimulatedSource
 from mmwave_env.filters.mode_files import modes_from
 from mmwave_env.filters.modes import Mode
 from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.models.radio import RADIOS
 from mmwave_env.models.scene import SCENES
 from mmwave_env.task import TaskArguments
+from mmwave_env.world.keys import keys_of
+from mmwave_env.world.simulated import SimulatedSource
 from tests.filters.textbook import rts
 from tests.filters.tracks import unpacked
 

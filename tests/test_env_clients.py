@@ -10,9 +10,9 @@ from gymnasium.wrappers import TimeAwareObservation
 
 import mmwave_env  # noqa: F401  registers the environment
 from mmwave_env.env import MmWaveLocEnv
-from mmwave_env.episodes.simulated import SimulatedSource
 from mmwave_env.models.radio import RADIOS
 from mmwave_env.models.scene import SCENES
+from mmwave_env.world.simulated import SimulatedSource
 from tests.vector_checker import same
 
 ID = "MmWaveLoc-v0"

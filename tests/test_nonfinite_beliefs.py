@@ -10,12 +10,12 @@ from experiments.evaluation.comparison import compare_scores
 from experiments.evaluation.contenders import Contender
 from experiments.evaluation.runner import score_contenders
 from experiments.evaluation.seeds import Selection
-from mmwave_env.episodes.simulated import SimulatedSource
 from mmwave_env.filters.modes import Mode
 from mmwave_env.filters.update import ekf
 from mmwave_env.models.radio import RADIOS
 from mmwave_env.models.scene import SCENES
 from mmwave_env.numerics.numbers import where
+from mmwave_env.world.simulated import SimulatedSource
 from policies.baselines import FixedMode
 
 ID = "mmwave_env:MmWaveLoc-v0"

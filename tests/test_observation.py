@@ -16,7 +16,6 @@ import mmwave_env  # noqa: F401  registers the environment
 from mmwave_env import observation
 from mmwave_env.engines.env_engine import Engine
 from mmwave_env.env import MmWaveLocEnv
-from mmwave_env.episodes.simulated import SimulatedSource
 from mmwave_env.filters.mode_files import modes_from
 from mmwave_env.filters.modes import Mode
 from mmwave_env.filters.pipeline import Pipeline
@@ -26,6 +25,7 @@ from mmwave_env.models.radio import RADIOS
 from mmwave_env.models.scene import SCENES
 from mmwave_env.observation import BELIEFS, Observation, feature_scales
 from mmwave_env.reward import TrackingReward
+from mmwave_env.world.simulated import SimulatedSource
 
 PIPELINES = {
     "default": Pipeline(modes_from(None), Layout()),

@@ -14,8 +14,6 @@ from scipy.stats import multivariate_normal
 import mmwave_env  # noqa: F401  registers the environment
 from mmwave_env.engines.env_engine import Engine
 from mmwave_env.engines.imm_engine import ImmEngine
-from mmwave_env.episodes.keys import keys_at, stream_of
-from mmwave_env.episodes.simulated import SimulatedSource
 from mmwave_env.filters.belief import Belief
 from mmwave_env.filters.mode_files import default_modes
 from mmwave_env.filters.modes import Mode
@@ -32,6 +30,8 @@ from mmwave_env.reward import (
     reward_name,
 )
 from mmwave_env.task import task_from
+from mmwave_env.world.keys import keys_at, stream_of
+from mmwave_env.world.simulated import SimulatedSource
 from tests.training.actors import MODES
 
 ORIGIN = [0.0] * 6

@@ -7,10 +7,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from jsonschema import Draft202012Validator
 
-from mmwave_env.episodes.mobility import read_mobility
 from mmwave_env.filters.bank import read_bank
 from mmwave_env.models.radio import RADIOS, read_radio
 from mmwave_env.models.scene import read_scene
+from mmwave_env.world.mobility import read_mobility
 from tests.paths import ROOT
 from tests.schemas import path_of, schemas
 

@@ -13,13 +13,13 @@ from gymnasium.error import InvalidAction, ResetNeeded
 from gymnasium.vector import AutoresetMode
 
 import mmwave_env.engines.batch as batch
-from mmwave_env.episodes.simulated import SimulatedSource
 from mmwave_env.filters.modes import Mode
 from mmwave_env.info import STATE_KEYS, STEP_KEYS
 from mmwave_env.models.measurement import Layout
 from mmwave_env.models.radio import RADIOS
 from mmwave_env.models.scene import SCENES
 from mmwave_env.vector_env import MmWaveLocVectorEnv
+from mmwave_env.world.simulated import SimulatedSource
 from tests.marks import representative
 from tests.vector_checker import check_vector_env, rollout, same
 

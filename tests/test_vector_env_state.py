@@ -9,10 +9,10 @@ import pytest
 from gymnasium.error import ResetNeeded
 
 import mmwave_env  # noqa: F401  registers the environment
-from mmwave_env.episodes.simulated import SimulatedSource
 from mmwave_env.filters.modes import Mode
 from mmwave_env.models.radio import RADIOS
 from mmwave_env.models.scene import SCENES
+from mmwave_env.world.simulated import SimulatedSource
 from tests.marks import representative
 from tests.paths import ROOT
 from tests.training.actors import MODES

@@ -17,8 +17,8 @@ from experiments.figures.canvas import require_picture
 from experiments.figures.errors import draw_consistency, draw_error_cdf
 from experiments.figures.events import draw_decisions
 from experiments.figures.stanford import draw_stanford
-from mmwave_env.episodes.episode import EpisodeSource
 from mmwave_env.localization.protection import require_limit, require_risk
+from mmwave_env.world.episode import EpisodeSource
 
 Made = tuple[str, dict[str, Any]]  # Markdown below the tables, and figures
 

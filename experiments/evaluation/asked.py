@@ -10,11 +10,11 @@ from experiments.console.options import USUAL_EPISODES, EpisodeArgs, ModeArgs, W
 from experiments.evaluation.contenders import Contender, contender_from, contenders
 from experiments.evaluation.runs import Run
 from experiments.evaluation.seeds import Selection
-from mmwave_env.episodes.episode import EpisodeSource
 from mmwave_env.filters.bank import bank_over
 from mmwave_env.filters.modes import Mode
 from mmwave_env.models.radio import radio_from
 from mmwave_env.task import Modes, Task, TaskArguments, task_from
+from mmwave_env.world.episode import EpisodeSource
 
 
 def all_contenders(args: ModeArgs) -> tuple[str, ...]:

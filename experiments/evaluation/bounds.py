@@ -22,10 +22,10 @@ from experiments.evaluation.cramer_rao import (
 from experiments.evaluation.intervals import Interval, bootstrap
 from experiments.evaluation.runner import CHUNK, Scores
 from experiments.evaluation.seeds import Selection
-from mmwave_env.episodes.episode import Episode, EpisodeSource
 from mmwave_env.metrics import scored
 from mmwave_env.models.radio import Radio
 from mmwave_env.numerics.arrays import Array
+from mmwave_env.world.episode import Episode, EpisodeSource
 
 COLUMNS = {  # of tables
     "rmse_m": "RMSE m", "over_averaged": "over averaged bound",

@@ -11,9 +11,9 @@ from experiments.evaluation.comparison import Comparison, compare_scores
 from experiments.evaluation.contenders import Contender, contender_from
 from experiments.evaluation.runner import Scoring, score_contenders
 from experiments.evaluation.seeds import Selection
-from mmwave_env.episodes.episode import EpisodeSource
 from mmwave_env.reward import reward_name
 from mmwave_env.task import Modes, task_from
+from mmwave_env.world.episode import EpisodeSource
 
 USUAL_EPISODES = 200
 

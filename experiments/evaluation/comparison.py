@@ -13,9 +13,9 @@ from experiments.console.text import escaped
 from experiments.evaluation.intervals import Interval, bootstrap, rounded
 from experiments.evaluation.runner import Scores
 from experiments.evaluation.seeds import Selection
-from mmwave_env.episodes.episode import EpisodeSource
 from mmwave_env.metrics import METRICS
 from mmwave_env.numerics.arrays import Array
+from mmwave_env.world.episode import EpisodeSource
 
 
 @dataclass(frozen=True)

@@ -32,10 +32,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from mmwave_env.episodes.episode import Episode
 from mmwave_env.models.measurement import STATE_SIZE, Measurement, groups_of
 from mmwave_env.models.motion import ProcessNoise, predict_covariance, white_noise_acceleration
 from mmwave_env.numerics.arrays import Array
+from mmwave_env.world.episode import Episode
 
 
 class Motion(NamedTuple):

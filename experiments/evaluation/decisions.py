@@ -19,8 +19,8 @@ from experiments.evaluation.events import (
 )
 from experiments.evaluation.intervals import bootstrap_ratio
 from experiments.evaluation.runner import EpochResults, step_s
-from mmwave_env.episodes.episode import Episode
 from mmwave_env.numerics.arrays import Array
+from mmwave_env.world.episode import Episode
 
 BEFORE_S, AFTER_S = 10.0, 20.0  # what is looked at
 REFERENCES = ("speed-rule", "fixed-ukf")  # whom the others are compared with: the first there is

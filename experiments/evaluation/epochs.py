@@ -7,9 +7,9 @@ import numpy as np
 
 from experiments.evaluation.contenders import Contender
 from experiments.evaluation.runner import EpochResults
-from mmwave_env.episodes.episode import Episode
 from mmwave_env.metrics import scored
 from mmwave_env.numerics.arrays import Array
+from mmwave_env.world.episode import Episode
 
 
 @dataclass

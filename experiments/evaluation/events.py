@@ -11,9 +11,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from mmwave_env.episodes.episode import Episode
 from mmwave_env.metrics import BURN_IN
 from mmwave_env.numerics.arrays import Array, Index, Mask
+from mmwave_env.world.episode import Episode
 
 MOVING_MPS = 0.5
 STILL_MPS, STILL_S = 0.3, 3.0  # how slow, and for how long

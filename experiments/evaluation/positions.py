@@ -9,10 +9,10 @@ import numpy as np
 from experiments.console.tables import grid
 from experiments.evaluation.contenders import Contender
 from experiments.evaluation.runner import EpochResults
-from mmwave_env.episodes.episode import Episode
 from mmwave_env.localization.position_errors import DISTANCES_M, SHARES, PositionErrors
 from mmwave_env.localization.protection import RISK
 from mmwave_env.metrics import scored
+from mmwave_env.world.episode import Episode
 
 KINDS = ("horizontal", "vertical")
 PARTS = ("P",)  # of the state, that are needed after every epoch

@@ -15,12 +15,12 @@ from experiments.evaluation.contenders import BEST_IMM, Contender, contender_fro
 from experiments.evaluation.intervals import Interval, bootstrap
 from experiments.evaluation.runner import score_contenders
 from experiments.evaluation.seeds import Selection
-from mmwave_env.episodes.episode import EpisodeSource
 from mmwave_env.filters.modes import Mode
 from mmwave_env.models.radio import RADIOS
 from mmwave_env.models.scene import SCENES
 from mmwave_env.numerics.arrays import Array
 from mmwave_env.task import task_from
+from mmwave_env.world.episode import EpisodeSource
 
 TRAINED, UNSEEN_KIND, RECORDED = KINDS = ("to train in", "unseen", "recorded")
 UNSEEN_SCENES, UNSEEN_RADIOS = ("avenue", "plaza", "alley"), ("tablet",)

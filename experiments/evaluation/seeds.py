@@ -10,8 +10,8 @@ from typing import Any, cast
 
 import numpy as np
 
-from mmwave_env.episodes.episode import Episode, EpisodeSource
-from mmwave_env.episodes.keys import Keys, key_from, keys_of
+from mmwave_env.world.episode import Episode, EpisodeSource
+from mmwave_env.world.keys import Keys, key_from, keys_of
 
 TUNING_SEED = 5_000_000
 TRAINING_SEED = 10_000_000  # of the first training; each has a million of its own
@@ -138,7 +138,7 @@ class Selection:
 
     def keys(self, source: EpisodeSource) -> Keys | None:
         """(n,) of simulated episodes; others have none."""
-        from mmwave_env.episodes.simulated import SimulatedSource  # options are read without numba
+        from mmwave_env.world.simulated import SimulatedSource  # options are read without numba
 
         if type(source) is not SimulatedSource:
             return None

@@ -15,13 +15,13 @@ from mmwave_env.engines.env_engine import Engine
 from mmwave_env.engines.imm_engine import ImmEngine
 from mmwave_env.engines.smoothing import smooth
 from mmwave_env.engines.track_engine import Tracker
-from mmwave_env.episodes.episode import Episode, EpisodeBatch
 from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.numerics.arrays import Array
 from mmwave_env.numerics.pytree import flatten, unflatten
 from mmwave_env.numerics.random import next_word, seeded, word_of
 from mmwave_env.reward import TrackingReward
 from mmwave_env.task import Task, task_from
+from mmwave_env.world.episode import Episode, EpisodeBatch
 
 TOLERANCE = 1e-6  # standard deviations, or of the largest number; sound kernels are within 1e-9
 _KEYS = np.arange(3, dtype=np.uint64)  # three episodes: a block of lanes that is not full

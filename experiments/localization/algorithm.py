@@ -21,9 +21,9 @@ from experiments.localization.ask_speed import ask_speed, parse_speed
 from experiments.localization.diagnosis_report import diagnosis_figures, diagnosis_markdown
 from experiments.localization.track_plot import TrackSampler
 from experiments.localization.track_report import track_markdown
+from mmwave_env.datasets.log_folder import LOG, SCENE, TRUTH
+from mmwave_env.datasets.samples import sample_folder
 from mmwave_env.engines.track_engine import Rule
-from mmwave_env.episodes.log_folder import LOG, SCENE, TRUTH
-from mmwave_env.episodes.samples import sample_folder
 from mmwave_env.files import require_writable, write_json
 from mmwave_env.filters.bank import Bank, bank_from
 from mmwave_env.filters.mode_files import modes_from

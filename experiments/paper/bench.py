@@ -13,8 +13,6 @@ from experiments.evaluation.runner import Scores
 from experiments.evaluation.seeds import draw_episodes
 from mmwave_env.engines.smoothing import smooth
 from mmwave_env.engines.track_engine import Tracker
-from mmwave_env.episodes.episode import Episode
-from mmwave_env.episodes.simulated import SimulatedSource
 from mmwave_env.filters.belief import Belief
 from mmwave_env.filters.mode_files import shipped_modes
 from mmwave_env.filters.modes import Mode
@@ -24,6 +22,8 @@ from mmwave_env.models.radio import Radio, radio_from
 from mmwave_env.models.scene import SCENES
 from mmwave_env.numerics.arrays import Array
 from mmwave_env.numerics.linalg import unpack
+from mmwave_env.world.episode import Episode
+from mmwave_env.world.simulated import SimulatedSource
 
 CHUNK = 128  # tracks at a time: few enough for their arrays to stay in the caches
 TUNED_ON = {"pedestrian": 0, "vehicle": 1}  # which of the shipped modes

@@ -10,12 +10,12 @@ from scipy.stats import chi2
 from experiments.evaluation.intervals import Interval, bootstrap, bootstrap_ratio
 from experiments.paper.bench import TUNED_ON, Bench, Cell, Errors, Section, Setting, track
 from experiments.paper.printed import HIGH_MOBILITY, LOW_MOBILITY, Published, untuned
-from mmwave_env.episodes.episode import Episode
 from mmwave_env.filters.modes import Mode, robust
 from mmwave_env.metrics import nees_interval
 from mmwave_env.models.measurement import SPEED_OF_LIGHT, Layout
 from mmwave_env.models.radio import RADIOS
 from mmwave_env.models.scene import SCENES
+from mmwave_env.world.episode import Episode
 
 SETTINGS = [Setting(scenario, radio) for scenario in TUNED_ON for radio in RADIOS]
 

@@ -16,8 +16,6 @@ import numpy as np
 
 from experiments.evaluation.seeds import draw_episodes
 from mmwave_env.engines.track_engine import Tracker
-from mmwave_env.episodes.episode import Episode, blank_incoming
-from mmwave_env.episodes.simulated import SimulatedSource
 from mmwave_env.filters.belief import Belief
 from mmwave_env.filters.filterpy_reference import filterpy_pipeline
 from mmwave_env.filters.gating import Gate
@@ -31,6 +29,8 @@ from mmwave_env.models.scene import scene_from
 from mmwave_env.numerics.linalg import unpack
 from mmwave_env.numerics.pytree import unflatten
 from mmwave_env.reward import TrackingReward
+from mmwave_env.world.episode import Episode, blank_incoming
+from mmwave_env.world.simulated import SimulatedSource
 
 RADIO = "handset"
 EPISODE = 200  # steps

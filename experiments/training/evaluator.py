@@ -15,8 +15,8 @@ from experiments.evaluation.runner import Scores, score
 from experiments.evaluation.seeds import TUNING_SEED, draw_episodes
 from experiments.training.places import Place, shares
 from experiments.training.training_task import TrainingTask
-from mmwave_env.episodes.episode import Episode
 from mmwave_env.numerics.arrays import Array
+from mmwave_env.world.episode import Episode
 
 TRAINING_RIVALS = ("speed-rule", "imm")  # of every training
 PER_MODE_RIVALS = (*TRAINING_RIVALS, "imm-best")  # where every mode keeps its own belief

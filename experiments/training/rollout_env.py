@@ -19,10 +19,10 @@ from mmwave_env.compiler.lanes import WIDTH
 from mmwave_env.compiler.program import rows_of
 from mmwave_env.engines.env_engine import Engine
 from mmwave_env.engines.track_engine import untuned
-from mmwave_env.episodes.keys import Streams
 from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.models.measurement import Layout
 from mmwave_env.numerics.arrays import Array, Index
+from mmwave_env.world.keys import Streams
 
 CONSTANT = 1e-4  # deviation of a feature that never changes
 

@@ -23,7 +23,6 @@ from experiments.tuning.scores import CAP, Scores, drawn, scores
 from experiments.tuning.search import best_bank_of
 from experiments.tuning.search_space import ENTER, STAY, search_space, transition_of
 from mmwave_env.engines.imm_engine import ImmEngine
-from mmwave_env.episodes.episode import EpisodeBatch
 from mmwave_env.files import read_json, write_json, write_text
 from mmwave_env.filters.bank import Bank
 from mmwave_env.filters.imm import DEFAULT_STAY
@@ -36,6 +35,7 @@ from mmwave_env.models.radio import RADIOS
 from mmwave_env.models.scene import SCENES
 from mmwave_env.numerics.arrays import Array
 from mmwave_env.reward import TrackingReward
+from mmwave_env.world.episode import EpisodeBatch
 from policies import TUNED_IMMS, tuned_imm
 
 

@@ -7,12 +7,12 @@ import numpy as np
 
 from experiments.evaluation.seeds import draw_episodes
 from mmwave_env.engines.imm_engine import ImmEngine
-from mmwave_env.episodes.episode import EpisodeBatch, EpisodeSource
 from mmwave_env.filters.bank import Bank
 from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.metrics import DIVERGENCE_M, scored
 from mmwave_env.numerics.arrays import Array
 from mmwave_env.reward import TrackingReward
+from mmwave_env.world.episode import EpisodeBatch, EpisodeSource
 
 # NIS beyond this chi-square quantile counts as this quantile in a likelihood. On data of the
 # filter's own model 0.99 would bias sigma_v by -6 %, 0.999 by less than 1 %.

@@ -20,12 +20,12 @@ from experiments.evaluation.runner import EpochResults, Scoring, run_contender
 from experiments.evaluation.seeds import Selection
 from experiments.webpage.episodes import Gates, Place, course, scenery
 from experiments.webpage.source import Source
-from mmwave_env.episodes.episode import Episode
-from mmwave_env.episodes.samples import sample_names
+from mmwave_env.datasets.samples import sample_names
 from mmwave_env.localization.position_errors import PositionErrors
 from mmwave_env.metrics import scored
 from mmwave_env.numerics.arrays import Array
 from mmwave_env.task import Task
+from mmwave_env.world.episode import Episode
 
 WATCHED = 8  # contenders that can be watched: the best by reward, and those in ALWAYS
 ALWAYS = ("speed-rule",)

@@ -1,7 +1,7 @@
 """Run a program on episodes, for a batch of environments.
 
 The workspace of such a program begins with three fields that a :class:`Batch` fills in:
-``incoming``, the next epoch (:class:`~mmwave_env.episodes.episode.Incoming`); ``site``; and
+``incoming``, the next epoch (:class:`~mmwave_env.world.episode.Incoming`); ``site``; and
 ``is_first``, 1 where an episode begins, which the program sets back to 0.
 """
 
@@ -22,11 +22,11 @@ from mmwave_env.compiler.program import (
     blocks_of,
 )
 from mmwave_env.compiler.threads import share
-from mmwave_env.episodes.episode import Episode, EpisodeBatch, columns_of
-from mmwave_env.episodes.simulated import Begun, SimulatedSource
 from mmwave_env.models.measurement import Layout
 from mmwave_env.numerics.arrays import Array, Index
 from mmwave_env.numerics.pytree import flatten
+from mmwave_env.world.episode import Episode, EpisodeBatch, columns_of
+from mmwave_env.world.simulated import Begun, SimulatedSource
 
 BLOCKS_PER_THREAD = 64  # waking a thread costs as much as 32 of them
 

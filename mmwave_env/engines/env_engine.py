@@ -10,8 +10,6 @@ from mmwave_env.compiler.program import NO_ROWS, BatchState, Program, StepIO, ro
 from mmwave_env.engines import per_mode_epoch, shared_epoch
 from mmwave_env.engines.batch import Batch
 from mmwave_env.engines.track_engine import untuned
-from mmwave_env.episodes.episode import Episode, EpisodeBatch, columns_of
-from mmwave_env.episodes.keys import Keys
 from mmwave_env.filters.bank import Bank, settings_of
 from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.numerics.arrays import Array, Index
@@ -19,6 +17,8 @@ from mmwave_env.numerics.pytree import flatten
 from mmwave_env.observation import Observation
 from mmwave_env.reward import Reward
 from mmwave_env.task import Task
+from mmwave_env.world.episode import Episode, EpisodeBatch, columns_of
+from mmwave_env.world.keys import Keys
 
 
 class Engine:

@@ -21,7 +21,6 @@ from mmwave_env.compiler.program import (
 )
 from mmwave_env.engines.batch import Batch
 from mmwave_env.engines.track_engine import EpisodeFilter, untuned
-from mmwave_env.episodes.episode import Episode, EpisodeBatch, Incoming, blank_incoming
 from mmwave_env.filters.bank import Bank, Transition, settings_of
 from mmwave_env.filters.belief import Belief
 from mmwave_env.filters.imm import (
@@ -43,6 +42,7 @@ from mmwave_env.numerics.linalg import pack
 from mmwave_env.numerics.numbers import Number
 from mmwave_env.numerics.pytree import flatten, select
 from mmwave_env.reward import Reward, TrackingReward
+from mmwave_env.world.episode import Episode, EpisodeBatch, Incoming, blank_incoming
 
 
 class ImmState(NamedTuple):

@@ -10,7 +10,6 @@ from typing import NamedTuple
 
 from mmwave_env.compiler.program import Program
 from mmwave_env.engines.shared_epoch import PendingEpoch
-from mmwave_env.episodes.episode import Incoming, blank_incoming
 from mmwave_env.features import MixtureView, View
 from mmwave_env.filters.bank import Bank, settings_of
 from mmwave_env.filters.belief import Belief
@@ -31,6 +30,7 @@ from mmwave_env.numerics.numbers import Number, where
 from mmwave_env.numerics.pytree import select, tree_at
 from mmwave_env.observation import Observation
 from mmwave_env.reward import Reward
+from mmwave_env.world.episode import Incoming, blank_incoming
 
 SPREAD_MEMORIES = (0.6, 0.9, 0.97)  # weights of the past in averages of the Doppler spread
 

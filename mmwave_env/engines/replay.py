@@ -19,7 +19,6 @@ from mmwave_env.compiler.program import Program, blocks_of, lanes_of, rows_of
 from mmwave_env.compiler.transpose import address, gather, pick
 from mmwave_env.engines.imm_engine import ImmState, imm_program
 from mmwave_env.engines.track_engine import TrackState, program_of
-from mmwave_env.episodes.episode import EpisodeBatch
 from mmwave_env.filters.bank import Bank, settings_of
 from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.filters.smoother import (
@@ -33,6 +32,7 @@ from mmwave_env.numerics.arrays import Array, Index
 from mmwave_env.numerics.numbers import Number
 from mmwave_env.numerics.pytree import flatten
 from mmwave_env.reward import TrackingReward
+from mmwave_env.world.episode import EpisodeBatch
 
 Actions = NDArray[np.integer[Any]]
 

@@ -10,7 +10,6 @@ from functools import lru_cache, partial
 from typing import NamedTuple
 
 from mmwave_env.compiler.program import Program
-from mmwave_env.episodes.episode import Incoming, blank_incoming
 from mmwave_env.features import View
 from mmwave_env.filters.belief import Belief
 from mmwave_env.filters.memory import Memory, initial_memory, memory_after, memory_before
@@ -22,6 +21,7 @@ from mmwave_env.numerics.numbers import Number
 from mmwave_env.numerics.pytree import select, tree_at
 from mmwave_env.observation import Observation
 from mmwave_env.reward import Reward
+from mmwave_env.world.episode import Incoming, blank_incoming
 
 
 class PendingEpoch(NamedTuple):

@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 
 from mmwave_env.compiler.program import Program, Workspace, rows_of
 from mmwave_env.engines.batch import Batch
-from mmwave_env.episodes.episode import Episode, Incoming, blank_incoming
 from mmwave_env.filters.belief import Belief
 from mmwave_env.filters.memory import Memory, initial_memory, memory_after, memory_before
 from mmwave_env.filters.mode_result import ModeResult
@@ -26,6 +25,7 @@ from mmwave_env.numerics.arrays import Array
 from mmwave_env.numerics.linalg import unpack
 from mmwave_env.numerics.numbers import Number, Vector
 from mmwave_env.numerics.pytree import flatten, select, tree_at
+from mmwave_env.world.episode import Episode, Incoming, blank_incoming
 
 Rule = Callable[[Vector, Epoch], Number]
 

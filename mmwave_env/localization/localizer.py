@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 from mmwave_env.engines.imm_engine import ImmTracker
 from mmwave_env.engines.smoothing import smooth
 from mmwave_env.engines.track_engine import EpisodeFilter, Rule, Tracker
-from mmwave_env.episodes.episode import Episode
 from mmwave_env.filters.bank import Bank
 from mmwave_env.filters.modes import Mode
 from mmwave_env.filters.pipeline import Pipeline
@@ -29,6 +28,7 @@ from mmwave_env.models.prior import prior_from_fix
 from mmwave_env.models.radio import Radio
 from mmwave_env.models.scene import Scene
 from mmwave_env.numerics.arrays import Array, Mask
+from mmwave_env.world.episode import Episode
 
 _FILTERED = (
     "x", "P", "x_predicted", "P_predicted", "memory.mode", "memory.nis", "memory.accepted",

@@ -23,8 +23,7 @@ from scipy.interpolate import CubicSpline
 
 from experiments.console.main import run
 from experiments.evaluation.contenders import imm_banks
-from mmwave_env.episodes.log_writer import write_log
-from mmwave_env.episodes.simulated import SimulatedSource
+from mmwave_env.datasets.log_writer import write_log
 from mmwave_env.filters.bank import best_bank
 from mmwave_env.filters.mode_files import default_modes
 from mmwave_env.localization.localizer import localize
@@ -32,6 +31,7 @@ from mmwave_env.logs.log import read_log
 from mmwave_env.logs.tum import COLUMNS, read_tum, tum_lines
 from mmwave_env.models.radio import RADIOS
 from mmwave_env.models.scene import SCENES, read_scene
+from mmwave_env.world.simulated import SimulatedSource
 from tests.cli import assert_one_clear_line, command, environment
 from tests.localization.mistakes import MISTAKES, read_columns, write_columns
 from tests.marks import representative

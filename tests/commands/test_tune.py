@@ -11,12 +11,12 @@ from scipy.stats import chi2
 
 from experiments.evaluation.seeds import draw_episodes
 from experiments.tune import likelihood, negative_mean_square, objective_of, tune
-from mmwave_env.episodes.simulated import SimulatedSource
 from mmwave_env.filters.mode_files import read_modes
 from mmwave_env.filters.modes import Mode
 from mmwave_env.models.measurement import Layout
 from mmwave_env.models.radio import RADIOS
 from mmwave_env.models.scene import SCENES
+from mmwave_env.world.simulated import SimulatedSource
 from tests.cli import assert_one_clear_line, command
 from tests.filters.tracks import far_from_the_anchors, process_noise
 from tests.paths import ROOT

@@ -7,7 +7,7 @@ import sys
 import numpy as np
 import pytest
 
-from mmwave_env.episodes.keys import keys_of
+from mmwave_env.world.keys import keys_of
 from tests.cli import assert_one_clear_line, command, succeed
 from tests.paths import ROOT
 

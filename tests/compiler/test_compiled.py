@@ -6,11 +6,11 @@ import pytest
 from gymnasium.utils.env_checker import data_equivalence
 
 from mmwave_env.compiler.lazy_jit import LazyJit
-from mmwave_env.episodes import mobility
-from mmwave_env.episodes.simulated import SimulatedSource
 from mmwave_env.models.radio import RADIOS
 from mmwave_env.models.scene import SCENES
 from mmwave_env.numerics.pytree import flatten, unflatten
+from mmwave_env.world import mobility
+from mmwave_env.world.simulated import SimulatedSource
 from tests.marks import representative
 
 

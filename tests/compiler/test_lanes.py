@@ -369,7 +369,7 @@ def test_results_do_not_depend_on_company_or_place(n):
 SCRIPT = """
 import numpy as np
 from mmwave_env.engines.env_engine import Engine
-from mmwave_env.episodes.episode import Episode
+from mmwave_env.world.episode import Episode
 from mmwave_env.filters.modes import Mode
 from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.models.measurement import Layout

@@ -16,9 +16,9 @@ import pytest
 
 import mmwave_env
 from mmwave_env.compiler.threads import share
-from mmwave_env.episodes.simulated import SimulatedSource
 from mmwave_env.models.radio import RADIOS
 from mmwave_env.models.scene import SCENES
+from mmwave_env.world.simulated import SimulatedSource
 
 
 @pytest.mark.parametrize("threads", [1, 2, 3, 50])

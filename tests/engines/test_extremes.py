@@ -8,8 +8,6 @@ import numpy as np
 import pytest
 
 from mmwave_env.engines.track_engine import Tracker
-from mmwave_env.episodes.episode import Episode
-from mmwave_env.episodes.simulated import SimulatedSource
 from mmwave_env.filters.mode_files import named_modes
 from mmwave_env.filters.modes import Mode
 from mmwave_env.filters.pipeline import Pipeline
@@ -17,6 +15,8 @@ from mmwave_env.models import envelope
 from mmwave_env.models.radio import RADIOS
 from mmwave_env.models.scene import SCENES
 from mmwave_env.records import Bound
+from mmwave_env.world.episode import Episode
+from mmwave_env.world.simulated import SimulatedSource
 
 ASIDE = 0.01  # how far within an end or beyond it, as a share of it
 FAR = (1e30, 1e150, 1e300, np.nan)  # an infinite sigma is no error, but a row that is missing

@@ -9,8 +9,6 @@ from experiments.evaluation.seeds import draw_episodes
 from mmwave_env.engines.env_engine import Engine
 from mmwave_env.engines.imm_engine import ImmEngine
 from mmwave_env.engines.track_engine import Tracker
-from mmwave_env.episodes.episode import EpisodeBatch
-from mmwave_env.episodes.simulated import SimulatedSource
 from mmwave_env.filters.bank import best_bank
 from mmwave_env.filters.belief import Belief
 from mmwave_env.filters.mode_files import default_modes
@@ -22,6 +20,8 @@ from mmwave_env.models.radio import RADIOS
 from mmwave_env.models.scene import SCENES
 from mmwave_env.numerics.pytree import indices
 from mmwave_env.reward import LogScore, TrackingReward
+from mmwave_env.world.episode import EpisodeBatch
+from mmwave_env.world.simulated import SimulatedSource
 from tests.filters.tracks import STREET, simulated, unpacked
 
 N, T = 11, 60

@@ -8,8 +8,6 @@ import pytest
 
 from experiments.evaluation.seeds import draw_episodes
 from mmwave_env.engines.env_engine import Engine
-from mmwave_env.episodes.mobility import MOBILITIES
-from mmwave_env.episodes.simulated import SimulatedSource
 from mmwave_env.filters.mode_files import named_modes
 from mmwave_env.filters.modes import Mode
 from mmwave_env.filters.pipeline import Pipeline
@@ -20,6 +18,8 @@ from mmwave_env.models.scene import scene_from
 from mmwave_env.numerics.linalg import cholesky, unpack
 from mmwave_env.numerics.numbers import where
 from mmwave_env.reward import TrackingReward
+from mmwave_env.world.mobility import MOBILITIES
+from mmwave_env.world.simulated import SimulatedSource
 
 pytestmark = pytest.mark.slow
 

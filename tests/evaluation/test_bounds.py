@@ -16,10 +16,10 @@ from experiments.evaluation.cramer_rao import (
 from experiments.evaluation.intervals import RESAMPLES
 from experiments.evaluation.runner import score
 from experiments.evaluation.seeds import Selection, draw_episodes
-from mmwave_env.episodes.simulated import SimulatedSource
 from mmwave_env.metrics import BURN_IN
 from mmwave_env.models.radio import RADIOS
 from mmwave_env.models.scene import SCENES
+from mmwave_env.world.simulated import SimulatedSource
 from tests.cli import succeed
 
 RADIO = RADIOS["handset"]

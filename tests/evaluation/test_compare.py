@@ -7,9 +7,9 @@ import pytest
 from experiments.comparing.results import results
 from experiments.console.options import EpisodeArgs
 from experiments.evaluation.compare import compare, evaluate
-from mmwave_env.episodes.keys import keys_of
 from mmwave_env.metrics import METRICS
 from mmwave_env.models.measurement import Layout
+from mmwave_env.world.keys import keys_of
 from tests.training.actors import HANDSET
 
 

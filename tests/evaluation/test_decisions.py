@@ -13,10 +13,10 @@ from experiments.evaluation.events import fast_pull_aways, fast_stops
 from experiments.evaluation.runner import run_contender
 from experiments.evaluation.seeds import draw_episodes
 from experiments.figures.events import draw_decisions
-from mmwave_env.episodes.simulated import SimulatedSource
 from mmwave_env.metrics import BURN_IN
 from mmwave_env.models.radio import RADIOS
 from mmwave_env.models.scene import SCENES
+from mmwave_env.world.simulated import SimulatedSource
 from tests.training.actors import HANDSET
 
 N, T = 12, 60

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from experiments.evaluation.epochs_parquet import columns_of
-from mmwave_env.episodes.samples import sample_names
+from mmwave_env.datasets.samples import sample_names
 from mmwave_env.metrics import BURN_IN, METRICS
 from mmwave_env.models.measurement import Layout
 from tests.cli import assert_one_clear_line, command, succeed

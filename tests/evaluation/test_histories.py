@@ -10,12 +10,12 @@ from experiments.evaluation.contenders import contender_from
 from experiments.evaluation.histories import history_of
 from experiments.evaluation.runner import Scoring, score_contenders
 from experiments.evaluation.seeds import Selection, draw_episodes
-from mmwave_env.episodes.keys import keys_of
-from mmwave_env.episodes.samples import source_from
+from mmwave_env.datasets.samples import source_from
 from mmwave_env.metrics import BURN_IN
 from mmwave_env.rendering.history import NO_MODE
 from mmwave_env.reward import TrackingReward
 from mmwave_env.task import task_from
+from mmwave_env.world.keys import keys_of
 
 SEED = 5
 TASK = task_from()

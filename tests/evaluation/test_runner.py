@@ -15,7 +15,6 @@ from experiments.evaluation.contenders import Contender, contender_from, contend
 from experiments.evaluation.runner import run_contender, score, score_contenders
 from experiments.evaluation.seeds import Selection, draw_episodes
 from mmwave_env.engines.imm_engine import ImmEngine
-from mmwave_env.episodes.simulated import SimulatedSource
 from mmwave_env.filters.bank import bank_as_written, best_bank
 from mmwave_env.filters.mode_files import modes_from
 from mmwave_env.filters.pipeline import Pipeline
@@ -24,6 +23,7 @@ from mmwave_env.models.radio import RADIOS
 from mmwave_env.models.scene import SCENES
 from mmwave_env.observation import BELIEFS
 from mmwave_env.reward import TrackingReward
+from mmwave_env.world.simulated import SimulatedSource
 from policies import TUNED_IMMS, FixedMode, learned, tuned_imm
 from tests.training.actors import (
     HANDSET,

@@ -14,10 +14,9 @@ from scipy.stats import chi2
 
 from experiments.evaluation.runner import score_contenders
 from experiments.evaluation.seeds import Selection
+from mmwave_env.datasets.log_writer import write_log
 from mmwave_env.engines.imm_engine import ImmEngine
 from mmwave_env.engines.track_engine import Tracker
-from mmwave_env.episodes.log_writer import write_log
-from mmwave_env.episodes.simulated import SimulatedSource
 from mmwave_env.filters.custom import AlgorithmError
 from mmwave_env.filters.gating import Gate
 from mmwave_env.filters.modes import Mode
@@ -28,6 +27,7 @@ from mmwave_env.logs.log import read_log
 from mmwave_env.models.radio import RADIOS
 from mmwave_env.models.scene import SCENES
 from mmwave_env.reward import TrackingReward
+from mmwave_env.world.simulated import SimulatedSource
 from tests.filters import textbook
 from tests.filters.problems import assert_same, assume_clear_of, problems
 from tests.filters.tracks import STREET, assert_same_beliefs, simulated, track

@@ -14,13 +14,11 @@ import numpy as np
 
 import mmwave_env
 from experiments.timing.operations import count
+from mmwave_env.datasets.recorded import RecordedSource
+from mmwave_env.datasets.samples import recording_from
 from mmwave_env.engines.env_engine import Engine
 from mmwave_env.engines.imm_engine import ImmEngine, imm_program
 from mmwave_env.engines.track_engine import Tracker
-from mmwave_env.episodes.episode import Episode
-from mmwave_env.episodes.recorded import RecordedSource
-from mmwave_env.episodes.samples import recording_from
-from mmwave_env.episodes.simulated import SimulatedSource
 from mmwave_env.filters.bank import best_bank
 from mmwave_env.filters.mode_files import default_modes, named_modes
 from mmwave_env.filters.pipeline import Pipeline
@@ -32,6 +30,8 @@ from mmwave_env.models.radio import radio_from
 from mmwave_env.models.scene import read_scene, scene_from
 from mmwave_env.reward import TrackingReward
 from mmwave_env.vector_env import MmWaveLocVectorEnv
+from mmwave_env.world.episode import Episode
+from mmwave_env.world.simulated import SimulatedSource
 
 Row = dict[str, Any]
 

@@ -6,9 +6,8 @@ from itertools import islice
 import numpy as np
 import pytest
 
-from mmwave_env.episodes.log_folder import read_log_folder
-from mmwave_env.episodes.log_writer import write_log
-from mmwave_env.episodes.simulated import SimulatedSource
+from mmwave_env.datasets.log_folder import read_log_folder
+from mmwave_env.datasets.log_writer import write_log
 from mmwave_env.filters.mode_files import default_modes
 from mmwave_env.localization.association import Association, associate
 from mmwave_env.localization.localizer import localize
@@ -20,6 +19,7 @@ from mmwave_env.models.measurement import Layout, exact_rows, seen_from_image
 from mmwave_env.models.prior import GAP_S
 from mmwave_env.models.radio import RADIOS
 from mmwave_env.models.scene import SCENES, Scene
+from mmwave_env.world.simulated import SimulatedSource
 from policies.speed_rule import by_predicted_speed
 from tests.marks import representative
 from tests.paths import LOGS

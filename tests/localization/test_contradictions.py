@@ -6,12 +6,12 @@ from itertools import product
 import numpy as np
 import pytest
 
-from mmwave_env.episodes.log_writer import write_log
-from mmwave_env.episodes.simulated import SimulatedSource
+from mmwave_env.datasets.log_writer import write_log
 from mmwave_env.localization.contradictions import contradictions
 from mmwave_env.logs.log import read_log
 from mmwave_env.models.radio import RADIOS
 from mmwave_env.models.scene import SCENES
+from mmwave_env.world.simulated import SimulatedSource
 from tests.localization.test_diagnosis import doubts
 
 KINDS = ("pedestrian", "vehicle", "walk-ride", "jam", "cyclist")

@@ -10,11 +10,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from mmwave_env.datasets.log_writer import write_log
 from mmwave_env.engines.imm_engine import ImmEngine
 from mmwave_env.engines.smoothing import smooth
-from mmwave_env.episodes.episode import Episode
-from mmwave_env.episodes.log_writer import write_log
-from mmwave_env.episodes.simulated import SimulatedSource
 from mmwave_env.filters.bank import Bank, best_bank
 from mmwave_env.filters.mode_files import default_modes
 from mmwave_env.filters.modes import Mode, robust
@@ -27,6 +25,8 @@ from mmwave_env.models.prior import prior_from_fix
 from mmwave_env.models.radio import RADIOS
 from mmwave_env.models.scene import SCENES, Scene
 from mmwave_env.reward import TrackingReward
+from mmwave_env.world.episode import Episode
+from mmwave_env.world.simulated import SimulatedSource
 from policies.speed_rule import by_odometry_speed, by_predicted_speed
 from tests.filters.tracks import track
 

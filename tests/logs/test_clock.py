@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from mmwave_env.episodes.samples import log_names, sample_folder, source_from
+from mmwave_env.datasets.samples import log_names, sample_folder, source_from
 from mmwave_env.logs.clock import ClockComparison
 from mmwave_env.logs.log import LogBlock, read_log
 from mmwave_env.logs.truth import TrueEpochs, Truth

@@ -14,14 +14,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mmwave_env.episodes.log_writer import log_columns, log_text, write_log
-from mmwave_env.episodes.simulated import SimulatedSource
+from mmwave_env.datasets.log_writer import log_columns, log_text, write_log
 from mmwave_env.logs.log import LogBlock, read_log
 from mmwave_env.logs.log_columns import QUANTITIES
 from mmwave_env.logs.log_tables import LogError
 from mmwave_env.models.measurement import SPEED_OF_LIGHT, Layout
 from mmwave_env.models.radio import RADIOS
 from mmwave_env.models.scene import SCENES, Scene
+from mmwave_env.world.simulated import SimulatedSource
 
 SCENE = SCENES["street"]
 L = 3

@@ -6,13 +6,13 @@ import gymnasium as gym
 import numpy as np
 import pytest
 
-from mmwave_env.episodes.keys import keys_of
-from mmwave_env.episodes.mobility import MOBILITIES
-from mmwave_env.episodes.simulated import SimulatedSource
 from mmwave_env.models.radio import RADIOS
 from mmwave_env.models.random_scene import RandomScene, scenes_from
 from mmwave_env.models.scene import SCENES
-from tests.episodes.roads import around_a_block
+from mmwave_env.world.keys import keys_of
+from mmwave_env.world.mobility import MOBILITIES
+from mmwave_env.world.simulated import SimulatedSource
+from tests.world.roads import around_a_block
 
 SOURCE = SimulatedSource(RandomScene(), RADIOS["handset"])
 DRAWN = [SOURCE.scene_of(int(key)) for key in keys_of(range(2000))]

@@ -11,8 +11,6 @@ from scipy.stats import binom
 from experiments.evaluation.contenders import contender_from
 from experiments.evaluation.runner import score
 from experiments.evaluation.seeds import TUNING_SEED, draw_episodes
-from mmwave_env.episodes.episode import blank_incoming
-from mmwave_env.episodes.simulated import SimulatedSource
 from mmwave_env.filters.mode_files import modes_from
 from mmwave_env.filters.modes import Mode
 from mmwave_env.filters.pipeline import Pipeline
@@ -20,6 +18,8 @@ from mmwave_env.models.measurement import Layout
 from mmwave_env.models.radio import RADIOS, radio_from
 from mmwave_env.models.scene import scene_from
 from mmwave_env.observation import Observation
+from mmwave_env.world.episode import blank_incoming
+from mmwave_env.world.simulated import SimulatedSource
 from policies import TUNED_IMMS, FixedMode, LikelihoodRule, RandomMode, SpeedRule, tuned_imm
 from policies.speed_rule import by_odometry_speed, by_predicted_speed, mode_at
 

@@ -1,0 +1,1 @@
+"""Data sets: DeepMIMO scenarios, measurement logs and samples, as sources of episodes."""

@@ -1,0 +1,207 @@
+"""Paths become links to anchors: a base station and its mirror images.
+
+The line of sight is the link to the station. A path that bounces once, at q, looks to a receiver
+at p as if it came in a straight line from the mirror image of the station at g (paper, Sec. II):
+
+    a = q + |g - q| (q - p) / |q - p|
+
+For one flat wall that image is the same from everywhere, so clusters of images are the virtual
+anchors. Arrival and range hold as they are seen from a virtual anchor; the departure is measured
+at the station, before the bounce, and is mirrored along with it.
+
+Paths of other kinds (two bounces, diffraction, scattering, transmission) have no fixed image, or
+none that is known from a file's first point of interaction, and are left out.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mmwave_env.datasets.deepmimo.paths import (
+    LINE_OF_SIGHT,
+    REFLECTION,
+    TOLERANCE_M,
+    StationPaths,
+    propagation,
+)
+from mmwave_env.models.measurement import LINK, SPEED_OF_LIGHT, direction
+from mmwave_env.numerics.arrays import Array, Mask
+from mmwave_env.numerics.numbers import PI, wrap
+
+_FLAT = 0.7  # a mirror's normal rises more than it leads sideways: ground, not wall
+_ROW_KEYS = ("delay", "aoa_az", "aoa_el", "aod_az")  # where the rows of a link come from
+_TOLERANCES = (2.0 * TOLERANCE_M, 0.02, 0.02, 0.02)  # m, rad; tells conventions, not noise
+# Mistakes that explain wrong numbers: one is named and never undone, as a file that is wrong in one
+# way may be wrong in another.
+_CLOSE = 0.01  # of a distance; of 1 - cos of an angle
+_TIMES = {"milliseconds": 1e-3, "microseconds": 1e-6, "nanoseconds": 1e-9, "there-and-back": 0.5}
+_ANGLES: dict[str, Callable[[Array, Array], tuple[Array, Array]]] = {  # azimuth, zenith angle
+    "radians": lambda azimuth, zenith: (np.degrees(azimuth), np.degrees(zenith)),
+    "elevations above the horizon": lambda azimuth, zenith: (azimuth, PI / 2 - zenith),
+    "bearings clockwise from the y axis": lambda azimuth, zenith: (PI / 2 - azimuth, zenith),
+}
+
+
+@dataclass(frozen=True, eq=False)
+class StationLinks:
+    """What the paths of a station lead to, and what a perfect receiver measures on them.
+
+    Attributes:
+        paths: of the station, E receivers, P paths each.
+        anchors_m: (K, 3) the station, and its images in the order in which they were met.
+        member: (E, P) which of them a path leads to; -1 for none.
+        rows: (E, P, 4) of a link, as in ``LINK``: m, rad; NaN where a path leads to none.
+    """
+
+    paths: StationPaths
+    anchors_m: Array
+    member: NDArray[np.int_]
+    rows: Array
+
+    @cached_property
+    def is_ground(self) -> Mask:
+        """Which anchors (K,) are images in the ground: their mirror lies flat below the station."""
+        normal = self.anchors_m[0] - self.anchors_m
+        return np.asarray(normal[:, 2] > _FLAT * np.linalg.norm(normal, axis=1))
+
+    @cached_property
+    def epochs_seen(self) -> NDArray[np.int_]:
+        """In how many epochs each anchor (K,) is seen."""
+        epoch, path = np.nonzero(self.member >= 0)
+        pairs = np.unique(np.column_stack([epoch, self.member[epoch, path]]), axis=0)
+        return np.bincount(pairs[:, 1], minlength=len(self.anchors_m))
+
+    def strongest(self, anchor: int) -> tuple[Mask, NDArray[np.int_]]:
+        """Where an anchor is seen (E,), and the strongest path (E,) to it in every epoch."""
+        leads = self.member == anchor
+        return leads.any(axis=1), np.argmax(np.where(leads, self.paths.gain_db, -np.inf), axis=1)
+
+
+def find_links(paths: StationPaths, position_m: Array) -> StationLinks:
+    """What paths lead to.
+
+    Args:
+        paths: of a station, with a line of sight somewhere.
+        position_m: (E, 3) of the receivers.
+
+    Raises:
+        ValueError: numbers of a path contradict where receiver and anchor are; the message names
+            the file.
+    """
+    anchors, member = _anchors(paths, position_m)
+    with np.errstate(all="ignore"):  # what is beyond all bounds is refused below
+        rows = _measure(paths, position_m, anchors, member)
+        _require_geometry(paths, position_m, anchors, member, rows)
+    _require_loss(paths, member)
+    return StationLinks(paths, anchors, member, rows)
+
+
+def _anchors(paths: StationPaths, position_m: Array) -> tuple[Array, NDArray[np.int_]]:
+    """The station and all its images (K, 3), and which of them each path (E, P) leads to."""
+    from scipy.spatial import cKDTree
+
+    station, q = paths.position_m, paths.bounce_m
+    member = np.where(paths.interactions == LINE_OF_SIGHT, 0, -1)
+    if not (member == 0).any():
+        paths.refuse("inter", 0, "no line-of-sight path (0) in any epoch from that", "at least one")
+    reflected = paths.interactions == REFLECTION
+    back = q - position_m[:, None]
+    with np.errstate(all="ignore"):  # a reflection at the receiver itself is refused below
+        away = np.linalg.norm(station - q, axis=-1, keepdims=True)
+        image = q + away * back / np.linalg.norm(back, axis=-1, keepdims=True)
+    nowhere = reflected & ~np.isfinite(image).all(axis=-1)
+    if nowhere.any():
+        n, p = (int(i) for i in np.argwhere(nowhere)[0])
+        paths.refuse("inter_pos", n, f"{q[n, p]}, the place", "a point away from it")
+    anchors, images = [station], image[reflected]
+    leads = np.full(len(images), -1)
+    tree = cKDTree(images) if len(images) else None
+    for i in range(len(images)):
+        if leads[i] < 0 and tree is not None:
+            near = np.array(tree.query_ball_point(images[i], TOLERANCE_M))
+            near = np.sort(near[leads[near] < 0])
+            leads[near] = len(anchors)
+            anchors.append(np.median(images[near], axis=0))
+    member[reflected] = leads
+    return np.array(anchors), member
+
+
+def _measure(
+    paths: StationPaths, position_m: Array, anchors: Array, member: NDArray[np.int_]
+) -> Array:
+    """Rows of a link (E, P, 4), m and rad, that each path is to its anchor."""
+    sight = (position_m - paths.position_m)[:, None]
+    direct = member == 0
+    arrival = propagation(paths.arrival, sight, direct)
+    departure = propagation(paths.departure, sight, direct)
+    normal = (anchors[0] - anchors)[member]  # of the mirror; none for the line of sight
+    squared = np.maximum(np.sum(normal * normal, axis=-1, keepdims=True), np.finfo(float).tiny)
+    departure -= 2.0 * np.sum(departure * normal, axis=-1, keepdims=True) / squared * normal
+    _, azimuth, elevation = direction(list(np.moveaxis(arrival, -1, 0)))
+    _, leaving, _ = direction(list(np.moveaxis(departure, -1, 0)))
+    rows = [SPEED_OF_LIGHT * paths.delay_s, azimuth, elevation, wrap(leaving + PI)]
+    return np.stack(rows, axis=-1)
+
+
+def _require_geometry(
+    paths: StationPaths, position_m: Array, anchors: Array, member: NDArray[np.int_], rows: Array
+) -> None:
+    """Refuse links whose rows (E, P, 4) contradict where receiver and anchor are."""
+    offset = position_m[:, None] - anchors[member]
+    distance, azimuth, elevation = direction(list(np.moveaxis(offset, -1, 0)))
+    exact = np.stack([distance, azimuth, elevation, wrap(azimuth + PI)], axis=-1)
+    error = np.abs(rows - exact)
+    error[..., 1:] = np.abs(wrap(rows[..., 1:] - exact[..., 1:]))
+    error[..., [1, 3]] *= np.cos(elevation)[..., None]  # at the zenith azimuths mean nothing
+    wrong = (member >= 0)[..., None] & ~(error <= _TOLERANCES)
+    if wrong.any():
+        n, p, row = (int(i) for i in np.argwhere(wrong)[0])
+        mistake = _likely_mistake(paths, position_m, _ROW_KEYS[row])
+        paths.refuse(
+            _ROW_KEYS[row],
+            n,
+            f"{LINK[row]} {rows[n, p, row]:.4f} on path {p}",
+            f"{exact[n, p, row]:.4f}, seen from the anchor {anchors[member[n, p]].round(4)}"
+            + (f"; the numbers look like {mistake}" if mistake else ""),
+        )
+
+
+def _require_loss(paths: StationPaths, member: NDArray[np.int_]) -> None:
+    """Refuse paths on which more arrives than was sent."""
+    wrong = (member >= 0) & (paths.gain_db > 0.0)
+    if wrong.any():
+        n, p = (int(i) for i in np.argwhere(wrong)[0])
+        paths.refuse("power", n, f"{paths.gain_db[n, p]:.4g} dB on path {p}",
+                     "a gain of at most 0 dB: are the numbers powers, not dB?")  # fmt: skip
+
+
+def _likely_mistake(paths: StationPaths, position_m: Array, key: str) -> str:
+    """What the numbers of a key look like on lines of sight, such as "nanoseconds"; "" for none.
+
+    Args:
+        paths: with a line of sight somewhere.
+        position_m: (E, 3) of the receivers.
+        key: ``delay``, or one of ``aoa_az``, ``aoa_el``, ``aod_az``, ``aod_el``.
+    """
+    epoch, path = np.nonzero(paths.interactions == LINE_OF_SIGHT)
+    sight = position_m[epoch] - paths.position_m
+    distance = np.linalg.norm(sight, axis=1)
+    if key == "delay":
+        length = SPEED_OF_LIGHT * paths.delay_s[epoch, path]
+        wrong = {name: abs(length * unit - distance) / distance for name, unit in _TIMES.items()}
+    else:
+        angles = paths.arrival if key.startswith("aoa") else paths.departure
+        azimuth, zenith = angles[epoch, path].T
+        along = {name: _cosine(*undo(azimuth, zenith), sight) for name, undo in _ANGLES.items()}
+        wrong = {name: 1.0 - abs(np.median(cosine)) for name, cosine in along.items()}
+    return next((name for name, error in wrong.items() if np.median(error) < _CLOSE), "")
+
+
+def _cosine(azimuth: Array, zenith: Array, sight: Array) -> Array:
+    """Cosines (M,) of the angles between directions and lines of sight (M, 3)."""
+    level = np.sin(zenith)
+    unit = np.stack([level * np.cos(azimuth), level * np.sin(azimuth), np.cos(zenith)], axis=-1)
+    return np.asarray(np.sum(unit * sight, axis=-1) / np.linalg.norm(sight, axis=-1))

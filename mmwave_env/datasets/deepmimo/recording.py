@@ -1,0 +1,186 @@
+"""DeepMIMO scenarios as recordings, whose epochs are the receivers of one track.
+
+A scenario lists paths (:mod:`~mmwave_env.datasets.deepmimo.paths`); a recording wants links to
+anchors (:mod:`~mmwave_env.datasets.deepmimo.anchors`).
+"""
+
+import os
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mmwave_env.datasets.deepmimo.anchors import StationLinks, find_links
+from mmwave_env.datasets.deepmimo.paths import LINE_OF_SIGHT, TOLERANCE_M, Paths
+from mmwave_env.datasets.deepmimo.v4 import Scenario, open_scenario
+from mmwave_env.datasets.recorded import Recording
+from mmwave_env.models.measurement import SPEED_OF_LIGHT, Layout, range_rate
+from mmwave_env.numerics.arrays import Array
+from mmwave_env.world.checks import refuse_in
+from mmwave_env.world.trajectory import Trajectory
+from mmwave_env.world.ways import COLUMNS, read_trajectory
+
+SIDECAR = "trajectory.csv"  # ours: when the user was at the receivers, one row an epoch
+
+
+def read_deepmimo(
+    folder: str | os.PathLike[str],
+    virtual_anchors: int = 2,
+    ground: bool = False,
+    bandwidth_hz: float = 100e6,
+    *,
+    dt_s: float | None = None,
+    users: int | Sequence[int] | NDArray[np.int_] | None = None,
+    base_station: int | None = None,
+    receiver_set: int | None = None,
+) -> Recording:
+    """The recording of a scenario folder.
+
+    The epochs of a static scenario are its receivers, those of a dynamic one its scenes. Times
+    and velocities are those of ``trajectory.csv`` in the folder, a row an epoch.
+
+    Anchors are a base station and its images, where there is one station or ``base_station``
+    says which. Otherwise they are the stations themselves, those seen at all, the one seen most
+    first. The Doppler shift is that of the first anchor, of the true velocity.
+
+    Args:
+        folder: of a DeepMIMO v4 scenario.
+        virtual_anchors: how many at most; those seen in most epochs are kept.
+        ground: whether the image in the ground counts as an anchor.
+        bandwidth_hz: of the signal. The scenario's own is the ray tracer's, which no path
+            depends on.
+        dt_s: between epochs, instead of ``trajectory.csv``; velocities are then differences of
+            positions.
+        users: rows of receivers, from 0. Of a static scenario one for each epoch; of a dynamic
+            one that of all scenes, or one for each.
+        base_station: the only one to look at, from 1 in the order of the files' names.
+        receiver_set: number of the set of receivers, where there are several.
+
+    Raises:
+        FileNotFoundError: the folder or one of its files is missing.
+        ValueError: a file is damaged, contradicts another or holds what is not understood;
+            the message names file, key, value and what was expected.
+    """
+    scenario = open_scenario(Path(folder), receiver_set)
+    epochs = scenario.epochs(users)
+    way = _way_of(scenario, epochs, dt_s)
+    paths = replace(scenario.paths(epochs, base_station), position_m=way.position_m)
+    velocity = np.asarray(way.velocity_mps)
+    return _recording_of(paths, way.time_s, velocity, virtual_anchors, ground, bandwidth_hz)
+
+
+def _way_of(scenario: Scenario, epochs: NDArray[np.int_], dt_s: float | None) -> Trajectory:
+    """Times, positions and velocities of the epochs.
+
+    Args:
+        scenario: of the receivers.
+        epochs: (E, 2) scenes and rows, as of :meth:`Scenario.epochs`.
+        dt_s: between epochs; then velocities are differences of positions. None for those of
+            ``trajectory.csv``.
+
+    Raises:
+        FileNotFoundError: there is no such file, and no ``dt_s``.
+        ValueError: the file is damaged or not at the receivers, or the way is none of a user:
+            epochs more than 15 s apart, or a speed that no user has.
+    """
+    position = scenario.positions(epochs)
+    if dt_s is not None:
+        if not 0.0 < dt_s < np.inf:
+            raise ValueError(f"dt_s: found {dt_s}, expected > 0")
+        return Trajectory(f"{scenario.folder}, epochs every {dt_s:g} s",
+                          dt_s * np.arange(len(position), dtype=float), position)  # fmt: skip
+    file = scenario.folder / SIDECAR
+    if not file.exists():
+        raise FileNotFoundError(
+            f"{file}: found no such file, expected the times and velocities that DeepMIMO does "
+            f"not store: a row {','.join(COLUMNS)} for each epoch; or dt_s= of "
+            "read_deepmimo, the time between them"
+        )
+    way = read_trajectory(file)
+    rows = len(scenario.scenes) if scenario.is_dynamic else scenario.receivers
+    if len(way.time_s) != rows:
+        what = "scene" if scenario.is_dynamic else "receiver in rx_pos"
+        refuse_in(file, "rows", len(way.time_s), f"{rows}, one for each {what}")
+    chosen = np.arange(rows) if scenario.is_dynamic else epochs[:, 1]
+    way = Trajectory(
+        way.name, way.time_s[chosen], way.position_m[chosen], np.asarray(way.velocity_mps)[chosen],
+        np.asarray(way.lines)[chosen].tolist(),
+    )  # fmt: skip
+    away = np.linalg.norm(way.position_m - position, axis=1) > TOLERANCE_M
+    if away.any():
+        i = int(np.argmax(away))
+        line = np.asarray(way.lines)[i]
+        refuse_in(file, f"line {line}, columns x, y, z", way.position_m[i].tolist(),
+               f"{position[i].tolist()}, rx_pos of {scenario.name_of(epochs[i])}")  # fmt: skip
+    return way
+
+
+def _recording_of(
+    paths: Paths,
+    time_s: Array,
+    velocity_mps: Array,
+    virtual_anchors: int = 2,
+    ground: bool = False,
+    bandwidth_hz: float = 100e6,
+) -> Recording:
+    """The recording of paths to E receivers; arguments and errors as of :func:`read_deepmimo`.
+
+    Args:
+        paths: of the receivers.
+        time_s: (E,) when the user was at them.
+        velocity_mps: (E, 3) of the user.
+        virtual_anchors, ground, bandwidth_hz: as of :func:`read_deepmimo`.
+    """
+    if virtual_anchors < 0:
+        raise ValueError(f"virtual_anchors: found {virtual_anchors}, expected at least 0")
+    position = paths.position_m
+    links = _links(paths, virtual_anchors, ground)
+    layout = Layout(len(links))
+    epochs = np.arange(len(position))
+    measurement = np.zeros((len(position), layout.size))
+    visible = np.zeros((len(position), layout.anchors + 1), bool)
+    gain_db = np.zeros((len(position), layout.anchors))
+    for a, (station, k) in enumerate(links):
+        visible[:, a], strongest = station.strongest(k)
+        measurement[:, layout.link(a)] = station.rows[epochs, strongest]
+        gain_db[:, a] = station.paths.gain_db[epochs, strongest]
+    visible[:, layout.anchors] = visible[:, 0]  # Doppler: line of sight
+    measurement[:, layout.doppler] = _doppler(paths, links[0][0], velocity_mps)
+    return Recording(
+        name=paths.name,
+        anchors_m=np.array([station.anchors_m[k] for station, k in links]),
+        carrier_hz=paths.carrier_hz,
+        bandwidth_hz=bandwidth_hz,
+        time_s=time_s,
+        measurement=measurement,
+        visible=visible,
+        path_gain_db=gain_db,
+        position_m=position,
+        velocity_mps=velocity_mps,
+        layout=layout,
+    )
+
+
+def _links(paths: Paths, virtual_anchors: int, ground: bool) -> list[tuple[StationLinks, int]]:
+    """The anchors of a recording: whose, and which of its."""
+    if len(paths.stations) == 1:
+        links = find_links(paths.stations[0], paths.position_m)
+        seen = links.epochs_seen
+        images = [k for k in range(1, len(seen)) if ground or not links.is_ground[k]]
+        images.sort(key=lambda k: -seen[k])
+        return [(links, k) for k in [0, *images[:virtual_anchors]]]
+    in_sight = [s for s in paths.stations if (s.interactions == LINE_OF_SIGHT).any()]
+    if not in_sight:
+        paths.stations[0].refuse("inter", 0, "no line of sight (0) of any station at any epoch, "
+                                 "from that", "one at least")  # fmt: skip
+    stations = [find_links(station, paths.position_m) for station in in_sight]
+    return [(links, 0) for links in sorted(stations, key=lambda links: -links.epochs_seen[0])]
+
+
+def _doppler(paths: Paths, station: StationLinks, velocity_mps: Array) -> Array:
+    """Doppler shifts (E,) of the line of sight, Hz, from the true velocities."""
+    away = list((paths.position_m - station.paths.position_m).T)
+    hz_per_mps = paths.carrier_hz / SPEED_OF_LIGHT
+    return np.asarray(hz_per_mps * range_rate(away, list(velocity_mps.T)))

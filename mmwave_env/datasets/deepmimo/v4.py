@@ -1,0 +1,297 @@
+"""DeepMIMO v4 scenario folders: from files to checked paths.
+
+A scenario is a folder with ``params.json`` and one array a file, named
+``{key}_t{txset}_tx{tx}_r{rxset}.npz`` (or ``.npy``, ``.mat``). A dynamic one has such files in one
+sub-folder a scene, whose sorted order is that of time. Neither times nor velocities are stored.
+"""
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mmwave_env.datasets.deepmimo.arrays import find_array, read_array
+from mmwave_env.datasets.deepmimo.paths import (
+    LINE_OF_SIGHT,
+    REFLECTION,
+    TOLERANCE_M,
+    Paths,
+    StationPaths,
+)
+from mmwave_env.files import read_json
+from mmwave_env.lookup import as_name
+from mmwave_env.numerics.arrays import Array, Mask
+from mmwave_env.world.checks import refuse_in
+
+PARAMS = "params.json"  # by which a folder is known as a scenario
+_RECEIVERS = re.compile(r"rx_pos_(t\d+_tx\d+)_r(\d+)\.(?:npz|npy|mat)")
+
+
+@dataclass(frozen=True)
+class Scenario:
+    """What a folder holds, before its arrays are read.
+
+    Attributes:
+        folder: of the scenario.
+        scenes: folders with the arrays, in the order of time; of a static scenario the folder.
+        stations: names of its base stations, as in those of the files.
+        receiver_set: which set of receivers, such as ``001``.
+        receivers: how many there are in every scene.
+        carrier_hz: carrier frequency.
+    """
+
+    folder: Path
+    scenes: tuple[Path, ...]
+    stations: tuple[str, ...]
+    receiver_set: str
+    receivers: int
+    carrier_hz: float
+
+    @property
+    def is_dynamic(self) -> bool:
+        """Whether the epochs are scenes, not receivers."""
+        return self.scenes != (self.folder,)
+
+    def name_of(self, epoch: NDArray[np.int_]) -> str:
+        """The receiver of an epoch (2,), for messages."""
+        scene, row = epoch.tolist()
+        return f"receiver {row}" + (f" in {self.scenes[scene].name}" if self.is_dynamic else "")
+
+    def epochs(self, users: int | Sequence[int] | NDArray[np.int_] | None) -> NDArray[np.int_]:
+        """Scene and row (E, 2) of the receiver of every epoch.
+
+        Args:
+            users: rows of receivers, from 0. Of a static scenario one for each epoch, or None for
+                all of them. Of a dynamic one that of every scene, or one for all scenes, or None
+                where there is but one receiver.
+
+        Raises:
+            ValueError: other numbers, or another number of them.
+        """
+        rows = np.arange(self.receivers) if users is None else np.asarray(users)
+        if rows.size == 0 or rows.dtype.kind not in "iu" or rows.ndim > 1:
+            raise ValueError(f"users: found {users!r}, expected numbers of receivers")
+        outside = rows[(rows < 0) | (rows >= self.receivers)]
+        if outside.size:
+            raise ValueError(f"users: found {outside.flat[0]}, expected 0 to {self.receivers - 1}, "
+                             f"the receivers of {self.folder}")  # fmt: skip
+        if not self.is_dynamic:
+            return np.column_stack([np.zeros(rows.size, int), rows.reshape(-1)])
+        scenes = np.arange(len(self.scenes))
+        if rows.size not in (1, len(scenes)):
+            raise ValueError(
+                f"users: found {rows.size}, expected 1 or {len(scenes)}, one for each scene of "
+                f"{self.folder}, which has {self.receivers} receivers in each"
+            )
+        return np.column_stack([scenes, np.broadcast_to(rows.reshape(-1), len(scenes))])
+
+    def file(self, scene: int, key: str, station: str) -> Path:
+        """The file of a key.
+
+        Raises:
+            FileNotFoundError: there is none.
+        """
+        return find_array(self.scenes[scene], f"{key}_{station}_r{self.receiver_set}")
+
+    def positions(self, epochs: NDArray[np.int_]) -> Array:
+        """Positions (E, 3) of the receivers of epochs, as of :meth:`epochs`, m."""
+        found = []
+        for scene, rows in _by_scene(epochs):
+            file = self.file(scene, "rx_pos", self.stations[0])
+            array = read_array(file, "rx_pos", (self.receivers, 3), rows)
+            found.append(_finite(file, "rx_pos", array, rows))
+        return np.concatenate(found)
+
+    def paths(self, epochs: NDArray[np.int_], base_station: int | None = None) -> Paths:
+        """The paths of some receivers.
+
+        Args:
+            epochs: (E, 2) scenes, increasing, and rows, as of :meth:`epochs`.
+            base_station: number of the only one to read, from 1 in the order of ``stations``;
+                None for all.
+
+        Raises:
+            FileNotFoundError: a file is missing.
+            ValueError: there is no such station; or a file can't be read or contradicts another,
+                and the message names file and key.
+        """
+        stations = self.stations
+        if base_station is not None:
+            if not 1 <= base_station <= len(stations):
+                raise ValueError(
+                    f"base_station: found {base_station}, expected 1 to {len(stations)}: "
+                    f"{', '.join(stations)} of {self.folder}"
+                )
+            stations = stations[base_station - 1 : base_station]
+        found = tuple(_read_station(self, epochs, name) for name in stations)
+        name = as_name(self.folder.resolve().name)
+        return Paths(name, self.carrier_hz, self.positions(epochs), found)
+
+
+def is_scenario(folder: Path) -> bool:
+    """Whether a folder says of itself that it is a scenario."""
+    return (folder / PARAMS).exists()
+
+
+def open_scenario(folder: Path, receiver_set: int | None = None) -> Scenario:
+    """What a folder holds.
+
+    Args:
+        folder: of the scenario.
+        receiver_set: number of a set of receivers; None for the only one.
+
+    Raises:
+        FileNotFoundError: the folder or a file that must be there is missing.
+        ValueError: ``params.json`` can't be read or contradicts the files, or there are several
+            sets of receivers; the message names them.
+    """
+    if not folder.exists():
+        raise FileNotFoundError(f"{folder}: found nothing, expected the folder of a scenario")
+    if not folder.is_dir():
+        refuse_in(folder, "folder", "a file", "the folder of a DeepMIMO scenario")
+    carrier_hz, count = _read_params(folder / PARAMS)
+    scenes = _scenes(folder, count)
+    number, stations = _stations(scenes[0], receiver_set)
+    file = find_array(scenes[0], f"rx_pos_{stations[0]}_r{number}")
+    receivers = len(read_array(file, "rx_pos", ("N", 3)))
+    if receivers == 0:
+        refuse_in(file, "rx_pos", "no receivers", "at least one")
+    return Scenario(folder, scenes, stations, number, receivers, carrier_hz)
+
+
+def _read_params(file: Path) -> tuple[float, int]:
+    """Carrier frequency, Hz, and number of scenes; errors name the file and the entry."""
+
+    def number(content: Any, part: str, name: str, most: float) -> Any:
+        for key in (part, name):
+            if not isinstance(content, dict) or key not in content:
+                raise ValueError(f"{part}.{name}: found nothing, expected an entry")
+            content = content[key]
+        if type(content) not in (int, float) or not 1 <= content <= most:
+            raise ValueError(
+                f"{part}.{name}: found {content!r}, expected a number from 1 to {most:g}"
+            )
+        return content
+
+    def make(content: dict[str, Any]) -> tuple[float, int]:
+        carrier_hz = float(number(content, "rt_params", "frequency", 1e15))
+        return carrier_hz, number(content, "scene", "num_scenes", 1e9)
+
+    return read_json(file, "the parameters of a scenario", make)
+
+
+def _scenes(folder: Path, count: int) -> tuple[Path, ...]:
+    """The folders of the scenes, in the order of time."""
+    if count == 1:
+        return (folder,)
+    found = sorted(sub for sub in folder.iterdir() if sub.is_dir() and any(sub.glob("rx_pos_*")))
+    if len(found) != count:
+        refuse_in(folder / PARAMS, "scene.num_scenes", count,
+               f"{len(found)}, the number of sub-folders with receivers")  # fmt: skip
+    return tuple(found)
+
+
+def _stations(scene: Path, receiver_set: int | None) -> tuple[str, tuple[str, ...]]:
+    """The set of receivers, and the base stations that have paths to it."""
+    links = sorted(m.groups() for f in scene.iterdir() if (m := _RECEIVERS.fullmatch(f.name)))
+    if not links:
+        raise FileNotFoundError(
+            f"{scene}: found no rx_pos_t*_tx*_r*.npz, .npy or .mat, expected the receivers of a "
+            "DeepMIMO v4 scenario"
+        )
+    sets = sorted({number for _, number in links})
+    chosen = [n for n in sets if receiver_set is None or int(n) == receiver_set]
+    if len(chosen) != 1:
+        found = "all" if receiver_set is None else receiver_set
+        raise ValueError(f"receiver_set: found {found}, expected one of "
+                         f"{', '.join(str(int(n)) for n in sets)} of {scene}")  # fmt: skip
+    return chosen[0], tuple(station for station, number in links if number == chosen[0])
+
+
+def _by_scene(epochs: NDArray[np.int_]) -> list[tuple[int, NDArray[np.int_]]]:
+    """Scenes, and the rows of receivers in each, of epochs (E, 2)."""
+    scenes, rows = epochs.T
+    return [(int(scene), rows[scenes == scene]) for scene in np.unique(scenes)]
+
+
+def _read_station(scenario: Scenario, epochs: NDArray[np.int_], station: str) -> StationPaths:
+    scenes = [_read_scene(scenario, scene, station, rows) for scene, rows in _by_scene(epochs)]
+    here = scenes[0].pop("tx_pos")
+    for scene, arrays in enumerate(scenes[1:], start=1):
+        moved = arrays.pop("tx_pos")
+        if np.linalg.norm(moved - here) > TOLERANCE_M:
+            refuse_in(scenario.file(scene, "tx_pos", station), "tx_pos", moved[0].tolist(),
+                   f"{here[0].tolist()}, as in the first scene: a station that stays")  # fmt: skip
+    path = {key: _stacked([arrays[key] for arrays in scenes]) for key in scenes[0]}
+
+    def source(key: str, epoch: int) -> tuple[Path, int]:
+        scene, row = epochs[epoch].tolist()
+        return scenario.file(scene, key, station), row
+
+    return StationPaths(
+        name=station,
+        position_m=here[0],
+        interactions=path["inter"],
+        bounce_m=path["inter_pos"],
+        gain_db=path["power"],
+        delay_s=path["delay"],
+        arrival=np.radians(np.stack([path["aoa_az"], path["aoa_el"]], axis=-1)),
+        departure=np.radians(np.stack([path["aod_az"], path["aod_el"]], axis=-1)),
+        source=source,
+    )
+
+
+def _read_scene(
+    scenario: Scenario, scene: int, station: str, rows: NDArray[np.int_]
+) -> dict[str, Array]:
+    """The arrays (R, P, ...) of some receivers in a scene, and ``tx_pos`` (1, 3)."""
+
+    def read(key: str, *shape: int | str, rows: NDArray[np.int_] | None = rows) -> Array:
+        return read_array(scenario.file(scene, key, station), key, shape, rows)
+
+    def check(key: str, array: Array, used: Mask | None = None) -> Array:
+        return _finite(scenario.file(scene, key, station), key, array, rows, used)
+
+    N = scenario.receivers
+    inter = read("inter", N, "P")
+    P = inter.shape[1]
+    used = (inter == LINE_OF_SIGHT) | (inter == REFLECTION)
+    points = read("inter_pos", N, P, "I", 3)  # the largest: what is too much is refused here
+    first = points[:, :, 0] if points.shape[2] else np.full((*inter.shape, 3), np.nan)
+    arrays = {
+        "tx_pos": check("tx_pos", read("tx_pos", 1, 3, rows=None)),
+        "inter": inter,
+        "inter_pos": check("inter_pos", first, inter == REFLECTION),
+    }
+    for key in ("power", "delay", "aoa_az", "aoa_el", "aod_az", "aod_el"):
+        arrays[key] = check(key, read(key, N, P), used)
+    return arrays
+
+
+def _finite(
+    file: Path, key: str, array: Array, rows: NDArray[np.int_] | None, used: Mask | None = None
+) -> Array:
+    """Refuses NaN and infinity; where ``used`` (R, P) is given only there, with NaN elsewhere."""
+    if used is not None:
+        used = used.reshape(used.shape + (1,) * (array.ndim - 2))
+        array = np.where(used, array, np.nan)
+    bad = ~np.isfinite(array) & (True if used is None else used)
+    if bad.any():
+        at = [int(i) for i in np.argwhere(bad)[0]]
+        found = array[tuple(at)]
+        at[0] = at[0] if rows is None else int(rows[at[0]])
+        refuse_in(file, f"{key}[{', '.join(map(str, at))}]", found, "a finite number")
+    return array
+
+
+def _stacked(scenes: Sequence[Array]) -> Array:
+    """Arrays (R, P, ...) of scenes below each other, with as many paths as most have."""
+    most = max(array.shape[1] for array in scenes)
+    missing = [[(0, 0), (0, most - a.shape[1]), *[(0, 0)] * (a.ndim - 2)] for a in scenes]
+    return np.concatenate(
+        [np.pad(a, by, constant_values=np.nan) for a, by in zip(scenes, missing, strict=True)]
+    )

@@ -1,0 +1,109 @@
+"""An episode as a folder: measurement log, scene and truth, as ``mmwave-loc simulate`` writes."""
+
+import warnings
+from pathlib import Path
+
+import numpy as np
+
+from mmwave_env.datasets.arrays import velocity_of
+from mmwave_env.datasets.deepmimo.v4 import PARAMS
+from mmwave_env.datasets.log_writer import write_log
+from mmwave_env.datasets.measured import MeasuredTrack
+from mmwave_env.files import atomic_path, write_json, write_text
+from mmwave_env.logs.clock import ClockComparison
+from mmwave_env.logs.log import LogBlock, read_log
+from mmwave_env.logs.log_tables import SUFFIXES
+from mmwave_env.logs.truth import Truth
+from mmwave_env.logs.tum import COLUMNS, tum_lines
+from mmwave_env.lookup import as_name
+from mmwave_env.models.scene import Scene, read_scene, scene_json
+from mmwave_env.world.episode import Episode
+
+LOG, SCENE, TRUTH = "log.csv", "scene.json", "truth.tum"
+_LOGS = tuple(f"log{suffix}" for suffix in SUFFIXES)
+
+
+def read_log_folder(folder: Path) -> MeasuredTrack:
+    """The track of a folder with a log, its scene and its truth, all of it in memory.
+
+    Positions are those of :class:`~mmwave_env.logs.truth.Truth` at the times of the epochs,
+    velocities their differences. A truth with another clock than the log's is warned of.
+
+    Args:
+        folder: with ``log.csv`` (or ``.csv.gz``, ``.parquet``), ``scene.json``, ``truth.tum``.
+
+    Raises:
+        ValueError: a file is missing, damaged or not what it should be, or no pose of the truth
+            is at the time of an epoch; the message names file and row, what was found and what
+            was expected.
+        OSError: a file can't be read.
+    """
+    path = log_of(folder)
+    scene, truth = read_scene(folder / SCENE), Truth(folder / TRUTH)
+    log = LogBlock.joined(list(read_log(path, scene)))
+    true = truth.at(log.time_s)
+    ends = float(log.time_s[0]), float(log.time_s[-1])
+    matched = int(np.isfinite(true.position_m[:, 0]).sum())
+    if not matched:
+        raise truth.no_match(*ends)
+    truth.warn_if_few(matched, len(log), *ends)
+    clocks = ClockComparison(scene)
+    clocks.add(log, true)
+    if (clock := clocks.offset(truth.path)) and clock.matters:
+        warnings.warn(f"{truth.path}: {clock.advice}", stacklevel=2)
+    return MeasuredTrack(
+        name=as_name(folder.resolve().name),
+        scene=scene,
+        layout=log.layout,
+        time_s=log.time_s,
+        measurement=log.measurement,
+        visible=log.visible,
+        snr_db=log.snr_db,
+        doppler_spread_hz=log.doppler_spread_hz,
+        position_m=true.position_m,
+        velocity_mps=velocity_of(log.time_s, true.position_m),
+    )
+
+
+def log_of(folder: Path) -> Path:
+    """The log of a folder that has everything."""
+    logs = [name for name in _LOGS if (folder / name).exists()]
+    missing = [] if logs else [LOG]
+    missing += [name for name in (SCENE, TRUTH) if not (folder / name).exists()]
+    if missing or len(logs) > 1:
+        found = f"no {', no '.join(missing)}" if missing else " and ".join(logs)
+        raise ValueError(
+            f"{folder}: found {found}, expected a log (one of {', '.join(_LOGS)}), {SCENE} and "
+            f"{TRUTH} (docs/own-log.md); or {PARAMS}, of a DeepMIMO scenario"
+        )
+    return folder / logs[0]
+
+
+def write_log_folder(
+    folder: Path, episode: Episode, scene: Scene, origin: str,
+    associated: bool = True, false_paths: int = 0, seed: int = 0,
+) -> list[str]:  # fmt: skip
+    """Write an episode as :func:`read_log_folder` reads it; the names of the files.
+
+    Args:
+        folder: made where it is not there.
+        episode: without its prior. Where it has no truth, one that lies in the folder is removed:
+            it is not that of the new log.
+        scene: that it is in.
+        origin: how it was made, for a comment in the truth.
+        associated, false_paths, seed: as :func:`~mmwave_env.datasets.log_writer.write_log` takes
+            them; a folder whose log has no anchors is not read again as episodes.
+
+    Raises:
+        ValueError: as :func:`~mmwave_env.datasets.log_writer.write_log`.
+        OSError: a file can't be written.
+    """
+    with atomic_path(folder / LOG) as log:
+        write_log(log, episode, associated, false_paths, seed)
+    write_json(folder / SCENE, scene_json(scene))
+    if episode.truth_position_m is None:
+        (folder / TRUTH).unlink(missing_ok=True)
+        return [LOG, SCENE]
+    track = tum_lines(episode.time_s, episode.truth_position_m)
+    write_text(folder / TRUTH, f"# {' '.join(COLUMNS)}; {origin}\n{track}")
+    return [LOG, SCENE, TRUTH]

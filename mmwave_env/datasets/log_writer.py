@@ -1,0 +1,97 @@
+"""Episodes as measurement logs: CSV or Parquet, as :func:`~mmwave_env.logs.log.read_log` reads."""
+
+import gzip
+import math
+from pathlib import Path
+
+import numpy as np
+
+from mmwave_env.datasets.unassociated import path_columns
+from mmwave_env.logs.log_tables import SUFFIXES, LogError, require_arrow
+from mmwave_env.models.measurement import LINK, SPEED_OF_LIGHT
+from mmwave_env.numerics.arrays import Array, Mask
+from mmwave_env.numerics.numbers import PI
+from mmwave_env.world.episode import Episode
+
+
+def log_columns(episode: Episode) -> dict[str, Array]:
+    """The columns (n,) of an episode's log, NaN where empty; a row for each epoch and anchor.
+
+    Numbers of groups that can't be used are left out. The SNR stays where a link or the
+    Doppler shift needs it. An elevation that noise pushes past the vertical ends there, as a
+    receiver's does.
+    """
+    layout, usable = episode.layout, episode.usable
+    T, L = len(episode), layout.anchors
+    links = np.where(
+        usable[:, :L, None], episode.measurement[:, : layout.doppler].reshape(T, L, 4), np.nan
+    )
+    links[..., 2] = np.clip(links[..., 2], -PI / 2, PI / 2)
+    heard = usable[:, :L].copy()
+    heard[:, 0] |= usable[:, L]
+
+    def first_row(values: Array, shown: Mask | bool = True) -> Array:
+        out = np.full((T, L), np.nan)
+        out[:, 0] = np.where(shown, values, np.nan)
+        return out.ravel()
+
+    columns = {
+        "time_s": np.repeat(episode.time_s, L),
+        "anchor": np.tile(np.arange(1, L + 1), T),
+        "toa_s": links[..., 0].ravel() / SPEED_OF_LIGHT,
+        **{name: links[..., i].ravel() for i, name in enumerate(LINK) if i},
+        "doppler_hz": first_row(episode.measurement[:, layout.doppler], usable[:, L]),
+        "snr_db": np.where(heard, episode.snr_db, np.nan).ravel(),
+        "doppler_spread_hz": first_row(episode.doppler_spread_hz),
+    }
+    if layout.odometry:
+        odometry = episode.measurement[:, layout.doppler + 1 :].T
+        for name, values in zip(("speed_mps", "heading_rad"), odometry, strict=True):
+            columns[name] = first_row(values, usable[:, -1])
+    return columns
+
+
+def log_text(columns: dict[str, Array]) -> str:
+    """Columns (n,) as CSV, exact to the last bit."""
+    words = [
+        ["" if math.isnan(v) else repr(v) for v in values.tolist()] for values in columns.values()
+    ]
+    return "".join(",".join(row) + "\n" for row in [tuple(columns), *zip(*words, strict=True)])
+
+
+def write_log(
+    path: Path, episode: Episode, associated: bool = True, false_paths: int = 0, seed: int = 0
+) -> None:
+    """Write the log of an episode, as CSV or Parquet by the name of the file.
+
+    Args:
+        path: of the file.
+        episode: its measurements.
+        associated: whether rows have the number of their anchor; otherwise they are paths in random
+            order, as :func:`~mmwave_env.logs.path_log.read_paths` reads them.
+        false_paths: drawn among the others in every epoch, where they are not associated.
+        seed: of false paths and order.
+
+    Raises:
+        LogError: another kind of file, or pyarrow is missing.
+        ValueError: false paths among rows that have anchors, or fewer than none; or a log of paths
+            of an episode without truth.
+        OSError: it can't be written.
+    """
+    name, columns = path.name.lower(), log_columns(episode)
+    if not associated:
+        columns = path_columns(columns, episode, false_paths, seed)
+    elif false_paths:
+        raise ValueError(f"false_paths: found {false_paths} among rows with anchors, expected none")
+    if name.endswith(".parquet"):
+        pyarrow, parquet = require_arrow(path)
+        arrays = {
+            name: pyarrow.array(values, mask=np.isnan(values)) for name, values in columns.items()
+        }
+        parquet.write_table(pyarrow.table(arrays), path, write_page_checksum=True)
+    elif name.endswith(".csv.gz"):
+        path.write_bytes(gzip.compress(log_text(columns).encode(), mtime=0))
+    elif name.endswith(".csv"):
+        path.write_text(log_text(columns), encoding="utf-8", newline="\n")
+    else:
+        raise LogError(f"{path}: found {path.suffix!r}, expected a name in {', '.join(SUFFIXES)}")

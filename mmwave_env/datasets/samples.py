@@ -1,0 +1,99 @@
+"""Episodes by name: what comes with the package, and folders of one's own."""
+
+import os
+from importlib import resources
+from pathlib import Path
+
+from mmwave_env.datasets.deepmimo.recording import read_deepmimo
+from mmwave_env.datasets.deepmimo.v4 import is_scenario
+from mmwave_env.datasets.log_folder import LOG, read_log_folder
+from mmwave_env.datasets.measured import MeasuredSource, MeasuredTrack
+from mmwave_env.datasets.recorded import RecordedSource, Recording
+from mmwave_env.lookup import choose
+from mmwave_env.models.radio import Radio
+
+_DATA = Path(str(resources.files("mmwave_env"))) / "data"
+_RECORDINGS, _LOGS = _DATA / "deepmimo_canyon28", _DATA / "logs"
+
+
+def _folders(of: Path) -> dict[str, Path]:
+    return {folder.name: folder for folder in sorted(of.iterdir()) if folder.is_dir()}
+
+
+def sample_names() -> tuple[str, ...]:
+    """Names of the recordings that come with the package, for :func:`source_from`."""
+    return tuple(_folders(_RECORDINGS))
+
+
+def log_names() -> tuple[str, ...]:
+    """Names of the measurement logs that come with the package."""
+    return tuple(_folders(_LOGS))
+
+
+def sample_folder(name: str, kind: str = "log") -> Path:
+    """The folder of a sample: of a ``log`` or a ``recording``.
+
+    Raises:
+        ValueError: there is none; the message lists those that there are.
+    """
+    kinds = {"log": _LOGS, "recording": _RECORDINGS}
+    found = _folders(choose(kinds, kind, "kind"))
+    if kind == "log" and name not in found and name in sample_names():
+        raise ValueError(
+            f"sample: found {name!r}, a recording, which compare plays with --data {name}; "
+            f"expected a log, one of {', '.join(found)}"
+        )
+    return choose(found, name, "sample")
+
+
+def recording_from(name: str) -> Recording:
+    """The recording of a name in :func:`sample_names`.
+
+    Raises:
+        ValueError: there is none; the message lists those that there are.
+    """
+    return read_deepmimo(sample_folder(name, "recording"))
+
+
+def source_from(
+    episodes: str | os.PathLike[str] | Recording | MeasuredTrack,
+    radio: str | Radio,
+    epochs: int | None = None,
+) -> RecordedSource | MeasuredSource:
+    """The source of an ``episodes=`` argument, or of ``--data``.
+
+    Args:
+        episodes: a name in :func:`sample_names`; a folder, of a measurement log with its scene
+            and truth or of a DeepMIMO v4 scenario; a recording; or a measured track.
+        radio: profile of the receiver.
+        epochs: length of an episode, a window drawn at random; None for all there is.
+
+    Raises:
+        ValueError: nothing of these, a folder that is not what it should be, or no such window.
+        OSError: a file can't be read.
+    """
+    if isinstance(episodes, str | os.PathLike):
+        episodes = _read(episodes)
+    if isinstance(episodes, MeasuredTrack):
+        return MeasuredSource(episodes, radio, epochs)
+    return RecordedSource(episodes, radio, epochs)
+
+
+def _read(name: str | os.PathLike[str]) -> Recording | MeasuredTrack:
+    """What a name or a folder stands for."""
+    if name in sample_names():
+        return recording_from(str(name))
+    folder = Path(name)
+    if folder.is_file():
+        other = folder.suffix == ".csv" and folder.name != LOG
+        hint = f"; if it is a trajectory, give it as the scenario: --scenario {folder}"
+        raise ValueError(
+            f"episodes: found the file {folder}, expected its folder, {folder.parent}"
+            f"{hint if other else ''}"
+        )
+    if not folder.is_dir():
+        raise ValueError(
+            f"episodes: found {os.fspath(name)!r}, expected one of {', '.join(sample_names())}, "
+            "or the folder of a measurement log with scene and truth, or of a DeepMIMO scenario"
+        )
+    return (read_deepmimo if is_scenario(folder) else read_log_folder)(folder)

@@ -1,1 +1,0 @@
-"""The world: episodes, simulated or recorded. No filter is known here."""

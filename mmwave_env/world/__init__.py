@@ -1,0 +1,1 @@
+"""The world: users in streets, seen through a channel, as episodes; no filter and no data set."""

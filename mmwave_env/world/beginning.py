@@ -1,0 +1,104 @@
+"""How an episode begins: everything that is drawn before its first epoch.
+
+Functions of numbers that run on lanes, an episode to a lane; from a key to a world that can be
+stepped (:mod:`mmwave_env.world.simulation`).
+"""
+
+from functools import lru_cache
+from typing import NamedTuple
+
+from mmwave_env.compiler.program import Program
+from mmwave_env.models.measurement import STATE_SIZE, Layout
+from mmwave_env.models.random_scene import RandomScene
+from mmwave_env.models.scene import SceneNumbers
+from mmwave_env.numerics.numbers import Number, floor
+from mmwave_env.numerics.pytree import tree_at
+from mmwave_env.numerics.random import Dice, seeded
+from mmwave_env.world.kinematics import Net, state_of
+from mmwave_env.world.simulation import ReceiverState, UserState, blank_world
+from mmwave_env.world.travel import TravelPlan, blank_plan, draw_phases, set_off
+
+# Streams of numbers of a key: the way of a user is the same however it is received, and how often.
+USER, RECEIVER = 0, 1
+
+
+class Begun(NamedTuple):
+    """What was drawn."""
+
+    receiver: ReceiverState
+    user: UserState  # unless a way is given
+    choice: Number  # the number of the kind of user; of a given way, uniform in [0, 1)
+    first: list[Number]  # (7,) true state at the first epoch, 0 where a way is given
+    prior_noise: list[Number]  # (7,) what the prior's mean adds to it
+
+
+class Beginning(NamedTuple):
+    """A key, and what an episode begins from."""
+
+    key: list[Number]  # (1,) its bits
+    plans: list[TravelPlan]  # kinds of users; none where a way is given
+    scene: SceneNumbers  # where, unless that is drawn
+    duration_s: Number  # of the episode
+    prior_deviation: list[Number]  # (7,) of the prior's mean from the true state
+    first_bias_hz: Number  # standard deviation of the oscillator's first bias
+    begun: Begun
+
+
+def begin(w: Beginning, streets: RandomScene | None) -> Beginning:
+    """Draw all that an episode begins with; the order of drawing is part of what a key means."""
+    dice, others = Dice(seeded(w.key[0], USER)), Dice(seeded(w.key[0], RECEIVER))
+    scene = streets.draw_numbers(dice) if streets else w.scene
+    user, position, velocity = w.begun.user, [0.0, 0.0], [0.0, 0.0]
+    if w.plans:
+        choice = floor(float(len(w.plans)) * dice.uniform())
+        plan = tree_at(choice, w.plans)
+        net = _net(scene, plan.closer)
+        phases = draw_phases(dice, plan.phases, w.duration_s)
+        user = UserState([], net, phases, set_off(dice, phases, net))
+        user = user._replace(dice=dice.state)
+        position, velocity = state_of(user.traveler)
+    else:
+        choice = dice.uniform()
+    bias_hz = w.first_bias_hz * others.normal()
+    noise = [deviation * others.normal() for deviation in w.prior_deviation]
+    first = [*position, user.net.height, *velocity, 0.0, bias_hz]
+    receiver = w.begun.receiver._replace(dice=others.state, anchors=scene.anchors, bias_hz=bias_hz)
+    return w._replace(begun=Begun(receiver, user, choice, first, noise))
+
+
+def _net(scene: SceneNumbers, closer: Number) -> Net:
+    """The streets as a kind of user knows them."""
+    block = scene.block_m / closer
+    east, north = (floor(extent / block + 0.5) for extent in scene.extent_m)
+    x, y = scene.origin_m
+    return Net(block, east, north, x, y, scene.height_m)
+
+
+@lru_cache(maxsize=8)
+def beginning(
+    layout: Layout, kinds: int, phases: int, gaits: int, streets: RandomScene | None
+) -> Program[Beginning]:
+    """:func:`begin` for lanes.
+
+    Args:
+        layout: says how many anchors there are.
+        kinds: of users; 0 where a way is given.
+        phases, gaits: how many there is room for.
+        streets: where the scene is drawn from, if it is.
+    """
+    world = blank_world(layout, phases, gaits)
+    state = [0.0] * STATE_SIZE
+    template = Beginning(
+        key=[0.0],
+        plans=[blank_plan(phases, gaits)] * kinds,
+        scene=SceneNumbers(world.receiver.anchors, 1.0, [1.0, 1.0], [0.0, 0.0], 0.0),
+        duration_s=1.0,
+        prior_deviation=state,
+        first_bias_hz=0.0,
+        begun=Begun(world.receiver, world.user, 0.0, state, state),
+    )
+
+    def function(w: Beginning) -> Beginning:
+        return begin(w, streets)
+
+    return Program(function, template)

@@ -1,0 +1,299 @@
+"""An episode: everything that happens, complete before the first step.
+
+Nothing an agent does changes truth, measurements or noise, so an episode is data: arrays
+over epochs, drawn from a simulation or taken from a recording. Everything downstream treats
+both alike.
+"""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property, lru_cache
+from typing import Any, NamedTuple, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mmwave_env.models import envelope
+from mmwave_env.models.epoch import Epoch, Site, blank_site
+from mmwave_env.models.measurement import Layout
+from mmwave_env.numerics.arrays import Array, Index
+from mmwave_env.numerics.numbers import Number, where
+from mmwave_env.numerics.pytree import flatten, indices
+from mmwave_env.records import Bound
+from mmwave_env.world.checks import refuse, require_epochs, require_finite, require_within
+
+
+@dataclass(frozen=True, eq=False)
+class Episode:
+    """T epochs of one user.
+
+    Missing groups are a mask, never a magic value: where ``visible`` is False the numbers
+    mean nothing. Measurements that are NaN or infinite are marked missing and counted. Numbers
+    that the filters are not made for are refused (:mod:`~mmwave_env.models.envelope`).
+
+    Attributes:
+        name: what it is, for results and messages.
+        scene_anchors_m: (L, 3) anchors, the physical gNB first.
+        hz_per_mps: carrier frequency over the speed of light.
+        time_s: (T,) increasing.
+        measurement: (T, rows) in the order of ``layout``: m, rad, Hz, m/s.
+        sigma: (T, rows) standard deviations, same units, positive.
+        visible: (T, groups) bool.
+        snr_db: (T, L).
+        doppler_spread_hz: (T,).
+        prior_mean: (7,) state at the first epoch.
+        prior_covariance: (7, 7), positive definite.
+        truth_position_m: (T, 3), or None where nobody knows.
+        truth_velocity_mps: (T, 3), or None.
+        layout: rows and groups.
+    """
+
+    name: str
+    scene_anchors_m: Array
+    hz_per_mps: float
+    time_s: Array
+    measurement: Array
+    sigma: Array
+    visible: NDArray[np.bool_]
+    snr_db: Array
+    doppler_spread_hz: Array
+    prior_mean: Array
+    prior_covariance: Array
+    truth_position_m: Array | None
+    truth_velocity_mps: Array | None
+    layout: Layout
+
+    def __post_init__(self) -> None:
+        T, layout = len(self.time_s), self.layout
+        groups = len(layout.groups)
+        shapes: dict[str, tuple[int, ...]] = {
+            "scene_anchors_m": (layout.anchors, 3), "time_s": (T,),
+            "measurement": (T, layout.size), "sigma": (T, layout.size), "visible": (T, groups),
+            "snr_db": (T, layout.anchors), "doppler_spread_hz": (T,), "prior_mean": (7,),
+            "prior_covariance": (7, 7), "truth_position_m": (T, 3), "truth_velocity_mps": (T, 3),
+        }  # fmt: skip
+        require_epochs(self._record, self, shapes)
+        if not (self.sigma > 0.0).all():
+            wrong = self.sigma[~(self.sigma > 0.0)]
+            refuse(self._record, "sigma", f"{wrong[0]}", "> 0 everywhere")
+        require_finite(self._record, self, ("truth_position_m", "truth_velocity_mps"))
+        P = self.prior_covariance
+        if not (abs(P - P.T).max() <= 1e-8 * abs(P).max() and np.linalg.eigvalsh(P)[0] > 0.0):
+            refuse(self._record, "prior_covariance", f"{P.tolist()}", "a positive definite matrix")
+        for field, what, values, bound in self._bounded():
+            require_within(self._record, field, what, values, bound)
+
+    def _bounded(self) -> Iterator[tuple[str, str, Array, Bound]]:
+        """What the envelope bounds: field, what its numbers are, these, and where they may lie."""
+        mean, deviation = self.prior_mean, np.sqrt(np.diag(self.prior_covariance))
+        sigma, layout = np.where(self._used, self.sigma, np.nan), self.layout
+        lengths = np.setdiff1d(np.arange(layout.size), [*layout.angles, layout.doppler])
+        yield "hz_per_mps", "", np.array([self.hz_per_mps]), envelope.HZ_PER_MPS
+        yield "time_s", "a step of", np.diff(self.time_s), envelope.STEP_S
+        yield "doppler_spread_hz", "", self.doppler_spread_hz, envelope.DOPPLER_SPREAD_HZ
+        yield "scene_anchors_m", "", self.scene_anchors_m, envelope.POSITION_M
+        yield "prior_mean", "a position of", mean[:3], envelope.POSITION_M
+        yield "prior_mean", "a velocity of", mean[3:6], envelope.VELOCITY_MPS
+        yield "prior_mean", "a bias of", mean[6:], envelope.BIAS_HZ
+        for rows, bound in (
+            (slice(3), envelope.POSITION_SIGMA_M), (slice(3, 6), envelope.VELOCITY_SIGMA_MPS),
+            (slice(6, 7), envelope.BIAS_SIGMA_HZ),
+        ):  # fmt: skip
+            yield "prior_covariance", "a deviation of", deviation[rows], bound
+        for columns, bound in (
+            (lengths, envelope.RANGE_SIGMA_M), (layout.angles, envelope.ANGLE_SIGMA_RAD),
+            ([layout.doppler], envelope.DOPPLER_SIGMA_HZ),
+        ):  # fmt: skip
+            used = sigma[:, columns]
+            yield "sigma", "", used[~np.isnan(used)], bound
+
+    @property
+    def _record(self) -> str:
+        return f"episode {self.name!r}"
+
+    def __len__(self) -> int:
+        return len(self.time_s)
+
+    @cached_property
+    def usable(self) -> NDArray[np.bool_]:
+        """(T, groups) visible, and every number of the group finite."""
+        finite = np.isfinite(self.measurement) & np.isfinite(self.sigma)
+        for link in range(self.layout.anchors):
+            finite[:, self.layout.link(link)] &= np.isfinite(self.snr_db[:, link, None])
+        starts = [rows.start for rows in self.layout.groups]
+        usable: NDArray[np.bool_] = self.visible & np.logical_and.reduceat(finite, starts, axis=1)
+        return usable
+
+    @property
+    def _used(self) -> NDArray[np.bool_]:
+        """(T, rows) :attr:`usable`, row by row."""
+        widths = [rows.stop - rows.start for rows in self.layout.groups]
+        used: NDArray[np.bool_] = np.repeat(self.usable, widths, axis=1)
+        return used
+
+    @property
+    def nonfinite(self) -> int:
+        """Groups marked visible whose numbers are NaN or infinite; they count as missing."""
+        return int((self.visible & ~self.usable).sum())
+
+    @property
+    def has_truth(self) -> bool:
+        """Whether errors, rewards and metrics can be computed."""
+        return self.truth_position_m is not None and self.truth_velocity_mps is not None
+
+    def require_truth(self) -> None:
+        """Refuse an episode that can't be scored.
+
+        Raises:
+            ValueError: position or velocity is not known.
+        """
+        if not self.has_truth:
+            raise ValueError(
+                f"episode {self.name!r}: found no truth, which reward and metrics need"
+            )
+
+    def on_flat_ground(self, height_m: float | None = None) -> "Episode":
+        """The same with the height known, by default the true one of the first epoch; vz is 0."""
+        if height_m is None:
+            self.require_truth()
+            height_m = self.truth_position_m[0, 2]  # type: ignore[index]
+        mean = self.prior_mean.copy()
+        mean[2], mean[5] = height_m, 0.0
+        return replace(self, prior_mean=mean)
+
+    def table(self) -> Array:
+        """(T, columns) as the engine loads it; :func:`columns_of` says which column is what."""
+        at, links = columns_of(self.layout), self.usable[:, : self.layout.anchors]
+        keep = self._used
+        position, velocity = self.truth_position_m, self.truth_velocity_mps
+        table = np.empty((len(self), at.truth[-1] + 1))
+        table[:, at.dt] = np.diff(self.time_s, prepend=self.time_s[0])
+        table[:, at.z] = np.where(keep, self.measurement, 0.0)
+        table[:, at.signed_sigma] = np.where(keep, self.sigma, -1.0)
+        table[:, at.snr_db] = np.where(links, self.snr_db, 0.0)
+        table[:, at.doppler_spread_hz] = self.doppler_spread_hz
+        table[:, at.truth[:3]] = np.nan if position is None else position
+        table[:, at.truth[3:]] = np.nan if velocity is None else velocity
+        return table
+
+    def site(self) -> Array:
+        """A :class:`~mmwave_env.models.epoch.Site` as a row of numbers, as engines load it."""
+        packed = self.prior_covariance[np.tril_indices(7)]
+        site = Site(self.scene_anchors_m.tolist(), self.hz_per_mps, [*self.prior_mean], [*packed])
+        return np.array(flatten(site))
+
+
+class EpisodeBatch(NamedTuple):
+    """Many episodes as an engine loads them.
+
+    Attributes:
+        names: (n,) of the episodes.
+        nonfinite: (n,) as in :class:`Episode`.
+        length: (n,) epochs.
+        table: (n, epochs, columns), rows of :meth:`Episode.table` up to the length.
+        site: (n, numbers), rows of :meth:`Episode.site`.
+        layout: of all of them.
+    """
+
+    names: list[str]
+    nonfinite: Index
+    length: Index
+    table: Array
+    site: Array
+    layout: Layout
+
+    @classmethod
+    def of(cls, episodes: Sequence[Episode]) -> "EpisodeBatch":
+        """The same episodes.
+
+        Raises:
+            ValueError: their layouts differ.
+        """
+        layout = episodes[0].layout
+        for episode in episodes:
+            if episode.layout != layout:
+                raise ValueError(
+                    f"layout of episode {episode.name!r}: found {episode.layout}, expected {layout}"
+                )
+        tables = [episode.table() for episode in episodes]
+        length = np.array([len(table) for table in tables])
+        table = np.empty((len(tables), length.max(), tables[0].shape[1]))
+        for row, own in zip(table, tables, strict=True):
+            row[: len(own)] = own
+        return cls(
+            names=[episode.name for episode in episodes],
+            nonfinite=np.array([episode.nonfinite for episode in episodes]),
+            length=length,
+            table=table,
+            site=np.stack([episode.site() for episode in episodes]),
+            layout=layout,
+        )
+
+    def on_flat_ground(self) -> "EpisodeBatch":
+        """The same with the height known, as :meth:`Episode.on_flat_ground` at the first epoch."""
+        height_m = self.table[:, 0, columns_of(self.layout).truth[2]]
+        return self._replace(site=level(self.site, height_m, self.layout))
+
+
+def level(sites: Array, height_m: Array, layout: Layout) -> Array:
+    """Sites (n, numbers) where the height (n,) is known and vz is 0."""
+    sites, prior = sites.copy(), indices(blank_site(layout)).prior_x
+    sites[:, prior[2]], sites[:, prior[5]] = height_m, 0.0
+    return sites
+
+
+class Incoming(NamedTuple):
+    """What is loaded from an episode, a row of :meth:`Episode.table`.
+
+    Attributes:
+        dt, z, snr_db, doppler_spread_hz: as in :class:`Epoch`.
+        signed_sigma: (rows,) standard deviations, negative where the group is missing.
+        truth: (6,) true position (m) and velocity (m/s), to score against.
+    """
+
+    dt: Number
+    z: list[Number]
+    signed_sigma: list[Number]
+    snr_db: list[Number]
+    doppler_spread_hz: Number
+    truth: list[Number]
+
+    def epoch(self, layout: Layout) -> Epoch:
+        """What the estimator sees of it."""
+        first = [self.signed_sigma[rows.start] for rows in layout.groups]
+        visible = [where(sigma > 0.0, 1.0, 0.0) for sigma in first]
+        sigma = [abs(sigma) for sigma in self.signed_sigma]
+        return Epoch(self.dt, self.z, sigma, visible, self.snr_db, self.doppler_spread_hz)
+
+
+def blank_incoming(layout: Layout) -> Incoming:
+    """An epoch that measures nothing."""
+    nothing = [0.0] * layout.size
+    return Incoming(0.0, nothing, [-1.0] * layout.size, [0.0] * layout.anchors, 0.0, [0.0] * 6)
+
+
+@lru_cache(maxsize=64)
+def columns_of(layout: Layout) -> Any:
+    """Which columns of :meth:`Episode.table` hold what: an :class:`Incoming` of their numbers."""
+    return indices(blank_incoming(layout))
+
+
+class EpisodeSource(Protocol):
+    """Where episodes come from.
+
+    Attributes:
+        layout: rows of every episode's measurements.
+        epochs: length of every episode.
+        name: for results.
+    """
+
+    @property
+    def layout(self) -> Layout: ...  # noqa: D102
+    @property
+    def epochs(self) -> int: ...  # noqa: D102
+    @property
+    def name(self) -> str: ...  # noqa: D102
+
+    def sample(self, rng: np.random.Generator) -> Episode:
+        """Draw one episode; all randomness comes from ``rng``."""
+        ...

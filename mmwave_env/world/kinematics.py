@@ -1,0 +1,147 @@
+"""Motion of users along their way, on lanes: eight travelers at once.
+
+A traveler speeds up and brakes within limits of acceleration, braking and jerk, towards its
+target speed and down to what lies ahead: corners and red lights. The equations are those of a
+substep without events; :mod:`mmwave_env.world.travel` has what happens between them.
+"""
+
+from typing import NamedTuple
+
+from mmwave_env.numerics.numbers import Number, clip, cos_sin, maximum, minimum, sqrt, where
+
+STANDING_MPS = 0.1  # slow enough to change over to another phase
+FAR = 1e9  # m or s: never
+
+
+class Net(NamedTuple):
+    """The streets as a traveler knows them."""
+
+    block: Number  # distance of crossings, m
+    # blocks_x, blocks_y: how many there are, west to east and south to north
+    blocks_x: Number
+    blocks_y: Number
+    # origin_x, origin_y: the crossing to the south-west, m
+    origin_x: Number
+    origin_y: Number
+    height: Number  # of the user equipment, m
+
+
+class Traveler(NamedTuple):
+    """Where a traveler is, and what it is up to.
+
+    The way ahead is a straight stretch, then an arc over a crossing (none where it is straight
+    on); the crossing after that is known too, for braking over a crossing that is driven straight.
+    """
+
+    due: Number  # 1 where something is to happen before the next substep: gait, crossing, phase
+    time: Number  # since the episode began, s
+    # x, y: where the way ahead begins, m
+    x: Number
+    y: Number
+    heading: Number  # before the arc, in quarter turns from east to the left: 0 to 3
+    traveled: Number  # on the way ahead, m
+    # stretch, arc: lengths of the way ahead, m
+    stretch: Number
+    arc: Number
+    radius: Number  # of its arc, m
+    # v, a: speed (m/s) and acceleration (m/s^2)
+    v: Number
+    a: Number
+    # acceleration, braking, lateral: limits, m/s^2
+    acceleration: Number
+    braking: Number
+    lateral: Number
+    jerk: Number  # limit, m/s^3
+    target: Number  # speed to reach, m/s
+    gait_left: Number  # time to keep it, s
+    phase: Number  # which; ends at ``phase_end`` s
+    phase_end: Number
+    stopping: Number  # 1 while coming to a stand to change over to the next phase
+    # turn, red: at the crossing ahead: quarter turns to the left; red light, s
+    turn: Number
+    red: Number
+    # turn_after, red_after: at the crossing after that
+    turn_after: Number
+    red_after: Number
+    # node_x, node_y: the crossing after that, in blocks from the origin
+    node_x: Number
+    node_y: Number
+
+
+def unit(heading: Number) -> tuple[Number, Number]:
+    """East and north of a step of one towards a heading of 0 to 3 quarter turns."""
+    odd = where(abs(heading - 2.0) > 0.5, 0.0, -1.0)
+    east = where(heading < 0.5, 1.0, odd)
+    north = where(abs(heading - 1.0) < 0.5, 1.0, where(heading > 2.5, -1.0, 0.0))
+    return east, north
+
+
+def around(heading: Number) -> Number:
+    """A heading of -4 to 7 quarter turns as one of 0 to 3."""
+    heading = where(heading > 3.5, heading - 4.0, heading)
+    return where(heading < -0.5, heading + 4.0, heading)
+
+
+def state_of(t: Traveler) -> tuple[list[Number], list[Number]]:
+    """Position (2,), m, and velocity (2,), m/s."""
+    along, bent = minimum(t.traveled, t.stretch), clip(t.traveled - t.stretch, 0.0, t.arc)
+    beyond = maximum(t.traveled - t.stretch - t.arc, 0.0)  # the crossing is not due before then
+    east, north = unit(t.heading)
+    side = where(t.turn < -0.5, -1.0, 1.0)
+    cosine, sine = cos_sin(bent / t.radius)
+    forward = along + t.radius * sine + beyond * cosine
+    left = side * (t.radius * (1.0 - cosine) + beyond * sine)
+    ahead, across = t.v * cosine, side * t.v * sine
+    position = [t.x + forward * east - left * north, t.y + forward * north + left * east]
+    return position, [ahead * east - across * north, ahead * north + across * east]
+
+
+def wanted_acceleration(t: Traveler, net: Net) -> Number:
+    """The acceleration a traveler asks for, m/s^2: to its target speed, or down for what is ahead.
+
+    Two things ahead limit the speed. A turn at a crossing limits it to v_c with v_c^2 = lateral
+    acceleration times radius; a red light limits it to v_c = 0 one meter before the crossing.
+    Braking at b over a distance d goes from v down to v_c with v^2 = v_c^2 + 2 b d. Travelers plan
+    with half of their b, so the speed they aim at is v^2 = v_c^2 + b d. The braking that v needs,
+    (v^2 - v_c^2) / 2 d, counts d without what is traveled until the braking has built up; where it
+    exceeds 0.7 b, they brake as hard as needed, up to b.
+    """
+    left, turns, turns_after = t.stretch - t.traveled, t.arc > 0.0, abs(t.turn_after) > 0.5
+    beyond = left + net.block - where(turns_after, t.radius, 0.0)
+    corner = where(turns, left, where(turns_after, beyond, FAR))
+    light_after = where((t.red_after > 0.0) & (beyond > 0.0), beyond, FAR)
+    light = where((t.red > 0.0) & (left > 0.0), left, where(turns, FAR, light_after))
+    light = maximum(light - 1.0, 0.0)
+    cornering, squared = t.lateral * t.radius, t.v * t.v
+    aim = minimum(cornering + t.braking * maximum(corner, 0.0), t.braking * light)
+    aim = sqrt(minimum(t.target * t.target, aim))
+    pull = clip((aim - t.v) * 2.0, -t.braking, t.acceleration)
+    built_up = 0.6 / t.jerk * (maximum(t.a, 0.0) + t.braking) * t.v  # until braking has
+    need = maximum(
+        where(corner > 0.0, squared - cornering, 0.0) / (2.0 * maximum(corner - built_up, 0.5)),
+        where(light > 0.0, squared, 0.0) / (2.0 * maximum(light - built_up, 0.5)),
+    )
+    late = need > 0.7 * t.braking
+    return where(late, minimum(pull, -minimum(need, t.braking)), pull)
+
+
+def move(t: Traveler, net: Net, step: Number) -> Traveler:
+    """A substep of some seconds; at its end, whether something is due."""
+    most = t.jerk * step
+    waiting = (t.v < 0.3) & (t.stretch - t.traveled < 3.0)
+    a = t.a + clip(wanted_acceleration(t, net) - t.a, -most, most)
+    v = t.v + maximum(a * step, -t.v)  # never backwards; nor fused, which rounds otherwise
+    a = where(v > 0.0, a, maximum(a, 0.0))
+    time, traveled = t.time + step, t.traveled + 0.5 * (t.v + v) * step
+    gait_left = t.gait_left - step
+    changing = where(t.stopping > 0.5, STANDING_MPS - v, time - t.phase_end)
+    due = (gait_left <= 0.0) | (traveled >= t.stretch + t.arc) | (changing >= 0.0)
+    return t._replace(
+        due=where(due, 1.0, 0.0),
+        time=time,
+        traveled=traveled,
+        v=v,
+        a=a,
+        gait_left=gait_left,
+        red=where(waiting, t.red - step, t.red),
+    )

@@ -1,0 +1,249 @@
+"""Kinds of users: how fast they want to go, what they can do, where they walk or drive."""
+
+import os
+from collections.abc import Sequence
+from dataclasses import astuple, dataclass, replace
+from math import inf
+from pathlib import Path
+from typing import Annotated
+
+from mmwave_env.lookup import as_name, choose, quoted
+from mmwave_env.records import (
+    Bound,
+    Count,
+    Filled,
+    Name,
+    NonNegative,
+    Positive,
+    Probability,
+    object_from,
+    read_object,
+    require_fields,
+)
+from mmwave_env.world import travel
+from mmwave_env.world.kinematics import FAR
+from mmwave_env.world.travel import PhasePlan, TravelPlan, blank_plan
+
+FASTEST_MPS = 100.0  # beyond any user of streets
+ROOM = 3  # phases and gaits there is room for at least: all kinds that come along share a program
+
+Speed = Annotated[float, Bound(f"0 to {FASTEST_MPS:g} m/s", least=0.0, most=FASTEST_MPS)]
+Duration = Annotated[float, Bound("a number > 0", above=0.0, most=inf)]
+Range = tuple[Positive, Positive]
+
+
+def _require_ordered(record: object, *names: str) -> None:
+    """Refuse ranges that are the wrong way round."""
+    for name in names:
+        low, high = getattr(record, name)
+        if low > high:
+            raise ValueError(f"{name}: found {(low, high)}, expected [low, high]")
+
+
+@dataclass(frozen=True)
+class Gait:
+    """A target speed that is kept for a while.
+
+    Attributes:
+        low_mps, high_mps: the target is uniform between these.
+        mean_s: mean duration, exponential; for good if left out.
+        weight: how often it is chosen next, relative to the others.
+    """
+
+    low_mps: Speed
+    high_mps: Speed
+    mean_s: Duration = inf
+    weight: Positive = 1.0
+
+    def __post_init__(self) -> None:
+        require_fields(self)
+        if self.low_mps > self.high_mps:
+            raise ValueError(
+                f"high_mps: found {self.high_mps}, expected >= {self.low_mps}, low_mps"
+            )
+
+
+@dataclass(frozen=True)
+class Limits:
+    """What a traveler can do; ranges are drawn once per episode.
+
+    Attributes:
+        acceleration_mps2, braking_mps2, lateral_mps2: ranges.
+        jerk_mps3: limit of the change of acceleration.
+        corner_radius_m: of the arcs at crossings; at most half the distance of crossings.
+        red_light_probability: of waiting at a crossing.
+        red_light_s: range of the wait.
+    """
+
+    acceleration_mps2: Range
+    braking_mps2: Range
+    lateral_mps2: Range
+    jerk_mps3: Positive
+    corner_radius_m: Positive
+    red_light_probability: Probability = 0.0
+    red_light_s: tuple[NonNegative, NonNegative] = (5.0, 25.0)
+
+    def __post_init__(self) -> None:
+        require_fields(self)
+        _require_ordered(self, "acceleration_mps2", "braking_mps2", "lateral_mps2", "red_light_s")
+
+
+@dataclass(frozen=True)
+class Phase:
+    """A stretch of an episode with one way of moving.
+
+    Attributes:
+        limits: what is possible.
+        gaits: what is wanted.
+        duration_s: range of its length; the rest of the episode if left out.
+    """
+
+    limits: Limits
+    gaits: Filled[Gait]
+    duration_s: tuple[Duration, Duration] = (inf, inf)
+
+    def __post_init__(self) -> None:
+        require_fields(self)
+        _require_ordered(self, "duration_s")
+
+
+@dataclass(frozen=True)
+class Mobility:
+    """A kind of user.
+
+    Attributes:
+        name: of the scenario.
+        phases: in order of time. All but the last say their ``duration_s``; the last does not,
+            unless the episode ends as it began.
+        blocks: how many times closer together the crossings are than the streets' blocks say.
+        ends_as_it_began: whether the episode ends with its first phase again.
+    """
+
+    name: Name
+    phases: Filled[Phase]
+    blocks: Count = 1
+    ends_as_it_began: bool = False
+
+    def __post_init__(self) -> None:
+        require_fields(self, f" of mobility {quoted(self.name)}")
+        lasts = self.phases[-1].duration_s[0] == inf
+        for i, phase in enumerate(self.phases):
+            last = i == len(self.phases) - 1
+            if phase.duration_s[1] == inf and (not last or (self.ends_as_it_began and i == 0)):
+                raise ValueError(f"phases[{i}].duration_s: found none, expected [low, high]")
+        if not lasts and not self.ends_as_it_began:
+            raise ValueError(
+                f"phases[{len(self.phases) - 1}].duration_s: found it in the last phase, expected "
+                "none: it lasts until the episode ends"
+            )
+
+
+_ON_FOOT = Limits((0.5, 1.0), (0.8, 1.5), (1.0, 2.0), 2.0, 1.0)
+_WALK = (Gait(0.4, 1.9, 20.0, 3.0), Gait(0.0, 0.0, 10.0, 1.0))
+_DRIVING = Limits((1.5, 3.0), (2.0, 3.5), (2.0, 3.5), 4.0, 8.0, 0.4)
+_DRIVE = (Gait(9.0, 20.0),)
+_JAM = (Gait(0.0, 0.0, 8.0, 1.0), Gait(0.5, 2.5, 8.0, 1.5), Gait(3.0, 7.0, 6.0, 1.0))
+_CYCLING = Limits((0.6, 1.2), (1.5, 2.5), (1.5, 2.5), 2.0, 4.0, 0.2, (5.0, 15.0))
+_CYCLE = (Gait(2.0, 6.5, 25.0),)
+
+MOBILITIES: dict[str, Mobility] = {
+    "pedestrian": Mobility("pedestrian", (Phase(_ON_FOOT, _WALK),), blocks=4),
+    "vehicle": Mobility("vehicle", (Phase(_DRIVING, _DRIVE),)),
+    "walk-ride": Mobility(
+        "walk-ride",
+        (Phase(_ON_FOOT, _WALK, (45.0, 75.0)), Phase(_DRIVING, _DRIVE)),
+        ends_as_it_began=True,
+    ),
+    "jam": Mobility("jam", (Phase(replace(_DRIVING, red_light_probability=0.0), _JAM),)),
+    "cyclist": Mobility("cyclist", (Phase(_CYCLING, _CYCLE),)),
+}
+MIXED = "mixed"
+SCENARIOS = (*MOBILITIES, MIXED)
+
+
+def mobilities_of(scenario: str | os.PathLike[str] | Mobility) -> tuple[Mobility, ...]:
+    """The mobilities a scenario draws from, in equal shares.
+
+    Raises:
+        ValueError: unknown scenario; the message lists the valid ones. A file that holds something
+            else than :func:`read_mobility` reads.
+    """
+    if isinstance(scenario, Mobility):
+        return (scenario,)
+    if str(scenario).endswith(".json"):
+        return (read_mobility(scenario),)
+    names = {name: (mobility,) for name, mobility in MOBILITIES.items()}
+    names[MIXED] = tuple(MOBILITIES.values())  # type: ignore[assignment]
+    return choose(names, str(scenario), "scenario")
+
+
+def read_mobility(path: str | os.PathLike[str]) -> Mobility:
+    """A kind of user from a JSON file: the fields of :class:`Mobility`, objects for its parts.
+
+    "name" is by default that of the file.
+
+    Raises:
+        ValueError: naming the file and what is wrong in it.
+        FileNotFoundError: there is no such file.
+    """
+    name = {"name": as_name(Path(path).stem)}
+    return read_object(path, "mobility", lambda content: object_from(Mobility, name | content))
+
+
+def plans_of(mobilities: Sequence[Mobility], block_m: float) -> list[TravelPlan]:
+    """Mobilities in numbers, for streets that are so far apart, or farther.
+
+    All have as many phases and gaits, of which some do not count.
+
+    Raises:
+        ValueError: corners that do not fit between two crossings.
+    """
+    acts = [m.phases + m.phases[:1] * m.ends_as_it_began for m in mobilities]
+    room = max(ROOM, *(len(phases) for phases in acts))
+    gaits = max(ROOM, *(len(phase.gaits) for phases in acts for phase in phases))
+    plans = []
+    for mobility, phases in zip(mobilities, acts, strict=True):
+        _require_room(mobility, block_m / mobility.blocks)
+        (unused,) = blank_plan(1, gaits).phases
+        listed = [_phase_plan(phase, gaits) for phase in phases]
+        if mobility.ends_as_it_began:
+            listed[-2] = listed[-2]._replace(ends_early=1.0)
+        listed += [unused] * (room - len(listed))
+        plans.append(TravelPlan(float(mobility.blocks), listed))
+    return plans
+
+
+def _require_room(mobility: Mobility, apart: float) -> None:
+    """Refuse corners that do not fit between crossings so far apart, m."""
+    for phase in mobility.phases:
+        if 2.0 * phase.limits.corner_radius_m > apart:
+            raise ValueError(
+                f"corner_radius_m of mobility {mobility.name!r}: found "
+                f"{phase.limits.corner_radius_m}, expected at most half of the {apart:g} m between "
+                "crossings"
+            )
+
+
+def _phase_plan(phase: Phase, gaits: int) -> PhasePlan:
+    """A phase in numbers, with room for some gaits."""
+    limits = phase.limits
+    wanted = [travel.Gait(*map(_finite, astuple(gait))) for gait in phase.gaits]
+    wanted += [travel.Gait(0.0, 0.0, 1.0, 0.0)] * (gaits - len(wanted))
+    fixed = travel.Phase(
+        acceleration=0.0, braking=0.0, lateral=0.0, jerk=limits.jerk_mps3,
+        radius=limits.corner_radius_m, red_probability=limits.red_light_probability,
+        red_low=limits.red_light_s[0], red_high=limits.red_light_s[1], end=0.0, gaits=wanted,
+    )  # fmt: skip
+    return PhasePlan(
+        length=list(map(_finite, phase.duration_s)),
+        acceleration=list(limits.acceleration_mps2),
+        braking=list(limits.braking_mps2),
+        lateral=list(limits.lateral_mps2),
+        ends_early=0.0,
+        phase=fixed,
+    )
+
+
+def _finite(value: float) -> float:
+    """The value; a time without end as one that no episode sees the end of."""
+    return min(value, FAR)

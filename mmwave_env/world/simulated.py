@@ -1,0 +1,345 @@
+"""Simulated episodes: a user in the streets, seen through a channel.
+
+An episode is a function of its key: from the key follows how it begins, and from there it runs
+epoch by epoch, eight episodes at a time.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import pairwise
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from mmwave_env.compiler.lanes import WIDTH
+from mmwave_env.compiler.program import (
+    BatchState,
+    Feed,
+    Program,
+    StepIO,
+    blocks_of,
+    lanes_of,
+    rows_of,
+)
+from mmwave_env.compiler.threads import share
+from mmwave_env.models.channel import channel_of
+from mmwave_env.models.envelope import STEP_S
+from mmwave_env.models.epoch import Site
+from mmwave_env.models.measurement import STATE_SIZE, Layout
+from mmwave_env.models.radio import Radio
+from mmwave_env.models.random_scene import RandomScene
+from mmwave_env.models.scene import Scene
+from mmwave_env.numerics.arrays import Array, Index
+from mmwave_env.numerics.pytree import flatten, indices
+from mmwave_env.numerics.random import Dice, seeded
+from mmwave_env.world.beginning import USER, Beginning, beginning
+from mmwave_env.world.episode import Episode, EpisodeBatch, columns_of, level
+from mmwave_env.world.keys import Keys, draw_key
+from mmwave_env.world.mobility import MIXED, plans_of
+from mmwave_env.world.scenarios import Scenario, Users, users_of
+from mmwave_env.world.simulation import (
+    World,
+    WorldSettings,
+    as_measured,
+    on_a_way,
+    world_of,
+)
+from mmwave_env.world.travel import TravelPlan, stride_of
+from mmwave_env.world.ways import PlacedWays
+
+
+class Begun(NamedTuple):
+    """What n episodes begin with.
+
+    Attributes:
+        kinds: (n,) numbers of the kinds of users, or of the ways given.
+        worlds: (n, numbers) what is kept of each world, before the first epoch; the receiver's
+            alone where a way is given.
+        truth: (n, epochs, 6) to load into them where a way is given; else (n, epochs, 0).
+        first: (n, 7) true states at the first epoch.
+        sites: (n, numbers) rows of :meth:`Episode.site`.
+    """
+
+    kinds: Index
+    worlds: Array
+    truth: Array
+    first: Array
+    sites: Array
+
+    def on_flat_ground(self, layout: Layout) -> "Begun":
+        """The same with the height known, as :meth:`Episode.on_flat_ground`."""
+        return self._replace(sites=level(self.sites, self.first[:, 2], layout))
+
+
+@dataclass(frozen=True)
+class SimulatedSource:
+    """Episodes of simulated users in a street scene.
+
+    Attributes:
+        scene: geometry and carrier; or where each episode draws its own from.
+        radio: noise, blockage, multipath.
+        scenario: kind of user: a name, "mixed", a JSON file or a Mobility; or given ways: a CSV
+            file, a Trajectory or Ways.
+        dt: seconds between epochs.
+        epochs: length of an episode; at most, of given ways: a window that is drawn, or all of
+            one that is shorter.
+        odometry: whether the user also reports speed and heading.
+    """
+
+    scene: Scene | RandomScene
+    radio: Radio
+    scenario: Scenario = "mixed"
+    dt: float = 1.0
+    epochs: int = 200
+    odometry: bool = False
+
+    def __post_init__(self) -> None:
+        if not STEP_S.holds(self.dt):
+            raise ValueError(f"dt: found {self.dt}, expected {STEP_S.expected}")
+        if self.epochs < 1:
+            raise ValueError(f"epochs: found {self.epochs}, expected at least 1")
+        if not self._plans:
+            object.__setattr__(self, "epochs", self.ways.epochs)
+
+    @cached_property
+    def layout(self) -> Layout:
+        """Rows of every episode's measurements."""
+        return Layout(len(self._example.anchors_m), self.odometry)
+
+    @cached_property
+    def _example(self) -> Scene:
+        """The scene, or one of those that are drawn: carrier and number of anchors are as here."""
+        return self.scene.example if isinstance(self.scene, RandomScene) else self.scene
+
+    @property
+    def time_s(self) -> Array:
+        """(epochs,) of every episode."""
+        return self.dt * np.arange(self.epochs, dtype=np.float64)
+
+    @cached_property
+    def steps_s(self) -> Array:
+        """(epochs,) seconds since the epoch before, 0 in the first."""
+        return np.diff(self.time_s, prepend=0.0)
+
+    @property
+    def name(self) -> str:
+        """The scenario, and the scene where it is not the default street."""
+        users, scene = self._users, self.scene.name
+        who = users.name if not isinstance(users, tuple) else users[0].name
+        who = MIXED if isinstance(users, tuple) and len(users) > 1 else who
+        return who if scene == "street" else f"{who} on {scene}"
+
+    def sample(self, rng: np.random.Generator) -> Episode:
+        """Draw one episode; all that it takes from ``rng`` is its key."""
+        return self.episode(draw_key(rng))
+
+    def episode(self, key: int) -> Episode:
+        """The episode of a key."""
+        (episode,) = self.episodes(np.array([key], np.uint64))
+        return episode
+
+    def episodes(self, keys: Keys) -> list[Episode]:
+        """The episodes of keys (n,)."""
+        found = self.sample_batch(keys)
+        return [
+            self._as_episode(*each)
+            for each in zip(found.names, found.table, found.site, strict=True)
+        ]
+
+    def _as_episode(self, name: str, table: Array, site: Array) -> Episode:
+        """An episode of a batch."""
+        at, where = columns_of(self.layout), self._site[1]
+
+        def columns(of: Any) -> Array:
+            return np.ascontiguousarray(table[:, of])
+
+        signed_sigma = columns(at.signed_sigma)
+        starts = [group.start for group in self.layout.groups]
+        return Episode(
+            name=name,
+            scene_anchors_m=site[flatten(where.anchors)].reshape(-1, 3),
+            hz_per_mps=self._example.hz_per_mps,
+            time_s=self.time_s,
+            measurement=columns(at.z),
+            sigma=np.abs(signed_sigma),
+            visible=signed_sigma[:, starts] > 0.0,
+            snr_db=columns(at.snr_db),
+            doppler_spread_hz=columns(at.doppler_spread_hz),
+            prior_mean=site[where.prior_x],
+            prior_covariance=self.radio.prior_covariance(self._example),
+            truth_position_m=columns(at.truth[:3]),
+            truth_velocity_mps=columns(at.truth[3:]),
+            layout=self.layout,
+        )
+
+    def scene_of(self, key: int) -> Scene:
+        """The scene of an episode."""
+        if not isinstance(self.scene, RandomScene):
+            return self.scene
+        word = float(np.array(key, np.uint64).view(np.float64))
+        return self.scene.scene_of(self.scene.draw_numbers(Dice(seeded(word, USER))))
+
+    def sample_batch(self, keys: Keys, threads: int = 1) -> EpisodeBatch:
+        """The episodes of keys (n,); so many threads may draw at once."""
+        n, at = len(keys), columns_of(self.layout)
+        begun = self.begin(keys)
+        program, state = self._along(begun) if self.travels else self._on_the_way(begun)
+        measured = rows_of(program.index.measured)
+        io = StepIO.of(n, self.epochs, output_rows=measured)
+        program.on_lanes()  # else some threads would wait for what others compile
+        jobs = [(state, io, part) for part in _parts(len(state.rows), threads)]
+        share(program.run_on_lanes, jobs, threads)
+        io.outputs[:, :, at.dt] = self.steps_s
+        return EpisodeBatch(
+            names=[self.names[kind] for kind in begun.kinds],
+            nonfinite=np.zeros(n, np.int64),
+            length=np.full(n, self.epochs),
+            table=io.outputs,
+            site=begun.sites,
+            layout=self.layout,
+        )
+
+    def feed(self, worlds: Array) -> Feed:
+        """What makes epochs of drawn users from the worlds (n, numbers) they begin in."""
+        kept, (block, lane) = blocks_of(self._blank_kept, len(worlds)), lanes_of(len(worlds))
+        kept[block, :, lane] = worlds
+        timed = columns_of(self.layout).dt
+        return Feed(self.world.on_lanes(), self._settings_rows, kept, timed, self.steps_s)
+
+    def _along(self, begun: Begun) -> tuple[Program[Any], BatchState]:
+        """What runs, from where, so that drawn users are simulated."""
+        program, n = as_measured(self.layout), len(begun.worlds)
+        state = BatchState.of(np.empty((n, self.epochs, 0)), blocks_of(program.start, n))
+        return program, state._replace(feed=self.feed(begun.worlds))
+
+    def _on_the_way(self, begun: Begun) -> tuple[Program[Any], BatchState]:
+        """The same for a way that is given."""
+        program, n = on_a_way(self.layout), len(begun.worlds)
+        at, rows, (block, lane) = program.index, blocks_of(program.start, n), lanes_of(n)
+        rows[:, rows_of(at.settings)] = self._settings_rows
+        rows[block[:, None], rows_of(at.receiver), lane[:, None]] = begun.worlds
+        return program, BatchState.of(begun.truth, rows)
+
+    @property
+    def travels(self) -> bool:
+        """Whether users are drawn, so that an episode needs no table; else a way is given."""
+        return bool(self._plans)
+
+    def begin(self, keys: Keys) -> Begun:
+        """What the episodes of keys (n,) begin with."""
+        n, program = len(keys), self._beginning
+        at = program.index.begun
+        parts = [at.choice, at.first, at.prior_noise, at.receiver.anchors]
+        world = [at.receiver, at.user] if self.travels else [at.receiver]
+        io = StepIO.of(n, 1, output_rows=rows_of([parts, world]))
+        tables, rows = keys.view(np.float64).reshape(n, 1, 1), blocks_of(self._before, n)
+        program.run_on_lanes(BatchState.of(tables, rows), io)
+        ends = np.cumsum([len(flatten(part)) for part in parts])
+        choice, first, noise, anchors, worlds = np.split(io.outputs[:, 0], ends, axis=1)
+        kinds, truth = choice[:, 0].astype(np.int64), np.empty((n, self.epochs, 0))
+        if not self.travels:
+            kinds, truth = self.ways.draw(choice[:, 0])
+            first[:, :6] = truth[:, 0]
+        site, where = self._site
+        sites = np.tile(site, (n, 1))
+        sites[:, where.prior_x] = first + noise
+        sites[:, flatten(where.anchors)] = anchors
+        return Begun(kinds, worlds, truth, first, sites)
+
+    @cached_property
+    def _users(self) -> Users:
+        return users_of(self.scenario)
+
+    @cached_property
+    def names(self) -> Sequence[str]:
+        """Of the kinds of users, or of those who went the ways."""
+        users = self._users
+        return [user.name for user in users] if isinstance(users, tuple) else self.ways.names
+
+    @cached_property
+    def _plans(self) -> list[TravelPlan]:
+        """Kinds of users; none where ways are given."""
+        users, scene = self._users, self.scene
+        if not isinstance(users, tuple):
+            if isinstance(scene, RandomScene):
+                raise ValueError(
+                    f"scene: found {scene.name!r}, expected one scene: {users.name} is a way in "
+                    "streets of its own"
+                )
+            return []
+        if isinstance(scene, RandomScene):
+            return plans_of(users, scene.block_m[0])
+        scene.require_streets_in_front()
+        return plans_of(users, scene.streets.block_m)
+
+    @cached_property
+    def ways(self) -> PlacedWays:
+        """The ways that are given, where users are not drawn."""
+        users = self._users
+        assert not isinstance(users, tuple)
+        return users.placed(self._example, self.dt, self.epochs)
+
+    @property
+    def world(self) -> World:
+        """What runs from epoch to epoch, of drawn users."""
+        return world_of(self.layout, *self._room)
+
+    @property
+    def _room(self) -> tuple[int, int]:
+        """How many phases and gaits there is room for."""
+        phases = [plan.phases for plan in self._plans]
+        return (len(phases[0]), len(phases[0][0].phase.gaits)) if phases else (1, 1)
+
+    @property
+    def _beginning(self) -> Program[Beginning]:
+        streets = self.scene if isinstance(self.scene, RandomScene) else None
+        return beginning(self.layout, len(self._plans), *self._room, streets)
+
+    @cached_property
+    def _before(self) -> Array:
+        """The workspace (size,) that an episode is begun from, but for its key."""
+        scene, radio, template = self._example, self.radio, self._beginning.template
+        filled = template._replace(
+            plans=self._plans,
+            scene=scene.numbers,
+            duration_s=self.epochs * self.dt,
+            prior_deviation=np.sqrt(np.diag(radio.prior_covariance(scene))).tolist(),
+            first_bias_hz=scene.hz_per_mps * radio.prior_bias_mps,
+        )
+        return np.array(flatten(filled), float)
+
+    @cached_property
+    def _settings_rows(self) -> Array:
+        """(rows, 8) what is the same in all episodes."""
+        radio, scene, stride = self.radio, self._example, stride_of(self.dt)
+        settings = WorldSettings(
+            hz_per_mps=scene.hz_per_mps,
+            channel=channel_of(radio, scene, self.layout, self.dt),
+            drift_hz=scene.hz_per_mps * (radio.drift_mps * self.dt**0.5),
+            step_s=self.dt / stride,
+            stride=float(stride),
+        )
+        return np.repeat(np.array(flatten(settings), float)[:, None], WIDTH, axis=1)
+
+    @cached_property
+    def _blank_kept(self) -> Array:
+        """What an unused lane keeps of a world."""
+        _, _, receiver, user = self.world.template
+        return np.array(flatten([receiver, user]), float)
+
+    @cached_property
+    def _site(self) -> tuple[Array, Any]:
+        """A row of :meth:`Episode.site` of the example, and what is where in it."""
+        scene = self._example
+        covariance = self.radio.prior_covariance(scene)[np.tril_indices(STATE_SIZE)]
+        site = Site(
+            scene.anchors_m.tolist(), scene.hz_per_mps, [0.0] * STATE_SIZE, covariance.tolist()
+        )
+        return np.array(flatten(site)), indices(site)
+
+
+def _parts(blocks: int, threads: int) -> list[tuple[int, int]]:
+    """First block and end of what each thread draws."""
+    ends = np.linspace(0, blocks, min(threads, blocks) + 1).astype(int).tolist()
+    return list(pairwise(ends))

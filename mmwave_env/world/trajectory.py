@@ -1,0 +1,168 @@
+"""A way of one's own: where a user was when, from GPS, a traffic simulator or a survey."""
+
+import warnings
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from mmwave_env.models.prior import GAP_S
+from mmwave_env.models.scene import Scene
+from mmwave_env.numerics.arrays import Array, Mask
+from mmwave_env.world.mobility import FASTEST_MPS
+
+REACH_M = (1.0, 5000.0)  # from an anchor, where the path loss holds (3GPP TR 38.901, UMi)
+STANDING_M, STANDING_S = 0.1, 60.0  # who stays within the one for the other is perhaps in degrees
+_TURN_S = 1.0  # between positions that show a turn; across less, noise of a track looks like turns
+
+
+@dataclass(frozen=True, eq=False)
+class Trajectory:
+    """Where a user was when, N times; episodes of it go through the simulated channel.
+
+    Attributes:
+        name: for results and messages.
+        time_s: (N,) increasing; at least two, no gap of more than 15 s.
+        position_m: (N, 3) in the frame of the scene.
+        velocity_mps: (N, 3); None for the rates of change of the positions: at every row, that of
+            the parabola through it and its neighbors.
+        lines: (N,) of the rows in their file, for messages; None where there is no file.
+
+    Raises:
+        ValueError: naming the line of the file, or the row from 1, and what is wrong in it.
+    """
+
+    name: str
+    time_s: Array
+    position_m: Array
+    velocity_mps: Array | None = None
+    lines: Sequence[int] | None = None
+
+    def __post_init__(self) -> None:
+        t, p = np.asarray(self.time_s, float), np.asarray(self.position_m, float)
+        v = None if self.velocity_mps is None else np.asarray(self.velocity_mps, float)
+        for name, values in (("position_m", p), ("velocity_mps", v)):
+            if values is not None and (t.ndim != 1 or values.shape != (len(t), 3)):
+                raise ValueError(
+                    f"{name} of {self.name}: found shape {values.shape}, expected (N, 3), with as "
+                    f"many rows as time_s, which has shape {t.shape}"
+                )
+        if len(t) < 2:
+            raise ValueError(f"{self.name}: found {len(t)} rows, expected at least 2")
+        for name, values in (("t", t), ("x, y, z", p), ("vx, vy, vz", v)):
+            if values is not None:
+                self._require(np.isfinite(values), values, name, "finite numbers")
+        self._require_motion(t, p, v)
+        object.__setattr__(self, "time_s", t)
+        object.__setattr__(self, "position_m", p)
+        object.__setattr__(self, "velocity_mps", np.gradient(p, t, axis=0) if v is None else v)
+
+    def _require_motion(self, t: Array, p: Array, v: Array | None) -> None:
+        """Refuse what no user of streets does."""
+        step = np.diff(t, prepend=t[0] - 1.0)
+        moved = np.diff(p, axis=0, prepend=p[:1])
+        self._require(step > 0.0, t, "t", "more than in the row before")
+        self._require(
+            step <= GAP_S, t, "t",
+            f"at most {GAP_S:g} s after the row before; cut the trajectory there, if t is in s",
+        )  # fmt: skip
+        speed = np.linalg.norm(moved, axis=1) / step
+        most = f"at most {FASTEST_MPS:g} m/s"
+        unit = f"{most}: is t in seconds, and are x, y in meters, not in degrees?"
+        self._require(speed <= FASTEST_MPS, speed, "m/s since the row before", unit)
+        if v is not None:
+            fast = np.linalg.norm(v, axis=1)
+            self._require(fast <= FASTEST_MPS, v, "vx, vy, vz", most)
+            way, said = np.linalg.norm(moved, axis=1).sum(), fast[1:] @ step[1:]
+            if said > 2.0 * way + STANDING_M:
+                raise ValueError(
+                    f"{self.name}: vx, vy, vz: found a way of {said:.6g} m, expected that of the "
+                    f"positions, {way:.6g} m: are they in m/s?"
+                )
+        if t[-1] - t[0] >= STANDING_S and np.ptp(p, axis=0).max() < STANDING_M:
+            warnings.warn(
+                f"{self.name}: found all of {t[-1] - t[0]:g} s within {STANDING_M:g} m; x, y are "
+                "taken as meters: are they in degrees?",
+                stacklevel=4,
+            )
+
+    def _require(self, holds: Mask, values: Array, what: str, expected: str) -> None:
+        """Refuse the first of the rows (N, ...) where something does not hold."""
+        rows = holds.reshape(len(holds), -1).all(axis=1)
+        if not rows.all():
+            i = int(np.argmin(rows))
+            found = ", ".join(f"{value:.6g}" for value in np.ravel(values[i]))
+            raise ValueError(
+                f"{self.name}, {self._place(i)}: {what}: found {found}, expected {expected}"
+            )
+
+    def _place(self, row: int) -> str:
+        return f"row {row + 1}" if self.lines is None else f"line {self.lines[row]}"
+
+    @cached_property
+    def _cubic(self) -> Any:
+        """Cubics between rows that have the rows' positions and velocities (Hermite)."""
+        from scipy.interpolate import CubicHermiteSpline
+
+        return CubicHermiteSpline(self.time_s, self.position_m, self.velocity_mps)
+
+    def resampled(self, dt: float) -> Array:
+        """Positions and velocities (E, 6) at steps of ``dt`` seconds from the first time on.
+
+        Positions are cubic between rows, velocities their derivatives.
+        """
+        count = int((self.time_s[-1] - self.time_s[0]) / dt * (1.0 + 1e-12)) + 1
+        at = np.minimum(self.time_s[0] + dt * np.arange(count), self.time_s[-1])
+        return np.hstack([self._cubic(at), self._cubic(at, 1)])
+
+    def hardest_turn(self) -> tuple[float, float]:
+        """The greatest sideways acceleration at a row, m/s^2, and the time of that row, s.
+
+        It is curvature times speed squared, |v x a| / |v|, with v and a from the horizontal
+        positions a second before, at and a second after the row; 0 for a way below two seconds.
+        """
+        first, last = self.time_s[[0, -1]] + [_TURN_S, -_TURN_S]
+        time_s = self.time_s[(self.time_s >= first) & (self.time_s <= last)]
+        if not len(time_s):
+            return 0.0, float(self.time_s[0])
+        before, at, after = (self._cubic(time_s + s)[:, :2].T for s in (-_TURN_S, 0.0, _TURN_S))
+        (vx, vy), (ax, ay) = (
+            (after - before) / (2.0 * _TURN_S),
+            (after - 2.0 * at + before) / _TURN_S**2,
+        )
+        sideways = np.abs(vx * ay - vy * ax) / np.maximum(np.hypot(vx, vy), np.finfo(float).tiny)
+        hardest = int(np.argmax(sideways))
+        return float(sideways[hardest]), float(time_s[hardest])
+
+    def way(self, scene: Scene, dt: float) -> Array:
+        """The way through a scene, (E, 6) as of :meth:`resampled`.
+
+        Raises:
+            ValueError: shorter than a step; behind a wall that mirrors, or at an anchor.
+        """
+        way = self.resampled(dt)
+        if len(way) < 2:
+            raise ValueError(f"{self.name}: found {np.ptp(self.time_s):g} s, expected {dt:g}, dt")
+        position = way[:, :3]
+
+        def refuse(epoch: int, expected: str) -> None:
+            row = int(np.searchsorted(self.time_s, self.time_s[0] + epoch * dt, "right")) - 1
+            found = ", ".join(f"{value:.6g}" for value in position[epoch])
+            raise ValueError(
+                f"{self.name}, {self._place(row)}: x, y, z: found {found}, expected {expected} of "
+                f"scene {scene.name!r}"
+            )
+
+        for epoch, wall in scene.behind_walls(position):
+            side = wall.side_of(scene.base_station_m)
+            refuse(epoch, f"{side}, where the base station is,")
+        for anchor in scene.anchors_m:
+            distance = np.linalg.norm(position - anchor, axis=1)
+            outside = (distance < REACH_M[0]) | (distance > REACH_M[1])
+            if outside.any():
+                near, far = REACH_M
+                reach = f"a place {near:g} to {far:g} m from the anchor at {anchor.tolist()}"
+                refuse(int(outside.argmax()), reach)
+        return way

@@ -1,0 +1,235 @@
+"""Truth: how users move through the streets.
+
+A traveler walks or drives along a net of streets, turns at crossings on circular arcs,
+waits at red lights, and follows gaits (target speeds that change now and then) within
+limits of acceleration, braking, lateral acceleration and jerk. Simulated at 0.1 s.
+
+What happens to a traveler now and then (a gait, a crossing, a phase) is drawn here;
+:mod:`mmwave_env.world.kinematics` moves it. Functions of numbers, a traveler to a lane.
+"""
+
+import math
+from collections.abc import Sequence
+from typing import NamedTuple
+
+from mmwave_env.numerics.numbers import Number, floor, maximum, where
+from mmwave_env.numerics.pytree import select, tree_at
+from mmwave_env.numerics.random import Dice
+from mmwave_env.world.kinematics import FAR, STANDING_MPS, Net, Traveler, around, unit
+
+FINEST_STEP_S = 0.1
+STOPPING_S = 5.0  # what a ride takes to stop before its passenger walks on
+
+
+class Gait(NamedTuple):
+    """A target speed that is kept for a while."""
+
+    # low, high: of the speed, m/s
+    low: Number
+    high: Number
+    mean_s: Number  # of how long
+    weight: Number  # of its choice, over the weights of all
+
+
+class Phase(NamedTuple):
+    """A phase of a traveler, in force from the end of the one before.
+
+    Its limits: acceleration, braking, lateral acceleration, each drawn once per episode.
+    """
+
+    acceleration: Number
+    braking: Number
+    lateral: Number
+    jerk: Number
+    radius: Number  # of corners, m
+    red_probability: Number
+    # red_low, red_high: how long a red light lasts, s
+    red_low: Number
+    red_high: Number
+    end: Number  # s since the episode began
+    gaits: list[Gait]
+
+
+class PhasePlan(NamedTuple):
+    """What a phase is drawn from: ranges (2,) of its length and its limits."""
+
+    length: list[Number]
+    acceleration: list[Number]
+    braking: list[Number]
+    lateral: list[Number]
+    ends_early: Number  # 1 where the phase after it returns to the first until the episode ends
+    phase: Phase  # all that is not drawn
+
+
+class TravelPlan(NamedTuple):
+    """A kind of user in numbers."""
+
+    closer: Number  # how many times closer together its crossings are than the streets
+    phases: list[PhasePlan]
+
+
+def blank_plan(phases: int, gaits: int) -> TravelPlan:
+    """A plan of so many phases and gaits that goes nowhere, to be overwritten."""
+    gait = Gait(0.0, 0.0, 1.0, 0.0)
+    phase = Phase(1.0, 1.0, 1.0, 1.0, 1.0, 0.0, 0.0, 0.0, FAR, [gait] * gaits)
+    once, at_one = [FAR, FAR], [1.0, 1.0]
+    return TravelPlan(1.0, [PhasePlan(once, at_one, at_one, at_one, 0.0, phase)] * phases)
+
+
+def _draw_gait(dice: Dice, gaits: Sequence[Gait]) -> tuple[Number, Number]:
+    """Target speed and how long it is kept."""
+    total = gaits[0].weight
+    for gait in gaits[1:]:
+        total = total + gait.weight
+    left = total * dice.uniform()
+    chosen, passed = gaits[0], gaits[0].weight
+    for gait in gaits[1:]:
+        here = (left >= passed) & (left < passed + gait.weight)
+        chosen, passed = select(here, gait, chosen), passed + gait.weight
+    return dice.uniform(chosen.low, chosen.high), chosen.mean_s * dice.exponential()
+
+
+def _leads_on(x: Number, y: Number, heading: Number, net: Net) -> Number:
+    """1 where there is a street from a crossing in this direction, else 0."""
+    east, north = unit(heading)
+    x, y = x + east, y + north
+    inside = (x > -0.5) & (y > -0.5) & (x < net.blocks_x + 0.5) & (y < net.blocks_y + 0.5)
+    return where(inside, 1.0, 0.0)
+
+
+def _draw_turn(dice: Dice, x: Number, y: Number, heading: Number, net: Net) -> Number:
+    """Quarter turns to the left at a crossing: 0, 1, -1, or 2 (back) where no other stays in."""
+    ahead = _leads_on(x, y, heading, net)
+    left = _leads_on(x, y, around(heading + 1.0), net)
+    options = ahead + left + _leads_on(x, y, around(heading - 1.0), net)
+    chosen = floor(options * dice.uniform())
+    sideways = where((left > 0.5) & (chosen < ahead + 0.5), 1.0, -1.0)
+    found = where((ahead > 0.5) & (chosen < 0.5), 0.0, sideways)
+    return where(options > 0.5, found, 2.0)
+
+
+def _look_ahead(dice: Dice, t: Traveler, heading: Number, phase: Phase, net: Net) -> Traveler:
+    """To the next crossing: where to turn there, and seconds of red light."""
+    east, north = unit(heading)
+    x, y = t.node_x + east, t.node_y + north
+    turn = _draw_turn(dice, x, y, heading, net)
+    stops = dice.uniform() < phase.red_probability
+    red = where(stops, dice.uniform(phase.red_low, phase.red_high), 0.0)
+    return t._replace(node_x=x, node_y=y, turn_after=turn, red_after=red)
+
+
+def _arc(turn: Number, radius: Number) -> Number:
+    """The length of an arc."""
+    return abs(turn) * (math.pi / 2) * radius
+
+
+def _cross(dice: Dice, t: Traveler, phase: Phase, net: Net) -> Traveler:
+    """Over a crossing: what was after it is ahead now."""
+    east, north = unit(t.heading)
+    turned, side = abs(t.turn), where(t.turn < 0.0, -1.0, 1.0)
+    forward = t.stretch + where(abs(turned - 1.0) < 0.5, t.radius, 0.0)
+    left = side * turned * t.radius
+    x, y = t.x + forward * east - left * north, t.y + forward * north + left * east
+    heading, turn = around(t.heading + t.turn), t.turn_after
+    east, north = unit(heading)
+    distance = east * (net.origin_x + net.block * t.node_x - x)
+    distance = distance + north * (net.origin_y + net.block * t.node_y - y)
+    t = t._replace(
+        x=x,
+        y=y,
+        heading=heading,
+        traveled=t.traveled - t.stretch - t.arc,
+        turn=turn,
+        red=t.red_after,
+        radius=phase.radius,
+        arc=_arc(turn, phase.radius),
+        stretch=maximum(distance - where(abs(turn) > 0.5, phase.radius, 0.0), 0.5),
+    )
+    return _look_ahead(dice, t, around(heading + turn), phase, net)
+
+
+def _enter(t: Traveler, number: Number, phase: Phase) -> Traveler:
+    """Begin a phase."""
+    return t._replace(
+        phase=number,
+        phase_end=phase.end,
+        stopping=0.0,
+        acceleration=phase.acceleration,
+        braking=phase.braking,
+        lateral=phase.lateral,
+        jerk=phase.jerk,
+    )
+
+
+def _change_over(t: Traveler, following: Phase) -> Traveler:
+    """Where a phase is over: come to a stand, then begin the next."""
+    left, wider = t.stretch - t.traveled, following.radius - t.radius
+    # Where the next phase needs a wider corner than there is room for: first round it.
+    room = (abs(t.turn) < 0.5) | (left > wider + 4.0)
+    over = (t.time >= t.phase_end) & (t.stopping < 0.5) & room
+    t = t._replace(
+        stopping=where(over, 1.0, t.stopping),
+        target=where(over, 0.0, t.target),
+        gait_left=where(over, FAR, t.gait_left),
+    )
+    stands = (t.stopping > 0.5) & (t.v <= STANDING_MPS)
+    fits = (abs(t.turn) > 0.5) & (left > maximum(wider, -1.0) + 1.0)
+    bent = t._replace(
+        stretch=t.stretch - wider, radius=following.radius, arc=_arc(t.turn, following.radius)
+    )
+    begun = _enter(select(fits, bent, t), t.phase + 1.0, following)._replace(gait_left=0.0)
+    return select(stands, begun, t)
+
+
+def attend(dice: Dice, t: Traveler, phases: Sequence[Phase], net: Net) -> Traveler:
+    """What happens to a traveler before a substep, if anything."""
+    t = _change_over(t, tree_at(t.phase + 1.0, phases))
+    phase = tree_at(t.phase, phases)
+    target, lasts = _draw_gait(dice, phase.gaits)
+    tired = t.gait_left <= 0.0
+    t = t._replace(
+        target=where(tired, target, t.target), gait_left=where(tired, lasts, t.gait_left)
+    )
+    return select(t.traveled >= t.stretch + t.arc, _cross(dice, t, phase, net), t)
+
+
+def draw_phases(dice: Dice, plans: Sequence[PhasePlan], total_s: Number) -> list[Phase]:
+    """The phases of an episode: limits are drawn once, for a phase that returns anew."""
+    lengths = [dice.uniform(*plan.length) for plan in plans]
+    phases, passed = [], 0.0
+    for plan, length, after in zip(plans, lengths, [*lengths[1:], 0.0], strict=True):
+        passed = passed + length
+        end = where(plan.ends_early > 0.5, total_s - after - STOPPING_S, passed)
+        phases.append(
+            plan.phase._replace(
+                acceleration=dice.uniform(*plan.acceleration),
+                braking=dice.uniform(*plan.braking),
+                lateral=dice.uniform(*plan.lateral),
+                end=end,
+            )
+        )
+    return phases
+
+
+def set_off(dice: Dice, phases: Sequence[Phase], net: Net) -> Traveler:
+    """A traveler at a crossing, in a direction that leads somewhere."""
+    x = floor((net.blocks_x + 1.0) * dice.uniform())
+    y = floor((net.blocks_y + 1.0) * dice.uniform())
+    heading = floor(4.0 * dice.uniform())
+    heading = around(heading + _draw_turn(dice, x, y, heading, net))
+    first = phases[0]
+    target, lasts = _draw_gait(dice, first.gaits)
+    t = Traveler(
+        due=1.0, time=0.0, x=net.origin_x + net.block * x, y=net.origin_y + net.block * y,
+        heading=heading, traveled=0.0, stretch=0.0, arc=0.0, radius=first.radius,
+        v=0.6 * target * dice.uniform(),  # slow enough for the first corner
+        a=0.0, acceleration=0.0, braking=0.0, lateral=0.0, jerk=0.0, target=target,
+        gait_left=lasts, phase=0.0, phase_end=0.0, stopping=0.0, turn=0.0, red=0.0,
+        turn_after=0.0, red_after=0.0, node_x=x, node_y=y,
+    )  # fmt: skip
+    return _look_ahead(dice, _enter(t, 0.0, first), heading, first, net)
+
+
+def stride_of(dt: float) -> int:
+    """Substeps in a step of some seconds."""
+    return max(1, round(dt / FINEST_STEP_S))

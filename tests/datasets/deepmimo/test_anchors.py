@@ -1,0 +1,186 @@
+"""What paths lead to: stations, walls, the ground; several stations; what is left out."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from mmwave_env.datasets.deepmimo import read_deepmimo
+from mmwave_env.datasets.deepmimo.anchors import find_links
+from mmwave_env.datasets.deepmimo.v4 import open_scenario
+from mmwave_env.models.measurement import SPEED_OF_LIGHT, range_rate
+from tests.datasets.deepmimo.scenarios import (
+    KEYS,
+    LINK,
+    PEDESTRIAN,
+    VEHICLE,
+    edit,
+    load,
+    reflect,
+    shortened,
+    store,
+    write_hall,
+)
+
+OTHERS = ("t000_tx001_r001", "t002_tx000_r001")
+STATIONS = np.array([[0.0, 0.0, 8.0], [60.0, 5.0, 10.0], [20.0, -25.0, 6.0]])
+WALL = (np.array([0.0, -1.0, 0.0]), 30.0)  # y = -30
+USERS = np.column_stack([np.linspace(5.0, 55.0, 26), np.full(26, -8.0), np.full(26, 1.5)])
+
+
+def paths_of(folder):
+    scenario = open_scenario(folder)
+    return scenario.paths(scenario.epochs(None))
+
+
+def hide_line_of_sight(folder, link, epochs):
+    def hide(inter):
+        inter[epochs, 0] = np.nan
+
+    edit(folder, "inter", hide, link)
+
+
+@pytest.fixture
+def three_stations(tmp_path):
+    for link, station in zip((LINK, *OTHERS), STATIONS, strict=True):
+        write_hall(tmp_path, station, USERS, [WALL], link)
+    hide_line_of_sight(tmp_path, LINK, slice(0, 9))
+    hide_line_of_sight(tmp_path, OTHERS[1], slice(0, 4))
+    return tmp_path
+
+
+def test_several_stations_are_the_anchors_the_one_seen_most_first(three_stations):
+    recording = read_deepmimo(three_stations)
+    np.testing.assert_allclose(recording.anchors_m, STATIONS[[1, 2, 0]], atol=1e-6)
+    assert recording.visible.sum(axis=0).tolist() == [26, 22, 17, 26]
+    for a, anchor in enumerate(recording.anchors_m):
+        away = recording.position_m - anchor
+        rows = recording.measurement[:, recording.layout.link(a)][recording.visible[:, a]]
+        distance = np.linalg.norm(away, axis=1)[recording.visible[:, a]]
+        azimuth = np.arctan2(away[:, 1], away[:, 0])[recording.visible[:, a]]
+        np.testing.assert_allclose(rows[:, 0], distance, atol=1e-4)
+        np.testing.assert_allclose(rows[:, 1], azimuth, atol=1e-5)
+
+
+def test_the_doppler_shift_is_that_of_the_first_anchor(three_stations):
+    recording = read_deepmimo(three_stations)
+    away = recording.position_m - STATIONS[1]
+    rate = range_rate(list(away.T), list(recording.velocity_mps.T))
+    hz_per_mps = recording.carrier_hz / SPEED_OF_LIGHT
+    np.testing.assert_allclose(recording.measurement[:, -1], hz_per_mps * rate)
+
+
+@pytest.mark.parametrize("number", [1, 2, 3])
+def test_one_station_of_several_has_its_mirror_images(three_stations, number):
+    recording = read_deepmimo(three_stations, base_station=number)
+    station = STATIONS[number - 1]
+    np.testing.assert_allclose(recording.anchors_m, [station, reflect(station, *WALL)], atol=1e-6)
+    assert recording.visible[:, 1].all()
+
+
+@pytest.mark.parametrize("number", [0, 4, -1])
+def test_a_station_that_there_is_not(three_stations, number):
+    with pytest.raises(ValueError, match=f"base_station: found {number}, expected 1 to 3"):
+        read_deepmimo(three_stations, base_station=number)
+
+
+def test_a_station_that_nobody_sees_is_no_anchor(three_stations):
+    hide_line_of_sight(three_stations, LINK, slice(None))
+    assert len(read_deepmimo(three_stations).anchors_m) == 2
+    for link in OTHERS:
+        hide_line_of_sight(three_stations, link, slice(None))
+    with pytest.raises(ValueError, match="no line of sight .0. of any station"):
+        read_deepmimo(three_stations)
+
+
+@settings(max_examples=25, deadline=None)
+@given(lean=st.floats(-0.3, 0.3), turn=st.floats(0.0, 2.0 * np.pi))
+def test_ground_on_a_slope_is_ground_and_a_leaning_wall_is_a_wall(tmp_path_factory, lean, turn):
+    folder = tmp_path_factory.mktemp("slope")
+    side = np.array([np.cos(turn), np.sin(turn), 0.0])
+    up = np.array([0.0, 0.0, 1.0])
+    ground = -up + lean * side
+    wall = side + lean * up
+    surfaces = []
+    for normal in (ground / np.linalg.norm(ground), wall / np.linalg.norm(wall)):
+        points = np.vstack([USERS, STATIONS[:1]])
+        surfaces.append((normal, float((points @ normal).max()) + 2.0))
+    write_hall(folder, STATIONS[0], USERS, surfaces)
+    (station,) = paths_of(folder).stations
+    links = find_links(station, USERS)
+    images = [reflect(STATIONS[0], *surface) for surface in surfaces]
+    np.testing.assert_allclose(links.anchors_m[1:], images, atol=1e-4)
+    assert links.is_ground.tolist() == [False, True, False]
+
+
+def test_two_reflections_are_left_out_whatever_stands_in_them(tmp_path):
+    folder = shortened(tmp_path / "walk", 20, source=PEDESTRIAN)
+    expected = read_deepmimo(folder)
+    paths = {key: load(folder, key) for key in KEYS}
+    inter = paths.pop("inter")
+    store(folder, "inter", np.concatenate([inter, np.full_like(inter, 11.0)], axis=1))
+    for key, array in paths.items():
+        if key[1:] != "x_pos":
+            odd = np.where(np.arange(len(array))[(...,) + (None,) * (array.ndim - 1)] % 2, 1e30,
+                           np.nan)  # fmt: skip
+            store(folder, key, np.concatenate([array, odd + 0 * np.nan_to_num(array)], axis=1))
+    found = read_deepmimo(folder)
+    np.testing.assert_array_equal(found.measurement, expected.measurement)
+    np.testing.assert_array_equal(found.visible, expected.visible)
+
+
+def test_reflections_off_whatever_moves_are_many_anchors_and_none_is_met_often(tmp_path):
+    users = np.column_stack([np.linspace(5.0, 55.0, 3000), np.zeros((3000, 2)) + [-8.0, 1.5]])
+    write_hall(tmp_path, STATIONS[0], users, [WALL] * 4)
+    inter, bounce = load(tmp_path, "inter"), load(tmp_path, "inter_pos")
+    rng = np.random.default_rng(0)
+    bounce[:, 1:] = users[:, None, None] + rng.uniform(1.0, 30.0, bounce[:, 1:].shape)
+    (station,) = paths_of(tmp_path).stations
+    arrays = {field: getattr(station, field) for field in ("interactions", "bounce_m")}
+    assert arrays["interactions"].shape == inter.shape
+    away = bounce[:, :, 0] - users[:, None]
+    length = np.linalg.norm(away, axis=-1) + np.linalg.norm(bounce[:, :, 0] - STATIONS[0], axis=-1)
+    store(tmp_path, "inter_pos", bounce)
+    for name, aim in (("aoa", away), ("aod", bounce[:, :, 0] - STATIONS[0])):
+        unit = aim / np.linalg.norm(aim, axis=-1, keepdims=True)
+        edit(tmp_path, f"{name}_az", lambda a, u=unit: put(a, np.arctan2(u[..., 1], u[..., 0])))
+        edit(tmp_path, f"{name}_el", lambda a, u=unit: put(a, np.arccos(u[..., 2])))
+    edit(tmp_path, "delay", lambda a: np.column_stack([a[:, 0], length[:, 1:] / SPEED_OF_LIGHT]))
+    recording = read_deepmimo(tmp_path, dt_s=0.1)
+    assert recording.visible[:, 0].all()
+    assert recording.visible[:, 1:3].sum() < 100
+
+
+def put(degrees, radians):
+    """Other angles on all paths but the first."""
+    degrees[:, 1:] = np.degrees(radians[:, 1:])
+
+
+MISTAKES = {
+    "milliseconds": ("delay", lambda a: 1e3 * a, "delay"),
+    "microseconds": ("delay", lambda a: 1e6 * a, "delay"),
+    "nanoseconds": ("delay", lambda a: 1e9 * a, "delay"),
+    "there-and-back": ("delay", lambda a: 2.0 * a, "delay"),
+    "radians": ("aoa", np.radians, "aoa_"),
+    "elevations above the horizon": ("aoa_el", lambda a: 90.0 - a, "aoa_el"),
+    "bearings clockwise from the y axis": ("aoa_az", lambda a: 90.0 - a, "aoa_az"),
+}
+
+
+@pytest.mark.parametrize("source", [VEHICLE, PEDESTRIAN])
+@pytest.mark.parametrize("mistake", MISTAKES)
+def test_a_mistake_in_a_unit_or_a_convention_is_named(tmp_path, source, mistake):
+    folder = shortened(tmp_path / "walk", 30, source=source)
+    keys, spoil, named = MISTAKES[mistake]
+    for key in (key for key in KEYS if key.startswith(keys)):
+        edit(folder, key, spoil)
+    with pytest.raises(ValueError, match=f"{named}.* of receiver 0, expected") as error:
+        read_deepmimo(folder)
+    assert str(error.value).endswith(f"; the numbers look like {mistake}"), error.value
+
+
+def test_powers_that_are_no_decibels_are_refused(tmp_path):
+    folder = shortened(tmp_path / "walk", 30)
+    edit(folder, "power", lambda db: 10.0 ** (db / 10.0))
+    with pytest.raises(ValueError, match=r"power: found .* dB on path 0 of receiver 0, .* not dB"):
+        read_deepmimo(folder)

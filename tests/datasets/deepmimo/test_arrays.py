@@ -1,0 +1,219 @@
+"""Arrays in files: chosen rows of them, and what is damaged or claims what is not there."""
+
+import io
+import struct
+import tracemalloc
+import zipfile
+import zlib
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as stn
+from scipy.io import savemat
+
+from mmwave_env.datasets.deepmimo import arrays
+from mmwave_env.datasets.deepmimo.arrays import find_array, read_array
+from tests.datasets.deepmimo.scenarios import SAVE
+
+ANY = ("N", "P")
+SMALL = 2**22  # bytes: what reading a small file may take
+
+
+@pytest.fixture(scope="module")
+def room(tmp_path_factory):
+    return tmp_path_factory.mktemp("arrays")
+
+
+@settings(max_examples=80, deadline=None)
+@given(
+    array=stn.arrays(
+        st.sampled_from([">f4", "<f4", "f8", "f2", "i4", ">u2", "u1"]),
+        stn.array_shapes(min_dims=2, max_dims=4, max_side=9),
+        elements={"min_value": 0, "max_value": 200},
+    ),
+    suffix=st.sampled_from(sorted(SAVE)),
+    order=st.sampled_from("CF"),
+    data=st.data(),
+)
+def test_chosen_rows_are_numpys(room, array, suffix, order, data):
+    file = room / f"delay{suffix}"
+    native = array.astype(array.dtype.newbyteorder("=")) if suffix == ".mat" else array
+    native = native.astype(np.float32) if native.dtype == np.float16 else native
+    while native.ndim > 2 and native.shape[-1] == 1:  # MATLAB drops these
+        native = native[..., 0]
+    SAVE[suffix](file, "delay", np.asarray(native, order=order))
+    rows = data.draw(st.lists(st.integers(0, len(native) - 1), max_size=12))
+    shape = tuple("NPIX"[: native.ndim])
+    found = read_array(file, "delay", shape, np.array(rows, int))
+    assert found.dtype == float
+    np.testing.assert_array_equal(found, native[rows])
+    np.testing.assert_array_equal(read_array(file, "delay", shape), native)
+
+
+def test_the_first_format_there_is_counts(tmp_path):
+    for suffix in (".mat", ".npy", ".npz"):
+        SAVE[suffix](tmp_path / f"delay{suffix}", "delay", np.zeros((2, 2)))
+        assert find_array(tmp_path, "delay").suffix == suffix
+    with pytest.raises(FileNotFoundError, match="power.npz: found no such file"):
+        find_array(tmp_path, "power")
+
+
+def npy_header(shape, descr="<f4", claimed=None):
+    """The beginning of an .npy file, of any shape; ``claimed`` is the length it says it has."""
+    text = repr({"descr": descr, "fortran_order": False, "shape": shape}).encode() + b"\n"
+    return b"\x93NUMPY\x01\x00" + struct.pack("<H", claimed or len(text)) + text
+
+
+def in_archive(content, name="delay.npy"):
+    buffer = io.BytesIO()
+    with zipfile.ZipFile(buffer, "w", zipfile.ZIP_DEFLATED) as archive:
+        archive.writestr(name, content)
+    return buffer.getvalue()
+
+
+def forged_size(content, size):
+    """An archive of one member that claims another size, both where it begins and in the list."""
+    archive = bytearray(in_archive(content))
+    listed = archive.rindex(b"PK\x01\x02")
+    struct.pack_into("<I", archive, listed + 24, size)
+    struct.pack_into("<I", archive, 22, size)
+    return bytes(archive)
+
+
+def mat(array, dims=None, data_kind=None):
+    """A MATLAB file, not compressed, whose header is forged."""
+    buffer = io.BytesIO()
+    savemat(buffer, {"delay": array})
+    content = bytearray(buffer.getvalue())
+    if dims:
+        struct.pack_into("<ii", content, content.index(struct.pack("<ii", *array.shape)), *dims)
+    if data_kind:
+        struct.pack_into("<I", content, content.index(b"delay") + 8, data_kind)
+    return bytes(content)
+
+
+BODY = bytes(4 * 12)
+FORGED = {
+    "1e12 rows": (".npy", npy_header((10**12, 3)) + BODY),
+    "1e300 rows": (".npy", npy_header((10**300, 3)) + BODY),
+    "fewer than no rows": (".npy", npy_header((-4, -3)) + BODY),
+    "a row short": (".npy", npy_header((4, 3)) + BODY[1:]),
+    "rows of nothing": (".npy", npy_header((10**12, 0)) + BODY),
+    "a long header": (".npy", npy_header((4, 3), claimed=65535) + BODY),
+    "another version": (".npy", b"\x93NUMPY\x07\x00\x76\x00" + BODY),
+    "code": (".npy", npy_header((4, 3), "__import__('os')") + BODY),
+    "pickles": (".npy", npy_header((4, 3), "|O") + BODY * 2),
+    "words": (".npy", npy_header((4, 3), "<U1") + BODY),
+    "truths": (".npy", npy_header((4, 3), "|b1") + BODY),
+    "records": (".npy", npy_header((4, 3), [("a", "<f4")]) + BODY),
+    "1e12 rows, packed": (".npz", in_archive(npy_header((10**12, 3)) + BODY)),
+    "4 GB claimed": (".npz", forged_size(npy_header((10**9 // 3, 3)) + BODY, 2**32 - 2)),
+    "another name": (".npz", in_archive(b"", "../delay.npy")),
+    "no archive": (".npz", b"PK\x03\x04"),
+    "too many MATLAB rows": (".mat", mat(np.zeros((4, 3)), (2**30, 3))),
+    "more MATLAB columns": (".mat", mat(np.zeros((4, 3)), (4, 4))),
+    "a kind of MATLAB numbers that there is not": (".mat", mat(np.zeros((4, 3)), data_kind=0x7A)),
+    "MATLAB words": (".mat", mat(np.array(["abc"]))),
+    "MATLAB complex": (".mat", mat(np.ones((4, 3)) * 1j)),
+    "MATLAB cell": (".mat", mat(np.array([[1, "a"]], object))),
+    "MATLAB 7.3": (".mat", b"MATLAB 7.3 MAT-file, Platform: GLNXA64" + bytes(600)),
+    "no MATLAB": (".mat", bytes(1000)),
+    "MATLAB cut off": (".mat", mat(np.zeros((4, 3)))[:-8]),
+}
+
+
+@pytest.mark.parametrize("what", FORGED)
+def test_what_a_header_claims_is_refused_and_takes_no_memory(tmp_path, what):
+    suffix, content = FORGED[what]
+    file = tmp_path / f"delay{suffix}"
+    SAVE[suffix](file, "delay", np.zeros((4, 3)))
+    read_array(file, "delay", (4, "P"))  # imports
+    file.write_bytes(content)
+    tracemalloc.start()
+    with pytest.raises(ValueError, match="delay: found") as error:
+        read_array(file, "delay", (4, "P"))
+    _, peak = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert str(file) in str(error.value) and "\n" not in str(error.value)
+    # Of the packed one numpy asks for all the room that is claimed, and writes nothing there.
+    assert peak < SMALL or what == "1e12 rows, packed"
+
+
+def test_a_bomb_is_refused_by_what_it_would_take(tmp_path, monkeypatch):
+    most = 2**20
+    monkeypatch.setattr(arrays, "MOST_BYTES", most)
+    zeros = np.zeros((most // 8 + 1, 1))
+    for suffix, words in ((".npz", "an .npy file may be larger"), (".mat", "or more than 1048576")):
+        file = tmp_path / f"delay{suffix}"
+        SAVE[suffix](file, "delay", zeros)
+        assert file.stat().st_size < 2**13
+        with pytest.raises(ValueError, match=words):
+            read_array(file, "delay", ANY)
+
+
+def test_of_an_npy_file_only_the_rows_wanted_are_in_memory(tmp_path, monkeypatch):
+    monkeypatch.setattr(arrays, "MOST_BYTES", 2**10)
+    file = tmp_path / "delay.npy"
+    rows = np.lib.format.open_memmap(file, "w+", np.float32, (2**22, 25))  # 400 MB, all holes
+    rows[[7, 2**22 - 1]] = 3.0
+    del rows
+    tracemalloc.start()
+    found = read_array(file, "delay", ANY, np.array([2**22 - 1, 6, 7]))
+    _, peak = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    np.testing.assert_array_equal(found[:, 0], [3.0, 0.0, 3.0])
+    assert peak < SMALL
+    with pytest.raises(ValueError, match="found 4194304 rows of 25 numbers, .* choose users"):
+        read_array(file, "delay", ANY)
+
+
+def test_a_damaged_archive_is_found_wherever_it_is_damaged(tmp_path):
+    file = tmp_path / "delay.npz"
+    np.savez(file, delay=np.ones((500, 9)))
+    content = bytearray(file.read_bytes())
+    content[-500] ^= 1  # within the last rows
+    file.write_bytes(content)
+    with pytest.raises(ValueError, match="Bad CRC-32"):
+        read_array(file, "delay", ANY, np.array([0]))
+
+
+def test_damaged_compression_of_matlab_is_found(tmp_path):
+    file = tmp_path / "delay.mat"
+    SAVE[".mat"](file, "delay", np.arange(500.0).reshape(100, 5))
+    content = bytearray(file.read_bytes())
+    content[-2] ^= 1  # its checksum
+    file.write_bytes(content)
+    with pytest.raises(ValueError, match="no readable array") as error:
+        read_array(file, "delay", ANY)
+    assert isinstance(error.value.__cause__, zlib.error)
+
+
+@settings(max_examples=150, deadline=None)
+@given(
+    suffix=st.sampled_from(sorted(SAVE)),
+    packed=st.booleans(),
+    cut=st.none() | st.floats(0.0, 1.0),
+    flips=st.lists(st.tuples(st.floats(0.0, 0.999), st.integers(1, 255)), max_size=4),
+)
+@pytest.mark.filterwarnings("ignore")
+def test_random_damage_is_refused_or_harmless(room, suffix, packed, cut, flips):
+    file = room / f"power{suffix}"
+    array = np.arange(60, dtype=np.float32).reshape(20, 3)
+    if suffix == ".mat" and not packed:
+        savemat(file, {"power": array})
+    elif suffix == ".npz" and not packed:
+        np.savez(file, power=array)
+    else:
+        SAVE[suffix](file, "power", array)
+    content = bytearray(file.read_bytes())
+    for where, mask in flips:
+        content[int(where * len(content))] ^= mask
+    file.write_bytes(content[: len(content) if cut is None else int(cut * len(content))])
+    try:
+        found = read_array(file, "power", ("N", 3), np.array([0, 7]))
+    except ValueError as error:
+        assert str(file) in str(error)  # noqa: PT017  not every damage is an error
+    else:
+        assert found.shape == (2, 3) and found.dtype == float

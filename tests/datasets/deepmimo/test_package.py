@@ -1,0 +1,77 @@
+"""Our folders in DeepMIMO's own package: `make deepmimo`, in an environment of its own."""
+
+import shutil
+
+import numpy as np
+import pytest
+
+from mmwave_env.datasets.deepmimo.v4 import open_scenario
+from mmwave_env.models.measurement import SPEED_OF_LIGHT
+from tests.datasets.deepmimo.scenarios import dynamic_twin, shortened
+from tests.paths import RECORDINGS
+
+# numpy below 2.3, so none of the environment that all other tests run in
+deepmimo = pytest.importorskip("deepmimo", reason="make deepmimo runs it")
+
+ANGLES = {"aoa": "arrival", "aod": "departure"}
+
+
+@pytest.fixture
+def shelf(tmp_path, monkeypatch):
+    """The folder in which the package looks for scenarios."""
+    monkeypatch.chdir(tmp_path)
+    return tmp_path / "deepmimo_scenarios"
+
+
+def assert_read_alike(theirs, position_m, station):
+    """The package and our reader say the same of a base station's paths."""
+    np.testing.assert_allclose(theirs.rx_pos, position_m, atol=1e-4)
+    np.testing.assert_allclose(theirs.tx_pos.ravel(), station.position_m, atol=1e-4)
+    there = np.isfinite(station.interactions)
+    np.testing.assert_array_equal(theirs.num_paths, there.sum(axis=1))
+    np.testing.assert_array_equal(theirs.inter[there], station.interactions[there])
+    usual = np.isin(station.interactions, (0.0, 1.0))  # of others we keep nothing
+    np.testing.assert_array_equal(theirs.delay[usual], station.delay_s[usual].astype(np.float32))
+    np.testing.assert_array_equal(theirs.power[usual], station.gain_db[usual].astype(np.float32))
+    for key, name in ANGLES.items():
+        ours = np.degrees(getattr(station, name)[usual])
+        np.testing.assert_allclose(theirs[f"{key}_az"][usual], ours[:, 0], atol=1e-4)
+        np.testing.assert_allclose(theirs[f"{key}_el"][usual], ours[:, 1], atol=1e-4)
+
+
+def assert_loads(name, shelf):
+    """The package loads a scenario, and what it computes from it fits the geometry."""
+    deepmimo.summary(name)
+    scenario = open_scenario(shelf / name)
+    paths = scenario.paths(scenario.epochs(None))
+    loaded = deepmimo.load(name)
+    for theirs, station in zip(
+        [loaded] if len(paths.stations) == 1 else loaded, paths.stations, strict=True
+    ):
+        assert_read_alike(theirs, paths.position_m, station)
+        sight = theirs.los == 1
+        np.testing.assert_array_equal(sight, (station.interactions == 0.0).any(axis=1))
+        away = np.linalg.norm(theirs.rx_pos - theirs.tx_pos, axis=1)
+        np.testing.assert_allclose(
+            SPEED_OF_LIGHT * theirs.delay[sight, 0].astype(float), away[sight], atol=1e-3
+        )
+        channel = theirs.compute_channels()
+        seen = theirs.num_paths > 0
+        assert np.abs(channel[seen]).min() > 0.0 and np.isfinite(channel).all()
+
+
+@pytest.mark.parametrize("name", ["canyon28_vehicle", "canyon28_pedestrian"])
+def test_shipped_recordings(shelf, name):
+    shutil.copytree(RECORDINGS / name, shelf / name)
+    assert_loads(name, shelf)
+
+
+def test_scenes_of_a_dynamic_scenario(shelf):
+    folder = dynamic_twin(shortened(shelf / "static", 6), shelf / "dynamic", others=2)
+    scenes = deepmimo.load("dynamic")
+    ours = open_scenario(folder)
+    for scene, theirs in enumerate(scenes):
+        rows = np.arange(3)
+        epochs = np.column_stack([np.full(3, scene), rows])
+        paths = ours.paths(epochs)
+        assert_read_alike(theirs, paths.position_m, paths.stations[0])

@@ -1,0 +1,395 @@
+import shutil
+import tempfile
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from mmwave_env.datasets.deepmimo import read_deepmimo
+from mmwave_env.datasets.samples import source_from
+from mmwave_env.models.measurement import SPEED_OF_LIGHT
+from mmwave_env.models.scene import Scene, Wall
+from tests.datasets.deepmimo.scenarios import (
+    KEYS,
+    LINK,
+    PEDESTRIAN,
+    VEHICLE,
+    edit,
+    edit_line,
+    edit_params,
+    load,
+    reflect,
+    store,
+    write_hall,
+)
+from tests.filters.tracks import geometry
+
+NORTH, SOUTH, GROUND = (-5.0, 15.1431, 6.0), (-5.0, -21.2266, 6.0), (-5.0, 4.0, -6.06)
+SCENE = Scene("canyon", (-5.0, 4.0, 6.0), (Wall((0, 1), 9.571564), Wall((0, 1), -8.613335)))
+
+
+def angle_between(a, b):
+    return np.abs(np.remainder(a - b + np.pi, 2.0 * np.pi) - np.pi)
+
+
+@pytest.fixture
+def folder(tmp_path):
+    """A copy of the vehicle scenario, to damage."""
+    return Path(shutil.copytree(VEHICLE, tmp_path / "scenario"))
+
+
+@pytest.mark.parametrize(
+    ("source", "counts"), [(VEHICLE, (120, 111, 69, 120)), (PEDESTRIAN, (400, 400, 256, 400))]
+)
+def test_virtual_anchors_are_the_gnb_mirrored_in_the_walls(source, counts):
+    recording = read_deepmimo(source)
+    np.testing.assert_allclose(recording.anchors_m, [(-5, 4, 6), NORTH, SOUTH], atol=1e-4)
+    np.testing.assert_allclose(recording.anchors_m, SCENE.anchors_m, atol=1e-4)
+    assert tuple(recording.visible.sum(axis=0)) == counts
+    assert recording.name == source.name
+    assert recording.carrier_hz == 28e9
+    assert recording.bandwidth_hz == 100e6
+
+
+@pytest.mark.parametrize("source", [VEHICLE, PEDESTRIAN])
+def test_every_row_of_every_link_agrees_with_the_geometry(source):
+    recording = read_deepmimo(source)
+    layout = recording.layout
+    exact = geometry(recording.position_m, recording.velocity_mps, SCENE, layout)
+    for a in range(3):
+        seen = recording.visible[:, a]
+        rows, expected = recording.measurement[seen, layout.link(a)], exact[seen, layout.link(a)]
+        np.testing.assert_allclose(rows[:, 0], expected[:, 0], atol=1e-4)
+        assert angle_between(rows[:, 1:], expected[:, 1:]).max() < 2e-5
+    np.testing.assert_allclose(recording.measurement[:, -1], exact[:, -1], atol=1e-9)
+
+
+@pytest.mark.parametrize("source", [VEHICLE, PEDESTRIAN])
+def test_ranges_rebuilt_from_the_anchors_are_those_of_the_files(source):
+    recording = read_deepmimo(source)
+    delays_m = SPEED_OF_LIGHT * load(source, "delay").astype(float)
+    for a in range(3):
+        seen = recording.visible[:, a]
+        away = recording.position_m[seen] - recording.anchors_m[a]
+        gap = np.abs(delays_m[seen] - np.linalg.norm(away, axis=1)[:, None])
+        assert np.nanmin(gap, axis=1).max() < 1e-4
+
+
+def test_doppler_has_the_sign_of_the_range_rate():
+    recording = read_deepmimo(VEHICLE)
+    rate = np.gradient(recording.measurement[:, 0], recording.time_s)
+    hz_per_mps = recording.scene.hz_per_mps
+    np.testing.assert_allclose(recording.measurement[1:-1, -1] / hz_per_mps, rate[1:-1], atol=0.02)
+
+
+def test_gain_is_the_power_of_the_strongest_path():
+    recording, power = read_deepmimo(VEHICLE), load(VEHICLE, "power")
+    np.testing.assert_allclose(recording.path_gain_db[:, 0], np.nanmax(power, axis=1))
+
+
+def test_ground_is_an_anchor_on_request():
+    recording = read_deepmimo(VEHICLE, virtual_anchors=3, ground=True)
+    np.testing.assert_allclose(recording.anchors_m, [(-5, 4, 6), GROUND, NORTH, SOUTH], atol=2e-3)
+    assert recording.visible[:, 1].all()
+    exact = recording.measurement[:, recording.layout.link(1)]
+    away = recording.position_m - recording.anchors_m[1]
+    np.testing.assert_allclose(exact[:, 0], np.linalg.norm(away, axis=1), atol=1e-4)
+    assert (exact[:, 2] > 0.0).all()
+    assert angle_between(exact[:, 3], exact[:, 1] + np.pi).max() < 2e-5
+
+
+@pytest.mark.parametrize(("wanted", "images"), [(0, 0), (1, 1), (2, 2), (9, 2)])
+def test_the_images_seen_most_are_kept(wanted, images):
+    recording = read_deepmimo(VEHICLE, virtual_anchors=wanted)
+    np.testing.assert_allclose(recording.anchors_m, SCENE.anchors_m[: 1 + images], atol=1e-4)
+    assert recording.layout.anchors == 1 + images
+
+
+def test_negative_number_of_virtual_anchors():
+    with pytest.raises(ValueError, match="virtual_anchors: found -1, expected at least 0"):
+        read_deepmimo(VEHICLE, virtual_anchors=-1)
+
+
+@pytest.mark.parametrize("kind", ["aoa", "aod"])
+def test_directions_against_propagation_mean_the_same(folder, kind):
+    expected = read_deepmimo(folder)
+    edit(folder, f"{kind}_az", lambda degrees: degrees + 180.0)
+    edit(folder, f"{kind}_el", lambda degrees: 180.0 - degrees)
+    found = read_deepmimo(folder)
+    angles = expected.layout.angles
+    difference = angle_between(found.measurement[:, angles], expected.measurement[:, angles])
+    assert difference.max() < 1e-5
+
+
+def test_of_several_paths_to_an_anchor_the_strongest_counts(folder):
+    expected = read_deepmimo(folder)
+    sides = ("tx_pos", "rx_pos")
+    for key in (key for key in KEYS if key not in sides):
+        edit(folder, key, lambda array: np.concatenate([array, array], axis=1))
+
+    def weaken(power):
+        power[:60, :4] -= 3.0
+        power[60:, 4:] -= 3.0
+
+    edit(folder, "power", weaken)
+    edit(folder, "delay", lambda delay: np.add(delay, [0] * 4 + [1e-10] * 4))
+    found = read_deepmimo(folder)
+    late_m = np.where(np.arange(120) < 60, SPEED_OF_LIGHT * 1e-10, 0.0)
+    np.testing.assert_allclose(
+        found.measurement[:, 0] - expected.measurement[:, 0], late_m, atol=1e-5
+    )
+    np.testing.assert_array_equal(found.path_gain_db[:, 0], expected.path_gain_db[:, 0])
+
+
+def test_paths_without_a_fixed_image_are_left_out(folder):
+    def scatter(inter):
+        inter[:40][inter[:40] == 1.0] = 3.0
+
+    edit(folder, "inter", scatter)
+    recording = read_deepmimo(folder)
+    assert recording.visible[:, 0].all()
+    assert not recording.visible[:40, 1:3].any()
+    assert recording.visible[40:, 1].any()
+
+
+def test_plain_numpy_files_are_as_good(folder):
+    expected = read_deepmimo(folder)
+    for key in KEYS:
+        np.save(folder / f"{key}_{LINK}.npy", load(folder, key))
+        (folder / f"{key}_{LINK}.npz").unlink()
+    found = read_deepmimo(folder)
+    np.testing.assert_array_equal(found.measurement, expected.measurement)
+    np.testing.assert_array_equal(found.visible, expected.visible)
+
+
+def test_files_that_are_not_needed_may_be_missing(folder):
+    for name in ("objects.json", "vertices.npz", f"phase_{LINK}.npz"):
+        (folder / name).unlink()
+    assert len(read_deepmimo(str(folder))) == 120
+
+
+@settings(max_examples=30, deadline=None)
+@given(
+    turn=st.floats(0.0, 2.0 * np.pi),
+    offset=st.floats(5.0, 100.0),
+    tilt=st.floats(-0.3, 0.3),
+    height=st.floats(3.0, 30.0),
+    course=st.floats(0.0, 2.0 * np.pi),
+)
+def test_a_wall_in_any_direction_becomes_an_anchor(turn, offset, tilt, height, course):
+    gnb = np.array([0.0, 0.0, height])
+    normal = np.array([np.cos(turn), np.sin(turn), tilt])
+    normal /= np.linalg.norm(normal)
+    # Users on the gNB's side of the wall, four meters from it or more.
+    along = np.array([np.cos(course), np.sin(course), 0.0])
+    users = np.array([3.0, -2.0, 1.5]) + np.linspace(-30.0, 30.0, 7)[:, None] * along
+    distance = max(offset, gnb @ normal + 4.0, float((users @ normal).max()) + 4.0)
+    with tempfile.TemporaryDirectory() as name:
+        write_hall(Path(name), gnb, users, [(normal, distance)])
+        recording = read_deepmimo(name, virtual_anchors=1)
+    np.testing.assert_allclose(
+        recording.anchors_m, [gnb, reflect(gnb, normal, distance)], atol=1e-6
+    )
+    assert recording.visible.all()
+    for a, anchor in enumerate(recording.anchors_m):
+        d = users - anchor
+        rows = recording.measurement[:, recording.layout.link(a)]
+        azimuth = np.arctan2(d[:, 1], d[:, 0])
+        level = np.hypot(d[:, 0], d[:, 1])
+        np.testing.assert_allclose(rows[:, 0], np.linalg.norm(d, axis=1), atol=1e-6)
+        assert angle_between(rows[:, 1], azimuth).max() < 1e-5
+        assert angle_between(rows[:, 2], np.arctan2(d[:, 2], level)).max() < 1e-5
+        assert angle_between(rows[:, 3], azimuth + np.pi).max() < 1e-5
+
+
+def set_at(index, value):
+    def change(array):
+        array[index] = value
+
+    return change
+
+
+def drop(file):
+    return lambda folder: (folder / file).unlink()
+
+
+def write(file, content):
+    return lambda folder: (folder / file).write_bytes(content)
+
+
+DAMAGE = {
+    "no params": (drop("params.json"), ["params.json", "no such file"]),
+    "params not JSON": (write("params.json", b"{"), ["params.json", "not the parameters"]),
+    "params not text": (write("params.json", b"\xff\x00"), ["params.json", "expected"]),
+    "params a list": (write("params.json", b"[]"), ["params.json", "found list"]),
+    "no frequency": (
+        lambda f: edit_params(f, lambda p: p["rt_params"].pop("frequency")),
+        ["params.json", "rt_params.frequency", "nothing"],
+    ),
+    "frequency a word": (
+        lambda f: edit_params(f, lambda p: p["rt_params"].update(frequency="28 GHz")),
+        ["rt_params.frequency", "28 GHz", "a number from 1 to"],
+    ),
+    "frequency without end": (
+        lambda f: edit_params(f, lambda p: p["rt_params"].update(frequency=10**200)),
+        ["rt_params.frequency", "a number from 1 to"],
+    ),
+    "dynamic scenario": (
+        lambda f: edit_params(f, lambda p: p["scene"].update(num_scenes=7)),
+        ["scene.num_scenes", "found 7", "expected 0, the number of sub-folders"],
+    ),
+    "no receivers' file": (drop(f"rx_pos_{LINK}.npz"), ["rx_pos", "found no"]),
+    "no delays": (drop(f"delay_{LINK}.npz"), [f"delay_{LINK}.npz", "no such file"]),
+    "half a transmitter": (
+        lambda f: np.save(f / "rx_pos_t000_tx001_r001.npy", np.zeros((1, 3))),
+        ["inter_t000_tx001_r001", "no such file"],
+    ),
+    "two sets of receivers": (
+        lambda f: np.save(f / "rx_pos_t000_tx000_r002.npy", np.zeros((1, 3))),
+        ["receiver_set", "found all", "one of 1, 2"],
+    ),
+    "two positions of the transmitter": (
+        lambda f: edit(f, "tx_pos", lambda a: np.tile(a, (2, 1))),
+        ["tx_pos", "(2, 3)", "(1, 3)"],
+    ),
+    "MATLAB": (
+        lambda f: (f / f"power_{LINK}.npz").rename(f / f"power_{LINK}.mat"),
+        [f"power_{LINK}.mat", "no file of MATLAB 5 to 7"],
+    ),
+    "empty file": (write(f"delay_{LINK}.npz", b""), ["delay", "no readable array"]),
+    "not a zip": (write(f"delay_{LINK}.npz", b"PK\x03\x04 nonsense"), ["delay", "no readable"]),
+    "another key": (
+        lambda f: np.savez(f / f"delay_{LINK}.npz", toa=load(f, "delay")),
+        ["delay", "only toa", "no array named delay"],
+    ),
+    "words": (
+        lambda f: store(f, "delay", np.full((120, 4), "late")),
+        ["delay", "type <U4", "real numbers"],
+    ),
+    "complex numbers": (
+        lambda f: edit(f, "delay", lambda a: a + 1j),
+        ["delay", "type complex", "real numbers"],
+    ),
+    "one path short": (
+        lambda f: edit(f, "aoa_az", lambda a: a[:, :3]),
+        ["aoa_az", "shape (120, 3)", "shape (120, 4)"],
+    ),
+    "flat positions": (
+        lambda f: edit(f, "rx_pos", lambda a: a[:, :2]),
+        ["rx_pos", "shape (120, 2)", "shape (N, 3)"],
+    ),
+    "no receivers": (
+        lambda f: edit(f, "rx_pos", lambda a: a[:0]),
+        ["rx_pos", "no receivers", "at least one"],
+    ),
+    "no paths": (
+        lambda f: [edit(f, k, lambda a: a[:, :0]) for k in KEYS if k[1:] != "x_pos"],
+        ["inter", "line-of-sight"],
+    ),
+    "nowhere": (
+        lambda f: edit(f, "rx_pos", set_at((3, 1), np.nan)),
+        ["rx_pos[3, 1]", "nan", "finite"],
+    ),
+    "a gNB nowhere": (
+        lambda f: edit(f, "tx_pos", set_at((0, 2), np.inf)),
+        ["tx_pos[0, 2]", "inf", "finite"],
+    ),
+    "delay missing on a path": (
+        lambda f: edit(f, "delay", set_at((5, 0), np.nan)),
+        ["delay[5, 0]", "nan", "finite"],
+    ),
+    "bounce missing on a path": (
+        lambda f: edit(f, "inter_pos", set_at((0, 1), np.nan)),
+        ["inter_pos[0, 1, 0]", "nan", "finite"],
+    ),
+    "bounce at the receiver": (
+        lambda f: edit(f, "inter_pos", set_at((0, 1, 0), (-45.0, -2.0, 1.5))),
+        ["inter_pos", "receiver 0"],
+    ),
+    "no interactions stored": (
+        lambda f: edit(f, "inter_pos", lambda a: a[:, :, :0]),
+        ["inter_pos[0, 1, 0]", "finite"],
+    ),
+    "no line of sight": (
+        lambda f: edit(f, "inter", lambda a: np.where(a == 0.0, 1.0 + 10.0, a)),
+        ["inter", "line-of-sight", "at least one"],
+    ),
+    "delay in nanoseconds": (
+        lambda f: edit(f, "delay", lambda a: 1e9 * a),
+        ["delay", "receiver 0", "range_m", "expected 40.69"],
+    ),
+    "elevation for zenith": (
+        lambda f: edit(f, "aoa_el", lambda a: 90.0 - a),
+        ["aoa_", "receiver 0"],
+    ),
+    "radians": (lambda f: edit(f, "aod_az", np.radians), ["aod_az", "receiver 0"]),
+    "no sidecar": (drop("trajectory.csv"), ["trajectory.csv", "t,x,y,z,vx,vy,vz"]),
+    "empty sidecar": (write("trajectory.csv", b""), ["trajectory.csv", "header"]),
+    "sidecar not text": (write("trajectory.csv", b"t,x\xff"), ["trajectory.csv", "CSV"]),
+    "other columns": (
+        lambda f: edit_line(f, 1, "t,x,y,z,vx,vy,w"),
+        ["trajectory.csv", "header", "t,x,y,z,vx,vy,w", "t,x,y,z,vx,vy,vz"],
+    ),
+    "a row short": (
+        lambda f: edit_line(f, 50, None),
+        ["trajectory.csv", "found 119", "expected 120"],
+    ),
+    "a value short": (
+        lambda f: edit_line(f, 2, "0,-45,-2,1.5,10,0"),
+        ["trajectory.csv", "line 2", "6 values", "expected 7"],
+    ),
+    "a word": (
+        lambda f: edit_line(f, 2, "0,-45,-2,1.5,fast,0,0"),
+        ["line 2, column vx", "'fast'", "finite number"],
+    ),
+    "a NaN": (
+        lambda f: edit_line(f, 2, "0,-45,-2,1.5,nan,0,0"),
+        ["line 2, column vx", "'nan'", "finite number"],
+    ),
+    "time stands still": (
+        lambda f: edit_line(f, 3, "0,-44.00014,-2,1.5,10,0,0"),
+        ["line 3: t", "found 0", "more than in the row before"],
+    ),
+    "elsewhere": (
+        lambda f: edit_line(f, 2, "0,-45,-3,1.5,10,0,0"),
+        ["line 2, columns x, y, z", "[-45.0, -3.0, 1.5]", "rx_pos of receiver 0"],
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("damage", DAMAGE)
+def test_damage_is_named(folder, damage):
+    spoil, expected = DAMAGE[damage]
+    spoil(folder)
+    with pytest.raises((ValueError, FileNotFoundError)) as error:
+        read_deepmimo(folder)
+    message = str(error.value)
+    assert str(folder) in message
+    assert all(part in message for part in expected), message
+
+
+def test_pickled_objects_are_never_loaded(folder):
+    class Bomb:
+        def __reduce__(self):
+            return (pytest.fail, ("the pickle was executed",))
+
+    array = np.empty(1, object)
+    array[0] = Bomb()
+    store(folder, "delay", array)
+    with pytest.raises(ValueError, match="delay"):
+        read_deepmimo(folder)
+
+
+def test_no_folder(tmp_path):
+    with pytest.raises(FileNotFoundError, match="nowhere"):
+        read_deepmimo(tmp_path / "nowhere")
+    with pytest.raises(ValueError, match="expected the folder"):
+        read_deepmimo(Path(__file__))
+
+
+def test_a_name_and_its_folder_are_the_same_recording():
+    np.testing.assert_array_equal(
+        *(source_from(name, "standard").recording.measurement for name in (VEHICLE.name, VEHICLE))
+    )

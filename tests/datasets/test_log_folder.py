@@ -1,0 +1,227 @@
+"""A folder with a log, its scene and its truth: written and played."""
+
+import re
+import shutil
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.interpolate import CubicSpline
+
+from experiments.evaluation.contenders import contender_from
+from experiments.evaluation.runner import score
+from mmwave_env.datasets.log_folder import read_log_folder, write_log_folder
+from mmwave_env.datasets.log_writer import write_log
+from mmwave_env.datasets.measured import MeasuredSource
+from mmwave_env.datasets.recorded import RecordedSource
+from mmwave_env.datasets.samples import log_names, sample_folder, source_from
+from mmwave_env.logs.log_tables import LogError
+from mmwave_env.logs.tum import tum_lines
+from mmwave_env.models.radio import RADIOS
+from mmwave_env.models.scene import SCENES, read_scene
+from mmwave_env.world.keys import keys_of
+from mmwave_env.world.simulated import SimulatedSource
+from tests.cli import assert_one_clear_line, command, succeed
+from tests.localization.mistakes import linear, read_columns, write_columns
+from tests.paths import LOGS, RECORDINGS
+
+STREET = SCENES["street"]
+
+
+def simulated(seed=3, odometry=False):
+    source = SimulatedSource(STREET, RADIOS["handset"], "vehicle", odometry=odometry)
+    return source.episode(int(keys_of([seed])[0]))
+
+
+@pytest.fixture
+def folder(tmp_path):
+    write_log_folder(tmp_path, simulated(), STREET, "made by a test")
+    return tmp_path
+
+
+@pytest.fixture
+def sample(tmp_path):
+    shutil.copytree(sample_folder("canyon28_vehicle"), tmp_path, dirs_exist_ok=True)
+    return tmp_path
+
+
+def test_the_truth_of_another_episode_goes(folder):
+    unknown = replace(simulated(), truth_position_m=None, truth_velocity_mps=None)
+    assert write_log_folder(folder, unknown, STREET, "") == ["log.csv", "scene.json"]
+    assert sorted(path.name for path in folder.iterdir()) == ["log.csv", "scene.json"]
+
+
+@pytest.mark.parametrize("odometry", [False, True])
+def test_a_simulated_log_is_the_simulated_episode(tmp_path, odometry):
+    options = ["--odometry"] if odometry else []
+    succeed("simulate", "--scenario", "vehicle", "--seed", 3, "--out", tmp_path, *options)
+    true = simulated(3, odometry)
+    assert read_scene(tmp_path / "scene.json") == STREET
+    found = source_from(tmp_path, "handset").sample(np.random.default_rng(0))
+    assert found.layout == true.layout and found.name == tmp_path.name
+    for field in ("time_s", "usable", "doppler_spread_hz", "scene_anchors_m", "truth_position_m"):
+        np.testing.assert_array_equal(getattr(found, field), getattr(true, field))
+    widths = [group.stop - group.start for group in true.layout.groups]
+    at, ranges = np.repeat(true.usable, widths, axis=1), np.zeros(true.layout.size, bool)
+    ranges[: true.layout.doppler : 4] = True
+    np.testing.assert_array_equal(found.measurement[at & ~ranges], true.measurement[at & ~ranges])
+    # A log has times of flight: range over the speed of light and back again.
+    np.testing.assert_array_max_ulp(found.measurement[at & ranges], true.measurement[at & ranges])
+    np.testing.assert_array_max_ulp(found.sigma[at], true.sigma[at], maxulp=4)
+
+
+def test_with_the_same_prior_it_earns_the_same(folder):
+    true = simulated()
+    found = source_from(folder, "handset").sample(np.random.default_rng(0))
+    found = replace(found, prior_mean=true.prior_mean)
+    contender = contender_from("imm", "handset")
+    one, other = (score(contender, None, [episode]) for episode in (found, true))
+    for metric in one:
+        np.testing.assert_allclose(one[metric], other[metric], rtol=1e-9)
+
+
+@pytest.mark.parametrize("name", ["log.csv.gz", "log.parquet"])
+def test_the_log_may_be_packed(folder, name):
+    if name.endswith(".parquet"):
+        pytest.importorskip("pyarrow")
+    plain = read_log_folder(folder)
+    (folder / "log.csv").unlink()
+    write_log(folder / name, simulated())
+    packed = read_log_folder(folder)
+    np.testing.assert_array_equal(packed.measurement, plain.measurement)
+
+
+def test_epochs_are_matched_to_poses_by_time(folder):
+    track = read_log_folder(folder)
+    early = slice(10, 150)
+    lines = tum_lines(track.time_s[early], track.position_m[early])
+    (folder / "truth.tum").write_text(lines)
+    with pytest.warns(UserWarning, match="found 200 epochs, .*, 140 epochs from 10 s on"):
+        episode = source_from(folder, "handset").sample(np.random.default_rng(0))
+    np.testing.assert_array_equal(episode.truth_position_m, track.position_m[early])
+    np.testing.assert_array_equal(episode.time_s, track.time_s[early])
+
+
+def at_another_rate(folder, late_s=0.0):
+    """The truth of a folder, written 30 times a second in place of 10."""
+    track = read_log_folder(folder)
+    time = np.arange(0.004, track.time_s[-1], 1.0 / 30.0)
+    way = CubicSpline(track.time_s, track.position_m)(time)
+    (folder / "truth.tum").write_text(tum_lines(time + late_s, way))
+    return track.position_m
+
+
+def test_truth_at_another_rate_is_that_of_the_epochs(sample):
+    expected = at_another_rate(sample)
+    found = read_log_folder(sample).position_m
+    np.testing.assert_allclose(found[1:-1], expected[1:-1], atol=1e-3)
+
+
+def test_a_clock_that_is_off_is_named_and_nothing_is_moved(sample):
+    expected = at_another_rate(sample, late_s=0.1)
+    with pytest.warns(UserWarning, match=r"truth.tum: found its clock 1\d\d ± \d+ ms ahead of the"):
+        found = read_log_folder(sample).position_m
+    np.testing.assert_allclose(found[2:-1], expected[1:-2], atol=1e-3)
+
+
+# --- which folder is which
+
+
+@pytest.mark.parametrize("name", log_names())
+def test_samples_are_found_by_name_and_by_folder(name):
+    assert sample_folder(name) == LOGS / name
+    assert sample_folder(name, "recording") == RECORDINGS / name
+    for where in (name, RECORDINGS / name):
+        assert isinstance(source_from(where, "standard"), RecordedSource)
+    log = source_from(LOGS / name, "standard")
+    assert isinstance(log, MeasuredSource) and log.name == name
+    recorded = source_from(name, "standard").sample(np.random.default_rng(0))
+    played = log.sample(np.random.default_rng(0))
+    np.testing.assert_array_equal(played.usable, recorded.usable)
+
+
+def test_a_recording_that_is_no_log_is_told_from_one():
+    with pytest.raises(ValueError, match="'canyon28_stop_and_go', a recording, which .* --data"):
+        sample_folder("canyon28_stop_and_go")
+
+
+@pytest.mark.parametrize(
+    ("names", "message"),
+    [
+        (["log.csv"], r"found no log.csv, expected a log \(one of log.csv, log.csv.gz, log.par"),
+        (["scene.json"], "found no scene.json, expected a log .*, scene.json and truth.tum"),
+        (["truth.tum"], "found no truth.tum, expected"),
+        (["scene.json", "truth.tum"], "found no scene.json, no truth.tum, expected"),
+        (["log.csv", "scene.json", "truth.tum"], "found no log.csv, .*or params.json"),
+    ],
+)
+def test_what_is_missing_is_named(folder, names, message):
+    for name in names:
+        (folder / name).unlink()
+    with pytest.raises(ValueError, match=message) as error:
+        source_from(folder, "handset")
+    assert str(error.value).startswith(f"{folder}: ")
+
+
+def test_a_file_where_its_folder_is_meant_is_refused_by_naming_it(folder):
+    with pytest.raises(ValueError, match=rf"found the file .*log.csv, .* its folder, {folder}$"):
+        source_from(folder / "log.csv", "handset")
+
+
+def test_two_logs_are_one_too_many(folder):
+    shutil.copy(folder / "log.csv", folder / "log.parquet")
+    with pytest.raises(ValueError, match="found log.csv and log.parquet, expected a log"):
+        source_from(folder, "handset")
+
+
+def test_a_truth_of_another_time_is_refused(folder):
+    track = read_log_folder(folder)
+    (folder / "truth.tum").write_text(tum_lines(track.time_s + 1e9, track.position_m))
+    with pytest.raises(ValueError, match=r"truth.tum: found times from 1000000000.0 to .*expected"):
+        source_from(folder, "handset")
+
+
+def changed(folder, factor, column):
+    """The log of a folder with a column times a factor."""
+    write_columns(folder / "log.csv", linear(factor, column)(read_columns(folder / "log.csv")))
+
+
+def test_an_elevation_of_the_other_sign_is_warned_of(sample):
+    changed(sample, -1.0, "aoa_elevation_rad")
+    with pytest.warns(UserWarning, match="far from the truth, aoa_elevation_rad of anchor 1 by"):
+        source_from(sample, "standard")
+
+
+def test_times_in_milliseconds_are_refused_beside_those_of_the_truth(sample):
+    changed(sample, 1e3, "time_s")
+    with (
+        pytest.raises(ValueError, match="time_s of .*: found epochs 100 s apart, expected at most"),
+        pytest.warns(UserWarning, match=r"a true position for 1 of .* 0 to 11900 s, .* 0 to 11.9"),
+    ):
+        source_from(sample, "standard")
+
+
+def test_a_damaged_log_is_refused_by_its_line(folder):
+    text = (folder / "log.csv").read_text().splitlines()
+    text[300] = "x" + text[300]
+    (folder / "log.csv").write_text("\n".join(text))
+    with pytest.raises(LogError, match="log.csv, line 301, column 'time_s': found 'x"):
+        source_from(folder, "handset")
+
+
+def test_commands_take_the_folder(folder):
+    told = succeed("compare", "--policies", "fixed-ukf", "imm", "--data", folder, "--episodes", 3)
+    assert re.search(rf"^### {folder.name}, handset, 3 episodes", told, re.MULTILINE)
+    for words in (("evaluate", "--policy", "imm"), ("simulate", "--out", folder / "out")):
+        (folder / "scene.json").unlink(missing_ok=True)
+        assert_one_clear_line(
+            command(*words, "--data", folder), f"{folder}: found no scene.json, expected"
+        )
+    assert not (folder / "out").exists()
+
+
+def test_a_log_is_written_again_as_it_was_read(folder):
+    succeed("simulate", "--data", folder, "--out", folder / "again")
+    one, other = read_log_folder(folder), read_log_folder(folder / "again")
+    np.testing.assert_array_equal(one.visible, other.visible)
+    np.testing.assert_allclose(one.measurement, other.measurement, rtol=1e-15)

@@ -1,0 +1,285 @@
+"""Measured tracks: a user's arrays become episodes, and what is not as it should be is named."""
+
+import warnings
+from dataclasses import replace
+
+import gymnasium as gym
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from mmwave_env.datasets.arrays import stretches, velocity_of
+from mmwave_env.datasets.measured import MeasuredSource, MeasuredTrack
+from mmwave_env.datasets.recorded import Recording
+from mmwave_env.datasets.samples import recording_from
+from mmwave_env.models.measurement import LINK, Layout
+from mmwave_env.models.prior import GAP_S
+from mmwave_env.models.radio import RADIOS
+from mmwave_env.models.scene import SCENES
+from mmwave_env.world.simulated import SimulatedSource
+
+STREET, RADIO = SCENES["street"], RADIOS["handset"]
+
+
+def generator(seed=0):
+    return np.random.default_rng(seed)
+
+
+def simulated(seed=3, epochs=60, radio=RADIO, scenario="vehicle"):
+    return SimulatedSource(STREET, radio, scenario, epochs=epochs).sample(generator(seed))
+
+
+def links(episode, rows, seen):
+    """Rows of links as a user has them: arrays (T, L) by name, NaN where not seen."""
+    columns = rows[:, : episode.layout.doppler].reshape(len(rows), -1, 4)
+    return {name: np.where(seen, columns[:, :, i], np.nan) for i, name in enumerate(LINK)}
+
+
+def arrays(episode):
+    """What a user has of an episode."""
+    seen, doppler = episode.usable[:, :3], episode.layout.doppler
+    return {
+        "time_s": episode.time_s,
+        "anchors_m": episode.scene_anchors_m,
+        **links(episode, episode.measurement, seen),
+        "snr_db": np.where(seen, episode.snr_db, np.nan),
+        "doppler_hz": np.where(episode.usable[:, 3], episode.measurement[:, doppler], np.nan),
+        "doppler_spread_hz": episode.doppler_spread_hz,
+        "position_m": episode.truth_position_m,
+    }
+
+
+def track(**changes):
+    return MeasuredTrack.from_arrays(**{**arrays(simulated()), **changes})
+
+
+# --- from arrays
+
+
+def test_arrays_are_the_episode_they_came_from():
+    true = simulated()
+    velocity = true.truth_velocity_mps
+    found = track(velocity_mps=velocity).episode("handset", generator())
+    at = np.repeat(true.usable, [4, 4, 4, 1], axis=1)
+    np.testing.assert_array_equal(found.usable, true.usable)
+    np.testing.assert_array_equal(found.measurement[at], true.measurement[at])
+    np.testing.assert_allclose(found.sigma[at], true.sigma[at], rtol=1e-12)
+    for field in ("time_s", "scene_anchors_m", "doppler_spread_hz", "truth_position_m",
+                  "truth_velocity_mps", "prior_covariance"):  # fmt: skip
+        np.testing.assert_array_equal(getattr(found, field), getattr(true, field))
+    assert found.hz_per_mps == true.hz_per_mps and found.nonfinite == 0
+
+
+def test_lists_will_do_and_doppler_need_not_be_there():
+    given = {name: np.asarray(value).tolist() for name, value in arrays(simulated()).items()}
+    del given["doppler_hz"], given["doppler_spread_hz"]
+    found = MeasuredTrack.from_arrays(**given)
+    assert not found.visible[:, 3].any() and not found.doppler_spread_hz.any()
+    np.testing.assert_array_equal(found.visible[:, :3], track().visible[:, :3])
+
+
+@pytest.mark.parametrize("name", [*LINK, "snr_db"])
+def test_a_link_without_all_its_numbers_was_not_measured(name):
+    whole = track()
+    epoch, anchor = np.argwhere(whole.visible[:, :3])[0]
+    values = arrays(simulated())[name].copy()
+    values[epoch, anchor] = np.nan
+    found = track(**{name: values})
+    expected = whole.visible.copy()
+    expected[epoch, anchor] = False
+    np.testing.assert_array_equal(found.visible[:, :3], expected[:, :3])
+
+
+def test_angles_of_any_turn_are_the_same_track():
+    given = arrays(simulated())
+    turned = track(aod_azimuth_rad=given["aod_azimuth_rad"] + 2 * np.pi)
+    at = track().visible[:, 0]
+    np.testing.assert_allclose(turned.measurement[at], track().measurement[at], atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"range_m": np.zeros(60)}, r"range_m of track 'own': found shape \(60,\), expected shape"),
+        ({"snr_db": np.zeros((60, 2))}, r"snr_db .* shape \(60, 2\), expected shape \(60, 3\)"),
+        ({"doppler_hz": [1.0]}, r"doppler_hz .*found shape \(1,\), expected shape \(60,\)"),
+        ({"position_m": np.zeros((60, 2))}, r"position_m .*expected shape \(60, 3\)"),
+        ({"velocity_mps": np.zeros(60)}, r"velocity_mps .*expected shape \(60, 3\)"),
+        ({"anchors_m": [1.0, 2.0, 3.0]}, r"anchors_m .*found shape \(3,\), expected .*\(any, 3\)"),
+        ({"time_s": []}, r"time_s .*found shape \(0,\), expected shape \(any,\)"),
+        ({"time_s": np.zeros(60)}, r"time_s of track 'own': found times that do not increase"),
+        ({"snr_db": "loud"}, r"snr_db of track 'own': found str .*, expected an array of numbers"),
+        ({"carrier_hz": 28.0}, r"carrier_hz: found 28.0, expected hertz"),
+    ],
+)
+def test_arrays_that_do_not_fit_are_named(changes, message):
+    with pytest.raises(ValueError, match=message):
+        track(**changes)
+
+
+# --- a convention or a unit mistaken
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        (lambda a: {f"ao{x}_azimuth_rad": a[f"ao{y}_azimuth_rad"] for x, y in ("ad", "da")},
+         "aoa_azimuth_rad of anchor 1 by 3.1.*aod_azimuth_rad of anchor 1 by 3.1"),
+        (lambda a: {"aoa_azimuth_rad": np.degrees(a["aoa_azimuth_rad"])}, "aoa_azimuth_rad of"),
+        (lambda a: {"aoa_elevation_rad": np.pi / 2 - a["aoa_elevation_rad"]},
+         "aoa_elevation_rad of anchor 1 by"),
+        (lambda a: {"aoa_elevation_rad": -a["aoa_elevation_rad"]}, "truth, aoa_elevation_rad of"),
+        (lambda a: {"aoa_azimuth_rad": a["aoa_azimuth_rad"] + 0.2}, "truth, aoa_azimuth_rad of"),
+        (lambda a: {"range_m": 2.0 * a["range_m"]}, "range_m of anchor 1 by"),
+        (lambda a: {"anchors_m": a["anchors_m"][::-1]}, "anchor 3"),
+        (lambda a: {"position_m": a["position_m"] + [1000.0, 0.0, 0.0]}, "range_m of anchor 1 by"),
+    ],
+    ids=["exchanged", "degrees", "zenith", "upside down", "turned", "round trip",
+         "anchors reversed", "another frame"],
+)  # fmt: skip
+def test_what_contradicts_the_truth_is_warned_of(changes, message):
+    with pytest.warns(UserWarning, match=rf"track 'own': .*{message}.*docs/data.md"):
+        track(**changes(arrays(simulated(radio=RADIOS["standard"]))))
+
+
+def quiet(seeds):
+    for seed in seeds:
+        for radio in RADIOS.values():
+            with warnings.catch_warnings():
+                warnings.simplefilter("error")
+                given = arrays(simulated(seed, 200, radio, "mixed"))
+                MeasuredTrack.from_arrays(**given)
+
+
+def test_what_is_right_is_not_warned_of():
+    quiet(range(20))
+
+
+@pytest.mark.slow
+def test_a_thousand_right_tracks_are_not_warned_of():
+    quiet(range(20, 354))
+
+
+# --- episodes
+
+
+def test_seeds_draw_the_prior_and_nothing_else():
+    source = MeasuredSource(track(), "handset")
+    one, same, other = (source.sample(generator(seed)) for seed in (5, 5, 6))
+    for field in ("time_s", "measurement", "sigma", "visible", "truth_position_m"):
+        np.testing.assert_array_equal(getattr(one, field), getattr(other, field))
+    np.testing.assert_array_equal(one.prior_mean, same.prior_mean)
+    assert (one.prior_mean[:6] != other.prior_mean[:6]).all()
+    assert source.epochs == len(one) == 60 and source.layout == Layout(3)
+
+
+def test_the_prior_is_about_the_truth_and_the_oscillator_unknown():
+    source = MeasuredSource(track(), RADIO)
+    drawn = np.array([source.sample(generator(seed)).prior_mean for seed in range(300)])
+    truth = np.concatenate([source.track.position_m[0], source.track.velocity_mps[0]])
+    deviation = np.sqrt(np.diag(RADIO.prior_covariance(STREET)))[:6]
+    z = (drawn[:, :6] - truth) / deviation
+    assert (abs(z.mean(axis=0)) < 4.0 / np.sqrt(300)).all()
+    assert (abs(z.var(axis=0) - 1.0) < 4.0 * np.sqrt(2.0 / 300)).all()
+    assert not drawn[:, 6].any()
+
+
+def test_velocities_are_differences_of_positions():
+    time = np.array([0.0, 0.5, 1.5, 2.0])
+    position = np.outer(time, [1.0, -2.0, 0.5])
+    np.testing.assert_allclose(velocity_of(time, position), np.tile([1.0, -2.0, 0.5], (4, 1)))
+
+
+@settings(max_examples=100, deadline=None)
+@given(
+    known=st.lists(st.booleans(), min_size=1, max_size=30),
+    steps=st.lists(st.sampled_from([0.1, 1.0, GAP_S, GAP_S + 0.1]), min_size=29, max_size=29),
+)
+def test_stretches_are_all_that_is_known_without_a_gap(known, steps):
+    time = np.concatenate([[0.0], np.cumsum(steps)])[: len(known)]
+    position = np.where(np.array(known)[:, None], 1.0, np.nan) * np.ones((len(known), 3))
+    runs = stretches(time, position)
+    inside = np.zeros(len(known), bool)
+    for run in runs:
+        assert run.stop - run.start >= 2 and all(known[run])
+        assert (np.diff(time[run]) <= GAP_S + 1e-9).all() and not inside[run].any()
+        inside[run] = True
+    for i in range(len(known) - 1):
+        together = known[i] and known[i + 1] and time[i + 1] - time[i] <= GAP_S
+        assert together == (inside[i] and inside[i + 1] and not any(r.stop == i + 1 for r in runs))
+    assert (np.isfinite(velocity_of(time, position)).all(axis=1) == inside).all()
+
+
+def broken():
+    """A track of 60 epochs whose truth is not known in epochs 20 and 21, with a gap before 50."""
+    given = arrays(simulated())
+    position, time = given["position_m"].copy(), given["time_s"].copy()
+    position[20:22] = np.nan
+    time[50:] += 20.0
+    return track(position_m=position, time_s=time)
+
+
+def test_episodes_lie_within_stretches():
+    source = MeasuredSource(broken(), RADIO, epochs=10)
+    starts = {int(source.sample(generator(seed)).time_s[0]) for seed in range(300)}
+    assert starts == {*range(11), *range(22, 41), 70}
+
+
+def test_without_a_length_the_longest_stretch_is_played():
+    with pytest.warns(UserWarning, match="found 60 epochs, .* 28 epochs from 22 s on"):
+        source = MeasuredSource(broken(), RADIO)
+    assert {source.sample(generator(seed)).time_s[0] for seed in range(20)} == {22.0}
+    assert source.epochs == 28
+
+
+@pytest.mark.parametrize("epochs", [0, 29])
+def test_windows_that_no_stretch_holds_are_refused(epochs):
+    with pytest.raises(ValueError, match=f"epochs: found {epochs}, expected 1 to 28, the longest"):
+        MeasuredSource(broken(), RADIO, epochs)
+
+
+def test_a_track_without_truth_is_refused():
+    given = arrays(simulated())
+    with pytest.raises(ValueError, match="track 'own': found no two epochs in a row with a true"):
+        MeasuredSource(track(position_m=np.full_like(given["position_m"], np.nan)), RADIO)
+
+
+def test_times_in_another_unit_are_refused():
+    given = track(time_s=1e3 * arrays(simulated())["time_s"])
+    with pytest.raises(ValueError, match="time_s of .*found epochs 1000 s apart, .* 15 s: are its"):
+        MeasuredSource(given, RADIO)
+
+
+def test_the_environment_takes_a_track_or_a_recording():
+    for own, steps in ((track(), 25), (recording_from("canyon28_vehicle"), 30)):
+        env = gym.make(
+            "mmwave_env:MmWaveLoc-v0", episodes=own, radio="standard", episode_steps=steps
+        ).unwrapped
+        assert env.radio == RADIOS["standard"] and env.source.epochs == steps
+        _, info = env.reset(seed=1)
+        assert info["episode_name"] == own.name
+
+
+# --- recordings from arrays
+
+
+def test_a_recording_is_made_of_its_paths():
+    true = recording_from("canyon28_pedestrian")
+    seen = true.visible[:, :3]
+    given = {
+        "time_s": true.time_s, "anchors_m": true.anchors_m, **links(true, true.measurement, seen),
+        "path_gain_db": np.where(seen, true.path_gain_db, np.nan), "position_m": true.position_m,
+        "velocity_mps": true.velocity_mps, "name": true.name,
+    }  # fmt: skip
+    found = Recording.from_arrays(**given)
+    np.testing.assert_array_equal(found.visible, true.visible)
+    at = np.repeat(true.visible, [4, 4, 4, 1], axis=1)
+    np.testing.assert_allclose(found.measurement[at], true.measurement[at], rtol=1e-12)
+    assert replace(found, measurement=true.measurement).scene == true.scene
+    by_differences = Recording.from_arrays(**{**given, "velocity_mps": None})
+    assert abs(by_differences.velocity_mps - true.velocity_mps).max() < 0.5
+    with pytest.raises(ValueError, match="path_gain_db of recording 'own': found shape"):
+        Recording.from_arrays(**{**given, "path_gain_db": [1.0], "name": "own"})
+    with pytest.warns(UserWarning, match="recording .*aoa_azimuth_rad of anchor 1 by"):
+        Recording.from_arrays(**{**given, "aoa_azimuth_rad": given["aod_azimuth_rad"]})

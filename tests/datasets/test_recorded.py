@@ -1,0 +1,246 @@
+import pickle
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from mmwave_env.datasets.recorded import RecordedSource, Recording
+from mmwave_env.datasets.samples import recording_from, sample_names, source_from
+from mmwave_env.models.measurement import Layout
+from mmwave_env.models.radio import RADIOS
+from mmwave_env.models.scene import Scene, Wall
+from mmwave_env.world.episode import EpisodeSource
+from tests.filters.tracks import geometry
+
+NAMES = (
+    "canyon28_pedestrian", "canyon28_stop_and_go", "canyon28_vehicle", "canyon28_walk_ride_walk",
+)  # fmt: skip
+VEHICLE = recording_from("canyon28_vehicle")
+PEDESTRIAN = recording_from("canyon28_pedestrian")
+RADIO = RADIOS["standard"]
+
+
+def generator(seed=0):
+    return np.random.default_rng(seed)
+
+
+def residuals(episode, recording):
+    """(T, rows) measured minus exact, angles wrapped."""
+    out = episode.measurement - recording.measurement
+    angles = recording.layout.angles
+    out[:, angles] = np.remainder(out[:, angles] + np.pi, 2.0 * np.pi) - np.pi
+    return out
+
+
+def shown(recording):
+    """(T, rows) whether a row is visible."""
+    widths = [rows.stop - rows.start for rows in recording.layout.groups]
+    return np.repeat(recording.visible, widths, axis=1)
+
+
+def track(epochs=50, dt=1.0, odometry=False):
+    """A recording made by hand: a straight walk past one wall, everything visible."""
+    scene = Scene("walk", (0.0, 0.0, 8.0), (Wall((0, 1), 20.0),))
+    layout = Layout(2, odometry)
+    time = dt * np.arange(epochs)
+    velocity = np.tile([1.2, 0.3, 0.0], (epochs, 1))
+    position = np.array([5.0, -6.0, 1.5]) + time[:, None] * velocity
+    return Recording(
+        name="walk",
+        anchors_m=scene.anchors_m,
+        carrier_hz=28e9,
+        bandwidth_hz=100e6,
+        time_s=time,
+        measurement=geometry(position, velocity, scene, layout),
+        visible=np.ones((epochs, len(layout.groups)), bool),
+        path_gain_db=np.full((epochs, 2), -90.0),
+        position_m=position,
+        velocity_mps=velocity,
+        layout=layout,
+    )
+
+
+def test_names_of_the_samples():
+    assert sample_names() == NAMES
+    for name, epochs in zip(NAMES, (400, 587, 120, 908), strict=True):
+        recording = recording_from(name)
+        assert recording.name == name
+        assert len(recording) == epochs
+
+
+def test_unknown_name(tmp_path):
+    for name in ("canyon", tmp_path / "nowhere"):
+        with pytest.raises(ValueError, match=r"expected one of .*, or the folder of a") as error:
+            source_from(name, RADIO)
+        assert str(name) in str(error.value)
+        assert all(sample in str(error.value) for sample in NAMES)
+    with pytest.raises(ValueError, match="found the file .*, expected its folder"):
+        source_from(__file__, RADIO)
+
+
+def test_a_trajectory_in_place_of_a_folder_is_sent_to_the_scenario(tmp_path):
+    trip, log = tmp_path / "trip.csv", tmp_path / "log.csv"
+    for file in (trip, log):
+        file.write_text("t,x,y,z\n")
+    with pytest.raises(ValueError, match=f"give it as the scenario: --scenario {trip}$"):
+        source_from(trip, RADIO)
+    with pytest.raises(ValueError, match=f"expected its folder, {tmp_path}$"):
+        source_from(log, RADIO)
+
+
+def test_it_is_an_episode_source():
+    source: EpisodeSource = RecordedSource(VEHICLE, RADIO)
+    episode = source.sample(generator())
+    assert source.layout == episode.layout == Layout(3)
+    assert source.epochs == len(episode) == 120
+    assert source.name == episode.name == "canyon28_vehicle"
+    assert episode.nonfinite == 0
+    assert np.isfinite(episode.table()).all()
+    np.testing.assert_array_equal(episode.usable, VEHICLE.visible)
+    np.testing.assert_array_equal(episode.truth_position_m, VEHICLE.position_m)
+    np.testing.assert_array_equal(episode.truth_velocity_mps, VEHICLE.velocity_mps)
+    np.testing.assert_array_equal(episode.scene_anchors_m, VEHICLE.anchors_m)
+    assert episode.hz_per_mps == pytest.approx(28e9 / 299_792_458.0)
+
+
+def test_same_seed_same_episode():
+    source = RecordedSource(PEDESTRIAN, RADIO, epochs=40)
+    one, other = source.sample(generator(3)), source.sample(generator(3))
+    for field in ("time_s", "measurement", "sigma", "visible", "snr_db", "doppler_spread_hz",
+                  "prior_mean", "prior_covariance"):  # fmt: skip
+        np.testing.assert_array_equal(getattr(one, field), getattr(other, field))
+    different = source.sample(generator(4))
+    assert not np.array_equal(different.time_s, one.time_s)
+
+
+def test_sampling_does_not_change_the_recording():
+    before = pickle.dumps(VEHICLE)
+    RecordedSource(VEHICLE, RADIO).sample(generator())
+    assert pickle.dumps(VEHICLE) == before
+
+
+def test_sigmas_are_the_profile_s_at_the_recorded_gain():
+    episode = RecordedSource(VEHICLE, RADIO).sample(generator())
+    seen = VEHICLE.visible[:, :3]
+    np.testing.assert_allclose(
+        episode.snr_db[seen], RADIO.snr_db(VEHICLE.path_gain_db[seen], 100e6)
+    )
+    np.testing.assert_array_equal(
+        episode.sigma, RADIO.sigma(episode.snr_db, VEHICLE.scene, VEHICLE.layout)
+    )
+    assert (episode.snr_db[~seen] < -50.0).all()
+
+
+def test_noise_has_the_stated_size():
+    source = RecordedSource(PEDESTRIAN, RADIO)
+    rows = shown(PEDESTRIAN)[:, :-1]
+    scores = []
+    for seed in range(20):
+        episode = source.sample(generator(seed))
+        scores.append((residuals(episode, PEDESTRIAN) / episode.sigma)[:, :-1])
+    scores = np.array(scores)
+    for row in range(rows.shape[1]):
+        z = scores[:, rows[:, row], row]
+        assert abs(z.mean()) < 4.0 / np.sqrt(z.size)
+        assert abs(z.var() - 1.0) < 4.0 * np.sqrt(2.0 / z.size)
+
+
+def test_oscillator_bias_is_the_random_walk_of_the_profile():
+    recording = track(epochs=200, dt=4.0)
+    quiet = replace(RADIO, doppler_floor_mps=1e-3, doppler_window_s=1e9)
+    source = RecordedSource(recording, quiet)
+    walks = np.array([
+        residuals(source.sample(generator(seed)), recording)[:, -1] for seed in range(200)
+    ]) / recording.scene.hz_per_mps  # fmt: skip
+    assert np.std(walks[:, 0]) == pytest.approx(RADIO.prior_bias_mps, rel=0.2)
+    steps = np.diff(walks, axis=1)
+    assert np.std(steps) == pytest.approx(RADIO.drift_mps * 2.0, rel=0.02)
+    assert abs(np.mean(steps)) < 4.0 * np.std(steps) / np.sqrt(steps.size)
+
+
+def test_doppler_spread_follows_the_speed():
+    source = RecordedSource(VEHICLE, replace(RADIO, spread_floor_mps=0.0))
+    speed = np.linalg.norm(VEHICLE.velocity_mps, axis=1)
+    spreads = np.array([source.sample(generator(s)).doppler_spread_hz for s in range(50)])
+    ratio = np.log(spreads / (RADIO.spread_gain * speed * VEHICLE.scene.hz_per_mps))
+    assert abs(ratio.mean()) < 0.01
+    assert ratio.std() == pytest.approx(RADIO.spread_sigma, rel=0.05)
+
+
+def test_prior_is_drawn_around_the_truth():
+    source = RecordedSource(VEHICLE, RADIO, epochs=30)
+    scores = []
+    for seed in range(300):
+        episode = source.sample(generator(seed))
+        truth = np.concatenate([episode.truth_position_m[0], episode.truth_velocity_mps[0]])
+        error = episode.prior_mean[:6] - truth
+        scores.append(error @ np.linalg.solve(episode.prior_covariance[:6, :6], error))
+    assert np.mean(scores) == pytest.approx(6.0, rel=0.15)
+
+
+@settings(max_examples=30, deadline=None)
+@given(epochs=st.integers(1, 120), seed=st.integers(0, 99))
+def test_window_is_contiguous(epochs, seed):
+    episode = RecordedSource(VEHICLE, RADIO, epochs=epochs).sample(generator(seed))
+    first = int(np.flatnonzero(VEHICLE.time_s == episode.time_s[0])[0])
+    cut = slice(first, first + epochs)
+    assert len(episode) == epochs
+    np.testing.assert_array_equal(episode.time_s, VEHICLE.time_s[cut])
+    noise = residuals(episode, VEHICLE.window(first, epochs))[:, :-1] / episode.sigma[:, :-1]
+    assert np.abs(noise).max() < 6.0
+    np.testing.assert_array_equal(episode.visible, VEHICLE.visible[cut])
+    np.testing.assert_array_equal(episode.truth_position_m, VEHICLE.position_m[cut])
+
+
+def test_windows_are_everywhere():
+    source = RecordedSource(VEHICLE, RADIO, epochs=118)
+    firsts = {source.sample(generator(seed)).time_s[0] for seed in range(40)}
+    assert firsts == set(VEHICLE.time_s[:3])
+
+
+@pytest.mark.parametrize("epochs", [0, -1, 121])
+def test_window_that_does_not_fit(epochs):
+    with pytest.raises(ValueError, match=f"epochs: found {epochs}, expected 1 to 120"):
+        RecordedSource(VEHICLE, RADIO, epochs=epochs)
+
+
+def test_odometry_rows_pass_through():
+    recording = track(odometry=True)
+    episode = RecordedSource(recording, RADIO).sample(generator())
+    assert episode.visible.shape == (50, 4)
+    scores = residuals(episode, recording)[:, -2:] / episode.sigma[:, -2:]
+    assert scores.std() == pytest.approx(1.0, rel=0.3)
+
+
+def test_numbers_that_are_not_visible_may_be_anything():
+    hidden = ~shown(VEHICLE)
+    recording = replace(
+        VEHICLE,
+        measurement=np.where(hidden, np.nan, VEHICLE.measurement),
+        path_gain_db=np.where(VEHICLE.visible[:, :3], VEHICLE.path_gain_db, np.nan),
+    )
+    expected = RecordedSource(VEHICLE, RADIO).sample(generator())
+    found = RecordedSource(recording, RADIO).sample(generator())
+    np.testing.assert_array_equal(found.table(), expected.table())
+    np.testing.assert_array_equal(found.sigma, expected.sigma)
+
+
+@pytest.mark.parametrize(
+    ("field", "value", "message"),
+    [
+        ("anchors_m", np.zeros((2, 3)), r"shape \(2, 3\), expected shape \(3, 3\)"),
+        ("visible", np.ones((120, 3), bool), r"shape \(120, 3\), expected shape \(120, 4\)"),
+        ("position_m", np.zeros((119, 3)), r"shape \(119, 3\), expected shape \(120, 3\)"),
+        ("time_s", np.zeros(120), "times that do not increase"),
+        ("position_m", np.full((120, 3), np.nan), "NaN or infinity"),
+        ("measurement", np.full((120, 13), np.nan), "NaN or infinity in a visible group"),
+        ("path_gain_db", np.full((120, 3), np.inf), "NaN or infinity on a visible link"),
+        ("carrier_hz", 0.0, "found 0.0, expected > 0"),
+        ("bandwidth_hz", np.inf, "found inf, expected > 0"),
+    ],
+)
+def test_recordings_are_checked(field, value, message):
+    with pytest.raises(ValueError, match=f"{field} of recording 'canyon28_vehicle'.*{message}"):
+        replace(VEHICLE, **{field: value})

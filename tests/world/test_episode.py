@@ -1,0 +1,344 @@
+"""Episodes: geometry written afresh, noise statistics at 99.9 % confidence each, validation."""
+
+import hashlib
+import os
+import subprocess
+import sys
+from dataclasses import fields, replace
+
+import numpy as np
+import pytest
+from scipy.stats import kstest, norm
+
+from mmwave_env.models.epoch import blank_site
+from mmwave_env.models.measurement import Layout
+from mmwave_env.models.radio import RADIOS
+from mmwave_env.models.scene import SCENES
+from mmwave_env.numerics.pytree import unflatten
+from mmwave_env.world.episode import Episode, blank_incoming
+from mmwave_env.world.simulated import SimulatedSource
+from tests.filters.tracks import geometry
+
+STREET = SCENES["street"]
+HZ_PER_MPS = 28e9 / 299_792_458.0
+SIGNIFICANCE = 0.001
+# Nothing but noise: no blockage, no multipath, no oscillator.
+NOISE_ONLY = replace(
+    RADIOS["standard"], blockage_scale=0.0, multipath_rate_hz=0.0, drift_mps=0.0,
+    prior_bias_mps=1e-9,
+)  # fmt: skip
+
+
+def source(radio="handset", **changes):
+    radio = RADIOS[radio] if isinstance(radio, str) else radio
+    return SimulatedSource(changes.pop("scene", STREET), radio, **changes)
+
+
+def draw(seed=0, **changes):
+    return source(**changes).sample(np.random.default_rng(seed))
+
+
+@pytest.fixture(scope="module")
+def episode():
+    return draw()
+
+
+def wrapped(angle):
+    return np.angle(np.exp(1j * angle))
+
+
+def exact(position, velocity, anchors):
+    """Every row without noise: link by link as (range, AoA, elevation, AoD), then Doppler."""
+    columns = []
+    for anchor in anchors:
+        away = position - anchor
+        ground = np.hypot(away[:, 0], away[:, 1])
+        bearing = np.angle(away[:, 0] + 1j * away[:, 1])
+        departure = np.angle(-away[:, 0] - 1j * away[:, 1])
+        columns += [np.sqrt(ground**2 + away[:, 2] ** 2), bearing]
+        columns += [np.arctan(away[:, 2] / ground), departure]
+    away = position - anchors[0]
+    unit = away / np.linalg.norm(away, axis=1, keepdims=True)
+    columns.append(HZ_PER_MPS * (unit * velocity).sum(axis=1))
+    return np.column_stack(columns)
+
+
+def innovations(episode):
+    """Measured minus exact, over sigma, in the epochs in which every link is seen."""
+    z = episode.measurement - exact(
+        episode.truth_position_m, episode.truth_velocity_mps, episode.scene_anchors_m
+    )
+    angles = episode.layout.angles
+    z[:, angles] = wrapped(z[:, angles])
+    return (z / episode.sigma)[episode.visible.all(axis=1)]
+
+
+# --- geometry
+
+
+@pytest.mark.parametrize("scene", SCENES)
+def test_geometry(scene):
+    scene = SCENES[scene]
+    rng = np.random.default_rng(0)
+    position = rng.uniform(-200.0, 200.0, (500, 3))
+    velocity = rng.normal(0.0, 5.0, (500, 3))
+    found = geometry(position, velocity, scene, Layout())
+    difference = found - exact(position, velocity, scene.anchors_m)
+    difference[:, Layout().angles] = wrapped(difference[:, Layout().angles])
+    np.testing.assert_allclose(difference, 0.0, atol=1e-9)
+    assert np.abs(found[:, Layout().angles]).max() <= np.pi
+
+
+def test_departure_is_arrival_turned_by_half_a_circle():
+    position = np.random.default_rng(0).uniform(-200.0, 200.0, (500, 3))
+    z = geometry(position, np.zeros((500, 3)), STREET, Layout())
+    np.testing.assert_allclose(wrapped(z[:, 3:12:4] - z[:, 1:12:4] - np.pi), 0.0, atol=1e-12)
+
+
+def test_doppler_is_positive_hertz_while_the_range_grows():
+    start, speed = np.array([10.0, -90.0, 1.5]), 10.0
+    anchor = np.array(STREET.base_station_m)
+    away = (start - anchor) / np.linalg.norm(start - anchor)
+    for sign in (1.0, -1.0):
+        z = geometry(start[None], sign * speed * away[None], STREET, Layout())
+        assert z[0, 12] == pytest.approx(sign * speed * 28e9 / 299_792_458.0)
+
+
+def test_odometry_rows_are_speed_and_heading():
+    velocity = np.array([[3.0, 4.0, 0.0], [-1.0, 0.0, 0.0]])
+    z = geometry(np.zeros((2, 3)), velocity, STREET, Layout(odometry=True))
+    np.testing.assert_allclose(z[:, 13:], [[5.0, np.arctan2(4.0, 3.0)], [1.0, np.pi]])
+
+
+# --- noise
+
+
+def test_noise_is_standard_normal_over_sigma():
+    drawn = [draw(seed, radio=NOISE_ONLY) for seed in range(30)]
+    pooled = np.concatenate([innovations(episode) for episode in drawn])
+    for row in pooled.T:
+        assert kstest(row, "norm").pvalue > SIGNIFICANCE
+    off_diagonal = np.corrcoef(pooled.T)[np.triu_indices(13, 1)]
+    # rows are independent; Bonferroni over the pairs
+    z = norm.ppf(1.0 - SIGNIFICANCE / (2.0 * off_diagonal.size))
+    assert np.abs(off_diagonal).max() <= z / np.sqrt(len(pooled))
+
+
+def test_blockage_and_multipath_lengthen_ranges_unknown_to_sigma():
+    biased = replace(NOISE_ONLY, blockage_scale=0.5, multipath_rate_hz=0.008)
+    drawn = [draw(seed, radio=biased) for seed in range(10)]
+    ranges = np.concatenate([innovations(episode)[:, 0:12:4].ravel() for episode in drawn])
+    assert (ranges > 5.0).mean() > 0.01 and not (ranges < -5.0).any()
+
+
+def test_odometry_noise():
+    drawn = [draw(seed, radio=NOISE_ONLY, odometry=True) for seed in range(20)]
+    velocity = np.concatenate([episode.truth_velocity_mps for episode in drawn])
+    measured = np.concatenate([episode.measurement for episode in drawn])
+    seen = np.concatenate([episode.visible for episode in drawn])[:, -1]
+    speed = np.linalg.norm(velocity, axis=1)
+    np.testing.assert_array_equal(seen, speed >= 0.2)
+    assert kstest((measured[seen, 13] - speed[seen]) / 0.1, "norm").pvalue > SIGNIFICANCE
+    heading = wrapped(measured[seen, 14] - np.arctan2(velocity[seen, 1], velocity[seen, 0]))
+    assert kstest(heading / np.deg2rad(3.0), "norm").pvalue > SIGNIFICANCE
+
+
+@pytest.mark.parametrize("dt", [0.5, 1.0])
+def test_the_oscillator_walks_at_random(dt):
+    quiet = replace(NOISE_ONLY, drift_mps=0.05, doppler_floor_mps=1e-3, doppler_window_s=1e6)
+    steps = []
+    for seed in range(20):
+        episode = draw(seed, radio=quiet, dt=dt)
+        seen = episode.visible.all(axis=1)
+        drift = (innovations(episode) * episode.sigma[seen])[:, 12]
+        steps.append(np.diff(drift)[np.diff(np.flatnonzero(seen)) == 1])
+    scale = 0.05 * HZ_PER_MPS * np.sqrt(dt)
+    assert kstest(np.concatenate(steps) / scale, "norm").pvalue > SIGNIFICANCE
+
+
+def test_the_prior_is_centered_on_the_truth_with_its_covariance():
+    whitened = []
+    for seed in range(300):
+        episode = draw(seed, epochs=1)
+        state = [*episode.truth_position_m[0], *episode.truth_velocity_mps[0]]
+        deviation = np.sqrt(np.diag(episode.prior_covariance))[:6]
+        whitened.append((episode.prior_mean[:6] - state) / deviation)
+    for row in np.transpose(whitened):
+        assert kstest(row, "norm").pvalue > SIGNIFICANCE
+
+
+@pytest.mark.parametrize("odometry", [False, True])
+def test_angles_are_wrapped(odometry):
+    for seed in range(20):
+        episode = draw(seed, odometry=odometry)
+        assert np.abs(episode.measurement[:, episode.layout.angles]).max() <= np.pi
+
+
+# --- what an episode holds
+
+
+def test_doppler_is_seen_with_the_physical_anchor(episode):
+    assert len(episode) == 200 and episode.has_truth and episode.nonfinite == 0
+    np.testing.assert_array_equal(episode.visible[:, 3], episode.visible[:, 0])
+    np.testing.assert_array_equal(episode.usable, episode.visible)
+
+
+def test_time_runs_in_steps_of_dt():
+    np.testing.assert_allclose(draw(dt=0.25, epochs=5).time_s, [0.0, 0.25, 0.5, 0.75, 1.0])
+
+
+@pytest.mark.parametrize("scene", SCENES)
+def test_layout_follows_scene_and_odometry(scene):
+    assert draw(scene=SCENES[scene]).layout == Layout(3)
+    assert draw(scene=replace(SCENES[scene], walls=())).measurement.shape == (200, 5)
+    assert draw(scene=SCENES[scene], odometry=True).measurement.shape == (200, 15)
+
+
+def digest(seeds):
+    """Of every array of a few episodes, to the bit."""
+    sha = hashlib.sha256()
+    for seed in seeds:
+        episode = draw(seed, odometry=True)
+        for field in fields(Episode):
+            value = getattr(episode, field.name)
+            sha.update(value.tobytes() if isinstance(value, np.ndarray) else repr(value).encode())
+    return sha.hexdigest()
+
+
+@pytest.mark.slow
+def test_a_seed_gives_the_same_episode_in_every_process_to_the_bit():
+    code = "import test_episode; print(test_episode.digest(range(5)))"
+    here = os.path.dirname(__file__)
+    path = os.pathsep.join([here, os.path.dirname(here), os.environ.get("PYTHONPATH", "")])
+    # Another hash seed than this process has, which is random unless it is set.
+    environment = os.environ | {"PYTHONPATH": path, "PYTHONHASHSEED": "1"}
+    done = subprocess.run(
+        [sys.executable, "-c", code], env=environment, capture_output=True, text=True
+    )
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.strip() == digest(range(5))
+    assert digest(range(5)) != digest(range(1, 6))
+
+
+# --- what does not count
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
+@pytest.mark.parametrize(("row", "group"), [(1, 0), (4, 1), (11, 2), (12, 3)])
+def test_a_measurement_that_is_no_number_is_missing_and_counted(episode, value, row, group):
+    t = int(np.flatnonzero(episode.visible[:, group])[0])
+    measurement = episode.measurement.copy()
+    measurement[t, row] = value
+    damaged = replace(episode, measurement=measurement)
+    assert damaged.nonfinite == 1
+    expected = episode.visible.copy()
+    expected[t, group] = False
+    np.testing.assert_array_equal(damaged.usable, expected)
+    assert np.isfinite(damaged.table()).all()
+
+
+def test_a_missing_measurement_that_is_no_number_is_not_counted(episode):
+    visible = episode.visible.copy()
+    visible[3] = False
+    measurement = episode.measurement.copy()
+    measurement[3] = np.nan
+    blind = replace(episode, visible=visible, measurement=measurement)
+    assert blind.nonfinite == 0 and np.isfinite(blind.table()).all()
+
+
+def test_an_infinite_deviation_means_missing(episode):
+    t = int(np.flatnonzero(episode.visible[:, 2])[0])
+    sigma = episode.sigma.copy()
+    sigma[t, 8] = np.inf
+    assert replace(episode, sigma=sigma).nonfinite == 1
+
+
+DAMAGE = {
+    "scene_anchors_m": lambda v: v[:2],
+    "measurement": lambda v: v[:, :5],
+    "sigma": lambda v: -v,
+    "visible": lambda v: v[:-1],
+    "snr_db": lambda v: v[:, :1],
+    "doppler_spread_hz": lambda v: v[:, None],
+    "prior_mean": lambda v: v * np.nan,
+    "prior_covariance": lambda v: -v,
+    "truth_position_m": lambda v: v[:, :2],
+    "truth_velocity_mps": lambda v: v.T,
+    "time_s": lambda v: v[::-1],
+}
+
+
+@pytest.mark.parametrize("field", DAMAGE)
+def test_validation_names_field_and_episode(episode, field):
+    with pytest.raises(ValueError, match=f"^{field} of episode 'cyclist': found .*, expected "):
+        replace(episode, **{field: DAMAGE[field](getattr(episode, field))})
+
+
+@pytest.mark.parametrize(
+    ("field", "value"),
+    [
+        ("sigma", 0.0),
+        ("sigma", np.nan),
+        ("time_s", np.nan),
+        ("prior_covariance", np.nan),
+        ("scene_anchors_m", np.nan),
+        ("doppler_spread_hz", np.nan),
+        ("truth_position_m", np.nan),
+        ("truth_velocity_mps", np.inf),
+    ],
+)
+def test_a_number_that_is_none_is_refused_where_none_may_miss(episode, field, value):
+    damaged = getattr(episode, field).copy()
+    damaged.flat[1] = value
+    with pytest.raises(ValueError, match=f"^{field} of episode"):
+        replace(episode, **{field: damaged})
+
+
+@pytest.mark.parametrize(
+    ("changes", "field"),
+    [({"dt": 0.0}, "dt"), ({"dt": -1.0}, "dt"), ({"dt": np.nan}, "dt"), ({"dt": np.inf}, "dt"),
+     ({"epochs": 0}, "epochs"), ({"scenario": "train"}, "scenario")],
+)  # fmt: skip
+def test_a_source_refuses_impossible_arguments_by_name(changes, field):
+    with pytest.raises(ValueError, match=f"^{field}: found .*, expected "):
+        source(**changes)
+
+
+# --- as the engine loads it
+
+
+@pytest.mark.parametrize("odometry", [False, True])
+def test_the_table_is_what_the_engine_s_template_reads(odometry):
+    episode = draw(1, odometry=odometry)
+    table = episode.table()
+    template = blank_incoming(episode.layout)
+    sizes = [g.stop - g.start for g in episode.layout.groups]
+    assert len(table) == len(episode)
+    for t in (0, 1, 77, 199):
+        incoming = unflatten(template, iter(table[t].tolist()))
+        epoch = incoming.epoch(episode.layout)
+        seen = np.repeat(episode.visible[t], sizes)
+        np.testing.assert_array_equal(np.array(epoch.z)[seen], episode.measurement[t, seen])
+        np.testing.assert_array_equal(np.array(epoch.sigma)[seen], episode.sigma[t, seen])
+        np.testing.assert_array_equal(epoch.visible, episode.visible[t])
+        links = episode.visible[t, :3]
+        np.testing.assert_array_equal(np.array(epoch.snr_db)[links], episode.snr_db[t, links])
+        assert epoch.dt == (0.0 if t == 0 else episode.time_s[t] - episode.time_s[t - 1])
+        assert epoch.doppler_spread_hz == episode.doppler_spread_hz[t]
+        state = [*episode.truth_position_m[t], *episode.truth_velocity_mps[t]]
+        np.testing.assert_array_equal(incoming.truth, state)
+
+
+def test_the_site_is_what_the_engine_s_template_reads(episode):
+    site = unflatten(blank_site(episode.layout), iter(episode.site().tolist()))
+    np.testing.assert_array_equal(site.anchors, episode.scene_anchors_m)
+    assert site.hz_per_mps == episode.hz_per_mps
+    np.testing.assert_array_equal(site.prior_x, episode.prior_mean)
+    lower = [episode.prior_covariance[i, j] for i in range(7) for j in range(i + 1)]
+    np.testing.assert_array_equal(site.prior_P, lower)
+
+
+def test_an_episode_without_truth_has_a_table_that_says_so(episode):
+    unknown = replace(episode, truth_position_m=None, truth_velocity_mps=None)
+    table = unknown.table()
+    assert np.isnan(table[:, -6:]).all() and np.isfinite(table[:, :-6]).all()

@@ -1,0 +1,138 @@
+"""Keys of episodes, and the streams that they follow from."""
+
+import pickle
+from copy import deepcopy
+from functools import partial
+
+import gymnasium as gym
+import numpy as np
+import pytest
+from gymnasium.utils import seeding
+
+import mmwave_env  # noqa: F401  registers the environment
+from experiments.evaluation.seeds import Selection
+from mmwave_env.world.keys import Streams, key_from, keys_at, keys_of, stream_of
+
+SHORT = {"episode_steps": 2, "modes": ["ekf"]}
+
+
+def numbers(*given):
+    return np.array(given, np.uint64)
+
+
+def test_keys_are_what_others_found_for_splitmix64():
+    """Vigna's reference in C for the state 1234567, as Rosetta Code has it."""
+    found = keys_at(numbers(1234567), np.arange(5, dtype=np.uint64))
+    assert found.tolist() == [
+        6457827717110365317, 3203168211198807973, 9817491932198370423, 4593380528125082431,
+        16408922859458223821,
+    ]  # fmt: skip
+
+
+def test_the_end_of_a_stream_is_followed_by_its_beginning():
+    first, _ = keys_at(numbers(5), numbers(2**64 - 1, 0))
+    then = keys_at(numbers(5 - 0x9E3779B97F4A7C15 + 2**64), numbers(0))
+    assert first == then
+
+
+def test_streams_are_those_of_numpys_seed_sequence():
+    assert stream_of(0) == np.random.SeedSequence(0).generate_state(1, np.uint64)[0]
+    assert len(set(keys_of(range(2000)).tolist())) == 2000
+
+
+def test_environments_draw_as_they_would_alone():
+    streams = Streams(3)
+    streams.seed_some(4, np.arange(3))
+    assert streams.keys(np.arange(3)).tolist() == keys_of([4, 5, 6]).tolist()
+    some = streams.keys(np.array([2, 0])), streams.keys(np.array([2]))
+    expected = keys_at(numbers(stream_of(6), stream_of(4), stream_of(6)), numbers(1, 1, 2))
+    assert np.concatenate(some).tolist() == expected.tolist()
+    assert streams.seeds() == (4, 5, 6)
+
+
+def test_states_go_on_elsewhere():
+    one, other, places = Streams(5), Streams(5), np.arange(5)
+    one.keys(places)
+    other.set_states(one.states())
+    assert one.keys(places).tolist() == other.keys(places).tolist()
+    assert other.seeds() == (-1,) * 5
+
+
+def test_without_a_seed_a_stream_begins_anywhere():
+    """It can be told, and gives the same keys again."""
+    one, again, places = Streams(2), Streams(2), np.arange(2)
+    keys = one.keys(places)
+    assert keys[0] != keys[1] != Streams(2).keys(places)[1]
+    again.seed_some(one.seeds(), places)
+    assert again.keys(places).tolist() == keys.tolist()
+
+
+def test_a_source_of_its_own_has_gymnasiums_generator():
+    streams = Streams(2)
+    streams.seed(1, 4)
+    assert streams.generator(1).random() == seeding.np_random(4)[0].random()
+    assert streams.generator(1) is streams.generators()[1]
+
+
+@pytest.mark.parametrize(
+    ("seed", "message"),
+    [([1, -2], "seed: found -2, expected 0 or more"), ([1], "seed: found 1 seeds, expected 2")],
+)
+def test_other_seeds_are_refused(seed, message):
+    with pytest.raises(ValueError, match=message):
+        Streams(2).seed_some(seed, np.arange(2))
+
+
+def test_a_seed_means_the_same_keys_everywhere():
+    """A single environment, both kinds of vector environments and evaluation."""
+    single = gym.make("MmWaveLoc-v0", **SHORT)
+    native = gym.make_vec("MmWaveLoc-v0", num_envs=2, autoreset_mode="Disabled", **SHORT)
+    gymnasiums = gym.make_vec("MmWaveLoc-v0", num_envs=2, vectorization_mode="sync", **SHORT)
+    expected = keys_at(stream_of(8), np.arange(3, dtype=np.uint64)).tolist()
+    for seed in (8, None, None):
+        keys = [
+            single.reset(seed=seed)[1]["episode_key"],
+            native.reset(seed=seed)[1]["episode_key"][0],
+            gymnasiums.reset(seed=seed)[1]["episode_key"][0],
+        ]
+        assert keys == [expected.pop(0)] * 3
+    found = Selection(range(8, 10)).keys(single.unwrapped.source).tolist()
+    assert found == native.reset(seed=8)[1]["episode_key"].tolist()
+
+
+def test_a_named_key_leaves_the_stream_where_it_is():
+    env = gym.make("MmWaveLoc-v0", **SHORT)
+    env.reset(seed=1)
+    env.reset(options={"episode_key": 7})
+    assert env.reset()[1]["episode_key"] == keys_at(stream_of(1), numbers(1))[0]
+
+
+@pytest.mark.parametrize("copied", [deepcopy, lambda env: pickle.loads(pickle.dumps(env))])
+@pytest.mark.parametrize("make", [gym.make, partial(gym.make_vec, num_envs=2)])
+def test_a_copy_goes_on_in_the_stream(make, copied):
+    env = make("MmWaveLoc-v0", **SHORT).unwrapped
+    env.reset()
+    twin = copied(env)
+    for _ in range(2):
+        keys = [one.reset()[1]["episode_key"] for one in (env, twin)]
+        assert np.array_equal(*keys)
+
+
+def test_a_generator_of_ones_own_begins_a_stream():
+    env, keys = gym.make("MmWaveLoc-v0", **SHORT).unwrapped, []
+    for _ in range(2):
+        env.np_random = np.random.default_rng(3)
+        keys.append([env.reset()[1]["episode_key"] for _ in range(3)])
+    assert keys[0] == keys[1] and len(set(keys[0])) == 3
+    assert env.reset(seed=2)[1]["episode_key"] == keys_of([2])[0]
+
+
+@pytest.mark.parametrize("key", [0, 7, np.int32(5), np.uint64(2**64 - 1), 2**64 - 1])
+def test_an_integer_of_64_bits_is_a_key(key):
+    assert key_from(key) == int(key)
+
+
+@pytest.mark.parametrize("key", [-1, 2**64, 0.0, "1", None, True, np.array([1, 2])])
+def test_anything_else_is_refused(key):
+    with pytest.raises(ValueError, match=r"episode_key: found .*, expected an integer from 0 to 2"):
+        key_from(key)

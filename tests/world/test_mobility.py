@@ -1,0 +1,336 @@
+"""Mobility: truth that people and cars could have moved along."""
+
+import json
+from collections import Counter
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.stats import binom
+
+from mmwave_env.models.radio import RADIOS
+from mmwave_env.models.scene import SCENES
+from mmwave_env.world.keys import keys_of
+from mmwave_env.world.mobility import (
+    MOBILITIES,
+    SCENARIOS,
+    Gait,
+    Limits,
+    Mobility,
+    Phase,
+    mobilities_of,
+)
+from mmwave_env.world.simulated import SimulatedSource
+from tests.marks import representative
+
+STEP_S, STEPS, SEEDS = 0.1, 2000, 40
+
+
+class Bounds(NamedTuple):
+    """Of a kind of user, from the project's model: m/s, m/s^2, m/s^2, m/s^3, m."""
+
+    speed: float
+    acceleration: float
+    braking: float
+    jerk: float
+    radius: float
+
+
+DRIVING = Bounds(20.0, 3.0, 3.5, 4.0, 8.0)
+BOUNDS = {
+    "pedestrian": Bounds(1.9, 1.0, 1.5, 2.0, 1.0),
+    "vehicle": DRIVING,
+    "walk-ride": DRIVING,
+    "jam": DRIVING._replace(speed=7.0),
+    "cyclist": Bounds(6.5, 1.2, 2.5, 2.0, 4.0),
+}
+LATERAL_MPS2 = 5.0  # drivers aim at 3.5 at most; corners are taken a little faster
+
+every_mobility = pytest.mark.parametrize("name", BOUNDS)
+every_scene = pytest.mark.parametrize("scene", representative(SCENES, "street"))
+
+
+class BatchState(NamedTuple):
+    """Many users of one kind: (SEEDS, STEPS, 2) m, m/s; (SEEDS, STEPS) m/s; height, m."""
+
+    position: np.ndarray
+    velocity: np.ndarray
+    speed: np.ndarray
+    height: np.ndarray
+
+
+@pytest.fixture(scope="module")
+def tracks():
+    drawn = {}
+
+    def draw(name, scene="street"):
+        if (name, scene) not in drawn:
+            position, velocity = run(name, range(SEEDS), STEP_S, STEPS, scene)
+            assert (velocity[..., 2] == 0.0).all()
+            speed = np.linalg.norm(velocity, axis=-1)
+            drawn[name, scene] = BatchState(
+                position[..., :2], velocity[..., :2], speed, position[..., 2]
+            )
+        return drawn[name, scene]
+
+    return draw
+
+
+def run(name, seeds, dt, epochs, scene="street"):
+    source = SimulatedSource(SCENES[scene], RADIOS["handset"], name, dt, epochs)
+    truth = source.sample_batch(keys_of(seeds)).table[..., -6:]
+    return truth[..., :3], truth[..., 3:]
+
+
+def run_one(name, seed, dt, epochs):
+    position, velocity = run(name, [seed], dt, epochs)
+    return position[0], velocity[0]
+
+
+@every_mobility
+def test_speed_stays_in_its_range(tracks, name):
+    speed = tracks(name).speed
+    assert speed.max() <= BOUNDS[name].speed + 1e-9
+    assert speed.max() > 0.8 * BOUNDS[name].speed  # the range is used
+
+
+@every_mobility
+def test_acceleration_and_braking_are_bounded(tracks, name):
+    change = np.diff(tracks(name).speed) / STEP_S
+    assert change.max() <= BOUNDS[name].acceleration + 1e-9
+    assert -change.min() <= BOUNDS[name].braking + 1e-9
+
+
+@every_mobility
+def test_jerk_is_bounded(tracks, name):
+    jerk = np.diff(tracks(name).speed, n=2) / STEP_S**2
+    assert np.abs(jerk).max() <= BOUNDS[name].jerk + 1e-6
+
+
+@every_scene
+@every_mobility
+def test_lateral_acceleration_in_turns_is_bounded(tracks, name, scene):
+    velocity = tracks(name, scene).velocity
+    middle = 0.5 * (velocity[:, 1:] + velocity[:, :-1])
+    change = np.diff(velocity, axis=1) / STEP_S
+    across = middle[..., 0] * change[..., 1] - middle[..., 1] * change[..., 0]
+    speed = np.linalg.norm(middle, axis=-1)
+    lateral = np.abs(across) / np.maximum(speed, 0.3)
+    assert lateral.max() <= LATERAL_MPS2
+
+
+@every_scene
+@every_mobility
+def test_position_is_the_integral_of_velocity(tracks, name, scene):
+    position, velocity, *_ = tracks(name, scene)
+    trapezoid = 0.5 * STEP_S * (velocity[:, 1:] + velocity[:, :-1])
+    slip = np.linalg.norm(np.diff(position, axis=1) - trapezoid, axis=-1)
+    # The mean velocity of a step lies between those at its ends.
+    between = 0.5 * STEP_S * np.linalg.norm(np.diff(velocity, axis=1), axis=-1)
+    assert (slip <= between + 1e-3).all()
+
+
+@every_scene
+@every_mobility
+def test_users_stay_in_the_streets(tracks, name, scene):
+    position = tracks(name, scene).position
+    streets = SCENES[scene].streets
+    block = streets.block_m / MOBILITIES[name].blocks
+    low = np.array([streets.x_m[0], streets.y_m[0]])
+    high = np.array([streets.x_m[1], streets.y_m[1]])
+    # Corners are cut on arcs of radius R; at the end of a dead-end street users turn on a half
+    # circle of diameter 2 R and come back beside the line they went on.
+    radius = BOUNDS[name].radius
+    dead_ends = low[0] == high[0] or low[1] == high[1]
+    aside = 2.0 * radius if dead_ends else (1.0 - np.sqrt(0.5)) * radius
+    offset = np.abs((position - low + 0.5 * block) % block - 0.5 * block)
+    assert offset.min(axis=-1).max() <= aside + 0.1
+    beyond = np.maximum(low - position, position - high)
+    across = np.where(low == high, aside, 0.0)
+    assert (beyond <= across + 0.1).all()
+
+
+@every_scene
+@every_mobility
+def test_users_keep_their_height(tracks, name, scene):
+    assert (tracks(name, scene).height == SCENES[scene].streets.height_m).all()
+
+
+@pytest.mark.parametrize("name", ["pedestrian", "vehicle", "jam"])
+def test_most_users_stop_for_a_while(tracks, name):
+    standing = tracks(name).speed < 0.01
+    longest = np.zeros(SEEDS)
+    now = np.zeros(SEEDS)
+    for t in range(STEPS):
+        now = np.where(standing[:, t], now + STEP_S, 0.0)
+        longest = np.maximum(longest, now)
+    assert (longest >= 2.0).mean() > 0.5
+    assert (standing.mean(axis=1) < 0.95).all()  # and all of them get on
+
+
+def test_walk_ride_walks_rides_and_walks(tracks):
+    speed = tracks("walk-ride").speed
+    on_foot = BOUNDS["pedestrian"].speed
+    first, last = round(45.0 / STEP_S), round(35.0 / STEP_S)  # braking to a walk takes up to 10 s
+    assert speed[:, :first].max() <= on_foot + 1e-9
+    assert speed[:, -last:].max() <= 2.0
+    assert (speed[:, first:-last].max(axis=1) > 7.0).all()
+    assert (speed[:, :first].max(axis=1) > 0.4).mean() > 0.9
+
+
+def test_vehicles_reach_driving_speed(tracks):
+    assert (tracks("vehicle").speed.max(axis=1) > 9.0 - 1e-6).all()
+
+
+@every_mobility
+@pytest.mark.parametrize("dt", [0.5, 1.0, 2.0])
+def test_the_step_samples_the_same_trajectory(name, dt):
+    fine = np.array(run_one(name, 0, STEP_S, STEPS))
+    coarse = np.array(run_one(name, 0, dt, round(STEPS * STEP_S / dt)))
+    np.testing.assert_allclose(coarse, fine[:, :: round(dt / STEP_S)], atol=1e-8)
+
+
+@every_mobility
+@pytest.mark.parametrize("dt", [0.02, 0.25, 0.33])
+def test_any_step_gives_a_sound_trajectory(name, dt):
+    position, velocity = run_one(name, 0, dt, 400)
+    speed = np.linalg.norm(velocity, axis=-1)
+    assert speed.max() <= BOUNDS[name].speed + 1e-9
+    trapezoid = 0.5 * dt * (velocity[1:] + velocity[:-1])
+    slip = np.linalg.norm(np.diff(position, axis=0) - trapezoid, axis=-1)
+    assert (slip <= 0.5 * dt * np.linalg.norm(np.diff(velocity, axis=0), axis=-1) + 0.05).all()
+    assert np.abs(np.diff(speed)).max() <= max(BOUNDS[name][1:3]) * dt + 1e-9
+
+
+@every_mobility
+def test_the_same_key_gives_the_same_trajectory(name):
+    np.testing.assert_array_equal(run_one(name, 7, 1.0, 50), run_one(name, 7, 1.0, 50))
+    assert not np.array_equal(run_one(name, 7, 1.0, 50), run_one(name, 8, 1.0, 50))
+
+
+def test_mixed_draws_every_mobility_alike():
+    draws = 2000
+    source = SimulatedSource(SCENES["street"], RADIOS["handset"], "mixed", epochs=1)
+    counts = Counter(source.sample_batch(keys_of(range(draws))).names)
+    assert set(counts) == set(MOBILITIES)
+    # 99 % for all five together (Bonferroni)
+    low, high = binom.interval(1.0 - 0.01 / 5, draws, 1.0 / 5)
+    assert all(low <= count <= high for count in counts.values())
+
+
+def test_scenarios_are_the_mobilities_and_their_mixture():
+    assert list(SCENARIOS) == [*BOUNDS, "mixed"]
+    assert [m.name for m in mobilities_of("mixed")] == list(BOUNDS)
+
+
+def test_unknown_scenario_lists_the_valid_ones():
+    with pytest.raises(ValueError, match="'train'.*pedestrian, vehicle, .*mixed"):
+        mobilities_of("train")
+
+
+SCOOTER = {
+    "phases": [
+        {
+            "limits": {
+                "acceleration_mps2": [0.5, 1.5], "braking_mps2": [1.0, 2.0],
+                "lateral_mps2": [1.0, 2.0], "jerk_mps3": 2, "corner_radius_m": 3,
+            },
+            "gaits": [{"low_mps": 3, "high_mps": 7}],
+        }
+    ],
+    "blocks": 2,
+}  # fmt: skip
+
+
+def write(folder, content):
+    path = folder / "scooter.json"
+    path.write_text(json.dumps(content), encoding="utf-8")
+    return path
+
+
+def with_phase(**changes):
+    (phase,) = SCOOTER["phases"]
+    return SCOOTER | {"phases": [phase | changes]}
+
+
+def test_a_mobility_file_is_a_kind_of_user(tmp_path):
+    (scooter,) = mobilities_of(write(tmp_path, SCOOTER))
+    limits = Limits((0.5, 1.5), (1.0, 2.0), (1.0, 2.0), 2.0, 3.0)
+    assert scooter == Mobility("scooter", (Phase(limits, (Gait(3.0, 7.0),)),), blocks=2)
+    assert mobilities_of(scooter) == (scooter,)
+
+
+def test_a_kind_of_user_of_ones_own_keeps_to_its_limits(tmp_path):
+    source = SimulatedSource(SCENES["street"], RADIOS["handset"], write(tmp_path, SCOOTER), dt=0.2)
+    assert source.name == "scooter"
+    for seed in range(5):
+        episode = source.sample(np.random.default_rng(seed))
+        speed = np.linalg.norm(episode.truth_velocity_mps, axis=1)
+        assert episode.name == "scooter" and speed.max() <= 7.0 + 1e-9
+        assert 2.0 < speed.max() and np.diff(speed).max() / 0.2 <= 1.5 + 1e-9
+        from_street = 20.0 - np.abs(episode.truth_position_m[:, :2] % 40.0 - 20.0)
+        assert from_street.min(axis=1).max() < 1.0  # corners of 3 m are cut by less
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        ({}, "phases: found none, expected one"),
+        (
+            SCOOTER | {"phases": []},
+            "phases of mobility 'scooter': found (), expected a list",
+        ),
+        (SCOOTER | {"speed": 3}, "key: found 'speed', expected one of name, phases"),
+        (with_phase(gaits=[{"low_mps": 3}]), "phases[0].gaits[0].high_mps: found none, expected"),
+        (with_phase(gaits=[{"low_mps": 3, "high_mps": 2}]), "gaits[0].high_mps: found 2.0"),
+        (with_phase(gaits=[{"low_mps": 3, "high_mps": 200}]), "expected 0 to 100 m/s"),
+        (with_phase(duration_s=[10, 20]), "phases[0].duration_s: found it in the last phase"),
+        (with_phase(limits={}), "phases[0].limits.acceleration_mps2: found none, expected one"),
+        (with_phase(limits=3), "phases[0].limits: found 3, expected an object"),
+        (SCOOTER | {"ends_as_it_began": True}, "phases[0].duration_s: found none, expected [low"),
+        (SCOOTER | {"phases": SCOOTER["phases"] * 2}, "phases[0].duration_s: found none"),
+        (
+            SCOOTER | {"blocks": 0},
+            "blocks of mobility 'scooter': found 0, expected an integer",
+        ),
+    ],
+    ids=lambda value: value[:40] if isinstance(value, str) else "",
+)
+def test_a_damaged_mobility_file_says_what_is_wrong(tmp_path, content, message):
+    path = write(tmp_path, content)
+    with pytest.raises(ValueError, match="mobility.schema.json") as error:
+        mobilities_of(path)
+    start = f"{path}: not a mobility file: "
+    assert str(error.value).startswith(start) and message in str(error.value)
+
+
+def test_corners_that_do_not_fit_between_crossings_are_refused(tmp_path):
+    path = write(tmp_path, SCOOTER | {"blocks": 16})
+    with pytest.raises(ValueError, match="corner_radius_m.*'scooter': found 3.0.* of the 5 m"):
+        SimulatedSource(SCENES["street"], RADIOS["handset"], path)
+
+
+def ranges(low, high):
+    return st.lists(st.floats(low, high), min_size=2, max_size=2).map(sorted).map(tuple)
+
+
+GAITS = st.lists(st.floats(0.0, 40.0).map(lambda v: Gait(v / 2.0, v, 10.0)), min_size=1, max_size=3)
+LIMITS = st.builds(
+    Limits, ranges(0.3, 10.0), ranges(0.3, 10.0), ranges(0.3, 10.0), st.floats(0.5, 30.0),
+    st.floats(0.1, 10.0), st.floats(0.0, 1.0), ranges(0.0, 5.0),
+)  # fmt: skip
+
+
+@settings(max_examples=20, deadline=None)
+@given(limits=LIMITS, gaits=GAITS, blocks=st.integers(1, 4), twice=st.booleans())
+def test_users_of_any_kind_stay_on_the_streets(limits, gaits, blocks, twice):
+    phase = Phase(limits, tuple(gaits))
+    phases = (replace(phase, duration_s=(5.0, 20.0)), phase) if twice else (phase,)
+    source = SimulatedSource(
+        SCENES["street"], RADIOS["handset"], Mobility("any", phases, blocks), epochs=60
+    )
+    x, y, _ = source.sample(np.random.default_rng(0)).truth_position_m.T
+    assert -5.0 < x.min() and x.max() < 165.0 and -165.0 < y.min() and y.max() < 5.0

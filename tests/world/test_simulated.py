@@ -1,0 +1,241 @@
+"""Simulated episodes against a plain numpy simulation that draws the same random numbers.
+
+It is the meaning of a key: what is drawn before the first epoch, then epoch by epoch, in this
+order; the way of the user and what is received of it have generators of their own.
+"""
+
+import numpy as np
+import pytest
+
+from mmwave_env.models.radio import RADIOS
+from mmwave_env.models.random_scene import RandomScene
+from mmwave_env.models.scene import SCENES
+from mmwave_env.world.beginning import RECEIVER, USER
+from mmwave_env.world.episode import Episode, EpisodeBatch
+from mmwave_env.world.kinematics import Net, move, state_of
+from mmwave_env.world.mobility import mobilities_of, plans_of
+from mmwave_env.world.simulated import SimulatedSource
+from mmwave_env.world.trajectory import Trajectory
+from mmwave_env.world.travel import attend, draw_phases, set_off, stride_of
+from tests.filters.tracks import geometry
+from tests.marks import representative
+from tests.world.roads import around_a_block
+
+SOURCES = {
+    "default": SimulatedSource(SCENES["street"], RADIOS["handset"]),
+    "odometry at 10 Hz": SimulatedSource(
+        SCENES["o1"], RADIOS["high"], "walk-ride", dt=0.1, odometry=True
+    ),
+    "jam": SimulatedSource(SCENES["dynamic-doppler"], RADIOS["standard"], "jam", 0.5, epochs=77),
+    "windows of a way": SimulatedSource(
+        SCENES["street"], RADIOS["handset"], around_a_block(), dt=0.7, epochs=30, odometry=True
+    ),
+    "streets at random": SimulatedSource(RandomScene(), RADIOS["standard"], epochs=60),
+    "a whole way": SimulatedSource(SCENES["o1"], RADIOS["high"], around_a_block([200.0, 600.0])),
+}
+KEYS = np.random.default_rng(0).integers(0, 2**64, 20, np.uint64)
+# Of the ways of users two in a thousand part from ours after a while: an event, say the end of a
+# gait, falls on a substep in one and on the next in the other, as sums round differently.
+
+
+class PlainDice:
+    """What is drawn from numpy's own SFC64."""
+
+    def __init__(self, key, stream):
+        bits = np.random.SFC64(0)
+        state = bits.state
+        state["state"]["state"] = np.array([key, key, stream, 1], np.uint64)
+        bits.state = state
+        self.rng, self.spare = np.random.Generator(bits), []
+        bits.random_raw(18)
+
+    def uniform(self, low=0.0, high=1.0):
+        return low + (high - low) * self.rng.random()
+
+    def exponential(self):
+        return -np.log1p(-self.rng.random())
+
+    def normal(self):
+        if not self.spare:
+            length, angle = np.sqrt(2.0 * self.exponential()), 2.0 * np.pi * self.rng.random()
+            self.spare = [length * np.sin(angle), length * np.cos(angle)]
+        return float(self.spare.pop())
+
+    def many(self, draw, *shape):
+        return np.array([draw() for _ in range(int(np.prod(shape)))]).reshape(shape)
+
+
+def spells(uniform, onset, leave, first):
+    """A two-state Markov chain per column: whether it is on, and since which epoch."""
+    on, since = np.zeros(uniform.shape, bool), np.zeros(uniform.shape, int)
+    for t, draw in enumerate(uniform):
+        before = on[t - 1] if t else np.zeros(uniform.shape[1], bool)
+        on[t] = np.where(before, draw >= leave, draw < (onset[t] if t else first))
+        since[t] = np.where(before, since[t - 1], t)
+    return on, since
+
+
+def drawn(dice, T, L, rows):
+    """Everything that reception draws, epoch by epoch: a list of arrays (T, ...)."""
+    normal, uniform, exponential = dice.normal, dice.uniform, dice.exponential
+    kinds = [
+        (normal, L), (uniform, L), (uniform, L), (uniform, 1), (exponential, L), (exponential, L),
+        (normal, L, 3), (normal, L, 3), (uniform, L), (normal, 1), (normal, 1), (normal, rows),
+        (normal, 1),
+    ]  # fmt: skip
+    epochs = []
+    for _ in range(T):
+        epochs.append([dice.many(*kind) for kind in kinds])
+        dice.spare.clear()
+    return [np.array(each) for each in zip(*epochs, strict=True)]
+
+
+def channel(radio, scene, distance, speed, dt, draws):
+    """SNR, detection, biases (T, L, 4) and Doppler spread."""
+    (shadow, blocking, reflecting, losing, blockage, multipath, *angles, detection, scatter,
+     floor) = draws  # fmt: skip
+    T, L = distance.shape
+    link = np.arange(L)
+    loss = 32.4 + 21 * np.log10(distance) + 20 * np.log10(scene.carrier_hz / 1e9)
+    loss[:, 1:] += radio.reflection_loss_db
+    rho = radio.shadowing_correlation**dt
+    for t in range(1, T):
+        shadow[t] = rho * shadow[t - 1] + np.sqrt(1 - rho**2) * shadow[t]
+    share = radio.blockage_scale * np.minimum(
+        radio.blockage_limit, radio.blockage_base + radio.blockage_per_100m * distance / 100
+    )
+    leave = 1 - np.exp(-dt / radio.blockage_mean_s)
+    blocked, begun = spells(blocking, leave * share / (1 - share), leave, share[0])
+    rate, end = (1 - np.exp(-dt * r) for r in (radio.multipath_rate_hz, 1 / radio.multipath_mean_s))
+    reflected, arrived = spells(reflecting, np.full((T, L), rate), end, np.zeros(L))
+    rate, end = (1 - np.exp(-dt * r) for r in (radio.outage_rate_hz, 1 / radio.outage_mean_s))
+    lost, _ = spells(losing, np.full((T, 1), rate), end, np.zeros(1))
+    constant, mean = radio.multipath_range_m
+    bias = np.zeros((T, L, 4))
+    bias[..., 0] = blocked * radio.blockage_range_m * blockage[begun, link]
+    bias[..., 0] += reflected * (constant + mean * multipath[arrived, link])
+    bias[..., 1:] = blocked[..., None] * radio.blockage_angle_rad * angles[0][begun, link]
+    bias[..., 1:] += reflected[..., None] * radio.multipath_angle_rad * angles[1][arrived, link]
+    gain = -loss + radio.shadowing_db * shadow - radio.blockage_loss_db * blocked
+    snr = radio.snr_db(gain, scene.bandwidth_hz)
+    chance = 1 / (1 + np.exp(-(snr - radio.detection_snr_db) / radio.detection_slope_db))
+    detected = (detection < chance) & ~lost
+    spread = radio.spread_gain * speed * np.exp(radio.spread_sigma * scatter[:, 0])
+    spread += radio.spread_floor_mps * np.abs(floor[:, 0])
+    return snr, detected, bias, scene.hz_per_mps * spread
+
+
+def way(source, scene, dice):
+    """The name of a user, and its positions and velocities (T, 6)."""
+    scenario, T, streets = source.scenario, source.epochs, scene.streets
+    if isinstance(scenario, Trajectory):
+        whole = scenario.resampled(source.dt)
+        first = int(dice.uniform() * (len(whole) - T + 1))
+        return scenario.name, whole[first : first + T]
+    choices = mobilities_of(scenario)
+    kind = int(len(choices) * dice.uniform())
+    plan = plans_of(choices, streets.block_m)[kind]
+    block = streets.block_m / plan.closer
+    (west, east), (south, north) = streets.x_m, streets.y_m
+    net = Net(
+        block, round((east - west) / block), round((north - south) / block), west, south,
+        streets.height_m,
+    )  # fmt: skip
+    phases = draw_phases(dice, plan.phases, T * source.dt)
+    traveler, track = set_off(dice, phases, net), np.zeros((T, 6))
+    stride = stride_of(source.dt)
+    for row in track:
+        row[:2], row[3:5] = state_of(traveler)
+        for _ in range(stride):
+            if traveler.due > 0.5:
+                traveler = attend(dice, traveler, phases, net)
+            traveler = move(traveler, net, source.dt / stride)
+    track[:, 2] = streets.height_m
+    return choices[kind].name, track
+
+
+def plain(source, key):
+    """An episode, straight from the model's description."""
+    scene, radio, layout, T = source.scene, source.radio, source.layout, source.epochs
+    dice, others = PlainDice(key, USER), PlainDice(key, RECEIVER)
+    if isinstance(scene, RandomScene):
+        scene = scene.scene_of(scene.draw_numbers(dice))
+    name, track = way(source, scene, dice)
+    first, prior = others.normal(), others.many(others.normal, 7)
+    position, velocity = track[:, :3], track[:, 3:]
+    speed = np.linalg.norm(velocity, axis=1)
+    z = geometry(position, velocity, scene, layout)
+    distance = z[:, 0 : layout.doppler : 4]
+    *draws, noise, drift = drawn(others, T, layout.anchors, layout.size)
+    snr, detected, bias, spread = channel(radio, scene, distance, speed, source.dt, draws)
+    sigma = radio.sigma(snr, scene, layout)
+    z += sigma * noise
+    z[:, : layout.doppler] += bias.reshape(T, -1)
+    steps = radio.drift_mps * np.sqrt(source.dt) * drift[:-1, 0]
+    offset = scene.hz_per_mps * np.cumsum([radio.prior_bias_mps * first, *steps])
+    z[:, layout.doppler] += offset
+    visible = np.column_stack([detected, detected[:, 0]])
+    if source.odometry:
+        visible = np.column_stack([visible, speed >= radio.odometry_slowest_mps])
+    covariance = radio.prior_covariance(scene)
+    state = np.concatenate([track[0], offset[:1]])
+    return Episode(
+        name, scene.anchors_m, scene.hz_per_mps, source.dt * np.arange(T), z, sigma,
+        visible, snr, spread, state + np.sqrt(np.diag(covariance)) * prior,
+        covariance, position, velocity, layout,
+    )  # fmt: skip
+
+
+def wrapped(table, layout):
+    """The table with its angles, which follow dt, moved into [-pi, pi)."""
+    columns = 1 + np.array(layout.angles)
+    table[..., columns] = np.remainder(table[..., columns] + np.pi, 2 * np.pi) - np.pi
+    return table
+
+
+@pytest.mark.parametrize("name", representative(SOURCES, "default", "jam"))
+def test_a_key_means_the_episode_of_the_plain_simulation(name):
+    source = SOURCES[name]
+    for key, episode in zip(KEYS, source.episodes(KEYS), strict=True):
+        expected = plain(source, key)
+        assert episode.name == expected.name
+        np.testing.assert_allclose(episode.time_s, expected.time_s)
+        np.testing.assert_allclose(episode.site(), expected.site(), rtol=1e-12, atol=1e-9)
+        tables = [wrapped(e.table(), source.layout) for e in (episode, expected)]
+        np.testing.assert_allclose(*tables, rtol=1e-8, atol=1e-8)
+
+
+@pytest.mark.parametrize("name", SOURCES)
+@pytest.mark.parametrize("threads", [1, 2])
+def test_a_batch_is_the_episodes_one_by_one_to_the_bit(name, threads):
+    source = SOURCES[name]
+    found = source.sample_batch(KEYS, threads=threads)
+    expected = EpisodeBatch.of([source.episode(int(key)) for key in KEYS])
+    assert (found.names, found.layout) == (expected.names, expected.layout)
+    for field in ("nonfinite", "length", "table", "site"):
+        np.testing.assert_array_equal(getattr(found, field), getattr(expected, field))
+
+
+def test_the_way_of_a_user_is_the_same_however_it_is_received():
+    def truth(radio, **options):
+        return SimulatedSource(SCENES["street"], RADIOS[radio], **options).sample_batch(KEYS).table
+
+    expected = truth("handset")[..., -6:]
+    np.testing.assert_array_equal(truth("high")[..., -6:], expected)
+    np.testing.assert_array_equal(truth("handset", odometry=True)[..., -6:], expected)
+
+
+def test_a_seed_draws_the_key():
+    source = SOURCES["jam"]
+    key = np.random.default_rng(7).integers(0, 2**64, dtype=np.uint64)
+    np.testing.assert_array_equal(
+        source.sample(np.random.default_rng(7)).table(), source.episode(int(key)).table()
+    )
+
+
+def test_the_scene_of_a_key_is_that_of_its_episode():
+    source = SOURCES["streets at random"]
+    for key, episode in zip(KEYS, source.episodes(KEYS), strict=True):
+        scene = source.scene_of(int(key))
+        np.testing.assert_allclose(scene.anchors_m, episode.scene_anchors_m, rtol=1e-12)
+    assert SOURCES["jam"].scene_of(1) is SCENES["dynamic-doppler"]

@@ -1,0 +1,171 @@
+"""Ways of several users: read from a file, placed in a scene, and drawn from by episodes."""
+
+import warnings
+
+import numpy as np
+import pytest
+
+from mmwave_env.models.radio import RADIOS
+from mmwave_env.models.random_scene import RandomScene
+from mmwave_env.models.scene import SCENES
+from mmwave_env.world.simulated import SimulatedSource
+from mmwave_env.world.trajectory import Trajectory
+from mmwave_env.world.ways import PlacedWays, Ways, read_trajectory, read_ways
+
+STREET, RADIO = SCENES["street"], RADIOS["handset"]
+
+
+def straight(seconds, y=-80.0, speed=2.0, name="way"):
+    t = np.arange(seconds + 1.0)
+    return Trajectory(name, t, np.column_stack([20.0 + speed * t, y + 0 * t, 1.5 + 0 * t]))
+
+
+def write(folder, ways, header="t,id,x,y,z"):
+    """A file of ways by id, in the order of time as traffic simulators write them."""
+    rows = [(t, i, *p) for i, way in ways.items()
+            for t, p in zip(way.time_s, way.position_m, strict=True)]  # fmt: skip
+    path = folder / "ways.csv"
+    path.write_text("\n".join([header, *(",".join(map(str, row)) for row in sorted(rows))]) + "\n")
+    return path
+
+
+def test_rows_of_an_id_are_the_way_of_one_user(tmp_path):
+    ways = {"car 7": straight(9), "walker": straight(5, -70.0, 1.0)}
+    path = write(tmp_path, ways)
+    found = read_ways(path)
+    assert found.name == str(path)
+    assert [way.name for way in found.trajectories] == [f"{name} of {path}" for name in ways]
+    for way, expected in zip(found.trajectories, ways.values(), strict=True):
+        np.testing.assert_array_equal(way.time_s, expected.time_s)
+        np.testing.assert_array_equal(way.position_m, expected.position_m)
+
+
+def test_each_episode_is_a_window_of_one_of_the_ways(tmp_path):
+    ways = {"a": straight(30, -80.0), "b": straight(40, -70.0), "c": straight(60, -60.0)}
+    source = SimulatedSource(STREET, RADIO, write(tmp_path, ways), epochs=25)
+    seen = set()
+    for episode in source.episodes(np.arange(40, dtype=np.uint64)):
+        way = ways[episode.name[0]]
+        rows = np.flatnonzero(way.position_m[:, 0] == episode.truth_position_m[0, 0])
+        window = way.position_m[rows[0] : rows[0] + 25]
+        np.testing.assert_allclose(episode.truth_position_m, window, atol=1e-9)
+        seen.add(episode.name)
+    assert seen == set(source.names) and len(seen) == 3
+
+
+def test_one_of_several_ways_is_drawn_as_it_would_be_alone(tmp_path):
+    path = write(tmp_path, {"a": straight(40)})
+    alone = SimulatedSource(STREET, RADIO, straight(40), epochs=20)
+    named = SimulatedSource(STREET, RADIO, path, epochs=20)
+    for seed in range(3):
+        a, b = (s.sample(np.random.default_rng(seed)) for s in (alone, named))
+        np.testing.assert_array_equal(a.truth_position_m, b.truth_position_m)
+        np.testing.assert_array_equal(a.measurement, b.measurement)
+
+
+def test_ways_shorter_than_an_episode_are_left_out():
+    ways = Ways("many", [straight(n, name=str(n)) for n in (5, 30, 60)])
+    with pytest.warns(UserWarning, match="many: found 1 of 3 ways shorter than 29 s, an episode"):
+        assert ways.placed(STREET, 1.0, 30).names == ["30", "60"]
+    with pytest.warns(UserWarning, match="many: found 2 of 3 ways shorter than 60 s"):
+        placed = ways.placed(STREET, 1.0, 200)
+    assert placed.names == ["60"] and placed.epochs == 61
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert len(ways.placed(STREET, 1.0, 6).names) == 3
+
+
+def test_all_ways_are_as_likely_and_all_windows_of_one():
+    tables = [100.0 * i + np.tile(np.arange(n)[:, None], 6) for i, n in enumerate((10, 12, 40))]
+    ways, n = PlacedWays(["a", "b", "c"], tables, 10), 90_000
+    which, truth = ways.draw((np.arange(n) + 0.5) / n)
+    assert truth.shape == (n, 10, 6) and np.bincount(which).tolist() == [n // 3] * 3
+    for way, windows in enumerate((1, 3, 31)):
+        starts = truth[which == way, 0, 0] - 100.0 * way
+        counts = np.bincount(starts.astype(int))
+        assert len(counts) == windows and np.ptp(counts) <= 1
+    np.testing.assert_array_equal(np.diff(truth[:, :, 0], axis=1), 1.0)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (lambda rows: rows[:-1] + ["3,,26,-80,1.5"], "line 5, column id: found '', expected 1 to"),
+        (lambda rows: rows[:-1] + ["3,a,26,-80"], "line 5: found 4 values, expected 5"),
+        (lambda rows: rows[:2], "a of .*ways.csv: found 1 rows, expected at least 2"),
+        (lambda rows: rows[:1], "ways.csv: found 0 rows"),
+        (lambda rows: rows + ["9,b,26,-80,1.5", "9,b,27,-80,1.5"], "b of .*, line 7: t: found 9"),
+    ],
+)
+def test_what_is_wrong_in_a_file_is_named(tmp_path, change, message):
+    path = write(tmp_path, {"a": straight(3)})
+    path.write_text("\n".join(change(path.read_text().splitlines())) + "\n")
+    with pytest.raises(ValueError, match=message) as error:
+        read_ways(path)
+    assert str(path) in str(error.value)
+
+
+def test_where_one_way_is_expected_several_are_refused(tmp_path):
+    path = write(tmp_path, {"a": straight(3), "b": straight(3)})
+    with pytest.raises(ValueError, match="ways.csv: column id: found 2 users, expected one"):
+        read_trajectory(path)
+
+
+def test_ways_need_one_scene():
+    with pytest.raises(ValueError, match="expected one scene: walk is a way in streets of its own"):
+        SimulatedSource(RandomScene(), RADIO, straight(9, name="walk"))
+
+
+# --- turns
+
+
+def corner(speed, turn_rad=np.pi / 2, radius_m=0.0, dt=0.5):
+    """Goes east for 10 s, turns at a speed on an arc, and goes on for 10 s."""
+    arc_s = turn_rad * radius_m / speed
+    t = np.arange(0.0, 20.0 + arc_s, dt)
+    angle = turn_rad * np.clip((t - 10.0) / max(arc_s, 1e-9), 0.0, 1.0)
+    fine = np.linspace(0.0, t[-1], 20 * len(t))
+    course = np.interp(fine, t, angle) if radius_m else turn_rad * (fine > 10.0)
+    x, y = (np.concatenate([[0.0], np.cumsum(speed * f(course[1:]) * np.diff(fine))])
+            for f in (np.cos, np.sin))  # fmt: skip
+    place = np.column_stack([np.interp(t, fine, 20.0 + x), np.interp(t, fine, y - 300.0)])
+    return Trajectory("bus", t, np.column_stack([place, np.full(len(t), 1.5)]))
+
+
+@pytest.mark.parametrize("radius", [15.0, 25.0, 60.0])
+def test_the_hardest_turn_is_that_of_the_arc(radius):
+    speed = 10.0
+    pull, time_s = corner(speed, radius_m=radius, dt=0.1).hardest_turn()
+    assert pull == pytest.approx(speed**2 / radius, rel=0.06)
+    assert 9.5 <= time_s <= 10.5 + np.pi / 2 * radius / speed
+
+
+@pytest.mark.parametrize(("speed", "warned"), [(3.0, False), (6.0, True), (10.0, True)])
+def test_who_does_not_slow_down_at_a_corner_is_warned_of_once(speed, warned):
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        SimulatedSource(STREET, RADIO, corner(speed), epochs=15)
+    told = [str(warning.message) for warning in caught]
+    assert len(told) == warned and all("\n" not in line for line in told)
+    if warned:
+        assert told[0].startswith("bus: found a turn at 10 s that pulls")
+        assert "m/s^2 sideways; expected at most 5" in told[0]
+
+
+def test_of_several_ways_the_hardest_turn_is_told():
+    ways = Ways("town", [straight(20), corner(6.0), corner(10.0), straight(20)])
+    with pytest.warns(UserWarning, match="bus: .* sideways, 2 of 4 ways have such turns; expected"):
+        ways.placed(STREET, 1.0, 10)
+
+
+@pytest.mark.parametrize("noise_m", [0.05, 0.3])
+def test_a_noisy_track_does_not_look_like_turns(noise_m):
+    t = np.arange(0.0, 60.0, 0.1)
+    place = np.column_stack([20.0 + 1.4 * t, np.full_like(t, -80.0), np.full_like(t, 1.5)])
+    place[:, :2] += np.random.default_rng(0).normal(0.0, noise_m, (len(t), 2))
+    assert Trajectory("phone", t, place).hardest_turn()[0] < 5.0
+
+
+def test_a_way_of_a_second_has_no_turns():
+    assert corner(10.0).hardest_turn()[0] > 5.0
+    assert Trajectory("short", [0.0, 0.5, 1.0], np.eye(3)).hardest_turn() == (0.0, 0.0)
