@@ -229,29 +229,6 @@ def atomic_path(path: Path) -> Iterator[Path]:
             raise
 
 
-@contextmanager
-def atomic_folder(path: Path) -> Iterator[Path]:
-    """A folder to fill, beside ``path``, that takes its place at the end, and that of an old one.
-
-    If the block fails, the folder vanishes and ``path`` stays as it was. Folders on the way are
-    made.
-    """
-    path.parent.mkdir(parents=True, exist_ok=True)
-    with tempfile.TemporaryDirectory(dir=path.parent, prefix=".") as beside:
-        new = Path(beside, path.name)
-        new.mkdir()
-        yield new
-        old = Path(beside, "replaced")
-        try:
-            if path.exists():
-                path.replace(old)
-            new.replace(path)
-        except BaseException:
-            if old.exists() and not path.exists():  # a signal came between the two
-                old.replace(path)
-            raise
-
-
 def write_text(path: Path, text: str) -> None:
     """Write a file in one step; folders on the way are made."""
     with atomic_path(path) as temporary:

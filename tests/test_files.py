@@ -14,7 +14,6 @@ from mmwave_env.files import (
     JSON_BYTES,
     JSON_DEPTH,
     JSON_DIGITS,
-    atomic_folder,
     atomic_path,
     naming,
     open_regular,
@@ -63,50 +62,6 @@ def test_a_block_may_fail_after_its_file_is_gone(tmp_path):
     with pytest.raises(FileNotFoundError), atomic_path(tmp_path / "log.csv") as temporary:
         temporary.unlink()
     assert names(tmp_path) == []
-
-
-def test_a_folder_takes_its_place_at_the_end_and_that_of_an_old_one(tmp_path):
-    path = tmp_path / "new" / "set-v0"
-    for name in ("first", "second"):
-        with atomic_folder(path) as beside:
-            assert beside.name == "set-v0" and names(beside) == []
-            (beside / name).write_text("numbers")
-            assert not (path / name).exists()
-        assert names(path) == [name] and names(path.parent) == ["set-v0"]
-
-
-@pytest.mark.parametrize("error", [ValueError, KeyboardInterrupt])
-def test_a_folder_that_is_not_filled_leaves_everything_as_it_was(tmp_path, error):
-    path = tmp_path / "set-v0"
-    path.mkdir()
-    (path / "old").write_text("old")
-
-    def fill():
-        with atomic_folder(path) as beside:
-            (beside / "half").write_text("of the new")
-            raise error
-
-    with pytest.raises(error):
-        fill()
-    assert names(path) == ["old"] and names(tmp_path) == ["set-v0"]
-
-
-def test_a_folder_that_can_not_take_its_place_leaves_the_old_one(tmp_path, monkeypatch):
-    path = tmp_path / "set-v0"
-    path.mkdir()
-    (path / "old").write_text("old")
-    replace, renamed = Path.replace, []
-
-    def interrupted_at_the_second(self, target):
-        renamed.append(target)
-        if len(renamed) == 2:
-            raise KeyboardInterrupt
-        return replace(self, target)
-
-    monkeypatch.setattr(Path, "replace", interrupted_at_the_second)
-    with pytest.raises(KeyboardInterrupt), atomic_folder(path) as beside:
-        (beside / "new").write_text("new")
-    assert names(path) == ["old"] and names(tmp_path) == ["set-v0"]
 
 
 def test_text_bytes_and_json_replace_what_was_there(tmp_path):

@@ -183,9 +183,3 @@ def crossed_bootstrap(
         shift = center - statistic(values, uniform)
         intervals.append((center, low + shift, high + shift))
     return intervals
-
-
-def over_seeds_and_episodes(values: Array) -> Interval:
-    """Mean of values (seeds, episodes) with its 95 % interval over both."""
-    ((center, low, high),) = crossed_bootstrap(values, mean)
-    return Interval(float(center), float(low), float(high))

@@ -28,19 +28,6 @@ def require_tuning_seed(seed: int) -> None:
         raise ValueError(f"seed: found {seed}, expected a tuning seed >= {TUNING_SEED}")
 
 
-def require_training_seed(seed: int) -> None:
-    """Refuse to keep episodes to learn from that results are about, or that others are tuned on.
-
-    Raises:
-        ValueError: naming the first training seed.
-    """
-    if seed < TRAINING_SEED:
-        raise ValueError(
-            f"seed: found {seed}, expected a training seed >= {TRAINING_SEED}: nobody learns from "
-            f"episodes that test seeds (from 0) and tuning seeds (from {TUNING_SEED}) draw"
-        )
-
-
 def require_seeds(seeds: Sequence[int]) -> None:
     """Refuse an empty run, and seeds that are none.
 
