@@ -20,13 +20,13 @@ POSITION_M = _between(-1e6, 1e6, "m")  # per axis, of anchors and of the prior
 VELOCITY_MPS = _between(-1e4, 1e4, "m/s")  # per axis, of the prior
 BIAS_HZ = _between(-1e7, 1e7, "Hz")  # of the prior
 # standard deviations of the prior
-POSITION_SIGMA_M = _between(1e-4, 1e5, "m")
+POSITION_SIGMA_M = _between(1e-4, 1e4, "m")
 VELOCITY_SIGMA_MPS = _between(1e-4, 1e3, "m/s")
 BIAS_SIGMA_HZ = _between(1e-8, 1e6, "Hz")
 # and of measurements; odometry's speed as a range
 RANGE_SIGMA_M = _between(1e-3, 1e5, "m")
 ANGLE_SIGMA_RAD = _between(1e-5, 1e2, "rad")
-DOPPLER_SIGMA_HZ = _between(1e-2, 1e6, "Hz")
+DOPPLER_SIGMA_HZ = _between(0.1, 1e6, "Hz")
 # of modes
 PROCESS_NOISE = _between(0.0, 30.0)  # each in its own unit per root second
 WIDENING = _between(0.0, 100.0)  # m, m/s
