@@ -102,6 +102,8 @@ class SB3VecEnv(VecEnv):
         """What is handed on after every step, one dict an environment."""
         keys = [name for key in self.info_keys for name in (key, f"_{key}") if name in told]
         chosen = {key: told[key] for key in keys}
+        if not chosen:
+            return [{} for _ in range(self.num_envs)]
         return [_of(chosen, i) for i in range(self.num_envs)]
 
     def state(self) -> dict[str, NDArray[Any]]:

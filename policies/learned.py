@@ -66,11 +66,7 @@ class LearnedSwitch:
         tensors, self.card = read_policy(self._path)
         self.modes, self.beliefs = self.card.modes, self.card.beliefs
         self._low, self._high = tensors["low"], tensors["high"]
-        self._memories: list[_Frames | _Lstm] = []
-        if self.card.frames > 1:
-            self._memories.append(_Frames(self.card.frames, (self._low + self._high) / 2.0))
-        if "lstm.bias" in tensors:
-            self._memories.append(_Lstm(tensors))
+        self._memory = _Lstm(tensors) if "lstm.bias" in tensors else None
         layers = sum(name.startswith("layer.") for name in tensors) // 2
         self._layers = [
             (tensors[f"layer.{i}.weight"].T, tensors[f"layer.{i}.bias"]) for i in range(layers)
@@ -175,14 +171,13 @@ class LearnedSwitch:
         if observation.ndim != 2 or observation.shape[1] != len(self._low):
             raise ValueError(self._about_shape(observation.shape))
         x = np.minimum(np.maximum(observation, self._low), self._high)
-        if self._memories:
+        if self._memory is not None:
             if len(x) != len(self._begins):
                 raise ValueError(
                     f"observation: found {len(x)} environments, expected {len(self._begins)}; "
                     "call policy.reset(np.ones(n, bool)) when n episodes begin"
                 )
-            for memory in self._memories:
-                x = memory(x, self._begins)
+            x = self._memory(x, self._begins)
             self._begins[:] = False
         *hidden, (weight, bias) = self._layers
         for w, b in hidden:
@@ -211,31 +206,6 @@ def _located(path: str | os.PathLike[str]) -> Path:
         known = ", ".join([*shipped, "a .safetensors file"])
         raise ValueError(f"policy: found {path!r}, expected one of {known}")
     return shipped[path]
-
-
-class _Frames:
-    """The last observations of every environment as one, oldest first.
-
-    Before there are enough of them, a blank one stands for those that are missing.
-
-    Args:
-        frames: how many.
-        blank: (features,) the middle of the bounds, which is the mean in training: normalized,
-            the zeros that Stable-Baselines3 begins with.
-    """
-
-    def __init__(self, frames: int, blank: Array) -> None:
-        self._blank = blank
-        self._past = np.empty((0, frames, len(blank)), np.float32)
-
-    def __call__(self, observation: Array, begins: NDArray[np.bool_]) -> Array:
-        """The stack (n, frames * features), after observations (n, features)."""
-        if len(self._past) != len(begins):
-            self._past = np.empty((len(begins), *self._past.shape[1:]), np.float32)
-        self._past[:, :-1] = self._past[:, 1:]
-        self._past[begins] = self._blank
-        self._past[:, -1] = observation
-        return self._past.reshape(len(begins), -1)
 
 
 class _Lstm:

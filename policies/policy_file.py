@@ -3,10 +3,9 @@
 Tensors, float32; the actor is the network that chooses:
 
 - ``low``, ``high`` (features,): observations are clipped to them. Training normalizes, too,
-  which is folded into the first weights. Of an actor that sees several frames at once, those
-  before an episode begins are the middle of these bounds;
+  which is folded into the first weights;
 - ``layer.0.weight`` (out, in), ``layer.0.bias`` (out,), ``layer.1.weight``, ...: an MLP with
-  tanh between its layers. ``in`` of the first is features times frames, ``out`` of the last the
+  tanh between its layers. ``in`` of the first is features, ``out`` of the last the
   number of actions: the modes; where each keeps its own belief, none of them and the modes;
 - of a recurrent actor ``lstm.weight_ih`` (4 h, in), ``lstm.weight_hh`` (4 h, h) and
   ``lstm.bias`` (4 h,), gates in PyTorch's order (input, forget, cell, output): it comes first,
@@ -54,7 +53,7 @@ class Card:
             bank, and action 0 stands for none of them.
         observation: "full" or "prior".
         digest: of the table of features, :attr:`~mmwave_env.observation.Observation.digest`.
-        frames: observations the actor sees at once.
+        frames: observations the actor sees at once, 1.
         scenario: it was trained on.
         radio: profile it was trained with.
         algorithm: that trained it.
@@ -92,8 +91,8 @@ class Card:
             if type(value) is not expected:
                 raise ValueError(f"{name}: found {quoted(value)}, expected {expected.__name__}")
         choose(OBSERVATIONS, self.observation, "observation")
-        if self.frames < 1:
-            raise ValueError(f"frames: found {self.frames}, expected 1 or more")
+        if self.frames != 1:
+            raise ValueError(f"frames: found {self.frames}, expected 1")
         if not isinstance(self.versions.get("mmwave-loc"), str):
             raise ValueError(f"versions: found {self.versions!r}, expected one of 'mmwave-loc'")
         choose(BELIEFS, self.beliefs, "beliefs")
@@ -282,7 +281,7 @@ def _shapes(tensors: Tensors, card: Card) -> dict[str, tuple[int, ...]]:
     size = {name: tensor.size for name, tensor in tensors.items()}
     features = size.get("low", 0)
     shapes: dict[str, tuple[int, ...]] = {"low": (features,), "high": (features,)}
-    width = features * card.frames
+    width = features
     if any(name.startswith("lstm.") for name in tensors):
         hidden = size.get("lstm.bias", 0) // 4
         shapes["lstm.weight_ih"] = (4 * hidden, width)

@@ -131,12 +131,12 @@ def _require_same(path: Path, manifest: dict[str, Any]) -> None:
     """Refuse to go on with the run of another manifest."""
 
     def flat(run: dict[str, Any]) -> dict[str, Any]:
-        return {**run, **run["hyperparameters"]}
+        """The hyperparameters one by one, which says more of a difference."""
+        return {key: value for key, value in run.items() if key != whole} | run[whole]
 
+    whole = "hyperparameters"
     found, expected = read_json(path, "the manifest of a run", flat), flat(manifest)
-    for key in [
-        key for key in {**expected, **found} if key != "hyperparameters"
-    ]:  # its parts say more
+    for key in expected | found:
         if found.get(key) != expected.get(key):
             raise ValueError(
                 f"{path}: {key}: found {found.get(key)}, expected {expected.get(key)}; resume a "

@@ -32,11 +32,10 @@ from tests.training.actors import (
 KINDS = {
     "plain": {},
     "linear": {"hidden": ()},
-    "frames": {"frames": 3},
     "lstm": {"lstm": 6},
-    "both": {"frames": 2, "lstm": 4, "hidden": (7,)},
+    "narrow": {"lstm": 4, "hidden": (7,)},
 }
-REMEMBERING = ["frames", "lstm", "both"]
+REMEMBERING = ["lstm", "narrow"]
 
 
 @pytest.fixture
@@ -45,8 +44,7 @@ def make(tmp_path):
 
     def policy_and_tensors(kind, **changes):
         tensors = actor(**KINDS[kind] | changes)
-        card = card_of(frames=KINDS[kind].get("frames", 1))
-        return LearnedSwitch(write(tmp_path / f"{kind}.safetensors", tensors, card)), tensors
+        return LearnedSwitch(write(tmp_path / f"{kind}.safetensors", tensors, card_of())), tensors
 
     return policy_and_tensors
 
@@ -80,17 +78,14 @@ def lstm_step(tensors, x, h, c):
     return [sigmoid(gates[3 * n + j]) * math.tanh(c[j]) for j in range(n)], c
 
 
-def logits_of_an_episode(tensors, frames, episode):
+def logits_of_an_episode(tensors, episode):
     """(steps, modes), one number after the other in double precision."""
     cells = len(tensors.get("lstm.bias", ())) // 4
-    h, c, seen, result = [0.0] * cells, [0.0] * cells, [], []
+    h, c, result = [0.0] * cells, [0.0] * cells, []
     bounds = list(zip(tensors["low"].tolist(), tensors["high"].tolist(), strict=True))
-    blank = [(low + high) / 2 for low, high in bounds]
     for observation in episode.tolist():
         clipped = zip(observation, bounds, strict=True)
-        seen.append([min(max(v, low), high) for v, (low, high) in clipped])
-        latest = ([blank] * frames + seen)[-frames:]
-        x = [v for observation in latest for v in observation]
+        x = [min(max(v, low), high) for v, (low, high) in clipped]
         if cells:
             x, c = lstm_step(tensors, x, h, c)
             h = x
@@ -118,16 +113,15 @@ def test_actions_are_those_of_a_plain_loop(make, kind):
     episodes = observations(20, 15)
     policy.reset(np.ones(20, bool))
     actions = np.stack([policy(now) for now in episodes.swapaxes(0, 1)], axis=1)
-    frames = policy.card.frames
-    assert_chosen(actions, np.stack([logits_of_an_episode(tensors, frames, e) for e in episodes]))
+    assert_chosen(actions, np.stack([logits_of_an_episode(tensors, e) for e in episodes]))
 
 
 def test_logits_are_those_of_a_plain_loop(make):
-    policy, tensors = make("both")
+    policy, tensors = make("narrow")
     episodes = observations(20, 15)
     policy.reset(np.ones(20, bool))
     logits = np.stack([policy.logits(now) for now in episodes.swapaxes(0, 1)], axis=1)
-    expected = [logits_of_an_episode(tensors, policy.card.frames, e) for e in episodes]
+    expected = [logits_of_an_episode(tensors, e) for e in episodes]
     np.testing.assert_allclose(logits, expected, atol=1e-4)
 
 
@@ -138,11 +132,8 @@ def test_actions_are_those_of_torch(make, kind):
     nn = torch.nn
     policy, tensors = make(kind)
     weights = {name: torch.from_numpy(tensor) for name, tensor in tensors.items()}
-    frames, episodes = policy.card.frames, observations(50, 12)
+    episodes = observations(50, 12)
     x = torch.from_numpy(episodes).clamp(weights["low"], weights["high"])
-    blank = ((weights["low"] + weights["high"]) / 2).expand(50, frames - 1, -1)
-    x = torch.cat([blank, x], dim=1).unfold(1, frames, 1)  # (n, steps, features, frames)
-    x = x.transpose(2, 3).flatten(2)
     if "lstm.bias" in tensors:
         cell = nn.LSTM(x.shape[-1], len(tensors["lstm.bias"]) // 4, batch_first=True)
         cell.load_state_dict({
@@ -189,7 +180,7 @@ def test_every_environment_remembers_its_own_episode_and_no_more(make, kind):
         edges = [*np.flatnonzero(begins[:, i]), steps]
         for first, last in pairwise(edges):
             episode = now[first:last, i]
-            logits[first:last, i] = logits_of_an_episode(tensors, policy.card.frames, episode)
+            logits[first:last, i] = logits_of_an_episode(tensors, episode)
     assert_chosen(actions, logits)
 
 
@@ -282,8 +273,8 @@ def test_a_policy_over_beliefs_per_mode_says_so_to_observations_of_another_shape
 
 
 def test_a_newcomer_loads_a_policy_and_lets_it_act(make, tmp_path):
-    make("both")
-    policy = LearnedSwitch(str(tmp_path / "both.safetensors"))
+    make("narrow")
+    policy = LearnedSwitch(str(tmp_path / "narrow.safetensors"))
     env = gym.make("MmWaveLoc-v0", modes=policy.modes, episode_steps=20)
     policy.require_trained_on(env.unwrapped.observation)
     observation, _ = env.reset(seed=0)
@@ -296,7 +287,7 @@ def test_a_newcomer_loads_a_policy_and_lets_it_act(make, tmp_path):
     assert math.isfinite(info["ate_m"]) and len(actions) == 20
 
     envs = gym.make_vec("MmWaveLoc-v0", num_envs=3, modes=policy.modes, episode_steps=20)
-    again = LearnedSwitch(tmp_path / "both.safetensors", envs.unwrapped.observation)
+    again = LearnedSwitch(tmp_path / "narrow.safetensors", envs.unwrapped.observation)
     now, _ = envs.reset(seed=0)
     again.reset(np.ones(3, bool))
     together = []
@@ -440,12 +431,12 @@ def test_a_missing_file_is_named():
 
 
 def test_it_needs_no_torch_and_no_pickle(make, tmp_path):
-    make("both")
+    make("narrow")
     code = (
         "import sys, numpy as np, pickle; from policies import LearnedSwitch\n"
         "def refuse(*_): raise AssertionError('unpickled')\n"
         "pickle.load = pickle.loads = pickle.Unpickler = refuse\n"
-        f"policy = LearnedSwitch({str(tmp_path / 'both.safetensors')!r})\n"
+        f"policy = LearnedSwitch({str(tmp_path / 'narrow.safetensors')!r})\n"
         "policy.reset(np.ones(2, bool))\n"
         f"print(policy(np.zeros((2, {FEATURES}), np.float32)).shape)\n"
         "assert not {'torch', 'stable_baselines3'} & set(sys.modules)\n"

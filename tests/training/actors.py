@@ -32,7 +32,7 @@ def card_of(table=TABLE, **changes):
     return Card(**told | changes)
 
 
-def actor(features=FEATURES, actions=3, hidden=(5, 4), frames=1, lstm=0, seed=0):
+def actor(features=FEATURES, actions=3, hidden=(5, 4), lstm=0, seed=0):
     """Tensors of an actor; an ``lstm`` of that many cells comes first."""
     rng = np.random.default_rng(seed)
 
@@ -42,7 +42,7 @@ def actor(features=FEATURES, actions=3, hidden=(5, 4), frames=1, lstm=0, seed=0)
         return rng.normal(0.0, scale, shape).astype(np.float32)
 
     tensors = {"low": -0.5 - draw(features) ** 2, "high": 0.5 + draw(features) ** 2}
-    width = features * frames
+    width = features
     if lstm:
         tensors |= {
             "lstm.weight_ih": draw(4 * lstm, width),
