@@ -14,8 +14,8 @@ class Args(EpisodeArgs):
     """Compare policies on the same seeded episodes, with paired differences.
 
     All figures, the reward too, leave out the first 10 epochs of an episode. Everybody is paired
-    with the best fixed mode, speed-rule and imm, learned policies and agents of your own also with
-    every other IMM; where none of those three is named, with everybody else.
+    with the best fixed mode, speed-rule, imm and imm-best, agents and policy files of your own with
+    everybody else; where none of those four is named, everybody with everybody.
 
     mmwave-loc compare --policies fixed-ukf speed-rule imm ppo --episodes 200
     """

@@ -26,7 +26,7 @@ class TrainedArgs:
     radio: str = "handset"
     """handset, standard, high or a JSON file"""
     modes: tuple[str, ...] = ()
-    """modes that it chooses from: extended, names and mode files; the radio's ekf and ukf where
+    """modes that it chooses from: names and mode files; the radio's ekf and ukf where
     none is named, with beliefs per mode those of its best IMM"""
     observation: str = "full"
     """full or prior"""

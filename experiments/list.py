@@ -38,14 +38,9 @@ SCENARIOS = {
 POLICIES = {
     "speed-rule": "the paper's rule: EKF up to 2 m/s, UKF above",
     "likelihood-rule": "the mode that explains the coming measurement best",
-    "random": "any mode, by chance",
     "imm": "interacting multiple models over the same modes",
-    "imm-tuned": "IMM whose transition is tuned",
-    "imm-robust": "tuned IMM over modes that doubt outliers",
-    "imm-extended": "tuned IMM over a bank of eight modes",
     "imm-best": "tuned IMM over modes that stand, cruise, turn, accelerate and brake",
     "ppo": "learned switcher over the profile's two modes",
-    "ppo-extended": "learned switcher over a bank of eight modes",
     "guided": "learned trust in the modes of imm-best, which keep a belief each",
     "guided-ppo": "the same learned with PPO alone",
 }
@@ -61,8 +56,7 @@ def policies(radio: str) -> dict[str, str]:
 def _about_policy(name: str) -> str:
     if name.startswith("fixed-"):
         return f"mode {name.removeprefix('fixed-')} in every epoch"
-    about = POLICIES[name.removesuffix("-limited")]
-    return f"{about}; outliers count less" if name.endswith("-limited") else about
+    return POLICIES[name]
 
 
 def modes(radio: str) -> dict[str, str]:

@@ -1,7 +1,7 @@
-"""mmwave-loc tune: process noise of modes, on tuning seeds."""
+"""mmwave-loc tune: process noise of modes, or a whole bank, on tuning seeds."""
 
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
@@ -19,7 +19,11 @@ if TYPE_CHECKING:
 class Args(JsonArgs):
     """Tune the process noise of modes by likelihood or by position error.
 
+    With --bank the five modes of imm-best, with their transition, by the reward of the IMM over
+    them, on all streets at 1 Hz and 10 Hz (extra "tune").
+
     mmwave-loc tune --radio handset --out modes.json
+    mmwave-loc tune --bank --radio phone.json --episodes 900 --evaluations 500 --out bank.json
     """
 
     radio: str = "handset"
@@ -38,6 +42,10 @@ class Args(JsonArgs):
     """how many"""
     seed: int = TUNING_SEED
     """seed of the first episode; never a test seed"""
+    bank: bool = False
+    """tune a bank, in place of modes one by one"""
+    evaluations: int = 1000
+    """of a bank, at most"""
     out: Path | None = None
     """write the tuned modes to this mode file, for --modes and modes="""
 
@@ -47,6 +55,7 @@ RANGES = {
     "sigma_p": (0.01, 2.0), "sigma_v": (0.1, 4.0), "sigma_pz": (0.001, 0.2),
     "sigma_vz": (0.001, 0.2), "sigma_b_mps": (0.01, 0.5), "spread_gain": (1e-4, 0.1),
 }  # fmt: skip
+OF_MODES = ("modes", "scenarios", "free", "objective", "diagonal")  # options that banks have not
 POINTS = (6, 11)  # of the surface, along the second and the first parameter
 STEP = 0.3  # of the first simplex, in logarithms: a third
 
@@ -163,6 +172,29 @@ def surface_table(free: Sequence[str], axes: "Sequence[Array]", surface: "Array"
     return grid(header, rows)
 
 
+def _tune_bank(args: Args) -> None:
+    """Tune a bank, and write and say what it came to."""
+    from experiments.console.progress import say
+    from experiments.console.provenance import provenance
+    from experiments.evaluation.intervals import Interval
+    from experiments.tuning.banks import tuned_bank
+    from mmwave_env.files import write_json
+    from mmwave_env.models.radio import radio_from
+
+    for field in fields(Args):
+        if field.name in OF_MODES and getattr(args, field.name) != field.default:
+            raise ValueError(f"{field.name}: found beside --bank, expected one of them")
+    name = radio_from(args.radio).name
+    bank = tuned_bank(args.radio, args.episodes, args.seed, args.evaluations)
+    reward, gain = (Interval.of(bank["held_out"][what]) for what in ("reward", "minus imm"))
+    say(f"{name}: reward {reward}, minus imm {gain}, on as many episodes that nothing was tuned on")
+    made = provenance("tune", args)
+    if args.json:
+        write_json(args.json, made | bank)
+    if args.out:
+        write_json(args.out, {"command": made["command"]} | bank)
+
+
 def main(args: Args) -> None:
     """Run the command."""
     from experiments.console.progress import say
@@ -178,6 +210,13 @@ def main(args: Args) -> None:
     from mmwave_env.models.radio import RADIOS, radio_from
 
     require_tuning_seed(args.seed)
+    if args.out:
+        require_writable(args.out)
+        if args.out.resolve() == Path(args.radio).resolve():
+            raise ValueError(f"out: found {args.out}, which is the radio, expected another file")
+    if args.bank:
+        _tune_bank(args)
+        return
     profile = radio_from(args.radio).name
     # One that nobody has tuned yet starts from the modes of "standard".
     modes = modes_from(args.modes, profile if profile in RADIOS else "standard")
@@ -190,8 +229,6 @@ def main(args: Args) -> None:
         raise ValueError(f"free: found {args.free}, expected at least one name and none twice")
     for name in args.free:
         choose(RANGES, name, "free")
-    if args.out:
-        require_writable(args.out)
     tuned, figures = [], []
     for mode, scenario in zip(modes, args.scenarios, strict=True):
         source = source_of(WorldArgs(scenario=scenario, radio=args.radio))

@@ -169,9 +169,8 @@ class MmWaveLocEnv(Copied, gym.Env[NDArray[np.float32], np.int64]):
       a `RandomScene`, and each episode draws streets, base station and walls of its own.
     * `modes`: list of modes, each a name ("ekf", "ukf", "ckf", "ekf-robust", "ukf-robust"), a
       mode file or a `Mode`, whose algorithm may be your own function (docs/own-filters.md); or
-      one mode file, as `mmwave-loc tune` writes it, or a dict of what such a file holds; or
-      "extended", a bank of eight: more tunings, two robust modes, and one that finds a lost user
-      again; or a `Bank`.
+      one mode file, as `mmwave-loc tune` writes it, or a dict of what such a file holds; or a
+      `Bank`.
     * `beliefs`: "shared" (default) or "per-mode", see Beliefs per Mode.
     * `reward`: "tracking", "log-score", "paired", a function or a `PairedReward`.
     * `observation`: "full" or "prior".

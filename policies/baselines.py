@@ -1,4 +1,4 @@
-"""Policies that need no training: one mode for ever, any mode, the most likely mode."""
+"""Policies that need no training: one mode for ever, the most likely mode."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,18 +16,6 @@ class FixedMode(Policy):
     def __call__(self, observation: NDArray[np.float32]) -> NDArray[np.int64]:
         """Actions (n,)."""
         return np.full(len(observation), self.action, np.int64)
-
-
-class RandomMode(Policy):
-    """Any of so many modes, uniformly."""
-
-    def __init__(self, modes: int, seed: int = 0) -> None:
-        self.modes = modes
-        self._rng = np.random.default_rng(seed)
-
-    def __call__(self, observation: NDArray[np.float32]) -> NDArray[np.int64]:
-        """Actions (n,)."""
-        return self._rng.integers(self.modes, size=len(observation))
 
 
 class LikelihoodRule(Policy):

@@ -16,6 +16,7 @@ import mmwave_env  # noqa: F401  registers the environment
 from mmwave_env import observation
 from mmwave_env.engines.env_engine import Engine
 from mmwave_env.env import MmWaveLocEnv
+from mmwave_env.filters.bank import best_bank
 from mmwave_env.filters.mode_files import modes_from
 from mmwave_env.filters.modes import Mode
 from mmwave_env.filters.pipeline import Pipeline
@@ -143,7 +144,7 @@ def test_whole_numbers_read_exactly(beliefs):
 OWN = {
     "one anchor": Pipeline(modes_from(["ukf"]), Layout(1)),
     "five anchors and odometry": Pipeline(modes_from(None), Layout(5, True)),
-    "eight modes": Pipeline(modes_from("extended"), Layout()),
+    "five modes": Pipeline(best_bank().modes, Layout()),
     "names of one's own": Pipeline((Mode("slow feet"), Mode("fast wheels")), Layout(2), True),
 }
 

@@ -11,7 +11,13 @@ from experiments.console.options import EpisodeArgs
 from experiments.console.progress import progress
 from experiments.console.provenance import provenance
 from experiments.console.tables import show
-from experiments.evaluation.asked import contender_of, runs_of, selection_of, task_of
+from experiments.evaluation.asked import (
+    all_contenders,
+    contender_of,
+    runs_of,
+    selection_of,
+    task_of,
+)
 from experiments.evaluation.bounds import bound_markdown, over_bound
 from experiments.evaluation.comparison import Comparison, compare_scores, episodes_csv
 from experiments.evaluation.runner import Scoring, score_contenders
@@ -72,7 +78,8 @@ def results(
         _require_profiles(names, runs)
     files = {name: runs[name].policy if name in runs else name for name in names}
     chosen = {file: contender_of(args, file) for file in trainings(names, runs)}
-    learned = [name for name, file in files.items() if chosen[file].trained]
+    known = all_contenders(args)
+    own = [name for name in names if name not in known]
     shown = {file: name for name, file in files.items()}
     everybody = [chosen[file] for file in trainings(names, runs)]
     with watchers(args, shown, source, selection, pictures) as watched:
@@ -85,7 +92,7 @@ def results(
         write_text(args.episodes_csv, episodes_csv(scores, selection, source))
     drawn: list[Callable[[], None]] = []
     result = compare_scores(
-        scores, learned, scenario=source.name, radio=profile_of(args.radio), selection=selection,
+        scores, own, scenario=source.name, radio=profile_of(args.radio), selection=selection,
         reward=reward_name(scoring.reward),
     )  # fmt: skip
     text, content = str(result), result.json

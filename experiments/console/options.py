@@ -64,9 +64,9 @@ class ModeArgs(WorldArgs):
 
     modes: tuple[str, ...] = ()
     """modes to work with in place of the profile's ekf and ukf: names (ekf, ukf, ckf, ekf-robust,
-    ukf-robust, or extended for a bank of eight) and mode files; policies are then fixed-NAME,
-    likelihood-rule, random, imm and, with two modes, speed-rule, which takes the first for low
-    and the second for high mobility; learned policies bring their own modes"""
+    ukf-robust) and mode files; policies are then fixed-NAME, likelihood-rule, imm and, with two
+    modes, speed-rule, which takes the first for low and the second for high mobility; learned
+    policies bring their own modes"""
     observation: str = "full"
     """what agents of your own were trained with: full, or prior; policy files say it themselves"""
     beliefs: str = "shared"
@@ -126,7 +126,7 @@ class TaskArgs:
     beliefs: Literal["shared", "per-mode"] = "shared"
     """per-mode: every mode keeps its own belief, and the agent says which of them to trust"""
     modes: tuple[str, ...] = ()
-    """to choose from: extended, names and mode files; the radio's ekf and ukf by default, and its
+    """to choose from: names and mode files; the radio's ekf and ukf by default, and its
     best bank with beliefs per mode"""
     observation: str = "full"
     """full, or prior: nothing of how each mode sees the coming epoch"""

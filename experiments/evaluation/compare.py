@@ -59,9 +59,8 @@ def compare(
             ``planar``, ``odometry``, ``reward``.
 
     Returns:
-        The metrics of all, and their paired differences: of agents of one's own from everybody
-        beside them, of those among each other as ``mmwave-loc compare`` shows them. ``print`` shows
-        it as Markdown.
+        The metrics of all, and their paired differences: of agents of one's own from everybody, of
+        those beside them as ``mmwave-loc compare`` shows them. ``print`` shows it as Markdown.
 
     Raises:
         ValueError: no dict of policies, unknown scenario, radio or contender, a name or a
@@ -93,9 +92,8 @@ def compare(
     others = [contender_from(name, radio) for name in beside]
     everybody = [*own, *others]
     scores = score_contenders(everybody, task.source, radio, selection, scoring=scoring)
-    learned = [*policies, *(one.name for one in others if one.trained)]
     return compare_scores(
-        scores, learned, list(policies), scenario=task.source.name, radio=task.radio.name,
+        scores, list(policies), scenario=task.source.name, radio=task.radio.name,
         selection=selection, reward=reward_name(scoring.reward),
     )  # fmt: skip
 

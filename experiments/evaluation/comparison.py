@@ -3,7 +3,7 @@
 import csv
 import io
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -41,10 +41,6 @@ class Comparison:
             "scenario": self.scenario, "radio": self.radio, **self.selection.json,
             "policies": table(self.policies), "paired": table(self.paired),
         }  # fmt: skip
-
-    def of(self, names: Sequence[str]) -> "Comparison":
-        """Some of the contenders, without the differences."""
-        return replace(self, policies={name: self.policies[name] for name in names}, paired={})
 
     def __str__(self) -> str:
         """Every policy with 95 % half-widths, then the paired differences of the reward."""
@@ -100,31 +96,20 @@ def episodes_csv(scores: dict[str, Scores], selection: Selection, source: Episod
 
 
 def references(scores: dict[str, Scores]) -> list[str]:
-    """What others are compared with: best fixed mode by reward, the paper's rule, the IMM."""
+    """What others are compared with: best fixed mode by reward, the paper's rule, the IMMs."""
     fixed = [name for name in scores if name.startswith("fixed-")]
     best = max(fixed, key=lambda name: scores[name]["reward"].mean(), default=None)
-    return [name for name in (best, "speed-rule", "imm") if name is not None and name in scores]
+    return [n for n in (best, "speed-rule", "imm", "imm-best") if n is not None and n in scores]
 
 
-def rivals(scores: dict[str, Scores]) -> list[str]:
-    """What learned switchers are compared with: the references and every other IMM."""
-    return [*references(scores), *(name for name in scores if name.startswith("imm-"))]
-
-
-def compare_scores(
-    scores: dict[str, Scores],
-    learned: Sequence[str] = (),
-    own: Sequence[str] = (),
-    **what: Any,
-) -> Comparison:
+def compare_scores(scores: dict[str, Scores], own: Sequence[str] = (), **what: Any) -> Comparison:
     """Intervals of every contender, and paired differences against the references.
 
     Where no reference is among them, everybody is paired with everybody.
 
     Args:
         scores: of :func:`~experiments.evaluation.runner.score_contenders`.
-        learned: contenders to compare with every IMM.
-        own: contenders to compare with all that are not among them.
+        own: a user's contenders, which are compared with everybody, each other, too.
         what: the other attributes of :class:`Comparison`.
     """
     metrics = list(METRICS)
@@ -138,11 +123,9 @@ def compare_scores(
 
     stacked = {name: np.stack([s[m] for m in metrics], axis=1) for name, s in scores.items()}
     pairs, everyones = {}, references(scores) or list(scores)
-    imms, beside = rivals(scores), [name for name in scores if own and name not in own]
-    for reference in dict.fromkeys([*everyones, *imms, *beside]):
-        asked = {*(learned if reference in imms else ()), *(own if reference in beside else ())}
-        for name in scores:
-            if name != reference and (reference in everyones or name in asked):
+    for reference in dict.fromkeys([*everyones, *(scores if own else ())]):
+        for name in scores if reference in everyones else own:
+            if name != reference:
                 pairs[f"{name} - {reference}"] = stacked[name] - stacked[reference]
     paired = rows(pairs) if pairs else {}
     return Comparison(policies=rows(stacked), paired=paired, **what)

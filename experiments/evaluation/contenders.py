@@ -18,24 +18,20 @@ from mmwave_env.models.radio import RADIOS, profile_of
 from mmwave_env.observation import Observation, action_names
 from mmwave_env.task import Modes, bank_and_modes
 from policies import (
-    TUNED_IMMS,
     FixedMode,
     LearnedSwitch,
     LikelihoodRule,
     Policy,
-    RandomMode,
     SpeedRule,
     shipped_policies,
-    tuned_imm,
 )
 
-POLICY_SEED = 0
 BEST_IMM = "imm-best"  # the IMM over best_bank
 OTHERS = (
     "a .safetensors file", "the folder of a run", "a .zip of Stable-Baselines3", "module:function",
 )  # fmt: skip
 # Learned contenders, where a policy of the radio (NAME-RADIO) or one for all (NAME) is shipped
-SHIPPED = ("ppo", "ppo-extended", "guided", "guided-ppo")
+SHIPPED = ("ppo", "guided", "guided-ppo")
 
 
 @dataclass(frozen=True)
@@ -175,21 +171,19 @@ def imm_banks(radio: str) -> dict[str, Callable[[], Bank]]:
     Args:
         radio: profile, a name or a JSON file.
     """
-    radio = profile_of(radio)
-    tuned = {name: partial(tuned_imm, name, radio) for name in TUNED_IMMS}
-    return {"imm": lambda: Bank(default_modes(radio)), **tuned, BEST_IMM: lambda: best_bank(radio)}
+    return {"imm": lambda: Bank(default_modes(radio)), BEST_IMM: lambda: best_bank(radio)}
 
 
 def shipped_for(radio: str) -> dict[str, str]:
     """Names of shipped policy files, by what they are called as contenders with a radio profile."""
-    shipped = shipped_policies()
+    shipped, radio = shipped_policies(), profile_of(radio)
     of_radio = {name: f"{name}-{radio}" for name in SHIPPED}
     found = {name: file if file in shipped else name for name, file in of_radio.items()}
     return {name: file for name, file in found.items() if file in shipped}
 
 
 def _of_any_modes(bank: Bank) -> dict[str, Make]:
-    """What works with any modes: each of them alone, rules, chance and the IMM."""
+    """What works with any modes: each of them alone, rules and the IMM."""
     modes = bank.modes
     names = [mode.name for mode in modes]
     found: dict[str, Make] = {
@@ -200,7 +194,6 @@ def _of_any_modes(bank: Bank) -> dict[str, Make]:
         policies["speed-rule"] = SpeedRule
     if len(modes) > 1:
         policies["likelihood-rule"] = lambda table: LikelihoodRule(table, names)
-        policies["random"] = lambda table: RandomMode(len(modes), POLICY_SEED)
     found |= {name: partial(Contender, name, modes, policy) for name, policy in policies.items()}
     return found | {"imm": partial(_imm, "imm", lambda: bank)}
 
@@ -212,22 +205,19 @@ def contenders(radio: str, modes: Modes = None) -> dict[str, Make]:
         radio: profile, a name or a JSON file.
         modes: what they work with, as of ``MmWaveLoc-v0``; the IMM over a bank, or over a mode
             file that says them, has its transition and quantile. None for the profile's two, beside
-            which the profile has single modes of other kinds, tuned IMMs, and the learned
-            switchers that are shipped for it.
+            which the profile has the CKF, the IMM over the best bank, and the learned switchers
+            that are shipped for it.
     """
-    radio = profile_of(radio)
     if modes is not None:
         return _of_any_modes(bank_over(modes, radio))
-    named, two = named_modes(radio), default_modes(radio)
-    alone = {f"fixed-{name}": (named[name],) for name in ("ckf", "ekf-robust", "ukf-robust")}
-    fixed: dict[str, Make] = {n: partial(_fixed, n, mode, 0) for n, mode in alone.items()}
-    imms = {name: partial(_imm, name, bank_of) for name, bank_of in imm_banks(radio).items()}
-    learned = {
-        name: partial(Contender.learned, file, name, radio)
-        for name, file in shipped_for(radio).items()
+    ckf, best = named_modes(radio)["ckf"], imm_banks(radio)[BEST_IMM]
+    ekf, ukf, *others = _of_any_modes(Bank(default_modes(radio))).items()
+    found = [ekf, ukf, ("fixed-ckf", partial(_fixed, "fixed-ckf", (ckf,), 0)), *others]
+    found.append((BEST_IMM, partial(_imm, BEST_IMM, best)))
+    shipped = shipped_for(radio).items()
+    return dict(found) | {
+        name: partial(Contender.learned, file, name, radio) for name, file in shipped
     }
-    ekf, ukf, rule, *rest = _of_any_modes(Bank(two)).items()
-    return dict([ekf, ukf, *fixed.items(), rule, *rest]) | imms | learned
 
 
 def contender_from(

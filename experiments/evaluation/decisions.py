@@ -83,7 +83,7 @@ class Decisions:
             return
         name, step = self.names[contender.name], step_s(episodes[0])
         actions: list[str] = []
-        if "mode" in told and not contender.name.startswith(("fixed-", "random")):
+        if "mode" in told and not contender.name.startswith("fixed-"):
             actions = self.actions[name] = contender.actions
         offsets = np.arange(-round(BEFORE_S / step), round(AFTER_S / step) + 1)
         self.time_s = np.asarray(offsets * step, np.float64)

@@ -12,7 +12,7 @@ import numpy as np
 
 from experiments.console.tables import grid
 from experiments.console.text import escaped
-from experiments.evaluation.comparison import rivals
+from experiments.evaluation.comparison import references
 from experiments.evaluation.intervals import (
     Interval,
     bootstrap,
@@ -100,7 +100,7 @@ def over_training_seeds(
         scores: of the contenders, on the same episodes.
     """
     rewards = {run: np.stack([s["reward"] for s in trained]) for run, trained in runs.items()}
-    baselines = {rival: scores[rival]["reward"] for rival in rivals(scores)}
+    baselines = {rival: scores[rival]["reward"] for rival in references(scores)}
     imms = [rival for rival in baselines if rival.startswith("imm")]
     best_imm = max(imms, key=lambda imm: float(baselines[imm].mean()), default=None)
 

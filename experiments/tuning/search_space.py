@@ -1,21 +1,19 @@
 """Where the best bank is searched: points of numbers, and the bank that a point stands for."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from itertools import product
 from typing import NamedTuple
 
 import numpy as np
-from scipy.special import expit, logit, softmax
+from scipy.special import softmax
 
-from experiments.tuning.designs import Design
 from mmwave_env.filters.bank import Bank
 from mmwave_env.filters.imm import DEFAULT_STAY
 from mmwave_env.filters.modes import Mode
 from mmwave_env.numerics.arrays import Array
 
-STAY = (-6.0, 9.0)  # log odds to stay, where they are looked for
-ENTER = (-20.0, 20.0)  # log probability to be entered, over that of the last mode
+# Where they are looked for:
 ODDS = (-14.0, 8.0)  # log of a probability to change over that to stay
 # Less velocity noise earns a little more where users walk as straight as simulated ones do. One who
 # weaves a few degrees, as in the recording of a pedestrian, would leave such a filter behind.
@@ -27,21 +25,6 @@ NINES = (1.0, 9.0)  # of the quantile up to which NIS counts: 3 stand for 0.999
 DECIMALS = 6  # of probabilities
 
 _PROBABILITY_STEP, _NOISE_STEP, _NINES_STEP = 0.6, 0.25, 0.3  # first standard deviations
-
-
-def transition_of(stay: Array, enter: Array) -> Array:
-    """Transition probabilities (from, to): a mode is left for the others in fixed proportions.
-
-    p_ij = (1 - s_i) q_j / sum of q_k over k != i, and p_ii = s_i.
-
-    Args:
-        stay: (modes,) log odds of s.
-        enter: (modes,) log q, up to a constant.
-    """
-    s, modes = expit(stay), len(stay)
-    others = np.where(np.eye(modes, dtype=bool), -np.inf, enter)
-    transition: Array = np.diag(s) + (1.0 - s)[:, None] * softmax(others, axis=1)
-    return transition
 
 
 def rows_as_softmax(odds: Array) -> Array:
@@ -66,23 +49,17 @@ class SearchSpace(NamedTuple):
     bank_at: Callable[[Array], Bank]  # what a point stands for, as a file holds it
 
 
-def search_space(design: Design) -> SearchSpace:
-    """All of a design that is data: transition, noise, maneuvers, and which NIS counts."""
-    modes, n = design.modes, len(design.modes)
-    if design.proportional:
-        chances, limits = [logit(DEFAULT_STAY)] * n + [0.0] * n, [STAY] * n + [ENTER] * n
-    else:
-        change = np.log((1.0 - DEFAULT_STAY) / (n - 1) / DEFAULT_STAY)
-        chances, limits = [change] * (n * (n - 1)), [ODDS] * (n * (n - 1))
+def search_space(modes: Sequence[Mode]) -> SearchSpace:
+    """All of a bank over modes that is data: transition, noise, maneuvers, and which NIS counts."""
+    n = len(modes)
+    change = np.log((1.0 - DEFAULT_STAY) / (n - 1) / DEFAULT_STAY)
+    chances, limits = [change] * (n * (n - 1)), [ODDS] * (n * (n - 1))
     free = [(i, field) for i, field in product(range(n), FREE) if getattr(modes[i], field)]
     noise = [np.log(abs(getattr(modes[i], field))) for i, field in free]
     first = len(chances)
 
     def bank_at(point: Array) -> Bank:
-        drawn = point[:first]
-        transition = (
-            transition_of(drawn[:n], drawn[n:]) if design.proportional else rows_as_softmax(drawn)
-        )
+        transition = rows_as_softmax(point[:first])
         found = list(modes)
         for (i, field), value in zip(free, np.exp(point[first:-1]), strict=True):
             found[i] = _with_size(found[i], field, value)

@@ -16,7 +16,6 @@ from mmwave_env.records import object_from, read_object
 
 T = TypeVar("T")
 
-EXTENDED = "extended"  # name of the shipped bank of modes
 SETTINGS = ("modes", "transition", "nis_quantile")  # of a bank, as files hold them
 # What else a mode file may say: how it was made, which nobody looks at.
 NOTES = {
@@ -109,12 +108,6 @@ def shipped_modes(radio: str, coupling: bool = True) -> tuple[Mode, ...]:
     return read_modes(Path(str(files("mmwave_env").joinpath(name))))
 
 
-@cache
-def extended_modes() -> tuple[Mode, ...]:
-    """A bank of eight for switchers that learn: more tunings, robust modes, re-acquisition."""
-    return read_modes(Path(str(files("mmwave_env").joinpath(f"data/modes/{EXTENDED}.json"))))
-
-
 def default_modes(radio: str = "handset") -> tuple[Mode, Mode]:
     """The two actions of ``MmWaveLoc-v0``: the paper's EKF and UKF pipelines."""
     low, high = shipped_modes(profile_of(radio))
@@ -138,9 +131,8 @@ def modes_from(
     """The modes of a ``modes=`` argument.
 
     Args:
-        modes: a list of names, mode files and Mode objects; or one mode file, what one holds, or
-            "extended"; None for the default two. "extended" stands for all of
-            :func:`extended_modes`.
+        modes: a list of names, mode files and Mode objects; or one mode file, or what one holds;
+            None for the default two.
         radio: profile that named modes are tuned for.
 
     Raises:
@@ -152,10 +144,10 @@ def modes_from(
         modes = modes_in(known_only(modes))
     if isinstance(modes, (str, os.PathLike)):
         name = os.fspath(modes)
-        if name != EXTENDED and not name.endswith(".json"):
+        if not name.endswith(".json"):
             raise ValueError(
-                f"modes: found the string {modes!r}, expected a list such as ['ekf'], "
-                f"{EXTENDED!r} or a mode file (.json)"
+                f"modes: found the string {modes!r}, expected a list such as ['ekf'], or a mode "
+                "file (.json)"
             )
         modes = [name]
     elif not isinstance(modes, Iterable):
@@ -166,14 +158,10 @@ def modes_from(
             result.append(mode)
         elif not isinstance(mode, (str, os.PathLike)):
             raise ValueError(f"modes: found {mode!r}, expected a name, a mode file or a Mode")
-        elif mode == EXTENDED:
-            result += extended_modes()
         elif str(mode).endswith(".json"):
             result += read_modes(mode)
         else:
-            known = named_modes(radio)
-            choose(dict.fromkeys([EXTENDED, *known]), mode, "mode")
-            result.append(known[mode])
+            result.append(choose(named_modes(radio), mode, "mode"))
     names = [m.name for m in result]
     if not result or len(set(names)) < len(names):
         raise ValueError(f"modes: found {names}, expected at least one mode and no name twice")

@@ -514,7 +514,7 @@ CONTRADICTIONS = {
     "an imm and modes": (["--imm", "imm", "--modes", "m.json"], "modes: found m.json with --imm"),
     "an imm and abort": (["--imm", "imm", "--outside", "abort"], "outside: found abort with --imm"),
     "imm": (["--imm", "imm-bets"], "imm: found 'imm-bets', did you mean imm-best"),
-    "no imm": (["--imm", "guided"], "imm: found 'guided', expected one of imm, imm-tuned"),
+    "no imm": (["--imm", "guided"], "imm: found 'guided', expected one of imm, imm-best"),
     "bank": (["--imm", "missing.json"], "missing.json"),
     "window": (["--speed", "1", "--window", "1"], "window: found 1, expected 2 to 20000 epochs"),
     "long window": (["--speed", "1", "--window", "20001"], "window: found 20001"),

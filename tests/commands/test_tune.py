@@ -11,6 +11,7 @@ from scipy.stats import chi2
 
 from experiments.evaluation.seeds import draw_episodes
 from experiments.tune import likelihood, negative_mean_square, objective_of, tune
+from mmwave_env.filters.bank import bank_from
 from mmwave_env.filters.mode_files import read_modes
 from mmwave_env.filters.modes import Mode
 from mmwave_env.models.measurement import Layout
@@ -81,6 +82,19 @@ def test_the_command_writes_a_mode_file_that_is_taken_everywhere(tmp_path):
     assert done.returncode == 0 and "fixed-ukf-robust" in done.stdout
 
 
+@pytest.mark.slow
+def test_a_bank_is_written_as_it_is_shipped(tmp_path):
+    options = ["--bank", "--radio", "high", "--episodes", 18, "--evaluations", 30]
+    done = command("tune", *options, "--out", tmp_path / "bank.json")
+    assert done.returncode == 0, done.stderr
+    written = json.loads((tmp_path / "bank.json").read_text())
+    assert sorted(shlex.split(written["command"])[2:]) == sorted(map(str, options))
+    assert len(bank_from(tmp_path / "bank.json").modes) == 5
+    low, high = written["held_out"]["minus imm"]["ci95"]
+    assert low <= written["held_out"]["minus imm"]["mean"] <= high
+    assert f"reward {written['held_out']['reward']['mean']:.3f}" in done.stdout
+
+
 @pytest.mark.parametrize(
     ("options", "message"),
     [
@@ -90,6 +104,9 @@ def test_the_command_writes_a_mode_file_that_is_taken_everywhere(tmp_path):
         (["--free", "sigma_v", "sigma_v"], "free: .*none twice"),
         (["--modes", "pf", "ukf"], "mode: found 'pf'"),
         (["--radio", "lab"], "radio: found 'lab'"),
+        (["--bank", "--episodes", "12"], "found 2 for each scene and step, expected 3 or more, 18"),
+        (["--bank", "--free", "sigma_v"], "free: found beside --bank, expected one of them"),
+        (["--radio", "my.json", "--out", "my.json"], "out: found my.json, which is the radio"),
     ],
 )
 def test_a_mistake_ends_with_one_clear_line(options, message):

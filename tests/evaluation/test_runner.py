@@ -24,7 +24,7 @@ from mmwave_env.models.scene import SCENES
 from mmwave_env.observation import BELIEFS
 from mmwave_env.reward import TrackingReward
 from mmwave_env.world.simulated import SimulatedSource
-from policies import TUNED_IMMS, FixedMode, learned, tuned_imm
+from policies import FixedMode, learned
 from tests.training.actors import (
     HANDSET,
     MODES,
@@ -97,9 +97,8 @@ def test_contenders_see_the_same_episodes():
 def test_every_radio_has_every_contender(radio):
     found = {name: make() for name, make in contenders(radio).items()}
     assert list(found) == [
-        "fixed-ekf", "fixed-ukf", "fixed-ckf", "fixed-ekf-robust", "fixed-ukf-robust",
-        "speed-rule", "likelihood-rule", "random", "imm", *TUNED_IMMS, "imm-best",
-        *(() if radio == "high" else ("ppo", "ppo-extended")), "guided", "guided-ppo",
+        "fixed-ekf", "fixed-ukf", "fixed-ckf", "speed-rule", "likelihood-rule", "imm", "imm-best",
+        *(() if radio == "high" else ("ppo",)), "guided", "guided-ppo",
     ]  # fmt: skip
     assert all(c.name == name and c.modes for name, c in found.items())
 
@@ -124,11 +123,8 @@ def test_episodes_without_truth_are_refused():
 
 
 def test_an_imm_is_run_as_it_was_tuned():
-    contender, episodes = (
-        contender_from("imm-tuned-limited", "handset"),
-        draw_episodes(SOURCE, range(3)),
-    )
-    tuned = tuned_imm("imm-tuned-limited", "handset")
+    contender, episodes = contender_from("imm-best", "handset"), draw_episodes(SOURCE, range(3))
+    tuned = best_bank("handset")
     assert contender.modes == tuned.modes
     imm = ImmEngine(
         Pipeline(tuned.modes, SOURCE.layout), TrackingReward(), tuned.transition, tuned.nis_quantile
@@ -155,7 +151,7 @@ def test_own_modes_bring_their_own_contenders():
     modes = modes_from(["ekf", "ckf", "ukf-robust"])
     found = contenders("handset", modes)
     assert list(found) == [
-        "fixed-ekf", "fixed-ckf", "fixed-ukf-robust", "likelihood-rule", "random", "imm",
+        "fixed-ekf", "fixed-ckf", "fixed-ukf-robust", "likelihood-rule", "imm",
     ]  # fmt: skip
     assert all(make().modes == modes for make in found.values())
     assert "speed-rule" in contenders("handset", modes[:2])
@@ -210,7 +206,7 @@ def test_a_policy_that_a_radio_has_not_is_refused_with_the_radios_it_was_trained
         with pytest.raises(ValueError, match=why.format(meant)):
             contender_from("ppo", radio, modes)
     with pytest.raises(ValueError, match="expected one of .*, guided, ppo-handset") as refused:
-        contender_from("ppo-extended", "handset")  # of no radio
+        contender_from("guided-ppo", "handset")  # of no radio
     names = str(refused.value).partition("expected one of ")[2].partition(";")[0].split(", ")
     assert len(set(names)) == len(names)
 

@@ -1,22 +1,16 @@
 """Modes by name, by file and as objects."""
 
 import json
-from dataclasses import replace
 
 import pytest
 
 from mmwave_env.filters.mode_files import (
     as_written,
-    default_modes,
-    extended_modes,
     modes_from,
-    named_modes,
     read_modes,
-    shipped_modes,
 )
-from mmwave_env.filters.modes import Mode, robust
+from mmwave_env.filters.modes import Mode
 from mmwave_env.filters.update import ekf
-from mmwave_env.models.radio import RADIOS
 
 THREE = [
     Mode("slow", "ekf", sigma_v=0.2, gate=None, recovery=None, coupling=False),
@@ -36,72 +30,13 @@ def test_a_mode_file_gives_back_what_was_written(mode_file):
     assert read_modes(mode_file) == tuple(THREE)
 
 
-@pytest.mark.parametrize("as_type", [str, lambda path: path, lambda path: [str(path)]])
-def test_a_mode_file_is_a_list_of_modes(mode_file, as_type):
-    assert modes_from(as_type(mode_file)) == tuple(THREE)
-
-
-def test_names_files_and_modes_mix(mode_file):
-    own = Mode("own", "ckf")
-    found = modes_from(["ukf", str(mode_file), own])
-    assert [mode.name for mode in found] == ["ukf", "slow", "fast", "plain", "own"]
-
-
-@pytest.mark.parametrize("radio", RADIOS)
-def test_every_profile_has_its_tuning(radio):
-    low, high = default_modes(radio)
-    assert (low.name, low.algorithm, high.name, high.algorithm) == ("ekf", "ekf", "ukf", "ukf")
-    assert low.sigma_v < high.sigma_v and low.coupling and high.coupling
-    assert not any(mode.coupling for mode in shipped_modes(radio, coupling=False))
-
-
-def test_a_profile_that_was_not_tuned_says_so_once(recwarn):
-    assert default_modes("lab") == default_modes("standard") == default_modes("lab")
-    (said,) = recwarn
-    assert "'lab': found no modes tuned for it, took those of 'standard'" in str(said.message)
-    assert "mmwave-loc tune --radio lab.json" in str(said.message)
-
-
-def test_modes_of_ones_own_need_no_tuned_profile(mode_file):
-    assert modes_from([str(mode_file), "extended"], "unheard-of") == (*THREE, *extended_modes())
-
-
-def test_robust_modes_are_the_same_tuning_without_adaptation():
-    named = named_modes("high")
-    assert named["ekf-robust"] == replace(
-        named["ekf"], name="ekf-robust", robust=True, blockage_aware=True, adaptive=False
-    )
-    assert named["ukf-robust"].tuning == named["ukf"].tuning == named["ckf"].tuning
-
-
-@pytest.mark.parametrize("as_type", [str, lambda name: [name]])
-def test_the_extended_bank_has_tunings_robust_modes_and_one_that_finds_a_lost_user(as_type):
-    modes = modes_from(as_type("extended"), "high")
-    assert modes == extended_modes() and len({mode.name for mode in modes}) == 8
-    *tunings, ekf_robust, ukf_robust, reacquire, reference = modes
-    assert [(m.algorithm, m.sigma_p, m.sigma_v) for m in (*tunings, reference)] == [
-        ("ekf", 0.05, 0.1), ("ekf", 0.1, 0.3), ("ukf", 0.1, 0.8), ("ukf", 0.1, 3.5),
-        ("ukf", 0.1, 1.8),
-    ]  # fmt: skip
-    assert ekf_robust == robust(tunings[1])
-    assert ukf_robust == robust(Mode("ukf-1.0", "ukf", sigma_p=0.1, sigma_v=1.0))
-    open_to_all = {"gate": None, "recovery": None, "widen_p": 3.0, "widen_v": 3.0}
-    assert reacquire == replace(reference, name="reacquire", **open_to_all)
-
-
-def test_a_bank_goes_with_other_modes_and_not_with_itself():
-    assert modes_from(["ekf", "extended"]) == (default_modes()[0], *extended_modes())
-    with pytest.raises(ValueError, match="no name twice"):
-        modes_from(["extended", "extended"])
-
-
 def test_what_is_no_mode_is_refused():
     with pytest.raises(ValueError, match="found {'name': 'own'}, expected a name, a mode file or"):
         modes_from(["ekf", {"name": "own"}])
 
 
 def test_a_name_alone_is_no_list():
-    with pytest.raises(ValueError, match="found the string 'ekf', expected a list .*'extended'"):
+    with pytest.raises(ValueError, match="found the string 'ekf', expected a list .*mode file"):
         modes_from("ekf")
 
 

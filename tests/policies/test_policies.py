@@ -1,12 +1,9 @@
 """Policies on observations made by hand."""
 
-import json
 import warnings
-from importlib.resources import files
 
 import numpy as np
 import pytest
-from scipy.stats import binom
 
 from experiments.evaluation.contenders import contender_from
 from experiments.evaluation.runner import score
@@ -20,7 +17,7 @@ from mmwave_env.models.scene import scene_from
 from mmwave_env.observation import Observation
 from mmwave_env.world.episode import blank_incoming
 from mmwave_env.world.simulated import SimulatedSource
-from policies import TUNED_IMMS, FixedMode, LikelihoodRule, RandomMode, SpeedRule, tuned_imm
+from policies import FixedMode, LikelihoodRule, SpeedRule
 from policies.speed_rule import by_odometry_speed, by_predicted_speed, mode_at
 
 THREE = ("ekf", "ukf", "ckf")
@@ -45,11 +42,10 @@ def observe(table, **features):
     return observation.astype(np.float32)
 
 
-@pytest.fixture(params=["fixed", "random", "speed", "likelihood"])
+@pytest.fixture(params=["fixed", "speed", "likelihood"])
 def policy(request, table):
     return {
         "fixed": FixedMode(1),
-        "random": RandomMode(3),
         "speed": SpeedRule(table),
         "likelihood": LikelihoodRule(table, list(THREE)),
     }[request.param]
@@ -67,25 +63,6 @@ def test_a_policy_maps_a_batch_of_observations_to_a_batch_of_actions(policy, tab
 @pytest.mark.parametrize("action", [0, 1, 2])
 def test_fixed_mode(table, action):
     assert (FixedMode(action)(observe(table, predicted_speed=[0.0, 9.0])) == action).all()
-
-
-# --- random
-
-
-def test_random_modes_are_equally_likely():
-    draws = 30_000
-    actions = RandomMode(3)(np.zeros((draws, 1), np.float32))
-    low, high = binom.interval(1.0 - 0.01 / 3, draws, 1.0 / 3.0)  # 99 % for all three together
-    counts = np.bincount(actions, minlength=3)
-    assert len(counts) == 3 and ((low <= counts) & (counts <= high)).all()
-
-
-def test_random_modes_follow_their_seed():
-    batch = np.zeros((50, 1), np.float32)
-    first, again, other = RandomMode(3, 1), RandomMode(3, 1), RandomMode(3, 2)
-    np.testing.assert_array_equal(first(batch), again(batch))
-    np.testing.assert_array_equal(first(batch), again(batch))
-    assert not np.array_equal(first(batch), other(batch))
 
 
 # --- speed rule
@@ -202,39 +179,3 @@ def test_no_threshold_of_the_speed_rule_beats_zero(radio):
         for mps in (0.0, 0.25, 0.5, 1.0, 2.0, 3.0)
     }
     assert max(rewards, key=rewards.get) == 0.0
-
-
-def shipped(name):
-    return json.loads(files("policies").joinpath(f"data/{name}").read_text())
-
-
-# --- tuned IMMs
-
-
-@pytest.mark.parametrize(
-    ("radio", "name"),
-    [(radio, name) for radio, imms in shipped("imms.json").items() for name in imms],
-)
-def test_a_tuned_imm_is_sound_and_better_than_the_one_it_started_from(name, radio):
-    bank, found = TUNED_IMMS[name], shipped("imms.json")[radio][name]
-    imm, started = tuned_imm(name, radio), modes_from(bank.modes, radio)
-    assert found["command"].startswith(f"mmwave-loc tune-imm --radios {radio} --imms {name}")
-    assert bank.limited or imm.modes == started
-    assert [mode.name for mode in imm.modes] == [mode.name for mode in started]
-    Pipeline(imm.modes, Layout())
-    assert imm.transition is not None and imm.probabilities == imm.transition
-    assert imm.nis_quantile == (0.999 if bank.limited else 1.0)
-    assert found["gain"]["mean"] > 0.0  # of the transition alone it is small
-
-
-def test_the_bank_of_eight_is_the_one_that_learners_choose_from():
-    assert tuned_imm("imm-extended", "handset").modes == modes_from("extended")
-
-
-def test_a_radio_without_tuned_imms_gets_those_of_standard():
-    assert tuned_imm("imm-tuned", "lab") == tuned_imm("imm-tuned", "standard")
-
-
-def test_an_unknown_tuned_imm_lists_those_there_are():
-    with pytest.raises(ValueError, match="'imm'.*imm-tuned, imm-robust, imm-extended, imm-tuned-"):
-        tuned_imm("imm", "handset")

@@ -208,7 +208,7 @@ def test_a_history_is_cut_as_it_was():
         {"backend": "filterpy"},
         # these compile kernels of their own:
         pytest.param({"odometry": True}, marks=pytest.mark.slow),
-        pytest.param({"modes": "extended"}, marks=pytest.mark.slow),
+        pytest.param({"modes": ["ekf", "ukf", "ckf", "ekf-robust"]}, marks=pytest.mark.slow),
         pytest.param({"beliefs": "per-mode"}, marks=pytest.mark.slow),
         pytest.param({"planar": True}, marks=pytest.mark.slow),
     ],

@@ -1,14 +1,16 @@
 """The search over banks: what a point stands for, and that the best one is found."""
 
+from dataclasses import fields
+
 import numpy as np
 import pytest
 
-from experiments.tuning.designs import DESIGNS
+from experiments.tuning.banks import START
 from experiments.tuning.search import best_bank_of
 from experiments.tuning.search_space import rows_as_softmax, search_space
-from mmwave_env.filters.bank import bank_in
+from mmwave_env.filters.bank import bank_as_written, bank_in, best_bank
 from mmwave_env.filters.imm import stay_matrix
-from mmwave_env.filters.mode_files import as_written
+from mmwave_env.models.radio import RADIOS
 
 
 def distance(bank, planted):
@@ -20,10 +22,9 @@ def distance(bank, planted):
     return float(sum(np.square(np.log(a / b)).sum() for a, b in pairs))
 
 
-@pytest.mark.parametrize("name", ["three", "proportional"])
 @pytest.mark.slow
-def test_the_search_finds_a_planted_bank(name):
-    space = search_space(DESIGNS[name])
+def test_the_search_finds_a_planted_bank():
+    space = search_space(START[:3])
     point = space.start + 0.7 * space.deviation * np.random.default_rng(0).standard_normal(
         len(space.start)
     )
@@ -42,14 +43,14 @@ def test_generations_are_numbered_and_no_more_is_asked_than_allowed():
         asked.append(generation)
         return 0.0
 
-    best_bank_of(search_space(DESIGNS["two"]), value, 40)
+    best_bank_of(search_space(START[1:3]), value, 40)
     size = asked.count(0)
     assert asked == [i // size for i in range(len(asked))]
     assert 40 - size < len(asked) <= 40
 
 
 def test_the_same_search_finds_the_same_bank():
-    space = search_space(DESIGNS["two"])
+    space = search_space(START[1:3])
 
     def value(bank, generation):
         return bank.modes[0].sigma_v
@@ -66,34 +67,32 @@ def test_softmax_rows_are_probabilities_that_stand_to_staying_as_said():
         np.testing.assert_allclose(np.log(ratio[~np.eye(4, dtype=bool)]), odds, atol=1e-9)
 
 
-@pytest.mark.parametrize("name", DESIGNS)
-def test_the_search_starts_from_the_design_and_moves_all_of_its_numbers(name):
-    design, space = DESIGNS[name], search_space(DESIGNS[name])
-    n = len(design.modes)
+def test_the_search_starts_from_the_modes_and_moves_all_of_their_numbers():
+    space, n = search_space(START), len(START)
     start = space.bank_at(space.start)
-    assert start.modes == design.modes and start.nis_quantile == 0.999
+    assert start.modes == START and start.nis_quantile == 0.999
     np.testing.assert_allclose(start.transition, stay_matrix(n), atol=1e-5)
-    maneuvers = sum(bool(mode.acceleration_mps2 or mode.turn_rate_radps) for mode in design.modes)
-    chances = 2 * n if design.proportional else n * (n - 1)
-    assert len(space.start) == chances + 2 * n + maneuvers + 1
+    maneuvers = sum(bool(mode.acceleration_mps2) for mode in START)
+    assert len(space.start) == n * (n - 1) + 2 * n + maneuvers + 1
     for i, deviation in enumerate(space.deviation):
         moved = space.start.copy()
         moved[i] += deviation
         assert space.bank_at(moved) != start
 
 
-@pytest.mark.parametrize("name", DESIGNS)
-def test_every_point_is_a_bank_that_a_file_can_hold(name):
-    design, space = DESIGNS[name], search_space(DESIGNS[name])
+def test_every_point_is_a_bank_that_a_file_can_hold():
+    space = search_space(START)
     for point in np.random.default_rng(0).uniform(*space.bounds.T, (20, len(space.start))):
         bank = space.bank_at(point)
-        content = {
-            "modes": [as_written(mode) for mode in bank.modes],
-            "transition": bank.transition,
-            "nis_quantile": bank.nis_quantile,
-        }
-        assert bank_in(content) == bank
-        for before, after in zip(design.modes, bank.modes, strict=True):
+        assert bank_in(bank_as_written(bank)) == bank
+        for before, after in zip(START, bank.modes, strict=True):
             assert (before.name, before.update) == (after.name, after.update)
             assert np.sign(before.acceleration_mps2) == np.sign(after.acceleration_mps2)
-            assert np.sign(before.turn_rate_radps) == np.sign(after.turn_rate_radps)
+
+
+@pytest.mark.parametrize("radio", RADIOS)
+def test_shipped_banks_are_of_these_modes(radio):
+    for before, after in zip(START, best_bank(radio).modes, strict=True):
+        same = {"sigma_p", "sigma_v", "acceleration_mps2"}
+        known = {f.name: getattr(before, f.name) for f in fields(before) if f.name not in same}
+        assert known == {name: getattr(after, name) for name in known}
