@@ -212,12 +212,11 @@ def contenders(radio: str, modes: Modes = None) -> dict[str, Make]:
         return _of_any_modes(bank_over(modes, radio))
     ckf, best = named_modes(radio)["ckf"], imm_banks(radio)[BEST_IMM]
     ekf, ukf, *others = _of_any_modes(Bank(default_modes(radio))).items()
-    found = [ekf, ukf, ("fixed-ckf", partial(_fixed, "fixed-ckf", (ckf,), 0)), *others]
-    found.append((BEST_IMM, partial(_imm, BEST_IMM, best)))
+    found: dict[str, Make] = dict([ekf, ukf])
+    found["fixed-ckf"] = partial(_fixed, "fixed-ckf", (ckf,), 0)
+    found |= dict(others) | {BEST_IMM: partial(_imm, BEST_IMM, best)}
     shipped = shipped_for(radio).items()
-    return dict(found) | {
-        name: partial(Contender.learned, file, name, radio) for name, file in shipped
-    }
+    return found | {name: partial(Contender.learned, file, name, radio) for name, file in shipped}
 
 
 def contender_from(

@@ -140,7 +140,7 @@ def read_bank(path: str | os.PathLike[str]) -> Bank:
 
 @cache
 def best_bank(radio: str = "handset") -> Bank:
-    """The bank of the strongest IMM that ``mmwave-loc tune-imm`` found for a radio profile.
+    """The bank of the strongest IMM that ``mmwave-loc tune --bank`` found for a radio profile.
 
     Args:
         radio: name or file of the profile; one that was not tuned gets that of "standard".
