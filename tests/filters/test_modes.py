@@ -1,16 +1,21 @@
 """Modes by name, by file and as objects."""
 
 import json
+from dataclasses import replace
 
 import pytest
 
 from mmwave_env.filters.mode_files import (
     as_written,
+    default_modes,
     modes_from,
+    named_modes,
     read_modes,
+    shipped_modes,
 )
 from mmwave_env.filters.modes import Mode
 from mmwave_env.filters.update import ekf
+from mmwave_env.models.radio import RADIOS
 
 THREE = [
     Mode("slow", "ekf", sigma_v=0.2, gate=None, recovery=None, coupling=False),
@@ -28,6 +33,44 @@ def mode_file(tmp_path):
 
 def test_a_mode_file_gives_back_what_was_written(mode_file):
     assert read_modes(mode_file) == tuple(THREE)
+
+
+@pytest.mark.parametrize("as_type", [str, lambda path: path, lambda path: [str(path)]])
+def test_a_mode_file_is_a_list_of_modes(mode_file, as_type):
+    assert modes_from(as_type(mode_file)) == tuple(THREE)
+
+
+def test_names_files_and_modes_mix(mode_file):
+    own = Mode("own", "ckf")
+    found = modes_from(["ukf", str(mode_file), own])
+    assert [mode.name for mode in found] == ["ukf", "slow", "fast", "plain", "own"]
+
+
+@pytest.mark.parametrize("radio", RADIOS)
+def test_every_profile_has_its_tuning(radio):
+    low, high = default_modes(radio)
+    assert (low.name, low.algorithm, high.name, high.algorithm) == ("ekf", "ekf", "ukf", "ukf")
+    assert low.sigma_v < high.sigma_v and low.coupling and high.coupling
+    assert not any(mode.coupling for mode in shipped_modes(radio, coupling=False))
+
+
+def test_a_profile_that_was_not_tuned_says_so_once(recwarn):
+    assert default_modes("lab") == default_modes("standard") == default_modes("lab")
+    (said,) = recwarn
+    assert "'lab': found no modes tuned for it, took those of 'standard'" in str(said.message)
+    assert "mmwave-loc tune --radio lab.json" in str(said.message)
+
+
+def test_modes_of_ones_own_need_no_tuned_profile(mode_file):
+    assert modes_from([str(mode_file)], "unheard-of") == tuple(THREE)
+
+
+def test_robust_modes_are_the_same_tuning_without_adaptation():
+    named = named_modes("high")
+    assert named["ekf-robust"] == replace(
+        named["ekf"], name="ekf-robust", robust=True, blockage_aware=True, adaptive=False
+    )
+    assert named["ukf-robust"].tuning == named["ukf"].tuning == named["ckf"].tuning
 
 
 def test_what_is_no_mode_is_refused():
