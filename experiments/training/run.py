@@ -129,12 +129,12 @@ def begin(args: "Args", manifest: dict[str, Any]) -> None:
 
 def _require_same(path: Path, manifest: dict[str, Any]) -> None:
     """Refuse to go on with the run of another manifest."""
+    whole = "hyperparameters"
 
     def flat(run: dict[str, Any]) -> dict[str, Any]:
         """The hyperparameters one by one, which says more of a difference."""
-        return {key: value for key, value in run.items() if key != whole} | run[whole]
+        return {key: value for key, value in run.items() if key != whole} | dict(run[whole])
 
-    whole = "hyperparameters"
     found, expected = read_json(path, "the manifest of a run", flat), flat(manifest)
     for key in expected | found:
         if found.get(key) != expected.get(key):
