@@ -30,7 +30,7 @@ class Args(EpisodeArgs):
     """draw the performance profiles of runs, over training seeds and episodes, to this .png, .svg
     or .pdf file"""
     errors: Path | None = None
-    """draw how often horizontal and vertical errors stay below so much to this file, too"""
+    """draw the distribution (CDF) of horizontal and of vertical errors to this file, too"""
     consistency: Path | None = None
     """draw NEES beside its chi-square bounds to this file, too"""
     decisions: Path | None = None

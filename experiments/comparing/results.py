@@ -106,7 +106,7 @@ def results(
         text += "".join(map(seeds_markdown, seeds))
         content |= {"training_seeds": {one.run.name: one.json for one in seeds}}
         if "figure" in pictures:
-            drawn.append(partial(draw_profiles, seeds, pictures["figure"]))
+            drawn.append(partial(draw_profiles, content["training_seeds"], pictures["figure"]))
     for one in watched:
         more, figures = one.told()
         text, content = text + more, content | figures

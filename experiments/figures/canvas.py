@@ -8,12 +8,16 @@ from typing import Any
 from mmwave_env.files import atomic_path, require_writable
 from mmwave_env.lookup import printable, require_extra, spelled
 from mmwave_env.numerics.arrays import Array
+from mmwave_env.rendering.theme import THEMES, hex_of
 
 STYLE = Path(__file__).with_name("publication.mplstyle")
 UNDATED: dict[str, dict[str, Any]] = {  # the same picture is the same file
     ".png": {}, ".svg": {"Date": None}, ".pdf": {"CreationDate": None},
 }  # fmt: skip
-NO_MODE = "#e0e0e0"  # the color of choosing none
+COLORS = [hex_of(color) for color in THEMES["light"].modes]  # of modes, as in films
+NO_MODE = hex_of(THEMES["light"].none)
+
+LEGEND_COLUMNS = 2  # below panels
 
 
 def require_picture(option: str, path: Path) -> None:
@@ -46,10 +50,11 @@ def picture(path: Path, width_in: float, height_in: float) -> Iterator[Any]:
         path: .png, .svg or .pdf.
         width_in, height_in: inches.
     """
-    from matplotlib import style
+    from matplotlib import cycler, style
     from matplotlib.figure import Figure
 
-    with style.context(STYLE, after_reset=True):
+    colors = {"axes.prop_cycle": cycler(color=COLORS)}
+    with style.context([STYLE, colors], after_reset=True):
         figure = Figure(figsize=(width_in, height_in))
         yield figure
         suffix = path.suffix.lower()
@@ -83,6 +88,33 @@ def contenders(names: Iterable[str]) -> dict[str, str]:
 def legend_beside(axes: Any, **options: Any) -> None:
     """A legend to the right of a panel, where it hides nothing."""
     axes.legend(loc="upper left", bbox_to_anchor=(1.01, 1.02), borderaxespad=0.0, **options)
+
+
+@contextmanager
+def panels(path: Path, count: int, entries: int, narrow: bool) -> Iterator[tuple[Any, list[Any]]]:
+    """A picture of panels with one legend: beside each other, or below each other for a phone.
+
+    Args:
+        path: .png, .svg or .pdf.
+        count: of panels.
+        entries: of the legend, which :func:`legend_of` draws.
+        narrow: whether they are below each other, and the legend below them.
+    """
+    if narrow:
+        size = 4.6, 2.9 * count + 0.3 + 0.2 * (-(-entries // LEGEND_COLUMNS))
+    else:
+        size = 2.2 + 4.4 * count, max(4.2, 1.0 + 0.19 * entries)
+    with picture(path, *size) as figure:
+        grid = figure.subplots(*((count, 1) if narrow else (1, count)), squeeze=False)
+        yield figure, list(grid.flat)
+
+
+def legend_of(figure: Any, axes: Any, narrow: bool, handles: Sequence[Any]) -> None:
+    """The legend of :func:`panels`; each handle has its label."""
+    if narrow:
+        figure.legend(handles=handles, loc="outside lower left", ncols=LEGEND_COLUMNS)
+    else:
+        legend_beside(axes, handles=handles)
 
 
 def plain_numbers(axis: Any) -> None:

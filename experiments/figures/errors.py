@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from scipy.stats import chi2
 
-from experiments.figures.canvas import contenders, legend_beside, picture, plain_numbers
+from experiments.figures.canvas import COLORS, contenders, legend_of, panels, plain_numbers
 from mmwave_env.localization.position_errors import SHARES, horizontal, vertical
 from mmwave_env.numerics.arrays import Array
 
@@ -18,18 +18,18 @@ _STYLES = ("-", "--", ":")  # where there are more lines than colors
 
 
 def _style(number: int) -> dict[str, Any]:
-    return {"color": f"C{number % 8}", "ls": _STYLES[number // 8 % len(_STYLES)]}
+    return {"color": f"C{number}", "ls": _STYLES[number // len(COLORS) % len(_STYLES)]}
 
 
-def draw_error_cdf(errors_m: Mapping[str, Array], path: Path) -> None:
-    """How often horizontal and vertical errors stay below so much, as a picture.
+def draw_error_cdf(errors_m: Mapping[str, Array], path: Path, narrow: bool = False) -> None:
+    """The distribution (CDF) of horizontal and of vertical errors, as a picture.
 
     Args:
         errors_m: by contender, position errors (..., 3), m.
         path: .png, .svg or .pdf.
+        narrow: whether the panels are below each other.
     """
-    with picture(path, 11.0, max(4.2, 1.0 + 0.19 * len(errors_m))) as figure:
-        left, right = figure.subplots(1, 2, sharey=True)
+    with panels(path, 2, len(errors_m), narrow) as (figure, (left, right)):
         labels = contenders(errors_m)
         for number, (name, errors) in enumerate(errors_m.items()):
             look = _style(number) | {"label": labels[name]}
@@ -41,13 +41,15 @@ def draw_error_cdf(errors_m: Mapping[str, Array], path: Path) -> None:
             low = min(np.interp(0.03, line.get_ydata(), line.get_xdata()) for line in axes.lines)
             axes.set(xscale="log", ylim=(0.0, 1.0), xlabel=f"{kind} position error (m)")
             axes.set_xlim(left=low)
+            axes.set_yticks(SHARES, [f"{100.0 * share:.0f} %" for share in SHARES])
+            axes.set_ylabel("share of epochs below")
             plain_numbers(axes.xaxis)
-        left.set_yticks(SHARES, [f"{100.0 * share:.0f} %" for share in SHARES])
-        left.set_ylabel("share of epochs below")
-        legend_beside(right)
+        legend_of(figure, right, narrow, left.lines[::2])
 
 
-def draw_consistency(time_s: Array, nees: Mapping[str, Array], dof: int, path: Path) -> None:
+def draw_consistency(
+    time_s: Array, nees: Mapping[str, Array], dof: int, path: Path, narrow: bool = False
+) -> None:
     """NEES against its chi-square bounds, as a picture: over time, and all of it.
 
     Args:
@@ -55,12 +57,12 @@ def draw_consistency(time_s: Array, nees: Mapping[str, Array], dof: int, path: P
         nees: (n, T) by contender, of n episodes.
         dof: degrees of freedom: how many coordinates it is of.
         path: .png, .svg or .pdf.
+        narrow: whether the panels are below each other.
     """
     episodes = len(next(iter(nees.values())))
     low, high = chi2.ppf([0.025, 0.975], episodes * dof) / (episodes * dof)
-    with picture(path, 11.0, max(4.2, 1.0 + 0.19 * len(nees))) as figure:
-        over_time, whole = figure.subplots(1, 2)
-        over_time.axhspan(low, high, color="0.7", lw=0.0, label=BOUNDS)
+    with panels(path, 2, len(nees) + 2, narrow) as (figure, (over_time, whole)):
+        bounds = over_time.axhspan(low, high, color="0.7", lw=0.0, label=BOUNDS)
         whole.plot([0.0, 1.0], [0.0, 1.0], color="0.5", lw=4.0, alpha=0.6, label="consistent")
         names = contenders(nees)
         for number, (name, values) in enumerate(nees.items()):
@@ -72,7 +74,5 @@ def draw_consistency(time_s: Array, nees: Mapping[str, Array], dof: int, path: P
                       ylabel=f"mean NEES / {dof}, of {episodes:,} episodes")  # fmt: skip
         plain_numbers(over_time.yaxis)
         whole.set(xlabel="chi-square probability p", xlim=(0.0, 1.0), ylim=(0.0, 1.0),
-                  ylabel="share of epochs with NEES below its p-quantile")  # fmt: skip
-        bounds, *_ = over_time.get_legend_handles_labels()[0]
-        lines, labels = whole.get_legend_handles_labels()
-        legend_beside(whole, handles=[bounds, *lines], labels=[BOUNDS, *labels])
+                  ylabel="share of NEES below its p-quantile")  # fmt: skip
+        legend_of(figure, whole, narrow, [bounds, *whole.lines])

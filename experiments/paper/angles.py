@@ -13,7 +13,7 @@ from mmwave_env.numerics.arrays import Array
 
 SCENE = Scene("figure", base_station_m=(0.0, 0.0, 10.0), walls=(Wall((0.0, 1.0), 14.0),))
 USER_M = (30.0, 9.0, 1.5)
-_ANCHOR, _USER, _MUTED = "C0", "C6", "C5"
+_ANCHOR, _USER, _MUTED = "C0", "C5", "C7"
 _WIDTH_M = (-6.0, 52.0)
 
 

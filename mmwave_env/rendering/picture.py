@@ -41,7 +41,8 @@ class Picture:
         title: str = "",
         rows: int = 0,
     ) -> None:
-        self._size, self._theme = size, choose(THEMES, theme, "render_theme")
+        self._size = size
+        self._theme = choose(THEMES, theme, "render_theme").for_modes(modes)
         self._canvas = Canvas(size, size, size / SMALLEST)
         self._modes = [f"{number} {printable(name)}" for number, name in enumerate(modes)]
         self._title, self._rows = printable(title), max(rows, legend_rows(len(modes)))

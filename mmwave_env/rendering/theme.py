@@ -1,9 +1,11 @@
-"""Colors of a picture, in light and dark.
+"""Colors in light and dark: of the film, and of modes in figures and in web reports, too.
 
 Those of modes are of Okabe and Ito (2008), which color-blind readers tell apart, in an order that
 keeps neighbors far apart; some are lighter or darker than theirs, to stand out from the ground.
 """
 
+from collections.abc import Sequence
+from itertools import cycle
 from typing import NamedTuple
 
 Color = tuple[int, int, int]
@@ -25,11 +27,28 @@ class Theme(NamedTuple):
     rejected: Color
     missing: Color
     band: Color
+    none: Color  # of an action that trusts no mode
     modes: tuple[Color, ...]
+
+    def for_modes(self, names: Sequence[str]) -> "Theme":
+        """The same with a color for each action of these names: a mode's does not depend on "none".
+
+        Args:
+            names: of the modes, "none" among them or not.
+        """
+        colors = cycle(self.modes)
+        return self._replace(
+            modes=tuple(self.none if name == "none" else next(colors) for name in names)
+        )
 
     def mode(self, number: int) -> Color:
         """The color of a mode; beyond those there are, they come again."""
         return self.modes[number % len(self.modes)]
+
+
+def hex_of(color: Color) -> str:
+    """The color as web pages write it, such as #0072b2."""
+    return "#" + bytes(color).hex()
 
 
 THEMES = {
@@ -37,17 +56,17 @@ THEMES = {
         paper=(255, 255, 255), ink=(34, 34, 38), quiet=(104, 106, 112), grid=(214, 214, 210),
         ground=(240, 239, 234), street=(253, 253, 252), building=(228, 226, 219),
         wall=(140, 136, 128), truth=(34, 34, 38), accepted=(96, 100, 108),
-        rejected=(213, 94, 0), missing=(212, 211, 206), band=(205, 211, 220),
+        rejected=(213, 94, 0), missing=(212, 211, 206), band=(205, 211, 220), none=(190, 190, 186),
         modes=(
-            (0, 114, 178), (230, 159, 0), (0, 158, 115), (204, 121, 167), (86, 180, 233),
-            (160, 60, 0), (140, 130, 0), (128, 128, 128), (70, 50, 130),
+            (0, 114, 178), (230, 159, 0), (0, 158, 115), (204, 121, 167), (140, 130, 0),
+            (160, 60, 0), (86, 180, 233), (128, 128, 128), (70, 50, 130),
         ),
     ),
     "dark": Theme(
         paper=(17, 19, 24), ink=(238, 238, 235), quiet=(158, 162, 170), grid=(58, 62, 70),
         ground=(25, 28, 34), street=(42, 46, 54), building=(33, 36, 43),
         wall=(128, 130, 136), truth=(245, 245, 240), accepted=(160, 164, 172),
-        rejected=(240, 120, 40), missing=(62, 66, 74), band=(62, 72, 88),
+        rejected=(240, 120, 40), missing=(62, 66, 74), band=(62, 72, 88), none=(90, 94, 102),
         modes=(
             (86, 180, 233), (230, 159, 0), (0, 178, 130), (214, 134, 178), (240, 228, 66),
             (213, 94, 0), (60, 120, 220), (170, 170, 170), (160, 140, 230),

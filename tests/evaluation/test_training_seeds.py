@@ -105,8 +105,9 @@ def test_alone_a_run_still_has_its_reward(trained):
 
 
 def test_profiles_are_drawn(found, tmp_path):
-    draw_profiles(found, tmp_path / "both.png")
-    draw_profiles(found[:1], tmp_path / "one.png")
+    trained = {one.run.name: one.json for one in found}
+    draw_profiles(trained, tmp_path / "both.png")
+    draw_profiles({found[0].run.name: found[0].json}, tmp_path / "one.png")
     both, one = (imread(tmp_path / f"{name}.png") for name in ("both", "one"))
     assert both.shape == one.shape
     assert (both != 1.0).any(axis=2).mean() > 0.05  # not blank

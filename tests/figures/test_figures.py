@@ -114,7 +114,7 @@ def test_a_part_of_an_episode_shows_that_part_and_who_is_who(tmp_path):
     }
     path = tmp_path / "part.svg"
     draw_histories(histories, ["ekf", "ukf"], slice(11, 21), path)
-    words = re.findall(r"<!-- (.*?) -->", path.read_text())
+    words = re.findall(r"<text[^>]*>(.*?)</text>", path.read_text())
     assert {"true speed", "estimated speed (m/s)", "position error (m)", "time (s)"} <= set(words)
     for name in histories:  # in two legends, and beside its ribbon
         assert words.count(name) == 3
@@ -147,8 +147,8 @@ def test_where_nobody_stopped_that_is_said(tmp_path):
     events = {"stop": 0, "pull-away": 0}
     draw_around_events(time_s, events, shares, lines, tmp_path / "none.svg")
     shown = (tmp_path / "none.svg").read_text()
-    assert shown.count("<!-- none -->") == 4 and "<!-- 20 -->" in shown  # texts are paths
-    assert "<!-- 1e" not in shown
+    assert shown.count(">none</text>") == 4 and ">20</text>" in shown
+    assert ">1e" not in shown
 
 
 def test_what_coincides_is_one_group_and_nobody_is_left_out():
