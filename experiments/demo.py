@@ -34,7 +34,7 @@ def main(args: Args) -> None:
     from experiments.evaluation.asked import all_contenders
     from experiments.evaluation.protocol import RECORDINGS
     from experiments.report import Args as ReportArgs
-    from experiments.webpage.page import write_page
+    from experiments.webpage.page import page_of
     from mmwave_env.files import write_json, write_text
 
     runs = [EpisodeArgs(episodes=args.episodes, percentiles=args.percentiles)]
@@ -59,7 +59,7 @@ def main(args: Args) -> None:
     files = tuple(args.out / f"{scenario}.json" for scenario in everything)
     report = ReportArgs(results=files, out=args.out / "report.html")
     note("the web page: some episodes again, epoch by epoch")
-    write_page(report)
+    write_text(report.out, page_of(report))
     say(f"All paired differences are in {args.out / 'tables.md'}, and every figure in")
     say(f"{', '.join(map(str, files))}.")
     say(f"{report.out} is a web page of them, with episodes to play: open it in a browser.")

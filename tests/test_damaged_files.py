@@ -17,9 +17,8 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from experiments.evaluation.runs import Run
+from experiments.evaluation.runs import Run, curves_of
 from experiments.training.hyperparameters import read_hyperparameters, shipped_hyperparameters
-from experiments.webpage.runs import curves_of
 from experiments.webpage.sources import read_source
 from mmwave_env.datasets.deepmimo.recording import read_deepmimo
 from mmwave_env.datasets.recorded import Recording

@@ -44,7 +44,7 @@ SEES_INSIDE = {  # experiments; "" are the commands, one a page
     **dict.fromkeys(["figures", "training", "tuning"], frozenset({"console", "evaluation"})),
     **dict.fromkeys(["paper", "timing", "comparing", "localization"], frozenset(BELOW)),
     "sweeping": {"console", "evaluation", "training"},
-    "webpage": BELOW,
+    "webpage": BELOW | {"localization"},
 }
 SEES_INSIDE[""] = frozenset(SEES_INSIDE)
 

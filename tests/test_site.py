@@ -35,6 +35,7 @@ def test_the_navigation_has_every_page_and_no_other(hooks):
     [
         ("results.md#how", "index.md", "docs/index.md", "results.md#how"),
         ("docs/results.md", "index.md", "README.md", "results.md"),
+        ("results.json", "results.md", "docs/results.md", "report.html"),
         ("../README.md#train-on-it", "data.md", "docs/data.md", "index.md#train-on-it"),
         ("../mmwave_env/env.py", "data.md", "docs/data.md", "environment.md"),
         ("../mmwave_env/reward.py", "data.md", "docs/data.md", "api/signals.md#mmwave_env.reward"),

@@ -26,6 +26,7 @@ MIRRORED = {  # pages of the site that are files beside docs/
     "security.md": "SECURITY.md",
 }
 NOTEBOOKS = {"notebooks/first_switcher.md": "docs/notebooks/first_switcher.ipynb"}
+REPORTS = {"docs/results.json": "report.html"}  # results that the site shows as a web page
 API = {  # page: title, modules and folders of modules
     "environment": ("Around the environment", ["vector_env", "sb3"]),
     "signals": ("Rewards and observations", ["reward", "observation", "features", "metrics"]),
@@ -69,6 +70,7 @@ def on_files(files: Any, config: Any) -> Any:
 
     for path, text in made().items():
         files.append(File.generated(config, path, content=text()))
+    files.append(File.generated(config, REPORTS["docs/results.json"], content=report_page()))
     return files
 
 
@@ -99,6 +101,15 @@ def help_page() -> str:
             run(name, ["--help"])
         parts += [f"## {name}", f"```text\n{printed.getvalue().strip()}\n```"]
     return "\n\n".join(parts) + "\n"
+
+
+def report_page() -> str:
+    """The web page of the published results, with a few of their episodes played again."""
+    from experiments.report import Args
+    from experiments.webpage.page import page_of
+
+    results = tuple(Path(os.path.relpath(ROOT / name)) for name in REPORTS)
+    return page_of(Args(results=results, episodes=10, watch=3))
 
 
 def citing_page() -> str:
@@ -199,7 +210,7 @@ def source_of(name: str) -> str:
 @cache
 def pages() -> dict[str, str]:
     """Page of the site by file of the checkout, for files that the site shows in another form."""
-    found = {source: page for page, source in (MIRRORED | NOTEBOOKS).items()}
+    found = {source: page for page, source in (MIRRORED | NOTEBOOKS).items()} | REPORTS
     for name, (_, parts) in API.items():
         for module in (m for part in parts for m in modules_of(part)):
             found[f"{module.replace('.', '/')}.py"] = f"api/{name}.md#{module}"

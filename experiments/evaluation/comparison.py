@@ -2,7 +2,7 @@
 
 import csv
 import io
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -41,6 +41,33 @@ class Comparison:
             "scenario": self.scenario, "radio": self.radio, **self.selection.json,
             "policies": table(self.policies), "paired": table(self.paired),
         }  # fmt: skip
+
+    @classmethod
+    def from_json(cls, content: Mapping[str, Any]) -> "Comparison":
+        """The one that a results file holds, best reward first.
+
+        Raises:
+            KeyError, TypeError, ValueError, AttributeError: it holds none.
+        """
+
+        def table(key: str) -> dict[str, dict[str, Interval]]:
+            rows = content[key].items()
+            return {k: {m: Interval.of(i) for m, i in row.items()} for k, row in rows}
+
+        policies = sorted(table("policies").items(), key=lambda row: -row[1]["reward"].mean)
+        keys, first = content.get("keys"), content.get("seed")
+        selection = Selection(keys or range(first, first + content["episodes"]), bool(keys))
+        what = content["scenario"], content["radio"], selection
+        return cls(*what, dict(policies), table("paired"))
+
+    def margin(self, one: str, other: str) -> Interval | None:
+        """The reward of one minus that of the other, or None where they are no pair."""
+        if pair := self.paired.get(f"{one} - {other}"):
+            return pair["reward"]
+        if pair := self.paired.get(f"{other} - {one}"):
+            turned = pair["reward"]
+            return Interval(-turned.mean, -turned.high, -turned.low)
+        return None
 
     def __str__(self) -> str:
         """Every policy with 95 % half-widths, then the paired differences of the reward."""

@@ -1,12 +1,14 @@
 """Folders of ``mmwave-loc train``: one policy a training seed."""
 
+import csv
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
+from io import StringIO
 from pathlib import Path
 from typing import Any
 
-from mmwave_env.files import read_json
+from mmwave_env.files import read_json, read_text, told
 
 
 def require_no_smoke(name: str, command: str) -> None:
@@ -75,3 +77,24 @@ class Run:
 def trainings(names: Sequence[str], runs: Mapping[str, Run]) -> list[str]:
     """Names of contenders with the policy files of all trainings in place of runs."""
     return [file for name in names for file in (runs[name].policies if name in runs else [name])]
+
+
+def curves_of(journal: Path) -> dict[str, tuple[list[float], list[float]]]:
+    """Steps, and the reward on tuning seeds minus each rival's, in the journal of a training.
+
+    Raises:
+        ValueError: no CSV, or something else than numbers; naming the line.
+    """
+    curves: dict[str, tuple[list[float], list[float]]] = {}
+    with StringIO(read_text(journal, "a journal of a training"), newline="") as lines:
+        rows = csv.DictReader(lines)
+        try:
+            for row in rows:
+                for name, value in row.items():
+                    if value and name.startswith("tuning/minus "):
+                        steps, values = curves.setdefault(name.split(" ", 1)[1], ([], []))
+                        steps.append(float(row["timesteps"]))
+                        values.append(float(value))
+        except (csv.Error, AttributeError, KeyError, TypeError, ValueError) as error:
+            raise ValueError(f"{journal}: line {rows.line_num}: {told(error)}") from error
+    return curves

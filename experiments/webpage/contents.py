@@ -1,110 +1,146 @@
-"""All sections of a page, and how what is in them was made."""
+"""What results came to: in a sentence, and in the sections of a page."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Iterator, Mapping
+from functools import partial
+from typing import Any, NamedTuple
 
-from experiments.evaluation.entries import by_venue, ranking
-from experiments.evaluation.protocol import DRAWS, EPISODES
-from experiments.webpage.comparisons import add_comparisons
-from experiments.webpage.kinds import (
-    COMPARISON,
-    DEFAULTS,
-    ENTRY,
-    EVOLUTION,
-    GAINS,
-    RUN,
-    SWEEP,
-    TRACK,
-    TRANSFER,
-    TRUST,
-    Kind,
-)
-from experiments.webpage.learning import (
-    add_defaults,
-    add_evolution,
-    add_gains,
-    add_runs,
-    add_sweeps,
-    add_transfer,
-    add_trust,
-)
-from experiments.webpage.logs import add_tracks
-from experiments.webpage.markup import heading, paragraph, table, text
-from experiments.webpage.played import Played
-from experiments.webpage.sections import Page
-from experiments.webpage.source import Source
-
-Shown = Sequence[tuple[Source, Played]]  # results of one kind
+from experiments.console.tables import HEADERS
+from experiments.evaluation.comparison import Comparison
+from experiments.evaluation.intervals import Interval, rounded
+from experiments.evaluation.positions import HEADER, KINDS, percent, row_of
+from experiments.figures.curves import draw_learning_curves, draw_profiles
+from experiments.figures.errors import draw_consistency, draw_error_cdf
+from experiments.localization.track_report import track_markdown
+from experiments.webpage.markup import drawn, element, html_of, table
+from experiments.webpage.played import Played, ranking, watched_names
+from experiments.webpage.sources import Source
+from mmwave_env.metrics import METRICS
 
 
-def assembled(sources: Sequence[Source], played: Mapping[int, Played]) -> Page:
-    """All sections that there is something for.
+class Verdict(NamedTuple):
+    """What results are of, and what they came to: in few words, and in sentences."""
 
-    Args:
-        sources: results, in the order in which they are shown.
-        played: what was played again, by the number of the source.
+    name: str
+    title: str
+    sentence: str
+
+
+def results_of(source: Source) -> tuple[Verdict, str]:
+    """What results came to, with the tables and pictures of what is in a file or a folder.
+
+    Raises:
+        KeyError, TypeError, ValueError, AttributeError: it does not hold what it should.
     """
-    page = Page()
-    for kind, add in _ADDERS:
-        found = [
-            (source, played.get(number, Played()))
-            for number, source in enumerate(sources)
-            if source.kind is kind
-        ]
-        if found:
-            add(page, found)
-    _add_origins(page, sources)
-    return page
+    if source.kind == "track":
+        return _track_verdict(source.content), html_of(track_markdown(dict(source.content)))
+    if source.kind == "run":
+        over, begun = len(source.content["seeds"]), len(source.content["curves"])
+        said = f"{over} of {begun} trainings of {source.path} are over"
+        more = "" if over == begun else "; mmwave-loc train --resume goes on with the others"
+        return Verdict(source.path, said, f"{said}{more}."), "".join(_trainings(source))
+    found = Comparison.from_json(source.content)
+    return _verdict(found), "".join(_compared(found, source.content.get("training_seeds", {})))
 
 
-def _add_entries(page: Page, found: Shown) -> None:
-    """The benchmark, from its entries."""
-    entries = [source.content for source, _ in found]
-    ranked = ranking(entries, EPISODES, DRAWS)
-    best = "The reward minus that of the best IMM of each venue, whichever it is there"
-    page.add(
-        "Benchmark",
-        table("Entries, by what they gain on the strongest IMM where one may train", *ranked),
-        table(best, *by_venue(entries)),
-    )
+def _verdict(found: Comparison) -> Verdict:
+    """Who won by how much."""
+    best, *others = found.policies
+    name = f"{found.scenario}, {found.radio}, {found.selection}"
+    said = f"{len(others) + 1} contenders on {name}." if others else f"{best} on {name}."
+    minus = {other: one for other in others if (one := found.margin(best, other))}
+    if not minus:
+        reward = found.policies[best]["reward"]
+        return Verdict(name, f"{best} has a reward of {reward}", f"{said} Best reward: {reward}.")
+    other, by = next(iter(minus.items()))
+    interval = ", 95 % interval over pairs of the same episode" if by.known else ""
+    title = f"{best} beats {other} by {by}"
+    if by.low <= 0.0:
+        title = f"{best} and {other} are level"
+        said += f" No winner: the best reward, of {best}, minus that of {other} is {by}{interval}."
+    else:
+        said += f" {best} won: its reward is {by} above that of {other}{interval}."
+    if unpaired := others[: others.index(other)]:
+        said += f" Between them, but not paired with {best} here: {', '.join(unpaired)}."
+    return Verdict(name, title, said)
 
 
-_ADDERS: tuple[tuple[Kind, Callable[[Page, Shown], None]], ...] = (  # in the order of sections
-    (COMPARISON, add_comparisons),
-    (TRACK, add_tracks),
-    (ENTRY, _add_entries),
-    (RUN, add_runs),
-    (TRANSFER, add_transfer),
-    (SWEEP, add_sweeps),
-    (GAINS, add_gains),
-    (TRUST, add_trust),
-    (DEFAULTS, add_defaults),
-    (EVOLUTION, add_evolution),
-)
+def _track_verdict(c: Mapping[str, Any]) -> Verdict:
+    said = f"{c['epochs']} epochs of {c['log']}, {c['first_s']:.10g} to {c['last_s']:.10g} s"
+    tracks = c["truth"]["tracks"] if "truth" in c else {}
+    off = [f"the {name} track has an ATE of {one['ate_m']:.3f} m" for name, one in tracks.items()]
+    broken = [f"not the whole log: {c['error']}"] if c.get("error") else []
+    return Verdict(f"{c['log']}, {c['scene']}", said, f"{'; '.join([said, *off, *broken])}.")
 
 
-def _add_origins(page: Page, sources: Sequence[Source]) -> None:
-    alike: dict[tuple[str, str, str], list[str]] = {}  # one command may write several files
-    for source in sources:
-        versions = ", ".join(f"{name} {number}" for name, number in source.versions.items())
-        made = source.command, _seeds(source), versions
-        alike.setdefault(made, []).append(source.path)
-    for (command, seeds, versions), paths in alike.items():
-        page.add(
-            "How it was made",
-            heading(paths[0] + (f" and {len(paths) - 1} more" if len(paths) > 1 else "")),
-            f"<pre><code>{text(command)}</code></pre>",
-            paragraph(f"{seeds}Made with {versions or 'unknown versions'}."),
+def _compared(found: Comparison, trained: Mapping[str, Any]) -> Iterator[str]:
+    rows = [
+        [name, *(rounded(row[metric]) for metric in METRICS)]
+        for name, row in found.policies.items()
+    ]
+    header = ["contender", *(HEADERS[metric] for metric in METRICS)]
+    yield table("Means ± half of their 95 % intervals, best reward first", header, rows)
+    pairs = [
+        [one, other, pair["reward"], pair["ate_m"]]
+        for one in found.policies
+        for other in found.policies
+        if (pair := found.paired.get(f"{one} - {other}"))
+    ]
+    caption = "Differences in pairs of the same episode, with 95 % intervals"
+    yield table(caption, ["contender", "minus", "reward", "ATE m"], pairs) if pairs else ""
+    if any(run["minus"] for run in trained.values()):
+        caption = "Performance profiles: how often trainings gain more than so much"
+        yield drawn(caption, partial(draw_profiles, trained, columns=1))
+
+
+def _trainings(source: Source) -> Iterator[str]:
+    seeds, curves = source.content["seeds"], source.content["curves"].values()
+    rivals = list(dict.fromkeys(rival for curve in curves for rival in curve if ":" not in rival))
+    rows = []
+    for one in seeds:
+        best = one["best"]
+        gains = [Interval.of(best[f"minus {rival}"]) for rival in rivals]
+        rows.append([one["seed"], f"{best['reward']:.4f}", f"{best['timesteps']:,}", *gains])
+    header = ["training seed", "reward", "after steps", *(f"minus {rival}" for rival in rivals)]
+    yield table("The best policy of each training, on tuning seeds", header, rows)
+    figures = {
+        f"reward minus {rival}'s": {source.path: [one[rival] for one in curves if rival in one]}
+        for rival in rivals
+    }
+    if figures:
+        draw = partial(draw_learning_curves, figures, narrow=True)
+        yield drawn("Learning curves, a line a training, on tuning seeds", draw)
+
+
+def errors_of(source: Source, played: Played) -> Iterator[str]:
+    """Percentiles and pictures of errors, epoch by epoch; nothing but of a comparison."""
+    if source.kind != "comparison":
+        return
+    which, figures = played.which, played.positions.figures()
+    if "position_errors" in source.content:
+        which, figures = "all episodes", source.content["position_errors"]
+    ranked, told = ranking(source.content["policies"]), figures["policies"]
+    for kind in KINDS:
+        rows = [[name, *row_of(told[name][kind])] for name in ranked if kind in told.get(name, {})]
+        caption = f"{kind.capitalize()} errors of {which}, but for the first 10 epochs of each"
+        yield table(caption, ["contender", *HEADER], rows) if rows else ""
+    if told:
+        words = (
+            "Errors that so many percent of the epochs stay below; shares of the epochs within a "
+            "distance; the median protection level, and how often errors are above theirs, which "
+            f"a risk of {figures['risk']:g} allows in {percent(figures['risk'])} of the epochs."
         )
+        yield element("p", words, "note")
+    errors, nees = played.epochs.errors_m, played.epochs.nees
+    if shown := [name for name in watched_names(ranked) if name in errors]:
+        draw = partial(draw_error_cdf, {name: errors[name] for name in shown}, narrow=True)
+        yield drawn(f"Distribution of errors (CDF), {played.which}", draw)
+        chosen = {name: nees[name] for name in shown}
+        axes = 2 if played.positions.planar else 3
+        draw = partial(draw_consistency, played.epochs.time_s, chosen, axes, narrow=True)
+        yield drawn(f"NEES and its chi-square bounds, {played.which}", draw)
 
 
-def _seeds(source: Source) -> str:
-    content = source.content
-    if source.kind is COMPARISON and "seed" in content:
-        last = content["seed"] + content["episodes"] - 1
-        return f"Seeds {content['seed']} to {last}. "
-    if "keys" in content:
-        return f"Keys {', '.join(map(str, content['keys']))}. "
-    if source.kind is RUN:
-        seeds = ", ".join(name.removeprefix("seed-") for name in content["curves"])
-        return f"Training seeds {seeds or 'none yet'}. "
-    return f"Seed {content['seed']} and up. " if "seed" in content else ""
+def origin_of(what: str, command: str, versions: Mapping[str, Any]) -> str:
+    """How something was made."""
+    made = f"Made with {', '.join(f'{name} {one}' for name, one in versions.items())}."
+    return element("h3", what) + element("pre", command) + (element("p", made) if versions else "")

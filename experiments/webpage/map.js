@@ -3,49 +3,46 @@
 function drawMap(place, episode, chosen) {
   const width = Math.max(260, place.clientWidth);
   const height = Math.min(560, Math.max(300, 0.95 * width));
-  const words = `Map of ${episode.name}: the true way, and the estimates of ${chosen.join(" and ")}. North is up.`;
-  const svg = picture(width, height, words);
+  const svg = picture(width, height, `Map of ${episode.name}: the true way, and the estimates of ${chosen.join(" and ")}. North is up.`);
   const courses = chosen.map((name) => episode.contenders[name]);
   const [toX, toY, perMeter] = mapScale(episode, courses, width, height);
+  const placed = (one) => [pixels(one.x, toX), pixels(one.y, toY)]; // no numbers of a log without truth
   shape(svg, "rect", { width, height, fill: "var(--ground)" });
   drawStreets(svg, episode, toX, toY, perMeter);
   const links = episode.anchors.map(() => shape(svg, "line", { "stroke-width": 1.4 }));
-  const xs = episode.x.map((v) => (v === null ? null : toX(v))); // of a log without truth: none
-  const ys = episode.y.map((v) => (v === null ? null : toY(v)));
-  shape(svg, "path", { d: path(xs, ys), fill: "none", stroke: "var(--ink)", "stroke-width": 1, opacity: 0.35 });
-  const trails = courses.map((course, i) => trail(svg, course, toX, toY, i));
+  const [xs, ys] = placed(episode);
+  shape(svg, "path", { d: path(xs, ys), fill: "none", stroke: "var(--truth)", "stroke-width": 1, opacity: 0.35 });
+  const trails = courses.map((course, i) => trail(svg, course, ...placed(course), i));
   drawAnchors(svg, episode, toX, toY, width, height);
-  const ellipse = shape(svg, "ellipse", { fill: "var(--c0)", "fill-opacity": 0.15, stroke: "var(--ink)" });
-  const user = shape(svg, "circle", { r: 5, fill: "var(--ink)", stroke: "var(--paper)", "stroke-width": 1.5 });
-  const estimates = courses.map((_, i) => shape(svg, "circle", { r: 4.5, fill: "var(--paper)", stroke: i ? "var(--rejected)" : "var(--accent)", "stroke-width": 2.5 }));
-  drawScale(svg, perMeter, height);
+  const ellipse = shape(svg, "ellipse", { fill: "var(--accent)", "fill-opacity": 0.15, stroke: "var(--ink)" });
+  const user = shape(svg, "circle", { r: 5, fill: "var(--truth)", stroke: "var(--paper)", "stroke-width": 1.5 });
+  const estimates = courses.map((_, i) => shape(svg, "circle", { r: 4.5, fill: "var(--paper)", stroke: lineOf(i).stroke, "stroke-width": 2.5 }));
+  const meters = [1, 2, 5, 10, 20, 50, 100, 200, 500, 1000].find((m) => m * perMeter > 50) ?? 2000;
+  shape(svg, "path", { d: `M12 ${height - 17}v5h${meters * perMeter}v-5`, fill: "none", stroke: "var(--ink)", "stroke-width": 1.5 });
+  shape(svg, "text", { x: 18, y: height - 18 }, `${meters} m`);
   place.replaceChildren(svg);
   return (at) => {
-    const here = xs[at] === null ? [toX(courses[0].x[at] ?? 0), toY(courses[0].y[at] ?? 0)] : [xs[at], ys[at]];
-    user.setAttribute("visibility", xs[at] === null ? "hidden" : "visible");
-    user.setAttribute("cx", here[0]);
-    user.setAttribute("cy", here[1]);
-    courses.forEach((course, i) => {
-      trails[i](at);
-      estimates[i].setAttribute("visibility", course.x[at] === null ? "hidden" : "visible");
-      estimates[i].setAttribute("cx", toX(course.x[at] ?? 0));
-      estimates[i].setAttribute("cy", toY(course.y[at] ?? 0));
-    });
-    placeEllipse(ellipse, courses[0], at, toX, toY, perMeter);
-    episode.anchors.forEach(([x, y], i) => {
+    const put = (one, x, y, more) => change(one, { visibility: x === null ? "hidden" : "visible", cx: x ?? 0, cy: y ?? 0, ...more });
+    put(user, xs[at], ys[at]);
+    const now = courses.map((course) => [pixels([course.x[at]], toX)[0], pixels([course.y[at]], toY)[0]]);
+    now.forEach(([x, y], i) => { trails[i](at); put(estimates[i], x, y); });
+    const [x, y] = now[0];
+    const [long, short, turn] = courses[0].ellipse.map((values) => values[at] ?? 0);
+    put(ellipse, x, y, { rx: long * perMeter, ry: short * perMeter, transform: `rotate(${turn} ${x ?? 0} ${y ?? 0})` });
+    const [x1, y1] = xs[at] === null ? [x ?? 0, y ?? 0] : [xs[at], ys[at]];
+    episode.anchors.forEach((anchor, i) => {
       const fate = courses[0].fate[i][at];
-      const ends = { x1: here[0], y1: here[1], x2: toX(x), y2: toY(y), stroke: FILLS[fate], "stroke-dasharray": fate === "r" ? "6 4" : "" };
-      for (const [key, value] of Object.entries(ends)) links[i].setAttribute(key, value);
+      change(links[i], { x1, y1, x2: toX(anchor[0]), y2: toY(anchor[1]), stroke: FILLS[fate], "stroke-dasharray": fate === "r" ? "6 4" : "" });
     });
   };
 }
 
 function mapScale(episode, courses, width, height) {
-  const xs = [...episode.x, ...courses.flatMap((course) => course.x)].filter((v) => v !== null);
-  const ys = [...episode.y, ...courses.flatMap((course) => course.y)].filter((v) => v !== null);
-  const least = (values) => values.reduce((a, b) => Math.min(a, b));
-  const most = (values) => values.reduce((a, b) => Math.max(a, b));
-  const [west, east, south, north] = [least(xs), most(xs), least(ys), most(ys)];
+  const ends = (axis) => {
+    const known = [episode, ...courses].flatMap((one) => one[axis]).filter((v) => v !== null);
+    return [known.reduce((a, b) => Math.min(a, b)), known.reduce((a, b) => Math.max(a, b))];
+  };
+  const [[west, east], [south, north]] = [ends("x"), ends("y")];
   const room = 44;
   const perMeter = Math.min((width - room) / Math.max(east - west, 40), (height - room) / Math.max(north - south, 40));
   const toX = (x) => width / 2 + (x - (west + east) / 2) * perMeter;
@@ -66,17 +63,13 @@ function drawStreets(svg, episode, toX, toY, perMeter) {
       }
     }
   }
-  const [gnb, ...images] = episode.anchors;
-  for (const image of images) {
-    const way = [image[0] - gnb[0], image[1] - gnb[1]];
-    const far = Math.hypot(...way);
-    if (far === 0 || Math.abs(image[2] - gnb[2]) > 0.1) continue;
-    const middle = [(image[0] + gnb[0]) / 2, (image[1] + gnb[1]) / 2];
-    const along = [(-way[1] / far) * 5000, (way[0] / far) * 5000];
-    shape(svg, "line", {
-      x1: toX(middle[0] - along[0]), y1: toY(middle[1] - along[1]), x2: toX(middle[0] + along[0]), y2: toY(middle[1] + along[1]),
-      stroke: "var(--wall)", "stroke-width": 3,
-    });
+  const [[gx, gy, gz], ...images] = episode.anchors;
+  for (const [x, y, z] of images) { // a wall lies in the middle between the gNB and its image, across
+    const far = Math.hypot(x - gx, y - gy);
+    if (far === 0 || Math.abs(z - gz) > 0.1) continue;
+    const [dx, dy] = [(-5000 * (y - gy)) / far, (5000 * (x - gx)) / far];
+    const [mx, my] = [(x + gx) / 2, (y + gy) / 2];
+    shape(svg, "line", { x1: toX(mx - dx), y1: toY(my - dy), x2: toX(mx + dx), y2: toY(my + dy), stroke: "var(--wall)", "stroke-width": 3 });
   }
 }
 
@@ -105,40 +98,15 @@ function drawAnchors(svg, episode, toX, toY, width, height) {
 }
 
 // The way of an estimate until now: the first contender's in the colors of its modes.
-function trail(svg, course, toX, toY, number) {
-  const xs = course.x.map((v) => (v === null ? null : toX(v)));
-  const ys = course.y.map((v) => (v === null ? null : toY(v)));
+function trail(svg, course, xs, ys, number) {
   if (number) {
-    const line = shape(svg, "path", { fill: "none", stroke: "var(--rejected)", "stroke-width": 1.6, "stroke-dasharray": "5 3" });
-    return (at) => line.setAttribute("d", path(xs.slice(0, at + 1), ys.slice(0, at + 1)));
+    const line = shape(svg, "path", lineOf(number));
+    return (at) => change(line, { d: path(xs.slice(0, at + 1), ys.slice(0, at + 1)) });
   }
-  const lines = course.modes.map((_, i) => shape(svg, "path", { fill: "none", stroke: modeColor(course, i), "stroke-width": 2.6 }));
+  const lines = course.colors.map((stroke) => shape(svg, "path", { fill: "none", stroke, "stroke-width": 2.6 }));
   return (at) => {
     const parts = course.modes.map(() => "");
     for (let k = 1; k <= at; k += 1) parts[course.mode[k]] += path(xs.slice(k - 1, k + 1), ys.slice(k - 1, k + 1));
-    lines.forEach((line, i) => line.setAttribute("d", parts[i]));
+    lines.forEach((line, i) => change(line, { d: parts[i] }));
   };
 }
-
-// Two standard deviations.
-function placeEllipse(ellipse, course, at, toX, toY, perMeter) {
-  const [xx, xy, yy] = course.P.map((row) => row[at]);
-  const known = [xx, xy, yy, course.x[at], course.y[at]].every(Number.isFinite);
-  ellipse.setAttribute("visibility", known ? "visible" : "hidden");
-  if (!known) return;
-  const mean = (xx + yy) / 2;
-  const spread = Math.hypot((xx - yy) / 2, xy);
-  const turn = (Math.atan2(2 * xy, xx - yy) / 2) * (-180 / Math.PI);
-  const [x, y] = [toX(course.x[at]), toY(course.y[at])];
-  const axes = { rx: 2 * Math.sqrt(Math.max(0, mean + spread)) * perMeter, ry: 2 * Math.sqrt(Math.max(0, mean - spread)) * perMeter };
-  const sizes = { cx: x, cy: y, ...axes, transform: `rotate(${turn} ${x} ${y})` };
-  for (const [key, value] of Object.entries(sizes)) ellipse.setAttribute(key, value);
-}
-
-function drawScale(svg, perMeter, height) {
-  const meters = [1, 2, 5, 10, 20, 50, 100, 200, 500, 1000].find((m) => m * perMeter > 50) ?? 2000;
-  const y = height - 12;
-  shape(svg, "path", { d: `M12 ${y - 5}V${y}H${12 + meters * perMeter}V${y - 5}`, fill: "none", stroke: "var(--ink)", "stroke-width": 1.5 });
-  shape(svg, "text", { x: 18, y: y - 6 }, `${meters} m`);
-}
-

@@ -1,24 +1,30 @@
-"""HTML of text that others chose, and tables that a phone shows as cards."""
+"""HTML of text that others chose, of tables, and of pictures that the figures' room draws."""
 
+import hashlib
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Sequence
 from html import escape
-from typing import Any, NamedTuple
+from importlib.util import find_spec
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
 
-from experiments.evaluation.intervals import Interval, rounded
+from experiments.console.tables import CELL
+from experiments.console.text import unescaped
+from experiments.figures.canvas import COLORS, NO_MODE
 from mmwave_env.lookup import printable
 
-
-class Cell(NamedTuple):
-    """What a cell shows, and the number behind it, unrounded."""
-
-    shown: str
-    value: float | None = None
-
-
-SEPARATOR = re.compile("[/:](?=.)")  # names of files and places may be broken behind these
-BRACKETS = re.compile(r"\[[-\d., ]+\]|\([\w-]+\)")
-Written = str | Interval | Cell  # what may stand in a table
+SHOWN = 5  # rows, until all are asked for
+VARIABLES = {  # of the page's style, by the color that a picture has
+    "#000000": "var(--ink)",
+    "#ffffff": "var(--paper)",
+    NO_MODE: "var(--none)",
+    **{color: f"var(--mode-{number})" for number, color in enumerate(COLORS)},
+}
+COLOR = re.compile("|".join(VARIABLES))
+TAG = re.compile(r"<[^>]*>")  # of an SVG by matplotlib, which escapes > in attributes
+OWN = re.compile(r"<style.*?</style>|<metadata>.*?</metadata>", re.DOTALL)
+NAMED = re.compile(r'( id="|="#|url\(#)')  # before the name of an element
 
 
 def text(value: Any) -> str:
@@ -26,76 +32,62 @@ def text(value: Any) -> str:
     return escape(printable(str(value)))
 
 
-def short(figures: dict[str, Any]) -> Cell:
-    """Mean and half the width of the interval, as commands print it."""
-    return Cell(rounded(Interval.of(figures)), figures["mean"])
+def element(tag: str, words: Any, kind: str = "") -> str:
+    """An element of plain text."""
+    return f"<{tag}{kind and f' class={kind}'}>{text(words)}</{tag}>"
 
 
-def whole(figures: dict[str, Any] | None) -> Cell:
-    """Mean and interval, as commands print it; nothing of none."""
-    return _cell(Interval.of(figures) if figures else "")
+def table(caption: str, header: Sequence[str], rows: Sequence[Sequence[Any]]) -> str:
+    """A table of plain text that scrolls sideways; the first cell of a row names it.
 
-
-def table(caption: str, header: Sequence[str], rows: Iterable[Sequence[Written]]) -> str:
-    """A table of plain text; the first cell of a row names it.
-
-    On a narrow screen rows become cards, whose cells say what they are; roles keep it a table for
-    whoever listens to it.
+    Rows after the first ones are hidden until a box is checked, which needs no script.
     """
-    head = "".join(f'<th scope="col" role="columnheader">{text(one)}</th>' for one in header)
-    body = "".join(f'<tr role="row">{_row(header, row)}</tr>' for row in rows)
+    head = "".join(f'<th scope="col">{text(one)}</th>' for one in header)
+    body = "".join(
+        f'<tr><th scope="row">{text(name)}</th>{"".join(element("td", one) for one in cells)}</tr>'
+        for name, *cells in rows
+    )
+    more = f'<label><input type="checkbox"> Show all {len(rows)} rows</label>'
     return (
-        f'<table role="table"><caption>{text(caption)}</caption>'
-        f'<thead role="rowgroup"><tr role="row">{head}</tr></thead>'
-        f'<tbody role="rowgroup">{body}</tbody></table>'
+        f'<div class="table">{element("p", caption, "caption") if caption else ""}'
+        f'<div class="scroll" tabindex="0" role="region" aria-label="{text(caption or header[0])}">'
+        f"<table><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table></div>"
+        f"{more if len(rows) > SHOWN else ''}</div>"
     )
 
 
-def _unbroken(cell: Cell) -> str:
-    """What a cell shows, with no line break inside brackets."""
-    found = BRACKETS.sub(r'<span class="whole">\g<0></span>', text(cell.shown))
-    return f"<span>{found}</span>" if "<span" in found else found
-
-
-def _cell(given: Written) -> Cell:
-    """Numbers of an interval are those that commands print."""
-    if isinstance(given, Interval):
-        return Cell(str(given), given.mean)
-    return given if isinstance(given, Cell) else Cell(given)
-
-
-def _row(header: Sequence[str], row: Sequence[Written]) -> str:
-    cells = []
-    for number, (title, given) in enumerate(zip(header, row, strict=True)):
-        cell = _cell(given)
-        value = "" if cell.value is None else f' data-value="{cell.value!r}"'
-        if number == 0:
-            name = SEPARATOR.sub(r"\g<0><wbr>", text(cell.shown))
-            cells.append(f'<th scope="row" role="rowheader"{value}>{name}</th>')
+def html_of(markdown: str) -> str:
+    """Tables, lists and paragraphs as commands print them."""
+    parts = []
+    for block in markdown.strip().split("\n\n"):
+        lines = block.strip().splitlines()
+        if block.startswith("|"):
+            cells = [[unescaped(one.strip()) for one in CELL.findall(line[1:])] for line in lines]
+            parts.append(table("", cells[0], cells[2:]))
         else:
-            empty = "" if cell.shown else ' class="empty"'
-            cells.append(
-                f'<td role="cell" data-title="{text(title)}"{value}{empty}>{_unbroken(cell)}</td>'
-            )
-    return "".join(cells)
+            tag = "li" if block.startswith("- ") else "p"
+            parts += [element(tag, unescaped(line.removeprefix("- "))) for line in lines]
+    return "".join(parts)
 
 
-def paragraph(words: str, kind: str = "") -> str:
-    """A paragraph of plain text."""
-    return f'<p class="{kind}">{text(words)}</p>' if kind else f"<p>{text(words)}</p>"
+def drawn(caption: str, draw: Callable[[Path], None]) -> str:
+    """A picture whose colors follow light and dark; without matplotlib how to get it.
 
+    Args:
+        caption: what it shows.
+        draw: writes it to an .svg file.
+    """
+    if not find_spec("matplotlib"):
+        return element("p", f"{caption}: pictures need mmwave-loc[plot]", "note")
+    with TemporaryDirectory() as folder:
+        path = Path(folder) / "picture.svg"
+        draw(path)
+        svg = path.read_text("utf-8")
+    prefix = f"p{hashlib.sha256(svg.encode()).hexdigest()[:8]}-"  # ids are unique in a page
 
-def heading(words: str, level: int = 3) -> str:
-    """A heading of plain text."""
-    return f"<h{level}>{text(words)}</h{level}>"
+    def adapted(tag: re.Match[str]) -> str:
+        return NAMED.sub(rf"\1{prefix}", COLOR.sub(lambda found: VARIABLES[found[0]], tag[0]))
 
-
-def folded(title: str, parts: Iterable[str]) -> str:
-    """What is shown on demand."""
-    return f"<details><summary>{text(title)}</summary>{''.join(parts)}</details>"
-
-
-def chart(kind: str, **data: str | int) -> str:
-    """The place of a picture that the page's script draws from its data."""
-    said = "".join(f' data-{name}="{text(value)}"' for name, value in data.items())
-    return f'<div class="chart" data-chart="{text(kind)}"{said}></div>'
+    svg = TAG.sub(adapted, OWN.sub("", svg[svg.index("<svg") :]))
+    words = element("figcaption", caption)
+    return f'<figure role="img" aria-label="{text(caption)}">{svg}{words}</figure>'

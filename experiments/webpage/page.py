@@ -2,81 +2,110 @@
 
 import json
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from importlib.resources import files
 from typing import TYPE_CHECKING, Any
 
 from experiments.console.provenance import command_line
-from experiments.webpage.contents import assembled
-from experiments.webpage.kinds import COMPARISON, TRACK
-from experiments.webpage.markup import text
-from experiments.webpage.played import Played, play
-from experiments.webpage.sections import Page
-from experiments.webpage.source import Source
-from experiments.webpage.sources import read_source
-from mmwave_env.files import write_text
+from experiments.webpage.contents import Verdict, errors_of, origin_of, results_of
+from experiments.webpage.markup import element, text
+from experiments.webpage.played import LONGEST, Played, play
+from experiments.webpage.sources import READ, Source, read_source
+from mmwave_env.files import told
+from mmwave_env.rendering.theme import THEMES, hex_of
 
 if TYPE_CHECKING:
     from experiments.report import Args
 
-LARGEST_BYTES = 5_000_000
-SCRIPTS = ("drawing.js", "charts.js", "stanford.js", "map.js", "browser.js", "page.js")
+SCRIPTS = ("drawing.js", "map.js", "player.js")
 
 
-def write_page(args: "Args", localized: Callable[[Source], Played] | None = None) -> int:
-    """Read results and write the page of them.
+def page_of(args: "Args", localized: Callable[[Source], Played] = lambda _: Played()) -> str:
+    """The page of results.
 
     Args:
-        args: what to read, what to play again, where to write.
-        localized: the begin of the track of a log, to be watched; None where there are no logs.
-
-    Returns:
-        The size of the page, bytes.
+        args: what to read, and what to play again.
+        localized: the begin of the track of a log, to be watched.
 
     Raises:
-        ValueError: results that can't be read, or so much that the page gets too large.
+        ValueError: results that can't be read.
         FileNotFoundError: there are none.
     """
     sources = [source for path in args.results for source in read_source(path)]
-    played = {
-        number: play(source, args.episodes, args.watch)
-        for number, source in enumerate(sources)
-        if source.kind is COMPARISON
+    verdicts, results, origins = [], [], []
+    for source in sources:
+        try:
+            verdict, tables = results_of(source)
+            command, versions = source.content["command"], source.content.get("versions", {})
+            origins.append(origin_of(source.path, command, versions))
+            list(errors_of(source, Played()))  # what can't be shown is refused before any work
+        except (KeyError, TypeError, ValueError, AttributeError) as error:
+            raise ValueError(f"{source.path}: {told(error)}, expected {READ}") from error
+        verdicts.append(verdict)
+        results.append(tables)
+    origins.append(origin_of("This page", command_line("report", args), {}))
+    again = {"comparison": lambda one: play(one, args.episodes, args.watch), "track": localized}
+    played = [again.get(source.kind, lambda _: Played())(source) for source in sources]
+    errors = ["".join(errors_of(source, one)) for source, one in zip(sources, played, strict=True)]
+    sections = {
+        "Results": _folded(verdicts, results),
+        "Errors": _folded(verdicts, errors),
+        "Episodes": _player(verdicts, played),
+        "How it was made": "".join(origins),
     }
-    if localized:
-        logs = {n: source for n, source in enumerate(sources) if source.kind is TRACK}
-        played |= {number: localized(source) for number, source in logs.items()}
-    page = html_of(assembled(sources, played), command_line("report", args))
-    size = len(page.encode())
-    if size > LARGEST_BYTES:
-        raise ValueError(
-            f"results: found enough for a page of {size / 1e6:.1f} MB, expected at most "
-            f"{LARGEST_BYTES / 1e6:g} MB; fewer results, or --watch less than {args.watch}"
-        )
-    write_text(args.out, page)
-    return size
+    episodes = [one for some in played for one in some.shown if one["contenders"]]
+    return _html(verdicts, sections, {"episodes": episodes})
 
 
-def html_of(page: Page, command: str) -> str:
+def _folded(verdicts: Sequence[Verdict], parts: Sequence[str]) -> str:
+    """What there is of each source under its name, all but the first folded."""
+    there = [(one.name, part) for one, part in zip(verdicts, parts, strict=True) if part]
+    return "".join(
+        f"<details{'' if number else ' open'}><summary>{text(name)}</summary>{part}</details>"
+        for number, (name, part) in enumerate(there)
+    )
+
+
+def _player(verdicts: Sequence[Verdict], played: Sequence[Played]) -> str:
+    """The place of the player, and what can't be watched in it."""
+    parts = []
+    if any(one.shown for one in played):
+        parts = ['<div id="player"><noscript>Only this section needs JavaScript.</noscript></div>']
+    for verdict, one in zip(verdicts, played, strict=True):
+        missing = one.missing.items()
+        notes = [f"{who or 'no episode'} was not played again: {why}" for who, why in missing]
+        if any(episode["cut"] for episode in one.shown):
+            notes.append(f"the first {LONGEST} epochs are shown")
+        parts += [element("p", f"{verdict.name}: {note}", "note") for note in notes]
+    return "".join(parts)
+
+
+def _html(verdicts: Sequence[Verdict], sections: Mapping[str, str], data: Any) -> str:
     """The whole page; what is put into the template is never looked at again."""
-    titles = {title: re.sub(r"\W+", "-", title.lower()) for title in page.sections}
+    there = {re.sub(r"\W+", "-", title.lower()): title for title, part in sections.items() if part}
     parts = {
-        "style": _file("page.css"),
-        "script": "\n".join(map(_file, SCRIPTS)),
-        "command": text(command),
-        "tabs": "".join(
-            f'<button type="button" role="tab" id="tab-{name}" aria-controls="panel-{name}">'
-            f"{text(title)}</button>"
-            for title, name in titles.items()
-        ),
+        "title": text(verdicts[0].title),
+        "lead": "".join(element("p", one.sentence) for one in verdicts),
+        "style": _colors() + _file("page.css"),
+        "script": "".join(map(_file, SCRIPTS)),
+        "links": "".join(f'<a href="#{name}">{text(title)}</a>' for name, title in there.items()),
         "sections": "".join(
-            f'<section role="tabpanel" id="panel-{name}" aria-labelledby="tab-{name}" tabindex="0">'
-            f"<h2>{text(title)}</h2>{page.sections[title]}</section>"
-            for title, name in titles.items()
+            f'<section id="{name}"><h2>{text(title)}</h2>{sections[title]}</section>'
+            for name, title in there.items()
         ),
-        "data": in_script(page.data),
+        "data": in_script(data),
     }
     return re.sub(r"<!--(\w+)-->", lambda found: parts[found[1]], _file("page.html"))
+
+
+def _colors() -> str:
+    """The film's, as variables of the style."""
+    light, dark = THEMES["light"], THEMES["dark"]
+    pairs = {name: (getattr(light, name), getattr(dark, name)) for name in light._fields}
+    both = zip(*pairs.pop("modes"), strict=True)
+    pairs |= {f"mode-{number}": pair for number, pair in enumerate(both)}
+    lines = (f"--{name}: light-dark({hex_of(a)}, {hex_of(b)});" for name, (a, b) in pairs.items())
+    return f":root {{ {' '.join(lines)} }}\n"
 
 
 def _file(name: str) -> str:

@@ -8,54 +8,55 @@ from io import StringIO
 from typing import Any
 
 import numpy as np
+from scipy.special import chdtri
 
 from experiments.console.main import read_arguments
 from experiments.console.options import EpisodeArgs
-from experiments.console.progress import tracked
 from experiments.console.signals import Ended
 from experiments.evaluation.agents import is_agent
-from experiments.evaluation.asked import contender_of, selection_of, task_of
+from experiments.evaluation.asked import contender_of, runs_of, selection_of, task_of
 from experiments.evaluation.contenders import Contender
-from experiments.evaluation.runner import EpochResults, Scoring, run_contender
-from experiments.evaluation.seeds import Selection
-from experiments.webpage.episodes import Gates, Place, course, scenery
-from experiments.webpage.source import Source
+from experiments.evaluation.epochs import EpochErrors
+from experiments.evaluation.positions import Positions
+from experiments.evaluation.runner import EpochResults, Scoring, score_contenders
+from experiments.webpage.sources import Source
 from mmwave_env.datasets.samples import sample_names
-from mmwave_env.localization.position_errors import PositionErrors
-from mmwave_env.metrics import scored
+from mmwave_env.lookup import printable
+from mmwave_env.metrics import nees_interval
+from mmwave_env.models.measurement import Layout
+from mmwave_env.models.scene import Streets
 from mmwave_env.numerics.arrays import Array
-from mmwave_env.task import Task
+from mmwave_env.rendering.history import GATE
+from mmwave_env.rendering.theme import THEMES, hex_of
 from mmwave_env.world.episode import Episode
 
-WATCHED = 8  # contenders that can be watched: the best by reward, and those in ALWAYS
-ALWAYS = ("speed-rule",)
-AFTER = ("x", "P", "memory.nis", "memory.accepted", "memory.rejected")
+LONGEST = 600  # epochs that can be watched
+ROWS = slice(LONGEST)
+WATCHED = 8  # contenders that can be watched: the best by reward, and the rule
+RULE = "speed-rule"
+MADE_BY = {"comparison": ("compare", "evaluate", "demo"), "track": ("localize",)}
+AFTER = ("x", "P", "memory.nis", "memory.accepted", "memory.rejected", "memory.mode")
 
 
 @dataclass
 class Played:
-    """What contenders did in some episodes of a comparison.
+    """What contenders did in some episodes.
 
     Attributes:
         which: the episodes, in words.
-        axes: position axes that NEES covers.
-        errors_m: (n, T, 3) by contender, of the epochs that count, m.
-        positions: the same by contender, with protection levels.
-        nees: (n, T) by contender, of the same.
+        epochs, positions: errors, NEES and protection levels of the epochs that count.
         shown: episodes to watch, as JSON holds them.
         missing: why there is nothing of a contender; of all of them under the name "".
     """
 
     which: str = "no episodes"
-    axes: int = 3
-    errors_m: dict[str, Array] = field(default_factory=dict)
-    positions: dict[str, PositionErrors] = field(default_factory=dict)
-    nees: dict[str, Array] = field(default_factory=dict)
+    epochs: EpochErrors = field(default_factory=lambda: EpochErrors({}))
+    positions: Positions = field(default_factory=lambda: Positions({}))
     shown: list[dict[str, Any]] = field(default_factory=list)
     missing: dict[str, str] = field(default_factory=dict)
 
 
-def play(source: Source, episodes: int, watched: int) -> Played:
+def play(source: Source, most: int, watched: int) -> Played:
     """Play the first episodes of a comparison again, with all contenders that can be had.
 
     No code of others is run for it: contenders that are a function in a module or a model in a zip
@@ -63,45 +64,70 @@ def play(source: Source, episodes: int, watched: int) -> Played:
 
     Args:
         source: the comparison.
-        episodes: how many, at most.
+        most: episodes at most.
         watched: how many of them to keep epoch by epoch.
     """
-    if not episodes:
+    if not most:
         return Played(missing={"": "none were asked for"})
+    found, names = Played(), ranking(source.content["policies"])
     try:
-        args = _first(arguments_of(source), episodes, source.content["episodes"])
+        args = arguments_of(source)
+        if args.keys is None:
+            args = replace(args, episodes=min(most, source.content["episodes"]))
         task = task_of(args)
-        scoring, selection = Scoring.of(task), selection_of(args, task.source)
-        batch = selection.draw(task.source)
+        scoring, chosen = Scoring.of(task), _contenders(args, names, found.missing)
+        selection = selection_of(args, task.source).part(0, most)
+        batch = selection.draw(task.source)[:watched]
     except (ValueError, OSError) as error:
         return Played(missing={"": str(error)})
-    shown = _sceneries(task, selection, batch[:watched])
-    found = Played(str(selection), 2 if scoring.planar else 3, shown=shown)
-    policies = source.content["policies"]
-    watch, counted = watched_names(policies), scored(len(batch[0]))
-    for name in tracked(policies, f"playing {batch[0].name}", len(policies)):
-        try:
-            contender = _contender(args, name)
-            policy = contender.start(task.source.layout, scoring.planar)
-        except (ValueError, OSError) as error:
-            found.missing[name] = str(error)
-            continue
-        parts = AFTER if policy else (*AFTER, "mixture.probability")
-        told = run_contender(contender, policy, batch, scoring, after=parts)
-        found.errors_m[name], found.nees[name] = told["error"][:, counted], told["nees"][:, counted]
-        found.positions[name] = PositionErrors(args.risk, scoring.planar)
-        found.positions[name].add(found.errors_m[name], told["P"][:, counted])
-        for i, one in enumerate(shown if name in watch else []):
-            one["contenders"][name] = _course(contender, told, i)
+    alike = {name: name for name in names}
+    found.which, found.epochs = str(selection), EpochErrors(alike)
+    found.positions = Positions(alike, args.risk, scoring.planar)
+    keys, kind = selection.keys(task.source), "key" if selection.keyed else "seed"
+    for i, (one, number) in enumerate(zip(batch, selection.numbers, strict=False)):
+        name = f"{task.source.name}: {one.name}, {kind} {number}"
+        streets = task.streets_of(0 if keys is None else int(keys[i]))
+        assert one.truth_position_m is not None and one.truth_velocity_mps is not None
+        speed_mps = np.linalg.norm(one.truth_velocity_mps, axis=1)
+        truth = np.column_stack([one.time_s, one.truth_position_m, speed_mps])
+        axes = 2 if scoring.planar else 3
+        found.shown.append(scenery(name, one.layout, one.scene_anchors_m, streets, axes, truth))
+
+    def keep(contender: Contender, _: Sequence[Episode], told: EpochResults) -> None:
+        for i, one in enumerate(found.shown if contender.name in watched_names(names) else []):
+            parts = {part: rows[i] for part, rows in told.items()}
+            weighed = contender.policy is None
+            one["contenders"][printable(contender.name)] = course(parts, contender.actions, weighed)
+
+    what, watch = (task.source, args.radio, selection), [found.epochs.add, found.positions.add]
+    score_contenders(chosen, *what, watch=[*watch, keep], scoring=scoring, after=AFTER)
     return found
 
 
-def watched_names(policies: Mapping[str, Any]) -> list[str]:
-    """Contenders that can be watched, best first by their reward in results."""
-    ranked = sorted(policies, key=lambda name: -policies[name]["reward"]["mean"])
-    first = [name for name in ALWAYS if name in policies]
-    chosen = {*first, *[name for name in ranked if name not in first][: WATCHED - len(first)]}
-    return [name for name in ranked if name in chosen]
+def _contenders(args: EpisodeArgs, names: list[str], missing: dict[str, str]) -> list[Contender]:
+    """Those that can be had; why others can't."""
+    found = []
+    for name in names:
+        try:
+            if is_agent(name):
+                raise ValueError("it is code of its own, which is not run for a report")
+            run = runs_of(args, [name])
+            file = run[name].policy if run else name
+            found.append(replace(contender_of(args, file), name=name))
+        except (ValueError, OSError) as error:
+            missing[name] = str(error)
+    return found
+
+
+def ranking(policies: Mapping[str, Any]) -> list[str]:
+    """Contenders of results, best reward first."""
+    return sorted(policies, key=lambda name: -policies[name]["reward"]["mean"])
+
+
+def watched_names(ranked: Sequence[str]) -> list[str]:
+    """Those that can be watched, of all in their order."""
+    best = [name for name in ranked if name != RULE][: WATCHED - (RULE in ranked)]
+    return [name for name in ranked if name == RULE or name in best]
 
 
 def arguments_of(source: Source) -> Any:
@@ -110,9 +136,12 @@ def arguments_of(source: Source) -> Any:
     Raises:
         ValueError: this version does not understand it.
     """
-    _, name, *words = shlex.split(source.command)
-    if name in _WITHOUT_OPTIONS:
-        return _WITHOUT_OPTIONS[name](source.content)
+    _, name, *words = shlex.split(str(source.content["command"]))
+    if name not in (known := MADE_BY[source.kind]):
+        raise ValueError(f"command: found {name}, expected one of {', '.join(known)}")
+    if name == "demo":  # whose options do not say which episodes it plays
+        scenario = source.content["scenario"]
+        return EpisodeArgs(data=scenario if scenario in sample_names() else None)
     complaint = StringIO()
     try:
         with redirect_stderr(complaint):
@@ -123,56 +152,73 @@ def arguments_of(source: Source) -> Any:
         raise ValueError(f"command: {complaint.getvalue().strip()}") from None
 
 
-def _of_demo(content: Mapping[str, Any]) -> EpisodeArgs:
-    scenario = content["scenario"]
-    return EpisodeArgs(data=scenario if scenario in sample_names() else None)
+# --- episodes to watch, as the script is given them
 
 
-def _of_learned(content: Mapping[str, Any]) -> EpisodeArgs:
-    return EpisodeArgs(radio=content["radio"], seed=content["seed"])
+def scenery(
+    name: str, layout: Layout, anchors_m: Array, streets: Streets | None, axes: int, truth: Array
+) -> dict[str, Any]:
+    """An episode without its contenders.
+
+    Args:
+        name: of the episode.
+        layout: of the measurements.
+        anchors_m: (L, 3) the base station first.
+        streets: None where nobody knows them.
+        axes: position axes that NEES covers.
+        truth: (T, 5) time (s), x, y, z (m) and speed (m/s); NaN where nobody knows them.
+    """
+    dof = [group.stop - group.start for group in layout.groups]
+    grid = streets and {"x": [*streets.x_m], "y": [*streets.y_m], "block": streets.block_m}
+    return {
+        "name": printable(name),
+        "cut": len(truth) > LONGEST,
+        "time_s": numbers(truth[:, 0] - truth[0, 0], ".2f"),
+        "x": numbers(truth[:, 1], ".2f"),
+        "y": numbers(truth[:, 2], ".2f"),
+        "speed_mps": numbers(truth[:, 4], ".2f"),
+        "anchors": [numbers(one, ".2f") for one in anchors_m],
+        "streets": grid,
+        "groups": ["gNB", *layout.group_names[1:]],
+        "rows": dof,
+        "limits": [float(chdtri(n, 1.0 - GATE)) for n in dof],
+        "nees_bounds": [*nees_interval(axes)],
+        "contenders": {},
+    }
 
 
-# Commands whose options do not say which episodes they play: of what results say.
-_WITHOUT_OPTIONS = {"demo": _of_demo, "learned": _of_learned}
+def course(told: Mapping[str, Any], modes: Sequence[str], weighed: bool) -> dict[str, Any]:
+    """What a contender did in an episode.
+
+    Args:
+        told: as of :func:`~experiments.evaluation.runner.run_contender`, of one episode: "x",
+            "P", "error", "nees" and what is in AFTER.
+        modes: names of what it chooses from.
+        weighed: whether its mode is only the most probable one.
+    """
+    accepted, rejected = told["memory.accepted"] > 0.5, told["memory.rejected"] > 0.5
+    letters = np.where(accepted, "a", np.where(rejected, "r", "m"))[ROWS]
+    xx, xy, yy = told["P"][:, :3].T
+    mean, spread = (xx + yy) / 2.0, np.hypot((xx - yy) / 2.0, xy)
+    axes = [2.0 * np.sqrt(np.maximum(size, 0.0)) for size in (mean + spread, mean - spread)]
+    turn = -0.5 * np.degrees(np.arctan2(2.0 * xy, xx - yy))  # clockwise from the x axis
+    themes = (THEMES[theme].for_modes(modes).modes for theme in ("light", "dark"))
+    return {
+        "x": numbers(told["x"][:, 0], ".2f"),
+        "y": numbers(told["x"][:, 1], ".2f"),
+        "ellipse": [numbers(one) for one in (*axes, turn)],  # of two standard deviations
+        "speed_mps": numbers(np.linalg.norm(told["x"][:, 3:6], axis=1), ".2f"),
+        "error_m": numbers(np.linalg.norm(told["error"], axis=1), ".2f"),
+        "nees": numbers(told["nees"]),
+        "modes": [printable(name) for name in modes],
+        "colors": [f"light-dark({hex_of(a)}, {hex_of(b)})" for a, b in zip(*themes, strict=True)],
+        "mode": told.get("mode", told["memory.mode"])[ROWS].astype(int).tolist(),
+        "weighed": weighed,
+        "fate": ["".join(column) for column in letters.T],
+        "nis": [numbers(group) for group in told["memory.nis"].T],
+    }
 
 
-def _first(args: EpisodeArgs, most: int, there: int) -> EpisodeArgs:
-    """The same for no more episodes than that."""
-    if args.keys is not None:
-        return replace(args, keys=args.keys[:most])
-    return replace(args, episodes=min(most, there))
-
-
-def _contender(args: EpisodeArgs, name: str) -> Contender:
-    if is_agent(name):
-        raise ValueError("it is code of its own, which is not run for a report")
-    return contender_of(args, name)
-
-
-def _sceneries(
-    task: Task, selection: Selection, episodes: Sequence[Episode]
-) -> list[dict[str, Any]]:
-    """The first episodes of a selection, without their contenders."""
-    keys, axes = selection.keys(task.source), 2 if task.pipeline.planar else 3
-    what, found = "key" if selection.keyed else "seed", []
-    for i, (episode, number) in enumerate(zip(episodes, selection.numbers, strict=False)):
-        assert episode.truth_position_m is not None and episode.truth_velocity_mps is not None
-        speed = np.linalg.norm(episode.truth_velocity_mps, axis=1)
-        streets = task.streets_of(0 if keys is None else int(keys[i]))
-        place = Place(episode.scene_anchors_m, streets, episode.layout, axes)
-        name = f"{episode.name}, {what} {number}"
-        found.append(scenery(name, place, episode.time_s, episode.truth_position_m, speed))
-    return found
-
-
-def _course(contender: Contender, told: EpochResults, i: int) -> dict[str, Any]:
-    """What a contender did in an episode."""
-    weighed = "mode" not in told
-    if weighed:
-        modes = [one.name for one in contender.modes]
-        mode = told["mixture.probability"][i].argmax(axis=1)
-    else:
-        modes, mode = contender.actions, told["mode"][i]
-    gates = Gates(told["memory.accepted"][i], told["memory.rejected"][i], told["memory.nis"][i])
-    belief = told["x"][i], told["P"][i], told["error"][i], told["nees"][i]
-    return course(*belief, gates, modes, mode, weighed)
+def numbers(values: Array, digits: str = ".4g") -> list[float | None]:
+    """Rounded; null where there is no number."""
+    return [float(f"{v:{digits}}") if np.isfinite(v) else None for v in values[ROWS]]

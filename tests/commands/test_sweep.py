@@ -103,14 +103,6 @@ def test_a_cell_that_fails_leaves_the_others_whole(tmp_path):
 
 
 @pytest.mark.slow
-def test_a_report_shows_it(swept, tmp_path):
-    folder, _ = swept
-    succeed("report", folder / "out", "--out", tmp_path / "report.html")
-    page = (tmp_path / "report.html").read_text()
-    assert "policy fixed-ekf, scenario vehicle" in page and "8 cells" in page
-
-
-@pytest.mark.slow
 def test_a_file_that_was_changed_is_another_sweep(tmp_path):
     (tmp_path / "own.json").write_text('{"base": "handset", "ue_elements": 4}')
     text = '[evaluate]\npolicy = "fixed-ekf"\nradio = "own.json"\nepisodes = 2\n'
@@ -256,8 +248,6 @@ def test_trials_leave_rows_and_hyperparameters_to_train_with(tmp_path):
     assert f"hyperparameters.learning_rate {best}" in told.splitlines()[2]  # the best comes first
     again = command("sweep", tmp_path / "search.toml", "--out", tmp_path / "out", "--engine", "ray")
     assert again.returncode == 0 and not re.search("^trial ", again.stderr, re.M)
-    succeed("report", tmp_path / "out", "--out", tmp_path / "report.html")
-    assert f"learning_rate {best}" in (tmp_path / "report.html").read_text()
     assert rows(tmp_path / "out").to_pylist() == table
 
 
