@@ -49,8 +49,7 @@ def main(args: Args) -> None:
     from experiments.evaluation.asked import source_of
     from experiments.evaluation.seeds import draw_episodes
     from mmwave_env.datasets.log_folder import write_log_folder
-    from mmwave_env.datasets.measured import MeasuredSource
-    from mmwave_env.datasets.recorded import RecordedSource
+    from mmwave_env.datasets.tracks import TrackSource
     from mmwave_env.models.random_scene import RandomScene
     from mmwave_env.models.scene import scene_of_anchors
     from mmwave_env.world.simulated import SimulatedSource
@@ -61,9 +60,7 @@ def main(args: Args) -> None:
         )
     _require_none(args.out, args.overwrite)
     source = source_of(args)
-    assert isinstance(
-        source, SimulatedSource | RecordedSource | MeasuredSource
-    )  # what options name
+    assert isinstance(source, SimulatedSource | TrackSource)  # what options name
     with progress("simulating"):
         (episode,) = draw_episodes(source, [args.seed])
     scene = source.scene

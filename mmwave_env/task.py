@@ -7,9 +7,10 @@ from typing import Any, cast
 
 import numpy as np
 
-from mmwave_env.datasets.measured import MeasuredSource, MeasuredTrack
+from mmwave_env.datasets.measured import MeasuredTrack
 from mmwave_env.datasets.recorded import Recording
 from mmwave_env.datasets.samples import source_from
+from mmwave_env.datasets.tracks import TrackSource
 from mmwave_env.filters.bank import Bank, bank_from
 from mmwave_env.filters.mode_files import modes_from
 from mmwave_env.filters.modes import Mode
@@ -78,8 +79,8 @@ class Task:
         Args:
             key: of the episode, where it has one.
         """
-        if isinstance(self.source, MeasuredSource):
-            scene = self.source.track.scene
+        if isinstance(self.source, TrackSource):
+            scene = self.source.scene
             return scene.streets if scene.streets_known else None
         if not self.has_keys:
             return None

@@ -5,10 +5,10 @@ from pathlib import Path
 
 import numpy as np
 
-from mmwave_env.datasets.arrays import velocity_of
 from mmwave_env.datasets.deepmimo.v4 import PARAMS
 from mmwave_env.datasets.log_writer import write_log
 from mmwave_env.datasets.measured import MeasuredTrack
+from mmwave_env.datasets.tracks import velocity_of
 from mmwave_env.files import atomic_path, write_json, write_text
 from mmwave_env.logs.clock import ClockComparison
 from mmwave_env.logs.log import LogBlock, read_log

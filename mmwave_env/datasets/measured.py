@@ -1,79 +1,42 @@
-"""Measured episodes: a log with its truth, played as it was measured.
+"""Measured tracks: a log with its truth, played as it was measured.
 
-A :class:`MeasuredTrack` is what a receiver wrote down and where the user truly was.
-:class:`MeasuredSource` makes episodes of it. Nothing is measured anew: a seed draws where in
-the log an episode begins, if that is left open, and the prior.
+Nothing is measured anew: a seed draws where in the log an episode begins, if that is left open, and
+the prior.
 """
 
-import warnings
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from mmwave_env.datasets.arrays import (
-    link_rows,
-    numbers,
-    stretches,
-    truth_of,
-    warn_of_contradictions,
-)
-from mmwave_env.lookup import quoted
-from mmwave_env.models.measurement import Layout, whole_groups
-from mmwave_env.models.prior import GAP_S, draw_prior
+from mmwave_env.datasets.tracks import Track, fields_of, numbers
+from mmwave_env.models.prior import draw_prior
 from mmwave_env.models.radio import Radio, radio_from
-from mmwave_env.models.scene import Scene, scene_of_anchors
-from mmwave_env.numerics.arrays import Array, Mask
-from mmwave_env.world.checks import refuse, require_epochs, require_name
+from mmwave_env.numerics.arrays import Array
 from mmwave_env.world.episode import Episode
 
 
-@dataclass(frozen=True, eq=False)
-class MeasuredTrack:
+@dataclass(frozen=True, eq=False, kw_only=True)
+class MeasuredTrack(Track):
     """T epochs of one user as a receiver measured them, and the truth.
 
     :meth:`from_arrays` makes one of what a user has; so does
     :func:`~mmwave_env.datasets.log_folder.read_log_folder`.
 
     Attributes:
-        name: what it is, for results and messages.
-        scene: whose anchors were measured.
-        layout: rows and groups.
-        time_s: (T,) increasing.
-        measurement: (T, rows) in the order of ``layout``: m, rad, Hz, m/s.
-        visible: (T, groups) bool; elsewhere numbers mean nothing.
         snr_db: (T, L); -inf where no SNR was measured.
         doppler_spread_hz: (T,).
-        position_m: (T, 3) truth, NaN in epochs where it is not known.
-        velocity_mps: (T, 3) truth, known where positions are.
     """
 
-    name: str
-    scene: Scene
-    layout: Layout
-    time_s: Array
-    measurement: Array
-    visible: Mask
     snr_db: Array
     doppler_spread_hz: Array
-    position_m: Array
-    velocity_mps: Array
 
     def __post_init__(self) -> None:
-        T, L, groups = len(self.time_s), self.layout.anchors, len(self.layout.groups)
-        shapes: dict[str, tuple[int, ...]] = {
-            "time_s": (T,), "measurement": (T, self.layout.size), "visible": (T, groups),
-            "snr_db": (T, L), "doppler_spread_hz": (T,), "position_m": (T, 3),
-            "velocity_mps": (T, 3),
-        }  # fmt: skip
-        record = f"track {quoted(self.name)}"
-        require_name(record, self.name)
-        require_epochs(record, self, shapes)
-        if len(self.scene.anchors_m) != L:
-            refuse(record, "anchors", f"{len(self.scene.anchors_m)} in the scene", f"{L}")
-        warn_of_contradictions(
-            record, self.scene, self.layout, self.measurement, self.visible, self.position_m
-        )
+        super().__post_init__()
+        self.warn_of_contradictions()
+
+    def _more_shapes(self, T: int, L: int) -> dict[str, tuple[int, ...]]:
+        return {"snr_db": (T, L), "doppler_spread_hz": (T,)}
 
     @classmethod
     def from_arrays(
@@ -118,44 +81,26 @@ class MeasuredTrack:
             ValueError: an array of another shape, or times that do not increase; the message
                 names it.
         """
-        record = f"track {name!r}"
-        time, position, velocity = truth_of(record, time_s, position_m, velocity_mps)
-        anchors = numbers(record, "anchors_m", anchors_m, (None, 3))
-        T, layout, nothing = len(time), Layout(len(anchors)), np.full(len(time), np.nan)
+        record = f"{cls.KIND} {name!r}"
         links = (range_m, aoa_azimuth_rad, aoa_elevation_rad, aod_azimuth_rad)
-        rows = link_rows(record, layout, links, nothing if doppler_hz is None else doppler_hz, T)
-        snr = numbers(record, "snr_db", snr_db, (T, layout.anchors))
-        spread = nothing if doppler_spread_hz is None else doppler_spread_hz
-        visible, _ = whole_groups(rows, np.isfinite(snr), layout)
+        fields, snr = fields_of(
+            record, name, time_s, anchors_m, links, doppler_hz, ("snr_db", snr_db), position_m,
+            velocity_mps, carrier_hz, bandwidth_hz,
+        )  # fmt: skip
+        T = len(snr)
+        spread = np.zeros(T) if doppler_spread_hz is None else doppler_spread_hz
         return cls(
-            name=name,
-            scene=scene_of_anchors(name, anchors, carrier_hz, bandwidth_hz),
-            layout=layout,
-            time_s=time,
-            measurement=rows,
-            visible=visible,
+            **fields,
             snr_db=np.where(np.isnan(snr), -np.inf, snr),
             doppler_spread_hz=np.nan_to_num(numbers(record, "doppler_spread_hz", spread, (T,))),
-            position_m=position,
-            velocity_mps=velocity,
         )
-
-    def __len__(self) -> int:
-        return len(self.time_s)
 
     def episode(
         self, radio: str | Radio, rng: np.random.Generator, epochs: slice = slice(None)
     ) -> Episode:
-        """An episode of the track, or of some of its epochs, in which the truth is known.
+        """As :meth:`Track.episode`; only the prior is drawn, around the true state.
 
-        Args:
-            radio: profile of the receiver: standard deviations by SNR, and the prior.
-            rng: draws the prior around the true position and velocity; the oscillator's true
-                bias is not known, so its mean is 0.
-            epochs: consecutive ones.
-
-        Raises:
-            ValueError: the truth of an epoch is not known.
+        The oscillator's true bias is not known, so its mean is 0.
         """
         profile, snr = radio_from(radio), self.snr_db[epochs]
         position, velocity = self.position_m[epochs], self.velocity_mps[epochs]
@@ -164,7 +109,7 @@ class MeasuredTrack:
         mean[6] = 0.0
         return Episode(
             name=self.name,
-            scene_anchors_m=self.scene.anchors_m,
+            scene_anchors_m=self.anchors_m,
             hz_per_mps=self.scene.hz_per_mps,
             time_s=self.time_s[epochs],
             measurement=self.measurement[epochs],
@@ -178,74 +123,3 @@ class MeasuredTrack:
             truth_velocity_mps=velocity,
             layout=self.layout,
         )
-
-
-class MeasuredSource:
-    """Episodes of one measured track: the same measurements in each, the prior drawn anew.
-
-    An episode lies within a *stretch*: consecutive epochs that all have a true position, no two
-    of them more than ``GAP_S`` apart.
-
-    Args:
-        track: the measurements.
-        radio: profile of the receiver, by name or itself: standard deviations, prior.
-        epochs: length of an episode, a window drawn at random out of all stretches; None for
-            the longest stretch as a whole.
-
-    Raises:
-        ValueError: no stretch, or none of that length.
-    """
-
-    def __init__(self, track: MeasuredTrack, radio: str | Radio, epochs: int | None = None) -> None:
-        self.track, self.radio = track, radio_from(radio)
-        runs = stretches(track.time_s, track.position_m)
-        if not runs:
-            step = float(np.median(np.diff(track.time_s))) if len(track) > 1 else 0.0
-            if step > GAP_S:
-                refuse(
-                    f"track {track.name!r}", "time_s", f"epochs {step:.4g} s apart",
-                    f"at most {GAP_S:g} s: are its times in seconds?",
-                )  # fmt: skip
-            raise ValueError(
-                f"track {track.name!r}: found no two epochs in a row with a true position, "
-                "expected some, which reward and metrics need (docs/own-log.md)"
-            )
-        longest = max(runs, key=lambda run: run.stop - run.start)
-        most = longest.stop - longest.start
-        if epochs is None and most < len(track):
-            warnings.warn(
-                f"track {track.name!r}: found {len(track)} epochs, some without a true position or "
-                f"after a gap of more than {GAP_S:g} s; episodes are the longest stretch between "
-                f"them, {most} epochs from {track.time_s[longest.start]:g} s on",
-                stacklevel=2,
-            )
-        self.epochs = most if epochs is None else epochs
-        if not 1 <= self.epochs <= most:
-            raise ValueError(
-                f"epochs: found {epochs}, expected 1 to {most}, the longest stretch of track "
-                f"{track.name!r} with truth and without a gap of more than {GAP_S:g} s"
-            )
-        whole = [longest] if epochs is None else runs
-        self._starts = np.concatenate(
-            [np.arange(run.start, run.stop - self.epochs + 1) for run in whole]
-        )
-
-    @property
-    def layout(self) -> Layout:
-        """Rows of every episode's measurements."""
-        return self.track.layout
-
-    @property
-    def name(self) -> str:
-        """The track's."""
-        return self.track.name
-
-    @property
-    def scene(self) -> Scene:
-        """The track's."""
-        return self.track.scene
-
-    def sample(self, rng: np.random.Generator) -> Episode:
-        """Draw one episode; all randomness comes from ``rng``."""
-        start = int(rng.choice(self._starts))
-        return self.track.episode(self.radio, rng, slice(start, start + self.epochs))

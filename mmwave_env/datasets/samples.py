@@ -7,8 +7,9 @@ from pathlib import Path
 from mmwave_env.datasets.deepmimo.recording import read_deepmimo
 from mmwave_env.datasets.deepmimo.v4 import is_scenario
 from mmwave_env.datasets.log_folder import LOG, read_log_folder
-from mmwave_env.datasets.measured import MeasuredSource, MeasuredTrack
-from mmwave_env.datasets.recorded import RecordedSource, Recording
+from mmwave_env.datasets.measured import MeasuredTrack
+from mmwave_env.datasets.recorded import Recording
+from mmwave_env.datasets.tracks import TrackSource
 from mmwave_env.lookup import choose
 from mmwave_env.models.radio import Radio
 
@@ -59,7 +60,7 @@ def source_from(
     episodes: str | os.PathLike[str] | Recording | MeasuredTrack,
     radio: str | Radio,
     epochs: int | None = None,
-) -> RecordedSource | MeasuredSource:
+) -> TrackSource:
     """The source of an ``episodes=`` argument, or of ``--data``.
 
     Args:
@@ -74,9 +75,7 @@ def source_from(
     """
     if isinstance(episodes, str | os.PathLike):
         episodes = _read(episodes)
-    if isinstance(episodes, MeasuredTrack):
-        return MeasuredSource(episodes, radio, epochs)
-    return RecordedSource(episodes, radio, epochs)
+    return TrackSource(episodes, radio, epochs)
 
 
 def _read(name: str | os.PathLike[str]) -> Recording | MeasuredTrack:

@@ -8,8 +8,8 @@ import pytest
 
 from experiments.console.main import run
 from mmwave_env.datasets.log_writer import log_columns, log_text
-from mmwave_env.datasets.recorded import RecordedSource
 from mmwave_env.datasets.samples import log_names, recording_from
+from mmwave_env.datasets.tracks import TrackSource
 from mmwave_env.logs.log import read_log
 from mmwave_env.logs.tum import read_tum
 from mmwave_env.models.measurement import Layout
@@ -81,7 +81,7 @@ def test_sample_logs_are_what_the_command_writes(tmp_path, name):
 
 @pytest.mark.parametrize("name", log_names())
 def test_sample_logs_are_the_recordings_episodes(name):
-    source = RecordedSource(recording_from(name), RADIOS["standard"])
+    source = TrackSource(recording_from(name), RADIOS["standard"])
     episode = source.sample(np.random.default_rng(0))
     scene = read_scene(LOGS / name / "scene.json")
     assert scene.name == name

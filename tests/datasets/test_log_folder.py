@@ -12,8 +12,8 @@ from experiments.evaluation.contenders import contender_from
 from experiments.evaluation.runner import score
 from mmwave_env.datasets.log_folder import read_log_folder, write_log_folder
 from mmwave_env.datasets.log_writer import write_log
-from mmwave_env.datasets.measured import MeasuredSource
-from mmwave_env.datasets.recorded import RecordedSource
+from mmwave_env.datasets.measured import MeasuredTrack
+from mmwave_env.datasets.recorded import Recording
 from mmwave_env.datasets.samples import log_names, sample_folder, source_from
 from mmwave_env.logs.log_tables import LogError
 from mmwave_env.logs.tum import tum_lines
@@ -132,9 +132,9 @@ def test_samples_are_found_by_name_and_by_folder(name):
     assert sample_folder(name) == LOGS / name
     assert sample_folder(name, "recording") == RECORDINGS / name
     for where in (name, RECORDINGS / name):
-        assert isinstance(source_from(where, "standard"), RecordedSource)
+        assert isinstance(source_from(where, "standard").track, Recording)
     log = source_from(LOGS / name, "standard")
-    assert isinstance(log, MeasuredSource) and log.name == name
+    assert isinstance(log.track, MeasuredTrack) and log.name == name
     recorded = source_from(name, "standard").sample(np.random.default_rng(0))
     played = log.sample(np.random.default_rng(0))
     np.testing.assert_array_equal(played.usable, recorded.usable)

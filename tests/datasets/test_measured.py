@@ -9,10 +9,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mmwave_env.datasets.arrays import stretches, velocity_of
-from mmwave_env.datasets.measured import MeasuredSource, MeasuredTrack
+from mmwave_env.datasets.measured import MeasuredTrack
 from mmwave_env.datasets.recorded import Recording
 from mmwave_env.datasets.samples import recording_from
+from mmwave_env.datasets.tracks import TrackSource, stretches, velocity_of
 from mmwave_env.models.measurement import LINK, Layout
 from mmwave_env.models.prior import GAP_S
 from mmwave_env.models.radio import RADIOS
@@ -165,7 +165,7 @@ def test_a_thousand_right_tracks_are_not_warned_of():
 
 
 def test_seeds_draw_the_prior_and_nothing_else():
-    source = MeasuredSource(track(), "handset")
+    source = TrackSource(track(), "handset")
     one, same, other = (source.sample(generator(seed)) for seed in (5, 5, 6))
     for field in ("time_s", "measurement", "sigma", "visible", "truth_position_m"):
         np.testing.assert_array_equal(getattr(one, field), getattr(other, field))
@@ -175,7 +175,7 @@ def test_seeds_draw_the_prior_and_nothing_else():
 
 
 def test_the_prior_is_about_the_truth_and_the_oscillator_unknown():
-    source = MeasuredSource(track(), RADIO)
+    source = TrackSource(track(), RADIO)
     drawn = np.array([source.sample(generator(seed)).prior_mean for seed in range(300)])
     truth = np.concatenate([source.track.position_m[0], source.track.velocity_mps[0]])
     deviation = np.sqrt(np.diag(RADIO.prior_covariance(STREET)))[:6]
@@ -221,14 +221,14 @@ def broken():
 
 
 def test_episodes_lie_within_stretches():
-    source = MeasuredSource(broken(), RADIO, epochs=10)
+    source = TrackSource(broken(), RADIO, epochs=10)
     starts = {int(source.sample(generator(seed)).time_s[0]) for seed in range(300)}
     assert starts == {*range(11), *range(22, 41), 70}
 
 
 def test_without_a_length_the_longest_stretch_is_played():
     with pytest.warns(UserWarning, match="found 60 epochs, .* 28 epochs from 22 s on"):
-        source = MeasuredSource(broken(), RADIO)
+        source = TrackSource(broken(), RADIO)
     assert {source.sample(generator(seed)).time_s[0] for seed in range(20)} == {22.0}
     assert source.epochs == 28
 
@@ -236,19 +236,19 @@ def test_without_a_length_the_longest_stretch_is_played():
 @pytest.mark.parametrize("epochs", [0, 29])
 def test_windows_that_no_stretch_holds_are_refused(epochs):
     with pytest.raises(ValueError, match=f"epochs: found {epochs}, expected 1 to 28, the longest"):
-        MeasuredSource(broken(), RADIO, epochs)
+        TrackSource(broken(), RADIO, epochs)
 
 
 def test_a_track_without_truth_is_refused():
     given = arrays(simulated())
     with pytest.raises(ValueError, match="track 'own': found no two epochs in a row with a true"):
-        MeasuredSource(track(position_m=np.full_like(given["position_m"], np.nan)), RADIO)
+        TrackSource(track(position_m=np.full_like(given["position_m"], np.nan)), RADIO)
 
 
 def test_times_in_another_unit_are_refused():
     given = track(time_s=1e3 * arrays(simulated())["time_s"])
     with pytest.raises(ValueError, match="time_s of .*found epochs 1000 s apart, .* 15 s: are its"):
-        MeasuredSource(given, RADIO)
+        TrackSource(given, RADIO)
 
 
 def test_the_environment_takes_a_track_or_a_recording():

@@ -6,8 +6,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mmwave_env.datasets.recorded import RecordedSource, Recording
+from mmwave_env.datasets.recorded import Recording
 from mmwave_env.datasets.samples import recording_from, sample_names, source_from
+from mmwave_env.datasets.tracks import TrackSource
 from mmwave_env.models.measurement import Layout
 from mmwave_env.models.radio import RADIOS
 from mmwave_env.models.scene import Scene, Wall
@@ -26,9 +27,9 @@ def generator(seed=0):
     return np.random.default_rng(seed)
 
 
-def residuals(episode, recording):
+def residuals(episode, recording, cut=slice(None)):
     """(T, rows) measured minus exact, angles wrapped."""
-    out = episode.measurement - recording.measurement
+    out = episode.measurement - recording.measurement[cut]
     angles = recording.layout.angles
     out[:, angles] = np.remainder(out[:, angles] + np.pi, 2.0 * np.pi) - np.pi
     return out
@@ -49,9 +50,7 @@ def track(epochs=50, dt=1.0, odometry=False):
     position = np.array([5.0, -6.0, 1.5]) + time[:, None] * velocity
     return Recording(
         name="walk",
-        anchors_m=scene.anchors_m,
-        carrier_hz=28e9,
-        bandwidth_hz=100e6,
+        scene=scene,
         time_s=time,
         measurement=geometry(position, velocity, scene, layout),
         visible=np.ones((epochs, len(layout.groups)), bool),
@@ -91,7 +90,7 @@ def test_a_trajectory_in_place_of_a_folder_is_sent_to_the_scenario(tmp_path):
 
 
 def test_it_is_an_episode_source():
-    source: EpisodeSource = RecordedSource(VEHICLE, RADIO)
+    source: EpisodeSource = TrackSource(VEHICLE, RADIO)
     episode = source.sample(generator())
     assert source.layout == episode.layout == Layout(3)
     assert source.epochs == len(episode) == 120
@@ -106,7 +105,7 @@ def test_it_is_an_episode_source():
 
 
 def test_same_seed_same_episode():
-    source = RecordedSource(PEDESTRIAN, RADIO, epochs=40)
+    source = TrackSource(PEDESTRIAN, RADIO, epochs=40)
     one, other = source.sample(generator(3)), source.sample(generator(3))
     for field in ("time_s", "measurement", "sigma", "visible", "snr_db", "doppler_spread_hz",
                   "prior_mean", "prior_covariance"):  # fmt: skip
@@ -117,12 +116,12 @@ def test_same_seed_same_episode():
 
 def test_sampling_does_not_change_the_recording():
     before = pickle.dumps(VEHICLE)
-    RecordedSource(VEHICLE, RADIO).sample(generator())
+    TrackSource(VEHICLE, RADIO).sample(generator())
     assert pickle.dumps(VEHICLE) == before
 
 
 def test_sigmas_are_the_profile_s_at_the_recorded_gain():
-    episode = RecordedSource(VEHICLE, RADIO).sample(generator())
+    episode = TrackSource(VEHICLE, RADIO).sample(generator())
     seen = VEHICLE.visible[:, :3]
     np.testing.assert_allclose(
         episode.snr_db[seen], RADIO.snr_db(VEHICLE.path_gain_db[seen], 100e6)
@@ -134,7 +133,7 @@ def test_sigmas_are_the_profile_s_at_the_recorded_gain():
 
 
 def test_noise_has_the_stated_size():
-    source = RecordedSource(PEDESTRIAN, RADIO)
+    source = TrackSource(PEDESTRIAN, RADIO)
     rows = shown(PEDESTRIAN)[:, :-1]
     scores = []
     for seed in range(20):
@@ -150,7 +149,7 @@ def test_noise_has_the_stated_size():
 def test_oscillator_bias_is_the_random_walk_of_the_profile():
     recording = track(epochs=200, dt=4.0)
     quiet = replace(RADIO, doppler_floor_mps=1e-3, doppler_window_s=1e9)
-    source = RecordedSource(recording, quiet)
+    source = TrackSource(recording, quiet)
     walks = np.array([
         residuals(source.sample(generator(seed)), recording)[:, -1] for seed in range(200)
     ]) / recording.scene.hz_per_mps  # fmt: skip
@@ -161,7 +160,7 @@ def test_oscillator_bias_is_the_random_walk_of_the_profile():
 
 
 def test_doppler_spread_follows_the_speed():
-    source = RecordedSource(VEHICLE, replace(RADIO, spread_floor_mps=0.0))
+    source = TrackSource(VEHICLE, replace(RADIO, spread_floor_mps=0.0))
     speed = np.linalg.norm(VEHICLE.velocity_mps, axis=1)
     spreads = np.array([source.sample(generator(s)).doppler_spread_hz for s in range(50)])
     ratio = np.log(spreads / (RADIO.spread_gain * speed * VEHICLE.scene.hz_per_mps))
@@ -170,7 +169,7 @@ def test_doppler_spread_follows_the_speed():
 
 
 def test_prior_is_drawn_around_the_truth():
-    source = RecordedSource(VEHICLE, RADIO, epochs=30)
+    source = TrackSource(VEHICLE, RADIO, epochs=30)
     scores = []
     for seed in range(300):
         episode = source.sample(generator(seed))
@@ -183,19 +182,19 @@ def test_prior_is_drawn_around_the_truth():
 @settings(max_examples=30, deadline=None)
 @given(epochs=st.integers(1, 120), seed=st.integers(0, 99))
 def test_window_is_contiguous(epochs, seed):
-    episode = RecordedSource(VEHICLE, RADIO, epochs=epochs).sample(generator(seed))
+    episode = TrackSource(VEHICLE, RADIO, epochs=epochs).sample(generator(seed))
     first = int(np.flatnonzero(VEHICLE.time_s == episode.time_s[0])[0])
     cut = slice(first, first + epochs)
     assert len(episode) == epochs
     np.testing.assert_array_equal(episode.time_s, VEHICLE.time_s[cut])
-    noise = residuals(episode, VEHICLE.window(first, epochs))[:, :-1] / episode.sigma[:, :-1]
+    noise = residuals(episode, VEHICLE, cut)[:, :-1] / episode.sigma[:, :-1]
     assert np.abs(noise).max() < 6.0
     np.testing.assert_array_equal(episode.visible, VEHICLE.visible[cut])
     np.testing.assert_array_equal(episode.truth_position_m, VEHICLE.position_m[cut])
 
 
 def test_windows_are_everywhere():
-    source = RecordedSource(VEHICLE, RADIO, epochs=118)
+    source = TrackSource(VEHICLE, RADIO, epochs=118)
     firsts = {source.sample(generator(seed)).time_s[0] for seed in range(40)}
     assert firsts == set(VEHICLE.time_s[:3])
 
@@ -203,12 +202,12 @@ def test_windows_are_everywhere():
 @pytest.mark.parametrize("epochs", [0, -1, 121])
 def test_window_that_does_not_fit(epochs):
     with pytest.raises(ValueError, match=f"epochs: found {epochs}, expected 1 to 120"):
-        RecordedSource(VEHICLE, RADIO, epochs=epochs)
+        TrackSource(VEHICLE, RADIO, epochs=epochs)
 
 
 def test_odometry_rows_pass_through():
     recording = track(odometry=True)
-    episode = RecordedSource(recording, RADIO).sample(generator())
+    episode = TrackSource(recording, RADIO).sample(generator())
     assert episode.visible.shape == (50, 4)
     scores = residuals(episode, recording)[:, -2:] / episode.sigma[:, -2:]
     assert scores.std() == pytest.approx(1.0, rel=0.3)
@@ -221,8 +220,8 @@ def test_numbers_that_are_not_visible_may_be_anything():
         measurement=np.where(hidden, np.nan, VEHICLE.measurement),
         path_gain_db=np.where(VEHICLE.visible[:, :3], VEHICLE.path_gain_db, np.nan),
     )
-    expected = RecordedSource(VEHICLE, RADIO).sample(generator())
-    found = RecordedSource(recording, RADIO).sample(generator())
+    expected = TrackSource(VEHICLE, RADIO).sample(generator())
+    found = TrackSource(recording, RADIO).sample(generator())
     np.testing.assert_array_equal(found.table(), expected.table())
     np.testing.assert_array_equal(found.sigma, expected.sigma)
 
@@ -230,17 +229,15 @@ def test_numbers_that_are_not_visible_may_be_anything():
 @pytest.mark.parametrize(
     ("field", "value", "message"),
     [
-        ("anchors_m", np.zeros((2, 3)), r"shape \(2, 3\), expected shape \(3, 3\)"),
+        ("anchors", Scene("bare", (0.0, 0.0, 8.0)), "found 1 in the scene, expected 3"),
         ("visible", np.ones((120, 3), bool), r"shape \(120, 3\), expected shape \(120, 4\)"),
         ("position_m", np.zeros((119, 3)), r"shape \(119, 3\), expected shape \(120, 3\)"),
         ("time_s", np.zeros(120), "times that do not increase"),
         ("position_m", np.full((120, 3), np.nan), "NaN or infinity"),
         ("measurement", np.full((120, 13), np.nan), "NaN or infinity in a visible group"),
         ("path_gain_db", np.full((120, 3), np.inf), "NaN or infinity on a visible link"),
-        ("carrier_hz", 0.0, "found 0.0, expected > 0"),
-        ("bandwidth_hz", np.inf, "found inf, expected > 0"),
     ],
 )
 def test_recordings_are_checked(field, value, message):
     with pytest.raises(ValueError, match=f"{field} of recording 'canyon28_vehicle'.*{message}"):
-        replace(VEHICLE, **{field: value})
+        replace(VEHICLE, **{"scene" if field == "anchors" else field: value})

@@ -14,8 +14,8 @@ import numpy as np
 
 import mmwave_env
 from experiments.timing.operations import count
-from mmwave_env.datasets.recorded import RecordedSource
 from mmwave_env.datasets.samples import recording_from
+from mmwave_env.datasets.tracks import TrackSource
 from mmwave_env.engines.env_engine import Engine
 from mmwave_env.engines.imm_engine import ImmEngine, imm_program
 from mmwave_env.engines.track_engine import Tracker
@@ -122,7 +122,7 @@ def _parts(name: str, values: Any) -> Row:
 # --- environments: all that reset and step return
 
 
-class Recorded(RecordedSource):
+class Recorded(TrackSource):
     """A recording whose noise and window are always the same, whatever the seed."""
 
     def sample(self, rng: np.random.Generator) -> Episode:

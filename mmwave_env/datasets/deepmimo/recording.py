@@ -17,6 +17,7 @@ from mmwave_env.datasets.deepmimo.paths import LINE_OF_SIGHT, TOLERANCE_M, Paths
 from mmwave_env.datasets.deepmimo.v4 import Scenario, open_scenario
 from mmwave_env.datasets.recorded import Recording
 from mmwave_env.models.measurement import SPEED_OF_LIGHT, Layout, range_rate
+from mmwave_env.models.scene import scene_of_anchors
 from mmwave_env.numerics.arrays import Array
 from mmwave_env.world.checks import refuse_in
 from mmwave_env.world.trajectory import Trajectory
@@ -148,11 +149,10 @@ def _recording_of(
         gain_db[:, a] = station.paths.gain_db[epochs, strongest]
     visible[:, layout.anchors] = visible[:, 0]  # Doppler: line of sight
     measurement[:, layout.doppler] = _doppler(paths, links[0][0], velocity_mps)
+    anchors = np.array([station.anchors_m[k] for station, k in links])
     return Recording(
         name=paths.name,
-        anchors_m=np.array([station.anchors_m[k] for station, k in links]),
-        carrier_hz=paths.carrier_hz,
-        bandwidth_hz=bandwidth_hz,
+        scene=scene_of_anchors(paths.name, anchors, paths.carrier_hz, bandwidth_hz),
         time_s=time_s,
         measurement=measurement,
         visible=visible,

@@ -66,7 +66,7 @@ def test_the_doppler_shift_is_that_of_the_first_anchor(three_stations):
     recording = read_deepmimo(three_stations)
     away = recording.position_m - STATIONS[1]
     rate = range_rate(list(away.T), list(recording.velocity_mps.T))
-    hz_per_mps = recording.carrier_hz / SPEED_OF_LIGHT
+    hz_per_mps = recording.scene.hz_per_mps
     np.testing.assert_allclose(recording.measurement[:, -1], hz_per_mps * rate)
 
 

@@ -49,8 +49,8 @@ def test_virtual_anchors_are_the_gnb_mirrored_in_the_walls(source, counts):
     np.testing.assert_allclose(recording.anchors_m, SCENE.anchors_m, atol=1e-4)
     assert tuple(recording.visible.sum(axis=0)) == counts
     assert recording.name == source.name
-    assert recording.carrier_hz == 28e9
-    assert recording.bandwidth_hz == 100e6
+    assert recording.scene.carrier_hz == 28e9
+    assert recording.scene.bandwidth_hz == 100e6
 
 
 @pytest.mark.parametrize("source", [VEHICLE, PEDESTRIAN])
@@ -391,5 +391,5 @@ def test_no_folder(tmp_path):
 
 def test_a_name_and_its_folder_are_the_same_recording():
     np.testing.assert_array_equal(
-        *(source_from(name, "standard").recording.measurement for name in (VEHICLE.name, VEHICLE))
+        *(source_from(name, "standard").track.measurement for name in (VEHICLE.name, VEHICLE))
     )

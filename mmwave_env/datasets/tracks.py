@@ -1,0 +1,287 @@
+"""Tracks: what is known of one user over some epochs, and the episodes drawn from it."""
+
+import warnings
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Any, ClassVar
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from mmwave_env.lookup import quoted
+from mmwave_env.models.measurement import LINK, Layout, exact_rows, whole_groups, wrap_angles
+from mmwave_env.models.prior import GAP_S
+from mmwave_env.models.radio import Radio, radio_from
+from mmwave_env.models.scene import Scene, scene_of_anchors
+from mmwave_env.numerics.arrays import Array, Mask
+from mmwave_env.numerics.numbers import wrap
+from mmwave_env.world.checks import refuse, require_epochs, require_increasing, require_name
+from mmwave_env.world.episode import Episode
+
+# m, rad: medians beyond _FAR are wrong however noisy, those within _NEAR hardly matter.
+_FAR, _NEAR = (50.0, 0.5, 0.5, 0.5), (5.0, 0.05, 0.05, 0.05)
+_NOISE = 0.6745 * np.sqrt(2.0)  # median size of a difference of two errors of unit deviation
+_ENOUGH = 20  # epochs for a median
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Track(ABC):
+    """T epochs of one user.
+
+    Attributes:
+        name: what it is, for results and messages.
+        scene: whose L anchors were measured; of many tracks the anchors are all that is known.
+        layout: rows and groups.
+        time_s: (T,) increasing.
+        measurement: (T, rows) in the order of ``layout``: m, rad, Hz, m/s.
+        visible: (T, groups) bool; elsewhere numbers mean nothing.
+        position_m: (T, 3) truth, NaN in epochs where it is not known.
+        velocity_mps: (T, 3) truth, known where positions are.
+    """
+
+    KIND: ClassVar[str] = "track"
+
+    name: str
+    scene: Scene
+    layout: Layout
+    time_s: Array
+    measurement: Array
+    visible: Mask
+    position_m: Array
+    velocity_mps: Array
+
+    def __post_init__(self) -> None:
+        T, L = len(self.time_s), self.layout.anchors
+        require_name(self.record, self.name)
+        shapes: dict[str, tuple[int, ...]] = {
+            "time_s": (T,), "measurement": (T, self.layout.size),
+            "visible": (T, len(self.layout.groups)), "position_m": (T, 3), "velocity_mps": (T, 3),
+        }  # fmt: skip
+        require_epochs(self.record, self, shapes | self._more_shapes(T, L))
+        if len(self.scene.anchors_m) != L:
+            refuse(self.record, "anchors", f"{len(self.scene.anchors_m)} in the scene", f"{L}")
+
+    @abstractmethod
+    def _more_shapes(self, T: int, L: int) -> dict[str, tuple[int, ...]]:
+        """Shapes of the arrays that this kind of track has beside those of all."""
+
+    @abstractmethod
+    def episode(
+        self, radio: str | Radio, rng: np.random.Generator, epochs: slice = slice(None)
+    ) -> Episode:
+        """An episode of the track, or of some of its epochs, in which the truth is known.
+
+        Args:
+            radio: profile of the receiver.
+            rng: draws all that is random.
+            epochs: consecutive ones.
+
+        Raises:
+            ValueError: the truth of an epoch is not known.
+        """
+
+    @property
+    def record(self) -> str:
+        """What messages call it."""
+        return f"{self.KIND} {quoted(self.name)}"
+
+    @property
+    def anchors_m(self) -> Array:
+        """(L, 3) the base station first, then virtual anchors."""
+        return self.scene.anchors_m
+
+    def __len__(self) -> int:
+        return len(self.time_s)
+
+    def warn_of_contradictions(self) -> None:
+        """Warn where links are, in the median, far from what the true positions make them.
+
+        That is a convention or a unit mistaken, or a truth in another frame; not noise, which is
+        judged by how much errors differ from one epoch to the next.
+        """
+        layout, position = self.layout, list(self.position_m.T)
+        anchors = self.anchors_m.tolist()
+        exact = exact_rows(position, [0.0] * 3, anchors, 0.0, Layout(layout.anchors))
+        known, far = np.isfinite(self.position_m).all(axis=1), []
+        for a in range(layout.anchors):
+            seen = self.visible[:, a] & known
+            if seen.sum() < _ENOUGH:
+                continue
+            for i, name in enumerate(LINK):
+                error = (self.measurement[:, 4 * a + i] - exact[4 * a + i])[seen]
+                sizes = (np.abs(wrap(e) if i else e) for e in (error, np.diff(error)))
+                median, differ = (float(np.median(size)) for size in sizes)
+                # Noise alone makes the median two thirds of its deviation.
+                if median > min(_FAR[i], max(_NEAR[i], 2.0 * differ / _NOISE)):
+                    far.append(f"{name} of anchor {a + 1} by {median:.3g}")
+        if far:
+            warnings.warn(
+                f"{self.record}: found a median far from the truth, {', '.join(far)}; expected "
+                'units, angles and frame as in docs/data.md ("Angles")',
+                stacklevel=2,
+            )
+
+
+class TrackSource:
+    """Episodes of one track.
+
+    An episode lies within a *stretch*: consecutive epochs that all have a true position, no two
+    of them more than ``GAP_S`` apart.
+
+    Args:
+        track: a measured track, whose measurements are the same in each episode; or a recording,
+            measured anew in each.
+        radio: profile of the receiver, by name or itself.
+        epochs: length of an episode, a window drawn at random out of all stretches; None for
+            the longest stretch as a whole.
+
+    Raises:
+        ValueError: no stretch, or none of that length.
+    """
+
+    def __init__(self, track: Track, radio: str | Radio, epochs: int | None = None) -> None:
+        self.track, self.radio = track, radio_from(radio)
+        runs = stretches(track.time_s, track.position_m)
+        if not runs:
+            step = float(np.median(np.diff(track.time_s))) if len(track) > 1 else 0.0
+            if step > GAP_S:
+                refuse(
+                    track.record, "time_s", f"epochs {step:.4g} s apart",
+                    f"at most {GAP_S:g} s: are its times in seconds?",
+                )  # fmt: skip
+            raise ValueError(
+                f"{track.record}: found no two epochs in a row with a true position, expected "
+                "some, which reward and metrics need (docs/own-log.md)"
+            )
+        longest = max(runs, key=lambda run: run.stop - run.start)
+        most = longest.stop - longest.start
+        if epochs is None and most < len(track):
+            warnings.warn(
+                f"{track.record}: found {len(track)} epochs, some without a true position or "
+                f"after a gap of more than {GAP_S:g} s; episodes are the longest stretch between "
+                f"them, {most} epochs from {track.time_s[longest.start]:g} s on",
+                stacklevel=2,
+            )
+        self.epochs = most if epochs is None else epochs
+        if not 1 <= self.epochs <= most:
+            raise ValueError(
+                f"epochs: found {epochs}, expected 1 to {most}, the longest stretch of "
+                f"{track.record} with truth and without a gap of more than {GAP_S:g} s"
+            )
+        whole = [longest] if epochs is None else runs
+        self._starts = np.concatenate(
+            [np.arange(run.start, run.stop - self.epochs + 1) for run in whole]
+        )
+
+    @property
+    def layout(self) -> Layout:
+        """Rows of every episode's measurements."""
+        return self.track.layout
+
+    @property
+    def name(self) -> str:
+        """The track's."""
+        return self.track.name
+
+    @property
+    def scene(self) -> Scene:
+        """The track's."""
+        return self.track.scene
+
+    def sample(self, rng: np.random.Generator) -> Episode:
+        """Draw one episode; all randomness comes from ``rng``."""
+        start = int(rng.choice(self._starts))
+        return self.track.episode(self.radio, rng, slice(start, start + self.epochs))
+
+
+# --- from arrays that a user has
+
+
+def numbers(record: str, field: str, values: ArrayLike, shape: tuple[int | None, ...]) -> Array:
+    """An array of numbers, a copy, of a shape; None is any length but 0."""
+    try:
+        array = np.array(values, float)
+    except (TypeError, ValueError) as error:
+        refuse(record, field, f"{type(values).__name__} ({error})", "an array of numbers")
+    fits = array.ndim == len(shape) and all(
+        n == wanted if wanted is not None else n > 0
+        for n, wanted in zip(array.shape, shape, strict=True)
+    )
+    if not fits:
+        refuse(record, field, f"shape {array.shape}", f"shape {shape}".replace("None", "any"))
+    return array
+
+
+def fields_of(
+    record: str,
+    name: str,
+    time_s: ArrayLike,
+    anchors_m: ArrayLike,
+    links: Sequence[ArrayLike],
+    doppler_hz: ArrayLike | None,
+    strength: tuple[str, ArrayLike],
+    position_m: ArrayLike,
+    velocity_mps: ArrayLike | None,
+    carrier_hz: float,
+    bandwidth_hz: float,
+) -> tuple[dict[str, Any], Array]:
+    """Fields of a :class:`Track`, and the strength of links (T, L), from what a user has.
+
+    Args:
+        record: for messages.
+        name, time_s, anchors_m, position_m, velocity_mps, carrier_hz, bandwidth_hz: as the
+            constructors' ``from_arrays`` take them.
+        links: (T, L) arrays in the order of ``LINK``, NaN where not measured.
+        doppler_hz: (T,) shift of the base station's link; None where it was not measured.
+        strength: name and values (T, L) of what a link needs beside them.
+
+    Raises:
+        ValueError: an array of another shape, or times that do not increase.
+    """
+    time = numbers(record, "time_s", time_s, (None,))
+    require_increasing(record, time)
+    T = len(time)
+    position = numbers(record, "position_m", position_m, (T, 3))
+    if velocity_mps is None:
+        velocity = velocity_of(time, position)
+    else:
+        velocity = numbers(record, "velocity_mps", velocity_mps, (T, 3))
+    anchors = numbers(record, "anchors_m", anchors_m, (None, 3))
+    layout = Layout(len(anchors))
+    rows = np.full((T, layout.size), np.nan)
+    for i, (link, values) in enumerate(zip(LINK, links, strict=True)):
+        rows[:, i : layout.doppler : 4] = numbers(record, link, values, (T, layout.anchors))
+    if doppler_hz is not None:
+        rows[:, layout.doppler] = numbers(record, "doppler_hz", doppler_hz, (T,))
+    wrap_angles(rows, layout)
+    strengths = numbers(record, *strength, (T, layout.anchors))
+    visible, _ = whole_groups(rows, np.isfinite(strengths), layout)
+    fields = {
+        "name": name, "scene": scene_of_anchors(name, anchors, carrier_hz, bandwidth_hz),
+        "layout": layout, "time_s": time, "measurement": rows, "visible": visible,
+        "position_m": position, "velocity_mps": velocity,
+    }  # fmt: skip
+    return fields, strengths
+
+
+def stretches(time_s: Array, position_m: Array) -> list[slice]:
+    """Runs of two epochs or more that all have a position, without a gap of more than GAP_S.
+
+    Args:
+        time_s: (T,) increasing.
+        position_m: (T, 3), NaN where not known.
+    """
+    known: Mask = np.logical_and.reduce(np.isfinite(position_m), axis=1)
+    ends = np.flatnonzero(~known[:-1] | ~known[1:] | (np.diff(time_s) > GAP_S)) + 1
+    runs = [slice(a, b) for a, b in pairwise([0, *ends.tolist(), len(time_s)])]
+    return [run for run in runs if run.stop - run.start > 1]
+
+
+def velocity_of(time_s: Array, position_m: Array) -> Array:
+    """Velocities (T, 3) by differences of positions, within stretches; NaN outside of them."""
+    velocity = np.full_like(position_m, np.nan)
+    for run in stretches(time_s, position_m):
+        velocity[run] = np.gradient(position_m[run], time_s[run], axis=0)
+    return velocity
