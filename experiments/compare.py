@@ -33,12 +33,9 @@ class Args(EpisodeArgs):
     """draw the distribution (CDF) of horizontal and of vertical errors to this file, too"""
     consistency: Path | None = None
     """draw NEES beside its chi-square bounds to this file, too"""
-    decisions: Path | None = None
-    """draw what policies choose around stops and pull-aways, and the differences of errors there,
-    to this .png, .svg or .pdf file"""
 
 
-PICTURES = ("figure", "decisions", "errors", "consistency", "stanford")
+PICTURES = ("figure", "errors", "consistency")
 
 
 def main(args: Args) -> None:

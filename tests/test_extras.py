@@ -19,11 +19,10 @@ EXTRAS = PROJECT.split("[project.optional-dependencies]\n")[1].split("\n[")[0]
     [
         ("matplotlib", ["localize", LOG / "log.csv", "--scene", LOG / "scene.json", "--plot"]),
         ("matplotlib", ["compare", "--policies", "fixed-ekf", "--figure"]),
-        ("matplotlib", ["compare", "--policies", "fixed-ekf", "--decisions"]),
         ("matplotlib", ["speed", "--plot"]),
         ("matplotlib", ["tables", "--out"]),
         ("filterpy", ["speed", "--plot"]),
-        ("matplotlib", ["evaluate", "--stanford"]),
+        ("matplotlib", ["compare", "--policies", "fixed-ekf", "--errors"]),
         ("pyarrow", ["evaluate", "--epochs-parquet"]),
     ],
     ids=lambda value: value if isinstance(value, str) else " ".join(map(str, value[::-3])),

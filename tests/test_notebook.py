@@ -66,7 +66,7 @@ def test_it_runs_and_what_it_says_of_its_outputs_holds(outputs):
     (error,) = (text for text in said if "position error" in text)
     assert float(error.split(":")[1]) > 50.0  # "Over 50 m!"
     assert not any("Warning: speed" in text for text in said)
-    assert list(shown(outputs, "image/png")) == ["show-frame", "draw-rule", "decisions", "again"]
+    assert list(shown(outputs, "image/png")) == ["show-frame", "draw-rule", "again"]
     (tables,) = shown(outputs, "text/markdown").values()
     differences = tables.split("Paired differences")[1]
     header, mine = (

@@ -2,22 +2,18 @@
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
 from experiments.console.options import EpisodeArgs
 from experiments.evaluation import epochs_parquet, positions
-from experiments.evaluation.decisions import Decisions
 from experiments.evaluation.epochs import EpochErrors
 from experiments.evaluation.positions import Positions, positions_markdown
 from experiments.evaluation.runner import Watch
 from experiments.evaluation.seeds import Selection
 from experiments.figures.canvas import require_picture
 from experiments.figures.errors import draw_consistency, draw_error_cdf
-from experiments.figures.events import draw_decisions
-from experiments.figures.stanford import draw_stanford
-from mmwave_env.localization.protection import require_limit, require_risk
+from mmwave_env.localization.protection import require_risk
 from mmwave_env.world.episode import EpisodeSource
 
 Made = tuple[str, dict[str, Any]]  # Markdown below the tables, and figures
@@ -40,7 +36,7 @@ class Watcher(NamedTuple):
 
 
 def require_options(args: EpisodeArgs, pictures: Mapping[str, Path]) -> None:
-    """Refuse a risk, a limit or a file that there can't be, before any work.
+    """Refuse an impossible risk or file, before any work.
 
     Args:
         args: the options that all commands have.
@@ -51,7 +47,6 @@ def require_options(args: EpisodeArgs, pictures: Mapping[str, Path]) -> None:
         OSError: a file can't be written.
     """
     require_risk(args.risk)
-    require_limit(args.alert_limit)
     seen: dict[Path, str] = {}
     for option, path in pictures.items():
         require_picture(option, path)
@@ -75,29 +70,19 @@ def watchers(
         args: the options that all commands have.
         names: in figures, by contender.
         source, selection: of the episodes.
-        pictures: of "decisions", "errors", "consistency" and "stanford", those asked for.
+        pictures: of "errors" and "consistency", those asked for.
     """
     found = []
-    if "decisions" in pictures:
-        found.append(_decisions(names, pictures["decisions"]))
     if "errors" in pictures or "consistency" in pictures:
         found.append(_errors(args, names, pictures))
-    if args.percentiles or "stanford" in pictures:
-        found.append(_positions(args, names, pictures))
+    if args.percentiles:
+        found.append(_positions(args, names))
     if not args.epochs_parquet:
         yield found
         return
     what = names, selection, source, args.risk, args.planar
     with epochs_parquet.epochs_parquet(args.epochs_parquet, *what) as add:
         yield [*found, Watcher(add, parts=epochs_parquet.PARTS)]
-
-
-def _decisions(names: Mapping[str, str], path: Path) -> Watcher:
-    seen = Decisions(names)
-
-    return Watcher(
-        seen.add, lambda: ("", {"decisions": seen.json}), partial(draw_decisions, seen, path)
-    )
 
 
 def _errors(args: EpisodeArgs, names: Mapping[str, str], pictures: Mapping[str, Path]) -> Watcher:
@@ -113,20 +98,12 @@ def _errors(args: EpisodeArgs, names: Mapping[str, str], pictures: Mapping[str, 
     return Watcher(epochs.add, draw=draw)
 
 
-def _positions(
-    args: EpisodeArgs, names: Mapping[str, str], pictures: Mapping[str, Path]
-) -> Watcher:
+def _positions(args: EpisodeArgs, names: Mapping[str, str]) -> Watcher:
     seen = Positions(names, args.risk, args.planar)
 
-    def draw() -> None:
-        if "stanford" in pictures:
-            draw_stanford(seen.errors, args.alert_limit, pictures["stanford"])
-
     def told() -> Made:
-        if not args.percentiles:
-            return "", {}
         figures = seen.figures()
         text = positions_markdown("policy", figures["policies"], args.risk)
         return f"\n{text}", {"position_errors": figures}
 
-    return Watcher(seen.add, told, draw, positions.PARTS)
+    return Watcher(seen.add, told, parts=positions.PARTS)

@@ -85,10 +85,6 @@ class IntegrityArgs:
 
     risk: float = 0.001
     """that an error exceeds its protection level, if covariances are right"""
-    stanford: Path | None = None
-    """draw errors against protection levels, a Stanford diagram, to this .png, .svg or .pdf file"""
-    alert_limit: float = 10.0
-    """protection level above which positions are not to be used, m, in that diagram"""
 
 
 @dataclass(kw_only=True)

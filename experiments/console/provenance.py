@@ -10,8 +10,8 @@ from experiments.console.parser import is_positional
 from mmwave_env import __version__
 
 OUTPUTS = (
-    "json", "episodes_csv", "figure", "decisions", "errors", "consistency", "plot", "docs", "out",
-    "stanford", "epochs_parquet",
+    "json", "episodes_csv", "figure", "errors", "consistency", "plot", "docs", "out",
+    "epochs_parquet",
 )  # fmt: skip
 
 

@@ -15,7 +15,6 @@ from experiments.console.provenance import provenance
 from experiments.console.tables import show
 from experiments.evaluation.contenders import imm_banks
 from experiments.figures.canvas import require_picture
-from experiments.figures.stanford import draw_stanford
 from experiments.figures.trajectory import draw_trajectory
 from experiments.localization.ask_speed import ask_speed, parse_speed
 from experiments.localization.diagnosis_report import diagnosis_figures, diagnosis_markdown
@@ -32,7 +31,7 @@ from mmwave_env.localization.association import Association, associate
 from mmwave_env.localization.contradictions import contradictions
 from mmwave_env.localization.diagnosis import diagnose
 from mmwave_env.localization.localizer import TrackBlock, localize
-from mmwave_env.localization.protection import require_limit, require_risk
+from mmwave_env.localization.protection import require_risk
 from mmwave_env.localization.track_files import require_own_files, table_beside, track_files
 from mmwave_env.localization.track_scores import Course, Groups, TruthScores
 from mmwave_env.logs.clock import ClockComparison
@@ -171,7 +170,7 @@ def _check(args: "Args", given: Inputs) -> None:
         )
     if args.height is not None and not np.isfinite(args.height):
         raise ValueError(f"height: found {args.height}, expected a number of meters")
-    _check_integrity(args, given)
+    require_risk(args.risk)
     if args.plot is not None:
         require_picture("plot", args.plot)
     seen: dict[Path, str] = {}
@@ -186,18 +185,9 @@ def _check(args: "Args", given: Inputs) -> None:
         require_own_files(args.out)
 
 
-def _check_integrity(args: "Args", given: Inputs) -> None:
-    require_risk(args.risk)
-    require_limit(args.alert_limit)
-    if args.stanford is not None:
-        require_picture("stanford", args.stanford)
-        if given.truth is None:
-            raise ValueError("stanford: found no truth, expected --truth to know errors by")
-
-
 def _check_diagnosis(args: "Args") -> None:
-    if args.out or args.plot or args.stanford:
-        raise ValueError("diagnose: found with --out, --plot or --stanford, expected no track")
+    if args.out or args.plot:
+        raise ValueError("diagnose: found with --out or --plot, expected no track")
     if args.associate:
         raise ValueError("diagnose: found with --associate, expected rows with anchors")
 
@@ -206,7 +196,6 @@ def _outputs(args: "Args") -> dict[str, Path | None]:
     table = None if args.out is None else table_beside(args.out)
     return {
         "out": args.out, "the table beside out": table, "plot": args.plot, "json": args.json,
-        "stanford": args.stanford,
     }  # fmt: skip
 
 
@@ -340,7 +329,7 @@ def localized(args: "Args") -> None:
     work = _work(args, given, scene, EPOCHS_PER_BLOCK)
     for path in filter(None, _outputs(args).values()):
         require_writable(path)
-    figures, sampler, scores, error = _run(args, work)
+    figures, sampler, _, error = _run(args, work)
     doubts = contradictions(work.first, scene, radio_from(args.radio), figures["groups"])
     for doubt in doubts:
         warnings.warn(f"{doubt}; --diagnose tries likely mistakes", stacklevel=2)
@@ -350,9 +339,6 @@ def localized(args: "Args") -> None:
         written["its standard deviations and modes"] = str(table_beside(args.out))
     if args.plot:
         written["picture"] = str(args.plot)
-    if args.stanford and scores and scores.scored:
-        draw_stanford(scores.errors, args.alert_limit, args.stanford)
-        written["Stanford diagram"] = str(args.stanford)
     origin = {
         "log": str(given.log),
         "scene": scene.name,

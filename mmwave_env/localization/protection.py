@@ -14,16 +14,14 @@ which is solved for d: the exact quantile, not its usual upper bound a sqrt(chi2
 which it meets where a = b. (J. W. Craig, MILCOM 1991, has the integral for b = 0.)
 """
 
-from enum import Enum
 from functools import lru_cache
 from typing import Any
 
 import numpy as np
 
-from mmwave_env.numerics.arrays import Array, Index
+from mmwave_env.numerics.arrays import Array
 
 RISK = 1e-3  # that a level leaves, where none is stated
-ALERT_LIMIT_M = 10.0  # of levels, above which positions are not to be used, where none is stated
 CONFIDENCE = 0.95  # of intervals of shares
 _RATIOS = np.linspace(0.0, 1.0, 1025)  # b / a, between which levels are interpolated
 _ANGLES = (np.arange(64) + 0.5) * (np.pi / 128)  # of a quarter, which stands for all four
@@ -39,16 +37,6 @@ def require_risk(risk: float) -> None:
     """
     if not 0.0 < risk <= _LARGEST_RISK:
         raise ValueError(f"risk: found {risk:g}, expected more than 0 and at most {_LARGEST_RISK}")
-
-
-def require_limit(limit_m: float) -> None:
-    """Refuse what is no alert limit.
-
-    Raises:
-        ValueError: it is not above 0, or infinite.
-    """
-    if not 0.0 < limit_m < np.inf:
-        raise ValueError(f"alert_limit: found {limit_m:g}, expected a distance above 0 m")
 
 
 def horizontal_level(P: Array, risk: float) -> Array:
@@ -103,24 +91,3 @@ def exceedance(error: Array, level: Array) -> dict[str, Any]:
         "share": count / n,
         "ci95": [float(interval.low), float(interval.high)],
     }
-
-
-class Region(Enum):
-    """Where an epoch lies in a Stanford diagram (M. Tossaint et al., ION GNSS 2007)."""
-
-    NOMINAL = "nominal"  # error <= level <= limit
-    MISLEADING = "misleading"  # level < error <= limit
-    HAZARDOUS = "hazardously misleading"  # level <= limit < error
-    UNAVAILABLE = "unavailable"  # limit < level, error <= level
-    UNAVAILABLE_MISLEADING = "unavailable and misleading"  # limit < level < error
-
-
-def regions(error: Array, level: Array, limit_m: float) -> dict[Region, int]:
-    """How many of errors (n,) and their levels (n,) are in each region, at an alert limit."""
-    exceeds, unavailable = ~(error <= level), ~(level <= limit_m)
-    number: Index = np.select(
-        [unavailable & exceeds, unavailable, exceeds & ~(error <= limit_m), exceeds],
-        [4, 3, 2, 1], 0,
-    )  # fmt: skip
-    counts = np.bincount(number, minlength=len(Region)).tolist()
-    return dict(zip(Region, counts, strict=True))

@@ -32,7 +32,7 @@ from mmwave_env.logs.tum import COLUMNS, read_tum, tum_lines
 from mmwave_env.models.radio import RADIOS
 from mmwave_env.models.scene import SCENES, read_scene
 from mmwave_env.world.simulated import SimulatedSource
-from tests.cli import assert_one_clear_line, command, environment
+from tests.cli import command, environment
 from tests.localization.mistakes import MISTAKES, read_columns, write_columns
 from tests.marks import representative
 from tests.paths import LOGS
@@ -278,8 +278,7 @@ def test_what_is_printed_is_what_json_holds(capsys, tmp_path):
 
 def test_percentiles_are_those_of_the_files(tmp_path):
     truth, out = read_tum(RIDE / "truth.tum"), tmp_path / "track.tum"
-    more = ("--risk", "0.2", "--stanford", tmp_path / "stanford.svg")
-    found = figures(RIDE, "--speed", "auto", "--out", out, *more)
+    found = figures(RIDE, "--speed", "auto", "--out", out, "--risk", "0.2")
     error = read_tum(out).position_m - truth.position_m
     row = found["truth"]["tracks"]["smoothed"]
     across, upwards = np.hypot(error[:, 0], error[:, 1]), np.abs(error[:, 2])
@@ -292,16 +291,6 @@ def test_percentiles_are_those_of_the_files(tmp_path):
     assert found["truth"]["risk"] == 0.2
     assert row["vertical"]["median_level_m"] == pytest.approx(np.median(levels), rel=1e-5)
     assert row["vertical"]["exceeded"] == (upwards > levels).sum()
-    assert "smoothed, vertical" in (tmp_path / "stanford.svg").read_text()
-    assert found["written"]["Stanford diagram"] == str(tmp_path / "stanford.svg")
-
-
-def test_a_stanford_diagram_needs_a_truth(tmp_path):
-    given = options(
-        RIDE / "log.csv", "--speed", "auto", "--stanford", tmp_path / "s.png", folder=RIDE
-    )
-    assert_one_clear_line(command("localize", *given), "stanford: found no truth, expected --truth")
-    assert not list(tmp_path.iterdir())
 
 
 def test_figures_say_how_to_make_them_again(tmp_path):
@@ -920,4 +909,4 @@ def test_a_diagnosis_makes_no_track(capsys, tmp_path):
     _, line = refused(
         capsys, options(WALK / "log.csv", "--diagnose", "--out", tmp_path / "track.tum")
     )
-    assert "diagnose: found with --out, --plot or --stanford, expected no track" in line
+    assert "diagnose: found with --out or --plot, expected no track" in line

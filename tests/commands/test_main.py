@@ -231,7 +231,7 @@ def test_numbers_of_the_library_that_help_shows_are_those_of_the_library():
     """Help imports nothing that takes long, so these stand twice."""
     from experiments.evaluation import protocol, seeds
     from mmwave_env.filters.smoother import SMOOTHING_WINDOW
-    from mmwave_env.localization.protection import ALERT_LIMIT_M, RISK
+    from mmwave_env.localization.protection import RISK
     from mmwave_env.rendering.frames import FRAMES_PER_SECOND, SMALLEST
     from mmwave_env.reward import TrackingReward
 
@@ -239,7 +239,7 @@ def test_numbers_of_the_library_that_help_shows_are_those_of_the_library():
         return importlib.import_module(page_of(name)).Args
 
     assert TUNING_SEED == seeds.TUNING_SEED
-    assert (IntegrityArgs.risk, IntegrityArgs.alert_limit) == (RISK, ALERT_LIMIT_M)
+    assert IntegrityArgs.risk == RISK
     assert options("localize").window == SMOOTHING_WINDOW
     watched = options("watch")
     assert (watched.fps, watched.render_size) == (FRAMES_PER_SECOND, SMALLEST)

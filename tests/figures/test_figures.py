@@ -15,11 +15,8 @@ from experiments.evaluation.seeds import draw_episodes
 from experiments.figures.canvas import caption, contenders, lines_of, picture
 from experiments.figures.curves import draw_learning_curves
 from experiments.figures.errors import draw_consistency, draw_error_cdf
-from experiments.figures.events import Lines, Shares, alike, draw_around_events
-from experiments.figures.stanford import counts_of, draw_stanford, edges_of
 from experiments.figures.timeline import draw_histories, draw_timeline
 from experiments.figures.trajectory import DrawnTrack, draw_trajectory
-from mmwave_env.localization.position_errors import PositionErrors
 from mmwave_env.task import task_from
 
 AWKWARD = "a$b_{^$ | \x1b[31m <b>\n漢字 \u202eق"
@@ -36,19 +33,10 @@ def track(modes, position_m=None):
     )  # fmt: skip
 
 
-def positions(planar=False, errors=T):
-    found, rng = PositionErrors(planar=planar), np.random.default_rng(2)
-    P = np.zeros((errors, 28))
-    P[:, [0, 2, 5]] = 0.5
-    found.add(rng.normal(size=(errors, 3)), P)
-    return found
-
-
 def drawn(name, path):
     """Every picture there is, with a name in it."""
     errors = np.random.default_rng(1).normal(size=(4, T, 3))
     one = path / "track.svg", path / "cdf.svg", path / "nees.svg", path / "time.svg", path / "l.svg"
-    one = *one, path / "stanford.svg"
     draw_trajectory(track([name, "ukf"]), one[0], name)
     draw_error_cdf({name: errors, "imm": 2.0 * errors}, one[1])
     draw_consistency(np.arange(T) * 1.0, {name: (errors**2).sum(axis=-1)}, 3, one[2])
@@ -56,7 +44,6 @@ def drawn(name, path):
         np.arange(T) * 1.0, {name: np.arange(T) % 3 - 1}, [name, "ukf"], one[3],
         above={f"error of {name}": {name: np.arange(T) * 1.0, f"not {name}": np.ones(T)}},
     )  # fmt: skip
-    draw_stanford({name: positions(), "imm": positions()}, 3.0, one[5])
     draw_learning_curves({f"reward minus {name}": {name: [([1e3, 1e6], [0.0, 1.0])]}}, one[4])
     return one
 
@@ -66,7 +53,7 @@ def drawn(name, path):
 def test_no_name_breaks_a_picture(name, tmp_path):
     for path in drawn(name, tmp_path):
         ElementTree.parse(path)
-    assert len(list(tmp_path.iterdir())) == 6
+    assert len(list(tmp_path.iterdir())) == 5
 
 
 def test_names_are_shown_as_they_are_and_what_cannot_be_seen_is_spelled_out():
@@ -139,24 +126,6 @@ def test_an_error_cdf_without_vertical_errors_is_drawn(tmp_path):
     assert (imread(tmp_path / "flat.png")[..., :3] != 1.0).any(axis=2).mean() > 0.02
 
 
-def test_where_nobody_stopped_that_is_said(tmp_path):
-    time_s, nothing = np.linspace(-10.0, 20.0, 31), np.full((3, 31), np.nan)
-    shares = [Shares("modes of\nrule", ["ekf"], {"stop": nothing[:1], "pull-away": nothing[:1]})]
-    bands = {kind: {"imm": nothing} for kind in ("stop", "pull-away")}
-    lines = Lines("error minus\nrule's (m)", bands)
-    events = {"stop": 0, "pull-away": 0}
-    draw_around_events(time_s, events, shares, lines, tmp_path / "none.svg")
-    shown = (tmp_path / "none.svg").read_text()
-    assert shown.count(">none</text>") == 4 and ">20</text>" in shown
-    assert ">1e" not in shown
-
-
-def test_what_coincides_is_one_group_and_nobody_is_left_out():
-    lines = {"a": 0.0, "b": 0.4, "c": 5.0, "d": -0.4, "e": 5.1}
-    groups = alike({name: np.full(3, value) for name, value in lines.items()}, 0.5)
-    assert groups == [["a", "b", "d"], ["c", "e"]]
-
-
 def test_runs_are_told_apart_by_as_much_of_their_paths_as_that_takes():
     paths = ["runs/a/ppo", "runs/b/ppo", "/tmp/c/policy.safetensors", "imm", "runs/ppo", "ppo"]
     assert [*contenders(paths).values()] == [
@@ -180,24 +149,3 @@ def test_names_are_never_cut():
     lines = lines_of(names, 26)
     assert "".join(lines).replace(" ", "").split(",") == names
     assert all(len(line) <= 28 or "x" * 60 in line for line in lines)
-
-
-def test_a_stanford_diagram_counts_every_epoch_once():
-    rows = np.exp(np.random.default_rng(3).normal(size=(500, 2)))
-    rows[:4] = [[np.nan, 1.0], [1.0, np.inf], [0.0, 1.0], [1e9, 1.0]]
-    edges = edges_of([rows, np.empty((0, 2))], 10.0)
-    assert (np.diff(edges) > 0.0).all() and edges[0] <= 0.1 and edges[-1] >= 1e9
-    counts = counts_of(rows, edges)
-    assert counts.sum() == len(rows)
-    error, level = np.searchsorted(edges, rows[10]) - 1
-    assert counts[level, error] > 0
-
-
-@pytest.mark.parametrize("epochs", [0, 1, T])
-@pytest.mark.parametrize("planar", [False, True])
-def test_a_stanford_diagram_has_a_panel_for_each_kind_of_error(tmp_path, epochs, planar):
-    path = tmp_path / "stanford.svg"
-    draw_stanford({"imm": positions(planar, epochs)}, 10.0, path)
-    words = path.read_text()
-    assert "imm, horizontal" in words and "position error (m)" in words
-    assert ("imm, vertical" in words) is not planar

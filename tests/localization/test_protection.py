@@ -8,11 +8,8 @@ from scipy.integrate import quad
 from scipy.stats import beta, binom, norm
 
 from mmwave_env.localization.protection import (
-    Region,
     exceedance,
     horizontal_level,
-    regions,
-    require_limit,
     require_risk,
     vertical_level,
 )
@@ -103,26 +100,7 @@ def test_what_is_no_number_is_no_protection_and_no_epochs_say_nothing():
     assert nothing == {"exceeded": 0, "share": None, "ci95": None}
 
 
-def test_every_epoch_is_in_one_region():
-    places = {
-        Region.NOMINAL: [(1.0, 2.0), (0.0, 10.0), (10.0, 10.0)],
-        Region.MISLEADING: [(2.0, 1.0), (10.0, 9.0)],
-        Region.HAZARDOUS: [(11.0, 10.0), (np.nan, 1.0)],
-        Region.UNAVAILABLE: [(1.0, 11.0), (12.0, 13.0)],
-        Region.UNAVAILABLE_MISLEADING: [(13.0, 12.0), (1.0, np.nan)],
-    }
-    for region, rows in places.items():
-        found = regions(*np.array(rows).T, 10.0)
-        assert found == dict.fromkeys(Region, 0) | {region: len(rows)}
-
-
 @pytest.mark.parametrize("risk", [0.0, -1.0, 0.6, np.nan, np.inf])
 def test_what_is_no_risk_is_refused(risk):
     with pytest.raises(ValueError, match="risk: found .*, expected more than 0 and at most 0.5"):
         require_risk(risk)
-
-
-@pytest.mark.parametrize("limit", [0.0, -1.0, np.nan, np.inf])
-def test_what_is_no_alert_limit_is_refused(limit):
-    with pytest.raises(ValueError, match="alert_limit: found .*, expected a distance above 0 m"):
-        require_limit(limit)
