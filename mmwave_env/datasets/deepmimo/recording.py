@@ -18,7 +18,6 @@ from mmwave_env.datasets.deepmimo.v4 import Scenario, open_scenario
 from mmwave_env.datasets.recorded import Recording
 from mmwave_env.models.measurement import SPEED_OF_LIGHT, Layout, range_rate
 from mmwave_env.models.scene import scene_of_anchors
-from mmwave_env.numerics.arrays import Array
 from mmwave_env.world.checks import refuse_in
 from mmwave_env.world.trajectory import Trajectory
 from mmwave_env.world.ways import COLUMNS, read_trajectory
@@ -64,12 +63,39 @@ def read_deepmimo(
         ValueError: a file is damaged, contradicts another or holds what is not understood;
             the message names file, key, value and what was expected.
     """
+    if virtual_anchors < 0:
+        raise ValueError(f"virtual_anchors: found {virtual_anchors}, expected at least 0")
     scenario = open_scenario(Path(folder), receiver_set)
-    epochs = scenario.epochs(users)
-    way = _way_of(scenario, epochs, dt_s)
-    paths = replace(scenario.paths(epochs, base_station), position_m=way.position_m)
+    receivers = scenario.epochs(users)
+    way = _way_of(scenario, receivers, dt_s)
+    paths = replace(scenario.paths(receivers, base_station), position_m=way.position_m)
     velocity = np.asarray(way.velocity_mps)
-    return _recording_of(paths, way.time_s, velocity, virtual_anchors, ground, bandwidth_hz)
+    links = _links(paths, virtual_anchors, ground)
+    anchors = np.array([station.anchors_m[k] for station, k in links])
+    scene = scene_of_anchors(paths.name, anchors, paths.carrier_hz, bandwidth_hz)
+    layout, epochs = Layout(len(links)), np.arange(len(receivers))
+    measurement = np.zeros((len(epochs), layout.size))
+    visible = np.zeros((len(epochs), layout.anchors + 1), bool)
+    gain_db = np.zeros((len(epochs), layout.anchors))
+    for a, (station, k) in enumerate(links):
+        visible[:, a], strongest = station.strongest(k)
+        measurement[:, layout.link(a)] = station.rows[epochs, strongest]
+        gain_db[:, a] = station.paths.gain_db[epochs, strongest]
+    visible[:, layout.anchors] = visible[:, 0]  # Doppler: line of sight
+    away = way.position_m - links[0][0].paths.position_m
+    rate = range_rate(list(away.T), list(velocity.T))
+    measurement[:, layout.doppler] = paths.carrier_hz / SPEED_OF_LIGHT * rate
+    return Recording(
+        name=paths.name,
+        scene=scene,
+        layout=layout,
+        time_s=way.time_s,
+        measurement=measurement,
+        visible=visible,
+        path_gain_db=gain_db,
+        position_m=way.position_m,
+        velocity_mps=velocity,
+    )
 
 
 def _way_of(scenario: Scenario, epochs: NDArray[np.int_], dt_s: float | None) -> Trajectory:
@@ -118,51 +144,6 @@ def _way_of(scenario: Scenario, epochs: NDArray[np.int_], dt_s: float | None) ->
     return way
 
 
-def _recording_of(
-    paths: Paths,
-    time_s: Array,
-    velocity_mps: Array,
-    virtual_anchors: int = 2,
-    ground: bool = False,
-    bandwidth_hz: float = 100e6,
-) -> Recording:
-    """The recording of paths to E receivers; arguments and errors as of :func:`read_deepmimo`.
-
-    Args:
-        paths: of the receivers.
-        time_s: (E,) when the user was at them.
-        velocity_mps: (E, 3) of the user.
-        virtual_anchors, ground, bandwidth_hz: as of :func:`read_deepmimo`.
-    """
-    if virtual_anchors < 0:
-        raise ValueError(f"virtual_anchors: found {virtual_anchors}, expected at least 0")
-    position = paths.position_m
-    links = _links(paths, virtual_anchors, ground)
-    layout = Layout(len(links))
-    epochs = np.arange(len(position))
-    measurement = np.zeros((len(position), layout.size))
-    visible = np.zeros((len(position), layout.anchors + 1), bool)
-    gain_db = np.zeros((len(position), layout.anchors))
-    for a, (station, k) in enumerate(links):
-        visible[:, a], strongest = station.strongest(k)
-        measurement[:, layout.link(a)] = station.rows[epochs, strongest]
-        gain_db[:, a] = station.paths.gain_db[epochs, strongest]
-    visible[:, layout.anchors] = visible[:, 0]  # Doppler: line of sight
-    measurement[:, layout.doppler] = _doppler(paths, links[0][0], velocity_mps)
-    anchors = np.array([station.anchors_m[k] for station, k in links])
-    return Recording(
-        name=paths.name,
-        scene=scene_of_anchors(paths.name, anchors, paths.carrier_hz, bandwidth_hz),
-        time_s=time_s,
-        measurement=measurement,
-        visible=visible,
-        path_gain_db=gain_db,
-        position_m=position,
-        velocity_mps=velocity_mps,
-        layout=layout,
-    )
-
-
 def _links(paths: Paths, virtual_anchors: int, ground: bool) -> list[tuple[StationLinks, int]]:
     """The anchors of a recording: whose, and which of its."""
     if len(paths.stations) == 1:
@@ -177,10 +158,3 @@ def _links(paths: Paths, virtual_anchors: int, ground: bool) -> list[tuple[Stati
                                  "from that", "one at least")  # fmt: skip
     stations = [find_links(station, paths.position_m) for station in in_sight]
     return [(links, 0) for links in sorted(stations, key=lambda links: -links.epochs_seen[0])]
-
-
-def _doppler(paths: Paths, station: StationLinks, velocity_mps: Array) -> Array:
-    """Doppler shifts (E,) of the line of sight, Hz, from the true velocities."""
-    away = list((paths.position_m - station.paths.position_m).T)
-    hz_per_mps = paths.carrier_hz / SPEED_OF_LIGHT
-    return np.asarray(hz_per_mps * range_rate(away, list(velocity_mps.T)))
