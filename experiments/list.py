@@ -139,10 +139,10 @@ def main(args: Args) -> None:
     from experiments.console.progress import say, terminal_width
     from mmwave_env.models.radio import radio_from
 
-    radio = radio_from(args.radio).name
+    radio_from(args.radio)  # refuses what is none
     kinds: dict[str, Callable[[], dict[str, str]]] = {
-        "policies": lambda: policies(radio), "scenarios": lambda: SCENARIOS, "radios": radios,
-        "scenes": scenes, "modes": lambda: modes(radio), "samples": samples,
+        "policies": lambda: policies(args.radio), "scenarios": lambda: SCENARIOS, "radios": radios,
+        "scenes": scenes, "modes": lambda: modes(args.radio), "samples": samples,
         "rewards": rewards,
     }  # fmt: skip
     for kind in [args.what] if args.what else kinds:

@@ -207,7 +207,7 @@ def main(args: Args) -> None:
     from mmwave_env.files import require_writable, write_json
     from mmwave_env.filters.mode_files import as_written, modes_from
     from mmwave_env.lookup import choose
-    from mmwave_env.models.radio import RADIOS, radio_from
+    from mmwave_env.models.radio import radio_from
 
     require_tuning_seed(args.seed)
     if args.out:
@@ -217,9 +217,9 @@ def main(args: Args) -> None:
     if args.bank:
         _tune_bank(args)
         return
-    profile = radio_from(args.radio).name
-    # One that nobody has tuned yet starts from the modes of "standard".
-    modes = modes_from(args.modes, profile if profile in RADIOS else "standard")
+    radio = radio_from(args.radio)
+    profile, base = radio.name, radio.base  # one that nobody has tuned yet starts from its base
+    modes = modes_from(args.modes, base)
     if len(args.scenarios) != len(modes):
         raise ValueError(
             f"scenarios: found {len(args.scenarios)}, expected {len(modes)}, one for each of the "

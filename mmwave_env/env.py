@@ -164,7 +164,7 @@ class MmWaveLocEnv(Copied, gym.Env[NDArray[np.float32], np.int64]):
       y, z, and id where they are those of several users), a `Trajectory` or `Ways`, of which
       `episode_steps` epochs at most are drawn (docs/own-world.md).
     * `radio`: "handset" (default), "standard", "high", a JSON file, or a `Radio`. Default modes are
-      tuned for these three names; others get those of "standard" and a warning.
+      tuned for these three names; others get those of their `base` and a warning.
     * `scene`: "street" (default), "o1", "dynamic-doppler", a JSON file, or a `Scene`; "random" or
       a `RandomScene`, and each episode draws streets, base station and walls of its own.
     * `modes`: list of modes, each a name ("ekf", "ukf", "ckf", "ekf-robust", "ukf-robust"), a

@@ -152,11 +152,11 @@ def task_from(**arguments: Any) -> Task:
     require("dt", given.dt, float | None)
     source, radio = _source(given, radio_from(given.radio))
     pays = reward_from(given.reward)
-    bank, modes = bank_and_modes(given.modes, given.beliefs, radio.name)
+    bank, modes = bank_and_modes(given.modes, given.beliefs, radio)
     pipeline = Pipeline(modes, source.layout, given.planar)
     baseline = None
     if isinstance(pays, PairedReward):
-        baseline = bank or Bank(modes_from(None, radio.name))
+        baseline = bank or Bank(modes_from(None, radio))
         pays = pays.reward
     worst = None
     if given.terminate_on_divergence:
@@ -166,7 +166,9 @@ def task_from(**arguments: Any) -> Task:
     return Task(source, radio, pipeline, bank, pays, baseline, worst)
 
 
-def bank_and_modes(modes: Modes, beliefs: str, radio: str) -> tuple[Bank | None, tuple[Mode, ...]]:
+def bank_and_modes(
+    modes: Modes, beliefs: str, radio: str | Radio
+) -> tuple[Bank | None, tuple[Mode, ...]]:
     """What the arguments ``modes=`` and ``beliefs=`` mean.
 
     Args:

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from mmwave_env import __version__
 from mmwave_env.filters.bank import Bank
-from mmwave_env.models.radio import profile_of
+from mmwave_env.models.radio import radio_from
 from mmwave_env.observation import Observation
 from policies.policy_file import Tensors, read_policy
 
@@ -79,8 +79,8 @@ class LearnedSwitch:
         """The bank to use with a radio, where every mode keeps its own belief.
 
         Args:
-            radio: name or file of the profile; one it was not trained with gets the bank of
-                "standard", or the first, where there is none of that.
+            radio: name or file of the profile; one it was not trained with gets the bank of its
+                base, of "standard", or the first, where there is none of these.
 
         Raises:
             ValueError: it was trained with a belief that the modes share.
@@ -91,8 +91,11 @@ class LearnedSwitch:
                 f"{self._path}: found no banks, as it was trained with beliefs='shared'; use "
                 "policy.modes"
             )
-        first, *_ = banks.values()
-        return banks.get(profile_of(radio), banks.get("standard", first))
+        if radio in banks:
+            return banks[radio]
+        profile, first = radio_from(radio), next(iter(banks))
+        known = (profile.name, profile.base, "standard", first)
+        return next(banks[name] for name in known if name in banks)
 
     def require_trained_on(self, observation: Observation) -> None:
         """Refuse an environment that shows or offers something else than in training.

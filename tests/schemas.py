@@ -102,8 +102,9 @@ def radio():
         properties[name.removesuffix("_rad") + "_deg"] = degrees
     properties["name"]["not"] = {"enum": list(RADIOS)}
     base = {"enum": list(RADIOS), "default": "standard"}
-    base["description"] = "shipped profile that gives what is left out; defaults are of standard"
-    return schema | {"properties": {"base": base} | properties}
+    what = "shipped profile that gives what is left out, modes and banks, too"
+    base["description"] = f"{what}; defaults are of standard"
+    return schema | {"properties": {"base": base} | properties | {"base": base}}
 
 
 def modes():

@@ -25,7 +25,7 @@ from experiments.evaluation.runs import Run, trainings
 from experiments.evaluation.training_seeds import over_training_seeds, seeds_markdown
 from experiments.figures.curves import draw_profiles
 from mmwave_env.files import write_json, write_text
-from mmwave_env.models.radio import profile_of, radio_from
+from mmwave_env.models.radio import radio_from
 from mmwave_env.reward import reward_name
 
 
@@ -92,7 +92,7 @@ def results(
         write_text(args.episodes_csv, episodes_csv(scores, selection, source))
     drawn: list[Callable[[], None]] = []
     result = compare_scores(
-        scores, own, scenario=source.name, radio=profile_of(args.radio), selection=selection,
+        scores, own, scenario=source.name, radio=task.radio.name, selection=selection,
         reward=reward_name(scoring.reward),
     )  # fmt: skip
     text, content = str(result), result.json

@@ -12,19 +12,18 @@ from experiments.evaluation.runs import Run
 from experiments.evaluation.seeds import Selection
 from mmwave_env.filters.bank import bank_over
 from mmwave_env.filters.modes import Mode
-from mmwave_env.models.radio import radio_from
 from mmwave_env.task import Modes, Task, TaskArguments, task_from
 from mmwave_env.world.episode import EpisodeSource
 
 
 def all_contenders(args: ModeArgs) -> tuple[str, ...]:
     """Names of all there are for the modes asked for."""
-    return tuple(contenders(_profile(args), args.modes or None))
+    return tuple(contenders(args.radio, args.modes or None))
 
 
 def contender_of(args: ModeArgs, name: str) -> Contender:
     """One of them, or an agent by name or file; a warning where it has modes of its own."""
-    radio, modes = _profile(args), args.modes or None
+    radio, modes = args.radio, args.modes or None
     found = contender_from(name, radio, modes, args.observation, args.trust_zip, args.beliefs)
     if modes and found.modes != bank_over(modes, radio).modes:
         warnings.warn(f"{name} brings its own modes; --modes is not for it", stacklevel=2)
@@ -62,7 +61,3 @@ def world_arguments(args: WorldArgs) -> dict[str, Any]:
 
 def _task(args: WorldArgs, modes: Modes, beliefs: str = "shared") -> Task:
     return task_from(**world_arguments(args), modes=modes, beliefs=beliefs)
-
-
-def _profile(args: ModeArgs) -> str:
-    return radio_from(args.radio).name

@@ -1,7 +1,10 @@
 """Agents of one's own beside those that are known, in one call: :func:`compare`."""
 
 import os
-from collections.abc import Iterable, Mapping, Sequence
+import sys
+import warnings
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import replace
 from numbers import Integral
 from typing import Any
@@ -11,15 +14,36 @@ from experiments.evaluation.comparison import Comparison, compare_scores
 from experiments.evaluation.contenders import Contender, contender_from
 from experiments.evaluation.runner import Scoring, score_contenders
 from experiments.evaluation.seeds import Selection
+from mmwave_env.lookup import printable
 from mmwave_env.reward import reward_name
 from mmwave_env.task import Modes, task_from
 from mmwave_env.world.episode import EpisodeSource
 
 USUAL_EPISODES = 200
 
+
+@contextmanager
+def _warnings_in_lines() -> Iterator[None]:
+    """Every warning is told once, in a line without the place in our code that it came from."""
+    told: set[str] = set()
+
+    def show(message: Warning | str, *_: Any, **__: Any) -> None:
+        line = printable(str(message))
+        if line not in told:
+            told.add(line)
+            print(f"warning: {line}", file=sys.stderr)
+
+    usual, warnings.showwarning = warnings.showwarning, show
+    try:
+        yield
+    finally:
+        warnings.showwarning = usual
+
+
 Agent = str | os.PathLike[str] | Act
 
 
+@_warnings_in_lines()
 def compare(
     policies: Mapping[str, Agent],
     beside: Sequence[str] = ("fixed-ukf", "speed-rule", "imm"),

@@ -14,7 +14,7 @@ from mmwave_env.filters.modes import Mode
 from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.lookup import unknown
 from mmwave_env.models.measurement import Layout
-from mmwave_env.models.radio import RADIOS, profile_of
+from mmwave_env.models.radio import RADIOS, radio_from
 from mmwave_env.observation import Observation, action_names
 from mmwave_env.task import Modes, bank_and_modes
 from policies import (
@@ -176,7 +176,7 @@ def imm_banks(radio: str) -> dict[str, Callable[[], Bank]]:
 
 def shipped_for(radio: str) -> dict[str, str]:
     """Names of shipped policy files, by what they are called as contenders with a radio profile."""
-    shipped, radio = shipped_policies(), profile_of(radio)
+    shipped, radio = shipped_policies(), radio_from(radio).base
     of_radio = {name: f"{name}-{radio}" for name in SHIPPED}
     found = {name: file if file in shipped else name for name, file in of_radio.items()}
     return {name: file for name, file in found.items() if file in shipped}
@@ -267,7 +267,7 @@ def _of_other_radios(name: str, radio: str) -> str | None:
     trained = {file: other for file, other in files.items() if file in shipped_policies()}
     if name not in SHIPPED or not trained:
         return None
-    likely = [f"{name}-{profile_of(radio)}", f"{name}-standard", *trained]
+    likely = [f"{name}-{radio_from(radio).base}", f"{name}-standard", *trained]
     meant = next(file for file in likely if file in trained)
     return (
         f"policy: found {name!r}, expected {' or '.join(trained)}: it was trained for "

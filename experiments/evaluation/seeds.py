@@ -35,7 +35,8 @@ def require_seeds(seeds: Sequence[int]) -> None:
         ValueError: no seeds, or a negative one.
     """
     if not len(seeds):
-        raise ValueError("episodes: found none, expected at least 1")
+        found = seeds.stop - seeds.start if isinstance(seeds, range) else "none"
+        raise ValueError(f"episodes: found {found}, expected at least 1")
     if min(seeds) < 0:
         raise ValueError(f"seed: found {min(seeds)}, expected 0 or more")
 

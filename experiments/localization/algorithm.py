@@ -121,7 +121,7 @@ def inputs(args: "Args") -> Inputs:
 def _imm(args: "Args", name: str) -> Bank:
     """The bank of an IMM, by its name or from a mode file."""
     if name.endswith(".json"):
-        bank = bank_from(name, radio_from(args.radio).name)
+        bank = bank_from(name, args.radio)
     else:
         bank = choose(imm_banks(args.radio), name, "imm")()
     return replace(bank, modes=_as_asked(args, bank.modes))
@@ -131,7 +131,7 @@ def _modes(args: "Args") -> tuple[Mode, ...]:
     """The low and the high mobility pipeline."""
     if args.modes is not None and args.modes.suffix != ".json":
         raise ValueError(f"modes: found {str(args.modes)!r}, expected a mode file (.json)")
-    modes = modes_from(args.modes, radio_from(args.radio).name)
+    modes = modes_from(args.modes, args.radio)
     if len(modes) != 2:
         raise ValueError(
             f"{args.modes}: found {len(modes)} modes, expected 2, for low and for high mobility"
@@ -234,7 +234,7 @@ def _blocks(
     if association is None:
         return read_log(log, scene, epochs_per_block, args.odometry)
     paths, radio = read_paths(log, scene, args.odometry), radio_from(args.radio)
-    fast = modes_from(args.modes, radio.name)[-1]
+    fast = modes_from(args.modes, args.radio)[-1]
     return associate(paths, scene, radio, fast, association, epochs_per_block)
 
 

@@ -77,7 +77,7 @@ class Evaluator:
         """Of the contender for each radio, on the episodes of all places."""
         found = []
         for place, episodes in self._at:
-            contender = contender_at(place.profile)
+            contender = contender_at(place.radio)
             found.append(score(contender, contender.start(episodes[0].layout), episodes))
         return {metric: np.concatenate([one[metric] for one in found]) for metric in found[0]}
 

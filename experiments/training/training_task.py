@@ -74,7 +74,7 @@ def banks_of(modes: Sequence[str], places: Sequence[Place], beliefs: str) -> dic
     Raises:
         ValueError: as :func:`~mmwave_env.filters.bank.bank_from`.
     """
-    radios = [place.profile for place in places]
     if beliefs != "per-mode":
-        return dict.fromkeys(radios, Bank(modes_from(modes or None, radios[0])))
-    return {radio: bank_from(modes or None, radio) for radio in radios}
+        shared = Bank(modes_from(modes or None, places[0].radio))
+        return {place.profile: shared for place in places}
+    return {place.profile: bank_from(modes or None, place.radio) for place in places}

@@ -20,6 +20,7 @@ from mmwave_env.filters.bank import Bank, bank_as_written
 from mmwave_env.filters.mode_files import default_modes
 from mmwave_env.filters.modes import Mode
 from mmwave_env.lookup import require_extra
+from mmwave_env.models.radio import radio_from
 from mmwave_env.models.scene import SCENES
 
 STEPS_S = (1.0, 0.1)  # between epochs
@@ -79,7 +80,8 @@ def tuned_bank(
     with progress("bank"):
         bank = best_bank_of(space, value, evaluations)
     seconds = round(process_time() - began)
-    found, imm = scores(bank, held_out), scores(Bank(default_modes(radio)), held_out)
+    found = scores(bank, held_out)
+    imm = scores(Bank(default_modes(radio_from(radio).base)), held_out)
     columns = {"reward": found.reward, "minus imm": found.reward - imm.reward, "lost": found.lost}
     figures: Sequence[Interval] = bootstrap(np.stack([*columns.values()], axis=1))
     return bank_as_written(bank) | {

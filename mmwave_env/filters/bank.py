@@ -15,10 +15,11 @@ from mmwave_env.filters.mode_files import (
     modes_from,
     modes_in,
     read_mode_file,
+    tuned_profile,
 )
 from mmwave_env.filters.modes import Mode
 from mmwave_env.models.measurement import Layout
-from mmwave_env.models.radio import RADIOS, profile_of
+from mmwave_env.models.radio import Radio
 from mmwave_env.records import Bound, Probability
 
 Transition = tuple[tuple[Probability, ...], ...]
@@ -138,21 +139,23 @@ def read_bank(path: str | os.PathLike[str]) -> Bank:
     return read_mode_file(path, bank_in)
 
 
-@cache
-def best_bank(radio: str = "handset") -> Bank:
+def best_bank(radio: str | Radio = "handset") -> Bank:
     """The bank of the strongest IMM that ``mmwave-loc tune --bank`` found for a radio profile.
 
     Args:
-        radio: name or file of the profile; one that was not tuned gets that of "standard".
+        radio: profile; one that was not tuned gets the bank of its base, and a warning, once.
     """
-    name = profile_of(radio)
-    path = f"data/banks/{name if name in RADIOS else 'standard'}.json"
-    return read_bank(Path(str(files("mmwave_env").joinpath(path))))
+    return _shipped_bank(tuned_profile(radio))
+
+
+@cache
+def _shipped_bank(radio: str) -> Bank:
+    return read_bank(Path(str(files("mmwave_env").joinpath(f"data/banks/{radio}.json"))))
 
 
 def bank_over(
     modes: Bank | Sequence[Mode | str] | Mapping[str, Any] | str | os.PathLike[str],
-    radio: str = "handset",
+    radio: str | Radio = "handset",
 ) -> Bank:
     """The bank over the modes of a ``modes=`` argument, one mode or more.
 
@@ -179,7 +182,7 @@ def bank_over(
 
 def bank_from(
     modes: Bank | Sequence[Mode | str] | Mapping[str, Any] | str | os.PathLike[str] | None,
-    radio: str = "handset",
+    radio: str | Radio = "handset",
 ) -> Bank:
     """The bank of a ``modes=`` argument where every mode keeps its own belief.
 

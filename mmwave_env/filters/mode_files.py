@@ -11,7 +11,7 @@ from typing import Any, TypeVar
 
 from mmwave_env.filters.modes import Mode, robust
 from mmwave_env.lookup import choose
-from mmwave_env.models.radio import RADIOS, profile_of
+from mmwave_env.models.radio import RADIOS, Radio, radio_from
 from mmwave_env.records import object_from, read_object
 
 T = TypeVar("T")
@@ -89,32 +89,41 @@ def as_written(mode: Mode) -> dict[str, Any]:
 
 
 @cache
+def _warn_of_no_tuning(name: str, base: str) -> None:
+    warnings.warn(
+        f"radio {name!r}: found no modes tuned for it, took those of {base!r}; mmwave-loc tune "
+        f"--radio {name}.json --out modes.json tunes modes= and --modes, with --bank a bank",
+        stacklevel=3,
+    )
+
+
+def tuned_profile(radio: str | Radio) -> str:
+    """The shipped profile whose modes and banks a radio gets: its base, and a warning, once."""
+    found = radio_from(radio)
+    if found.name not in RADIOS:
+        _warn_of_no_tuning(found.name, found.base)
+    return found.base
+
+
+@cache
 def shipped_modes(radio: str, coupling: bool = True) -> tuple[Mode, ...]:
-    """The EKF and the UKF pipeline as ``mmwave-loc tune`` left them for a radio profile.
+    """The EKF and the UKF pipeline as ``mmwave-loc tune`` left them for a shipped radio profile.
 
     Args:
-        radio: name of the profile; one that was not tuned gets the modes of "standard", and a
-            warning, once.
+        radio: name of the profile.
         coupling: False for those with the paper's plain diagonal process noise.
     """
-    if radio not in RADIOS:
-        warnings.warn(
-            f"radio {radio!r}: found no modes tuned for it, took those of 'standard'; "
-            f"mmwave-loc tune --radio {radio}.json --out modes.json tunes modes= and --modes",
-            stacklevel=2,
-        )
-    tuned = radio if radio in RADIOS else "standard"
-    name = f"data/modes/{tuned}{'' if coupling else '-diagonal'}.json"
+    name = f"data/modes/{radio}{'' if coupling else '-diagonal'}.json"
     return read_modes(Path(str(files("mmwave_env").joinpath(name))))
 
 
-def default_modes(radio: str = "handset") -> tuple[Mode, Mode]:
+def default_modes(radio: str | Radio = "handset") -> tuple[Mode, Mode]:
     """The two actions of ``MmWaveLoc-v0``: the paper's EKF and UKF pipelines."""
-    low, high = shipped_modes(profile_of(radio))
+    low, high = shipped_modes(tuned_profile(radio))
     return low, high
 
 
-def named_modes(radio: str = "handset") -> dict[str, Mode]:
+def named_modes(radio: str | Radio = "handset") -> dict[str, Mode]:
     """Modes that can be asked for by name.
 
     "ekf" and "ukf" (the default two), "ckf" (the UKF's tuning), "ekf-robust", "ukf-robust".
@@ -126,7 +135,7 @@ def named_modes(radio: str = "handset") -> dict[str, Mode]:
 
 def modes_from(
     modes: Sequence[Mode | str] | Mapping[str, Any] | str | os.PathLike[str] | None,
-    radio: str = "handset",
+    radio: str | Radio = "handset",
 ) -> tuple[Mode, ...]:
     """The modes of a ``modes=`` argument.
 

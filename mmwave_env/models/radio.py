@@ -13,7 +13,7 @@ from typing import Annotated, Any
 
 import numpy as np
 
-from mmwave_env.lookup import as_name, choose, quoted
+from mmwave_env.lookup import as_name, choose, quoted, unknown
 from mmwave_env.models.measurement import SPEED_OF_LIGHT, Layout
 from mmwave_env.models.scene import Scene
 from mmwave_env.numerics.arrays import Array
@@ -31,6 +31,7 @@ from mmwave_env.records import (
     require_fields,
 )
 
+SHIPPED = ("handset", "standard", "high")
 DEGREE = math.pi / 180.0
 DECIBEL = math.log(10.0) / 10.0  # natural logarithm of 1 dB
 AngleFloor = Annotated[
@@ -77,6 +78,7 @@ class Radio:
         drift_mps: random walk of the oscillator bias, (m/s) / sqrt(s).
         odometry_speed_mps, odometry_heading_rad: odometry noise.
         odometry_slowest_mps: below it odometry gives no heading and is missing.
+        base: shipped profile whose modes, banks and policies it gets, as nothing is tuned for it.
     """
 
     name: Name
@@ -124,8 +126,11 @@ class Radio:
     odometry_speed_mps: Positive = 0.1
     odometry_heading_rad: Positive = 3.0 * DEGREE
     odometry_slowest_mps: float = 0.2
+    base: str = "standard"
 
     def __post_init__(self) -> None:
+        if self.base not in SHIPPED:
+            raise ValueError(unknown("base", self.base, SHIPPED))
         require_fields(self, f" of radio {quoted(self.name)}")
 
     @property
@@ -184,6 +189,7 @@ class Radio:
 RADIOS: dict[str, Radio] = {
     "handset": Radio(
         "handset",
+        base="handset",
         gnb_elements=4,
         ue_elements=2,
         range_floor_m=(0.5, 0.8),
@@ -196,6 +202,7 @@ RADIOS: dict[str, Radio] = {
     "standard": Radio("standard"),
     "high": Radio(
         "high",
+        base="high",
         gnb_elements=16,
         ue_elements=8,
         range_floor_m=(0.1, 0.2),
@@ -219,11 +226,6 @@ def radio_from(radio: str | os.PathLike[str] | Radio) -> Radio:
     return (
         read_radio(radio) if str(radio).endswith(".json") else choose(RADIOS, str(radio), "radio")
     )
-
-
-def profile_of(radio: str) -> str:
-    """The name that modes, IMMs and policies tuned for a radio go by: of a file, the one in it."""
-    return read_radio(radio).name if radio.endswith(".json") else radio
 
 
 def read_radio(path: str | os.PathLike[str]) -> Radio:

@@ -139,8 +139,8 @@ MISTAKES = {
     "unknown scene": (("evaluate", "--scene", "plaza"), "'plaza'.*street.*o1"),
     "missing scene": (("evaluate", "--scene", "plaza.json"), "plaza.json"),
     "unknown data": (("evaluate", "--data", "canyon29"), "'canyon29'.*canyon28_vehicle"),
-    "no episodes": (("evaluate", "--episodes", "0"), "episodes: found none"),
-    "no tuning episodes": (("tune", "--episodes", "0"), "episodes: found none"),
+    "no episodes": (("evaluate", "--episodes", "-5"), "episodes: found -5, expected at least 1"),
+    "no tuning episodes": (("tune", "--episodes", "0"), "episodes: found 0, expected at least 1"),
     "negative seed": (("compare", "--policies", "imm", "--seed", "-1"), "seed: found -1"),
     "negative seed of a file": (("simulate", "--out", "never", "--seed", "-1"), "seed: found -1"),
 }

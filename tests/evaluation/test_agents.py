@@ -24,6 +24,9 @@ class Second:
     def __call__(self, observations):
         return np.ones(len(observations), int)
 
+def first():
+    return lambda observations: np.zeros(len(observations), int)
+
 def second():
     return Second()
 
@@ -70,13 +73,14 @@ def folder(tmp_path, monkeypatch):
 
 
 def test_a_function_of_a_module_is_compared_as_any_policy(folder):
-    done = command(
-        "compare", "--policies", "fixed-ukf", "my_agents:second", "--episodes", 2, cwd=folder
-    )
+    names = ("fixed-ukf", "my_agents:second", "my_agents:first")
+    done = command("compare", "--policies", *names, "--episodes", 2, cwd=folder)
     assert done.returncode == 0, done.stderr
-    ours, theirs = (row for row in done.stdout.splitlines() if row.count("±") == 7)
+    ours, theirs, _ = (row for row in done.stdout.splitlines() if row.count("±") == 7)
     assert ours.split("|")[2:] == theirs.split("|")[2:]
     assert "| my_agents:second | 0.000 [0.000, 0.000] |" in done.stdout
+    (header,) = (row for row in done.stdout.splitlines() if row.startswith("| reward of"))
+    assert header.endswith("| minus fixed-ukf | minus my_agents:second | minus my_agents:first |")
 
 
 MISTAKES = {

@@ -1,5 +1,7 @@
 """An agent of one's own beside known contenders."""
 
+import warnings
+
 import gymnasium as gym
 import numpy as np
 import pytest
@@ -50,6 +52,24 @@ def test_what_is_beside_is_compared_as_by_the_command():
     _, _, by_command, _ = results(EpisodeArgs(episodes=1, episode_steps=20), beside)
     mine = {f"mine - {other}" for other in beside}
     assert set(found.paired) == {*by_command["paired"], *mine}
+
+
+def test_ones_own_are_compared_with_each_other():
+    first, second = (lambda o, a=action: np.full(len(o), a) for action in (0, 1))
+    agents = {"first": first, "second": second}
+    found = compare(agents, ("imm",), episodes=1, episode_steps=20)
+    own = {"first - second", "second - first"}
+    assert set(found.paired) == own | {"first - imm", "second - imm"}
+
+
+@pytest.mark.filterwarnings("always::UserWarning")
+def test_a_warning_is_told_once_and_in_one_line(capsys):
+    def act(observations):
+        warnings.warn("far\nout", stacklevel=1)
+        return np.ones(len(observations), int)
+
+    compare({"one": act, "two": act}, (), episodes=1, episode_steps=20)
+    assert capsys.readouterr().err == "warning: far\\nout\n"
 
 
 @pytest.mark.parametrize(

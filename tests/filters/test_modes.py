@@ -3,8 +3,11 @@
 import json
 from dataclasses import replace
 
+import gymnasium as gym
 import pytest
 
+import mmwave_env  # noqa: F401  registers the environment
+from mmwave_env.filters.bank import best_bank
 from mmwave_env.filters.mode_files import (
     as_written,
     default_modes,
@@ -15,7 +18,7 @@ from mmwave_env.filters.mode_files import (
 )
 from mmwave_env.filters.modes import Mode
 from mmwave_env.filters.update import ekf
-from mmwave_env.models.radio import RADIOS
+from mmwave_env.models.radio import RADIOS, Radio
 
 THREE = [
     Mode("slow", "ekf", sigma_v=0.2, gate=None, recovery=None, coupling=False),
@@ -55,14 +58,26 @@ def test_every_profile_has_its_tuning(radio):
 
 
 def test_a_profile_that_was_not_tuned_says_so_once(recwarn):
-    assert default_modes("lab") == default_modes("standard") == default_modes("lab")
+    lab = Radio("lab", base="high")
+    assert default_modes(lab) == default_modes("high") == default_modes(lab)
+    assert best_bank(lab) == best_bank("high")
     (said,) = recwarn
-    assert "'lab': found no modes tuned for it, took those of 'standard'" in str(said.message)
+    assert "'lab': found no modes tuned for it, took those of 'high'" in str(said.message)
     assert "mmwave-loc tune --radio lab.json" in str(said.message)
 
 
+def test_a_radio_file_has_the_modes_and_the_bank_of_its_base(tmp_path, recwarn):
+    file = tmp_path / "phone.json"
+    file.write_text('{"base": "handset", "ue_elements": 4}')
+    assert default_modes(str(file)) == default_modes("handset") != default_modes("standard")
+    assert gym.make("MmWaveLoc-v0", radio=str(file)).unwrapped.modes == default_modes("handset")
+    env = gym.make("MmWaveLoc-v0", radio=str(file), beliefs="per-mode").unwrapped
+    assert env.modes == best_bank("handset").modes
+    assert len(recwarn) == 1
+
+
 def test_modes_of_ones_own_need_no_tuned_profile(mode_file):
-    assert modes_from([str(mode_file)], "unheard-of") == tuple(THREE)
+    assert modes_from([str(mode_file)], Radio("unheard-of")) == tuple(THREE)
 
 
 def test_robust_modes_are_the_same_tuning_without_adaptation():

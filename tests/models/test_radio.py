@@ -329,7 +329,7 @@ def test_angles_of_a_radio_file_are_in_the_unit_that_their_names_say(tmp_path):
 @pytest.mark.parametrize(
     ("content", "message"),
     [
-        ({"aoa_flor_deg": 2.0}, "key: found 'aoa_flor_deg', expected one of name, gnb_elements"),
+        ({"aoa_flor_deg": 2.0}, "key: found 'aoa_flor_deg', did you mean aoa_floor_rad"),
         (
             {"bandwidth_hz": 400e6},
             "key: found 'bandwidth_hz', a field of a scene, expected it in a scene file, which "

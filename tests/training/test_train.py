@@ -207,7 +207,7 @@ def test_a_bad_hyperparameter_is_refused_in_one_line(change, tmp_path):
         (("--places", "street"), "places: found 'street', expected SCENE:RADIO"),
         (("--places", "street:high", "steet:high"), "steet:high: .*, did you mean street"),
         (("--radio", "high", "--places", "o1:high"), "radio: found 'high' beside places"),
-        (("--beliefs", "permode"), "beliefs: found 'permode', expected .*per-mode"),
+        (("--beliefs", "permode"), "beliefs: found 'permode', did you mean per-mode"),
         (("--beliefs", "per-mode", "--modes", "ukf"), "modes: found 'ukf' alone"),
         (("--modes", "oracle"), "'oracle'.*ekf"),
         (("--observation", "half"), "observation: found 'half'"),
