@@ -42,6 +42,7 @@ from experiments.training.hyperparameters import (
 from experiments.training.job import Job
 from experiments.training.places import Place
 from experiments.training.ppo import PpoTraining, learner
+from experiments.training.processes import train
 from experiments.training.progress_log import ProgressLog
 from experiments.training.run import hyperparameters, manifest_of
 from experiments.training.training_task import TrainingTask
@@ -106,6 +107,20 @@ def test_the_exported_actor_acts_as_the_trained_one(tmp_path):
         taken |= set(actions.tolist())
         now, *_ = env.step(actions)
     assert taken == {0, 1, 2} and np.mean(alike) == 1.0
+
+
+# --- what it tells
+
+
+def test_a_training_tells_its_periodic_evaluations(tmp_path):
+    """The best of them is what the outcome says; a search stops early by them."""
+    told = []
+    outcome = train(job_of(tmp_path), told.append)
+    rewards = {news.timesteps: news.evaluation["reward"] for news in told if news.evaluation}
+    assert len(rewards) >= 4 and max(rewards) == outcome["timesteps"] == 1024
+    best = outcome["best"]
+    assert rewards[best["timesteps"]] == best["reward"] == max(rewards.values())
+    assert [news.timesteps for news in told] == sorted(news.timesteps for news in told)
 
 
 # --- hyperparameters
