@@ -6,7 +6,7 @@ TORCH := $(shell grep '^torch==' constraints.txt)
 # Hundreds of processes start in the tests: without bytecode on disk each compiles all modules anew.
 unexport PYTHONDONTWRITEBYTECODE
 OLDEST_GYMNASIUM := $(shell sed -n 's/.*"gymnasium>=\([0-9.]*\),.*/gymnasium==\1/p' pyproject.toml)
-CLIENTS ?= clients rllib torchrl
+CLIENTS ?= clients rllib torchrl minari
 # Makes the environment of a target anew, and keeps git from seeing it.
 MAKE_VENV = @echo "Setting up $(@D)" && $(PYTHON) -m venv --clear $(@D) && echo '*' > $(@D)/.gitignore
 

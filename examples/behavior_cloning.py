@@ -1,6 +1,6 @@
 """Minari: behavior cloning of a shipped switcher, from the data set that this command makes.
 
-mmwave-loc collect --policies guided --episodes 300 --id mmwave-loc/guided-v0
+python examples/minari_collect.py guided --episodes 300 --id mmwave-loc/guided-v0
 """
 
 import minari

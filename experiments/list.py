@@ -4,6 +4,7 @@ import inspect
 import textwrap
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 from tyro.conf import Positional
@@ -16,7 +17,7 @@ What = Literal["policies", "scenarios", "radios", "scenes", "modes", "samples", 
 
 @dataclass(kw_only=True)
 class Args:
-    """List what options and arguments of the environment take by name.
+    """List what options and arguments of the environment take by name; copy samples.
 
     mmwave-loc list policies
     """
@@ -25,6 +26,11 @@ class Args:
     """policies, scenarios, radios, scenes, modes, samples or rewards; all where none is named"""
     radio: str = "handset"
     """profile whose policies and modes are listed"""
+    out: Path | None = None
+    """with samples: copy their files to this folder, each sample to logs/NAME or recordings/NAME
+    in it"""
+    copy: str | None = None
+    """the one to copy, by name, its files to --out itself: the log where there is one"""
 
 
 SCENARIOS = {
@@ -103,11 +109,41 @@ def _about_scene(scene: "Scene") -> str:
 
 
 def samples() -> dict[str, str]:
-    """Recordings that come with the package."""
-    from mmwave_env.datasets.samples import recording_from, sample_names
+    """Recordings that come with the package, and logs of the same tracks."""
+    from mmwave_env.datasets.samples import log_names, recording_from, sample_names
 
-    epochs = {name: len(recording_from(name).time_s) for name in sample_names()}
-    return {name: f"ray-traced street, {n} epochs" for name, n in epochs.items()}
+    logs = dict.fromkeys(log_names(), "; also as a log, for localize --sample")
+    found = {name: len(recording_from(name).time_s) for name in sample_names()}
+    return {
+        name: f"ray-traced street, {epochs} epochs, for --data{logs.get(name, '')}"
+        for name, epochs in found.items()
+    }
+
+
+def copied(out: Path, only: str | None) -> int:
+    """Copy the files of all samples, or of one, each of them whole or not there; how many.
+
+    Raises:
+        ValueError: there is no such sample.
+        FileExistsError: a file is there already.
+    """
+    from mmwave_env.datasets.samples import log_names, sample_folder, sample_names
+    from mmwave_env.files import require_writable, write_bytes
+
+    if only is not None:
+        folders = {out: sample_folder(only, "log" if only in log_names() else "recording")}
+    else:
+        folders = {out / "logs" / name: sample_folder(name) for name in log_names()}
+        for name in sample_names():
+            folders[out / "recordings" / name] = sample_folder(name, "recording")
+    files = {to / file.name: file for to, of in folders.items() for file in sorted(of.iterdir())}
+    for new in files:
+        if new.exists():
+            raise FileExistsError(f"{new}: found a file, expected a folder without it")
+        require_writable(new)
+    for new, file in files.items():
+        write_bytes(new, file.read_bytes())
+    return len(files)
 
 
 def rewards() -> dict[str, str]:
@@ -139,6 +175,12 @@ def main(args: Args) -> None:
     from experiments.console.progress import say, terminal_width
     from mmwave_env.models.radio import radio_from
 
+    if args.out is not None and args.what == "samples":
+        say(f"copied to {args.out}/: {copied(args.out, args.copy)} files")
+        return
+    for name, given in (("out", args.out), ("copy", args.copy)):
+        if given is not None:
+            raise ValueError(f"{name}: found {given}, expected: list samples --copy NAME --out DIR")
     radio_from(args.radio)  # refuses what is none
     kinds: dict[str, Callable[[], dict[str, str]]] = {
         "policies": lambda: policies(args.radio), "scenarios": lambda: SCENARIOS, "radios": radios,

@@ -20,8 +20,9 @@ class OutputArgs:
     json: Path | None = None
     """write every figure to this file"""
     diagnose: bool = False
-    """try likely mistakes on the first epochs (units, signs, ends, frames, order of anchors), and
-    say which one makes the log consistent; no track"""
+    """tell epochs, rate, how often each anchor is seen and what is odd; then try likely mistakes on
+    the first epochs (units, signs, ends, frames, order of anchors), and say which one makes the log
+    consistent; no track"""
 
 
 @dataclass(kw_only=True)
@@ -68,7 +69,8 @@ class Args(FilterArgs, IntegrityArgs, OutputArgs):
     sample: str | None = None
     """in place of a log: canyon28_vehicle or canyon28_pedestrian, with its scene and truth"""
     speed: str | None = None
-    """of the user, m/s; or auto, to decide in every epoch; asked for on a terminal"""
+    """of the user, m/s; or auto, to decide in every epoch; where none is given it is asked for on a
+    terminal, and auto elsewhere"""
     outside: Literal["fallback", "abort"] = "fallback"
     """above 20 m/s, outside the design window: run the UKF pipeline, or stop"""
     follow: Literal["prediction", "odometry"] = "prediction"

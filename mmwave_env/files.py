@@ -194,11 +194,11 @@ def _target_of(path: Path) -> Path:
         OSError: something is there whose place a file must not take.
     """
     target = Path(os.path.realpath(path))
-    target.parent.mkdir(parents=True, exist_ok=True)
     if target.is_dir():
         raise IsADirectoryError(f"{path}: found a folder, expected a file to write")
-    if target.exists() and not target.is_file():
+    if path.exists() and not path.is_file():  # behind /dev/stdout may be a pipe without a place
         raise OSError(f"{path}: found a device, expected a file to write")
+    target.parent.mkdir(parents=True, exist_ok=True)
     return target
 
 

@@ -35,6 +35,11 @@ def as_name(text: str) -> str:
     return printable(text)[:LONGEST] or "unnamed"
 
 
+def as_cell(name: str) -> str:
+    """A name for a CSV table, where spreadsheets take it for text and not for a formula."""
+    return f"'{name}" if name.startswith(("=", "+", "-", "@", "\t", "\r")) else name
+
+
 def quoted(value: object) -> str:
     """A value as messages quote it, cut where it is long."""
     shown = repr(value)

@@ -15,8 +15,8 @@ import pytest
 from tests.paths import ROOT
 
 FOLDER = ROOT / "examples"
-WORLDS = {"raytrace", "sumo"}  # these make data, and train no agent: tests/test_example_worlds.py
-EXAMPLES = {path.stem: path for path in sorted(FOLDER.glob("*.py")) if path.stem not in WORLDS}
+MAKERS = {"raytrace", "sumo", "minari_collect"}  # these make data, and train no agent
+EXAMPLES = {path.stem: path for path in sorted(FOLDER.glob("*.py")) if path.stem not in MAKERS}
 PAGE = (ROOT / "docs" / "clients.md").read_text("utf-8")
 
 
@@ -38,7 +38,8 @@ def rewards(told: str) -> dict[str, float]:
 def made_before(source: str) -> list[list[str]]:
     """The commands that make what an example reads, which its docstring shows."""
     said = ast.get_docstring(ast.parse(source)) or ""
-    return [shlex.split(line) for line in re.findall(r"^mmwave-loc (.*)$", said, re.MULTILINE)]
+    lines = re.findall(r"^python (examples/.*)$", said, re.MULTILINE)
+    return [[str(ROOT / script), *words] for script, *words in map(shlex.split, lines)]
 
 
 @pytest.mark.parametrize("name", EXAMPLES)
@@ -56,8 +57,7 @@ def test_an_example_beats_the_best_fixed_mode(name, tmp_path):
     source = EXAMPLES[name].read_text("utf-8")
     for package in imported(source):
         pytest.importorskip(package)
-    for words in [*(["-m", "experiments.console", *line] for line in made_before(source)),
-                  [str(EXAMPLES[name])]]:  # fmt: skip
+    for words in [*made_before(source), [str(EXAMPLES[name])]]:
         done = subprocess.run(
             [sys.executable, "-W", "ignore", *words],
             env=os.environ | {"PYTHONPATH": str(ROOT), "MINARI_DATASETS_PATH": str(tmp_path)},

@@ -6,6 +6,8 @@ import os
 import re
 import socket
 import stat
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -133,6 +135,16 @@ def test_of_a_link_the_file_behind_it_is_written(tmp_path, there):
 
 
 @posix
+def test_a_pipe_behind_a_device_is_named():
+    code = (
+        "from pathlib import Path; from mmwave_env.files import write_text\n"
+        "try: write_text(Path('/dev/stdout'), 'x')\n"
+        "except OSError as error: print(error)"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert done.stdout == "/dev/stdout: found a device, expected a file to write\n"
+
+
 def test_no_device_behind_a_link_is_replaced(tmp_path):
     link = tmp_path / "a.json"
     link.symlink_to(os.devnull)

@@ -40,7 +40,7 @@ SEES = {
 BELOW = {"console", "evaluation", "figures"}
 SEES_INSIDE = {  # experiments; "" are the commands, one a page
     "console": set(),  # progress, tables, options, signals: everybody sees it
-    **dict.fromkeys(["evaluation", "health"], frozenset({"console"})),
+    "evaluation": {"console"},
     **dict.fromkeys(["figures", "training", "tuning"], frozenset({"console", "evaluation"})),
     **dict.fromkeys(["paper", "timing", "comparing", "localization"], frozenset(BELOW)),
     "sweeping": {"console", "evaluation", "training"},

@@ -1,9 +1,10 @@
 """Names of others: what they may be, and how they are shown."""
 
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mmwave_env.lookup import LONGEST, as_name, did_you_mean, is_name, printable, quoted
+from mmwave_env.lookup import LONGEST, as_cell, as_name, did_you_mean, is_name, printable, quoted
 
 TEXT = st.text(st.characters(codec=None), max_size=200)
 
@@ -30,6 +31,11 @@ def test_names_are_short_and_have_letters_only():
 def test_whatever_a_file_is_called_becomes_a_name(text):
     assert is_name(as_name(text))
     assert as_name(text) == text or not is_name(text)
+
+
+@pytest.mark.parametrize("name", ["=1+1", "+1", "-1", "@SUM(A1)", "\t=1", "\r=1"])
+def test_a_formula_is_text_in_a_table(name):
+    assert as_cell(name) == f"'{name}" and as_cell(f"a{name}") == f"a{name}"
 
 
 def test_long_values_are_cut_in_messages():

@@ -14,7 +14,7 @@ from tests.paths import ROOT
 
 TEXT = {page.name: page.read_text(encoding="utf-8") for page in PAGES}
 BLOCKS = {page: blocks_of(page) for page in PAGES}
-PENDING = {"offline", "sweep"}  # pages that are written anew
+PENDING = {"sweep"}  # pages that are written anew
 EXTRAS = {"torch", "stable_baselines3", "minari", "matplotlib", "pyarrow"}  # not everywhere
 
 

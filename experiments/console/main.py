@@ -104,7 +104,9 @@ def _complain(program: str, error: BaseException, debug: bool) -> None:
     if debug:
         traceback.print_exception(error)
     if isinstance(error, OSError) and error.errno is not None and error.filename is None:
-        line = f"what is printed: {error.strerror}"  # of files, errors name the file
+        # Of files, errors name the file.
+        missing = isinstance(error, FileNotFoundError)
+        line = f"{'the working folder' if missing else 'what is printed'}: {error.strerror}"
     elif isinstance(error, (ValueError, OSError)):
         line = str(error)
     else:
@@ -151,22 +153,44 @@ def run(name: str, words: Sequence[str] | None = None) -> None:
 
 
 def _require_results_can_be_written(args: Any) -> None:
-    paths = [getattr(args, name, None) for name in ("json", "episodes_csv")]
-    if any(paths):  # not every command has figures to write
+    for name, ending in {"json": ".json", "episodes_csv": ".csv"}.items():
+        path = getattr(args, name, None)  # not every command has figures to write
+        if path is None:
+            continue
+        if path.suffix != ending:
+            option = name.replace("_", "-")
+            raise ValueError(f"{option}: found {path}, expected a name that ends with {ending}")
         from mmwave_env.files import require_writable
 
-        for path in filter(None, paths):
-            require_writable(path)
+        require_writable(path)
 
 
 def _help() -> str:
     """The commands in groups, folded where a terminal ends."""
-    lines = ["usage: mmwave-loc COMMAND [OPTIONS]; --help after a command lists its options"]
+    lines = [
+        "usage: mmwave-loc COMMAND [OPTIONS]; --help after a command lists its options",
+        "       mmwave-loc --version; --json after it also tests the compiled kernels",
+    ]
     for group, commands in GROUPS.items():
         lines += ["", f"{group}:"]
         for name, what in commands.items():
             lines.append(f"  {name:12} {what}")
     return "\n".join(lines)
+
+
+def _tell_about() -> NoReturn:
+    """Print versions, threads, where kernels are kept and their self-test; exit 1 where it fails.
+
+    Raises:
+        SystemExit: always.
+    """
+    import json
+
+    from experiments.console.version import about
+
+    told = about()
+    print(json.dumps(told, indent=2))
+    sys.exit(0 if all(test["passed"] for test in told["self_test"]) else 1)
 
 
 def _complete(words: Sequence[str]) -> None:
@@ -188,6 +212,8 @@ def _complete(words: Sequence[str]) -> None:
 def main() -> None:
     """The program: the first argument names the command."""
     words = sys.argv[1:]
+    if not os.environ.get("COLUMNS", "80").strip("0"):  # some terminals do not know their width
+        del os.environ["COLUMNS"]
     if words[:1] == ["help"]:  # as --help, of the program or of a command
         words = [*words[1:], "--help"]
     if not words or words[0] in ("-h", "--help"):
@@ -202,6 +228,8 @@ def main() -> None:
         from mmwave_env import __version__
         from mmwave_env.lookup import unknown
     if words[0] in ("-V", "--version"):
+        if words[1:] == ["--json"]:
+            _tell_about()
         print(f"mmwave-loc {__version__}")
         return
     gone = removed.COMMANDS.get(words[0])

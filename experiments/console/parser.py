@@ -13,7 +13,7 @@ import sys
 import textwrap
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, redirect_stderr, redirect_stdout
-from dataclasses import dataclass, field, fields, make_dataclass
+from dataclasses import MISSING, dataclass, field, fields, make_dataclass
 from difflib import get_close_matches
 from io import StringIO
 from itertools import takewhile
@@ -67,13 +67,11 @@ def parse(arguments: type[T], words: Sequence[str], program: str) -> T:
             found = tyro.cli(read, **options)
     except SystemExit:
         _refuse(program, _message(said.getvalue(), kinds))
-    return arguments(
-        **{
-            field.name: getattr(found, field.name)
-            for field in fields(read)
-            if field.name not in vars(Everywhere)
-        }
-    )
+    for one in fields(read):
+        if one.default is MISSING and getattr(found, one.name) == ():  # tyro takes none for enough
+            _refuse(program, f"required: {one.name}, one or more")
+    everywhere = {one.name for one in fields(Everywhere)}
+    return arguments(**{k: value for k, value in vars(found).items() if k not in everywhere})
 
 
 def described(arguments: type[Any]) -> type[Any]:

@@ -39,10 +39,10 @@ def _words(value: Any) -> list[str]:
 def provenance(name: str, args: Any) -> dict[str, Any]:
     """What JSON results say of how they were made: the command, but for outputs; and versions."""
     outputs = {f.name: f.default for f in fields(args) if f.name in OUTPUTS}
+    return {"command": command_line(name, replace(args, **outputs)), "versions": versions()}
+
+
+def versions() -> dict[str, str]:
+    """Of the package, of Python, and of packages that numbers hang on."""
     packages = {name: version(name) for name in ("gymnasium", "numpy", "numba", "scipy")}
-    return {
-        "command": command_line(name, replace(args, **outputs)),
-        "versions": {
-            "mmwave-loc": __version__, "python": platform.python_version(), **packages,
-        },
-    }  # fmt: skip
+    return {"mmwave-loc": __version__, "python": platform.python_version(), **packages}

@@ -28,7 +28,9 @@ def _told(number: int) -> str:
 
 
 @contextmanager
-def _answered(numbers: Sequence[int], answer: Callable[[int, Any], None]) -> Iterator[None]:
+def _answered(
+    numbers: Sequence[int], answer: Callable[[int, Any], None] | signal.Handlers
+) -> Iterator[None]:
     """Signals call a function in the block; those that are ignored, as under nohup, stay so."""
     before = {number: signal.getsignal(number) for number in numbers}
     heeded = {number: old for number, old in before.items() if old is not signal.SIG_IGN}
@@ -74,6 +76,13 @@ def ended_by_signals() -> Iterator[None]:
 def ignored() -> Iterator[None]:
     """Ctrl-C and the others do nothing in the block: it is cleaning up after them."""
     with _answered((signal.SIGINT, *ENDING), lambda number, frame: None):
+        yield
+
+
+@contextmanager
+def ended_by_the_system() -> Iterator[None]:
+    """Ctrl-C and the others end the process in the block, also within a long call of C."""
+    with _answered((signal.SIGINT, *ENDING), signal.SIG_DFL):
         yield
 
 

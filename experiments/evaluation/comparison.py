@@ -13,6 +13,7 @@ from experiments.console.text import escaped
 from experiments.evaluation.intervals import Interval, bootstrap, rounded
 from experiments.evaluation.runner import Scores
 from experiments.evaluation.seeds import Selection
+from mmwave_env.lookup import as_cell
 from mmwave_env.metrics import METRICS
 from mmwave_env.numerics.arrays import Array
 from mmwave_env.world.episode import EpisodeSource
@@ -118,7 +119,7 @@ def episodes_csv(scores: dict[str, Scores], selection: Selection, source: Episod
     which = list(zip(seeds, [None] * len(seeds) if keys is None else keys.tolist(), strict=True))
     for name, metrics in scores.items():
         values = zip(*(metrics[metric].tolist() for metric in METRICS), strict=True)
-        rows.writerows([name, *one, *row] for one, row in zip(which, values, strict=True))
+        rows.writerows([as_cell(name), *one, *row] for one, row in zip(which, values, strict=True))
     return table.getvalue()
 
 

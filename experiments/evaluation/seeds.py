@@ -79,6 +79,8 @@ class Selection:
                 or where episodes have none.
         """
         if keys is None:
+            if episodes is not None and episodes < 1:
+                raise ValueError(f"episodes: found {episodes}, expected at least 1")
             first = 0 if seed is None else seed
             return cls(range(first, first + (usual if episodes is None else episodes)))
         for name, value in (("seed", seed), ("episodes", episodes)):

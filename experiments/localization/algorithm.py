@@ -16,8 +16,9 @@ from experiments.console.tables import show
 from experiments.evaluation.contenders import imm_banks
 from experiments.figures.canvas import require_picture
 from experiments.figures.trajectory import draw_trajectory
-from experiments.localization.ask_speed import ask_speed, parse_speed
+from experiments.localization.ask_speed import ask_speed, can_ask, parse_speed
 from experiments.localization.diagnosis_report import diagnosis_figures, diagnosis_markdown
+from experiments.localization.log_facts import facts_markdown, log_facts
 from experiments.localization.track_plot import TrackSampler
 from experiments.localization.track_report import track_markdown
 from mmwave_env.datasets.log_folder import LOG, SCENE, TRUTH
@@ -309,23 +310,35 @@ def _run(args: "Args", work: Work) -> Result:
     return Result(figures, sampler, scores, error)
 
 
-def _diagnose(args: "Args", log: Path, scene: Scene, mode: Mode) -> None:
-    """What is wrong with the log, as a table."""
-    block = next(read_log(log, scene, odometry=False, limits=False))
+def _diagnose(args: "Args", given: Inputs, scene: Scene, mode: Mode) -> None:
+    """Show facts about the log, and the mistakes that make it consistent.
+
+    Raises:
+        LogError: the log is damaged.
+    """
+    blocks = read_log(given.log, scene, odometry=False, limits=False)
+    first = next(blocks)
     with progress("trying likely mistakes"):
-        findings = diagnose(block, scene, radio_from(args.radio), mode)
+        findings = diagnose(first, scene, radio_from(args.radio), mode)
+        truth = Truth(given.truth) if given.truth else None
+        facts, damage = log_facts(chain([first], blocks), scene, truth)
     if args.json:
-        write_json(args.json, provenance("localize", args) | diagnosis_figures(findings))
-    show(diagnosis_markdown(findings))
+        figures = {"facts": facts} | diagnosis_figures(findings)
+        write_json(args.json, provenance("localize", args) | figures)
+    show(f"{facts_markdown(facts)}\n{diagnosis_markdown(findings)}")
+    if damage:
+        raise damage
 
 
 def localized(args: "Args") -> None:
     """Run the command."""
+    if args.speed is None and args.imm is None and not can_ask():
+        args = replace(args, speed="auto")
     given = inputs(args)
     _check(args, given)
     scene = scene_from(given.scene)
     if args.diagnose:
-        return _diagnose(args, given.log, scene, _modes(args)[-1])
+        return _diagnose(args, given, scene, _modes(args)[-1])
     work = _work(args, given, scene, EPOCHS_PER_BLOCK)
     for path in filter(None, _outputs(args).values()):
         require_writable(path)

@@ -19,17 +19,17 @@ def parse_speed(word: str) -> float:
     return speed
 
 
+def can_ask() -> bool:
+    """Whether there is a terminal to ask on."""
+    return sys.stdin is not None and sys.stdin.isatty()
+
+
 def ask_speed() -> float:
     """Ask on the terminal until the answer is a speed (paper, Algorithm 1, Step 1).
 
     Raises:
-        ValueError: there is no terminal, or no answer.
+        ValueError: there is no answer.
     """
-    if sys.stdin is None or not sys.stdin.isatty():
-        raise ValueError(
-            "speed: found none and no terminal to ask on, expected --speed with the speed of the "
-            "user in m/s, or --speed auto"
-        )
     screen = sys.stderr if sys.stderr.isatty() else sys.stdout
     while True:
         print(PROMPT, end="", file=screen, flush=True)

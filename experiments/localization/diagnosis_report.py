@@ -1,4 +1,4 @@
-"""What localize --diagnose prints."""
+"""What localize --diagnose prints of the mistakes that it tries."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -40,8 +40,8 @@ def diagnosis_markdown(findings: Sequence[Finding]) -> str:
         for f in findings
         if f.nis_per_dof
     ]
-    others = "; ".join(f.hypothesis for f in findings if not f.nis_per_dof)
-    impossible = f" No track is possible if: {others}." if others else ""
+    others = sum(not f.nis_per_dof for f in findings)
+    impossible = f" {others} other mistakes allow no track; --json names them." if others else ""
     return (
         f"{_verdict(findings)}\n\n{grid(header, rows)}\n\nMedian NIS / dof, of the anchor that is "
         "farthest from 1, and of the Doppler shift. Consistent also asks for a user mostly below "

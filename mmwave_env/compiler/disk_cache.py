@@ -110,39 +110,18 @@ def _places() -> list[Path]:
 
 
 class KeptFunctions(NamedTuple):
-    """What lies in a place for compiled functions."""
+    """What lies in the place for compiled functions."""
 
-    place: Path
-    used: bool  # by this process
-    owner: int | None  # of the folder, by number; None where the system has no owners
-    mode: int  # its permissions
-    versions: int  # of the sources, this one among them if it is in use
-    functions: int  # of this version
-    size: int  # bytes of all versions
-    doubtful: int  # folders that are left alone: others own them, may write to them, or are links
+    place: str | None  # None where no folder can be written that is ours alone
+    functions: int  # of this version of the sources
+    bytes: int
 
 
-def kept_functions() -> list[KeptFunctions]:
-    """The places there are, the first choice first; makes this version's folder if it can."""
-    here = _folder()
-    return [_kept(place, here) for place in _places() if place.is_dir()]
-
-
-def _kept(place: Path, here: Path | None) -> KeptFunctions:
-    versions = list(place.glob(f"{_PACKAGE.name}-*"))
-    used = here is not None and here.parent == place
-    files = [file for version in versions for file in version.glob("*") if file.is_file()]
-    found = os.lstat(here if used and here else place)
-    return KeptFunctions(
-        place=place,
-        used=used,
-        owner=found.st_uid if hasattr(os, "geteuid") else None,
-        mode=stat.S_IMODE(found.st_mode),
-        versions=len(versions),
-        functions=sum(file.parent == here for file in files),
-        size=sum(file.stat().st_size for file in files),
-        doubtful=sum(not _is_ours(os.lstat(version), stat.S_IFDIR) for version in versions),
-    )
+def kept_functions() -> KeptFunctions:
+    """Where this process keeps compiled functions; makes the folder if it can."""
+    folder = _folder()
+    sizes = [file.stat().st_size for file in folder.iterdir()] if folder else []
+    return KeptFunctions(str(folder) if folder else None, len(sizes), sum(sizes))
 
 
 def _prune(place: Path) -> None:

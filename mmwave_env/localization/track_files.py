@@ -11,7 +11,9 @@ import numpy as np
 from mmwave_env.files import atomic_path, naming
 from mmwave_env.localization.localizer import TrackBlock
 from mmwave_env.logs.tum import COLUMNS, tum_lines
+from mmwave_env.lookup import as_cell
 
+TRACK_ENDINGS = (".tum", ".txt")
 _VARIANCES = [i * (i + 3) // 2 for i in range(6)]  # of positions and velocities in a packed P
 TABLE_COLUMNS = (
     "time_s", "x_m", "y_m", "z_m", "sigma_x_m", "sigma_y_m", "sigma_z_m", "vx_mps", "vy_mps",
@@ -25,15 +27,14 @@ def table_beside(track: Path) -> Path:
     """Where the standard deviations of a TUM file go.
 
     Raises:
-        ValueError: the file has that name itself.
+        ValueError: the name of the file says that it is of another format.
     """
-    table = track.with_suffix(".csv")
-    if table == track:
+    if track.suffix not in TRACK_ENDINGS:
         raise ValueError(
-            f"out: found {track}, expected a TUM file such as {track.with_suffix('.tum')}, because "
-            "its standard deviations go to a .csv beside it"
+            f"out: found {track}, expected a TUM file: a name that ends with "
+            f"{' or '.join(TRACK_ENDINGS)}; its standard deviations go to a .csv beside it"
         )
-    return table
+    return track.with_suffix(".csv")
 
 
 def require_own_files(track: Path) -> None:
@@ -106,5 +107,5 @@ def track_files(track: Path, modes: Sequence[str]) -> Iterator[Callable[[TrackBl
 def _as_cell(name: str) -> str:
     """A name as a CSV cell."""
     cell = io.StringIO()
-    csv.writer(cell, lineterminator="").writerow([name])
+    csv.writer(cell, lineterminator="").writerow([as_cell(name)])
     return cell.getvalue()

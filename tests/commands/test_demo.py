@@ -25,7 +25,8 @@ def test_every_place_is_printed_and_written(tmp_path, monkeypatch, capsys):
 
     pages, asked = [], []
     monkeypatch.setattr("experiments.comparing.results.results", results)
-    monkeypatch.setattr("experiments.webpage.page.write_page", pages.append)  # tested elsewhere
+    # The report has tests of its own.
+    monkeypatch.setattr("experiments.webpage.page.write_page", pages.append)
     demo.main(demo.Args(out=tmp_path, json=tmp_path / "all.json", percentiles=True))
     shown = capsys.readouterr().out
     rows = [line.split(" | ")[0][2:] for line in shown.splitlines() if "±" in line]

@@ -3,7 +3,7 @@
 import pytest
 
 from experiments.evaluation.contenders import contenders
-from mmwave_env.datasets.samples import sample_names
+from mmwave_env.datasets.samples import log_names, sample_names
 from mmwave_env.filters.mode_files import named_modes
 from mmwave_env.models.radio import RADIOS
 from mmwave_env.models.random_scene import RANDOM
@@ -50,3 +50,27 @@ def test_an_unknown_kind_or_radio_is_refused():
         command("list", "polices"), "what: found 'polices', did you mean policies[?]"
     )
     assert_one_clear_line(command("list", "modes", "--radio", "lab"), "radio: found 'lab'")
+
+
+def test_samples_are_copied_all_or_one(tmp_path):
+    said = succeed("list", "samples", "--out", tmp_path / "all")
+    logs, recordings = (tmp_path / "all" / kind for kind in ("logs", "recordings"))
+    assert [folder.name for folder in sorted(recordings.iterdir())] == list(sample_names())
+    assert [folder.name for folder in sorted(logs.iterdir())] == list(log_names())
+    count = sum(path.is_file() for path in (tmp_path / "all").rglob("*"))
+    assert said == f"copied to {tmp_path / 'all'}/: {count} files\n"
+    succeed("list", "samples", "--copy", "canyon28_pedestrian", "--out", tmp_path / "walk")
+    for file in (logs / "canyon28_pedestrian").iterdir():
+        assert (tmp_path / "walk" / file.name).read_bytes() == file.read_bytes()
+    (tmp_path / "walk" / "log.csv").unlink()  # what is there is not replaced, and nothing is added
+    done = command("list", "samples", "--copy", "canyon28_pedestrian", "--out", tmp_path / "walk")
+    assert_one_clear_line(done, "scene.json: found a file, expected a folder without it")
+    assert not (tmp_path / "walk" / "log.csv").exists()
+
+
+def test_what_cannot_be_copied_is_refused(tmp_path):
+    for words in (["--out", tmp_path], ["samples", "--copy", "canyon28_vehicle"]):
+        assert_one_clear_line(command("list", *words), "expected: list samples --copy NAME --out")
+    done = command("list", "samples", "--copy", "canyon29", "--out", tmp_path / "new")
+    assert_one_clear_line(done, "sample: found 'canyon29', expected one of canyon28_")
+    assert not list(tmp_path.iterdir())

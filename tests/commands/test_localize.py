@@ -32,7 +32,7 @@ from mmwave_env.logs.tum import COLUMNS, read_tum, tum_lines
 from mmwave_env.models.radio import RADIOS
 from mmwave_env.models.scene import SCENES, read_scene
 from mmwave_env.world.simulated import SimulatedSource
-from tests.cli import command, environment
+from tests.cli import assert_one_clear_line, command, environment
 from tests.localization.mistakes import MISTAKES, read_columns, write_columns
 from tests.marks import representative
 from tests.paths import LOGS
@@ -121,13 +121,13 @@ def test_what_is_no_speed_is_refused(capsys, word):
     assert f"speed: found {word!r}, expected a number of m/s, at least 0" in line
 
 
-@pytest.mark.slow
-def test_without_a_terminal_the_option_is_named():
-    piped = {"stdin": subprocess.DEVNULL, "stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
-    process = child(options(WALK / "log.csv"), **piped)
-    out, err = process.communicate(timeout=100)
-    assert process.returncode == 2 and out == "" and len(err.splitlines()) == 1
-    assert "--speed" in err and "--speed auto" in err
+def test_without_a_terminal_the_mode_is_chosen_in_every_epoch(monkeypatch):
+    monkeypatch.setattr(sys, "stdin", None)
+    told, asked = (command("localize", *options(WALK / "log.csv", *more))
+                   for more in ((), ("--speed", "auto")))  # fmt: skip
+    assert told.returncode == 0 and told.stdout == asked.stdout
+    done = command("localize", *options(WALK / "log.csv", "--outside", "abort"))
+    assert_one_clear_line(done, "outside: found abort with --speed auto, expected a speed in m/s")
 
 
 def session(answers, seconds=60.0):
@@ -594,7 +594,10 @@ def test_folders_are_made_and_what_cannot_be_written_is_named(capsys, tmp_path):
         more = ("--speed", "9", option, blocked / name)
         out, line = refused(capsys, options(RIDE / "log.csv", *more, folder=RIDE))
         assert str(blocked) in line and out == ""
-    _, line = refused(capsys, options(RIDE / "log.csv", "--speed", "9", "--out", tmp_path / "a"))
+    (tmp_path / "a.tum").mkdir()
+    _, line = refused(
+        capsys, options(RIDE / "log.csv", "--speed", "9", "--out", tmp_path / "a.tum")
+    )
     assert "found a folder, expected a file" in line
 
 
@@ -874,7 +877,7 @@ def test_a_diagnosis_names_the_mistake_and_writes_no_track(tmp_path, downlink):
     done = command("localize", *given)
     assert done.returncode == 0 and done.stderr == "" and downlink.read_bytes() == before
     name = "arrival is at the user, as in a downlink"
-    assert done.stdout.startswith(f"The log is consistent if {name}.")
+    assert f"\nThe log is consistent if {name}." in done.stdout
     cure = "exchange the columns of aoa_azimuth and aod_azimuth, negate aoa_elevation"
     assert f"To mend it, {cure} (docs/data.md)." in done.stdout
     found = json.loads(file.read_text())
@@ -882,8 +885,10 @@ def test_a_diagnosis_names_the_mistake_and_writes_no_track(tmp_path, downlink):
     first, *others = found["hypotheses"]
     assert first["hypothesis"] == name and first["contradictions"] == []
     assert all(other["contradictions"] for other in others)
-    for hypothesis in [first, *others]:
-        assert hypothesis["hypothesis"] in done.stdout
+    possible = [one for one in (first, *others) if one["nis_per_dof"]]
+    assert all(hypothesis["hypothesis"] in done.stdout for hypothesis in possible)
+    left = len(found["hypotheses"]) - len(possible)
+    assert not left or f"{left} other mistakes allow no track" in done.stdout
 
 
 def test_a_log_that_is_refused_can_be_diagnosed(tmp_path):
@@ -894,15 +899,51 @@ def test_a_log_that_is_refused_can_be_diagnosed(tmp_path):
     assert refusal.returncode == 2
     assert "if it is in degrees, name the column aoa_azimuth_deg; mmwave-loc loc" in refusal.stderr
     done = command("localize", *given, "--diagnose")
-    assert done.stdout.startswith("The log is consistent if angles are in degrees.")
+    assert "\nThe log is consistent if angles are in degrees." in done.stdout
 
 
 @pytest.mark.slow
 def test_a_diagnosis_of_a_right_log_and_of_one_that_nothing_explains():
     given = options(RIDE / "log.csv", "--radio", "standard", "--diagnose", folder=RIDE)
-    assert command("localize", *given).stdout.startswith("The log is consistent as it is.")
+    assert "\nThe log is consistent as it is." in command("localize", *given).stdout
     other = [*map(str, (RIDE / "log.csv", "--scene", "street", "--diagnose"))]
-    assert command("localize", *other).stdout.startswith("None of these makes the log consistent.")
+    assert "\nNone of these makes the log consistent." in command("localize", *other).stdout
+
+
+def test_a_diagnosis_tells_the_facts_of_a_log(tmp_path):
+    file = tmp_path / "facts.json"
+    given = options(RIDE / "log.csv", "--radio", "standard", folder=RIDE)
+    done = command("localize", *given, "--truth", RIDE / "truth.tum", "--diagnose", "--json", file)
+    columns = read_columns(RIDE / "log.csv")
+    times, facts = np.unique(columns["time_s"]), json.loads(file.read_text())["facts"]
+    assert facts["epochs"] == len(times) and facts["problems"] == []
+    assert (facts["first_s"], facts["last_s"]) == (times[0], times[-1])
+    assert facts["step_s"] == pytest.approx(np.median(np.diff(times)))
+    for anchor, told in enumerate(facts["anchors"], start=1):
+        of = columns["anchor"] == anchor  # a row without numbers was not seen
+        assert told["seen"] == np.isfinite(columns["snr_db"][of]).sum()
+    poses = read_tum(RIDE / "truth.tum")
+    moved = np.linalg.norm(np.diff(poses.position_m, axis=0), axis=1) / np.diff(poses.time_s)
+    assert facts["speed_mps"]["max"] == pytest.approx(moved.max(), rel=0.05)
+    assert "no problems found" in done.stdout and "m/s at 95 %" in done.stdout
+
+
+def test_a_diagnosis_tells_what_is_odd_and_where_a_log_is_damaged(tmp_path):
+    columns, log = read_columns(RIDE / "log.csv"), tmp_path / "log.csv"
+    kept = columns["anchor"] != 3
+    columns = {name: values[kept] for name, values in columns.items()}
+    late = columns["time_s"] >= 6.0
+    columns["time_s"] = columns["time_s"] + 20.0 * late
+    write_columns(log, columns)
+    with log.open("a") as file:
+        file.write("text,1\n")
+    done = command("localize", *options(log, "--radio", "standard", "--diagnose", folder=RIDE))
+    for said in ("- 1 gaps of more than 15 s", "- anchor 3 was never seen"):
+        assert said in done.stdout
+    (line,) = done.stderr.splitlines()
+    assert (
+        done.returncode == 2 and f"{log}, line " in line and line.split(": ", 1)[1] in done.stdout
+    )
 
 
 def test_a_diagnosis_makes_no_track(capsys, tmp_path):

@@ -2,6 +2,8 @@
 
 import importlib
 import json
+import os
+import pty
 import re
 import shlex
 import subprocess
@@ -13,7 +15,7 @@ import mmwave_env
 from experiments.console import removed
 from experiments.console.main import COMMANDS, SAME, page_of, read_arguments
 from experiments.console.options import TUNING_SEED, IntegrityArgs, TaskArgs
-from tests.cli import assert_one_clear_line, command, process, succeed
+from tests.cli import assert_one_clear_line, command, environment, process, succeed
 from tests.paths import ROOT
 
 HEAVY = {"numba", "gymnasium", "numpy", "scipy", "matplotlib", "torch", "rich", "pyarrow"}
@@ -141,6 +143,8 @@ MISTAKES = {
     "unknown data": (("evaluate", "--data", "canyon29"), "'canyon29'.*canyon28_vehicle"),
     "no episodes": (("evaluate", "--episodes", "-5"), "episodes: found -5, expected at least 1"),
     "no tuning episodes": (("tune", "--episodes", "0"), "episodes: found 0, expected at least 1"),
+    "figures as LaTeX": (("compare", "--json", "t.tex"), "json: found t.tex, .* ends with .json"),
+    "a table as text": (("compare", "--episodes-csv", "t.txt"), "episodes-csv: .* ends with .csv"),
     "negative seed": (("compare", "--policies", "imm", "--seed", "-1"), "seed: found -1"),
     "negative seed of a file": (("simulate", "--out", "never", "--seed", "-1"), "seed: found -1"),
 }
@@ -249,6 +253,28 @@ def test_numbers_of_the_library_that_help_shows_are_those_of_the_library():
 
 
 # --- what is shown
+
+
+def test_a_terminal_that_says_it_has_no_columns_is_printed_to():
+    ours, theirs = pty.openpty()
+    words = [sys.executable, "-m", "experiments.console", "list", "rewards"]
+    done = subprocess.run(words, env=environment() | {"COLUMNS": "0"}, stdout=theirs, cwd=ROOT)
+    os.close(theirs)
+    assert done.returncode == 0 and b"tracking" in os.read(ours, 10_000)
+    os.close(ours)
+
+
+def test_a_working_folder_that_is_gone_is_named(tmp_path):
+    code = (
+        f"import os; os.chdir({str(tmp_path)!r}); os.rmdir({str(tmp_path)!r})\n"
+        "import sys; sys.argv = ['mmwave-loc', 'localize', 'log.csv', '--scene', 'scene.json']\n"
+        "from experiments.console.main import main\n"
+        "main()"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code], env=environment(), capture_output=True, text=True
+    )
+    assert_one_clear_line(done, "the working folder|log.csv: found no such file")
 
 
 def test_quiet_shows_nothing_but_writes_the_results(tmp_path):

@@ -10,7 +10,7 @@ import pytest
 from scipy.stats import chi2
 
 from experiments.evaluation.seeds import draw_episodes
-from experiments.tune import likelihood, negative_mean_square, objective_of, tune
+from experiments.tuning.modes import likelihood, negative_mean_square, objective_of, tune
 from mmwave_env.filters.bank import bank_from
 from mmwave_env.filters.mode_files import read_modes
 from mmwave_env.filters.modes import Mode

@@ -90,6 +90,15 @@ def test_a_track_cut_short_leaves_everything_as_it_was(tmp_path, error):
 
 
 def test_the_table_is_not_the_track():
-    assert table_beside(Path("a/walk")) == Path("a/walk.csv")
-    with pytest.raises(ValueError, match="out: found walk.csv, expected a TUM file such as"):
-        table_beside(Path("walk.csv"))
+    assert table_beside(Path("a/walk.tum")) == Path("a/walk.csv")
+    for name in ("walk.csv", "walk.geojson", "walk.kml", "walk", "/dev/stdout"):
+        with pytest.raises(ValueError, match=rf"out: found {name}, expected .* \.tum or \.txt"):
+            table_beside(Path(name))
+
+
+def test_a_formula_in_a_name_is_text_in_the_table(tmp_path):
+    with track_files(tmp_path / "walk.tum", ['=HYPERLINK("http://evil","x")', "@SUM(1)"]) as write:
+        write(some_track(5))
+    with (tmp_path / "walk.csv").open(newline="") as file:
+        modes = {row["mode"] for row in csv.DictReader(file)}
+    assert modes <= {'\'=HYPERLINK("http://evil","x")', "'@SUM(1)"} and modes

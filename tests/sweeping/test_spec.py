@@ -73,7 +73,7 @@ def test_different_values_have_different_names(values):
     ("text", "message"),
     [
         ("", r"found nothing, expected a table \[evaluate\] or \[train\]"),
-        ("[evalute]\n", "table: found 'evalute', expected one of evaluate, train"),
+        ("[evalute]\n", "table: found 'evalute', did you mean evaluate[?] Expected one of"),
         ("evaluate = 3\n", "evaluate: found 3, expected a table"),
         ("[evaluate]\nseed = 0\n", "evaluate.policy: found none, expected one"),
         ('[evaluate]\npolicy = "imm"\nraido = "handset"\n', "evaluate: key: found 'raido', .*io"),

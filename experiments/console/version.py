@@ -1,0 +1,126 @@
+"""Versions, threads, where kernels are kept, and a self-test: ``mmwave-loc --version --json``.
+
+Kernels are compiled on the machine that runs them, by its own version of the compiler. The
+self-test holds what came out beside the same equations on Python's floats.
+"""
+
+import os
+import platform
+from collections.abc import Callable
+from typing import Any
+
+import numba
+import numpy as np
+from llvmlite.binding import get_host_cpu_features, get_host_cpu_name
+
+from experiments.console.progress import note
+from experiments.console.provenance import versions
+from experiments.console.signals import ended_by_the_system
+from mmwave_env.compiler.disk_cache import kept_functions
+from mmwave_env.compiler.lanes import WIDTH
+from mmwave_env.engines.env_engine import Engine
+from mmwave_env.engines.imm_engine import ImmEngine
+from mmwave_env.numerics.arrays import Array
+from mmwave_env.numerics.pytree import flatten, unflatten
+from mmwave_env.reward import TrackingReward
+from mmwave_env.task import Task, task_from
+from mmwave_env.world.episode import EpisodeBatch
+
+TOLERANCE = 1e-6  # relative; sound kernels are within 1e-9
+_KEYS = np.arange(3, dtype=np.uint64)  # three episodes: a block of lanes that is not full
+_EPOCHS = 25
+
+
+def about() -> dict[str, Any]:
+    """Everything, as JSON; compiles what is not kept yet, which takes seconds."""
+    features = _features()
+    if not features["fma"]:
+        note("the processor, or NUMBA_CPU_NAME, has no fused multiply-add (FMA): kernels call a "
+             "function for each, and compiling them takes many minutes")  # fmt: skip
+    with ended_by_the_system():  # the compiler is one long call, during which no Python runs
+        tests = self_test()
+    return {
+        "versions": versions(),
+        "system": platform.platform(),
+        "processor": numba.config.CPU_NAME or str(get_host_cpu_name()),
+        "features": features,
+        "threads": len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else None,
+        "environments_at_a_time": WIDTH,
+        "kernels": kept_functions()._asdict(),
+        "self_test": tests,
+    }
+
+
+def _features() -> dict[str, bool]:
+    """The extensions of the processor that kernels are compiled for, as far as they matter."""
+    known = dict(get_host_cpu_features())
+    if numba.config.CPU_NAME:  # in place of the host's
+        said = (numba.config.CPU_FEATURES or "").split(",")
+        version = numba.config.CPU_NAME.removeprefix("x86-64-v")
+        known = dict.fromkeys(("fma", "avx2"), version in ("3", "4"))
+        known |= {word[1:]: word[0] == "+" for word in said if word}
+    if platform.machine().lower() in ("arm64", "aarch64"):  # which always has both kinds
+        return {"fma": True}
+    return {name: bool(known.get(name)) for name in ("avx2", "avx512f", "fma")}
+
+
+def self_test() -> list[dict[str, Any]]:
+    """Each kernel beside floats: its name, the largest deviation, and whether that is rounding."""
+    shared, own = (task_from(episode_steps=_EPOCHS, beliefs=b) for b in ("shared", "per-mode"))
+    episodes = EpisodeBatch.of(shared.simulated.episodes(_KEYS))
+    on_floats = _stepped(own, episodes, on_floats=True)
+    tests: dict[str, Callable[[], float]] = {
+        "episodes": lambda: _episodes(shared, episodes),
+        "one belief": lambda: _deviation(
+            *(_stepped(shared, episodes, floats) for floats in (False, True))
+        ),
+        "a belief per mode": lambda: _deviation(_stepped(own, episodes, False), on_floats),
+        "interacting multiple models": lambda: _deviation(_imm(own, episodes), on_floats),
+    }
+    found = {name: test() for name, test in tests.items()}
+    return [
+        {"kernel": name, "deviation": deviation, "passed": deviation <= TOLERANCE}
+        for name, deviation in found.items()
+    ]
+
+
+def _deviation(found: Array, expected: Array) -> float:
+    """The largest difference, relative to the size of the numbers in a column."""
+    size = np.maximum(np.abs(expected).max(axis=tuple(range(expected.ndim - 1))), 1.0)
+    return float((np.abs(found - expected) / size).max())
+
+
+def _episodes(task: Task, episodes: EpisodeBatch) -> float:
+    """Epochs drawn by compiled code beside those of the same equations on floats."""
+    source = task.simulated
+    begun, world = source.begin(_KEYS), source.world
+    settings, blank = source.feed(begun.worlds).settings[:, 0], np.zeros(world.ends[0])
+    found = []
+    for kept in begun.worlds:
+        w = unflatten(world.template, iter(np.concatenate([blank, settings, kept]).tolist()))
+        for dt in source.steps_s:
+            w = world.epoch(w)
+            found.append(flatten(w.measured._replace(dt=dt)))
+    return _deviation(np.array(found), episodes.table.reshape(len(found), -1))
+
+
+def _stepped(task: Task, episodes: EpisodeBatch, on_floats: bool) -> Array:
+    """Beliefs (epochs, n, 7), where nobody acts but in the first mode, or trusts any."""
+    engine = Engine(
+        task.pipeline, len(_KEYS), TrackingReward(), bank=task.bank, on_floats=on_floats
+    )
+    engine.reset(episodes)
+    beliefs = []
+    for _ in range(_EPOCHS):
+        engine.step(np.zeros(len(_KEYS), np.int64))
+        beliefs.append(engine.read(engine.at.x))
+    return np.array(beliefs)
+
+
+def _imm(task: Task, episodes: EpisodeBatch) -> Array:
+    """Beliefs (epochs, n, 7) of whole tracks in one call."""
+    bank = task.bank
+    assert bank is not None
+    imm = ImmEngine(task.pipeline, TrackingReward(), bank.transition, bank.nis_quantile)
+    found: Array = imm.run(episodes, "x")["x"]
+    return found.swapaxes(0, 1)

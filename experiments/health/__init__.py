@@ -1,1 +1,0 @@
-"""Whether this machine computes what it should: a self-test; and which packages there are."""

@@ -1,0 +1,138 @@
+"""Facts about a measurement log: epochs, rate, anchors, speeds; and what is odd about them."""
+
+from collections.abc import Iterable
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from experiments.console.tables import grid
+from mmwave_env.logs.log import LogBlock
+from mmwave_env.logs.log_tables import LogError
+from mmwave_env.logs.truth import Truth
+from mmwave_env.models.prior import GAP_S
+from mmwave_env.models.scene import Scene
+from mmwave_env.numerics.arrays import Array
+from mmwave_env.world.mobility import FASTEST_MPS
+
+_UNEVEN = 0.1  # of the median step
+_SPEED_BINS = np.append(np.arange(0.0, FASTEST_MPS, 0.01), np.inf)
+
+
+class LogFacts(NamedTuple):
+    """Facts about a log, and the damage that ended it, if there is some."""
+
+    figures: dict[str, Any]
+    damage: LogError | None
+
+
+class _Sums:
+    """Running sums over the epochs of a log, which may be too long for the memory."""
+
+    def __init__(self, anchors: int) -> None:
+        self.epochs = self.gaps = self.uneven = self.jumps = 0
+        self.seen, self.without = np.zeros(anchors, np.int64), 0
+        self.incomplete: dict[str, int] = {}
+        self.first_s = self.last_s = self.step_s = np.nan
+        self.speeds, self.fastest = np.zeros(len(_SPEED_BINS) - 1, np.int64), 0.0
+        self._before = np.empty((0, 4))  # time and true position of the last epoch
+
+    def add(self, block: LogBlock, position_m: Array) -> None:
+        """Add a block with its true positions (T, 3), NaN where not known."""
+        rows = np.column_stack([block.time_s, position_m])
+        joined = np.concatenate([self._before, rows])
+        if not self.epochs:
+            self.first_s = float(block.time_s[0])
+        self._before, self.last_s = rows[-1:], float(block.time_s[-1])
+        self.epochs += len(rows)
+        links = block.visible[:, : block.layout.anchors]
+        self.seen += links.sum(axis=0)
+        self.without += int((~links.any(axis=1)).sum())
+        counts = block.incomplete.sum(axis=0).tolist()
+        for name, count in zip(block.layout.group_names, counts, strict=True):
+            self.incomplete[name] = self.incomplete.get(name, 0) + count
+        if len(joined) > 1:
+            self._add_steps(joined)
+
+    def _add_steps(self, rows: Array) -> None:
+        steps = np.diff(rows[:, 0])
+        if np.isnan(self.step_s):
+            self.step_s = float(np.median(steps))
+        self.gaps += int((steps > GAP_S).sum())
+        self.uneven += int((abs(steps - self.step_s) > _UNEVEN * self.step_s).sum())
+        speed = np.linalg.norm(np.diff(rows[:, 1:], axis=0), axis=1) / steps
+        speed = speed[np.isfinite(speed) & (steps <= GAP_S)]
+        self.speeds += np.histogram(speed, _SPEED_BINS)[0]
+        self.fastest = max(self.fastest, float(speed.max(initial=0.0)))
+        self.jumps += int((speed > FASTEST_MPS).sum())
+
+    def speed_mps(self) -> dict[str, float] | None:
+        """Speeds that half and 95 % of the steps are below, and the highest; None where unknown."""
+        below = np.cumsum(self.speeds)
+        if not below[-1]:
+            return None
+        at = {p: _SPEED_BINS[np.searchsorted(below, p / 100.0 * below[-1]) + 1] for p in (50, 95)}
+        return {**{f"{p} %": min(float(v), self.fastest) for p, v in at.items()},
+                "max": self.fastest}  # fmt: skip
+
+    def problems(self) -> list[str]:
+        """What is odd about the counts."""
+        said = [
+            (self.gaps, f"gaps of more than {GAP_S:g} s: tracks begin anew there"),
+            (self.uneven, f"steps that differ from {self.step_s:.4g} s by more than 10 %"),
+            (self.jumps, f"steps of the truth faster than {FASTEST_MPS:g} m/s"),
+            (self.without, "epochs in which no anchor was seen"),
+            *((n, f"times only some of the numbers of {name}, which count as not measured")
+              for name, n in self.incomplete.items()),
+        ]  # fmt: skip
+        never = [f"anchor {a + 1} was never seen" for a in np.flatnonzero(self.seen == 0)]
+        return [f"{count} {what}" for count, what in said if count] + never
+
+
+def log_facts(blocks: Iterable[LogBlock], scene: Scene, truth: Truth | None) -> LogFacts:
+    """Read a log to its end, or up to where it is damaged, and sum it up."""
+    sums, damage = _Sums(len(scene.anchors_m)), None
+    try:
+        for block in blocks:
+            unknown = np.full((len(block), 3), np.nan)
+            sums.add(block, truth.at(block.time_s).position_m if truth else unknown)
+    except LogError as error:
+        damage = error
+    epochs = max(sums.epochs, 1)
+    figures = {
+        "epochs": sums.epochs,
+        "first_s": sums.first_s,
+        "last_s": sums.last_s,
+        "step_s": None if np.isnan(sums.step_s) else sums.step_s,
+        "speed_mps": sums.speed_mps(),
+        "anchors": [
+            {"position_m": place.tolist(), "seen": int(seen), "share": float(seen / epochs)}
+            for place, seen in zip(scene.anchors_m, sums.seen, strict=True)
+        ],
+        "problems": [*sums.problems(), *map(str, filter(None, [damage]))],
+    }
+    return LogFacts(figures, damage)
+
+
+def facts_markdown(figures: dict[str, Any]) -> str:
+    """The figures of a log as Markdown."""
+    f, step, speed = figures, figures["step_s"], figures["speed_mps"]
+    rate = f", {1.0 / step:.4g} Hz" if step else ""
+    lines = [f"{f['epochs']} epochs, {f['first_s']:.10g} to {f['last_s']:.10g} s{rate}"]
+    if speed:
+        lines.append(
+            f"speed by the truth: {speed['50 %']:.2f} m/s at 50 %, {speed['95 %']:.2f} m/s at "
+            f"95 %, {speed['max']:.2f} m/s at most"
+        )
+    rows = [
+        [
+            f"{number}{', base station' if number == 1 else ''}",
+            *(f"{x:.2f}" for x in anchor["position_m"]),
+            f"{anchor['seen']} ({anchor['share']:.1%})",
+        ]
+        for number, anchor in enumerate(f["anchors"], start=1)
+    ]
+    table = grid(["anchor", "x m", "y m", "z m", "seen"], rows)
+    problems = f["problems"] or ["no problems found"]
+    return "\n".join([
+        *(f"- {line}" for line in lines), "", table, "", *(f"- {one}" for one in problems), "",
+    ])  # fmt: skip

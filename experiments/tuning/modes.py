@@ -1,0 +1,116 @@
+"""Tuning the process noise of a mode: what is maximized, and the search."""
+
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import replace
+
+import numpy as np
+from scipy.optimize import minimize
+from scipy.special import chdtri
+
+from experiments.console.progress import tracked
+from experiments.console.tables import grid
+from mmwave_env.engines.track_engine import Tracker
+from mmwave_env.filters.modes import Mode
+from mmwave_env.filters.pipeline import Pipeline
+from mmwave_env.metrics import scored
+from mmwave_env.models.measurement import Layout
+from mmwave_env.numerics.arrays import Array
+from mmwave_env.world.episode import Episode
+
+Objective = Callable[[Mode], Array]
+
+# Where each part of the process noise is looked for, in the units of Mode.
+RANGES = {
+    "sigma_p": (0.01, 2.0), "sigma_v": (0.1, 4.0), "sigma_pz": (0.001, 0.2),
+    "sigma_vz": (0.001, 0.2), "sigma_b_mps": (0.01, 0.5), "spread_gain": (1e-4, 0.1),
+}  # fmt: skip
+# NIS beyond this chi-square quantile counts as this quantile in a likelihood. On data of the
+# filter's own model 0.99 would bias sigma_v by -6 %, 0.999 by less than 1 %.
+CAP = 0.999
+POINTS = (6, 11)  # of the surface, along the second and the first parameter
+STEP = 0.3  # of the first simplex, in logarithms: a third
+
+
+def likelihood(history: dict[str, Array], layout: Layout) -> Array:
+    """Mean log-likelihood per epoch (episodes,) of the innovations, outliers capped.
+
+    Unmodeled blockage would otherwise decide. The constant -(rows / 2) log(2 pi) is left out.
+    """
+    nis, log_likelihood = history["memory.nis"], history["log_likelihood"]
+    rows = [group.stop - group.start for group in layout.groups]
+    excess = np.maximum(nis - chdtri(rows, 1.0 - CAP), 0.0).sum(axis=-1)
+    capped = log_likelihood + 0.5 * excess
+    per_epoch: Array = capped[:, scored(nis.shape[1])].mean(axis=-1)
+    return per_epoch
+
+
+def negative_mean_square(history: dict[str, Array], layout: Layout) -> Array:
+    """Minus the mean square position error (episodes,), m^2."""
+    error = history["error"]
+    mean: Array = np.square(error[:, scored(error.shape[1])]).sum(axis=-1).mean(axis=-1)
+    return -mean
+
+
+OBJECTIVES = {
+    "likelihood": (likelihood, ("memory.nis", "log_likelihood"), "log-likelihood per epoch"),
+    "rmse": (negative_mean_square, ("error",), "minus the mean square error, m^2"),
+}
+
+
+def objective_of(name: str, mode: Mode, episodes: Sequence[Episode]) -> Objective:
+    """From a mode to what is maximized, per episode; the mode's algorithm is that of ``mode``."""
+    function, names, _ = OBJECTIVES[name]
+    layout = episodes[0].layout
+    tracker = Tracker(Pipeline((mode,), layout), len(episodes))
+    tracker.load(episodes)
+
+    def evaluate(tried: Mode) -> Array:
+        tracker.tune([tried.tuning])
+        return function(tracker.run(*names), layout)
+
+    return evaluate
+
+
+def tune(mode: Mode, free: Sequence[str], objective: Objective) -> tuple[Mode, list[Array], Array]:
+    """The best tuning, and the surface that leads there.
+
+    The best point of a logarithmic grid over the first two parameters is the start of a
+    Nelder-Mead search over all of them.
+
+    Returns:
+        The mode; the axes of the surface; its values, (len(axis),) or (len(axis), len(axis)).
+    """
+    axes = [np.geomspace(*RANGES[name], POINTS[-1 - i]) for i, name in enumerate(free[:2])]
+    points = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, len(axes))
+
+    def at(values: Iterable[float]) -> Mode:
+        return replace(mode, **{k: float(v) for k, v in zip(free, values, strict=False)})  # type: ignore[arg-type]
+
+    surface = np.array([
+        objective(at(point)).mean() for point in tracked(points, mode.name)
+    ])  # fmt: skip
+    start = [getattr(at(points[np.nanargmax(surface)]), name) for name in free]
+    bounds = np.log([RANGES[name] for name in free])
+    corner = np.clip(np.log(np.maximum(start, 1e-12)), *(bounds.T + [[0.0], [-STEP]]))
+    found = minimize(
+        lambda logarithms: -np.nan_to_num(objective(at(np.exp(logarithms))).mean(), nan=-np.inf),
+        corner,
+        method="Nelder-Mead",
+        bounds=bounds,
+        options={
+            "initial_simplex": corner + STEP * np.eye(len(free) + 1, len(free), k=-1),
+            "xatol": 0.005,
+            "fatol": 1e-5,
+        },
+    )
+    best = at([float(f"{v:.3g}") for v in np.exp(found.x)])
+    return best, axes, surface.reshape([len(axis) for axis in axes])
+
+
+def surface_table(free: Sequence[str], axes: Sequence[Array], surface: Array) -> str:
+    """The surface as Markdown: the first parameter to the right, the second down."""
+    header = [" / ".join(reversed(free[:2])), *(f"{v:.3g}" for v in axes[0])]
+    lines = surface.reshape(len(axes[0]), -1).T
+    labels = [f"{v:.3g}" for v in axes[1]] if len(axes) > 1 else [""]
+    rows = [[a, *(f"{v:.3f}" for v in line)] for a, line in zip(labels, lines, strict=True)]
+    return grid(header, rows)

@@ -1,0 +1,59 @@
+"""What mmwave-loc --version --json tells."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+
+import pytest
+
+import mmwave_env
+from experiments.console import version
+from tests.cli import command, environment
+from tests.paths import ROOT
+
+
+@pytest.mark.slow  # it compiles five modes at once
+def test_versions_threads_kernels_and_a_self_test_are_told():
+    done = command("--version", "--json")
+    told = json.loads(done.stdout)
+    assert done.returncode == 0 and told["versions"]["mmwave-loc"] == mmwave_env.__version__
+    assert {"numba", "numpy", "gymnasium", "python"} < set(told["versions"])
+    assert told["kernels"]["functions"] > 0 and os.path.isdir(told["kernels"]["place"])
+    assert len(told["self_test"]) == 4 and all(test["passed"] for test in told["self_test"])
+    assert 0.0 <= max(test["deviation"] for test in told["self_test"]) < 1e-9
+
+
+def test_a_kernel_that_computes_something_else_ends_with_code_1(monkeypatch):
+    monkeypatch.setattr(version, "self_test", lambda: [{"kernel": "x", "passed": False}])
+    done = command("--version", "--json")
+    assert done.returncode == 1 and not json.loads(done.stdout)["self_test"][0]["passed"]
+
+
+@pytest.mark.parametrize(
+    ("name", "features", "fma"),
+    [("generic", "", False), ("x86-64-v2", "", False), ("x86-64-v3", "", True),
+     ("generic", "+avx2,+fma", True)],
+)  # fmt: skip
+def test_a_processor_without_fma_is_told_of(name, features, fma, monkeypatch):
+    monkeypatch.setattr(version.platform, "machine", lambda: "x86_64")
+    monkeypatch.setattr(version.numba.config, "CPU_NAME", name)
+    monkeypatch.setattr(version.numba.config, "CPU_FEATURES", features)
+    monkeypatch.setattr(version, "self_test", list)
+    done = command("--version", "--json")
+    assert json.loads(done.stdout)["features"]["fma"] is fma
+    assert ("(FMA)" in done.stderr) is not fma
+
+
+@pytest.mark.slow
+def test_a_signal_ends_the_self_test_while_it_compiles(tmp_path):
+    running = subprocess.Popen(
+        [sys.executable, "-m", "experiments.console", "--version", "--json"],
+        env=environment() | {"NUMBA_CACHE_DIR": str(tmp_path)}, cwd=ROOT,
+        stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
+    )  # fmt: skip
+    time.sleep(15.0)
+    running.send_signal(signal.SIGTERM)
+    assert running.wait(timeout=10.0) == -signal.SIGTERM
