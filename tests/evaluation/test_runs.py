@@ -1,10 +1,13 @@
 """Folders of runs: what is read of them, and what is said of damaged ones."""
 
 import json
+from pathlib import Path
 
 import pytest
 
 from experiments.evaluation.runs import Run, trainings
+from policies import LearnedSwitch, shipped_policies
+from tests.paths import ROOT
 
 SUMMARY = {"seeds": [{"seed": 2}, {"seed": 0}, {"seed": 1}], "median": 0, "command": "..."}
 
@@ -63,3 +66,16 @@ def test_a_run_that_is_not_over_is_refused(folder):
     (folder / "summary.json").unlink()
     with pytest.raises(FileNotFoundError, match="summary.json: found no file.*--resume"):
         Run.read(str(folder))
+
+
+@pytest.mark.parametrize("name", ["guided", "guided-ppo", "ppo-handset", "ppo-standard"])
+def test_a_shipped_policy_is_the_median_of_its_five_trainings(name):
+    run = Run.read(str(ROOT / "docs" / "learning" / name))
+    shipped = shipped_policies()[name]
+    assert len(run.seeds) == 5 and run.median == run.seeds[2]
+    assert shipped.read_bytes() == Path(run.policy).read_bytes()
+    cards = [LearnedSwitch(path).card for path in run.policies]
+    assert [card.seed for card in cards] == list(run.seeds)
+    assert all(card.evaluation["seed"] >= 5_000_000 for card in cards)  # no test seeds
+    rewards = [card.evaluation["reward"] for card in cards]
+    assert rewards == sorted(rewards, reverse=True)
