@@ -11,7 +11,7 @@ COMMANDS = {
     "inspect": "localize --diagnose",
     "learned": "docs/learning.md has what was found; the history has the command",
     "raytrace": "python examples/raytrace.py (in a checkout)",
-    "record": "a folder of one track, for --data; the history has the command",
+    "record": "read_deepmimo(folder, users=...) in Python, docs/deepmimo.md",
     "samples": "list samples; list samples --out FOLDER copies them",
     "soak": "docs/reliability.md has what was found; the tests try it",
     "standardize": "docs/learning.md has what was found; the history has the command",
