@@ -22,6 +22,10 @@ METRICS = {
     "in_bounds": "share of epochs with NEES in its two-sided 95 % interval",
     "divergence_rate": f"share of episodes with an error above {DIVERGENCE_M:g} m",
 }
+TERMS = {  # of the tracking reward, which is minus their sum
+    "error_term": "what position errors cost in the tracking reward, per epoch",
+    "nees_term": "what the NEES costs in the tracking reward, per epoch",
+}
 
 
 def _squared(error: Array) -> Array:

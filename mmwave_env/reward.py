@@ -11,9 +11,12 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import cast
 
+import numpy as np
+
 from mmwave_env.filters.belief import Belief
 from mmwave_env.filters.custom import begin_of, line_of
 from mmwave_env.lookup import choose
+from mmwave_env.numerics.arrays import Array
 from mmwave_env.numerics.numbers import Number, Vector, log, maximum, minimum
 from mmwave_env.numerics.tracer import FloatTracer, NoValueError, Tracer, TracerCondition
 
@@ -39,6 +42,19 @@ class TrackingReward:
     def worst(self) -> float:
         """The lowest reward there is."""
         return -(self.error_weight * self.error_limit_m + self.nees_weight * self.nees_limit)
+
+    def terms(self, distance_m: Array, nees: Array, axes: int = 3) -> tuple[Array, Array]:
+        """What error and NEES cost in epochs (...,); the reward is minus their sum.
+
+        Args:
+            distance_m: (...,) length of the position error.
+            nees: (...,) of so many position axes.
+            axes: number of them.
+        """
+        error = np.minimum(distance_m, self.error_limit_m)
+        inconsistency = np.abs(np.log(np.maximum(nees, _SMALLEST_NEES) / axes))
+        limited = np.minimum(inconsistency, self.nees_limit)
+        return self.error_weight * error, self.nees_weight * limited
 
     def __call__(self, belief: Belief, truth: Vector) -> Number:
         """Reward of one epoch."""

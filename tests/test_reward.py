@@ -67,6 +67,17 @@ def test_tracking_reward_by_hand(error_m, variance_m2, expected):
     assert TrackingReward()(belief(error_m, variance_m2), ORIGIN) == pytest.approx(expected)
 
 
+@pytest.mark.parametrize("axes", [(0, 1, 2), (0, 1)])
+@pytest.mark.parametrize("reward", [TrackingReward(), TrackingReward(2.0, 5.0, 1.0, 0.5)])
+def test_a_reward_is_minus_the_sum_of_its_terms(reward, axes):
+    for error_m in ((0.0, 0.0, 0.0), (0.1, 0.2, 0.0), (3.0, 2.0, 1.0), (60.0, 0.0, 0.0)):
+        one = belief(error_m, 2.0, axes)
+        error, nees = reward.terms(
+            np.array(one.distance(ORIGIN)), np.array(one.nees(ORIGIN)), len(axes)
+        )
+        assert reward(one, ORIGIN) == pytest.approx(-(error + nees))
+
+
 def test_weights_and_limits_are_arguments():
     reward = TrackingReward(error_weight=2.0, error_limit_m=5.0, nees_weight=1.0, nees_limit=0.5)
     assert reward(belief((3.0, 0.0, 0.0)), ORIGIN) == pytest.approx(-6.5)

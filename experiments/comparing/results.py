@@ -95,7 +95,8 @@ def results(
         scores, own, scenario=source.name, radio=task.radio.name, selection=selection,
         reward=reward_name(scoring.reward),
     )  # fmt: skip
-    text, content = str(result), result.json
+    text = str(result) + (result.terms if args.percentiles else "")
+    content = result.json
     if bound:
         with progress("bound"):
             over = over_bound(scores, source, radio_from(args.radio), selection)

@@ -14,7 +14,8 @@ from experiments.console.text import escaped, printable_lines, unescaped
 
 HEADERS = {
     "reward": "reward", "ate_m": "ATE m", "rmse_m": "RMSE m", "rpe_m": "RPE m", "nees": "NEES",
-    "in_bounds": "in 95 % bounds", "divergence_rate": "diverged",
+    "in_bounds": "in 95 % bounds", "divergence_rate": "diverged", "error_term": "error term",
+    "nees_term": "NEES term",
 }  # fmt: skip
 
 

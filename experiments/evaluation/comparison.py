@@ -14,7 +14,7 @@ from experiments.evaluation.intervals import Interval, bootstrap, rounded
 from experiments.evaluation.runner import Scores
 from experiments.evaluation.seeds import Selection
 from mmwave_env.lookup import as_cell
-from mmwave_env.metrics import METRICS
+from mmwave_env.metrics import METRICS, TERMS
 from mmwave_env.numerics.arrays import Array
 from mmwave_env.world.episode import EpisodeSource
 
@@ -56,8 +56,11 @@ class Comparison:
             return {k: {m: Interval.of(i) for m, i in row.items()} for k, row in rows}
 
         policies = sorted(table("policies").items(), key=lambda row: -row[1]["reward"].mean)
-        keys, first = content.get("keys"), content.get("seed")
-        selection = Selection(keys or range(first, first + content["episodes"]), bool(keys))
+        if keys := content.get("keys"):
+            selection = Selection(keys, True)
+        else:
+            first = content["seed"]
+            selection = Selection(range(first, first + content["episodes"]))
         what = content["scenario"], content["radio"], selection
         return cls(*what, dict(policies), table("paired"))
 
@@ -88,6 +91,14 @@ class Comparison:
         ]
         return grid(["policy", *(HEADERS[metric] for metric in METRICS)], rows)
 
+    @property
+    def terms(self) -> str:
+        """What error and NEES cost everybody in the tracking reward, as Markdown."""
+        rows = [[name, *(rounded(row[t]) for t in TERMS)] for name, row in self.policies.items()]
+        header = ["policy", *(HEADERS[term] for term in TERMS)]
+        about = "The terms of the tracking reward, which is minus their sum:"
+        return f"\n{about}\n\n{grid(header, rows)}\n"
+
     def _paired_table(self) -> str:
         """Each policy minus the references."""
         everybody = self.policies  # names may hold " - "
@@ -114,11 +125,12 @@ def episodes_csv(scores: dict[str, Scores], selection: Selection, source: Episod
     """
     table = io.StringIO()
     rows = csv.writer(table, lineterminator="\n")
-    rows.writerow(["policy", "seed", "key", *METRICS])
+    columns = (*METRICS, *TERMS)
+    rows.writerow(["policy", "seed", "key", *columns])
     seeds, keys = selection.seeds(), selection.keys(source)
     which = list(zip(seeds, [None] * len(seeds) if keys is None else keys.tolist(), strict=True))
     for name, metrics in scores.items():
-        values = zip(*(metrics[metric].tolist() for metric in METRICS), strict=True)
+        values = zip(*(metrics[metric].tolist() for metric in columns), strict=True)
         rows.writerows([as_cell(name), *one, *row] for one, row in zip(which, values, strict=True))
     return table.getvalue()
 
@@ -140,7 +152,7 @@ def compare_scores(scores: dict[str, Scores], own: Sequence[str] = (), **what: A
         own: a user's contenders, which are compared with everybody, each other, too.
         what: the other attributes of :class:`Comparison`.
     """
-    metrics = list(METRICS)
+    metrics = [*METRICS, *TERMS]
 
     def rows(table: dict[str, Array]) -> dict[str, dict[str, Interval]]:
         intervals = bootstrap(np.concatenate(list(table.values()), axis=1))

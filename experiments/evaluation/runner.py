@@ -15,7 +15,7 @@ from mmwave_env.compiler.program import rows_of
 from mmwave_env.engines.env_engine import Engine
 from mmwave_env.engines.imm_engine import ImmEngine
 from mmwave_env.filters.pipeline import Pipeline
-from mmwave_env.metrics import BURN_IN, METRICS, scored, summary
+from mmwave_env.metrics import BURN_IN, METRICS, TERMS, scored, summary
 from mmwave_env.numerics.arrays import Array
 from mmwave_env.reward import Reward, TrackingReward
 from mmwave_env.task import Modes, Task
@@ -172,7 +172,12 @@ def _warn_of_nonfinite(contender: Contender, told: EpochResults) -> None:
 
 def _summary(told: EpochResults, episodes: Sequence[Episode], scoring: Scoring) -> Scores:
     rate, axes = 1.0 / step_s(episodes[0]), 2 if scoring.planar else 3
-    return summary(told["reward"], told["error"], told["nees"], rate, axes)
+    reward = scoring.reward if isinstance(scoring.reward, TrackingReward) else TrackingReward()
+    terms = reward.terms(np.linalg.norm(told["error"], axis=-1), told["nees"], axes)
+    counted = scored(told["nees"].shape[-1])
+    return summary(told["reward"], told["error"], told["nees"], rate, axes) | {
+        name: term[..., counted].mean(axis=-1) for name, term in zip(TERMS, terms, strict=True)
+    }
 
 
 def score_contenders(
@@ -224,6 +229,6 @@ def score_contenders(
                     one(contender, batch, told)
                 progress.advance(task, len(batch))
     return {
-        name: {m: np.concatenate([part[m] for part in scores]) for m in METRICS}
+        name: {m: np.concatenate([part[m] for part in scores]) for m in (*METRICS, *TERMS)}
         for name, scores in parts.items()
     }

@@ -10,14 +10,14 @@ from experiments.console.options import EpisodeArgs
 from experiments.evaluation.asked import all_contenders
 from experiments.evaluation.comparison import compare_scores
 from experiments.evaluation.seeds import Selection
-from mmwave_env.metrics import METRICS
+from mmwave_env.metrics import METRICS, TERMS
 
 
 def test_every_place_is_printed_and_written(tmp_path, monkeypatch, capsys):
     def results(args, names):
         asked.append(args.percentiles)
         rng = np.random.default_rng(0)
-        scores = {name: {m: rng.normal(size=3) for m in METRICS} for name in names}
+        scores = {name: {m: rng.normal(size=3) for m in (*METRICS, *TERMS)} for name in names}
         scenario = args.data or "mixed"
         what = {"radio": args.radio, "selection": Selection(range(args.episodes))}
         found = compare_scores(scores, scenario=scenario, **what)
@@ -25,8 +25,12 @@ def test_every_place_is_printed_and_written(tmp_path, monkeypatch, capsys):
 
     pages, asked = [], []
     monkeypatch.setattr("experiments.comparing.results.results", results)
-    # The report has tests of its own.
-    monkeypatch.setattr("experiments.webpage.page.write_page", pages.append)
+
+    def page_of(args):  # it has tests of its own
+        pages.append(args)
+        return "a page"
+
+    monkeypatch.setattr("experiments.webpage.page.page_of", page_of)
     demo.main(demo.Args(out=tmp_path, json=tmp_path / "all.json", percentiles=True))
     shown = capsys.readouterr().out
     rows = [line.split(" | ")[0][2:] for line in shown.splitlines() if "±" in line]
@@ -38,7 +42,7 @@ def test_every_place_is_printed_and_written(tmp_path, monkeypatch, capsys):
     assert all(written.count(f"\n| {name} |") == 2 * len(places) for name in everyone)
     (page,) = pages
     assert page.results == tuple(tmp_path / f"{place}.json" for place in places)
-    assert str(page.out) in shown
+    assert str(page.out) in shown and page.out.read_text() == "a page"
     together = json.loads((tmp_path / "all.json").read_text())
     for place in places:
         assert str(tmp_path / f"{place}.json") in shown

@@ -20,7 +20,8 @@ from tests.paths import ROOT
 
 HEAVY = {"numba", "gymnasium", "numpy", "scipy", "matplotlib", "torch", "rich", "pyarrow"}
 
-METRICS = ["reward", "ate_m", "rmse_m", "rpe_m", "nees", "in_bounds", "divergence_rate"]
+METRICS = ["reward", "ate_m", "rmse_m", "rpe_m", "nees", "in_bounds", "divergence_rate",
+           "error_term", "nees_term"]  # fmt: skip
 
 
 def assert_intervals(row):

@@ -10,7 +10,7 @@ import pytest
 
 import mmwave_env
 from mmwave_env.info import EPISODE_KEYS
-from mmwave_env.metrics import BURN_IN, METRICS
+from mmwave_env.metrics import BURN_IN, METRICS, TERMS
 from tests.cli import assert_one_clear_line, command, succeed
 from tests.paths import ROOT
 
@@ -29,8 +29,8 @@ def results(tmp_path_factory):
 
 
 def test_the_schema_names_every_metric_with_its_meaning():
-    said = SCHEMA["$defs"]["metrics"]
-    assert {name: one["description"] for name, one in said["properties"].items()} == METRICS
+    said, all_of_them = SCHEMA["$defs"]["metrics"], METRICS | TERMS
+    assert {name: one["description"] for name, one in said["properties"].items()} == all_of_them
     assert said["required"] == list(METRICS)
 
 
@@ -53,6 +53,10 @@ def test_percentiles_are_in_a_table_and_in_the_file_where_they_are_asked_for(res
     assert found | {"command": ""} == results[0] | {"command": ""}
     assert errors["risk"] == 1e-3 and tuple(errors["policies"]) == POLICIES
     lines = shown.splitlines()
+    terms = found["policies"]["fixed-ekf"]
+    total = terms["reward"]["mean"] + sum(terms[term]["mean"] for term in TERMS)
+    assert total == pytest.approx(0.0, abs=1e-9)
+    assert "| policy | error term | NEES term |" in lines
     for name, kinds in errors["policies"].items():
         for kind, figures in kinds.items():
             (row,) = [line for line in lines if line.startswith(f"| {name}, {kind} |")]
@@ -86,7 +90,7 @@ def test_results_say_how_to_make_them_again(results, tmp_path):
 
 def test_the_table_of_episodes_has_a_row_for_every_policy_and_seed(results):
     found, rows = results
-    assert list(rows[0]) == ["policy", "seed", "key", *METRICS]
+    assert list(rows[0]) == ["policy", "seed", "key", *METRICS, *TERMS]
     assert [(row["policy"], row["seed"]) for row in rows] == [
         (name, seed) for name in POLICIES for seed in ("4", "5")
     ]

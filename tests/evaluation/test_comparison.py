@@ -6,14 +6,15 @@ import pytest
 from experiments.evaluation.comparison import compare_scores, references
 from experiments.evaluation.intervals import bootstrap
 from experiments.evaluation.seeds import Selection
-from mmwave_env.metrics import METRICS
+from mmwave_env.metrics import METRICS, TERMS
 
 
 def scores(**rewards):
     """Scores of contenders with the given rewards; the other metrics follow from them."""
     return {
         name.replace("_", "-"): {
-            metric: (i + 1.0) * np.asarray(reward, float) for i, metric in enumerate(METRICS)
+            metric: (i + 1.0) * np.asarray(reward, float)
+            for i, metric in enumerate((*METRICS, *TERMS))
         }
         for name, reward in rewards.items()
     }
@@ -92,4 +93,4 @@ def test_results_as_json():
     assert {key: result[key] for key in said} == said
     assert list(result) == [*said, "policies", "paired"]
     assert result["policies"]["imm"]["reward"] == {"mean": 2.0, "ci95": [2.0, 2.0]}
-    assert list(result["paired"]["imm - speed-rule"]) == list(METRICS)
+    assert list(result["paired"]["imm - speed-rule"]) == [*METRICS, *TERMS]
