@@ -46,6 +46,7 @@ GROUPS = {
 }
 COMMANDS = {name: what for group in GROUPS.values() for name, what in group.items()}
 SAME = {"evaluate": "compare"}  # other words for commands
+SHELLS = ("bash", "zsh", "fish")  # that tyro completes commands and options in
 LONGEST_LINE = 2000  # letters of a message
 
 
@@ -131,6 +132,7 @@ def run(name: str, words: Sequence[str] | None = None) -> None:
                 if isinstance(stream, TextIOWrapper):  # which may not have all letters of names
                     stream.reconfigure(errors="backslashreplace")
             args, command = read_arguments(name, words), importlib.import_module(page_of(name))
+            importlib.import_module("experiments.evaluation.asked")  # what all commands wait for
         with ended_by_signals(), _quiet() if "--quiet" in words else nullcontext():
             _require_results_can_be_written(args)
             command.main(args)
@@ -199,6 +201,9 @@ def _complete(words: Sequence[str]) -> None:
     Raises:
         SystemExit: always.
     """
+    if len(words) < 2 or words[1] not in SHELLS:
+        print(f"mmwave-loc: {words[0]}: expected one of {', '.join(SHELLS)}", file=sys.stderr)
+        sys.exit(2)
     import tyro
 
     from experiments.console.parser import described

@@ -32,18 +32,15 @@ _EPOCHS = 25
 
 
 def about() -> dict[str, Any]:
-    """Everything, as JSON; compiles what is not kept yet, which takes seconds."""
-    features = _features()
-    if not features["fma"]:
-        note("the processor, or NUMBA_CPU_NAME, has no fused multiply-add (FMA): kernels call a "
-             "function for each, and compiling them takes many minutes")  # fmt: skip
+    """Everything, as JSON; compiles what is not kept yet, which takes about a minute of a core."""
+    if not _has_avx():
+        note("compiling for a processor without AVX takes ten times as long: many minutes")
     with ended_by_the_system():  # the compiler is one long call, during which no Python runs
         tests = self_test()
     return {
         "versions": versions(),
         "system": platform.platform(),
         "processor": numba.config.CPU_NAME or str(get_host_cpu_name()),
-        "features": features,
         "threads": len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else None,
         "environments_at_a_time": WIDTH,
         "kernels": kept_functions()._asdict(),
@@ -51,17 +48,14 @@ def about() -> dict[str, Any]:
     }
 
 
-def _features() -> dict[str, bool]:
-    """The extensions of the processor that kernels are compiled for, as far as they matter."""
-    known = dict(get_host_cpu_features())
-    if numba.config.CPU_NAME:  # in place of the host's
-        said = (numba.config.CPU_FEATURES or "").split(",")
-        version = numba.config.CPU_NAME.removeprefix("x86-64-v")
-        known = dict.fromkeys(("fma", "avx2"), version in ("3", "4"))
-        known |= {word[1:]: word[0] == "+" for word in said if word}
-    if platform.machine().lower() in ("arm64", "aarch64"):  # which always has both kinds
-        return {"fma": True}
-    return {name: bool(known.get(name)) for name in ("avx2", "avx512f", "fma")}
+def _has_avx() -> bool:
+    """Whether kernels are compiled for vectors of four numbers: of two, most wait in memory."""
+    if platform.machine().lower() not in ("x86_64", "amd64"):
+        return True  # ARM has more registers instead
+    name = numba.config.CPU_NAME
+    if not name:
+        return bool(get_host_cpu_features().get("avx"))
+    return name in ("x86-64-v3", "x86-64-v4") or "+avx" in (numba.config.CPU_FEATURES or "")
 
 
 def self_test() -> list[dict[str, Any]]:

@@ -130,6 +130,14 @@ def test_help_loads_nothing_heavy():
     assert done.stdout.splitlines()[-1] == "loaded:"
 
 
+def test_shells_complete_commands_and_options():
+    for shell in ("bash", "zsh", "fish"):
+        script = succeed("--tyro-print-completion", shell)
+        assert "localize" in script and "policies" in script and "quiet" in script
+    for words in (["--tyro-print-completion"], ["--tyro-print-completion", "basch"]):
+        assert_one_clear_line(command(*words), "expected one of bash, zsh, fish")
+
+
 def test_the_version_is_shown():
     assert succeed("--version") == f"mmwave-loc {mmwave_env.__version__}\n"
 
@@ -219,7 +227,7 @@ def test_an_interrupt_while_it_starts_ends_with_one_line(module):
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=ROOT)
     assert (done.returncode, done.stdout) == (130, "")
-    assert done.stderr == "mmwave-loc: interrupted\n"
+    assert re.fullmatch("mmwave-loc( evaluate)?: interrupted\n", done.stderr)
 
 
 @pytest.mark.slow
