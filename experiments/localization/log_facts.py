@@ -1,5 +1,6 @@
 """Facts about a measurement log: epochs, rate, anchors, speeds; and what is odd about them."""
 
+from collections import Counter
 from collections.abc import Iterable
 from typing import Any, NamedTuple
 
@@ -15,7 +16,6 @@ from mmwave_env.numerics.arrays import Array
 from mmwave_env.world.mobility import FASTEST_MPS
 
 _UNEVEN = 0.1  # of the median step
-_SPEED_BINS = np.append(np.arange(0.0, FASTEST_MPS, 0.01), np.inf)
 
 
 class LogFacts(NamedTuple):
@@ -29,50 +29,40 @@ class _Sums:
     """Running sums over the epochs of a log, which may be too long for the memory."""
 
     def __init__(self, anchors: int) -> None:
-        self.epochs = self.gaps = self.uneven = self.jumps = 0
-        self.seen, self.without = np.zeros(anchors, np.int64), 0
-        self.incomplete: dict[str, int] = {}
+        self.epochs = self.gaps = self.uneven = self.jumps = self.without = 0
+        self.seen = np.zeros(anchors, np.int64)
+        self.incomplete: Counter[str] = Counter()
         self.first_s = self.last_s = self.step_s = np.nan
-        self.speeds, self.fastest = np.zeros(len(_SPEED_BINS) - 1, np.int64), 0.0
+        self.distance_m = self.moving_s = self.fastest_mps = 0.0
         self._before = np.empty((0, 4))  # time and true position of the last epoch
 
     def add(self, block: LogBlock, position_m: Array) -> None:
         """Add a block with its true positions (T, 3), NaN where not known."""
         rows = np.column_stack([block.time_s, position_m])
         joined = np.concatenate([self._before, rows])
-        if not self.epochs:
-            self.first_s = float(block.time_s[0])
+        self.first_s = self.first_s if self.epochs else float(block.time_s[0])
         self._before, self.last_s = rows[-1:], float(block.time_s[-1])
         self.epochs += len(rows)
         links = block.visible[:, : block.layout.anchors]
         self.seen += links.sum(axis=0)
         self.without += int((~links.any(axis=1)).sum())
         counts = block.incomplete.sum(axis=0).tolist()
-        for name, count in zip(block.layout.group_names, counts, strict=True):
-            self.incomplete[name] = self.incomplete.get(name, 0) + count
+        self.incomplete.update(dict(zip(block.layout.group_names, counts, strict=True)))
         if len(joined) > 1:
             self._add_steps(joined)
 
     def _add_steps(self, rows: Array) -> None:
-        steps = np.diff(rows[:, 0])
+        steps, moved = np.diff(rows[:, 0]), np.linalg.norm(np.diff(rows[:, 1:], axis=0), axis=1)
         if np.isnan(self.step_s):
             self.step_s = float(np.median(steps))
         self.gaps += int((steps > GAP_S).sum())
         self.uneven += int((abs(steps - self.step_s) > _UNEVEN * self.step_s).sum())
-        speed = np.linalg.norm(np.diff(rows[:, 1:], axis=0), axis=1) / steps
-        speed = speed[np.isfinite(speed) & (steps <= GAP_S)]
-        self.speeds += np.histogram(speed, _SPEED_BINS)[0]
-        self.fastest = max(self.fastest, float(speed.max(initial=0.0)))
+        known = np.isfinite(moved) & (steps <= GAP_S)
+        speed = moved[known] / steps[known]
+        self.distance_m += float(moved[known].sum())
+        self.moving_s += float(steps[known].sum())
+        self.fastest_mps = max(self.fastest_mps, float(speed.max(initial=0.0)))
         self.jumps += int((speed > FASTEST_MPS).sum())
-
-    def speed_mps(self) -> dict[str, float] | None:
-        """Speeds that half and 95 % of the steps are below, and the highest; None where unknown."""
-        below = np.cumsum(self.speeds)
-        if not below[-1]:
-            return None
-        at = {p: _SPEED_BINS[np.searchsorted(below, p / 100.0 * below[-1]) + 1] for p in (50, 95)}
-        return {**{f"{p} %": min(float(v), self.fastest) for p, v in at.items()},
-                "max": self.fastest}  # fmt: skip
 
     def problems(self) -> list[str]:
         """What is odd about the counts."""
@@ -81,9 +71,11 @@ class _Sums:
             (self.uneven, f"steps that differ from {self.step_s:.4g} s by more than 10 %"),
             (self.jumps, f"steps of the truth faster than {FASTEST_MPS:g} m/s"),
             (self.without, "epochs in which no anchor was seen"),
-            *((n, f"times only some of the numbers of {name}, which count as not measured")
-              for name, n in self.incomplete.items()),
-        ]  # fmt: skip
+        ]
+        said += [
+            (count, f"times only some of the numbers of {name}, which count as not measured")
+            for name, count in self.incomplete.items()
+        ]
         never = [f"anchor {a + 1} was never seen" for a in np.flatnonzero(self.seen == 0)]
         return [f"{count} {what}" for count, what in said if count] + never
 
@@ -103,7 +95,9 @@ def log_facts(blocks: Iterable[LogBlock], scene: Scene, truth: Truth | None) -> 
         "first_s": sums.first_s,
         "last_s": sums.last_s,
         "step_s": None if np.isnan(sums.step_s) else sums.step_s,
-        "speed_mps": sums.speed_mps(),
+        "speed_mps": {"mean": sums.distance_m / sums.moving_s, "max": sums.fastest_mps}
+        if sums.moving_s
+        else None,
         "anchors": [
             {"position_m": place.tolist(), "seen": int(seen), "share": float(seen / epochs)}
             for place, seen in zip(scene.anchors_m, sums.seen, strict=True)
@@ -119,10 +113,8 @@ def facts_markdown(figures: dict[str, Any]) -> str:
     rate = f", {1.0 / step:.4g} Hz" if step else ""
     lines = [f"{f['epochs']} epochs, {f['first_s']:.10g} to {f['last_s']:.10g} s{rate}"]
     if speed:
-        lines.append(
-            f"speed by the truth: {speed['50 %']:.2f} m/s at 50 %, {speed['95 %']:.2f} m/s at "
-            f"95 %, {speed['max']:.2f} m/s at most"
-        )
+        mean, most = speed["mean"], speed["max"]
+        lines.append(f"speed by the truth: {mean:.2f} m/s on average, {most:.2f} m/s at most")
     rows = [
         [
             f"{number}{', base station' if number == 1 else ''}",
