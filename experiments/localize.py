@@ -35,7 +35,7 @@ class FilterArgs:
     """mode file with other pipelines: the one for low, then the one for high mobility"""
     imm: str | None = None
     """in place of one pipeline at a time, all modes of an IMM at once, mixed by how well each
-    explains the log: imm-best, imm or another of mmwave-loc list, or a bank's mode file"""
+    explains the log: imm-best, imm or a bank's mode file"""
     gating: bool = True
     """reject measurements outside their 99 % chi-square gates"""
     adaptive: bool = True

@@ -18,7 +18,7 @@ class Args(WorldArgs):
     overwrite: bool = False
     """replace the files of an episode that are there"""
     seed: int = 0
-    """seed of the episode, the same that evaluate runs"""
+    """seed of the episode, the same that compare runs"""
     unassociated: bool = False
     """rows are paths in random order, without the number of an anchor; localize --associate reads
     them"""

@@ -15,7 +15,7 @@ class Args(JsonArgs):
     them, on all streets at 1 Hz and 10 Hz (extra "tune").
 
     mmwave-loc tune --radio handset --out modes.json
-    mmwave-loc tune --bank --radio phone.json --episodes 900 --evaluations 500 --out bank.json
+    mmwave-loc tune --bank --radio phone.json --episodes 900 --out bank.json
     """
 
     radio: str = "handset"

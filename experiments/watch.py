@@ -23,7 +23,7 @@ class PlayArgs(ModeArgs):
     """Episode."""
 
     seed: int | None = None
-    """seed of the episode (0 where none is given), the same that evaluate runs"""
+    """seed of the episode (0 where none is given), the same that compare runs"""
     key: int | None = None
     """key of a simulated episode in place of a seed, as --episodes-csv of compare tells it"""
     log: Path | None = None

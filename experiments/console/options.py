@@ -47,7 +47,7 @@ class WorldArgs:
     """street (where none is named), o1, dynamic-doppler, random (each episode its own) or a JSON
     file"""
     data: str | None = None
-    """recorded data instead of a simulation: a recording of mmwave-loc samples, or a folder, of
+    """recorded data instead of a simulation: one of mmwave-loc list samples, or a folder, of
     a DeepMIMO scenario (each seed draws receiver noise and prior anew) or of a measurement log with
     scene.json and truth.tum (each draws the prior anew)"""
     dt: float | None = None

@@ -84,10 +84,10 @@ def described(arguments: type[Any]) -> type[Any]:
     for declares in (*arguments.__mro__[:-1], Everywhere):
         for name, text in _texts(declares).items():
             kind, default = kinds[name], known[name].default
-            usual = "" if default in (None, False, ()) else None  # None: as tyro shows it
-            kind = Annotated[
-                kind, arg(help=text, help_behavior_hint=usual, metavar=_metavar(name, kind))
-            ]
+            nothing = default is None or default is False or default == ()
+            usual = "" if nothing else None  # None: as tyro shows it
+            metavar = _metavar(name, kind, default is MISSING)
+            kind = Annotated[kind, arg(help=text, help_behavior_hint=usual, metavar=metavar)]
             if default is False:  # there is no --no-NAME
                 kind = Annotated[kind, FlagCreatePairsOff]
             made.append((name, kind, field(default=default)))
@@ -106,11 +106,12 @@ def _texts(declares: type[Any]) -> dict[str, str]:
     return found
 
 
-def _metavar(name: str, kind: Any) -> str | None:
+def _metavar(name: str, kind: Any, required: bool) -> str | None:
     """What stands for a value in help; None for what tyro shows."""
     several = "..." if get_origin(_plain(kind)) is tuple else ""
     if is_positional(kind):
-        return name.upper() + several
+        shown = name.upper() + several
+        return shown if required else f"[{shown}]"
     return f"{get_args(_plain(kind))[0].__name__.upper()}{several}" if several else None
 
 

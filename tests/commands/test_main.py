@@ -99,6 +99,9 @@ def test_without_a_command_the_commands_are_listed():
 @pytest.mark.parametrize("name", COMMANDS)
 def test_every_command_explains_its_options(name):
     shown = command(name, "--help", columns=80).stdout
+    # tyro leaves it to terminals to fold the line of usage.
+    lines = [line for line in shown.splitlines() if not line.startswith("usage: ")]
+    assert max(map(len, lines)) <= 80
     assert f"\nusage: mmwave-loc {name} " in shown and "None" not in shown
     (example,) = re.findall(r"^example:\n  mmwave-loc (.*)$", shown, re.MULTILINE)
     typed, *words = shlex.split(example)
@@ -112,6 +115,13 @@ def test_help_fits_80_columns_in_any_terminal(columns):
     for words in (("compare", "--help"), ("localize", "--help"), ("--help",)):
         shown = command(*words, columns=columns).stdout
         assert 60 < max(map(len, shown.splitlines())) <= 80
+
+
+def test_help_shows_defaults_and_what_can_be_left_out():
+    shown = " ".join(command("leaderboard", "--help", columns=80).stdout.split())
+    assert "test seeds start at 0 (default: 0)" in shown and "(default: False)" not in shown
+    assert "[-h] [WHAT] [--radio STR]" in command("list", "--help").stdout
+    assert "[OPTIONS] MODEL POLICY" in command("convert", "--help").stdout
 
 
 def test_help_loads_nothing_heavy():
