@@ -20,4 +20,6 @@ COMMANDS = {
     "transfer": "leaderboard",
     "tune-imm": "tune --bank",
 }
-OPTIONS: dict[str, str] = {}
+OPTIONS = {
+    "--format": "simulate writes a log with scene and truth, which --data and localize take",
+}

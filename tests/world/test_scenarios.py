@@ -70,6 +70,6 @@ def test_files_of_neither_kind_are_refused(tmp_path, name, content, message):
 
 
 def test_names_that_there_are_not_are_refused():
-    for name in ("walker", 3):
+    for name in ("boat", 3):
         with pytest.raises(ValueError, match=f"scenario: found '{name}', expected one of pedestr"):
             users_of(name)
