@@ -1,6 +1,7 @@
 """The environment: ``gymnasium.make("MmWaveLoc-v0")``."""
 
 import inspect
+import sys
 from collections.abc import Mapping
 from dataclasses import replace
 from functools import partial
@@ -299,7 +300,19 @@ class MmWaveLocEnv(Copied, gym.Env[NDArray[np.float32], np.int64]):
 
     @spec.setter
     def spec(self, spec: EnvSpec | None) -> None:
-        self._spec = spec and replace(spec, max_episode_steps=getattr(self.source, "epochs", None))
+        epochs = getattr(self.source, "epochs", None)
+        self._spec = spec and replace(spec, max_episode_steps=epochs)
+        # `gym.make` ends episodes from outside, whose last step then tells no metrics. It says so
+        # nowhere but in a variable of its own.
+        make = sys._getframe(1).f_locals
+        limit = make.get("max_episode_steps") or getattr(
+            make.get("env_spec"), "max_episode_steps", None
+        )
+        if epochs is not None and limit is not None and 0 < limit < epochs:
+            raise ValueError(
+                f"max_episode_steps: found {limit}, expected None or {epochs}; episode_steps= "
+                "makes episodes of another length, which tell their metrics"
+            )
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None

@@ -15,6 +15,7 @@ from types import UnionType
 from typing import Annotated, Any, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
 
 import numpy as np
+from numpy.typing import NDArray
 
 from mmwave_env.files import read_json
 from mmwave_env.lookup import LONGEST, choose, is_name, quoted
@@ -37,6 +38,38 @@ class Bound:
         low = value > self.above if self.least is None else value >= self.least
         return bool(low and (value < self.below if self.most is None else value <= self.most))
 
+    def outside(self, values: NDArray[np.float64]) -> NDArray[np.bool_]:
+        """Which numbers, of any shape, do not lie between two ends; NaN never does."""
+        assert self.least is not None and self.most is not None
+        return ~((values >= self.least) & (values <= self.most))  # type: ignore[no-any-return]
+
+
+def between(least: float, most: float, unit: str = "") -> Bound:
+    """A bound with two ends."""
+    return Bound(f"a number of {least:g} to {most:g} {unit}".rstrip(), least=least, most=most)
+
+
+def counts(least: int, most: int) -> Bound:
+    """The same, of integers."""
+    return Bound(f"an integer of {least} to {most}", least=least, most=most)
+
+
+@dataclass(frozen=True)
+class Size:
+    """How many a list may hold."""
+
+    least: int
+    most: int
+
+    @property
+    def expected(self) -> str:
+        """In words."""
+        return f"a list of {self.least} to {self.most}"
+
+    def holds(self, value: Any) -> bool:
+        """Whether a list is as long."""
+        return self.least <= len(value) <= self.most
+
 
 @dataclass(frozen=True)
 class Printable:
@@ -50,12 +83,8 @@ class Printable:
 
 
 FINITE = Bound("a finite number")
-Positive = Annotated[float, Bound("a number > 0", above=0.0)]
-NonNegative = Annotated[float, Bound("a number >= 0", least=0.0)]
 Probability = Annotated[float, Bound("a number in [0, 1]", least=0.0, most=1.0)]
-Filled = Annotated[tuple[T, ...], "a list of one or more"]
 Name = Annotated[str, Printable()]
-Count = Annotated[int, Bound("an integer >= 1", least=1)]
 
 _KINDS: dict[Any, tuple[type, str]] = {
     str: (str, "str"), bool: (bool, "bool"), int: (Integral, "int"), float: (Real, "a number"),
@@ -81,7 +110,7 @@ def _fits(hint: Any, value: Any) -> bool:
         if isinstance(said, (Bound, Printable)):
             kind = isinstance(value, _KINDS[base][0]) and not isinstance(value, bool)
             return kind and said.holds(value)
-        return _fits(base, value) and len(value) > 0
+        return _fits(base, value) and (isinstance(said, str) or said.holds(value))
     if origin in (Literal, Union, UnionType):
         return value in inside if origin is Literal else any(_fits(one, value) for one in inside)
     if origin is tuple:
@@ -142,6 +171,7 @@ def _require(hint: Any, value: Any, name: str, of: str) -> None:
     if get_origin(bare) is tuple and get_args(bare)[-1] is ... and _is_list(value):
         for i, one in enumerate(value):  # which of them
             _require(get_args(bare)[0], one, f"{name}[{i}]", of)
+        raise ValueError(f"{name}{of}: found {len(value)}, expected {_said(hint)}")
     raise ValueError(f"{name}{of}: found {quoted(value)}, expected {_said(hint)}")
 
 

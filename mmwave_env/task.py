@@ -150,6 +150,8 @@ def task_from(**arguments: Any) -> Task:
     given = TaskArguments(**arguments)
     require("episode_steps", given.episode_steps, int | None)
     require("dt", given.dt, float | None)
+    for name in ("planar", "odometry", "terminate_on_divergence"):
+        require(name, getattr(given, name), bool)
     source, radio = _source(given, radio_from(given.radio))
     pays = reward_from(given.reward)
     bank, modes = bank_and_modes(given.modes, given.beliefs, radio)

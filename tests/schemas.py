@@ -12,12 +12,12 @@ from types import NoneType
 from typing import Annotated, get_args, get_origin
 
 from mmwave_env.filters.bank import Bank
-from mmwave_env.filters.mode_files import NOTES
+from mmwave_env.filters.mode_files import MOST_MODES, NOTES
 from mmwave_env.filters.modes import ALGORITHMS, Mode
 from mmwave_env.lookup import LONGEST
 from mmwave_env.models.radio import RADIOS, Radio
 from mmwave_env.models.scene import AnchorScene, Scene
-from mmwave_env.records import Bound, Printable, hints_of
+from mmwave_env.records import Bound, Printable, Size, hints_of
 from mmwave_env.world.mobility import Mobility
 from tests.paths import ROOT
 
@@ -57,8 +57,8 @@ def schema_of(hint):
         base, said = inside
         more = bounds(said) if isinstance(said, Bound) else {}
         more |= NAME if isinstance(said, Printable) else {}
-        some = {"minItems": 1} if get_origin(base) is tuple and get_args(base)[-1] is ... else {}
-        return schema_of(base) | more | some
+        more |= {"minItems": said.least, "maxItems": said.most} if isinstance(said, Size) else {}
+        return schema_of(base) | more
     if origin is tuple:
         count = {} if inside[-1] is ... else {"minItems": len(inside), "maxItems": len(inside)}
         return {"type": "array", "items": schema_of(inside[0])} | count
@@ -110,7 +110,7 @@ def radio():
 def modes():
     """Of a mode file: a bank, and notes of how it was made, which are not looked at."""
     mode = object_schema(Mode, replaced={"algorithm": {"enum": list(ALGORITHMS)}})
-    modes = {"type": "array", "items": mode, "minItems": 1}
+    modes = {"type": "array", "items": mode, "minItems": 1, "maxItems": MOST_MODES}
     bank = object_schema(Bank, replaced={"modes": modes})
     bank["properties"] |= {name: {"description": said} for name, said in NOTES.items()}
     return bank

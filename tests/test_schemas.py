@@ -39,8 +39,8 @@ def values(schema):
         needed = {key: parts.pop(key) for key in schema["required"]}
         return st.fixed_dictionaries(needed, optional=parts)
     if kind == "array":
-        count = schema.get("minItems", 0), schema.get("maxItems", 3)
-        return st.lists(values(schema["items"]), min_size=count[0], max_size=count[1])
+        least, most = schema.get("minItems", 0), min(schema.get("maxItems", 3), 3)
+        return st.lists(values(schema["items"]), min_size=least, max_size=most)
     if "maxLength" in schema:
         printable = st.characters().filter(str.isprintable)
         return st.text(printable, min_size=1, max_size=schema["maxLength"])
@@ -65,6 +65,8 @@ def consistent(content):
     if not isinstance(content, dict):
         return content
     content = {key: consistent(value) for key, value in content.items()}
+    for i, mode in enumerate(content.get("modes", [])):
+        mode["name"] = f"mode {i}"
     if "low_mps" in content:
         content["high_mps"] = content["low_mps"]
     if "normal" in content:

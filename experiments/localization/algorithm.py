@@ -305,6 +305,7 @@ def _run(args: "Args", work: Work) -> Result:
         figures["truth"] = scores.figures() | {"clock": clock and clock.figures()}
         if clock and clock.matters:
             warnings.warn(f"{truth.path}: {clock.advice}", stacklevel=2)
+        scores.warn_if_far("filtered")
     elif truth and not error:
         error = truth.no_match(course.first_s, course.last_s)
     return Result(figures, sampler, scores, error)

@@ -48,8 +48,11 @@ _CHECKSUM = sha256().digest_size  # bytes at the beginning of each file
 def compiled(function: Callable[..., Any]) -> Any:
     """A function of a module, compiled by numba to run without the interpreter's lock.
 
-    For what Python calls; functions that only compiled ones call need ``numba.njit`` alone.
+    For what Python calls; functions that only compiled ones call need ``numba.njit`` alone. With
+    ``NUMBA_DISABLE_JIT=1`` it stays plain Python.
     """
+    if numba.config.DISABLE_JIT:
+        return function
     return _with_cache(numba.njit(nogil=True)(function), function)
 
 
@@ -74,6 +77,8 @@ def _with_cache(compiler: Any, function: Callable[..., Any]) -> Any:
 
 def is_compiled(function: Any, arguments: tuple[Any, ...]) -> bool:
     """Whether a :func:`compiled` function is there for such arguments, in memory or on disk."""
+    if numba.config.DISABLE_JIT:
+        return False
     signature, cache = tuple(map(numba.typeof, arguments)), function._cache
     return signature in function.overloads or (isinstance(cache, _Kept) and cache.has(signature))
 

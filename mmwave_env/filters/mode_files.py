@@ -16,6 +16,7 @@ from mmwave_env.records import object_from, read_object
 
 T = TypeVar("T")
 
+MOST_MODES = 32  # of a file: all run in every epoch, and are compiled
 SETTINGS = ("modes", "transition", "nis_quantile")  # of a bank, as files hold them
 # What else a mode file may say: how it was made, which nobody looks at.
 NOTES = {
@@ -72,7 +73,14 @@ def modes_in(content: dict[str, Any]) -> tuple[Mode, ...]:
     modes = content.get("modes")
     if not isinstance(modes, list) or not modes:
         raise ValueError(f"modes: found {modes!r}, expected a list of one or more")
-    return tuple(object_from(Mode, mode, f"modes[{i}].") for i, mode in enumerate(modes))
+    if len(modes) > MOST_MODES:
+        raise ValueError(f"modes: found {len(modes)}, expected at most {MOST_MODES}")
+    made = tuple(object_from(Mode, mode, f"modes[{i}].") for i, mode in enumerate(modes))
+    names = [mode.name for mode in made]
+    for name in names:
+        if names.count(name) > 1:
+            raise ValueError(f"modes: found two named {name!r}, expected no name twice")
+    return made
 
 
 def as_written(mode: Mode) -> dict[str, Any]:

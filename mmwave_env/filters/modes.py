@@ -7,7 +7,7 @@ from mmwave_env.filters.update import Algorithm, ckf, ekf, ukf
 from mmwave_env.lookup import choose, quoted
 from mmwave_env.models.envelope import PROCESS_NOISE, WIDENING
 from mmwave_env.numerics.numbers import Number
-from mmwave_env.records import Bound, Count, Name, NonNegative, require_fields
+from mmwave_env.records import Bound, Name, between, counts, require_fields
 
 ALGORITHMS: dict[str, Algorithm] = {"ekf": ekf, "ukf": ukf, "ckf": ckf}
 Noise = Annotated[float, PROCESS_NOISE]
@@ -79,16 +79,16 @@ class Mode:
     sigma_b_mps: Noise = 0.05
     spread_gain: Noise = 0.0
     coupling: bool = True
-    acceleration_mps2: float = 0.0
-    turn_rate_radps: float = 0.0
+    acceleration_mps2: Annotated[float, between(-100.0, 100.0, "m/s^2")] = 0.0
+    turn_rate_radps: Annotated[float, between(-10.0, 10.0, "rad/s")] = 0.0
     gate: Quantile | None = 0.99
-    recovery: Count | None = 2
+    recovery: Annotated[int, counts(1, 1_000_000)] | None = 2
     adaptive: bool = True
     blockage_aware: bool = False
     robust: bool = False
     widen_p: Widening = 0.0
     widen_v: Widening = 0.0
-    cost: NonNegative = 0.0
+    cost: Annotated[float, between(0.0, 1e6)] = 0.0
 
     def __post_init__(self) -> None:
         require_fields(self, f" of mode {quoted(self.name)}")

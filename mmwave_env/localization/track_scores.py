@@ -1,5 +1,6 @@
 """What there is to say about a track, in running sums, so that it may be longer than memory."""
 
+import warnings
 from collections.abc import Sequence
 from typing import Any
 
@@ -19,6 +20,7 @@ from mmwave_env.numerics.linalg import unpack
 
 Index = NDArray[np.intp]
 
+FAR_NEES = 100.0  # mean, of a track that has nothing to do with the truth
 _ENOUGH = 100  # epochs that tell how far apart they are
 
 
@@ -148,6 +150,17 @@ class TruthScores:
                 self.errors[name].add(error, P[known])
         self._pair()
         return truth
+
+    def warn_if_far(self, track: str) -> None:
+        """Warn of a truth that is nowhere near what a track believes."""
+        nees = self._tracks[track].figures()["nees"]
+        if nees is not None and not nees <= FAR_NEES:
+            warnings.warn(
+                f"{self.truth.path}: found a mean NEES of {nees:.3g}, expected about "
+                f"{len(self._axes)}: is it in m, in the scene's frame (x east, y north), of "
+                "this log, and are the anchors where the scene says? Or the track is lost",
+                stacklevel=2,
+            )
 
     def _against(self, x: Array, P: Array, truth: Array) -> tuple[Array, Array]:
         belief = Belief(list(x.T), unpack(list(P.T), zero=self._pinned), self._axes)

@@ -11,7 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mmwave_env.logs.log_tables import LogError, LogFile
+from mmwave_env.models import envelope
 from mmwave_env.numerics.arrays import Array, Mask
+from mmwave_env.records import between
 
 Cells = dict[str, Array]  # quantity -> (n,)
 
@@ -20,6 +22,12 @@ WIDEST_DEG = {
     "aoa_azimuth": 360.0, "aoa_azimuth_station": 360.0, "aoa_elevation": 90.0,
     "aod_azimuth": 360.0, "aod_azimuth_body": 360.0,
 }  # fmt: skip
+SOUND = {  # beyond them filters are not
+    "doppler": (envelope.BIAS_HZ, "Hz"),
+    "doppler_spread": (envelope.DOPPLER_SPREAD_HZ, "Hz"),
+    "speed": (envelope.VELOCITY_MPS, "m/s"),
+    "snr": (between(-1e3, 1e3, "dB"), "dB"),
+}
 MOST_PATHS = 1000  # in an epoch, of a log without anchor numbers
 _ROUNDING_DEG = 1e-4  # of angles that were 32-bit numbers once
 
@@ -52,7 +60,7 @@ def whole_epochs(log: LogFile, anchors: int | None, limits: bool) -> Iterator[Ep
     Args:
         log: the file.
         anchors: their number in the scene; None where the rows are paths without an anchor.
-        limits: whether to refuse ranges and angles beyond what there can be.
+        limits: whether to refuse numbers beyond what there can be.
 
     Raises:
         LogError: for the first damaged row.
@@ -174,7 +182,7 @@ def _path_checks(epoch: NDArray[np.int64]) -> Iterator[_Check]:
 
 
 def _limits(log: LogFile, cells: Cells) -> Iterator[_Check]:
-    """No range and no angle is beyond what there can be."""
+    """No number is beyond what there can be."""
 
     def converted(quantity: str) -> Array:
         unit = log.columns[quantity].unit
@@ -208,6 +216,18 @@ def _limits(log: LogFile, cells: Cells) -> Iterator[_Check]:
         expected = f"{-widest:g} to {widest:g} degrees{level} (docs/data.md, Angles)"
         most = widest + _ROUNDING_DEG
         yield check(quantity, np.degrees(converted(quantity)), most, "degrees", expected)
+    for quantity, (bound, unit) in SOUND.items():
+        if quantity in cells:
+            assert bound.most is not None
+            yield check(quantity, converted(quantity), bound.most, unit, bound.expected)
+    step_s = np.diff(converted("time"), prepend=np.nan)
+    shortest = envelope.STEP_S.least or 0.0
+    yield _Check(
+        "time",
+        (step_s > 0.0) & (step_s < shortest),
+        lambda row: f"{step_s[row]:.3g} s after the row before",
+        f"the time of that row, or at least {shortest:g} s more",
+    )
 
 
 def _once(quantity: str, values: Array, epoch: NDArray[np.int64]) -> _Check:

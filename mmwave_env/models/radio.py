@@ -14,17 +14,17 @@ from typing import Annotated, Any
 import numpy as np
 
 from mmwave_env.lookup import as_name, choose, quoted, unknown
+from mmwave_env.models import envelope
 from mmwave_env.models.measurement import SPEED_OF_LIGHT, Layout
 from mmwave_env.models.scene import Scene
 from mmwave_env.numerics.arrays import Array
 from mmwave_env.numerics.numbers import Number, Vector, clip, exp, sqrt
 from mmwave_env.records import (
     Bound,
-    Count,
     Name,
-    NonNegative,
-    Positive,
     Probability,
+    between,
+    counts,
     hints_of,
     object_from,
     read_object,
@@ -34,10 +34,20 @@ from mmwave_env.records import (
 SHIPPED = ("handset", "standard", "high")
 DEGREE = math.pi / 180.0
 DECIBEL = math.log(10.0) / 10.0  # natural logarithm of 1 dB
+Elements = Annotated[int, counts(1, 1024)]
 AngleFloor = Annotated[
-    float,
-    Bound("a number > 0, at most pi / 4; in degrees by _deg", above=0.0, most=45.0 * DEGREE),
+    float, Bound("1e-05 to pi / 4; in degrees by _deg", least=1e-5, most=45.0 * DEGREE)
 ]
+RangeFloor = Annotated[float, between(1e-3, 1e4, "m")]
+Speed = Annotated[float, between(1e-4, 100.0, "m/s")]
+PriorPosition = Annotated[float, envelope.POSITION_SIGMA_M]
+PriorVelocity = Annotated[float, envelope.VELOCITY_SIGMA_MPS]
+Decibel = Annotated[float, between(-300.0, 300.0, "dB")]
+Spell = Annotated[float, between(1e-3, 1e6, "s")]  # mean length
+Rate = Annotated[float, between(0.0, 1e3, "Hz")]
+RangeBias = Annotated[float, between(0.0, 1e5, "m")]
+AngleBias = Annotated[float, Bound("0 to pi; in degrees by _deg", least=0.0, most=math.pi)]
+Factor = Annotated[float, between(0.0, 100.0)]
 SNR_LIMITS_DB = (-30.0, 80.0)  # beyond them noise no longer follows the SNR
 
 
@@ -82,50 +92,50 @@ class Radio:
     """
 
     name: Name
-    gnb_elements: Count = 8
-    ue_elements: Count = 4
-    range_floor_m: tuple[Positive, Positive] = (0.2, 0.4)
+    gnb_elements: Elements = 8
+    ue_elements: Elements = 4
+    range_floor_m: tuple[RangeFloor, RangeFloor] = (0.2, 0.4)
     aoa_floor_rad: AngleFloor = 1.0 * DEGREE
     aod_floor_rad: AngleFloor = 0.5 * DEGREE
     elevation_floor_rad: AngleFloor = 0.7 * DEGREE
-    doppler_floor_mps: Positive = 0.1
-    prior_position_m: Positive = 3.0
-    prior_height_m: Positive = 0.5
-    prior_velocity_mps: Positive = 2.0
-    prior_vertical_mps: Positive = 0.1
-    prior_bias_mps: Positive = 0.5
-    transmit_dbm: float = 27.0
-    gnb_gain_db: float = 21.0
-    ue_gain_db: float = 12.0
-    implementation_loss_db: float = 10.0
-    noise_figure_db: float = 8.0
-    reflection_loss_db: float = 8.0
-    blockage_loss_db: float = 25.0
-    shadowing_db: NonNegative = 3.0
+    doppler_floor_mps: Speed = 0.1
+    prior_position_m: PriorPosition = 3.0
+    prior_height_m: PriorPosition = 0.5
+    prior_velocity_mps: PriorVelocity = 2.0
+    prior_vertical_mps: PriorVelocity = 0.1
+    prior_bias_mps: Annotated[float, between(1e-5, 100.0, "m/s")] = 0.5
+    transmit_dbm: Decibel = 27.0
+    gnb_gain_db: Decibel = 21.0
+    ue_gain_db: Decibel = 12.0
+    implementation_loss_db: Decibel = 10.0
+    noise_figure_db: Decibel = 8.0
+    reflection_loss_db: Decibel = 8.0
+    blockage_loss_db: Decibel = 25.0
+    shadowing_db: Factor = 3.0
     shadowing_correlation: Probability = 0.9
-    detection_snr_db: float = 4.0
-    detection_slope_db: Positive = 1.5
-    doppler_window_s: Positive = 0.01
-    blockage_scale: NonNegative = 0.5
-    blockage_base: NonNegative = 0.03
-    blockage_per_100m: NonNegative = 0.12
-    blockage_limit: NonNegative = 0.35
-    blockage_mean_s: Positive = 4.0
-    blockage_range_m: NonNegative = 3.0
-    blockage_angle_rad: NonNegative = 3.0 * DEGREE
-    multipath_rate_hz: NonNegative = 0.008
-    multipath_mean_s: Positive = 3.3
-    multipath_range_m: tuple[NonNegative, NonNegative] = (1.0, 4.0)
-    multipath_angle_rad: NonNegative = 5.0 * DEGREE
-    outage_rate_hz: NonNegative = 0.0
-    outage_mean_s: Positive = 3.0
-    spread_gain: NonNegative = 0.3
-    spread_sigma: NonNegative = 0.2
-    spread_floor_mps: NonNegative = 0.3
-    drift_mps: NonNegative = 0.05
-    odometry_speed_mps: Positive = 0.1
-    odometry_heading_rad: Positive = 3.0 * DEGREE
-    odometry_slowest_mps: float = 0.2
+    detection_snr_db: Decibel = 4.0
+    detection_slope_db: Annotated[float, between(0.01, 100.0, "dB")] = 1.5
+    doppler_window_s: Annotated[float, between(1e-4, 10.0, "s")] = 0.01
+    blockage_scale: Factor = 0.5
+    blockage_base: Probability = 0.03
+    blockage_per_100m: Factor = 0.12
+    blockage_limit: Probability = 0.35
+    blockage_mean_s: Spell = 4.0
+    blockage_range_m: RangeBias = 3.0
+    blockage_angle_rad: AngleBias = 3.0 * DEGREE
+    multipath_rate_hz: Rate = 0.008
+    multipath_mean_s: Spell = 3.3
+    multipath_range_m: tuple[RangeBias, RangeBias] = (1.0, 4.0)
+    multipath_angle_rad: AngleBias = 5.0 * DEGREE
+    outage_rate_hz: Rate = 0.0
+    outage_mean_s: Spell = 3.0
+    spread_gain: Factor = 0.3
+    spread_sigma: Annotated[float, between(0.0, 3.0)] = 0.2
+    spread_floor_mps: Factor = 0.3
+    drift_mps: Factor = 0.05
+    odometry_speed_mps: Annotated[float, between(1e-3, 100.0, "m/s")] = 0.1
+    odometry_heading_rad: Annotated[float, between(1e-5, 10.0, "rad")] = 3.0 * DEGREE
+    odometry_slowest_mps: Annotated[float, between(0.0, 100.0, "m/s")] = 0.2
     base: str = "standard"
 
     def __post_init__(self) -> None:

@@ -9,7 +9,6 @@ from mmwave_env.models.scene import (
     SCENES,
     Bandwidth,
     Carrier,
-    Extent,
     Scene,
     SceneNumbers,
     Streets,
@@ -18,10 +17,12 @@ from mmwave_env.models.scene import (
 )
 from mmwave_env.numerics.numbers import Number, floor, maximum, minimum, where
 from mmwave_env.numerics.random import Dice, seeded
-from mmwave_env.records import Bound, Name, require_fields
+from mmwave_env.records import Name, between, counts, require_fields
 
 RANDOM = "random"
-CROSSINGS = "streets of at most so many blocks, at least 1"
+
+Length = Annotated[float, between(1e-3, 1e4, "m")]
+Lengths = Annotated[tuple[Length, Length], "[low, high], each 0.001 to 10000 m"]
 
 
 @dataclass(frozen=True)
@@ -44,12 +45,12 @@ class RandomScene:
     """
 
     name: Name = RANDOM
-    block_m: Extent = (60.0, 140.0)
-    blocks: Annotated[int, Bound(CROSSINGS, least=1)] = 3
-    beside_m: Extent = (5.0, 25.0)
-    height_m: Extent = (4.0, 12.0)
-    behind_m: Extent = (5.0, 30.0)
-    user_height_m: float = 1.5
+    block_m: Lengths = (60.0, 140.0)
+    blocks: Annotated[int, counts(1, 30)] = 3
+    beside_m: Lengths = (5.0, 25.0)
+    height_m: Lengths = (4.0, 12.0)
+    behind_m: Lengths = (5.0, 30.0)
+    user_height_m: Length = 1.5
     carrier_hz: Carrier = 28e9
     bandwidth_hz: Bandwidth = 100e6
 
@@ -57,8 +58,8 @@ class RandomScene:
         require_fields(self)
         for name in ("block_m", "beside_m", "height_m", "behind_m"):
             low, high = getattr(self, name)
-            if not 0.0 < low <= high:
-                raise ValueError(f"{name}: found {(low, high)}, expected 0 < low <= high")
+            if low > high:
+                raise ValueError(f"{name}: found {(low, high)}, expected low <= high")
 
     @property
     def example(self) -> Scene:

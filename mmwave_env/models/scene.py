@@ -13,21 +13,26 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mmwave_env.lookup import as_name, choose
+from mmwave_env.models.envelope import POSITION_M
 from mmwave_env.models.measurement import SPEED_OF_LIGHT
 from mmwave_env.records import (
     Bound,
-    Filled,
     Name,
-    Positive,
+    Size,
+    between,
     object_from,
     read_object,
     require_fields,
 )
 
-Point = Annotated[tuple[float, float, float], "[x, y, z]"]
-Extent = Annotated[tuple[float, float], "[low, high]"]
-Carrier = Annotated[float, Bound("hertz, at least 1e6", least=1e6)]
-Bandwidth = Annotated[float, Bound("hertz, at least 1e3", least=1e3)]
+MOST_ANCHORS = 32  # they take a minute and a half to compile
+
+Coordinate = Annotated[float, POSITION_M]
+_EACH = f"each {POSITION_M.expected}"
+Point = Annotated[tuple[Coordinate, Coordinate, Coordinate], f"[x, y, z], {_EACH}"]
+Extent = Annotated[tuple[Coordinate, Coordinate], f"[low, high], {_EACH}"]
+Carrier = Annotated[float, Bound("hertz, 1e6 to 2.9e12", least=1e6, most=2.9e12)]
+Bandwidth = Annotated[float, Bound("hertz, 1e5 to 1e12", least=1e5, most=1e12)]
 
 
 @dataclass(frozen=True)
@@ -40,7 +45,7 @@ class Wall:
     """
 
     normal: Annotated[tuple[float, float], "[x, y]"]
-    offset_m: float
+    offset_m: Coordinate
 
     def __post_init__(self) -> None:
         require_fields(self)
@@ -86,8 +91,8 @@ class Streets:
 
     x_m: Extent = (0.0, 160.0)
     y_m: Extent = (-160.0, 0.0)
-    block_m: Positive = 80.0
-    height_m: float = 1.5
+    block_m: Annotated[float, between(1.0, 1e6, "m")] = 80.0
+    height_m: Coordinate = 1.5
 
     def __post_init__(self) -> None:
         require_fields(self)
@@ -131,14 +136,20 @@ class Scene:
 
     name: Name
     base_station_m: Point
-    walls: tuple[Wall, ...] = ()
+    walls: Annotated[tuple[Wall, ...], Size(0, MOST_ANCHORS - 1)] = ()
     streets: Streets = field(default_factory=Streets)
     carrier_hz: Carrier = 28e9
     bandwidth_hz: Bandwidth = 100e6
-    virtual_anchors_m: tuple[Point, ...] = ()
+    virtual_anchors_m: Annotated[tuple[Point, ...], Size(0, MOST_ANCHORS - 1)] = ()
 
     def __post_init__(self) -> None:
         require_fields(self)
+        anchors = 1 + len(self.walls) + len(self.virtual_anchors_m)
+        if anchors > MOST_ANCHORS:
+            raise ValueError(
+                f"walls, virtual_anchors_m: found {anchors} anchors, expected at most "
+                f"{MOST_ANCHORS}"
+            )
 
     @property
     def anchors_m(self) -> NDArray[np.float64]:
@@ -271,7 +282,7 @@ class AnchorScene:
     """
 
     name: Name
-    anchors: Filled[Point]
+    anchors: Annotated[tuple[Point, ...], Size(1, MOST_ANCHORS)]
     carrier_hz: Carrier
     bandwidth_hz: Bandwidth
     streets: Streets = field(default_factory=Streets)

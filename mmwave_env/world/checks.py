@@ -57,8 +57,7 @@ def require_within(record: str, field: str, what: str, values: Array, bound: Bou
         values: any shape.
         bound: where they may lie.
     """
-    assert bound.least is not None and bound.most is not None
-    wrong = ~((values >= bound.least) & (values <= bound.most))
+    wrong = bound.outside(values)
     if wrong.any():
         refuse(record, field, f"{what} {values[wrong].flat[0]:g}".lstrip(), bound.expected)
 

@@ -10,12 +10,11 @@ from typing import Annotated
 from mmwave_env.lookup import as_name, choose, quoted
 from mmwave_env.records import (
     Bound,
-    Count,
-    Filled,
     Name,
-    NonNegative,
-    Positive,
     Probability,
+    Size,
+    between,
+    counts,
     object_from,
     read_object,
     require_fields,
@@ -28,8 +27,10 @@ FASTEST_MPS = 100.0  # beyond any user of streets
 ROOM = 3  # phases and gaits there is room for at least: all kinds that come along share a program
 
 Speed = Annotated[float, Bound(f"0 to {FASTEST_MPS:g} m/s", least=0.0, most=FASTEST_MPS)]
-Duration = Annotated[float, Bound("a number > 0", above=0.0, most=inf)]
-Range = tuple[Positive, Positive]
+Duration = Annotated[float, Bound("a number >= 0.001", least=1e-3, most=inf)]
+Rate = Annotated[float, between(1e-3, 1e3, "m/s^2")]
+Range = tuple[Rate, Rate]
+Wait = Annotated[float, between(0.0, 1e6, "s")]
 
 
 def _require_ordered(record: object, *names: str) -> None:
@@ -53,7 +54,7 @@ class Gait:
     low_mps: Speed
     high_mps: Speed
     mean_s: Duration = inf
-    weight: Positive = 1.0
+    weight: Annotated[float, between(1e-6, 1e6)] = 1.0
 
     def __post_init__(self) -> None:
         require_fields(self)
@@ -78,10 +79,10 @@ class Limits:
     acceleration_mps2: Range
     braking_mps2: Range
     lateral_mps2: Range
-    jerk_mps3: Positive
-    corner_radius_m: Positive
+    jerk_mps3: Annotated[float, between(1e-3, 1e4, "m/s^3")]
+    corner_radius_m: Annotated[float, between(1e-2, 1e6, "m")]
     red_light_probability: Probability = 0.0
-    red_light_s: tuple[NonNegative, NonNegative] = (5.0, 25.0)
+    red_light_s: tuple[Wait, Wait] = (5.0, 25.0)
 
     def __post_init__(self) -> None:
         require_fields(self)
@@ -99,7 +100,7 @@ class Phase:
     """
 
     limits: Limits
-    gaits: Filled[Gait]
+    gaits: Annotated[tuple[Gait, ...], Size(1, 10)]
     duration_s: tuple[Duration, Duration] = (inf, inf)
 
     def __post_init__(self) -> None:
@@ -120,8 +121,8 @@ class Mobility:
     """
 
     name: Name
-    phases: Filled[Phase]
-    blocks: Count = 1
+    phases: Annotated[tuple[Phase, ...], Size(1, 20)]
+    blocks: Annotated[int, counts(1, 1000)] = 1
     ends_as_it_began: bool = False
 
     def __post_init__(self) -> None:

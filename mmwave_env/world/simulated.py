@@ -4,6 +4,7 @@ An episode is a function of its key: from the key follows how it begins, and fro
 epoch by epoch, eight episodes at a time.
 """
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -27,7 +28,7 @@ from mmwave_env.models.channel import channel_of
 from mmwave_env.models.envelope import STEP_S
 from mmwave_env.models.epoch import Site
 from mmwave_env.models.measurement import STATE_SIZE, Layout
-from mmwave_env.models.radio import Radio
+from mmwave_env.models.radio import SNR_LIMITS_DB, Radio
 from mmwave_env.models.random_scene import RandomScene
 from mmwave_env.models.scene import Scene
 from mmwave_env.numerics.arrays import Array, Index
@@ -36,7 +37,7 @@ from mmwave_env.numerics.random import Dice, seeded
 from mmwave_env.world.beginning import USER, Beginning, beginning
 from mmwave_env.world.episode import Episode, EpisodeBatch, columns_of, level
 from mmwave_env.world.keys import Keys, draw_key
-from mmwave_env.world.mobility import MIXED, plans_of
+from mmwave_env.world.mobility import FASTEST_MPS, MIXED, plans_of
 from mmwave_env.world.scenarios import Scenario, Users, users_of
 from mmwave_env.world.simulation import (
     World,
@@ -47,6 +48,9 @@ from mmwave_env.world.simulation import (
 )
 from mmwave_env.world.travel import TravelPlan, stride_of
 from mmwave_env.world.ways import PlacedWays
+
+RARE = 4.0  # standard deviations
+MOST_EPOCHS = 1_000_000  # of an episode: their times and actions are kept
 
 
 class Begun(NamedTuple):
@@ -97,10 +101,34 @@ class SimulatedSource:
     def __post_init__(self) -> None:
         if not STEP_S.holds(self.dt):
             raise ValueError(f"dt: found {self.dt}, expected {STEP_S.expected}")
-        if self.epochs < 1:
-            raise ValueError(f"epochs: found {self.epochs}, expected at least 1")
+        if not 1 <= self.epochs <= MOST_EPOCHS:
+            raise ValueError(f"epochs: found {self.epochs}, expected 1 to {MOST_EPOCHS}")
+        self._require_envelope()
         if not self._plans:
             object.__setattr__(self, "epochs", self.ways.epochs)
+
+    def _require_envelope(self) -> None:
+        """Refuse a radio in a scene whose episodes would be beyond what the filters are for."""
+        scene, radio, anchors = self._example, self.radio, self.layout.anchors
+        snr_db = np.repeat(np.array(SNR_LIMITS_DB)[:, None], anchors, axis=1)
+        rarely = math.exp(RARE * radio.spread_sigma)
+        spread_mps = radio.spread_gain * FASTEST_MPS * rarely + RARE * radio.spread_floor_mps
+        Episode(
+            name=f"{radio.name} in {scene.name}",
+            scene_anchors_m=scene.anchors_m,
+            hz_per_mps=scene.hz_per_mps,
+            time_s=np.array([0.0, self.dt]),
+            measurement=np.zeros((2, self.layout.size)),
+            sigma=radio.sigma(snr_db, scene, self.layout),
+            visible=np.ones((2, len(self.layout.groups)), np.bool_),
+            snr_db=snr_db,
+            doppler_spread_hz=np.array([0.0, scene.hz_per_mps * spread_mps]),
+            prior_mean=np.zeros(STATE_SIZE),
+            prior_covariance=radio.prior_covariance(scene),
+            truth_position_m=None,
+            truth_velocity_mps=None,
+            layout=self.layout,
+        )
 
     @cached_property
     def layout(self) -> Layout:

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from mmwave_env.models.envelope import POSITION_M
 from mmwave_env.models.prior import GAP_S
 from mmwave_env.models.scene import Scene
 from mmwave_env.numerics.arrays import Array, Mask
@@ -54,6 +55,7 @@ class Trajectory:
         for name, values in (("t", t), ("x, y, z", p), ("vx, vy, vz", v)):
             if values is not None:
                 self._require(np.isfinite(values), values, name, "finite numbers")
+        self._require(~POSITION_M.outside(p), p, "x, y, z", POSITION_M.expected)
         self._require_motion(t, p, v)
         object.__setattr__(self, "time_s", t)
         object.__setattr__(self, "position_m", p)

@@ -1,5 +1,6 @@
 """What is compiled for, and what runs as plain Python."""
 
+import numba
 import pytest
 
 from mmwave_env.compiler import disk_cache
@@ -50,6 +51,12 @@ def test_where_nothing_can_be_kept_on_disk_the_process_knows_its_own(fresh, monk
     assert kinds(sparing, 1) == ["plain"]
     sparing.compiled(20)
     assert kinds(sparing, 1) == ["compiled"]
+
+
+def test_without_a_compiler_all_work_is_done_as_plain_python(fresh, monkeypatch):
+    monkeypatch.setattr(numba.config, "DISABLE_JIT", 1)  # NUMBA_DISABLE_JIT=1, for debuggers
+    sparing = fresh()
+    assert [sparing(3, 20), sparing(9, 20)] == [21, 21] and sparing.compiled is function
 
 
 def test_either_way_gives_the_same(fresh):

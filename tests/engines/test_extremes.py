@@ -1,21 +1,27 @@
 """The envelope: numbers at its ends keep beliefs sound, numbers beyond are refused by name."""
 
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from itertools import combinations, product
+from types import NoneType
+from typing import Annotated, get_args, get_origin
 
 import numpy as np
 import pytest
 
 from mmwave_env.engines.track_engine import Tracker
+from mmwave_env.env import MmWaveLocEnv
 from mmwave_env.filters.mode_files import named_modes
 from mmwave_env.filters.modes import Mode
 from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.models import envelope
 from mmwave_env.models.radio import RADIOS
-from mmwave_env.models.scene import SCENES
-from mmwave_env.records import Bound
+from mmwave_env.models.random_scene import RandomScene
+from mmwave_env.models.scene import SCENES, Wall
+from mmwave_env.records import Bound, hints_of
 from mmwave_env.world.episode import Episode
+from mmwave_env.world.mobility import MOBILITIES
 from mmwave_env.world.simulated import SimulatedSource
 
 ASIDE = 0.01  # how far within an end or beyond it, as a share of it
@@ -108,6 +114,7 @@ CHANGES = (
     {}, {"gate": None}, dict.fromkeys(NOISES, 0.0), LOUD, LOUD | {"gate": None},
     dict.fromkeys(("widen_p", "widen_v"), envelope.WIDENING.most),
     {"spread_gain": envelope.PROCESS_NOISE.most},
+    {"acceleration_mps2": -100.0, "turn_rate_radps": 10.0},
 )  # fmt: skip
 
 
@@ -170,6 +177,91 @@ def test_beyond_the_ends_an_episode_is_refused_by_name(quantity, value, episode)
         quantity.put(episode, value)
 
 
+# --- what episodes are simulated from
+
+
+def numbers_of(record):
+    """Names and bounds of the fields of a dataclass that hold numbers."""
+    for name, hint in hints_of(type(record)).items():
+        hint = next(iter(get_args(hint)), hint) if NoneType in get_args(hint) else hint
+        inside = get_args(hint)[:1] if get_origin(hint) is Annotated else ()
+        parts = get_args(next(iter(inside), hint))
+        if inside and isinstance(get_args(hint)[1], Bound):
+            yield name, get_args(hint)[1], lambda value: value
+        elif parts and get_origin(parts[0]) is Annotated and parts[-1] is not ...:
+            count, bound = len(parts), get_args(parts[0])[1]
+            yield name, bound, lambda value, count=count: (value,) * count
+
+
+STREET = SCENES["street"]
+RECORDS = {
+    "radio": (RADIOS["standard"], lambda radio: {"radio": radio}),
+    "scene": (STREET, lambda scene: {"scene": scene}),
+    "streets": (STREET.streets, lambda streets: {"scene": replace(STREET, streets=streets)}),
+    "streets drawn": (RandomScene(), lambda scene: {"scene": scene}),
+    "mode": (named_modes()["ukf"], lambda mode: {"modes": [mode, "ekf"]}),
+    "gait": (MOBILITIES["vehicle"].phases[0].gaits[0], lambda gait: moving(gaits=(gait,))),
+    "limits": (MOBILITIES["vehicle"].phases[0].limits, lambda limits: moving(limits=limits)),
+}
+FIELDS = [
+    pytest.param(
+        record,
+        *number,
+        id=f"{record} {number[0]}",
+        marks=[pytest.mark.slow] if record == "streets drawn" else [],  # each is compiled
+    )
+    for record, (of, _) in RECORDS.items()
+    for number in numbers_of(of)
+]
+
+
+def moving(**changes):
+    vehicle = MOBILITIES["vehicle"]
+    return {"scenario": replace(vehicle, phases=(replace(vehicle.phases[0], **changes),))}
+
+
+@pytest.mark.parametrize(("record", "name", "bound", "shape"), FIELDS)
+def test_far_off_it_is_refused_by_name(record, name, bound, shape):
+    of, _ = RECORDS[record]
+    for value in (-1e300, 1e300, np.nan, -(10**200), 10**200):
+        if value < 0 or bound.most != np.inf:  # a time may be without end
+            with pytest.raises(ValueError, match=f"^{name}.*: found .*, expected "):
+                replace(of, **{name: shape(value)})
+
+
+def test_what_a_radio_in_a_scene_comes_to_is_held_against_the_envelope():
+    far = replace(STREET, walls=(Wall((1.0, 0.0), 9e5),))
+    loud = replace(RADIOS["standard"], spread_gain=90.0)
+    for scene, radio, message in (
+        (far, RADIOS["high"], "scene_anchors_m of episode 'high in street': found 1.79999e.06"),
+        (
+            STREET,
+            loud,
+            "doppler_spread_hz of episode 'standard in street': found 1.87",
+        ),
+    ):
+        with pytest.raises(ValueError, match=message):
+            SimulatedSource(scene, radio)
+
+
+@pytest.mark.parametrize(
+    ("record", "name", "bound", "shape"), [field for field in FIELDS if field.values[0] != "mode"]
+)
+def test_at_its_ends_beliefs_are_sound_or_the_episode_is_refused(record, name, bound, shape):
+    of, arguments = RECORDS[record]
+    for value in (bound.least, bound.most):
+        env = None
+        with suppress(ValueError):  # beside the others as they are
+            changed = arguments(replace(of, **{name: shape(value)}))
+            env = MmWaveLocEnv(episode_steps=24, dt=0.5, **changed)
+        if env is not None:
+            env.reset(seed=0)
+            for k in range(24):
+                observation, reward, *_, info = env.step(k % 2)
+                assert np.isfinite([reward, info["nees"], *info["estimate"], *observation]).all()
+            assert "nonfinite_beliefs" not in info
+
+
 @pytest.mark.parametrize("name", [*NOISES, "spread_gain", "widen_p", "widen_v"])
 @pytest.mark.parametrize("value", [-0.1, 100.1, 1e150, np.nan])
 def test_a_mode_beyond_them_is_refused_by_name(name, value):
@@ -177,7 +269,7 @@ def test_a_mode_beyond_them_is_refused_by_name(name, value):
         Mode("loud", **{name: value})
 
 
-@pytest.mark.parametrize("dt", [0.0, 61.0, 1e12, np.inf, np.nan])
+@pytest.mark.parametrize("dt", [0.0, 1e-9, 61.0, 1e12, np.inf, np.nan])
 def test_a_step_of_minutes_is_refused_before_anything_is_drawn(dt):
-    with pytest.raises(ValueError, match=r"^dt: found .*, expected a number of 1e-30 to 60 s$"):
+    with pytest.raises(ValueError, match=r"^dt: found .*, expected a number of 1e-06 to 60 s$"):
         SimulatedSource(SCENES["street"], RADIOS["handset"], dt=dt)

@@ -112,6 +112,11 @@ def test_a_name_alone_is_no_list():
             "found 'much', expected a number of",
         ),
         ('{"modes": [{"name": "a", "algorithm": "pf"}]}', "'pf'.*ekf, ukf, ckf"),
+        (
+            '{"modes": [{"name": "a"}, {"name": "a"}]}',
+            "modes: found two named 'a', expected no name",
+        ),
+        (json.dumps({"modes": [{"name": "a"}] * 33}), "modes: found 33, expected at most 32"),
         ('{"modes": 3}', "modes: found .*expected a list of one or more"),
         ('{"modes": {"ekf": {}}}', "modes: found .*expected a list of one or more"),
         ('{"modes": [null]}', "modes.0.: found None, expected an object"),
@@ -123,7 +128,7 @@ def test_a_name_alone_is_no_list():
         ('{"modes": [{"name": "a", "coupling": 1}]}', "coupling of mode 'a': found 1, .*bool"),
         (
             '{"modes": [{"name": "a", "recovery": 2.5}]}',
-            "recovery .*found 2.5, expected an integer >= 1 or None",
+            "recovery .*found 2.5, expected an integer of 1 to 1000000 or None",
         ),
         ('{"modes": [{"name": "a", "sigma_v": true}]}', "sigma_v of mode 'a': found True"),
         ('{"modes": [{"name": "a", "algorithm": ["ekf"]}]}', "algorithm of mode 'a': found"),

@@ -71,6 +71,20 @@ def test_accuracy_is_that_of_the_metrics(tmp_path, sizes, planar, known):
     assert figures["nees_expected"] == len(axes)
 
 
+def test_a_truth_of_another_frame_is_warned_of_and_a_right_one_is_not(tmp_path, recwarn):
+    block = some_track(T)
+    for x, y in ((0, 1), (1, 0)):
+        truth = block.x[:, [x, y, 2]] + 0.01
+        (tmp_path / "truth.tum").write_text(tum_lines(block.time_s, truth))
+        scores = TruthScores(Truth(tmp_path / "truth.tum"), ["filtered"], planar=False)
+        scores.add(block)
+        assert not recwarn
+        scores.warn_if_far("filtered")
+    (said,) = recwarn
+    assert "truth.tum: found a mean NEES of " in str(said.message)
+    assert "expected about 3: is it in m, in the scene's frame" in str(said.message)
+
+
 def scored_at(tmp_path, time_s, known, sizes=(T,), segment=None):
     """RPE, over how many seconds, and the errors, of a log with truth in some epochs."""
     block = replace(some_track(len(time_s)), time_s=time_s)

@@ -435,6 +435,11 @@ DAMAGE = {  # change, message, epochs delivered
         "the azimuth, exchange aoa_azimuth_rad with it; mmwave-loc localize --diagnose", 2),
     "degrees": (edit(7, AOD, "-57.3"), "line 9, column 'aod_azimuth_rad': found -57.3, which is "
                 "-3.28e.03 degrees, expected -360 to 360 degrees .docs/data.md, Angles.", 2),
+    "doppler of no user": (edit(6, DOPPLER, "1e308"), "line 8, column 'doppler_hz': found 1e.308, "
+                           "which is 1e.308 Hz, expected a number of -1e.07 to 1e.07 Hz", 2),
+    "SNR of no receiver": (edit(7, SNR, "-1e4"), "'snr_db': found -10000.*-1000 to 1000 dB", 2),
+    "a moment later": (edit(6, TIME, "1.0000000001"), "line 8, column 'time_s': found 1e-10 s "
+                       "after the row before, expected the time of that row, or at least 1e-06", 2),
     "doppler of anchor 2": (edit(7, DOPPLER, "3"), "line 9, column 'doppler_hz': found 3.*1", 2),
     "short row": (lambda lines: lines[7].pop(), "line 9: found 7 cells, expected 8", 2),
     "long row": (lambda lines: lines[7].append("1"), "line 9: found 9 cells, expected 8", 2),
@@ -507,6 +512,12 @@ def test_rows_of_an_epoch_that_are_apart_are_named(tmp_path):
     [
         ("doppler_spread_hz", ["1", "2", ""], "line 3.*'doppler_spread_hz': found 2 beside 1 at"),
         ("doppler_spread_hz", ["", "-1", ""], "line 3.*'doppler_spread_hz': found -1.*at least 0"),
+        (
+            "doppler_spread_hz",
+            ["", "1e6", ""],
+            "line 3.*found 1000000, .* to 100000 Hz, in the unit",
+        ),
+        ("speed_mps", ["", "2e4", ""], "line 3, column 'speed_mps': found 20000, .*10000 m/s"),
         ("speed_mps", ["", "1.5", "1.6"], "line 4, column 'speed_mps': found 1.6 beside 1.5 at"),
         ("heading_rad", ["", "x", ""], "line 3, column 'heading_rad': found 'x'"),
     ],
@@ -646,6 +657,13 @@ def test_blocks_hold_at_least_an_epoch(tmp_path):
 
 
 # --- broken files
+
+
+def test_gzip_that_is_gigabytes_of_empty_lines(tmp_path):
+    bomb = gzip.compress(text(rows(2)).encode() + b"\n" * 5_000_000, mtime=0)
+    blocks, error = delivered(store(tmp_path, bomb, "log.csv.gz"))
+    assert re.search(r"line \d+: found \d+ empty lines before it, expected rows", error)
+    assert len(joined(blocks)) == 2
 
 
 @pytest.mark.parametrize("left", [0.2, 0.5, 0.99])

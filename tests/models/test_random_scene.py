@@ -73,9 +73,12 @@ def test_every_episode_has_a_scene_of_its_own_and_a_seed_gives_it_again():
 @pytest.mark.parametrize(
     ("arguments", "found"),
     [
-        ({"block_m": (0.0, 80.0)}, "block_m: found (0.0, 80.0), expected 0 < low <= high"),
-        ({"height_m": (9.0, 8.0)}, "height_m: found (9.0, 8.0), expected 0 < low <= high"),
-        ({"blocks": 0}, "blocks: found 0, expected streets of at most so many blocks, at least 1"),
+        (
+            {"block_m": (0.0, 80.0)},
+            "block_m: found (0.0, 80.0), expected [low, high], each 0.001 to 10000 m",
+        ),
+        ({"height_m": (9.0, 8.0)}, "height_m: found (9.0, 8.0), expected low <= high"),
+        ({"blocks": 0}, "blocks: found 0, expected an integer of 1 to 30"),
     ],
 )
 def test_ranges_that_hold_nothing_are_refused(arguments, found):

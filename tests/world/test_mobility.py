@@ -281,7 +281,7 @@ def test_a_kind_of_user_of_ones_own_keeps_to_its_limits(tmp_path):
         ({}, "phases: found none, expected one"),
         (
             SCOOTER | {"phases": []},
-            "phases of mobility 'scooter': found (), expected a list",
+            "phases of mobility 'scooter': found 0, expected a list",
         ),
         (SCOOTER | {"speed": 3}, "key: found 'speed', expected one of name, phases"),
         (with_phase(gaits=[{"low_mps": 3}]), "phases[0].gaits[0].high_mps: found none, expected"),

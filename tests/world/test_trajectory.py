@@ -159,7 +159,9 @@ def test_a_way_behind_a_wall_or_at_an_anchor_is_refused():
     with pytest.raises(ValueError, match="mine, row 6: .*5000 m from the anchor at .10.0"):
         SimulatedSource(STREET, RADIOS["handset"], way([5, 5, 10], [15, 15, 10]))
     with pytest.raises(ValueError, match="mine, row 1: .* a place 1 to 5000 m from the anchor"):
-        SimulatedSource(STREET, RADIOS["handset"], way([-9e5, -5e6, 1], [-9e5, -5e6 + 50, 1]))
+        SimulatedSource(STREET, RADIOS["handset"], way([-9e5, -5e5, 1], [-9e5, -5e5 + 50, 1]))
+    with pytest.raises(ValueError, match="mine, row 1: x, y, z: found -2e.06, .* to 1e.06 m"):
+        way([-2e6, 0, 1], [-2e6, 50, 1])
     with pytest.raises(ValueError, match="mine: found 10 s, expected 20, dt"):
         SimulatedSource(STREET, RADIOS["handset"], way([0, -20, 1], [50, -20, 1]), dt=20.0)
 
