@@ -102,13 +102,10 @@ def _trainings(source: Source) -> Iterator[str]:
         rows.append([one["seed"], f"{best['reward']:.4f}", f"{best['timesteps']:,}", *gains])
     header = ["training seed", "reward", "after steps", *(f"minus {rival}" for rival in rivals)]
     yield table("The best policy of each training, on tuning seeds", header, rows)
-    figures = {
-        f"reward minus {rival}'s": {source.path: [one[rival] for one in curves if rival in one]}
-        for rival in rivals
-    }
-    if figures:
-        draw = partial(draw_learning_curves, figures, narrow=True)
-        yield drawn("Learning curves, a line a training, on tuning seeds", draw)
+    for rival in rivals:
+        lines = {source.path: [one[rival] for one in curves if rival in one]}
+        draw = partial(draw_learning_curves, {f"reward minus {rival}'s": lines}, narrow=True)
+        yield drawn(f"Learning curves against {rival}, a line a training, on tuning seeds", draw)
 
 
 def errors_of(source: Source, played: Played) -> Iterator[str]:

@@ -18,6 +18,7 @@ SHOWN = 5  # rows, until all are asked for
 VARIABLES = {  # of the page's style, by the color that a picture has
     "#000000": "var(--ink)",
     "#ffffff": "var(--paper)",
+    "#b3b3b3": "var(--band)",
     NO_MODE: "var(--none)",
     **{color: f"var(--mode-{number})" for number, color in enumerate(COLORS)},
 }
@@ -57,7 +58,7 @@ def table(caption: str, header: Sequence[str], rows: Sequence[Sequence[Any]]) ->
 
 
 def html_of(markdown: str) -> str:
-    """Tables, lists and paragraphs as commands print them."""
+    """Tables and paragraphs as commands print them; those of a list, too."""
     parts = []
     for block in markdown.strip().split("\n\n"):
         lines = block.strip().splitlines()
@@ -65,8 +66,7 @@ def html_of(markdown: str) -> str:
             cells = [[unescaped(one.strip()) for one in CELL.findall(line[1:])] for line in lines]
             parts.append(table("", cells[0], cells[2:]))
         else:
-            tag = "li" if block.startswith("- ") else "p"
-            parts += [element(tag, unescaped(line.removeprefix("- "))) for line in lines]
+            parts += [element("p", unescaped(line.removeprefix("- "))) for line in lines]
     return "".join(parts)
 
 

@@ -91,7 +91,7 @@ function legend(place, episode, chosen) {
     return element("div", { class: "key" }, title, ...course.modes.map((mode, k) => swatch(course.colors[k], mode)));
   });
   const fates = Object.entries(FATES).map(([fate, name]) => swatch(FILLS[fate], `measurement ${name}`));
-  const notes = `Of ${chosen[0]}: measurements, links, NIS (dots; dashed: 99 % quantile of each kind), ellipse of 2 standard deviations. Black line: the true speed. Band: 95 % of NEES. Triangle: gNB or anchor, as an arrow one outside the map.`;
+  const notes = `Of ${chosen[0]}: measurements, links, NIS (dots; dashed: 99 % quantile of each kind), ellipse of 2 standard deviations. In the color of text: the true speed. Band: 95 % of NEES. Triangle: gNB or anchor, as an arrow one outside the map.`;
   place.replaceChildren(...modes, element("div", { class: "key" }, ...fates, element("span", {}, notes)));
 }
 

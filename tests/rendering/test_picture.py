@@ -297,3 +297,18 @@ def test_there_is_no_picture_before_a_reset():
     env = MmWaveLocEnv(render_mode="rgb_array")
     with pytest.raises(gym.error.ResetNeeded, match=re.escape("Call reset before render")):
         env.render()
+
+
+@pytest.mark.parametrize("theme", THEMES)
+def test_words_stand_out_from_the_ground(theme):
+    """As WCAG 2.2 measures contrast."""
+
+    def light(color):
+        shares = np.array(color) / 255.0
+        linear = np.where(shares <= 0.04045, shares / 12.92, ((shares + 0.055) / 1.055) ** 2.4)
+        return linear @ [0.2126, 0.7152, 0.0722] + 0.05
+
+    one = THEMES[theme]
+    for ground in (one.paper, one.ground):
+        for words in (one.ink, one.quiet):
+            assert max(light(words) / light(ground), light(ground) / light(words)) > 4.5

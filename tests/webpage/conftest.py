@@ -15,3 +15,26 @@ def chromium():
             pytest.skip(f"no Chromium: {error}")
         yield browser
         browser.close()
+
+
+@pytest.fixture
+def opened(chromium, address):
+    """How to open pages below an address; nothing may go wrong there or be asked of others."""
+    contexts, complaints = [], []
+
+    def open_page(path="", width=1280, **options):
+        contexts.append(chromium.new_context(viewport={"width": width, "height": 800}, **options))
+        page = contexts[-1].new_page()
+        page.on("console", lambda message: complaints.append(f"{path}: {message.text}"))
+        page.on("pageerror", lambda error: complaints.append(f"{path}: {error}"))
+        page.on("request", lambda one: complaints.append(one.url) if others(one.url) else None)
+        page.goto(address + path)
+        return page
+
+    def others(url):
+        return not url.startswith((address, "data:", "blob:"))
+
+    yield open_page
+    for context in contexts:
+        context.close()
+    assert complaints == []

@@ -22,13 +22,11 @@ def metrics(mean):
 def comparison(names=("imm", "speed-rule"), **more):
     """Of policies whose rewards are -1, -2, ..., each paired with the first."""
     first, *others = names
+    which = {"scenario": "mixed", "radio": "handset", "episodes": 2, "seed": 0}
     return {
         "command": "mmwave-loc compare --policies imm speed-rule --episodes 2 --episode-steps 30",
         "versions": {"mmwave-loc": __version__, "python": "3.12.0"},
-        "scenario": "mixed",
-        "radio": "handset",
-        "episodes": 2,
-        "seed": 0,
+        **which,
         "policies": {name: metrics(-1.0 - i) for i, name in enumerate(names)},
         "paired": {f"{name} - {first}": metrics(-0.5) for name in others},
     } | more

