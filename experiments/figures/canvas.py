@@ -50,8 +50,9 @@ def picture(path: Path, width_in: float, height_in: float) -> Iterator[Any]:
         path: .png, .svg or .pdf.
         width_in, height_in: inches.
     """
-    from matplotlib import cycler, style
+    from matplotlib import style
     from matplotlib.figure import Figure
+    from matplotlib.rcsetup import cycler
 
     colors = {"axes.prop_cycle": cycler(color=COLORS)}
     with style.context([STYLE, colors], after_reset=True):

@@ -50,17 +50,16 @@ def draw_learning_curves(
         legend_of(figure, axes_of[-1], narrow, [*handles.values()])
 
 
-def draw_profiles(trained: Mapping[str, Any], path: Path, columns: int = COLUMNS) -> None:
+def draw_profiles(trained: Mapping[str, Any], path: Path) -> None:
     """Performance profiles as a picture: how often runs gain more than so much, a panel a rival.
 
     Args:
         trained: by run, figures of :class:`~experiments.evaluation.training_seeds.TrainingSeeds`
             as results hold them.
         path: .png, .svg or .pdf.
-        columns: of panels at most.
     """
     rivals = contenders(dict.fromkeys(rival for run in trained.values() for rival in run["minus"]))
-    labels, columns = contenders(trained), min(columns, len(rivals))
+    labels, columns = contenders(trained), min(COLUMNS, len(rivals))
     rows = -(-len(rivals) // columns)
     with picture(path, 1.0 + 3.2 * columns, 0.6 + 2.9 * rows) as figure:
         grid = figure.subplots(rows, columns, sharey=True, squeeze=False)

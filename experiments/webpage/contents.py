@@ -87,9 +87,10 @@ def _compared(found: Comparison, trained: Mapping[str, Any]) -> Iterator[str]:
     ]
     caption = "Differences in pairs of the same episode, with 95 % intervals"
     yield table(caption, ["contender", "minus", "reward", "ATE m"], pairs) if pairs else ""
-    if any(run["minus"] for run in trained.values()):
-        caption = "Performance profiles: how often trainings gain more than so much"
-        yield drawn(caption, partial(draw_profiles, trained, columns=1))
+    for rival in dict.fromkeys(rival for run in trained.values() for rival in run["minus"]):
+        caption = f"Performance profiles: how often trainings gain so much on {rival}"
+        one = {name: {"minus": {rival: run["minus"][rival]}} for name, run in trained.items()}
+        yield drawn(caption, partial(draw_profiles, one))
 
 
 def _trainings(source: Source) -> Iterator[str]:
