@@ -1,1 +1,1 @@
-"""Grids of evaluations and trainings: what to do, who does it, and what is kept of it."""
+"""Grids of evaluations and trainings, and searches: what to do, by whom, and what is kept."""

@@ -1,23 +1,52 @@
-"""What a sweep is to do: a TOML file of lists, every combination of which is a cell."""
+"""What a sweep is to do: a TOML or JSON file, whose lists are combined."""
 
 import hashlib
 import itertools
 import json
-import sys
+import math
+import os
+import tomllib
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
-from importlib import import_module
-from itertools import pairwise
+from dataclasses import MISSING, dataclass, field, fields, replace
+from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any, Literal, get_type_hints
 
-from experiments.console.options import USUAL_EPISODES
-from experiments.sweeping.cell import HYPERPARAMETER, KINDS, Cell, require_sound, values_of
-from experiments.sweeping.named_files import digests
-from experiments.sweeping.search import Search, search_from
+from experiments.console.options import USUAL_EPISODES, ModeArgs, TaskArgs
+from experiments.training.hyperparameters import read_hyperparameters, shipped_hyperparameters
 from mmwave_env import __version__
-from mmwave_env.files import read_text
-from mmwave_env.lookup import as_name, choose
+from mmwave_env.files import parse_json, read_text
+from mmwave_env.lookup import choose, quoted, require_extra
+from mmwave_env.records import Bound, Count, hints_of, require
+
+MOST_CELLS = 100_000  # more are a slip: cells should take a second or longer
+HYPERPARAMETER = "hyperparameters."  # begins the name of an axis of a training
+
+Seed = Annotated[int, Bound("an integer from 0 to 10^15", least=0, most=1e15)]
+Values = Mapping[str, Any]  # of a cell, by axis
+
+
+@dataclass(kw_only=True)
+class Evaluation(ModeArgs):
+    """Keys of a table [evaluate]: options of compare that say what is played."""
+
+    policy: str
+    reward: str = "tracking"
+    episodes: Count = USUAL_EPISODES
+    seed: Seed = 0  # of the first episode
+    trust_zip: Literal[False] = False  # a sweep runs no code of files
+
+
+@dataclass(kw_only=True)
+class Training(TaskArgs):
+    """Keys of a table [train], but for hyperparameters: options of train."""
+
+    total_timesteps: Count
+    seed: Seed = 0  # the number of the training
+    episodes: Count = 200  # that its policies are evaluated on
+
+
+KINDS: Mapping[str, Any] = {"evaluate": Evaluation, "train": Training, "search": Training}
 
 
 @dataclass(frozen=True)
@@ -25,113 +54,142 @@ class Spec:
     """A sweep.
 
     Attributes:
-        name: of its file.
-        cells: all that is to do, each once; of a search none are known before.
-        search: for hyperparameters, in place of cells.
+        kind: name of its table.
+        axes: values of each key; of a search one each.
+        trials: of a search.
+        free: Optuna's distributions of what is searched for, by axis.
     """
 
-    name: str
-    cells: tuple[Cell, ...]
-    search: Search | None = None
+    kind: str
+    axes: Mapping[str, Sequence[Any]]
+    trials: int = 0
+    free: Values = field(default_factory=dict)
 
     def __len__(self) -> int:
-        """How many cells it will have had."""
-        return len(self.cells) if self.search is None else self.search.trials
+        return self.trials or math.prod(map(len, self.axes.values()))
+
+    @cached_property
+    def cells(self) -> dict[str, Values]:
+        """All combinations of a grid, by name, in the order of the file."""
+        combinations = itertools.product(*self.axes.values())
+        cells = (dict(zip(self.axes, values, strict=True)) for values in combinations)
+        return {self._digest(values): values for values in cells}
 
     @property
-    def axes(self) -> list[str]:
-        """Names of all axes."""
-        if self.search is not None:
-            return self.search.axes
-        return sorted({axis for cell in self.cells for axis, _ in cell.values})
+    def trial(self) -> str:
+        """Begins the names of a search's trials."""
+        return self._digest({**self.axes, **self.free})
 
-    @property
-    def trains(self) -> bool:
-        """Whether there are trainings among them."""
-        return self.search is not None or any(cell.kind == "train" for cell in self.cells)
+    def values_of(self, row: Values) -> Values:
+        """Values of the trial that has a row, or a proposal of Optuna's."""
+        found = {axis: value for axis, (value,) in self.axes.items()}
+        for axis in self.free:
+            value = json.loads(row[axis]) if isinstance(row[axis], str) else row[axis]
+            found[axis] = tuple(value) if isinstance(value, list) else value
+        return found
 
-    @property
-    def run(self) -> str:
-        """The name of its partition.
+    def _digest(self, values: Values) -> str:
+        """Name what is to be done: by values, version and the content of files that are named."""
+        words = itertools.chain(*(v if isinstance(v, tuple) else (v,) for v in values.values()))
+        files = [_content(word) for word in words if isinstance(word, str) and os.path.isfile(word)]
+        work = json.dumps([__version__, self.kind, sorted(values.items()), files], default=repr)
+        return hashlib.sha256(work.encode()).hexdigest()[:16]
 
-        Another sweep has another, and so has another version of the program, or the same sweep
-        after a file that it names was changed.
-        """
-        what = [repr(self.search)] if self.search else sorted(cell.name for cell in self.cells)
-        pairs = self.search.fixed if self.search else (v for c in self.cells for v in c.values)
-        told = json.dumps([__version__, what, digests(value for _, value in pairs)])
-        return f"{self.name}-{hashlib.sha256(told.encode()).hexdigest()[:8]}"
+
+def _content(path: str) -> str:
+    with open(path, "rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+def plain(value: Any) -> Any:
+    """A value as columns and Optuna hold it: numbers and text as they are, others as JSON."""
+    return json.dumps(value) if isinstance(value, (bool, tuple)) else value
 
 
 def read_spec(path: Path) -> Spec:
-    """The sweep of a TOML file.
-
-    A table ``[evaluate]`` has the options of ``mmwave-loc compare`` and ``policy``; a table
-    ``[train]`` those of ``mmwave-loc train``, the ``seed`` of the training, ``episodes`` to judge
-    it on, and a table ``[train.hyperparameters]``. A list is an axis, anything else a constant;
-    ``modes`` and ``places`` are lists themselves, so that an axis of them is a list of lists. A
-    table ``[search]`` stands alone: it is that of a training whose hyperparameters have ranges.
+    """Read a sweep: one table, with the fields of its kind and ``hyperparameters`` as keys.
 
     Raises:
         ValueError: naming the file, the key, what was found and what was expected.
         FileNotFoundError: there is no such file.
     """
-    text = read_text(path, "a sweep, TOML")
+    text = read_text(path, "a sweep, TOML or JSON")
     try:
-        content = _toml().loads(text)
-        if "search" in content:
-            return Spec(as_name(path.stem), (), search_from(content))
-        return Spec(as_name(path.stem), tuple(_cells(content)))
+        return _spec(parse_json(text) if path.suffix == ".json" else tomllib.loads(text))
     except (ValueError, RecursionError) as error:
         raise ValueError(f"{path}: not a sweep: {error} (docs/sweep.md)") from error
 
 
-def _toml() -> Any:
-    return import_module("tomllib" if sys.version_info >= (3, 11) else "tomli")
+def _spec(content: Any) -> Spec:
+    if not isinstance(content, dict) or len(content) != 1:
+        raise ValueError(f"found {quoted(content)}, expected one table of {', '.join(KINDS)}")
+    ((kind, table),) = content.items()
+    choose(KINDS, kind, "table")
+    require(kind, table, dict)
+    tried = table.pop("hyperparameters", {}) if kind != "evaluate" else {}
+    require(f"{kind}.hyperparameters", tried, dict)
+    trials = table.pop("trials", None) if kind == "search" else 1
+    require(f"{kind}.trials", trials, Count)
+    axes = dict(_options(kind, table))
+    found = dict(_hyperparameters(kind, tried, axes))
+    spec = Spec(kind, axes, trials, found) if kind == "search" else Spec(kind, axes | found)
+    if len(spec) > MOST_CELLS:
+        raise ValueError(f"{kind}: found {len(spec)} cells, expected at most {MOST_CELLS}")
+    if kind == "search" and not (found and all(len(values) == 1 for values in axes.values())):
+        raise ValueError("search: expected hyperparameters to try, and one value of all else")
+    return spec
 
 
-def _cells(content: Mapping[str, Any]) -> Iterator[Cell]:
-    if not content:
-        raise ValueError(f"found nothing, expected a table [{'] or ['.join(KINDS)}]")
-    seen = set[Cell]()
-    for kind, table in content.items():
-        needed, known = choose(KINDS, kind, "table")
-        if not isinstance(table, dict):
-            raise ValueError(f"{kind}: found {table!r}, expected a table")
-        axes = dict(_axes(kind, table, known))
-        for axis in needed - set(axes):
-            raise ValueError(f"{kind}.{axis}: found none, expected one")
-        for values in itertools.product(*axes.values()):
-            cell = Cell(kind, tuple(sorted(zip(axes, values, strict=True))))
-            require_sound(cell)
-            if cell in seen:
-                raise ValueError(f"{kind}: found {cell} twice, expected each combination once")
-            seen.add(cell)
-            yield cell
-        if kind == "evaluate":
-            _require_apart(axes)
-
-
-def _require_apart(axes: Mapping[str, Sequence[Any]]) -> None:
-    """Refuse first seeds so near to each other that episodes would count twice."""
-    least = max(axes.get("episodes", [USUAL_EPISODES]))
-    for one, other in pairwise(sorted(axes.get("seed", []))):
-        if other - one < least:
-            raise ValueError(
-                f"evaluate.seed: found {one} and {other}, expected first seeds {least} apart, the "
-                "episodes of a cell: others would count twice"
-            )
-
-
-def _axes(
-    kind: str, table: Mapping[str, Any], known: frozenset[str]
-) -> Iterator[tuple[str, Sequence[Any]]]:
-    """Names of axes and their values."""
+def _options(kind: str, table: Values) -> Iterator[tuple[str, Sequence[Any]]]:
+    for option in fields(KINDS[kind]):
+        if option.default is MISSING and option.name not in table:
+            raise ValueError(f"{kind}.{option.name}: found none, expected one")
     for key, value in table.items():
-        if kind == "train" and key == HYPERPARAMETER[:-1] and isinstance(value, dict):
-            yield from (
-                (HYPERPARAMETER + name, values_of(name, one)) for name, one in value.items()
-            )
+        hint, values = choose(hints_of(KINDS[kind]), key, f"{kind}: key"), _values(key, value)
+        for one in values:
+            require(f"{kind}.{key}", one, hint)
+        yield key, values
+
+
+def _hyperparameters(kind: str, table: Values, axes: Values) -> Iterator[tuple[str, Any]]:
+    """Values of each, or their distribution, that are sound beside those that are shipped."""
+    algo, beliefs = (axes.get(name, [getattr(Training, name)])[0] for name in ("algo", "beliefs"))
+    found = read_hyperparameters(shipped_hyperparameters(algo, beliefs), algo)
+    types = get_type_hints(type(found))
+    for name, value in table.items():
+        axis, of_type = HYPERPARAMETER + name, choose(types, name, f"{kind}.hyperparameters")
+        is_range = kind == "search" and isinstance(value, dict)
+        values = [value.get("low"), value.get("high")] if is_range else _values(name, value)
+        for one in reversed(values):
+            found = replace(found, **{name: one})
+        if kind == "search":
+            yield axis, _distribution(axis, value if is_range else values, of_type is int)
         else:
-            choose(dict.fromkeys(known), key, f"{kind}: key")
-            yield key, values_of(key, value)
+            yield axis, values
+
+
+def _distribution(axis: str, found: Any, whole: bool) -> Any:
+    """What Optuna chooses from: a range, or a list."""
+    require_extra("optuna", "ray", "a search")
+    from optuna import distributions
+
+    try:
+        if not isinstance(found, dict):
+            return distributions.CategoricalDistribution([plain(one) for one in found])
+        kind = distributions.IntDistribution if whole else distributions.FloatDistribution
+        return kind(**found)
+    except (TypeError, ValueError) as error:
+        raise ValueError(f"{axis}: found {quoted(found)}, expected low, high: {error}") from error
+
+
+def _values(key: str, value: Any) -> Sequence[Any]:
+    """The values of an axis; modes and places are lists, so that theirs are lists of lists."""
+    several = isinstance(value, list) and (
+        key not in ("modes", "places") or all(isinstance(one, list) for one in value)
+    )
+    values = [tuple(v) if isinstance(v, list) else v for v in (value if several else [value])]
+    if not values or len(set(map(repr, values))) < len(values):
+        raise ValueError(f"{key}: found {quoted(value)}, expected values, each once")
+    if any(isinstance(one, float) for one in values):  # a column holds numbers of one kind
+        return [float(one) if type(one) is int else one for one in values]
+    return values

@@ -58,14 +58,30 @@ def rewards(args: TaskArgs) -> Reward:
     return reward
 
 
-def hyperparameters(args: "Args", places: int) -> Hyperparameters:
+def training_task(args: TaskArgs) -> TrainingTask:
+    """What is to be learned.
+
+    Raises:
+        ValueError: a place, mode or reward that there is not.
+    """
+    places = places_of(args)
+    banks = banks_of(args.modes, places, args.beliefs)
+    return TrainingTask(args.scenario, places, banks, args.observation, rewards(args), args.beliefs)
+
+
+def hyperparameters(args: TaskArgs, places: int, path: Path | None = None) -> Hyperparameters:
     """Read the hyperparameters.
+
+    Args:
+        args: what is learned.
+        places: in how many places.
+        path: of their file; None for those that are shipped.
 
     Raises:
         ValueError: those of another algorithm, or of environments that can't be spread over so
             many places.
     """
-    path = args.hyperparameters or shipped_hyperparameters(args.algo, args.beliefs)
+    path = path or shipped_hyperparameters(args.algo, args.beliefs)
     found = read_hyperparameters(path, args.algo)
     try:
         require_environments(found.num_envs, places, found.together)
@@ -191,11 +207,9 @@ def train(args: "Args") -> None:
         count = getattr(args, name)
         if count is not None and count < 1:
             raise ValueError(f"{name}: found {count}, expected 1 or more")
-    places = places_of(args)
-    found = hyperparameters(args, len(places))
-    banks = banks_of(args.modes, places, args.beliefs)
-    task = TrainingTask(args.scenario, places, banks, args.observation, rewards(args), args.beliefs)
-    manifest = manifest_of(args, banks, found)
+    task = training_task(args)
+    found = hyperparameters(args, len(task.places), args.hyperparameters)
+    manifest = manifest_of(args, task.banks, found)
     if args.smoke:
         args = smoke(args)
     timesteps = args.total_timesteps or TIMESTEPS[args.algo]

@@ -1,290 +1,207 @@
-"""mmwave-loc sweep: every cell is kept once, whatever happens on the way."""
+"""mmwave-loc sweep: every cell is kept once, whatever happens on the way. `make ray` runs all."""
 
-import json
 import os
-import random
 import re
 import signal
 import subprocess
 import sys
 import time
-from pathlib import Path
 
 import pytest
 
+from experiments.sweeping.on_ray import RETRIES, computed, connected
 from experiments.sweeping.spec import read_spec
 from experiments.training.hyperparameters import read_hyperparameters
 from tests.cli import assert_one_clear_line, command, environment, succeed
 from tests.paths import ROOT
 
-dataset = pytest.importorskip("pyarrow.dataset")
+pytest.importorskip("pyarrow")
+pytest.importorskip("ray")
 
 SMALL = """
 [evaluate]
 policy = ["fixed-ekf", "imm"]
-scenario = ["pedestrian", "vehicle"]
 seed = [0, 3]
 episodes = 3
 episode_steps = 30
 """
 
 
+def written(folder, text):
+    (folder / "grid.toml").write_text(text)
+    return folder / "grid.toml"
+
+
 def rows(out):
-    """All rows of a data set, in an order of their own."""
-    found = dataset.dataset(out, format="parquet", partitioning="hive", exclude_invalid_files=True)
-    return found.to_table().sort_by([("cell", "ascending"), ("episode_seed", "ascending")])
+    from pyarrow import dataset
+
+    found = dataset.dataset(out, format="parquet", exclude_invalid_files=True).to_table()
+    return found.sort_by([("policy", "ascending"), ("seed", "ascending")]).to_pylist()
 
 
-@pytest.fixture(scope="module")
-def swept(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("sweep")
-    (folder / "small.toml").write_text(SMALL)
-    told = succeed("sweep", folder / "small.toml", "--out", folder / "out", "--workers", "1")
-    return folder, told
-
-
-def test_rows_are_what_compare_tells_of_the_same_episodes(swept, tmp_path):
-    folder, _ = swept
-    table = rows(folder / "out").to_pylist()
-    assert len(table) == 2 * 2 * 2 * 3
-    words = ["--policies", "fixed-ekf", "imm", "--scenario", "vehicle", "--episode-steps", "30"]
-    succeed("compare", *words, "--episodes", "6", "--episodes-csv", tmp_path / "rows.csv")
-    header, *lines = (tmp_path / "rows.csv").read_text().splitlines()
-    names = header.split(",")
-    expected = {}
-    for line in lines:
-        row = dict(zip(names, line.split(","), strict=True))
-        expected[row["policy"], int(row["seed"])] = (int(row["key"]), float(row["reward"]))
-    found = {
-        (row["policy"], row["episode_seed"]): (row["episode_key"], row["reward"])
-        for row in table
-        if row["scenario"] == "vehicle"
-    }
-    assert found == expected
-
-
-def test_what_is_there_is_not_computed_again(swept):
-    folder, told = swept
-    (run,) = (folder / "out").iterdir()
-    before = {path: path.stat().st_mtime_ns for path in run.glob("*.parquet")}
-    again = command("sweep", folder / "small.toml", "--out", folder / "out")
-    assert again.stdout == told and "8 cells, 8 of them kept from before" in again.stderr
-    assert {path: path.stat().st_mtime_ns for path in run.glob("*.parquet")} == before
-
-
-@pytest.mark.slow
-def test_a_part_that_is_lost_is_computed_again(swept, tmp_path):
-    folder, _ = swept
-    expected = rows(folder / "out")
-    (run,) = (folder / "out").iterdir()
-    first = min(run.glob("*.parquet"))
-    first.unlink()
-    succeed("sweep", folder / "small.toml", "--out", folder / "out", "--workers", "1")
-    assert rows(folder / "out").equals(expected)
-    second = min(run.glob("*.parquet"))
-    second.write_bytes(second.read_bytes()[:-20])
-    done = command("sweep", folder / "small.toml", "--out", folder / "out")
-    assert done.returncode == 2 and f"{second}: found no readable Parquet" in done.stderr
-    second.unlink()
-    succeed("sweep", folder / "small.toml", "--out", folder / "out", "--workers", "1")
-    assert rows(folder / "out").equals(expected)
-
-
-@pytest.mark.slow
-def test_a_cell_that_fails_leaves_the_others_whole(tmp_path):
-    (tmp_path / "bad.toml").write_text(SMALL.replace('"imm"', '"nobody"'))
-    done = command("sweep", tmp_path / "bad.toml", "--out", tmp_path / "out", "--workers", "1")
-    assert done.returncode == 2
-    assert "4 of 8 cells failed 2 times, the others are there" in done.stderr
-    (run,) = (tmp_path / "out").iterdir()
-    failed = json.loads((run / "summary.json").read_text())["failed"]
-    assert len(failed) == 4 and all("found 'nobody'" in one["error"] for one in failed)
-    assert set(rows(tmp_path / "out")["policy"].to_pylist()) == {"fixed-ekf"}
-
-
-@pytest.mark.slow
-def test_a_file_that_was_changed_is_another_sweep(tmp_path):
-    (tmp_path / "own.json").write_text('{"base": "handset", "ue_elements": 4}')
-    text = '[evaluate]\npolicy = "fixed-ekf"\nradio = "own.json"\nepisodes = 2\n'
-    (tmp_path / "own.toml").write_text(text)
-    succeed("sweep", "own.toml", cwd=tmp_path)
-    again = command("sweep", "own.toml", cwd=tmp_path)
-    assert "1 cell, 1 of them kept" in again.stderr
-    (tmp_path / "own.json").write_text('{"base": "handset", "ue_elements": 8}')
-    changed = command("sweep", "own.toml", cwd=tmp_path)
-    assert "1 cell, 0 of them kept" in changed.stderr and changed.stdout != again.stdout
-
-
-@pytest.mark.slow
-@pytest.mark.skipif(os.name != "posix", reason="signals as POSIX has them")
-def test_a_sweep_by_ray_is_ended_as_any_command(tmp_path):
-    pytest.importorskip("ray")
-    text = '[evaluate]\npolicy = "fixed-ekf"\nseed = [0, 20000]\nepisodes = 20000\n'
-    (tmp_path / "long.toml").write_text(text)
-    words = ["sweep", "long.toml", "--engine", "ray"]
-    running = subprocess.Popen(
-        [sys.executable, "-m", "experiments.console", *words], cwd=tmp_path,
-        env=environment(), stderr=subprocess.PIPE, text=True,
+def started(*words, cwd):
+    return subprocess.Popen(
+        [sys.executable, "-m", "experiments.console", "sweep", *map(str, words)], cwd=cwd,
+        env=environment(), stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
     )  # fmt: skip
-    assert "2 cells" in running.stderr.readline()
-    time.sleep(8.0)  # until Ray has begun
-    running.send_signal(signal.SIGTERM)
-    _, told = running.communicate(timeout=60)
-    assert running.returncode == 143 and told == "mmwave-loc sweep: ended by SIGTERM\n"
 
 
-def test_what_was_left_half_written_stops_nothing(swept):
-    folder, told = swept
-    (run,) = (folder / "out").iterdir()
-    half = run / ".0123456789abcdef.cells-of-a-killed-sweep.parquet"
-    half.write_bytes(b"PAR1 and no more")
-    again = command("sweep", folder / "small.toml", "--out", folder / "out")
-    half.unlink()
-    assert again.stdout == told and "8 of them kept from before" in again.stderr
+def wait_for_rows(out, running, count=1):
+    while len(list(out.glob("[!.]*.parquet"))) < count and running.poll() is None:
+        time.sleep(0.05)
+    assert running.poll() is None, running.communicate()
 
 
-@pytest.mark.slow
-def test_an_option_that_is_called_as_a_metric_has_a_column_of_its_own(tmp_path):
-    text = '[evaluate]\npolicy = "imm"\nreward = ["tracking", "log-score"]\nepisodes = 3\n'
-    (tmp_path / "rewards.toml").write_text(text)
-    told = succeed("sweep", tmp_path / "rewards.toml", "--out", tmp_path / "out")
-    assert "policy imm, reward tracking |" in told and "policy imm, reward log-score |" in told
-    table = rows(tmp_path / "out").to_pylist()
-    assert {row["reward_kind"] for row in table} == {"tracking", "log-score"}
-    assert all(isinstance(row["reward"], float) for row in table)
-
-
-def test_two_at_once_on_one_run_are_refused(swept):
-    fcntl = pytest.importorskip("fcntl")
-    folder, _ = swept
-    (run,) = (folder / "out").iterdir()
-    with (run / ".lock").open("w") as held:
-        fcntl.flock(held, fcntl.LOCK_EX)
-        done = command("sweep", folder / "small.toml", "--out", folder / "out")
-    assert_one_clear_line(done, "found another sweep at work there, expected none")
+def ray_processes():
+    found = subprocess.run(["ps", "-eo", "pid,args"], capture_output=True, text=True).stdout
+    return {line.split()[0] for line in found.splitlines() if re.search(r"ray::|raylet|gcs_", line)}
 
 
 @pytest.mark.parametrize(
     ("words", "message"),
     [
-        (["there.toml"], "there.toml: found no such file, expected a sweep, TOML"),
+        (["there.toml"], "there.toml: found no such file, expected a sweep, TOML or JSON"),
         (["there.toml", "--workers", "0"], "workers: found 0, expected 1 or more"),
-        (["there.toml", "--address", "auto"], "address: found one beside engine local, expected"),
     ],
 )
 def test_mistakes_end_with_one_clear_line(tmp_path, words, message):
     assert_one_clear_line(command("sweep", *words, cwd=tmp_path), message)
 
 
+def test_what_is_missing_is_said_in_one_line(tmp_path, monkeypatch):
+    monkeypatch.setattr("importlib.util.find_spec", lambda package: None)
+    done = command("sweep", written(tmp_path, SMALL))
+    assert_one_clear_line(done, r"sweep needs ray: pip install 'mmwave-loc\[ray\]'")
+
+
+def raises(values):
+    raise ValueError(f"no {values['number']}\nand no more")
+
+
+def exits(values):
+    os._exit(3)
+
+
+def second_time(values):
+    """Fails as a full disk does, but not again."""
+    if values["number"] == 1 and not os.path.exists(values["mark"]):
+        open(values["mark"], "x").close()
+        raise OSError(28, "No space left on device")
+    return {"square": values["number"] ** 2}
+
+
 @pytest.mark.slow
-def test_the_example_of_the_page_runs(tmp_path, monkeypatch, capsys):
+def test_cells_that_fail_cost_no_others(tmp_path):
+    mark = str(tmp_path / "mark")
+    cells = {str(number): {"number": number, "mark": mark} for number in range(5)}
+    fails = {"0": raises, "4": exits}
+
+    def compute(values):
+        return fails.get(str(values["number"]), second_time)(values)
+
+    with connected(None, 2):
+        found = {name: (row, error) for name, row, error in computed(compute, cells)}
+    assert found["0"] == (None, "ValueError: no 0")
+    assert found["4"] == (None, f"its process ended {RETRIES + 1} times (WorkerCrashedError)")
+    assert [found[str(n)][0]["square"] for n in (1, 2, 3)] == [1, 4, 9]
+
+
+@pytest.mark.slow
+def test_rows_are_what_compare_tells_and_grow_with_the_file(tmp_path):
+    file, out = written(tmp_path, SMALL.replace(', "imm"]', "]")), tmp_path / "out"
+    succeed("sweep", file, "--out", out, "--workers", "1")
+    before = {path: path.stat().st_mtime_ns for path in out.iterdir()}
+    done = command(
+        "sweep", written(tmp_path, SMALL.replace('"imm"', '"imm", "nobody"')), "--out", out
+    )
+    assert done.returncode == 2 and "6 cells, 2 of them kept from before" in done.stderr
+    assert re.search(r"^failed: policy nobody, seed 3, .*found 'nobody'", done.stderr, re.MULTILINE)
+    assert "2 of 6 cells failed, the others are in" in done.stderr
+    assert {path: path.stat().st_mtime_ns for path in before} == before and len(rows(out)) == 4
+    for row in rows(out):
+        words = ["--policies", row["policy"], "--seed", row["seed"], "--episodes", "3"]
+        succeed("compare", *words, "--episode-steps", "30", "--episodes-csv", tmp_path / "rows.csv")
+        header, *lines = (tmp_path / "rows.csv").read_text().splitlines()
+        column = header.split(",").index("ate_m")
+        assert row["ate_m_each"] == [float(line.split(",")[column]) for line in lines]
+        assert row["ate_m_mean"] == pytest.approx(sum(row["ate_m_each"]) / 3)
+        assert row["ate_m_low"] <= row["ate_m_mean"] <= row["ate_m_high"]
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(os.name != "posix", reason="signals as POSIX has them")
+def test_a_sweep_that_is_killed_or_interrupted_goes_on_and_leaves_no_process(tmp_path):
+    others, out = ray_processes(), tmp_path / "out"
+    file = written(tmp_path, SMALL.replace("[0, 3]", "[0, 3, 6, 9]").replace("= 3", "= 200"))
+    for number, code in ((signal.SIGKILL, -9), (signal.SIGINT, 130)):
+        running = started(file, "--out", out, "--workers", "1", cwd=ROOT)
+        wait_for_rows(out, running, len(list(out.glob("*.parquet"))) + 1)
+        running.send_signal(number)
+        _, told = running.communicate(timeout=60)
+        assert running.returncode == code, told
+    assert told.splitlines()[-1] == "mmwave-loc sweep: interrupted"
+    until = time.monotonic() + 60.0
+    while ray_processes() - others and time.monotonic() < until:
+        time.sleep(0.5)
+    assert not ray_processes() - others
+    there = {path: path.stat().st_mtime_ns for path in out.glob("[!.]*.parquet")}
+    assert 2 <= len(there) < 8
+    succeed("sweep", file, "--out", out)
+    assert len(rows(out)) == 8 and {p: p.stat().st_mtime_ns for p in there} == there
+
+
+@pytest.mark.slow
+def test_the_page_is_right(tmp_path, monkeypatch, capsys):
     page = (ROOT / "docs" / "sweep.md").read_text("utf-8")
-    first, second, third = re.findall(r"^```toml\n(.*?)^```", page, re.DOTALL | re.MULTILINE)
-    (tmp_path / "training.toml").write_text(second)
-    assert len(read_spec(tmp_path / "training.toml")) == 6
-    (tmp_path / "search.toml").write_text(third)
-    assert len(read_spec(tmp_path / "search.toml")) == 20
-    shorter = first.replace("[0, 50]", "0").replace("episodes = 50", "episodes = 1")
-    (tmp_path / "grid.toml").write_text(shorter)
-    succeed("sweep", "grid.toml", "--out", "sweeps", "--workers", "1", cwd=tmp_path)
+    example, *others = re.findall(r"^```toml\n(.*?)^```", page, re.DOTALL | re.MULTILINE)
+    (code,) = re.findall(r"^```python\n(.*?)^```", page, re.DOTALL | re.MULTILINE)
+    assert (ROOT / "examples" / "sweep.toml").read_text("utf-8").endswith(example)
+    assert [len(read_spec(written(tmp_path, text))) for text in others] == [6, 20]
+    (tmp_path / "sweep.toml").write_text(example.replace("50", "5"))
+    succeed("sweep", "sweep.toml", cwd=tmp_path)
     monkeypatch.chdir(tmp_path)
-    (block,) = re.findall(r"^```python\n(.*?)^```", page, re.DOTALL | re.MULTILINE)
-    exec(compile(block, "sweep.md", "exec"), {})
-    assert capsys.readouterr().out.count("'ate_m_mean'") == 6
+    exec(compile(code, "sweep.md", "exec"), {})
+    assert capsys.readouterr().out.count("nearer than the UKF") == 2
+
+
+TRAIN = """
+[train]
+total_timesteps = 1
+episodes = 12
+hyperparameters.num_envs = 8
+hyperparameters.n_steps = 64
+hyperparameters.learning_rate = 1e-3
+"""
 
 
 @pytest.mark.slow
 @pytest.mark.torch
 def test_trainings_are_kept_with_their_policies(tmp_path):
-    (tmp_path / "train.toml").write_text(
-        "[train]\ntotal_timesteps = 1\nepisodes = 12\nseed = [0, 1]\n"
-        "hyperparameters.learning_rate = 1e-3\n"
-    )
-    told = succeed("sweep", tmp_path / "train.toml", "--out", tmp_path / "out")
-    (run,) = (tmp_path / "out").iterdir()
-    table = rows(tmp_path / "out").to_pylist()
-    assert {row["episode_seed"] for row in table} == set(range(5_000_000, 5_000_012))
-    policies = {path.stem for path in (run / "policies").iterdir()}
-    assert policies == {row["cell"] for row in table} and len(policies) == 2
+    told = succeed("sweep", written(tmp_path, TRAIN), "--out", tmp_path / "out")
     (best,) = re.findall(r"^The best of the trainings is (.*)", told, re.MULTILINE)
-    succeed("evaluate", "--policy", best, "--episodes", "2")
-    Path(best).unlink()
-    again = command("sweep", tmp_path / "train.toml", "--out", tmp_path / "out")
-    assert_one_clear_line(again, f"{best}: found no such file, expected the policy of a training")
+    (row,) = (tmp_path / "out").glob("*.parquet")
+    assert best == str(row.with_suffix(".safetensors"))
+    succeed("compare", "--policies", best, "--episodes", "2")
 
 
-SEARCH = """
-[search]
-trials = 2
-total_timesteps = 1
-episodes = 12
-hyperparameters.hidden = [[32, 32]]
-hyperparameters.learning_rate = { low = 1e-4, high = 1e-2, log = true }
-"""
-
-
+@pytest.mark.slow
 @pytest.mark.torch
-def test_a_search_is_ray_s_alone(tmp_path):
-    (tmp_path / "search.toml").write_text(SEARCH)
-    done = command("sweep", "search.toml", cwd=tmp_path)
-    assert_one_clear_line(
-        done, "engine: found local beside a table .search., expected --engine ray"
+def test_a_search_goes_on_and_leaves_hyperparameters_to_train_with(tmp_path):
+    from pyarrow import dataset
+
+    text = TRAIN.replace("[train]", "[search]\ntrials = 2").replace(
+        "= 1e-3", "= { low = 1e-4, high = 1e-2, log = true }\nhyperparameters.hidden = [[8], [9]]"
     )
-
-
-@pytest.mark.slow
-@pytest.mark.torch
-def test_trials_leave_rows_and_hyperparameters_to_train_with(tmp_path):
-    pytest.importorskip("ray.tune")
-    (tmp_path / "search.toml").write_text(SEARCH)
-    told = succeed("sweep", tmp_path / "search.toml", "--out", tmp_path / "out", "--engine", "ray")
-    (run,) = (tmp_path / "out").iterdir()
-    best = read_hyperparameters(run / "hyperparameters.json", "ppo").learning_rate
-    table = rows(tmp_path / "out").to_pylist()
-    tried = {float(row["hyperparameters.learning_rate"]) for row in table}
-    assert len(table) == 2 * 12 and len(tried) == 2 and best in tried and 1e-4 <= best <= 1e-2
-    (train,) = re.findall(r"^mmwave-loc train .*", told, re.MULTILINE)
-    assert train.endswith(f"--hyperparameters {run / 'hyperparameters.json'}")
-    assert f"hyperparameters.learning_rate {best}" in told.splitlines()[2]  # the best comes first
-    again = command("sweep", tmp_path / "search.toml", "--out", tmp_path / "out", "--engine", "ray")
-    assert again.returncode == 0 and not re.search("^trial ", again.stderr, re.M)
-    assert rows(tmp_path / "out").to_pylist() == table
-
-
-def kill_once(words, folder, early_s, rng):
-    """Start a sweep and kill it: at a random moment of its start, or soon after its next rows."""
-    before = len(list(folder.rglob("[!.]*.parquet")))  # hidden ones are half written
-    running = subprocess.Popen(
-        [sys.executable, "-m", "experiments.console", *map(str, words)],
-        cwd=ROOT, env=environment(),
-        stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, start_new_session=True,
-    )  # fmt: skip
-    if early_s:
-        time.sleep(rng.uniform(0.2, early_s))
-    else:
-        while len(list(folder.rglob("[!.]*.parquet"))) == before and running.poll() is None:
-            time.sleep(0.05)
-        time.sleep(rng.uniform(0.0, 0.5))
-    assert running.poll() is None, "it was over before it could be killed"
-    os.kill(running.pid, signal.SIGKILL)
-    running.wait()
-
-
-@pytest.mark.slow
-@pytest.mark.skipif(os.name != "posix", reason="kills as POSIX has them")
-@pytest.mark.parametrize("engine", ["local", "ray"])
-def test_a_sweep_killed_ten_times_ends_equal_to_one_undisturbed(tmp_path, engine):
-    if engine == "ray":
-        pytest.importorskip("ray")
-    seeds = ", ".join(map(str, range(0, 10_000, 100)))
-    text = f'[evaluate]\npolicy = ["fixed-ekf", "fixed-ukf"]\nseed = [{seeds}]\nepisodes = 100\n'
-    (tmp_path / "grid.toml").write_text(text)
-    succeed("sweep", tmp_path / "grid.toml", "--out", tmp_path / "calm")
-    words = ["sweep", tmp_path / "grid.toml", "--out", tmp_path / "killed", "--engine", engine]
-    rng, start_s = random.Random(0), 2.0 if engine == "local" else 6.0
-    for kill in range(10):
-        kill_once(words, tmp_path / "killed", start_s if kill % 2 else 0.0, rng)
-    done = command(*words)
-    assert done.returncode == 0, done.stderr
-    assert "200 cells" in done.stderr and "200 cells, 0 of them" not in done.stderr
-    assert rows(tmp_path / "killed").drop(["run"]).equals(rows(tmp_path / "calm").drop(["run"]))
+    out, axis = tmp_path / "out", "hyperparameters.learning_rate"
+    for trials in (2, 3):
+        there = len(list(out.glob("*.parquet")))
+        file = written(tmp_path, text.replace("trials = 2", f"trials = {trials}"))
+        done = command("sweep", file, "--out", out)
+        assert done.returncode == 0, done.stderr
+        assert f"{trials} cells, {there} of them kept" in done.stderr
+        table = dataset.dataset(out, format="parquet", exclude_invalid_files=True).to_table()
+        tried = {row[axis]: row["reward_mean"] for row in table.to_pylist()}
+        assert len(tried) == trials and all(1e-4 <= rate <= 1e-2 for rate in tried)
+        best = read_hyperparameters(out / "hyperparameters.json", "ppo").learning_rate
+        assert tried[best] == max(tried.values())
+        assert f"--hyperparameters {out / 'hyperparameters.json'}" in done.stdout

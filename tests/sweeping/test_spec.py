@@ -1,107 +1,147 @@
 """A sweep is read: every combination once, and what is wrong is named."""
 
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
-from experiments.sweeping.cell import Cell
+from experiments.sweeping.rows import keep, kept, read
 from experiments.sweeping.spec import read_spec
 
 GRID = """
 [evaluate]
-policy = ["fixed-ekf", "fixed-ukf", "imm"]
+policy = ["fixed-ekf", "imm"]
 radio = ["handset", "standard"]
 modes = ["ekf", "ukf"]
+dt = [1, 0.5]
 seed = [0, 10]
-episodes = 10
-[train]
+"""
+SEARCH = """
+[search]
+trials = 6
 total_timesteps = 1000
-hyperparameters.learning_rate = [1e-3, 3e-4]
+hyperparameters.learning_rate = { low = 1e-4, high = 1, log = true }
+hyperparameters.n_epochs = { low = 4, high = 16 }
+hyperparameters.hidden = [[64, 64], [32]]
 """
 
 
-def spec_of(tmp_path, text):
-    (tmp_path / "grid.toml").write_text(text)
-    return read_spec(tmp_path / "grid.toml")
+def spec_of(tmp_path, text, name="grid.toml"):
+    (tmp_path / name).write_text(text)
+    return read_spec(tmp_path / name)
 
 
 def test_every_combination_is_a_cell(tmp_path):
     spec = spec_of(tmp_path, GRID)
-    assert len(spec.cells) == 3 * 2 * 2 + 2 == len({cell.name for cell in spec.cells})
-    first = dict(spec.cells[0].values)
-    assert first == {"policy": "fixed-ekf", "radio": "handset", "modes": ("ekf", "ukf"), "seed": 0,
-                     "episodes": 10}  # fmt: skip
-    rates = [dict(cell.values)["hyperparameters.learning_rate"] for cell in spec.cells[-2:]]
-    assert rates == [1e-3, 3e-4]
+    assert len(spec) == len(spec.cells) == 2 * 2 * 2 * 2
+    first, *_, last = spec.cells.values()
+    assert first == {
+        "policy": "fixed-ekf", "radio": "handset", "modes": ("ekf", "ukf"), "dt": 1.0, "seed": 0,
+    }  # fmt: skip
+    assert last["dt"] == 0.5 and isinstance(first["dt"], float)
 
 
 def test_a_list_of_lists_is_an_axis_of_lists(tmp_path):
     spec = spec_of(tmp_path, '[evaluate]\npolicy = "imm"\nmodes = [["ekf", "ukf"], ["ckf"]]\n')
-    assert [dict(cell.values)["modes"] for cell in spec.cells] == [("ekf", "ukf"), ("ckf",)]
+    assert [cell["modes"] for cell in spec.cells.values()] == [("ekf", "ukf"), ("ckf",)]
 
 
-def test_the_order_of_keys_and_lists_changes_no_name(tmp_path):
-    lines = ['policy = ["imm", "fixed-ekf"]', "seed = [10, 0]", "episodes = 5"]
-    one = spec_of(tmp_path, "\n".join(["[evaluate]", *lines]))
-    turned = ['policy = ["fixed-ekf", "imm"]', "seed = [0, 10]", "episodes = 5"]
-    other = spec_of(tmp_path, "\n".join(["[evaluate]", *reversed(turned)]))
-    assert {c.name for c in one.cells} == {c.name for c in other.cells} and one.run == other.run
+def test_names_are_those_of_the_work_whatever_the_order(tmp_path):
+    one = spec_of(tmp_path, '[evaluate]\npolicy = ["imm", "fixed-ekf"]\nseed = [10, 0]\n')
+    text = '{"evaluate": {"seed": [0, 10], "policy": ["fixed-ekf", "imm"]}}'
+    other = spec_of(tmp_path, text, "grid.json")
+    assert one.cells.keys() == other.cells.keys()
 
 
-def test_other_content_of_a_file_that_is_named_is_another_run(tmp_path, monkeypatch):
+def test_other_content_of_a_file_that_is_named_is_another_cell(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    text = '[evaluate]\npolicy = "mine"\nmodes = ["ekf", "own.json"]\n'
-    runs = [spec_of(tmp_path, text).run]
-    (tmp_path / "own.json").write_text("1")
-    runs.append(spec_of(tmp_path, text).run)
-    (tmp_path / "own.json").write_text("2")
-    runs.append(spec_of(tmp_path, text).run)
-    (tmp_path / "mine" / "seed-0").mkdir(parents=True)
-    (tmp_path / "mine" / "seed-0" / "policy").write_bytes(b"\xff")
-    runs.append(spec_of(tmp_path, text).run)
-    assert len(set(runs)) == 4 and spec_of(tmp_path, text).run == runs[-1]
+    text, names = '[evaluate]\npolicy = "imm"\nmodes = ["ekf", "own.json"]\n', set()
+    for content in ("", "1", "2"):
+        (tmp_path / "own.json").write_text(content)
+        names |= spec_of(tmp_path, text).cells.keys()
+    assert len(names) == 3
 
 
-@given(st.dictionaries(st.text(), st.integers() | st.text(), max_size=4))
-def test_different_values_have_different_names(values):
-    cell = Cell("evaluate", tuple(sorted(values.items())))
-    other = Cell("evaluate", (*cell.values, ("one more", 1)))
-    assert cell.name != other.name and Cell("train", cell.values).name != cell.name
+def test_a_search_has_distributions(tmp_path):
+    pytest.importorskip("optuna")
+    spec = spec_of(tmp_path, SEARCH)
+    rate, epochs, hidden = spec.free.values()
+    assert (rate.low, rate.high, rate.log) == (1e-4, 1.0, True)
+    assert epochs.to_external_repr(epochs.high) == 16 and isinstance(epochs.low, int)
+    assert hidden.choices == ("[64, 64]", "[32]") and len(spec) == 6
+    proposal = dict(zip(spec.free, (1e-3, 5, "[32]"), strict=True))
+    assert spec.values_of(proposal) == {
+        "total_timesteps": 1000, "hyperparameters.learning_rate": 1e-3,
+        "hyperparameters.n_epochs": 5, "hyperparameters.hidden": (32,),
+    }  # fmt: skip
+    more = spec_of(tmp_path, SEARCH.replace("trials = 6", "trials = 7"))
+    other = spec_of(tmp_path, SEARCH.replace("16", "17"))
+    assert more.trial == spec.trial != other.trial
+
+
+@pytest.mark.parametrize(("text", "cells"), [
+    ("seed = [{}]".format(", ".join(map(str, range(100_001)))), 100_001),
+    ("\n".join(f"{key} = {list(range(1, 1001))}" for key in ("seed", "episodes")), 1_000_000),
+])  # fmt: skip
+def test_too_many_cells_are_refused_before_they_are_made(tmp_path, text, cells):
+    with pytest.raises(ValueError, match=f"found {cells} cells, expected at most 100000"):
+        spec_of(tmp_path, f'[evaluate]\npolicy = "imm"\n{text}\n')
+
+
+def test_rows_are_kept_apart_and_those_of_others_refused(tmp_path):
+    pytest.importorskip("pyarrow")
+    spec = spec_of(tmp_path, '[evaluate]\npolicy = ["imm", "ppo"]\nreward = "tracking"\n')
+    folder, (name, _) = tmp_path / "out", spec.cells
+    keep(folder, name, spec.cells[name], {"reward_mean": -1.5, "reward_each": [-1.0, -2.0]})
+    (folder / ".half.parquet").write_bytes(b"PAR1 and no more")
+    assert kept(folder, spec) == {name}
+    row = {"reward": "tracking", "reward_mean": -1.5, "reward_each": [-1.0, -2.0]}
+    assert read(folder, spec) == {name: {"policy": "imm"} | row}
+    other = spec_of(tmp_path, '[evaluate]\npolicy = "imm"\nseed = 1\n')
+    with pytest.raises(ValueError, match=f"{name}.parquet: found a row of another sweep"):
+        kept(folder, other)
+    (folder / f"{name}.parquet").write_bytes(b"PAR1 and no more")
+    with pytest.raises(ValueError, match=f"{name}.parquet: found no row .*; remove it"):
+        read(folder, spec)
+
+
+POLICY = '[evaluate]\npolicy = "imm"\n'
+TRAIN = "[train]\ntotal_timesteps = 5\n"
+RATE = "[search]\ntrials = 3\ntotal_timesteps = 5\nhyperparameters."
 
 
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("", r"found nothing, expected a table \[evaluate\] or \[train\]"),
-        ("[evalute]\n", "table: found 'evalute', did you mean evaluate[?] Expected one of"),
-        ("evaluate = 3\n", "evaluate: found 3, expected a table"),
+        ("", "found {}, expected one table of evaluate, train, search"),
+        ("[evalute]\n", "table: found 'evalute', did you mean evaluate"),
+        ("evaluate = 3\n", "evaluate: found 3, expected an object"),
         ("[evaluate]\nseed = 0\n", "evaluate.policy: found none, expected one"),
-        ('[evaluate]\npolicy = "imm"\nraido = "handset"\n', "evaluate: key: found 'raido', .*io"),
-        ('[evaluate]\npolicy = "imm"\nradio = 3\n', "evaluate.radio: found 3, expected str"),
-        ('[evaluate]\npolicy = "imm"\nepisodes = 0\n', "evaluate.episodes: found 0, expected a wh"),
-        ('[evaluate]\npolicy = "imm"\nseed = true\n', "evaluate.seed: found True, expected"),
-        ('[evaluate]\npolicy = []\n', "policy: found an empty list, expected values"),
-        ('[evaluate]\npolicy = ["imm", "imm"]\n', "found evaluate policy imm twice"),
-        ('[evaluate]\npolicy = "imm"\ndt = [-inf]\n', "dt: found -inf, expected words, finite"),
-        ('[evaluate]\npolicy = ["imm", 3]\n', "policy: found 3, expected the name of one"),
-        ('[evaluate]\npolicy = ""\n', "policy: found '', expected the name of one"),
-        ('[evaluate]\npolicy = "imm"\nreward = "rmse"\n', "evaluate.reward: found 'rmse', exp"),
-        (f'[evaluate]\npolicy = "imm"\nseed = {2**63 - 1}\n', "expected a whole number below"),
-        ("[train]\nalgo = \"ppo\"\n", "train.total_timesteps: found none, expected one"),
-        ('[train]\nalgo = "dqn"\ntotal_timesteps = 5\n', "train.algo: found 'dqn', expected one"),
-        ("[train]\ntotal_timesteps = 5\nseed = 10000000\n", "train.seed: found 10000000, expected"),
+        (POLICY + 'raido = "handset"\n', "evaluate: key: found 'raido', did you mean radio"),
+        (POLICY + "radio = 3\n", "evaluate.radio: found 3, expected str"),
+        (POLICY + "episodes = 0\n", "evaluate.episodes: found 0, expected an integer >= 1"),
+        (POLICY + "seed = -1\n", "evaluate.seed: found -1, expected an integer from 0"),
+        (POLICY + "dt = [-inf]\n", "evaluate.dt: found -inf, expected a number"),
+        (POLICY + "trust_zip = true\n", "evaluate.trust_zip: found True, expected one of False"),
+        (POLICY + "trials = 2\n", "evaluate: key: found 'trials'"),
+        ("[evaluate]\npolicy = []\n", "policy: found \\[\\], expected values, each once"),
+        ('[evaluate]\npolicy = ["imm", "imm"]\n', "expected values, each once"),
+        ("[train]\n", "train.total_timesteps: found none, expected one"),
+        (TRAIN + 'algo = "dqn"\n', "train.algo: found 'dqn', expected one of ppo"),
+        (TRAIN + "hyperparameters = 3\n", "train.hyperparameters: found 3, expected an object"),
+        (TRAIN + "hyperparameters.rate = 1\n", "hyperparameters: found 'rate', expected one of"),
+        (TRAIN + "hyperparameters.gamma = [0.9, 2]\n", "gamma: found 2.0, expected 0 to 1"),
+        (TRAIN + "hyperparameters.gamma = { low = 0.8, high = 0.9 }\n", "gamma: found {'low'"),
+        ("[search]\ntrials = 0\ntotal_timesteps = 5\n", "search.trials: found 0, expected"),
+        ("[search]\ntrials = 3\ntotal_timesteps = 5\n", "search: expected hyperparameters to try"),
+        (RATE + 'gamma = [0.8]\nradio = ["handset", "high"]\n', "one value of all else"),
+        (RATE + "gamma = { low = 0.9, high = 0.8 }\n", "gamma: found .*, expected low, high"),
+        (RATE + "gamma = { low = 0, high = 0.8, log = true }\n", "gamma: found .*, expected low"),
+        (RATE + f"gamma = {{ low = 0, high = 1{'0' * 400} }}\n", "gamma: found 10*"),
+        (RATE + "gamma = { low = 0.8, high = 0.9, from = 3 }\n", "gamma: found .*, expected low"),
+        (RATE + "n_epochs = { low = 1.5, high = 3 }\n", "n_epochs: found 1.5, expected a count"),
         ("[evaluate\n", "not a sweep: Expected"),
     ],
-)  # fmt: skip
-def test_what_is_wrong_is_named(tmp_path, text, message):
-    with pytest.raises(ValueError, match=message):
-        spec_of(tmp_path, text)
-
-
-@pytest.mark.parametrize(
-    "value", ["[1e-3, {}]", "[1e-3, [[]]]", "[{a = 1}]", "[1979-05-27]", "[nan]"]
 )
-def test_a_value_within_a_value_is_refused(tmp_path, value):
-    text = f"[train]\ntotal_timesteps = 1000\nhyperparameters.learning_rate = {value}\n"
-    with pytest.raises(ValueError, match="learning_rate: found .*expected words, finite num"):
+def test_what_is_wrong_is_named(tmp_path, text, message):
+    if "search" in text:
+        pytest.importorskip("optuna")
+    with pytest.raises(ValueError, match=message):
         spec_of(tmp_path, text)

@@ -1,0 +1,145 @@
+"""Cells and trials on Ray, of this machine or of a cluster."""
+
+import itertools
+import logging
+import os
+import tempfile
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager, redirect_stdout
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+from experiments.console.signals import ended_by_signals
+from experiments.sweeping.spec import Spec, Values
+from mmwave_env.files import told
+from mmwave_env.metrics import METRICS
+
+RETRIES = 2  # of a cell whose process ended, as for want of memory, or that met an OS error
+AHEAD = 1000  # cells that Ray has at once: enough for as many workers
+ENVIRONMENT = {
+    "RAY_USAGE_STATS_ENABLED": "0",
+    "RAY_task_oom_retries": str(RETRIES),  # without a limit otherwise
+    "RAY_agent_register_timeout_ms": "120000",  # a busy machine begins slowly
+    "RAY_AIR_NEW_OUTPUT": "0",
+    "RAY_CHDIR_TO_TRIAL_DIR": "0",  # paths go out from where the command was begun
+    "TUNE_DISABLE_SIGINT_HANDLER": "1",  # Ctrl-C ends the command, as everywhere
+    "TUNE_DISABLE_AUTO_CALLBACK_LOGGERS": "1",  # rows are all that is kept
+}
+RUNGS, SHARE = 9, 3  # of early stopping: docs/sweep.md
+
+
+@contextmanager
+def connected(address: str | None, workers: int | None) -> Iterator[None]:
+    """Ray, until this ends.
+
+    Args:
+        address: of a cluster, which gets the code from here; None to begin one of this machine.
+        workers: how many processes of this machine; None for as many as it has cores.
+    """
+    os.environ |= ENVIRONMENT | ({"RAY_NUM_REDIS_GET_RETRIES": "1"} if address else {})
+    import ray
+
+    where: dict[str, Any] = {
+        "num_cpus": workers,
+        "object_store_memory": 100 << 20,
+    }  # rows are small
+    if address is not None:
+        packages = [import_module(name) for name in ("mmwave_env", "policies", "experiments")]
+        folders = [str(Path(str(package.__file__)).parent) for package in packages]
+        where = {"address": address, "runtime_env": {"py_modules": folders}}
+    where |= {"include_dashboard": False, "log_to_driver": False, "logging_level": logging.ERROR}
+    ray.init(**where)
+    try:
+        # Ray has just put handlers of its own in their place, and prints among our tables.
+        with ended_by_signals(), open(os.devnull, "w") as nowhere, redirect_stdout(nowhere):
+            yield
+    finally:
+        ray.shutdown()
+
+
+def computed(
+    compute: Callable[[Values], Values], cells: Mapping[str, Values]
+) -> Iterator[tuple[str, Values | None, str]]:
+    """Cells as they are over: name, row (None where it failed) and error.
+
+    Args:
+        compute: makes a row of values.
+        cells: values by name.
+    """
+    import ray
+
+    task: Any = ray.remote(lambda values: compute(values))  # noqa: PLW0108  functions alone
+    task = task.options(num_cpus=1, max_retries=RETRIES, retry_exceptions=[OSError])
+    waiting, running = iter(cells.items()), dict[Any, str]()
+    while True:
+        for name, values in itertools.islice(waiting, AHEAD - len(running)):
+            running[task.remote(values)] = name
+        if not running:
+            return
+        (one,), _ = ray.wait(list(running))
+        name = running.pop(one)
+        try:
+            yield name, ray.get(one), ""
+        except ray.exceptions.RayError as error:
+            cause = getattr(error, "cause", None)
+            ended = f"its process ended {RETRIES + 1} times ({type(error).__name__})"
+            yield name, None, f"{type(cause).__name__}: {told(cause)}" if cause else ended
+
+
+def searched(
+    train: Callable[[Values, Callable[[Values], None]], Values],
+    spec: Spec,
+    before: Mapping[str, Values],
+    keep: Callable[[str, Values, Values], None],
+) -> list[str]:
+    """Run the trials that are left: Ray Tune with Optuna's sampler and early stopping (ASHA).
+
+    Args:
+        train: with values, and tells rows.
+        spec: of the search.
+        before: rows of trials that are over, from which the sampler learns.
+        keep: takes the name of a trial that is over, its values and its last row.
+
+    Returns:
+        What trials failed of.
+    """
+    import optuna
+    from ray import tune
+    from ray.tune.schedulers import ASHAScheduler
+    from ray.tune.search.optuna import OptunaSearch
+
+    columns = ("timesteps", *(f"{metric}_mean" for metric in METRICS))
+
+    class Keeper(tune.Callback):  # type: ignore[misc]
+        def on_trial_complete(self, iteration: int, trials: Any, trial: Any, **more: Any) -> None:
+            row = {column: trial.last_result[column] for column in columns}
+            keep(f"{spec.trial}-{trial.trial_id}", spec.values_of(trial.config), row)
+
+    def trial(proposal: Values) -> None:
+        train(spec.values_of(proposal), tune.report)
+
+    optuna.logging.set_verbosity(optuna.logging.WARNING)
+    (most,) = spec.axes["total_timesteps"]
+    goal: dict[str, Any] = {"metric": "reward_mean", "mode": "max"}
+    sampler = OptunaSearch(
+        dict(spec.free), **goal, seed=len(before),
+        points_to_evaluate=[{axis: row[axis] for axis in spec.free} for row in before.values()],
+        evaluated_rewards=[row["reward_mean"] for row in before.values()],
+    )  # fmt: skip
+    stopping = ASHAScheduler(
+        "timesteps", max_t=most, grace_period=max(1, most // RUNGS), reduction_factor=SHARE
+    )
+    with tempfile.TemporaryDirectory() as folder:
+        trials = tune.Tuner(
+            trial,
+            tune_config=tune.TuneConfig(
+                **goal, num_samples=spec.trials - len(before), search_alg=sampler,
+                scheduler=stopping,
+            ),
+            run_config=tune.RunConfig(
+                storage_path=folder, verbose=0, callbacks=[Keeper()],
+                failure_config=tune.FailureConfig(max_failures=RETRIES),
+            ),
+        ).fit()  # fmt: skip
+    return [str(error).strip().splitlines()[-1] for error in trials.errors]

@@ -1,0 +1,93 @@
+"""A sweep from its file to its table."""
+
+import shlex
+from collections.abc import Collection, Iterator, Mapping
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+
+from experiments.console.progress import note, progress, say
+from experiments.console.provenance import command_line
+from experiments.console.tables import HEADERS, grid, show
+from experiments.evaluation.intervals import Interval, rounded
+from experiments.sweeping.cells import evaluated, trained, training_of
+from experiments.sweeping.on_ray import computed, connected, searched
+from experiments.sweeping.rows import keep, kept, read
+from experiments.sweeping.spec import HYPERPARAMETER, Spec, Training, Values, read_spec
+from experiments.training.hyperparameters import hyperparameters_as_written
+from mmwave_env.files import write_json
+from mmwave_env.lookup import require_extra
+
+SHOWN = ("reward", "ate_m", "rmse_m", "nees", "divergence_rate")
+
+
+def sweep(file: Path, folder: Path, address: str | None, workers: int | None) -> None:
+    """Compute what a file asks for and a folder lacks; :func:`connected` says by whom.
+
+    Raises:
+        ValueError: the file is not sound, there are rows of another sweep, or cells failed.
+    """
+    spec = read_spec(file)
+    if spec.kind != "evaluate":
+        require_extra("stable_baselines3", "train", f"{file}, which trains,")
+    there, failed = kept(folder, spec), list[str]()
+    note(f"{len(spec)} cells, {len(there)} of them kept from before, in {folder}")
+    if len(there) < len(spec):
+        with connected(address, workers):
+            for failure in _failures(spec, folder, there):
+                note(f"failed: {failure}")
+                failed.append(failure)
+    if rows := read(folder, spec):
+        show(_table(spec, rows))
+        if spec.kind != "evaluate":
+            _tell_best(spec, folder, rows)
+    if failed:
+        raise ValueError(f"{len(failed)} of {len(spec)} cells failed, the others are in {folder}")
+
+
+def _failures(spec: Spec, folder: Path, there: Collection[str]) -> Iterator[str]:
+    """Compute what is not there and keep it; what failed."""
+    if spec.free:
+        yield from searched(trained, spec, read(folder, spec), partial(keep, folder))
+        return
+    todo = {name: values for name, values in spec.cells.items() if name not in there}
+    compute = evaluated if spec.kind == "evaluate" else trained
+    with progress("cells") as bar:
+        for number, (name, row, error) in enumerate(computed(compute, todo), start=1):
+            if row is not None:
+                keep(folder, name, todo[name], row)
+            else:
+                said = (f"{axis} {value}" for axis, value in todo[name].items())
+                yield f"{', '.join(said)}: {error}"
+            bar(number / len(todo))
+
+
+def _table(spec: Spec, rows: Mapping[str, Values]) -> str:
+    """What varies, and metrics: of a grid in the order of the file, of a search the best first."""
+    axes = [axis for axis, values in spec.axes.items() if len(values) > 1]
+    names = [name for name in spec.cells if name in rows]
+    if spec.free:
+        axes, names = [*spec.free, "timesteps"], sorted(rows, key=lambda n: -rows[n]["reward_mean"])
+
+    def cells(row: Values) -> Iterator[str]:
+        yield from (str(row[axis]) for axis in axes)
+        for metric in SHOWN:
+            ends = (row.get(f"{metric}_{part}", np.nan) for part in ("mean", "low", "high"))
+            yield rounded(Interval(*ends))
+
+    header = [axis.removeprefix(HYPERPARAMETER) for axis in axes] + [HEADERS[m] for m in SHOWN]
+    return grid(header, [[*cells(rows[name])] for name in names]) + "\n"
+
+
+def _tell_best(spec: Spec, folder: Path, rows: Mapping[str, Values]) -> None:
+    """Say which training was best on tuning seeds; of a search, how to train as it did."""
+    best = max(rows, key=lambda name: rows[name]["reward_mean"])
+    if not spec.free:
+        say(f"The best of the trainings is {folder / best}.safetensors")
+        return
+    (args, found), path = training_of(spec.values_of(rows[best])), folder / "hyperparameters.json"
+    write_json(path, hyperparameters_as_written(found))
+    train = command_line("train", replace(args, seed=Training.seed, episodes=Training.episodes))
+    say("To train as the best did:", f"{train} --hyperparameters {shlex.quote(str(path))}")
