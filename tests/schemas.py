@@ -96,8 +96,8 @@ def radio():
     properties = schema["properties"]
     for name in [n for n in properties if n.endswith("_rad")]:
         degrees = {k: v for k, v in properties[name].items() if k != "default"}
-        if "maximum" in degrees:
-            degrees["maximum"] = round(math.degrees(degrees["maximum"]), 9)
+        for end in {"minimum", "maximum"} & set(degrees):
+            degrees[end] = round(math.degrees(degrees[end]), 9)
         degrees["description"] += f", in degrees in place of {name}"
         properties[name.removesuffix("_rad") + "_deg"] = degrees
     properties["name"]["not"] = {"enum": list(RADIOS)}

@@ -14,7 +14,6 @@ from tests.paths import ROOT
 
 TEXT = {page.name: page.read_text(encoding="utf-8") for page in PAGES}
 BLOCKS = {page: blocks_of(page) for page in PAGES}
-PENDING = {"sweep"}  # pages that are written anew
 EXTRAS = {"torch", "stable_baselines3", "minari", "matplotlib", "pyarrow"}  # not everywhere
 
 
@@ -84,7 +83,6 @@ def test_every_block_of_python_says_whether_it_is_run():
     silent = [
         f"{page.name}:{block.line}"
         for page, blocks in BLOCKS.items()
-        if page.stem not in PENDING
         for block in blocks
         if block.language == "python" and not (block.mark or block.text.startswith(">>>"))
     ]
@@ -139,11 +137,6 @@ def assert_alike(shown, now):
     for a, b in zip(NUMBER.findall(shown), NUMBER.findall(now), strict=True):
         a, b = (float(number.replace(",", "")) for number in (a, b))
         assert a == pytest.approx(b, rel=0.02, abs=0.02), (a, b)
-
-
-def test_rows_of_the_readme_are_those_of_the_results():
-    rows = [row for row in TEXT["README.md"].splitlines() if row.startswith("| ")]
-    assert rows and set(rows) <= set(TEXT["results.md"].splitlines())
 
 
 @pytest.mark.slow

@@ -40,7 +40,7 @@ def test_the_navigation_has_every_page_and_no_other(hooks):
         ("../mmwave_env/env.py", "data.md", "docs/data.md", "environment.md"),
         ("../mmwave_env/reward.py", "data.md", "docs/data.md", "api/signals.md#mmwave_env.reward"),
         ("../data.md", "api/index.md", "docs/api/index.md", "../data.md"),
-        ("docs/switching.png", "index.md", "README.md", "switching.png"),
+        ("docs/track.png", "index.md", "README.md", "track.png"),
         (
             "notebooks/first_switcher.ipynb",
             "data.md",

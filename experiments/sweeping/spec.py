@@ -17,11 +17,12 @@ from experiments.training.hyperparameters import read_hyperparameters, shipped_h
 from mmwave_env import __version__
 from mmwave_env.files import parse_json, read_text
 from mmwave_env.lookup import choose, quoted, require_extra
-from mmwave_env.records import Bound, Count, hints_of, require
+from mmwave_env.records import Bound, counts, hints_of, require
 
 MOST_CELLS = 100_000  # more are a slip: cells should take a second or longer
 HYPERPARAMETER = "hyperparameters."  # begins the name of an axis of a training
 
+Count = Annotated[int, counts(1, 10**12)]
 Seed = Annotated[int, Bound("an integer from 0 to 10^15", least=0, most=1e15)]
 Values = Mapping[str, Any]  # of a cell, by axis
 

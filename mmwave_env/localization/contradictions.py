@@ -12,6 +12,7 @@ import numpy as np
 
 from mmwave_env.logs.log import LogBlock
 from mmwave_env.logs.log_checks import RANGE_LIMITS_M, WIDEST_DEG
+from mmwave_env.models.envelope import STEP_S
 from mmwave_env.models.prior import GAP_S
 from mmwave_env.models.radio import Radio
 from mmwave_env.models.scene import Scene
@@ -79,6 +80,8 @@ def impossible(block: LogBlock) -> Iterator[Contradiction]:
         yield Contradiction(
             "time", f"epochs {step:.3g} s apart", f"at most {GAP_S:g} s: is its unit right?"
         )
+    elif len(block) > 1 and not STEP_S.holds(np.diff(block.time_s).min()):
+        yield Contradiction("time", f"epochs {step:.3g} s apart", STEP_S.expected)
     visible = block.visible[:, : block.layout.anchors]
     ranges = block.measurement[:, : block.layout.doppler : 4][visible]
     ranges = ranges[ranges > 0.0]

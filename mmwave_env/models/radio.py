@@ -38,7 +38,7 @@ Elements = Annotated[int, counts(1, 1024)]
 AngleFloor = Annotated[
     float, Bound("1e-05 to pi / 4; in degrees by _deg", least=1e-5, most=45.0 * DEGREE)
 ]
-RangeFloor = Annotated[float, between(1e-3, 1e4, "m")]
+RangeFloor = Annotated[float, between(1e-9, 1e4, "m")]
 Speed = Annotated[float, between(1e-4, 100.0, "m/s")]
 PriorPosition = Annotated[float, envelope.POSITION_SIGMA_M]
 PriorVelocity = Annotated[float, envelope.VELOCITY_SIGMA_MPS]
@@ -103,7 +103,7 @@ class Radio:
     prior_height_m: PriorPosition = 0.5
     prior_velocity_mps: PriorVelocity = 2.0
     prior_vertical_mps: PriorVelocity = 0.1
-    prior_bias_mps: Annotated[float, between(1e-5, 100.0, "m/s")] = 0.5
+    prior_bias_mps: Annotated[float, between(1e-9, 100.0, "m/s")] = 0.5
     transmit_dbm: Decibel = 27.0
     gnb_gain_db: Decibel = 21.0
     ue_gain_db: Decibel = 12.0

@@ -513,7 +513,7 @@ CONTRADICTIONS = {
     "truth": (["--speed", "1", "--truth", "missing.tum"], "missing.tum"),
     "modes": (["--speed", "1", "--modes", "missing.json"], "missing.json"),
     "table": (["--speed", "1", "--out", "track.csv"], "out: found track.csv, expected a TUM file"),
-    "twice": (["--speed", "1", "--out", "a.tum", "--json", "a.tum"], "json: found a.tum.*also out"),
+    "twice": (["--speed", "1", "--out", "a.tum", "--plot", "a.tum"], "plot: found a.tum"),
 }
 
 

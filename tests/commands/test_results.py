@@ -162,8 +162,9 @@ def test_keys_that_are_none_are_refused(mistake):
 
 
 def test_a_table_that_cannot_be_written_is_refused_before_the_episodes(tmp_path):
-    done = command("evaluate", "--episodes", 10**9, "--episodes-csv", tmp_path)
-    assert_one_clear_line(done, f"{tmp_path}: found a folder")
+    (tmp_path / "a.csv").mkdir()
+    done = command("evaluate", "--episodes", 10**9, "--episodes-csv", tmp_path / "a.csv")
+    assert_one_clear_line(done, "a.csv: found a folder")
 
 
 OPTIONS = {

@@ -66,7 +66,7 @@ def test_the_batch_scores_what_stepping_one_environment_scores():
             "rpe_m": info["rpe_m"], "nees": info["mean_nees"], "in_bounds": info["in_bounds"],
             "divergence_rate": info["divergence"],
         }  # fmt: skip
-        assert {m: v[e] for m, v in found.items()} == pytest.approx(expected, rel=1e-12)
+        assert {m: found[m][e] for m in expected} == pytest.approx(expected, rel=1e-12)
 
 
 def test_chunks_change_nothing(monkeypatch):

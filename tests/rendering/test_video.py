@@ -91,7 +91,7 @@ def test_other_endings_are_refused(name, tmp_path):
 @pytest.mark.parametrize(("package", "ending"), [("PIL", "gif"), ("imageio_ffmpeg", "mp4")])
 def test_the_extra_is_named(package, ending, tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, package, None)  # as if it were not installed
-    with pytest.raises(ImportError, match=rf"needs {package}: .*mmwave-loc\[video\]"):
+    with pytest.raises(ImportError, match=rf"needs {package}: .*mmwave-loc\[render\]"):
         require_video("out", tmp_path / f"square.{ending}")
 
 

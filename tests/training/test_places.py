@@ -58,7 +58,7 @@ def test_scenes_and_radios_of_ones_own_are_places_too(files):
         (["street:handsome"], "street:handsome: radio: found 'handsome', did you mean handset"),
         (["canyon28_vehicle:handset"], "scene: found 'canyon28_vehicle', expected one of street"),
         (["street:handset:fast"], "street:handset:fast: dt: found 'fast', expected a number"),
-        (["street:handset:0"], "street:handset:0: dt: found 0.0, expected a number of 1e-30"),
+        (["street:handset:0"], "street:handset:0: dt: found 0.0, expected a number of 1e-06"),
         (["street:handset:nan"], "dt: found nan, expected a number"),
         (["o1:handset", "street:high", "o1:handset:1"],
          "found o1:handset, street:high, o1:handset, expected none twice"),
