@@ -21,5 +21,11 @@ COMMANDS = {
     "tune-imm": "tune --bank",
 }
 OPTIONS = {
+    "--alert-limit": "--percentiles tells protection levels and how often errors exceed them",
+    "--clearest": "name an episode with --seed or --key",
+    "--decisions": "--epochs-parquet has what every policy chose in every epoch",
+    "--engine": "a sweep runs on Ray, on one machine or by --address on a cluster",
     "--format": "simulate writes a log with scene and truth, which --data and localize take",
+    "--stanford": "--percentiles tells protection levels and how often errors exceed them",
+    "--training": "docs/performance.md has the figures",
 }

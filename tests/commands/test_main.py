@@ -8,6 +8,7 @@ import re
 import shlex
 import subprocess
 import sys
+from dataclasses import fields
 
 import pytest
 
@@ -186,9 +187,12 @@ def test_a_removed_command_says_what_to_use_instead(name):
     assert_one_clear_line(command(name, "--out", "x"), f"{name} is gone: ")
 
 
-def test_a_removed_option_says_what_to_use_instead(monkeypatch):
-    monkeypatch.setitem(removed.OPTIONS, "--colour", "themes have colors")
-    assert_one_clear_line(command("list", "--colour=red"), "--colour is gone: themes have colors$")
+@pytest.mark.parametrize("option", removed.OPTIONS)
+def test_a_removed_option_says_what_to_use_instead(option):
+    assert_one_clear_line(command("compare", f"{option}=1"), f"{option} is gone: ")
+    for page in set(map(page_of, COMMANDS)):
+        names = {field.name for field in fields(importlib.import_module(page).Args)}
+        assert option[2:].replace("-", "_") not in names
 
 
 UNREADABLE = {
