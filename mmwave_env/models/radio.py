@@ -115,7 +115,7 @@ class Radio:
     shadowing_correlation: Probability = 0.9
     detection_snr_db: Decibel = 4.0
     detection_slope_db: Annotated[float, between(0.01, 100.0, "dB")] = 1.5
-    doppler_window_s: Annotated[float, between(1e-4, 10.0, "s")] = 0.01
+    doppler_window_s: Annotated[float, between(1e-4, 1e6, "s")] = 0.01
     blockage_scale: Factor = 0.5
     blockage_base: Probability = 0.03
     blockage_per_100m: Factor = 0.12

@@ -116,7 +116,7 @@ RATE = "[search]\ntrials = 3\ntotal_timesteps = 5\nhyperparameters."
         ("[evaluate]\nseed = 0\n", "evaluate.policy: found none, expected one"),
         (POLICY + 'raido = "handset"\n', "evaluate: key: found 'raido', did you mean radio"),
         (POLICY + "radio = 3\n", "evaluate.radio: found 3, expected str"),
-        (POLICY + "episodes = 0\n", "evaluate.episodes: found 0, expected an integer >= 1"),
+        (POLICY + "episodes = 0\n", "evaluate.episodes: found 0, expected an integer of 1 to"),
         (POLICY + "seed = -1\n", "evaluate.seed: found -1, expected an integer from 0"),
         (POLICY + "dt = [-inf]\n", "evaluate.dt: found -inf, expected a number"),
         (POLICY + "trust_zip = true\n", "evaluate.trust_zip: found True, expected one of False"),
