@@ -45,7 +45,6 @@ class Contender:
         transition, nis_quantile: as of :class:`~mmwave_env.filters.bank.Bank`, of an IMM and where
             every mode keeps its own belief.
         observation: what the policy sees, "full" or "prior".
-        trained: whether the policy was learned.
         beliefs: of the modes that the policy chooses from, "shared" or "per-mode".
         bank_of: from a radio profile to the bank that the policy has for it; None where it works
             with the same modes everywhere.
@@ -57,7 +56,6 @@ class Contender:
     transition: Transition | None = None
     nis_quantile: float = 1.0
     observation: str = "full"
-    trained: bool = False
     beliefs: str = "shared"
     bank_of: Callable[[str], Bank] | None = None
 
@@ -78,7 +76,6 @@ class Contender:
             switch.modes,
             partial(LearnedSwitch, path),
             observation=switch.card.observation,
-            trained=True,
             beliefs=switch.beliefs,
             bank_of=switch.bank if switch.beliefs == "per-mode" else None,
         )
@@ -119,7 +116,6 @@ class Contender:
             chosen,
             partial(tried, name, agent),
             observation=getattr(agent, "observation", observation),
-            trained=True,
             beliefs=beliefs,
             bank_of=bank_of,
         )

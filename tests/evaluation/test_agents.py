@@ -109,7 +109,7 @@ def test_what_is_no_agent_is_refused_before_an_episode_runs(name, folder, monkey
 @pytest.mark.usefixtures("folder")
 def test_an_agent_says_what_it_was_trained_with():
     found = contender_from("my_agents:looking_back", "handset")
-    assert len(found.modes) == 3 and found.observation == "prior" and found.trained
+    assert len(found.modes) == 3 and found.observation == "prior"
     plain = contender_from("my_agents:second", "handset", observation="prior")
     assert len(plain.modes) == 2 and plain.observation == "prior"
     per_mode = contender_from("my_agents:trusting", "handset")
