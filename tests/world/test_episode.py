@@ -145,7 +145,7 @@ def test_odometry_noise():
 
 @pytest.mark.parametrize("dt", [0.5, 1.0])
 def test_the_oscillator_walks_at_random(dt):
-    quiet = replace(NOISE_ONLY, drift_mps=0.05, doppler_floor_mps=1e-3, doppler_window_s=1e6)
+    quiet = replace(NOISE_ONLY, drift_mps=0.05, doppler_floor_mps=1.1e-3, doppler_window_s=1e6)
     steps = []
     for seed in range(20):
         episode = draw(seed, radio=quiet, dt=dt)
