@@ -66,7 +66,10 @@ def test_the_batch_scores_what_stepping_one_environment_scores():
             "rpe_m": info["rpe_m"], "nees": info["mean_nees"], "in_bounds": info["in_bounds"],
             "divergence_rate": info["divergence"],
         }  # fmt: skip
+        assert set(found) == {*expected, "error_term", "nees_term"}
         assert {m: found[m][e] for m in expected} == pytest.approx(expected, rel=1e-12)
+        terms = found["error_term"][e] + found["nees_term"][e]
+        assert -terms == pytest.approx(expected["reward"], rel=1e-9)
 
 
 def test_chunks_change_nothing(monkeypatch):
