@@ -99,13 +99,15 @@ def scenes() -> dict[str, str]:
 def _about_scene(scene: "Scene") -> str:
     x, y, z = base = scene.base_station_m
     (west, east), (south, north) = scene.streets.x_m, scene.streets.y_m
-    return "; ".join([
-        f"{len(scene.anchors_m)} anchors, {scene.carrier_hz / 1e9:g} GHz, "
-        f"{scene.bandwidth_hz / 1e6:g} MHz",
-        f"base station at ({x:g}, {y:g}, {z:g}) m",
-        f"streets x {west:g} to {east:g} m, y {south:g} to {north:g} m",
-        f"inside the walls {' and '.join(wall.side_of(base) for wall in scene.walls)}",
-    ])  # fmt: skip
+    return "; ".join(
+        [
+            f"{len(scene.anchors_m)} anchors, {scene.carrier_hz / 1e9:g} GHz, "
+            f"{scene.bandwidth_hz / 1e6:g} MHz",
+            f"base station at ({x:g}, {y:g}, {z:g}) m",
+            f"streets x {west:g} to {east:g} m, y {south:g} to {north:g} m",
+            f"inside the walls {' and '.join(wall.side_of(base) for wall in scene.walls)}",
+        ]
+    )
 
 
 def samples() -> dict[str, str]:

@@ -54,9 +54,9 @@ def main(args: Args) -> None:
     from mmwave_env.models.scene import scene_of_anchors
     from mmwave_env.world.simulated import SimulatedSource
 
-    if args.false_paths and not args.unassociated:
+    if args.false_paths < 0 or (args.false_paths and not args.unassociated):
         raise ValueError(
-            f"false-paths: found {args.false_paths}, expected --unassociated beside it"
+            f"false-paths: found {args.false_paths}, expected 0 or more, with --unassociated"
         )
     _require_none(args.out, args.overwrite)
     source = source_of(args)

@@ -26,11 +26,8 @@ class Args(JsonArgs):
     """time per measurement, at least; whole episodes are measured"""
     repeats: int = 5
     """rounds, in which every workload has its turn; medians and ranges are printed"""
-    plot: Path | None = None
-    """draw rates and limits to this .png, .svg or .pdf file"""
     docs: Path | None = None
-    """also renew the tables of this page, between its `<!-- table: ... -->` lines, and the
-    figure beside it"""
+    """also renew the tables of this page, between its `<!-- table: ... -->` lines"""
 
 
 # Nothing that loads numpy is imported up here: its linear algebra counts its threads once.
@@ -50,20 +47,14 @@ def main(args: Args) -> None:
     from experiments.console.progress import progress
     from experiments.console.provenance import provenance
     from experiments.console.tables import show
-    from experiments.figures.canvas import require_picture
-    from experiments.timing.figure import draw
     from experiments.timing.measured import Measured
     from experiments.timing.report import TITLES, tables
 
-    figures = [args.plot] if args.plot else []
     page = ""
     if args.docs:
         page = page_to_renew(args.docs)
         # refuses a wrong mark before the work
         renewed(page, dict.fromkeys(TITLES, ""))
-        figures.append(args.docs.with_suffix(".png"))
-    for figure in figures:
-        require_picture("plot", figure)
     measured = Measured(args.sizes)
     with progress("speed") as tell:
         for share in measured.run(args.seconds, args.repeats):
@@ -72,8 +63,6 @@ def main(args: Args) -> None:
     show("\n".join(f"### {title}\n\n{table}\n" for title, table in found.items()))
     if args.json:
         write_json(args.json, provenance("speed", args) | measured.json())
-    for figure in figures:
-        draw(measured, figure)
     if args.docs:
         write_text(args.docs, renewed(page, found))
 

@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     from experiments.evaluation.contenders import Contender
     from experiments.evaluation.seeds import Selection
     from mmwave_env.models.scene import Streets
-    from mmwave_env.numerics.arrays import Array
+    from mmwave_env.numerics.numbers import Array
     from mmwave_env.rendering.history import History
     from mmwave_env.task import Task
     from mmwave_env.world.episode import Episode
@@ -106,7 +106,7 @@ def main(args: Args) -> None:
 
 def _check(args: Args) -> None:
     """Refuse, before any work, what can't be shown."""
-    from mmwave_env.rendering.frames import require_drawable
+    from mmwave_env.rendering.theme import require_drawable
     from mmwave_env.rendering.video import require_video
 
     if not 1 <= len(args.policies) <= MOST:
@@ -209,7 +209,7 @@ def _show(
 ) -> None:
     """Write the video, or play it in a window until it is closed or a key ends it."""
     from experiments.console.progress import progress, say
-    from mmwave_env.rendering.playback import Playback
+    from mmwave_env.rendering.picture import Playback
     from mmwave_env.rendering.video import write_video
 
     size, theme = args.render_size, args.render_theme

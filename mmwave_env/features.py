@@ -8,18 +8,15 @@ are functions of numbers, so they are computed inside the SIMD kernel.
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import NamedTuple, TypeVar
+from typing import NamedTuple
 
 from mmwave_env.filters.memory import Memory
-from mmwave_env.filters.mode_result import ModeResult
 from mmwave_env.filters.pipeline import Pipeline
-from mmwave_env.models.epoch import Epoch, Site
-from mmwave_env.models.measurement import Layout
+from mmwave_env.filters.update import ModeResult
+from mmwave_env.models.measurement import Epoch, Layout, Site
 from mmwave_env.models.motion import move
 from mmwave_env.numerics.linalg import dot
 from mmwave_env.numerics.numbers import Matrix, Number, Vector, log, maximum, sqrt, where
-
-Index = TypeVar("Index")
 
 MISSING_SNR_DB = -20.0
 _LEAST = 1e-9  # probability, where its logarithm is taken
@@ -56,13 +53,16 @@ class Feature:
     """
 
     name: str  # unique in the table
-    kind: str  # the name without which anchor or mode it is of
     meaning: str  # what it is, with the formula where the name does not say it
     unit: str  # of the value
     # low, high: limits of the value
     low: float
     high: float
-    value: Callable[[View], Number]  # the formula
+    value: Callable[..., Number]  # the formula, of a View
+    kind: str = ""  # the name without which anchor or mode it is of; the whole of it if left out
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "kind", self.kind or self.name)
 
 
 def context(pipeline: Pipeline, per_mode: bool = False) -> list[Feature]:
@@ -74,16 +74,10 @@ def context(pipeline: Pipeline, per_mode: bool = False) -> list[Feature]:
             street is, so that what is learned in one holds in others.
     """
     layout = pipeline.layout
-    first = [*_speed_and_spread(layout), *_last_epoch(layout), *_belief()]
-    last = [*_averages(), *_recovery()]
+    table = [*_motion(layout), *_last_epoch(layout)]
     if per_mode:
-        return [*first, *_signals(layout), *last, *_spread_averages(), *_predicted(pipeline)]
-    return [*first, *_links(layout), *_previous(pipeline), *last]
-
-
-def at(function: Callable[[View, Index], Number], index: Index) -> Callable[[View], Number]:
-    """The formula of one anchor, group or mode."""
-    return lambda view: function(view, index)
+        return [*table, *_links(layout, False), *_track(), *_mixture(pipeline)]
+    return [*table, *_links(layout, True), *_previous(pipeline), *_track()]
 
 
 def _speed(view: View) -> Number:
@@ -91,32 +85,17 @@ def _speed(view: View) -> Number:
     return sqrt(dot(v, v))
 
 
-def _speed_and_spread(layout: Layout) -> list[Feature]:
+def _motion(layout: Layout) -> list[Feature]:
     table = [
-        Feature(
-            "predicted speed", "predicted speed", "norm of the predicted velocity", "m/s", 0, 50,
-            _speed,
-        ),
-        Feature(
-            "Doppler spread", "Doppler spread", "of the coming epoch, over f_c / c", "m/s", 0, 50,
-            lambda v: v.epoch.doppler_spread_hz / v.site.hz_per_mps,
-        ),
-        Feature(
-            "Doppler spread average", "Doppler spread average", "the same, averaged", "m/s", 0, 50,
-            lambda v: v.memory.spread_average_hz / v.site.hz_per_mps,
-        ),
+        Feature("predicted speed", "norm of the predicted velocity", "m/s", 0, 50, _speed),
+        Feature("Doppler spread", "of the coming epoch, over f_c / c", "m/s", 0, 50,
+                lambda v: v.epoch.doppler_spread_hz / v.site.hz_per_mps),
+        Feature("Doppler spread average", "the same, averaged", "m/s", 0, 50,
+                lambda v: v.memory.spread_average_hz / v.site.hz_per_mps),
+        Feature("odometry speed", "of the coming epoch; predicted speed where missing", "m/s", 0,
+                50, lambda v: where(v.epoch.visible[-1] > 0.5, v.epoch.z[-2], _speed(v))),
     ]  # fmt: skip
-    if layout.odometry:
-        table.append(
-            Feature(
-                "odometry speed", "odometry speed",
-                "of the coming epoch; predicted speed where missing", "m/s", 0, 50,
-                lambda v: where(
-                    v.epoch.visible[-1] > 0.5, v.epoch.z[layout.doppler + 1], _speed(v)
-                ),
-            )
-        )  # fmt: skip
-    return table
+    return table if layout.odometry else table[:-1]
 
 
 def named_groups(layout: Layout) -> list[tuple[int, str, str]]:
@@ -127,48 +106,24 @@ def named_groups(layout: Layout) -> list[tuple[int, str, str]]:
     ]
 
 
+def _log_trace(view: View, first: int) -> Number:
+    return log(view.P[first][first] + view.P[first + 1][first + 1] + 1e-12)
+
+
 def _last_epoch(layout: Layout) -> list[Feature]:
-    nis = [
-        Feature(
-            f"NIS {name}", f"NIS {kind}", "ln(1 + NIS) of the last epoch", "", 0, 10,
-            at(lambda v, g: log(1.0 + v.memory.nis[g]), g),
-        )
-        for g, name, kind in named_groups(layout)
-    ]  # fmt: skip
-    verdict = [
-        Feature(
-            f"verdict {name}", f"verdict {kind}", "last epoch: 1 accepted, -1 gated, 0 missing",
-            "", -1, 1, at(lambda v, g: v.memory.accepted[g] - v.memory.rejected[g], g),
-        )
-        for g, name, kind in named_groups(layout)
-    ]  # fmt: skip
-    return nis + verdict
-
-
-def _log_trace(first: int) -> Callable[[View], Number]:
-    return lambda view: log(view.P[first][first] + view.P[first + 1][first + 1] + 1e-12)
-
-
-def _belief() -> list[Feature]:
+    groups = named_groups(layout)
     return [
-        Feature(
-            "position variance", "position variance", "ln of the trace of P, horizontal position",
-            "ln m^2", -20, 20, _log_trace(0),
-        ),
-        Feature(
-            "velocity variance", "velocity variance", "ln of the trace of P, horizontal velocity",
-            "ln (m/s)^2", -20, 20, _log_trace(3),
-        ),
+        *(Feature(f"NIS {name}", "ln(1 + NIS) of the last epoch", "", 0, 10,
+                  lambda v, g=g: log(1.0 + v.memory.nis[g]), f"NIS {kind}")
+          for g, name, kind in groups),
+        *(Feature(f"verdict {name}", "last epoch: 1 accepted, -1 gated, 0 missing", "", -1, 1,
+                  lambda v, g=g: v.memory.accepted[g] - v.memory.rejected[g], f"verdict {kind}")
+          for g, name, kind in groups),
+        Feature("position variance", "ln of the trace of P, horizontal position", "ln m^2", -20, 20,
+                lambda v: _log_trace(v, 0)),
+        Feature("velocity variance", "ln of the trace of P, horizontal velocity", "ln (m/s)^2", -20,
+                20, lambda v: _log_trace(v, 3)),
     ]  # fmt: skip
-
-
-def _snr(view: View, anchor: int) -> Number:
-    return where(view.epoch.visible[anchor] > 0.5, view.epoch.snr_db[anchor], MISSING_SNR_DB)
-
-
-def _snr_drop(view: View, anchor: int) -> Number:
-    drop = view.memory.snr_mean_db[anchor] - view.epoch.snr_db[anchor]
-    return where(view.epoch.visible[anchor] > 0.5, drop, 0.0)
 
 
 def _distance(view: View, anchor: int) -> Number:
@@ -177,85 +132,51 @@ def _distance(view: View, anchor: int) -> Number:
     return sqrt(dot(step, step))
 
 
-def _signal(anchor: int) -> list[Feature]:
-    return [
-        Feature(
-            f"SNR anchor {anchor + 1}", "SNR",
-            f"of the coming epoch; {MISSING_SNR_DB:g} dB where missing", "dB", -20, 80,
-            at(_snr, anchor),
-        ),
-        Feature(
-            f"SNR drop anchor {anchor + 1}", "SNR drop",
-            "its slow mean minus SNR; 0 where missing", "dB", -20, 40, at(_snr_drop, anchor),
-        ),
-    ]  # fmt: skip
-
-
-def _links(layout: Layout) -> list[Feature]:
+def _links(layout: Layout, distances: bool) -> list[Feature]:
+    """What the coming epoch shows of links, with their lengths or else with their number."""
     table = []
     for a in range(layout.anchors):
-        table += _signal(a)
-        table.append(
-            Feature(
-                f"distance anchor {a + 1}", "distance", "of the predicted position", "m", 0, 1000,
-                at(_distance, a),
-            )
-        )  # fmt: skip
-    return table
-
-
-def _signals(layout: Layout) -> list[Feature]:
+        table += [
+            Feature(f"SNR anchor {a + 1}",
+                    f"of the coming epoch; {MISSING_SNR_DB:g} dB where missing", "dB", -20, 80,
+                    lambda v, a=a: where(
+                        v.epoch.visible[a] > 0.5, v.epoch.snr_db[a], MISSING_SNR_DB), "SNR"),
+            Feature(f"SNR drop anchor {a + 1}", "its slow mean minus SNR; 0 where missing",
+                    "dB", -20, 40, lambda v, a=a: where(
+                        v.epoch.visible[a] > 0.5, v.memory.snr_mean_db[a] - v.epoch.snr_db[a], 0.0),
+                    "SNR drop"),
+            Feature(f"distance anchor {a + 1}", "of the predicted position", "m", 0, 1000,
+                    lambda v, a=a: _distance(v, a), "distance"),
+        ][: 3 if distances else 2]  # fmt: skip
     each = [1.0] * layout.anchors
-    seen = Feature(
-        "visible links", "visible links", "of the coming epoch", "links", 0, layout.anchors,
-        lambda v: dot(each, v.epoch.visible[: layout.anchors]),
-    )  # fmt: skip
-    return [*(feature for a in range(layout.anchors) for feature in _signal(a)), seen]
+    seen = Feature("visible links", "of the coming epoch", "links", 0, layout.anchors,
+                   lambda v: dot(each, v.epoch.visible[: layout.anchors]))  # fmt: skip
+    return table if distances else [*table, seen]
 
 
 def _previous(pipeline: Pipeline) -> list[Feature]:
     return [
-        Feature(
-            f"previous mode {mode.name}", "previous mode", "1 if it ran in the last epoch", "",
-            0, 1,
-            at(lambda v, m: where(abs(v.memory.mode - float(m)) < 0.5, 1.0, 0.0), m),
-        )
+        Feature(f"previous mode {mode.name}", "1 if it ran in the last epoch", "", 0, 1,
+                lambda v, m=m: where(abs(v.memory.mode - float(m)) < 0.5, 1.0, 0.0),
+                "previous mode")
         for m, mode in enumerate(pipeline.modes)
     ]  # fmt: skip
 
 
-def _averages() -> list[Feature]:
-    nis = [
-        Feature(
-            f"NIS {pace} average", f"NIS {pace} average", "of NIS / dof of what was accepted", "",
-            0, 10, at(lambda v, i: v.memory.nis_average[i], i),
-        )
-        for i, pace in enumerate(("fast", "slow"))
-    ]  # fmt: skip
-    correction = [
-        Feature(
-            f"correction {way}", f"correction {way}",
-            f"average position correction {way} the velocity", "m", -10, 10,
-            at(lambda v, i: v.memory.correction[i], i),
-        )
-        for i, way in enumerate(("along", "across"))
-    ]  # fmt: skip
-    return nis + correction
-
-
-def _recovery() -> list[Feature]:
+def _track() -> list[Feature]:
+    """What the track remembers."""
     return [
-        Feature(
-            "gamma", "gamma", "adaptive scale of Q and R", "", 0.5, 2, lambda v: v.memory.gamma
-        ),
-        Feature(
-            "lock-out", "lock-out", "epochs in a row with no visible link within its gate",
-            "epochs", 0, 10, lambda v: v.memory.lockout,
-        ),
-        Feature(
-            "time since fix", "time since fix", "since a link was last accepted", "s", 0, 50,
-            lambda v: v.memory.unfixed_s,
-        ),
+        *(Feature(f"NIS {pace} average", "of NIS / dof of what was accepted", "", 0, 10,
+                  lambda v, i=i: v.memory.nis_average[i])
+          for i, pace in enumerate(("fast", "slow"))),
+        *(Feature(f"correction {way}", f"average position correction {way} the velocity", "m", -10,
+                  10, lambda v, i=i: v.memory.correction[i])
+          for i, way in enumerate(("along", "across"))),
+        Feature("gamma", "adaptive scale of Q and R", "", 0.5, 2, lambda v: v.memory.gamma),
+        Feature("lock-out", "epochs in a row with no visible link within its gate", "epochs", 0, 10,
+                lambda v: v.memory.lockout),
+        Feature("time since fix", "since a link was last accepted", "s", 0, 50,
+                lambda v: v.memory.unfixed_s),
     ]  # fmt: skip
 
 
@@ -270,23 +191,12 @@ def log_odds(p: Number) -> Number:
     return log(maximum(p, _LEAST) / maximum(1.0 - p, _LEAST))
 
 
-def _spread_averages() -> list[Feature]:
+def _mixture(pipeline: Pipeline) -> list[Feature]:
     return [
-        Feature(
-            f"Doppler spread {pace} average", f"Doppler spread {pace} average", "over f_c / c",
-            "m/s", 0, 16,
-            at(lambda v, i: mixture_of(v).spread_averages_hz[i] / v.site.hz_per_mps, i),
-        )
-        for i, pace in enumerate(("fast", "slow", "slowest"))
-    ]  # fmt: skip
-
-
-def _predicted(pipeline: Pipeline) -> list[Feature]:
-    return [
-        Feature(
-            f"predicted log-odds {mode.name}", "predicted log-odds",
-            "of the mode, before the coming measurement", "", -16, 16,
-            at(lambda v, m: log_odds(mixture_of(v).predicted[m]), m),
-        )
-        for m, mode in enumerate(pipeline.modes)
+        *(Feature(f"Doppler spread {pace} average", "over f_c / c", "m/s", 0, 16,
+                  lambda v, i=i: mixture_of(v).spread_averages_hz[i] / v.site.hz_per_mps)
+          for i, pace in enumerate(("fast", "slow", "slowest"))),
+        *(Feature(f"predicted log-odds {mode.name}", "of the mode, before the coming measurement",
+                  "", -16, 16, lambda v, m=m: log_odds(mixture_of(v).predicted[m]),
+                  "predicted log-odds") for m, mode in enumerate(pipeline.modes)),
     ]  # fmt: skip

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mmwave_env.metrics import ate, scored
-from mmwave_env.numerics.arrays import Array, Mask
+from mmwave_env.numerics.numbers import Array, Mask
 
 STATE_KEYS = ("truth", "estimate")  # told at reset, too
 STEP_KEYS = ("position_error_m", "nees", "nis", "accepted", "rejected", "mode", "gamma")
@@ -80,6 +80,30 @@ def stepped(infos: dict[str, Any], where: Mask) -> dict[str, Any]:
     did = {key: infos[key] for key in (*STEP_KEYS, PROBABILITIES) if key in infos}
     kept = (*STATE_KEYS, *mask_keys(STATE_KEYS))
     return masked(did, where) | {key: infos[key] for key in kept if key in infos}
+
+
+def step_info(column: Array, told: dict[str, Any], mode: int) -> dict[str, Any]:
+    """What a step of one environment tells.
+
+    Args:
+        column: workspace (size,) after it.
+        told: where in it is what, as of :func:`told_rows`: a row each, or a slice.
+        mode: that ran.
+    """
+    info: dict[str, Any] = {}
+    for key, rows in told.items():
+        value = column[rows]
+        info[key] = float(value) if isinstance(rows, int) else value
+    return info | {key: info[key] > 0.5 for key in FLAGS} | {"mode": mode}
+
+
+def worded(
+    info: dict[str, Any], infos: str, at_end: bool, groups: int, beliefs: int
+) -> dict[str, Any]:
+    """An info as ``infos`` asks for it, of an episode's first or last step or of one between."""
+    if infos == "none" or (infos == "episode" and not at_end):
+        return {}
+    return fixed_info(info, groups, beliefs) if infos == "fixed" else info
 
 
 def fixed_info(info: dict[str, Any], groups: int, beliefs: int = 1) -> dict[str, Any]:

@@ -9,7 +9,7 @@ of the epochs lie in the two-sided chi-square interval [0.22, 9.35]. (The paper 
 
 import numpy as np
 
-from mmwave_env.numerics.arrays import Array
+from mmwave_env.numerics.numbers import Array
 
 BURN_IN = 10  # epochs dropped from averages, while the prior still shows
 DIVERGENCE_M = 50.0  # an episode in which the error exceeds this has diverged

@@ -5,6 +5,7 @@ package, so that an observation means the same everywhere and a network learns f
 What is rare may be far from the mean: it is shown at most ten deviations away.
 """
 
+import inspect
 import json
 from collections.abc import Sequence
 from functools import cache
@@ -18,9 +19,12 @@ from numpy.typing import NDArray
 
 from mmwave_env.coming_features import coming
 from mmwave_env.features import Feature, View, context
+from mmwave_env.filters.mode_files import default_modes
 from mmwave_env.filters.modes import Mode
 from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.lookup import choose
+from mmwave_env.models.measurement import Layout
+from mmwave_env.models.radio import RADIOS
 from mmwave_env.numerics.numbers import Number, clip
 
 LIMIT = 10.0  # deviations from the mean that a feature is shown up to
@@ -163,3 +167,16 @@ def _shown(value: Number, feature: Feature, scale: Scale) -> Number:
     reach = LIMIT * scale.deviation
     low, high = max(feature.low, scale.mean - reach), min(feature.high, scale.mean + reach)
     return (clip(value, low, high) - scale.mean) * (1.0 / scale.deviation)
+
+
+def with_tables(docstring: str) -> str:
+    """A docstring with the default modes in place of ``{modes}``, their features of ``{table}``."""
+    observed = Observation(Pipeline(default_modes(), Layout())).table()
+    lines = ["| action | mode | algorithm | horizontal velocity noise, m/s |", "|---|---|---|---|"]
+    for action, (kind, algorithm) in enumerate(
+        (("low mobility", "EKF"), ("high mobility", "UKF (alpha 1, beta 2, kappa 0)"))
+    ):
+        tuned = (f"{default_modes(radio)[action].sigma_v:.2f} {radio}" for radio in RADIOS)
+        lines.append(f"| {action} | {kind} | {algorithm} | {', '.join(tuned)} |")
+    modes = "\n".join(lines)
+    return inspect.cleandoc(docstring).replace("{table}", observed).replace("{modes}", modes)

@@ -136,8 +136,8 @@ def _said(hint: Any) -> str:
     if origin in (Union, UnionType):
         return " or ".join(map(_said, inside))
     if origin is tuple:
-        return f"a list, each {_said(inside[0])}" if inside[-1] is ... else (
-            f"[{', '.join(map(_said, inside))}]")  # fmt: skip
+        said = [_said(one) for one in inside if one is not ...]
+        return f"a list, each {said[0]}" if inside[-1] is ... else f"[{', '.join(said)}]"
     return "a function" if origin else "an object"
 
 
@@ -153,6 +153,14 @@ def require_fields(record: Any, of: str = "") -> None:
     """
     for name, hint in hints_of(type(record)).items():  # type: ignore[arg-type]
         _require(hint, getattr(record, name), name, of)
+
+
+def require_ordered(record: object, *names: str) -> None:
+    """Refuse ranges, fields of two numbers, that are the wrong way round."""
+    for name in names:
+        low, high = getattr(record, name)
+        if low > high:
+            raise ValueError(f"{name}: found {(low, high)}, expected [low, high]")
 
 
 def require(name: str, value: Any, hint: Any) -> None:
@@ -206,7 +214,7 @@ def object_from(kind: type[T], content: Any, where: str = "") -> T:
 
 def _built(hint: Any, value: Any, where: str) -> Any:
     """A value as a field of this type has it, where that can be told."""
-    if get_origin(hint) is Annotated:
+    if get_origin(hint) in (Annotated, Union, UnionType):
         return _built(get_args(hint)[0], value, where)
     if get_origin(hint) is tuple and isinstance(value, list):
         inside = get_args(hint)[0]

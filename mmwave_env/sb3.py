@@ -93,10 +93,11 @@ class SB3VecEnv(VecEnv):
         return _of(told["final_info"], i) | {
             "terminal_observation": told["final_obs"][i],
             "episode": {
-                "r": float(self._returns[i]), "l": int(self._lengths[i]),
+                "r": float(self._returns[i]),
+                "l": int(self._lengths[i]),
                 "t": round(time.time() - self._begun_s, 6),
             },
-        }  # fmt: skip
+        }
 
     def _infos(self, told: dict[str, Any]) -> Infos:
         """What is handed on after every step, one dict an environment."""

@@ -24,8 +24,8 @@ from mmwave_env.records import require
 from mmwave_env.reward import PairedReward, Reward, reward_from
 from mmwave_env.world.episode import Episode, EpisodeBatch, EpisodeSource
 from mmwave_env.world.keys import Keys
-from mmwave_env.world.scenarios import Scenario
 from mmwave_env.world.simulated import SimulatedSource
+from mmwave_env.world.ways import Scenario
 
 EPISODE_STEPS = 200
 
@@ -211,12 +211,8 @@ def _source(given: TaskArguments, radio: Radio) -> tuple[EpisodeSource, Radio]:
                 f"the epochs of {simulated.name}"
             )
         return simulated, radio
-    brought = {
-        "scenario": given.scenario, "scene": given.scene, "dt": given.dt,
-        "odometry": given.odometry or None,
-    }  # fmt: skip
-    for name, value in brought.items():
-        if value is not None:
+    for name in ("scenario", "scene", "dt", "odometry"):
+        if (value := getattr(given, name)) is not None and value is not False:
             raise ValueError(f"{name}: found {value!r}, but recorded episodes bring it")
     source = _recorded(given.episodes, radio, given.episode_steps)
     return source, getattr(source, "radio", radio)

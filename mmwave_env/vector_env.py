@@ -2,7 +2,6 @@
 
 import os
 from collections.abc import Sequence
-from functools import partial
 from typing import Any, cast
 
 import gymnasium as gym
@@ -13,18 +12,12 @@ from gymnasium.vector import AutoresetMode
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
-from mmwave_env.engines.action_history import ActionHistory
-from mmwave_env.engines.baseline import baseline_of
-from mmwave_env.engines.copies import Copied
-from mmwave_env.engines.env_engine import Engine
-from mmwave_env.engines.replay import Replay
-from mmwave_env.engines.tally import Tally
+from mmwave_env.engines.environment import RestorableEnvironment
 from mmwave_env.engines.vector_step import StepBuffers, Stepper
 from mmwave_env.info import (
     INFOS,
     NONFINITE_KEY,
     STATE_KEYS,
-    drawn_rows,
     mask_keys,
     masked,
     stepped,
@@ -32,11 +25,10 @@ from mmwave_env.info import (
 )
 from mmwave_env.lookup import choose
 from mmwave_env.metrics import DIVERGENCE_M
-from mmwave_env.numerics.arrays import Array, Index, Mask
+from mmwave_env.numerics.numbers import Array, Index, Mask
 from mmwave_env.records import require
-from mmwave_env.rendering.frames import FRAMES_PER_SECOND, SMALLEST, require_drawable
-from mmwave_env.rendering.gallery import DRAWN, Gallery
-from mmwave_env.rendering.history import Recorder
+from mmwave_env.rendering.gallery import Gallery
+from mmwave_env.rendering.theme import FRAMES_PER_SECOND, SMALLEST, require_drawable
 from mmwave_env.task import task_from
 from mmwave_env.world.keys import Keys, Streams, keys_from, option_of
 
@@ -47,7 +39,9 @@ Step = tuple[Observations, Array, Mask, Mask, dict[str, Any]]
 BEGUN = 512  # episodes at once: few enough for their memory not to count
 
 
-class MmWaveLocVectorEnv(Copied, gym.vector.VectorEnv[Observations, Index, NDArray[Any]]):
+class MmWaveLocVectorEnv(
+    RestorableEnvironment, gym.vector.VectorEnv[Observations, Index, NDArray[Any]]
+):
     """N times :class:`~mmwave_env.env.MmWaveLocEnv` in one kernel call a step.
 
     Environment i sees the same episodes, observations, rewards and infos, to the last bit, as
@@ -97,8 +91,9 @@ class MmWaveLocVectorEnv(Copied, gym.vector.VectorEnv[Observations, Index, NDArr
             if count < 1:
                 raise ValueError(f"{name}: found {count}, expected at least 1")
         for name, value, known in (
-            ("render_mode", render_mode, (None, "rgb_array")), ("backend", backend, ("lanes",)),
-        ):  # fmt: skip
+            ("render_mode", render_mode, (None, "rgb_array")),
+            ("backend", backend, ("lanes",)),
+        ):
             if value not in known:
                 raise ValueError(
                     f"{name}: found {value!r}, expected {' or '.join(map(repr, known))}; others "
@@ -113,27 +108,21 @@ class MmWaveLocVectorEnv(Copied, gym.vector.VectorEnv[Observations, Index, NDArr
             modes, cast(str, getattr(autoreset_mode, "value", autoreset_mode)), "autoreset_mode"
         )
         self.metadata = {
-            "render_modes": ["rgb_array"], "render_fps": FRAMES_PER_SECOND,
+            "render_modes": ["rgb_array"],
+            "render_fps": FRAMES_PER_SECOND,
             "autoreset_mode": self.autoreset_mode,
-        }  # fmt: skip
+        }
         self.num_envs, self._threads = num_envs, threads
-        self._task = task = task_from(**arguments)
-        epochs = getattr(task.source, "epochs", None)
+        self._take_task(task_from(**arguments), observation, smoothed, num_envs)
+        epochs = getattr(self._task.source, "epochs", None)
         if max_episode_steps not in {None, epochs}:
             raise ValueError(
                 f"max_episode_steps: found {max_episode_steps}, expected None or {epochs}; "
                 "episode_steps= draws episodes of another length"
             )
-        self._observation_kind, self._smoothing = observation, smoothed
-        self._drawing = render_size, render_theme
-        self._tally = Tally(num_envs, len(task.pipeline.position_axes))
-        self._history = ActionHistory(num_envs, len(task.pipeline.modes) + 1)
-        self._recorders: list[Recorder] = []  # of the environments that are drawn
         self._set_up_noting()
-        rows = drawn_rows(self._engine.at, self._engine.span)
-        drawn = min(num_envs, DRAWN) if render_mode else 0
-        axes = len(task.pipeline.position_axes)
-        self._recorders += [Recorder(rows, axes) for _ in range(drawn)]
+        drawn = (*self._drawn, render_size, render_theme)
+        self._gallery = Gallery(num_envs, *drawn) if render_mode else None
         self.single_observation_space = cast(Any, self.observation.space)
         self.single_action_space = cast(Any, spaces.Discrete(len(self.observation.actions)))
         self.observation_space = batch_space(self.single_observation_space, num_envs)
@@ -147,18 +136,10 @@ class MmWaveLocVectorEnv(Copied, gym.vector.VectorEnv[Observations, Index, NDArr
 
     def _set_up(self) -> None:
         """Make what follows from the arguments; copies do the same."""
-        task, n, kind = self._task, self.num_envs, self._observation_kind
-        self.source, self.radio, self.reward = task.source, task.radio, task.reward
-        self._engine = Engine(task.pipeline, n, task.reward, kind, task.bank, threads=self._threads)
-        self.batch = self._engine.batch
-        self.modes, self.observation = task.pipeline.modes, self._engine.observation
-        replay = Replay(task.pipeline, task.bank) if self._smoothing else None
-        self._stepper = Stepper(self._engine, self._tally, self._history, self._infos, replay)
-        self._baseline = baseline_of(task, self.batch, self._threads)
-        self._gallery: Gallery | None = None
-        if self.render_mode:
-            actions, (size, theme) = self.observation.actions, self._drawing
-            self._gallery = Gallery(n, self._recorders, actions, size, theme, self._engine.column)
+        self._start_engine(self._task.pipeline, self.num_envs, threads=self._threads)
+        engine = self._engine
+        self.batch = engine.batch
+        self._stepper = Stepper(engine, self._tally, self._history, self._infos)
 
     def render(self) -> tuple[NDArray[np.uint8], ...] | None:  # type: ignore[override]
         """Pictures (480, 480, 3), or of another size, of the environments, the first few drawn.
@@ -167,17 +148,14 @@ class MmWaveLocVectorEnv(Copied, gym.vector.VectorEnv[Observations, Index, NDArr
         """
         if self._gallery is None:
             return None
-        if not self._begun:
-            raise ResetNeeded("Call reset before render: there is no episode under way.")
+        self._require_begun("render")
         return self._gallery.draw()
 
     def _begin_pictures(self, places: Index) -> None:
         """Start over in the pictures of environments whose episodes just began."""
         if self._gallery:
-            keys = self._engine.keys
-            self._gallery.begin(
-                places, self._names.tolist(), lambda place: self._task.streets_of(int(keys[place]))
-            )
+            names, engine = self._names.tolist(), self._engine
+            self._gallery.begin(places, names, self._streets_of, engine.column)
 
     def reset(
         self,
@@ -253,14 +231,11 @@ class MmWaveLocVectorEnv(Copied, gym.vector.VectorEnv[Observations, Index, NDArr
             told["episode_key"] = engine.keys.copy()
         else:
             drawn = [task.draw(self._streams.generator(int(place))) for place in places]
-            engine.load(drawn, places)
+            engine.batch.load(drawn, places)
             told["episode_name"][places] = [episode.name for episode in drawn]
             told["nonfinite"][places] = [episode.nonfinite for episode in drawn]
-        if self._baseline:
-            self._baseline.begin(places, partial(engine.episodes, task))
-        length = engine.batch.state.length[places]
-        self._tally.begin(places, engine.steps_s(places), length)
-        self._stepper.remember(int(engine.batch.state.length.max()))
+        self._begin_tracks(places)
+        self._remember(int(engine.batch.state.length.max()))
         self._names[places] = told["episode_name"][places]
         self._over = self._over.copy()
         self._over[places] = False
@@ -292,7 +267,7 @@ class MmWaveLocVectorEnv(Copied, gym.vector.VectorEnv[Observations, Index, NDArr
         self._ended, infos = self._stepper.step(actions, buffers)
         if self._gallery:
             self._begin_pictures(np.flatnonzero(fresh))
-            self._gallery.add(np.flatnonzero(~fresh), actions)
+            self._gallery.add(np.flatnonzero(~fresh), actions, self._engine.column)
         terminated[:] = False
         if self._baseline:
             self._baseline.subtract(rewards, np.flatnonzero(~fresh))
@@ -315,14 +290,6 @@ class MmWaveLocVectorEnv(Copied, gym.vector.VectorEnv[Observations, Index, NDArr
             infos = self._end(observations, infos)
         return observations, rewards, terminated, truncated, infos
 
-    def _charge(self, rewards: Array, places: Index) -> None:
-        """Take the worst reward for every epoch left where an episode ends early."""
-        assert self._task.worst is not None
-        tracks = self._engine.batch.state  # an epoch ahead: it waits for the next action
-        rewards[places] += self._task.worst * (tracks.length + 1 - tracks.epoch)[places]
-        if self._baseline:
-            rewards[places] -= self._baseline.rest(places)
-
     def _end(self, observations: Observations, infos: dict[str, Any]) -> dict[str, Any]:
         """What is told where episodes end; begin others where that is to be in the same step."""
         lost = np.zeros(self.num_envs, np.int64)
@@ -337,8 +304,7 @@ class MmWaveLocVectorEnv(Copied, gym.vector.VectorEnv[Observations, Index, NDArr
 
     def _checked(self, actions: Any) -> Index:
         """A copy of the actions (N,), if all that are not ignored mean a mode."""
-        if not self._begun:
-            raise ResetNeeded("Call reset before step: there is no episode under way.")
+        self._require_begun("step")
         if self._ended and self.autoreset_mode == AutoresetMode.DISABLED:
             raise ResetNeeded(
                 f"The episodes of environments {np.flatnonzero(self._over).tolist()} are over: "
@@ -360,7 +326,7 @@ class MmWaveLocVectorEnv(Copied, gym.vector.VectorEnv[Observations, Index, NDArr
     def _metrics(self) -> dict[str, NDArray[Any]]:
         """What the last step of an episode tells, (N,) each."""
         ended = np.flatnonzero(self._over)
-        told = self._stepper.metrics(self._task, ended, self._threads)
+        told = self._metrics_of(ended, self._threads)
         found = {key: np.zeros(self.num_envs) for key in told}
         for key, values in told.items():
             found[key][ended] = values
@@ -391,78 +357,3 @@ class MmWaveLocVectorEnv(Copied, gym.vector.VectorEnv[Observations, Index, NDArr
             "final_obs": final_obs, "_final_obs": over.copy(), "final_info": final,
             "_final_info": over.copy(),
         }  # fmt: skip
-
-    def state(self) -> dict[str, NDArray[Any]]:
-        """All that what comes next depends on, for :meth:`restore`: copies.
-
-        Raises:
-            ResetNeeded: no episode is under way.
-            ValueError: episodes come from a source that draws from generators.
-        """
-        if not self._begun:
-            raise ResetNeeded("Call reset before state: there is no episode under way.")
-        self._require_simulated("state")
-        return {name: array.copy() for name, array in self._arrays().items()} | {
-            "streams": self._streams.states(), "over": self._over.copy(),
-            "actions": self._history.all(),
-        }  # fmt: skip
-
-    def _arrays(self) -> dict[str, NDArray[Any]]:
-        """What a state copies as it is."""
-        tracks, tally = self.batch.state, self._tally
-        return {
-            "rows": tracks.rows, "worlds": tracks.feed.kept, "table": tracks.table,
-            "length": tracks.length, "epoch": tracks.epoch, "keys": self._engine.keys,
-            "sums": tally.sums, "errors": tally.errors, "second": tally.second,
-        }  # fmt: skip
-
-    def restore(self, state: dict[str, NDArray[Any]]) -> None:
-        """Go on, to the last bit, as the environment did that gave this :meth:`state`.
-
-        Args:
-            state: of an environment with the same arguments.
-
-        Raises:
-            ValueError: that of an environment with others, as far as its arrays show; or
-                episodes come from a source that draws from generators.
-        """
-        self._require_simulated("restore")
-        n, history, source = self.num_envs, self._history, self._task.simulated
-        self._make_room()
-        arrays = self._arrays()
-        others = {"streams": (n, 2), "over": (n,), "actions": history.rows.shape}
-        for name, shape in (others | {key: array.shape for key, array in arrays.items()}).items():
-            found = state[name].shape if name in state else "nothing"
-            if found != shape:
-                raise ValueError(
-                    f"{name} of the state: found {found}, expected {shape}, as in an "
-                    "environment with the same arguments"
-                )
-        epochs = set(state["length"].tolist())
-        if epochs != {source.epochs}:
-            raise ValueError(
-                f"length of the state: found episodes of {epochs} epochs, expected {source.epochs}"
-            )
-        for name, array in arrays.items():
-            array[:] = state[name]
-        self._streams.set_states(state["streams"])
-        history.set_all(state["actions"])
-        self._over, self._ended = state["over"].copy(), int(np.count_nonzero(state["over"]))
-        if self._baseline:
-            self._baseline.begin(np.arange(n), partial(self._engine.episodes, self._task))
-        self._begin_pictures(np.arange(n))  # the way up to here is not part of a state
-        self._begun = True
-
-    def _make_room(self) -> None:
-        """For what a state holds of simulated episodes; those under way go on."""
-        source = self._task.simulated
-        self._engine.attach(self._task)
-        self._tally.make_room(min(round(1.0 / source.dt), source.epochs))
-        self._stepper.remember(source.epochs)
-
-    def _require_simulated(self, what: str) -> None:
-        if not self._task.has_keys:
-            raise ValueError(
-                f"{what}: found episodes of a source of your own, or recorded ones, expected "
-                "simulated ones; what such a source remembers is not known here"
-            )

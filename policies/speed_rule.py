@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mmwave_env.filters.modes import DESIGN_LIMIT_MPS
-from mmwave_env.models.epoch import Epoch
+from mmwave_env.models.measurement import Epoch
 from mmwave_env.numerics.linalg import dot
 from mmwave_env.numerics.numbers import Number, Vector, sqrt, where
 from mmwave_env.observation import Observation

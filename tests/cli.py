@@ -14,7 +14,7 @@ from tests.paths import ROOT
 
 
 def command(*words, cwd=ROOT, columns=200):
-    """``mmwave-loc <words>`` in this process, as :func:`process` would run it.
+    """``mmwave-loc <words>`` in this process, as if it were typed.
 
     User warnings are shown as the program shows them. Any other warning is an error here, as in
     all tests, and an exception that the program does not expect ends it with code 1.
@@ -39,17 +39,6 @@ def command(*words, cwd=ROOT, columns=200):
         finally:
             os.chdir(there)
     return subprocess.CompletedProcess(typed, code or 0, out.getvalue(), err.getvalue())
-
-
-def process(*words, cwd=ROOT):
-    """``python -m experiments.console <words>``, where the process itself is at issue."""
-    return subprocess.run(
-        [sys.executable, "-m", "experiments.console", *map(str, words)],
-        env=environment(),
-        capture_output=True,
-        text=True,
-        cwd=cwd,
-    )
 
 
 def environment():

@@ -125,12 +125,13 @@ class Session:
         """Modules of the folder can be imported, and are forgotten."""
         from contextlib import chdir
 
+        before = list(sys.path)  # agents by name append the current folder to it
         sys.path.insert(0, str(self.folder))
         try:
             with chdir(self.folder):
                 yield
         finally:
-            sys.path.remove(str(self.folder))
+            sys.path[:] = before
             for name, module in list(sys.modules.items()):
                 if str(getattr(module, "__file__", "")).startswith(str(self.folder)):
                     del sys.modules[name]

@@ -97,6 +97,9 @@ LIMITS = {
 }  # fmt: skip
 WALK = {"phases": [{"limits": LIMITS, "gaits": [{"low_mps": 1.0, "high_mps": 1.5}]}]}
 WAY = b"t,x,y,z\n" + b"".join(b"%.1f,%.2f,-20.0,1.5\n" % (0.1 * i, 20 + i) for i in range(30))
+JOURNAL = b"timesteps,train/loss,tuning/minus imm\n" + b"".join(
+    b"%d,%.2f,%s\n" % (1000 * i, 1.0 / (1 + i), b"" if i % 2 else b"0.0%d" % i) for i in range(9)
+)
 LOG = head(RIDE / "log.csv", 40)
 RECIPE = json.loads(shipped_hyperparameters("ppo").read_text())
 RESULTS = json.loads((ROOT / "docs" / "results.json").read_text())
@@ -122,7 +125,7 @@ READERS = {
     "summary": alone("summary.json", SUMMARY, lambda path: Run.read(str(path.parent))),
     "results": alone("c.json", RESULTS, read_source),
     "run": alone("run.json", SUMMARY, lambda path: read_source(path.parent)),
-    "journal": alone("progress.csv", head(RUN / "seed-0" / "progress.csv", 10), curves_of),
+    "journal": alone("progress.csv", JOURNAL, curves_of),
 }
 
 

@@ -1,12 +1,12 @@
 """What planners, wrappers and other libraries ask of MmWaveLoc-v0: copies, lengths, infos."""
 
 import copy
+import math
 import pickle
 
 import gymnasium as gym
 import numpy as np
 import pytest
-from gymnasium.wrappers import TimeAwareObservation
 
 import mmwave_env  # noqa: F401  registers the environment
 from mmwave_env.env import MmWaveLocEnv
@@ -137,15 +137,6 @@ def test_what_a_subclass_or_a_user_added_is_copied():
     assert isinstance(twin, Noted) and env.notes == ["one"] and twin.notes == ["one", "two"]
 
 
-def test_a_copy_opens_no_window(monkeypatch):
-    monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")
-    env = gym.make(ID, render_mode="rgb_array", **EKF)
-    env.reset(seed=0)
-    env.step(0)
-    expected = env.render()
-    np.testing.assert_array_equal(copy.deepcopy(env).render(), expected)
-
-
 # --- lengths
 
 
@@ -161,12 +152,6 @@ def test_a_copy_opens_no_window(monkeypatch):
 def test_the_specification_tells_the_length_of_episodes(arguments, steps):
     assert gym.make(ID, **arguments, **EKF).spec.max_episode_steps == steps
     assert gym.spec(ID).max_episode_steps is None
-
-
-def test_time_can_be_observed():
-    env = TimeAwareObservation(gym.make(ID, episode_steps=4, **EKF), normalize_time=True)
-    env.reset(seed=0)
-    assert [env.step(0)[0][-1] for _ in range(4)] == [0.25, 0.5, 0.75, 1.0]
 
 
 def test_episodes_of_any_length_end_by_themselves():
@@ -220,12 +205,52 @@ def test_single_environments_in_step_have_fixed_infos_too():
         gym.make_vec(ID, num_envs=2, infos="fixed")
 
 
-def test_unknown_infos_are_refused():
-    with pytest.raises(ValueError, match="infos: found 'sparse', expected one of all, fixed"):
-        gym.make(ID, infos="sparse")
-
-
 # --- arguments
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"scenario": "train"}, "scenario: found 'train'.*pedestrian, vehicle.*mixed"),
+        ({"radio": "lab"}, "radio: found 'lab'.*handset, standard, high"),
+        ({"scene": "plaza"}, "scene: found 'plaza'.*street, o1, dynamic-doppler"),
+        ({"modes": ["ekf", "pf"]}, "mode: found 'pf'.*ekf, ukf, ckf"),
+        ({"modes": "ekf"}, "modes: found the string 'ekf'"),
+        ({"modes": []}, "modes: found .*at least one"),
+        ({"reward": "speed"}, "reward: found 'speed'.*tracking, log-score"),
+        ({"observation": "none"}, "observation: found 'none'.*full.*prior"),
+        ({"backend": "matlab"}, "backend: found 'matlab'.*lanes, filterpy"),
+        ({"episodes": "canyon29"}, "found 'canyon29'.*canyon28_pedestrian, canyon28_.*_walk"),
+        ({"render_mode": "ascii"}, "render_mode: found 'ascii'.*human, rgb_array"),
+        ({"dt": 0.0}, "dt: found 0.0"),
+        ({"dt": math.nan}, "dt: found nan"),
+        ({"dt": "1"}, "dt: found '1', expected a number or None"),
+        ({"episode_steps": "3"}, "episode_steps: found '3', expected int or None"),
+        ({"modes": 5}, "modes: found 5, expected a list of names"),
+        ({"episode_steps": 0}, "epochs: found 0|episode_steps: found 0"),
+        ({"episode_steps": 2**40}, "epochs: found 1099511627776, expected 1 to 1000000"),
+        ({"max_episode_steps": 5}, "max_episode_steps: found 5, expected None or 200; episode_ste"),
+        ({"planar": "x"}, "planar: found 'x', expected bool"),
+        ({"infos": "sparse"}, "infos: found 'sparse', expected one of all, fixed"),
+        ({"episodes": "canyon28_vehicle", "episode_steps": 10_000}, "found 10000.*1 to "),
+        ({"episodes": "canyon28_vehicle", "scenario": "jam"}, "scenario: found 'jam'.*recorded"),
+        ({"episodes": "canyon28_vehicle", "scene": "o1"}, "scene: found 'o1'.*recorded"),
+        ({"episodes": "canyon28_vehicle", "dt": 1.0}, "dt: found 1.0.*recorded"),
+        ({"episodes": "canyon28_vehicle", "odometry": True}, "odometry"),
+        ({"reward": lambda belief, truth: 0.0, "terminate_on_divergence": True}, "worst"),
+    ],
+)
+@pytest.mark.filterwarnings("ignore:.*render_mode")  # Gymnasium warns before we refuse
+def test_wrong_arguments_are_refused_with_the_valid_ones(arguments, message):
+    with pytest.raises(ValueError, match=message):
+        gym.make(ID, **arguments)
+
+
+@pytest.mark.parametrize("options", [5, "episode_key", []])
+def test_options_that_are_no_dict_are_refused(options):
+    for env in (gym.make(ID), gym.make_vec(ID, num_envs=2)):
+        with pytest.raises(ValueError, match=r"^options: found .*, expected a dict or None"):
+            env.unwrapped.reset(options=options)
 
 
 @pytest.mark.parametrize("make", [gym.make, gym.make_vec])

@@ -107,8 +107,9 @@ def sionna_paths(users_m, hidden=()):
     ends = [np.stack([bounce, np.broadcast_to(STATION, users_m.shape)], axis=1),
             np.stack([bounce, users_m], axis=1)]  # fmt: skip
     aim_r, aim_t = ends[0] - users_m[:, None], ends[1] - STATION
-    length = np.stack([np.linalg.norm(image - users_m, axis=1),
-                       np.linalg.norm(STATION - users_m, axis=1)], axis=1)  # fmt: skip
+    length = np.stack(
+        [np.linalg.norm(image - users_m, axis=1), np.linalg.norm(STATION - users_m, axis=1)], axis=1
+    )
     valid = np.ones((len(users_m), 1, 2), bool)
     valid[list(hidden), 0, 1] = False
     angles = {}

@@ -1,9 +1,10 @@
-"""Every example runs with its library, and beats the best fixed mode; the page of clients is right.
+"""Every example runs with its library, and beats the best fixed mode; the notebook runs, too.
 
 Examples whose libraries are not installed are skipped; `make examples` installs them all.
 """
 
 import ast
+import json
 import os
 import re
 import shlex
@@ -17,15 +18,15 @@ from tests.paths import ROOT
 FOLDER = ROOT / "examples"
 MAKERS = {"raytrace", "sumo", "minari_collect"}  # these make data, and train no agent
 EXAMPLES = {path.stem: path for path in sorted(FOLDER.glob("*.py")) if path.stem not in MAKERS}
-PAGE = (ROOT / "docs" / "clients.md").read_text("utf-8")
+PAGE = (ROOT / "docs" / "own-agent.md").read_text("utf-8")
 
 
 def imported(source: str) -> set[str]:
-    """The packages that a script imports."""
+    """The modules that a script imports."""
     nodes = list(ast.walk(ast.parse(source)))
     names = [alias.name for node in nodes if isinstance(node, ast.Import) for alias in node.names]
     names += [str(node.module) for node in nodes if isinstance(node, ast.ImportFrom)]
-    return {name.split(".")[0] for name in names}
+    return set(names)
 
 
 def rewards(told: str) -> dict[str, float]:
@@ -55,8 +56,8 @@ def test_an_example_is_short(name):
 @pytest.mark.parametrize("name", EXAMPLES)
 def test_an_example_beats_the_best_fixed_mode(name, tmp_path):
     source = EXAMPLES[name].read_text("utf-8")
-    for package in imported(source):
-        pytest.importorskip(package)
+    for module in imported(source):
+        pytest.importorskip(module, exc_type=ImportError)
     for words in [*made_before(source), [str(EXAMPLES[name])]]:
         done = subprocess.run(
             [sys.executable, "-W", "ignore", *words],
@@ -79,7 +80,73 @@ def test_the_page_of_clients_has_every_example_and_the_versions_they_run_with():
         r"^\| (.+?) \| `([\w-]+) ([\d.]+)` \|.*\(\.\./examples/(\w+)\.py\)", PAGE, re.M
     )
     assert {package: version for _, package, version, _ in rows} == {
-        package: version for package, version in (pins | {"torch": torch}).items()
+        package: version
+        for package, version in (pins | {"torch": torch}).items()
         if package != "gymnasium"
-    }  # fmt: skip
+    }
     assert {example for *_, example in rows} == set(EXAMPLES)
+
+
+# --- the notebook
+
+PATH = ROOT / "docs" / "notebooks" / "first_switcher.ipynb"
+NOTEBOOK = json.loads(PATH.read_text("utf-8"))
+CELLS = {cell["id"]: cell for cell in NOTEBOOK["cells"]}
+CODE = {name: cell for name, cell in CELLS.items() if cell["cell_type"] == "code"}
+
+
+def test_what_running_leaves_behind_is_not_stored():
+    for cell in CODE.values():
+        assert cell["outputs"] == [] and cell["execution_count"] is None
+    assert all(cell["metadata"] == {} for cell in CELLS.values())
+    assert set(NOTEBOOK["metadata"]) == {"kernelspec", "language_info"}
+    assert set(NOTEBOOK["metadata"]["language_info"]) == {"name"}  # and no version of Python
+
+
+@pytest.mark.parametrize("name", CODE)
+def test_every_cell_compiles_and_has_its_words_above(name):
+    compile("".join(CODE[name]["source"]), name, "exec")
+    names = list(CELLS)
+    assert CELLS[names[names.index(name) - 1]]["cell_type"] == "markdown"
+
+
+@pytest.fixture(scope="module")
+def outputs():
+    """What the cells show when they are run in a new kernel, by the cell's id."""
+    nbclient, nbformat = map(pytest.importorskip, ("nbclient", "nbformat"))
+    notebook = nbformat.read(PATH, as_version=4)
+    nbformat.validate(notebook)
+    folder = {"metadata": {"path": PATH.parent}}  # where Jupyter runs it
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("PYTHONPATH", os.pathsep.join([str(ROOT), os.environ.get("PYTHONPATH", "")]))
+        nbclient.NotebookClient(notebook, resources=folder, timeout=600).execute()
+    return {cell["id"]: cell["outputs"] for cell in notebook.cells if cell.cell_type == "code"}
+
+
+def shown(outputs, kind):
+    """Cells that show something of a kind, with the last of it."""
+    return {
+        name: one["data"][kind]
+        for name, found in outputs.items()
+        for one in found
+        if kind in one.get("data", {})
+    }
+
+
+@pytest.mark.slow
+@pytest.mark.torch
+def test_it_runs_and_what_it_says_of_its_outputs_holds(outputs):
+    said = [one["text"] for found in outputs.values() for one in found if one.get("name")]
+    (error,) = (text for text in said if "position error" in text)
+    assert float(error.split(":")[1]) > 50.0  # "Over 50 m!"
+    assert not any("Warning: speed" in text for text in said)
+    assert list(shown(outputs, "image/png")) == ["show-frame", "draw-rule", "again"]
+    (tables,) = shown(outputs, "text/markdown").values()
+    differences = tables.split("Paired differences")[1]
+    header, mine = (
+        [cell.strip() for cell in line.split("|")]
+        for line in differences.splitlines()
+        if line.startswith(("| reward of", "| mine"))
+    )
+    for other in ("speed-rule", "fixed-ukf"):  # better than both, and no luck
+        assert float(re.findall(r"\[(.*?),", mine[header.index(f"minus {other}")])[0]) > 0.0

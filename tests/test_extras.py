@@ -19,9 +19,8 @@ EXTRAS = PROJECT.split("[project.optional-dependencies]\n")[1].split("\n[")[0]
     [
         ("matplotlib", ["localize", LOG / "log.csv", "--scene", LOG / "scene.json", "--plot"]),
         ("matplotlib", ["compare", "--policies", "fixed-ekf", "--figure"]),
-        ("matplotlib", ["speed", "--plot"]),
         ("matplotlib", ["tables", "--out"]),
-        ("filterpy", ["speed", "--plot"]),
+        ("filterpy", ["speed", "--json"]),
         ("matplotlib", ["compare", "--policies", "fixed-ekf", "--errors"]),
         ("pyarrow", ["evaluate", "--epochs-parquet"]),
     ],
@@ -30,8 +29,9 @@ EXTRAS = PROJECT.split("[project.optional-dependencies]\n")[1].split("\n[")[0]
 def test_a_command_names_the_extra_and_writes_nothing(package, words, tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, package, None)  # as if it were not installed
     extra = {"matplotlib": "plot", "pyarrow": "data"}.get(package, package)
+    file = {"pyarrow": "new.parquet", "filterpy": "new.json"}.get(package, "new.png")
     assert_one_clear_line(
-        command(*words, tmp_path / ("new.parquet" if package == "pyarrow" else "new.png")),
+        command(*words, tmp_path / file),
         rf"needs {package}: pip install 'mmwave-loc\[{extra}\]'",
     )
     assert not list(tmp_path.iterdir())

@@ -60,12 +60,6 @@ def test_a_block_that_fails_leaves_everything_as_it_was(tmp_path, error):
     assert path.read_text() == "old" and names(tmp_path) == ["log.csv"]
 
 
-def test_a_block_may_fail_after_its_file_is_gone(tmp_path):
-    with pytest.raises(FileNotFoundError), atomic_path(tmp_path / "log.csv") as temporary:
-        temporary.unlink()
-    assert names(tmp_path) == []
-
-
 def test_text_bytes_and_json_replace_what_was_there(tmp_path):
     write_text(tmp_path / "a.txt", "one\n")
     write_text(tmp_path / "a.txt", "für\n")

@@ -29,28 +29,10 @@ def test_every_file_is_one_of_a_trace_and_shows_what_it_is_for():
 
 
 @pytest.mark.parametrize(
-    ("column", "change", "found"),
-    [
-        ("var vy", lambda v: repr(float(v) * (1 + 1e-6)), 1),
-        ("var vy", lambda v: repr(float(v) * (1 - 1e-13)), 0),
-        ("var vy", lambda v: "nan", 1),
-        ("gates", lambda v: v.replace("a", "r"), 1),
-    ],
-)
-def test_the_comparison_notices_a_millionth_in_one_number_and_a_letter(column, change, found):
-    old = written("track-ekf")
-    *before, last = old.splitlines()
-    cells, at = last.split(";"), before[1].split(";").index(column)
-    cells[at] = change(cells[at])
-    new = "\n".join([*before, ";".join(cells)])
-    assert new != old
-    assert len(differences("track-ekf", old, new)) == found
-    assert differences("track-ekf", old, "\n".join(before)) == ["track-ekf: other rows or columns"]
-
-
-@pytest.mark.parametrize(
     ("column", "a", "b", "found"),
     [
+        ("var vy", "0.5", "0.5000005", 1), ("var vy", "0.5", "0.50000000000005", 0),
+        ("var vy", "0.5", "nan", 1), ("gates", "aa-a", "ar-a", 1),
         ("observation 3", "0.5", "0.500001", 0), ("observation 3", "0.5", "0.5001", 1),
         ("episode_key", "11749869230777074271", "11749869230777074272", 1),
         ("reward", "0.5", "", 1), ("mode", "0", "1", 1), ("truncated", "True", "False", 1),
@@ -61,3 +43,4 @@ def test_observations_are_of_single_precision_and_whole_numbers_and_words_exact(
 ):
     old, new = (f"# header\nrow;{column}\n0;{cell}\n" for cell in (a, b))
     assert len(differences("rollout", old, new)) == found
+    assert differences("rollout", old, "# header\nrow\n0\n") == ["rollout: other rows or columns"]

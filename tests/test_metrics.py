@@ -113,15 +113,6 @@ def test_summary_averages_what_counts():
     np.testing.assert_allclose(found["in_bounds"], inside.mean(axis=1))
 
 
-def test_burn_in_changes_nothing():
-    reward, error, nees = columns()
-    expected = summary(reward, error, nees)
-    for array in (reward, error, nees):
-        array[:, :10] = 1e6
-    for name, values in summary(reward, error, nees).items():
-        np.testing.assert_array_equal(values, expected[name])
-
-
 def test_bounds_of_flat_terrain_have_two_axes():
     reward, error, _ = columns()
     nees = np.full(reward.shape, 8.0)  # within the bounds of 3 axes, beyond those of 2

@@ -75,11 +75,6 @@ def test_the_vector_environment_tells_what_single_ones_tell(autoreset):
     assert infos[f"_{KEY}"].tolist() == [count > 0 for count in expected]
 
 
-def test_infos_of_fixed_keys_have_it_always():
-    env = gym.make(ID, infos="fixed", **TASK)
-    assert env.reset(seed=0)[1][KEY] == 0
-
-
 def test_a_vector_environment_warns_also_where_nobody_wants_infos():
     env = gym.make_vec(ID, num_envs=6, infos="none", **TASK)
     env.reset(seed=0)

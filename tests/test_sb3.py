@@ -1,4 +1,6 @@
-"""The adapter for Stable-Baselines3: its own vector environment, and advantages by hand."""
+"""Stable-Baselines3: its checker on single environments, and the adapter for vector ones."""
+
+import warnings
 
 import gymnasium as gym
 import numpy as np
@@ -9,16 +11,15 @@ import mmwave_env  # noqa: F401  registers the environment
 
 pytest.importorskip("stable_baselines3")
 
-import torch
 from stable_baselines3 import PPO
-from stable_baselines3.common.callbacks import CallbackList
+from stable_baselines3.common.env_checker import check_env
 from stable_baselines3.common.evaluation import evaluate_policy
 from stable_baselines3.common.monitor import Monitor
 from stable_baselines3.common.vec_env import DummyVecEnv, VecCheckNan, VecMonitor, VecNormalize
 
 from mmwave_env.sb3 import SB3VecEnv
 from tests.marks import representative
-from tests.training.actors import FEATURES, MODES
+from tests.training.actors import MODES
 
 pytestmark = pytest.mark.torch
 
@@ -28,114 +29,6 @@ ID = "MmWaveLoc-v0"
 def native(n=4, **arguments):
     arguments = {"modes": MODES, "episode_steps": 6} | arguments
     return gym.make_vec(ID, num_envs=n, autoreset_mode="SameStep", **arguments)
-
-
-# --- what follows the end of an episode
-
-
-class Clocks(gym.vector.VectorEnv):
-    """Environment i shows (i, time); odd ones terminate and even ones are truncated after 2 + i."""
-
-    num_envs = 4
-    single_observation_space = gym.spaces.Box(-1e3, 1e3, (2,), np.float32)
-    single_action_space = gym.spaces.Discrete(2)
-
-    def __init__(self):
-        self.metadata = {"autoreset_mode": AutoresetMode.SAME_STEP}
-
-    def reset(self, *, seed=None, options=None):
-        self.time = np.zeros(4)
-        return self.shown(), {}
-
-    def step(self, actions):
-        self.time += 1
-        rewards = 1.0 + 0.1 * self.time
-        final_obs, numbers = np.full(4, None, object), np.arange(4)
-        over = self.time == 2 + numbers
-        for i in np.flatnonzero(over):
-            final_obs[i] = self.shown()[i]
-        self.time[over] = 0
-        infos = {"final_obs": final_obs, "_final_obs": over, "final_info": {}, "_final_info": over}
-        return self.shown(), rewards, over & (numbers % 2 == 1), over & (numbers % 2 == 0), infos
-
-    def shown(self):
-        return np.stack([np.arange(4), self.time], axis=1).astype(np.float32)
-
-
-WRONG = {
-    "flag": lambda info, now: {"TimeLimit.truncated": not info["TimeLimit.truncated"]},
-    "never": lambda info, now: {"TimeLimit.truncated": False},
-    "next": lambda info, now: {"terminal_observation": now},
-}
-
-
-class Untruthful(SB3VecEnv):
-    """Ends are told in a wrong way."""
-
-    def __init__(self, env, how):
-        super().__init__(env)
-        self.how = how
-
-    def step_wait(self):
-        now, rewards, over, infos = super().step_wait()
-        for i in np.flatnonzero(over):
-            infos[i] |= WRONG[self.how](infos[i], now[i])
-        return now, rewards, over, infos
-
-
-GAMMA, LAMBDA, STEPS = 0.9, 0.8, 23
-
-
-def worth(number, time):
-    """What the critic of these tests thinks of an observation."""
-    return 2.0 - 0.5 * number + 0.25 * time
-
-
-def advantages_of(number):
-    """(STEPS,) of environment ``number``: GAE (Schulman et al. 2016, eq. 16), step by step."""
-    deltas, ends, time = [], [], 0
-    for _ in range(STEPS):
-        over = time + 1 == 2 + number
-        after = 0.0 if over and number % 2 else worth(number, time + 1)
-        deltas.append(1.0 + 0.1 * (time + 1) + GAMMA * after - worth(number, time))
-        ends.append(over)
-        time = 0 if over else time + 1
-    found, last = [], 0.0
-    for delta, over in zip(reversed(deltas), reversed(ends), strict=True):
-        last = delta + (0.0 if over else GAMMA * LAMBDA * last)
-        found.insert(0, last)
-    return found
-
-
-def collected(env):
-    """The rollout buffer of PPO after one rollout, with a critic that `worth` describes."""
-    model = PPO(
-        "MlpPolicy", env, n_steps=STEPS, batch_size=STEPS, gamma=GAMMA, gae_lambda=LAMBDA, seed=0,
-        device="cpu", policy_kwargs={"net_arch": []},
-    )  # fmt: skip
-    with torch.no_grad():
-        model.policy.value_net.weight[:] = torch.tensor([[-0.5, 0.25]])
-        model.policy.value_net.bias[:] = 2.0
-    _, callback = model._setup_learn(0, CallbackList([]))
-    assert model.collect_rollouts(model.env, callback, model.rollout_buffer, STEPS)
-    return model.rollout_buffer
-
-
-@pytest.mark.slow
-def test_values_follow_a_truncated_episode_but_not_a_terminated_one():
-    buffer = collected(SB3VecEnv(Clocks()))
-    expected = np.transpose([advantages_of(number) for number in range(4)])
-    np.testing.assert_allclose(buffer.advantages, expected, rtol=1e-5, atol=1e-5)
-    numbers, times = np.moveaxis(buffer.observations, -1, 0)
-    values = worth(numbers, times)
-    np.testing.assert_allclose(buffer.returns, expected + values, rtol=1e-5, atol=1e-5)
-
-
-@pytest.mark.parametrize("how", WRONG)
-def test_advantages_would_show_ends_that_are_told_wrongly(how):
-    buffer = collected(Untruthful(Clocks(), how))
-    expected = np.transpose([advantages_of(number) for number in range(4)])
-    assert np.abs(buffer.advantages - expected).max() > 0.1
 
 
 # --- against single environments
@@ -269,12 +162,6 @@ def test_attributes_and_methods_are_those_of_all():
     assert venv.env_is_wrapped(gym.wrappers.TimeLimit, [2]) == [False]
 
 
-def test_closing_closes_the_environment():
-    venv = SB3VecEnv(native())
-    venv.close()
-    assert venv.env.closed
-
-
 # --- what Stable-Baselines3 has to wrap around it
 
 
@@ -305,39 +192,6 @@ def test_its_wrappers_and_its_evaluation_work():
     assert rewards == pytest.approx(expected, rel=1e-5)
 
 
-class Steady:
-    """Always the same mode."""
-
-    def predict(self, observation, state=None, episode_start=None, deterministic=False):
-        return np.ones(len(observation), int), state
-
-
-def test_evaluation_reads_the_rewards_of_the_environment_as_from_a_monitor():
-    """Without the warning (here an error) that there is none, whatever rewards wrappers show."""
-    plain, normal = SB3VecEnv(native()), VecNormalize(SB3VecEnv(native()), norm_reward=True)
-    found, expected = ([], [])
-    for venv, returns in ((normal, found), (plain, expected)):
-        venv.seed(0)
-        returns += evaluate_policy(Steady(), venv, 4, return_episode_rewards=True)[0]
-    assert found == expected
-
-
-def test_terminal_observations_are_normalized_too():
-    normal = VecNormalize(SB3VecEnv(native(2, episode_steps=3)), norm_reward=False)
-    normal.training = False
-    normal.obs_rms.mean, normal.obs_rms.var = np.full(FEATURES, 0.5), np.full(FEATURES, 4.0)
-    env = native(2, episode_steps=3)
-    normal.seed(1)
-    normal.reset()
-    env.reset(seed=1)
-    for _ in range(3):
-        *_, infos = normal.step(np.array([0, 2]))
-        *_, told = env.step(np.array([0, 2]))
-    for i in range(2):
-        expected = (told["final_obs"][i] - 0.5) / np.sqrt(4.0 + normal.epsilon)
-        np.testing.assert_allclose(infos[i]["terminal_observation"], expected, rtol=1e-5)
-
-
 # --- stop and go on
 
 
@@ -355,3 +209,19 @@ def test_returns_and_lengths_go_on():
             assert [a.get("episode", {}).get(k) for k in "rl"] == [
                 b.get("episode", {}).get(k) for k in "rl"
             ]
+
+
+# --- single environments
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [{}, {"observation": "prior"} | {"modes": ["ekf"]}, {"odometry": True} | {"modes": ["ekf"]},
+     {"terminate_on_divergence": True, "episode_steps": 20}],
+)  # fmt: skip
+def test_stable_baselines3_s_checker_is_content(arguments):
+    env = gym.make(ID, **arguments)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        check_env(env.unwrapped)
+        check_env(env)

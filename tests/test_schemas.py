@@ -11,6 +11,7 @@ from mmwave_env.filters.bank import read_bank
 from mmwave_env.models.radio import RADIOS, read_radio
 from mmwave_env.models.scene import read_scene
 from mmwave_env.world.mobility import read_mobility
+from tests.damage import places
 from tests.paths import ROOT
 from tests.schemas import path_of, schemas
 
@@ -87,15 +88,6 @@ def consistent(content):
 def files(name):
     """Contents of files that the schema accepts."""
     return values(SCHEMAS[name]).map(consistent)
-
-
-def places(content, path=()):
-    """The ways to every part of a content."""
-    parts = content.items() if isinstance(content, dict) else enumerate(content)
-    for key, value in parts:
-        yield (*path, key)
-        if isinstance(value, (dict, list)):
-            yield from places(value, (*path, key))
 
 
 @st.composite

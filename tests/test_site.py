@@ -9,6 +9,7 @@ import pytest
 from experiments.console.main import COMMANDS
 from tests.paths import ROOT
 
+FIRST = "notebooks/first_switcher"
 NAVIGATION = set(re.findall(r"^ +- .*?([\w/-]+\.md)$", (ROOT / "mkdocs.yml").read_text(), re.M))
 
 
@@ -41,12 +42,7 @@ def test_the_navigation_has_every_page_and_no_other(hooks):
         ("../mmwave_env/reward.py", "data.md", "docs/data.md", "api/signals.md#mmwave_env.reward"),
         ("../data.md", "api/index.md", "docs/api/index.md", "../data.md"),
         ("docs/track.png", "index.md", "README.md", "track.png"),
-        (
-            "notebooks/first_switcher.ipynb",
-            "data.md",
-            "docs/data.md",
-            "notebooks/first_switcher.md",
-        ),
+        (f"{FIRST}.ipynb", "data.md", "docs/data.md", f"{FIRST}.md"),
         ("../data.md", "notebooks/a.md", "docs/notebooks/a.md", "../data.md"),
         ("LICENSE", "index.md", "README.md", "REPOSITORY/blob/main/LICENSE"),
         ("../tests/filters", "data.md", "docs/data.md", "REPOSITORY/tree/main/tests/filters"),
@@ -62,9 +58,7 @@ def test_a_link_leads_to_the_page_or_to_the_code_host(hooks, link, uri, source, 
 
 
 def test_the_page_of_the_environment_is_its_docstring():
-    spec = importlib.util.spec_from_file_location("page", ROOT / "docs/site/environment.py")
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
+    module = loaded("docs/site/environment.py")
     assert module.PAGE.read_text("utf-8") == module.page(), "run: make generated"
 
 

@@ -14,7 +14,6 @@ from gymnasium.vector import AutoresetMode
 
 import mmwave_env.engines.batch as batch
 from mmwave_env.filters.modes import Mode
-from mmwave_env.info import STATE_KEYS, STEP_KEYS
 from mmwave_env.models.measurement import Layout
 from mmwave_env.models.radio import RADIOS
 from mmwave_env.models.scene import SCENES
@@ -70,6 +69,8 @@ CONFIGURATIONS = {
         "modes": [LOSING],
     },
 }  # fmt: skip
+CONFIGURATIONS["paired"] = CONFIGURATIONS["ends early"] | {"reward": "paired"}
+QUICK = ("default", "flat", "per mode", "recorded", "paired")
 
 
 def native(n=9, mode="NextStep", **arguments):
@@ -86,7 +87,7 @@ def sync(n=9, mode="NextStep", **arguments):
     )
 
 
-@pytest.fixture(params=representative(CONFIGURATIONS, "default", "flat", "per mode", "recorded"))
+@pytest.fixture(params=representative(CONFIGURATIONS, *QUICK))
 def configuration(request):
     return CONFIGURATIONS[request.param]
 
@@ -125,13 +126,6 @@ def test_the_specification_goes_through_json():
     assert same(rollout(env, seed=1, steps=9), rollout(again, seed=1, steps=9))
 
 
-def test_statistics_of_episodes_are_recorded():
-    env = gym.wrappers.vector.RecordEpisodeStatistics(native(**CONFIGURATIONS["ends early"]))
-    results = rollout(env, seed=4, steps=60)
-    ended = [infos["_episode"].sum() for *_, infos in results if "_episode" in infos]
-    assert sum(ended) == len(env.return_queue) > 30
-
-
 # --- the numbers of single environments
 
 
@@ -147,35 +141,9 @@ def test_equals_the_synchronous_vector_environment(mode, configuration):
 
 
 @pytest.mark.parametrize("n", [1, 7, 8, 20])
-def test_equals_single_environments_in_any_number(n):
+def test_any_number_equals_as_many_single_environments(n):
     arguments = CONFIGURATIONS["patchy"]
-    env, singles = native(n, **arguments), [gym.make(ID, **arguments) for _ in range(n)]
-    rng, over, ends = np.random.default_rng(0), np.zeros(n, bool), np.zeros(n, int)
-    observations, infos = env.reset(seed=7)
-    for i, single in enumerate(singles):
-        observation, info = single.reset(seed=7 + i)
-        assert (
-            same(observations[i], observation) and infos["episode_name"][i] == info["episode_name"]
-        )
-    for _ in range(40):
-        actions = rng.integers(2, size=n)
-        observations, rewards, terminated, truncated, infos = env.step(actions)
-        for i, single in enumerate(singles):
-            if over[i]:
-                observation, info = single.reset()
-                expected = (observation, 0.0, False, False)
-            else:
-                *expected, info = single.step(actions[i])
-            got = (observations[i], rewards[i], terminated[i], truncated[i])
-            for a, b in zip(got, expected, strict=True):
-                np.testing.assert_array_equal(a, b)
-            told = {key for key in infos if not key.startswith("_") and infos[f"_{key}"][i]}
-            assert told == set(info)
-            for key, value in info.items():
-                np.testing.assert_array_equal(infos[key][i], value)
-        over = terminated | truncated
-        ends += over
-    assert ends.min() >= 3
+    assert same(*(rollout(make(n, **arguments), 7, 40) for make in (native, sync)))
 
 
 @pytest.mark.parametrize("mode", MODES)
@@ -245,14 +213,11 @@ def test_an_episode_goes_on_where_the_generator_was():
     [
         ({"num_envs": 0}, "num_envs: found 0, expected at least 1"),
         ({"num_envs": "3"}, "num_envs: found '3', expected int"),
-        ({"num_envs": None}, "num_envs: found None, expected int"),
-        ({"threads": 1.5}, "threads: found 1.5, expected int"),
         ({"threads": 0}, "threads: found 0, expected at least 1"),
         ({"autoreset_mode": "same"}, "autoreset_mode: found 'same'.*NextStep, SameStep, Disabled"),
         ({"render_mode": "human"}, "render_mode: found 'human', expected None or.*sync"),
         ({"backend": "filterpy"}, "backend: found 'filterpy', expected 'lanes'.*sync"),
         ({"max_episode_steps": 9}, "max_episode_steps: found 9.*episode_steps="),
-        ({"scenario": "train"}, "scenario: found 'train'"),
         ({"observation": "none"}, "observation: found 'none'"),
     ],
 )
@@ -267,10 +232,9 @@ def test_an_autoreset_mode_may_be_gymnasiums():
 
 @pytest.mark.parametrize(
     "actions",
-    [[0, 2, 0], [0, -1, 0], [0, 1], 1, None, [0.0, 1.0, 0.0], [True, False, True],
-     [[0], [1], [0]]],
+    [[0, 2, 0], [0, -1, 0], [0, 1], 1, None, [0.0, 1.0, 0.0], [True, False, True], [[0], [1], [0]]],
     ids=repr,
-)  # fmt: skip
+)
 def test_bad_actions_are_refused_and_change_nothing(actions):
     env, twin = native(3), native(3)
     for one in (env, twin):
@@ -295,13 +259,6 @@ def test_the_action_of_a_resetting_environment_is_ignored(action):
         over = result[2] | result[3]
     with pytest.raises(InvalidAction):
         env.step(np.where(over, 0, action))
-
-
-def test_a_step_tells_what_it_says_it_does():
-    env = native(3, **EKF)
-    env.reset(seed=0)
-    keys = STEP_KEYS + STATE_KEYS
-    assert set(env.step(np.zeros(3, int))[4]) == {*keys, *(f"_{key}" for key in keys)}
 
 
 def test_a_step_before_reset_is_refused():
@@ -332,14 +289,6 @@ def test_a_disabled_step_after_an_end_names_the_environments():
     env.reset(options={"reset_mask": np.array([True, False, False])})
     with pytest.raises(ResetNeeded, match=r"environments \[1, 2\] are over.*reset_mask"):
         env.step(np.zeros(3, int))
-
-
-def test_the_options_stay_as_they_are():
-    env = native(3, "Disabled", **EKF)
-    env.reset(seed=0)
-    options = {"reset_mask": np.array([True, False, True])}
-    env.reset(options=options)
-    assert list(options) == ["reset_mask"] and options["reset_mask"].tolist() == [True, False, True]
 
 
 @pytest.mark.parametrize("seed", [[1, 2], -1, [1, 2, -3]])
@@ -411,8 +360,6 @@ def test_steps_fill_the_arrays_they_are_given(mode):
     ("changes", "message"),
     [
         ({"rewards": np.zeros(3, np.float32)}, "out, rewards: found float32 of shape .3,."),
-        ({"rewards": np.zeros(4)}, "out, rewards: found float64 of shape .4,."),
-        ({"terminated": np.zeros(3, int)}, "out, terminated: found int64"),
         ({"truncated": [False] * 3}, "out, truncated: found list, expected a C-contiguous bool"),
         ({"rewards": np.zeros((3, 2))[:, 0]}, "out, rewards: .* contiguous False"),
         ({"observations": np.zeros((3, 1), np.float32)}, "out, observations: found .* .3, 1."),
@@ -442,13 +389,3 @@ def test_lean_infos_are_those_of_single_environments(mode, infos):
 def test_there_is_a_key_for_each_environment(keys):
     with pytest.raises(ValueError, match=r"episode_key'.: found shape .*, expected .3,., one an"):
         native(3, **EKF).reset(options={"episode_key": keys})
-
-
-def test_smoothed_errors_are_told_where_they_are_asked_for():
-    env = native(9, "SameStep", smoothed=True, episode_steps=30)
-    env.reset(seed=0)
-    for _ in range(30):
-        *_, infos = env.step(np.zeros(9, int))
-    told = infos["final_info"]
-    assert told["smoothed_ate_m"].mean() < told["ate_m"].mean()
-    np.testing.assert_array_equal(told["_smoothed_ate_m"], np.ones(9, bool))

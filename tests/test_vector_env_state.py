@@ -26,6 +26,7 @@ CONFIGURATIONS = {
         "modes": [Mode("ekf", sigma_v=1e-3, sigma_p=1e-3, adaptive=False, recovery=None)],
     },
     "per mode": {"episode_steps": 4, "beliefs": "per-mode"},
+    "paired": {"episode_steps": 4, "reward": "paired"},
     "flat": {"episode_steps": 5, "planar": True, "dt": 0.5, "modes": MODES[:1]},
 }  # fmt: skip
 

@@ -13,7 +13,7 @@ from experiments.evaluation.runner import Watch
 from experiments.evaluation.seeds import Selection
 from experiments.figures.canvas import require_picture
 from experiments.figures.errors import draw_consistency, draw_error_cdf
-from mmwave_env.localization.protection import require_risk
+from mmwave_env.localization.position_errors import require_risk
 from mmwave_env.world.episode import EpisodeSource
 
 Made = tuple[str, dict[str, Any]]  # Markdown below the tables, and figures

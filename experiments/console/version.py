@@ -20,7 +20,7 @@ from mmwave_env.compiler.disk_cache import kept_functions
 from mmwave_env.compiler.lanes import WIDTH
 from mmwave_env.engines.env_engine import Engine
 from mmwave_env.engines.imm_engine import ImmEngine
-from mmwave_env.numerics.arrays import Array
+from mmwave_env.numerics.numbers import Array
 from mmwave_env.numerics.pytree import flatten, unflatten
 from mmwave_env.reward import TrackingReward
 from mmwave_env.task import Task, task_from
@@ -43,7 +43,7 @@ def about() -> dict[str, Any]:
         "processor": numba.config.CPU_NAME or str(get_host_cpu_name()),
         "threads": len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else None,
         "environments_at_a_time": WIDTH,
-        "kernels": kept_functions()._asdict(),
+        "kernels": kept_functions(),
         "self_test": tests,
     }
 

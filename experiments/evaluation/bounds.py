@@ -24,13 +24,14 @@ from experiments.evaluation.runner import CHUNK, Scores
 from experiments.evaluation.seeds import Selection
 from mmwave_env.metrics import scored
 from mmwave_env.models.radio import Radio
-from mmwave_env.numerics.arrays import Array
+from mmwave_env.numerics.numbers import Array
 from mmwave_env.world.episode import Episode, EpisodeSource
 
 COLUMNS = {  # of tables
-    "rmse_m": "RMSE m", "over_averaged": "over averaged bound",
+    "rmse_m": "RMSE m",
+    "over_averaged": "over averaged bound",
     "over_conditional": "over conditional bound",
-}  # fmt: skip
+}
 
 
 @dataclass(frozen=True)

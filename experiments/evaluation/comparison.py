@@ -15,7 +15,7 @@ from experiments.evaluation.runner import Scores
 from experiments.evaluation.seeds import Selection
 from mmwave_env.lookup import as_cell
 from mmwave_env.metrics import METRICS, TERMS
-from mmwave_env.numerics.arrays import Array
+from mmwave_env.numerics.numbers import Array
 from mmwave_env.world.episode import EpisodeSource
 
 

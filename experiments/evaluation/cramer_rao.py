@@ -34,7 +34,7 @@ import numpy as np
 
 from mmwave_env.models.measurement import STATE_SIZE, Measurement, groups_of
 from mmwave_env.models.motion import ProcessNoise, predict_covariance, white_noise_acceleration
-from mmwave_env.numerics.arrays import Array
+from mmwave_env.numerics.numbers import Array
 from mmwave_env.world.episode import Episode
 
 
@@ -79,7 +79,7 @@ def information(episode: Episode) -> Array:
     """
     (position, velocity), T = _truth(episode), len(episode)
     state = [*position.T, *velocity.T, np.zeros(T)]  # no h is curved in the oscillator bias
-    keep = np.repeat(episode.usable, [r.stop - r.start for r in episode.layout.groups], axis=1)
+    keep = np.repeat(episode.usable, episode.layout.widths, axis=1)
     sigma = np.where(keep, episode.sigma, 1.0)
     measurement = Measurement(
         anchors=episode.scene_anchors_m.tolist(),

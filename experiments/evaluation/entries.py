@@ -82,10 +82,11 @@ def ranking(entries: Sequence[Mapping[str, Any]], episodes: int, draws: int) -> 
 def by_venue(entries: Sequence[Mapping[str, Any]]) -> Table:
     """The reward of entries minus that of the best IMM of each venue, whichever it is there.
 
-    Files, such as the single trainings of a run, have their row in the ranking alone, where there
-    are entries that have a name.
+    Files, such as the single trainings of a run, and the IMMs themselves have their row in the
+    ranking alone, where there are other entries.
     """
-    entries = [one for one in entries if "/" not in one["entry"]] or entries
+    named = [one for one in entries if "/" not in one["entry"]]
+    entries = [one for one in named if not one["entry"].startswith("imm")] or named or entries
     rows = []
     for venue in venues():
         cells = [venue.name]

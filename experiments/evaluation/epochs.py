@@ -8,7 +8,7 @@ import numpy as np
 from experiments.evaluation.contenders import Contender
 from experiments.evaluation.runner import EpochResults
 from mmwave_env.metrics import scored
-from mmwave_env.numerics.arrays import Array
+from mmwave_env.numerics.numbers import Array
 from mmwave_env.world.episode import Episode
 
 

@@ -12,12 +12,16 @@ from experiments.evaluation.runner import EpochResults, Watch
 from experiments.evaluation.seeds import Selection
 from mmwave_env import __version__
 from mmwave_env.files import atomic_path, require_writable
-from mmwave_env.localization.position_errors import horizontal, vertical
-from mmwave_env.localization.protection import horizontal_level, vertical_level
+from mmwave_env.localization.position_errors import (
+    horizontal,
+    horizontal_level,
+    vertical,
+    vertical_level,
+)
 from mmwave_env.lookup import printable, require_extra
 from mmwave_env.metrics import scored
 from mmwave_env.models.measurement import Layout
-from mmwave_env.numerics.arrays import Array
+from mmwave_env.numerics.numbers import Array
 from mmwave_env.world.episode import Episode, EpisodeSource
 
 PARTS = ("x", "P", "memory.mode", "memory.nis", "memory.accepted")  # of the state, for its columns

@@ -6,7 +6,7 @@ from scipy.special import chdtri
 from experiments.evaluation.contenders import Contender
 from experiments.evaluation.runner import PLAIN, Scoring, run_contender
 from mmwave_env.models.scene import Streets
-from mmwave_env.numerics.arrays import Array
+from mmwave_env.numerics.numbers import Array
 from mmwave_env.rendering.history import GATE, NO_MODE, POSITION_NUMBERS, History, Scenery
 from mmwave_env.world.episode import Episode
 

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import norm, t
 
-from mmwave_env.numerics.arrays import Array
+from mmwave_env.numerics.numbers import Array
 
 # Of sorted values (m,) and distribution functions at them (m, ...): numbers (...) or (k, ...).
 Statistic = Callable[[Array, Array], Array]

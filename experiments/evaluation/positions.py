@@ -9,8 +9,7 @@ import numpy as np
 from experiments.console.tables import grid
 from experiments.evaluation.contenders import Contender
 from experiments.evaluation.runner import EpochResults
-from mmwave_env.localization.position_errors import DISTANCES_M, SHARES, PositionErrors
-from mmwave_env.localization.protection import RISK
+from mmwave_env.localization.position_errors import DISTANCES_M, RISK, SHARES, PositionErrors
 from mmwave_env.metrics import scored
 from mmwave_env.world.episode import Episode
 
@@ -19,8 +18,9 @@ PARTS = ("P",)  # of the state, that are needed after every epoch
 HEADER = (
     *(f"{100.0 * share:.0f} % m" for share in SHARES),
     *(f"within {limit:g} m" for limit in DISTANCES_M),
-    "level m", "above level",
-)  # fmt: skip
+    "level m",
+    "above level",
+)
 
 
 @dataclass
@@ -61,9 +61,10 @@ def positions_markdown(what: str, rows: Mapping[str, Any], risk: float) -> str:
         risk: of the levels.
     """
     cells = [
-        [f"{name}, {kind}", *row_of(one)] for name, kinds in rows.items() for kind, one in
-        kinds.items()
-    ]  # fmt: skip
+        [f"{name}, {kind}", *row_of(one)]
+        for name, kinds in rows.items()
+        for kind, one in kinds.items()
+    ]
     return (
         f"{grid([what, *HEADER], cells)}\n\nErrors that so many percent of the epochs stay below; "
         "shares of the epochs within a distance. Level is the median protection level; at a risk "

@@ -18,7 +18,7 @@ from experiments.evaluation.seeds import Selection
 from mmwave_env.filters.modes import Mode
 from mmwave_env.models.radio import RADIOS
 from mmwave_env.models.scene import SCENES
-from mmwave_env.numerics.arrays import Array
+from mmwave_env.numerics.numbers import Array
 from mmwave_env.task import task_from
 from mmwave_env.world.episode import EpisodeSource
 

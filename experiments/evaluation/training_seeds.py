@@ -23,7 +23,7 @@ from experiments.evaluation.intervals import (
 )
 from experiments.evaluation.runner import Scores
 from experiments.evaluation.runs import Run
-from mmwave_env.numerics.arrays import Array
+from mmwave_env.numerics.numbers import Array
 
 LEVELS = 81  # of a performance profile
 
@@ -65,9 +65,11 @@ class Figure:
         ends = dict(zip(("share", "low", "high"), self.above.tolist(), strict=True))
         return {
             "seeds": {str(s): each.json for s, each in zip(seeds, self.each, strict=True)},
-            "above_zero": self.wins, "mean": self.mean.json, "interquartile_mean": self.iqm.json,
+            "above_zero": self.wins,
+            "mean": self.mean.json,
+            "interquartile_mean": self.iqm.json,
             "profile": {"above": self.levels.tolist(), **ends},
-        }  # fmt: skip
+        }
 
 
 @dataclass(frozen=True)
@@ -84,10 +86,11 @@ class TrainingSeeds:
         """As results files hold it."""
         seeds = self.run.seeds
         return {
-            "median": self.run.median, "best_imm": self.best_imm,
+            "median": self.run.median,
+            "best_imm": self.best_imm,
             "reward": self.reward.json(seeds),
             "minus": {rival: figure.json(seeds) for rival, figure in self.minus.items()},
-        }  # fmt: skip
+        }
 
 
 def over_training_seeds(

@@ -48,9 +48,11 @@ class ZipAgent:
             loaded, parameters, _ = load_from_zip_file(path, device="cpu")
             data: dict[str, Any] = loaded or {}
             self.policy: Any = data["policy_class"](
-                data["observation_space"], data["action_space"], lambda left: 0.0,
+                data["observation_space"],
+                data["action_space"],
+                lambda left: 0.0,
                 **data["policy_kwargs"],
-            )  # fmt: skip
+            )
             self.policy.load_state_dict(parameters["policy"])
         except Exception as error:  # pickles can raise anything
             raise ValueError(

@@ -7,13 +7,15 @@ from typing import Any
 
 from mmwave_env.files import atomic_path, require_writable
 from mmwave_env.lookup import printable, require_extra, spelled
-from mmwave_env.numerics.arrays import Array
+from mmwave_env.numerics.numbers import Array
 from mmwave_env.rendering.theme import THEMES, hex_of
 
 STYLE = Path(__file__).with_name("publication.mplstyle")
 UNDATED: dict[str, dict[str, Any]] = {  # the same picture is the same file
-    ".png": {}, ".svg": {"Date": None}, ".pdf": {"CreationDate": None},
-}  # fmt: skip
+    ".png": {},
+    ".svg": {"Date": None},
+    ".pdf": {"CreationDate": None},
+}
 COLORS = [hex_of(color) for color in THEMES["light"].modes]  # of modes, as in films
 NO_MODE = hex_of(THEMES["light"].none)
 

@@ -9,7 +9,7 @@ from scipy.stats import chi2
 
 from experiments.figures.canvas import COLORS, contenders, legend_of, panels, plain_numbers
 from mmwave_env.localization.position_errors import SHARES, horizontal, vertical
-from mmwave_env.numerics.arrays import Array
+from mmwave_env.numerics.numbers import Array
 
 SMALLEST_M = 1e-3  # that a logarithmic axis shows
 BOUNDS = "95 % bounds if consistent"

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from experiments.figures.canvas import NO_MODE, caption, contenders, legend_beside, picture
-from mmwave_env.numerics.arrays import Array, Index
+from mmwave_env.numerics.numbers import Array, Index
 from mmwave_env.rendering.history import History
 
 _LINES_IN = 2.0  # height of a panel of lines, inches
@@ -102,8 +102,7 @@ def _draw_ribbons(
 ) -> None:
     for row, mode in enumerate(chosen.values()):
         mode_ribbon(axes, time_s, mode, len(modes), low=-1.3 * row)
-    axes.set_yticks([0.5 - 1.3 * row for row in range(len(chosen))],
-                    [*contenders(chosen).values()])  # fmt: skip
+    axes.set_yticks([0.5 - 1.3 * row for row in range(len(chosen))], [*contenders(chosen).values()])
     axes.set_xlabel("time (s)")
     there = {-1: "none", **dict(enumerate(modes))}
     ran = np.unique(np.concatenate(list(chosen.values())))

@@ -11,7 +11,7 @@ from scipy.stats import chi2
 
 from experiments.figures.canvas import caption, legend_beside, picture
 from experiments.figures.timeline import mode_ribbon
-from mmwave_env.numerics.arrays import Array, Index
+from mmwave_env.numerics.numbers import Array, Index
 
 ELLIPSES = 15  # along a track, about
 TITLE_LETTERS = 80  # in a line
@@ -142,8 +142,9 @@ def draw_anchors(axes: Any, position: Array, anchors_m: Array) -> None:
 def _draw_error(axes: Any, track: DrawnTrack, time: Array) -> None:
     error = np.linalg.norm(track.position_m - track.truth_m, axis=1)
     sigma = np.sqrt(np.trace(track.covariance_m2, axis1=1, axis2=2))
-    axes.fill_between(time, 0.0, 2.0 * sigma, color="C2", alpha=0.35, lw=0.0,
-                      label="2 standard deviations")  # fmt: skip
+    axes.fill_between(
+        time, 0.0, 2.0 * sigma, color="C2", alpha=0.35, lw=0.0, label="2 standard deviations"
+    )
     if np.isfinite(error).any():
         axes.plot(time, error, color="black", lw=0.8, label="error")
     axes.set(ylabel="position error (m)", ylim=(0.0, None))

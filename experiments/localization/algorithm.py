@@ -32,7 +32,7 @@ from mmwave_env.localization.association import Association, associate
 from mmwave_env.localization.contradictions import contradictions
 from mmwave_env.localization.diagnosis import diagnose
 from mmwave_env.localization.localizer import TrackBlock, localize
-from mmwave_env.localization.protection import require_risk
+from mmwave_env.localization.position_errors import require_risk
 from mmwave_env.localization.track_files import require_own_files, table_beside, track_files
 from mmwave_env.localization.track_scores import Course, Groups, TruthScores
 from mmwave_env.logs.clock import ClockComparison

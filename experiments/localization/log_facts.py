@@ -12,7 +12,7 @@ from mmwave_env.logs.log_tables import LogError
 from mmwave_env.logs.truth import Truth
 from mmwave_env.models.prior import GAP_S
 from mmwave_env.models.scene import Scene
-from mmwave_env.numerics.arrays import Array
+from mmwave_env.numerics.numbers import Array
 from mmwave_env.world.mobility import FASTEST_MPS
 
 _UNEVEN = 0.1  # of the median step

@@ -4,13 +4,36 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from experiments.evaluation.thinned import Thinned
 from experiments.figures.trajectory import DrawnTrack
 from mmwave_env.localization.localizer import TrackBlock
-from mmwave_env.numerics.arrays import Array
+from mmwave_env.numerics.numbers import Array
 
 _POINTS = 6000  # kept of a track of any length, at least half of them
 _POSITION = [0, 1, 3, 1, 2, 4, 3, 4, 5]  # its covariance in a packed one, row by row
+
+
+class Thinned:
+    """Every n-th of the rows that come, with n a power of two as their number demands.
+
+    Args:
+        columns: of a row.
+        most: rows that are kept; at least half as many are, where there were that many.
+
+    Attributes:
+        rows: (kept, columns).
+        every: which of them were kept: every so manieth.
+    """
+
+    def __init__(self, columns: int, most: int) -> None:
+        self.rows, self.every = np.empty((0, columns)), 1
+        self._most, self._taken = most, 0
+
+    def add(self, rows: Array) -> None:
+        """Take more rows (n, columns)."""
+        self.rows = np.concatenate([self.rows, rows[-self._taken % self.every :: self.every]])
+        self._taken += len(rows)
+        while len(self.rows) > self._most:
+            self.rows, self.every = self.rows[::2], 2 * self.every
 
 
 class TrackSampler:

@@ -9,7 +9,7 @@ import numpy as np
 from experiments.figures.canvas import picture
 from mmwave_env.models.measurement import Layout, exact_rows
 from mmwave_env.models.scene import Scene, Wall
-from mmwave_env.numerics.arrays import Array
+from mmwave_env.numerics.numbers import Array
 
 SCENE = Scene("figure", base_station_m=(0.0, 0.0, 10.0), walls=(Wall((0.0, 1.0), 14.0),))
 USER_M = (30.0, 9.0, 1.5)

@@ -11,7 +11,7 @@ from experiments.console.tables import grid
 from experiments.evaluation.intervals import Interval, rounded
 from experiments.evaluation.runner import Scores
 from experiments.evaluation.seeds import draw_episodes
-from mmwave_env.engines.smoothing import smooth
+from mmwave_env.engines.replay import smooth
 from mmwave_env.engines.track_engine import Tracker
 from mmwave_env.filters.belief import Belief
 from mmwave_env.filters.mode_files import shipped_modes
@@ -20,8 +20,8 @@ from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.metrics import accuracy, scored
 from mmwave_env.models.radio import Radio, radio_from
 from mmwave_env.models.scene import SCENES
-from mmwave_env.numerics.arrays import Array
 from mmwave_env.numerics.linalg import unpack
+from mmwave_env.numerics.numbers import Array
 from mmwave_env.world.episode import Episode
 from mmwave_env.world.simulated import SimulatedSource
 

@@ -111,10 +111,10 @@ def smoothing(bench: Bench) -> Section:
     section = Section(
         "RTS smoothing",
         "Tuned modes with gates and adaptive scaling, windows of 200 epochs. A ratio of 0.5 "
-        "would be the paper's \"halves\".",
+        'would be the paper\'s "halves".',
         ["user", "radio", "process noise", "filtered ATE m", "smoothed ATE m", "ratio"],
         labels=3,
-    )  # fmt: skip
+    )
     for setting in SETTINGS:
         for coupling in (False, True):
             run = bench.run(setting.tuned(coupling), setting)
@@ -223,9 +223,9 @@ def resolution(bench: Bench) -> Section:
     sigma = ideal.sigma(np.tile(snr_db[:, None], 3), scene, Layout())[:, 0]
     # The bound goes with 1 / sqrt(SNR), far above its floor.
     centimeter_db = snr_db[-1] + 20.0 * math.log10(sigma[-1] / 0.01)
-    links = np.concatenate([
-        e.snr_db[e.usable[:, 0], 0] for e in bench.episodes(Setting("pedestrian", "standard"))
-    ])  # fmt: skip
+    links = np.concatenate(
+        [e.snr_db[e.usable[:, 0], 0] for e in bench.episodes(Setting("pedestrian", "standard"))]
+    )
     section = Section(
         "Range at 100 MHz",
         f"c / B is {SPEED_OF_LIGHT / scene.bandwidth_hz:.2f} m: two paths closer than that are not "

@@ -123,10 +123,12 @@ def searched(
     (most,) = spec.axes["total_timesteps"]
     goal: dict[str, Any] = {"metric": "reward_mean", "mode": "max"}
     sampler = OptunaSearch(
-        dict(spec.free), **goal, seed=len(before),
+        dict(spec.free),
+        **goal,
+        seed=len(before),
         points_to_evaluate=[{axis: row[axis] for axis in spec.free} for row in before.values()],
         evaluated_rewards=[row["reward_mean"] for row in before.values()],
-    )  # fmt: skip
+    )
     stopping = ASHAScheduler(
         "timesteps", max_t=most, grace_period=max(1, most // RUNGS), reduction_factor=SHARE
     )

@@ -1,4 +1,4 @@
-"""Time to the first step or the first words, and peak memory, each in a fresh process.
+"""Time to the first step, and peak memory, each in a fresh process.
 
 The time begins before Python does, so imports and compilation are in it. What other runs have
 left on disk (bytecode, compiled loops) is used, as a second run would.
@@ -8,31 +8,10 @@ import os
 import subprocess
 import sys
 import time
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-STARTS = {  # what Python is asked to do, and to end
-    "import gymnasium": ("-c", "import gymnasium"),
-    "import mmwave_env": ("-c", "import mmwave_env"),
-    "mmwave-loc --help": ("-m", "experiments.console", "--help"),
-    "mmwave-loc evaluate --help": ("-m", "experiments.console", "evaluate", "--help"),
-}
 STEPS = 210  # through the end of all episodes and the drawing of the next ones
-
-
-def start_s(words: Sequence[str]) -> float:
-    """Seconds from the start of Python with some words to its end."""
-    begin = time.perf_counter()
-    subprocess.run(
-        [sys.executable, *words], env=_environment(), stdout=subprocess.DEVNULL, check=True
-    )
-    return time.perf_counter() - begin
-
-
-def _environment() -> dict[str, str]:
-    """Of a process with the same packages as here."""
-    return os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
 
 
 def fresh(name: str, n: int) -> tuple[float, float]:
@@ -47,8 +26,9 @@ def fresh(name: str, n: int) -> tuple[float, float]:
         the ends of episodes, MiB (2^20 bytes).
     """
     words = [sys.executable, "-m", __name__, name, str(n)]
+    packages = os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, sys.path))}  # as here
     begin = time.perf_counter()
-    with subprocess.Popen(words, env=_environment(), stdout=subprocess.PIPE, text=True) as child:
+    with subprocess.Popen(words, env=packages, stdout=subprocess.PIPE, text=True) as child:
         assert child.stdout is not None
         child.stdout.readline()
         first_step_s = time.perf_counter() - begin

@@ -1,16 +1,15 @@
-"""Everything that mmwave-loc benchmark measures, round by round."""
+"""Everything that mmwave-loc speed measures, round by round."""
 
 import gc
 import time
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
-from itertools import pairwise
 from statistics import median
 from typing import Any
 
-from experiments.timing.fresh import STARTS, fresh, start_s
+from experiments.timing.fresh import fresh
 from experiments.timing.operations import Operations, count
-from experiments.timing.roofline import KINDS, instruction_s, limit_s
+from experiments.timing.roofline import limit_s
 from experiments.timing.workloads import (
     BOTH,
     ENVIRONMENT,
@@ -35,7 +34,6 @@ from mmwave_env.world.travel import stride_of
 
 FRESH_RUNS = 3  # of every process, at most: they take seconds
 FRESH_SIZES = 3  # the largest ones; others are no different from the smallest of them
-SMALLEST_FULL = 64  # environments from which on lanes are full and the cost of a step shown
 STEP = "step"  # of the whole environment, among the kernels
 BETWEEN_ENDS = "_between_ends"
 
@@ -83,10 +81,8 @@ class Measured:
         filters: rates of the filters alone, one thread.
         operations: of the kernels: the filters' and the environment's.
         limits_s: seconds of a step of theirs on one core, at least.
-        instructions_s: seconds of an instruction where a core does nothing else.
         cold_start_s: seconds from the start of a process to the end of its first step.
         peak_mb: most resident memory of the process, MiB (2^20 bytes).
-        starts_s: seconds of new processes that only import something, or show help.
     """
 
     def __init__(self, sizes: Sequence[int]) -> None:
@@ -95,20 +91,18 @@ class Measured:
         self.filters = {name: Rates() for name in FILTERS}
         self.operations = kernels()
         self.limits_s: Rounds = {name: [] for name in self.operations}
-        self.instructions_s: Rounds = {kind: [] for kind in KINDS}
         self._processes = {"cartpole": ("CartPole-v1", 0), "single": (ENVIRONMENT, 0)} | {
             native_name(n): (ENVIRONMENT, n) for n in self.sizes[-FRESH_SIZES:]
         }
         self.cold_start_s: Rounds = {name: [] for name in self._processes}
         self.peak_mb: Rounds = {name: [] for name in self._processes}
-        self.starts_s: Rounds = {name: [] for name in STARTS}
 
     def run(self, seconds: float, repeats: int) -> Iterator[float]:
         """Measure, and tell the share done after every piece.
 
         In every round each workload has its turn, so that a drifting machine hits all alike.
         """
-        processes = min(FRESH_RUNS, repeats) * (len(self._processes) + 1)
+        processes = min(FRESH_RUNS, repeats) * len(self._processes)
         workloads = len(self.rates) + len(self.filters)
         pieces = processes + workloads + repeats * (workloads + 1)
         for done, _ in enumerate(self._pieces(seconds, repeats), start=1):
@@ -121,9 +115,6 @@ class Measured:
                 self.cold_start_s[name].append(first_step_s)
                 self.peak_mb[name].append(peak_mb)
                 yield
-            for name, words in STARTS.items():
-                self.starts_s[name].append(start_s(words))
-            yield
         running = {}
         for name, make in (environments(self.sizes) | filters()).items():
             running[name] = make()
@@ -140,8 +131,6 @@ class Measured:
     def _time_the_core(self) -> None:
         for name, operations in self.operations.items():
             self.limits_s[name].append(limit_s(operations) / WIDTH)
-        for kind, found in self.instructions_s.items():
-            found.append(instruction_s(kind))
 
     def natives(self, threads: int = BOTH) -> list[str]:
         """Names of the native vector environments with so many threads."""
@@ -157,21 +146,6 @@ class Measured:
             for name in ours
         }
 
-    def costs(self) -> Rounds:
-        """Seconds a step, one thread, over those at the smallest size from SMALLEST_FULL on."""
-        return self._costs({name: rates.steps_per_s for name, rates in self.rates.items()})
-
-    def costs_at_best(self) -> dict[str, float]:
-        """The same of each size's best round: a busy machine slows the smallest most."""
-        best = {name: [max(rates.steps_per_s)] for name, rates in self.rates.items()}
-        return {name: cost for name, [cost] in self._costs(best).items()}
-
-    def _costs(self, rates: Rounds) -> Rounds:
-        full = [native_name(n, 1) for n in self.sizes if n >= SMALLEST_FULL]
-        return {
-            f"{name}_over_{full[0]}": quotients(rates[full[0]], rates[name]) for name in full[1:]
-        }
-
     def fractions(self) -> Rounds:
         """Limit of a core over the time taken, of the kernels and what they are in."""
         taken = {name: (name, rates.steps_per_s) for name, rates in self.filters.items()}
@@ -183,15 +157,6 @@ class Measured:
             for name, (kernel, rates) in taken.items()
         }
 
-    def kb_per_environment(self) -> dict[str, float]:
-        """Peak memory of each further environment, KiB (2^10 bytes), from one size to the next."""
-        sizes, peaks = self.sizes[-FRESH_SIZES:], self.peak_mb
-        found = {}
-        for few, many in pairwise(sizes):
-            more = median(peaks[native_name(many)]) - median(peaks[native_name(few)])
-            found[f"{few}_to_{many}"] = 1024 * more / (many - few)
-        return found
-
     def json(self) -> dict[str, Any]:
         """Medians, with their spread over the rounds apart."""
         rates = self.rates | self.filters
@@ -201,19 +166,14 @@ class Measured:
             "steps_per_s": {name: one.steps_per_s for name, one in rates.items()},
             "cold_start_s": self.cold_start_s,
             "peak_rss_mb": self.peak_mb,
-            "start_s": self.starts_s,
-            "cost_of_a_step": self.costs(),
             "between_ends_steps_per_s": {
                 name: one.between_ends for name, one in rates.items() if one.between_ends
             },
             "cores_busy": {name: one.cores for name, one in rates.items()},
             "limit_s": self.limits_s,
-            "instruction_s": self.instructions_s,
         }
         return {
             **{what: {k: median(v) for k, v in table.items()} for what, table in rounds.items()},
-            "cost_of_a_step_at_best": self.costs_at_best(),
-            "kb_per_environment": self.kb_per_environment(),
             "operations": {name: found._asdict() for name, found in self.operations.items()},
             "spread": {
                 what: {k: [min(v), max(v)] for k, v in table.items()}

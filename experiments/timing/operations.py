@@ -36,11 +36,6 @@ class Operations(NamedTuple):
     load: int = 0
     store: int = 0
 
-    @property
-    def arithmetic(self) -> int:
-        """All but loads and stores."""
-        return sum(self[:-2])
-
 
 @dataclass(frozen=True, eq=False)
 class _Instruction:

@@ -14,20 +14,20 @@ import numpy as np
 from experiments.console.tables import grid
 from experiments.timing.measured import (
     BETWEEN_ENDS,
-    SMALLEST_FULL,
     STEP,
     Measured,
     Rates,
     quotients,
 )
-from experiments.timing.operations import Operations
 from experiments.timing.workloads import FILTERS, SYNC, SYNC_NAME, THREADS
 
 LABELS = {
-    "filterpy": "filterpy loop", "single": "single environment",
-    SYNC_NAME: f"Gymnasium's sync vector of {SYNC}", "cartpole": "CartPole-v1, single",
+    "filterpy": "filterpy loop",
+    "single": "single environment",
+    SYNC_NAME: f"Gymnasium's sync vector of {SYNC}",
+    "cartpole": "CartPole-v1, single",
     STEP: "step of the environment",
-} | {name: name.upper() for name in FILTERS}  # fmt: skip
+} | {name: name.upper() for name in FILTERS}
 
 
 def label(name: str) -> str:
@@ -35,8 +35,7 @@ def label(name: str) -> str:
     if name in LABELS:
         return LABELS[name]
     what, n, *threads = name.split("_")  # such as native_64_2_threads
-    kind = {"native": "native", "cartpole": "CartPole-v1, vector"}[what]
-    return ", ".join([kind, f"N = {n}", *([" ".join(threads)] if threads else [])])
+    return ", ".join([what, f"N = {n}", *([" ".join(threads)] if threads else [])])
 
 
 def short(value: float) -> str:
@@ -81,17 +80,6 @@ def _rates(measured: Measured) -> str:
     return grid(header, [row(*one) for one in measured.rates.items()])
 
 
-def _costs(measured: Measured) -> str:
-    best = measured.costs_at_best()
-    rows = [
-        [*map(label, name.split("_over_")), spread(cost), short(best[name])]
-        for name, cost in measured.costs().items()
-    ]
-    if not rows:
-        return f"Found no two sizes of at least {SMALLEST_FULL}."
-    return grid(["a step of", "over a step of", "cost", "best turns"], rows)
-
-
 def _filters(measured: Measured) -> str:
     rows = [
         [label(name), spread(rates.steps_per_s), short(1e9 / median(rates.steps_per_s))]
@@ -119,39 +107,14 @@ def _limits(measured: Measured) -> str:
     return grid(["one thread", "limit of the core, ns a step", "taken, ns", "reached, %"], rows)
 
 
-def _operations(measured: Measured) -> str:
-    rows = [
-        [label(name), *map(str, found), str(found.arithmetic)]
-        for name, found in measured.operations.items()
-    ]
-    alone = [spread(found, 1e9) for found in measured.instructions_s.values()]
-    missing = [""] * (len(Operations._fields) + 1 - len(alone))
-    rows.append(["ns of one, alone", *alone, *missing])
-    return grid(["instructions on 8 environments", *Operations._fields, "arithmetic"], rows)
-
-
 def _memory(measured: Measured) -> str:
     peaks = [[label(name), spread(found)] for name, found in measured.peak_mb.items()]
-    each = [
-        [span.replace("_", " "), short(found)]
-        for span, found in measured.kb_per_environment().items()
-    ]
-    return "\n\n".join(
-        [
-            grid(["fresh process", "peak memory, MiB"], peaks),
-            grid(["from N to N", "KiB for each further environment"], each),
-        ]
-    )
+    return grid(["fresh process", "peak memory, MiB"], peaks)
 
 
 def _first_steps(measured: Measured) -> str:
     rows = [[label(name), spread(found)] for name, found in measured.cold_start_s.items()]
     return grid(["fresh process", "seconds to the end of the first step"], rows)
-
-
-def _starts(measured: Measured) -> str:
-    rows = [[name, spread(found)] for name, found in measured.starts_s.items()]
-    return grid(["fresh process", "seconds to its end"], rows)
 
 
 def _machine(measured: Measured) -> str:
@@ -172,13 +135,10 @@ def _processor() -> str:
 _TABLES: dict[str, Callable[[Measured], str]] = {
     "Ratios": _ratios,
     "Steps per second": _rates,
-    "Cost of a step over N": _costs,
     "Filters alone": _filters,
     "Limit of the core": _limits,
-    "Operations": _operations,
     "Peak memory": _memory,
     "First step": _first_steps,
-    "First words": _starts,
     "Machine": _machine,
 }
 TITLES = tuple(_TABLES)

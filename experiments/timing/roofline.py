@@ -43,11 +43,6 @@ def limit_s(operations: Operations) -> float:
     return max(steps * mix_s(operations), rows * copying_s())
 
 
-def instruction_s(kind: str) -> float:
-    """Seconds of an instruction where a core has nothing but its kind to do."""
-    return mix_s(Operations(**{kind: 1})) / _INSTRUCTIONS[kind]
-
-
 def mix_s(operations: Operations) -> float:
     """Seconds a step of a mix, at the best number of chains."""
     order = interleaved(operations)

@@ -23,7 +23,7 @@ from mmwave_env.filters.memory import initial_memory
 from mmwave_env.filters.mode_files import default_modes, named_modes
 from mmwave_env.filters.modes import Mode
 from mmwave_env.filters.pipeline import Pipeline, measurement_of, process_noise
-from mmwave_env.models.epoch import blank_site
+from mmwave_env.models.measurement import blank_site
 from mmwave_env.models.radio import radio_from
 from mmwave_env.models.scene import scene_from
 from mmwave_env.numerics.linalg import unpack
@@ -37,7 +37,6 @@ EPISODE = 200  # steps
 SYNC = 8  # environments that Gymnasium steps one after another
 SYNC_NAME = f"sync_{SYNC}"
 TRACKS = 1024  # of the filters alone
-CARTPOLES = 1024
 BOTH = 2  # threads, as `gymnasium.make_vec` has them by itself on two cores
 THREADS = (BOTH, 1)
 FILTERS = ("ekf", "ukf", "ckf")
@@ -71,7 +70,6 @@ def environments(sizes: Sequence[int]) -> dict[str, Callable[[], Laps]]:
             for threads in THREADS
         },
         "cartpole": cartpole,
-        f"cartpole_{CARTPOLES}": cartpoles,
     }
 
 
@@ -168,14 +166,3 @@ def cartpole() -> Laps:
             if terminated or truncated:
                 env.reset()
         yield Lap(EPISODE)
-
-
-def cartpoles() -> Laps:
-    """Many of them in Gymnasium's own vector environment."""
-    env = gym.make_vec("CartPole-v1", num_envs=CARTPOLES)
-    env.reset(seed=0)
-    pushes = [np.full(CARTPOLES, push) for push in (0, 1)]
-    while True:
-        for step in range(EPISODE):
-            env.step(pushes[step % 2])
-        yield Lap(CARTPOLES * EPISODE)

@@ -5,7 +5,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from mmwave_env.numerics.arrays import Array
+from mmwave_env.numerics.numbers import Array
 from policies.policy_file import Tensors
 
 
@@ -30,9 +30,10 @@ def actor_tensors(policy: Any, normal: Normalization) -> Tensors:
     if lstm := getattr(policy, "lstm_actor", None):
         first, bias = "lstm.weight_ih", "lstm.bias"
         tensors |= {
-            first: _array(lstm.weight_ih_l0), "lstm.weight_hh": _array(lstm.weight_hh_l0),
+            first: _array(lstm.weight_ih_l0),
+            "lstm.weight_hh": _array(lstm.weight_hh_l0),
             bias: _array(lstm.bias_ih_l0) + _array(lstm.bias_hh_l0),
-        }  # fmt: skip
+        }
     return folded(tensors, normal, first, bias)
 
 
@@ -61,9 +62,11 @@ def folded(
     """
     weight = tensors[first] / normal.sigma
     moved = {
-        "low": normal.low, "high": normal.high, first: weight,
+        "low": normal.low,
+        "high": normal.high,
+        first: weight,
         bias: tensors[bias] - weight @ normal.mean,
-    }  # fmt: skip
+    }
     return {name: tensor.astype(np.float32) for name, tensor in (tensors | moved).items()}
 
 

@@ -11,7 +11,7 @@ from zipfile import ZIP_STORED, ZipFile
 import numpy as np
 import torch
 
-from experiments.evaluation.outcomes import require_outcome
+from experiments.evaluation.runs import require_outcome
 from mmwave_env.files import read_bounded, told, write_bytes
 from mmwave_env.lookup import quoted
 

@@ -15,7 +15,7 @@ from experiments.evaluation.runner import Scores, score
 from experiments.evaluation.seeds import TUNING_SEED, draw_episodes
 from experiments.training.places import Place, shares
 from experiments.training.training_task import TrainingTask
-from mmwave_env.numerics.arrays import Array
+from mmwave_env.numerics.numbers import Array
 from mmwave_env.world.episode import Episode
 
 TRAINING_RIVALS = ("speed-rule", "imm")  # of every training
@@ -68,10 +68,11 @@ class Evaluator:
                 gains = _gains({name: values[here] for name, values in differences.items()})
                 figures |= {f"{place} {what}": interval for what, interval in gains.items()}
         return {
-            "seed": TUNING_SEED, "episodes": len(scores["reward"]),
+            "seed": TUNING_SEED,
+            "episodes": len(scores["reward"]),
             **{metric: float(values.mean()) for metric, values in scores.items()},
             **{what: interval.json for what, interval in figures.items()},
-        }  # fmt: skip
+        }
 
     def _scores(self, contender_at: Callable[[str], Contender]) -> Scores:
         """Of the contender for each radio, on the episodes of all places."""

@@ -10,7 +10,7 @@ from multiprocessing.process import BaseProcess
 from typing import Any, cast
 
 from experiments.console.signals import ended_by_signals
-from experiments.evaluation.outcomes import is_number, require_outcome
+from experiments.evaluation.runs import is_number, require_outcome
 from experiments.training.hyperparameters import PpoHyperparameters
 from experiments.training.job import Job, News, Tell
 from experiments.training.ppo import PpoTraining

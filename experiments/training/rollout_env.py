@@ -21,7 +21,7 @@ from mmwave_env.engines.env_engine import Engine
 from mmwave_env.engines.track_engine import untuned
 from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.models.measurement import Layout
-from mmwave_env.numerics.arrays import Array, Index
+from mmwave_env.numerics.numbers import Array, Index
 from mmwave_env.world.keys import Streams
 
 CONSTANT = 1e-4  # deviation of a feature that never changes
@@ -116,7 +116,7 @@ class RolloutEnv:
         for i, source in enumerate(self._sources):
             here = places[self._place[places] == i]
             if len(here):
-                self._engine.load(source.sample_batch(self._streams.keys(here)), here)
+                self._engine.batch.load(source.sample_batch(self._streams.keys(here)), here)
         begun, _ = self._engine.start(places)
         self.observations[places] = begun[places]
 

@@ -15,7 +15,7 @@ from torch import Tensor, nn
 from experiments.training.actor import Normalization
 from experiments.training.hyperparameters import RolloutHyperparameters
 from experiments.training.rollout_env import Observations, Tried
-from mmwave_env.numerics.arrays import Index
+from mmwave_env.numerics.numbers import Index
 
 
 class RolloutLearner:

@@ -65,9 +65,10 @@ class RolloutTraining:
                 log.write(figures | {"seconds": record.seconds}, {}, stand["timesteps"])
                 if stand["update"] % job.checkpoint_every == 0:
                     record.save(
-                        env=self.env.state(), learner=self.learner.state(),
+                        env=self.env.state(),
+                        learner=self.learner.state(),
                         torch=torch.get_rng_state(),
-                    )  # fmt: skip
+                    )
                 self._tell(News(stand["timesteps"]))
         return record.close()
 

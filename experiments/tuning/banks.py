@@ -5,7 +5,7 @@ All that is data in it is tuned at once, for the mean reward over all shipped st
 
 from collections.abc import Sequence
 from time import process_time
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -13,15 +13,20 @@ from experiments.console.options import WorldArgs
 from experiments.console.progress import progress
 from experiments.evaluation.asked import source_of
 from experiments.evaluation.intervals import Interval, bootstrap
-from experiments.tuning.scores import drawn, scores
-from experiments.tuning.search import best_bank_of
-from experiments.tuning.search_space import search_space
+from experiments.evaluation.seeds import draw_episodes
+from experiments.tuning.search_space import best_bank_of, search_space
+from mmwave_env.engines.imm_engine import ImmEngine
 from mmwave_env.filters.bank import Bank, bank_as_written
 from mmwave_env.filters.mode_files import default_modes
 from mmwave_env.filters.modes import Mode
+from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.lookup import require_extra
+from mmwave_env.metrics import DIVERGENCE_M, scored
 from mmwave_env.models.radio import radio_from
 from mmwave_env.models.scene import SCENES
+from mmwave_env.numerics.numbers import Array
+from mmwave_env.reward import TrackingReward
+from mmwave_env.world.episode import EpisodeBatch, EpisodeSource
 
 STEPS_S = (1.0, 0.1)  # between epochs
 SHARES = 3  # of the tuning episodes, of which a generation of the search sees one
@@ -85,6 +90,45 @@ def tuned_bank(
     columns = {"reward": found.reward, "minus imm": found.reward - imm.reward, "lost": found.lost}
     figures: Sequence[Interval] = bootstrap(np.stack([*columns.values()], axis=1))
     return bank_as_written(bank) | {
-        "numbers": len(space.start), "seconds": seconds,
+        "numbers": len(space.start),
+        "seconds": seconds,
         "held_out": {name: one.json for name, one in zip(columns, figures, strict=True)},
-    }  # fmt: skip
+    }
+
+
+class Scores(NamedTuple):
+    """What a bank earns, per episode."""
+
+    reward: Array  # (n,) mean over the epochs that are scored
+    lost: Array  # (n,) 1 where the track ends farther than DIVERGENCE_M from the truth, else 0
+
+
+def drawn(
+    sources: Sequence[EpisodeSource], seeds: range, shares: int = 1
+) -> list[list[EpisodeBatch]]:
+    """Episodes in shares that are alike: each has a batch for each of the sources, in their order.
+
+    Raises:
+        ValueError: fewer seeds than shares.
+    """
+    if len(seeds) < shares:
+        raise ValueError(
+            f"episodes: found {len(seeds)} for each scene and step, expected {shares} or more, "
+            f"{shares * len(sources)} in all"
+        )
+    episodes = [draw_episodes(source, seeds) for source in sources]
+    return [[EpisodeBatch.of(some[share::shares]) for some in episodes] for share in range(shares)]
+
+
+def scores(bank: Bank, batches: Sequence[EpisodeBatch]) -> Scores:
+    """Run the IMM over a bank on all episodes, batch after batch."""
+    reward, lost = [], []
+    for batch in batches:
+        imm = ImmEngine(
+            Pipeline(bank.modes, batch.layout), TrackingReward(), bank.transition, bank.nis_quantile
+        )
+        found = imm.run(batch, "reward", "error")
+        counted = scored(found["reward"].shape[1])
+        reward.append(found["reward"][:, counted].mean(axis=1))
+        lost.append(np.linalg.norm(found["error"][:, -1], axis=1) > DIVERGENCE_M)
+    return Scores(np.concatenate(reward), np.concatenate(lost).astype(float))

@@ -14,7 +14,7 @@ from mmwave_env.filters.modes import Mode
 from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.metrics import scored
 from mmwave_env.models.measurement import Layout
-from mmwave_env.numerics.arrays import Array
+from mmwave_env.numerics.numbers import Array
 from mmwave_env.world.episode import Episode
 
 Objective = Callable[[Mode], Array]
@@ -86,9 +86,7 @@ def tune(mode: Mode, free: Sequence[str], objective: Objective) -> tuple[Mode, l
     def at(values: Iterable[float]) -> Mode:
         return replace(mode, **{k: float(v) for k, v in zip(free, values, strict=False)})  # type: ignore[arg-type]
 
-    surface = np.array([
-        objective(at(point)).mean() for point in tracked(points, mode.name)
-    ])  # fmt: skip
+    surface = np.array([objective(at(point)).mean() for point in tracked(points, mode.name)])
     start = [getattr(at(points[np.nanargmax(surface)]), name) for name in free]
     bounds = np.log([RANGES[name] for name in free])
     corner = np.clip(np.log(np.maximum(start, 1e-12)), *(bounds.T + [[0.0], [-STEP]]))

@@ -11,16 +11,22 @@ from scipy.special import softmax
 from mmwave_env.filters.bank import Bank
 from mmwave_env.filters.imm import DEFAULT_STAY
 from mmwave_env.filters.modes import Mode
-from mmwave_env.numerics.arrays import Array
+from mmwave_env.numerics.numbers import Array
+
+SEED = 0  # of the points that are drawn
+
+Value = Callable[[Bank, int], float]
 
 # Where they are looked for:
 ODDS = (-14.0, 8.0)  # log of a probability to change over that to stay
 # Less velocity noise earns a little more where users walk as straight as simulated ones do. One who
 # weaves a few degrees, as in the recording of a pedestrian, would leave such a filter behind.
 FREE = {
-    "sigma_p": (0.005, 2.0), "sigma_v": (0.04, 6.0), "acceleration_mps2": (0.3, 6.0),
+    "sigma_p": (0.005, 2.0),
+    "sigma_v": (0.04, 6.0),
+    "acceleration_mps2": (0.3, 6.0),
     "turn_rate_radps": (0.02, 1.0),
-}  # fmt: skip
+}
 NINES = (1.0, 9.0)  # of the quantile up to which NIS counts: 3 stand for 0.999
 DECIMALS = 6  # of probabilities
 
@@ -85,3 +91,27 @@ def _written(transition: Array) -> tuple[tuple[float, ...], ...]:
     np.fill_diagonal(short, 0.0)
     np.fill_diagonal(short, (1.0 - short.sum(axis=1)).round(DECIMALS))
     return tuple(map(tuple, short.tolist()))
+
+
+def best_bank_of(space: SearchSpace, value: Value, evaluations: int) -> Bank:
+    """The bank at the mean of the second half of the search.
+
+    Points of a generation are compared among themselves alone, so each generation may be judged on
+    episodes of its own. The center of the search then wanders about the optimum of all episodes, to
+    which its mean comes closer than its last place (Polyak and Juditsky 1992).
+
+    Args:
+        space: where to search.
+        value: what is to be large, of a bank and the number of the generation.
+        evaluations: how often to ask for it, at most; fewer than a generation leave the start.
+    """
+    from cmaes import CMA  # of the extra "tune"
+
+    first = np.diag(np.square(space.deviation))
+    optimizer = CMA(space.start, 1.0, bounds=space.bounds, seed=SEED, cov=first)
+    centers = [space.start]
+    for generation in range(evaluations // optimizer.population_size):
+        points = [optimizer.ask() for _ in range(optimizer.population_size)]
+        optimizer.tell([(point, -value(space.bank_at(point), generation)) for point in points])
+        centers.append(optimizer.mean.copy())
+    return space.bank_at(np.mean(centers[len(centers) // 2 :], axis=0))

@@ -25,7 +25,7 @@ from mmwave_env.lookup import printable
 from mmwave_env.metrics import nees_interval
 from mmwave_env.models.measurement import Layout
 from mmwave_env.models.scene import Streets
-from mmwave_env.numerics.arrays import Array
+from mmwave_env.numerics.numbers import Array
 from mmwave_env.rendering.history import GATE
 from mmwave_env.rendering.theme import THEMES, hex_of
 from mmwave_env.world.episode import Episode

@@ -20,8 +20,7 @@ class Source(NamedTuple):
     Attributes:
         path: as it was given; of a part of a file with its title.
         kind: "comparison", "track" or "run".
-        content: what the file holds; of a run its manifest, with what came of its trainings as
-            "seeds" and their "curves".
+        content: what the file holds; of a run its summary and the "curves" of its trainings.
     """
 
     path: str
@@ -36,13 +35,16 @@ def read_source(path: Path) -> list[Source]:
         ValueError: it holds no results; naming the file and what it lacks.
         FileNotFoundError: there is no such file.
     """
-    if (path / "run.json").is_file():
-        manifest = read_json(path / "run.json", "the manifest of a run", dict)
-        outcomes = sorted(path.glob("seed-*/outcome.json"))
-        seeds = [read_json(file, "the outcome of a training", dict) for file in outcomes]
-        journals = sorted(path.glob("seed-*/progress.csv"))
-        curves = {journal.parent.name: curves_of(journal) for journal in journals}
-        return [Source(str(path), "run", manifest | {"seeds": seeds, "curves": curves})]
+    over, begun = path / "summary.json", path / "run.json"
+    if over.is_file() or begun.is_file():
+        if over.is_file():
+            run = read_json(over, "the summary of a run", dict)
+        else:
+            outcomes = sorted(path.glob("seed-*/outcome.json"))
+            seeds = [read_json(file, "the outcome of a training", dict) for file in outcomes]
+            run = read_json(begun, "the manifest of a run", dict) | {"seeds": seeds}
+        curves = {p.parent.name: curves_of(p) for p in sorted(path.glob("seed-*/progress.csv"))}
+        return [Source(str(path), "run", run | {"curves": curves})]
     content = read_json(path, "results", dict)
     if content and all(isinstance(part, dict) for part in content.values()):  # of demo --json
         return [_result(f"{path}: {title}", part) for title, part in content.items()]

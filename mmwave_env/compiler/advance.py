@@ -13,7 +13,7 @@ from numba.extending import intrinsic, overload, register_jitable
 
 from mmwave_env.compiler.lanes import WIDTH
 from mmwave_env.compiler.transpose import LINE, address, gather, prefetch, scatter, scatter_single
-from mmwave_env.numerics.arrays import Array
+from mmwave_env.numerics.numbers import Array
 
 NEAR = 2**16  # numbers that the core's own caches hold of workspaces
 TOGETHER = 8  # blocks that a feed runs for before the program does
@@ -99,15 +99,6 @@ def _announce(first, end, table, length, epoch):  # type: ignore[no-untyped-def]
 
 
 @register_jitable  # type: ignore[untyped-decorator]
-def _busy(b, n, running):  # type: ignore[no-untyped-def]
-    """How many tracks of a block run."""
-    busy = 0
-    for e in range(b * WIDTH, min(b * WIDTH + WIDTH, n)):
-        busy += running[e]
-    return busy
-
-
-@register_jitable  # type: ignore[untyped-decorator]
 def _copy(source, target):  # type: ignore[no-untyped-def]
     """Copy the rows of a block."""
     for i in range(len(source)):
@@ -136,7 +127,7 @@ def _idle(b, n, running):  # type: ignore[no-untyped-def]
 @register_jitable  # type: ignore[untyped-decorator]
 def _take_in(  # type: ignore[no-untyped-def]
     b, end, step, blank, rows, feed, table, length, epoch, input_rows, inputs, at
-):  # fmt: skip
+):
     """Bring a block into the caches, and what comes in into it."""
     n, block, first = len(length), rows[b], b * WIDTH
     here = min(WIDTH, n - first)
@@ -158,7 +149,7 @@ def _take_in(  # type: ignore[no-untyped-def]
 @register_jitable  # type: ignore[untyped-decorator]
 def _give_out(  # type: ignore[no-untyped-def]
     b, step, rows, running, output_rows, outputs, obs_rows, observations, at, nowhere
-):  # fmt: skip
+):
     """Write down what is kept and shown of a block."""
     first = b * WIDTH
     here = min(WIDTH, len(running) - first)

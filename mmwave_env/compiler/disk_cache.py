@@ -1,5 +1,8 @@
 """Compiled functions, kept on disk for the next process and never out of date.
 
+A process that steps one environment a few hundred times would spend most of its time compiling, so
+small amounts of work run as plain Python (:class:`LazyJit`).
+
 numba's ``cache=True`` looks at the file of the function alone, so it answers with old code once
 a function it calls was edited in another file; some versions miss edits that keep time and
 size, too. Processes that start at once can mix up its files, and a damaged file or a full disk
@@ -27,7 +30,7 @@ from functools import cache
 from hashlib import sha256
 from os.path import getmtime
 from pathlib import Path
-from typing import Any, BinaryIO, NamedTuple
+from typing import Any, BinaryIO
 
 import numba
 import numpy as np
@@ -114,19 +117,17 @@ def _places() -> list[Path]:
     return [*([Path(numba.config.CACHE_DIR).absolute()] * bool(numba.config.CACHE_DIR)), *places]
 
 
-class KeptFunctions(NamedTuple):
-    """What lies in the place for compiled functions."""
+def kept_functions() -> dict[str, Any]:
+    """Where this process keeps compiled functions; makes the folder if it can.
 
-    place: str | None  # None where no folder can be written that is ours alone
-    functions: int  # of this version of the sources
-    bytes: int
-
-
-def kept_functions() -> KeptFunctions:
-    """Where this process keeps compiled functions; makes the folder if it can."""
+    Returns:
+        "place", None where no folder can be written that is ours alone; how many "functions" of
+        this version of the sources lie there, and their "bytes".
+    """
     folder = _folder()
     sizes = [file.stat().st_size for file in folder.iterdir()] if folder else []
-    return KeptFunctions(str(folder) if folder else None, len(sizes), sum(sizes))
+    place = str(folder) if folder else None
+    return {"place": place, "functions": len(sizes), "bytes": sum(sizes)}
 
 
 def _prune(place: Path) -> None:
@@ -240,3 +241,37 @@ class _Kept(NullCache):  # type: ignore[misc]
         """What tells apart the function's versions in memory, and the file of this one."""
         key = f"{self._name} {signature} {codegen.magic_tuple()}"
         return key, self._folder / f"{self._name}-{sha256(key.encode()).hexdigest()[:20]}"
+
+
+class LazyJit:
+    """A function that runs as plain Python until it has done a given amount of work.
+
+    After that, or as soon as its compiled form is found on disk, the compiled form runs. What the
+    function calls must run both ways, as ``numba.extending.register_jitable`` makes it.
+
+    Args:
+        function: what to run.
+        plain_work: how much work a process does as plain Python before it compiles, if the
+            compiled function is not on disk yet; in any unit, such as epochs.
+    """
+
+    def __init__(self, function: Callable[..., Any], plain_work: int) -> None:
+        self.plain, self.compiled = function, compiled(function)
+        self._left = plain_work
+
+    def choice(self, work: int, *arguments: Any) -> Callable[..., Any]:
+        """The plain or the compiled function, for an amount of work with such arguments.
+
+        Where threads share the work, choose once for all of them.
+        """
+        if work <= self._left and not is_compiled(self.compiled, arguments):
+            self._left -= work
+            return self.plain
+        self._left = 0
+        return self.compiled  # type: ignore[no-any-return]
+
+    def __call__(self, work: int, *arguments: Any) -> Any:
+        """Do an amount of work, as plain Python or compiled."""
+        if not self._left:  # many steps come this way
+            return self.compiled(*arguments)
+        return self.choice(work, *arguments)(*arguments)

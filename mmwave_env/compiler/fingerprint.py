@@ -40,14 +40,14 @@ def _references(operands: Sequence[Any]) -> list[int | float]:
     return [a.number if isinstance(a, _Recorded) else float(a) for a in operands]
 
 
+def _joining(op: str) -> Any:
+    """An operation whose result is of the operands' kind."""
+    return lambda a, b: type(a)(*a._record(op, a, b))
+
+
 class _Condition(_Recorded, TracerCondition):
     __slots__ = ()
-
-    def __and__(self, other: "_Condition") -> "_Condition":
-        return _Condition(*self._record("&", self, other))
-
-    def __or__(self, other: "_Condition") -> "_Condition":
-        return _Condition(*self._record("|", self, other))
+    __and__, __or__ = _joining("&"), _joining("|")
 
     def select(self, a: Any, b: Any) -> "_Number":
         return _Number(*self._record("select", self, a, b))
@@ -82,21 +82,8 @@ class _Number(_Recorded, Tracer):
 
 class _Word(_Recorded):
     __slots__ = ()
-
-    def __add__(self, other: "_Word | int") -> "_Word":
-        return _Word(*self._record("+", self, other))
-
-    def __xor__(self, other: "_Word") -> "_Word":
-        return _Word(*self._record("^", self, other))
-
-    def __or__(self, other: "_Word") -> "_Word":
-        return _Word(*self._record("|", self, other))
-
-    def __lshift__(self, bits: int) -> "_Word":
-        return _Word(*self._record("<<", self, bits))
-
-    def __rshift__(self, bits: int) -> "_Word":
-        return _Word(*self._record(">>", self, bits))
+    __add__, __xor__, __or__ = _joining("+"), _joining("^"), _joining("|")
+    __lshift__, __rshift__ = _joining("<<"), _joining(">>")
 
     def scaled(self, factor: float) -> _Number:
         return _Number(*self._record("scaled", self, factor))

@@ -50,32 +50,39 @@ _ROUND = 1.5 * 2.0**52  # adding it rounds to an integer, which is then in the l
 _LN2_HIGH, _LN2_LOW = 0.693147180369123816490, 1.90821492927058770002e-10
 
 
-class Mask(TracerCondition):
-    """A truth value per lane, from comparing Lanes; combine with ``&`` and ``|``."""
+class _Value:
+    """A value of the function being built, which the builder computes with."""
 
     __slots__ = ("builder", "value")
 
     def __init__(self, builder: Any, value: Any) -> None:
         self.builder, self.value = builder, value
 
-    def __and__(self, other: "Mask") -> "Mask":
-        return Mask(self.builder, self.builder.and_(self.value, other.value))
+    def _with(self, instruction: str, other: Any) -> Any:
+        """One of the same kind: what an instruction makes of this value and another one's."""
+        term = _bits(other) if isinstance(other, int) else other.value
+        return type(self)(self.builder, getattr(self.builder, instruction)(self.value, term))
 
-    def __or__(self, other: "Mask") -> "Mask":
-        return Mask(self.builder, self.builder.or_(self.value, other.value))
+
+def _integer(instruction: str) -> Any:
+    return lambda a, b: a._with(instruction, b)
+
+
+class Mask(_Value, TracerCondition):
+    """A truth value per lane, from comparing Lanes; combine with ``&`` and ``|``."""
+
+    __slots__ = ()
+    __and__, __or__ = _integer("and_"), _integer("or_")
 
     def select(self, a: Any, b: Any) -> "Lanes":
         """``a`` in the lanes where the mask holds, else ``b``."""
         return Lanes(self.builder, self.builder.select(self.value, _lift(a), _lift(b)))
 
 
-class Lanes(Tracer):
+class Lanes(_Value, Tracer):
     """Eight doubles in one SIMD value of the function being built."""
 
-    __slots__ = ("builder", "value")
-
-    def __init__(self, builder: Any, value: Any) -> None:
-        self.builder, self.value = builder, value
+    __slots__ = ()
 
     def combine(self, op: str, a: Any, b: Any) -> "Lanes":
         """``a op b`` per lane."""
@@ -129,8 +136,7 @@ class Lanes(Tracer):
         angle = where(large, angle + math.pi / 4, angle)
         angle = where(steep, math.pi / 2 - angle, angle)
         angle = where(x < 0.0, math.pi - angle, angle)
-        result: Lanes = where(self < 0.0, -angle, angle)
-        return result
+        return where(self < 0.0, -angle, angle)  # type: ignore[no-any-return]
 
     def cos_sin(self) -> "tuple[Lanes, Lanes]":
         """Cosine and sine of |angle| < 1e5: reduced to |r| <= pi / 4, then Taylor polynomials."""
@@ -160,8 +166,7 @@ class Lanes(Tracer):
         high = m > math.sqrt(2.0)
         m, e = where(high, 0.5 * m, m), where(high, e + 1.0, e)
         s = (m - 1.0) / (m + 1.0)
-        result: Lanes = e * math.log(2.0) + 2.0 * s * polynomial(s * s, _ATANH) + (self - self)
-        return result
+        return e * math.log(2.0) + 2.0 * s * polynomial(s * s, _ATANH) + (self - self)  # type: ignore[no-any-return]
 
     def exp(self) -> "Lanes":
         """Exponential of numbers in [-708, 708] (clipped there)."""
@@ -172,33 +177,15 @@ class Lanes(Tracer):
         n = Lanes(b, b.sitofp(k, _VECTOR)) - 1023.0
         r = (x - n * _LN2_HIGH) - n * _LN2_LOW
         power = Lanes(b, b.bitcast(b.shl(k, _bits(52)), _VECTOR))
-        result: Lanes = polynomial(r, _EXP) * power
-        return result
+        return polynomial(r, _EXP) * power  # type: ignore[no-any-return]
 
 
-class WordLanes:
+class WordLanes(_Value):
     """Eight words of 64 bits (:class:`~mmwave_env.numerics.random.Word`) in one SIMD value."""
 
-    __slots__ = ("builder", "value")
-
-    def __init__(self, builder: Any, value: Any) -> None:
-        self.builder, self.value = builder, value
-
-    def __add__(self, other: "WordLanes | int") -> "WordLanes":
-        term = _bits(other) if isinstance(other, int) else other.value
-        return WordLanes(self.builder, self.builder.add(self.value, term))
-
-    def __xor__(self, other: "WordLanes") -> "WordLanes":
-        return WordLanes(self.builder, self.builder.xor(self.value, other.value))
-
-    def __or__(self, other: "WordLanes") -> "WordLanes":
-        return WordLanes(self.builder, self.builder.or_(self.value, other.value))
-
-    def __lshift__(self, bits: int) -> "WordLanes":
-        return WordLanes(self.builder, self.builder.shl(self.value, _bits(bits)))
-
-    def __rshift__(self, bits: int) -> "WordLanes":
-        return WordLanes(self.builder, self.builder.lshr(self.value, _bits(bits)))
+    __slots__ = ()
+    __add__, __xor__, __or__ = _integer("add"), _integer("xor"), _integer("or_")
+    __lshift__, __rshift__ = _integer("shl"), _integer("lshr")
 
     def scaled(self, factor: float) -> Any:
         """The integers, below 2^63, times a factor."""

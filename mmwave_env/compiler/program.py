@@ -16,11 +16,10 @@ from numba.core.compiler_lock import global_compiler_lock
 from numpy.typing import NDArray
 
 from mmwave_env.compiler.advance import advance
-from mmwave_env.compiler.disk_cache import compiled_callback
+from mmwave_env.compiler.disk_cache import LazyJit, compiled_callback
 from mmwave_env.compiler.fingerprint import fingerprint
 from mmwave_env.compiler.lanes import WIDTH, kernel
-from mmwave_env.compiler.lazy_jit import LazyJit
-from mmwave_env.numerics.arrays import Array, Index
+from mmwave_env.numerics.numbers import Array, Index
 from mmwave_env.numerics.pytree import Tree, flatten, indices, unflatten
 
 Workspace = TypeVar("Workspace", bound=tuple[Any, ...])
@@ -49,9 +48,11 @@ def blocks_of(start: Array, n: int) -> Array:
     return np.tile(start[None, :, None], (-(-n // WIDTH), 1, WIDTH))
 
 
-def lanes_of(n: int) -> tuple[Index, Index]:
-    """Blocks and lanes (n,) of n tracks."""
-    return np.divmod(np.arange(n), WIDTH)
+def fill(blocks: Array, rows: Index, values: Array) -> Array:
+    """Set some rows (k,) of blocks (blocks, size, 8) to the values (n, k) of n tracks."""
+    block, lane = np.divmod(np.arange(len(values)), WIDTH)
+    blocks[block[:, None], rows, lane[:, None]] = values
+    return blocks
 
 
 class Feed(NamedTuple):

@@ -4,6 +4,7 @@ import os
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from functools import lru_cache
+from itertools import pairwise
 from threading import Lock
 from typing import Any, TypeVar
 
@@ -56,6 +57,11 @@ def share(
         if not other.cancel():
             other.result()
     return found
+
+
+def spans(count: int, parts: int) -> list[tuple[int, int]]:
+    """First and end of so many parts of ``count`` things, as equal as can be."""
+    return list(pairwise(count * i // parts for i in range(parts + 1)))
 
 
 def portions(count: int, threads: int, most: int) -> list[slice]:

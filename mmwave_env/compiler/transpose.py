@@ -17,7 +17,7 @@ from numba.extending import intrinsic, overload, register_jitable
 from numpy.typing import NDArray
 
 from mmwave_env.compiler.lanes import WIDTH
-from mmwave_env.numerics.arrays import Array, Index
+from mmwave_env.numerics.numbers import Array, Index
 
 LINE = 64  # bytes of the caches of most machines; others fetch some lines twice
 

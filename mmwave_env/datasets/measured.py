@@ -10,9 +10,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from mmwave_env.datasets.tracks import Track, fields_of, numbers
-from mmwave_env.models.prior import draw_prior
 from mmwave_env.models.radio import Radio, radio_from
-from mmwave_env.numerics.arrays import Array
+from mmwave_env.numerics.numbers import Array
 from mmwave_env.world.episode import Episode
 
 
@@ -102,24 +101,8 @@ class MeasuredTrack(Track):
 
         The oscillator's true bias is not known, so its mean is 0.
         """
-        profile, snr = radio_from(radio), self.snr_db[epochs]
-        position, velocity = self.position_m[epochs], self.velocity_mps[epochs]
-        state = np.concatenate([position[0], velocity[0], [0.0]])
-        mean, covariance = draw_prior(state, profile, self.scene, rng)
-        mean[6] = 0.0
-        return Episode(
-            name=self.name,
-            scene_anchors_m=self.anchors_m,
-            hz_per_mps=self.scene.hz_per_mps,
-            time_s=self.time_s[epochs],
-            measurement=self.measurement[epochs],
-            sigma=profile.sigma(snr, self.scene, self.layout),
-            visible=self.visible[epochs],
-            snr_db=snr,
-            doppler_spread_hz=self.doppler_spread_hz[epochs],
-            prior_mean=mean,
-            prior_covariance=covariance,
-            truth_position_m=position,
-            truth_velocity_mps=velocity,
-            layout=self.layout,
-        )
+        measured, snr = self.measurement[epochs], self.snr_db[epochs]
+        spread = self.doppler_spread_hz[epochs]
+        found = self._played(radio_from(radio), rng, epochs, measured, snr, spread, 0.0)
+        found.prior_mean[6] = 0.0
+        return found

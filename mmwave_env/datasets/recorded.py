@@ -14,9 +14,8 @@ from numpy.typing import ArrayLike
 
 from mmwave_env.datasets.tracks import Track, fields_of
 from mmwave_env.models.measurement import range_rate, wrap_angles
-from mmwave_env.models.prior import draw_prior
 from mmwave_env.models.radio import Radio, doppler_spread, oscillator_bias, radio_from
-from mmwave_env.numerics.arrays import Array
+from mmwave_env.numerics.numbers import Array
 from mmwave_env.world.checks import refuse, require_finite
 from mmwave_env.world.episode import Episode
 
@@ -38,15 +37,13 @@ class Recording(Track):
     def __post_init__(self) -> None:
         super().__post_init__()
         require_finite(self.record, self, ("time_s", "position_m", "velocity_mps"))
-        widths = [rows.stop - rows.start for rows in self.layout.groups]
-        if not np.isfinite(self.measurement[np.repeat(self.visible, widths, axis=1)]).all():
-            refuse(
-                self.record, "measurement", "NaN or infinity in a visible group", "finite numbers"
-            )
-        if not np.isfinite(self.path_gain_db[self.visible[:, : self.layout.anchors]]).all():
-            refuse(
-                self.record, "path_gain_db", "NaN or infinity on a visible link", "finite numbers"
-            )
+        heard = self.path_gain_db[self.visible[:, : self.layout.anchors]]
+        for field, values in (
+            ("measurement", self.measurement[np.repeat(self.visible, self.layout.widths, axis=1)]),
+            ("path_gain_db", heard),
+        ):
+            if not np.isfinite(values).all():
+                refuse(self.record, field, "NaN or infinity where visible", "finite numbers")
 
     def _more_shapes(self, T: int, L: int) -> dict[str, tuple[int, ...]]:
         return {"path_gain_db": (T, L)}
@@ -96,32 +93,15 @@ class Recording(Track):
     ) -> Episode:
         """As :meth:`Track.episode`, with noise, oscillator, Doppler spread and prior drawn."""
         profile, scene, layout = radio_from(radio), self.scene, self.layout
-        time, visible = self.time_s[epochs], self.visible[epochs]
-        position, velocity = self.position_m[epochs], self.velocity_mps[epochs]
-        gain = np.where(visible[:, : layout.anchors], self.path_gain_db[epochs], _NO_PATH_DB)
+        gain = np.where(
+            self.visible[epochs, : layout.anchors], self.path_gain_db[epochs], _NO_PATH_DB
+        )
         snr = profile.snr_db(gain, scene.bandwidth_hz)
         sigma = profile.sigma(snr, scene, layout)
         measurement = self.measurement[epochs] + sigma * rng.standard_normal(sigma.shape)
-        bias = oscillator_bias(profile, scene.hz_per_mps, time, rng)
+        bias = oscillator_bias(profile, scene.hz_per_mps, self.time_s[epochs], rng)
         measurement[:, layout.doppler] += bias
         wrap_angles(measurement, layout)
-        speed = np.linalg.norm(velocity, axis=1)
+        speed = np.linalg.norm(self.velocity_mps[epochs], axis=1)
         spread_hz = doppler_spread(profile, scene.hz_per_mps, speed, rng)
-        state = np.concatenate([position[0], velocity[0], bias[:1]])
-        mean, covariance = draw_prior(state, profile, scene, rng)
-        return Episode(
-            name=self.name,
-            scene_anchors_m=self.anchors_m,
-            hz_per_mps=scene.hz_per_mps,
-            time_s=time,
-            measurement=measurement,
-            sigma=sigma,
-            visible=visible,
-            snr_db=snr,
-            doppler_spread_hz=spread_hz,
-            prior_mean=mean,
-            prior_covariance=covariance,
-            truth_position_m=position,
-            truth_velocity_mps=velocity,
-            layout=layout,
-        )
+        return self._played(profile, rng, epochs, measurement, snr, spread_hz, bias[0])

@@ -12,11 +12,10 @@ from numpy.typing import ArrayLike
 
 from mmwave_env.lookup import quoted
 from mmwave_env.models.measurement import LINK, Layout, exact_rows, whole_groups, wrap_angles
-from mmwave_env.models.prior import GAP_S
+from mmwave_env.models.prior import GAP_S, draw_prior
 from mmwave_env.models.radio import Radio, radio_from
 from mmwave_env.models.scene import Scene, scene_of_anchors
-from mmwave_env.numerics.arrays import Array, Mask
-from mmwave_env.numerics.numbers import wrap
+from mmwave_env.numerics.numbers import Array, Mask, wrap
 from mmwave_env.world.checks import refuse, require_epochs, require_increasing, require_name
 from mmwave_env.world.episode import Episode
 
@@ -81,6 +80,37 @@ class Track(ABC):
         Raises:
             ValueError: the truth of an epoch is not known.
         """
+
+    def _played(
+        self,
+        radio: Radio,
+        rng: np.random.Generator,
+        epochs: slice,
+        measurement: Array,
+        snr_db: Array,
+        doppler_spread_hz: Array,
+        bias_hz: float,
+    ) -> Episode:
+        """An episode of some epochs as they were received, with a prior around the true state."""
+        position, velocity = self.position_m[epochs], self.velocity_mps[epochs]
+        state = np.concatenate([position[0], velocity[0], [bias_hz]])
+        mean, covariance = draw_prior(state, radio, self.scene, rng)
+        return Episode(
+            name=self.name,
+            scene_anchors_m=self.anchors_m,
+            hz_per_mps=self.scene.hz_per_mps,
+            time_s=self.time_s[epochs],
+            measurement=measurement,
+            sigma=radio.sigma(snr_db, self.scene, self.layout),
+            visible=self.visible[epochs],
+            snr_db=snr_db,
+            doppler_spread_hz=doppler_spread_hz,
+            prior_mean=mean,
+            prior_covariance=covariance,
+            truth_position_m=position,
+            truth_velocity_mps=velocity,
+            layout=self.layout,
+        )
 
     @property
     def record(self) -> str:
@@ -147,10 +177,8 @@ class TrackSource:
         if not runs:
             step = float(np.median(np.diff(track.time_s))) if len(track) > 1 else 0.0
             if step > GAP_S:
-                refuse(
-                    track.record, "time_s", f"epochs {step:.4g} s apart",
-                    f"at most {GAP_S:g} s: are its times in seconds?",
-                )  # fmt: skip
+                expected = f"at most {GAP_S:g} s: are its times in seconds?"
+                refuse(track.record, "time_s", f"epochs {step:.4g} s apart", expected)
             raise ValueError(
                 f"{track.record}: found no two epochs in a row with a true position, expected "
                 "some, which reward and metrics need (docs/own-log.md)"

@@ -13,7 +13,7 @@ import numpy as np
 from mmwave_env.compiler.threads import portions, share
 from mmwave_env.engines.batch import Batch
 from mmwave_env.engines.imm_engine import ImmEngine
-from mmwave_env.numerics.arrays import Array, Index
+from mmwave_env.numerics.numbers import Array, Index
 from mmwave_env.task import Task
 from mmwave_env.world.episode import EpisodeBatch
 

@@ -6,7 +6,6 @@ The workspace of such a program begins with three fields that a :class:`Batch` f
 """
 
 from collections.abc import Callable, Sequence
-from itertools import pairwise
 from typing import Any, Generic
 
 import numpy as np
@@ -21,9 +20,9 @@ from mmwave_env.compiler.program import (
     Workspace,
     blocks_of,
 )
-from mmwave_env.compiler.threads import share
+from mmwave_env.compiler.threads import share, spans
 from mmwave_env.models.measurement import Layout
-from mmwave_env.numerics.arrays import Array, Index
+from mmwave_env.numerics.numbers import Array, Index
 from mmwave_env.numerics.pytree import flatten
 from mmwave_env.world.episode import Episode, EpisodeBatch, columns_of
 from mmwave_env.world.simulated import Begun, SimulatedSource
@@ -67,7 +66,7 @@ class Batch(Generic[Workspace]):
             program.run_on_floats if on_floats else program.run_on_lanes
         )
         parts = 1 if on_floats else max(1, min(threads, blocks // BLOCKS_PER_THREAD))
-        self.parts = list(pairwise(blocks * i // parts for i in range(parts + 1)))
+        self.parts = spans(blocks, parts)
 
     def load(
         self,
@@ -86,15 +85,10 @@ class Batch(Generic[Workspace]):
         Raises:
             ValueError: another number of episodes, or another layout than the batch's.
         """
-        found = episodes if isinstance(episodes, EpisodeBatch) else EpisodeBatch.of(episodes)
+        found = EpisodeBatch.of(episodes, self.layout)
         places = np.arange(self.n) if places is None else places
         if len(found.names) != len(places):
             raise ValueError(f"episodes: found {len(found.names)}, expected {len(places)}")
-        if found.layout != self.layout:
-            raise ValueError(
-                f"layout of episode {found.names[0]!r}: found {found.layout}, expected "
-                f"{self.layout}"
-            )
         epochs = found.table.shape[1]
         self.make_room(epochs)
         self.state.length[places] = found.length

@@ -12,7 +12,7 @@ from mmwave_env.engines.batch import Batch
 from mmwave_env.engines.track_engine import untuned
 from mmwave_env.filters.bank import Bank, settings_of
 from mmwave_env.filters.pipeline import Pipeline
-from mmwave_env.numerics.arrays import Array, Index
+from mmwave_env.numerics.numbers import Array, Index
 from mmwave_env.numerics.pytree import flatten
 from mmwave_env.observation import Observation
 from mmwave_env.reward import Reward
@@ -95,7 +95,7 @@ class Engine:
         source = task.simulated
         if self._on_floats or not source.travels:
             episodes = task.tables(keys, threads)
-            self.load(episodes, places)
+            self.batch.load(episodes, places)
             return episodes.names
         begun = source.begin(keys)
         if self.pipeline.planar:
@@ -130,10 +130,6 @@ class Engine:
             return np.full(len(places), state.feed.times[1:2].sum() or 1.0)
         each = [state.table[place, 1 : state.length[place], dt] for place in places]
         return np.array([np.median(steps) if len(steps) else 1.0 for steps in each])
-
-    def load(self, episodes: EpisodeBatch | Sequence[Episode], places: Index) -> None:
-        """Give some environments an episode, to start over with at the next run."""
-        self.batch.load(episodes, places)
 
     def start(
         self, places: Index, output_rows: Index = NO_ROWS

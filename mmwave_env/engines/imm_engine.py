@@ -16,7 +16,7 @@ from mmwave_env.compiler.program import (
     Program,
     StepIO,
     blocks_of,
-    lanes_of,
+    fill,
     rows_of,
 )
 from mmwave_env.engines.batch import Batch
@@ -35,11 +35,9 @@ from mmwave_env.filters.imm import (
 )
 from mmwave_env.filters.memory import Memory, initial_memory
 from mmwave_env.filters.pipeline import Pipeline
-from mmwave_env.models.epoch import Site, blank_site
-from mmwave_env.models.measurement import Layout
-from mmwave_env.numerics.arrays import Array
+from mmwave_env.models.measurement import Layout, Site, blank_site
 from mmwave_env.numerics.linalg import pack
-from mmwave_env.numerics.numbers import Number
+from mmwave_env.numerics.numbers import Array, Number
 from mmwave_env.numerics.pytree import flatten, select
 from mmwave_env.reward import Reward, TrackingReward
 from mmwave_env.world.episode import Episode, EpisodeBatch, Incoming, blank_incoming
@@ -161,16 +159,9 @@ class ImmEngine:
         Raises:
             ValueError: another layout than the pipeline's.
         """
-        packed = episodes if isinstance(episodes, EpisodeBatch) else EpisodeBatch.of(episodes)
-        if packed.layout != self.pipeline.layout:
-            raise ValueError(
-                f"layout of episode {packed.names[0]!r}: found {packed.layout}, expected "
-                f"{self.pipeline.layout}"
-            )
+        packed, program = EpisodeBatch.of(episodes, self.pipeline.layout), self._program
         n, epochs, _ = packed.table.shape
-        program = self._program
-        rows, (block, lane) = blocks_of(self._start, n), lanes_of(n)
-        rows[block[:, None], flatten(program.index.site), lane[:, None]] = packed.site
+        rows = fill(blocks_of(self._start, n), rows_of(program.index.site), packed.site)
         io = StepIO.of(n, epochs, output_rows=rows_of(program.parts(names)))
         state = BatchState.of(packed.table, rows)._replace(length=packed.length)
         program.run_on_lanes(state, io)

@@ -24,7 +24,7 @@ from mmwave_env.filters.imm import (
 )
 from mmwave_env.filters.memory import Memory, initial_memory, memory_before
 from mmwave_env.filters.pipeline import Pipeline
-from mmwave_env.models.epoch import Site, blank_site
+from mmwave_env.models.measurement import Site, blank_site
 from mmwave_env.numerics.linalg import pack, unpack
 from mmwave_env.numerics.numbers import Number, where
 from mmwave_env.numerics.pytree import select, tree_at

@@ -2,7 +2,7 @@
 
 An environment holds no history: a finished episode is data and its actions, so it is run once
 more to see it whole. Forwards gives errors and NEES, backwards what smoothing (paper,
-Sec. III-F) would make of them.
+Sec. III-F) would make of them. Tracks that were kept are smoothed alone (:func:`smooth`).
 """
 
 from functools import lru_cache
@@ -13,23 +13,24 @@ from numba.extending import register_jitable
 from numpy.typing import NDArray
 
 from mmwave_env.compiler.advance import call
+from mmwave_env.compiler.disk_cache import LazyJit
 from mmwave_env.compiler.lanes import WIDTH
-from mmwave_env.compiler.lazy_jit import LazyJit
-from mmwave_env.compiler.program import Program, blocks_of, lanes_of, rows_of
+from mmwave_env.compiler.program import BatchState, Program, StepIO, blocks_of, fill, rows_of
 from mmwave_env.compiler.transpose import address, gather, pick
 from mmwave_env.engines.imm_engine import ImmState, imm_program
 from mmwave_env.engines.track_engine import TrackState, program_of
 from mmwave_env.filters.bank import Bank, settings_of
-from mmwave_env.filters.pipeline import Pipeline
+from mmwave_env.filters.pipeline import VERTICAL, Pipeline
 from mmwave_env.filters.smoother import (
     BackwardState,
     ForwardEpoch,
     blank_epoch,
+    smooth_epoch,
     smooth_mean,
     track_end,
 )
-from mmwave_env.numerics.arrays import Array, Index
-from mmwave_env.numerics.numbers import Number
+from mmwave_env.models.measurement import STATE_SIZE
+from mmwave_env.numerics.numbers import Array, Index, Number
 from mmwave_env.numerics.pytree import flatten
 from mmwave_env.reward import TrackingReward
 from mmwave_env.world.episode import EpisodeBatch
@@ -117,8 +118,7 @@ class Replay:
             Position errors (n, T, 3), m, filtered; their NEES (n, T); errors smoothed.
         """
         there, back, n = self._there, self._back, len(actions)
-        rows, (block, lane) = blocks_of(self._start, n), lanes_of(n)
-        rows[block[:, None], self._site, lane[:, None]] = episodes.site
+        rows = fill(blocks_of(self._start, n), self._site, episodes.site)
         keep, show, tables = self._keep, self._show, episodes.table
         figures = np.empty((len(show), *actions.shape))  # numpy reduces what lies side by side
         if self._on_floats:
@@ -187,3 +187,44 @@ def _there_and_back(  # type: ignore[no-untyped-def]
 
 
 _round_trip = LazyJit(_there_and_back, PLAIN_REPLAYED_EPOCHS)
+
+
+class SmoothingState(NamedTuple):
+    """The smoother between two epochs, going backwards."""
+
+    incoming: ForwardEpoch  # the epoch at hand
+    after: BackwardState  # what the epoch after it left
+
+
+@lru_cache(maxsize=2)
+def _program(known_axes: tuple[int, ...]) -> Program[SmoothingState]:
+    def function(w: SmoothingState) -> SmoothingState:
+        return w._replace(after=smooth_epoch(w.incoming, w.after, known_axes))
+
+    return Program(function, SmoothingState(blank_epoch(), track_end(with_covariance=True)))
+
+
+def smooth(
+    x: Array, P: Array, x_predicted: Array, P_predicted: Array, dt: Array, planar: bool = False
+) -> tuple[Array, Array]:
+    """Smoothed means (N, T, 7) and packed covariances (N, T, 28) of finished tracks.
+
+    Args:
+        x: (N, T, 7) filtered means.
+        P: (N, T, 28) filtered covariances, packed.
+        x_predicted, P_predicted: (N, T, 7), (N, T, 28) beliefs predicted for each epoch, before its
+            update.
+        dt: (T - 1,) seconds from each epoch to the next, or (N, T - 1) of every track's own.
+        planar: z and vz are known exactly.
+    """
+    program = _program(VERTICAL if planar else ())
+    N, T, _ = x.shape
+    since = np.ones((N, T))
+    since[:, 1:] = dt
+    forwards = np.concatenate([since[..., None], x, P, x_predicted, P_predicted], axis=2)
+    rows = blocks_of(program.start, N)
+    io = StepIO.of(N, T, output_rows=rows_of([program.index.after.x, program.index.after.P]))
+    backwards = np.ascontiguousarray(forwards[:, ::-1])
+    program.run_on_lanes(BatchState.of(backwards, rows), io)
+    smoothed = io.outputs[:, ::-1]
+    return smoothed[..., :STATE_SIZE].copy(), smoothed[..., STATE_SIZE:].copy()

@@ -13,9 +13,9 @@ from mmwave_env.compiler.program import Program
 from mmwave_env.features import View
 from mmwave_env.filters.belief import Belief
 from mmwave_env.filters.memory import Memory, initial_memory, memory_after, memory_before
-from mmwave_env.filters.mode_result import ModeResult
 from mmwave_env.filters.pipeline import Pipeline, predict_update
-from mmwave_env.models.epoch import Site, blank_site
+from mmwave_env.filters.update import ModeResult
+from mmwave_env.models.measurement import Site, blank_site
 from mmwave_env.numerics.linalg import unpack
 from mmwave_env.numerics.numbers import Number
 from mmwave_env.numerics.pytree import select, tree_at
@@ -27,7 +27,7 @@ from mmwave_env.world.episode import Incoming, blank_incoming
 class PendingEpoch(NamedTuple):
     """What is needed of an epoch once its candidates are there."""
 
-    # dt, visible: as in :class:`~mmwave_env.models.epoch.Epoch`
+    # dt, visible: as in :class:`~mmwave_env.models.measurement.Epoch`
     dt: Number
     visible: list[Number]
     truth: list[Number]  # (6,) true position (m) and velocity (m/s)

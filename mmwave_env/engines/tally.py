@@ -6,7 +6,7 @@ import numpy as np
 from numba.extending import register_jitable
 
 from mmwave_env.metrics import BURN_IN, DIVERGENCE_M, nees_interval
-from mmwave_env.numerics.arrays import Array, Index
+from mmwave_env.numerics.numbers import Array, Index
 
 LENGTH, SQUARED, CHANGE, NEES, INSIDE, LARGEST = range(6)  # sums, and the largest squared error
 NONFINITE = 6  # epochs, of all, after which error or NEES was no finite number

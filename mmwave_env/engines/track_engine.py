@@ -17,13 +17,12 @@ from mmwave_env.compiler.program import Program, Workspace, rows_of
 from mmwave_env.engines.batch import Batch
 from mmwave_env.filters.belief import Belief
 from mmwave_env.filters.memory import Memory, initial_memory, memory_after, memory_before
-from mmwave_env.filters.mode_result import ModeResult
 from mmwave_env.filters.modes import Tuning
 from mmwave_env.filters.pipeline import Pipeline, predict_update
-from mmwave_env.models.epoch import Epoch, Site, blank_site
-from mmwave_env.numerics.arrays import Array
+from mmwave_env.filters.update import ModeResult
+from mmwave_env.models.measurement import Epoch, Site, blank_site
 from mmwave_env.numerics.linalg import unpack
-from mmwave_env.numerics.numbers import Number, Vector
+from mmwave_env.numerics.numbers import Array, Number, Vector
 from mmwave_env.numerics.pytree import flatten, select, tree_at
 from mmwave_env.world.episode import Episode, Incoming, blank_incoming
 

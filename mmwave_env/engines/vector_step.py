@@ -11,28 +11,66 @@ from numba.extending import register_jitable
 from numpy.typing import NDArray
 
 from mmwave_env.compiler.advance import advance
+from mmwave_env.compiler.disk_cache import LazyJit
 from mmwave_env.compiler.lanes import WIDTH
-from mmwave_env.compiler.lazy_jit import LazyJit
 from mmwave_env.compiler.program import PLAIN_BLOCK_EPOCHS, rows_of
-from mmwave_env.compiler.threads import portions, share
-from mmwave_env.engines.action_history import ActionHistory
+from mmwave_env.compiler.threads import share
 from mmwave_env.engines.env_engine import Engine
-from mmwave_env.engines.replay import Replay
 from mmwave_env.engines.tally import Tally, count
 from mmwave_env.info import (
     FLAGS,
-    SMOOTHED_KEY,
     STATE_KEYS,
-    episode_info,
     mask_keys,
-    smoothed_info,
     told_rows,
 )
-from mmwave_env.numerics.arrays import Array, Index, Mask
+from mmwave_env.numerics.numbers import Array, Index, Mask
 from mmwave_env.numerics.pytree import flatten
-from mmwave_env.task import Task
 
-REPLAYED = 64  # episodes at once: few enough for their memory not to count
+Modes = NDArray[np.unsignedinteger]
+
+
+class ActionHistory:
+    """A ring buffer of the modes of the last T steps of n environments, one row per step.
+
+    All environments step together, so an episode of k steps so far used the last k rows.
+
+    Attributes:
+        rows: (T, n) modes, in the smallest type that holds their number.
+        turn: the row that the modes of the next step are to be written to.
+    """
+
+    def __init__(self, n: int, modes: int) -> None:
+        self.rows: Modes = np.zeros((0, n), np.min_scalar_type(modes))
+        self.turn = 0
+
+    def make_room(self, steps: int) -> None:
+        """Make T at least this many steps; the modes stored so far are kept."""
+        known = len(self.rows)
+        if steps > known:
+            longer = np.zeros((steps, self.rows.shape[1]), self.rows.dtype)
+            longer[self._last(known) % steps] = self.rows[self._last(known) % known]
+            self.rows = longer
+
+    def next(self) -> None:
+        """Go on to the next row, once the modes of a step are written."""
+        self.turn = (self.turn + 1) % len(self.rows)
+
+    def of(self, places: Index, steps: int) -> Modes:
+        """The modes (places, steps) of the last steps, at most T, of some environments."""
+        rows = self._last(steps) % len(self.rows)
+        return np.ascontiguousarray(self.rows[:, places][rows].T)
+
+    def all(self) -> Modes:
+        """The modes (T, n) of the last T steps, oldest first; 0 where there was no step yet."""
+        return self.rows[self._last(len(self.rows)) % len(self.rows)]
+
+    def set_all(self, modes: Modes) -> None:
+        """Restore the modes (T, n) that :meth:`all` returned."""
+        self.rows, self.turn = modes.astype(self.rows.dtype), 0
+
+    def _last(self, steps: int) -> Index:
+        return np.arange(self.turn - steps, self.turn)
+
 
 Infos = dict[str, NDArray[Any]]
 
@@ -82,7 +120,6 @@ class Stepper:
         tally: of the metrics of the episodes under way.
         history: the modes chosen lately.
         infos: "all" to tell of every step, "episode" where asked to, "none" to tell nothing.
-        replay: runs finished episodes again, if they are to be smoothed.
     """
 
     def __init__(
@@ -91,7 +128,6 @@ class Stepper:
         tally: Tally,
         history: ActionHistory,
         infos: str = "all",
-        replay: Replay | None = None,
     ) -> None:
         at, n = engine.at, engine.batch.n
         self._known = {} if infos == "none" else told_rows(at)
@@ -112,7 +148,7 @@ class Stepper:
         self._mask_keys = mask_keys([*self._told, *FLAGS, "mode"])
         self._everywhere = np.ones(n, np.bool_)
         self._outputs = np.empty((n, 1, len(self._rows)))
-        self._tally, self._history, self._replay = tally, history, replay
+        self._tally, self._history = tally, history
         history.make_room(1)
 
     def step(self, actions: Index, out: StepBuffers) -> tuple[int, Infos]:
@@ -167,31 +203,6 @@ class Stepper:
         """Position errors (n,) in the epoch stepped last."""
         error = self._outputs[self._columns["error"]]
         return np.sqrt((error * error).sum(axis=1))  # type: ignore[no-any-return]
-
-    def remember(self, epochs: int) -> None:
-        """Remember the modes of so many steps, if anybody will ask for them."""
-        if self._replay:
-            self._history.make_room(epochs)
-
-    def metrics(self, task: Task, ended: Index, threads: int) -> Infos:
-        """What the last step tells of episodes that ended in some environments (k,)."""
-        epochs = self._engine.batch.state.epoch[ended] - 1
-        told = episode_info(self._tally.metrics(ended, epochs))
-        if not self._replay:
-            return told
-        jobs = []
-        for steps in set(epochs.tolist()):
-            alike = np.flatnonzero(epochs == steps)
-            jobs += [(alike[part], steps) for part in portions(len(alike), threads, REPLAYED)]
-        smoothed, replay = np.zeros(len(ended)), self._replay
-
-        def smooth(some: Index, steps: int) -> None:
-            episodes = self._engine.episodes(task, ended[some])
-            *_, errors = replay.run(episodes, self._history.of(ended[some], steps))
-            (smoothed[some],) = smoothed_info(errors).values()
-
-        share(smooth, jobs, threads)
-        return told | {SMOOTHED_KEY: smoothed}
 
     def start(self, places: Index) -> tuple[NDArray[np.float32], Infos]:
         """Consider the first epoch in environments just loaded; the others stay as they are.

@@ -10,6 +10,7 @@ from typing import Annotated, Any
 
 from mmwave_env.filters.imm import ImmSettings, stay_matrix
 from mmwave_env.filters.mode_files import (
+    SETTINGS,
     as_written,
     known_only,
     modes_from,
@@ -20,10 +21,9 @@ from mmwave_env.filters.mode_files import (
 from mmwave_env.filters.modes import Mode
 from mmwave_env.models.measurement import Layout
 from mmwave_env.models.radio import Radio
-from mmwave_env.records import Bound, Probability
+from mmwave_env.records import Bound, Probability, object_from, require_fields
 
-Transition = tuple[tuple[Probability, ...], ...]
-_QUANTILE = Bound("a quantile in (0, 1]", above=0.0, most=1.0)
+Transition = Annotated[tuple[tuple[Probability, ...], ...], "a list of rows of probabilities"]
 _ROUNDING = 1e-6  # of rows that sum to 1
 
 
@@ -45,15 +45,12 @@ class Bank:
 
     modes: tuple[Mode, ...]
     transition: Transition | None = None
-    nis_quantile: Annotated[float, _QUANTILE] = 1.0
+    nis_quantile: Annotated[float, Bound("a quantile in (0, 1]", above=0.0, most=1.0)] = 1.0
 
     def __post_init__(self) -> None:
         if not self.modes:
             raise ValueError("modes of a bank: found none, expected one or more")
-        if not _QUANTILE.holds(self.nis_quantile):
-            raise ValueError(
-                f"nis_quantile: found {self.nis_quantile}, expected {_QUANTILE.expected}"
-            )
+        require_fields(self)
         if self.transition is not None:
             _require_probabilities(self.transition, len(self.modes))
 
@@ -67,11 +64,10 @@ def settings_of(bank: Bank, layout: Layout) -> ImmSettings:
     """A bank as numbers, for measurements of a layout."""
     from scipy.special import chdtri  # where used: a bank is described without it
 
-    rows = [group.stop - group.start for group in layout.groups]
     return ImmSettings(
         [list(row) for row in bank.probabilities],
         [mode.tuning for mode in bank.modes],
-        [float(chdtri(k, 1.0 - bank.nis_quantile)) for k in rows],
+        [float(chdtri(k, 1.0 - bank.nis_quantile)) for k in layout.widths],
     )
 
 
@@ -94,18 +90,8 @@ def bank_in(content: dict[str, Any]) -> Bank:
     Raises:
         ValueError: saying what is wrong in it.
     """
-    transition = content.get("transition")
-    if transition is not None:
-        try:
-            transition = tuple(tuple(map(_number, row)) for row in transition)
-        except (TypeError, ValueError, OverflowError) as error:
-            raise ValueError(
-                f"transition: found {transition!r}, expected a list of rows of probabilities"
-            ) from error
-    quantile = content.get("nis_quantile", 1.0)
-    if isinstance(quantile, bool) or not isinstance(quantile, int | float):
-        raise ValueError(f"nis_quantile: found {quantile!r}, expected {_QUANTILE.expected}")
-    return Bank(modes_in(content), transition, quantile)
+    said = {key: content[key] for key in SETTINGS if key in content}
+    return object_from(Bank, said | {"modes": modes_in(content)})
 
 
 def bank_as_written(bank: Bank) -> dict[str, Any]:
@@ -120,13 +106,6 @@ def bank_as_written(bank: Bank) -> dict[str, Any]:
         "transition": None if transition is None else [list(row) for row in transition],
         "nis_quantile": bank.nis_quantile,
     }
-
-
-def _number(value: Any) -> float:
-    """A number of a JSON file; "1" and true are none."""
-    if isinstance(value, bool) or not isinstance(value, int | float):
-        raise TypeError
-    return float(value)
 
 
 def read_bank(path: str | os.PathLike[str]) -> Bank:

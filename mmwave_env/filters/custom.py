@@ -13,6 +13,7 @@ import os
 import sysconfig
 from collections.abc import Callable, Iterator
 from functools import lru_cache, partial
+from itertools import chain
 from pathlib import Path
 from traceback import walk_tb
 from typing import Any, NamedTuple
@@ -110,10 +111,14 @@ def _check(mode: Mode, layout: Layout, known_axes: tuple[int, ...]) -> None:
         probes = unflatten(trial, map(FloatTracer, flatten(trial)))
         on_lanes = _run(mode, layout, known_axes, probes)
         on_floats = _run(mode, layout, known_axes, trial)
-        _require_posterior(mode, layout, on_floats)
-        _require_posterior(mode, layout, on_lanes)
-        _require_sound(mode, trial, on_floats)
-        _require_same(mode, on_floats, on_lanes)
+        problems = chain(
+            _wrong_shapes(layout, on_floats),
+            _wrong_shapes(layout, on_lanes),
+            _unsound(trial, on_floats),
+            _differences(on_floats, on_lanes),
+        )
+        if problem := next(problems, None):
+            raise _error(mode, f"returned {problem}", begin_of(mode.update))
 
 
 def begin_of(function: Callable[..., Any]) -> Line | None:
@@ -144,10 +149,6 @@ def _error(mode: Mode, problem: str, line: Line | None, advice: str = "") -> Alg
     parts = [f"algorithm {name} of mode {mode.name!r} {problem}", line and str(line), advice]
     # Gymnasium appends the arguments of the environment to a message: let them begin a line.
     return AlgorithmError("\n".join(part for part in parts if part) + "\n")
-
-
-def _wrong_return(mode: Mode, found: str) -> AlgorithmError:
-    return _error(mode, f"returned {found}", begin_of(mode.update))
 
 
 def _require_signature(mode: Mode) -> None:
@@ -187,31 +188,32 @@ def _run(mode: Mode, layout: Layout, known_axes: tuple[int, ...], trial: _Trial)
     return result
 
 
-def _require_posterior(mode: Mode, layout: Layout, result: Any) -> None:
-    """Every field is there and has its shape."""
+def _wrong_shapes(layout: Layout, result: Any) -> Iterator[str]:
+    """What of a posterior is missing, or of another kind or shape."""
     if not isinstance(result, Posterior):
-        raise _wrong_return(
-            mode, f"{_kind(result)}, expected a Posterior of mmwave_env.filters.update"
-        )
+        yield f"{_kind(result)}, expected a Posterior of mmwave_env.filters.update"
+        return
     groups = len(layout.groups)
-    _require_numbers(mode, "x", result.x, STATE_SIZE)
+    yield from _wrong_numbers("x", result.x, STATE_SIZE)
     if not isinstance(result.P, list) or len(result.P) != STATE_SIZE:
-        raise _wrong_return(mode, f"P: {_kind(result.P)}, expected a list of {STATE_SIZE} rows")
+        yield f"P: {_kind(result.P)}, expected a list of {STATE_SIZE} rows"
+        return
     for i, row in enumerate(result.P):
-        _require_numbers(mode, f"P[{i}]", row, STATE_SIZE)
-    _require_numbers(mode, "nis", result.nis, groups)
-    _require_numbers(mode, "accepted", result.accepted, groups)
-    _require_numbers(mode, "log_likelihood", [result.log_likelihood], 1)
+        yield from _wrong_numbers(f"P[{i}]", row, STATE_SIZE)
+    yield from _wrong_numbers("nis", result.nis, groups)
+    yield from _wrong_numbers("accepted", result.accepted, groups)
+    yield from _wrong_numbers("log_likelihood", [result.log_likelihood], 1)
 
 
-def _require_numbers(mode: Mode, name: str, found: Any, size: int) -> None:
+def _wrong_numbers(name: str, found: Any, size: int) -> Iterator[str]:
     if not isinstance(found, list) or len(found) != size:
-        raise _wrong_return(mode, f"{name}: {_kind(found)}, expected a list of {size} numbers")
+        yield f"{name}: {_kind(found)}, expected a list of {size} numbers"
+        return
     for i, number in enumerate(found):
         if isinstance(number, bool) or not isinstance(number, (float, int, Tracer)):
             place = name if name == "log_likelihood" else f"{name}[{i}]"
             hint = ": where(condition, 1.0, 0.0)" if isinstance(number, bool) else ""
-            raise _wrong_return(mode, f"{place}: {_kind(number)}, expected a number{hint}")
+            yield f"{place}: {_kind(number)}, expected a number{hint}"
 
 
 def _kind(found: Any) -> str:
@@ -230,35 +232,31 @@ def _places(posterior: Posterior) -> list[tuple[str, Any]]:
     return found
 
 
-def _require_sound(mode: Mode, trial: _Trial, result: Posterior) -> None:
-    """Finite numbers, a symmetric covariance, nothing of what is missing."""
+def _unsound(trial: _Trial, result: Posterior) -> Iterator[str]:
+    """Numbers that are not finite, no symmetric covariance, a part in what is missing."""
     for place, number in _places(result):
         if not math.isfinite(number):
-            raise _wrong_return(mode, f"{place}: {number}, expected a finite number")
+            yield f"{place}: {number}, expected a finite number"
     P = result.P
     for i in range(STATE_SIZE):
         for j in range(i):
-            tolerance = 1e-9 * math.sqrt(abs(P[i][i] * P[j][j]))
-            if abs(P[i][j] - P[j][i]) > tolerance:
-                raise _wrong_return(
-                    mode,
+            if abs(P[i][j] - P[j][i]) > 1e-9 * math.sqrt(abs(P[i][i] * P[j][j])):
+                yield (
                     f"P[{i}][{j}]: {P[i][j]:g}, but P[{j}][{i}]: {P[j][i]:g}, expected a "
-                    "symmetric matrix (mmwave_env.numerics.linalg.symmetric makes one)",
+                    "symmetric matrix (mmwave_env.numerics.linalg.symmetric makes one)"
                 )
     for g, visible in enumerate(trial.visible):
         if not visible and (result.nis[g] or result.accepted[g]):
-            raise _wrong_return(
-                mode,
+            yield (
                 f"nis[{g}]: {result.nis[g]:g} and accepted[{g}]: {result.accepted[g]:g} of a "
-                "missing group, expected 0 (times measurement.visible)",
+                "missing group, expected 0 (times measurement.visible)"
             )
 
 
-def _require_same(mode: Mode, on_floats: Posterior, on_lanes: Posterior) -> None:
+def _differences(on_floats: Posterior, on_lanes: Posterior) -> Iterator[str]:
     for (place, a), (_, b) in zip(_places(on_floats), _places(on_lanes), strict=True):
         if a != value_of(b):
-            raise _wrong_return(
-                mode,
+            yield (
                 f"{place}: {a!r} on floats and {value_of(b)!r} on lanes, expected the same: it "
-                "may ask for the type of a number, draw at random or remember calls",
+                "may ask for the type of a number, draw at random or remember calls"
             )

@@ -33,8 +33,7 @@ from mmwave_env.filters.update import Algorithm, Posterior
 from mmwave_env.lookup import choose
 from mmwave_env.models.measurement import Layout, Measurement
 from mmwave_env.models.motion import ProcessNoise
-from mmwave_env.numerics.arrays import Array, Mask
-from mmwave_env.numerics.numbers import Matrix, Vector
+from mmwave_env.numerics.numbers import Array, Mask, Matrix, Vector
 
 Rows = NDArray[np.int64]
 _STATES = 7
@@ -281,7 +280,7 @@ def _update(
     log_likelihood, first, doubted = 0.0, 0, False
     for g in visible:
         group = layout.groups[g]
-        seen = slice(first, first := first + group.stop - group.start)
+        seen = slice(first, first := first + layout.widths[g])
         y, S = posterior.y[seen], posterior.S[seen, seen]
         nis[g] = float(y @ np.linalg.solve(S, y))
         accepted[g] = float(_passes(nis[g], g, layout, gate))
@@ -304,8 +303,7 @@ def _passes(nis: float, g: int, layout: Layout, gate: Gate) -> bool:
     is_link = g < layout.anchors
     if gate.quantile is None or (is_link and (gate.robust or gate.force > 0.5)):
         return True
-    rows = layout.groups[g]
-    return nis <= _threshold(gate.quantile, rows.stop - rows.start)
+    return nis <= _threshold(gate.quantile, layout.widths[g])
 
 
 @cache
@@ -315,5 +313,4 @@ def _threshold(quantile: float, rows: int) -> float:
 
 def _symmetric(P: Array) -> Array:
     """P without the asymmetry that rounding left."""
-    half: Array = 0.5 * (P + P.T)
-    return half
+    return 0.5 * (P + P.T)  # type: ignore[no-any-return]

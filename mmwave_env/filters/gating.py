@@ -88,8 +88,7 @@ def gate_groups(prior: Prior, measurement: Measurement, gate: Gate) -> GateResul
     density: Number = 1.0
     likelihood: Number = 0.0
     for g, (group, visible) in enumerate(zip(groups, measurement.visible, strict=True)):
-        rows = layout.groups[g].stop - layout.groups[g].start
-        is_link = g < layout.anchors
+        rows, is_link = layout.widths[g], g < layout.anchors
         value, determinant = innovation_statistics(group, V[g], latents)
         nis.append(visible * value)
         accepted.append(_accept(value, rows, visible, gate, is_link))

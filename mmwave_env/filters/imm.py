@@ -10,11 +10,10 @@ from dataclasses import replace
 from typing import NamedTuple
 
 from mmwave_env.filters.memory import Memory, initial_memory, memory_after, memory_before
-from mmwave_env.filters.mode_result import ModeResult, limited_likelihood
 from mmwave_env.filters.modes import Tuning
 from mmwave_env.filters.pipeline import Pipeline, predict_update
-from mmwave_env.models.epoch import Epoch, Site
-from mmwave_env.models.measurement import STATE_SIZE
+from mmwave_env.filters.update import ModeResult, limited_likelihood
+from mmwave_env.models.measurement import STATE_SIZE, Epoch, Site
 from mmwave_env.models.motion import move
 from mmwave_env.numerics.linalg import dot, unpack
 from mmwave_env.numerics.numbers import Matrix, Number, Vector, exp, maximum, minimum, where
@@ -30,7 +29,7 @@ class ImmSettings(NamedTuple):
 
     transition: list[list[Number]]  # (modes, modes) probabilities (from, to) over a second
     tunings: list[Tuning]  # motion model of every mode
-    # (groups,) as in :func:`~mmwave_env.filters.mode_result.limited_likelihood`; infinite in the
+    # (groups,) as in :func:`~mmwave_env.filters.update.limited_likelihood`; infinite in the
     # textbook
     limits: list[Number]
 

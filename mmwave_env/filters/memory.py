@@ -7,9 +7,8 @@ is chosen, :func:`memory_after` what the chosen mode made of it.
 from collections.abc import Sequence
 from typing import NamedTuple
 
-from mmwave_env.filters.mode_result import ModeResult, capped_log_likelihood
-from mmwave_env.models.epoch import Epoch
-from mmwave_env.models.measurement import Layout
+from mmwave_env.filters.update import ModeResult, capped_log_likelihood
+from mmwave_env.models.measurement import Epoch, Layout
 from mmwave_env.models.motion import move
 from mmwave_env.numerics.linalg import dot
 from mmwave_env.numerics.numbers import Number, Vector, clip, sqrt, where
@@ -43,7 +42,7 @@ class Memory(NamedTuple):
     snr_mean_db: list[Number]  # (L,) slow mean SNR per link
     spread_average_hz: Number  # slow average of the Doppler spread
     # (2, modes) fast and slow average of each mode's
-    # :func:`~mmwave_env.filters.mode_result.capped_log_likelihood` minus the last mode's
+    # :func:`~mmwave_env.filters.update.capped_log_likelihood` minus the last mode's
     preference: list[list[Number]]
 
 
@@ -110,8 +109,7 @@ def memory_after(
         memory: as :func:`memory_before` left it.
         dt, visible: the epoch's step, seconds, and what it shows (groups,).
     """
-    dof = [float(rows.stop - rows.start) for rows in layout.groups]
-    accepted_dof = dot(chosen.accepted, dof)
+    accepted_dof = dot(chosen.accepted, list(map(float, layout.widths)))
     some = accepted_dof > 0.5
     ratio = dot(chosen.accepted, chosen.nis) / where(some, accepted_dof, 1.0)
     window = [

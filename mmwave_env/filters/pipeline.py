@@ -2,7 +2,7 @@
 
 A track is a belief (x, P) and a :class:`~mmwave_env.filters.memory.Memory` of how the
 measurements behaved. :func:`predict_update` runs a mode on the coming measurement and returns a
-:class:`~mmwave_env.filters.mode_result.ModeResult`; the one of the mode that was chosen becomes
+:class:`~mmwave_env.filters.update.ModeResult`; the one of the mode that was chosen becomes
 the new belief, and :func:`~mmwave_env.filters.memory.memory_after` remembers it. An environment
 considers every mode and commits to the one the agent chose.
 """
@@ -13,11 +13,9 @@ from dataclasses import dataclass
 from mmwave_env.filters.custom import check_algorithm
 from mmwave_env.filters.gating import Gate, passes
 from mmwave_env.filters.memory import Memory
-from mmwave_env.filters.mode_result import ModeResult
 from mmwave_env.filters.modes import Mode, Tuning
-from mmwave_env.filters.update import Algorithm, Posterior
-from mmwave_env.models.epoch import Epoch, Site
-from mmwave_env.models.measurement import Layout, Measurement
+from mmwave_env.filters.update import Algorithm, ModeResult, Posterior
+from mmwave_env.models.measurement import Epoch, Layout, Measurement, Site
 from mmwave_env.models.motion import (
     ProcessNoise,
     accelerate,
@@ -207,6 +205,5 @@ def _passed(mode: Mode, after: Posterior, layout: Layout) -> Number:
     links = after.accepted[: layout.anchors]
     if mode.robust:
         return dot([1.0] * len(links), links)
-    rows = [group.stop - group.start for group in layout.groups]
-    within = [passes(q, k, mode.gate) for q, k in zip(after.nis, rows, strict=True)]
+    within = [passes(q, k, mode.gate) for q, k in zip(after.nis, layout.widths, strict=True)]
     return dot(within, links)

@@ -90,8 +90,7 @@ def smooth_epoch(
         [a - b for a, b in zip(u, v, strict=True)]
         for u, v in zip(unpack(after.P, zero=known_axes), P_predicted, strict=True)
     ]
-    half = [[dot(gain[i], [change[k][j] for k in range(STATE_SIZE)])
-             for j in range(STATE_SIZE)] for i in range(STATE_SIZE)]  # fmt: skip
+    half = [[dot(row, column) for column in zip(*change, strict=True)] for row in gain]
     smoothed = symmetric(STATE_SIZE, lambda i, j: P[i][j] + dot(half[i], gain[j]))
     is_last = after.is_last > 0.5
     return BackwardState(

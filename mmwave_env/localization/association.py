@@ -1,7 +1,7 @@
 """Paths without anchor numbers become a log with them, epoch by epoch.
 
 A filter of its own follows the user (``path_tracker.py``). In every epoch it predicts, and paths
-are assigned to anchors by global nearest neighbor at that prediction (``filters/association.py``).
+are assigned to anchors by global nearest neighbor at that prediction.
 What comes out is a log like any other, so all that localizes a log localizes this one.
 
 A track begins where a hypothesis about the line of sight explains enough of the coming epochs; and
@@ -14,17 +14,16 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from mmwave_env.filters.association import NO_PATH
 from mmwave_env.filters.modes import Mode
-from mmwave_env.localization.path_tracker import PathTrack, PathTracker
+from mmwave_env.localization.path_tracker import NO_PATH, PathTrack, PathTracker
 from mmwave_env.logs.log import LogBlock
 from mmwave_env.logs.log_tables import LogError
 from mmwave_env.logs.path_log import PathEpoch
-from mmwave_env.models.epoch import Epoch
+from mmwave_env.models.measurement import Epoch
 from mmwave_env.models.prior import GAP_S
 from mmwave_env.models.radio import Radio
 from mmwave_env.models.scene import Scene
-from mmwave_env.numerics.arrays import Index
+from mmwave_env.numerics.numbers import Index
 
 LOOK_AHEAD = 10  # epochs in which a hypothesis about the line of sight is tried
 

@@ -16,7 +16,7 @@ from mmwave_env.models.envelope import STEP_S
 from mmwave_env.models.prior import GAP_S
 from mmwave_env.models.radio import Radio
 from mmwave_env.models.scene import Scene
-from mmwave_env.numerics.arrays import Array
+from mmwave_env.numerics.numbers import Array
 
 NIS_LIMITS = (0.2, 5.0)  # per degree of freedom
 SNR_LIMITS_DB = (-60.0, 90.0)
@@ -162,6 +162,6 @@ def _regression(time_s: Array, range_m: Array, rate: Array, sigma: float, radio:
     def product(a: Array, b: Array) -> float:
         return float(a @ b - (a @ time) * (b @ time) / ridge) / sigma**2
 
-    return np.array([
-        len(time) - 3, product(moved, moved), product(moved, ranges), product(ranges, ranges)
-    ])  # fmt: skip
+    return np.array(
+        [len(time) - 3, product(moved, moved), product(moved, ranges), product(ranges, ranges)]
+    )

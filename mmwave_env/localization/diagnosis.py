@@ -24,8 +24,7 @@ from mmwave_env.logs.log import LogBlock
 from mmwave_env.models.measurement import wrap_angles
 from mmwave_env.models.radio import RADIOS, Radio
 from mmwave_env.models.scene import Scene
-from mmwave_env.numerics.arrays import Array, Mask
-from mmwave_env.numerics.numbers import PI
+from mmwave_env.numerics.numbers import PI, Array, Mask
 
 DIAGNOSED_EPOCHS = 200
 AS_IT_IS = "as it is"
@@ -103,37 +102,21 @@ class Finding(NamedTuple):
 # --- what may be wrong
 
 
-def _rows(rows: Callable[[LogBlock], list[int]], factor: float, offset: float = 0.0) -> Hypothesis:
-    """Rows of the measurement times a factor, plus an offset."""
+def _scaled(parts: Sequence[int], factor: float, offset: float = 0.0) -> Hypothesis:
+    """Parts of every link, or without any the Doppler shift, times a factor, plus an offset."""
 
     def change(reading: Reading) -> Reading:
-        block = reading.block
-        z, changed = block.measurement.copy(), rows(block)
-        z[:, changed] = offset + factor * z[:, changed]
-        count = _measured(block)[:, changed].sum()
+        block, layout = reading.block, reading.block.layout
+        rows = [4 * a + p for a in range(layout.anchors) for p in parts] or [layout.doppler]
+        z = block.measurement.copy()
+        z[:, rows] = offset + factor * z[:, rows]
+        count = np.repeat(block.visible, layout.widths, axis=1)[:, rows].sum()
         return reading._replace(
             block=replace(block, measurement=z),
             log_scale=reading.log_scale + float(count * np.log(abs(factor))),
         )
 
     return change
-
-
-def _measured(block: LogBlock) -> Mask:
-    """(T, rows) what was measured."""
-    return np.repeat(block.visible, [g.stop - g.start for g in block.layout.groups], axis=1)
-
-
-def _links(parts: Iterable[int], factor: float, offset: float = 0.0) -> Hypothesis:
-    """Parts of every link times a factor, plus an offset."""
-    kept = tuple(parts)
-    return _rows(lambda b: [4 * a + p for a in range(b.layout.anchors) for p in kept],
-                 factor, offset)  # fmt: skip
-
-
-def _doppler(factor: float) -> Hypothesis:
-    """The Doppler shift times a factor."""
-    return _rows(lambda block: [block.layout.doppler], factor)
 
 
 def _time(factor: float) -> Hypothesis:
@@ -192,7 +175,7 @@ def hypotheses(scene: Scene, radio: Radio) -> dict[str, Mistake]:
 
 
 def _of_angles() -> dict[str, Mistake]:
-    upside_down = _links([_ELEVATION], -1.0)
+    upside_down = _scaled([_ELEVATION], -1.0)
     ends = _exchanged(_AZIMUTH, _DEPARTURE)
     swap = "exchange the columns of aoa_azimuth and aod_azimuth"
     mistakes = {
@@ -206,32 +189,32 @@ def _of_angles() -> dict[str, Mistake]:
             lambda r: upside_down(ends(r)), f"{swap}, negate aoa_elevation"
         ),
         "elevation is a zenith angle": Mistake(
-            _links([_ELEVATION], -1.0, PI / 2.0), "write 90 degrees - aoa_elevation"
+            _scaled([_ELEVATION], -1.0, PI / 2.0), "write 90 degrees - aoa_elevation"
         ),
         "elevation is a nadir angle": Mistake(
-            _links([_ELEVATION], 1.0, -PI / 2.0), "write aoa_elevation - 90 degrees"
+            _scaled([_ELEVATION], 1.0, -PI / 2.0), "write aoa_elevation - 90 degrees"
         ),
         "azimuths are clockwise from north": Mistake(
-            _links(_AZIMUTHS, -1.0, PI / 2.0),
+            _scaled(_AZIMUTHS, -1.0, PI / 2.0),
             "write 90 degrees - aoa_azimuth and 90 degrees - aod_azimuth",
         ),
     }
     for name, (column, row) in _COLUMNS.items():
         mistakes[f"{name} is in degrees"] = Mistake(
-            _links([row], PI / 180.0), f"rename {column}_rad to {column}_deg"
+            _scaled([row], PI / 180.0), f"rename {column}_rad to {column}_deg"
         )
     for unit, suffix, factor in (("degrees", "deg", PI / 180.0), ("radians", "rad", 180.0 / PI)):
         cure = f"name the columns of angles by their unit, such as aoa_azimuth_{suffix}"
-        mistakes[f"angles are in {unit}"] = Mistake(_links(_ANGLES, factor), cure)
+        mistakes[f"angles are in {unit}"] = Mistake(_scaled(_ANGLES, factor), cure)
     return mistakes
 
 
 def _of_times() -> dict[str, Mistake]:
-    back = Mistake(_links([_RANGE], 0.5), "halve it")
+    back = Mistake(_scaled([_RANGE], 0.5), "halve it")
     mistakes = {"time of flight is there and back": back}
     for what, (factor, old, new) in _FACTORS.items():
         for name, column, undo in (
-            ("time of flight", "toa", _links([_RANGE], factor)),
+            ("time of flight", "toa", _scaled([_RANGE], factor)),
             ("time", "time", _time(factor)),
         ):
             cure = f"multiply it by {factor:g}, or rename {column}_{old} to {column}_{new}"
@@ -240,13 +223,13 @@ def _of_times() -> dict[str, Mistake]:
 
 
 def _of_shifts(scene: Scene) -> dict[str, Mistake]:
-    mistakes = {"Doppler shift has the other sign": Mistake(_doppler(-1.0), "negate doppler")}
+    mistakes = {"Doppler shift has the other sign": Mistake(_scaled((), -1.0), "negate doppler")}
     for unit, suffix, factor in (("m/s", "mps", scene.hz_per_mps), ("kHz", "khz", 1e3)):
         mistakes[f"Doppler shift is in {unit}, not in Hz"] = Mistake(
-            _doppler(factor), f"rename doppler_hz to doppler_{suffix}"
+            _scaled((), factor), f"rename doppler_hz to doppler_{suffix}"
         )
         mistakes[f"Doppler shift is in Hz, not in {unit}"] = Mistake(
-            _doppler(1.0 / factor), f"rename doppler_{suffix} to doppler_hz"
+            _scaled((), 1.0 / factor), f"rename doppler_{suffix} to doppler_hz"
         )
     return mistakes
 
@@ -349,7 +332,7 @@ def _finding(
     name: str, reading: Reading, block: LogBlock, visible: Mask, nis: Array, likelihood: Array
 ) -> Finding:
     layout = block.layout
-    dof = np.array([group.stop - group.start for group in layout.groups])
+    dof = np.array(layout.widths)
     fits: dict[str, float | None] = {}
     for g, group in enumerate(layout.group_names):
         seen = nis[visible[:, g], g]

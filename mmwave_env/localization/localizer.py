@@ -13,26 +13,23 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mmwave_env.engines.imm_engine import ImmTracker
-from mmwave_env.engines.smoothing import smooth
+from mmwave_env.engines.replay import smooth
 from mmwave_env.engines.track_engine import EpisodeFilter, Rule, Tracker
 from mmwave_env.filters.bank import Bank
 from mmwave_env.filters.modes import Mode
 from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.filters.smoother import SMOOTHING_WINDOW
 from mmwave_env.localization.segments import Piece, segments
-from mmwave_env.logs.blocks import Block, in_windows
-from mmwave_env.logs.log import LogBlock
+from mmwave_env.logs.log import Block, LogBlock, in_windows
 from mmwave_env.logs.log_tables import LogError
 from mmwave_env.models.measurement import Layout
 from mmwave_env.models.prior import prior_from_fix
 from mmwave_env.models.radio import Radio
 from mmwave_env.models.scene import Scene
-from mmwave_env.numerics.arrays import Array, Mask
+from mmwave_env.numerics.numbers import Array, Mask
 from mmwave_env.world.episode import Episode
 
-_FILTERED = (
-    "x", "P", "x_predicted", "P_predicted", "memory.mode", "memory.nis", "memory.accepted",
-)  # fmt: skip
+_FILTERED = ("x", "P", "x_predicted", "P_predicted", "memory.mode", "memory.nis", "memory.accepted")
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,11 +59,6 @@ class TrackBlock(Block):
     skipped: int  # epochs of the log before the track
     dropped: int  # epochs of the log between segments so far, up to the next block
     share: float  # of the log read so far, 0 to 1
-
-    per_epoch = (
-        "time_s", "x", "P", "x_predicted", "P_predicted", "smooth_x", "smooth_P", "mode", "nis",
-        "visible", "accepted", "incomplete",
-    )  # fmt: skip
 
 
 def localize(
@@ -116,20 +108,17 @@ def _filtered(
         if height_m is not None:
             episode = episode.on_flat_ground(height_m)
         tracker.load([episode], go_on=not piece.begins)
-        found = (values[0] for values in tracker.run(*_FILTERED).values())
-        x, P, x_predicted, P_predicted, mode, nis, accepted = found
+        parts = tracker.run(*_FILTERED).items()
+        found: dict[str, Any] = {name.removeprefix("memory."): of[0] for name, of in parts}
+        mode, accepted = found.pop("mode"), found.pop("accepted")
         track = TrackBlock(
             layout=block.layout,
             planar=height_m is not None,
             time_s=block.time_s,
-            x=x,
-            P=P,
-            x_predicted=x_predicted,
-            P_predicted=P_predicted,
-            smooth_x=x,
-            smooth_P=P,
+            **found,
+            smooth_x=found["x"],
+            smooth_P=found["P"],
             mode=mode.astype(np.int64),
-            nis=nis,
             visible=episode.visible,
             accepted=accepted > 0.5,
             incomplete=block.incomplete,

@@ -2,27 +2,77 @@
 
 A track begins with a hypothesis, *this path is the line of sight*: it gives a position, and from
 there on the paths of a few epochs fit, or do not. Tracks are values, so that several can be tried.
+
+Which path belongs to which anchor: global nearest neighbor is the one assignment of paths to
+anchors, each once at most, with the least sum of NIS, where an anchor without a path costs as much
+as the gate (Blackman and Popoli 1999, Sec. 6.4). The NIS is that of the filters, seen along the
+tangent (EKF) at the prediction.
 """
 
 from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
 import numpy as np
+from scipy.optimize import linear_sum_assignment
 from scipy.special import chdtri
 
-from mmwave_env.filters.association import NO_PATH, assign, disagreement, path_nis
+from mmwave_env.filters.gating import innovation_statistics
+from mmwave_env.filters.linearization import Tangent
 from mmwave_env.filters.memory import Memory, initial_memory, memory_after, memory_before
 from mmwave_env.filters.modes import Mode
 from mmwave_env.filters.pipeline import Pipeline, predict, predict_update
 from mmwave_env.localization.segments import gives_fix
 from mmwave_env.logs.path_log import PathEpoch
-from mmwave_env.models.epoch import Epoch, Site
-from mmwave_env.models.measurement import Layout, seen_from_image
+from mmwave_env.models.measurement import Epoch, Layout, Site, link_group, seen_from_image
 from mmwave_env.models.prior import GAP_S, prior_from_fix
 from mmwave_env.models.radio import Radio
 from mmwave_env.models.scene import Scene
-from mmwave_env.numerics.arrays import Array, Index
-from mmwave_env.numerics.linalg import pack
+from mmwave_env.numerics.linalg import cholesky, pack
+from mmwave_env.numerics.numbers import Array, Index, Matrix, Vector
+
+NO_PATH = -1
+
+
+def path_nis(x: Vector, P: Matrix, anchors: Matrix, paths: Array, sigma: Array) -> Array:
+    """NIS (L, n) of every path as a link of every anchor.
+
+    Args:
+        x, P: (7,), (7, 7) predicted belief.
+        anchors: (L, 3) positions, m.
+        paths, sigma: (L, n, 4) rows of a link, m and rad, as each anchor would have measured the
+            path, and their standard deviations.
+    """
+    tangent, L = Tangent(), cholesky(P)
+    latents, nis = tangent.latents(0), np.empty(paths.shape[:2])
+    for row, anchor, z, deviations in zip(nis, anchors, paths, sigma, strict=True):
+        group = link_group(x, anchor, list(z.T), list(np.square(deviations).T))
+        row[:], _ = innovation_statistics(group, tangent.rows(group, L, latents), latents)
+    return nis
+
+
+def assign(nis: Array, gate: float) -> Index:
+    """The path of every anchor (L,), ``NO_PATH`` where none is within the gate.
+
+    Args:
+        nis: (L, n) as :func:`path_nis` gives it.
+        gate: the largest NIS of a path that belongs to an anchor.
+    """
+    found = np.full(len(nis), NO_PATH)
+    # A pair outside the gate costs as much as the gate, and means that neither has a partner.
+    anchors, paths = linear_sum_assignment(np.minimum(np.nan_to_num(nis, nan=np.inf), gate))
+    inside = nis[anchors, paths] < gate
+    found[anchors[inside]] = paths[inside]
+    return found
+
+
+def disagreement(paths: Array, sigma: Array) -> Array:
+    """How far arrival and departure of paths (n, 4) contradict each other: NIS, 1 degree (n,).
+
+    Both are looks at one bearing, so this needs no belief (paper, Sec. II-B).
+    """
+    group = link_group([1.0] * 7, [0.0] * 3, list(paths.T), list(np.square(sigma).T))
+    return np.asarray(group.spare_nis)
+
 
 GATE_QUANTILE = 0.99  # chi-square quantile of the NIS up to which a path can be an anchor's
 CLEARLY_MORE = 0.5  # paths an epoch that a new track explains beyond the one that it replaces
@@ -75,10 +125,8 @@ class PathTracker:
     def follow(self, track: PathTrack, paths: PathEpoch) -> PathTrack:
         """The track one epoch on."""
         links, coming = self._links(paths), self.nothing(paths, paths.time_s - track.time_s)
-        x, P = predict(
-            self._pipeline, self._mode, track.x, track.P, track.memory.gamma, coming,
-            self._scene.hz_per_mps,
-        )  # fmt: skip
+        before = track.x, track.P, track.memory.gamma
+        x, P = predict(self._pipeline, self._mode, *before, coming, self._scene.hz_per_mps)
         found = assign(path_nis(x, P, self._anchors, links.z, links.sigma), self._gate)
         epoch = self._with_labels(coming, paths, links, found)
         return self._updated(track._replace(found=found, epoch=epoch), paths)
@@ -204,7 +252,5 @@ class PathTracker:
         memory = memory_before(track.memory, [after], epoch, layout)
         memory = memory_after(layout, 0.0, track.x, after, memory, epoch.dt, epoch.visible)
         seen = any(epoch.visible[: layout.anchors]) or (layout.odometry and epoch.visible[-1])
-        return track._replace(
-            x=after.x, P=after.P, memory=memory, time_s=paths.time_s,
-            seen_s=paths.time_s if seen else track.seen_s,
-        )  # fmt: skip
+        track = track._replace(x=after.x, P=after.P, memory=memory, time_s=paths.time_s)
+        return track._replace(seen_s=paths.time_s) if seen else track

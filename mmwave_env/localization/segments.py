@@ -14,7 +14,7 @@ from mmwave_env.logs.log import LogBlock
 from mmwave_env.logs.log_checks import RANGE_LIMITS_M
 from mmwave_env.logs.log_tables import LogError
 from mmwave_env.models.prior import GAP_S, STEEPEST_FIX_RAD
-from mmwave_env.numerics.arrays import Array, Mask
+from mmwave_env.numerics.numbers import Array, Mask
 
 
 class Piece(NamedTuple):

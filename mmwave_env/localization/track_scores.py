@@ -11,12 +11,11 @@ from mmwave_env.filters.belief import Belief
 from mmwave_env.filters.modes import DESIGN_LIMIT_MPS
 from mmwave_env.filters.pipeline import VERTICAL
 from mmwave_env.localization.localizer import TrackBlock
-from mmwave_env.localization.position_errors import PositionErrors
-from mmwave_env.localization.protection import RISK
+from mmwave_env.localization.position_errors import RISK, PositionErrors
 from mmwave_env.logs.truth import Truth
 from mmwave_env.metrics import nees_interval
-from mmwave_env.numerics.arrays import Array
 from mmwave_env.numerics.linalg import unpack
+from mmwave_env.numerics.numbers import Array
 
 Index = NDArray[np.intp]
 
@@ -201,7 +200,7 @@ class Groups:
 
     def add(self, block: TrackBlock) -> None:
         """Take a block."""
-        rows = np.array([group.stop - group.start for group in block.layout.groups])
+        rows = np.array(block.layout.widths)
         low, high = np.array([nees_interval(n) for n in rows]).T
         accepted = block.accepted
         counted = (

@@ -27,8 +27,7 @@ from mmwave_env.logs.log import LogBlock
 from mmwave_env.logs.truth import TrueEpochs, Truth
 from mmwave_env.models.measurement import Layout, exact_rows
 from mmwave_env.models.scene import Scene
-from mmwave_env.numerics.arrays import Array
-from mmwave_env.numerics.numbers import wrap
+from mmwave_env.numerics.numbers import Array, wrap
 
 _STRETCHES, _SHORTEST_S = 32, 2.0  # at most so many; when time runs out of them, two become one
 _FEWEST = 5  # stretches that tell how much an estimate is worth

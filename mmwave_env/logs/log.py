@@ -7,22 +7,85 @@ in the scene, from 1, the physical gNB, whose rows alone have a Doppler shift. W
 measured is empty; an anchor that was not seen may be left out. What belongs to the epoch and
 not to an anchor (Doppler spread, odometry) may stand in any of its rows.
 
-A log may be longer than memory, so it is read in blocks.
+A log may be longer than memory, so it is read in blocks of consecutive epochs.
 """
 
-from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any, ClassVar, TypeVar
 
 import numpy as np
 
-from mmwave_env.logs.blocks import Block, in_windows
 from mmwave_env.logs.log_checks import EpochRows, whole_epochs
 from mmwave_env.logs.log_columns import LINK_QUANTITIES
 from mmwave_env.logs.log_tables import LogError, open_log
 from mmwave_env.models.measurement import Layout, seen_from_image, whole_groups, wrap_angles
 from mmwave_env.models.scene import Scene
-from mmwave_env.numerics.arrays import Array, Mask
+from mmwave_env.numerics.numbers import Array, Mask
+
+AnyBlock = TypeVar("AnyBlock", bound="Block")
+
+
+class Block:
+    """T consecutive epochs, as a dataclass of arrays (T, ...) and of what they have in common."""
+
+    per_epoch: ClassVar[tuple[str, ...]]  # names of the arrays; all else is that of the last epochs
+    time_s: Any
+
+    def __init_subclass__(cls) -> None:
+        hints = cls.__annotations__.items()
+        cls.per_epoch = tuple(
+            name for name, hint in hints if getattr(hint, "__origin__", 0) is np.ndarray
+        )
+
+    def __len__(self) -> int:
+        return len(self.time_s)
+
+    def part(self: AnyBlock, epochs: slice) -> AnyBlock:
+        """Some of its epochs."""
+        return self._with({name: getattr(self, name)[epochs] for name in self.per_epoch})
+
+    @classmethod
+    def joined(cls, blocks: Sequence[AnyBlock]) -> AnyBlock:
+        """Blocks that follow each other as one."""
+        return blocks[-1]._with(
+            {name: np.concatenate([getattr(b, name) for b in blocks]) for name in cls.per_epoch}
+        )
+
+    def _with(self: AnyBlock, arrays: dict[str, Any]) -> AnyBlock:
+        return replace(self, **arrays)  # type: ignore[type-var]
+
+
+def in_windows(
+    blocks: Iterable[AnyBlock], window: int, piece: Callable[[AnyBlock], int] = lambda block: 0
+) -> Iterator[AnyBlock]:
+    """The same epochs in blocks of whole windows, and what is left at the end of a piece.
+
+    What came before a LogError of ``blocks`` is handed on before it. ``piece`` gives the number of
+    the piece that a block belongs to; pieces are not joined.
+    """
+    waiting: list[AnyBlock] = []
+
+    def rest() -> Iterator[AnyBlock]:
+        if waiting:
+            yield waiting[-1].joined(waiting)
+
+    try:
+        for block in blocks:
+            if waiting and piece(block) != piece(waiting[0]):
+                yield from rest()
+                waiting = []
+            waiting.append(block)
+            if sum(map(len, waiting)) >= window:
+                joined = block.joined(waiting)
+                whole = len(joined) // window * window
+                yield joined.part(slice(whole))
+                waiting = [joined.part(slice(whole, None))] if whole < len(joined) else []
+    except LogError:
+        yield from rest()
+        raise
+    yield from rest()
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,10 +117,6 @@ class LogBlock(Block):
     restarts: Mask
     rows: int
     share: float
-
-    per_epoch = (
-        "time_s", "measurement", "visible", "incomplete", "snr_db", "doppler_spread_hz", "restarts"
-    )  # fmt: skip
 
 
 def read_log(

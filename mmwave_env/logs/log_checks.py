@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from mmwave_env.logs.log_tables import LogError, LogFile
 from mmwave_env.models import envelope
-from mmwave_env.numerics.arrays import Array, Mask
+from mmwave_env.numerics.numbers import Array, Mask
 from mmwave_env.records import between
 
 Cells = dict[str, Array]  # quantity -> (n,)
@@ -151,12 +151,8 @@ def _anchor_checks(cells: Cells, anchors: int, epoch: NDArray[np.int64]) -> Iter
     """Rows that belong to an anchor."""
     time, anchor = cells["time"], cells["anchor"]
     known = np.isin(anchor, np.arange(1, anchors + 1))
-    yield _Check(
-        "anchor",
-        ~known,
-        _shows(cells, "anchor"),
-        f"the number of an anchor of the scene, 1 to {anchors}, 1 being the physical one",
-    )
+    expected = f"the number of an anchor of the scene, 1 to {anchors}, 1 being the physical one"
+    yield _Check("anchor", ~known, _shows(cells, "anchor"), expected)
     place = epoch * anchors + np.where(known, anchor, 1.0).astype(np.int64) - 1
     yield _Check(
         "anchor",

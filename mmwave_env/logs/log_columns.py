@@ -19,22 +19,28 @@ class Unit(NamedTuple):
 _TIME = {"_s": Unit(), "_ms": Unit(1.0, 1e3), "_us": Unit(1.0, 1e6), "_ns": Unit(1.0, 1e9)}
 _ANGLE = {"_rad": Unit(), "_deg": Unit(np.pi, 180.0)}
 _SHIFT = {"_hz": Unit(), "_khz": Unit(1e3), "_mps": Unit()}  # _mps: times f_c / c
+
+
+def _in(name: str, units: dict[str, Unit]) -> dict[str, Unit]:
+    return {f"{name}{ending}": unit for ending, unit in units.items()}
+
+
 _FLIGHT = {f"toa{unit}": Unit(SPEED_OF_LIGHT, u.divide) for unit, u in _TIME.items()}
 
 QUANTITIES: dict[str, dict[str, Unit]] = {
-    "time": {f"time{unit}": u for unit, u in _TIME.items()},
+    "time": _in("time", _TIME),
     "anchor": {"anchor": Unit()},
     "toa": {**_FLIGHT, "range_m": Unit()},
-    "aoa_azimuth": {f"aoa_azimuth{unit}": u for unit, u in _ANGLE.items()},
-    "aoa_azimuth_station": {f"aoa_azimuth_station{unit}": u for unit, u in _ANGLE.items()},
-    "aoa_elevation": {f"aoa_elevation{unit}": u for unit, u in _ANGLE.items()},
-    "aod_azimuth": {f"aod_azimuth{unit}": u for unit, u in _ANGLE.items()},
-    "aod_azimuth_body": {f"aod_azimuth_body{unit}": u for unit, u in _ANGLE.items()},
+    "aoa_azimuth": _in("aoa_azimuth", _ANGLE),
+    "aoa_azimuth_station": _in("aoa_azimuth_station", _ANGLE),
+    "aoa_elevation": _in("aoa_elevation", _ANGLE),
+    "aod_azimuth": _in("aod_azimuth", _ANGLE),
+    "aod_azimuth_body": _in("aod_azimuth_body", _ANGLE),
     "snr": {"snr_db": Unit()},
-    "doppler": {f"doppler{unit}": u for unit, u in _SHIFT.items()},
-    "doppler_spread": {f"doppler_spread{unit}": u for unit, u in _SHIFT.items()},
+    "doppler": _in("doppler", _SHIFT),
+    "doppler_spread": _in("doppler_spread", _SHIFT),
     "speed": {"speed_mps": Unit(), "speed_kmh": Unit(1.0, 3.6)},
-    "heading": {f"heading{unit}": u for unit, u in _ANGLE.items()},
+    "heading": _in("heading", _ANGLE),
 }
 """Every quantity with the columns it may stand in; inside: s, m, rad, Hz, dB and m/s."""
 
@@ -46,7 +52,7 @@ _STATION = "aoa_azimuth_station"
 _BODY = "aod_azimuth_body"  # in place of aod_azimuth, if there is a heading
 
 _HINTS = {
-    "anchor": "; mmwave-loc localize --associate does without (docs/association.md)",
+    "anchor": "; mmwave-loc localize --associate does without (docs/data.md)",
     "heading": ", which turns the azimuth of departure from the body's frame to the map's",
 }
 

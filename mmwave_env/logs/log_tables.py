@@ -18,7 +18,7 @@ from mmwave_env.files import naming, open_regular
 from mmwave_env.logs.lines import DamagedFileError, line_blocks, number
 from mmwave_env.logs.log_columns import Column, columns_of
 from mmwave_env.lookup import quoted
-from mmwave_env.numerics.arrays import Array
+from mmwave_env.numerics.numbers import Array
 
 Rows = NDArray[np.int64]
 
@@ -136,8 +136,9 @@ def _csv_tables(log: LogFile) -> Iterator[Table]:
             if table.damage:
                 return
     except DamagedFileError as error:
-        yield Table(np.full((len(order), 1), np.nan), np.array([error.line]), 1.0,
-                    LogError(str(error)))  # fmt: skip
+        yield Table(
+            np.full((len(order), 1), np.nan), np.array([error.line]), 1.0, LogError(str(error))
+        )
 
 
 def _parse_quickly(lines: list[str], columns: list[Column], width: int) -> Array | None:
@@ -200,8 +201,9 @@ def _open_parquet(path: Path) -> Any:
     pyarrow, parquet = require_arrow(path)
     try:
         # Buffered, or a row group of a million rows would be held at once.
-        return parquet.ParquetFile(path, buffer_size=1 << 20, pre_buffer=False,
-                                   page_checksum_verification=True)  # fmt: skip
+        return parquet.ParquetFile(
+            path, buffer_size=1 << 20, pre_buffer=False, page_checksum_verification=True
+        )
     except (OSError, pyarrow.ArrowException) as error:
         raise LogError(f"{path}: found no readable Parquet ({error}), expected Parquet") from error
 
@@ -250,8 +252,9 @@ def _parquet_tables(log: LogFile) -> Iterator[Table]:
                     for name in names
                 ])  # fmt: skip
             except (OSError, pyarrow.ArrowException) as error:
-                damage = log.error(done + 1, "", f"broken Parquet data ({error})",
-                                   "expected a file that is whole")  # fmt: skip
+                damage = log.error(
+                    done + 1, "", f"broken Parquet data ({error})", "expected a file that is whole"
+                )
                 nothing = np.full((len(names), 1), np.nan)
                 yield Table(nothing, np.array([done + 1]), done / total, damage)
                 return

@@ -17,7 +17,7 @@ from mmwave_env.logs.log_columns import LINK_QUANTITIES
 from mmwave_env.logs.log_tables import LogError, open_log
 from mmwave_env.models.measurement import Layout, wrapped
 from mmwave_env.models.scene import Scene
-from mmwave_env.numerics.arrays import Array
+from mmwave_env.numerics.numbers import Array
 
 
 class PathEpoch(NamedTuple):

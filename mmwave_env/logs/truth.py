@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from mmwave_env.logs.tum import Poses, tum_blocks
-from mmwave_env.numerics.arrays import Array
+from mmwave_env.numerics.numbers import Array
 
 BRIDGED_S = 1.5  # poses farther apart are the ends of a gap: GPS, once a second, may be late
 TOLERANCE_S = 0.01  # from a pose that nothing can be interpolated with; evo's default

@@ -9,7 +9,7 @@ import numpy as np
 
 from mmwave_env.logs.lines import LineBlock, line_blocks, number
 from mmwave_env.lookup import quoted
-from mmwave_env.numerics.arrays import Array
+from mmwave_env.numerics.numbers import Array
 
 COLUMNS = ("t", "x", "y", "z", "qx", "qy", "qz", "qw")
 

@@ -215,8 +215,9 @@ def channel_epoch(
     innovation = sqrt(1.0 - rho * rho)
     shadowing, blockage, multipath, snr_db, detected, bias = [], [], [], [], [], []
     outage_onset = where(is_first, 0.0, c.outage_onset)
-    outage = spell_goes_on(where(is_first, 0.0, before.outage), draws.outage, outage_onset,
-                           c.outage_end)  # fmt: skip
+    outage = spell_goes_on(
+        where(is_first, 0.0, before.outage), draws.outage, outage_onset, c.outage_end
+    )
     for a, d in enumerate(distance):
         shadow = where(
             is_first,
@@ -244,10 +245,8 @@ def channel_epoch(
         multipath.append(reflected)
         snr_db.append(snr)
         detected.append(seen)
-        bias.append([
-            blocked.on * u + reflected.on * v
-            for u, v in zip(blocked.bias, reflected.bias, strict=True)
-        ])  # fmt: skip
+        biases = zip(blocked.bias, reflected.bias, strict=True)
+        bias.append([blocked.on * u + reflected.on * v for u, v in biases])
     scatter = exp(c.spread_sigma * draws.scatter)
     spread = c.spread_gain_hz * speed * scatter + c.spread_floor_hz * maximum(
         draws.floor, -1.0 * draws.floor

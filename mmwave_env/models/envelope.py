@@ -16,12 +16,12 @@ VELOCITY_MPS = between(-1e4, 1e4, "m/s")  # per axis, of the prior
 BIAS_HZ = between(-1e7, 1e7, "Hz")  # of the prior
 # standard deviations of the prior
 POSITION_SIGMA_M = between(1e-4, 1e4, "m")
-VELOCITY_SIGMA_MPS = between(1e-4, 1e3, "m/s")
+VELOCITY_SIGMA_MPS = between(1e-4, 1e2, "m/s")
 BIAS_SIGMA_HZ = between(1e-8, 1e6, "Hz")
 # and of measurements; odometry's speed as a range
 RANGE_SIGMA_M = between(1e-3, 1e5, "m")
 ANGLE_SIGMA_RAD = between(1e-5, 1e2, "rad")
-DOPPLER_SIGMA_HZ = between(0.1, 1e6, "Hz")
+DOPPLER_SIGMA_HZ = between(0.02, 1e6, "Hz")
 # of modes
 PROCESS_NOISE = between(0.0, 30.0)  # each in its own unit per root second
 WIDENING = between(0.0, 100.0)  # m, m/s

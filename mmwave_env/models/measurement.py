@@ -90,6 +90,11 @@ class Layout:
             rows.append(slice(self.doppler + 1, self.doppler + 3))
         return rows
 
+    @cached_property
+    def widths(self) -> list[int]:
+        """Number of rows of each group."""
+        return [rows.stop - rows.start for rows in self.groups]
+
     @property
     def group_names(self) -> list[str]:
         """A name for each group, for tables and messages."""
@@ -363,3 +368,30 @@ def groups_of(x: Vector, m: Measurement) -> list[Group]:
     if m.layout.odometry:
         groups.append(odometry_group(x, m.z[rows[-1]], m.variance[rows[-1]]))
     return groups
+
+
+class Epoch(NamedTuple):
+    """What an epoch brings to the estimator; missing groups hold anything finite."""
+
+    dt: Number  # seconds since the epoch before; 0 in the first epoch, where the prior holds
+    z: list[Number]  # (rows,) measured values: m, rad, Hz, m/s
+    sigma: list[Number]  # (rows,) their standard deviations, positive
+    visible: list[Number]  # (groups,) 1 where measured, else 0
+    snr_db: list[Number]  # (L,) signal-to-noise ratio per link, dB
+    doppler_spread_hz: Number  # Doppler spread, Hz
+
+
+class Site(NamedTuple):
+    """What stays the same through an episode."""
+
+    anchors: list[list[Number]]  # (L, 3) positions, m
+    hz_per_mps: Number  # carrier frequency over the speed of light
+    prior_x: list[Number]  # (7,) mean at the first epoch
+    prior_P: list[Number]  # (28,) packed covariance at the first epoch
+
+
+def blank_site(layout: Layout) -> Site:
+    """A site that is sound but nowhere, to be overwritten."""
+    prior = [float(i == j) for i in range(STATE_SIZE) for j in range(i + 1)]
+    anchors = [[0.0, 0.0, 10.0 + a] for a in range(layout.anchors)]
+    return Site(anchors, 1.0, [1.0] * STATE_SIZE, prior)

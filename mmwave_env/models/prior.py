@@ -6,8 +6,7 @@ import numpy as np
 
 from mmwave_env.models.radio import Radio
 from mmwave_env.models.scene import Scene
-from mmwave_env.numerics.arrays import Array
-from mmwave_env.numerics.numbers import PI, wrap
+from mmwave_env.numerics.numbers import PI, Array, wrap
 
 GAP_S = 15.0  # the longest that is bridged: of 100 vehicles none is lost in 10 s, some are in 20 s
 STEEPEST_FIX_RAD = math.radians(85.0)  # 2.5 deviations of a handset's elevation from the vertical
@@ -34,9 +33,8 @@ def prior_from_fix(
     arrival_variance, departure_variance = sigma[1] ** 2, sigma[3] ** 2
     share = arrival_variance / (arrival_variance + departure_variance)
     azimuth = azimuth + share * wrap(departure - azimuth + PI)
-    cos_az, sin_az, cos_el, sin_el = (
-        np.cos(azimuth), np.sin(azimuth), np.cos(elevation), np.sin(elevation)
-    )  # fmt: skip
+    cos_az, sin_az = np.cos(azimuth), np.sin(azimuth)
+    cos_el, sin_el = np.cos(elevation), np.sin(elevation)
     along = np.array([cos_el * cos_az, cos_el * sin_az, sin_el])
     across = np.array([-cos_el * sin_az, cos_el * cos_az, 0.0])
     up = np.array([-sin_el * cos_az, -sin_el * sin_az, cos_el])

@@ -17,8 +17,7 @@ from mmwave_env.lookup import as_name, choose, quoted, unknown
 from mmwave_env.models import envelope
 from mmwave_env.models.measurement import SPEED_OF_LIGHT, Layout
 from mmwave_env.models.scene import Scene
-from mmwave_env.numerics.arrays import Array
-from mmwave_env.numerics.numbers import Number, Vector, clip, exp, sqrt
+from mmwave_env.numerics.numbers import Array, Number, Vector, clip, exp, sqrt
 from mmwave_env.records import (
     Bound,
     Name,
@@ -163,9 +162,10 @@ class Radio:
     def variances(self, scene: Scene, layout: Layout) -> tuple[list[float], list[float]]:
         """Noise floor, and Cramer-Rao bound at 0 dB, of every row: m^2, rad^2, Hz^2."""
         range_bound = SPEED_OF_LIGHT / (2.0 * math.pi * scene.bandwidth_hz / math.sqrt(12.0))
-        arrival, departure = self._angle_bound(self.ue_elements), self._angle_bound(
-            self.gnb_elements
-        )  # fmt: skip
+        arrival, departure = (
+            self._angle_bound(self.ue_elements),
+            self._angle_bound(self.gnb_elements),
+        )
         angles = (self.aoa_floor_rad, self.elevation_floor_rad, self.aod_floor_rad)
         floor, bound = [], []
         for anchor in range(layout.anchors):

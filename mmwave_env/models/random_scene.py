@@ -17,7 +17,7 @@ from mmwave_env.models.scene import (
 )
 from mmwave_env.numerics.numbers import Number, floor, maximum, minimum, where
 from mmwave_env.numerics.random import Dice, seeded
-from mmwave_env.records import Name, between, counts, require_fields
+from mmwave_env.records import Name, between, counts, require_fields, require_ordered
 
 RANDOM = "random"
 
@@ -56,10 +56,7 @@ class RandomScene:
 
     def __post_init__(self) -> None:
         require_fields(self)
-        for name in ("block_m", "beside_m", "height_m", "behind_m"):
-            low, high = getattr(self, name)
-            if low > high:
-                raise ValueError(f"{name}: found {(low, high)}, expected low <= high")
+        require_ordered(self, "block_m", "beside_m", "height_m", "behind_m")
 
     @property
     def example(self) -> Scene:
@@ -81,9 +78,7 @@ class RandomScene:
             walls.append(where(side > 0.0, high, low))
             extent.append(end)
         (x, y), height = base, dice.uniform(*self.height_m)
-        anchors = [
-            [x, y, height], [2.0 * walls[0] - x, y, height], [x, 2.0 * walls[1] - y, height]
-        ]  # fmt: skip
+        anchors = [[x, y, height], [2.0 * walls[0] - x, y, height], [x, 2.0 * walls[1] - y, height]]
         return SceneNumbers(anchors, block, extent, [0.0, 0.0], self.user_height_m)
 
     def scene_of(self, numbers: SceneNumbers) -> Scene:

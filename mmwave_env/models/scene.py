@@ -23,6 +23,7 @@ from mmwave_env.records import (
     object_from,
     read_object,
     require_fields,
+    require_ordered,
 )
 
 MOST_ANCHORS = 32  # they take a minute and a half to compile
@@ -96,9 +97,8 @@ class Streets:
 
     def __post_init__(self) -> None:
         require_fields(self)
+        require_ordered(self, "x_m", "y_m")
         for name, extent in (("x_m", self.x_m), ("y_m", self.y_m)):
-            if extent[0] > extent[1]:
-                raise ValueError(f"{name}: found {extent}, expected [low, high]")
             blocks = (extent[1] - extent[0]) / self.block_m
             if abs(blocks - round(blocks)) > 1e-6:
                 raise ValueError(
@@ -187,11 +187,10 @@ class Scene:
     @property
     def numbers(self) -> SceneNumbers:
         """What a simulation needs."""
-        (west, east), (south, north) = self.streets.x_m, self.streets.y_m
-        return SceneNumbers(
-            self.anchors_m.tolist(), self.streets.block_m, [east - west, north - south],
-            [west, south], self.streets.height_m,
-        )  # fmt: skip
+        streets, anchors = self.streets, self.anchors_m.tolist()
+        (west, east), (south, north) = streets.x_m, streets.y_m
+        extent, origin = [east - west, north - south], [west, south]
+        return SceneNumbers(anchors, streets.block_m, extent, origin, streets.height_m)
 
     @property
     def hz_per_mps(self) -> float:
@@ -226,8 +225,7 @@ def scene_of_anchors(
 ) -> Scene:
     """A scene by its anchors (L, 3), the physical gNB first; walls and streets are not known."""
     gnb, *virtual = [(float(x), float(y), float(z)) for x, y, z in anchors_m]
-    return Scene(name, gnb, carrier_hz=carrier_hz, bandwidth_hz=bandwidth_hz,
-                 virtual_anchors_m=tuple(virtual))  # fmt: skip
+    return Scene(name, gnb, (), Streets(), carrier_hz, bandwidth_hz, tuple(virtual))
 
 
 def scene_from(scene: "str | Path | Scene") -> Scene:

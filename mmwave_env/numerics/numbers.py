@@ -5,8 +5,9 @@ it is the reference that tests call; on arrays it checks the paths of recordings
 tracks; on :class:`~mmwave_env.compiler.lanes.Lanes` it becomes one SIMD kernel. Python's own
 operators serve all three; this module holds the few functions that need to look.
 
-Functions of numbers follow three rules: no branch on a value (use :func:`where`), lists
-instead of arrays, and no call to ``math`` or ``numpy`` but through this module.
+Shapes of arrays stand beside each argument and attribute. Functions of numbers follow three
+rules: no branch on a value (use :func:`where`), lists instead of arrays, and no call to ``math``
+or ``numpy`` but through this module.
 """
 
 import math
@@ -14,7 +15,11 @@ from collections.abc import Sequence
 from typing import Any, TypeAlias
 
 import numpy as np
+from numpy.typing import NDArray
 
+Array = NDArray[np.float64]
+Index = NDArray[np.int64]
+Mask = NDArray[np.bool_]
 Number: TypeAlias = Any  # float, numpy array or Lanes
 Vector: TypeAlias = Sequence[Any]  # of Number
 Matrix: TypeAlias = Sequence[Sequence[Any]]

@@ -7,7 +7,8 @@ environments do in the rows of a workspace.
 
 import math
 import struct
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from operator import add, lshift, or_, rshift, xor
 from typing import Any
 
 from mmwave_env.numerics.numbers import Number, Vector, cos_sin, log, sqrt
@@ -15,6 +16,10 @@ from mmwave_env.numerics.numbers import Number, Vector, cos_sin, log, sqrt
 STATE_WORDS = 4
 _MASK = 2**64 - 1
 _WARM_UP = 18  # words dropped after seeding
+
+
+def _bitwise(operation: Callable[[int, int], int]) -> Any:
+    return lambda a, b: Word(operation(a.value, b if isinstance(b, int) else b.value))
 
 
 class Word:
@@ -25,20 +30,8 @@ class Word:
     def __init__(self, value: int) -> None:
         self.value = value & _MASK
 
-    def __add__(self, other: "Word | int") -> "Word":
-        return Word(self.value + (other if isinstance(other, int) else other.value))
-
-    def __xor__(self, other: "Word") -> "Word":
-        return Word(self.value ^ other.value)
-
-    def __or__(self, other: "Word") -> "Word":
-        return Word(self.value | other.value)
-
-    def __lshift__(self, bits: int) -> "Word":
-        return Word(self.value << bits)
-
-    def __rshift__(self, bits: int) -> "Word":
-        return Word(self.value >> bits)
+    __add__, __xor__, __or__ = _bitwise(add), _bitwise(xor), _bitwise(or_)
+    __lshift__, __rshift__ = _bitwise(lshift), _bitwise(rshift)
 
     def scaled(self, factor: float) -> float:
         """The integer times a factor, exact below 2^53."""

@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from mmwave_env.numerics.arrays import Array
+from mmwave_env.numerics.numbers import Array
 from mmwave_env.rendering.canvas import Point, Rect
 from mmwave_env.rendering.history import History
 
@@ -32,8 +32,9 @@ class View(NamedTuple):
         """Where points (n, 2 or more) of the map are in the picture, (n, 2)."""
         offset = (points_m[:, :2] - self.center_m) * self.scale
         middle = (
-            self.frame.left + self.frame.width / 2.0, self.frame.top + self.frame.height / 2.0
-        )  # fmt: skip
+            self.frame.left + self.frame.width / 2.0,
+            self.frame.top + self.frame.height / 2.0,
+        )
         return middle + offset * (1.0, -1.0)
 
     @property
@@ -59,9 +60,9 @@ def follow(history: History, frame: Rect) -> View:
     )
     gap = abs(truth - estimate).max(axis=1)
     deviation = np.sqrt(np.maximum(np.nan_to_num(history.P[recent][:, [0, 2]]).max(axis=1), 0.0))
-    wanted = np.maximum.reduce([
-        np.full(len(gap), _LEAST_M), _AHEAD_S * speed, 1.2 * gap, 3.0 * deviation,
-    ])  # fmt: skip
+    wanted = np.maximum.reduce(
+        [np.full(len(gap), _LEAST_M), _AHEAD_S * speed, 1.2 * gap, 3.0 * deviation]
+    )
     shape = np.array([frame.width / frame.height, 1.0])
     half = max(
         float(weights @ wanted),

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mmwave_env.lookup import spelled
-from mmwave_env.numerics.arrays import Array
+from mmwave_env.numerics.numbers import Array
 from mmwave_env.rendering.theme import Color
 
 os.environ.setdefault("PYGAME_HIDE_SUPPORT_PROMPT", "1")  # it would go to standard output
@@ -102,8 +102,8 @@ class Canvas:
         pygame.draw.circle(self._large, color, (x, y), radius * self.unit * _TIMES)
 
     def words(
-        self, text: str, at: Point, color: Color, size: float = 15.0, align: float = 0.0,
-    ) -> Rect:  # fmt: skip
+        self, text: str, at: Point, color: Color, size: float = 15.0, align: float = 0.0
+    ) -> Rect:
         """Write a line, its middle height at a point; returns what it covers.
 
         Args:
@@ -181,8 +181,7 @@ def written(text: str, color: Color, size: int) -> Any:
 def _large(points: Array) -> Array:
     """Where points (n, 2) are on the large surface."""
     # not np.clip: these take the number where the other is NaN
-    large: Array = np.fmax(np.fmin(points, _FAR), -_FAR) * _TIMES
-    return large
+    return np.fmax(np.fmin(points, _FAR), -_FAR) * _TIMES  # type: ignore[no-any-return]
 
 
 def _scaled(part: Rect) -> tuple[int, int, int, int]:
@@ -198,5 +197,4 @@ def ellipse(center: Array, P: Array, deviations: float) -> Array:
     variances, axes = np.linalg.eigh(P)
     lengths = np.sqrt(np.maximum(variances, 0.0))
     circle = np.stack([np.cos(angle), np.sin(angle)], axis=1)
-    outline: Array = center + deviations * (circle * lengths) @ axes.T
-    return outline
+    return center + deviations * (circle * lengths) @ axes.T  # type: ignore[no-any-return]

@@ -1,12 +1,13 @@
 """Pictures of the first few of many environments, as Gymnasium's vector wrappers take them."""
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from mmwave_env.models.scene import Streets
-from mmwave_env.numerics.arrays import Array, Index
+from mmwave_env.numerics.numbers import Array, Index
 from mmwave_env.rendering.history import Recorder
 
 DRAWN = 16  # more would be too small to read, and too many for memory
@@ -17,28 +18,37 @@ class Gallery:
 
     Args:
         n: N.
-        recorders: of the environments that are drawn.
+        rows, axes: as of :class:`Recorder`.
         modes, size, theme: as of :class:`~mmwave_env.rendering.picture.Picture`.
-        workspace: of an environment, (size,).
+
+    Attributes:
+        recorders: of the environments that are drawn.
     """
 
     def __init__(
         self,
         n: int,
-        recorders: Sequence[Recorder],
+        rows: Mapping[str, slice],
+        axes: int,
         modes: Sequence[str],
         size: int,
         theme: str,
-        workspace: Callable[[int], Array],
     ) -> None:
-        from mmwave_env.rendering.picture import Picture
+        self._n, self._drawn_by = n, (modes, size, theme)
+        self.recorders = [Recorder(rows, axes) for _ in range(min(n, DRAWN))]
+        self._picture: Any = None
+        self._window: Any = None
 
-        self._n, self._workspace = n, workspace
-        self._recorders = recorders
-        self._picture = Picture(modes, size, theme)
+    def __getstate__(self) -> dict[str, Any]:
+        """What a copy needs: surfaces and windows can't be copied."""
+        return vars(self) | {"_picture": None, "_window": None}
 
     def begin(
-        self, places: Index, names: Sequence[str], streets: Callable[[int], Streets | None]
+        self,
+        places: Index,
+        names: Sequence[str],
+        streets: Callable[[int], Streets | None],
+        workspace: Callable[[int], Array],
     ) -> None:
         """Start over in some environments, with the prior that they are at.
 
@@ -46,20 +56,41 @@ class Gallery:
             places: the environments.
             names: (N,) of the episodes.
             streets: of the episode in one of the environments.
+            workspace: of an environment, (size,).
         """
         for place in self._drawn(places):
-            self._recorders[place].begin(names[place], streets(place), self._workspace(place))
+            self.recorders[place].begin(names[place], streets(place), workspace(place))
 
-    def add(self, places: Index, actions: Index) -> None:
+    def add(self, places: Index, actions: NDArray[Any], workspace: Callable[[int], Array]) -> None:
         """Write down the epoch just processed in some environments, by actions (N,)."""
         for place in self._drawn(places):
-            self._recorders[place].add(self._workspace(place), int(actions[place]))
+            self.recorders[place].add(workspace(place), int(actions[place]))
 
     def draw(self) -> tuple[NDArray[np.uint8], ...]:
         """A picture of each of the N environments; of those not drawn, the same empty one."""
-        drawn = [self._picture.draw(recorder.history) for recorder in self._recorders]
-        blank = self._picture.blank(f"{len(drawn)} of {self._n} environments are drawn")
-        return (*drawn, *[blank] * (self._n - len(drawn)))
+        if self._picture is None:
+            from mmwave_env.rendering.picture import Picture
+
+            self._picture = Picture(*self._drawn_by)
+        drawn = [self._picture.draw(recorder.history) for recorder in self.recorders]
+        if (missing := self._n - len(drawn)) > 0:
+            blank = self._picture.blank(f"{len(drawn)} of {self._n} environments are drawn")
+            drawn += [blank] * missing
+        return tuple(drawn)
+
+    def show(self, picture: NDArray[np.uint8]) -> None:
+        """Show a picture in a window, which opens with the first one."""
+        if self._window is None:
+            from mmwave_env.rendering.window import Window
+
+            self._window = Window(*picture.shape[:2])
+        self._window.show(picture)
+
+    def close(self) -> None:
+        """Close the window, if there is one."""
+        if self._window is not None:
+            self._window.close()
+            self._window = None
 
     def _drawn(self, places: Index) -> Iterable[int]:
-        return (int(place) for place in places if place < len(self._recorders))
+        return (int(place) for place in places if place < len(self.recorders))

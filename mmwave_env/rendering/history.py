@@ -1,15 +1,15 @@
 """The epochs of an episode so far: what a picture is drawn from, and nothing of what is to come."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, replace
 from functools import cached_property
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from mmwave_env.models.scene import Streets
-from mmwave_env.numerics.arrays import Array, Index
+from mmwave_env.numerics.numbers import Array, Index
 
 NO_MODE = -1  # of the prior, which no mode made
 GATE = 0.99  # chi-square quantile that NIS is shown beside: that of the gates of most modes
@@ -106,12 +106,10 @@ class History:
 
     def until(self, epochs: int) -> "History":
         """As it was after so many epochs."""
-        rows = slice(epochs + 1)
-        return History(
-            self.scenery, self.axes, self.time_s[rows], self.modes[rows], self.truth[rows],
-            self.estimate[rows], self.P[rows], self.nees[rows], self.accepted[rows],
-            self.rejected[rows], None if self.nis_share is None else self.nis_share[rows],
-        )  # fmt: skip
+        own = {field.name: getattr(self, field.name) for field in fields(self)}
+        arrays = {key: of for key, of in own.items() if isinstance(of, np.ndarray)}
+        rows: dict[str, Any] = {key: of[: epochs + 1] for key, of in arrays.items()}
+        return replace(self, **rows)
 
 
 class Recorder:

@@ -8,11 +8,10 @@ from numpy.typing import NDArray
 from mmwave_env.lookup import choose
 from mmwave_env.rendering.camera import follow
 from mmwave_env.rendering.canvas import Canvas, Rect, printable
-from mmwave_env.rendering.frames import SMALLEST
 from mmwave_env.rendering.history import History
 from mmwave_env.rendering.street_map import draw_map
 from mmwave_env.rendering.strips import draw_strips
-from mmwave_env.rendering.theme import THEMES
+from mmwave_env.rendering.theme import SMALLEST, THEMES
 
 _COLUMNS, _ROWS = 4, 3  # of the legend of modes at most
 
@@ -64,7 +63,10 @@ class Picture:
         header = title + unit * 20.0
         below = self._size - legend - strips
         canvas.fill(theme.paper)
-        self._draw_title(title)
+        if self._title:
+            pad = 8.0 * unit
+            words = canvas.fitting(self._title, self._size - 2.0 * pad, 22)
+            canvas.words(words, (pad, title / 2.0 + pad / 4.0), theme.ink, 22)
         self._draw_header(history, title + unit * 10.0)
         frame = Rect(0.0, header, self._size, below - links - header)
         draw_map(canvas, follow(history, frame), history, theme)
@@ -79,12 +81,6 @@ class Picture:
         canvas.fill(self._theme.paper)
         canvas.words(words, (middle, middle), self._theme.quiet, align=0.5)
         return canvas.finish()
-
-    def _draw_title(self, height: float) -> None:
-        if self._title:
-            pad = 8.0 * self._canvas.unit
-            title = self._canvas.fitting(self._title, self._size - 2.0 * pad, 22)
-            self._canvas.words(title, (pad, height / 2.0 + pad / 4.0), self._theme.ink, 22)
 
     def _draw_header(self, history: History, y: float) -> None:
         """The epoch in numbers, in one line."""
@@ -121,9 +117,10 @@ class Picture:
         canvas.words("links:", (x + 16.0 * unit, y), theme.quiet, 14)
         x += 16.0 * unit + canvas.width_of("links: ", 14)
         for meaning, color, width in (
-            ("accepted", theme.accepted, 1.4), ("rejected", theme.rejected, 1.6),
+            ("accepted", theme.accepted, 1.4),
+            ("rejected", theme.rejected, 1.6),
             ("missing", theme.missing, 1.4),
-        ):  # fmt: skip
+        ):
             start, end = (x, y), (x + 22.0 * unit, y)
             if meaning == "rejected":
                 canvas.dashes(start, end, color, width)
@@ -145,3 +142,43 @@ class Picture:
             canvas.fill(color, Rect(left, y - 5.0 * unit, 14.0 * unit, 10.0 * unit))
             words = canvas.fitting(name, width - 24.0 * unit, 14)
             canvas.words(words, (left + 19.0 * unit, y), theme.ink if now else theme.quiet, 14)
+
+
+_GAP_SHARE = 1 / 120  # of a picture's width, or two maps would look like one
+
+
+class Playback:
+    """Pictures of the same epoch, beside each other.
+
+    Args:
+        histories: of one episode, of as many epochs each.
+        modes: what the actions are called in each of them.
+        titles: above each of them.
+        size, theme: of each picture, as of :class:`~mmwave_env.rendering.picture.Picture`.
+    """
+
+    def __init__(
+        self,
+        histories: Sequence[History],
+        modes: Sequence[Sequence[str]],
+        titles: Sequence[str],
+        size: int,
+        theme: str,
+    ) -> None:
+        rows = max(legend_rows(len(names)) for names in modes)  # strips at one height
+        pictures = [
+            Picture(names, size, theme, title, rows)
+            for names, title in zip(modes, titles, strict=True)
+        ]
+        self._parts = list(zip(histories, pictures, strict=True))
+
+    def draw(self, epochs: int) -> NDArray[np.uint8]:
+        """All after so many epochs, (size, size of each added up, 3)."""
+        known = [history.until(epochs) for history, _ in self._parts]
+        drawn = [
+            picture.draw(history, known)
+            for history, (_, picture) in zip(known, self._parts, strict=True)
+        ]
+        for picture in drawn[1:]:
+            picture[:, : round(_GAP_SHARE * len(picture))] = picture[0, 0]
+        return np.concatenate(drawn, axis=1)

@@ -6,7 +6,7 @@ from itertools import pairwise
 import numpy as np
 
 from mmwave_env.models.scene import Streets
-from mmwave_env.numerics.arrays import Array, Index
+from mmwave_env.numerics.numbers import Array, Index
 from mmwave_env.rendering.camera import View, clipped, nice
 from mmwave_env.rendering.canvas import Canvas, Point, Rect, ellipse
 from mmwave_env.rendering.history import History
@@ -145,9 +145,7 @@ def _draw_scale(canvas: Canvas, view: View, theme: Theme, taken: list[Rect]) -> 
         Rect(left, frame.bottom - height - 2.0 * unit, width, height)
         for left in (frame.right - width - 4.0 * unit, frame.left + 4.0 * unit)
     ]
-    place = next((one for one in corners if not any(map(one.overlaps, taken))), corners[0])
-    taken.append(place)
-    _plate(canvas, place, theme)
+    place = _free_plate(canvas, corners, theme, taken)
     bar, tick = place.inset(6.0 * unit), np.array([0.0, 3.0 * unit])
     ends = np.array([[bar.left, bar.bottom], [bar.right, bar.bottom]])
     for line in (ends, ends[:1] + [-tick, tick], ends[1:] + [-tick, tick]):
@@ -165,7 +163,10 @@ def _draw_anchors(canvas: Canvas, view: View, history: History, theme: Theme) ->
     for number, anchor in enumerate(history.scenery.anchors_m):
         at, name = _point(view, anchor), f"anchor {number + 1}" if number else "gNB"
         if clipped(at, at, inner):
-            _draw_mast(canvas, at, theme, hollow=number > 0)
+            # the base station: a filled triangle; a mirror image of it: a hollow one
+            shape = at + np.array([[0.0, -7.0], [6.0, 5.0], [-6.0, 5.0]]) * canvas.unit
+            canvas.polygon(shape, theme.paper if number else theme.ink)
+            canvas.line(shape, theme.wall if number else theme.ink, 1.5, closed=True)
         else:
             rim = clipped(user, at, inner)
             if rim is None:  # of an anchor that is nowhere
@@ -189,13 +190,6 @@ def _draw_arrow(canvas: Canvas, start: Point, tip: Point, color: Color) -> None:
     canvas.polygon(np.array([tip, back + 0.5 * length * side, back - 0.5 * length * side]), color)
 
 
-def _draw_mast(canvas: Canvas, at: Point, theme: Theme, hollow: bool) -> None:
-    """The base station: a filled triangle; a mirror image of it: a hollow one."""
-    shape = at + np.array([[0.0, -7.0], [6.0, 5.0], [-6.0, 5.0]]) * canvas.unit
-    canvas.polygon(shape, theme.paper if hollow else theme.ink)
-    canvas.line(shape, theme.wall if hollow else theme.ink, 1.5, closed=True)
-
-
 def _label(
     canvas: Canvas, text: str, at: Point, frame: Rect, theme: Theme, taken: list[Rect]
 ) -> None:
@@ -209,18 +203,18 @@ def _label(
         for beside in (at[0] + gap, at[0] - gap - width, at[0] - width / 2.0):
             left = min(max(beside, room.left), room.right - width)
             places.append(Rect(left, top, width, height))
-    free = (one for one in places if not any(one.overlaps(other) for other in taken))
-    place = next(free, places[0])
-    taken.append(place)
-    _plate(canvas, place, theme)
+    place = _free_plate(canvas, places, theme, taken)
     canvas.words(text, (place.left + 3.0 * unit, place.top + height / 2.0), theme.ink, 14)
 
 
-def _plate(canvas: Canvas, place: Rect, theme: Theme) -> None:
-    """Quiet ground under words."""
-    corners = [(place.left, place.top), (place.right, place.top)]
-    corners += [(place.right, place.bottom), (place.left, place.bottom)]
-    canvas.polygon(np.array(corners), theme.paper, 0.8)
+def _free_plate(canvas: Canvas, places: list[Rect], theme: Theme, taken: list[Rect]) -> Rect:
+    """Quiet ground under words, in the first of some places that is not taken, or the first."""
+    place = next((one for one in places if not any(map(one.overlaps, taken))), places[0])
+    taken.append(place)
+    left, top, right, bottom = place.left, place.top, place.right, place.bottom
+    corners = np.array([[left, top], [right, top], [right, bottom], [left, bottom]])
+    canvas.polygon(corners, theme.paper, 0.8)
+    return place
 
 
 def _point(view: View, position_m: Array) -> Point:

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from mmwave_env.metrics import nees_interval
-from mmwave_env.numerics.arrays import Array, Index
+from mmwave_env.numerics.numbers import Array, Index
 from mmwave_env.rendering.camera import nice
 from mmwave_env.rendering.canvas import Canvas, Rect
 from mmwave_env.rendering.history import GATE, History
@@ -29,26 +29,24 @@ class Strip:
     Attributes:
         title: with its unit.
         curve: (n,) of the estimate, in the colors of the modes, and what it is called.
+        values: at the lower and upper edge of the strip.
         truth: (n,) beside it, and what it is called; or None.
         band: lower and upper edge, (n,) or numbers, and what it is called; or None.
-        values: at the lower and upper edge of the strip.
-        ticks: values to name.
-        logarithmic: whether values are shown by their logarithm.
+        ticks: values to name where values are shown by their logarithm; else those at the edges.
     """
 
     title: str
     curve: tuple[Array, str]
-    truth: tuple[Array, str] | None
-    band: tuple[Array | float, Array | float, str] | None
     values: tuple[float, float]
-    ticks: tuple[float, ...]
-    logarithmic: bool = False
+    truth: tuple[Array, str] | None = None
+    band: tuple[Array | float, Array | float, str] | None = None
+    ticks: tuple[float, ...] = ()
 
     def heights(self, values: Array | float) -> Array:
         """Where values are, from 0 at the lower edge to 1; those beyond an edge on it."""
         low, high = self.values
         shown = np.fmax(np.fmin(values, high), low)  # NaN is as bad as it gets
-        if self.logarithmic:
+        if self.ticks:
             low, high, shown = math.log(low), math.log(high), np.log(shown)
         return np.asarray((shown - low) / (high - low))
 
@@ -84,10 +82,11 @@ def draw_strips(
 
 def _on_one_scale(strip: Strip, others: Sequence[Strip]) -> Strip:
     """With room for what others show; logarithmic ones have the same scale anyhow."""
-    if strip.logarithmic:
-        return strip
-    top = max(one.values[1] for one in (strip, *others))
-    return replace(strip, values=(0.0, top), ticks=(0.0, top))
+    return (
+        strip
+        if strip.ticks
+        else replace(strip, values=(0.0, max(one.values[1] for one in (strip, *others))))
+    )
 
 
 def _times(history: History, rows: slice) -> tuple[float, float]:
@@ -100,47 +99,43 @@ def _times(history: History, rows: slice) -> tuple[float, float]:
 
 def _speed(history: History, rows: slice) -> Strip:
     true, estimated = (speed[rows] for speed in history.speed_mps)
+    curve = (estimated, "estimate")
     if not history.has_truth:
-        top = _top(estimated, 2.0)
-        return Strip("speed, m/s", (estimated, "estimate"), None, None, (0.0, top), (0.0, top))
+        return Strip("speed, m/s", curve, (0.0, _top(estimated)))
     most = 2.0 * float(true.max(initial=1.0))  # an estimate far beyond is shown at the edge
-    top = _top(np.maximum(true, np.fmin(estimated, most)), 2.0)
-    curve, truth = (estimated, "estimate"), (true, "true")
-    return Strip("speed, m/s", curve, truth, None, (0.0, top), (0.0, top))
+    top = _top(np.maximum(true, np.fmin(estimated, most)))
+    return Strip("speed, m/s", curve, (0.0, top), (true, "true"))
 
 
 def _error(history: History, rows: slice) -> Strip:
     error, expected = history.error_m[rows], history.error_95_m[rows]
-    top = max(_top(error, 2.0), _top(np.sort(expected)[: max(1, len(expected) // 2)], 2.0))
+    top = max(_top(error), _top(np.sort(expected)[: max(1, len(expected) // 2)]))
     band = (0.0, expected, "95 % band")
-    return Strip("error, m", (error, "estimate"), None, band, (0.0, top), (0.0, top))
+    return Strip("error, m", (error, "estimate"), (0.0, top), band=band)
 
 
 def _nees(history: History, rows: slice) -> Strip:
-    low, high = nees_interval(history.axes)
-    band = (low, high, f"95 % of χ²({history.axes})")
+    band = (*nees_interval(history.axes), f"95 % of χ²({history.axes})")
     curve = (history.nees[rows], "estimate")
-    return Strip("NEES", curve, None, band, _NEES, (0.1, 3.0, 100.0), logarithmic=True)
+    return Strip("NEES", curve, _NEES, band=band, ticks=(0.1, 3.0, 100.0))
 
 
 def _radius(history: History, rows: slice) -> Strip:
     radius = history.error_95_m[rows]
-    top = _top(radius, 2.0)
-    curve = (radius, "95 % radius")
-    return Strip("uncertainty, m", curve, None, None, (0.0, top), (0.0, top))
+    return Strip("uncertainty, m", (radius, "95 % radius"), (0.0, _top(radius)))
 
 
 def _nis(history: History, rows: slice) -> Strip:
     assert history.nis_share is not None
     band = (_NIS[0], 1.0, f"{GATE * 100:g} % gate")
     curve = (history.nis_share[rows], "largest")
-    return Strip("NIS / gate", curve, None, band, _NIS, (0.1, 1.0, 10.0), logarithmic=True)
+    return Strip("NIS / gate", curve, _NIS, band=band, ticks=(0.1, 1.0, 10.0))
 
 
-def _top(values: Array, least: float) -> float:
-    """The upper edge, a round value, so that values (n,) are below it."""
+def _top(values: Array) -> float:
+    """The upper edge, a round value of at least 2, so that values (n,) are below it."""
     known = values[np.isfinite(values)]
-    largest = max(least, 1.05 * float(known.max(initial=0.0)))
+    largest = max(2.0, 1.05 * float(known.max(initial=0.0)))
     below = nice(largest)
     return next(step * below for step in (1.0, 2.0, 2.5) if step * below >= largest)
 
@@ -156,9 +151,7 @@ def _draw_strip(
 
     canvas.fill(theme.ground, plot)
     color = theme.mode(int(modes[-1])) if len(modes) else theme.quiet
-    keys = []
-    if strip.truth:
-        keys.append((strip.truth[1], theme.truth, 1.6))
+    keys = [(strip.truth[1], theme.truth, 1.6)] if strip.truth else []
     keys.append((strip.curve[1], color, 2.4))
     if strip.band:
         low, high, meaning = strip.band
@@ -168,7 +161,7 @@ def _draw_strip(
             lower, upper = (np.broadcast_to(y(edge), edges.shape) for edge in (low, high))
             outline = np.stack([np.r_[edges, edges[::-1]], np.r_[lower, upper[::-1]]], axis=1)
             canvas.polygon(outline, theme.band)
-    for tick in strip.ticks:
+    for tick in strip.ticks or strip.values:
         level = float(y(tick))
         canvas.line(np.array([[plot.left, level], [plot.right, level]]), theme.grid, 0.6)
         inside = min(max(level, plot.top + 5.0 * unit), plot.bottom - 5.0 * unit)
@@ -177,26 +170,12 @@ def _draw_strip(
         if strip.truth:
             canvas.line(np.stack([x, y(strip.truth[0])], axis=1), theme.truth, 1.4)
         draw_by_mode(canvas, np.stack([x, y(strip.curve[0])], axis=1), modes, theme, 1.8)
-    _draw_keys(canvas, place, plot, strip.title, keys, theme)
-
-
-def _draw_keys(
-    canvas: Canvas,
-    place: Rect,
-    plot: Rect,
-    title: str,
-    keys: list[tuple[str, tuple[int, int, int], float]],
-    theme: Theme,
-) -> None:
-    """A title, and a sample of every line and band with its meaning."""
-    unit, left = canvas.unit, place.left + 8.0 * canvas.unit
-    row = min(_ROW * unit, plot.height / (len(keys) + 1))
-    top = plot.top + row / 2.0
-    canvas.words(title, (left, top), theme.ink, 15)
+    left, row = place.left + 8.0 * unit, min(_ROW * unit, plot.height / (len(keys) + 1))
+    canvas.words(strip.title, (left, plot.top + row / 2.0), theme.ink, 15)
     for i, (meaning, color, width) in enumerate(keys, start=1):
-        y = top + i * row
-        canvas.line(np.array([[left, y], [left + 14.0 * unit, y]]), color, width)
-        canvas.words(meaning, (left + 19.0 * unit, y), theme.quiet, 13)
+        level = plot.top + (i + 0.5) * row
+        canvas.line(np.array([[left, level], [left + 14.0 * unit, level]]), color, width)
+        canvas.words(meaning, (left + 19.0 * unit, level), theme.quiet, 13)
 
 
 def _draw_ribbon(

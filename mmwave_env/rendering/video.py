@@ -3,7 +3,7 @@
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import closing
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,31 +12,11 @@ from mmwave_env.files import atomic_path, require_writable
 from mmwave_env.lookup import require_extra
 
 Draw = Callable[[int], NDArray[np.uint8]]
+Pictures = Iterator[NDArray[np.uint8]]
+_PACKAGES = {".gif": "PIL", ".mp4": "imageio_ffmpeg"}  # that write them
 _COLORS = 256  # of a GIF, the most it can have
 _SAMPLES = 6  # pictures that the colors are taken from
 _LAST_S = 2.0  # that a GIF stays at its last picture, before it begins again
-
-
-class Reel(NamedTuple):
-    """What is to be written.
-
-    Attributes:
-        draw: from a number to its picture (height, width, 3).
-        numbers: of the pictures, at least one.
-        fps: pictures a second.
-        report: gets the share done.
-    """
-
-    draw: Draw
-    numbers: Sequence[int]
-    fps: int
-    report: Callable[[float], None]
-
-    def pictures(self) -> Iterator[NDArray[np.uint8]]:
-        """All of them, in order."""
-        for done, number in enumerate(self.numbers, start=1):
-            yield self.draw(number)
-            self.report(done / len(self.numbers))
 
 
 def require_video(option: str, path: Path) -> None:
@@ -52,9 +32,9 @@ def require_video(option: str, path: Path) -> None:
         OSError: the file can't be written.
     """
     kind = path.suffix.lower()
-    if kind not in _KINDS:
+    if kind not in _PACKAGES:
         raise ValueError(f"{option}: found {path}, expected a name that ends with .gif or .mp4")
-    require_extra(_KINDS[kind].package, "render", f"{option}, a {kind} file,")
+    require_extra(_PACKAGES[kind], "render", f"{option}, a {kind} file,")
     require_writable(path)
 
 
@@ -65,47 +45,45 @@ def write_video(
 
     Args:
         path: as of :func:`require_video`.
-        draw, numbers, fps, report: as of :class:`Reel`.
+        draw: from a number to its picture (height, width, 3).
+        numbers: of the pictures, at least one.
+        fps: pictures a second.
+        report: gets the share done.
     """
+
+    def pictures() -> Iterator[NDArray[np.uint8]]:
+        for done, number in enumerate(numbers, start=1):
+            yield draw(number)
+            report(done / len(numbers))
+
     with atomic_path(path) as temporary:
-        _KINDS[path.suffix.lower()].write(temporary, Reel(draw, numbers, fps, report))
+        if path.suffix.lower() == ".mp4":
+            _write_mp4(temporary, pictures(), draw(numbers[0]), fps)
+        else:
+            some = np.linspace(0, len(numbers) - 1, _SAMPLES).astype(int).tolist()
+            _write_gif(temporary, pictures(), [draw(numbers[i]) for i in some], fps)
 
 
-def _write_gif(path: Path, reel: Reel) -> None:
+def _write_gif(path: Path, pictures: Pictures, samples: list[Any], fps: int) -> None:
     """With one palette, so that what stays the same between two pictures costs nothing."""
     from PIL import Image
 
-    some = np.linspace(0, len(reel.numbers) - 1, _SAMPLES).astype(int).tolist()
-    samples = np.concatenate([reel.draw(reel.numbers[i]) for i in some])
-    palette = Image.fromarray(samples).quantize(_COLORS, Image.Quantize.FASTOCTREE)
+    taken = Image.fromarray(np.concatenate(samples))
+    palette = taken.quantize(_COLORS, Image.Quantize.FASTOCTREE)
     first, *others = (
         Image.fromarray(picture).quantize(palette=palette, dither=Image.Dither.NONE)
-        for picture in reel.pictures()
+        for picture in pictures
     )
-    lasts = [round(1000 / reel.fps)] * len(others) + [round(1000 * _LAST_S)]
-    first.save(
-        path, format="GIF", save_all=True, append_images=others, duration=lasts, loop=0
-    )  # fmt: skip
+    lasts = [round(1000 / fps)] * len(others) + [round(1000 * _LAST_S)]
+    first.save(path, "GIF", save_all=True, append_images=others, duration=lasts, loop=0)
 
 
-def _write_mp4(path: Path, reel: Reel) -> None:
+def _write_mp4(path: Path, pictures: Pictures, first: NDArray[np.uint8], fps: int) -> None:
     import imageio_ffmpeg
 
-    height, width, _ = reel.draw(reel.numbers[0]).shape
-    writer = imageio_ffmpeg.write_frames(
-        str(path), (width, height), fps=reel.fps, quality=8, macro_block_size=2
-    )
+    size = first.shape[1::-1]
+    writer = imageio_ffmpeg.write_frames(str(path), size, fps=fps, quality=8, macro_block_size=2)
     with closing(writer):  # also where a picture fails, or ffmpeg would write on
         writer.send(None)  # it begins
-        for picture in reel.pictures():
+        for picture in pictures:
             writer.send(np.ascontiguousarray(picture))
-
-
-class _Kind(NamedTuple):
-    """A kind of file: the package that writes it, and how."""
-
-    package: str
-    write: Callable[[Path, Reel], None]
-
-
-_KINDS = {".gif": _Kind("PIL", _write_gif), ".mp4": _Kind("imageio_ffmpeg", _write_mp4)}

@@ -9,7 +9,7 @@ import pygame
 from numpy.typing import NDArray
 
 from mmwave_env.rendering.canvas import written
-from mmwave_env.rendering.frames import FRAMES_PER_SECOND, SMALLEST
+from mmwave_env.rendering.theme import FRAMES_PER_SECOND, SMALLEST
 
 SPEEDS = (1, 2, 5, 10, 20, 50, 100)  # pictures a second
 _STEP, _FASTER, _SLOWER = (

@@ -7,7 +7,7 @@ from typing import Any, NoReturn
 import numpy as np
 
 from mmwave_env.lookup import is_name, quoted
-from mmwave_env.numerics.arrays import Array
+from mmwave_env.numerics.numbers import Array
 from mmwave_env.records import Bound, Printable
 
 

@@ -14,10 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mmwave_env.models import envelope
-from mmwave_env.models.epoch import Epoch, Site, blank_site
-from mmwave_env.models.measurement import Layout
-from mmwave_env.numerics.arrays import Array, Index
-from mmwave_env.numerics.numbers import Number, where
+from mmwave_env.models.measurement import Epoch, Layout, Site, blank_site
+from mmwave_env.numerics.numbers import Array, Index, Number, where
 from mmwave_env.numerics.pytree import flatten, indices
 from mmwave_env.records import Bound
 from mmwave_env.world.checks import refuse, require_epochs, require_finite, require_within
@@ -96,14 +94,16 @@ class Episode:
         yield "prior_mean", "a velocity of", mean[3:6], envelope.VELOCITY_MPS
         yield "prior_mean", "a bias of", mean[6:], envelope.BIAS_HZ
         for rows, bound in (
-            (slice(3), envelope.POSITION_SIGMA_M), (slice(3, 6), envelope.VELOCITY_SIGMA_MPS),
+            (slice(3), envelope.POSITION_SIGMA_M),
+            (slice(3, 6), envelope.VELOCITY_SIGMA_MPS),
             (slice(6, 7), envelope.BIAS_SIGMA_HZ),
-        ):  # fmt: skip
+        ):
             yield "prior_covariance", "a deviation of", deviation[rows], bound
         for columns, bound in (
-            (lengths, envelope.RANGE_SIGMA_M), (layout.angles, envelope.ANGLE_SIGMA_RAD),
+            (lengths, envelope.RANGE_SIGMA_M),
+            (layout.angles, envelope.ANGLE_SIGMA_RAD),
             ([layout.doppler], envelope.DOPPLER_SIGMA_HZ),
-        ):  # fmt: skip
+        ):
             used = sigma[:, columns]
             yield "sigma", "", used[~np.isnan(used)], bound
 
@@ -121,15 +121,12 @@ class Episode:
         for link in range(self.layout.anchors):
             finite[:, self.layout.link(link)] &= np.isfinite(self.snr_db[:, link, None])
         starts = [rows.start for rows in self.layout.groups]
-        usable: NDArray[np.bool_] = self.visible & np.logical_and.reduceat(finite, starts, axis=1)
-        return usable
+        return self.visible & np.logical_and.reduceat(finite, starts, axis=1)  # type: ignore[no-any-return]
 
     @property
     def _used(self) -> NDArray[np.bool_]:
         """(T, rows) :attr:`usable`, row by row."""
-        widths = [rows.stop - rows.start for rows in self.layout.groups]
-        used: NDArray[np.bool_] = np.repeat(self.usable, widths, axis=1)
-        return used
+        return np.repeat(self.usable, self.layout.widths, axis=1)
 
     @property
     def nonfinite(self) -> int:
@@ -177,7 +174,7 @@ class Episode:
         return table
 
     def site(self) -> Array:
-        """A :class:`~mmwave_env.models.epoch.Site` as a row of numbers, as engines load it."""
+        """The anchors, the carrier and the prior as a row of numbers, as engines load them."""
         packed = self.prior_covariance[np.tril_indices(7)]
         site = Site(self.scene_anchors_m.tolist(), self.hz_per_mps, [*self.prior_mean], [*packed])
         return np.array(flatten(site))
@@ -203,18 +200,24 @@ class EpisodeBatch(NamedTuple):
     layout: Layout
 
     @classmethod
-    def of(cls, episodes: Sequence[Episode]) -> "EpisodeBatch":
-        """The same episodes.
+    def of(
+        cls, episodes: "EpisodeBatch | Sequence[Episode]", layout: Layout | None = None
+    ) -> "EpisodeBatch":
+        """The same episodes, all of one layout: that of the first, if none is given.
 
         Raises:
-            ValueError: their layouts differ.
+            ValueError: one has another layout.
         """
-        layout = episodes[0].layout
-        for episode in episodes:
-            if episode.layout != layout:
-                raise ValueError(
-                    f"layout of episode {episode.name!r}: found {episode.layout}, expected {layout}"
-                )
+        if isinstance(episodes, EpisodeBatch):
+            found = [(name, episodes.layout) for name in episodes.names]
+        else:
+            found = [(episode.name, episode.layout) for episode in episodes]
+        layout = layout or found[0][1]
+        for name, other in found:
+            if other != layout:
+                raise ValueError(f"layout of episode {name!r}: found {other}, expected {layout}")
+        if isinstance(episodes, EpisodeBatch):
+            return episodes
         tables = [episode.table() for episode in episodes]
         length = np.array([len(table) for table in tables])
         table = np.empty((len(tables), length.max(), tables[0].shape[1]))

@@ -13,7 +13,7 @@ import numpy as np
 from gymnasium.utils import seeding
 from numpy.typing import NDArray
 
-from mmwave_env.numerics.arrays import Index
+from mmwave_env.numerics.numbers import Index
 
 Keys = NDArray[np.uint64]
 
@@ -31,14 +31,12 @@ def keys_at(streams: NDArray[np.uint64], episodes: NDArray[np.uint64]) -> Keys:
     bits = np.atleast_1d(streams) + (np.atleast_1d(episodes) + np.uint64(1)) * _STRIDE
     bits = (bits ^ (bits >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
     bits = (bits ^ (bits >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
-    keys: Keys = bits ^ (bits >> np.uint64(31))
-    return keys
+    return bits ^ (bits >> np.uint64(31))  # type: ignore[no-any-return]
 
 
 def stream_of(seed: int) -> np.uint64:
     """The stream that a seed begins."""
-    stream: np.uint64 = np.random.SeedSequence(seed).generate_state(1, np.uint64)[0]
-    return stream
+    return np.random.SeedSequence(seed).generate_state(1, np.uint64)[0]  # type: ignore[no-any-return]
 
 
 def keys_of(seeds: Iterable[int]) -> Keys:
@@ -91,6 +89,27 @@ def option_of(options: Any, name: str) -> Any:
     if options is not None and not isinstance(options, dict):
         raise ValueError(f"options: found {options!r}, expected a dict or None")
     return (options or {}).get(name)
+
+
+class Stream:
+    """Where one environment is in its stream of keys, which its generator's seed begins."""
+
+    def __init__(self) -> None:
+        self._state = np.zeros(2, np.uint64)  # as Streams.states
+        self._from: np.random.Generator | None = None
+
+    def next(self, rng: np.random.Generator, seed: int) -> int:
+        """The key of the next episode.
+
+        Args:
+            rng, seed: of the environment now.
+        """
+        if rng is not self._from:  # seeded anew, or somebody's own, whose seed is -1
+            self._from = rng
+            self._state[:] = draw_key(rng) if seed == -1 else stream_of(seed), 0
+        (key,) = keys_at(*self._state)
+        self._state[1] += np.uint64(1)
+        return int(key)
 
 
 class Streams:

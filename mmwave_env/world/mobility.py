@@ -18,6 +18,7 @@ from mmwave_env.records import (
     object_from,
     read_object,
     require_fields,
+    require_ordered,
 )
 from mmwave_env.world import travel
 from mmwave_env.world.kinematics import FAR
@@ -31,14 +32,6 @@ Duration = Annotated[float, Bound("a number >= 0.001", least=1e-3, most=inf)]
 Rate = Annotated[float, between(1e-3, 1e3, "m/s^2")]
 Range = tuple[Rate, Rate]
 Wait = Annotated[float, between(0.0, 1e6, "s")]
-
-
-def _require_ordered(record: object, *names: str) -> None:
-    """Refuse ranges that are the wrong way round."""
-    for name in names:
-        low, high = getattr(record, name)
-        if low > high:
-            raise ValueError(f"{name}: found {(low, high)}, expected [low, high]")
 
 
 @dataclass(frozen=True)
@@ -86,7 +79,7 @@ class Limits:
 
     def __post_init__(self) -> None:
         require_fields(self)
-        _require_ordered(self, "acceleration_mps2", "braking_mps2", "lateral_mps2", "red_light_s")
+        require_ordered(self, "acceleration_mps2", "braking_mps2", "lateral_mps2", "red_light_s")
 
 
 @dataclass(frozen=True)
@@ -105,7 +98,7 @@ class Phase:
 
     def __post_init__(self) -> None:
         require_fields(self)
-        _require_ordered(self, "duration_s")
+        require_ordered(self, "duration_s")
 
 
 @dataclass(frozen=True)

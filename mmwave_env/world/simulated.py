@@ -8,7 +8,6 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from itertools import pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -20,25 +19,23 @@ from mmwave_env.compiler.program import (
     Program,
     StepIO,
     blocks_of,
-    lanes_of,
+    fill,
     rows_of,
 )
-from mmwave_env.compiler.threads import share
+from mmwave_env.compiler.threads import share, spans
 from mmwave_env.models.channel import channel_of
 from mmwave_env.models.envelope import STEP_S
-from mmwave_env.models.epoch import Site
-from mmwave_env.models.measurement import STATE_SIZE, Layout
+from mmwave_env.models.measurement import STATE_SIZE, Layout, Site
 from mmwave_env.models.radio import SNR_LIMITS_DB, Radio
 from mmwave_env.models.random_scene import RandomScene
 from mmwave_env.models.scene import Scene
-from mmwave_env.numerics.arrays import Array, Index
+from mmwave_env.numerics.numbers import Array, Index
 from mmwave_env.numerics.pytree import flatten, indices
 from mmwave_env.numerics.random import Dice, seeded
 from mmwave_env.world.beginning import USER, Beginning, beginning
 from mmwave_env.world.episode import Episode, EpisodeBatch, columns_of, level
 from mmwave_env.world.keys import Keys, draw_key
 from mmwave_env.world.mobility import FASTEST_MPS, MIXED, plans_of
-from mmwave_env.world.scenarios import Scenario, Users, users_of
 from mmwave_env.world.simulation import (
     World,
     WorldSettings,
@@ -47,7 +44,7 @@ from mmwave_env.world.simulation import (
     world_of,
 )
 from mmwave_env.world.travel import TravelPlan, stride_of
-from mmwave_env.world.ways import PlacedWays
+from mmwave_env.world.ways import PlacedWays, Scenario, Users, users_of
 
 RARE = 4.0  # standard deviations
 MOST_EPOCHS = 1_000_000  # of an episode: their times and actions are kept
@@ -216,7 +213,8 @@ class SimulatedSource:
         measured = rows_of(program.index.measured)
         io = StepIO.of(n, self.epochs, output_rows=measured)
         program.on_lanes()  # else some threads would wait for what others compile
-        jobs = [(state, io, part) for part in _parts(len(state.rows), threads)]
+        blocks = len(state.rows)
+        jobs = [(state, io, part) for part in spans(blocks, min(threads, blocks))]
         share(program.run_on_lanes, jobs, threads)
         io.outputs[:, :, at.dt] = self.steps_s
         return EpisodeBatch(
@@ -230,8 +228,8 @@ class SimulatedSource:
 
     def feed(self, worlds: Array) -> Feed:
         """What makes epochs of drawn users from the worlds (n, numbers) they begin in."""
-        kept, (block, lane) = blocks_of(self._blank_kept, len(worlds)), lanes_of(len(worlds))
-        kept[block, :, lane] = worlds
+        kept = blocks_of(self._blank_kept, len(worlds))
+        fill(kept, np.arange(kept.shape[1]), worlds)
         timed = columns_of(self.layout).dt
         return Feed(self.world.on_lanes(), self._settings_rows, kept, timed, self.steps_s)
 
@@ -244,9 +242,8 @@ class SimulatedSource:
     def _on_the_way(self, begun: Begun) -> tuple[Program[Any], BatchState]:
         """The same for a way that is given."""
         program, n = on_a_way(self.layout), len(begun.worlds)
-        at, rows, (block, lane) = program.index, blocks_of(program.start, n), lanes_of(n)
-        rows[:, rows_of(at.settings)] = self._settings_rows
-        rows[block[:, None], rows_of(at.receiver), lane[:, None]] = begun.worlds
+        rows = fill(blocks_of(program.start, n), rows_of(program.index.receiver), begun.worlds)
+        rows[:, rows_of(program.index.settings)] = self._settings_rows
         return program, BatchState.of(begun.truth, rows)
 
     @property
@@ -365,9 +362,3 @@ class SimulatedSource:
             scene.anchors_m.tolist(), scene.hz_per_mps, [0.0] * STATE_SIZE, covariance.tolist()
         )
         return np.array(flatten(site)), indices(site)
-
-
-def _parts(blocks: int, threads: int) -> list[tuple[int, int]]:
-    """First block and end of what each thread draws."""
-    ends = np.linspace(0, blocks, min(threads, blocks) + 1).astype(int).tolist()
-    return list(pairwise(ends))

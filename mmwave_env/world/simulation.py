@@ -119,8 +119,7 @@ def measure(
 
 def _where_seen(visible: Vector, rows: Vector, otherwise: float, layout: Layout) -> list[Number]:
     """The rows (rows,) of the groups that are visible (groups,), else a constant."""
-    seen = [v > 0.5 for v, group in zip(visible, layout.groups, strict=True)
-            for _ in range(group.start, group.stop)]  # fmt: skip
+    seen = [v > 0.5 for v, k in zip(visible, layout.widths, strict=True) for _ in range(k)]
     return [where(s, value, otherwise) for s, value in zip(seen, rows, strict=True)]
 
 

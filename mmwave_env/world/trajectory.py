@@ -11,7 +11,7 @@ import numpy as np
 from mmwave_env.models.envelope import POSITION_M
 from mmwave_env.models.prior import GAP_S
 from mmwave_env.models.scene import Scene
-from mmwave_env.numerics.arrays import Array, Mask
+from mmwave_env.numerics.numbers import Array, Mask
 from mmwave_env.world.mobility import FASTEST_MPS
 
 REACH_M = (1.0, 5000.0)  # from an anchor, where the path loss holds (3GPP TR 38.901, UMi)
@@ -66,10 +66,8 @@ class Trajectory:
         step = np.diff(t, prepend=t[0] - 1.0)
         moved = np.diff(p, axis=0, prepend=p[:1])
         self._require(step > 0.0, t, "t", "more than in the row before")
-        self._require(
-            step <= GAP_S, t, "t",
-            f"at most {GAP_S:g} s after the row before; cut the trajectory there, if t is in s",
-        )  # fmt: skip
+        near = f"at most {GAP_S:g} s after the row before; cut the trajectory there, if t is in s"
+        self._require(step <= GAP_S, t, "t", near)
         speed = np.linalg.norm(moved, axis=1) / step
         most = f"at most {FASTEST_MPS:g} m/s"
         unit = f"{most}: is t in seconds, and are x, y in meters, not in degrees?"

@@ -1,4 +1,7 @@
-"""Ways that users went: read from a CSV file, placed in a scene, and drawn from by episodes."""
+"""Ways that users went: read from a CSV file, placed in a scene, and drawn from by episodes.
+
+And what a ``scenario=`` argument means: kinds of users, or such ways.
+"""
 
 import csv
 import math
@@ -16,9 +19,10 @@ import numpy as np
 from mmwave_env.files import read_text
 from mmwave_env.lookup import is_name, quoted
 from mmwave_env.models.scene import Scene
-from mmwave_env.numerics.arrays import Array, Index
+from mmwave_env.numerics.numbers import Array, Index
 from mmwave_env.records import Printable
 from mmwave_env.world.checks import refuse_in
+from mmwave_env.world.mobility import Mobility, mobilities_of
 from mmwave_env.world.trajectory import Trajectory
 
 COLUMNS = ("t", "x", "y", "z", "vx", "vy", "vz")  # the last three all together or not at all
@@ -184,3 +188,33 @@ def _number(file: Path, line: int, column: str, text: str) -> float:
     if not math.isfinite(value):
         refuse_in(file, f"line {line}, column {column}", quoted(text), "a finite number")
     return value
+
+
+Scenario = str | os.PathLike[str] | Mobility | Trajectory | Ways
+_OF_SUMO = (".xml", ".gz", ".parquet")
+Users = tuple[Mobility, ...] | Ways
+
+
+def users_of(scenario: Scenario) -> Users:
+    """Kinds of users that are drawn, or given ways.
+
+    Raises:
+        ValueError: unknown scenario; the message lists the valid ones. Or a file that holds
+            something else than it should.
+        FileNotFoundError: there is no such file.
+    """
+    if isinstance(scenario, Ways):
+        return scenario
+    if isinstance(scenario, Trajectory):
+        return Ways(scenario.name, (scenario,))
+    if isinstance(scenario, Mobility):
+        return (scenario,)
+    suffix = Path(str(scenario)).suffix.lower()
+    if suffix == ".csv":
+        return read_ways(scenario)
+    if suffix in _OF_SUMO:
+        raise ValueError(
+            f"scenario: found {os.fspath(scenario)!r}, expected a .csv file of ways; "
+            "examples/sumo.py makes one of SUMO's floating-car data"
+        )
+    return mobilities_of(scenario)

@@ -60,7 +60,8 @@ def test_a_run_is_compared_over_its_training_seeds(run, tmp_path):
     result = json.loads(file.read_text())
     assert list(result["policies"]) == names
     references = ("fixed-ukf", "imm")
-    assert list(result["paired"]) == [f"{n} - {r}" for r in references for n in names if n != r]
+    pairs = [f"{n} - {r}" for r in references for n in names if n != r]
+    assert list(result["paired"]) == [*pairs, f"{one} - {median}", f"{median} - {one}"]
 
     (seeds,) = result["training_seeds"].values()
     assert list(result["training_seeds"]) == [median] and seeds["median"] == 0

@@ -53,16 +53,18 @@ def test_what_is_no_entry_is_refused(entries, tmp_path):
     [
         (["--episodes", "1"], "episodes: found 1, expected at least 2"),
         (["--draws", "0"], "draws: found 0, expected at least 2"),
-        ([], "out: found no entries in .*; --policies makes some"),
+        (["--policies", "imm-bets"], "policy: found 'imm-bets', did you mean imm-best[?] Expected"),
+        ([], "mine.json: not an entry"),
     ],
 )
-def test_nothing_to_judge_is_refused(options, message, tmp_path):
+def test_a_mistake_is_refused_before_any_venue(options, message, tmp_path):
+    (tmp_path / "mine.json").write_text("{")
     assert_one_clear_line(command("leaderboard", *options, "--out", tmp_path), message)
 
 
-def test_a_contender_that_there_is_not_is_refused_before_any_venue(tmp_path):
-    done = command("leaderboard", "--policies", "imm-bets", "--out", tmp_path)
-    assert_one_clear_line(done, "policy: found 'imm-bets', did you mean imm-best[?] Expected")
+def test_a_folder_without_entries_is_named(tmp_path):
+    done = command("leaderboard", "--out", tmp_path)
+    assert_one_clear_line(done, "out: found no entries in .*; --policies makes some")
 
 
 @pytest.mark.parametrize(("episodes", "draws"), [(20, 5), (1999, 200), (2000, 199)])
@@ -82,8 +84,3 @@ def test_the_episodes_of_a_full_entry_are_those_of_the_page_and_of_the_command()
     page = (ROOT / "docs" / "benchmark.md").read_text("utf-8")
     said = f"{Args.episodes} a simulated street, {Args.draws} draws of receiver noise a recording"
     assert said in page
-
-
-def test_a_file_that_is_no_json_is_named(tmp_path):
-    (tmp_path / "mine.json").write_text("{")
-    assert_one_clear_line(command("leaderboard", "--out", tmp_path), "mine.json: not an entry")

@@ -65,19 +65,6 @@ def test_percentiles_are_in_a_table_and_in_the_file_where_they_are_asked_for(res
     assert "at a risk of 0.001" in shown
 
 
-MISTAKES = {
-    "no risk": (("--risk", 0), "risk: found 0, expected more than 0"),
-    "all risk": (("--risk", 1), "risk: found 1, expected more than 0 and at most 0.5"),
-}
-
-
-@pytest.mark.parametrize("mistake", MISTAKES)
-def test_what_is_no_risk_is_refused_before_the_episodes(mistake):
-    words, message = MISTAKES[mistake]
-    many = ("--episodes", 10**9, *words)
-    assert_one_clear_line(command("evaluate", *many), f"^mmwave-loc evaluate: {message}")
-
-
 def test_results_say_how_to_make_them_again(results, tmp_path):
     made = results[0]
     assert made["versions"]["mmwave-loc"] == mmwave_env.__version__
@@ -133,13 +120,16 @@ def test_the_key_of_a_seed_is_that_of_the_environment(results):
 
 
 def test_recorded_episodes_have_seeds_and_no_keys(tmp_path):
-    where = ("--data", "canyon28_vehicle", "--episode-steps", 15, "--episodes", 1)
-    succeed("evaluate", "--policy", "fixed-ukf", *where, "--episodes-csv", tmp_path / "r.csv")
+    where = ("--data", "canyon28_vehicle", "--episode-steps", 15, "--episodes", 2)
+    files = ("--json", tmp_path / "r.json", "--episodes-csv", tmp_path / "r.csv")
+    succeed("evaluate", "--policy", "fixed-ukf", *where, *files)
     with (tmp_path / "r.csv").open() as file:
-        (row,) = csv.DictReader(file)
-    assert (row["seed"], row["key"]) == ("0", "")
+        assert [(row["seed"], row["key"]) for row in csv.DictReader(file)] == [("0", ""), ("1", "")]
+    found = json.loads((tmp_path / "r.json").read_text())
+    assert found["scenario"] == "canyon28_vehicle" and list(found["policies"]) == ["fixed-ukf"]
 
 
+MANY, RECORDED = ("--episodes", 10**9), ("--data", "canyon28_vehicle")
 REFUSED = {
     "no key": (("--keys",), "keys: found none, expected at least 1"),
     "no number": (("--keys", "first"), "keys: found 'first', expected a whole number"),
@@ -151,11 +141,16 @@ REFUSED = {
     "recorded": (
         ("--keys", 3, "--data", "canyon28_vehicle"), "keys: found 1, but .* recorded .*: expected n"
     ),
+    "no risk": ((*MANY, "--risk", 0), "risk: found 0, expected more than 0"),
+    "a time step": ((*RECORDED, "--dt", "0.5"), "dt: found .*, but recorded episodes bring it$"),
+    "odometry": ((*RECORDED, "--odometry"), "odometry: found .*, but recorded episodes bring it$"),
+    "scenario": ((*RECORDED, "--scenario", "jam"), "scenario: found .*, but recorded episodes b"),
+    "scene": ((*RECORDED, "--scene", "o1"), "scene: found .*, but recorded episodes bring it$"),
 }  # fmt: skip
 
 
 @pytest.mark.parametrize("mistake", REFUSED)
-def test_keys_that_are_none_are_refused(mistake):
+def test_what_is_none_is_refused_before_the_episodes(mistake):
     words, message = REFUSED[mistake]
     for name in ("evaluate", "compare"):
         assert_one_clear_line(command(name, *words), f"^mmwave-loc {name}: {message}")
@@ -191,12 +186,6 @@ def test_an_option_of_the_environment_means_the_same(option, tmp_path):
     assert found["reward"]["mean"] == pytest.approx(np.mean(rewards[BURN_IN:]))
     for metric in ("ate_m", "rmse_m", "rpe_m", "nees", "in_bounds"):
         assert found[metric]["mean"] == pytest.approx(info[EPISODE_KEYS[metric]]), metric
-
-
-def test_options_that_recorded_data_bring_are_refused():
-    for words in (("--dt", "0.5"), ("--odometry",), ("--scenario", "jam"), ("--scene", "o1")):
-        done = command("evaluate", "--data", "canyon28_vehicle", *words)
-        assert_one_clear_line(done, f"{words[0][2:]}: found .*, but recorded episodes bring it$")
 
 
 def test_a_bound_on_flat_ground_is_refused():

@@ -8,8 +8,7 @@ import pytest
 
 from experiments.console.main import run
 from mmwave_env.datasets.log_writer import log_columns, log_text
-from mmwave_env.datasets.samples import log_names, recording_from
-from mmwave_env.datasets.tracks import TrackSource
+from mmwave_env.datasets.samples import log_names
 from mmwave_env.logs.log import read_log
 from mmwave_env.logs.tum import read_tum
 from mmwave_env.models.measurement import Layout
@@ -79,18 +78,6 @@ def test_sample_logs_are_what_the_command_writes(tmp_path, name):
         )
 
 
-@pytest.mark.parametrize("name", log_names())
-def test_sample_logs_are_the_recordings_episodes(name):
-    source = TrackSource(recording_from(name), RADIOS["standard"])
-    episode = source.sample(np.random.default_rng(0))
-    scene = read_scene(LOGS / name / "scene.json")
-    assert scene.name == name
-    np.testing.assert_allclose(scene.anchors_m, episode.scene_anchors_m, atol=1e-9)
-    (block,) = read_log(LOGS / name / "log.csv", scene)
-    np.testing.assert_array_equal(block.visible, episode.usable)
-    assert not block.incomplete.any()
-
-
 def test_of_a_file_of_several_ways_it_tells_which_user_it_is(tmp_path, capsys):
     ways = tmp_path / "ways.csv"
     rows = [f"{t},{i},{20 + t},{y},1.5" for t in range(40) for i, y in (("a", -80), ("b", -70))]
@@ -111,23 +98,6 @@ def test_a_way_with_a_hard_turn_is_warned_of_in_a_line(tmp_path, capfd):
     simulate(tmp_path / "out", "--scenario", way, "--episode-steps", 8)
     (line,) = capfd.readouterr().err.splitlines()
     assert line.startswith(f"warning: {way}: found a turn at 5 s that pulls 14.1 m/s^2 sideways;")
-
-
-@pytest.mark.parametrize(
-    ("options", "message"),
-    [
-        (["--data", "canyon28_vehicle", "--odometry"], "odometry: found True, but recorded"),
-        (["--data", "canyon28_vehicle", "--scenario", "jam"], "scenario: found 'jam', but"),
-        (["--scenario", "train"], "'train'.*pedestrian"),
-        (["--radio", "lab"], "'lab'.*handset"),
-    ],
-)
-def test_mistakes_end_with_one_clear_line(tmp_path, capsys, options, message):
-    with pytest.raises(SystemExit) as stop:
-        simulate(tmp_path / "out", *options)
-    (line,) = capsys.readouterr().err.splitlines()
-    assert stop.value.code == 2 and re.match(f"mmwave-loc simulate: .*{message}", line), line
-    assert not (tmp_path / "out").exists()
 
 
 @pytest.mark.parametrize("name", FILES)

@@ -5,7 +5,7 @@ import re
 
 import pytest
 
-from experiments.console.doc_pages import MARK
+from experiments.console.doc_pages import MARK, page_to_renew, renewed
 from experiments.timing.report import TITLES
 from tests.cli import assert_one_clear_line, command, succeed
 from tests.paths import ROOT
@@ -15,10 +15,10 @@ PAGE = ROOT / "docs" / "performance.md"
 
 @pytest.mark.slow
 def test_a_short_run_writes_everything(tmp_path):
-    page, file, plot = (tmp_path / name for name in ("page.md", "new/all.json", "plot.png"))
+    page, file = tmp_path / "page.md", tmp_path / "new" / "all.json"
     page.write_text(PAGE.read_text())
     options = ("--sizes", 8, 64, "--seconds", 0, "--repeats", 1)
-    shown = succeed("speed", *options, "--json", file, "--plot", plot, "--docs", page)
+    shown = succeed("speed", *options, "--json", file, "--docs", page)
     assert re.findall("^### (.*)", shown, re.MULTILINE) == list(TITLES)
     result = json.loads(file.read_text())
     assert result["command"] == "mmwave-loc speed --sizes 8 64 --seconds 0.0 --repeats 1"
@@ -35,11 +35,9 @@ def test_a_short_run_writes_everything(tmp_path):
     )
     assert set(result["cold_start_s"]) == set(result["peak_rss_mb"])
     assert 20.0 < result["peak_rss_mb"]["cartpole"] < result["peak_rss_mb"]["native_64"]
-    for picture in (plot, page.with_suffix(".png")):
-        assert picture.read_bytes().startswith(b"\x89PNG")
-    renewed = {match[1]: match[0] for match in MARK.finditer(page.read_text())}
+    shown_now = {match[1]: match[0] for match in MARK.finditer(page.read_text())}
     assert all(table.split("\n", 1)[1].rpartition("\n")[0] in shown
-               for table in renewed.values())  # fmt: skip
+               for table in shown_now.values())  # fmt: skip
 
 
 @pytest.mark.parametrize(
@@ -50,8 +48,29 @@ def test_a_short_run_writes_everything(tmp_path):
         (["--repeats", "0"], "repeats: found 0, expected at least 1"),
         (["--docs", "CHANGELOG.md"], "CHANGELOG.md: found no table"),
         (["--docs", "docs/paper.md"], "found 'Table I: pedestrian, handset', expected one of"),
-        (["--plot", "docs"], "plot: found docs, expected a name that ends with .png"),
     ],
 )
 def test_mistakes_end_with_one_clear_line_before_the_work(options, message):
     assert_one_clear_line(command("speed", *options), f"^mmwave-loc speed: .*{message}")
+
+
+# --- pages with tables that commands renew
+
+
+def test_a_page_is_renewed_between_its_marks_alone():
+    tables = {"T": "| a |\n|---|\n| 1 |\n\nnote"}
+    page = "before\n<!-- table: T -->\nold\n<!-- end -->\nafter\n"
+    expected = "before\n<!-- table: T -->\n| a |\n|---|\n| 1 |\n\nnote\n<!-- end -->\nafter\n"
+    assert renewed(page, tables) == renewed(expected, tables) == expected
+
+
+def test_a_mark_without_a_table_is_named():
+    with pytest.raises(ValueError, match=r"found 'U', expected one of \['T'\]"):
+        renewed("<!-- table: U -->\n<!-- end -->", {"T": ""})
+
+
+def test_a_page_without_marks_is_refused(tmp_path):
+    page = tmp_path / "page.md"
+    page.write_text("no table\n")
+    with pytest.raises(ValueError, match="page.md: found no table"):
+        page_to_renew(page)

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from gymnasium.utils.env_checker import data_equivalence
 
-from mmwave_env.compiler.lazy_jit import LazyJit
+from mmwave_env.compiler.disk_cache import LazyJit
 from mmwave_env.models.radio import RADIOS
 from mmwave_env.models.scene import SCENES
 from mmwave_env.numerics.pytree import flatten, unflatten

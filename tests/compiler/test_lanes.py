@@ -260,7 +260,7 @@ def test_asking_for_a_value_says_what_to_write_instead(lanes, use, instead):
 
 def test_probes_are_lanes_in_all_but_the_value():
     """What a trial on probes accepts, lanes do, and the other way round."""
-    inner = {"builder", "value", "hidden", "_call", "_negated", "as_word"}
+    inner = {"builder", "value", "hidden", "_call", "_negated", "_with", "as_word"}
     for ours, theirs in ((Lanes, FloatTracer), (Mask, FloatCondition)):
         assert set(dir(ours)) - inner == set(dir(theirs)) - inner
 

@@ -4,7 +4,7 @@ import numba
 import pytest
 
 from mmwave_env.compiler import disk_cache
-from mmwave_env.compiler.lazy_jit import LazyJit
+from mmwave_env.compiler.disk_cache import LazyJit
 
 
 def function(x):

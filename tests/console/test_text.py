@@ -1,14 +1,18 @@
-"""What others named reaches nobody unescaped, and comes back as it was."""
+"""What others named reaches no terminal unescaped: text, bars and tables."""
 
+import io
 import re
 
 import pytest
-from hypothesis import given
+from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from rich.cells import cell_len
 from rich.console import Console
 from rich.markdown import Markdown
 
-from experiments.console.tables import grid
+from experiments.console import progress as terminal
+from experiments.console.progress import progress, say, tracked
+from experiments.console.tables import grid, show
 from experiments.console.text import (
     escaped,
     printable_lines,
@@ -51,3 +55,122 @@ def test_a_table_has_a_line_a_row_whatever_its_names_are(names):
     lines = grid(["name", "reward"], [[name, "1"] for name in names]).split("\n")
     assert len(lines) == 2 + len(names) and all(line.isprintable() for line in lines)
     assert all(len(re.findall(r"(?<!\\)(?:\\\\)*\|", line)) == 3 for line in lines)
+
+
+# --- lines and bars
+
+AWKWARD = "$x$|a\nb\x1b[31m[red]\u202e<script>"
+SPELLED = r"$x$|a\nb\x1b[31m[red]\u202e<script>"
+
+
+@pytest.fixture
+def screen(monkeypatch):
+    """A terminal of 100 columns that standard error goes to."""
+    shown = io.StringIO()
+
+    def console(**_):
+        return Console(file=shown, force_terminal=True, width=100, color_system=None)
+
+    monkeypatch.setattr(terminal, "Console", console)
+    return shown
+
+
+def test_a_line_a_name_even_if_a_line_ends_in_it(capsys):
+    say(f"written to {AWKWARD}", "done")
+    assert capsys.readouterr().out == f"written to {SPELLED}\ndone\n"
+
+
+def test_bars_show_names_letter_by_letter(screen):
+    with progress(AWKWARD) as report:
+        report(0.5)
+    assert list(tracked([1, 2], AWKWARD)) == [1, 2]
+    assert SPELLED in screen.getvalue()
+    assert "\x1b[31m" not in screen.getvalue() and "\u202e" not in screen.getvalue()
+
+
+def test_there_are_no_bars_where_there_is_no_terminal(capsys):
+    with progress("filtering") as report:
+        report(1.0)
+    assert capsys.readouterr() == ("", "")
+
+
+# --- tables
+
+WORDS = st.from_regex(r"[a-z0-9.±-]{1,20}", fullmatch=True)
+
+
+@pytest.fixture
+def shown(monkeypatch, capsys):
+    """Prints Markdown as on a terminal of a width."""
+    monkeypatch.setenv("FORCE_COLOR", "1")
+
+    def lines(text, width):
+        monkeypatch.setenv("COLUMNS", str(width))
+        capsys.readouterr()
+        show(text)
+        plain = re.sub(r"\x1b\[[0-9;]*m", "", capsys.readouterr().out)
+        return [line.rstrip() for line in plain.splitlines()]
+
+    return lines
+
+
+@settings(
+    max_examples=25, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
+)
+@given(
+    names=st.lists(WORDS, max_size=5),
+    cells=st.lists(WORDS, max_size=9),
+    width=st.integers(44, 120),
+)
+def test_no_cell_of_a_table_is_cut_and_no_line_is_too_long(shown, names, cells, width):
+    header = ["policy", *(f"column {i}" for i in range(len(cells)))]
+    lines = shown(grid(header, [[name, *cells] for name in names]), width)
+    assert max(map(len, lines)) <= width
+    rules = [i for i, line in enumerate(lines) if line.startswith("──")]
+    tables = [lines[i + 1 : i + 1 + len(names)] for i in rules]
+    for table in tables:
+        assert [line.split()[0] for line in table] == names
+    for i in range(len(names)):
+        assert [cell for table in tables for cell in table[i].split()[1:]] == cells
+
+
+def test_headers_are_folded_but_not_before_a_unit(shown):
+    _, *header = shown(grid(["track", "NEES in 95 % bounds"], [["filtered", "0.9"]]), 60)
+    words = [line.strip() for line in header if line][:4]
+    assert words == ["track     NEES", "in", "95 %", "bounds"]
+
+
+def test_a_name_wider_than_the_terminal_is_not_cut(shown):
+    name = "runs/" + "long" * 20
+    lines = shown(grid(["policy", "reward"], [[name, "-1.5"]]), 60)
+    assert f"{name}  -1.5" in lines
+
+
+def test_what_is_around_a_table_stays(shown):
+    lines = shown(f"before\n\n{grid(['a', 'b'], [['1', '2']])}\n\n- after\n", 80)
+    assert [line.strip(" •") for line in lines if line and "─" not in line] == [
+        "before", "a  b", "1  2", "after",
+    ]  # fmt: skip
+
+
+@pytest.mark.parametrize("name", ["a|b", "\x1b[31mred", "one\ntwo", "漢字", r"a\|b\\", "$x$"])
+def test_names_neither_break_a_table_nor_reach_the_terminal(shown, capsys, name):
+    lines = shown(grid(["policy", "reward"], [[name, "-1.5"], ["imm", "-1.0"]]), 60)
+    plain = name.encode("unicode_escape").decode() if not name.isprintable() else name
+    rows = [line for line in lines if line.endswith(("-1.5", "-1.0"))]
+    assert [row.rpartition("  ")[0].rstrip() for row in rows] == [plain, "imm"]
+    assert len({cell_len(row) for row in rows}) == 1  # columns are aligned, wide letters or not
+
+
+def test_what_is_no_table_is_shown_without_control_characters_too(monkeypatch, capsys):
+    monkeypatch.delenv("FORCE_COLOR", raising=False)
+    show("### \x1b]0;title\x07 street\n\nnext\n")
+    assert capsys.readouterr().out == "### \\x1b]0;title\\x07 street\n\nnext\n\n"
+
+
+def test_no_color_is_shown_where_none_is_wanted(monkeypatch, capsys):
+    monkeypatch.setenv("FORCE_COLOR", "1")
+    monkeypatch.setenv("NO_COLOR", "1")
+    show(f"### title\n\n`code`\n\n{grid(['a'], [['1']])}\n")
+    codes = re.findall(r"\x1b\[([0-9;]*)m", capsys.readouterr().out)
+    assert not [code for code in codes if re.search(r"(^|;)(3|4|9|10)[0-9]", code)]

@@ -1,4 +1,3 @@
-import pickle
 from dataclasses import replace
 
 import numpy as np
@@ -104,22 +103,6 @@ def test_it_is_an_episode_source():
     assert episode.hz_per_mps == pytest.approx(28e9 / 299_792_458.0)
 
 
-def test_same_seed_same_episode():
-    source = TrackSource(PEDESTRIAN, RADIO, epochs=40)
-    one, other = source.sample(generator(3)), source.sample(generator(3))
-    for field in ("time_s", "measurement", "sigma", "visible", "snr_db", "doppler_spread_hz",
-                  "prior_mean", "prior_covariance"):  # fmt: skip
-        np.testing.assert_array_equal(getattr(one, field), getattr(other, field))
-    different = source.sample(generator(4))
-    assert not np.array_equal(different.time_s, one.time_s)
-
-
-def test_sampling_does_not_change_the_recording():
-    before = pickle.dumps(VEHICLE)
-    TrackSource(VEHICLE, RADIO).sample(generator())
-    assert pickle.dumps(VEHICLE) == before
-
-
 def test_sigmas_are_the_profile_s_at_the_recorded_gain():
     episode = TrackSource(VEHICLE, RADIO).sample(generator())
     seen = VEHICLE.visible[:, :3]
@@ -166,17 +149,6 @@ def test_doppler_spread_follows_the_speed():
     ratio = np.log(spreads / (RADIO.spread_gain * speed * VEHICLE.scene.hz_per_mps))
     assert abs(ratio.mean()) < 0.01
     assert ratio.std() == pytest.approx(RADIO.spread_sigma, rel=0.05)
-
-
-def test_prior_is_drawn_around_the_truth():
-    source = TrackSource(VEHICLE, RADIO, epochs=30)
-    scores = []
-    for seed in range(300):
-        episode = source.sample(generator(seed))
-        truth = np.concatenate([episode.truth_position_m[0], episode.truth_velocity_mps[0]])
-        error = episode.prior_mean[:6] - truth
-        scores.append(error @ np.linalg.solve(episode.prior_covariance[:6, :6], error))
-    assert np.mean(scores) == pytest.approx(6.0, rel=0.15)
 
 
 @settings(max_examples=30, deadline=None)
@@ -234,8 +206,8 @@ def test_numbers_that_are_not_visible_may_be_anything():
         ("position_m", np.zeros((119, 3)), r"shape \(119, 3\), expected shape \(120, 3\)"),
         ("time_s", np.zeros(120), "times that do not increase"),
         ("position_m", np.full((120, 3), np.nan), "NaN or infinity"),
-        ("measurement", np.full((120, 13), np.nan), "NaN or infinity in a visible group"),
-        ("path_gain_db", np.full((120, 3), np.inf), "NaN or infinity on a visible link"),
+        ("measurement", np.full((120, 13), np.nan), "NaN or infinity where visible"),
+        ("path_gain_db", np.full((120, 3), np.inf), "NaN or infinity where visible"),
     ],
 )
 def test_recordings_are_checked(field, value, message):

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from mmwave_env.engines.action_history import ActionHistory
+from mmwave_env.engines.vector_step import ActionHistory
 
 
 @pytest.mark.parametrize("modes", [2, 300])

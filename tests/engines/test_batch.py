@@ -30,7 +30,7 @@ def test_starting_some_leaves_the_others_as_they_are(on_floats):
     for _ in range(4):
         engine.step(np.int64(0))
     before, places = everything(engine), np.array([1, 6, 10])
-    engine.load(others, places)
+    engine.batch.load(others, places)
     engine.start(places)
     expected = engine_of(others, on_floats)
     rest = np.setdiff1d(np.arange(N), places)
@@ -47,7 +47,7 @@ def test_loading_alone_starts_at_the_next_step(on_floats):
     episodes, others = simulated(N, epochs=T), simulated(2, epochs=T)
     engine, places = engine_of(episodes, on_floats), np.array([0, 9])
     engine.step(np.int64(0))
-    engine.load(others, places)
+    engine.batch.load(others, places)
     engine.step(np.int64(0))
     np.testing.assert_array_equal(
         engine.observations()[places], engine_of(others, on_floats).observations()

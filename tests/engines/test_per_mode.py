@@ -7,8 +7,7 @@ import pytest
 
 from mmwave_env.engines.env_engine import Engine
 from mmwave_env.engines.imm_engine import ImmEngine
-from mmwave_env.engines.replay import Replay
-from mmwave_env.engines.smoothing import smooth
+from mmwave_env.engines.replay import Replay, smooth
 from mmwave_env.engines.track_engine import Tracker
 from mmwave_env.filters.bank import Bank, best_bank
 from mmwave_env.filters.modes import Mode

@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 
 from mmwave_env.engines.env_engine import Engine
-from mmwave_env.engines.replay import Replay
-from mmwave_env.engines.smoothing import smooth
+from mmwave_env.engines.replay import Replay, smooth
 from mmwave_env.engines.track_engine import Tracker
 from mmwave_env.filters.filterpy_reference import filterpy_pipeline
 from mmwave_env.filters.mode_files import default_modes

@@ -5,7 +5,7 @@ import pytest
 from filterpy.kalman import KalmanFilter
 
 from mmwave_env.engines.imm_engine import ImmEngine
-from mmwave_env.engines.smoothing import smooth
+from mmwave_env.engines.replay import smooth
 from mmwave_env.engines.track_engine import Tracker
 from mmwave_env.filters.bank import best_bank
 from mmwave_env.filters.mode_files import modes_from

@@ -43,7 +43,7 @@ def test_a_history_is_what_an_environment_records(name, arguments):
     env.reset(seed=SEED)
     for mode in found.modes[1:]:
         env.step(mode)
-    recorded = env._recorder.history
+    recorded = env._gallery.recorders[0].history
     assert found.axes == recorded.axes and found.epochs == recorded.epochs == len(EPISODE)
     assert found.scenery.name == recorded.scenery.name
     assert found.scenery.streets == recorded.scenery.streets is not None

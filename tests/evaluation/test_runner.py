@@ -202,9 +202,10 @@ def test_a_policy_that_a_radio_has_not_is_refused_with_the_radios_it_was_trained
         "mean {}[?]$"
     )
     for radio, modes, meant in (
-        ("high", None, "ppo-standard"), ("standard", MODES, "ppo-standard"),
+        ("high", None, "ppo-standard"),
+        ("standard", MODES, "ppo-standard"),
         ("handset", MODES, "ppo-handset"),
-    ):  # fmt: skip
+    ):
         with pytest.raises(ValueError, match=why.format(meant)):
             contender_from("ppo", radio, modes)
     with pytest.raises(ValueError, match="xpected one of .*, guided, ppo-handset") as refused:

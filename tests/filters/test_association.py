@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mmwave_env.filters.association import NO_PATH, assign, disagreement, path_nis
+from mmwave_env.localization.path_tracker import NO_PATH, assign, disagreement, path_nis
 from tests.filters.problems import numbers, problems
 from tests.filters.textbook import tangent
 
@@ -66,7 +66,8 @@ def test_the_best_for_all_is_not_the_nearest_for_each():
 
 def test_arrival_and_departure_are_looks_at_one_bearing():
     sigma = np.tile([0.2, 0.03, 0.01, 0.04], (3, 1))
-    paths = np.array([[9.0, 1.0, 0.1, 1.0 - np.pi], [9.0, 3.0, 0.1, 0.1 + 3.0 - np.pi],
-                      [9.0, -3.1, -1.5, 0.05]])  # fmt: skip
+    paths = np.array(
+        [[9.0, 1.0, 0.1, 1.0 - np.pi], [9.0, 3.0, 0.1, 0.1 + 3.0 - np.pi], [9.0, -3.1, -1.5, 0.05]]
+    )
     right = [0.0, 0.1**2 / 0.05**2, (-3.1 + np.pi - 0.05) ** 2 / 0.05**2]
     np.testing.assert_allclose(disagreement(paths, sigma), right, atol=1e-12)

@@ -14,11 +14,10 @@ from scipy.stats import chi2, multivariate_normal
 
 from mmwave_env.filters import imm, memory, smoother
 from mmwave_env.filters.belief import Belief
-from mmwave_env.filters.mode_result import ModeResult, capped_log_likelihood
 from mmwave_env.filters.modes import Mode
 from mmwave_env.filters.pipeline import Pipeline, measurement_of, predict_update
-from mmwave_env.models.epoch import Epoch, Site
-from mmwave_env.models.measurement import Layout
+from mmwave_env.filters.update import ModeResult, capped_log_likelihood
+from mmwave_env.models.measurement import Epoch, Layout, Site
 from mmwave_env.models.motion import accelerate, turn
 from mmwave_env.numerics.linalg import pack
 from tests.filters import textbook
@@ -83,9 +82,7 @@ def test_an_epoch_of_a_mode_is_the_textbooks(mode, lockout, data):
         gamma=gamma, lockout=lockout, snr_mean_db=[20.0, 20.0 + drop_db]
     )
     scale = gamma if mode.adaptive else 1.0
-    x, P = textbook.predict(
-        problem.x, problem.P, noise_of(mode, 300.0, epoch.dt, scale), epoch.dt
-    )  # fmt: skip
+    x, P = textbook.predict(problem.x, problem.P, noise_of(mode, 300.0, epoch.dt, scale), epoch.dt)
     if mode.acceleration_mps2:
         x = np.array(accelerate(x.tolist(), mode.acceleration_mps2, epoch.dt))
     if mode.turn_rate_radps:

@@ -8,8 +8,7 @@ import pytest
 from mmwave_env.filters.memory import initial_memory
 from mmwave_env.filters.modes import Mode
 from mmwave_env.filters.pipeline import Pipeline, measurement_of, predict_update, process_noise
-from mmwave_env.models.epoch import Epoch, blank_site
-from mmwave_env.models.measurement import Layout
+from mmwave_env.models.measurement import Epoch, Layout, blank_site
 from tests.filters.tracks import unpacked
 
 LAYOUT = Layout(3)

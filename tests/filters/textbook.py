@@ -227,7 +227,7 @@ class Judged(NamedTuple):
 
 def gate_groups(
     moments, sensor, groups, links, x, P, z, R, visible, quantile=None, force=False, robust=False
-):  # fmt: skip
+):
     """Gate each group at the prior; R is inflated where a robust update doubts."""
     _, nis, log_det = statistics(moments, sensor, groups, x, P, z, R)
     sizes = np.array([g.stop - g.start for g in groups])

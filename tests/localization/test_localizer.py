@@ -12,10 +12,10 @@ from hypothesis import strategies as st
 
 from mmwave_env.datasets.log_writer import write_log
 from mmwave_env.engines.imm_engine import ImmEngine
-from mmwave_env.engines.smoothing import smooth
+from mmwave_env.engines.replay import smooth
 from mmwave_env.filters.bank import Bank, best_bank
 from mmwave_env.filters.mode_files import default_modes
-from mmwave_env.filters.modes import Mode, robust
+from mmwave_env.filters.modes import robust
 from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.localization.localizer import TrackBlock, localize
 from mmwave_env.logs.log import LogBlock, read_log
@@ -148,11 +148,14 @@ def test_the_speed_gate_may_follow_odometry(folder):
     assert measured.any() and not measured.all()
 
 
-def test_flat_terrain_keeps_its_height(block):
-    found = run([block], height_m=1.5)
-    assert_engines(found, block, [EKF], planar=True)
+@pytest.mark.parametrize("modes", [(EKF,), pytest.param(BANK, marks=pytest.mark.slow)])
+def test_flat_terrain_keeps_its_height(block, modes):
+    found = run([block], modes, height_m=1.5)
+    if modes != BANK:
+        assert_engines(found, block, modes, planar=True)
     for x in (found.x, found.smooth_x):
-        assert (x[:, 2] == 1.5).all() and (x[:, 5] == 0.0).all()
+        np.testing.assert_allclose(x[:, 2], 1.5, rtol=1e-12 if modes == BANK else 0.0)
+        assert not x[:, 5].any()
 
 
 def assert_imms(found, block, bank):
@@ -176,14 +179,6 @@ def test_an_imm_is_the_engines(block, size):
     found = run(cut(block, [size]), BANK)
     assert_imms(found, block, BANK)
     assert len(np.unique(found.mode)) > 2 and found.share == 1.0
-
-
-@pytest.mark.slow
-def test_an_imm_keeps_the_height_of_flat_terrain(block):
-    found = run([block], BANK, height_m=1.5)
-    for x in (found.x, found.smooth_x):
-        np.testing.assert_allclose(x[:, 2], 1.5, rtol=1e-12)
-        assert not x[:, 5].any()
 
 
 def test_an_imm_takes_no_rule(block):
@@ -241,24 +236,10 @@ def unseen(block, epochs):
     return replace(block, visible=visible, incomplete=incomplete)
 
 
-@pytest.mark.parametrize("size", [7, 20, T])
-def test_a_track_begins_at_the_first_line_of_sight(block, size):
-    found = run(cut(unseen(block, slice(20)), [size]))
-    start = 20 + int(block.visible[20:, 0].argmax())
-    assert found.skipped == start and len(found) == T - start
-    assert found.time_s[0] == block.time_s[start]
-
-
 def test_a_range_of_zero_is_no_beginning(block):
     measurement = block.measurement.copy()
     measurement[2, 0] = 0.0
     assert run([replace(block, measurement=measurement)]).skipped > 2
-
-
-def test_a_log_without_a_line_of_sight_is_refused(block):
-    message = "found 230 epochs without a line of sight, expected one.*230 have only some of these"
-    with pytest.raises(ValueError, match=message):
-        list(localize(cut(unseen(block, slice(None)), [64]), SCENE, RADIO, [EKF]))
 
 
 def damaged(blocks):
@@ -277,11 +258,6 @@ def test_damage_comes_after_the_epochs_before_it(block, window, modes):
     for name in PER_EPOCH:
         np.testing.assert_array_equal(getattr(found, name), getattr(expected, name), err_msg=name)
     assert len(found) == 128
-
-
-def test_damage_before_a_line_of_sight_is_the_error():
-    with pytest.raises(LogError, match="line 7"):
-        list(localize(damaged([]), SCENE, RADIO, [EKF]))
 
 
 UNGATED = replace(UKF, gate=None)
@@ -338,12 +314,6 @@ def test_after_a_long_gap_the_track_is_that_of_the_rest_alone(block, window, mod
     assert blocks[-1].skipped == 2 and blocks[-1].dropped == 0
 
 
-def test_a_short_gap_is_bridged(block):
-    before, after = with_gap(block, 10.0)
-    found = run([joined(before, after)], [UKF])
-    assert found.segment == 0 and found.visible[len(before) - 2, 0]
-
-
 def test_long_gaps_do_not_lose_the_track():
     source = SimulatedSource(SCENE, RADIOS["standard"], "vehicle", epochs=200)
     mode = default_modes("standard")[1]
@@ -358,11 +328,6 @@ def test_long_gaps_do_not_lose_the_track():
         found = whole(b for b in blocks if b.segment == 1)
         truth = episode.truth_position_m[np.searchsorted(episode.time_s, found.time_s)]
         assert np.linalg.norm(found.x[:, :3] - truth, axis=1).mean() < 2.0, seed
-
-
-def test_modes_without_a_rule_are_refused(block):
-    with pytest.raises(ValueError, match="modes: found 2, no rule and no actions"):
-        run([block], (Mode("a"), Mode("b")))
 
 
 @pytest.mark.parametrize("steep", [0.0, 1e-9, 0.02], ids=["exactly", "all but", "about"])

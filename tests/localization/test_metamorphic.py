@@ -8,12 +8,10 @@ mirrored with it, and the same uncertainty, NIS and gates.
 import gzip
 from dataclasses import replace
 from itertools import chain, permutations
-from pathlib import Path
 
 import numpy as np
 import pytest
 
-from mmwave_env.filters.bank import best_bank
 from mmwave_env.filters.mode_files import named_modes
 from mmwave_env.localization.localizer import localize
 from mmwave_env.logs.log import read_log
@@ -53,13 +51,9 @@ def joined(blocks):
     }
 
 
-def located(log: Path, scene, modes):
-    return joined(localize(read_log(log, scene), scene, RADIO, modes))
-
-
 def track_of(folder, columns, scene, modes):
     write_columns(folder / "log.csv", columns)
-    return located(folder / "log.csv", scene, modes)
+    return joined(localize(read_log(folder / "log.csv", scene), scene, RADIO, modes))
 
 
 def assert_moved(found, plain, turn=UNTURNED, shift_m=(0.0, 0.0, 0.0)):
@@ -77,37 +71,34 @@ def assert_moved(found, plain, turn=UNTURNED, shift_m=(0.0, 0.0, 0.0)):
         np.testing.assert_array_equal(found[name], plain[name], err_msg=name)
 
 
-@pytest.mark.parametrize("pipeline", PIPELINES)
-def test_a_scene_elsewhere_gives_the_track_there(street, tmp_path, pipeline):
-    (columns, scene), modes = street, PIPELINES[pipeline]
-    shift_m = np.array([812.5, -4_096.25, 37.0])
-    there = with_anchors(scene, scene.anchors_m + shift_m)
-    plain = track_of(tmp_path, columns, scene, modes)
-    assert_moved(track_of(tmp_path, columns, there, modes), plain, shift_m=shift_m)
-
-
-@pytest.mark.parametrize("pipeline", ROTATABLE)
-@pytest.mark.parametrize("angle", [0.5 * np.pi, np.pi, -2.0, 0.3])
-def test_a_turned_scene_gives_the_turned_track(street, tmp_path, pipeline, angle):
-    (columns, scene), modes = street, PIPELINES[pipeline]
+def turned(angle):
     cos, sin = np.cos(angle), np.sin(angle)
     turn = np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]])
-    turned = columns | {name: columns[name] + angle for name in AZIMUTHS}
-    there = with_anchors(scene, scene.anchors_m @ turn.T)
-    plain = track_of(tmp_path, columns, scene, modes)
-    assert_moved(track_of(tmp_path, turned, there, modes), plain, turn)
+    return ROTATABLE, turn, (0.0, 0.0, 0.0), lambda azimuth: azimuth + angle
 
 
-@pytest.mark.parametrize("pipeline", PIPELINES)
-@pytest.mark.parametrize("axis", [0, 1], ids=["x", "y"])
-def test_a_mirrored_scene_gives_the_mirrored_track(street, tmp_path, pipeline, axis):
+def mirrored(signs, offset):
+    return PIPELINES, np.diag(signs), (0.0, 0.0, 0.0), lambda azimuth: offset - azimuth
+
+
+MOVES = {  # pipelines, turn (3, 3), shift in m, what becomes of azimuths
+    "elsewhere": (PIPELINES, UNTURNED, (812.5, -4_096.25, 37.0), lambda azimuth: azimuth),
+    **{f"turned by {angle:.1f}": turned(angle) for angle in (0.5 * np.pi, np.pi, -2.0, 0.3)},
+    "mirrored in x": mirrored([-1.0, 1.0, 1.0], np.pi),
+    "mirrored in y": mirrored([1.0, -1.0, 1.0], 0.0),
+}
+
+
+@pytest.mark.parametrize(
+    ("move", "pipeline"), [(move, pipeline) for move in MOVES for pipeline in MOVES[move][0]]
+)
+def test_a_moved_scene_gives_the_moved_track(street, tmp_path, move, pipeline):
     (columns, scene), modes = street, PIPELINES[pipeline]
-    turn = np.diag([-1.0 if i == axis else 1.0 for i in range(3)])
-    offset = np.pi if axis == 0 else 0.0
-    mirrored = columns | {name: offset - columns[name] for name in AZIMUTHS}
-    there = with_anchors(scene, scene.anchors_m @ turn)
+    _, turn, shift_m, azimuths = MOVES[move]
+    told = columns | {name: azimuths(columns[name]) for name in AZIMUTHS}
+    there = with_anchors(scene, scene.anchors_m @ turn.T + shift_m)
     plain = track_of(tmp_path, columns, scene, modes)
-    assert_moved(track_of(tmp_path, mirrored, there, modes), plain, turn)
+    assert_moved(track_of(tmp_path, told, there, modes), plain, turn, shift_m)
 
 
 @pytest.mark.parametrize("pipeline", PIPELINES)
@@ -126,59 +117,33 @@ def test_virtual_anchors_have_no_order(street, tmp_path, pipeline):
         assert_moved(found, plain)
 
 
-UNITS = {
-    "milliseconds": ("time_s", "time_ms", 1e3),
-    "nanoseconds of flight": ("toa_s", "toa_ns", 1e9),
-    "meters": ("toa_s", "range_m", 299_792_458.0),
-    "degrees of arrival": ("aoa_azimuth_rad", "aoa_azimuth_deg", 180.0 / np.pi),
-    "degrees of elevation": ("aoa_elevation_rad", "aoa_elevation_deg", 180.0 / np.pi),
-    "degrees of departure": ("aod_azimuth_rad", "aod_azimuth_deg", 180.0 / np.pi),
-    "kilohertz": ("doppler_hz", "doppler_khz", 1e-3),
-    "meters per second": ("doppler_hz", "doppler_mps", 299_792_458.0 / 28e9),
-    "kilohertz of spread": ("doppler_spread_hz", "doppler_spread_khz", 1e-3),
+UNITS = {  # old name -> new name and factor
+    "time_s": ("time_ms", 1e3),
+    "toa_s": ("toa_ns", 1e9),
+    "aoa_azimuth_rad": ("aoa_azimuth_deg", 180.0 / np.pi),
+    "aoa_elevation_rad": ("aoa_elevation_deg", 180.0 / np.pi),
+    "aod_azimuth_rad": ("aod_azimuth_deg", 180.0 / np.pi),
+    "doppler_hz": ("doppler_khz", 1e-3),
+    "doppler_spread_hz": ("doppler_spread_khz", 1e-3),
 }
 
 
-@pytest.mark.parametrize("unit", UNITS)
-def test_units_are_a_matter_of_column_names(street, tmp_path, unit):
-    (columns, scene), modes = street, PIPELINES["ukf"]
-    old, new, factor = UNITS[unit]
-    scaled = {**columns, new: factor * columns[old]}
-    del scaled[old]
-    plain = track_of(tmp_path, columns, scene, modes)
-    assert_moved(track_of(tmp_path, scaled, scene, modes), plain)
-
-
-@pytest.mark.parametrize("pipeline", ["ekf", "ukf-robust", "imm"])
-@pytest.mark.parametrize("at", [1, 7, 64])
-def test_a_log_in_parts_gives_the_track_of_the_whole(street, tmp_path, pipeline, at):
-    columns, scene = street
-    modes = best_bank("standard") if pipeline == "imm" else PIPELINES[pipeline]
-    plain = track_of(tmp_path, columns, scene, modes)
-    begins = columns["time_s"] < np.unique(columns["time_s"])[at]
-    parts = []
-    for name, rows in (("first.csv", begins), ("rest.csv", ~begins)):
-        parts.append(tmp_path / name)
-        write_columns(parts[-1], {key: values[rows] for key, values in columns.items()})
-    blocks = chain.from_iterable(read_log(part, scene, epochs_per_block=50) for part in parts)
-    found = joined(localize(blocks, scene, RADIO, modes))
-    assert_moved(found, plain)
-
-
-def test_a_later_clock_and_a_packed_file_change_nothing(street, tmp_path):
-    (columns, scene), modes = street, PIPELINES["ukf"]
-    plain = track_of(tmp_path, columns, scene, modes)
-    later = columns | {"time_s": columns["time_s"] + 1024.0}
-    assert_moved(track_of(tmp_path, later, scene, modes), plain)
-    packed = tmp_path / "packed.csv.gz"
-    write_columns(tmp_path / "log.csv", columns)
-    packed.write_bytes(gzip.compress((tmp_path / "log.csv").read_bytes()))
-    assert_moved(located(packed, scene, modes), plain)
-
-
-def test_columns_and_the_rows_of_an_epoch_have_no_order(street, tmp_path):
-    (columns, scene), modes = street, [replace(PIPELINES["ekf"][0], spread_gain=0.01)]
+def test_units_orders_clock_and_parts_are_a_matter_of_writing(street, tmp_path):
+    """Several packed files in other units, of a later clock, rows and columns in another order."""
+    (columns, scene), modes = street, [replace(PIPELINES["ukf"][0], spread_gain=0.01)]
     plain = track_of(tmp_path, columns, scene, modes)
     order = np.lexsort((-columns["anchor"], columns["time_s"]))
-    shuffled = {name: columns[name][order] for name in reversed(columns)}
-    assert_moved(track_of(tmp_path, shuffled, scene, modes), plain)
+    later = columns | {"time_s": columns["time_s"] + 1024.0}
+    told = {}
+    for name in reversed(columns):
+        new, factor = UNITS.get(name, (name, 1.0))
+        told[new] = factor * later[name][order]
+    parts = []
+    for first, last in ((0.0, 0.5), (0.5, 6.4), (6.4, 15.0)):
+        since = 1e-3 * told["time_ms"] - 1024.0
+        rows = (since >= first) & (since < last)
+        write_columns(tmp_path / "part.csv", {name: values[rows] for name, values in told.items()})
+        parts.append(tmp_path / f"{first}.csv.gz")
+        parts[-1].write_bytes(gzip.compress((tmp_path / "part.csv").read_bytes()))
+    blocks = chain.from_iterable(read_log(part, scene, epochs_per_block=50) for part in parts)
+    assert_moved(joined(localize(blocks, scene, RADIO, modes)), plain)

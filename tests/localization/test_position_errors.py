@@ -8,8 +8,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from mmwave_env.localization.position_errors import DISTANCES_M, SHARES, PositionErrors
-from mmwave_env.localization.protection import horizontal_level, vertical_level
+from mmwave_env.localization.position_errors import (
+    DISTANCES_M,
+    SHARES,
+    PositionErrors,
+    horizontal_level,
+    vertical_level,
+)
 
 ERRORS = hnp.arrays(float, st.tuples(st.integers(1, 60), st.just(3)), elements=st.floats(-50, 50))
 
@@ -58,12 +63,6 @@ def test_errors_that_wait_on_a_disk_are_the_same():
     np.testing.assert_array_equal(errors.kinds["vertical"].rows()[:, 0], upwards)
     found = errors.figures()["vertical"]["percentiles_m"]
     assert [*found.values()] == np.quantile(upwards, SHARES).tolist()
-
-
-def test_a_known_height_has_no_vertical_errors():
-    errors = PositionErrors(planar=True)
-    errors.add(np.ones((3, 3)), covariances(3))
-    assert [*errors.figures()] == ["horizontal"]
 
 
 @pytest.mark.parametrize("lost", [np.nan, np.inf])

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from scipy.integrate import quad
 from scipy.stats import beta, binom, norm
 
-from mmwave_env.localization.protection import (
+from mmwave_env.localization.position_errors import (
     exceedance,
     horizontal_level,
     require_risk,

@@ -7,7 +7,6 @@ from hypothesis import strategies as st
 
 from mmwave_env.localization.segments import segments
 from mmwave_env.logs.log import LogBlock
-from mmwave_env.logs.log_tables import LogError
 from mmwave_env.models.measurement import Layout
 from mmwave_env.models.prior import GAP_S
 
@@ -67,17 +66,6 @@ def test_a_log_may_say_that_a_track_begins_anew():
 def test_slow_logs_begin_anew_in_every_epoch():
     pieces = found(log([0, 20, 40, 60], [FIX, FIX, OTHER, FIX]))
     assert pieces == [([0], 0, True, 0, 0), ([20], 1, True, 0, 1), ([60], 2, True, 0, 1)]
-
-
-def test_damage_comes_after_the_pieces_before_it():
-    def blocks():
-        yield log([0, 1], [FIX, FIX])
-        raise LogError("line 7")
-
-    pieces = []
-    with pytest.raises(LogError, match="line 7"):
-        pieces.extend(segments(blocks()))
-    assert [len(p.block) for p in pieces] == [2]
 
 
 def test_a_log_without_a_line_of_sight_is_refused():

@@ -7,7 +7,7 @@ import pytest
 from scipy.stats import chi2
 
 from mmwave_env.filters.pipeline import VERTICAL
-from mmwave_env.localization.protection import horizontal_level
+from mmwave_env.localization.position_errors import horizontal_level
 from mmwave_env.localization.track_scores import Course, Groups, TruthScores
 from mmwave_env.logs.truth import Truth
 from mmwave_env.logs.tum import tum_lines

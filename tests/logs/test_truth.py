@@ -1,4 +1,4 @@
-"""Truth by time."""
+"""Truth by time, and its clock beside a log's."""
 
 import numpy as np
 import pytest
@@ -6,8 +6,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.interpolate import CubicHermiteSpline
 
-from mmwave_env.logs.truth import BRIDGED_S, TOLERANCE_S, Truth
-from mmwave_env.logs.tum import tum_lines
+from mmwave_env.datasets.samples import sample_folder
+from mmwave_env.logs.clock import ClockComparison
+from mmwave_env.logs.log import LogBlock, read_log
+from mmwave_env.logs.truth import BRIDGED_S, TOLERANCE_S, TrueEpochs, Truth
+from mmwave_env.logs.tum import read_tum, tum_lines
+from mmwave_env.models.measurement import LINK, Layout
+from mmwave_env.models.scene import SCENES, read_scene
 
 
 def truth_of(folder, time_s, position_m, monkeypatch, block_bytes=200):
@@ -68,29 +73,6 @@ def test_a_pose_at_the_time_of_an_epoch_is_taken_to_the_last_bit(tmp_path, monke
     np.testing.assert_array_equal(found.away_s, 0.0)
 
 
-@pytest.mark.parametrize("rate_hz", [1.0, 3.0, 30.0, 100.0])
-def test_who_accelerates_is_where_he_was_at_any_rate(tmp_path, monkeypatch, rate_hz):
-    def way(t):
-        return np.column_stack([3.0 * t + 0.8 * t**2, -2.0 * t, np.full(len(t), 1.5)])
-
-    pose_s, time_s = np.arange(0.0, 20.0, 1.0 / rate_hz) + 0.0123, np.arange(2.0, 15.0, 0.1)
-    found = truth_of(tmp_path, pose_s, way(pose_s), monkeypatch).at(time_s)
-    np.testing.assert_allclose(found.position_m, way(time_s), atol=1e-9)
-    np.testing.assert_allclose(found.velocity_mps[:, 0], 3.0 + 1.6 * time_s, atol=1e-9)
-
-
-def test_the_poses_that_evo_matches_are_near(tmp_path, monkeypatch):
-    sync = pytest.importorskip("evo.core.sync")
-    rng = np.random.default_rng(1)
-    pose_s = np.arange(0.0, 30.0, 0.05) + rng.uniform(-0.02, 0.02, 600)
-    time_s = np.arange(5.0, 40.0, 0.2) + rng.uniform(-0.02, 0.02, 175)
-    found = truth_of(tmp_path, pose_s, rng.standard_normal((600, 3)), monkeypatch).at(time_s)
-    ours, theirs = sync.matching_time_indices(time_s, pose_s)
-    np.testing.assert_allclose(found.away_s[ours], pose_s[theirs] - time_s[ours], atol=1e-12)
-    others = np.setdiff1d(np.flatnonzero(np.isfinite(found.away_s)), ours)
-    assert 20 < len(ours) < 125 and (np.abs(found.away_s[others]) > TOLERANCE_S).all()
-
-
 def test_no_more_of_a_long_truth_is_held_than_is_needed(tmp_path, monkeypatch):
     pose_s = np.arange(0.0, 900.0, 0.01)
     truth = truth_of(tmp_path, pose_s, np.zeros((len(pose_s), 3)), monkeypatch, 20_000)
@@ -112,3 +94,155 @@ def test_a_damaged_truth_is_named(tmp_path, monkeypatch):
     assert np.isfinite(truth.at(np.arange(20.0)).position_m).all()
     with pytest.raises(ValueError, match=r"truth.tum, line 51, t: found 'x'"):
         truth.at(np.arange(20.0, 60.0))
+
+
+# --- the clock
+
+STREET = SCENES["street"]
+
+
+def user(time_s, speed=8.0, sway=4.0):
+    """Positions and velocities of who drives along a street, faster and slower."""
+    v = np.column_stack([speed + sway * np.sin(0.7 * time_s), 0.5 * np.cos(0.3 * time_s)])
+    p = np.column_stack([
+        20.0 + speed * time_s - sway / 0.7 * np.cos(0.7 * time_s),
+        -40.0 + 0.5 / 0.3 * np.sin(0.3 * time_s),
+    ])  # fmt: skip
+    return np.pad(p, [(0, 0), (0, 1)], constant_values=1.5), np.pad(v, [(0, 0), (0, 1)])
+
+
+def exact_links(position_m, anchors_m):
+    """Links (T, 4 L), in plain NumPy."""
+    d = position_m[:, None] - anchors_m
+    azimuth, flat = np.arctan2(d[..., 1], d[..., 0]), np.hypot(d[..., 0], d[..., 1])
+    rows = [np.linalg.norm(d, axis=2), azimuth, np.arctan2(d[..., 2], flat), azimuth + np.pi]
+    return np.stack(rows, axis=2).reshape(len(d), -1)
+
+
+def log_of(time_s, position_m, rng, bias=0.0):
+    """What a receiver measures there, with noise and a bias of every row."""
+    layout = Layout(3)
+    sigma = np.tile([0.3, 0.01, 0.01, 0.02], 3)
+    z = exact_links(position_m, STREET.anchors_m)
+    z = z + sigma * (rng.standard_normal(z.shape) + bias)
+    T = len(time_s)
+    return LogBlock(
+        layout=layout,
+        time_s=time_s,
+        measurement=np.column_stack([z, np.zeros(T)]),
+        visible=rng.random((T, 4)) < 0.8,
+        incomplete=np.zeros((T, 4), bool),
+        snr_db=np.full((T, 3), 20.0),
+        doppler_spread_hz=np.zeros(T),
+        restarts=np.zeros(T, bool),
+        rows=T,
+        share=1.0,
+    )
+
+
+def compared(log, truth, sizes=(None,)):
+    clocks, first = ClockComparison(STREET), 0
+    for size in sizes:
+        part = slice(first, None if size is None else first + size)
+        clocks.add(log.part(part), TrueEpochs(*(array[part] for array in truth)))
+        first += size or 0
+    return clocks.offset()
+
+
+def late(time_s, seconds, shift=(0.0, 0.0, 0.0)):
+    """The truth of a clock that is ahead, in a frame that is off."""
+    p, v = user(time_s - seconds)
+    return TrueEpochs(p + shift, v, np.zeros(len(time_s)))
+
+
+@pytest.mark.parametrize("seconds", [0.0, 0.08, -0.15])
+@pytest.mark.parametrize("shift", [(0.0, 0.0, 0.0), (1.0, -0.6, 0.3)])
+def test_an_offset_is_found_beside_biases_and_a_frame_that_is_off(seconds, shift):
+    time_s = np.arange(0.0, 60.0, 0.1)
+    log = log_of(time_s, user(time_s)[0], np.random.default_rng(2), bias=0.5)
+    found = compared(log, late(time_s, seconds, shift))
+    assert found.seconds == pytest.approx(seconds, abs=4.0 * found.deviation_s + 0.01)
+    assert 0.0 < found.deviation_s < 0.01 and found.matters == bool(seconds)
+    if seconds:
+        side, change = ("ahead of", "less") if seconds > 0.0 else ("behind", "more")
+        assert f"ms {side} the log's, expected the same; nothing was moved" in found.advice
+        assert found.advice.endswith(f"s {change}")
+
+
+def test_its_standard_error_is_that_of_many_logs():
+    time_s, rng = np.arange(0.0, 40.0, 0.1), np.random.default_rng(3)
+    found = [compared(log_of(time_s, user(time_s)[0], rng), late(time_s, 0.0)) for _ in range(60)]
+    spread = np.std([one.seconds for one in found])
+    typical = np.median([one.deviation_s for one in found])
+    assert 0.7 * spread < typical < 1.5 * spread
+    assert not any(one.matters for one in found)
+
+
+def test_it_is_the_least_squares_of_all_columns_at_once():
+    """Against NumPy's, with a column for each row's bias, for the clock and for the frame."""
+    time_s, rng = np.arange(0.0, 30.0, 0.25), np.random.default_rng(4)
+    log, truth = log_of(time_s, user(time_s)[0], rng), late(time_s, 0.05, (0.3, 0.2, 0.0))
+    position, velocity, _ = truth
+
+    def links(p):
+        return exact_links(p, STREET.anchors_m)
+
+    def turned(rows):
+        rows = rows.reshape(len(rows), -1, len(LINK))
+        rows[..., 1:] = np.remainder(rows[..., 1:] + np.pi, 2.0 * np.pi) - np.pi
+        return rows.reshape(len(rows), -1)
+
+    error = turned(log.measurement[:, :12] - links(position))
+    error[~np.repeat(log.visible[:, :3], 4, axis=1)] = np.nan
+    middle = np.nanmedian(error, axis=0)
+    sigma = 1.4826 * np.nanmedian(np.abs(error - middle), axis=0)
+    slopes = [turned(links(position + h) - links(position - h)) / 2e-4 for h in 1e-4 * np.eye(3)]
+    columns = [sum(velocity[:, i, None] * slope for i, slope in enumerate(slopes)), *slopes]
+    scaled = [column / sigma for column in columns]
+    biases = [np.tile(row, (len(time_s), 1)) for row in np.eye(12)]
+    used = np.abs(error - middle) <= 6.0 * sigma
+    A = np.column_stack([column[used] for column in (*scaled, *biases)])
+    expected = np.linalg.lstsq(A, (error / sigma)[used], rcond=None)[0][0]
+    assert compared(log, truth).seconds == pytest.approx(expected, rel=1e-4)
+
+
+def test_who_never_changes_speed_tells_nothing_of_a_clock():
+    time_s = np.arange(0.0, 60.0, 0.1)
+    velocity = np.tile([5.0, 0.0, 0.0], (len(time_s), 1))
+    position = [20.0, -40.0, 1.5] + time_s[:, None] * velocity
+    log = log_of(time_s, position, np.random.default_rng(5))
+    truth = TrueEpochs(position - 0.3 * velocity, velocity, np.zeros(len(time_s)))
+    found = compared(log, truth)
+    assert found is None or not found.matters
+
+
+@pytest.mark.parametrize("sizes", [(600,), (250, 350), (100,) * 6])
+def test_blocks_do_not_matter(sizes):
+    time_s = np.arange(0.0, 60.0, 0.1)
+    log = log_of(time_s, user(time_s)[0], np.random.default_rng(6))
+    whole, parts = (compared(log, late(time_s, 0.1), s) for s in ((600,), sizes))
+    # The noise is learned from the first block.
+    assert parts.seconds == pytest.approx(whole.seconds, abs=whole.deviation_s)
+    assert parts.deviation_s == pytest.approx(whole.deviation_s, rel=0.5)
+
+
+def test_short_logs_and_a_truth_that_is_not_known_tell_nothing():
+    time_s = np.arange(0.0, 8.0, 0.1)
+    log = log_of(time_s, user(time_s)[0], np.random.default_rng(7))
+    assert compared(log, late(time_s, 0.1)) is None
+    nothing = TrueEpochs(np.full((80, 3), np.nan), np.full((80, 3), np.nan), np.full(80, np.nan))
+    assert compared(log, nothing) is None
+
+
+@pytest.mark.parametrize("late_s", [-1.0, -0.5, -0.2, 0.2, 0.5, 1.0])
+def test_an_offset_over_which_a_log_is_not_straight_is_found_too(tmp_path, late_s):
+    folder, path = sample_folder("canyon28_vehicle"), tmp_path / "truth.tum"
+    poses = read_tum(folder / "truth.tum")
+    path.write_text(tum_lines(poses.time_s + late_s, poses.position_m))
+    scene = read_scene(folder / "scene.json")
+    clocks = ClockComparison(scene)
+    for _ in clocks.beside(Truth(path), read_log(folder / "log.csv", scene)):
+        pass
+    found = clocks.offset(path)
+    assert found.matters and found.seconds == pytest.approx(late_s, abs=0.03)
+    assert found.deviation_s < 0.02

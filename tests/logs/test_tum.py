@@ -9,7 +9,6 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from mmwave_env.logs.tum import read_tum, tum_blocks, tum_lines
-from mmwave_env.metrics import ate, rmse, rpe
 
 POSES = "0.0 1 2 3 0 0 0 1\n0.1 1.5 2 3 0 0 0 1\n0.2 2 2 3 0 0 0 1\n"
 coordinates = st.floats(-1e6, 1e6)
@@ -49,30 +48,14 @@ def test_a_file_is_read_block_by_block(tmp_path, monkeypatch):
     np.testing.assert_array_equal(np.concatenate([b.position_m for b in blocks]), track)
 
 
-def test_evo_computes_our_metrics_from_our_files(tmp_path):
-    metrics = pytest.importorskip("evo.core.metrics")
+def test_evo_reads_our_files(tmp_path):
     file_interface = pytest.importorskip("evo.tools.file_interface")
-    rng = np.random.default_rng(1)
     time = 1.7e9 + 0.1 * np.arange(300)
-    truth = np.cumsum(rng.standard_normal((300, 3)), axis=0)
-    estimate = truth + rng.standard_normal((300, 3))
-    paths = [tmp_path / "truth.tum", tmp_path / "estimate.tum"]
-    for path, track in zip(paths, (truth, estimate), strict=True):
-        path.write_text("# t x y z qx qy qz qw\n" + tum_lines(time, track))
-    pair = tuple(file_interface.read_tum_trajectory_file(str(path)) for path in paths)
-    for trajectory, track in zip(pair, (truth, estimate), strict=True):
-        np.testing.assert_array_equal(trajectory.timestamps, time)
-        np.testing.assert_array_equal(trajectory.positions_xyz, track)
-    translation = metrics.PoseRelation.translation_part
-    absolute = metrics.APE(translation)
-    absolute.process_data(pair)
-    relative = metrics.RPE(translation, delta=1, delta_unit=metrics.Unit.frames)
-    relative.process_data(pair)
-    error = estimate - truth
-    of = metrics.StatisticsType
-    assert ate(error) == pytest.approx(absolute.get_statistic(of.mean), abs=1e-9)
-    assert rmse(error) == pytest.approx(absolute.get_statistic(of.rmse), abs=1e-9)
-    assert rpe(error) == pytest.approx(relative.get_statistic(of.mean), abs=1e-9)
+    track = np.cumsum(np.random.default_rng(1).standard_normal((300, 3)), axis=0)
+    path = store(tmp_path, "# t x y z qx qy qz qw\n" + tum_lines(time, track))
+    read = file_interface.read_tum_trajectory_file(str(path))
+    np.testing.assert_array_equal(read.timestamps, time)
+    np.testing.assert_array_equal(read.positions_xyz, track)
 
 
 @pytest.mark.parametrize(
@@ -94,26 +77,13 @@ def test_spellings(tmp_path, change):
     assert found.position_m.tolist() == [[1.0, 2.0, 3.0], [1.5, 2.0, 3.0], [2.0, 2.0, 3.0]]
 
 
-def test_a_file_of_many_blocks(tmp_path, monkeypatch):
-    time, track = 0.5 * np.arange(500), np.random.default_rng(0).standard_normal((500, 3))
-    path = store(tmp_path, tum_lines(time, track))
-    monkeypatch.setattr("mmwave_env.logs.lines._BLOCK_BYTES", 300)
-    found = read_tum(path)
-    np.testing.assert_array_equal(found.time_s, time)
-    np.testing.assert_array_equal(found.position_m, track)
-
-
 DAMAGE = {
     "7 numbers": ("0.15 1 2 3 0 0 1", "line 5: found 7 numbers, expected 8: t x y z qx qy qz qw"),
-    "9 numbers": ("0.15 1 2 3 0 0 0 1 1", "line 5: found 9 numbers, expected 8"),
     "commas": ("0.15,1,2,3,0,0,0,1", "line 5: found 1 numbers, expected 8"),
     "word": ("0.15 1 two 3 0 0 0 1", "line 5, y: found 'two', expected a finite number"),
     "underscore": ("0.15 1 2_0 3 0 0 0 1", "line 5, y: found '2_0', expected a finite number"),
     "NaN": ("0.15 1 2 nan 0 0 0 1", "line 5, z: found 'nan', expected a finite number"),
-    "inf": ("0.15 1 2 3 inf 0 0 1", "line 5, qx: found 'inf', expected a finite number"),
-    "same time": ("0.1 1 2 3 0 0 0 1", "line 5, t: found 0.1, expected more than 0.1"),
     "time back": ("0.05 1 2 3 0 0 0 1", "line 5, t: found 0.05, expected more than 0.1"),
-    "NUL": ("0.15 1 2 3\0 0 0 0 1", r"line 5, z: found '3\\x00', expected a finite number"),
     "not UTF-8": ("0.15 1 2 3\udcff 0 0 0 1", r"line 5, z: found '3\\\\xff', expected a finite"),
 }
 

@@ -56,14 +56,6 @@ def test_plain_diagonal_is_the_papers_at_one_second():
     np.testing.assert_allclose(Q, np.diag([0.01, 0.01, 4e-4, 3.24, 3.24, 9e-4, 22.0]))
 
 
-def test_two_short_steps_add_the_velocity_noise_of_one_long_step():
-    half, whole = (
-        matrix(white_noise_acceleration([0.0] * 3, [1.0] * 3, 1.0, dt, True)) for dt in (0.5, 1.0)
-    )
-    twice = textbook.F(0.5) @ half @ textbook.F(0.5).T + half
-    np.testing.assert_allclose(twice[3:, 3:], whole[3:, 3:])
-
-
 @given(
     x=hnp.arrays(float, 7, elements=st.floats(-300.0, 300.0)),
     factor=hnp.arrays(float, (7, 7), elements=st.floats(-3.0, 3.0)),
@@ -78,27 +70,6 @@ def test_prediction_is_the_kalman_prediction(x, factor, diagonal, coupling, dt):
     np.testing.assert_allclose(move(x.tolist(), dt), expected_x, rtol=1e-13, atol=1e-12)
     np.testing.assert_allclose(predicted, expected_P, rtol=1e-12, atol=1e-11)
     np.testing.assert_array_equal(predicted, predicted.T)
-
-
-def test_no_time_changes_nothing():
-    noise = white_noise_acceleration([1.0] * 3, [1.0] * 3, 1.0, 0.0, True)
-    x, P = np.arange(7.0).tolist(), np.diag(np.arange(1.0, 8.0)).tolist()
-    assert move(x, 0.0) == x
-    assert predict_covariance(P, noise, 0.0) == P
-
-
-def test_what_is_known_exactly_stays_known():
-    P = np.diag([4.0, 4.0, 0.0, 1.0, 1.0, 0.0, 9.0])
-    noise = white_noise_acceleration([0.1, 0.1, 0.0], [1.0, 1.0, 0.0], 1.0, 1.0, True)
-    predicted = np.array(predict_covariance(P.tolist(), noise, 1.0))
-    assert not predicted[[2, 5]].any()
-
-
-def test_flat_terrain_keeps_height_and_climb_at_their_prior_values():
-    episodes = simulated(2, epochs=30)
-    x = track(pipeline_of(planar=True), episodes, 0, 30, ("x",), on_floats=True)["x"]
-    prior = [episode.prior_mean[[2, 5]] for episode in episodes]
-    np.testing.assert_allclose(x[..., [2, 5]], np.broadcast_to(prior, (30, 2, 2)))
 
 
 @pytest.mark.parametrize("planar", [False, True])

@@ -295,15 +295,8 @@ def test_impossible_parameters_are_refused_by_name(field, value):
         Radio("lab", **{field: value})
 
 
-@pytest.mark.parametrize("field", NOT_NEGATIVE)
-def test_what_may_vanish_may_be_zero(field):
-    assert getattr(Radio("lab", **{field: 0.0}), field) == 0.0
-
-
 def test_radio_by_name_or_by_itself():
     assert radio_from("high") is RADIOS["high"] and radio_from(CLEAR) is CLEAR
-    with pytest.raises(ValueError, match="'lab'.*handset, standard, high"):
-        radio_from("lab")
 
 
 def write(folder, content, name="phone.json"):
@@ -330,27 +323,13 @@ def test_angles_of_a_radio_file_are_in_the_unit_that_their_names_say(tmp_path):
     ("content", "message"),
     [
         ({"aoa_flor_deg": 2.0}, "key: found 'aoa_flor_deg', did you mean aoa_floor_rad"),
-        (
-            {"bandwidth_hz": 400e6},
-            "key: found 'bandwidth_hz', a field of a scene, expected it in a scene file, which "
-            "scene= and --scene take",
-        ),
+        ({"bandwidth_hz": 400e6}, "key: found 'bandwidth_hz', a field of a scene, expected it in"),
         ({"base": "lab"}, "base: found 'lab', expected one of handset, standard, high"),
-        ({"base": 3}, "base: found 3, expected one of"),
         ({"aoa_floor_deg": 2.0, "aoa_floor_rad": 0.1}, "the same angle in the other unit"),
         ({"aoa_floor_deg": -2.0}, "aoa_floor_rad of radio 'phone': found -0.03"),
-        (
-            {"aoa_floor_deg": "2"},
-            "aoa_floor_rad of radio 'phone': found '2', expected 1e-05 to pi / 4",
-        ),
-        ({"gnb_elements": 2.5}, "gnb_elements of radio 'phone': found 2.5, expected an integer"),
         ({"gnb_elements": True}, "gnb_elements of radio 'phone': found True"),
-        ({"range_floor_m": 0.2}, "range_floor_m of radio 'phone': found 0.2, expected [a number"),
-        ({"aoa_floor_rad": 2.0}, "found 2.0, expected 1e-05 to pi / 4; in degrees by"),
         ({"name": "handset"}, "name: found 'handset', that of a shipped profile, expected another"),
-        ({"name": []}, "name of radio []: found [], expected 1 to 80 printable letters"),
         ({"name": 7}, "name of radio 7: found 7, expected 1 to 80 printable letters"),
-        ([], "found list, expected an object"),
     ],
     ids=repr,
 )

@@ -1,14 +1,22 @@
-"""Scenes: mirror images, the shipped streets, and scenes from files."""
+"""Scenes: mirror images, the shipped streets, files, and scenes drawn at random."""
 
 import json
-from dataclasses import asdict, replace
+import re
+from dataclasses import replace
 
+import gymnasium as gym
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from mmwave_env.models.radio import RADIOS
+from mmwave_env.models.random_scene import RandomScene, scenes_from
 from mmwave_env.models.scene import SCENES, Scene, Streets, Wall, scene_from, scene_json
+from mmwave_env.world.keys import keys_of
+from mmwave_env.world.mobility import MOBILITIES
+from mmwave_env.world.simulated import SimulatedSource
+from tests.world.roads import around_a_block
 
 coordinates = st.floats(-1e3, 1e3, allow_subnormal=False)
 points = st.tuples(coordinates, coordinates, coordinates)
@@ -80,66 +88,8 @@ def test_doppler_scale_is_carrier_over_speed_of_light():
     assert Scene("a", (0, 0, 0), carrier_hz=28e9).hz_per_mps == pytest.approx(28e9 / 299_792_458)
 
 
-def test_unknown_scene_lists_the_valid_ones():
-    with pytest.raises(ValueError, match="'plaza'.*street, o1, dynamic-doppler"):
-        scene_from("plaza")
-
-
-@pytest.mark.parametrize("name", SCENES)
-def test_a_scene_survives_a_file(tmp_path, name):
-    scene = SCENES[name]
-    assert scene_from(write(tmp_path, asdict(scene))) == scene
-    assert scene_from(str(write(tmp_path, asdict(scene)))) == scene
-
-
 def test_a_scene_file_may_leave_out_all_but_the_base_station(tmp_path):
     assert scene_from(write(tmp_path, MINIMAL)) == Scene("plaza", (10.0, 10.0, 10.0))
-
-
-@pytest.mark.parametrize(
-    "content",
-    [
-        "{",
-        "[]",
-        "null",
-        {},
-        {"base_station_m": 10},
-        {"base_station_m": [10, 10]},
-        {"base_station_m": [10, 10, 10, 10]},
-        {"base_station_m": [10, 10, "high"]},
-        {"base_station_m": [10, 10, float("nan")]},
-        MINIMAL | {"walls": {"normal": [0, 1], "offset_m": 25}},
-        MINIMAL | {"walls": [{"normal": [0, 1]}]},
-        MINIMAL | {"walls": [{"normal": [0, 0], "offset_m": 25}]},
-        MINIMAL | {"walls": [{"normal": [0, 1, 0], "offset_m": 25}]},
-        MINIMAL | {"walls": [{"normal": [0, 1], "offset_m": float("nan")}]},
-        MINIMAL | {"streets": {"x_m": [160, 0]}},
-        MINIMAL | {"streets": {"x_m": [0]}},
-        MINIMAL | {"streets": {"x_m": "ab"}},
-        MINIMAL | {"streets": {"block_m": 0}},
-        MINIMAL | {"streets": {"x_m": [0, 100], "block_m": 80}},
-        MINIMAL | {"streets": {"height_m": "tall"}},
-        MINIMAL | {"streets": {"lanes": 2}},
-        MINIMAL | {"carrier_hz": -28e9},
-        MINIMAL | {"bandwidth_hz": "wide"},
-        MINIMAL | {"color": "red"},
-        MINIMAL | {"virtual_anchors_m": [[1, 2]]},
-        MINIMAL | {"virtual_anchors_m": [1, 2, 3]},
-        MINIMAL | {"virtual_anchors_m": 1},
-    ],
-    ids=lambda content: content if isinstance(content, str) else json.dumps(content),
-)
-def test_a_damaged_scene_file_is_refused_by_name(tmp_path, content):
-    path = write(tmp_path, content)
-    with pytest.raises(ValueError, match="plaza.json"):
-        scene_from(path)
-
-
-def test_a_scene_file_that_is_not_text_is_refused_by_name(tmp_path):
-    path = tmp_path / "plaza.json"
-    path.write_bytes(b"\xff\xfe\x00")
-    with pytest.raises(ValueError, match="plaza.json"):
-        scene_from(path)
 
 
 def test_a_missing_scene_file_is_named(tmp_path):
@@ -150,10 +100,6 @@ def test_a_missing_scene_file_is_named(tmp_path):
 ANCHORS = {"anchors": [[10, 10, 10], [10, 40, 10]], "carrier_hz": 28e9, "bandwidth_hz": 1e8}
 
 
-def without(content, key):
-    return {k: v for k, v in content.items() if k != key}
-
-
 def test_a_scene_file_may_list_anchors(tmp_path):
     scene = scene_from(write(tmp_path, ANCHORS | {"carrier_hz": 39e9}))
     assert scene.name == "plaza" and scene.walls == ()
@@ -161,13 +107,6 @@ def test_a_scene_file_may_list_anchors(tmp_path):
     assert scene.virtual_anchors_m == ((10.0, 40.0, 10.0),)
     assert (scene.carrier_hz, scene.bandwidth_hz) == (39e9, 1e8)
     np.testing.assert_array_equal(scene.anchors_m, ANCHORS["anchors"])
-
-
-def test_a_listed_anchor_is_as_good_as_a_mirror_image(tmp_path):
-    listed = scene_from(write(tmp_path, ANCHORS | {"name": "listed"}))
-    mirrored = Scene("mirrored", (10.0, 10.0, 10.0), (Wall((0, 1), 25.0),))
-    assert listed.name == "listed"
-    np.testing.assert_allclose(listed.anchors_m, mirrored.anchors_m, atol=1e-12)
 
 
 def test_virtual_anchors_follow_the_mirror_images():
@@ -196,34 +135,23 @@ def test_a_written_scene_reads_back_equal(tmp_path, scene):
 @pytest.mark.parametrize(
     ("content", "message"),
     [
-        (without(ANCHORS, "carrier_hz"), "carrier_hz: found none, expected one beside"),
-        (without(ANCHORS, "bandwidth_hz"), "bandwidth_hz: found none, expected one beside"),
+        ("{", "Expecting property name"),
+        ({"anchors": ANCHORS["anchors"]}, "carrier_hz: found none, expected one beside"),
+        (MINIMAL | {"base_station_m": [10, 10, float("nan")]}, "base_station_m: found"),
+        (MINIMAL | {"walls": {"normal": [0, 1], "offset_m": 25}}, "walls: found"),
+        (MINIMAL | {"walls": [{"normal": [0, 1]}]}, "walls[0].offset_m: found none"),
+        (MINIMAL | {"walls": [{"normal": [0, 0], "offset_m": 25}]}, "normal"),
+        (MINIMAL | {"streets": {"x_m": [160, 0]}}, "x_m"),
+        (MINIMAL | {"streets": {"x_m": [0, 100], "block_m": 80}}, "x_m"),
+        (MINIMAL | {"virtual_anchors_m": [[1, 2]]}, "virtual_anchors_m"),
         (ANCHORS | {"base_station_m": [0, 0, 0]}, "anchors and base_station_m, expected either"),
         (ANCHORS | {"walls": []}, "anchors and walls, expected either"),
-        (ANCHORS | {"color": 1}, "key: found 'color', expected one of name, anchors, carrier_hz"),
         (ANCHORS | {"anchors": []}, "anchors: found 0, expected a list of 1 to 32"),
-        (ANCHORS | {"anchors": {}}, "anchors: found {}, expected a list"),
-        (ANCHORS | {"anchors": [0, 0, 0]}, "anchors[0]: found 0, expected [x, y, z]"),
-        (
-            ANCHORS | {"anchors": [[0, 0, 0], [1, 2]]},
-            "anchors[1]: found (1.0, 2.0), expected",
-        ),
-        (ANCHORS | {"anchors": [[0, 0, "a"]]}, "anchors[0]: found (0.0, 0.0, 'a'), expected"),
-        (
-            ANCHORS | {"anchors": [[0, 0, float("inf")]]},
-            "anchors[0]: found (0.0, 0.0, inf)",
-        ),
-        (ANCHORS | {"carrier_hz": 0}, "carrier_hz: found 0.0, expected hertz, 1e6 to 2.9e12"),
-        (ANCHORS | {"carrier_hz": float("nan")}, "carrier_hz: found nan"),
+        (ANCHORS | {"anchors": [[0, 0, 0], [1, 2]]}, "anchors[1]: found (1.0, 2.0), expected"),
         (ANCHORS | {"carrier_hz": 28}, "carrier_hz: found 28.0, expected hertz, 1e6 to 2.9e12"),
-        (
-            ANCHORS | {"bandwidth_hz": 100},
-            "found 100.0, expected hertz, 1e5 to 1e12",
-        ),
-        (ANCHORS | {"bandwidth_hz": "wide"}, "wide"),
+        (ANCHORS | {"bandwidth_hz": 100}, "found 100.0, expected hertz, 1e5 to 1e12"),
         (MINIMAL | {"color": 1}, "key: found 'color', expected one of name, base_station_m"),
         ({"walls": []}, "found neither base_station_m nor anchors"),
-        ([], "found list, expected an object"),
     ],
     ids=repr,
 )
@@ -253,3 +181,97 @@ def test_streets_behind_a_wall_are_refused():
     scene = Scene("odd", (10.0, 10.0, 10.0), (Wall((0, 1), -50.0),))
     with pytest.raises(ValueError, match="streets of scene 'odd'.*all at y above -50 m, where"):
         scene.require_streets_in_front()
+
+
+# --- scenes drawn at random
+
+SOURCE = SimulatedSource(RandomScene(), RADIOS["handset"])
+DRAWN = [SOURCE.scene_of(int(key)) for key in keys_of(range(2000))]
+
+
+def test_users_and_base_station_are_before_both_walls():
+    for scene in DRAWN:
+        scene.require_streets_in_front()
+        assert len(scene.anchors_m) == 3
+
+
+def test_what_is_drawn_fills_its_ranges():
+    ranges = RandomScene()
+    block = np.array([scene.streets.block_m for scene in DRAWN])
+    height = np.array([scene.base_station_m[2] for scene in DRAWN])
+    for values, (low, high) in ((block, ranges.block_m), (height, ranges.height_m)):
+        assert low <= values.min() and values.max() <= high
+        assert values.min() < low + 0.02 * (high - low) and values.max() > high - 0.02 * (
+            high - low
+        )
+    blocks = {
+        tuple(round((high - low) / scene.streets.block_m) for low, high in
+              (scene.streets.x_m, scene.streets.y_m))
+        for scene in DRAWN
+    }  # fmt: skip
+    assert blocks == {(x, y) for x in range(4) for y in range(4)} - {(0, 0)}
+    sides = {tuple(wall.offset_m > 0.0 for wall in scene.walls) for scene in DRAWN}
+    assert len(sides) == 4
+
+
+def test_the_base_station_is_near_a_crossing_and_the_walls_behind_what_is_farthest_out():
+    ranges = RandomScene()
+    for scene in DRAWN:
+        block, base = scene.streets.block_m, np.array(scene.base_station_m[:2])
+        ends = np.array([scene.streets.x_m[1], scene.streets.y_m[1]])
+        crossing = np.clip(np.round(base / block) * block, 0.0, ends)
+        beside = np.abs(base - crossing)
+        assert (ranges.beside_m[0] - 1e-9 <= beside).all()
+        assert (beside <= ranges.beside_m[1] + 1e-9).all()
+        for axis, wall in enumerate(scene.walls):
+            out = max(ends[axis], base[axis]), min(0.0, base[axis])
+            behind = wall.offset_m - out[0] if wall.offset_m > 0.0 else out[1] - wall.offset_m
+            assert ranges.behind_m[0] - 1e-9 <= behind <= ranges.behind_m[1] + 1e-9
+
+
+def test_every_episode_has_a_scene_of_its_own_and_a_seed_gives_it_again():
+    def drawn(seed):
+        env = gym.make("mmwave_env:MmWaveLoc-v0", scene="random", episode_steps=3)
+        first, _ = env.reset(seed=seed)
+        second, _ = env.reset()
+        return first, second
+
+    np.testing.assert_array_equal(drawn(3), drawn(3))
+    anchors = {scene.base_station_m for scene in DRAWN}
+    assert len(anchors) == len(DRAWN)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "found"),
+    [
+        (
+            {"block_m": (0.0, 80.0)},
+            "block_m: found (0.0, 80.0), expected [low, high], each 0.001 to 10000 m",
+        ),
+        ({"height_m": (9.0, 8.0)}, "height_m: found (9.0, 8.0), expected [low, high]"),
+        ({"blocks": 0}, "blocks: found 0, expected an integer of 1 to 30"),
+    ],
+)
+def test_ranges_that_hold_nothing_are_refused(arguments, found):
+    with pytest.raises(ValueError, match=f"^{re.escape(found)}$"):
+        RandomScene(**arguments)
+
+
+def test_users_that_find_no_room_in_the_closest_streets_are_refused():
+    tight = RandomScene(block_m=(10.0, 140.0))
+    with pytest.raises(ValueError, match="corner_radius_m of mobility 'vehicle': .* 10 m between"):
+        gym.make("mmwave_env:MmWaveLoc-v0", scene=tight, scenario=MOBILITIES["vehicle"])
+
+
+def test_a_way_needs_one_scene():
+    with pytest.raises(ValueError, match="scene: found 'random', expected one scene: block is a"):
+        gym.make("mmwave_env:MmWaveLoc-v0", scene="random", scenario=around_a_block())
+
+
+def test_names_and_what_they_stand_for():
+    assert scenes_from("random") == RandomScene()
+    assert scenes_from("o1") is SCENES["o1"]
+    with pytest.raises(
+        ValueError, match="scene: found 'randm', did you mean random[?] Expected .*random"
+    ):
+        scenes_from("randm")

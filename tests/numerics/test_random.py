@@ -137,8 +137,9 @@ def test_neighbors_are_not_correlated(many):
     bound = stats.norm.isf(0.0005 / (2 * lags))
     for lag in range(1, lags + 1):
         for a, b in (
-            (values[:, :-lag], values[:, lag:]), (values[:-lag], values[lag:]),
-        ):  # fmt: skip
+            (values[:, :-lag], values[:, lag:]),
+            (values[:-lag], values[lag:]),
+        ):
             assert abs((a * b).mean()) * np.sqrt(a.size) < bound
 
 

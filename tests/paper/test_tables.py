@@ -16,7 +16,7 @@ from experiments.evaluation.runner import score
 from experiments.paper.bench import Bench, Section, Setting, track
 from experiments.paper.claims import contradictions, resolution
 from experiments.tables import FIELDS, Args, main
-from mmwave_env.engines.smoothing import smooth
+from mmwave_env.engines.replay import smooth
 from mmwave_env.engines.track_engine import Tracker
 from mmwave_env.filters.mode_files import default_modes
 from mmwave_env.filters.pipeline import Pipeline

@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, assume, given, settings
 from hypothesis import strategies as st
-from safetensors import safe_open
 from safetensors.numpy import save
 
 from mmwave_env.filters.bank import bank_as_written
@@ -35,6 +34,10 @@ KINDS = {
     "lstm": (actor(**SMALL, lstm=2), card_of()),
     "prior": (actor(**SMALL, lstm=2), card_of(observation="prior")),
     "per-mode": (actor(**SMALL, actions=4), card_of(**PER_MODE)),
+    "no transition": (
+        actor(**SMALL, actions=4),
+        card_of(beliefs="per-mode", banks={"lab": replace(HANDSET, transition=None)}),
+    ),
 }
 TENSORS, CARD = KINDS["prior"]
 WHOLE = to_bytes(TENSORS, CARD)
@@ -107,41 +110,12 @@ def test_a_shipped_file_is_written_again_to_the_last_byte(name):
     assert to_bytes(*read_policy(path)) == path.read_bytes()
 
 
-def test_files_of_shared_beliefs_are_what_they_were_before_there_were_others():
-    assert CARD.beliefs == "shared" and CARD.banks == {}
-    assert not {"beliefs", "banks"} & set(CARD.as_json())
-
-
-def test_the_bank_of_every_radio_is_in_the_card():
-    content = json.loads(json.dumps(PER_MODE_CARD.as_json()))
-    assert content["beliefs"] == "per-mode" and list(content["banks"]) == ["handset", "standard"]
-    assert content["modes"] == content["banks"]["handset"]["modes"]
-    assert content["banks"]["standard"] == {
-        "modes": [{"name": "stand", "algorithm": "ekf", "sigma_p": 0.1, "sigma_v": 0.05},
-                  *content["modes"][1:]],
-        "transition": [[0.8, 0.1, 0.1], [0.2, 0.7, 0.1], [0.3, 0.3, 0.4]],
-        "nis_quantile": 1.0,
-    }  # fmt: skip
-    stays = replace(HANDSET, transition=None)
-    card = replace(PER_MODE_CARD, banks={"lab": stays})
-    assert card.as_json()["banks"]["lab"]["transition"] is None
-    assert Card.from_json(card.as_json()) == card
-
-
 def test_of_beliefs_per_mode_there_is_one_more_action_than_modes(path):
     assert PER_MODE_CARD.actions == ["none", "stand", "walk", "ride"]
     for actions in (3, 5):
         tensors = actor(**SMALL, actions=actions)
         message = f"layer.1.weight': found shape .{actions}, 2., expected .4, 2."
         refused(path, assembled(tensors, PER_MODE_CARD.as_json()), message)
-
-
-def test_any_program_can_read_the_file(path):
-    with safe_open(write(path, TENSORS, CARD), "np") as file:
-        card = json.loads(file.metadata()["policy"])["card"]
-        assert sorted(file.keys()) == sorted(TENSORS)
-    assert card["algorithm"] == "PPO"
-    assert [mode["name"] for mode in card["modes"]] == [mode.name for mode in MODES]
 
 
 # --- damage
@@ -186,13 +160,6 @@ def test_one_other_weight_is_noticed(path, name, data):
 
 def document():
     return {"format": 1, "sha256": _checksum(TENSORS, CARD.as_json()), "card": CARD.as_json()}
-
-
-def test_the_checksum_tells_shapes_apart():
-    zeros = [actor(features, hidden=(cells,)) for features, cells in ((4, 1), (2, 2))]
-    zeros = [{name: 0.0 * tensor for name, tensor in tensors.items()} for tensors in zeros]
-    assert len({sum(tensor.size for tensor in tensors.values()) for tensors in zeros}) == 1
-    assert len({_checksum(tensors, CARD.as_json()) for tensors in zeros}) == 2
 
 
 @in_one_folder
@@ -270,19 +237,14 @@ def raw(header, body=b""):
     ("content", "message"),
     [
         (b"", "header"),
-        (b"weights", "header"),
         (pickle.dumps({"low": 1.0}), "header"),
         (b"PK\x03\x04" + bytes(200), "header"),  # PyTorch's own format is a zip archive
         (raw({}), "metadata: found nothing under 'policy', expected format, sha256, card"),
-        (save(TENSORS), "metadata: found nothing under 'policy'"),
         (save(TENSORS, {"policy": "{"}), "metadata 'policy': found no JSON"),
         (save(TENSORS, {"policy": "[" * 100_000}), "metadata 'policy': found no JSON"),
-        (save(TENSORS, {"policy": "[]"}), "metadata 'policy': found .*, expected an object"),
         (assembled(format=2), "format: found 2, expected 1; use the version"),
-        (assembled(format=None), "format: found None, expected 1"),
         (assembled(more=1), "metadata 'policy': missing none, unknown more"),
         (assembled(sha256="0"), "sha256: found '0', expected '.*damaged"),
-        (assembled(card=[]), r"card: found \[\], expected an object"),
         (assembled(card={"seed": 1}), "card: missing algorithm, .*versions, unknown none"),
     ],
 )
@@ -301,20 +263,13 @@ def test_other_types_of_numbers_are_refused(path, dtype):
 
 WRONG_TENSORS = [
     ({"low": np.zeros(4, np.float32)}, "'high': found shape .3,., expected .4,."),
-    ({"low": np.zeros((3, 1), np.float32)}, "'low': found shape .3, 1., expected .3,."),
     ({"low": np.full(3, 99.0, np.float32)}, "'low': found numbers above 'high'"),
     ({"layer.1.bias": np.zeros(2, np.float32)}, "layer.1.bias': found shape .2,., expected .3,."),
-    ({"lstm.weight_hh": np.full((8, 2), np.nan, np.float32)}, "lstm.weight_hh': found NaN"),
     ({"layer.0.bias": np.float32([0.0, np.inf])}, "layer.0.bias': found NaN or infinity"),
     ({"layer.0.bias": np.zeros(2)}, "layer.0.bias': found type (F64|float64)"),
     ({"low": np.zeros(0, np.float32)}, "'low': found nothing in it, expected numbers"),
-    (
-        {f"layer.{name}": np.zeros(shape, np.float32)
-         for name, shape in {"0.weight": (0, 2), "0.bias": (0,), "1.weight": (3, 0)}.items()},
-        "'layer.0.weight': found nothing in it",
-    ),
     ({"critic": np.zeros(2, np.float32)}, "tensors: missing none, unknown critic"),
-]  # fmt: skip
+]
 
 
 @pytest.mark.parametrize(("changes", "message"), WRONG_TENSORS)
@@ -328,10 +283,8 @@ def test_tensors_that_are_no_actor_are_neither_read_nor_written(path, changes, m
     ("changes", "message"),
     [
         ({"seed": "1"}, "seed: found '1', expected int"),
-        ({"timesteps": True}, "timesteps: found True, expected int"),
         ({"frames": 3}, "frames: found 3, expected 1"),
         ({"observation": "all"}, "observation: found 'all', expected one of full, prior"),
-        ({"evaluation": []}, r"evaluation: found \[\], expected dict"),
         ({"versions": {"numpy": "2.0"}}, "versions: found .*, expected one of 'mmwave-loc'"),
     ],
 )
@@ -348,7 +301,6 @@ RENAMED = replace(STANDARD, modes=tuple(replace(mode, name=f"my {mode.name}") fo
     ("changes", "message"),
     [
         ({"beliefs": "mine"}, "beliefs: found 'mine', expected one of shared, per-mode"),
-        ({"beliefs": 1}, "beliefs: found 1, expected str"),
         ({"beliefs": "shared"}, "banks: found those of handset, standard, expected none where bel"),
         ({"banks": {}}, "banks: found none, expected one or more where beliefs are 'per-mode'"),
         ({"banks": {"standard": STANDARD, "handset": HANDSET}, "modes": MODES[:2]},
@@ -375,21 +327,10 @@ BANK = PER_MODE_CARD.as_json()["banks"]["handset"]
     [
         ([BANK], "banks: found .*, expected an object, a bank for each radio"),
         ({"lab": None}, "bank of radio 'lab': found None, expected an object"),
-        (
-            {"lab": {"modes": BANK["modes"]}},
-            "'lab': missing nis_quantile, transition, unknown none",
-        ),
         ({"lab": BANK | {"cap": 1}}, "'lab': missing none, unknown cap"),
         ({"lab": BANK | {"modes": []}}, "'lab': modes: found .., expected a list of one or more"),
-        (
-            {"lab": BANK | {"transition": [[1.0]]}},
-            "'lab': transition: .* expected 3 rows of 3 prob",
-        ),
-        (
-            {"lab": BANK | {"transition": [[10**400]]}},
-            "metadata 'policy': found no JSON: line 1: found a number of 401 digits",
-        ),
-        ({"lab": BANK | {"nis_quantile": 2}}, "'lab': nis_quantile: found 2, expected a quantile"),
+        ({"lab": BANK | {"transition": [[1.0]]}}, "'lab': transition: .* expected 3 rows of 3"),
+        ({"lab": BANK | {"transition": [[10**400]]}}, "found no JSON: line 1: found a number of"),
     ],
 )
 def test_damaged_banks_are_refused(path, banks, message):
@@ -397,21 +338,12 @@ def test_damaged_banks_are_refused(path, banks, message):
     refused(path, assembled(PER_MODE_TENSORS, content), message)
 
 
-@pytest.mark.parametrize("name", ["beliefs", "banks"])
-def test_beliefs_and_banks_belong_together(path, name):
-    content = PER_MODE_CARD.as_json()
-    del content[name]
-    refused(path, assembled(PER_MODE_TENSORS, content), f"card: missing {name}, unknown none")
-
-
 @pytest.mark.parametrize(
     ("modes", "message"),
     [
         (None, "modes: found None, expected a list of one or more"),
         ([], "modes: found .., expected a list of one or more"),
-        (["ekf"], "modes.0.: found 'ekf', expected an object"),
         ([{"name": "a", "algorithm": "pf"}], "'pf'.*ekf, ukf, ckf"),
-        ([{"name": "a", "sigma_q": 1.0}], "'sigma_q'.*sigma_p"),
         ([{"name": "a"}, {"name": "a"}], "no name twice"),
         ([{"name": "a"}], "layer.1.weight': found shape .3, 2., expected .1, 2."),
     ],
@@ -434,10 +366,9 @@ def test_what_a_file_says_of_its_size_is_looked_at_before_its_numbers(path):
         read_policy(path)
 
 
-@pytest.mark.parametrize("part", ["modes", "evaluation", "versions"])
-def test_a_card_of_lists_in_lists_is_refused(path, part):
-    nested = f'"{part}": {"[" * 900 + "]" * 900}'
-    card = json.dumps(CARD.as_json() | {part: 0}).replace(f'"{part}": 0', nested)
+def test_a_card_of_lists_in_lists_is_refused(path):
+    nested = f'"modes": {"[" * 900 + "]" * 900}'
+    card = json.dumps(CARD.as_json() | {"modes": 0}).replace('"modes": 0', nested)
     document = f'{{"format": 1, "sha256": "", "card": {card}}}'
     refused(path, save(TENSORS, {"policy": document}), "found lists or objects in each other")
 

@@ -12,8 +12,9 @@ STEPS = 6
 
 def many(n=3, mode="NextStep", **arguments):
     arguments = {"render_mode": "rgb_array", "episode_steps": STEPS, **arguments}
-    return gym.make_vec(ID, num_envs=n, vectorization_mode="vector_entry_point",
-                        autoreset_mode=mode, **arguments)  # fmt: skip
+    return gym.make_vec(
+        ID, num_envs=n, vectorization_mode="vector_entry_point", autoreset_mode=mode, **arguments
+    )
 
 
 def single(seed, steps, before=0, **arguments):
@@ -83,15 +84,6 @@ def test_there_is_no_picture_before_a_reset_or_without_a_mode():
     assert many(render_mode=None).render() is None
 
 
-def test_lists_of_pictures_come_of_gymnasiums_wrapper():
-    env = gym.make(ID, render_mode="rgb_array_list", episode_steps=STEPS)
-    env.reset(seed=0)
-    for _ in range(3):
-        env.step(1)
-    pictures = env.render()
-    assert len(pictures) == 4 and all(picture.shape == (480, 480, 3) for picture in pictures)
-
-
 def frames(path):
     """How many pictures a video has, and their size."""
     from moviepy import VideoFileClip
@@ -112,19 +104,3 @@ def test_a_video_of_an_episode_has_all_its_pictures(tmp_path):
     env.close()
     (video,) = tmp_path.glob("*.mp4")
     assert frames(video) == (STEPS + 1, (480, 480))
-
-
-@pytest.mark.slow
-@pytest.mark.filterwarnings("ignore")
-def test_a_video_of_a_vector_environment_is_a_grid(tmp_path):
-    pytest.importorskip("moviepy")
-    wrappers = pytest.importorskip("gymnasium.wrappers.vector")
-    if not hasattr(wrappers, "RecordVideo"):
-        pytest.skip("Gymnasium has no such wrapper before 1.2")
-    envs = wrappers.RecordVideo(many(4), str(tmp_path), episode_trigger=lambda _: True)
-    envs.reset(seed=0)
-    for _ in range(STEPS):
-        envs.step(np.ones(4, np.int64))
-    envs.close()
-    (video,) = tmp_path.glob("*.mp4")
-    assert frames(video) == (STEPS + 1, (960, 960))

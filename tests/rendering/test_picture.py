@@ -1,9 +1,10 @@
-"""Pictures: what is in them, for every state of an episode."""
+"""Pictures: what is in them, for every state of an episode, and who is in the frame."""
 
 import copy
 import pickle
 import re
 from dataclasses import replace
+from itertools import pairwise
 
 import gymnasium as gym
 import numpy as np
@@ -11,7 +12,8 @@ import pytest
 
 from mmwave_env.env import MmWaveLocEnv
 from mmwave_env.models.scene import Streets
-from mmwave_env.rendering.canvas import printable
+from mmwave_env.rendering.camera import clipped, follow
+from mmwave_env.rendering.canvas import Rect, printable
 from mmwave_env.rendering.history import NO_MODE, History, Scenery
 from mmwave_env.rendering.picture import Picture
 from mmwave_env.rendering.theme import THEMES
@@ -186,16 +188,6 @@ def test_no_picture_knows_what_is_to_come():
     np.testing.assert_array_equal(short.render(), long.render())
 
 
-def test_a_history_is_cut_as_it_was():
-    env = played(10).unwrapped
-    then = Picture(env.observation.actions).draw(env._recorder.history)
-    for _ in range(5):
-        env.step(1)
-    history = env._recorder.history
-    assert history.epochs == 15 and history.until(10).epochs == 10
-    np.testing.assert_array_equal(Picture(env.observation.actions).draw(history.until(10)), then)
-
-
 # --- episodes of all kinds
 
 
@@ -223,18 +215,13 @@ def test_every_kind_of_episode_has_its_picture(arguments):
         env.step(k % env.action_space.n)
     shown = env.render()
     assert near(shown[20:280], LIGHT.truth).sum() > 20
-    assert env.unwrapped._recorder.history.epochs == 5
-
-
-def test_streets_of_a_recording_are_not_known():
-    env = played(1, episodes="canyon28_vehicle").unwrapped
-    assert env._recorder.history.scenery.streets is None
+    assert env.unwrapped._gallery.recorders[0].history.epochs == 5
 
 
 def test_time_is_that_of_the_episode():
     env = played(12, episodes="canyon28_vehicle").unwrapped
     np.testing.assert_allclose(
-        env._recorder.history.time_s, [0.0, *np.arange(12) / 10.0], atol=1e-6
+        env._gallery.recorders[0].history.time_s, [0.0, *np.arange(12) / 10.0], atol=1e-6
     )
 
 
@@ -312,3 +299,59 @@ def test_words_stand_out_from_the_ground(theme):
     for ground in (one.paper, one.ground):
         for words in (one.ink, one.quiet):
             assert max(light(words) / light(ground), light(ground) / light(words)) > 4.5
+
+
+# --- the camera
+
+FRAME = Rect(0.0, 20.0, 480.0, 260.0)
+
+
+def views(seed, action, **arguments):
+    """The view after every epoch of an episode, and where user and estimate are in it, px."""
+    env = gym.make(ID, render_mode="rgb_array", **arguments).unwrapped
+    env.reset(seed=seed)
+    over = False
+    while not over:
+        *_, over, _ = env.step(action)
+    history = env._gallery.recorders[0].history
+    for epochs in range(history.epochs + 1):
+        so_far = history.until(epochs)
+        view = follow(so_far, FRAME)
+        now = np.stack([so_far.truth[-1, :2], so_far.estimate[-1, :2]])
+        yield so_far, view, view.pixels(now)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_user_and_estimate_are_always_in_the_frame(seed):
+    for _, _, pixels in views(seed, 0):
+        assert (pixels > (10.0, 30.0)).all() and (pixels < (470.0, 270.0)).all()
+
+
+def test_a_lost_track_is_not_lost_by_the_camera():
+    worst = 0.0
+    for so_far, _, pixels in views(0, 0, scenario="vehicle"):
+        worst = max(worst, so_far.error_m[-1])
+        assert (pixels > (10.0, 30.0)).all() and (pixels < (470.0, 270.0)).all()
+    assert worst > 15.0
+
+
+def test_the_picture_moves_smoothly():
+    seen = [(view.center_m, view.scale) for _, view, _ in views(3, 1)]
+    for (before, scale), (after, later) in pairwise(seen[5:]):
+        assert np.hypot(*(after - before)) * scale < 40.0
+        assert 0.8 < later / scale < 1.25
+
+
+@pytest.mark.parametrize(
+    ("start", "end", "inside"),
+    [
+        ((1, 1), (2, 2), ((1, 1), (2, 2))),
+        ((5, 5), (25, 5), ((5, 5), (10, 5))),
+        ((-5, 5), (15, 5), ((0, 5), (10, 5))),
+        ((-5, -5), (-1, 20), None),
+        ((5, 5), (5, 5), ((5, 5), (5, 5))),
+        ((11, 5), (11, 5), None),
+    ],
+)
+def test_lines_are_cut_at_the_frame(start, end, inside):
+    assert clipped(start, end, Rect(0, 0, 10, 10)) == inside

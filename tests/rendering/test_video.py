@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from mmwave_env.rendering.history import NO_MODE, History, Scenery
-from mmwave_env.rendering.picture import Picture
-from mmwave_env.rendering.playback import Playback
+from mmwave_env.rendering.picture import Picture, Playback
 from mmwave_env.rendering.video import require_video, write_video
 
 HEIGHT, WIDTH, COUNT = 60, 100, 7

@@ -1,4 +1,4 @@
-"""Environments in which all actions are tried: what is counted, what stays, what is refused."""
+"""Environments of trainings: all actions tried, and several places as each of them alone."""
 
 from dataclasses import replace
 
@@ -12,10 +12,14 @@ from mmwave_env.reward import TrackingReward
 from tests.training.actors import MODES
 
 pytest.importorskip("stable_baselines3")
-
 from experiments.training.places import Place
 from experiments.training.rollout_env import RolloutEnv
 from experiments.training.training_task import TrainingTask
+from experiments.training.vec_env import PlacesVecEnv
+from mmwave_env.reward import PairedReward
+from mmwave_env.sb3 import SB3VecEnv
+from mmwave_env.vector_env import MmWaveLocVectorEnv
+from tests.training.test_train import HYPER
 
 pytestmark = pytest.mark.torch
 
@@ -102,16 +106,6 @@ def test_trying_changes_nothing():
         np.testing.assert_array_equal(tries.observations, plain.observations)
 
 
-def test_it_goes_on_to_the_last_bit():
-    first, second = environment(), environment(seed=SEED + 500)
-    walked(first, 90)
-    second.restore(first.state())
-    for now in np.random.default_rng(1).integers(4, size=(220, 16)):
-        np.testing.assert_array_equal(first.step(now), second.step(now))
-    np.testing.assert_array_equal(first.observations, second.observations)
-    np.testing.assert_array_equal(*(env.try_all(chaotic(4)).values for env in (first, second)))
-
-
 def test_states_near_an_end_are_left_out():
     """The first environments begin anew at once, and end after 200 epochs."""
     env = environment()
@@ -154,3 +148,61 @@ def test_the_normalization_is_that_of_observations_seen():
         seen.append(again.observations)
     np.testing.assert_allclose(normal.mean, np.mean(seen, axis=(0, 1)), atol=1e-4)
     assert (normal.high - normal.mean) / normal.sigma == pytest.approx(6.0, rel=1e-4)
+
+
+# --- several places as one vector environment
+
+PAIR = MODES[:2]  # quick to compile
+SLOWER = Bank(tuple(replace(mode, sigma_v=0.5 * mode.sigma_v) for mode in PAIR), None, 0.99)
+TASK = TrainingTask(
+    "mixed", PLACES, {"handset": Bank(PAIR), "standard": SLOWER}, "full", TrackingReward(),
+    "per-mode",
+)  # fmt: skip
+PAIRED = replace(HYPER, num_envs=5, paired=True)  # three environments and two
+
+
+def alone(place, n):
+    """The environments of a place, without any other."""
+    arguments = TASK.arguments(place) | {"reward": PairedReward(TASK.reward)}
+    return SB3VecEnv(MmWaveLocVectorEnv(n, **arguments, autoreset_mode="SameStep"))
+
+
+def assert_same_ends(found, expected):
+    for x, y in zip(found, expected, strict=True):
+        assert x.get("episode", {}).get("r") == y.get("episode", {}).get("r")
+        assert x.get("ate_m") == y.get("ate_m")
+        last = (info.get("terminal_observation", 0) for info in (x, y))
+        np.testing.assert_array_equal(*last)
+
+
+@pytest.mark.slow
+def test_several_places_are_what_each_of_them_is_alone():
+    """Seeds go on from place to place; later places are ahead, so that episodes end by turns."""
+    together = PlacesVecEnv(TASK, PAIRED)
+    first, second = alone(PLACES[0], 3), alone(PLACES[1], 2)
+    together.seed(10_000_000)
+    first.seed(10_000_000)
+    second.seed(10_000_003)
+    seen = together.reset()
+    theirs = [first.reset(), second.reset()]
+    for _ in range(100):
+        theirs[1], *_ = second.step(np.zeros(2, int))
+    np.testing.assert_array_equal(seen, np.concatenate(theirs))
+    rng, ends = np.random.default_rng(0), []
+    for t in range(210):
+        actions = rng.integers(3, size=5)
+        seen, rewards, over, infos = together.step(actions)
+        a, b = first.step(actions[:3]), second.step(actions[3:])
+        for found, *parts in zip((seen, rewards, over), a, b, strict=False):
+            np.testing.assert_array_equal(found, np.concatenate(parts))
+        assert_same_ends(infos, a[3] + b[3])
+        ends += [(t, i) for i in np.flatnonzero(over)]
+    assert ends == [(99, 3), (99, 4), (199, 0), (199, 1), (199, 2)]
+
+
+def test_what_algorithms_ask_is_answered_for_every_environment():
+    venv = PlacesVecEnv(TASK, PAIRED)
+    assert [source.dt for source in venv.get_attr("source")] == [1.0, 1.0, 1.0, 0.5, 0.5]
+    assert [source.dt for source in venv.get_attr("source", [3, 0])] == [0.5, 1.0]
+    with pytest.raises(ValueError, match=r"set_attr\('source'\): found indices 1, expected None"):
+        venv.set_attr("source", None, 1)

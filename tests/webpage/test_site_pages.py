@@ -72,18 +72,3 @@ def test_a_report_plays_inside_a_page(opened):
     report.locator("#play").click()
     playwright.expect(report.locator("#play")).to_have_text("Pause")
     playwright.expect(report.locator("#time")).not_to_have_value("0")
-
-
-def test_the_theme_is_that_of_the_system_and_can_be_changed(opened):
-    page = opened("", color_scheme="dark")
-    scheme = "document.body.getAttribute('data-md-color-scheme')"
-    assert page.evaluate(scheme) == "slate"
-    page.locator("label[title='Light']").click()
-    assert page.evaluate(scheme) == "default"
-
-
-def test_the_search_finds_a_page_of_the_site(opened):
-    page = opened("")
-    page.keyboard.press("/")
-    page.keyboard.type("chi-square")
-    playwright.expect(page.locator(".md-search-result__link").first).to_be_visible()

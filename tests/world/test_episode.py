@@ -1,21 +1,16 @@
 """Episodes: geometry written afresh, noise statistics at 99.9 % confidence each, validation."""
 
-import hashlib
-import os
-import subprocess
-import sys
-from dataclasses import fields, replace
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from scipy.stats import kstest, norm
 
-from mmwave_env.models.epoch import blank_site
-from mmwave_env.models.measurement import Layout
+from mmwave_env.models.measurement import Layout, blank_site
 from mmwave_env.models.radio import RADIOS
 from mmwave_env.models.scene import SCENES
 from mmwave_env.numerics.pytree import unflatten
-from mmwave_env.world.episode import Episode, blank_incoming
+from mmwave_env.world.episode import blank_incoming
 from mmwave_env.world.simulated import SimulatedSource
 from tests.filters.tracks import geometry
 
@@ -124,49 +119,6 @@ def test_noise_is_standard_normal_over_sigma():
     assert np.abs(off_diagonal).max() <= z / np.sqrt(len(pooled))
 
 
-def test_blockage_and_multipath_lengthen_ranges_unknown_to_sigma():
-    biased = replace(NOISE_ONLY, blockage_scale=0.5, multipath_rate_hz=0.008)
-    drawn = [draw(seed, radio=biased) for seed in range(10)]
-    ranges = np.concatenate([innovations(episode)[:, 0:12:4].ravel() for episode in drawn])
-    assert (ranges > 5.0).mean() > 0.01 and not (ranges < -5.0).any()
-
-
-def test_odometry_noise():
-    drawn = [draw(seed, radio=NOISE_ONLY, odometry=True) for seed in range(20)]
-    velocity = np.concatenate([episode.truth_velocity_mps for episode in drawn])
-    measured = np.concatenate([episode.measurement for episode in drawn])
-    seen = np.concatenate([episode.visible for episode in drawn])[:, -1]
-    speed = np.linalg.norm(velocity, axis=1)
-    np.testing.assert_array_equal(seen, speed >= 0.2)
-    assert kstest((measured[seen, 13] - speed[seen]) / 0.1, "norm").pvalue > SIGNIFICANCE
-    heading = wrapped(measured[seen, 14] - np.arctan2(velocity[seen, 1], velocity[seen, 0]))
-    assert kstest(heading / np.deg2rad(3.0), "norm").pvalue > SIGNIFICANCE
-
-
-@pytest.mark.parametrize("dt", [0.5, 1.0])
-def test_the_oscillator_walks_at_random(dt):
-    quiet = replace(NOISE_ONLY, drift_mps=0.05, doppler_floor_mps=1.1e-3, doppler_window_s=1e6)
-    steps = []
-    for seed in range(20):
-        episode = draw(seed, radio=quiet, dt=dt)
-        seen = episode.visible.all(axis=1)
-        drift = (innovations(episode) * episode.sigma[seen])[:, 12]
-        steps.append(np.diff(drift)[np.diff(np.flatnonzero(seen)) == 1])
-    scale = 0.05 * HZ_PER_MPS * np.sqrt(dt)
-    assert kstest(np.concatenate(steps) / scale, "norm").pvalue > SIGNIFICANCE
-
-
-def test_the_prior_is_centered_on_the_truth_with_its_covariance():
-    whitened = []
-    for seed in range(300):
-        episode = draw(seed, epochs=1)
-        state = [*episode.truth_position_m[0], *episode.truth_velocity_mps[0]]
-        deviation = np.sqrt(np.diag(episode.prior_covariance))[:6]
-        whitened.append((episode.prior_mean[:6] - state) / deviation)
-    for row in np.transpose(whitened):
-        assert kstest(row, "norm").pvalue > SIGNIFICANCE
-
-
 @pytest.mark.parametrize("odometry", [False, True])
 def test_angles_are_wrapped(odometry):
     for seed in range(20):
@@ -192,32 +144,6 @@ def test_layout_follows_scene_and_odometry(scene):
     assert draw(scene=SCENES[scene]).layout == Layout(3)
     assert draw(scene=replace(SCENES[scene], walls=())).measurement.shape == (200, 5)
     assert draw(scene=SCENES[scene], odometry=True).measurement.shape == (200, 15)
-
-
-def digest(seeds):
-    """Of every array of a few episodes, to the bit."""
-    sha = hashlib.sha256()
-    for seed in seeds:
-        episode = draw(seed, odometry=True)
-        for field in fields(Episode):
-            value = getattr(episode, field.name)
-            sha.update(value.tobytes() if isinstance(value, np.ndarray) else repr(value).encode())
-    return sha.hexdigest()
-
-
-@pytest.mark.slow
-def test_a_seed_gives_the_same_episode_in_every_process_to_the_bit():
-    code = "import test_episode; print(test_episode.digest(range(5)))"
-    here = os.path.dirname(__file__)
-    path = os.pathsep.join([here, os.path.dirname(here), os.environ.get("PYTHONPATH", "")])
-    # Another hash seed than this process has, which is random unless it is set.
-    environment = os.environ | {"PYTHONPATH": path, "PYTHONHASHSEED": "1"}
-    done = subprocess.run(
-        [sys.executable, "-c", code], env=environment, capture_output=True, text=True
-    )
-    assert done.returncode == 0, done.stderr
-    assert done.stdout.strip() == digest(range(5))
-    assert digest(range(5)) != digest(range(1, 6))
 
 
 # --- what does not count
@@ -256,7 +182,7 @@ def test_an_infinite_deviation_means_missing(episode):
 DAMAGE = {
     "scene_anchors_m": lambda v: v[:2],
     "measurement": lambda v: v[:, :5],
-    "sigma": lambda v: -v,
+    "sigma": lambda v: 0.0 * v,
     "visible": lambda v: v[:-1],
     "snr_db": lambda v: v[:, :1],
     "doppler_spread_hz": lambda v: v[:, None],
@@ -275,33 +201,15 @@ def test_validation_names_field_and_episode(episode, field):
 
 
 @pytest.mark.parametrize(
-    ("field", "value"),
-    [
-        ("sigma", 0.0),
-        ("sigma", np.nan),
-        ("time_s", np.nan),
-        ("prior_covariance", np.nan),
-        ("scene_anchors_m", np.nan),
-        ("doppler_spread_hz", np.nan),
-        ("truth_position_m", np.nan),
-        ("truth_velocity_mps", np.inf),
-    ],
-)
-def test_a_number_that_is_none_is_refused_where_none_may_miss(episode, field, value):
+    "field",
+    ["sigma", "time_s", "prior_covariance", "scene_anchors_m", "doppler_spread_hz",
+     "truth_position_m", "truth_velocity_mps"],
+)  # fmt: skip
+def test_a_number_that_is_none_is_refused_where_none_may_miss(episode, field):
     damaged = getattr(episode, field).copy()
-    damaged.flat[1] = value
+    damaged.flat[1] = np.nan
     with pytest.raises(ValueError, match=f"^{field} of episode"):
         replace(episode, **{field: damaged})
-
-
-@pytest.mark.parametrize(
-    ("changes", "field"),
-    [({"dt": 0.0}, "dt"), ({"dt": -1.0}, "dt"), ({"dt": np.nan}, "dt"), ({"dt": np.inf}, "dt"),
-     ({"epochs": 0}, "epochs"), ({"scenario": "train"}, "scenario")],
-)  # fmt: skip
-def test_a_source_refuses_impossible_arguments_by_name(changes, field):
-    with pytest.raises(ValueError, match=f"^{field}: found .*, expected "):
-        source(**changes)
 
 
 # --- as the engine loads it

@@ -1,17 +1,13 @@
 """Keys of episodes, and the streams that they follow from."""
 
-import pickle
-from copy import deepcopy
-from functools import partial
-
 import gymnasium as gym
 import numpy as np
 import pytest
-from gymnasium.utils import seeding
 
 import mmwave_env  # noqa: F401  registers the environment
 from experiments.evaluation.seeds import Selection
 from mmwave_env.world.keys import Streams, key_from, keys_at, keys_of, stream_of
+from tests.vector_checker import same
 
 SHORT = {"episode_steps": 2, "modes": ["ekf"]}
 
@@ -40,24 +36,6 @@ def test_streams_are_those_of_numpys_seed_sequence():
     assert len(set(keys_of(range(2000)).tolist())) == 2000
 
 
-def test_environments_draw_as_they_would_alone():
-    streams = Streams(3)
-    streams.seed_some(4, np.arange(3))
-    assert streams.keys(np.arange(3)).tolist() == keys_of([4, 5, 6]).tolist()
-    some = streams.keys(np.array([2, 0])), streams.keys(np.array([2]))
-    expected = keys_at(numbers(stream_of(6), stream_of(4), stream_of(6)), numbers(1, 1, 2))
-    assert np.concatenate(some).tolist() == expected.tolist()
-    assert streams.seeds() == (4, 5, 6)
-
-
-def test_states_go_on_elsewhere():
-    one, other, places = Streams(5), Streams(5), np.arange(5)
-    one.keys(places)
-    other.set_states(one.states())
-    assert one.keys(places).tolist() == other.keys(places).tolist()
-    assert other.seeds() == (-1,) * 5
-
-
 def test_without_a_seed_a_stream_begins_anywhere():
     """It can be told, and gives the same keys again."""
     one, again, places = Streams(2), Streams(2), np.arange(2)
@@ -65,13 +43,6 @@ def test_without_a_seed_a_stream_begins_anywhere():
     assert keys[0] != keys[1] != Streams(2).keys(places)[1]
     again.seed_some(one.seeds(), places)
     assert again.keys(places).tolist() == keys.tolist()
-
-
-def test_a_source_of_its_own_has_gymnasiums_generator():
-    streams = Streams(2)
-    streams.seed(1, 4)
-    assert streams.generator(1).random() == seeding.np_random(4)[0].random()
-    assert streams.generator(1) is streams.generators()[1]
 
 
 @pytest.mark.parametrize(
@@ -107,17 +78,6 @@ def test_a_named_key_leaves_the_stream_where_it_is():
     assert env.reset()[1]["episode_key"] == keys_at(stream_of(1), numbers(1))[0]
 
 
-@pytest.mark.parametrize("copied", [deepcopy, lambda env: pickle.loads(pickle.dumps(env))])
-@pytest.mark.parametrize("make", [gym.make, partial(gym.make_vec, num_envs=2)])
-def test_a_copy_goes_on_in_the_stream(make, copied):
-    env = make("MmWaveLoc-v0", **SHORT).unwrapped
-    env.reset()
-    twin = copied(env)
-    for _ in range(2):
-        keys = [one.reset()[1]["episode_key"] for one in (env, twin)]
-        assert np.array_equal(*keys)
-
-
 def test_a_generator_of_ones_own_begins_a_stream():
     env, keys = gym.make("MmWaveLoc-v0", **SHORT).unwrapped, []
     for _ in range(2):
@@ -136,3 +96,32 @@ def test_an_integer_of_64_bits_is_a_key(key):
 def test_anything_else_is_refused(key):
     with pytest.raises(ValueError, match=r"episode_key: found .*, expected an integer from 0 to 2"):
         key_from(key)
+
+
+def test_a_key_plays_its_episode_again():
+    env = gym.make("MmWaveLoc-v0", **SHORT)
+    observation, info = env.reset(seed=3)
+    for key in (info["episode_key"], int(info["episode_key"])):
+        again, told = env.reset(options={"episode_key": key})
+        np.testing.assert_array_equal(again, observation)
+        assert same(told, info)
+    assert info["episode_key"].dtype == np.uint64
+    vector = gym.make_vec("MmWaveLoc-v0", num_envs=3, **SHORT)
+    several, told = vector.reset(options={"episode_key": [5, info["episode_key"], 6]})
+    np.testing.assert_array_equal(several[1], observation)
+    assert told["episode_key"].tolist() == [5, int(info["episode_key"]), 6]
+    one, many = env.step(0), vector.step(np.zeros(3, int))
+    np.testing.assert_array_equal(many[0][1], one[0])
+    assert many[1][1] == one[1]
+
+
+def test_a_key_beside_a_seed_is_refused():
+    with pytest.raises(ValueError, match="episode_key'. and seed: found both .seed 3., expected"):
+        gym.make("MmWaveLoc-v0", **SHORT).reset(seed=3, options={"episode_key": 1})
+
+
+def test_recorded_episodes_have_no_keys():
+    env = gym.make("MmWaveLoc-v0", episodes="canyon28_vehicle", **SHORT)
+    with pytest.raises(ValueError, match="'canyon28_vehicle' is recorded or a source of your own"):
+        env.reset(options={"episode_key": 1})
+    assert "episode_key" not in env.reset(seed=0)[1]

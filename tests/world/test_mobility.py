@@ -91,23 +91,14 @@ def run_one(name, seed, dt, epochs):
 
 
 @every_mobility
-def test_speed_stays_in_its_range(tracks, name):
-    speed = tracks(name).speed
-    assert speed.max() <= BOUNDS[name].speed + 1e-9
-    assert speed.max() > 0.8 * BOUNDS[name].speed  # the range is used
-
-
-@every_mobility
 def test_acceleration_and_braking_are_bounded(tracks, name):
-    change = np.diff(tracks(name).speed) / STEP_S
-    assert change.max() <= BOUNDS[name].acceleration + 1e-9
-    assert -change.min() <= BOUNDS[name].braking + 1e-9
-
-
-@every_mobility
-def test_jerk_is_bounded(tracks, name):
-    jerk = np.diff(tracks(name).speed, n=2) / STEP_S**2
-    assert np.abs(jerk).max() <= BOUNDS[name].jerk + 1e-6
+    """And so are the speed, whose range is used, and the jerk."""
+    speed, bounds = tracks(name).speed, BOUNDS[name]
+    assert 0.8 * bounds.speed < speed.max() <= bounds.speed + 1e-9
+    change = np.diff(speed) / STEP_S
+    assert change.max() <= bounds.acceleration + 1e-9
+    assert -change.min() <= bounds.braking + 1e-9
+    assert np.abs(np.diff(change)).max() / STEP_S <= bounds.jerk + 1e-6
 
 
 @every_scene
@@ -194,7 +185,7 @@ def test_the_step_samples_the_same_trajectory(name, dt):
 
 
 @every_mobility
-@pytest.mark.parametrize("dt", [0.02, 0.25, 0.33])
+@pytest.mark.parametrize("dt", [0.02, 0.33])
 def test_any_step_gives_a_sound_trajectory(name, dt):
     position, velocity = run_one(name, 0, dt, 400)
     speed = np.linalg.norm(velocity, axis=-1)
@@ -203,12 +194,6 @@ def test_any_step_gives_a_sound_trajectory(name, dt):
     slip = np.linalg.norm(np.diff(position, axis=0) - trapezoid, axis=-1)
     assert (slip <= 0.5 * dt * np.linalg.norm(np.diff(velocity, axis=0), axis=-1) + 0.05).all()
     assert np.abs(np.diff(speed)).max() <= max(BOUNDS[name][1:3]) * dt + 1e-9
-
-
-@every_mobility
-def test_the_same_key_gives_the_same_trajectory(name):
-    np.testing.assert_array_equal(run_one(name, 7, 1.0, 50), run_one(name, 7, 1.0, 50))
-    assert not np.array_equal(run_one(name, 7, 1.0, 50), run_one(name, 8, 1.0, 50))
 
 
 def test_mixed_draws_every_mobility_alike():
@@ -224,11 +209,6 @@ def test_mixed_draws_every_mobility_alike():
 def test_scenarios_are_the_mobilities_and_their_mixture():
     assert list(SCENARIOS) == [*BOUNDS, "mixed"]
     assert [m.name for m in mobilities_of("mixed")] == list(BOUNDS)
-
-
-def test_unknown_scenario_lists_the_valid_ones():
-    with pytest.raises(ValueError, match="'train'.*pedestrian, vehicle, .*mixed"):
-        mobilities_of("train")
 
 
 SCOOTER = {
@@ -278,24 +258,11 @@ def test_a_kind_of_user_of_ones_own_keeps_to_its_limits(tmp_path):
 @pytest.mark.parametrize(
     ("content", "message"),
     [
-        ({}, "phases: found none, expected one"),
-        (
-            SCOOTER | {"phases": []},
-            "phases of mobility 'scooter': found 0, expected a list",
-        ),
-        (SCOOTER | {"speed": 3}, "key: found 'speed', expected one of name, phases"),
         (with_phase(gaits=[{"low_mps": 3}]), "phases[0].gaits[0].high_mps: found none, expected"),
         (with_phase(gaits=[{"low_mps": 3, "high_mps": 2}]), "gaits[0].high_mps: found 2.0"),
-        (with_phase(gaits=[{"low_mps": 3, "high_mps": 200}]), "expected 0 to 100 m/s"),
         (with_phase(duration_s=[10, 20]), "phases[0].duration_s: found it in the last phase"),
-        (with_phase(limits={}), "phases[0].limits.acceleration_mps2: found none, expected one"),
-        (with_phase(limits=3), "phases[0].limits: found 3, expected an object"),
         (SCOOTER | {"ends_as_it_began": True}, "phases[0].duration_s: found none, expected [low"),
         (SCOOTER | {"phases": SCOOTER["phases"] * 2}, "phases[0].duration_s: found none"),
-        (
-            SCOOTER | {"blocks": 0},
-            "blocks of mobility 'scooter': found 0, expected an integer",
-        ),
     ],
     ids=lambda value: value[:40] if isinstance(value, str) else "",
 )

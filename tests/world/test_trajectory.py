@@ -78,14 +78,10 @@ def test_constant_acceleration_is_resampled_as_it_is(dt, steps, a, v):
     ("rows", "message"),
     [
         (straight(1), "found 1 rows, expected at least 2"),
-        ([], "found 0 rows"),
         (changed(2, 0, 1.0), "line 4: t: found 1, expected more than in the row before"),
-        (changed(2, 0, 0.5), "line 4: t: found 0.5, expected more"),
         (changed(3, 0, "nan"), "line 5, column t: found 'nan', expected a finite number"),
-        (changed(1, 2, "inf"), "line 3, column y: found 'inf', expected a finite number"),
         (changed(1, 1, ""), "line 3, column x: found '', expected a finite number"),
         (changed(4, 0, 20.0), "line 6: t: found 20, expected at most 15 s after the row before"),
-        (straight(dt=1000.0), "line 3: t: found 1000, expected at most 15 s after"),
         (changed(1, 1, 900.0), "line 3: m/s since the row before: found 880, expected at most 100"
                                " m/s: is t in seconds, and are x, y in meters"),
         (straight(5, 1.0, 20.0)[:4] + [[4.0, 100.0]], "line 6: found 2 values, expected 4"),
@@ -105,7 +101,6 @@ def test_a_file_that_no_user_went_is_refused_by_line(tmp_path, rows, message):
     ("header", "message"),
     [
         ("time,x,y,z", "header: found 'time,x,y,z', expected the columns t,x,y,z"),
-        ("t,lon,lat,z", "expected the columns t,x,y,z"),
         ("t,x,y,vx", "expected the columns t,x,y,z,vx,vy,vz"),
     ],
 )

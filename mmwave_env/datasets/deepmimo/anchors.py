@@ -11,25 +11,77 @@ at the station, before the bounce, and is mirrored along with it.
 
 Paths of other kinds (two bounces, diffraction, scattering, transmission) have no fixed image, or
 none that is known from a file's first point of interaction, and are left out.
+
+Paths come as :class:`StationPaths`, whichever files they were read from: in SI units, in the files'
+meaning.
 """
 
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
+from pathlib import Path
+from typing import NoReturn
 
 import numpy as np
 from numpy.typing import NDArray
 
-from mmwave_env.datasets.deepmimo.paths import (
-    LINE_OF_SIGHT,
-    REFLECTION,
-    TOLERANCE_M,
-    StationPaths,
-    propagation,
-)
 from mmwave_env.models.measurement import LINK, SPEED_OF_LIGHT, direction
-from mmwave_env.numerics.arrays import Array, Mask
-from mmwave_env.numerics.numbers import PI, wrap
+from mmwave_env.numerics.numbers import PI, Array, Mask, wrap
+from mmwave_env.world.checks import refuse_in
+
+TOLERANCE_M = 0.05  # float32 files agree to 1e-4 m; places closer than this are one
+# Values of ``interactions``: a digit for each interaction, from the base station to the receiver.
+LINE_OF_SIGHT, REFLECTION = 0.0, 1.0
+
+
+@dataclass(frozen=True, eq=False)
+class StationPaths:
+    """The paths between one base station and E receivers, at most P for each.
+
+    Paths with ``interactions`` 0 or 1 have finite numbers everywhere (a bounce where there is
+    one); those of others mean nothing.
+
+    Attributes:
+        name: which station it is, in the words of the files.
+        position_m: (3,) of the station.
+        interactions: (E, P) 0 line of sight, 1 one reflection, ...; NaN where there is no path.
+        bounce_m: (E, P, 3) first point of interaction.
+        gain_db: (E, P) 20 log10 |a|.
+        delay_s: (E, P) absolute.
+        arrival, departure: (E, P, 2) azimuth and zenith angle at the receiver and at the station,
+            rad; whether along propagation or against it, lines of sight tell.
+        source: the file, and the receiver's number in it, that a key of an epoch was read from.
+    """
+
+    name: str
+    position_m: Array
+    interactions: Array
+    bounce_m: Array
+    gain_db: Array
+    delay_s: Array
+    arrival: Array
+    departure: Array
+    source: Callable[[str, int], tuple[Path, int]]
+
+    def refuse(self, key: str, epoch: int, found: str, expected: str) -> NoReturn:
+        """Raise a ValueError about what a file says of a receiver."""
+        file, receiver = self.source(key, epoch)
+        refuse_in(file, key, f"{found} of receiver {receiver}", expected)
+
+
+def propagation(angles: Array, sight: Array, direct: Mask) -> Array:
+    """Unit vectors (E, P, 3) along propagation, from azimuths and zenith angles (E, P, 2).
+
+    Some converters store directions along propagation, some against it; lines of sight tell.
+    """
+    azimuth, zenith = np.moveaxis(angles, -1, 0)
+    horizontal = np.sin(zenith)
+    unit = np.stack(
+        [horizontal * np.cos(azimuth), horizontal * np.sin(azimuth), np.cos(zenith)], axis=-1
+    )
+    along = np.sum(unit * sight, axis=-1)[direct]
+    return unit if np.median(along) > 0.0 else -unit
+
 
 _FLAT = 0.7  # a mirror's normal rises more than it leads sideways: ground, not wall
 _ROW_KEYS = ("delay", "aoa_az", "aoa_el", "aod_az")  # where the rows of a link come from
@@ -159,14 +211,11 @@ def _require_geometry(
     wrong = (member >= 0)[..., None] & ~(error <= _TOLERANCES)
     if wrong.any():
         n, p, row = (int(i) for i in np.argwhere(wrong)[0])
-        mistake = _likely_mistake(paths, position_m, _ROW_KEYS[row])
-        paths.refuse(
-            _ROW_KEYS[row],
-            n,
-            f"{LINK[row]} {rows[n, p, row]:.4f} on path {p}",
-            f"{exact[n, p, row]:.4f}, seen from the anchor {anchors[member[n, p]].round(4)}"
-            + (f"; the numbers look like {mistake}" if mistake else ""),
-        )
+        key, seen_from = _ROW_KEYS[row], anchors[member[n, p]].round(4)
+        expected = f"{exact[n, p, row]:.4f}, seen from the anchor {seen_from}"
+        if mistake := _likely_mistake(paths, position_m, key):
+            expected += f"; the numbers look like {mistake}"
+        paths.refuse(key, n, f"{LINK[row]} {rows[n, p, row]:.4f} on path {p}", expected)
 
 
 def _require_loss(paths: StationPaths, member: NDArray[np.int_]) -> None:
@@ -174,8 +223,8 @@ def _require_loss(paths: StationPaths, member: NDArray[np.int_]) -> None:
     wrong = (member >= 0) & (paths.gain_db > 0.0)
     if wrong.any():
         n, p = (int(i) for i in np.argwhere(wrong)[0])
-        paths.refuse("power", n, f"{paths.gain_db[n, p]:.4g} dB on path {p}",
-                     "a gain of at most 0 dB: are the numbers powers, not dB?")  # fmt: skip
+        expected = "a gain of at most 0 dB: are the numbers powers, not dB?"
+        paths.refuse("power", n, f"{paths.gain_db[n, p]:.4g} dB on path {p}", expected)
 
 
 def _likely_mistake(paths: StationPaths, position_m: Array, key: str) -> str:

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mmwave_env.datasets.deepmimo.matlab import read_matlab
-from mmwave_env.numerics.arrays import Array
+from mmwave_env.numerics.numbers import Array
 from mmwave_env.world.checks import refuse_in
 
 Shape = tuple[int | str, ...]
@@ -86,10 +86,8 @@ def _stored(file: Path, key: str) -> NDArray[Any]:
 def _require_room(file: Path, key: str, shape: tuple[int, ...]) -> None:
     """Refuse an array of a shape that would take more than MOST_BYTES."""
     if math.prod(shape) * 8 > MOST_BYTES:
-        refuse_in(
-            file, key, f"{shape[0]} rows of {math.prod(shape[1:])} numbers",
-            f"at most {MOST_BYTES} bytes in memory: choose users",
-        )  # fmt: skip
+        found = f"{shape[0]} rows of {math.prod(shape[1:])} numbers"
+        refuse_in(file, key, found, f"at most {MOST_BYTES} bytes in memory: choose users")
 
 
 @contextmanager

@@ -1,23 +1,28 @@
 """DeepMIMO scenarios as recordings, whose epochs are the receivers of one track.
 
-A scenario lists paths (:mod:`~mmwave_env.datasets.deepmimo.paths`); a recording wants links to
+A scenario lists paths (:mod:`~mmwave_env.datasets.deepmimo.anchors`); a recording wants links to
 anchors (:mod:`~mmwave_env.datasets.deepmimo.anchors`).
 """
 
 import os
 from collections.abc import Sequence
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from mmwave_env.datasets.deepmimo.anchors import StationLinks, find_links
-from mmwave_env.datasets.deepmimo.paths import LINE_OF_SIGHT, TOLERANCE_M, Paths
+from mmwave_env.datasets.deepmimo.anchors import (
+    LINE_OF_SIGHT,
+    TOLERANCE_M,
+    StationLinks,
+    StationPaths,
+    find_links,
+)
 from mmwave_env.datasets.deepmimo.v4 import Scenario, open_scenario
 from mmwave_env.datasets.recorded import Recording
-from mmwave_env.models.measurement import SPEED_OF_LIGHT, Layout, range_rate
+from mmwave_env.models.measurement import Layout, range_rate
 from mmwave_env.models.scene import scene_of_anchors
+from mmwave_env.numerics.numbers import Array
 from mmwave_env.world.checks import refuse_in
 from mmwave_env.world.trajectory import Trajectory
 from mmwave_env.world.ways import COLUMNS, read_trajectory
@@ -68,11 +73,11 @@ def read_deepmimo(
     scenario = open_scenario(Path(folder), receiver_set)
     receivers = scenario.epochs(users)
     way = _way_of(scenario, receivers, dt_s)
-    paths = replace(scenario.paths(receivers, base_station), position_m=way.position_m)
     velocity = np.asarray(way.velocity_mps)
-    links = _links(paths, virtual_anchors, ground)
+    stations = scenario.paths(receivers, base_station)
+    links = _links(stations, way.position_m, virtual_anchors, ground)
     anchors = np.array([station.anchors_m[k] for station, k in links])
-    scene = scene_of_anchors(paths.name, anchors, paths.carrier_hz, bandwidth_hz)
+    scene = scene_of_anchors(scenario.name, anchors, scenario.carrier_hz, bandwidth_hz)
     layout, epochs = Layout(len(links)), np.arange(len(receivers))
     measurement = np.zeros((len(epochs), layout.size))
     visible = np.zeros((len(epochs), layout.anchors + 1), bool)
@@ -84,9 +89,9 @@ def read_deepmimo(
     visible[:, layout.anchors] = visible[:, 0]  # Doppler: line of sight
     away = way.position_m - links[0][0].paths.position_m
     rate = range_rate(list(away.T), list(velocity.T))
-    measurement[:, layout.doppler] = paths.carrier_hz / SPEED_OF_LIGHT * rate
+    measurement[:, layout.doppler] = scene.hz_per_mps * rate
     return Recording(
-        name=paths.name,
+        name=scenario.name,
         scene=scene,
         layout=layout,
         time_s=way.time_s,
@@ -116,8 +121,8 @@ def _way_of(scenario: Scenario, epochs: NDArray[np.int_], dt_s: float | None) ->
     if dt_s is not None:
         if not 0.0 < dt_s < np.inf:
             raise ValueError(f"dt_s: found {dt_s}, expected > 0")
-        return Trajectory(f"{scenario.folder}, epochs every {dt_s:g} s",
-                          dt_s * np.arange(len(position), dtype=float), position)  # fmt: skip
+        time_s = dt_s * np.arange(len(position), dtype=float)
+        return Trajectory(f"{scenario.folder}, epochs every {dt_s:g} s", time_s, position)
     file = scenario.folder / SIDECAR
     if not file.exists():
         raise FileNotFoundError(
@@ -131,30 +136,30 @@ def _way_of(scenario: Scenario, epochs: NDArray[np.int_], dt_s: float | None) ->
         what = "scene" if scenario.is_dynamic else "receiver in rx_pos"
         refuse_in(file, "rows", len(way.time_s), f"{rows}, one for each {what}")
     chosen = np.arange(rows) if scenario.is_dynamic else epochs[:, 1]
-    way = Trajectory(
-        way.name, way.time_s[chosen], way.position_m[chosen], np.asarray(way.velocity_mps)[chosen],
-        np.asarray(way.lines)[chosen].tolist(),
-    )  # fmt: skip
+    velocity, lines = (np.asarray(part)[chosen] for part in (way.velocity_mps, way.lines))
+    way = Trajectory(way.name, way.time_s[chosen], way.position_m[chosen], velocity, lines.tolist())
     away = np.linalg.norm(way.position_m - position, axis=1) > TOLERANCE_M
     if away.any():
         i = int(np.argmax(away))
-        line = np.asarray(way.lines)[i]
-        refuse_in(file, f"line {line}, columns x, y, z", way.position_m[i].tolist(),
-               f"{position[i].tolist()}, rx_pos of {scenario.name_of(epochs[i])}")  # fmt: skip
+        where = f"line {np.asarray(way.lines)[i]}, columns x, y, z"
+        expected = f"{position[i].tolist()}, rx_pos of {scenario.name_of(epochs[i])}"
+        refuse_in(file, where, way.position_m[i].tolist(), expected)
     return way
 
 
-def _links(paths: Paths, virtual_anchors: int, ground: bool) -> list[tuple[StationLinks, int]]:
+def _links(
+    stations: list[StationPaths], position_m: Array, virtual_anchors: int, ground: bool
+) -> list[tuple[StationLinks, int]]:
     """The anchors of a recording: whose, and which of its."""
-    if len(paths.stations) == 1:
-        links = find_links(paths.stations[0], paths.position_m)
+    if len(stations) == 1:
+        links = find_links(stations[0], position_m)
         seen = links.epochs_seen
         images = [k for k in range(1, len(seen)) if ground or not links.is_ground[k]]
         images.sort(key=lambda k: -seen[k])
         return [(links, k) for k in [0, *images[:virtual_anchors]]]
-    in_sight = [s for s in paths.stations if (s.interactions == LINE_OF_SIGHT).any()]
+    in_sight = [s for s in stations if (s.interactions == LINE_OF_SIGHT).any()]
     if not in_sight:
-        paths.stations[0].refuse("inter", 0, "no line of sight (0) of any station at any epoch, "
-                                 "from that", "one at least")  # fmt: skip
-    stations = [find_links(station, paths.position_m) for station in in_sight]
-    return [(links, 0) for links in sorted(stations, key=lambda links: -links.epochs_seen[0])]
+        found = "no line of sight (0) of any station at any epoch, from that"
+        stations[0].refuse("inter", 0, found, "one at least")
+    seen_by = [find_links(station, position_m) for station in in_sight]
+    return [(links, 0) for links in sorted(seen_by, key=lambda links: -links.epochs_seen[0])]

@@ -14,17 +14,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mmwave_env.datasets.deepmimo.arrays import find_array, read_array
-from mmwave_env.datasets.deepmimo.paths import (
+from mmwave_env.datasets.deepmimo.anchors import (
     LINE_OF_SIGHT,
     REFLECTION,
     TOLERANCE_M,
-    Paths,
     StationPaths,
 )
+from mmwave_env.datasets.deepmimo.arrays import find_array, read_array
 from mmwave_env.files import read_json
 from mmwave_env.lookup import as_name
-from mmwave_env.numerics.arrays import Array, Mask
+from mmwave_env.numerics.numbers import Array, Mask
 from mmwave_env.world.checks import refuse_in
 
 PARAMS = "params.json"  # by which a folder is known as a scenario
@@ -77,8 +76,10 @@ class Scenario:
             raise ValueError(f"users: found {users!r}, expected numbers of receivers")
         outside = rows[(rows < 0) | (rows >= self.receivers)]
         if outside.size:
-            raise ValueError(f"users: found {outside.flat[0]}, expected 0 to {self.receivers - 1}, "
-                             f"the receivers of {self.folder}")  # fmt: skip
+            raise ValueError(
+                f"users: found {outside.flat[0]}, expected 0 to {self.receivers - 1}, the "
+                f"receivers of {self.folder}"
+            )
         if not self.is_dynamic:
             return np.column_stack([np.zeros(rows.size, int), rows.reshape(-1)])
         scenes = np.arange(len(self.scenes))
@@ -106,8 +107,15 @@ class Scenario:
             found.append(_finite(file, "rx_pos", array, rows))
         return np.concatenate(found)
 
-    def paths(self, epochs: NDArray[np.int_], base_station: int | None = None) -> Paths:
-        """The paths of some receivers.
+    @property
+    def name(self) -> str:
+        """For results and messages."""
+        return as_name(self.folder.resolve().name)
+
+    def paths(
+        self, epochs: NDArray[np.int_], base_station: int | None = None
+    ) -> list[StationPaths]:
+        """The paths of some receivers, by base station.
 
         Args:
             epochs: (E, 2) scenes, increasing, and rows, as of :meth:`epochs`.
@@ -127,9 +135,7 @@ class Scenario:
                     f"{', '.join(stations)} of {self.folder}"
                 )
             stations = stations[base_station - 1 : base_station]
-        found = tuple(_read_station(self, epochs, name) for name in stations)
-        name = as_name(self.folder.resolve().name)
-        return Paths(name, self.carrier_hz, self.positions(epochs), found)
+        return [_read_station(self, epochs, name) for name in stations]
 
 
 def is_scenario(folder: Path) -> bool:
@@ -190,8 +196,8 @@ def _scenes(folder: Path, count: int) -> tuple[Path, ...]:
         return (folder,)
     found = sorted(sub for sub in folder.iterdir() if sub.is_dir() and any(sub.glob("rx_pos_*")))
     if len(found) != count:
-        refuse_in(folder / PARAMS, "scene.num_scenes", count,
-               f"{len(found)}, the number of sub-folders with receivers")  # fmt: skip
+        expected = f"{len(found)}, the number of sub-folders with receivers"
+        refuse_in(folder / PARAMS, "scene.num_scenes", count, expected)
     return tuple(found)
 
 
@@ -207,8 +213,8 @@ def _stations(scene: Path, receiver_set: int | None) -> tuple[str, tuple[str, ..
     chosen = [n for n in sets if receiver_set is None or int(n) == receiver_set]
     if len(chosen) != 1:
         found = "all" if receiver_set is None else receiver_set
-        raise ValueError(f"receiver_set: found {found}, expected one of "
-                         f"{', '.join(str(int(n)) for n in sets)} of {scene}")  # fmt: skip
+        known = ", ".join(str(int(n)) for n in sets)
+        raise ValueError(f"receiver_set: found {found}, expected one of {known} of {scene}")
     return chosen[0], tuple(station for station, number in links if number == chosen[0])
 
 
@@ -224,8 +230,9 @@ def _read_station(scenario: Scenario, epochs: NDArray[np.int_], station: str) ->
     for scene, arrays in enumerate(scenes[1:], start=1):
         moved = arrays.pop("tx_pos")
         if np.linalg.norm(moved - here) > TOLERANCE_M:
-            refuse_in(scenario.file(scene, "tx_pos", station), "tx_pos", moved[0].tolist(),
-                   f"{here[0].tolist()}, as in the first scene: a station that stays")  # fmt: skip
+            expected = f"{here[0].tolist()}, as in the first scene: a station that stays"
+            file = scenario.file(scene, "tx_pos", station)
+            refuse_in(file, "tx_pos", moved[0].tolist(), expected)
     path = {key: _stacked([arrays[key] for arrays in scenes]) for key in scenes[0]}
 
     def source(key: str, epoch: int) -> tuple[Path, int]:

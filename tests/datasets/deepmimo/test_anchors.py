@@ -106,7 +106,7 @@ def test_ground_on_a_slope_is_ground_and_a_leaning_wall_is_a_wall(tmp_path_facto
         points = np.vstack([USERS, STATIONS[:1]])
         surfaces.append((normal, float((points @ normal).max()) + 2.0))
     write_hall(folder, STATIONS[0], USERS, surfaces)
-    (station,) = paths_of(folder).stations
+    (station,) = paths_of(folder)
     links = find_links(station, USERS)
     images = [reflect(STATIONS[0], *surface) for surface in surfaces]
     np.testing.assert_allclose(links.anchors_m[1:], images, atol=1e-4)
@@ -121,8 +121,9 @@ def test_two_reflections_are_left_out_whatever_stands_in_them(tmp_path):
     store(folder, "inter", np.concatenate([inter, np.full_like(inter, 11.0)], axis=1))
     for key, array in paths.items():
         if key[1:] != "x_pos":
-            odd = np.where(np.arange(len(array))[(...,) + (None,) * (array.ndim - 1)] % 2, 1e30,
-                           np.nan)  # fmt: skip
+            odd = np.where(
+                np.arange(len(array))[(...,) + (None,) * (array.ndim - 1)] % 2, 1e30, np.nan
+            )
             store(folder, key, np.concatenate([array, odd + 0 * np.nan_to_num(array)], axis=1))
     found = read_deepmimo(folder)
     np.testing.assert_array_equal(found.measurement, expected.measurement)
@@ -135,7 +136,7 @@ def test_reflections_off_whatever_moves_are_many_anchors_and_none_is_met_often(t
     inter, bounce = load(tmp_path, "inter"), load(tmp_path, "inter_pos")
     rng = np.random.default_rng(0)
     bounce[:, 1:] = users[:, None, None] + rng.uniform(1.0, 30.0, bounce[:, 1:].shape)
-    (station,) = paths_of(tmp_path).stations
+    (station,) = paths_of(tmp_path)
     arrays = {field: getattr(station, field) for field in ("interactions", "bounce_m")}
     assert arrays["interactions"].shape == inter.shape
     away = bounce[:, :, 0] - users[:, None]

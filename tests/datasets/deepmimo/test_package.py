@@ -43,12 +43,11 @@ def assert_loads(name, shelf):
     """The package loads a scenario, and what it computes from it fits the geometry."""
     deepmimo.summary(name)
     scenario = open_scenario(shelf / name)
-    paths = scenario.paths(scenario.epochs(None))
+    epochs = scenario.epochs(None)
+    stations, positions = scenario.paths(epochs), scenario.positions(epochs)
     loaded = deepmimo.load(name)
-    for theirs, station in zip(
-        [loaded] if len(paths.stations) == 1 else loaded, paths.stations, strict=True
-    ):
-        assert_read_alike(theirs, paths.position_m, station)
+    for theirs, station in zip([loaded] if len(stations) == 1 else loaded, stations, strict=True):
+        assert_read_alike(theirs, positions, station)
         sight = theirs.los == 1
         np.testing.assert_array_equal(sight, (station.interactions == 0.0).any(axis=1))
         away = np.linalg.norm(theirs.rx_pos - theirs.tx_pos, axis=1)
@@ -73,5 +72,4 @@ def test_scenes_of_a_dynamic_scenario(shelf):
     for scene, theirs in enumerate(scenes):
         rows = np.arange(3)
         epochs = np.column_stack([np.full(3, scene), rows])
-        paths = ours.paths(epochs)
-        assert_read_alike(theirs, paths.position_m, paths.stations[0])
+        assert_read_alike(theirs, ours.positions(epochs), ours.paths(epochs)[0])

@@ -356,7 +356,7 @@ DAMAGE = {
         lambda f: edit_line(f, 2, "0,-45,-3,1.5,10,0,0"),
         ["line 2, columns x, y, z", "[-45.0, -3.0, 1.5]", "rx_pos of receiver 0"],
     ),
-}  # fmt: skip
+}
 
 
 @pytest.mark.parametrize("damage", DAMAGE)

@@ -301,8 +301,7 @@ def test_parameters_of_any_kind_are_refused_or_harmless(undamaged, entry, value)
 
 def test_the_paths_are_those_of_the_files(static):
     scenario = open_scenario(static)
-    paths = scenario.paths(scenario.epochs(None))
-    (station,) = paths.stations
+    (station,) = scenario.paths(scenario.epochs(None))
     inter = load(static, "inter")
     np.testing.assert_array_equal(station.interactions, inter)
     there = np.isfinite(inter)

@@ -1,0 +1,228 @@
+"""What single and vector environments share: their engine, copies and states as plain arrays.
+
+Whoever goes on from a copy or a state does so to the last bit.
+"""
+
+from collections.abc import Callable
+from copy import deepcopy
+from functools import partial
+from typing import Any, Self
+
+import numpy as np
+from gymnasium.error import ResetNeeded
+from numpy.typing import NDArray
+
+from mmwave_env.compiler.threads import portions, share
+from mmwave_env.engines.baseline import Baseline, baseline_of
+from mmwave_env.engines.env_engine import Engine
+from mmwave_env.engines.replay import Replay
+from mmwave_env.engines.tally import Tally
+from mmwave_env.engines.vector_step import ActionHistory, Stepper
+from mmwave_env.filters.pipeline import Pipeline
+from mmwave_env.info import SMOOTHED_KEY, drawn_rows, episode_info, smoothed_info
+from mmwave_env.models.scene import Streets
+from mmwave_env.numerics.numbers import Array, Index, Mask
+from mmwave_env.task import Task
+from mmwave_env.world.keys import Streams
+
+REPLAYED = 64  # episodes at once: few enough for their memory not to count
+
+
+class Environment:
+    """Environments on an engine, which ``deepcopy`` and ``pickle`` copy.
+
+    Compiled code and what refers to it is made anew, all else is copied. A deep copy shares the
+    task, which no step changes, and with it the source of episodes.
+    """
+
+    _engine: Engine
+    _baseline: Baseline | None
+    _replay: Replay | None
+    _set_up: Callable[[], None]  # makes what follows from the arguments: it is not copied
+
+    def _take_task(self, task: Task, observation: str, smoothed: bool, n: int = 1) -> None:
+        """Take on a task in n environments, none of which has begun."""
+        self._task, self._observation_kind, self._smoothing = task, observation, smoothed
+        self._tally = Tally(n, len(task.pipeline.position_axes))
+        self._history = ActionHistory(n, len(task.pipeline.modes) + 1)
+        self._begun = False
+
+    def _start_engine(
+        self, pipeline: Pipeline, n: int = 1, on_floats: bool = False, threads: int = 1
+    ) -> None:
+        """Make the engine of n environments, and what runs beside it."""
+        task, kind = self._task, self._observation_kind
+        self.source, self.radio, self.reward = task.source, task.radio, task.reward
+        self._engine = Engine(pipeline, n, task.reward, kind, task.bank, on_floats, threads)
+        self.modes, self.observation = pipeline.modes, self._engine.observation
+        self._replay = Replay(pipeline, task.bank, on_floats) if self._smoothing else None
+        self._baseline = baseline_of(task, self._engine.batch, threads)
+
+    @property
+    def _drawn(self) -> tuple[dict[str, slice], int, list[str]]:
+        """What pictures read of a workspace, the axes of its NEES, and what actions are called."""
+        rows = drawn_rows(self._engine.at, self._engine.span)
+        return rows, len(self._task.pipeline.position_axes), self.observation.actions
+
+    def _streets_of(self, place: int) -> Streets | None:
+        return self._task.streets_of(int(self._engine.keys[place]))
+
+    def _require_begun(self, what: str) -> None:
+        if not self._begun:
+            raise ResetNeeded(f"Call reset before {what}: there is no episode under way.")
+
+    def _begin_baseline(self, places: Index) -> None:
+        if self._baseline:
+            self._baseline.begin(places, partial(self._engine.episodes, self._task))
+
+    def _begin_tracks(self, places: Index) -> None:
+        """Start what goes along with episodes that just began in some environments."""
+        self._begin_baseline(places)
+        length = self._engine.batch.state.length[places]
+        self._tally.begin(places, self._engine.steps_s(places), length)
+
+    def _remember(self, epochs: int) -> None:
+        """Remember the modes of so many steps, if anybody will ask for them."""
+        if self._replay:
+            self._history.make_room(epochs)
+
+    def _metrics_of(self, ended: Index, threads: int = 1) -> dict[str, Array]:
+        """What the last step tells of episodes that ended in some environments (k,)."""
+        epochs = self._engine.batch.state.epoch[ended] - 1
+        told = episode_info(self._tally.metrics(ended, epochs))
+        if not self._replay:
+            return told
+        jobs = []
+        for steps in set(epochs.tolist()):
+            alike = np.flatnonzero(epochs == steps)
+            jobs += [(alike[part], steps) for part in portions(len(alike), threads, REPLAYED)]
+        smoothed, replay = np.zeros(len(ended)), self._replay
+
+        def smooth(some: Index, steps: int) -> None:
+            episodes = self._engine.episodes(self._task, ended[some])
+            *_, errors = replay.run(episodes, self._history.of(ended[some], steps))
+            (smoothed[some],) = smoothed_info(errors).values()
+
+        share(smooth, jobs, threads)
+        return told | {SMOOTHED_KEY: smoothed}
+
+    def _charge(self, rewards: Array, places: Index) -> None:
+        """Take the worst reward for every epoch left where an episode ends early."""
+        assert self._task.worst is not None
+        tracks = self._engine.batch.state  # an epoch ahead: it waits for the next action
+        rewards[places] += self._task.worst * (tracks.length + 1 - tracks.epoch)[places]
+        if self._baseline:
+            rewards[places] -= self._baseline.rest(places)
+
+    def _set_up_noting(self) -> None:
+        """Set up, and note what a copy does not need because it does the same."""
+        given = set(vars(self))
+        self._set_up()
+        self._remade = frozenset(vars(self)) - given
+
+    def __getstate__(self) -> dict[str, Any]:
+        """What a copy cannot make anew."""
+        kept = {key: value for key, value in vars(self).items() if key not in self._remade}
+        return kept | {"tracks": self._engine.batch.state, "keys": self._engine.keys}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        """Go on, to the last bit, as the environment did that was copied."""
+        vars(self).update(state)
+        tracks, keys = vars(self).pop("tracks"), vars(self).pop("keys")
+        self._set_up_noting()
+        self._engine.keys = keys
+        self._engine.go_on(self._task, tracks)
+        if self._begun:
+            self._begin_baseline(np.arange(self._engine.batch.n))
+
+    def __deepcopy__(self, memo: dict[int, Any]) -> Self:
+        """A copy that goes on by itself."""
+        twin = type(self).__new__(type(self))
+        memo |= {id(self): twin, id(self._task): self._task}
+        twin.__setstate__(deepcopy(self.__getstate__(), memo))
+        return twin
+
+
+class RestorableEnvironment(Environment):
+    """Environments in step whose state can be taken and given back."""
+
+    num_envs: int
+    _stepper: Stepper
+    _streams: Streams
+    _over: Mask
+    _ended: int
+    _begin_pictures: Callable[[Index], None]  # starts over where episodes just began
+
+    def state(self) -> dict[str, NDArray[Any]]:
+        """All that what comes next depends on, for :meth:`restore`: copies.
+
+        Raises:
+            ResetNeeded: no episode is under way.
+            ValueError: episodes come from a source that draws from generators.
+        """
+        self._require_begun("state")
+        self._require_simulated("state")
+        return {name: array.copy() for name, array in self._arrays().items()} | {
+            "streams": self._streams.states(),
+            "over": self._over.copy(),
+            "actions": self._history.all(),
+        }
+
+    def _arrays(self) -> dict[str, NDArray[Any]]:
+        """What a state copies as it is."""
+        tracks, tally = self._engine.batch.state, self._tally
+        return {
+            "rows": tracks.rows, "worlds": tracks.feed.kept, "table": tracks.table,
+            "length": tracks.length, "epoch": tracks.epoch, "keys": self._engine.keys,
+            "sums": tally.sums, "errors": tally.errors, "second": tally.second,
+        }  # fmt: skip
+
+    def restore(self, state: dict[str, NDArray[Any]]) -> None:
+        """Go on, to the last bit, as the environment did that gave this :meth:`state`.
+
+        Args:
+            state: of an environment with the same arguments.
+
+        Raises:
+            ValueError: that of an environment with others, as far as its arrays show; or
+                episodes come from a source that draws from generators.
+        """
+        self._require_simulated("restore")
+        n, history, source = self.num_envs, self._history, self._task.simulated
+        self._make_room()
+        arrays = self._arrays()
+        others = {"streams": (n, 2), "over": (n,), "actions": history.rows.shape}
+        for name, shape in (others | {key: array.shape for key, array in arrays.items()}).items():
+            found = state[name].shape if name in state else "nothing"
+            if found != shape:
+                raise ValueError(
+                    f"{name} of the state: found {found}, expected {shape}, as in an "
+                    "environment with the same arguments"
+                )
+        epochs = set(state["length"].tolist())
+        if epochs != {source.epochs}:
+            raise ValueError(
+                f"length of the state: found episodes of {epochs} epochs, expected {source.epochs}"
+            )
+        for name, array in arrays.items():
+            array[:] = state[name]
+        self._streams.set_states(state["streams"])
+        history.set_all(state["actions"])
+        self._over, self._ended = state["over"].copy(), int(np.count_nonzero(state["over"]))
+        self._begin_baseline(np.arange(n))
+        self._begin_pictures(np.arange(n))  # the way up to here is not part of a state
+        self._begun = True
+
+    def _make_room(self) -> None:
+        """For what a state holds of simulated episodes; those under way go on."""
+        source = self._task.simulated
+        self._engine.attach(self._task)
+        self._tally.make_room(min(round(1.0 / source.dt), source.epochs))
+        self._remember(source.epochs)
+
+    def _require_simulated(self, what: str) -> None:
+        if not self._task.has_keys:
+            raise ValueError(
+                f"{what}: found episodes of a source of your own, or recorded ones, expected "
+                "simulated ones; what such a source remembers is not known here"
+            )

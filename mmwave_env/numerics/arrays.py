@@ -1,8 +1,0 @@
-"""Arrays by what they hold; shapes stand beside each argument and attribute."""
-
-import numpy as np
-from numpy.typing import NDArray
-
-Array = NDArray[np.float64]
-Index = NDArray[np.int64]
-Mask = NDArray[np.bool_]

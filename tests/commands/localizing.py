@@ -1,0 +1,63 @@
+"""mmwave-loc localize on a recorded walk and a recorded ride, and logs made from the walk."""
+
+import json
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+
+import pytest
+
+from experiments.console.main import run
+from tests.cli import environment
+from tests.paths import LOGS
+
+WALK, RIDE = LOGS / "canyon28_pedestrian", LOGS / "canyon28_vehicle"
+EPOCHS = {WALK: 400, RIDE: 120}
+
+
+def options(log, *more, folder=WALK):
+    return [str(v) for v in (log, "--scene", folder / "scene.json", *more)]
+
+
+def figures(folder, *more, log=None, truth=True):
+    """Run the command on a sample; what it wrote as JSON."""
+    with tempfile.TemporaryDirectory() as scratch:
+        file = Path(scratch) / "figures.json"
+        scored = ("--truth", folder / "truth.tum") if truth else ()
+        run("localize", options(log or folder / "log.csv", *scored, "--json", file, *more,
+                                folder=folder))  # fmt: skip
+        return json.loads(file.read_text())
+
+
+def refused(capsys, arguments):
+    """Run a command that ends with exit code 2; what it printed, and the line of the error."""
+    with pytest.raises(SystemExit) as stop:
+        run("localize", [str(a) for a in arguments])
+    assert stop.value.code == 2
+    shown = capsys.readouterr()
+    (line,) = shown.err.splitlines()
+    assert line.startswith("mmwave-loc localize: ")
+    return shown.out, line
+
+
+def child(arguments, **more):
+    words = [sys.executable, "-m", "experiments.console", "localize", *map(str, arguments)]
+    return subprocess.Popen(words, env=environment(), text=True, **more)
+
+
+def lines_of(name="log.csv"):
+    return (WALK / name).read_text().splitlines()
+
+
+def with_line(number, change):
+    """The sample with one line (counted from 1) changed."""
+    lines = lines_of()
+    lines[number - 1] = change(lines[number - 1])
+    return "\n".join(lines) + "\n"
+
+
+def cell(line, place, word):
+    cells = line.split(",")
+    cells[place] = word
+    return ",".join(cells)

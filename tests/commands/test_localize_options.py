@@ -1,0 +1,166 @@
+"""The options of mmwave-loc localize: each changes the track, none contradicts another."""
+
+import csv
+import json
+import re
+
+import numpy as np
+import pytest
+
+from experiments.console.main import run
+from experiments.evaluation.contenders import imm_banks
+from mmwave_env.filters.bank import best_bank
+from mmwave_env.filters.mode_files import default_modes
+from mmwave_env.localization.localizer import localize
+from mmwave_env.logs.log import read_log
+from mmwave_env.logs.tum import read_tum
+from mmwave_env.models.radio import RADIOS
+from mmwave_env.models.scene import read_scene
+from tests.commands.localizing import EPOCHS, RIDE, WALK, figures, options, refused
+
+
+def test_the_track_is_the_localizers(tmp_path):
+    out = tmp_path / "track.tum"
+    more = ("--no-gating", "--no-adaptive", "--window", "50", "--radio", "high")
+    figures(RIDE, "--speed", "10", "--out", out, *more)
+    scene = read_scene(RIDE / "scene.json")
+    mode = default_modes("high")[1]
+    mode = type(mode)(**{**vars(mode), "gate": None, "adaptive": False})
+    blocks = localize(
+        read_log(RIDE / "log.csv", scene), scene, RADIOS["high"], [mode], window=50
+    )  # fmt: skip
+    x = np.concatenate([block.smooth_x for block in blocks])
+    np.testing.assert_array_equal(read_tum(out).position_m, x[:, :3])
+
+
+@pytest.mark.slow
+def test_every_switch_changes_the_track():
+    tracks = {}
+    for switch in ([], ["--no-gating"], ["--no-adaptive"], ["--no-smoothing"], ["--robust"],
+                   ["--window", "20"], ["--height", "1.5"], ["--radio", "handset"]):  # fmt: skip
+        found = figures(WALK, "--speed", "1.4", "--radio", "standard", *switch)
+        tracks[" ".join(switch)] = json.dumps(found["truth"]["tracks"])
+        if switch == ["--no-gating"]:
+            assert found["groups"]["all"]["rejected"] == 0
+        if switch == ["--robust"]:
+            assert list(found["modes"]) == ["ekf-robust"]
+        if switch == ["--height", "1.5"]:
+            assert found["truth"]["nees_expected"] == 2
+    assert len(set(tracks.values())) == len(tracks)
+
+
+def test_modes_may_come_from_a_file(capsys, tmp_path):
+    file = tmp_path / "modes.json"
+    modes = [{"name": "calm"}, {"name": "wild", "algorithm": "ckf", "sigma_v": 2.0}]
+    file.write_text(json.dumps({"modes": modes}))
+    assert figures(RIDE, "--speed", "10", "--modes", file)["modes"] == {"wild": 120}
+    file.write_text(json.dumps({"modes": modes[:1]}))
+    _, line = refused(capsys, options(RIDE / "log.csv", "--speed", "1", "--modes", file))
+    assert "found 1 modes, expected 2, for low and for high mobility" in line
+    _, line = refused(capsys, options(RIDE / "log.csv", "--speed", "1", "--modes", "ekf-robust"))
+    assert "modes: found 'ekf-robust', expected a mode file (.json)" in line
+
+
+@pytest.mark.parametrize("folder", [WALK, RIDE], ids=["walk", "ride"])
+@pytest.mark.slow
+def test_an_imm_is_smoothed_to_less_than_the_filtered_error(tmp_path, folder):
+    out = tmp_path / "track.tum"
+    found = figures(folder, "--imm", "imm-best", "--radio", "standard", "--out", out)
+    bank, scene = best_bank("standard"), read_scene(folder / "scene.json")
+    assert list(found["modes"]) == [mode.name for mode in bank.modes] and found["imm"] == "imm-best"
+    assert sum(found["modes"].values()) == EPOCHS[folder]
+    filtered, smoothed = (found["truth"]["tracks"][t] for t in ("filtered", "smoothed"))
+    for metric in ("ate_m", "rmse_m", "rpe_m"):
+        assert smoothed[metric] < filtered[metric]
+    assert 0.8 < found["groups"]["all"]["nis_per_dof"] < 1.2 and smoothed["in_bounds"] > 0.85
+    blocks = list(localize(read_log(folder / "log.csv", scene), scene, RADIOS["standard"], bank))
+    x, mode = (np.concatenate([getattr(b, name) for b in blocks]) for name in ("smooth_x", "mode"))
+    np.testing.assert_array_equal(read_tum(out).position_m, x[:, :3])
+    with (tmp_path / "track.csv").open(newline="") as file:
+        said = [row["mode"] for row in csv.DictReader(file)]
+    assert said == [bank.modes[m].name for m in mode]
+
+
+@pytest.mark.slow
+def test_the_modes_of_an_imm_are_told_and_drawn(capsys, tmp_path):
+    picture = tmp_path / "track.png"
+    figures(RIDE, "--imm", "imm-best", "--radio", "standard", "--plot", picture, "--no-smoothing")
+    shown = capsys.readouterr().out
+    assert re.search(r"modes of imm-best by their probability: stand \d.*brake .*switched", shown)
+    assert "smoothed" not in shown and picture.stat().st_size > 20_000
+
+
+@pytest.mark.slow
+def test_an_imm_may_come_from_a_bank_s_file_or_by_any_name_of_the_project(tmp_path):
+    file = tmp_path / "bank.json"
+    modes = [{"name": "calm"}, {"name": "wild", "algorithm": "ckf", "sigma_v": 2.0}]
+    bank = {"modes": modes, "transition": [[0.9, 0.1], [0.2, 0.8]], "nis_quantile": 0.99}
+    file.write_text(json.dumps(bank))
+    assert list(figures(RIDE, "--radio", "standard", "--imm", file)["modes"]) == ["calm", "wild"]
+    robust = figures(RIDE, "--radio", "standard", "--imm", file, "--robust", "--no-gating")
+    assert list(robust["modes"]) == ["calm-robust", "wild-robust"]
+    assert robust["groups"]["all"]["rejected"] == 0
+    for name in imm_banks("standard"):
+        found = figures(RIDE, "--radio", "standard", "--imm", name)["truth"]["tracks"]
+        assert found["smoothed"]["ate_m"] < found["filtered"]["ate_m"] < 0.5
+
+
+@pytest.fixture(scope="module")
+def driven(tmp_path_factory):
+    """A log with odometry."""
+    folder = tmp_path_factory.mktemp("driven")
+    run("simulate", ["--scenario", "walk-ride", "--odometry", "--seed", "2", "--out", str(folder)])
+    return folder
+
+
+@pytest.mark.slow
+def test_odometry_is_used_where_the_log_has_it(capsys, driven):
+    used = figures(driven, "--speed", "auto")
+    ignored = figures(driven, "--speed", "auto", "--no-odometry")
+    followed = figures(driven, "--speed", "auto", "--follow", "odometry")
+    assert "odometry" in used["groups"] and "odometry" not in ignored["groups"]
+    assert used["truth"]["tracks"]["filtered"]["ate_m"] != pytest.approx(
+        ignored["truth"]["tracks"]["filtered"]["ate_m"]
+    )
+    assert followed["modes"] != used["modes"] and followed["modes"]["ukf"] > 20
+    capsys.readouterr()
+    for log, more in ((driven, ["--no-odometry"]), (RIDE, [])):
+        words = ["--speed", "auto", "--follow", "odometry", *more]
+        _, line = refused(capsys, options(log / "log.csv", *words, folder=log))
+        assert "follow: found odometry, but no speed in" in line
+
+
+CONTRADICTIONS = {
+    "auto and abort": (["--speed", "auto", "--outside", "abort"], "outside: found abort"),
+    "odometry and a speed": (["--speed", "1", "--follow", "odometry"], "follow: found odometry"),
+    "an imm and a speed": (["--imm", "imm", "--speed", "1"], "speed: found 1 with --imm, expected"),
+    "an imm and modes": (["--imm", "imm", "--modes", "m.json"], "modes: found m.json with --imm"),
+    "an imm and abort": (["--imm", "imm", "--outside", "abort"], "outside: found abort with --imm"),
+    "a track of a diagnosis": (["--diagnose", "--out", "t.tum"], "diagnose: found with --out or"),
+    "imm": (["--imm", "imm-bets"], "imm: found 'imm-bets', did you mean imm-best"),
+    "no imm": (["--imm", "guided"], "imm: found 'guided', expected one of imm, imm-best"),
+    "bank": (["--imm", "missing.json"], "missing.json"),
+    "window": (["--speed", "1", "--window", "1"], "window: found 1, expected 2 to 20000 epochs"),
+    "long window": (["--speed", "1", "--window", "20001"], "window: found 20001"),
+    "height": (["--speed", "1", "--height", "nan"], "height: found nan"),
+    "plot": (["--speed", "1", "--plot", "track.gif"], "plot: found track.gif, expected.*png"),
+    "radio": (["--speed", "1", "--radio", "lab"], "'lab'.*handset, standard, high"),
+    "truth": (["--speed", "1", "--truth", "missing.tum"], "missing.tum"),
+    "modes": (["--speed", "1", "--modes", "missing.json"], "missing.json"),
+    "table": (["--speed", "1", "--out", "track.csv"], "out: found track.csv, expected a TUM file"),
+    "twice": (["--speed", "1", "--out", "a.tum", "--plot", "a.tum"], "plot: found a.tum"),
+}
+
+
+@pytest.mark.parametrize("name", CONTRADICTIONS)
+def test_what_contradicts_itself_is_refused(capsys, monkeypatch, tmp_path, name):
+    monkeypatch.chdir(tmp_path)
+    more, message = CONTRADICTIONS[name]
+    _, line = refused(capsys, options(WALK / "log.csv", *more))
+    assert re.search(message, line), line
+
+
+def test_a_folder_in_place_of_a_log_is_refused_by_naming_its_files(capsys):
+    _, line = refused(capsys, [str(WALK)])
+    files = f"{WALK / 'log.csv'} --scene {WALK / 'scene.json'} --truth {WALK / 'truth.tum'}"
+    assert line.endswith(f"log: found the folder {WALK}, expected files, such as {files}")

@@ -1,0 +1,78 @@
+"""Logs written by hand, and blocks of them put together again."""
+
+from dataclasses import replace
+from functools import lru_cache
+
+import numpy as np
+import pytest
+
+from mmwave_env.logs.log import LogBlock, read_log
+from mmwave_env.logs.log_tables import LogError
+from mmwave_env.models.radio import RADIOS
+from mmwave_env.models.scene import SCENES
+from mmwave_env.world.simulated import SimulatedSource
+
+SCENE = SCENES["street"]
+L = 3
+HEADER = "time_s,anchor,toa_s,aoa_azimuth_rad,aoa_elevation_rad,aod_azimuth_rad,doppler_hz,snr_db"
+BODY = HEADER.replace("aod_azimuth_rad", "aod_azimuth_body_deg")
+TIME, ANCHOR, TOA, AOA, ELEVATION, AOD, DOPPLER, SNR = range(8)
+PER_EPOCH = LogBlock.per_epoch
+SUFFIXES = (".csv", ".csv.gz", ".parquet")
+
+
+def rows(epochs=4, first=0):
+    """Lines of cells, one for each epoch and anchor, all numbers different."""
+    out = []
+    for t in range(first, first + epochs):
+        for a in range(1, L + 1):
+            doppler = f"{t + 0.5}" if a == 1 else ""
+            out.append([f"{t}", f"{a}", f"{t + a}e-7", f"0.{a}{t}", f"-0.{a}", f"{a - 2}.{t}",
+                        doppler, f"{20 + a}"])  # fmt: skip
+    return out
+
+
+def text(lines, header=HEADER):
+    return "\n".join([header, *(",".join(line) for line in lines)]) + "\n"
+
+
+def store(folder, content, name="log.csv"):
+    path = folder / name
+    path.write_bytes(content.encode() if isinstance(content, str) else content)
+    return path
+
+
+def read(path, scene=SCENE, **options):
+    return joined(list(read_log(path, scene, **options)))
+
+
+def joined(blocks):
+    return replace(
+        blocks[-1], **{f: np.concatenate([getattr(b, f) for b in blocks]) for f in PER_EPOCH}
+    )
+
+
+def delivered(path, scene=SCENE, **options):
+    """The blocks before the error, and the error."""
+    blocks = []
+    with pytest.raises(LogError) as error:
+        blocks.extend(read_log(path, scene, **options))
+    # extend() keeps what came before the error
+    return blocks, str(error.value)
+
+
+def shown(block):
+    """(T, rows) whether a row is visible."""
+    widths = [group.stop - group.start for group in block.layout.groups]
+    return np.repeat(block.visible, widths, axis=1)
+
+
+@lru_cache
+def episode(seed=0, epochs=25, odometry=False, radio="handset"):
+    source = SimulatedSource(SCENE, RADIOS[radio], "mixed", epochs=epochs, odometry=odometry)
+    return source.sample(np.random.default_rng(seed))
+
+
+def require_pyarrow(suffix=".parquet"):
+    if suffix == ".parquet":
+        pytest.importorskip("pyarrow")

@@ -1,0 +1,173 @@
+"""The table of the observation: it makes the space, and its digest tells tables apart."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from gymnasium import spaces
+
+import mmwave_env  # noqa: F401  registers the environment
+from mmwave_env import observation
+from mmwave_env.env import MmWaveLocEnv
+from mmwave_env.filters.bank import best_bank
+from mmwave_env.filters.mode_files import modes_from
+from mmwave_env.filters.modes import Mode
+from mmwave_env.filters.pipeline import Pipeline
+from mmwave_env.models.measurement import Layout
+from mmwave_env.observation import BELIEFS, Observation, feature_scales
+
+PIPELINES = {
+    "default": Pipeline(modes_from(None), Layout()),
+    "odometry": Pipeline(modes_from(None), Layout(odometry=True)),
+    "one anchor": Pipeline(modes_from(["ukf"]), Layout(1)),
+    "three modes": Pipeline(modes_from(["ekf", "ukf", "ckf"]), Layout(5, True), planar=True),
+}
+COMING = ("coming ", "preference ")
+
+every_pipeline = pytest.mark.parametrize("pipeline", PIPELINES.values(), ids=PIPELINES)
+every_kind = pytest.mark.parametrize("kind", ["full", "prior"])
+
+
+def names(table):
+    return [feature.name for feature in table.features]
+
+
+# --- the table
+
+
+@every_kind
+@every_pipeline
+def test_the_table_makes_the_space(pipeline, kind):
+    table = Observation(pipeline, kind)
+    space = table.space
+    assert isinstance(space, spaces.Box) and space.dtype == np.float32
+    assert space.shape == (len(table),) == (len(set(names(table))),)
+    mean, deviation = np.array(table.scales).T
+    limits = np.array([(f.low, f.high) for f in table.features]).T
+    bounds = np.clip((limits - mean) / deviation, -10.0, 10.0)
+    np.testing.assert_allclose([space.low, space.high], bounds, rtol=1e-6)
+    assert (space.low < space.high).all() and space.is_bounded()
+    assert (deviation > 0.0).all() and all(f.meaning for f in table.features)
+
+
+@every_pipeline
+def test_prior_leaves_out_how_modes_see_the_coming_epoch(pipeline):
+    full, prior = names(Observation(pipeline)), names(Observation(pipeline, "prior"))
+    assert prior == [name for name in full if not name.startswith(COMING)]
+    assert len(prior) < len(full)
+
+
+@every_kind
+@every_pipeline
+def test_the_documented_table_lists_every_feature_in_order(pipeline, kind):
+    table = Observation(pipeline, kind)
+    head, rule, *rows = table.table().splitlines()
+    cells = [[cell.strip() for cell in row.strip("|").split("|")] for row in rows]
+    assert [(int(number), name) for number, name, *_ in cells] == list(enumerate(names(table)))
+    assert all(len(row) == 8 == head.count("|") - 1 == rule.count("|") - 1 for row in cells)
+
+
+def test_the_environment_s_docstring_holds_the_table():
+    documented = MmWaveLocEnv.__doc__.replace("\n    ", "\n")
+    assert Observation(PIPELINES["default"]).table() in documented
+
+
+def observed(table, values):
+    """Observations (n, features) that show these values of every feature (n,)."""
+    mean, deviation = np.array(table.scales).T
+    return ((np.asarray(values)[:, None] - mean) / deviation).astype(np.float32)
+
+
+@every_pipeline
+@pytest.mark.parametrize("beliefs", BELIEFS)
+def test_reading_a_feature_inverts_its_standardization(pipeline, beliefs):
+    table = Observation(pipeline, beliefs=beliefs)
+    values = np.random.default_rng(0).uniform(-40.0, 40.0, 1000)
+    observations = observed(table, values)
+    for i, feature in enumerate(table.features):
+        read = table.read(observations, feature.name)
+        assert read.dtype == np.float64
+        known = np.spacing(np.abs(observations[:, i])) * table.scales[i].deviation
+        assert (np.abs(read - values) <= 2.0 * known + 1e-12).all()
+        assert table.read(observations[0], feature.name) == read[0]
+
+
+@pytest.mark.parametrize("beliefs", BELIEFS)
+def test_whole_numbers_read_exactly(beliefs):
+    table = Observation(PIPELINES["odometry"], beliefs=beliefs)
+    whole = np.arange(-30.0, 31.0)
+    for feature in table.features:
+        read = table.read(observed(table, whole), feature.name)
+        np.testing.assert_array_equal(read, whole, err_msg=feature.name)
+
+
+# --- the constants
+
+
+@pytest.mark.parametrize("beliefs", BELIEFS)
+@pytest.mark.parametrize(
+    "pipeline",
+    [PIPELINES["one anchor"], Pipeline(best_bank().modes, Layout()),
+     Pipeline((Mode("slow feet"), Mode("fast wheels")), Layout(5), True)],
+)  # fmt: skip
+def test_every_feature_of_whatever_task_is_of_a_kind_in_the_table(pipeline, beliefs):
+    table = Observation(pipeline, beliefs=beliefs)
+    kinds = {feature.kind for feature in table.features}
+    assert kinds <= feature_scales().keys()
+    assert all(math.isfinite(mean) and deviation > 0.0 for mean, deviation in table.scales)
+    assert all("1" not in kind and "feet" not in kind and "ukf" not in kind for kind in kinds)
+
+
+def test_the_table_has_no_kind_that_no_feature_is_of():
+    tables = [Observation(PIPELINES["odometry"], beliefs=beliefs) for beliefs in BELIEFS]
+    kinds = {feature.kind for table in tables for feature in table.features}
+    assert kinds == feature_scales().keys()
+
+
+def test_a_kind_that_was_not_measured_is_refused(monkeypatch):
+    known = {kind: scale for kind, scale in feature_scales().items() if kind != "gamma"}
+    monkeypatch.setattr(observation, "feature_scales", lambda: known)
+    with pytest.raises(KeyError, match="'gamma'.*feature_scales.json"):
+        Observation(PIPELINES["default"])
+
+
+def test_an_unknown_feature_lists_the_valid_ones():
+    table = Observation(PIPELINES["default"], "prior")
+    with pytest.raises(KeyError, match="'color'.*predicted speed.*time since fix"):
+        table.read(np.zeros((1, len(table)), np.float32), "color")
+
+
+# --- the digest
+
+
+@every_kind
+@every_pipeline
+def test_tables_alike_have_one_digest(pipeline, kind):
+    table = Observation(pipeline, kind)
+    assert table.digest == Observation(replace(pipeline), kind).digest
+    assert (table.kind, table.modes) == (kind, pipeline.modes)
+    retuned = tuple(replace(mode, sigma_v=mode.sigma_v + 1.0) for mode in pipeline.modes)
+    assert table.digest == Observation(replace(pipeline, modes=retuned), kind).digest
+
+
+def test_tables_that_differ_have_other_digests():
+    tables = [Observation(p, kind) for p in PIPELINES.values() for kind in ("full", "prior")]
+    renamed = [replace(mode, name=f"my {mode.name}") for mode in PIPELINES["default"].modes]
+    tables.append(Observation(replace(PIPELINES["default"], modes=tuple(renamed))))
+    assert len({table.digest for table in tables}) == len(tables)
+
+
+@pytest.mark.parametrize("place", [0, 7, -1])
+def test_every_attribute_and_both_constants_of_every_feature_count(place):
+    table = Observation(PIPELINES["default"])
+    before, feature, scale = table.digest, table.features[place], table.scales[place]
+    for attribute in ("name", "meaning", "unit", "low", "high"):
+        other = getattr(feature, attribute) * 2 or 3.0
+        table.features[place] = replace(feature, **{attribute: other})
+        assert (table.digest == before) == (table.features[place] == feature)
+    table.features[place] = feature
+    assert table.digest == before
+    for constant in ("mean", "deviation"):
+        table.scales[place] = scale._replace(**{constant: getattr(scale, constant) + 1.0})
+        assert table.digest != before

@@ -1,0 +1,106 @@
+"""The size of the project: a stranger should be able to pick it up, so what comes in pays.
+
+Whoever raises a number here says in the commit what users get for it.
+"""
+
+import io
+import re
+import subprocess
+import tokenize
+import tomllib
+from collections import Counter
+from pathlib import Path
+
+import pytest
+
+from tests.paths import ROOT
+
+BUDGET = {
+    "lines of source": 33_000,
+    "tokens of source": 215_000,
+    "files of source": 280,
+    "lines of tests": 28_000,
+    "tokens of tests": 246_500,
+    "words of docs": 38_000,
+    "pages of docs": 22,
+    "tracked files": 620,
+    "tracked MB": 8,
+    "commands": 14,
+    "extras for users": 8,
+    "virtual environments": 6,
+    "lines that ruff may not format": 300,
+}
+ROOMS = {  # lines of source; what is in no room counts for "."
+    "experiments/evaluation": 2_800,
+    "experiments/training": 2_200,
+    "experiments/webpage": 1_100,
+    "mmwave_env/datasets": 1_900,
+    "mmwave_env/engines": 2_100,
+    "mmwave_env/filters": 2_500,
+    "mmwave_env/localization": 1_900,
+    "mmwave_env/world": 2_400,
+}
+SOURCE = ("mmwave_env", "experiments", "policies")
+FOR_DEVELOPERS = {"dev", "docs", "lint"}  # extras
+NO_TOKENS = {
+    tokenize.COMMENT, tokenize.NL, tokenize.NEWLINE, tokenize.INDENT, tokenize.DEDENT,
+}  # fmt: skip
+
+
+def tokens(text: str) -> int:
+    """Count what Python reads, docstrings left out: it does not fall when lines get denser."""
+    found = tokenize.generate_tokens(io.StringIO(text).readline)
+    return sum(
+        one.type not in NO_TOKENS and not one.string.startswith(('"""', 'r"""')) for one in found
+    )
+
+
+@pytest.fixture(scope="module")
+def tracked():
+    """Files of the checkout by their path in it."""
+    listed = subprocess.run(["git", "ls-files", "-z"], cwd=ROOT, capture_output=True, text=True)
+    if listed.returncode:
+        pytest.skip("this is no checkout of git")
+    paths = map(Path, listed.stdout.rstrip("\0").split("\0"))
+    return {path: (ROOT / path).read_bytes() for path in paths if (ROOT / path).is_file()}
+
+
+def code(tracked, *folders):
+    """Text of programs by path."""
+    return {
+        path: content.decode()
+        for path, content in tracked.items()
+        if path.parts[0] in folders and path.suffix in (".py", ".js", ".css", ".html")
+    }
+
+
+def test_the_project_is_within_its_budget(tracked):
+    source, tests = code(tracked, *SOURCE), code(tracked, "tests")
+    python = [text for path, text in (source | tests).items() if path.suffix == ".py"]
+    pages = [tracked[p] for p in tracked if p.parts[0] == "docs" and p.suffix == ".md"]
+    project = tomllib.loads(tracked[Path("pyproject.toml")].decode())["project"]
+    makefile = tracked[Path("Makefile")].decode()
+    found = {
+        "lines of source": sum(text.count("\n") for text in source.values()),
+        "tokens of source": sum(tokens(t) for p, t in source.items() if p.suffix == ".py"),
+        "files of source": len(source),
+        "lines of tests": sum(text.count("\n") for text in tests.values()),
+        "tokens of tests": sum(tokens(t) for p, t in tests.items() if p.suffix == ".py"),
+        "words of docs": sum(len(page.split()) for page in pages),
+        "pages of docs": len(pages),
+        "tracked files": len(tracked),
+        "tracked MB": sum(map(len, tracked.values())) / 1e6,
+        "commands": sum(p.parent == Path("experiments") for p in source) - 1,  # __init__.py
+        "extras for users": len(project["optional-dependencies"].keys() - FOR_DEVELOPERS),
+        "virtual environments": len(set(re.findall(r"\.venv(?:-\w+)?(?=/)", makefile))),
+        "lines that ruff may not format": sum(text.count("# fmt: " + "skip") for text in python),
+    }
+    over = {what: f"{n} of {BUDGET[what]}" for what, n in found.items() if n > BUDGET[what]}
+    assert not over
+
+
+def test_rooms_are_within_their_budget(tracked):
+    lines = Counter()
+    for path, text in code(tracked, *SOURCE).items():
+        lines["/".join(path.parts[:2])] += text.count("\n")
+    assert not {room: lines[room] for room, most in ROOMS.items() if lines[room] > most}

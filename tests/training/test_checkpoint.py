@@ -1,0 +1,180 @@
+"""Checkpoints of trainings: there and back, damaged, and forged; and the log of progress."""
+
+import io
+import os
+import threading
+from hashlib import sha256
+from zipfile import ZIP_DEFLATED, ZipFile
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+pytest.importorskip("stable_baselines3")
+
+import torch
+
+from experiments.training.checkpoint import (
+    read_checkpoint,
+    read_stand,
+    with_arrays,
+    write_checkpoint,
+)
+from experiments.training.ppo import PpoTraining
+from experiments.training.record import ProgressLog
+from tests.damage import damaged
+from tests.training.test_train import job_of
+
+pytestmark = pytest.mark.torch
+
+STATE = {
+    "words": "ä", "none": None, "flag": True, "list": [1, 2.5, ("a", -1)],
+    "arrays": {"single": np.arange(6, dtype=np.float32).reshape(2, 3)[:, ::2],
+               "words": np.array([2**32 - 1], np.uint32), "big": np.array([2**63], np.uint64),
+               "flags": np.array([True, False]), "small": np.array([255], np.uint8)},
+    "number": np.float64(0.1), "tensor": torch.tensor([1.5]),
+}  # fmt: skip
+
+
+def test_a_checkpoint_comes_back(tmp_path):
+    path = tmp_path / "checkpoint.pt"
+    write_checkpoint(path, STATE)
+    found = read_checkpoint(path)
+    assert {k: found[k] for k in ("words", "none", "flag", "list", "number")} == {
+        "words": "ä", "none": None, "flag": True, "list": [1, 2.5, ("a", -1)], "number": 0.1,
+    }  # fmt: skip
+    assert torch.equal(found["tensor"], STATE["tensor"])
+    for key, array in with_arrays(found["arrays"]).items():
+        np.testing.assert_array_equal(array, STATE["arrays"][key])
+        assert array.dtype == STATE["arrays"][key].dtype
+
+
+def test_damage_is_found_wherever_it_is(tmp_path):
+    path = tmp_path / "checkpoint.pt"
+    write_checkpoint(path, STATE)
+    whole, rng = path.read_bytes(), np.random.default_rng(0)
+    damaged = [b"", whole[:10], whole[:-1], whole + b"x", b"text\n"]
+    for place in rng.integers(len(whole), size=60):
+        bit = 1 << int(rng.integers(8))
+        damaged.append(whole[:place] + bytes([whole[place] ^ bit]) + whole[place + 1 :])
+    for found in damaged:
+        path.write_bytes(found)
+        with pytest.raises(ValueError, match=r"checkpoint.pt: not a checkpoint: .*; remove it"):
+            read_checkpoint(path)
+
+
+class Malicious:
+    """Unpickling it makes a file."""
+
+    def __init__(self, path):
+        self.path = path
+
+    def __reduce__(self):
+        return os.mkdir, (str(self.path),)
+
+
+@settings(
+    max_examples=60, deadline=None, derandomize=True,
+    suppress_health_check=[HealthCheck.function_scoped_fixture],
+)  # fmt: skip
+@given(data=st.data())
+def test_a_checkpoint_with_a_right_checksum_over_anything_is_read_or_refused(tmp_path, data):
+    path = tmp_path / "checkpoint.pt"
+    write_checkpoint(path, STATE)
+    forge(path, data.draw(damaged(path.read_bytes()[32:])))
+    try:
+        read_checkpoint(path)
+    except ValueError as error:
+        refusal = str(error)
+    else:
+        return
+    assert "checkpoint.pt: not a checkpoint: " in refusal
+
+
+def forge(path, content):
+    path.write_bytes(sha256(content).digest() + content)
+
+
+def test_a_checkpoint_unpacks_to_no_more_than_it_holds(tmp_path):
+    path = tmp_path / "checkpoint.pt"
+    write_checkpoint(path, STATE | {"zeros": np.zeros(1_000_000)})
+    packed = io.BytesIO()
+    with (
+        ZipFile(io.BytesIO(path.read_bytes()[32:])) as whole,
+        ZipFile(packed, "w", ZIP_DEFLATED) as small,
+    ):
+        for name in whole.namelist():
+            small.writestr(name, whole.read(name))
+    forge(path, packed.getvalue())
+    assert path.stat().st_size < 100_000
+    with pytest.raises(ValueError, match="not a checkpoint: found compressed parts"):
+        read_checkpoint(path)
+
+
+BEGIN = {
+    "update": 0, "timesteps": 0, "best": None, "beat_rule": None, "seconds": 0.0, "rows": [],
+}  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("state", "message"),
+    [
+        (["a list"], "found list"),
+        (BEGIN | {"update": "3"}, "update: found '3', expected another type"),
+        (BEGIN | {"best": {"timesteps": 3}}, "reward"),
+    ],
+)
+def test_the_checkpoint_of_something_else_is_refused(tmp_path, state, message):
+    path = tmp_path / "checkpoint.pt"
+    write_checkpoint(path, state)
+    with pytest.raises(ValueError, match=f"checkpoint.pt: not a checkpoint: .*{message}.*remove"):
+        read_stand(path, BEGIN)
+
+
+def test_a_checkpoint_of_another_network_is_named(tmp_path):
+    """Its checksum and its kind are right; what is in it fits no network of this training."""
+    path = tmp_path / "checkpoint.pt"
+    write_checkpoint(path, BEGIN | {"learner": {"timesteps": 3}, "env": {}})
+    with pytest.raises(ValueError, match="not a checkpoint: updates: found none; remove"):
+        PpoTraining(job_of(tmp_path), lambda *_: None).run()
+
+
+def test_a_malicious_checkpoint_is_refused_and_not_executed(tmp_path):
+    path, trap = tmp_path / "checkpoint.pt", tmp_path / "trap"
+    write_checkpoint(path, {"update": 1, "learner": Malicious(trap)})
+    with pytest.raises(ValueError, match="not a checkpoint: Weights only load failed"):
+        read_checkpoint(path)
+    assert not trap.exists()
+
+
+# --- the progress log
+
+
+def test_the_log_writes_a_row_a_call_and_goes_on(tmp_path):
+    log = ProgressLog(tmp_path, [])
+    log.write({"a": 1, "time/fps": 9}, {}, 10)
+    log.write({"b": np.float32(0.123456789)}, {}, 20)
+    log.save()
+    assert (tmp_path / "progress.csv").read_text() == "timesteps,a,b\n10,1,\n20,,0.123457\n"
+    log.write({"lost": 1}, {}, 30)
+    log._events.close()
+    with ProgressLog(tmp_path, log.rows[:2]) as again:
+        again.write({"a": 2, "c": 3}, {}, 30)
+    assert (tmp_path / "progress.csv").read_text() == (
+        "timesteps,a,b,c\n10,1,,\n20,,0.123457,\n30,2,,3\n"
+    )
+
+
+def test_the_log_of_a_training_that_fails_ends_its_thread(tmp_path):
+    before = threading.active_count()
+
+    def fail():
+        with ProgressLog(tmp_path, []) as log:
+            log.write({"a": 1}, {}, 10)
+            assert threading.active_count() > before
+            raise ValueError("a fault of its own")
+
+    with pytest.raises(ValueError, match="of its own"):
+        fail()
+    assert threading.active_count() == before and not (tmp_path / "progress.csv").exists()
