@@ -110,7 +110,9 @@ class Session:
             text = re.sub(r"(total[_-]timesteps[= ])[\d_]+", r"\g<1>4096", text)
         block = Block(block.language, text, block.line, block.mark, block.tables)
         if block.language != "python":
-            return "".join(succeed(*shlex.split(line), cwd=self.folder) for line in block.commands)
+            with self._inside():
+                shown = [succeed(*shlex.split(line), cwd=self.folder) for line in block.commands]
+                return "".join(shown)
         out = StringIO()
         with redirect_stdout(out), self._inside():
             before = set(self._names)
