@@ -7,7 +7,7 @@ model = PPO("MlpPolicy", SB3VecEnv(env))
 """
 
 import time
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable
 from typing import Any
 
 import gymnasium as gym
@@ -32,22 +32,19 @@ class SB3VecEnv(VecEnv):
     Args:
         env: with autoreset mode "SameStep": others tell the last observation of an episode one
             step later, or not at all.
-        info_keys: infos to hand on after every step too; each costs time.
 
     Raises:
         ValueError: another autoreset mode.
     """
 
-    def __init__(
-        self, env: gym.vector.VectorEnv[Any, Any, Any], info_keys: Sequence[str] = ()
-    ) -> None:
+    def __init__(self, env: gym.vector.VectorEnv[Any, Any, Any]) -> None:
         mode = env.metadata.get("autoreset_mode")
         if mode != AutoresetMode.SAME_STEP:
             raise ValueError(
                 f'autoreset_mode: found {getattr(mode, "value", mode)!r}, expected "SameStep": '
                 'gymnasium.make_vec(..., autoreset_mode="SameStep")'
             )
-        self.env, self.info_keys = env, tuple(info_keys)
+        self.env = env
         self._actions: NDArray[Any] = np.zeros(0, np.int64)
         self._returns = np.zeros(env.num_envs)
         self._lengths = np.zeros(env.num_envs, np.int64)
@@ -64,8 +61,8 @@ class SB3VecEnv(VecEnv):
             raise ValueError(f"options: found {self._options}, expected the same everywhere")
         known = any(seed is not None for seed in self._seeds)
         seeds: Any = list(self._seeds) if known else None  # typed as one, but many are common
-        observations, told = self.env.reset(seed=seeds, options=self._options[0] or None)
-        self.reset_infos = self._infos(told)
+        observations, _ = self.env.reset(seed=seeds, options=self._options[0] or None)
+        self.reset_infos = [{} for _ in range(self.num_envs)]
         self._returns[:], self._lengths[:] = 0.0, 0
         self._reset_seeds()
         self._reset_options()
@@ -81,7 +78,7 @@ class SB3VecEnv(VecEnv):
         self._returns += rewards
         self._lengths += 1
         over = terminated | truncated
-        infos = self._infos(told)
+        infos: Infos = [{} for _ in range(self.num_envs)]
         for i in map(int, np.flatnonzero(over)):
             infos[i] = self._ending(told, i)
             infos[i]["TimeLimit.truncated"] = bool(truncated[i] and not terminated[i])
@@ -98,14 +95,6 @@ class SB3VecEnv(VecEnv):
                 "t": round(time.time() - self._begun_s, 6),
             },
         }
-
-    def _infos(self, told: dict[str, Any]) -> Infos:
-        """What is handed on after every step, one dict an environment."""
-        keys = [name for key in self.info_keys for name in (key, f"_{key}") if name in told]
-        chosen = {key: told[key] for key in keys}
-        if not chosen:
-            return [{} for _ in range(self.num_envs)]
-        return [_of(chosen, i) for i in range(self.num_envs)]
 
     def state(self) -> dict[str, NDArray[Any]]:
         """Returns and lengths (n,) of the episodes under way, to :meth:`restore`."""

@@ -87,7 +87,7 @@ CONFIGURATIONS = {
     "flat": {"planar": True, "odometry": True, "dt": 0.5} | EKF,
     "own modes": {
         "modes": ["ekf", Mode("robust", robust=True, blockage_aware=True, cost=0.1),
-                  Mode("re-acquire", gate=None, recovery=None, widen_p=3.0, widen_v=3.0)],
+                  Mode("re-acquire", gate=None, recovery=None)],
     },
     "recorded": {"episodes": "canyon28_vehicle", "episode_steps": 40} | EKF,
     "filterpy": {"backend": "filterpy", "episode_steps": 5} | EKF,

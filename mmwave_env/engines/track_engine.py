@@ -179,7 +179,6 @@ class Tracker(EpisodeFilter[TrackState]):
         program = program_of(pipeline, rule)
         action = rows_of(program.index.action)
         super().__init__(Batch(program, pipeline.layout, n, action, on_floats))
-        self.pipeline, self._rule = pipeline, rule
         self.tune([mode.tuning for mode in pipeline.modes])
 
     def tune(self, tunings: Sequence[Tuning]) -> None:
@@ -187,18 +186,3 @@ class Tracker(EpisodeFilter[TrackState]):
         row = np.array(flatten(list(tunings)), float)
         self._batch.write(self._batch.at.tunings, np.tile(row, (self._batch.n, 1)))
         self._batch.restart()
-
-    def run(self, *names: str, actions: NDArray[np.integer[Any]] | None = None) -> dict[str, Array]:
-        """As :meth:`EpisodeFilter.run`, of :class:`TrackState`.
-
-        Args:
-            names: parts of it.
-            actions: (n, epochs) numbers of the modes to run, where there is no rule.
-
-        Raises:
-            ValueError: several modes, and nothing that says which to run.
-        """
-        modes = len(self.pipeline.modes)
-        if self._rule is None and actions is None and modes > 1:
-            raise ValueError(f"modes: found {modes}, no rule and no actions, expected one mode")
-        return super().run(*names, actions=actions)

@@ -5,13 +5,12 @@ from typing import Annotated, NamedTuple
 
 from mmwave_env.filters.update import Algorithm, ckf, ekf, ukf
 from mmwave_env.lookup import choose, quoted
-from mmwave_env.models.envelope import PROCESS_NOISE, WIDENING
+from mmwave_env.models.envelope import PROCESS_NOISE
 from mmwave_env.numerics.numbers import Number
 from mmwave_env.records import Bound, Name, between, counts, require_fields
 
 ALGORITHMS: dict[str, Algorithm] = {"ekf": ekf, "ukf": ukf, "ckf": ckf}
 Noise = Annotated[float, PROCESS_NOISE]
-Widening = Annotated[float, WIDENING]
 Quantile = Annotated[float, Bound("a quantile in (0, 1)", above=0.0, below=1.0)]
 
 DESIGN_LIMIT_MPS = 20.0  # above it a speed is outside the paper's design window
@@ -64,9 +63,6 @@ class Mode:
         adaptive: scale Q and R by the windowed mean of NIS (paper, Sec. III-E).
         blockage_aware: inflate R of a link whose SNR has dropped below its slow mean.
         robust: inflate R of a link with a large NIS instead of rejecting it.
-        widen_p: re-acquire: add this squared to the predicted horizontal position variance, m.
-        widen_v: re-acquire: the same for the horizontal velocity, m/s. A lost user is not lost
-            in height, and elevations off the line of sight would move one who might be.
         cost: subtracted from the reward of every epoch that runs this mode.
     """
 
@@ -86,8 +82,6 @@ class Mode:
     adaptive: bool = True
     blockage_aware: bool = False
     robust: bool = False
-    widen_p: Widening = 0.0
-    widen_v: Widening = 0.0
     cost: Annotated[float, between(0.0, 1e6)] = 0.0
 
     def __post_init__(self) -> None:

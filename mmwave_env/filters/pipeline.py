@@ -148,13 +148,6 @@ def predict(
         x_predicted = accelerate(x_predicted, (tuning or mode.tuning).acceleration_mps2, epoch.dt)
     if mode.turn_rate_radps:
         x_predicted = turn(x_predicted, (tuning or mode.tuning).turn_rate_radps, epoch.dt)
-    if mode.widen_p or mode.widen_v:
-        p, v = mode.widen_p**2, mode.widen_v**2
-        extra = (p, p, 0.0, v, v, 0.0, 0.0)
-        P_predicted = [
-            [value + extra[i] if i == j else value for j, value in enumerate(row)]
-            for i, row in enumerate(P_predicted)
-        ]
     return x_predicted, P_predicted
 
 

@@ -24,4 +24,3 @@ ANGLE_SIGMA_RAD = between(1e-5, 1e2, "rad")
 DOPPLER_SIGMA_HZ = between(0.02, 1e6, "Hz")
 # of modes
 PROCESS_NOISE = between(0.0, 30.0)  # each in its own unit per root second
-WIDENING = between(0.0, 100.0)  # m, m/s

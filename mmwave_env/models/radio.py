@@ -256,12 +256,6 @@ def read_radio(path: str | os.PathLike[str]) -> Radio:
                 f"name: found {given['name']!r}, that of a shipped profile, expected another"
             )
         base = choose(RADIOS, given.pop("base", "standard"), "base")
-        for key in given:
-            if key in hints_of(Scene) and key not in hints_of(Radio):
-                raise ValueError(
-                    f"key: found {key!r}, a field of a scene, expected it in a scene file, which "
-                    "scene= and --scene take"
-                )
         return object_from(Radio, vars(base) | given)
 
     return read_object(path, "radio", make)

@@ -3,8 +3,6 @@
 import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
-from typing import Any
 
 import numpy as np
 
@@ -16,7 +14,6 @@ from mmwave_env.world.mobility import FASTEST_MPS
 
 REACH_M = (1.0, 5000.0)  # from an anchor, where the path loss holds (3GPP TR 38.901, UMi)
 STANDING_M, STANDING_S = 0.1, 60.0  # who stays within the one for the other is perhaps in degrees
-_TURN_S = 1.0  # between positions that show a turn; across less, noise of a track looks like turns
 
 
 @dataclass(frozen=True, eq=False)
@@ -101,40 +98,17 @@ class Trajectory:
     def _place(self, row: int) -> str:
         return f"row {row + 1}" if self.lines is None else f"line {self.lines[row]}"
 
-    @cached_property
-    def _cubic(self) -> Any:
-        """Cubics between rows that have the rows' positions and velocities (Hermite)."""
-        from scipy.interpolate import CubicHermiteSpline
-
-        return CubicHermiteSpline(self.time_s, self.position_m, self.velocity_mps)
-
     def resampled(self, dt: float) -> Array:
         """Positions and velocities (E, 6) at steps of ``dt`` seconds from the first time on.
 
-        Positions are cubic between rows, velocities their derivatives.
+        Positions are cubic between rows (Hermite), velocities their derivatives.
         """
+        from scipy.interpolate import CubicHermiteSpline
+
         count = int((self.time_s[-1] - self.time_s[0]) / dt * (1.0 + 1e-12)) + 1
         at = np.minimum(self.time_s[0] + dt * np.arange(count), self.time_s[-1])
-        return np.hstack([self._cubic(at), self._cubic(at, 1)])
-
-    def hardest_turn(self) -> tuple[float, float]:
-        """The greatest sideways acceleration at a row, m/s^2, and the time of that row, s.
-
-        It is curvature times speed squared, |v x a| / |v|, with v and a from the horizontal
-        positions a second before, at and a second after the row; 0 for a way below two seconds.
-        """
-        first, last = self.time_s[[0, -1]] + [_TURN_S, -_TURN_S]
-        time_s = self.time_s[(self.time_s >= first) & (self.time_s <= last)]
-        if not len(time_s):
-            return 0.0, float(self.time_s[0])
-        before, at, after = (self._cubic(time_s + s)[:, :2].T for s in (-_TURN_S, 0.0, _TURN_S))
-        (vx, vy), (ax, ay) = (
-            (after - before) / (2.0 * _TURN_S),
-            (after - 2.0 * at + before) / _TURN_S**2,
-        )
-        sideways = np.abs(vx * ay - vy * ax) / np.maximum(np.hypot(vx, vy), np.finfo(float).tiny)
-        hardest = int(np.argmax(sideways))
-        return float(sideways[hardest]), float(time_s[hardest])
+        cubic = CubicHermiteSpline(self.time_s, self.position_m, self.velocity_mps)
+        return np.hstack([cubic(at), cubic(at, 1)])
 
     def way(self, scene: Scene, dt: float) -> Array:
         """The way through a scene, (E, 6) as of :meth:`resampled`.

@@ -27,7 +27,6 @@ from mmwave_env.world.trajectory import Trajectory
 
 COLUMNS = ("t", "x", "y", "z", "vx", "vy", "vz")  # the last three all together or not at all
 ID = "id"
-HARD_TURN_MPS2 = 5.0  # sideways; filters lose most users who turn harder
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,7 +45,7 @@ class Ways:
         """The ways in a scene, for episodes of at most ``epochs`` epochs.
 
         Ways shorter than an episode are left out; where all of them are, episodes are as long as
-        the longest. Warnings tell of ways left out and of turns above ``HARD_TURN_MPS2``.
+        the longest. A warning tells of ways left out.
 
         Args:
             scene: street in whose frame the positions are.
@@ -66,22 +65,8 @@ class Ways:
                 "takes them)",
                 stacklevel=2,
             )
-        self._warn_of_hard_turns()
         names = [self.trajectories[i].name for i in kept]
         return PlacedWays(names, [tables[i] for i in kept], epochs)
-
-    def _warn_of_hard_turns(self) -> None:
-        turns = [way.hardest_turn() for way in self.trajectories]
-        hard = [(turn, i) for i, turn in enumerate(turns) if turn[0] > HARD_TURN_MPS2]
-        if hard:
-            (pull, time_s), i = max(hard)
-            others = f", {len(hard)} of {len(turns)} ways have such turns" * (len(turns) > 1)
-            warnings.warn(
-                f"{self.trajectories[i].name}: found a turn at {time_s:g} s that pulls {pull:.3g} "
-                f"m/s^2 sideways{others}; expected at most {HARD_TURN_MPS2:g}, above which filters "
-                "may lose the user: slow down before turns, or round them",
-                stacklevel=3,
-            )
 
 
 @dataclass(frozen=True, eq=False)
@@ -191,7 +176,6 @@ def _number(file: Path, line: int, column: str, text: str) -> float:
 
 
 Scenario = str | os.PathLike[str] | Mobility | Trajectory | Ways
-_OF_SUMO = (".xml", ".gz", ".parquet")
 Users = tuple[Mobility, ...] | Ways
 
 
@@ -209,12 +193,6 @@ def users_of(scenario: Scenario) -> Users:
         return Ways(scenario.name, (scenario,))
     if isinstance(scenario, Mobility):
         return (scenario,)
-    suffix = Path(str(scenario)).suffix.lower()
-    if suffix == ".csv":
+    if str(scenario).lower().endswith(".csv"):
         return read_ways(scenario)
-    if suffix in _OF_SUMO:
-        raise ValueError(
-            f"scenario: found {os.fspath(scenario)!r}, expected a .csv file of ways; "
-            "examples/sumo.py makes one of SUMO's floating-car data"
-        )
     return mobilities_of(scenario)

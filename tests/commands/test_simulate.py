@@ -89,17 +89,6 @@ def test_of_a_file_of_several_ways_it_tells_which_user_it_is(tmp_path, capsys):
     np.testing.assert_allclose(y, {"a": -80.0, "b": -70.0}[user])
 
 
-@pytest.mark.filterwarnings("always::UserWarning")
-def test_a_way_with_a_hard_turn_is_warned_of_in_a_line(tmp_path, capfd):
-    way = tmp_path / "bus.csv"
-    east = [(t, 20 + 10 * t, -80) for t in range(6)]
-    north = [(5 + t, 70, -80 + 10 * t) for t in range(1, 6)]
-    way.write_text("t,x,y,z\n" + "".join(f"{t},{x},{y},1.5\n" for t, x, y in east + north))
-    simulate(tmp_path / "out", "--scenario", way, "--episode-steps", 8)
-    (line,) = capfd.readouterr().err.splitlines()
-    assert line.startswith(f"warning: {way}: found a turn at 5 s that pulls 14.1 m/s^2 sideways;")
-
-
 @pytest.mark.parametrize("name", FILES)
 def test_an_episode_that_is_there_is_replaced_only_if_asked(tmp_path, capsys, name):
     (tmp_path / name).write_text("mine")

@@ -270,7 +270,6 @@ OPTIONS = {
     "no gate": {"gate": None},
     "blockage aware": {"blockage_aware": True, "spread_gain": 0.01},
     "robust": {"robust": True},
-    "widened": {"widen_p": 3.0, "widen_v": 3.0},
     "plain diagonal": {"coupling": False},
     "not adaptive": {"adaptive": False, "recovery": None},
     "recovery": {"sigma_v": 0.1, "sigma_p": 0.01},

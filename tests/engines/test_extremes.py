@@ -112,7 +112,6 @@ QUANTITIES = (
 LOUD = dict.fromkeys(NOISES, envelope.PROCESS_NOISE.most)
 CHANGES = (
     {}, {"gate": None}, dict.fromkeys(NOISES, 0.0), LOUD, LOUD | {"gate": None},
-    dict.fromkeys(("widen_p", "widen_v"), envelope.WIDENING.most),
     {"spread_gain": envelope.PROCESS_NOISE.most},
     {"acceleration_mps2": -100.0, "turn_rate_radps": 10.0},
 )  # fmt: skip
@@ -262,7 +261,7 @@ def test_at_its_ends_beliefs_are_sound_or_the_episode_is_refused(record, name, b
             assert "nonfinite_beliefs" not in info
 
 
-@pytest.mark.parametrize("name", [*NOISES, "spread_gain", "widen_p", "widen_v"])
+@pytest.mark.parametrize("name", [*NOISES, "spread_gain"])
 @pytest.mark.parametrize("value", [-0.1, 100.1, 1e150, np.nan])
 def test_a_mode_beyond_them_is_refused_by_name(name, value):
     with pytest.raises(ValueError, match=f"{name} of mode 'loud': .* a number of 0 to "):

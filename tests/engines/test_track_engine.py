@@ -52,10 +52,3 @@ def test_actions_pick_the_mode(on_floats, episodes):
     np.testing.assert_array_equal(found["memory.mode"], actions)
     expected = track(pipeline, episodes[:3], actions.T, T, ("x",))["x"]
     np.testing.assert_allclose(found["x"], expected.swapaxes(0, 1), rtol=1e-11, atol=1e-11)
-
-
-def test_two_modes_need_a_rule_or_actions(episodes):
-    tracker = Tracker(Pipeline(default_modes(), STREET), N)
-    tracker.load(episodes)
-    with pytest.raises(ValueError, match="modes: found 2, no rule and no actions, expected one"):
-        tracker.run("x")

@@ -18,7 +18,7 @@ TUNINGS = {
     "adaptive and gated": {},
     "locked out and recovered": {"sigma_v": 0.1, "sigma_p": 0.01},
     "robust": {"robust": True, "blockage_aware": True},
-    "widened": {"widen_p": 3.0, "widen_v": 3.0, "coupling": False},
+    "uncoupled": {"coupling": False},
 }
 algorithms = pytest.mark.parametrize("algorithm", ["ekf", "ukf", "ckf"])
 

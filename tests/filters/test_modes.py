@@ -22,7 +22,7 @@ from mmwave_env.models.radio import RADIOS, Radio
 
 THREE = [
     Mode("slow", "ekf", sigma_v=0.2, gate=None, recovery=None, coupling=False),
-    Mode("fast", "ukf", sigma_v=2.0, robust=True, adaptive=False, widen_p=3.0),
+    Mode("fast", "ukf", sigma_v=2.0, robust=True, adaptive=False, cost=3.0),
     Mode("plain"),
 ]
 

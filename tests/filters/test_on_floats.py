@@ -64,8 +64,6 @@ MODES = [
     Mode("plain", "ukf", adaptive=False, coupling=False, gate=0.9, recovery=None),
     Mode("forced", "ckf", gate=0.5, recovery=3),
     Mode("robust", "ekf", robust=True, blockage_aware=True),
-    Mode("wide", "ekf", gate=None, widen_p=3.0, widen_v=1.5),
-    Mode("faster", "ekf", gate=None, widen_v=1.5),
     Mode("hasty", "ekf", gate=None, acceleration_mps2=1.2),
     Mode("turning", "ekf", gate=None, turn_rate_radps=0.4),
 ]
@@ -87,7 +85,6 @@ def test_an_epoch_of_a_mode_is_the_textbooks(mode, lockout, data):
         x = np.array(accelerate(x.tolist(), mode.acceleration_mps2, epoch.dt))
     if mode.turn_rate_radps:
         x = np.array(turn(x.tolist(), mode.turn_rate_radps, epoch.dt))
-    P = P + np.diag([mode.widen_p**2] * 2 + [0.0] + [mode.widen_v**2] * 2 + [0.0, 0.0])
     R = scale * problem.R
     if mode.blockage_aware:
         R[4:8] *= 1.0 + 3.0 * (drop_db - 6.0) / 6.0

@@ -17,7 +17,7 @@ MODES = (
     Mode("wide ukf", "ukf", sigma_v=5.0, spread_gain=0.01, coupling=False),
     Mode("robust ekf", "ekf", sigma_v=0.3, robust=True, blockage_aware=True),
     Mode("robust ckf", "ckf", sigma_v=1.0, robust=True, blockage_aware=True),
-    Mode("re-acquire", "ukf", sigma_v=1.8, gate=None, widen_p=3.0, widen_v=3.0),
+    Mode("re-acquire", "ukf", sigma_v=1.8, gate=None),
 )
 
 

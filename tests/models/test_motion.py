@@ -1,6 +1,5 @@
 """Prediction and process noise against matrices written out."""
 
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -18,7 +17,7 @@ from mmwave_env.models.motion import (
     white_noise_acceleration,
 )
 from tests.filters import textbook
-from tests.filters.tracks import pipeline_of, simulated, track, unpacked
+from tests.filters.tracks import pipeline_of, simulated
 
 variances = hnp.arrays(float, 3, elements=st.floats(0.0, 10.0))
 steps = st.sampled_from([0.0, 0.1, 0.5, 1.0, 2.5])
@@ -70,26 +69,6 @@ def test_prediction_is_the_kalman_prediction(x, factor, diagonal, coupling, dt):
     np.testing.assert_allclose(move(x.tolist(), dt), expected_x, rtol=1e-13, atol=1e-12)
     np.testing.assert_allclose(predicted, expected_P, rtol=1e-12, atol=1e-11)
     np.testing.assert_array_equal(predicted, predicted.T)
-
-
-@pytest.mark.parametrize("planar", [False, True])
-def test_a_widened_mode_may_be_anywhere_on_the_ground_at_any_velocity_along_it(planar):
-    first = [replace(e, prior_mean=e.prior_mean * [1, 1, 1, 1, 1, 0, 1]) for e in simulated(2, 1)]
-    plain, widened = (
-        unpacked(
-            track(
-                pipeline_of(algorithms=["ekf"], planar=planar, **how),
-                first,
-                0,
-                1,
-                ("P_predicted",),
-                on_floats=True,
-            )["P_predicted"]
-        )
-        for how in ({}, {"widen_p": 3.0, "widen_v": 2.0})
-    )
-    expected = np.broadcast_to(np.diag([9.0, 9.0, 0.0, 4.0, 4.0, 0.0, 0.0]), plain.shape)
-    np.testing.assert_allclose(widened - plain, expected, atol=1e-9)
 
 
 positions = hnp.arrays(float, 7, elements=st.floats(-300.0, 300.0))

@@ -323,7 +323,6 @@ def test_angles_of_a_radio_file_are_in_the_unit_that_their_names_say(tmp_path):
     ("content", "message"),
     [
         ({"aoa_flor_deg": 2.0}, "key: found 'aoa_flor_deg', did you mean aoa_floor_rad"),
-        ({"bandwidth_hz": 400e6}, "key: found 'bandwidth_hz', a field of a scene, expected it in"),
         ({"base": "lab"}, "base: found 'lab', expected one of handset, standard, high"),
         ({"aoa_floor_deg": 2.0, "aoa_floor_rad": 0.1}, "the same angle in the other unit"),
         ({"aoa_floor_deg": -2.0}, "aoa_floor_rad of radio 'phone': found -0.03"),

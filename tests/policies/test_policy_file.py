@@ -95,7 +95,7 @@ def test_tensors_are_written_whatever_their_order_in_memory(path):
 
 
 def test_own_modes_and_figures_of_any_form_come_back(path):
-    modes = (Mode("slow", "ckf", gate=None, widen_p=3.0), Mode("fast", sigma_v=0.1 + 0.2))
+    modes = (Mode("slow", "ckf", gate=None, cost=3.0), Mode("fast", sigma_v=0.1 + 0.2))
     figures = {"mixed": {"reward": [-1.7, 0.1 + 0.2]}, "seeds": None, "10": 1, "9": 2}
     card = card_of(modes=modes, evaluation=figures)
     assert read_policy(write(path, actor(3, actions=2), card))[1] == card

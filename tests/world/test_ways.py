@@ -113,61 +113,6 @@ def test_where_one_way_is_expected_several_are_refused(tmp_path):
         read_trajectory(path)
 
 
-# --- turns
-
-
-def corner(speed, turn_rad=np.pi / 2, radius_m=0.0, dt=0.5):
-    """Goes east for 10 s, turns at a speed on an arc, and goes on for 10 s."""
-    arc_s = turn_rad * radius_m / speed
-    t = np.arange(0.0, 20.0 + arc_s, dt)
-    angle = turn_rad * np.clip((t - 10.0) / max(arc_s, 1e-9), 0.0, 1.0)
-    fine = np.linspace(0.0, t[-1], 20 * len(t))
-    course = np.interp(fine, t, angle) if radius_m else turn_rad * (fine > 10.0)
-    x, y = (np.concatenate([[0.0], np.cumsum(speed * f(course[1:]) * np.diff(fine))])
-            for f in (np.cos, np.sin))  # fmt: skip
-    place = np.column_stack([np.interp(t, fine, 20.0 + x), np.interp(t, fine, y - 300.0)])
-    return Trajectory("bus", t, np.column_stack([place, np.full(len(t), 1.5)]))
-
-
-@pytest.mark.parametrize("radius", [15.0, 25.0, 60.0])
-def test_the_hardest_turn_is_that_of_the_arc(radius):
-    speed = 10.0
-    pull, time_s = corner(speed, radius_m=radius, dt=0.1).hardest_turn()
-    assert pull == pytest.approx(speed**2 / radius, rel=0.06)
-    assert 9.5 <= time_s <= 10.5 + np.pi / 2 * radius / speed
-
-
-@pytest.mark.parametrize(("speed", "warned"), [(3.0, False), (6.0, True), (10.0, True)])
-def test_who_does_not_slow_down_at_a_corner_is_warned_of_once(speed, warned):
-    with warnings.catch_warnings(record=True) as caught:
-        warnings.simplefilter("always")
-        SimulatedSource(STREET, RADIO, corner(speed), epochs=15)
-    told = [str(warning.message) for warning in caught]
-    assert len(told) == warned and all("\n" not in line for line in told)
-    if warned:
-        assert told[0].startswith("bus: found a turn at 10 s that pulls")
-        assert "m/s^2 sideways; expected at most 5" in told[0]
-
-
-def test_of_several_ways_the_hardest_turn_is_told():
-    ways = Ways("town", [straight(20), corner(6.0), corner(10.0), straight(20)])
-    with pytest.warns(UserWarning, match="bus: .* sideways, 2 of 4 ways have such turns; expected"):
-        ways.placed(STREET, 1.0, 10)
-
-
-@pytest.mark.parametrize("noise_m", [0.05, 0.3])
-def test_a_noisy_track_does_not_look_like_turns(noise_m):
-    t = np.arange(0.0, 60.0, 0.1)
-    place = np.column_stack([20.0 + 1.4 * t, np.full_like(t, -80.0), np.full_like(t, 1.5)])
-    place[:, :2] += np.random.default_rng(0).normal(0.0, noise_m, (len(t), 2))
-    assert Trajectory("phone", t, place).hardest_turn()[0] < 5.0
-
-
-def test_a_way_of_a_second_has_no_turns():
-    assert corner(10.0).hardest_turn()[0] > 5.0
-    assert Trajectory("short", [0.0, 0.5, 1.0], np.eye(3)).hardest_turn() == (0.0, 0.0)
-
-
 # --- what a scenario is
 
 WAY = "t,x,y,z\n0,1,-80,1.5\n1,2,-80,1.5\n2,3,-80,1.5\n"
@@ -206,12 +151,6 @@ def test_objects_are_taken_as_they_are():
     assert users_of(walk).trajectories == (walk,) and users_of(walk).name == "walk"
     assert users_of(MOBILITIES["jam"]) == (MOBILITIES["jam"],)
     assert all(isinstance(user, Mobility) for user in users_of("mixed"))
-
-
-@pytest.mark.parametrize("name", ["town.xml", "town.xml.gz", "town.parquet"])
-def test_files_of_sumo_are_sent_to_the_example_that_converts_them(name):
-    with pytest.raises(ValueError, match=f"found '{name}', expected a .csv .* examples/sumo.py"):
-        users_of(name)
 
 
 @pytest.mark.parametrize(
