@@ -67,7 +67,7 @@ def _about_policy(name: str) -> str:
 
 def modes(radio: str) -> dict[str, str]:
     """Modes as they are tuned for a radio profile: what differs from the defaults."""
-    from mmwave_env.filters.mode_files import as_written, named_modes
+    from mmwave_env.filters.bank import as_written, named_modes
 
     return {
         name: ", ".join(f"{k} {v}" for k, v in as_written(mode).items() if k != "name")

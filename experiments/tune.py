@@ -79,7 +79,7 @@ def main(args: Args) -> None:
     from experiments.evaluation.seeds import draw_episodes, require_tuning_seed
     from experiments.tuning.modes import OBJECTIVES, RANGES, objective_of, surface_table, tune
     from mmwave_env.files import require_writable, write_json
-    from mmwave_env.filters.mode_files import as_written, modes_from
+    from mmwave_env.filters.bank import as_written, modes_from
     from mmwave_env.lookup import choose
     from mmwave_env.models.radio import radio_from
 

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from mmwave_env.coming_features import coming
 from mmwave_env.features import Feature, View, context
-from mmwave_env.filters.mode_files import default_modes
+from mmwave_env.filters.bank import default_modes
 from mmwave_env.filters.modes import Mode
 from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.lookup import choose

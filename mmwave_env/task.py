@@ -1,7 +1,6 @@
 """What the arguments of ``MmWaveLoc-v0`` mean, for the single and the vector environment."""
 
 import os
-from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
 from typing import Any, cast
 
@@ -11,8 +10,7 @@ from mmwave_env.datasets.measured import MeasuredTrack
 from mmwave_env.datasets.recorded import Recording
 from mmwave_env.datasets.samples import source_from
 from mmwave_env.datasets.tracks import TrackSource
-from mmwave_env.filters.bank import Bank, bank_from
-from mmwave_env.filters.mode_files import modes_from
+from mmwave_env.filters.bank import Bank, Modes, bank_from, modes_from
 from mmwave_env.filters.modes import Mode
 from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.lookup import choose, did_you_mean
@@ -28,9 +26,6 @@ from mmwave_env.world.simulated import SimulatedSource
 from mmwave_env.world.ways import Scenario
 
 EPISODE_STEPS = 200
-
-# of a ``modes=`` argument; a mapping is what a mode file holds
-Modes = Bank | Sequence[Mode | str] | Mapping[str, Any] | str | os.PathLike[str] | None
 
 
 @dataclass(frozen=True)

@@ -29,8 +29,7 @@ from safetensors import SafetensorError, safe_open
 from safetensors.numpy import save
 
 from mmwave_env.files import naming, open_regular, parse_json, told
-from mmwave_env.filters.bank import Bank, bank_as_written, bank_in
-from mmwave_env.filters.mode_files import SETTINGS, as_written, modes_from, modes_in
+from mmwave_env.filters.bank import Bank, as_written, bank_as_written, bank_in
 from mmwave_env.filters.modes import Mode
 from mmwave_env.lookup import choose, quoted
 from mmwave_env.observation import BELIEFS, OBSERVATIONS, action_names
@@ -139,8 +138,9 @@ class Card:
         if not any(name in content for name in _PER_MODE):
             names = [name for name in names if name not in _PER_MODE]
         _require_names("card", content, names)
+        alone = bank_in({"modes": content["modes"]})
         banks = _banks_in(content.get("banks", {}))
-        return cls(**{**content, "modes": modes_from(modes_in(content)), "banks": banks})
+        return cls(**{**content, "modes": alone.modes, "banks": banks})
 
     def as_json(self) -> dict[str, Any]:
         """The card as a policy file holds it.
@@ -164,9 +164,6 @@ def _banks_in(content: Any) -> dict[str, Bank]:
     found = {}
     for radio, bank in content.items():
         where = f"bank of radio {quoted(radio)}"
-        if not isinstance(bank, dict):
-            raise ValueError(f"{where}: found {quoted(bank)}, expected an object")
-        _require_names(where, bank, SETTINGS)
         try:
             found[radio] = bank_in(bank)
         except ValueError as error:

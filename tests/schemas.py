@@ -11,8 +11,7 @@ from dataclasses import MISSING, fields, is_dataclass
 from types import NoneType
 from typing import Annotated, get_args, get_origin
 
-from mmwave_env.filters.bank import Bank
-from mmwave_env.filters.mode_files import MOST_MODES, NOTES
+from mmwave_env.filters.bank import MOST_MODES, NOTES, Bank
 from mmwave_env.filters.modes import ALGORITHMS, Mode
 from mmwave_env.lookup import LONGEST
 from mmwave_env.models.radio import RADIOS, Radio
@@ -110,8 +109,8 @@ def radio():
 def modes():
     """Of a mode file: a bank, and notes of how it was made, which are not looked at."""
     mode = object_schema(Mode, replaced={"algorithm": {"enum": list(ALGORITHMS)}})
-    modes = {"type": "array", "items": mode, "minItems": 1, "maxItems": MOST_MODES}
-    bank = object_schema(Bank, replaced={"modes": modes})
+    size = {"minItems": 1, "maxItems": MOST_MODES}
+    bank = object_schema(Bank, replaced={"modes": {"type": "array", "items": mode} | size})
     bank["properties"] |= {name: {"description": said} for name, said in NOTES.items()}
     return bank
 

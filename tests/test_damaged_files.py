@@ -22,8 +22,7 @@ from experiments.training.hyperparameters import read_hyperparameters, shipped_h
 from experiments.webpage.sources import read_source
 from mmwave_env.datasets.deepmimo.recording import read_deepmimo
 from mmwave_env.datasets.recorded import Recording
-from mmwave_env.filters.bank import read_bank
-from mmwave_env.filters.mode_files import read_modes
+from mmwave_env.filters.bank import modes_from, read_bank
 from mmwave_env.logs.log import LogBlock, read_log
 from mmwave_env.logs.path_log import read_paths
 from mmwave_env.logs.tum import read_tum
@@ -114,7 +113,7 @@ READERS = {
     "radio": alone(
         "r.json", {"base": "standard", "gnb_elements": 16, "aoa_floor_deg": 2.0}, read_radio
     ),
-    "modes": alone("m.json", {"modes": BANK["modes"]}, read_modes),
+    "modes": alone("m.json", {"modes": BANK["modes"]}, modes_from),
     "bank": alone("m.json", BANK, read_bank),
     "mobility": alone("walk.json", WALK, read_mobility),
     "way": alone("way.csv", WAY, read_ways),

@@ -18,7 +18,7 @@ from scipy.stats import chi2
 import mmwave_env  # noqa: F401  registers the environment
 from mmwave_env.engines.track_engine import Tracker
 from mmwave_env.env import MmWaveLocEnv
-from mmwave_env.filters.mode_files import modes_from
+from mmwave_env.filters.bank import modes_from
 from mmwave_env.filters.modes import Mode
 from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.models.radio import RADIOS

@@ -11,7 +11,7 @@ from scipy.stats import chi2
 
 import mmwave_env  # noqa: F401  registers the environment
 from mmwave_env.engines.env_engine import Engine
-from mmwave_env.filters.mode_files import modes_from
+from mmwave_env.filters.bank import modes_from
 from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.models.envelope import DOPPLER_SPREAD_HZ
 from mmwave_env.models.measurement import Layout

@@ -10,8 +10,7 @@ from gymnasium import spaces
 import mmwave_env  # noqa: F401  registers the environment
 from mmwave_env import observation
 from mmwave_env.env import MmWaveLocEnv
-from mmwave_env.filters.bank import best_bank
-from mmwave_env.filters.mode_files import modes_from
+from mmwave_env.filters.bank import best_bank, modes_from
 from mmwave_env.filters.modes import Mode
 from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.models.measurement import Layout

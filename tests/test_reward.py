@@ -14,8 +14,8 @@ from scipy.stats import multivariate_normal
 import mmwave_env  # noqa: F401  registers the environment
 from mmwave_env.engines.env_engine import Engine
 from mmwave_env.engines.imm_engine import ImmEngine
+from mmwave_env.filters.bank import default_modes
 from mmwave_env.filters.belief import Belief
-from mmwave_env.filters.mode_files import default_modes
 from mmwave_env.filters.modes import Mode
 from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.models.radio import radio_from

@@ -10,9 +10,9 @@ from experiments.console.options import USUAL_EPISODES, EpisodeArgs, ModeArgs, W
 from experiments.evaluation.contenders import Contender, contender_from, contenders
 from experiments.evaluation.runs import Run
 from experiments.evaluation.seeds import Selection
-from mmwave_env.filters.bank import bank_over
+from mmwave_env.filters.bank import Modes, bank_over
 from mmwave_env.filters.modes import Mode
-from mmwave_env.task import Modes, Task, TaskArguments, task_from
+from mmwave_env.task import Task, TaskArguments, task_from
 from mmwave_env.world.episode import EpisodeSource
 
 

@@ -14,9 +14,10 @@ from experiments.evaluation.comparison import Comparison, compare_scores
 from experiments.evaluation.contenders import Contender, contender_from
 from experiments.evaluation.runner import Scoring, score_contenders
 from experiments.evaluation.seeds import Selection
+from mmwave_env.filters.bank import Modes
 from mmwave_env.lookup import printable
 from mmwave_env.reward import reward_name
-from mmwave_env.task import Modes, task_from
+from mmwave_env.task import task_from
 from mmwave_env.world.episode import EpisodeSource
 
 USUAL_EPISODES = 200

@@ -8,15 +8,22 @@ from pathlib import Path
 
 from experiments.evaluation.agents import GUIDE, Act, agent_from, is_agent, tried
 from experiments.evaluation.runs import Run, require_no_smoke
-from mmwave_env.filters.bank import Bank, Transition, bank_over, best_bank
-from mmwave_env.filters.mode_files import default_modes, named_modes
+from mmwave_env.filters.bank import (
+    Bank,
+    Modes,
+    Transition,
+    bank_over,
+    best_bank,
+    default_modes,
+    named_modes,
+)
 from mmwave_env.filters.modes import Mode
 from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.lookup import unknown
 from mmwave_env.models.measurement import Layout
 from mmwave_env.models.radio import RADIOS, radio_from
 from mmwave_env.observation import Observation, action_names
-from mmwave_env.task import Modes, bank_and_modes
+from mmwave_env.task import bank_and_modes
 from policies import (
     FixedMode,
     LearnedSwitch,

@@ -25,8 +25,7 @@ from mmwave_env.datasets.log_folder import LOG, SCENE, TRUTH
 from mmwave_env.datasets.samples import sample_folder
 from mmwave_env.engines.track_engine import Rule
 from mmwave_env.files import require_writable, write_json
-from mmwave_env.filters.bank import Bank, bank_from
-from mmwave_env.filters.mode_files import modes_from
+from mmwave_env.filters.bank import Bank, bank_from, modes_from
 from mmwave_env.filters.modes import DESIGN_LIMIT_MPS, Mode, robust
 from mmwave_env.localization.association import Association, associate
 from mmwave_env.localization.contradictions import contradictions

@@ -13,8 +13,8 @@ from experiments.evaluation.runner import Scores
 from experiments.evaluation.seeds import draw_episodes
 from mmwave_env.engines.replay import smooth
 from mmwave_env.engines.track_engine import Tracker
+from mmwave_env.filters.bank import shipped_modes
 from mmwave_env.filters.belief import Belief
-from mmwave_env.filters.mode_files import shipped_modes
 from mmwave_env.filters.modes import Mode
 from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.metrics import accuracy, scored

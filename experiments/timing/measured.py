@@ -27,7 +27,7 @@ from experiments.timing.workloads import (
 from mmwave_env.compiler.lanes import WIDTH
 from mmwave_env.engines.env_engine import Engine
 from mmwave_env.engines.track_engine import Tracker
-from mmwave_env.filters.mode_files import named_modes
+from mmwave_env.filters.bank import named_modes
 from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.reward import TrackingReward
 from mmwave_env.world.travel import stride_of

@@ -16,11 +16,11 @@ import numpy as np
 
 from experiments.evaluation.seeds import draw_episodes
 from mmwave_env.engines.track_engine import Tracker
+from mmwave_env.filters.bank import default_modes, named_modes
 from mmwave_env.filters.belief import Belief
 from mmwave_env.filters.filterpy_reference import filterpy_pipeline
 from mmwave_env.filters.gating import Gate
 from mmwave_env.filters.memory import initial_memory
-from mmwave_env.filters.mode_files import default_modes, named_modes
 from mmwave_env.filters.modes import Mode
 from mmwave_env.filters.pipeline import Pipeline, measurement_of, process_noise
 from mmwave_env.models.measurement import blank_site

@@ -16,8 +16,7 @@ from experiments.evaluation.intervals import Interval, bootstrap
 from experiments.evaluation.seeds import draw_episodes
 from experiments.tuning.search_space import best_bank_of, search_space
 from mmwave_env.engines.imm_engine import ImmEngine
-from mmwave_env.filters.bank import Bank, bank_as_written
-from mmwave_env.filters.mode_files import default_modes
+from mmwave_env.filters.bank import Bank, bank_as_written, default_modes
 from mmwave_env.filters.modes import Mode
 from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.lookup import require_extra

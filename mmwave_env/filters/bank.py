@@ -1,30 +1,34 @@
-"""Banks: modes that interact, with what an IMM over them was tuned to."""
+"""Modes and banks of them: by name, as they are shipped, and from a user's files.
+
+A bank is modes that interact, with what an IMM over them was tuned to. A mode file holds one; where
+the modes share a belief, only they count.
+"""
 
 import os
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+import warnings
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
 from functools import cache
 from importlib.resources import files
 from pathlib import Path
 from typing import Annotated, Any
 
 from mmwave_env.filters.imm import ImmSettings, stay_matrix
-from mmwave_env.filters.mode_files import (
-    SETTINGS,
-    as_written,
-    known_only,
-    modes_from,
-    modes_in,
-    read_mode_file,
-    tuned_profile,
-)
-from mmwave_env.filters.modes import Mode
+from mmwave_env.filters.modes import Mode, robust
+from mmwave_env.lookup import choose
 from mmwave_env.models.measurement import Layout
-from mmwave_env.models.radio import Radio
-from mmwave_env.records import Bound, Probability, object_from, require_fields
+from mmwave_env.models.radio import RADIOS, Radio, radio_from
+from mmwave_env.records import Bound, Probability, Size, object_from, read_object, require_fields
 
+MOST_MODES = 32  # all run in every epoch, and are compiled
 Transition = Annotated[tuple[tuple[Probability, ...], ...], "a list of rows of probabilities"]
 _ROUNDING = 1e-6  # of rows that sum to 1
+# What else a mode file may say: how it was made, which nobody looks at.
+NOTES = {
+    "about": "what the modes are for", "command": "that made the file",
+    "numbers": "how many were tuned", "seconds": "that this took on one core",
+    "held_out": "figures on episodes that were not tuned on",
+}  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -39,25 +43,30 @@ class Bank:
             for all of it, as in the textbook.
 
     Raises:
-        ValueError: no modes, a quantile outside (0, 1], another shape of the transition, rows
-            that are no probabilities, or a mode that none leads to.
+        ValueError: no modes, a name twice, a quantile outside (0, 1], another shape of the
+            transition, rows that are no probabilities, or a mode that none leads to.
     """
 
-    modes: tuple[Mode, ...]
+    modes: Annotated[tuple[Mode, ...], Size(1, MOST_MODES)]
     transition: Transition | None = None
     nis_quantile: Annotated[float, Bound("a quantile in (0, 1]", above=0.0, most=1.0)] = 1.0
 
     def __post_init__(self) -> None:
-        if not self.modes:
-            raise ValueError("modes of a bank: found none, expected one or more")
         require_fields(self)
+        names = [mode.name for mode in self.modes]
+        if len(set(names)) < len(names):
+            raise ValueError(f"modes: found {names}, expected no name twice")
         if self.transition is not None:
-            _require_probabilities(self.transition, len(self.modes))
+            _require_probabilities(self.transition, len(names))
 
     @property
     def probabilities(self) -> Transition:
         """The transition probabilities over a second."""
         return stay_matrix(len(self.modes)) if self.transition is None else self.transition
+
+
+# of a ``modes=`` argument; a mapping is what a mode file holds
+Modes = Bank | Sequence[Mode | str] | Mapping[str, Any] | str | os.PathLike[str] | None
 
 
 def settings_of(bank: Bank, layout: Layout) -> ImmSettings:
@@ -72,10 +81,7 @@ def settings_of(bank: Bank, layout: Layout) -> ImmSettings:
 
 
 def _require_probabilities(transition: Transition, modes: int) -> None:
-    rows_sound = all(
-        len(row) == modes and min(row) >= 0.0 and abs(sum(row) - 1.0) <= _ROUNDING
-        for row in transition
-    )
+    rows_sound = all(len(row) == modes and abs(sum(row) - 1.0) <= _ROUNDING for row in transition)
     square = len(transition) == modes and rows_sound
     if not square or not all(map(any, zip(*transition, strict=True))):
         raise ValueError(
@@ -84,38 +90,104 @@ def _require_probabilities(transition: Transition, modes: int) -> None:
         )
 
 
-def bank_in(content: dict[str, Any]) -> Bank:
-    """The bank of a JSON object: "modes" as in a mode file, and what else :class:`Bank` has.
+# --- files
+
+
+def bank_in(content: Mapping[str, Any]) -> Bank:
+    """The bank of a mode file's object, or of one like it.
+
+    The key "modes" holds a list of modes, each with the attributes of :class:`Mode` that differ
+    from the defaults; the others are those of :class:`Bank`, and :data:`NOTES`.
 
     Raises:
         ValueError: saying what is wrong in it.
     """
-    said = {key: content[key] for key in SETTINGS if key in content}
-    return object_from(Bank, said | {"modes": modes_in(content)})
+    if isinstance(content, Mapping):
+        content = {key: said for key, said in content.items() if key not in NOTES}
+    return object_from(Bank, content)
+
+
+def read_bank(path: str | os.PathLike[str]) -> Bank:
+    """The bank of a mode file, JSON as ``mmwave-loc tune`` writes it.
+
+    Raises:
+        ValueError: naming the file and what is wrong in it.
+        FileNotFoundError: there is no such file.
+    """
+    return read_object(path, "modes", bank_in)
+
+
+def as_written(mode: Mode) -> dict[str, Any]:
+    """A mode as a mode file holds it.
+
+    Raises:
+        ValueError: its algorithm is a function, which no file can hold.
+    """
+    if not isinstance(mode.algorithm, str):
+        raise ValueError(f"algorithm of mode {mode.name!r}: found a function, expected a name")
+    default = asdict(Mode("default"))
+    always = ("name", "algorithm", "sigma_p", "sigma_v")
+    return {k: v for k, v in asdict(mode).items() if k in always or v != default[k]}
 
 
 def bank_as_written(bank: Bank) -> dict[str, Any]:
     """A bank as JSON files hold it, all of it; :func:`bank_in` reads it.
 
     Raises:
-        ValueError: a mode's algorithm is a function, which no file can hold.
+        ValueError: as of :func:`as_written`.
     """
-    transition = bank.transition
-    return {
-        "modes": [as_written(mode) for mode in bank.modes],
-        "transition": None if transition is None else [list(row) for row in transition],
-        "nis_quantile": bank.nis_quantile,
-    }
+    return {**asdict(bank), "modes": [as_written(mode) for mode in bank.modes]}
 
 
-def read_bank(path: str | os.PathLike[str]) -> Bank:
-    """The bank of a mode file.
+# --- shipped
 
-    Raises:
-        ValueError: naming the file and what is wrong in it.
-        FileNotFoundError: there is no such file.
+
+@cache
+def _warn_of_no_tuning(name: str, base: str) -> None:
+    warnings.warn(
+        f"radio {name!r}: found no modes tuned for it, took those of {base!r}; mmwave-loc tune "
+        f"--radio {name}.json --out modes.json tunes modes= and --modes, with --bank a bank",
+        stacklevel=3,
+    )
+
+
+def _tuned_profile(radio: str | Radio) -> str:
+    """The shipped profile whose modes and banks a radio gets: its base, and a warning, once."""
+    found = radio_from(radio)
+    if found.name not in RADIOS:
+        _warn_of_no_tuning(found.name, found.base)
+    return found.base
+
+
+@cache
+def _shipped(name: str) -> Bank:
+    return read_bank(Path(str(files("mmwave_env").joinpath(f"data/{name}.json"))))
+
+
+def shipped_modes(radio: str, coupling: bool = True) -> tuple[Mode, ...]:
+    """The EKF and the UKF pipeline as ``mmwave-loc tune`` left them for a shipped radio profile.
+
+    Args:
+        radio: name of the profile.
+        coupling: False for those with the paper's plain diagonal process noise.
     """
-    return read_mode_file(path, bank_in)
+    return _shipped(f"modes/{radio}{'' if coupling else '-diagonal'}").modes
+
+
+def default_modes(radio: str | Radio = "handset") -> tuple[Mode, Mode]:
+    """The two actions of ``MmWaveLoc-v0``: the paper's EKF and UKF pipelines."""
+    low, high = shipped_modes(_tuned_profile(radio))
+    return low, high
+
+
+def named_modes(radio: str | Radio = "handset") -> dict[str, Mode]:
+    """Modes that can be asked for by name.
+
+    "ekf" and "ukf" (the default two), "ckf" (the UKF's tuning), "ekf-robust", "ukf-robust".
+    """
+    low, high = default_modes(radio)
+    all_of_them = (low, high, replace(high, name="ckf", algorithm="ckf"), robust(low), robust(high))
+    return {mode.name: mode for mode in all_of_them}
 
 
 def best_bank(radio: str | Radio = "handset") -> Bank:
@@ -124,45 +196,57 @@ def best_bank(radio: str | Radio = "handset") -> Bank:
     Args:
         radio: profile; one that was not tuned gets the bank of its base, and a warning, once.
     """
-    return _shipped_bank(tuned_profile(radio))
+    return _shipped(f"banks/{_tuned_profile(radio)}")
 
 
-@cache
-def _shipped_bank(radio: str) -> Bank:
-    return read_bank(Path(str(files("mmwave_env").joinpath(f"data/banks/{radio}.json"))))
+# --- arguments
 
 
-def bank_over(
-    modes: Bank | Sequence[Mode | str] | Mapping[str, Any] | str | os.PathLike[str],
-    radio: str | Radio = "handset",
-) -> Bank:
+def bank_over(modes: Modes, radio: str | Radio = "handset") -> Bank:
     """The bank over the modes of a ``modes=`` argument, one mode or more.
 
     Args:
-        modes: a bank; a mode file, alone, or what one holds, which may say "transition" and
-            "nis_quantile", too; or what else :func:`~mmwave_env.filters.mode_files.modes_from`
-            takes.
+        modes: a list of names, mode files and Mode objects; a bank; one mode file, or what one
+            holds. A file that stands alone also says how its modes interact.
         radio: profile that named modes are tuned for.
 
     Raises:
-        ValueError: as :class:`Bank`, or two modes of one name.
+        ValueError: as :class:`Bank`, or what is no mode.
     """
     if isinstance(modes, Bank):
         return modes
-    alone = modes[0] if isinstance(modes, (list, tuple)) and len(modes) == 1 else modes
     if isinstance(modes, Mapping):
-        bank = bank_in(known_only(modes))
-    elif isinstance(alone, (str, os.PathLike)) and str(alone).endswith(".json"):
-        bank = read_bank(alone)
-    else:
-        return Bank(modes_from(modes, radio))
-    return replace(bank, modes=modes_from(bank.modes, radio))  # which refuses a name twice
+        return bank_in(modes)
+    if isinstance(modes, (str, os.PathLike)):
+        if not str(modes).endswith(".json"):
+            raise ValueError(
+                f"modes: found the string {modes!r}, expected a list such as ['ekf'], or a mode "
+                "file (.json)"
+            )
+        return read_bank(modes)
+    if not isinstance(modes, Iterable):
+        raise ValueError(f"modes: found {modes!r}, expected a list of names, mode files and Modes")
+    banks = [_bank_of(mode, radio) for mode in modes]
+    return banks[0] if len(banks) == 1 else Bank(sum((bank.modes for bank in banks), ()))
 
 
-def bank_from(
-    modes: Bank | Sequence[Mode | str] | Mapping[str, Any] | str | os.PathLike[str] | None,
-    radio: str | Radio = "handset",
-) -> Bank:
+def _bank_of(mode: Mode | str, radio: str | Radio) -> Bank:
+    """The bank of one in a list."""
+    if isinstance(mode, Mode):
+        return Bank((mode,))
+    if not isinstance(mode, (str, os.PathLike)):
+        raise ValueError(f"modes: found {mode!r}, expected a name, a mode file or a Mode")
+    if str(mode).endswith(".json"):
+        return read_bank(mode)
+    return Bank((choose(named_modes(radio), mode, "mode"),))
+
+
+def modes_from(modes: Modes, radio: str | Radio = "handset") -> tuple[Mode, ...]:
+    """The modes of a ``modes=`` argument, as of :func:`bank_over`; None for the default two."""
+    return default_modes(radio) if modes is None else bank_over(modes, radio).modes
+
+
+def bank_from(modes: Modes, radio: str | Radio = "handset") -> Bank:
     """The bank of a ``modes=`` argument where every mode keeps its own belief.
 
     Args:

@@ -4,7 +4,7 @@ import pytest
 
 from experiments.evaluation.contenders import contenders
 from mmwave_env.datasets.samples import log_names, sample_names
-from mmwave_env.filters.mode_files import named_modes
+from mmwave_env.filters.bank import named_modes
 from mmwave_env.models.radio import RADIOS
 from mmwave_env.models.random_scene import RANDOM
 from mmwave_env.models.scene import SCENES

@@ -9,8 +9,7 @@ import pytest
 
 from experiments.console.main import run
 from experiments.evaluation.contenders import imm_banks
-from mmwave_env.filters.bank import best_bank
-from mmwave_env.filters.mode_files import default_modes
+from mmwave_env.filters.bank import best_bank, default_modes
 from mmwave_env.localization.localizer import localize
 from mmwave_env.logs.log import read_log
 from mmwave_env.logs.tum import read_tum

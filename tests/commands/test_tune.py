@@ -10,8 +10,7 @@ import pytest
 from scipy.stats import chi2
 
 from experiments.tuning.modes import likelihood, negative_mean_square, objective_of, tune
-from mmwave_env.filters.bank import bank_from
-from mmwave_env.filters.mode_files import read_modes
+from mmwave_env.filters.bank import bank_from, read_bank
 from mmwave_env.filters.modes import Mode
 from mmwave_env.models.measurement import Layout
 from mmwave_env.models.radio import RADIOS
@@ -67,7 +66,7 @@ def test_the_command_writes_a_mode_file_that_is_taken_everywhere(tmp_path):
     assert sorted(shlex.split(written["command"])) == sorted(
         ["mmwave-loc", "tune", *map(str, options)]
     )
-    ekf, robust = read_modes(modes)
+    ekf, robust = read_bank(modes).modes
     assert not ekf.coupling and ekf.adaptive and robust.robust and robust.spread_gain > 0.0
     found = json.loads(figures.read_text())["tuned"]
     assert [(f["mode"], f["scenario"]) for f in found] == [
@@ -121,7 +120,7 @@ def test_shipped_modes_are_what_is_found_on_the_episodes_they_were_tuned_on(file
     seeds = range(5_000_000, 5_000_300)
     keys = np.array([draw_key(np.random.default_rng(seed)) for seed in seeds], np.uint64)
     radio = file.stem.removesuffix("-diagonal")
-    for scenario, shipped in zip(("pedestrian", "vehicle"), read_modes(file), strict=True):
+    for scenario, shipped in zip(("pedestrian", "vehicle"), read_bank(file).modes, strict=True):
         source = SimulatedSource(SCENES["street"], RADIOS[radio], scenario)
         objective = objective_of("likelihood", shipped, source.episodes(keys))
         made, *_ = tune(shipped, ["sigma_v", "sigma_p"], objective)

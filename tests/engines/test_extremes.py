@@ -12,7 +12,7 @@ import pytest
 
 from mmwave_env.engines.track_engine import Tracker
 from mmwave_env.env import MmWaveLocEnv
-from mmwave_env.filters.mode_files import named_modes
+from mmwave_env.filters.bank import named_modes
 from mmwave_env.filters.modes import Mode
 from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.models import envelope

@@ -6,9 +6,8 @@ import pytest
 from experiments.evaluation.seeds import draw_episodes
 from mmwave_env.engines.env_engine import Engine
 from mmwave_env.engines.imm_engine import ImmEngine
-from mmwave_env.filters.bank import best_bank
+from mmwave_env.filters.bank import best_bank, default_modes
 from mmwave_env.filters.belief import Belief
-from mmwave_env.filters.mode_files import default_modes
 from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.models.measurement import Layout, blank_site
 from mmwave_env.models.radio import RADIOS

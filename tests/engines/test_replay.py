@@ -6,8 +6,8 @@ import pytest
 from mmwave_env.engines.env_engine import Engine
 from mmwave_env.engines.replay import Replay, smooth
 from mmwave_env.engines.track_engine import Tracker
+from mmwave_env.filters.bank import default_modes
 from mmwave_env.filters.filterpy_reference import filterpy_pipeline
-from mmwave_env.filters.mode_files import default_modes
 from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.reward import TrackingReward
 from tests.filters.tracks import STREET, simulated

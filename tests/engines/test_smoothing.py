@@ -7,8 +7,7 @@ from filterpy.kalman import KalmanFilter
 from mmwave_env.engines.imm_engine import ImmEngine
 from mmwave_env.engines.replay import smooth
 from mmwave_env.engines.track_engine import Tracker
-from mmwave_env.filters.bank import best_bank
-from mmwave_env.filters.mode_files import modes_from
+from mmwave_env.filters.bank import best_bank, modes_from
 from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.models.radio import RADIOS
 from mmwave_env.models.scene import SCENES

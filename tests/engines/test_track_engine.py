@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from mmwave_env.engines.track_engine import Tracker
-from mmwave_env.filters.mode_files import default_modes
+from mmwave_env.filters.bank import default_modes
 from mmwave_env.filters.modes import Mode
 from mmwave_env.filters.pipeline import Pipeline
 from tests.filters.tracks import STREET, simulated, track

@@ -15,8 +15,7 @@ from experiments.evaluation.contenders import Contender, contender_from, contend
 from experiments.evaluation.runner import run_contender, score, score_contenders
 from experiments.evaluation.seeds import Selection, draw_episodes
 from mmwave_env.engines.imm_engine import ImmEngine
-from mmwave_env.filters.bank import bank_as_written, best_bank
-from mmwave_env.filters.mode_files import modes_from
+from mmwave_env.filters.bank import bank_as_written, best_bank, modes_from
 from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.metrics import BURN_IN, METRICS
 from mmwave_env.models.radio import RADIOS

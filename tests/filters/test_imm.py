@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
+from mmwave_env.filters.bank import default_modes
 from mmwave_env.filters.imm import stay_matrix
-from mmwave_env.filters.mode_files import default_modes
 from mmwave_env.filters.modes import Mode
 from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.models.measurement import Layout

@@ -19,8 +19,7 @@ from mmwave_env.datasets.tracks import TrackSource
 from mmwave_env.engines.env_engine import Engine
 from mmwave_env.engines.imm_engine import ImmEngine, imm_program
 from mmwave_env.engines.track_engine import Tracker
-from mmwave_env.filters.bank import best_bank
-from mmwave_env.filters.mode_files import default_modes, named_modes
+from mmwave_env.filters.bank import best_bank, default_modes, named_modes
 from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.filters.smoother import SMOOTHING_WINDOW
 from mmwave_env.localization.localizer import TrackBlock, localize

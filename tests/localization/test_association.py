@@ -8,7 +8,7 @@ import pytest
 
 from mmwave_env.datasets.log_folder import read_log_folder
 from mmwave_env.datasets.log_writer import write_log
-from mmwave_env.filters.mode_files import default_modes
+from mmwave_env.filters.bank import default_modes
 from mmwave_env.localization.association import Association, associate
 from mmwave_env.localization.localizer import localize
 from mmwave_env.localization.segments import segments

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from mmwave_env.filters.mode_files import default_modes
+from mmwave_env.filters.bank import default_modes
 from mmwave_env.localization.contradictions import contradictions
 from mmwave_env.localization.diagnosis import AS_IT_IS, diagnose, hypotheses
 from mmwave_env.localization.localizer import localize

@@ -13,8 +13,7 @@ from hypothesis import strategies as st
 from mmwave_env.datasets.log_writer import write_log
 from mmwave_env.engines.imm_engine import ImmEngine
 from mmwave_env.engines.replay import smooth
-from mmwave_env.filters.bank import Bank, best_bank
-from mmwave_env.filters.mode_files import default_modes
+from mmwave_env.filters.bank import Bank, best_bank, default_modes
 from mmwave_env.filters.modes import robust
 from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.localization.localizer import TrackBlock, localize

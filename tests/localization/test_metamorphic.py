@@ -12,7 +12,7 @@ from itertools import chain, permutations
 import numpy as np
 import pytest
 
-from mmwave_env.filters.mode_files import named_modes
+from mmwave_env.filters.bank import named_modes
 from mmwave_env.localization.localizer import localize
 from mmwave_env.logs.log import read_log
 from mmwave_env.models.radio import RADIOS

@@ -1,6 +1,5 @@
 """Prediction and process noise against matrices written out."""
 
-
 import numpy as np
 import pytest
 from hypothesis import given

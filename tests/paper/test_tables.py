@@ -18,7 +18,7 @@ from experiments.paper.claims import contradictions, resolution
 from experiments.tables import FIELDS, Args, main
 from mmwave_env.engines.replay import smooth
 from mmwave_env.engines.track_engine import Tracker
-from mmwave_env.filters.mode_files import default_modes
+from mmwave_env.filters.bank import default_modes
 from mmwave_env.filters.pipeline import Pipeline
 from tests.filters.tracks import unpacked
 from tests.paths import ROOT, numbers

@@ -8,7 +8,7 @@ import pytest
 from experiments.evaluation.contenders import contender_from
 from experiments.evaluation.runner import score
 from experiments.evaluation.seeds import TUNING_SEED, draw_episodes
-from mmwave_env.filters.mode_files import modes_from
+from mmwave_env.filters.bank import modes_from
 from mmwave_env.filters.modes import Mode
 from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.models.measurement import Layout

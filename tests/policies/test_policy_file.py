@@ -12,8 +12,7 @@ from hypothesis import HealthCheck, assume, given, settings
 from hypothesis import strategies as st
 from safetensors.numpy import save
 
-from mmwave_env.filters.bank import bank_as_written
-from mmwave_env.filters.mode_files import as_written
+from mmwave_env.filters.bank import as_written, bank_as_written
 from mmwave_env.filters.modes import Mode
 from mmwave_env.filters.update import ekf
 from policies import shipped_policies
@@ -327,8 +326,8 @@ BANK = PER_MODE_CARD.as_json()["banks"]["handset"]
     [
         ([BANK], "banks: found .*, expected an object, a bank for each radio"),
         ({"lab": None}, "bank of radio 'lab': found None, expected an object"),
-        ({"lab": BANK | {"cap": 1}}, "'lab': missing none, unknown cap"),
-        ({"lab": BANK | {"modes": []}}, "'lab': modes: found .., expected a list of one or more"),
+        ({"lab": BANK | {"cap": 1}}, "'lab': key: found 'cap', expected one of modes"),
+        ({"lab": BANK | {"modes": []}}, "'lab': modes: found 0, expected a list of 1 to 32"),
         ({"lab": BANK | {"transition": [[1.0]]}}, "'lab': transition: .* expected 3 rows of 3"),
         ({"lab": BANK | {"transition": [[10**400]]}}, "found no JSON: line 1: found a number of"),
     ],
@@ -341,8 +340,8 @@ def test_damaged_banks_are_refused(path, banks, message):
 @pytest.mark.parametrize(
     ("modes", "message"),
     [
-        (None, "modes: found None, expected a list of one or more"),
-        ([], "modes: found .., expected a list of one or more"),
+        (None, "modes: found None, expected a list of 1 to 32"),
+        ([], "modes: found 0, expected a list of 1 to 32"),
         ([{"name": "a", "algorithm": "pf"}], "'pf'.*ekf, ukf, ckf"),
         ([{"name": "a"}, {"name": "a"}], "no name twice"),
         ([{"name": "a"}], "layer.1.weight': found shape .3, 2., expected .1, 2."),

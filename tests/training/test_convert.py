@@ -25,8 +25,7 @@ from stable_baselines3.common.vec_env import VecNormalize
 
 from experiments.training import unzip
 from experiments.training.actor import actor_tensors
-from mmwave_env.filters.bank import bank_as_written
-from mmwave_env.filters.mode_files import as_written
+from mmwave_env.filters.bank import as_written, bank_as_written
 from mmwave_env.sb3 import SB3VecEnv
 from policies import LearnedSwitch
 

@@ -10,8 +10,7 @@ from experiments.evaluation.protocol import UNSEEN_RADIOS, UNSEEN_SCENES, unseen
 from experiments.training import places as module
 from experiments.training.places import Place, place_from, places_from, shares
 from experiments.training.training_task import TrainingTask, banks_of
-from mmwave_env.filters.bank import Bank, bank_as_written, best_bank
-from mmwave_env.filters.mode_files import default_modes
+from mmwave_env.filters.bank import Bank, bank_as_written, best_bank, default_modes
 from mmwave_env.models.radio import RADIOS
 from mmwave_env.models.scene import SCENES
 from mmwave_env.reward import TrackingReward

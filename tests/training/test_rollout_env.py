@@ -6,8 +6,7 @@ import gymnasium as gym
 import numpy as np
 import pytest
 
-from mmwave_env.filters.bank import Bank
-from mmwave_env.filters.mode_files import default_modes
+from mmwave_env.filters.bank import Bank, default_modes
 from mmwave_env.reward import TrackingReward
 from tests.training.actors import MODES
 

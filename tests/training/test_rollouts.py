@@ -15,8 +15,7 @@ from experiments.training.rollout_env import Tried
 from experiments.training.rollout_learner import RolloutLearner
 from experiments.training.rollouts import RolloutTraining
 from experiments.training.training_task import TrainingTask
-from mmwave_env.filters.bank import Bank
-from mmwave_env.filters.mode_files import default_modes
+from mmwave_env.filters.bank import Bank, default_modes
 from mmwave_env.reward import TrackingReward
 from policies import LearnedSwitch
 from tests.training.test_rollout_env import PLACES, task

@@ -34,8 +34,7 @@ from experiments.training.run import hyperparameters, manifest_of
 from experiments.training.training_task import TrainingTask
 from experiments.training.vec_env import PlacesVecEnv
 from mmwave_env.files import write_json
-from mmwave_env.filters.bank import Bank
-from mmwave_env.filters.mode_files import default_modes
+from mmwave_env.filters.bank import Bank, default_modes
 from mmwave_env.reward import TrackingReward
 from policies import LearnedSwitch
 from policies.policy_file import read_policy

@@ -26,8 +26,7 @@ from experiments.training.job import Job
 from experiments.training.places import places_from
 from experiments.training.ppo import PpoTraining
 from experiments.training.processes import side_by_side
-from mmwave_env.filters.bank import Bank
-from mmwave_env.filters.mode_files import default_modes
+from mmwave_env.filters.bank import Bank, default_modes
 from tests.training.actors import MODES
 from tests.training.test_train import HYPER, TASK, content
 
