@@ -22,20 +22,18 @@ class Args(EpisodeArgs):
 
     policies: Annotated[tuple[str, ...], arg(aliases=("--policy",))] = ()
     """names of mmwave-loc list policies, policy files (.safetensors), folders of runs of mmwave-loc
-    train, models of Stable-Baselines3 (.zip, with --trust-zip) and module:function, a function
-    without arguments that returns an agent; all that have a name where none is named"""
+    train, and module:function, a function without arguments that returns an agent; all that have a
+    name where none is named"""
     bound: bool = False
     """also show each policy's RMSE over the posterior Cramer-Rao bound"""
-    figure: Path | None = None
-    """draw the performance profiles of runs, over training seeds and episodes, to this .png, .svg
-    or .pdf file"""
     errors: Path | None = None
-    """draw the distribution (CDF) of horizontal and of vertical errors to this file, too"""
+    """draw the distribution (CDF) of horizontal and of vertical errors to this .png, .svg or .pdf
+    file"""
     consistency: Path | None = None
-    """draw NEES beside its chi-square bounds to this file, too"""
+    """draw NEES beside its chi-square bounds to this file"""
 
 
-PICTURES = ("figure", "errors", "consistency")
+PICTURES = ("errors", "consistency")
 
 
 def main(args: Args) -> None:

@@ -69,8 +69,7 @@ class Args(FilterArgs, IntegrityArgs, OutputArgs):
     sample: str | None = None
     """in place of a log: canyon28_vehicle or canyon28_pedestrian, with its scene and truth"""
     speed: str | None = None
-    """of the user, m/s; or auto, to decide in every epoch; where none is given it is asked for on a
-    terminal, and auto elsewhere"""
+    """of the user, m/s; or auto, to decide in every epoch, as where none is given"""
     outside: Literal["fallback", "abort"] = "fallback"
     """above 20 m/s, outside the design window: run the UKF pipeline, or stop"""
     follow: Literal["prediction", "odometry"] = "prediction"

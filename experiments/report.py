@@ -46,8 +46,6 @@ def localized(source: "Source") -> "Played":
 
     try:
         args = arguments_of(source)
-        if args.imm is None and args.speed is None:
-            raise ValueError("its speed was typed on a terminal")
         block, work = beginning(args, LONGEST)
     except (ValueError, OSError) as error:
         return Played(missing={"": str(error)})

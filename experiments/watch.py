@@ -58,7 +58,7 @@ class Args(PictureArgs):
 
     policies: tuple[str, ...] = ("speed-rule", "ppo")
     """up to three, as of compare: names of mmwave-loc list policies, policy files (.safetensors),
-    folders of runs, models of Stable-Baselines3 (.zip, with --trust-zip) and module:function"""
+    folders of runs, and module:function"""
 
 
 MOST = 3  # side by side

@@ -18,7 +18,7 @@ EXTRAS = PROJECT.split("[project.optional-dependencies]\n")[1].split("\n[")[0]
     ("package", "words"),
     [
         ("matplotlib", ["localize", LOG / "log.csv", "--scene", LOG / "scene.json", "--plot"]),
-        ("matplotlib", ["compare", "--policies", "fixed-ekf", "--figure"]),
+        ("matplotlib", ["compare", "--policies", "fixed-ekf", "--errors"]),
         ("matplotlib", ["tables", "--out"]),
         ("filterpy", ["speed", "--json"]),
         ("matplotlib", ["compare", "--policies", "fixed-ekf", "--errors"]),

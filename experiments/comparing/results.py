@@ -1,7 +1,6 @@
 """Contenders run and compared, as ``score_contenders``, ``compare`` and ``demo`` print it."""
 
 from collections.abc import Callable, Mapping, Sequence
-from functools import partial
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any, NamedTuple
@@ -21,9 +20,8 @@ from experiments.evaluation.asked import (
 from experiments.evaluation.bounds import bound_markdown, over_bound
 from experiments.evaluation.comparison import Comparison, compare_scores, episodes_csv
 from experiments.evaluation.runner import Scoring, score_contenders
-from experiments.evaluation.runs import Run, trainings
+from experiments.evaluation.runs import trainings
 from experiments.evaluation.training_seeds import over_training_seeds, seeds_markdown
-from experiments.figures.curves import draw_profiles
 from mmwave_env.files import write_json, write_text
 from mmwave_env.models.radio import radio_from
 from mmwave_env.reward import reward_name
@@ -65,8 +63,7 @@ def results(
         args: which episodes, and which tables.
         names: of the contenders; the folder of a run stands for its median training.
         bound: whether to measure them in posterior Cramer-Rao bounds, too.
-        pictures: those of :func:`~experiments.comparing.watchers.watchers`, and "figure", with the
-            performance profiles of runs.
+        pictures: those of :func:`~experiments.comparing.watchers.watchers`.
     """
     require_options(args, pictures)
     task, runs = task_of(args), runs_of(args, names)
@@ -74,8 +71,6 @@ def results(
     selection = selection_of(args, source)
     if bound and args.planar:
         raise ValueError("bound: found with planar, whose bound there is not; expected one of them")
-    if "figure" in pictures:
-        _require_profiles(names, runs)
     files = {name: runs[name].policy if name in runs else name for name in names}
     chosen = {file: contender_of(args, file) for file in trainings(names, runs)}
     known = all_contenders(args)
@@ -106,21 +101,8 @@ def results(
         seeds = over_training_seeds(trained, scores)
         text += "".join(map(seeds_markdown, seeds))
         content |= {"training_seeds": {one.run.name: one.json for one in seeds}}
-        if "figure" in pictures:
-            drawn.append(partial(draw_profiles, content["training_seeds"], pictures["figure"]))
     for one in watched:
         more, figures = one.told()
         text, content = text + more, content | figures
         drawn.append(one.draw)
     return Results(result, text, content, drawn)
-
-
-def _require_profiles(names: Sequence[str], runs: Mapping[str, Run]) -> None:
-    """Refuse a figure of performance profiles that would be empty."""
-    if not runs:
-        raise ValueError("figure: found no folder of a run among the policies, expected one")
-    if not any(name == "speed-rule" or name.startswith(("fixed-", "imm")) for name in names):
-        raise ValueError(
-            "figure: found nobody to compare runs with among the policies, expected speed-rule, "
-            "imm or a fixed mode"
-        )

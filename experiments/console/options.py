@@ -72,9 +72,6 @@ class ModeArgs(WorldArgs):
     beliefs: str = "shared"
     """what agents of your own were trained with: shared, or per-mode, where the modes are those of
     the radio's best IMM if none are named; policy files say it themselves"""
-    trust_zip: bool = False
-    """load models of Stable-Baselines3 (.zip), which runs code from the file; mmwave-loc convert
-    makes policy files of them, which hold none"""
     planar: bool = False
     """flat terrain: height and vertical velocity are known"""
 

@@ -10,7 +10,7 @@ from experiments.console.parser import is_positional
 from mmwave_env import __version__
 
 OUTPUTS = (
-    "json", "episodes_csv", "figure", "errors", "consistency", "plot", "docs", "out",
+    "json", "episodes_csv", "errors", "consistency", "plot", "docs", "out",
     "epochs_parquet",
 )  # fmt: skip
 

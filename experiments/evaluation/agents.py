@@ -10,7 +10,6 @@ from typing import Any, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from experiments.evaluation.zip_agent import ZipAgent, in_one_line
 from mmwave_env.observation import Observation
 from policies import Policy
 
@@ -33,24 +32,20 @@ class _Function(Policy):
 
 
 def is_agent(name: str) -> bool:
-    """Whether a name is that of a model of Stable-Baselines3 or of a function in a module."""
-    return name.endswith(".zip") or MODULE.fullmatch(name) is not None
+    """Tell whether a name is that of a function in a module."""
+    return MODULE.fullmatch(name) is not None
 
 
-def agent_from(name: str, trust_zip: bool = False) -> Act:
-    """The agent of a model of Stable-Baselines3 (``.zip``) or of ``module:function``.
+def agent_from(name: str) -> Act:
+    """Return the agent of ``module:function``.
 
     Args:
-        name: of the file; or of a function without arguments, in a module on ``sys.path`` or in
-            the current folder, that returns the agent.
-        trust_zip: whether code from the ``.zip`` may run, which loading it means.
+        name: of a function without arguments, in a module on ``sys.path`` or in the current
+            folder, that returns the agent.
 
     Raises:
-        ValueError: naming the file or module, and what is wrong with it.
-        FileNotFoundError: there is no such file.
+        ValueError: naming the module, and what is wrong with it.
     """
-    if name.endswith(".zip"):
-        return ZipAgent(name, trust_zip)
     module, _, path = name.partition(":")
     if os.getcwd() not in sys.path:
         sys.path.append(os.getcwd())  # last: what is installed goes first
@@ -71,21 +66,17 @@ def tried(name: str, agent: Act, table: Observation) -> Policy:
 
     Args:
         name: of the agent, for errors.
-        agent: what it is; its methods ``require_trained_on(table)`` and ``reset(begins)``, if
-            there are, are called too.
+        agent: what it is; its method ``reset(begins)``, if there is one, is called too.
         table: what it is shown.
 
     Raises:
-        ValueError: it is no function, was trained on other observations, fails, or returns no
-            actions.
+        ValueError: it is no function, fails, or returns no actions.
     """
     if not callable(agent):
         raise ValueError(
             f"policy {name}: found {agent!r}, expected a function from observations (n, features) "
             f"to actions (n,); {OF_A_MODEL} ({GUIDE})"
         )
-    if hasattr(agent, "require_trained_on"):
-        agent.require_trained_on(table)
     policy = cast(Policy, agent if hasattr(agent, "reset") else _Function(agent))
     space, rng = table.space, np.random.default_rng(0)
     shown = rng.uniform(space.low, space.high, (TRIED, len(table))).astype(np.float32)
@@ -99,6 +90,11 @@ def tried(name: str, agent: Act, table: Observation) -> Policy:
         ) from error
     require_actions(name, found, TRIED, len(table.actions))
     return policy
+
+
+def in_one_line(error: Exception) -> str:
+    """What somebody else's code raised."""
+    return f"{type(error).__name__}: {str(error).partition(chr(10))[0]}"
 
 
 def require_actions(name: str, found: Any, n: int, count: int) -> NDArray[np.integer[Any]]:

@@ -24,7 +24,7 @@ def all_contenders(args: ModeArgs) -> tuple[str, ...]:
 def contender_of(args: ModeArgs, name: str) -> Contender:
     """One of them, or an agent by name or file; a warning where it has modes of its own."""
     radio, modes = args.radio, args.modes or None
-    found = contender_from(name, radio, modes, args.observation, args.trust_zip, args.beliefs)
+    found = contender_from(name, radio, modes, args.observation, args.beliefs)
     if modes and found.modes != bank_over(modes, radio).modes:
         warnings.warn(f"{name} brings its own modes; --modes is not for it", stacklevel=2)
     return found

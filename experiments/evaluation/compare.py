@@ -54,7 +54,6 @@ def compare(
     seed: int | None = None,
     modes: Modes = None,
     observation: str = "full",
-    trust_zip: bool = False,
     data: str | os.PathLike[str] | EpisodeSource | None = None,
     beliefs: str = "shared",
     keys: Iterable[int] | None = None,
@@ -65,11 +64,10 @@ def compare(
     Args:
         policies: agents by the name they get in the tables. Each is a function from
             observations (n, features) float32, of ``n`` episodes at once, to actions (n,),
-            integers; or whatever ``mmwave-loc compare --policies`` takes: a policy file, a
-            ``.zip`` of Stable-Baselines3, "module:function", the folder of a run, a name.
-            A function may have a method ``reset(begins)`` (bool (n,): where an episode begins),
-            and attributes ``modes``, ``observation`` and ``beliefs``, which go before the arguments
-            here.
+            integers; or whatever ``mmwave-loc compare --policies`` takes: a policy file,
+            "module:function", the folder of a run, a name. A function may have a method
+            ``reset(begins)`` (bool (n,): where an episode begins), and attributes ``modes``,
+            ``observation`` and ``beliefs``, which go before the arguments here.
         beside: names of contenders, see :func:`~experiments.evaluation.contenders.contenders`.
         scenario, radio: as of the environment.
         episodes: how many, 200 where none is given; 1000 or more to publish.
@@ -77,7 +75,6 @@ def compare(
         modes, observation, beliefs: what agents of one's own were trained with, as of the
             environment. Policy files say it themselves; "imm" among the policies is over these
             modes, with the transition and quantile of a bank or of a file that says them.
-        trust_zip: whether code from a ``.zip`` may run, which loading it means.
         data: recorded or own episodes, as of the environment's ``episodes``.
         keys: of simulated episodes to play in place of those of seeds, as infos tell them.
         world: further arguments of the environment: ``scene``, ``dt``, ``episode_steps``,
@@ -110,7 +107,7 @@ def compare(
     def contender(name: str, agent: Agent) -> Contender:
         if not isinstance(agent, (str, os.PathLike)):
             return Contender.own(name, agent, radio, modes, observation, beliefs)
-        found = contender_from(os.fspath(agent), radio, modes, observation, trust_zip, beliefs)
+        found = contender_from(os.fspath(agent), radio, modes, observation, beliefs)
         return replace(found, name=name)
 
     own = [contender(name, agent) for name, agent in policies.items()]

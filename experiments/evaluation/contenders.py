@@ -227,7 +227,6 @@ def contender_from(
     radio: str,
     modes: Modes = None,
     observation: str = "full",
-    trust_zip: bool = False,
     beliefs: str = "shared",
 ) -> Contender:
     """A contender by name; see :func:`contenders`.
@@ -238,7 +237,6 @@ def contender_from(
             :func:`~experiments.evaluation.agents.agent_from` takes.
         radio, modes: as of :func:`contenders`.
         observation, beliefs: of agents of one's own, as of :meth:`Contender.own`.
-        trust_zip: whether code from a ``.zip`` may run.
 
     Raises:
         ValueError: unknown name; the message lists the valid ones. A damaged policy file, or
@@ -254,8 +252,13 @@ def contender_from(
     if Path(name).is_dir():
         return Contender.learned(Run.read(name).policy, name, radio)
     if is_agent(name):
-        agent = agent_from(name, trust_zip)
+        agent = agent_from(name)
         return Contender.own(name, agent, radio, modes, observation, beliefs)
+    if name.endswith(".zip"):
+        raise ValueError(
+            f"{name}: found a model of Stable-Baselines3, expected a policy file; mmwave-loc "
+            f"convert {name} {Path(name).with_suffix('.safetensors').name} makes one ({GUIDE})"
+        )
     stem = name.removesuffix(".py")
     module = f"; {Path(stem).name}:FUNCTION names an agent in a module ({GUIDE})"
     hint = module if Path(f"{stem}.py").is_file() else ""

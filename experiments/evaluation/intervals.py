@@ -7,7 +7,7 @@ training of its own, would take K policies on n episodes for K n of them.
 """
 
 import math
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
@@ -17,9 +17,6 @@ from numpy.typing import NDArray
 from scipy.stats import norm, t
 
 from mmwave_env.numerics.numbers import Array
-
-# Of sorted values (m,) and distribution functions at them (m, ...): numbers (...) or (k, ...).
-Statistic = Callable[[Array, Array], Array]
 
 RESAMPLES = 4000
 BLOCK = 100  # resamples at once: all of them would be large
@@ -117,30 +114,6 @@ def bootstrap_ratio(over: Array, under: Array, seed: int = 0) -> list[Interval]:
     return [Interval(float(m), float(a), float(b)) for m, a, b in columns]
 
 
-def mean(values: Array, F: Array) -> Array:
-    """Mean of distribution functions: x_m - sum F_i (x_(i + 1) - x_i)."""
-    result: Array = values[-1] - np.diff(values) @ F[:-1]
-    return result
-
-
-def interquartile_mean(values: Array, F: Array) -> Array:
-    """Mean of the middle half: robust as the median is, and of less variance (rliable)."""
-    middle = np.diff(values) @ np.clip(F[:-1], 0.25, 0.75)
-    result: Array = 2.0 * (0.75 * values[-1] - 0.25 * values[0] - middle)
-    return result
-
-
-def share_above(levels: Array) -> Statistic:
-    """The share (levels, ...) of values above each level: a performance profile (rliable)."""
-
-    def share(values: Array, F: Array) -> Array:
-        at = np.searchsorted(values, levels, "right")  # of the first value above
-        result: Array = 1.0 - np.concatenate([np.zeros_like(F[:1]), F])[at]
-        return result
-
-    return share
-
-
 def few_seeds_factor(seeds: int) -> float:
     """By how much a percentile interval over few seeds is too narrow.
 
@@ -152,34 +125,19 @@ def few_seeds_factor(seeds: int) -> float:
     return float(np.sqrt(seeds / (seeds - 1.0)) * t.ppf(0.975, seeds - 1) / norm.ppf(0.975))
 
 
-def crossed_bootstrap(
-    scores: Array, *statistics: Statistic, seed: int = 0
-) -> list[tuple[Array, Array, Array]]:
-    """Statistics of scores (seeds, episodes) with 95 % intervals over both.
+def crossed_bootstrap(scores: Array, seed: int = 0) -> Interval:
+    """Mean of scores (seeds, episodes) with its 95 % interval over both.
 
     The means of the seeds are moved apart by :func:`few_seeds_factor` before they are
     resampled, which leaves alone the part of the interval that is due to episodes.
-
-    Returns:
-        Of each statistic itself, low and high ends.
     """
     K, n = scores.shape
     apart = scores.mean(axis=1, keepdims=True) - scores.mean()
-    moved = (scores + (few_seeds_factor(K) - 1.0) * apart).ravel()
-    order = moved.argsort(kind="stable")
-    values, uniform = moved[order], np.arange(1.0, K * n + 1.0) / (K * n)
-    of_seeds, of_episodes = _resamples(K, seed + 1).T / K, _resamples(n, seed).T / n
-    found: list[list[Array]] = [[] for _ in statistics]
-    for first in range(0, RESAMPLES, BLOCK):
-        some = slice(first, first + BLOCK)
-        weights = (of_seeds[:, None, some] * of_episodes[None, :, some]).reshape(K * n, -1)
-        F = weights[order].cumsum(axis=0)
-        for rows, statistic in zip(found, statistics, strict=True):
-            rows.append(statistic(values, F))
-    intervals = []
-    for rows, statistic in zip(found, statistics, strict=True):
-        low, high = np.percentile(np.concatenate(rows, axis=-1), [2.5, 97.5], axis=-1)
-        center = statistic(np.sort(scores, axis=None), uniform)
-        shift = center - statistic(values, uniform)
-        intervals.append((center, low + shift, high + shift))
-    return intervals
+    moved = scores + (few_seeds_factor(K) - 1.0) * apart
+    of_seeds, of_episodes = _resamples(K, seed + 1), _resamples(n, seed)
+    means = [
+        ((of_seeds[i : i + BLOCK] / K @ moved) * (of_episodes[i : i + BLOCK] / n)).sum(axis=1)
+        for i in range(0, RESAMPLES, BLOCK)
+    ]
+    low, high = np.percentile(np.concatenate(means), [2.5, 97.5])
+    return Interval(float(scores.mean()), float(low), float(high))

@@ -1,8 +1,4 @@
-"""How much a learned switcher owes to the seed of its training (Agarwal et al. 2021).
-
-As in rliable, the interquartile mean and the performance profile are of the matrix of runs and
-tasks: here a run is a training, and a task is an episode, the same for all of them.
-"""
+"""How much a learned switcher owes to the seed of its training (Agarwal et al. 2021)."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -13,19 +9,10 @@ import numpy as np
 from experiments.console.tables import grid
 from experiments.console.text import escaped
 from experiments.evaluation.comparison import references
-from experiments.evaluation.intervals import (
-    Interval,
-    bootstrap,
-    crossed_bootstrap,
-    interquartile_mean,
-    mean,
-    share_above,
-)
+from experiments.evaluation.intervals import Interval, bootstrap, crossed_bootstrap
 from experiments.evaluation.runner import Scores
 from experiments.evaluation.runs import Run
 from mmwave_env.numerics.numbers import Array
-
-LEVELS = 81  # of a performance profile
 
 
 @dataclass(frozen=True)
@@ -33,27 +20,12 @@ class Figure:
     """A number per episode, such as the reward, of all trainings of a run."""
 
     each: tuple[Interval, ...]  # its mean per training, over episodes
-    # mean, iqm: mean and interquartile mean over trainings and episodes
-    mean: Interval
-    iqm: Interval
-    levels: Array  # (k,) increasing
-    # (3, k) share of pairs of training and episode above each level, and low and high ends of its
-    # intervals
-    above: Array
+    mean: Interval  # over trainings and episodes
 
     @classmethod
-    def of(cls, scores: Array, levels: Array) -> "Figure":
+    def of(cls, scores: Array) -> "Figure":
         """From scores (trainings, episodes)."""
-        center, iqm, above = crossed_bootstrap(
-            scores, mean, interquartile_mean, share_above(levels)
-        )
-        return cls(
-            tuple(bootstrap(scores.T)),
-            Interval(*map(float, center)),
-            Interval(*map(float, iqm)),
-            levels,
-            np.clip(above, 0.0, 1.0),
-        )
+        return cls(tuple(bootstrap(scores.T)), crossed_bootstrap(scores))
 
     @property
     def wins(self) -> int:
@@ -62,13 +34,10 @@ class Figure:
 
     def json(self, seeds: Sequence[int]) -> dict[str, Any]:
         """As results files hold it."""
-        ends = dict(zip(("share", "low", "high"), self.above.tolist(), strict=True))
         return {
             "seeds": {str(s): each.json for s, each in zip(seeds, self.each, strict=True)},
             "above_zero": self.wins,
             "mean": self.mean.json,
-            "interquartile_mean": self.iqm.json,
-            "profile": {"above": self.levels.tolist(), **ends},
         }
 
 
@@ -107,21 +76,14 @@ def over_training_seeds(
     imms = [rival for rival in baselines if rival.startswith("imm")]
     best_imm = max(imms, key=lambda imm: float(baselines[imm].mean()), default=None)
 
-    def figures(differences: dict[Run, Array]) -> dict[Run, Figure]:
-        """On common levels, so that profiles can be compared."""
-        pooled = np.concatenate([d.ravel() for d in differences.values()])
-        low, high = np.percentile(pooled, [1.0, 99.0])
-        levels = np.linspace(low, high, LEVELS)
-        return {run: Figure.of(d, levels) for run, d in differences.items()}
-
-    reward = figures(rewards)
-    minus = {
-        rival: figures({run: r - baseline for run, r in rewards.items()})
-        for rival, baseline in baselines.items()
-    }
     return [
-        TrainingSeeds(run, reward[run], {r: table[run] for r, table in minus.items()}, best_imm)
-        for run in runs
+        TrainingSeeds(
+            run,
+            Figure.of(reward),
+            {rival: Figure.of(reward - baseline) for rival, baseline in baselines.items()},
+            best_imm,
+        )
+        for run, reward in rewards.items()
     ]
 
 
@@ -139,7 +101,6 @@ def seeds_markdown(found: TrainingSeeds) -> str:
     rows += [
         ["intervals above zero", "", *wins],
         ["mean over seeds", *(str(column.mean) for column in columns)],
-        ["interquartile mean", *(str(column.iqm) for column in columns)],
     ]
     about = (
         f"Over training seeds, {escaped(run.name)}, best on tuning seeds first; 95 % intervals, of "

@@ -7,7 +7,6 @@ from typing import Any
 
 from mmwave_env.files import atomic_path, require_writable
 from mmwave_env.lookup import printable, require_extra, spelled
-from mmwave_env.numerics.numbers import Array
 from mmwave_env.rendering.theme import THEMES, hex_of
 
 STYLE = Path(__file__).with_name("publication.mplstyle")
@@ -129,35 +128,3 @@ def plain_numbers(axis: Any) -> None:
     axis.set_major_locator(LogLocator(subs=(1.0,) if few else (1.0, 2.0, 5.0)))
     axis.set_major_formatter("{x:,g}")
     axis.set_minor_formatter(NullFormatter())
-
-
-def stacked_shares(axes: Any, x: Array, shares: Array, names: Sequence[str]) -> None:
-    """Shares (k, w) that add up to 1, one upon the other, over x (w,).
-
-    A mode has the same color whether there is "none" beside it or not.
-    """
-    modes = len([name for name in names if name != "none"])
-    colors = [*([NO_MODE] * (len(names) - modes)), *(f"C{i}" for i in range(modes))]
-    labels = [caption(name) for name in names]
-    axes.stackplot(x, shares, labels=labels, colors=colors, edgecolor="white", lw=0.4)
-    axes.set_ylim(0.0, 1.0)
-    axes.yaxis.set_major_formatter(lambda share, _: f"{100.0 * share:.0f} %")
-
-
-def line_with_band(axes: Any, x: Array, band: Array, **style: Any) -> None:
-    """A line with its interval, of band (3, w): values, and low and high ends."""
-    values, low, high = band
-    (line,) = axes.plot(x, values, **style)
-    axes.fill_between(x, low, high, color=line.get_color(), alpha=0.2, lw=0.0)
-
-
-def lines_of(names: Sequence[str], width: int) -> list[str]:
-    """Names with commas in lines of about a width; no name is cut."""
-    lines = [names[0]]
-    for name in names[1:]:
-        if len(lines[-1]) + len(name) + 2 > width:
-            lines[-1] += ","
-            lines.append(name)
-        else:
-            lines[-1] += f", {name}"
-    return lines

@@ -16,7 +16,6 @@ from experiments.console.tables import show
 from experiments.evaluation.contenders import imm_banks
 from experiments.figures.canvas import require_picture
 from experiments.figures.trajectory import draw_trajectory
-from experiments.localization.ask_speed import ask_speed, can_ask, parse_speed
 from experiments.localization.diagnosis_report import diagnosis_figures, diagnosis_markdown
 from experiments.localization.log_facts import facts_markdown, log_facts
 from experiments.localization.track_plot import TrackSampler
@@ -35,6 +34,7 @@ from mmwave_env.localization.position_errors import require_risk
 from mmwave_env.localization.track_files import require_own_files, table_beside, track_files
 from mmwave_env.localization.track_scores import Course, Groups, TruthScores
 from mmwave_env.logs.clock import ClockComparison
+from mmwave_env.logs.lines import number
 from mmwave_env.logs.log import LogBlock, read_log
 from mmwave_env.logs.log_tables import LogError
 from mmwave_env.logs.path_log import read_paths
@@ -78,15 +78,15 @@ class ModePlan(NamedTuple):
 
 
 def plan(args: "Args", modes: Sequence[Mode] | Bank) -> ModePlan:
-    """Which pipelines run (Algorithm 1, Step 3), asking for the speed if it is not given."""
+    """Which pipelines run (Algorithm 1, Step 3)."""
     if isinstance(modes, Bank):
         return ModePlan(modes, None, f"of {args.imm} by their probability")
-    if args.speed == "auto":
+    if args.speed in (None, "auto"):
         followed = "odometry's" if args.follow == "odometry" else "the predicted"
         return ModePlan(
             modes, RULES[args.follow], f"by {followed} speed, up to or above {SLOW_MPS:g} m/s"
         )
-    speed = ask_speed() if args.speed is None else parse_speed(args.speed)
+    speed = parse_speed(args.speed)
     mode = modes[int(mode_at(speed))]
     if speed > DESIGN_LIMIT_MPS:
         window = f"outside the design window (up to {DESIGN_LIMIT_MPS:g} m/s)"
@@ -95,6 +95,18 @@ def plan(args: "Args", modes: Sequence[Mode] | Bank) -> ModePlan:
         warnings.warn(f"speed {speed:g} m/s is {window}; falling back to {mode.name}", stacklevel=2)
     side = "up to" if speed <= SLOW_MPS else "above"
     return ModePlan([mode], None, f"for {speed:g} m/s, {side} {SLOW_MPS:g} m/s")
+
+
+def parse_speed(word: str) -> float:
+    """Read a speed in m/s (Algorithm 1, Step 1).
+
+    Raises:
+        ValueError: not a finite number, or negative.
+    """
+    speed = number(word.strip())
+    if not 0.0 <= speed < float("inf"):
+        raise ValueError(f"speed: found {word.strip()!r}, expected a number of m/s, at least 0")
+    return speed
 
 
 # --- what is asked for
@@ -158,10 +170,11 @@ def _check(args: "Args", given: Inputs) -> None:
         for name, found in (("speed", args.speed), ("modes", args.modes)):
             if found is not None:
                 raise ValueError(f"{name}: found {found} with --imm, expected one of them")
-    if (args.imm or args.speed == "auto") and args.outside == "abort":
+    decided = args.speed in (None, "auto")
+    if (args.imm or decided) and args.outside == "abort":
         other = "--imm" if args.imm else "--speed auto"
         raise ValueError(f"outside: found abort with {other}, expected a speed in m/s")
-    if args.speed != "auto" and args.follow == "odometry":
+    if (args.imm or not decided) and args.follow == "odometry":
         raise ValueError("follow: found odometry without --speed auto, expected both")
     if not 2 <= args.window <= LONGEST_WINDOW:
         raise ValueError(
@@ -214,7 +227,7 @@ class Work(NamedTuple):
 
 
 def _work(args: "Args", given: Inputs, scene: Scene, epochs_per_block: int) -> Work:
-    """Open the log, and the truth if there is one; asks for the speed if it is not given."""
+    """Open the log, and the truth if there is one."""
     modes = _modes(args) if args.imm is None else _imm(args, args.imm)
     association = Association(len(scene.anchors_m)) if args.associate else None
     blocks = _blocks(args, given.log, scene, epochs_per_block, association)
@@ -332,8 +345,6 @@ def _diagnose(args: "Args", given: Inputs, scene: Scene, mode: Mode) -> None:
 
 def localized(args: "Args") -> None:
     """Run the command."""
-    if args.speed is None and args.imm is None and not can_ask():
-        args = replace(args, speed="auto")
     given = inputs(args)
     _check(args, given)
     scene = scene_from(given.scene)

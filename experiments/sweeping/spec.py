@@ -10,7 +10,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import MISSING, dataclass, field, fields, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Annotated, Any, Literal, get_type_hints
+from typing import Annotated, Any, get_type_hints
 
 from experiments.console.options import USUAL_EPISODES, ModeArgs, TaskArgs
 from experiments.training.hyperparameters import read_hyperparameters, shipped_hyperparameters
@@ -35,7 +35,6 @@ class Evaluation(ModeArgs):
     reward: str = "tracking"
     episodes: Count = USUAL_EPISODES
     seed: Seed = 0  # of the first episode
-    trust_zip: Literal[False] = False  # a sweep runs no code of files
 
 
 @dataclass(kw_only=True)

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from safetensors import SafetensorError, safe_open
 from safetensors.numpy import save_file
 
-from experiments.evaluation.zip_agent import ZipAgent, in_one_line
+from experiments.evaluation.agents import in_one_line
 from experiments.training.actor import Normalization, actor_tensors, require_actor
 from mmwave_env.files import open_regular
 
@@ -67,29 +67,43 @@ def unzipped(model: Path, normalize: Path | None) -> tuple[dict[str, NDArray[Any
 def _unzip(model: str, normalize: Path | None, out: Path) -> None:
     """What the process does: write tensors, or the reason why there are none."""
     try:
-        agent = ZipAgent(model, trust=True)
+        policy, data = _loaded(model)
         try:
-            require_actor(agent.policy)
+            require_actor(policy)
         except ValueError as error:
-            hint = "" if agent.normalized else "; compare --trust-zip plays it as it is"
-            raise ValueError(f"{model}: {error}{hint}") from error
-        if agent.normalized and normalize is None:
+            raise ValueError(f"{model}: {error}") from error
+        normalized = data.get("_last_original_obs") is not None
+        if data.get("_last_obs") is not None and normalized is (normalize is None):
+            expected = "the file that VecNormalize.save wrote" if normalized else "none"
             raise ValueError(
-                f"{model}: normalize: found none, expected the file that VecNormalize.save wrote, "
-                "as it was trained under it"
+                f"{model}: normalize: found {normalize or 'none'}, expected {expected}, as of its "
+                "training"
             )
-        if normalize is not None and agent.normalized is False:
-            raise ValueError(
-                f"{model}: normalize: found {normalize}, expected none, as it was trained on "
-                "observations as they are"
-            )
-        normal = _normalization(normalize, agent.policy.observation_space)
-        tensors = actor_tensors(agent.policy, normal)
-        told = agent.told | {"network": type(agent.policy).__name__}
-        save_file(tensors | _decisions(agent, normal), out, {"told": json.dumps(told)})
+        normal = _normalization(normalize, policy.observation_space)
+        told = {"seed": data.get("seed"), "timesteps": data.get("num_timesteps")}
+        told |= {"network": type(policy).__name__}
+        tensors = actor_tensors(policy, normal) | _decisions(policy, normal)
+        save_file(tensors, out, {"told": json.dumps(told)})
     except Exception as error:  # the file's own code can raise anything
         reason = str(error) if isinstance(error, ValueError) else f"{model}: {in_one_line(error)}"
         out.with_suffix(".txt").write_text(reason, encoding="utf-8")
+
+
+def _loaded(model: str) -> tuple[Any, dict[str, Any]]:
+    """Load the network of a model, and what else its file tells."""
+    from stable_baselines3.common.save_util import load_from_zip_file
+
+    try:
+        data, parameters, _ = load_from_zip_file(model, device="cpu")
+        assert data is not None
+        spaces = data["observation_space"], data["action_space"]
+        policy = data["policy_class"](*spaces, lambda left: 0.0, **data["policy_kwargs"])
+        policy.load_state_dict(parameters["policy"])
+    except Exception as error:  # pickles can raise anything
+        raise ValueError(
+            f"{model}: not a model of Stable-Baselines3: {in_one_line(error)}"
+        ) from error
+    return policy, data
 
 
 def _normalization(path: Path | None, box: Any) -> Normalization:
@@ -117,11 +131,15 @@ def _normalization(path: Path | None, box: Any) -> Normalization:
     return Normalization(mean - limit, mean + limit, mean, sigma)
 
 
-def _decisions(agent: ZipAgent, normal: Normalization) -> dict[str, NDArray[Any]]:
+def _decisions(policy: Any, normal: Normalization) -> dict[str, NDArray[Any]]:
     """Observations that are made up, and the actions that the model chooses there."""
     low, high, mean, sigma = normal
     spread = np.random.default_rng(0).uniform(-2.0, 2.0, (EPOCHS, EPISODES, len(mean)))
     shown = np.clip(mean + sigma * spread, low, high)
-    agent.reset(np.ones(EPISODES, np.bool_))
-    chosen = [agent(((seen - mean) / sigma).astype(np.float32)) for seen in shown]
+    chosen, state, begins = [], None, np.ones(EPISODES, np.bool_)
+    for seen in shown:
+        normalized = ((seen - mean) / sigma).astype(np.float32)
+        actions, state = policy.predict(normalized, state, begins, deterministic=True)
+        chosen.append(actions)
+        begins = np.zeros(EPISODES, np.bool_)
     return {SHOWN: shown.astype(np.float32), CHOSEN: np.array(chosen)}

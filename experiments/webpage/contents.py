@@ -8,7 +8,7 @@ from experiments.console.tables import HEADERS
 from experiments.evaluation.comparison import Comparison
 from experiments.evaluation.intervals import Interval, rounded
 from experiments.evaluation.positions import HEADER, KINDS, percent, row_of
-from experiments.figures.curves import draw_learning_curves, draw_profiles
+from experiments.figures.curves import draw_learning_curves
 from experiments.figures.errors import draw_consistency, draw_error_cdf
 from experiments.localization.track_report import track_markdown
 from experiments.webpage.markup import drawn, element, html_of, table
@@ -39,7 +39,7 @@ def results_of(source: Source) -> tuple[Verdict, str]:
         more = "" if over == begun else "; mmwave-loc train --resume goes on with the others"
         return Verdict(source.path, said, f"{said}{more}."), "".join(_trainings(source))
     found = Comparison.from_json(source.content)
-    return _verdict(found), "".join(_compared(found, source.content.get("training_seeds", {})))
+    return _verdict(found), "".join(_compared(found))
 
 
 def _verdict(found: Comparison) -> Verdict:
@@ -72,7 +72,7 @@ def _track_verdict(c: Mapping[str, Any]) -> Verdict:
     return Verdict(f"{c['log']}, {c['scene']}", said, f"{'; '.join([said, *off, *broken])}.")
 
 
-def _compared(found: Comparison, trained: Mapping[str, Any]) -> Iterator[str]:
+def _compared(found: Comparison) -> Iterator[str]:
     rows = [
         [name, *(rounded(row[metric]) for metric in METRICS)]
         for name, row in found.policies.items()
@@ -87,10 +87,6 @@ def _compared(found: Comparison, trained: Mapping[str, Any]) -> Iterator[str]:
     ]
     caption = "Differences in pairs of the same episode, with 95 % intervals"
     yield table(caption, ["contender", "minus", "reward", "ATE m"], pairs) if pairs else ""
-    for rival in dict.fromkeys(rival for run in trained.values() for rival in run["minus"]):
-        caption = f"Performance profiles: how often trainings gain so much on {rival}"
-        one = {name: {"minus": {rival: run["minus"][rival]}} for name, run in trained.items()}
-        yield drawn(caption, partial(draw_profiles, one))
 
 
 def _trainings(source: Source) -> Iterator[str]:

@@ -5,7 +5,6 @@ import subprocess
 import sys
 
 import pytest
-from matplotlib.image import imread
 
 from tests.cli import assert_one_clear_line, command, environment, succeed
 from tests.paths import ROOT
@@ -54,9 +53,8 @@ def run(tmp_path):
 def test_a_run_is_compared_over_its_training_seeds(run, tmp_path):
     policies = (run, run / "seed-1" / ".." / "seed-1" / "policy.safetensors", "fixed-ukf", "imm")
     median, one, *_ = names = [str(policy) for policy in policies]
-    file, figure = tmp_path / "all.json", tmp_path / "new/figure.png"
-    shown = succeed("compare", "--policies", *policies, "--episodes", 12, "--json", file,
-                    "--figure", figure)  # fmt: skip
+    file = tmp_path / "all.json"
+    shown = succeed("compare", "--policies", *policies, "--episodes", 12, "--json", file)
     result = json.loads(file.read_text())
     assert list(result["policies"]) == names
     references = ("fixed-ukf", "imm")
@@ -76,8 +74,6 @@ def test_a_run_is_compared_over_its_training_seeds(run, tmp_path):
         means = [seed["mean"] for seed in row["seeds"].values()]
         assert row["mean"]["mean"] == pytest.approx(sum(means) / 3)
     assert "| 0 (median) |" in shown and "minus imm (best IMM)" in shown
-
-    assert (imread(figure) != 1.0).any(axis=2).mean() > 0.05  # not blank
 
 
 @pytest.mark.slow
@@ -114,10 +110,9 @@ MISTAKES = {
     "the run twice": (None, ("RUN/",), "policies: found .*expected no name twice"),
     "no folder": (None, ("runs/never",), "policy: found 'runs/never', expected.*imm.*of a run"),
     "no file": (None, ("never.safetensors",), "never.safetensors: found no such file"),
-    "nobody to compare with": (None, ("--figure", "f.png"), "figure: found nobody.*speed-rule"),
     "not a picture": (None, ("--errors", "f.gif"), "found f.gif.*ends with .png, .svg, .pdf"),
     "one file for two": (
-        None, ("--figure", "f.png", "--errors", "f.png"), "errors: found .*f.png.*another",
+        None, ("--errors", "f.png", "--consistency", "f.png"), "consistency: .*f.png.*another",
     ),
 }  # fmt: skip
 
@@ -131,12 +126,6 @@ def test_a_mistake_ends_with_one_clear_line(run, tmp_path, mistake):
     words = [there.get(word, word) for word in words]
     done = command("compare", "--episodes", "1", "--policies", run, *words)
     assert_one_clear_line(done, f"^mmwave-loc compare: .*{message}")
-
-
-def test_a_figure_needs_a_run(tmp_path):
-    done = command("compare", "--policies", "imm", "--figure", tmp_path / "f.png")
-    assert done.returncode == 2 and done.stdout == ""
-    assert done.stderr.startswith("mmwave-loc compare: figure: found no folder of a run")
 
 
 @pytest.mark.slow

@@ -2,12 +2,8 @@
 
 import csv
 import json
-import os
-import pty
 import re
 import shlex
-import sys
-import time
 
 import numpy as np
 import pytest
@@ -16,9 +12,7 @@ from scipy.interpolate import CubicSpline
 from experiments.console.main import run
 from mmwave_env.logs.tum import read_tum, tum_lines
 from tests.cli import command
-from tests.commands.localizing import EPOCHS, RIDE, WALK, child, figures, lines_of, options, refused
-
-PROMPT = "Enter current speed (m/s): "
+from tests.commands.localizing import EPOCHS, RIDE, WALK, figures, lines_of, options, refused
 
 # --- the speed (Algorithm 1)
 
@@ -74,49 +68,10 @@ def test_what_is_no_speed_is_refused(capsys, word):
     assert f"speed: found {word!r}, expected a number of m/s, at least 0" in line
 
 
-def test_without_a_terminal_the_mode_is_chosen_in_every_epoch(monkeypatch):
-    monkeypatch.setattr(sys, "stdin", None)
+def test_without_a_speed_the_mode_is_chosen_in_every_epoch():
     told, asked = (command("localize", *options(WALK / "log.csv", *more))
                    for more in ((), ("--speed", "auto")))  # fmt: skip
     assert told.returncode == 0 and told.stdout == asked.stdout
-
-
-def session(answers, seconds=60.0):
-    """Answer the prompt on a pseudo-terminal, one answer a prompt; exit code and screen."""
-    ours, theirs = pty.openpty()
-    process = child(options(WALK / "log.csv"), stdin=theirs, stdout=theirs, stderr=theirs)
-    os.close(theirs)
-    screen, asked, end = b"", 0, time.monotonic() + seconds
-    while time.monotonic() < end:
-        try:
-            piece = os.read(ours, 4096)
-        except OSError:  # the other side is closed
-            break
-        if not piece:
-            break
-        screen += piece
-        if screen.count(PROMPT.encode()) > asked < len(answers):
-            os.write(ours, answers[asked])
-            asked += 1
-    os.close(ours)
-    return process.wait(timeout=seconds), screen.decode().replace("\r\n", "\n")
-
-
-@pytest.mark.slow
-def test_on_a_terminal_the_prompt_asks_until_the_answer_is_a_speed():
-    wrong = ["walking", "-1", "nan", "inf", "", "auto"]
-    code, screen = session([f"{word}\n".encode() for word in [*wrong, "1.4"]])
-    assert code == 0 and "ekf 100.0 %" in screen and "NIS" in screen
-    assert screen.count(PROMPT) == len(wrong) + 1
-    for word in wrong:
-        assert f"speed: found {word!r}, expected a number of m/s, at least 0" in screen
-
-
-@pytest.mark.slow
-def test_the_end_of_the_input_ends_the_command():
-    code, screen = session([b"slow\n", b"\x04"])
-    assert code == 2 and "speed: found the end of the input, expected a number of m/s" in screen
-    assert "Traceback" not in screen
 
 
 def test_files_are_looked_at_before_the_question():

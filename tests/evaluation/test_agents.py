@@ -92,8 +92,7 @@ MISTAKES = {
     "my_agents:stumbling": r"RuntimeError: no idea; it was shown observations \(3, 53\) of float32",
     "my_agents": "expected one of .*a .zip .*, module:function.*; my_agents:FUNCTION names an",
     "my_agents.py": "found 'my_agents.py', .*; my_agents:FUNCTION names an agent in a module",
-    "gone.zip": "gone.zip: found no file, expected a model",
-    "mine.zip": "mine.zip: loading .* runs code .*--trust-zip.* convert mine.zip mine.safetensors",
+    "mine.zip": "mine.zip: found a model .*, expected .*; mmwave-loc convert mine.zip mine.safet",
 }
 
 

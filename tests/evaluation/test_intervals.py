@@ -1,21 +1,21 @@
 """Bootstrap intervals, beside scipy's, plain resampling, closed forms and simulated truths."""
 
+from dataclasses import astuple
+
 import numpy as np
 import pytest
 from scipy.stats import bootstrap as scipy_bootstrap
-from scipy.stats import norm, t, trim_mean
+from scipy.stats import norm, t
 
 from experiments.evaluation import intervals
 from experiments.evaluation.intervals import (
     RESAMPLES,
+    Interval,
     bootstrap,
     bootstrap_ratio,
     crossed_bootstrap,
     few_seeds_factor,
-    interquartile_mean,
-    mean,
     rounded,
-    share_above,
 )
 from tests.marks import representative
 
@@ -84,32 +84,7 @@ def test_columns_have_a_ratio_each_and_none_where_there_is_nothing_below():
     assert once.mean == pytest.approx(over[:, 0].sum()) and not once.known  # some draw no such
 
 
-# --- of a distribution
-
-
-def distribution(values, counts):
-    """Sorted values and their distribution function, each value drawn so often."""
-    order = np.argsort(values, kind="stable")
-    return values[order], counts[order].cumsum() / counts.sum()
-
-
-@pytest.mark.parametrize("seed", range(5))
-def test_statistics_of_a_distribution_are_those_of_its_sample(seed):
-    rng = np.random.default_rng(seed)
-    values = rng.normal(size=40).round(1)  # with ties
-    counts = rng.multinomial(40, np.full(40, 1.0 / 40))
-    sample, levels = np.repeat(values, counts), np.linspace(-2.0, 2.0, 41).round(1)
-    sorted_values, F = distribution(values, counts)
-    assert mean(sorted_values, F) == pytest.approx(sample.mean())
-    assert interquartile_mean(sorted_values, F) == pytest.approx(trim_mean(sample, 0.25))
-    shares = share_above(levels)(sorted_values, F)
-    np.testing.assert_allclose(shares, [(sample > level).mean() for level in levels], atol=1e-12)
-
-
 # --- over training seeds
-
-
-STATISTICS = (mean, interquartile_mean, share_above(np.array([0.0, 0.5])))
 
 
 def plain_work(scores, rng, resamples):
@@ -118,52 +93,46 @@ def plain_work(scores, rng, resamples):
     apart = scores.mean(axis=1) - scores.mean()
     moved = scores + ((few_seeds_factor(K) - 1.0) * apart)[:, None]
 
-    def numbers(sample):
-        above = [(sample > level).mean() for level in (0.0, 0.5)]
-        return np.array([sample.mean(), trim_mean(sample, 0.25, axis=None), *above])
-
     found = [
-        numbers(moved[rng.integers(K, size=K)][:, rng.integers(n, size=n)])
-        for _ in range(resamples)
+        moved[rng.integers(K, size=K)][:, rng.integers(n, size=n)].mean() for _ in range(resamples)
     ]
-    return numbers(scores), np.array(found) - numbers(moved)
+    return np.array(found) - moved.mean()
 
 
 def test_seeds_and_episodes_are_resampled_independently():
     rng = np.random.default_rng(0)
     scores = rng.normal(0.3, 0.5, (4, 1)) + rng.normal(size=30) + rng.normal(size=(4, 30))
-    found = crossed_bootstrap(scores, *STATISTICS)
-    center, low, high = (np.concatenate([np.ravel(one[i]) for one in found]) for i in range(3))
-    expected, deviations = plain_work(scores, rng, RESAMPLES)
-    np.testing.assert_allclose(center, expected)
+    found, deviations = crossed_bootstrap(scores), plain_work(scores, rng, RESAMPLES)
+    assert found.mean == pytest.approx(scores.mean())
     margin = 4.5 * np.sqrt(2.0 * 0.025 * 0.975 / RESAMPLES) / norm.pdf(norm.ppf(0.025))
-    for end, quantile in ((low, 2.5), (high, 97.5)):
-        other = expected + np.percentile(deviations, quantile, axis=0)
-        assert (abs(end - other) < margin * deviations.std(axis=0)).all()
+    for end, quantile in ((found.low, 2.5), (found.high, 97.5)):
+        other = scores.mean() + np.percentile(deviations, quantile)
+        assert abs(end - other) < margin * deviations.std()
+
+
+def alike(interval):
+    """The same but for rounding."""
+    return Interval(*(pytest.approx(part) for part in astuple(interval)))
 
 
 def test_one_seed_has_the_interval_of_its_episodes():
     scores = np.random.default_rng(0).exponential(size=(1, 50))
-    ((center, low, high),) = crossed_bootstrap(scores, mean)
-    (expected,) = bootstrap(scores.T)
-    assert (center, low, high) == pytest.approx((expected.mean, expected.low, expected.high))
+    assert crossed_bootstrap(scores) == alike(*bootstrap(scores.T))
 
 
 def test_equal_seeds_have_the_interval_of_their_episodes():
     episodes = np.random.default_rng(0).exponential(size=50)
-    ((center, low, high),) = crossed_bootstrap(np.tile(episodes, (5, 1)), mean)
-    (expected,) = bootstrap(episodes[:, None])
-    assert (center, low, high) == pytest.approx((expected.mean, expected.low, expected.high))
+    assert crossed_bootstrap(np.tile(episodes, (5, 1))) == alike(*bootstrap(episodes[:, None]))
 
 
 @pytest.mark.parametrize("K", [5, 30])
 def test_where_seeds_alone_differ_the_interval_is_student_s(K):
     seeds = np.random.default_rng(1).normal(size=K)
-    ((center, low, high),) = crossed_bootstrap(np.tile(seeds[:, None], (1, 10)), mean)
+    found = crossed_bootstrap(np.tile(seeds[:, None], (1, 10)))
     half = t.ppf(0.975, K - 1) * seeds.std(ddof=1) / np.sqrt(K)
     # The bootstrap distribution of few seeds is as skewed as they are, and not quite normal.
-    assert center == pytest.approx(seeds.mean())
-    assert high - low == pytest.approx(2.0 * half, rel=0.06)
+    assert found.mean == pytest.approx(seeds.mean())
+    assert found.high - found.low == pytest.approx(2.0 * half, rel=0.06)
 
 
 def test_few_seeds_have_wider_intervals():
@@ -184,14 +153,14 @@ def fewer_resamples(monkeypatch):
 
 
 def coverage(K, spread, trials=400, episodes=40):
-    """Share of intervals of the mean and interquartile mean that hold the true one, zero."""
-    rng, held = np.random.default_rng(K), np.zeros(2)
+    """Share of intervals that hold the true mean, zero."""
+    rng, held = np.random.default_rng(K), 0
     of_seeds, of_episodes, of_both = spread
     for _ in range(trials):
         scores = of_seeds * rng.normal(size=(K, 1)) + of_episodes * rng.normal(size=episodes)
         scores = scores + of_both * rng.normal(size=(K, episodes))
-        found = crossed_bootstrap(scores, mean, interquartile_mean)
-        held += [low <= 0.0 <= high for _, low, high in found]
+        found = crossed_bootstrap(scores)
+        held += found.low <= 0.0 <= found.high
     return held / trials
 
 
@@ -203,11 +172,10 @@ def test_intervals_hold_the_truth_as_often_as_they_say(K, spread):
     found = coverage(K, SPREADS[spread])
     # Three standard errors of 400 trials are 0.033. A little under in small samples, and a
     # little over where the interaction of seeds and episodes counts twice (Owen 2007).
-    assert (found > 0.91).all() and (found < 0.99).all(), found
+    assert 0.91 < found < 0.99
 
 
 @pytest.mark.usefixtures("fewer_resamples")
 def test_plain_percentiles_over_five_seeds_would_say_too_much(monkeypatch):
     monkeypatch.setattr(intervals, "few_seeds_factor", lambda seeds: 1.0)
-    of_mean, _ = coverage(5, SPREADS["seeds"])
-    assert 0.80 < of_mean < 0.89
+    assert 0.80 < coverage(5, SPREADS["seeds"]) < 0.89

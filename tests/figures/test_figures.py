@@ -12,7 +12,7 @@ from matplotlib.image import imread
 from experiments.evaluation.contenders import contender_from
 from experiments.evaluation.histories import history_of
 from experiments.evaluation.seeds import draw_episodes
-from experiments.figures.canvas import caption, contenders, lines_of, picture
+from experiments.figures.canvas import caption, contenders, picture
 from experiments.figures.curves import draw_learning_curves
 from experiments.figures.errors import draw_consistency, draw_error_cdf
 from experiments.figures.timeline import draw_histories, draw_timeline
@@ -142,10 +142,3 @@ def test_a_long_title_is_as_narrow_as_the_picture(tmp_path):
         ink = (imread(tmp_path / "a.png")[..., :3] < 0.5).all(axis=2)
         widths[title] = ink[:18].any(axis=0).nonzero()[0].max() / ink.shape[1]
     assert max(widths.values()) < 0.99 < 3.0 * widths["n" * 20] + 0.5
-
-
-def test_names_are_never_cut():
-    names = ["imm-extended-limited", "imm", "x" * 60, "y"]
-    lines = lines_of(names, 26)
-    assert "".join(lines).replace(" ", "").split(",") == names
-    assert all(len(line) <= 28 or "x" * 60 in line for line in lines)

@@ -117,7 +117,6 @@ RATE = "[search]\ntrials = 3\ntotal_timesteps = 5\nhyperparameters."
         (POLICY + "radio = 3\n", "evaluate.radio: found 3, expected str"),
         (POLICY + "episodes = 0\n", "evaluate.episodes: found 0, expected an integer of 1 to"),
         (POLICY + "dt = [-inf]\n", "evaluate.dt: found -inf, expected a number"),
-        (POLICY + "trust_zip = true\n", "evaluate.trust_zip: found True, expected one of False"),
         ("[evaluate]\npolicy = []\n", "policy: found \\[\\], expected values, each once"),
         ('[evaluate]\npolicy = ["imm", "imm"]\n', "expected values, each once"),
         (TRAIN + 'algo = "dqn"\n', "train.algo: found 'dqn', expected one of ppo"),

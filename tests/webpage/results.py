@@ -35,12 +35,6 @@ def comparison(names=("imm", "speed-rule"), **more):
     } | more
 
 
-def profiles():
-    """Of the trainings of a run with a name that others chose, beside one rival."""
-    profile = {"above": [-1.0, 1.0], "share": [0.9, 0.1], "low": [0.8, 0.0], "high": [1.0, 0.2]}
-    return {HOSTILE: {"minus": {"imm": {"profile": profile}}}}
-
-
 def run(folder: Path, over=2):
     """A folder as train leaves it: two trainings are begun, so many are over."""
     for seed in range(2):

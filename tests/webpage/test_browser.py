@@ -18,7 +18,7 @@ def address(tmp_path_factory):
     """Of a page with everything on it."""
     folder = tmp_path_factory.mktemp("report")
     names = (HOSTILE, "imm", "speed-rule", "fixed-ekf", "fixed-ukf", "random")
-    content = results.comparison(names, training_seeds=results.profiles())
+    content = results.comparison(names)
     files = [write(folder / "r.json", content), results.run(folder / "run")]
     again = write(folder / "again.json", content)
     succeed("report", *files, again, "--out", folder / "report.html")

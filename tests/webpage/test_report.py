@@ -148,17 +148,12 @@ def test_a_track_can_be_watched_with_its_gates(tmp_path, track):
 
 
 def test_what_is_not_played_again_leaves_the_tables(tmp_path, track):
-    asked = "mmwave-loc localize log.csv --scene street"
-    typed = write(tmp_path / "t.json", track | {"command": asked, "imm": None})
+    gone = track | {"command": "mmwave-loc localize gone.csv --scene street"}
     wrong = results.comparison(command="mmwave-loc compare --no-such-option")
-    others = write(tmp_path / "o.json", results.comparison(("os:getcwd", "never.zip")))
-    page = report(tmp_path, write(tmp_path / "r.json", wrong), typed, others)
-    for words in (
-        "no-such-option",
-        "its speed was typed",
-        "os:getcwd was not",
-        "never.zip was not",
-    ):
+    others = write(tmp_path / "o.json", results.comparison(("os:getcwd", "never:made")))
+    gone = write(tmp_path / "t.json", gone)
+    page = report(tmp_path, write(tmp_path / "r.json", wrong), gone, others)
+    for words in ("no-such-option", "gone.csv", "os:getcwd was not", "never:made was not"):
         assert words in page.text
     assert page.text.count("it is code of its own") == page.text.count("Means ±") == 2
 
@@ -182,7 +177,6 @@ def test_names_of_others_neither_break_the_page_nor_act_in_it(tmp_path, track):
         scenario=HOSTILE,
         policies=policies,
         paired={f"{HOSTILE} - {HOSTILE}2": results.metrics(1.0)},
-        training_seeds=results.profiles(),
     )
     log = write(tmp_path / "t.json", track | {"log": HOSTILE, "modes": {HOSTILE: 40}})
     run = results.run(tmp_path / "$<b>|日本")
