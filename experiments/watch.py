@@ -10,7 +10,6 @@ from experiments.console.options import ModeArgs, WorldArgs
 
 if TYPE_CHECKING:
     from experiments.evaluation.contenders import Contender
-    from experiments.evaluation.seeds import Selection
     from mmwave_env.models.scene import Streets
     from mmwave_env.numerics.numbers import Array
     from mmwave_env.rendering.history import History
@@ -86,7 +85,6 @@ def main(args: Args) -> None:
     from experiments.evaluation.asked import contender_of, task_of
     from experiments.evaluation.histories import history_of
     from experiments.evaluation.runner import PLAIN, Scoring
-    from experiments.evaluation.seeds import Selection
 
     _check(args)
     contenders = [contender_of(args, name) for name in args.policies]
@@ -94,8 +92,7 @@ def main(args: Args) -> None:
         ride, scoring = _logged(args), PLAIN
     else:
         task = task_of(args)
-        scoring, keys = Scoring.of(task), None if args.key is None else [args.key]
-        ride = _drawn(task, Selection.of(task.source, None, args.seed, keys, usual=1))
+        scoring, ride = Scoring.of(task), _drawn(task, args.seed, args.key)
     with progress("filtering"):
         histories = [history_of(one, ride.episode, scoring, ride.streets) for one in contenders]
     rows = _between(histories[0].time_s, args.begin, args.end)
@@ -159,12 +156,27 @@ def _logged(args: Args) -> Ride:
     return Ride(replace(episode, name=name), streets, f"{name}, no truth, begun at {begin_s:g} s")
 
 
-def _drawn(task: "Task", selection: "Selection") -> Ride:
+def _drawn(task: "Task", seed: int | None, key: int | None) -> Ride:
     """The episode that is asked for."""
-    (episode,), keys = selection.draw(task.source), selection.keys(task.source)
+    import numpy as np
+
+    from experiments.evaluation.seeds import Selection
+    from mmwave_env.world.keys import key_from
+    from mmwave_env.world.simulated import SimulatedSource
+
+    if key is None:
+        selection = Selection.of(1, seed, 1)
+        (episode,), keys = selection.draw(task.source), selection.keys(task.source)
+        which = f"seed {selection.seeds[0]}"
+    elif seed is not None:
+        raise ValueError(f"key: found beside seed {seed}, expected one of them")
+    elif not isinstance(task.source, SimulatedSource):
+        raise ValueError("key: found one, but recorded episodes have none: expected a seed")
+    else:
+        keys, which = np.array([key_from(key)], np.uint64), f"key {key}"
+        (episode,) = task.source.episodes(keys)
     streets = task.streets_of(0 if keys is None else int(keys[0]))
-    kind = "key" if selection.keyed else "seed"
-    return Ride(episode, streets, f"{episode.name}, {kind} {selection.numbers[0]}")
+    return Ride(episode, streets, f"{episode.name}, {which}")
 
 
 def _between(time_s: "Array", begin: float | None, end: float | None) -> Sequence[int]:

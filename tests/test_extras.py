@@ -21,7 +21,6 @@ EXTRAS = PROJECT.split("[project.optional-dependencies]\n")[1].split("\n[")[0]
         ("matplotlib", ["compare", "--policies", "fixed-ekf", "--errors"]),
         ("matplotlib", ["tables", "--out"]),
         ("filterpy", ["speed", "--json"]),
-        ("matplotlib", ["compare", "--policies", "fixed-ekf", "--errors"]),
         ("pyarrow", ["evaluate", "--epochs-parquet"]),
     ],
     ids=lambda value: value if isinstance(value, str) else " ".join(map(str, value[::-3])),

@@ -68,7 +68,7 @@ def results(
     require_options(args, pictures)
     task, runs = task_of(args), runs_of(args, names)
     source, scoring = task.source, Scoring.of(task)
-    selection = selection_of(args, source)
+    selection = selection_of(args)
     if bound and args.planar:
         raise ValueError("bound: found with planar, whose bound there is not; expected one of them")
     files = {name: runs[name].policy if name in runs else name for name in names}

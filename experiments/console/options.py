@@ -93,9 +93,6 @@ class EpisodeArgs(ModeArgs, IntegrityArgs, EpisodeResultArgs):
     seed: int | None = None
     """seed of the first episode (0 where none is given); test seeds start at 0, tuning seeds at
     5000000"""
-    keys: tuple[int, ...] | None = None
-    """keys of simulated episodes to play in place of those of seeds, as --episodes-csv and the
-    environment's infos tell them"""
     reward: str = "tracking"
     """tracking or log-score"""
 

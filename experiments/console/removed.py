@@ -27,6 +27,7 @@ OPTIONS = {
     "--engine": "a sweep runs on Ray, on one machine or by --address on a cluster",
     "--figure": "--episodes-csv of several runs has what performance profiles are made of",
     "--format": "simulate writes a log with scene and truth, which --data and localize take",
+    "--keys": "watch --key plays an episode by its key, as env.reset does",
     "--stanford": "--percentiles tells protection levels and how often errors exceed them",
     "--trust-zip": "convert makes a policy file of a model; module:function plays others",
     "--training": "docs/performance.md has the figures",

@@ -47,9 +47,9 @@ def source_of(args: WorldArgs) -> EpisodeSource:
     return _task(args, [Mode("none")]).source
 
 
-def selection_of(args: EpisodeArgs, source: EpisodeSource) -> Selection:
+def selection_of(args: EpisodeArgs) -> Selection:
     """Which episodes are asked for."""
-    return Selection.of(source, args.episodes, args.seed, args.keys, USUAL_EPISODES)
+    return Selection.of(args.episodes, args.seed, USUAL_EPISODES)
 
 
 def world_arguments(args: WorldArgs) -> dict[str, Any]:

@@ -3,7 +3,7 @@
 import os
 import sys
 import warnings
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from numbers import Integral
@@ -56,7 +56,6 @@ def compare(
     observation: str = "full",
     data: str | os.PathLike[str] | EpisodeSource | None = None,
     beliefs: str = "shared",
-    keys: Iterable[int] | None = None,
     **world: Any,
 ) -> Comparison:
     """Agents of one's own and known contenders on the same episodes.
@@ -76,7 +75,6 @@ def compare(
             environment. Policy files say it themselves; "imm" among the policies is over these
             modes, with the transition and quantile of a bank or of a file that says them.
         data: recorded or own episodes, as of the environment's ``episodes``.
-        keys: of simulated episodes to play in place of those of seeds, as infos tell them.
         world: further arguments of the environment: ``scene``, ``dt``, ``episode_steps``,
             ``planar``, ``odometry``, ``reward``.
 
@@ -85,9 +83,8 @@ def compare(
         those beside them as ``mmwave-loc compare`` shows them. ``print`` shows it as Markdown.
 
     Raises:
-        ValueError: no dict of policies, unknown scenario, radio or contender, a name or a
-            key twice, no number of episodes, a key that is none or beside ``episodes``, ``seed`` or
-            recorded data, or an agent that can't be loaded, fails, or returns no actions:
+        ValueError: no dict of policies, unknown scenario, radio or contender, a name twice, no
+            number of episodes, or an agent that can't be loaded, fails, or returns no actions:
             before an episode runs.
         FileNotFoundError: there is no such file.
     """
@@ -102,7 +99,7 @@ def compare(
         )
     task = task_from(scenario=scenario, radio=radio, episodes=data, **world)
     scoring = Scoring.of(task)
-    selection = Selection.of(task.source, episodes, seed, keys, USUAL_EPISODES)
+    selection = Selection.of(episodes, seed, USUAL_EPISODES)
 
     def contender(name: str, agent: Agent) -> Contender:
         if not isinstance(agent, (str, os.PathLike)):

@@ -56,11 +56,7 @@ class Comparison:
             return {k: {m: Interval.of(i) for m, i in row.items()} for k, row in rows}
 
         policies = sorted(table("policies").items(), key=lambda row: -row[1]["reward"].mean)
-        if keys := content.get("keys"):
-            selection = Selection(keys, True)
-        else:
-            first = content["seed"]
-            selection = Selection(range(first, first + content["episodes"]))
+        selection = Selection.of(content["episodes"], content["seed"], 0)
         what = content["scenario"], content["radio"], selection
         return cls(*what, dict(policies), table("paired"))
 
@@ -117,7 +113,7 @@ class Comparison:
 def episodes_csv(scores: dict[str, Scores], selection: Selection, source: EpisodeSource) -> str:
     """Every metric of every contender and episode as CSV, a row each.
 
-    An episode of a seed shows its key, too, where it has one; "seed" of a key is empty.
+    An episode shows its key, too, where it has one.
 
     Args:
         scores: of :func:`~experiments.evaluation.runner.score_contenders`.
@@ -127,7 +123,7 @@ def episodes_csv(scores: dict[str, Scores], selection: Selection, source: Episod
     rows = csv.writer(table, lineterminator="\n")
     columns = (*METRICS, *TERMS)
     rows.writerow(["policy", "seed", "key", *columns])
-    seeds, keys = selection.seeds(), selection.keys(source)
+    seeds, keys = selection.seeds, selection.keys(source)
     which = list(zip(seeds, [None] * len(seeds) if keys is None else keys.tolist(), strict=True))
     for name, metrics in scores.items():
         values = zip(*(metrics[metric].tolist() for metric in columns), strict=True)

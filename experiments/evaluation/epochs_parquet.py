@@ -27,7 +27,7 @@ from mmwave_env.world.episode import Episode, EpisodeSource
 PARTS = ("x", "P", "memory.mode", "memory.nis", "memory.accepted")  # of the state, for its columns
 COLUMNS = {  # name: type of pyarrow, and what it is
     "policy": ("string", "name"),
-    "seed": ("int64", "of the episode; null where keys were named"),
+    "seed": ("int64", "of the episode"),
     "key": ("uint64", "of the episode; null of recorded ones"),
     "epoch": ("int32", "number in the episode, from 0"),
     "time_s": ("float64", "since the first epoch"),
@@ -97,7 +97,7 @@ def epochs_parquet(
             part = selection.part(taken[contender.name], len(episodes))
             taken[contender.name] += len(episodes)
             columns = {
-                "policy": _named(np.zeros(told["nees"].shape, int), [names[contender.name]]),
+                "policy": np.array(printable(names[contender.name]), object),
                 **_which(part, source, episodes),
                 "mode": _mode(contender, told),
                 **_positions(episodes, told, risk, planar),
@@ -134,49 +134,40 @@ def _schema(source: EpisodeSource, risk: float) -> Any:
 
 
 def _table(columns: Mapping[str, Any], schema: Any) -> Any:
-    """Of columns (n, T), which are null where they are masked; those of text are pyarrow's."""
+    """Of columns that spread to (n, T), null where they are masked."""
     import pyarrow
 
     def column(field: Any) -> Any:
-        values = columns[field.name]
-        if not isinstance(values, np.ndarray):
-            return values
+        values = np.broadcast_to(columns[field.name], shape, subok=True)
         null = np.ma.getmaskarray(values).ravel()
         return pyarrow.array(np.ma.getdata(values).ravel(), field.type, mask=null)
 
+    shape = columns["nees"].shape
     return pyarrow.table([column(field) for field in schema], schema=schema)
-
-
-def _named(numbers: Any, names: Sequence[str]) -> Any:
-    """A column of text from numbers (n, T) of names."""
-    from pyarrow import DictionaryArray, array, string
-
-    codes = array(np.ravel(numbers), "int32")
-    return DictionaryArray.from_arrays(codes, array([*map(printable, names)])).cast(string())
 
 
 def _which(part: Selection, source: EpisodeSource, episodes: Sequence[Episode]) -> dict[str, Any]:
     """Which epoch it is, of which episode."""
-    shape = len(episodes), len(episodes[0])
-    keys, nothing = part.keys(source), np.zeros(shape[0], np.int64)
-    seed: Any = np.ma.array(nothing if part.keyed else part.numbers, mask=part.keyed)
-    key: Any = np.ma.array(nothing if keys is None else keys, mask=keys is None)
-    time_s = np.stack([episode.time_s - episode.time_s[0] for episode in episodes])
-    counts = np.zeros(shape, bool)
-    counts[:, scored(shape[1])] = True
+    epochs, keys = len(episodes[0]), part.keys(source)
+    counts = np.zeros(epochs, bool)
+    counts[scored(epochs)] = True
+    key: Any = np.ma.masked_all((len(episodes), epochs), np.uint64)
+    if keys is not None:
+        key = keys[:, None]
     return {
-        "seed": seed.repeat(shape[1]),
-        "key": key.repeat(shape[1]),
-        "epoch": np.broadcast_to(np.arange(shape[1]), shape),
-        "time_s": time_s,
+        "seed": np.array(part.seeds)[:, None],
+        "key": key,
+        "epoch": np.arange(epochs),
+        "time_s": np.stack([episode.time_s - episode.time_s[0] for episode in episodes]),
         "counts": counts,
     }
 
 
 def _mode(contender: Contender, told: EpochResults) -> Any:
     if "mode" in told:
-        return _named(told["mode"], contender.actions)
-    return _named(told["memory.mode"].astype(int), [mode.name for mode in contender.modes])
+        return np.array(contender.actions, object)[told["mode"]]
+    names = [mode.name for mode in contender.modes]
+    return np.array(names, object)[told["memory.mode"].astype(int)]
 
 
 def _positions(

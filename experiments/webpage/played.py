@@ -72,20 +72,19 @@ def play(source: Source, most: int, watched: int) -> Played:
     found, names = Played(), ranking(source.content["policies"])
     try:
         args = arguments_of(source)
-        if args.keys is None:
-            args = replace(args, episodes=min(most, source.content["episodes"]))
+        args = replace(args, episodes=min(most, source.content["episodes"]))
         task = task_of(args)
         scoring, chosen = Scoring.of(task), _contenders(args, names, found.missing)
-        selection = selection_of(args, task.source).part(0, most)
+        selection = selection_of(args)
         batch = selection.draw(task.source)[:watched]
     except (ValueError, OSError) as error:
         return Played(missing={"": str(error)})
     alike = {name: name for name in names}
     found.which, found.epochs = str(selection), EpochErrors(alike)
     found.positions = Positions(alike, args.risk, scoring.planar)
-    keys, kind = selection.keys(task.source), "key" if selection.keyed else "seed"
-    for i, (one, number) in enumerate(zip(batch, selection.numbers, strict=False)):
-        name = f"{task.source.name}: {one.name}, {kind} {number}"
+    keys = selection.keys(task.source)
+    for i, (one, seed) in enumerate(zip(batch, selection.seeds, strict=False)):
+        name = f"{task.source.name}: {one.name}, seed {seed}"
         streets = task.streets_of(0 if keys is None else int(keys[i]))
         assert one.truth_position_m is not None and one.truth_velocity_mps is not None
         speed_mps = np.linalg.norm(one.truth_velocity_mps, axis=1)

@@ -87,31 +87,6 @@ def test_the_table_of_episodes_has_a_row_for_every_policy_and_seed(results):
             assert np.mean(values) == pytest.approx(interval["mean"])
 
 
-@pytest.fixture
-def by_keys(results, tmp_path):
-    """The same of the keys that the table names."""
-    keys = [row["key"] for row in results[1] if row["policy"] == "fixed-ekf"]
-    files = ("--json", tmp_path / "k.json", "--episodes-csv", tmp_path / "k.csv")
-    shown = succeed("compare", *TWO[:3], *TWO[5:7], "--keys", *keys, *files)
-    with (tmp_path / "k.csv").open() as file:
-        return (
-            keys,
-            shown,
-            json.loads((tmp_path / "k.json").read_text()),
-            list(csv.DictReader(file)),
-        )
-
-
-def test_keys_of_the_table_give_the_same_figures_to_the_last_digit(results, by_keys):
-    keys, shown, found, rows = by_keys
-    assert shown.startswith("### mixed, handset, 2 episodes by their keys\n")
-    assert found["keys"] == [int(key) for key in keys] and "seed" not in found
-    assert all(found[part] == results[0][part] for part in ("episodes", "policies", "paired"))
-    assert rows == [row | {"seed": ""} for row in results[1]]
-    assert shlex.join(["--keys", *keys]) in found["command"]
-    pytest.importorskip("jsonschema").validate(found, SCHEMA)
-
-
 def test_the_key_of_a_seed_is_that_of_the_environment(results):
     env = gymnasium.make("MmWaveLoc-v0", episode_steps=15)
     assert {row["key"] for row in results[1] if row["seed"] == "5"} == {
@@ -131,16 +106,6 @@ def test_recorded_episodes_have_seeds_and_no_keys(tmp_path):
 
 MANY, RECORDED = ("--episodes", 10**9), ("--data", "canyon28_vehicle")
 REFUSED = {
-    "no key": (("--keys",), "keys: found none, expected at least 1"),
-    "no number": (("--keys", "first"), "keys: found 'first', expected a whole number"),
-    "too large": (("--keys", 2**64), "keys: .*found 18446744073709551616, expected an integer"),
-    "below 0": (("--keys", -1), "keys: .*found -1, expected an integer from 0"),
-    "twice": (("--keys", 3, 4, 3), "keys: found 3 2 times, expected each key once"),
-    "a seed": (("--keys", 3, "--seed", 0), "keys: found beside seed 0, expected keys alone"),
-    "how many": (("--keys", 3, "--episodes", 1000), "keys: found beside episodes 1000, expected"),
-    "recorded": (
-        ("--keys", 3, "--data", "canyon28_vehicle"), "keys: found 1, but .* recorded .*: expected n"
-    ),
     "no risk": ((*MANY, "--risk", 0), "risk: found 0, expected more than 0"),
     "a time step": ((*RECORDED, "--dt", "0.5"), "dt: found .*, but recorded episodes bring it$"),
     "odometry": ((*RECORDED, "--odometry"), "odometry: found .*, but recorded episodes bring it$"),

@@ -2,16 +2,14 @@
 
 import warnings
 
-import gymnasium as gym
 import numpy as np
 import pytest
 
 from experiments.comparing.results import results
 from experiments.console.options import EpisodeArgs
-from experiments.evaluation.compare import compare, evaluate
+from experiments.evaluation.compare import compare
 from mmwave_env.metrics import METRICS
 from mmwave_env.models.measurement import Layout
-from mmwave_env.world.keys import keys_of
 from tests.training.actors import HANDSET
 
 
@@ -32,7 +30,7 @@ def test_always_the_second_mode_scores_exactly_what_fixed_ukf_does():
         return np.ones(len(observations), int)
 
     found = compare({"mine": act}, beside=("fixed-ukf", "imm"), episodes=3, seed=4)
-    assert (found.scenario, found.radio, *found.selection.seeds()) == ("mixed", "handset", 4, 5, 6)
+    assert (found.scenario, found.radio, *found.selection.seeds) == ("mixed", "handset", 4, 5, 6)
     assert list(found.policies) == ["mine", "fixed-ukf", "imm"]
     assert found.policies["mine"] == found.policies["fixed-ukf"]
     for metric in METRICS:
@@ -143,52 +141,6 @@ def test_the_modes_of_beliefs_per_mode_are_by_default_those_of_the_best_imm():
     for radio in ("handset", "standard"):
         found = compare({"none": none}, ("imm-best",), None, radio, 2, beliefs="per-mode")
         assert abs(found.paired["none - imm-best"]["reward"].mean) < 1e-9
-
-
-def test_keys_of_seeds_give_the_same_figures_to_the_last_digit():
-    what = {"policies": {"second": "fixed-ukf"}, "beside": ("imm",), "episode_steps": 20}
-    by_seeds = compare(**what, episodes=5)
-    by_keys = compare(**what, keys=keys_of(range(5)))
-    assert (by_keys.policies, by_keys.paired) == (by_seeds.policies, by_seeds.paired)
-    (first, *_), again = str(by_keys).splitlines(), str(by_seeds).splitlines()
-    assert first == "### mixed, handset, 5 episodes by their keys"
-    assert str(by_keys).splitlines()[1:] == again[1:]
-
-
-def test_the_key_that_a_reset_tells_is_played():
-    env = gym.make("MmWaveLoc-v0", episode_steps=20)
-    _, info = env.reset(seed=3)
-    key = info["episode_key"]
-    by_key = evaluate("fixed-ukf", keys=[key], episode_steps=20)
-    by_seed = evaluate("fixed-ukf", episodes=1, seed=3, episode_steps=20)
-    (title, *table), (other, *same) = str(by_key).splitlines(), str(by_seed).splitlines()
-    assert title == f"### mixed, handset, 1 episode, by its key {key}, too few for intervals"
-    assert other == "### mixed, handset, 1 episode, seed 3, too few for intervals"
-    assert table == same
-
-
-@pytest.mark.parametrize(
-    ("where", "message"),
-    [
-        ({"keys": [-1]}, r"keys: .*found -1, expected an integer from 0 to 2\*\*64 - 1"),
-        ({"keys": [2**64]}, r"keys: .*found 18446744073709551616, expected an integer from 0"),
-        ({"keys": [1.0]}, r"keys: .*found 1.0, expected an integer"),
-        ({"keys": 5}, "keys: found 5, expected a list of keys"),
-        ({"keys": "56"}, "keys: found '56', expected a list of keys"),
-        ({"keys": []}, "keys: found none, expected at least 1"),
-        ({"keys": [7, 8, 7]}, "keys: found 7 2 times, expected each key once"),
-        ({"keys": [7], "seed": 0}, "keys: found beside seed 0, expected keys alone"),
-        ({"keys": [7], "episodes": 1}, "keys: found beside episodes 1, expected keys alone"),
-        (
-            {"keys": [7], "data": "canyon28_vehicle"},
-            "keys: found 1, but 'canyon28_vehicle' is recorded or a source of your own; only",
-        ),
-        ({"keys": [7], "data": Own()}, "keys: found 1, but 'own' is recorded or a source of your"),
-    ],
-)
-def test_keys_that_are_none_are_refused(where, message):
-    with pytest.raises(ValueError, match=f"^{message}"):
-        compare({}, ("imm",), **where)
 
 
 @pytest.mark.slow
