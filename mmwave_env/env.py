@@ -167,7 +167,7 @@ class MmWaveLocEnv(Environment, gym.Env[NDArray[np.float32], np.int64]):
     * `planar`: flat terrain: z and vz are known.
     * `odometry`: the user also measures speed and heading.
     * `terminate_on_divergence`: see Episode End.
-    * `render_mode`: "rgb_array" or "human", a window in which `h` lists the keys; needs the extra
+    * `render_mode`: "rgb_array" or "human", a window whose title names its keys; needs the extra
       `render`.
     * `render_size`, `render_theme`: height and width of pictures, 480 (default) to 1080; "light"
       (default) or "dark".

@@ -31,11 +31,7 @@ class View(NamedTuple):
     def pixels(self, points_m: Array) -> Array:
         """Where points (n, 2 or more) of the map are in the picture, (n, 2)."""
         offset = (points_m[:, :2] - self.center_m) * self.scale
-        middle = (
-            self.frame.left + self.frame.width / 2.0,
-            self.frame.top + self.frame.height / 2.0,
-        )
-        return middle + offset * (1.0, -1.0)
+        return self.frame.center + offset * (1.0, -1.0)
 
     @property
     def extent_m(self) -> tuple[Array, Array]:
@@ -77,20 +73,14 @@ def follow(history: History, frame: Rect) -> View:
 
 def clipped(start: Point, end: Point, frame: Rect) -> tuple[Point, Point] | None:
     """The part of a line that is in a frame (Liang and Barsky 1984); None where none is."""
-    (x, y), (dx, dy) = start, (end[0] - start[0], end[1] - start[1])
-    first, last = 0.0, 1.0
-    for step, room in (
-        (-dx, x - frame.left), (dx, frame.right - x), (-dy, y - frame.top), (dy, frame.bottom - y),
-    ):  # fmt: skip
-        if step == 0.0:
-            if room < 0.0:
-                return None
-            continue
-        at = room / step
-        first, last = (max(first, at), last) if step < 0.0 else (first, min(last, at))
-    if first > last:
+    begin, way = np.array(start), np.subtract(end, start)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        shares = (np.array([frame.topleft, frame.bottomright]) - begin) / way
+    first = np.nanmax(shares.min(axis=0), initial=0.0)
+    last = np.nanmin(shares.max(axis=0), initial=1.0)
+    if not first <= last:
         return None
-    return (x + first * dx, y + first * dy), (x + last * dx, y + last * dy)
+    return tuple((begin + np.outer((first, last), way)).tolist())
 
 
 def nice(value: float) -> float:

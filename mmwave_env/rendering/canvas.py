@@ -3,12 +3,11 @@
 import math
 import os
 from functools import lru_cache
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from mmwave_env.lookup import spelled
 from mmwave_env.numerics.numbers import Array
 from mmwave_env.rendering.theme import Color
 
@@ -16,36 +15,9 @@ os.environ.setdefault("PYGAME_HIDE_SUPPORT_PROMPT", "1")  # it would go to stand
 import pygame
 
 Point = tuple[float, float]
+Rect = pygame.FRect  # a part of a picture, px from its upper left corner
 _TIMES = 2  # shapes are drawn so many times as large and made small again: smooth edges
 _FAR = 1e4  # px; what is farther out is not told apart
-
-
-class Rect(NamedTuple):
-    """A part of a picture, px from its upper left corner."""
-
-    left: float
-    top: float
-    width: float
-    height: float
-
-    @property
-    def right(self) -> float:
-        """Its right edge."""
-        return self.left + self.width
-
-    @property
-    def bottom(self) -> float:
-        """Its lower edge."""
-        return self.top + self.height
-
-    def inset(self, by: float) -> "Rect":
-        """The part of it that is so far from its edges."""
-        return Rect(self.left + by, self.top + by, self.width - 2.0 * by, self.height - 2.0 * by)
-
-    def overlaps(self, other: "Rect") -> bool:
-        """Whether they share more than an edge."""
-        across = self.left < other.right and other.left < self.right
-        return across and self.top < other.bottom and other.top < self.bottom
 
 
 class Canvas:
@@ -107,13 +79,13 @@ class Canvas:
         """Write a line, its middle height at a point; returns what it covers.
 
         Args:
-            text: from :func:`printable`, if it is anybody else's.
+            text: from :func:`~mmwave_env.lookup.printable`, if it is anybody else's.
             at: its left end, or its right end with ``align`` 1, or its middle with 0.5.
             color: of the letters.
             size: in units.
             align: share of its width that lies left of the point.
         """
-        drawn = written(text, color, round(size * self.unit))
+        drawn = _font(round(size * self.unit)).render(text, True, color)
         width, height = drawn.get_size()
         place = Rect(at[0] - align * width, at[1] - height / 2.0, width, height)
         self._words.append((drawn, (round(place.left), round(place.top))))
@@ -145,37 +117,10 @@ class Canvas:
         return max(1, round(units * self.unit * _TIMES))
 
 
-def printable(text: str) -> str:
-    """A name on one line, with its code in place of what has no letter in the font."""
-    words = " ".join(text.split())
-    return "".join(char if _has_letter(char) else spelled(char) for char in words)
-
-
-@lru_cache(maxsize=1024)
-def _has_letter(char: str) -> bool:
-    """Whether the font has a letter of its own for it."""
-    if char.isascii():
-        return char.isprintable()
-    if not char.isprintable():
-        return False
-    font = _font(15)
-    drawn, none = (
-        pygame.image.tobytes(font.render(one, False, (0, 0, 0), (255, 255, 255)), "RGB")
-        for one in (char, "\ue000")
-    )
-    return bool(drawn != none)
-
-
 @lru_cache(maxsize=32)
 def _font(size: int) -> Any:
     pygame.font.init()
     return pygame.font.Font(None, size)
-
-
-@lru_cache(maxsize=512)
-def written(text: str, color: Color, size: int) -> Any:
-    """A surface with a line of words, so many px high."""
-    return _font(size).render(text, True, color)
 
 
 def _large(points: Array) -> Array:
@@ -185,9 +130,7 @@ def _large(points: Array) -> Array:
 
 
 def _scaled(part: Rect) -> tuple[int, int, int, int]:
-    left, top, right, bottom = (
-        round(edge * _TIMES) for edge in (part.left, part.top, part.right, part.bottom)
-    )
+    left, top, right, bottom = (round(edge * _TIMES) for edge in (*part.topleft, *part.bottomright))
     return left, top, right - left, bottom - top
 
 

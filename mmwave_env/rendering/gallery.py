@@ -73,9 +73,7 @@ class Gallery:
 
             self._picture = Picture(*self._drawn_by)
         drawn = [self._picture.draw(recorder.history) for recorder in self.recorders]
-        if (missing := self._n - len(drawn)) > 0:
-            blank = self._picture.blank(f"{len(drawn)} of {self._n} environments are drawn")
-            drawn += [blank] * missing
+        drawn += [np.zeros_like(drawn[0])] * (self._n - len(drawn))
         return tuple(drawn)
 
     def show(self, picture: NDArray[np.uint8]) -> None:

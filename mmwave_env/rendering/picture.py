@@ -5,9 +5,9 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from mmwave_env.lookup import choose
+from mmwave_env.lookup import choose, printable
 from mmwave_env.rendering.camera import follow
-from mmwave_env.rendering.canvas import Canvas, Rect, printable
+from mmwave_env.rendering.canvas import Canvas, Rect
 from mmwave_env.rendering.history import History
 from mmwave_env.rendering.street_map import draw_map
 from mmwave_env.rendering.strips import draw_strips
@@ -73,13 +73,6 @@ class Picture:
         self._draw_key(history, below - links / 2.0)
         draw_strips(canvas, Rect(0.0, below, self._size, strips), history, theme, beside)
         self._draw_modes(history, self._size - legend)
-        return canvas.finish()
-
-    def blank(self, words: str) -> NDArray[np.uint8]:
-        """Words alone, (size, size, 3)."""
-        canvas, middle = self._canvas, self._size / 2.0
-        canvas.fill(self._theme.paper)
-        canvas.words(words, (middle, middle), self._theme.quiet, align=0.5)
         return canvas.finish()
 
     def _draw_header(self, history: History, y: float) -> None:

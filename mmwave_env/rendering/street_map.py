@@ -59,7 +59,7 @@ def _blocks(extent_m: tuple[float, float], block_m: float, low: float, high: flo
 
 def _box(view: View, corners_m: Array) -> Rect:
     """South-west and north-east corners (2, 2) as a part of the picture, no larger than needed."""
-    frame = view.frame.inset(-2.0)
+    frame = view.frame.inflate(4.0, 4.0)
     (left, bottom), (right, top) = np.clip(
         view.pixels(corners_m), (frame.left, frame.top), (frame.right, frame.bottom)
     )
@@ -136,27 +136,24 @@ def runs(modes: Index) -> list[tuple[int, int]]:
     return list(pairwise([0, *changes.tolist(), len(modes)]))
 
 
-def _draw_scale(canvas: Canvas, view: View, theme: Theme, taken: list[Rect]) -> None:
-    """A bar of a round length, in a lower corner that nothing has taken."""
-    unit, frame = canvas.unit, view.frame
+def _draw_scale(canvas: Canvas, view: View, theme: Theme) -> Rect:
+    """A bar of a round length in the lower right corner; returns what it covers."""
+    unit = canvas.unit
     length = nice(110.0 * unit / view.scale)
-    width, height = length * view.scale + 12.0 * unit, 25.0 * unit
-    corners = [
-        Rect(left, frame.bottom - height - 2.0 * unit, width, height)
-        for left in (frame.right - width - 4.0 * unit, frame.left + 4.0 * unit)
-    ]
-    place = _free_plate(canvas, corners, theme, taken)
-    bar, tick = place.inset(6.0 * unit), np.array([0.0, 3.0 * unit])
-    ends = np.array([[bar.left, bar.bottom], [bar.right, bar.bottom]])
+    place = Rect(0.0, 0.0, length * view.scale + 12.0 * unit, 25.0 * unit)
+    place.bottomright = view.frame.right - 4.0 * unit, view.frame.bottom - 2.0 * unit
+    _draw_plate(canvas, place, theme)
+    bar, tick = place.inflate(-12.0 * unit, -12.0 * unit), np.array([0.0, 3.0 * unit])
+    ends = np.array([bar.bottomleft, bar.bottomright])
     for line in (ends, ends[:1] + [-tick, tick], ends[1:] + [-tick, tick]):
         canvas.line(line, theme.ink, 1.2)
-    middle = (bar.left + bar.width / 2.0, bar.bottom - 10.0 * unit)
-    canvas.words(f"{length:g} m", middle, theme.ink, 14, 0.5)
+    canvas.words(f"{length:g} m", (bar.centerx, bar.bottom - 10.0 * unit), theme.ink, 14, 0.5)
+    return place
 
 
 def _draw_anchors(canvas: Canvas, view: View, history: History, theme: Theme) -> None:
     """The anchors, or arrows at the rim towards those outside, with their distance; the scale."""
-    inner = view.frame.inset(7.0 * canvas.unit)
+    inner = view.frame.inflate(-14.0 * canvas.unit, -14.0 * canvas.unit)
     user, here = _point(view, history.user[-1]), history.user[-1, :3]
     around = 9.0 * canvas.unit
     names: list[tuple[str, Point]] = []
@@ -177,7 +174,7 @@ def _draw_anchors(canvas: Canvas, view: View, history: History, theme: Theme) ->
         names.append((name, at))
     symbols = [user, _point(view, history.estimate[-1]), *(at for _, at in names)]
     taken = [Rect(x - around, y - around, 2.0 * around, 2.0 * around) for x, y in symbols]
-    _draw_scale(canvas, view, theme, taken)
+    taken.append(_draw_scale(canvas, view, theme))
     for name, at in names:
         _label(canvas, name, at, view.frame, theme, taken)
 
@@ -195,26 +192,22 @@ def _label(
 ) -> None:
     """A name near a point, inside the frame, where nothing is taken if there is such a place."""
     unit = canvas.unit
-    width, height = canvas.width_of(text, 14) + 6.0 * unit, 15.0 * unit
-    room, gap = frame.inset(2.0 * unit), 10.0 * unit
-    places = []
-    for row in (0, 1, -1, 2, -2, 3, -3):
-        top = min(max(at[1] + (row - 0.5) * height, room.top), room.bottom - height)
-        for beside in (at[0] + gap, at[0] - gap - width, at[0] - width / 2.0):
-            left = min(max(beside, room.left), room.right - width)
-            places.append(Rect(left, top, width, height))
-    place = _free_plate(canvas, places, theme, taken)
-    canvas.words(text, (place.left + 3.0 * unit, place.top + height / 2.0), theme.ink, 14)
-
-
-def _free_plate(canvas: Canvas, places: list[Rect], theme: Theme, taken: list[Rect]) -> Rect:
-    """Quiet ground under words, in the first of some places that is not taken, or the first."""
-    place = next((one for one in places if not any(map(one.overlaps, taken))), places[0])
+    width, height, gap = canvas.width_of(text, 14) + 6.0 * unit, 15.0 * unit, 10.0 * unit
+    places = [
+        Rect(left, at[1] + (row - 0.5) * height, width, height).clamp(frame)
+        for row in (0, 1, -1, 2, -2)
+        for left in (at[0] + gap, at[0] - gap - width)
+    ]
+    place = next((one for one in places if one.collidelist(taken) < 0), places[0])
     taken.append(place)
-    left, top, right, bottom = place.left, place.top, place.right, place.bottom
-    corners = np.array([[left, top], [right, top], [right, bottom], [left, bottom]])
-    canvas.polygon(corners, theme.paper, 0.8)
-    return place
+    _draw_plate(canvas, place, theme)
+    canvas.words(text, (place.left + 3.0 * unit, place.centery), theme.ink, 14)
+
+
+def _draw_plate(canvas: Canvas, place: Rect, theme: Theme) -> None:
+    """Quiet ground under words."""
+    corners = [place.topleft, place.topright, place.bottomright, place.bottomleft]
+    canvas.polygon(np.array(corners), theme.paper, 0.8)
 
 
 def _point(view: View, position_m: Array) -> Point:

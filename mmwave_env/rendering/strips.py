@@ -73,9 +73,10 @@ def draw_strips(
     shown = (_speed, _error, _nees) if history.has_truth else (_speed, _radius, _nis)
     for i, make in enumerate(shown):
         strip = _on_one_scale(make(history, rows), [make(other, rows) for other in beside])
-        plot = lane._replace(top=place.top + i * height + 2.0 * unit, height=height - 4.0 * unit)
+        top = place.top + i * height + 2.0 * unit
+        plot = Rect(lane.left, top, lane.width, height - 4.0 * unit)
         _draw_strip(canvas, place, plot, strip, x, modes, theme)
-    lane = lane._replace(top=place.top + 3.0 * height + 1.0, height=ribbon)
+    lane = Rect(lane.left, place.top + 3.0 * height + 1.0, lane.width, ribbon)
     _draw_ribbon(canvas, place, lane, x, modes, theme)
     _draw_clock(canvas, lane, (first, last), theme)
 
@@ -183,8 +184,7 @@ def _draw_ribbon(
 ) -> None:
     """Which mode ran when, with its number where there is room."""
     unit = canvas.unit
-    middle = lane.top + lane.height / 2.0
-    canvas.words("mode", (place.left + 8.0 * unit, middle), theme.ink, 15)
+    canvas.words("mode", (place.left + 8.0 * unit, lane.centery), theme.ink, 15)
     canvas.fill(theme.ground, lane)
     if len(x) == 0:
         return
@@ -193,9 +193,11 @@ def _draw_ribbon(
         left, right = float(ends[begin]), min(float(ends[end]), lane.right)
         mode = int(modes[begin])
         color = theme.mode(mode)
-        canvas.fill(color, lane._replace(left=left, width=right - left))
+        canvas.fill(color, Rect(left, lane.top, right - left, lane.height))
         if right - left > 12.0 * unit:
-            canvas.words(str(mode), ((left + right) / 2.0, middle), _readable_on(color), 13, 0.5)
+            canvas.words(
+                str(mode), ((left + right) / 2.0, lane.centery), _readable_on(color), 13, 0.5
+            )
 
 
 def _readable_on(color: tuple[int, int, int]) -> tuple[int, int, int]:

@@ -13,7 +13,7 @@ import pytest
 from mmwave_env.env import MmWaveLocEnv
 from mmwave_env.models.scene import Streets
 from mmwave_env.rendering.camera import clipped, follow
-from mmwave_env.rendering.canvas import Rect, printable
+from mmwave_env.rendering.canvas import Rect
 from mmwave_env.rendering.history import NO_MODE, History, Scenery
 from mmwave_env.rendering.picture import Picture
 from mmwave_env.rendering.theme import THEMES
@@ -235,19 +235,8 @@ def test_an_estimate_that_is_no_number_breaks_nothing():
 # --- names
 
 
-@pytest.mark.parametrize(
-    ("name", "shown"),
-    [
-        ("$x^2$\n two", "$x^2$ two"),
-        ("a\x00b\x1b[31m", r"a\x00b\x1b[31m"),
-        ("Привет λ", "Привет λ"),
-        ("中", r"\u4e2d"),
-        ("\ud800", r"\ud800"),
-        ("", ""),
-    ],
-)
-def test_names_are_on_one_line_and_can_be_told_apart(name, shown):
-    assert printable(name) == shown
+@pytest.mark.parametrize("name", ["$x^2$\n two", "a\x00b\x1b[31m", "Привет λ", "中", "\ud800", ""])
+def test_any_name_can_be_drawn(name):
     assert drawn([name, "x" * 500], name=name * 50).shape == (480, 480, 3)
 
 
@@ -354,4 +343,5 @@ def test_the_picture_moves_smoothly():
     ],
 )
 def test_lines_are_cut_at_the_frame(start, end, inside):
-    assert clipped(start, end, Rect(0, 0, 10, 10)) == inside
+    found = clipped(start, end, Rect(0, 0, 10, 10))
+    assert found is None if inside is None else np.array_equal(found, inside)

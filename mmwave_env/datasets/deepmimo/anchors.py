@@ -86,15 +86,6 @@ def propagation(angles: Array, sight: Array, direct: Mask) -> Array:
 _FLAT = 0.7  # a mirror's normal rises more than it leads sideways: ground, not wall
 _ROW_KEYS = ("delay", "aoa_az", "aoa_el", "aod_az")  # where the rows of a link come from
 _TOLERANCES = (2.0 * TOLERANCE_M, 0.02, 0.02, 0.02)  # m, rad; tells conventions, not noise
-# Mistakes that explain wrong numbers: one is named and never undone, as a file that is wrong in one
-# way may be wrong in another.
-_CLOSE = 0.01  # of a distance; of 1 - cos of an angle
-_TIMES = {"milliseconds": 1e-3, "microseconds": 1e-6, "nanoseconds": 1e-9, "there-and-back": 0.5}
-_ANGLES: dict[str, Callable[[Array, Array], tuple[Array, Array]]] = {  # azimuth, zenith angle
-    "radians": lambda azimuth, zenith: (np.degrees(azimuth), np.degrees(zenith)),
-    "elevations above the horizon": lambda azimuth, zenith: (azimuth, PI / 2 - zenith),
-    "bearings clockwise from the y axis": lambda azimuth, zenith: (PI / 2 - azimuth, zenith),
-}
 
 
 @dataclass(frozen=True, eq=False)
@@ -213,8 +204,6 @@ def _require_geometry(
         n, p, row = (int(i) for i in np.argwhere(wrong)[0])
         key, seen_from = _ROW_KEYS[row], anchors[member[n, p]].round(4)
         expected = f"{exact[n, p, row]:.4f}, seen from the anchor {seen_from}"
-        if mistake := _likely_mistake(paths, position_m, key):
-            expected += f"; the numbers look like {mistake}"
         paths.refuse(key, n, f"{LINK[row]} {rows[n, p, row]:.4f} on path {p}", expected)
 
 
@@ -225,32 +214,3 @@ def _require_loss(paths: StationPaths, member: NDArray[np.int_]) -> None:
         n, p = (int(i) for i in np.argwhere(wrong)[0])
         expected = "a gain of at most 0 dB: are the numbers powers, not dB?"
         paths.refuse("power", n, f"{paths.gain_db[n, p]:.4g} dB on path {p}", expected)
-
-
-def _likely_mistake(paths: StationPaths, position_m: Array, key: str) -> str:
-    """What the numbers of a key look like on lines of sight, such as "nanoseconds"; "" for none.
-
-    Args:
-        paths: with a line of sight somewhere.
-        position_m: (E, 3) of the receivers.
-        key: ``delay``, or one of ``aoa_az``, ``aoa_el``, ``aod_az``, ``aod_el``.
-    """
-    epoch, path = np.nonzero(paths.interactions == LINE_OF_SIGHT)
-    sight = position_m[epoch] - paths.position_m
-    distance = np.linalg.norm(sight, axis=1)
-    if key == "delay":
-        length = SPEED_OF_LIGHT * paths.delay_s[epoch, path]
-        wrong = {name: abs(length * unit - distance) / distance for name, unit in _TIMES.items()}
-    else:
-        angles = paths.arrival if key.startswith("aoa") else paths.departure
-        azimuth, zenith = angles[epoch, path].T
-        along = {name: _cosine(*undo(azimuth, zenith), sight) for name, undo in _ANGLES.items()}
-        wrong = {name: 1.0 - abs(np.median(cosine)) for name, cosine in along.items()}
-    return next((name for name, error in wrong.items() if np.median(error) < _CLOSE), "")
-
-
-def _cosine(azimuth: Array, zenith: Array, sight: Array) -> Array:
-    """Cosines (M,) of the angles between directions and lines of sight (M, 3)."""
-    level = np.sin(zenith)
-    unit = np.stack([level * np.cos(azimuth), level * np.sin(azimuth), np.cos(zenith)], axis=-1)
-    return np.asarray(np.sum(unit * sight, axis=-1) / np.linalg.norm(sight, axis=-1))

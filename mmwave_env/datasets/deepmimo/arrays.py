@@ -1,4 +1,4 @@
-"""Arrays of a DeepMIMO v4 scenario: one in each .npz, .npy or .mat file, and never a pickle."""
+"""Arrays of a DeepMIMO v4 scenario: one in each .npz or .npy file, and never a pickle."""
 
 import math
 import zipfile
@@ -10,12 +10,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mmwave_env.datasets.deepmimo.matlab import read_matlab
 from mmwave_env.numerics.numbers import Array
 from mmwave_env.world.checks import refuse_in
 
 Shape = tuple[int | str, ...]
-SUFFIXES = (".npz", ".npy", ".mat")  # the first there is counts
+SUFFIXES = (".npz", ".npy")  # the first there is counts
 MOST_BYTES = 2**29  # of an array in memory
 
 
@@ -30,7 +29,7 @@ def find_array(folder: Path, name: str) -> Path:
         if file.exists():
             return file
     raise FileNotFoundError(
-        f"{files[0]}: found no such file in the scenario, nor .npy or .mat, expected one"
+        f"{files[0]}: found no such file in the scenario, nor .npy, expected one"
     )
 
 
@@ -70,8 +69,6 @@ def _stored(file: Path, key: str) -> NDArray[Any]:
     """The array as it is stored; of an .npy file it stays on disk."""
     if file.suffix == ".npy":
         return np.asanyarray(np.lib.format.open_memmap(file, mode="r"))
-    if file.suffix == ".mat":
-        return read_matlab(file, key, MOST_BYTES)
     with zipfile.ZipFile(file) as archive:
         names = [name.removesuffix(".npy") for name in archive.namelist()]
         if key not in names:
@@ -98,5 +95,5 @@ def _readable(file: Path, key: str) -> Iterator[None]:
     except Exception as error:
         raise ValueError(
             f"{file}: {key}: found no readable array ({' '.join(str(error).split())}), expected an "
-            ".npz, .npy or .mat file of numbers"
+            ".npz or .npy file of numbers"
         ) from error

@@ -1,7 +1,7 @@
 """DeepMIMO v4 scenario folders: from files to checked paths.
 
 A scenario is a folder with ``params.json`` and one array a file, named
-``{key}_t{txset}_tx{tx}_r{rxset}.npz`` (or ``.npy``, ``.mat``). A dynamic one has such files in one
+``{key}_t{txset}_tx{tx}_r{rxset}.npz`` (or ``.npy``). A dynamic one has such files in one
 sub-folder a scene, whose sorted order is that of time. Neither times nor velocities are stored.
 """
 
@@ -27,7 +27,7 @@ from mmwave_env.numerics.numbers import Array, Mask
 from mmwave_env.world.checks import refuse_in
 
 PARAMS = "params.json"  # by which a folder is known as a scenario
-_RECEIVERS = re.compile(r"rx_pos_(t\d+_tx\d+)_r(\d+)\.(?:npz|npy|mat)")
+_RECEIVERS = re.compile(r"rx_pos_(t\d+_tx\d+)_r(\d+)\.(?:npz|npy)")
 
 
 @dataclass(frozen=True)
@@ -206,7 +206,7 @@ def _stations(scene: Path, receiver_set: int | None) -> tuple[str, tuple[str, ..
     links = sorted(m.groups() for f in scene.iterdir() if (m := _RECEIVERS.fullmatch(f.name)))
     if not links:
         raise FileNotFoundError(
-            f"{scene}: found no rx_pos_t*_tx*_r*.npz, .npy or .mat, expected the receivers of a "
+            f"{scene}: found no rx_pos_t*_tx*_r*.npz or .npy, expected the receivers of a "
             "DeepMIMO v4 scenario"
         )
     sets = sorted({number for _, number in links})

@@ -4,7 +4,6 @@ import json
 import shutil
 
 import numpy as np
-from scipy.io import savemat
 
 from mmwave_env.models.measurement import SPEED_OF_LIGHT
 from tests.paths import RECORDINGS
@@ -18,7 +17,6 @@ TRUTH = "trajectory.csv"
 SAVE = {  # how an array becomes a file, by its suffix
     ".npz": lambda file, key, array: np.savez_compressed(file, **{key: array}),
     ".npy": lambda file, key, array: np.save(file, array),
-    ".mat": lambda file, key, array: savemat(file, {key: array}, do_compression=True),
 }
 
 

@@ -13,7 +13,6 @@ from tests.datasets.deepmimo.scenarios import (
     KEYS,
     LINK,
     PEDESTRIAN,
-    VEHICLE,
     edit,
     load,
     reflect,
@@ -158,26 +157,18 @@ def put(degrees, radians):
 
 
 MISTAKES = {
-    "milliseconds": ("delay", lambda a: 1e3 * a, "delay"),
-    "microseconds": ("delay", lambda a: 1e6 * a, "delay"),
-    "nanoseconds": ("delay", lambda a: 1e9 * a, "delay"),
-    "there-and-back": ("delay", lambda a: 2.0 * a, "delay"),
-    "radians": ("aoa", np.radians, "aoa_"),
-    "elevations above the horizon": ("aoa_el", lambda a: 90.0 - a, "aoa_el"),
-    "bearings clockwise from the y axis": ("aoa_az", lambda a: 90.0 - a, "aoa_az"),
+    "delay": lambda a: 1e9 * a,
+    "aoa_az": lambda a: 90.0 - a,
+    "aoa_el": lambda a: 90.0 - a,
 }
 
 
-@pytest.mark.parametrize("source", [VEHICLE, PEDESTRIAN])
-@pytest.mark.parametrize("mistake", MISTAKES)
-def test_a_mistake_in_a_unit_or_a_convention_is_named(tmp_path, source, mistake):
-    folder = shortened(tmp_path / "walk", 30, source=source)
-    keys, spoil, named = MISTAKES[mistake]
-    for key in (key for key in KEYS if key.startswith(keys)):
-        edit(folder, key, spoil)
-    with pytest.raises(ValueError, match=f"{named}.* of receiver 0, expected") as error:
+@pytest.mark.parametrize("key", MISTAKES)
+def test_a_mistake_in_a_unit_or_a_convention_is_refused(tmp_path, key):
+    folder = shortened(tmp_path / "walk", 30)
+    edit(folder, key, MISTAKES[key])
+    with pytest.raises(ValueError, match=f"{key}.* of receiver 0, expected .* seen from the anch"):
         read_deepmimo(folder)
-    assert str(error.value).endswith(f"; the numbers look like {mistake}"), error.value
 
 
 def test_powers_that_are_no_decibels_are_refused(tmp_path):

@@ -4,14 +4,12 @@ import io
 import struct
 import tracemalloc
 import zipfile
-import zlib
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as stn
-from scipy.io import savemat
 
 from mmwave_env.datasets.deepmimo import arrays
 from mmwave_env.datasets.deepmimo.arrays import find_array, read_array
@@ -39,21 +37,17 @@ def room(tmp_path_factory):
 )
 def test_chosen_rows_are_numpys(room, array, suffix, order, data):
     file = room / f"delay{suffix}"
-    native = array.astype(array.dtype.newbyteorder("=")) if suffix == ".mat" else array
-    native = native.astype(np.float32) if native.dtype == np.float16 else native
-    while native.ndim > 2 and native.shape[-1] == 1:  # MATLAB drops these
-        native = native[..., 0]
-    SAVE[suffix](file, "delay", np.asarray(native, order=order))
-    rows = data.draw(st.lists(st.integers(0, len(native) - 1), max_size=12))
-    shape = tuple("NPIX"[: native.ndim])
+    SAVE[suffix](file, "delay", np.asarray(array, order=order))
+    rows = data.draw(st.lists(st.integers(0, len(array) - 1), max_size=12))
+    shape = tuple("NPIX"[: array.ndim])
     found = read_array(file, "delay", shape, np.array(rows, int))
     assert found.dtype == float
-    np.testing.assert_array_equal(found, native[rows])
-    np.testing.assert_array_equal(read_array(file, "delay", shape), native)
+    np.testing.assert_array_equal(found, array[rows])
+    np.testing.assert_array_equal(read_array(file, "delay", shape), array)
 
 
 def test_the_first_format_there_is_counts(tmp_path):
-    for suffix in (".mat", ".npy", ".npz"):
+    for suffix in (".npy", ".npz"):
         SAVE[suffix](tmp_path / f"delay{suffix}", "delay", np.zeros((2, 2)))
         assert find_array(tmp_path, "delay").suffix == suffix
     with pytest.raises(FileNotFoundError, match="power.npz: found no such file"):
@@ -82,18 +76,6 @@ def forged_size(content, size):
     return bytes(archive)
 
 
-def mat(array, dims=None, data_kind=None):
-    """A MATLAB file, not compressed, whose header is forged."""
-    buffer = io.BytesIO()
-    savemat(buffer, {"delay": array})
-    content = bytearray(buffer.getvalue())
-    if dims:
-        struct.pack_into("<ii", content, content.index(struct.pack("<ii", *array.shape)), *dims)
-    if data_kind:
-        struct.pack_into("<I", content, content.index(b"delay") + 8, data_kind)
-    return bytes(content)
-
-
 BODY = bytes(4 * 12)
 FORGED = {
     "1e12 rows": (".npy", npy_header((10**12, 3)) + BODY),
@@ -112,15 +94,6 @@ FORGED = {
     "4 GB claimed": (".npz", forged_size(npy_header((10**9 // 3, 3)) + BODY, 2**32 - 2)),
     "another name": (".npz", in_archive(b"", "../delay.npy")),
     "no archive": (".npz", b"PK\x03\x04"),
-    "too many MATLAB rows": (".mat", mat(np.zeros((4, 3)), (2**30, 3))),
-    "more MATLAB columns": (".mat", mat(np.zeros((4, 3)), (4, 4))),
-    "a kind of MATLAB numbers that there is not": (".mat", mat(np.zeros((4, 3)), data_kind=0x7A)),
-    "MATLAB words": (".mat", mat(np.array(["abc"]))),
-    "MATLAB complex": (".mat", mat(np.ones((4, 3)) * 1j)),
-    "MATLAB cell": (".mat", mat(np.array([[1, "a"]], object))),
-    "MATLAB 7.3": (".mat", b"MATLAB 7.3 MAT-file, Platform: GLNXA64" + bytes(600)),
-    "no MATLAB": (".mat", bytes(1000)),
-    "MATLAB cut off": (".mat", mat(np.zeros((4, 3)))[:-8]),
 }
 
 
@@ -145,12 +118,11 @@ def test_a_bomb_is_refused_by_what_it_would_take(tmp_path, monkeypatch):
     most = 2**20
     monkeypatch.setattr(arrays, "MOST_BYTES", most)
     zeros = np.zeros((most // 8 + 1, 1))
-    for suffix, words in ((".npz", "an .npy file may be larger"), (".mat", "or more than 1048576")):
-        file = tmp_path / f"delay{suffix}"
-        SAVE[suffix](file, "delay", zeros)
-        assert file.stat().st_size < 2**13
-        with pytest.raises(ValueError, match=words):
-            read_array(file, "delay", ANY)
+    file = tmp_path / "delay.npz"
+    SAVE[".npz"](file, "delay", zeros)
+    assert file.stat().st_size < 2**13
+    with pytest.raises(ValueError, match="an .npy file may be larger"):
+        read_array(file, "delay", ANY)
 
 
 def test_of_an_npy_file_only_the_rows_wanted_are_in_memory(tmp_path, monkeypatch):
@@ -179,17 +151,6 @@ def test_a_damaged_archive_is_found_wherever_it_is_damaged(tmp_path):
         read_array(file, "delay", ANY, np.array([0]))
 
 
-def test_damaged_compression_of_matlab_is_found(tmp_path):
-    file = tmp_path / "delay.mat"
-    SAVE[".mat"](file, "delay", np.arange(500.0).reshape(100, 5))
-    content = bytearray(file.read_bytes())
-    content[-2] ^= 1  # its checksum
-    file.write_bytes(content)
-    with pytest.raises(ValueError, match="no readable array") as error:
-        read_array(file, "delay", ANY)
-    assert isinstance(error.value.__cause__, zlib.error)
-
-
 @settings(max_examples=150, deadline=None)
 @given(
     suffix=st.sampled_from(sorted(SAVE)),
@@ -201,9 +162,7 @@ def test_damaged_compression_of_matlab_is_found(tmp_path):
 def test_random_damage_is_refused_or_harmless(room, suffix, packed, cut, flips):
     file = room / f"power{suffix}"
     array = np.arange(60, dtype=np.float32).reshape(20, 3)
-    if suffix == ".mat" and not packed:
-        savemat(file, {"power": array})
-    elif suffix == ".npz" and not packed:
+    if suffix == ".npz" and not packed:
         np.savez(file, power=array)
     else:
         SAVE[suffix](file, "power", array)

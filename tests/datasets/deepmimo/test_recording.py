@@ -254,10 +254,6 @@ DAMAGE = {
         lambda f: edit(f, "tx_pos", lambda a: np.tile(a, (2, 1))),
         ["tx_pos", "(2, 3)", "(1, 3)"],
     ),
-    "MATLAB": (
-        lambda f: (f / f"power_{LINK}.npz").rename(f / f"power_{LINK}.mat"),
-        [f"power_{LINK}.mat", "no file of MATLAB 5 to 7"],
-    ),
     "empty file": (write(f"delay_{LINK}.npz", b""), ["delay", "no readable array"]),
     "not a zip": (write(f"delay_{LINK}.npz", b"PK\x03\x04 nonsense"), ["delay", "no readable"]),
     "another key": (
