@@ -151,12 +151,10 @@ def _which(part: Selection, source: EpisodeSource, episodes: Sequence[Episode]) 
     epochs, keys = len(episodes[0]), part.keys(source)
     counts = np.zeros(epochs, bool)
     counts[scored(epochs)] = True
-    key: Any = np.ma.masked_all((len(episodes), epochs), np.uint64)
-    if keys is not None:
-        key = keys[:, None]
+    none: Any = np.ma.array(np.zeros((len(episodes), epochs), np.uint64), mask=True)
     return {
         "seed": np.array(part.seeds)[:, None],
-        "key": key,
+        "key": none if keys is None else keys[:, None],
         "epoch": np.arange(epochs),
         "time_s": np.stack([episode.time_s - episode.time_s[0] for episode in episodes]),
         "counts": counts,

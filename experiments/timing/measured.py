@@ -35,7 +35,6 @@ from mmwave_env.world.travel import stride_of
 FRESH_RUNS = 3  # of every process, at most: they take seconds
 FRESH_SIZES = 3  # the largest ones; others are no different from the smallest of them
 STEP = "step"  # of the whole environment, among the kernels
-BETWEEN_ENDS = "_between_ends"
 
 Rounds = dict[str, list[float]]
 
@@ -44,29 +43,20 @@ Rounds = dict[str, list[float]]
 class Rates:
     """What a workload did, per round."""
 
-    steps_per_s: list[float] = field(default_factory=list)  # with the ends of episodes
-    # steps per second while no episode ends; empty where nobody tells
-    between_ends: list[float] = field(default_factory=list)
+    steps_per_s: list[float] = field(default_factory=list)
     cores: list[float] = field(default_factory=list)  # seconds of processor per second
 
     def measure(self, laps: Laps, seconds: float) -> None:
         """Add a round: whole episodes, for at least that long, without garbage collection."""
-        steps, spent = {True: 0, False: 0}, {True: 0.0, False: 0.0}
         gc.collect()
         gc.disable()
-        busy, ends = time.process_time(), False
-        while sum(spent.values()) < seconds or not ends:
-            begin = time.perf_counter()
-            lap = next(laps)
-            ends = lap.ends
-            spent[ends] += time.perf_counter() - begin
-            steps[ends] += lap.steps
-        total = sum(spent.values())
-        self.cores.append((time.process_time() - busy) / total)
+        busy, begin = time.process_time(), time.perf_counter()
+        steps = next(laps)
+        while (spent := time.perf_counter() - begin) < seconds:
+            steps += next(laps)
+        self.cores.append((time.process_time() - busy) / spent)
         gc.enable()
-        self.steps_per_s.append(sum(steps.values()) / total)
-        if steps[False]:
-            self.between_ends.append(steps[False] / spent[False])
+        self.steps_per_s.append(steps / spent)
 
 
 class Measured:
@@ -148,14 +138,18 @@ class Measured:
 
     def fractions(self) -> Rounds:
         """Limit of a core over the time taken, of the kernels and what they are in."""
-        taken = {name: (name, rates.steps_per_s) for name, rates in self.filters.items()}
-        for name in self.natives(1):
-            taken[name] = (STEP, self.rates[name].steps_per_s)
-            taken[name + BETWEEN_ENDS] = (STEP, self.rates[name].between_ends)
+        taken = self.filters | {name: self.rates[name] for name in self.natives(1)}
         return {
-            name: [limit * rate for limit, rate in zip(self.limits_s[kernel], rates, strict=True)]
-            for name, (kernel, rates) in taken.items()
+            name: [
+                limit * rate
+                for limit, rate in zip(self.limits_of(name), rates.steps_per_s, strict=True)
+            ]
+            for name, rates in taken.items()
         }
+
+    def limits_of(self, name: str) -> list[float]:
+        """Seconds of a step of a workload on one core, at least."""
+        return self.limits_s[name if name in self.filters else STEP]
 
     def json(self) -> dict[str, Any]:
         """Medians, with their spread over the rounds apart."""
@@ -166,9 +160,6 @@ class Measured:
             "steps_per_s": {name: one.steps_per_s for name, one in rates.items()},
             "cold_start_s": self.cold_start_s,
             "peak_rss_mb": self.peak_mb,
-            "between_ends_steps_per_s": {
-                name: one.between_ends for name, one in rates.items() if one.between_ends
-            },
             "cores_busy": {name: one.cores for name, one in rates.items()},
             "limit_s": self.limits_s,
         }

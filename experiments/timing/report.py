@@ -12,13 +12,7 @@ import numba
 import numpy as np
 
 from experiments.console.tables import grid
-from experiments.timing.measured import (
-    BETWEEN_ENDS,
-    STEP,
-    Measured,
-    Rates,
-    quotients,
-)
+from experiments.timing.measured import Measured, Rates, quotients
 from experiments.timing.workloads import FILTERS, SYNC, SYNC_NAME, THREADS
 
 LABELS = {
@@ -26,7 +20,6 @@ LABELS = {
     "single": "single environment",
     SYNC_NAME: f"Gymnasium's sync vector of {SYNC}",
     "cartpole": "CartPole-v1, single",
-    STEP: "step of the environment",
 } | {name: name.upper() for name in FILTERS}
 
 
@@ -72,11 +65,10 @@ def _ratios(measured: Measured) -> str:
 
 def _rates(measured: Measured) -> str:
     def row(name: str, rates: Rates) -> list[str]:
-        between = spread(rates.between_ends) if rates.between_ends else ""
         cost = short(1e9 / median(rates.steps_per_s))
-        return [label(name), spread(rates.steps_per_s), between, cost, f"{median(rates.cores):.2f}"]
+        return [label(name), spread(rates.steps_per_s), cost, f"{median(rates.cores):.2f}"]
 
-    header = ["", "steps per second", "between ends of episodes", "ns a step", "cores busy"]
+    header = ["", "steps per second", "ns a step", "cores busy"]
     return grid(header, [row(*one) for one in measured.rates.items()])
 
 
@@ -88,22 +80,13 @@ def _filters(measured: Measured) -> str:
     return grid(["filter", "epochs per second", "ns an epoch"], rows)
 
 
-def limited(measured: Measured) -> dict[str, tuple[list[float], list[float]]]:
-    """Limit of the core and time taken, seconds a step of one thread, by label."""
-    found = {}
-    for name, fractions in measured.fractions().items():
-        workload, between, _ = name.partition(BETWEEN_ENDS)
-        limits = measured.limits_s[workload if workload in FILTERS else STEP]
-        what = label(workload) + (", between ends" if between else "")
-        found[what] = (limits, quotients(limits, fractions))
-    return found
-
-
 def _limits(measured: Measured) -> str:
-    rows = [
-        [what, spread(limits, 1e9), spread(taken, 1e9), spread(quotients(limits, taken), 100.0)]
-        for what, (limits, taken) in limited(measured).items()
-    ]
+    rows = []
+    for name, fractions in measured.fractions().items():
+        limits = measured.limits_of(name)
+        taken = quotients(limits, fractions)
+        shown = (spread(limits, 1e9), spread(taken, 1e9), spread(fractions, 100.0))
+        rows.append([label(name), *shown])
     return grid(["one thread", "limit of the core, ns a step", "taken, ns", "reached, %"], rows)
 
 

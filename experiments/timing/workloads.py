@@ -9,7 +9,7 @@ also does: observation, adaptive noise, recovery, and the metrics of an episode.
 from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 from itertools import count
-from typing import Any, NamedTuple
+from typing import Any
 
 import gymnasium as gym
 import numpy as np
@@ -43,14 +43,7 @@ FILTERS = ("ekf", "ukf", "ckf")
 ENVIRONMENT = "mmwave_env:MmWaveLoc-v0"
 
 
-class Lap(NamedTuple):
-    """A piece of work that was just done."""
-
-    steps: int  # of single environments
-    ends: bool = True  # whether it holds the ends of episodes and the drawing of the next ones
-
-
-Laps = Iterator[Lap]
+Laps = Iterator[int]  # each a whole episode: its steps, of single environments
 
 
 def native_name(n: int, threads: int = BOTH) -> str:
@@ -94,7 +87,7 @@ def filterpy() -> Laps:
     episodes, twin = source(), filterpy_pipeline(pipeline())
     for seed in count():
         filterpy_episode(twin, episodes.sample(np.random.default_rng(seed)))
-        yield Lap(EPISODE)
+        yield EPISODE
 
 
 def filterpy_episode(twin: Pipeline, episode: Episode) -> float:
@@ -122,13 +115,11 @@ def single() -> Laps:
     env.reset(seed=0)
     action = np.int64(1)
     while True:
-        for _ in range(EPISODE - 1):
-            env.step(action)
-        yield Lap(EPISODE - 1, ends=False)
-        over = env.step(action)[3]
+        for _ in range(EPISODE):
+            over = env.step(action)[3]
         assert over
         env.reset()
-        yield Lap(1)
+        yield EPISODE
 
 
 def vector(n: int, **options: Any) -> Laps:
@@ -137,13 +128,11 @@ def vector(n: int, **options: Any) -> Laps:
     env.reset(seed=0)
     actions = np.ones(n, np.int64)
     while True:
-        for _ in range(EPISODE - 1):
-            env.step(actions)
-        yield Lap(n * (EPISODE - 1), ends=False)
-        over = env.step(actions)[3]
+        for _ in range(EPISODE):
+            over = env.step(actions)[3]
         assert over.all()
         env.step(actions)  # which only draws the next episodes
-        yield Lap(n)
+        yield n * EPISODE
 
 
 def tracks(mode: Mode, episodes: Sequence[Episode]) -> Laps:
@@ -153,7 +142,7 @@ def tracks(mode: Mode, episodes: Sequence[Episode]) -> Laps:
     while True:
         tracker.tune([mode.tuning])  # starts over
         tracker.run()
-        yield Lap(len(episodes) * EPISODE)
+        yield len(episodes) * EPISODE
 
 
 def cartpole() -> Laps:
@@ -165,4 +154,4 @@ def cartpole() -> Laps:
             _, _, terminated, truncated, _ = env.step(step % 2)
             if terminated or truncated:
                 env.reset()
-        yield Lap(EPISODE)
+        yield EPISODE

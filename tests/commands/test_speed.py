@@ -30,9 +30,7 @@ def test_a_short_run_writes_everything(tmp_path):
     for pair, ratio in result["ratios"].items():
         over, under = pair.split("_over_")
         assert ratio == pytest.approx(rates[over] / rates[under])
-    assert {"ekf", "ukf", "ckf", "native_64_1_thread", "native_64_1_thread_between_ends"} <= set(
-        result["limit_fraction"]
-    )
+    assert {"ekf", "ukf", "ckf", "native_64_1_thread"} <= set(result["limit_fraction"])
     assert set(result["cold_start_s"]) == set(result["peak_rss_mb"])
     assert 20.0 < result["peak_rss_mb"]["cartpole"] < result["peak_rss_mb"]["native_64"]
     shown_now = {match[1]: match[0] for match in MARK.finditer(page.read_text())}

@@ -6,7 +6,7 @@ import pytest
 from experiments.timing.measured import Measured, Rates
 from experiments.timing.operations import Operations, count
 from experiments.timing.roofline import LENGTH, interleaved, limit_s
-from experiments.timing.workloads import EPISODE, Lap, filterpy_episode, pipeline, source
+from experiments.timing.workloads import EPISODE, filterpy_episode, pipeline, source
 from mmwave_env.filters.filterpy_reference import filterpy_pipeline
 from mmwave_env.numerics.linalg import cholesky, dot
 from mmwave_env.numerics.numbers import atan2, maximum, sqrt, where
@@ -83,13 +83,10 @@ def test_more_operations_have_a_later_limit():
 # --- loops
 
 
-def test_rounds_are_whole_episodes_and_tell_the_steps_between_ends_apart():
-    laps = iter([Lap(9, ends=False), Lap(1), Lap(9, ends=False), Lap(1)])
-    rates = Rates()
-    for _ in range(2):
-        rates.measure(laps, 0.0)
-    assert len(rates.steps_per_s) == len(rates.between_ends) == len(rates.cores) == 2
-    assert next(laps, None) is None
+def test_a_round_has_whole_episodes_for_as_long_as_is_asked():
+    laps, rates = iter([10] * 3), Rates()
+    rates.measure(laps, 0.0)
+    assert len(rates.steps_per_s) == len(rates.cores) == 1 and list(laps) == [10, 10]
 
 
 def test_the_filterpy_loop_does_what_a_step_needs():
@@ -106,7 +103,7 @@ def measured():
     """Three rounds that nobody ran."""
     found, rng = Measured((1024, 8, 64)), np.random.default_rng(0)
     for rates in (found.rates | found.filters).values():
-        rates.steps_per_s[:], rates.between_ends[:] = rng.uniform(1e3, 1e6, (2, 3)).tolist()
+        rates.steps_per_s[:] = rng.uniform(1e3, 1e6, 3).tolist()
         rates.cores[:] = [1.0] * 3
     for limits in found.limits_s.values():
         limits[:] = rng.uniform(1e-9, 1e-8, 3).tolist()
@@ -129,10 +126,8 @@ def test_fractions_are_of_the_kernel_that_runs(measured):
     found, limits = measured.fractions(), measured.limits_s
     rates = measured.filters["ukf"].steps_per_s
     assert found["ukf"] == pytest.approx(np.multiply(limits["ukf"], rates))
-    rates = measured.rates["native_64_1_thread"].between_ends
-    assert found["native_64_1_thread_between_ends"] == pytest.approx(
-        np.multiply(limits["step"], rates)
-    )
+    rates = measured.rates["native_64_1_thread"].steps_per_s
+    assert found["native_64_1_thread"] == pytest.approx(np.multiply(limits["step"], rates))
 
 
 def test_a_step_needs_more_than_its_filters(measured):
