@@ -33,7 +33,7 @@ from mmwave_env.localization.localizer import TrackBlock, localize
 from mmwave_env.localization.position_errors import require_risk
 from mmwave_env.localization.track_files import require_own_files, table_beside, track_files
 from mmwave_env.localization.track_scores import Course, Groups, TruthScores
-from mmwave_env.logs.clock import ClockComparison
+from mmwave_env.logs.clock import clock_offset, keeping
 from mmwave_env.logs.lines import number
 from mmwave_env.logs.log import LogBlock, read_log
 from mmwave_env.logs.log_tables import LogError
@@ -288,9 +288,9 @@ def _run(args: "Args", work: Work) -> Result:
     tracks = ["filtered", "smoothed"] if args.smoothing else ["filtered"]
     planar = args.height is not None
     scores = TruthScores(truth, tracks, planar, args.risk) if truth else None
-    clocks = ClockComparison(work.scene)
+    first: list[LogBlock] = []
     if truth:
-        work = work._replace(blocks=clocks.beside(Truth(truth.path), work.blocks))
+        work = work._replace(blocks=keeping(work.blocks, first))
     track = _track(args, work, args.window if args.smoothing else None)
     error: ValueError | None = None
     with ExitStack() as stack:
@@ -313,7 +313,8 @@ def _run(args: "Args", work: Work) -> Result:
         figures["association"] = work.association.figures()
     if truth and scores and scores.scored:
         truth.warn_if_few(scores.scored, course.epochs, course.first_s, course.last_s)
-        clock = clocks.offset(truth.path)
+        log = first[0].joined(first)
+        clock = clock_offset(log, work.scene, lambda time_s: Truth(truth.path).at(time_s))
         figures["truth"] = scores.figures() | {"clock": clock and clock.figures()}
         if clock and clock.matters:
             warnings.warn(f"{truth.path}: {clock.advice}", stacklevel=2)

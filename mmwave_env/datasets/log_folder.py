@@ -8,14 +8,14 @@ import numpy as np
 from mmwave_env.datasets.deepmimo.v4 import PARAMS
 from mmwave_env.datasets.log_writer import write_log
 from mmwave_env.datasets.measured import MeasuredTrack
-from mmwave_env.datasets.tracks import velocity_of
 from mmwave_env.files import atomic_path, write_json, write_text
-from mmwave_env.logs.clock import ClockComparison
+from mmwave_env.logs.clock import clock_offset
 from mmwave_env.logs.log import LogBlock, read_log
 from mmwave_env.logs.log_tables import SUFFIXES
-from mmwave_env.logs.truth import Truth
+from mmwave_env.logs.truth import Truth, velocity_of
 from mmwave_env.logs.tum import COLUMNS, tum_lines
 from mmwave_env.lookup import as_name
+from mmwave_env.models.prior import GAP_S
 from mmwave_env.models.scene import Scene, read_scene, scene_json
 from mmwave_env.world.episode import Episode
 
@@ -47,9 +47,8 @@ def read_log_folder(folder: Path) -> MeasuredTrack:
     if not matched:
         raise truth.no_match(*ends)
     truth.warn_if_few(matched, len(log), *ends)
-    clocks = ClockComparison(scene)
-    clocks.add(log, true)
-    if (clock := clocks.offset(truth.path)) and clock.matters:
+    clock = clock_offset(log, scene, lambda time_s: Truth(truth.path).at(time_s))
+    if clock and clock.matters:
         warnings.warn(f"{truth.path}: {clock.advice}", stacklevel=2)
     return MeasuredTrack(
         name=as_name(folder.resolve().name),
@@ -61,7 +60,7 @@ def read_log_folder(folder: Path) -> MeasuredTrack:
         snr_db=log.snr_db,
         doppler_spread_hz=log.doppler_spread_hz,
         position_m=true.position_m,
-        velocity_mps=velocity_of(log.time_s, true.position_m),
+        velocity_mps=velocity_of(log.time_s, true.position_m, GAP_S),
     )
 
 

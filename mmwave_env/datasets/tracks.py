@@ -4,12 +4,12 @@ import warnings
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import pairwise
 from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from mmwave_env.logs.truth import stretches, velocity_of
 from mmwave_env.lookup import quoted
 from mmwave_env.models.measurement import LINK, Layout, exact_rows, whole_groups, wrap_angles
 from mmwave_env.models.prior import GAP_S, draw_prior
@@ -173,7 +173,7 @@ class TrackSource:
 
     def __init__(self, track: Track, radio: str | Radio, epochs: int | None = None) -> None:
         self.track, self.radio = track, radio_from(radio)
-        runs = stretches(track.time_s, track.position_m)
+        runs = stretches(track.time_s, track.position_m, GAP_S)
         if not runs:
             step = float(np.median(np.diff(track.time_s))) if len(track) > 1 else 0.0
             if step > GAP_S:
@@ -273,7 +273,7 @@ def fields_of(
     T = len(time)
     position = numbers(record, "position_m", position_m, (T, 3))
     if velocity_mps is None:
-        velocity = velocity_of(time, position)
+        velocity = velocity_of(time, position, GAP_S)
     else:
         velocity = numbers(record, "velocity_mps", velocity_mps, (T, 3))
     anchors = numbers(record, "anchors_m", anchors_m, (None, 3))
@@ -292,24 +292,3 @@ def fields_of(
         "position_m": position, "velocity_mps": velocity,
     }  # fmt: skip
     return fields, strengths
-
-
-def stretches(time_s: Array, position_m: Array) -> list[slice]:
-    """Runs of two epochs or more that all have a position, without a gap of more than GAP_S.
-
-    Args:
-        time_s: (T,) increasing.
-        position_m: (T, 3), NaN where not known.
-    """
-    known: Mask = np.logical_and.reduce(np.isfinite(position_m), axis=1)
-    ends = np.flatnonzero(~known[:-1] | ~known[1:] | (np.diff(time_s) > GAP_S)) + 1
-    runs = [slice(a, b) for a, b in pairwise([0, *ends.tolist(), len(time_s)])]
-    return [run for run in runs if run.stop - run.start > 1]
-
-
-def velocity_of(time_s: Array, position_m: Array) -> Array:
-    """Velocities (T, 3) by differences of positions, within stretches; NaN outside of them."""
-    velocity = np.full_like(position_m, np.nan)
-    for run in stretches(time_s, position_m):
-        velocity[run] = np.gradient(position_m[run], time_s[run], axis=0)
-    return velocity

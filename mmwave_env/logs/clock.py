@@ -12,19 +12,18 @@ so its standard error is that of the jackknife: how it differs when one stretch 
 is left out (B. Efron, C. Stein, "The jackknife estimate of variance", 1981).
 
 To first order only: a tau of tenths of a second is meters, over which a log is not straight. So the
-beginning of the log is compared again with the truth at times moved by the estimate, until what is
-left is within its error (Gauss-Newton).
+log is compared again with the truth at times moved by the estimate, until what is left is within
+its error (Gauss-Newton).
 """
 
 import math
-from collections.abc import Iterable, Iterator
-from pathlib import Path
+from collections.abc import Callable, Iterable, Iterator
 from typing import NamedTuple
 
 import numpy as np
 
 from mmwave_env.logs.log import LogBlock
-from mmwave_env.logs.truth import TrueEpochs, Truth
+from mmwave_env.logs.truth import TrueEpochs
 from mmwave_env.models.measurement import Layout, exact_rows
 from mmwave_env.models.scene import Scene
 from mmwave_env.numerics.numbers import Array, wrap
@@ -35,7 +34,7 @@ _CHANCE = 0.005  # that a clock without an offset is called one that has some
 _PART = 0.01  # of the squared error, raw noise and all: what explains less does not matter
 _STEP_M = 1e-3  # over which rows of a link are taken as straight
 _ENOUGH, _OUTLIER = 20, 6.0  # epochs for a deviation; deviations of what is no noise
-_KEPT = 4096  # epochs of the beginning, to compare again
+_COMPARED = 4096  # epochs of the beginning
 _ROUNDS, _FARTHEST_S = 12, 10.0  # of comparing again; beyond it two clocks have nothing in common
 _LEAST = 1e-6  # m, rad: deviation of a log without noise
 
@@ -75,118 +74,92 @@ class ClockOffset(NamedTuple):
         )
 
 
-class ClockComparison:
-    """A truth's clock beside a log's, in running sums.
+def keeping(blocks: Iterable[LogBlock], kept: list[LogBlock]) -> Iterator[LogBlock]:
+    """The same blocks; those at the beginning that :func:`clock_offset` compares are kept."""
+    for block in blocks:
+        if sum(map(len, kept)) < _COMPARED:
+            kept.append(block)
+        yield block
+
+
+def clock_offset(
+    log: LogBlock, scene: Scene, truth_at: Callable[[Array], TrueEpochs]
+) -> ClockOffset | None:
+    """The estimate; None where too little is known, or the velocity never changed.
 
     Args:
+        log: its beginning.
         scene: whose anchors were measured.
+        truth_at: what is true at times of the truth's clock.
     """
-
-    def __init__(self, scene: Scene) -> None:
-        self._anchors, rows = scene.anchors_m.tolist(), 4 * len(scene.anchors_m)
-        self._layout = Layout(len(scene.anchors_m))
-        self._middle, self._deviation = np.full((2, rows), np.nan)
-        # of products of 1, the error, and what it grows by with tau and with s, by stretch and row
-        self._sums = np.zeros((_STRETCHES, rows, 6, 6))
-        self._length_s, self._first_s = _SHORTEST_S, math.nan
-        self._scene, self._kept = scene, list[LogBlock]()
-
-    def beside(self, truth: Truth, blocks: Iterable[LogBlock]) -> Iterator[LogBlock]:
-        """The same blocks of a log, compared with a truth on their way."""
-        for block in blocks:
-            self.add(block, truth.at(block.time_s))
-            yield block
-
-    def add(self, log: LogBlock, truth: TrueEpochs) -> None:
-        """Take T epochs of a log, and what is true in them."""
-        if (room := _KEPT - sum(map(len, self._kept))) > 0:
-            self._kept.append(log.part(slice(room)))
-        p, v = truth.position_m, truth.velocity_mps
-        error = self._difference(log.measurement[:, : self._layout.doppler], self._exact(p))
-        error[~np.repeat(log.visible[:, : self._layout.anchors], 4, axis=1)] = np.nan
-        self._learn_noise(error)
-        error = (error - self._middle) / self._deviation
-        error[~(np.abs(error) <= _OUTLIER)] = np.nan
-        steps = 0.5 * _STEP_M * np.eye(3)
-        ends = [(self._exact(p + step), self._exact(p - step)) for step in steps]
-        slopes = [self._difference(*pair) / (_STEP_M * self._deviation) for pair in ends]
-        rate = np.einsum("ti,itr->tr", v, slopes)
-        self._take(log.time_s, np.stack([np.ones_like(error), error, rate, *slopes], axis=-1))
-
-    def _exact(self, position_m: Array) -> Array:
-        """Rows (T, 4 L) of all links at positions (T, 3)."""
-        rows = exact_rows([*position_m.T], [0.0] * 3, self._anchors, 0.0, self._layout)
-        return np.array(rows[: self._layout.doppler]).T
-
-    def _difference(self, one: Array, other: Array) -> Array:
-        difference = one - other
-        difference[:, self._layout.angles] = wrap(difference[:, self._layout.angles])
-        return difference
-
-    def _learn_noise(self, error: Array) -> None:
-        """The middle and the deviation of rows, from the first block that has enough of them."""
-        new = np.isnan(self._deviation) & (np.isfinite(error).sum(axis=0) >= _ENOUGH)
-        if new.any():
-            self._middle[new] = np.nanmedian(error[:, new], axis=0)
-            spread = np.nanmedian(np.abs(error[:, new] - self._middle[new]), axis=0)
-            self._deviation[new] = np.maximum(1.4826 * spread, _LEAST)
-
-    def _take(self, time_s: Array, terms: Array) -> None:
-        """Add products of terms (T, rows, 6) to the sums; where one is NaN, none counts."""
-        if math.isnan(self._first_s):
-            self._first_s = float(time_s[0])
-        while time_s[-1] - self._first_s >= _STRETCHES * self._length_s:
-            pairs = self._sums[0::2] + self._sums[1::2]
-            self._sums = np.concatenate([pairs, np.zeros_like(pairs)])
-            self._length_s *= 2.0
-        terms[~np.isfinite(terms).all(axis=-1)] = 0.0
-        stretch = ((time_s - self._first_s) / self._length_s).astype(np.intp)
-        for s in np.unique(stretch):
-            part = terms[stretch == s]
-            self._sums[s] += np.einsum("tri,trj->rij", part, part)
-
-    def offset(self, again: Path | None = None) -> ClockOffset | None:
-        """The estimate; None where too little was added, or the velocity never changed.
-
-        Args:
-            again: the truth's file, to compare the beginning of the log with it at other times.
-        """
-        found = self._linear()
-        return self._refined(found, again) if found and again else found
-
-    def _refined(self, first: ClockOffset, path: Path) -> ClockOffset:
-        """An estimate where it is far from where the rows are straight, else the first one."""
-        log, seconds = self._kept[0].joined(self._kept), first.seconds
-        for _ in range(_ROUNDS):
-            moved = ClockComparison(self._scene)
-            moved.add(log, Truth(path).at(log.time_s + seconds))
-            left = moved._linear()
-            if left is None or abs(seconds + left.seconds) > _FARTHEST_S:
-                return first
-            seconds += left.seconds
-            if abs(left.seconds) < 0.1 * left.deviation_s:
-                break
-        else:
+    log = log.part(slice(_COMPARED))
+    found = _linear(log, scene, truth_at(log.time_s))
+    if found is None:
+        return None
+    first, deviation = found
+    seconds = first.seconds
+    for _ in range(_ROUNDS):
+        found = _linear(log, scene, truth_at(log.time_s + seconds))
+        if found is None or abs(seconds + found[0].seconds) > _FARTHEST_S:
             return first
-        if abs(seconds - first.seconds) < left.deviation_s:
-            return first
-        noise = np.nanmean((moved._deviation / self._deviation) ** 2)
-        return ClockOffset(seconds, left.deviation_s, max(0.0, 1.0 - float(noise)), left.limit)
+        left, moved = found
+        seconds += left.seconds
+        if abs(left.seconds) < 0.1 * left.deviation_s:
+            break
+    else:
+        return first
+    if abs(seconds - first.seconds) < left.deviation_s:
+        return first
+    noise = np.nanmean((moved / deviation) ** 2)
+    return ClockOffset(seconds, left.deviation_s, max(0.0, 1.0 - float(noise)), left.limit)
 
-    def _linear(self) -> ClockOffset | None:
-        """The estimate to first order."""
-        from scipy.stats import t
 
-        sums = self._sums[self._sums[:, :, 0, 0].any(axis=1)]
-        total, n = sums.sum(axis=0), len(sums)
-        found = _fit(total)
-        if n < _FEWEST or not found:
-            return None
-        seconds, part = found
-        fits = filter(None, [_fit(total - stretch) for stretch in sums])
-        without = np.array([fit[0] for fit in fits])
-        deviation = math.sqrt((n - 1) / n * float(((without - seconds) ** 2).sum()))
-        return ClockOffset(seconds, deviation, part, float(t.isf(0.5 * _CHANCE, n - 1)))
+def _linear(log: LogBlock, scene: Scene, truth: TrueEpochs) -> tuple[ClockOffset, Array] | None:
+    """The estimate to first order, and the deviations of the rows of links (4 L,)."""
+    from scipy.stats import t
+
+    anchors, layout = scene.anchors_m.tolist(), Layout(len(scene.anchors_m))
+
+    def exact(position_m: Array) -> Array:
+        rows = exact_rows([*position_m.T], [0.0] * 3, anchors, 0.0, layout)
+        return np.array(rows[: layout.doppler]).T
+
+    def difference(one: Array, other: Array) -> Array:
+        found = one - other
+        found[:, layout.angles] = wrap(found[:, layout.angles])
+        return found
+
+    p, v = truth.position_m, truth.velocity_mps
+    error = difference(log.measurement[:, : layout.doppler], exact(p))
+    error[~np.repeat(log.visible[:, : layout.anchors], 4, axis=1)] = np.nan
+    middle, deviation = np.full((2, layout.doppler), np.nan)
+    some = np.isfinite(error).sum(axis=0) >= _ENOUGH
+    middle[some] = np.nanmedian(error[:, some], axis=0)
+    spread = np.nanmedian(np.abs(error[:, some] - middle[some]), axis=0)
+    deviation[some] = np.maximum(1.4826 * spread, _LEAST)
+    error = (error - middle) / deviation
+    error[~(np.abs(error) <= _OUTLIER)] = np.nan
+    ends = [(exact(p + step), exact(p - step)) for step in 0.5 * _STEP_M * np.eye(3)]
+    slopes = [difference(*pair) / (_STEP_M * deviation) for pair in ends]
+    rate = np.einsum("ti,itr->tr", v, slopes)
+    terms = np.stack([np.ones_like(error), error, rate, *slopes], axis=-1)
+    terms[~np.isfinite(terms).all(axis=-1)] = 0.0
+    stretch_s = _SHORTEST_S
+    while log.time_s[-1] - log.time_s[0] >= _STRETCHES * stretch_s:
+        stretch_s *= 2.0
+    ends_at = np.flatnonzero(np.diff((log.time_s - log.time_s[0]) // stretch_s)) + 1
+    # of products of 1, the error, and what it grows by with tau and with s, by stretch and row
+    sums = np.array([np.einsum("tri,trj->rij", one, one) for one in np.split(terms, ends_at)])
+    sums = sums[sums[:, :, 0, 0].any(axis=1)]
+    total, n = sums.sum(axis=0), len(sums)
+    found = _fit(total)
+    if n < _FEWEST or not found:
+        return None
+    seconds, part = found
+    fits = filter(None, [_fit(total - stretch) for stretch in sums])
+    without = np.array([fit[0] for fit in fits])
+    error_s = math.sqrt((n - 1) / n * float(((without - seconds) ** 2).sum()))
+    return ClockOffset(seconds, error_s, part, float(t.isf(0.5 * _CHANCE, n - 1))), deviation
 
 
 def _fit(sums: Array) -> tuple[float, float] | None:

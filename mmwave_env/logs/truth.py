@@ -1,6 +1,7 @@
 """Where a user was, by time."""
 
 import warnings
+from itertools import pairwise
 from pathlib import Path
 from typing import NamedTuple
 
@@ -113,7 +114,7 @@ def _interpolated(poses: Poses, time_s: Array) -> TrueEpochs:
     after = np.searchsorted(t, time_s)
     before, after = np.maximum(after - 1, 0), np.minimum(after, len(t) - 1)
     nearest = np.where(time_s - t[before] <= t[after] - time_s, before, after)
-    away, slope = t[nearest] - time_s, _slopes(poses)
+    away, slope = t[nearest] - time_s, velocity_of(t, p, BRIDGED_S)
     held = np.abs(away) <= TOLERANCE_S
     position = np.where(held[:, None], p[nearest], np.nan)
     velocity = np.where((away == 0.0)[:, None], slope[nearest], np.nan)
@@ -125,19 +126,23 @@ def _interpolated(poses: Poses, time_s: Array) -> TrueEpochs:
     return TrueEpochs(position, velocity, np.where(held | between, away, np.nan))
 
 
-def _slopes(poses: Poses) -> Array:
-    """Velocities (N, 3) at poses, gaps not bridged; NaN of a pose between two gaps."""
-    t, p = poses
-    step = np.diff(t)
-    chord = np.zeros((len(t) + 1, 3))  # from the pose before to each, and from the last to none
-    chord[1:-1] = np.diff(p, axis=0) / step[:, None]
-    near = np.pad(step, 1, constant_values=np.inf)
-    near = np.where(near <= BRIDGED_S, near, 0.0)
-    before, after = near[:-1], near[1:]
-    # Each chord weighs as much as the other is long: the parabola. One alone weighs all.
-    alone = (before == 0.0) | (after == 0.0)
-    of_before = np.where(alone, before > 0.0, after)[:, None]
-    of_after = np.where(alone, after > 0.0, before)[:, None]
-    with np.errstate(invalid="ignore"):
-        slope: Array = (of_before * chord[:-1] + of_after * chord[1:]) / (of_before + of_after)
-    return slope
+def stretches(time_s: Array, position_m: Array, gap_s: float) -> list[slice]:
+    """Runs of two epochs or more that all have a position, without a longer gap.
+
+    Args:
+        time_s: (T,) increasing.
+        position_m: (T, 3), NaN where not known.
+        gap_s: that may be between two epochs.
+    """
+    known = np.isfinite(position_m).all(axis=1)
+    ends = np.flatnonzero(~known[:-1] | ~known[1:] | (np.diff(time_s) > gap_s)) + 1
+    runs = [slice(a, b) for a, b in pairwise([0, *ends.tolist(), len(time_s)])]
+    return [run for run in runs if run.stop - run.start > 1]
+
+
+def velocity_of(time_s: Array, position_m: Array, gap_s: float) -> Array:
+    """Velocities (T, 3) of parabolas through neighbors, within stretches; NaN outside of them."""
+    velocity = np.full_like(position_m, np.nan)
+    for run in stretches(time_s, position_m, gap_s):
+        velocity[run] = np.gradient(position_m[run], time_s[run], axis=0)
+    return velocity

@@ -12,7 +12,8 @@ from hypothesis import strategies as st
 from mmwave_env.datasets.measured import MeasuredTrack
 from mmwave_env.datasets.recorded import Recording
 from mmwave_env.datasets.samples import recording_from
-from mmwave_env.datasets.tracks import TrackSource, stretches, velocity_of
+from mmwave_env.datasets.tracks import TrackSource
+from mmwave_env.logs.truth import stretches, velocity_of
 from mmwave_env.models.measurement import LINK, Layout
 from mmwave_env.models.prior import GAP_S
 from mmwave_env.models.radio import RADIOS
@@ -186,7 +187,8 @@ def test_the_prior_is_about_the_truth_and_the_oscillator_unknown():
 def test_velocities_are_differences_of_positions():
     time = np.array([0.0, 0.5, 1.5, 2.0])
     position = np.outer(time, [1.0, -2.0, 0.5])
-    np.testing.assert_allclose(velocity_of(time, position), np.tile([1.0, -2.0, 0.5], (4, 1)))
+    found = velocity_of(time, position, GAP_S)
+    np.testing.assert_allclose(found, np.tile([1.0, -2.0, 0.5], (4, 1)))
 
 
 @settings(max_examples=100, deadline=None)
@@ -197,7 +199,7 @@ def test_velocities_are_differences_of_positions():
 def test_stretches_are_all_that_is_known_without_a_gap(known, steps):
     time = np.concatenate([[0.0], np.cumsum(steps)])[: len(known)]
     position = np.where(np.array(known)[:, None], 1.0, np.nan) * np.ones((len(known), 3))
-    runs = stretches(time, position)
+    runs = stretches(time, position, GAP_S)
     inside = np.zeros(len(known), bool)
     for run in runs:
         assert run.stop - run.start >= 2 and all(known[run])
@@ -206,7 +208,7 @@ def test_stretches_are_all_that_is_known_without_a_gap(known, steps):
     for i in range(len(known) - 1):
         together = known[i] and known[i + 1] and time[i + 1] - time[i] <= GAP_S
         assert together == (inside[i] and inside[i + 1] and not any(r.stop == i + 1 for r in runs))
-    assert (np.isfinite(velocity_of(time, position)).all(axis=1) == inside).all()
+    assert (np.isfinite(velocity_of(time, position, GAP_S)).all(axis=1) == inside).all()
 
 
 def broken():

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from scipy.interpolate import CubicHermiteSpline
 
 from mmwave_env.datasets.samples import sample_folder
-from mmwave_env.logs.clock import ClockComparison
+from mmwave_env.logs.clock import clock_offset
 from mmwave_env.logs.log import LogBlock, read_log
 from mmwave_env.logs.truth import BRIDGED_S, TOLERANCE_S, TrueEpochs, Truth
 from mmwave_env.logs.tum import read_tum, tum_lines
@@ -140,13 +140,8 @@ def log_of(time_s, position_m, rng, bias=0.0):
     )
 
 
-def compared(log, truth, sizes=(None,)):
-    clocks, first = ClockComparison(STREET), 0
-    for size in sizes:
-        part = slice(first, None if size is None else first + size)
-        clocks.add(log.part(part), TrueEpochs(*(array[part] for array in truth)))
-        first += size or 0
-    return clocks.offset()
+def compared(log, seconds, shift=(0.0, 0.0, 0.0)):
+    return clock_offset(log, STREET, lambda time_s: late(time_s, seconds, shift))
 
 
 def late(time_s, seconds, shift=(0.0, 0.0, 0.0)):
@@ -160,7 +155,7 @@ def late(time_s, seconds, shift=(0.0, 0.0, 0.0)):
 def test_an_offset_is_found_beside_biases_and_a_frame_that_is_off(seconds, shift):
     time_s = np.arange(0.0, 60.0, 0.1)
     log = log_of(time_s, user(time_s)[0], np.random.default_rng(2), bias=0.5)
-    found = compared(log, late(time_s, seconds, shift))
+    found = compared(log, seconds, shift)
     assert found.seconds == pytest.approx(seconds, abs=4.0 * found.deviation_s + 0.01)
     assert 0.0 < found.deviation_s < 0.01 and found.matters == bool(seconds)
     if seconds:
@@ -171,7 +166,7 @@ def test_an_offset_is_found_beside_biases_and_a_frame_that_is_off(seconds, shift
 
 def test_its_standard_error_is_that_of_many_logs():
     time_s, rng = np.arange(0.0, 40.0, 0.1), np.random.default_rng(3)
-    found = [compared(log_of(time_s, user(time_s)[0], rng), late(time_s, 0.0)) for _ in range(60)]
+    found = [compared(log_of(time_s, user(time_s)[0], rng), 0.0) for _ in range(60)]
     spread = np.std([one.seconds for one in found])
     typical = np.median([one.deviation_s for one in found])
     assert 0.7 * spread < typical < 1.5 * spread
@@ -203,7 +198,7 @@ def test_it_is_the_least_squares_of_all_columns_at_once():
     used = np.abs(error - middle) <= 6.0 * sigma
     A = np.column_stack([column[used] for column in (*scaled, *biases)])
     expected = np.linalg.lstsq(A, (error / sigma)[used], rcond=None)[0][0]
-    assert compared(log, truth).seconds == pytest.approx(expected, rel=1e-4)
+    assert compared(log, 0.05, (0.3, 0.2, 0.0)).seconds == pytest.approx(expected, rel=1e-4)
 
 
 def test_who_never_changes_speed_tells_nothing_of_a_clock():
@@ -211,27 +206,21 @@ def test_who_never_changes_speed_tells_nothing_of_a_clock():
     velocity = np.tile([5.0, 0.0, 0.0], (len(time_s), 1))
     position = [20.0, -40.0, 1.5] + time_s[:, None] * velocity
     log = log_of(time_s, position, np.random.default_rng(5))
-    truth = TrueEpochs(position - 0.3 * velocity, velocity, np.zeros(len(time_s)))
-    found = compared(log, truth)
+
+    def truth_at(time_s):
+        moved = [20.0, -40.0, 1.5] + (time_s[:, None] - 0.3) * velocity
+        return TrueEpochs(moved, velocity, np.zeros(len(time_s)))
+
+    found = clock_offset(log, STREET, truth_at)
     assert found is None or not found.matters
-
-
-@pytest.mark.parametrize("sizes", [(600,), (250, 350), (100,) * 6])
-def test_blocks_do_not_matter(sizes):
-    time_s = np.arange(0.0, 60.0, 0.1)
-    log = log_of(time_s, user(time_s)[0], np.random.default_rng(6))
-    whole, parts = (compared(log, late(time_s, 0.1), s) for s in ((600,), sizes))
-    # The noise is learned from the first block.
-    assert parts.seconds == pytest.approx(whole.seconds, abs=whole.deviation_s)
-    assert parts.deviation_s == pytest.approx(whole.deviation_s, rel=0.5)
 
 
 def test_short_logs_and_a_truth_that_is_not_known_tell_nothing():
     time_s = np.arange(0.0, 8.0, 0.1)
     log = log_of(time_s, user(time_s)[0], np.random.default_rng(7))
-    assert compared(log, late(time_s, 0.1)) is None
+    assert compared(log, 0.1) is None
     nothing = TrueEpochs(np.full((80, 3), np.nan), np.full((80, 3), np.nan), np.full(80, np.nan))
-    assert compared(log, nothing) is None
+    assert clock_offset(log, STREET, lambda time_s: nothing) is None
 
 
 @pytest.mark.parametrize("late_s", [-1.0, -0.5, -0.2, 0.2, 0.5, 1.0])
@@ -240,9 +229,7 @@ def test_an_offset_over_which_a_log_is_not_straight_is_found_too(tmp_path, late_
     poses = read_tum(folder / "truth.tum")
     path.write_text(tum_lines(poses.time_s + late_s, poses.position_m))
     scene = read_scene(folder / "scene.json")
-    clocks = ClockComparison(scene)
-    for _ in clocks.beside(Truth(path), read_log(folder / "log.csv", scene)):
-        pass
-    found = clocks.offset(path)
+    log = LogBlock.joined(list(read_log(folder / "log.csv", scene)))
+    found = clock_offset(log, scene, lambda time_s: Truth(path).at(time_s))
     assert found.matters and found.seconds == pytest.approx(late_s, abs=0.03)
     assert found.deviation_s < 0.02
