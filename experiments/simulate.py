@@ -19,11 +19,6 @@ class Args(WorldArgs):
     """replace the files of an episode that are there"""
     seed: int = 0
     """seed of the episode, the same that compare runs"""
-    unassociated: bool = False
-    """rows are paths in random order, without the number of an anchor; localize --associate reads
-    them"""
-    false_paths: int = 0
-    """drawn among the others in every epoch, with --unassociated"""
 
 
 def _require_none(folder: Path, overwrite: bool) -> None:
@@ -54,10 +49,6 @@ def main(args: Args) -> None:
     from mmwave_env.models.scene import scene_of_anchors
     from mmwave_env.world.simulated import SimulatedSource
 
-    if args.false_paths < 0 or (args.false_paths and not args.unassociated):
-        raise ValueError(
-            f"false-paths: found {args.false_paths}, expected 0 or more, with --unassociated"
-        )
     _require_none(args.out, args.overwrite)
     source = source_of(args)
     assert isinstance(source, SimulatedSource | TrackSource)  # what options name
@@ -69,9 +60,7 @@ def main(args: Args) -> None:
             scene.name, episode.scene_anchors_m, scene.carrier_hz, scene.bandwidth_hz
         )
     origin = command_line("simulate", replace(args, out=Path("."), overwrite=False))
-    names = write_log_folder(
-        args.out, episode, scene, origin, not args.unassociated, args.false_paths, args.seed
-    )
+    names = write_log_folder(args.out, episode, scene, origin)
     say(f"written to {args.out}/: {', '.join(names)}")
     if isinstance(source, SimulatedSource) and not source.travels and len(source.names) > 1:
         say(f"the user is {episode.name}")

@@ -25,10 +25,12 @@ OPTIONS = {
     "--clearest": "name an episode with --seed or --key",
     "--decisions": "--epochs-parquet has what every policy chose in every epoch",
     "--engine": "a sweep runs on Ray, on one machine or by --address on a cluster",
+    "--false-paths": "localize --associate reads past the numbers of anchors in any log",
     "--figure": "--episodes-csv of several runs has what performance profiles are made of",
     "--format": "simulate writes a log with scene and truth, which --data and localize take",
     "--keys": "watch --key plays an episode by its key, as env.reset does",
     "--stanford": "--percentiles tells protection levels and how often errors exceed them",
     "--trust-zip": "convert makes a policy file of a model; module:function plays others",
     "--training": "docs/performance.md has the figures",
+    "--unassociated": "localize --associate reads past the numbers of anchors in any log",
 }

@@ -78,10 +78,7 @@ def log_of(folder: Path) -> Path:
     return folder / logs[0]
 
 
-def write_log_folder(
-    folder: Path, episode: Episode, scene: Scene, origin: str,
-    associated: bool = True, false_paths: int = 0, seed: int = 0,
-) -> list[str]:  # fmt: skip
+def write_log_folder(folder: Path, episode: Episode, scene: Scene, origin: str) -> list[str]:
     """Write an episode as :func:`read_log_folder` reads it; the names of the files.
 
     Args:
@@ -90,15 +87,12 @@ def write_log_folder(
             it is not that of the new log.
         scene: that it is in.
         origin: how it was made, for a comment in the truth.
-        associated, false_paths, seed: as :func:`~mmwave_env.datasets.log_writer.write_log` takes
-            them; a folder whose log has no anchors is not read again as episodes.
 
     Raises:
-        ValueError: as :func:`~mmwave_env.datasets.log_writer.write_log`.
         OSError: a file can't be written.
     """
     with atomic_path(folder / LOG) as log:
-        write_log(log, episode, associated, false_paths, seed)
+        write_log(log, episode)
     write_json(folder / SCENE, scene_json(scene))
     if episode.truth_position_m is None:
         (folder / TRUTH).unlink(missing_ok=True)

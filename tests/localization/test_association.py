@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 
 from mmwave_env.datasets.log_folder import read_log_folder
-from mmwave_env.datasets.log_writer import write_log
 from mmwave_env.filters.bank import default_modes
 from mmwave_env.localization.association import Association, associate
 from mmwave_env.localization.localizer import localize
@@ -21,6 +20,7 @@ from mmwave_env.models.radio import RADIOS
 from mmwave_env.models.scene import SCENES, Scene
 from mmwave_env.world.simulated import SimulatedSource
 from policies.speed_rule import by_predicted_speed
+from tests.logs.by_hand import hide_anchors
 from tests.marks import representative
 from tests.paths import LOGS
 
@@ -86,7 +86,7 @@ def ate(block, scene, truth_m, times):
 def test_the_track_of_a_sample_stays_without_its_labels(tmp_path, name):
     track, episode = shipped(name)
     path, tally = tmp_path / "log.csv", Association(3)
-    write_log(path, episode, associated=False, false_paths=5, seed=1)
+    hide_anchors(path, episode, false_paths=5, seed=1)
     found = labelled(read_paths(path, track.scene), track.scene, tally)
     (true,) = read_log(LOGS / name / "log.csv", track.scene)
     given, there = found.visible[:, :3], true.visible[:, :3]
@@ -186,7 +186,7 @@ def test_odometry_stays_where_it_was(tmp_path):
     source = SimulatedSource(SCENES["street"], RADIO, "vehicle", epochs=40, odometry=True)
     episode = source.sample(np.random.default_rng(1))
     path = tmp_path / "log.csv"
-    write_log(path, episode, associated=False, false_paths=2)
+    hide_anchors(path, episode, false_paths=2)
     found = labelled(read_paths(path, SCENES["street"]), SCENES["street"])
     np.testing.assert_array_equal(found.visible[:, -1], episode.usable[:, -1])
     shown = found.visible[:, -1]

@@ -6,6 +6,7 @@ from functools import lru_cache
 import numpy as np
 import pytest
 
+from mmwave_env.datasets.log_writer import log_columns, log_text
 from mmwave_env.logs.log import LogBlock, read_log
 from mmwave_env.logs.log_tables import LogError
 from mmwave_env.models.radio import RADIOS
@@ -76,3 +77,17 @@ def episode(seed=0, epochs=25, odometry=False, radio="handset"):
 def require_pyarrow(suffix=".parquet"):
     if suffix == ".parquet":
         pytest.importorskip("pyarrow")
+
+
+def hide_anchors(path, one, false_paths=0, seed=0):
+    """Write an episode as a log of paths in random order, false ones among them."""
+    columns, rng = log_columns(one), np.random.default_rng(seed)
+    del columns["anchor"]
+    n = false_paths * len(one)
+    false = {name: np.full(n, np.nan) for name in columns}
+    false["time_s"] = np.repeat(one.time_s, false_paths)
+    for name in HEADER.split(",")[TOA:]:
+        false[name] = rng.uniform(np.nanmin(columns[name]), np.nanmax(columns[name]), n)
+    columns = {name: np.concatenate([values, false[name]]) for name, values in columns.items()}
+    order = np.lexsort([rng.random(len(columns["time_s"])), columns["time_s"]])
+    path.write_text(log_text({name: values[order] for name, values in columns.items()}))
