@@ -129,5 +129,5 @@ def curves_of(journal: Path) -> dict[str, tuple[list[float], list[float]]]:
                         steps.append(float(row["timesteps"]))
                         values.append(float(value))
         except (csv.Error, AttributeError, KeyError, TypeError, ValueError) as error:
-            raise ValueError(f"{journal}: line {rows.line_num}: {told(error)}") from error
+            raise ValueError(f"{journal}: line {rows.line_num}: {told(error)[:300]}") from error
     return curves
