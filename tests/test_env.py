@@ -27,9 +27,8 @@ from mmwave_env.task import TaskArguments
 from mmwave_env.world.keys import keys_of
 from mmwave_env.world.simulated import SimulatedSource
 from tests.filters.textbook import rts
-from tests.filters.tracks import unpacked
+from tests.filters.tracks import replay, unpacked
 from tests.vector_checker import arrays, same
-from tests.world.roads import replay
 
 ID = "MmWaveLoc-v0"
 EKF = {"modes": ["ekf"]}  # one mode alone compiles fastest

@@ -20,7 +20,7 @@ from mmwave_env.models.scene import SCENES
 from mmwave_env.observation import Observation, feature_scales
 from mmwave_env.reward import TrackingReward
 from mmwave_env.world.simulated import SimulatedSource
-from tests.world.roads import replay
+from tests.filters.tracks import replay
 
 
 def names(table):

@@ -18,7 +18,7 @@ from stable_baselines3.common.monitor import Monitor
 from stable_baselines3.common.vec_env import DummyVecEnv, VecCheckNan, VecMonitor, VecNormalize
 
 from mmwave_env.sb3 import SB3VecEnv
-from tests.marks import representative
+from tests.paths import representative
 from tests.training.actors import MODES
 
 pytestmark = pytest.mark.torch

@@ -13,8 +13,7 @@ from mmwave_env.filters.modes import Mode
 from mmwave_env.models.radio import RADIOS
 from mmwave_env.models.scene import SCENES
 from mmwave_env.world.simulated import SimulatedSource
-from tests.marks import representative
-from tests.paths import ROOT
+from tests.paths import ROOT, representative
 from tests.training.actors import MODES
 from tests.vector_checker import forward, same
 

@@ -11,7 +11,7 @@ from mmwave_env.models.scene import SCENES
 from mmwave_env.numerics.pytree import flatten, unflatten
 from mmwave_env.world import mobility
 from mmwave_env.world.simulated import SimulatedSource
-from tests.marks import representative
+from tests.paths import representative
 
 
 @pytest.fixture

@@ -84,21 +84,3 @@ def test_a_damaged_or_planted_function_is_compiled_anew(damage, cache, filled, t
     assert localized(tmp_path / "run", cache) == filled[1]
     assert entries(cache) == before
     assert all(path.read_bytes() != old for path, old in zip(before, damaged, strict=True))
-
-
-def test_a_folder_that_all_may_write_to_is_left_alone(cache, filled, tmp_path):
-    for path in entries(cache):
-        path.parent.chmod(0o777)
-        path.write_bytes(pickle.dumps(Planted()))
-    before = [path.read_bytes() for path in entries(cache)]
-    assert localized(tmp_path / "run", cache) == filled[1]
-    assert [path.read_bytes() for path in entries(cache)] == before
-
-
-def test_functions_from_the_future_are_as_good(cache, filled, tmp_path):
-    """As they look when the clock was set back."""
-    for path in entries(cache):
-        os.utime(path, (4e9, 4e9))
-    before = [path.read_bytes() for path in entries(cache)]
-    assert localized(tmp_path / "run", cache) == filled[1]
-    assert [path.read_bytes() for path in entries(cache)] == before

@@ -1,9 +1,12 @@
-"""Batches of environments: some of them start, go on or are run again."""
+"""Batches of environments: some start, go on or are run again; what is kept of the steps."""
 
 import numpy as np
 import pytest
 
 from mmwave_env.engines.env_engine import Engine
+from mmwave_env.engines.tally import Tally, count
+from mmwave_env.engines.vector_step import ActionHistory
+from mmwave_env.metrics import accuracy
 from mmwave_env.reward import TrackingReward
 from tests.filters.tracks import pipeline_of, simulated
 
@@ -65,3 +68,49 @@ def test_past_the_end_of_an_episode_epochs_are_blank(on_floats):
         alone.step(np.int64(0))
         np.testing.assert_array_equal(together.column(1), alone.column(0))
     assert alone.read(alone.at.pending.visible).max() == 0.0
+
+
+@pytest.mark.parametrize("modes", [2, 300])
+def test_it_knows_the_last_steps_whenever_room_is_made(modes):
+    rng, history, steps, room = np.random.default_rng(0), ActionHistory(5, modes), [], 0
+    for asked in (3, 4, 2, 9, 30):
+        known, room = min(room, len(steps)), max(room, asked)
+        history.make_room(asked)
+        for _ in range(11):
+            if known:
+                some = rng.permutation(5)[:3]
+                expected = np.transpose(steps[-known:])[some]
+                np.testing.assert_array_equal(history.of(some, known), expected)
+            steps.append(rng.integers(modes, size=5))
+            history.rows[history.turn] = steps[-1]
+            history.next()
+            known = min(known + 1, room)
+
+
+@pytest.mark.parametrize("axes", [2, 3])
+@pytest.mark.parametrize("dt", [1e-9, 0.1, 0.3, 1.0, 2.5])
+@pytest.mark.parametrize("epochs", [1, 5, 10, 11, 12, 25, 200])
+def test_an_episode_ends_with_the_metrics_of_its_track(epochs, dt, axes):
+    rng, tally, where = np.random.default_rng(epochs), Tally(3, axes), np.array([1])
+    for _ in range(2):  # the one before leaves nothing
+        tally.begin(where, np.array([dt]), np.array([epochs]))
+        errors = rng.normal(0.0, 20.0, (epochs, 3))
+        nees = rng.chisquare(axes, epochs)
+        for k, (error, number) in enumerate(zip(errors, nees, strict=True)):
+            count(
+                tally.sums[1], tally.errors[1], tally.second[1], tally.interval, k, *error, number
+            )
+        found = tally.metrics(where, np.array([epochs]))
+    expected = accuracy(errors, nees, max(1.0, round(1.0 / dt)), axes)
+    assert {key: value.item() for key, value in found.items()} == pytest.approx(
+        {key: float(value) for key, value in expected.items()}, rel=1e-12
+    )
+    assert not tally.sums[[0, 2]].any()
+    assert tally.errors.shape[1] <= epochs  # however many there are in a second
+
+
+def test_an_error_without_a_number_is_a_divergence_for_good():
+    tally = Tally(1, 3)
+    for k, x in enumerate([0.0] * 12 + [np.nan] + [1.0] * 5):
+        count(tally.sums[0], tally.errors[0], 1, tally.interval, k, x, 0.0, 0.0, 3.0)
+    assert tally.metrics(np.array([0]), np.array([18]))["divergence_rate"] == 1.0

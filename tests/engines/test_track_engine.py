@@ -52,3 +52,13 @@ def test_actions_pick_the_mode(on_floats, episodes):
     np.testing.assert_array_equal(found["memory.mode"], actions)
     expected = track(pipeline, episodes[:3], actions.T, T, ("x",))["x"]
     np.testing.assert_allclose(found["x"], expected.swapaxes(0, 1), rtol=1e-11, atol=1e-11)
+
+
+def test_recovery_keeps_tracks_within_reach():
+    def mean_error(recovery):
+        tight = Mode("tight", sigma_p=0.01, sigma_v=0.05, recovery=recovery)
+        tracker = Tracker(Pipeline((tight,), STREET), 64)
+        tracker.load(simulated(64, epochs=120))
+        return np.linalg.norm(tracker.run("error")["error"], axis=-1).mean()
+
+    assert mean_error(Mode("tight").recovery) < 0.5 * mean_error(None)

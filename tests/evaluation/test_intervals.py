@@ -17,7 +17,7 @@ from experiments.evaluation.intervals import (
     few_seeds_factor,
     rounded,
 )
-from tests.marks import representative
+from tests.paths import representative
 
 # --- over episodes
 
@@ -115,14 +115,10 @@ def alike(interval):
     return Interval(*(pytest.approx(part) for part in astuple(interval)))
 
 
-def test_one_seed_has_the_interval_of_its_episodes():
-    scores = np.random.default_rng(0).exponential(size=(1, 50))
-    assert crossed_bootstrap(scores) == alike(*bootstrap(scores.T))
-
-
-def test_equal_seeds_have_the_interval_of_their_episodes():
+@pytest.mark.parametrize("seeds", [1, 5])
+def test_one_seed_or_equal_ones_have_the_interval_of_their_episodes(seeds):
     episodes = np.random.default_rng(0).exponential(size=50)
-    assert crossed_bootstrap(np.tile(episodes, (5, 1))) == alike(*bootstrap(episodes[:, None]))
+    assert crossed_bootstrap(np.tile(episodes, (seeds, 1))) == alike(*bootstrap(episodes[:, None]))
 
 
 @pytest.mark.parametrize("K", [5, 30])

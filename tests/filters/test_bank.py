@@ -13,7 +13,6 @@ from mmwave_env.filters.bank import (
     modes_from,
 )
 from mmwave_env.filters.modes import Mode
-from mmwave_env.filters.update import ekf
 
 BANK = Bank((Mode("slow", "ckf", sigma_v=0.1 + 0.2), Mode("fast")), ((0.9, 0.1), (0.3, 0.7)), 0.99)
 
@@ -57,20 +56,8 @@ def test_a_misspelt_key_is_refused(tmp_path, read, misspelt, key):
         read(path)
 
 
-def test_a_name_twice_in_a_file_is_refused(tmp_path):
-    path = tmp_path / "twins.json"
-    path.write_text(json.dumps({"modes": [{"name": "one"}, {"name": "one", "algorithm": "ckf"}]}))
-    with pytest.raises(ValueError, match="modes: found .'one', 'one'., expected no name twice"):
-        bank_from(path)
-
-
 @pytest.mark.parametrize("number", [10**400, "p", "1", True, None, [1.0]])
 def test_a_transition_of_what_are_no_numbers_is_refused(number):
     content = bank_as_written(BANK) | {"transition": [[number, 0.1], [0.3, 0.7]]}
     with pytest.raises(ValueError, match="transition: found .*, expected a list of rows of prob"):
         bank_in(content)
-
-
-def test_no_file_can_hold_a_bank_of_functions():
-    with pytest.raises(ValueError, match="algorithm of mode 'own': found a function"):
-        bank_as_written(Bank((Mode("own", ekf),)))

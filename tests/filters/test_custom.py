@@ -41,6 +41,7 @@ REFUSED = {
     "c = math.sqrt(b)": ("a float", "write the functions of mmwave_env.numerics.numbers"),
     "c = TABLE[a]": ("an integer", "a constant"),
     "c = np.linalg.inv(P)": ("numpy", "mmwave_env.numerics.linalg"),
+    "c = np.float64(2.0) * a": ("numpy", "mmwave_env.numerics.linalg"),
     "c = a == b": ("a comparison by == or !=", "write where(abs(a - b) < tolerance, ...)"),
     "c = b ** 0.5": ("a power", "sqrt(a) for a ** 0.5"),
     "c = a % 3.0": ("a remainder", "wrap(a) for angles"),
@@ -118,27 +119,8 @@ def test_the_line_is_the_innermost_of_the_user_s(algorithm):
     assert "maximum(a, b)" in message
 
 
-def test_a_built_in_function_has_no_line():
-    message = str(refusal(len))
-    assert message == (
-        "algorithm <built-in function len> of mode 'own' takes (obj, /), "
-        "expected (x, P, measurement, gate)\n"
-    )
-
-
-def test_without_source_the_advice_is_the_same():
-    names = {"ekf": ekf}
-    exec("def f(x, P, m, g):\n    if x[0] > 0: pass\n    return ekf(x, P, m, g)", names)
-    message = str(refusal(names["f"]))
-    assert 'File "<string>", line 2, in f' in message and WHERE in message
-
-
 def misspelt(x, P, measurement, gate):
     return ekf(x, P, measurement.numbers, gate)
-
-
-def only_lanes(x, P, measurement, gate):
-    return ekf([v.constant(1.0) for v in x], P, measurement, gate)
 
 
 def only_floats(x, P, measurement, gate):
@@ -147,22 +129,13 @@ def only_floats(x, P, measurement, gate):
 
 @pytest.mark.parametrize(
     ("algorithm", "said"),
-    [
-        (misspelt, "'Measurement' object has no attribute 'numbers'"),
-        (only_lanes, "'float' object has no attribute 'constant'"),
-        (only_floats, "'FloatTracer' object has no attribute 'real'"),
-    ],
+    [(misspelt, "has no attribute 'numbers'"), (only_floats, "a number on lanes knows +, -, *, /")],
 )
 def test_other_failures_keep_their_cause_and_show_the_line(algorithm, said):
-    error = refusal(algorithm)
-    code = algorithm.__code__
+    error, code = refusal(algorithm), algorithm.__code__
     assert said in str(error)
     assert f'File "{code.co_filename}", line {code.co_firstlineno + 1}, in' in str(error)
     assert isinstance(error.__cause__, AttributeError)
-
-
-def test_a_failure_on_lanes_says_what_lanes_know():
-    assert "a number on lanes knows +, -, *, /, <, <=, >, >=, abs" in str(refusal(only_floats))
 
 
 # --- signatures, returns and arguments
@@ -182,10 +155,6 @@ def nothing(x, P, measurement, gate):
     ekf(x, P, measurement, gate)
 
 
-def tuple_of_two(x, P, measurement, gate):
-    return x, P
-
-
 def flags(x, P, measurement, gate):
     after = ekf(x, P, measurement, gate)
     return after._replace(accepted=[q < 9.0 for q in after.nis])
@@ -195,45 +164,20 @@ def too_few(x, P, gate):
     return ekf(x, P, None, gate)
 
 
-def too_many(x, P, measurement, gate, strength):
-    return ekf(x, P, measurement, gate)
-
-
-def nan_where_small(x, P, measurement, gate):
-    after = ekf(x, P, measurement, gate)
-    return after._replace(x=[math.nan, *after.x[1:]])
-
-
-def uses_the_missing(x, P, measurement, gate):
-    after = ekf(x, P, measurement, gate)
-    return after._replace(accepted=[1.0 for _ in after.accepted])
-
-
-def lopsided(x, P, measurement, gate):
-    after = ekf(x, P, measurement, gate)
-    matrix = [list(row) for row in after.P]
-    matrix[0][3] = matrix[0][3] + 1.0
-    return after._replace(P=matrix)
-
-
 RETURNS = {
     nothing: "returned None, expected a Posterior of mmwave_env.filters.update",
-    tuple_of_two: "returned tuple of 2, expected a Posterior",
-    changed(x=lambda x: x[:6]): "returned x: list of 6, expected a list of 7 numbers",
     changed(x=tuple): "returned x: tuple of 7, expected a list of 7 numbers",
     changed(x=lambda x: [None, *x[1:]]): "returned x[0]: None, expected a number",
     changed(P=lambda P: P[:6]): "returned P: list of 6, expected a list of 7 rows",
     changed(P=lambda P: [*P[:6], P[6][:2]]): "returned P[6]: list of 2, expected a list of 7",
     changed(nis=lambda q: q[0]): "returned nis: float, expected a list of 4 numbers",
     changed(accepted=lambda a: [*a, 1.0]): "returned accepted: list of 5, expected a list of 4",
-    changed(log_likelihood=lambda _: None): "returned log_likelihood: None, expected a number",
     changed(log_likelihood=lambda v: [v]): "returned log_likelihood: list of 1, expected a number",
     flags: "returned accepted[0]: bool, expected a number: where(condition, 1.0, 0.0)",
-    nan_where_small: "returned x[0]: nan, expected a finite number",
-    uses_the_missing: "accepted[1]: 1 of a missing group, expected 0",
-    lopsided: "expected a symmetric matrix",
+    changed(x=lambda x: [math.nan, *x[1:]]): "returned x[0]: nan, expected a finite number",
+    changed(accepted=lambda a: [1.0 for _ in a]): "accepted[1]: 1 of a missing group, expected 0",
+    changed(P=lambda P: [[P[0][0] + 1.0] * 7, *P[1:]]): "expected a symmetric matrix",
     too_few: "takes (x, P, gate), expected (x, P, measurement, gate)",
-    too_many: "takes (x, P, measurement, gate, strength), expected (x, P, measurement, gate)",
 }
 
 
@@ -246,11 +190,6 @@ def test_wrong_returns_and_signatures_are_refused(algorithm, said):
     assert f'File "{code.co_filename}", line {code.co_firstlineno}, in' in message
 
 
-def moves_the_prior(x, P, measurement, gate):
-    x[0] = x[0] + 1.0
-    return ekf(x, P, measurement, gate)
-
-
 def widens_the_prior(x, P, measurement, gate):
     P[0][0] = P[0][0] + 1.0
     return ekf(x, P, measurement, gate)
@@ -261,7 +200,7 @@ def doubts_the_noise(x, P, measurement, gate):
     return ekf(x, P, measurement, gate)
 
 
-CHANGES = {"x": moves_the_prior, "P": widens_the_prior, "measurement": doubts_the_noise}
+CHANGES = {"P": widens_the_prior, "measurement": doubts_the_noise}
 
 
 @pytest.mark.parametrize(("name", "algorithm"), CHANGES.items(), ids=CHANGES)

@@ -7,7 +7,6 @@ import pytest
 from scipy.stats import chi2
 
 from mmwave_env.filters.bank import default_modes
-from mmwave_env.filters.imm import stay_matrix
 from mmwave_env.filters.modes import Mode
 from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.models.measurement import Layout
@@ -147,16 +146,3 @@ def test_equals_textbook_mixture(tunings, nis_quantile):
         np.testing.assert_allclose((unpacked(ours["P"][:, e]) - P) / scale, 0.0, atol=1e-8)
         # ours keep weights of 1e-12, before they are made to sum to one
         np.testing.assert_allclose(ours["probability"][:, e], probability, rtol=1e-7, atol=1e-9)
-
-
-def test_stay_matrix_rows_sum_to_one():
-    for modes in (1, 2, 5):
-        matrix = np.array(stay_matrix(modes, 0.9))
-        np.testing.assert_allclose(matrix.sum(axis=1), 1.0)
-        assert modes == 1 or np.all(np.diag(matrix) == 0.9)
-
-
-@pytest.mark.parametrize("stay", [0.0, -0.1, 1.1])
-def test_stay_that_is_no_probability_is_refused(stay):
-    with pytest.raises(ValueError, match="stay: found"):
-        stay_matrix(2, stay)

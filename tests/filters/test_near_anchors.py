@@ -66,18 +66,6 @@ def test_what_has_no_direction_says_nothing_and_the_rest_is_the_derivative(where
         np.testing.assert_allclose(H, np.array(columns).T, rtol=1e-4, atol=1e-3)
 
 
-@algorithms
-@pytest.mark.parametrize("azimuth", [-3.1, -1.0, 0.0, 2.0, 3.14])
-def test_an_azimuth_measured_straight_below_moves_nothing(algorithm, azimuth):
-    problem = near("below")
-    problem.z[[1, 3]] = azimuth, azimuth - np.pi * np.sign(azimuth or 1.0)
-    turned = near("below")
-    a, b = (one.ours(OURS[algorithm], Gate(0.99)) for one in (problem, turned))
-    assert a.accepted == b.accepted
-    np.testing.assert_allclose(a.x, b.x, atol=1e-9)
-    np.testing.assert_allclose(a.P, b.P, atol=1e-9)
-
-
 def starts_near(where):
     """Users whose filters begin right there; they walk off, and are measured well."""
     sensor = textbook.Sensor(ANCHORS, HZ_PER_MPS)

@@ -296,8 +296,9 @@ def test_a_mode_stays_or_moves_to_any_other_alike():
     np.testing.assert_allclose(imm.stay_matrix(3, 0.9), 0.05 + 0.85 * np.eye(3))
     np.testing.assert_allclose(imm.stay_matrix(2, 0.05), [[0.05, 0.95], [0.95, 0.05]])
     assert imm.stay_matrix(1) == ((1.0,),)
-    with pytest.raises(ValueError, match="stay: found 1.05"):
-        imm.stay_matrix(2, 1.05)
+    for stay in (0.0, -0.1, 1.05):
+        with pytest.raises(ValueError, match=f"stay: found {stay}"):
+            imm.stay_matrix(2, stay)
 
 
 def test_a_mixture_begins_with_all_modes_alike():

@@ -5,7 +5,6 @@ import re
 import sys
 from functools import partial
 
-import gymnasium as gym
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -21,7 +20,6 @@ from mmwave_env.filters.custom import AlgorithmError
 from mmwave_env.filters.gating import Gate
 from mmwave_env.filters.modes import Mode
 from mmwave_env.filters.pipeline import Pipeline
-from mmwave_env.filters.update import ekf
 from mmwave_env.localization.localizer import localize
 from mmwave_env.logs.log import read_log
 from mmwave_env.models.radio import RADIOS
@@ -82,32 +80,6 @@ def test_iekf_equals_the_textbook_s(iekf, iterations, gate, odometry, data):
     assert_same(problem.ours(partial(iekf, iterations=iterations), gate), expected)
 
 
-@pytest.mark.parametrize("gate", GATES.values(), ids=GATES)
-@given(data=st.data())
-@settings(max_examples=15, deadline=None)
-def test_one_iteration_is_our_ekf(iekf, gate, data):
-    problem = data.draw(problems(odometry=True))
-    once, ours = (problem.ours(f, gate) for f in (partial(iekf, iterations=1), ekf))
-    assert (once.nis, once.accepted, once.log_likelihood) == (
-        ours.nis, ours.accepted, ours.log_likelihood
-    )  # fmt: skip
-    packed = [np.array(p.P)[np.tril_indices(7)] for p in (once, ours)]
-    assert_same_beliefs(
-        *[{"x": np.array(p.x), "P": P} for p, P in zip((once, ours), packed, strict=True)],
-        rtol=1e-9,
-    )
-
-
-@given(data=st.data())
-@settings(max_examples=20, deadline=None)
-def test_nothing_visible_leaves_the_prior(iekf, data):
-    problem = data.draw(problems(odometry=True))
-    posterior = problem._replace(visible=np.zeros_like(problem.visible)).ours(iekf, Gate(0.99))
-    assert (posterior.x, posterior.P) == (problem.x.tolist(), problem.P.tolist())
-    assert posterior.log_likelihood == 0.0
-    assert not any(posterior.accepted)
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize(
     "planar",
@@ -159,45 +131,9 @@ def test_it_is_evaluated_like_a_mode_of_ours(mine):
     np.testing.assert_allclose(scores["imm"]["ate_m"], scores["fixed-iekf"]["ate_m"], rtol=1e-6)
 
 
-@pytest.mark.slow
-def test_vector_environments_give_the_numbers_of_single_ones(mine):
-    arguments = {"modes": ["ekf", mine], "episode_steps": 5}
-    single = gym.make("MmWaveLoc-v0", **arguments)
-    envs = gym.make_vec("MmWaveLoc-v0", num_envs=3, **arguments)
-    seen, _ = envs.reset(seed=[7, 8, 9])
-    for i in range(3):
-        np.testing.assert_array_equal(single.reset(seed=7 + i)[0], seen[i])
-    single.reset(seed=7)
-    for _ in range(5):
-        one, many = single.step(1), envs.step(np.ones(3, int))
-        np.testing.assert_array_equal(one[0], many[0][0])
-        assert one[1] == many[1][0]
-
-
-def test_the_page_s_example_of_use_runs(capsys):
-    names = {}
-    exec(compile(USE, "own-filters.md", "exec"), names)
-    assert names["info"]["mode"] == 1
-    names["envs"].close()
-
-
-def test_the_page_s_tests_pass():
-    names = {}
-    exec(compile(TESTS, "own-filters.md", "exec"), names)
-    tests = [value for name, value in names.items() if name.startswith("test_")]
-    assert len(tests) == 2
-    for test in tests:
-        test()
-
-
 def test_a_hasty_filter_is_refused_as_the_page_shows(files):
     hasty = importlib.import_module("hasty").hasty
     (shown,) = re.findall(r"```\n(algorithm hasty.*?)```", PAGE, re.DOTALL)
     with pytest.raises(AlgorithmError) as refusal:
         Pipeline((Mode("hasty", hasty),), STREET)
     assert str(refusal.value).replace(f"{files}/", "") == shown
-
-
-def test_the_page_s_links_lead_somewhere():
-    for target in re.findall(r"\]\(([^)#]+)\)", PAGE):
-        assert (ROOT / "docs" / target).exists(), target

@@ -1,7 +1,8 @@
-"""Episodes to filter, and whole tracks of an engine to compare."""
+"""Episodes to filter, a way to go, and whole tracks of an engine to compare."""
 
 from dataclasses import dataclass, replace
 from operator import attrgetter
+from types import SimpleNamespace
 
 import numpy as np
 
@@ -16,6 +17,7 @@ from mmwave_env.models.scene import SCENES
 from mmwave_env.reward import TrackingReward
 from mmwave_env.world.episode import Episode
 from mmwave_env.world.simulated import SimulatedSource
+from mmwave_env.world.trajectory import Trajectory
 from tests.filters import textbook
 
 STREET = Layout(3)
@@ -33,6 +35,23 @@ def simulated(n, epochs=200, odometry=False, seed=0):
     """Episodes of the noisiest radio, with more missing groups and gross outliers on top."""
     source = SimulatedSource(SCENES["street"], RADIOS["handset"], epochs=epochs, odometry=odometry)
     return [spoiled(source.sample(np.random.default_rng([seed, i])), i) for i in range(n)]
+
+
+def around_a_block(corner=(10.0, -20.0)):
+    """A minute and a half along two sides of a block, faster and slower, at uneven times."""
+    time_s = np.cumsum(np.tile([0.4, 1.0, 2.1, 0.8], 21)) + 1000.0
+    passed = time_s - time_s[0]
+    traveled = 2.0 * passed + 4.0 * np.sin(passed / 9.0)
+    x, y = np.minimum(traveled, 80.0), np.maximum(traveled - 80.0, 0.0)
+    position = np.column_stack([corner[0] + x, corner[1] - y, np.full(len(x), 1.5)])
+    return Trajectory("block", time_s, position)
+
+
+def replay(episode):
+    """An episode source that knows one episode."""
+    return SimpleNamespace(
+        layout=episode.layout, epochs=len(episode), name=episode.name, sample=lambda rng: episode
+    )
 
 
 def spoiled(episode, seed):

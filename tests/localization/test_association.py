@@ -21,8 +21,7 @@ from mmwave_env.models.scene import SCENES, Scene
 from mmwave_env.world.simulated import SimulatedSource
 from policies.speed_rule import by_predicted_speed
 from tests.logs.by_hand import hide_anchors
-from tests.marks import representative
-from tests.paths import LOGS
+from tests.paths import LOGS, representative
 
 RADIO = RADIOS["standard"]
 MODES = default_modes("standard")

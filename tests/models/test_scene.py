@@ -16,7 +16,7 @@ from mmwave_env.models.scene import SCENES, Scene, Streets, Wall, scene_from, sc
 from mmwave_env.world.keys import keys_of
 from mmwave_env.world.mobility import MOBILITIES
 from mmwave_env.world.simulated import SimulatedSource
-from tests.world.roads import around_a_block
+from tests.filters.tracks import around_a_block
 
 coordinates = st.floats(-1e3, 1e3, allow_subnormal=False)
 points = st.tuples(coordinates, coordinates, coordinates)

@@ -24,7 +24,7 @@ from mmwave_env.world.mobility import (
     mobilities_of,
 )
 from mmwave_env.world.simulated import SimulatedSource
-from tests.marks import representative
+from tests.paths import representative
 
 STEP_S, STEPS, SEEDS = 0.1, 2000, 40
 

@@ -17,9 +17,8 @@ from mmwave_env.world.mobility import mobilities_of, plans_of
 from mmwave_env.world.simulated import SimulatedSource
 from mmwave_env.world.trajectory import Trajectory
 from mmwave_env.world.travel import attend, draw_phases, set_off, stride_of
-from tests.filters.tracks import geometry
-from tests.marks import representative
-from tests.world.roads import around_a_block
+from tests.filters.tracks import around_a_block, geometry
+from tests.paths import representative
 
 SOURCES = {
     "default": SimulatedSource(SCENES["street"], RADIOS["handset"]),
