@@ -52,14 +52,6 @@ def test_what_is_beside_is_compared_as_by_the_command():
     assert set(found.paired) == {*by_command["paired"], *mine}
 
 
-def test_ones_own_are_compared_with_each_other():
-    first, second = (lambda o, a=action: np.full(len(o), a) for action in (0, 1))
-    agents = {"first": first, "second": second}
-    found = compare(agents, ("imm",), episodes=1, episode_steps=20)
-    own = {"first - second", "second - first"}
-    assert set(found.paired) == own | {"first - imm", "second - imm"}
-
-
 @pytest.mark.filterwarnings("always::UserWarning")
 def test_a_warning_is_told_once_and_in_one_line(capsys):
     def act(observations):
@@ -74,9 +66,6 @@ def test_a_warning_is_told_once_and_in_one_line(capsys):
     ("act", "message"),
     [
         (lambda o: np.ones((len(o), 1), int), r"mine: found shape \(3, 1\) of int64.*\(3,\)"),
-        (lambda o: np.ones(len(o)), "mine: found shape .* of float64, expected .* of integers"),
-        (lambda o: 1, r"mine: found shape \(\)"),
-        (lambda o: np.full(len(o), 2), "mine: found 2 to 2, expected 0 to 1"),
         (
             lambda o: (np.ones(len(o), int), None),
             r"found a tuple of parts .*, expected \(3,\) of integers; of a model, lambda",
@@ -109,20 +98,6 @@ def test_other_mistakes_are_named():
         compare({}, episodes="ride")
 
 
-def test_an_agent_over_beliefs_per_mode_that_trusts_none_scores_what_the_imm_does():
-    def none(observations):
-        return np.zeros(len(observations), int)
-
-    def trusting(observations):
-        return np.full(len(observations), 2)
-
-    agents = {"none": none, "trusting": trusting}
-    found = compare(agents, ("imm",), episodes=2, beliefs="per-mode", modes=["ekf", "ukf"])
-    for metric in METRICS:
-        assert abs(found.paired["none - imm"][metric].mean) < 1e-9
-    assert abs(found.paired["trusting - imm"]["reward"].mean) > 1e-3
-
-
 def test_the_imm_by_name_is_over_the_bank_with_its_transition():
     def none(observations):
         return np.zeros(len(observations), int)
@@ -131,16 +106,6 @@ def test_the_imm_by_name_is_over_the_bank_with_its_transition():
     found = compare({"none": none, "over it": "imm"}, (), episodes=2, modes=HANDSET)
     for metric in METRICS:
         assert abs(found.paired["none - over it"][metric].mean) < 1e-9
-
-
-@pytest.mark.slow
-def test_the_modes_of_beliefs_per_mode_are_by_default_those_of_the_best_imm():
-    def none(observations):
-        return np.zeros(len(observations), int)
-
-    for radio in ("handset", "standard"):
-        found = compare({"none": none}, ("imm-best",), None, radio, 2, beliefs="per-mode")
-        assert abs(found.paired["none - imm-best"]["reward"].mean) < 1e-9
 
 
 @pytest.mark.slow

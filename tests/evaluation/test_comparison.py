@@ -3,9 +3,12 @@
 import numpy as np
 import pytest
 
+from experiments.console.tables import HEADERS
 from experiments.evaluation.comparison import compare_scores, references
 from experiments.evaluation.intervals import bootstrap
+from experiments.evaluation.positions import HEADER, exceeded, meters, percent, positions_markdown
 from experiments.evaluation.seeds import Selection
+from mmwave_env.localization.position_errors import PositionErrors
 from mmwave_env.metrics import METRICS, TERMS
 
 
@@ -85,6 +88,29 @@ def test_the_heading_names_a_reward_that_is_not_the_usual_one():
     result = compare_scores(scores(imm=[1, 2, 3]), **WHAT, reward="log-score")
     title, *_ = str(result).splitlines()
     assert title == "### mixed, handset, 3 episodes, seeds 0 and up, reward log-score"
+
+
+@pytest.mark.parametrize(
+    ("share", "shown"),
+    [(None, "-"), (0.0, "0.0 %"), (1.0, "100.0 %"), (0.0123, "1.2 %"), (0.00089, "0.089 %"),
+     (0.99911, "99.911 %"), (0.9988, "99.88 %"), (1e-9, "0.0 %")],
+)  # fmt: skip
+def test_rare_shares_keep_two_digits(share, shown):
+    assert percent(share) == shown
+
+
+def test_distances_have_three_digits_and_a_share_stands_before_its_interval():
+    for value, shown in {None: "-", 0.0: "0.00", 0.01234: "0.0123", 99.96: "100"}.items():
+        assert meters(value) == shown
+    assert exceeded({"share": 0.0027, "ci95": [0.0021, 0.0035]}) == "0.27 % [0.21, 0.35]"
+
+
+def test_a_table_of_errors_has_a_row_for_each_kind_also_where_there_are_none():
+    table = positions_markdown("policy", {"a|b": PositionErrors().figures()}, 1e-3)
+    header, _, *rows = table.splitlines()[:4]
+    assert header == f"| policy | {' | '.join(HEADER)} |" and not set(HEADER) & {*HEADERS.values()}
+    cells = " | -" * len(HEADER)
+    assert rows == [rf"| a\|b, horizontal{cells} |", rf"| a\|b, vertical{cells} |"]
 
 
 def test_results_as_json():

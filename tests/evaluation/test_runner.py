@@ -12,7 +12,7 @@ import mmwave_env  # noqa: F401  registers the environment
 from experiments.evaluation import contenders as contenders_module
 from experiments.evaluation import runner as evaluation
 from experiments.evaluation.contenders import Contender, contender_from, contenders
-from experiments.evaluation.runner import run_contender, score, score_contenders
+from experiments.evaluation.runner import score, score_contenders
 from experiments.evaluation.seeds import Selection, draw_episodes
 from mmwave_env.engines.imm_engine import ImmEngine
 from mmwave_env.filters.bank import bank_as_written, best_bank, modes_from
@@ -23,7 +23,7 @@ from mmwave_env.models.scene import SCENES
 from mmwave_env.observation import BELIEFS
 from mmwave_env.reward import TrackingReward
 from mmwave_env.world.simulated import SimulatedSource
-from policies import FixedMode, learned
+from policies import learned
 from tests.training.actors import (
     HANDSET,
     MODES,
@@ -83,11 +83,6 @@ def test_seeds_run_from_the_first_one():
     assert all(len(both[m]) == 2 and both[m][1] == second[m][0] for m in METRICS)
 
 
-def test_nothing_is_printed_beside_the_result(capsys):
-    score_contenders(["fixed-ukf"], SOURCE, "handset", Selection(range(1)))
-    assert capsys.readouterr() == ("", "")
-
-
 def test_contenders_see_the_same_episodes():
     together = score_contenders(["fixed-ekf", "fixed-ukf"], SOURCE, "handset", Selection(range(2)))
     alone = score_contenders(["fixed-ukf"], SOURCE, "handset", Selection(range(2)))
@@ -103,17 +98,6 @@ def test_every_radio_has_every_contender(radio):
         *(() if radio == "high" else ("ppo",)), "guided", "guided-ppo",
     ]  # fmt: skip
     assert all(c.name == name and c.modes for name, c in found.items())
-
-
-def test_an_unknown_contender_lists_the_valid_ones():
-    with pytest.raises(ValueError, match="policy: found 'oracle'.*fixed-ekf.*imm"):
-        score_contenders(["oracle"], SOURCE, "handset", Selection(range(1)))
-
-
-@pytest.mark.parametrize("episodes", [0, -3])
-def test_no_episodes_are_refused(episodes):
-    with pytest.raises(ValueError, match="episodes"):
-        score_contenders(["fixed-ukf"], SOURCE, "handset", Selection(range(episodes)))
 
 
 def test_episodes_without_truth_are_refused():
@@ -135,17 +119,6 @@ def test_an_imm_is_run_as_it_was_tuned():
     np.testing.assert_array_equal(score(contender, None, episodes)["reward"], expected)
     plain = score(contender_from("imm", "handset"), None, episodes)["reward"]
     assert (np.abs(plain - expected) > 1e-3).all()
-
-
-def test_a_name_twice_is_refused():
-    with pytest.raises(ValueError, match="policies: found imm, imm, expected no name twice"):
-        score_contenders(["imm", "imm"], SOURCE, "handset", Selection(range(1)))
-
-
-def test_actions_beyond_the_modes_are_refused():
-    contender = contender_from("fixed-ekf", "handset")
-    with pytest.raises(ValueError, match="found 5 to 5, expected 0 to 1"):
-        score(contender, FixedMode(5), draw_episodes(SOURCE, [0]))
 
 
 @pytest.mark.slow
@@ -200,17 +173,12 @@ def test_a_policy_that_a_radio_has_not_is_refused_with_the_radios_it_was_trained
         "standard, and goes by 'ppo' only with these radios and where no modes are given; did you "
         "mean {}[?]$"
     )
-    for radio, modes, meant in (
-        ("high", None, "ppo-standard"),
-        ("standard", MODES, "ppo-standard"),
-        ("handset", MODES, "ppo-handset"),
-    ):
+    for radio, modes in (("high", None), ("handset", MODES)):
+        meant = "ppo-handset" if radio == "handset" else "ppo-standard"
         with pytest.raises(ValueError, match=why.format(meant)):
             contender_from("ppo", radio, modes)
-    with pytest.raises(ValueError, match="xpected one of .*, guided, ppo-handset") as refused:
+    with pytest.raises(ValueError, match="xpected one of .*, guided, ppo-handset"):
         contender_from("guided-ppo", "handset")  # of no radio
-    names = str(refused.value).partition("xpected one of ")[2].partition(";")[0].split(", ")
-    assert len(set(names)) == len(names)
 
 
 def test_a_policy_shipped_for_all_radios_is_a_contender_of_each_with_its_bank(
@@ -292,22 +260,6 @@ def test_the_imm_over_a_file_that_says_a_transition_has_it_whatever_the_beliefs(
     assert contender_from("fixed-walk", "handset", path).modes == HANDSET.modes
 
 
-def test_before_an_action_probabilities_are_those_of_the_imm():
-    own = Contender.own("none", none, "handset", HANDSET, beliefs="per-mode")
-    episodes = draw_episodes(SOURCE, range(2))
-    imm = ImmEngine(
-        Pipeline(HANDSET.modes, SOURCE.layout), TrackingReward(), HANDSET.transition,
-        HANDSET.nis_quantile,
-    )  # fmt: skip
-    name = "mixture.probability"
-    found = run_contender(own, own.start(SOURCE.layout), episodes, shown=[name])[name]
-    assert found.shape == (2, len(episodes[0]), len(MODES))
-    np.testing.assert_allclose(found, imm.run(episodes, name)[name], atol=1e-9)
-    stand = run_contender(own, FixedMode(1), episodes, shown=[name])[name]
-    np.testing.assert_array_equal(stand[:, 0], found[:, 0])  # no action was taken yet
-    assert stand[:, 1:, 0].mean() > found[:, 1:, 0].mean()
-
-
 def test_the_best_imm_is_over_the_best_bank_of_its_radio():
     for radio in RADIOS:
         imm, bank = contender_from("imm-best", radio), best_bank(radio)
@@ -347,9 +299,3 @@ def test_a_policy_takes_the_bank_of_the_radio(trust):
     assert handset.at("high").bank == STANDARD and standard.at("handset").bank == HANDSET
     imm = contender_from("imm", "handset")
     assert imm.at("standard") is imm
-
-
-def test_actions_beyond_none_and_the_modes_are_refused(trust):
-    contender = Contender.learned(trust)
-    with pytest.raises(ValueError, match="found 4 to 4, expected 0 to 3"):
-        score(contender, FixedMode(4), draw_episodes(SOURCE, [0]))

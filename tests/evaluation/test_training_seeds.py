@@ -69,18 +69,6 @@ def test_they_are_written_as_json(found):
         assert list(row) == ["seeds", "above_zero", "mean"]
 
 
-def test_they_are_shown_as_a_table(found):
-    lines = seeds_markdown(found[0]).splitlines()
-    table = [[c.strip() for c in line.strip("|").split("|")] for line in lines if line[:1] == "|"]
-    header = [f"minus {rival}" for rival in RIVALS[:-1]] + ["minus imm-best (best IMM)"]
-    assert table[0] == ["training seed", "reward", *header]
-    names = ["2", "0 (median)", "1", "intervals above zero", "mean over seeds"]
-    assert [row[0] for row in table[2:]] == names
-    assert table[3][4] == str(found[0].minus["imm"].each[1])
-    assert table[5][1:] == ["", *(f"{found[0].minus[rival].wins} of 3" for rival in RIVALS)]
-    assert "runs/a" in lines[1]
-
-
 def test_alone_a_run_still_has_its_reward(trained):
     run = {RUN: [{"reward": one} for one in trained[RUN]]}
     (alone,) = over_training_seeds(run, {"runs/a": {"reward": trained[RUN][1]}})
