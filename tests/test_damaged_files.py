@@ -32,7 +32,7 @@ from mmwave_env.world.mobility import read_mobility
 from mmwave_env.world.ways import read_ways
 from policies.policy_file import _checksum, read_policy, save
 from tests.damage import changed, damaged
-from tests.datasets.deepmimo.scenarios import shortened
+from tests.datasets.deepmimo.scenarios import SAVE, shortened
 from tests.paths import LOGS, ROOT
 from tests.training.actors import actor, card_of
 
@@ -76,10 +76,11 @@ def parquet():
 
 
 @cache
-def deepmimo():
+def deepmimo(suffix):
     with TemporaryDirectory() as folder:
-        made = shortened(Path(folder, "scenario"), 4)
-        return {path.name: path.read_bytes() for path in sorted(made.iterdir())}
+        made = shortened(Path(folder, "scenario"), 4, suffix)
+        files = {path.name: path.read_bytes() for path in sorted(made.iterdir())}
+    return files | {"params.json": json.loads(files["params.json"])}
 
 
 def alone(name, content, read, **more):
@@ -117,7 +118,7 @@ READERS = {
     "bank": alone("m.json", BANK, read_bank),
     "mobility": alone("walk.json", WALK, read_mobility),
     "way": alone("way.csv", WAY, read_ways),
-    "DeepMIMO": Reader(deepmimo, read_deepmimo),
+    **{f"DeepMIMO{end}": Reader(partial(deepmimo, end), read_deepmimo) for end in SAVE},
     "policy": alone("p.safetensors", signed(CARD), read_policy),
     "policy, signed anew": alone("p.safetensors", CARD, read_policy, write=signed),
     "hyperparameters": alone("h.json", RECIPE, partial(read_hyperparameters, algorithm="ppo")),

@@ -149,30 +149,3 @@ def test_a_damaged_archive_is_found_wherever_it_is_damaged(tmp_path):
     file.write_bytes(content)
     with pytest.raises(ValueError, match="Bad CRC-32"):
         read_array(file, "delay", ANY, np.array([0]))
-
-
-@settings(max_examples=150, deadline=None)
-@given(
-    suffix=st.sampled_from(sorted(SAVE)),
-    packed=st.booleans(),
-    cut=st.none() | st.floats(0.0, 1.0),
-    flips=st.lists(st.tuples(st.floats(0.0, 0.999), st.integers(1, 255)), max_size=4),
-)
-@pytest.mark.filterwarnings("ignore")
-def test_random_damage_is_refused_or_harmless(room, suffix, packed, cut, flips):
-    file = room / f"power{suffix}"
-    array = np.arange(60, dtype=np.float32).reshape(20, 3)
-    if suffix == ".npz" and not packed:
-        np.savez(file, power=array)
-    else:
-        SAVE[suffix](file, "power", array)
-    content = bytearray(file.read_bytes())
-    for where, mask in flips:
-        content[int(where * len(content))] ^= mask
-    file.write_bytes(content[: len(content) if cut is None else int(cut * len(content))])
-    try:
-        found = read_array(file, "power", ("N", 3), np.array([0, 7]))
-    except ValueError as error:
-        assert str(file) in str(error)  # noqa: PT017  not every damage is an error
-    else:
-        assert found.shape == (2, 3) and found.dtype == float

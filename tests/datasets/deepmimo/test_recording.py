@@ -66,17 +66,6 @@ def test_every_row_of_every_link_agrees_with_the_geometry(source):
     np.testing.assert_allclose(recording.measurement[:, -1], exact[:, -1], atol=1e-9)
 
 
-@pytest.mark.parametrize("source", [VEHICLE, PEDESTRIAN])
-def test_ranges_rebuilt_from_the_anchors_are_those_of_the_files(source):
-    recording = read_deepmimo(source)
-    delays_m = SPEED_OF_LIGHT * load(source, "delay").astype(float)
-    for a in range(3):
-        seen = recording.visible[:, a]
-        away = recording.position_m[seen] - recording.anchors_m[a]
-        gap = np.abs(delays_m[seen] - np.linalg.norm(away, axis=1)[:, None])
-        assert np.nanmin(gap, axis=1).max() < 1e-4
-
-
 def test_doppler_has_the_sign_of_the_range_rate():
     recording = read_deepmimo(VEHICLE)
     rate = np.gradient(recording.measurement[:, 0], recording.time_s)
@@ -154,16 +143,6 @@ def test_paths_without_a_fixed_image_are_left_out(folder):
     assert recording.visible[40:, 1].any()
 
 
-def test_plain_numpy_files_are_as_good(folder):
-    expected = read_deepmimo(folder)
-    for key in KEYS:
-        np.save(folder / f"{key}_{LINK}.npy", load(folder, key))
-        (folder / f"{key}_{LINK}.npz").unlink()
-    found = read_deepmimo(folder)
-    np.testing.assert_array_equal(found.measurement, expected.measurement)
-    np.testing.assert_array_equal(found.visible, expected.visible)
-
-
 def test_files_that_are_not_needed_may_be_missing(folder):
     for name in ("objects.json", "vertices.npz", f"phase_{LINK}.npz"):
         (folder / name).unlink()
@@ -222,7 +201,6 @@ def write(file, content):
 DAMAGE = {
     "no params": (drop("params.json"), ["params.json", "no such file"]),
     "params not JSON": (write("params.json", b"{"), ["params.json", "not the parameters"]),
-    "params not text": (write("params.json", b"\xff\x00"), ["params.json", "expected"]),
     "params a list": (write("params.json", b"[]"), ["params.json", "found list"]),
     "no frequency": (
         lambda f: edit_params(f, lambda p: p["rt_params"].pop("frequency")),
@@ -231,10 +209,6 @@ DAMAGE = {
     "frequency a word": (
         lambda f: edit_params(f, lambda p: p["rt_params"].update(frequency="28 GHz")),
         ["rt_params.frequency", "28 GHz", "a number from 1 to"],
-    ),
-    "frequency without end": (
-        lambda f: edit_params(f, lambda p: p["rt_params"].update(frequency=10**200)),
-        ["rt_params.frequency", "a number from 1 to"],
     ),
     "dynamic scenario": (
         lambda f: edit_params(f, lambda p: p["scene"].update(num_scenes=7)),
@@ -246,27 +220,13 @@ DAMAGE = {
         lambda f: np.save(f / "rx_pos_t000_tx001_r001.npy", np.zeros((1, 3))),
         ["inter_t000_tx001_r001", "no such file"],
     ),
-    "two sets of receivers": (
-        lambda f: np.save(f / "rx_pos_t000_tx000_r002.npy", np.zeros((1, 3))),
-        ["receiver_set", "found all", "one of 1, 2"],
-    ),
     "two positions of the transmitter": (
         lambda f: edit(f, "tx_pos", lambda a: np.tile(a, (2, 1))),
         ["tx_pos", "(2, 3)", "(1, 3)"],
     ),
-    "empty file": (write(f"delay_{LINK}.npz", b""), ["delay", "no readable array"]),
-    "not a zip": (write(f"delay_{LINK}.npz", b"PK\x03\x04 nonsense"), ["delay", "no readable"]),
     "another key": (
         lambda f: np.savez(f / f"delay_{LINK}.npz", toa=load(f, "delay")),
         ["delay", "only toa", "no array named delay"],
-    ),
-    "words": (
-        lambda f: store(f, "delay", np.full((120, 4), "late")),
-        ["delay", "type <U4", "real numbers"],
-    ),
-    "complex numbers": (
-        lambda f: edit(f, "delay", lambda a: a + 1j),
-        ["delay", "type complex", "real numbers"],
     ),
     "one path short": (
         lambda f: edit(f, "aoa_az", lambda a: a[:, :3]),
@@ -312,15 +272,6 @@ DAMAGE = {
         lambda f: edit(f, "inter", lambda a: np.where(a == 0.0, 1.0 + 10.0, a)),
         ["inter", "line-of-sight", "at least one"],
     ),
-    "delay in nanoseconds": (
-        lambda f: edit(f, "delay", lambda a: 1e9 * a),
-        ["delay", "receiver 0", "range_m", "expected 40.69"],
-    ),
-    "elevation for zenith": (
-        lambda f: edit(f, "aoa_el", lambda a: 90.0 - a),
-        ["aoa_", "receiver 0"],
-    ),
-    "radians": (lambda f: edit(f, "aod_az", np.radians), ["aod_az", "receiver 0"]),
     "no sidecar": (drop("trajectory.csv"), ["trajectory.csv", "t,x,y,z,vx,vy,vz"]),
     "empty sidecar": (write("trajectory.csv", b""), ["trajectory.csv", "header"]),
     "sidecar not text": (write("trajectory.csv", b"t,x\xff"), ["trajectory.csv", "CSV"]),

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from mmwave_env.datasets.deepmimo import read_deepmimo
-from tests.datasets.deepmimo.scenarios import TRUTH, edit, edit_line, load, shortened
+from tests.datasets.deepmimo.scenarios import TRUTH, edit, load, shortened
 
 
 @pytest.fixture
@@ -98,9 +98,3 @@ def test_a_way_that_no_user_goes_is_named(folder, what):
     with pytest.raises(ValueError, match=expected) as error:
         read_deepmimo(folder, **arguments)
     assert str(folder) in str(error.value)
-
-
-def test_a_sidecar_elsewhere_is_named_by_its_line(folder):
-    edit_line(folder, 8, "0.6,-38.5,-2,1.5,10,0,0")
-    with pytest.raises(ValueError, match=r"line 8, columns x, y, z: .* rx_pos of receiver 6"):
-        read_deepmimo(folder)

@@ -1,19 +1,16 @@
-"""Folders of DeepMIMO v4: static and dynamic, formats of arrays, sets, and what is refused."""
+"""Folders of DeepMIMO v4: static and dynamic, formats of arrays, sets, and what is refused.
 
-import json
+Random damage is in tests/test_damaged_files.py.
+"""
+
 import os
 import shutil
-import tempfile
-from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 from mmwave_env.datasets.deepmimo import arrays, read_deepmimo
 from mmwave_env.datasets.deepmimo.v4 import open_scenario
-from mmwave_env.datasets.recorded import Recording
 from mmwave_env.datasets.samples import source_from
 from tests.datasets.deepmimo.scenarios import (
     LINK,
@@ -235,68 +232,6 @@ def test_what_is_no_regular_file_is_refused(static, kind, name):
     refused = "no regular file|no such file|found a (FIFO|folder|device), expected"
     with pytest.raises((ValueError, OSError), match=refused):
         read_deepmimo(static)
-
-
-@pytest.fixture(scope="module")
-def undamaged(tmp_path_factory):
-    """A scenario of six epochs in every shape it can have."""
-    top = tmp_path_factory.mktemp("undamaged")
-    folders = {suffix: shortened(top / suffix[1:], 6, suffix) for suffix in SAVE}
-    return folders | {"dynamic": dynamic_twin(folders[".npz"], top / "dynamic")}
-
-
-@settings(max_examples=80, deadline=None)
-@given(
-    shape=st.sampled_from([*SAVE, "dynamic"]),
-    which=st.integers(0, 10**6),
-    cut=st.none() | st.floats(0.0, 1.0),
-    flips=st.lists(st.tuples(st.floats(0.0, 0.999), st.integers(1, 255)), max_size=4),
-)
-@pytest.mark.filterwarnings("ignore")
-def test_random_damage_is_refused_or_harmless(undamaged, shape, which, cut, flips):
-    source = undamaged[shape]
-    files = sorted(file.relative_to(source) for file in source.rglob("*") if file.is_file())
-    name = files[which % len(files)]
-    content = bytearray((source / name).read_bytes())
-    for where, mask in flips:
-        content[int(where * len(content))] ^= mask
-    with tempfile.TemporaryDirectory() as temporary:
-        folder = Path(shutil.copytree(source, Path(temporary) / "scenario"))
-        (folder / name).write_bytes(content[: None if cut is None else int(cut * len(content))])
-        try:
-            recording = read_deepmimo(folder)
-        except (ValueError, FileNotFoundError) as error:
-            assert str(folder) in str(error)  # noqa: PT017  not every damage is an error
-        else:
-            assert isinstance(recording, Recording)
-
-
-JSON = st.recursive(
-    st.none() | st.booleans() | st.integers() | st.floats() | st.text(max_size=9),
-    lambda inner: st.lists(inner, max_size=3) | st.dictionaries(st.text(max_size=9), inner),
-    max_leaves=4,
-)
-ENTRIES = [
-    ("scene",), ("scene", "num_scenes"), ("rt_params",), ("rt_params", "frequency"),
-]  # fmt: skip
-
-
-@settings(max_examples=80, deadline=None)
-@given(entry=st.sampled_from(ENTRIES), value=JSON)
-def test_parameters_of_any_kind_are_refused_or_harmless(undamaged, entry, value):
-    params = json.loads((undamaged[".npz"] / "params.json").read_text())
-    *way, last = entry
-    tree = params
-    for key in way:
-        tree = tree[key]
-    tree[last] = value
-    with tempfile.TemporaryDirectory() as temporary:
-        folder = Path(shutil.copytree(undamaged[".npz"], Path(temporary) / "scenario"))
-        (folder / "params.json").write_text(json.dumps(params))
-        try:
-            assert open_scenario(folder).receivers == 6
-        except (ValueError, FileNotFoundError) as error:
-            assert str(folder) in str(error)  # noqa: PT017
 
 
 def test_the_paths_are_those_of_the_files(static):
