@@ -165,18 +165,6 @@ def test_window_is_contiguous(epochs, seed):
     np.testing.assert_array_equal(episode.truth_position_m, VEHICLE.position_m[cut])
 
 
-def test_windows_are_everywhere():
-    source = TrackSource(VEHICLE, RADIO, epochs=118)
-    firsts = {source.sample(generator(seed)).time_s[0] for seed in range(40)}
-    assert firsts == set(VEHICLE.time_s[:3])
-
-
-@pytest.mark.parametrize("epochs", [0, -1, 121])
-def test_window_that_does_not_fit(epochs):
-    with pytest.raises(ValueError, match=f"epochs: found {epochs}, expected 1 to 120"):
-        TrackSource(VEHICLE, RADIO, epochs=epochs)
-
-
 def test_odometry_rows_pass_through():
     recording = track(odometry=True)
     episode = TrackSource(recording, RADIO).sample(generator())

@@ -11,7 +11,7 @@ from experiments.evaluation.contenders import contender_from
 from mmwave_env.filters.bank import Bank, bank_as_written, modes_from
 from mmwave_env.models.measurement import Layout
 from policies import LearnedSwitch
-from tests.cli import assert_one_clear_line, command, succeed
+from tests.cli import assert_one_clear_line, command
 from tests.training.actors import HANDSET, MODES, actor, card_of, write, write_per_mode
 
 OWN = '''
@@ -203,12 +203,3 @@ def test_agents_of_other_modes_and_observations_meet_known_contenders():
 
     found = compare({"mine": third}, ("imm",), episodes=2, modes=MODES, observation="prior")
     assert list(found.paired) == ["mine - imm"]
-
-
-def test_a_run_by_its_folder_is_its_median_training(tmp_path):
-    (tmp_path / "seed-1").mkdir()
-    file = write(tmp_path / "seed-1" / "policy.safetensors", actor(), card_of())
-    (tmp_path / "summary.json").write_text('{"seeds": [{"seed": 1}], "median": 1}')
-    (run,) = evaluate(str(tmp_path), episodes=2).policies.values()
-    assert run == evaluate(file, episodes=2).policies[str(file)]
-    assert str(tmp_path) in succeed("evaluate", "--policy", tmp_path, "--episodes", 2)

@@ -8,11 +8,9 @@ from dataclasses import replace
 from functools import partial
 
 import gymnasium as gym
-import numpy as np
 import pytest
 
 from mmwave_env.engines.env_engine import Engine
-from mmwave_env.engines.track_engine import Tracker
 from mmwave_env.filters.custom import AlgorithmError
 from mmwave_env.filters.linearization import SigmaPoints
 from mmwave_env.filters.modes import Mode
@@ -20,7 +18,7 @@ from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.filters.update import Posterior, ckf, ekf, ukf, update
 from mmwave_env.models.measurement import Layout
 from mmwave_env.reward import TrackingReward
-from tests.filters.tracks import STREET, simulated
+from tests.filters.tracks import STREET
 
 BEFORE = """import math
 from math import sqrt
@@ -278,15 +276,3 @@ def test_one_trial_serves_equal_pipelines():
     replace(pipeline, modes=pipeline.modes)
     Engine(pipeline, 1, TrackingReward())
     assert len(calls) == 4
-
-
-def test_tunings_of_an_own_algorithm_share_a_tracker():
-    def own(x, P, measurement, gate):
-        return ekf(x, P, measurement, gate)
-
-    episodes = simulated(2, epochs=20)
-    ours, mine = (Tracker(Pipeline((Mode("m", a),), STREET), 2) for a in ("ekf", own))
-    for tracker in (ours, mine):
-        tracker.tune([Mode("other", sigma_v=2.0).tuning])
-        tracker.load(episodes)
-    np.testing.assert_array_equal(ours.run("x")["x"], mine.run("x")["x"])

@@ -301,12 +301,6 @@ def test_a_mode_stays_or_moves_to_any_other_alike():
             imm.stay_matrix(2, stay)
 
 
-def test_a_mixture_begins_with_all_modes_alike():
-    pipeline = Pipeline((Mode("a"), Mode("b"), Mode("c")), Layout(3))
-    mixture = imm.begin(pipeline, [0.0] * 7, pack(np.eye(7).tolist()))
-    assert mixture.probability == [1 / 3] * 3 and len(mixture.tracks) == 3
-
-
 @pytest.mark.parametrize("sigmas", [(0.03, 30.0), (30.0, 0.03)])
 def test_a_mode_that_alone_explains_a_jump_has_all_probability(sigmas):
     (episode,) = simulated(1, epochs=6)

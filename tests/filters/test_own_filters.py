@@ -28,7 +28,7 @@ from mmwave_env.reward import TrackingReward
 from mmwave_env.world.simulated import SimulatedSource
 from tests.filters import textbook
 from tests.filters.problems import assert_same, assume_clear_of, problems
-from tests.filters.tracks import STREET, assert_same_beliefs, simulated, track
+from tests.filters.tracks import STREET, simulated, track
 from tests.paths import ROOT
 
 PAGE = (ROOT / "docs" / "own-filters.md").read_text()
@@ -78,23 +78,6 @@ def test_iekf_equals_the_textbook_s(iekf, iterations, gate, odometry, data):
     if gate.quantile is not None:
         assume_clear_of(expected.nis, s, [lambda n: chi2.ppf(gate.quantile, n)])
     assert_same(problem.ours(partial(iekf, iterations=iterations), gate), expected)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    "planar",
-    [pytest.param(False, id="hilly"), pytest.param(True, id="planar")],
-)
-def test_lanes_equal_floats(mine, planar):
-    episodes = simulated(3, epochs=40, odometry=True)
-    pipeline = Pipeline((mine,), episodes[0].layout, planar)
-    names = ("x", "P", "memory.nis", "memory.accepted", "candidates")
-    lanes, floats = (
-        track(pipeline, episodes, 0, 40, names, on_floats) for on_floats in (False, True)
-    )
-    assert_same_beliefs(lanes, floats, rtol=1e-9)
-    for name in names[2:]:
-        np.testing.assert_allclose(lanes[name], floats[name], rtol=1e-8, atol=1e-8, err_msg=name)
 
 
 @pytest.mark.slow

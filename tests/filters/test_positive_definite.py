@@ -48,8 +48,6 @@ def smallest_eigenvalues(pipeline, episodes, actions):
 @pytest.mark.parametrize(
     ("n", "epochs"),
     [
-        pytest.param(8, 40, id="three hundred epochs"),
-        pytest.param(24, 200, id="five thousand epochs"),
         pytest.param(1000, 1000, id="a million epochs"),
         pytest.param(1, 50_000, id="one long track"),
     ],

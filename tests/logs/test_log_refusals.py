@@ -298,13 +298,6 @@ class TestParquet:
         self.parquet.write_table(self.arrow.table(columns), path, **options)
         return path
 
-    def test_it_is_the_same_log(self, tmp_path):
-        one = read(store(tmp_path, text(rows())))
-        two = read(self.store(tmp_path, self.columns()))
-        for field in PER_EPOCH:
-            np.testing.assert_array_equal(getattr(one, field), getattr(two, field))
-        assert two.rows == 12 and two.share == 1.0
-
     @pytest.mark.parametrize("kind", ["int8", "int64", "float32", "decimal"])
     def test_types_of_numbers(self, tmp_path, kind):
         kind = self.arrow.decimal128(30, 1) if kind == "decimal" else getattr(self.arrow, kind)()

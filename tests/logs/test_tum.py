@@ -31,13 +31,6 @@ def test_a_track_survives_a_file(tmp_path_factory, track, start, step):
     np.testing.assert_array_equal(found.position_m, track)
 
 
-def test_a_file_may_be_written_block_by_block(tmp_path):
-    time, track = np.arange(10.0), np.random.default_rng(0).standard_normal((10, 3))
-    pieces = [tum_lines(time[i : i + 3], track[i : i + 3]) for i in range(0, 12, 3)]
-    assert "".join(pieces) == tum_lines(time, track)
-    assert tum_lines(time[:1], np.ones((1, 3))) == "0.0 1.0 1.0 1.0 0 0 0 1\n"
-
-
 def test_a_file_is_read_block_by_block(tmp_path, monkeypatch):
     track = np.random.default_rng(0).standard_normal((200, 3))
     path = store(tmp_path, "# by hand\n" * 50 + tum_lines(np.arange(200.0), track))
@@ -106,16 +99,6 @@ def test_a_file_without_poses(tmp_path, content):
     path = store(tmp_path, content)
     with pytest.raises(ValueError, match=f"{re.escape(str(path))}: found no line with a pose"):
         read_tum(path)
-
-
-def test_every_line_may_be_of_the_wrong_length(tmp_path):
-    with pytest.raises(ValueError, match="line 1: found 4 numbers, expected 8"):
-        read_tum(store(tmp_path, "0 1 2 3\n1 1 2 3\n"))
-
-
-def test_a_file_that_is_not_there(tmp_path):
-    with pytest.raises(FileNotFoundError, match=r"truth.tum"):
-        read_tum(tmp_path / "truth.tum")
 
 
 @pytest.mark.parametrize("line", ["0 1 2 3 0 0\r0 1", "0 1 2 3 0 0 0 1\r1 1 2 3 0 0 0 1"])

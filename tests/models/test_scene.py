@@ -229,18 +229,6 @@ def test_the_base_station_is_near_a_crossing_and_the_walls_behind_what_is_farthe
             assert ranges.behind_m[0] - 1e-9 <= behind <= ranges.behind_m[1] + 1e-9
 
 
-def test_every_episode_has_a_scene_of_its_own_and_a_seed_gives_it_again():
-    def drawn(seed):
-        env = gym.make("mmwave_env:MmWaveLoc-v0", scene="random", episode_steps=3)
-        first, _ = env.reset(seed=seed)
-        second, _ = env.reset()
-        return first, second
-
-    np.testing.assert_array_equal(drawn(3), drawn(3))
-    anchors = {scene.base_station_m for scene in DRAWN}
-    assert len(anchors) == len(DRAWN)
-
-
 @pytest.mark.parametrize(
     ("arguments", "found"),
     [

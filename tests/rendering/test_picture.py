@@ -218,13 +218,6 @@ def test_every_kind_of_episode_has_its_picture(arguments):
     assert env.unwrapped._gallery.recorders[0].history.epochs == 5
 
 
-def test_time_is_that_of_the_episode():
-    env = played(12, episodes="canyon28_vehicle").unwrapped
-    np.testing.assert_allclose(
-        env._gallery.recorders[0].history.time_s, [0.0, *np.arange(12) / 10.0], atol=1e-6
-    )
-
-
 def test_an_estimate_that_is_no_number_breaks_nothing():
     lost = history(truth=[(0.0, 0.0)] * 3, estimate=[(0.0, 0.0)] * 3, modes=[0] * 3)
     for broken in (np.nan, np.inf, 1e300):

@@ -184,18 +184,6 @@ def test_the_step_samples_the_same_trajectory(name, dt):
     np.testing.assert_allclose(coarse, fine[:, :: round(dt / STEP_S)], atol=1e-8)
 
 
-@every_mobility
-@pytest.mark.parametrize("dt", [0.02, 0.33])
-def test_any_step_gives_a_sound_trajectory(name, dt):
-    position, velocity = run_one(name, 0, dt, 400)
-    speed = np.linalg.norm(velocity, axis=-1)
-    assert speed.max() <= BOUNDS[name].speed + 1e-9
-    trapezoid = 0.5 * dt * (velocity[1:] + velocity[:-1])
-    slip = np.linalg.norm(np.diff(position, axis=0) - trapezoid, axis=-1)
-    assert (slip <= 0.5 * dt * np.linalg.norm(np.diff(velocity, axis=0), axis=-1) + 0.05).all()
-    assert np.abs(np.diff(speed)).max() <= max(BOUNDS[name][1:3]) * dt + 1e-9
-
-
 def test_mixed_draws_every_mobility_alike():
     draws = 2000
     source = SimulatedSource(SCENES["street"], RADIOS["handset"], "mixed", epochs=1)

@@ -153,19 +153,6 @@ def test_objects_are_taken_as_they_are():
     assert all(isinstance(user, Mobility) for user in users_of("mixed"))
 
 
-@pytest.mark.parametrize(
-    ("name", "content", "message"),
-    [
-        ("a.json", "3", "a.json: not a mobility file: found int"),
-        ("a.csv", "1;2;3", "a.csv: header: found .*expected the columns t,x,y,z"),
-    ],
-)
-def test_files_of_neither_kind_are_refused(tmp_path, name, content, message):
-    (tmp_path / name).write_text(content)
-    with pytest.raises(ValueError, match=message):
-        users_of(tmp_path / name)
-
-
 def test_names_that_there_are_not_are_refused():
     for name in ("boat", 3):
         with pytest.raises(ValueError, match=f"scenario: found '{name}', expected one of pedestr"):
