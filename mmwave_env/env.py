@@ -122,8 +122,8 @@ class MmWaveLocEnv(Environment, gym.Env[NDArray[np.float32], np.int64]):
       missing.
     * The last step adds `ate_m`, `rmse_m`, `rpe_m`, `mean_nees`, `in_bounds`, `divergence` (without
       the first 10 epochs), and with `smoothed=True` also `smoothed_ate_m` (Rauch-Tung-Striebel over
-      the episode, which is run again for it). Where beliefs were NaN or infinite, it warns and adds
-      `nonfinite_beliefs`: after how many epochs.
+      the episode, which is run again for it, on lanes). Where beliefs were NaN or infinite, it
+      warns and adds `nonfinite_beliefs`: after how many epochs.
     * `infos="episode"` tells of resets and last steps alone, `infos="none"` nothing, for speed.
       `infos="fixed"` has the same keys at every reset and step, for libraries that need that
       (docs/own-agent.md): numbers only, without `episode_name` and `episode_key`; what is not

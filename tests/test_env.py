@@ -332,6 +332,14 @@ def test_divergence_in_the_last_epoch_pays_nothing_more():
     assert last[1] == plain[1] and last[2] and not last[3]
 
 
+def test_smoothed_tracks_are_told_with_filterpy_at_work_too():
+    told = []
+    for backend in ("lanes", "filterpy"):
+        env = gym.make(ID, backend=backend, smoothed=True, episode_steps=14)
+        told.append(roll(env)[-1][-1]["smoothed_ate_m"])
+    assert told[0] == pytest.approx(told[1], rel=1e-12)
+
+
 @pytest.mark.parametrize("dt", [0.5, 1.0])
 def test_the_end_sums_up_the_steps(dt):
     env = gym.make(ID, dt=dt, smoothed=True)

@@ -55,7 +55,7 @@ class Environment:
         self.source, self.radio, self.reward = task.source, task.radio, task.reward
         self._engine = Engine(pipeline, n, task.reward, kind, task.bank, on_floats, threads)
         self.modes, self.observation = pipeline.modes, self._engine.observation
-        self._replay = Replay(pipeline, task.bank, on_floats) if self._smoothing else None
+        self._replay = Replay(task.pipeline, task.bank) if self._smoothing else None
         self._baseline = baseline_of(task, self._engine.batch, threads)
 
     @property

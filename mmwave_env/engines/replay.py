@@ -13,7 +13,7 @@ from numba.extending import register_jitable
 from numpy.typing import NDArray
 
 from mmwave_env.compiler.advance import call
-from mmwave_env.compiler.disk_cache import LazyJit
+from mmwave_env.compiler.disk_cache import compiled
 from mmwave_env.compiler.lanes import WIDTH
 from mmwave_env.compiler.program import BatchState, Program, StepIO, blocks_of, fill, rows_of
 from mmwave_env.compiler.transpose import address, gather, pick
@@ -30,7 +30,7 @@ from mmwave_env.filters.smoother import (
     track_end,
 )
 from mmwave_env.models.measurement import STATE_SIZE
-from mmwave_env.numerics.numbers import Array, Index, Number
+from mmwave_env.numerics.numbers import Array, Number
 from mmwave_env.numerics.pytree import flatten
 from mmwave_env.reward import TrackingReward
 from mmwave_env.world.episode import EpisodeBatch
@@ -38,7 +38,6 @@ from mmwave_env.world.episode import EpisodeBatch
 Actions = NDArray[np.integer[Any]]
 
 AXES = 3
-PLAIN_REPLAYED_EPOCHS = 2_000  # run again before compiling, which takes as long as 6000 of them
 
 
 class ReplayedEpoch(NamedTuple):
@@ -82,12 +81,9 @@ class Replay:
     Args:
         pipeline: modes and layout.
         bank: of its modes, where every mode keeps its own belief; None where they share one.
-        on_floats: run forwards in plain Python instead of on lanes.
     """
 
-    def __init__(
-        self, pipeline: Pipeline, bank: Bank | None = None, on_floats: bool = False
-    ) -> None:
+    def __init__(self, pipeline: Pipeline, bank: Bank | None = None) -> None:
         self._there: Program[Any]
         if bank:
             self._there = imm_program(pipeline, TrackingReward(), acted=True)
@@ -103,7 +99,6 @@ class Replay:
         self._start[rows_of(tuned)] = numbers
         self._site, self._keep = rows_of(there.site), rows_of(_replayed(there))
         self._show = rows_of([at.incoming.error, at.incoming.nees, at.smoothed_error])
-        self._on_floats = on_floats
 
     def run(self, episodes: EpisodeBatch, actions: Actions) -> tuple[Array, ...]:
         """Run episodes.
@@ -121,30 +116,12 @@ class Replay:
         rows = fill(blocks_of(self._start, n), self._site, episodes.site)
         keep, show, tables = self._keep, self._show, episodes.table
         figures = np.empty((len(show), *actions.shape))  # numpy reduces what lies side by side
-        if self._on_floats:
-            self._on_floats_there(rows, tables, actions, keep, show, figures)
-        else:
-            _round_trip(
-                actions.size, there.on_lanes(), back.on_lanes(), rows, back.start, tables,
-                actions, there.index.action, keep, show, figures,
-            )  # fmt: skip
+        _there_and_back(
+            there.on_lanes(), back.on_lanes(), rows, back.start, tables, actions,
+            there.index.action, keep, show, figures,
+        )  # fmt: skip
         error, nees, smoothed = figures[:AXES], figures[AXES], figures[AXES + 1 :]
         return np.moveaxis(error, 0, -1), nees, np.moveaxis(smoothed, 0, -1)
-
-    def _on_floats_there(
-        self, rows: Array, tables: Array, actions: Actions, keep: Index, show: Index, out: Array
-    ) -> None:
-        """Forwards one episode at a time; the way back is the same for all."""
-        there, epochs = self._there, actions.shape[1]
-        for e, table in enumerate(tables):
-            workspace = rows[e // WIDTH, :, e % WIDTH].copy()
-            way = np.empty((epochs, len(keep), WIDTH))
-            for t in range(epochs):
-                workspace[: table.shape[1]] = table[t]
-                workspace[there.index.action] = actions[e, t]
-                workspace[:] = there.once(workspace)
-                way[t] = workspace[keep, None]
-            _return(self._back.on_lanes(), self._back.start, way, show, out[:, e : e + 1])
 
 
 @register_jitable  # type: ignore[untyped-decorator]
@@ -164,7 +141,7 @@ def _return(run, start, way, show, out):  # type: ignore[no-untyped-def]
                 out[i, e, t] = block[show[i], e]
 
 
-@register_jitable  # type: ignore[untyped-decorator]
+@compiled
 def _there_and_back(  # type: ignore[no-untyped-def]
     there, back, rows, start, tables, actions, action, keep, show, out
 ):
@@ -184,9 +161,6 @@ def _there_and_back(  # type: ignore[no-untyped-def]
             call(there, block)
             pick(block, keep, way[t])
         _return(back, start, way, show, out[:, first:end])
-
-
-_round_trip = LazyJit(_there_and_back, PLAIN_REPLAYED_EPOCHS)
 
 
 class SmoothingState(NamedTuple):

@@ -7,7 +7,6 @@ from mmwave_env.engines.env_engine import Engine
 from mmwave_env.engines.replay import Replay, smooth
 from mmwave_env.engines.track_engine import Tracker
 from mmwave_env.filters.bank import default_modes
-from mmwave_env.filters.filterpy_reference import filterpy_pipeline
 from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.reward import TrackingReward
 from tests.filters.tracks import STREET, simulated
@@ -72,16 +71,3 @@ def test_an_episode_cut_short_is_smoothed_from_where_it_ended():
     assert found.shape == smoothed.shape == (2, 9, 3) and nees.shape == (2, 9)
     np.testing.assert_allclose(found, errors[:, :9], rtol=1e-9, atol=1e-9)
     np.testing.assert_array_equal(smoothed[:, -1], found[:, -1])
-
-
-def test_a_replay_runs_on_floats_and_on_filterpy():
-    ours, episodes = Pipeline(default_modes(), STREET), simulated(2, epochs=20)
-    actions = ACTIONS[:2, :20]
-    engine, *_ = played(ours, episodes, actions)
-    expected = Replay(ours).run(engine.batch.episodes(np.arange(2)), actions)
-    for pipeline in (ours, filterpy_pipeline(ours)):
-        engine, errors, _ = played(pipeline, episodes, actions, on_floats=True)
-        found = Replay(pipeline, on_floats=True).run(engine.batch.episodes(np.arange(2)), actions)
-        np.testing.assert_array_equal(found[0], errors)
-        for a, b in zip(found, expected, strict=True):
-            np.testing.assert_allclose(a, b, rtol=1e-8, atol=1e-8)
