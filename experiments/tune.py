@@ -72,12 +72,10 @@ def main(args: Args) -> None:
     """Run the command."""
     from experiments.console.progress import say
     from experiments.console.provenance import provenance
-    from experiments.console.tables import show
-    from experiments.console.text import escaped
     from experiments.evaluation.asked import source_of
     from experiments.evaluation.intervals import bootstrap
     from experiments.evaluation.seeds import draw_episodes, require_tuning_seed
-    from experiments.tuning.modes import OBJECTIVES, RANGES, objective_of, surface_table, tune
+    from experiments.tuning.modes import OBJECTIVES, RANGES, objective_of, tune
     from mmwave_env.files import require_writable, write_json
     from mmwave_env.filters.bank import as_written, modes_from
     from mmwave_env.lookup import choose
@@ -109,18 +107,14 @@ def main(args: Args) -> None:
         episodes = draw_episodes(source, range(args.seed, args.seed + args.episodes))
         started = replace(mode, coupling=mode.coupling and not args.diagonal)
         objective = objective_of(args.objective, started, episodes)
-        best, axes, surface = tune(started, args.free, objective)
+        best = tune(started, args.free, objective)
         tuned.append(best)
         value = bootstrap(objective(best)[:, None])[0]
         what = OBJECTIVES[args.objective][2]
-        show(f"### {escaped(mode.name)} on {escaped(source.name)}, {escaped(profile)}: {what}\n")
-        show(surface_table(args.free, axes, surface))
         found = ", ".join(f"{name} {getattr(best, name):g}" for name in args.free)
-        say("", f"best: {found}: {value}", "")
+        say(f"{mode.name} on {source.name}, {profile}: {found}: {what} {value}")
         figures.append({
             "mode": mode.name, "scenario": scenario, "objective": what, **value.json,
-            "axes": {name: axis.tolist() for name, axis in zip(args.free, axes, strict=False)},
-            "surface": surface.tolist(),
         })  # fmt: skip
     made = provenance("tune", args)
     result = {"command": made["command"], "modes": [as_written(mode) for mode in tuned]}

@@ -8,7 +8,6 @@ from scipy.optimize import minimize
 from scipy.special import chdtri
 
 from experiments.console.progress import tracked
-from experiments.console.tables import grid
 from mmwave_env.engines.track_engine import Tracker
 from mmwave_env.filters.modes import Mode
 from mmwave_env.filters.pipeline import Pipeline
@@ -27,7 +26,7 @@ RANGES = {
 # NIS beyond this chi-square quantile counts as this quantile in a likelihood. On data of the
 # filter's own model 0.99 would bias sigma_v by -6 %, 0.999 by less than 1 %.
 CAP = 0.999
-POINTS = (6, 11)  # of the surface, along the second and the first parameter
+POINTS = (6, 11)  # of the grid, along the second and the first parameter
 STEP = 0.3  # of the first simplex, in logarithms: a third
 
 
@@ -71,23 +70,20 @@ def objective_of(name: str, mode: Mode, episodes: Sequence[Episode]) -> Objectiv
     return evaluate
 
 
-def tune(mode: Mode, free: Sequence[str], objective: Objective) -> tuple[Mode, list[Array], Array]:
-    """The best tuning, and the surface that leads there.
+def tune(mode: Mode, free: Sequence[str], objective: Objective) -> Mode:
+    """The best tuning.
 
     The best point of a logarithmic grid over the first two parameters is the start of a
     Nelder-Mead search over all of them.
-
-    Returns:
-        The mode; the axes of the surface; its values, (len(axis),) or (len(axis), len(axis)).
     """
     axes = [np.geomspace(*RANGES[name], POINTS[-1 - i]) for i, name in enumerate(free[:2])]
     points = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, len(axes))
 
-    def at(values: Iterable[float]) -> Mode:
-        return replace(mode, **{k: float(v) for k, v in zip(free, values, strict=False)})  # type: ignore[arg-type]
+    def at(numbers: Iterable[float]) -> Mode:
+        return replace(mode, **{k: float(v) for k, v in zip(free, numbers, strict=False)})  # type: ignore[arg-type]
 
-    surface = np.array([objective(at(point)).mean() for point in tracked(points, mode.name)])
-    start = [getattr(at(points[np.nanargmax(surface)]), name) for name in free]
+    values = np.array([objective(at(point)).mean() for point in tracked(points, mode.name)])
+    start = [getattr(at(points[np.nanargmax(values)]), name) for name in free]
     bounds = np.log([RANGES[name] for name in free])
     corner = np.clip(np.log(np.maximum(start, 1e-12)), *(bounds.T + [[0.0], [-STEP]]))
     found = minimize(
@@ -101,14 +97,4 @@ def tune(mode: Mode, free: Sequence[str], objective: Objective) -> tuple[Mode, l
             "fatol": 1e-5,
         },
     )
-    best = at([float(f"{v:.3g}") for v in np.exp(found.x)])
-    return best, axes, surface.reshape([len(axis) for axis in axes])
-
-
-def surface_table(free: Sequence[str], axes: Sequence[Array], surface: Array) -> str:
-    """The surface as Markdown: the first parameter to the right, the second down."""
-    header = [" / ".join(reversed(free[:2])), *(f"{v:.3g}" for v in axes[0])]
-    lines = surface.reshape(len(axes[0]), -1).T
-    labels = [f"{v:.3g}" for v in axes[1]] if len(axes) > 1 else [""]
-    rows = [[a, *(f"{v:.3f}" for v in line)] for a, line in zip(labels, lines, strict=True)]
-    return grid(header, rows)
+    return at([float(f"{v:.3g}") for v in np.exp(found.x)])

@@ -32,11 +32,9 @@ def test_the_noise_that_made_the_data_is_found(objective):
     model = far_from_the_anchors(process_noise(made_by))
     rng = np.random.default_rng(0)
     episodes = [model.draw(rng, 120) for _ in range(48)]
-    best, axes, surface = tune(PLAIN, ["sigma_v"], objective_of(objective, PLAIN, episodes))
+    best = tune(PLAIN, ["sigma_v"], objective_of(objective, PLAIN, episodes))
     # 48 * 110 epochs pin down a likelihood; the error is flat around its best tuning.
     assert best.sigma_v == pytest.approx(0.8, rel=0.05 if objective == "likelihood" else 0.3)
-    nearest = axes[0][np.argmax(surface)]
-    assert 0.5 < nearest / best.sigma_v < 2.0
     assert (best.sigma_p, best.algorithm) == (PLAIN.sigma_p, "ekf")
 
 
@@ -73,8 +71,7 @@ def test_the_command_writes_a_mode_file_that_is_taken_everywhere(tmp_path):
         ("ekf", "pedestrian"),
         ("ukf-robust", "jam"),
     ]
-    assert np.shape(found[0]["surface"]) == tuple(len(axis) for axis in found[0]["axes"].values())
-    assert f"best: sigma_v {ekf.sigma_v:g}, spread_gain {ekf.spread_gain:g}" in done.stdout
+    assert f": sigma_v {ekf.sigma_v:g}, spread_gain {ekf.spread_gain:g}" in done.stdout
     env = gym.make("mmwave_env:MmWaveLoc-v0", modes=str(modes))
     assert env.unwrapped.modes == (ekf, robust)
     done = command("evaluate", "--modes", modes, "--policy", "fixed-ukf-robust", "--episodes", 2)
@@ -123,7 +120,7 @@ def test_shipped_modes_are_what_is_found_on_the_episodes_they_were_tuned_on(file
     for scenario, shipped in zip(("pedestrian", "vehicle"), read_bank(file).modes, strict=True):
         source = SimulatedSource(SCENES["street"], RADIOS[radio], scenario)
         objective = objective_of("likelihood", shipped, source.episodes(keys))
-        made, *_ = tune(shipped, ["sigma_v", "sigma_p"], objective)
+        made = tune(shipped, ["sigma_v", "sigma_p"], objective)
         # The same up to a flat optimum: equally likely, not equally digit by digit.
         assert objective(shipped).mean() == pytest.approx(objective(made).mean(), abs=0.002)
         assert made.sigma_v == pytest.approx(shipped.sigma_v, rel=0.05)
