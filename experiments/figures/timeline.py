@@ -12,8 +12,11 @@ from mmwave_env.numerics.numbers import Array, Index
 from mmwave_env.rendering.history import History
 
 _LINES_IN = 2.0  # height of a panel of lines, inches
-_COLORS, _STYLES = ("C3", "C4", "C6", "C2"), ("-", "--", "-.", ":")  # not those of the first modes
-_OTHER = {"color": "0.55", "lw": 3.5, "alpha": 0.6}  # lies below narrower lines, which it shows
+_LOOKS = [  # of contenders, in other colors than the first modes
+    {"color": color, "ls": style}
+    for color, style in (("C3", "-"), ("C4", "--"), ("C6", "-."), ("C2", ":"))
+]
+_TRUE = {"color": "0.55", "lw": 3.5, "alpha": 0.6}  # lies below narrower lines, which it shows
 
 
 def mode_ribbon(axes: Any, time: Array, mode: Index, modes: int, low: float = 0.0) -> None:
@@ -38,40 +41,6 @@ def mode_ribbon(axes: Any, time: Array, mode: Index, modes: int, low: float = 0.
     axes.tick_params(axis="y", length=0)
 
 
-def draw_timeline(
-    time_s: Array,
-    chosen: Mapping[str, Index],
-    modes: Sequence[str],
-    path: Path,
-    above: Mapping[str, Mapping[str, Array]] | None = None,
-) -> None:
-    """Modes over time as a picture, a ribbon a contender, and what goes with them above.
-
-    Args:
-        time_s: (T,) of the epochs.
-        chosen: (T,) numbers of modes by contender; -1 for none.
-        modes: their names.
-        path: .png, .svg or .pdf.
-        above: panels by what they show, with its unit; in each values (T,) by name. A contender
-            has one color in all of them; others, such as the truth, are gray.
-    """
-    panels, ribbons = above or {}, max(0.45 * len(chosen), 0.2 * len(modes))
-    heights = [*([_LINES_IN] * len(panels)), ribbons]
-    with picture(path, 9.0, 1.0 + sum(heights)) as figure:
-        rows = figure.subplots(len(heights), sharex=True, squeeze=False, height_ratios=heights)
-        *lines, axes = rows[:, 0]
-        colors, dashes = itertools.cycle(_COLORS), itertools.cycle(_STYLES)
-        shown = contenders(chosen)
-        styles = {name: {"color": next(colors), "ls": next(dashes)} for name in chosen}
-        for panel, (title, values) in zip(lines, panels.items(), strict=True):
-            for name, one in values.items():
-                label = shown.get(name) or caption(name)
-                panel.plot(time_s, one, label=label, **styles.get(name, _OTHER))
-            panel.set(ylabel=caption(title), ylim=(0.0, None))
-            legend_beside(panel)
-        _draw_ribbons(axes, time_s, chosen, modes)
-
-
 def draw_histories(
     histories: Mapping[str, History], modes: Sequence[str], rows: slice, path: Path
 ) -> None:
@@ -83,18 +52,21 @@ def draw_histories(
         rows: the part: epochs, counted from 1, for the first row of a history is the prior's.
         path: .png, .svg or .pdf.
     """
-    true = next(iter(histories.values()))
-    believed = {name: one.speed_mps[1][rows] for name, one in histories.items()}
-    draw_timeline(
-        true.time_s[rows],
-        {name: one.modes[rows] for name, one in histories.items()},
-        modes,
-        path,
-        above={
-            "estimated speed (m/s)": {"true speed": true.speed_mps[0][rows], **believed},
-            "position error (m)": {name: one.error_m[rows] for name, one in histories.items()},
-        },
-    )
+    first = next(iter(histories.values()))
+    time_s, ribbons = first.time_s[rows], max(0.45 * len(histories), 0.2 * len(modes))
+    names, heights = contenders(histories), (_LINES_IN, _LINES_IN, ribbons)
+    with picture(path, 9.0, 1.0 + sum(heights)) as figure:
+        speeds, errors, axes = figure.subplots(3, sharex=True, height_ratios=heights)
+        speeds.plot(time_s, first.speed_mps[0][rows], label="true speed", **_TRUE)
+        for look, (name, history) in zip(itertools.cycle(_LOOKS), histories.items(), strict=False):
+            speeds.plot(time_s, history.speed_mps[1][rows], label=names[name], **look)
+            errors.plot(time_s, history.error_m[rows], label=names[name], **look)
+        labels = ((speeds, "estimated speed (m/s)"), (errors, "position error (m)"))
+        for panel, label in labels:
+            panel.set(ylabel=label, ylim=(0.0, None))
+            legend_beside(panel)
+        chosen = {name: histories[one].modes[rows] for one, name in names.items()}
+        _draw_ribbons(axes, time_s, chosen, modes)
 
 
 def _draw_ribbons(
@@ -102,11 +74,10 @@ def _draw_ribbons(
 ) -> None:
     for row, mode in enumerate(chosen.values()):
         mode_ribbon(axes, time_s, mode, len(modes), low=-1.3 * row)
-    axes.set_yticks([0.5 - 1.3 * row for row in range(len(chosen))], [*contenders(chosen).values()])
+    axes.set_yticks([0.5 - 1.3 * row for row in range(len(chosen))], [*chosen])
     axes.set_xlabel("time (s)")
-    there = {-1: "none", **dict(enumerate(modes))}
-    ran = np.unique(np.concatenate(list(chosen.values())))
-    for number in ran.tolist():
+    for number in np.unique(np.concatenate([*chosen.values()])).tolist():
         color = NO_MODE if number < 0 else f"C{number}"
-        axes.plot([], [], "s", color=color, label=caption(there[number]))
+        label = caption(modes[number]) if number >= 0 else "none"
+        axes.plot([], [], "s", color=color, label=label)
     legend_beside(axes)

@@ -15,7 +15,7 @@ from experiments.evaluation.seeds import draw_episodes
 from experiments.figures.canvas import caption, contenders, picture
 from experiments.figures.curves import draw_learning_curves
 from experiments.figures.errors import draw_consistency, draw_error_cdf
-from experiments.figures.timeline import draw_histories, draw_timeline
+from experiments.figures.timeline import draw_histories
 from experiments.figures.trajectory import DrawnTrack, draw_trajectory
 from mmwave_env.task import task_from
 
@@ -33,6 +33,14 @@ def track(modes, position_m=None):
     )  # fmt: skip
 
 
+def episode_of(*names):
+    """Histories of one episode, by name."""
+    (episode,) = draw_episodes(task_from(episode_steps=30).source, [0])
+    histories = [history_of(contender_from(one, "handset"), episode)
+                 for one in ("speed-rule", "fixed-ukf")]  # fmt: skip
+    return dict(zip(names, histories, strict=False))
+
+
 def drawn(name, path):
     """Every picture there is, with a name in it."""
     errors = np.random.default_rng(1).normal(size=(4, T, 3))
@@ -40,10 +48,7 @@ def drawn(name, path):
     draw_trajectory(track([name, "ukf"]), one[0], name)
     draw_error_cdf({name: errors, "imm": 2.0 * errors}, one[1])
     draw_consistency(np.arange(T) * 1.0, {name: (errors**2).sum(axis=-1)}, 3, one[2])
-    draw_timeline(
-        np.arange(T) * 1.0, {name: np.arange(T) % 3 - 1}, [name, "ukf"], one[3],
-        above={f"error of {name}": {name: np.arange(T) * 1.0, f"not {name}": np.ones(T)}},
-    )  # fmt: skip
+    draw_histories(episode_of(name), ["ekf", "ukf"], slice(None), one[3])
     draw_learning_curves({f"reward minus {name}": {name: [([1e3, 1e6], [0.0, 1.0])]}}, one[4])
     return one
 
@@ -70,17 +75,15 @@ def test_the_ending_says_the_format_and_the_same_picture_is_the_same_file(tmp_pa
     content = []
     for name in ("a", "b"):
         path = tmp_path / f"{name}{suffix}"
-        draw_timeline(np.arange(T) * 1.0, {"rule": np.arange(T) % 2}, ["ekf", "ukf"], path)
+        draw_error_cdf({"rule": np.ones((T, 3))}, path)
         content.append(path.read_bytes())
     assert content[0].startswith(begin) and content[0] == content[1]
 
 
 def test_settings_of_the_reader_change_no_picture(tmp_path):
-    draw_timeline(np.arange(T) * 1.0, {"rule": np.arange(T) % 2}, ["ekf"] * 2, tmp_path / "a.png")
+    draw_error_cdf({"rule": np.ones((T, 3))}, tmp_path / "a.png")
     with mpl.rc_context({"text.usetex": True, "axes.facecolor": "red"}):
-        draw_timeline(
-            np.arange(T) * 1.0, {"rule": np.arange(T) % 2}, ["ekf"] * 2, tmp_path / "b.png"
-        )
+        draw_error_cdf({"rule": np.ones((T, 3))}, tmp_path / "b.png")
         assert mpl.rcParams["axes.facecolor"] == "red"
     assert (tmp_path / "a.png").read_bytes() == (tmp_path / "b.png").read_bytes()
 
@@ -94,12 +97,7 @@ def test_a_failed_picture_leaves_the_one_before(tmp_path):
 
 
 def test_a_part_of_an_episode_shows_that_part_and_who_is_who(tmp_path):
-    (episode,) = draw_episodes(task_from(episode_steps=30).source, [0])
-    histories = {
-        name: history_of(contender_from(name, "handset"), episode)
-        for name in ("speed-rule", "fixed-ukf")
-    }
-    path = tmp_path / "part.svg"
+    histories, path = episode_of("rule", "other"), tmp_path / "part.svg"
     draw_histories(histories, ["ekf", "ukf"], slice(11, 21), path)
     words = re.findall(r"<text[^>]*>(.*?)</text>", path.read_text())
     assert {"true speed", "estimated speed (m/s)", "position error (m)", "time (s)"} <= set(words)
