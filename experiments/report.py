@@ -18,7 +18,7 @@ class Args:
     It says who won by how much, and has tables, distributions of errors (CDF) and episodes to
     play. Results are JSON files (--json) of compare, demo and localize, and folders of runs of
     train. What files do not hold epoch by epoch is played again, by the command in them; agents
-    that are code of their own (module:function, .zip) are left out there.
+    that are code of their own (module:function) are left out there.
 
     mmwave-loc report results.json runs/train --out report.html
     """

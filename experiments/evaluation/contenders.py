@@ -34,9 +34,7 @@ from policies import (
 )
 
 BEST_IMM = "imm-best"  # the IMM over best_bank
-OTHERS = (
-    "a .safetensors file", "the folder of a run", "a .zip of Stable-Baselines3", "module:function",
-)  # fmt: skip
+OTHERS = ("a .safetensors file", "the folder of a run", "module:function")
 # Learned contenders, where a policy of the radio (NAME-RADIO) or one for all (NAME) is shipped
 SHIPPED = ("ppo", "guided", "guided-ppo")
 
