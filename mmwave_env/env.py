@@ -188,8 +188,7 @@ class MmWaveLocEnv(Environment, gym.Env[NDArray[np.float32], np.int64]):
     `gym.make_vec("mmwave_env:MmWaveLoc-v0", num_envs=1024)` steps all environments in one call
     of a compiled kernel; environment i equals a single one with the same seed, to the last bit.
     Further arguments: `autoreset_mode` (a string: "NextStep", the default, "SameStep" or
-    "Disabled") and `threads`. `step(actions, out=(observations, rewards, terminated, truncated))`
-    fills arrays of yours. `render_mode="rgb_array"` draws the first 16 environments. "human",
+    "Disabled") and `threads`. `render_mode="rgb_array"` draws the first 16 environments. "human",
     `infos="fixed"` and `backend="filterpy"` need `vectorization_mode="sync"`.
 
     ## Version History

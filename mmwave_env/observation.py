@@ -17,8 +17,7 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
-from mmwave_env.coming_features import coming
-from mmwave_env.features import Feature, View, context
+from mmwave_env.features import Feature, View, coming, context
 from mmwave_env.filters.bank import default_modes
 from mmwave_env.filters.modes import Mode
 from mmwave_env.filters.pipeline import Pipeline
@@ -60,16 +59,6 @@ def feature_scales() -> dict[str, Scale]:
     return {kind: Scale(**scale) for kind, scale in json.loads(text)["kinds"].items()}
 
 
-def _scale_of(feature: Feature) -> Scale:
-    scale = feature_scales().get(feature.kind)
-    if scale is None:
-        raise KeyError(
-            f"feature {feature.name!r}: found no kind {feature.kind!r} in feature_scales.json, "
-            "expected its mean and deviation there"
-        )
-    return scale
-
-
 class Observation:
     """The table of features of an environment, in order.
 
@@ -89,7 +78,7 @@ class Observation:
         self.features = context(pipeline, per_mode)
         if kind == "full":
             self.features += coming(pipeline, per_mode)
-        self.scales = [_scale_of(feature) for feature in self.features]
+        self.scales = [feature_scales()[feature.kind] for feature in self.features]
         self._index = {feature.name: i for i, feature in enumerate(self.features)}
 
     def __len__(self) -> int:

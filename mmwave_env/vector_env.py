@@ -242,25 +242,10 @@ class MmWaveLocVectorEnv(
         self._ended = int(np.count_nonzero(self._over))
         return {} if self._infos == "none" else told
 
-    def step(
-        self, actions: Index, *, out: tuple[Observations, Array, Mask, Mask] | None = None
-    ) -> Step:
-        """Process an epoch in every environment with its mode; see the class on ends.
-
-        Args:
-            actions: (N,) numbers of the modes.
-            out: observations (N, features) float32, rewards (N,) float64, terminated and truncated
-                (N,) bool: arrays to fill and return; None for new ones. Where an episode ends,
-                arrays of its own are made all the same.
-
-        Raises:
-            ValueError: ``out`` has other shapes, types or gaps; then nothing was stepped.
-        """
+    def step(self, actions: Index) -> Step:
+        """Process an epoch in every environment with its mode (N,); see the class on ends."""
         actions = self._checked(actions)
         buffers = StepBuffers.fresh(self.num_envs, len(self.observation))
-        if out is not None:
-            buffers = StepBuffers(*out)
-            buffers.require_room(self.num_envs, len(self.observation))
         observations, rewards, terminated, truncated = buffers
         fresh, resets = self._over, self._ended  # none where autoreset is not NextStep
         drawn = self._draw(np.flatnonzero(fresh)) if resets else {}

@@ -11,7 +11,7 @@ from tests.paths import ROOT
 
 EVERYBODY = {"mmwave_env", "files", "lookup", "metrics", "records"}  # the first: __init__.py
 FILTER_SIDE = {"numerics", "models", "filters"}
-FACE = {"features", "coming_features", "observation", "reward", "info", "task"}
+FACE = {"features", "observation", "reward", "info", "task"}
 WORLDS = FILTER_SIDE | {"compiler", "world"} | FACE
 ENVIRONMENT = WORLDS | {"engines", "rendering"}
 LIBRARY = ENVIRONMENT | {"datasets", "logs", "policies", "localization", "env", "vector_env", "sb3"}
@@ -23,9 +23,7 @@ SEES = {
     "logs": {"numerics", "models"},
     "world": {"numerics", "models", "compiler"},  # no agent changes it, and it knows no data set
     "datasets": {"numerics", "models", "world", "logs"},
-    **dict.fromkeys(
-        ["features", "coming_features", "observation", "reward"], frozenset(FILTER_SIDE | FACE)
-    ),
+    **dict.fromkeys(["features", "observation", "reward"], frozenset(FILTER_SIDE | FACE)),
     "task": WORLDS | {"datasets"},  # chooses where episodes come from
     "engines": WORLDS,
     "policies": FILTER_SIDE | FACE,

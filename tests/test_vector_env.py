@@ -331,50 +331,6 @@ def test_an_environment_takes_at_most_64_kb():
 # --- lean stepping
 
 
-def buffers(env, **changes):
-    n, features = env.num_envs, env.single_observation_space.shape[0]
-    made = {
-        "observations": np.full((n, features), np.nan, np.float32), "rewards": np.full(n, np.nan),
-        "terminated": np.ones(n, bool), "truncated": np.ones(n, bool),
-    }  # fmt: skip
-    return tuple((made | changes).values())
-
-
-@pytest.mark.parametrize("mode", MODES)
-def test_steps_fill_the_arrays_they_are_given(mode):
-    env, twin = (native(9, mode, **CONFIGURATIONS["ends early"]) for _ in range(2))
-    env.reset(seed=4)
-    twin.reset(seed=4)
-    for _ in range(40):
-        out, actions = buffers(env), np.zeros(9, int)
-        found, expected = env.step(actions, out=out), twin.step(actions)
-        assert all(a is b for a, b in zip(found[:4], out, strict=True))
-        assert same(found, expected)
-        over = expected[2] | expected[3]
-        if mode == "Disabled" and over.any():
-            options = {"options": {"reset_mask": over}}
-            assert same(env.reset(**options), twin.reset(**options))
-
-
-@pytest.mark.parametrize(
-    ("changes", "message"),
-    [
-        ({"rewards": np.zeros(3, np.float32)}, "out, rewards: found float32 of shape .3,."),
-        ({"truncated": [False] * 3}, "out, truncated: found list, expected a C-contiguous bool"),
-        ({"rewards": np.zeros((3, 2))[:, 0]}, "out, rewards: .* contiguous False"),
-        ({"observations": np.zeros((3, 1), np.float32)}, "out, observations: found .* .3, 1."),
-        ({"rewards": np.broadcast_to(np.zeros(1), 3)}, "out, rewards: found .* writeable False"),
-    ],
-)
-def test_arrays_that_do_not_fit_are_refused_and_nothing_is_stepped(changes, message):
-    env, twin = native(3, **EKF), native(3, **EKF)
-    env.reset(seed=0)
-    twin.reset(seed=0)
-    with pytest.raises(ValueError, match=message):
-        env.step(np.zeros(3, int), out=buffers(env, **changes))
-    assert same(env.step(np.zeros(3, int)), twin.step(np.zeros(3, int)))
-
-
 @pytest.mark.parametrize("infos", ["episode", "none"])
 @pytest.mark.parametrize("mode", MODES)
 def test_lean_infos_are_those_of_single_environments(mode, infos):

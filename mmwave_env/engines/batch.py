@@ -83,12 +83,10 @@ class Batch(Generic[Workspace]):
                 None to start over from their priors.
 
         Raises:
-            ValueError: another number of episodes, or another layout than the batch's.
+            ValueError: another layout than the batch's.
         """
         found = EpisodeBatch.of(episodes, self.layout)
         places = np.arange(self.n) if places is None else places
-        if len(found.names) != len(places):
-            raise ValueError(f"episodes: found {len(found.names)}, expected {len(places)}")
         epochs = found.table.shape[1]
         self.make_room(epochs)
         self.state.length[places] = found.length

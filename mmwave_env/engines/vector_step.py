@@ -75,7 +75,7 @@ Infos = dict[str, NDArray[Any]]
 
 
 class StepBuffers(NamedTuple):
-    """What a step fills, of the shapes and types that it returns; C-contiguous."""
+    """What a step fills and returns."""
 
     observations: NDArray[np.float32]  # (n, features)
     rewards: Array  # (n,)
@@ -87,28 +87,6 @@ class StepBuffers(NamedTuple):
         """Buffers of a step's own."""
         flags = np.zeros((2, n), np.bool_)
         return cls(np.empty((n, features), np.float32), np.empty(n), flags[0], flags[1])
-
-    def require_room(self, n: int, features: int) -> None:
-        """Refuse what a step can't fill.
-
-        Raises:
-            ValueError: naming the buffer, what it is and what is expected.
-        """
-        wants = self.fresh(n, features)._asdict()
-        for name, found in self._asdict().items():
-            expected: NDArray[Any] = wants[name]
-            wanted = f"a C-contiguous {expected.dtype} array of shape {expected.shape}"
-            if not isinstance(found, np.ndarray):
-                raise ValueError(f"out, {name}: found {type(found).__name__}, expected {wanted}")
-            flags = found.flags
-            if (found.dtype, found.shape) != (expected.dtype, expected.shape) or not (
-                flags.c_contiguous and flags.writeable
-            ):
-                raise ValueError(
-                    f"out, {name}: found {found.dtype} of shape {found.shape}, contiguous "
-                    f"{flags.c_contiguous}, writeable {flags.writeable}; expected {wanted}, "
-                    "writeable"
-                )
 
 
 class Stepper:

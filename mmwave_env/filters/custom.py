@@ -193,27 +193,31 @@ def _wrong_shapes(layout: Layout, result: Any) -> Iterator[str]:
     if not isinstance(result, Posterior):
         yield f"{_kind(result)}, expected a Posterior of mmwave_env.filters.update"
         return
-    groups = len(layout.groups)
-    yield from _wrong_numbers("x", result.x, STATE_SIZE)
-    if not isinstance(result.P, list) or len(result.P) != STATE_SIZE:
-        yield f"P: {_kind(result.P)}, expected a list of {STATE_SIZE} rows"
-        return
-    for i, row in enumerate(result.P):
-        yield from _wrong_numbers(f"P[{i}]", row, STATE_SIZE)
-    yield from _wrong_numbers("nis", result.nis, groups)
-    yield from _wrong_numbers("accepted", result.accepted, groups)
-    yield from _wrong_numbers("log_likelihood", [result.log_likelihood], 1)
+    state, groups = [0.0] * STATE_SIZE, [0.0] * len(layout.groups)
+    expected = Posterior(state, [state] * STATE_SIZE, groups, groups, 0.0)
+    for field, found, like in zip(Posterior._fields, result, expected, strict=True):
+        for place, one, shape in _places(field, found, like):
+            if isinstance(shape, list):
+                things = "rows" if isinstance(shape[0], list) else "numbers"
+                yield f"{place}: {_kind(one)}, expected a list of {len(shape)} {things}"
+            elif isinstance(one, bool) or not isinstance(one, (float, int, Tracer)):
+                hint = ": where(condition, 1.0, 0.0)" if isinstance(one, bool) else ""
+                yield f"{place}: {_kind(one)}, expected a number{hint}"
 
 
-def _wrong_numbers(name: str, found: Any, size: int) -> Iterator[str]:
-    if not isinstance(found, list) or len(found) != size:
-        yield f"{name}: {_kind(found)}, expected a list of {size} numbers"
+def _places(name: str, found: Any, like: Any) -> Iterator[tuple[str, Any, Any]]:
+    """Name, value and shape of every number, and of what is no list of the shape's length."""
+    if not isinstance(like, list) or not isinstance(found, list) or len(found) != len(like):
+        yield name, found, like
         return
-    for i, number in enumerate(found):
-        if isinstance(number, bool) or not isinstance(number, (float, int, Tracer)):
-            place = name if name == "log_likelihood" else f"{name}[{i}]"
-            hint = ": where(condition, 1.0, 0.0)" if isinstance(number, bool) else ""
-            yield f"{place}: {_kind(number)}, expected a number{hint}"
+    for i, (one, other) in enumerate(zip(found, like, strict=True)):
+        yield from _places(f"{name}[{i}]", one, other)
+
+
+def _numbers(posterior: Posterior) -> list[tuple[str, Any]]:
+    """Name and value of every number."""
+    named = [_places(*field, field[1]) for field in posterior._asdict().items()]
+    return [(place, number) for field in named for place, number, _ in field]
 
 
 def _kind(found: Any) -> str:
@@ -221,20 +225,9 @@ def _kind(found: Any) -> str:
     return f"{kind} of {len(found)}" if isinstance(found, (list, tuple)) else kind
 
 
-def _places(posterior: Posterior) -> list[tuple[str, Any]]:
-    """Name and value of every number."""
-    found = []
-    for field, value in posterior._asdict().items():
-        for i, number in enumerate(flatten(value)):
-            row, column = divmod(i, STATE_SIZE)
-            place = f"[{row}][{column}]" if field == "P" else f"[{i}]"
-            found.append((field if number is value else f"{field}{place}", number))
-    return found
-
-
 def _unsound(trial: _Trial, result: Posterior) -> Iterator[str]:
     """Numbers that are not finite, no symmetric covariance, a part in what is missing."""
-    for place, number in _places(result):
+    for place, number in _numbers(result):
         if not math.isfinite(number):
             yield f"{place}: {number}, expected a finite number"
     P = result.P
@@ -254,7 +247,7 @@ def _unsound(trial: _Trial, result: Posterior) -> Iterator[str]:
 
 
 def _differences(on_floats: Posterior, on_lanes: Posterior) -> Iterator[str]:
-    for (place, a), (_, b) in zip(_places(on_floats), _places(on_lanes), strict=True):
+    for (place, a), (_, b) in zip(_numbers(on_floats), _numbers(on_lanes), strict=True):
         if a != value_of(b):
             yield (
                 f"{place}: {a!r} on floats and {value_of(b)!r} on lanes, expected the same: it "

@@ -227,20 +227,13 @@ def filterpy_pipeline(pipeline: Pipeline) -> Pipeline:
 
     Raises:
         ValueError: the pipeline needs what filterpy's filters cannot do: flat terrain (they
-            need a covariance of full rank), algorithms of one's own, or a prediction or
-            update that has already been replaced.
+            need a covariance of full rank), or algorithms of one's own.
     """
     if pipeline.planar:
         raise ValueError(
             "planar: found True, but filterpy's filters need a covariance of full rank; use "
             "planar=False or this package's own filters"
         )
-    for field in ("predict", "update"):
-        if getattr(pipeline, field) is not getattr(Pipeline, field):
-            raise ValueError(
-                f"{field}: found {getattr(pipeline, field)!r}, expected a pipeline whose filters "
-                "have not been replaced"
-            )
     # One filter per algorithm; its state is set anew for every step.
     filters = {mode.algorithm: _filter_of(mode) for mode in pipeline.modes}
 

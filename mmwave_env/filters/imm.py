@@ -65,8 +65,6 @@ def begin(pipeline: Pipeline, x: Vector, P: Vector) -> Mixture:
 
 def stay_matrix(modes: int, stay: float = DEFAULT_STAY) -> tuple[tuple[float, ...], ...]:
     """Transition probabilities (from, to): stay, or move to any other mode alike."""
-    if not 0.0 < stay <= 1.0:
-        raise ValueError(f"stay: found {stay}, expected a probability in (0, 1]")
     if modes == 1:
         return ((1.0,),)
     move = (1.0 - stay) / (modes - 1)

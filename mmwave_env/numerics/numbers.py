@@ -11,7 +11,7 @@ or ``numpy`` but through this module.
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -31,32 +31,20 @@ def _is_float(a: Number) -> bool:
     return isinstance(a, (float, int))
 
 
-def sqrt(a: Number) -> Number:
-    """Square root."""
-    if _is_float(a):
-        return math.sqrt(a)
-    return np.sqrt(a) if isinstance(a, np.ndarray) else a.sqrt()
+def _function(name: str) -> Callable[[Number], Number]:
+    """A function of one number, by what ``math``, numpy and lanes call it."""
+    of_float, of_array = getattr(math, name), getattr(np, name)
+
+    def function(a: Number) -> Number:
+        if _is_float(a):
+            return float(of_float(a))
+        return of_array(a) if isinstance(a, np.ndarray) else getattr(a, name)()
+
+    return function
 
 
-def log(a: Number) -> Number:
-    """Natural logarithm of a positive number."""
-    if _is_float(a):
-        return math.log(a)
-    return np.log(a) if isinstance(a, np.ndarray) else a.log()
-
-
-def exp(a: Number) -> Number:
-    """Exponential function."""
-    if _is_float(a):
-        return math.exp(a)
-    return np.exp(a) if isinstance(a, np.ndarray) else a.exp()
-
-
-def floor(a: Number) -> Number:
-    """The largest integer that is no larger."""
-    if _is_float(a):
-        return float(math.floor(a))
-    return np.floor(a) if isinstance(a, np.ndarray) else a.floor()
+sqrt, exp, floor = _function("sqrt"), _function("exp"), _function("floor")
+log = _function("log")  # of a positive number
 
 
 def atan2(y: Number, x: Number) -> Number:

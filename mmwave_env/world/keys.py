@@ -113,25 +113,23 @@ class Stream:
 
 
 class Streams:
-    """Where N environments are in their streams of keys; each one's begins at its first key.
+    """Where N environments are in their streams of keys, which begin anywhere.
 
     Args:
         n: number of environments.
     """
 
     def __init__(self, n: int) -> None:
-        self._seeds: list[int | None] = [None] * n
         self._states = np.zeros((n, 2), np.uint64)  # streams, and how many keys of them were drawn
-        self._generators: list[np.random.Generator | None] = [None] * n
+        self._states[:, 0] = np.random.SeedSequence().generate_state(n, np.uint64)
+        self.set_states(self._states)
 
-    def seed(self, place: int, seed: int | None) -> None:
-        """Start an environment's stream as ``Env.reset`` does; None for any seed.
+    def seed(self, place: int, seed: int) -> None:
+        """Start an environment's stream as ``Env.reset`` does.
 
         Raises:
             ValueError: a negative seed.
         """
-        if seed is None:
-            seed = int(np.random.SeedSequence().entropy)  # type: ignore[arg-type]
         seed = operator.index(seed)
         if seed < 0:
             raise ValueError(f"seed: found {seed}, expected 0 or more")
@@ -161,30 +159,26 @@ class Streams:
 
     def seeds(self) -> tuple[int, ...]:
         """(n,) the seeds of the streams; -1 where nobody knows it."""
-        self._seed_missing(range(len(self._seeds)))
-        return tuple(seed for seed in self._seeds if seed is not None)
+        return tuple(self._seeds)
 
     def states(self) -> NDArray[np.uint64]:
         """(n, 2) streams, and how many keys of each were drawn: a copy."""
-        self._seed_missing(range(len(self._seeds)))
         return self._states.copy()
 
     def set_states(self, states: NDArray[np.uint64]) -> None:
         """Take on states (n, 2); the seeds behind them are not known."""
         self._states[:] = states
-        self._seeds = [-1] * len(self._seeds)
-        self._generators = [None] * len(self._seeds)
+        self._seeds = [-1] * len(states)
+        self._generators: list[np.random.Generator | None] = [None] * len(states)
 
     def keys(self, places: Index) -> Keys:
         """Keys (places,) of the next episodes of some environments, each named once."""
-        self._seed_missing(places)
         keys = keys_at(*self._states[places].T)
         self._states[places, 1] += np.uint64(1)
         return keys
 
     def generator(self, place: int) -> np.random.Generator:
         """What an environment has as ``np_random``; no key is drawn from it."""
-        self._seed_missing([place])
         generator, seed = self._generators[place], self._seeds[place]
         if generator is None:
             known = int(self._states[place, 0]) if seed == -1 else seed
@@ -195,8 +189,3 @@ class Streams:
     def generators(self) -> tuple[np.random.Generator, ...]:
         """(n,) those of all environments."""
         return tuple(self.generator(place) for place in range(len(self._seeds)))
-
-    def _seed_missing(self, places: Iterable[int]) -> None:
-        for place in places:
-            if self._seeds[place] is None:
-                self.seed(place, None)

@@ -95,9 +95,9 @@ def started(tmp_path):
 
 
 PROGRAMS = """
+    from ctypes import CFUNCTYPE, c_int64
     from typing import Any, NamedTuple
     import numpy as np
-    from mmwave_env.compiler.advance import call
     from mmwave_env.compiler.program import Program
     class Pair(NamedTuple):
         incoming: list[Any]
@@ -105,7 +105,7 @@ PROGRAMS = """
     def shown(change):
         program = Program(lambda w: w._replace(x=change(w.x)), Pair([], 0.0))
         block = np.ones((1, 8))
-        call(program.on_lanes(), block)
+        CFUNCTYPE(None, c_int64)(program.on_lanes())(block.ctypes.data)
         print(block[0, 3], program._compiled._cache_hits)
 """
 

@@ -81,9 +81,8 @@ def test_switching_between_twins_carries_the_belief():
     [
         (pipeline_of(planar=True), "planar: found True"),
         (Pipeline((Mode("mine", ekf),), Layout(3)), "algorithm of mode 'mine' on filterpy"),
-        (filterpy_pipeline(pipeline_of()), "predict: found"),
     ],
-    ids=["flat terrain", "own algorithm", "replaced filters"],
+    ids=["flat terrain", "own algorithm"],
 )
 def test_what_filterpy_cannot_do_is_refused(pipeline, message):
     with pytest.raises(ValueError, match=message):
