@@ -216,7 +216,7 @@ def test_single_environments_in_step_have_fixed_infos_too():
         ({"scene": "plaza"}, "scene: found 'plaza'.*street, o1, dynamic-doppler"),
         ({"modes": ["ekf", "pf"]}, "mode: found 'pf'.*ekf, ukf, ckf"),
         ({"modes": "ekf"}, "modes: found the string 'ekf'"),
-        ({"modes": []}, "modes: found .*at least one"),
+        ({"modes": []}, "modes: found 0, expected a list of 1 to 32"),
         ({"reward": "speed"}, "reward: found 'speed'.*tracking, log-score"),
         ({"observation": "none"}, "observation: found 'none'.*full.*prior"),
         ({"backend": "matlab"}, "backend: found 'matlab'.*lanes, filterpy"),
