@@ -41,7 +41,7 @@ class PictureArgs(PlayArgs):
     out: Path | None = None
     """write a video, a .gif or .mp4 file, in place of a window"""
     fps: int = 10
-    """epochs a second; in a window, keys change it (h lists them)"""
+    """epochs a second; in a window, the keys in its title change it"""
     render_size: int = 480
     """height and width of the picture of a policy, px, 480 to 1080"""
     render_theme: str = "light"

@@ -85,8 +85,9 @@ def described(arguments: type[Any]) -> type[Any]:
         for name, text in _texts(declares).items():
             kind, default = kinds[name], known[name].default
             nothing = default is None or default is False or default == ()
-            usual = "" if nothing else None  # None: as tyro shows it
-            metavar = _metavar(name, kind, default is MISSING)
+            required = default is MISSING
+            usual = "(required)" if required else "" if nothing else None  # None: as tyro has it
+            metavar = _metavar(name, kind, required)
             kind = Annotated[kind, arg(help=text, help_behavior_hint=usual, metavar=metavar)]
             if default is False:  # there is no --no-NAME
                 kind = Annotated[kind, FlagCreatePairsOff]
