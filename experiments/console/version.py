@@ -89,11 +89,13 @@ def _episodes(task: Task, episodes: EpisodeBatch) -> float:
     source = task.simulated
     begun, world = source.begin(_KEYS), source.world
     settings, blank = source.feed(begun.worlds).settings[:, 0], np.zeros(world.ends[0])
-    found = []
+    (observed, happened, moved), found = world.parts, []
     for kept in begun.worlds:
         w = unflatten(world.template, iter(np.concatenate([blank, settings, kept]).tolist()))
         for dt in source.steps_s:
-            w = world.epoch(w)
+            w = observed(w)
+            for _ in range(int(w.settings.stride)):
+                w = moved(happened(w))
             found.append(flatten(w.measured._replace(dt=dt)))
     return _deviation(np.array(found), episodes.table.reshape(len(found), -1))
 

@@ -134,7 +134,7 @@ def stretches(time_s: Array, position_m: Array, gap_s: float) -> list[slice]:
         position_m: (T, 3), NaN where not known.
         gap_s: that may be between two epochs.
     """
-    known = np.isfinite(position_m).all(axis=1)
+    known = np.asarray(np.isfinite(position_m).all(axis=1))
     ends = np.flatnonzero(~known[:-1] | ~known[1:] | (np.diff(time_s) > gap_s)) + 1
     runs = [slice(a, b) for a, b in pairwise([0, *ends.tolist(), len(time_s)])]
     return [run for run in runs if run.stop - run.start > 1]
