@@ -105,22 +105,13 @@ class LearnedSwitch:
         """
         card, found = self.card, observation
         trained = f"{self._path}: trained with"
-        if found.beliefs != card.beliefs:
+        alike = (found.beliefs, found.kind) == (card.beliefs, card.observation)
+        if not alike or found.modes not in [card.modes, *(b.modes for b in card.banks.values())]:
+            names = ", ".join(mode.name for mode in card.modes)
             raise ValueError(
-                f"{trained} beliefs={card.beliefs!r}, found {found.beliefs!r}; make the "
-                f"environment with its modes: {self._made_with}"
-            )
-        if found.modes not in [card.modes, *(bank.modes for bank in card.banks.values())]:
-            here, there = ([mode.name for mode in modes] for modes in (found.modes, card.modes))
-            tuned = ", of another tuning" if here == there else ""
-            raise ValueError(
-                f"{trained} the modes {there}, found {here}{tuned}; make the environment with its "
-                f"modes: {self._made_with}"
-            )
-        if found.kind != card.observation:
-            raise ValueError(
-                f"{trained} observation={card.observation!r}, found {found.kind!r}; make the "
-                f"environment with it: {self._made_with}"
+                f"{trained} observation={card.observation!r}, beliefs={card.beliefs!r} and the "
+                f"modes {names}, found {found.made_with}, or another tuning of them; make the "
+                f"environment as in training: {self._made_with}"
             )
         if found.digest != card.digest:
             raise ValueError(
@@ -172,7 +163,11 @@ class LearnedSwitch:
                 number of environments than at the last reset.
         """
         if observation.ndim != 2 or observation.shape[1] != len(self._low):
-            raise ValueError(self._about_shape(observation.shape))
+            raise ValueError(
+                f"observation: found shape {observation.shape}, expected (n, {len(self._low)}); "
+                "of a single environment take observation[None], and make it as in training: "
+                f"{self._made_with}"
+            )
         x = np.minimum(np.maximum(observation, self._low), self._high)
         if self._memory is not None:
             if len(x) != len(self._begins):
@@ -189,15 +184,6 @@ class LearnedSwitch:
             np.tanh(x, out=x)
         found: Array = x @ weight + bias
         return found
-
-    def _about_shape(self, shape: tuple[int, ...]) -> str:
-        """The message about observations of another shape."""
-        message = f"observation: found shape {shape}, expected (n, {len(self._low)})"
-        if len(shape) == 1:
-            message += "; for a single environment, (action,) = policy(observation[None])"
-        if shape[-1:] != self._low.shape:
-            message += f"; make the environment as in training: {self._made_with}"
-        return message
 
 
 def _located(path: str | os.PathLike[str]) -> Path:

@@ -189,13 +189,10 @@ class Program(Generic[Workspace]):
                 t = epoch[e] + step
                 lanes[: len(self.blank)] = table[e, t] if t < length[e] else self.blank
                 lanes[input_rows] = inputs[e, step]
-                lanes[:] = self.once(lanes)
+                tree = unflatten(self.template, iter(lanes.tolist()))
+                lanes[:] = flatten(self.function(tree))
                 outputs[e, step], observations[e, step] = lanes[output_rows], lanes[obs_rows]
             epoch[e] += outputs.shape[1]
-
-    def once(self, workspace: Array) -> list[float]:
-        """The leaves (size,) after one run on floats."""
-        return flatten(self.function(unflatten(self.template, iter(workspace.tolist()))))
 
     def on_lanes(self) -> int:
         """The address of a C function that runs the program on a block, for :func:`call`.

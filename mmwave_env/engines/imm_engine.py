@@ -181,6 +181,5 @@ class ImmTracker(EpisodeFilter[ImmState]):
     def __init__(self, bank: Bank, layout: Layout, n: int, planar: bool = False) -> None:
         program = imm_program(Pipeline(bank.modes, layout, planar), TrackingReward())
         batch = Batch(program, layout, n, rows_of(program.index.action))
-        settings = np.array(flatten(settings_of(bank, layout)), float)
-        batch.write(program.index.settings, np.tile(settings, (n, 1)))
+        batch.write(program.index.settings, np.array(flatten(settings_of(bank, layout)), float))
         super().__init__(batch)

@@ -184,5 +184,5 @@ class Tracker(EpisodeFilter[TrackState]):
     def tune(self, tunings: Sequence[Tuning]) -> None:
         """Take other process noise, one :class:`Tuning` a mode, and start over."""
         row = np.array(flatten(list(tunings)), float)
-        self._batch.write(self._batch.at.tunings, np.tile(row, (self._batch.n, 1)))
+        self._batch.write(self._batch.at.tunings, row)
         self._batch.restart()

@@ -142,21 +142,17 @@ def bank_as_written(bank: Bank) -> dict[str, Any]:
 # --- shipped
 
 
-@cache
-def _warn_of_no_tuning(name: str, base: str) -> None:
-    warnings.warn(
-        f"radio {name!r}: found no modes tuned for it, took those of {base!r}; mmwave-loc tune "
-        f"--radio {name}.json --out modes.json tunes modes= and --modes, with --bank a bank",
-        stacklevel=3,
-    )
-
-
-def _tuned_profile(radio: str | Radio) -> str:
-    """The shipped profile whose modes and banks a radio gets: its base, and a warning, once."""
-    found = radio_from(radio)
-    if found.name not in RADIOS:
-        _warn_of_no_tuning(found.name, found.base)
-    return found.base
+@cache  # so that it warns once
+def _tuned_profile(radio: Radio) -> str:
+    """The shipped profile whose modes and banks a radio gets: its base."""
+    if radio.name not in RADIOS:
+        warnings.warn(
+            f"radio {radio.name!r}: found no modes tuned for it, took those of {radio.base!r}; "
+            f"mmwave-loc tune --radio {radio.name}.json --out modes.json tunes modes= and --modes, "
+            "with --bank a bank",
+            stacklevel=3,
+        )
+    return radio.base
 
 
 @cache
@@ -176,7 +172,7 @@ def shipped_modes(radio: str, coupling: bool = True) -> tuple[Mode, ...]:
 
 def default_modes(radio: str | Radio = "handset") -> tuple[Mode, Mode]:
     """The two actions of ``MmWaveLoc-v0``: the paper's EKF and UKF pipelines."""
-    low, high = shipped_modes(_tuned_profile(radio))
+    low, high = shipped_modes(_tuned_profile(radio_from(radio)))
     return low, high
 
 
@@ -196,7 +192,7 @@ def best_bank(radio: str | Radio = "handset") -> Bank:
     Args:
         radio: profile; one that was not tuned gets the bank of its base, and a warning, once.
     """
-    return _shipped(f"banks/{_tuned_profile(radio)}")
+    return _shipped(f"banks/{_tuned_profile(radio_from(radio))}")
 
 
 # --- arguments

@@ -56,57 +56,9 @@ def full_noise(noise: ProcessNoise) -> Array:
     return Q
 
 
-def measure(x: Array, anchors: Array, hz_per_mps: float, odometry: bool) -> Array:
-    """h(x): every row of a measurement without noise (paper, Sec. II-B), m, rad, Hz, m/s."""
-    d = x[:3] - anchors
-    distance = np.linalg.norm(d, axis=1)
-    azimuth = np.arctan2(d[:, 1], d[:, 0])
-    elevation = np.arctan2(d[:, 2], np.hypot(d[:, 0], d[:, 1]))
-    links = np.column_stack([distance, azimuth, elevation, azimuth + np.pi])
-    doppler = hz_per_mps * (x[3:6] @ d[0]) / max(distance[0], _NEAREST_M) + x[6]
-    rows = [*links.ravel(), doppler]
-    if odometry:
-        rows += [np.linalg.norm(x[3:6]), np.arctan2(x[4], x[3])]
-    return np.array(rows)
-
-
 def _inverse(length: float) -> float:
     """1 / length; of a length that gives no direction 0."""
     return 1.0 / length if length > _NEAREST_M else 0.0
-
-
-def silent(x: Array, anchors: Array, odometry: bool) -> Mask:
-    """Rows (rows,) of directions that are not there at x: they tell nothing."""
-    d = x[:3] - anchors
-    vertical = np.hypot(d[:, 0], d[:, 1]) <= _NEAREST_M
-    there = np.linalg.norm(d, axis=1) <= _NEAREST_M
-    links = np.column_stack([np.zeros_like(there), vertical, there, vertical])
-    return np.array([*links.ravel(), there[0], *[False] * 2 * odometry])
-
-
-def jacobian(x: Array, anchors: Array, hz_per_mps: float, odometry: bool) -> Array:
-    """H = dh/dx (rows, 7)."""
-    links = np.zeros((len(anchors), 4, _STATES))
-    for rows, (dx, dy, dz) in zip(links, x[:3] - anchors, strict=True):
-        horizontal, distance = np.hypot(dx, dy), np.sqrt(dx**2 + dy**2 + dz**2)
-        inverse_horizontal, inverse = _inverse(horizontal), _inverse(distance)
-        rows[0, :3] = np.array([dx, dy, dz]) * inverse
-        rows[1, :2] = rows[3, :2] = np.array([-dy, dx]) * inverse_horizontal**2
-        rows[2, :2] = np.array([-dx, -dy]) * (dz * inverse_horizontal * inverse**2)
-        rows[2, 2] = horizontal * inverse**2
-    doppler = np.zeros((1, _STATES))
-    d, v = x[:3] - anchors[0], x[3:6]
-    inverse = _inverse(float(np.linalg.norm(d)))
-    doppler[0, :3] = hz_per_mps * (v * inverse - (v @ d) * d * inverse**3)
-    doppler[0, 3:6] = hz_per_mps * d * inverse
-    doppler[0, 6] = inverse > 0.0
-    H = [*links.reshape(-1, _STATES), *doppler]
-    if odometry:
-        speed_row, heading_row = np.zeros(_STATES), np.zeros(_STATES)
-        speed_row[3:6] = v / max(float(np.linalg.norm(v)), _AT_REST_MPS)
-        heading_row[3:5] = np.array([-v[1], v[0]]) / max(np.hypot(v[0], v[1]), _AT_REST_MPS) ** 2
-        H += [speed_row, heading_row]
-    return np.array(H)
 
 
 class _Sight:
@@ -116,8 +68,7 @@ class _Sight:
         self._mean, self._layout = mean, measurement.layout
         self._anchors = np.array(measurement.anchors, float)
         self._hz_per_mps = float(measurement.hz_per_mps)
-        self._at_mean = self._measure(mean)
-        self._silent = silent(mean, self._anchors, self._layout.odometry)
+        self._at_mean, self._silent = self._measure(mean), self._without_direction()
         self.innovation = self._difference(np.array(measurement.z, float))
         self.variance = np.array(measurement.variance, float)
 
@@ -125,19 +76,58 @@ class _Sight:
         """h(m + dx) - h(m)."""
         return self._difference(self._measure(self._mean + dx))
 
-    def jacobian(self) -> Array:
-        """dh/dx at m."""
-        return jacobian(self._mean, self._anchors, self._hz_per_mps, self._layout.odometry)
-
-    def _measure(self, x: Array) -> Array:
-        return measure(x, self._anchors, self._hz_per_mps, self._layout.odometry)
-
     def _difference(self, z: Array) -> Array:
         """z - h(m), angles in [-pi, pi]; 0 in rows that are silent at m."""
         dz = np.where(self._silent, 0.0, z - self._at_mean)
         angles = self._layout.angles
         dz[angles] = np.remainder(dz[angles] + np.pi, 2.0 * np.pi) - np.pi
         return dz
+
+    def _measure(self, x: Array) -> Array:
+        """h(x): every row of a measurement without noise (paper, Sec. II-B), m, rad, Hz, m/s."""
+        d = x[:3] - self._anchors
+        distance = np.linalg.norm(d, axis=1)
+        azimuth = np.arctan2(d[:, 1], d[:, 0])
+        elevation = np.arctan2(d[:, 2], np.hypot(d[:, 0], d[:, 1]))
+        links = np.column_stack([distance, azimuth, elevation, azimuth + np.pi])
+        doppler = self._hz_per_mps * (x[3:6] @ d[0]) / max(distance[0], _NEAREST_M) + x[6]
+        rows = [*links.ravel(), doppler]
+        if self._layout.odometry:
+            rows += [np.linalg.norm(x[3:6]), np.arctan2(x[4], x[3])]
+        return np.array(rows)
+
+    def _without_direction(self) -> Mask:
+        """Rows (rows,) of directions that are not there at m: they tell nothing."""
+        d = self._mean[:3] - self._anchors
+        vertical = np.hypot(d[:, 0], d[:, 1]) <= _NEAREST_M
+        there = np.linalg.norm(d, axis=1) <= _NEAREST_M
+        links = np.column_stack([np.zeros_like(there), vertical, there, vertical])
+        return np.array([*links.ravel(), there[0], *[False] * 2 * self._layout.odometry])
+
+    def jacobian(self) -> Array:
+        """H = dh/dx at m (rows, 7)."""
+        d, v = self._mean[:3] - self._anchors, self._mean[3:6]
+        links = np.zeros((len(d), 4, _STATES))
+        for rows, (dx, dy, dz) in zip(links, d, strict=True):
+            horizontal, distance = np.hypot(dx, dy), np.sqrt(dx**2 + dy**2 + dz**2)
+            inverse_horizontal, inverse = _inverse(horizontal), _inverse(distance)
+            rows[0, :3] = np.array([dx, dy, dz]) * inverse
+            rows[1, :2] = rows[3, :2] = np.array([-dy, dx]) * inverse_horizontal**2
+            rows[2, :2] = np.array([-dx, -dy]) * (dz * inverse_horizontal * inverse**2)
+            rows[2, 2] = horizontal * inverse**2
+        doppler = np.zeros((1, _STATES))
+        inverse = _inverse(float(np.linalg.norm(d[0])))
+        doppler[0, :3] = self._hz_per_mps * (v * inverse - (v @ d[0]) * d[0] * inverse**3)
+        doppler[0, 3:6] = self._hz_per_mps * d[0] * inverse
+        doppler[0, 6] = inverse > 0.0
+        H = [*links.reshape(-1, _STATES), *doppler]
+        if self._layout.odometry:
+            speed_row, heading_row = np.zeros(_STATES), np.zeros(_STATES)
+            speed_row[3:6] = v / max(float(np.linalg.norm(v)), _AT_REST_MPS)
+            slowest = max(np.hypot(v[0], v[1]), _AT_REST_MPS)
+            heading_row[3:5] = np.array([-v[1], v[0]]) / slowest**2
+            H += [speed_row, heading_row]
+        return np.array(H)
 
 
 class _Filtered(NamedTuple):

@@ -63,10 +63,6 @@ class Layout:
     anchors: int = 3
     odometry: bool = False
 
-    def __post_init__(self) -> None:
-        if self.anchors < 1:
-            raise ValueError(f"anchors: found {self.anchors}, expected at least 1")
-
     @property
     def size(self) -> int:
         """Number of rows: 4 L + 1, and 2 more with odometry."""
