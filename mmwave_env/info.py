@@ -7,7 +7,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mmwave_env.metrics import ate, scored
 from mmwave_env.numerics.numbers import Array, Mask
 
 STATE_KEYS = ("truth", "estimate")  # told at reset, too
@@ -100,23 +99,22 @@ def step_info(column: Array, told: dict[str, Any], mode: int) -> dict[str, Any]:
 def worded(
     info: dict[str, Any], infos: str, at_end: bool, groups: int, beliefs: int
 ) -> dict[str, Any]:
-    """An info as ``infos`` asks for it, of an episode's first or last step or of one between."""
-    if infos == "none" or (infos == "episode" and not at_end):
-        return {}
-    return fixed_info(info, groups, beliefs) if infos == "fixed" else info
+    """An info as ``infos`` asks for it.
 
-
-def fixed_info(info: dict[str, Any], groups: int, beliefs: int = 1) -> dict[str, Any]:
-    """An info of a reset or a step with the same keys, types and shapes always.
+    Fixed ones have the same keys, types and shapes always: all numbers that are ever told, as
+    numpy's; NaN, False or -1 where there is nothing to tell.
 
     Args:
         info: what there is to tell.
+        infos: of the environment.
+        at_end: whether it is of an episode's first or last step.
         groups: of the measurement: links, Doppler, odometry.
         beliefs: how many the modes keep.
-
-    Returns:
-        All numbers that are ever told, as numpy's; NaN, False or -1 where there is nothing to tell.
     """
+    if infos == "none" or (infos == "episode" and not at_end):
+        return {}
+    if infos != "fixed":
+        return info
     unknown: dict[str, Any] = dict.fromkeys((*STEP_KEYS, *LAST_KEYS), np.nan)
     unknown |= {key: np.zeros(groups, np.bool_) for key in FLAGS}
     unknown |= {"nis": np.full(groups, np.nan), "mode": -1, "nonfinite": -1, NONFINITE_KEY: 0}
@@ -131,11 +129,6 @@ def mask_keys(keys: Iterable[str]) -> list[str]:
     return [f"_{key}" for key in keys]
 
 
-def episode_info(metrics: dict[str, Array]) -> dict[str, Array]:
-    """What the last step of an episode tells of its metrics."""
-    return {EPISODE_KEYS[name]: values for name, values in metrics.items()}
-
-
 def warn_of_nonfinite(stacklevel: int = 3) -> None:
     """Say that an episode ended whose beliefs were no finite numbers; Python shows it once."""
     warnings.warn(
@@ -144,8 +137,3 @@ def warn_of_nonfinite(stacklevel: int = 3) -> None:
         RuntimeWarning,
         stacklevel,
     )
-
-
-def smoothed_info(smoothed: Array) -> dict[str, Array]:
-    """What the last step tells of smoothed tracks, by their position errors (n, T, 3), m."""
-    return {SMOOTHED_KEY: ate(smoothed[:, scored(smoothed.shape[1])])}

@@ -134,10 +134,7 @@ class Card:
         """
         if not isinstance(content, dict):
             raise ValueError(f"card: found {quoted(content)}, expected an object")
-        names = [field.name for field in fields(cls)]
-        if not any(name in content for name in _PER_MODE):
-            names = [name for name in names if name not in _PER_MODE]
-        _require_names("card", content, names)
+        _require_names("card", {*content, *_PER_MODE}, [field.name for field in fields(cls)])
         alone = bank_in({"modes": content["modes"]})
         banks = _banks_in(content.get("banks", {}))
         return cls(**{**content, "modes": alone.modes, "banks": banks})

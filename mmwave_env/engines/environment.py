@@ -19,7 +19,8 @@ from mmwave_env.engines.replay import Replay
 from mmwave_env.engines.tally import Tally
 from mmwave_env.engines.vector_step import ActionHistory, Stepper
 from mmwave_env.filters.pipeline import Pipeline
-from mmwave_env.info import SMOOTHED_KEY, drawn_rows, episode_info, smoothed_info
+from mmwave_env.info import EPISODE_KEYS, SMOOTHED_KEY, drawn_rows
+from mmwave_env.metrics import ate, scored
 from mmwave_env.models.scene import Streets
 from mmwave_env.numerics.numbers import Array, Index, Mask
 from mmwave_env.task import Task
@@ -89,7 +90,8 @@ class Environment:
     def _metrics_of(self, ended: Index, threads: int = 1) -> dict[str, Array]:
         """What the last step tells of episodes that ended in some environments (k,)."""
         epochs = self._engine.batch.state.epoch[ended] - 1
-        told = episode_info(self._tally.metrics(ended, epochs))
+        metrics = self._tally.metrics(ended, epochs)
+        told = {EPISODE_KEYS[name]: values for name, values in metrics.items()}
         if not self._replay:
             return told
         jobs = []
@@ -101,7 +103,7 @@ class Environment:
         def smooth(some: Index, steps: int) -> None:
             episodes = self._engine.episodes(self._task, ended[some])
             *_, errors = replay.run(episodes, self._history.of(ended[some], steps))
-            (smoothed[some],) = smoothed_info(errors).values()
+            smoothed[some] = ate(errors[:, scored(steps)])
 
         share(smooth, jobs, threads)
         return told | {SMOOTHED_KEY: smoothed}

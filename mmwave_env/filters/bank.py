@@ -59,11 +59,6 @@ class Bank:
         if self.transition is not None:
             _require_probabilities(self.transition, len(names))
 
-    @property
-    def probabilities(self) -> Transition:
-        """The transition probabilities over a second."""
-        return stay_matrix(len(self.modes)) if self.transition is None else self.transition
-
 
 # of a ``modes=`` argument; a mapping is what a mode file holds
 Modes = Bank | Sequence[Mode | str] | Mapping[str, Any] | str | os.PathLike[str] | None
@@ -74,7 +69,7 @@ def settings_of(bank: Bank, layout: Layout) -> ImmSettings:
     from scipy.special import chdtri  # where used: a bank is described without it
 
     return ImmSettings(
-        [list(row) for row in bank.probabilities],
+        [list(row) for row in bank.transition or stay_matrix(len(bank.modes))],
         [mode.tuning for mode in bank.modes],
         [float(chdtri(k, 1.0 - bank.nis_quantile)) for k in layout.widths],
     )

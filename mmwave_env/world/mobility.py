@@ -155,15 +155,13 @@ MIXED = "mixed"
 SCENARIOS = (*MOBILITIES, MIXED)
 
 
-def mobilities_of(scenario: str | os.PathLike[str] | Mobility) -> tuple[Mobility, ...]:
+def mobilities_of(scenario: str | os.PathLike[str]) -> tuple[Mobility, ...]:
     """The mobilities a scenario draws from, in equal shares.
 
     Raises:
         ValueError: unknown scenario; the message lists the valid ones. A file that holds something
             else than :func:`read_mobility` reads.
     """
-    if isinstance(scenario, Mobility):
-        return (scenario,)
     if str(scenario).endswith(".json"):
         return (read_mobility(scenario),)
     names = {name: (mobility,) for name, mobility in MOBILITIES.items()}

@@ -183,6 +183,14 @@ class World:
         self.ends = (sizes[0], sizes[0] + sizes[1], sum(sizes))
         self._compiled: Any = None
 
+    def epoch(self, w: WorldState) -> WorldState:
+        """An epoch; on floats for reference."""
+        observed, happened, moved = self.parts
+        w = observed(w)
+        for _ in range(int(w.settings.stride)):
+            w = moved(happened(w))
+        return w
+
     def on_lanes(self) -> int:
         """The address of a C function that is an epoch, as a Feed wants it."""
         with global_compiler_lock:

@@ -191,6 +191,8 @@ def users_of(scenario: Scenario) -> Users:
         return scenario
     if isinstance(scenario, Trajectory):
         return Ways(scenario.name, (scenario,))
+    if isinstance(scenario, Mobility):
+        return (scenario,)
     if str(scenario).lower().endswith(".csv"):
         return read_ways(scenario)
     return mobilities_of(scenario)

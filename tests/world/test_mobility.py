@@ -228,7 +228,6 @@ def test_a_mobility_file_is_a_kind_of_user(tmp_path):
     (scooter,) = mobilities_of(write(tmp_path, SCOOTER))
     limits = Limits((0.5, 1.5), (1.0, 2.0), (1.0, 2.0), 2.0, 3.0)
     assert scooter == Mobility("scooter", (Phase(limits, (Gait(3.0, 7.0),)),), blocks=2)
-    assert mobilities_of(scooter) == (scooter,)
 
 
 def test_a_kind_of_user_of_ones_own_keeps_to_its_limits(tmp_path):
