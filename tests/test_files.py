@@ -15,7 +15,6 @@ import pytest
 from mmwave_env.files import (
     JSON_BYTES,
     JSON_DEPTH,
-    JSON_DIGITS,
     atomic_path,
     naming,
     open_regular,
@@ -255,12 +254,6 @@ def test_nested_json_is_read_to_a_depth():
         for depth in (JSON_DEPTH + 1, 900, 100_000):
             with pytest.raises(ValueError, match="found lists or objects in each other"):
                 parse_json(begin * depth + "1" + end * depth)
-
-
-def test_numbers_of_json_have_so_many_digits():
-    assert parse_json("9" * JSON_DIGITS) == int("9" * JSON_DIGITS)
-    with pytest.raises(ValueError, match="^line 3: found a number of 400 digits .* 11111"):
-        parse_json('{"a":\n1,\n"b": ' + "1" * 400 + "}")
 
 
 WRONG = {

@@ -171,80 +171,55 @@ def _orders(anchors: int) -> list[tuple[int, ...]]:
 
 def hypotheses(scene: Scene, radio: Radio) -> dict[str, Mistake]:
     """Likely mistakes in words, and how to undo them."""
-    return {**_of_angles(), **_of_times(), **_of_shifts(scene), **_of_the_world(scene, radio)}
-
-
-def _of_angles() -> dict[str, Mistake]:
-    upside_down = _scaled([_ELEVATION], -1.0)
-    ends = _exchanged(_AZIMUTH, _DEPARTURE)
-    swap = "exchange the columns of aoa_azimuth and aod_azimuth"
-    mistakes = {
-        "arrival and departure are exchanged": Mistake(ends, swap),
-        "azimuth and elevation of arrival are exchanged": Mistake(
-            _exchanged(_AZIMUTH, _ELEVATION),
-            "exchange the columns of aoa_azimuth and aoa_elevation",
+    ends, upside_down = _exchanged(_AZIMUTH, _DEPARTURE), _scaled([_ELEVATION], -1.0)
+    swap = "exchange the columns of aoa_azimuth and"
+    found: dict[str, tuple[Hypothesis, str]] = {
+        "arrival and departure are exchanged": (ends, f"{swap} aod_azimuth"),
+        "azimuth and elevation of arrival are exchanged": (
+            _exchanged(_AZIMUTH, _ELEVATION), f"{swap} aoa_elevation"
         ),
-        "elevation has the other sign": Mistake(upside_down, "negate aoa_elevation"),
-        "arrival is at the user, as in a downlink": Mistake(
-            lambda r: upside_down(ends(r)), f"{swap}, negate aoa_elevation"
+        "elevation has the other sign": (upside_down, "negate aoa_elevation"),
+        "arrival is at the user, as in a downlink": (
+            lambda r: upside_down(ends(r)), f"{swap} aod_azimuth, negate aoa_elevation"
         ),
-        "elevation is a zenith angle": Mistake(
+        "elevation is a zenith angle": (
             _scaled([_ELEVATION], -1.0, PI / 2.0), "write 90 degrees - aoa_elevation"
         ),
-        "elevation is a nadir angle": Mistake(
+        "elevation is a nadir angle": (
             _scaled([_ELEVATION], 1.0, -PI / 2.0), "write aoa_elevation - 90 degrees"
         ),
-        "azimuths are clockwise from north": Mistake(
+        "azimuths are clockwise from north": (
             _scaled(_AZIMUTHS, -1.0, PI / 2.0),
             "write 90 degrees - aoa_azimuth and 90 degrees - aod_azimuth",
         ),
-    }
+        "time of flight is there and back": (_scaled([_RANGE], 0.5), "halve it"),
+        "Doppler shift has the other sign": (_scaled((), -1.0), "negate doppler"),
+    }  # fmt: skip
     for name, (column, row) in _COLUMNS.items():
-        mistakes[f"{name} is in degrees"] = Mistake(
-            _scaled([row], PI / 180.0), f"rename {column}_rad to {column}_deg"
-        )
+        cure = f"rename {column}_rad to {column}_deg"
+        found[f"{name} is in degrees"] = _scaled([row], PI / 180.0), cure
     for unit, suffix, factor in (("degrees", "deg", PI / 180.0), ("radians", "rad", 180.0 / PI)):
         cure = f"name the columns of angles by their unit, such as aoa_azimuth_{suffix}"
-        mistakes[f"angles are in {unit}"] = Mistake(_scaled(_ANGLES, factor), cure)
-    return mistakes
-
-
-def _of_times() -> dict[str, Mistake]:
-    back = Mistake(_scaled([_RANGE], 0.5), "halve it")
-    mistakes = {"time of flight is there and back": back}
+        found[f"angles are in {unit}"] = _scaled(_ANGLES, factor), cure
     for what, (factor, old, new) in _FACTORS.items():
-        for name, column, undo in (
-            ("time of flight", "toa", _scaled([_RANGE], factor)),
-            ("time", "time", _time(factor)),
-        ):
-            cure = f"multiply it by {factor:g}, or rename {column}_{old} to {column}_{new}"
-            mistakes[f"{name} is {what}"] = Mistake(undo, cure)
-    return mistakes
-
-
-def _of_shifts(scene: Scene) -> dict[str, Mistake]:
-    mistakes = {"Doppler shift has the other sign": Mistake(_scaled((), -1.0), "negate doppler")}
+        cure = f"multiply it by {factor:g}, or rename"
+        undo = _scaled([_RANGE], factor)
+        found[f"time of flight is {what}"] = undo, f"{cure} toa_{old} to toa_{new}"
+        found[f"time is {what}"] = _time(factor), f"{cure} time_{old} to time_{new}"
     for unit, suffix, factor in (("m/s", "mps", scene.hz_per_mps), ("kHz", "khz", 1e3)):
-        mistakes[f"Doppler shift is in {unit}, not in Hz"] = Mistake(
-            _scaled((), factor), f"rename doppler_hz to doppler_{suffix}"
-        )
-        mistakes[f"Doppler shift is in Hz, not in {unit}"] = Mistake(
-            _scaled((), 1.0 / factor), f"rename doppler_{suffix} to doppler_hz"
-        )
-    return mistakes
-
-
-def _of_the_world(scene: Scene, radio: Radio) -> dict[str, Mistake]:
-    mistakes = {}
+        other = f"doppler_{suffix}"
+        cure = f"rename doppler_hz to {other}"
+        found[f"Doppler shift is in {unit}, not in Hz"] = _scaled((), factor), cure
+        found[f"Doppler shift is in Hz, not in {unit}"] = (
+            _scaled((), 1.0 / factor), f"rename {other} to doppler_hz"
+        )  # fmt: skip
     for order in _orders(len(scene.anchors_m)):
         numbers = ", ".join(str(i + 1) for i in order)
         cure = f"write the scene's anchors in the order {numbers}"
-        mistakes[f"anchors are the scene's {numbers}"] = Mistake(_anchors(order), cure)
-    for name, other in RADIOS.items():
-        if name != radio.name:
-            cure = f"give --radio {name}, or radio={name!r}"
-            mistakes[f"radio is {name}"] = Mistake(_radio(other), cure)
-    return mistakes
+        found[f"anchors are the scene's {numbers}"] = _anchors(order), cure
+    for name in sorted(RADIOS.keys() - {radio.name}):
+        found[f"radio is {name}"] = _radio(RADIOS[name]), f"give --radio {name}, or radio={name!r}"
+    return {name: Mistake(*mistake) for name, mistake in found.items()}
 
 
 # --- which of it explains the log

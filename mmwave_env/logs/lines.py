@@ -11,7 +11,6 @@ from typing import Any, NamedTuple
 from mmwave_env.files import naming, open_regular
 
 _BLOCK_BYTES = 1 << 20
-_MOST_EMPTY = 1_000_000  # lines in a row; gzip makes gigabytes of them out of nothing
 
 
 class LineBlock(NamedTuple):
@@ -46,7 +45,7 @@ def line_blocks(path: Path) -> Iterator[LineBlock]:
         total = max(os.fstat(raw.fileno()).st_size, 1)
         zipped = path.suffix.lower() == ".gz"
         file: Any = gzip.GzipFile(fileobj=raw) if zipped else raw
-        first, rest, end, empty = 1, b"", False, 0
+        first, rest, end = 1, b"", False
         while not end:
             content, end, damage = _read(file)
             content = rest + content
@@ -56,10 +55,6 @@ def line_blocks(path: Path) -> Iterator[LineBlock]:
             if lines:
                 yield LineBlock(first, lines, min(raw.tell() / total, 1.0))
             first += len(lines)
-            empty = 0 if content.strip() else empty + len(lines)
-            if empty > _MOST_EMPTY:
-                found = f"{empty} empty lines before it"
-                raise DamagedFileError(path, first, found, "rows")
             if damage:
                 raise DamagedFileError(path, first, damage, "a file that is whole")
             if len(rest) > _BLOCK_BYTES:

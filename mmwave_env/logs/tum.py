@@ -58,8 +58,6 @@ def _parse(path: Path, block: LineBlock, last_s: float) -> Array:
     if not poses:
         return np.empty((0, 4))
     try:
-        if any("\r" in line for line in poses):
-            raise ValueError("a line end that is none")
         rows = np.loadtxt(poses, comments="#", ndmin=2, encoding=None)
     except ValueError:
         _find_damage(path, block, last_s)
@@ -74,8 +72,6 @@ def _find_damage(path: Path, block: LineBlock, last_s: float) -> NoReturn:
     for n, line in enumerate(block.lines, start=block.first):
         words = line.split("#")[0].split()
         where = f"{path}, line {n}"
-        if words and "\r" in line.rstrip("\r"):
-            raise ValueError(f"{where}: found a carriage return inside, expected one at its end")
         if words and len(words) != len(COLUMNS):
             raise ValueError(
                 f"{where}: found {len(words)} numbers, expected {len(COLUMNS)}: {' '.join(COLUMNS)}"

@@ -243,13 +243,6 @@ def test_blocks_hold_at_least_an_epoch(tmp_path):
 # --- broken files
 
 
-def test_gzip_that_is_gigabytes_of_empty_lines(tmp_path):
-    bomb = gzip.compress(text(rows(2)).encode() + b"\n" * 5_000_000, mtime=0)
-    blocks, error = delivered(store(tmp_path, bomb, "log.csv.gz"))
-    assert re.search(r"line \d+: found \d+ empty lines before it, expected rows", error)
-    assert len(joined(blocks)) == 2
-
-
 @pytest.mark.parametrize("left", [0.2, 0.5, 0.99])
 def test_gzip_that_ends_too_early(tmp_path, left):
     true = episode(epochs=2000)
