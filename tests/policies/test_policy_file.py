@@ -318,7 +318,7 @@ BANK = PER_MODE_CARD.as_json()["banks"]["handset"]
         ({"lab": BANK | {"cap": 1}}, "'lab': key: found 'cap', expected one of modes"),
         ({"lab": BANK | {"modes": []}}, "'lab': modes: found 0, expected a list of 1 to 32"),
         ({"lab": BANK | {"transition": [[1.0]]}}, "'lab': transition: .* expected 3 rows of 3"),
-        ({"lab": BANK | {"transition": [[10**400]]}}, "'lab': transition: found \\(\\(inf"),
+        ({"lab": BANK | {"transition": [[10**400]]}}, "'lab': transition: found .*inf"),
     ],
 )
 def test_damaged_banks_are_refused(path, banks, message):
