@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from mmwave_env import __version__
 from mmwave_env.filters.bank import Bank
+from mmwave_env.lookup import unknown
 from mmwave_env.models.radio import radio_from
 from mmwave_env.observation import Observation
 from policies.policy_file import Tensors, read_policy
@@ -192,8 +193,7 @@ def _located(path: str | os.PathLike[str]) -> Path:
         return Path(path)
     shipped = shipped_policies()
     if path not in shipped:
-        known = ", ".join([*shipped, "a .safetensors file"])
-        raise ValueError(f"policy: found {path!r}, expected one of {known}")
+        raise ValueError(unknown("policy", path, [*shipped, "a .safetensors file"]))
     return shipped[path]
 
 

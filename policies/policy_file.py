@@ -145,11 +145,10 @@ class Card:
         Raises:
             ValueError: a mode's algorithm is a function, which no file can hold.
         """
-        content = {**asdict(self), "modes": [as_written(mode) for mode in self.modes]}
-        if self.beliefs == "shared":
-            return {name: value for name, value in content.items() if name not in _PER_MODE}
         banks = {radio: bank_as_written(bank) for radio, bank in self.banks.items()}
-        return content | {"banks": banks}
+        modes = [as_written(mode) for mode in self.modes]
+        content = {**asdict(self), "modes": modes, "banks": banks}
+        return {k: value for k, value in content.items() if banks or k not in _PER_MODE}
 
 
 def _banks_in(content: Any) -> dict[str, Bank]:

@@ -47,8 +47,6 @@ class SpeedRule(Policy):
         threshold: float = SLOW_MPS,
         feature: str = "predicted speed",
     ) -> None:
-        if not threshold >= 0.0:
-            raise ValueError(f"threshold: found {threshold}, expected >= 0 m/s")
         self.observation, self.threshold, self.feature = observation, threshold, feature
         self._warned = False
 

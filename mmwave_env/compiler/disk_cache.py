@@ -65,8 +65,7 @@ def compiled_callback(signature: Any, function: Callable[..., Any]) -> Any:
 
 
 def _with_cache(compiler: Any, function: Callable[..., Any]) -> Any:
-    folder = _folder()
-    if folder is not None:
+    if folder := _folder():
         compiler._cache = _Kept(function, folder)
     return compiler
 

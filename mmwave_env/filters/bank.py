@@ -78,7 +78,7 @@ def settings_of(bank: Bank, layout: Layout) -> ImmSettings:
 def _require_probabilities(transition: Transition, modes: int) -> None:
     rows_sound = all(len(row) == modes and abs(sum(row) - 1.0) <= _ROUNDING for row in transition)
     square = len(transition) == modes and rows_sound
-    if not square or not all(map(any, zip(*transition, strict=True))):
+    if not (square and all(map(any, zip(*transition, strict=True)))):
         raise ValueError(
             f"transition: found {[list(row) for row in transition]}, expected {modes} rows of "
             f"{modes} probabilities that sum to 1, and none of the modes out of reach"

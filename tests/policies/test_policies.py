@@ -107,12 +107,6 @@ def test_above_the_design_window_the_rule_warns_once_and_keeps_its_mode(table):
         np.testing.assert_array_equal(rule(fast), [0, 1, 1])
 
 
-@pytest.mark.parametrize("threshold", [-1.0, float("nan")])
-def test_an_impossible_threshold_is_refused(table, threshold):
-    with pytest.raises(ValueError, match="threshold"):
-        SpeedRule(table, threshold)
-
-
 # --- likelihood rule
 
 
