@@ -110,7 +110,7 @@ def kept_functions() -> dict[str, Any]:
     """
     folder = _folder()
     sizes = [file.stat().st_size for file in folder.iterdir()] if folder else []
-    place = str(folder) if folder else None
+    place = folder and str(folder)
     return {"place": place, "functions": len(sizes), "bytes": sum(sizes)}
 
 
