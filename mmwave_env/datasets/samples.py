@@ -6,7 +6,7 @@ from pathlib import Path
 
 from mmwave_env.datasets.deepmimo.recording import read_deepmimo
 from mmwave_env.datasets.deepmimo.v4 import is_scenario
-from mmwave_env.datasets.log_folder import LOG, read_log_folder
+from mmwave_env.datasets.log_folder import read_log_folder
 from mmwave_env.datasets.measured import MeasuredTrack
 from mmwave_env.datasets.recorded import Recording
 from mmwave_env.datasets.tracks import TrackSource
@@ -37,13 +37,7 @@ def sample_folder(name: str, kind: str = "log") -> Path:
     Raises:
         ValueError: there is none; the message lists those that there are.
     """
-    kinds = {"log": _LOGS, "recording": _RECORDINGS}
-    found = _folders(choose(kinds, kind, "kind"))
-    if kind == "log" and name not in found and name in sample_names():
-        raise ValueError(
-            f"sample: found {name!r}, a recording, which compare plays with --data {name}; "
-            f"expected a log, one of {', '.join(found)}"
-        )
+    found = _folders(choose({"log": _LOGS, "recording": _RECORDINGS}, kind, "kind"))
     return choose(found, name, "sample")
 
 
@@ -84,11 +78,9 @@ def _read(name: str | os.PathLike[str]) -> Recording | MeasuredTrack:
         return recording_from(str(name))
     folder = Path(name)
     if folder.is_file():
-        other = folder.suffix == ".csv" and folder.name != LOG
-        hint = f"; if it is a trajectory, give it as the scenario: --scenario {folder}"
         raise ValueError(
-            f"episodes: found the file {folder}, expected its folder, {folder.parent}"
-            f"{hint if other else ''}"
+            f"episodes: found the file {folder}, expected its folder, {folder.parent}; a way of "
+            f"your own is a scenario: --scenario {folder}"
         )
     if not folder.is_dir():
         raise ValueError(

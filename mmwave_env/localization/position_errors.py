@@ -127,14 +127,6 @@ def percentiles(sizes: Array) -> dict[str, float | None]:
     }
 
 
-def within(sizes: Array) -> dict[str, float | None]:
-    """The share of errors (n,) up to each of :data:`DISTANCES_M`; None of no errors."""
-    return {
-        f"{limit:g}": float((sizes <= limit).mean()) if sizes.size else None
-        for limit in DISTANCES_M
-    }
-
-
 class BoundedErrors:
     """Errors of one kind, and the protection level of each."""
 
@@ -159,7 +151,10 @@ class BoundedErrors:
         return {
             "epochs": len(error),
             "percentiles_m": percentiles(error),
-            "within_m": within(error),
+            "within_m": {
+                f"{limit:g}": float((error <= limit).mean()) if error.size else None
+                for limit in DISTANCES_M
+            },
             "median_level_m": percentiles(level)["50"],
             **exceedance(error, level),
         }

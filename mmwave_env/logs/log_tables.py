@@ -83,7 +83,7 @@ def open_log(
     with open_regular(path, "a measurement log") as file, naming(path):
         if not file.read(1):
             raise LogError(f"{path}: found an empty file, expected a measurement log")
-    names = parquet_names(path) if _is_parquet(path) else _csv_names(path)
+    names = list(_parquet_types(path)) if _is_parquet(path) else _csv_names(path)
     try:
         columns = columns_of(names, hz_per_mps, odometry, associated)
     except ValueError as error:
@@ -208,31 +208,23 @@ def _open_parquet(path: Path) -> Any:
         raise LogError(f"{path}: found no readable Parquet ({error}), expected Parquet") from error
 
 
-def parquet_names(path: Path) -> list[str]:
-    """The names of the columns of a Parquet file.
-
-    Raises:
-        LogError: it is none, or the extra that reads it is not installed.
-    """
+def _parquet_types(path: Path) -> dict[str, Any]:
+    """Names of the columns, and what they hold."""
     try:
         with _open_parquet(path) as file:
-            return list(file.schema_arrow.names)
+            return {field.name: field.type for field in file.schema_arrow}
     except UnicodeDecodeError as error:
         expected = "names of columns in UTF-8"
         raise LogError(f"{path}: found {error.object[:40]!r}, expected {expected}") from error
 
 
 def _require_numbers(log: LogFile) -> None:
-    pyarrow, _ = require_arrow(log.path)
-    types = pyarrow.types
-    with _open_parquet(log.path) as file:
-        for column in log.columns.values():
-            kind = file.schema_arrow.field(column.name).type
-            numeric = types.is_floating, types.is_integer, types.is_decimal, types.is_null
-            if not any(is_kind(kind) for is_kind in numeric):
-                raise LogError(
-                    f"{log.path}, column {column.name!r}: found type {kind}, expected numbers"
-                )
+    types, found = require_arrow(log.path)[0].types, _parquet_types(log.path)
+    numeric = types.is_floating, types.is_integer, types.is_decimal, types.is_null
+    for column in log.columns.values():
+        if not any(is_kind(found[column.name]) for is_kind in numeric):
+            where = f"{log.path}, column {column.name!r}"
+            raise LogError(f"{where}: found type {found[column.name]}, expected numbers")
 
 
 def _parquet_tables(log: LogFile) -> Iterator[Table]:

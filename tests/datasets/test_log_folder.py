@@ -115,8 +115,8 @@ def test_samples_are_found_by_name_and_by_folder(name):
     np.testing.assert_array_equal(played.usable, recorded.usable)
 
 
-def test_a_recording_that_is_no_log_is_told_from_one():
-    with pytest.raises(ValueError, match="'canyon28_stop_and_go', a recording, which .* --data"):
+def test_a_recording_is_no_log():
+    with pytest.raises(ValueError, match="sample: found 'canyon28_stop_and_go', .*xpected one of"):
         sample_folder("canyon28_stop_and_go")
 
 

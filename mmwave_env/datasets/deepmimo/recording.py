@@ -33,7 +33,6 @@ SIDECAR = "trajectory.csv"  # ours: when the user was at the receivers, one row 
 def read_deepmimo(
     folder: str | os.PathLike[str],
     virtual_anchors: int = 2,
-    ground: bool = False,
     bandwidth_hz: float = 100e6,
     *,
     dt_s: float | None = None,
@@ -53,7 +52,6 @@ def read_deepmimo(
     Args:
         folder: of a DeepMIMO v4 scenario.
         virtual_anchors: how many at most; those seen in most epochs are kept.
-        ground: whether the image in the ground counts as an anchor.
         bandwidth_hz: of the signal. The scenario's own is the ray tracer's, which no path
             depends on.
         dt_s: between epochs, instead of ``trajectory.csv``; velocities are then differences of
@@ -75,7 +73,7 @@ def read_deepmimo(
     way = _way_of(scenario, receivers, dt_s)
     velocity = np.asarray(way.velocity_mps)
     stations = scenario.paths(receivers, base_station)
-    links = _links(stations, way.position_m, virtual_anchors, ground)
+    links = _links(stations, way.position_m, virtual_anchors)
     anchors = np.array([station.anchors_m[k] for station, k in links])
     scene = scene_of_anchors(scenario.name, anchors, scenario.carrier_hz, bandwidth_hz)
     layout, epochs = Layout(len(links)), np.arange(len(receivers))
@@ -148,13 +146,13 @@ def _way_of(scenario: Scenario, epochs: NDArray[np.int_], dt_s: float | None) ->
 
 
 def _links(
-    stations: list[StationPaths], position_m: Array, virtual_anchors: int, ground: bool
+    stations: list[StationPaths], position_m: Array, virtual_anchors: int
 ) -> list[tuple[StationLinks, int]]:
     """The anchors of a recording: whose, and which of its."""
     if len(stations) == 1:
         links = find_links(stations[0], position_m)
         seen = links.epochs_seen
-        images = [k for k in range(1, len(seen)) if ground or not links.is_ground[k]]
+        images = np.flatnonzero(~links.is_ground)[1:].tolist()
         images.sort(key=lambda k: -seen[k])
         return [(links, k) for k in [0, *images[:virtual_anchors]]]
     in_sight = [s for s in stations if (s.interactions == LINE_OF_SIGHT).any()]

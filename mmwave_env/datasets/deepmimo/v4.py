@@ -172,20 +172,15 @@ def open_scenario(folder: Path, receiver_set: int | None = None) -> Scenario:
 def _read_params(file: Path) -> tuple[float, int]:
     """Carrier frequency, Hz, and number of scenes; errors name the file and the entry."""
 
-    def number(content: Any, part: str, name: str, most: float) -> Any:
-        for key in (part, name):
-            if not isinstance(content, dict) or key not in content:
-                raise ValueError(f"{part}.{name}: found nothing, expected an entry")
-            content = content[key]
-        if type(content) not in (int, float) or not 1 <= content <= most:
-            raise ValueError(
-                f"{part}.{name}: found {content!r}, expected a number from 1 to {most:g}"
-            )
-        return content
-
     def make(content: dict[str, Any]) -> tuple[float, int]:
-        carrier_hz = float(number(content, "rt_params", "frequency", 1e15))
-        return carrier_hz, number(content, "scene", "num_scenes", 1e9)
+        found = []
+        for part, name, most in (("rt_params", "frequency", 1e15), ("scene", "num_scenes", 1e9)):
+            value = content.get(part, {}).get(name, "nothing")
+            if type(value) not in (int, float) or not 1 <= value <= most:
+                expected = f"expected a number from 1 to {most:g}"
+                raise ValueError(f"{part}.{name}: found {value!r}, {expected}")
+            found.append(value)
+        return float(found[0]), found[1]
 
     return read_json(file, "the parameters of a scenario", make)
 

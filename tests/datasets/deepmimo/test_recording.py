@@ -78,17 +78,6 @@ def test_gain_is_the_power_of_the_strongest_path():
     np.testing.assert_allclose(recording.path_gain_db[:, 0], np.nanmax(power, axis=1))
 
 
-def test_ground_is_an_anchor_on_request():
-    recording = read_deepmimo(VEHICLE, virtual_anchors=3, ground=True)
-    np.testing.assert_allclose(recording.anchors_m, [(-5, 4, 6), GROUND, NORTH, SOUTH], atol=2e-3)
-    assert recording.visible[:, 1].all()
-    exact = recording.measurement[:, recording.layout.link(1)]
-    away = recording.position_m - recording.anchors_m[1]
-    np.testing.assert_allclose(exact[:, 0], np.linalg.norm(away, axis=1), atol=1e-4)
-    assert (exact[:, 2] > 0.0).all()
-    assert angle_between(exact[:, 3], exact[:, 1] + np.pi).max() < 2e-5
-
-
 @pytest.mark.parametrize(("wanted", "images"), [(0, 0), (1, 1), (2, 2), (9, 2)])
 def test_the_images_seen_most_are_kept(wanted, images):
     recording = read_deepmimo(VEHICLE, virtual_anchors=wanted)
