@@ -9,6 +9,7 @@ units compare. Where no mistake explains the log alone, two are tried. The log i
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
+from functools import partial
 from itertools import combinations, permutations
 from typing import NamedTuple
 
@@ -119,43 +120,26 @@ def _scaled(parts: Sequence[int], factor: float, offset: float = 0.0) -> Hypothe
     return change
 
 
-def _time(factor: float) -> Hypothesis:
-    """Times, times a factor."""
-
-    def change(reading: Reading) -> Reading:
-        return reading._replace(block=replace(reading.block, time_s=factor * reading.block.time_s))
-
-    return change
+def _timed(factor: float, reading: Reading) -> Reading:
+    """With times, times a factor."""
+    return reading._replace(block=replace(reading.block, time_s=factor * reading.block.time_s))
 
 
-def _exchanged(one: int, other: int) -> Hypothesis:
-    """Two parts of every link, one for the other."""
-
-    def change(reading: Reading) -> Reading:
-        block, links = reading.block, reading.block.layout.doppler
-        z = block.measurement.copy()
-        z[:, one:links:4] = block.measurement[:, other:links:4]
-        z[:, other:links:4] = block.measurement[:, one:links:4]
-        return reading._replace(block=replace(block, measurement=z))
-
-    return change
+def _exchanged(one: int, other: int, reading: Reading) -> Reading:
+    """With two parts of every link, one for the other."""
+    block, links = reading.block, reading.block.layout.doppler
+    z = block.measurement.copy()
+    z[:, one:links:4] = block.measurement[:, other:links:4]
+    z[:, other:links:4] = block.measurement[:, one:links:4]
+    return reading._replace(block=replace(block, measurement=z))
 
 
-def _anchors(order: Sequence[int]) -> Hypothesis:
-    """The log's n-th anchor is the scene's ``order[n]``-th."""
-
-    def change(reading: Reading) -> Reading:
-        gnb, *others = [(x, y, z) for x, y, z in reading.scene.anchors_m[list(order)].tolist()]
-        scene = replace(
-            reading.scene, base_station_m=gnb, walls=(), virtual_anchors_m=tuple(others)
-        )
-        return reading._replace(scene=scene)
-
-    return change
-
-
-def _radio(radio: Radio) -> Hypothesis:
-    return lambda reading: reading._replace(radio=radio)
+def _anchors(order: Sequence[int], reading: Reading) -> Reading:
+    """With the log's n-th anchor as the scene's ``order[n]``-th."""
+    gnb, *others = [(x, y, z) for x, y, z in reading.scene.anchors_m[list(order)].tolist()]
+    return reading._replace(
+        scene=replace(reading.scene, base_station_m=gnb, walls=(), virtual_anchors_m=tuple(others))
+    )
 
 
 def _orders(anchors: int) -> list[tuple[int, ...]]:
@@ -171,12 +155,12 @@ def _orders(anchors: int) -> list[tuple[int, ...]]:
 
 def hypotheses(scene: Scene, radio: Radio) -> dict[str, Mistake]:
     """Likely mistakes in words, and how to undo them."""
-    ends, upside_down = _exchanged(_AZIMUTH, _DEPARTURE), _scaled([_ELEVATION], -1.0)
+    ends, upside_down = partial(_exchanged, _AZIMUTH, _DEPARTURE), _scaled([_ELEVATION], -1.0)
     swap = "exchange the columns of aoa_azimuth and"
     found: dict[str, tuple[Hypothesis, str]] = {
         "arrival and departure are exchanged": (ends, f"{swap} aod_azimuth"),
         "azimuth and elevation of arrival are exchanged": (
-            _exchanged(_AZIMUTH, _ELEVATION), f"{swap} aoa_elevation"
+            partial(_exchanged, _AZIMUTH, _ELEVATION), f"{swap} aoa_elevation"
         ),
         "elevation has the other sign": (upside_down, "negate aoa_elevation"),
         "arrival is at the user, as in a downlink": (
@@ -205,7 +189,7 @@ def hypotheses(scene: Scene, radio: Radio) -> dict[str, Mistake]:
         cure = f"multiply it by {factor:g}, or rename"
         undo = _scaled([_RANGE], factor)
         found[f"time of flight is {what}"] = undo, f"{cure} toa_{old} to toa_{new}"
-        found[f"time is {what}"] = _time(factor), f"{cure} time_{old} to time_{new}"
+        found[f"time is {what}"] = partial(_timed, factor), f"{cure} time_{old} to time_{new}"
     for unit, suffix, factor in (("m/s", "mps", scene.hz_per_mps), ("kHz", "khz", 1e3)):
         other = f"doppler_{suffix}"
         cure = f"rename doppler_hz to {other}"
@@ -216,9 +200,10 @@ def hypotheses(scene: Scene, radio: Radio) -> dict[str, Mistake]:
     for order in _orders(len(scene.anchors_m)):
         numbers = ", ".join(str(i + 1) for i in order)
         cure = f"write the scene's anchors in the order {numbers}"
-        found[f"anchors are the scene's {numbers}"] = _anchors(order), cure
+        found[f"anchors are the scene's {numbers}"] = partial(_anchors, order), cure
     for name in sorted(RADIOS.keys() - {radio.name}):
-        found[f"radio is {name}"] = _radio(RADIOS[name]), f"give --radio {name}, or radio={name!r}"
+        cure = f"give --radio {name}, or radio={name!r}"
+        found[f"radio is {name}"] = partial(Reading._replace, radio=RADIOS[name]), cure
     return {name: Mistake(*mistake) for name, mistake in found.items()}
 
 

@@ -98,7 +98,7 @@ def _draw_links(canvas: Canvas, view: View, history: History, theme: Theme) -> N
         elif history.accepted[-1, link]:
             canvas.line(np.array(ends), theme.accepted, 1.2)
         else:
-            canvas.line(np.array(ends), theme.missing, 1.0)
+            canvas.line(np.array(ends), theme.missing)
 
 
 def _draw_ways(canvas: Canvas, view: View, history: History, theme: Theme) -> None:

@@ -64,30 +64,24 @@ def draw_strips(
     """
     unit, rows = canvas.unit, slice(max(1, history.epochs - _WINDOW + 1), None)
     words, ticks = _WORDS_SHARE * place.width, _TICKS_SHARE * place.width
-    ribbon, clock = 12.0 * unit, 15.0 * unit
-    height = (place.height - ribbon - clock) / 3.0
+    ribbon = 12.0 * unit
+    height = (place.height - ribbon - 15.0 * unit) / 3.0
     lane = Rect(place.left + words, place.top, place.width - words - ticks, height)
     first, last = _times(history, rows)
     x = lane.left + (history.time_s[rows] - first) / (last - first) * lane.width
     modes = history.modes[rows]
     shown = (_speed, _error, _nees) if history.has_truth else (_speed, _radius, _nis)
     for i, make in enumerate(shown):
-        strip = _on_one_scale(make(history, rows), [make(other, rows) for other in beside])
+        strip, *others = (make(one, rows) for one in (history, *beside))
+        if not strip.ticks:  # logarithmic ones have the same scale anyhow
+            top = max(one.values[1] for one in (strip, *others))
+            strip = replace(strip, values=(0.0, top))
         top = place.top + i * height + 2.0 * unit
         plot = Rect(lane.left, top, lane.width, height - 4.0 * unit)
         _draw_strip(canvas, place, plot, strip, x, modes, theme)
     lane = Rect(lane.left, place.top + 3.0 * height + 1.0, lane.width, ribbon)
     _draw_ribbon(canvas, place, lane, x, modes, theme)
     _draw_clock(canvas, lane, (first, last), theme)
-
-
-def _on_one_scale(strip: Strip, others: Sequence[Strip]) -> Strip:
-    """With room for what others show; logarithmic ones have the same scale anyhow."""
-    return (
-        strip
-        if strip.ticks
-        else replace(strip, values=(0.0, max(one.values[1] for one in (strip, *others))))
-    )
 
 
 def _times(history: History, rows: slice) -> tuple[float, float]:

@@ -59,8 +59,10 @@ def read_array(file: Path, key: str, shape: Shape, rows: NDArray[np.int_] | None
     )
     if not fits:
         refuse_in(file, key, f"shape {stored.shape}", f"shape ({', '.join(map(str, shape))})")
-    count = len(stored) if rows is None else len(rows)
-    _require_room(file, key, (count, *stored.shape[1:]))
+    count, width = len(stored if rows is None else rows), math.prod(stored.shape[1:])
+    if count * width * 8 > MOST_BYTES:
+        expected = f"at most {MOST_BYTES} bytes in memory: choose users"
+        refuse_in(file, key, f"{count} rows of {width} numbers", expected)
     with _readable(file, key):
         return np.array(stored if rows is None else stored[rows], float)
 
@@ -78,13 +80,6 @@ def _stored(file: Path, key: str) -> NDArray[Any]:
         raise ValueError(f"{size} bytes, more than {MOST_BYTES}: an .npy file may be larger")
     with np.load(file, allow_pickle=False) as arrays:
         return np.asarray(arrays[key])
-
-
-def _require_room(file: Path, key: str, shape: tuple[int, ...]) -> None:
-    """Refuse an array of a shape that would take more than MOST_BYTES."""
-    if math.prod(shape) * 8 > MOST_BYTES:
-        found = f"{shape[0]} rows of {math.prod(shape[1:])} numbers"
-        refuse_in(file, key, found, f"at most {MOST_BYTES} bytes in memory: choose users")
 
 
 @contextmanager
