@@ -182,7 +182,8 @@ def test_a_card_may_hold_anything_and_is_read_as_it_stands_or_refused(path, name
     card = CARD.as_json() | {name: value}
     found = read_or_refused(path, assembled(card=card))
     if found is not None:
-        assert json.dumps(found[1].as_json()[name]) == json.dumps(value)
+        left_out = {"beliefs": "shared", "banks": {}}  # as they are where nothing is said of them
+        assert json.dumps((left_out | found[1].as_json())[name]) == json.dumps(value)
 
 
 @settings(in_one_folder, max_examples=100)
