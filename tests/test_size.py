@@ -16,8 +16,8 @@ import pytest
 from tests.paths import ROOT
 
 BUDGET = {
-    "lines of source": 33_000,
-    "tokens of source": 215_000,
+    "lines of source": 31_500,
+    "tokens of source": 205_000,
     "files of source": 280,
     "lines of tests": 26_700,
     "tokens of tests": 234_500,
@@ -31,14 +31,14 @@ BUDGET = {
     "lines that ruff may not format": 300,
 }
 ROOMS = {  # lines of source; what is in no room counts for "."
-    "experiments/evaluation": 2_800,
-    "experiments/training": 2_200,
+    "experiments/evaluation": 2_500,
+    "experiments/training": 2_150,
     "experiments/webpage": 1_100,
-    "mmwave_env/datasets": 1_900,
-    "mmwave_env/engines": 2_100,
-    "mmwave_env/filters": 2_500,
-    "mmwave_env/localization": 1_900,
-    "mmwave_env/world": 2_400,
+    "mmwave_env/datasets": 1_600,
+    "mmwave_env/engines": 1_900,
+    "mmwave_env/filters": 2_200,
+    "mmwave_env/localization": 1_850,
+    "mmwave_env/world": 2_300,
 }
 SOURCE = ("mmwave_env", "experiments", "policies")
 FOR_DEVELOPERS = {"dev", "docs", "lint"}  # extras
