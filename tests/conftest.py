@@ -13,7 +13,7 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 # The loops that draw, step and repeat episodes take half a minute to compile, where they are not
-# on disk yet.
+# on disk yet; until then they run as plain Python.
 LOOPS = """
 import gymnasium as gym
 env = gym.make_vec("mmwave_env:MmWaveLoc-v0", num_envs=8192, episode_steps=3)

@@ -1,18 +1,46 @@
 """The loop around programs: many tracks, epoch after epoch, eight at a time.
 
-What comes in is loaded from a table, or made by a feed; what is wanted goes out to arrays.
+What comes in is loaded from a table, or made by a feed; what is wanted goes out to arrays. It runs
+as compiled code and as plain Python.
 """
+
+import ctypes
 
 import numpy as np
 from llvmlite import ir
 from numba import types
-from numba.extending import intrinsic, register_jitable
+from numba.extending import intrinsic, overload, register_jitable
 
 from mmwave_env.compiler.lanes import WIDTH
 from mmwave_env.compiler.transpose import LINE, address, gather, prefetch, scatter, scatter_single
+from mmwave_env.numerics.numbers import Array
 
 NEAR = 2**16  # numbers that the core's own caches hold of workspaces
 TOGETHER = 8  # blocks that a feed runs for before the program does
+
+
+def call(run: int, block: Array) -> None:
+    """Run a program on a block (size, 8), by the address that ``Program.on_lanes`` returns."""
+    ctypes.CFUNCTYPE(None, ctypes.c_int64)(run)(block.ctypes.data)
+
+
+def call_feed(run: int, block: Array, kept: Array, settings: Array) -> None:
+    """Run what makes epochs, by its address, for blocks as :class:`Feed` has them."""
+    takes = [ctypes.c_int64] * 3
+    ctypes.CFUNCTYPE(None, *takes)(run)(*(part.ctypes.data for part in (block, settings, kept)))
+
+
+@overload(call)  # type: ignore[untyped-decorator]
+def _compiled_call(run, block):  # type: ignore[no-untyped-def]
+    return lambda run, block: _jump(run, (block.ctypes.data,))
+
+
+@overload(call_feed)  # type: ignore[untyped-decorator]
+def _compiled_call_feed(run, block, kept, settings):  # type: ignore[no-untyped-def]
+    def compiled(run, block, kept, settings):  # type: ignore[no-untyped-def]
+        _jump(run, (block.ctypes.data, settings.ctypes.data, kept.ctypes.data))
+
+    return compiled
 
 
 @intrinsic  # type: ignore[untyped-decorator]
@@ -25,12 +53,6 @@ def _jump(_, run, places):  # type: ignore[no-untyped-def]
         return context.get_dummy_value()
 
     return types.void(run, places), build
-
-
-@register_jitable  # type: ignore[untyped-decorator]
-def call(run, block):  # type: ignore[no-untyped-def]
-    """Run a program on a block (size, 8), by the address that ``Program.on_lanes`` returns."""
-    _jump(run, (block.ctypes.data,))
 
 
 @register_jitable  # type: ignore[untyped-decorator]
@@ -47,7 +69,7 @@ def _load(block, sources, first, here, step, blank, table, length, epoch):  # ty
 def _make(block, feed, b, here, step, blank, length, epoch):  # type: ignore[no-untyped-def]
     """Let the feed set the rows that come in."""
     run, settings, kept, timed, times = feed
-    _jump(run, (block.ctypes.data, settings.ctypes.data, kept[b].ctypes.data))
+    call_feed(run, block, kept[b], settings)
     for lane in range(here):
         e = b * WIDTH + lane
         t = epoch[e] + step

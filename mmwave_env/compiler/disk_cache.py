@@ -1,5 +1,8 @@
 """Compiled functions, kept on disk for the next process and never out of date.
 
+A process that steps one environment a few hundred times would spend most of its time compiling, so
+small amounts of work run as plain Python (:class:`LazyJit`).
+
 numba's ``cache=True`` looks at the file of the function alone, so it answers with old code once
 a function it calls was edited in another file; some versions miss edits that keep time and
 size, too. Processes that start at once can mix up its files, and a damaged file or a full disk
@@ -34,6 +37,7 @@ import numpy as np
 from numba.core.caching import NullCache
 from numba.core.ccallback import CFunc
 from numba.core.compiler import CompileResult
+from numba.core.registry import cpu_target
 from numba.core.serialize import dumps
 from numba.core.sigutils import normalize_signature
 from numba.misc.appdirs import user_cache_dir
@@ -68,6 +72,12 @@ def _with_cache(compiler: Any, function: Callable[..., Any]) -> Any:
     if folder := _folder():
         compiler._cache = _Kept(function, folder)
     return compiler
+
+
+def is_compiled(function: Any, arguments: tuple[Any, ...]) -> bool:
+    """Whether a :func:`compiled` function is there for such arguments, in memory or on disk."""
+    signature, cache = tuple(map(numba.typeof, arguments)), function._cache
+    return signature in function.overloads or (isinstance(cache, _Kept) and cache.has(signature))
 
 
 @cache  # of the sources as they were when this process read them
@@ -192,6 +202,13 @@ class _Kept(NullCache):  # type: ignore[misc]
     def cache_path(self) -> str:
         return str(self._folder)
 
+    def has(self, signature: Any) -> bool:
+        """Whether a version of the function is there, if nothing is wrong with its file."""
+        with suppress(OSError):
+            _opened(self._entry(signature, cpu_target.target_context.codegen())[1]).close()
+            return True
+        return False
+
     def load_overload(self, signature: Any, context: Any) -> Any:
         context.refresh()
         if _edited():
@@ -218,3 +235,37 @@ class _Kept(NullCache):  # type: ignore[misc]
         """What tells apart the function's versions in memory, and the file of this one."""
         key = f"{self._name} {signature} {codegen.magic_tuple()}"
         return key, self._folder / f"{self._name}-{sha256(key.encode()).hexdigest()[:20]}"
+
+
+class LazyJit:
+    """A function that runs as plain Python until it has done a given amount of work.
+
+    After that, or as soon as its compiled form is found on disk, the compiled form runs. What the
+    function calls must run both ways, as ``numba.extending.register_jitable`` makes it.
+
+    Args:
+        function: what to run.
+        plain_work: how much work a process does as plain Python before it compiles, if the
+            compiled function is not on disk yet; in any unit, such as epochs.
+    """
+
+    def __init__(self, function: Callable[..., Any], plain_work: int) -> None:
+        self.plain, self.compiled = function, compiled(function)
+        self._left = plain_work
+
+    def choice(self, work: int, *arguments: Any) -> Callable[..., Any]:
+        """The plain or the compiled function, for an amount of work with such arguments.
+
+        Where threads share the work, choose once for all of them.
+        """
+        if work <= self._left and not is_compiled(self.compiled, arguments):
+            self._left -= work
+            return self.plain
+        self._left = 0
+        return self.compiled  # type: ignore[no-any-return]
+
+    def __call__(self, work: int, *arguments: Any) -> Any:
+        """Do an amount of work, as plain Python or compiled."""
+        if not self._left:  # many steps come this way
+            return self.compiled(*arguments)
+        return self.choice(work, *arguments)(*arguments)

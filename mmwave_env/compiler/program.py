@@ -16,7 +16,7 @@ from numba.core.compiler_lock import global_compiler_lock
 from numpy.typing import NDArray
 
 from mmwave_env.compiler.advance import advance
-from mmwave_env.compiler.disk_cache import compiled, compiled_callback
+from mmwave_env.compiler.disk_cache import LazyJit, compiled_callback
 from mmwave_env.compiler.fingerprint import fingerprint
 from mmwave_env.compiler.lanes import WIDTH, kernel
 from mmwave_env.numerics.numbers import Array, Index
@@ -26,6 +26,7 @@ Workspace = TypeVar("Workspace", bound=tuple[Any, ...])
 Blocks = tuple[int, int]  # first, end
 
 NO_ROWS = np.empty(0, np.int64)
+PLAIN_BLOCK_EPOCHS = 1000  # of blocks, before compiling, which takes as long as 4000 of them
 
 # numba's own lock guards all that compiles. A child forked while another thread holds it would
 # wait for ever, for that thread is not in the child; so a fork waits for the compilation.
@@ -177,7 +178,8 @@ class Program(Generic[Workspace]):
     def run_on_lanes(self, state: BatchState, io: StepIO, blocks: Blocks | None = None) -> None:
         """Run epoch after epoch, eight environments at a time, in some of the blocks or all."""
         first, end = blocks or (0, len(state.rows))
-        _advance(first, end, self.on_lanes(), self.blank, *state, *io)
+        epochs = (end - first) * io.outputs.shape[1]
+        _advance(epochs, first, end, self.on_lanes(), self.blank, *state, *io)
 
     def run_on_floats(self, state: BatchState, io: StepIO) -> None:
         """Run all, one environment at a time in plain Python: slow, for reference."""
@@ -217,4 +219,4 @@ class Program(Generic[Workspace]):
         return compiled_callback(types.void(types.int64), on_address)
 
 
-_advance = compiled(advance)
+_advance = LazyJit(advance, PLAIN_BLOCK_EPOCHS)

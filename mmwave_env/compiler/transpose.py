@@ -6,13 +6,18 @@ one at a time they would take as long as an EKF. The environments of a block may
 table, so each is given by its address.
 """
 
+import ctypes
+from collections.abc import Callable
 from typing import Any
 
+import numpy as np
 from llvmlite import ir
 from numba import types
-from numba.extending import intrinsic, register_jitable
+from numba.extending import intrinsic, overload, register_jitable
+from numpy.typing import NDArray
 
 from mmwave_env.compiler.lanes import WIDTH
+from mmwave_env.numerics.numbers import Array, Index
 
 LINE = 64  # bytes of the caches of most machines; others fetch some lines twice
 
@@ -28,59 +33,102 @@ def address(table, i, j):  # type: ignore[no-untyped-def]
     return table.ctypes.data + i * table.strides[0] + j * table.strides[1]
 
 
-@register_jitable  # type: ignore[untyped-decorator]
-def gather(block, sources, count):  # type: ignore[no-untyped-def]
-    """Fill the first rows of a block (size, 8).
+def gather(block: Array, sources: Index, count: int) -> None:
+    """Fill the first rows of a block.
 
     Args:
-        block: to fill.
+        block: (size, 8) to fill.
         sources: (8,) addresses of the numbers of each lane, in double precision.
         count: how many numbers each has.
     """
-    if count < WIDTH:
-        for lane in range(WIDTH):
-            for i in range(count):
-                block[i, lane] = number_at(sources[lane] + 8 * i)
-        return
-    for first in range(0, count, WIDTH):  # the last tile overlaps the one before
-        _turn_in(block.ctypes.data, sources.ctypes.data, min(first, count - WIDTH))
+    for lane, source in enumerate(sources.tolist()):
+        block[:count, lane] = _numbers(source, count, ctypes.c_double)
 
 
-@register_jitable  # type: ignore[untyped-decorator]
-def pick(block, rows, out):  # type: ignore[no-untyped-def]
+def pick(block: Array, rows: Index, out: Array) -> None:
     """Copy rows (k,) of a block (size, 8) to ``out`` (k, 8)."""
-    source, target = block.ctypes.data, out.ctypes.data
-    for i in range(len(rows)):
-        _copy_row(source + 8 * WIDTH * rows[i], target + 8 * WIDTH * i)
+    out[:] = block[rows]
 
 
-def _scattering(kind: ir.Type) -> Any:
-    """A function that writes rows (k,) of a block (size, 8) down as numbers of a kind.
+def scatter(block: Array, rows: Index, targets: Index) -> None:
+    """Write rows of a block down.
 
-    It takes addresses (8,) of room for the k numbers of each lane.
+    Args:
+        block: (size, 8).
+        rows: (k,) numbers of the rows.
+        targets: (8,) addresses of room for the k numbers of each lane, in double precision.
     """
-    size, put, turn_out = _BYTES[kind], _put(kind), _turn_out(kind)
+    for lane, target in enumerate(targets.tolist()):
+        _numbers(target, len(rows), ctypes.c_double)[:] = block[rows, lane]
 
-    def scatter(block, rows, targets):  # type: ignore[no-untyped-def]
-        count = len(rows)
+
+def scatter_single(block: Array, rows: Index, targets: Index) -> None:
+    """:func:`scatter` to room for numbers in single precision."""
+    for lane, target in enumerate(targets.tolist()):
+        _numbers(target, len(rows), ctypes.c_float)[:] = block[rows, lane]
+
+
+def _numbers(address: int, count: int, kind: Any) -> NDArray[Any]:
+    return np.ctypeslib.as_array((kind * count).from_address(address))
+
+
+@overload(gather)  # type: ignore[untyped-decorator]
+def _compiled_gather(block, sources, count):  # type: ignore[no-untyped-def]
+    def compiled(block, sources, count):  # type: ignore[no-untyped-def]
         if count < WIDTH:
             for lane in range(WIDTH):
                 for i in range(count):
-                    put(targets[lane] + size * i, block[rows[i], lane])
+                    block[i, lane] = number_at(sources[lane] + 8 * i)
             return
-        for tile in range(0, count, WIDTH):
-            first = min(tile, count - WIDTH)
-            turn_out(block.ctypes.data, rows.ctypes.data, targets.ctypes.data, first)
+        for first in range(0, count, WIDTH):  # the last tile overlaps the one before
+            _turn_in(block.ctypes.data, sources.ctypes.data, min(first, count - WIDTH))
 
-    # What is kept of two processes is linked by names: else one kind may run the other's code.
-    scatter.__qualname__ += f".{kind}"
-    return register_jitable(scatter)
+    return compiled
+
+
+@overload(pick)  # type: ignore[untyped-decorator]
+def _compiled_pick(block, rows, out):  # type: ignore[no-untyped-def]
+    def compiled(block, rows, out):  # type: ignore[no-untyped-def]
+        source, target = block.ctypes.data, out.ctypes.data
+        for i in range(len(rows)):
+            _copy_row(source + 8 * WIDTH * rows[i], target + 8 * WIDTH * i)
+
+    return compiled
+
+
+def _compiled_scatter(kind: ir.Type) -> Callable[..., Any]:
+    size, put, turn_out = _BYTES[kind], _put(kind), _turn_out(kind)
+
+    def choose(block, rows, targets):  # type: ignore[no-untyped-def]
+        def compiled(block, rows, targets):  # type: ignore[no-untyped-def]
+            count = len(rows)
+            if count < WIDTH:
+                for lane in range(WIDTH):
+                    for i in range(count):
+                        put(targets[lane] + size * i, block[rows[i], lane])
+                return
+            for tile in range(0, count, WIDTH):
+                first = min(tile, count - WIDTH)
+                turn_out(block.ctypes.data, rows.ctypes.data, targets.ctypes.data, first)
+
+        # What is kept of two processes is linked by names: else one kind may run the other's code.
+        compiled.__qualname__ += f".{kind}"
+        return compiled
+
+    return choose
+
+
+def prefetch(address: int) -> None:
+    """Prefetch the cache line that contains an address."""
+
+
+@overload(prefetch)  # type: ignore[untyped-decorator]
+def _compiled_prefetch(address):  # type: ignore[no-untyped-def]
+    return lambda address: _prefetch(address)  # noqa: PLW0108 (numba wants a function)
 
 
 @intrinsic  # type: ignore[untyped-decorator]
-def prefetch(_, address):  # type: ignore[no-untyped-def]
-    """Prefetch the cache line that contains an address."""
-
+def _prefetch(_, address):  # type: ignore[no-untyped-def]
     def build(context, builder, signature, arguments):  # type: ignore[no-untyped-def]
         pointer, flag = ir.IntType(8).as_pointer(), ir.IntType(32)
         kind = ir.FunctionType(ir.VoidType(), [pointer, flag, flag, flag])
@@ -195,4 +243,5 @@ def _as(kind: ir.Type, builder: Any, value: Any) -> Any:
     return value if value.type == kind else builder.fptrunc(value, kind)
 
 
-scatter, scatter_single = _scattering(_DOUBLE), _scattering(_SINGLE)
+overload(scatter)(_compiled_scatter(_DOUBLE))
+overload(scatter_single)(_compiled_scatter(_SINGLE))

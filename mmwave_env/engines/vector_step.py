@@ -7,12 +7,13 @@ is put together there and taken apart again.
 from typing import Any, NamedTuple
 
 import numpy as np
+from numba.extending import register_jitable
 from numpy.typing import NDArray
 
 from mmwave_env.compiler.advance import advance
-from mmwave_env.compiler.disk_cache import compiled
+from mmwave_env.compiler.disk_cache import LazyJit
 from mmwave_env.compiler.lanes import WIDTH
-from mmwave_env.compiler.program import rows_of
+from mmwave_env.compiler.program import PLAIN_BLOCK_EPOCHS, rows_of
 from mmwave_env.compiler.threads import share
 from mmwave_env.engines.env_engine import Engine
 from mmwave_env.engines.tally import Tally, count
@@ -154,10 +155,10 @@ class Stepper:
         history.next()  # before an interrupt can come between the step and it
         if len(parts) == 1:
             [(begin, end)] = parts
-            ended = _step_blocks(begin, end, *arguments)
+            ended = _step(end - begin, begin, end, *arguments)
         else:
-            jobs = [(begin, end, *arguments) for begin, end in parts]
-            ended = sum(share(_step_blocks, jobs, len(jobs)))
+            jobs = [(end - begin, begin, end, *arguments) for begin, end in parts]
+            ended = sum(share(_step, jobs, len(jobs)))
         if not self._told:
             return ended, {}
         at = self._columns
@@ -197,7 +198,7 @@ class Stepper:
         return observations, told
 
 
-@compiled
+@register_jitable  # type: ignore[untyped-decorator]
 def _step_blocks(  # type: ignore[no-untyped-def]
     begin, end, actions, noted, turn, rewards, flags, truncated, sums, errors, second, interval,
     run, blank, rows, feed, table, length, epoch, running, input_rows, output_rows, outputs,
@@ -227,3 +228,6 @@ def _step_blocks(  # type: ignore[no-untyped-def]
         truncated[e] = epoch[e] > length[e]
         ended += truncated[e]
     return ended
+
+
+_step = LazyJit(_step_blocks, PLAIN_BLOCK_EPOCHS)

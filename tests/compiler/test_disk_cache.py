@@ -348,12 +348,12 @@ def test_a_folder_that_is_exchanged_in_a_running_process_is_not_read(package, tm
         "from mmwave_env.caller import function\n"
         "folder = Path(function.stats.cache_path)\n"
         "folder.symlink_to(folder.rename(folder.parent / 'aside'))\n"
-        "print(function(20))\n"
+        "print(function(20), function._cache.has(function.signatures[0]))\n"
     )
     shared = str(planted.parent.parent)
     out = finished(started(package, exchanged, NUMBA_CACHE_DIR=shared))
     assert not (tmp_path / "planted code ran").exists()
-    assert out == ["41"]
+    assert out == ["41", "False"]
 
 
 @pytest.mark.slow

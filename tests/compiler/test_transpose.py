@@ -1,4 +1,4 @@
-"""Tiles move numbers as numpy would, and touch nothing beyond."""
+"""Tiles move numbers as numpy would, compiled and not, and touch nothing beyond."""
 
 import os
 import subprocess
@@ -56,20 +56,26 @@ def addresses(table):
     return table.ctypes.data + table.strides[0] * np.arange(WIDTH, dtype=np.int64)[::-1]
 
 
+@pytest.mark.parametrize("gather", [tiles.gather, compiled_gather])
 @settings(deadline=None)
 @given(count=COUNTS, seed=st.integers(0, 99))
-def test_gathers_every_lane_from_its_own_place(count, seed):
+def test_gathers_every_lane_from_its_own_place(gather, count, seed):
     table = np.random.default_rng(seed).normal(size=(WIDTH, count + 1))
     block = some_block(seed)
     expected = block.copy()
     expected[:count] = table[::-1, :count].T
-    compiled_gather(block, addresses(table), count)
+    gather(block, addresses(table), count)
     np.testing.assert_array_equal(block, expected)
 
 
 @pytest.mark.parametrize(
     ("scatter", "dtype"),
-    [(compiled_scatter, np.float64), (compiled_scatter_single, np.float32)],
+    [
+        (tiles.scatter, np.float64),
+        (compiled_scatter, np.float64),
+        (tiles.scatter_single, np.float32),
+        (compiled_scatter_single, np.float32),
+    ],
 )
 @settings(deadline=None)
 @given(rows=st.lists(st.integers(0, SIZE - 1), max_size=30), seed=st.integers(0, 99))
@@ -81,11 +87,12 @@ def test_scatters_rows_and_nothing_else(scatter, dtype, rows, seed):
     np.testing.assert_array_equal(room, expected)
 
 
+@pytest.mark.parametrize("pick", [tiles.pick, compiled_pick])
 @settings(deadline=None)
 @given(rows=st.lists(st.integers(0, SIZE - 1), max_size=30), seed=st.integers(0, 99))
-def test_picks_rows(rows, seed):
+def test_picks_rows(pick, rows, seed):
     block, out = some_block(seed), np.zeros((len(rows), WIDTH))
-    compiled_pick(block, np.array(rows, np.int64), out)
+    pick(block, np.array(rows, np.int64), out)
     np.testing.assert_array_equal(out, block[rows])
 
 
@@ -97,8 +104,9 @@ def test_an_address_is_that_of_the_numbers(address):
             assert address(table, i, j) == table[i, j].ctypes.data
 
 
-def test_prefetching_what_is_not_there_does_no_harm():
-    compiled_prefetch(8)
+@pytest.mark.parametrize("prefetch", [tiles.prefetch, compiled_prefetch])
+def test_prefetching_what_is_not_there_does_no_harm(prefetch):
+    prefetch(8)
 
 
 USERS = """

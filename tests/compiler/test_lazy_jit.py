@@ -1,0 +1,77 @@
+"""What is compiled for, and what runs as plain Python."""
+
+import gymnasium as gym
+import numpy as np
+import pytest
+from gymnasium.utils.env_checker import data_equivalence
+
+from mmwave_env.compiler import disk_cache
+from mmwave_env.compiler.disk_cache import LazyJit
+from mmwave_env.world.mobility import MOBILITIES
+
+
+def function(x):
+    return x + 1
+
+
+@pytest.fixture
+def fresh(tmp_path, monkeypatch):
+    """As another process would have it, all of them with one folder on disk."""
+    monkeypatch.setattr(disk_cache, "_folder", lambda: tmp_path)
+    return lambda: LazyJit(function, 5)
+
+
+def kinds(sparing, *works):
+    """What each of these works is done with."""
+    named = {sparing.plain: "plain", sparing.compiled: "compiled"}
+    return [named[sparing.choice(work, 20)] for work in works]
+
+
+def test_little_work_is_not_worth_compiling_for(fresh):
+    assert kinds(fresh(), 2, 3, 1, 1) == ["plain", "plain", "compiled", "compiled"]
+
+
+def test_much_work_is_compiled_for_at_once(fresh):
+    assert kinds(fresh(), 6, 1) == ["compiled", "compiled"]
+
+
+def test_what_is_compiled_already_runs_for_any_work(fresh):
+    for ready in (fresh(), fresh()):  # the first in memory, the second on disk
+        ready.compiled(20)
+        assert kinds(ready, 1) == ["compiled"]
+    assert kinds(fresh(), 1) == ["compiled"]
+
+
+def test_another_kind_of_argument_is_another_function(fresh):
+    fresh().compiled(20)
+    other = fresh()
+    assert other.choice(1, 2.5) is other.plain
+
+
+def test_where_nothing_can_be_kept_on_disk_the_process_knows_its_own(fresh, monkeypatch):
+    monkeypatch.setattr(disk_cache, "_folder", lambda: None)
+    sparing = fresh()
+    assert kinds(sparing, 1) == ["plain"]
+    sparing.compiled(20)
+    assert kinds(sparing, 1) == ["compiled"]
+
+
+def test_either_way_gives_the_same(fresh):
+    sparing = fresh()
+    assert [sparing(5, 20), sparing(1, 20)] == [21, 21]
+
+
+@pytest.mark.parametrize("scenario", MOBILITIES)
+@pytest.mark.parametrize("mode", ["NextStep", "SameStep"])
+def test_environments_are_the_same_to_the_bit(scenario, mode, monkeypatch):
+    def run(way):
+        monkeypatch.setattr(LazyJit, "__call__", lambda lazy, _, *arguments: way(lazy)(*arguments))
+        monkeypatch.setattr(LazyJit, "choice", lambda lazy, *_: way(lazy))
+        envs = gym.make_vec(
+            "MmWaveLoc-v0", num_envs=9, episode_steps=12, scenario=scenario, autoreset_mode=mode
+        )
+        found = [envs.reset(seed=0)]
+        return found + [envs.step(np.arange(9) % 2) for _ in range(14)]
+
+    plain, ready = run(lambda lazy: lazy.plain), run(lambda lazy: lazy.compiled)
+    assert data_equivalence(plain, ready, exact=True)
