@@ -28,9 +28,10 @@ test-slow: .venv/.dev ## the slow tests
 golden: .venv/.dev ## write tests/golden anew, after a change that is to move numbers; FLAGS=--check compares exactly
 	$(BIN)/python -m tests.golden.write $(FLAGS)
 
-generated: .venv/.dev ## write anew what is made from code: the JSON schemas and docs/environment.md
+generated: .venv/.dev ## write anew what is made from code: the JSON schemas, docs/environment.md, docs/angles.png
 	$(BIN)/python -m tests.schemas
 	PYTHONPATH=. $(BIN)/python docs/site/environment.py
+	PYTHONPATH=. $(BIN)/python docs/site/angles.py
 
 coverage: ## the same tests, and the lines and branches they miss; 90 % must be covered
 	@$(MAKE) test FLAGS="--cov --cov-report="

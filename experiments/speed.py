@@ -1,9 +1,9 @@
 """mmwave-loc speed: how fast, beside what, and beside what the core could do.
 
 One run, the same work: a loop on filterpy's filters, a single environment, Gymnasium's sync
-vector and the native vector environment; then the filters alone, Gymnasium's CartPole-v1 as a
-yardstick, the limit of the core, peak memory and the time to the first step. Absolute figures
-depend on the machine; ratios much less, so they come first.
+vector and the native vector environment; then the filters alone, the limit of the core, peak
+memory and the time to the first step. Absolute figures depend on the machine; ratios much less, so
+they come first.
 """
 
 import os

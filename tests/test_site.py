@@ -4,6 +4,7 @@ import importlib.util
 import json
 import re
 
+import numpy as np
 import pytest
 
 from experiments.console.main import COMMANDS
@@ -129,3 +130,15 @@ def test_the_description_on_an_index_links_into_the_repository_at_its_tag():
     for kind, path in re.findall(rf"\({re.escape(repository)}/(\w+)/v0\.1\.0/([^)#]+)", text):
         assert (ROOT / path).is_file()
         assert (kind == "raw") == path.endswith((".png", ".gif"))
+
+
+def test_the_figure_of_angles_shows_those_of_the_measurement_model(tmp_path):
+    figure = loaded("docs/site/angles.py")
+    user = np.array(figure.USER_M)
+    for anchor, told in zip(figure.SCENE.anchors_m, figure.angles_deg(), strict=True):
+        x, y, z = user - anchor
+        azimuths = np.arctan2(y, x), np.arctan2(-y, -x)
+        angles = [azimuths[0], np.arctan2(z, np.hypot(x, y)), azimuths[1]]
+        assert told == pytest.approx(np.degrees(angles))
+    figure.draw(tmp_path / "angles.png")
+    assert (tmp_path / "angles.png").read_bytes().startswith(b"\x89PNG")

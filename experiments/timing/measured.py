@@ -81,7 +81,7 @@ class Measured:
         self.filters = {name: Rates() for name in FILTERS}
         self.operations = kernels()
         self.limits_s: Rounds = {name: [] for name in self.operations}
-        self._processes = {"cartpole": ("CartPole-v1", 0), "single": (ENVIRONMENT, 0)} | {
+        self._processes = {"single": (ENVIRONMENT, 0)} | {
             native_name(n): (ENVIRONMENT, n) for n in self.sizes[-FRESH_SIZES:]
         }
         self.cold_start_s: Rounds = {name: [] for name in self._processes}

@@ -19,7 +19,6 @@ LABELS = {
     "filterpy": "filterpy loop",
     "single": "single environment",
     SYNC_NAME: f"Gymnasium's sync vector of {SYNC}",
-    "cartpole": "CartPole-v1, single",
 } | {name: name.upper() for name in FILTERS}
 
 

@@ -62,7 +62,6 @@ def environments(sizes: Sequence[int]) -> dict[str, Callable[[], Laps]]:
             for n in sizes
             for threads in THREADS
         },
-        "cartpole": cartpole,
     }
 
 
@@ -143,15 +142,3 @@ def tracks(mode: Mode, episodes: Sequence[Episode]) -> Laps:
         tracker.tune([mode.tuning])  # starts over
         tracker.run()
         yield len(episodes) * EPISODE
-
-
-def cartpole() -> Laps:
-    """Gymnasium's own environment; pushes in turn, which it survives for a while."""
-    env = gym.make("CartPole-v1")
-    env.reset(seed=0)
-    while True:
-        for step in range(EPISODE):
-            _, _, terminated, truncated, _ = env.step(step % 2)
-            if terminated or truncated:
-                env.reset()
-        yield EPISODE

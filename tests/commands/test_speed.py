@@ -32,7 +32,7 @@ def test_a_short_run_writes_everything(tmp_path):
         assert ratio == pytest.approx(rates[over] / rates[under])
     assert {"ekf", "ukf", "ckf", "native_64_1_thread"} <= set(result["limit_fraction"])
     assert set(result["cold_start_s"]) == set(result["peak_rss_mb"])
-    assert 20.0 < result["peak_rss_mb"]["cartpole"] < result["peak_rss_mb"]["native_64"]
+    assert 20.0 < result["peak_rss_mb"]["single"] < 2000.0
     shown_now = {match[1]: match[0] for match in MARK.finditer(page.read_text())}
     assert all(table.split("\n", 1)[1].rpartition("\n")[0] in shown
                for table in shown_now.values())  # fmt: skip

@@ -1,9 +1,8 @@
-"""The convention of angles: the page's table of conversions and its figure are computed."""
+"""The convention of angles: the page's table of conversions is computed."""
 
 import numpy as np
 import pytest
 
-from experiments.paper.angles import SCENE, USER_M, angles_deg, draw
 from mmwave_env.localization.contradictions import NIS_LIMITS, SNR_LIMITS_DB
 from mmwave_env.models.measurement import Layout, exact_rows
 from mmwave_env.models.prior import GAP_S
@@ -47,15 +46,6 @@ def test_every_conversion_of_the_page_gives_our_angles(user):
             if formula:
                 turn = eval(formula, {}, names) - angle
                 assert (turn + 180.0) % 360.0 - 180.0 == pytest.approx(0.0, abs=1e-9), formula
-
-
-def test_the_figure_shows_the_angles_of_the_measurement_model(tmp_path):
-    for anchor, (azimuth, elevation, departure) in zip(SCENE.anchors_m, angles_deg(), strict=True):
-        assert (azimuth, elevation) == pytest.approx(between(anchor, USER_M))
-        assert departure == pytest.approx(between(USER_M, anchor)[0])
-    draw(tmp_path / "angles.png")
-    drawn = (tmp_path / "angles.png").read_bytes()
-    assert drawn.startswith(b"\x89PNG") and len(drawn) > 10_000
 
 
 def test_the_limits_on_the_page_are_the_programs():

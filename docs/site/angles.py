@@ -1,6 +1,5 @@
-"""The figure of the angle conventions: ``python -m experiments.paper.angles docs/angles.png``."""
+"""Draw docs/angles.png, the angle conventions of docs/data.md: `make generated`."""
 
-import sys
 from pathlib import Path
 from typing import Any
 
@@ -94,4 +93,4 @@ def _arc(axes: Any, center: Array, radius: float, degrees: float, label: str, co
 
 
 if __name__ == "__main__":
-    draw(Path(sys.argv[1]))
+    draw(Path(__file__).resolve().parents[1] / "angles.png")
