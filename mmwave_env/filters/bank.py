@@ -68,8 +68,12 @@ def settings_of(bank: Bank, layout: Layout) -> ImmSettings:
     """A bank as numbers, for measurements of a layout."""
     from scipy.special import chdtri  # where used: a bank is described without it
 
+    transition = bank.transition
+    if transition is None:
+        transition = stay_matrix(len(bank.modes))
+
     return ImmSettings(
-        [list(row) for row in bank.transition or stay_matrix(len(bank.modes))],
+        [list(row) for row in transition],
         [mode.tuning for mode in bank.modes],
         [float(chdtri(k, 1.0 - bank.nis_quantile)) for k in layout.widths],
     )
