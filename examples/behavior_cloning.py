@@ -10,7 +10,7 @@ import torch
 from experiments.evaluation.compare import compare
 
 torch.manual_seed(0)
-torch.set_num_threads(1)  # more only wait for each other: the network is small
+torch.set_num_threads(1)  # the network is too small for more threads to help
 dataset = minari.load_dataset("mmwave-loc/guided-v0")
 episodes = [(episode.observations[:-1], episode.actions) for episode in dataset]
 learned, held_out = (

@@ -22,7 +22,7 @@ for _ in range(1000):
         seen, fresh = torch.tensor(now), over  # an action after an end is ignored: NextStep
         choice, value = torch.distributions.Categorical(logits=actor(seen)), critic(seen)[:, 0]
         action = choice.sample()
-        now, reward, _, over, _ = envs.step(action.numpy())  # these are truncated only
+        now, reward, _, over, _ = envs.step(action.numpy())  # episodes only end by truncation
         steps.append([value, choice.log_prob(action), *map(torch.tensor, (reward, over, ~fresh))])
     values, chances, rewards, ends, counts = map(torch.stack, zip(*steps, strict=True))
     returns, ahead = torch.zeros(8, 64), critic(torch.tensor(now))[:, 0].detach()

@@ -2,10 +2,10 @@
 
 python examples/minari_collect.py guided none random --episodes 100 --id mmwave-loc/mixed-v0
 
-Policies: guided, guided-ppo and policy files whose modes keep a belief each; none, who trusts no
-mode and so is the IMM; trust-NAME, who always trusts one; and random. All act in the environment of
-the first policy file, or else of guided. Data sets lie where MINARI_DATASETS_PATH says. Seeds are
-training seeds, because doing well in an episode that was seen says nothing.
+Policies: guided, guided-ppo and policy files whose modes keep a belief each; none, which trusts no
+mode and so is the IMM; trust-NAME, which always trusts one mode; and random. All act in the
+environment of the first policy file, or else of guided. Data sets are in MINARI_DATASETS_PATH.
+Seeds are training seeds: episodes in the data set must not be used to judge a policy.
 """
 
 import argparse
@@ -22,7 +22,7 @@ FIRST_SEED = 10_000_000
 
 
 def player(name, learned, actions, rng):
-    """A function from observations (1, features) and "it begins" to an action."""
+    """Return a function from observations (1, features) and "an episode begins" to an action."""
     if name in learned:
         policy = learned[name]
 
@@ -45,7 +45,7 @@ def is_file(name):
 
 
 def played(env, act, seed):
-    """Play an episode; its return and mean position error in m."""
+    """Play an episode; return its return and its mean position error in m."""
     observation, _ = env.reset(seed=seed)
     earned, errors, ended, begins = 0.0, [], False, True
     while not ended:
@@ -83,7 +83,7 @@ def main():
         means[name], error_m = np.mean(rows, axis=0)
         print(f"{name}: return {means[name]:.1f}, position error {error_m:.3f} m")
     scores = {}
-    if "random" in means:  # what minari.get_normalized_score needs
+    if "random" in means:  # minari.get_normalized_score needs these
         scores = {"ref_min_score": means["random"], "ref_max_score": max(means.values())}
         scores["num_episodes_average_score"] = args.episodes
     names = ", ".join(args.policies)

@@ -3,7 +3,7 @@
 python examples/raytrace.py way.csv canyon-way
 mmwave-loc compare --policies fixed-ekf fixed-ukf --data canyon-way
 
-The way has the columns t, x, y, z, in the frame of the geometry. Traced are lines of sight and
+The way has the columns t, x, y, z, in the frame of the geometry. Sionna traces lines of sight and
 paths with one mirror-like reflection, between isotropic antennas with vertical polarization.
 """
 
@@ -20,7 +20,7 @@ INTERACTIONS = {1: 1.0, 2: 3.0, 4: 4.0, 8: 2.0}  # Sionna's reflection, ... in D
 
 
 def trace(geometry, carrier_hz, base_station_m, receivers_m):
-    """Sionna's paths from a base station to receivers (N, 3), some receivers at a time."""
+    """Yield Sionna's paths from a base station to receivers (N, 3), one block at a time."""
     from sionna import rt
 
     known = {name: file for name, file in vars(rt.scene).items() if str(file).endswith(".xml")}
@@ -45,7 +45,7 @@ def trace(geometry, carrier_hz, base_station_m, receivers_m):
 
 
 def arrays_of(paths):
-    """DeepMIMO's arrays (receivers, paths, ...) of Sionna's paths, the strongest first."""
+    """Return DeepMIMO's arrays (receivers, paths, ...) of Sionna's paths, the strongest first."""
     real, imaginary = (np.array(part, float)[:, 0, 0, 0] for part in paths.a)
     delay = np.array(paths.tau, float)[:, 0]
     gain = np.hypot(real, imaginary)
@@ -79,7 +79,7 @@ def arrays_of(paths):
 
 
 def joined(blocks):
-    """Arrays one below the other, with NaN where one has fewer paths."""
+    """Concatenate arrays along receivers; pad with NaN the arrays that have fewer paths."""
     most = max(block.shape[1] for block in blocks)
     fill = [[(0, 0), (0, most - b.shape[1])] + [(0, 0)] * (b.ndim - 2) for b in blocks]
     return np.concatenate(
@@ -88,7 +88,7 @@ def joined(blocks):
 
 
 def write_folder(folder, arrays, carrier_hz, base_station_m, time_s, track):
-    """A static DeepMIMO v4 scenario whose receivers are the epochs of a track (N, 6)."""
+    """Write a static DeepMIMO v4 scenario whose receivers are the epochs of a track (N, 6)."""
     folder.mkdir(parents=True)  # never into a folder that has other arrays
     arrays |= {"rx_pos": track[:, :3], "tx_pos": np.array([base_station_m])}
     for key, array in arrays.items():

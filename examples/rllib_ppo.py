@@ -1,6 +1,6 @@
-"""RLlib: PPO; the id with `env_config` does as well, here observations are normalized, too.
+"""RLlib: PPO on normalized observations; without them, the id with `env_config` is enough.
 
-An argument is the number of the training, 0 where none is given.
+The optional argument is the number of the training, 0 by default.
 """
 
 import sys

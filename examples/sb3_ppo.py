@@ -8,7 +8,7 @@ from stable_baselines3.common.vec_env import VecNormalize
 from experiments.evaluation.compare import compare
 from mmwave_env.sb3 import SB3VecEnv
 
-torch.set_num_threads(1)  # more only wait for each other: the network is small
+torch.set_num_threads(1)  # the network is too small for more threads to help
 envs = gym.make_vec("mmwave_env:MmWaveLoc-v0", num_envs=64, autoreset_mode="SameStep")
 envs = VecNormalize(SB3VecEnv(envs), norm_reward=False, gamma=0.95)
 seed = 10_000_000  # test episodes have seeds from 0 on, training ones from here on

@@ -1,10 +1,10 @@
-"""SUMO: floating-car data as ways, of which every episode draws one.
+"""SUMO: floating-car data as a file of ways; every episode draws one of the ways.
 
 python examples/sumo.py traffic.xml.gz ways.csv --scene street
 mmwave-loc compare --policies fixed-ekf imm --scenario ways.csv --episode-steps 60
 
-The first argument is what `sumo --fcd-output` writes, XML, perhaps gzipped. With --make it is made
-first: vehicles and pedestrians go at random through a grid of streets with traffic lights
+The first argument is the XML file of `sumo --fcd-output`, perhaps gzipped. --make first makes that
+file: vehicles and pedestrians go at random through a grid of streets with traffic lights
 (pip install -r examples/sumo.txt).
 """
 
@@ -26,7 +26,7 @@ from mmwave_env.world.trajectory import Trajectory
 
 
 def read_trips(path):
-    """Times and positions (N, 3) t, x, y of every vehicle and person, by id."""
+    """Read times and positions (N, 3) t, x, y of every vehicle and person, by id."""
     trips = {}
     with (gzip.open if path.suffix == ".gz" else open)(path, "rb") as file:
         for _, step in ElementTree.iterparse(file):
@@ -39,7 +39,7 @@ def read_trips(path):
 
 
 def ways_in(scene, trips, least_s, shift_m=None):
-    """Trips that a user can go in a scene, as trajectories; says which ones are left out, and why.
+    """Return the trips that stay clear of walls as trajectories; print why others are left out.
 
     The middle of the traffic is put on the middle of the streets, unless a shift is given.
     """
@@ -78,7 +78,7 @@ def write_ways(path, ways):
 
 
 def make_traffic(out, seconds, seed, blocks=2, block_m=80):
-    """Traffic by SUMO's programs netgenerate, randomTrips.py and sumo."""
+    """Make traffic with SUMO's programs netgenerate, randomTrips.py and sumo."""
     home = Path(distribution("eclipse-sumo").locate_file("sumo"))
 
     def run(program, *options):

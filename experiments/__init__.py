@@ -1,1 +1,1 @@
-"""Commands: thin pages over mmwave_env and policies."""
+"""Commands: thin modules over mmwave_env and policies."""

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 @dataclass(kw_only=True)
 class TrainedArgs:
-    """What it was trained with."""
+    """Options that the model was trained with."""
 
     scenario: str = "mixed"
     """kind of user: pedestrian, vehicle, walk-ride, jam, cyclist or mixed"""
@@ -53,7 +53,7 @@ class Args(TrainedArgs):
 
 
 PACKAGES = ("gymnasium", "numpy", "torch", "stable-baselines3")
-TIES = 0.001  # of the observations: there rounding decides
+TIES = 0.001  # share of observations where rounding may change the action
 
 
 def main(args: Args) -> None:
@@ -94,10 +94,10 @@ def main(args: Args) -> None:
 
 
 def _require_trained_on(args: Args, table: "Observation", tensors: "Tensors") -> None:
-    """Refuse a model of other observations or modes.
+    """Refuse a model that was trained with other observations or modes.
 
     Raises:
-        ValueError: saying what was found and what was expected.
+        ValueError: says what was found and what was expected.
     """
     import numpy as np
 
@@ -136,7 +136,7 @@ def _card(args: Args, task: "Task", table: "Observation", told: dict[str, Any]) 
 
 
 def _decided(content: bytes, shown: "NDArray[np.float32]") -> "NDArray[np.int64]":
-    """The actions (epochs, episodes) of a policy file for observations shown to it."""
+    """Return the actions (epochs, episodes) of a policy file for given observations."""
     import numpy as np
 
     from policies import LearnedSwitch

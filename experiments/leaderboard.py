@@ -30,7 +30,7 @@ class Args:
 
 
 def _play(args: Args) -> None:
-    """Judge the contenders, and keep their entries."""
+    """Judge the contenders and write their entries."""
     from experiments.console.progress import note
     from experiments.console.provenance import provenance
     from experiments.evaluation.protocol import RECORDED, entry, judge, require_contenders, venues

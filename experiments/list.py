@@ -53,7 +53,7 @@ POLICIES = {
 
 
 def policies(radio: str) -> dict[str, str]:
-    """Policies that a radio profile has by name."""
+    """Return the policies of a radio profile, with a description each."""
     from experiments.evaluation.contenders import contenders
 
     return {name: _about_policy(name) for name in contenders(radio)}
@@ -66,7 +66,7 @@ def _about_policy(name: str) -> str:
 
 
 def modes(radio: str) -> dict[str, str]:
-    """Modes as they are tuned for a radio profile: what differs from the defaults."""
+    """Return the modes tuned for a radio profile, with their differences from the defaults."""
     from mmwave_env.filters.bank import as_written, named_modes
 
     return {
@@ -76,7 +76,7 @@ def modes(radio: str) -> dict[str, str]:
 
 
 def radios() -> dict[str, str]:
-    """Radio profiles by what matters most."""
+    """Return radio profiles with the sizes of their antenna arrays."""
     from mmwave_env.models.radio import RADIOS
 
     return {
@@ -87,7 +87,7 @@ def radios() -> dict[str, str]:
 
 
 def scenes() -> dict[str, str]:
-    """Streets by where they lie: x east, y north, m."""
+    """Return scenes with their positions: x east, y north, m."""
     from mmwave_env.models.random_scene import RANDOM
     from mmwave_env.models.scene import SCENES
 
@@ -111,7 +111,7 @@ def _about_scene(scene: "Scene") -> str:
 
 
 def samples() -> dict[str, str]:
-    """Recordings that come with the package, and logs of the same tracks."""
+    """Return the recordings that come with the package, and whether they are logs, too."""
     from mmwave_env.datasets.samples import log_names, recording_from, sample_names
 
     logs = dict.fromkeys(log_names(), "; also as a log, for localize --sample")
@@ -123,7 +123,7 @@ def samples() -> dict[str, str]:
 
 
 def copied(out: Path, only: str | None) -> int:
-    """Copy the files of all samples, or of one, each of them whole or not there; how many.
+    """Copy the files of one sample or of all; write each file in one step, and count the files.
 
     Raises:
         ValueError: there is no such sample.
@@ -149,19 +149,19 @@ def copied(out: Path, only: str | None) -> int:
 
 
 def rewards() -> dict[str, str]:
-    """Rewards by the first line of what documents them."""
+    """Return rewards with the first line of their docstrings."""
     from mmwave_env.reward import REWARDS
 
     return {name: (inspect.getdoc(one) or "").partition("\n")[0] for name, one in REWARDS.items()}
 
 
 def entries(found: Mapping[str, str], column: int, width: int | None = None) -> list[str]:
-    """Lines of names and what they mean.
+    """Return lines of names and their meanings.
 
     Args:
         found: meanings by name.
-        column: where meanings begin.
-        width: that lines are folded at, their rest below the meaning; None for whole lines.
+        column: column where meanings begin.
+        width: width to fold lines at, indented to that column; None for whole lines.
     """
     lines = [f"  {name:{column - 3}} {what}" for name, what in found.items()]
     if width is None:
@@ -183,7 +183,7 @@ def main(args: Args) -> None:
     for name, given in (("out", args.out), ("copy", args.copy)):
         if given is not None:
             raise ValueError(f"{name}: found {given}, expected: list samples --copy NAME --out DIR")
-    radio_from(args.radio)  # refuses what is none
+    radio_from(args.radio)  # refuses an unknown radio
     kinds: dict[str, Callable[[], dict[str, str]]] = {
         "policies": lambda: policies(args.radio), "scenarios": lambda: SCENARIOS, "radios": radios,
         "scenes": scenes, "modes": lambda: modes(args.radio), "samples": samples,

@@ -34,7 +34,7 @@ class Args:
 
 
 def localized(source: "Source") -> "Played":
-    """The first epochs of a log, localized again, to be watched; or why they are not."""
+    """Localize the first epochs of a log again for the player, or say why that failed."""
     import numpy as np
 
     from experiments.localization.algorithm import beginning

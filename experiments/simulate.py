@@ -22,10 +22,10 @@ class Args(WorldArgs):
 
 
 def _require_none(folder: Path, overwrite: bool) -> None:
-    """Refuse to replace the files of an episode: perhaps they were recorded, and are the only ones.
+    """Refuse to replace the files of an episode, which may be the only copy of a recording.
 
     Raises:
-        ValueError: there are some that may not be replaced.
+        ValueError: the folder has such files, and ``overwrite`` is False.
     """
     from mmwave_env.datasets.log_folder import LOG, SCENE, TRUTH
 
@@ -51,11 +51,11 @@ def main(args: Args) -> None:
 
     _require_none(args.out, args.overwrite)
     source = source_of(args)
-    assert isinstance(source, SimulatedSource | TrackSource)  # what options name
+    assert isinstance(source, SimulatedSource | TrackSource)  # options name no other source
     with progress("simulating"):
         (episode,) = draw_episodes(source, [args.seed])
     scene = source.scene
-    if isinstance(scene, RandomScene):  # the file is to bring the anchors of this very episode
+    if isinstance(scene, RandomScene):  # the file must hold the anchors of this episode
         scene = scene_of_anchors(
             scene.name, episode.scene_anchors_m, scene.carrier_hz, scene.bandwidth_hz
         )

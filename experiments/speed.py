@@ -1,9 +1,9 @@
-"""mmwave-loc speed: how fast, beside what, and beside what the core could do.
+"""mmwave-loc speed: steps per second compared with filterpy's and with the limit of the core.
 
-One run, the same work: a loop on filterpy's filters, a single environment, Gymnasium's sync
-vector and the native vector environment; then the filters alone, the limit of the core, peak
-memory and the time to the first step. Absolute figures depend on the machine; ratios much less, so
-they come first.
+One run does the same work in a loop on filterpy's filters, a single environment, Gymnasium's sync
+vector and the native vector environment. It also measures the filters alone, the limit of the core,
+peak memory and the time to the first step. Ratios come first, as absolute figures depend much more
+on the machine.
 """
 
 import os
@@ -30,7 +30,7 @@ class Args(JsonArgs):
     """also renew the tables of this page, between its `<!-- table: ... -->` lines"""
 
 
-# Nothing that loads numpy is imported up here: its linear algebra counts its threads once.
+# No import up here may load numpy: its linear algebra reads these variables when it is loaded.
 _ONE_THREAD = ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "OMP_NUM_THREADS")
 
 
@@ -53,7 +53,7 @@ def main(args: Args) -> None:
     page = ""
     if args.docs:
         page = page_to_renew(args.docs)
-        # refuses a wrong mark before the work
+        # refuse a wrong mark before the work
         renewed(page, dict.fromkeys(TITLES, ""))
     measured = Measured(args.sizes)
     with progress("speed") as tell:
@@ -68,7 +68,7 @@ def main(args: Args) -> None:
 
 
 def _check(args: Args) -> None:
-    """Refuse what can't be measured.
+    """Refuse arguments that can't be measured.
 
     Raises:
         ValueError: an argument is out of range.

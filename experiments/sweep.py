@@ -30,7 +30,7 @@ def main(args: Args) -> None:
     """Run the command.
 
     Raises:
-        ValueError: cells failed; all others are there.
+        ValueError: cells failed; the rows of all others are written.
     """
     from experiments.sweeping.run import sweep
     from mmwave_env.lookup import as_name, require_extra

@@ -17,7 +17,7 @@ _WIDTH_M = (-6.0, 52.0)
 
 
 def angles_deg() -> Array:
-    """What is measured in the figure's scene: (anchors, 3) azimuth, elevation, departure."""
+    """Return the azimuth, elevation and departure of every link in the figure's scene (n, 3)."""
     layout = Layout(len(SCENE.anchors_m))
     rows = exact_rows(USER_M, [0.0] * 3, SCENE.anchors_m.tolist(), SCENE.hz_per_mps, layout)
     links: Array = np.array(rows[: layout.doppler], float).reshape(-1, 4)
@@ -76,7 +76,7 @@ def _draw_side(axes: Any, elevation: float) -> None:
 
 
 def _arc(axes: Any, center: Array, radius: float, degrees: float, label: str, color: str) -> None:
-    """An arrow from the horizontal through ``degrees``, with its label beside it."""
+    """Draw an arrow from the horizontal through ``degrees``, with its label beside it."""
     turn = np.radians(np.linspace(0.0, degrees, 60))
     line = center[:, None] + radius * np.array([np.cos(turn), np.sin(turn)])
     axes.plot([center[0], center[0] + radius + 2.0], [center[1]] * 2, color=color, linewidth=0.8,

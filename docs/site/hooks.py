@@ -1,6 +1,6 @@
 """Hooks of mkdocs: pages made at the build, and links that work on the site as on a code host.
 
-What the site shows beside the files of docs/ has its source elsewhere, once: the README, the
+Besides the files of docs/, the site shows text whose only source is elsewhere: the README, the
 help of the commands, CITATION.cff, notebooks and the docstrings of the modules.
 """
 
@@ -47,7 +47,7 @@ ROLE = re.compile(r":(?:class|func|meth|mod|data|attr|exc):<code>~?([\w.]+)</cod
 
 
 def repository() -> str:
-    """The address of the repository: pyproject.toml has the one setting."""
+    """Return the address of the repository, which only pyproject.toml states."""
     (url,) = re.findall(
         r'^Repository = "(.*)"$', (ROOT / "pyproject.toml").read_text("utf-8"), re.MULTILINE
     )
@@ -55,7 +55,7 @@ def repository() -> str:
 
 
 def on_config(config: Any) -> Any:
-    """Where the code is, for the header of every page."""
+    """Give the theme the address of the code, for the header of every page."""
     config.repo_url = repository()
     config.repo_name = "source"
     return config
@@ -75,7 +75,7 @@ def on_files(files: Any, config: Any) -> Any:
 
 
 def made() -> dict[str, Callable[[], str]]:
-    """What makes the Markdown of each page made here, by its path on the site."""
+    """Return the functions that make the Markdown of generated pages, by path on the site."""
     return {
         **{path: partial((ROOT / name).read_text, "utf-8") for path, name in MIRRORED.items()},
         "command-help.md": help_page,
@@ -87,7 +87,7 @@ def made() -> dict[str, Callable[[], str]]:
 
 
 def help_page() -> str:
-    """What every command of the installed package says of itself."""
+    """Return the page with the help of every command of the installed package."""
     from experiments.console.main import COMMANDS, run
 
     parts = [
@@ -104,7 +104,7 @@ def help_page() -> str:
 
 
 def report_page() -> str:
-    """The web page of the published results, with a few of their episodes played again."""
+    """Return the web page of the published results, with a few episodes to play."""
     from experiments.report import Args
     from experiments.webpage.page import page_of
 
@@ -113,7 +113,7 @@ def report_page() -> str:
 
 
 def citing_page() -> str:
-    """CITATION.cff as BibTeX: the software, and the paper that it follows."""
+    """Return CITATION.cff as BibTeX: the software, and the paper that it follows."""
     import yaml
 
     cited = yaml.safe_load((ROOT / "CITATION.cff").read_text("utf-8"))
@@ -144,9 +144,9 @@ The same stands in [CITATION.cff]({source_of("CITATION.cff")}), which reference 
 
 
 def notebook_page(path: Path) -> str:
-    """The cells of a notebook below each other, and where to have the file."""
+    """Return the cells of a notebook one below the other, with a link to the file."""
     first, *others = json.loads(path.read_text("utf-8"))["cells"]
-    # By reference, as :func:`relinked` leads links to a notebook to this page.
+    # A reference, since :func:`relinked` turns inline links to a notebook into links to this page.
     parts = [
         "".join(first["source"]),
         "This page is a notebook, shown without its outputs: it is made to be run. [Download it]"
@@ -159,7 +159,7 @@ def notebook_page(path: Path) -> str:
 
 
 def modules_of(part: str) -> Iterator[str]:
-    """Dotted names of a module of mmwave_env, or of all in a folder; "/" first: of the checkout."""
+    """Yield dotted names of a module or folder; a leading "/" means the root of the checkout."""
     path = ROOT / part.strip("/") if part.startswith("/") else ROOT / "mmwave_env" / part
     files = sorted(path.glob("*.py")) if part.endswith("/") else [path.with_suffix(".py")]
     for file in files:
@@ -168,14 +168,14 @@ def modules_of(part: str) -> Iterator[str]:
 
 
 def api_page(name: str) -> str:
-    """The modules of a part, for mkdocstrings to fill in."""
+    """Return the page of one part of the API, whose modules mkdocstrings fills in."""
     title, parts = API[name]
     modules = [f"::: {module}" for part in parts for module in modules_of(part)]
     return "\n\n".join([f"# {title}", *modules]) + "\n"
 
 
 def api_index() -> str:
-    """What there is, with the first sentence of every module."""
+    """Return the overview of the API, with the first sentence of every module."""
     lines = [
         "# API",
         "`gymnasium.make` and `gymnasium.make_vec` are the way in, and [the environment's page]"
@@ -203,13 +203,13 @@ def _first_sentence(module: str) -> str:
 
 
 def source_of(name: str) -> str:
-    """Where the code host shows a file or folder of the checkout."""
+    """Return the address where the code host shows a file or folder of the checkout."""
     return f"{repository()}/{'tree' if (ROOT / name).is_dir() else 'blob'}/main/{name}"
 
 
 @cache
 def pages() -> dict[str, str]:
-    """Page of the site by file of the checkout, for files that the site shows in another form."""
+    """Map files of the checkout to pages of the site that show them in another form."""
     found = {source: page for page, source in (MIRRORED | NOTEBOOKS).items()} | REPORTS
     for name, (_, parts) in API.items():
         for module in (m for part in parts for m in modules_of(part)):
@@ -224,11 +224,11 @@ def on_page_markdown(markdown: str, page: Any, **_: Any) -> str:
 
 
 def relinked(markdown: str, uri: str, source: Path) -> str:
-    """The page with links for the site.
+    """Return the Markdown of a page with its links changed for the site.
 
     Args:
-        markdown: links are relative to ``source``.
-        uri: of the page on the site, relative to its top.
+        markdown: text of the page, whose links are relative to ``source``.
+        uri: address of the page on the site, relative to its top.
         source: the file that the page is, or would be.
     """
 
@@ -245,7 +245,7 @@ def relinked(markdown: str, uri: str, source: Path) -> str:
 
 
 def _address(target: Path, folder: str) -> str:
-    """Of a file of the checkout, as seen from a page in a folder of the site."""
+    """Return the address of a file of the checkout relative to a folder of the site."""
     name = target.relative_to(ROOT).as_posix()
     if name in pages():
         return relpath(pages()[name], folder)
@@ -258,8 +258,8 @@ def _address(target: Path, folder: str) -> str:
 def on_page_content(html: str, **_: Any) -> str:
     """Make links of the roles that docstrings use; keep figures and names in tables on one line.
 
-    A paragraph that is but a link to a web page of ours, such as a report, gets that page in a
-    frame.
+    A frame with the linked page follows a paragraph that holds nothing but a link to a web page
+    of this site, such as a report.
     """
 
     def linked(match: re.Match[str]) -> str:
@@ -274,5 +274,5 @@ def on_page_content(html: str, **_: Any) -> str:
 
 
 def on_post_page(output: str, **_: Any) -> str:
-    """Keep the theme from asking a code host for stars: nothing is loaded from elsewhere."""
+    """Keep the theme from asking a code host for stars: the site loads nothing from elsewhere."""
     return output.replace(' data-md-component="source"', "")

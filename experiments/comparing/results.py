@@ -1,4 +1,4 @@
-"""Contenders run and compared, as ``score_contenders``, ``compare`` and ``demo`` print it."""
+"""Runs of contenders and the tables that ``compare`` and ``demo`` print of them."""
 
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
@@ -28,12 +28,12 @@ from mmwave_env.reward import reward_name
 
 
 class Results(NamedTuple):
-    """What a comparison came to."""
+    """Results of a comparison: tables, figures, and pictures to draw."""
 
     comparison: Comparison
     text: str  # all tables as Markdown
     json: dict[str, Any]  # every figure
-    pictures: Sequence[Callable[[], None]]  # draw what was asked for
+    pictures: Sequence[Callable[[], None]]  # each writes a picture
 
     def draw(self) -> None:
         """Write the pictures."""
@@ -43,7 +43,7 @@ class Results(NamedTuple):
 
 def report(command: str, args: EpisodeArgs, found: Results) -> None:
     """Write ``args.json``, then the pictures, and print the tables of :func:`results`."""
-    if args.json:  # first, because whoever reads what is shown may leave
+    if args.json:  # first, because whoever reads the tables may close the pipe
         write_json(args.json, provenance(command, args) | found.json)
     try:
         found.draw()
@@ -60,10 +60,10 @@ def results(
     """Run contenders on the episodes.
 
     Args:
-        args: which episodes, and which tables.
-        names: of the contenders; the folder of a run stands for its median training.
-        bound: whether to measure them in posterior Cramer-Rao bounds, too.
-        pictures: those of :func:`~experiments.comparing.watchers.watchers`.
+        args: options that choose the episodes and the tables.
+        names: contenders to run; the folder of a run stands for its median training.
+        bound: whether to divide RMSEs by the posterior Cramer-Rao bounds, too.
+        pictures: files by option, as in :func:`~experiments.comparing.watchers.watchers`.
     """
     require_options(args, pictures)
     task, runs = task_of(args), runs_of(args, names)

@@ -1,4 +1,4 @@
-"""Who watches every epoch of a comparison, as its options ask for it, and what comes of that."""
+"""Watchers that collect every epoch of a comparison for pictures, percentiles and Parquet."""
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -16,17 +16,17 @@ from experiments.figures.errors import draw_consistency, draw_error_cdf
 from mmwave_env.localization.position_errors import require_risk
 from mmwave_env.world.episode import EpisodeSource
 
-Made = tuple[str, dict[str, Any]]  # Markdown below the tables, and figures
+Made = tuple[str, dict[str, Any]]  # Markdown below the tables, and figures for JSON
 
 
 class Watcher(NamedTuple):
-    """Somebody who watches.
+    """A collector of the epochs of all contenders.
 
     Attributes:
-        add: takes what every contender tells.
-        told: Markdown below the tables, and figures.
+        add: takes the epoch results of a contender.
+        told: returns Markdown below the tables, and figures.
         draw: writes the pictures.
-        parts: of the state, that it needs after every epoch.
+        parts: entries of the engine's state that ``add`` needs after every epoch.
     """
 
     add: Watch
@@ -39,11 +39,11 @@ def require_options(args: EpisodeArgs, pictures: Mapping[str, Path]) -> None:
     """Refuse an impossible risk or file, before any work.
 
     Args:
-        args: the options that all commands have.
-        pictures: files by their options.
+        args: options that the commands share.
+        pictures: files by option.
 
     Raises:
-        ValueError: naming the option; two pictures in one file, too.
+        ValueError: names the option; also raised where two pictures have the same file.
         OSError: a file can't be written.
     """
     require_risk(args.risk)
@@ -64,13 +64,13 @@ def watchers(
     selection: Selection,
     pictures: Mapping[str, Path],
 ) -> Iterator[list[Watcher]]:
-    """Everybody who was asked for; at the end a table of epochs takes its place.
+    """Yield the watchers that options ask for; at the end write the table of epochs.
 
     Args:
-        args: the options that all commands have.
-        names: in figures, by contender.
-        source, selection: of the episodes.
-        pictures: of "errors" and "consistency", those asked for.
+        args: options that the commands share.
+        names: name in figures, by contender.
+        source, selection: episodes that are played.
+        pictures: files of "errors" and "consistency", where asked for.
     """
     found = []
     if "errors" in pictures or "consistency" in pictures:

@@ -1,1 +1,1 @@
-"""The command line: options and reports that the commands beside this folder share."""
+"""The command line: options and reports that the commands share."""

@@ -1,4 +1,4 @@
-"""``python -m experiments.console <command>``."""
+"""Entry point of ``python -m experiments.console <command>``."""
 
 from experiments.console.main import main
 

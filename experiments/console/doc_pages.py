@@ -1,4 +1,4 @@
-"""Pages whose tables a command renews, so that no figure is typed."""
+"""Pages of docs/ whose tables a command writes, so that nobody types figures."""
 
 import re
 from collections.abc import Mapping
@@ -10,11 +10,11 @@ MARK = re.compile(r"<!-- table: (.*?) -->\n.*?<!-- end -->", re.DOTALL)
 
 
 def page_to_renew(path: Path) -> str:
-    """A page to renew.
+    """Read a page whose tables are to be replaced.
 
     Raises:
-        ValueError: it has no marks.
-        OSError: it can't be read or written.
+        ValueError: the page has no marks.
+        OSError: the page can't be read or written.
     """
     require_writable(path)
     page = path.read_text(encoding="utf-8")
@@ -24,14 +24,14 @@ def page_to_renew(path: Path) -> str:
 
 
 def renewed(page: str, tables: Mapping[str, str]) -> str:
-    """The page with each table between its marks replaced by the one of its title.
+    """Return a page with each table between its marks replaced by the table of that title.
 
     Args:
-        page: Markdown.
-        tables: Markdown by title.
+        page: Markdown with marks.
+        tables: new tables as Markdown, by title.
 
     Raises:
-        ValueError: a mark names no table.
+        ValueError: a mark names a table that is not given.
     """
 
     def table(match: re.Match[str]) -> str:

@@ -1,7 +1,7 @@
 """The command line ``mmwave-loc <command>``.
 
-A command is a page of this package, with its options on top. Little is imported before these are
-read: help and mistakes are shown at once.
+A command is a module of this package, with its options on top. Options are read before anything
+large is imported, so that help and mistakes are shown at once.
 """
 
 import importlib
@@ -51,7 +51,7 @@ LONGEST_LINE = 2000  # letters of a message
 
 
 def page_of(name: str) -> str:
-    """The module of a command."""
+    """Return the name of the module of a command."""
     return f"experiments.{SAME.get(name, name)}"
 
 
@@ -60,7 +60,7 @@ def _show_warning(message: Warning | str, *_: Any, **__: Any) -> None:
 
 
 def _in_one_line(text: str) -> str:
-    """A message with nothing in it but letters, cut where it quotes much of a file."""
+    """Return a message in printable characters, cut where it is long."""
     from mmwave_env.lookup import printable
 
     line = printable(text)
@@ -68,7 +68,7 @@ def _in_one_line(text: str) -> str:
 
 
 def _leave(code: int) -> NoReturn:
-    """Exit, without a complaint of Python's where nobody reads what is left to write."""
+    """Exit without a traceback where nobody reads the remaining output."""
     try:
         print(end="", flush=True)
     except OSError:
@@ -77,7 +77,7 @@ def _leave(code: int) -> NoReturn:
 
 
 def read_arguments(name: str, words: Sequence[str]) -> Any:
-    """What was typed, as the dataclass of the options of a command's page.
+    """Parse words of a command line into the ``Args`` of a command's module.
 
     Raises:
         SystemExit: help was asked for, or an option is wrong.
@@ -89,7 +89,7 @@ def read_arguments(name: str, words: Sequence[str]) -> Any:
 
 @contextmanager
 def _quiet() -> Iterator[None]:
-    """Neither bars nor anything printed, but for warnings and errors."""
+    """Suppress bars and all printing but warnings and errors in the block."""
     from experiments.console.progress import QUIET
 
     token = QUIET.set(True)
@@ -101,11 +101,11 @@ def _quiet() -> Iterator[None]:
 
 
 def _complain(program: str, error: BaseException, debug: bool) -> None:
-    """Say in one line what went wrong; and where, if that is asked for."""
+    """Print one line about an error, after its traceback where ``debug`` asks for it."""
     if debug:
         traceback.print_exception(error)
     if isinstance(error, OSError) and error.errno is not None and error.filename is None:
-        # Of files, errors name the file.
+        # Errors of opened files name the file, so this error is of a stream or a folder.
         missing = isinstance(error, FileNotFoundError)
         line = f"{'the working folder' if missing else 'what is printed'}: {error.strerror}"
     elif isinstance(error, (ValueError, OSError)):
@@ -117,11 +117,11 @@ def _complain(program: str, error: BaseException, debug: bool) -> None:
 
 
 def run(name: str, words: Sequence[str] | None = None) -> None:
-    """Run one command; bad input ends with one line and exit code 2, a fault of ours with 1.
+    """Run one command; exit with 2 after bad input, and with 1 after an internal error.
 
     Args:
-        name: of the command.
-        words: its options; None for those the program was started with.
+        name: command to run.
+        words: options of the command; None for the words of ``sys.argv``.
     """
     program, words = f"mmwave-loc {name}", sys.argv[1:] if words is None else words
     debug = "--debug" in words
@@ -129,10 +129,10 @@ def run(name: str, words: Sequence[str] | None = None) -> None:
         with stopped_at_once():
             warnings.showwarning = _show_warning
             for stream in (sys.stdout, sys.stderr):
-                if isinstance(stream, TextIOWrapper):  # which may not have all letters of names
+                if isinstance(stream, TextIOWrapper):  # whose encoding may lack letters of names
                     stream.reconfigure(errors="backslashreplace")
             args, command = read_arguments(name, words), importlib.import_module(page_of(name))
-            importlib.import_module("experiments.evaluation.asked")  # what all commands wait for
+            importlib.import_module("experiments.evaluation.asked")  # slow; all commands need it
         with ended_by_signals(), _quiet() if "--quiet" in words else nullcontext():
             _require_results_can_be_written(args)
             command.main(args)
@@ -168,7 +168,7 @@ def _require_results_can_be_written(args: Any) -> None:
 
 
 def _help() -> str:
-    """The commands in groups, folded where a terminal ends."""
+    """Return the list of commands in groups."""
     lines = [
         "usage: mmwave-loc COMMAND [OPTIONS]; --help after a command lists its options",
         "       mmwave-loc --version; --json after it also tests the compiled kernels",
@@ -181,7 +181,7 @@ def _help() -> str:
 
 
 def _tell_about() -> NoReturn:
-    """Print versions, threads, where kernels are kept and their self-test; exit 1 where it fails.
+    """Print versions, threads, kernels and their self-test as JSON; exit 1 if the test fails.
 
     Raises:
         SystemExit: always.
@@ -196,7 +196,7 @@ def _tell_about() -> NoReturn:
 
 
 def _complete(words: Sequence[str]) -> None:
-    """Print or write what a shell needs to complete commands and options.
+    """Print or write the script that a shell needs to complete commands and options.
 
     Raises:
         SystemExit: always.
@@ -215,11 +215,11 @@ def _complete(words: Sequence[str]) -> None:
 
 
 def main() -> None:
-    """The program: the first argument names the command."""
+    """Run the program: the first argument names the command."""
     words = sys.argv[1:]
     if not os.environ.get("COLUMNS", "80").strip("0"):  # some terminals do not know their width
         del os.environ["COLUMNS"]
-    if words[:1] == ["help"]:  # as --help, of the program or of a command
+    if words[:1] == ["help"]:  # the same as --help, of the program or of a command
         words = [*words[1:], "--help"]
     if not words or words[0] in ("-h", "--help"):
         print(_help())

@@ -1,7 +1,7 @@
-"""Options that several commands have.
+"""Options that several commands share.
 
-Help shows them, so nothing is imported here that takes long: numbers of the library stand here
-again, and a test compares them.
+Help must appear at once, so this module imports nothing slow: it repeats numbers of the library,
+and a test compares them.
 """
 
 from dataclasses import dataclass
@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Literal
 
 USUAL_EPISODES = 1000
-TUNING_SEED = 5_000_000  # where seeds for tuning begin
+TUNING_SEED = 5_000_000  # the first seed for tuning
 
 
 @dataclass(kw_only=True)
@@ -35,7 +35,7 @@ class EpisodeResultArgs(JsonArgs):
 
 @dataclass(kw_only=True)
 class WorldArgs:
-    """Streets, users and radio, as of the environment."""
+    """Options of streets, users and radio, as in the environment."""
 
     scenario: str | None = None
     """kind of user: pedestrian, vehicle, walk-ride, jam, cyclist or mixed (equal shares; where
@@ -99,7 +99,7 @@ class EpisodeArgs(ModeArgs, IntegrityArgs, EpisodeResultArgs):
 
 @dataclass(kw_only=True)
 class TaskArgs:
-    """What is learned."""
+    """Options of the task to learn."""
 
     algo: Literal["ppo", "rollouts"] = "ppo"
     """ppo is that of Stable-Baselines3; rollouts is rollout policy iteration with common random

@@ -1,7 +1,7 @@
-"""Options of a command, read by tyro from the dataclass that declares them.
+"""Parser of a command's options: tyro reads them from the dataclass that declares them.
 
 The docstring of a dataclass is the help, and its last paragraph an example. The text below a field
-is the help of its option. Mistakes are told in one line.
+is the help of its option. A mistake is reported in one line.
 """
 
 import ast
@@ -23,14 +23,14 @@ from typing import Annotated, Any, NoReturn, TypeVar, Union, get_args, get_origi
 from experiments.console.removed import OPTIONS
 
 T = TypeVar("T")
-WIDTH = 80  # of help, at most
+WIDTH = 80  # widest help, columns
 UNLIMITED = 10_000  # columns, so that no word of a message is cut
 NUMBERS = {int: "a whole number", float: "a number"}
 
 
 @dataclass(kw_only=True)
 class Everywhere:
-    """Options of every command, which the program itself understands."""
+    """Options of every command, which the command line itself handles."""
 
     quiet: bool = False
     """show neither tables nor progress, only warnings and errors"""
@@ -39,12 +39,12 @@ class Everywhere:
 
 
 def parse(arguments: type[T], words: Sequence[str], program: str) -> T:
-    """The options that were typed.
+    """Parse words into an instance of a dataclass of options.
 
     Args:
         arguments: a dataclass with a text below every field.
-        words: what was typed after the name of the command.
-        program: the command, for help and errors.
+        words: command line after the name of the command.
+        program: name of the command, for help and errors.
 
     Raises:
         SystemExit: with 0 after showing help, with 2 after one line about a wrong option.
@@ -68,14 +68,14 @@ def parse(arguments: type[T], words: Sequence[str], program: str) -> T:
     except SystemExit:
         _refuse(program, _message(said.getvalue(), kinds))
     for one in fields(read):
-        if one.default is MISSING and getattr(found, one.name) == ():  # tyro takes none for enough
+        if one.default is MISSING and getattr(found, one.name) == ():  # tyro accepts no value
             _refuse(program, f"required: {one.name}, one or more")
     everywhere = {one.name for one in fields(Everywhere)}
     return arguments(**{k: value for k, value in vars(found).items() if k not in everywhere})
 
 
 def described(arguments: type[Any]) -> type[Any]:
-    """A dataclass for tyro: own options before inherited ones, the help of each one paragraph."""
+    """Return a dataclass for tyro: own options before inherited options, each with its help."""
     from tyro.conf import FlagCreatePairsOff, arg
 
     kinds = get_type_hints(Everywhere) | get_type_hints(arguments, include_extras=True)
@@ -96,7 +96,7 @@ def described(arguments: type[Any]) -> type[Any]:
 
 
 def _texts(declares: type[Any]) -> dict[str, str]:
-    """The text below every field that a class declares itself."""
+    """Return the text below every field that a class declares itself."""
     (tree,) = ast.parse(textwrap.dedent(inspect.getsource(declares))).body
     assert isinstance(tree, ast.ClassDef)
     found = {}
@@ -108,7 +108,7 @@ def _texts(declares: type[Any]) -> dict[str, str]:
 
 
 def _metavar(name: str, kind: Any, required: bool) -> str | None:
-    """What stands for a value in help; None for what tyro shows."""
+    """Return the placeholder of a value in help; None where tyro's own is right."""
     several = "..." if get_origin(_plain(kind)) is tuple else ""
     if is_positional(kind):
         shown = name.upper() + several
@@ -117,14 +117,14 @@ def _metavar(name: str, kind: Any, required: bool) -> str | None:
 
 
 def is_positional(kind: Any) -> bool:
-    """Whether an annotation says that the value is given without the name of its option."""
+    """Tell whether an annotation says that the value is given without the name of its option."""
     from tyro.conf import Positional
 
     return Positional in get_args(kind)
 
 
 def _plain(kind: Any) -> Any:
-    """An annotation without what is said beside it, and without None."""
+    """Return an annotation without its metadata and without None."""
     kind = get_args(kind)[0] if get_origin(kind) is Annotated else kind
     if get_origin(kind) in (Union, UnionType):
         (kind,) = (one for one in get_args(kind) if one is not type(None))
@@ -132,7 +132,7 @@ def _plain(kind: Any) -> Any:
 
 
 def _folded(text: str, width: int) -> str:
-    """Paragraphs at a width; the last one is an example, a line of which is a command."""
+    """Fold paragraphs at a width; the last paragraph is an example with one command a line."""
     *about, example = text.split("\n\n")
     folded = ["\n".join(textwrap.wrap(part, width, break_on_hyphens=False)) for part in about]
     return "\n\n".join([*folded, "example:\n" + textwrap.indent(example, "  ")])
@@ -140,7 +140,7 @@ def _folded(text: str, width: int) -> str:
 
 @contextmanager
 def _columns(count: int) -> Iterator[None]:
-    """As if the terminal were as wide."""
+    """Pretend in the block that the terminal has ``count`` columns."""
     before = os.environ.get("COLUMNS")
     os.environ["COLUMNS"] = str(count)
     try:
@@ -178,7 +178,7 @@ def _aliases(said: Any) -> Sequence[str]:
 
 
 def _message(box: str, kinds: Mapping[str, Any]) -> str:
-    """What tyro says of a mistake, without the box around it and what follows it there."""
+    """Return tyro's message about a mistake, without the box and the hints below it."""
     lines = takewhile(lambda line: set(line.strip()) != {"-"}, box.splitlines()[2:])
     text = " ".join(" ".join(lines).split())
     if choice := re.match(r"invalid choice '(.*?)' for argument '(?:--)?(.*?)'", text):

@@ -1,4 +1,4 @@
-"""Bars on a terminal, unless it is to be quiet."""
+"""Progress bars on a terminal, unless the command is quiet."""
 
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
@@ -17,19 +17,19 @@ QUIET: ContextVar[bool] = ContextVar("quiet", default=False)  # neither bars nor
 
 
 class _Description(TextColumn):
-    """What a bar is of, letter by letter: names are neither markup nor escape sequences."""
+    """Description of a bar as plain text: names are neither markup nor escape sequences."""
 
     def render(self, task: Task) -> Text:
         return Text(printable(task.description), style="progress.description")
 
 
 def bars(*columns: ProgressColumn | str) -> Progress:
-    """Bars that vanish at the end, on standard error: what is printed is the result alone.
+    """Return bars on standard error, which vanish at the end and keep standard output clean.
 
-    There are none where that is no terminal.
+    No bar is shown where standard error is not a terminal.
 
     Args:
-        columns: beside rich's own.
+        columns: further columns beside rich's own.
     """
     console = Console(stderr=True, quiet=QUIET.get())
     _, *others = Progress.get_default_columns()
@@ -40,36 +40,36 @@ def bars(*columns: ProgressColumn | str) -> Progress:
 
 
 def terminal_width() -> int | None:
-    """Of the terminal that is printed to; None where there is none."""
+    """Return the width of the terminal on standard output; None where there is none."""
     console = Console()
     return console.width if console.is_terminal else None
 
 
 def say(*lines: str) -> None:
-    """Print lines, but nothing other than letters: what ends a line in a name is spelled out."""
+    """Print lines in printable characters: a line break within a name is spelled out."""
     print(*map(printable, lines), sep="\n", flush=True)
 
 
 def note(text: str) -> None:
-    """Say on standard error what is going on, or where it is."""
+    """Print on standard error what the program is doing."""
     Console(stderr=True, quiet=QUIET.get()).out(printable(text), highlight=False)
 
 
 @contextmanager
 def progress(what: str) -> Iterator[Callable[[float], None]]:
-    """A bar; the function takes the share done, and until its first call it only moves."""
+    """Show a bar that pulses until the yielded function is called with the share done."""
     with bars() as shown:
         task = shown.add_task(what, total=None)
         yield lambda share: shown.update(task, completed=share, total=1.0)
 
 
 def tracked(values: Iterable[T], what: str, total: int | None = None) -> Iterator[T]:
-    """The values, with a bar that counts them.
+    """Yield values, with a bar that counts them.
 
     Args:
-        values: to go through.
-        what: they are.
-        total: how many; of a sequence it is known.
+        values: items to yield.
+        what: label of the bar.
+        total: number of values; None for the length of a sequence.
     """
     with bars() as shown:
         yield from shown.track(values, total=total, description=what)

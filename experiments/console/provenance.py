@@ -1,4 +1,4 @@
-"""How results were made: the command, and versions."""
+"""Provenance of results: the command and the versions that made them."""
 
 import platform
 import shlex
@@ -16,7 +16,7 @@ OUTPUTS = (
 
 
 def command_line(name: str, args: Any) -> str:
-    """The command that a dataclass of arguments stands for, defaults left out."""
+    """Return the command that a dataclass of arguments stands for, without defaults."""
     kinds = get_type_hints(type(args), include_extras=True)
     nameless = [field.name for field in fields(args) if is_positional(kinds[field.name])]
     given = [value for field in nameless if (value := getattr(args, field)) is not None]
@@ -37,12 +37,12 @@ def _words(value: Any) -> list[str]:
 
 
 def provenance(name: str, args: Any) -> dict[str, Any]:
-    """What JSON results say of how they were made: the command, but for outputs; and versions."""
+    """Return the command without its outputs, and versions, for results in JSON."""
     outputs = {f.name: f.default for f in fields(args) if f.name in OUTPUTS}
     return {"command": command_line(name, replace(args, **outputs)), "versions": versions()}
 
 
 def versions() -> dict[str, str]:
-    """Of the package, of Python, and of packages that numbers hang on."""
+    """Return versions of the package, of Python and of the packages that numbers depend on."""
     packages = {name: version(name) for name in ("gymnasium", "numpy", "numba", "scipy")}
     return {"mmwave-loc": __version__, "python": platform.python_version(), **packages}

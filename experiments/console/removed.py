@@ -1,4 +1,4 @@
-"""Commands and options that are gone, each with what to use instead."""
+"""Commands and options that were removed, each with its replacement."""
 
 COMMANDS = {
     "ablate": "docs/learning.md has what was found; the history has the command",

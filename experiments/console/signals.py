@@ -1,4 +1,4 @@
-"""Ends from outside: what a scheduler or a closed terminal sends cleans up as Ctrl-C does."""
+"""Signals from a scheduler or a closed terminal, which clean up as Ctrl-C does."""
 
 import os
 import signal
@@ -9,14 +9,14 @@ from threading import Timer
 from types import FrameType
 from typing import Any, NoReturn
 
-# Those that there are: on Windows no SIGHUP.
+# The signals that the system has: Windows has no SIGHUP.
 ENDING = tuple(getattr(signal, n) for n in ("SIGTERM", "SIGHUP") if hasattr(signal, n))
-SOON_S = 0.01  # after it, a signal that could not be answered comes again
-SAME_S = 1.0  # within it, a signal that comes again is the same: sent to a group, and to each in it
+SOON_S = 0.01  # delay after which a signal that could not be handled is sent again
+SAME_S = 1.0  # a signal repeated within it is one signal, sent to a group and to its processes
 
 
 class Ended(SystemExit):
-    """A signal ended the program; its exit code is what shells make of it."""
+    """A signal that ended the program, with the exit code that shells expect."""
 
     def __init__(self, number: int) -> None:
         super().__init__(128 + number)
@@ -31,7 +31,7 @@ def _told(number: int) -> str:
 def _answered(
     numbers: Sequence[int], answer: Callable[[int, Any], None] | signal.Handlers
 ) -> Iterator[None]:
-    """Signals call a function in the block; those that are ignored, as under nohup, stay so."""
+    """Handle signals in the block by a function, except ignored signals, as under nohup."""
     before = {number: signal.getsignal(number) for number in numbers}
     heeded = {number: old for number, old in before.items() if old is not signal.SIG_IGN}
     for number in heeded:
@@ -45,10 +45,10 @@ def _answered(
 
 @contextmanager
 def ended_by_signals() -> Iterator[None]:
-    """SIGTERM and SIGHUP raise in the block, so that what is half written is removed.
+    """Raise on SIGTERM and SIGHUP in the block, so that half-written files are removed.
 
     Raises:
-        Ended: one of them came.
+        Ended: one of the signals came.
     """
     last_s, came = -SAME_S, 0
 
@@ -66,7 +66,7 @@ def ended_by_signals() -> Iterator[None]:
         try:
             yield
         except BaseException as other:
-            # Ray's C code makes another exception of it; a bar fails where the terminal is gone.
+            # Ray's C code replaces the exception; a bar fails where the terminal is gone.
             if came and not isinstance(other, Ended):
                 raise Ended(came) from None
             raise
@@ -74,20 +74,20 @@ def ended_by_signals() -> Iterator[None]:
 
 @contextmanager
 def ignored() -> Iterator[None]:
-    """Ctrl-C and the others do nothing in the block: it is cleaning up after them."""
+    """Ignore Ctrl-C, SIGTERM and SIGHUP in the block, which cleans up after such a signal."""
     with _answered((signal.SIGINT, *ENDING), lambda number, frame: None):
         yield
 
 
 @contextmanager
 def ended_by_the_system() -> Iterator[None]:
-    """Ctrl-C and the others end the process in the block, also within a long call of C."""
+    """Let Ctrl-C, SIGTERM and SIGHUP end the process, even within a long call of C."""
     with _answered((signal.SIGINT, *ENDING), signal.SIG_DFL):
         yield
 
 
 def _in_callback(frame: FrameType | None) -> bool:
-    """Whether C called the Python code that runs: there an exception is dropped, and its signal."""
+    """Tell whether C called the running Python code: C drops an exception raised there."""
     while frame is not None:
         if frame.f_code.co_name.startswith("_raw_object_cache"):  # of llvmlite
             return True
@@ -103,6 +103,6 @@ def _leave(number: int, _: Any) -> NoReturn:
 
 @contextmanager
 def stopped_at_once() -> Iterator[None]:
-    """Ctrl-C and the others end the process: out of an import they would be a traceback."""
+    """End the process on Ctrl-C, SIGTERM and SIGHUP, without a traceback out of an import."""
     with _answered((signal.SIGINT, *ENDING), _leave):
         yield

@@ -1,4 +1,4 @@
-"""Figures as Markdown, and as tables on a terminal."""
+"""Tables of figures as Markdown and on a terminal."""
 
 import re
 import textwrap
@@ -20,30 +20,30 @@ HEADERS = {
 
 
 TABLE = re.compile(r"((?:^\|.*\n?)+)", re.MULTILINE)
-CELL = re.compile(r"((?:\\.|[^|\\])*)\|")  # with the bar behind it
-UNIT = re.compile(r" (?=(?:m|s|%)(?: |$))")  # the space before a unit, where no line ends
-GLUED = "\u00a0"  # a space that is none to :mod:`textwrap`
+CELL = re.compile(r"((?:\\.|[^|\\])*)\|")  # with the bar that ends the cell
+UNIT = re.compile(r" (?=(?:m|s|%)(?: |$))")  # the space before a unit, where a line must not break
+GLUED = "\u00a0"  # a space where :mod:`textwrap` does not break
 GAP = 2  # between columns
 
 
 class Table(NamedTuple):
-    """What a table says, whatever it is written as."""
+    """Header and rows of a table, independent of its format."""
 
     header: Sequence[str]
     rows: Sequence[Sequence[Any]]
 
 
 def grid(header: Sequence[str], rows: Sequence[Sequence[object]]) -> str:
-    """A Markdown table of plain text, which may hold anything."""
+    """Return a Markdown table of plain text, whose cells may hold any characters."""
     table = [[escaped(str(cell)) for cell in cells] for cells in (header, *rows)]
     lines = ["| " + " | ".join(cells) + " |" for cells in table]
     return "\n".join([lines[0], "|---" * len(header) + "|", *lines[1:]])
 
 
 def show(text: str) -> None:
-    """Print Markdown; on a terminal, tables that are too wide go on below.
+    """Print Markdown; on a terminal, split tables that are too wide.
 
-    Nothing in it reaches the terminal but letters, not even from names of others.
+    Control characters, such as those in a name from a file, do not reach the terminal.
     """
     console, text = Console(), printable_lines(text)
     if not console.is_terminal:
@@ -58,9 +58,9 @@ def show(text: str) -> None:
 
 
 def _tables(text: str, width: int) -> Iterator[list[str]]:
-    """Lines of the tables that a Markdown table becomes on a terminal of a width.
+    """Yield the lines of each table that a Markdown table is split into at a width.
 
-    Each has the first column. Headers are folded at their spaces, cells never.
+    Each part repeats the first column. Headers are folded at spaces; cells are never folded.
     """
     lines = (
         [unescaped(cell.strip()) for cell in CELL.findall(line[1:])] for line in text.splitlines()
@@ -81,7 +81,7 @@ def _tables(text: str, width: int) -> Iterator[list[str]]:
 
 
 def _table(rows: Sequence[Sequence[str]], widths: Sequence[int]) -> list[str]:
-    """Lines of a table, the first row of which is the header."""
+    """Return the lines of a table whose first row is the header."""
     folded = [
         [line.replace(GLUED, " ") for line in textwrap.wrap(title, n)]
         for title, n in zip(rows[0], widths, strict=True)

@@ -1,7 +1,7 @@
-"""Versions, threads, where kernels are kept, and a self-test: ``mmwave-loc --version --json``.
+"""Versions, threads, cached kernels and a self-test: ``mmwave-loc --version --json``.
 
 Kernels are compiled on the machine that runs them, by its own version of the compiler. The
-self-test holds what came out beside the same equations on Python's floats.
+self-test compares the results of kernels with those of the same equations on Python's floats.
 """
 
 import os
@@ -26,16 +26,16 @@ from mmwave_env.reward import TrackingReward
 from mmwave_env.task import Task, task_from
 from mmwave_env.world.episode import EpisodeBatch
 
-TOLERANCE = 1e-6  # relative; sound kernels are within 1e-9
-_KEYS = np.arange(3, dtype=np.uint64)  # three episodes: a block of lanes that is not full
+TOLERANCE = 1e-6  # relative; correct kernels are within 1e-9
+_KEYS = np.arange(3, dtype=np.uint64)  # three episodes, which do not fill a block of lanes
 _EPOCHS = 25
 
 
 def about() -> dict[str, Any]:
-    """Everything, as JSON; compiles what is not kept yet, which takes about a minute of a core."""
+    """Return the report as JSON; compiling kernels not in the cache takes about a minute."""
     if not _has_avx():
         note("compiling for a processor without AVX takes ten times as long: many minutes")
-    with ended_by_the_system():  # the compiler is one long call, during which no Python runs
+    with ended_by_the_system():  # Python handles no signal during the long call of the compiler
         tests = self_test()
     return {
         "versions": versions(),
@@ -49,7 +49,7 @@ def about() -> dict[str, Any]:
 
 
 def _has_avx() -> bool:
-    """Whether kernels are compiled for vectors of four numbers: of two, most wait in memory."""
+    """Tell whether the processor has AVX, without which many numbers spill to memory."""
     if platform.machine().lower() not in ("x86_64", "amd64"):
         return True  # ARM has more registers instead
     name = numba.config.CPU_NAME
@@ -59,7 +59,7 @@ def _has_avx() -> bool:
 
 
 def self_test() -> list[dict[str, Any]]:
-    """Each kernel beside floats: its name, the largest deviation, and whether that is rounding."""
+    """Return the name, the largest deviation from floats and the verdict of every kernel."""
     shared, own = (task_from(episode_steps=_EPOCHS, beliefs=b) for b in ("shared", "per-mode"))
     episodes = EpisodeBatch.of(shared.simulated.episodes(_KEYS))
     on_floats = _stepped(own, episodes, on_floats=True)
@@ -79,13 +79,13 @@ def self_test() -> list[dict[str, Any]]:
 
 
 def _deviation(found: Array, expected: Array) -> float:
-    """The largest difference, relative to the size of the numbers in a column."""
+    """Return the largest difference, relative to the size of the numbers in a column."""
     size = np.maximum(np.abs(expected).max(axis=tuple(range(expected.ndim - 1))), 1.0)
     return float((np.abs(found - expected) / size).max())
 
 
 def _episodes(task: Task, episodes: EpisodeBatch) -> float:
-    """Epochs drawn by compiled code beside those of the same equations on floats."""
+    """Compare epochs drawn by compiled code with those of the same equations on floats."""
     source = task.simulated
     begun, world = source.begin(_KEYS), source.world
     settings, blank = source.feed(begun.worlds).settings[:, 0], np.zeros(world.ends[0])
@@ -101,7 +101,7 @@ def _episodes(task: Task, episodes: EpisodeBatch) -> float:
 
 
 def _stepped(task: Task, episodes: EpisodeBatch, on_floats: bool) -> Array:
-    """Beliefs (epochs, n, 7), where nobody acts but in the first mode, or trusts any."""
+    """Return beliefs (epochs, n, 7) under the first action in every epoch."""
     engine = Engine(
         task.pipeline, len(_KEYS), TrackingReward(), bank=task.bank, on_floats=on_floats
     )
@@ -114,7 +114,7 @@ def _stepped(task: Task, episodes: EpisodeBatch, on_floats: bool) -> Array:
 
 
 def _imm(task: Task, episodes: EpisodeBatch) -> Array:
-    """Beliefs (epochs, n, 7) of whole tracks in one call."""
+    """Return beliefs (epochs, n, 7) of whole tracks filtered by the IMM in one call."""
     bank = task.bank
     assert bank is not None
     imm = ImmEngine(task.pipeline, TrackingReward(), bank.transition, bank.nis_quantile)

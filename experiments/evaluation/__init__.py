@@ -1,1 +1,1 @@
-"""Contenders on the same episodes: who they are, how they are run, what is made of it."""
+"""Evaluation of contenders on the same episodes: selection, runs, statistics and tables."""

@@ -1,4 +1,4 @@
-"""Agents of one's own: functions from observations to actions, tried before an episode runs."""
+"""Agents of a user: functions from observations to actions, checked before an episode runs."""
 
 import importlib
 import os
@@ -22,7 +22,7 @@ TRIED = 3  # observations to try an agent on
 
 
 class _Function(Policy):
-    """A function of observations as a policy, which has nothing to forget."""
+    """A function of observations as a policy without memory."""
 
     def __init__(self, act: Act) -> None:
         self._act = act
@@ -32,7 +32,7 @@ class _Function(Policy):
 
 
 def is_agent(name: str) -> bool:
-    """Tell whether a name is that of a function in a module."""
+    """Tell whether a name has the form module:function."""
     return MODULE.fullmatch(name) is not None
 
 
@@ -40,15 +40,15 @@ def agent_from(name: str) -> Act:
     """Return the agent of ``module:function``.
 
     Args:
-        name: of a function without arguments, in a module on ``sys.path`` or in the current
-            folder, that returns the agent.
+        name: module on ``sys.path`` or in the current folder, and its function without
+            arguments that returns the agent.
 
     Raises:
-        ValueError: naming the module, and what is wrong with it.
+        ValueError: names the module, and says what is wrong with it.
     """
     module, _, path = name.partition(":")
     if os.getcwd() not in sys.path:
-        sys.path.append(os.getcwd())  # last: what is installed goes first
+        sys.path.append(os.getcwd())  # last, so that installed modules go first
     try:
         found: Any = importlib.import_module(module)
         for part in path.split("."):
@@ -62,15 +62,15 @@ def agent_from(name: str) -> Act:
 
 
 def tried(name: str, agent: Act, table: Observation) -> Policy:
-    """An agent as a policy, if it gives actions for observations of a table of features.
+    """Return an agent as a policy, once it gives actions for a few random observations.
 
     Args:
-        name: of the agent, for errors.
-        agent: what it is; its method ``reset(begins)``, if there is one, is called too.
-        table: what it is shown.
+        name: name of the agent, for errors.
+        agent: function to try; its method ``reset(begins)``, if there is one, is called too.
+        table: observation table that the agent works with.
 
     Raises:
-        ValueError: it is no function, fails, or returns no actions.
+        ValueError: the agent is no function, fails, or returns no actions.
     """
     if not callable(agent):
         raise ValueError(
@@ -93,20 +93,20 @@ def tried(name: str, agent: Act, table: Observation) -> Policy:
 
 
 def in_one_line(error: Exception) -> str:
-    """What somebody else's code raised."""
+    """Return the type and the first line of an exception of a user's code."""
     return f"{type(error).__name__}: {str(error).partition(chr(10))[0]}"
 
 
 def require_actions(name: str, found: Any, n: int, count: int) -> NDArray[np.integer[Any]]:
-    """Actions (n,) as an array.
+    """Return actions (n,) as an array; refuse anything else.
 
     Raises:
-        ValueError: they are not one of ``count`` actions, by its number, for each of n
-            observations.
+        ValueError: they are not n integers from 0 to ``count`` - 1, one for each
+            observation.
     """
     try:
         actions: NDArray[Any] = np.asarray(found)
-    except ValueError:  # parts of different shapes
+    except ValueError:  # the parts have different shapes
         raise ValueError(
             f"actions of {name}: found a {type(found).__name__} of parts that are no array, "
             f"expected ({n},) of integers; {OF_A_MODEL} ({GUIDE})"

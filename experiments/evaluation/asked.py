@@ -1,4 +1,4 @@
-"""Tasks, contenders and episodes, as the options of commands ask for them."""
+"""Tasks, contenders and episodes that options of a command ask for."""
 
 import warnings
 from collections.abc import Sequence
@@ -17,12 +17,12 @@ from mmwave_env.world.episode import EpisodeSource
 
 
 def all_contenders(args: ModeArgs) -> tuple[str, ...]:
-    """Names of all there are for the modes asked for."""
+    """Return the names of all contenders for the chosen modes."""
     return tuple(contenders(args.radio, args.modes or None))
 
 
 def contender_of(args: ModeArgs, name: str) -> Contender:
-    """One of them, or an agent by name or file; a warning where it has modes of its own."""
+    """Return a contender by name or file; warn where it ignores the chosen modes."""
     radio, modes = args.radio, args.modes or None
     found = contender_from(name, radio, modes, args.observation, args.beliefs)
     if modes and found.modes != bank_over(modes, radio).modes:
@@ -31,29 +31,29 @@ def contender_of(args: ModeArgs, name: str) -> Contender:
 
 
 def runs_of(args: EpisodeArgs, names: Sequence[str]) -> dict[str, Run]:
-    """Those of the names that are folders of runs."""
+    """Return the runs that some of the names are folders of."""
     known = all_contenders(args)
     return {n: Run.read(n) for n in names if n not in known and Path(n).is_dir()}
 
 
 def task_of(args: ModeArgs) -> Task:
-    """The task of an environment with the options of the same names."""
+    """Return the task of an environment whose arguments are the options of the same names."""
     return _task(args, args.modes or None, args.beliefs)
 
 
 def source_of(args: WorldArgs) -> EpisodeSource:
-    """Where episodes come from."""
-    # What filters them is not asked: of modes of its own nobody is told that they are not tuned.
+    """Return the source of the episodes that options describe."""
+    # A dummy mode, as filters do not matter here: it saves the warning about untuned modes.
     return _task(args, [Mode("none")]).source
 
 
 def selection_of(args: EpisodeArgs) -> Selection:
-    """Which episodes are asked for."""
+    """Return the episodes that options select."""
     return Selection.of(args.episodes, args.seed, USUAL_EPISODES)
 
 
 def world_arguments(args: WorldArgs) -> dict[str, Any]:
-    """The arguments of an environment that options of the same names give, but for its modes."""
+    """Return the environment's arguments that options of the same names give, but for modes."""
     names = {field.name for field in fields(TaskArguments)} - {"episodes", "modes", "beliefs"}
     given = {name: value for name, value in vars(args).items() if name in names}
     return given | {"episodes": args.data}

@@ -1,4 +1,4 @@
-"""Contenders over the posterior Cramer-Rao bound of the same episodes.
+"""Contenders relative to the posterior Cramer-Rao bound of the same episodes.
 
 Every kind of user (``Episode.name``) has the bound of its own motion, with the white-noise
 acceleration of its true velocities; mean squares are pooled over kinds, episodes and the
@@ -27,7 +27,7 @@ from mmwave_env.models.radio import Radio
 from mmwave_env.numerics.numbers import Array
 from mmwave_env.world.episode import Episode, EpisodeSource
 
-COLUMNS = {  # of tables
+COLUMNS = {  # headers of tables
     "rmse_m": "RMSE m",
     "over_averaged": "over averaged bound",
     "over_conditional": "over conditional bound",
@@ -36,7 +36,7 @@ COLUMNS = {  # of tables
 
 @dataclass(frozen=True)
 class Bounds:
-    """Bounds on the position error of a set of episodes."""
+    """Cramer-Rao bounds on the position error of a set of episodes."""
 
     averaged_m: float  # root mean square of the averaged bounds, m
     conditional_m: float  # root mean square of the bounds given each track, m
@@ -46,7 +46,7 @@ class Bounds:
 
 
 def bounds_of(episodes: Sequence[Episode], drift_mps: float) -> Bounds:
-    """The bounds of episodes whose oscillators drift by ``drift_mps``, (m/s) / sqrt(s)."""
+    """Compute bounds of episodes whose oscillators drift by ``drift_mps``, (m/s) / sqrt(s)."""
     kinds: dict[str, list[Episode]] = {}
     for episode in episodes:
         kinds.setdefault(episode.name, []).append(episode)
@@ -65,22 +65,22 @@ def bounds_of(episodes: Sequence[Episode], drift_mps: float) -> Bounds:
 
 
 def _mean_square(bound: Array) -> float:
-    """Of the position error over the epochs that count, from bounds (..., T, 7, 7), m^2."""
+    """Average the variance of the position over scored epochs of bounds (..., T, 7, 7), m^2."""
     return float(position_variance(bound)[..., scored(bound.shape[-3])].mean())
 
 
 @dataclass(frozen=True)
 class OverBound:
-    """Contenders measured in bounds."""
+    """RMSE of contenders in units of the bounds."""
 
-    bounds: Bounds  # of the episodes
-    # per contender its pooled RMSE ("rmse_m") and that over each bound ("over_averaged",
+    bounds: Bounds  # bounds of the episodes
+    # per contender its pooled RMSE ("rmse_m") and its ratio to each bound ("over_averaged",
     # "over_conditional"); intervals are over episodes, with the bounds held fixed
     policies: dict[str, dict[str, Interval]]
 
     @property
     def json(self) -> dict[str, Any]:
-        """As results files hold it."""
+        """Return bounds and ratios as results files hold them."""
         return asdict(self.bounds) | {
             "policies": {
                 name: {column: interval.json for column, interval in row.items()}
@@ -92,11 +92,11 @@ class OverBound:
 def over_bound(
     scores: Mapping[str, Scores], source: EpisodeSource, radio: Radio, selection: Selection
 ) -> OverBound:
-    """Contenders over the bounds of the episodes that their scores are from.
+    """Compare contenders with the bounds of the episodes that their scores are from.
 
     Args:
-        scores: per contender, of the episodes.
-        source, radio, selection: of the episodes.
+        scores: metrics of the episodes, by contender.
+        source, radio, selection: episodes that the scores are from.
     """
     squared = np.stack([np.square(s["rmse_m"]) for s in scores.values()], axis=1)
     # The episodes are drawn again rather than kept while all contenders run.
@@ -114,7 +114,7 @@ def over_bound(
 
 
 def bound_markdown(over: OverBound) -> str:
-    """Contenders over the bounds as Markdown, and what the bounds are."""
+    """Return ratios to the bounds as a Markdown table, with a note on the bounds."""
     b = over.bounds
     motion = "; ".join(
         f"{escaped(kind)} {sigma['horizontal']:.3g}, vertical {sigma['vertical']:.3g}"

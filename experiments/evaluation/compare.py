@@ -1,4 +1,4 @@
-"""Agents of one's own beside those that are known, in one call: :func:`compare`."""
+"""One call that compares agents of a user with known contenders: :func:`compare`."""
 
 import os
 import sys
@@ -25,7 +25,7 @@ USUAL_EPISODES = 200
 
 @contextmanager
 def _warnings_in_lines() -> Iterator[None]:
-    """Every warning is told once, in a line without the place in our code that it came from."""
+    """Print every warning once, in one line without the place in our code."""
     told: set[str] = set()
 
     def show(message: Warning | str, *_: Any, **__: Any) -> None:
@@ -58,34 +58,34 @@ def compare(
     beliefs: str = "shared",
     **world: Any,
 ) -> Comparison:
-    """Agents of one's own and known contenders on the same episodes.
+    """Compare agents of a user with known contenders on the same episodes.
 
     Args:
-        policies: agents by the name they get in the tables. Each is a function from
+        policies: agents by their name in the tables. An agent is a function from
             observations (n, features) float32, of ``n`` episodes at once, to actions (n,),
             integers; or whatever ``mmwave-loc compare --policies`` takes: a policy file,
-            "module:function", the folder of a run, a name. A function may have a method
+            "module:function", the folder of a run, or a name. A function may have a method
             ``reset(begins)`` (bool (n,): where an episode begins), and attributes ``modes``,
-            ``observation`` and ``beliefs``, which go before the arguments here.
+            ``observation`` and ``beliefs``, which override the arguments here.
         beside: names of contenders, see :func:`~experiments.evaluation.contenders.contenders`.
-        scenario, radio: as of the environment.
-        episodes: how many, 200 where none is given; 1000 or more to publish.
-        seed: of the first, 0 where none is given; test seeds start at 0 and belong to no training.
-        modes, observation, beliefs: what agents of one's own were trained with, as of the
-            environment. Policy files say it themselves; "imm" among the policies is over these
-            modes, with the transition and quantile of a bank or of a file that says them.
-        data: recorded or own episodes, as of the environment's ``episodes``.
+        scenario, radio: same as in the environment.
+        episodes: number of episodes, 200 by default; 1000 or more to publish.
+        seed: seed of the first episode, 0 by default; test seeds start at 0, outside training.
+        modes, observation, beliefs: settings that agents were trained with, as in the environment;
+            policy files hold their own. "imm" among the policies has these modes, with the
+            transition and quantile of a bank or of a file that has them.
+        data: recorded or own episodes, same as the environment's ``episodes``.
         world: further arguments of the environment: ``scene``, ``dt``, ``episode_steps``,
             ``planar``, ``odometry``, ``reward``.
 
     Returns:
-        The metrics of all, and their paired differences: of agents of one's own from everybody, of
-        those beside them as ``mmwave-loc compare`` shows them. ``print`` shows it as Markdown.
+        The metrics of all, and paired differences: a user's agents against everybody, known
+        contenders as in ``mmwave-loc compare``. ``print`` shows them as Markdown.
 
     Raises:
-        ValueError: no dict of policies, unknown scenario, radio or contender, a name twice, no
-            number of episodes, or an agent that can't be loaded, fails, or returns no actions:
-            before an episode runs.
+        ValueError: before an episode runs: no dict of policies, unknown scenario, radio or
+            contender, a name twice, no number of episodes, or an agent that fails to load, raises,
+            or returns no actions.
         FileNotFoundError: there is no such file.
     """
     if not isinstance(policies, Mapping):
@@ -118,13 +118,13 @@ def compare(
 
 
 def evaluate(policy: Agent, **where: Any) -> Comparison:
-    """One agent, or one known contender, alone.
+    """Evaluate one agent, or one known contender, alone.
 
     Args:
-        policy, where: as of :func:`compare`, which takes names beside it and shows differences.
+        policy, where: as in :func:`compare`, which also compares agents with known contenders.
 
     Returns:
-        Its metrics with 95 % intervals; ``print`` shows it as Markdown.
+        The metrics of the agent with 95 % intervals; ``print`` shows them as Markdown.
     """
     if isinstance(policy, (str, os.PathLike)):
         name = os.fspath(policy)

@@ -1,4 +1,4 @@
-"""Contenders compared: all saw the same episodes, so differences are paired."""
+"""Comparison of contenders on the same episodes, with paired differences."""
 
 import csv
 import io
@@ -21,19 +21,19 @@ from mmwave_env.world.episode import EpisodeSource
 
 @dataclass(frozen=True)
 class Comparison:
-    """Contenders on one source of episodes; its ``str`` is what they came to, as Markdown."""
+    """Results of contenders on one source of episodes; ``str`` gives them as Markdown."""
 
-    # scenario, radio, selection: what was run
+    # scenario, radio, selection: the episodes
     scenario: str
     radio: str
     selection: Selection
     policies: dict[str, dict[str, Interval]]  # per contender and metric
     paired: dict[str, dict[str, Interval]]  # the same for differences "A - B", episode by episode
-    reward: str = "tracking"  # that the column of this name shows
+    reward: str = "tracking"  # kind of reward in the column "reward"
 
     @property
     def json(self) -> dict[str, Any]:
-        """As results files hold it."""
+        """Return the comparison as results files hold it."""
 
         def table(rows: dict[str, dict[str, Interval]]) -> dict[str, Any]:
             return {k: {m: i.json for m, i in row.items()} for k, row in rows.items()}
@@ -45,10 +45,10 @@ class Comparison:
 
     @classmethod
     def from_json(cls, content: Mapping[str, Any]) -> "Comparison":
-        """The one that a results file holds, best reward first.
+        """Return the comparison in a results file, best reward first.
 
         Raises:
-            KeyError, TypeError, ValueError, AttributeError: it holds none.
+            KeyError, TypeError, ValueError, AttributeError: the file holds no comparison.
         """
 
         def table(key: str) -> dict[str, dict[str, Interval]]:
@@ -61,7 +61,7 @@ class Comparison:
         return cls(*what, dict(policies), table("paired"))
 
     def margin(self, one: str, other: str) -> Interval | None:
-        """The reward of one minus that of the other, or None where they are no pair."""
+        """Return the reward of one policy minus that of another; None where they are not paired."""
         if pair := self.paired.get(f"{one} - {other}"):
             return pair["reward"]
         if pair := self.paired.get(f"{other} - {one}"):
@@ -70,8 +70,8 @@ class Comparison:
         return None
 
     def __str__(self) -> str:
-        """Every policy with 95 % half-widths, then the paired differences of the reward."""
-        # Rewards of different kinds are not to be compared.
+        """Return every policy with 95 % half-widths, then the paired differences of the reward."""
+        # Rewards of different kinds must not be compared.
         reward = "" if self.reward == "tracking" else f", reward {escaped(self.reward)}"
         parts = [f"### {escaped(self.scenario)}, {escaped(self.radio)}, {self.selection}{reward}\n"]
         parts.append(self._policies_table())
@@ -89,14 +89,14 @@ class Comparison:
 
     @property
     def terms(self) -> str:
-        """What error and NEES cost everybody in the tracking reward, as Markdown."""
+        """Return the error term and the NEES term of the tracking reward of all, as Markdown."""
         rows = [[name, *(rounded(row[t]) for t in TERMS)] for name, row in self.policies.items()]
         header = ["policy", *(HEADERS[term] for term in TERMS)]
         about = "The terms of the tracking reward, which is minus their sum:"
         return f"\n{about}\n\n{grid(header, rows)}\n"
 
     def _paired_table(self) -> str:
-        """Each policy minus the references."""
+        """Return a table of each policy minus the references."""
         everybody = self.policies  # names may hold " - "
         subtracted = {f"{one} - {other}": other for one in everybody for other in everybody}
         references = list(dict.fromkeys(subtracted[pair] for pair in self.paired))
@@ -111,13 +111,13 @@ class Comparison:
 
 
 def episodes_csv(scores: dict[str, Scores], selection: Selection, source: EpisodeSource) -> str:
-    """Every metric of every contender and episode as CSV, a row each.
+    """Return every metric of every contender and episode as CSV, a row each.
 
-    An episode shows its key, too, where it has one.
+    A row also has the key of its episode, where there is one.
 
     Args:
-        scores: of :func:`~experiments.evaluation.runner.score_contenders`.
-        selection, source: of the episodes.
+        scores: result of :func:`~experiments.evaluation.runner.score_contenders`.
+        selection, source: episodes that the scores are from.
     """
     table = io.StringIO()
     rows = csv.writer(table, lineterminator="\n")
@@ -132,21 +132,21 @@ def episodes_csv(scores: dict[str, Scores], selection: Selection, source: Episod
 
 
 def references(scores: dict[str, Scores]) -> list[str]:
-    """What others are compared with: best fixed mode by reward, the paper's rule, the IMMs."""
+    """Name the contenders to compare with: best fixed mode by reward, paper's rule, the IMMs."""
     fixed = [name for name in scores if name.startswith("fixed-")]
     best = max(fixed, key=lambda name: scores[name]["reward"].mean(), default=None)
     return [n for n in (best, "speed-rule", "imm", "imm-best") if n is not None and n in scores]
 
 
 def compare_scores(scores: dict[str, Scores], own: Sequence[str] = (), **what: Any) -> Comparison:
-    """Intervals of every contender, and paired differences against the references.
+    """Compute intervals of every contender, and paired differences against the references.
 
-    Where no reference is among them, everybody is paired with everybody.
+    Without any reference among the contenders, everybody is paired with everybody.
 
     Args:
-        scores: of :func:`~experiments.evaluation.runner.score_contenders`.
-        own: a user's contenders, which are compared with everybody, each other, too.
-        what: the other attributes of :class:`Comparison`.
+        scores: result of :func:`~experiments.evaluation.runner.score_contenders`.
+        own: a user's contenders, which are paired with everybody, also with each other.
+        what: remaining attributes of :class:`Comparison`.
     """
     metrics = [*METRICS, *TERMS]
 

@@ -1,4 +1,4 @@
-"""Contenders: a policy with the modes it chooses from, or an IMM; all that have a name."""
+"""Contenders: policies with the modes that they choose from, and IMMs, by name."""
 
 import os
 from collections.abc import Callable
@@ -33,26 +33,26 @@ from policies import (
     shipped_policies,
 )
 
-BEST_IMM = "imm-best"  # the IMM over best_bank
+BEST_IMM = "imm-best"  # the IMM with the modes of best_bank
 OTHERS = ("a .safetensors file", "the folder of a run", "module:function")
-# Learned contenders, where a policy of the radio (NAME-RADIO) or one for all (NAME) is shipped
+# Learned contenders, with a shipped policy for the radio (NAME-RADIO) or for all radios (NAME)
 SHIPPED = ("ppo", "guided", "guided-ppo")
 
 
 @dataclass(frozen=True)
 class Contender:
-    """Something that localizes.
+    """A policy with its modes, or an IMM.
 
     Attributes:
-        name: as on the command line and in results.
-        modes: what it works with.
-        policy: from the observation table to a policy; None for the IMM over the modes.
-        transition, nis_quantile: as of :class:`~mmwave_env.filters.bank.Bank`, of an IMM and where
-            every mode keeps its own belief.
-        observation: what the policy sees, "full" or "prior".
-        beliefs: of the modes that the policy chooses from, "shared" or "per-mode".
-        bank_of: from a radio profile to the bank that the policy has for it; None where it works
-            with the same modes everywhere.
+        name: name on the command line and in results.
+        modes: filter modes to choose from or to mix.
+        policy: function from the observation table to a policy; None for the IMM over the modes.
+        transition, nis_quantile: same as in :class:`~mmwave_env.filters.bank.Bank`, for an IMM and
+            where every mode keeps its own belief.
+        observation: observation of the policy, "full" or "prior".
+        beliefs: beliefs of the modes, "shared" or "per-mode".
+        bank_of: function from a radio profile to the policy's bank for that radio; None for a
+            policy that has the same modes everywhere.
     """
 
     name: str
@@ -68,12 +68,12 @@ class Contender:
     def learned(
         cls, path: str | os.PathLike[str], name: str | None = None, radio: str = "handset"
     ) -> "Contender":
-        """The switcher of a policy file, or a shipped one by its name.
+        """Return the switcher of a policy file, or a shipped switcher by its name.
 
         Args:
-            path: as of :class:`~policies.LearnedSwitch`.
-            name: in results; None for the path.
-            radio: profile, of which it takes the bank if it has several.
+            path: policy file or name, as in :class:`~policies.LearnedSwitch`.
+            name: name in results; None for the path.
+            radio: profile that selects the bank of a switcher with several banks.
         """
         switch = LearnedSwitch(path)
         found = cls(
@@ -96,22 +96,22 @@ class Contender:
         observation: str = "full",
         beliefs: str = "shared",
     ) -> "Contender":
-        """An agent of one's own.
+        """Return a contender for an agent of a user.
 
-        Its attributes ``modes``, ``observation`` and ``beliefs`` go first, and where it has several
-        banks its method ``bank(radio)``.
+        The agent's attributes ``modes``, ``observation`` and ``beliefs`` override the arguments, as
+        does its method ``bank(radio)`` where beliefs are "per-mode".
 
         Args:
-            name: in results.
-            agent: from observations (n, features) to actions (n,); see
+            name: name in results.
+            agent: function from observations (n, features) to actions (n,); see
                 :func:`~experiments.evaluation.agents.tried`.
-            radio: profile.
-            modes: that it chooses from, as of ``MmWaveLoc-v0``; None for the profile's own.
-            observation: what it sees, "full" or "prior".
-            beliefs: of the modes, "shared" or "per-mode".
+            radio: radio profile.
+            modes: modes to choose from, as in ``MmWaveLoc-v0``; None for the profile's own.
+            observation: observation of the agent, "full" or "prior".
+            beliefs: beliefs of the modes, "shared" or "per-mode".
 
         Raises:
-            ValueError: modes or beliefs that there are not; the message says what there is.
+            ValueError: unknown modes or beliefs; the message lists the valid ones.
         """
         beliefs, modes = getattr(agent, "beliefs", beliefs), getattr(agent, "modes", modes)
         bank_of = getattr(agent, "bank", None) if beliefs == "per-mode" else None
@@ -127,7 +127,7 @@ class Contender:
         return found._over(bank) if bank else found
 
     def at(self, radio: str) -> "Contender":
-        """The same with a radio: with the bank it has for it, if it has several."""
+        """Return the contender with its bank for a radio, if it has several banks."""
         return self._over(self.bank_of(radio)) if self.bank_of else self
 
     def _over(self, bank: Bank) -> "Contender":
@@ -137,18 +137,18 @@ class Contender:
 
     @property
     def bank(self) -> Bank | None:
-        """Of its modes, where each keeps its own belief and a policy chooses; else None."""
+        """Return the bank that a policy chooses from; None where modes share a belief."""
         if self.beliefs == "shared":
             return None
         return Bank(self.modes, self.transition, self.nis_quantile)
 
     @property
     def actions(self) -> list[str]:
-        """What its policy chooses from."""
+        """Return the names of the actions that the policy chooses from."""
         return action_names(self.modes, self.beliefs)
 
     def start(self, layout: Layout, planar: bool = False) -> Policy | None:
-        """A new policy for measurements of a layout; None for the IMM."""
+        """Return a new policy for measurements of a layout; None for the IMM."""
         pipeline = Pipeline(self.modes, layout, planar)
         table = Observation(pipeline, self.observation, self.beliefs)
         return self.policy and self.policy(table)
@@ -167,16 +167,16 @@ def _imm(name: str, bank_of: Callable[[], Bank]) -> Contender:
 
 
 def imm_banks(radio: str) -> dict[str, Callable[[], Bank]]:
-    """How to get the bank of every IMM there is, by name; nothing is read from files before.
+    """Return a function for the bank of every IMM, by name; files are read when it is called.
 
     Args:
-        radio: profile, a name or a JSON file.
+        radio: radio profile, a name or a JSON file.
     """
     return {"imm": lambda: Bank(default_modes(radio)), BEST_IMM: lambda: best_bank(radio)}
 
 
 def shipped_for(radio: str) -> dict[str, str]:
-    """Names of shipped policy files, by what they are called as contenders with a radio profile."""
+    """Map names of learned contenders with a radio profile to shipped policy files."""
     shipped, radio = shipped_policies(), radio_from(radio).base
     of_radio = {name: f"{name}-{radio}" for name in SHIPPED}
     found = {name: file if file in shipped else name for name, file in of_radio.items()}
@@ -184,7 +184,7 @@ def shipped_for(radio: str) -> dict[str, str]:
 
 
 def _of_any_modes(bank: Bank) -> dict[str, Make]:
-    """What works with any modes: each of them alone, rules and the IMM."""
+    """Return the contenders that any modes allow: each mode alone, rules and the IMM."""
     modes = bank.modes
     names = [mode.name for mode in modes]
     found: dict[str, Make] = {
@@ -200,14 +200,14 @@ def _of_any_modes(bank: Bank) -> dict[str, Make]:
 
 
 def contenders(radio: str, modes: Modes = None) -> dict[str, Make]:
-    """How to make every contender there is, by name; nothing is read from files before.
+    """Return a function that makes every contender, by name; files are read when it is called.
 
     Args:
-        radio: profile, a name or a JSON file.
-        modes: what they work with, as of ``MmWaveLoc-v0``; the IMM over a bank, or over a mode
-            file that says them, has its transition and quantile. None for the profile's two, beside
-            which the profile has the CKF, the IMM over the best bank, and the learned switchers
-            that are shipped for it.
+        radio: radio profile, a name or a JSON file.
+        modes: modes of the contenders, as in ``MmWaveLoc-v0``; the IMM has the transition and
+            quantile of a bank or mode file that states them. None stands for the profile's two
+            modes, and adds its CKF, the IMM over its best bank, and the learned switchers that are
+            shipped for it.
     """
     if modes is not None:
         return _of_any_modes(bank_over(modes, radio))
@@ -227,18 +227,18 @@ def contender_from(
     observation: str = "full",
     beliefs: str = "shared",
 ) -> Contender:
-    """A contender by name; see :func:`contenders`.
+    """Return a contender by name; see :func:`contenders`.
 
     Args:
-        name: one of them, a shipped policy's, a policy file (``.safetensors``), the folder of a
-            run, which stands for its median training, or what
-            :func:`~experiments.evaluation.agents.agent_from` takes.
-        radio, modes: as of :func:`contenders`.
-        observation, beliefs: of agents of one's own, as of :meth:`Contender.own`.
+        name: name of a contender or shipped policy, a policy file (``.safetensors``), the folder
+            of a run, which stands for its median training, or module:function, as in
+            :func:`~experiments.evaluation.agents.agent_from`.
+        radio, modes: same as in :func:`contenders`.
+        observation, beliefs: settings of a user's agent, as in :meth:`Contender.own`.
 
     Raises:
-        ValueError: unknown name; the message lists the valid ones. A damaged policy file, or
-            an agent that can't be had.
+        ValueError: unknown name, with the valid names in the message; a damaged policy file; or
+            an agent that can't be loaded.
         FileNotFoundError: there is no such file.
     """
     known, shipped = contenders(radio, modes), shipped_policies()
@@ -260,13 +260,13 @@ def contender_from(
     stem = name.removesuffix(".py")
     module = f"; {Path(stem).name}:FUNCTION names an agent in a module ({GUIDE})"
     hint = module if Path(f"{stem}.py").is_file() else ""
-    # Shipped for all radios, a policy is among those known, too.
+    # A policy shipped for all radios is in both lists.
     everything = dict.fromkeys([*known, *shipped, *OTHERS])
     raise ValueError(_of_other_radios(name, radio) or unknown("policy", name, everything) + hint)
 
 
 def _of_other_radios(name: str, radio: str) -> str | None:
-    """The message about a learned contender that a radio, or modes given, do not have."""
+    """Return the message about a learned contender of other radios; None if it is unknown."""
     files = {f"{name}-{other}": other for other in RADIOS}
     trained = {file: other for file, other in files.items() if file in shipped_policies()}
     if name not in SHIPPED or not trained:

@@ -1,4 +1,4 @@
-"""How well any filter can do: the posterior Cramer-Rao bound of a track.
+"""Posterior Cramer-Rao bound of a track: the least error that any filter can reach.
 
 With linear motion x_{k+1} = F x_k + w, w ~ N(0, Q), and Gaussian measurement noise R, the
 recursion of Tichavsky, Muravchik and Nehorai 1998 for the information J of the state,
@@ -17,14 +17,14 @@ singular Q is allowed. H is taken at the true states, and a missing group has no
 of Hernandez, Ristic, Farina and Timmoneri 2004). No filter that knows Q beats it in the mean
 over those tracks. *Conditional bound*: the same recursion with one track's own information
 and nothing averaged, the covariance of an EKF that linearizes at the truth. Its mean is never
-below the averaged bound (Jensen: J^-1 is convex in the informations), and says more where
+below the averaged bound (Jensen: J^-1 is convex in the informations), and is more telling where
 information varies along the streets; but given the track it is a benchmark, not a strict bound.
 
-Both hold for tracks that move as F and Q say. Real users do not: with the Q of
-:func:`measured_motion` it is the bound of a Gaussian model with the same second moments, not
-a strict one for real maneuvers. Sigmas and detections count as given: what they tell about the
-position by depending on it is not counted (filters do not use it). The biases of blockage
-and multipath are not in it.
+Both bounds hold for tracks that follow F and Q. Real users do not: with the Q of
+:func:`measured_motion` the bound is that of a Gaussian model with the same second moments, not
+a strict bound for real maneuvers. Sigmas and detections are taken as given: they depend on the
+position, but that information is not counted (filters do not use it). The biases of blockage
+and multipath are left out.
 """
 
 from collections.abc import Sequence
@@ -39,26 +39,26 @@ from mmwave_env.world.episode import Episode
 
 
 class Motion(NamedTuple):
-    """Constant velocity but for white-noise acceleration, as variances per second."""
+    """Constant velocity with white-noise acceleration, as variances per second."""
 
     position: Sequence[float]  # (3,) of extra position noise, m^2 / s
     velocity: Sequence[float]  # (3,) (m/s)^2 / s
-    bias: float  # of the oscillator, Hz^2 / s
+    bias: float  # oscillator bias, Hz^2 / s
 
     def noise(self, dt: float) -> ProcessNoise:
-        """Q of a step of ``dt`` seconds, velocity and position coupled."""
+        """Return Q of a step of ``dt`` seconds, with velocity and position coupled."""
         return white_noise_acceleration(self.position, self.velocity, self.bias, dt, 1.0)
 
 
 def measured_motion(episodes: Sequence[Episode], drift_mps: float) -> Motion:
-    """The motion with the second moments of true velocity increments.
+    """Return the motion with the second moments of true velocity increments.
 
-    Per axis the mean square increment per second, horizontal axes pooled. On flat ground the
-    vertical one is zero, and zero it stays, although filters assume some: they could know
-    (``planar=True``), and a bound must not lie above what that filter reaches.
+    The variance of an axis is its mean square increment per second, horizontal axes pooled. On flat
+    ground the vertical variance is zero, although filters assume a positive value: a filter may
+    know the height (``planar=True``), and a bound must not lie above that filter's error.
 
     Args:
-        episodes: with truth.
+        episodes: episodes with truth.
         drift_mps: random walk of the oscillator, (m/s) / sqrt(s).
     """
     squares, elapsed, drift = np.zeros(3), 0.0, 0.0
@@ -73,12 +73,12 @@ def measured_motion(episodes: Sequence[Episode], drift_mps: float) -> Motion:
 
 
 def information(episode: Episode) -> Array:
-    """What each epoch tells about the state: H' R^-1 H (T, 7, 7), zero where all is missing.
+    """Compute H' R^-1 H (T, 7, 7) of each epoch, zero where all measurements are missing.
 
     H has units of z (m, rad, Hz, m/s) over those of the state (m, m/s, Hz).
     """
     (position, velocity), T = _truth(episode), len(episode)
-    state = [*position.T, *velocity.T, np.zeros(T)]  # no h is curved in the oscillator bias
+    state = [*position.T, *velocity.T, np.zeros(T)]  # h is linear in the oscillator bias
     keep = np.repeat(episode.usable, episode.layout.widths, axis=1)
     sigma = np.where(keep, episode.sigma, 1.0)
     measurement = Measurement(
@@ -101,15 +101,15 @@ def information(episode: Episode) -> Array:
 
 
 def recursion(prior: Array, time_s: Array, told: Array, motion: Motion) -> Array:
-    """Bounds (..., T, 7, 7) on the covariance of the state after each epoch.
+    """Compute bounds (..., T, 7, 7) on the covariance of the state after each epoch.
 
     P+ = F P F' + Q, then P = (P+^-1 + I)^-1 = (1 + P+ I)^-1 P+ with the epoch's information I.
 
     Args:
         prior: (7, 7) covariance P0 at the first epoch, before its measurement.
-        time_s: (T,).
+        time_s: (T,) times of the epochs.
         told: (..., T, 7, 7) information of each epoch, of any number of tracks at once.
-        motion: gives Q.
+        motion: motion model that gives Q.
     """
     bound, identity = np.empty_like(told), np.eye(STATE_SIZE)
     P = np.broadcast_to(prior, told[..., 0, :, :].shape)
@@ -120,13 +120,13 @@ def recursion(prior: Array, time_s: Array, told: Array, motion: Motion) -> Array
         updated = np.linalg.solve(identity + predicted @ told[..., k, :, :], predicted)
         bound[..., k, :, :] = 0.5 * (
             updated + np.swapaxes(updated, -1, -2)
-        )  # or rounding would grow
+        )  # rounding errors would grow otherwise
         P = bound[..., k, :, :]
     return bound
 
 
 def averaged_bound(episodes: Sequence[Episode], motion: Motion) -> Array:
-    """The bound (T, 7, 7) on mean square errors over episodes drawn alike.
+    """Compute the bound (T, 7, 7) on mean square errors over episodes drawn alike.
 
     Raises:
         ValueError: no episode, one without truth, or different steps or priors.
@@ -137,10 +137,10 @@ def averaged_bound(episodes: Sequence[Episode], motion: Motion) -> Array:
 
 
 def conditional_bounds(episodes: Sequence[Episode], motion: Motion) -> Array:
-    """The bound (N, T, 7, 7) given each episode's own track, sigmas and detections.
+    """Compute the bounds (N, T, 7, 7) given each episode's track, sigmas and detections.
 
     Raises:
-        ValueError: as :func:`averaged_bound`.
+        ValueError: same cases as in :func:`averaged_bound`.
     """
     first = _alike(episodes)
     told = np.array([information(episode) for episode in episodes])
@@ -148,19 +148,19 @@ def conditional_bounds(episodes: Sequence[Episode], motion: Motion) -> Array:
 
 
 def position_variance(bound: Array) -> Array:
-    """The part (...,) of bounds (..., 7, 7) on the square of the position error, m^2."""
+    """Sum the position's diagonal entries (...,) of covariances (..., 7, 7), m^2."""
     return np.einsum("...ii->...", bound[..., :3, :3])  # type: ignore[no-any-return]
 
 
 def _truth(episode: Episode) -> tuple[Array, Array]:
-    """True positions and velocities (T, 3)."""
+    """Return true positions and velocities (T, 3)."""
     episode.require_truth()
     assert episode.truth_position_m is not None and episode.truth_velocity_mps is not None
     return episode.truth_position_m, episode.truth_velocity_mps
 
 
 def _alike(episodes: Sequence[Episode]) -> Episode:
-    """The first episode, once all have its steps and prior covariance."""
+    """Return the first episode, once all have its steps and prior covariance."""
     if not episodes:
         raise ValueError("episodes: found none, expected at least one")
     first = episodes[0]

@@ -11,10 +11,10 @@ from mmwave_env.files import read_json
 
 
 def read_entry(path: Path) -> dict[str, Any]:
-    """An entry as :func:`~experiments.evaluation.protocol.entry` made it.
+    """Read an entry that :func:`~experiments.evaluation.protocol.entry` made.
 
     Raises:
-        ValueError: naming the file and what is wrong in it.
+        ValueError: names the file and says what is wrong in it.
     """
 
     def checked(found: dict[str, Any]) -> dict[str, Any]:
@@ -28,10 +28,10 @@ def read_entry(path: Path) -> dict[str, Any]:
 
 
 def require_entry(found: Mapping[str, Any]) -> None:
-    """Refuse an entry that tables can't be made of.
+    """Refuse an entry that lacks what tables need.
 
     Raises:
-        ValueError, KeyError, TypeError, AttributeError: what is wrong in it.
+        ValueError, KeyError, TypeError, AttributeError: the entry is not complete.
     """
     missing = [venue.name for venue in venues() if venue.name not in found["venues"]]
     if missing:
@@ -41,7 +41,7 @@ def require_entry(found: Mapping[str, Any]) -> None:
 
 
 def _episodes(one: Mapping[str, Any]) -> tuple[int, int]:
-    """The fewest in a simulated venue and on a recording."""
+    """Return the fewest episodes in a simulated venue and on a recording."""
     simulated, recorded = (
         min(v["episodes"] for v in one["venues"].values() if (v["kind"] == RECORDED) == of_those)
         for of_those in (False, True)
@@ -50,13 +50,13 @@ def _episodes(one: Mapping[str, Any]) -> tuple[int, int]:
 
 
 def ranking(entries: Sequence[Mapping[str, Any]], episodes: int, draws: int) -> Table:
-    """All entries, best first by their mean gain in the places to train in.
+    """Rank all entries by their mean gain in the venues to train in.
 
-    Those of too few episodes come last, and are marked: luck would rank them.
+    Entries with too few episodes come last and are marked, as luck would decide their rank.
 
     Args:
-        entries: in any order.
-        episodes, draws: that the protocol asks for, on each simulated street and each recording.
+        entries: entries in any order.
+        episodes, draws: numbers that the protocol requires in a simulated venue and on a recording.
     """
 
     def short(one: Mapping[str, Any]) -> bool:
@@ -80,10 +80,10 @@ def ranking(entries: Sequence[Mapping[str, Any]], episodes: int, draws: int) -> 
 
 
 def by_venue(entries: Sequence[Mapping[str, Any]]) -> Table:
-    """The reward of entries minus that of the best IMM of each venue, whichever it is there.
+    """Return the reward of entries minus that of the best IMM of each venue.
 
-    Files, such as the single trainings of a run, and the IMMs themselves have their row in the
-    ranking alone, where there are other entries.
+    Files, such as the single trainings of a run, and the IMMs are left out where there are other
+    entries; the ranking has them.
     """
     named = [one for one in entries if "/" not in one["entry"]]
     entries = [one for one in named if not one["entry"].startswith("imm")] or named or entries

@@ -1,4 +1,4 @@
-"""Errors and NEES of contenders epoch by epoch, for pictures."""
+"""Errors and NEES of contenders in every epoch, for pictures."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -14,15 +14,15 @@ from mmwave_env.world.episode import Episode
 
 @dataclass
 class EpochErrors:
-    """What contenders told of all epochs that count, of episodes of one length."""
+    """Errors and NEES of contenders in all scored epochs of episodes of one length."""
 
-    names: Mapping[str, str]  # in figures, by contender; of others nothing is taken
+    names: Mapping[str, str]  # name in figures, by contender; other contenders are skipped
     time_s: Array = field(default_factory=lambda: np.zeros(0))  # (T,) since the first epoch
     _errors: dict[str, list[Array]] = field(default_factory=dict)
     _nees: dict[str, list[Array]] = field(default_factory=dict)
 
     def add(self, contender: Contender, episodes: Sequence[Episode], told: EpochResults) -> None:
-        """Take what a contender told of episodes."""
+        """Add the epoch results of a contender on some episodes."""
         if contender.name in self.names:
             name, counts = self.names[contender.name], scored(len(episodes[0]))
             self.time_s = (episodes[0].time_s - episodes[0].time_s[0])[counts]
@@ -31,10 +31,10 @@ class EpochErrors:
 
     @property
     def errors_m(self) -> dict[str, Array]:
-        """Position errors (n, T, 3) by name, m."""
+        """Return position errors (n, T, 3) by name, m."""
         return {name: np.concatenate(parts) for name, parts in self._errors.items()}
 
     @property
     def nees(self) -> dict[str, Array]:
-        """NEES (n, T) by name."""
+        """Return NEES (n, T) by name."""
         return {name: np.concatenate(parts) for name, parts in self._nees.items()}

@@ -1,4 +1,4 @@
-"""Evaluations epoch by epoch, as a Parquet table for other programs (extra ``data``)."""
+"""Parquet table of every epoch of an evaluation, for other programs (extra ``data``)."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -24,8 +24,8 @@ from mmwave_env.models.measurement import Layout
 from mmwave_env.numerics.numbers import Array
 from mmwave_env.world.episode import Episode, EpisodeSource
 
-PARTS = ("x", "P", "memory.mode", "memory.nis", "memory.accepted")  # of the state, for its columns
-COLUMNS = {  # name: type of pyarrow, and what it is
+PARTS = ("x", "P", "memory.mode", "memory.nis", "memory.accepted")  # of the state, for columns
+COLUMNS = {  # name: pyarrow's type, and meaning
     "policy": ("string", "name"),
     "seed": ("int64", "of the episode"),
     "key": ("uint64", "of the episode; null of recorded ones"),
@@ -47,7 +47,7 @@ COLUMNS = {  # name: type of pyarrow, and what it is
     "vertical_level_m": ("float64", "the same; null where the height is known"),
     "nees": ("float64", "of the position"),
 }
-GROUP_COLUMNS = {  # of each group of measurements, behind its name: doppler_nis, say
+GROUP_COLUMNS = {  # per group of measurements, with its name in front, such as doppler_nis
     "nis": ("float64", "of the mode that ran; null where it was not measured"),
     "accepted": ("bool", "whether it passed its gate; null where it was not measured"),
 }
@@ -58,7 +58,7 @@ def require_parquet(path: Path) -> None:
     """Refuse a table that could not be written, before any work.
 
     Raises:
-        ValueError: it does not end with .parquet.
+        ValueError: the name does not end with .parquet.
         MissingExtraError: pyarrow is not installed.
         OSError: the file can't be written.
     """
@@ -77,13 +77,13 @@ def epochs_parquet(
     risk: float,
     planar: bool = False,
 ) -> Iterator[Watch]:
-    """A table that takes what contenders tell; at the end it takes its place.
+    """Yield a function that writes the epochs of contenders; the finished table is moved to path.
 
     Args:
-        path: of the table, which is written as it comes, a chunk of episodes at a time.
-        names: as policies, by contender; of others nothing is taken.
-        selection, source: of the episodes.
-        risk: of protection levels.
+        path: file of the table, which is written one chunk of episodes at a time.
+        names: names in the column "policy", by contender; other contenders are skipped.
+        selection, source: episodes that are played.
+        risk: integrity risk of protection levels.
         planar: whether the height is known.
     """
     from pyarrow.parquet import ParquetWriter
@@ -109,7 +109,7 @@ def epochs_parquet(
 
 
 def columns_of(layout: Layout) -> dict[str, tuple[str, str]]:
-    """Type and meaning of all columns, by name, where measurements have a layout."""
+    """Return the type and meaning of all columns, by name, for a layout of measurements."""
     of_groups = {
         f"{name}_{what}": column
         for name in _group_names(layout)
@@ -134,7 +134,7 @@ def _schema(source: EpisodeSource, risk: float) -> Any:
 
 
 def _table(columns: Mapping[str, Any], schema: Any) -> Any:
-    """Of columns that spread to (n, T), null where they are masked."""
+    """Make a table of columns that broadcast to (n, T), null where they are masked."""
     import pyarrow
 
     def column(field: Any) -> Any:
@@ -147,7 +147,7 @@ def _table(columns: Mapping[str, Any], schema: Any) -> Any:
 
 
 def _which(part: Selection, source: EpisodeSource, episodes: Sequence[Episode]) -> dict[str, Any]:
-    """Which epoch it is, of which episode."""
+    """Return the columns that identify the epoch and its episode."""
     epochs, keys = len(episodes[0]), part.keys(source)
     counts = np.zeros(epochs, bool)
     counts[scored(epochs)] = True
@@ -171,7 +171,7 @@ def _mode(contender: Contender, told: EpochResults) -> Any:
 def _positions(
     episodes: Sequence[Episode], told: EpochResults, risk: float, planar: bool
 ) -> dict[str, Any]:
-    """Where the user was, is believed to be, and how sure that is."""
+    """Return the columns of truth, estimate, errors, protection levels and NEES."""
     error, P = told["error"], told["P"]
     truth = np.stack([cast(Array, episode.truth_position_m) for episode in episodes])
     level = np.full(error.shape[:2], np.nan) if planar else vertical_level(P, risk)
@@ -189,7 +189,7 @@ def _positions(
 
 
 def _groups(episodes: Sequence[Episode], told: EpochResults) -> dict[str, Any]:
-    """What became of measurements."""
+    """Return the columns of NIS and gates of every measurement group."""
     missing = ~np.stack([episode.usable for episode in episodes])
     found = {"nis": told["memory.nis"], "accepted": told["memory.accepted"] > 0.5}
     return {

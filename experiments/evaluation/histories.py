@@ -1,4 +1,4 @@
-"""An episode as a contender goes through it, epoch by epoch, for pictures."""
+"""History of an episode filtered by a contender, epoch by epoch, for pictures."""
 
 import numpy as np
 from scipy.special import chdtri
@@ -19,14 +19,14 @@ def history_of(
     scoring: Scoring = PLAIN,
     streets: Streets | None = None,
 ) -> History:
-    """The prior, and what the contender makes of every epoch.
+    """Return the prior and the contender's results in every epoch.
 
     Args:
-        contender: its modes in the history are the actions of its policy, or the most probable
-            modes of an IMM; an IMM's gates are those of that mode, too.
-        episode: with or without a truth.
-        scoring: as of :func:`~experiments.evaluation.runner.run_contender`.
-        streets: of the episode; None where nobody knows them.
+        contender: policy, whose actions are the modes of the history, or IMM, whose most probable
+            mode of an epoch gives the mode and the gates.
+        episode: episode with or without a truth.
+        scoring: same as in :func:`~experiments.evaluation.runner.run_contender`.
+        streets: streets of the episode; None where they are unknown.
 
     Raises:
         ValueError: the policy fails, or the episode is planar and has no truth.
@@ -58,7 +58,7 @@ def history_of(
 
 
 def _nis_share(nis: Array, episode: Episode) -> Array:
-    """(T,) of NIS (T, groups): the largest, as a share of the quantile of its chi-square."""
+    """Return (T,) the largest NIS of (T, groups), as a share of its chi-square quantile."""
     rows = [group.stop - group.start for group in episode.layout.groups]
     share = nis / chdtri(np.array(rows), 1.0 - GATE)
     largest: Array = np.where(episode.usable, share, -np.inf).max(axis=1)
@@ -66,5 +66,5 @@ def _nis_share(nis: Array, episode: Episode) -> Array:
 
 
 def _after(prior: Array | float, epochs: Array) -> Array:
-    """Rows (T + 1, ...): the prior's, then those of the epochs (T, ...)."""
+    """Return rows (T + 1, ...): the prior's row, then the rows of the epochs (T, ...)."""
     return np.concatenate([np.asarray(prior)[None], epochs])

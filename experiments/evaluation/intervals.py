@@ -1,9 +1,9 @@
 """Means and their 95 % bootstrap intervals, over episodes and over training seeds.
 
-Scores of a training (seeds, episodes) are crossed: every seed meets the same episodes, every
+Scores of trainings (seeds, episodes) are crossed: every seed has the same episodes, every
 episode the same seeds. So both are resampled as wholes and independently (Owen 2007). The
 stratified bootstrap of rliable (Agarwal et al. 2021), where each run of each task is a
-training of its own, would take K policies on n episodes for K n of them.
+training of its own, would treat K policies on n episodes as K n independent trainings.
 """
 
 import math
@@ -19,13 +19,13 @@ from scipy.stats import norm, t
 from mmwave_env.numerics.numbers import Array
 
 RESAMPLES = 4000
-BLOCK = 100  # resamples at once: all of them would be large
-KEPT = 20_000  # episodes; resamples of more would be large as counts, too, and are not kept
+BLOCK = 100  # resamples at once, to bound the memory
+KEPT = 20_000  # episodes; resamples of more episodes are too large to keep
 
 
 @dataclass(frozen=True)
 class Interval:
-    """A mean with its 95 % bootstrap interval; one value has none, and its ends are NaN."""
+    """A mean with its 95 % bootstrap interval; the ends are NaN for a single value."""
 
     mean: float
     low: float
@@ -33,18 +33,18 @@ class Interval:
 
     @classmethod
     def of(cls, figures: Mapping[str, Any]) -> "Interval":
-        """The one that a results file holds."""
+        """Return the interval that a results file holds."""
         low, high = figures["ci95"] or (float("nan"), float("nan"))
         return cls(figures["mean"], low, high)
 
     @property
     def json(self) -> dict[str, Any]:
-        """As results files hold it."""
+        """Return the interval as results files hold it."""
         return {"mean": self.mean, "ci95": [self.low, self.high] if self.known else None}
 
     @property
     def known(self) -> bool:
-        """Whether there is an interval."""
+        """Tell whether the mean has an interval."""
         return not np.isnan(self.low)
 
     def __str__(self) -> str:
@@ -52,7 +52,7 @@ class Interval:
 
 
 def rounded(interval: Interval) -> str:
-    """Mean and half the width of the interval, to the digits that the interval supports."""
+    """Return mean and half the width of the interval, to the digits that the interval supports."""
     if not interval.known:
         return f"{interval.mean:.3f}"
     half = (interval.high - interval.low) / 2.0
@@ -62,7 +62,7 @@ def rounded(interval: Interval) -> str:
 
 @lru_cache(maxsize=2)
 def _resamples(n: int, seed: int) -> NDArray[np.uint16]:
-    """How often each of n episodes or seeds is drawn (resamples, n)."""
+    """Count how often each of n episodes or seeds is drawn (resamples, n)."""
     counts = np.empty((RESAMPLES, n), np.uint16)
     for first, rows in zip(range(0, RESAMPLES, BLOCK), _drawn(n, seed, BLOCK), strict=True):
         counts[first : first + BLOCK] = rows
@@ -70,7 +70,7 @@ def _resamples(n: int, seed: int) -> NDArray[np.uint16]:
 
 
 def _drawn(n: int, seed: int, rows: int) -> Iterator[NDArray[np.int64]]:
-    """The same, so many rows at a time: int64 of all of them would be large."""
+    """Yield the counts of resamples, a few rows at a time to bound the memory."""
     rng = np.random.default_rng(seed)
     for first in range(0, RESAMPLES, rows):
         size = min(rows, RESAMPLES - first)
@@ -78,7 +78,7 @@ def _drawn(n: int, seed: int, rows: int) -> Iterator[NDArray[np.int64]]:
 
 
 def _resampled_means(values: Array, seed: int) -> Array:
-    """Means (resamples, k) of columns (episodes, k), which share the resamples."""
+    """Return means (resamples, k) of columns (episodes, k), which share the resamples."""
     n = len(values)
     if n > KEPT:
         blocks: Iterable[Any] = _drawn(n, seed, max(1, BLOCK * KEPT // n))
@@ -88,7 +88,7 @@ def _resampled_means(values: Array, seed: int) -> Array:
 
 
 def bootstrap(values: Array, seed: int = 0) -> list[Interval]:
-    """Means of columns (episodes, k) with 95 % percentile intervals over episodes."""
+    """Return means of columns (episodes, k) with 95 % percentile intervals over episodes."""
     low = high = np.full(values.shape[1], np.nan)
     if len(values) > 1:
         low, high = np.percentile(_resampled_means(values, seed), [2.5, 97.5], axis=0)
@@ -97,9 +97,9 @@ def bootstrap(values: Array, seed: int = 0) -> list[Interval]:
 
 
 def bootstrap_ratio(over: Array, under: Array, seed: int = 0) -> list[Interval]:
-    """Ratios of means of columns over the same episodes, each (episodes, k).
+    """Return ratios of means of columns over the same episodes, each (episodes, k).
 
-    There is none where what is below has a mean of 0, and no interval where a resample has.
+    A ratio is NaN where the denominator has mean 0; its interval is, where a resample's has.
     """
 
     def ratios(means: Array) -> Array:
@@ -115,21 +115,21 @@ def bootstrap_ratio(over: Array, under: Array, seed: int = 0) -> list[Interval]:
 
 
 def few_seeds_factor(seeds: int) -> float:
-    """By how much a percentile interval over few seeds is too narrow.
+    """Return the factor by which a percentile interval over few seeds is too narrow.
 
     Resampling K of K seeds loses the factor sqrt((K - 1) / K), and percentiles take a t
     distribution for a normal one: of 5 seeds, 95 % would mean 85 % (Hesterberg 2015).
     """
     if seeds == 1:
-        return 1.0  # one seed says nothing of the others
+        return 1.0  # one seed tells nothing about the spread
     return float(np.sqrt(seeds / (seeds - 1.0)) * t.ppf(0.975, seeds - 1) / norm.ppf(0.975))
 
 
 def crossed_bootstrap(scores: Array, seed: int = 0) -> Interval:
-    """Mean of scores (seeds, episodes) with its 95 % interval over both.
+    """Return the mean of scores (seeds, episodes) with its 95 % interval over both.
 
-    The means of the seeds are moved apart by :func:`few_seeds_factor` before they are
-    resampled, which leaves alone the part of the interval that is due to episodes.
+    The means of the seeds are spread by :func:`few_seeds_factor` before they are resampled,
+    which does not change the part of the interval that is due to episodes.
     """
     K, n = scores.shape
     apart = scores.mean(axis=1, keepdims=True) - scores.mean()

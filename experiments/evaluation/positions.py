@@ -1,4 +1,4 @@
-"""Position errors of contenders as the field reports them: percentiles and protection levels."""
+"""Position errors of contenders: percentiles, shares within distances and protection levels."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -14,7 +14,7 @@ from mmwave_env.metrics import scored
 from mmwave_env.world.episode import Episode
 
 KINDS = ("horizontal", "vertical")
-PARTS = ("P",)  # of the state, that are needed after every epoch
+PARTS = ("P",)  # entries of the state that are needed after every epoch
 HEADER = (
     *(f"{100.0 * share:.0f} % m" for share in SHARES),
     *(f"within {limit:g} m" for limit in DISTANCES_M),
@@ -25,13 +25,13 @@ HEADER = (
 
 @dataclass
 class Positions:
-    """Errors of all epochs that count, with protection levels.
+    """Position errors of all scored epochs, with protection levels.
 
     Attributes:
-        names: in figures, by contender; of others nothing is taken.
-        risk: of the levels.
+        names: names in figures, by contender; other contenders are skipped.
+        risk: integrity risk of the levels.
         planar: whether the height is known.
-        errors: by the name in figures.
+        errors: position errors by the name in figures.
     """
 
     names: Mapping[str, str]
@@ -40,25 +40,25 @@ class Positions:
     errors: dict[str, PositionErrors] = field(default_factory=dict)
 
     def add(self, contender: Contender, episodes: Sequence[Episode], told: EpochResults) -> None:
-        """Take what a contender told of episodes, :data:`PARTS` among it."""
+        """Add a contender's epoch results on some episodes, which include :data:`PARTS`."""
         if contender.name in self.names:
             name, counts = self.names[contender.name], scored(len(episodes[0]))
             errors = self.errors.setdefault(name, PositionErrors(self.risk, self.planar))
             errors.add(told["error"][:, counts], told["P"][:, counts])
 
     def figures(self) -> dict[str, Any]:
-        """As results files hold them."""
+        """Return errors and levels as results files hold them."""
         policies = {name: errors.figures() for name, errors in self.errors.items()}
         return {"risk": self.risk, "policies": policies}
 
 
 def positions_markdown(what: str, rows: Mapping[str, Any], risk: float) -> str:
-    """A table of errors and protection levels, and what its last columns mean.
+    """Return a table of errors and protection levels, with a note on its last columns.
 
     Args:
-        what: the rows are of.
+        what: header of the names of the rows.
         rows: figures of :class:`~mmwave_env.localization.position_errors.PositionErrors` by name.
-        risk: of the levels.
+        risk: integrity risk of the levels.
     """
     cells = [
         [f"{name}, {kind}", *row_of(one)]
@@ -73,12 +73,12 @@ def positions_markdown(what: str, rows: Mapping[str, Any], risk: float) -> str:
 
 
 def kinds_of(row: Mapping[str, Any]) -> dict[str, Any]:
-    """Figures of each kind of error that there are, of a row with others."""
+    """Return the errors of each kind in a row of figures."""
     return {kind: row[kind] for kind in KINDS if kind in row}
 
 
 def row_of(figures: Mapping[str, Any]) -> list[str]:
-    """Cells of errors of one kind, under :data:`HEADER`."""
+    """Return cells of errors of one kind, under :data:`HEADER`."""
     return [
         *(meters(value) for value in figures["percentiles_m"].values()),
         *(percent(share) for share in figures["within_m"].values()),
@@ -88,7 +88,7 @@ def row_of(figures: Mapping[str, Any]) -> list[str]:
 
 
 def exceeded(figures: Mapping[str, Any]) -> str:
-    """How often levels were exceeded, with the interval."""
+    """Return the share of epochs whose error exceeds its level, with the interval."""
     if figures["share"] is None:
         return "-"
     low, high = (percent(end).removesuffix(" %") for end in figures["ci95"])
@@ -96,14 +96,14 @@ def exceeded(figures: Mapping[str, Any]) -> str:
 
 
 def meters(value: float | None) -> str:
-    """A distance to three digits, of large ones all before the point."""
+    """Format a distance to three digits, and a large distance to whole meters."""
     if value is None:
         return "-"
     return f"{value:#.3g}" if value < 99.95 else f"{value:.0f}"
 
 
 def percent(share: float | None) -> str:
-    """A share, small ones and those next to all to two digits."""
+    """Format a share as a percentage, to two digits where it is close to 0 or 1."""
     if share is None:
         return "-"
     rest = 100.0 * min(share, 1.0 - share)

@@ -1,6 +1,6 @@
-"""The benchmark's protocol: where everybody is judged, and what no training may see.
+"""The benchmark's protocol: the venues that judge contenders, some unseen in training.
 
-docs/benchmark.md explains it. An *entry* is a contender's figures in every place of the protocol.
+docs/benchmark.md explains it. An *entry* holds a contender's figures in every venue.
 """
 
 import warnings
@@ -26,24 +26,24 @@ TRAINED, UNSEEN_KIND, RECORDED = KINDS = ("to train in", "unseen", "recorded")
 UNSEEN_SCENES, UNSEEN_RADIOS = ("avenue", "plaza", "alley"), ("tablet",)
 UNSEEN = UNSEEN_SCENES + UNSEEN_RADIOS  # nothing is tuned or trained on them
 HEARD = ("handset", "standard")  # radios in unseen streets and on recordings
-# Of the published tables: recordings that come later are in docs/data.md.
-EPISODES, DRAWS = 2000, 200  # on each simulated street, and on each recording
+# Episodes and recordings of the published tables; docs/data.md lists later recordings.
+EPISODES, DRAWS = 2000, 200  # in each simulated venue, and on each recording
 RECORDINGS = ("canyon28_pedestrian", "canyon28_vehicle")
 
 
 def unseen_file(name: str) -> str:
-    """The JSON file of an unseen scene or radio."""
+    """Return the JSON file of an unseen scene or radio."""
     return str(files("experiments.evaluation").joinpath(f"unseen/{name}.json"))
 
 
 @dataclass(frozen=True)
 class Venue:
-    """Where contenders are judged.
+    """A place of the benchmark: a simulated street or a recording, with a radio.
 
     Attributes:
-        kind: one of :data:`KINDS`.
-        scene: name or file; None for a recording.
-        radio: name or file.
+        kind: kind of venue, from :data:`KINDS`.
+        scene: name or file of the street; None for a recording.
+        radio: name or file of the radio.
         data: a recording's name; None for a simulated street.
     """
 
@@ -55,14 +55,14 @@ class Venue:
 
     @property
     def source(self) -> EpisodeSource:
-        """Where its episodes come from."""
-        # What filters them is not asked, so that nobody is told that modes are not tuned.
+        """Return the source of the venue's episodes."""
+        # A dummy mode, as filters do not matter here: it saves the warning about untuned modes.
         none = [Mode("none")]
         return task_from(scene=self.scene, radio=self.radio, episodes=self.data, modes=none).source
 
 
 def venues() -> list[Venue]:
-    """All there are: nine to train in, unseen streets and an unseen radio, recordings."""
+    """Return all venues: nine to train in, unseen streets and an unseen radio, recordings."""
     trained = [(scene, radio) for scene in SCENES for radio in RADIOS]
     found = [Venue(f"{scene}:{radio}", TRAINED, scene, radio) for scene, radio in trained]
     for name in UNSEEN_SCENES:
@@ -80,12 +80,12 @@ def venues() -> list[Venue]:
 
 @dataclass(frozen=True)
 class Judged:
-    """Contenders in one venue.
+    """Scores of contenders in one venue.
 
     Attributes:
-        venue: it.
-        reward, ate_m: (episodes,) by contender.
-        imms: names of the IMMs among them.
+        venue: place that they ran in.
+        reward, ate_m: (episodes,) scores by contender.
+        imms: names of the IMMs among the contenders.
     """
 
     venue: Venue
@@ -94,7 +94,7 @@ class Judged:
     imms: tuple[str, ...]
 
     def figures(self, name: str) -> dict[str, Any]:
-        """Of one contender, as an entry holds them: means, and what it gains on every IMM."""
+        """Return a contender's part of an entry: means, and its gain over every IMM."""
         gains = {imm: self.reward[name] - self.reward[imm] for imm in self.imms if imm != name}
         columns = np.stack([self.reward[name], self.ate_m[name], *gains.values()], axis=1)
         reward, ate_m, *minus = (interval.json for interval in bootstrap(columns))
@@ -105,14 +105,14 @@ class Judged:
 
 
 def require_contenders(names: Sequence[str]) -> None:
-    """Find out before any of them runs whether there is each of them in every venue.
+    """Refuse, before any episode runs, contenders that some venue does not have.
 
     Raises:
-        ValueError, FileNotFoundError: as of
+        ValueError, FileNotFoundError: same as from
             :func:`~experiments.evaluation.contenders.contender_from`.
     """
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # as in judge
+        warnings.simplefilter("ignore")  # same as in judge
         for radio in dict.fromkeys(venue.radio for venue in venues()):
             for name in names:
                 contender_from(name, radio)
@@ -122,7 +122,7 @@ def judge(names: Sequence[str], venue: Venue, episodes: int, seed: int) -> Judge
     """Run contenders and every IMM in a venue, on the same episodes."""
     selection = Selection(range(seed, seed + episodes))
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # that no modes are tuned for an unseen radio is the point
+        warnings.simplefilter("ignore")  # modes are untuned for an unseen radio on purpose
         imms = [name for name in contenders(venue.radio) if name.startswith("imm")]
         chosen: list[Contender] = [
             contender_from(name, venue.radio) for name in dict.fromkeys([*names, *imms])
@@ -134,7 +134,7 @@ def judge(names: Sequence[str], venue: Venue, episodes: int, seed: int) -> Judge
 
 
 def entry(name: str, judged: Sequence[Judged]) -> dict[str, Any]:
-    """The entry of a contender: its figures in every venue, and its mean gain a kind of venue."""
+    """Return the entry of a contender: figures of every venue, and mean gain per kind of venue."""
     return {
         "entry": name,
         "venues": {one.venue.name: one.figures(name) for one in judged},
@@ -147,14 +147,14 @@ def entry(name: str, judged: Sequence[Judged]) -> dict[str, Any]:
 
 
 def _mean_gain(name: str, judged: Sequence[Judged]) -> Interval:
-    """Over the best classical method, the IMM over the best bank; the mean over venues."""
+    """Average over venues the gain on the best classical method, the IMM of the best bank."""
     gains = [one.reward[name] - one.reward[BEST_IMM] for one in judged]
     (interval,) = bootstrap(np.mean(gains, axis=0)[:, None])
     return interval
 
 
 def standing(figures: dict[str, Any]) -> str:
-    """How an entry stands against every IMM in a venue: "above", "below" or "level"."""
+    """Return whether an entry is "above" every IMM in a venue, "below" one, or "level"."""
     intervals = [gain["ci95"] for gain in figures["minus"].values()]
     if all(low > 0.0 for low, _ in intervals):
         return "above"

@@ -1,4 +1,4 @@
-"""Contenders run on the same episodes, and their metrics (docs/results.md has the protocol)."""
+"""Runs of contenders on the same episodes, and their metrics (protocol: docs/results.md)."""
 
 import warnings
 from collections.abc import Callable, Sequence
@@ -25,11 +25,11 @@ from policies import Policy
 
 
 class Scoring(NamedTuple):
-    """How tracks are made and what counts, for all contenders alike.
+    """Reward and terrain that apply to all contenders.
 
     Attributes:
         reward: function of (belief, truth).
-        planar: height and vertical velocity are known, and NEES covers the horizontal axes.
+        planar: whether height and vertical velocity are known, and NEES covers the horizontal axes.
     """
 
     reward: Reward = TrackingReward()
@@ -37,10 +37,10 @@ class Scoring(NamedTuple):
 
     @classmethod
     def of(cls, task: Task) -> "Scoring":
-        """What counts in a task.
+        """Return the scoring of a task.
 
         Raises:
-            ValueError: its reward is paired.
+            ValueError: the task's reward is paired.
         """
         if task.baseline is not None:
             raise ValueError(
@@ -55,7 +55,7 @@ Scores = dict[str, Array]  # metric -> (episodes,)
 
 EpochResults = dict[
     str, NDArray[Any]
-]  # "reward", "nees" (n, T), "error" (n, T, 3); policies': "mode"
+]  # "reward", "nees" (n, T), "error" (n, T, 3); of policies also "mode"
 
 TOLD = ("reward", "nees", "error")
 CHUNK = 1000  # episodes in memory at once
@@ -69,7 +69,7 @@ def score(
     episodes: Sequence[Episode],
     scoring: Scoring = PLAIN,
 ) -> Scores:
-    """Metrics per episode of a contender and its policy, on episodes of one length."""
+    """Return metrics per episode of a contender and its policy, on episodes of one length."""
     told = _run(contender, policy, _packed(episodes, scoring), scoring)
     return _summary(told, episodes, scoring)
 
@@ -82,27 +82,27 @@ def run_contender(
     shown: Sequence[str] = (),
     after: Sequence[str] = (),
 ) -> EpochResults:
-    """What a contender and its policy tell of every epoch, on episodes of one length.
+    """Run a contender and its policy on episodes of one length; return every epoch's results.
 
     Args:
-        contender, policy, episodes, scoring: as of :func:`score`; but episodes need no truth,
+        contender, policy, episodes, scoring: same as in :func:`score`; but episodes need no truth,
             unless they are planar.
-        shown: parts of the environment's state, such as "mixture.probability", to tell as they
-            are when the policy chooses; nothing of an IMM's.
-        after: parts of the state to tell as they are after every epoch: every contender has "x",
-            "P", "memory.nis", "memory.accepted" and "memory.rejected".
+        shown: parts of the environment's state, such as "mixture.probability", to return as they
+            are when the policy chooses; ignored for an IMM.
+        after: parts of the state to return as they are after every epoch: every contender has
+            "x", "P", "memory.nis", "memory.accepted" and "memory.rejected".
 
     Returns:
         "reward" and "nees" (n, T), "error" (n, T, 3) in m and, where there is a policy, "mode"
-        (n, T), its actions; of each part asked for (n, T, numbers). Without a truth the first
-        three are NaN.
+        (n, T), its actions; (n, T, numbers) for each part in ``shown`` and ``after``. Without a
+        truth the first three are NaN.
     """
     packed = EpisodeBatch.of(episodes) if not scoring.planar else _packed(episodes, scoring)
     return _run(contender, policy, packed, scoring, shown, after)
 
 
 def _packed(episodes: Sequence[Episode], scoring: Scoring) -> EpisodeBatch:
-    """Episodes with a truth, as engines load them."""
+    """Pack episodes with a truth into the arrays that engines load."""
     for episode in episodes:
         episode.require_truth()
     packed = EpisodeBatch.of(episodes)
@@ -117,7 +117,7 @@ def _run(
     shown: Sequence[str] = (),
     after: Sequence[str] = (),
 ) -> EpochResults:
-    """:func:`run_contender` on what is packed."""
+    """Run :func:`run_contender` on packed episodes."""
     pipeline, names = Pipeline(contender.modes, episodes.layout, scoring.planar), (*TOLD, *after)
     if policy is None:
         imm = ImmEngine(pipeline, scoring.reward, contender.transition, contender.nis_quantile)
@@ -143,12 +143,12 @@ def _run(
 
 
 def step_s(episode: Episode) -> float:
-    """Time between two epochs, s; of an episode of one epoch, 1."""
+    """Return the time between two epochs, s; 1 for an episode of one epoch."""
     return float(np.median(np.diff(episode.time_s))) if len(episode) > 1 else 1.0
 
 
 def _warn_of_short(episode: Episode) -> None:
-    """Say where the epochs that count are too few for RPE."""
+    """Warn where the scored epochs are too few for RPE."""
     counted, second = len(episode.time_s[scored(len(episode))]), round(1.0 / step_s(episode))
     if counted <= max(1, second):
         warnings.warn(
@@ -159,7 +159,7 @@ def _warn_of_short(episode: Episode) -> None:
 
 
 def _warn_of_nonfinite(contender: Contender, told: EpochResults) -> None:
-    """Say that a contender's means will be NaN, and why; none of its episodes is left out."""
+    """Warn that a contender's means will be NaN, and why; no episode is left out."""
     finite = np.isfinite(told["error"]).all(axis=-1) & np.isfinite(told["nees"])
     lost = np.count_nonzero(~finite.all(axis=1))
     if lost:
@@ -191,17 +191,17 @@ def score_contenders(
     scoring: Scoring = PLAIN,
     after: Sequence[str] = (),
 ) -> dict[str, Scores]:
-    """Scores of contenders on the same episodes.
+    """Compute the scores of contenders on the same episodes.
 
     Args:
-        names: see :func:`contender_from`; or contenders themselves.
-        source: of the episodes.
-        radio: profile.
-        selection: which of them, by seeds or keys.
-        modes: as of :func:`contenders`.
-        watch: each gets every contender, episodes, and what :func:`run_contender` tells of them.
-        scoring: for all of them.
-        after: as of :func:`run_contender`, for those who watch.
+        names: names as in :func:`contender_from`, or contenders themselves.
+        source: source of the episodes.
+        radio: radio profile.
+        selection: episodes to run, by seeds or keys.
+        modes: same as in :func:`contenders`.
+        watch: functions that take every contender, its episodes and its epoch results.
+        scoring: scoring of all contenders.
+        after: parts of the state for ``watch``, as in :func:`run_contender`.
 
     Raises:
         ValueError: unknown or repeated contender.

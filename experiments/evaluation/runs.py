@@ -1,4 +1,4 @@
-"""Folders of ``mmwave-loc train``: one policy a training seed."""
+"""Folders that ``mmwave-loc train`` writes, with one policy per training seed."""
 
 import csv
 import math
@@ -13,12 +13,12 @@ from mmwave_env.files import read_json, read_text, told
 
 
 def is_number(value: Any) -> bool:
-    """Whether it is a finite number."""
+    """Tell whether a value is a finite number."""
     return isinstance(value, int | float) and math.isfinite(value)
 
 
 def require_interval(key: str, found: Any) -> None:
-    """Refuse what is no mean with its interval."""
+    """Refuse a value that is not a mean with its interval."""
     if isinstance(found, dict) and is_number(found.get("mean")) and "ci95" in found:
         ends = found["ci95"]
         if ends is None or (len(ends) == 2 and all(map(is_number, ends))):
@@ -27,10 +27,10 @@ def require_interval(key: str, found: Any) -> None:
 
 
 def require_outcome(found: Mapping[str, Any]) -> None:
-    """Refuse what is no outcome of a training.
+    """Refuse a value that is not the outcome of a training.
 
     Raises:
-        ValueError, KeyError, TypeError, AttributeError: what is wrong in it.
+        ValueError, KeyError, TypeError, AttributeError: a part is missing or wrong.
     """
     best, beat = found["best"], found.get("beat_rule")
     numbers = [found["seed"], best["reward"], best["timesteps"]]
@@ -45,10 +45,10 @@ def require_outcome(found: Mapping[str, Any]) -> None:
 
 
 def require_no_smoke(name: str, command: str) -> None:
-    """Refuse what a smoke run left.
+    """Refuse a policy or run of ``train --smoke``.
 
     Raises:
-        ValueError: the command that made it says so.
+        ValueError: its command has the option --smoke.
     """
     if "--smoke" in command.split():
         raise ValueError(f"{name}: found what train --smoke left, expected a whole training")
@@ -60,17 +60,17 @@ class Run:
 
     name: str  # the folder, as on the command line and in results
     seeds: tuple[int, ...]  # numbers of the trainings
-    median: int  # the one that stands for them all
-    # what each training came to, as it wrote it
+    median: int  # number of the training that stands for the run
+    # outcome of each training, as the training wrote it
     outcomes: tuple[Mapping[str, Any], ...] = field(default=(), repr=False, compare=False)
 
     @classmethod
     def read(cls, name: str) -> "Run":
-        """The run in a folder.
+        """Read the run in a folder.
 
         Raises:
-            ValueError: naming the file and what is wrong in it.
-            FileNotFoundError: no run, or one that is not over.
+            ValueError: names the file and says what is wrong in it.
+            FileNotFoundError: no run, or an unfinished run.
         """
         path = Path(name) / "summary.json"
         if not path.is_file():
@@ -82,7 +82,7 @@ class Run:
 
     @classmethod
     def _of(cls, name: str, summary: dict[str, Any]) -> "Run":
-        """The run of a summary."""
+        """Return the run that a summary describes."""
         require_no_smoke(name, str(summary.get("command")))
         outcomes, median = tuple(summary["seeds"]), summary["median"]
         seeds = tuple(outcome["seed"] for outcome in outcomes)
@@ -95,12 +95,12 @@ class Run:
 
     @property
     def policies(self) -> list[str]:
-        """The policy file of every training."""
+        """Return the policy file of every training."""
         return [self._policy(seed) for seed in self.seeds]
 
     @property
     def policy(self) -> str:
-        """That of the median one."""
+        """Return the policy file of the median training."""
         return self._policy(self.median)
 
     def _policy(self, seed: int) -> str:
@@ -108,15 +108,15 @@ class Run:
 
 
 def trainings(names: Sequence[str], runs: Mapping[str, Run]) -> list[str]:
-    """Names of contenders with the policy files of all trainings in place of runs."""
+    """Return names of contenders, with all trainings' policy files in place of runs."""
     return [file for name in names for file in (runs[name].policies if name in runs else [name])]
 
 
 def curves_of(journal: Path) -> dict[str, tuple[list[float], list[float]]]:
-    """Steps, and the reward on tuning seeds minus each rival's, in the journal of a training.
+    """Read steps and rewards minus each rival's, on tuning seeds, from a training's journal.
 
     Raises:
-        ValueError: no CSV, or something else than numbers; naming the line.
+        ValueError: no CSV, or a value that is no number; names the line.
     """
     curves: dict[str, tuple[list[float], list[float]]] = {}
     with StringIO(read_text(journal, "a journal of a training"), newline="") as lines:

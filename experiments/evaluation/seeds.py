@@ -1,6 +1,6 @@
-"""Which episodes are played.
+"""Selection of episodes by their seeds.
 
-Seeds of tests start at 0, those of tuning and training far away.
+Test seeds start at 0; seeds of tuning and training start far away.
 """
 
 from collections.abc import Sequence
@@ -13,7 +13,7 @@ from mmwave_env.world.episode import Episode, EpisodeSource
 from mmwave_env.world.keys import Keys, keys_of
 
 TUNING_SEED = 5_000_000
-TRAINING_SEED = 10_000_000  # of the first training; each has a million of its own
+TRAINING_SEED = 10_000_000  # first seed of the first training; each training has a million
 SEEDS_EACH = 1_000_000
 
 
@@ -21,14 +21,14 @@ def require_tuning_seed(seed: int) -> None:
     """Refuse to tune on test seeds.
 
     Raises:
-        ValueError: naming the first tuning seed.
+        ValueError: names the first tuning seed.
     """
     if seed < TUNING_SEED:
         raise ValueError(f"seed: found {seed}, expected a tuning seed >= {TUNING_SEED}")
 
 
 def require_seeds(seeds: Sequence[int]) -> None:
-    """Refuse an empty run, and seeds that are none.
+    """Refuse an empty selection, and negative seeds.
 
     Raises:
         ValueError: no seeds, or a negative one.
@@ -48,16 +48,16 @@ class Selection:
         ValueError: no seeds, or a negative one.
     """
 
-    seeds: Sequence[int]  # one after the other
+    seeds: Sequence[int]  # seed of each episode, in order
 
     @classmethod
     def of(cls, episodes: int | None, seed: int | None, usual: int) -> "Selection":
-        """What a user asked for.
+        """Return the episodes that a user asked for.
 
         Args:
-            episodes: how many; None for as many as ``usual``.
-            seed: the first; None for 0.
-            usual: how many where nobody says it.
+            episodes: number of episodes; None for ``usual``.
+            seed: first seed; None for 0.
+            usual: default number of episodes.
 
         Raises:
             ValueError: no episode, or a negative seed.
@@ -80,21 +80,21 @@ class Selection:
 
     @property
     def json(self) -> dict[str, Any]:
-        """As results files hold it."""
+        """Return the selection as results files hold it."""
         return {"episodes": len(self), "seed": self.seeds[0]}
 
     def part(self, first: int, count: int) -> "Selection":
-        """Some of them."""
+        """Return ``count`` of the episodes, from position ``first`` on."""
         return Selection(self.seeds[first : first + count])
 
     def keys(self, source: EpisodeSource) -> Keys | None:
-        """(n,) of simulated episodes; others have none."""
-        from mmwave_env.world.simulated import SimulatedSource  # options are read without numba
+        """Return the keys (n,) of simulated episodes; other episodes have none."""
+        from mmwave_env.world.simulated import SimulatedSource  # options do not load numba
 
         return keys_of(self.seeds) if type(source) is SimulatedSource else None
 
     def draw(self, source: EpisodeSource) -> list[Episode]:
-        """The episodes, the same that ``env.reset(seed=...)`` draws."""
+        """Draw the episodes, the same that ``env.reset(seed=...)`` draws."""
         keys = self.keys(source)
         if keys is None:
             return [source.sample(np.random.default_rng(seed)) for seed in self.seeds]
@@ -103,7 +103,7 @@ class Selection:
 
 
 def draw_episodes(source: EpisodeSource, seeds: Sequence[int]) -> list[Episode]:
-    """One episode per seed, the same that ``env.reset(seed=...)`` draws.
+    """Draw one episode per seed, the same that ``env.reset(seed=...)`` draws.
 
     Raises:
         ValueError: no seeds, or a negative one.

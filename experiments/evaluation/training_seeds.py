@@ -1,4 +1,4 @@
-"""How much a learned switcher owes to the seed of its training (Agarwal et al. 2021)."""
+"""Spread of a learned switcher's results over training seeds (Agarwal et al. 2021)."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -17,23 +17,23 @@ from mmwave_env.numerics.numbers import Array
 
 @dataclass(frozen=True)
 class Figure:
-    """A number per episode, such as the reward, of all trainings of a run."""
+    """A number per episode, such as the reward, for all trainings of a run."""
 
-    each: tuple[Interval, ...]  # its mean per training, over episodes
-    mean: Interval  # over trainings and episodes
+    each: tuple[Interval, ...]  # mean over episodes, per training
+    mean: Interval  # mean over trainings and episodes
 
     @classmethod
     def of(cls, scores: Array) -> "Figure":
-        """From scores (trainings, episodes)."""
+        """Compute means and intervals of scores (trainings, episodes)."""
         return cls(tuple(bootstrap(scores.T)), crossed_bootstrap(scores))
 
     @property
     def wins(self) -> int:
-        """How many trainings have an interval above zero."""
+        """Count the trainings whose interval is above zero."""
         return sum(interval.low > 0.0 for interval in self.each)
 
     def json(self, seeds: Sequence[int]) -> dict[str, Any]:
-        """As results files hold it."""
+        """Return the figure as results files hold it."""
         return {
             "seeds": {str(s): each.json for s, each in zip(seeds, self.each, strict=True)},
             "above_zero": self.wins,
@@ -43,16 +43,16 @@ class Figure:
 
 @dataclass(frozen=True)
 class TrainingSeeds:
-    """A run, and what its trainings gain over others."""
+    """A run, with rewards of its trainings and their gains over rivals."""
 
-    run: Run  # its trainings
-    reward: Figure  # of them
+    run: Run  # names and outcomes of the trainings
+    reward: Figure  # reward of the trainings
     minus: dict[str, Figure]  # per rival, the reward minus the rival's, episode by episode
     best_imm: str | None  # the IMM with the best reward, or None
 
     @property
     def json(self) -> dict[str, Any]:
-        """As results files hold it."""
+        """Return rewards and gains as results files hold them."""
         seeds = self.run.seeds
         return {
             "median": self.run.median,
@@ -65,11 +65,11 @@ class TrainingSeeds:
 def over_training_seeds(
     runs: Mapping[Run, Sequence[Scores]], scores: dict[str, Scores]
 ) -> list[TrainingSeeds]:
-    """Runs, and what they gain over the contenders that learned switchers are compared with.
+    """Compute rewards of runs, and their gains over the reference contenders.
 
     Args:
         runs: scores of every training, in the order of the run.
-        scores: of the contenders, on the same episodes.
+        scores: scores of the other contenders, on the same episodes.
     """
     rewards = {run: np.stack([s["reward"] for s in trained]) for run, trained in runs.items()}
     baselines = {rival: scores[rival]["reward"] for rival in references(scores)}
@@ -88,7 +88,7 @@ def over_training_seeds(
 
 
 def seeds_markdown(found: TrainingSeeds) -> str:
-    """A run as Markdown: every training, then all of them."""
+    """Return a run as Markdown: every training, then all trainings together."""
     run, columns = found.run, [found.reward, *found.minus.values()]
     best = {found.best_imm: " (best IMM)"}
     header = ["training seed", "reward", *(f"minus {r}{best.get(r, '')}" for r in found.minus)]

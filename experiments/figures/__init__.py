@@ -1,1 +1,1 @@
-"""Pictures, one call each, in one style."""
+"""Pictures in one style, with one function for each."""

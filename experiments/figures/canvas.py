@@ -1,4 +1,4 @@
-"""Pictures in the project's style (publication.mplstyle): as files, and what many have in them."""
+"""Canvas of pictures in the project's style (publication.mplstyle), and their shared parts."""
 
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
@@ -10,12 +10,12 @@ from mmwave_env.lookup import printable, require_extra, spelled
 from mmwave_env.rendering.theme import THEMES, hex_of
 
 STYLE = Path(__file__).with_name("publication.mplstyle")
-UNDATED: dict[str, dict[str, Any]] = {  # the same picture is the same file
+UNDATED: dict[str, dict[str, Any]] = {  # without a date, equal pictures are equal files
     ".png": {},
     ".svg": {"Date": None},
     ".pdf": {"CreationDate": None},
 }
-COLORS = [hex_of(color) for color in THEMES["light"].modes]  # of modes, as in films
+COLORS = [hex_of(color) for color in THEMES["light"].modes]  # colors of modes, the same as in films
 NO_MODE = hex_of(THEMES["light"].none)
 
 LEGEND_COLUMNS = 2  # below panels
@@ -25,11 +25,11 @@ def require_picture(option: str, path: Path) -> None:
     """Refuse a picture that could not be drawn or written, before any work.
 
     Args:
-        option: that names the file.
-        path: of the file.
+        option: option that gives the file.
+        path: file to write.
 
     Raises:
-        ValueError: it does not end with .png, .svg or .pdf.
+        ValueError: the name does not end with .png, .svg or .pdf.
         MissingExtraError: matplotlib is not installed.
         OSError: the file can't be written.
     """
@@ -43,13 +43,13 @@ def require_picture(option: str, path: Path) -> None:
 
 @contextmanager
 def picture(path: Path, width_in: float, height_in: float) -> Iterator[Any]:
-    """A matplotlib figure to draw into; written at the end, in one step.
+    """Yield a matplotlib figure to draw into; the file is written at the end, in one step.
 
-    Whatever the reader's own settings of matplotlib are, it is drawn in the project's style.
+    The figure has the project's style, whatever the user's settings of matplotlib are.
 
     Args:
-        path: .png, .svg or .pdf.
-        width_in, height_in: inches.
+        path: .png, .svg or .pdf file.
+        width_in, height_in: size, inches.
     """
     from matplotlib import style
     from matplotlib.figure import Figure
@@ -65,19 +65,19 @@ def picture(path: Path, width_in: float, height_in: float) -> Iterator[Any]:
 
 
 def caption(name: str) -> str:
-    """A name as pictures show it: what the font lacks, or has no look, is spelled out."""
+    """Spell out characters of a name that the font lacks or that cannot be seen."""
     from matplotlib.font_manager import findfont, get_font
 
-    font = get_font(findfont("DejaVu Sans"))  # comes with matplotlib
+    font = get_font(findfont("DejaVu Sans"))  # the font that comes with matplotlib
     return "".join(
         one if font.get_char_index(ord(one)) else spelled(one) for one in printable(name)
     )
 
 
 def contenders(names: Iterable[str]) -> dict[str, str]:
-    """Contenders as a picture shows them, by name.
+    """Map names of contenders to their labels in a picture.
 
-    Policies and runs go by the last parts of their paths, as many as tell all of them apart.
+    A path is shortened to its last parts, as many as tell it from all others.
     """
     parts, shown = {name: Path(name).parts for name in names}, {}
     for name, own in parts.items():
@@ -88,19 +88,19 @@ def contenders(names: Iterable[str]) -> dict[str, str]:
 
 
 def legend_beside(axes: Any, **options: Any) -> None:
-    """A legend to the right of a panel, where it hides nothing."""
+    """Draw a legend to the right of a panel, where it covers no data."""
     axes.legend(loc="upper left", bbox_to_anchor=(1.01, 1.02), borderaxespad=0.0, **options)
 
 
 @contextmanager
 def panels(path: Path, count: int, entries: int, narrow: bool) -> Iterator[tuple[Any, list[Any]]]:
-    """A picture of panels with one legend: beside each other, or below each other for a phone.
+    """Yield a picture of panels with one legend, side by side or stacked for a phone.
 
     Args:
-        path: .png, .svg or .pdf.
-        count: of panels.
-        entries: of the legend, which :func:`legend_of` draws.
-        narrow: whether they are below each other, and the legend below them.
+        path: .png, .svg or .pdf file.
+        count: number of panels.
+        entries: number of entries of the legend, which :func:`legend_of` draws.
+        narrow: whether the panels are stacked, with the legend below them.
     """
     if narrow:
         size = 4.6, 2.9 * count + 0.3 + 0.2 * (-(-entries // LEGEND_COLUMNS))
@@ -112,7 +112,7 @@ def panels(path: Path, count: int, entries: int, narrow: bool) -> Iterator[tuple
 
 
 def legend_of(figure: Any, axes: Any, narrow: bool, handles: Sequence[Any]) -> None:
-    """The legend of :func:`panels`; each handle has its label."""
+    """Draw the legend of :func:`panels`; each handle has its label."""
     if narrow:
         figure.legend(handles=handles, loc="outside lower left", ncols=LEGEND_COLUMNS)
     else:
@@ -120,7 +120,7 @@ def legend_of(figure: Any, axes: Any, narrow: bool, handles: Sequence[Any]) -> N
 
 
 def plain_numbers(axis: Any) -> None:
-    """Numbers of a logarithmic axis as they are written, at 1, 2 and 5 where there is room."""
+    """Label a logarithmic axis with plain numbers, at 1, 2 and 5 where there is room."""
     from matplotlib.ticker import LogLocator, NullFormatter
 
     low, high = axis.get_view_interval()

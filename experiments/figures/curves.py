@@ -1,4 +1,4 @@
-"""How trainings went, and what they came to."""
+"""Learning curves of trainings."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -16,13 +16,13 @@ Line = tuple[Sequence[float], Sequence[float]]  # steps, values
 def draw_learning_curves(
     figures: Mapping[str, Mapping[str, Sequence[Line]]], path: Path, narrow: bool = False
 ) -> None:
-    """Figures over steps, a line a training, as a picture.
+    """Draw figures over steps as a picture, with a line per training.
 
     Args:
-        figures: by what is shown (the label of the y axis) and run, steps and values of every
-            training. Zero is drawn, too.
-        path: .png, .svg or .pdf.
-        narrow: whether the panels are below each other.
+        figures: steps and values of every training, by the label of the y axis and by run. A line
+            marks zero.
+        path: .png, .svg or .pdf file.
+        narrow: whether the panels are stacked.
     """
     from matplotlib.ticker import EngFormatter, NullFormatter
 

@@ -1,4 +1,4 @@
-"""How large errors are, and whether filters know it."""
+"""Pictures of the distribution of position errors and of the consistency of filters."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -11,7 +11,7 @@ from experiments.figures.canvas import COLORS, contenders, legend_of, panels, pl
 from mmwave_env.localization.position_errors import SHARES, horizontal, vertical
 from mmwave_env.numerics.numbers import Array
 
-SMALLEST_M = 1e-3  # that a logarithmic axis shows
+SMALLEST_M = 1e-3  # smallest error on a logarithmic axis
 BOUNDS = "95 % bounds if consistent"
 _SHARES = np.linspace(0.0, 0.999, 400)
 _STYLES = ("-", "--", ":")  # where there are more lines than colors
@@ -22,19 +22,19 @@ def _style(number: int) -> dict[str, Any]:
 
 
 def draw_error_cdf(errors_m: Mapping[str, Array], path: Path, narrow: bool = False) -> None:
-    """The distribution (CDF) of horizontal and of vertical errors, as a picture.
+    """Draw the distribution (CDF) of horizontal and of vertical errors as a picture.
 
     Args:
-        errors_m: by contender, position errors (..., 3), m.
-        path: .png, .svg or .pdf.
-        narrow: whether the panels are below each other.
+        errors_m: position errors (..., 3) by contender, m.
+        path: .png, .svg or .pdf file.
+        narrow: whether the panels are stacked.
     """
     with panels(path, 2, len(errors_m), narrow) as (figure, (left, right)):
         labels = contenders(errors_m)
         for number, (name, errors) in enumerate(errors_m.items()):
             look = _style(number) | {"label": labels[name]}
             for axes, sizes in ((left, horizontal(errors)), (right, vertical(errors))):
-                values = np.maximum(sizes, SMALLEST_M)  # a known height has none
+                values = np.maximum(sizes, SMALLEST_M)  # the error of a known height is 0
                 axes.plot(np.quantile(values, _SHARES), _SHARES, **look)
                 axes.plot(np.quantile(values, SHARES), SHARES, "o", ms=3.5, color=look["color"])
         for axes, kind in ((left, "horizontal"), (right, "vertical")):
@@ -50,14 +50,14 @@ def draw_error_cdf(errors_m: Mapping[str, Array], path: Path, narrow: bool = Fal
 def draw_consistency(
     time_s: Array, nees: Mapping[str, Array], dof: int, path: Path, narrow: bool = False
 ) -> None:
-    """NEES against its chi-square bounds, as a picture: over time, and all of it.
+    """Draw NEES and its chi-square bounds as a picture: over time, and its distribution.
 
     Args:
-        time_s: (T,) since the begin of an episode.
-        nees: (n, T) by contender, of n episodes.
-        dof: degrees of freedom: how many coordinates it is of.
-        path: .png, .svg or .pdf.
-        narrow: whether the panels are below each other.
+        time_s: (T,) times since the first epoch of an episode.
+        nees: (n, T) NEES of n episodes, by contender.
+        dof: degrees of freedom, the number of coordinates.
+        path: .png, .svg or .pdf file.
+        narrow: whether the panels are stacked.
     """
     episodes = len(next(iter(nees.values())))
     low, high = chi2.ppf([0.025, 0.975], episodes * dof) / (episodes * dof)

@@ -1,4 +1,4 @@
-"""Which mode ran when, and what came of it."""
+"""Timelines of the modes that ran, with speeds and errors."""
 
 import itertools
 from collections.abc import Mapping, Sequence
@@ -12,22 +12,22 @@ from mmwave_env.numerics.numbers import Array, Index
 from mmwave_env.rendering.history import History
 
 _LINES_IN = 2.0  # height of a panel of lines, inches
-_LOOKS = [  # of contenders, in other colors than the first modes
+_LOOKS = [  # looks of contenders, in other colors than the first modes
     {"color": color, "ls": style}
     for color, style in (("C3", "-"), ("C4", "--"), ("C6", "-."), ("C2", ":"))
 ]
-_TRUE = {"color": "0.55", "lw": 3.5, "alpha": 0.6}  # lies below narrower lines, which it shows
+_TRUE = {"color": "0.55", "lw": 3.5, "alpha": 0.6}  # a pale band below narrower lines
 
 
 def mode_ribbon(axes: Any, time: Array, mode: Index, modes: int, low: float = 0.0) -> None:
-    """A band of height 1 above ``low``, in the colors of the modes that ran.
+    """Draw a band of height 1 above ``low``, in the colors of the modes that ran.
 
     Args:
-        axes: to draw into.
-        time: (T,) of the epochs.
-        mode: (T,) numbers; -1 for none.
-        modes: how many there are.
-        low: where it begins.
+        axes: panel to draw into.
+        time: (T,) times of the epochs.
+        mode: (T,) numbers of modes; -1 for none.
+        modes: number of modes.
+        low: lower edge of the band.
     """
     begins = np.flatnonzero(np.diff(mode, prepend=-2))
     ends = np.append(begins[1:], len(mode) - 1)
@@ -44,13 +44,13 @@ def mode_ribbon(axes: Any, time: Array, mode: Index, modes: int, low: float = 0.
 def draw_histories(
     histories: Mapping[str, History], modes: Sequence[str], rows: slice, path: Path
 ) -> None:
-    """A part of an episode as contenders go through it, as a picture: speeds, errors, modes.
+    """Draw speeds, errors and modes of contenders in a part of an episode as a picture.
 
     Args:
-        histories: of one and the same episode, by contender.
-        modes: their names, the same for all.
-        rows: the part: epochs, counted from 1, for the first row of a history is the prior's.
-        path: .png, .svg or .pdf.
+        histories: histories of the same episode, by contender.
+        modes: names of the modes, the same for all contenders.
+        rows: epochs to draw, counted from 1, since the first row of a history is the prior's.
+        path: .png, .svg or .pdf file.
     """
     first = next(iter(histories.values()))
     time_s, ribbons = first.time_s[rows], max(0.45 * len(histories), 0.2 * len(modes))

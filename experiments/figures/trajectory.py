@@ -1,4 +1,4 @@
-"""A track from above with its ellipses, its error over time, and the modes that ran."""
+"""Picture of a track from above with its ellipses, its error over time, and its modes."""
 
 import textwrap
 from collections.abc import Sequence
@@ -13,10 +13,10 @@ from experiments.figures.canvas import caption, legend_beside, picture
 from experiments.figures.timeline import mode_ribbon
 from mmwave_env.numerics.numbers import Array, Index
 
-ELLIPSES = 15  # along a track, about
-TITLE_LETTERS = 80  # in a line
-_ENLARGED = (1, 2, 5, 10, 20, 50, 100)  # by how much, so that they can be seen
-_VISIBLE = 0.02  # of the extent of the track: a small ellipse that can be seen
+ELLIPSES = 15  # approximate number along a track
+TITLE_LETTERS = 80  # longest line
+_ENLARGED = (1, 2, 5, 10, 20, 50, 100)  # factors that make ellipses large enough to see
+_VISIBLE = 0.02  # share of the track's extent, smallest size that can be seen
 
 
 @dataclass(frozen=True, eq=False)
@@ -24,15 +24,15 @@ class DrawnTrack:
     """A track of T epochs to draw.
 
     Attributes:
-        time_s: (T,).
-        position_m: (T, 3).
-        covariance_m2: (T, 3, 3) of the position.
-        truth_m: (T, 3), NaN where not known.
+        time_s: (T,) times of the epochs.
+        position_m: (T, 3) estimated positions.
+        covariance_m2: (T, 3, 3) covariances of the position.
+        truth_m: (T, 3) true positions, NaN where not known.
         mode: (T,) number of the mode that ran.
-        segment: (T,) a track that begins anew has another number.
-        modes: their names.
-        anchors_m: (L, 3), the physical gNB first.
-        whole: no epoch is left out. Lines between epochs far apart would cross where nobody went.
+        segment: (T,) number of the segment, which rises where the track starts again.
+        modes: names of the modes.
+        anchors_m: (L, 3) positions of anchors, the physical gNB first.
+        whole: whether no epoch is left out; lines between epochs far apart would mislead.
     """
 
     time_s: Array
@@ -47,7 +47,7 @@ class DrawnTrack:
 
 
 def draw_trajectory(track: DrawnTrack, path: Path, title: str) -> None:
-    """A track as a picture: from above, its error over time, and its modes, if it has several."""
+    """Draw a track from above, its error over time, and its modes, if it has several."""
     several = len(np.unique(track.mode)) > 1
     heights = (5.0, 1.8, 0.3) if several else (5.0, 1.8)
     with picture(path, 10.0, sum(heights) + 1.2) as figure:
@@ -67,7 +67,7 @@ def draw_trajectory(track: DrawnTrack, path: Path, title: str) -> None:
 
 
 def time_unit(time_s: Array) -> tuple[float, str]:
-    """Seconds of the unit that times (T,) are shown in, and its sign."""
+    """Return the seconds of the unit that times (T,) are shown in, and its symbol."""
     return (3600.0, "h") if time_s[-1] - time_s[0] > 3 * 3600.0 else (1.0, "s")
 
 
@@ -94,7 +94,7 @@ def _draw_above(axes: Any, track: DrawnTrack) -> None:
 
 
 def _add_steps(axes: Any, track: DrawnTrack, chosen: Array, look: dict[str, Any]) -> None:
-    """Lines from epoch to epoch of those chosen (T - 1,), none to where a track begins anew."""
+    """Draw lines between successive epochs where chosen (T - 1,), but none between segments."""
     from matplotlib.collections import LineCollection
 
     position = track.position_m[:, :2]
@@ -104,12 +104,12 @@ def _add_steps(axes: Any, track: DrawnTrack, chosen: Array, look: dict[str, Any]
 
 
 def _draw_ellipses(axes: Any, track: DrawnTrack) -> None:
-    """Of 95 %, at a few epochs, enlarged where they are too small to be seen."""
+    """Draw 95 % ellipses at a few epochs, enlarged where they are too small to be seen."""
     from matplotlib.patches import Ellipse
 
     at = np.unique(np.linspace(0, len(track.time_s) - 1, ELLIPSES).astype(int))
     variances, directions = np.linalg.eigh(track.covariance_m2[at, :2, :2])
-    axes_m = np.sqrt(chi2.ppf(0.95, 2) * np.maximum(variances, 0.0))  # half, the short one first
+    axes_m = np.sqrt(chi2.ppf(0.95, 2) * np.maximum(variances, 0.0))  # semi-axes, the shorter first
     extent = float(np.ptp(track.position_m[:, :2], axis=0).max())
     wanted = _VISIBLE * extent / max(float(np.median(axes_m[:, 1])), 1e-9)
     enlarged = next((n for n in _ENLARGED if n >= wanted), _ENLARGED[-1])
@@ -125,7 +125,7 @@ def _draw_ellipses(axes: Any, track: DrawnTrack) -> None:
 
 
 def draw_anchors(axes: Any, position: Array, anchors_m: Array) -> None:
-    """Those no further from the track than the track is long."""
+    """Draw the anchors that are no further from the track than the track is long."""
     low, high = position.min(axis=0), position.max(axis=0)
     reach = max(float((high - low).max()), 30.0)
     middle = 0.5 * (low + high)
@@ -134,7 +134,7 @@ def draw_anchors(axes: Any, position: Array, anchors_m: Array) -> None:
             name = "gNB" if number == 1 else f"virtual anchor {number}"
             axes.plot(*anchor, "^" if number == 1 else "v", color="black", ms=8,
                       mfc="black" if number == 1 else "white")  # fmt: skip
-            right = anchor[0] > middle[0]  # so that the name points into the picture
+            right = anchor[0] > middle[0]  # then the name is left of the anchor, inside the picture
             axes.annotate(name, anchor, (-7 if right else 7, 0), textcoords="offset points",
                           va="center", ha="right" if right else "left")  # fmt: skip
 

@@ -1,4 +1,4 @@
-"""The track of a recorded log, by the paper's Algorithm 1 or by an IMM."""
+"""Localization of a recorded log by the paper's Algorithm 1 or by an IMM."""
 
 import warnings
 from collections.abc import Iterable, Iterator, Sequence
@@ -48,12 +48,12 @@ if TYPE_CHECKING:
     from experiments.localize import Args
 
 EPOCHS_PER_BLOCK = 1 << 14
-LONGEST_WINDOW = 20_000  # epochs; all of a window are held at once
+LONGEST_WINDOW = 20_000  # epochs; a window is held in memory
 RULES: dict[str, Rule] = {"prediction": by_predicted_speed, "odometry": by_odometry_speed}
 
 
 class Inputs(NamedTuple):
-    """The files that are read: those given, or those of a sample."""
+    """Files to read: those on the command line or those of a sample."""
 
     log: Path
     scene: str
@@ -61,7 +61,7 @@ class Inputs(NamedTuple):
 
 
 class ModePlan(NamedTuple):
-    """What runs: modes and the rule between them if there are two, or a bank; why in words."""
+    """Modes to run, with the rule between two modes or a bank, and the reason in words."""
 
     modes: Sequence[Mode] | Bank
     rule: Rule | None
@@ -69,7 +69,7 @@ class ModePlan(NamedTuple):
 
     @property
     def names(self) -> list[str]:
-        """Of the modes."""
+        """Return the names of the modes."""
         modes = self.modes.modes if isinstance(self.modes, Bank) else self.modes
         return [mode.name for mode in modes]
 
@@ -78,7 +78,7 @@ class ModePlan(NamedTuple):
 
 
 def plan(args: "Args", modes: Sequence[Mode] | Bank) -> ModePlan:
-    """Which pipelines run (Algorithm 1, Step 3)."""
+    """Return the pipelines that run (Algorithm 1, Step 3)."""
     if isinstance(modes, Bank):
         return ModePlan(modes, None, f"of {args.imm} by their probability")
     if args.speed in (None, "auto"):
@@ -101,7 +101,7 @@ def parse_speed(word: str) -> float:
     """Read a speed in m/s (Algorithm 1, Step 1).
 
     Raises:
-        ValueError: not a finite number, or negative.
+        ValueError: the word is not a finite number, or is negative.
     """
     speed = number(word.strip())
     if not 0.0 <= speed < float("inf"):
@@ -113,7 +113,7 @@ def parse_speed(word: str) -> float:
 
 
 def inputs(args: "Args") -> Inputs:
-    """The log, its scene and the truth, if there is one."""
+    """Return the files of the log, its scene and the truth, if there is one."""
     if args.sample is None:
         if args.log is None:
             raise ValueError("log: found none, expected a measurement log, or --sample NAME")
@@ -131,7 +131,7 @@ def inputs(args: "Args") -> Inputs:
 
 
 def _imm(args: "Args", name: str) -> Bank:
-    """The bank of an IMM, by its name or from a mode file."""
+    """Return the bank of an IMM, by its name or from a mode file."""
     if name.endswith(".json"):
         bank = bank_from(name, args.radio)
     else:
@@ -140,7 +140,7 @@ def _imm(args: "Args", name: str) -> Bank:
 
 
 def _modes(args: "Args") -> tuple[Mode, ...]:
-    """The low and the high mobility pipeline."""
+    """Return the low-mobility and the high-mobility pipeline."""
     if args.modes is not None and args.modes.suffix != ".json":
         raise ValueError(f"modes: found {str(args.modes)!r}, expected a mode file (.json)")
     modes = modes_from(args.modes, args.radio)
@@ -152,7 +152,7 @@ def _modes(args: "Args") -> tuple[Mode, ...]:
 
 
 def _as_asked(args: "Args", modes: tuple[Mode, ...]) -> tuple[Mode, ...]:
-    """The modes with the safeguards that the options leave them."""
+    """Return the modes with the safeguards that options ask for."""
     if args.robust:
         modes = tuple(map(robust, modes))
     if not args.gating:
@@ -163,7 +163,7 @@ def _as_asked(args: "Args", modes: tuple[Mode, ...]) -> tuple[Mode, ...]:
 
 
 def _check(args: "Args", given: Inputs) -> None:
-    """Refuse options that contradict each other, and outputs in the place of other files."""
+    """Refuse options that contradict each other, and outputs that would replace other files."""
     if args.diagnose:
         _check_diagnosis(args)
     if args.imm is not None:
@@ -216,14 +216,14 @@ def _outputs(args: "Args") -> dict[str, Path | None]:
 
 
 class Work(NamedTuple):
-    """What is localized, and by what."""
+    """A log to localize, and the modes to localize it with."""
 
     scene: Scene
     plan: ModePlan
-    first: LogBlock  # of the log
-    blocks: Iterable[LogBlock]  # all of them
+    first: LogBlock  # first block of the log
+    blocks: Iterable[LogBlock]  # all blocks, the first included
     truth: Truth | None
-    association: Association | None  # what was associated so far
+    association: Association | None  # counts of associated paths so far
 
 
 def _work(args: "Args", given: Inputs, scene: Scene, epochs_per_block: int) -> Work:
@@ -243,7 +243,7 @@ def _work(args: "Args", given: Inputs, scene: Scene, epochs_per_block: int) -> W
 def _blocks(
     args: "Args", log: Path, scene: Scene, epochs_per_block: int, association: Association | None
 ) -> Iterator[LogBlock]:
-    """The log, with anchors as it has them or as they are found."""
+    """Return the blocks of a log, with anchors from the log or by association."""
     if association is None:
         return read_log(log, scene, epochs_per_block, args.odometry)
     paths, radio = read_paths(log, scene, args.odometry), radio_from(args.radio)
@@ -257,10 +257,10 @@ def _track(args: "Args", work: Work, window: int | None) -> Iterator[TrackBlock]
 
 
 def beginning(args: "Args", epochs: int) -> tuple[TrackBlock, Work]:
-    """The first epochs of a track, filtered, and what they are of.
+    """Filter the first epochs of a log; return their track and the work.
 
     Raises:
-        ValueError: as the command.
+        ValueError: same as from the command.
         OSError: a file can't be read.
     """
     given = inputs(args)
@@ -269,7 +269,7 @@ def beginning(args: "Args", epochs: int) -> tuple[TrackBlock, Work]:
 
 
 class Result(NamedTuple):
-    """What came out: figures, what to draw, and what is wrong with the log or the truth."""
+    """Figures, the track to draw, and the error of the log or the truth."""
 
     figures: dict[str, Any]
     sampler: TrackSampler
@@ -281,7 +281,7 @@ def _run(args: "Args", work: Work) -> Result:
     """Localize, score and write, block by block.
 
     Raises:
-        LogError: the log is damaged before there is any track; nothing is written.
+        LogError: the log is damaged before the first epoch of a track; nothing is written.
     """
     names, truth = work.plan.names, work.truth
     course, groups, sampler = Course(names), Groups(), TrackSampler(names, work.scene.anchors_m)
@@ -325,7 +325,7 @@ def _run(args: "Args", work: Work) -> Result:
 
 
 def _diagnose(args: "Args", given: Inputs, scene: Scene, mode: Mode) -> None:
-    """Show facts about the log, and the mistakes that make it consistent.
+    """Show facts about the log, and the likely mistakes whose correction makes it consistent.
 
     Raises:
         LogError: the log is damaged.
@@ -378,7 +378,7 @@ def localized(args: "Args") -> None:
         "written": written,
         "error": error and str(error),
     }
-    if args.json:  # first, because whoever reads what is shown may leave
+    if args.json:  # first, because whoever reads the tables may close the pipe
         write_json(args.json, provenance("localize", args) | figures)
     try:
         if args.plot:
@@ -389,7 +389,7 @@ def localized(args: "Args") -> None:
 
 
 def _show(args: "Args", figures: dict[str, Any], error: ValueError | None) -> None:
-    """The figures, and what is wrong with log or truth."""
+    """Print the figures; then raise the error of the log or the truth, if there is one."""
     try:
         show(track_markdown(figures))
     finally:

@@ -1,4 +1,4 @@
-"""What localize --diagnose prints of the mistakes that it tries."""
+"""Report that localize --diagnose prints about likely mistakes."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -12,7 +12,7 @@ def _number(value: float | None) -> str:
 
 
 def _verdict(findings: Sequence[Finding]) -> str:
-    """What is wrong, and what to do about it."""
+    """Return a sentence on what is wrong and how to correct it."""
     best = findings[0]
     if best.contradictions:
         return (
@@ -28,7 +28,7 @@ def _verdict(findings: Sequence[Finding]) -> str:
 
 
 def diagnosis_markdown(findings: Sequence[Finding]) -> str:
-    """A verdict, a table of the hypotheses that can be tracked, the best first, and the others."""
+    """Return a verdict and a table of the hypotheses that allow a track, the best first."""
     header = ["hypothesis", "anchors", "Doppler", "consistent"]
     rows = [
         [
@@ -50,7 +50,7 @@ def diagnosis_markdown(findings: Sequence[Finding]) -> str:
 
 
 def diagnosis_figures(findings: Sequence[Finding]) -> dict[str, Any]:
-    """The same for a JSON file, with what contradicts each hypothesis."""
+    """Return the verdict and the contradictions of every hypothesis, for a JSON file."""
     hypotheses = [
         {**f._asdict(), "contradictions": [c._asdict() for c in f.contradictions]} for f in findings
     ]

@@ -1,4 +1,4 @@
-"""Facts about a measurement log: epochs, rate, anchors, speeds; and what is odd about them."""
+"""Facts about a measurement log: epochs, rate, anchors, speeds, and irregularities."""
 
 from collections import Counter
 from collections.abc import Iterable
@@ -15,18 +15,18 @@ from mmwave_env.models.scene import Scene
 from mmwave_env.numerics.numbers import Array
 from mmwave_env.world.mobility import FASTEST_MPS
 
-_UNEVEN = 0.1  # of the median step
+_UNEVEN = 0.1  # share of the median step
 
 
 class LogFacts(NamedTuple):
-    """Facts about a log, and the damage that ended it, if there is some."""
+    """Facts about a log, and the damage at which reading ended, if any."""
 
     figures: dict[str, Any]
     damage: LogError | None
 
 
 class _Sums:
-    """Running sums over the epochs of a log, which may be too long for the memory."""
+    """Running sums over the epochs of a log, which may not fit in memory."""
 
     def __init__(self, anchors: int) -> None:
         self.epochs = self.gaps = self.uneven = self.jumps = self.without = 0
@@ -65,7 +65,7 @@ class _Sums:
         self.jumps += int((speed > FASTEST_MPS).sum())
 
     def problems(self) -> list[str]:
-        """What is odd about the counts."""
+        """Return sentences about irregular counts."""
         said = [
             (self.gaps, f"gaps of more than {GAP_S:g} s: tracks begin anew there"),
             (self.uneven, f"steps that differ from {self.step_s:.4g} s by more than 10 %"),
@@ -81,7 +81,7 @@ class _Sums:
 
 
 def log_facts(blocks: Iterable[LogBlock], scene: Scene, truth: Truth | None) -> LogFacts:
-    """Read a log to its end, or up to where it is damaged, and sum it up."""
+    """Read a log to its end or to the first damage, and collect facts about it."""
     sums, damage = _Sums(len(scene.anchors_m)), None
     try:
         for block in blocks:
@@ -108,7 +108,7 @@ def log_facts(blocks: Iterable[LogBlock], scene: Scene, truth: Truth | None) -> 
 
 
 def facts_markdown(figures: dict[str, Any]) -> str:
-    """The figures of a log as Markdown."""
+    """Return the figures of a log as Markdown."""
     f, step, speed = figures, figures["step_s"], figures["speed_mps"]
     rate = f", {1.0 / step:.4g} Hz" if step else ""
     lines = [f"{f['epochs']} epochs, {f['first_s']:.10g} to {f['last_s']:.10g} s{rate}"]

@@ -1,4 +1,4 @@
-"""What is kept of a track for its picture."""
+"""Sampling of a track for its picture."""
 
 from collections.abc import Sequence
 
@@ -8,20 +8,20 @@ from experiments.figures.trajectory import DrawnTrack
 from mmwave_env.localization.localizer import TrackBlock
 from mmwave_env.numerics.numbers import Array
 
-_POINTS = 6000  # kept of a track of any length, at least half of them
-_POSITION = [0, 1, 3, 1, 2, 4, 3, 4, 5]  # its covariance in a packed one, row by row
+_POINTS = 6000  # most points of a picture; a long track has at least half as many
+_POSITION = [0, 1, 3, 1, 2, 4, 3, 4, 5]  # indices of the position's covariance in a packed one, row by row
 
 
 class Thinned:
-    """Every n-th of the rows that come, with n a power of two as their number demands.
+    """Every n-th row of a stream, where n is a power of two that grows with the stream.
 
     Args:
-        columns: of a row.
-        most: rows that are kept; at least half as many are, where there were that many.
+        columns: number of columns.
+        most: most rows to keep; a long stream keeps at least half as many.
 
     Attributes:
-        rows: (kept, columns).
-        every: which of them were kept: every so manieth.
+        rows: (kept, columns) rows of the stream.
+        every: n, the step between the rows that are kept.
     """
 
     def __init__(self, columns: int, most: int) -> None:
@@ -29,7 +29,7 @@ class Thinned:
         self._most, self._taken = most, 0
 
     def add(self, rows: Array) -> None:
-        """Take more rows (n, columns)."""
+        """Add rows (n, columns) of the stream."""
         self.rows = np.concatenate([self.rows, rows[-self._taken % self.every :: self.every]])
         self._taken += len(rows)
         while len(self.rows) > self._most:
@@ -37,11 +37,11 @@ class Thinned:
 
 
 class TrackSampler:
-    """Every n-th epoch of a track, with n as the length of the track demands.
+    """Every n-th epoch of a track, where n grows with the length of the track.
 
     Args:
-        modes: their names.
-        anchors_m: (L, 3), the physical gNB first.
+        modes: names of the modes.
+        anchors_m: (L, 3) positions of anchors, the physical gNB first.
     """
 
     def __init__(self, modes: Sequence[str], anchors_m: Array) -> None:
@@ -50,7 +50,7 @@ class TrackSampler:
         self._kept = Thinned(18, _POINTS)
 
     def add(self, block: TrackBlock, truth: Array | None) -> None:
-        """Take a block and its true positions (T, 3), NaN where not known."""
+        """Add a block and its true positions (T, 3), NaN where not known."""
         if truth is None:
             truth = np.full((len(block), 3), np.nan)
         self._kept.add(np.column_stack([
@@ -60,7 +60,7 @@ class TrackSampler:
 
     @property
     def track(self) -> DrawnTrack:
-        """What was kept."""
+        """Return the sampled track for drawing."""
         kept = self._kept.rows
         return DrawnTrack(
             kept[:, 0], kept[:, 3:6], kept[:, 9:].reshape(-1, 3, 3), kept[:, 6:9],

@@ -1,4 +1,4 @@
-"""What localize prints about a track."""
+"""Report that localize prints about a track."""
 
 from typing import Any
 
@@ -65,7 +65,7 @@ def _groups(groups: dict[str, Any]) -> str:
 
 
 def _clock(truth: dict[str, Any]) -> str:
-    """How times of the truth lie to those of the log: the end of a sentence, and perhaps one."""
+    """Finish a sentence on times of the truth relative to the log, and add any clock offset."""
     between, clock = truth["interpolated"], truth["clock"]
     away = f"{1e3 * truth['nearest_pose_s']:.1f} ms from the nearest pose on average"
     said = f", {between} of them between poses, {away}." if between else "."
@@ -116,7 +116,7 @@ def _accuracy(truth: dict[str, Any], epochs: int) -> str:
 
 
 def track_markdown(figures: dict[str, Any]) -> str:
-    """The figures of a track, as the command collects them, as Markdown."""
+    """Return the figures of a track, as the command collects them, as Markdown."""
     found = figures.get("association")
     lines = _course(figures) + (_association(found) if found else [])
     parts = ["".join(f"- {line}\n" for line in lines)]

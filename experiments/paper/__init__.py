@@ -1,1 +1,1 @@
-"""The paper's tables and claims, measured: sections for mmwave-loc tables."""
+"""Measurements of the paper's tables and claims: sections for mmwave-loc tables."""

@@ -1,4 +1,4 @@
-"""How close the model comes to the paper's headline, and what stands in the way."""
+"""Accuracy of the model compared with the paper's headline, and its error budget."""
 
 from collections.abc import Iterator
 from dataclasses import replace
@@ -19,7 +19,7 @@ RADIO = "high"
 
 
 def _figures(errors: Errors) -> list[Cell]:
-    """ATE, median NEES, share in the bounds and mean NEES."""
+    """Return ATE, median NEES, share in the bounds and mean NEES."""
     scores = errors.scores
     ate, share, nees = bootstrap(
         np.stack([scores["ate_m"], scores["in_bounds"], scores["nees"]], axis=1)
@@ -28,7 +28,7 @@ def _figures(errors: Errors) -> list[Cell]:
 
 
 def headline(bench: Bench) -> Section:
-    """Accuracy and consistency of the high profile."""
+    """Measure accuracy and consistency of the high profile."""
     goals = ", ".join(f"{scenario} {ate:g} m" for scenario, ate in HEADLINE.items())
     section = Section(
         "Headline accuracy: the high profile",
@@ -57,7 +57,7 @@ def headline(bench: Bench) -> Section:
 
 
 def _changes(radio: Radio) -> Iterator[tuple[str, dict[str, object]]]:
-    """Ways to make a radio better, one at a time."""
+    """Yield improvements of a radio, one at a time."""
     angles = ("aoa_floor_rad", "aod_floor_rad", "elevation_floor_rad")
     larger = {"gnb_elements": 2 * radio.gnb_elements, "ue_elements": 2 * radio.ue_elements}
     yield "as is", {}
@@ -73,7 +73,7 @@ def _changes(radio: Radio) -> Iterator[tuple[str, dict[str, object]]]:
 
 
 def error_budget(bench: Bench) -> Section:
-    """Which part of the radio keeps the 3-D error up."""
+    """Measure the share of each part of the radio in the 3-D error."""
     section = Section(
         "Error budget of the high profile, 3-D, smoothed",
         "Robust, blockage-aware updates; one change of the radio at a time, process noise as tuned "

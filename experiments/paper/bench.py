@@ -1,4 +1,4 @@
-"""Modes run on the episodes of a setting, each once, and sections to show what came out."""
+"""Runs of modes on the episodes of a setting, cached, and sections that show the results."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
@@ -26,12 +26,12 @@ from mmwave_env.world.episode import Episode
 from mmwave_env.world.simulated import SimulatedSource
 
 CHUNK = 128  # tracks at a time: few enough for their arrays to stay in the caches
-TUNED_ON = {"pedestrian": 0, "vehicle": 1}  # which of the shipped modes
+TUNED_ON = {"pedestrian": 0, "vehicle": 1}  # index of the mode among the shipped modes
 
 
 @dataclass(frozen=True)
 class Setting:
-    """Which episodes to run on."""
+    """A setting that determines the episodes of a run."""
 
     scenario: str  # kind of user
     radio: str  # profile
@@ -41,7 +41,7 @@ class Setting:
     changes: tuple[tuple[str, object], ...] = ()  # fields of the radio profile to replace
 
     def source(self) -> SimulatedSource:
-        """Where the episodes come from."""
+        """Return the source of the episodes."""
         changes = dict(self.changes)
         if self.clean:
             changes |= {"blockage_scale": 0.0, "multipath_rate_hz": 0.0}
@@ -50,12 +50,12 @@ class Setting:
         return SimulatedSource(scene, radio, self.scenario, odometry=self.odometry)
 
     def tuned(self, coupling: bool = True) -> Mode:
-        """The mode that was tuned for this kind of user and radio."""
+        """Return the mode that was tuned for this kind of user and radio."""
         return shipped_modes(self.radio, coupling)[TUNED_ON[self.scenario]]
 
 
 class Errors(NamedTuple):
-    """What a mode did on every episode."""
+    """Errors of a mode on every episode."""
 
     scores: Scores  # metric -> (episodes,)
     nees: Array  # (episodes, epochs) without the burn-in
@@ -63,18 +63,18 @@ class Errors(NamedTuple):
 
 
 class TrackRun(NamedTuple):
-    """A mode's tracks, as filtered and after Rauch-Tung-Striebel smoothing."""
+    """Errors of a mode's tracks, filtered and after Rauch-Tung-Striebel smoothing."""
 
     filtered: Errors
     smoothed: Errors
 
 
 class Bench:
-    """Runs modes on the episodes of seeds ``seed .. seed + episodes - 1``.
+    """A cache of runs of modes on the episodes of seeds ``seed .. seed + episodes - 1``.
 
     Args:
-        episodes: how many a setting.
-        seed: of the first.
+        episodes: number of episodes of a setting.
+        seed: seed of the first episode.
     """
 
     def __init__(self, episodes: int, seed: int) -> None:
@@ -86,7 +86,7 @@ class Bench:
         return draw_episodes(setting.source(), range(self.seed, self.seed + self.count))
 
     def _run(self, mode: Mode, setting: Setting, planar: bool = False) -> TrackRun:
-        """Filter and smooth every episode of a setting; ``planar`` knows z and vz."""
+        """Filter and smooth every episode of a setting, with known z and vz where ``planar``."""
         episodes = self.episodes(setting)
         if planar:
             height = SCENES["street"].streets.height_m
@@ -105,7 +105,7 @@ def track(mode: Mode, episodes: Sequence[Episode], planar: bool = False) -> Trac
 def _tracks(
     mode: Mode, episodes: Sequence[Episode], planar: bool
 ) -> tuple[Array, Array, Array, Array]:
-    """Position errors (n, T, 3) and NEES (n, T) as filtered, and both as smoothed."""
+    """Return position errors (n, T, 3) and NEES (n, T), filtered, then both smoothed."""
     pipeline = Pipeline((mode,), episodes[0].layout, planar)
     tracker = Tracker(pipeline, len(episodes))
     tracker.load(episodes)
@@ -116,7 +116,7 @@ def _tracks(
     better_x, better_P = smooth(x, found["P"], *predicted, dt, planar)
     better = error + better_x[..., :3] - x[..., :3]
     covariance = unpack(list(np.moveaxis(better_P, -1, 0)), zero=pipeline.known_axes)
-    # The error as the state and the origin as the truth: NEES sees their difference alone.
+    # The error stands for the state and 0 for the truth: NEES depends only on their difference.
     offset = Belief(list(np.moveaxis(better, -1, 0)), covariance, pipeline.position_axes)
     return error, found["nees"], better, offset.nees([0.0] * 3)
 
@@ -132,26 +132,26 @@ Cell = str | float | Interval
 
 @dataclass
 class Section:
-    """A table with a title and what there is to know about it."""
+    """A table with a title and a note."""
 
     # title, note: Markdown
     title: str
     note: str
-    columns: list[str]  # headers; the first ``labels`` of them name a row
-    labels: int = 1  # how many cells of a row are its name
+    columns: list[str]  # headers; the first ``labels`` columns name a row
+    labels: int = 1  # number of cells that name a row
     rows: list[list[Cell]] = field(default_factory=list)  # cells
 
     def body(self) -> str:
-        """The table and its note as Markdown."""
+        """Return the table and its note as Markdown."""
         rows = [[_shown(cell) for cell in row] for row in self.rows]
         return f"{grid(self.columns, rows)}\n\n{self.note}"
 
     def markdown(self) -> str:
-        """The whole section as Markdown."""
+        """Return the whole section as Markdown."""
         return f"### {self.title}\n\n{self.body()}\n"
 
     def records(self) -> list[list[Cell]]:
-        """Section, row, column, mean, low and high of every number."""
+        """Return section, row, column, mean, low and high of every number."""
         out: list[list[Cell]] = []
         for row in self.rows:
             name = ", ".join(str(cell) for cell in row[: self.labels])

@@ -29,7 +29,7 @@ def _ates(runs: Sequence[Errors]) -> list[np.ndarray]:
 
 
 def algorithms(bench: Bench) -> Section:
-    """EKF, UKF and CKF with one tuning: does the algorithm matter?"""
+    """Compare EKF, UKF and CKF with one tuning."""
     section = Section(
         "One tuning, three algorithms",
         "Filtered, with the process noise tuned for the kind of user, gates and adaptive scaling. "
@@ -49,7 +49,7 @@ def algorithms(bench: Bench) -> Section:
 
 
 def steps(bench: Bench) -> Section:
-    """Gates, recovery, adaptive scaling and robust updates, one change at a time."""
+    """Compare gates, recovery, adaptive scaling and robust updates, one change at a time."""
     section = Section(
         "What each step brings",
         "Tuned modes, coupled Q. Changes of the filtered ATE are paired, against the paper's "
@@ -86,7 +86,7 @@ def steps(bench: Bench) -> Section:
 
 
 def adaptation(bench: Bench) -> Section:
-    """Adaptive scaling where the process noise is wrong."""
+    """Measure adaptive scaling where the process noise is wrong."""
     section = Section(
         "Adaptive scaling and wrong process noise",
         "Standard profile, filtered, gates with recovery; sigma_v is the tuned one times the "
@@ -107,7 +107,7 @@ def adaptation(bench: Bench) -> Section:
 
 
 def smoothing(bench: Bench) -> Section:
-    """Rauch-Tung-Striebel smoothing against the filter it starts from."""
+    """Compare Rauch-Tung-Striebel smoothing with the filter that it starts from."""
     section = Section(
         "RTS smoothing",
         "Tuned modes with gates and adaptive scaling, windows of 200 epochs. A ratio of 0.5 "
@@ -127,7 +127,7 @@ def smoothing(bench: Bench) -> Section:
 
 
 def improvement(bench: Bench) -> Section:
-    """The "30 to 60 %": what optimizing takes off the untuned filters' errors."""
+    """Measure by how much optimizing reduces the untuned filters' errors ("30 to 60 %")."""
     section = Section(
         "What optimizing takes off the ATE",
         "From an untuned filter over the tuned one, with gates and adaptive scaling, to the "
@@ -153,7 +153,7 @@ def improvement(bench: Bench) -> Section:
 
 
 def process_noise(bench: Bench) -> Section:
-    """Where errors of a hundred meters come from: process noise and gates, not the algorithm."""
+    """Show that errors of a hundred meters stem from process noise and gates."""
     gates = {
         "no gates": {"gate": None, "recovery": None},
         "gates, no recovery": {"recovery": None},
@@ -177,7 +177,7 @@ def process_noise(bench: Bench) -> Section:
 
 
 def units(bench: Bench) -> Section:
-    """The Doppler equation as printed adds m/s and Hz."""
+    """Compare Doppler in hertz with the equation as printed, which adds m/s and Hz."""
     section = Section(
         "Doppler in hertz, or as printed",
         "Filtered ATE in m, tuned modes. As printed, v'(p - p1)/|p - p1| in m/s plus b in Hz "
@@ -204,24 +204,24 @@ def units(bench: Bench) -> Section:
 
 
 def _drifting_in_hz(mode: Mode, episode: Episode) -> Mode:
-    """The mode with its oscillator noise in Hz, for episodes whose carrier is taken for 1."""
+    """Return the mode with oscillator noise in Hz, for episodes with 1 Hz per m/s."""
     return replace(mode, sigma_b_mps=mode.sigma_b_mps * episode.hz_per_mps)
 
 
 def _read_as_mps(episode: Episode) -> Episode:
-    """The episode with its Doppler shift in Hz taken for a speed, noise and all."""
+    """Return the episode with its Doppler shift in Hz, and the noise, read as m/s."""
     sigma = episode.sigma.copy()
     sigma[:, episode.layout.doppler] /= episode.hz_per_mps
     return replace(episode, hz_per_mps=1.0, sigma=sigma)
 
 
 def resolution(bench: Bench) -> Section:
-    """What 100 MHz resolves, and how well it measures a range."""
+    """Compute the path separation that 100 MHz resolves, and the error of a range."""
     scene, radio = SCENES["street"], RADIOS["standard"]
     ideal = replace(radio, range_floor_m=(1e-9, 1e-9))
     snr_db = np.array([0.0, 10.0, 20.0, 30.0, 40.0])
     sigma = ideal.sigma(np.tile(snr_db[:, None], 3), scene, Layout())[:, 0]
-    # The bound goes with 1 / sqrt(SNR), far above its floor.
+    # The bound is proportional to 1 / sqrt(SNR), far above its floor.
     centimeter_db = snr_db[-1] + 20.0 * math.log10(sigma[-1] / 0.01)
     links = np.concatenate(
         [e.snr_db[e.usable[:, 0], 0] for e in bench.episodes(Setting("pedestrian", "standard"))]
@@ -239,7 +239,7 @@ def resolution(bench: Bench) -> Section:
 
 
 def consistency_gate(bench: Bench) -> Section:
-    """NEES of three axes against 5.99, the 95 % quantile of two."""
+    """Compare NEES of three axes with 5.99, the 95 % quantile of two axes."""
     section = Section(
         "The 5.99 gate of a 3-D NEES, %",
         "Share of epochs beyond the gate. Measured: EKF mode without adaptive scaling on "
@@ -256,7 +256,7 @@ def consistency_gate(bench: Bench) -> Section:
 
 
 def contradictions(bench: Bench) -> Section:
-    """Printed figures that no track can have."""
+    """Find printed figures that contradict each other."""
     section = Section(
         "Printed figures against each other",
         "No track has an RMSE below its ATE (the mean of a square is at least the square of the "

@@ -1,4 +1,4 @@
-"""Tables I and II and the process-noise sweep as a picture."""
+"""Picture of Tables I and II and of the process-noise sweep."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -9,8 +9,8 @@ from experiments.figures.canvas import picture, plain_numbers
 from experiments.paper.bench import Cell, Section
 from mmwave_env.models.radio import RADIOS
 
-COUPLED = 3  # column of the ATE with coupled process noise; the paper's stands first
-FILTERS = 4  # rows that the paper has, too
+COUPLED = 3  # column of the ATE with coupled process noise; the paper's ATE comes first
+FILTERS = 4  # number of rows that the paper also has
 COLORS = {"ekf": "C0", "ukf": "C1"}
 
 
@@ -22,7 +22,7 @@ def _errorbars(axes: Any, x: Sequence[float], cells: Sequence[Cell], **style: An
 
 
 def _meters(axes: Any) -> None:
-    """A logarithmic axis of ATE, the same in every panel."""
+    """Set a logarithmic axis of ATE, the same in every panel."""
     axes.set_yscale("log")
     axes.set_ylim(0.1, 1000.0)
     plain_numbers(axes.yaxis)
@@ -30,7 +30,7 @@ def _meters(axes: Any) -> None:
 
 
 def _bars(axes: Any, sections: Sequence[Section], title: str) -> None:
-    """ATE per filter: the paper's, and ours per radio profile."""
+    """Draw ATE per filter: the paper's figures, and ours per radio profile."""
     rows = sections[0].rows[:FILTERS]
     axes.scatter(
         range(FILTERS), [row[1] for row in rows], marker="_", s=900, color="black", label="paper"
@@ -46,7 +46,7 @@ def _bars(axes: Any, sections: Sequence[Section], title: str) -> None:
 
 
 def _sweep(axes: Any, section: Section) -> None:
-    """ATE over process noise, with and without gates."""
+    """Draw ATE over process noise, with and without gates."""
     x = [float(str(row[0])) for row in section.rows]
     styles = {"no gates": ":", "gates, no recovery": "-", "gates, recovery": "--"}
     for column, name in enumerate(section.columns[1:], start=1):

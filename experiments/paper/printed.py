@@ -1,4 +1,4 @@
-"""Tables I, II and III beside the paper's own figures (arXiv 2510.06861)."""
+"""Tables I, II and III with the paper's own figures (arXiv 2510.06861) and ours."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
@@ -16,7 +16,7 @@ from mmwave_env.models.radio import RADIOS
 class Published(NamedTuple):
     """A row of Table I or II."""
 
-    # ate_m, rpe_m, nees, rmse_m: as printed, in that order
+    # ate_m, rpe_m, nees, rmse_m: columns in the printed order
     ate_m: float
     rpe_m: float
     nees: float
@@ -45,7 +45,7 @@ UNTUNED_SIGMA_V = 1.0  # m/s: the paper does not print its untuned process noise
 
 
 def untuned(algorithm: str, coupling: bool) -> Mode:
-    """A filter as the paper's tables first show it: no tuning, gates, scaling or smoothing."""
+    """Return a filter of the paper's first rows: no tuning, gates, scaling or smoothing."""
     return Mode(
         algorithm, algorithm, sigma_v=UNTUNED_SIGMA_V, coupling=coupling,
         gate=None, recovery=None, adaptive=False,
@@ -53,7 +53,7 @@ def untuned(algorithm: str, coupling: bool) -> Mode:
 
 
 def _row(name: str, printed: Published | None, forms: Sequence[Scores]) -> list[Cell]:
-    """A row: per metric the paper's figure, then ours for each form of process noise."""
+    """Return a row: per metric the paper's figure, then ours for each form of process noise."""
     columns = np.stack([scores[metric] for metric in PRINTED for scores in forms], axis=1)
     ours = iter(bootstrap(columns))
     row: list[Cell] = [name]
@@ -82,7 +82,7 @@ def _rows(bench: Bench, setting: Setting, printed: dict[str, Published]) -> Iter
 
 
 def tables_one_and_two(bench: Bench) -> Iterator[Section]:
-    """Table I and Table II, once for each radio profile."""
+    """Yield Table I and Table II, once for each radio profile."""
     columns = ["filter"]
     for header in PRINTED.values():
         columns += [f"{header}: paper", "plain Q", "coupled Q"]
@@ -105,7 +105,7 @@ def tables_one_and_two(bench: Bench) -> Iterator[Section]:
 
 
 def table_three(bench: Bench) -> Section:
-    """Table III with our figures, coupled process noise."""
+    """Return Table III with our figures, coupled process noise."""
     section = Section(
         "Table III",
         "Other people's figures are as the paper quotes them, on other data than ours: they show "

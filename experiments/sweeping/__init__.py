@@ -1,1 +1,1 @@
-"""Grids of evaluations and trainings, and searches: what to do, by whom, and what is kept."""
+"""Sweeps: grids of evaluations and trainings, searches, and the rows that they write."""

@@ -1,4 +1,4 @@
-"""What a cell comes to: an evaluation, or a training."""
+"""Rows of a sweep: results of an evaluation or of a training."""
 
 import tempfile
 import warnings
@@ -22,7 +22,7 @@ Row = dict[str, Any]
 
 
 def evaluated(values: Values) -> Row:
-    """Means of the metrics of an evaluation, their 95 % intervals, and those of each episode."""
+    """Return means of the metrics of an evaluation, their 95 % intervals, and every episode's."""
     args = Evaluation(**values)
     selection = Selection(range(args.seed, args.seed + args.episodes))
     with warnings.catch_warnings(record=True) as said:
@@ -40,11 +40,11 @@ def evaluated(values: Values) -> Row:
 
 
 def trained(values: Values, tell: Callable[[Row], None] = lambda row: None) -> Row:
-    """Means of the metrics of the best policy of a training, on tuning seeds; and its file.
+    """Train; return the metrics of the best policy on tuning seeds, and its file.
 
     Args:
-        values: by axis.
-        tell: takes the row of every policy that is evaluated on the way.
+        values: value of every axis.
+        tell: takes the row of every policy that is evaluated during the training.
     """
     from experiments.training.job import Job, News
     from experiments.training.processes import train
@@ -68,7 +68,7 @@ def _row(figures: Mapping[str, float]) -> Row:
 
 
 def training_of(values: Values) -> tuple[Training, Hyperparameters]:
-    """The options of a training, and the shipped hyperparameters but for those that it has."""
+    """Return the options of a training, and the shipped hyperparameters with its changes."""
     changed = {k: v for k, v in values.items() if k.startswith(HYPERPARAMETER)}
     args = Training(**{k: v for k, v in values.items() if k not in changed})
     shipped = hyperparameters(args, len(args.places) or 1)
