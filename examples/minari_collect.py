@@ -45,7 +45,7 @@ def is_file(name):
 
 
 def played(env, act, seed):
-    """Play an episode; return its return and its mean position error in m."""
+    """Play an episode; return the sum of rewards and the mean position error in m."""
     observation, _ = env.reset(seed=seed)
     earned, errors, ended, begins = 0.0, [], False, True
     while not ended:

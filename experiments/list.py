@@ -123,7 +123,7 @@ def samples() -> dict[str, str]:
 
 
 def copied(out: Path, only: str | None) -> int:
-    """Copy the files of one sample or of all; write each file in one step, and count the files.
+    """Copy the files of one sample or of all, each in one step; return the number of files.
 
     Raises:
         ValueError: there is no such sample.

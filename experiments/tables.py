@@ -1,4 +1,4 @@
-"""mmwave-loc tables: the paper's tables and claims beside what this model measures."""
+"""mmwave-loc tables: the paper's tables and claims with what this model measures."""
 
 import csv
 import io
@@ -36,7 +36,7 @@ FIELDS = ("section", "row", "column", "mean", "low", "high")
 
 
 def sections(bench: "Bench") -> "Iterator[Section]":
-    """Everything there is, in order."""
+    """Yield all sections, in order."""
     from experiments.paper.accuracy import error_budget, headline
     from experiments.paper.claims import CLAIMS
     from experiments.paper.printed import table_three, tables_one_and_two
@@ -86,6 +86,6 @@ def main(args: Args) -> None:
     try:
         for figure in figures:
             draw(found, figure)
-    finally:  # a picture that fails costs nobody the tables
+    finally:  # the tables are shown even if a picture fails
         show(text)
     say(f"written to {args.out}/")

@@ -9,7 +9,7 @@ from experiments.console.options import TaskArgs
 
 @dataclass(kw_only=True)
 class FolderArgs:
-    """The run as a folder."""
+    """Options of the folder of a run."""
 
     jobs: int = min(2, os.cpu_count() or 1)
     """how many trainings at once"""

@@ -42,11 +42,11 @@ class Args(JsonArgs):
     """write the tuned modes to this mode file, for --modes and modes="""
 
 
-OF_MODES = ("modes", "scenarios", "free", "objective", "diagonal")  # options that banks have not
+OF_MODES = ("modes", "scenarios", "free", "objective", "diagonal")  # options that banks do not have
 
 
 def _tune_bank(args: Args) -> None:
-    """Tune a bank, and write and say what it came to."""
+    """Tune a bank, write it, and print its reward."""
     from experiments.console.progress import say
     from experiments.console.provenance import provenance
     from experiments.evaluation.intervals import Interval
@@ -90,7 +90,7 @@ def main(args: Args) -> None:
         _tune_bank(args)
         return
     radio = radio_from(args.radio)
-    profile, base = radio.name, radio.base  # one that nobody has tuned yet starts from its base
+    profile, base = radio.name, radio.base  # an untuned radio starts from its base
     modes = modes_from(args.modes, base)
     if len(args.scenarios) != len(modes):
         raise ValueError(

@@ -1,4 +1,4 @@
-"""mmwave-loc watch: an episode as contenders go through it, in a window or as a video."""
+"""mmwave-loc watch: an episode as contenders filter it, in a window or as a video."""
 
 import warnings
 from collections.abc import Sequence
@@ -60,18 +60,18 @@ class Args(PictureArgs):
     folders of runs, and module:function"""
 
 
-MOST = 3  # side by side
-FASTEST = 50  # pictures a second that a GIF can have
-_OF_A_LOG = ("log", "scene", "radio")  # options of the world that say something of a log
+MOST = 3  # most policies to show
+FASTEST = 50  # most pictures per second of a GIF
+_OF_A_LOG = ("log", "scene", "radio")  # options of the world that also apply to a log
 
 
 class Ride(NamedTuple):
-    """What is played.
+    """An episode to play.
 
     Attributes:
-        episode: with or without truth.
-        streets: None where nobody knows them.
-        which: it is, in words.
+        episode: episode with or without truth.
+        streets: streets to draw; None where they are unknown.
+        which: description of the episode.
     """
 
     episode: "Episode"
@@ -102,7 +102,7 @@ def main(args: Args) -> None:
 
 
 def _check(args: Args) -> None:
-    """Refuse, before any work, what can't be shown."""
+    """Refuse, before any work, options that can't be shown."""
     from mmwave_env.rendering.theme import require_drawable
     from mmwave_env.rendering.video import require_video
 
@@ -122,7 +122,7 @@ def _check(args: Args) -> None:
 
 
 def _check_log(args: Args) -> None:
-    """Refuse what a log brings itself, or does not have."""
+    """Refuse options that a log replaces or does not have."""
     if args.scene is None:
         raise ValueError(f"scene: found none, expected --scene with that of {args.log}")
     world = [field for field in fields(WorldArgs) if field.name not in _OF_A_LOG]
@@ -133,7 +133,7 @@ def _check_log(args: Args) -> None:
 
 
 def _logged(args: Args) -> Ride:
-    """The first track of a log, up to the first long gap."""
+    """Return the first track of a log, up to the first long gap."""
     from mmwave_env.localization.localizer import episode_from
     from mmwave_env.localization.segments import segments
     from mmwave_env.logs.log import LogBlock, read_log
@@ -157,7 +157,7 @@ def _logged(args: Args) -> Ride:
 
 
 def _drawn(task: "Task", seed: int | None, key: int | None) -> Ride:
-    """The episode that is asked for."""
+    """Draw the episode of a seed or key."""
     import numpy as np
 
     from experiments.evaluation.seeds import Selection
@@ -180,7 +180,7 @@ def _drawn(task: "Task", seed: int | None, key: int | None) -> Ride:
 
 
 def _between(time_s: "Array", begin: float | None, end: float | None) -> Sequence[int]:
-    """The rows of a history between two times, the prior's among them at the beginning."""
+    """Return the rows of a history between two times, from the prior on by default."""
     import numpy as np
 
     low, high = -np.inf if begin is None else begin, np.inf if end is None else end
@@ -198,7 +198,7 @@ def _between(time_s: "Array", begin: float | None, end: float | None) -> Sequenc
 def _told(
     names: Sequence[str], histories: "Sequence[History]", rows: Sequence[int], which: str
 ) -> list[str]:
-    """What is played, and how far off everybody is in it, or may be."""
+    """Return lines on the episode and the position error of each policy, or its own estimate."""
     import numpy as np
 
     first, last = histories[0].time_s[[rows[0], rows[-1]]]
@@ -237,7 +237,7 @@ def _show(
     window = Window(size * len(contenders), size)
     window.speed = args.fps
     for row in rows:
-        window.paused |= row == rows[-1]  # until a key, or until it is closed
+        window.paused |= row == rows[-1]  # until a key is pressed or the window is closed
         window.show(playback.draw(row))
         if not window.is_open:
             break

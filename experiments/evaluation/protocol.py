@@ -147,7 +147,7 @@ def entry(name: str, judged: Sequence[Judged]) -> dict[str, Any]:
 
 
 def _mean_gain(name: str, judged: Sequence[Judged]) -> Interval:
-    """Average over venues the gain on the best classical method, the IMM of the best bank."""
+    """Return the gain over the best classical method, imm-best, averaged over venues."""
     gains = [one.reward[name] - one.reward[BEST_IMM] for one in judged]
     (interval,) = bootstrap(np.mean(gains, axis=0)[:, None])
     return interval

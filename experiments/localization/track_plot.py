@@ -9,7 +9,7 @@ from mmwave_env.localization.localizer import TrackBlock
 from mmwave_env.numerics.numbers import Array
 
 _POINTS = 6000  # most points of a picture; a long track has at least half as many
-_POSITION = [0, 1, 3, 1, 2, 4, 3, 4, 5]  # indices of the position's covariance in a packed one, row by row
+_POSITION = [0, 1, 3, 1, 2, 4, 3, 4, 5]  # position's part of a packed covariance
 
 
 class Thinned:

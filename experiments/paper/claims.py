@@ -221,7 +221,7 @@ def resolution(bench: Bench) -> Section:
     ideal = replace(radio, range_floor_m=(1e-9, 1e-9))
     snr_db = np.array([0.0, 10.0, 20.0, 30.0, 40.0])
     sigma = ideal.sigma(np.tile(snr_db[:, None], 3), scene, Layout())[:, 0]
-    # The bound is proportional to 1 / sqrt(SNR), far above its floor.
+    # The bound goes with 1 / sqrt(SNR), far above its floor.
     centimeter_db = snr_db[-1] + 20.0 * math.log10(sigma[-1] / 0.01)
     links = np.concatenate(
         [e.snr_db[e.usable[:, 0], 0] for e in bench.episodes(Setting("pedestrian", "standard"))]

@@ -1,4 +1,4 @@
-"""Cells and trials on Ray, of this machine or of a cluster."""
+"""Cells and trials on Ray, on this machine or on a cluster."""
 
 import itertools
 import logging
@@ -15,27 +15,27 @@ from experiments.sweeping.spec import Spec, Values
 from mmwave_env.files import told
 from mmwave_env.metrics import METRICS
 
-RETRIES = 2  # of a cell whose process ended, as for want of memory, or that met an OS error
-AHEAD = 1000  # cells that Ray has at once: enough for as many workers
+RETRIES = 2  # runs again of a cell whose process ended, as for want of memory, or raised OSError
+AHEAD = 1000  # cells that Ray has at once, which keeps as many workers busy
 ENVIRONMENT = {
     "RAY_USAGE_STATS_ENABLED": "0",
     "RAY_task_oom_retries": str(RETRIES),  # without a limit otherwise
-    "RAY_agent_register_timeout_ms": "120000",  # a busy machine begins slowly
+    "RAY_agent_register_timeout_ms": "120000",  # a busy machine starts slowly
     "RAY_AIR_NEW_OUTPUT": "0",
-    "RAY_CHDIR_TO_TRIAL_DIR": "0",  # paths go out from where the command was begun
+    "RAY_CHDIR_TO_TRIAL_DIR": "0",  # paths are relative to the command's folder
     "TUNE_DISABLE_SIGINT_HANDLER": "1",  # Ctrl-C ends the command, as everywhere
     "TUNE_DISABLE_AUTO_CALLBACK_LOGGERS": "1",  # rows are all that is kept
 }
-RUNGS, SHARE = 9, 3  # of early stopping: docs/sweep.md
+RUNGS, SHARE = 9, 3  # parameters of early stopping: docs/sweep.md
 
 
 @contextmanager
 def connected(address: str | None, workers: int | None) -> Iterator[None]:
-    """Ray, until this ends.
+    """Connect to Ray in the block.
 
     Args:
-        address: of a cluster, which gets the code from here; None to begin one of this machine.
-        workers: how many processes of this machine; None for as many as it has cores.
+        address: address of a cluster, which gets this code; None to start Ray on this machine.
+        workers: number of processes on this machine; None for its number of cores.
     """
     os.environ |= ENVIRONMENT | ({"RAY_NUM_REDIS_GET_RETRIES": "1"} if address else {})
     import ray
@@ -51,7 +51,7 @@ def connected(address: str | None, workers: int | None) -> Iterator[None]:
     where |= {"include_dashboard": False, "log_to_driver": False, "logging_level": logging.ERROR}
     ray.init(**where)
     try:
-        # Ray has just put handlers of its own in their place, and prints among our tables.
+        # Ray has just replaced the signal handlers by its own, and would print among our tables.
         with ended_by_signals(), open(os.devnull, "w") as nowhere, redirect_stdout(nowhere):
             yield
     finally:
@@ -61,11 +61,11 @@ def connected(address: str | None, workers: int | None) -> Iterator[None]:
 def computed(
     compute: Callable[[Values], Values], cells: Mapping[str, Values]
 ) -> Iterator[tuple[str, Values | None, str]]:
-    """Cells as they are over: name, row (None where it failed) and error.
+    """Yield every finished cell: its name, its row (None where it failed) and its error.
 
     Args:
-        compute: makes a row of values.
-        cells: values by name.
+        compute: function from the values of a cell to its row.
+        cells: values of each cell, by name.
     """
     import ray
 
@@ -93,16 +93,16 @@ def searched(
     before: Mapping[str, Values],
     keep: Callable[[str, Values, Values], None],
 ) -> list[str]:
-    """Run the trials that are left: Ray Tune with Optuna's sampler and early stopping (ASHA).
+    """Run the remaining trials on Ray Tune, with Optuna's sampler and early stopping (ASHA).
 
     Args:
-        train: with values, and tells rows.
-        spec: of the search.
-        before: rows of trials that are over, from which the sampler learns.
-        keep: takes the name of a trial that is over, its values and its last row.
+        train: function that trains with given values and reports rows.
+        spec: specification of the search.
+        before: rows of finished trials, from which the sampler learns.
+        keep: takes the name of a finished trial, its values and its last row.
 
     Returns:
-        What trials failed of.
+        The errors of failed trials.
     """
     import optuna
     from ray import tune

@@ -1,4 +1,4 @@
-"""What a sweep came to: a folder of Parquet files, one of a row for each cell."""
+"""Rows of a sweep: a folder of Parquet files, one file with one row for each cell."""
 
 from pathlib import Path
 
@@ -7,12 +7,12 @@ from mmwave_env.files import atomic_path, told, write_bytes
 
 
 def kept(folder: Path, spec: Spec) -> set[str]:
-    """Names of the cells, or trials, of a sweep that are there.
+    """Return the names of the cells, or trials, of a sweep whose rows are in a folder.
 
     Raises:
-        ValueError: one of another sweep is there.
+        ValueError: the folder has a row of another sweep.
     """
-    names = {path.stem for path in folder.glob("[!.]*.parquet")}  # hidden ones are half written
+    names = {path.stem for path in folder.glob("[!.]*.parquet")}  # hidden files are incomplete
     for name in names:
         if not (name.startswith(spec.trial) if spec.free else name in spec.cells):
             raise ValueError(
@@ -23,7 +23,7 @@ def kept(folder: Path, spec: Spec) -> set[str]:
 
 
 def keep(folder: Path, name: str, values: Values, result: Values) -> None:
-    """Write the row of a cell, and the policy of a training beside it."""
+    """Write the row of a cell, and with it the policy of a training."""
     import pyarrow
     from pyarrow import parquet
 
@@ -35,10 +35,10 @@ def keep(folder: Path, name: str, values: Values, result: Values) -> None:
 
 
 def read(folder: Path, spec: Spec) -> dict[str, Values]:
-    """Rows by the name of their cell.
+    """Read the rows of a sweep, by the name of their cell.
 
     Raises:
-        ValueError: as of :func:`kept`; or a file can't be read. The message names it.
+        ValueError: same as from :func:`kept`, or a file can't be read; the message names it.
     """
     from pyarrow import ArrowException, parquet
 

@@ -1,4 +1,4 @@
-"""A sweep from its file to its table."""
+"""The sweep command, from its file to its table."""
 
 import shlex
 from collections.abc import Collection, Iterator, Mapping
@@ -24,10 +24,10 @@ SHOWN = ("reward", "ate_m", "rmse_m", "nees", "divergence_rate")
 
 
 def sweep(file: Path, folder: Path, address: str | None, workers: int | None) -> None:
-    """Compute what a file asks for and a folder lacks; :func:`connected` says by whom.
+    """Compute the cells of a file that a folder lacks, on Ray; see :func:`connected`.
 
     Raises:
-        ValueError: the file is not sound, there are rows of another sweep, or cells failed.
+        ValueError: the file is not valid, the folder has rows of another sweep, or cells failed.
     """
     spec = read_spec(file)
     if spec.kind != "evaluate":
@@ -48,7 +48,7 @@ def sweep(file: Path, folder: Path, address: str | None, workers: int | None) ->
 
 
 def _failures(spec: Spec, folder: Path, there: Collection[str]) -> Iterator[str]:
-    """Compute what is not there and keep it; what failed."""
+    """Compute missing cells, write their rows, and yield a message for each failure."""
     if spec.free:
         yield from searched(trained, spec, read(folder, spec), partial(keep, folder))
         return
@@ -65,7 +65,7 @@ def _failures(spec: Spec, folder: Path, there: Collection[str]) -> Iterator[str]
 
 
 def _table(spec: Spec, rows: Mapping[str, Values]) -> str:
-    """What varies, and metrics: of a grid in the order of the file, of a search the best first."""
+    """Return the table of varied axes and metrics: a grid in file order, a search best first."""
     axes = [axis for axis, values in spec.axes.items() if len(values) > 1]
     names = [name for name in spec.cells if name in rows]
     if spec.free:
@@ -82,7 +82,7 @@ def _table(spec: Spec, rows: Mapping[str, Values]) -> str:
 
 
 def _tell_best(spec: Spec, folder: Path, rows: Mapping[str, Values]) -> None:
-    """Say which training was best on tuning seeds; of a search, how to train as it did."""
+    """Print which training was best on tuning seeds; for a search, how to repeat it."""
     best = max(rows, key=lambda name: rows[name]["reward_mean"])
     if not spec.free:
         say(f"The best of the trainings is {folder / best}.safetensors")

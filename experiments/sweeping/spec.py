@@ -1,4 +1,4 @@
-"""What a sweep is to do: a TOML or JSON file, whose lists are combined."""
+"""Specification of a sweep: a TOML or JSON file, whose lists are combined."""
 
 import hashlib
 import itertools
@@ -19,22 +19,22 @@ from mmwave_env.files import parse_json, read_text
 from mmwave_env.lookup import choose, quoted, require_extra
 from mmwave_env.records import Bound, counts, hints_of, require
 
-MOST_CELLS = 100_000  # more are a slip: cells should take a second or longer
-HYPERPARAMETER = "hyperparameters."  # begins the name of an axis of a training
+MOST_CELLS = 100_000  # more are a mistake: a cell should take a second or longer
+HYPERPARAMETER = "hyperparameters."  # prefix of an axis of hyperparameters
 
 Count = Annotated[int, counts(1, 10**12)]
 Seed = Annotated[int, Bound("an integer from 0 to 10^15", least=0, most=1e15)]
-Values = Mapping[str, Any]  # of a cell, by axis
+Values = Mapping[str, Any]  # values of a cell, by axis
 
 
 @dataclass(kw_only=True)
 class Evaluation(ModeArgs):
-    """Keys of a table [evaluate]: options of compare that say what is played."""
+    """Keys of a table [evaluate]: options of compare that affect its results."""
 
     policy: str
     reward: str = "tracking"
     episodes: Count = USUAL_EPISODES
-    seed: Seed = 0  # of the first episode
+    seed: Seed = 0  # seed of the first episode
 
 
 @dataclass(kw_only=True)
@@ -43,7 +43,7 @@ class Training(TaskArgs):
 
     total_timesteps: Count
     seed: Seed = 0  # the number of the training
-    episodes: Count = 200  # that its policies are evaluated on
+    episodes: Count = 200  # episodes to evaluate policies on
 
 
 KINDS: Mapping[str, Any] = {"evaluate": Evaluation, "train": Training, "search": Training}
@@ -51,13 +51,13 @@ KINDS: Mapping[str, Any] = {"evaluate": Evaluation, "train": Training, "search":
 
 @dataclass(frozen=True)
 class Spec:
-    """A sweep.
+    """A sweep: the axes of a grid, or the distributions of a search.
 
     Attributes:
-        kind: name of its table.
-        axes: values of each key; of a search one each.
-        trials: of a search.
-        free: Optuna's distributions of what is searched for, by axis.
+        kind: name of the table in the file.
+        axes: values of each key; a search has one value for each.
+        trials: number of trials of a search.
+        free: Optuna's distributions of the hyperparameters to search, by axis.
     """
 
     kind: str
@@ -70,18 +70,18 @@ class Spec:
 
     @cached_property
     def cells(self) -> dict[str, Values]:
-        """All combinations of a grid, by name, in the order of the file."""
+        """Return all combinations of a grid, by name, in the order of the file."""
         combinations = itertools.product(*self.axes.values())
         cells = (dict(zip(self.axes, values, strict=True)) for values in combinations)
         return {self._digest(values): values for values in cells}
 
     @property
     def trial(self) -> str:
-        """Begins the names of a search's trials."""
+        """Return the prefix of the names of a search's trials."""
         return self._digest({**self.axes, **self.free})
 
     def values_of(self, row: Values) -> Values:
-        """Values of the trial that has a row, or a proposal of Optuna's."""
+        """Return the values of the trial that has a row, or of a proposal of Optuna's."""
         found = {axis: value for axis, (value,) in self.axes.items()}
         for axis in self.free:
             value = json.loads(row[axis]) if isinstance(row[axis], str) else row[axis]
@@ -89,7 +89,7 @@ class Spec:
         return found
 
     def _digest(self, values: Values) -> str:
-        """Name what is to be done: by values, version and the content of files that are named."""
+        """Return a name that depends on values, version and the content of the files they name."""
         words = itertools.chain(*(v if isinstance(v, tuple) else (v,) for v in values.values()))
         files = [_content(word) for word in words if isinstance(word, str) and os.path.isfile(word)]
         work = json.dumps([__version__, self.kind, sorted(values.items()), files], default=repr)
@@ -102,7 +102,7 @@ def _content(path: str) -> str:
 
 
 def plain(value: Any) -> Any:
-    """A value as columns and Optuna hold it: numbers and text as they are, others as JSON."""
+    """Return a value for columns and Optuna: numbers and text unchanged, others as JSON."""
     return json.dumps(value) if isinstance(value, (bool, tuple)) else value
 
 
@@ -110,7 +110,7 @@ def read_spec(path: Path) -> Spec:
     """Read a sweep: one table, with the fields of its kind and ``hyperparameters`` as keys.
 
     Raises:
-        ValueError: naming the file, the key, what was found and what was expected.
+        ValueError: names the file and the key, what was found and what was expected.
         FileNotFoundError: there is no such file.
     """
     text = read_text(path, "a sweep, TOML or JSON")
@@ -152,7 +152,7 @@ def _options(kind: str, table: Values) -> Iterator[tuple[str, Sequence[Any]]]:
 
 
 def _hyperparameters(kind: str, table: Values, axes: Values) -> Iterator[tuple[str, Any]]:
-    """Values of each, or their distribution, that are sound beside those that are shipped."""
+    """Yield the values or the distribution of each hyperparameter; refuse invalid ones."""
     algo, beliefs = (axes.get(name, [getattr(Training, name)])[0] for name in ("algo", "beliefs"))
     found = read_hyperparameters(shipped_hyperparameters(algo, beliefs), algo)
     types = get_type_hints(type(found))
@@ -169,7 +169,7 @@ def _hyperparameters(kind: str, table: Values, axes: Values) -> Iterator[tuple[s
 
 
 def _distribution(axis: str, found: Any, whole: bool) -> Any:
-    """What Optuna chooses from: a range, or a list."""
+    """Return the range or list that Optuna chooses from."""
     require_extra("optuna", "ray", "a search")
     from optuna import distributions
 
@@ -183,13 +183,13 @@ def _distribution(axis: str, found: Any, whole: bool) -> Any:
 
 
 def _values(key: str, value: Any) -> Sequence[Any]:
-    """The values of an axis; modes and places are lists, so that theirs are lists of lists."""
+    """Return the values of an axis; several values of modes or places are lists of lists."""
     several = isinstance(value, list) and (
         key not in ("modes", "places") or all(isinstance(one, list) for one in value)
     )
     values = [tuple(v) if isinstance(v, list) else v for v in (value if several else [value])]
     if not values or len(set(map(repr, values))) < len(values):
         raise ValueError(f"{key}: found {quoted(value)}, expected values, each once")
-    if any(isinstance(one, float) for one in values):  # a column holds numbers of one kind
+    if any(isinstance(one, float) for one in values):  # a column holds numbers of one type
         return [float(one) if type(one) is int else one for one in values]
     return values

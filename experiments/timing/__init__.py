@@ -1,1 +1,1 @@
-"""How fast it is, beside what, and beside what the core could do: for mmwave-loc speed."""
+"""Timing for mmwave-loc speed: environments, filters and the limit of the core."""

@@ -1,7 +1,7 @@
 """Time to the first step, and peak memory, each in a fresh process.
 
-The time begins before Python does, so imports and compilation are in it. What other runs have
-left on disk (bytecode, compiled loops) is used, as a second run would.
+The time starts before Python does, so it includes imports and compilation. Files that other runs
+left on disk (bytecode, compiled loops) are used, as in a second run.
 """
 
 import os
@@ -11,22 +11,22 @@ import time
 from pathlib import Path
 from typing import Any
 
-STEPS = 210  # through the end of all episodes and the drawing of the next ones
+STEPS = 210  # past the end of all episodes and the drawing of the next episodes
 
 
 def fresh(name: str, n: int) -> tuple[float, float]:
-    """Start Python, make an environment and step it.
+    """Start Python, make an environment, and measure time and memory of its steps.
 
     Args:
-        name: as in ``gymnasium.make``.
-        n: how many in a vector environment; 0 for a single one.
+        name: id of the environment, as in ``gymnasium.make``.
+        n: number of environments in a vector environment; 0 for a single environment.
 
     Returns:
-        Seconds from its start to the end of the first step, and the most resident memory through
+        Seconds from Python's start to the end of the first step, and peak resident memory, past
         the ends of episodes, MiB (2^20 bytes).
     """
     words = [sys.executable, "-m", __name__, name, str(n)]
-    packages = os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, sys.path))}  # as here
+    packages = os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, sys.path))}  # this sys.path
     begin = time.perf_counter()
     with subprocess.Popen(words, env=packages, stdout=subprocess.PIPE, text=True) as child:
         assert child.stdout is not None
@@ -39,7 +39,7 @@ def fresh(name: str, n: int) -> tuple[float, float]:
 
 
 def _step(name: str, n: int) -> None:
-    """What the process does: a line after the first step, and its peak at the end."""
+    """Print a line after the first step, and peak memory at the end; runs in the process."""
     import gymnasium as gym
     import numpy as np
 
@@ -57,7 +57,7 @@ def _step(name: str, n: int) -> None:
 
 def _peak_mb() -> float:
     status = Path("/proc/self/status")
-    if status.exists():  # not ru_maxrss there: a child inherits that of its parent
+    if status.exists():  # ru_maxrss would not do on Linux: a child inherits its parent's
         return int(status.read_text().split("VmHWM:")[1].split()[0]) / 1024
     import resource
 

@@ -1,4 +1,4 @@
-"""Everything that mmwave-loc speed measures, round by round."""
+"""All measurements of mmwave-loc speed, round by round."""
 
 import gc
 import time
@@ -32,22 +32,22 @@ from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.reward import TrackingReward
 from mmwave_env.world.travel import stride_of
 
-FRESH_RUNS = 3  # of every process, at most: they take seconds
-FRESH_SIZES = 3  # the largest ones; others are no different from the smallest of them
-STEP = "step"  # of the whole environment, among the kernels
+FRESH_RUNS = 3  # most runs of every process, since a run takes seconds
+FRESH_SIZES = 3  # number of sizes, the largest; smaller sizes differ little from each other
+STEP = "step"  # name of the whole environment's step among the kernels
 
 Rounds = dict[str, list[float]]
 
 
 @dataclass
 class Rates:
-    """What a workload did, per round."""
+    """Rates of a workload, per round."""
 
     steps_per_s: list[float] = field(default_factory=list)
     cores: list[float] = field(default_factory=list)  # seconds of processor per second
 
     def measure(self, laps: Laps, seconds: float) -> None:
-        """Add a round: whole episodes, for at least that long, without garbage collection."""
+        """Measure a round of whole episodes for ``seconds`` or more, without garbage collection."""
         gc.collect()
         gc.disable()
         busy, begin = time.process_time(), time.perf_counter()
@@ -60,19 +60,19 @@ class Rates:
 
 
 class Measured:
-    """Rates, limits, memory and first steps; every list has an entry a round.
+    """Rates, limits, memory and first steps; every list has an entry per round.
 
     Args:
         sizes: numbers of environments in the native vector environment.
 
     Attributes:
-        sizes: the same, in order.
-        rates: of environments, by name.
+        sizes: sorted sizes, each once.
+        rates: rates of environments, by name.
         filters: rates of the filters alone, one thread.
-        operations: of the kernels: the filters' and the environment's.
-        limits_s: seconds of a step of theirs on one core, at least.
+        operations: operations of the filters' kernels and of the environment's kernel.
+        limits_s: least seconds of a step of each kernel on one core.
         cold_start_s: seconds from the start of a process to the end of its first step.
-        peak_mb: most resident memory of the process, MiB (2^20 bytes).
+        peak_mb: peak resident memory of the process, MiB (2^20 bytes).
     """
 
     def __init__(self, sizes: Sequence[int]) -> None:
@@ -88,9 +88,9 @@ class Measured:
         self.peak_mb: Rounds = {name: [] for name in self._processes}
 
     def run(self, seconds: float, repeats: int) -> Iterator[float]:
-        """Measure, and tell the share done after every piece.
+        """Run all measurements; yield the share done after each.
 
-        In every round each workload has its turn, so that a drifting machine hits all alike.
+        Every round runs each workload once, so that a drift of the machine affects all alike.
         """
         processes = min(FRESH_RUNS, repeats) * len(self._processes)
         workloads = len(self.rates) + len(self.filters)
@@ -108,7 +108,7 @@ class Measured:
         running = {}
         for name, make in (environments(self.sizes) | filters()).items():
             running[name] = make()
-            Rates().measure(running[name], seconds)  # doesn't count: it compiles on the way
+            Rates().measure(running[name], seconds)  # a warm-up, which compiles
             yield
         rates = self.rates | self.filters
         for _ in range(repeats):
@@ -123,11 +123,11 @@ class Measured:
             self.limits_s[name].append(limit_s(operations) / WIDTH)
 
     def natives(self, threads: int = BOTH) -> list[str]:
-        """Names of the native vector environments with so many threads."""
+        """Return names of the native vector environments with ``threads`` threads."""
         return [native_name(n, threads) for n in self.sizes]
 
     def ratios(self) -> Rounds:
-        """Steps per second over those of the filterpy loop and of the sync vector."""
+        """Return steps per second relative to the filterpy loop and to the sync vector."""
         ours = ["single"] + [name for threads in THREADS for name in self.natives(threads)]
         rates = {name: rates.steps_per_s for name, rates in self.rates.items()}
         return {
@@ -137,7 +137,7 @@ class Measured:
         }
 
     def fractions(self) -> Rounds:
-        """Limit of a core over the time taken, of the kernels and what they are in."""
+        """Return the limit of a core over the time taken, for filters and environments."""
         taken = self.filters | {name: self.rates[name] for name in self.natives(1)}
         return {
             name: [
@@ -148,11 +148,11 @@ class Measured:
         }
 
     def limits_of(self, name: str) -> list[float]:
-        """Seconds of a step of a workload on one core, at least."""
+        """Return the least seconds of a workload's step on one core."""
         return self.limits_s[name if name in self.filters else STEP]
 
     def json(self) -> dict[str, Any]:
-        """Medians, with their spread over the rounds apart."""
+        """Return medians, and separately their range over the rounds."""
         rates = self.rates | self.filters
         rounds: dict[str, Rounds] = {
             "ratios": self.ratios(),
@@ -174,9 +174,9 @@ class Measured:
 
 
 def kernels() -> dict[str, Operations]:
-    """The operations of the filters alone, and of a step of the environment with its world.
+    """Count the operations of the filters alone, and of the environment's step with its world.
 
-    Of the world what happens now and then (gaits, crossings) is left out.
+    Rare events of the world (changes of gait, crossings) are left out.
     """
     layout, modes = pipeline().layout, named_modes(RADIO)
     programs: dict[str, Any] = {
@@ -191,5 +191,5 @@ def kernels() -> dict[str, Operations]:
 
 
 def quotients(over: Sequence[float], under: Sequence[float]) -> list[float]:
-    """Round by round."""
+    """Divide two lists, round by round."""
     return [a / b for a, b in zip(over, under, strict=True)]

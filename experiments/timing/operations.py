@@ -1,7 +1,7 @@
-"""How many operations a function of numbers takes, counted by running it.
+"""Count of the operations of a function of numbers, obtained by running it.
 
-:class:`~mmwave_env.compiler.lanes.Lanes` emit their instructions through a builder. Given one
-that writes them down instead, any function of numbers counts itself: no compiler, no guess.
+:class:`~mmwave_env.compiler.lanes.Lanes` emit their instructions through a builder. With a builder
+that records instructions, running any function of numbers counts them exactly, uncompiled.
 """
 
 from collections import Counter
@@ -24,8 +24,8 @@ _COMMUTE = ("fadd", "fmul", "and_", "or_")
 class Operations(NamedTuple):
     """SIMD instructions, each on eight environments."""
 
-    fused: int = 0  # multiply-adds: products that one sum alone uses
-    # add, multiply: sums or differences, and products, that are left
+    fused: int = 0  # multiply-adds: products that only one sum uses
+    # add, multiply: remaining sums or differences, and remaining products
     add: int = 0
     multiply: int = 0
     # divide, root: quotients and square roots
@@ -47,18 +47,18 @@ class _Instruction:
 
 
 class _Recorder:
-    """Stands for an LLVM builder; the same instruction on the same operands is one."""
+    """A stand-in for an LLVM builder; it records an instruction on the same operands once."""
 
     def __init__(self) -> None:
         self.module = ir.Module()
         self._known: dict[tuple[Any, ...], _Instruction] = {}
 
     def call(self, function: Any, operands: Sequence[Any], **_: Any) -> _Instruction:
-        """A vector intrinsic: llvm.<name>.v8f64."""
+        """Record a vector intrinsic, llvm.<name>.v8f64."""
         return self._record(function.name.rpartition(".")[0], operands)
 
     def select(self, condition: _Instruction, a: Any, b: Any) -> _Instruction:
-        """A choice between what was compared is a minimum or maximum and needs no comparison."""
+        """Record a choice; one between the compared values is a minimum or maximum."""
         operator, *compared = condition.operands
         chosen = [_operand(a), _operand(b)]
         if chosen in (compared, compared[::-1]):
@@ -81,9 +81,9 @@ def _operand(value: Any) -> Any:
 
 
 def count(function: Callable[[Any], Any], template: Any) -> Operations:
-    """What a function from a tree of numbers to a tree of the same shape costs on lanes.
+    """Count operations on lanes of a function from a tree of numbers to a tree of the same shape.
 
-    Results that nobody uses and numbers handed through cost nothing, as in a
+    Unused results and numbers that are passed through cost nothing, as in a
     :class:`~mmwave_env.compiler.program.Program`.
     """
     recorder = _Recorder()
@@ -103,7 +103,7 @@ def _counted(results: Sequence[_Instruction], stores: int) -> Operations:
         if one.kind == "add"
     )
     kinds.subtract({"add": fused, "multiply": fused})
-    # Quotients of one divisor are products with its reciprocal ("arcp" of the lanes).
+    # Several quotients by one divisor become products with its reciprocal ("arcp" of the lanes).
     divisors = Counter(one.operands[1] for one in needed if one.kind == "divide")
     shared = [quotients for quotients in divisors.values() if quotients > 1]
     kinds.update(divide=len(shared) - sum(shared), multiply=sum(shared))
@@ -112,7 +112,7 @@ def _counted(results: Sequence[_Instruction], stores: int) -> Operations:
 
 
 def _needed(results: Iterable[_Instruction]) -> Iterator[_Instruction]:
-    """Everything that the results depend on, each once."""
+    """Yield every instruction that the results depend on, each once."""
     waiting, seen = list(results), set()
     while waiting:
         one = waiting.pop()

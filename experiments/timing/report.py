@@ -1,4 +1,4 @@
-"""What was measured, as Markdown tables."""
+"""Markdown tables of the measurements of speed."""
 
 import math
 import os
@@ -23,7 +23,7 @@ LABELS = {
 
 
 def label(name: str) -> str:
-    """How a workload is called in tables and pictures."""
+    """Return the name of a workload in tables and pictures."""
     if name in LABELS:
         return LABELS[name]
     what, n, *threads = name.split("_")  # such as native_64_2_threads
@@ -31,7 +31,7 @@ def label(name: str) -> str:
 
 
 def short(value: float) -> str:
-    """Three digits."""
+    """Format a number to three digits."""
     if not value:
         return "0"
     digits = 2 - math.floor(math.log10(abs(value)))
@@ -39,7 +39,7 @@ def short(value: float) -> str:
 
 
 def spread(values: Sequence[float], unit: float = 1.0) -> str:
-    """Median of the rounds, and their range where there is more than one."""
+    """Format the median of the rounds, and their range where there are several rounds."""
     values = [value * unit for value in values]
     if len(values) == 1:
         return short(values[0])
@@ -47,7 +47,7 @@ def spread(values: Sequence[float], unit: float = 1.0) -> str:
 
 
 def tables(measured: Measured) -> dict[str, str]:
-    """All of it by title, the ratios first."""
+    """Return all tables by title, the ratios first."""
     return {title: make(measured) for title, make in _TABLES.items()}
 
 

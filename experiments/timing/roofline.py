@@ -1,9 +1,9 @@
-"""How fast a core can be with the operations of a kernel, whatever it does between them.
+"""Lower bound on the time that a core needs for the operations of a kernel (roofline).
 
 The model: all arithmetic shares the vector pipes, so the kernel's operations are timed as a
 whole, in their proportions, on independent chains in registers; loads and stores have pipes of
-their own; the limit is the slower of the two. It leaves out waiting for results, registers that
-spill, caches, and the fetching of long code.
+their own; the limit is the slower of the two. The model leaves out waits for results, register
+spills, caches, and the fetching of long code.
 """
 
 import time
@@ -19,12 +19,12 @@ from experiments.timing.operations import Operations
 from mmwave_env.compiler.lanes import WIDTH, kernel
 from mmwave_env.numerics.numbers import sqrt, where
 
-CHAINS = (8, 16, 24)  # which is fastest depends on registers and latencies
-LENGTH = 480  # operations of a timed kernel: many beside its loop, few enough for every cache
+CHAINS = (8, 16, 24)  # the fastest number depends on registers and latencies
+LENGTH = 480  # operations of a timed kernel: many per loop, but few enough for any cache
 BLOCKS, ROWS = 4, 64  # 16 KiB, which any first-level cache holds
 CALLS, TRIES = 1000, 10
 
-# What a chain does next; "one" and "zero" are numbers that the compiler does not know.
+# Steps of a chain; "one" and "zero" are numbers whose values the compiler does not know.
 _STEPS: dict[str, Callable[..., Any]] = {
     "fused": lambda x, one, zero, other: x * one + zero,
     "add": lambda x, one, zero, other: x + zero,
@@ -33,18 +33,18 @@ _STEPS: dict[str, Callable[..., Any]] = {
     "root": lambda x, one, zero, other: sqrt(x),
     "select": lambda x, one, zero, other: where(x > zero, x, other),
 }
-_INSTRUCTIONS = dict.fromkeys(_STEPS, 1) | {"select": 2}  # of a step: a comparison and a choice
+_INSTRUCTIONS = dict.fromkeys(_STEPS, 1) | {"select": 2}  # "select" compares, then chooses
 KINDS = tuple(_STEPS)
 
 
 def limit_s(operations: Operations) -> float:
-    """Seconds that a core needs at least for the operations, each on eight environments."""
+    """Return the least seconds of a core for the operations, each on eight environments."""
     steps, rows = sum(_steps(operations).values()), max(operations.load, operations.store)
     return max(steps * mix_s(operations), rows * copying_s())
 
 
 def mix_s(operations: Operations) -> float:
-    """Seconds a step of a mix, at the best number of chains."""
+    """Return seconds per step of a mix, at the best number of chains."""
     order = interleaved(operations)
     blocks = np.full((1, ROWS, WIDTH), 1.7)
     blocks[:, :2] = [[1.0], [0.0]]
@@ -52,13 +52,13 @@ def mix_s(operations: Operations) -> float:
 
 
 def copying_s() -> float:
-    """Seconds of a load and a store in the first-level cache."""
+    """Return seconds of a load and a store in the first-level cache."""
     blocks = np.zeros((BLOCKS, ROWS, WIDTH))
     return _seconds(_copying(), blocks) / (BLOCKS * ROWS // 2)
 
 
 def interleaved(operations: Operations) -> tuple[str, ...]:
-    """``LENGTH`` steps in the proportions of the operations, evenly spread."""
+    """Return ``LENGTH`` steps in the proportions of the operations, evenly spread."""
     steps = _steps(operations)
     total = sum(steps.values())
     order: list[str] = []
@@ -74,7 +74,7 @@ def _steps(operations: Operations) -> dict[str, float]:
 
 @cache
 def _chains(order: tuple[str, ...], chains: int) -> Any:
-    """Steps on independent chains; every kind goes round the chains by itself."""
+    """Compile steps on independent chains; steps of every kind rotate through the chains."""
 
     def build(rows: Any) -> None:
         one, zero, other, *x = (rows[row] for row in range(3 + chains))
@@ -111,8 +111,8 @@ def _repeated(build: Callable[[Any], None]) -> Any:
 
 
 def _seconds(repeat: Any, blocks: Any) -> float:
-    """Seconds a pass over the blocks, the shortest of several."""
-    repeat(blocks.copy(), 1)  # compiled
+    """Return seconds per pass over the blocks, the shortest of several tries."""
+    repeat(blocks.copy(), 1)  # compiles
     found = []
     for _ in range(TRIES):
         used = blocks.copy()

@@ -1,9 +1,9 @@
-"""The loops that are timed, all with the same work per step as far as they can.
+"""Timed workloads, with the same work per step as far as possible.
 
-An environment's step on filterpy's filters, on one environment, and on many: both modes'
-predictions, gates, innovations and posteriors, the reward of the chosen one, and episodes drawn
-as they are needed. Everybody chooses mode 1. The filterpy loop leaves out what an environment
-also does: observation, adaptive noise, recovery, and the metrics of an episode.
+The work is an environment's step with filterpy's filters, in one environment, and in many: both
+modes' predictions, gates, innovations and posteriors, the reward of the chosen mode, and episodes
+drawn as they are needed. The action is always mode 1. The filterpy loop lacks observations,
+adaptive noise, recovery, and the metrics of an episode.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -36,23 +36,23 @@ RADIO = "handset"
 EPISODE = 200  # steps
 SYNC = 8  # environments that Gymnasium steps one after another
 SYNC_NAME = f"sync_{SYNC}"
-TRACKS = 1024  # of the filters alone
-BOTH = 2  # threads, as `gymnasium.make_vec` has them by itself on two cores
+TRACKS = 1024  # tracks of the filters alone
+BOTH = 2  # threads, the default of `gymnasium.make_vec` on two cores
 THREADS = (BOTH, 1)
 FILTERS = ("ekf", "ukf", "ckf")
 ENVIRONMENT = "mmwave_env:MmWaveLoc-v0"
 
 
-Laps = Iterator[int]  # each a whole episode: its steps, of single environments
+Laps = Iterator[int]  # number of single environments' steps of each whole episode
 
 
 def native_name(n: int, threads: int = BOTH) -> str:
-    """What the vector environment of n environments is called in results."""
+    """Return the name in results of the vector environment of n environments."""
     return f"native_{n}" if threads == BOTH else f"native_{n}_{threads}_thread"
 
 
 def environments(sizes: Sequence[int]) -> dict[str, Callable[[], Laps]]:
-    """Everything that makes steps of an environment, by name; each begins when called."""
+    """Return the workloads of environments, by name; each starts when it is called."""
     return {
         "filterpy": filterpy,
         "single": single,
@@ -66,23 +66,23 @@ def environments(sizes: Sequence[int]) -> dict[str, Callable[[], Laps]]:
 
 
 def filters() -> dict[str, Callable[[], Laps]]:
-    """The filters alone, by name, one thread."""
+    """Return the workloads of the filters alone, by name, one thread."""
     episodes, modes = draw_episodes(source(), range(TRACKS)), named_modes(RADIO)
     return {name: partial(tracks, modes[name], episodes) for name in FILTERS}
 
 
 def source() -> SimulatedSource:
-    """The episodes that the environment draws by default."""
+    """Return the source of the episodes that the environment draws by default."""
     return SimulatedSource(scene_from("street"), radio_from(RADIO), epochs=EPISODE)
 
 
 def pipeline() -> Pipeline:
-    """What the environment runs by default."""
+    """Return the pipeline that the environment has by default."""
     return Pipeline(default_modes(RADIO), source().layout)
 
 
 def filterpy() -> Laps:
-    """A loop on filterpy's filters."""
+    """Run a loop on filterpy's filters."""
     episodes, twin = source(), filterpy_pipeline(pipeline())
     for seed in count():
         filterpy_episode(twin, episodes.sample(np.random.default_rng(seed)))
@@ -90,7 +90,7 @@ def filterpy() -> Laps:
 
 
 def filterpy_episode(twin: Pipeline, episode: Episode) -> float:
-    """Filter an episode with every mode and keep the last one's belief; the sum of rewards."""
+    """Filter an episode with every mode and keep the last mode's belief; return total reward."""
     layout, memory, reward = twin.layout, initial_memory(twin.layout, 1), TrackingReward()
     site = unflatten(blank_site(layout), iter(episode.site().tolist()))
     blank = blank_incoming(layout)
@@ -109,7 +109,7 @@ def filterpy_episode(twin: Pipeline, episode: Episode) -> float:
 
 
 def single() -> Laps:
-    """One environment, as `gymnasium.make` makes it."""
+    """Step one environment that `gymnasium.make` makes."""
     env = gym.make(ENVIRONMENT, episode_steps=EPISODE)
     env.reset(seed=0)
     action = np.int64(1)
@@ -122,7 +122,7 @@ def single() -> Laps:
 
 
 def vector(n: int, **options: Any) -> Laps:
-    """Environments in step, as `gymnasium.make_vec` makes them; all episodes end together."""
+    """Step environments that `gymnasium.make_vec` makes; all episodes end together."""
     env = gym.make_vec(ENVIRONMENT, num_envs=n, episode_steps=EPISODE, **options)
     env.reset(seed=0)
     actions = np.ones(n, np.int64)
@@ -130,12 +130,12 @@ def vector(n: int, **options: Any) -> Laps:
         for _ in range(EPISODE):
             over = env.step(actions)[3]
         assert over.all()
-        env.step(actions)  # which only draws the next episodes
+        env.step(actions)  # this step only draws the next episodes
         yield n * EPISODE
 
 
 def tracks(mode: Mode, episodes: Sequence[Episode]) -> Laps:
-    """A filter and its gates from the first epoch of every episode to the last."""
+    """Run a filter and its gates from the first epoch of every episode to the last."""
     tracker = Tracker(Pipeline((mode,), episodes[0].layout), len(episodes))
     tracker.load(episodes)
     while True:

@@ -1,1 +1,1 @@
-"""Learned switchers: environment, network, trainer, checkpoints."""
+"""Training of switchers: environments, networks, trainers and checkpoints."""

@@ -1,4 +1,4 @@
-"""The actor of a PyTorch policy, as a policy file holds it."""
+"""Conversion of a PyTorch policy's actor to the tensors of a policy file."""
 
 from collections.abc import Iterable
 from typing import Any, NamedTuple
@@ -10,20 +10,20 @@ from policies.policy_file import Tensors
 
 
 class Normalization(NamedTuple):
-    """What an actor sees of an observation o in training: (clip(o, low, high) - mean) / sigma."""
+    """Normalization of an observation o in training: (clip(o, low, high) - mean) / sigma."""
 
-    low: Array  # (features,), as all of these
+    low: Array  # (features,), the shape of all four
     high: Array
     mean: Array
     sigma: Array
 
 
 def actor_tensors(policy: Any, normal: Normalization) -> Tensors:
-    """The tensors of an actor, with the normalization of observations in its first weights.
+    """Return an actor's tensors, with the normalization of observations in its first weights.
 
     Args:
-        policy: of an actor-critic algorithm of Stable-Baselines3.
-        normal: of an observation.
+        policy: policy of an actor-critic algorithm of Stable-Baselines3.
+        normal: normalization of an observation.
     """
     tensors = layer_tensors([*policy.mlp_extractor.policy_net, policy.action_net])
     first, bias = "layer.0.weight", "layer.0.bias"
@@ -38,7 +38,7 @@ def actor_tensors(policy: Any, normal: Normalization) -> Tensors:
 
 
 def layer_tensors(layers: Iterable[Any]) -> dict[str, Array]:
-    """Weights and biases of the linear ones among some layers, as a policy file calls them."""
+    """Return weights and biases of the linear layers under the names of a policy file."""
     linear = [layer for layer in layers if type(layer).__name__ == "Linear"]
     tensors: dict[str, Array] = {}
     for i, layer in enumerate(linear):
@@ -53,11 +53,11 @@ def folded(
     first: str = "layer.0.weight",
     bias: str = "layer.0.bias",
 ) -> Tensors:
-    """The same with the normalization in the first weights: W / sigma, b - (W / sigma) mean.
+    """Fold the normalization into the first weights: W / sigma, b - (W / sigma) mean.
 
     Args:
-        tensors: of an actor on normalized observations.
-        normal: of an observation; its bounds are among what is returned.
+        tensors: tensors of an actor on normalized observations.
+        normal: normalization of an observation; the result includes its bounds.
         first, bias: names of the first weights and of their bias.
     """
     weight = tensors[first] / normal.sigma
@@ -74,7 +74,7 @@ def require_actor(policy: Any) -> None:
     """Refuse a network that a policy file can't hold.
 
     Raises:
-        ValueError: saying what was found in it and what was expected.
+        ValueError: says what was found in the network and what was expected.
     """
     if not hasattr(policy, "action_net"):
         raise ValueError(

@@ -1,4 +1,4 @@
-"""Where a training stands, on disk: written beside and renamed, read without unpickling."""
+"""Checkpoints of a training: written in one step, and read without unpickling."""
 
 import io
 from collections.abc import Iterator
@@ -15,7 +15,7 @@ from experiments.evaluation.runs import require_outcome
 from mmwave_env.files import read_bounded, told, write_bytes
 from mmwave_env.lookup import quoted
 
-MOST_BYTES = 1 << 30  # of a checkpoint: what rollouts remember takes most of it
+MOST_BYTES = 1 << 30  # largest checkpoint; the memory of rollouts takes most of it
 
 
 def write_checkpoint(path: Path, state: dict[str, Any]) -> None:
@@ -27,18 +27,18 @@ def write_checkpoint(path: Path, state: dict[str, Any]) -> None:
 
 
 def read_checkpoint(path: Path) -> dict[str, Any]:
-    """What :func:`write_checkpoint` wrote; arrays come back as tensors.
+    """Read what :func:`write_checkpoint` wrote; return arrays as tensors.
 
     Raises:
-        ValueError: it is damaged; nothing in it is executed.
-        OSError: it can't be read.
+        ValueError: the file is damaged; nothing in it is executed.
+        OSError: the file can't be read.
     """
     written = read_bounded(path, MOST_BYTES, "a checkpoint")
     checksum, content = written[: sha256().digest_size], written[sha256().digest_size :]
     try:
         if sha256(content).digest() != checksum:
             raise ValueError("found another checksum than that of its content")
-        with ZipFile(io.BytesIO(content)) as archive:  # what is packed could unpack to anything
+        with ZipFile(io.BytesIO(content)) as archive:  # compressed parts could unpack to any size
             if any(part.compress_type != ZIP_STORED for part in archive.infolist()):
                 raise ValueError("found compressed parts, which PyTorch does not write")
         state: dict[str, Any] = torch.load(
@@ -46,7 +46,7 @@ def read_checkpoint(path: Path) -> dict[str, Any]:
         )
         if not isinstance(state, dict):
             raise ValueError(f"found {type(state).__name__}")
-    except Exception as error:  # bytes that are none of PyTorch's make it raise anything
+    except Exception as error:  # PyTorch raises anything on foreign bytes
         raise _no_checkpoint(path, error) from error
     return state
 
@@ -57,10 +57,10 @@ def _no_checkpoint(path: Path, error: Exception) -> ValueError:
 
 @contextmanager
 def going_on_from(path: Path) -> Iterator[None]:
-    """What the state of another training makes code raise in the block is said of its file.
+    """Name the checkpoint in any exception of the block, which restores its state.
 
     Raises:
-        ValueError: naming the file.
+        ValueError: names the file.
     """
     try:
         yield
@@ -69,14 +69,14 @@ def going_on_from(path: Path) -> Iterator[None]:
 
 
 def read_stand(path: Path, begin: dict[str, Any]) -> dict[str, Any]:
-    """Where a training stands, of a checkpoint.
+    """Read the state of a training from a checkpoint.
 
     Args:
-        path: of the checkpoint.
-        begin: where it stood at its beginning, whose keys are those of any.
+        path: file of the checkpoint.
+        begin: state at the beginning of a training, which has the same keys.
 
     Raises:
-        ValueError: it is damaged, or of something else.
+        ValueError: the file is damaged, or no checkpoint of a training.
     """
     stand = read_checkpoint(path)
     with going_on_from(path):
@@ -91,7 +91,7 @@ def read_stand(path: Path, begin: dict[str, Any]) -> dict[str, Any]:
 
 
 def _with_tensors(tree: Any) -> Any:
-    """Arrays become tensors: an array is written with a pickle that a safe reader refuses."""
+    """Replace arrays by tensors: a safe reader refuses the pickle of an array."""
     if isinstance(tree, dict):
         return {key: _with_tensors(value) for key, value in tree.items()}
     if isinstance(tree, (list, tuple)):
@@ -102,7 +102,7 @@ def _with_tensors(tree: Any) -> Any:
 
 
 def with_arrays(tree: Any) -> Any:
-    """Tensors of a checkpoint become arrays."""
+    """Replace the tensors of a checkpoint by arrays."""
     if isinstance(tree, dict):
         return {key: with_arrays(value) for key, value in tree.items()}
     return tree.numpy() if isinstance(tree, torch.Tensor) else tree

@@ -1,4 +1,4 @@
-"""How good a policy in training is: on tuning seeds, beside those that need no training."""
+"""Evaluation of a policy in training, on tuning seeds, against untrained rivals."""
 
 import warnings
 from collections.abc import Callable, Sequence
@@ -18,24 +18,24 @@ from experiments.training.training_task import TrainingTask
 from mmwave_env.numerics.numbers import Array
 from mmwave_env.world.episode import Episode
 
-TRAINING_RIVALS = ("speed-rule", "imm")  # of every training
-PER_MODE_RIVALS = (*TRAINING_RIVALS, "imm-best")  # where every mode keeps its own belief
+TRAINING_RIVALS = ("speed-rule", "imm")  # rivals in every training
+PER_MODE_RIVALS = (*TRAINING_RIVALS, "imm-best")  # rivals where every mode keeps its own belief
 EPISODES = 500
 
 
 class _Judged(NamedTuple):
-    """The episodes that policies are judged on at a place."""
+    """The episodes of a place that policies are judged on."""
 
     place: Place
     episodes: Sequence[Episode]
 
 
 class Evaluator:
-    """Scores policies on the same tuning episodes, by the protocol's reward.
+    """An evaluator that scores policies on the same tuning episodes, by the protocol's reward.
 
     Args:
-        task: what is learned; its places share the episodes evenly.
-        episodes: how many; at least one a place.
+        task: task of the training; its places share the episodes evenly.
+        episodes: number of episodes; every place gets at least one.
     """
 
     def __init__(self, task: TrainingTask, episodes: int = EPISODES) -> None:
@@ -46,17 +46,17 @@ class Evaluator:
             self._at.append(_Judged(place, draw_episodes(place.source(task.scenario), seeds)))
         rivals = PER_MODE_RIVALS if task.beliefs == "per-mode" else TRAINING_RIVALS
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # that the rule leaves its design window is no news
+            warnings.simplefilter("ignore")  # the rule leaves its design window, as expected
             self._rivals = {
                 name: self._scores(partial(contender_from, name))["reward"] for name in rivals
             }
 
     def examine(self, path: Path) -> dict[str, Any]:
-        """Figures of a policy file, with 95 % intervals.
+        """Return figures of a policy file, with 95 % intervals.
 
         Returns:
-            Means of every metric over all places, and "minus NAME" of every rival; of several
-            places also "PLACE minus NAME".
+            Means of every metric over all places, and the gain "minus NAME" over every rival; with
+            several places also "PLACE minus NAME".
         """
         scores = self._scores(lambda radio: Contender.learned(path, radio=radio))
         differences = {name: scores["reward"] - reward for name, reward in self._rivals.items()}
@@ -75,7 +75,7 @@ class Evaluator:
         }
 
     def _scores(self, contender_at: Callable[[str], Contender]) -> Scores:
-        """Of the contender for each radio, on the episodes of all places."""
+        """Compute the scores of a contender for each radio, on the episodes of all places."""
         found = []
         for place, episodes in self._at:
             contender = contender_at(place.radio)
@@ -84,6 +84,6 @@ class Evaluator:
 
 
 def _gains(differences: dict[str, Array]) -> dict[str, Interval]:
-    """Intervals of differences (episodes,), by what is subtracted."""
+    """Return intervals of differences (episodes,), by the rival that is subtracted."""
     intervals = bootstrap(np.stack(list(differences.values()), axis=1))
     return {f"minus {name}": gain for name, gain in zip(differences, intervals, strict=True)}

@@ -1,4 +1,4 @@
-"""A training to do: what is learned, how, and where everything about it is written."""
+"""Specification of a training, and of the files that it writes."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -14,11 +14,11 @@ H = TypeVar("H", bound=Hyperparameters)
 
 
 class News(NamedTuple):
-    """What a training tells while it goes on.
+    """News of a training while it runs.
 
     Attributes:
-        timesteps: so far.
-        text: what happened, in words; mostly nothing.
+        timesteps: number of timesteps so far.
+        text: sentence about an event; mostly empty.
         evaluation: figures of a periodic evaluation, "reward" among them, by name.
     """
 
@@ -32,35 +32,35 @@ Tell = Callable[[News], None]
 
 @dataclass(frozen=True)
 class Job(Generic[H]):
-    """One training."""
+    """A training to run."""
 
-    # task, hyperparameters: what is learned, and how
+    # task, hyperparameters: arguments of the environments, and of the algorithm
     task: TrainingTask
     hyperparameters: H
     seed: int  # number of the training, from 0
-    # to train for: epochs in all environments together, or states in which all actions are tried
+    # length of the training: epochs of all environments, or states in which all actions are tried
     timesteps: int
-    folder: Path  # for all that is written
-    command: str  # that makes the policy file
+    folder: Path  # folder for all files
+    command: str  # command that makes the policy file
     checkpoint_every: int  # updates between two checkpoints
-    episodes: int = EPISODES  # that policies are judged on
+    episodes: int = EPISODES  # number of episodes to judge policies on
 
     @property
     def outcome(self) -> Path:
-        """Figures of the policy; there once the training is over."""
+        """Return the file of the outcome, which exists once the training is over."""
         return self.folder / "outcome.json"
 
     @property
     def policy(self) -> Path:
-        """The best policy so far."""
+        """Return the file of the best policy so far."""
         return self.folder / "policy.safetensors"
 
     @property
     def checkpoint(self) -> Path:
-        """Where the training stands; there until it is over."""
+        """Return the file of the latest checkpoint, which exists until the training is over."""
         return self.folder / "checkpoint.pt"
 
     @property
     def first_seed(self) -> int:
-        """Of the seeds that are the training's own."""
+        """Return the first seed of the seeds that belong to the training."""
         return TRAINING_SEED + SEEDS_EACH * self.seed

@@ -1,4 +1,4 @@
-"""Places: the streets, the radios and the rates that a switcher is trained at."""
+"""Places of a training: scenes with a radio and a rate of epochs."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -16,14 +16,14 @@ FORM = "SCENE:RADIO or SCENE:RADIO:DT, such as street:handset or o1:standard:0.1
 
 @dataclass(frozen=True)
 class Place:
-    """Where users move, what receives them and how often; ``str`` is as on the command line.
+    """A scene with a radio and a step between epochs; ``str`` gives its command-line form.
 
     Attributes:
-        scene, radio: names or JSON files, as of ``MmWaveLoc-v0``.
+        scene, radio: names or JSON files, as in ``MmWaveLoc-v0``.
         dt: seconds between epochs.
 
     Raises:
-        ValueError: there is no such scene or radio, no such rate, or no training may see them.
+        ValueError: unknown scene or radio, invalid rate, or a place that must remain unseen.
         FileNotFoundError: there is no such file.
     """
 
@@ -34,7 +34,7 @@ class Place:
     def __post_init__(self) -> None:
         self._refuse_unseen(self.scene, self.radio)
         source = self.source("mixed")
-        self._refuse_unseen(source.scene.name, source.radio.name)  # of files, the names in them
+        self._refuse_unseen(source.scene.name, source.radio.name)  # the names inside JSON files
 
     def __str__(self) -> str:
         rate = "" if self.dt == 1.0 else f":{self.dt:g}"
@@ -50,23 +50,23 @@ class Place:
 
     @cached_property
     def profile(self) -> str:
-        """The name of the radio, which modes and IMMs tuned for it go by."""
+        """Return the name of the radio, which identifies its tuned modes and IMMs."""
         return self.source("mixed").radio.name
 
     def source(self, scenario: Scenario) -> SimulatedSource:
-        """Episodes of kinds of users at the place."""
-        # What filters them is not asked: with modes named, nobody is told that some are not tuned.
+        """Return the source of episodes of a scenario at the place."""
+        # A dummy mode, as filters do not matter here: it saves the warning about untuned modes.
         task = task_from(
             scenario=scenario, scene=self.scene, radio=self.radio, dt=self.dt, modes=[Mode("none")]
         )
-        return cast(SimulatedSource, task.source)  # it was given no recorded episodes
+        return cast(SimulatedSource, task.source)  # no recorded episodes were given
 
 
 def place_from(text: str) -> Place:
-    """The place of a word on the command line, :data:`FORM`.
+    """Return the place that a word on the command line names, :data:`FORM`.
 
     Raises:
-        ValueError: naming the word, what was found in it and what was expected.
+        ValueError: names the word, what was found in it and what was expected.
         FileNotFoundError: there is no such file.
     """
     scene, *rest = text.split(":")
@@ -86,10 +86,10 @@ def place_from(text: str) -> Place:
 
 
 def places_from(words: Sequence[str]) -> tuple[Place, ...]:
-    """The places of the command line, in order.
+    """Return the places that words on the command line name, in order.
 
     Raises:
-        ValueError: as :func:`place_from`, or one is named twice.
+        ValueError: same as from :func:`place_from`, or a place is named twice.
     """
     places = tuple(map(place_from, words))
     if len(set(places)) < len(places):
@@ -101,12 +101,12 @@ def require_environments(count: int, places: int, together: int = 1) -> None:
     """Refuse environments that can't be spread over the places.
 
     Args:
-        count: of environments.
-        places: how many there are.
-        together: environments side by side that have to be at one place.
+        count: number of environments.
+        places: number of places.
+        together: number of adjacent environments that must share a place.
 
     Raises:
-        ValueError: saying how many there may be.
+        ValueError: says how many environments are possible.
     """
     if count % together or count < together * places:
         multiple = f"a multiple of {together}, " if together > 1 else ""
@@ -117,6 +117,6 @@ def require_environments(count: int, places: int, together: int = 1) -> None:
 
 
 def shares(count: int, places: int) -> list[int]:
-    """How many of ``count`` environments or episodes each place gets, as evenly as can be."""
+    """Split ``count`` environments or episodes over places as evenly as possible."""
     each, more = divmod(count, places)
     return [each + (place < more) for place in range(places)]

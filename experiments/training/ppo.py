@@ -1,4 +1,4 @@
-"""Train a switcher with Stable-Baselines3's PPO: learn, evaluate, keep the best, stop, go on."""
+"""Training of a switcher with Stable-Baselines3's PPO, with evaluations and checkpoints."""
 
 from typing import Any, cast
 
@@ -18,23 +18,23 @@ from experiments.training.record import Record
 from experiments.training.vec_env import PlacesVecEnv
 from policies.policy_file import Tensors
 
-# Updates between two rows of the log, and between two evaluations: until the rule is beaten, and
-# after that.
+# Updates between two rows of the log, and between two evaluations, before and after the policy
+# beats the paper's rule.
 LOG, EARLY, LATER = 4, 2, 16
 
 LOGGED = ("ate_m", "rmse_m", "mean_nees", "in_bounds", "divergence", "smoothed_ate_m")
 
 
 class PpoTraining(BaseCallback):
-    """A training under way; Stable-Baselines3 calls it around the epochs it collects.
+    """A training in progress; Stable-Baselines3 calls it around the epochs that it collects.
 
     Args:
-        job: what to do; goes on where a checkpoint in its folder stands.
-        tell: takes what is new.
+        job: training to run; continues from a checkpoint in its folder, if any.
+        tell: takes the news of the training.
 
     Attributes:
-        env: of all places.
-        normal: normalizes its observations.
+        env: environments of all places.
+        normal: wrapper of ``env`` that normalizes its observations.
 
     Raises:
         ValueError: the checkpoint is damaged.
@@ -54,7 +54,7 @@ class PpoTraining(BaseCallback):
         self._ended: list[dict[str, Any]] = []
 
     def run(self) -> dict[str, Any]:
-        """Train to the end; figures of the training and of its best policy."""
+        """Train to the end; return figures of the training and of its best policy."""
         job, model, stand = self._job, self.model, self._record.stand
         with self._record.log as log:
             model.set_logger(Logger(None, [log]))
@@ -73,12 +73,12 @@ class PpoTraining(BaseCallback):
 
     @property
     def seen(self) -> RunningMeanStd:
-        """Mean and variance of the observations so far."""
-        return cast(RunningMeanStd, self.normal.obs_rms)  # a dict of them for dict observations
+        """Return mean and variance of the observations so far."""
+        return cast(RunningMeanStd, self.normal.obs_rms)  # SB3 types it as possibly a dict
 
     @property
     def actor(self) -> Tensors:
-        """The actor as a policy file holds it."""
+        """Return the actor as a policy file holds it."""
         mean, sigma = self.seen.mean, np.sqrt(self.seen.var + self.normal.epsilon)
         limit = self.normal.clip_obs * sigma
         return actor_tensors(
@@ -93,7 +93,7 @@ class PpoTraining(BaseCallback):
         model.ent_coef = hyper.ent_coef * falling(hyper.final_fraction, left)
         update = model.num_timesteps // (hyper.num_envs * hyper.n_steps)
         if update == stand["update"]:
-            return  # the beginning, or the checkpoint that this training goes on from
+            return  # the training begins, or continues from a checkpoint
         stand["update"] = update
         if update % (LATER if stand["beat_rule"] else EARLY) == 0:
             self._evaluate()
@@ -141,7 +141,7 @@ class PpoTraining(BaseCallback):
         }  # fmt: skip
 
     def _restore(self, state: dict[str, Any], env: dict[str, Any]) -> None:
-        """Go on, to the last bit, as the training that saved this."""
+        """Restore the state of a training, bit by bit, so that it continues exactly."""
         model = self.model
         model._setup_learn(0)
         model.num_timesteps, model._n_updates = state["timesteps"], state["updates"]
@@ -165,9 +165,9 @@ def learner(venv: VecNormalize, hyper: PpoHyperparameters, seed: int) -> PPO:
     """Make the algorithm, ready to learn; the environments are seeded, too.
 
     Args:
-        venv: to learn in.
+        venv: environments to learn in.
         hyper: hyperparameters.
-        seed: of everything that is drawn.
+        seed: seed of all random numbers.
     """
     layers = list(hyper.hidden)
     model = PPO(

@@ -1,4 +1,4 @@
-"""Trainings side by side, each in a process of its own."""
+"""Parallel trainings, each in its own process."""
 
 import multiprocessing
 import os
@@ -21,10 +21,10 @@ Outcome = dict[str, Any]
 
 
 def train(job: Job[Any], tell: Tell) -> Outcome:
-    """Run a training in this process; figures of it and of its best policy.
+    """Run a training in this process; return figures of the training and its best policy.
 
     Raises:
-        ValueError: its checkpoint is damaged.
+        ValueError: the checkpoint is damaged.
     """
     if isinstance(job.hyperparameters, PpoHyperparameters):
         return PpoTraining(job, tell).run()
@@ -34,18 +34,18 @@ def train(job: Job[Any], tell: Tell) -> Outcome:
 def side_by_side(
     jobs: Sequence[Job[Any]], at_once: int, tell: Callable[[Job[Any], News], None]
 ) -> list[Outcome]:
-    """Run trainings; where one fails or somebody interrupts, the others end, too.
+    """Run trainings in parallel; end all others where one fails or is interrupted.
 
     Args:
-        jobs: what to do.
-        at_once: how many processes.
-        tell: takes a job and what is new of it.
+        jobs: trainings to run.
+        at_once: number of processes.
+        tell: takes a job and its news.
 
     Returns:
         An outcome for every job.
 
     Raises:
-        ValueError: what a training refused.
+        ValueError: a training refused its input.
         ChildProcessError: a training failed in another way, or was ended from outside.
     """
     waiting, outcomes = list(reversed(jobs)), dict[int, Outcome]()
@@ -84,9 +84,9 @@ def side_by_side(
 
 
 def _started(job: Job[Any]) -> tuple[Connection, BaseProcess]:
-    """A process that trains, and the line on which it tells."""
+    """Start a process that trains; return it with the connection that carries its news."""
     spawn = multiprocessing.get_context("spawn")  # a fork would share PyTorch's locks
-    os.environ["OPENBLAS_NUM_THREADS"] = "1"  # or the trainings are in each other's way
+    os.environ["OPENBLAS_NUM_THREADS"] = "1"  # else the trainings compete for cores
     ours, theirs = spawn.Pipe(duplex=False)
     process = spawn.Process(target=_train, args=(job, theirs), daemon=True)
     with _deaf_to_interrupts(), theirs:
@@ -96,7 +96,7 @@ def _started(job: Job[Any]) -> tuple[Connection, BaseProcess]:
 
 @contextmanager
 def _deaf_to_interrupts() -> Iterator[None]:
-    """What starts here ignores Ctrl-C: a terminal sends it to all, and one should answer."""
+    """Let processes that start in the block ignore Ctrl-C, which only the parent handles."""
     before = signal.signal(signal.SIGINT, signal.SIG_IGN)
     try:
         yield
@@ -105,7 +105,7 @@ def _deaf_to_interrupts() -> Iterator[None]:
 
 
 def _train(job: Job[Any], line: Connection) -> None:
-    """One training; ends at its next word when nobody listens any more."""
+    """Run one training in this process; end quietly once the parent no longer listens."""
     try:
         with ended_by_signals():
             if job.outcome.is_file():
@@ -120,10 +120,10 @@ def _train(job: Job[Any], line: Connection) -> None:
 
 
 def _outcome(job: Job[Any]) -> Outcome:
-    """What a training that is over came to, as it wrote it.
+    """Read the outcome that a finished training wrote.
 
     Raises:
-        ValueError: something else is in its file.
+        ValueError: the file holds something else.
     """
 
     def checked(found: Outcome) -> Outcome:

@@ -1,4 +1,4 @@
-"""What is written of a training: its log, its best policy, where it stands, its outcome."""
+"""Record of a training: its log, best policy, checkpoints and outcome."""
 
 import csv
 import io
@@ -23,11 +23,11 @@ STEP = "timesteps"
 
 
 class ProgressLog(KVWriter):
-    """What is logged: a row has what was collected lately, and the update after it.
+    """A log of a training; a row has recent figures and those of the update after them.
 
     Args:
-        folder: for ``progress.csv`` and TensorBoard's events.
-        rows: of a training that goes on here; what came after them is forgotten.
+        folder: folder of ``progress.csv`` and TensorBoard's events.
+        rows: rows of a training that continues; later events in the folder are dropped.
     """
 
     def __init__(self, folder: Path, rows: list[dict[str, float]]) -> None:
@@ -39,7 +39,7 @@ class ProgressLog(KVWriter):
     def write(
         self, key_values: dict[str, Any], key_excluded: dict[str, tuple[str, ...]], step: int = 0
     ) -> None:
-        """Take a row; times are left out that Stable-Baselines3 counts from the latest start."""
+        """Add a row, without Stable-Baselines3's times, which restart with the process."""
         numbers = {
             key: float(value) for key, value in key_values.items() if not key.startswith("time/")
         }
@@ -48,7 +48,7 @@ class ProgressLog(KVWriter):
         self.rows.append({STEP: float(step), **numbers})
 
     def save(self) -> None:
-        """Write the CSV file: empty cells where there is no figure."""
+        """Write the CSV file, with empty cells where a row lacks a figure."""
         names = dict.fromkeys(name for row in self.rows for name in row)
         text = io.StringIO()
         table = csv.DictWriter(text, list(names), lineterminator="\n")
@@ -63,12 +63,12 @@ class ProgressLog(KVWriter):
         return self
 
     def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
-        """Write all that is left; where the training failed, end the thread that writes events."""
+        """Write the rest of the log; after a failure only end the thread that writes events."""
         if kind is None:
             self.save()
             self._events.close()
         else:
-            with suppress(OSError):  # such as the full disk that it failed of
+            with suppress(OSError):  # such as a full disk, which may be the failure
                 self._events.close()
 
 
@@ -76,17 +76,17 @@ PACKAGES = ("gymnasium", "numpy", "numba", "torch", "stable-baselines3")
 
 
 class Record:
-    """The record of one training, which goes on where a checkpoint in its folder stands.
+    """The record of one training, which continues from a checkpoint in its folder, if any.
 
     Args:
-        job: the training.
-        tell: takes what is new.
+        job: training to record.
+        tell: takes the news of the training.
 
     Attributes:
-        stand: where the training stands: updates and timesteps so far; the figures of the "best"
-            policy, and when it "beat_rule", the paper's, both None before; and what a checkpoint
-            holds besides, until the trainer takes it out.
-        log: of its progress.
+        stand: state of the training: updates and timesteps so far; figures of the "best" policy;
+            the time when a policy "beat_rule", the paper's rule; both None before. Further
+            entries of a checkpoint stay until the trainer takes them out.
+        log: log of the training's progress.
 
     Raises:
         ValueError: the checkpoint is damaged.
@@ -106,15 +106,15 @@ class Record:
 
     @property
     def seconds(self) -> float:
-        """Wall time of the training, of what came before an interruption too."""
+        """Return the wall time of the training, including time before an interruption."""
         return float(self.stand["seconds"]) + time.monotonic() - self._begun_s
 
     def evaluate(self, actor: Tensors, table: Observation) -> dict[str, float]:
-        """Examine a policy, and keep it if it is the best so far.
+        """Evaluate a policy, and keep it if it is the best so far.
 
         Args:
-            actor: its tensors.
-            table: features that it sees.
+            actor: tensors of the policy.
+            table: features that the policy observes.
 
         Returns:
             Figures for the log.
@@ -139,7 +139,7 @@ class Record:
         return {f"tuning/{key}": mean for key, mean in means.items()}
 
     def save(self, **more: Any) -> None:
-        """Write the log and a checkpoint with more to go on from."""
+        """Write the log, and a checkpoint that also holds ``more``."""
         self.log.save()
         here = {"seconds": self.seconds, "rows": self.log.rows}
         write_checkpoint(self._job.checkpoint, self.stand | here | more)

@@ -1,8 +1,8 @@
-"""Environments at many places at once, and what each action would earn in them.
+"""Environments at many places, with rollouts that measure the value of every action.
 
-The world does not depend on actions. So copies of an environment meet the very same measurements
-whatever they do, and what one action earns more than another is free of the noise between episodes
-(common random numbers).
+The world does not depend on actions. So copies of an environment have the same measurements
+whatever their actions are, and differences of value between actions are free of the noise between
+episodes (common random numbers).
 """
 
 from collections.abc import Callable
@@ -24,7 +24,7 @@ from mmwave_env.models.measurement import Layout
 from mmwave_env.numerics.numbers import Array, Index
 from mmwave_env.world.keys import Streams
 
-CONSTANT = 1e-4  # deviation of a feature that never changes
+CONSTANT = 1e-4  # standard deviation of a feature that never changes
 
 Observations = NDArray[np.float32]
 Act = Callable[[Observations], Index]
@@ -34,8 +34,8 @@ class Tried(NamedTuple):
     """States in which every action was tried.
 
     Attributes:
-        observations: (k, features) there.
-        values: (k, actions) discounted reward of each action and what followed it.
+        observations: (k, features) observations in the states.
+        values: (k, actions) discounted rewards of each action and the actions after it.
     """
 
     observations: Observations
@@ -45,22 +45,22 @@ class Tried(NamedTuple):
 class RolloutEnv:
     """N environments, spread over the places of a task and over the epochs of an episode.
 
-    Eight that lie side by side are at one place and in one epoch; the first episodes are cut short,
-    so that the others are in other epochs.
+    Eight adjacent environments share a place and an epoch; the first episodes are cut short, so
+    that other groups of eight are in other epochs.
 
     Args:
-        task: what is learned.
+        task: task of the training.
         n: number of environments, a multiple of eight.
-        horizon: epochs that an action is followed for.
-        discount: of a reward one second later.
-        seed: of the first environment; the others count up from it.
+        horizon: length of a rollout, epochs.
+        discount: discount of a reward one second later.
+        seed: seed of the first environment; the other seeds count up from it.
 
     Attributes:
-        observation: the table of features.
-        observations: (n, features) that wait for an action.
+        observation: table of features.
+        observations: (n, features) observations that wait for an action.
 
     Raises:
-        ValueError: no multiple of eight, too few for the places, or banks of more than one program.
+        ValueError: n is no multiple of eight or too small, or banks need different programs.
     """
 
     def __init__(
@@ -95,11 +95,11 @@ class RolloutEnv:
 
     @property
     def epochs(self) -> int:
-        """Longest episode."""
+        """Return the length of the longest episode."""
         return max(source.epochs for source in self._sources)
 
     def step(self, actions: Index) -> Array:
-        """Take an action in every environment (n,); where an episode ends another begins.
+        """Take an action in every environment (n,); a new episode follows each that ends.
 
         Returns:
             The rewards (n,).
@@ -112,7 +112,7 @@ class RolloutEnv:
         return told[:, 0]
 
     def _begin(self, places: Index) -> None:
-        """New episodes in some environments (k,)."""
+        """Start new episodes in some environments (k,)."""
         for i, source in enumerate(self._sources):
             here = places[self._place[places] == i]
             if len(here):
@@ -121,7 +121,7 @@ class RolloutEnv:
         self.observations[places] = begun[places]
 
     def measured_normalization(self, clip: float) -> Normalization:
-        """Mean and deviation of observations while action 0 is taken for the longest episode.
+        """Measure mean and deviation of observations under action 0 for the longest episode.
 
         Args:
             clip: deviations from the mean at which observations are clipped.
@@ -135,11 +135,11 @@ class RolloutEnv:
         return Normalization(mean - clip * sigma, mean + clip * sigma, mean, sigma)
 
     def try_all(self, act: Act) -> Tried:
-        """Try every action in all states that are at least the horizon from their end.
+        """Try every action in all states that are at least the horizon from their episode's end.
 
         Args:
             act: chooses the actions after the first, for observations (actions * n, features):
-                the copies of all environments that began with action 0, then those with 1, ...
+                first the copies of all environments that began with action 0, then with 1, ...
         """
         n, actions = len(self._everyone), len(self.observation.actions)
         self._copy()
@@ -153,7 +153,7 @@ class RolloutEnv:
         return Tried(self.observations[whole], values.T[whole])
 
     def _copy(self) -> None:
-        """Give every action a copy of each environment, and the epochs up to the horizon."""
+        """Give every action a copy of each environment, with the epochs up to the horizon."""
         state, batch = self._engine.batch.state, self._copies.batch
         actions, n = len(self.observation.actions), len(self._everyone)
         columns = state.table.shape[2]
@@ -161,7 +161,7 @@ class RolloutEnv:
             table = np.empty((actions * n, self._horizon, columns))
             length = np.full(actions * n, self._horizon)
             batch.state = batch.state._replace(table=table, length=length)
-        # past the end of an episode, where nothing is counted, its last epoch stands in
+        # past the end of an episode, where values are discarded, its last epoch is repeated
         epochs = np.minimum(state.epoch[:, None] + np.arange(self._horizon), self.epochs - 1)
         ahead = state.table[self._everyone[:, None], epochs]
         batch.state.table.reshape(actions, *ahead.shape)[:] = ahead
@@ -169,7 +169,7 @@ class RolloutEnv:
         batch.state.epoch[:] = 0
 
     def state(self) -> dict[str, Any]:
-        """All that what comes next depends on, for :meth:`restore`: copies."""
+        """Return a copy of all state that the future depends on, for :meth:`restore`."""
         state = self._engine.batch.state
         return {
             "rows": state.rows.copy(), "table": state.table.copy(),
@@ -178,7 +178,7 @@ class RolloutEnv:
         }  # fmt: skip
 
     def restore(self, state: dict[str, Any]) -> None:
-        """Go on, to the last bit, as the environments that gave this :meth:`state`."""
+        """Restore the environments, bit by bit, to the :meth:`state` of others."""
         here = self._engine.batch.state
         for name, array in zip(here._fields, here, strict=True):
             if name in state and isinstance(array, np.ndarray):
@@ -188,10 +188,10 @@ class RolloutEnv:
 
 
 def _one_pipeline(task: TrainingTask, layout: Layout) -> Pipeline:
-    """The pipeline that runs all banks of a task.
+    """Return the pipeline that runs all banks of a task.
 
     Raises:
-        ValueError: they differ in more than what is tuned.
+        ValueError: the banks differ in more than tuned numbers.
     """
     pipeline = Pipeline(task.bank.modes, layout)
     for radio, bank in task.banks.items():

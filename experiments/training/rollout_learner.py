@@ -1,8 +1,8 @@
-"""Rollout policy iteration: a network moves towards the actions that rollouts found better.
+"""Rollout policy iteration: learning of a network from the values that rollouts find.
 
-In every state that is remembered all actions were tried, each followed by the policy of then
+In every state of the memory all actions were tried, each followed by the policy of that time
 (Bertsekas, Rollout, Policy Iteration, and Distributed Reinforcement Learning, 2020). The network
-maximizes the mean of sum_a pi(a | s) (Q(s, a) - Q(s, 0)), with a little entropy.
+maximizes the mean of sum_a pi(a | s) (Q(s, a) - Q(s, 0)), with a small entropy bonus.
 """
 
 from copy import deepcopy
@@ -19,12 +19,12 @@ from mmwave_env.numerics.numbers import Index
 
 
 class RolloutLearner:
-    """The network, its optimizer and the states it learns from.
+    """The network, its optimizer and the states that it learns from.
 
     Args:
-        features, actions: how many.
+        features, actions: numbers of features and of actions.
         hyper: hyperparameters.
-        normal: of an observation.
+        normal: normalization of an observation.
     """
 
     def __init__(
@@ -60,19 +60,19 @@ class RolloutLearner:
 
     @torch.no_grad()
     def greedy(self, observations: Observations) -> Index:
-        """The most probable actions (n,) for observations (n, features)."""
+        """Return the most probable actions (n,) for observations (n, features)."""
         found: Index = self._logits(observations).argmax(1).numpy()
         return found
 
     @torch.no_grad()
     def sampled(self, observations: Observations) -> Index:
-        """Actions (n,) drawn by their probabilities, for observations (n, features)."""
+        """Draw actions (n,) by their probabilities, for observations (n, features)."""
         probabilities = torch.softmax(self._logits(observations), 1)
         found: Index = torch.multinomial(probabilities, 1)[:, 0].numpy()
         return found
 
     def remember(self, tried: Tried) -> None:
-        """Learn from these states from now on, and forget the oldest."""
+        """Add states to the memory, in place of the oldest."""
         memory = len(self._gains)
         rows = torch.arange(self._seen, self._seen + len(tried.values)) % memory
         gains = tried.values - tried.values[:, :1]
@@ -81,14 +81,14 @@ class RolloutLearner:
         self._seen += len(gains)
 
     def improve(self, left: float) -> dict[str, float]:
-        """Gradient steps on random states of the memory.
+        """Take gradient steps on random states of the memory.
 
         Args:
-            left: of the rates, from 1 down.
+            left: remaining share of the rates, from 1 down.
 
         Returns:
-            Figures for the log: the mean gain over action 0 that the policy expects, and
-            that of the best actions; and the entropy.
+            Figures for the log: the mean gain over action 0 that the policy expects, the mean
+            gain of the best actions, and the entropy.
         """
         hyper, filled = self._hyper, min(self._seen, len(self._gains))
         for group in self._optimizer.param_groups:
@@ -110,15 +110,15 @@ class RolloutLearner:
         return dict(zip(names, (told / hyper.gradient_steps).tolist(), strict=True))
 
     def state(self) -> dict[str, Any]:
-        """All that what comes next depends on, for :meth:`restore`."""
+        """Return all state that the future depends on, for :meth:`restore`."""
         return {
             "network": self.network.state_dict(), "optimizer": self._optimizer.state_dict(),
             "observations": self._observations, "gains": self._gains, "seen": self._seen,
         }  # fmt: skip
 
     def restore(self, state: dict[str, Any]) -> None:
-        """Go on, to the last bit, as the learner that gave this :meth:`state`."""
+        """Restore the learner, bit by bit, to the :meth:`state` of another."""
         self.network.load_state_dict(state["network"])
-        self._optimizer.load_state_dict(deepcopy(state["optimizer"]))  # it would keep the tensors
+        self._optimizer.load_state_dict(deepcopy(state["optimizer"]))  # else it keeps the tensors
         self._observations[:], self._gains[:] = state["observations"], state["gains"]
         self._seen = state["seen"]

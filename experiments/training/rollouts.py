@@ -1,9 +1,9 @@
-"""Train a switcher by rollout policy iteration with common random numbers.
+"""Training of a switcher by rollout policy iteration with common random numbers.
 
-In states along the way of the current policy every action is tried on the very same measurements,
-each followed by the greedy policy for some epochs (:class:`RolloutEnv`); the network moves
-towards what was better (:class:`RolloutLearner`), and so on. That is rollout policy iteration
-(Bertsekas 2020), and exact but for the horizon: the world does not depend on actions.
+In states that the current policy visits, every action is tried on the same measurements, each
+followed by the greedy policy for some epochs (:class:`RolloutEnv`). The network moves towards the
+better actions (:class:`RolloutLearner`), and so on. This is rollout policy iteration (Bertsekas
+2020), and exact up to the horizon, since the world does not depend on actions.
 """
 
 from typing import Any
@@ -23,15 +23,15 @@ EVALUATE = 8  # updates between two evaluations
 
 
 class RolloutTraining:
-    """A training under way.
+    """A training in progress.
 
     Args:
-        job: what to do; goes on where a checkpoint in its folder stands.
-        tell: takes what is new; a timestep is a state in which actions were tried.
+        job: training to run; continues from a checkpoint in its folder, if any.
+        tell: takes the news; a timestep is a state in which actions were tried.
 
     Attributes:
-        env: where actions are tried.
-        learner: learns from that.
+        env: environments in which actions are tried.
+        learner: network that learns from the tried actions.
 
     Raises:
         ValueError: the checkpoint is damaged.
@@ -49,7 +49,7 @@ class RolloutTraining:
         self.learner = RolloutLearner(len(table), len(table.actions), hyper, self._normal)
 
     def run(self) -> dict[str, Any]:
-        """Train to the end; figures of the training and of its best policy."""
+        """Train to the end; return figures of the training and of its best policy."""
         job, record, stand = self._job, self._record, self._record.stand
         if "learner" in stand:
             with going_on_from(job.checkpoint):
@@ -73,7 +73,7 @@ class RolloutTraining:
         return record.close()
 
     def _update(self) -> dict[str, float]:
-        """Try all actions in some states and learn from them; figures for the log."""
+        """Try all actions in some states and learn from them; return figures for the log."""
         hyper, env, learner = self._job.hyperparameters, self.env, self.learner
         new, taken = 0, np.zeros(len(env.observation.actions), np.int64)
         while new < hyper.states:

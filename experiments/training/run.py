@@ -1,4 +1,4 @@
-"""A run of several trainings: folders, the course on a terminal, the summary."""
+"""The train command: folder of a run, progress on a terminal, and summary."""
 
 import shutil
 from collections.abc import Iterator, Mapping
@@ -31,15 +31,15 @@ from mmwave_env.reward import REWARDS, PairedReward, Reward, TrackingReward
 if TYPE_CHECKING:
     from experiments.train import Args
 
-SMOKE_EPISODES = 20  # to judge a policy on
-TIMESTEPS = {"ppo": 4_000_000, "rollouts": 1_200_000}  # to train for
+SMOKE_EPISODES = 20  # episodes to judge a policy on
+TIMESTEPS = {"ppo": 4_000_000, "rollouts": 1_200_000}  # length of a training
 
-# Options that a policy does not depend on: the command in its file leaves them out.
+# Options that do not affect a policy: the command in its file leaves them out.
 ASIDE = ("jobs", "checkpoint_every", "out", "resume", "overwrite")
 
 
 def smoke(args: "Args") -> "Args":
-    """The same as a smoke run: as short as can be, and in a folder of its own to replace."""
+    """Return the options of a smoke run: as short as possible, in its own folder."""
     short = replace(args, seeds=1, total_timesteps=1)
     return (
         short
@@ -49,7 +49,7 @@ def smoke(args: "Args") -> "Args":
 
 
 def rewards(args: TaskArgs) -> Reward:
-    """What is learned to earn, before anything is subtracted."""
+    """Return the reward to learn, before the IMM's reward is subtracted."""
     reward = choose(REWARDS, args.reward, "reward")
     if isinstance(reward, PairedReward):
         reward = reward.reward
@@ -59,10 +59,10 @@ def rewards(args: TaskArgs) -> Reward:
 
 
 def training_task(args: TaskArgs) -> TrainingTask:
-    """What is to be learned.
+    """Return the task that options describe.
 
     Raises:
-        ValueError: a place, mode or reward that there is not.
+        ValueError: unknown place, mode or reward.
     """
     places = places_of(args)
     banks = banks_of(args.modes, places, args.beliefs)
@@ -73,13 +73,13 @@ def hyperparameters(args: TaskArgs, places: int, path: Path | None = None) -> Hy
     """Read the hyperparameters.
 
     Args:
-        args: what is learned.
-        places: in how many places.
-        path: of their file; None for those that are shipped.
+        args: options of the task.
+        places: number of places.
+        path: file of hyperparameters; None for the shipped file.
 
     Raises:
-        ValueError: those of another algorithm, or of environments that can't be spread over so
-            many places.
+        ValueError: the file is for another algorithm, or its environments can't be spread over
+            the places.
     """
     path = path or shipped_hyperparameters(args.algo, args.beliefs)
     found = read_hyperparameters(path, args.algo)
@@ -89,14 +89,14 @@ def hyperparameters(args: TaskArgs, places: int, path: Path | None = None) -> Hy
         raise ValueError(f"{path}: {error}") from error
     if isinstance(found, PpoHyperparameters):
         return replace(found, paired=found.paired or args.reward == "paired")
-    return found  # rollouts learn from differences: what is subtracted from a reward is not in them
+    return found  # rollouts learn from differences, where the IMM's reward would cancel
 
 
 def places_of(args: TaskArgs) -> tuple[Place, ...]:
-    """Where to train.
+    """Return the places to train in.
 
     Raises:
-        ValueError: a place that there is not or that is named twice; or a radio beside places.
+        ValueError: a place is unknown or named twice, or both a radio and places are given.
     """
     if not args.places:
         return (Place("street", args.radio),)
@@ -106,7 +106,7 @@ def places_of(args: TaskArgs) -> tuple[Place, ...]:
 
 
 def manifest_of(args: "Args", banks: Mapping[str, Bank], found: Hyperparameters) -> dict[str, Any]:
-    """What decides how a run goes on, as JSON holds it."""
+    """Return the choices that a continued run must repeat, as JSON holds them."""
     written = {radio: bank_as_written(bank) for radio, bank in banks.items()}
     first, *_ = written.values()
     choices = {"banks": written} if args.beliefs == "per-mode" else {"modes": first["modes"]}
@@ -120,10 +120,10 @@ def manifest_of(args: "Args", banks: Mapping[str, Bank], found: Hyperparameters)
 
 
 def begin(args: "Args", manifest: dict[str, Any]) -> None:
-    """Make the folder of a run, or make sure that it holds the one to go on with.
+    """Make the folder of a run, or check that the folder holds the run to resume.
 
     Raises:
-        ValueError: there is a run already; or none to go on with, or another one.
+        ValueError: the folder holds a run already; or no run, or another run, to resume.
     """
     path = args.out / "run.json"
     if args.resume:
@@ -144,11 +144,11 @@ def begin(args: "Args", manifest: dict[str, Any]) -> None:
 
 
 def _require_same(path: Path, manifest: dict[str, Any]) -> None:
-    """Refuse to go on with the run of another manifest."""
+    """Refuse to resume a run with another manifest."""
     whole = "hyperparameters"
 
     def flat(run: dict[str, Any]) -> dict[str, Any]:
-        """The hyperparameters one by one, which says more of a difference."""
+        """Return the manifest with one entry per hyperparameter, for a precise message."""
         return {key: value for key, value in run.items() if key != whole} | dict(run[whole])
 
     found, expected = read_json(path, "the manifest of a run", flat), flat(manifest)
@@ -162,7 +162,7 @@ def _require_same(path: Path, manifest: dict[str, Any]) -> None:
 
 @contextmanager
 def shown(jobs: list[Any]) -> Iterator[Any]:
-    """A bar for each training, on a terminal; the function takes the news of one."""
+    """Show a bar for each training, on a terminal; yield a function that takes news."""
     with bars(TimeElapsedColumn()) as bar:
         tasks = {job.seed: bar.add_task(f"seed {job.seed}", total=job.timesteps) for job in jobs}
 
@@ -176,7 +176,7 @@ def shown(jobs: list[Any]) -> Iterator[Any]:
 
 
 def summary(outcomes: list[dict[str, Any]]) -> str:
-    """All seeds as a Markdown table, best first."""
+    """Return all seeds as a Markdown table, best first."""
     rows, minus = [], [key for key in outcomes[0]["best"] if key.startswith("minus ")]
     for outcome in outcomes:
         best, beat = outcome["best"], outcome["beat_rule"]

@@ -1,4 +1,4 @@
-"""What a switcher learns: the arguments of its environments, place by place."""
+"""The task that a switcher learns: arguments of its environments, place by place."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -13,17 +13,17 @@ from mmwave_env.task import task_from
 
 @dataclass(frozen=True)
 class TrainingTask:
-    """What is learned: arguments of ``MmWaveLoc-v0``.
+    """Arguments of ``MmWaveLoc-v0`` to learn with.
 
     Attributes:
         scenario, observation, beliefs: names.
-        places: where; every environment is at one of them.
-        banks: what there is to choose from, by the name of a radio (:func:`banks_of`).
+        places: places to train in; every environment is at one place.
+        banks: modes to choose from, by the name of a radio (:func:`banks_of`).
         reward: function of (belief, truth).
 
     Raises:
-        ValueError: one that means nothing, and the message says what would; or the agent would see
-            or choose one thing at one place and another thing at another.
+        ValueError: an argument is invalid, and the message says what is valid; or features or
+            actions differ between places.
     """
 
     scenario: str
@@ -45,11 +45,11 @@ class TrainingTask:
 
     @property
     def bank(self) -> Bank:
-        """That of the first place."""
+        """Return the bank of the first place."""
         return self.banks[self.places[0].profile]
 
     def arguments(self, place: Place) -> dict[str, Any]:
-        """Of the environment at a place: what it is that has to be learned, but for the reward."""
+        """Return the arguments of the environment at a place, without the reward."""
         bank = self.banks[place.profile]
         return {
             "scenario": self.scenario, "scene": place.scene, "radio": place.radio, "dt": place.dt,
@@ -62,16 +62,16 @@ class TrainingTask:
 
 
 def banks_of(modes: Sequence[str], places: Sequence[Place], beliefs: str) -> dict[str, Bank]:
-    """What a switcher chooses from at each radio, by its name.
+    """Return the modes that a switcher chooses from at each radio, by the radio's name.
 
     Args:
-        modes: names and mode files, as of the command line; none for the default ones.
-        places: where it is trained.
-        beliefs: "per-mode" for banks tuned for each radio; "shared" for the same modes everywhere,
-            those of the first place's radio.
+        modes: names and mode files, as on the command line; none for the defaults.
+        places: places to train in.
+        beliefs: "per-mode" for banks tuned for each radio; "shared" for the modes of the first
+            place's radio everywhere.
 
     Raises:
-        ValueError: as :func:`~mmwave_env.filters.bank.bank_from`.
+        ValueError: same as from :func:`~mmwave_env.filters.bank.bank_from`.
     """
     if beliefs != "per-mode":
         shared = Bank(modes_from(modes or None, places[0].radio))

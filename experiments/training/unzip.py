@@ -1,7 +1,7 @@
-"""A model of Stable-Baselines3 as plain numbers, taken out in a process of its own.
+"""Extraction of the tensors of a Stable-Baselines3 model, in a process of its own.
 
-Loading such a model runs code from its file. That process hands nothing back but a file of
-tensors, which is read without running anything.
+Loading such a model runs code from its file. The process returns only a file of tensors, which
+is read without running code.
 """
 
 import json
@@ -20,24 +20,24 @@ from experiments.evaluation.agents import in_one_line
 from experiments.training.actor import Normalization, actor_tensors, require_actor
 from mmwave_env.files import open_regular
 
-EPOCHS, EPISODES = 20, 50  # to see what the model decides in
+EPOCHS, EPISODES = 20, 50  # size of the sample of decisions
 SHOWN, CHOSEN = "shown", "chosen"
 
 
 def unzipped(model: Path, normalize: Path | None) -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:
-    """The tensors of a model, and what it tells of its training.
+    """Return the tensors of a model, and facts about its training.
 
     Args:
         model: file that ``model.save`` wrote.
-        normalize: file that ``VecNormalize.save`` wrote, if it was trained under that.
+        normalize: file that ``VecNormalize.save`` wrote, if the model was trained with it.
 
     Returns:
-        The tensors of a policy file; with them "shown" (epochs, episodes, features) and "chosen"
-        (epochs, episodes): observations, and the actions that the model chose. And its seed,
-        timesteps and the name of its network.
+        The tensors of a policy file; also "shown" (epochs, episodes, features) and "chosen"
+        (epochs, episodes), observations and the actions that the model chose. The facts are the
+        model's seed, timesteps and the name of its network.
 
     Raises:
-        ValueError: it can't be loaded, or no policy file can hold it.
+        ValueError: the model can't be loaded, or no policy file can hold it.
     """
     with TemporaryDirectory() as folder:
         out = Path(folder) / "model.safetensors"
@@ -47,7 +47,7 @@ def unzipped(model: Path, normalize: Path | None) -> tuple[dict[str, NDArray[Any
         process.start()
         try:
             process.join()
-        finally:  # it ends, too, where somebody ends this one
+        finally:  # the process must also end where this one is interrupted
             process.kill()
             process.join()
         refusal = out.with_suffix(".txt")
@@ -65,7 +65,7 @@ def unzipped(model: Path, normalize: Path | None) -> tuple[dict[str, NDArray[Any
 
 
 def _unzip(model: str, normalize: Path | None, out: Path) -> None:
-    """What the process does: write tensors, or the reason why there are none."""
+    """Write the tensors, or the reason for having none; runs in the process."""
     try:
         policy, data = _loaded(model)
         try:
@@ -90,7 +90,7 @@ def _unzip(model: str, normalize: Path | None, out: Path) -> None:
 
 
 def _loaded(model: str) -> tuple[Any, dict[str, Any]]:
-    """Load the network of a model, and what else its file tells."""
+    """Load the network of a model, and the other data of its file."""
     from stable_baselines3.common.save_util import load_from_zip_file
 
     try:
@@ -107,7 +107,7 @@ def _loaded(model: str) -> tuple[Any, dict[str, Any]]:
 
 
 def _normalization(path: Path | None, box: Any) -> Normalization:
-    """The normalization in a file of ``VecNormalize``; none where there is no file."""
+    """Read the normalization in a file of ``VecNormalize``; without a file it is trivial."""
     low, high = box.low.astype(float), box.high.astype(float)
     as_they_are = Normalization(low, high, np.zeros(box.shape), np.ones(box.shape))
     if path is None:
@@ -132,7 +132,7 @@ def _normalization(path: Path | None, box: Any) -> Normalization:
 
 
 def _decisions(policy: Any, normal: Normalization) -> dict[str, NDArray[Any]]:
-    """Observations that are made up, and the actions that the model chooses there."""
+    """Return random observations and the actions that the model chooses for them."""
     low, high, mean, sigma = normal
     spread = np.random.default_rng(0).uniform(-2.0, 2.0, (EPOCHS, EPISODES, len(mean)))
     shown = np.clip(mean + sigma * spread, low, high)

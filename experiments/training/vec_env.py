@@ -1,4 +1,4 @@
-"""The native vector environments of several places as one, for Stable-Baselines3."""
+"""Vector environment for Stable-Baselines3, made of native ones at several places."""
 
 from collections.abc import Sequence
 from itertools import accumulate
@@ -18,18 +18,18 @@ from mmwave_env.world.simulated import SimulatedSource
 
 
 class PlacesVecEnv(VecEnv):
-    """The environments of all places of a task beside each other, stepped together.
+    """The environments of all places of a task, stepped together.
 
-    Before a reset returns, each place is played for another number of epochs, with action 0: its
-    episodes end at another time, and every update of a network sees all phases of an episode.
+    A reset plays each place for another number of epochs, with action 0, so that episodes end at
+    different times, and every update of a network has data from all phases of an episode.
 
     Args:
-        task: what is learned.
-        hyperparameters: how many environments there are, and whether rewards are paired.
+        task: task of the training.
+        hyperparameters: number of environments, and whether rewards are paired.
 
     Attributes:
-        envs: the native environments, of a place each.
-        observation: their table of features.
+        envs: native vector environments, one per place.
+        observation: table of features.
 
     Raises:
         ValueError: there are more places than environments.
@@ -53,14 +53,14 @@ class PlacesVecEnv(VecEnv):
         super().__init__(self._firsts[-1], first.observation_space, first.action_space)
 
     def seed(self, seed: int | None = None) -> Sequence[int | None]:
-        """Seed s for environment 0, s + 1 for the next, and so on through all places."""
+        """Give environment 0 the seed s, the next s + 1, and so on through all places."""
         each = zip(self._parts, self._firsts, strict=False)
         if seed is None:
             return [one for part in self._parts for one in part.seed()]
         return [one for part, first in each for one in part.seed(seed + first)]
 
     def reset(self) -> NDArray[Any]:
-        """Begin episodes everywhere; observations (n, features)."""
+        """Begin episodes everywhere; return observations (n, features)."""
         observations = []
         for k, (part, env) in enumerate(zip(self._parts, self.envs, strict=True)):
             seen = part.reset()
@@ -71,12 +71,12 @@ class PlacesVecEnv(VecEnv):
         return np.concatenate(observations)
 
     def step_async(self, actions: NDArray[Any]) -> None:
-        """Take actions (n,) for the step that :meth:`step_wait` makes."""
+        """Set the actions (n,) of the step that :meth:`step_wait` makes."""
         for part, some in zip(self._parts, np.split(actions, self._firsts[1:-1]), strict=True):
             part.step_async(some)
 
     def step_wait(self) -> tuple[NDArray[Any], NDArray[np.float32], NDArray[np.bool_], Infos]:
-        """Observations (n, features), rewards (n,), ends (n,) and infos of one step."""
+        """Return observations (n, features), rewards (n,), ends (n,) and infos of one step."""
         observations, rewards, over, infos = zip(
             *(part.step_wait() for part in self._parts), strict=True
         )
@@ -84,25 +84,25 @@ class PlacesVecEnv(VecEnv):
         return np.concatenate(observations), np.concatenate(rewards), np.concatenate(over), together
 
     def state(self) -> dict[str, Any]:
-        """All that what comes next depends on, for :meth:`restore`."""
+        """Return all state that the future depends on, for :meth:`restore`."""
         return {
             str(i): {"env": env.state(), "returns": part.state()}
             for i, (env, part) in enumerate(zip(self.envs, self._parts, strict=True))
         }
 
     def restore(self, state: dict[str, Any]) -> None:
-        """Go on, to the last bit, as the environments that gave this :meth:`state`."""
+        """Restore the environments, bit by bit, to the :meth:`state` of others."""
         for i, (env, part) in enumerate(zip(self.envs, self._parts, strict=True)):
             env.restore(state[str(i)]["env"])
             part.restore(state[str(i)]["returns"])
 
     def close(self) -> None:
-        """Close all of them."""
+        """Close all environments."""
         for part in self._parts:
             part.close()
 
     def get_attr(self, attr_name: str, indices: Indices = None) -> list[Any]:
-        """An attribute of each environment, or of those of the indices."""
+        """Return an attribute of each environment, or of the environments at some indices."""
         every = [one for part in self._parts for one in part.get_attr(attr_name)]
         return [every[i] for i in self._get_indices(indices)]
 
@@ -115,13 +115,13 @@ class PlacesVecEnv(VecEnv):
     def env_method(
         self, method_name: str, *method_args: Any, indices: Indices = None, **method_kwargs: Any
     ) -> list[Any]:
-        """Call a method of all environments; what it returns for each."""
+        """Call a method of all environments; return its result for each."""
         self._require_all(indices, f"env_method({method_name!r})")
         told = [part.env_method(method_name, *method_args, **method_kwargs) for part in self._parts]
         return [one for some in told for one in some]
 
     def env_is_wrapped(self, wrapper_class: type[Any], indices: Indices = None) -> list[bool]:
-        """Whether each of the indices is wrapped so."""
+        """Tell for each index whether its environment has a wrapper of this class."""
         return [
             self._parts[0].env_is_wrapped(wrapper_class, 0)[0] for _ in self._get_indices(indices)
         ]

@@ -1,1 +1,1 @@
-"""What an IMM is tuned in, and how: banks before tuning, where to search, on which episodes."""
+"""Tuning of modes by likelihood or error, and of the bank of an IMM by reward."""

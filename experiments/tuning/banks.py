@@ -1,6 +1,6 @@
-"""The bank of the strongest IMM: modes that stand, cruise, turn, accelerate and brake, as numbers.
+"""Tuning of the bank of imm-best: modes that stand, cruise, turn, accelerate and brake.
 
-All that is data in it is tuned at once, for the mean reward over all shipped streets and two rates.
+All numbers of the bank are tuned at once, for the mean reward on all shipped streets at two rates.
 """
 
 from collections.abc import Sequence
@@ -28,9 +28,9 @@ from mmwave_env.reward import TrackingReward
 from mmwave_env.world.episode import EpisodeBatch, EpisodeSource
 
 STEPS_S = (1.0, 0.1)  # between epochs
-SHARES = 3  # of the tuning episodes, of which a generation of the search sees one
-# Of steady motion, so that what contradicts them is an outlier, which their gates reject. The other
-# modes doubt it: they inflate its noise, since it may be a maneuver.
+SHARES = 3  # parts of the tuning episodes; a generation of the search uses one part
+# Modes of steady motion, whose gates reject contradicting measurements as outliers. The other modes
+# inflate the noise of such a measurement instead, since it may show a maneuver.
 _STEADY = {"stand": ("ekf", 0.05), "cruise": ("ukf", 0.5)}
 # algorithm, velocity noise, known acceleration
 _LIVELY = {"turn": ("ukf", 1.9, 0.0), "accelerate": ("ukf", 0.3, 2.0), "brake": ("ukf", 0.2, -2.0)}
@@ -54,15 +54,15 @@ START = (
 def tuned_bank(
     radio: str, episodes: int, seed: int, evaluations: int, start: Sequence[Mode] = START
 ) -> dict[str, Any]:
-    """The best bank of a radio that the search finds on tuning episodes, as files hold it.
+    """Return the best bank of a radio that the search finds on tuning episodes, as in files.
 
     Args:
-        radio: profile, a name or a JSON file.
-        episodes: how many to tune on, in equal shares of streets and rates; as many of the seeds
-            that follow show whether it holds.
-        seed: of the first.
-        evaluations: at most.
-        start: modes before they are tuned.
+        radio: radio profile, a name or a JSON file.
+        episodes: number of episodes to tune on, in equal shares of streets and rates; as many
+            episodes of the following seeds measure the result.
+        seed: seed of the first episode.
+        evaluations: most evaluations of the search.
+        start: modes before tuning.
 
     Raises:
         ValueError: too few episodes.
@@ -96,16 +96,16 @@ def tuned_bank(
 
 
 class Scores(NamedTuple):
-    """What a bank earns, per episode."""
+    """Rewards of a bank, and tracks that it lost, per episode."""
 
-    reward: Array  # (n,) mean over the epochs that are scored
+    reward: Array  # (n,) mean over the scored epochs
     lost: Array  # (n,) 1 where the track ends farther than DIVERGENCE_M from the truth, else 0
 
 
 def drawn(
     sources: Sequence[EpisodeSource], seeds: range, shares: int = 1
 ) -> list[list[EpisodeBatch]]:
-    """Episodes in shares that are alike: each has a batch for each of the sources, in their order.
+    """Draw episodes in equal parts; each part has a batch for each source, in order.
 
     Raises:
         ValueError: fewer seeds than shares.
@@ -120,7 +120,7 @@ def drawn(
 
 
 def scores(bank: Bank, batches: Sequence[EpisodeBatch]) -> Scores:
-    """Run the IMM over a bank on all episodes, batch after batch."""
+    """Run the IMM of a bank on all episodes, batch after batch."""
     reward, lost = [], []
     for batch in batches:
         imm = ImmEngine(

@@ -1,4 +1,4 @@
-"""Tuning the process noise of a mode: what is maximized, and the search."""
+"""Tuning of a mode's process noise: objectives and search."""
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
@@ -18,7 +18,7 @@ from mmwave_env.world.episode import Episode
 
 Objective = Callable[[Mode], Array]
 
-# Where each part of the process noise is looked for, in the units of Mode.
+# Range to search of each part of the process noise, in the units of Mode.
 RANGES = {
     "sigma_p": (0.01, 2.0), "sigma_v": (0.1, 4.0), "sigma_pz": (0.001, 0.2),
     "sigma_vz": (0.001, 0.2), "sigma_b_mps": (0.01, 0.5), "spread_gain": (1e-4, 0.1),
@@ -26,14 +26,14 @@ RANGES = {
 # NIS beyond this chi-square quantile counts as this quantile in a likelihood. On data of the
 # filter's own model 0.99 would bias sigma_v by -6 %, 0.999 by less than 1 %.
 CAP = 0.999
-POINTS = (6, 11)  # of the grid, along the second and the first parameter
-STEP = 0.3  # of the first simplex, in logarithms: a third
+POINTS = (6, 11)  # points of the grid along the second and the first parameter
+STEP = 0.3  # size of the first simplex in logarithms, about a third
 
 
 def likelihood(history: dict[str, Array], layout: Layout) -> Array:
-    """Mean log-likelihood per epoch (episodes,) of the innovations, outliers capped.
+    """Return the innovations' mean log-likelihood per epoch (episodes,), outliers capped.
 
-    Unmodeled blockage would otherwise decide. The constant -(rows / 2) log(2 pi) is left out.
+    Without the cap, unmodeled blockage would dominate. The value lacks -(rows / 2) log(2 pi).
     """
     nis, log_likelihood = history["memory.nis"], history["log_likelihood"]
     rows = [group.stop - group.start for group in layout.groups]
@@ -44,7 +44,7 @@ def likelihood(history: dict[str, Array], layout: Layout) -> Array:
 
 
 def negative_mean_square(history: dict[str, Array], layout: Layout) -> Array:
-    """Minus the mean square position error (episodes,), m^2."""
+    """Return minus the mean square position error (episodes,), m^2."""
     error = history["error"]
     mean: Array = np.square(error[:, scored(error.shape[1])]).sum(axis=-1).mean(axis=-1)
     return -mean
@@ -57,7 +57,7 @@ OBJECTIVES = {
 
 
 def objective_of(name: str, mode: Mode, episodes: Sequence[Episode]) -> Objective:
-    """From a mode to what is maximized, per episode; the mode's algorithm is that of ``mode``."""
+    """Return the objective per episode as a function of a mode with the algorithm of ``mode``."""
     function, names, _ = OBJECTIVES[name]
     layout = episodes[0].layout
     tracker = Tracker(Pipeline((mode,), layout), len(episodes))
@@ -71,7 +71,7 @@ def objective_of(name: str, mode: Mode, episodes: Sequence[Episode]) -> Objectiv
 
 
 def tune(mode: Mode, free: Sequence[str], objective: Objective) -> Mode:
-    """The best tuning.
+    """Return the mode with the best values of its free parameters.
 
     The best point of a logarithmic grid over the first two parameters is the start of a
     Nelder-Mead search over all of them.

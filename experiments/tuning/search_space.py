@@ -1,4 +1,4 @@
-"""Where the best bank is searched: points of numbers, and the bank that a point stands for."""
+"""Search space of the best bank, and the bank at a point of the space."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -13,31 +13,31 @@ from mmwave_env.filters.imm import DEFAULT_STAY
 from mmwave_env.filters.modes import Mode
 from mmwave_env.numerics.numbers import Array
 
-SEED = 0  # of the points that are drawn
+SEED = 0  # seed of the search
 
 Value = Callable[[Bank, int], float]
 
-# Where they are looked for:
+# Ranges to search:
 ODDS = (-14.0, 8.0)  # log of a probability to change over that to stay
-# Less velocity noise earns a little more where users walk as straight as simulated ones do. One who
-# weaves a few degrees, as in the recording of a pedestrian, would leave such a filter behind.
+# Less velocity noise earns a little more where users walk as straight as simulated users do. A user
+# who weaves a few degrees, as in the recording of a pedestrian, would escape such a filter.
 FREE = {
     "sigma_p": (0.005, 2.0),
     "sigma_v": (0.04, 6.0),
     "acceleration_mps2": (0.3, 6.0),
     "turn_rate_radps": (0.02, 1.0),
 }
-NINES = (1.0, 9.0)  # of the quantile up to which NIS counts: 3 stand for 0.999
-DECIMALS = 6  # of probabilities
+NINES = (1.0, 9.0)  # nines of the quantile up to which NIS counts: 3 nines are 0.999
+DECIMALS = 6  # digits of probabilities
 
 _PROBABILITY_STEP, _NOISE_STEP, _NINES_STEP = 0.6, 0.25, 0.3  # first standard deviations
 
 
 def rows_as_softmax(odds: Array) -> Array:
-    """Transition probabilities (modes, modes), (from, to), of which each is free.
+    """Return transition probabilities (modes, modes), (from, to), as a softmax of free odds.
 
     Args:
-        odds: (modes (modes - 1),) log of p_ij / p_ii, row by row and the diagonal left out.
+        odds: (modes (modes - 1),) log of p_ij / p_ii, row by row without the diagonal.
     """
     modes = 1 + int(np.sqrt(len(odds)))
     logits = np.zeros((modes, modes))
@@ -47,16 +47,16 @@ def rows_as_softmax(odds: Array) -> Array:
 
 
 class SearchSpace(NamedTuple):
-    """Where to search for k numbers."""
+    """Start, scale and bounds of a search for k numbers."""
 
-    start: Array  # (k,)
-    deviation: Array  # (k,) of the first points
-    bounds: Array  # (k, 2)
-    bank_at: Callable[[Array], Bank]  # what a point stands for, as a file holds it
+    start: Array  # (k,) first center
+    deviation: Array  # (k,) standard deviations of the first points
+    bounds: Array  # (k, 2) lowest and highest values
+    bank_at: Callable[[Array], Bank]  # bank at a point, with the digits of a file
 
 
 def search_space(modes: Sequence[Mode]) -> SearchSpace:
-    """All of a bank over modes that is data: transition, noise, maneuvers, and which NIS counts."""
+    """Return the space of a bank's numbers: transition, noise, maneuvers and NIS quantile."""
     n = len(modes)
     change = np.log((1.0 - DEFAULT_STAY) / (n - 1) / DEFAULT_STAY)
     chances, limits = [change] * (n * (n - 1)), [ODDS] * (n * (n - 1))
@@ -80,13 +80,13 @@ def search_space(modes: Sequence[Mode]) -> SearchSpace:
 
 
 def _with_size(mode: Mode, field: str, size: float) -> Mode:
-    """The mode with a field of another size, to three digits, and the same sign."""
+    """Return the mode with a field of another size, to three digits, and the same sign."""
     value = float(np.copysign(float(f"{size:.3g}"), getattr(mode, field)))
     return replace(mode, **{field: value})  # type: ignore[arg-type]
 
 
 def _written(transition: Array) -> tuple[tuple[float, ...], ...]:
-    """Probabilities of few decimals, whose rows still sum to 1."""
+    """Round probabilities to few digits so that rows still sum to 1."""
     short = transition.round(DECIMALS)
     np.fill_diagonal(short, 0.0)
     np.fill_diagonal(short, (1.0 - short.sum(axis=1)).round(DECIMALS))
@@ -94,18 +94,18 @@ def _written(transition: Array) -> tuple[tuple[float, ...], ...]:
 
 
 def best_bank_of(space: SearchSpace, value: Value, evaluations: int) -> Bank:
-    """The bank at the mean of the second half of the search.
+    """Return the bank at the mean center of the second half of the search.
 
-    Points of a generation are compared among themselves alone, so each generation may be judged on
-    episodes of its own. The center of the search then wanders about the optimum of all episodes, to
-    which its mean comes closer than its last place (Polyak and Juditsky 1992).
+    Points are compared only within a generation, so each generation may have its own episodes. The
+    center of the search then wanders about the optimum of all episodes, and the mean center comes
+    closer to the optimum than the last center (Polyak and Juditsky 1992).
 
     Args:
-        space: where to search.
-        value: what is to be large, of a bank and the number of the generation.
-        evaluations: how often to ask for it, at most; fewer than a generation leave the start.
+        space: space to search.
+        value: objective to maximize, of a bank and the number of the generation.
+        evaluations: most calls of ``value``; fewer than a generation return the start.
     """
-    from cmaes import CMA  # of the extra "tune"
+    from cmaes import CMA  # needs the extra "tune"
 
     first = np.diag(np.square(space.deviation))
     optimizer = CMA(space.start, 1.0, bounds=space.bounds, seed=SEED, cov=first)

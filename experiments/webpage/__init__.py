@@ -1,1 +1,1 @@
-"""Results as one web page that needs nothing else, part by part."""
+"""Web page of results in one file, part by part."""

@@ -1,4 +1,4 @@
-"""What results came to: in a sentence, and in the sections of a page."""
+"""Contents of the web page: verdicts, tables and pictures of results."""
 
 from collections.abc import Iterator, Mapping
 from functools import partial
@@ -18,7 +18,7 @@ from mmwave_env.metrics import METRICS
 
 
 class Verdict(NamedTuple):
-    """What results are of, and what they came to: in few words, and in sentences."""
+    """Name of results, with the outcome as a title and as a sentence."""
 
     name: str
     title: str
@@ -26,10 +26,10 @@ class Verdict(NamedTuple):
 
 
 def results_of(source: Source) -> tuple[Verdict, str]:
-    """What results came to, with the tables and pictures of what is in a file or a folder.
+    """Return the verdict on the results of a source, and HTML of its tables and pictures.
 
     Raises:
-        KeyError, TypeError, ValueError, AttributeError: it does not hold what it should.
+        KeyError, TypeError, ValueError, AttributeError: the content is not complete.
     """
     if source.kind == "track":
         return _track_verdict(source.content), html_of(track_markdown(dict(source.content)))
@@ -43,7 +43,7 @@ def results_of(source: Source) -> tuple[Verdict, str]:
 
 
 def _verdict(found: Comparison) -> Verdict:
-    """Who won by how much."""
+    """Return the winner and its margin in words."""
     best, *others = found.policies
     name = f"{found.scenario}, {found.radio}, {found.selection}"
     said = f"{len(others) + 1} contenders on {name}." if others else f"{best} on {name}."
@@ -106,7 +106,7 @@ def _trainings(source: Source) -> Iterator[str]:
 
 
 def errors_of(source: Source, played: Played) -> Iterator[str]:
-    """Percentiles and pictures of errors, epoch by epoch; nothing but of a comparison."""
+    """Yield percentiles and pictures of errors of a comparison; other sources have none."""
     if source.kind != "comparison":
         return
     which, figures = played.which, played.positions.figures()
@@ -135,6 +135,6 @@ def errors_of(source: Source, played: Played) -> Iterator[str]:
 
 
 def origin_of(what: str, command: str, versions: Mapping[str, Any]) -> str:
-    """How something was made."""
+    """Return HTML of the command and the versions that made something."""
     made = f"Made with {', '.join(f'{name} {one}' for name, one in versions.items())}."
     return element("h3", what) + element("pre", command) + (element("p", made) if versions else "")

@@ -1,4 +1,4 @@
-"""HTML of text that others chose, of tables, and of pictures that the figures' room draws."""
+"""HTML of text that others chose, of tables, and of pictures of ``experiments.figures``."""
 
 import hashlib
 import re
@@ -14,8 +14,8 @@ from experiments.console.text import unescaped
 from experiments.figures.canvas import COLORS, NO_MODE
 from mmwave_env.lookup import printable
 
-SHOWN = 5  # rows, until all are asked for
-VARIABLES = {  # of the page's style, by the color that a picture has
+SHOWN = 5  # rows that are shown at first
+VARIABLES = {  # variables of the page's style, by color in pictures
     "#000000": "var(--ink)",
     "#ffffff": "var(--paper)",
     "#b3b3b3": "var(--band)",
@@ -23,25 +23,25 @@ VARIABLES = {  # of the page's style, by the color that a picture has
     **{color: f"var(--mode-{number})" for number, color in enumerate(COLORS)},
 }
 COLOR = re.compile("|".join(VARIABLES))
-TAG = re.compile(r"<[^>]*>")  # of an SVG by matplotlib, which escapes > in attributes
+TAG = re.compile(r"<[^>]*>")  # of matplotlib's SVG, which escapes > in attributes
 OWN = re.compile(r"<style.*?</style>|<metadata>.*?</metadata>", re.DOTALL)
 NAMED = re.compile(r'( id="|="#|url\(#)')  # before the name of an element
 
 
 def text(value: Any) -> str:
-    """Plain text as HTML that shows it letter by letter, also in a quoted attribute."""
+    """Return plain text as HTML that shows every character, also in a quoted attribute."""
     return escape(printable(str(value)))
 
 
 def element(tag: str, words: Any, kind: str = "") -> str:
-    """An element of plain text."""
+    """Return an HTML element of plain text."""
     return f"<{tag}{kind and f' class={kind}'}>{text(words)}</{tag}>"
 
 
 def table(caption: str, header: Sequence[str], rows: Sequence[Sequence[Any]]) -> str:
-    """A table of plain text that scrolls sideways; the first cell of a row names it.
+    """Return a table of plain text that scrolls sideways; the first cell names its row.
 
-    Rows after the first ones are hidden until a box is checked, which needs no script.
+    Rows after the first :data:`SHOWN` are hidden until a box is checked, which needs no script.
     """
     head = "".join(f'<th scope="col">{text(one)}</th>' for one in header)
     body = "".join(
@@ -58,7 +58,7 @@ def table(caption: str, header: Sequence[str], rows: Sequence[Sequence[Any]]) ->
 
 
 def html_of(markdown: str) -> str:
-    """Tables and paragraphs as commands print them; those of a list, too."""
+    """Return tables, paragraphs and list items of a command's Markdown as HTML."""
     parts = []
     for block in markdown.strip().split("\n\n"):
         lines = block.strip().splitlines()
@@ -71,11 +71,11 @@ def html_of(markdown: str) -> str:
 
 
 def drawn(caption: str, draw: Callable[[Path], None]) -> str:
-    """A picture whose colors follow light and dark; without matplotlib how to get it.
+    """Return a picture whose colors follow light and dark, or a note without matplotlib.
 
     Args:
-        caption: what it shows.
-        draw: writes it to an .svg file.
+        caption: description of the picture.
+        draw: writes the picture to an .svg file.
     """
     if not find_spec("matplotlib"):
         return element("p", f"{caption}: pictures need mmwave-loc[plot]", "note")

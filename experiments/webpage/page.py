@@ -1,4 +1,4 @@
-"""The page as one file: template, style, script and data."""
+"""The web page as one file, made of template, style, script and data."""
 
 import json
 import re
@@ -21,15 +21,15 @@ SCRIPTS = ("drawing.js", "map.js", "player.js")
 
 
 def page_of(args: "Args", localized: Callable[[Source], Played] = lambda _: Played()) -> str:
-    """The page of results.
+    """Return the web page of results.
 
     Args:
-        args: what to read, and what to play again.
-        localized: the begin of the track of a log, to be watched.
+        args: results to read, and numbers of episodes to play again.
+        localized: returns the first epochs of a log's track for the player.
 
     Raises:
-        ValueError: results that can't be read.
-        FileNotFoundError: there are none.
+        ValueError: the results can't be read.
+        FileNotFoundError: there is no such file.
     """
     sources = [source for path in args.results for source in read_source(path)]
     verdicts, results, origins = [], [], []
@@ -38,7 +38,7 @@ def page_of(args: "Args", localized: Callable[[Source], Played] = lambda _: Play
             verdict, tables = results_of(source)
             command, versions = source.content["command"], source.content.get("versions", {})
             origins.append(origin_of(source.path, command, versions))
-            list(errors_of(source, Played()))  # what can't be shown is refused before any work
+            list(errors_of(source, Played()))  # refuses results that can't be shown before any work
         except (KeyError, TypeError, ValueError, AttributeError) as error:
             raise ValueError(f"{source.path}: {told(error)}, expected {READ}") from error
         verdicts.append(verdict)
@@ -58,7 +58,7 @@ def page_of(args: "Args", localized: Callable[[Source], Played] = lambda _: Play
 
 
 def _folded(verdicts: Sequence[Verdict], parts: Sequence[str]) -> str:
-    """What there is of each source under its name, all but the first folded."""
+    """Return the part of each source under its name, all but the first folded."""
     there = [(one.name, part) for one, part in zip(verdicts, parts, strict=True) if part]
     return "".join(
         f"<details{'' if number else ' open'}><summary>{text(name)}</summary>{part}</details>"
@@ -67,7 +67,7 @@ def _folded(verdicts: Sequence[Verdict], parts: Sequence[str]) -> str:
 
 
 def _player(verdicts: Sequence[Verdict], played: Sequence[Played]) -> str:
-    """The place of the player, and what can't be watched in it."""
+    """Return the element of the player, with notes on episodes that can't be watched."""
     parts = []
     if any(one.shown for one in played):
         parts = ['<div id="player"><noscript>Only this section needs JavaScript.</noscript></div>']
@@ -81,7 +81,7 @@ def _player(verdicts: Sequence[Verdict], played: Sequence[Played]) -> str:
 
 
 def _html(verdicts: Sequence[Verdict], sections: Mapping[str, str], data: Any) -> str:
-    """The whole page; what is put into the template is never looked at again."""
+    """Return the whole page; text that fills the template is not searched for marks."""
     there = {re.sub(r"\W+", "-", title.lower()): title for title, part in sections.items() if part}
     parts = {
         "title": text(verdicts[0].title),
@@ -99,7 +99,7 @@ def _html(verdicts: Sequence[Verdict], sections: Mapping[str, str], data: Any) -
 
 
 def _colors() -> str:
-    """The film's, as variables of the style."""
+    """Return the colors of films as variables of the style."""
     light, dark = THEMES["light"], THEMES["dark"]
     pairs = {name: (getattr(light, name), getattr(dark, name)) for name in light._fields}
     both = zip(*pairs.pop("modes"), strict=True)
@@ -113,6 +113,6 @@ def _file(name: str) -> str:
 
 
 def in_script(data: Any) -> str:
-    """JSON that can stand in a script element: nothing in it ends or comments the element."""
+    """Return JSON that is safe in a script element: nothing in it can end the element."""
     found = json.dumps(data, allow_nan=False, separators=(",", ":"))
     return found.replace("<", "\\u003c").replace(">", "\\u003e").replace("&", "\\u0026")

@@ -1,4 +1,4 @@
-"""Some episodes of a comparison, played again: what its file does not hold, epoch by epoch."""
+"""Replay of some episodes of a comparison, for details that its file does not hold."""
 
 import shlex
 from collections.abc import Mapping, Sequence
@@ -30,9 +30,9 @@ from mmwave_env.rendering.history import GATE
 from mmwave_env.rendering.theme import THEMES, hex_of
 from mmwave_env.world.episode import Episode
 
-LONGEST = 600  # epochs that can be watched
+LONGEST = 600  # most epochs that can be watched
 ROWS = slice(LONGEST)
-WATCHED = 8  # contenders that can be watched: the best by reward, and the rule
+WATCHED = 8  # most contenders to watch: the best by reward, and the rule
 RULE = "speed-rule"
 MADE_BY = {"comparison": ("compare", "evaluate", "demo"), "track": ("localize",)}
 AFTER = ("x", "P", "memory.nis", "memory.accepted", "memory.rejected", "memory.mode")
@@ -40,13 +40,13 @@ AFTER = ("x", "P", "memory.nis", "memory.accepted", "memory.rejected", "memory.m
 
 @dataclass
 class Played:
-    """What contenders did in some episodes.
+    """Results of contenders in episodes that were played again.
 
     Attributes:
-        which: the episodes, in words.
-        epochs, positions: errors, NEES and protection levels of the epochs that count.
+        which: description of the episodes.
+        epochs, positions: errors, NEES and protection levels of the scored epochs.
         shown: episodes to watch, as JSON holds them.
-        missing: why there is nothing of a contender; of all of them under the name "".
+        missing: reason why a contender is missing; under the name "" why all are.
     """
 
     which: str = "no episodes"
@@ -57,15 +57,15 @@ class Played:
 
 
 def play(source: Source, most: int, watched: int) -> Played:
-    """Play the first episodes of a comparison again, with all contenders that can be had.
+    """Play the first episodes of a comparison again, with all contenders that are available.
 
-    No code of others is run for it: contenders that are a function in a module or a model in a zip
-    file are left out.
+    A user's code is not run: contenders that are a function in a module or a model in a zip file
+    are left out.
 
     Args:
-        source: the comparison.
-        most: episodes at most.
-        watched: how many of them to keep epoch by epoch.
+        source: comparison to play again.
+        most: most episodes to play.
+        watched: number of episodes to keep epoch by epoch.
     """
     if not most:
         return Played(missing={"": "none were asked for"})
@@ -104,7 +104,7 @@ def play(source: Source, most: int, watched: int) -> Played:
 
 
 def _contenders(args: EpisodeArgs, names: list[str], missing: dict[str, str]) -> list[Contender]:
-    """Those that can be had; why others can't."""
+    """Return available contenders, and put reasons into ``missing`` for the others."""
     found = []
     for name in names:
         try:
@@ -119,26 +119,26 @@ def _contenders(args: EpisodeArgs, names: list[str], missing: dict[str, str]) ->
 
 
 def ranking(policies: Mapping[str, Any]) -> list[str]:
-    """Contenders of results, best reward first."""
+    """Return the contenders of results, best reward first."""
     return sorted(policies, key=lambda name: -policies[name]["reward"]["mean"])
 
 
 def watched_names(ranked: Sequence[str]) -> list[str]:
-    """Those that can be watched, of all in their order."""
+    """Return the contenders that can be watched, in the order of the ranking."""
     best = [name for name in ranked if name != RULE][: WATCHED - (RULE in ranked)]
     return [name for name in ranked if name == RULE or name in best]
 
 
 def arguments_of(source: Source) -> Any:
-    """The options of the command that made results.
+    """Parse the options of the command that made results.
 
     Raises:
-        ValueError: this version does not understand it.
+        ValueError: this version does not understand the command.
     """
     _, name, *words = shlex.split(str(source.content["command"]))
     if name not in (known := MADE_BY[source.kind]):
         raise ValueError(f"command: found {name}, expected one of {', '.join(known)}")
-    if name == "demo":  # whose options do not say which episodes it plays
+    if name == "demo":  # the options of demo do not say which episodes it plays
         scenario = source.content["scenario"]
         return EpisodeArgs(data=scenario if scenario in sample_names() else None)
     complaint = StringIO()
@@ -157,15 +157,15 @@ def arguments_of(source: Source) -> Any:
 def scenery(
     name: str, layout: Layout, anchors_m: Array, streets: Streets | None, axes: int, truth: Array
 ) -> dict[str, Any]:
-    """An episode without its contenders.
+    """Return an episode without its contenders.
 
     Args:
-        name: of the episode.
-        layout: of the measurements.
-        anchors_m: (L, 3) the base station first.
-        streets: None where nobody knows them.
+        name: name of the episode.
+        layout: layout of the measurements.
+        anchors_m: (L, 3) positions of anchors, the base station first.
+        streets: streets to draw; None where they are unknown.
         axes: position axes that NEES covers.
-        truth: (T, 5) time (s), x, y, z (m) and speed (m/s); NaN where nobody knows them.
+        truth: (T, 5) time (s), x, y, z (m) and speed (m/s); NaN where unknown.
     """
     dof = [group.stop - group.start for group in layout.groups]
     grid = streets and {"x": [*streets.x_m], "y": [*streets.y_m], "block": streets.block_m}
@@ -187,13 +187,13 @@ def scenery(
 
 
 def course(told: Mapping[str, Any], modes: Sequence[str], weighed: bool) -> dict[str, Any]:
-    """What a contender did in an episode.
+    """Return the results of a contender in an episode, as the player needs them.
 
     Args:
-        told: as of :func:`~experiments.evaluation.runner.run_contender`, of one episode: "x",
-            "P", "error", "nees" and what is in AFTER.
-        modes: names of what it chooses from.
-        weighed: whether its mode is only the most probable one.
+        told: results of :func:`~experiments.evaluation.runner.run_contender` on one episode:
+            "x", "P", "error", "nees" and the parts in AFTER.
+        modes: names of the contender's modes.
+        weighed: whether modes are mixed, so that "mode" is only the most probable mode.
     """
     accepted, rejected = told["memory.accepted"] > 0.5, told["memory.rejected"] > 0.5
     letters = np.where(accepted, "a", np.where(rejected, "r", "m"))[ROWS]
@@ -205,7 +205,7 @@ def course(told: Mapping[str, Any], modes: Sequence[str], weighed: bool) -> dict
     return {
         "x": numbers(told["x"][:, 0], ".2f"),
         "y": numbers(told["x"][:, 1], ".2f"),
-        "ellipse": [numbers(one) for one in (*axes, turn)],  # of two standard deviations
+        "ellipse": [numbers(one) for one in (*axes, turn)],  # ellipse of two standard deviations
         "speed_mps": numbers(np.linalg.norm(told["x"][:, 3:6], axis=1), ".2f"),
         "error_m": numbers(np.linalg.norm(told["error"], axis=1), ".2f"),
         "nees": numbers(told["nees"]),
@@ -219,5 +219,5 @@ def course(told: Mapping[str, Any], modes: Sequence[str], weighed: bool) -> dict
 
 
 def numbers(values: Array, digits: str = ".4g") -> list[float | None]:
-    """Rounded; null where there is no number."""
+    """Round numbers; replace those that are not finite by None."""
     return [float(f"{v:{digits}}") if np.isfinite(v) else None for v in values[ROWS]]

@@ -1,4 +1,4 @@
-"""Results as commands left them: what a page is made of."""
+"""Sources of the web page: files and folders of results that commands wrote."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -8,7 +8,7 @@ from experiments.evaluation.runs import curves_of
 from mmwave_env.files import read_json
 
 READ = "results (--json) of compare, demo or localize, or a folder of train"
-NEEDED = {  # keys by what results are
+NEEDED = {  # required keys by kind of results
     "comparison": ("command", "versions", "scenario", "radio", "episodes", "policies", "paired"),
     "track": ("command", "versions", "log", "scene", "epochs", "first_s", "last_s", "groups"),
 }
@@ -18,9 +18,9 @@ class Source(NamedTuple):
     """Results of one command.
 
     Attributes:
-        path: as it was given; of a part of a file with its title.
+        path: path as given, with the title for a part of a file.
         kind: "comparison", "track" or "run".
-        content: what the file holds; of a run its summary and the "curves" of its trainings.
+        content: content of the file; of a run its summary and the "curves" of its trainings.
     """
 
     path: str
@@ -29,10 +29,10 @@ class Source(NamedTuple):
 
 
 def read_source(path: Path) -> list[Source]:
-    """What is in a file of results, or in a folder of train, whether the run is over or not.
+    """Read a file of results, or a folder of train, whether the run is finished or not.
 
     Raises:
-        ValueError: it holds no results; naming the file and what it lacks.
+        ValueError: the file holds no results; names the file and what it lacks.
         FileNotFoundError: there is no such file.
     """
     over, begun = path / "summary.json", path / "run.json"
