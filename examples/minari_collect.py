@@ -1,4 +1,4 @@
-"""Minari: what policies see, choose and earn in the same episodes, as a data set to learn from.
+"""Minari: observations, actions and rewards of policies in the same episodes, as a data set.
 
 python examples/minari_collect.py guided none random --episodes 100 --id mmwave-loc/mixed-v0
 

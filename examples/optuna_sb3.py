@@ -23,7 +23,7 @@ def reward(trial):
     def act(observations):
         return model.predict(envs.normalize_obs(observations), deterministic=True)[0]
 
-    seed = 5_000_000  # tuning seeds: neither training's nor the test's
+    seed = 5_000_000  # tuning seeds, which neither training nor test has
     found = compare({"trial": act}, beside=("fixed-ukf",), episodes=100, seed=seed).policies
     trial.set_user_attr("fixed-ukf", found["fixed-ukf"]["reward"].mean)
     return found["trial"]["reward"].mean

@@ -89,7 +89,7 @@ def joined(blocks):
 
 def write_folder(folder, arrays, carrier_hz, base_station_m, time_s, track):
     """Write a static DeepMIMO v4 scenario whose receivers are the epochs of a track (N, 6)."""
-    folder.mkdir(parents=True)  # never into a folder that has other arrays
+    folder.mkdir(parents=True)  # fails if the folder exists, which may hold other arrays
     arrays |= {"rx_pos": track[:, :3], "tx_pos": np.array([base_station_m])}
     for key, array in arrays.items():
         np.savez_compressed(

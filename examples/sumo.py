@@ -58,7 +58,7 @@ def ways_in(scene, trips, least_s, shift_m=None):
             continue
         try:
             way = Trajectory(name, rows[:, 0], place)
-            way.way(scene, 1.0)  # refuses what is behind a wall
+            way.way(scene, 1.0)  # refuses ways behind a wall
         except ValueError as error:
             print(f"left out: {error}")
         else:

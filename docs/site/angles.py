@@ -1,4 +1,4 @@
-"""Draw docs/angles.png, the angle conventions of docs/data.md: `make generated`."""
+"""Figure docs/angles.png of the angle conventions in docs/data.md, drawn by `make generated`."""
 
 from pathlib import Path
 from typing import Any

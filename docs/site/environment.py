@@ -1,4 +1,4 @@
-"""Write docs/environment.md, the docstring of the environment as a page: `make generated`."""
+"""Page docs/environment.md, made of the docstring of the environment by `make generated`."""
 
 import inspect
 from pathlib import Path

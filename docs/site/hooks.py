@@ -1,4 +1,4 @@
-"""Hooks of mkdocs: pages made at the build, and links that work on the site as on a code host.
+"""Hooks of mkdocs for pages made at the build, and for links that work on the site.
 
 Besides the files of docs/, the site shows text whose only source is elsewhere: the README, the
 help of the commands, CITATION.cff, notebooks and the docstrings of the modules.
@@ -19,7 +19,7 @@ from typing import Any
 
 ROOT = Path(__file__).resolve().parents[2]
 DOCS = ROOT / "docs"
-MIRRORED = {  # pages of the site that are files beside docs/
+MIRRORED = {  # pages of the site whose files are outside docs/
     "index.md": "README.md",
     "contributing.md": "CONTRIBUTING.md",
     "changelog.md": "CHANGELOG.md",
@@ -97,7 +97,7 @@ def help_page() -> str:
     for name in COMMANDS:
         printed = StringIO()
         os.environ |= {"COLUMNS": "88", "NO_COLOR": "1"}
-        with redirect_stdout(printed), suppress(SystemExit):  # how a parser ends after its help
+        with redirect_stdout(printed), suppress(SystemExit):  # a parser exits after its help
             run(name, ["--help"])
         parts += [f"## {name}", f"```text\n{printed.getvalue().strip()}\n```"]
     return "\n\n".join(parts) + "\n"
@@ -234,7 +234,7 @@ def relinked(markdown: str, uri: str, source: Path) -> str:
 
     def mended(match: re.Match[str]) -> str:
         target = Path(os.path.normpath(source.parent / match[1]))
-        if not target.exists():  # a page made at the build; or a mistake, which mkdocs tells
+        if not target.exists():  # a page made at the build, or a mistake that mkdocs reports
             return match[0]
         address = _address(target, os.path.dirname(uri) or ".")
         return f"]({address}{match[2] or ''})"

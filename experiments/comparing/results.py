@@ -47,7 +47,7 @@ def report(command: str, args: EpisodeArgs, found: Results) -> None:
         write_json(args.json, provenance(command, args) | found.json)
     try:
         found.draw()
-    finally:  # a picture that fails costs nobody the tables
+    finally:  # the tables are shown even if a picture fails
         show(found.text)
 
 

@@ -1,4 +1,4 @@
-"""Pages of docs/ whose tables a command writes, so that nobody types figures."""
+"""Pages of docs/ whose tables are written by commands, never by hand."""
 
 import re
 from collections.abc import Mapping

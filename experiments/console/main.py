@@ -45,9 +45,9 @@ GROUPS = {
     },
 }
 COMMANDS = {name: what for group in GROUPS.values() for name, what in group.items()}
-SAME = {"evaluate": "compare"}  # other words for commands
-SHELLS = ("bash", "zsh", "fish")  # that tyro completes commands and options in
-LONGEST_LINE = 2000  # letters of a message
+SAME = {"evaluate": "compare"}  # aliases of commands
+SHELLS = ("bash", "zsh", "fish")  # shells for which tyro completes commands and options
+LONGEST_LINE = 2000  # most letters of a message
 
 
 def page_of(name: str) -> str:
@@ -68,7 +68,7 @@ def _in_one_line(text: str) -> str:
 
 
 def _leave(code: int) -> NoReturn:
-    """Exit without a traceback where nobody reads the remaining output."""
+    """Exit without a traceback where the reader of the output is gone."""
     try:
         print(end="", flush=True)
     except OSError:

@@ -86,10 +86,10 @@ def described(arguments: type[Any]) -> type[Any]:
             kind, default = kinds[name], known[name].default
             nothing = default is None or default is False or default == ()
             required = default is MISSING
-            usual = "(required)" if required else "" if nothing else None  # None: as tyro has it
+            usual = "(required)" if required else "" if nothing else None  # None: tyro's own hint
             metavar = _metavar(name, kind, required)
             kind = Annotated[kind, arg(help=text, help_behavior_hint=usual, metavar=metavar)]
-            if default is False:  # there is no --no-NAME
+            if default is False:  # suppresses --no-NAME
                 kind = Annotated[kind, FlagCreatePairsOff]
             made.append((name, kind, field(default=default)))
     return make_dataclass(arguments.__name__, made, kw_only=True)
@@ -155,7 +155,7 @@ def _columns(count: int) -> Iterator[None]:
 
 
 def _refuse_unknown(program: str, words: Sequence[str], read: type[Any]) -> None:
-    """Refuse the first word that looks like an option and is none."""
+    """Refuse the first word that looks like an option but is not known."""
     kinds = get_type_hints(read, include_extras=True)
     aliases = [one for kind in kinds.values() for m in get_args(kind) for one in _aliases(m)]
     names = [f"--{name.replace('_', '-')}" for name in kinds]

@@ -4,7 +4,7 @@ import re
 
 from mmwave_env.lookup import printable
 
-# Markup of Markdown and HTML; an underscore in a word and < before a number are none.
+# Markup of Markdown and HTML, which excludes an underscore in a word and < before a number.
 _READ = re.compile(
     r"[\\`*|$~]|<(?=[A-Za-z/!?])|&(?=[A-Za-z#])|\](?=[(\[:])"
     r"|(?<![A-Za-z0-9])_|_(?![A-Za-z0-9])"

@@ -49,7 +49,7 @@ def about() -> dict[str, Any]:
 
 
 def _has_avx() -> bool:
-    """Tell whether the processor has AVX, without which many numbers spill to memory."""
+    """Tell whether the target has AVX or is ARM; otherwise many numbers spill to memory."""
     if platform.machine().lower() not in ("x86_64", "amd64"):
         return True  # ARM has more registers instead
     name = numba.config.CPU_NAME

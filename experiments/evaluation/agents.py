@@ -66,7 +66,7 @@ def tried(name: str, agent: Act, table: Observation) -> Policy:
 
     Args:
         name: name of the agent, for errors.
-        agent: function to try; its method ``reset(begins)``, if there is one, is called too.
+        agent: function to try; its optional method ``reset(begins)`` is called, too.
         table: observation table that the agent works with.
 
     Raises:

@@ -27,7 +27,7 @@ class Comparison:
     scenario: str
     radio: str
     selection: Selection
-    policies: dict[str, dict[str, Interval]]  # per contender and metric
+    policies: dict[str, dict[str, Interval]]  # means by contender and metric
     paired: dict[str, dict[str, Interval]]  # the same for differences "A - B", episode by episode
     reward: str = "tracking"  # kind of reward in the column "reward"
 

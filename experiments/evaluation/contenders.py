@@ -266,7 +266,7 @@ def contender_from(
 
 
 def _of_other_radios(name: str, radio: str) -> str | None:
-    """Return the message about a learned contender of other radios; None if it is unknown."""
+    """Return a message about a contender learned for other radios, or None for other names."""
     files = {f"{name}-{other}": other for other in RADIOS}
     trained = {file: other for file, other in files.items() if file in shipped_policies()}
     if name not in SHIPPED or not trained:

@@ -41,8 +41,8 @@ from mmwave_env.world.episode import Episode
 class Motion(NamedTuple):
     """Constant velocity with white-noise acceleration, as variances per second."""
 
-    position: Sequence[float]  # (3,) of extra position noise, m^2 / s
-    velocity: Sequence[float]  # (3,) (m/s)^2 / s
+    position: Sequence[float]  # (3,) extra position noise, m^2 / s
+    velocity: Sequence[float]  # (3,) velocity noise, (m/s)^2 / s
     bias: float  # oscillator bias, Hz^2 / s
 
     def noise(self, dt: float) -> ProcessNoise:
@@ -75,7 +75,7 @@ def measured_motion(episodes: Sequence[Episode], drift_mps: float) -> Motion:
 def information(episode: Episode) -> Array:
     """Compute H' R^-1 H (T, 7, 7) of each epoch, zero where all measurements are missing.
 
-    H has units of z (m, rad, Hz, m/s) over those of the state (m, m/s, Hz).
+    H has units of z (m, rad, Hz, m/s) over units of the state (m, m/s, Hz).
     """
     (position, velocity), T = _truth(episode), len(episode)
     state = [*position.T, *velocity.T, np.zeros(T)]  # h is linear in the oscillator bias

@@ -17,7 +17,7 @@ class EpochErrors:
     """Errors and NEES of contenders in all scored epochs of episodes of one length."""
 
     names: Mapping[str, str]  # name in figures, by contender; other contenders are skipped
-    time_s: Array = field(default_factory=lambda: np.zeros(0))  # (T,) since the first epoch
+    time_s: Array = field(default_factory=lambda: np.zeros(0))  # (T,) times since the first epoch
     _errors: dict[str, list[Array]] = field(default_factory=dict)
     _nees: dict[str, list[Array]] = field(default_factory=dict)
 

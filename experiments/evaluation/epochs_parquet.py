@@ -24,7 +24,7 @@ from mmwave_env.models.measurement import Layout
 from mmwave_env.numerics.numbers import Array
 from mmwave_env.world.episode import Episode, EpisodeSource
 
-PARTS = ("x", "P", "memory.mode", "memory.nis", "memory.accepted")  # of the state, for columns
+PARTS = ("x", "P", "memory.mode", "memory.nis", "memory.accepted")  # entries of the state
 COLUMNS = {  # name: pyarrow's type, and meaning
     "policy": ("string", "name"),
     "seed": ("int64", "of the episode"),

@@ -25,7 +25,7 @@ KEPT = 20_000  # episodes; resamples of more episodes are too large to keep
 
 @dataclass(frozen=True)
 class Interval:
-    """A mean with its 95 % bootstrap interval; the ends are NaN for a single value."""
+    """A mean with its 95 % bootstrap interval, whose ends are NaN for a single value."""
 
     mean: float
     low: float
@@ -99,7 +99,7 @@ def bootstrap(values: Array, seed: int = 0) -> list[Interval]:
 def bootstrap_ratio(over: Array, under: Array, seed: int = 0) -> list[Interval]:
     """Return ratios of means of columns over the same episodes, each (episodes, k).
 
-    A ratio is NaN where the denominator has mean 0; its interval is, where a resample's has.
+    A ratio is NaN where the denominator has mean 0, its interval where a resample of it has.
     """
 
     def ratios(means: Array) -> Array:

@@ -18,7 +18,7 @@ UNDATED: dict[str, dict[str, Any]] = {  # without a date, equal pictures are equ
 COLORS = [hex_of(color) for color in THEMES["light"].modes]  # colors of modes, the same as in films
 NO_MODE = hex_of(THEMES["light"].none)
 
-LEGEND_COLUMNS = 2  # below panels
+LEGEND_COLUMNS = 2  # columns of a legend below panels
 
 
 def require_picture(option: str, path: Path) -> None:

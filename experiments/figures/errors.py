@@ -14,7 +14,7 @@ from mmwave_env.numerics.numbers import Array
 SMALLEST_M = 1e-3  # smallest error on a logarithmic axis
 BOUNDS = "95 % bounds if consistent"
 _SHARES = np.linspace(0.0, 0.999, 400)
-_STYLES = ("-", "--", ":")  # where there are more lines than colors
+_STYLES = ("-", "--", ":")  # styles for more lines than colors
 
 
 def _style(number: int) -> dict[str, Any]:

@@ -53,7 +53,7 @@ RULES: dict[str, Rule] = {"prediction": by_predicted_speed, "odometry": by_odome
 
 
 class Inputs(NamedTuple):
-    """Files to read: those on the command line or those of a sample."""
+    """Files to read, from the command line or from a sample."""
 
     log: Path
     scene: str
@@ -74,7 +74,7 @@ class ModePlan(NamedTuple):
         return [mode.name for mode in modes]
 
 
-# --- what runs (Algorithm 1, Steps 1 to 3)
+# --- choice of pipelines (Algorithm 1, Steps 1 to 3)
 
 
 def plan(args: "Args", modes: Sequence[Mode] | Bank) -> ModePlan:
@@ -109,7 +109,7 @@ def parse_speed(word: str) -> float:
     return speed
 
 
-# --- what is asked for
+# --- options
 
 
 def inputs(args: "Args") -> Inputs:
@@ -273,7 +273,7 @@ class Result(NamedTuple):
 
     figures: dict[str, Any]
     sampler: TrackSampler
-    scores: TruthScores | None  # against the truth, if there is one
+    scores: TruthScores | None  # scores against the truth, if there is one
     error: ValueError | None
 
 
@@ -384,7 +384,7 @@ def localized(args: "Args") -> None:
         if args.plot:
             title = f"{'/'.join(given.log.parts[-2:])}, {kind} track"
             draw_trajectory(sampler.track, args.plot, title)
-    finally:  # a picture that fails costs nobody the figures
+    finally:  # the figures are shown even if a picture fails
         _show(args, figures, error)
 
 

@@ -65,7 +65,7 @@ def _groups(groups: dict[str, Any]) -> str:
 
 
 def _clock(truth: dict[str, Any]) -> str:
-    """Finish a sentence on times of the truth relative to the log, and add any clock offset."""
+    """Return the end of a sentence on times of the truth, and a sentence on its clock offset."""
     between, clock = truth["interpolated"], truth["clock"]
     away = f"{1e3 * truth['nearest_pose_s']:.1f} ms from the nearest pose on average"
     said = f", {between} of them between poses, {away}." if between else "."

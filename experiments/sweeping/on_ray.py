@@ -15,7 +15,7 @@ from experiments.sweeping.spec import Spec, Values
 from mmwave_env.files import told
 from mmwave_env.metrics import METRICS
 
-RETRIES = 2  # runs again of a cell whose process ended, as for want of memory, or raised OSError
+RETRIES = 2  # repeats of a cell whose process ran out of memory, ended, or raised OSError
 AHEAD = 1000  # cells that Ray has at once, which keeps as many workers busy
 ENVIRONMENT = {
     "RAY_USAGE_STATS_ENABLED": "0",
@@ -23,8 +23,8 @@ ENVIRONMENT = {
     "RAY_agent_register_timeout_ms": "120000",  # a busy machine starts slowly
     "RAY_AIR_NEW_OUTPUT": "0",
     "RAY_CHDIR_TO_TRIAL_DIR": "0",  # paths are relative to the command's folder
-    "TUNE_DISABLE_SIGINT_HANDLER": "1",  # Ctrl-C ends the command, as everywhere
-    "TUNE_DISABLE_AUTO_CALLBACK_LOGGERS": "1",  # rows are all that is kept
+    "TUNE_DISABLE_SIGINT_HANDLER": "1",  # Ctrl-C ends the command, as in other commands
+    "TUNE_DISABLE_AUTO_CALLBACK_LOGGERS": "1",  # a sweep keeps rows only
 }
 RUNGS, SHARE = 9, 3  # parameters of early stopping: docs/sweep.md
 

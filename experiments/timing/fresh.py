@@ -26,7 +26,7 @@ def fresh(name: str, n: int) -> tuple[float, float]:
         the ends of episodes, MiB (2^20 bytes).
     """
     words = [sys.executable, "-m", __name__, name, str(n)]
-    packages = os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, sys.path))}  # this sys.path
+    packages = os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, sys.path))}  # our path
     begin = time.perf_counter()
     with subprocess.Popen(words, env=packages, stdout=subprocess.PIPE, text=True) as child:
         assert child.stdout is not None
@@ -57,7 +57,7 @@ def _step(name: str, n: int) -> None:
 
 def _peak_mb() -> float:
     status = Path("/proc/self/status")
-    if status.exists():  # ru_maxrss would not do on Linux: a child inherits its parent's
+    if status.exists():  # not ru_maxrss on Linux: a child inherits its parent's
         return int(status.read_text().split("VmHWM:")[1].split()[0]) / 1024
     import resource
 

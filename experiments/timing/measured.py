@@ -33,7 +33,7 @@ from mmwave_env.reward import TrackingReward
 from mmwave_env.world.travel import stride_of
 
 FRESH_RUNS = 3  # most runs of every process, since a run takes seconds
-FRESH_SIZES = 3  # number of sizes, the largest; smaller sizes differ little from each other
+FRESH_SIZES = 3  # the largest sizes only: smaller sizes need about the same
 STEP = "step"  # name of the whole environment's step among the kernels
 
 Rounds = dict[str, list[float]]

@@ -19,7 +19,7 @@ from experiments.timing.operations import Operations
 from mmwave_env.compiler.lanes import WIDTH, kernel
 from mmwave_env.numerics.numbers import sqrt, where
 
-CHAINS = (8, 16, 24)  # the fastest number depends on registers and latencies
+CHAINS = (8, 16, 24)  # numbers of chains to try: the best depends on registers and latencies
 LENGTH = 480  # operations of a timed kernel: many per loop, but few enough for any cache
 BLOCKS, ROWS = 4, 64  # 16 KiB, which any first-level cache holds
 CALLS, TRIES = 1000, 10

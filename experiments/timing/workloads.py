@@ -33,7 +33,7 @@ from mmwave_env.world.episode import Episode, blank_incoming
 from mmwave_env.world.simulated import SimulatedSource
 
 RADIO = "handset"
-EPISODE = 200  # steps
+EPISODE = 200  # steps of an episode
 SYNC = 8  # environments that Gymnasium steps one after another
 SYNC_NAME = f"sync_{SYNC}"
 TRACKS = 1024  # tracks of the filters alone
@@ -43,7 +43,7 @@ FILTERS = ("ekf", "ukf", "ckf")
 ENVIRONMENT = "mmwave_env:MmWaveLoc-v0"
 
 
-Laps = Iterator[int]  # number of single environments' steps of each whole episode
+Laps = Iterator[int]  # steps of all environments together, one number per episode
 
 
 def native_name(n: int, threads: int = BOTH) -> str:

@@ -33,7 +33,7 @@ class PpoHyperparameters:
     max_grad_norm: Positive  # longest gradient
     target_kl: Positive  # an update stops when the policy has moved further
     hidden: Neurons  # size of each tanh layer of the actor and of the critic
-    clip_observation: Positive  # normalized observations lie between minus this and this
+    clip_observation: Positive  # normalized observations are clipped to plus or minus this
     # train on the reward minus the IMM's reward on the same episode: actions do not change the
     # IMM's reward, so the best policy stays the same and the variance falls
     paired: bool
@@ -42,7 +42,7 @@ class PpoHyperparameters:
     first_action_bias: Positive = 0.0
 
     algorithm = "ppo"
-    together = 1  # adjacent environments that must share a place: none must
+    together = 1  # adjacent environments that must share a place
 
     def __post_init__(self) -> None:
         require_fields(self)
@@ -53,7 +53,7 @@ class RolloutHyperparameters:
     """Hyperparameters of rollout policy iteration (:mod:`experiments.training.rollouts`)."""
 
     num_envs: Count  # environments stepped at once
-    horizon: Count  # epochs that an action is followed for
+    horizon: Count  # epochs of a rollout
     gamma: Probability  # discount per second
     stride: Count  # epochs between two states of an environment in which all actions are tried
     states: Count  # least number of states to try all actions in between two updates
@@ -65,7 +65,7 @@ class RolloutHyperparameters:
     ent_coef: Positive
     final_fraction: Probability  # share of both rates that is left at the end
     hidden: Neurons  # size of each tanh layer
-    clip_observation: Positive  # normalized observations lie between minus this and this
+    clip_observation: Positive  # normalized observations are clipped to plus or minus this
     first_action_bias: Positive  # logit of action 0 at the start, with the other logits about 0
 
     algorithm = "rollouts"

@@ -44,7 +44,7 @@ class PpoTraining(BaseCallback):
 
     def __init__(self, job: Job[PpoHyperparameters], tell: Tell) -> None:
         super().__init__()
-        torch.set_num_threads(1)  # networks this small gain nothing from more
+        torch.set_num_threads(1)  # networks this small gain nothing from more threads
         self._job, self._tell = job, tell
         self._record = Record(job, tell)
         self.env = PlacesVecEnv(job.task, job.hyperparameters)
@@ -62,7 +62,7 @@ class PpoTraining(BaseCallback):
                 with going_on_from(job.checkpoint):
                     self._restore(stand.pop("learner"), with_arrays(stand.pop("env")))
             left, fresh = job.timesteps - model.num_timesteps, not model.num_timesteps
-            # SB3 does not log by itself where the interval is None, which its type leaves out
+            # None keeps SB3 from logging by itself; its annotation lacks it
             model.learn(
                 left, self, log_interval=None, reset_num_timesteps=fresh  # type: ignore[arg-type]
             )  # fmt: skip
@@ -74,7 +74,7 @@ class PpoTraining(BaseCallback):
     @property
     def seen(self) -> RunningMeanStd:
         """Return mean and variance of the observations so far."""
-        return cast(RunningMeanStd, self.normal.obs_rms)  # SB3 types it as possibly a dict
+        return cast(RunningMeanStd, self.normal.obs_rms)  # SB3's annotation allows a dict
 
     @property
     def actor(self) -> Tensors:

@@ -57,7 +57,7 @@ def side_by_side(
                 line, process = _started(job)
                 running[line] = job, process
             for ready in wait(list(running)):
-                line = cast(Connection, ready)  # wait takes sockets, too
+                line = cast(Connection, ready)  # the annotation of wait allows sockets
                 job, process = running[line]
                 try:
                     kind, *told = line.recv()

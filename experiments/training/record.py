@@ -23,7 +23,7 @@ STEP = "timesteps"
 
 
 class ProgressLog(KVWriter):
-    """A log of a training; a row has recent figures and those of the update after them.
+    """A log of a training; a row has figures of recent episodes and of the update after them.
 
     Args:
         folder: folder of ``progress.csv`` and TensorBoard's events.

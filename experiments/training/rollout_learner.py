@@ -1,4 +1,4 @@
-"""Rollout policy iteration: learning of a network from the values that rollouts find.
+"""Rollout policy iteration: a network learns from the values that rollouts find.
 
 In every state of the memory all actions were tried, each followed by the policy of that time
 (Bertsekas, Rollout, Policy Iteration, and Distributed Reinforcement Learning, 2020). The network

@@ -38,7 +38,7 @@ class RolloutTraining:
     """
 
     def __init__(self, job: Job[RolloutHyperparameters], tell: Tell) -> None:
-        torch.set_num_threads(1)  # networks this small gain nothing from more
+        torch.set_num_threads(1)  # networks this small gain nothing from more threads
         torch.manual_seed(job.first_seed)
         self._job, self._tell = job, tell
         self._record = Record(job, tell)

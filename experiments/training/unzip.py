@@ -65,7 +65,7 @@ def unzipped(model: Path, normalize: Path | None) -> tuple[dict[str, NDArray[Any
 
 
 def _unzip(model: str, normalize: Path | None, out: Path) -> None:
-    """Write the tensors, or the reason for having none; runs in the process."""
+    """Write the tensors, or the reason why the model has none; runs in the process."""
     try:
         policy, data = _loaded(model)
         try:

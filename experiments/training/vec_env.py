@@ -1,4 +1,4 @@
-"""Vector environment for Stable-Baselines3, made of native ones at several places."""
+"""Vector environment for Stable-Baselines3, made of native vector environments of places."""
 
 from collections.abc import Sequence
 from itertools import accumulate
@@ -66,7 +66,7 @@ class PlacesVecEnv(VecEnv):
             seen = part.reset()
             for _ in range(k * cast(SimulatedSource, env.source).epochs // len(self._parts)):
                 seen, *_ = part.step(np.zeros(part.num_envs, np.int64))
-            observations.append(cast(NDArray[Any], seen))  # boxes, as the spaces say
+            observations.append(cast(NDArray[Any], seen))  # arrays, since the spaces are boxes
         self.reset_infos = [info for part in self._parts for info in part.reset_infos]
         return np.concatenate(observations)
 

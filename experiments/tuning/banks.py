@@ -27,7 +27,7 @@ from mmwave_env.numerics.numbers import Array
 from mmwave_env.reward import TrackingReward
 from mmwave_env.world.episode import EpisodeBatch, EpisodeSource
 
-STEPS_S = (1.0, 0.1)  # between epochs
+STEPS_S = (1.0, 0.1)  # steps between epochs
 SHARES = 3  # parts of the tuning episodes; a generation of the search uses one part
 # Modes of steady motion, whose gates reject contradicting measurements as outliers. The other modes
 # inflate the noise of such a measurement instead, since it may show a maneuver.

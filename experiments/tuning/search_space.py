@@ -30,7 +30,7 @@ FREE = {
 NINES = (1.0, 9.0)  # nines of the quantile up to which NIS counts: 3 nines are 0.999
 DECIMALS = 6  # digits of probabilities
 
-_PROBABILITY_STEP, _NOISE_STEP, _NINES_STEP = 0.6, 0.25, 0.3  # first standard deviations
+_PROBABILITY_STEP, _NOISE_STEP, _NINES_STEP = 0.6, 0.25, 0.3  # deviations of the first points
 
 
 def rows_as_softmax(odds: Array) -> Array:

@@ -106,7 +106,7 @@ def _trainings(source: Source) -> Iterator[str]:
 
 
 def errors_of(source: Source, played: Played) -> Iterator[str]:
-    """Yield percentiles and pictures of errors of a comparison; other sources have none."""
+    """Yield percentiles and pictures of errors of a comparison; yield nothing for other sources."""
     if source.kind != "comparison":
         return
     which, figures = played.which, played.positions.figures()

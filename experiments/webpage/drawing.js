@@ -23,7 +23,7 @@ function picture(width, height, words) {
   return shape(null, "svg", { viewBox: `0 0 ${width} ${height}`, width, height, role: "img", "aria-label": words });
 }
 
-// From values to pixels between start and end, linear or logarithmic; low ones are at the start.
+// Maps values to pixels between start and end, linearly or logarithmically; low values are at the start.
 function scale(low, high, start, end, log = false) {
   const turn = log ? Math.log10 : (v) => v;
   return (v) => start + ((turn(Math.max(v, low)) - turn(low)) / (turn(high) - turn(low))) * (end - start);
@@ -48,7 +48,7 @@ function shown(value) {
   return Math.abs(value) >= 1e4 ? value.toExponential(1) : String(Number(value.toPrecision(3)));
 }
 
-// The d of a path through points; a gap where there is no number.
+// Returns the d of a path through points, with a gap where a number is missing.
 function path(xs, ys) {
   let d = "";
   xs.forEach((x, i) => {

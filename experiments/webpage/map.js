@@ -73,7 +73,7 @@ function drawStreets(svg, episode, toX, toY, perMeter) {
   }
 }
 
-// One outside is an arrow at the rim, in its direction from the middle. Names are where no other sign or name is.
+// An anchor outside is an arrow at the rim, in its direction from the middle. Names avoid other signs and names.
 function drawAnchors(svg, episode, toX, toY, width, height) {
   const margin = 14;
   const signs = episode.anchors.map(([x, y], i) => {
@@ -97,7 +97,7 @@ function drawAnchors(svg, episode, toX, toY, width, height) {
   });
 }
 
-// The way of an estimate until now: the first contender's in the colors of its modes.
+// The way of an estimate until now, in the colors of the modes for the first contender.
 function trail(svg, course, xs, ys, number) {
   if (number) {
     const line = shape(svg, "path", lineOf(number));

@@ -25,7 +25,7 @@ VARIABLES = {  # variables of the page's style, by color in pictures
 COLOR = re.compile("|".join(VARIABLES))
 TAG = re.compile(r"<[^>]*>")  # of matplotlib's SVG, which escapes > in attributes
 OWN = re.compile(r"<style.*?</style>|<metadata>.*?</metadata>", re.DOTALL)
-NAMED = re.compile(r'( id="|="#|url\(#)')  # before the name of an element
+NAMED = re.compile(r'( id="|="#|url\(#)')  # precedes the name of an element
 
 
 def text(value: Any) -> str:

@@ -151,7 +151,7 @@ def arguments_of(source: Source) -> Any:
         raise ValueError(f"command: {complaint.getvalue().strip()}") from None
 
 
-# --- episodes to watch, as the script is given them
+# --- episodes to watch, as data of the script
 
 
 def scenery(
