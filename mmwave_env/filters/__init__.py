@@ -1,9 +1,9 @@
-"""The filters: plain functions of numbers, to use with or without an environment.
+"""Filters: plain functions of numbers, for use with or without an environment.
 
-:class:`Mode` says what runs. :func:`predict_update` runs it for one epoch, and
-:func:`~mmwave_env.filters.memory.memory_after` remembers what came of it. ``imm`` weighs several
-modes, ``smoother`` looks back over a finished track. A filter of one's own (docs/own-filters.md)
-is a function like :func:`ekf`; what it needs of ours is here, in one import.
+:class:`Mode` describes a filter. :func:`predict_update` runs a mode for one epoch, and
+:func:`~mmwave_env.filters.memory.memory_after` updates the track's memory with the result. ``imm``
+weighs several modes, ``smoother`` smooths a finished track. A filter of your own
+(docs/own-filters.md) is a function like :func:`ekf`; all that it needs is imported here.
 """
 
 from mmwave_env.filters.gating import Gate, gate_groups

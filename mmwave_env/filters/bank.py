@@ -1,7 +1,7 @@
-"""Modes and banks of them: by name, as they are shipped, and from a user's files.
+"""Modes and banks of modes: by name, as shipped, and from a user's files.
 
-A bank is modes that interact, with what an IMM over them was tuned to. A mode file holds one; where
-the modes share a belief, only they count.
+A bank is a set of modes with the parameters of the IMM over them. A mode file holds a bank; where
+the modes share a belief, only its modes are used.
 """
 
 import os
@@ -20,10 +20,10 @@ from mmwave_env.models.measurement import Layout
 from mmwave_env.models.radio import RADIOS, Radio, radio_from
 from mmwave_env.records import Bound, Probability, Size, object_from, read_object, require_fields
 
-MOST_MODES = 32  # all run in every epoch, and are compiled
+MOST_MODES = 32  # every mode is compiled and runs in every epoch
 Transition = Annotated[tuple[tuple[Probability, ...], ...], "a list of rows of probabilities"]
-_ROUNDING = 1e-6  # of rows that sum to 1
-# What else a mode file may say: how it was made, which nobody looks at.
+_ROUNDING = 1e-6  # tolerance of the sum of a row of probabilities
+# Further keys of a mode file, which record how the file was made and are not read.
 NOTES = {
     "about": "what the modes are for", "command": "that made the file",
     "numbers": "how many were tuned", "seconds": "that this took on one core",
@@ -33,7 +33,7 @@ NOTES = {
 
 @dataclass(frozen=True)
 class Bank:
-    """Modes that keep a belief each, and how the beliefs interact.
+    """Modes that each keep their own belief, and the parameters of their interaction.
 
     Attributes:
         modes: one or more; no name twice.
@@ -60,13 +60,13 @@ class Bank:
             _require_probabilities(self.transition, len(names))
 
 
-# of a ``modes=`` argument; a mapping is what a mode file holds
+# type of a ``modes=`` argument; a mapping is the content of a mode file
 Modes = Bank | Sequence[Mode | str] | Mapping[str, Any] | str | os.PathLike[str] | None
 
 
 def settings_of(bank: Bank, layout: Layout) -> ImmSettings:
-    """A bank as numbers, for measurements of a layout."""
-    from scipy.special import chdtri  # where used: a bank is described without it
+    """Return the parameters of a bank as numbers, for measurements of a layout."""
+    from scipy.special import chdtri  # imported here: describing a bank does not need it
 
     transition = bank.transition
     if transition is None:
@@ -93,13 +93,13 @@ def _require_probabilities(transition: Transition, modes: int) -> None:
 
 
 def bank_in(content: Mapping[str, Any]) -> Bank:
-    """The bank of a mode file's object, or of one like it.
+    """Return the bank of a mode file's content, or of a mapping of the same form.
 
     The key "modes" holds a list of modes, each with the attributes of :class:`Mode` that differ
-    from the defaults; the others are those of :class:`Bank`, and :data:`NOTES`.
+    from the defaults; the other keys are the attributes of :class:`Bank` and :data:`NOTES`.
 
     Raises:
-        ValueError: saying what is wrong in it.
+        ValueError: the content is wrong; the message names the error.
     """
     if isinstance(content, Mapping):
         content = {key: said for key, said in content.items() if key not in NOTES}
@@ -107,20 +107,20 @@ def bank_in(content: Mapping[str, Any]) -> Bank:
 
 
 def read_bank(path: str | os.PathLike[str]) -> Bank:
-    """The bank of a mode file, JSON as ``mmwave-loc tune`` writes it.
+    """Read the bank of a mode file, which is JSON as ``mmwave-loc tune`` writes it.
 
     Raises:
-        ValueError: naming the file and what is wrong in it.
-        FileNotFoundError: there is no such file.
+        ValueError: the file is wrong; the message names the file and the error.
+        FileNotFoundError: the file does not exist.
     """
     return read_object(path, "modes", bank_in)
 
 
 def as_written(mode: Mode) -> dict[str, Any]:
-    """A mode as a mode file holds it.
+    """Return a mode as a mode file holds it.
 
     Raises:
-        ValueError: its algorithm is a function, which no file can hold.
+        ValueError: the mode's algorithm is a function, which no file can hold.
     """
     if not isinstance(mode.algorithm, str):
         raise ValueError(f"algorithm of mode {mode.name!r}: found a function, expected a name")
@@ -130,10 +130,10 @@ def as_written(mode: Mode) -> dict[str, Any]:
 
 
 def bank_as_written(bank: Bank) -> dict[str, Any]:
-    """A bank as JSON files hold it, all of it; :func:`bank_in` reads it.
+    """Return the whole bank as JSON files hold it; :func:`bank_in` reads the result.
 
     Raises:
-        ValueError: as of :func:`as_written`.
+        ValueError: as for :func:`as_written`.
     """
     return {**asdict(bank), "modes": [as_written(mode) for mode in bank.modes]}
 
@@ -143,7 +143,7 @@ def bank_as_written(bank: Bank) -> dict[str, Any]:
 
 @cache  # so that it warns once
 def _tuned_profile(radio: Radio) -> str:
-    """The shipped profile whose modes and banks a radio gets: its base."""
+    """Return the radio's base, the shipped profile whose modes and banks are used for it."""
     if radio.name not in RADIOS:
         warnings.warn(
             f"radio {radio.name!r}: found no modes tuned for it, took those of {radio.base!r}; "
@@ -160,25 +160,25 @@ def _shipped(name: str) -> Bank:
 
 
 def shipped_modes(radio: str, coupling: bool = True) -> tuple[Mode, ...]:
-    """The EKF and the UKF pipeline as ``mmwave-loc tune`` left them for a shipped radio profile.
+    """Return the EKF and the UKF pipeline that were tuned for a shipped radio profile.
 
     Args:
         radio: name of the profile.
-        coupling: False for those with the paper's plain diagonal process noise.
+        coupling: False for the modes with the paper's plain diagonal process noise.
     """
     return _shipped(f"modes/{radio}{'' if coupling else '-diagonal'}").modes
 
 
 def default_modes(radio: str | Radio = "handset") -> tuple[Mode, Mode]:
-    """The two actions of ``MmWaveLoc-v0``: the paper's EKF and UKF pipelines."""
+    """Return the two actions of ``MmWaveLoc-v0``: the paper's EKF and UKF pipelines."""
     low, high = shipped_modes(_tuned_profile(radio_from(radio)))
     return low, high
 
 
 def named_modes(radio: str | Radio = "handset") -> dict[str, Mode]:
-    """Modes that can be asked for by name.
+    """Return the modes that can be asked for by name.
 
-    "ekf" and "ukf" (the default two), "ckf" (the UKF's tuning), "ekf-robust", "ukf-robust".
+    They are "ekf" and "ukf" (the default), "ckf" (the UKF's tuning), "ekf-robust", "ukf-robust".
     """
     low, high = default_modes(radio)
     all_of_them = (low, high, replace(high, name="ckf", algorithm="ckf"), robust(low), robust(high))
@@ -186,10 +186,10 @@ def named_modes(radio: str | Radio = "handset") -> dict[str, Mode]:
 
 
 def best_bank(radio: str | Radio = "handset") -> Bank:
-    """The bank of the strongest IMM that ``mmwave-loc tune --bank`` found for a radio profile.
+    """Return the bank of the best IMM that ``mmwave-loc tune --bank`` found for a radio profile.
 
     Args:
-        radio: profile; one that was not tuned gets the bank of its base, and a warning, once.
+        radio: profile; one without a tuned bank gets the bank of its base, with one warning.
     """
     return _shipped(f"banks/{_tuned_profile(radio_from(radio))}")
 
@@ -198,15 +198,15 @@ def best_bank(radio: str | Radio = "handset") -> Bank:
 
 
 def bank_over(modes: Modes, radio: str | Radio = "handset") -> Bank:
-    """The bank over the modes of a ``modes=`` argument, one mode or more.
+    """Return the bank over the modes of a ``modes=`` argument, with one mode or more.
 
     Args:
-        modes: a list of names, mode files and Mode objects; a bank; one mode file, or what one
-            holds. A file that stands alone also says how its modes interact.
+        modes: a list of names, mode files and Mode objects; a bank; one mode file, or its
+            content. A single file also gives the interaction of its modes.
         radio: profile that named modes are tuned for.
 
     Raises:
-        ValueError: as :class:`Bank`, or what is no mode.
+        ValueError: as for :class:`Bank`, or an entry is no mode.
     """
     if isinstance(modes, Bank):
         return modes
@@ -226,7 +226,7 @@ def bank_over(modes: Modes, radio: str | Radio = "handset") -> Bank:
 
 
 def _bank_of(mode: Mode | str, radio: str | Radio) -> Bank:
-    """The bank of one in a list."""
+    """Return the bank of one entry in a list of modes."""
     if isinstance(mode, Mode):
         return Bank((mode,))
     if not isinstance(mode, (str, os.PathLike)):
@@ -237,19 +237,19 @@ def _bank_of(mode: Mode | str, radio: str | Radio) -> Bank:
 
 
 def modes_from(modes: Modes, radio: str | Radio = "handset") -> tuple[Mode, ...]:
-    """The modes of a ``modes=`` argument, as of :func:`bank_over`; None for the default two."""
+    """Return the modes of a ``modes=`` argument, as for :func:`bank_over`; by default two."""
     return default_modes(radio) if modes is None else bank_over(modes, radio).modes
 
 
 def bank_from(modes: Modes, radio: str | Radio = "handset") -> Bank:
-    """The bank of a ``modes=`` argument where every mode keeps its own belief.
+    """Return the bank of a ``modes=`` argument for modes that each keep their own belief.
 
     Args:
-        modes: as of :func:`bank_over`; None for :func:`best_bank`.
+        modes: as for :func:`bank_over`; None for :func:`best_bank`.
         radio: profile that named modes are tuned for.
 
     Raises:
-        ValueError: as :func:`bank_over`, or there are fewer than two modes.
+        ValueError: as for :func:`bank_over`, or there are fewer than two modes.
     """
     bank = best_bank(radio) if modes is None else bank_over(modes, radio)
     if len(bank.modes) < 2:

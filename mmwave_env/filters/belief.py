@@ -1,4 +1,4 @@
-"""A Gaussian belief about the state, and how far from the truth it is."""
+"""A Gaussian belief about the state, and its errors against the truth."""
 
 import math
 from typing import NamedTuple
@@ -8,7 +8,7 @@ from mmwave_env.numerics.numbers import Matrix, Number, Vector, log, sqrt
 
 
 class Belief(NamedTuple):
-    """What an estimator believes, as a reward sees it.
+    """The belief of an estimator, as a reward sees it.
 
     Attributes:
         x: (7,) mean: position (m), velocity (m/s), oscillator bias (Hz).
@@ -21,25 +21,25 @@ class Belief(NamedTuple):
     axes: tuple[int, ...] = (0, 1, 2)
 
     def error(self, truth: Vector) -> list[Number]:
-        """Estimated minus true position (3,), meters; ``truth`` starts with the position."""
+        """Return estimated minus true position (3,), meters; ``truth`` starts with the position."""
         return [self.x[i] - truth[i] for i in range(3)]
 
     def distance(self, truth: Vector) -> Number:
-        """Length of the position error, meters."""
+        """Return the length of the position error, meters."""
         e = self.error(truth)
         return sqrt(dot(e, e))
 
     def nees(self, truth: Vector) -> Number:
-        """Normalized estimation error squared of the position, expected ``len(axes)``."""
+        """Return the position's normalized estimation error squared, expected ``len(axes)``."""
         return self._whiten(truth)[0]
 
     def log_density(self, truth: Vector) -> Number:
-        """Log density of the true position under the belief, a proper score (nats)."""
+        """Return the log density of the true position under the belief, a proper score (nats)."""
         nees, determinant = self._whiten(truth)
         return -0.5 * (nees + log(determinant) + len(self.axes) * math.log(2.0 * math.pi))
 
     def _whiten(self, truth: Vector) -> tuple[Number, Number]:
-        """NEES and determinant of the position covariance."""
+        """Return the NEES and the determinant of the position covariance."""
         factor = cholesky([[self.P[i][j] for j in self.axes] for i in self.axes])
         error = self.error(truth)
         y = forward(factor, [error[i] for i in self.axes])

@@ -1,9 +1,9 @@
-"""A user's algorithm is tried before it is compiled: on floats, and as lanes would call it.
+"""Trial runs of a user's algorithm before it is compiled: on floats, and as lanes would call it.
 
-The compiler calls a function once, with numbers that stand for eight environments. The
-rehearsal does the same with probes, which refuse what lanes refuse and remember the value
-that they hide. So it takes milliseconds, knows the line that asked for a value, and finds
-a function that answers lanes otherwise than floats.
+The compiler calls a function once, with numbers that stand for eight environments. A trial run
+does the same with probes, which refuse the operations that lanes refuse, but remember the value
+that they hide. So a trial takes milliseconds, knows the line that asked for a value, and detects
+a function that returns other values on lanes than on floats.
 """
 
 import inspect
@@ -41,7 +41,7 @@ _LIBRARIES = (
 
 
 class AlgorithmError(TypeError):
-    """A mode's own algorithm cannot run: where, why, and what to write instead."""
+    """An error for a user's algorithm that cannot run: where, why, and what to write instead."""
 
 
 class Line(NamedTuple):
@@ -58,7 +58,7 @@ class Line(NamedTuple):
 
 
 class _Trial(NamedTuple):
-    """An epoch to try: the numbers of a prior x (7,), P (28,), a Measurement and a Gate."""
+    """A trial epoch: the numbers of a prior x (7,), P (28,), a Measurement and a Gate."""
 
     x: list[Number]
     P: list[Number]
@@ -71,7 +71,7 @@ class _Trial(NamedTuple):
 
 
 def _trials(layout: Layout) -> Iterator[_Trial]:
-    """An epoch that measures everything, and one with an outlier and missing groups."""
+    """Yield an epoch that measures everything, and one with an outlier and missing groups."""
     hz_per_mps, scale = 93.4, [2.0, 1.5, 0.5, 1.0, 0.8, 0.2, 30.0]
     x = [12.0, -7.0, 1.5, 3.0, -2.0, 0.1, 20.0]
     truth = [m + 0.5 * s for m, s in zip(x, scale, strict=True)]
@@ -94,11 +94,11 @@ def _trials(layout: Layout) -> Iterator[_Trial]:
 
 
 def check_algorithm(mode: Mode, layout: Layout, known_axes: tuple[int, ...]) -> None:
-    """Try the algorithm of a mode, unless it is one of ours.
+    """Try the algorithm of a mode, unless it is built in.
 
     Raises:
-        AlgorithmError: it takes other arguments or changes them, returns no posterior,
-            cannot run on lanes, or answers there otherwise than on floats.
+        AlgorithmError: the algorithm takes other arguments or changes them, returns no
+            posterior, cannot run on lanes, or returns other values on lanes than on floats.
     """
     if mode.update not in ALGORITHMS.values():
         _check(mode, layout, known_axes)
@@ -122,7 +122,7 @@ def _check(mode: Mode, layout: Layout, known_axes: tuple[int, ...]) -> None:
 
 
 def begin_of(function: Callable[..., Any]) -> Line | None:
-    """The line on which a function begins; None of one that was not written in Python."""
+    """Return the line on which a function begins; None if it was not written in Python."""
     while isinstance(function, partial):
         function = function.func
     code = getattr(function, "__code__", getattr(type(function).__call__, "__code__", None))
@@ -130,9 +130,9 @@ def begin_of(function: Callable[..., Any]) -> Line | None:
 
 
 def line_of(error: BaseException, function: Callable[..., Any]) -> Line | None:
-    """The innermost line of the user's in an error's traceback.
+    """Return the innermost line of the user's code in an error's traceback.
 
-    It is in the function's own file, or in another that is no part of a library.
+    The line is in the function's own file, or in a file that is not part of a library.
     """
     begin = begin_of(function)
     found = None
@@ -147,14 +147,14 @@ def _error(mode: Mode, problem: str, line: Line | None, advice: str = "") -> Alg
     begin = begin_of(mode.update)
     name = repr(mode.update) if begin is None else begin.function
     parts = [f"algorithm {name} of mode {mode.name!r} {problem}", line and str(line), advice]
-    # Gymnasium appends the arguments of the environment to a message: let them begin a line.
+    # Gymnasium appends the environment's arguments to a message: let them begin on a new line.
     return AlgorithmError("\n".join(part for part in parts if part) + "\n")
 
 
 def _require_signature(mode: Mode) -> None:
     try:
         signature = inspect.signature(mode.update)
-    except ValueError:  # built-in: what it takes, its call will tell
+    except ValueError:  # built-in: the call will tell which arguments it takes
         return
     try:
         signature.bind("x", "P", "measurement", "gate")
@@ -164,7 +164,7 @@ def _require_signature(mode: Mode) -> None:
 
 
 def _run(mode: Mode, layout: Layout, known_axes: tuple[int, ...], trial: _Trial) -> Any:
-    """What the algorithm returns for an epoch."""
+    """Run the algorithm on an epoch and return its result."""
     _, _, anchors, hz_per_mps, z, variance, visible, force = unflatten(trial, iter(flatten(trial)))
     measurement = Measurement(anchors, hz_per_mps, z, variance, visible, layout)
     gate = Gate(mode.gate, 0.0 if mode.recovery is None else force, mode.robust)
@@ -189,7 +189,7 @@ def _run(mode: Mode, layout: Layout, known_axes: tuple[int, ...], trial: _Trial)
 
 
 def _wrong_shapes(layout: Layout, result: Any) -> Iterator[str]:
-    """What of a posterior is missing, or of another kind or shape."""
+    """Yield the parts of a posterior that are missing, or have a wrong type or shape."""
     if not isinstance(result, Posterior):
         yield f"{_kind(result)}, expected a Posterior of mmwave_env.filters.update"
         return
@@ -206,7 +206,7 @@ def _wrong_shapes(layout: Layout, result: Any) -> Iterator[str]:
 
 
 def _places(name: str, found: Any, like: Any) -> Iterator[tuple[str, Any, Any]]:
-    """Name, value and shape of every number, and of what is no list of the shape's length."""
+    """Yield name, value and expected shape of every number, and of every list of wrong length."""
     if not isinstance(like, list) or not isinstance(found, list) or len(found) != len(like):
         yield name, found, like
         return
@@ -215,7 +215,7 @@ def _places(name: str, found: Any, like: Any) -> Iterator[tuple[str, Any, Any]]:
 
 
 def _numbers(posterior: Posterior) -> list[tuple[str, Any]]:
-    """Name and value of every number."""
+    """Return the name and the value of every number of a posterior."""
     named = [_places(*field, field[1]) for field in posterior._asdict().items()]
     return [(place, number) for field in named for place, number, _ in field]
 
@@ -226,7 +226,7 @@ def _kind(found: Any) -> str:
 
 
 def _unsound(trial: _Trial, result: Posterior) -> Iterator[str]:
-    """Numbers that are not finite, no symmetric covariance, a part in what is missing."""
+    """Yield numbers that are not finite, asymmetric entries of P, and uses of missing groups."""
     for place, number in _numbers(result):
         if not math.isfinite(number):
             yield f"{place}: {number}, expected a finite number"

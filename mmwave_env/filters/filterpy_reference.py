@@ -1,13 +1,13 @@
-"""The modes on filterpy's own filters: slow, and independent of the filters of this package.
+"""Modes that run on filterpy's filters: slow, and independent of the filters of this package.
 
 Prediction, sigma points, innovation, gain and covariance are filterpy's; the measurement
-function and its Jacobian are written here a second time, in plain numpy, row by row as the
-textbook has them (no fused azimuths, no latents). Tests, the benchmark and a doubting user
-compare the two. It runs on floats: ``Engine(filterpy_pipeline(pipeline), ..., on_floats=True)``.
+function and its Jacobian are written here a second time, in plain numpy, row by row as in
+textbooks (no fused azimuths, no latents). Tests, the benchmark and doubting users compare the two
+implementations. Run it on floats: ``Engine(filterpy_pipeline(pipeline), ..., on_floats=True)``.
 
-An update works in coordinates relative to the prior mean, dx = x - m and dz = z - h(m): the
-differences of angles stay far from their cut, so filterpy's plain subtraction is right, and
-nothing cancels in the CKF's covariance, which filterpy computes from raw second moments.
+An update works in coordinates relative to the prior mean, dx = x - m and dz = z - h(m): angle
+differences stay far from their cut, so filterpy's plain subtraction is right, and no digits
+cancel in the CKF's covariance, which filterpy computes from raw second moments.
 """
 
 from collections.abc import Callable
@@ -37,19 +37,19 @@ from mmwave_env.numerics.numbers import Array, Mask, Matrix, Vector
 
 Rows = NDArray[np.int64]
 _STATES = 7
-_AT_REST_MPS = 1e-3  # below it the odometry's Jacobian is that of this speed
-_NEAREST_M = 1e-3  # up to it there is no direction to an anchor, or to its vertical
+_AT_REST_MPS = 1e-3  # slower users get the odometry's Jacobian at this speed
+_NEAREST_M = 1e-3  # up to this distance the direction to an anchor, or its vertical, is undefined
 
 
 def transition(dt: float) -> Array:
-    """F (7, 7): constant velocity over dt seconds."""
+    """Return F (7, 7) of constant velocity over dt seconds."""
     F = np.eye(_STATES)
     F[:3, 3:6] = dt * np.eye(3)
     return F
 
 
 def full_noise(noise: ProcessNoise) -> Array:
-    """Q (7, 7) from its non-zero entries."""
+    """Return Q (7, 7), given its non-zero entries."""
     Q = np.diag(np.array(noise.diagonal, float))
     for axis, covariance in enumerate(noise.coupling):
         Q[axis, axis + 3] = Q[axis + 3, axis] = covariance
@@ -57,12 +57,12 @@ def full_noise(noise: ProcessNoise) -> Array:
 
 
 def _inverse(length: float) -> float:
-    """1 / length; of a length that gives no direction 0."""
+    """Return 1 / length, or 0 for a length that gives no direction."""
     return 1.0 / length if length > _NEAREST_M else 0.0
 
 
 class _Sight:
-    """An epoch seen from the prior mean m."""
+    """A measurement relative to the prior mean m."""
 
     def __init__(self, mean: Array, measurement: Measurement) -> None:
         self._mean, self._layout = mean, measurement.layout
@@ -73,18 +73,18 @@ class _Sight:
         self.variance = np.array(measurement.variance, float)
 
     def change(self, dx: Array) -> Array:
-        """h(m + dx) - h(m)."""
+        """Return h(m + dx) - h(m)."""
         return self._difference(self._measure(self._mean + dx))
 
     def _difference(self, z: Array) -> Array:
-        """z - h(m), angles in [-pi, pi]; 0 in rows that are silent at m."""
+        """Return z - h(m), angles in [-pi, pi]; 0 in rows whose direction is undefined at m."""
         dz = np.where(self._silent, 0.0, z - self._at_mean)
         angles = self._layout.angles
         dz[angles] = np.remainder(dz[angles] + np.pi, 2.0 * np.pi) - np.pi
         return dz
 
     def _measure(self, x: Array) -> Array:
-        """h(x): every row of a measurement without noise (paper, Sec. II-B), m, rad, Hz, m/s."""
+        """Return h(x), the measurement without noise (paper, Sec. II-B), in m, rad, Hz and m/s."""
         d = x[:3] - self._anchors
         distance = np.linalg.norm(d, axis=1)
         azimuth = np.arctan2(d[:, 1], d[:, 0])
@@ -97,7 +97,7 @@ class _Sight:
         return np.array(rows)
 
     def _without_direction(self) -> Mask:
-        """Rows (rows,) of directions that are not there at m: they tell nothing."""
+        """Return which rows (rows,) are directions undefined at m, which carry no information."""
         d = self._mean[:3] - self._anchors
         vertical = np.hypot(d[:, 0], d[:, 1]) <= _NEAREST_M
         there = np.linalg.norm(d, axis=1) <= _NEAREST_M
@@ -105,7 +105,7 @@ class _Sight:
         return np.array([*links.ravel(), there[0], *[False] * 2 * self._layout.odometry])
 
     def jacobian(self) -> Array:
-        """H = dh/dx at m (rows, 7)."""
+        """Return the Jacobian H = dh/dx (rows, 7) at m."""
         d, v = self._mean[:3] - self._anchors, self._mean[3:6]
         links = np.zeros((len(d), 4, _STATES))
         for rows, (dx, dy, dz) in zip(links, d, strict=True):
@@ -131,7 +131,7 @@ class _Sight:
 
 
 class _Filtered(NamedTuple):
-    """What a filterpy filter holds after an update: step of the mean, covariance, y and S."""
+    """The result of a filterpy filter's update: step of the mean, covariance, y and S."""
 
     step: Array
     P: Array
@@ -140,7 +140,7 @@ class _Filtered(NamedTuple):
 
 
 class _Ekf:
-    """As all three here: ``predict`` gives F x and F P F' + Q in filterpy's way.
+    """The EKF of filterpy; as in all three classes, ``predict`` computes F x and F P F' + Q.
 
     ``update`` conditions N(0, P) on the chosen rows, with their noise covariance R.
     """
@@ -186,7 +186,7 @@ class _Ukf:
 
 
 class _Ckf:
-    """filterpy's CKF wants columns, a fixed number of rows, and points redrawn by its caller."""
+    """The CKF of filterpy, which needs columns, a fixed number of rows and points of its caller."""
 
     def __init__(self) -> None:
         self._filter: Any = CubatureKalmanFilter(_STATES, 1, 1.0, None, None)
@@ -213,11 +213,11 @@ _FILTERS: dict[str, Callable[[], _Filter]] = {"ekf": _Ekf, "ukf": _Ukf, "ckf": _
 
 
 def filterpy_pipeline(pipeline: Pipeline) -> Pipeline:
-    """The pipeline with filterpy's filters at work.
+    """Return the pipeline with filterpy's filters in place of this package's.
 
     Raises:
-        ValueError: the pipeline needs what filterpy's filters cannot do: flat terrain (they
-            need a covariance of full rank), or algorithms of one's own.
+        ValueError: filterpy's filters cannot run the pipeline: it has flat terrain (the filters
+            need a covariance of full rank), or algorithms of the user.
     """
     if pipeline.planar:
         raise ValueError(
@@ -249,7 +249,7 @@ def _filter_of(mode: Mode) -> _Filter:
 def _update(
     filter_: _Filter, mean: Vector, covariance: Matrix, measurement: Measurement, gate: Gate
 ) -> Posterior:
-    """Update with every visible group; where the gates object, once more with those that pass."""
+    """Update with every visible group; if a gate rejects a group, again with the accepted ones."""
     x, P = np.array(mean, float), np.array(covariance, float)
     layout, sight = measurement.layout, _Sight(x, measurement)
     R = np.diag(sight.variance)
@@ -282,7 +282,7 @@ def _update(
 
 
 def _passes(nis: float, g: int, layout: Layout, gate: Gate) -> bool:
-    """Whether a visible group is used."""
+    """Tell whether a visible group is used."""
     is_link = g < layout.anchors
     if gate.quantile is None or (is_link and (gate.robust or gate.force > 0.5)):
         return True
@@ -295,5 +295,5 @@ def _threshold(quantile: float, rows: int) -> float:
 
 
 def _symmetric(P: Array) -> Array:
-    """P without the asymmetry that rounding left."""
+    """Return P without the asymmetry due to rounding."""
     return 0.5 * (P + P.T)  # type: ignore[no-any-return]

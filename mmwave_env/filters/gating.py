@@ -1,4 +1,4 @@
-"""Gates: which groups of an epoch's measurements are used, and with what noise (paper, Sec. III-D).
+"""Gates, which choose the groups of a measurement to use, and their noise (paper, Sec. III-D).
 
 The normalized innovation squared (NIS) of a group is tested against a chi-square quantile.
 """
@@ -10,16 +10,16 @@ from mmwave_env.models.measurement import Group, Measurement
 from mmwave_env.numerics.linalg import cholesky, dot, forward, symmetric
 from mmwave_env.numerics.numbers import Matrix, Number, log, maximum, where
 
-_GROUPS_PER_LOG = 8  # determinants multiplied before their log is taken: few enough for doubles
-ROBUST_ONSET = 1.5  # a group's NIS over its dimension from which a robust update doubts it
+_GROUPS_PER_LOG = 8  # determinants whose product a double can hold before its log is taken
+ROBUST_ONSET = 1.5  # ratio of a group's NIS to its dimension above which it is doubtful
 
 
 class Gate(NamedTuple):
-    """How an update treats measurements that look wrong.
+    """The rule for measurements that look wrong.
 
     Attributes:
         quantile: chi-square quantile up to which a group is accepted; None accepts all.
-        force: 1 where the links are accepted whatever their NIS (lock-out recovery), else 0.
+        force: 1 to accept the links whatever their NIS (lock-out recovery), else 0.
         robust: inflate the noise of a doubtful link instead of rejecting it.
     """
 
@@ -29,9 +29,9 @@ class Gate(NamedTuple):
 
 
 def innovation_statistics(group: Group, V: Matrix, latents: Latents) -> tuple[Number, Number]:
-    """NIS y' S^-1 y and determinant of S, a group's innovation covariance, at the prior.
+    """Return NIS y' S^-1 y and determinant of S, a group's innovation covariance, at the prior.
 
-    S is V cov(eta) V' + R in latents; H P H' + R stands in ``tests/filters/textbook.py``.
+    S is V cov(eta) V' + R in latents; ``tests/filters/textbook.py`` has the form H P H' + R.
     """
     shift = [latents.shift(row) for row in V]
     variance = latents.variance
@@ -50,10 +50,10 @@ def innovation_statistics(group: Group, V: Matrix, latents: Latents) -> tuple[Nu
 
 
 def passes(nis: Number, rows: int, quantile: float | None) -> Number:
-    """1 where the NIS of a group of so many rows lies within its gate, else 0."""
+    """Return 1 where the NIS of a group with that number of rows is within its gate, else 0."""
     if quantile is None:
         return 1.0
-    from scipy.special import chdtri  # where used: a mode is described without it
+    from scipy.special import chdtri  # imported here: describing a mode does not need it
 
     return where(nis <= float(chdtri(rows, 1.0 - quantile)), 1.0, 0.0)
 
@@ -66,18 +66,18 @@ def _accept(nis: Number, rows: int, visible: Number, gate: Gate, is_link: bool) 
 
 
 def _doubt(nis: Number, rows: int) -> Number:
-    """Factor on the noise variance of a link with a NIS too large for its dimension."""
+    """Return the factor on the noise variance of a link with a NIS too large for its dimension."""
     ratio = nis * (1.0 / (ROBUST_ONSET * rows))
     return where(ratio > 1.0, ratio * ratio, 1.0)
 
 
 class GateResult(NamedTuple):
-    """What the gates say of the groups, at the prior."""
+    """The decisions of the gates about each group, at the prior."""
 
     # nis, accepted, log_likelihood: as in :class:`~mmwave_env.filters.update.Posterior`
     nis: list[Number]
     accepted: list[Number]
-    noise: list[list[Number]]  # per group (k,) variances of its rows, inflated where doubtful
+    noise: list[list[Number]]  # per group, (k,) noise variances, inflated where doubtful
     log_likelihood: Number
 
 

@@ -1,8 +1,8 @@
-"""Interacting multiple models: all modes at once, weighed by how well they explain the data.
+"""Interacting multiple models: all modes run, weighed by how well they explain the data.
 
-Blom and Bar-Shalom 1988; Bar-Shalom, Li and Kirubarajan 2001, Sec. 11.6.6. The modes are
-the same pipelines that an agent switches between, each with its own gates and scaling. With
-matrices, as there, it stands in ``tests/filters/test_imm.py`` (``textbook_imm``).
+Sources: Blom and Bar-Shalom 1988; Bar-Shalom, Li and Kirubarajan 2001, Sec. 11.6.6. The modes
+are the pipelines that an agent switches between, each with its own gates and scaling. The book's
+form with matrices is ``textbook_imm`` in ``tests/filters/test_imm.py``.
 """
 
 from collections.abc import Sequence
@@ -19,13 +19,13 @@ from mmwave_env.numerics.linalg import dot, unpack
 from mmwave_env.numerics.numbers import Matrix, Number, Vector, exp, maximum, minimum, where
 from mmwave_env.numerics.pytree import select, tree_at
 
-DEFAULT_STAY = 0.95  # probability of a mode to stay for a second
-TRUST = 3.0  # log of the factor on the probability of a mode that is trusted for a second
-_LEAST = 1e-12  # keeps the probability of a mode off zero, from which it could not return
+DEFAULT_STAY = 0.95  # probability that a mode stays the same over a second
+TRUST = 3.0  # log of the factor on the probability of a mode that an agent trusts for a second
+_LEAST = 1e-12  # least probability of a mode, since a probability of zero could not grow again
 
 
 class ImmSettings(NamedTuple):
-    """What an IMM may be tuned in, as numbers, so that one compiled IMM can run any tuning."""
+    """The parameters of an IMM as numbers, so that one compiled IMM can run any tuning."""
 
     transition: list[list[Number]]  # (modes, modes) probabilities (from, to) over a second
     tunings: list[Tuning]  # motion model of every mode
@@ -37,26 +37,26 @@ class ImmSettings(NamedTuple):
 class ModeTrack(NamedTuple):
     """One mode's filter within the IMM."""
 
-    # x, P: (7,), (28,) its belief
+    # x, P: (7,), (28,) belief of the mode
     x: list[Number]
     P: list[Number]
-    memory: Memory  # of its gates and scaling
+    memory: Memory  # memory for the mode's gates and scaling
 
 
 class Mixture(NamedTuple):
-    """The IMM's belief."""
+    """The belief of an IMM."""
 
     tracks: list[ModeTrack]  # one per mode
     probability: list[Number]  # (modes,) of each mode
 
 
 def single(pipeline: Pipeline) -> list[Pipeline]:
-    """A pipeline of one mode for each mode."""
+    """Return one single-mode pipeline for each mode."""
     return [replace(pipeline, modes=(mode,)) for mode in pipeline.modes]
 
 
 def begin(pipeline: Pipeline, x: Vector, P: Vector) -> Mixture:
-    """All modes at the prior (7,), (28,), equally probable."""
+    """Return a mixture with all modes at the prior (7,), (28,), equally probable."""
     tracks = [
         ModeTrack(list(x), list(P), initial_memory(one.layout, 1)) for one in single(pipeline)
     ]
@@ -64,7 +64,7 @@ def begin(pipeline: Pipeline, x: Vector, P: Vector) -> Mixture:
 
 
 def stay_matrix(modes: int, stay: float = DEFAULT_STAY) -> tuple[tuple[float, ...], ...]:
-    """Transition probabilities (from, to): stay, or move to any other mode alike."""
+    """Return transition probabilities (from, to): all other modes are equally probable."""
     if modes == 1:
         return ((1.0,),)
     move = (1.0 - stay) / (modes - 1)
@@ -74,13 +74,13 @@ def stay_matrix(modes: int, stay: float = DEFAULT_STAY) -> tuple[tuple[float, ..
 def moments(
     weights: Sequence[Number], x: Sequence[Vector], P: Sequence[Vector]
 ) -> tuple[list[Number], list[Number]]:
-    """Mean (7,) and packed covariance (28,) of a Gaussian mixture."""
+    """Return the mean (7,) and the packed covariance (28,) of a Gaussian mixture."""
     mean, between = spread(weights, x)
     return mean, [dot(weights, [Pi[k] for Pi in P]) + value for k, value in enumerate(between)]
 
 
 def spread(weights: Sequence[Number], x: Sequence[Vector]) -> tuple[list[Number], list[Number]]:
-    """Mean (7,) and packed covariance (28,) of weighed points."""
+    """Return the mean (7,) and the packed covariance (28,) of weighted points."""
     mean = [dot(weights, [xi[i] for xi in x]) for i in range(STATE_SIZE)]
     offset = [[xi[i] - mean[i] for i in range(STATE_SIZE)] for xi in x]
     return mean, [
@@ -89,7 +89,7 @@ def spread(weights: Sequence[Number], x: Sequence[Vector]) -> tuple[list[Number]
 
 
 def mix(mixture: Mixture, transition: Matrix) -> tuple[list[Number], list[tuple[Vector, Vector]]]:
-    """Predicted mode probabilities, and each mode's mixed initial belief."""
+    """Return the predicted mode probabilities and each mode's mixed initial belief."""
     modes = range(len(mixture.tracks))
     predicted = [dot([row[j] for row in transition], mixture.probability) for j in modes]
     x = [track.x for track in mixture.tracks]
@@ -102,10 +102,10 @@ def mix(mixture: Mixture, transition: Matrix) -> tuple[list[Number], list[tuple[
 
 
 def over_step(transition: Matrix, dt: Number) -> list[list[Number]]:
-    """Transition probabilities (from, to) over a step, of those over a second.
+    """Return transition probabilities (from, to) over a step, given the probabilities per second.
 
-    A mode is left at a rate of (1 - p_ii) a second. The first epoch of an episode, whose step is 0,
-    and steps above a second count as one, so that rows stay probabilities.
+    A mode is left at a rate of 1 - p_ii per second. The first epoch of an episode, whose step is 0,
+    and steps above a second count as one second, so that rows stay probabilities.
     """
     step = step_weight(dt)
     return [
@@ -115,28 +115,28 @@ def over_step(transition: Matrix, dt: Number) -> list[list[Number]]:
 
 
 def step_weight(dt: Number) -> Number:
-    """How much of what is stated per second happens in a step of dt seconds."""
+    """Return the share of a change per second that a step of dt seconds brings."""
     return where(dt > 0.0, minimum(dt, 1.0), 1.0)
 
 
 class ImmEpoch(NamedTuple):
-    """What an IMM makes of an epoch."""
+    """The result of an IMM in an epoch."""
 
-    mixture: Mixture  # after it
-    predicted: list[Number]  # (modes,) probabilities before its measurement
+    mixture: Mixture  # belief after the epoch
+    predicted: list[Number]  # (modes,) probabilities before the epoch's measurement
     mixed: list[Vector]  # (modes,) means (7,) of the mixed beliefs, unpredicted
-    results: list[ModeResult]  # of every mode, from its mixed belief
+    results: list[ModeResult]  # result of every mode, from its mixed belief
 
 
 def imm_epoch(
     pipeline: Pipeline, settings: ImmSettings, mixture: Mixture, epoch: Epoch, site: Site
 ) -> ImmEpoch:
-    """One more epoch: mix, run every mode, weigh them by their likelihood.
+    """Run an epoch: mix the beliefs, run every mode, weigh the modes by their likelihood.
 
     Args:
-        pipeline, epoch, site: as of :func:`~mmwave_env.filters.pipeline.predict_update`.
-        settings: whose tunings take the place of the modes' own.
-        mixture: after the epoch before.
+        pipeline, epoch, site: as for :func:`~mmwave_env.filters.pipeline.predict_update`.
+        settings: transition, limits and the tunings that replace the modes' own.
+        mixture: belief after the epoch before.
     """
     predicted, mixed = mix(mixture, over_step(settings.transition, epoch.dt))
     tracks, results = [], []
@@ -161,12 +161,12 @@ def imm_epoch(
 
 
 def trusting(mixture: Mixture, mode: Number, dt: Number) -> Mixture:
-    """The mixture with the probability of a mode raised, the others lowered in proportion.
+    """Raise the probability of a mode in a mixture and lower the others in proportion.
 
     Args:
-        mixture: after an epoch.
+        mixture: belief after an epoch.
         mode: number of the mode to trust, from 1; 0 leaves the probabilities as they are.
-        dt: the epoch's step, seconds: trust is given per second, like transitions.
+        dt: the epoch's step, seconds; trust is a rate per second, like transitions.
     """
     gain = exp(TRUST * step_weight(dt))
     weights = [
@@ -178,14 +178,14 @@ def trusting(mixture: Mixture, mode: Number, dt: Number) -> Mixture:
 
 
 def _normalized(weights: Sequence[Number]) -> list[Number]:
-    """Probabilities in proportion to the weights, none of them zero."""
+    """Return probabilities in proportion to the weights; no probability is zero."""
     held = [maximum(weight, _LEAST) for weight in weights]
     total = dot(held, [1.0] * len(held))
     return [weight / total for weight in held]
 
 
 def most_probable(mixture: Mixture) -> Number:
-    """Number of the mode, the first of equals."""
+    """Return the number of the most probable mode, the first among equals."""
     found: Number = 0.0
     best = mixture.probability[0]
     for number, probability in enumerate(mixture.probability[1:], start=1):
@@ -195,14 +195,14 @@ def most_probable(mixture: Mixture) -> Number:
 
 
 def most_probable_memory(mixture: Mixture) -> Memory:
-    """The memory of the most probable mode, whose number counts as that of the mode that ran."""
+    """Return the memory of the most probable mode, with its number as the mode that ran last."""
     number = most_probable(mixture)
     memory: Memory = tree_at(number, [track.memory for track in mixture.tracks])
     return memory._replace(mode=number)
 
 
 def estimate(mixture: Mixture) -> tuple[list[Number], list[list[Number]]]:
-    """Mean (7,) and covariance (7, 7) of the whole mixture."""
+    """Return the mean (7,) and the covariance (7, 7) of the whole mixture."""
     x, P = moments(
         mixture.probability,
         [track.x for track in mixture.tracks],
@@ -212,15 +212,15 @@ def estimate(mixture: Mixture) -> tuple[list[Number], list[list[Number]]]:
 
 
 def prediction(now: ImmEpoch, dt: Number) -> tuple[list[Number], list[Number]]:
-    """Mean (7,) and packed covariance (28,) of the whole mixture before an epoch's update.
+    """Return the whole mixture's mean (7,) and packed covariance (28,) before an epoch's update.
 
-    The Rauch-Tung-Striebel smoother takes it that x_predicted = F x + noise, with noise that does
-    not depend on x. So where modes accelerate, their accelerations count as such noise: with their
-    correlation with the modes' means, smoothed variances could fall below zero.
+    The Rauch-Tung-Striebel smoother assumes x_predicted = F x + noise, where the noise does not
+    depend on x. So the accelerations of modes count as such noise, without their correlation with
+    the modes' means: with the correlation, smoothed variances could fall below zero.
 
     Args:
         now: the epoch.
-        dt: its step, seconds.
+        dt: the epoch's step, seconds.
     """
     moved = [move(x, dt) for x in now.mixed]
     shifts = [

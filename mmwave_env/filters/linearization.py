@@ -1,22 +1,22 @@
-"""Two ways to see a curved measurement from a Gaussian prior: tangent or sigma points.
+"""Two linearizations of a measurement at a Gaussian prior: tangent and sigma points.
 
-The prior is x = m + L xi with xi ~ N(0, I) and L the lower Cholesky factor. Either way a
-group of measurements becomes linear in *latents*:
+The prior is x = m + L xi with xi ~ N(0, I) and L the lower Cholesky factor. Both make a
+group of measurements linear in *latents*:
 
     h(x) = h(m) + mean shift + V eta + noise,   eta = (xi, kappa)
 
 The tangent (EKF) has V = dh/dx L and no curvature latents kappa. Sigma points m +- s L_j
 give V_j = (up - down) / 2s and, per curved column, one curvature latent with
 V_kappa_j = up + down, because the 2n + 1 points' covariance is exactly V cov(eta) V' with
-cov(kappa) = (w / 2) I + bend w^2 1 1'. So both filters are one computation.
+cov(kappa) = (w / 2) I + bend w^2 1 1'. So one computation serves both filters.
 
 Only columns 0 to 2 of L move the position, so latents are kept in the order
-[xi_0..2, kappa, xi_3..6]: the links depend on the first 3 + len(kappa) alone.
+[xi_0..2, kappa, xi_3..6]: the links depend on the first 3 + len(kappa) latents alone.
 
 Source: Julier and Uhlmann 2004, Sec. IV (scaled sigma points as in van der Merwe 2004).
 The cubature filter (Arasaratnam and Haykin 2009) is alpha = 1, beta = 0, kappa = 0. The textbook
-forms, with points and weights, stand in ``tests/filters/textbook.py`` (``tangent``, ``unscented``,
-``cubature``).
+forms, with points and weights, are ``tangent``, ``unscented`` and ``cubature`` in
+``tests/filters/textbook.py``.
 """
 
 from collections.abc import Sequence
@@ -30,14 +30,14 @@ from mmwave_env.numerics.numbers import Matrix, Number, Vector
 
 @dataclass(frozen=True)
 class Tangent:
-    """First-order expansion at the prior mean: the extended Kalman filter's view."""
+    """The first-order expansion at the prior mean, which the extended Kalman filter uses."""
 
     def latents(self, curved: int) -> "Latents":
-        """Moments of the latents; the tangent has no curvature latents."""
+        """Return the moments of the latents; the tangent has no curvature latents."""
         return Latents(0, 0.0, 0.0)
 
     def rows(self, group: Group, L: Matrix, latents: "Latents") -> list[list[Number]]:
-        """V (k, 7): the Jacobian along each column of L."""
+        """Return V (k, 7), the Jacobian along each column of L."""
         columns = list(zip(*L, strict=True))
         return [[dot(gradient, column) for column in columns] for gradient in group.jacobian]
 
@@ -70,16 +70,16 @@ class SigmaPoints:
 
     @property
     def reach(self) -> float:
-        """Distance of the points from the mean, in columns of L."""
+        """Return the distance of the points from the mean, in columns of L."""
         return self.alpha * float((STATE_SIZE + self.kappa) ** 0.5)
 
     def latents(self, curved: int) -> "Latents":
-        """Moments of the latents with one curvature latent per curved column."""
+        """Return the moments of the latents, with one curvature latent per curved column."""
         weight = 0.5 / self.reach**2
         return Latents(curved, weight, self.beta - self.alpha**2)
 
     def rows(self, group: Group, L: Matrix, latents: "Latents") -> list[list[Number]]:
-        """V (k, 7 + curvatures) from central and second differences along the columns of L."""
+        """Return V (k, 7 + curvatures) from central and second differences along columns of L."""
         s, k = self.reach, len(group.jacobian)
         columns = list(zip(*L, strict=True))
         odd: list[list[Number]] = [[] for _ in range(k)]
@@ -104,7 +104,7 @@ Linearization = Tangent | SigmaPoints
 
 @dataclass(frozen=True)
 class Latents:
-    """Moments of eta = [xi_0..2, kappa, xi_3..6]."""
+    """The moments of eta = [xi_0..2, kappa, xi_3..6]."""
 
     curvatures: int  # number of curvature latents
     weight: float  # w, the weight of an outer sigma point
@@ -112,17 +112,17 @@ class Latents:
 
     @property
     def coupled(self) -> int:
-        """Latents that the links depend on: the first 3 + curvatures."""
+        """Return the number of latents that the links depend on: the first 3 + curvatures."""
         return 3 + self.curvatures
 
     @property
     def variance(self) -> list[float]:
-        """Variances of eta, but for the part of kappa that the mean shift carries."""
+        """Return the variances of eta without the part of kappa that ``bend`` adds."""
         return [1.0] * 3 + [self.weight / 2] * self.curvatures + [1.0] * 4
 
     @property
     def precision(self) -> list[list[float]]:
-        """Inverse covariance of the coupled latents (Sherman-Morrison)."""
+        """Return the inverse covariance of the coupled latents (Sherman-Morrison)."""
         n, m = self.coupled, self.curvatures
         result = [[float(i == j) for j in range(n)] for i in range(n)]
         if m:
@@ -134,7 +134,7 @@ class Latents:
         return result
 
     def shift(self, row: Vector) -> Number:
-        """Mean shift of a row: the weighted sum of its curvatures."""
+        """Return the mean shift of a row, the weighted sum of its curvatures."""
         total: Number = 0.0
         for v in row[3 : self.coupled]:
             total = total + v
@@ -142,18 +142,18 @@ class Latents:
 
 
 class Prior(NamedTuple):
-    """An epoch as a linearization sees it from the prior."""
+    """A measurement, linearized at the prior."""
 
     L: Matrix  # (7, 7) lower Cholesky factor of the prior covariance
     latents: Latents  # moments of eta
-    groups: Sequence[Group]  # of measurements, seen from the prior mean
-    V: Sequence[Matrix]  # per group (k, 7 + curvatures), its rows along eta
+    groups: Sequence[Group]  # groups of the measurement, expanded at the prior mean
+    V: Sequence[Matrix]  # per group, (k, 7 + curvatures) coefficients of its rows on eta
 
 
 def linearize(
     x: Vector, P: Matrix, measurement: Measurement, linearization: Linearization
 ) -> Prior:
-    """The epoch seen from N(x, P); x is (7,), P (7, 7)."""
+    """Linearize a measurement at the prior N(x, P); x is (7,), P (7, 7)."""
     L = cholesky(P)
     latents = linearization.latents(6 if measurement.layout.odometry else 3)
     groups = groups_of(x, measurement)

@@ -1,7 +1,7 @@
-"""What a track remembers of its measurements: the window of adaptive scaling, averages, lock-out.
+"""The memory of a track: the window of adaptive scaling, averages and the lock-out counter.
 
-Every epoch has two halves: :func:`memory_before` takes in what the coming epoch shows before a mode
-is chosen, :func:`memory_after` what the chosen mode made of it.
+The memory is updated twice per epoch: :func:`memory_before` takes in the coming epoch before a mode
+is chosen, :func:`memory_after` takes in the result of the chosen mode.
 """
 
 from collections.abc import Sequence
@@ -21,17 +21,17 @@ PREFERENCE_MEMORY = (0.6, 0.85)  # weights of the past in averages of log-likeli
 PREFERENCE_LIMIT = 30.0
 SNR_MEMORY = 0.95
 SPREAD_MEMORY = 0.8
-SNR_UNSEEN_DB = -100.0  # slow mean of a link that was never seen
+SNR_UNSEEN_DB = -100.0  # slow mean SNR of a link that was never seen
 
 
 class Memory(NamedTuple):
-    """How the measurements of a track behaved so far."""
+    """Statistics of a track's measurements so far."""
 
     mode: Number  # number of the mode that ran last
     lockout: Number  # epochs in a row in which every visible link failed its gate
-    window: list[Number]  # (WINDOW,) latest NIS / dof of what was accepted
+    window: list[Number]  # (WINDOW,) latest NIS / dof of the accepted groups
     gamma: Number  # adaptive scale of Q and R
-    # nis, accepted, rejected: (groups,) of the last epoch; neither where missing
+    # nis, accepted, rejected: (groups,) in the last epoch; a missing group is neither of the two
     nis: list[Number]
     accepted: list[Number]
     rejected: list[Number]
@@ -47,7 +47,7 @@ class Memory(NamedTuple):
 
 
 def initial_memory(layout: Layout, modes: int) -> Memory:
-    """The memory of a track that has seen nothing, with so many modes to choose from."""
+    """Return the memory of a track without measurements, with that number of modes."""
     groups, anchors = len(layout.groups), layout.anchors
     return Memory(
         mode=0.0,
@@ -69,7 +69,7 @@ def initial_memory(layout: Layout, modes: int) -> Memory:
 def memory_before(
     memory: Memory, candidates: Sequence[ModeResult], epoch: Epoch, layout: Layout
 ) -> Memory:
-    """Remember what the coming epoch shows before any mode is chosen."""
+    """Return the memory after taking in the coming epoch, before any mode is chosen."""
     snr = [
         where(
             seen > 0.5,
@@ -100,14 +100,14 @@ def memory_after(
     dt: Number,
     visible: Vector,
 ) -> Memory:
-    """The memory after a candidate has become the belief.
+    """Return the memory after a candidate has become the belief.
 
     Args:
         layout: rows of the measurement vector.
         mode, chosen: the candidate's number, and the candidate.
         before: (7,) mean before the epoch, unpredicted.
         memory: as :func:`memory_before` left it.
-        dt, visible: the epoch's step, seconds, and what it shows (groups,).
+        dt, visible: the epoch's step, seconds, and its visible groups (groups,).
     """
     accepted_dof = dot(chosen.accepted, list(map(float, layout.widths)))
     some = accepted_dof > 0.5

@@ -1,4 +1,4 @@
-"""Modes: a filter algorithm with the tuning and the safeguards it was optimized with."""
+"""Modes: filter algorithms with the tuning and the safeguards that were optimized for them."""
 
 from dataclasses import dataclass, replace
 from typing import Annotated, NamedTuple
@@ -13,13 +13,13 @@ ALGORITHMS: dict[str, Algorithm] = {"ekf": ekf, "ukf": ukf, "ckf": ckf}
 Noise = Annotated[float, PROCESS_NOISE]
 Quantile = Annotated[float, Bound("a quantile in (0, 1)", above=0.0, below=1.0)]
 
-DESIGN_LIMIT_MPS = 20.0  # above it a speed is outside the paper's design window
+DESIGN_LIMIT_MPS = 20.0  # greater speeds are outside the paper's design window
 
 
 class Tuning(NamedTuple):
     """A mode's motion model as numbers, so that one compiled filter can run many tunings.
 
-    Attributes are those of :class:`Mode`; ``coupling`` is 1 or 0.
+    Its attributes are those of :class:`Mode`; ``coupling`` is 1 or 0.
     """
 
     sigma_p: Number
@@ -91,20 +91,20 @@ class Mode:
 
     @property
     def tuning(self) -> Tuning:
-        """Its process noise and acceleration."""
+        """Return the parameters of the motion model: process noise, acceleration and turn rate."""
         return Tuning(*(float(getattr(self, field)) for field in Tuning._fields))
 
     @property
     def update(self) -> Algorithm:
-        """The measurement update this mode runs."""
+        """Return the measurement update that this mode runs."""
         return ALGORITHMS[self.algorithm] if isinstance(self.algorithm, str) else self.algorithm
 
 
 def robust(mode: Mode) -> Mode:
-    """The mode with robust, blockage-aware updates of the links instead of gates.
+    """Return the mode with robust, blockage-aware updates of the links instead of gates.
 
-    Without adaptive scaling: a robust update already answers a large NIS, and scaling Q and R
-    by it as well counts it twice.
+    The returned mode has no adaptive scaling: a robust update already reacts to a large NIS, and
+    scaling Q and R by the NIS as well would count it twice.
     """
     name = f"{mode.name}-robust"
     return replace(mode, name=name, robust=True, blockage_aware=True, adaptive=False)

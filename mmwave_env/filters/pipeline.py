@@ -1,10 +1,10 @@
-"""One epoch of a mode: predict, handle the noise, gate and update.
+"""One epoch of a mode: prediction, noise, gating and update.
 
 A track is a belief (x, P) and a :class:`~mmwave_env.filters.memory.Memory` of how the
 measurements behaved. :func:`predict_update` runs a mode on the coming measurement and returns a
-:class:`~mmwave_env.filters.update.ModeResult`; the one of the mode that was chosen becomes
-the new belief, and :func:`~mmwave_env.filters.memory.memory_after` remembers it. An environment
-considers every mode and commits to the one the agent chose.
+:class:`~mmwave_env.filters.update.ModeResult`; the result of the chosen mode becomes
+the new belief, and :func:`~mmwave_env.filters.memory.memory_after` updates the memory with it.
+An environment runs every mode and keeps the result of the mode that the agent chose.
 """
 
 from collections.abc import Callable
@@ -28,7 +28,7 @@ from mmwave_env.numerics.linalg import dot, pack, unpack
 from mmwave_env.numerics.numbers import Matrix, Number, Vector, clip, where
 
 BLOCKAGE_ONSET_DB, BLOCKAGE_SLOPE_DB, BLOCKAGE_DEPTH, BLOCKAGE_GAIN = 6.0, 6.0, 3.0, 3.0
-VERTICAL = (2, 5)  # z and vz, which flat terrain pins
+VERTICAL = (2, 5)  # z and vz, which are fixed on flat terrain
 
 Predictor = Callable[[Mode, Vector, Matrix, ProcessNoise, Number], tuple[list[Number], Matrix]]
 
@@ -36,7 +36,7 @@ Predictor = Callable[[Mode, Vector, Matrix, ProcessNoise, Number], tuple[list[Nu
 def _linear_prediction(
     mode: Mode, x: Vector, P: Matrix, noise: ProcessNoise, dt: Number
 ) -> tuple[list[Number], Matrix]:
-    """The Kalman prediction, exact for every algorithm because the motion is linear."""
+    """Return the Kalman prediction, exact for every algorithm because the motion is linear."""
     return move(x, dt), predict_covariance(P, noise, dt)
 
 
@@ -46,14 +46,14 @@ def _own_update(mode: Mode) -> Algorithm:
 
 @dataclass(frozen=True)
 class Pipeline:
-    """What is fixed when a track starts.
+    """The parts of a filter that are fixed when a track starts.
 
     Attributes:
         modes: the modes to choose from.
         layout: rows of the measurement vector.
         planar: flat terrain: z and vz stay at their prior values (paper, Sec. II-A). Sigma
             points keep the spacing of seven state components.
-        predict, update: the filter at work; replaced by the filterpy twin.
+        predict, update: the filter's two steps, which the filterpy reference replaces.
 
     Raises:
         AlgorithmError: a mode's own algorithm cannot run, on lanes or at all; the message
@@ -72,19 +72,19 @@ class Pipeline:
 
     @property
     def known_axes(self) -> tuple[int, ...]:
-        """State components that are known exactly."""
+        """Return the state components that are known exactly."""
         return VERTICAL if self.planar else ()
 
     @property
     def position_axes(self) -> tuple[int, ...]:
-        """Position components that are estimated: 3, or 2 on flat terrain."""
+        """Return the position components that are estimated: 3, or 2 on flat terrain."""
         return (0, 1) if self.planar else (0, 1, 2)
 
 
 def process_noise(
     tuning: Tuning, epoch: Epoch, hz_per_mps: Number, gamma: Number, planar: bool
 ) -> ProcessNoise:
-    """Q of an epoch: the tuning, Doppler-adaptive and scaled by gamma."""
+    """Return Q of an epoch: the tuning, adapted to the Doppler spread and scaled by gamma."""
     t = tuning
     velocity = t.sigma_v * t.sigma_v + t.spread_gain * epoch.doppler_spread_hz
     position = t.sigma_p * t.sigma_p
@@ -100,7 +100,7 @@ def process_noise(
 
 
 def _blockage(snr_db: Number, mean_db: Number) -> Number:
-    """Factor on the noise variance of a link whose SNR fell below its slow mean."""
+    """Return the factor on the noise variance of a link whose SNR fell below its slow mean."""
     depth = clip(
         (mean_db - snr_db - BLOCKAGE_ONSET_DB) * (1.0 / BLOCKAGE_SLOPE_DB), 0.0, BLOCKAGE_DEPTH
     )
@@ -110,7 +110,7 @@ def _blockage(snr_db: Number, mean_db: Number) -> Number:
 def measurement_of(
     mode: Mode, memory: Memory, epoch: Epoch, site: Site, layout: Layout
 ) -> Measurement:
-    """The epoch's measurement with the noise that the mode believes in."""
+    """Return the epoch's measurement with the noise that the mode assumes."""
     gamma = memory.gamma if mode.adaptive else 1.0
     variance = [gamma * (s * s) for s in epoch.sigma]
     if mode.blockage_aware:
@@ -131,11 +131,11 @@ def predict(
     hz_per_mps: Number,
     tuning: Tuning | None = None,
 ) -> tuple[list[Number], Matrix]:
-    """Mean (7,) and covariance (7, 7) that a mode predicts for the coming epoch.
+    """Predict the mean (7,) and the covariance (7, 7) of a mode for the coming epoch.
 
     Args:
         pipeline, mode, x, P, epoch, tuning: as :func:`predict_update` takes them.
-        gamma: adaptive scale of Q, which a mode that is not adaptive leaves alone.
+        gamma: adaptive scale of Q, which a mode that is not adaptive ignores.
         hz_per_mps: carrier frequency over the speed of light.
     """
     scale = gamma if mode.adaptive else 1.0
@@ -164,10 +164,10 @@ def predict_update(
     """Run one mode on the coming epoch.
 
     Args:
-        pipeline, mode: what to run.
-        x: (7,) mean after the epoch before (in the first epoch: the prior).
-        P: (28,) its packed covariance.
-        memory: of the track.
+        pipeline, mode: the pipeline, and the mode of it to run.
+        x: (7,) mean after the epoch before (in the first epoch, the prior mean).
+        P: (28,) packed covariance of the mean.
+        memory: the memory of the track.
         epoch: the coming epoch.
         site: anchors and carrier.
         tuning: process noise in place of the mode's own.
@@ -194,7 +194,7 @@ def predict_update(
 
 
 def _passed(mode: Mode, after: Posterior, layout: Layout) -> Number:
-    """How many links the mode would have accepted without being forced to."""
+    """Return the number of links that the mode would have accepted without force."""
     links = after.accepted[: layout.anchors]
     if mode.robust:
         return dot([1.0] * len(links), links)

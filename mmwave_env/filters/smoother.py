@@ -1,7 +1,7 @@
-"""Rauch-Tung-Striebel smoothing, an epoch at a time, backwards (paper, Sec. III-F).
+"""Rauch-Tung-Striebel smoothing, epoch by epoch, backwards (paper, Sec. III-F).
 
-Särkkä, "Bayesian Filtering and Smoothing" (2013), Sec. 8.2. With matrices, as there, it stands in
-``tests/filters/textbook.py`` (``rts``).
+Source: Särkkä, "Bayesian Filtering and Smoothing" (2013), Sec. 8.2. The book's form with matrices
+is ``rts`` in ``tests/filters/textbook.py``.
 """
 
 from typing import NamedTuple
@@ -16,7 +16,7 @@ SMOOTHING_WINDOW = 200  # epochs; N_w of the paper, Sec. III-F
 
 
 class ForwardEpoch(NamedTuple):
-    """An epoch as the filter left it."""
+    """An epoch of the forward pass, after the filter's update."""
 
     dt: Number  # seconds since the epoch before
     # x, P: (7,), (28,) belief after the epoch; covariances are packed
@@ -28,34 +28,34 @@ class ForwardEpoch(NamedTuple):
 
 
 class BackwardState(NamedTuple):
-    """What the way back brings along from the epoch after the one at hand."""
+    """The following epoch of the track, as the backward pass hands it to the current epoch."""
 
-    is_last: Number  # 1 where there is no such epoch, because the track ends with the one at hand
-    # dt, x_predicted, P_predicted: of that epoch, as in :class:`ForwardEpoch`
+    is_last: Number  # 1 where no epoch follows, because the track ends
+    # dt, x_predicted, P_predicted: those of the following epoch, as in :class:`ForwardEpoch`
     dt: Number
     x_predicted: list[Number]
     P_predicted: list[Number]
-    # x, P: (7,), (28,) its smoothed belief; P is empty where only means are smoothed
+    # x, P: (7,), (28,) smoothed belief of that epoch; P is empty if only means are smoothed
     x: list[Number]
     P: list[Number]
 
 
 def blank_epoch() -> ForwardEpoch:
-    """A sound epoch, to be overwritten."""
+    """Return a placeholder epoch with sound numbers, to be overwritten."""
     identity = [float(i == j) for i in range(STATE_SIZE) for j in range(i + 1)]
     nothing = [0.0] * STATE_SIZE
     return ForwardEpoch(1.0, nothing, identity, nothing, identity)
 
 
 def track_end(with_covariance: bool) -> BackwardState:
-    """The state from which the way back begins."""
+    """Return the state from which the backward pass begins."""
     blank = blank_epoch()
     P = blank.P if with_covariance else []
     return BackwardState(1.0, blank.dt, blank.x_predicted, blank.P_predicted, blank.x, P)
 
 
 def _mean(x: Vector, P: Matrix, factor: Matrix, after: BackwardState) -> list[Number]:
-    """x + P F' P_predicted^-1 (x_after - x_predicted), with the Cholesky factor of P_predicted."""
+    """Return x + P F' P_predicted^-1 (x_after - x_predicted); ``factor`` is of P_predicted."""
     FP = transition_times(P, after.dt)
     step = [a - b for a, b in zip(after.x, after.x_predicted, strict=True)]
     y = backward(factor, forward(factor, step))
@@ -65,9 +65,9 @@ def _mean(x: Vector, P: Matrix, factor: Matrix, after: BackwardState) -> list[Nu
 def smooth_mean(
     now: ForwardEpoch, after: BackwardState, known_axes: tuple[int, ...] = ()
 ) -> BackwardState:
-    """The smoothed mean of an epoch: x + C (x_after - x_predicted), C = P F' P_predicted^-1.
+    """Smooth the mean of an epoch: x + C (x_after - x_predicted), C = P F' P_predicted^-1.
 
-    ``after`` is where the way back has come to.
+    ``after`` is the following epoch, which the backward pass has smoothed.
     """
     P = unpack(now.P, zero=known_axes)
     factor = cholesky(unpack(after.P_predicted, zero=known_axes))
@@ -78,7 +78,7 @@ def smooth_mean(
 def smooth_epoch(
     now: ForwardEpoch, after: BackwardState, known_axes: tuple[int, ...] = ()
 ) -> BackwardState:
-    """The smoothed belief: :func:`smooth_mean`, and P + C (P_after - P_predicted) C'."""
+    """Smooth the belief: :func:`smooth_mean`, and P + C (P_after - P_predicted) C'."""
     P, P_predicted = unpack(now.P, zero=known_axes), unpack(after.P_predicted, zero=known_axes)
     factor, FP = cholesky(P_predicted), transition_times(P, after.dt)
     # Row i of the gain: P_predicted^-1 times column i of F P.

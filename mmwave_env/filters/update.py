@@ -1,7 +1,7 @@
 """The measurement update shared by EKF, UKF and CKF (paper, Sec. III-C).
 
-It runs in a reduced form that is exact. The form everyone knows, K = P H' S^-1 with all rows at
-once, stands in ``tests/filters/textbook.py``; ``tests/filters/test_update.py`` compares the two.
+The update has a reduced form that is exact. ``tests/filters/textbook.py`` has the textbook form,
+K = P H' S^-1 with all rows at once; ``tests/filters/test_update.py`` compares the two forms.
 """
 
 from collections.abc import Callable
@@ -15,7 +15,7 @@ from mmwave_env.numerics.numbers import Matrix, Number, Vector, maximum
 
 
 class Posterior(NamedTuple):
-    """What an update returns.
+    """The result of an update.
 
     Attributes:
         x: (7,) mean.
@@ -37,14 +37,14 @@ Algorithm = Callable[[Vector, Matrix, Measurement, Gate], Posterior]
 
 
 class _Row(NamedTuple):
-    """One scalar row that sees all latents, after the links and the rows before it."""
+    """A scalar row that depends on all latents, conditioned on the links and the rows before it."""
 
-    white: list[Number]  # C^-1 times its coupled latents
-    free: list[Number]  # over xi_3..6
-    links: list[Number]  # conditional covariances with the rows before it
-    cross: list[Number]  # covariance with xi
+    white: list[Number]  # C^-1 times the row's coefficients on the coupled latents
+    free: list[Number]  # coefficients on xi_3..6
+    links: list[Number]  # conditional covariances with the earlier rows
+    cross: list[Number]  # conditional covariance with xi
     innovation: Number
-    gain: Number  # 0 where not accepted
+    gain: Number  # 1 / innovation variance; 0 where the row is not accepted
 
 
 def _condition(
@@ -73,7 +73,7 @@ def _condition(
 def _inform(
     B: Matrix, V: Matrix, innovation: Vector, noise: Vector, accepted: Number, b: Vector
 ) -> tuple[list[list[Number]], list[Number]]:
-    """Information matrix and vector of the coupled latents, with one more link."""
+    """Return the information matrix and vector of the coupled latents with one more link."""
     n = len(b)
     precision, vector = [list(row) for row in B], list(b)
     for row, y, variance in zip(V, innovation, noise, strict=True):
@@ -91,17 +91,17 @@ def update(
 ) -> Posterior:
     """Gate every group at the prior N(x, P), then condition on the groups that passed.
 
-    The links see the first three columns of the factor L of P (and their curvatures) alone,
-    so they add up to a small information matrix B over those latents, with posterior
-    covariance B^-1; the rows that see the velocity follow one by one. The new covariance is
-    L B^-1 L' + sum over free columns L_j L_j' - sum gain c c', a sum of squares but for
-    those last scalar rows.
+    The links depend only on the first three columns of the factor L of P (and their curvatures),
+    so they add up to a small information matrix B over the coupled latents, with posterior
+    covariance B^-1; the rows that depend on the velocity follow one by one. The new covariance
+    is L B^-1 L' + sum over free columns L_j L_j' - sum gain c c', a sum of squares except for
+    the scalar rows, which are subtracted.
 
-    It equals the textbook update with all rows at once, K = P H' S^-1, x + K y, P - K S K', which
-    stands in ``tests/filters/textbook.py`` (``update``).
+    The result equals the textbook update with all rows at once, K = P H' S^-1, x + K y,
+    P - K S K' (``update`` in ``tests/filters/textbook.py``).
 
     Args:
-        x, P: (7,), (7, 7) prior; P is positive definite but for structural zeros.
+        x, P: (7,), (7, 7) prior; P is positive definite except for structural zeros.
         measurement, gate: the epoch, and what to accept of it.
         linearization: tangent (EKF) or sigma points (UKF, CKF).
     """
@@ -135,7 +135,7 @@ def update(
 def _recompose(
     x: Vector, L: Matrix, mean: Vector, covariance: Matrix, rows: list[_Row]
 ) -> tuple[list[Number], list[list[Number]]]:
-    """Mean and covariance of the state from those of xi_0..2 and the scalar rows."""
+    """Return the state's mean and covariance, given those of xi_0..2 and the scalar rows."""
     spread = [[dot(L[i][:3], covariance[c]) for c in range(3)] for i in range(STATE_SIZE)]
     moves = [[dot(L[i][: i + 1], row.cross) for i in range(STATE_SIZE)] for row in rows]
     new_x = []
@@ -155,25 +155,25 @@ def _recompose(
 
 
 def ekf(x: Vector, P: Matrix, measurement: Measurement, gate: Gate) -> Posterior:
-    """Extended Kalman filter update (paper, Sec. III-C.1)."""
+    """Run the extended Kalman filter update (paper, Sec. III-C.1)."""
     return update(x, P, measurement, gate, Tangent())
 
 
 def ukf(x: Vector, P: Matrix, measurement: Measurement, gate: Gate) -> Posterior:
-    """Unscented Kalman filter update, alpha 1, beta 2, kappa 0 (paper, Sec. III-C.2)."""
+    """Run the unscented Kalman filter update, alpha 1, beta 2, kappa 0 (paper, Sec. III-C.2)."""
     return update(x, P, measurement, gate, SigmaPoints(1.0, 2.0, 0.0))
 
 
 def ckf(x: Vector, P: Matrix, measurement: Measurement, gate: Gate) -> Posterior:
-    """Cubature Kalman filter update (Arasaratnam and Haykin 2009)."""
+    """Run the cubature Kalman filter update (Arasaratnam and Haykin 2009)."""
     return update(x, P, measurement, gate, SigmaPoints(1.0, 0.0, 0.0))
 
 
-CAP_QUANTILE = 0.999  # chi-square quantile up to which NIS counts where modes are compared
+CAP_QUANTILE = 0.999  # chi-square quantile up to which NIS counts when modes are compared
 
 
 class ModeResult(NamedTuple):
-    """What a mode makes of an epoch."""
+    """The result of a mode in an epoch."""
 
     x: list[Number]  # (7,) posterior mean
     P: list[Number]  # (28,) packed posterior covariance
@@ -183,22 +183,22 @@ class ModeResult(NamedTuple):
     # nis, accepted: (groups,) as in :class:`~mmwave_env.filters.update.Posterior`
     nis: list[Number]
     accepted: list[Number]
-    passed: Number  # how many links passed their gates, forced ones not counted
-    log_likelihood: Number  # of the visible groups
+    passed: Number  # number of links that passed their gates, without forced ones
+    log_likelihood: Number  # log-likelihood of the visible groups
 
 
 def limited_likelihood(candidate: ModeResult, limits: Vector) -> Number:
-    """Log-likelihood in which the NIS of a group (groups,) counts up to its limit.
+    """Return the log-likelihood in which the NIS of each group counts up to its limit (groups,).
 
-    The tail of a Gaussian falls so fast that a single link off the line of sight would decide
-    which mode is right, for the one that believes the outlier.
+    Without limits the tail of a Gaussian falls so fast that a single link off the line of sight
+    would decide which mode is right, in favor of the mode that believes the outlier.
     """
     excess = [maximum(nis - limit, 0.0) for nis, limit in zip(candidate.nis, limits, strict=True)]
     return candidate.log_likelihood + 0.5 * dot(excess, [1.0] * len(excess))
 
 
 def capped_log_likelihood(candidate: ModeResult, layout: Layout) -> Number:
-    """The log-likelihood that modes are compared by, limited at :data:`CAP_QUANTILE`."""
+    """Return the log-likelihood that modes are compared by, limited at :data:`CAP_QUANTILE`."""
     from scipy.special import chdtri
 
     limits = [float(chdtri(rows, 1.0 - CAP_QUANTILE)) for rows in layout.widths]

@@ -1,1 +1,1 @@
-"""What the paper's Sec. II says: motion, measurement, scene, radio and channel."""
+"""Models of the paper's Sec. II: motion, measurement, scene, radio and channel."""

@@ -1,7 +1,7 @@
-"""What the channel does to the links in an epoch: shadowing, blockage, multipath, detection.
+"""Effects of the channel on the links: shadowing, blockage, multipath and detection.
 
-Functions of numbers, like the filters, so that episodes are simulated on lanes. All
-randomness comes in as draws; what lasts from epoch to epoch is a :class:`ChannelState`.
+The channel is written as functions of numbers, like the filters, so that episodes are simulated
+on lanes. All randomness is passed in as draws; a :class:`ChannelState` lasts between epochs.
 """
 
 import math
@@ -16,23 +16,23 @@ from mmwave_env.numerics.random import Dice
 
 
 class DisturbanceParams(NamedTuple):
-    """A two-state Markov chain per link, and what it does to a link while it lasts."""
+    """Parameters of a link's spells (blockage or multipath) and of the biases during a spell."""
 
-    end: Number  # probability to end within a step
-    # constant_m, mean_m: range bias: the constant plus an exponential of this mean
+    end: Number  # probability that a spell ends within a step
+    # constant_m, mean_m: the range bias is the constant plus an exponential of this mean
     constant_m: Number
     mean_m: Number
     angle_rad: Number  # standard deviation of the angle biases
 
 
 class Channel(NamedTuple):
-    """A radio in a scene, over a step: all that an epoch of the channel depends on."""
+    """A radio in a scene, for steps of one length: the parameters of an epoch of the channel."""
 
     offset_db: list[Number]  # (L,) SNR at 1 m
-    # shadowing_db, correlation: of log-normal shadowing, AR(1) over a step
+    # shadowing_db, correlation: log-normal shadowing, AR(1) over a step
     shadowing_db: Number
     correlation: Number
-    # blockage, multipath: spells
+    # blockage, multipath: parameters of their spells
     blockage: DisturbanceParams
     multipath: DisturbanceParams
     # blockage_scale, blockage_base, blockage_per_m, blockage_limit, blockage_loss_db: see
@@ -46,21 +46,21 @@ class Channel(NamedTuple):
     multipath_onset: Number
     outage_onset: Number
     outage_end: Number
-    # detection_snr_db, detection_slope_db: of the logistic probability of detection
+    # detection_snr_db, detection_slope_db: parameters of the logistic probability of detection
     detection_snr_db: Number
     detection_slope_db: Number
     # floor_variance, bound_variance: (rows,) noise floor, and Cramer-Rao bound at 0 dB
     floor_variance: list[Number]
     bound_variance: list[Number]
-    # spread_gain_hz, spread_sigma, spread_floor_hz: of the Doppler spread
+    # spread_gain_hz, spread_sigma, spread_floor_hz: parameters of the Doppler spread
     spread_gain_hz: Number
     spread_sigma: Number
     spread_floor_hz: Number
-    odometry_slowest_mps: Number  # below it odometry is missing
+    odometry_slowest_mps: Number  # below this speed odometry is missing
 
 
 def channel_of(radio: Radio, scene: Scene, layout: Layout, dt: float) -> Channel:
-    """The channel of a radio in a scene, for steps of ``dt`` seconds."""
+    """Return the channel of a radio in a scene, for steps of ``dt`` seconds."""
     floor, bound = radio.variances(scene, layout)
     loss = 32.4 + 20.0 * math.log10(scene.carrier_hz / 1e9)  # 3GPP TR 38.901, UMi, at 1 m
     at_1_m = radio.link_budget_db - loss - radio.thermal_noise_dbm(scene.bandwidth_hz)
@@ -96,30 +96,30 @@ def channel_of(radio: Radio, scene: Scene, layout: Layout, dt: float) -> Channel
 
 
 class Disturbance(NamedTuple):
-    """A spell of one link."""
+    """A spell of blockage or multipath on one link."""
 
-    on: Number  # 1 while it lasts
-    bias: list[Number]  # (4,) of the link's rows while it lasts, drawn when it began: m, rad
+    on: Number  # 1 while the spell lasts
+    bias: list[Number]  # (4,) biases of the link's rows during the spell, drawn as it began: m, rad
 
 
 class ChannelState(NamedTuple):
-    """What lasts from epoch to epoch."""
+    """The part of the channel that lasts from epoch to epoch."""
 
-    shadowing: list[Number]  # (L,) in standard deviations
-    # blockage, multipath: per link
+    shadowing: list[Number]  # (L,) shadowing in standard deviations
+    # blockage, multipath: (L,) spell of each link
     blockage: list[Disturbance]
     multipath: list[Disturbance]
     outage: Number  # 1 while all links are lost
 
 
 def initial_state(anchors: int) -> ChannelState:
-    """The weather before the first epoch."""
+    """Return the state of the channel before the first epoch."""
     still = Disturbance(0.0, [0.0] * 4)
     return ChannelState([0.0] * anchors, [still] * anchors, [still] * anchors, 0.0)
 
 
 class ChannelDraws(NamedTuple):
-    """The randomness of an epoch."""
+    """Random numbers of an epoch."""
 
     shadowing: list[Number]  # (L,) normals
     # blockage, multipath: (L,) uniforms in [0, 1)
@@ -133,13 +133,13 @@ class ChannelDraws(NamedTuple):
     blockage_angles: list[list[Number]]
     multipath_angles: list[list[Number]]
     detection: list[Number]  # (L,) uniforms
-    # scatter, floor: normals of the Doppler spread
+    # scatter, floor: normals for the Doppler spread
     scatter: Number
     floor: Number
 
 
 def draw_channel(dice: Dice, anchors: int) -> ChannelDraws:
-    """The randomness of an epoch for so many links."""
+    """Draw the random numbers of an epoch for the given number of anchors."""
 
     def each(draw: Callable[[], Number]) -> list[Number]:
         return [draw() for _ in range(anchors)]
@@ -163,16 +163,16 @@ def draw_channel(dice: Dice, anchors: int) -> ChannelDraws:
 
 
 class Reception(NamedTuple):
-    """What a receiver has of an epoch."""
+    """The channel's effect on the reception of an epoch."""
 
     snr_db: list[Number]  # (L,)
-    detected: list[Number]  # (L,) 1 or 0
-    bias: list[list[Number]]  # (L, 4) added to the rows of each link
+    detected: list[Number]  # (L,) 1 where the link is detected, else 0
+    bias: list[list[Number]]  # (L, 4) biases added to the rows of each link
     doppler_spread_hz: Number  # Doppler spread
 
 
 def spell_goes_on(on: Number, uniform: Number, onset: Number, end: Number) -> Number:
-    """Whether a spell is on, one step after it was ``on``."""
+    """Return 1 if a spell is on one step after its state was ``on``, else 0."""
     return where(on > 0.5, where(uniform < end, 0.0, 1.0), where(uniform < onset, 1.0, 0.0))
 
 
@@ -184,7 +184,7 @@ def _disturb(
     far: Number,
     angles: Vector,
 ) -> Disturbance:
-    """A spell one epoch on; its biases are drawn in its first epoch."""
+    """Return a spell's state one epoch later; its biases are drawn in its first epoch."""
     on = spell_goes_on(before.on, uniform, onset, params.end)
     drawn = [params.constant_m + params.mean_m * far, *(params.angle_rad * a for a in angles)]
     lasts = before.on > 0.5
@@ -200,16 +200,16 @@ def channel_epoch(
     distance: Vector,
     speed: Number,
 ) -> tuple[ChannelState, Reception]:
-    """One epoch of the channel.
+    """Simulate one epoch of the channel.
 
     Args:
         channel: radio and scene.
-        before: weather in the epoch before; not looked at where ``is_first``.
-        is_first: whether the episode begins: the weather is then drawn from its stationary
-            distribution (multipath and outages: none).
-        draws: randomness.
-        distance: (L,) to every anchor, m.
-        speed: of the user, m/s.
+        before: state of the channel in the epoch before; ignored where ``is_first``.
+        is_first: whether the episode begins: the state is then drawn from its stationary
+            distribution, without multipath and outages.
+        draws: random numbers of the epoch.
+        distance: (L,) distance of the user to every anchor, m.
+        speed: speed of the user, m/s.
     """
     c, rho = channel, channel.correlation
     innovation = sqrt(1.0 - rho * rho)

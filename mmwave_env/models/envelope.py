@@ -1,9 +1,9 @@
-"""The envelope: numbers that the filters are sound for, each at its ends and any two at theirs.
+"""The envelope: ranges of numbers within which the filters are sound, also at any two ends at once.
 
-Outside of it an episode or a mode is refused by name. A double has 16 digits, and an update adds
-what a measurement says, P / sigma^2, to 1: where a prior deviates a hundred million times as much
-as the noise in one direction and not in another, nothing is left of the other. The ends stand far
-from anything a receiver gives; tests/engines/test_extremes.py tries them.
+An episode or a mode outside the envelope is refused, and the message names the number. A double
+has 16 digits, and an update adds a measurement's information, P / sigma^2, to 1: where the prior's
+deviation is 1e8 times the noise in one direction but not in another, the digits of the other are
+lost. The ends are far from anything a receiver gives; tests/engines/test_extremes.py tries them.
 """
 
 from mmwave_env.records import between

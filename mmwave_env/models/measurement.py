@@ -1,8 +1,8 @@
-"""What an epoch measures: the layout of the vector and the geometry behind it (paper, Sec. II-B).
+"""The measurement of an epoch: the layout of its vector and its geometry (paper, Sec. II-B).
 
-For each anchor l = 1..L a *link* of four rows [range, azimuth and elevation of arrival,
-azimuth of departure], then the Doppler shift of anchor 1, then, optionally, odometry
-[speed, heading]. Inside the package time of arrival is carried as range c tau in meters,
+The vector holds for each anchor l = 1..L a *link* of four rows [range, azimuth and elevation of
+arrival, azimuth of departure], then the Doppler shift of anchor 1, then, optionally, odometry
+[speed, heading]. Inside the package the time of arrival is given as the range c tau in meters,
 angles are in radians and the Doppler shift is in hertz:
 
     d = (f_c / c) v . (p - p1) / |p - p1| + b
@@ -12,13 +12,13 @@ its sign (positive while the range grows).
 
 Each *group* (a link, the Doppler, the odometry) is gated on its own and is present or
 missing as a whole. A group is described by three things: its value, its Jacobian, and its
-exact change under a finite step of the state, which sigma points need and which never
+exact change under a finite step of the state. Sigma points need the change, which never
 crosses the cut of an angle.
 
-Straight below or above an anchor there is no azimuth, and at the anchor no direction at all: the
-tangent's azimuth grows as one over the horizontal distance, and what a filter learns from it as
-the square of that. Lengths up to :data:`NEAREST_M` count as none, and a direction that is not there
-tells nothing: innovation, gradient and change of its rows are 0.
+Straight below or above an anchor no azimuth is defined, and at the anchor no direction at all: the
+gradient of the azimuth grows as one over the horizontal distance, and the information that a filter
+takes from it as the square. Lengths up to :data:`NEAREST_M` therefore count as 0, and an undefined
+direction carries no information: innovation, gradient and change of its rows are 0.
 """
 
 from collections.abc import Callable
@@ -46,14 +46,14 @@ SPEED_OF_LIGHT = 299_792_458.0  # m/s
 STATE = ("px", "py", "pz", "vx", "vy", "vz", "b")  # m, m/s, Hz
 STATE_SIZE = len(STATE)
 LINK = ("range_m", "aoa_azimuth_rad", "aoa_elevation_rad", "aod_azimuth_rad")
-# Millimeters are below what an antenna's place means, and far above rounding at 1000 km (1e-10 m).
+# An antenna's position is not known to a millimeter; rounding at 1000 km is far smaller (1e-10 m).
 NEAREST_M = 1e-3
-_SLOWEST_ODOMETRY = 1e-3  # m/s; keeps heading and speed differentiable at rest
+_SLOWEST_ODOMETRY = 1e-3  # m/s; lower limit that keeps heading and speed differentiable at rest
 
 
 @dataclass(frozen=True)
 class Layout:
-    """Where each number of a measurement vector stands.
+    """The layout of a measurement vector: which number stands in which row.
 
     Attributes:
         anchors: number of anchors L >= 1, the physical gNB first.
@@ -65,21 +65,21 @@ class Layout:
 
     @property
     def size(self) -> int:
-        """Number of rows: 4 L + 1, and 2 more with odometry."""
+        """Return the number of rows: 4 L + 1, and 2 more with odometry."""
         return 4 * self.anchors + 1 + 2 * self.odometry
 
     @property
     def doppler(self) -> int:
-        """Row of the Doppler shift."""
+        """Return the row of the Doppler shift."""
         return 4 * self.anchors
 
     def link(self, anchor: int) -> slice:
-        """Rows of an anchor's link, counted from 0."""
+        """Return the rows of the link of an anchor; anchors are counted from 0."""
         return slice(4 * anchor, 4 * anchor + 4)
 
     @cached_property
     def groups(self) -> list[slice]:
-        """Rows of each group, in order: links, Doppler, odometry."""
+        """Return the rows of each group, in order: links, Doppler, odometry."""
         rows = [self.link(a) for a in range(self.anchors)]
         rows.append(slice(self.doppler, self.doppler + 1))
         if self.odometry:
@@ -88,18 +88,18 @@ class Layout:
 
     @cached_property
     def widths(self) -> list[int]:
-        """Number of rows of each group."""
+        """Return the number of rows of each group."""
         return [rows.stop - rows.start for rows in self.groups]
 
     @property
     def group_names(self) -> list[str]:
-        """A name for each group, for tables and messages."""
+        """Return a name for each group, for tables and messages."""
         names = [f"anchor {a + 1}" for a in range(self.anchors)]
         return names + ["Doppler"] + ["odometry"] * self.odometry
 
     @cached_property
     def angles(self) -> list[int]:
-        """Rows that are angles, whose differences wrap."""
+        """Return the rows that are angles, whose differences wrap."""
         rows = [4 * a + i for a in range(self.anchors) for i in (1, 2, 3)]
         return rows + [self.doppler + 2] * self.odometry
 
@@ -107,14 +107,14 @@ class Layout:
 def wrap_angles(measurement: NDArray[np.float64], layout: Layout) -> None:
     """Move the angles of measurements (T, rows) into [-pi, pi), in place.
 
-    Those that are there already stay as they are, to the bit.
+    Angles within the interval keep their value, to the bit.
     """
     rows = layout.angles
     measurement[:, rows] = wrapped(measurement[:, rows])
 
 
 def wrapped(angles: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Angles of any size, moved into [-pi, pi) where they are not there already."""
+    """Return angles of any size moved into [-pi, pi); angles within it keep their value."""
     moved = np.remainder(angles + PI, 2.0 * PI) - PI
     return np.where((angles >= -PI) & (angles < PI), angles, moved)
 
@@ -122,12 +122,12 @@ def wrapped(angles: NDArray[np.float64]) -> NDArray[np.float64]:
 def whole_groups(
     measurement: NDArray[np.float64], heard: NDArray[np.bool_], layout: Layout
 ) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-    """Groups (T, groups) of which all was measured, and those of which only some was.
+    """Return which groups (T, groups) were measured in full, and which only in part.
 
     Args:
         measurement: (T, rows), NaN where not measured.
-        heard: (T, L) links whose strength is known, from which follows the noise of their rows;
-            that of the Doppler shift follows from the first.
+        heard: (T, L) whether a link's strength is known, which gives the noise of its rows;
+            the first link's strength also gives the noise of the Doppler shift.
         layout: rows and groups.
     """
     starts = [group.start for group in layout.groups]
@@ -139,13 +139,13 @@ def whole_groups(
 
 
 class Measurement(NamedTuple):
-    """One epoch as an estimator sees it; ``layout`` says where its rows stand.
+    """The measurement of one epoch as an estimator sees it; ``layout`` describes its rows.
 
     Attributes:
         anchors: (L, 3) positions, meters.
         hz_per_mps: carrier frequency over the speed of light, hertz per m/s.
-        z: (rows,) values; anything finite where missing.
-        variance: (rows,) noise variances, squared units of z; positive, also where missing.
+        z: (rows,) measured values; any finite number where missing.
+        variance: (rows,) noise variances in squared units of z; positive, also where missing.
         visible: (groups,) 1 where the group was measured, else 0.
         layout: where each row stands.
     """
@@ -159,15 +159,15 @@ class Measurement(NamedTuple):
 
 
 class Group(NamedTuple):
-    """One group's measurement function h, seen from the prior mean x.
+    """The measurement function h of one group, expanded at the prior mean x.
 
     Attributes:
         innovation: (k,) z - h(x), angles wrapped.
         variance: (k,) noise variances.
         jacobian: (k, 7) dh/dx; structural zeros where h does not depend on the state.
         change: the exact h(x + step) - h(x) for a step of the state (7,).
-        curved: h is linear in the state but for its first ``curved`` components.
-        spare_nis, spare_determinant: NIS and determinant of what was fused away.
+        curved: h is nonlinear in the first ``curved`` components of the state only.
+        spare_nis, spare_determinant: NIS and determinant of the difference that fusing drops.
     """
 
     innovation: Vector
@@ -180,13 +180,13 @@ class Group(NamedTuple):
 
 
 def norms(d: Vector) -> tuple[Number, Number]:
-    """Horizontal and full length of a vector (3,)."""
+    """Return the horizontal and the full length of a vector (3,)."""
     squared = d[0] * d[0] + d[1] * d[1]
     return sqrt(squared), sqrt(squared + d[2] * d[2])
 
 
 def direction(d: Vector) -> tuple[Number, Number, Number]:
-    """Range (m), azimuth and elevation (rad) of p - anchor (paper, eqs. for ToA and AoA)."""
+    """Return range (m), azimuth, elevation (rad) of p - anchor (paper, eqs. for ToA and AoA)."""
     horizontal, distance = norms(d)
     return distance, atan2(d[1], d[0]), atan2(d[2], horizontal)
 
@@ -194,10 +194,10 @@ def direction(d: Vector) -> tuple[Number, Number, Number]:
 def seen_from_image(
     azimuth: Number, elevation: Number, station: Vector, image: Vector
 ) -> tuple[Number, Number]:
-    """A direction (rad) at the base station (3,) as its mirror image (3,) in a wall sees it.
+    """Mirror a direction (rad) at the base station (3,) to its image (3,) behind a wall.
 
-    What leaves the station towards the wall leaves the image in the direction d - 2 (d.n) n, with
-    n along image - station, and goes straight on; where both are one there is no wall.
+    A ray leaves the station in the direction d and the image in the direction d - 2 (d.n) n,
+    with n along image - station; where the image is the station itself, there is no wall.
     """
     n = [image[i] - station[i] for i in range(3)]
     (cos_az, sin_az), (cos_el, sin_el) = cos_sin(azimuth), cos_sin(elevation)
@@ -209,26 +209,26 @@ def seen_from_image(
 
 
 def range_rate(d: Vector, velocity: Vector) -> Number:
-    """Rate of change of |d|, m/s, for an anchor at rest; 0 at the anchor itself."""
+    """Return the rate of change of |d|, m/s, for an anchor at rest; 0 at the anchor itself."""
     along = d[0] * velocity[0] + d[1] * velocity[1] + d[2] * velocity[2]
     return along / maximum(norms(d)[1], NEAREST_M)
 
 
 def _inverse(length: Number) -> Number:
-    """1 / length, or 0 where it counts as none, so that no gradient hangs on it."""
+    """Return 1 / length, or 0 where the length counts as 0, so that gradients vanish there."""
     return where(length > NEAREST_M, 1.0 / maximum(length, NEAREST_M), 0.0)
 
 
 def exact_rows(
     position: Vector, velocity: Vector, anchors: Matrix, hz_per_mps: Number, layout: Layout
 ) -> list[Number]:
-    """Noise-free measurement (rows,) of a user, without oscillator bias: m, rad, Hz, m/s.
+    """Compute a user's noise-free measurement (rows,), without oscillator bias: m, rad, Hz, m/s.
 
     Args:
         position, velocity: (3,) m, m/s.
         anchors: (L, 3) m.
         hz_per_mps: carrier frequency over the speed of light.
-        layout: whether odometry follows.
+        layout: says whether odometry follows.
     """
     rows: list[Number] = []
     for anchor in anchors:
@@ -244,12 +244,12 @@ def exact_rows(
 
 
 def link_group(x: Vector, anchor: Vector, z: Vector, variance: Vector) -> Group:
-    """The four rows of a link as three: range, one azimuth, elevation.
+    """Return the group of a link, its four rows fused to three: range, azimuth and elevation.
 
-    Azimuths of arrival and departure (which differ by pi, paper Sec. II-B) are two looks at
-    one bearing; fused, they are one row with variance ra rd / (ra + rd). What fusing drops
-    is their disagreement, with variance ra + rd, which no state explains. All four rows stand in
-    ``tests/filters/textbook.py`` (``Sensor``).
+    The azimuths of arrival and departure (which differ by pi, paper Sec. II-B) both measure one
+    bearing; fused, they are one row with variance ra rd / (ra + rd). Fusing drops their difference,
+    which has variance ra + rd and does not depend on the state. ``tests/filters/textbook.py``
+    (``Sensor``) has all four rows.
     """
     d = [x[i] - anchor[i] for i in range(3)]
     distance, azimuth, elevation = direction(d)
@@ -298,7 +298,7 @@ def link_group(x: Vector, anchor: Vector, z: Vector, variance: Vector) -> Group:
 def doppler_group(
     x: Vector, anchor: Vector, hz_per_mps: Number, z: Vector, variance: Vector
 ) -> Group:
-    """The Doppler shift of the physical anchor, hertz; linear in velocity and bias."""
+    """Return the group of the Doppler shift (Hz) of the physical anchor, linear in v and bias."""
     d, v = [x[i] - anchor[i] for i in range(3)], x[3:6]
     distance = norms(d)[1]
     inverse, told = _inverse(distance), where(distance > NEAREST_M, 1.0, 0.0)
@@ -322,9 +322,9 @@ def doppler_group(
 
 
 def odometry_group(x: Vector, z: Vector, variance: Vector) -> Group:
-    """Speed |v| (m/s) and heading atan2(vy, vx) (rad) of the user's own odometry.
+    """Return the group of the user's odometry: speed |v| (m/s) and heading atan2(vy, vx) (rad).
 
-    At rest, where a heading means nothing, it counts as 0.
+    At rest, where the heading is undefined, it counts as 0.
     """
     v = x[3:6]
     horizontal, speed = norms(v)
@@ -353,7 +353,7 @@ def odometry_group(x: Vector, z: Vector, variance: Vector) -> Group:
 
 
 def groups_of(x: Vector, m: Measurement) -> list[Group]:
-    """Every group of an epoch, seen from the prior mean x (7,): links, Doppler, odometry."""
+    """Return every group of an epoch, expanded at prior mean x (7,): links, Doppler, odometry."""
     rows = m.layout.groups
     links = [
         link_group(x, anchor, m.z[r], m.variance[r])
@@ -367,9 +367,9 @@ def groups_of(x: Vector, m: Measurement) -> list[Group]:
 
 
 class Epoch(NamedTuple):
-    """What an epoch brings to the estimator; missing groups hold anything finite."""
+    """The input of an estimator in an epoch; missing groups hold any finite numbers."""
 
-    dt: Number  # seconds since the epoch before; 0 in the first epoch, where the prior holds
+    dt: Number  # seconds since the epoch before; 0 in the first epoch, for which the prior is given
     z: list[Number]  # (rows,) measured values: m, rad, Hz, m/s
     sigma: list[Number]  # (rows,) their standard deviations, positive
     visible: list[Number]  # (groups,) 1 where measured, else 0
@@ -378,7 +378,7 @@ class Epoch(NamedTuple):
 
 
 class Site(NamedTuple):
-    """What stays the same through an episode."""
+    """Constants of an episode: anchors, carrier and prior."""
 
     anchors: list[list[Number]]  # (L, 3) positions, m
     hz_per_mps: Number  # carrier frequency over the speed of light
@@ -387,7 +387,7 @@ class Site(NamedTuple):
 
 
 def blank_site(layout: Layout) -> Site:
-    """A site that is sound but nowhere, to be overwritten."""
+    """Return a placeholder site with sound numbers, to be overwritten."""
     prior = [float(i == j) for i in range(STATE_SIZE) for j in range(i + 1)]
     anchors = [[0.0, 0.0, 10.0 + a] for a in range(layout.anchors)]
     return Site(anchors, 1.0, [1.0] * STATE_SIZE, prior)

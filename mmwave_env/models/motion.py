@@ -6,13 +6,13 @@ from mmwave_env.models.measurement import STATE_SIZE
 from mmwave_env.numerics.linalg import symmetric
 from mmwave_env.numerics.numbers import Matrix, Number, Vector, cos_sin, maximum, sqrt, where
 
-STANDING_MPS = 0.2  # a velocity much below it has no direction to accelerate in
+STANDING_MPS = 0.2  # a velocity much below this speed has no direction to accelerate in
 _SHORTEST_S = 1e-9
-_LEAST_RAD = 1e-9  # the arc of a smaller angle is straight to the last digit
+_LEAST_RAD = 1e-9  # the arc of a smaller angle is straight, to the last digit
 
 
 class ProcessNoise(NamedTuple):
-    """Q as its non-zero entries."""
+    """The non-zero entries of the process noise covariance Q."""
 
     diagonal: list[Number]  # (7,) variances, m^2, (m/s)^2 and Hz^2
     coupling: list[Number]  # (3,) covariances of position and velocity per axis, m^2/s
@@ -21,7 +21,7 @@ class ProcessNoise(NamedTuple):
 def white_noise_acceleration(
     position: Vector, velocity: Vector, bias: Number, dt: Number, coupling: Number
 ) -> ProcessNoise:
-    """Q over a step from variances per second.
+    """Return the process noise covariance Q over a step, given variances per second.
 
     With ``coupling`` 1 the velocity noise q = velocity dt moves the position as a constant
     acceleration over the step does, [[q dt^2 / 4, q dt / 2], [q dt / 2, q]] (discrete
@@ -43,19 +43,19 @@ def white_noise_acceleration(
 
 
 def move(x: Vector, dt: Number) -> list[Number]:
-    """F x: the mean one step on."""
+    """Return F x, the mean one step later."""
     return [x[i] + dt * x[i + 3] if i < 3 else x[i] for i in range(STATE_SIZE)]
 
 
 def accelerate(x: Vector, acceleration: Number, dt: Number) -> list[Number]:
-    """The mean (7,) after a step with a known acceleration along the horizontal velocity.
+    """Return the mean (7,) after a step with a known acceleration along the horizontal velocity.
 
-    A known input in the terms of Bar-Shalom et al. 2001, Sec. 5.2: it moves the mean, and leaves
-    the covariance as constant velocity has it. Braking ends at a standstill.
+    The acceleration is a known input in the terms of Bar-Shalom et al. 2001, Sec. 5.2: it changes
+    the mean, but not the covariance of the constant-velocity model. Braking ends at a standstill.
 
     Args:
-        x: where constant velocity would lead to, (7,).
-        acceleration: m/s^2; below zero brakes.
+        x: (7,) mean after the step at constant velocity.
+        acceleration: m/s^2; a negative value brakes.
         dt: step, seconds.
     """
     v = x[3:5]
@@ -67,13 +67,13 @@ def accelerate(x: Vector, acceleration: Number, dt: Number) -> list[Number]:
 
 
 def turn(x: Vector, rate: Number, dt: Number) -> list[Number]:
-    """The mean (7,) after a step with a known turn rate: along an arc, at the same speed.
+    """Return the mean (7,) after a step with a known turn rate: along an arc, at the same speed.
 
-    The coordinated turn of Bar-Shalom et al. 2001, Sec. 11.7.1, taken as a known input: it moves
-    the mean, and leaves the covariance as constant velocity has it.
+    This is the coordinated turn of Bar-Shalom et al. 2001, Sec. 11.7.1, as a known input: it moves
+    the mean, but not the covariance of the constant-velocity model.
 
     Args:
-        x: where constant velocity would lead to, (7,).
+        x: (7,) mean after the step at constant velocity.
         rate: rad/s, positive to the left.
         dt: step, seconds.
     """
@@ -89,13 +89,13 @@ def turn(x: Vector, rate: Number, dt: Number) -> list[Number]:
 
 
 def transition_times(P: Matrix, dt: Number) -> list[list[Number]]:
-    """F P."""
+    """Return F P."""
     n = STATE_SIZE
     return [[P[i][j] + dt * P[i + 3][j] if i < 3 else P[i][j] for j in range(n)] for i in range(n)]
 
 
 def predict_covariance(P: Matrix, noise: ProcessNoise, dt: Number) -> list[list[Number]]:
-    """F P F' + Q."""
+    """Return F P F' + Q."""
     FP = transition_times(P, dt)
 
     def entry(i: int, j: int) -> Number:

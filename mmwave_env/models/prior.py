@@ -1,4 +1,4 @@
-"""Where a track begins: the state before the first epoch, and how well it is known."""
+"""The prior of a track: mean and covariance of the state at the first epoch."""
 
 import math
 
@@ -8,16 +8,16 @@ from mmwave_env.models.radio import Radio
 from mmwave_env.models.scene import Scene
 from mmwave_env.numerics.numbers import PI, Array, wrap
 
-GAP_S = 15.0  # the longest that is bridged: of 100 vehicles none is lost in 10 s, some are in 20 s
+GAP_S = 15.0  # longest bridged gap: none of 100 vehicles is lost in 10 s, some are lost in 20 s
 STEEPEST_FIX_RAD = math.radians(85.0)  # 2.5 deviations of a handset's elevation from the vertical
-# Horizontal, per axis, of a user nobody knows: twice that is the 20 m/s the filters are made for.
+# Horizontal deviation per axis for an unknown user: twice this is the filters' limit of 20 m/s.
 UNKNOWN_VELOCITY_MPS = 10.0
 
 
 def draw_prior(
     truth: Array, radio: Radio, scene: Scene, rng: np.random.Generator
 ) -> tuple[Array, Array]:
-    """Mean (7,) drawn around the true state (7,), and covariance (7, 7)."""
+    """Draw a mean (7,) around the true state (7,); return it with its covariance (7, 7)."""
     covariance = radio.prior_covariance(scene)
     return truth + np.sqrt(np.diag(covariance)) * rng.standard_normal(7), covariance
 
@@ -25,9 +25,9 @@ def draw_prior(
 def prior_from_fix(
     anchor: Array, link: Array, sigma: Array, radio: Radio, scene: Scene
 ) -> tuple[Array, Array]:
-    """Mean (7,) and covariance (7, 7) from one link (4,) to an anchor (3,); at rest.
+    """Return mean (7,), at rest, and covariance (7, 7) from one link (4,) to an anchor (3,).
 
-    Position a + r (cos el cos az, cos el sin az, sin el), noise propagated to first order.
+    The position is a + r (cos el cos az, cos el sin az, sin el), its noise is of first order.
     """
     distance, azimuth, elevation, departure = link
     arrival_variance, departure_variance = sigma[1] ** 2, sigma[3] ** 2

@@ -1,8 +1,8 @@
-"""Radio profiles: link budget, noise, and how often a channel disturbs them.
+"""Radio profiles: link budget, noise, and the rates of the channel's disturbances.
 
-Noise is a floor (calibration, array errors) and the Cramer-Rao bound at the link's SNR, in
-quadrature. Blockage lowers the SNR and biases a link, multipath biases it silently; the
-filters are told neither.
+The noise is a floor (calibration, array errors) plus the Cramer-Rao bound at the link's SNR, in
+quadrature. Blockage lowers the SNR of a link and biases it, multipath biases it at the same SNR;
+the filters are told about neither.
 """
 
 import math
@@ -144,23 +144,23 @@ class Radio:
 
     @property
     def link_budget_db(self) -> float:
-        """SNR at no path loss, before the thermal noise of the bandwidth."""
+        """Return the received power at no path loss, in dBm."""
         return self.transmit_dbm + self.gnb_gain_db + self.ue_gain_db - self.implementation_loss_db
 
     def thermal_noise_dbm(self, bandwidth_hz: float) -> float:
-        """Noise of the receiver, its figure included."""
+        """Return the thermal noise power of the receiver, including its noise figure."""
         return -174.0 + 10.0 * math.log10(bandwidth_hz) + self.noise_figure_db
 
     def snr_db(self, path_gain_db: Array, bandwidth_hz: float) -> Array:
-        """SNR of links with the given path gain (negative, dB)."""
+        """Return the SNR of links with the given path gain (negative, dB)."""
         return self.link_budget_db + path_gain_db - self.thermal_noise_dbm(bandwidth_hz)
 
     def path_gain_db(self, snr_db: Array, bandwidth_hz: float) -> Array:
-        """Path gain (dB) of links with the given SNR: :meth:`snr_db` the other way."""
+        """Return the path gain (dB) of links with the given SNR, the inverse of :meth:`snr_db`."""
         return snr_db - self.link_budget_db + self.thermal_noise_dbm(bandwidth_hz)
 
     def variances(self, scene: Scene, layout: Layout) -> tuple[list[float], list[float]]:
-        """Noise floor, and Cramer-Rao bound at 0 dB, of every row: m^2, rad^2, Hz^2."""
+        """Return every row's noise floor, and its Cramer-Rao bound at 0 dB: m^2, rad^2, Hz^2."""
         range_bound = SPEED_OF_LIGHT / (2.0 * math.pi * scene.bandwidth_hz / math.sqrt(12.0))
         arrival, departure = (
             self._angle_bound(self.ue_elements),
@@ -179,17 +179,17 @@ class Radio:
         return [f * f for f in floor], bound
 
     def sigma(self, snr_db: Array, scene: Scene, layout: Layout) -> Array:
-        """Standard deviations (T, rows) of every row at SNRs (T, L): m, rad, Hz."""
+        """Return the standard deviations (T, rows) of every row at SNRs (T, L): m, rad, Hz."""
         rows = deviations(*self.variances(scene, layout), list(snr_db.T), layout)
         return np.stack(rows, axis=1)
 
     @staticmethod
     def _angle_bound(elements: int) -> float:
-        # A single element has no aperture; two are the least that measure an angle.
+        # A single element has no aperture; at least two are needed to measure an angle.
         return 6.0 / ((max(elements, 2) ** 2 - 1.0) * math.pi**2)
 
     def prior_covariance(self, scene: Scene) -> Array:
-        """P0 (7, 7) of the state at the first epoch."""
+        """Return the covariance P0 (7, 7) of the state at the first epoch."""
         p, v = self.prior_position_m, self.prior_velocity_mps
         bias_hz = self.prior_bias_mps * scene.hz_per_mps
         deviations = [p, p, self.prior_height_m, v, v, self.prior_vertical_mps, bias_hz]
@@ -226,10 +226,10 @@ RADIOS: dict[str, Radio] = {
 
 
 def radio_from(radio: str | os.PathLike[str] | Radio) -> Radio:
-    """The profile of a ``radio=`` argument: a name, a JSON file or a Radio.
+    """Return the profile of a ``radio=`` argument: a name, a JSON file or a Radio.
 
     Raises:
-        ValueError: unknown name, or a file that holds something else than :func:`read_radio` reads.
+        ValueError: the name is unknown, or :func:`read_radio` refuses the file.
     """
     if isinstance(radio, Radio):
         return radio
@@ -239,14 +239,14 @@ def radio_from(radio: str | os.PathLike[str] | Radio) -> Radio:
 
 
 def read_radio(path: str | os.PathLike[str]) -> Radio:
-    """A radio from a JSON file: fields of :class:`Radio`, where they differ from those of "base".
+    """Read a radio from a JSON file: the fields of :class:`Radio` that differ from those of "base".
 
-    "base" is the name of a shipped profile, by default "standard"; "name" is by default that of the
-    file. An angle may be given in degrees, by "_deg" in place of "_rad" at the end of its name.
+    "base" is the name of a shipped profile, by default "standard"; "name" is by default the file's
+    name. An angle may be given in degrees under a name that ends in "_deg" instead of "_rad".
 
     Raises:
-        ValueError: naming the file and what is wrong in it.
-        FileNotFoundError: there is no such file.
+        ValueError: the file is wrong; the message names the file and the error.
+        FileNotFoundError: the file does not exist.
     """
 
     def make(content: dict[str, Any]) -> Radio:
@@ -262,7 +262,7 @@ def read_radio(path: str | os.PathLike[str]) -> Radio:
 
 
 def _in_radians(content: dict[str, Any]) -> dict[str, Any]:
-    """The content of a radio's file, with its angles in radians."""
+    """Return the content of a radio's file, with its angles in radians."""
     given: dict[str, Any] = {}
     for key, value in content.items():
         angle = f"{key.removesuffix('_deg')}_rad"
@@ -277,7 +277,7 @@ def _in_radians(content: dict[str, Any]) -> dict[str, Any]:
 def oscillator_bias(
     radio: Radio, hz_per_mps: float, time_s: Array, rng: np.random.Generator
 ) -> Array:
-    """The residual carrier offset (T,) at times (T,), Hz: a random walk."""
+    """Draw the residual carrier offset (T,) at times (T,), Hz: a random walk."""
     first = radio.prior_bias_mps * rng.standard_normal()
     steps = radio.drift_mps * np.sqrt(np.diff(time_s)) * rng.standard_normal(len(time_s) - 1)
     return hz_per_mps * (first + np.concatenate([[0.0], np.cumsum(steps)]))
@@ -286,7 +286,7 @@ def oscillator_bias(
 def doppler_spread(
     radio: Radio, hz_per_mps: float, speed_mps: Array, rng: np.random.Generator
 ) -> Array:
-    """Measured Doppler spread (T,) at speeds (T,), Hz; blind below about 1 m/s."""
+    """Draw the measured Doppler spread (T,) at speeds (T,), Hz; below 1 m/s noise dominates."""
     scatter = np.exp(radio.spread_sigma * rng.standard_normal(len(speed_mps)))
     floor = radio.spread_floor_mps * np.abs(rng.standard_normal(len(speed_mps)))
     return hz_per_mps * (radio.spread_gain * speed_mps * scatter + floor)
@@ -295,12 +295,12 @@ def doppler_spread(
 def deviations(
     floor_variance: Vector, bound_variance: Vector, snr_db: Vector, layout: Layout
 ) -> list[Number]:
-    """Standard deviations (rows,) at SNRs (L,): floor and Cramer-Rao bound in quadrature.
+    """Return standard deviations (rows,) at SNRs (L,): floor and Cramer-Rao bound in quadrature.
 
     Args:
         floor_variance, bound_variance: (rows,) as :meth:`Radio.variances` gives them.
-        snr_db: per link; the Doppler shift has that of the first.
-        layout: rows.
+        snr_db: (L,) SNR per link; the Doppler shift has the SNR of the first link.
+        layout: rows of the measurement vector.
     """
     inverse = [exp(-DECIBEL * clip(snr, *SNR_LIMITS_DB)) for snr in snr_db]
     per_row = [inverse[a] for a in range(layout.anchors) for _ in range(4)]

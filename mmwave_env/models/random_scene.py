@@ -1,4 +1,4 @@
-"""Scenes drawn at random: so that a switcher cannot learn one street by heart."""
+"""Random scenes, with which a switcher cannot learn one street by heart."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -27,10 +27,10 @@ Lengths = Annotated[tuple[Length, Length], "[low, high], each 0.001 to 10000 m"]
 
 @dataclass(frozen=True)
 class RandomScene:
-    """A net of streets, a base station at one of its crossings and two walls, all drawn.
+    """A random scene: a net of streets, a base station at one of its crossings and two walls.
 
     One wall closes the net to the north or south, the other to the east or west, so that every
-    scene has three anchors, as the scenes with names have. Ranges are uniform, in meters.
+    scene has three anchors, as the named scenes have. Ranges are in meters, drawn from uniformly.
 
     Attributes:
         name: shown in results.
@@ -60,13 +60,13 @@ class RandomScene:
 
     @property
     def example(self) -> Scene:
-        """One of the scenes; carrier, bandwidth and number of anchors are those of all."""
+        """Return one scene; all have the same carrier, bandwidth and number of anchors."""
         return self.scene_of(self.draw_numbers(Dice(seeded(0.0, 0))))
 
     def draw_numbers(self, dice: Dice) -> SceneNumbers:
-        """A scene in numbers; the order of drawing is part of what a key means."""
+        """Draw the numbers of a scene; the scene of a key depends on the order of the draws."""
         block, each = dice.uniform(*self.block_m), float(self.blocks + 1)
-        counts = floor(1.0 + (each * each - 1.0) * dice.uniform())  # not 0 blocks both ways
+        counts = floor(1.0 + (each * each - 1.0) * dice.uniform())  # never 0 blocks both ways
         east = floor((counts + 0.5) * (1.0 / each))
         extent, base, walls = [], [], []
         for count in (east, counts - each * east):
@@ -82,7 +82,7 @@ class RandomScene:
         return SceneNumbers(anchors, block, extent, [0.0, 0.0], self.user_height_m)
 
     def scene_of(self, numbers: SceneNumbers) -> Scene:
-        """The scene of the numbers that :meth:`draw_numbers` draws on floats."""
+        """Return the scene of numbers that :meth:`draw_numbers` drew as floats."""
         (x, y, height), west, south = numbers.anchors
         walls = Wall((1.0, 0.0), (west[0] + x) / 2.0), Wall((0.0, 1.0), (south[1] + y) / 2.0)
         east, north = numbers.extent_m
@@ -97,15 +97,15 @@ class RandomScene:
 
 
 def _either(dice: Dice) -> Number:
-    """1 or -1."""
+    """Draw 1 or -1 with equal probability."""
     return where(dice.uniform() < 0.5, 1.0, -1.0)
 
 
 def scenes_from(scene: str | Path | Scene | RandomScene) -> Scene | RandomScene:
-    """What episodes' scenes come from, by a ``scene=`` argument: "random", or one for all of them.
+    """Return the source of episodes' scenes for a ``scene=`` argument: "random", or one scene.
 
     Raises:
-        ValueError: unknown name, or a file that lacks a field or holds something else there.
+        ValueError: the name is unknown, or a field of the file is missing or wrong.
     """
     if isinstance(scene, RandomScene):
         return scene

@@ -1,7 +1,7 @@
-"""Streets: the base station, the walls that mirror it, and where users move.
+"""Scenes: a base station, the walls that mirror it, and the streets on which users move.
 
-A flat wall turns the physical anchor into a *virtual anchor*, its mirror image: a path with
-one reflection measures range and angles as if it came from there (paper, Sec. II).
+A flat wall turns the physical anchor into a *virtual anchor*, its mirror image: a path with one
+reflection measures range and angles as if it came from the mirror image (paper, Sec. II).
 """
 
 from collections.abc import Iterator
@@ -26,7 +26,7 @@ from mmwave_env.records import (
     require_ordered,
 )
 
-MOST_ANCHORS = 32  # they take a minute and a half to compile
+MOST_ANCHORS = 32  # so many anchors take a minute and a half to compile
 
 Coordinate = Annotated[float, POSITION_M]
 _EACH = f"each {POSITION_M.expected}"
@@ -55,17 +55,17 @@ class Wall:
 
     @property
     def unit_normal(self) -> tuple[float, float]:
-        """The normal with length 1."""
+        """Return the normal, scaled to length 1."""
         length = float(np.hypot(*self.normal))
         return self.normal[0] / length, self.normal[1] / length
 
     def signed_distance(self, point: Any) -> Any:
-        """Signed distance of a point, or of points (3, n), from the wall, m."""
+        """Return the signed distance of a point, or of points (3, n), from the wall, m."""
         nx, ny = self.unit_normal
         return nx * point[0] + ny * point[1] - self.offset_m
 
     def side_of(self, point: Point) -> str:
-        """The side of the wall that a point is on, in words: "y below 25 m"."""
+        """Describe the side of the wall that a point is on, in words such as "y below 25 m"."""
         nx, ny = self.unit_normal
         along = "y" if nx == 0.0 else "x" if ny == 0.0 else f"{nx:.3g} x {ny:+.3g} y"
         sign = nx + ny if along in ("x", "y") else 1.0  # the axis may point the other way
@@ -73,7 +73,7 @@ class Wall:
         return f"{along} {side} {sign * self.offset_m + 0.0:g} m"
 
     def mirror(self, point: Point) -> Point:
-        """The mirror image of a point."""
+        """Return the mirror image of a point."""
         nx, ny = self.unit_normal
         step = -2.0 * self.signed_distance(point)
         return (point[0] + step * nx, point[1] + step * ny, point[2])
@@ -109,14 +109,14 @@ class Streets:
 
 
 class SceneNumbers(NamedTuple):
-    """What a simulation needs to know of a scene; its numbers may be lanes."""
+    """The numbers of a scene that a simulation needs; they may be lanes."""
 
     anchors: list[list[Any]]  # (L, 3) positions, m
     block_m: Any  # distance of parallel streets
-    # extent_m, origin_m: of the net of streets, (2,): west to east, south to north; its corner
+    # extent_m, origin_m: (2,) size (west-east, south-north) and corner of the net of streets
     extent_m: list[Any]
     origin_m: list[Any]
-    height_m: Any  # of the user equipment
+    height_m: Any  # height of the user equipment
 
 
 @dataclass(frozen=True)
@@ -153,20 +153,20 @@ class Scene:
 
     @property
     def anchors_m(self) -> NDArray[np.float64]:
-        """Anchors (L, 3): the gNB, its image in each wall, then the other virtual anchors."""
+        """Return the anchors (L, 3): the gNB, its image in each wall, the other virtual anchors."""
         images = [wall.mirror(self.base_station_m) for wall in self.walls]
         return np.array([self.base_station_m, *images, *self.virtual_anchors_m], float)
 
     @property
     def streets_known(self) -> bool:
-        """Whether anybody said where the streets are: of recordings nobody knows."""
+        """Tell whether the streets are given; in recordings they are unknown."""
         return bool(self.walls) or self.streets != Streets()
 
     def require_streets_in_front(self) -> None:
         """Refuse streets behind a wall, where its mirror image can't be seen.
 
         Raises:
-            ValueError: naming the wall.
+            ValueError: streets are behind a wall, which the message names.
         """
         corners = [(x, y, 0.0) for x in self.streets.x_m for y in self.streets.y_m]
         for _, wall in self.behind_walls(np.array(corners)):
@@ -177,7 +177,7 @@ class Scene:
             )
 
     def behind_walls(self, points_m: NDArray[np.float64]) -> Iterator[tuple[int, Wall]]:
-        """Walls with points (n, 3) behind them or in them, and the first of these points."""
+        """Yield the number of the first of points (n, 3) behind or in a wall, and the wall."""
         for wall in self.walls:
             side = wall.signed_distance(self.base_station_m)
             behind = wall.signed_distance(points_m.T) * side <= 0.0
@@ -186,7 +186,7 @@ class Scene:
 
     @property
     def numbers(self) -> SceneNumbers:
-        """What a simulation needs."""
+        """Return the numbers that a simulation needs."""
         streets, anchors = self.streets, self.anchors_m.tolist()
         (west, east), (south, north) = streets.x_m, streets.y_m
         extent, origin = [east - west, north - south], [west, south]
@@ -194,7 +194,7 @@ class Scene:
 
     @property
     def hz_per_mps(self) -> float:
-        """Doppler shift of 1 m/s, f_c / c."""
+        """Return the Doppler shift of 1 m/s, f_c / c."""
         return self.carrier_hz / SPEED_OF_LIGHT
 
 
@@ -223,16 +223,16 @@ SCENES: dict[str, Scene] = {
 def scene_of_anchors(
     name: str, anchors_m: NDArray[np.float64], carrier_hz: float, bandwidth_hz: float
 ) -> Scene:
-    """A scene by its anchors (L, 3), the physical gNB first; walls and streets are not known."""
+    """Return a scene of anchors (L, 3), the physical gNB first, without walls and streets."""
     gnb, *virtual = [(float(x), float(y), float(z)) for x, y, z in anchors_m]
     return Scene(name, gnb, (), Streets(), carrier_hz, bandwidth_hz, tuple(virtual))
 
 
 def scene_from(scene: "str | Path | Scene") -> Scene:
-    """The scene of a ``scene=`` argument: a name, a JSON file or a Scene.
+    """Return the scene of a ``scene=`` argument: a name, a JSON file or a Scene.
 
     Raises:
-        ValueError: unknown name, or a file that lacks a field or holds something else there.
+        ValueError: the name is unknown, or a field of the file is missing or wrong.
     """
     if isinstance(scene, Scene):
         return scene
@@ -242,18 +242,18 @@ def scene_from(scene: "str | Path | Scene") -> Scene:
 
 
 def read_scene(path: Path) -> Scene:
-    """A scene from a JSON file, in one of two forms.
+    """Read a scene from a JSON file in one of two forms.
 
-    By its walls: base_station_m [x, y, z]; and, where they differ from the defaults, name,
-    walls (a list of {"normal": [x, y], "offset_m": d}), streets, carrier_hz, bandwidth_hz and
-    virtual_anchors_m (a list of [x, y, z]).
+    A scene with walls holds base_station_m [x, y, z]; and, where they differ from the defaults,
+    name, walls (a list of {"normal": [x, y], "offset_m": d}), streets, carrier_hz, bandwidth_hz
+    and virtual_anchors_m (a list of [x, y, z]).
 
-    By its anchors: anchors (a list of [x, y, z], the physical gNB first), carrier_hz and
-    bandwidth_hz; and, where they differ from the defaults, name and streets.
+    A scene of anchors holds anchors (a list of [x, y, z], the physical gNB first), carrier_hz
+    and bandwidth_hz; and, where they differ from the defaults, name and streets.
 
     Raises:
-        ValueError: naming the file and what is wrong in it.
-        FileNotFoundError: there is no such file.
+        ValueError: the file is wrong; the message names the file and the error.
+        FileNotFoundError: the file does not exist.
     """
     return read_object(
         path, "scene", lambda content: _scene({"name": as_name(path.stem)} | content)
@@ -261,7 +261,7 @@ def read_scene(path: Path) -> Scene:
 
 
 def scene_json(scene: Scene) -> dict[str, Any]:
-    """The scene as :func:`read_scene` reads it back: by its walls, or else by its anchors."""
+    """Return the scene as :func:`read_scene` reads it: with its walls, else with its anchors."""
     if scene.walls:
         return asdict(scene)
     anchors = tuple((x, y, z) for x, y, z in scene.anchors_m.tolist())
@@ -272,7 +272,7 @@ def scene_json(scene: Scene) -> dict[str, Any]:
 
 @dataclass(frozen=True)
 class AnchorScene:
-    """A scene file that lists its anchors.
+    """The content of a scene file that lists its anchors.
 
     Attributes:
         anchors: positions, the physical gNB first.
@@ -290,7 +290,7 @@ class AnchorScene:
 
 
 def _scene(content: dict[str, Any]) -> Scene:
-    """The scene of a file, in one of its two forms."""
+    """Return the scene of a file's content, in one of its two forms."""
     if "anchors" not in content:
         if "base_station_m" not in content:
             raise ValueError(

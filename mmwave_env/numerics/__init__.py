@@ -1,1 +1,1 @@
-"""What the equations are written in: numbers, small matrices, trees of numbers; no numba here."""
+"""Vocabulary of the equations: numbers, small matrices and trees of numbers, without numba."""

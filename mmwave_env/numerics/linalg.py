@@ -1,8 +1,8 @@
 """Small linear algebra on lists of numbers.
 
 Matrices are lists of rows. A symmetric matrix is stored *packed*: its lower triangle, row
-by row. An entry that is the plain constant ``0.0`` is a structural zero (a coordinate that
-is known exactly, say): it costs nothing on lanes and never divides.
+by row. An entry that is the plain constant ``0.0`` is a structural zero (for example a coordinate
+that is known exactly): it costs nothing on lanes, and nothing is divided by it.
 """
 
 from collections.abc import Callable, Sequence
@@ -11,7 +11,7 @@ from mmwave_env.numerics.numbers import Matrix, Number, Vector, sqrt
 
 
 def dot(a: Vector, b: Vector) -> Number:
-    """Inner product of two vectors of one length (the shorter, if they differ)."""
+    """Return the inner product of two vectors; surplus entries of the longer do not count."""
     total: Number = 0.0
     for u, v in zip(a, b):  # noqa: B905 - rows of a triangle meet longer vectors on purpose
         total = total + u * v
@@ -19,7 +19,7 @@ def dot(a: Vector, b: Vector) -> Number:
 
 
 def symmetric(n: int, entry: Callable[[int, int], Number]) -> list[list[Number]]:
-    """The (n, n) matrix with ``entry(i, j)``, i >= j, on both sides of the diagonal."""
+    """Return the (n, n) matrix with ``entry(i, j)``, i >= j, on both sides of the diagonal."""
     m: list[list[Number]] = [[0.0] * n for _ in range(n)]
     for i in range(n):
         for j in range(i + 1):
@@ -28,12 +28,12 @@ def symmetric(n: int, entry: Callable[[int, int], Number]) -> list[list[Number]]
 
 
 def pack(m: Matrix) -> list[Number]:
-    """Lower triangle of a symmetric matrix, row by row: n (n + 1) / 2 numbers."""
+    """Return the lower triangle of a symmetric matrix, row by row: n (n + 1) / 2 numbers."""
     return [m[i][j] for i in range(len(m)) for j in range(i + 1)]
 
 
 def unpack(packed: Vector, zero: Sequence[int] = ()) -> list[list[Number]]:
-    """The symmetric matrix of a packed triangle; rows in ``zero`` become structural zeros."""
+    """Return the symmetric matrix of a packed triangle, with structural zeros in rows ``zero``."""
     n = round((2 * len(packed) + 0.25) ** 0.5 - 0.5)
     return symmetric(
         n, lambda i, j: 0.0 if i in zero or j in zero else packed[i * (i + 1) // 2 + j]
@@ -41,7 +41,7 @@ def unpack(packed: Vector, zero: Sequence[int] = ()) -> list[list[Number]]:
 
 
 def cholesky(a: Matrix) -> list[list[Number]]:
-    """Lower-triangular L with L L' = a; the column of a structural zero stays zero."""
+    """Return the lower-triangular L with L L' = a; the column of a structural zero stays zero."""
     n = len(a)
     factor: list[list[Number]] = [[0.0] * n for _ in range(n)]
     for j in range(n):
@@ -56,7 +56,7 @@ def cholesky(a: Matrix) -> list[list[Number]]:
 
 
 def forward(factor: Matrix, b: Vector) -> list[Number]:
-    """Solve ``factor y = b`` for a lower-triangular factor; structural zeros give zero."""
+    """Solve ``factor y = b`` for a lower-triangular factor; y is 0 where a pivot is structural."""
     y: list[Number] = []
     for i in range(len(b)):
         pivot = factor[i][i]
@@ -66,7 +66,7 @@ def forward(factor: Matrix, b: Vector) -> list[Number]:
 
 
 def backward(factor: Matrix, b: Vector) -> list[Number]:
-    """Solve ``factor' y = b`` for a lower-triangular factor; structural zeros give zero."""
+    """Solve ``factor' y = b`` for a lower-triangular factor; y is 0 where a pivot is structural."""
     n = len(b)
     y: list[Number] = [0.0] * n
     for i in reversed(range(n)):

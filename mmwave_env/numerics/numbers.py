@@ -1,13 +1,13 @@
-"""Elementary functions of numbers, whatever a number is: a float, an array, or eight lanes.
+"""Elementary functions of numbers, where a number is a float, an array or eight lanes.
 
 The mathematics of this package is written once, as plain functions of numbers. On floats
-it is the reference that tests call; on arrays it checks the paths of recordings and scores whole
-tracks; on :class:`~mmwave_env.compiler.lanes.Lanes` it becomes one SIMD kernel. Python's own
-operators serve all three; this module holds the few functions that need to look.
+they are the reference that tests call; on arrays they check the paths of recordings and score whole
+tracks; on :class:`~mmwave_env.compiler.lanes.Lanes` they become one SIMD kernel. Python's operators
+work on all three; this module holds the few functions that depend on the kind of number.
 
-Shapes of arrays stand beside each argument and attribute. Functions of numbers follow three
-rules: no branch on a value (use :func:`where`), lists instead of arrays, and no call to ``math``
-or ``numpy`` but through this module.
+The shape of an array is given beside each argument and attribute. Functions of numbers follow
+three rules: they do not branch on a value (use :func:`where`), they use lists instead of arrays,
+and they call ``math`` or ``numpy`` only through this module.
 """
 
 import math
@@ -32,7 +32,7 @@ def _is_float(a: Number) -> bool:
 
 
 def _function(name: str) -> Callable[[Number], Number]:
-    """A function of one number, by what ``math``, numpy and lanes call it."""
+    """Return a function of one number, given its name, which ``math``, numpy and lanes share."""
     of_float, of_array = getattr(math, name), getattr(np, name)
 
     def function(a: Number) -> Number:
@@ -48,7 +48,7 @@ log = _function("log")  # of a positive number
 
 
 def atan2(y: Number, x: Number) -> Number:
-    """Angle of the vector (x, y) in radians, in (-pi, pi]: -0 counts as 0."""
+    """Return the angle of the vector (x, y) in radians, in (-pi, pi]: -0 counts as 0."""
     if _is_float(y) and _is_float(x):
         return math.atan2(y + 0.0, x + 0.0)
     if isinstance(y, np.ndarray) or isinstance(x, np.ndarray):
@@ -57,7 +57,7 @@ def atan2(y: Number, x: Number) -> Number:
 
 
 def cos_sin(angle: Number) -> tuple[Number, Number]:
-    """Cosine and sine of an angle in radians; on lanes of up to 1e5 radians."""
+    """Return the cosine and the sine of an angle in radians; on lanes, of up to 1e5 radians."""
     if _is_float(angle):
         return math.cos(angle), math.sin(angle)
     if isinstance(angle, np.ndarray):
@@ -67,7 +67,7 @@ def cos_sin(angle: Number) -> tuple[Number, Number]:
 
 
 def where(condition: Any, a: Number, b: Number) -> Number:
-    """``a`` where the condition holds, else ``b``: the only branch on a value there is."""
+    """Return ``a`` where the condition holds, else ``b``; there is no other branch on a value."""
     if isinstance(condition, (bool, np.bool_)):
         return a if condition else b
     if isinstance(condition, np.ndarray):
@@ -76,28 +76,28 @@ def where(condition: Any, a: Number, b: Number) -> Number:
 
 
 def minimum(a: Number, b: Number) -> Number:
-    """The smaller of two numbers."""
+    """Return the smaller of two numbers."""
     return where(a < b, a, b)
 
 
 def maximum(a: Number, b: Number) -> Number:
-    """The larger of two numbers."""
+    """Return the larger of two numbers."""
     return where(a > b, a, b)
 
 
 def clip(a: Number, low: float, high: float) -> Number:
-    """The number, moved into [low, high]."""
+    """Return the number, limited to [low, high]."""
     return minimum(maximum(a, low), high)
 
 
 def wrap(angle: Number) -> Number:
-    """An angle in (-3 pi, 3 pi) moved into [-pi, pi]: the difference of two angles, wrapped."""
+    """Wrap the difference of two angles, which is in (-3 pi, 3 pi), into [-pi, pi]."""
     angle = where(angle > PI, angle - 2 * PI, angle)
     return where(angle < -PI, angle + 2 * PI, angle)
 
 
 def polynomial(z: Number, coefficients: Sequence[float]) -> Number:
-    """Horner's rule, highest power first."""
+    """Evaluate a polynomial by Horner's rule; the coefficient of the highest power comes first."""
     value: Number = coefficients[0]
     for c in coefficients[1:]:
         value = value * z + c

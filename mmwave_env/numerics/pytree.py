@@ -1,6 +1,6 @@
-"""Nested tuples and lists of numbers: flattening them and choosing between two of them.
+"""Nested tuples and lists of numbers: functions that flatten them and choose between two.
 
-A *tree* is a number, or a list or NamedTuple of trees. The state of a track is one; the
+A *tree* is a number, or a list or NamedTuple of trees. The state of a track is a tree; the
 rows of a SIMD workspace hold its leaves in order.
 """
 
@@ -14,14 +14,14 @@ Tree = TypeVar("Tree")
 
 
 def flatten(tree: Any) -> list[Number]:
-    """The numbers of a tree, in order."""
+    """Return the numbers of a tree, in order."""
     if isinstance(tree, (list, tuple)):
         return [leaf for branch in tree for leaf in flatten(branch)]
     return [tree]
 
 
 def unflatten(template: Tree, numbers: Iterator[Number]) -> Tree:
-    """A tree of the template's shape with the next numbers as leaves."""
+    """Return a tree of the template's shape with the next numbers as leaves."""
     if isinstance(template, list):
         return [unflatten(branch, numbers) for branch in template]  # type: ignore[return-value]
     if isinstance(template, tuple):
@@ -31,19 +31,19 @@ def unflatten(template: Tree, numbers: Iterator[Number]) -> Tree:
 
 
 def indices(template: Tree) -> Tree:
-    """A tree of the template's shape whose leaves are 0, 1, 2, ...: where each number lies."""
+    """Return a tree of the template's shape with each leaf's place, 0, 1, 2, ..., as the leaf."""
     return unflatten(template, itertools.count())
 
 
 def select(condition: Any, a: Tree, b: Tree) -> Tree:
-    """Leaf by leaf ``where(condition, a, b)``."""
+    """Apply ``where(condition, a, b)`` leaf by leaf."""
     pairs = zip(flatten(a), flatten(b), strict=True)
     chosen = [u if u is v else where(condition, u, v) for u, v in pairs]
     return unflatten(a, iter(chosen))
 
 
 def tree_at(place: Number, trees: Sequence[Tree]) -> Tree:
-    """``trees[place]``, where the place is a number that is known at run time only."""
+    """Return ``trees[place]``, where the place is a number that is known only at run time."""
     found = trees[0]
     for number, tree in enumerate(trees[1:], start=1):
         found = select(place > number - 0.5, tree, found)

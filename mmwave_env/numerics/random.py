@@ -1,8 +1,8 @@
-"""Random numbers as functions of numbers, so that they are drawn on lanes.
+"""Random numbers, drawn by functions of numbers, which also run on lanes.
 
-The generator is SFC64 (Chris Doty-Humphrey, PractRand), which numpy has, too: additions, shifts and
-a rotation. Its four words of 64 bits travel as the bits of four numbers, as the words of eight
-environments do in the rows of a workspace.
+The generator is SFC64 (Chris Doty-Humphrey, PractRand), which numpy has, too: it uses additions,
+shifts and a rotation. Its four words of 64 bits are stored as the bits of four numbers; the rows of
+a workspace store the words of eight environments in the same way.
 """
 
 import math
@@ -23,7 +23,7 @@ def _bitwise(operation: Callable[[int, int], int]) -> Any:
 
 
 class Word:
-    """64 bits with the operators of an unsigned integer, which wraps around."""
+    """An unsigned integer of 64 bits, which wraps around."""
 
     __slots__ = ("value",)
 
@@ -34,23 +34,23 @@ class Word:
     __lshift__, __rshift__ = _bitwise(lshift), _bitwise(rshift)
 
     def scaled(self, factor: float) -> float:
-        """The integer times a factor, exact below 2^53."""
+        """Return the integer times a factor, exact below 2^53."""
         return self.value * factor
 
     def as_number(self) -> float:
-        """The number of these bits."""
+        """Return the float that has these bits."""
         return struct.unpack("<d", struct.pack("<Q", self.value))[0]  # type: ignore[no-any-return]
 
 
 def word_of(number: Number) -> Any:
-    """The bits of a number, of a float or of lanes."""
+    """Return the bits of a number, which is a float or lanes."""
     if isinstance(number, float):
         return Word(struct.unpack("<Q", struct.pack("<d", number))[0])
     return number.as_word()
 
 
 def next_word(state: Sequence[Any]) -> tuple[Any, list[Any]]:
-    """A word of SFC64 and the state after it; words of any kind."""
+    """Return a word of SFC64 and the state after it; the words may be of any kind."""
     a, b, c, counter = state
     word = a + b + counter
     rotated = (c << 24) | (c >> 40)
@@ -58,11 +58,11 @@ def next_word(state: Sequence[Any]) -> tuple[Any, list[Any]]:
 
 
 def seeded(key: Number, stream: int) -> list[Number]:
-    """The state (4,) that belongs to a key.
+    """Return the generator's state (4,) for a key.
 
     Args:
-        key: travels as the bits of a number.
-        stream: which of its streams of numbers; they have nothing in common.
+        key: the bits of a number.
+        stream: which of the key's streams to draw; the streams are independent of each other.
     """
     word = word_of(key)
     none = word ^ word
@@ -73,10 +73,10 @@ def seeded(key: Number, stream: int) -> list[Number]:
 
 
 class Dice:
-    """Numbers drawn one after the other; the order of drawing is part of what a key means.
+    """A source of random numbers; what a key gives depends on the order in which they are drawn.
 
     Args:
-        state: (4,) of the generator.
+        state: the generator's state (4,).
     """
 
     def __init__(self, state: Vector) -> None:
@@ -85,20 +85,20 @@ class Dice:
 
     @property
     def state(self) -> list[Number]:
-        """(4,) of the generator now."""
+        """Return the generator's current state (4,)."""
         return [word.as_number() for word in self._words]
 
     def uniform(self, low: Number = 0.0, high: Number = 1.0) -> Number:
-        """Uniform in [low, high); in [0, 1) the number that numpy makes of the word."""
+        """Draw uniformly from [low, high); in [0, 1) numpy makes the same number from the word."""
         word, self._words = next_word(self._words)
         return low + (high - low) * (word >> 11).scaled(2.0**-53)
 
     def exponential(self) -> Number:
-        """Exponential of mean 1, at most 36.7."""
+        """Draw from the exponential distribution of mean 1; the number is at most 36.7."""
         return -log(1.0 - self.uniform())
 
     def normal(self) -> Number:
-        """Standard normal, at most 8.6 from zero; two at a time (Box and Muller 1958)."""
+        """Draw a standard normal, at most 8.6 from zero (Box and Muller 1958: two at a time)."""
         if self._spare is not None:
             drawn, self._spare = self._spare, None
             return drawn

@@ -1,9 +1,9 @@
-"""Numbers that take part in arithmetic and hide their value.
+"""Numbers that take part in arithmetic but hide their value.
 
-A function that runs on them can run on lanes: it never asks which of eight environments it
-is in. What would need the value is refused, with a word on what to write instead. Two kinds
-of numbers are made this way: lanes, which are compiled, and floats that hide their value as
-lanes do, to try a function before it is compiled.
+A function that runs on such numbers can run on lanes, because it never asks for the value in
+one of the eight environments. An operation that needs the value is refused, and the message says
+what to write instead. There are two kinds of these numbers: lanes, which are compiled, and probes,
+floats that hide their value as lanes do, on which a function is tried before it is compiled.
 """
 
 import operator
@@ -14,11 +14,11 @@ from mmwave_env.numerics import numbers
 
 
 class NoValueError(TypeError):
-    """A function asked a number for its value; the message says what to write instead."""
+    """An error for a function that asked a number for its value; it says what to write instead."""
 
 
 _NUMBERS = "mmwave_env.numerics.numbers"
-_REFUSALS = {  # what was asked for: what that is, and what to write instead
+_REFUSALS = {  # key: (the operation in words, what to write instead)
     "truth": (
         "a branch",
         "where(condition, a, b) for if and while, & and | for and and or, and maximum(a, b) and "
@@ -50,7 +50,7 @@ def _refusing(asked: str) -> Any:
 
 
 def _combining(op: str) -> tuple[Any, Any]:
-    """An operator, and the one that Python asks the right operand for."""
+    """Return an operator and its reflected form, which Python asks the right operand for."""
     return lambda a, b: _combined(op, a, b), lambda b, a: _combined(op, a, b)
 
 
@@ -59,7 +59,7 @@ def _comparing(op: str) -> Any:
 
 
 class TracerCondition:
-    """A condition on hidden numbers, for ``where``; combine with ``&`` and ``|``."""
+    """A condition on hidden numbers, for ``where``; ``&`` and ``|`` combine two conditions."""
 
     __slots__ = ()
     __bool__ = _refusing("truth")
@@ -72,7 +72,7 @@ class TracerCondition:
 
 
 class Tracer:
-    """A number without its value; kinds of them say how to ``combine`` and ``compare``."""
+    """A number that hides its value; subclasses implement ``combine`` and ``compare``."""
 
     __slots__ = ()
     __bool__ = _refusing("truth")
@@ -87,11 +87,11 @@ class Tracer:
     select = _refusing("number as mask")
 
     def combine(self, op: str, a: Any, b: Any) -> Any:
-        """``a op b`` for add, sub, mul or div, one of the two being this number."""
+        """Compute ``a op b`` for add, sub, mul or div, where ``a`` or ``b`` is this number."""
         raise NotImplementedError
 
     def compare(self, op: str, other: Any) -> Any:
-        """``self op other`` for <, <=, > or >=: a condition."""
+        """Return the condition ``self op other`` for <, <=, > or >=."""
         raise NotImplementedError
 
     __add__, __radd__ = _combining("add")
@@ -103,7 +103,7 @@ class Tracer:
 
 
 def _settled(op: str, a: Any, b: Any) -> Any:
-    """The result where a constant 0 or 1 settles it without an instruction, else None."""
+    """Return the result where a constant 0 or 1 settles it without an instruction, else None."""
     if op == "mul":
         for u, v in ((a, b), (b, a)):
             if not isinstance(u, Tracer) and u in (0.0, 1.0):
@@ -147,7 +147,7 @@ class FloatCondition(TracerCondition):
         return FloatCondition(self.hidden | other.hidden)
 
     def select(self, a: Any, b: Any) -> "FloatTracer":
-        """``a`` where the condition holds, else ``b``."""
+        """Return ``a`` where the condition holds, else ``b``."""
         return FloatTracer(numbers.where(self.hidden, value_of(a), value_of(b)))
 
 
@@ -156,7 +156,7 @@ def _applying(function: Callable[[float], float]) -> Any:
 
 
 class FloatTracer(Tracer):
-    """A float that hides its value and does with it what lanes do with theirs."""
+    """A probe: a float that hides its value and computes with it as lanes do with their values."""
 
     __slots__ = ("hidden",)
 
@@ -164,11 +164,11 @@ class FloatTracer(Tracer):
         self.hidden = hidden
 
     def combine(self, op: str, a: Any, b: Any) -> "FloatTracer":
-        """``a op b``."""
+        """Compute ``a op b``."""
         return FloatTracer(_OPERATORS[op](value_of(a), value_of(b)))
 
     def compare(self, op: str, other: Any) -> FloatCondition:
-        """``self op other``."""
+        """Return the condition ``self op other``."""
         return FloatCondition(_OPERATORS[op](self.hidden, value_of(other)))
 
     def __neg__(self) -> "FloatTracer":
@@ -178,22 +178,22 @@ class FloatTracer(Tracer):
         return FloatTracer(abs(self.hidden))
 
     def constant(self, value: float) -> "FloatTracer":
-        """A value."""
+        """Return a probe with a value."""
         return FloatTracer(value)
 
     sqrt, log, exp = _applying(numbers.sqrt), _applying(numbers.log), _applying(numbers.exp)
     floor = _applying(numbers.floor)
 
     def cos_sin(self) -> "tuple[FloatTracer, FloatTracer]":
-        """Cosine and sine."""
+        """Return the cosine and the sine."""
         cosine, sine = numbers.cos_sin(self.hidden)
         return FloatTracer(cosine), FloatTracer(sine)
 
     def atan2(self, x: Any) -> "FloatTracer":
-        """Angle of (x, self)."""
+        """Return the angle of the vector (x, self)."""
         return FloatTracer(numbers.atan2(self.hidden, value_of(x)))
 
 
 def value_of(a: Any) -> float:
-    """The value of a float or a probe."""
+    """Return the value of a float or a probe."""
     return a.hidden if isinstance(a, FloatTracer) else float(a)
