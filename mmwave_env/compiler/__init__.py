@@ -1,1 +1,1 @@
-"""Functions of numbers become machine code: lanes, kernels, threads and what is kept on disk."""
+"""Compilation of functions of numbers to machine code: lanes, kernels, threads, a disk cache."""

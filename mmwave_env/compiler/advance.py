@@ -1,7 +1,7 @@
-"""The loop around programs: many tracks, epoch after epoch, eight at a time.
+"""The loop around programs: it runs many tracks epoch after epoch, eight tracks at a time.
 
-What comes in is loaded from a table, or made by a feed; what is wanted goes out to arrays. It runs
-as compiled code and as plain Python.
+Incoming rows are loaded from a table or made by a feed; results are written to arrays. The loop
+runs as compiled code and as plain Python.
 """
 
 import ctypes
@@ -15,7 +15,7 @@ from mmwave_env.compiler.lanes import WIDTH
 from mmwave_env.compiler.transpose import LINE, address, gather, prefetch, scatter, scatter_single
 from mmwave_env.numerics.numbers import Array
 
-NEAR = 2**16  # numbers that the core's own caches hold of workspaces
+NEAR = 2**16  # numbers of workspaces that fit into the core's own caches
 TOGETHER = 8  # blocks that a feed runs for before the program does
 
 
@@ -25,7 +25,7 @@ def call(run: int, block: Array) -> None:
 
 
 def call_feed(run: int, block: Array, kept: Array, settings: Array) -> None:
-    """Run what makes epochs, by its address, for blocks as :class:`Feed` has them."""
+    """Run a feed's function, by its address, on blocks as :class:`Feed` has them."""
     takes = [ctypes.c_int64] * 3
     ctypes.CFUNCTYPE(None, *takes)(run)(*(part.ctypes.data for part in (block, settings, kept)))
 
@@ -57,7 +57,7 @@ def _jump(_, run, places):  # type: ignore[no-untyped-def]
 
 @register_jitable  # type: ignore[untyped-decorator]
 def _load(block, sources, first, here, step, blank, table, length, epoch):  # type: ignore[no-untyped-def]
-    """Set the rows that come in; lanes past the last track run their block's first."""
+    """Load the incoming rows; lanes past the last track repeat the first track of their block."""
     for lane in range(WIDTH):
         e = first + lane if lane < here else first
         t = epoch[e] + step
@@ -67,7 +67,7 @@ def _load(block, sources, first, here, step, blank, table, length, epoch):  # ty
 
 @register_jitable  # type: ignore[untyped-decorator]
 def _make(block, feed, b, here, step, blank, length, epoch):  # type: ignore[no-untyped-def]
-    """Let the feed set the rows that come in."""
+    """Let the feed make the incoming rows."""
     run, settings, kept, timed, times = feed
     call_feed(run, block, kept[b], settings)
     for lane in range(here):
@@ -82,7 +82,7 @@ def _make(block, feed, b, here, step, blank, length, epoch):  # type: ignore[no-
 
 @register_jitable  # type: ignore[untyped-decorator]
 def _aim(targets, first, here, step, running, out, nowhere):  # type: ignore[no-untyped-def]
-    """Where lanes write to; those of no track that runs, where nobody looks."""
+    """Set the address that each lane writes to; lanes without a running track write to waste."""
     for lane in range(WIDTH):
         e = first + lane
         runs = lane < here and running[e]
@@ -117,7 +117,7 @@ def _put_back(before, block, b, n, running):  # type: ignore[no-untyped-def]
 
 @register_jitable  # type: ignore[untyped-decorator]
 def _idle(b, n, running):  # type: ignore[no-untyped-def]
-    """How many tracks of a block do not run."""
+    """Count the tracks of a block that do not run."""
     idle = 0
     for e in range(b * WIDTH, min(b * WIDTH + WIDTH, n)):
         idle += not running[e]
@@ -128,7 +128,7 @@ def _idle(b, n, running):  # type: ignore[no-untyped-def]
 def _take_in(  # type: ignore[no-untyped-def]
     b, end, step, blank, rows, feed, table, length, epoch, input_rows, inputs, at
 ):
-    """Bring a block into the caches, and what comes in into it."""
+    """Bring a block into the caches and set its incoming rows and inputs."""
     n, block, first = len(length), rows[b], b * WIDTH
     here = min(WIDTH, n - first)
     touched = 0.0
@@ -150,7 +150,7 @@ def _take_in(  # type: ignore[no-untyped-def]
 def _give_out(  # type: ignore[no-untyped-def]
     b, step, rows, running, output_rows, outputs, obs_rows, observations, at, nowhere
 ):
-    """Write down what is kept and shown of a block."""
+    """Write the outputs and observations of a block to their arrays."""
     first = b * WIDTH
     here = min(WIDTH, len(running) - first)
     _aim(at, first, here, step, running, outputs, nowhere)
@@ -161,7 +161,7 @@ def _give_out(  # type: ignore[no-untyped-def]
 
 @register_jitable  # type: ignore[untyped-decorator]
 def _finish(b, n, rows, before, feed, kept_before, running, epoch, epochs):  # type: ignore[no-untyped-def]
-    """Count the epochs that a block ran, and put back what was not to run."""
+    """Count the epochs that a block ran, and restore the tracks that were not to run."""
     for e in range(b * WIDTH, min(b * WIDTH + WIDTH, n)):
         if running[e]:
             epoch[e] += epochs
@@ -173,10 +173,10 @@ def _finish(b, n, rows, before, feed, kept_before, running, epoch, epochs):  # t
 
 @register_jitable  # type: ignore[untyped-decorator]
 def _some_blocks(b, end, rows, feed, running, before, kept_before, some):  # type: ignore[no-untyped-def]
-    """The next blocks in which a track runs, and how they were where one does not.
+    """Find the next blocks with a running track; save those in which another track is idle.
 
     Returns:
-        How many, and the block to go on with after them.
+        The number of blocks found, and the block to continue with.
     """
     n, count = len(running), 0
     while b < end and count < len(some):
@@ -199,15 +199,15 @@ def advance(  # type: ignore[no-untyped-def]
 ):  # fmt: skip
     """Run the tracks of blocks ``begin`` to ``end``.
 
-    Ignore the number that is returned. It is there because the compiler would otherwise drop the
-    reads that bring rows into the caches.
+    Ignore the returned number: without it the compiler would drop the reads that bring rows into
+    the caches.
 
-    A program reads its rows in an order that no prefetcher guesses. Where the blocks of all
-    environments do not fit into the near caches, touching the rows in order first halves its time.
-    The epochs that the next block will load are as far apart as episodes are long. The code of a
-    feed and that of a program do not fit into the core's first cache together, so each runs for
-    some blocks in a row.
-    Plain loops, because slices of arrays take numba long to compile.
+    A program reads its rows in an order that no prefetcher guesses. If the blocks of all
+    environments do not fit into the near caches, reading the rows once in order halves the time of
+    a program. The epochs that the next block will load are as far apart as episodes are long, so
+    they are prefetched. The code of a feed and the code of a program do not fit into the core's
+    first cache together, so each runs for some blocks in a row.
+    All loops are plain because slices of arrays take numba long to compile.
     """
     n, epochs, some = len(length), outputs.shape[1], np.empty(min(TOGETHER, end - begin), np.int64)
     before = np.empty((len(some), rows.shape[1], WIDTH))

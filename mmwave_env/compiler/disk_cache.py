@@ -1,20 +1,20 @@
-"""Compiled functions, kept on disk for the next process and never out of date.
+"""A disk cache of compiled functions for later processes, which is never out of date.
 
 A process that steps one environment a few hundred times would spend most of its time compiling, so
 small amounts of work run as plain Python (:class:`LazyJit`).
 
-numba's ``cache=True`` looks at the file of the function alone, so it answers with old code once
-a function it calls was edited in another file; some versions miss edits that keep time and
-size, too. Processes that start at once can mix up its files, and a damaged file or a full disk
-ends the program. Here a folder is named after all sources, each compiled function is one file
-in it, and whatever goes wrong with a file means that the function is compiled anew. A checksum
-tells a damaged file before anything in it is run. A process whose sources are edited while it runs
-neither reads nor writes files: nobody knows which of them it runs.
+numba's ``cache=True`` checks only the file of the function, so it returns old code after a function
+that is called was edited in another file; some versions also miss edits that keep time and size.
+Processes that start at once can mix up numba's files, and a damaged file or a full disk ends the
+program. Here a folder is named after all sources, each compiled function is one file in the folder,
+and after any error with a file the function is compiled anew. A checksum detects a damaged file
+before its content is run. A process whose sources are edited while it runs neither reads nor writes
+files, because it cannot tell which version of the sources it runs.
 
-The files are pickles, as numba's own are, and whoever writes a pickle runs code where it is read.
-So folders and files are made for us alone, and nothing is read that another user owns, that others
-may write to or that is a link; instead of such a folder the next place is taken. The place a folder
-lies in may be shared, as ``/tmp`` is: of what others put there in its stead we are not the owner.
+The files are pickles, as numba's own are, and reading a pickle runs code of its writer. So folders
+and files are private to this user. A folder or file that another user owns, that others may write
+to, or that is a link is not read; instead of such a folder the next place is used. The place of a
+folder may be shared, as ``/tmp`` is: a folder that others put there fails the check of the owner.
 """
 
 import os
@@ -42,25 +42,25 @@ from numba.core.serialize import dumps
 from numba.core.sigutils import normalize_signature
 from numba.misc.appdirs import user_cache_dir
 
-_PACKAGE = Path(__file__).parents[1]  # with all rooms: whatever is edited makes a new version
-_READ = time.time()  # what was edited later, this process may have read before or after
-_KEPT = 8  # versions of the sources whose compiled functions stay
+_PACKAGE = Path(__file__).parents[1]  # the whole package: an edit anywhere makes a new version
+_READ = time.time()  # a source edited later may have been read before or after the edit
+_KEPT = 8  # number of versions of the sources whose compiled functions are kept
 _CHECKSUM = sha256().digest_size  # bytes at the beginning of each file
 
 
 def compiled(function: Callable[..., Any]) -> Any:
-    """A function of a module, compiled by numba to run without the interpreter's lock.
+    """Compile a function of a module with numba, to run without the interpreter's lock.
 
-    For what Python calls; functions that only compiled ones call need ``register_jitable`` alone.
+    It is for functions that Python calls; ``register_jitable`` is enough for all others.
     """
     return _with_cache(numba.njit(nogil=True)(function), function)
 
 
 def compiled_callback(signature: Any, function: Callable[..., Any]) -> Any:
-    """A function as ``numba.cfunc`` makes it, compiled here.
+    """Compile a function as ``numba.cfunc`` does, with the disk cache.
 
-    What differs from process to process without a change in our sources, such as what a user's
-    function computes, must be told by its qualified name: so files and symbols are told apart.
+    Code may differ between processes without a change in the sources, for example if it calls a
+    user's function. Its qualified name must then differ too, since it names files and symbols.
     """
     arguments, returned = normalize_signature(signature)
     callback = _with_cache(CFunc(function, (arguments, returned), {}, {}), function)
@@ -75,17 +75,17 @@ def _with_cache(compiler: Any, function: Callable[..., Any]) -> Any:
 
 
 def is_compiled(function: Any, arguments: tuple[Any, ...]) -> bool:
-    """Whether a :func:`compiled` function is there for such arguments, in memory or on disk."""
+    """Tell whether a :func:`compiled` function is in memory or on disk for such arguments."""
     signature, cache = tuple(map(numba.typeof, arguments)), function._cache
     return signature in function.overloads or (isinstance(cache, _Kept) and cache.has(signature))
 
 
-@cache  # of the sources as they were when this process read them
+@cache  # for the sources as they were when this process read them
 def _folder() -> Path | None:
-    """Where this version's functions are kept; None where nothing can be written.
+    """Return the folder for functions of this version of the sources, None if none is writable.
 
-    In numba's own ``NUMBA_CACHE_DIR`` if it is set; beside Python's bytecode, if the package
-    is writable; else in the user's folder for caches.
+    The folder is in numba's ``NUMBA_CACHE_DIR`` if it is set; beside Python's bytecode if the
+    package is writable; else in the user's folder for caches.
     """
     version = _version()
     if version is None:
@@ -93,12 +93,12 @@ def _folder() -> Path | None:
     for place in _places():
         folder = place / f"{_PACKAGE.name}-{version}"
         with suppress(OSError):
-            if not place.is_absolute():  # nobody's home
+            if not place.is_absolute():  # the user has no home
                 continue
             folder.mkdir(mode=0o700, parents=True, exist_ok=True)
             if not _is_ours(os.lstat(folder), stat.S_IFDIR):
                 continue
-            os.utime(folder)  # in use now, which mkdir does not note where it is there
+            os.utime(folder)  # marks an existing folder as in use, which mkdir does not
             tempfile.TemporaryFile(dir=folder).close()
             _prune(place)
             return folder
@@ -106,17 +106,17 @@ def _folder() -> Path | None:
 
 
 def _places() -> list[Path]:
-    """Where folders may lie, the first choice first."""
+    """Return the places for the cache folder, the first choice first."""
     places = [_PACKAGE / "__pycache__", Path(user_cache_dir("mmwave-env", appauthor=False))]
     return [*([Path(numba.config.CACHE_DIR).absolute()] * bool(numba.config.CACHE_DIR)), *places]
 
 
 def kept_functions() -> dict[str, Any]:
-    """Where this process keeps compiled functions; makes the folder if it can.
+    """Describe the folder in which this process keeps compiled functions, made if possible.
 
     Returns:
-        "place", None where no folder can be written that is ours alone; how many "functions" of
-        this version of the sources lie there, and their "bytes".
+        The "place", None if no private folder can be written; the number of "functions" of this
+        version of the sources in the folder, and their "bytes".
     """
     folder = _folder()
     sizes = [file.stat().st_size for file in folder.iterdir()] if folder else []
@@ -125,7 +125,7 @@ def kept_functions() -> dict[str, Any]:
 
 
 def _prune(place: Path) -> None:
-    """Remove versions long out of use, if they are ours."""
+    """Remove versions that were not used for long and that this user owns."""
     with suppress(OSError):  # another process removes them, too
         versions = place.glob(f"{_PACKAGE.name}-*")
         ours = [path for path in versions if _is_ours(os.lstat(path), stat.S_IFDIR)]
@@ -134,7 +134,7 @@ def _prune(place: Path) -> None:
 
 
 def _version() -> str | None:
-    """A name for all that compiled code is made from; None where the sources are no files."""
+    """Return a name for all inputs of compiled code; None where the sources are no files."""
     sources = sorted(_PACKAGE.rglob("*.py"))
     if not sources:
         return None
@@ -146,7 +146,7 @@ def _version() -> str | None:
 
 
 def _edited() -> bool:
-    """Whether a source changed since this process read the first of them."""
+    """Tell whether a source changed since this process read the first source."""
     with suppress(OSError):
         found = map(os.stat, _PACKAGE.rglob("*.py"))
         return any(max(file.st_mtime, file.st_ctime) > _READ for file in found)
@@ -154,9 +154,9 @@ def _edited() -> bool:
 
 
 def _opened(file: Path) -> BinaryIO:
-    """A file that only we can have written, in such a folder; OSError for any other.
+    """Open a file that only this user can have written, in such a folder; else raise OSError.
 
-    Checked is what is open, as a name may mean something else a moment later.
+    The open file is checked, not its name, which may mean another file a moment later.
     """
     if not hasattr(os, "geteuid"):  # nor can Windows open folders
         return file.open("rb")
@@ -168,8 +168,8 @@ def _opened(file: Path) -> BinaryIO:
 
 
 def _descriptor(path: str | Path, kind: int, folder: int | None = None) -> int:
-    """What lies at a path, or under a name in a folder, open for reading if it is ours."""
-    # Neither following a link nor waiting for the writer of a pipe.
+    """Open a path, or a name in a folder, for reading; refuse what :func:`_is_ours` does."""
+    # The flags neither follow a link nor wait for the writer of a pipe.
     descriptor = os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK, dir_fd=folder)
     if _is_ours(os.fstat(descriptor), kind):
         return descriptor
@@ -178,21 +178,21 @@ def _descriptor(path: str | Path, kind: int, folder: int | None = None) -> int:
 
 
 def _is_ours(found: os.stat_result, kind: int) -> bool:
-    """Whether it is of that kind, we own it and nobody else may write to it."""
+    """Tell whether a file has that kind, this user owns it and nobody else may write to it."""
     if stat.S_IFMT(found.st_mode) != kind:
         return False
-    if not hasattr(os, "geteuid"):  # Windows, which closes a user's folders to others itself
+    if not hasattr(os, "geteuid"):  # Windows, which protects a user's folders from others itself
         return True
     return found.st_uid == os.geteuid() and not found.st_mode & (stat.S_IWGRP | stat.S_IWOTH)
 
 
 def _checksum(key: str, content: bytes) -> bytes:
-    """Of what is kept and what it is kept for, so that neither passes for another."""
+    """Return the checksum of a content and its key, so that another key's file does not pass."""
     return sha256(key.encode() + content).digest()
 
 
 class _Kept(NullCache):  # type: ignore[misc]
-    """What numba asks before it compiles a function, and tells when it has."""
+    """The cache that numba reads before it compiles a function and writes to afterwards."""
 
     def __init__(self, function: Callable[..., Any], folder: Path) -> None:
         self._name = f"{function.__module__}.{function.__qualname__}"
@@ -203,7 +203,7 @@ class _Kept(NullCache):  # type: ignore[misc]
         return str(self._folder)
 
     def has(self, signature: Any) -> bool:
-        """Whether a version of the function is there, if nothing is wrong with its file."""
+        """Tell whether a readable file with this version of the function exists."""
         with suppress(OSError):
             _opened(self._entry(signature, cpu_target.target_context.codegen())[1]).close()
             return True
@@ -214,7 +214,7 @@ class _Kept(NullCache):  # type: ignore[misc]
         if _edited():
             return None
         key, file = self._entry(signature, context.codegen())
-        with suppress(Exception), _opened(file) as entry:  # none there, or none to rely on
+        with suppress(Exception), _opened(file) as entry:  # a missing file, or an unreliable one
             checksum, content = entry.read(_CHECKSUM), entry.read()
             if checksum == _checksum(key, content):
                 return CompileResult._rebuild(context, *pickle.loads(content))
@@ -232,7 +232,7 @@ class _Kept(NullCache):  # type: ignore[misc]
             whole.replace(file)
 
     def _entry(self, signature: Any, codegen: Any) -> tuple[str, Path]:
-        """What tells apart the function's versions in memory, and the file of this one."""
+        """Return the key of this version of the function, and its file."""
         key = f"{self._name} {signature} {codegen.magic_tuple()}"
         return key, self._folder / f"{self._name}-{sha256(key.encode()).hexdigest()[:20]}"
 
@@ -240,12 +240,12 @@ class _Kept(NullCache):  # type: ignore[misc]
 class LazyJit:
     """A function that runs as plain Python until it has done a given amount of work.
 
-    After that, or as soon as its compiled form is found on disk, the compiled form runs. What the
-    function calls must run both ways, as ``numba.extending.register_jitable`` makes it.
+    After that, or as soon as its compiled form is found on disk, the compiled form runs. The
+    functions that it calls must run both ways, as with ``numba.extending.register_jitable``.
 
     Args:
-        function: what to run.
-        plain_work: how much work a process does as plain Python before it compiles, if the
+        function: the function to run.
+        plain_work: amount of work that a process does as plain Python before it compiles, if the
             compiled function is not on disk yet; in any unit, such as epochs.
     """
 
@@ -254,9 +254,9 @@ class LazyJit:
         self._left = plain_work
 
     def choice(self, work: int, *arguments: Any) -> Callable[..., Any]:
-        """The plain or the compiled function, for an amount of work with such arguments.
+        """Return the plain or the compiled function, for an amount of work with such arguments.
 
-        Where threads share the work, choose once for all of them.
+        If threads share the work, call this once for all threads.
         """
         if work <= self._left and not is_compiled(self.compiled, arguments):
             self._left -= work
@@ -266,6 +266,6 @@ class LazyJit:
 
     def __call__(self, work: int, *arguments: Any) -> Any:
         """Do an amount of work, as plain Python or compiled."""
-        if not self._left:  # many steps come this way
+        if not self._left:  # a short cut for the many steps after the first ones
             return self.compiled(*arguments)
         return self.choice(work, *arguments)(*arguments)

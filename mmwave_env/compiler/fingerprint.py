@@ -1,9 +1,9 @@
-"""A name for what a function of numbers computes.
+"""Fingerprints: names for the computations of functions of numbers.
 
-The function runs once on numbers that write down every operation asked of them. Two functions
-share a name only if they ask for the same operations on the same rows and constants, whoever wrote
-them, so what is compiled of one serves the other: a mode's or a reward's own code needs no name of
-its own, and a change in it is never missed. This takes a hundredth of the time to compile.
+The function runs once on numbers that record every operation. Two functions share a name only if
+they use the same operations on the same rows and constants, so the compiled code of one serves the
+other: a user's code in a mode or reward needs no name, and a change in it is never missed. To run a
+function in this way takes a hundredth of the time of its compilation.
 """
 
 from collections.abc import Callable, Sequence
@@ -15,7 +15,7 @@ from mmwave_env.numerics.tracer import Tracer, TracerCondition
 
 
 def fingerprint(function: Callable[[Tree], Tree], template: Tree) -> str:
-    """A name (20 hexadecimal digits) for a function from a tree to a tree of the same shape."""
+    """Return a name (20 hexadecimal digits) for a function from a tree to a tree of its shape."""
     tape: list[tuple[Any, ...]] = []
     rows = [_Number(tape, -1 - row) for row in range(len(flatten(template)))]
     results = _references(flatten(function(unflatten(template, iter(rows)))))
@@ -23,7 +23,7 @@ def fingerprint(function: Callable[[Tree], Tree], template: Tree) -> str:
 
 
 class _Recorded:
-    """A result of the operation of that number on the tape; negative: a row of the template."""
+    """The result of the operation ``number`` on the tape, or a row of the template if negative."""
 
     __slots__ = ("number", "tape")
 
@@ -36,12 +36,12 @@ class _Recorded:
 
 
 def _references(operands: Sequence[Any]) -> list[int | float]:
-    """Numbers of operations as integers, constants as floats."""
+    """Return the numbers of operations as integers, and constants as floats."""
     return [a.number if isinstance(a, _Recorded) else float(a) for a in operands]
 
 
 def _joining(op: str) -> Any:
-    """An operation whose result is of the operands' kind."""
+    """Return an operation whose result has the type of the operands."""
     return lambda a, b: type(a)(*a._record(op, a, b))
 
 

@@ -1,8 +1,8 @@
-"""A number that stands for eight environments.
+"""Lanes: numbers that stand for eight environments.
 
 Arithmetic on :class:`Lanes` emits LLVM ``<8 x double>`` instructions, so that a plain
 scalar function called with Lanes inside a numba ``@intrinsic`` becomes straight-line SIMD
-code; called with floats it is itself. :func:`kernel` does the wrapping.
+code; called with floats it runs as usual. :func:`kernel` makes the ``@intrinsic``.
 """
 
 import math
@@ -51,7 +51,7 @@ _LN2_HIGH, _LN2_LOW = 0.693147180369123816490, 1.90821492927058770002e-10
 
 
 class _Value:
-    """A value of the function being built, which the builder computes with."""
+    """A value in the function being built, with the builder that computes with it."""
 
     __slots__ = ("builder", "value")
 
@@ -59,7 +59,7 @@ class _Value:
         self.builder, self.value = builder, value
 
     def _with(self, instruction: str, other: Any) -> Any:
-        """One of the same kind: what an instruction makes of this value and another one's."""
+        """Return the result of an instruction on this value and another, in this value's type."""
         term = _bits(other) if isinstance(other, int) else other.value
         return type(self)(self.builder, getattr(self.builder, instruction)(self.value, term))
 
@@ -69,13 +69,13 @@ def _integer(instruction: str) -> Any:
 
 
 class Mask(_Value, TracerCondition):
-    """A truth value per lane, from comparing Lanes; combine with ``&`` and ``|``."""
+    """A truth value per lane, from a comparison of Lanes; ``&`` and ``|`` combine two masks."""
 
     __slots__ = ()
     __and__, __or__ = _integer("and_"), _integer("or_")
 
     def select(self, a: Any, b: Any) -> "Lanes":
-        """``a`` in the lanes where the mask holds, else ``b``."""
+        """Return ``a`` in the lanes where the mask holds, else ``b``."""
         return Lanes(self.builder, self.builder.select(self.value, _lift(a), _lift(b)))
 
 
@@ -85,12 +85,12 @@ class Lanes(_Value, Tracer):
     __slots__ = ()
 
     def combine(self, op: str, a: Any, b: Any) -> "Lanes":
-        """``a op b`` per lane."""
+        """Compute ``a op b`` per lane."""
         instruction = getattr(self.builder, f"f{op}")
         return Lanes(self.builder, instruction(_lift(a), _lift(b), flags=_FLAGS))
 
     def compare(self, op: str, other: Any) -> Mask:
-        """``self op other`` per lane, false with NaN."""
+        """Return the condition ``self op other`` per lane, false with NaN."""
         return Mask(self.builder, self.builder.fcmp_ordered(op, self.value, _lift(other)))
 
     def __neg__(self) -> "Lanes":
@@ -100,19 +100,19 @@ class Lanes(_Value, Tracer):
         return self._call("fabs")
 
     def constant(self, value: float) -> "Lanes":
-        """The same value in every lane."""
+        """Return lanes with the same value in every lane."""
         return Lanes(self.builder, _lift(value))
 
     def sqrt(self) -> "Lanes":
-        """Square root per lane, correctly rounded."""
+        """Return the square root per lane, correctly rounded."""
         return self._call("sqrt")
 
     def floor(self) -> "Lanes":
-        """The next lower integer."""
+        """Return the next lower integer per lane."""
         return self._call("floor")
 
     def as_word(self) -> "WordLanes":
-        """The same bits as eight words."""
+        """Return the same bits as eight words."""
         return WordLanes(self.builder, self.builder.bitcast(self.value, _BITS))
 
     def _call(self, name: str) -> "Lanes":
@@ -124,7 +124,7 @@ class Lanes(_Value, Tracer):
         return Lanes(self.builder, self.builder.call(function, [self.value], fastmath=_FLAGS))
 
     def atan2(self, x: Any) -> "Lanes":
-        """Angle of (x, self): reduced to |angle| < pi / 8, then a polynomial; error 2e-16."""
+        """Return the angle of (x, self), by a polynomial after reduction to pi / 8; error 2e-16."""
         ax, ay = abs(x), abs(self)
         steep = ay > ax
         low, high = where(steep, ax, ay), where(steep, ay, ax)
@@ -139,7 +139,7 @@ class Lanes(_Value, Tracer):
         return where(self < 0.0, -angle, angle)  # type: ignore[no-any-return]
 
     def cos_sin(self) -> "tuple[Lanes, Lanes]":
-        """Cosine and sine of |angle| < 1e5: reduced to |r| <= pi / 4, then Taylor polynomials."""
+        """Return cosine and sine of |angle| < 1e5, by polynomials after reduction to pi / 4."""
         b = self.builder
         rounded: Any = self * (2.0 / math.pi) + _ROUND
         quarters, turns = b.bitcast(rounded.value, _BITS), rounded - _ROUND
@@ -151,13 +151,13 @@ class Lanes(_Value, Tracer):
         return where(odd, sine, cosine)._negated(after), where(odd, cosine, sine)._negated(quarters)
 
     def _negated(self, quarters: Any) -> "Lanes":
-        """With the sign changed in the lanes where an integer has its second bit set."""
+        """Negate the lanes in which an integer has its second bit set."""
         b = self.builder
         sign = b.shl(b.and_(quarters, _bits(2)), _bits(62))
         return Lanes(b, b.bitcast(b.xor(b.bitcast(self.value, _BITS), sign), _VECTOR))
 
     def log(self) -> "Lanes":
-        """Natural logarithm of positive normal numbers, by mantissa and exponent; NaN of NaN."""
+        """Return the natural logarithm of positive normal numbers, and NaN of NaN."""
         b = self.builder
         bits = b.bitcast(self.value, _BITS)
         mantissa_bits = b.or_(b.and_(bits, _bits(0xFFFFFFFFFFFFF)), _bits(0x3FF0000000000000))
@@ -169,7 +169,7 @@ class Lanes(_Value, Tracer):
         return e * math.log(2.0) + 2.0 * s * polynomial(s * s, _ATANH) + (self - self)  # type: ignore[no-any-return]
 
     def exp(self) -> "Lanes":
-        """Exponential of numbers in [-708, 708] (clipped there)."""
+        """Return the exponential of numbers, which are limited to [-708, 708]."""
         b = self.builder
         x: Any = where(self < -708.0, -708.0, where(self > 708.0, 708.0, self))
         shifted = x * (1.0 / math.log(2.0)) + 1023.5  # positive: truncation is floor
@@ -188,11 +188,11 @@ class WordLanes(_Value):
     __lshift__, __rshift__ = _integer("shl"), _integer("lshr")
 
     def scaled(self, factor: float) -> Any:
-        """The integers, below 2^63, times a factor."""
+        """Return the integers, which are below 2^63, times a factor."""
         return Lanes(self.builder, self.builder.sitofp(self.value, _VECTOR)) * factor
 
     def as_number(self) -> Lanes:
-        """The numbers of these bits."""
+        """Return the floats that have these bits."""
         return Lanes(self.builder, self.builder.bitcast(self.value, _VECTOR))
 
 
@@ -223,25 +223,25 @@ class _Rows:
 
 
 def _align_stack(builder: Any) -> None:
-    """Let no vector on the stack cross a line of the cache.
+    """Align the stack, so that no vector on it crosses a cache line.
 
-    The compiler aligns the stack of functions that ask for it, not for what it spills itself. Left
-    to the caller, a step of the environment takes a tenth to a half longer, by process.
+    The compiler aligns the stack of functions that ask for it, but not for values that it spills.
+    With the caller's alignment a step of the environment takes 10 to 50 % longer, by process.
     """
     vector = cgutils.alloca_once(builder, _VECTOR)  # type: ignore[no-untyped-call]
     vector.align = 8 * WIDTH
     use = ir.FunctionType(ir.VoidType(), [vector.type])
-    builder.asm(use, "", "r", [vector], side_effect=True)  # else it is optimized away
+    builder.asm(use, "", "r", [vector], side_effect=True)  # else the vector is optimized away
 
 
 def kernel(function: Callable[[Any], None], ends: Sequence[int]) -> Any:
-    """A numba function that runs ``function(rows)`` on a workspace of one or more parts.
+    """Return a numba function that runs ``function(rows)`` on a workspace of one or more parts.
 
     ``rows[i]`` reads row i as Lanes and ``rows[i] = value`` writes it. The function is
     called once, when numba compiles the caller.
 
     Args:
-        function: what to run.
+        function: the function to run.
         ends: the row where each part ends.
 
     Returns:

@@ -1,4 +1,4 @@
-"""A function of numbers, compiled to run epoch after epoch for many environments.
+"""Programs: functions of numbers, compiled to run epoch after epoch for many environments.
 
 A program maps a workspace tree to a workspace tree. Its leaves are rows of an array
 (blocks, rows, 8), eight environments to a block. The first field of a workspace,
@@ -26,10 +26,10 @@ Workspace = TypeVar("Workspace", bound=tuple[Any, ...])
 Blocks = tuple[int, int]  # first, end
 
 NO_ROWS = np.empty(0, np.int64)
-PLAIN_BLOCK_EPOCHS = 1000  # of blocks, before compiling, which takes as long as 4000 of them
+PLAIN_BLOCK_EPOCHS = 1000  # run as plain Python before compiling, which costs as much as 4000
 
-# numba's own lock guards all that compiles. A child forked while another thread holds it would
-# wait for ever, for that thread is not in the child; so a fork waits for the compilation.
+# numba's own lock guards every compilation. A child forked while another thread holds the lock
+# would wait forever, as that thread is not in the child; so a fork waits for the compilation.
 if hasattr(os, "register_at_fork"):
     os.register_at_fork(
         before=global_compiler_lock.acquire,
@@ -39,12 +39,12 @@ if hasattr(os, "register_at_fork"):
 
 
 def rows_of(tree: Any) -> Index:
-    """The numbers of rows in a tree, as of parts of :attr:`Program.index`."""
+    """Return the row numbers in a tree, such as a part of :attr:`Program.index`."""
     return np.array(flatten(tree), np.int64)
 
 
 def blocks_of(start: Array, n: int) -> Array:
-    """Workspaces of n tracks (blocks, size, 8), and of the lanes past them, all as one (size,)."""
+    """Return workspaces (blocks, size, 8) for n tracks; every lane is a copy of one (size,)."""
     return np.tile(start[None, :, None], (-(-n // WIDTH), 1, WIDTH))
 
 
@@ -56,50 +56,50 @@ def fill(blocks: Array, rows: Index, values: Array) -> Array:
 
 
 class Feed(NamedTuple):
-    """What makes the rows that come in, epoch by epoch, instead of a table.
+    """A function that makes the incoming rows of every epoch, in place of a table.
 
-    It has a workspace of its own, the same tracks in the same lanes.
+    A feed has its own workspace, with the same tracks in the same lanes.
     """
 
-    run: int  # address of a C function of the addresses of what comes in, settings and kept rows
-    settings: Array  # (rows, 8) read only, the same for all
+    run: int  # address of a C function of the addresses of incoming rows, settings and kept rows
+    settings: Array  # (rows, 8) read only, the same for all blocks
     kept: Array  # (blocks, rows, 8) changed in place
-    timed: int  # the row that comes in which gets a number of the epoch instead
-    times: Array  # (epochs,) these numbers
+    timed: int  # the incoming row that is set from ``times`` instead
+    times: Array  # (epochs,) the value of that row in each epoch
 
     @classmethod
     def none(cls) -> "Feed":
-        """Nothing but tables: the address is 0."""
+        """Return a feed that makes no rows, for a table; its address is 0."""
         return cls(0, np.empty((0, WIDTH)), np.empty((0, 0, WIDTH)), 0, np.empty(0))
 
 
 class BatchState(NamedTuple):
-    """N tracks and how far they are."""
+    """N tracks and the epochs that they run next."""
 
     rows: Array  # (blocks, size, 8) workspace, changed in place
-    feed: Feed  # what makes the epochs, if there is no table
-    table: Array  # (n, epochs, incoming) what to load
-    length: Index  # (n,) epochs there are of each track; past them a blank one is loaded
-    epoch: Index  # (n,) the epoch each runs next, changed in place
-    running: NDArray[np.bool_]  # (n,) False leaves a track and its epoch as they are
+    feed: Feed  # makes the epochs, if there is no table
+    table: Array  # (n, epochs, incoming) the epochs to load
+    length: Index  # (n,) number of epochs of each track; past the last a blank epoch is loaded
+    epoch: Index  # (n,) the epoch that each track runs next, changed in place
+    running: NDArray[np.bool_]  # (n,) False leaves a track and its epoch number unchanged
 
     @classmethod
     def of(cls, table: Array, rows: Array) -> "BatchState":
-        """Tracks of equal length, from their first epoch."""
+        """Return the state of tracks of equal length, at their first epoch."""
         n, epochs, _ = table.shape
         everyone = np.ones(n, np.bool_)
         return cls(rows, Feed.none(), table, np.full(n, epochs), np.zeros(n, np.int64), everyone)
 
 
 class StepIO(NamedTuple):
-    """What goes in and out of workspaces in every epoch of a run of E epochs."""
+    """The inputs and outputs of workspaces in every epoch of a run of E epochs."""
 
     input_rows: Index  # (f,) rows to set before an epoch
-    inputs: Array  # (n, E, f) their values
+    inputs: Array  # (n, E, f) values of these rows
     output_rows: Index  # (k,) rows to keep after an epoch
-    outputs: Array  # (n, E, k) gets them
+    outputs: Array  # (n, E, k) filled with these rows
     obs_rows: Index  # (s,) rows to keep in single precision
-    observations: NDArray[np.float32]  # (n, E, s) gets them
+    observations: NDArray[np.float32]  # (n, E, s) filled with the rows in single precision
 
     @classmethod
     def of(
@@ -110,7 +110,7 @@ class StepIO(NamedTuple):
         output_rows: Index = NO_ROWS,
         obs_rows: Index = NO_ROWS,
     ) -> "StepIO":
-        """Zeros as inputs, and room for outputs and observations."""
+        """Return zeros as inputs, and empty arrays for outputs and observations."""
         return cls(
             input_rows, np.zeros((n, epochs, len(input_rows))),
             output_rows, np.empty((n, epochs, len(output_rows))),
@@ -121,13 +121,13 @@ class StepIO(NamedTuple):
 def tree_kernel(
     function: Callable[[Tree], Tree], template: Tree, ends: Sequence[int] | None = None
 ) -> Any:
-    """A numba function that changes a workspace by a function of numbers.
+    """Return a numba function that changes a workspace by a function of numbers.
 
     Args:
         function: from a tree to a tree of the same shape.
         template: a tree of that shape; its leaves in order are the rows.
-        ends: as of :func:`~mmwave_env.compiler.lanes.kernel`, which says what it is a function of;
-            None for one part.
+        ends: as for :func:`~mmwave_env.compiler.lanes.kernel`, which also describes the returned
+            function; None for one part.
     """
     size = len(flatten(template))
 
@@ -142,7 +142,7 @@ def tree_kernel(
 
 
 class Program(Generic[Workspace]):
-    """A function of numbers with its workspace, compiled or found on disk when lanes first run.
+    """A function of numbers with its workspace, compiled or read from disk when lanes first run.
 
     Args:
         function: from a workspace tree to a workspace tree of the same shape.
@@ -158,14 +158,14 @@ class Program(Generic[Workspace]):
         self._compiled: Any = None
 
     def parts(self, names: Sequence[str]) -> list[Any]:
-        """Parts of ``index`` by name, such as "x" or "memory.nis"."""
+        """Return parts of ``index`` by name, such as "x" or "memory.nis"."""
         return [attrgetter(name)(self.index) for name in names]
 
     def by_name(self, names: Sequence[str], outputs: Array) -> dict[str, Array]:
-        """What was kept (n, epochs, rows) of the rows of :meth:`parts`, taken apart.
+        """Split the outputs (n, epochs, rows) that hold the rows of :meth:`parts` by name.
 
         Returns:
-            Per name (n, epochs) of a single number, else (n, epochs, numbers).
+            Per name, (n, epochs) for a single number, else (n, epochs, numbers).
         """
         result, first = {}, 0
         for name, part in zip(names, self.parts(names), strict=True):
@@ -182,8 +182,8 @@ class Program(Generic[Workspace]):
         _advance(epochs, first, end, self.on_lanes(), self.blank, *state, *io)
 
     def run_on_floats(self, state: BatchState, io: StepIO) -> None:
-        """Run all, one environment at a time in plain Python: slow, for reference."""
-        rows, _, table, length, epoch, running = state  # no feed: that is for lanes
+        """Run all environments one after the other in plain Python: slow, for reference."""
+        rows, _, table, length, epoch, running = state  # feeds run on lanes only
         input_rows, inputs, output_rows, outputs, obs_rows, observations = io
         for e in np.flatnonzero(running):
             lanes = rows[e // WIDTH, :, e % WIDTH]
@@ -197,13 +197,13 @@ class Program(Generic[Workspace]):
             epoch[e] += outputs.shape[1]
 
     def on_lanes(self) -> int:
-        """The address of a C function that runs the program on a block, for :func:`call`.
+        """Return the address of a C function that runs the program on a block, for :func:`call`.
 
-        It is compiled here, once, and lives as long as the program. Loops around it take it as an
-        argument and so need no compilation of their own for every program; a number, because a
-        pointer of ctypes costs each call a microsecond of Python.
+        The function is compiled here, once, and kept with the program. Loops take the address
+        as an argument, so a loop is not compiled anew for every program. The address is a number
+        because a ctypes pointer would cost each call a microsecond of Python.
         """
-        if self._compiled is None:  # the lock costs more than a look, and many steps come
+        if self._compiled is None:  # every step comes here, and this test is cheaper than the lock
             with global_compiler_lock:
                 if self._compiled is None:
                     self._compiled = self._compile()

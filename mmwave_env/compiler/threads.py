@@ -1,4 +1,4 @@
-"""Sharing jobs among threads. Kernels run without the interpreter's lock, so that it pays."""
+"""Threads that share jobs; this pays because kernels run without the interpreter's lock."""
 
 import os
 from collections.abc import Callable, Sequence
@@ -15,21 +15,21 @@ Result = TypeVar("Result")
 
 @lru_cache(maxsize=1)
 def _helpers() -> ThreadPoolExecutor:
-    """The threads of this process that work beside the calling one."""
+    """Return the threads of this process that work beside the calling thread."""
     return ThreadPoolExecutor(os.cpu_count(), "mmwave-env")
 
 
-if hasattr(os, "register_at_fork"):  # a forked child has no threads but its own
+if hasattr(os, "register_at_fork"):  # a forked child has only the thread that forked
     os.register_at_fork(after_in_child=_helpers.cache_clear)
 
 
 def share(
     function: Callable[..., Result], jobs: Sequence[tuple[Any, ...]], threads: int
 ) -> list[Result]:
-    """What ``function(*job)`` returns for every job, in order.
+    """Return the result of ``function(*job)`` for every job, in order.
 
-    At most ``threads`` of them work at once, the calling one among them. After an error or an
-    interrupt no further job begins, and those under way have ended when it comes through.
+    At most ``threads`` threads work at once, including the calling thread. After an error or an
+    interrupt no further job begins, and it is raised once the jobs under way have ended.
     """
     if threads == 1 or len(jobs) == 1:
         return [function(*job) for job in jobs]
@@ -41,14 +41,14 @@ def share(
             for i in waiting:
                 found[i] = function(*jobs[i])
 
-    # Not by their futures: an interrupt may come before the one of a job under way is known.
+    # Locks instead of futures: an interrupt may come before a running job's future is known.
     places = [Lock() for _ in range(min(threads, len(jobs)) - 1)]
     others: list[Future[None]] = []
     try:
         others.extend(_helpers().submit(work, place) for place in places)
         work(Lock())
     finally:
-        for _ in waiting:  # whoever has not begun finds nothing to do
+        for _ in waiting:  # threads that have not begun find no job left
             pass
         for place in places:
             with place:
@@ -60,11 +60,11 @@ def share(
 
 
 def spans(count: int, parts: int) -> list[tuple[int, int]]:
-    """First and end of so many parts of ``count`` things, as equal as can be."""
+    """Return first and end of each of ``parts`` parts of ``count`` things, as equal as can be."""
     return list(pairwise(count * i // parts for i in range(parts + 1)))
 
 
 def portions(count: int, threads: int, most: int) -> list[slice]:
-    """Slices of ``count`` things to share: whole blocks of lanes, of at most ``most`` things."""
+    """Return slices of ``count`` things: whole blocks of lanes, at most ``most`` things each."""
     size = min(most, -(-count // (threads * WIDTH)) * WIDTH)
     return [slice(first, first + size) for first in range(0, count, size)]

@@ -2,8 +2,8 @@
 
 In a table the numbers of one environment are contiguous; in a block each lane holds one
 environment. Compiled code moves eight by eight numbers at a time and transposes them in registers;
-one at a time they would take as long as an EKF. The environments of a block may be anywhere in a
-table, so each is given by its address.
+moving single numbers would take as long as an EKF. The environments of a block may be anywhere in
+a table, so each environment is given by its address.
 """
 
 import ctypes
@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from mmwave_env.compiler.lanes import WIDTH
 from mmwave_env.numerics.numbers import Array, Index
 
-LINE = 64  # bytes of the caches of most machines; others fetch some lines twice
+LINE = 64  # bytes of a cache line on most machines; others fetch some lines twice
 
 
 _INTEGER, _DOUBLE, _SINGLE = ir.IntType(64), ir.DoubleType(), ir.FloatType()
@@ -29,7 +29,7 @@ _BYTES = {_DOUBLE: 8, _SINGLE: 4}
 
 @register_jitable  # type: ignore[untyped-decorator]
 def address(table, i, j):  # type: ignore[no-untyped-def]
-    """Where the numbers (k,) of ``table[i, j]`` lie, if they lie side by side."""
+    """Return the address of the numbers (k,) of ``table[i, j]``, which must be contiguous."""
     return table.ctypes.data + i * table.strides[0] + j * table.strides[1]
 
 
@@ -37,9 +37,9 @@ def gather(block: Array, sources: Index, count: int) -> None:
     """Fill the first rows of a block.
 
     Args:
-        block: (size, 8) to fill.
+        block: (size, 8) block to fill.
         sources: (8,) addresses of the numbers of each lane, in double precision.
-        count: how many numbers each has.
+        count: number of numbers at each address.
     """
     for lane, source in enumerate(sources.tolist()):
         block[:count, lane] = _numbers(source, count, ctypes.c_double)
@@ -51,19 +51,19 @@ def pick(block: Array, rows: Index, out: Array) -> None:
 
 
 def scatter(block: Array, rows: Index, targets: Index) -> None:
-    """Write rows of a block down.
+    """Write rows of a block to an address per lane.
 
     Args:
-        block: (size, 8).
-        rows: (k,) numbers of the rows.
-        targets: (8,) addresses of room for the k numbers of each lane, in double precision.
+        block: (size, 8) block to read.
+        rows: (k,) row numbers.
+        targets: (8,) addresses of memory for the k numbers of each lane, in double precision.
     """
     for lane, target in enumerate(targets.tolist()):
         _numbers(target, len(rows), ctypes.c_double)[:] = block[rows, lane]
 
 
 def scatter_single(block: Array, rows: Index, targets: Index) -> None:
-    """:func:`scatter` to room for numbers in single precision."""
+    """Write rows of a block as :func:`scatter` does, in single precision."""
     for lane, target in enumerate(targets.tolist()):
         _numbers(target, len(rows), ctypes.c_float)[:] = block[rows, lane]
 
@@ -111,7 +111,7 @@ def _compiled_scatter(kind: ir.Type) -> Callable[..., Any]:
                 first = min(tile, count - WIDTH)
                 turn_out(block.ctypes.data, rows.ctypes.data, targets.ctypes.data, first)
 
-        # What is kept of two processes is linked by names: else one kind may run the other's code.
+        # Code cached by two processes is linked by name: equal names would mix up the two kinds.
         compiled.__qualname__ += f".{kind}"
         return compiled
 
@@ -142,7 +142,7 @@ def _prefetch(_, address):  # type: ignore[no-untyped-def]
 
 @intrinsic  # type: ignore[untyped-decorator]
 def number_at(_, address):  # type: ignore[no-untyped-def]
-    """The number in double precision at an address, in compiled code."""
+    """Return the number in double precision at an address, in compiled code."""
 
     def build(context, builder, signature, arguments):  # type: ignore[no-untyped-def]
         return builder.load(_pointer(builder, arguments[0], _DOUBLE))
@@ -175,7 +175,7 @@ def _copy_row(_, source, target):  # type: ignore[no-untyped-def]
 
 @intrinsic  # type: ignore[untyped-decorator]
 def _turn_in(_, block, sources, first):  # type: ignore[no-untyped-def]
-    """Eight numbers of each source, from a first one on, to as many rows of the block."""
+    """Load eight numbers of each source, from number ``first`` on, into eight rows of the block."""
 
     def build(context, builder, signature, arguments):  # type: ignore[no-untyped-def]
         block, sources, first = arguments
@@ -194,7 +194,7 @@ def _turn_in(_, block, sources, first):  # type: ignore[no-untyped-def]
 def _turn_out(kind: ir.Type) -> Any:
     @intrinsic  # type: ignore[untyped-decorator]
     def turn_out(_, block, rows, targets, first):  # type: ignore[no-untyped-def]
-        """Eight of the rows, from a first one on, to as many numbers of each target."""
+        """Store eight of the rows, from the ``first`` one on, as eight numbers of each target."""
 
         def build(context, builder, signature, arguments):  # type: ignore[no-untyped-def]
             block, rows, targets, first = arguments
@@ -216,7 +216,7 @@ def _turn_out(kind: ir.Type) -> Any:
 
 
 def _turned(builder: Any, tile: list[Any]) -> list[Any]:
-    """Eight vectors, transposed: halves, quarters and eighths change places across the diagonal."""
+    """Transpose eight vectors: halves, then quarters, then eighths swap across the diagonal."""
     tile, distance = list(tile), WIDTH // 2
     while distance:
         for i in (i for i in range(WIDTH) if not i & distance):
@@ -231,7 +231,7 @@ def _turned(builder: Any, tile: list[Any]) -> list[Any]:
 
 
 def _entry(builder: Any, address: Any, i: int) -> Any:
-    """The i-th integer from an address on."""
+    """Load the i-th integer from an address on."""
     return builder.load(_pointer(builder, builder.add(address, _INTEGER(8 * i)), _INTEGER))
 
 

@@ -1,1 +1,1 @@
-"""Filters run over episodes: for agents, along whole tracks, as an IMM, and back again."""
+"""Engines that run filters over episodes: for agents, over whole tracks, as IMM, and backwards."""

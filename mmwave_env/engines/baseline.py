@@ -1,6 +1,6 @@
-"""What ``reward="paired"`` subtracts: the rewards of an IMM on the episodes under way.
+"""The baseline of ``reward="paired"``: the rewards of an IMM on the current episodes.
 
-No action changes an episode, so what the IMM earns in it is known as soon as it is loaded.
+No action changes an episode, so the rewards of the IMM are known once the episode is loaded.
 """
 
 from collections.abc import Callable
@@ -17,16 +17,16 @@ from mmwave_env.numerics.numbers import Array, Index
 from mmwave_env.task import Task
 from mmwave_env.world.episode import EpisodeBatch
 
-TOGETHER = 256  # episodes at once: few enough for their memory not to count
+TOGETHER = 256  # episodes at once: few enough for their memory not to matter
 
 
 class Baseline:
     """Rewards of an IMM on the episodes of a batch.
 
     Args:
-        imm: it.
-        batch: what runs the episodes.
-        threads: how many may work at once; results do not depend on it.
+        imm: the IMM.
+        batch: the batch that runs the episodes.
+        threads: number of threads that may work at once; results do not depend on it.
     """
 
     def __init__(self, imm: ImmEngine, batch: Batch[Any], threads: int = 1) -> None:
@@ -38,7 +38,7 @@ class Baseline:
 
         Args:
             places: the environments.
-            episodes: gives those of some of them.
+            episodes: function that returns the episodes of some of the environments.
         """
         missing = self._batch.state.length.max() - self._rewards.shape[1]
         self._rewards = np.pad(self._rewards, ((0, 0), (0, max(0, missing))))
@@ -51,26 +51,26 @@ class Baseline:
         share(run, [(places[part],) for part in parts], self._threads)
 
     def subtract(self, rewards: Array, places: Index) -> None:
-        """Take from rewards (N,) what the IMM earned in the epoch that was just processed.
+        """Subtract from rewards (N,) the IMM's rewards in the epoch that was just processed.
 
-        In single precision, which agents learn from: so the recorded trainings come out again.
+        The result has single precision, which agents learn from, so recorded trainings repeat.
 
         Args:
-            rewards: of all environments, changed in place.
+            rewards: (N,) rewards of all environments, changed in place.
             places: (n,) environments that processed an epoch.
         """
-        epoch = self._batch.state.epoch[places] - 2  # two ahead: the next one is considered
+        epoch = self._batch.state.epoch[places] - 2  # the epoch before the one considered
         rewards[places] = rewards[places].astype(np.float32) - self._rewards[places, epoch]
 
     def rest(self, places: Index) -> Array:
-        """What the IMM will earn in the epochs left, in each of some environments (n,)."""
+        """Return the IMM's total reward in the remaining epochs of some environments (n,)."""
         tracks = self._batch.state
         spans = zip(places, tracks.epoch[places] - 1, tracks.length[places], strict=True)
         return np.array([fsum(self._rewards[place, now:end]) for place, now, end in spans])
 
 
 def baseline_of(task: Task, batch: Batch[Any], threads: int = 1) -> Baseline | None:
-    """The baseline of a task, on the episodes of a batch; None where nothing is subtracted."""
+    """Return the baseline of a task on the episodes of a batch; None where the task has none."""
     bank = task.baseline
     if bank is None:
         return None

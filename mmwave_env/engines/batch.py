@@ -1,4 +1,4 @@
-"""Run a program on episodes, for a batch of environments.
+"""Batches of environments that run a program on episodes.
 
 The workspace of such a program begins with three fields that a :class:`Batch` fills in:
 ``incoming``, the next epoch (:class:`~mmwave_env.world.episode.Incoming`); ``site``; and
@@ -27,24 +27,24 @@ from mmwave_env.numerics.pytree import flatten
 from mmwave_env.world.episode import Episode, EpisodeBatch, columns_of
 from mmwave_env.world.simulated import Begun, SimulatedSource
 
-BLOCKS_PER_THREAD = 64  # waking a thread costs as much as 32 of them
+BLOCKS_PER_THREAD = 64  # waking a thread costs as much as running 32 blocks
 
 
 class Batch(Generic[Workspace]):
     """N environments running one program.
 
     Args:
-        program: what runs.
+        program: the program to run.
         layout: rows of the measurements.
         n: number of environments.
         input_rows: leaves of ``program.index`` that are given a value for every epoch.
         on_floats: run in plain Python instead of on lanes.
-        threads: how many may work at once; results do not depend on it.
+        threads: number of threads that may work at once; results do not depend on it.
 
     Attributes:
-        at: the workspace tree with row numbers as leaves, to say what to read.
+        at: the workspace tree with row numbers as leaves; its parts name the rows to read.
         state: the environments' workspaces, episodes and next epochs.
-        parts: first block and end of what each thread does of an epoch.
+        parts: first and end of the blocks that each thread runs in an epoch.
     """
 
     def __init__(
@@ -74,16 +74,16 @@ class Batch(Generic[Workspace]):
         places: Index | None = None,
         gap_s: float | None = None,
     ) -> None:
-        """Load episodes, to start over or to go on with.
+        """Load episodes, which start new tracks or continue the current tracks.
 
         Args:
-            episodes: one for each of the places.
+            episodes: one episode for each of the places.
             places: the environments to load; None for all.
-            gap_s: seconds since the last epoch run, for episodes that continue the track;
-                None to start over from their priors.
+            gap_s: seconds since the last epoch that ran, for episodes that continue the track;
+                None to start over from the episodes' priors.
 
         Raises:
-            ValueError: another layout than the batch's.
+            ValueError: the layout of an episode is not the batch's.
         """
         found = EpisodeBatch.of(episodes, self.layout)
         places = np.arange(self.n) if places is None else places
@@ -100,11 +100,11 @@ class Batch(Generic[Workspace]):
         self.restart(places)
 
     def begin(self, source: SimulatedSource, begun: Begun, places: Index) -> None:
-        """Start over with episodes that are simulated as the environments go.
+        """Start over with episodes that are simulated while the environments step.
 
         Args:
-            source: of the episodes, the same always.
-            begun: what each of the places begins with.
+            source: source of the episodes, the same in every call.
+            begun: the beginning of the episode at each of the places.
             places: the environments to begin.
         """
         self.attach(source)
@@ -116,14 +116,14 @@ class Batch(Generic[Workspace]):
         self.restart(places)
 
     def attach(self, source: SimulatedSource) -> None:
-        """Have the episodes of a source simulated from the next :meth:`begin` on."""
+        """Attach a source, whose episodes are simulated from the next :meth:`begin` on."""
         if not self.state.feed.run:
             blank = source.begin(np.zeros(1, np.uint64)).worlds
             feed = source.feed(np.tile(blank, (self.n, 1)))
             self.state = self.state._replace(feed=feed)
 
     def make_room(self, epochs: int) -> None:
-        """For tables of so many epochs; those loaded stay."""
+        """Make room for tables with that number of epochs; loaded tables are kept."""
         table = self.state.table
         n, had, columns = table.shape
         if epochs > had:
@@ -132,14 +132,14 @@ class Batch(Generic[Workspace]):
             self.state = self.state._replace(table=longer)
 
     def restart(self, places: Index | None = None) -> None:
-        """Start over with the episodes loaded; ``places`` as in :meth:`load`."""
+        """Start over with the loaded episodes; ``places`` are as in :meth:`load`."""
         places = np.arange(self.n) if places is None else places
         _, _, is_first, *_ = self.at
         self.write(is_first, 1.0, places)
         self.state.epoch[places] = 0
 
     def episodes(self, places: Index) -> EpisodeBatch:
-        """The episodes loaded in some environments, without their names."""
+        """Return the episodes loaded in some environments, without their names."""
         _, site, *_ = self.at
         block, lane = np.divmod(places, WIDTH)
         length = self.state.length[places]
@@ -155,15 +155,15 @@ class Batch(Generic[Workspace]):
     def io(
         self, epochs: int = 1, output_rows: Index = NO_ROWS, obs_rows: Index = NO_ROWS
     ) -> StepIO:
-        """What a run of some epochs needs: zeros to feed, and room for rows to keep or show."""
+        """Return buffers for a run of some epochs: zeros as inputs, and arrays for outputs."""
         return StepIO.of(self.n, epochs, self._input_rows, output_rows, obs_rows)
 
     def advance(self, io: StepIO | None = None, running: NDArray[np.bool_] | None = None) -> None:
-        """Run the next epochs; past the end of an episode epochs are blank.
+        """Run the next epochs; past the end of an episode, epochs are blank.
 
         Args:
-            io: what to feed, keep and show; None for one epoch of none.
-            running: (n,) False for the environments to leave as they are; None for none.
+            io: inputs, outputs and observations; None for one epoch without any.
+            running: (n,) False for environments to leave unchanged; None to run all.
         """
         io = self.io() if io is None else io
         state = self.state if running is None else self.state._replace(running=running)
@@ -173,12 +173,12 @@ class Batch(Generic[Workspace]):
             share(self._run, [(state, io, part) for part in self.parts], len(self.parts))
 
     def span(self, tree: Any) -> slice:
-        """The rows of a subtree of ``at``; leaves of a subtree lie side by side."""
+        """Return the slice of rows of a subtree of ``at``, which are contiguous."""
         numbers = flatten(tree)
         return slice(numbers[0], numbers[-1] + 1)
 
     def read(self, tree: Any, dtype: DTypeLike = np.float64) -> NDArray[Any]:
-        """The rows of a subtree of ``at``, or of its span: a copy, (n,) of a leaf, else (n, k)."""
+        """Return a copy of rows of a subtree of ``at`` or a span: (n,) for a leaf, else (n, k)."""
         rows = self.state.rows
         if isinstance(tree, int):
             return rows[:, tree, :].reshape(-1)[: self.n].astype(dtype)
@@ -187,14 +187,14 @@ class Batch(Generic[Workspace]):
         return chosen.reshape(-1, chosen.shape[2])[: self.n]
 
     def column(self, environment: int) -> Array:
-        """All rows of one environment (size,), as a copy; :meth:`span` says where what is."""
+        """Return a copy of all rows (size,) of one environment; :meth:`span` finds a part in it."""
         block, lane = divmod(environment, WIDTH)
         return self.state.rows[block, :, lane].copy()
 
     def write(self, tree: Any, values: Any, places: Index | None = None) -> None:
-        """Set the rows named by a subtree of ``at``: values (n,) of a leaf, else (n, leaves).
+        """Set the rows of a subtree of ``at`` to values: (n,) for a leaf, else (n, leaves).
 
-        There is a value for each of the places, which are as in :meth:`load`.
+        The values have one entry for each of the places, which are as in :meth:`load`.
         """
         places = np.arange(self.n) if places is None else places
         block, lane = np.divmod(places, WIDTH)

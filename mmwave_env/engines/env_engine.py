@@ -1,4 +1,4 @@
-"""Environments in step, one or many at once."""
+"""The engine of environments, which steps one or many environments together."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -22,22 +22,22 @@ from mmwave_env.world.keys import Keys
 
 
 class Engine:
-    """N environments in step: episodes in, actions in, observations and scores out.
+    """N environments that step together: episodes and actions in, observations and scores out.
 
     Args:
         pipeline: modes and layout.
         n: number of environments.
         reward: function of (belief, truth).
         observation: "full" or "prior".
-        bank: of the pipeline's modes, where every mode keeps its own belief; None where they
-            share one.
-        on_floats: run in plain Python instead of on lanes (the filterpy twin needs it).
-        threads: how many may work at once; results do not depend on it.
+        bank: bank of the pipeline's modes, if every mode keeps its own belief; None if the modes
+            share a belief.
+        on_floats: run in plain Python instead of on lanes (the filterpy reference needs this).
+        threads: number of threads that may work at once; results do not depend on it.
 
     Attributes:
-        batch: their workspaces and episodes.
-        keys: (n,) of the episodes, where they have some.
-        at, read, column, span: the batch's.
+        batch: workspaces and episodes of the environments.
+        keys: (n,) keys of the episodes, where episodes have keys.
+        at, read, column, span: as in the batch.
     """
 
     def __init__(
@@ -67,26 +67,26 @@ class Engine:
             self.tune(bank)
 
     def tune(self, bank: Bank, places: Index | None = None) -> None:
-        """Take another bank of such modes, in some environments (n,) or in all."""
+        """Load another bank of the same modes, in some environments (n,) or in all."""
         numbers = flatten(settings_of(bank, self.pipeline.layout))
         self.batch.write(self.at.settings, np.array(numbers), places)
 
     def reset(self, episodes: EpisodeBatch | Sequence[Episode]) -> None:
-        """Start over with one episode each and consider its first epoch."""
+        """Start over with one episode for each environment and consider its first epoch."""
         self.batch.load(episodes)
         self.batch.advance()
 
     def begin(self, task: Task, keys: Keys, places: Index, threads: int = 1) -> list[str]:
         """Begin the episodes of keys (n,) in some environments (n,).
 
-        They are simulated as the environments go, unless the way of the user is given or floats
-        are to run: then they are drawn at once.
+        Episodes are simulated while the environments step, unless the way of the user is given or
+        the engine runs on floats: then whole episodes are drawn here.
 
         Args:
-            task: with simulated episodes, the same always.
-            keys: of the episodes.
-            places: the environments.
-            threads: how many may draw at once.
+            task: a task with simulated episodes, the same in every call.
+            keys: (n,) keys of the episodes.
+            places: (n,) environments.
+            threads: number of threads that may draw at once.
 
         Returns:
             The names (n,) of the episodes.
@@ -104,27 +104,27 @@ class Engine:
         return [source.names[kind] for kind in begun.kinds]
 
     def attach(self, task: Task) -> None:
-        """Make room for the episodes of a task with simulated ones; those under way go on."""
+        """Make room for the simulated episodes of a task; current episodes continue."""
         if task.simulated.travels:
             self.batch.attach(task.simulated)
         else:
             self.batch.make_room(task.simulated.epochs)
 
     def go_on(self, task: Task, tracks: BatchState) -> None:
-        """Go on from the state that a batch of such a task was in, in this process or another."""
-        if len(tracks.feed.kept):  # where compiled code lies is this process's own
+        """Continue from the state of a batch with the same task, in this process or another."""
+        if len(tracks.feed.kept):  # the address of compiled code differs between processes
             feed = tracks.feed._replace(run=task.simulated.world.on_lanes())
             tracks = tracks._replace(feed=feed)
         self.batch.state = tracks
 
     def episodes(self, task: Task, places: Index) -> EpisodeBatch:
-        """The episodes under way in some environments (n,), whole."""
+        """Return the whole current episodes of some environments (n,)."""
         if self.batch.state.feed.run:
             return task.tables(self.keys[places])
         return self.batch.episodes(places)
 
     def steps_s(self, places: Index) -> Array:
-        """Seconds between epochs (n,) of the episodes under way, the median of each."""
+        """Return the median time (n,) between epochs of each current episode, seconds."""
         state, dt = self.batch.state, columns_of(self.batch.layout).dt
         if state.feed.run:
             return np.full(len(places), state.feed.times[1:2].sum() or 1.0)
@@ -134,10 +134,10 @@ class Engine:
     def start(
         self, places: Index, output_rows: Index = NO_ROWS
     ) -> tuple[NDArray[np.float32], Array]:
-        """Consider the first epoch in environments just loaded; the others stay as they are.
+        """Consider the first epoch in environments just loaded; leave the others unchanged.
 
         Returns:
-            As :meth:`step`, but sound only for these environments.
+            As for :meth:`step`, but valid only for these environments.
         """
         running = np.zeros(self.batch.n, np.bool_)
         running[places] = True
@@ -146,22 +146,22 @@ class Engine:
         return io.observations[:, 0], io.outputs[:, 0]
 
     def io(self, output_rows: Index = NO_ROWS) -> StepIO:
-        """Room for actions, observations and rows to tell, for a step."""
+        """Return the buffers of a step: for actions, observations and output rows."""
         return self.batch.io(output_rows=output_rows, obs_rows=self._obs_rows)
 
     def step(
         self, actions: NDArray[np.integer[Any]] | np.int64, output_rows: Index = NO_ROWS
     ) -> tuple[NDArray[np.float32], Array]:
-        """Take every environment's action (n,), or one for all, and consider the next epoch.
+        """Apply every environment's action (n,), or one for all, and consider the next epoch.
 
-        An environment just loaded starts its episode instead.
+        An environment that was just loaded starts its episode instead.
 
         Args:
-            actions: numbers of the modes; from 1 where each keeps its belief, and 0 for none.
-            output_rows: (k,) numbers of rows to return, of :func:`rows_of` parts of ``at``.
+            actions: numbers of the modes; where each mode keeps its belief, from 1, and 0 for none.
+            output_rows: (k,) numbers of rows to return, from :func:`rows_of` of parts of ``at``.
 
         Returns:
-            The observations (n, features), and what to tell (n, k); fresh arrays.
+            The observations (n, features) and the output rows (n, k), in fresh arrays.
         """
         io = self.io(output_rows)
         io.inputs[:, 0, 0] = actions
@@ -169,5 +169,5 @@ class Engine:
         return io.observations[:, 0], io.outputs[:, 0]
 
     def observations(self) -> NDArray[np.float32]:
-        """The current observations (n, features), a copy."""
+        """Return a copy of the current observations (n, features)."""
         return self.read(self.at.observation, np.float32)

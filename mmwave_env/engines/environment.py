@@ -1,6 +1,6 @@
-"""What single and vector environments share: their engine, copies and states as plain arrays.
+"""The base of single and vector environments: engine, copies, and states as plain arrays.
 
-Whoever goes on from a copy or a state does so to the last bit.
+An environment that continues from a copy or a state gives the same numbers, to the last bit.
 """
 
 from collections.abc import Callable
@@ -26,23 +26,23 @@ from mmwave_env.numerics.numbers import Array, Index, Mask
 from mmwave_env.task import Task
 from mmwave_env.world.keys import Streams
 
-REPLAYED = 64  # episodes at once: few enough for their memory not to count
+REPLAYED = 64  # episodes at once: few enough for their memory not to matter
 
 
 class Environment:
     """Environments on an engine, which ``deepcopy`` and ``pickle`` copy.
 
-    Compiled code and what refers to it is made anew, all else is copied. A deep copy shares the
-    task, which no step changes, and with it the source of episodes.
+    A copy makes compiled code and references to it anew and copies all else. A deep copy shares
+    the task, which no step changes, and thereby the source of episodes.
     """
 
     _engine: Engine
     _baseline: Baseline | None
     _replay: Replay | None
-    _set_up: Callable[[], None]  # makes what follows from the arguments: it is not copied
+    _set_up: Callable[[], None]  # makes attributes from the arguments, which are not copied
 
     def _take_task(self, task: Task, observation: str, smoothed: bool, n: int = 1) -> None:
-        """Take on a task in n environments, none of which has begun."""
+        """Store the task of n environments that have not begun."""
         self._task, self._observation_kind, self._smoothing = task, observation, smoothed
         self._tally = Tally(n, len(task.pipeline.position_axes))
         self._history = ActionHistory(n, len(task.pipeline.modes) + 1)
@@ -51,7 +51,7 @@ class Environment:
     def _start_engine(
         self, pipeline: Pipeline, n: int = 1, on_floats: bool = False, threads: int = 1
     ) -> None:
-        """Make the engine of n environments, and what runs beside it."""
+        """Make the engine of n environments, its replay and its baseline."""
         task, kind = self._task, self._observation_kind
         self.source, self.radio, self.reward = task.source, task.radio, task.reward
         self._engine = Engine(pipeline, n, task.reward, kind, task.bank, on_floats, threads)
@@ -61,7 +61,7 @@ class Environment:
 
     @property
     def _drawn(self) -> tuple[dict[str, slice], int, list[str]]:
-        """What pictures read of a workspace, the axes of its NEES, and what actions are called."""
+        """Return the rows that pictures read, the number of NEES axes and the actions' names."""
         rows = drawn_rows(self._engine.at, self._engine.span)
         return rows, len(self._task.pipeline.position_axes), self.observation.actions
 
@@ -77,18 +77,18 @@ class Environment:
             self._baseline.begin(places, partial(self._engine.episodes, self._task))
 
     def _begin_tracks(self, places: Index) -> None:
-        """Start what goes along with episodes that just began in some environments."""
+        """Start baseline and tally for episodes that just began in some environments."""
         self._begin_baseline(places)
         length = self._engine.batch.state.length[places]
         self._tally.begin(places, self._engine.steps_s(places), length)
 
     def _remember(self, epochs: int) -> None:
-        """Remember the modes of so many steps, if anybody will ask for them."""
+        """Make room for the modes of that number of steps, if a replay needs them."""
         if self._replay:
             self._history.make_room(epochs)
 
     def _metrics_of(self, ended: Index, threads: int = 1) -> dict[str, Array]:
-        """What the last step tells of episodes that ended in some environments (k,)."""
+        """Compute the final metrics of episodes that ended in some environments (k,)."""
         epochs = self._engine.batch.state.epoch[ended] - 1
         metrics = self._tally.metrics(ended, epochs)
         told = {EPISODE_KEYS[name]: values for name, values in metrics.items()}
@@ -109,26 +109,26 @@ class Environment:
         return told | {SMOOTHED_KEY: smoothed}
 
     def _charge(self, rewards: Array, places: Index) -> None:
-        """Take the worst reward for every epoch left where an episode ends early."""
+        """Add the worst reward for every remaining epoch where an episode ends early."""
         assert self._task.worst is not None
-        tracks = self._engine.batch.state  # an epoch ahead: it waits for the next action
+        tracks = self._engine.batch.state  # an epoch ahead, as that epoch waits for the next action
         rewards[places] += self._task.worst * (tracks.length + 1 - tracks.epoch)[places]
         if self._baseline:
             rewards[places] -= self._baseline.rest(places)
 
     def _set_up_noting(self) -> None:
-        """Set up, and note what a copy does not need because it does the same."""
+        """Set up, and note the attributes made here, which a copy makes by itself."""
         given = set(vars(self))
         self._set_up()
         self._remade = frozenset(vars(self)) - given
 
     def __getstate__(self) -> dict[str, Any]:
-        """What a copy cannot make anew."""
+        """Return the attributes that a copy cannot make by itself."""
         kept = {key: value for key, value in vars(self).items() if key not in self._remade}
         return kept | {"tracks": self._engine.batch.state, "keys": self._engine.keys}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
-        """Go on, to the last bit, as the environment did that was copied."""
+        """Continue as the copied environment does, to the last bit."""
         vars(self).update(state)
         tracks, keys = vars(self).pop("tracks"), vars(self).pop("keys")
         self._set_up_noting()
@@ -138,7 +138,7 @@ class Environment:
             self._begin_baseline(np.arange(self._engine.batch.n))
 
     def __deepcopy__(self, memo: dict[int, Any]) -> Self:
-        """A copy that goes on by itself."""
+        """Return an independent copy."""
         twin = type(self).__new__(type(self))
         memo |= {id(self): twin, id(self._task): self._task}
         twin.__setstate__(deepcopy(self.__getstate__(), memo))
@@ -146,17 +146,17 @@ class Environment:
 
 
 class RestorableEnvironment(Environment):
-    """Environments in step whose state can be taken and given back."""
+    """Environments that step together and whose state can be saved and restored."""
 
     num_envs: int
     _stepper: Stepper
     _streams: Streams
     _over: Mask
     _ended: int
-    _begin_pictures: Callable[[Index], None]  # starts over where episodes just began
+    _begin_pictures: Callable[[Index], None]  # starts pictures over where episodes just began
 
     def state(self) -> dict[str, NDArray[Any]]:
-        """All that what comes next depends on, for :meth:`restore`: copies.
+        """Return copies of all arrays that later steps depend on, for :meth:`restore`.
 
         Raises:
             ResetNeeded: no episode is under way.
@@ -171,7 +171,7 @@ class RestorableEnvironment(Environment):
         }
 
     def _arrays(self) -> dict[str, NDArray[Any]]:
-        """What a state copies as it is."""
+        """Return the arrays that a state copies unchanged."""
         tracks, tally = self._engine.batch.state, self._tally
         return {
             "rows": tracks.rows, "worlds": tracks.feed.kept, "table": tracks.table,
@@ -180,14 +180,14 @@ class RestorableEnvironment(Environment):
         }  # fmt: skip
 
     def restore(self, state: dict[str, NDArray[Any]]) -> None:
-        """Go on, to the last bit, as the environment did that gave this :meth:`state`.
+        """Continue as the environment that returned this :meth:`state`, to the last bit.
 
         Args:
-            state: of an environment with the same arguments.
+            state: state of an environment with the same arguments.
 
         Raises:
-            ValueError: that of an environment with others, as far as its arrays show; or
-                episodes come from a source that draws from generators.
+            ValueError: the arrays of the state do not fit the arguments; or episodes come
+                from a source that draws from generators.
         """
         self._require_simulated("restore")
         n, history, source = self.num_envs, self._history, self._task.simulated
@@ -212,11 +212,11 @@ class RestorableEnvironment(Environment):
         history.set_all(state["actions"])
         self._over, self._ended = state["over"].copy(), int(np.count_nonzero(state["over"]))
         self._begin_baseline(np.arange(n))
-        self._begin_pictures(np.arange(n))  # the way up to here is not part of a state
+        self._begin_pictures(np.arange(n))  # the path so far is not part of a state
         self._begun = True
 
     def _make_room(self) -> None:
-        """For what a state holds of simulated episodes; those under way go on."""
+        """Make room for the simulated episodes of a state; current episodes continue."""
         source = self._task.simulated
         self._engine.attach(self._task)
         self._tally.make_room(min(round(1.0 / source.dt), source.epochs))

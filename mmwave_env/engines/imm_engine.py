@@ -1,8 +1,8 @@
-"""Interacting multiple models in place of an agent, over whole episodes in one kernel call.
+"""Interacting multiple models in place of an agent: whole episodes in one kernel call.
 
-No action steers an IMM, so nothing has to stop between two epochs. Whatever may be tuned
-(transition probabilities, process noise, how much an outlier says) is part of its data, so
-that one compiled program runs any of it.
+No action steers an IMM, so its kernel need not stop between epochs. All that may be tuned
+(transition probabilities, process noise, the weight of outliers) is part of its data, so
+one compiled program runs any tuning.
 """
 
 from collections.abc import Sequence
@@ -44,28 +44,28 @@ from mmwave_env.world.episode import Episode, EpisodeBatch, Incoming, blank_inco
 
 
 class ImmState(NamedTuple):
-    """Everything an IMM holds between two epochs."""
+    """The state of an IMM between two epochs."""
 
-    incoming: Incoming  # the epoch just filtered
+    incoming: Incoming  # the epoch that was just filtered
     site: Site  # anchors, carrier and prior
     is_first: Number  # 1 to start over from the prior
     action: Number  # the mode to trust, from 1, where an agent acts; 0 for none
-    settings: ImmSettings  # of the bank
+    settings: ImmSettings  # parameters of the bank
     mixture: Mixture  # belief and probability of every mode
     # x, P: (7,), (28,) the combined belief; x_predicted, P_predicted: before the epoch's update
     x: list[Number]
     P: list[Number]
     x_predicted: list[Number]
     P_predicted: list[Number]
-    memory: Memory  # of the most probable mode
-    # reward, error, nees: of the epoch, as in :class:`~mmwave_env.engines.shared_epoch.EnvState`
+    memory: Memory  # memory of the most probable mode
+    # reward, error, nees: as in :class:`~mmwave_env.engines.shared_epoch.EnvState`
     reward: Number
     error: list[Number]
     nees: Number
 
 
 def imm_program(pipeline: Pipeline, reward: Reward, acted: bool = False) -> Program[ImmState]:
-    """The compiled epoch of an IMM; pipelines whose modes differ in tuning alone share it.
+    """Return the program of an IMM's epoch, shared by pipelines that differ only in tuning.
 
     Args:
         pipeline: modes and layout.
@@ -121,13 +121,13 @@ def _program(pipeline: Pipeline, reward: Reward, acted: bool) -> Program[ImmStat
 
 
 class ImmEngine:
-    """Interacting multiple models over the modes of a pipeline; it weighs them itself.
+    """An IMM over the modes of a pipeline, which weighs the modes itself.
 
     Args:
         pipeline: modes and layout.
         reward: function of (belief, truth), for comparison with policies.
-        transition, nis_quantile: as of :class:`~mmwave_env.filters.bank.Bank`, which also says
-            what is refused.
+        transition, nis_quantile: as in :class:`~mmwave_env.filters.bank.Bank`, which also lists
+            the values that are refused.
     """
 
     def __init__(
@@ -148,16 +148,16 @@ class ImmEngine:
         """Filter episodes from their priors to their ends.
 
         Args:
-            episodes: N of them.
+            episodes: N episodes.
             names: parts of :class:`ImmState` to return, such as "reward" or
                 "mixture.probability".
 
         Returns:
-            Per name (n, epochs) of a single number, else (n, epochs, numbers); what is past the
-            end of an episode means nothing.
+            Per name, (n, epochs) for a single number, else (n, epochs, numbers); values past the
+            end of an episode are meaningless.
 
         Raises:
-            ValueError: another layout than the pipeline's.
+            ValueError: the layout of an episode is not the pipeline's.
         """
         packed, program = EpisodeBatch.of(episodes, self.pipeline.layout), self._program
         n, epochs, _ = packed.table.shape
@@ -169,13 +169,13 @@ class ImmEngine:
 
 
 class ImmTracker(EpisodeFilter[ImmState]):
-    """N tracks of an IMM, which may go on from one episode to the next.
+    """N tracks of an IMM, which may continue from one episode to the next.
 
     Args:
-        bank: modes, and how they interact.
+        bank: the modes and the parameters of their interaction.
         layout: rows of the measurements.
         n: number of tracks.
-        planar: as of :class:`~mmwave_env.filters.pipeline.Pipeline`.
+        planar: as in :class:`~mmwave_env.filters.pipeline.Pipeline`.
     """
 
     def __init__(self, bank: Bank, layout: Layout, n: int, planar: bool = False) -> None:

@@ -1,8 +1,8 @@
 """The epoch of an environment in which every mode keeps its own belief.
 
-The modes interact as in an IMM (:mod:`mmwave_env.filters.imm`). An action says which of them to
-trust in the epoch that was just filtered: its probability is raised before the beliefs are
-combined, scored and mixed again. Trusting none, action 0, is the IMM itself.
+The modes interact as in an IMM (:mod:`mmwave_env.filters.imm`). An action chooses the mode to
+trust in the epoch that was just filtered: the probability of that mode is raised before the
+beliefs are combined, scored and mixed again. Action 0, which trusts no mode, is the IMM itself.
 """
 
 from functools import lru_cache, partial
@@ -36,22 +36,22 @@ SPREAD_MEMORIES = (0.6, 0.9, 0.97)  # weights of the past in averages of the Dop
 
 
 class PerModeState(NamedTuple):
-    """Everything such an environment holds between two epochs."""
+    """The state between two epochs of an environment in which every mode keeps its own belief."""
 
     incoming: Incoming  # the epoch under consideration
     site: Site  # anchors, carrier and prior
     is_first: Number  # 1 to start over from the prior instead of taking the action
-    action: Number  # the mode to trust, from 1; 0 for none
-    settings: ImmSettings  # of the bank
+    action: Number  # number of the mode to trust, from 1; 0 for none
+    settings: ImmSettings  # parameters of the bank
     pending: PendingEpoch  # the epoch whose mixture waits for an action
-    mixture: Mixture  # after that epoch
-    spread_averages_hz: list[Number]  # of the Doppler spread, one for each of SPREAD_MEMORIES
-    # of the last epoch that an action was taken in:
-    mode_probabilities: list[Number]  # (modes,) after the action
+    mixture: Mixture  # belief after that epoch
+    spread_averages_hz: list[Number]  # average Doppler spread, for each of SPREAD_MEMORIES
+    # all further fields are those of the last epoch in which an action was taken:
+    mode_probabilities: list[Number]  # (modes,) probabilities after the action
     # x, P: (7,), (28,) the combined belief
     x: list[Number]
     P: list[Number]
-    memory: Memory  # of the most probable mode; its preferences cover all modes
+    memory: Memory  # memory of the most probable mode; its preferences cover all modes
     observation: list[Number]  # (features,)
     # reward, truth, error, distance, nees: as in :class:`~mmwave_env.engines.shared_epoch.EnvState`
     reward: Number
@@ -89,7 +89,7 @@ def _template(pipeline: Pipeline, features: int) -> PerModeState:
 def epoch(
     w: PerModeState, pipeline: Pipeline, observation: Observation, reward: Reward
 ) -> PerModeState:
-    """One step of an environment, on numbers."""
+    """Compute one step of an environment, on numbers."""
     dt, _, truth = w.pending
     layout, costs = pipeline.layout, [0.0, *(mode.cost for mode in pipeline.modes)]
     mixture = trusting(w.mixture, w.action, dt)
@@ -134,11 +134,11 @@ def epoch(
 
 @lru_cache(maxsize=32)
 def program_of(pipeline: Pipeline, kind: str, reward: Reward) -> Program[PerModeState]:
-    """The compiled epoch, shared by every environment that is set up alike.
+    """Return the program of an epoch, shared by all environments with the same arguments.
 
     Args:
         pipeline: modes and layout; the tunings are part of the state.
-        kind: of observation.
+        kind: kind of observation.
         reward: function of (belief, truth).
     """
     observation = Observation(pipeline, kind, "per-mode")

@@ -1,8 +1,8 @@
-"""What an episode comes to: run again with the modes that were chosen, forwards and back.
+"""Replays of finished episodes with the modes that were chosen, forwards and backwards.
 
-An environment holds no history: a finished episode is data and its actions, so it is run once
-more to see it whole. Forwards gives errors and NEES, backwards what smoothing (paper,
-Sec. III-F) would make of them. Tracks that were kept are smoothed alone (:func:`smooth`).
+An environment holds no history: a finished episode consists of data and actions, so it is run
+again to get the whole track. The forward pass gives errors and NEES, the backward pass gives
+smoothed errors (paper, Sec. III-F). Tracks that were kept are only smoothed (:func:`smooth`).
 """
 
 from functools import lru_cache
@@ -41,19 +41,19 @@ AXES = 3
 
 
 class ReplayedEpoch(NamedTuple):
-    """What the way back needs of an epoch."""
+    """The parts of an epoch that the backward pass needs."""
 
-    filtered: ForwardEpoch  # as the filter left it
+    filtered: ForwardEpoch  # the epoch after the filter's update
     error: list[Number]  # (3,) position error, m
-    nees: Number  # of the position
+    nees: Number  # NEES of the position
 
 
 class ReturnState(NamedTuple):
-    """The way back between two epochs."""
+    """The state of the backward pass between two epochs."""
 
-    incoming: ReplayedEpoch  # the epoch at hand
-    after: BackwardState  # what the epoch after it left
-    smoothed_error: list[Number]  # (3,) position error of the smoothed mean of the epoch at hand, m
+    incoming: ReplayedEpoch  # the current epoch
+    after: BackwardState  # the following epoch, smoothed
+    smoothed_error: list[Number]  # (3,) position error of the current epoch's smoothed mean, m
 
 
 def _replayed(track: TrackState | ImmState) -> ReplayedEpoch:
@@ -76,11 +76,11 @@ def _way_back(known_axes: tuple[int, ...]) -> Program[ReturnState]:
 
 
 class Replay:
-    """Finished episodes of a pipeline, run again.
+    """A replay of finished episodes of a pipeline.
 
     Args:
         pipeline: modes and layout.
-        bank: of its modes, where every mode keeps its own belief; None where they share one.
+        bank: bank of the modes, if every mode keeps its own belief; None if the modes share one.
     """
 
     def __init__(self, pipeline: Pipeline, bank: Bank | None = None) -> None:
@@ -101,21 +101,21 @@ class Replay:
         self._show = rows_of([at.incoming.error, at.incoming.nees, at.smoothed_error])
 
     def run(self, episodes: EpisodeBatch, actions: Actions) -> tuple[Array, ...]:
-        """Run episodes.
+        """Run finished episodes again, forwards and backwards.
 
-        Every episode gets the same numbers, to the last bit, whatever others are beside it.
+        The numbers of an episode do not depend on the other episodes, to the last bit.
 
         Args:
-            episodes: n of them.
-            actions: (n, T) modes of their first T epochs.
+            episodes: n episodes.
+            actions: (n, T) modes of the first T epochs of each episode.
 
         Returns:
-            Position errors (n, T, 3), m, filtered; their NEES (n, T); errors smoothed.
+            Filtered position errors (n, T, 3), m; NEES (n, T); smoothed position errors (n, T, 3).
         """
         there, back, n = self._there, self._back, len(actions)
         rows = fill(blocks_of(self._start, n), self._site, episodes.site)
         keep, show, tables = self._keep, self._show, episodes.table
-        figures = np.empty((len(show), *actions.shape))  # numpy reduces what lies side by side
+        figures = np.empty((len(show), *actions.shape))  # numpy reduces along contiguous numbers
         _there_and_back(
             there.on_lanes(), back.on_lanes(), rows, back.start, tables, actions,
             there.index.action, keep, show, figures,
@@ -126,7 +126,7 @@ class Replay:
 
 @register_jitable  # type: ignore[untyped-decorator]
 def _return(run, start, way, show, out):  # type: ignore[no-untyped-def]
-    """From the last epoch of up to eight episodes to the first; fill ``out`` (s, n, T)."""
+    """Run up to eight episodes backwards from their last epoch; fill ``out`` (s, n, T)."""
     block = np.empty((len(start), WIDTH))
     for i in range(len(start)):
         for lane in range(WIDTH):
@@ -145,7 +145,7 @@ def _return(run, start, way, show, out):  # type: ignore[no-untyped-def]
 def _there_and_back(  # type: ignore[no-untyped-def]
     there, back, rows, start, tables, actions, action, keep, show, out
 ):
-    """Eight episodes at a time, so that what lies between the two ways stays in a cache."""
+    """Run eight episodes at a time both ways, so that the kept epochs stay in a cache."""
     n, epochs = actions.shape
     way = np.empty((epochs, len(keep), WIDTH))
     sources = np.empty(WIDTH, np.int64)
@@ -153,7 +153,7 @@ def _there_and_back(  # type: ignore[no-untyped-def]
         block, first = rows[b], b * WIDTH
         end = min(first + WIDTH, n)
         for t in range(epochs):
-            for lane in range(WIDTH):  # those past n run their block's first episode
+            for lane in range(WIDTH):  # lanes past n run the first episode of their block
                 e = first + lane if first + lane < end else first
                 sources[lane] = address(tables, e, t)
                 block[action, lane] = actions[e, t]
@@ -164,10 +164,10 @@ def _there_and_back(  # type: ignore[no-untyped-def]
 
 
 class SmoothingState(NamedTuple):
-    """The smoother between two epochs, going backwards."""
+    """The state of the smoother between two epochs of the backward pass."""
 
-    incoming: ForwardEpoch  # the epoch at hand
-    after: BackwardState  # what the epoch after it left
+    incoming: ForwardEpoch  # the current epoch
+    after: BackwardState  # the following epoch, smoothed
 
 
 @lru_cache(maxsize=2)
@@ -181,14 +181,14 @@ def _program(known_axes: tuple[int, ...]) -> Program[SmoothingState]:
 def smooth(
     x: Array, P: Array, x_predicted: Array, P_predicted: Array, dt: Array, planar: bool = False
 ) -> tuple[Array, Array]:
-    """Smoothed means (N, T, 7) and packed covariances (N, T, 28) of finished tracks.
+    """Return smoothed means (N, T, 7) and packed covariances (N, T, 28) of finished tracks.
 
     Args:
         x: (N, T, 7) filtered means.
         P: (N, T, 28) filtered covariances, packed.
         x_predicted, P_predicted: (N, T, 7), (N, T, 28) beliefs predicted for each epoch, before its
             update.
-        dt: (T - 1,) seconds from each epoch to the next, or (N, T - 1) of every track's own.
+        dt: (T - 1,) seconds from each epoch to the next, or (N, T - 1) for each track.
         planar: z and vz are known exactly.
     """
     program = _program(VERTICAL if planar else ())

@@ -1,9 +1,9 @@
 """The epoch of an environment whose modes share a belief.
 
-Take the chosen mode's candidate as the belief, score it against the truth, load the next
-epoch and let every mode consider it. All modes are considered as soon as a measurement is
-there, because the observation shows how each would see it; the action then only picks.
-Nothing an action does changes the world, so episodes are loaded whole.
+A step takes the chosen mode's candidate as the belief, scores it against the truth, loads the
+next epoch and runs every mode on it. All modes run before the action, because the observation
+shows the result of each mode; the action then only picks a candidate. No action changes the
+world, so episodes are loaded whole.
 """
 
 from functools import lru_cache, partial
@@ -25,7 +25,7 @@ from mmwave_env.world.episode import Incoming, blank_incoming
 
 
 class PendingEpoch(NamedTuple):
-    """What is needed of an epoch once its candidates are there."""
+    """The parts of an epoch that are needed after its candidates are computed."""
 
     # dt, visible: as in :class:`~mmwave_env.models.measurement.Epoch`
     dt: Number
@@ -34,7 +34,7 @@ class PendingEpoch(NamedTuple):
 
 
 class EnvState(NamedTuple):
-    """Everything an environment holds between two epochs."""
+    """The state of an environment between two epochs."""
 
     incoming: Incoming  # the epoch under consideration
     site: Site  # anchors, carrier and prior
@@ -44,16 +44,16 @@ class EnvState(NamedTuple):
     # x, P: (7,), (28,) belief after the last committed epoch
     x: list[Number]
     P: list[Number]
-    memory: Memory  # of the track
-    # per mode, for the epoch held, without what they predicted: the less an environment holds, the
-    # more of them fit into a cache
+    memory: Memory  # memory of the track
+    # one per mode, for the pending epoch, without the predicted beliefs: the smaller environments
+    # are, the more of them fit into a cache
     candidates: list[ModeResult]
     observation: list[Number]  # (features,)
-    reward: Number  # of the last committed epoch
-    truth: list[Number]  # (6,) of that epoch; where no epoch is committed yet, of the first
-    error: list[Number]  # (3,) its position error, m
+    reward: Number  # reward of the last committed epoch
+    truth: list[Number]  # (6,) truth of that epoch; if no epoch is committed yet, of the first
+    error: list[Number]  # (3,) position error of that epoch, m
     distance: Number  # length of the error, m
-    nees: Number  # its NEES
+    nees: Number  # NEES of that epoch
 
 
 def _template(pipeline: Pipeline, features: int) -> EnvState:
@@ -81,7 +81,7 @@ def _template(pipeline: Pipeline, features: int) -> EnvState:
 
 
 def epoch(w: EnvState, pipeline: Pipeline, observation: Observation, reward: Reward) -> EnvState:
-    """One step of an environment, on numbers."""
+    """Compute one step of an environment, on numbers."""
     chosen: ModeResult = tree_at(w.action, w.candidates)
     cost: Number = tree_at(w.action, [mode.cost for mode in pipeline.modes])
     dt, visible, truth = w.pending
@@ -115,7 +115,7 @@ def epoch(w: EnvState, pipeline: Pipeline, observation: Observation, reward: Rew
 
 @lru_cache(maxsize=32)
 def program_of(pipeline: Pipeline, kind: str, reward: Reward) -> Program[EnvState]:
-    """The compiled epoch, shared by every environment that is set up alike."""
+    """Return the program of an epoch, shared by all environments with the same arguments."""
     observation = Observation(pipeline, kind)
     step = partial(epoch, pipeline=pipeline, observation=observation, reward=reward)
     return Program(step, _template(pipeline, len(observation)))

@@ -1,4 +1,4 @@
-"""Metrics of the episodes under way, as running sums: an episode's are known as it ends."""
+"""Running sums for the metrics of current episodes, which are then known at an episode's end."""
 
 import math
 
@@ -8,24 +8,24 @@ from numba.extending import register_jitable
 from mmwave_env.metrics import BURN_IN, DIVERGENCE_M, nees_interval
 from mmwave_env.numerics.numbers import Array, Index
 
-LENGTH, SQUARED, CHANGE, NEES, INSIDE, LARGEST = range(6)  # sums, and the largest squared error
-NONFINITE = 6  # epochs, of all, after which error or NEES was no finite number
+LENGTH, SQUARED, CHANGE, NEES, INSIDE, LARGEST = range(6)  # five sums, the largest squared error
+NONFINITE = 6  # number of epochs, burn-in included, with an error or NEES that is not finite
 SUMS = 7
 
 
 class Tally:
-    """Sums over the epochs that metrics count, one row for each of N environments.
+    """Sums over the epochs that metrics count, with one row for each of N environments.
 
     Args:
         n: number of environments.
-        axes: position axes that NEES covers.
+        axes: number of position axes that NEES covers.
 
     Attributes:
-        sums: (n, 7).
-        errors: (n, T, 3) the latest position errors, m, in turns; T is enough for a second, or
-            for the longest episode.
-        second: (n,) epochs in a second: at least one, at most those of the episode.
-        interval: (2,) of the NEES of a consistent filter.
+        sums: (n, 7) sums.
+        errors: (n, T, 3) ring buffer of the latest position errors, m; T epochs cover a second or
+            the longest episode.
+        second: (n,) number of epochs in a second, from 1 to the length of the episode.
+        interval: (2,) interval of the NEES of a consistent filter.
     """
 
     def __init__(self, n: int, axes: int) -> None:
@@ -33,26 +33,26 @@ class Tally:
         self.second, self.interval = np.ones(n, np.int64), np.array(nees_interval(axes))
 
     def begin(self, places: Index, step_s: Array, epochs: Index) -> None:
-        """Start over in some environments, with so many epochs (places,) in steps (places,), s."""
+        """Start over in some environments, given their numbers of epochs and their steps, s."""
         self.second[places] = np.clip(np.round(1.0 / step_s), 1, epochs)
         self.make_room(int(self.second.max()))
 
     def make_room(self, epochs: int) -> None:
-        """Remember at least so many errors."""
+        """Make room for at least that number of errors."""
         missing = epochs - self.errors.shape[1]
         if missing > 0:
             self.errors = np.pad(self.errors, ((0, 0), (0, missing), (0, 0)))
 
     def nonfinite(self, places: Index) -> Index:
-        """How many epochs (k,) ended without a finite belief, of whole tracks; for some (k,)."""
+        """Return the number (k,) of epochs without a finite belief in some environments (k,)."""
         return self.sums[places, NONFINITE].astype(np.int64)  # type: ignore[no-any-return]
 
     def metrics(self, places: Index, epochs: Index) -> dict[str, Array]:
-        """What :func:`~mmwave_env.metrics.accuracy` makes of whole tracks, for some (k,).
+        """Return the metrics of :func:`~mmwave_env.metrics.accuracy` for some environments (k,).
 
         Args:
-            places: (k,) the environments.
-            epochs: (k,) that they ran.
+            places: (k,) environments.
+            epochs: (k,) number of epochs that each environment ran.
         """
         sums = self.sums[places]
         counted = np.maximum(epochs - BURN_IN, 1)
@@ -71,13 +71,13 @@ class Tally:
 def count(sums, errors, second, interval, k, x, y, z, nees):  # type: ignore[no-untyped-def]
     """Count epoch ``k`` of an episode, from 0, with its position error (m) and NEES.
 
-    Up to the burn-in an epoch replaces those before: of an episode so short the last one counts.
+    Up to the burn-in, an epoch replaces earlier epochs: of a shorter episode the last one counts.
 
     Args:
-        sums: (7,) of the environment, changed in place.
-        errors: (T, 3) of the environment, changed in place.
-        second: epochs in a second.
-        interval: of the NEES.
+        sums: (7,) sums of the environment, changed in place.
+        errors: (T, 3) errors of the environment, changed in place.
+        second: number of epochs in a second.
+        interval: (2,) interval of the NEES.
     """
     if k <= BURN_IN:
         for i in range(NONFINITE):
@@ -92,7 +92,7 @@ def count(sums, errors, second, interval, k, x, y, z, nees):  # type: ignore[no-
     sums[NEES] += nees
     if interval[0] <= nees <= interval[1]:
         sums[INSIDE] += 1.0
-    if squared > sums[LARGEST] or math.isnan(squared):  # and NaN stays
+    if squared > sums[LARGEST] or math.isnan(squared):  # once NaN, it stays NaN
         sums[LARGEST] = squared
     now = errors[k % second]
     if k >= BURN_IN + second:

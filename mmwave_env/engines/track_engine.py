@@ -1,7 +1,7 @@
-"""Whole tracks in one go: filter episodes with a mode, with given ones, or a rule that picks.
+"""Filtering of whole tracks with one mode, with given modes, or with a rule that picks modes.
 
-Where no agent acts, nothing has to stop after every epoch: a kernel runs from the first
-epoch of an episode to the last. Process noise is part of its data, so one compiled filter
+Without an agent no stop is needed after every epoch: a kernel runs from the first epoch of
+an episode to the last. Process noise is part of the kernel's data, so one compiled filter
 runs any tuning.
 """
 
@@ -30,9 +30,9 @@ Rule = Callable[[Vector, Epoch], Number]
 
 
 class TrackState(NamedTuple):
-    """A track between two epochs."""
+    """The state of a track between two epochs."""
 
-    incoming: Incoming  # the epoch to run, or just run
+    incoming: Incoming  # the epoch to run, or the epoch that just ran
     site: Site  # anchors, carrier and prior
     is_first: Number  # 1 to start over from the prior
     action: Number  # the mode to run where no rule picks one
@@ -40,17 +40,17 @@ class TrackState(NamedTuple):
     # x, P: (7,), (28,) belief after the epoch
     x: list[Number]
     P: list[Number]
-    # x_predicted, P_predicted: (7,), (28,) belief predicted for it
+    # x_predicted, P_predicted: (7,), (28,) belief predicted for the epoch
     x_predicted: list[Number]
     P_predicted: list[Number]
-    memory: Memory  # of the track; ``memory.mode`` ran
+    memory: Memory  # memory of the track; ``memory.mode`` ran
     log_likelihood: Number  # as in :class:`~mmwave_env.filters.update.Posterior`
-    error: list[Number]  # (3,) position error, m; NaN where the truth is not known
-    nees: Number  # of the position
+    error: list[Number]  # (3,) position error, m; NaN where the truth is unknown
+    nees: Number  # NEES of the position
 
 
 def track_epoch(w: TrackState, pipeline: Pipeline, rule: Rule | None) -> TrackState:
-    """One epoch of a track, on numbers."""
+    """Compute one epoch of a track, on numbers."""
     is_first, epoch = w.is_first > 0.5, w.incoming.epoch(pipeline.layout)
     x, P = select(is_first, w.site.prior_x, w.x), select(is_first, w.site.prior_P, w.P)
     memory = select(is_first, initial_memory(pipeline.layout, len(pipeline.modes)), w.memory)
@@ -78,7 +78,7 @@ def track_epoch(w: TrackState, pipeline: Pipeline, rule: Rule | None) -> TrackSt
 
 
 def program_of(pipeline: Pipeline, rule: Rule | None = None) -> Program[TrackState]:
-    """The compiled epoch of a track; pipelines whose modes differ in tuning alone share it."""
+    """Return the program of a track's epoch, shared by pipelines that differ only in tuning."""
     return _program(untuned(pipeline), rule)
 
 
@@ -104,7 +104,7 @@ def _program(pipeline: Pipeline, rule: Rule | None) -> Program[TrackState]:
 
 
 def untuned(pipeline: Pipeline) -> Pipeline:
-    """The pipeline as the compiler sees it: modes that differ in tuning alone are one."""
+    """Return the pipeline without tunings: modes that differ only in tuning become equal."""
     blank = [
         replace(
             mode, name=str(i), sigma_p=0.0, sigma_v=0.0, sigma_pz=0.0, sigma_vz=0.0,
@@ -121,10 +121,10 @@ class EpisodeFilter(Generic[Workspace]):
     """N tracks of a program, each filtered from the first epoch of an episode to the last.
 
     Args:
-        batch: of n environments, told what they do not take from episodes.
+        batch: batch of n environments, with all values set that episodes do not contain.
 
     Attributes:
-        program: an epoch as a function of numbers.
+        program: the program of an epoch.
     """
 
     def __init__(self, batch: Batch[Workspace]) -> None:
@@ -132,14 +132,14 @@ class EpisodeFilter(Generic[Workspace]):
         self._epochs, self._end_s = 0, 0.0
 
     def load(self, episodes: Sequence[Episode], go_on: bool = False) -> None:
-        """Take N episodes, to filter from their priors.
+        """Load N episodes, to be filtered from their priors.
 
         Args:
-            episodes: one a track.
-            go_on: whether they follow those just filtered; their priors are not looked at.
+            episodes: one episode per track.
+            go_on: whether the episodes continue the tracks just filtered; priors are then ignored.
 
         Raises:
-            ValueError: another number of episodes, or another layout than the pipeline's.
+            ValueError: the number of episodes is not N, or a layout is not the pipeline's.
         """
         gap_s = float(episodes[0].time_s[0]) - self._end_s if go_on else None
         self._batch.load(episodes, gap_s=gap_s)
@@ -147,14 +147,14 @@ class EpisodeFilter(Generic[Workspace]):
         self._end_s = float(episodes[0].time_s[-1])
 
     def run(self, *names: str, actions: NDArray[np.integer[Any]] | None = None) -> dict[str, Array]:
-        """Filter the episodes loaded, once.
+        """Filter the loaded episodes once.
 
         Args:
             names: parts of the program's state to return, such as "x" or "memory.nis".
-            actions: (n, epochs) what goes into ``action`` of the state; None for 0.
+            actions: (n, epochs) values for ``action`` of the state; None for 0.
 
         Returns:
-            Per name (n, epochs) of a single number, else (n, epochs, numbers).
+            Per name, (n, epochs) for a single number, else (n, epochs, numbers).
         """
         io = self._batch.io(self._epochs, rows_of(self.program.parts(names)))
         io.inputs[..., 0] = 0 if actions is None else actions
@@ -163,13 +163,13 @@ class EpisodeFilter(Generic[Workspace]):
 
 
 class Tracker(EpisodeFilter[TrackState]):
-    """N tracks of a pipeline, one of whose modes runs in every epoch.
+    """N tracks of a pipeline, in which one mode runs in every epoch.
 
     Args:
         pipeline: the mode, or the modes to choose from.
         n: number of tracks.
-        rule: from the state (7,) after the epoch before and the coming epoch to the number of
-            the mode to run; None where there is one mode, or :meth:`run` is told which.
+        rule: function from the state (7,) after the epoch before and the coming epoch to the number
+            of the mode to run; None for one mode, or if :meth:`run` is given the modes.
         on_floats: run in plain Python instead of on lanes: slow, for reference.
     """
 
@@ -182,7 +182,7 @@ class Tracker(EpisodeFilter[TrackState]):
         self.tune([mode.tuning for mode in pipeline.modes])
 
     def tune(self, tunings: Sequence[Tuning]) -> None:
-        """Take other process noise, one :class:`Tuning` a mode, and start over."""
+        """Set the process noise, one :class:`Tuning` per mode, and start over."""
         row = np.array(flatten(list(tunings)), float)
         self._batch.write(self._batch.at.tunings, row)
         self._batch.restart()

@@ -1,7 +1,7 @@
-"""A step of many environments, actions in and infos out, in one call of compiled code.
+"""The step of many environments, from actions to infos, in one call of compiled code.
 
-What Python does around that call costs few environments a third of their step and more, so nothing
-is put together there and taken apart again.
+With few environments, Python's work around that call takes a third of a step or more, so the code
+around it does not assemble or split arrays.
 """
 
 from typing import Any, NamedTuple
@@ -36,7 +36,7 @@ class ActionHistory:
 
     Attributes:
         rows: (T, n) modes, in the smallest type that holds their number.
-        turn: the row that the modes of the next step are to be written to.
+        turn: the row for the modes of the next step.
     """
 
     def __init__(self, n: int, modes: int) -> None:
@@ -56,12 +56,12 @@ class ActionHistory:
         self.turn = (self.turn + 1) % len(self.rows)
 
     def of(self, places: Index, steps: int) -> Modes:
-        """The modes (places, steps) of the last steps, at most T, of some environments."""
+        """Return the modes (places, steps) of the last steps, at most T, of some environments."""
         rows = self._last(steps) % len(self.rows)
         return np.ascontiguousarray(self.rows[:, places][rows].T)
 
     def all(self) -> Modes:
-        """The modes (T, n) of the last T steps, oldest first; 0 where there was no step yet."""
+        """Return the modes (T, n) of the last T steps, oldest first; 0 where no step was made."""
         return self.rows[self._last(len(self.rows)) % len(self.rows)]
 
     def set_all(self, modes: Modes) -> None:
@@ -76,7 +76,7 @@ Infos = dict[str, NDArray[Any]]
 
 
 class StepBuffers(NamedTuple):
-    """What a step fills and returns."""
+    """The arrays that a step fills and returns."""
 
     observations: NDArray[np.float32]  # (n, features)
     rewards: Array  # (n,)
@@ -85,19 +85,19 @@ class StepBuffers(NamedTuple):
 
     @classmethod
     def fresh(cls, n: int, features: int) -> "StepBuffers":
-        """Buffers of a step's own."""
+        """Return new buffers for a step."""
         flags = np.zeros((2, n), np.bool_)
         return cls(np.empty((n, features), np.float32), np.empty(n), flags[0], flags[1])
 
 
 class Stepper:
-    """Steps the environments of an engine and tells of them.
+    """A stepper, which steps the environments of an engine and returns infos about them.
 
     Args:
         engine: the environments, on lanes.
-        tally: of the metrics of the episodes under way.
-        history: the modes chosen lately.
-        infos: "all" to tell of every step, "episode" where asked to, "none" to tell nothing.
+        tally: sums for the metrics of current episodes.
+        history: the modes of the last steps.
+        infos: "all" for infos of every step, "episode" for infos on request, "none" for no infos.
     """
 
     def __init__(
@@ -111,7 +111,7 @@ class Stepper:
         self._known = {} if infos == "none" else told_rows(at)
         told = dict(self._known) if infos == "all" else {}
         flags = [told.pop(key) for key in FLAGS if key in told]
-        # _step_blocks reads the first of them
+        # _step_blocks reads the first four of these
         tree = {"reward": at.reward, "nees": at.nees, "error": at.error, "flags": flags}
         tree |= {key: part for key, part in told.items() if key != "nees"}
         self._rows = rows_of(list(tree.values()))
@@ -133,18 +133,18 @@ class Stepper:
         """Commit every environment to its mode and consider the next epoch; see `Engine.step`.
 
         Args:
-            actions: (n,), taken over.
-            out: gets observations; rewards as the reward function has them; and as truncated,
-                where the episode has no epoch left. ``terminated`` stays as it is.
+            actions: (n,) numbers of the modes; infos keep this array.
+            out: filled with observations, with the reward function's rewards, and with truncated
+                where the episode has no epoch left. ``terminated`` is not changed.
 
         Returns:
-            How many have no epoch left; fresh infos of all environments, with their masks, if they
-            are wanted.
+            The number of environments without epochs left; and fresh infos of all environments with
+            their masks, if infos are wanted for every step.
         """
         batch, history, n = self._engine.batch, self._history, len(actions)
         flags = np.empty((2, n, self._groups), np.bool_)
         if self._told:
-            self._outputs = np.empty_like(self._outputs)  # the one before was given away
+            self._outputs = np.empty_like(self._outputs)  # infos hold the previous array
         outputs, program, parts, tally = self._outputs, batch.program, batch.parts, self._tally
         arguments = (
             actions, history.rows, history.turn, out.rewards, flags, out.truncated,
@@ -152,7 +152,7 @@ class Stepper:
             program.on_lanes(), program.blank, *batch.state, self._action, self._rows, outputs,
             self._obs_rows, out.observations[:, None],
         )  # fmt: skip
-        history.next()  # before an interrupt can come between the step and it
+        history.next()  # here, so that no interrupt can come between the step and this line
         if len(parts) == 1:
             [(begin, end)] = parts
             ended = _step(end - begin, begin, end, *arguments)
@@ -168,7 +168,7 @@ class Stepper:
         return ended, infos
 
     def look(self, actions: Index) -> Infos:
-        """What infos tell of the step just made, for those that do not tell of every step."""
+        """Return the infos of the last step, where infos are not returned by every step."""
         read = self._engine.read
         told = {
             key: read(part) > 0.5 if key in FLAGS else read(part)
@@ -178,16 +178,16 @@ class Stepper:
 
     @property
     def distances_m(self) -> Array:
-        """Position errors (n,) in the epoch stepped last."""
+        """Return the position errors (n,) in the epoch stepped last."""
         error = self._outputs[self._columns["error"]]
         return np.sqrt((error * error).sum(axis=1))  # type: ignore[no-any-return]
 
     def start(self, places: Index) -> tuple[NDArray[np.float32], Infos]:
-        """Consider the first epoch in environments just loaded; the others stay as they are.
+        """Consider the first epoch in environments just loaded; leave the others unchanged.
 
         Returns:
-            Observations (n, features) and what :data:`STATE_KEYS` tell (n, ...), sound only for
-            these.
+            Observations (n, features) and the infos of :data:`STATE_KEYS` (n, ...), valid only for
+            these environments.
         """
         observations, outputs = self._engine.start(places, self._rows)
         if self._told:
@@ -204,7 +204,7 @@ def _step_blocks(  # type: ignore[no-untyped-def]
     run, blank, rows, feed, table, length, epoch, running, input_rows, output_rows, outputs,
     obs_rows, observations,
 ):  # fmt: skip
-    """Step the environments of blocks ``begin`` to ``end``; how many episodes ended."""
+    """Step the environments of blocks ``begin`` to ``end``; return how many episodes ended."""
     n = len(actions)
     first, last = begin * WIDTH, min(end * WIDTH, n)
     inputs = np.empty((n, 1, 1))
@@ -218,7 +218,7 @@ def _step_blocks(  # type: ignore[no-untyped-def]
     groups, ended = flags.shape[2], 0
     for e in range(first, last):
         rewards[e] = outputs[e, 0, 0]
-        k = epoch[e] - 2  # one ahead: the next one is considered
+        k = epoch[e] - 2  # the epoch before the one considered
         if k >= 0:
             nees, x, y, z = outputs[e, 0, 1], outputs[e, 0, 2], outputs[e, 0, 3], outputs[e, 0, 4]
             count(sums[e], errors[e], second[e], interval, k, x, y, z, nees)

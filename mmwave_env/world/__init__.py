@@ -1,1 +1,1 @@
-"""The world: users in streets, seen through a channel, as episodes; no filter and no data set."""
+"""The simulated world: episodes of users in streets, observed through a radio channel."""

@@ -1,7 +1,7 @@
-"""How an episode begins: everything that is drawn before its first epoch.
+"""The beginning of an episode: everything that is drawn before its first epoch.
 
-Functions of numbers that run on lanes, an episode to a lane; from a key to a world that can be
-stepped (:mod:`mmwave_env.world.simulation`).
+The functions of numbers run on lanes, one episode per lane; they lead from a key to a world that
+:mod:`mmwave_env.world.simulation` can step.
 """
 
 from functools import lru_cache
@@ -18,34 +18,34 @@ from mmwave_env.world.kinematics import Net, state_of
 from mmwave_env.world.simulation import ReceiverState, UserState, blank_world
 from mmwave_env.world.travel import TravelPlan, blank_plan, draw_phases, set_off
 
-# Streams of numbers of a key: the way of a user is the same however it is received, and how often.
+# Streams of a key: the way of a user does not depend on the receiver or on the rate of epochs.
 USER, RECEIVER = 0, 1
 
 
 class Begun(NamedTuple):
-    """What was drawn."""
+    """The draws for the beginning of an episode."""
 
     receiver: ReceiverState
-    user: UserState  # unless a way is given
-    choice: Number  # the number of the kind of user; of a given way, uniform in [0, 1)
-    first: list[Number]  # (7,) true state at the first epoch, 0 where a way is given
-    prior_noise: list[Number]  # (7,) what the prior's mean adds to it
+    user: UserState  # not used if a way is given
+    choice: Number  # number of the kind of user; if a way is given, uniform in [0, 1) to choose it
+    first: list[Number]  # (7,) true state at the first epoch; 0 if a way is given
+    prior_noise: list[Number]  # (7,) error of the prior's mean
 
 
 class Beginning(NamedTuple):
-    """A key, and what an episode begins from."""
+    """A key and the parameters from which an episode begins."""
 
-    key: list[Number]  # (1,) its bits
-    plans: list[TravelPlan]  # kinds of users; none where a way is given
-    scene: SceneNumbers  # where, unless that is drawn
-    duration_s: Number  # of the episode
-    prior_deviation: list[Number]  # (7,) of the prior's mean from the true state
+    key: list[Number]  # (1,) bits of the key
+    plans: list[TravelPlan]  # kinds of users; none if a way is given
+    scene: SceneNumbers  # the scene, unless scenes are drawn
+    duration_s: Number  # duration of the episode
+    prior_deviation: list[Number]  # (7,) standard deviation of the prior's mean
     first_bias_hz: Number  # standard deviation of the oscillator's first bias
     begun: Begun
 
 
 def begin(w: Beginning, streets: RandomScene | None) -> Beginning:
-    """Draw all that an episode begins with; the order of drawing is part of what a key means."""
+    """Draw the beginning of an episode; the episode of a key depends on the order of the draws."""
     dice, others = Dice(seeded(w.key[0], USER)), Dice(seeded(w.key[0], RECEIVER))
     scene = streets.draw_numbers(dice) if streets else w.scene
     user, position, velocity = w.begun.user, [0.0, 0.0], [0.0, 0.0]
@@ -67,7 +67,7 @@ def begin(w: Beginning, streets: RandomScene | None) -> Beginning:
 
 
 def _net(scene: SceneNumbers, closer: Number) -> Net:
-    """The streets as a kind of user knows them."""
+    """Return the net of streets for a kind of user."""
     block = scene.block_m / closer
     east, north = (floor(extent / block + 0.5) for extent in scene.extent_m)
     x, y = scene.origin_m
@@ -78,13 +78,13 @@ def _net(scene: SceneNumbers, closer: Number) -> Net:
 def beginning(
     layout: Layout, kinds: int, phases: int, gaits: int, streets: RandomScene | None
 ) -> Program[Beginning]:
-    """:func:`begin` for lanes.
+    """Return the program of :func:`begin` for lanes.
 
     Args:
-        layout: says how many anchors there are.
-        kinds: of users; 0 where a way is given.
-        phases, gaits: how many there is room for.
-        streets: where the scene is drawn from, if it is.
+        layout: gives the number of anchors.
+        kinds: number of kinds of users; 0 if a way is given.
+        phases, gaits: greatest numbers of phases and gaits.
+        streets: the random scene to draw scenes from; None for a fixed scene.
     """
     world = blank_world(layout, phases, gaits)
     state = [0.0] * STATE_SIZE

@@ -1,4 +1,4 @@
-"""What records of epochs have to fulfil; errors name the record and the field."""
+"""Checks of records of epochs, whose errors name the record and the field."""
 
 from collections.abc import Iterable, Mapping
 from pathlib import Path
@@ -12,28 +12,28 @@ from mmwave_env.records import Bound, Printable
 
 
 def refuse(record: str, field: str, found: str, expected: str) -> NoReturn:
-    """Raise the ValueError of a field of a record, such as "episode 'jam'"."""
+    """Refuse a field of a record, such as "episode 'jam'", by a ValueError."""
     raise ValueError(f"{field} of {record}: found {found}, expected {expected}")
 
 
 def refuse_in(file: Path, what: str, found: object, expected: str) -> NoReturn:
-    """Raise the ValueError of something in a file, such as a line or a key."""
+    """Refuse a part of a file, such as a line or a key, by a ValueError."""
     raise ValueError(f"{file}: {what}: found {found}, expected {expected}")
 
 
 def require_name(record: str, name: object) -> None:
-    """Refuse a name that tables and pictures can't show as it is."""
+    """Refuse a name that tables and pictures cannot show unchanged."""
     if not is_name(name):
         refuse(record, "name", quoted(name), Printable.expected)
 
 
 def require_epochs(record: str, of: Any, shapes: Mapping[str, tuple[int, ...]]) -> None:
-    """Refuse arrays of other shapes, and times that do not increase.
+    """Refuse arrays of wrong shapes, and times that do not increase.
 
     Args:
-        record: for the message.
-        of: has ``time_s`` and the arrays as attributes; None stands for what is not known.
-        shapes: of the arrays.
+        record: name of the record, for the message.
+        of: object with ``time_s`` and the arrays as attributes; None stands for an unknown array.
+        shapes: expected shapes of the arrays.
     """
     for field, shape in shapes.items():
         value = getattr(of, field)
@@ -49,13 +49,13 @@ def require_increasing(record: str, time_s: Array) -> None:
 
 
 def require_within(record: str, field: str, what: str, values: Array, bound: Bound) -> None:
-    """Refuse numbers of a field outside of a bound with two ends, and NaN.
+    """Refuse numbers of a field outside a bound with two ends, and NaN.
 
     Args:
-        record, field: for the message.
-        what: they are, such as "a step of", where the field does not say it.
-        values: any shape.
-        bound: where they may lie.
+        record, field: names for the message.
+        what: words for a number, such as "a step of", where the field's name does not say it.
+        values: numbers of any shape.
+        bound: the interval that is allowed.
     """
     wrong = bound.outside(values)
     if wrong.any():
@@ -63,7 +63,7 @@ def require_within(record: str, field: str, what: str, values: Array, bound: Bou
 
 
 def require_finite(record: str, of: Any, fields: Iterable[str]) -> None:
-    """Refuse NaN and infinity in arrays, named as of :func:`require_epochs`."""
+    """Refuse NaN and infinity in arrays; arguments are as for :func:`require_epochs`."""
     for field in fields:
         value = getattr(of, field)
         if value is not None and not np.isfinite(value).all():

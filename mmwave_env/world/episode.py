@@ -1,8 +1,8 @@
-"""An episode: everything that happens, complete before the first step.
+"""Episodes: the data of all epochs, complete before the first step.
 
-Nothing an agent does changes truth, measurements or noise, so an episode is data: arrays
-over epochs, drawn from a simulation or taken from a recording. Everything downstream treats
-both alike.
+No action of an agent changes truth, measurements or noise, so an episode is data: arrays
+over epochs, drawn from a simulation or taken from a recording. All other code treats both
+alike.
 """
 
 from collections.abc import Iterator, Sequence
@@ -23,26 +23,26 @@ from mmwave_env.world.checks import refuse, require_epochs, require_finite, requ
 
 @dataclass(frozen=True, eq=False)
 class Episode:
-    """T epochs of one user.
+    """The data of T epochs of one user.
 
-    Missing groups are a mask, never a magic value: where ``visible`` is False the numbers
-    mean nothing. Measurements that are NaN or infinite are marked missing and counted. Numbers
-    that the filters are not made for are refused (:mod:`~mmwave_env.models.envelope`).
+    Missing groups are marked by a mask, never by a magic value: where ``visible`` is False the
+    numbers are meaningless. Measurements that are NaN or infinite are marked missing and counted.
+    Numbers outside the filters' envelope are refused (:mod:`~mmwave_env.models.envelope`).
 
     Attributes:
-        name: what it is, for results and messages.
+        name: name of the episode, for results and messages.
         scene_anchors_m: (L, 3) anchors, the physical gNB first.
         hz_per_mps: carrier frequency over the speed of light.
-        time_s: (T,) increasing.
-        measurement: (T, rows) in the order of ``layout``: m, rad, Hz, m/s.
-        sigma: (T, rows) standard deviations, same units, positive.
-        visible: (T, groups) bool.
-        snr_db: (T, L).
-        doppler_spread_hz: (T,).
+        time_s: (T,) increasing times.
+        measurement: (T, rows) values in the order of ``layout``: m, rad, Hz, m/s.
+        sigma: (T, rows) standard deviations in the same units, positive.
+        visible: (T, groups) whether the group was measured.
+        snr_db: (T, L) SNR of each link.
+        doppler_spread_hz: (T,) measured Doppler spread.
         prior_mean: (7,) state at the first epoch.
-        prior_covariance: (7, 7), positive definite.
-        truth_position_m: (T, 3), or None where nobody knows.
-        truth_velocity_mps: (T, 3), or None.
+        prior_covariance: (7, 7) covariance at the first epoch, positive definite.
+        truth_position_m: (T, 3) true positions, or None where unknown.
+        truth_velocity_mps: (T, 3) true velocities, or None where unknown.
         layout: rows and groups.
     """
 
@@ -82,7 +82,7 @@ class Episode:
             require_within(self._record, field, what, values, bound)
 
     def _bounded(self) -> Iterator[tuple[str, str, Array, Bound]]:
-        """What the envelope bounds: field, what its numbers are, these, and where they may lie."""
+        """Yield, for each bounded field: its name, words for its values, the values, the bound."""
         mean, deviation = self.prior_mean, np.sqrt(np.diag(self.prior_covariance))
         sigma, layout = np.where(self._used, self.sigma, np.nan), self.layout
         lengths = np.setdiff1d(np.arange(layout.size), [*layout.angles, layout.doppler])
@@ -116,7 +116,7 @@ class Episode:
 
     @cached_property
     def usable(self) -> NDArray[np.bool_]:
-        """(T, groups) visible, and every number of the group finite."""
+        """Return whether (T, groups) each group is visible and all its numbers are finite."""
         finite = np.isfinite(self.measurement) & np.isfinite(self.sigma)
         for link in range(self.layout.anchors):
             finite[:, self.layout.link(link)] &= np.isfinite(self.snr_db[:, link, None])
@@ -125,24 +125,24 @@ class Episode:
 
     @property
     def _used(self) -> NDArray[np.bool_]:
-        """(T, rows) :attr:`usable`, row by row."""
+        """Return :attr:`usable` for every row (T, rows)."""
         return np.repeat(self.usable, self.layout.widths, axis=1)
 
     @property
     def nonfinite(self) -> int:
-        """Groups marked visible whose numbers are NaN or infinite; they count as missing."""
+        """Return the number of visible groups with NaN or infinity, which count as missing."""
         return int((self.visible & ~self.usable).sum())
 
     @property
     def has_truth(self) -> bool:
-        """Whether errors, rewards and metrics can be computed."""
+        """Tell whether errors, rewards and metrics can be computed."""
         return self.truth_position_m is not None and self.truth_velocity_mps is not None
 
     def require_truth(self) -> None:
-        """Refuse an episode that can't be scored.
+        """Refuse an episode that cannot be scored.
 
         Raises:
-            ValueError: position or velocity is not known.
+            ValueError: the true position or velocity is unknown.
         """
         if not self.has_truth:
             raise ValueError(
@@ -150,7 +150,7 @@ class Episode:
             )
 
     def on_flat_ground(self, height_m: float | None = None) -> "Episode":
-        """The same with the height known, by default the true one of the first epoch; vz is 0."""
+        """Return the episode with vz 0 and a known height, by default the true first height."""
         if height_m is None:
             self.require_truth()
             height_m = self.truth_position_m[0, 2]  # type: ignore[index]
@@ -159,7 +159,7 @@ class Episode:
         return replace(self, prior_mean=mean)
 
     def table(self) -> Array:
-        """(T, columns) as the engine loads it; :func:`columns_of` says which column is what."""
+        """Return the table (T, columns) that engines load; :func:`columns_of` names its columns."""
         at, links = columns_of(self.layout), self.usable[:, : self.layout.anchors]
         keep = self._used
         position, velocity = self.truth_position_m, self.truth_velocity_mps
@@ -174,22 +174,22 @@ class Episode:
         return table
 
     def site(self) -> Array:
-        """The anchors, the carrier and the prior as a row of numbers, as engines load them."""
+        """Return anchors, carrier and prior as a row of numbers, as engines load them."""
         packed = self.prior_covariance[np.tril_indices(7)]
         site = Site(self.scene_anchors_m.tolist(), self.hz_per_mps, [*self.prior_mean], [*packed])
         return np.array(flatten(site))
 
 
 class EpisodeBatch(NamedTuple):
-    """Many episodes as an engine loads them.
+    """A batch of n episodes in the form that engines load.
 
     Attributes:
-        names: (n,) of the episodes.
-        nonfinite: (n,) as in :class:`Episode`.
-        length: (n,) epochs.
+        names: (n,) names of the episodes.
+        nonfinite: (n,) numbers of groups, as in :class:`Episode`.
+        length: (n,) numbers of epochs.
         table: (n, epochs, columns), rows of :meth:`Episode.table` up to the length.
         site: (n, numbers), rows of :meth:`Episode.site`.
-        layout: of all of them.
+        layout: layout of all the episodes.
     """
 
     names: list[str]
@@ -203,10 +203,10 @@ class EpisodeBatch(NamedTuple):
     def of(
         cls, episodes: "EpisodeBatch | Sequence[Episode]", layout: Layout | None = None
     ) -> "EpisodeBatch":
-        """The same episodes, all of one layout: that of the first, if none is given.
+        """Return episodes of one layout, by default the layout of the first, as a batch.
 
         Raises:
-            ValueError: one has another layout.
+            ValueError: an episode has another layout.
         """
         if isinstance(episodes, EpisodeBatch):
             found = [(name, episodes.layout) for name in episodes.names]
@@ -233,25 +233,25 @@ class EpisodeBatch(NamedTuple):
         )
 
     def on_flat_ground(self) -> "EpisodeBatch":
-        """The same with the height known, as :meth:`Episode.on_flat_ground` at the first epoch."""
+        """Return the batch with known heights, as :meth:`Episode.on_flat_ground` by default."""
         height_m = self.table[:, 0, columns_of(self.layout).truth[2]]
         return self._replace(site=level(self.site, height_m, self.layout))
 
 
 def level(sites: Array, height_m: Array, layout: Layout) -> Array:
-    """Sites (n, numbers) where the height (n,) is known and vz is 0."""
+    """Return the sites (n, numbers) with known heights (n,) and with vz 0."""
     sites, prior = sites.copy(), indices(blank_site(layout)).prior_x
     sites[:, prior[2]], sites[:, prior[5]] = height_m, 0.0
     return sites
 
 
 class Incoming(NamedTuple):
-    """What is loaded from an episode, a row of :meth:`Episode.table`.
+    """A row of :meth:`Episode.table`, the data of one epoch that engines load.
 
     Attributes:
         dt, z, snr_db, doppler_spread_hz: as in :class:`Epoch`.
         signed_sigma: (rows,) standard deviations, negative where the group is missing.
-        truth: (6,) true position (m) and velocity (m/s), to score against.
+        truth: (6,) true position (m) and velocity (m/s), for scores.
     """
 
     dt: Number
@@ -262,7 +262,7 @@ class Incoming(NamedTuple):
     truth: list[Number]
 
     def epoch(self, layout: Layout) -> Epoch:
-        """What the estimator sees of it."""
+        """Return the part of the row that the estimator sees."""
         first = [self.signed_sigma[rows.start] for rows in layout.groups]
         visible = [where(sigma > 0.0, 1.0, 0.0) for sigma in first]
         sigma = [abs(sigma) for sigma in self.signed_sigma]
@@ -270,24 +270,24 @@ class Incoming(NamedTuple):
 
 
 def blank_incoming(layout: Layout) -> Incoming:
-    """An epoch that measures nothing."""
+    """Return an epoch without measurements."""
     nothing = [0.0] * layout.size
     return Incoming(0.0, nothing, [-1.0] * layout.size, [0.0] * layout.anchors, 0.0, [0.0] * 6)
 
 
 @lru_cache(maxsize=64)
 def columns_of(layout: Layout) -> Any:
-    """Which columns of :meth:`Episode.table` hold what: an :class:`Incoming` of their numbers."""
+    """Return the column numbers of :meth:`Episode.table` as an :class:`Incoming`."""
     return indices(blank_incoming(layout))
 
 
 class EpisodeSource(Protocol):
-    """Where episodes come from.
+    """The interface of a source of episodes.
 
     Attributes:
         layout: rows of every episode's measurements.
         epochs: length of every episode.
-        name: for results.
+        name: name of the source, for results.
     """
 
     @property

@@ -1,8 +1,8 @@
-"""Keys of episodes: 64 bits from which everything in a simulated episode follows.
+"""Keys of episodes: 64 bits that determine everything in a simulated episode.
 
-The seed of an environment begins a stream, a number of 64 bits. The key of its n-th episode is the
-n-th output of SplitMix64 (Steele, Lea and Flood 2014), which starts at the stream: a function of
-stream and n, so that many environments draw theirs at once and remember no generator.
+The seed of an environment gives a stream, a number of 64 bits. The key of its n-th episode is the
+n-th output of SplitMix64 (Steele, Lea and Flood 2014), which starts at the stream. It is a function
+of stream and n, so many environments draw their keys at once and need no generator.
 """
 
 import operator
@@ -21,13 +21,13 @@ _STRIDE = np.uint64(0x9E3779B97F4A7C15)  # 2**64 over the golden ratio, odd
 
 
 def keys_at(streams: NDArray[np.uint64], episodes: NDArray[np.uint64]) -> Keys:
-    """The keys (n,) of some episodes of streams.
+    """Return the keys (n,) of some episodes of streams.
 
     Args:
-        streams: (n,) of environments, or one.
-        episodes: (n,) 0 for the first of a stream.
+        streams: (n,) streams of environments, or one stream.
+        episodes: (n,) numbers of the episodes, 0 for the first of a stream.
     """
-    # arrays of integers wrap around, as is meant
+    # arrays of integers wrap around, on purpose
     bits = np.atleast_1d(streams) + (np.atleast_1d(episodes) + np.uint64(1)) * _STRIDE
     bits = (bits ^ (bits >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
     bits = (bits ^ (bits >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
@@ -35,26 +35,26 @@ def keys_at(streams: NDArray[np.uint64], episodes: NDArray[np.uint64]) -> Keys:
 
 
 def stream_of(seed: int) -> np.uint64:
-    """The stream that a seed begins."""
+    """Return the stream of a seed."""
     return np.random.SeedSequence(seed).generate_state(1, np.uint64)[0]  # type: ignore[no-any-return]
 
 
 def keys_of(seeds: Iterable[int]) -> Keys:
-    """The keys of the episodes that ``env.reset(seed=...)`` draws where they have some."""
+    """Return the keys of the episodes that ``env.reset(seed=...)`` draws from a simulation."""
     streams = np.array([stream_of(seed) for seed in seeds], np.uint64)
     return keys_at(streams, np.zeros(len(streams), np.uint64))
 
 
 def draw_key(rng: np.random.Generator) -> int:
-    """A key that follows from a generator alone, not from a seed."""
+    """Draw a key from a generator instead of a seed."""
     return int(rng.integers(0, 2**64, dtype=np.uint64))
 
 
 def key_from(key: Any) -> int:
-    """A key that a user gave.
+    """Return a key given by a user as an integer.
 
     Raises:
-        ValueError: no integer of 64 bits.
+        ValueError: the key is not an integer of 64 bits.
     """
     try:
         number = operator.index(key)
@@ -66,10 +66,10 @@ def key_from(key: Any) -> int:
 
 
 def keys_from(keys: Any, n: int) -> Keys:
-    """The keys (n,) that a user gave for as many environments.
+    """Return the keys (n,) that a user gave for n environments.
 
     Raises:
-        ValueError: not one an environment, or no integers of 64 bits.
+        ValueError: there is not one key per environment, or a key is not an integer of 64 bits.
     """
     given = np.atleast_1d(np.asarray(keys, object))
     if given.shape != (n,):
@@ -81,10 +81,10 @@ def keys_from(keys: Any, n: int) -> Keys:
 
 
 def option_of(options: Any, name: str) -> Any:
-    """What ``reset(options=...)`` says under a name; None where it says nothing.
+    """Return the entry of ``reset(options=...)`` with a name; None if there is none.
 
     Raises:
-        ValueError: the options are no dict.
+        ValueError: the options are not a dict.
     """
     if options is not None and not isinstance(options, dict):
         raise ValueError(f"options: found {options!r}, expected a dict or None")
@@ -92,19 +92,19 @@ def option_of(options: Any, name: str) -> Any:
 
 
 class Stream:
-    """Where one environment is in its stream of keys, which its generator's seed begins."""
+    """The position of one environment in its stream of keys, given by its generator's seed."""
 
     def __init__(self) -> None:
         self._state = np.zeros(2, np.uint64)  # as Streams.states
         self._from: np.random.Generator | None = None
 
     def next(self, rng: np.random.Generator, seed: int) -> int:
-        """The key of the next episode.
+        """Return the key of the next episode.
 
         Args:
-            rng, seed: of the environment now.
+            rng, seed: the environment's current generator and seed.
         """
-        if rng is not self._from:  # seeded anew, or somebody's own, whose seed is -1
+        if rng is not self._from:  # a new seed, or a user's own generator, whose seed is -1
             self._from = rng
             self._state[:] = draw_key(rng) if seed == -1 else stream_of(seed), 0
         (key,) = keys_at(*self._state)
@@ -113,14 +113,14 @@ class Stream:
 
 
 class Streams:
-    """Where N environments are in their streams of keys, which begin anywhere.
+    """The positions of N environments in their streams of keys, which begin at random.
 
     Args:
         n: number of environments.
     """
 
     def __init__(self, n: int) -> None:
-        self._states = np.zeros((n, 2), np.uint64)  # streams, and how many keys of them were drawn
+        self._states = np.zeros((n, 2), np.uint64)  # streams, and number of keys drawn from each
         self._states[:, 0] = np.random.SeedSequence().generate_state(n, np.uint64)
         self.set_states(self._states)
 
@@ -128,7 +128,7 @@ class Streams:
         """Start an environment's stream as ``Env.reset`` does.
 
         Raises:
-            ValueError: a negative seed.
+            ValueError: the seed is negative.
         """
         seed = operator.index(seed)
         if seed < 0:
@@ -140,11 +140,11 @@ class Streams:
         """Start the streams of some environments, as a vector environment's ``reset`` does.
 
         Args:
-            seed: s for s + i of environment i; or one for each of all, None to go on.
-            places: which start.
+            seed: s to seed environment i with s + i; or one seed per environment, None to continue.
+            places: the environments to start.
 
         Raises:
-            ValueError: there is not one for each, or a negative one.
+            ValueError: there is not one seed per environment, or a seed is negative.
         """
         n = len(self._seeds)
         if isinstance(seed, (int, np.integer)):
@@ -158,27 +158,27 @@ class Streams:
                 self.seed(place, seed[place])
 
     def seeds(self) -> tuple[int, ...]:
-        """(n,) the seeds of the streams; -1 where nobody knows it."""
+        """Return the seeds (n,) of the streams; -1 where the seed is unknown."""
         return tuple(self._seeds)
 
     def states(self) -> NDArray[np.uint64]:
-        """(n, 2) streams, and how many keys of each were drawn: a copy."""
+        """Return a copy of the streams and the numbers of keys drawn from each (n, 2)."""
         return self._states.copy()
 
     def set_states(self, states: NDArray[np.uint64]) -> None:
-        """Take on states (n, 2); the seeds behind them are not known."""
+        """Set the states (n, 2), whose seeds are then unknown."""
         self._states[:] = states
         self._seeds = [-1] * len(states)
         self._generators: list[np.random.Generator | None] = [None] * len(states)
 
     def keys(self, places: Index) -> Keys:
-        """Keys (places,) of the next episodes of some environments, each named once."""
+        """Draw the keys (places,) of the next episodes of some environments, each given once."""
         keys = keys_at(*self._states[places].T)
         self._states[places, 1] += np.uint64(1)
         return keys
 
     def generator(self, place: int) -> np.random.Generator:
-        """What an environment has as ``np_random``; no key is drawn from it."""
+        """Return the ``np_random`` of an environment; keys are not drawn from this generator."""
         generator, seed = self._generators[place], self._seeds[place]
         if generator is None:
             known = int(self._states[place, 0]) if seed == -1 else seed
@@ -187,5 +187,5 @@ class Streams:
         return generator
 
     def generators(self) -> tuple[np.random.Generator, ...]:
-        """(n,) those of all environments."""
+        """Return the generators (n,) of all environments."""
         return tuple(self.generator(place) for place in range(len(self._seeds)))

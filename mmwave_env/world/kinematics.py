@@ -1,49 +1,49 @@
-"""Motion of users along their way, on lanes: eight travelers at once.
+"""Motion of users along their way, on lanes, which hold eight travelers at once.
 
-A traveler speeds up and brakes within limits of acceleration, braking and jerk, towards its
-target speed and down to what lies ahead: corners and red lights. The equations are those of a
-substep without events; :mod:`mmwave_env.world.travel` has what happens between them.
+A traveler speeds up and brakes within limits of acceleration, braking and jerk, to reach its
+target speed and to slow down for corners and red lights. The equations describe a substep
+without events; :mod:`mmwave_env.world.travel` draws the events between substeps.
 """
 
 from typing import NamedTuple
 
 from mmwave_env.numerics.numbers import Number, clip, cos_sin, maximum, minimum, sqrt, where
 
-STANDING_MPS = 0.1  # slow enough to change over to another phase
-FAR = 1e9  # m or s: never
+STANDING_MPS = 0.1  # a traveler below this speed may change over to another phase
+FAR = 1e9  # m or s: a distance or time that is never reached
 
 
 class Net(NamedTuple):
-    """The streets as a traveler knows them."""
+    """The net of streets on which a traveler moves."""
 
     block: Number  # distance of crossings, m
-    # blocks_x, blocks_y: how many there are, west to east and south to north
+    # blocks_x, blocks_y: number of blocks, west to east and south to north
     blocks_x: Number
     blocks_y: Number
-    # origin_x, origin_y: the crossing to the south-west, m
+    # origin_x, origin_y: position of the south-west crossing, m
     origin_x: Number
     origin_y: Number
-    height: Number  # of the user equipment, m
+    height: Number  # height of the user equipment, m
 
 
 class Traveler(NamedTuple):
-    """Where a traveler is, and what it is up to.
+    """The state of a traveler: its position and motion, the way ahead and its plans.
 
-    The way ahead is a straight stretch, then an arc over a crossing (none where it is straight
-    on); the crossing after that is known too, for braking over a crossing that is driven straight.
+    The way ahead is a straight stretch, then an arc over a crossing (no arc if the way leads
+    straight on); the crossing after that is known too, since braking may begin before the first.
     """
 
-    due: Number  # 1 where something is to happen before the next substep: gait, crossing, phase
-    time: Number  # since the episode began, s
-    # x, y: where the way ahead begins, m
+    due: Number  # 1 if an event is due before the next substep: gait, crossing or phase
+    time: Number  # time since the episode began, s
+    # x, y: position at which the way ahead begins, m
     x: Number
     y: Number
-    heading: Number  # before the arc, in quarter turns from east to the left: 0 to 3
-    traveled: Number  # on the way ahead, m
+    heading: Number  # heading before the arc, in quarter turns from east to the left: 0 to 3
+    traveled: Number  # distance traveled on the way ahead, m
     # stretch, arc: lengths of the way ahead, m
     stretch: Number
     arc: Number
-    radius: Number  # of its arc, m
+    radius: Number  # radius of the arc, m
     # v, a: speed (m/s) and acceleration (m/s^2)
     v: Number
     a: Number
@@ -51,25 +51,25 @@ class Traveler(NamedTuple):
     acceleration: Number
     braking: Number
     lateral: Number
-    jerk: Number  # limit, m/s^3
+    jerk: Number  # limit of the jerk, m/s^3
     target: Number  # speed to reach, m/s
-    gait_left: Number  # time to keep it, s
-    phase: Number  # which; ends at ``phase_end`` s
+    gait_left: Number  # time for which the target speed is kept, s
+    phase: Number  # number of the phase, which ends at ``phase_end`` s
     phase_end: Number
-    stopping: Number  # 1 while coming to a stand to change over to the next phase
-    # turn, red: at the crossing ahead: quarter turns to the left; red light, s
+    stopping: Number  # 1 while the traveler brakes to a stand to change over to the next phase
+    # turn, red: quarter turns to the left and seconds of red light at the crossing ahead
     turn: Number
     red: Number
-    # turn_after, red_after: at the crossing after that
+    # turn_after, red_after: the same at the crossing after that
     turn_after: Number
     red_after: Number
-    # node_x, node_y: the crossing after that, in blocks from the origin
+    # node_x, node_y: position of the crossing after that, in blocks from the origin
     node_x: Number
     node_y: Number
 
 
 def unit(heading: Number) -> tuple[Number, Number]:
-    """East and north of a step of one towards a heading of 0 to 3 quarter turns."""
+    """Return the unit vector (east, north) of a heading of 0 to 3 quarter turns."""
     odd = where(abs(heading - 2.0) > 0.5, 0.0, -1.0)
     east = where(heading < 0.5, 1.0, odd)
     north = where(abs(heading - 1.0) < 0.5, 1.0, where(heading > 2.5, -1.0, 0.0))
@@ -77,13 +77,13 @@ def unit(heading: Number) -> tuple[Number, Number]:
 
 
 def around(heading: Number) -> Number:
-    """A heading of -4 to 7 quarter turns as one of 0 to 3."""
+    """Wrap a heading of -4 to 7 quarter turns into 0 to 3 quarter turns."""
     heading = where(heading > 3.5, heading - 4.0, heading)
     return where(heading < -0.5, heading + 4.0, heading)
 
 
 def state_of(t: Traveler) -> tuple[list[Number], list[Number]]:
-    """Position (2,), m, and velocity (2,), m/s."""
+    """Return the position (2,), m, and the velocity (2,), m/s, of a traveler."""
     along, bent = minimum(t.traveled, t.stretch), clip(t.traveled - t.stretch, 0.0, t.arc)
     beyond = maximum(t.traveled - t.stretch - t.arc, 0.0)  # the crossing is not due before then
     east, north = unit(t.heading)
@@ -97,7 +97,7 @@ def state_of(t: Traveler) -> tuple[list[Number], list[Number]]:
 
 
 def wanted_acceleration(t: Traveler, net: Net) -> Number:
-    """The acceleration a traveler asks for, m/s^2: to its target speed, or down for what is ahead.
+    """Return the acceleration that a traveler wants, m/s^2, for its target speed or what is ahead.
 
     Two things ahead limit the speed. A turn at a crossing limits it to v_c with v_c^2 = lateral
     acceleration times radius; a red light limits it to v_c = 0 one meter before the crossing.
@@ -126,11 +126,11 @@ def wanted_acceleration(t: Traveler, net: Net) -> Number:
 
 
 def move(t: Traveler, net: Net, step: Number) -> Traveler:
-    """A substep of some seconds; at its end, whether something is due."""
+    """Move a traveler for a substep of ``step`` seconds, and mark whether an event is due."""
     most = t.jerk * step
     waiting = (t.v < 0.3) & (t.stretch - t.traveled < 3.0)
     a = t.a + clip(wanted_acceleration(t, net) - t.a, -most, most)
-    v = t.v + maximum(a * step, -t.v)  # never backwards; nor fused, which rounds otherwise
+    v = t.v + maximum(a * step, -t.v)  # never backwards; not fused, which would round otherwise
     a = where(v > 0.0, a, maximum(a, 0.0))
     time, traveled = t.time + step, t.traveled + 0.5 * (t.v + v) * step
     gait_left = t.gait_left - step

@@ -1,4 +1,4 @@
-"""Kinds of users: how fast they want to go, what they can do, where they walk or drive."""
+"""Kinds of users: their target speeds, their limits and their phases of walking or driving."""
 
 import os
 from collections.abc import Sequence
@@ -24,8 +24,8 @@ from mmwave_env.world import travel
 from mmwave_env.world.kinematics import FAR
 from mmwave_env.world.travel import PhasePlan, TravelPlan, blank_plan
 
-FASTEST_MPS = 100.0  # beyond any user of streets
-ROOM = 3  # phases and gaits there is room for at least: all kinds that come along share a program
+FASTEST_MPS = 100.0  # faster than any user of streets
+ROOM = 3  # least room for phases and gaits, so that all shipped kinds of users share a program
 
 Speed = Annotated[float, Bound(f"0 to {FASTEST_MPS:g} m/s", least=0.0, most=FASTEST_MPS)]
 Duration = Annotated[float, Bound("a number >= 0.001", least=1e-3, most=inf)]
@@ -59,7 +59,7 @@ class Gait:
 
 @dataclass(frozen=True)
 class Limits:
-    """What a traveler can do; ranges are drawn once per episode.
+    """The limits of a traveler's motion; values are drawn from the ranges once per episode.
 
     Attributes:
         acceleration_mps2, braking_mps2, lateral_mps2: ranges.
@@ -156,11 +156,11 @@ SCENARIOS = (*MOBILITIES, MIXED)
 
 
 def mobilities_of(scenario: str | os.PathLike[str]) -> tuple[Mobility, ...]:
-    """The mobilities a scenario draws from, in equal shares.
+    """Return the mobilities that a scenario draws from, in equal shares.
 
     Raises:
-        ValueError: unknown scenario; the message lists the valid ones. A file that holds something
-            else than :func:`read_mobility` reads.
+        ValueError: the scenario is unknown, and the message lists the known ones; or
+            :func:`read_mobility` refuses the file.
     """
     if str(scenario).endswith(".json"):
         return (read_mobility(scenario),)
@@ -170,25 +170,25 @@ def mobilities_of(scenario: str | os.PathLike[str]) -> tuple[Mobility, ...]:
 
 
 def read_mobility(path: str | os.PathLike[str]) -> Mobility:
-    """A kind of user from a JSON file: the fields of :class:`Mobility`, objects for its parts.
+    """Read a kind of user from a JSON file with the fields of :class:`Mobility`, parts as objects.
 
-    "name" is by default that of the file.
+    "name" is by default the name of the file.
 
     Raises:
-        ValueError: naming the file and what is wrong in it.
-        FileNotFoundError: there is no such file.
+        ValueError: the file is wrong; the message names the file and the error.
+        FileNotFoundError: the file does not exist.
     """
     name = {"name": as_name(Path(path).stem)}
     return read_object(path, "mobility", lambda content: object_from(Mobility, name | content))
 
 
 def plans_of(mobilities: Sequence[Mobility], block_m: float) -> list[TravelPlan]:
-    """Mobilities in numbers, for streets that are so far apart, or farther.
+    """Return mobilities in numbers, for streets at least ``block_m`` apart.
 
-    All have as many phases and gaits, of which some do not count.
+    All plans have the same number of phases and gaits; unused ones do not count.
 
     Raises:
-        ValueError: corners that do not fit between two crossings.
+        ValueError: corners do not fit between two crossings.
     """
     acts = [m.phases + m.phases[:1] * m.ends_as_it_began for m in mobilities]
     room = max(ROOM, *(len(phases) for phases in acts))
@@ -206,7 +206,7 @@ def plans_of(mobilities: Sequence[Mobility], block_m: float) -> list[TravelPlan]
 
 
 def _require_room(mobility: Mobility, apart: float) -> None:
-    """Refuse corners that do not fit between crossings so far apart, m."""
+    """Refuse corners that do not fit between crossings at a distance of ``apart``, m."""
     for phase in mobility.phases:
         if 2.0 * phase.limits.corner_radius_m > apart:
             raise ValueError(
@@ -217,7 +217,7 @@ def _require_room(mobility: Mobility, apart: float) -> None:
 
 
 def _phase_plan(phase: Phase, gaits: int) -> PhasePlan:
-    """A phase in numbers, with room for some gaits."""
+    """Return a phase in numbers, with room for ``gaits`` gaits."""
     limits = phase.limits
     wanted = [travel.Gait(*map(_finite, astuple(gait))) for gait in phase.gaits]
     wanted += [travel.Gait(0.0, 0.0, 1.0, 0.0)] * (gaits - len(wanted))
@@ -237,5 +237,5 @@ def _phase_plan(phase: Phase, gaits: int) -> PhasePlan:
 
 
 def _finite(value: float) -> float:
-    """The value; a time without end as one that no episode sees the end of."""
+    """Return a value, with infinite times limited to a time that no episode reaches."""
     return min(value, FAR)

@@ -1,7 +1,7 @@
-"""Simulated episodes: a user in the streets, seen through a channel.
+"""Simulated episodes of a user in the streets, observed through a radio channel.
 
-An episode is a function of its key: from the key follows how it begins, and from there it runs
-epoch by epoch, eight episodes at a time.
+An episode is a function of its key: the key determines the beginning, from which the simulation
+runs epoch by epoch, eight episodes at a time.
 """
 
 import math
@@ -46,18 +46,18 @@ from mmwave_env.world.simulation import (
 from mmwave_env.world.travel import TravelPlan, stride_of
 from mmwave_env.world.ways import PlacedWays, Scenario, Users, users_of
 
-RARE = 4.0  # standard deviations
-MOST_EPOCHS = 1_000_000  # of an episode: their times and actions are kept
+RARE = 4.0  # standard deviations of a rare event
+MOST_EPOCHS = 1_000_000  # limit for an episode, since times and actions of epochs are kept
 
 
 class Begun(NamedTuple):
-    """What n episodes begin with.
+    """The beginnings of n episodes.
 
     Attributes:
-        kinds: (n,) numbers of the kinds of users, or of the ways given.
-        worlds: (n, numbers) what is kept of each world, before the first epoch; the receiver's
-            alone where a way is given.
-        truth: (n, epochs, 6) to load into them where a way is given; else (n, epochs, 0).
+        kinds: (n,) numbers of the kinds of users, or of the given ways.
+        worlds: (n, numbers) kept state of each world before the first epoch; only the state of
+            the receiver if a way is given.
+        truth: (n, epochs, 6) true positions and velocities if a way is given; else (n, epochs, 0).
         first: (n, 7) true states at the first epoch.
         sites: (n, numbers) rows of :meth:`Episode.site`.
     """
@@ -69,22 +69,22 @@ class Begun(NamedTuple):
     sites: Array
 
     def on_flat_ground(self, layout: Layout) -> "Begun":
-        """The same with the height known, as :meth:`Episode.on_flat_ground`."""
+        """Return the beginnings with known heights, as :meth:`Episode.on_flat_ground` does."""
         return self._replace(sites=level(self.sites, self.first[:, 2], layout))
 
 
 @dataclass(frozen=True)
 class SimulatedSource:
-    """Episodes of simulated users in a street scene.
+    """A source of episodes of simulated users in a street scene.
 
     Attributes:
-        scene: geometry and carrier; or where each episode draws its own from.
+        scene: geometry and carrier; or the random scene from which each episode draws its own.
         radio: noise, blockage, multipath.
-        scenario: kind of user: a name, "mixed", a JSON file or a Mobility; or given ways: a CSV
-            file, a Trajectory or Ways.
+        scenario: kind of user (a name, "mixed", a JSON file or a Mobility), or given ways (a CSV
+            file, a Trajectory or Ways).
         dt: seconds between epochs.
-        epochs: length of an episode; at most, of given ways: a window that is drawn, or all of
-            one that is shorter.
+        epochs: length of an episode. With given ways, an episode is a random window of that
+            length, or shorter if all ways are shorter.
         odometry: whether the user also reports speed and heading.
     """
 
@@ -105,7 +105,7 @@ class SimulatedSource:
             object.__setattr__(self, "epochs", self.ways.epochs)
 
     def _require_envelope(self) -> None:
-        """Refuse a radio in a scene whose episodes would be beyond what the filters are for."""
+        """Refuse a radio in a scene whose episodes would be outside the filters' envelope."""
         scene, radio, anchors = self._example, self.radio, self.layout.anchors
         snr_db = np.repeat(np.array(SNR_LIMITS_DB)[:, None], anchors, axis=1)
         rarely = math.exp(RARE * radio.spread_sigma)
@@ -129,43 +129,43 @@ class SimulatedSource:
 
     @cached_property
     def layout(self) -> Layout:
-        """Rows of every episode's measurements."""
+        """Return the rows of every episode's measurements."""
         return Layout(len(self._example.anchors_m), self.odometry)
 
     @cached_property
     def _example(self) -> Scene:
-        """The scene, or one of those that are drawn: carrier and number of anchors are as here."""
+        """Return the scene or a random one; all have the same carrier and number of anchors."""
         return self.scene.example if isinstance(self.scene, RandomScene) else self.scene
 
     @property
     def time_s(self) -> Array:
-        """(epochs,) of every episode."""
+        """Return the times (epochs,) of every episode."""
         return self.dt * np.arange(self.epochs, dtype=np.float64)
 
     @cached_property
     def steps_s(self) -> Array:
-        """(epochs,) seconds since the epoch before, 0 in the first."""
+        """Return the seconds (epochs,) since the epoch before, 0 in the first."""
         return np.diff(self.time_s, prepend=0.0)
 
     @property
     def name(self) -> str:
-        """The scenario, and the scene where it is not the default street."""
+        """Return the name of the scenario, and of the scene unless it is the default street."""
         users, scene = self._users, self.scene.name
         who = users.name if not isinstance(users, tuple) else users[0].name
         who = MIXED if isinstance(users, tuple) and len(users) > 1 else who
         return who if scene == "street" else f"{who} on {scene}"
 
     def sample(self, rng: np.random.Generator) -> Episode:
-        """Draw one episode; all that it takes from ``rng`` is its key."""
+        """Draw one episode; only its key is drawn from ``rng``."""
         return self.episode(draw_key(rng))
 
     def episode(self, key: int) -> Episode:
-        """The episode of a key."""
+        """Return the episode of a key."""
         (episode,) = self.episodes(np.array([key], np.uint64))
         return episode
 
     def episodes(self, keys: Keys) -> list[Episode]:
-        """The episodes of keys (n,)."""
+        """Return the episodes of keys (n,)."""
         found = self.sample_batch(keys)
         return [
             self._as_episode(*each)
@@ -173,7 +173,7 @@ class SimulatedSource:
         ]
 
     def _as_episode(self, name: str, table: Array, site: Array) -> Episode:
-        """An episode of a batch."""
+        """Return an episode of a batch, given its name, table and site."""
         at, where = columns_of(self.layout), self._site[1]
 
         def columns(of: Any) -> Array:
@@ -199,20 +199,20 @@ class SimulatedSource:
         )
 
     def scene_of(self, key: int) -> Scene:
-        """The scene of an episode."""
+        """Return the scene of the episode of a key."""
         if not isinstance(self.scene, RandomScene):
             return self.scene
         word = float(np.array(key, np.uint64).view(np.float64))
         return self.scene.scene_of(self.scene.draw_numbers(Dice(seeded(word, USER))))
 
     def sample_batch(self, keys: Keys, threads: int = 1) -> EpisodeBatch:
-        """The episodes of keys (n,); so many threads may draw at once."""
+        """Return the episodes of keys (n,) as a batch, drawn by at most ``threads`` threads."""
         n, at = len(keys), columns_of(self.layout)
         begun = self.begin(keys)
         program, state = self._along(begun) if self.travels else self._on_the_way(begun)
         measured = rows_of(program.index.measured)
         io = StepIO.of(n, self.epochs, output_rows=measured)
-        program.on_lanes()  # else some threads would wait for what others compile
+        program.on_lanes()  # else some threads would wait while another compiles
         blocks = len(state.rows)
         jobs = [(state, io, part) for part in spans(blocks, min(threads, blocks))]
         share(program.run_on_lanes, jobs, threads)
@@ -227,20 +227,20 @@ class SimulatedSource:
         )
 
     def feed(self, worlds: Array) -> Feed:
-        """What makes epochs of drawn users from the worlds (n, numbers) they begin in."""
+        """Return the feed that simulates drawn users, from their first worlds (n, numbers)."""
         kept = blocks_of(self._blank_kept, len(worlds))
         fill(kept, np.arange(kept.shape[1]), worlds)
         timed = columns_of(self.layout).dt
         return Feed(self.world.on_lanes(), self._settings_rows, kept, timed, self.steps_s)
 
     def _along(self, begun: Begun) -> tuple[Program[Any], BatchState]:
-        """What runs, from where, so that drawn users are simulated."""
+        """Return the program and the initial state that simulate drawn users."""
         program, n = as_measured(self.layout), len(begun.worlds)
         state = BatchState.of(np.empty((n, self.epochs, 0)), blocks_of(program.start, n))
         return program, state._replace(feed=self.feed(begun.worlds))
 
     def _on_the_way(self, begun: Begun) -> tuple[Program[Any], BatchState]:
-        """The same for a way that is given."""
+        """Return the program and the initial state that simulate users on given ways."""
         program, n = on_a_way(self.layout), len(begun.worlds)
         rows = fill(blocks_of(program.start, n), rows_of(program.index.receiver), begun.worlds)
         rows[:, rows_of(program.index.settings)] = self._settings_rows
@@ -248,11 +248,11 @@ class SimulatedSource:
 
     @property
     def travels(self) -> bool:
-        """Whether users are drawn, so that an episode needs no table; else a way is given."""
+        """Tell whether users are drawn, which needs no table; else ways are given."""
         return bool(self._plans)
 
     def begin(self, keys: Keys) -> Begun:
-        """What the episodes of keys (n,) begin with."""
+        """Return the beginnings of the episodes of keys (n,)."""
         n, program = len(keys), self._beginning
         at = program.index.begun
         parts = [at.choice, at.first, at.prior_noise, at.receiver.anchors]
@@ -278,13 +278,13 @@ class SimulatedSource:
 
     @cached_property
     def names(self) -> Sequence[str]:
-        """Of the kinds of users, or of those who went the ways."""
+        """Return the names of the kinds of users, or of the given ways."""
         users = self._users
         return [user.name for user in users] if isinstance(users, tuple) else self.ways.names
 
     @cached_property
     def _plans(self) -> list[TravelPlan]:
-        """Kinds of users; none where ways are given."""
+        """Return the plans of the kinds of users; none if ways are given."""
         users, scene = self._users, self.scene
         if not isinstance(users, tuple):
             if isinstance(scene, RandomScene):
@@ -300,19 +300,19 @@ class SimulatedSource:
 
     @cached_property
     def ways(self) -> PlacedWays:
-        """The ways that are given, where users are not drawn."""
+        """Return the given ways, if users are not drawn."""
         users = self._users
         assert not isinstance(users, tuple)
         return users.placed(self._example, self.dt, self.epochs)
 
     @property
     def world(self) -> World:
-        """What runs from epoch to epoch, of drawn users."""
+        """Return the world that simulates the epochs of drawn users."""
         return world_of(self.layout, *self._room)
 
     @property
     def _room(self) -> tuple[int, int]:
-        """How many phases and gaits there is room for."""
+        """Return the numbers of phases and gaits that the plans have room for."""
         phases = [plan.phases for plan in self._plans]
         return (len(phases[0]), len(phases[0][0].phase.gaits)) if phases else (1, 1)
 
@@ -323,7 +323,7 @@ class SimulatedSource:
 
     @cached_property
     def _before(self) -> Array:
-        """The workspace (size,) that an episode is begun from, but for its key."""
+        """Return the workspace (size,) from which an episode begins, without its key."""
         scene, radio, template = self._example, self.radio, self._beginning.template
         filled = template._replace(
             plans=self._plans,
@@ -336,7 +336,7 @@ class SimulatedSource:
 
     @cached_property
     def _settings_rows(self) -> Array:
-        """(rows, 8) what is the same in all episodes."""
+        """Return the settings (rows, 8), which are the same in all episodes."""
         radio, scene, stride = self.radio, self._example, stride_of(self.dt)
         settings = WorldSettings(
             hz_per_mps=scene.hz_per_mps,
@@ -349,13 +349,13 @@ class SimulatedSource:
 
     @cached_property
     def _blank_kept(self) -> Array:
-        """What an unused lane keeps of a world."""
+        """Return the kept state of the world in an unused lane."""
         _, _, receiver, user = self.world.template
         return np.array(flatten([receiver, user]), float)
 
     @cached_property
     def _site(self) -> tuple[Array, Any]:
-        """A row of :meth:`Episode.site` of the example, and what is where in it."""
+        """Return :meth:`Episode.site` of the example, and the place of each number in it."""
         scene = self._example
         covariance = self.radio.prior_covariance(scene)[np.tril_indices(STATE_SIZE)]
         site = Site(

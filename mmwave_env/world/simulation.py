@@ -1,7 +1,7 @@
-"""A simulated world, epoch by epoch: users on their way, the channel, what a receiver measures.
+"""The simulation of a world, epoch by epoch: moving users, the channel, the measurements.
 
-Functions of numbers that run on lanes, a user to a lane. All randomness comes from the generator
-of the lane's own, which a key of 64 bits seeds: an episode is a function of its key.
+The functions of numbers run on lanes, one user per lane. All randomness comes from the generator
+of the lane, which a key of 64 bits seeds: an episode is a function of its key.
 """
 
 from collections.abc import Callable
@@ -37,39 +37,39 @@ from mmwave_env.world.travel import Gait, Phase, attend
 
 
 class WorldSettings(NamedTuple):
-    """What is the same in all episodes of a source."""
+    """The settings that are the same in all episodes of a source."""
 
     hz_per_mps: Number  # carrier frequency over the speed of light
     channel: Channel  # radio and scene
     drift_hz: Number  # standard deviation of the oscillator's change over a step
-    # step_s, stride: length of a substep, and how many make an epoch
+    # step_s, stride: length of a substep, and number of substeps in an epoch
     step_s: Number
     stride: Number
 
 
 class ReceiverState(NamedTuple):
-    """Links and receiver between two epochs."""
+    """The state of links and receiver between two epochs."""
 
     dice: list[Number]  # (4,) state of the generator
     anchors: list[list[Number]]  # (L, 3) positions, m
     is_first: Number  # 1 before the first epoch
-    channel: ChannelState  # of the links
-    bias_hz: Number  # of the oscillator, in the coming epoch
+    channel: ChannelState  # state of the links
+    bias_hz: Number  # oscillator bias in the coming epoch
 
 
 class UserState(NamedTuple):
-    """A user who is simulated, between two epochs."""
+    """The state of a simulated user between two epochs."""
 
-    dice: list[Number]  # (4,) state of the generator, another than the receiver's
-    net: Net  # of the streets
-    phases: list[Phase]  # of the episode
-    traveler: Traveler  # in the coming epoch
+    dice: list[Number]  # (4,) state of the user's generator, which is not the receiver's
+    net: Net  # net of the streets
+    phases: list[Phase]  # phases of the episode
+    traveler: Traveler  # state in the coming epoch
 
 
 class WorldState(NamedTuple):
-    """A simulated episode between two epochs."""
+    """The state of a simulated episode between two epochs."""
 
-    measured: Incoming  # the epoch just measured; dt is filled in by those who know the time
+    measured: Incoming  # the epoch just measured; callers that know the time fill in dt
     settings: WorldSettings
     receiver: ReceiverState
     user: UserState
@@ -78,12 +78,12 @@ class WorldState(NamedTuple):
 def measure(
     truth: list[Number], settings: WorldSettings, receiver: ReceiverState, layout: Layout
 ) -> tuple[Incoming, ReceiverState]:
-    """An epoch of a user: the channel, then what a receiver measures.
+    """Simulate the channel and the measurement of a user's epoch.
 
     Args:
-        truth: (6,) position (m) and velocity (m/s).
+        truth: (6,) true position (m) and velocity (m/s).
         settings: radio and scene.
-        receiver: links and receiver before it.
+        receiver: state of links and receiver before the epoch.
         layout: rows of the measurements.
     """
     is_first, dice = receiver.is_first > 0.5, Dice(receiver.dice)
@@ -118,13 +118,13 @@ def measure(
 
 
 def _where_seen(visible: Vector, rows: Vector, otherwise: float, layout: Layout) -> list[Number]:
-    """The rows (rows,) of the groups that are visible (groups,), else a constant."""
+    """Return the rows (rows,) with a constant in place of groups (groups,) that are missing."""
     seen = [v > 0.5 for v, k in zip(visible, layout.widths, strict=True) for _ in range(k)]
     return [where(s, value, otherwise) for s, value in zip(seen, rows, strict=True)]
 
 
 def _observe(w: WorldState, layout: Layout) -> WorldState:
-    """An epoch where the traveler is."""
+    """Measure an epoch at the traveler's position."""
     (x, y), (vx, vy) = state_of(w.user.traveler)
     truth = [x, y, w.user.net.height, vx, vy, 0.0]
     measured, receiver = measure(truth, w.settings, w.receiver, layout)
@@ -132,7 +132,7 @@ def _observe(w: WorldState, layout: Layout) -> WorldState:
 
 
 def _attend(w: WorldState) -> WorldState:
-    """What happens to the travelers to whom something does."""
+    """Apply the events that are due to their travelers."""
     user = w.user
     dice, due = Dice(user.dice), user.traveler.due > 0.5
     traveler = attend(dice, user.traveler, user.phases, user.net)
@@ -148,7 +148,7 @@ def _move(w: WorldState) -> WorldState:
 
 
 def blank_world(layout: Layout, phases: int, gaits: int) -> WorldState:
-    """A world that is sound but nowhere, to be overwritten."""
+    """Return a placeholder world with sound numbers, to be overwritten."""
     still = Traveler(*[0.0] * len(Traveler._fields))._replace(radius=1.0, jerk=1.0)
     gait = Gait(0.0, 0.0, 1.0, 1.0)
     phase = Phase(1.0, 1.0, 1.0, 1.0, 1.0, 0.0, 0.0, 0.0, 1.0, [gait] * gaits)
@@ -163,16 +163,16 @@ def blank_world(layout: Layout, phases: int, gaits: int) -> WorldState:
 
 
 class World:
-    """Epochs of a user who is simulated: measured where the user is, who then moves on.
+    """The simulation of a user's epochs: each epoch is measured, then the user moves on.
 
     Args:
         layout: rows of the measurements.
-        phases, gaits: how many there is room for.
+        phases, gaits: greatest numbers of phases and gaits.
 
     Attributes:
         template: a workspace of floats.
         index: the same tree with row numbers as leaves.
-        ends: the rows where the measured epoch, the settings and what is kept end.
+        ends: the rows where the measured epoch, the settings and the kept state end.
     """
 
     def __init__(self, layout: Layout, phases: int, gaits: int) -> None:
@@ -184,7 +184,7 @@ class World:
         self._compiled: Any = None
 
     def epoch(self, w: WorldState) -> WorldState:
-        """An epoch; on floats for reference."""
+        """Simulate an epoch on floats, for reference."""
         observed, happened, moved = self.parts
         w = observed(w)
         for _ in range(int(w.settings.stride)):
@@ -192,7 +192,7 @@ class World:
         return w
 
     def on_lanes(self) -> int:
-        """The address of a C function that is an epoch, as a Feed wants it."""
+        """Return the address of a C function that simulates an epoch, for a Feed."""
         with global_compiler_lock:
             if self._compiled is None:
                 self._compiled = self._compile()
@@ -200,7 +200,7 @@ class World:
 
     @property
     def parts(self) -> tuple[Callable[[WorldState], WorldState], ...]:
-        """What an epoch consists of: it is measured, something happens now and then, users move."""
+        """Return the three parts of an epoch: measurement, events, and motion in a substep."""
 
         def observed(w: WorldState) -> WorldState:
             return _observe(w, self._layout)
@@ -208,7 +208,7 @@ class World:
         return observed, _attend, _move
 
     def _compile(self) -> Any:
-        """Of parts: what happens now and then runs only where it happens to any lane."""
+        """Compile the parts of an epoch; the events run only if an event is due in a lane."""
         parts, ends = self.parts, self.ends
         look, happen, substep = (tree_kernel(part, self.template, ends) for part in parts)
         row = 8 * WIDTH  # bytes
@@ -232,24 +232,24 @@ class World:
         return compiled_callback(signature, on_addresses)
 
 
-@cache  # for good: feeds know no more than the address of what is compiled
+@cache  # never dropped, because feeds hold only the address of the compiled code
 def world_of(layout: Layout, phases: int, gaits: int) -> World:
-    """The world of drawn users, compiled once for all sources that are set up alike."""
+    """Return the world of drawn users, compiled once for all sources with equal arguments."""
     return World(layout, phases, gaits)
 
 
 class OnAWay(NamedTuple):
-    """A simulated episode of a user whose way is given."""
+    """The state of a simulated episode of a user whose way is given."""
 
-    truth: list[Number]  # (6,) of the epoch, loaded
-    measured: Incoming  # as of :class:`WorldState`
+    truth: list[Number]  # (6,) truth of the epoch, loaded from a table
+    measured: Incoming  # as in :class:`WorldState`
     settings: WorldSettings
     receiver: ReceiverState
 
 
 @lru_cache(maxsize=8)
 def on_a_way(layout: Layout) -> Program[OnAWay]:
-    """The epoch of a user whose way is given."""
+    """Return the program of an epoch of a user whose way is given."""
 
     def function(w: OnAWay) -> OnAWay:
         measured, receiver = measure(w.truth, w.settings, w.receiver, layout)
@@ -260,12 +260,12 @@ def on_a_way(layout: Layout) -> Program[OnAWay]:
 
 
 class AsMeasured(NamedTuple):
-    """An epoch that nobody filters."""
+    """An epoch that is measured but not filtered."""
 
     measured: Incoming
 
 
 @lru_cache(maxsize=8)
 def as_measured(layout: Layout) -> Program[AsMeasured]:
-    """What runs behind a world whose epochs are wanted as they are."""
+    """Return the program that passes on the epochs of a world unchanged."""
     return Program(lambda w: w, AsMeasured(blank_incoming(layout)))

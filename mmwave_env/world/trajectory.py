@@ -1,4 +1,4 @@
-"""A way of one's own: where a user was when, from GPS, a traffic simulator or a survey."""
+"""Trajectories given by a user of this package, from GPS, a traffic simulator or a survey."""
 
 import warnings
 from collections.abc import Sequence
@@ -12,24 +12,24 @@ from mmwave_env.models.scene import Scene
 from mmwave_env.numerics.numbers import Array, Mask
 from mmwave_env.world.mobility import FASTEST_MPS
 
-REACH_M = (1.0, 5000.0)  # from an anchor, where the path loss holds (3GPP TR 38.901, UMi)
-STANDING_M, STANDING_S = 0.1, 60.0  # who stays within the one for the other is perhaps in degrees
+REACH_M = (1.0, 5000.0)  # distances at which the path loss holds (3GPP TR 38.901, UMi)
+STANDING_M, STANDING_S = 0.1, 60.0  # staying so close for so long suggests positions in degrees
 
 
 @dataclass(frozen=True, eq=False)
 class Trajectory:
-    """Where a user was when, N times; episodes of it go through the simulated channel.
+    """The positions of a user at N times, for episodes with the simulated channel.
 
     Attributes:
-        name: for results and messages.
-        time_s: (N,) increasing; at least two, no gap of more than 15 s.
-        position_m: (N, 3) in the frame of the scene.
-        velocity_mps: (N, 3); None for the rates of change of the positions: at every row, that of
-            the parabola through it and its neighbors.
-        lines: (N,) of the rows in their file, for messages; None where there is no file.
+        name: name of the trajectory, for results and messages.
+        time_s: (N,) increasing times; at least two, without gaps of more than 15 s.
+        position_m: (N, 3) positions in the frame of the scene.
+        velocity_mps: (N, 3) velocities; None for the rates of change of the positions, at every
+            row the slope of the parabola through the row and its neighbors.
+        lines: (N,) lines of the rows in their file, for messages; None if there is no file.
 
     Raises:
-        ValueError: naming the line of the file, or the row from 1, and what is wrong in it.
+        ValueError: a row is wrong; the message names its line, or its number from 1, and the error.
     """
 
     name: str
@@ -59,7 +59,7 @@ class Trajectory:
         object.__setattr__(self, "velocity_mps", np.gradient(p, t, axis=0) if v is None else v)
 
     def _require_motion(self, t: Array, p: Array, v: Array | None) -> None:
-        """Refuse what no user of streets does."""
+        """Refuse motion that is impossible for a user of streets."""
         step = np.diff(t, prepend=t[0] - 1.0)
         moved = np.diff(p, axis=0, prepend=p[:1])
         self._require(step > 0.0, t, "t", "more than in the row before")
@@ -86,7 +86,7 @@ class Trajectory:
             )
 
     def _require(self, holds: Mask, values: Array, what: str, expected: str) -> None:
-        """Refuse the first of the rows (N, ...) where something does not hold."""
+        """Refuse the first of the rows (N, ...) in which a condition does not hold."""
         rows = holds.reshape(len(holds), -1).all(axis=1)
         if not rows.all():
             i = int(np.argmin(rows))
@@ -99,9 +99,9 @@ class Trajectory:
         return f"row {row + 1}" if self.lines is None else f"line {self.lines[row]}"
 
     def resampled(self, dt: float) -> Array:
-        """Positions and velocities (E, 6) at steps of ``dt`` seconds from the first time on.
+        """Return positions and velocities (E, 6) every ``dt`` seconds from the first time on.
 
-        Positions are cubic between rows (Hermite), velocities their derivatives.
+        Positions are cubic between rows (Hermite); velocities are the derivatives of positions.
         """
         from scipy.interpolate import CubicHermiteSpline
 
@@ -111,10 +111,10 @@ class Trajectory:
         return np.hstack([cubic(at), cubic(at, 1)])
 
     def way(self, scene: Scene, dt: float) -> Array:
-        """The way through a scene, (E, 6) as of :meth:`resampled`.
+        """Return the way through a scene, (E, 6) as from :meth:`resampled`.
 
         Raises:
-            ValueError: shorter than a step; behind a wall that mirrors, or at an anchor.
+            ValueError: the way is shorter than a step, behind a wall, or out of an anchor's reach.
         """
         way = self.resampled(dt)
         if len(way) < 2:

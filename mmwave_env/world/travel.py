@@ -1,11 +1,11 @@
-"""Truth: how users move through the streets.
+"""The true motion of users through the streets.
 
 A traveler walks or drives along a net of streets, turns at crossings on circular arcs,
 waits at red lights, and follows gaits (target speeds that change now and then) within
-limits of acceleration, braking, lateral acceleration and jerk. Simulated at 0.1 s.
+limits of acceleration, braking, lateral acceleration and jerk. A substep takes about 0.1 s.
 
-What happens to a traveler now and then (a gait, a crossing, a phase) is drawn here;
-:mod:`mmwave_env.world.kinematics` moves it. Functions of numbers, a traveler to a lane.
+The events of a traveler (a new gait, crossing or phase) are drawn here;
+:mod:`mmwave_env.world.kinematics` moves the traveler. Each lane holds one traveler.
 """
 
 import math
@@ -18,58 +18,58 @@ from mmwave_env.numerics.random import Dice
 from mmwave_env.world.kinematics import FAR, STANDING_MPS, Net, Traveler, around, unit
 
 FINEST_STEP_S = 0.1
-STOPPING_S = 5.0  # what a ride takes to stop before its passenger walks on
+STOPPING_S = 5.0  # time for a ride to stop before its passenger walks on
 
 
 class Gait(NamedTuple):
     """A target speed that is kept for a while."""
 
-    # low, high: of the speed, m/s
+    # low, high: range of the speed, m/s
     low: Number
     high: Number
-    mean_s: Number  # of how long
-    weight: Number  # of its choice, over the weights of all
+    mean_s: Number  # mean duration
+    weight: Number  # weight in the choice, relative to the weights of all gaits
 
 
 class Phase(NamedTuple):
-    """A phase of a traveler, in force from the end of the one before.
+    """A phase of a traveler, in force from the end of the phase before.
 
-    Its limits: acceleration, braking, lateral acceleration, each drawn once per episode.
+    Its limits of acceleration, braking and lateral acceleration are drawn once per episode.
     """
 
     acceleration: Number
     braking: Number
     lateral: Number
     jerk: Number
-    radius: Number  # of corners, m
+    radius: Number  # radius of corners, m
     red_probability: Number
-    # red_low, red_high: how long a red light lasts, s
+    # red_low, red_high: range of the duration of a red light, s
     red_low: Number
     red_high: Number
-    end: Number  # s since the episode began
+    end: Number  # time of the phase's end, s since the episode began
     gaits: list[Gait]
 
 
 class PhasePlan(NamedTuple):
-    """What a phase is drawn from: ranges (2,) of its length and its limits."""
+    """The ranges (2,) from which length and limits of a phase are drawn."""
 
     length: list[Number]
     acceleration: list[Number]
     braking: list[Number]
     lateral: list[Number]
-    ends_early: Number  # 1 where the phase after it returns to the first until the episode ends
-    phase: Phase  # all that is not drawn
+    ends_early: Number  # 1 if the following phase is the first again, until the episode ends
+    phase: Phase  # the values that are not drawn
 
 
 class TravelPlan(NamedTuple):
     """A kind of user in numbers."""
 
-    closer: Number  # how many times closer together its crossings are than the streets
+    closer: Number  # number of the kind's crossings per block of the streets
     phases: list[PhasePlan]
 
 
 def blank_plan(phases: int, gaits: int) -> TravelPlan:
-    """A plan of so many phases and gaits that goes nowhere, to be overwritten."""
+    """Return a placeholder plan with that number of phases and gaits, to be overwritten."""
     gait = Gait(0.0, 0.0, 1.0, 0.0)
     phase = Phase(1.0, 1.0, 1.0, 1.0, 1.0, 0.0, 0.0, 0.0, FAR, [gait] * gaits)
     once, at_one = [FAR, FAR], [1.0, 1.0]
@@ -77,7 +77,7 @@ def blank_plan(phases: int, gaits: int) -> TravelPlan:
 
 
 def _draw_gait(dice: Dice, gaits: Sequence[Gait]) -> tuple[Number, Number]:
-    """Target speed and how long it is kept."""
+    """Draw a target speed and the time for which it is kept."""
     total = gaits[0].weight
     for gait in gaits[1:]:
         total = total + gait.weight
@@ -90,7 +90,7 @@ def _draw_gait(dice: Dice, gaits: Sequence[Gait]) -> tuple[Number, Number]:
 
 
 def _leads_on(x: Number, y: Number, heading: Number, net: Net) -> Number:
-    """1 where there is a street from a crossing in this direction, else 0."""
+    """Return 1 where a street leads from a crossing in this direction, else 0."""
     east, north = unit(heading)
     x, y = x + east, y + north
     inside = (x > -0.5) & (y > -0.5) & (x < net.blocks_x + 0.5) & (y < net.blocks_y + 0.5)
@@ -98,7 +98,7 @@ def _leads_on(x: Number, y: Number, heading: Number, net: Net) -> Number:
 
 
 def _draw_turn(dice: Dice, x: Number, y: Number, heading: Number, net: Net) -> Number:
-    """Quarter turns to the left at a crossing: 0, 1, -1, or 2 (back) where no other stays in."""
+    """Draw quarter turns to the left at a crossing: 0, 1, -1, or 2 (back) in a dead end."""
     ahead = _leads_on(x, y, heading, net)
     left = _leads_on(x, y, around(heading + 1.0), net)
     options = ahead + left + _leads_on(x, y, around(heading - 1.0), net)
@@ -109,7 +109,7 @@ def _draw_turn(dice: Dice, x: Number, y: Number, heading: Number, net: Net) -> N
 
 
 def _look_ahead(dice: Dice, t: Traveler, heading: Number, phase: Phase, net: Net) -> Traveler:
-    """To the next crossing: where to turn there, and seconds of red light."""
+    """Draw the turn and the seconds of red light at the next crossing."""
     east, north = unit(heading)
     x, y = t.node_x + east, t.node_y + north
     turn = _draw_turn(dice, x, y, heading, net)
@@ -119,12 +119,12 @@ def _look_ahead(dice: Dice, t: Traveler, heading: Number, phase: Phase, net: Net
 
 
 def _arc(turn: Number, radius: Number) -> Number:
-    """The length of an arc."""
+    """Return the length of an arc."""
     return abs(turn) * (math.pi / 2) * radius
 
 
 def _cross(dice: Dice, t: Traveler, phase: Phase, net: Net) -> Traveler:
-    """Over a crossing: what was after it is ahead now."""
+    """Pass a crossing: the way after the crossing becomes the way ahead."""
     east, north = unit(t.heading)
     turned, side = abs(t.turn), where(t.turn < 0.0, -1.0, 1.0)
     forward = t.stretch + where(abs(turned - 1.0) < 0.5, t.radius, 0.0)
@@ -162,9 +162,9 @@ def _enter(t: Traveler, number: Number, phase: Phase) -> Traveler:
 
 
 def _change_over(t: Traveler, following: Phase) -> Traveler:
-    """Where a phase is over: come to a stand, then begin the next."""
+    """Come to a stand where a phase is over, then begin the next phase."""
     left, wider = t.stretch - t.traveled, following.radius - t.radius
-    # Where the next phase needs a wider corner than there is room for: first round it.
+    # If the next phase needs a wider corner than there is room for, first pass the corner.
     room = (abs(t.turn) < 0.5) | (left > wider + 4.0)
     over = (t.time >= t.phase_end) & (t.stopping < 0.5) & room
     t = t._replace(
@@ -182,7 +182,7 @@ def _change_over(t: Traveler, following: Phase) -> Traveler:
 
 
 def attend(dice: Dice, t: Traveler, phases: Sequence[Phase], net: Net) -> Traveler:
-    """What happens to a traveler before a substep, if anything."""
+    """Apply the events that are due to a traveler before a substep."""
     t = _change_over(t, tree_at(t.phase + 1.0, phases))
     phase = tree_at(t.phase, phases)
     target, lasts = _draw_gait(dice, phase.gaits)
@@ -194,7 +194,7 @@ def attend(dice: Dice, t: Traveler, phases: Sequence[Phase], net: Net) -> Travel
 
 
 def draw_phases(dice: Dice, plans: Sequence[PhasePlan], total_s: Number) -> list[Phase]:
-    """The phases of an episode: limits are drawn once, for a phase that returns anew."""
+    """Draw the phases of an episode; a phase that returns gets newly drawn limits."""
     lengths = [dice.uniform(*plan.length) for plan in plans]
     phases, passed = [], 0.0
     for plan, length, after in zip(plans, lengths, [*lengths[1:], 0.0], strict=True):
@@ -212,7 +212,7 @@ def draw_phases(dice: Dice, plans: Sequence[PhasePlan], total_s: Number) -> list
 
 
 def set_off(dice: Dice, phases: Sequence[Phase], net: Net) -> Traveler:
-    """A traveler at a crossing, in a direction that leads somewhere."""
+    """Draw a traveler at a crossing, heading along a street."""
     x = floor((net.blocks_x + 1.0) * dice.uniform())
     y = floor((net.blocks_y + 1.0) * dice.uniform())
     heading = floor(4.0 * dice.uniform())
@@ -231,5 +231,5 @@ def set_off(dice: Dice, phases: Sequence[Phase], net: Net) -> Traveler:
 
 
 def stride_of(dt: float) -> int:
-    """Substeps in a step of some seconds."""
+    """Return the number of substeps in a step of ``dt`` seconds."""
     return max(1, round(dt / FINEST_STEP_S))

@@ -1,6 +1,6 @@
-"""Ways that users went: read from a CSV file, placed in a scene, and drawn from by episodes.
+"""Ways of users, which are read from a CSV file, placed in a scene and drawn by episodes.
 
-And what a ``scenario=`` argument means: kinds of users, or such ways.
+This module also interprets a ``scenario=`` argument: kinds of users, or such ways.
 """
 
 import csv
@@ -25,35 +25,35 @@ from mmwave_env.world.checks import refuse_in
 from mmwave_env.world.mobility import Mobility, mobilities_of
 from mmwave_env.world.trajectory import Trajectory
 
-COLUMNS = ("t", "x", "y", "z", "vx", "vy", "vz")  # the last three all together or not at all
+COLUMNS = ("t", "x", "y", "z", "vx", "vy", "vz")  # either all of the last three or none
 ID = "id"
 
 
 @dataclass(frozen=True, eq=False)
 class Ways:
-    """Ways of one user or of several, of which each episode draws one.
+    """Ways of one or several users, of which each episode draws one.
 
     Attributes:
-        name: for results and messages.
-        trajectories: (K,) at least one.
+        name: name of the ways, for results and messages.
+        trajectories: (K,) trajectories, at least one.
     """
 
     name: str
     trajectories: Sequence[Trajectory]
 
     def placed(self, scene: Scene, dt: float, epochs: int) -> "PlacedWays":
-        """The ways in a scene, for episodes of at most ``epochs`` epochs.
+        """Place the ways in a scene, for episodes of at most ``epochs`` epochs.
 
-        Ways shorter than an episode are left out; where all of them are, episodes are as long as
-        the longest. A warning tells of ways left out.
+        Ways shorter than an episode are left out, with a warning; if all ways are shorter,
+        episodes are as long as the longest way.
 
         Args:
-            scene: street in whose frame the positions are.
-            dt: s between epochs.
-            epochs: longest episode.
+            scene: the scene in whose frame the positions are.
+            dt: seconds between epochs.
+            epochs: greatest length of an episode.
 
         Raises:
-            ValueError: as :meth:`Trajectory.way`.
+            ValueError: as for :meth:`Trajectory.way`.
         """
         tables = [trajectory.way(scene, dt) for trajectory in self.trajectories]
         epochs = min(epochs, max(map(len, tables)))
@@ -74,7 +74,7 @@ class PlacedWays:
     """K ways through a scene; an episode is a window of one of them.
 
     Attributes:
-        names: (K,) of the ways.
+        names: (K,) names of the ways.
         tables: K arrays (E, 6), E >= ``epochs``: positions (m) and velocities (m/s) at epochs.
         epochs: length of an episode.
     """
@@ -85,16 +85,16 @@ class PlacedWays:
 
     @cached_property
     def _windows(self) -> Index:
-        """Number of windows (K,) in each way."""
+        """Return the number of windows (K,) in each way."""
         return np.array([len(table) for table in self.tables]) - self.epochs + 1
 
     def draw(self, choice: Array) -> tuple[Index, Array]:
-        """Numbers of the ways (n,) of episodes, and the truth (n, epochs, 6) in them.
+        """Draw the numbers of the ways (n,) of episodes, and their truth (n, epochs, 6).
 
-        All ways are equally likely, and all windows of one way.
+        All ways are equally likely, and so are all windows of one way.
 
         Args:
-            choice: (n,) uniform in [0, 1).
+            choice: (n,) uniform numbers in [0, 1).
         """
         scaled = choice * len(self.tables)
         which = scaled.astype(np.int64)
@@ -105,14 +105,14 @@ class PlacedWays:
 
 
 def read_ways(path: str | os.PathLike[str]) -> Ways:
-    """The ways of a CSV file with the columns t, x, y, z, perhaps vx, vy, vz, and perhaps id.
+    """Read the ways of a CSV file with columns t, x, y, z, perhaps vx, vy, vz, and perhaps id.
 
-    Units are s, m and m/s, in the frame of the scene. Rows with the same id are one user's, in the
-    order of time; without that column all rows are. Other columns are ignored.
+    Units are s, m and m/s, in the frame of the scene. Rows with the same id belong to one user, in
+    the order of time; without that column all rows do. Other columns are ignored.
 
     Raises:
-        ValueError: naming the file, the row and what is wrong in it.
-        FileNotFoundError: there is no such file.
+        ValueError: the file is wrong; the message names the file, the row and the error.
+        FileNotFoundError: the file does not exist.
     """
     name = os.fspath(path)
     users: dict[str, tuple[list[int], array[float]]] = {}
@@ -126,10 +126,10 @@ def read_ways(path: str | os.PathLike[str]) -> Ways:
 
 
 def read_trajectory(path: str | os.PathLike[str]) -> Trajectory:
-    """The only way of a CSV file, as :func:`read_ways` reads it.
+    """Read the only way of a CSV file, as :func:`read_ways` does.
 
     Raises:
-        ValueError, FileNotFoundError: as :func:`read_ways`; or there are several ways.
+        ValueError, FileNotFoundError: as for :func:`read_ways`; or there are several ways.
     """
     ways = read_ways(path).trajectories
     if len(ways) > 1:
@@ -144,7 +144,7 @@ def _way(name: str, lines: list[int], values: Sequence[float]) -> Trajectory:
 
 
 def _rows(file: Path) -> Iterator[tuple[int, str, list[float]]]:
-    """Line, id ("" without that column) and numbers of every row."""
+    """Yield line, id ("" without that column) and numbers of every row."""
     reader = csv.reader(StringIO(read_text(file, "CSV"), newline=""), skipinitialspace=True)
     rows = ((reader.line_num, row) for row in reader if row)
     try:
@@ -180,12 +180,12 @@ Users = tuple[Mobility, ...] | Ways
 
 
 def users_of(scenario: Scenario) -> Users:
-    """Kinds of users that are drawn, or given ways.
+    """Return the kinds of users, or the given ways, of a ``scenario=`` argument.
 
     Raises:
-        ValueError: unknown scenario; the message lists the valid ones. Or a file that holds
-            something else than it should.
-        FileNotFoundError: there is no such file.
+        ValueError: the scenario is unknown, and the message lists the known ones; or the file
+            is wrong.
+        FileNotFoundError: the file does not exist.
     """
     if isinstance(scenario, Ways):
         return scenario
