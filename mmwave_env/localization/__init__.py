@@ -1,1 +1,1 @@
-"""Measurement logs become tracks (paper, Algorithm 1), and tracks become files and scores."""
+"""Localization: tracks from measurement logs (paper, Algorithm 1), their files and their scores."""

@@ -1,11 +1,11 @@
-"""Paths without anchor numbers become a log with them, epoch by epoch.
+"""Association of the paths of a log, which have no anchor numbers, with anchors, epoch by epoch.
 
-A filter of its own follows the user (``path_tracker.py``). In every epoch it predicts, and paths
-are assigned to anchors by global nearest neighbor at that prediction.
-What comes out is a log like any other, so all that localizes a log localizes this one.
+A separate filter follows the user (``path_tracker.py``). In every epoch it predicts the user's
+state, and paths are assigned to anchors by global nearest neighbor at that prediction. The result
+is an ordinary log, so all code that localizes a log can localize this one.
 
-A track begins where a hypothesis about the line of sight explains enough of the coming epochs; and
-anew where it is lost, or where another one explains more.
+A track begins where a line-of-sight hypothesis explains enough of the coming epochs. The track
+begins anew where it is lost, or where another hypothesis explains more.
 """
 
 from collections import deque
@@ -25,14 +25,14 @@ from mmwave_env.models.radio import Radio
 from mmwave_env.models.scene import Scene
 from mmwave_env.numerics.numbers import Index
 
-LOOK_AHEAD = 10  # epochs in which a hypothesis about the line of sight is tried
+LOOK_AHEAD = 10  # number of epochs over which a line-of-sight hypothesis is tried
 
 
 class Association:
-    """How the paths of a log were associated, in running sums.
+    """Running sums over the association of the paths of a log.
 
     Args:
-        anchors: of the scene.
+        anchors: number of anchors of the scene.
     """
 
     def __init__(self, anchors: int) -> None:
@@ -41,7 +41,7 @@ class Association:
         self._associated, self._missed = np.zeros((2, anchors), np.int64)
 
     def add(self, paths: PathEpoch, found: Index | None, begins: bool) -> None:
-        """Take an epoch: the path of every anchor (L,); None where there is no track."""
+        """Add an epoch: the path of every anchor (L,), or None where there is no track."""
         self.epochs += 1
         self.starts += begins
         self._paths += len(paths.snr_db)
@@ -54,7 +54,7 @@ class Association:
         self._missed += found == NO_PATH
 
     def figures(self) -> dict[str, Any]:
-        """What was added up."""
+        """Return the sums as a dictionary."""
         named = [f"anchor {a + 1}" for a in range(len(self._missed))]
         return {
             "paths": self._paths,
@@ -75,18 +75,18 @@ def associate(
     tally: Association,
     epochs_per_block: int = 4096,
 ) -> Iterator[LogBlock]:
-    """The log of paths whose anchors are found.
+    """Yield the log in which the paths are associated with anchors.
 
     Where the log is damaged, the epochs before the damage are delivered first.
 
     Args:
-        epochs: of the log of paths.
-        scene: whose anchors were measured.
+        epochs: epochs of the log of paths.
+        scene: scene whose anchors were measured.
         radio: profile of the receiver: standard deviations by SNR, oscillator, prior.
-        mode: that follows the user while paths are associated; one for high mobility, whose
-            predictions are wide enough for any user.
-        tally: counts what was associated.
-        epochs_per_block: their number; the last block may be shorter.
+        mode: filter mode that follows the user meanwhile; choose one for high mobility, whose
+            predictions are uncertain enough for any user.
+        tally: counts the associations.
+        epochs_per_block: number of epochs in a block; the last block may be shorter.
 
     Raises:
         LogError: from ``epochs``.
@@ -107,15 +107,15 @@ def associate(
 
 
 class _Labelled(NamedTuple):
-    """An epoch, and what of it belongs to the anchors."""
+    """An epoch of paths, and the measurements of it that were associated with anchors."""
 
     paths: PathEpoch
     epoch: Epoch
-    begins: bool  # whether a track does here, in place of another one, perhaps
+    begins: bool  # whether a track begins here, possibly in place of another track
 
 
 def _block(epochs: Sequence[_Labelled]) -> LogBlock:
-    """Epochs with labels as a block of a log."""
+    """Return epochs with labels as a block of a log."""
     last = epochs[-1].paths
     visible = np.array([one.epoch.visible for one in epochs]) > 0.5
     snr = np.array([one.epoch.snr_db for one in epochs])
@@ -136,7 +136,7 @@ def _block(epochs: Sequence[_Labelled]) -> LogBlock:
 def _labelled(
     epochs: Iterable[PathEpoch], scene: Scene, radio: Radio, mode: Mode, tally: Association
 ) -> Iterator[_Labelled]:
-    """Every epoch with what belongs to the anchors; between tracks nothing does."""
+    """Yield every epoch with the measurements of the anchors; between tracks there are none."""
     track: PathTrack | None = None
     tracker: PathTracker | None = None
     for window in _windows(epochs, LOOK_AHEAD):
@@ -159,7 +159,7 @@ def _labelled(
 
 
 def _windows(epochs: Iterable[PathEpoch], size: int) -> Iterator[list[PathEpoch]]:
-    """Every epoch with up to ``size - 1`` that follow; before a LogError all that were read."""
+    """Yield every epoch with up to ``size - 1`` that follow it; at a LogError, yield the rest."""
     held: deque[PathEpoch] = deque()
     error: LogError | None = None
     try:

@@ -1,7 +1,7 @@
-"""Where a log contradicts its scene: what a mistaken unit, sign or frame leaves in the numbers.
+"""Contradictions between a log and its scene, which mistaken units, signs or frames cause.
 
-Most mistakes can't be seen in a row, but a track that is made of them does not fit, or its
-geometry is not of this world. The limits are wide: of 1000 right logs at most 10 are doubted
+Most mistakes can't be seen in a single row, but a track made from wrong rows does not fit them, or
+its geometry is impossible. The limits are wide: at most 10 of 1000 correct logs are flagged
 (``tests/localization/test_contradictions.py``).
 """
 
@@ -21,18 +21,18 @@ from mmwave_env.numerics.numbers import Array
 NIS_LIMITS = (0.2, 5.0)  # per degree of freedom
 SNR_LIMITS_DB = (-60.0, 90.0)
 REJECTED_LIMIT = 1.0 / 3.0
-_ENOUGH = 20  # epochs; fewer tell nothing
-_ENOUGH_IF_BLOCKED = 100  # where errors last, because a link is blocked for seconds
-_WINDOW_S = 30.0  # over which the oscillator's offset hardly moves
-_MOST_APART_S = 3.0  # epochs between which the Doppler shift may be integrated
+_ENOUGH = 20  # epochs; fewer are not significant
+_ENOUGH_IF_BLOCKED = 100  # epochs; errors of a blocked link persist for seconds
+_WINDOW_S = 30.0  # the oscillator's offset hardly changes over this time
+_MOST_APART_S = 3.0  # longest gap over which the Doppler shift is integrated
 _SLOPE_LIMITS = (0.5, 1.5)
-_SURE = 10.0  # standard errors; errors of a blocked link last, so they are not independent
+_SURE = 10.0  # standard errors; errors of a blocked link persist, so they are not independent
 
 
 class Contradiction(NamedTuple):
-    """What a log says that its scene, its radio or the world does not."""
+    """A contradiction between a log and its scene, its radio or physical limits."""
 
-    group: str  # of measurements, or another quantity
+    group: str  # group of measurements, or another quantity
     found: str
     expected: str
 
@@ -43,27 +43,27 @@ class Contradiction(NamedTuple):
 def contradictions(
     block: LogBlock, scene: Scene, radio: Radio, groups: Mapping[str, Mapping[str, Any]]
 ) -> list[Contradiction]:
-    """Whatever contradicts a log.
+    """Return everything that contradicts a log.
 
     Args:
-        block: its first epochs.
-        scene, radio: what they are said to be measured in, and with.
-        groups: how the measurements fared on a track, by name: ``seen``, ``rejected_share`` and
+        block: first epochs of the log.
+        scene, radio: scene and radio that the log is said to come from.
+        groups: measurement statistics of a track, by name: ``seen``, ``rejected_share`` and
             ``nis_per_dof``, as :meth:`~mmwave_env.localization.track_scores.Groups.figures`
-            gives them.
+            returns them.
     """
     return [*impossible(block), *_oddities(block, scene, radio), *_misfits(groups)]
 
 
 def _misfits(groups: Mapping[str, Mapping[str, Any]]) -> Iterator[Contradiction]:
-    """Groups that do not fit a track."""
+    """Yield a contradiction for every group of measurements that does not fit the track."""
     for name, group in groups.items():
         if name == "all" or group["seen"] < _ENOUGH:
             continue
         nis, share = group["nis_per_dof"], group["rejected_share"]
         low, high = NIS_LIMITS
-        # A filter that trusts its own velocity little predicts the Doppler shift, and odometry,
-        # far better than it claims: on right logs their NIS is often a tenth of what it should be.
+        # A filter with large process noise predicts the Doppler shift and odometry far better than
+        # its covariance says: on correct logs their NIS is often a tenth of its expected value.
         if not name.startswith("anchor"):
             low = 0.0
         if nis is not None and not low <= nis <= high:
@@ -74,7 +74,7 @@ def _misfits(groups: Mapping[str, Mapping[str, Any]]) -> Iterator[Contradiction]
 
 
 def impossible(block: LogBlock) -> Iterator[Contradiction]:
-    """What no track can be made of: steps, ranges and elevations that there can't be."""
+    """Yield the time steps, ranges and elevations that no receiver can have measured."""
     step = float(np.median(np.diff(block.time_s))) if len(block) > 1 else 0.0
     if step > GAP_S:
         yield Contradiction(
@@ -95,7 +95,7 @@ def impossible(block: LogBlock) -> Iterator[Contradiction]:
 
 
 def _oddities(block: LogBlock, scene: Scene, radio: Radio) -> Iterator[Contradiction]:
-    """What can be, but hardly is: a user above the base station, an SNR or a Doppler shift."""
+    """Yield what is possible but rare: users above the base station, odd SNRs or Doppler shifts."""
     low, high = SNR_LIMITS_DB
     for anchor in range(block.layout.anchors):
         snr = block.snr_db[np.isfinite(block.snr_db[:, anchor]), anchor]
@@ -105,7 +105,7 @@ def _oddities(block: LogBlock, scene: Scene, radio: Radio) -> Iterator[Contradic
     direct = block.visible[:, 0]
     if direct.sum() >= _ENOUGH:
         above = float((block.measurement[direct, 2] > 0.0).mean())
-        if above > 0.5 + 1.5 / np.sqrt(direct.sum()):  # three standard errors: one may be far off
+        if above > 0.5 + 1.5 / np.sqrt(direct.sum()):  # three standard errors: a user may be above
             yield Contradiction(
                 "anchor 1",
                 f"the user above it in {100.0 * above:.0f} % of epochs",
@@ -118,11 +118,11 @@ def _oddities(block: LogBlock, scene: Scene, radio: Radio) -> Iterator[Contradic
 
 
 def _range_per_doppler(block: LogBlock, scene: Scene, radio: Radio) -> tuple[float, float]:
-    """Change of the range of anchor 1 per meter by the Doppler shift, and its standard error.
+    """Regress the range of anchor 1 on the distance from the Doppler shift; return slope and error.
 
-    Ranges of windows are regressed on the integral of the shift, next to a constant and to the
-    oscillator's offset times time, of which the radio's prior is known. It is 1 where sign and
-    unit are right. (1, inf) where nothing moves.
+    Ranges of windows are regressed on the integral of the shift, a constant, and the oscillator's
+    offset times time, where the offset has the radio's prior. The slope is 1 where sign and unit
+    are right. The result is (1, inf) where nothing moves.
     """
     direct = block.visible[:, 0] & block.visible[:, block.layout.anchors]
     time, z = block.time_s[direct], block.measurement[direct]
@@ -142,7 +142,7 @@ def _range_per_doppler(block: LogBlock, scene: Scene, radio: Radio) -> tuple[flo
 
 
 def _windows(time_s: Array) -> Iterator[slice]:
-    """Consecutive epochs (T,) in windows without gaps."""
+    """Yield windows of consecutive epochs (T,) without gaps."""
     gap = np.diff(time_s, prepend=time_s[:1]) > _MOST_APART_S
     within = np.floor((time_s - time_s[:1]) / _WINDOW_S)
     starts = np.flatnonzero(gap | (np.diff(within, prepend=-1.0) > 0.0))
@@ -152,7 +152,7 @@ def _windows(time_s: Array) -> Iterator[slice]:
 
 
 def _regression(time_s: Array, range_m: Array, rate: Array, sigma: float, radio: Radio) -> Array:
-    """Spare degrees of freedom and the three products of a window's regression, over sigma^2."""
+    """Compute spare degrees of freedom and the products of a window's regression, over sigma^2."""
     time = time_s - time_s.mean()
     moved = np.cumsum(np.diff(time, prepend=time[0]) * 0.5 * (rate + np.roll(rate, 1)))
     moved -= moved.mean()

@@ -1,10 +1,10 @@
-"""What is wrong with a log? Likely mistakes are undone, one by one, on its first epochs.
+"""Diagnosis of a log: likely mistakes are undone, one by one, on its first epochs.
 
-A hypothesis says what the numbers of the file mean. All of them are tracked side by side by the
-same filter, without gates. NIS / dof says whether one fits, and
-:mod:`~mmwave_env.localization.contradictions` whether anything else speaks against it. Those that
-make the log consistent are ranked by the likelihood of the file's own numbers, so that different
-units compare. Where no mistake explains the log alone, two are tried. The log is never changed.
+A hypothesis says how to read the numbers of the file. All hypotheses are tracked side by side by
+the same filter, without gates. A hypothesis fits if NIS / dof is near 1 and
+:mod:`~mmwave_env.localization.contradictions` finds nothing against it. Hypotheses that make the
+log consistent are ranked by the likelihood of the file's own numbers, so that different units can
+be compared. Where no single mistake explains the log, pairs are tried. The log is never changed.
 """
 
 from collections.abc import Callable, Iterable, Sequence
@@ -38,7 +38,7 @@ _COLUMNS = {
     "azimuth of departure": ("aod_azimuth", _DEPARTURE),
     "elevation": ("aoa_elevation", _ELEVATION),
 }
-_FACTORS = {  # mistake -> factor, and the units to rename a column from and to
+_FACTORS = {  # mistake -> factor, and the units from and to which a column is renamed
     "1e3 times too large (ms?)": (1e-3, "s", "ms"),
     "1e6 times too large (us?)": (1e-6, "s", "us"),
     "1e9 times too large (ns?)": (1e-9, "s", "ns"),
@@ -46,17 +46,17 @@ _FACTORS = {  # mistake -> factor, and the units to rename a column from and to
     "1e6 times too small (s?)": (1e6, "us", "s"),
     "1e9 times too small (s?)": (1e9, "ns", "s"),
 }
-_OUTLIER_QUANTILE = 1e-6  # a group's NIS beyond it counts as much as there: it is an outlier
+_OUTLIER_QUANTILE = 1e-6  # a group's NIS beyond this quantile is an outlier, and is clipped
 
 
 class Reading(NamedTuple):
-    """What the numbers of a log mean, by one hypothesis.
+    """The epochs of a log as they read under a hypothesis.
 
     Attributes:
         block: the epochs; angles need not be wrapped.
-        scene, radio: what they were measured in, and with.
-        log_scale: logarithms of the factors between these numbers and those of the file, summed
-            over all that were measured. It turns a likelihood of these into one of those.
+        scene, radio: scene and radio of the measurements.
+        log_scale: sum of the logarithms of the factors between these numbers and the numbers of
+            the file. It converts a likelihood of the former to one of the latter.
     """
 
     block: LogBlock
@@ -69,22 +69,22 @@ Hypothesis = Callable[[Reading], Reading]
 
 
 class Mistake(NamedTuple):
-    """How to undo a mistake: in what was read, and, in words, in the log."""
+    """A mistake: the function that undoes it, and the cure of the log in words."""
 
     undo: Hypothesis
     cure: str
 
 
 class Finding(NamedTuple):
-    """What became of a hypothesis.
+    """The result of testing a hypothesis.
 
     Attributes:
-        hypothesis: in words.
-        nis_per_dof: by group, the median over epochs, so that outliers don't count, over the
-            median of chi-square: 1 if right. None where it was not measured or not tracked.
-        log_likelihood: mean over epochs, of the file's numbers; None where there is no track.
-        contradictions: what speaks against it; nothing if the log is consistent by it.
-        cure: what to do to the log if this is right; nothing for the log as it is.
+        hypothesis: the hypothesis in words.
+        nis_per_dof: by group, the median over epochs (robust to outliers) divided by the
+            median of chi-square: 1 if right. None where a group was not measured or tracked.
+        log_likelihood: mean over epochs of the file's numbers; None where there is no track.
+        contradictions: what contradicts the hypothesis; empty if the log is consistent with it.
+        cure: how to correct the log if the hypothesis is right; empty for the log as it is.
     """
 
     hypothesis: str
@@ -95,16 +95,16 @@ class Finding(NamedTuple):
 
     @property
     def worst_anchor(self) -> float | None:
-        """NIS / dof of the anchor that is farthest from 1."""
+        """Return the NIS / dof of the anchor that is farthest from 1."""
         anchors = [nis for name, nis in self.nis_per_dof.items() if name.startswith("anchor")]
         return max(filter(None, anchors), key=lambda nis: abs(np.log(nis)), default=None)
 
 
-# --- what may be wrong
+# --- possible mistakes
 
 
 def _scaled(parts: Sequence[int], factor: float, offset: float = 0.0) -> Hypothesis:
-    """Parts of every link, or without any the Doppler shift, times a factor, plus an offset."""
+    """Return a hypothesis that scales parts of links, or the Doppler shift, and adds an offset."""
 
     def change(reading: Reading) -> Reading:
         block, layout = reading.block, reading.block.layout
@@ -121,12 +121,12 @@ def _scaled(parts: Sequence[int], factor: float, offset: float = 0.0) -> Hypothe
 
 
 def _timed(factor: float, reading: Reading) -> Reading:
-    """With times, times a factor."""
+    """Multiply the times by a factor."""
     return reading._replace(block=replace(reading.block, time_s=factor * reading.block.time_s))
 
 
 def _exchanged(one: int, other: int, reading: Reading) -> Reading:
-    """With two parts of every link, one for the other."""
+    """Exchange two parts of every link."""
     block, links = reading.block, reading.block.layout.doppler
     z = block.measurement.copy()
     z[:, one:links:4] = block.measurement[:, other:links:4]
@@ -135,7 +135,7 @@ def _exchanged(one: int, other: int, reading: Reading) -> Reading:
 
 
 def _anchors(order: Sequence[int], reading: Reading) -> Reading:
-    """With the log's n-th anchor as the scene's ``order[n]``-th."""
+    """Take the log's n-th anchor for the scene's ``order[n]``-th."""
     gnb, *others = [(x, y, z) for x, y, z in reading.scene.anchors_m[list(order)].tolist()]
     return reading._replace(
         scene=replace(reading.scene, base_station_m=gnb, walls=(), virtual_anchors_m=tuple(others))
@@ -143,7 +143,7 @@ def _anchors(order: Sequence[int], reading: Reading) -> Reading:
 
 
 def _orders(anchors: int) -> list[tuple[int, ...]]:
-    """Two anchors exchanged, or all of them counted from another one."""
+    """Return the orders with two anchors exchanged, or with all counted from another anchor."""
     right = list(range(anchors))
     orders = [tuple(right[1:] + right[:1]), tuple(right[-1:] + right[:-1])]
     for i, j in combinations(right, 2):
@@ -154,7 +154,7 @@ def _orders(anchors: int) -> list[tuple[int, ...]]:
 
 
 def hypotheses(scene: Scene, radio: Radio) -> dict[str, Mistake]:
-    """Likely mistakes in words, and how to undo them."""
+    """Return likely mistakes in words, with how to undo them."""
     ends, upside_down = partial(_exchanged, _AZIMUTH, _DEPARTURE), _scaled([_ELEVATION], -1.0)
     swap = "exchange the columns of aoa_azimuth and"
     found: dict[str, tuple[Hypothesis, str]] = {
@@ -207,22 +207,22 @@ def hypotheses(scene: Scene, radio: Radio) -> dict[str, Mistake]:
     return {name: Mistake(*mistake) for name, mistake in found.items()}
 
 
-# --- which of it explains the log
+# --- which mistake explains the log
 
 
 def diagnose(block: LogBlock, scene: Scene, radio: Radio, mode: Mode) -> list[Finding]:
     """Try likely mistakes on the first epochs of a log.
 
     Args:
-        block: the epochs, as ``read_log(..., limits=False, odometry=False)`` gives them.
-        scene: whose anchors were measured, as far as known.
+        block: the epochs, as ``read_log(..., limits=False, odometry=False)`` returns them.
+        scene: scene whose anchors were measured, as far as known.
         radio: profile of the receiver, as far as known.
-        mode: whose tuning and algorithm to track with.
+        mode: filter mode whose tuning and algorithm the tracker uses.
 
     Returns:
-        A finding for the log as it is and for every hypothesis: those that make the log
-        consistent, the most likely first, then those that don't, the best fit first. If none
-        does but two at once do, the most likely two come before all.
+        A finding for the log as it is and for every hypothesis. Hypotheses that make the log
+        consistent come first, the most likely one leading; the others follow by their fit.
+        If only pairs of hypotheses do so, the most likely pair comes before all others.
 
     Raises:
         ValueError: there is no line of sight to begin with.
@@ -245,7 +245,7 @@ def diagnose(block: LogBlock, scene: Scene, radio: Radio, mode: Mode) -> list[Fi
 
 
 def _cure(hypothesis: str, single: dict[str, Mistake]) -> str:
-    """Of one mistake, or of several, in their order."""
+    """Return the cures of all mistakes of a hypothesis, in their order."""
     return "; then ".join(single[name].cure for name in hypothesis.split("; ") if name in single)
 
 
@@ -262,7 +262,7 @@ def _findings(readings: dict[str, Reading], mode: Mode) -> list[Finding]:
 
 
 def _rank(finding: Finding) -> tuple[bool, float]:
-    """The most likely of the consistent first, then those that fit best."""
+    """Return a sort key: consistent findings by likelihood first, then the others by their fit."""
     if not finding.contradictions and finding.log_likelihood is not None:
         return False, -finding.log_likelihood
     worst = finding.worst_anchor

@@ -1,8 +1,8 @@
-"""A measurement log becomes a track, block by block (paper, Algorithm 1, Step 3; or an IMM).
+"""Localization of a measurement log, block by block (paper, Algorithm 1, Step 3; or an IMM).
 
-A track begins at the first line of sight, which gives its prior, and anew after a long gap
-(``segments.py``); every ``window`` epochs from there on are smoothed. A log may be longer than
-memory, and what is made of it does not depend on how it is cut into blocks.
+A track begins at the first line of sight, which gives its prior, and begins anew after a long gap
+(``segments.py``). From there on, every ``window`` epochs are smoothed. A log may be larger than
+memory, and its track does not depend on how it is cut into blocks.
 """
 
 from collections.abc import Iterable, Iterator, Sequence
@@ -34,12 +34,12 @@ _FILTERED = ("x", "P", "x_predicted", "P_predicted", "memory.mode", "memory.nis"
 
 @dataclass(frozen=True, eq=False)
 class TrackBlock(Block):
-    """T consecutive epochs of a track, all of one segment of it."""
+    """T consecutive epochs of a track, all in the same segment."""
 
     layout: Layout  # groups of the measurements
     planar: bool  # whether z and vz are known exactly
-    time_s: Array  # (T,) increasing, also from block to block
-    # x, P: (T, 7), (T, 28) filtered belief after each epoch; covariances are packed. Of an IMM
+    time_s: Array  # (T,) increasing, also across blocks
+    # x, P: (T, 7), (T, 28) filtered belief after each epoch; covariances are packed. With an IMM
     # they are the moments of its mixture, and so are x_predicted and P_predicted
     x: Array
     P: Array
@@ -49,16 +49,16 @@ class TrackBlock(Block):
     # smooth_x, smooth_P: (T, 7), (T, 28) smoothed belief; the filtered one without smoothing
     smooth_x: Array
     smooth_P: Array
-    mode: NDArray[np.int64]  # (T,) number of the mode that ran; of an IMM, the most probable one
-    nis: Array  # (T, groups) of that mode; 0 where not visible
+    mode: NDArray[np.int64]  # (T,) number of the mode that ran; with an IMM, the most probable mode
+    nis: Array  # (T, groups) NIS in that mode; 0 where not visible
     # visible, accepted, incomplete: (T, groups); the link that gave the prior is not visible
     visible: Mask
     accepted: Mask
     incomplete: Mask
-    segment: int  # number of the segment, from 0; each begins anew, with a prior from a link
-    skipped: int  # epochs of the log before the track
-    dropped: int  # epochs of the log between segments so far, up to the next block
-    share: float  # of the log read so far, 0 to 1
+    segment: int  # number of the segment, from 0; each segment begins with a prior from a link
+    skipped: int  # number of epochs of the log before the track
+    dropped: int  # number of epochs of the log between segments, up to the next block
+    share: float  # share of the log read so far, 0 to 1
 
 
 def localize(
@@ -70,18 +70,18 @@ def localize(
     window: int | None = SMOOTHING_WINDOW,
     height_m: float | None = None,
 ) -> Iterator[TrackBlock]:
-    """The track of a log.
+    """Yield the track of a log.
 
     Where the log is damaged, the epochs before the damage are delivered first.
 
     Args:
-        blocks: of the log; each is filtered in one go, so let them be large.
-        scene: whose anchors were measured.
+        blocks: blocks of the log; each is filtered in one call, so large blocks are faster.
+        scene: scene whose anchors were measured.
         radio: profile of the receiver: standard deviations by SNR, oscillator, prior.
-        modes: one, or those that ``rule`` picks from in every epoch; or the bank of an IMM.
+        modes: one mode, or the modes that ``rule`` picks from in every epoch; or an IMM's bank.
         rule: as :class:`~mmwave_env.engines.track_engine.Tracker` takes it.
         window: epochs smoothed together; None for no smoothing.
-        height_m: of flat terrain, where it is known (paper, Sec. II-A).
+        height_m: height of flat terrain, where it is known (paper, Sec. II-A).
 
     Raises:
         LogError: from ``blocks``.
@@ -133,7 +133,7 @@ def _filtered(
 def _tracker(
     modes: Sequence[Mode] | Bank, rule: Rule | None, layout: Layout, planar: bool
 ) -> EpisodeFilter[Any]:
-    """What filters a single track."""
+    """Return the engine that filters a single track."""
     if not isinstance(modes, Bank):
         return Tracker(Pipeline(tuple(modes), layout, planar), 1, rule)
     if rule is not None:
@@ -142,7 +142,7 @@ def _tracker(
 
 
 def _while_finite(track: TrackBlock) -> Iterator[TrackBlock]:
-    """The track, and an error in place of what is no number (after 1e300 Hz, ungated, say)."""
+    """Yield the track up to the first state that is not finite; refuse the rest of the block."""
     lost = np.flatnonzero(~np.isfinite(track.x).all(axis=1) | ~np.isfinite(track.P).all(axis=1))
     if not len(lost):
         yield track
@@ -157,14 +157,14 @@ def _while_finite(track: TrackBlock) -> Iterator[TrackBlock]:
 
 
 def episode_from(block: LogBlock, scene: Scene, radio: Radio, begins: bool = True) -> Episode:
-    """Epochs of a log as an episode whose truth is not known.
+    """Return epochs of a log as an episode whose truth is not known.
 
     Args:
         block: the epochs.
-        scene: whose anchors were measured.
+        scene: scene whose anchors were measured.
         radio: profile of the receiver, for standard deviations and the prior.
-        begins: whether a track begins here, with a prior from the link to anchor 1; that link
-            is then not visible, or it would be used twice. Otherwise the prior means nothing.
+        begins: whether a track begins here, with a prior from the link to anchor 1; this link
+            is then not visible, or it would be used twice. Otherwise the prior has no meaning.
     """
     sigma, visible = radio.sigma(block.snr_db, scene, block.layout), block.visible
     prior = np.zeros(7), np.eye(7)
@@ -195,7 +195,7 @@ def episode_from(block: LogBlock, scene: Scene, radio: Radio, begins: bool = Tru
 
 
 def _smoothed(blocks: Iterable[TrackBlock], window: int) -> Iterator[TrackBlock]:
-    """The track in blocks of whole windows, smoothed all at once, and what is left of segments."""
+    """Yield the track in blocks of whole windows, smoothed together, and the rest of segments."""
     for block in in_windows(blocks, window, lambda block: block.segment):
         epochs = min(window, len(block))
         values = (block.x, block.P, block.x_predicted, block.P_predicted, block.time_s)

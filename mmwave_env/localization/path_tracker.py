@@ -1,12 +1,12 @@
-"""A user followed through paths without anchor numbers, and hypotheses about where one is.
+"""Tracker of a user through paths without anchor numbers, with hypotheses about the position.
 
-A track begins with a hypothesis, *this path is the line of sight*: it gives a position, and from
-there on the paths of a few epochs fit, or do not. Tracks are values, so that several can be tried.
+A track begins with the hypothesis that *this path is the line of sight*. The path gives a
+position, which the paths of the next epochs fit or not. Tracks are values, so several can be tried.
 
-Which path belongs to which anchor: global nearest neighbor is the one assignment of paths to
-anchors, each once at most, with the least sum of NIS, where an anchor without a path costs as much
-as the gate (Blackman and Popoli 1999, Sec. 6.4). The NIS is that of the filters, seen along the
-tangent (EKF) at the prediction.
+Paths are assigned to anchors by global nearest neighbor, the assignment with the least sum of NIS
+in which each path and each anchor occurs at most once, and an anchor without a path costs as much
+as the gate (Blackman and Popoli 1999, Sec. 6.4). The NIS is the one that the filters compute, with
+the measurement linearized (EKF) at the prediction.
 """
 
 from collections.abc import Iterator, Sequence
@@ -34,11 +34,11 @@ NO_PATH = -1
 
 
 def path_nis(x: Vector, P: Matrix, anchors: Matrix, paths: Array, sigma: Array) -> Array:
-    """NIS (L, n) of every path as a link of every anchor.
+    """Compute the NIS (L, n) of every path as a link of every anchor.
 
     Args:
         x, P: (7,), (7, 7) predicted belief.
-        anchors: (L, 3) positions, m.
+        anchors: (L, 3) positions of anchors, m.
         paths, sigma: (L, n, 4) rows of a link, m and rad, as each anchor would have measured the
             path, and their standard deviations.
     """
@@ -51,14 +51,14 @@ def path_nis(x: Vector, P: Matrix, anchors: Matrix, paths: Array, sigma: Array) 
 
 
 def assign(nis: Array, gate: float) -> Index:
-    """The path of every anchor (L,), ``NO_PATH`` where none is within the gate.
+    """Return the path of every anchor (L,), ``NO_PATH`` where no path is within the gate.
 
     Args:
-        nis: (L, n) as :func:`path_nis` gives it.
+        nis: (L, n) as :func:`path_nis` returns it.
         gate: the largest NIS of a path that belongs to an anchor.
     """
     found = np.full(len(nis), NO_PATH)
-    # A pair outside the gate costs as much as the gate, and means that neither has a partner.
+    # A pair outside the gate costs as much as the gate; its anchor and path stay unassigned.
     anchors, paths = linear_sum_assignment(np.minimum(np.nan_to_num(nis, nan=np.inf), gate))
     inside = nis[anchors, paths] < gate
     found[anchors[inside]] = paths[inside]
@@ -66,50 +66,50 @@ def assign(nis: Array, gate: float) -> Index:
 
 
 def disagreement(paths: Array, sigma: Array) -> Array:
-    """How far arrival and departure of paths (n, 4) contradict each other: NIS, 1 degree (n,).
+    """Compute the NIS (n,), 1 degree of freedom, between arrival and departure of paths (n, 4).
 
-    Both are looks at one bearing, so this needs no belief (paper, Sec. II-B).
+    Both angles measure the same bearing, so this needs no belief (paper, Sec. II-B).
     """
     group = link_group([1.0] * 7, [0.0] * 3, list(paths.T), list(np.square(sigma).T))
     return np.asarray(group.spare_nis)
 
 
-GATE_QUANTILE = 0.99  # chi-square quantile of the NIS up to which a path can be an anchor's
-CLEARLY_MORE = 0.5  # paths an epoch that a new track explains beyond the one that it replaces
+GATE_QUANTILE = 0.99  # chi-square quantile of the NIS below which a path may belong to an anchor
+CLEARLY_MORE = 0.5  # additional paths per epoch that a new track must explain to replace a track
 
 
 class PathTrack(NamedTuple):
-    """Where the user is believed to be, after an epoch."""
+    """A hypothesis about the user's state after an epoch."""
 
     x: list[float]  # (7,)
     P: list[float]  # (28,) packed
     memory: Memory
     time_s: float
-    seen_s: float  # when a path, or odometry, was last there for it
+    seen_s: float  # last time at which a path or odometry belonged to the track
     found: Index  # (L,) the path of every anchor in this epoch
-    epoch: Epoch  # with these labels
+    epoch: Epoch  # the epoch with these labels
 
     @property
     def fitted(self) -> int:
-        """How many paths it explains in this epoch."""
+        """Return the number of paths that the track explains in this epoch."""
         return int((self.found != NO_PATH).sum())
 
 
 class _Links(NamedTuple):
     """The n paths of an epoch as links of every anchor."""
 
-    # z, sigma: (L, n, 4) their rows and standard deviations, m and rad
+    # z, sigma: (L, n, 4) rows of the links and their standard deviations, m and rad
     z: Array
     sigma: Array
-    doppler_sigma: Array  # (n,) of their Doppler shifts, were they the base station's, Hz
+    doppler_sigma: Array  # (n,) standard deviations of Doppler shifts if from the base station, Hz
 
 
 class PathTracker:
-    """Follows users through paths.
+    """A tracker that follows users through paths.
 
     Args:
         scene, radio, mode: as :func:`~mmwave_env.localization.association.associate` takes them.
-        layout: of the log.
+        layout: layout of the log.
     """
 
     def __init__(self, scene: Scene, radio: Radio, mode: Mode, layout: Layout) -> None:
@@ -119,11 +119,11 @@ class PathTracker:
         self._memory = initial_memory(layout, 1)
         self._gate = float(chdtri(4, 1.0 - GATE_QUANTILE))
         self._disagreement = float(chdtri(1, 1.0 - GATE_QUANTILE))
-        unheard = np.zeros((1, layout.anchors))  # odometry knows no SNR
+        unheard = np.zeros((1, layout.anchors))  # odometry has no SNR
         self._odometry_sigma = radio.sigma(unheard, scene, layout)[0, layout.doppler + 1 :].tolist()
 
     def follow(self, track: PathTrack, paths: PathEpoch) -> PathTrack:
-        """The track one epoch on."""
+        """Return the track after the next epoch."""
         links, coming = self._links(paths), self.nothing(paths, paths.time_s - track.time_s)
         before = track.x, track.P, track.memory.gamma
         x, P = predict(self._pipeline, self._mode, *before, coming, self._scene.hz_per_mps)
@@ -132,18 +132,18 @@ class PathTracker:
         return self._updated(track._replace(found=found, epoch=epoch), paths)
 
     def rival(self, track: PathTrack | None, window: Sequence[PathEpoch]) -> PathTrack | None:
-        """A track that begins here and explains more of the coming epochs, if there is one.
+        """Return a track that begins here and explains more of the coming epochs, if there is one.
 
-        None as well where a track that begins later explains more, as one does that waits for the
-        end of a blockage instead of taking a reflection for the line of sight.
+        The result is also None where a track that begins later explains more: such a track waits
+        for the end of a blockage instead of taking a reflection for the line of sight.
         """
         horizon = window[0].time_s + GAP_S
         paths, *coming = (one for one in window if one.time_s <= horizon)
         best, fitted = self._best(track, paths, coming)
         if best is None:
             return None
-        # The path that it begins with proves nothing; a further one in every epoch does. A new
-        # track knows no velocity, so its gates are wide, and it has to explain clearly more.
+        # The path that begins the track proves nothing, but a further path in every epoch does. The
+        # velocity of a new track is unknown, so its gates are wide: it must explain clearly more.
         own = 0.0 if track is None else self._fitted(track, coming) + CLEARLY_MORE * len(coming)
         if fitted - 1 < max(own, len(coming)):
             return None
@@ -153,7 +153,7 @@ class PathTracker:
     def _best(
         self, track: PathTrack | None, paths: PathEpoch, coming: Sequence[PathEpoch]
     ) -> tuple[PathTrack | None, int]:
-        """The track that begins here and explains most paths, with their number."""
+        """Return the track that begins here and explains most paths, and the number of paths."""
         best: PathTrack | None = None
         most = 0
         for one in self._beginnings(track, paths):
@@ -163,7 +163,7 @@ class PathTracker:
         return best, most
 
     def _fitted(self, track: PathTrack, coming: Sequence[PathEpoch]) -> int:
-        """How many paths a track explains, with those of coming epochs."""
+        """Count the paths that a track explains in its epoch and in coming epochs."""
         fitted = track.fitted
         for paths in coming:
             track = self.follow(track, paths)
@@ -171,13 +171,13 @@ class PathTracker:
         return fitted
 
     def _beginnings(self, track: PathTrack | None, paths: PathEpoch) -> Iterator[PathTrack]:
-        """Tracks from every path that may be the line of sight, and is not explained yet."""
+        """Yield tracks from every path that may be the line of sight and is not explained yet."""
         links = self._links(paths)
         sights = links.z[0]
         likely = gives_fix(sights) & (disagreement(sights, links.sigma[0]) < self._disagreement)
         if track:
             likely[track.found[track.found != NO_PATH]] = False
-            if track.found[0] != NO_PATH:  # no way is shorter than the line of sight
+            if track.found[0] != NO_PATH:  # no path is shorter than the line of sight
                 likely &= sights[:, 0] < sights[track.found[0], 0]
         for path in np.flatnonzero(likely):
             begun = self._begin(paths, links, int(path))
@@ -185,11 +185,11 @@ class PathTracker:
                 yield begun
 
     def _begin(self, paths: PathEpoch, links: _Links, path: int) -> PathTrack | None:
-        """A track whose line of sight is this path; None behind a wall."""
+        """Return a track whose line of sight is this path; None if it would be behind a wall."""
         anchors, fix = self._scene.anchors_m, (links.z[0, path], links.sigma[0, path])
         mean, covariance = prior_from_fix(anchors[0], *fix, self._radio, self._scene)
         distance = np.linalg.norm(mean[:3] - anchors, axis=1)
-        if distance.argmin() != 0:  # nearer to a mirror image than to what it mirrors
+        if distance.argmin() != 0:  # nearer to a mirror image than to the base station
             return None
         x, P = mean.tolist(), covariance.tolist()
         nis = path_nis(x, P, self._anchors, links.z, links.sigma)
@@ -216,7 +216,7 @@ class PathTracker:
         return _Links(z, of_links, sigma[:, layout.doppler])
 
     def nothing(self, paths: PathEpoch, dt: float = 0.0) -> Epoch:
-        """An epoch in which no path belongs to an anchor; odometry needs none."""
+        """Return an epoch in which no path belongs to an anchor, but odometry may be present."""
         layout = self._layout
         z, sigma = [0.0] * layout.size, [1.0] * layout.size
         visible, snr = [0.0] * len(layout.groups), [0.0] * layout.anchors
@@ -226,7 +226,7 @@ class PathTracker:
         return Epoch(dt, z, sigma, visible, snr, paths.doppler_spread_hz)
 
     def _with_labels(self, epoch: Epoch, paths: PathEpoch, links: _Links, found: Index) -> Epoch:
-        """The epoch with the paths of the anchors in their places."""
+        """Return the epoch with the paths of the anchors in their rows."""
         layout = self._layout
         z, sigma, visible, snr = (list(part) for part in epoch[1:5])
         for anchor in np.flatnonzero(found != NO_PATH).tolist():
@@ -243,7 +243,7 @@ class PathTracker:
         return epoch._replace(z=z, sigma=sigma, visible=visible, snr_db=snr)
 
     def _updated(self, track: PathTrack, paths: PathEpoch) -> PathTrack:
-        """The track after the update with its epoch."""
+        """Return the track after the update with its epoch."""
         epoch, layout = track.epoch, self._layout
         site = Site(self._anchors, self._scene.hz_per_mps, track.x, track.P)
         after = predict_update(

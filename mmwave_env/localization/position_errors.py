@@ -1,13 +1,13 @@
-"""Position errors as the field reports them, beside means: percentiles, shares, protection levels.
+"""Position errors in the field's terms: percentiles, shares of epochs and protection levels.
 
-Errors are horizontal (the length of x and y) and vertical (the size of z). The distances are those
-that 3GPP TS 22.261, Table 7.3.2.2-1, asks of positioning services. A track may be longer than
-memory: errors wait in temporary files, 16 bytes an epoch and kind, and are read to make figures.
+Errors are horizontal (the length in x and y) and vertical (the absolute value of z). The distances
+are those of 3GPP TS 22.261, Table 7.3.2.2-1, for positioning services. A track may be larger than
+memory, so errors are kept in temporary files, 16 bytes per epoch and kind, until they are needed.
 
-A protection level is what an error stays below, but for a stated risk, if a covariance is right.
-With position errors e ~ N(0, P), a level at risk r is the distance that |e| exceeds with
-probability r. Integrity is whether errors of a track do so no more often (P. D. Groves, Principles
-of GNSS, Inertial, and Multisensor Integrated Navigation Systems, 2nd ed., 2013, ch. 17).
+A protection level is a bound that an error exceeds with a stated risk if the covariance is right.
+With position errors e ~ N(0, P), the level at risk r is the distance that |e| exceeds with
+probability r. A track has integrity if its errors exceed the levels no more often (P. D. Groves,
+Principles of GNSS, Inertial, and Multisensor Integrated Navigation Systems, 2nd ed., 2013, ch. 17).
 
 Vertically |e| has a normal distribution folded at zero: level = sigma_z Phi^-1(1 - r/2).
 Horizontally, let a >= b be the standard deviations along the axes of the ellipse of the 2 x 2
@@ -15,8 +15,8 @@ block of P, and e = (a rho cos t, b rho sin t) with rho exp(-rho^2/2) drho dt / 
 
     P(|e| > d) = 1/(2 pi) int_0^(2 pi) exp(-d^2 / (2 (a^2 cos^2 t + b^2 sin^2 t))) dt,
 
-which is solved for d: the exact quantile, not its usual upper bound a sqrt(chi2^-1(1 - r; 2)),
-which it meets where a = b. (J. W. Craig, MILCOM 1991, has the integral for b = 0.)
+which is solved for d: the exact quantile, not its usual upper bound a sqrt(chi2^-1(1 - r; 2)). The
+two are equal where a = b. (J. W. Craig, MILCOM 1991, has the integral for b = 0.)
 """
 
 from functools import lru_cache
@@ -28,26 +28,26 @@ import numpy as np
 
 from mmwave_env.numerics.numbers import Array
 
-RISK = 1e-3  # that a level leaves, where none is stated
-CONFIDENCE = 0.95  # of intervals of shares
-_RATIOS = np.linspace(0.0, 1.0, 1025)  # b / a, between which levels are interpolated
-_ANGLES = (np.arange(64) + 0.5) * (np.pi / 128)  # of a quarter, which stands for all four
+RISK = 1e-3  # default risk of a protection level
+CONFIDENCE = 0.95  # confidence of the intervals of shares
+_RATIOS = np.linspace(0.0, 1.0, 1025)  # b / a; levels are interpolated between these
+_ANGLES = (np.arange(64) + 0.5) * (np.pi / 128)  # in one quadrant, which represents all four
 _HALVINGS = 60
 _LARGEST_RISK = 0.5
 
 
 def require_risk(risk: float) -> None:
-    """Refuse what is no risk.
+    """Refuse a number that is not a valid risk.
 
     Raises:
-        ValueError: it is not above 0, or above a half.
+        ValueError: the risk is not above 0, or is above a half.
     """
     if not 0.0 < risk <= _LARGEST_RISK:
         raise ValueError(f"risk: found {risk:g}, expected more than 0 and at most {_LARGEST_RISK}")
 
 
 def horizontal_level(P: Array, risk: float) -> Array:
-    """Levels (...,), m, of packed covariances P (..., 3 or more), which begin with x and y."""
+    """Compute levels (...,), m, of packed covariances P (..., 3 or more): x and y come first."""
     xx, xy, yy = P[..., 0], P[..., 1], P[..., 2]
     middle, half = 0.5 * (xx + yy), np.hypot(0.5 * (xx - yy), xy)
     major = np.sqrt(middle + half)
@@ -57,7 +57,7 @@ def horizontal_level(P: Array, risk: float) -> Array:
 
 
 def vertical_level(P: Array, risk: float) -> Array:
-    """Levels (...,), m, of packed covariances P (..., 6 or more), which begin with the position."""
+    """Compute levels (...,), m, of packed covariances P (..., 6 or more): positions come first."""
     from scipy.special import ndtri
 
     return -ndtri(0.5 * risk) * np.sqrt(np.maximum(P[..., 5], 0.0))  # type: ignore[no-any-return]
@@ -65,7 +65,7 @@ def vertical_level(P: Array, risk: float) -> Array:
 
 @lru_cache(maxsize=16)
 def _multiples(risk: float) -> Array:
-    """(ratios,) d / a for every b / a, by halving an interval that holds it."""
+    """Compute d / a (ratios,) for every b / a by bisection."""
     spread = np.cos(_ANGLES) ** 2 + np.outer(_RATIOS**2, np.sin(_ANGLES) ** 2)
     low, high = np.zeros(len(_RATIOS)), np.full(len(_RATIOS), np.sqrt(-2.0 * np.log(risk)))
     for _ in range(_HALVINGS):
@@ -76,14 +76,14 @@ def _multiples(risk: float) -> Array:
 
 
 def exceedance(error: Array, level: Array) -> dict[str, Any]:
-    """How often errors (n,) exceed their levels (n,).
+    """Count how often errors (n,) exceed their levels (n,).
 
-    An error or a level that is no number does. The interval is Clopper's and Pearson's (1934) with
-    :data:`CONFIDENCE`, for epochs that are independent: those of one track follow each other, and
+    An error or a level that is NaN counts as exceeded. The interval is that of Clopper and Pearson
+    (1934) with :data:`CONFIDENCE`, for independent epochs. Epochs of a track are correlated, so
     the share of another track may well lie outside.
 
     Returns:
-        "exceeded", how many; their "share" and its interval "ci95", None of no epochs.
+        "exceeded", the count; "share" and its interval "ci95", both None without errors.
     """
     from scipy.stats import binomtest
 
@@ -98,28 +98,28 @@ def exceedance(error: Array, level: Array) -> dict[str, Any]:
     }
 
 
-SHARES = (0.50, 0.67, 0.80, 0.90, 0.95)  # of the epochs, at which errors are compared
+SHARES = (0.50, 0.67, 0.80, 0.90, 0.95)  # shares of epochs at which errors are compared
 DISTANCES_M = (0.2, 1.0, 3.0, 10.0)
-_IN_MEMORY = 1 << 20  # bytes; more of them wait on a disk
+_IN_MEMORY = 1 << 20  # bytes; larger files are on disk
 
 
 def horizontal(error: Array) -> Array:
-    """Lengths (...,) of errors (..., 3) in x and y, m."""
+    """Compute lengths (...,) of errors (..., 3) in x and y, m."""
     return np.hypot(error[..., 0], error[..., 1])  # type: ignore[no-any-return]
 
 
 def vertical(error: Array) -> Array:
-    """Sizes (...,) of errors (..., 3) in z, m."""
+    """Compute absolute values (...,) of errors (..., 3) in z, m."""
     return np.abs(error[..., 2])  # type: ignore[no-any-return]
 
 
 def percentiles(sizes: Array) -> dict[str, float | None]:
-    """What so many percent of errors (n,) stay below, m, as :func:`numpy.quantile` interpolates.
+    """Compute percentiles of errors (n,), m, as :func:`numpy.quantile` interpolates them.
 
-    None where that is no number: there are no errors, or too many are no numbers themselves.
+    A percentile is None where it is not finite: there are no errors, or too many errors are NaN.
     """
     largest = np.where(np.isnan(sizes), np.inf, sizes)
-    with np.errstate(invalid="ignore"):  # between two that are infinite
+    with np.errstate(invalid="ignore"):  # interpolation between two infinities is invalid
         found = np.quantile(largest, SHARES) if sizes.size else np.full(len(SHARES), np.nan)
     return {
         f"{100.0 * share:.0f}": float(value) if np.isfinite(value) else None
@@ -128,25 +128,25 @@ def percentiles(sizes: Array) -> dict[str, float | None]:
 
 
 class BoundedErrors:
-    """Errors of one kind, and the protection level of each."""
+    """Errors of one kind with the protection level of each."""
 
     def __init__(self) -> None:
         self._file: Any = SpooledTemporaryFile(_IN_MEMORY)  # noqa: SIM115 - open as long as self
         finalize(self, self._file.close)
 
     def add(self, error_m: Array, level_m: Array) -> None:
-        """Take more epochs: errors and levels, of one shape, m."""
+        """Add epochs: errors and levels of the same shape, m."""
         self._file.write(np.stack([error_m.ravel(), level_m.ravel()], axis=1).tobytes())
 
     def rows(self) -> Array:
-        """Errors and levels (n, 2) of all epochs, m."""
+        """Return errors and levels (n, 2) of all epochs, m."""
         self._file.seek(0)
         found = np.frombuffer(self._file.read()).reshape(-1, 2)
         self._file.seek(0, 2)
         return found
 
     def figures(self) -> dict[str, Any]:
-        """What there is to say about them; see docs/errors.md."""
+        """Return statistics of the errors and levels; see docs/errors.md."""
         error, level = self.rows().T
         return {
             "epochs": len(error),
@@ -161,11 +161,11 @@ class BoundedErrors:
 
 
 class PositionErrors:
-    """Errors of a track, or of many, with the levels that their covariances promise.
+    """Errors of one or more tracks, with the protection levels from their covariances.
 
     Args:
-        risk: that each level leaves to an error above it.
-        planar: whether the height is known: then there is nothing vertical.
+        risk: probability with which an error exceeds its level.
+        planar: whether the height is known, so that there are no vertical errors.
 
     Attributes:
         kinds: "horizontal" and "vertical".
@@ -178,7 +178,7 @@ class PositionErrors:
             self.kinds["vertical"] = BoundedErrors()
 
     def add(self, error: Array, P: Array) -> None:
-        """Take more epochs.
+        """Add epochs.
 
         Args:
             error: (..., 3) estimated minus true position, m.
@@ -189,5 +189,5 @@ class PositionErrors:
             self.kinds["vertical"].add(vertical(error), vertical_level(P, self.risk))
 
     def figures(self) -> dict[str, dict[str, Any]]:
-        """By kind."""
+        """Return the statistics of the errors by kind."""
         return {kind: errors.figures() for kind, errors in self.kinds.items()}

@@ -1,8 +1,8 @@
-"""Where a track begins and ends: a log in segments, each from a line of sight to a long gap.
+"""Segments of a log: each begins with a line of sight and ends with a long gap.
 
-Prediction bridges seconds. After half a minute without a link the filter is often lost, and sure
-of a wrong place; a line of sight gives a prior that is right after any gap, so the track ends and
-begins anew there. What is made of a log does not depend on how it is cut into blocks.
+Prediction bridges seconds. After half a minute without a link the filter is often lost, and
+confident of a wrong place. A line of sight gives a correct prior after any gap, so the track ends
+and begins anew there. The result does not depend on how a log is cut into blocks.
 """
 
 from collections.abc import Iterable, Iterator
@@ -21,25 +21,25 @@ class Piece(NamedTuple):
     """Consecutive epochs of one segment."""
 
     block: LogBlock  # the epochs
-    segment: int  # its number, from 0, which is how often the track has begun anew
-    begins: bool  # whether it begins here, with a line of sight
-    skipped: int  # epochs of the log before the first segment
-    dropped: int  # epochs between segments so far, up to the next piece
+    segment: int  # number of the segment, from 0
+    begins: bool  # whether the segment begins here, with a line of sight
+    skipped: int  # number of epochs of the log before the first segment
+    dropped: int  # number of epochs between segments, up to the next piece
 
 
 def segments(blocks: Iterable[LogBlock]) -> Iterator[Piece]:
-    """The segments of a log, piece by piece.
+    """Yield the segments of a log, piece by piece.
 
-    One ends when neither a link nor odometry was seen for more than ``GAP_S``, or where the log
-    says that a track must begin anew; the next begins with the next line of sight.
+    A segment ends when neither a link nor odometry was seen for more than ``GAP_S``, or where the
+    log says that a track must begin anew. The next segment begins with the next line of sight.
 
     Raises:
         LogError: from ``blocks``, after the epochs before the damage.
         ValueError: there is no line of sight to begin with.
     """
-    held: Piece | None = None  # until it is known how many epochs are dropped after it
+    held: Piece | None = None  # held until its number of dropped epochs is known
     skipped, incomplete = 0, 0
-    last_s: float | None = None  # when something was seen; None between segments
+    last_s: float | None = None  # last time with a measurement; None between segments
     try:
         for whole in blocks:
             block = whole
@@ -78,24 +78,24 @@ def segments(blocks: Iterable[LogBlock]) -> Iterator[Piece]:
 
 
 def gives_fix(links: Array) -> Mask:
-    """Which links (n, 4 or more), m and rad, give a prior.
+    """Tell which links (n, 4 or more), m and rad, give a prior.
 
-    Straight above or below an anchor an azimuth means nothing, and near there the direction is as
-    uncertain as it is steep, which a Gaussian does not know.
+    Straight above or below an anchor the azimuth is undefined. Near there the uncertainty of the
+    direction grows with the elevation, which a Gaussian does not describe.
     """
     return (links[:, 0] >= RANGE_LIMITS_M[0]) & (abs(links[:, 2]) <= STEEPEST_FIX_RAD)
 
 
 def _first_fix(block: LogBlock) -> int:
-    """The first epoch that gives a prior; without one, the number of epochs."""
+    """Return the index of the first epoch that gives a prior; without one, the number of epochs."""
     fixes = np.flatnonzero(block.visible[:, 0] & gives_fix(block.measurement))
     return int(fixes[0]) if len(fixes) else len(block)
 
 
 def _end(block: LogBlock, last_s: float, begins: bool) -> tuple[int, float | None]:
-    """Epochs of the block still in the segment, and when something was last seen in it.
+    """Count the epochs of the block in the segment; return the time last seen in it, too.
 
-    None for the time if the segment ends in this block, which may be the one it ``begins`` with.
+    The time is None if the segment ends in this block; ``begins`` tells whether it starts there.
     """
     seen = block.visible[:, : block.layout.anchors].any(axis=1)
     if block.layout.odometry:  # dead reckoning bridges two minutes as well as ten seconds

@@ -1,4 +1,4 @@
-"""Tracks as files, a block at a time."""
+"""Track files, written block by block."""
 
 import csv
 import io
@@ -14,7 +14,7 @@ from mmwave_env.logs.tum import COLUMNS, tum_lines
 from mmwave_env.lookup import as_cell
 
 TRACK_ENDINGS = (".tum", ".txt")
-_VARIANCES = [i * (i + 3) // 2 for i in range(6)]  # of positions and velocities in a packed P
+_VARIANCES = [i * (i + 3) // 2 for i in range(6)]  # of positions and velocities in packed P
 TABLE_COLUMNS = (
     "time_s", "x_m", "y_m", "z_m", "sigma_x_m", "sigma_y_m", "sigma_z_m", "vx_mps", "vy_mps",
     "vz_mps", "sigma_vx_mps", "sigma_vy_mps", "sigma_vz_mps", "mode",
@@ -24,10 +24,10 @@ _TABLE_HEADER = ",".join(TABLE_COLUMNS) + "\n"
 
 
 def table_beside(track: Path) -> Path:
-    """Where the standard deviations of a TUM file go.
+    """Return the path of the table of standard deviations that belongs to a TUM file.
 
     Raises:
-        ValueError: the name of the file says that it is of another format.
+        ValueError: the name of the file is that of another format.
     """
     if track.suffix not in TRACK_ENDINGS:
         raise ValueError(
@@ -38,14 +38,14 @@ def table_beside(track: Path) -> Path:
 
 
 def require_own_files(track: Path) -> None:
-    """Make sure that a track and the table beside it replace nothing but a track and its table.
+    """Refuse to replace any file other than a track and the table beside it.
 
-    These can be made again from their log; whatever else has such a name may be the only one of its
-    kind: a recorded truth is a TUM file, too, and the name of the table was never typed.
+    A track and its table can be made again from their log. Any other file may be the only copy:
+    a recorded truth is a TUM file, too, and the user never typed the name of the table.
 
     Raises:
-        ValueError: a file of another header has one of the names.
-        OSError: it can't be read.
+        ValueError: a file with another header has one of the names.
+        OSError: a file can't be read.
     """
     table = table_beside(track)
     for path, header, found in (
@@ -60,7 +60,7 @@ def require_own_files(track: Path) -> None:
 
 
 def _begins(path: Path, header: str) -> bool:
-    """Whether a file begins with a header."""
+    """Tell whether a file begins with a header."""
     expected = header.encode()
     with path.open("rb") as file:
         return file.read(len(expected)) == expected
@@ -68,11 +68,11 @@ def _begins(path: Path, header: str) -> bool:
 
 @contextmanager
 def track_files(track: Path, modes: Sequence[str]) -> Iterator[Callable[[TrackBlock], None]]:
-    """A function that writes the next block of a track; at the end the files take their places.
+    """Yield a function that writes the next block of a track; at the end, put the files in place.
 
     Args:
-        track: TUM file for the smoothed track; :func:`table_beside` it, everything else.
-        modes: their names.
+        track: TUM file for the smoothed track; :func:`table_beside` it has the other columns.
+        modes: names of the modes.
     """
     names = [_as_cell(name) for name in modes]
     row = ("%r" + ",%.6f" * 3 + ",%.6g" * 3 + ",%.6f" * 3 + ",%.6g" * 3 + ",%s\n").__mod__
@@ -89,7 +89,7 @@ def track_files(track: Path, modes: Sequence[str]) -> Iterator[Callable[[TrackBl
             x = block.smooth_x
             with naming(track):
                 tum.write(tum_lines(block.time_s, x[:, :3]))
-            # Not below 0: rounding may take a variance there that is known to be 0.
+            # Rounding may take a variance that is known to be 0 below 0.
             sigma = np.sqrt(np.maximum(block.smooth_P[:, _VARIANCES], 0.0))
             numbers = np.column_stack(
                 [block.time_s, x[:, :3], sigma[:, :3], x[:, 3:6], sigma[:, 3:]]
@@ -105,7 +105,7 @@ def track_files(track: Path, modes: Sequence[str]) -> Iterator[Callable[[TrackBl
 
 
 def _as_cell(name: str) -> str:
-    """A name as a CSV cell."""
+    """Return a name as a CSV cell."""
     cell = io.StringIO()
     csv.writer(cell, lineterminator="").writerow([as_cell(name)])
     return cell.getvalue()

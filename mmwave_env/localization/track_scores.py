@@ -1,4 +1,4 @@
-"""What there is to say about a track, in running sums, so that it may be longer than memory."""
+"""Scores of a track in running sums, so that the track may be larger than memory."""
 
 import warnings
 from collections.abc import Sequence
@@ -19,12 +19,12 @@ from mmwave_env.numerics.numbers import Array
 
 Index = NDArray[np.intp]
 
-FAR_NEES = 100.0  # mean, of a track that has nothing to do with the truth
-_ENOUGH = 100  # epochs that tell how far apart they are
+FAR_NEES = 100.0  # mean NEES of a track that is unrelated to the truth
+_ENOUGH = 100  # number of epochs from which the time step is estimated
 
 
 def ratio(part: float, whole: float) -> float | None:
-    """A share or a mean; None of nothing."""
+    """Return a share or a mean; None if the whole is zero."""
     return float(part / whole) if whole else None
 
 
@@ -33,13 +33,13 @@ class Accuracy:
 
     def __init__(self, axes: int) -> None:
         self._interval = nees_interval(axes)
-        self._sums = np.zeros(4)  # distance, its square, NEES, inside the interval
+        self._sums = np.zeros(4)  # distance, its square, NEES, share in the interval
         self._scored = self._pairs = 0
         self._change = 0.0
-        self._waiting = np.empty((0, 3))  # errors, until the one a second later is there
+        self._waiting = np.empty((0, 3))  # errors that wait for the error a second later
 
     def add(self, error: Array, nees: Array) -> None:
-        """Take more scored epochs: errors (n, 3), m, and NEES (n,)."""
+        """Add scored epochs: errors (n, 3), m, and NEES (n,)."""
         distance = np.linalg.norm(error, axis=1)
         inside = (nees >= self._interval[0]) & (nees <= self._interval[1])
         self._sums += [v.sum() for v in (distance, distance**2, nees, inside)]
@@ -47,14 +47,14 @@ class Accuracy:
         self._waiting = np.concatenate([self._waiting, error])
 
     def pair(self, first: Index, second: Index, done: int) -> None:
-        """Compare errors by their numbers among those waiting; then drop the ``done`` oldest."""
+        """Compare waiting errors by their indices; then drop the ``done`` oldest errors."""
         change = self._waiting[second] - self._waiting[first]
         self._change += float(np.linalg.norm(change, axis=1).sum())
         self._pairs += len(change)
         self._waiting = self._waiting[done:]
 
     def figures(self) -> dict[str, float | None]:
-        """By the names of :data:`~mmwave_env.metrics.METRICS`."""
+        """Return the metrics under the names of :data:`~mmwave_env.metrics.METRICS`."""
         ate, square, nees, inside = (ratio(total, self._scored) for total in self._sums)
         return {
             "ate_m": ate,
@@ -66,27 +66,27 @@ class Accuracy:
 
 
 class Pairs:
-    """Which scored epochs are a second apart, or an epoch where epochs are longer than that.
+    """Pairs of scored epochs that are a second apart, or an epoch where epochs are longer.
 
     Attributes:
-        apart_s: whole epochs, as near to a second as these come; None until that is known.
+        apart_s: a multiple of the time step, as near to a second as possible; None until known.
     """
 
     def __init__(self) -> None:
         self.apart_s: float | None = None
         self._slack_s = 0.0
-        self._first_s = np.empty(0)  # of the log, to see how far its epochs are apart
-        self._time_s, self._segment = np.empty(0), np.empty(0, np.int64)  # scored, waiting
+        self._first_s = np.empty(0)  # first times of the log, for its time step
+        self._time_s, self._segment = np.empty(0), np.empty(0, np.int64)  # scored epochs that wait
 
     def add(self, time_s: Array, scored: Index, segment: int) -> None:
-        """Take more epochs of the log (T,), those scored, and the segment they all are in."""
+        """Add epochs of the log (T,), the indices of the scored ones, and the segment of all."""
         more = time_s[: _ENOUGH - len(self._first_s)]
         self._first_s = np.concatenate([self._first_s, more])
         self._time_s = np.concatenate([self._time_s, time_s[scored]])
         self._segment = np.concatenate([self._segment, np.full(len(scored), segment)])
 
     def take(self, end: bool) -> tuple[Index, Index, int]:
-        """Numbers of the pairs among those waiting, and how many are done with; at the end all."""
+        """Return indices of pairs among waiting epochs, and the number of epochs that are done."""
         nothing = np.empty(0, np.intp)
         if self.apart_s is None:
             if len(self._first_s) < (2 if end else _ENOUGH):
@@ -113,12 +113,12 @@ class Pairs:
 
 
 class TruthScores:
-    """Tracks beside the truth: "filtered", "smoothed" or both; planar where the height is known.
+    """Scores of tracks ("filtered", "smoothed" or both) against the truth, planar or in 3D.
 
     Attributes:
-        truth: where the user was.
-        scored: epochs so far.
-        errors: of each track, with protection levels at the risk.
+        truth: true positions of the user.
+        scored: number of epochs scored so far.
+        errors: errors of each track, with protection levels at the risk.
     """
 
     def __init__(
@@ -133,7 +133,7 @@ class TruthScores:
         self._between, self._away_s = 0, 0.0
 
     def add(self, block: TrackBlock) -> Array:
-        """Score a block; returns true positions (T, 3), NaN where not known."""
+        """Score a block; return true positions (T, 3), NaN where not known."""
         truth, _, away = self.truth.at(block.time_s)
         known = np.flatnonzero(~np.isnan(truth[:, 0]))
         self._pairs.add(block.time_s, known, block.segment)
@@ -151,7 +151,7 @@ class TruthScores:
         return truth
 
     def warn_if_far(self, track: str) -> None:
-        """Warn of a truth that is nowhere near what a track believes."""
+        """Warn if the truth is far from what a track believes."""
         nees = self._tracks[track].figures()["nees"]
         if nees is not None and not nees <= FAR_NEES:
             warnings.warn(
@@ -172,7 +172,7 @@ class TruthScores:
             accuracy.pair(*found)
 
     def figures(self) -> dict[str, Any]:
-        """Every track's accuracy, and what it means."""
+        """Return the accuracy of every track with the reference values to judge it by."""
         self._pair(end=True)
         tracks = {
             name: {**accuracy.figures(), **self.errors[name].figures()}
@@ -192,14 +192,14 @@ class TruthScores:
 
 
 class Groups:
-    """How the measurements fared: what was seen, what was gated, how well it was predicted."""
+    """Statistics of groups of measurements: counts, rejections and innovations."""
 
     def __init__(self) -> None:
         self._names: list[str] = []
         self._sums = np.zeros((6, 0))
 
     def add(self, block: TrackBlock) -> None:
-        """Take a block."""
+        """Add a block."""
         rows = np.array(block.layout.widths)
         low, high = np.array([nees_interval(n) for n in rows]).T
         accepted = block.accepted
@@ -216,7 +216,7 @@ class Groups:
         self._sums = self._sums + sums if self._sums.size else sums
 
     def figures(self) -> dict[str, dict[str, float | None]]:
-        """By the names of the groups, and of all together."""
+        """Return the statistics under the names of the groups, and under "all"."""
         columns = [*self._sums.T, self._sums.sum(axis=1)]
         return {
             name: {
@@ -234,7 +234,7 @@ class Groups:
 
 
 class Course:
-    """When, how fast and in which modes, by their names."""
+    """The course of a track: its times, its speed, and the modes that ran."""
 
     def __init__(self, modes: Sequence[str]) -> None:
         self.epochs = 0
@@ -245,7 +245,7 @@ class Course:
         self._speed = self._fastest = 0.0
 
     def add(self, block: TrackBlock) -> None:
-        """Take a block."""
+        """Add a block."""
         if not self.epochs:
             self.first_s, self._last_mode = float(block.time_s[0]), int(block.mode[0])
         counts = np.bincount(block.mode, minlength=len(self._modes)).tolist()
@@ -263,7 +263,7 @@ class Course:
         self.epochs += len(block)
 
     def figures(self) -> dict[str, Any]:
-        """What was added up."""
+        """Return the statistics as a dictionary."""
         return {
             "epochs": self.epochs,
             "skipped": self._skipped,

@@ -1,1 +1,1 @@
-"""Measurement logs and TUM tracks as files, streamed; what they mean is for others to say."""
+"""Measurement logs and TUM trajectories: readers, checks and clocks."""

@@ -1,19 +1,19 @@
-"""Whether the clock of a truth differs from that of a log by a constant.
+"""Estimate of a constant offset between the clock of a truth and the clock of a log.
 
-A truth whose times are late by tau tells at time t where the user was at t - tau. What a log
-measured differs from what that makes of it, to first order, by
+If the times of a truth are late by tau, its position at time t is the user's at t - tau. The
+measurements of a log then differ from those computed from the truth, to first order, by
 
     e = c + (dh/dp) (tau v + s) + noise
 
-in every row h of a link. Its constant c is a bias of the row's own, and s is a frame that is off by
-some meters, so that only what changes with the velocity tells of a clock: on a straight way at
-an even speed nothing does. tau is the least-squares estimate. Errors hang together over seconds,
-so its standard error is that of the jackknife: how it differs when one stretch of time at a time
-is left out (B. Efron, C. Stein, "The jackknife estimate of variance", 1981).
+in every row h of a link. The constant c is a bias of each row, and s is an offset of the frame by
+some meters, so only changes of the velocity reveal a clock offset: on a straight line at
+constant speed tau is unobservable. tau is the least-squares estimate. Errors are correlated over
+seconds, so the standard error is that of the jackknife: the spread of the estimates in which one
+stretch of time is left out (B. Efron, C. Stein, "The jackknife estimate of variance", 1981).
 
-To first order only: a tau of tenths of a second is meters, over which a log is not straight. So the
-log is compared again with the truth at times moved by the estimate, until what is left is within
-its error (Gauss-Newton).
+This holds to first order only: a tau of tenths of a second is meters, over which a log is not
+straight. So the log is compared again with the truth at times moved by the estimate, until the
+remaining offset is within its error (Gauss-Newton).
 """
 
 import math
@@ -28,25 +28,25 @@ from mmwave_env.models.measurement import Layout, exact_rows
 from mmwave_env.models.scene import Scene
 from mmwave_env.numerics.numbers import Array, wrap
 
-_STRETCHES, _SHORTEST_S = 32, 2.0  # at most so many; when time runs out of them, two become one
-_FEWEST = 5  # stretches that tell how much an estimate is worth
-_CHANCE = 0.005  # that a clock without an offset is called one that has some
-_PART = 0.01  # of the squared error, raw noise and all: what explains less does not matter
-_STEP_M = 1e-3  # over which rows of a link are taken as straight
-_ENOUGH, _OUTLIER = 20, 6.0  # epochs for a deviation; deviations of what is no noise
-_COMPARED = 4096  # epochs of the beginning
-_ROUNDS, _FARTHEST_S = 12, 10.0  # of comparing again; beyond it two clocks have nothing in common
+_STRETCHES, _SHORTEST_S = 32, 2.0  # at most so many stretches; beyond that their length doubles
+_FEWEST = 5  # least number of stretches for a standard error
+_CHANCE = 0.005  # probability of finding an offset in a clock without one
+_PART = 0.01  # least share of the squared error, noise included, that a relevant offset explains
+_STEP_M = 1e-3  # step of the numerical derivative of the rows of a link
+_ENOUGH, _OUTLIER = 20, 6.0  # epochs for a deviation; an outlier's least deviations
+_COMPARED = 4096  # number of epochs from the beginning
+_ROUNDS, _FARTHEST_S = 12, 10.0  # most comparisons; offsets beyond that are not credible
 _LEAST = 1e-6  # m, rad: deviation of a log without noise
 
 
 class ClockOffset(NamedTuple):
-    """How far the clock of a truth is ahead of that of a log.
+    """An estimate of how far the clock of a truth is ahead of the clock of a log.
 
     Attributes:
         seconds: the estimate.
         deviation_s: its standard error.
-        part: of the squared error, from 0 to 1, that it explains.
-        limit: the ratio of both that chance exceeds in one of 200 cases.
+        part: share of the squared error, from 0 to 1, that the estimate explains.
+        limit: ratio of seconds to deviation_s that chance exceeds in one of 200 cases.
     """
 
     seconds: float
@@ -56,16 +56,16 @@ class ClockOffset(NamedTuple):
 
     @property
     def matters(self) -> bool:
-        """Whether there is one beyond doubt, and worth mending."""
+        """Tell whether an offset is significant and large enough to correct."""
         return abs(self.seconds) > self.limit * self.deviation_s and self.part > _PART
 
     def figures(self) -> dict[str, float]:
-        """What results say of it."""
+        """Return the estimate as it is written to results."""
         return {"ahead_s": self.seconds, "deviation_s": self.deviation_s}
 
     @property
     def advice(self) -> str:
-        """What is wrong, and what to do."""
+        """Return a sentence that says what is wrong and what to do."""
         side, change = ("ahead of", "less") if self.seconds > 0.0 else ("behind", "more")
         size, deviation = (1e3 * abs(value) for value in (self.seconds, self.deviation_s))
         return (
@@ -75,7 +75,7 @@ class ClockOffset(NamedTuple):
 
 
 def keeping(blocks: Iterable[LogBlock], kept: list[LogBlock]) -> Iterator[LogBlock]:
-    """The same blocks; those at the beginning that :func:`clock_offset` compares are kept."""
+    """Yield the same blocks, and keep the first ones, which :func:`clock_offset` compares."""
     for block in blocks:
         if sum(map(len, kept)) < _COMPARED:
             kept.append(block)
@@ -85,12 +85,12 @@ def keeping(blocks: Iterable[LogBlock], kept: list[LogBlock]) -> Iterator[LogBlo
 def clock_offset(
     log: LogBlock, scene: Scene, truth_at: Callable[[Array], TrueEpochs]
 ) -> ClockOffset | None:
-    """The estimate; None where too little is known, or the velocity never changed.
+    """Estimate the offset; return None with too little data or a velocity that never changed.
 
     Args:
-        log: its beginning.
-        scene: whose anchors were measured.
-        truth_at: what is true at times of the truth's clock.
+        log: first epochs of the log.
+        scene: scene whose anchors were measured.
+        truth_at: returns the truth at times of the truth's clock.
     """
     log = log.part(slice(_COMPARED))
     found = _linear(log, scene, truth_at(log.time_s))
@@ -115,7 +115,7 @@ def clock_offset(
 
 
 def _linear(log: LogBlock, scene: Scene, truth: TrueEpochs) -> tuple[ClockOffset, Array] | None:
-    """The estimate to first order, and the deviations of the rows of links (4 L,)."""
+    """Estimate the offset to first order; return deviations of the rows of links (4 L,), too."""
     from scipy.stats import t
 
     anchors, layout = scene.anchors_m.tolist(), Layout(len(scene.anchors_m))
@@ -148,7 +148,7 @@ def _linear(log: LogBlock, scene: Scene, truth: TrueEpochs) -> tuple[ClockOffset
     while log.time_s[-1] - log.time_s[0] >= _STRETCHES * stretch_s:
         stretch_s *= 2.0
     ends_at = np.flatnonzero(np.diff((log.time_s - log.time_s[0]) // stretch_s)) + 1
-    # of products of 1, the error, and what it grows by with tau and with s, by stretch and row
+    # products of 1, the error, and its derivatives by tau and by s, by stretch and row
     sums = np.array([np.einsum("tri,trj->rij", one, one) for one in np.split(terms, ends_at)])
     sums = sums[sums[:, :, 0, 0].any(axis=1)]
     total, n = sums.sum(axis=0), len(sums)
@@ -163,11 +163,11 @@ def _linear(log: LogBlock, scene: Scene, truth: TrueEpochs) -> tuple[ClockOffset
 
 
 def _fit(sums: Array) -> tuple[float, float] | None:
-    """tau, and the part of the squared error that it explains, from sums (rows, 6, 6)."""
+    """Compute tau, and the share of the squared error that it explains, from sums (rows, 6, 6)."""
     ones = sums[:, 0]
     of_means = ones[:, :, None] * ones[:, None] / np.maximum(ones[:, :1, None], 1.0)
     centered = (sums - of_means).sum(axis=0)[1:, 1:]
-    # What s explains is taken from the error and from the rate; tau is what is left of both.
+    # The part that s explains is removed from the error and from the rate; tau fits the rest.
     by_shift = np.linalg.pinv(centered[2:, 2:], hermitian=True) @ centered[2:, :2]
     error, rate = np.vstack([np.eye(2), -by_shift]).T
     changes, errors = float(rate @ centered @ rate), float(error @ centered @ error)

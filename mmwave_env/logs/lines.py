@@ -1,4 +1,4 @@
-"""Text files block by block, so that a file of any length takes little memory."""
+"""Text files in blocks of lines, so that a file of any length takes little memory."""
 
 import gzip
 import math
@@ -17,16 +17,16 @@ class LineBlock(NamedTuple):
     """Consecutive lines of a file."""
 
     first: int  # number of the first line, counted from 1, as editors do
-    lines: list[str]  # without their ends. What is not UTF-8 is escaped, so that it can be shown.
-    share: float  # of the file read so far, 0 to 1
+    lines: list[str]  # lines without their ends; bytes that are not UTF-8 are escaped, for messages
+    share: float  # share of the file read so far, 0 to 1
 
 
 class DamagedFileError(ValueError):
-    """A file that can't be read on; every whole line before the damage has been delivered.
+    """A file that is damaged from some line on; every whole line before it has been delivered.
 
     Attributes:
         line: number of the first line that is not whole.
-        found, expected: for the message.
+        found, expected: words for the message.
     """
 
     def __init__(self, path: Path, line: int, found: str, expected: str) -> None:
@@ -35,7 +35,7 @@ class DamagedFileError(ValueError):
 
 
 def line_blocks(path: Path) -> Iterator[LineBlock]:
-    """The lines of a text file, gzipped if its name ends with ``.gz``, about 1 MiB at a time.
+    """Yield the lines of a text file, gzipped if its name ends in ``.gz``, about 1 MiB at a time.
 
     Raises:
         OSError: the file can't be opened or read.
@@ -63,12 +63,12 @@ def line_blocks(path: Path) -> Iterator[LineBlock]:
 
 
 def _read(file: Any) -> tuple[bytes, bool, str]:
-    """The next block of bytes, whether it is the last, and what broke after it, if anything."""
+    """Read the next block of bytes; return whether it is the last, and damage after it, if any."""
     pieces: list[bytes] = []
     size = 0
     while size < _BLOCK_BYTES:
         try:
-            # Not read(): where decompression fails, it loses what came before.
+            # read() would lose the data before the place where decompression fails.
             piece = file.read1(_BLOCK_BYTES)
         except (EOFError, gzip.BadGzipFile, zlib.error) as error:
             return b"".join(pieces), True, f"broken gzip data ({error})"
@@ -80,7 +80,7 @@ def _read(file: Any) -> tuple[bytes, bool, str]:
 
 
 def _decode(content: bytes, at_start: bool) -> list[str]:
-    """The lines of whole lines; the last may lack its end."""
+    """Decode whole lines; the last line may lack its end."""
     text = content.decode("utf-8", errors="backslashreplace").replace("\r\n", "\n")
     if at_start:
         text = text.removeprefix("\ufeff")
@@ -89,7 +89,7 @@ def _decode(content: bytes, at_start: bool) -> list[str]:
 
 
 def number(word: str) -> float:
-    """A number as numpy reads it; NaN for what is not one (Python reads 1_0 and ١, too)."""
+    """Read a number as numpy reads it; return NaN for others (Python also accepts 1_0 and ١)."""
     try:
         return float(word) if word.isascii() and "_" not in word else math.nan
     except ValueError:

@@ -1,13 +1,13 @@
 """Measurement logs: one row per epoch and anchor, as a receiver writes them.
 
-Columns (`log_columns.py`) are a quantity and a unit: ``time_s, anchor, toa_s,
+The name of a column (`log_columns.py`) is a quantity and a unit: ``time_s, anchor, toa_s,
 aoa_azimuth_rad, aoa_elevation_rad, aod_azimuth_rad, doppler_hz, snr_db``, and optionally
 ``doppler_spread_hz`` and odometry, ``speed_mps`` and ``heading_rad``. An anchor is its number
-in the scene, from 1, the physical gNB, whose rows alone have a Doppler shift. What was not
-measured is empty; an anchor that was not seen may be left out. What belongs to the epoch and
-not to an anchor (Doppler spread, odometry) may stand in any of its rows.
+in the scene, from 1, the physical gNB, whose rows alone have a Doppler shift. A cell that was
+not measured is empty; an anchor that was not seen may be left out. Quantities of the epoch, not
+of an anchor (Doppler spread, odometry), may be in any row of the epoch.
 
-A log may be longer than memory, so it is read in blocks of consecutive epochs.
+A log may be larger than memory, so it is read in blocks of consecutive epochs.
 """
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -28,9 +28,9 @@ AnyBlock = TypeVar("AnyBlock", bound="Block")
 
 
 class Block:
-    """T consecutive epochs, as a dataclass of arrays (T, ...) and of what they have in common."""
+    """T consecutive epochs, as a dataclass of arrays (T, ...) and of values that they share."""
 
-    per_epoch: ClassVar[tuple[str, ...]]  # names of the arrays; all else is that of the last epochs
+    per_epoch: ClassVar[tuple[str, ...]]  # names of the arrays; joined blocks share the last's rest
     time_s: Any
 
     def __init_subclass__(cls) -> None:
@@ -43,12 +43,12 @@ class Block:
         return len(self.time_s)
 
     def part(self: AnyBlock, epochs: slice) -> AnyBlock:
-        """Some of its epochs."""
+        """Return a part of the epochs."""
         return self._with({name: getattr(self, name)[epochs] for name in self.per_epoch})
 
     @classmethod
     def joined(cls, blocks: Sequence[AnyBlock]) -> AnyBlock:
-        """Blocks that follow each other as one."""
+        """Join blocks that follow each other."""
         return blocks[-1]._with(
             {name: np.concatenate([getattr(b, name) for b in blocks]) for name in cls.per_epoch}
         )
@@ -60,9 +60,9 @@ class Block:
 def in_windows(
     blocks: Iterable[AnyBlock], window: int, piece: Callable[[AnyBlock], int] = lambda block: 0
 ) -> Iterator[AnyBlock]:
-    """The same epochs in blocks of whole windows, and what is left at the end of a piece.
+    """Yield the same epochs in blocks of whole windows, and the rest at the end of each piece.
 
-    What came before a LogError of ``blocks`` is handed on before it. ``piece`` gives the number of
+    Epochs before a LogError of ``blocks`` are delivered before it. ``piece`` returns the number of
     the piece that a block belongs to; pieces are not joined.
     """
     waiting: list[AnyBlock] = []
@@ -90,21 +90,21 @@ def in_windows(
 
 @dataclass(frozen=True, eq=False)
 class LogBlock(Block):
-    """T consecutive epochs of a log; numbers of groups that are not visible mean nothing.
+    """T consecutive epochs of a log; numbers of groups that are not visible have no meaning.
 
     Attributes:
-        layout: rows and groups.
-        time_s: (T,) increasing, also from block to block.
+        layout: rows and groups of the measurements.
+        time_s: (T,) increasing, also across blocks.
         measurement: (T, rows) m, rad, Hz, m/s; angles in [-pi, pi).
         visible: (T, groups) whether every number of the group was measured; for a link and for
             the Doppler shift that includes the SNR, because their noise follows from it.
-        incomplete: (T, groups) whether only some of them were, so that the group is lost.
+        incomplete: (T, groups) whether only some of the numbers were measured: a lost group.
         snr_db: (T, L); -inf, no signal, where none was measured.
         doppler_spread_hz: (T,); 0 where none was measured.
-        restarts: (T,) whether a track must begin anew here, because what belongs to the anchors
-            from here on contradicts the epochs before. A log that names its anchors never says so.
-        rows: of the file, read up to the end of this block or somewhat further.
-        share: of the file read so far, 0 to 1.
+        restarts: (T,) whether a track must begin anew here, because its association with
+            anchors contradicts the epochs before. It is never set in a log with anchor numbers.
+        rows: number of rows of the file read, up to the end of this block or somewhat further.
+        share: share of the file read so far, 0 to 1.
     """
 
     layout: Layout
@@ -126,22 +126,22 @@ def read_log(
     odometry: bool = True,
     limits: bool = True,
 ) -> Iterator[LogBlock]:
-    """The epochs of a log, ``epochs_per_block`` at a time; the last block may be shorter.
+    """Read the epochs of a log, ``epochs_per_block`` at a time; the last block may be shorter.
 
-    Angles are in the frame of the map. Arrival is seen at the anchor: the direction anchor ->
-    user. Departure is the azimuth user -> anchor. docs/data.md has a figure, and how to convert.
+    Angles are in the frame of the map. Arrival is the direction from the anchor to the
+    user; departure is the azimuth from the user to the anchor. docs/data.md has a figure.
 
     Where the log is damaged, every whole epoch before the damage is delivered first. An epoch
-    whose end the damage hides (no next time can be read, and not all anchors are there) counts
-    as not whole.
+    whose end is unknown because of the damage (no later time can be read, and not all anchors are
+    present) does not count as whole.
 
     Args:
         path: CSV (``.csv``, ``.csv.gz``) or Parquet (``.parquet``, needs the extra `data`).
-        scene: whose anchors were measured.
-        epochs_per_block: their number.
-        odometry: False to leave columns of odometry alone. Otherwise ``layout`` has odometry
+        scene: scene whose anchors were measured.
+        epochs_per_block: number of epochs in a block.
+        odometry: False to ignore columns of odometry. Otherwise ``layout`` has odometry
             where the log has it.
-        limits: False to take ranges and angles of any size as they are, angles not wrapped, for
+        limits: False to accept ranges and angles of any size, and not to wrap angles, for
             a diagnosis.
 
     Raises:
@@ -160,7 +160,7 @@ def read_log(
 
 
 def _require_measurements(path: Path, blocks: Iterable[LogBlock]) -> Iterator[LogBlock]:
-    """The blocks, and an error after them if there was nothing in them."""
+    """Yield the blocks; raise an error after the last one if none had a measurement."""
     rows, incomplete, measured = 0, 0, False
     for block in blocks:
         rows, incomplete = block.rows, incomplete + int(block.incomplete.sum())
@@ -173,14 +173,14 @@ def _require_measurements(path: Path, blocks: Iterable[LogBlock]) -> Iterator[Lo
 
 
 def _regroup(blocks: Iterable[LogBlock], epochs: int) -> Iterator[LogBlock]:
-    """Blocks of ``epochs`` epochs, and what is left."""
+    """Yield blocks of ``epochs`` epochs, and then the rest."""
     for whole in in_windows(blocks, epochs):
         for first in range(0, len(whole), epochs):
             yield whole.part(slice(first, first + epochs))
 
 
 def _block(rows: EpochRows, scene: Scene, layout: Layout, wrap: bool) -> LogBlock:
-    """The same epochs as a block."""
+    """Return rows of whole epochs as a block."""
     cells, epoch, T, L = rows.cells, rows.epoch, rows.epochs, layout.anchors
     anchor = cells["anchor"].astype(np.int64) - 1
     if "aoa_azimuth_station" in cells:

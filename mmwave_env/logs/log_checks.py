@@ -1,6 +1,6 @@
-"""The rows of a measurement log, checked and converted, as far as they are sound.
+"""Checks and conversion of the rows of a measurement log, as far as they are sound.
 
-What is wrong is an error that names the row; the whole epochs before it are delivered first.
+A damaged row is an error that names it; the whole epochs before it are delivered first.
 """
 
 from collections.abc import Callable, Iterable, Iterator
@@ -17,36 +17,36 @@ from mmwave_env.records import between
 
 Cells = dict[str, Array]  # quantity -> (n,)
 
-RANGE_LIMITS_M = (1e-3, 1e6)  # of any antenna, of any cell; a unit mistaken goes further
+RANGE_LIMITS_M = (1e-3, 1e6)  # limits of any antenna and any cell; a mistaken unit exceeds them
 WIDEST_DEG = {
     "aoa_azimuth": 360.0, "aoa_azimuth_station": 360.0, "aoa_elevation": 90.0,
     "aod_azimuth": 360.0, "aod_azimuth_body": 360.0,
 }  # fmt: skip
-SOUND = {  # beyond them filters are not
+SOUND = {  # limits within which filters are numerically sound
     "doppler": (envelope.BIAS_HZ, "Hz"),
     "doppler_spread": (envelope.DOPPLER_SPREAD_HZ, "Hz"),
     "speed": (envelope.VELOCITY_MPS, "m/s"),
     "snr": (between(-1e3, 1e3, "dB"), "dB"),
 }
-MOST_PATHS = 1000  # in an epoch, of a log without anchor numbers
-_ROUNDING_DEG = 1e-4  # of angles that were 32-bit numbers once
+MOST_PATHS = 1000  # most paths in an epoch of a log without anchor numbers
+_ROUNDING_DEG = 1e-4  # error of angles that were once 32-bit numbers
 
 
 class EpochRows(NamedTuple):
     """Rows of whole epochs."""
 
     cells: Cells  # in s, m, rad, Hz, dB, m/s; NaN where empty
-    epoch: NDArray[np.int64]  # (n,) of every row, counted from 0
-    rows: int  # of the file, read up to the end of these or somewhat further
-    share: float  # of the file read so far, 0 to 1
+    epoch: NDArray[np.int64]  # (n,) epoch of every row, counted from 0
+    rows: int  # number of rows of the file read, up to the end of these or somewhat further
+    share: float  # share of the file read so far, 0 to 1
 
     @property
     def epochs(self) -> int:
-        """Their number."""
+        """Return the number of epochs."""
         return int(self.epoch[-1]) + 1
 
     def once(self, quantity: str) -> Array:
-        """What belongs to an epoch and may stand in any of its rows (epochs,); NaN without."""
+        """Return a quantity of the epoch from any of its rows (epochs,); NaN if missing."""
         out = np.full(self.epochs, np.nan)
         if quantity in self.cells:
             some = ~np.isnan(self.cells[quantity])
@@ -55,19 +55,19 @@ class EpochRows(NamedTuple):
 
 
 def whole_epochs(log: LogFile, anchors: int | None, limits: bool) -> Iterator[EpochRows]:
-    """As many whole epochs at a time as each table happens to bring to their end.
+    """Yield whole epochs, as many at a time as each table completes.
 
     Args:
         log: the file.
-        anchors: their number in the scene; None where the rows are paths without an anchor.
-        limits: whether to refuse numbers beyond what there can be.
+        anchors: number of anchors in the scene; None where rows are paths without numbers.
+        limits: whether to refuse numbers beyond physical limits.
 
     Raises:
         LogError: for the first damaged row.
     """
     cells, rows, done, share = np.empty((len(log.columns), 0)), np.empty(0, np.int64), 0, 0.0
     for table in log.tables():
-        # What is left of the tables before is the last epoch, which may go on.
+        # The last epoch of the tables before may go on in this table.
         cells = np.concatenate([cells, table.cells], axis=1)
         rows = np.concatenate([rows, table.rows])
         done, share = done + len(table.rows), table.share
@@ -89,19 +89,19 @@ def _converted(log: LogFile, rows: Array, done: int, share: float) -> EpochRows:
         quantity: values * column.unit.multiply / column.unit.divide
         for (quantity, column), values in zip(log.columns.items(), rows, strict=True)
     }
-    # By the times in the file: two of them may be one in seconds.
+    # Use the times in the file: two of them may be equal after conversion to seconds.
     found = EpochRows(cells, _epochs(rows[list(log.columns).index("time")]), done, share)
-    if "aod_azimuth_body" in cells:  # where the epoch has no heading there is no departure
+    if "aod_azimuth_body" in cells:  # without a heading in the epoch there is no departure
         heading = found.once("heading")[found.epoch]
         cells["aod_azimuth"] = cells["aod_azimuth_body"] + heading
     return found
 
 
-# --- what is wrong
+# --- damage
 
 
 class _Check(NamedTuple):
-    """Something that must not be: in which rows (n,) of a column it is, and how to say it."""
+    """A check: the rows (n,) of a column that fail it, and the words of the error."""
 
     quantity: str
     wrong: Mask
@@ -112,10 +112,10 @@ class _Check(NamedTuple):
 def _first_damage(
     log: LogFile, checks: Iterable[_Check], rows: NDArray[np.int64], damage: LogError | None
 ) -> tuple[int, LogError | None]:
-    """Index and error of the first damaged row; without one, the number of rows."""
+    """Return index and error of the first damaged row; without one, the number of rows."""
     n = len(rows)
     first, error = (n - 1, damage) if damage else (n, None)
-    with np.errstate(invalid="ignore", over="ignore"):  # infinite times, endless ranges
+    with np.errstate(invalid="ignore", over="ignore"):  # for infinite times and ranges
         for check in checks if n else ():
             row = int(np.argmax(check.wrong))
             if check.wrong[row] and row < first:
@@ -125,7 +125,7 @@ def _first_damage(
 
 
 def _checks(cells: Cells, anchors: int | None) -> Iterator[_Check]:
-    """What to check of any log; damage already seen in a row may hide what comes later."""
+    """Yield the checks of any log; damage found in a row may hide later damage."""
     time = cells["time"]
     for quantity, values in cells.items():
         found = _shows(cells, quantity)
@@ -148,7 +148,7 @@ def _checks(cells: Cells, anchors: int | None) -> Iterator[_Check]:
 
 
 def _anchor_checks(cells: Cells, anchors: int, epoch: NDArray[np.int64]) -> Iterator[_Check]:
-    """Rows that belong to an anchor."""
+    """Yield the checks of rows that belong to an anchor."""
     time, anchor = cells["time"], cells["anchor"]
     known = np.isin(anchor, np.arange(1, anchors + 1))
     expected = f"the number of an anchor of the scene, 1 to {anchors}, 1 being the physical one"
@@ -167,8 +167,8 @@ def _anchor_checks(cells: Cells, anchors: int, epoch: NDArray[np.int64]) -> Iter
 
 
 def _path_checks(epoch: NDArray[np.int64]) -> Iterator[_Check]:
-    """Rows that are paths: so many that an epoch has an end."""
-    number = np.arange(len(epoch)) - _first(epoch)[epoch]  # of the path in its epoch, from 0
+    """Yield the checks of rows that are paths: their number in an epoch is limited."""
+    number = np.arange(len(epoch)) - _first(epoch)[epoch]  # number of the path in its epoch, from 0
     yield _Check(
         "time",
         number >= MOST_PATHS,
@@ -178,7 +178,7 @@ def _path_checks(epoch: NDArray[np.int64]) -> Iterator[_Check]:
 
 
 def _limits(log: LogFile, cells: Cells) -> Iterator[_Check]:
-    """No number is beyond what there can be."""
+    """Yield the checks that numbers are within physical limits."""
 
     def converted(quantity: str) -> Array:
         unit = log.columns[quantity].unit
@@ -227,7 +227,7 @@ def _limits(log: LogFile, cells: Cells) -> Iterator[_Check]:
 
 
 def _once(quantity: str, values: Array, epoch: NDArray[np.int64]) -> _Check:
-    """The check that rows of an epoch don't contradict each other."""
+    """Return the check that rows of an epoch don't contradict each other."""
     some = np.flatnonzero(~np.isnan(values))
     first = np.full(epoch[-1] + 1, np.nan)
     first[epoch[some[::-1]]] = values[some[::-1]]
@@ -240,14 +240,14 @@ def _once(quantity: str, values: Array, epoch: NDArray[np.int64]) -> _Check:
 
 
 def _first(place: NDArray[np.int64]) -> NDArray[np.int64]:
-    """The first row at every place, from the place of every row (n,)."""
+    """Return the first row at every place, from the place of every row (n,)."""
     out = np.zeros(place.max() + 1, np.int64)
-    out[place[::-1]] = np.arange(len(place))[::-1]  # of several, the last one stored stays
+    out[place[::-1]] = np.arange(len(place))[::-1]  # of several rows, the last one stored stays
     return out
 
 
 def _shows(cells: Cells, quantity: str) -> Callable[[int], str]:
-    """What stands in a row of a column."""
+    """Return a function that words the cell in a row of a column."""
     return lambda row: _show(cells[quantity][row])
 
 
@@ -256,7 +256,7 @@ def _show(value: float) -> str:
 
 
 def _end_of_epochs(time: Array, damaged: int, anchors: int | None) -> int:
-    """Number of rows, of those before a damaged one, in epochs that are known to be whole."""
+    """Return the number of rows before a damaged row that are in epochs known to be whole."""
     if damaged == 0:
         return 0
     last = time[damaged - 1]
@@ -270,5 +270,5 @@ def _end_of_epochs(time: Array, damaged: int, anchors: int | None) -> int:
 
 
 def _epochs(time: Array) -> NDArray[np.int64]:
-    """The epoch, counted from 0, of every row (n,); the rows of an epoch share their time."""
+    """Return the epoch, from 0, of every row (n,); the rows of an epoch have the same time."""
     return np.concatenate([[0], np.cumsum(np.diff(time) != 0.0)])

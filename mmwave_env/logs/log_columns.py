@@ -1,4 +1,4 @@
-"""The columns of a measurement log: a name is a quantity and the unit it is in."""
+"""Columns of a measurement log: the name of a column is a quantity and its unit."""
 
 from collections.abc import Iterable, Sequence
 from typing import NamedTuple
@@ -10,7 +10,7 @@ from mmwave_env.models.measurement import SPEED_OF_LIGHT
 
 
 class Unit(NamedTuple):
-    """How to convert: value * multiply / divide. Powers of ten divide, which rounds correctly."""
+    """A unit: value * multiply / divide. Powers of ten divide, because that rounds correctly."""
 
     multiply: float = 1.0
     divide: float = 1.0
@@ -42,14 +42,14 @@ QUANTITIES: dict[str, dict[str, Unit]] = {
     "speed": {"speed_mps": Unit(), "speed_kmh": Unit(1.0, 3.6)},
     "heading": _in("heading", _ANGLE),
 }
-"""Every quantity with the columns it may stand in; inside: s, m, rad, Hz, dB and m/s."""
+"""Quantities with the columns that may hold them; converted units: s, m, rad, Hz, dB and m/s."""
 
 LINK_QUANTITIES = ("toa", "aoa_azimuth", "aoa_elevation", "aod_azimuth")
 ODOMETRY_QUANTITIES = ("speed", "heading")
 _REQUIRED = ("time", "anchor", *LINK_QUANTITIES, "snr")
-# In place of aoa_azimuth: as the base station sees it, also where a wall mirrors the path.
+# Replaces aoa_azimuth: the azimuth at the base station, also of a path that a wall mirrors.
 _STATION = "aoa_azimuth_station"
-_BODY = "aod_azimuth_body"  # in place of aod_azimuth, if there is a heading
+_BODY = "aod_azimuth_body"  # replaces aod_azimuth, if there is a heading
 
 _HINTS = {
     "anchor": "; mmwave-loc localize --associate does without (docs/data.md)",
@@ -68,14 +68,14 @@ class Column(NamedTuple):
 def columns_of(
     names: Sequence[str], hz_per_mps: float, odometry: bool = True, associated: bool = True
 ) -> dict[str, Column]:
-    """The quantities of a log and where they stand, from the names of all its columns.
+    """Return the columns of a log by quantity, from the names of all its columns.
 
-    Without ``odometry`` its columns are left alone, but for a heading that angles need; a column of
-    anchors is, where rows are not ``associated``.
+    Without ``odometry`` its columns are ignored, except a heading that angles need; a column of
+    anchors is ignored where rows are not ``associated``.
 
     Raises:
-        ValueError: a name that is not known or lacks its unit, a quantity given twice, or one
-            that is missing; the message tells which names there are.
+        ValueError: a name is unknown or lacks its unit, or a quantity is given twice or is
+            missing; the message tells which names are allowed.
     """
     columns: dict[str, Column] = {}
     for place, name in enumerate(names):
@@ -99,7 +99,7 @@ def columns_of(
 
 
 def _require(columns: dict[str, Column], names: Sequence[str], associated: bool) -> None:
-    """Refuse columns that are not all, or too many."""
+    """Refuse columns if some are missing or contradict each other."""
     instead: dict[str, str] = {}
     for usual, other, needed in (
         ("aoa_azimuth", _STATION, _STATION),
@@ -125,11 +125,11 @@ def _require(columns: dict[str, Column], names: Sequence[str], associated: bool)
 
 
 def _quantity(name: str) -> str:
-    """The quantity in a column of this name."""
+    """Return the quantity in a column of this name."""
     for quantity, spellings in QUANTITIES.items():
         if name in spellings:
             return quantity
-    # The longest, so that doppler_spread_x is not taken for a Doppler shift.
+    # The longest match, so that doppler_spread_x is not taken for a Doppler shift.
     spelled = {**{quantity: quantity for quantity in QUANTITIES}, "range": "toa"}
     meant = [start for start in spelled if name == start or name.startswith(f"{start}_")]
     if meant:

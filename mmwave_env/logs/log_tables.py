@@ -1,7 +1,7 @@
-"""Measurement logs as tables of numbers: CSV and Parquet become the same thing here.
+"""Measurement logs as tables of numbers, the same for CSV and Parquet.
 
-A table is a few thousand consecutive rows. Nothing but the columns' names, the shape of the
-file and what is a number is checked here; what the numbers mean is `log.py`'s.
+A table is a few thousand consecutive rows. Only the names of the columns, the shape of the file
+and whether cells are numbers are checked here; `log.py` interprets the numbers.
 """
 
 import csv
@@ -28,16 +28,16 @@ _NOT_A_NUMBER = "expected a number, or nothing where it was not measured"
 
 
 class LogError(ValueError):
-    """A measurement log that is not one, or not from some row on."""
+    """A file that is not a measurement log, or is damaged from some row on."""
 
 
 class Table(NamedTuple):
     """Consecutive rows of a log."""
 
     cells: Array  # (quantities, n) as in the file, NaN where empty
-    rows: Rows  # (n,) their numbers, for messages
-    share: float  # of the file read so far, 0 to 1
-    # what is wrong with the last row, after which nothing follows; of that row, cells that can't be
+    rows: Rows  # (n,) numbers of the rows, for messages
+    share: float  # share of the file read so far, 0 to 1
+    # the damage of the last row, after which nothing follows; cells of that row that can't be
     # read are NaN
     damage: LogError | None = None
 
@@ -46,20 +46,20 @@ class Table(NamedTuple):
 class LogFile:
     """A log whose header was read."""
 
-    path: Path  # of the file
-    # those that count, by quantity; the rows of tables are in this order
+    path: Path  # path of the file
+    # the columns that are used, by quantity; the rows of tables are in this order
     columns: dict[str, Column]
     width: int  # number of columns in the file
 
     def error(self, row: int, quantity: str, found: str, expected: str) -> LogError:
-        """The error that names a cell; rows of a CSV count as editors count lines."""
+        """Return the error that names a cell; rows of a CSV count as editors count lines."""
         where = f"{'row' if _is_parquet(self.path) else 'line'} {row}"
         if quantity:
             where += f", column {self.columns[quantity].name!r}"
         return LogError(f"{self.path}, {where}: found {found}, {expected}")
 
     def tables(self) -> Iterator[Table]:
-        """The rows, in order; ends after the first table with damage."""
+        """Yield the rows in order, up to the first table with damage."""
         return _parquet_tables(self) if _is_parquet(self.path) else _csv_tables(self)
 
 
@@ -69,14 +69,14 @@ def open_log(
     """Read the header of a log.
 
     Args:
-        path: of a CSV (plain or gzipped) or Parquet file.
+        path: path of a CSV (plain or gzipped) or Parquet file.
         hz_per_mps: f_c / c, for Doppler shifts given in m/s.
-        odometry: False to leave the columns of odometry alone.
-        associated: False where rows are paths: a column of anchors is left alone.
+        odometry: False to ignore the columns of odometry.
+        associated: False where rows are paths: a column of anchors is ignored.
 
     Raises:
-        LogError: not such a file, or its columns are not those of a log.
-        OSError: it can't be read.
+        LogError: the file is of another format, or its columns are not those of a log.
+        OSError: the file can't be read.
     """
     if not path.name.lower().endswith(SUFFIXES):
         raise LogError(f"{path}: found {path.suffix!r}, expected a name in {', '.join(SUFFIXES)}")
@@ -108,7 +108,7 @@ def _csv_names(path: Path) -> list[str]:
         raise LogError(str(error)) from error
     if block is None:
         raise LogError(f"{path}: found an empty file, expected a measurement log")
-    try:  # by a real CSV reader, because some programs put names in quotes
+    try:  # by a real CSV reader, because some programs quote names
         names = [name.strip() for name in next(csv.reader(block.lines[:1]))]
     except csv.Error:
         names = []
@@ -142,7 +142,7 @@ def _csv_tables(log: LogFile) -> Iterator[Table]:
 
 
 def _parse_quickly(lines: list[str], columns: list[Column], width: int) -> Array | None:
-    """Cells (quantities, lines), or None where something needs a closer look."""
+    """Parse cells (quantities, lines); return None where a line needs a closer look."""
     if not lines:
         return np.empty((len(columns), 0))
     if any(line.count(",") != width - 1 for line in lines):
@@ -159,7 +159,7 @@ def _parse_quickly(lines: list[str], columns: list[Column], width: int) -> Array
 
 
 def _parse_carefully(log: LogFile, lines: list[str], first: int, share: float) -> Table:
-    """Cell by cell, up to the first damage; blank lines don't count, blank cells are empty."""
+    """Parse cell by cell up to the first damage; skip blank lines; blank cells are empty."""
     cells, rows, damage = [], [], None
     for row, line in enumerate(lines, start=first):
         if not line.strip():
@@ -188,7 +188,7 @@ def _parse_carefully(log: LogFile, lines: list[str], first: int, share: float) -
 
 
 def require_arrow(path: Path) -> tuple[Any, Any]:
-    """pyarrow and its Parquet module."""
+    """Return pyarrow and its Parquet module, or refuse if they are not installed."""
     try:
         import pyarrow
         import pyarrow.parquet
@@ -200,7 +200,7 @@ def require_arrow(path: Path) -> tuple[Any, Any]:
 def _open_parquet(path: Path) -> Any:
     pyarrow, parquet = require_arrow(path)
     try:
-        # Buffered, or a row group of a million rows would be held at once.
+        # Buffered, because otherwise a row group of a million rows would be in memory at once.
         return parquet.ParquetFile(
             path, buffer_size=1 << 20, pre_buffer=False, page_checksum_verification=True
         )
@@ -209,7 +209,7 @@ def _open_parquet(path: Path) -> Any:
 
 
 def _parquet_types(path: Path) -> dict[str, Any]:
-    """Names of the columns, and what they hold."""
+    """Return the names of the columns with their types."""
     try:
         with _open_parquet(path) as file:
             return {field.name: field.type for field in file.schema_arrow}

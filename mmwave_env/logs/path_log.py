@@ -1,8 +1,8 @@
 """Logs of paths: one row per epoch and path, as a receiver finds them, with no anchor number.
 
-The columns are those of a log (`log.py`) without ``anchor``. Rows of an epoch come in any order,
-false paths among them. Every path may have a Doppler shift, because nobody knows yet which one is
-the base station's.
+The columns are those of a log (`log.py`) without ``anchor``. The rows of an epoch are in any
+order and may include false paths. Every path may have a Doppler shift, because the base
+station's path is not known yet.
 """
 
 from collections.abc import Iterator
@@ -21,30 +21,30 @@ from mmwave_env.numerics.numbers import Array
 
 
 class PathEpoch(NamedTuple):
-    """The n paths of an epoch, all their numbers measured but perhaps the Doppler shift."""
+    """The n paths of an epoch; all numbers were measured, except perhaps the Doppler shift."""
 
-    layout: Layout  # of the scene's anchors, and whether odometry follows
+    layout: Layout  # layout of the scene's anchors, with or without odometry
     time_s: float
     measurement: Array  # (n, 5) rows of a link, m and rad, and its Doppler shift, Hz, or NaN
-    at_station: bool  # whether the base station saw the arrivals itself, not its mirror image
+    at_station: bool  # whether arrivals were seen at the base station, not at its mirror image
     snr_db: Array  # (n,)
-    incomplete: int  # paths with only some of their numbers, which are left out
+    incomplete: int  # number of paths that are left out because some of their numbers are missing
     doppler_spread_hz: float  # 0 where none was measured
     odometry: Array  # (2,) speed, m/s, and heading, rad; NaN where not measured
-    rows: int  # of the file, read up to this epoch or somewhat further
-    share: float  # of the file read so far, 0 to 1
+    rows: int  # number of rows of the file read, up to this epoch or somewhat further
+    share: float  # share of the file read so far, 0 to 1
 
 
 def read_paths(path: Path, scene: Scene, odometry: bool = True) -> Iterator[PathEpoch]:
-    """The epochs of a log of paths, one after the other.
+    """Read the epochs of a log of paths, one after the other.
 
-    A column of anchors is left alone, so that a log with labels can be read as one without.
+    A column of anchors is ignored, so that a log with labels can be read as one without.
 
     Args:
         path, scene, odometry: as :func:`~mmwave_env.logs.log.read_log` takes them.
 
     Raises:
-        LogError: as :func:`~mmwave_env.logs.log.read_log`; and for too many paths in an epoch.
+        LogError: as :func:`~mmwave_env.logs.log.read_log`; also for too many paths in an epoch.
         OSError: the file can't be read.
     """
     log = open_log(path, scene.hz_per_mps, odometry, associated=False)
@@ -60,7 +60,7 @@ def read_paths(path: Path, scene: Scene, odometry: bool = True) -> Iterator[Path
 
 
 def _split(rows: EpochRows, layout: Layout) -> Iterator[PathEpoch]:
-    """The paths of every epoch, those with all their numbers."""
+    """Yield the paths of every epoch, without incomplete ones."""
     cells, at_station = rows.cells, "aoa_azimuth_station" in rows.cells
     if at_station:
         cells["aoa_azimuth"] = cells["aoa_azimuth_station"]

@@ -1,4 +1,4 @@
-"""Where a user was, by time."""
+"""True positions of a user by time."""
 
 import warnings
 from itertools import pairwise
@@ -10,18 +10,18 @@ import numpy as np
 from mmwave_env.logs.tum import Poses, tum_blocks
 from mmwave_env.numerics.numbers import Array
 
-BRIDGED_S = 1.5  # poses farther apart are the ends of a gap: GPS, once a second, may be late
-TOLERANCE_S = 0.01  # from a pose that nothing can be interpolated with; evo's default
-_REACH_S = 2.0 * BRIDGED_S  # what is true at a time hangs on two poses on either side
+BRIDGED_S = 1.5  # longest gap between poses that is interpolated: GPS, once a second, may be late
+TOLERANCE_S = 0.01  # distance in time to a pose used without interpolation; evo's default
+_REACH_S = 2.0 * BRIDGED_S  # interpolation depends on two poses on either side
 
 
 class TrueEpochs(NamedTuple):
-    """Where a user was in T epochs, and how near in time poses say so.
+    """True positions in T epochs, and the distance in time to the nearest poses.
 
     Attributes:
         position_m: (T, 3), NaN where not known.
-        velocity_mps: (T, 3), NaN where no pose is before or none after.
-        away_s: (T,) from the nearest pose, negative where that is earlier; NaN where not known.
+        velocity_mps: (T, 3), NaN where no pose is before or no pose is after.
+        away_s: (T,) time of the nearest pose minus the epoch's; NaN where not known.
     """
 
     position_m: Array
@@ -30,19 +30,19 @@ class TrueEpochs(NamedTuple):
 
 
 class Truth:
-    """True positions by time, from a TUM file that is read as far as it is needed.
+    """True positions by time, from a TUM file that is read only as far as needed.
 
-    Between two poses at most ``BRIDGED_S`` apart a position is that of the cubic (Hermite) through
-    both, whose velocity at a pose is that of the parabola through it and its neighbors; at the time
-    of a pose it is that pose, to the last bit. Beside a gap and at the ends, the pose within
-    ``TOLERANCE_S``, if there is one.
+    Between two poses at most ``BRIDGED_S`` apart the position is on the cubic (Hermite) through
+    both, whose velocity at a pose is that of the parabola through it and its neighbors; at the
+    time of a pose the position is exactly that pose. Next to a gap and at the ends, it is the pose
+    within ``TOLERANCE_S``, if there is one.
 
     Args:
-        path: of the file.
+        path: path of the file.
 
     Attributes:
-        path: of the file.
-        first_s: its first time.
+        path: path of the file.
+        first_s: first time of the file.
         last_s: the last time read so far.
 
     Raises:
@@ -57,7 +57,7 @@ class Truth:
         self.first_s, self.last_s = (float(self._near.time_s[i]) for i in (0, -1))
 
     def at(self, time_s: Array) -> TrueEpochs:
-        """What is known at times (T,), which must increase, also from call to call."""
+        """Return what is known at times (T,), which must increase, also from call to call."""
         parts, start = [], 0
         while start < len(time_s):
             settled = time_s[start:] < self.last_s - _REACH_S
@@ -69,7 +69,7 @@ class Truth:
         return TrueEpochs(*map(np.concatenate, zip(*parts, strict=True)))
 
     def _read(self, first_s: float) -> None:
-        """Read on, and forget the poses before a time."""
+        """Read on, and drop the poses before a time."""
         poses = next(self._blocks, None)
         if poses is None:
             self._ended = True
@@ -79,12 +79,12 @@ class Truth:
         self._near, self.last_s = Poses(*map(np.concatenate, both)), float(poses.time_s[-1])
 
     def read_on(self) -> None:
-        """Read to the end, for ``last_s``."""
+        """Read to the end of the file, to set ``last_s``."""
         for poses in self._blocks:
             self.last_s = float(poses.time_s[-1])
 
     def no_match(self, first_s: float, last_s: float) -> ValueError:
-        """The error of a truth without a pose at the epochs of a log from ``first_s`` on."""
+        """Return the error for a truth without a pose at the epochs of a log after ``first_s``."""
         self.read_on()
         return ValueError(
             f"{self.path}: found times from {self.first_s!r} to {self.last_s!r} s, expected some "
@@ -93,7 +93,7 @@ class Truth:
         )
 
     def warn_if_few(self, matched: int, epochs: int, first_s: float, last_s: float) -> None:
-        """Warn where less than half of a log's epochs have a position: another clock, or unit."""
+        """Warn if less than half of a log's epochs have a position: clock or unit may differ."""
         if 2 * matched >= epochs:
             return
         self.read_on()
@@ -107,7 +107,7 @@ class Truth:
 
 
 def _interpolated(poses: Poses, time_s: Array) -> TrueEpochs:
-    """What poses (N,) say of times (T,)."""
+    """Interpolate poses (N,) at times (T,)."""
     from scipy.interpolate import CubicHermiteSpline
 
     t, p = poses
@@ -127,12 +127,12 @@ def _interpolated(poses: Poses, time_s: Array) -> TrueEpochs:
 
 
 def stretches(time_s: Array, position_m: Array, gap_s: float) -> list[slice]:
-    """Runs of two epochs or more that all have a position, without a longer gap.
+    """Return runs of two or more epochs that all have a position, without a gap longer than gap_s.
 
     Args:
         time_s: (T,) increasing.
         position_m: (T, 3), NaN where not known.
-        gap_s: that may be between two epochs.
+        gap_s: longest gap between two epochs of a run.
     """
     known = np.asarray(np.isfinite(position_m).all(axis=1))
     ends = np.flatnonzero(~known[:-1] | ~known[1:] | (np.diff(time_s) > gap_s)) + 1
@@ -141,7 +141,7 @@ def stretches(time_s: Array, position_m: Array, gap_s: float) -> list[slice]:
 
 
 def velocity_of(time_s: Array, position_m: Array, gap_s: float) -> Array:
-    """Velocities (T, 3) of parabolas through neighbors, within stretches; NaN outside of them."""
+    """Compute velocities (T, 3) of parabolas through neighbors within stretches; NaN elsewhere."""
     velocity = np.full_like(position_m, np.nan)
     for run in stretches(time_s, position_m, gap_s):
         velocity[run] = np.gradient(position_m[run], time_s[run], axis=0)

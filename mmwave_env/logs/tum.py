@@ -15,25 +15,25 @@ COLUMNS = ("t", "x", "y", "z", "qx", "qy", "qz", "qw")
 
 
 class Poses(NamedTuple):
-    """Where a user was, orientations left out."""
+    """Times and positions of a user, without orientations."""
 
     time_s: Array  # (T,) increasing
     position_m: Array  # (T, 3)
 
 
 def tum_lines(time_s: Array, position_m: Array) -> str:
-    """Lines for times (T,) and positions (T, 3), exact to the last bit; identity orientation."""
+    """Return lines for times (T,) and positions (T, 3), exact to the last bit, not rotated."""
     rows = np.column_stack([time_s, position_m]).tolist()
     return "".join([f"{t!r} {x!r} {y!r} {z!r} 0 0 0 1\n" for t, x, y, z in rows])
 
 
 def tum_blocks(path: Path) -> Iterator[Poses]:
-    """A trajectory, about 1 MiB of the file at a time; at least one pose a block.
+    """Read a trajectory, about 1 MiB of the file at a time; each block has at least one pose.
 
-    Orientations are checked to be numbers and left out.
+    Orientations must be numbers, and are then left out.
 
     Raises:
-        ValueError: naming the file, the line, what was found there and what was expected.
+        ValueError: a line is damaged; the message names file and line, and what was expected.
         OSError: the file can't be read.
     """
     last = -math.inf
@@ -53,7 +53,7 @@ def read_tum(path: Path) -> Poses:
 
 
 def _parse(path: Path, block: LineBlock, last_s: float) -> Array:
-    """Times and positions (lines, 4) of a block that follows the time ``last_s``."""
+    """Parse times and positions (lines, 4) of a block that follows the time ``last_s``."""
     poses = [line for line in block.lines if line.strip() and not line.lstrip().startswith("#")]
     if not poses:
         return np.empty((0, 4))
@@ -68,7 +68,7 @@ def _parse(path: Path, block: LineBlock, last_s: float) -> Array:
 
 
 def _find_damage(path: Path, block: LineBlock, last_s: float) -> NoReturn:
-    """Refuse a block at its first damaged line."""
+    """Refuse a block, naming its first damaged line."""
     for n, line in enumerate(block.lines, start=block.first):
         words = line.split("#")[0].split()
         where = f"{path}, line {n}"
