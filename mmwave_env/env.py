@@ -31,8 +31,8 @@ from mmwave_env.rendering.theme import FRAMES_PER_SECOND, SMALLEST, require_draw
 from mmwave_env.task import task_from
 from mmwave_env.world.keys import Stream, key_from, option_of
 
-_INTEGERS = (int, np.int64)  # that actions usually are
-_HERE = np.zeros(1, np.int64)  # the place of the environment in a batch of one
+_INTEGERS = (int, np.int64)  # usual types of actions
+_HERE = np.zeros(1, np.int64)  # index of the environment in a batch of one
 BACKENDS = {"lanes": "SIMD lanes", "filterpy": "filterpy's filters, slow, independent"}
 
 
@@ -216,7 +216,7 @@ class MmWaveLocEnv(Environment, gym.Env[NDArray[np.float32], np.int64]):
         render_theme: str = "light",
         **arguments: Any,
     ) -> None:
-        if env_config:  # RLlib hands a class all arguments in one
+        if env_config:  # RLlib passes all arguments in one mapping
             self.__init__(**env_config)  # type: ignore[misc]
             return
         if render_mode is not None:
@@ -241,7 +241,7 @@ class MmWaveLocEnv(Environment, gym.Env[NDArray[np.float32], np.int64]):
         self.action_space = spaces.Discrete(len(self.observation.actions))
 
     def _set_up(self) -> None:
-        """Make what follows from the arguments; copies do the same."""
+        """Create everything that follows from the arguments; copies do the same."""
         pipeline, on_floats = self._task.pipeline, self._backend == "filterpy"
         if on_floats:
             require_extra("filterpy", "filterpy", 'backend="filterpy"')
@@ -259,15 +259,15 @@ class MmWaveLocEnv(Environment, gym.Env[NDArray[np.float32], np.int64]):
 
     @property  # type: ignore[override]
     def spec(self) -> EnvSpec | None:
-        """As registered, with the length of the episodes, which wrappers ask for."""
+        """Return the registered specification with the episodes' length, which wrappers ask for."""
         return self._spec
 
     @spec.setter
     def spec(self, spec: EnvSpec | None) -> None:
         epochs = getattr(self.source, "epochs", None)
         self._spec = spec and replace(spec, max_episode_steps=epochs)
-        # `gym.make` ends episodes from outside, whose last step then tells no metrics. It says so
-        # nowhere but in a variable of its own.
+        # `gym.make` may end episodes from outside; their last step then has no metrics. It keeps
+        # the limit only in a local variable.
         make = sys._getframe(1).f_locals
         limit = make.get("max_episode_steps") or getattr(
             make.get("env_spec"), "max_episode_steps", None
@@ -281,9 +281,9 @@ class MmWaveLocEnv(Environment, gym.Env[NDArray[np.float32], np.int64]):
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[NDArray[np.float32], dict[str, Any]]:
-        """Draw an episode; the same seed gives the same one. See Gymnasium's `Env.reset`.
+        """Draw an episode; the same seed gives the same episode. See Gymnasium's `Env.reset`.
 
-        ``options={"episode_key": k}`` plays the episode of a key instead, as infos tell it.
+        ``options={"episode_key": k}`` plays the episode of a key that infos contain.
         """
         key = option_of(options, "episode_key")
         if key is not None:
@@ -307,7 +307,7 @@ class MmWaveLocEnv(Environment, gym.Env[NDArray[np.float32], np.int64]):
         return column[self._observed].astype(np.float32), self._worded(info, at_end=True)
 
     def _begin(self, key: int | None) -> dict[str, Any]:
-        """Begin the episode of a key, or the next one; what is told of it."""
+        """Begin the episode of a key, or the next episode; return its part of the info."""
         task, engine = self._task, self._engine
         if not task.has_keys:
             episode = task.draw(self.np_random)
@@ -322,7 +322,7 @@ class MmWaveLocEnv(Environment, gym.Env[NDArray[np.float32], np.int64]):
     def step(
         self, action: np.int64
     ) -> tuple[NDArray[np.float32], float, bool, bool, dict[str, Any]]:
-        """Process the epoch with a mode, or trust one. See Gymnasium's `Env.step`."""
+        """Process the epoch with a mode, or trust a mode. See Gymnasium's `Env.step`."""
         if self._over:
             raise ResetNeeded("Call reset before step: there is no episode under way.")
         # Gymnasium's own check takes longer than the filters
@@ -358,7 +358,7 @@ class MmWaveLocEnv(Environment, gym.Env[NDArray[np.float32], np.int64]):
         return observation, float(rewards[0]), terminated, truncated, info
 
     def render(self) -> NDArray[np.uint8] | None:
-        """The epochs so far, from above: (480, 480, 3) for "rgb_array", or of another size."""
+        """Draw the epochs so far, from above: (480, 480, 3) for "rgb_array", or another size."""
         if self._gallery is None:
             return None
         self._require_begun("render")
@@ -369,7 +369,7 @@ class MmWaveLocEnv(Environment, gym.Env[NDArray[np.float32], np.int64]):
         return None
 
     def close(self) -> None:
-        """Close the window, if there is one."""
+        """Close the window if there is one."""
         if self._gallery:
             self._gallery.close()
 
@@ -378,7 +378,7 @@ class MmWaveLocEnv(Environment, gym.Env[NDArray[np.float32], np.int64]):
         return worded(info, self._infos, at_end, groups, len(self.modes) if self._task.bank else 1)
 
     def _episode_info(self) -> dict[str, Any]:
-        """Metrics of the epochs stepped through, and how many ended without a finite belief."""
+        """Return metrics of the processed epochs, and the count of those with nonfinite beliefs."""
         self._tally.sums[0], self._history.turn = self._sums, self._steps
         told: dict[str, Any] = {k: float(v[0]) for k, v in self._metrics_of(_HERE).items()}
         (lost,) = self._tally.nonfinite(_HERE).tolist()

@@ -1,6 +1,6 @@
-"""The features that an observation consists of, each with its formula.
+"""Features of an observation, each with its formula.
 
-Every feature is something an estimator knows at run time; none sees the truth. The formulas
+An estimator knows every feature at run time; no feature uses the truth. The formulas
 are functions of numbers, so they are computed inside the SIMD kernel.
 """
 
@@ -17,60 +17,60 @@ from mmwave_env.numerics.linalg import dot
 from mmwave_env.numerics.numbers import Matrix, Number, Vector, log, maximum, sqrt, where
 
 MISSING_SNR_DB = -20.0
-_LEAST = 1e-9  # probability, where its logarithm is taken
+_LEAST = 1e-9  # lower limit of a probability in a logarithm
 _WAYS = {"along": "along the predicted velocity", "across": "to the left of it"}
 
 
 class MixtureView(NamedTuple):
-    """What a feature may look at where every mode keeps its own belief."""
+    """The inputs of features that need a belief per mode."""
 
     # predicted, posterior: (modes,) probabilities before and after the coming epoch's measurement
     predicted: list[Number]
     posterior: list[Number]
-    spread_averages_hz: list[Number]  # of the Doppler spread, from fast to slow
+    spread_averages_hz: list[Number]  # averages of the Doppler spread, from fast to slow
 
 
 class View(NamedTuple):
-    """What a feature may look at."""
+    """The inputs of features."""
 
     # x, P: (7,), (7, 7) belief after the last epoch
     x: Vector
     P: Matrix
-    memory: Memory  # of the track
-    candidates: list[ModeResult]  # per mode, what it would make of the coming epoch
+    memory: Memory  # memory of the track
+    candidates: list[ModeResult]  # per mode, its result for the coming epoch
     epoch: Epoch  # the coming epoch
     site: Site  # anchors and carrier
-    mixture: MixtureView | None = None  # where every mode keeps its own belief
+    mixture: MixtureView | None = None  # only with a belief per mode
 
 
 @dataclass(frozen=True)
 class Feature:
     """One component of the observation: (clip(value, low, high) - mean) / deviation.
 
-    Mean and deviation are those of its kind (:mod:`mmwave_env.observation`), from where it is
-    also limited to ten deviations.
+    Mean and deviation are those of its kind (:mod:`mmwave_env.observation`), which also limits
+    the feature to ten deviations from the mean.
     """
 
     name: str  # unique in the table
-    meaning: str  # what it is, with the formula where the name does not say it
-    unit: str  # of the value
+    meaning: str  # meaning, with the formula where the name does not give it
+    unit: str  # unit of the value
     # low, high: limits of the value
     low: float
     high: float
-    value: Callable[..., Number]  # the formula, of a View
-    kind: str = ""  # the name without which anchor or mode it is of; the whole of it if left out
+    value: Callable[..., Number]  # formula, a function of a View
+    kind: str = ""  # name without its anchor or mode; by default the whole name
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "kind", self.kind or self.name)
 
 
 def context(pipeline: Pipeline, per_mode: bool = False) -> list[Feature]:
-    """What is known before any mode has looked at the coming epoch.
+    """Return the features that are known before any mode has processed the coming epoch.
 
     Args:
         pipeline: modes and layout.
-        per_mode: whether every mode keeps its own belief. Nothing then depends on how large a
-            street is, so that what is learned in one holds in others.
+        per_mode: whether every mode keeps its own belief. Then no feature depends on the size of
+            a street, so that a policy trained in one street works in others.
     """
     layout = pipeline.layout
     table = [*_motion(layout), *_last_epoch(layout)]
@@ -98,7 +98,7 @@ def _motion(layout: Layout) -> list[Feature]:
 
 
 def _named_groups(layout: Layout) -> list[tuple[int, str, str]]:
-    """Number, name and kind of every group of measurements."""
+    """Return number, name and kind of every group of measurements."""
     return [
         (g, name, "link" if g < layout.anchors else name)
         for g, name in enumerate(layout.group_names)
@@ -132,7 +132,7 @@ def _distance(view: View, anchor: int) -> Number:
 
 
 def _links(layout: Layout, distances: bool) -> list[Feature]:
-    """What the coming epoch shows of links, with their lengths or else with their number."""
+    """Return features of the coming epoch's links: with distances, or with the number of links."""
     table = []
     for a in range(layout.anchors):
         table += [
@@ -163,7 +163,7 @@ def _previous(pipeline: Pipeline) -> list[Feature]:
 
 
 def _track() -> list[Feature]:
-    """What the track remembers."""
+    """Return the features of the track's memory."""
     return [
         *(Feature(f"NIS {pace} average", "of NIS / dof of what was accepted", "", 0, 10,
                   lambda v, i=i: v.memory.nis_average[i])
@@ -180,13 +180,13 @@ def _track() -> list[Feature]:
 
 
 def _mixture_of(view: View) -> MixtureView:
-    """What only features of beliefs per mode look at."""
-    assert view.mixture is not None  # these features are of environments that have one
+    """Return the inputs of features that need a belief per mode."""
+    assert view.mixture is not None  # environments with these features have a mixture
     return view.mixture
 
 
 def _log_odds(p: Number) -> Number:
-    """ln(p / (1 - p)) of a probability, which may be 0 or 1."""
+    """Compute ln(p / (1 - p)) of a probability, which may be 0 or 1."""
     return log(maximum(p, _LEAST) / maximum(1.0 - p, _LEAST))
 
 
@@ -205,13 +205,13 @@ def _mixture(pipeline: Pipeline) -> list[Feature]:
 
 
 def coming(pipeline: Pipeline, per_mode: bool = False) -> list[Feature]:
-    """How each mode sees the coming epoch: innovations, corrections, likelihoods.
+    """Return features of each mode's result for the coming epoch: innovations, likelihoods.
 
-    In the order of the modes; of all but the last also how they compare with it. An observation of
-    the kind "prior" goes without them.
+    They are in the order of the modes; all modes but the last are also compared with the last. An
+    observation of the kind "prior" does not contain them.
 
     Args:
-        pipeline, per_mode: as of :func:`context`.
+        pipeline, per_mode: as :func:`context` takes them.
     """
     layout, modes = pipeline.layout, pipeline.modes
     table = _innovation(pipeline)
@@ -224,7 +224,7 @@ def coming(pipeline: Pipeline, per_mode: bool = False) -> list[Feature]:
 
 
 def _doppler_innovation(view: View, layout: Layout) -> Number:
-    """Radial velocity measured minus predicted, m/s; 0 where missing."""
+    """Compute the measured minus the predicted radial velocity, m/s; 0 where missing."""
     x, base = move(view.x, view.epoch.dt), view.site.anchors[0]
     step = [x[i] - base[i] for i in range(3)]
     measured = (view.epoch.z[layout.doppler] - x[6]) / view.site.hz_per_mps
@@ -250,7 +250,7 @@ def _mean_nis(layout: Layout, candidate: ModeResult, epoch: Epoch) -> Number:
 
 
 def _correction(view: View, mode: int, first: int, across: bool) -> Number:
-    """Candidate minus prediction, of two state components, along the velocity or to its left."""
+    """Compute two components of candidate minus prediction, along the velocity or to its left."""
     predicted, candidate = move(view.x, view.epoch.dt), view.candidates[mode]
     step = [candidate.x[i] - predicted[i] for i in (first, first + 1)]
     v = predicted[3:5]
@@ -295,7 +295,7 @@ def _against(layout: Layout, m: int, name: str, last: str) -> list[Feature]:
 
 
 def _posterior(m: int, name: str) -> list[Feature]:
-    """A mode after the coming measurement: how probable it is, and how it says one moves."""
+    """Return features of a mode after the coming measurement: its probability and its velocity."""
     return [
         Feature(f"coming log-odds {name}", "of the mode, after the coming measurement", "", -16, 16,
                 lambda v: _log_odds(_mixture_of(v).posterior[m]), "coming log-odds"),

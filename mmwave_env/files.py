@@ -1,4 +1,4 @@
-"""Files: what is read is bounded, what is written is whole or not there, and errors name both."""
+"""Reading and writing of files: reads are bounded, writes are atomic, and errors name the file."""
 
 import json
 import os
@@ -13,9 +13,9 @@ from typing import Any, BinaryIO, TypeVar
 
 T = TypeVar("T")
 
-TEXT_BYTES = 16 << 20  # held at once at most; logs and tracks are streamed, and may be longer
-JSON_BYTES = 8 << 20  # read as JSON at most: a hundred times what any of ours has
-JSON_DEPTH = 50  # of lists and objects in each other
+TEXT_BYTES = 16 << 20  # most bytes in memory at once; logs and tracks are streamed instead
+JSON_BYTES = 8 << 20  # most bytes read as JSON: a hundred times our largest file
+JSON_DEPTH = 50  # most lists and objects inside each other
 
 _KINDS = {
     stat.S_IFDIR: "a folder", stat.S_IFIFO: "a FIFO", stat.S_IFSOCK: "a socket",
@@ -27,17 +27,17 @@ _KINDS = {
 
 
 def _named(error: OSError, path: Path) -> OSError:
-    """The same error about a file."""
-    return OSError(error.errno, error.strerror, str(path))  # of the subclass of its number
+    """Return the same error with the name of a file."""
+    return OSError(error.errno, error.strerror, str(path))  # a subclass, by number
 
 
 @contextmanager
 def naming(path: Path, temporary: Path | None = None) -> Iterator[None]:
-    """OS errors in the block that name no file, such as those of a full disk, name this one.
+    """Add the name of a file to OS errors in the block that name none, such as a full disk.
 
     Args:
-        path: to name.
-        temporary: a file whose errors are said of ``path``, too.
+        path: file to name.
+        temporary: a file whose errors are also reported with the name of ``path``.
     """
     try:
         yield
@@ -48,7 +48,7 @@ def naming(path: Path, temporary: Path | None = None) -> Iterator[None]:
 
 
 def told(error: Exception) -> str:
-    """What an error says, in its first line; of a key that is not there, which."""
+    """Return the first line of an error's message; for a KeyError, the missing key."""
     if isinstance(error, KeyError):
         return f"{error.args[0]}: found none"
     return str(error).partition("\n")[0] or type(error).__name__
@@ -58,19 +58,19 @@ def told(error: Exception) -> str:
 
 
 def open_regular(path: Path, expected: str = "a file") -> BinaryIO:
-    """Open a file to read its bytes; not a FIFO, which would wait, nor a device without an end.
+    """Open a file to read its bytes; refuse a FIFO, which would block, and an endless device.
 
     Args:
-        path: of the file.
-        expected: for the message.
+        path: path of the file.
+        expected: what was expected, for the message.
 
     Raises:
-        FileNotFoundError: there is none.
-        OSError: it is something else than a file, or can't be opened.
+        FileNotFoundError: there is no such file.
+        OSError: the path is not a regular file, or can't be opened.
     """
     try:
         kind = stat.S_IFMT(path.stat().st_mode)
-    except (FileNotFoundError, NotADirectoryError, ValueError):  # the last: a name with a NUL
+    except (FileNotFoundError, NotADirectoryError, ValueError):  # ValueError: a name with a NUL
         raise FileNotFoundError(f"{path}: found no such file, expected {expected}") from None
     if kind != stat.S_IFREG:
         error = IsADirectoryError if kind == stat.S_IFDIR else OSError
@@ -79,19 +79,19 @@ def open_regular(path: Path, expected: str = "a file") -> BinaryIO:
 
 
 def read_bounded(path: Path, most: int, expected: str = "a file") -> bytes:
-    """All bytes of a file, unless there are too many.
+    """Read all bytes of a file; refuse a file with too many.
 
     Args:
-        path: of the file.
-        most: bytes that it may have.
-        expected: for the message.
+        path: path of the file.
+        most: most bytes that the file may have.
+        expected: what was expected, for the message.
 
     Raises:
-        OSError: as of :func:`open_regular`, or it is longer.
+        OSError: as :func:`open_regular`, or the file is longer.
     """
     with open_regular(path, expected) as file, naming(path):
         size = os.fstat(file.fileno()).st_size
-        content = file.read(most + 1) if size <= most else b""  # some systems' files tell no size
+        content = file.read(most + 1) if size <= most else b""  # some systems report no size
         if max(size, len(content)) > most:
             found = f"{size} bytes" if size > most else f"more than {most} bytes"
             raise OSError(f"{path}: found {found}, expected {expected} of at most {most}")
@@ -99,11 +99,11 @@ def read_bounded(path: Path, most: int, expected: str = "a file") -> bytes:
 
 
 def read_text(path: Path, expected: str = "text", most: int = TEXT_BYTES) -> str:
-    """All of a text file; line ends stay as they are, and a mark of UTF-8 goes.
+    """Read a whole text file; line ends stay as they are, and a UTF-8 byte order mark is removed.
 
     Raises:
-        ValueError: naming the file and the line that is not UTF-8.
-        OSError: as of :func:`read_bounded`.
+        ValueError: the text is not UTF-8; the message names file and line.
+        OSError: as :func:`read_bounded`.
     """
     content = read_bounded(path, most, expected)
     try:
@@ -115,10 +115,10 @@ def read_text(path: Path, expected: str = "text", most: int = TEXT_BYTES) -> str
 
 
 def parse_json(text: str) -> Any:
-    """What JSON says; nesting that programs trip over is refused.
+    """Parse JSON; refuse nesting so deep that programs fail on it.
 
     Raises:
-        ValueError: naming what is wrong.
+        ValueError: the text is no JSON; the message says what is wrong.
     """
     nested = f"found lists or objects in each other, expected at most {JSON_DEPTH} deep"
     try:
@@ -135,18 +135,18 @@ def parse_json(text: str) -> Any:
 
 
 def read_json(path: Path, what: str, make: Callable[[dict[str, Any]], T], see: str = "") -> T:
-    """What is made from the object in a JSON file.
+    """Read the object in a JSON file, and return what ``make`` makes of it.
 
     Args:
-        path: of the file.
-        what: it is, for messages, such as "a mode file".
-        make: takes the object. What another shape of it makes code raise, of a key that is missing
-            or a value of another type, becomes the ValueError here, too.
-        see: where files of the kind are described, for messages.
+        path: path of the file.
+        what: kind of the file, for messages, such as "a mode file".
+        make: takes the object. Errors that code raises for an object of another shape, because a
+            key is missing or a value has another type, become the ValueError here, too.
+        see: where this kind of file is described, for messages.
 
     Raises:
-        ValueError: naming the file and what is wrong in it.
-        OSError: as of :func:`read_bounded`; FileNotFoundError where there is no such file.
+        ValueError: the file is invalid; the message names the file and what is wrong in it.
+        OSError: as :func:`read_bounded`; FileNotFoundError if there is no such file.
     """
     text = read_text(path, f"{what}, JSON", JSON_BYTES)
     try:
@@ -162,10 +162,10 @@ def read_json(path: Path, what: str, make: Callable[[dict[str, Any]], T], see: s
 
 
 def require_writable(path: Path) -> None:
-    """Find out before a long run whether its result can be written; makes folders on the way.
+    """Check before a long run that its result can be written; create missing folders.
 
     Raises:
-        OSError: it can't.
+        OSError: the result can't be written.
     """
     target = _target_of(path)
     try:
@@ -176,15 +176,15 @@ def require_writable(path: Path) -> None:
 
 
 def _target_of(path: Path) -> Path:
-    """Where a result goes, behind links; folders on the way are made.
+    """Return the file that a path stands for, behind links; create missing folders.
 
     Raises:
-        OSError: something is there whose place a file must not take.
+        OSError: the path is that of a folder or a device.
     """
     target = Path(os.path.realpath(path))
     if target.is_dir():
         raise IsADirectoryError(f"{path}: found a folder, expected a file to write")
-    if path.exists() and not path.is_file():  # behind /dev/stdout may be a pipe without a place
+    if path.exists() and not path.is_file():  # behind /dev/stdout there may be a pipe
         raise OSError(f"{path}: found a device, expected a file to write")
     target.parent.mkdir(parents=True, exist_ok=True)
     return target
@@ -192,21 +192,21 @@ def _target_of(path: Path) -> Path:
 
 @contextmanager
 def atomic_path(path: Path) -> Iterator[Path]:
-    """A file to write, beside ``path`` and with its endings, that takes its place at the end.
+    """Yield a temporary file beside ``path``, with its endings, that replaces it at the end.
 
-    If the block fails, the file vanishes and ``path`` stays as it was. Folders on the way are
-    made. Who may read a new file is as the umask says, and stays as it was where there was one;
-    of a link, the file that it stands for is replaced.
+    If the block fails, the temporary file is removed and ``path`` stays as it was. Missing folders
+    are created. The permissions of a new file follow the umask; those of a replaced file are kept.
+    If ``path`` is a link, the file that it points to is replaced.
 
     Raises:
-        OSError: it can't be written; the message names ``path``.
+        OSError: the file can't be written; the message names ``path``.
     """
     target = _target_of(path)
     temporary = target.with_name(f".{token_hex(8)}.{target.name}")
     mode = target.stat().st_mode & 0o777 if target.exists() else None
     with naming(path, temporary):
         try:
-            private = 0o666 if mode is None else 0o600  # until it is whole
+            private = 0o666 if mode is None else 0o600  # until the file is whole
             os.close(os.open(temporary, os.O_WRONLY | os.O_CREAT | os.O_EXCL, private))
             yield temporary
             if mode is not None:
@@ -218,13 +218,13 @@ def atomic_path(path: Path) -> Iterator[Path]:
 
 
 def write_text(path: Path, text: str) -> None:
-    """Write a file in one step; folders on the way are made."""
+    """Write a file in one step; create missing folders."""
     with atomic_path(path) as temporary:
         temporary.write_text(text, encoding="utf-8", newline="\n")
 
 
 def write_bytes(path: Path, content: bytes) -> None:
-    """Write a binary file in one step; folders on the way are made."""
+    """Write a binary file in one step; create missing folders."""
     with atomic_path(path) as temporary:
         temporary.write_bytes(content)
 

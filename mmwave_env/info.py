@@ -1,4 +1,4 @@
-"""What environments tell: the info of a step, for many at once, and that of a whole episode."""
+"""Infos of environments: of a step, for one or many environments, and of a whole episode."""
 
 import warnings
 from collections.abc import Callable, Iterable
@@ -9,19 +9,19 @@ from numpy.typing import NDArray
 
 from mmwave_env.numerics.numbers import Array, Mask
 
-STATE_KEYS = ("truth", "estimate")  # told at reset, too
+STATE_KEYS = ("truth", "estimate")  # also in the info of a reset
 STEP_KEYS = ("position_error_m", "nees", "nis", "accepted", "rejected", "mode", "gamma")
-PROBABILITIES = "mode_probabilities"  # told where every mode keeps its own belief
+PROBABILITIES = "mode_probabilities"  # only with a belief per mode
 FLAGS = ("accepted", "rejected")
 EPISODE_KEYS = {
     "ate_m": "ate_m", "rmse_m": "rmse_m", "rpe_m": "rpe_m", "nees": "mean_nees",
     "in_bounds": "in_bounds", "divergence_rate": "divergence",
 }  # fmt: skip
 
-NAMED = ("episode_name", "episode_key")  # told at reset, by what an episode is called
+NAMED = ("episode_name", "episode_key")  # in the info of a reset: names of an episode
 SMOOTHED_KEY = "smoothed_ate_m"
-NONFINITE_KEY = "nonfinite_beliefs"  # told at the last step, where there were some
-LAST_KEYS = (*EPISODE_KEYS.values(), SMOOTHED_KEY)  # told at the last step
+NONFINITE_KEY = "nonfinite_beliefs"  # in the info of the last step if there were any
+LAST_KEYS = (*EPISODE_KEYS.values(), SMOOTHED_KEY)  # in the info of the last step
 INFOS = {
     "all": "what there is to tell",
     "fixed": "the same numbers always",
@@ -31,7 +31,7 @@ INFOS = {
 
 
 def told_rows(at: Any) -> dict[str, Any]:
-    """The parts of an environment's workspace that its infos tell, all but ``mode``.
+    """Return the parts of an environment's workspace that are in its infos, except ``mode``.
 
     Args:
         at: workspace of :mod:`~mmwave_env.engines.shared_epoch` with row numbers as leaves.
@@ -48,11 +48,11 @@ def told_rows(at: Any) -> dict[str, Any]:
 
 
 def drawn_rows(at: Any, span: Callable[[Any], slice]) -> dict[str, slice]:
-    """What a :class:`~mmwave_env.rendering.history.Recorder` reads of a workspace.
+    """Return the rows of a workspace that a :class:`~mmwave_env.rendering.history.Recorder` reads.
 
     Args:
-        at: as of :func:`told_rows`.
-        span: the rows of a part of it.
+        at: as :func:`told_rows` takes it.
+        span: returns the rows of a part of the workspace.
     """
     told = told_rows(at)
     parts = {name: told[name] for name in ("truth", "estimate", "nees", "accepted", "rejected")}
@@ -61,10 +61,10 @@ def drawn_rows(at: Any, span: Callable[[Any], slice]) -> dict[str, slice]:
 
 
 def masked(values: dict[str, NDArray[Any]], where: Mask) -> dict[str, Any]:
-    """Infos (n, ...) of the environments in ``where`` (n,), as Gymnasium batches them.
+    """Return infos (n, ...) of the environments in ``where`` (n,), as Gymnasium batches them.
 
-    The arrays are taken over; elsewhere they become 0, or None. Every key has a mask ``_key``.
-    There are no keys where there is no environment. The masks are one array.
+    The arrays are modified: elsewhere they become 0, or None. Every key has a mask ``_key``.
+    Without environments there are no keys. All masks are the same array.
     """
     if not where.any():
         return {}
@@ -75,19 +75,19 @@ def masked(values: dict[str, NDArray[Any]], where: Mask) -> dict[str, Any]:
 
 
 def stepped(infos: dict[str, Any], where: Mask) -> dict[str, Any]:
-    """What a step told of all environments, if it did something in some (n,) of them only."""
+    """Return the infos of a step that processed only the environments in ``where`` (n,)."""
     did = {key: infos[key] for key in (*STEP_KEYS, PROBABILITIES) if key in infos}
     kept = (*STATE_KEYS, *mask_keys(STATE_KEYS))
     return masked(did, where) | {key: infos[key] for key in kept if key in infos}
 
 
 def step_info(column: Array, told: dict[str, Any], mode: int) -> dict[str, Any]:
-    """What a step of one environment tells.
+    """Return the info of a step of one environment.
 
     Args:
-        column: workspace (size,) after it.
-        told: where in it is what, as of :func:`told_rows`: a row each, or a slice.
-        mode: that ran.
+        column: workspace (size,) after the step.
+        told: places of the values in it, as :func:`told_rows` returns them: rows or slices.
+        mode: number of the mode that ran.
     """
     info: dict[str, Any] = {}
     for key, rows in told.items():
@@ -99,17 +99,17 @@ def step_info(column: Array, told: dict[str, Any], mode: int) -> dict[str, Any]:
 def worded(
     info: dict[str, Any], infos: str, at_end: bool, groups: int, beliefs: int
 ) -> dict[str, Any]:
-    """An info as ``infos`` asks for it.
+    """Return an info in the form that ``infos`` selects.
 
-    Fixed ones have the same keys, types and shapes always: all numbers that are ever told, as
-    numpy's; NaN, False or -1 where there is nothing to tell.
+    Fixed infos always have the same keys, types and shapes: all numbers of any info, as numpy's
+    types; NaN, False or -1 stand for numbers that are not known.
 
     Args:
-        info: what there is to tell.
-        infos: of the environment.
-        at_end: whether it is of an episode's first or last step.
-        groups: of the measurement: links, Doppler, odometry.
-        beliefs: how many the modes keep.
+        info: everything that is known.
+        infos: argument of the environment.
+        at_end: whether the info is that of an episode's first or last step.
+        groups: number of groups of the measurement: links, Doppler, odometry.
+        beliefs: number of beliefs that the modes keep.
     """
     if infos == "none" or (infos == "episode" and not at_end):
         return {}
@@ -125,12 +125,12 @@ def worded(
 
 
 def mask_keys(keys: Iterable[str]) -> list[str]:
-    """What the masks of infos are called."""
+    """Return the names of the masks of infos."""
     return [f"_{key}" for key in keys]
 
 
 def warn_of_nonfinite(stacklevel: int = 3) -> None:
-    """Say that an episode ended whose beliefs were no finite numbers; Python shows it once."""
+    """Warn that an episode ended with beliefs that were not finite; Python shows this once."""
     warnings.warn(
         f"an episode ended whose belief was NaN or infinite; info[{NONFINITE_KEY!r}] tells after "
         "how many epochs, its metrics are NaN (docs/reliability.md)",

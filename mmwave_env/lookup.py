@@ -1,6 +1,6 @@
-"""Names: what they may be, how they are shown, and looking things up by them.
+"""Names: their form, their display, and lookup by name.
 
-Errors list the valid ones, or say how to get what is missing.
+Errors list the valid names, or say how to get what is missing.
 """
 
 import importlib.util
@@ -9,51 +9,51 @@ from difflib import get_close_matches
 from typing import TypeVar
 
 T = TypeVar("T")
-LONGEST = 80  # letters of a name, and of a value that a message quotes
+LONGEST = 80  # most letters of a name, and of a value that a message quotes
 
 
-# --- names of others
+# --- names from outside
 
 
 def spelled(letter: str) -> str:
-    """A letter by its code, in place of what has no look of its own."""
+    """Return a letter as its escape code, for letters that are not printable."""
     return letter.encode("unicode_escape", "surrogatepass").decode("ascii")
 
 
 def printable(text: str) -> str:
-    """The text with what has no look of its own (escape sequences, line ends) spelled out."""
+    """Return the text with unprintable letters (escape sequences, line ends) as escape codes."""
     return "".join(one if one.isprintable() else spelled(one) for one in text)
 
 
 def is_name(value: object) -> bool:
-    """Whether it can stand in tables and pictures as it is."""
+    """Tell whether a value is a name that can be shown unchanged in tables and pictures."""
     return isinstance(value, str) and 1 <= len(value) <= LONGEST and value.isprintable()
 
 
 def as_name(text: str) -> str:
-    """What a file or a folder is called, as a name: spelled out where need be, and cut."""
+    """Return the name of a file or a folder as a valid name: escaped where necessary, and cut."""
     return printable(text)[:LONGEST] or "unnamed"
 
 
 def as_cell(name: str) -> str:
-    """A name for a CSV table, where spreadsheets take it for text and not for a formula."""
+    """Return a name for a CSV table, so that spreadsheets read it as text, not as a formula."""
     return f"'{name}" if name.startswith(("=", "+", "-", "@", "\t", "\r")) else name
 
 
 def quoted(value: object) -> str:
-    """A value as messages quote it, cut where it is long."""
+    """Return a value as messages quote it, cut if it is long."""
     shown = repr(value)
     return shown if len(shown) <= LONGEST else f"{shown[: LONGEST - 3]}..."
 
 
-# --- looked up
+# --- lookup
 
 
 def choose(options: Mapping[str, T], name: str, what: str) -> T:
-    """``options[name]``.
+    """Return ``options[name]``.
 
     Raises:
-        ValueError: unknown name; the message lists the valid ones.
+        ValueError: the name is unknown; the message lists the valid names.
     """
     if not isinstance(name, str) or name not in options:
         raise ValueError(unknown(what, name, options))
@@ -61,7 +61,7 @@ def choose(options: Mapping[str, T], name: str, what: str) -> T:
 
 
 def unknown(what: str, name: object, known: Iterable[str]) -> str:
-    """The message about a name that is none of those that are known."""
+    """Return the message about an unknown name."""
     names = list(known)
     hint = did_you_mean(name, names)
     begin = f"{hint.removeprefix('; ')} E" if hint else "e"
@@ -69,26 +69,26 @@ def unknown(what: str, name: object, known: Iterable[str]) -> str:
 
 
 def did_you_mean(name: object, known: Iterable[str]) -> str:
-    """The end of a message that names the closest of the names known; empty if none is close."""
+    """Return the end of a message that names the closest known name; empty if none is close."""
     typed = isinstance(name, str) and len(name) <= LONGEST
     close = get_close_matches(str(name), list(known), 1) if typed else []
     return f"; did you mean {close[0]}?" if close else ""
 
 
 class MissingExtraError(ImportError, ValueError):
-    """A package is not installed that an extra of ours brings.
+    """Error for a missing package that one of our extras installs.
 
-    An ImportError in Python; a wrong argument to commands, which end with its one line.
+    It is an ImportError for Python, and a wrong argument for commands, which print it in one line.
     """
 
 
 def require_extra(package: str, extra: str, what: str) -> None:
-    """Refuse what needs a package that is not installed, before any work.
+    """Refuse a task whose package is not installed, before any work.
 
     Args:
-        package: its name, as it is imported.
-        extra: of mmwave-loc, which brings it.
-        what: needs it.
+        package: name of the package, as it is imported.
+        extra: extra of mmwave-loc that installs it.
+        what: what needs the package, for the message.
 
     Raises:
         MissingExtraError: the package is not installed; the message says how to get it.

@@ -1,4 +1,4 @@
-"""How good a track is: position errors and consistency (paper, Sec. IV; design: fixed protocol).
+"""Metrics of a track: position errors and consistency (paper, Sec. IV; design: fixed protocol).
 
 Errors are unaligned because the frame is known, so ATE, RMSE and RPE equal what evo computes
 from the translation part without alignment. NEES is that of the position, which
@@ -11,7 +11,7 @@ import numpy as np
 
 from mmwave_env.numerics.numbers import Array
 
-BURN_IN = 10  # epochs dropped from averages, while the prior still shows
+BURN_IN = 10  # epochs dropped from averages, because the prior still has an effect
 DIVERGENCE_M = 50.0  # an episode in which the error exceeds this has diverged
 METRICS = {
     "reward": "mean reward per epoch",
@@ -22,32 +22,32 @@ METRICS = {
     "in_bounds": "share of epochs with NEES in its two-sided 95 % interval",
     "divergence_rate": f"share of episodes with an error above {DIVERGENCE_M:g} m",
 }
-TERMS = {  # of the tracking reward, which is minus their sum
+TERMS = {  # terms of the tracking reward, which is minus their sum
     "error_term": "what position errors cost in the tracking reward, per epoch",
     "nees_term": "what the NEES costs in the tracking reward, per epoch",
 }
 
 
 def _squared(error: Array) -> Array:
-    """Squared length (..., T) of errors (..., T, 3), m^2."""
+    """Compute the squared length (..., T) of errors (..., T, 3), m^2."""
     x, y, z = (error[..., axis] for axis in range(3))
     return x * x + y * y + z * z
 
 
 def ate(error: Array) -> Array:
-    """Absolute trajectory error (...,) of errors (..., T, 3): mean length, m."""
+    """Compute the absolute trajectory error (...,) of errors (..., T, 3): mean length, m."""
     return np.sqrt(_squared(error)).mean(axis=-1)  # type: ignore[no-any-return]
 
 
 def rmse(error: Array) -> Array:
-    """Root mean square (...,) of errors (..., T, 3), m."""
+    """Compute the root mean square (...,) of errors (..., T, 3), m."""
     return np.sqrt(_squared(error).mean(axis=-1))  # type: ignore[no-any-return]
 
 
 def rpe(error: Array, delta: int = 1) -> Array:
-    """Relative pose error (...,): mean |e_k - e_(k - delta)| of errors (..., T, 3), m.
+    """Compute the relative pose error (...,): mean |e_k - e_(k - delta)| of (..., T, 3), m.
 
-    Zero for tracks no longer than ``delta`` epochs.
+    The error of tracks no longer than ``delta`` epochs is zero.
     """
     change = error[..., delta:, :] - error[..., :-delta, :]
     if change.shape[-2] == 0:
@@ -56,7 +56,7 @@ def rpe(error: Array, delta: int = 1) -> Array:
 
 
 def nees_interval(axes: int = 3, share: float = 0.95) -> tuple[float, float]:
-    """Two-sided interval that holds the NEES of a consistent filter in ``share`` of epochs."""
+    """Return the two-sided interval of a consistent filter's NEES in ``share`` of epochs."""
     from scipy.special import chdtri
 
     tail = (1.0 - share) / 2.0
@@ -64,14 +64,14 @@ def nees_interval(axes: int = 3, share: float = 0.95) -> tuple[float, float]:
 
 
 def scored(epochs: int) -> slice:
-    """The slice of the epochs that averages are taken over: all after the burn-in, at least one."""
+    """Return the slice of epochs that averages use: all after the burn-in, at least one."""
     return slice(min(BURN_IN, epochs - 1), None)
 
 
 def summary(
     reward: Array, error: Array, nees: Array, epochs_per_s: float = 1.0, axes: int = 3
 ) -> dict[str, Array]:
-    """Every metric of :data:`METRICS` per episode; rewards are (..., T), see :func:`accuracy`."""
+    """Compute all :data:`METRICS` per episode; rewards are (..., T), see :func:`accuracy`."""
     mean = reward[..., scored(reward.shape[-1])].mean(axis=-1)
     return {"reward": mean, **accuracy(error, nees, epochs_per_s, axes)}
 
@@ -79,12 +79,12 @@ def summary(
 def accuracy(
     error: Array, nees: Array, epochs_per_s: float = 1.0, axes: int = 3
 ) -> dict[str, Array]:
-    """Every metric but the reward, per episode and without the burn-in.
+    """Compute every metric but the reward, per episode and without the burn-in.
 
     Args:
         error: (..., T, 3) estimated minus true position, m.
-        nees: (..., T).
-        epochs_per_s: for the second over which RPE looks.
+        nees: (..., T) NEES of the position.
+        epochs_per_s: number of epochs in a second, the interval of RPE.
         axes: position axes that NEES covers.
     """
     counted = scored(nees.shape[-1])

@@ -1,8 +1,8 @@
-"""The observation: one table of features that makes the space, the docs and the values.
+"""Observation: one table of features from which space, documentation and values are made.
 
 Every feature is standardized by the mean and the deviation of its kind. They are constants of the
-package, so that an observation means the same everywhere and a network learns from it as it is.
-What is rare may be far from the mean: it is shown at most ten deviations away.
+package, so that an observation has the same meaning everywhere and networks need no normalization.
+Rare values may be far from the mean: they are limited to ten deviations.
 """
 
 import inspect
@@ -26,7 +26,7 @@ from mmwave_env.models.measurement import Layout
 from mmwave_env.models.radio import RADIOS
 from mmwave_env.numerics.numbers import Number, clip
 
-LIMIT = 10.0  # deviations from the mean that a feature is shown up to
+LIMIT = 10.0  # most deviations of a feature from its mean
 
 OBSERVATIONS = {"full": "everything", "prior": "nothing of how each mode sees the coming epoch"}
 
@@ -37,13 +37,13 @@ BELIEFS = {
 
 
 def action_names(modes: Sequence[Mode], beliefs: str) -> list[str]:
-    """What the actions are called: the modes; where each keeps its belief, first "none"."""
+    """Return the names of the actions: the modes; with a belief per mode, "none" comes first."""
     names = [mode.name for mode in modes]
     return ["none", *names] if beliefs == "per-mode" else names
 
 
 class Scale(NamedTuple):
-    """What a feature is standardized by, in its unit."""
+    """The mean and deviation that standardize a feature, in its unit."""
 
     mean: float
     deviation: float
@@ -51,7 +51,7 @@ class Scale(NamedTuple):
 
 @cache
 def feature_scales() -> dict[str, Scale]:
-    """Mean and deviation of every kind of feature, as constants of data/feature_scales.json."""
+    """Read mean and deviation of every kind of feature from data/feature_scales.json."""
     # Measured 2026-11-23 (code at commit 476d657): 24 episodes with random actions in each
     # combination of a scene, a radio, both kinds of beliefs and four sets of modes (two, two with
     # odometry, eight, the radio's bank); each number is the median over these, not clipped.
@@ -64,10 +64,10 @@ class Observation:
 
     Attributes:
         features: the table.
-        scales: what each of them is standardized by.
+        scales: mean and deviation of each feature.
         kind: "full" or "prior".
         beliefs: "shared" or "per-mode".
-        modes: of the pipeline that the features describe.
+        modes: modes of the pipeline that the features describe.
     """
 
     def __init__(self, pipeline: Pipeline, kind: str = "full", beliefs: str = "shared") -> None:
@@ -86,29 +86,29 @@ class Observation:
 
     @property
     def actions(self) -> list[str]:
-        """What the actions are called."""
+        """Return the names of the actions."""
         return action_names(self.modes, self.beliefs)
 
     @property
     def made_with(self) -> str:
-        """The arguments of the environment that make this table, for messages."""
+        """Return the arguments of the environment that make this table, for messages."""
         modes = ", ".join(mode.name for mode in self.modes)
         return f"observation={self.kind!r}, beliefs={self.beliefs!r} and the modes {modes}"
 
     @property
     def space(self) -> spaces.Box:
-        """The Box of one observation, float32."""
+        """Return the Box of one observation, float32."""
         low, high = np.array(self._bounds(), np.float32).T
         return spaces.Box(low, high, dtype=np.float32)
 
     def _bounds(self) -> list[tuple[Number, Number]]:
-        """Between what every feature is shown."""
+        """Return the limits of every feature as it is shown."""
         rows = zip(self.features, self.scales, strict=True)
         return [(_shown(f.low, f, s), _shown(f.high, f, s)) for f, s in rows]
 
     @property
     def digest(self) -> str:
-        """A name for the table: all that learned weights depend on, but for the modes' tuning."""
+        """Return a hash of all that learned weights depend on, except the tuning of the modes."""
         rows = [
             (f.name, f.meaning, f.unit, *map(float, (*scale, f.low, f.high, LIMIT)))
             for f, scale in zip(self.features, self.scales, strict=True)
@@ -116,30 +116,30 @@ class Observation:
         return sha256(repr(rows).encode()).hexdigest()[:16]
 
     def values(self, view: View) -> list[Number]:
-        """The observation as numbers."""
+        """Return the observation as numbers."""
         rows = zip(self.features, self.scales, strict=True)
         return [_shown(f.value(view), f, scale) for f, scale in rows]
 
     def read(self, observation: NDArray[np.float32], name: str) -> NDArray[np.float64]:
-        """A feature in its own unit, from observations (..., features).
+        """Return a feature in its own unit, from observations (..., features).
 
-        It is as exact as single precision tells; what is zero or a count reads as that. What was
+        The value is as exact as single precision allows; zeros and counts are exact. A value
         beyond a limit reads as the limit.
 
         Raises:
-            KeyError: there is no feature of that name; the message lists those there are.
+            KeyError: there is no feature of that name; the message lists the names.
         """
         if name not in self._index:
             raise KeyError(f"feature {name!r}: expected one of {', '.join(self._index)}")
         i = self._index[name]
         seen, (mean, deviation) = observation[..., i].astype(np.float32), self.scales[i]
         value = seen.astype(np.float64) * deviation + mean
-        # Rounded to a power of two that is no finer than what single precision tells apart here.
+        # Round to a power of two that is no finer than the resolution of single precision here.
         step = np.exp2(np.ceil(np.log2(np.spacing(np.abs(seen)).astype(np.float64) * deviation)))
         return np.asarray(np.rint(value / step) * step)
 
     def table(self) -> str:
-        """The features as a Markdown table."""
+        """Return the features as a Markdown table."""
         lines = [
             "| # | feature | meaning | unit | mean | deviation | low | high |",
             "|---|---|---|---|---|---|---|---|",
@@ -152,14 +152,14 @@ class Observation:
 
 
 def _shown(value: Number, feature: Feature, scale: Scale) -> Number:
-    """The value, limited and standardized."""
+    """Limit and standardize a value."""
     reach = LIMIT * scale.deviation
     low, high = max(feature.low, scale.mean - reach), min(feature.high, scale.mean + reach)
     return (clip(value, low, high) - scale.mean) * (1.0 / scale.deviation)
 
 
 def with_tables(docstring: str) -> str:
-    """A docstring with the default modes in place of ``{modes}``, their features of ``{table}``."""
+    """Replace ``{modes}`` in a docstring by the default modes, ``{table}`` by their features."""
     observed = Observation(Pipeline(default_modes(), Layout())).table()
     lines = ["| action | mode | algorithm | horizontal velocity noise, m/s |", "|---|---|---|---|"]
     for action, (kind, algorithm) in enumerate(

@@ -1,7 +1,7 @@
-"""Dataclasses that JSON files hold: what a field may hold is said by its type, once.
+"""Dataclasses that are stored in JSON files; the types of fields define their valid values.
 
-A dataclass refuses what does not fit its fields (:func:`require_fields`), a JSON file is read into
-it (:func:`read_object`), and mmwave_env/data/schemas describes the file: all by the same types.
+A dataclass refuses values that do not fit its fields (:func:`require_fields`), a JSON file is read
+into it (:func:`read_object`), and mmwave_env/data/schemas describes the file: all by these types.
 """
 
 import math
@@ -25,7 +25,7 @@ T = TypeVar("T")
 
 @dataclass(frozen=True)
 class Bound:
-    """Where a number lies: from ``least`` or above ``above``, to ``most`` or below ``below``."""
+    """Limits of a number: from ``least`` or above ``above``, to ``most`` or below ``below``."""
 
     expected: str
     least: float | None = None
@@ -34,51 +34,51 @@ class Bound:
     below: float = math.inf
 
     def holds(self, value: Any) -> bool:
-        """Whether a number lies there; NaN never does."""
+        """Tell whether a number is within the limits; NaN never is."""
         low = value > self.above if self.least is None else value >= self.least
         return bool(low and (value < self.below if self.most is None else value <= self.most))
 
     def outside(self, values: NDArray[np.float64]) -> NDArray[np.bool_]:
-        """Which numbers, of any shape, do not lie between two ends; NaN never does."""
+        """Return which numbers, of any shape, are not between two limits; NaN never is."""
         assert self.least is not None and self.most is not None
         return ~((values >= self.least) & (values <= self.most))  # type: ignore[no-any-return]
 
 
 def between(least: float, most: float, unit: str = "") -> Bound:
-    """A bound with two ends."""
+    """Return a bound with two limits."""
     return Bound(f"a number of {least:g} to {most:g} {unit}".rstrip(), least=least, most=most)
 
 
 def counts(least: int, most: int) -> Bound:
-    """The same, of integers."""
+    """Return a bound of integers with two limits."""
     return Bound(f"an integer of {least} to {most}", least=least, most=most)
 
 
 @dataclass(frozen=True)
 class Size:
-    """How many a list may hold."""
+    """Limits of the length of a list."""
 
     least: int
     most: int
 
     @property
     def expected(self) -> str:
-        """In words."""
+        """Return the limits in words."""
         return f"a list of {self.least} to {self.most}"
 
     def holds(self, value: Any) -> bool:
-        """Whether a list is as long."""
+        """Tell whether the length of a list is within the limits."""
         return self.least <= len(value) <= self.most
 
 
 @dataclass(frozen=True)
 class Printable:
-    """Text that can stand in tables and pictures as it is."""
+    """Text that can be shown unchanged in tables and pictures."""
 
     expected: str = f"1 to {LONGEST} printable letters"
 
     def holds(self, value: Any) -> bool:
-        """Whether a text is such a name."""
+        """Tell whether a text is such a name."""
         return is_name(value)
 
 
@@ -94,13 +94,13 @@ _KINDS: dict[Any, tuple[type, str]] = {
 
 @cache
 def hints_of(kind: Any) -> Mapping[str, Any]:
-    """The types of a dataclass's fields, with what is annotated."""
+    """Return the types of a dataclass's fields, with their annotations."""
     hints = get_type_hints(kind, include_extras=True)
     return {field.name: hints[field.name] for field in fields(kind)}
 
 
 def _fits(hint: Any, value: Any) -> bool:
-    """Whether a value is of a type as fields have them."""
+    """Tell whether a value fits the type of a field."""
     origin, inside = get_origin(hint), get_args(hint)
     if hint in _KINDS:
         kind = isinstance(value, _KINDS[hint][0]) and isinstance(value, bool) <= (hint is bool)
@@ -124,7 +124,7 @@ def _is_list(value: Any) -> bool:
 
 
 def _said(hint: Any) -> str:
-    """A type in words, for "expected ..."."""
+    """Return a type in words, for "expected ..."."""
     origin, inside = get_origin(hint), get_args(hint)
     if hint in _KINDS:
         return _KINDS[hint][1]
@@ -142,21 +142,21 @@ def _said(hint: Any) -> str:
 
 
 def require_fields(record: Any, of: str = "") -> None:
-    """Refuse fields that hold something else than their types say; to call when one is made.
+    """Refuse fields whose values do not fit their types; call it when a dataclass is made.
 
     Args:
-        record: a dataclass.
-        of: follows the field's name in the message, such as " of radio 'lab'".
+        record: dataclass to check.
+        of: words after the field's name in the message, such as " of radio 'lab'".
 
     Raises:
-        ValueError: naming the field, what was found and what was expected.
+        ValueError: a value is invalid; the message names field, value and what was expected.
     """
     for name, hint in hints_of(type(record)).items():  # type: ignore[arg-type]
         _require(hint, getattr(record, name), name, of)
 
 
 def require_ordered(record: object, *names: str) -> None:
-    """Refuse ranges, fields of two numbers, that are the wrong way round."""
+    """Refuse ranges, fields of two numbers, whose limits are exchanged."""
     for name in names:
         low, high = getattr(record, name)
         if low > high:
@@ -164,10 +164,10 @@ def require_ordered(record: object, *names: str) -> None:
 
 
 def require(name: str, value: Any, hint: Any) -> None:
-    """Refuse an argument of another type than a field of this one may hold.
+    """Refuse an argument that does not fit a field of this type.
 
     Raises:
-        ValueError: naming it, what was found and what was expected.
+        ValueError: the value is invalid; the message names it and what was expected.
     """
     _require(hint, value, name, "")
 
@@ -177,22 +177,22 @@ def _require(hint: Any, value: Any, name: str, of: str) -> None:
         return
     bare = get_args(hint)[0] if get_origin(hint) is Annotated else hint
     if get_origin(bare) is tuple and get_args(bare)[-1] is ... and _is_list(value):
-        for i, one in enumerate(value):  # which of them
+        for i, one in enumerate(value):  # find the invalid element
             _require(get_args(bare)[0], one, f"{name}[{i}]", of)
         raise ValueError(f"{name}{of}: found {len(value)}, expected {_said(hint)}")
     raise ValueError(f"{name}{of}: found {quoted(value)}, expected {_said(hint)}")
 
 
 def object_from(kind: type[T], content: Any, where: str = "") -> T:
-    """A dataclass from an object of a JSON file; lists become tuples, objects dataclasses.
+    """Return a dataclass from an object of a JSON file; lists become tuples, objects dataclasses.
 
     Args:
         kind: the dataclass, which calls :func:`require_fields` when made.
-        content: of the file.
-        where: in the file, such as "walls[1].".
+        content: content of the file.
+        where: place in the file, such as "walls[1].".
 
     Raises:
-        ValueError: a key too many or too few, or what the dataclass refuses.
+        ValueError: a key is unknown or missing, or the dataclass refuses a value.
     """
     if not isinstance(content, dict):
         raise ValueError(
@@ -213,7 +213,7 @@ def object_from(kind: type[T], content: Any, where: str = "") -> T:
 
 
 def _built(hint: Any, value: Any, where: str) -> Any:
-    """A value as a field of this type has it, where that can be told."""
+    """Convert a value to the type of a field, if the type determines the conversion."""
     if get_origin(hint) in (Annotated, Union, UnionType):
         return _built(get_args(hint)[0], value, where)
     if get_origin(hint) is tuple and isinstance(value, list):
@@ -226,16 +226,16 @@ def _built(hint: Any, value: Any, where: str) -> Any:
 
 
 def read_object(path: str | os.PathLike[str], what: str, make: Callable[[dict[str, Any]], T]) -> T:
-    """What a JSON file holds.
+    """Read an object from a JSON file.
 
     Args:
-        path: of the file.
-        what: it is, the name of its schema: "scene", "modes", "radio", "mobility".
-        make: from the file's object.
+        path: path of the file.
+        what: name of the schema: "scene", "modes", "radio", "mobility".
+        make: makes the result from the file's object.
 
     Raises:
-        ValueError: naming the file, what is wrong in it and the schema.
-        OSError: it can't be read; FileNotFoundError where there is no such file.
+        ValueError: the file is invalid; the message names file, mistake and schema.
+        OSError: the file can't be read; FileNotFoundError if there is no such file.
     """
     schema = f"mmwave_env/data/schemas/{what}.schema.json"
     return read_json(Path(path), f"a {what} file", make, schema)

@@ -2,8 +2,8 @@
 
 A reward is called as ``reward(belief, truth)`` with a
 :class:`~mmwave_env.filters.belief.Belief` and the true (6,) position and velocity, and
-returns one number. Pass your own to ``MmWaveLoc-v0`` as ``reward=``; it follows the rules
-of :mod:`mmwave_env.numerics.numbers`, so it runs on SIMD lanes like everything else. Any of them
+returns one number. Pass your own reward to ``MmWaveLoc-v0`` as ``reward=``; it follows the rules
+of :mod:`mmwave_env.numerics.numbers`, so it runs on SIMD lanes like all other code. Any reward
 can be paired (:class:`PairedReward`).
 """
 
@@ -39,16 +39,16 @@ class TrackingReward:
 
     @property
     def worst(self) -> float:
-        """The lowest reward there is."""
+        """Return the lowest possible reward."""
         return -(self.error_weight * self.error_limit_m + self.nees_weight * self.nees_limit)
 
     def terms(self, distance_m: Array, nees: Array, axes: int = 3) -> tuple[Array, Array]:
-        """What error and NEES cost in epochs (...,); the reward is minus their sum.
+        """Compute the cost of error and NEES in epochs (...,); the reward is minus their sum.
 
         Args:
             distance_m: (...,) length of the position error.
-            nees: (...,) of so many position axes.
-            axes: number of them.
+            nees: (...,) NEES of the position axes.
+            axes: number of position axes.
         """
         error = np.minimum(distance_m, self.error_limit_m)
         inconsistency = np.abs(np.log(np.maximum(nees, _SMALLEST_NEES) / axes))
@@ -56,7 +56,7 @@ class TrackingReward:
         return self.error_weight * error, self.nees_weight * limited
 
     def __call__(self, belief: Belief, truth: Vector) -> Number:
-        """Reward of one epoch."""
+        """Return the reward of one epoch."""
         error = minimum(belief.distance(truth), self.error_limit_m)
         ratio = maximum(belief.nees(truth), _SMALLEST_NEES) * (1.0 / len(belief.axes))
         inconsistency = minimum(abs(log(ratio)), self.nees_limit)
@@ -70,7 +70,7 @@ class LogScore:
     worst: float = -30.0
 
     def __call__(self, belief: Belief, truth: Vector) -> Number:
-        """Reward of one epoch."""
+        """Return the reward of one epoch."""
         return maximum(belief.log_density(truth), self.worst)
 
 
@@ -96,11 +96,11 @@ REWARDS: dict[str, Reward | PairedReward] = {
 
 
 def reward_from(reward: str | Reward | PairedReward) -> Reward | PairedReward:
-    """The reward of a ``reward=`` argument: a name, a function of (belief, truth), or paired.
+    """Return the reward for ``reward=``: a name, a function of (belief, truth), or paired.
 
     Raises:
-        ValueError: no such name, not hashable, or a function that cannot run on lanes or returns
-            no number.
+        ValueError: the name is unknown, or the function is not hashable, cannot run on lanes or
+            returns no number.
     """
     function = reward.reward if isinstance(reward, PairedReward) else reward
     if isinstance(reward, str) or not callable(function):
@@ -116,9 +116,9 @@ def reward_from(reward: str | Reward | PairedReward) -> Reward | PairedReward:
 
 
 def reward_name(reward: Reward) -> str:
-    """What a reward is called: its name in :data:`REWARDS`, or else that of the function or class.
+    """Return the name of a reward in :data:`REWARDS`, or else the name of the function or class.
 
-    A named one with other weights goes by its class.
+    A known reward with other weights has the name of its class.
     """
     for name, known in REWARDS.items():
         if reward == known:
@@ -127,7 +127,7 @@ def reward_name(reward: Reward) -> str:
 
 
 def _check(reward: Reward) -> None:
-    """Try a function on numbers that hide their value, as the compiler will."""
+    """Try a function on numbers that hide their value, as the compiler does."""
     P = [[FloatTracer(4.0 if i == j else 0.5) for j in range(7)] for i in range(7)]
     belief = Belief([FloatTracer(float(i)) for i in range(7)], P)
     try:
@@ -149,5 +149,5 @@ def _refused(
 ) -> ValueError:
     name = getattr(reward, "__name__", type(reward).__name__)
     line = (error and line_of(error, reward)) or begin_of(reward)
-    # Gymnasium appends the arguments of the environment to a message: let them begin a line.
+    # Gymnasium appends the arguments of the environment to a message: start a new line for them.
     return ValueError("\n".join([f"reward {name} {problem}", str(line), *advice, ""]))

@@ -22,19 +22,19 @@ Infos = list[dict[str, Any]]
 
 
 class SB3VecEnv(VecEnv):
-    """A Gymnasium vector environment as a ``VecEnv``, which steps it as a whole.
+    """A Gymnasium vector environment as a ``VecEnv``, which steps all environments together.
 
-    When an episode ends, the info of its environment holds what its last step told, the
-    metrics of the episode included, and what Stable-Baselines3 looks for: the
-    ``terminal_observation`` and ``TimeLimit.truncated``, from which it knows that the value
-    of what would follow counts, and ``episode`` with return "r", length "l" and time "t".
+    When an episode ends, the info of its environment holds the info of its last step, including
+    the metrics of the episode, and the keys that Stable-Baselines3 reads: the
+    ``terminal_observation``; ``TimeLimit.truncated``, which says that the value of the next state
+    counts; and ``episode`` with return "r", length "l" and time "t".
 
     Args:
-        env: with autoreset mode "SameStep": others tell the last observation of an episode one
-            step later, or not at all.
+        env: with autoreset mode "SameStep": other modes return the last observation of an episode
+            one step later, or not at all.
 
     Raises:
-        ValueError: another autoreset mode.
+        ValueError: the autoreset mode is another one.
     """
 
     def __init__(self, env: gym.vector.VectorEnv[Any, Any, Any]) -> None:
@@ -52,15 +52,15 @@ class SB3VecEnv(VecEnv):
         super().__init__(env.num_envs, env.single_observation_space, env.single_action_space)
 
     def reset(self) -> Any:
-        """Begin episodes everywhere, with the seeds and options set before; observations (n, ...).
+        """Begin all episodes, with the seeds and options set before; return observations (n, ...).
 
         Raises:
-            ValueError: environments got different options: they are reset together.
+            ValueError: environments got different options, but all are reset together.
         """
         if any(options != self._options[0] for options in self._options):
             raise ValueError(f"options: found {self._options}, expected the same everywhere")
         known = any(seed is not None for seed in self._seeds)
-        seeds: Any = list(self._seeds) if known else None  # typed as one, but many are common
+        seeds: Any = list(self._seeds) if known else None  # typed as one seed, but lists are common
         observations, _ = self.env.reset(seed=seeds, options=self._options[0] or None)
         self.reset_infos = [{} for _ in range(self.num_envs)]
         self._returns[:], self._lengths[:] = 0.0, 0
@@ -69,11 +69,11 @@ class SB3VecEnv(VecEnv):
         return observations
 
     def step_async(self, actions: NDArray[Any]) -> None:
-        """Take actions (n,) for the step that :meth:`step_wait` makes."""
+        """Store actions (n,) for the step that :meth:`step_wait` makes."""
         self._actions = actions
 
     def step_wait(self) -> tuple[Any, NDArray[np.float32], NDArray[np.bool_], Infos]:
-        """Observations (n, ...), rewards (n,), ends (n,) and infos of one step."""
+        """Make a step; return observations (n, ...), rewards (n,), ends (n,) and infos."""
         observations, rewards, terminated, truncated, told = self.env.step(self._actions)
         self._returns += rewards
         self._lengths += 1
@@ -86,7 +86,7 @@ class SB3VecEnv(VecEnv):
         return observations, rewards.astype(np.float32), over, infos
 
     def _ending(self, told: dict[str, Any], i: int) -> dict[str, Any]:
-        """What the last step of an episode told."""
+        """Return the info of the last step of an episode."""
         return _of(told["final_info"], i) | {
             "terminal_observation": told["final_obs"][i],
             "episode": {
@@ -97,11 +97,11 @@ class SB3VecEnv(VecEnv):
         }
 
     def state(self) -> dict[str, NDArray[Any]]:
-        """Returns and lengths (n,) of the episodes under way, to :meth:`restore`."""
+        """Return the returns and lengths (n,) of running episodes, for :meth:`restore`."""
         return {"returns": self._returns.copy(), "lengths": self._lengths.copy()}
 
     def restore(self, state: dict[str, NDArray[Any]]) -> None:
-        """Go on as after :meth:`state`."""
+        """Restore a state that :meth:`state` returned."""
         self._returns[:], self._lengths[:] = state["returns"], state["lengths"]
 
     def close(self) -> None:
@@ -109,24 +109,24 @@ class SB3VecEnv(VecEnv):
         self.env.close()
 
     def get_attr(self, attr_name: str, indices: Indices = None) -> list[Any]:
-        """An attribute of the environment, once for each of the indices."""
+        """Return an attribute of the environment, once for each of the indices."""
         return [getattr(self.env, attr_name)] * len(list(self._get_indices(indices)))
 
     def set_attr(self, attr_name: str, value: Any, indices: Indices = None) -> None:
-        """Set an attribute of the environment, for all at once."""
+        """Set an attribute of the environment, for all indices at once."""
         self._require_all(indices, f"set_attr({attr_name!r})")
         setattr(self.env, attr_name, value)
 
     def env_method(
         self, method_name: str, *method_args: Any, indices: Indices = None, **method_kwargs: Any
     ) -> list[Any]:
-        """Call a method of the environment once; what it returns, for each of the indices."""
+        """Call a method of the environment once; return its result for each of the indices."""
         self._require_all(indices, f"env_method({method_name!r})")
         method: Callable[..., Any] = getattr(self.env, method_name)
         return [method(*method_args, **method_kwargs)] * self.num_envs
 
     def env_is_wrapped(self, wrapper_class: type[Any], indices: Indices = None) -> list[bool]:
-        """Whether each of the indices does what a wrapper does: episodes are told as by Monitor."""
+        """Tell for each index whether a wrapper's work is done here; only that of Monitor is."""
         return [wrapper_class is Monitor] * len(list(self._get_indices(indices)))
 
     def _require_all(self, indices: Indices, what: str) -> None:
@@ -135,7 +135,7 @@ class SB3VecEnv(VecEnv):
 
 
 def _of(told: dict[str, Any], i: int) -> dict[str, Any]:
-    """What batched infos tell of one environment, as their masks say."""
+    """Return the batched infos of one environment, as their masks say."""
     found: dict[str, Any] = {}
     for key, value in told.items():
         mask = told.get(f"_{key}")

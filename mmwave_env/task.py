@@ -1,4 +1,4 @@
-"""What the arguments of ``MmWaveLoc-v0`` mean, for the single and the vector environment."""
+"""Task of ``MmWaveLoc-v0`` from its arguments, for the single and the vector environment."""
 
 import os
 from dataclasses import dataclass, fields
@@ -30,16 +30,16 @@ EPISODE_STEPS = 200
 
 @dataclass(frozen=True)
 class Task:
-    """A task: where episodes come from, what filters them and what counts.
+    """A task: the source of episodes, their filters and the reward.
 
     Attributes:
-        source: of episodes.
+        source: source of episodes.
         radio: profile of the receiver.
         pipeline: modes and layout.
-        bank: of the modes, where every mode keeps its own belief; None where they share one.
+        bank: bank of the modes if every mode keeps its own belief; None if they share a belief.
         reward: function of (belief, truth).
-        baseline: the IMM whose reward is subtracted; None where none is.
-        worst: what a diverged episode pays for every epoch left; None where none ends early.
+        baseline: IMM whose reward is subtracted; None without a paired reward.
+        worst: reward of a diverged episode for every remaining epoch; None if none ends early.
     """
 
     source: EpisodeSource
@@ -51,7 +51,7 @@ class Task:
     worst: float | None
 
     def draw(self, rng: np.random.Generator) -> Episode:
-        """The next episode of an environment."""
+        """Draw the next episode of an environment."""
         episode = self.source.sample(rng)
         episode.require_truth()
         if self.pipeline.planar:
@@ -59,20 +59,20 @@ class Task:
         return episode
 
     def tables(self, keys: Keys, threads: int = 1) -> EpisodeBatch:
-        """The simulated episodes of keys (n,), drawn at once by some threads."""
+        """Draw the simulated episodes of keys (n,) together, on several threads."""
         episodes = self.simulated.sample_batch(keys, threads=threads)
         return episodes.on_flat_ground() if self.pipeline.planar else episodes
 
     @property
     def has_keys(self) -> bool:
-        """Whether an episode is a function of a key."""
-        return type(self.source) is SimulatedSource  # others may draw in ways of their own
+        """Tell whether an episode is a function of a key."""
+        return type(self.source) is SimulatedSource  # other sources may draw in their own way
 
     def streets_of(self, key: int) -> Streets | None:
-        """The streets of an episode, for its picture; None where nobody knows them.
+        """Return the streets of an episode, for its picture; None if they are not known.
 
         Args:
-            key: of the episode, where it has one.
+            key: key of the episode, if episodes have keys.
         """
         if isinstance(self.source, TrackSource):
             scene = self.source.scene
@@ -83,10 +83,10 @@ class Task:
         return scene.streets if self.simulated.travels or scene.streets_known else None
 
     def require_keys(self, seed: Any) -> None:
-        """Refuse keys of episodes that have none, and a key beside a seed, which draws one.
+        """Refuse a key if episodes have none, or if there is a seed, too, which draws a key.
 
         Raises:
-            ValueError: either.
+            ValueError: one of these cases.
         """
         if not self.has_keys:
             raise ValueError(
@@ -101,15 +101,15 @@ class Task:
 
     @property
     def simulated(self) -> SimulatedSource:
-        """The source, where episodes have keys."""
+        """Return the source if episodes have keys."""
         return cast(SimulatedSource, self.source)
 
 
 @dataclass(frozen=True, kw_only=True)
 class TaskArguments:
-    """The arguments of an environment that say what the task is, with their defaults.
+    """The arguments of an environment that define its task, with their defaults.
 
-    :class:`~mmwave_env.env.MmWaveLocEnv` explains them.
+    :class:`~mmwave_env.env.MmWaveLocEnv` explains the arguments.
     """
 
     scenario: Scenario | None = None
@@ -127,18 +127,18 @@ class TaskArguments:
 
 
 def task_from(**arguments: Any) -> Task:
-    """The task of an environment's arguments, which are those of :class:`TaskArguments`.
+    """Return the task of an environment's arguments, which are those of :class:`TaskArguments`.
 
     Raises:
-        TypeError: an argument that there is not.
-        ValueError: an argument that means nothing; the message says what would.
+        TypeError: an argument is unknown.
+        ValueError: an argument is invalid; the message says what is valid.
     """
     known = [field.name for field in fields(TaskArguments)]
     for name in arguments:
         if name not in known:
-            # "data" is what commands and ``compare`` call it
+            # commands and ``compare`` call it "data"
             hint = did_you_mean("episodes" if name == "data" else name, known)
-            raise TypeError(  # libraries look for Python's own words
+            raise TypeError(  # libraries look for the words of Python's own message
                 f"got an unexpected keyword argument {name!r}, expected one of "
                 f"{', '.join(known)}{hint}"
             )
@@ -166,17 +166,17 @@ def task_from(**arguments: Any) -> Task:
 def bank_and_modes(
     modes: Modes, beliefs: str, radio: str | Radio
 ) -> tuple[Bank | None, tuple[Mode, ...]]:
-    """What the arguments ``modes=`` and ``beliefs=`` mean.
+    """Return the bank and the modes that ``modes=`` and ``beliefs=`` stand for.
 
     Args:
-        modes, beliefs: as of :class:`~mmwave_env.env.MmWaveLocEnv`.
+        modes, beliefs: as :class:`~mmwave_env.env.MmWaveLocEnv` takes them.
         radio: profile that named modes are tuned for.
 
     Returns:
-        The bank where every mode keeps its own belief, None where they share one; and the modes.
+        The bank, or None if the modes share a belief; and the modes.
 
     Raises:
-        ValueError: one that means nothing; the message says what would.
+        ValueError: an argument is invalid; the message says what is valid.
     """
     choose(BELIEFS, beliefs, "beliefs")
     if beliefs == "per-mode":
@@ -190,7 +190,7 @@ def bank_and_modes(
 
 
 def _source(given: TaskArguments, radio: Radio) -> tuple[EpisodeSource, Radio]:
-    """Where the episodes come from, and the radio that they were received with."""
+    """Return the source of episodes, and the radio that they were received with."""
     if given.episodes is None:
         simulated = SimulatedSource(
             scenes_from("street" if given.scene is None else given.scene),
@@ -218,7 +218,7 @@ def _recorded(
     radio: Radio,
     steps: int | None,
 ) -> EpisodeSource:
-    """The source of an ``episodes=`` argument."""
+    """Return the source for an ``episodes=`` argument."""
     if isinstance(episodes, str | os.PathLike | Recording | MeasuredTrack):
         return source_from(episodes, radio, steps)
     if not hasattr(episodes, "layout") or not hasattr(episodes, "sample"):

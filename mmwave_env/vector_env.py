@@ -1,4 +1,4 @@
-"""Many environments in step: ``gymnasium.make_vec("MmWaveLoc-v0", num_envs=1024)``."""
+"""Vector environment: ``gymnasium.make_vec("MmWaveLoc-v0", num_envs=1024)``."""
 
 import os
 from collections.abc import Sequence
@@ -36,38 +36,38 @@ Observations = NDArray[np.float32]
 Step = tuple[Observations, Array, Mask, Mask, dict[str, Any]]
 
 
-BEGUN = 512  # episodes at once: few enough for their memory not to count
+BEGUN = 512  # episodes drawn at once: few enough for their memory to be negligible
 
 
 class MmWaveLocVectorEnv(
     RestorableEnvironment, gym.vector.VectorEnv[Observations, Index, NDArray[Any]]
 ):
-    """N times :class:`~mmwave_env.env.MmWaveLocEnv` in one kernel call a step.
+    """N copies of :class:`~mmwave_env.env.MmWaveLocEnv`, stepped in one kernel call.
 
     Environment i sees the same episodes, observations, rewards and infos, to the last bit, as
-    a single environment seeded alike. A seed s means s + i for environment i.
+    a single environment with the same seed. A seed s means s + i for environment i.
 
     Args:
-        num_envs: N.
+        num_envs: number of environments N.
         autoreset_mode: "NextStep" (the step after an end resets, its action is ignored),
-            "SameStep" (the step that ends resets too; what it ended with is in ``final_obs``
+            "SameStep" (the step that ends resets, too; its own results are in ``final_obs``
             and ``final_info``) or "Disabled" (reset by
-            ``reset(options={"reset_mask": mask})``, a bool array (N,); others stay untouched).
-        threads: how many may work at once where it pays, from N = 1024 on; results do not depend
-            on it.
+            ``reset(options={"reset_mask": mask})``, a bool array (N,); others stay unchanged).
+        threads: most threads, used where they pay, from N = 1024 on; results do not depend on
+            their number.
         max_episode_steps: None, or the length of the episodes, as the specification of a single
             environment has it; ``episode_steps`` sets it.
-        infos: "all", "episode" (as episodes begin and end) or "none" (but for what an episode ended
-            with, where the step that ends resets).
-        smoothed: whether the last step of an episode also tells ``smoothed_ate_m``.
+        infos: "all", "episode" (at the first and last step of episodes) or "none" (except the last
+            info of an episode, if the last step resets).
+        smoothed: whether the last info of an episode also contains ``smoothed_ate_m``.
         render_mode: None or "rgb_array".
-        render_size, render_theme: as of the single environment.
+        render_size, render_theme: as the single environment takes them.
         backend: "lanes".
-        **arguments: of :class:`~mmwave_env.env.MmWaveLocEnv`.
+        **arguments: arguments of :class:`~mmwave_env.env.MmWaveLocEnv`.
 
     Attributes:
-        batch: the episodes under way, and what is believed of them.
-        autoreset_mode: as Gymnasium's own vector environments have it.
+        batch: the running episodes, and their beliefs.
+        autoreset_mode: as in Gymnasium's own vector environments.
     """
 
     def __init__(
@@ -128,23 +128,23 @@ class MmWaveLocVectorEnv(
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
         self._streams = Streams(num_envs)
-        self._names = np.full(num_envs, "", object)  # of the episodes, for pictures
+        self._names = np.full(num_envs, "", object)  # names of the episodes, for pictures
         self._begun = False
         self._mode_count = np.array(len(self.observation.actions), np.uint64)
         self._none_over = np.zeros(num_envs, np.bool_)
         self._over, self._ended = self._none_over, 0
 
     def _set_up(self) -> None:
-        """Make what follows from the arguments; copies do the same."""
+        """Create everything that follows from the arguments; copies do the same."""
         self._start_engine(self._task.pipeline, self.num_envs, threads=self._threads)
         engine = self._engine
         self.batch = engine.batch
         self._stepper = Stepper(engine, self._tally, self._history, self._infos)
 
     def render(self) -> tuple[NDArray[np.uint8], ...] | None:  # type: ignore[override]
-        """Pictures (480, 480, 3), or of another size, of the environments, the first few drawn.
+        """Draw pictures (480, 480, 3), or of another size, of the first few environments.
 
-        Gymnasium's `wrappers.vector.RecordVideo` makes a grid of them.
+        Gymnasium's `wrappers.vector.RecordVideo` makes a grid of these pictures.
         """
         if self._gallery is None:
             return None
@@ -166,12 +166,12 @@ class MmWaveLocVectorEnv(
         """Draw an episode for every environment, or for those of ``options["reset_mask"]``.
 
         Args:
-            seed: s for s, s + 1, ...; or one for each environment, None to go on.
+            seed: s for s, s + 1, ...; or a seed per environment, None to continue its stream.
             options: ``reset_mask`` is a bool array (N,); ``episode_key`` are the keys (N,) of the
-                episodes to play, of which those elsewhere are not looked at.
+                episodes to play; keys of environments that are not reset are ignored.
 
         Returns:
-            All observations (N, features), and the infos of those reset.
+            All observations (N, features), and the infos of the environments that were reset.
         """
         chosen = self._reset_mask(options)
         places = np.flatnonzero(chosen)
@@ -179,7 +179,7 @@ class MmWaveLocVectorEnv(
         if keys is not None:
             self._task.require_keys(seed)
             keys = keys_from(keys, self.num_envs)[places]
-        self._begun &= not chosen.all()  # until all is drawn
+        self._begun &= not chosen.all()  # until all episodes are drawn
         self._streams.seed_some(seed, places)
         drawn = self._draw(places, keys)
         _, state = self._stepper.start(places)
@@ -209,16 +209,16 @@ class MmWaveLocVectorEnv(
 
     @property  # type: ignore[misc]
     def np_random(self) -> Any:
-        """A generator for each environment, from which a source of your own draws episodes."""
+        """Return a generator per environment, from which your own source draws episodes."""
         return self._streams.generators()
 
     @property
     def np_random_seed(self) -> Any:
-        """The seed of each environment, as of a `SyncVectorEnv`."""
+        """Return the seed of each environment, as a `SyncVectorEnv` does."""
         return self._streams.seeds()
 
     def _draw(self, places: Index, keys: Keys | None = None) -> dict[str, NDArray[Any]]:
-        """Begin episodes in some environments; what ``reset`` tells of them, (N,) each."""
+        """Begin episodes in some environments; return their infos for ``reset``, (N,) each."""
         task, engine = self._task, self._engine
         told: dict[str, NDArray[Any]] = {"episode_name": np.full(self.num_envs, None, object)}
         told["nonfinite"] = np.zeros(self.num_envs, np.int64)
@@ -243,11 +243,11 @@ class MmWaveLocVectorEnv(
         return {} if self._infos == "none" else told
 
     def step(self, actions: Index) -> Step:
-        """Process an epoch in every environment with its mode (N,); see the class on ends."""
+        """Process an epoch in every environment with its mode (N,); see the class about ends."""
         actions = self._checked(actions)
         buffers = StepBuffers.fresh(self.num_envs, len(self.observation))
         observations, rewards, terminated, truncated = buffers
-        fresh, resets = self._over, self._ended  # none where autoreset is not NextStep
+        fresh, resets = self._over, self._ended  # none unless autoreset is NextStep
         drawn = self._draw(np.flatnonzero(fresh)) if resets else {}
         self._ended, infos = self._stepper.step(actions, buffers)
         if self._gallery:
@@ -276,7 +276,7 @@ class MmWaveLocVectorEnv(
         return observations, rewards, terminated, truncated, infos
 
     def _end(self, observations: Observations, infos: dict[str, Any]) -> dict[str, Any]:
-        """What is told where episodes end; begin others where that is to be in the same step."""
+        """Add infos where episodes end; begin new episodes there if the same step resets."""
         lost = np.zeros(self.num_envs, np.int64)
         lost[self._over] = self._tally.nonfinite(np.flatnonzero(self._over))
         if lost.any():
@@ -288,7 +288,7 @@ class MmWaveLocVectorEnv(
         return infos
 
     def _checked(self, actions: Any) -> Index:
-        """A copy of the actions (N,), if all that are not ignored mean a mode."""
+        """Return a copy of the actions (N,); refuse actions that are invalid and not ignored."""
         self._require_begun("step")
         if self._ended and self.autoreset_mode == AutoresetMode.DISABLED:
             raise ResetNeeded(
@@ -298,7 +298,7 @@ class MmWaveLocVectorEnv(
         found = np.asarray(actions)
         if found.shape == (self.num_envs,) and found.dtype.kind in "iu":
             chosen = found.astype(np.int64)
-            wrong = chosen.view(np.uint64) >= self._mode_count  # negative ones wrap around
+            wrong = chosen.view(np.uint64) >= self._mode_count  # negative actions wrap around
             if self._ended:
                 wrong[self._over] = False
             if not np.count_nonzero(wrong):
@@ -309,7 +309,7 @@ class MmWaveLocVectorEnv(
         )
 
     def _metrics(self) -> dict[str, NDArray[Any]]:
-        """What the last step of an episode tells, (N,) each."""
+        """Return the metrics for the last info of episodes, (N,) each."""
         ended = np.flatnonzero(self._over)
         told = self._metrics_of(ended, self._threads)
         found = {key: np.zeros(self.num_envs) for key in told}
@@ -318,7 +318,7 @@ class MmWaveLocVectorEnv(
         return found
 
     def _same_step(self, observations: Observations, infos: dict[str, Any]) -> dict[str, Any]:
-        """Reset where episodes ended; what they ended with becomes ``final_*``."""
+        """Reset where episodes ended; their last observations and infos become ``final_*``."""
         over = self._over.copy()
         ended = np.flatnonzero(over)
         final_obs = np.full(self.num_envs, None, object)

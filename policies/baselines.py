@@ -1,4 +1,4 @@
-"""Policies that need no training: one mode for ever, the most likely mode."""
+"""Policies that need no training: a fixed mode, and the most likely mode."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -8,23 +8,23 @@ from policies.policy import Policy
 
 
 class FixedMode(Policy):
-    """Always the same mode, by its number."""
+    """A policy that always chooses the same mode, by its number."""
 
     def __init__(self, action: int) -> None:
         self.action = action
 
     def __call__(self, observation: NDArray[np.float32]) -> NDArray[np.int64]:
-        """Actions (n,)."""
+        """Return actions (n,)."""
         return np.full(len(observation), self.action, np.int64)
 
 
 class LikelihoodRule(Policy):
-    """The mode that explained the latest measurements, the coming one included, best.
+    """A policy that chooses the mode with the best average likelihood, coming epoch included.
 
-    Compares moving averages of the modes' log-likelihoods, which are part of the observation.
+    It compares moving averages of the modes' log-likelihoods, which are part of the observation.
 
     Args:
-        observation: the environment's table of features; must show the coming epoch.
+        observation: the environment's table of features; it must include the coming epoch.
         modes: names of the modes, in order.
         pace: "fast" or "slow" average.
     """
@@ -34,7 +34,7 @@ class LikelihoodRule(Policy):
         self._features = [f"preference {pace} {name}" for name in modes[:-1]]
 
     def __call__(self, observation: NDArray[np.float32]) -> NDArray[np.int64]:
-        """Actions (n,)."""
+        """Return actions (n,)."""
         against_last = [self.observation.read(observation, name) for name in self._features]
         scores = np.stack([*against_last, np.zeros(len(observation))], axis=-1)
         best: NDArray[np.int64] = scores.argmax(axis=-1)

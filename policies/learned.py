@@ -1,4 +1,4 @@
-"""Learned switchers: trained with PyTorch, at work in numpy."""
+"""Learned switchers, trained with PyTorch, and run with numpy."""
 
 import os
 from importlib.resources import files
@@ -18,13 +18,13 @@ Array = NDArray[np.float32]
 
 
 def shipped_policies() -> dict[str, Path]:
-    """The policy files of the package, by name."""
+    """Return the policy files of the package, by name."""
     folder = Path(str(files("policies").joinpath("data")))
     return {path.stem: path for path in sorted(folder.glob("*.safetensors"))}
 
 
 class LearnedSwitch:
-    """A network that chooses the mode, or the mode to trust: the most probable action.
+    """A network that chooses the mode, or the mode to trust, by the most probable action.
 
     ```python
     >>> policy = LearnedSwitch("runs/mine.safetensors")
@@ -35,7 +35,7 @@ class LearnedSwitch:
 
     ```
 
-    Where every mode keeps its own belief, an environment takes the bank of its radio:
+    With a belief per mode, the environment takes the policy's bank for its radio:
 
     ```python
     >>> policy = LearnedSwitch("runs/per-mode.safetensors")
@@ -46,17 +46,17 @@ class LearnedSwitch:
     ```
 
     Args:
-        path: a policy file (``.safetensors``), or the name of a shipped one.
-        observation: the environment's table of features, to be sure that it is the one the
-            policy was trained with.
+        path: a policy file (``.safetensors``), or the name of a shipped policy.
+        observation: the environment's table of features, to check that the policy was trained
+            with the same table.
 
     Attributes:
-        card: how it was trained.
-        modes: of the environments it works in; where each keeps its own belief, of the first bank.
-        beliefs: of these environments, "shared" or "per-mode".
+        card: description of the policy's training.
+        modes: modes of its environments; with a belief per mode, the modes of the first bank.
+        beliefs: "shared" or "per-mode", as in its environments.
 
     Raises:
-        ValueError: unknown name, a damaged file, or another table of features.
+        ValueError: the name is unknown, the file is damaged, or the table of features differs.
         FileNotFoundError: there is no such file.
     """
 
@@ -77,14 +77,14 @@ class LearnedSwitch:
             self.require_trained_on(observation)
 
     def bank(self, radio: str = "handset") -> Bank:
-        """The bank to use with a radio, where every mode keeps its own belief.
+        """Return the bank to use with a radio, for a policy with a belief per mode.
 
         Args:
-            radio: name or file of the profile; one it was not trained with gets the bank of its
-                base, of "standard", or the first, where there is none of these.
+            radio: name or file of the profile; a profile unknown in training gets the bank of its
+                base, of "standard", or the first bank, if these are missing.
 
         Raises:
-            ValueError: it was trained with a belief that the modes share.
+            ValueError: the policy was trained with a shared belief.
         """
         banks = self.card.banks
         if not banks:
@@ -99,10 +99,10 @@ class LearnedSwitch:
         return next(banks[name] for name in known if name in banks)
 
     def require_trained_on(self, observation: Observation) -> None:
-        """Refuse an environment that shows or offers something else than in training.
+        """Refuse an environment with other observations or actions than in training.
 
         Raises:
-            ValueError: saying what it was trained with, what the environment has, what to do.
+            ValueError: the environment differs; the message says how, and what to do.
         """
         card, found = self.card, observation
         trained = f"{self._path}: trained with"
@@ -124,7 +124,7 @@ class LearnedSwitch:
 
     @property
     def _made_with(self) -> str:
-        """How to make an environment that it works in."""
+        """Return the code that makes an environment for this policy."""
         arguments = "modes=policy.modes"
         if self.card.banks:
             arguments = f'beliefs="per-mode", modes=policy.bank("{next(iter(self.card.banks))}")'
@@ -147,21 +147,21 @@ class LearnedSwitch:
             )
 
     def __call__(self, observation: Array) -> NDArray[np.int64]:
-        """Actions (n,) for observations (n, features); errors are those of :meth:`logits`."""
+        """Return actions (n,) for observations (n, features); :meth:`logits` raises the errors."""
         actions: NDArray[np.int64] = self.logits(observation).argmax(axis=1)
         return actions
 
     def logits(self, observation: Array) -> Array:
-        """Logarithms of the actions' probabilities (n, actions), up to a constant of each row.
+        """Compute logarithms of the actions' probabilities (n, actions), up to a constant per row.
 
-        A policy with a memory takes the observations in, as when it is called.
+        A policy with a memory updates it with the observations, as a call does.
 
         Args:
-            observation: (n, features).
+            observation: (n, features) observations.
 
         Raises:
-            ValueError: another number of features, or, of a policy with a memory, another
-                number of environments than at the last reset.
+            ValueError: the number of features differs, or, for a policy with a memory, the
+                number of environments differs from the last reset.
         """
         if observation.ndim != 2 or observation.shape[1] != len(self._low):
             raise ValueError(
@@ -188,7 +188,7 @@ class LearnedSwitch:
 
 
 def _located(path: str | os.PathLike[str]) -> Path:
-    """A policy file by its path, or a shipped one by its name."""
+    """Return the path of a policy file, given as a path or as the name of a shipped policy."""
     if not isinstance(path, str) or path.endswith(".safetensors"):
         return Path(path)
     shipped = shipped_policies()
@@ -210,7 +210,7 @@ class _Lstm:
         self._h = self._c = np.empty((0, len(self._from_h)), np.float32)
 
     def __call__(self, x: Array, begins: NDArray[np.bool_]) -> Array:
-        """The new h (n, hidden), after inputs (n, in)."""
+        """Update the memory with inputs (n, in); return the new h (n, hidden)."""
         if len(self._h) != len(begins):
             self._h, self._c = np.zeros((2, len(begins), self._h.shape[1]), np.float32)
         self._h[begins] = self._c[begins] = 0.0
@@ -222,6 +222,6 @@ class _Lstm:
 
 
 def _sigmoid(x: Array) -> Array:
-    """1 / (1 + exp(-x)), as written here it overflows for no x."""
+    """Compute 1 / (1 + exp(-x)) in a form that does not overflow for any x."""
     result: Array = 0.5 * np.tanh(0.5 * x) + 0.5
     return result

@@ -1,4 +1,4 @@
-"""What a policy is."""
+"""Protocol of policies."""
 
 from typing import Protocol
 
@@ -7,12 +7,12 @@ from numpy.typing import NDArray
 
 
 class Policy(Protocol):
-    """Maps a batch of observations to a batch of actions."""
+    """A map from a batch of observations to a batch of actions."""
 
     def reset(self, mask: NDArray[np.bool_]) -> None:
         """Forget the past of the environments (n,) in which an episode begins."""
-        return  # one without a memory forgets nothing
+        return  # a policy without a memory has no past to forget
 
     def __call__(self, observation: NDArray[np.float32]) -> NDArray[np.int64]:
-        """Actions (n,) for observations (n, features)."""
+        """Return actions (n,) for observations (n, features)."""
         ...

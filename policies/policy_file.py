@@ -1,15 +1,15 @@
-"""Policy files: a learned switcher as ``.safetensors``, read without unpickling anything.
+"""Policy files: a learned switcher as ``.safetensors``, which is read without unpickling.
 
-Tensors, float32; the actor is the network that chooses:
+The tensors are float32; the actor is the network that chooses:
 
-- ``low``, ``high`` (features,): observations are clipped to them. Training normalizes, too,
-  which is folded into the first weights;
+- ``low``, ``high`` (features,): observations are clipped to these limits. Normalization during
+  training is folded into the first weights;
 - ``layer.0.weight`` (out, in), ``layer.0.bias`` (out,), ``layer.1.weight``, ...: an MLP with
-  tanh between its layers. ``in`` of the first is features, ``out`` of the last the
-  number of actions: the modes; where each keeps its own belief, none of them and the modes;
-- of a recurrent actor ``lstm.weight_ih`` (4 h, in), ``lstm.weight_hh`` (4 h, h) and
-  ``lstm.bias`` (4 h,), gates in PyTorch's order (input, forget, cell, output): it comes first,
-  and the MLP sees its h.
+  tanh between its layers. ``in`` of the first layer is features, ``out`` of the last layer the
+  number of actions: the modes; with a belief per mode, "none" and the modes;
+- ``lstm.weight_ih`` (4 h, in), ``lstm.weight_hh`` (4 h, h) and ``lstm.bias`` (4 h,) of a
+  recurrent actor, gates in PyTorch's order (input, forget, cell, output): the LSTM comes first,
+  and the MLP takes its h.
 
 The file's metadata hold, under "policy", a JSON object with the number of this format, the
 :class:`Card` and a checksum of card and tensors.
@@ -35,38 +35,38 @@ from mmwave_env.lookup import choose, quoted
 from mmwave_env.observation import BELIEFS, OBSERVATIONS, action_names
 
 FORMAT = 1
-MOST_BYTES = 128 << 20  # of a file: a thousand times one of ours
-MOST_HEADER = 16 << 20  # of what stands before its numbers: names, shapes and the card
-_KEY = "policy"  # one only: the library writes several in any order, and files would differ
-_PER_MODE = ("beliefs", "banks")  # not written where beliefs are shared, as before there were any
+MOST_BYTES = 128 << 20  # most bytes of a file: a thousand times our largest
+MOST_HEADER = 16 << 20  # most bytes of the header: names, shapes and the card
+_KEY = "policy"  # a single key: the library writes several in any order
+_PER_MODE = ("beliefs", "banks")  # not written for shared beliefs, as in older files
 
 Tensors = dict[str, NDArray[np.float32]]
 
 
 @dataclass(frozen=True)
 class Card:
-    """What a policy file tells about its weights.
+    """The description of a policy's weights in its file.
 
     Attributes:
-        modes: what the actions stand for; where each keeps its own belief, those of the first
+        modes: modes that the actions stand for; with a belief per mode, the modes of the first
             bank, and action 0 stands for none of them.
         observation: "full" or "prior".
-        digest: of the table of features, :attr:`~mmwave_env.observation.Observation.digest`.
-        frames: observations the actor sees at once, 1.
-        scenario: it was trained on.
-        radio: profile it was trained with.
-        algorithm: that trained it.
-        seed: of the training; -1 where it had none.
-        timesteps: epochs it was trained for.
-        command: that made the file.
-        evaluation: figures, JSON of any form.
-        versions: of packages at training; "mmwave-loc" is one of them.
+        digest: hash of the table, :attr:`~mmwave_env.observation.Observation.digest`.
+        frames: number of observations that the actor takes at once, 1.
+        scenario: scenario of the training.
+        radio: radio profile of the training.
+        algorithm: algorithm of the training.
+        seed: seed of the training; -1 if it had none.
+        timesteps: number of epochs of the training.
+        command: command that made the file.
+        evaluation: results, JSON of any form.
+        versions: versions of packages at training, including "mmwave-loc".
         beliefs: "shared" or "per-mode".
-        banks: of beliefs per mode, by the radio profile it was trained with; of modes that are
-            called alike in all of them.
+        banks: banks of beliefs per mode, by the radio profile of the training; the names of the
+            modes are the same in all banks.
 
     Raises:
-        ValueError: saying what is wrong in it.
+        ValueError: a field is invalid; the message says what is wrong.
     """
 
     modes: tuple[Mode, ...]
@@ -122,15 +122,15 @@ class Card:
 
     @property
     def actions(self) -> list[str]:
-        """What the actions are called."""
+        """Return the names of the actions."""
         return action_names(self.modes, self.beliefs)
 
     @classmethod
     def from_json(cls, content: Any) -> "Card":
-        """A card as a policy file holds it.
+        """Return the card of a policy file's JSON.
 
         Raises:
-            ValueError: saying what is wrong in it.
+            ValueError: the JSON is no card; the message says what is wrong.
         """
         if not isinstance(content, dict):
             raise ValueError(f"card: found {quoted(content)}, expected an object")
@@ -140,7 +140,7 @@ class Card:
         return cls(**{**content, "modes": alone.modes, "banks": banks})
 
     def as_json(self) -> dict[str, Any]:
-        """The card as a policy file holds it.
+        """Return the card as a policy file holds it.
 
         Raises:
             ValueError: a mode's algorithm is a function, which no file can hold.
@@ -152,7 +152,7 @@ class Card:
 
 
 def _banks_in(content: Any) -> dict[str, Bank]:
-    """The banks of a card as a policy file holds them."""
+    """Return the banks of a card in a policy file."""
     if not isinstance(content, dict):
         raise ValueError(
             f"banks: found {quoted(content)}, expected an object, a bank for each radio"
@@ -172,26 +172,26 @@ def _names(modes: Iterable[Mode]) -> str:
 
 
 def to_bytes(tensors: Tensors, card: Card) -> bytes:
-    """A policy file's content; the same for the same tensors and card.
+    """Return a policy file's content, which is the same for the same tensors and card.
 
     Raises:
-        ValueError: what :func:`read_policy` would refuse.
+        ValueError: :func:`read_policy` would refuse the content.
     """
     _require_actor(tensors, card)
-    # The library writes memory as it lies: of a transposed array it would write another one.
+    # The library writes the memory of an array: for a transposed array, that of another array.
     tensors = {name: np.ascontiguousarray(tensor) for name, tensor in tensors.items()}
-    content = json.loads(json.dumps(card.as_json()))  # as a reader will see it
+    content = json.loads(json.dumps(card.as_json()))  # the form that a reader gets
     document = {"format": FORMAT, "sha256": _checksum(tensors, content), "card": content}
     written: bytes = save(tensors, {_KEY: json.dumps(document)})
     return written
 
 
 def read_policy(path: str | os.PathLike[str]) -> tuple[Tensors, Card]:
-    """Tensors and card of a policy file.
+    """Read tensors and card of a policy file.
 
     Raises:
-        ValueError: naming the file and what is wrong in it.
-        OSError: it can't be read; FileNotFoundError where there is no such file.
+        ValueError: the file is invalid; the message names the file and what is wrong in it.
+        OSError: the file can't be read; FileNotFoundError if there is no such file.
     """
     path = Path(path)
     _require_header(path)
@@ -207,14 +207,14 @@ def read_policy(path: str | os.PathLike[str]) -> tuple[Tensors, Card]:
                 f"sha256: found {quoted(document['sha256'])}, expected {expected!r}; the file was "
                 "damaged: copy or train it again"
             )
-    # What another shape of the card makes code raise, too.
+    # These include errors that code raises for a card of another shape.
     except (ValueError, TypeError, AttributeError, LookupError, SafetensorError) as error:
         raise ValueError(f"{path}: not a policy file: {told(error)}") from error
     return tensors, card
 
 
 def _require_header(path: Path) -> None:
-    """Refuse a file that is none, or that says to be larger than policies are, before its data."""
+    """Refuse a file of another kind, or larger than policies are, before its data are read."""
     with open_regular(path, "a policy (.safetensors)") as file, naming(path):
         size, header = os.fstat(file.fileno()).st_size, int.from_bytes(file.read(8), "little")
     if size > MOST_BYTES or header > MOST_HEADER:
@@ -224,7 +224,7 @@ def _require_header(path: Path) -> None:
 
 
 def _document(text: str | None) -> dict[str, Any]:
-    """The JSON object of the metadata."""
+    """Return the JSON object of the metadata."""
     if text is None:
         raise ValueError(f"metadata: found nothing under {_KEY!r}, expected format, sha256, card")
     try:
@@ -243,7 +243,7 @@ def _document(text: str | None) -> dict[str, Any]:
 
 
 def _tensor(file: Any, name: str) -> NDArray[np.float32]:
-    """A tensor of an open file; types that numpy lacks are refused before it sees them."""
+    """Return a tensor of an open file; refuse types that numpy lacks before numpy reads them."""
     dtype = file.get_slice(name).get_dtype()
     if dtype != "F32":
         raise ValueError(f"tensor {name!r}: found type {dtype}, expected F32")
@@ -270,7 +270,7 @@ def _require_actor(tensors: Tensors, card: Card) -> None:
 
 
 def _shapes(tensors: Tensors, card: Card) -> dict[str, tuple[int, ...]]:
-    """Names and shapes of an actor with as many features, layers and neurons as there are."""
+    """Return names and shapes of an actor with the features, layers and neurons of the tensors."""
     size = {name: tensor.size for name, tensor in tensors.items()}
     features = size.get("low", 0)
     shapes: dict[str, tuple[int, ...]] = {"low": (features,), "high": (features,)}
@@ -290,7 +290,7 @@ def _shapes(tensors: Tensors, card: Card) -> dict[str, tuple[int, ...]]:
 
 
 def _require_names(what: str, found: Iterable[str], expected: Iterable[str]) -> None:
-    """Refuse missing names and those that should not be there."""
+    """Refuse missing and unknown names."""
     found, expected = set(found), set(expected)
     if found != expected:
         raise ValueError(
@@ -300,7 +300,7 @@ def _require_names(what: str, found: Iterable[str], expected: Iterable[str]) -> 
 
 
 def _checksum(tensors: Tensors, card: dict[str, Any]) -> str:
-    """Over everything a policy does or tells."""
+    """Compute a checksum over everything that determines a policy."""
     whole = sha256(json.dumps(card, sort_keys=True).encode())
     for name in sorted(tensors):
         whole.update(f"{name} {tensors[name].shape} ".encode())

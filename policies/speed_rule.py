@@ -12,28 +12,28 @@ from mmwave_env.numerics.numbers import Number, Vector, sqrt, where
 from mmwave_env.observation import Observation
 from policies.policy import Policy
 
-SLOW_MPS = 2.0  # paper, Algorithm 1: up to it mobility is low
+SLOW_MPS = 2.0  # paper, Algorithm 1: mobility is low up to this speed
 
 
 def mode_at(speed: Number, threshold: float = SLOW_MPS) -> Number:
-    """The paper's rule (Sec. III-A) on numbers: mode 0 up to the threshold, mode 1 above."""
+    """Apply the paper's rule (Sec. III-A) to numbers: mode 0 up to the threshold, mode 1 above."""
     return where(speed > threshold, 1.0, 0.0)
 
 
 def by_predicted_speed(x: Vector, epoch: Epoch) -> Number:
-    """The rule on tracks, by the predicted velocity: that of the state (7,) before."""
+    """Apply the rule to tracks, by the predicted speed, which is that of the last state (7,)."""
     return mode_at(sqrt(dot(x[3:6], x[3:6])))
 
 
 def by_odometry_speed(x: Vector, epoch: Epoch) -> Number:
-    """The rule by the speed that odometry measures; by the predicted one where it is missing."""
+    """Apply the rule to the speed of odometry, or to the predicted speed where it is missing."""
     return where(epoch.visible[-1] > 0.5, mode_at(epoch.z[-2]), by_predicted_speed(x, epoch))
 
 
 class SpeedRule(Policy):
     """The paper's rule (Sec. III-A): mode 0 up to the threshold, mode 1 above.
 
-    Above 20 m/s the speed is outside the paper's design window: one warning, and mode 1.
+    Above 20 m/s, outside the paper's design window, the policy warns once and chooses mode 1.
 
     Args:
         observation: the environment's table of features.
@@ -51,7 +51,7 @@ class SpeedRule(Policy):
         self._warned = False
 
     def __call__(self, observation: NDArray[np.float32]) -> NDArray[np.int64]:
-        """Actions (n,)."""
+        """Return actions (n,)."""
         speed = self.observation.read(observation, self.feature)
         if not self._warned and (speed > DESIGN_LIMIT_MPS).any():
             self._warned = True
@@ -60,6 +60,6 @@ class SpeedRule(Policy):
                 "rule (speed-rule), which chooses its mode for high mobility there",
                 stacklevel=2,
             )
-        # An observation is float32: a speed at the threshold may read a rounding above it.
+        # An observation is float32: rounding may make a speed at the threshold read above it.
         threshold = min(self.threshold, DESIGN_LIMIT_MPS)
         return mode_at(speed, threshold * (1.0 + 1e-6)).astype(np.int64)  # type: ignore[no-any-return]

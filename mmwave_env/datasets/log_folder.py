@@ -1,4 +1,4 @@
-"""An episode as a folder: measurement log, scene and truth, as ``mmwave-loc simulate`` writes."""
+"""Episodes as folders with log, scene and truth, as ``mmwave-loc simulate`` writes them."""
 
 import warnings
 from pathlib import Path
@@ -24,16 +24,16 @@ _LOGS = tuple(f"log{suffix}" for suffix in SUFFIXES)
 
 
 def read_log_folder(folder: Path) -> MeasuredTrack:
-    """The track of a folder with a log, its scene and its truth, all of it in memory.
+    """Read the track of a folder with a log, its scene and its truth, all into memory.
 
-    Positions are those of :class:`~mmwave_env.logs.truth.Truth` at the times of the epochs,
-    velocities their differences. A truth with another clock than the log's is warned of.
+    Positions are those of :class:`~mmwave_env.logs.truth.Truth` at the times of the epochs;
+    velocities are their differences. A truth whose clock differs from the log's causes a warning.
 
     Args:
-        folder: with ``log.csv`` (or ``.csv.gz``, ``.parquet``), ``scene.json``, ``truth.tum``.
+        folder: contains ``log.csv`` (or ``.csv.gz``, ``.parquet``), ``scene.json``, ``truth.tum``.
 
     Raises:
-        ValueError: a file is missing, damaged or not what it should be, or no pose of the truth
+        ValueError: a file is missing, damaged or of another kind, or no pose of the truth
             is at the time of an epoch; the message names file and row, what was found and what
             was expected.
         OSError: a file can't be read.
@@ -65,7 +65,7 @@ def read_log_folder(folder: Path) -> MeasuredTrack:
 
 
 def log_of(folder: Path) -> Path:
-    """The log of a folder that has everything."""
+    """Return the log of a folder; refuse the folder if a file is missing."""
     logs = [name for name in _LOGS if (folder / name).exists()]
     missing = [] if logs else [LOG]
     missing += [name for name in (SCENE, TRUTH) if not (folder / name).exists()]
@@ -79,14 +79,14 @@ def log_of(folder: Path) -> Path:
 
 
 def write_log_folder(folder: Path, episode: Episode, scene: Scene, origin: str) -> list[str]:
-    """Write an episode as :func:`read_log_folder` reads it; the names of the files.
+    """Write an episode as :func:`read_log_folder` reads it; return the names of the files.
 
     Args:
-        folder: made where it is not there.
-        episode: without its prior. Where it has no truth, one that lies in the folder is removed:
-            it is not that of the new log.
-        scene: that it is in.
-        origin: how it was made, for a comment in the truth.
+        folder: created if it does not exist.
+        episode: written without its prior. If it has no truth, a truth in the folder is removed,
+            because it does not belong to the new log.
+        scene: scene of the episode.
+        origin: words for a comment in the truth that say how the episode was made.
 
     Raises:
         OSError: a file can't be written.

@@ -1,4 +1,4 @@
-"""Episodes as measurement logs: CSV or Parquet, as :func:`~mmwave_env.logs.log.read_log` reads."""
+"""Writer of episodes as measurement logs for :func:`~mmwave_env.logs.log.read_log`."""
 
 import gzip
 import math
@@ -13,11 +13,11 @@ from mmwave_env.world.episode import Episode
 
 
 def log_columns(episode: Episode) -> dict[str, Array]:
-    """The columns (n,) of an episode's log, NaN where empty; a row for each epoch and anchor.
+    """Return the columns (n,) of an episode's log, NaN where empty; a row per epoch and anchor.
 
-    Numbers of groups that can't be used are left out. The SNR stays where a link or the
-    Doppler shift needs it. An elevation that noise pushes past the vertical ends there, as a
-    receiver's does.
+    Numbers of unusable groups are left out. The SNR stays where a link or the
+    Doppler shift needs it. An elevation that noise moves beyond the vertical is clipped there, as
+    receivers do.
     """
     layout, usable = episode.layout, episode.usable
     T, L = len(episode), layout.anchors
@@ -50,7 +50,7 @@ def log_columns(episode: Episode) -> dict[str, Array]:
 
 
 def log_text(columns: dict[str, Array]) -> str:
-    """Columns (n,) as CSV, exact to the last bit."""
+    """Return columns (n,) as CSV, exact to the last bit."""
     words = [
         ["" if math.isnan(v) else repr(v) for v in values.tolist()] for values in columns.values()
     ]
@@ -58,11 +58,11 @@ def log_text(columns: dict[str, Array]) -> str:
 
 
 def write_log(path: Path, episode: Episode) -> None:
-    """Write the log of an episode, as CSV or Parquet by the name of the file.
+    """Write the log of an episode as CSV or Parquet, depending on the name of the file.
 
     Raises:
-        LogError: another kind of file, or pyarrow is missing.
-        OSError: it can't be written.
+        LogError: the file is of another kind, or pyarrow is missing.
+        OSError: the file can't be written.
     """
     name, columns = path.name.lower(), log_columns(episode)
     if name.endswith(".parquet"):

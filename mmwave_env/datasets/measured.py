@@ -1,7 +1,7 @@
-"""Measured tracks: a log with its truth, played as it was measured.
+"""Measured tracks: a log with its truth, replayed as it was measured.
 
-Nothing is measured anew: a seed draws where in the log an episode begins, if that is left open, and
-the prior.
+Measurements are never drawn anew: a seed draws the prior and, unless it is fixed, the epoch of
+the log at which an episode begins.
 """
 
 from dataclasses import dataclass
@@ -17,14 +17,14 @@ from mmwave_env.world.episode import Episode
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class MeasuredTrack(Track):
-    """T epochs of one user as a receiver measured them, and the truth.
+    """T epochs of one user as a receiver measured them, with the truth.
 
-    :meth:`from_arrays` makes one of what a user has; so does
-    :func:`~mmwave_env.datasets.log_folder.read_log_folder`.
+    :meth:`from_arrays` makes a track of a user's arrays;
+    :func:`~mmwave_env.datasets.log_folder.read_log_folder` reads it from files.
 
     Attributes:
         snr_db: (T, L); -inf where no SNR was measured.
-        doppler_spread_hz: (T,).
+        doppler_spread_hz: (T,) Doppler spread.
     """
 
     snr_db: Array
@@ -56,29 +56,29 @@ class MeasuredTrack(Track):
         bandwidth_hz: float = 100e6,
         name: str = "own",
     ) -> "MeasuredTrack":
-        """A track from what a user has; NaN is what was not measured or is not known.
+        """Return a track from a user's arrays; NaN stands for what was not measured or is unknown.
 
         A link with only some of its numbers counts as not measured. Angles are in the frame of
         the map: arrival is the direction anchor -> user, azimuth ``atan2(dy, dx)`` and elevation
-        ``atan2(dz, hypot(dx, dy))``; departure is the azimuth user -> anchor. A virtual anchor's
-        are as seen from the mirror image. docs/data.md, "Angles", converts others.
+        ``atan2(dz, hypot(dx, dy))``; departure is the azimuth user -> anchor. Angles of a virtual
+        anchor are seen from the mirror image. docs/data.md, "Angles", converts other conventions.
 
         Args:
-            time_s: (T,) of the epochs, increasing, s.
+            time_s: (T,) times of the epochs, increasing, s.
             anchors_m: (L, 3) base station, then virtual anchors, m.
-            range_m: (T, L) of links: speed of light times time of flight, one way, m.
-            aoa_azimuth_rad, aoa_elevation_rad, aod_azimuth_rad: (T, L) of links, rad.
-            snr_db: (T, L) of links, dB; noise follows from it and the radio profile.
-            position_m: (T, 3) truth, m.
+            range_m: (T, L) ranges of links: speed of light times one-way time of flight, m.
+            aoa_azimuth_rad, aoa_elevation_rad, aod_azimuth_rad: (T, L) angles of links, rad.
+            snr_db: (T, L) SNR of links, dB; with the radio profile it determines the noise.
+            position_m: (T, 3) true positions, m.
             doppler_hz: (T,) shift of the base station's link, positive while the range grows.
-            doppler_spread_hz: (T,); 0 where there is none.
-            velocity_mps: (T, 3) truth, m/s; None for differences of positions.
-            carrier_hz, bandwidth_hz: of the signal.
-            name: for results and messages.
+            doppler_spread_hz: (T,) Doppler spread; 0 where there is none.
+            velocity_mps: (T, 3) true velocities, m/s; None for differences of positions.
+            carrier_hz, bandwidth_hz: frequencies of the signal.
+            name: name for results and messages.
 
         Raises:
-            ValueError: an array of another shape, or times that do not increase; the message
-                names it.
+            ValueError: an array has another shape, or times do not increase; the message
+                names the array.
         """
         record = f"{cls.KIND} {name!r}"
         links = (range_m, aoa_azimuth_rad, aoa_elevation_rad, aod_azimuth_rad)
@@ -97,9 +97,9 @@ class MeasuredTrack(Track):
     def episode(
         self, radio: str | Radio, rng: np.random.Generator, epochs: slice = slice(None)
     ) -> Episode:
-        """As :meth:`Track.episode`; only the prior is drawn, around the true state.
+        """Return an episode as :meth:`Track.episode`; only the prior is drawn, around the truth.
 
-        The oscillator's true bias is not known, so its mean is 0.
+        The true bias of the oscillator is unknown, so the mean of its prior is 0.
         """
         measured, snr = self.measurement[epochs], self.snr_db[epochs]
         spread = self.doppler_spread_hz[epochs]

@@ -1,9 +1,9 @@
-"""Recordings: one track through a known scene, measured anew in every episode.
+"""Recordings: one track through a known scene, with measurements drawn anew in every episode.
 
-A ray tracer (or a survey) says which paths exist and what a perfect receiver would read there. A
-seed adds what a radio profile says about the receiver: noise, the oscillator's bias and the prior.
-Blockage, multipath, missed detections and outages are not simulated on top, because the recording
-knows which paths there are.
+A ray tracer (or a survey) gives the paths and what a perfect receiver would measure on them. A
+seed adds the effects of the receiver from a radio profile: noise, the oscillator's bias and the
+prior. Blockage, multipath, missed detections and outages are not simulated in addition, because
+the recording already has the paths that exist.
 """
 
 from dataclasses import dataclass
@@ -19,7 +19,7 @@ from mmwave_env.numerics.numbers import Array
 from mmwave_env.world.checks import refuse, require_finite
 from mmwave_env.world.episode import Episode
 
-_NO_PATH_DB = -200.0  # gain of a missing path: as good as none, yet its sigmas stay finite
+_NO_PATH_DB = -200.0  # gain of a missing path: negligible, but its sigmas stay finite
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -27,7 +27,7 @@ class Recording(Track):
     """T epochs of one user, as a perfect receiver would measure them.
 
     Attributes:
-        path_gain_db: (T, L) of every link, negative; it means nothing where none is visible.
+        path_gain_db: (T, L) gain of every link, negative; it has no meaning where not visible.
     """
 
     KIND: ClassVar[str] = "recording"
@@ -65,15 +65,15 @@ class Recording(Track):
         bandwidth_hz: float = 100e6,
         name: str = "own",
     ) -> "Recording":
-        """A recording from the paths of a ray tracer or a survey; NaN where there is no path.
+        """Return a recording from the paths of a ray tracer or survey; NaN where there is no path.
 
         Arguments are those of :meth:`~mmwave_env.datasets.measured.MeasuredTrack.from_arrays`,
-        exact, and ``path_gain_db``, (T, L) negative, which the radio profile makes an SNR. The
-        Doppler shift is that of the true velocity, wherever there is a line of sight.
+        exact, and ``path_gain_db``, (T, L) negative, which the radio profile turns into an SNR. The
+        Doppler shift is computed from the true velocity wherever there is a line of sight.
 
         Raises:
-            ValueError: an array of another shape, or numbers that mean nothing; the message
-                names it.
+            ValueError: an array has another shape, or its numbers are invalid; the message
+                names the array.
         """
         links = (range_m, aoa_azimuth_rad, aoa_elevation_rad, aod_azimuth_rad)
         fields, gain = fields_of(
@@ -91,7 +91,7 @@ class Recording(Track):
     def episode(
         self, radio: str | Radio, rng: np.random.Generator, epochs: slice = slice(None)
     ) -> Episode:
-        """As :meth:`Track.episode`, with noise, oscillator, Doppler spread and prior drawn."""
+        """Return an episode as :meth:`Track.episode`; noise, bias, spread and prior are drawn."""
         profile, scene, layout = radio_from(radio), self.scene, self.layout
         gain = np.where(
             self.visible[epochs, : layout.anchors], self.path_gain_db[epochs], _NO_PATH_DB

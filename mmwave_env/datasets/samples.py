@@ -1,4 +1,4 @@
-"""Episodes by name: what comes with the package, and folders of one's own."""
+"""Sources of episodes by name: samples of the package, and a user's own folders."""
 
 import os
 from importlib import resources
@@ -22,30 +22,30 @@ def _folders(of: Path) -> dict[str, Path]:
 
 
 def sample_names() -> tuple[str, ...]:
-    """Names of the recordings that come with the package, for :func:`source_from`."""
+    """Return the names of the recordings in the package, for :func:`source_from`."""
     return tuple(_folders(_RECORDINGS))
 
 
 def log_names() -> tuple[str, ...]:
-    """Names of the measurement logs that come with the package."""
+    """Return the names of the measurement logs in the package."""
     return tuple(_folders(_LOGS))
 
 
 def sample_folder(name: str, kind: str = "log") -> Path:
-    """The folder of a sample: of a ``log`` or a ``recording``.
+    """Return the folder of a sample, a ``log`` or a ``recording``.
 
     Raises:
-        ValueError: there is none; the message lists those that there are.
+        ValueError: there is no such sample; the message lists the names.
     """
     found = _folders(choose({"log": _LOGS, "recording": _RECORDINGS}, kind, "kind"))
     return choose(found, name, "sample")
 
 
 def recording_from(name: str) -> Recording:
-    """The recording of a name in :func:`sample_names`.
+    """Read the recording with a name in :func:`sample_names`.
 
     Raises:
-        ValueError: there is none; the message lists those that there are.
+        ValueError: there is no such recording; the message lists the names.
     """
     return read_deepmimo(sample_folder(name, "recording"))
 
@@ -55,16 +55,16 @@ def source_from(
     radio: str | Radio,
     epochs: int | None = None,
 ) -> TrackSource:
-    """The source of an ``episodes=`` argument, or of ``--data``.
+    """Return the source for an ``episodes=`` argument, or for ``--data``.
 
     Args:
-        episodes: a name in :func:`sample_names`; a folder, of a measurement log with its scene
-            and truth or of a DeepMIMO v4 scenario; a recording; or a measured track.
+        episodes: a name in :func:`sample_names`; a folder with a measurement log, its scene and
+            its truth, or with a DeepMIMO v4 scenario; a recording; or a measured track.
         radio: profile of the receiver.
-        epochs: length of an episode, a window drawn at random; None for all there is.
+        epochs: length of an episode, a window drawn at random; None for all epochs.
 
     Raises:
-        ValueError: nothing of these, a folder that is not what it should be, or no such window.
+        ValueError: the name is unknown, the folder is of another kind, or no window fits.
         OSError: a file can't be read.
     """
     if isinstance(episodes, str | os.PathLike):
@@ -73,7 +73,7 @@ def source_from(
 
 
 def _read(name: str | os.PathLike[str]) -> Recording | MeasuredTrack:
-    """What a name or a folder stands for."""
+    """Read the track that a name or a folder stands for."""
     if name in sample_names():
         return recording_from(str(name))
     folder = Path(name)

@@ -1,4 +1,4 @@
-"""Tracks: what is known of one user over some epochs, and the episodes drawn from it."""
+"""Tracks: all data of one user over some epochs, and the episodes drawn from them."""
 
 import warnings
 from abc import ABC, abstractmethod
@@ -19,9 +19,9 @@ from mmwave_env.numerics.numbers import Array, Mask, wrap
 from mmwave_env.world.checks import refuse, require_epochs, require_increasing, require_name
 from mmwave_env.world.episode import Episode
 
-# m, rad: medians beyond _FAR are wrong however noisy, those within _NEAR hardly matter.
+# m, rad: medians beyond _FAR are wrong even with noise, medians within _NEAR are acceptable.
 _FAR, _NEAR = (50.0, 0.5, 0.5, 0.5), (5.0, 0.05, 0.05, 0.05)
-_NOISE = 0.6745 * np.sqrt(2.0)  # median size of a difference of two errors of unit deviation
+_NOISE = 0.6745 * np.sqrt(2.0)  # median absolute difference of two errors of unit deviation
 _ENOUGH = 20  # epochs for a median
 
 
@@ -30,14 +30,14 @@ class Track(ABC):
     """T epochs of one user.
 
     Attributes:
-        name: what it is, for results and messages.
-        scene: whose L anchors were measured; of many tracks the anchors are all that is known.
-        layout: rows and groups.
-        time_s: (T,) increasing.
+        name: name for results and messages.
+        scene: scene whose L anchors were measured; often only its anchors are known.
+        layout: rows and groups of the measurements.
+        time_s: (T,) times, increasing.
         measurement: (T, rows) in the order of ``layout``: m, rad, Hz, m/s.
-        visible: (T, groups) bool; elsewhere numbers mean nothing.
-        position_m: (T, 3) truth, NaN in epochs where it is not known.
-        velocity_mps: (T, 3) truth, known where positions are.
+        visible: (T, groups) bool; elsewhere the numbers have no meaning.
+        position_m: (T, 3) true positions, NaN in epochs where unknown.
+        velocity_mps: (T, 3) true velocities, known where positions are.
     """
 
     KIND: ClassVar[str] = "track"
@@ -64,18 +64,18 @@ class Track(ABC):
 
     @abstractmethod
     def _more_shapes(self, T: int, L: int) -> dict[str, tuple[int, ...]]:
-        """Shapes of the arrays that this kind of track has beside those of all."""
+        """Return the shapes of the arrays that this kind of track has in addition."""
 
     @abstractmethod
     def episode(
         self, radio: str | Radio, rng: np.random.Generator, epochs: slice = slice(None)
     ) -> Episode:
-        """An episode of the track, or of some of its epochs, in which the truth is known.
+        """Return an episode of the track, or of some of its epochs, in which the truth is known.
 
         Args:
             radio: profile of the receiver.
-            rng: draws all that is random.
-            epochs: consecutive ones.
+            rng: source of all randomness.
+            epochs: consecutive epochs.
 
         Raises:
             ValueError: the truth of an epoch is not known.
@@ -91,7 +91,7 @@ class Track(ABC):
         doppler_spread_hz: Array,
         bias_hz: float,
     ) -> Episode:
-        """An episode of some epochs as they were received, with a prior around the true state."""
+        """Return an episode of some epochs as received, with a prior around the true state."""
         position, velocity = self.position_m[epochs], self.velocity_mps[epochs]
         state = np.concatenate([position[0], velocity[0], [bias_hz]])
         mean, covariance = draw_prior(state, radio, self.scene, rng)
@@ -114,22 +114,22 @@ class Track(ABC):
 
     @property
     def record(self) -> str:
-        """What messages call it."""
+        """Return the kind and name of the track, for messages."""
         return f"{self.KIND} {quoted(self.name)}"
 
     @property
     def anchors_m(self) -> Array:
-        """(L, 3) the base station first, then virtual anchors."""
+        """Return the anchors (L, 3): the base station first, then virtual anchors."""
         return self.scene.anchors_m
 
     def __len__(self) -> int:
         return len(self.time_s)
 
     def warn_of_contradictions(self) -> None:
-        """Warn where links are, in the median, far from what the true positions make them.
+        """Warn if the median error of links against the true positions is large.
 
-        That is a convention or a unit mistaken, or a truth in another frame; not noise, which is
-        judged by how much errors differ from one epoch to the next.
+        The cause is a wrong convention or unit, or a truth in another frame. Noise alone gives no
+        warning; its size is estimated by the change of errors from one epoch to the next.
         """
         layout, position = self.layout, list(self.position_m.T)
         anchors = self.anchors_m.tolist()
@@ -155,20 +155,20 @@ class Track(ABC):
 
 
 class TrackSource:
-    """Episodes of one track.
+    """Source of episodes from one track.
 
-    An episode lies within a *stretch*: consecutive epochs that all have a true position, no two
-    of them more than ``GAP_S`` apart.
+    An episode lies within a *stretch*: consecutive epochs that all have a true position, with no
+    gap of more than ``GAP_S``.
 
     Args:
         track: a measured track, whose measurements are the same in each episode; or a recording,
-            measured anew in each.
-        radio: profile of the receiver, by name or itself.
-        epochs: length of an episode, a window drawn at random out of all stretches; None for
+            whose measurements are drawn anew in each.
+        radio: profile of the receiver, or its name.
+        epochs: length of an episode, a window drawn at random from all stretches; None for
             the longest stretch as a whole.
 
     Raises:
-        ValueError: no stretch, or none of that length.
+        ValueError: there is no stretch, or no stretch of that length.
     """
 
     def __init__(self, track: Track, radio: str | Radio, epochs: int | None = None) -> None:
@@ -205,21 +205,21 @@ class TrackSource:
 
     @property
     def layout(self) -> Layout:
-        """Rows of every episode's measurements."""
+        """Return the layout of every episode's measurements."""
         return self.track.layout
 
     @property
     def name(self) -> str:
-        """The track's."""
+        """Return the name of the track."""
         return self.track.name
 
     @property
     def scene(self) -> Scene:
-        """The track's."""
+        """Return the scene of the track."""
         return self.track.scene
 
     def sample(self, rng: np.random.Generator) -> Episode:
-        """Draw one episode; all randomness comes from ``rng``."""
+        """Draw an episode; all randomness comes from ``rng``."""
         start = int(rng.choice(self._starts))
         return self.track.episode(self.radio, rng, slice(start, start + self.epochs))
 
@@ -228,7 +228,7 @@ class TrackSource:
 
 
 def numbers(record: str, field: str, values: ArrayLike, shape: tuple[int | None, ...]) -> Array:
-    """An array of numbers, a copy, of a shape; None is any length but 0."""
+    """Return a copy as an array of numbers of a shape, in which None is any length but 0."""
     try:
         array = np.array(values, float)
     except (TypeError, ValueError) as error:
@@ -255,18 +255,18 @@ def fields_of(
     carrier_hz: float,
     bandwidth_hz: float,
 ) -> tuple[dict[str, Any], Array]:
-    """Fields of a :class:`Track`, and the strength of links (T, L), from what a user has.
+    """Return fields of a :class:`Track`, and the strengths of links (T, L), from a user's arrays.
 
     Args:
-        record: for messages.
+        record: kind and name, for messages.
         name, time_s, anchors_m, position_m, velocity_mps, carrier_hz, bandwidth_hz: as the
             constructors' ``from_arrays`` take them.
         links: (T, L) arrays in the order of ``LINK``, NaN where not measured.
         doppler_hz: (T,) shift of the base station's link; None where it was not measured.
-        strength: name and values (T, L) of what a link needs beside them.
+        strength: name and values (T, L) of the strength of links.
 
     Raises:
-        ValueError: an array of another shape, or times that do not increase.
+        ValueError: an array has another shape, or times do not increase.
     """
     time = numbers(record, "time_s", time_s, (None,))
     require_increasing(record, time)

@@ -1,1 +1,1 @@
-"""Pictures of an episode; drawing them takes the extra ``render``."""
+"""Rendering of an episode as pictures, which needs the extra ``render``."""

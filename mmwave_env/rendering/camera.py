@@ -1,4 +1,4 @@
-"""What part of the map is shown: always the user and the estimate, without jumps."""
+"""Camera: the visible part of the map, which follows user and estimate without jumps."""
 
 import math
 from typing import NamedTuple
@@ -9,19 +9,19 @@ from mmwave_env.numerics.numbers import Array
 from mmwave_env.rendering.canvas import Point, Rect
 from mmwave_env.rendering.history import History
 
-_MEMORY_S, _LAG_S = 20.0, 4.0  # of the past that counts; with which it fades
-_AHEAD_S = 4.0  # of the user's way that fits between the middle and the rim
-_LEAST_M = 25.0  # from the middle to the upper rim
-_INNER = 0.5  # of the picture's height and width, in which user and estimate stay
+_MEMORY_S, _LAG_S = 20.0, 4.0  # length of the past that counts; time constant with which it fades
+_AHEAD_S = 4.0  # time of the user's travel that fits between the center and the edge
+_LEAST_M = 25.0  # least distance from the center to the upper edge
+_INNER = 0.5  # share of the picture's height and width in which user and estimate stay
 
 
 class View(NamedTuple):
     """A part of the map in a part of the picture.
 
     Attributes:
-        center_m: (2,) what is in the middle.
-        scale: px in a meter.
-        frame: where it is drawn.
+        center_m: (2,) position at the center.
+        scale: px per meter.
+        frame: the part of the picture.
     """
 
     center_m: Array
@@ -29,22 +29,22 @@ class View(NamedTuple):
     frame: Rect
 
     def pixels(self, points_m: Array) -> Array:
-        """Where points (n, 2 or more) of the map are in the picture, (n, 2)."""
+        """Return the positions (n, 2) in the picture of points (n, 2 or more) of the map."""
         offset = (points_m[:, :2] - self.center_m) * self.scale
         return self.frame.center + offset * (1.0, -1.0)
 
     @property
     def extent_m(self) -> tuple[Array, Array]:
-        """South-west and north-east corners (2,) of what is shown."""
+        """Return the south-west and north-east corners (2,) of the visible part."""
         half = np.array([self.frame.width, self.frame.height]) / (2.0 * self.scale)
         return self.center_m - half, self.center_m + half
 
 
 def follow(history: History, frame: Rect) -> View:
-    """The view of the last epoch: a function of the history, so that a copy shows the same.
+    """Return the view of the last epoch: a function of the history, so that a copy shows the same.
 
-    Middle and scale are averages over the last seconds, so that they change smoothly, unless that
-    would lose the user or the estimate.
+    Center and scale are averages over the last seconds, so that they change smoothly, except where
+    this would lose the user or the estimate.
     """
     recent = history.time_s >= history.time_s[-1] - _MEMORY_S
     weights = np.exp((history.time_s[recent] - history.time_s[-1]) / _LAG_S)
@@ -72,7 +72,7 @@ def follow(history: History, frame: Rect) -> View:
 
 
 def clipped(start: Point, end: Point, frame: Rect) -> tuple[Point, Point] | None:
-    """The part of a line that is in a frame (Liang and Barsky 1984); None where none is."""
+    """Clip a line to a frame (Liang and Barsky 1984); return None if it is outside."""
     begin, way = np.array(start), np.subtract(end, start)
     with np.errstate(divide="ignore", invalid="ignore"):
         shares = (np.array([frame.topleft, frame.bottomright]) - begin) / way
@@ -84,6 +84,6 @@ def clipped(start: Point, end: Point, frame: Rect) -> tuple[Point, Point] | None
 
 
 def nice(value: float) -> float:
-    """The largest of ..., 1, 2, 5, 10, ... that is no larger."""
+    """Return the largest of ..., 1, 2, 5, 10, ... that is not above the value."""
     power = 10.0 ** math.floor(math.log10(value))
     return next(step * power for step in (10.0, 5.0, 2.0, 1.0) if step * power <= value * 1.000001)

@@ -1,4 +1,4 @@
-"""Shapes and words on a pygame surface."""
+"""Canvas: shapes and words on a pygame surface."""
 
 import math
 import os
@@ -11,21 +11,21 @@ from numpy.typing import NDArray
 from mmwave_env.numerics.numbers import Array
 from mmwave_env.rendering.theme import Color
 
-os.environ.setdefault("PYGAME_HIDE_SUPPORT_PROMPT", "1")  # it would go to standard output
+os.environ.setdefault("PYGAME_HIDE_SUPPORT_PROMPT", "1")  # the prompt would go to standard output
 import pygame
 
 Point = tuple[float, float]
 Rect = pygame.FRect  # a part of a picture, px from its upper left corner
-_TIMES = 2  # shapes are drawn so many times as large and made small again: smooth edges
-_FAR = 1e4  # px; what is farther out is not told apart
+_TIMES = 2  # factor of supersampling, for smooth edges
+_FAR = 1e4  # px; points farther out are moved here
 
 
 class Canvas:
-    """A picture in the making: shapes first, then words.
+    """A picture that is being drawn: shapes first, then words.
 
     Args:
-        width, height: px.
-        unit: px of what is 1 px wide in the smallest picture; fonts and lines grow with it.
+        width, height: size in px.
+        unit: px of a line that is 1 px wide in the smallest picture; fonts and lines scale with it.
     """
 
     def __init__(self, width: int, height: int, unit: float) -> None:
@@ -36,11 +36,11 @@ class Canvas:
         self._words: list[tuple[Any, Point]] = []
 
     def clip(self, part: Rect | None) -> None:
-        """Draw shapes in a part of the picture only; None for all of it."""
+        """Draw shapes in a part of the picture only; None for the whole picture."""
         self._large.set_clip(None if part is None else _scaled(part))
 
     def fill(self, color: Color, part: Rect | None = None) -> None:
-        """Fill a part of the picture, or all of it."""
+        """Fill a part of the picture, or the whole picture."""
         self._large.fill(color, None if part is None else _scaled(part))
 
     def polygon(self, points: Array, color: Color, opacity: float = 1.0) -> None:
@@ -56,11 +56,11 @@ class Canvas:
         self._large.blit(glass, box)
 
     def line(self, points: Array, color: Color, width: float = 1.0, closed: bool = False) -> None:
-        """A line through points (n, 2), at least two."""
+        """Draw a line through points (n, 2), at least two."""
         pygame.draw.lines(self._large, color, closed, _large(points), self._width(width))
 
     def dashes(self, start: Point, end: Point, color: Color, width: float = 1.0) -> None:
-        """A dashed line between two points in the picture."""
+        """Draw a dashed line between two points in the picture."""
         (x, y), dx, dy = start, end[0] - start[0], end[1] - start[1]
         length, dash, thick = math.hypot(dx, dy), 5.0 * self.unit, self._width(width)
         for i in range(math.ceil(length / (2.0 * dash))):
@@ -69,21 +69,21 @@ class Canvas:
             pygame.draw.line(self._large, color, tail, head, thick)
 
     def disc(self, center: Point, radius: float, color: Color) -> None:
-        """A filled circle, its radius in units."""
+        """Draw a filled circle, its radius in units."""
         ((x, y),) = _large(np.array([center]))
         pygame.draw.circle(self._large, color, (x, y), radius * self.unit * _TIMES)
 
     def words(
         self, text: str, at: Point, color: Color, size: float = 15.0, align: float = 0.0
     ) -> Rect:
-        """Write a line, its middle height at a point; returns what it covers.
+        """Write a line centered vertically at a point; return the part of the picture it covers.
 
         Args:
-            text: from :func:`~mmwave_env.lookup.printable`, if it is anybody else's.
-            at: its left end, or its right end with ``align`` 1, or its middle with 0.5.
-            color: of the letters.
-            size: in units.
-            align: share of its width that lies left of the point.
+            text: passed through :func:`~mmwave_env.lookup.printable` if it is not our own.
+            at: left end of the line, or its right end with ``align`` 1, or its middle with 0.5.
+            color: color of the letters.
+            size: size of the font in units.
+            align: share of the width that lies left of the point.
         """
         drawn = _font(round(size * self.unit)).render(text, True, color)
         width, height = drawn.get_size()
@@ -92,11 +92,11 @@ class Canvas:
         return place
 
     def width_of(self, text: str, size: float = 15.0) -> float:
-        """How wide a line of words is, px."""
+        """Return the width of a line of words, px."""
         return float(_font(round(size * self.unit)).size(text)[0])
 
     def fitting(self, text: str, width: float, size: float = 15.0) -> str:
-        """The words, cut to a width in px if they are wider."""
+        """Return the words, cut to a width in px if they are wider."""
         if self.width_of(text, size) <= width:
             return text
         kept = len(text)
@@ -105,7 +105,7 @@ class Canvas:
         return text[:kept] + "..."
 
     def finish(self) -> NDArray[np.uint8]:
-        """Bring shapes and words together; returns the picture (height, width, 3)."""
+        """Combine shapes and words; return the picture (height, width, 3)."""
         pygame.transform.smoothscale(self._large, self.surface.get_size(), self.surface)
         self.surface.blits(self._words, False)
         self._words = []
@@ -124,7 +124,7 @@ def _font(size: int) -> Any:
 
 
 def _large(points: Array) -> Array:
-    """Where points (n, 2) are on the large surface."""
+    """Return points (n, 2) in the coordinates of the large surface."""
     # not np.clip: these take the number where the other is NaN
     return np.fmax(np.fmin(points, _FAR), -_FAR) * _TIMES  # type: ignore[no-any-return]
 
@@ -135,7 +135,7 @@ def _scaled(part: Rect) -> tuple[int, int, int, int]:
 
 
 def ellipse(center: Array, P: Array, deviations: float) -> Array:
-    """The outline (n, 2) of a covariance (2, 2), so many standard deviations around a center."""
+    """Return the outline (n, 2) of a covariance (2, 2) at so many standard deviations."""
     angle = np.linspace(0.0, 2.0 * np.pi, 48, endpoint=False)
     variances, axes = np.linalg.eigh(P)
     lengths = np.sqrt(np.maximum(variances, 0.0))

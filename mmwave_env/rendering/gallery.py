@@ -1,4 +1,4 @@
-"""Pictures of the first few of many environments, as Gymnasium's vector wrappers take them."""
+"""Pictures of the first environments of many, for Gymnasium's vector wrappers."""
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any
@@ -10,19 +10,19 @@ from mmwave_env.models.scene import Streets
 from mmwave_env.numerics.numbers import Array, Index
 from mmwave_env.rendering.history import Recorder
 
-DRAWN = 16  # more would be too small to read, and too many for memory
+DRAWN = 16  # more pictures would be too small to read, and need too much memory
 
 
 class Gallery:
-    """Writes down and draws the first few of N environments, at most :data:`DRAWN`.
+    """Recorder and painter of the first of N environments, at most :data:`DRAWN`.
 
     Args:
-        n: N.
-        rows, axes: as of :class:`Recorder`.
-        modes, size, theme: as of :class:`~mmwave_env.rendering.picture.Picture`.
+        n: number of environments N.
+        rows, axes: as :class:`Recorder` takes them.
+        modes, size, theme: as :class:`~mmwave_env.rendering.picture.Picture` takes them.
 
     Attributes:
-        recorders: of the environments that are drawn.
+        recorders: recorders of the environments that are drawn.
     """
 
     def __init__(
@@ -40,7 +40,7 @@ class Gallery:
         self._window: Any = None
 
     def __getstate__(self) -> dict[str, Any]:
-        """What a copy needs: surfaces and windows can't be copied."""
+        """Return the state for a copy, without surfaces and windows, which can't be copied."""
         return vars(self) | {"_picture": None, "_window": None}
 
     def begin(
@@ -50,24 +50,24 @@ class Gallery:
         streets: Callable[[int], Streets | None],
         workspace: Callable[[int], Array],
     ) -> None:
-        """Start over in some environments, with the prior that they are at.
+        """Start over in some environments, with the prior in their workspaces.
 
         Args:
-            places: the environments.
-            names: (N,) of the episodes.
-            streets: of the episode in one of the environments.
-            workspace: of an environment, (size,).
+            places: indices of the environments.
+            names: (N,) names of the episodes.
+            streets: returns the streets of the episode in an environment.
+            workspace: returns the workspace of an environment, (size,).
         """
         for place in self._drawn(places):
             self.recorders[place].begin(names[place], streets(place), workspace(place))
 
     def add(self, places: Index, actions: NDArray[Any], workspace: Callable[[int], Array]) -> None:
-        """Write down the epoch just processed in some environments, by actions (N,)."""
+        """Record the epoch just processed in some environments, with actions (N,)."""
         for place in self._drawn(places):
             self.recorders[place].add(workspace(place), int(actions[place]))
 
     def draw(self) -> tuple[NDArray[np.uint8], ...]:
-        """A picture of each of the N environments; of those not drawn, the same empty one."""
+        """Draw a picture of each of the N environments; the undrawn share an empty picture."""
         if self._picture is None:
             from mmwave_env.rendering.picture import Picture
 
@@ -77,7 +77,7 @@ class Gallery:
         return tuple(drawn)
 
     def show(self, picture: NDArray[np.uint8]) -> None:
-        """Show a picture in a window, which opens with the first one."""
+        """Show a picture in a window, which opens with the first picture."""
         if self._window is None:
             from mmwave_env.rendering.window import Window
 

@@ -1,4 +1,4 @@
-"""The epochs of an episode so far: what a picture is drawn from, and nothing of what is to come."""
+"""History of an episode: the epochs so far, from which a picture is drawn."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
@@ -11,18 +11,18 @@ from numpy.typing import NDArray
 from mmwave_env.models.scene import Streets
 from mmwave_env.numerics.numbers import Array, Index
 
-NO_MODE = -1  # of the prior, which no mode made
-GATE = 0.99  # chi-square quantile that NIS is shown beside: that of the gates of most modes
-POSITION_NUMBERS = 6  # of a packed covariance; those of the position come first
+NO_MODE = -1  # for the prior, which no mode computed
+GATE = 0.99  # chi-square quantile for NIS in pictures: that of the gates of most modes
+POSITION_NUMBERS = 6  # numbers of a packed covariance that belong to the position; they come first
 
 
 class Scenery(NamedTuple):
-    """What stays the same through an episode.
+    """The data that stay the same through an episode.
 
     Attributes:
-        name: of the episode.
-        anchors_m: (L, 3) the base station first.
-        streets: None where nobody knows them.
+        name: name of the episode.
+        anchors_m: (L, 3) positions, the base station first.
+        streets: streets of the map; None where unknown.
     """
 
     name: str
@@ -35,17 +35,17 @@ class History:
     """The prior and the k epochs after it, in rows: the first row is the prior's.
 
     Attributes:
-        scenery: of the episode.
+        scenery: data that stay the same through the episode.
         axes: position axes that NEES covers.
-        time_s: (k + 1,) since the first epoch.
+        time_s: (k + 1,) time since the first epoch.
         modes: (k + 1,) number of the mode that ran; ``NO_MODE`` in the first row.
-        truth: (k + 1, 6) position (m), velocity (m/s); NaN where nobody knows them.
+        truth: (k + 1, 6) position (m), velocity (m/s); NaN where unknown.
         estimate: (k + 1, 7) position (m), velocity (m/s), bias (Hz).
         P: (k + 1, 6) covariance of the position, packed: xx, xy, yy, xz, yz, zz, m^2.
-        nees: (k + 1,), NaN in the first row, and where nobody knows the truth.
+        nees: (k + 1,), NaN in the first row, and where the truth is unknown.
         accepted, rejected: (k + 1, groups) links first, then the Doppler shift.
         nis_share: (k + 1,) the largest NIS of a group, as a share of the chi-square quantile
-            :data:`GATE`; NaN where nothing was measured. None where the truth is known.
+            :data:`GATE`; NaN without measurements. The array is None where the truth is known.
     """
 
     scenery: Scenery
@@ -62,35 +62,35 @@ class History:
 
     @property
     def epochs(self) -> int:
-        """How many have been processed."""
+        """Return the number of processed epochs."""
         return len(self.modes) - 1
 
     @property
     def has_truth(self) -> bool:
-        """Whether anybody knows where the user is."""
+        """Tell whether the true position is known."""
         return bool(np.isfinite(self.truth[0, 0]))
 
     @property
     def user(self) -> Array:
-        """(k + 1, 6) where the user is, and how fast; as estimated where nobody knows it."""
+        """Return position and velocity (k + 1, 6): the true ones, or estimates where unknown."""
         return self.truth if self.has_truth else self.estimate[:, :6]
 
     @cached_property
     def error_m(self) -> Array:
-        """(k + 1,) length of the position error."""
+        """Return the length (k + 1,) of the position error."""
         return np.linalg.norm(self.estimate[:, :3] - self.truth[:, :3], axis=1)  # type: ignore[no-any-return]
 
     @cached_property
     def speed_mps(self) -> tuple[Array, Array]:
-        """(k + 1,) true and estimated."""
+        """Return true and estimated speeds, (k + 1,) each."""
         true, estimated = self.truth[:, 3:6], self.estimate[:, 3:6]
         return np.linalg.norm(true, axis=1), np.linalg.norm(estimated, axis=1)
 
     @cached_property
     def error_95_m(self) -> Array:
-        """(k + 1,) below which the belief expects 95 % of the errors.
+        """Return the radius (k + 1,) below which the belief expects 95 % of the errors.
 
-        The squared error of a Gaussian belief is a weighted sum of chi-squares; here it is the
+        The squared error of a Gaussian belief is a weighted sum of chi-squares, approximated by a
         scaled chi-square with the same mean and variance (Satterthwaite).
         """
         from scipy.special import chdtri
@@ -105,7 +105,7 @@ class History:
         return found
 
     def until(self, epochs: int) -> "History":
-        """As it was after so many epochs."""
+        """Return the history as it was after so many epochs."""
         own = {field.name: getattr(self, field.name) for field in fields(self)}
         arrays = {key: of for key, of in own.items() if isinstance(of, np.ndarray)}
         rows: dict[str, Any] = {key: of[: epochs + 1] for key, of in arrays.items()}
@@ -113,10 +113,10 @@ class History:
 
 
 class Recorder:
-    """Writes down the epochs of an environment as it steps.
+    """Recorder of the epochs of an environment as it steps.
 
     Args:
-        rows: where its workspace has ``anchors``, ``dt`` of the next epoch, ``truth``,
+        rows: places in the workspace of ``anchors``, ``dt`` of the next epoch, ``truth``,
             ``estimate``, ``P`` (packed), ``nees``, ``accepted`` and ``rejected``.
         axes: position axes that NEES covers.
     """
@@ -136,15 +136,15 @@ class Recorder:
         self._table, self._count = np.empty((0, ends[-1] + 2)), 0
 
     def begin(self, name: str, streets: Streets | None, workspace: Array) -> None:
-        """Start over with the prior, which the workspace (size,) holds."""
+        """Start over with the prior in the workspace (size,)."""
         self._scenery = Scenery(name, workspace[self._anchors].reshape(-1, 3), streets)
-        # a new table: histories given away are views of the old one
+        # a new table, because histories returned earlier are views of the old table
         self._table, self._count = np.empty((64, self._mode + 1)), 0
         self._append(workspace, 0.0, NO_MODE)
-        self._table[0, self._columns["nees"]] = np.nan  # the workspace has that of before
+        self._table[0, self._columns["nees"]] = np.nan  # the workspace has the last episode's
 
     def add(self, workspace: Array, mode: int) -> None:
-        """Write down the epoch that a mode just processed."""
+        """Record the epoch that a mode just processed."""
         last = self._table[self._count - 1]
         self._append(workspace, last[self._time_s] + last[self._columns["dt"]][0], mode)
 
@@ -156,7 +156,7 @@ class Recorder:
 
     @property
     def history(self) -> History:
-        """All epochs so far."""
+        """Return all epochs so far."""
         table = self._table[: self._count]
         part = {key: table[:, columns] for key, columns in self._columns.items()}
         return History(

@@ -1,4 +1,4 @@
-"""A picture of an episode from above, with what the filter makes of it; needs pygame."""
+"""Picture of an episode from above, with the state of the filter; needs pygame."""
 
 from collections.abc import Sequence
 
@@ -13,23 +13,23 @@ from mmwave_env.rendering.street_map import draw_map
 from mmwave_env.rendering.strips import draw_strips
 from mmwave_env.rendering.theme import SMALLEST, THEMES
 
-_COLUMNS, _ROWS = 4, 3  # of the legend of modes at most
+_COLUMNS, _ROWS = 4, 3  # most columns and rows of the legend of modes
 
 
 def legend_rows(modes: int) -> int:
-    """How many rows the legend of so many modes needs, as far as it is shown."""
+    """Return the number of rows of a legend of so many modes, as far as it is shown."""
     return min(_ROWS, -(-modes // _COLUMNS))
 
 
 class Picture:
-    """Draws the epochs of an episode.
+    """Painter of the epochs of an episode.
 
     Args:
-        modes: what the actions are called.
-        size: px, height and width.
+        modes: names of the actions.
+        size: height and width in px.
         theme: "light" or "dark".
-        title: a line above everything else; empty for none.
-        rows: of the legend of modes at least.
+        title: title above the picture; empty for none.
+        rows: least number of rows of the legend of modes.
     """
 
     def __init__(
@@ -47,14 +47,14 @@ class Picture:
         self._title, self._rows = printable(title), max(rows, legend_rows(len(modes)))
 
     def draw(self, history: History, beside: Sequence[History] = ()) -> NDArray[np.uint8]:
-        """The last epoch of a history and the way to it: (size, size, 3).
+        """Draw the last epoch of a history and the trajectory so far: (size, size, 3).
 
-        It depends on nothing else: the same history makes the same picture.
+        The picture depends on nothing else: the same history gives the same picture.
 
         Args:
-            history: what is drawn.
-            beside: what else is to be seen, of the same episode: speeds and errors of all have the
-                same scale.
+            history: history to draw.
+            beside: other histories of the same episode, drawn beside it: speeds and errors of all
+                have the same scale.
         """
         canvas, theme, unit = self._canvas, self._theme, self._canvas.unit
         legend = unit * (15.0 * self._rows + 4.0)
@@ -76,7 +76,7 @@ class Picture:
         return canvas.finish()
 
     def _draw_header(self, history: History, y: float) -> None:
-        """The epoch in numbers, in one line."""
+        """Draw the numbers of the epoch in one line."""
         canvas, theme, pad = self._canvas, self._theme, 8.0 * self._canvas.unit
         known = history.has_truth
         error = f"error {history.error_m[-1]:.2f} m" if known else "no truth"
@@ -97,7 +97,7 @@ class Picture:
         canvas.words(numbers, (self._size - pad, y), theme.ink, align=1.0)
 
     def _draw_key(self, history: History, y: float) -> None:
-        """What symbols and lines of the map mean."""
+        """Draw the key of symbols and lines of the map."""
         canvas, theme, unit = self._canvas, self._theme, self._canvas.unit
         x = 12.0 * unit
         mode = theme.mode(int(history.modes[-1])) if history.epochs else theme.quiet
@@ -123,7 +123,7 @@ class Picture:
             x += 12.0 * unit
 
     def _draw_modes(self, history: History, top: float) -> None:
-        """The legend of the modes; the name of the one that ran stands out."""
+        """Draw the legend of modes, with the name of the current mode highlighted."""
         canvas, theme, unit = self._canvas, self._theme, self._canvas.unit
         columns = min(_COLUMNS, len(self._modes))
         width = (self._size - 16.0 * unit) / columns
@@ -137,17 +137,17 @@ class Picture:
             canvas.words(words, (left + 19.0 * unit, y), theme.ink if now else theme.quiet, 14)
 
 
-_GAP_SHARE = 1 / 120  # of a picture's width, or two maps would look like one
+_GAP_SHARE = 1 / 120  # share of a picture's width, so that two maps don't look like one
 
 
 class Playback:
-    """Pictures of the same epoch, beside each other.
+    """Pictures of the same epoch side by side.
 
     Args:
-        histories: of one episode, of as many epochs each.
-        modes: what the actions are called in each of them.
-        titles: above each of them.
-        size, theme: of each picture, as of :class:`~mmwave_env.rendering.picture.Picture`.
+        histories: histories of one episode, with equally many epochs.
+        modes: names of the actions for each history.
+        titles: title above each picture.
+        size, theme: as :class:`~mmwave_env.rendering.picture.Picture` takes them.
     """
 
     def __init__(
@@ -158,7 +158,7 @@ class Playback:
         size: int,
         theme: str,
     ) -> None:
-        rows = max(legend_rows(len(names)) for names in modes)  # strips at one height
+        rows = max(legend_rows(len(names)) for names in modes)  # strips at the same height
         pictures = [
             Picture(names, size, theme, title, rows)
             for names, title in zip(modes, titles, strict=True)
@@ -166,7 +166,7 @@ class Playback:
         self._parts = list(zip(histories, pictures, strict=True))
 
     def draw(self, epochs: int) -> NDArray[np.uint8]:
-        """All after so many epochs, (size, size of each added up, 3)."""
+        """Draw all histories after so many epochs; return (size, sum of sizes, 3)."""
         known = [history.until(epochs) for history, _ in self._parts]
         drawn = [
             picture.draw(history, known)

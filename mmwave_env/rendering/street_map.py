@@ -1,4 +1,4 @@
-"""The map: streets, walls, anchors and links, the ways of the user and of the estimate."""
+"""Map with streets, walls, anchors and links, and the trajectories of user and estimate."""
 
 import math
 from itertools import pairwise
@@ -12,14 +12,14 @@ from mmwave_env.rendering.canvas import Canvas, Point, Rect, ellipse
 from mmwave_env.rendering.history import History
 from mmwave_env.rendering.theme import Color, Theme
 
-_STREET_M = 14.0  # how wide streets are drawn, if blocks leave the room
-_FACADE_M = 4.0  # how deep a wall is drawn
+_STREET_M = 14.0  # width of streets in the picture, if blocks leave enough room
+_FACADE_M = 4.0  # depth of a wall in the picture
 _SAME_HEIGHT_M = 0.1  # the image in a vertical wall is as high as the base station
-_TRAIL = 1500  # epochs of a way that are drawn at most
+_TRAIL = 1500  # most epochs of a trajectory that are drawn
 
 
 def draw_map(canvas: Canvas, view: View, history: History, theme: Theme) -> None:
-    """All of it, in the frame of the view."""
+    """Draw the whole map in the frame of the view."""
     canvas.clip(view.frame)
     canvas.fill(theme.ground, view.frame)
     if history.scenery.streets:
@@ -32,13 +32,13 @@ def draw_map(canvas: Canvas, view: View, history: History, theme: Theme) -> None
 
 
 def _draw_streets(canvas: Canvas, view: View, streets: Streets, theme: Theme) -> None:
-    """Streets of a width that is nobody's measurement, and the blocks of houses between them."""
+    """Draw streets of an assumed width, and the blocks of houses between them."""
     half = min(_STREET_M, streets.block_m / 4.0) / 2.0
     (west, east), (south, north) = streets.x_m, streets.y_m
     net = np.array([[west - half, south - half], [east + half, north + half]])
     canvas.fill(theme.street, _box(view, net))
     low, high = view.extent_m
-    if streets.block_m * view.scale < 4.0:  # too small to be told apart
+    if streets.block_m * view.scale < 4.0:  # too small to see
         return
     columns = _blocks(streets.x_m, streets.block_m, low[0], high[0])
     rows = _blocks(streets.y_m, streets.block_m, low[1], high[1])
@@ -49,7 +49,7 @@ def _draw_streets(canvas: Canvas, view: View, streets: Streets, theme: Theme) ->
 
 
 def _blocks(extent_m: tuple[float, float], block_m: float, low: float, high: float) -> Array:
-    """Where the blocks between two limits begin."""
+    """Return the positions at which the blocks between two limits begin."""
     first = max(0, math.floor((low - extent_m[0]) / block_m))
     last = min(
         round((extent_m[1] - extent_m[0]) / block_m), math.ceil((high - extent_m[0]) / block_m)
@@ -58,7 +58,7 @@ def _blocks(extent_m: tuple[float, float], block_m: float, low: float, high: flo
 
 
 def _box(view: View, corners_m: Array) -> Rect:
-    """South-west and north-east corners (2, 2) as a part of the picture, no larger than needed."""
+    """Return the part of the picture between south-west and north-east corners (2, 2), clipped."""
     frame = view.frame.inflate(4.0, 4.0)
     (left, bottom), (right, top) = np.clip(
         view.pixels(corners_m), (frame.left, frame.top), (frame.right, frame.bottom)
@@ -67,7 +67,7 @@ def _box(view: View, corners_m: Array) -> Rect:
 
 
 def _draw_walls(canvas: Canvas, view: View, anchors_m: Array, theme: Theme) -> None:
-    """The vertical walls halfway between the base station and its mirror images."""
+    """Draw the vertical walls halfway between the base station and its mirror images."""
     reach = 2.0 * float(np.hypot(view.frame.width, view.frame.height)) / view.scale
     for image in anchors_m[1:]:
         way = image[:2] - anchors_m[0, :2]
@@ -85,7 +85,7 @@ def _draw_walls(canvas: Canvas, view: View, anchors_m: Array, theme: Theme) -> N
 
 
 def _draw_links(canvas: Canvas, view: View, history: History, theme: Theme) -> None:
-    """A line from the user to every anchor: what became of its measurement."""
+    """Draw a line from the user to every anchor: accepted, rejected or missing."""
     if history.epochs == 0:
         return
     user = _point(view, history.user[-1])
@@ -102,7 +102,7 @@ def _draw_links(canvas: Canvas, view: View, history: History, theme: Theme) -> N
 
 
 def _draw_ways(canvas: Canvas, view: View, history: History, theme: Theme) -> None:
-    """Where user and estimate went, and where they are."""
+    """Draw the trajectories of user and estimate, and their positions."""
     rows = slice(-_TRAIL, None)
     truth, track = (view.pixels(way[rows]) for way in (history.truth, history.estimate))
     color = theme.quiet if history.epochs == 0 else theme.mode(int(history.modes[-1]))
@@ -124,20 +124,20 @@ def _draw_ways(canvas: Canvas, view: View, history: History, theme: Theme) -> No
 
 
 def draw_by_mode(canvas: Canvas, points: Array, modes: Index, theme: Theme, width: float) -> None:
-    """A line (n, 2) in the colors of the modes (n,); the first point's does not count."""
+    """Draw a line (n, 2) in the colors of the modes (n,); the first point's mode is not used."""
     for begin, end in runs(modes[1:]):
         color = theme.mode(int(modes[begin + 1]))
         canvas.line(points[begin : end + 1], color, width)
 
 
 def runs(modes: Index) -> list[tuple[int, int]]:
-    """First and end of the stretches in which the mode stays the same."""
+    """Return first and end of the runs in which the mode stays the same."""
     changes = np.flatnonzero(np.diff(modes)) + 1
     return list(pairwise([0, *changes.tolist(), len(modes)]))
 
 
 def _draw_scale(canvas: Canvas, view: View, theme: Theme) -> Rect:
-    """A bar of a round length in the lower right corner; returns what it covers."""
+    """Draw a bar of a round length in the lower right corner; return the part that it covers."""
     unit = canvas.unit
     length = nice(110.0 * unit / view.scale)
     place = Rect(0.0, 0.0, length * view.scale + 12.0 * unit, 25.0 * unit)
@@ -152,7 +152,7 @@ def _draw_scale(canvas: Canvas, view: View, theme: Theme) -> Rect:
 
 
 def _draw_anchors(canvas: Canvas, view: View, history: History, theme: Theme) -> None:
-    """The anchors, or arrows at the rim towards those outside, with their distance; the scale."""
+    """Draw the scale, the anchors, and arrows at the edge to anchors outside, with distances."""
     inner = view.frame.inflate(-14.0 * canvas.unit, -14.0 * canvas.unit)
     user, here = _point(view, history.user[-1]), history.user[-1, :3]
     around = 9.0 * canvas.unit
@@ -166,7 +166,7 @@ def _draw_anchors(canvas: Canvas, view: View, history: History, theme: Theme) ->
             canvas.line(shape, theme.wall if number else theme.ink, 1.5, closed=True)
         else:
             rim = clipped(user, at, inner)
-            if rim is None:  # of an anchor that is nowhere
+            if rim is None:  # the position of the anchor is not finite
                 continue
             at = rim[1]
             _draw_arrow(canvas, user, at, theme.wall if number else theme.ink)
@@ -190,7 +190,7 @@ def _draw_arrow(canvas: Canvas, start: Point, tip: Point, color: Color) -> None:
 def _label(
     canvas: Canvas, text: str, at: Point, frame: Rect, theme: Theme, taken: list[Rect]
 ) -> None:
-    """A name near a point, inside the frame, where nothing is taken if there is such a place."""
+    """Draw a name near a point, inside the frame, in a place that is not taken if possible."""
     unit = canvas.unit
     width, height, gap = canvas.width_of(text, 14) + 6.0 * unit, 15.0 * unit, 10.0 * unit
     places = [
@@ -205,7 +205,7 @@ def _label(
 
 
 def _draw_plate(canvas: Canvas, place: Rect, theme: Theme) -> None:
-    """Quiet ground under words."""
+    """Draw a pale background for words."""
     corners = [place.topleft, place.topright, place.bottomright, place.bottomleft]
     canvas.polygon(np.array(corners), theme.paper, 0.8)
 

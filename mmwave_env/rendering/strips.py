@@ -14,25 +14,25 @@ from mmwave_env.rendering.history import GATE, History
 from mmwave_env.rendering.street_map import draw_by_mode, runs
 from mmwave_env.rendering.theme import Theme
 
-_WINDOW = 120  # epochs that are shown
-_NEES = (0.03, 300.0)  # that are shown; others at the edge
+_WINDOW = 120  # number of epochs shown
+_NEES = (0.03, 300.0)  # range shown; other values are at the edge
 _NIS = (0.03, 30.0)
-_WORDS_SHARE = 0.235  # of the width, left of the strips
-_TICKS_SHARE = 0.06  # right of them
+_WORDS_SHARE = 0.235  # share of the width left of the strips
+_TICKS_SHARE = 0.06  # share of the width right of the strips
 _ROW = 13.0  # height of a line of words, in units
 
 
 @dataclass(frozen=True)
 class Strip:
-    """What is shown over n epochs.
+    """A quantity over n epochs, as it is drawn.
 
     Attributes:
-        title: with its unit.
-        curve: (n,) of the estimate, in the colors of the modes, and what it is called.
-        values: at the lower and upper edge of the strip.
-        truth: (n,) beside it, and what it is called; or None.
-        band: lower and upper edge, (n,) or numbers, and what it is called; or None.
-        ticks: values to name where values are shown by their logarithm; else those at the edges.
+        title: title with the unit.
+        curve: (n,) values of the estimate, in the colors of the modes, and their label.
+        values: values at the lower and upper edge of the strip.
+        truth: (n,) true values and their label; or None.
+        band: lower and upper edge, (n,) or numbers, and the label; or None.
+        ticks: values labelled on a logarithmic scale; without ticks, the scale is linear.
     """
 
     title: str
@@ -43,9 +43,9 @@ class Strip:
     ticks: tuple[float, ...] = ()
 
     def heights(self, values: Array | float) -> Array:
-        """Where values are, from 0 at the lower edge to 1; those beyond an edge on it."""
+        """Return the heights of values, from 0 at the lower edge to 1; others are clipped."""
         low, high = self.values
-        shown = np.fmax(np.fmin(values, high), low)  # NaN is as bad as it gets
+        shown = np.fmax(np.fmin(values, high), low)  # NaN is drawn as the worst value
         if self.ticks:
             low, high, shown = math.log(low), math.log(high), np.log(shown)
         return np.asarray((shown - low) / (high - low))
@@ -54,13 +54,13 @@ class Strip:
 def draw_strips(
     canvas: Canvas, place: Rect, history: History, theme: Theme, beside: Sequence[History] = ()
 ) -> None:
-    """All of them in a part of the picture, from top to bottom.
+    """Draw all strips in a part of the picture, from top to bottom.
 
     Args:
-        canvas, place: what is drawn on, and where.
-        history: what is drawn.
-        theme: of the colors.
-        beside: drawn elsewhere, to be compared: heights mean the same there.
+        canvas, place: canvas, and the part of it that the strips fill.
+        history: history to draw.
+        theme: theme with the colors.
+        beside: histories drawn elsewhere for comparison, with the same scales.
     """
     unit, rows = canvas.unit, slice(max(1, history.epochs - _WINDOW + 1), None)
     words, ticks = _WORDS_SHARE * place.width, _TICKS_SHARE * place.width
@@ -73,7 +73,7 @@ def draw_strips(
     shown = (_speed, _error, _nees) if history.has_truth else (_speed, _radius, _nis)
     for i, make in enumerate(shown):
         strip, *others = (make(one, rows) for one in (history, *beside))
-        if not strip.ticks:  # logarithmic ones have the same scale anyhow
+        if not strip.ticks:  # logarithmic strips have the same scale in any case
             top = max(one.values[1] for one in (strip, *others))
             strip = replace(strip, values=(0.0, top))
         top = place.top + i * height + 2.0 * unit
@@ -85,7 +85,7 @@ def draw_strips(
 
 
 def _times(history: History, rows: slice) -> tuple[float, float]:
-    """At the left and right edge: a window that moves on when it is full."""
+    """Return the times at the left and right edge of a window that moves on when it is full."""
     time_s = history.time_s[rows]
     step = float(np.median(np.diff(time_s))) if len(time_s) > 1 else 1.0
     first = float(time_s[0]) if len(time_s) else 0.0
@@ -128,7 +128,7 @@ def _nis(history: History, rows: slice) -> Strip:
 
 
 def _top(values: Array) -> float:
-    """The upper edge, a round value of at least 2, so that values (n,) are below it."""
+    """Return an upper edge above values (n,): a round value of at least 2."""
     known = values[np.isfinite(values)]
     largest = max(2.0, 1.05 * float(known.max(initial=0.0)))
     below = nice(largest)
@@ -138,7 +138,7 @@ def _top(values: Array) -> float:
 def _draw_strip(
     canvas: Canvas, place: Rect, plot: Rect, strip: Strip, x: Array, modes: Index, theme: Theme
 ) -> None:
-    """Frame, ticks, band, lines; and what they mean, left of them."""
+    """Draw the frame, ticks, band and lines of a strip, and their key left of them."""
     unit = canvas.unit
 
     def y(values: Array | float) -> Array:
@@ -176,7 +176,7 @@ def _draw_strip(
 def _draw_ribbon(
     canvas: Canvas, place: Rect, lane: Rect, x: Array, modes: Index, theme: Theme
 ) -> None:
-    """Which mode ran when, with its number where there is room."""
+    """Draw the mode that ran in each epoch, with its number where there is room."""
     unit = canvas.unit
     canvas.words("mode", (place.left + 8.0 * unit, lane.centery), theme.ink, 15)
     canvas.fill(theme.ground, lane)
@@ -195,14 +195,14 @@ def _draw_ribbon(
 
 
 def _readable_on(color: tuple[int, int, int]) -> tuple[int, int, int]:
-    """Black or white, whichever stands out more from a color."""
+    """Return black or white, whichever contrasts more with a color."""
     red, green, blue = color
     light = 0.299 * red + 0.587 * green + 0.114 * blue > 140.0
     return (0, 0, 0) if light else (255, 255, 255)
 
 
 def _draw_clock(canvas: Canvas, lane: Rect, times_s: tuple[float, float], theme: Theme) -> None:
-    """The time axis, under the ribbon."""
+    """Draw the time axis below the ribbon."""
     first, last = times_s
     step = nice((last - first) / 4.0)
     for time in np.arange(math.ceil(first / step), last / step + 1e-9) * step:

@@ -1,7 +1,7 @@
-"""Colors in light and dark: of the film, and of modes in figures and in web reports, too.
+"""Colors in light and dark, for videos; the colors of modes are also those of figures and reports.
 
-Those of modes are of Okabe and Ito (2008), which color-blind readers tell apart, in an order that
-keeps neighbors far apart; some are lighter or darker than theirs, to stand out from the ground.
+The colors of modes are from Okabe and Ito (2008), which color-blind readers can tell apart, in an
+order that keeps neighbors far apart; some are lighter or darker, to contrast with the background.
 """
 
 from collections.abc import Sequence
@@ -14,11 +14,11 @@ Color = tuple[int, int, int]
 
 
 class Theme(NamedTuple):
-    """What is drawn in which color."""
+    """The colors of everything that is drawn."""
 
     paper: Color
     ink: Color
-    quiet: Color  # of explanations
+    quiet: Color  # color of explanations
     grid: Color
     ground: Color
     street: Color
@@ -29,14 +29,14 @@ class Theme(NamedTuple):
     rejected: Color
     missing: Color
     band: Color
-    none: Color  # of an action that trusts no mode
+    none: Color  # color of an action that trusts no mode
     modes: tuple[Color, ...]
 
     def for_modes(self, names: Sequence[str]) -> "Theme":
-        """The same with a color for each action of these names: a mode's does not depend on "none".
+        """Return the theme with a color for each action; a mode's color does not depend on "none".
 
         Args:
-            names: of the modes, "none" among them or not.
+            names: names of the actions, with or without "none".
         """
         colors = cycle(self.modes)
         return self._replace(
@@ -44,12 +44,12 @@ class Theme(NamedTuple):
         )
 
     def mode(self, number: int) -> Color:
-        """The color of a mode; beyond those there are, they come again."""
+        """Return the color of a mode; the colors repeat if there are more modes."""
         return self.modes[number % len(self.modes)]
 
 
 def hex_of(color: Color) -> str:
-    """The color as web pages write it, such as #0072b2."""
+    """Return the color as web pages write it, such as #0072b2."""
     return "#" + bytes(color).hex()
 
 
@@ -77,25 +77,25 @@ THEMES = {
 }  # fmt: skip
 
 
-SMALLEST, LARGEST = 480, 1080  # px, height and width
-FRAMES_PER_SECOND = 10  # of videos, and of a window until a key changes it
+SMALLEST, LARGEST = 480, 1080  # height and width in px
+FRAMES_PER_SECOND = 10  # default speed of videos and windows
 
 
 def require_drawable(size: int, theme: str, what: str) -> None:
-    """Refuse what can't be drawn, before any work.
+    """Refuse a picture that can't be drawn, before any work.
 
     Args:
-        size: px, height and width.
-        theme: of the colors.
-        what: needs pictures.
+        size: height and width in px.
+        theme: name of the theme.
+        what: what needs pictures, for the message.
 
     Raises:
-        ValueError: a size or a theme that there is not.
+        ValueError: the size or the theme is invalid.
         MissingExtraError: pygame is not installed.
     """
     require_extra("pygame", "render", what)
     choose(THEMES, theme, "render_theme")
-    if not (SMALLEST <= size <= LARGEST and size % 2 == 0):  # videos take no odd sizes
+    if not (SMALLEST <= size <= LARGEST and size % 2 == 0):  # video formats need an even size
         raise ValueError(
             f"render_size: found {size!r}, expected an even number from {SMALLEST} to {LARGEST}"
         )

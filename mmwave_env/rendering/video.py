@@ -1,4 +1,4 @@
-"""Pictures one after another as a file: .gif or .mp4. Needs the extra ``video``."""
+"""Video files, .gif or .mp4, from a sequence of pictures. Needs the extra ``render``."""
 
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import closing
@@ -13,22 +13,22 @@ from mmwave_env.lookup import require_extra
 
 Draw = Callable[[int], NDArray[np.uint8]]
 Pictures = Iterator[NDArray[np.uint8]]
-_PACKAGES = {".gif": "PIL", ".mp4": "imageio_ffmpeg"}  # that write them
-_COLORS = 256  # of a GIF, the most it can have
-_SAMPLES = 6  # pictures that the colors are taken from
-_LAST_S = 2.0  # that a GIF stays at its last picture, before it begins again
+_PACKAGES = {".gif": "PIL", ".mp4": "imageio_ffmpeg"}  # packages that write them
+_COLORS = 256  # most colors of a GIF
+_SAMPLES = 6  # number of pictures that the palette is computed from
+_LAST_S = 2.0  # time for which a GIF shows its last picture, before it repeats
 
 
 def require_video(option: str, path: Path) -> None:
     """Refuse a video that could not be written, before any work.
 
     Args:
-        option: that names the file.
-        path: of the file.
+        option: command-line option that names the file.
+        path: path of the file.
 
     Raises:
-        ValueError: it does not end with .gif or .mp4.
-        MissingExtraError: the package that writes it is not installed.
+        ValueError: the name does not end with .gif or .mp4.
+        MissingExtraError: the package that writes the format is not installed.
         OSError: the file can't be written.
     """
     kind = path.suffix.lower()
@@ -41,14 +41,14 @@ def require_video(option: str, path: Path) -> None:
 def write_video(
     path: Path, draw: Draw, numbers: Sequence[int], fps: int, report: Callable[[float], None]
 ) -> None:
-    """Write a video in one step: it is whole or not there.
+    """Write a video in one step: the file is whole or does not exist.
 
     Args:
-        path: as of :func:`require_video`.
-        draw: from a number to its picture (height, width, 3).
-        numbers: of the pictures, at least one.
-        fps: pictures a second.
-        report: gets the share done.
+        path: path of the file, checked by :func:`require_video`.
+        draw: returns the picture (height, width, 3) of a number.
+        numbers: numbers of the pictures, at least one.
+        fps: pictures per second.
+        report: receives the share done.
     """
 
     def pictures() -> Iterator[NDArray[np.uint8]]:
@@ -65,7 +65,7 @@ def write_video(
 
 
 def _write_gif(path: Path, pictures: Pictures, samples: list[Any], fps: int) -> None:
-    """With one palette, so that what stays the same between two pictures costs nothing."""
+    """Write a GIF with a single palette, so that unchanged pixels take no space."""
     from PIL import Image
 
     taken = Image.fromarray(np.concatenate(samples))
@@ -83,7 +83,7 @@ def _write_mp4(path: Path, pictures: Pictures, first: NDArray[np.uint8], fps: in
 
     size = first.shape[1::-1]
     writer = imageio_ffmpeg.write_frames(str(path), size, fps=fps, quality=8, macro_block_size=2)
-    with closing(writer):  # also where a picture fails, or ffmpeg would write on
-        writer.send(None)  # it begins
+    with closing(writer):  # closed even if a picture fails, because ffmpeg would go on writing
+        writer.send(None)  # starts the generator
         for picture in pictures:
             writer.send(np.ascontiguousarray(picture))

@@ -1,4 +1,4 @@
-"""A window that shows pictures, and listens to keys."""
+"""Window that shows pictures and reacts to keys."""
 
 import os
 import time
@@ -10,23 +10,23 @@ from numpy.typing import NDArray
 
 from mmwave_env.rendering.theme import FRAMES_PER_SECOND
 
-SPEEDS = (1, 2, 5, 10, 20, 50, 100)  # pictures a second
+SPEEDS = (1, 2, 5, 10, 20, 50, 100)  # pictures per second
 _STEP, _FASTER, _SLOWER = (
     (pygame.K_n, pygame.K_RIGHT),
     (pygame.K_PLUS, pygame.K_EQUALS, pygame.K_KP_PLUS, pygame.K_UP),
     (pygame.K_MINUS, pygame.K_KP_MINUS, pygame.K_DOWN),
 )
-_UNSEEN = {"offscreen", "dummy"}  # drivers of windows that nobody sees
+_UNSEEN = {"offscreen", "dummy"}  # video drivers without a visible window
 
 
 def require_display(
     what: str = 'render_mode="human"', instead: str = 'take render_mode="rgb_array"'
 ) -> None:
-    """Refuse a window that nobody would see.
+    """Refuse to open a window that nobody would see.
 
     Args:
-        what: needs it.
-        instead: what to do without one.
+        what: what needs the window, for the message.
+        instead: advice for the message.
 
     Raises:
         OSError: there is no display; the message says which variable is missing.
@@ -46,12 +46,12 @@ def require_display(
 
 
 class Window:
-    """Shows one picture after another, at a speed that keys change; its title names them.
+    """A window for one picture after another, at a speed that keys change; its title names them.
 
-    Once it is closed on the screen, nothing is shown any more, and nothing waits.
+    After the user closes it, nothing is shown any more, and :meth:`show` returns at once.
 
     Args:
-        width, height: px.
+        width, height: size in px.
     """
 
     def __init__(self, width: int, height: int) -> None:
@@ -62,7 +62,7 @@ class Window:
         self._name()
 
     def show(self, picture: NDArray[np.uint8]) -> None:
-        """Show a picture (height, width, 3) as long as the speed wants; paused, until a key."""
+        """Show a picture (height, width, 3) for its time; if paused, until a key is pressed."""
         surface = pygame.image.frombuffer(picture.tobytes(), picture.shape[1::-1], "RGB")
         self._stepping = False
         while self._screen is not None:
@@ -77,17 +77,17 @@ class Window:
 
     @property
     def is_open(self) -> bool:
-        """Whether it is still there."""
+        """Tell whether the window is open."""
         return self._screen is not None
 
     def close(self) -> None:
-        """Close it, if it is open."""
+        """Close the window if it is open."""
         if self._screen is not None:
             pygame.display.quit()
             self._screen = None
 
     def _listen(self) -> None:
-        """Do what was asked for since the last time, up to a single step."""
+        """Handle the events since the last call, up to a single step."""
         while self._screen is not None and not self._stepping:
             event = pygame.event.poll()
             if event.type == pygame.NOEVENT:

@@ -1,4 +1,4 @@
-"""DeepMIMO scenarios: :func:`read_deepmimo` makes a recording of a folder (docs/deepmimo.md)."""
+"""DeepMIMO scenarios: :func:`read_deepmimo` reads a folder as a recording (docs/deepmimo.md)."""
 
 from mmwave_env.datasets.deepmimo.recording import read_deepmimo
 

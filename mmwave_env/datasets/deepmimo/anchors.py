@@ -1,19 +1,19 @@
-"""Paths become links to anchors: a base station and its mirror images.
+"""Assignment of ray-traced paths to anchors: a base station and its mirror images.
 
-The line of sight is the link to the station. A path that bounces once, at q, looks to a receiver
-at p as if it came in a straight line from the mirror image of the station at g (paper, Sec. II):
+The line of sight is the link to the station. A path that bounces once, at q, appears to a
+receiver at p to come in a straight line from the station's mirror image at g (paper, Sec. II):
 
     a = q + |g - q| (q - p) / |q - p|
 
-For one flat wall that image is the same from everywhere, so clusters of images are the virtual
-anchors. Arrival and range hold as they are seen from a virtual anchor; the departure is measured
-at the station, before the bounce, and is mirrored along with it.
+For one flat wall this image is the same from everywhere, so clusters of images are the virtual
+anchors. Arrival and range are those seen from a virtual anchor; the departure is measured
+at the station, before the bounce, and is mirrored with the path.
 
-Paths of other kinds (two bounces, diffraction, scattering, transmission) have no fixed image, or
-none that is known from a file's first point of interaction, and are left out.
+Other paths (two bounces, diffraction, scattering, transmission) are left out: they have no fixed
+image, or their image can't be computed from the first point of interaction in a file.
 
-Paths come as :class:`StationPaths`, whichever files they were read from: in SI units, in the files'
-meaning.
+Paths are given as :class:`StationPaths`, independent of the file format: in SI units, with the
+meaning of the files.
 """
 
 from collections.abc import Callable
@@ -29,28 +29,28 @@ from mmwave_env.models.measurement import LINK, SPEED_OF_LIGHT, direction
 from mmwave_env.numerics.numbers import PI, Array, Mask, wrap
 from mmwave_env.world.checks import refuse_in
 
-TOLERANCE_M = 0.05  # float32 files agree to 1e-4 m; places closer than this are one
+TOLERANCE_M = 0.05  # float32 files agree to 1e-4 m; closer places are the same
 # Values of ``interactions``: a digit for each interaction, from the base station to the receiver.
 LINE_OF_SIGHT, REFLECTION = 0.0, 1.0
 
 
 @dataclass(frozen=True, eq=False)
 class StationPaths:
-    """The paths between one base station and E receivers, at most P for each.
+    """The paths between one base station and E receivers, at most P for each receiver.
 
-    Paths with ``interactions`` 0 or 1 have finite numbers everywhere (a bounce where there is
-    one); those of others mean nothing.
+    Paths with ``interactions`` 0 or 1 have finite numbers everywhere (and a bounce if there is
+    one); the numbers of other paths have no meaning.
 
     Attributes:
-        name: which station it is, in the words of the files.
-        position_m: (3,) of the station.
+        name: name of the station in the files.
+        position_m: (3,) position of the station.
         interactions: (E, P) 0 line of sight, 1 one reflection, ...; NaN where there is no path.
         bounce_m: (E, P, 3) first point of interaction.
         gain_db: (E, P) 20 log10 |a|.
-        delay_s: (E, P) absolute.
+        delay_s: (E, P) absolute delay.
         arrival, departure: (E, P, 2) azimuth and zenith angle at the receiver and at the station,
-            rad; whether along propagation or against it, lines of sight tell.
-        source: the file, and the receiver's number in it, that a key of an epoch was read from.
+            rad; lines of sight show whether they point along propagation or against it.
+        source: returns the file, and the receiver's number in it, of a key and an epoch.
     """
 
     name: str
@@ -64,15 +64,15 @@ class StationPaths:
     source: Callable[[str, int], tuple[Path, int]]
 
     def refuse(self, key: str, epoch: int, found: str, expected: str) -> NoReturn:
-        """Raise a ValueError about what a file says of a receiver."""
+        """Refuse a file by a ValueError about what it says of a receiver."""
         file, receiver = self.source(key, epoch)
         refuse_in(file, key, f"{found} of receiver {receiver}", expected)
 
 
 def propagation(angles: Array, sight: Array, direct: Mask) -> Array:
-    """Unit vectors (E, P, 3) along propagation, from azimuths and zenith angles (E, P, 2).
+    """Compute unit vectors (E, P, 3) along propagation from azimuths and zenith angles (E, P, 2).
 
-    Some converters store directions along propagation, some against it; lines of sight tell.
+    Converters store directions along propagation or against it; lines of sight show which.
     """
     azimuth, zenith = np.moveaxis(angles, -1, 0)
     horizontal = np.sin(zenith)
@@ -83,20 +83,20 @@ def propagation(angles: Array, sight: Array, direct: Mask) -> Array:
     return unit if np.median(along) > 0.0 else -unit
 
 
-_FLAT = 0.7  # a mirror's normal rises more than it leads sideways: ground, not wall
-_ROW_KEYS = ("delay", "aoa_az", "aoa_el", "aod_az")  # where the rows of a link come from
-_TOLERANCES = (2.0 * TOLERANCE_M, 0.02, 0.02, 0.02)  # m, rad; tells conventions, not noise
+_FLAT = 0.7  # if a mirror's normal rises more than this, the mirror is the ground, not a wall
+_ROW_KEYS = ("delay", "aoa_az", "aoa_el", "aod_az")  # sources of the rows of a link
+_TOLERANCES = (2.0 * TOLERANCE_M, 0.02, 0.02, 0.02)  # m, rad; for errors of convention, not noise
 
 
 @dataclass(frozen=True, eq=False)
 class StationLinks:
-    """What the paths of a station lead to, and what a perfect receiver measures on them.
+    """The anchors that the paths of a station lead to, and the exact measurements on these paths.
 
     Attributes:
-        paths: of the station, E receivers, P paths each.
-        anchors_m: (K, 3) the station, and its images in the order in which they were met.
-        member: (E, P) which of them a path leads to; -1 for none.
-        rows: (E, P, 4) of a link, as in ``LINK``: m, rad; NaN where a path leads to none.
+        paths: paths of the station, for E receivers, P paths each.
+        anchors_m: (K, 3) the station, and its images in the order in which they were found.
+        member: (E, P) index of the anchor that a path leads to; -1 for none.
+        rows: (E, P, 4) rows of a link, as in ``LINK``: m, rad; NaN where a path leads to none.
     """
 
     paths: StationPaths
@@ -106,36 +106,36 @@ class StationLinks:
 
     @cached_property
     def is_ground(self) -> Mask:
-        """Which anchors (K,) are images in the ground: their mirror lies flat below the station."""
+        """Return which anchors (K,) are images in the ground: their mirror is flat and below."""
         normal = self.anchors_m[0] - self.anchors_m
         return np.asarray(normal[:, 2] > _FLAT * np.linalg.norm(normal, axis=1))
 
     @cached_property
     def epochs_seen(self) -> NDArray[np.int_]:
-        """In how many epochs each anchor (K,) is seen."""
+        """Count the epochs in which each anchor (K,) is seen."""
         epoch, path = np.nonzero(self.member >= 0)
         pairs = np.unique(np.column_stack([epoch, self.member[epoch, path]]), axis=0)
         return np.bincount(pairs[:, 1], minlength=len(self.anchors_m))
 
     def strongest(self, anchor: int) -> tuple[Mask, NDArray[np.int_]]:
-        """Where an anchor is seen (E,), and the strongest path (E,) to it in every epoch."""
+        """Return where an anchor is seen (E,), and the strongest path (E,) to it in every epoch."""
         leads = self.member == anchor
         return leads.any(axis=1), np.argmax(np.where(leads, self.paths.gain_db, -np.inf), axis=1)
 
 
 def find_links(paths: StationPaths, position_m: Array) -> StationLinks:
-    """What paths lead to.
+    """Find the anchors that paths lead to.
 
     Args:
-        paths: of a station, with a line of sight somewhere.
-        position_m: (E, 3) of the receivers.
+        paths: paths of a station, with a line of sight in some epoch.
+        position_m: (E, 3) positions of the receivers.
 
     Raises:
-        ValueError: numbers of a path contradict where receiver and anchor are; the message names
-            the file.
+        ValueError: the numbers of a path contradict the positions of receiver and anchor; the
+            message names the file.
     """
     anchors, member = _anchors(paths, position_m)
-    with np.errstate(all="ignore"):  # what is beyond all bounds is refused below
+    with np.errstate(all="ignore"):  # numbers beyond all bounds are refused below
         rows = _measure(paths, position_m, anchors, member)
         _require_geometry(paths, position_m, anchors, member, rows)
     _require_loss(paths, member)
@@ -143,7 +143,7 @@ def find_links(paths: StationPaths, position_m: Array) -> StationLinks:
 
 
 def _anchors(paths: StationPaths, position_m: Array) -> tuple[Array, NDArray[np.int_]]:
-    """The station and all its images (K, 3), and which of them each path (E, P) leads to."""
+    """Return the station and its images (K, 3), and the anchor that each path (E, P) leads to."""
     from scipy.spatial import cKDTree
 
     station, q = paths.position_m, paths.bounce_m
@@ -175,12 +175,12 @@ def _anchors(paths: StationPaths, position_m: Array) -> tuple[Array, NDArray[np.
 def _measure(
     paths: StationPaths, position_m: Array, anchors: Array, member: NDArray[np.int_]
 ) -> Array:
-    """Rows of a link (E, P, 4), m and rad, that each path is to its anchor."""
+    """Compute the rows (E, P, 4), m and rad, of each path as a link to its anchor."""
     sight = (position_m - paths.position_m)[:, None]
     direct = member == 0
     arrival = propagation(paths.arrival, sight, direct)
     departure = propagation(paths.departure, sight, direct)
-    normal = (anchors[0] - anchors)[member]  # of the mirror; none for the line of sight
+    normal = (anchors[0] - anchors)[member]  # normal of the mirror; zero for the line of sight
     squared = np.maximum(np.sum(normal * normal, axis=-1, keepdims=True), np.finfo(float).tiny)
     departure -= 2.0 * np.sum(departure * normal, axis=-1, keepdims=True) / squared * normal
     _, azimuth, elevation = direction(list(np.moveaxis(arrival, -1, 0)))
@@ -192,13 +192,13 @@ def _measure(
 def _require_geometry(
     paths: StationPaths, position_m: Array, anchors: Array, member: NDArray[np.int_], rows: Array
 ) -> None:
-    """Refuse links whose rows (E, P, 4) contradict where receiver and anchor are."""
+    """Refuse links whose rows (E, P, 4) contradict the positions of receiver and anchor."""
     offset = position_m[:, None] - anchors[member]
     distance, azimuth, elevation = direction(list(np.moveaxis(offset, -1, 0)))
     exact = np.stack([distance, azimuth, elevation, wrap(azimuth + PI)], axis=-1)
     error = np.abs(rows - exact)
     error[..., 1:] = np.abs(wrap(rows[..., 1:] - exact[..., 1:]))
-    error[..., [1, 3]] *= np.cos(elevation)[..., None]  # at the zenith azimuths mean nothing
+    error[..., [1, 3]] *= np.cos(elevation)[..., None]  # at the zenith azimuths are undefined
     wrong = (member >= 0)[..., None] & ~(error <= _TOLERANCES)
     if wrong.any():
         n, p, row = (int(i) for i in np.argwhere(wrong)[0])
@@ -208,7 +208,7 @@ def _require_geometry(
 
 
 def _require_loss(paths: StationPaths, member: NDArray[np.int_]) -> None:
-    """Refuse paths on which more arrives than was sent."""
+    """Refuse paths that receive more power than was sent."""
     wrong = (member >= 0) & (paths.gain_db > 0.0)
     if wrong.any():
         n, p = (int(i) for i in np.argwhere(wrong)[0])

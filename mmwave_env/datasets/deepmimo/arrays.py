@@ -1,4 +1,4 @@
-"""Arrays of a DeepMIMO v4 scenario: one in each .npz or .npy file, and never a pickle."""
+"""Arrays of a DeepMIMO v4 scenario: each is in a .npz or .npy file, and pickles are refused."""
 
 import math
 import zipfile
@@ -14,15 +14,15 @@ from mmwave_env.numerics.numbers import Array
 from mmwave_env.world.checks import refuse_in
 
 Shape = tuple[int | str, ...]
-SUFFIXES = (".npz", ".npy")  # the first there is counts
-MOST_BYTES = 2**29  # of an array in memory
+SUFFIXES = (".npz", ".npy")  # in the order of preference
+MOST_BYTES = 2**29  # most bytes of an array in memory
 
 
 def find_array(folder: Path, name: str) -> Path:
-    """The file of an array in a folder.
+    """Return the file of an array in a folder.
 
     Raises:
-        FileNotFoundError: there is none.
+        FileNotFoundError: there is no such file.
     """
     files = [folder / f"{name}{suffix}" for suffix in SUFFIXES]
     for file in files:
@@ -34,20 +34,20 @@ def find_array(folder: Path, name: str) -> Path:
 
 
 def read_array(file: Path, key: str, shape: Shape, rows: NDArray[np.int_] | None = None) -> Array:
-    """The array of a key, in double precision.
+    """Read the array of a key in double precision.
 
     Args:
-        file: as of :func:`find_array`.
+        file: file of the array, as :func:`find_array` returns it.
         key: name of the array.
-        shape: of the whole array; a letter stands for any length.
-        rows: (R,) numbers of the rows to read, in any order; None for all. Of an .npy file the
-            others are not read.
+        shape: shape of the whole array; a letter stands for any length.
+        rows: (R,) numbers of the rows to read, in any order; None for all. Other rows of an
+            .npy file are not read.
 
     Raises:
-        ValueError: no regular file, nothing that can be read, no real numbers, another shape, or
-            more than MOST_BYTES; the message names file and key.
+        ValueError: the file is not regular, not readable, not of real numbers, of another shape
+            or larger than MOST_BYTES; the message names file and key.
     """
-    if not file.is_file():  # a pipe or a device would be waited for
+    if not file.is_file():  # reading a pipe or a device would block
         refuse_in(file, key, "no regular file", f"a file of numbers, {', '.join(SUFFIXES)}")
     with _readable(file, key):
         stored = _stored(file, key)
@@ -68,7 +68,7 @@ def read_array(file: Path, key: str, shape: Shape, rows: NDArray[np.int_] | None
 
 
 def _stored(file: Path, key: str) -> NDArray[Any]:
-    """The array as it is stored; of an .npy file it stays on disk."""
+    """Return the array as it is stored; the array of an .npy file stays on disk."""
     if file.suffix == ".npy":
         return np.asanyarray(np.lib.format.open_memmap(file, mode="r"))
     with zipfile.ZipFile(file) as archive:
@@ -84,7 +84,7 @@ def _stored(file: Path, key: str) -> NDArray[Any]:
 
 @contextmanager
 def _readable(file: Path, key: str) -> Iterator[None]:
-    """One error for a damaged file, for which numpy, zipfile and zlib have many."""
+    """Turn all errors of numpy, zipfile and zlib for a damaged file into a ValueError."""
     try:
         yield
     except Exception as error:

@@ -1,6 +1,6 @@
-"""DeepMIMO scenarios as recordings, whose epochs are the receivers of one track.
+"""DeepMIMO scenarios as recordings whose epochs are the receivers of one track.
 
-A scenario lists paths (:mod:`~mmwave_env.datasets.deepmimo.anchors`); a recording wants links to
+A scenario lists paths (:mod:`~mmwave_env.datasets.deepmimo.v4`); a recording has links to
 anchors (:mod:`~mmwave_env.datasets.deepmimo.anchors`).
 """
 
@@ -27,7 +27,7 @@ from mmwave_env.world.checks import refuse_in
 from mmwave_env.world.trajectory import Trajectory
 from mmwave_env.world.ways import COLUMNS, read_trajectory
 
-SIDECAR = "trajectory.csv"  # ours: when the user was at the receivers, one row an epoch
+SIDECAR = "trajectory.csv"  # our own file: the times at the receivers, one row per epoch
 
 
 def read_deepmimo(
@@ -40,30 +40,30 @@ def read_deepmimo(
     base_station: int | None = None,
     receiver_set: int | None = None,
 ) -> Recording:
-    """The recording of a scenario folder.
+    """Read a scenario folder as a recording.
 
-    The epochs of a static scenario are its receivers, those of a dynamic one its scenes. Times
-    and velocities are those of ``trajectory.csv`` in the folder, a row an epoch.
+    The epochs of a static scenario are its receivers; the epochs of a dynamic scenario are its
+    scenes. Times and velocities come from ``trajectory.csv`` in the folder, one row per epoch.
 
-    Anchors are a base station and its images, where there is one station or ``base_station``
-    says which. Otherwise they are the stations themselves, those seen at all, the one seen most
-    first. The Doppler shift is that of the first anchor, of the true velocity.
+    If there is one station, or ``base_station`` selects one, the anchors are this station and
+    its images. Otherwise they are all stations that are seen, the station seen most often
+    first. The Doppler shift is that of the first anchor, computed from the true velocity.
 
     Args:
-        folder: of a DeepMIMO v4 scenario.
-        virtual_anchors: how many at most; those seen in most epochs are kept.
-        bandwidth_hz: of the signal. The scenario's own is the ray tracer's, which no path
-            depends on.
-        dt_s: between epochs, instead of ``trajectory.csv``; velocities are then differences of
+        folder: folder of a DeepMIMO v4 scenario.
+        virtual_anchors: most virtual anchors; those seen in most epochs are kept.
+        bandwidth_hz: bandwidth of the signal. The scenario's own bandwidth belongs to the ray
+            tracer; no path depends on it.
+        dt_s: time step, instead of ``trajectory.csv``; velocities are then differences of
             positions.
-        users: rows of receivers, from 0. Of a static scenario one for each epoch; of a dynamic
-            one that of all scenes, or one for each.
-        base_station: the only one to look at, from 1 in the order of the files' names.
-        receiver_set: number of the set of receivers, where there are several.
+        users: rows of receivers, from 0. For a static scenario, one row per epoch; for a dynamic
+            scenario, one row for all scenes, or one row per scene.
+        base_station: number of the only station used, from 1 in the order of the files' names.
+        receiver_set: number of the set of receivers, if there are several sets.
 
     Raises:
         FileNotFoundError: the folder or one of its files is missing.
-        ValueError: a file is damaged, contradicts another or holds what is not understood;
+        ValueError: a file is damaged, contradicts another file or is not supported;
             the message names file, key, value and what was expected.
     """
     if virtual_anchors < 0:
@@ -102,18 +102,18 @@ def read_deepmimo(
 
 
 def _way_of(scenario: Scenario, epochs: NDArray[np.int_], dt_s: float | None) -> Trajectory:
-    """Times, positions and velocities of the epochs.
+    """Return times, positions and velocities of the epochs.
 
     Args:
-        scenario: of the receivers.
-        epochs: (E, 2) scenes and rows, as of :meth:`Scenario.epochs`.
-        dt_s: between epochs; then velocities are differences of positions. None for those of
+        scenario: scenario with the receivers.
+        epochs: (E, 2) scenes and rows, as :meth:`Scenario.epochs` returns them.
+        dt_s: time step; velocities are then differences of positions. None to read
             ``trajectory.csv``.
 
     Raises:
-        FileNotFoundError: there is no such file, and no ``dt_s``.
-        ValueError: the file is damaged or not at the receivers, or the way is none of a user:
-            epochs more than 15 s apart, or a speed that no user has.
+        FileNotFoundError: the file is missing, and ``dt_s`` is None.
+        ValueError: the file is damaged or not at the receivers, or no user moves like this:
+            epochs more than 15 s apart, or an impossible speed.
     """
     position = scenario.positions(epochs)
     if dt_s is not None:
@@ -148,7 +148,7 @@ def _way_of(scenario: Scenario, epochs: NDArray[np.int_], dt_s: float | None) ->
 def _links(
     stations: list[StationPaths], position_m: Array, virtual_anchors: int
 ) -> list[tuple[StationLinks, int]]:
-    """The anchors of a recording: whose, and which of its."""
+    """Return the anchors of a recording: the links of a station, and the index of the anchor."""
     if len(stations) == 1:
         links = find_links(stations[0], position_m)
         seen = links.epochs_seen

@@ -1,8 +1,8 @@
-"""DeepMIMO v4 scenario folders: from files to checked paths.
+"""Reader of DeepMIMO v4 scenario folders, which checks the paths in their files.
 
-A scenario is a folder with ``params.json`` and one array a file, named
-``{key}_t{txset}_tx{tx}_r{rxset}.npz`` (or ``.npy``). A dynamic one has such files in one
-sub-folder a scene, whose sorted order is that of time. Neither times nor velocities are stored.
+A scenario is a folder with ``params.json`` and one array per file, named
+``{key}_t{txset}_tx{tx}_r{rxset}.npz`` (or ``.npy``). A dynamic scenario has one sub-folder with
+such files per scene; their sorted order is that of time. Times and velocities are not stored.
 """
 
 import re
@@ -26,20 +26,20 @@ from mmwave_env.lookup import as_name
 from mmwave_env.numerics.numbers import Array, Mask
 from mmwave_env.world.checks import refuse_in
 
-PARAMS = "params.json"  # by which a folder is known as a scenario
+PARAMS = "params.json"  # the file that marks a folder as a scenario
 _RECEIVERS = re.compile(r"rx_pos_(t\d+_tx\d+)_r(\d+)\.(?:npz|npy)")
 
 
 @dataclass(frozen=True)
 class Scenario:
-    """What a folder holds, before its arrays are read.
+    """The contents of a scenario folder before its arrays are read.
 
     Attributes:
-        folder: of the scenario.
-        scenes: folders with the arrays, in the order of time; of a static scenario the folder.
-        stations: names of its base stations, as in those of the files.
-        receiver_set: which set of receivers, such as ``001``.
-        receivers: how many there are in every scene.
+        folder: folder of the scenario.
+        scenes: folders with the arrays in order of time; for a static scenario, the folder itself.
+        stations: names of the base stations, as in the names of the files.
+        receiver_set: the set of receivers, such as ``001``.
+        receivers: number of receivers in every scene.
         carrier_hz: carrier frequency.
     """
 
@@ -52,24 +52,24 @@ class Scenario:
 
     @property
     def is_dynamic(self) -> bool:
-        """Whether the epochs are scenes, not receivers."""
+        """Tell whether the epochs are scenes, not receivers."""
         return self.scenes != (self.folder,)
 
     def name_of(self, epoch: NDArray[np.int_]) -> str:
-        """The receiver of an epoch (2,), for messages."""
+        """Return the name of the receiver of an epoch (2,), for messages."""
         scene, row = epoch.tolist()
         return f"receiver {row}" + (f" in {self.scenes[scene].name}" if self.is_dynamic else "")
 
     def epochs(self, users: int | Sequence[int] | NDArray[np.int_] | None) -> NDArray[np.int_]:
-        """Scene and row (E, 2) of the receiver of every epoch.
+        """Return scene and row (E, 2) of the receiver of every epoch.
 
         Args:
-            users: rows of receivers, from 0. Of a static scenario one for each epoch, or None for
-                all of them. Of a dynamic one that of every scene, or one for all scenes, or None
-                where there is but one receiver.
+            users: rows of receivers, from 0. For a static scenario, one row per epoch, or None for
+                all receivers. For a dynamic scenario, one row per scene or one for all scenes, or
+                None if there is only one receiver.
 
         Raises:
-            ValueError: other numbers, or another number of them.
+            ValueError: a row does not exist, or the number of rows is wrong.
         """
         rows = np.arange(self.receivers) if users is None else np.asarray(users)
         if rows.size == 0 or rows.dtype.kind not in "iu" or rows.ndim > 1:
@@ -91,15 +91,15 @@ class Scenario:
         return np.column_stack([scenes, np.broadcast_to(rows.reshape(-1), len(scenes))])
 
     def file(self, scene: int, key: str, station: str) -> Path:
-        """The file of a key.
+        """Return the file of a key.
 
         Raises:
-            FileNotFoundError: there is none.
+            FileNotFoundError: there is no such file.
         """
         return find_array(self.scenes[scene], f"{key}_{station}_r{self.receiver_set}")
 
     def positions(self, epochs: NDArray[np.int_]) -> Array:
-        """Positions (E, 3) of the receivers of epochs, as of :meth:`epochs`, m."""
+        """Return positions (E, 3), m, of the receivers of epochs, which :meth:`epochs` returns."""
         found = []
         for scene, rows in _by_scene(epochs):
             file = self.file(scene, "rx_pos", self.stations[0])
@@ -109,23 +109,23 @@ class Scenario:
 
     @property
     def name(self) -> str:
-        """For results and messages."""
+        """Return the name for results and messages."""
         return as_name(self.folder.resolve().name)
 
     def paths(
         self, epochs: NDArray[np.int_], base_station: int | None = None
     ) -> list[StationPaths]:
-        """The paths of some receivers, by base station.
+        """Read the paths of some receivers, by base station.
 
         Args:
-            epochs: (E, 2) scenes, increasing, and rows, as of :meth:`epochs`.
-            base_station: number of the only one to read, from 1 in the order of ``stations``;
-                None for all.
+            epochs: (E, 2) scenes, increasing, and rows, as :meth:`epochs` returns them.
+            base_station: number of the only station to read, from 1 in the order of ``stations``;
+                None for all stations.
 
         Raises:
             FileNotFoundError: a file is missing.
-            ValueError: there is no such station; or a file can't be read or contradicts another,
-                and the message names file and key.
+            ValueError: there is no such station; or a file can't be read or contradicts another
+                file, which the message names with the key.
         """
         stations = self.stations
         if base_station is not None:
@@ -139,21 +139,21 @@ class Scenario:
 
 
 def is_scenario(folder: Path) -> bool:
-    """Whether a folder says of itself that it is a scenario."""
+    """Tell whether a folder is marked as a scenario."""
     return (folder / PARAMS).exists()
 
 
 def open_scenario(folder: Path, receiver_set: int | None = None) -> Scenario:
-    """What a folder holds.
+    """Read the contents of a scenario folder, without its arrays.
 
     Args:
-        folder: of the scenario.
-        receiver_set: number of a set of receivers; None for the only one.
+        folder: folder of the scenario.
+        receiver_set: number of a set of receivers; None for the only set.
 
     Raises:
-        FileNotFoundError: the folder or a file that must be there is missing.
+        FileNotFoundError: the folder or a required file is missing.
         ValueError: ``params.json`` can't be read or contradicts the files, or there are several
-            sets of receivers; the message names them.
+            sets of receivers; the message names the sets.
     """
     if not folder.exists():
         raise FileNotFoundError(f"{folder}: found nothing, expected the folder of a scenario")
@@ -170,7 +170,7 @@ def open_scenario(folder: Path, receiver_set: int | None = None) -> Scenario:
 
 
 def _read_params(file: Path) -> tuple[float, int]:
-    """Carrier frequency, Hz, and number of scenes; errors name the file and the entry."""
+    """Read carrier frequency, Hz, and number of scenes; errors name the file and the entry."""
 
     def make(content: dict[str, Any]) -> tuple[float, int]:
         found = []
@@ -186,7 +186,7 @@ def _read_params(file: Path) -> tuple[float, int]:
 
 
 def _scenes(folder: Path, count: int) -> tuple[Path, ...]:
-    """The folders of the scenes, in the order of time."""
+    """Return the folders of the scenes in order of time."""
     if count == 1:
         return (folder,)
     found = sorted(sub for sub in folder.iterdir() if sub.is_dir() and any(sub.glob("rx_pos_*")))
@@ -197,7 +197,7 @@ def _scenes(folder: Path, count: int) -> tuple[Path, ...]:
 
 
 def _stations(scene: Path, receiver_set: int | None) -> tuple[str, tuple[str, ...]]:
-    """The set of receivers, and the base stations that have paths to it."""
+    """Return the set of receivers, and the base stations that have paths to it."""
     links = sorted(m.groups() for f in scene.iterdir() if (m := _RECEIVERS.fullmatch(f.name)))
     if not links:
         raise FileNotFoundError(
@@ -214,7 +214,7 @@ def _stations(scene: Path, receiver_set: int | None) -> tuple[str, tuple[str, ..
 
 
 def _by_scene(epochs: NDArray[np.int_]) -> list[tuple[int, NDArray[np.int_]]]:
-    """Scenes, and the rows of receivers in each, of epochs (E, 2)."""
+    """Return scenes, and the rows of receivers in each scene, of epochs (E, 2)."""
     scenes, rows = epochs.T
     return [(int(scene), rows[scenes == scene]) for scene in np.unique(scenes)]
 
@@ -250,7 +250,7 @@ def _read_station(scenario: Scenario, epochs: NDArray[np.int_], station: str) ->
 def _read_scene(
     scenario: Scenario, scene: int, station: str, rows: NDArray[np.int_]
 ) -> dict[str, Array]:
-    """The arrays (R, P, ...) of some receivers in a scene, and ``tx_pos`` (1, 3)."""
+    """Read the arrays (R, P, ...) of some receivers in a scene, and ``tx_pos`` (1, 3)."""
 
     def read(key: str, *shape: int | str, rows: NDArray[np.int_] | None = rows) -> Array:
         return read_array(scenario.file(scene, key, station), key, shape, rows)
@@ -262,7 +262,7 @@ def _read_scene(
     inter = read("inter", N, "P")
     P = inter.shape[1]
     used = (inter == LINE_OF_SIGHT) | (inter == REFLECTION)
-    points = read("inter_pos", N, P, "I", 3)  # the largest: what is too much is refused here
+    points = read("inter_pos", N, P, "I", 3)  # the largest array: too large files are refused here
     first = points[:, :, 0] if points.shape[2] else np.full((*inter.shape, 3), np.nan)
     arrays = {
         "tx_pos": check("tx_pos", read("tx_pos", 1, 3, rows=None)),
@@ -277,7 +277,7 @@ def _read_scene(
 def _finite(
     file: Path, key: str, array: Array, rows: NDArray[np.int_] | None, used: Mask | None = None
 ) -> Array:
-    """Refuses NaN and infinity; where ``used`` (R, P) is given only there, with NaN elsewhere."""
+    """Refuse NaN and infinity; with ``used`` (R, P) only where it is true, with NaN elsewhere."""
     if used is not None:
         used = used.reshape(used.shape + (1,) * (array.ndim - 2))
         array = np.where(used, array, np.nan)
@@ -291,7 +291,7 @@ def _finite(
 
 
 def _stacked(scenes: Sequence[Array]) -> Array:
-    """Arrays (R, P, ...) of scenes below each other, with as many paths as most have."""
+    """Stack arrays (R, P, ...) of scenes, padded to the largest number of paths."""
     most = max(array.shape[1] for array in scenes)
     missing = [[(0, 0), (0, most - a.shape[1]), *[(0, 0)] * (a.ndim - 2)] for a in scenes]
     return np.concatenate(
