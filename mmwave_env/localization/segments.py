@@ -93,9 +93,9 @@ def _first_fix(block: LogBlock) -> int:
 
 
 def _end(block: LogBlock, last_s: float, begins: bool) -> tuple[int, float | None]:
-    """Count the epochs of the block in the segment; return the time last seen in it, too.
+    """Count the block's epochs in the segment; return also the time of its last measurement.
 
-    The time is None if the segment ends in this block; ``begins`` tells whether it starts there.
+    The time is None if the segment ends in this block; ``begins`` tells whether it starts here.
     """
     seen = block.visible[:, : block.layout.anchors].any(axis=1)
     if block.layout.odometry:  # dead reckoning bridges two minutes as well as ten seconds

@@ -22,7 +22,7 @@ class Poses(NamedTuple):
 
 
 def tum_lines(time_s: Array, position_m: Array) -> str:
-    """Return lines for times (T,) and positions (T, 3), exact to the last bit, not rotated."""
+    """Return lines of times (T,) and positions (T, 3), bit-exact, with identity orientation."""
     rows = np.column_stack([time_s, position_m]).tolist()
     return "".join([f"{t!r} {x!r} {y!r} {z!r} 0 0 0 1\n" for t, x, y, z in rows])
 

@@ -83,7 +83,7 @@ def propagation(angles: Array, sight: Array, direct: Mask) -> Array:
     return unit if np.median(along) > 0.0 else -unit
 
 
-_FLAT = 0.7  # if a mirror's normal rises more than this, the mirror is the ground, not a wall
+_FLAT = 0.7  # a mirror is the ground, not a wall, if its normal is steeper than 45 degrees
 _ROW_KEYS = ("delay", "aoa_az", "aoa_el", "aod_az")  # sources of the rows of a link
 _TOLERANCES = (2.0 * TOLERANCE_M, 0.02, 0.02, 0.02)  # m, rad; for errors of convention, not noise
 
