@@ -9,7 +9,7 @@ ROOT = Path(__file__).parent
 
 
 def described(readme: str, project: str, package: str) -> str:
-    """The README with its relative links into the repository, at the tag of this version."""
+    """Return the README with relative links that lead to the repository at this version's tag."""
     (repository,) = re.findall(r'^Repository = "(.*)"$', project, re.MULTILINE)
     (version,) = re.findall(r'^__version__ = "(.*)"$', package, re.MULTILINE)
     link = re.compile(r"(!?)(\[[^\]]*\]\()(?!\w+:|#)")
