@@ -28,8 +28,9 @@ def find_array(folder: Path, name: str) -> Path:
     for file in files:
         if file.exists():
             return file
+    matlab = f"{name}.mat alone" if (folder / f"{name}.mat").exists() else "no such file"
     raise FileNotFoundError(
-        f"{files[0]}: found no such file in the scenario, nor .npy, expected one"
+        f"{files[0]}: found {matlab}, expected .npz or .npy, as DeepMIMO 4 writes them"
     )
 
 

@@ -52,6 +52,9 @@ def test_the_first_format_there_is_counts(tmp_path):
         assert find_array(tmp_path, "delay").suffix == suffix
     with pytest.raises(FileNotFoundError, match="power.npz: found no such file"):
         find_array(tmp_path, "power")
+    (tmp_path / "power.mat").touch()
+    with pytest.raises(FileNotFoundError, match="power.npz: found power.mat alone"):
+        find_array(tmp_path, "power")
 
 
 def npy_header(shape, descr="<f4", claimed=None):
