@@ -126,7 +126,7 @@ def _card(args: Args, task: "Task", table: "Observation", told: dict[str, Any]) 
 
     seed = told["seed"]
     return Card(
-        modes=table.modes, observation=table.kind, digest=table.digest, frames=1,
+        modes=table.modes, observation=table.kind, features=table.columns,
         scenario=args.scenario, radio=args.radio, algorithm=told["network"],
         seed=-1 if seed is None else seed, timesteps=told["timesteps"],
         command=command_line("convert", args), evaluation={},

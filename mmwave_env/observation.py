@@ -9,7 +9,6 @@ import inspect
 import json
 from collections.abc import Sequence
 from functools import cache
-from hashlib import sha256
 from importlib.resources import files
 from typing import NamedTuple
 
@@ -57,6 +56,18 @@ def feature_scales() -> dict[str, Scale]:
     # odometry, eight, the radio's bank); each number is the median over these, not clipped.
     text = files("mmwave_env").joinpath("data/feature_scales.json").read_text(encoding="utf-8")
     return {kind: Scale(**scale) for kind, scale in json.loads(text)["kinds"].items()}
+
+
+class Column(NamedTuple):
+    """A column of observations, which hold (value - mean) / deviation.
+
+    Policy files list the columns that their policy reads.
+    """
+
+    name: str
+    unit: str
+    mean: float
+    deviation: float
 
 
 class Observation:
@@ -107,13 +118,10 @@ class Observation:
         return [(_shown(f.low, f, s), _shown(f.high, f, s)) for f, s in rows]
 
     @property
-    def digest(self) -> str:
-        """Return a hash of all that learned weights depend on, except the tuning of the modes."""
-        rows = [
-            (f.name, f.meaning, f.unit, *map(float, (*scale, f.low, f.high, LIMIT)))
-            for f, scale in zip(self.features, self.scales, strict=True)
-        ]
-        return sha256(repr(rows).encode()).hexdigest()[:16]
+    def columns(self) -> tuple[Column, ...]:
+        """Return the columns in their order."""
+        rows = zip(self.features, self.scales, strict=True)
+        return tuple(Column(f.name, f.unit, float(s.mean), float(s.deviation)) for f, s in rows)
 
     def values(self, view: View) -> list[Number]:
         """Return the observation as numbers."""

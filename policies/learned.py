@@ -7,7 +7,6 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from mmwave_env import __version__
 from mmwave_env.filters.bank import Bank
 from mmwave_env.lookup import unknown
 from mmwave_env.models.radio import radio_from
@@ -47,8 +46,8 @@ class LearnedSwitch:
 
     Args:
         path: a policy file (``.safetensors``), or the name of a shipped policy.
-        observation: the environment's table of features, to check that the policy was trained
-            with the same table.
+        observation: the environment's table of features, in which the policy finds its own by
+            their names; None for exactly the features of its file.
 
     Attributes:
         card: description of the policy's training.
@@ -56,7 +55,7 @@ class LearnedSwitch:
         beliefs: "shared" or "per-mode", as in its environments.
 
     Raises:
-        ValueError: the name is unknown, the file is damaged, or the table of features differs.
+        ValueError: the name is unknown, the file is damaged, or the environment lacks a feature.
         FileNotFoundError: there is no such file.
     """
 
@@ -67,6 +66,8 @@ class LearnedSwitch:
         tensors, self.card = read_policy(self._path)
         self.modes, self.beliefs = self.card.modes, self.card.beliefs
         self._low, self._high = tensors["low"], tensors["high"]
+        self._width = len(self._low)  # number of columns of the observations that it is given
+        self._columns: NDArray[np.intp] | None = None  # those it reads; None for all, in order
         self._memory = _Lstm(tensors) if "lstm.bias" in tensors else None
         layers = sum(name.startswith("layer.") for name in tensors) // 2
         self._layers = [
@@ -74,7 +75,7 @@ class LearnedSwitch:
         ]
         self._begins = np.empty(0, bool)
         if observation is not None:
-            self.require_trained_on(observation)
+            self.read_from(observation)
 
     def bank(self, radio: str = "handset") -> Bank:
         """Return the bank to use with a radio, for a policy with a belief per mode.
@@ -98,29 +99,36 @@ class LearnedSwitch:
         known = (profile.name, profile.base, "standard", first)
         return next(banks[name] for name in known if name in banks)
 
-    def require_trained_on(self, observation: Observation) -> None:
-        """Refuse an environment with other observations or actions than in training.
+    def read_from(self, observation: Observation) -> None:
+        """Find the policy's features, by name, in the observations of an environment.
+
+        Features that the policy does not know are not read.
 
         Raises:
-            ValueError: the environment differs; the message says how, and what to do.
+            ValueError: beliefs or modes differ, or a feature is missing or has another unit or
+                scale; the message says which, and what to do.
         """
-        card, found = self.card, observation
-        trained = f"{self._path}: trained with"
-        alike = (found.beliefs, found.kind) == (card.beliefs, card.observation)
-        if not alike or found.modes not in [card.modes, *(b.modes for b in card.banks.values())]:
-            names = ", ".join(mode.name for mode in card.modes)
+        card = self.card
+        banks = [card.modes, *(bank.modes for bank in card.banks.values())]
+        if observation.beliefs != card.beliefs or observation.modes not in banks:
             raise ValueError(
-                f"{trained} observation={card.observation!r}, beliefs={card.beliefs!r} and the "
-                f"modes {names}, found {found.made_with}, or another tuning of them; make the "
-                f"environment as in training: {self._made_with}"
+                f"{self._path}: trained with beliefs={card.beliefs!r} and the modes "
+                f"{', '.join(mode.name for mode in card.modes)}, found {observation.made_with}, or "
+                f"another tuning of them; make the environment as in training: {self._made_with}"
             )
-        if found.digest != card.digest:
-            raise ValueError(
-                f"{trained} {len(self._low)} features ({card.digest}) of mmwave-loc "
-                f"{card.versions['mmwave-loc']}, found {len(found)} ({found.digest}) of "
-                f"{__version__}; give the environment as many anchors and the odometry it was "
-                "trained with, or train it again with this version"
-            )
+        columns = {column.name: column for column in observation.columns}
+        for feature in card.features:
+            column = columns.get(feature.name)
+            if column != feature:
+                found = "none in the environment" if column is None else f"{column[1:]}"
+                raise ValueError(
+                    f"{self._path}: feature {feature.name!r}: found {found}, expected unit, mean "
+                    f"and deviation {feature[1:]}; make the environment as in training: "
+                    f"{self._made_with}"
+                )
+        self._width, alike = len(columns), card.features == observation.columns
+        order = [observation.columns.index(feature) for feature in card.features]
+        self._columns = None if alike else np.array(order)
 
     @property
     def _made_with(self) -> str:
@@ -163,12 +171,15 @@ class LearnedSwitch:
             ValueError: the number of features differs, or, for a policy with a memory, the
                 number of environments differs from the last reset.
         """
-        if observation.ndim != 2 or observation.shape[1] != len(self._low):
+        if observation.ndim != 2 or observation.shape[1] != self._width:
             raise ValueError(
-                f"observation: found shape {observation.shape}, expected (n, {len(self._low)}); "
-                "of a single environment take observation[None], and make it as in training: "
-                f"{self._made_with}"
+                f"observation: found shape {observation.shape}, expected (n, {self._width}); of a "
+                "single environment take observation[None]; if it has more features than "
+                f"{self._made_with}, say LearnedSwitch({str(self._path)!r}, "
+                "env.unwrapped.observation)"
             )
+        if self._columns is not None:
+            observation = np.take(observation, self._columns, axis=1)
         x = np.minimum(np.maximum(observation, self._low), self._high)
         if self._memory is not None:
             if len(x) != len(self._begins):

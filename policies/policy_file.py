@@ -32,9 +32,9 @@ from mmwave_env.files import naming, open_regular, parse_json, told
 from mmwave_env.filters.bank import Bank, as_written, bank_as_written, bank_in
 from mmwave_env.filters.modes import Mode
 from mmwave_env.lookup import choose, quoted
-from mmwave_env.observation import BELIEFS, OBSERVATIONS, action_names
+from mmwave_env.observation import BELIEFS, OBSERVATIONS, Column, action_names
 
-FORMAT = 1
+FORMAT = 2
 MOST_BYTES = 128 << 20  # most bytes of a file: a thousand times our largest
 MOST_HEADER = 16 << 20  # most bytes of the header: names, shapes and the card
 _KEY = "policy"  # a single key: the library writes several in any order
@@ -51,8 +51,7 @@ class Card:
         modes: modes that the actions stand for; with a belief per mode, the modes of the first
             bank, and action 0 stands for none of them.
         observation: "full" or "prior".
-        digest: hash of the table, :attr:`~mmwave_env.observation.Observation.digest`.
-        frames: number of observations that the actor takes at once, 1.
+        features: features that the actor reads, in its order: names, units and scales.
         scenario: scenario of the training.
         radio: radio profile of the training.
         algorithm: algorithm of the training.
@@ -71,8 +70,7 @@ class Card:
 
     modes: tuple[Mode, ...]
     observation: str
-    digest: str
-    frames: int
+    features: tuple[Column, ...]
     scenario: str
     radio: str
     algorithm: str
@@ -90,8 +88,9 @@ class Card:
             if type(value) is not expected:
                 raise ValueError(f"{name}: found {quoted(value)}, expected {expected.__name__}")
         choose(OBSERVATIONS, self.observation, "observation")
-        if self.frames != 1:
-            raise ValueError(f"frames: found {self.frames}, expected 1")
+        names = [column.name for column in self.features]
+        if len(set(names)) < len(names):
+            raise ValueError(f"features: found {len(names)} with equal names, expected none")
         if not isinstance(self.versions.get("mmwave-loc"), str):
             raise ValueError(f"versions: found {self.versions!r}, expected one of 'mmwave-loc'")
         choose(BELIEFS, self.beliefs, "beliefs")
@@ -137,7 +136,8 @@ class Card:
         _require_names("card", {*content, *_PER_MODE}, [field.name for field in fields(cls)])
         alone = bank_in({"modes": content["modes"]})
         banks = _banks_in(content.get("banks", {}))
-        return cls(**{**content, "modes": alone.modes, "banks": banks})
+        features = tuple(map(_column, content["features"]))
+        return cls(**{**content, "modes": alone.modes, "banks": banks, "features": features})
 
     def as_json(self) -> dict[str, Any]:
         """Return the card as a policy file holds it.
@@ -149,6 +149,14 @@ class Card:
         modes = [as_written(mode) for mode in self.modes]
         content = {**asdict(self), "modes": modes, "banks": banks}
         return {k: value for k, value in content.items() if banks or k not in _PER_MODE}
+
+
+def _column(row: Any) -> Column:
+    """Return a column of the JSON list of its name, unit, mean and deviation."""
+    types = [type(value) for value in row] if isinstance(row, list) else []
+    if types == [str, str, float, float] and np.isfinite(row[2]) and 0.0 < row[3] < np.inf:
+        return Column(*row)
+    raise ValueError(f"features: found {quoted(row)}, expected [name, unit, mean, deviation]")
 
 
 def _banks_in(content: Any) -> dict[str, Bank]:
@@ -265,6 +273,10 @@ def _require_actor(tensors: Tensors, card: Card) -> None:
             raise ValueError(f"tensor {name!r}: found shape {tensor.shape}, expected {shape}")
         if not np.isfinite(tensor).all():
             raise ValueError(f"tensor {name!r}: found NaN or infinity, expected finite numbers")
+    if len(card.features) != tensors["low"].size:
+        raise ValueError(
+            f"features: found {len(card.features)}, expected {tensors['low'].size}, as 'low' has"
+        )
     if (tensors["low"] > tensors["high"]).any():
         raise ValueError("tensor 'low': found numbers above 'high', expected none")
 

@@ -34,14 +34,14 @@ from policies.policy_file import _checksum, read_policy, save
 from tests.damage import changed, damaged
 from tests.datasets.deepmimo.scenarios import SAVE, shortened
 from tests.paths import LOGS, ROOT
-from tests.training.actors import actor, card_of
+from tests.training.actors import TABLE, actor, card_of
 
 RIDE = LOGS / "canyon28_vehicle"
 SCENE = read_scene(RIDE / "scene.json")
 BANK = json.loads((ROOT / "mmwave_env" / "data" / "banks" / "handset.json").read_text())
 RUN = ROOT / "docs" / "learning" / "ppo-standard"
 SUMMARY = json.loads((RUN / "summary.json").read_text())
-TENSORS, CARD = actor(3), card_of().as_json()
+TENSORS, CARD = actor(3), card_of(features=TABLE.columns[:3]).as_json()
 CASES = 50  # of each kind of damage to each file
 SLOWEST_S = 20  # that a reader may take
 
@@ -60,7 +60,7 @@ def head(path, lines):
 
 def signed(card):
     """A policy file with a right checksum over any card."""
-    document = {"format": 1, "sha256": _checksum(TENSORS, card), "card": card}
+    document = {"format": 2, "sha256": _checksum(TENSORS, card), "card": card}
     return save(TENSORS, {"policy": json.dumps(document)})
 
 

@@ -1,7 +1,6 @@
 """The table of the observation: it makes the space, and its digest tells tables apart."""
 
 import math
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -127,38 +126,3 @@ def test_an_unknown_feature_lists_the_valid_ones():
     table = Observation(PIPELINES["default"], "prior")
     with pytest.raises(KeyError, match="'color'.*predicted speed.*time since fix"):
         table.read(np.zeros((1, len(table)), np.float32), "color")
-
-
-# --- the digest
-
-
-@every_kind
-@every_pipeline
-def test_tables_alike_have_one_digest(pipeline, kind):
-    table = Observation(pipeline, kind)
-    assert table.digest == Observation(replace(pipeline), kind).digest
-    assert (table.kind, table.modes) == (kind, pipeline.modes)
-    retuned = tuple(replace(mode, sigma_v=mode.sigma_v + 1.0) for mode in pipeline.modes)
-    assert table.digest == Observation(replace(pipeline, modes=retuned), kind).digest
-
-
-def test_tables_that_differ_have_other_digests():
-    tables = [Observation(p, kind) for p in PIPELINES.values() for kind in ("full", "prior")]
-    renamed = [replace(mode, name=f"my {mode.name}") for mode in PIPELINES["default"].modes]
-    tables.append(Observation(replace(PIPELINES["default"], modes=tuple(renamed))))
-    assert len({table.digest for table in tables}) == len(tables)
-
-
-@pytest.mark.parametrize("place", [0, 7, -1])
-def test_every_attribute_and_both_constants_of_every_feature_count(place):
-    table = Observation(PIPELINES["default"])
-    before, feature, scale = table.digest, table.features[place], table.scales[place]
-    for attribute in ("name", "meaning", "unit", "low", "high"):
-        other = getattr(feature, attribute) * 2 or 3.0
-        table.features[place] = replace(feature, **{attribute: other})
-        assert (table.digest == before) == (table.features[place] == feature)
-    table.features[place] = feature
-    assert table.digest == before
-    for constant in ("mean", "deviation"):
-        table.scales[place] = scale._replace(**{constant: getattr(scale, constant) + 1.0})
-        assert table.digest != before

@@ -161,7 +161,7 @@ class Record:
         job, task = self._job, self._job.task
         per_mode = task.beliefs == "per-mode"
         return Card(
-            modes=task.bank.modes, observation=task.observation, digest=table.digest, frames=1,
+            modes=task.bank.modes, observation=task.observation, features=table.columns,
             scenario=task.scenario, radio=", ".join(task.banks),
             algorithm=job.hyperparameters.algorithm, seed=job.seed,
             timesteps=self.stand["timesteps"], command=job.command, evaluation=evaluation,

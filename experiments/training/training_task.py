@@ -36,7 +36,7 @@ class TrainingTask:
     def __post_init__(self) -> None:
         tables = [self._table(place) for place in self.places]
         for place, table in zip(self.places, tables, strict=True):
-            if table.digest != tables[0].digest:
+            if table.columns != tables[0].columns:
                 raise ValueError(
                     f"places: found {len(tables[0])} features at {self.places[0]} and "
                     f"{len(table)} others at {place}, expected the same everywhere: as many "

@@ -17,6 +17,7 @@ from mmwave_env.filters.modes import Mode
 from mmwave_env.filters.update import ekf
 from policies import shipped_policies
 from policies.policy_file import (
+    FORMAT,
     MOST_BYTES,
     MOST_HEADER,
     Card,
@@ -24,18 +25,30 @@ from policies.policy_file import (
     read_policy,
     to_bytes,
 )
-from tests.training.actors import HANDSET, MODES, PER_MODE, STANDARD, actor, card_of, write
+from tests.training.actors import (
+    HANDSET,
+    MODES,
+    PER_MODE,
+    STANDARD,
+    TABLE,
+    actor,
+    card_of,
+    write,
+)
 
 SMALL = {"features": 3, "hidden": (2,)}
+READ = TABLE.columns[:3]
 KINDS = {
-    "plain": (actor(**SMALL), card_of()),
-    "linear": (actor(3, hidden=()), card_of()),
-    "lstm": (actor(**SMALL, lstm=2), card_of()),
-    "prior": (actor(**SMALL, lstm=2), card_of(observation="prior")),
-    "per-mode": (actor(**SMALL, actions=4), card_of(**PER_MODE)),
+    "plain": (actor(**SMALL), card_of(features=READ)),
+    "linear": (actor(3, hidden=()), card_of(features=READ)),
+    "lstm": (actor(**SMALL, lstm=2), card_of(features=READ)),
+    "prior": (actor(**SMALL, lstm=2), card_of(observation="prior", features=READ)),
+    "per-mode": (actor(**SMALL, actions=4), card_of(features=READ, **PER_MODE)),
     "no transition": (
         actor(**SMALL, actions=4),
-        card_of(beliefs="per-mode", banks={"lab": replace(HANDSET, transition=None)}),
+        card_of(
+            features=READ, beliefs="per-mode", banks={"lab": replace(HANDSET, transition=None)}
+        ),
     ),
 }
 TENSORS, CARD = KINDS["prior"]
@@ -68,7 +81,7 @@ def refused(path, content, message=""):
 def assembled(tensors=TENSORS, card=None, **document):
     """A file with a right checksum and no other check; entries of the document can be replaced."""
     card = CARD.as_json() if card is None else card
-    whole = {"format": 1, "sha256": _checksum(tensors, card), "card": card} | document
+    whole = {"format": FORMAT, "sha256": _checksum(tensors, card), "card": card} | document
     return save(tensors, {"policy": json.dumps(whole)})
 
 
@@ -96,7 +109,7 @@ def test_tensors_are_written_whatever_their_order_in_memory(path):
 def test_own_modes_and_figures_of_any_form_come_back(path):
     modes = (Mode("slow", "ckf", gate=None, cost=3.0), Mode("fast", sigma_v=0.1 + 0.2))
     figures = {"mixed": {"reward": [-1.7, 0.1 + 0.2]}, "seeds": None, "10": 1, "9": 2}
-    card = card_of(modes=modes, evaluation=figures)
+    card = card_of(modes=modes, evaluation=figures, features=READ)
     assert read_policy(write(path, actor(3, actions=2), card))[1] == card
     numbered = replace(card, evaluation={10: 1, 9: (2, 3)})
     read = read_policy(write(path, actor(3, actions=2), numbered))[1]
@@ -147,7 +160,7 @@ def test_a_damaged_byte_is_noticed_or_means_nothing(path, place, change):
 
 
 def document():
-    return {"format": 1, "sha256": _checksum(TENSORS, CARD.as_json()), "card": CARD.as_json()}
+    return {"format": FORMAT, "sha256": _checksum(TENSORS, CARD.as_json()), "card": CARD.as_json()}
 
 
 @in_one_folder
@@ -231,7 +244,7 @@ def raw(header, body=b""):
         (raw({}), "metadata: found nothing under 'policy', expected format, sha256, card"),
         (save(TENSORS, {"policy": "{"}), "metadata 'policy': found no JSON"),
         (save(TENSORS, {"policy": "[" * 100_000}), "metadata 'policy': found no JSON"),
-        (assembled(format=2), "format: found 2, expected 1; use the version"),
+        (assembled(format=1), "format: found 1, expected 2; use the version"),
         (assembled(more=1), "metadata 'policy': missing none, unknown more"),
         (assembled(sha256="0"), "sha256: found '0', expected '.*damaged"),
         (assembled(card={"seed": 1}), "card: missing algorithm, .*versions, unknown none"),
@@ -272,7 +285,7 @@ def test_tensors_that_are_no_actor_are_neither_read_nor_written(path, changes, m
     ("changes", "message"),
     [
         ({"seed": "1"}, "seed: found '1', expected int"),
-        ({"frames": 3}, "frames: found 3, expected 1"),
+        ({"features": (*READ[:2], READ[0])}, "features: found 3 with equal names"),
         ({"observation": "all"}, "observation: found 'all', expected one of full, prior"),
         ({"versions": {"numpy": "2.0"}}, "versions: found .*, expected one of 'mmwave-loc'"),
     ],
@@ -281,6 +294,23 @@ def test_a_card_of_the_wrong_kind_is_neither_read_nor_made(path, changes, messag
     refused(path, assembled(card=CARD.as_json() | changes), message)
     with pytest.raises(ValueError, match=message):
         Card(**vars(CARD) | changes)
+
+
+@pytest.mark.parametrize(
+    "row", [["a", "m", 0.0], ["a", 1, 0.0, 1.0], ["a", "m", 0.0, 0.0], ["a", "m", 1e999, 1.0]]
+)
+def test_a_feature_without_name_unit_or_scale_is_refused(path, row):
+    content = CARD.as_json()
+    refused(
+        path, assembled(card=content | {"features": [*content["features"][:2], row]}), "features: "
+    )
+
+
+def test_as_many_features_as_inputs_are_needed(path):
+    content = CARD.as_json()
+    refused(
+        path, assembled(card=content | {"features": content["features"][:2]}), "features: found 2"
+    )
 
 
 RENAMED = replace(STANDARD, modes=tuple(replace(mode, name=f"my {mode.name}") for mode in MODES))
@@ -343,7 +373,7 @@ def test_unknown_modes_are_refused(path, modes, message):
 
 def test_no_file_can_hold_a_function():
     with pytest.raises(ValueError, match="algorithm of mode 'own': found a function"):
-        to_bytes(actor(3, actions=1), card_of(modes=(Mode("own", ekf),)))
+        to_bytes(actor(3, actions=1), card_of(modes=(Mode("own", ekf),), features=READ))
 
 
 def test_what_a_file_says_of_its_size_is_looked_at_before_its_numbers(path):
@@ -358,7 +388,7 @@ def test_what_a_file_says_of_its_size_is_looked_at_before_its_numbers(path):
 def test_a_card_of_lists_in_lists_is_refused(path):
     nested = f'"modes": {"[" * 900 + "]" * 900}'
     card = json.dumps(CARD.as_json() | {"modes": 0}).replace('"modes": 0', nested)
-    document = f'{{"format": 1, "sha256": "", "card": {card}}}'
+    document = f'{{"format": {FORMAT}, "sha256": "", "card": {card}}}'
     refused(path, save(TENSORS, {"policy": document}), "found lists or objects in each other")
 
 

@@ -24,7 +24,7 @@ PER_MODE_TABLE = Observation(Pipeline(MODES, Layout()), "full", "per-mode")
 def card_of(table=TABLE, **changes):
     """What a trainer would tell of a policy for a table of features."""
     told = {
-        "modes": table.modes, "observation": table.kind, "digest": table.digest, "frames": 1,
+        "modes": table.modes, "observation": table.kind, "features": table.columns,
         "scenario": "mixed", "radio": "handset", "algorithm": "PPO", "seed": 10_000_000,
         "timesteps": 1000, "command": "mmwave-loc train", "evaluation": {"reward": -1.75},
         "versions": {"mmwave-loc": "0.1.0"},
