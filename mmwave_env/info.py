@@ -7,21 +7,17 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from mmwave_env.metrics import INFO_KEYS
 from mmwave_env.numerics.numbers import Array, Mask
 
 STATE_KEYS = ("truth", "estimate")  # also in the info of a reset
 STEP_KEYS = ("position_error_m", "nees", "nis", "accepted", "rejected", "mode", "gamma")
 PROBABILITIES = "mode_probabilities"  # only with a belief per mode
 FLAGS = ("accepted", "rejected")
-EPISODE_KEYS = {
-    "ate_m": "ate_m", "rmse_m": "rmse_m", "rpe_m": "rpe_m", "nees": "mean_nees",
-    "in_bounds": "in_bounds", "divergence_rate": "divergence",
-}  # fmt: skip
-
 NAMED = ("episode_name", "episode_key")  # in the info of a reset: names of an episode
 SMOOTHED_KEY = "smoothed_ate_m"
 NONFINITE_KEY = "nonfinite_beliefs"  # in the info of the last step if there were any
-LAST_KEYS = (*EPISODE_KEYS.values(), SMOOTHED_KEY)  # in the info of the last step
+LAST_KEYS = (*INFO_KEYS.values(), SMOOTHED_KEY)  # in the info of the last step
 INFOS = {
     "all": "what there is to tell",
     "fixed": "the same numbers always",

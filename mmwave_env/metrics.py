@@ -7,25 +7,15 @@ of the epochs lie in the two-sided chi-square interval [0.22, 9.35]. (The paper 
 5.99, the one-sided 95 % quantile for 2 axes; for 3 it is 7.81.)
 """
 
+from collections.abc import Callable
+from typing import NamedTuple
+
 import numpy as np
 
 from mmwave_env.numerics.numbers import Array
 
 BURN_IN = 10  # epochs dropped from averages, because the prior still has an effect
 DIVERGENCE_M = 50.0  # an episode in which the error exceeds this has diverged
-METRICS = {
-    "reward": "mean reward per epoch",
-    "ate_m": "mean position error, m",
-    "rmse_m": "root mean square position error, m",
-    "rpe_m": "mean change of the position error over 1 s (at least one epoch), m",
-    "nees": "mean NEES of the position",
-    "in_bounds": "share of epochs with NEES in its two-sided 95 % interval",
-    "divergence_rate": f"share of episodes with an error above {DIVERGENCE_M:g} m",
-}
-TERMS = {  # terms of the tracking reward, which is minus their sum
-    "error_term": "what position errors cost in the tracking reward, per epoch",
-    "nees_term": "what the NEES costs in the tracking reward, per epoch",
-}
 
 
 def _squared(error: Array) -> Array:
@@ -68,33 +58,128 @@ def scored(epochs: int) -> slice:
     return slice(min(BURN_IN, epochs - 1), None)
 
 
+class Epochs(NamedTuple):
+    """The counted epochs of whole tracks."""
+
+    reward: Array  # (..., T)
+    error: Array  # (..., T, 3) estimated minus true position, m
+    nees: Array  # (..., T) NEES of the position
+    second: int  # number of epochs in a second, at least 1
+    interval: tuple[float, float]  # interval of the NEES of a consistent filter
+
+
+class Sums(NamedTuple):
+    """Running sums over the counted epochs of tracks (n,), for tracks that are not kept."""
+
+    epochs: Array  # number of epochs
+    changes: Array  # number of pairs of epochs that are a second apart
+    distance: Array  # length of the position error, m
+    squared: Array  # its square, m^2
+    change: Array  # length of the change of the error over a second, m
+    nees: Array
+    inside: Array  # number of epochs with the NEES inside the interval
+    largest: Array  # not a sum: the largest squared error, m^2
+
+
+class Metric(NamedTuple):
+    """A figure of an episode's track."""
+
+    name: str  # in results
+    header: str  # of its column in tables
+    unit: str
+    meaning: str
+    whole: Callable[[Epochs], Array]  # from whole tracks
+    # from running sums; without this form the figure is in results, but in no info and no track
+    running: Callable[[Sums], Array] | None = None
+    info: str = ""  # key in infos, where it is not the name
+
+    @property
+    def described(self) -> str:
+        """Return the meaning with its unit."""
+        return f"{self.meaning}, {self.unit}" if self.unit else self.meaning
+
+
+METRICS = {
+    metric.name: metric
+    for metric in (
+        Metric("reward", "reward", "", "mean reward per epoch", lambda e: e.reward.mean(axis=-1)),
+        Metric(
+            "ate_m", "ATE m", "m", "mean position error",
+            lambda e: ate(e.error),
+            lambda s: s.distance / s.epochs,
+        ),
+        Metric(
+            "rmse_m", "RMSE m", "m", "root mean square position error",
+            lambda e: rmse(e.error),
+            lambda s: np.sqrt(s.squared / s.epochs),
+        ),
+        Metric(
+            "rpe_m", "RPE m", "m",
+            "mean change of the position error over 1 s (at least one epoch)",
+            lambda e: rpe(e.error, e.second),
+            lambda s: s.change / np.maximum(s.changes, 1),
+        ),
+        Metric(
+            "nees", "NEES", "", "mean NEES of the position",
+            lambda e: e.nees.mean(axis=-1),
+            lambda s: s.nees / s.epochs,
+            "mean_nees",
+        ),
+        Metric(
+            "in_bounds", "in 95 % bounds", "",
+            "share of epochs with NEES in its two-sided 95 % interval",
+            lambda e: ((e.nees >= e.interval[0]) & (e.nees <= e.interval[1])).mean(axis=-1),
+            lambda s: s.inside / s.epochs,
+        ),
+        Metric(
+            "divergence_rate", "diverged", "",
+            f"share of episodes with an error above {DIVERGENCE_M:g} m",
+            lambda e: _diverged(_squared(e.error).max(axis=-1)),
+            lambda s: _diverged(s.largest),
+            "divergence",
+        ),
+    )
+}  # fmt: skip
+INFO_KEYS = {m.name: m.info or m.name for m in METRICS.values() if m.running}
+TERMS = {  # terms of the tracking reward, which is minus their sum: header and meaning
+    "error_term": ("error term", "what position errors cost in the tracking reward, per epoch"),
+    "nees_term": ("NEES term", "what the NEES costs in the tracking reward, per epoch"),
+}
+HEADERS = {name: metric.header for name, metric in METRICS.items()}
+HEADERS |= {name: header for name, (header, _) in TERMS.items()}
+
+
+def _diverged(largest: Array) -> Array:
+    """Return 1.0 where a largest squared error (...), m^2, is beyond the limit or NaN."""
+    return (~(largest <= DIVERGENCE_M**2)).astype(float)  # type: ignore[no-any-return]
+
+
 def summary(
-    reward: Array, error: Array, nees: Array, epochs_per_s: float = 1.0, axes: int = 3
+    error: Array,
+    nees: Array,
+    epochs_per_s: float = 1.0,
+    axes: int = 3,
+    reward: Array | None = None,
 ) -> dict[str, Array]:
-    """Compute all :data:`METRICS` per episode; rewards are (..., T), see :func:`accuracy`."""
-    mean = reward[..., scored(reward.shape[-1])].mean(axis=-1)
-    return {"reward": mean, **accuracy(error, nees, epochs_per_s, axes)}
-
-
-def accuracy(
-    error: Array, nees: Array, epochs_per_s: float = 1.0, axes: int = 3
-) -> dict[str, Array]:
-    """Compute every metric but the reward, per episode and without the burn-in.
+    """Compute all :data:`METRICS` per episode, without the burn-in.
 
     Args:
         error: (..., T, 3) estimated minus true position, m.
         nees: (..., T) NEES of the position.
         epochs_per_s: number of epochs in a second, the interval of RPE.
         axes: position axes that NEES covers.
+        reward: (..., T) rewards; None leaves their mean out.
     """
     counted = scored(nees.shape[-1])
-    error, nees = error[..., counted, :], nees[..., counted]
-    low, high = nees_interval(axes)
-    return {
-        "ate_m": ate(error),
-        "rmse_m": rmse(error),
-        "rpe_m": rpe(error, max(1, round(epochs_per_s))),
-        "nees": nees.mean(axis=-1),
-        "in_bounds": ((nees >= low) & (nees <= high)).mean(axis=-1),
-        "divergence_rate": (~(_squared(error).max(axis=-1) <= DIVERGENCE_M**2)).astype(float),
-    }
+    pays = nees if reward is None else reward
+    epochs = Epochs(
+        pays[..., counted], error[..., counted, :], nees[..., counted],
+        max(1, round(epochs_per_s)), nees_interval(axes),
+    )  # fmt: skip
+    wanted = [m for m in METRICS.values() if reward is not None or m.name != "reward"]
+    return {metric.name: metric.whole(epochs) for metric in wanted}
+
+
+def running_summary(sums: Sums) -> dict[str, Array]:
+    """Compute the metrics that have a running form, per track (n,)."""
+    return {name: METRICS[name].running(sums) for name in INFO_KEYS}  # type: ignore[misc]

@@ -14,6 +14,7 @@ from typing import Annotated, get_args, get_origin
 from mmwave_env.filters.bank import MOST_MODES, NOTES, Bank
 from mmwave_env.filters.modes import ALGORITHMS, Mode
 from mmwave_env.lookup import LONGEST
+from mmwave_env.metrics import METRICS, TERMS
 from mmwave_env.models.radio import RADIOS, Radio
 from mmwave_env.models.scene import AnchorScene, Scene
 from mmwave_env.records import Bound, Printable, Size, hints_of
@@ -115,8 +116,21 @@ def modes():
     return bank
 
 
+def results():
+    """Return the shipped schema of results, with the metrics of today."""
+    schema = json.loads(path_of("results").read_text(encoding="utf-8"))
+    said = {name: metric.described for name, metric in METRICS.items()}
+    said |= {name: meaning for name, (_, meaning) in TERMS.items()}
+    interval = {"$ref": "#/$defs/interval"}
+    schema["$defs"]["metrics"] |= {
+        "properties": {name: interval | {"description": text} for name, text in said.items()},
+        "required": list(METRICS),
+    }
+    return schema
+
+
 def schemas():
-    """All of them, by name."""
+    """Return all schemas by name."""
     scene = {"oneOf": [object_schema(kind, optional=["name"]) for kind in (Scene, AnchorScene)]}
     for form, title in zip(scene["oneOf"], ("by its walls", "by its anchors"), strict=True):
         form["title"] = title
@@ -127,7 +141,8 @@ def schemas():
         "mobility": ("A kind of user", object_schema(Mobility, optional=["name"])),
     }
     dialect = {"$schema": "https://json-schema.org/draft/2020-12/schema"}
-    return {name: dialect | {"title": title} | body for name, (title, body) in found.items()}
+    made = {name: dialect | {"title": title} | body for name, (title, body) in found.items()}
+    return made | {"results": results()}
 
 
 def path_of(name):

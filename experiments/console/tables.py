@@ -12,13 +12,6 @@ from rich.markdown import Markdown
 
 from experiments.console.text import escaped, printable_lines, unescaped
 
-HEADERS = {
-    "reward": "reward", "ate_m": "ATE m", "rmse_m": "RMSE m", "rpe_m": "RPE m", "nees": "NEES",
-    "in_bounds": "in 95 % bounds", "divergence_rate": "diverged", "error_term": "error term",
-    "nees_term": "NEES term",
-}  # fmt: skip
-
-
 TABLE = re.compile(r"((?:^\|.*\n?)+)", re.MULTILINE)
 CELL = re.compile(r"((?:\\.|[^|\\])*)\|")  # with the bar that ends the cell
 UNIT = re.compile(r" (?=(?:m|s|%)(?: |$))")  # the space before a unit, where a line must not break

@@ -8,13 +8,13 @@ from typing import Any
 
 import numpy as np
 
-from experiments.console.tables import HEADERS, grid
+from experiments.console.tables import grid
 from experiments.console.text import escaped
 from experiments.evaluation.intervals import Interval, bootstrap, rounded
 from experiments.evaluation.runner import Scores
 from experiments.evaluation.seeds import Selection
 from mmwave_env.lookup import as_cell
-from mmwave_env.metrics import METRICS, TERMS
+from mmwave_env.metrics import HEADERS, METRICS, TERMS
 from mmwave_env.numerics.numbers import Array
 from mmwave_env.world.episode import EpisodeSource
 

@@ -176,7 +176,7 @@ def _summary(told: EpochResults, episodes: Sequence[Episode], scoring: Scoring) 
     reward = scoring.reward if isinstance(scoring.reward, TrackingReward) else TrackingReward()
     terms = reward.terms(np.linalg.norm(told["error"], axis=-1), told["nees"], axes)
     counted = scored(told["nees"].shape[-1])
-    return summary(told["reward"], told["error"], told["nees"], rate, axes) | {
+    return summary(told["error"], told["nees"], rate, axes, told["reward"]) | {
         name: term[..., counted].mean(axis=-1) for name, term in zip(TERMS, terms, strict=True)
     }
 

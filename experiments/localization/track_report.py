@@ -2,10 +2,11 @@
 
 from typing import Any
 
-from experiments.console.tables import HEADERS, grid
+from experiments.console.tables import grid
 from experiments.console.text import escaped
 from experiments.evaluation.positions import kinds_of, positions_markdown
 from mmwave_env.filters.modes import DESIGN_LIMIT_MPS
+from mmwave_env.metrics import HEADERS, INFO_KEYS
 from mmwave_env.models.prior import GAP_S
 
 
@@ -101,7 +102,7 @@ def _associated(found: dict[str, Any]) -> str:
 
 
 def _accuracy(truth: dict[str, Any], epochs: int) -> str:
-    metrics = ("ate_m", "rmse_m", "rpe_m", "nees", "in_bounds")
+    metrics = [name for name in INFO_KEYS if name != "divergence_rate"]
     header = ["track", *(HEADERS[m].replace("in 95", "NEES in 95") for m in metrics)]
     rows = [[name, *(_decimals(row[m]) for m in metrics)] for name, row in truth["tracks"].items()]
     low, high = truth["nees_interval"]

@@ -17,7 +17,7 @@ from mmwave_env.filters.bank import shipped_modes
 from mmwave_env.filters.belief import Belief
 from mmwave_env.filters.modes import Mode
 from mmwave_env.filters.pipeline import Pipeline
-from mmwave_env.metrics import accuracy, scored
+from mmwave_env.metrics import scored, summary
 from mmwave_env.models.radio import Radio, radio_from
 from mmwave_env.models.scene import SCENES
 from mmwave_env.numerics.linalg import unpack
@@ -124,7 +124,7 @@ def _tracks(
 def _errors(error: Array, nees: Array, axes: int) -> Errors:
     counted = scored(nees.shape[1])
     rms = np.sqrt(np.square(error[:, counted]).mean(axis=(0, 1)))
-    return Errors(accuracy(error, nees, axes=axes), nees[:, counted], rms)
+    return Errors(summary(error, nees, axes=axes), nees[:, counted], rms)
 
 
 Cell = str | float | Interval

@@ -10,7 +10,7 @@ import numpy as np
 
 from experiments.console.progress import note, progress, say
 from experiments.console.provenance import command_line
-from experiments.console.tables import HEADERS, grid, show
+from experiments.console.tables import grid, show
 from experiments.evaluation.intervals import Interval, rounded
 from experiments.sweeping.cells import evaluated, trained, training_of
 from experiments.sweeping.on_ray import computed, connected, searched
@@ -19,6 +19,7 @@ from experiments.sweeping.spec import HYPERPARAMETER, Spec, Training, Values, re
 from experiments.training.hyperparameters import hyperparameters_as_written
 from mmwave_env.files import write_json
 from mmwave_env.lookup import require_extra
+from mmwave_env.metrics import HEADERS
 
 SHOWN = ("reward", "ate_m", "rmse_m", "nees", "divergence_rate")
 

@@ -16,13 +16,12 @@ from experiments.training.hyperparameters import PpoHyperparameters, falling
 from experiments.training.job import Job, News, Tell
 from experiments.training.record import Record
 from experiments.training.vec_env import PlacesVecEnv
+from mmwave_env.info import LAST_KEYS
 from policies.policy_file import Tensors
 
 # Updates between two rows of the log, and between two evaluations, before and after the policy
 # beats the paper's rule.
 LOG, EARLY, LATER = 4, 2, 16
-
-LOGGED = ("ate_m", "rmse_m", "mean_nees", "in_bounds", "divergence", "smoothed_ate_m")
 
 
 class PpoTraining(BaseCallback):
@@ -108,7 +107,7 @@ class PpoTraining(BaseCallback):
         return True
 
     def _on_rollout_end(self) -> None:
-        for key in (key for key in LOGGED if self._ended and key in self._ended[0]):
+        for key in (key for key in LAST_KEYS if self._ended and key in self._ended[0]):
             mean = float(np.mean([info[key] for info in self._ended]))
             self.logger.record_mean(f"rollout/{key}", mean)
         self._ended.clear()

@@ -4,7 +4,6 @@ from collections.abc import Iterator, Mapping
 from functools import partial
 from typing import Any, NamedTuple
 
-from experiments.console.tables import HEADERS
 from experiments.evaluation.comparison import Comparison
 from experiments.evaluation.intervals import Interval, rounded
 from experiments.evaluation.positions import HEADER, KINDS, percent, row_of
@@ -14,7 +13,7 @@ from experiments.localization.track_report import track_markdown
 from experiments.webpage.markup import drawn, element, html_of, table
 from experiments.webpage.played import Played, ranking, watched_names
 from experiments.webpage.sources import Source
-from mmwave_env.metrics import METRICS
+from mmwave_env.metrics import HEADERS, METRICS
 
 
 class Verdict(NamedTuple):

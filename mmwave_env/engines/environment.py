@@ -19,8 +19,8 @@ from mmwave_env.engines.replay import Replay
 from mmwave_env.engines.tally import Tally
 from mmwave_env.engines.vector_step import ActionHistory, Stepper
 from mmwave_env.filters.pipeline import Pipeline
-from mmwave_env.info import EPISODE_KEYS, SMOOTHED_KEY, drawn_rows
-from mmwave_env.metrics import ate, scored
+from mmwave_env.info import SMOOTHED_KEY, drawn_rows
+from mmwave_env.metrics import INFO_KEYS, ate, scored
 from mmwave_env.models.scene import Streets
 from mmwave_env.numerics.numbers import Array, Index, Mask
 from mmwave_env.task import Task
@@ -91,7 +91,7 @@ class Environment:
         """Compute the final metrics of episodes that ended in some environments (k,)."""
         epochs = self._engine.batch.state.epoch[ended] - 1
         metrics = self._tally.metrics(ended, epochs)
-        told = {EPISODE_KEYS[name]: values for name, values in metrics.items()}
+        told = {INFO_KEYS[name]: values for name, values in metrics.items()}
         if not self._replay:
             return told
         jobs = []

@@ -5,10 +5,11 @@ import math
 import numpy as np
 from numba.extending import register_jitable
 
-from mmwave_env.metrics import BURN_IN, DIVERGENCE_M, nees_interval
+from mmwave_env.metrics import BURN_IN, Sums, nees_interval, running_summary
 from mmwave_env.numerics.numbers import Array, Index
 
-LENGTH, SQUARED, CHANGE, NEES, INSIDE, LARGEST = range(6)  # five sums, the largest squared error
+# in the order of :class:`~mmwave_env.metrics.Sums`
+LENGTH, SQUARED, CHANGE, NEES, INSIDE, LARGEST = range(6)
 NONFINITE = 6  # number of epochs, burn-in included, with an error or NEES that is not finite
 SUMS = 7
 
@@ -48,23 +49,15 @@ class Tally:
         return self.sums[places, NONFINITE].astype(np.int64)  # type: ignore[no-any-return]
 
     def metrics(self, places: Index, epochs: Index) -> dict[str, Array]:
-        """Return the metrics of :func:`~mmwave_env.metrics.accuracy` for some environments (k,).
+        """Return the running metrics of some environments (k,), by name.
 
         Args:
             places: (k,) environments.
             epochs: (k,) number of epochs that each environment ran.
         """
-        sums = self.sums[places]
         counted = np.maximum(epochs - BURN_IN, 1)
         changes = np.maximum(counted - self.second[places], 0)
-        return {
-            "ate_m": sums[:, LENGTH] / counted,
-            "rmse_m": np.sqrt(sums[:, SQUARED] / counted),
-            "rpe_m": sums[:, CHANGE] / np.maximum(changes, 1),
-            "nees": sums[:, NEES] / counted,
-            "in_bounds": sums[:, INSIDE] / counted,
-            "divergence_rate": (~(sums[:, LARGEST] <= DIVERGENCE_M**2)).astype(float),
-        }
+        return running_summary(Sums(counted, changes, *self.sums[places, :NONFINITE].T))
 
 
 @register_jitable

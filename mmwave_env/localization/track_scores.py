@@ -13,7 +13,7 @@ from mmwave_env.filters.pipeline import VERTICAL
 from mmwave_env.localization.localizer import TrackBlock
 from mmwave_env.localization.position_errors import RISK, PositionErrors
 from mmwave_env.logs.truth import Truth
-from mmwave_env.metrics import nees_interval
+from mmwave_env.metrics import Sums, nees_interval, running_summary
 from mmwave_env.numerics.linalg import unpack
 from mmwave_env.numerics.numbers import Array
 
@@ -54,14 +54,14 @@ class Accuracy:
         self._waiting = self._waiting[done:]
 
     def figures(self) -> dict[str, float | None]:
-        """Return the metrics under the names of :data:`~mmwave_env.metrics.METRICS`."""
-        ate, square, nees, inside = (ratio(total, self._scored) for total in self._sums)
+        """Return the running metrics by name, but for divergence, which is of episodes."""
+        counts = (max(self._scored, 1), self._pairs)
+        sums = Sums(*np.array([*counts, *self._sums[:2], self._change, *self._sums[2:], 0.0]))
+        known = {"rpe_m": self._pairs}
         return {
-            "ate_m": ate,
-            "rmse_m": None if square is None else square**0.5,
-            "rpe_m": ratio(self._change, self._pairs),
-            "nees": nees,
-            "in_bounds": inside,
+            name: float(value) if known.get(name, self._scored) else None
+            for name, value in running_summary(sums).items()
+            if name != "divergence_rate"
         }
 
 

@@ -16,17 +16,15 @@ import mmwave_env
 from experiments.console import removed
 from experiments.console.main import COMMANDS, SAME, page_of, read_arguments
 from experiments.console.options import TUNING_SEED, IntegrityArgs, TaskArgs
+from mmwave_env.metrics import METRICS, TERMS
 from tests.cli import assert_one_clear_line, command, environment, succeed
 from tests.paths import ROOT
 
 HEAVY = {"numba", "gymnasium", "numpy", "scipy", "matplotlib", "torch", "rich", "pyarrow"}
 
-METRICS = ["reward", "ate_m", "rmse_m", "rpe_m", "nees", "in_bounds", "divergence_rate",
-           "error_term", "nees_term"]  # fmt: skip
-
 
 def assert_intervals(row):
-    assert list(row) == METRICS
+    assert list(row) == [*METRICS, *TERMS]
     for interval in row.values():
         assert set(interval) == {"mean", "ci95"}
         low, high = interval["ci95"]

@@ -6,7 +6,7 @@ import pytest
 from mmwave_env.engines.env_engine import Engine
 from mmwave_env.engines.tally import Tally, count
 from mmwave_env.engines.vector_step import ActionHistory
-from mmwave_env.metrics import accuracy
+from mmwave_env.metrics import summary
 from mmwave_env.reward import TrackingReward
 from tests.filters.tracks import pipeline_of, simulated
 
@@ -101,7 +101,7 @@ def test_an_episode_ends_with_the_metrics_of_its_track(epochs, dt, axes):
                 tally.sums[1], tally.errors[1], tally.second[1], tally.interval, k, *error, number
             )
         found = tally.metrics(where, np.array([epochs]))
-    expected = accuracy(errors, nees, max(1.0, round(1.0 / dt)), axes)
+    expected = summary(errors, nees, max(1.0, round(1.0 / dt)), axes)
     assert {key: value.item() for key, value in found.items()} == pytest.approx(
         {key: float(value) for key, value in expected.items()}, rel=1e-12
     )

@@ -3,13 +3,12 @@
 import numpy as np
 import pytest
 
-from experiments.console.tables import HEADERS
 from experiments.evaluation.comparison import compare_scores, references
 from experiments.evaluation.intervals import bootstrap
 from experiments.evaluation.positions import HEADER, exceeded, meters, percent, positions_markdown
 from experiments.evaluation.seeds import Selection
 from mmwave_env.localization.position_errors import PositionErrors
-from mmwave_env.metrics import METRICS, TERMS
+from mmwave_env.metrics import HEADERS, METRICS, TERMS
 
 
 def scores(**rewards):
