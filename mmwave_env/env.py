@@ -93,7 +93,9 @@ class MmWaveLocEnv(Environment, gym.Env[NDArray[np.float32], np.int64]):
     `reward="tracking"` (default): -(1.0 min(error, 10 m) + 0.2 min(|ln(NEES / 3)|, 3)), with
     the position error and the position's NEES after the epoch. `reward="log-score"`: log
     density of the true position, at least -30. Any function of (belief, truth) works too, see
-    `mmwave_env.reward`. A mode's `cost` is subtracted in every epoch that runs it.
+    `mmwave_env.reward`. A mode's `cost` is subtracted in every epoch that runs it. The array
+    `info["reward_terms"]` holds the terms of the epoch's reward, in the order of the names
+    `env.unwrapped.reward_terms`, for users who weigh them anew; cost is the last one.
 
     `reward="paired"`: the tracking reward minus that of an IMM over the radio's two default modes,
     in the same epoch of the same episode. The agent cannot change what the IMM earns, so the best
@@ -116,7 +118,7 @@ class MmWaveLocEnv(Environment, gym.Env[NDArray[np.float32], np.int64]):
 
     * Every step: `position_error_m`, `nees`, `nis`, `accepted`, `rejected` (per anchor, then
       Doppler), `mode`, `gamma`, `truth` (position, velocity), `estimate` (position, velocity,
-      bias); with beliefs per mode also `mode_probabilities`.
+      bias), `reward_terms`; with beliefs per mode also `mode_probabilities`.
     * `reset`: `episode_name`, `episode_key` (of simulated episodes), `truth`, `estimate`, and
       `nonfinite`: how many links, Doppler shifts and odometry had a NaN or infinity and count as
       missing.
@@ -375,7 +377,8 @@ class MmWaveLocEnv(Environment, gym.Env[NDArray[np.float32], np.int64]):
 
     def _worded(self, info: dict[str, Any], at_end: bool) -> dict[str, Any]:
         groups = len(self._task.pipeline.layout.groups)
-        return worded(info, self._infos, at_end, groups, len(self.modes) if self._task.bank else 1)
+        beliefs, terms = len(self.modes) if self._task.bank else 1, len(self.reward_terms)
+        return worded(info, self._infos, at_end, groups, beliefs, terms)
 
     def _episode_info(self) -> dict[str, Any]:
         """Return metrics of the processed epochs, and the count of those with nonfinite beliefs."""

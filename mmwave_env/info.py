@@ -11,7 +11,11 @@ from mmwave_env.metrics import INFO_KEYS
 from mmwave_env.numerics.numbers import Array, Mask
 
 STATE_KEYS = ("truth", "estimate")  # also in the info of a reset
-STEP_KEYS = ("position_error_m", "nees", "nis", "accepted", "rejected", "mode", "gamma")
+TERMS_KEY = "reward_terms"
+STEP_KEYS = (
+    *("position_error_m", "nees", "nis", "accepted", "rejected", "mode", "gamma"),
+    TERMS_KEY,
+)
 PROBABILITIES = "mode_probabilities"  # only with a belief per mode
 FLAGS = ("accepted", "rejected")
 NAMED = ("episode_name", "episode_key")  # in the info of a reset: names of an episode
@@ -36,7 +40,7 @@ def told_rows(at: Any) -> dict[str, Any]:
     told = {
         "position_error_m": at.distance, "nees": at.nees, "nis": memory.nis,
         "accepted": memory.accepted, "rejected": memory.rejected, "gamma": memory.gamma,
-        "truth": at.truth, "estimate": at.x,
+        "truth": at.truth, "estimate": at.x, TERMS_KEY: at.reward_terms,
     }  # fmt: skip
     if hasattr(at, PROBABILITIES):
         told[PROBABILITIES] = at.mode_probabilities
@@ -93,7 +97,7 @@ def step_info(column: Array, told: dict[str, Any], mode: int) -> dict[str, Any]:
 
 
 def worded(
-    info: dict[str, Any], infos: str, at_end: bool, groups: int, beliefs: int
+    info: dict[str, Any], infos: str, at_end: bool, groups: int, beliefs: int, terms: int
 ) -> dict[str, Any]:
     """Return an info in the form that ``infos`` selects.
 
@@ -106,6 +110,7 @@ def worded(
         at_end: whether the info is that of an episode's first or last step.
         groups: number of groups of the measurement: links, Doppler, odometry.
         beliefs: number of beliefs that the modes keep.
+        terms: number of terms of the reward.
     """
     if infos == "none" or (infos == "episode" and not at_end):
         return {}
@@ -113,6 +118,7 @@ def worded(
         return info
     unknown: dict[str, Any] = dict.fromkeys((*STEP_KEYS, *LAST_KEYS), np.nan)
     unknown |= {key: np.zeros(groups, np.bool_) for key in FLAGS}
+    unknown[TERMS_KEY] = np.full(terms, np.nan)
     unknown |= {"nis": np.full(groups, np.nan), "mode": -1, "nonfinite": -1, NONFINITE_KEY: 0}
     if beliefs > 1:
         unknown[PROBABILITIES] = np.full(beliefs, np.nan)

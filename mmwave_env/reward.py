@@ -1,14 +1,16 @@
 """Rewards: functions of a belief and the truth, written on numbers.
 
 A reward is called as ``reward(belief, truth)`` with a
-:class:`~mmwave_env.filters.belief.Belief` and the true (6,) position and velocity, and
-returns one number. Pass your own reward to ``MmWaveLoc-v0`` as ``reward=``; it follows the rules
-of :mod:`mmwave_env.numerics.numbers`, so it runs on SIMD lanes like all other code. Any reward
-can be paired (:class:`PairedReward`).
+:class:`~mmwave_env.filters.belief.Belief` and the true (6,) position and velocity, and returns
+its terms by name, whose sum is paid, or one number. Pass your own reward to ``MmWaveLoc-v0`` as
+``reward=``; it follows the rules of :mod:`mmwave_env.numerics.numbers`, so it runs on SIMD lanes
+like all other code. Any reward can be paired (:class:`PairedReward`).
 """
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import lru_cache, reduce
+from operator import add
 from typing import cast
 
 import numpy as np
@@ -19,7 +21,8 @@ from mmwave_env.lookup import choose
 from mmwave_env.numerics.numbers import Array, Number, Vector, log, maximum, minimum
 from mmwave_env.numerics.tracer import FloatTracer, NoValueError, Tracer, TracerCondition
 
-Reward = Callable[[Belief, Vector], Number]
+Terms = dict[str, Number]
+Reward = Callable[[Belief, Vector], Terms | Number]
 
 _SMALLEST_NEES = 1e-12
 
@@ -42,7 +45,7 @@ class TrackingReward:
         """Return the lowest possible reward."""
         return -(self.error_weight * self.error_limit_m + self.nees_weight * self.nees_limit)
 
-    def terms(self, distance_m: Array, nees: Array, axes: int = 3) -> tuple[Array, Array]:
+    def costs(self, distance_m: Array, nees: Array, axes: int = 3) -> tuple[Array, Array]:
         """Compute the cost of error and NEES in epochs (...,); the reward is minus their sum.
 
         Args:
@@ -55,12 +58,12 @@ class TrackingReward:
         limited = np.minimum(inconsistency, self.nees_limit)
         return self.error_weight * error, self.nees_weight * limited
 
-    def __call__(self, belief: Belief, truth: Vector) -> Number:
-        """Return the reward of one epoch."""
+    def __call__(self, belief: Belief, truth: Vector) -> Terms:
+        """Return the terms of one epoch."""
         error = minimum(belief.distance(truth), self.error_limit_m)
         ratio = maximum(belief.nees(truth), _SMALLEST_NEES) * (1.0 / len(belief.axes))
         inconsistency = minimum(abs(log(ratio)), self.nees_limit)
-        return -(self.error_weight * error + self.nees_weight * inconsistency)
+        return {"error": -(self.error_weight * error), "nees": -(self.nees_weight * inconsistency)}
 
 
 @dataclass(frozen=True)
@@ -95,6 +98,23 @@ REWARDS: dict[str, Reward | PairedReward] = {
 }  # fmt: skip
 
 
+def terms_of(reward: Reward, belief: Belief, truth: Vector) -> Terms:
+    """Return the terms of a reward by name; a reward of one number has the term "reward"."""
+    paid = reward(belief, truth)
+    return paid if isinstance(paid, dict) else {"reward": paid}
+
+
+def total(terms: Terms) -> Number:
+    """Return the sum of terms, which is the reward."""
+    return cast(Number, reduce(add, terms.values()))
+
+
+@lru_cache(maxsize=64)
+def term_names(reward: Reward) -> tuple[str, ...]:
+    """Return the names of a reward's terms."""
+    return tuple(terms_of(reward, *_trial()))
+
+
 def reward_from(reward: str | Reward | PairedReward) -> Reward | PairedReward:
     """Return the reward for ``reward=``: a name, a function of (belief, truth), or paired.
 
@@ -126,22 +146,30 @@ def reward_name(reward: Reward) -> str:
     return str(getattr(reward, "__name__", type(reward).__name__))
 
 
-def _check(reward: Reward) -> None:
-    """Try a function on numbers that hide their value, as the compiler does."""
+def _trial() -> tuple[Belief, Vector]:
+    """Return a belief and a truth of numbers that hide their value, as the compiler's do."""
     P = [[FloatTracer(4.0 if i == j else 0.5) for j in range(7)] for i in range(7)]
     belief = Belief([FloatTracer(float(i)) for i in range(7)], P)
+    return belief, [FloatTracer(0.5 * i) for i in range(6)]
+
+
+def _check(reward: Reward) -> None:
+    """Try a function on numbers that hide their value."""
     try:
-        found = reward(belief, [FloatTracer(0.5 * i) for i in range(6)])
+        terms = terms_of(reward, *_trial())
     except NoValueError as refusal:
         raise _refused(reward, "cannot run on lanes", refusal, str(refusal)) from None
     except Exception as error:
         advice = f"{type(error).__name__}: {error}"
         raise _refused(reward, "failed on trial", error, advice) from error
-    if isinstance(found, bool | TracerCondition):
-        raise _refused(reward, "returned a condition, expected where(condition, 1.0, 0.0)")
-    if not isinstance(found, float | int | Tracer):
-        kind = "None" if found is None else type(found).__name__
-        raise _refused(reward, f"returned {kind}, expected a number")
+    if not terms or not all(isinstance(name, str) for name in terms):
+        raise _refused(reward, f"returned the terms {list(terms)}, expected one name or more")
+    for value in terms.values():
+        if isinstance(value, bool | TracerCondition):
+            raise _refused(reward, "returned a condition, expected where(condition, 1.0, 0.0)")
+        if not isinstance(value, float | int | Tracer):
+            kind = "None" if value is None else type(value).__name__
+            raise _refused(reward, f"returned {kind}, expected a number, or numbers by name")
 
 
 def _refused(

@@ -35,7 +35,7 @@ EKF = {"modes": ["ekf"]}  # one mode alone compiles fastest
 
 STEP_KEYS = {
     "position_error_m", "nees", "nis", "accepted", "rejected", "mode", "gamma", "truth",
-    "estimate",
+    "estimate", "reward_terms",
 }  # fmt: skip
 END_KEYS = {
     "ate_m", "rmse_m", "rpe_m", "mean_nees", "in_bounds", "divergence",

@@ -28,6 +28,8 @@ from mmwave_env.reward import (
     TrackingReward,
     reward_from,
     reward_name,
+    terms_of,
+    total,
 )
 from mmwave_env.task import task_from
 from mmwave_env.world.keys import keys_at, stream_of
@@ -41,6 +43,11 @@ def belief(error_m=(0.0, 0.0, 0.0), variance_m2=1.0, axes=(0, 1, 2)):
     """About a user at the origin, equally sure along all axes."""
     P = (variance_m2 * np.eye(7)).tolist()
     return Belief([*map(float, error_m), 0.0, 0.0, 0.0, 0.0], P, axes)
+
+
+def pays(reward, belief):
+    """Return what a reward pays where the user is at the origin."""
+    return total(terms_of(reward, belief, ORIGIN))
 
 
 def test_a_reward_goes_by_its_own_name_unless_it_is_a_named_one_as_it_is():
@@ -64,7 +71,7 @@ def test_a_reward_goes_by_its_own_name_unless_it_is_a_named_one_as_it_is():
     ],
 )
 def test_tracking_reward_by_hand(error_m, variance_m2, expected):
-    assert TrackingReward()(belief(error_m, variance_m2), ORIGIN) == pytest.approx(expected)
+    assert pays(TrackingReward(), belief(error_m, variance_m2)) == pytest.approx(expected)
 
 
 @pytest.mark.parametrize("axes", [(0, 1, 2), (0, 1)])
@@ -72,21 +79,22 @@ def test_tracking_reward_by_hand(error_m, variance_m2, expected):
 def test_a_reward_is_minus_the_sum_of_its_terms(reward, axes):
     for error_m in ((0.0, 0.0, 0.0), (0.1, 0.2, 0.0), (3.0, 2.0, 1.0), (60.0, 0.0, 0.0)):
         one = belief(error_m, 2.0, axes)
-        error, nees = reward.terms(
+        error, nees = reward.costs(
             np.array(one.distance(ORIGIN)), np.array(one.nees(ORIGIN)), len(axes)
         )
-        assert reward(one, ORIGIN) == pytest.approx(-(error + nees))
+        assert reward(one, ORIGIN) == pytest.approx({"error": -error, "nees": -nees})
+        assert pays(reward, one) == pytest.approx(-(error + nees))
 
 
 def test_weights_and_limits_are_arguments():
     reward = TrackingReward(error_weight=2.0, error_limit_m=5.0, nees_weight=1.0, nees_limit=0.5)
-    assert reward(belief((3.0, 0.0, 0.0)), ORIGIN) == pytest.approx(-6.5)
-    assert reward.worst == -10.5 == reward(belief((1e3, 0.0, 0.0)), ORIGIN)
+    assert pays(reward, belief((3.0, 0.0, 0.0))) == pytest.approx(-6.5)
+    assert reward.worst == -10.5 == pays(reward, belief((1e3, 0.0, 0.0)))
 
 
 def test_on_flat_terrain_two_axes_are_expected():
     flat = belief((1.0, 1.0, 0.0), axes=(0, 1))  # NEES 2
-    assert TrackingReward()(flat, ORIGIN) == pytest.approx(-math.sqrt(2.0))
+    assert pays(TrackingReward(), flat) == pytest.approx(-math.sqrt(2.0))
 
 
 @pytest.mark.parametrize("name", ["tracking", "log-score"])
@@ -94,8 +102,8 @@ def test_no_reward_is_below_the_worst(name):
     reward = REWARDS[name]
     for error in (0.0, 1.0, 1e3, 1e6):
         for variance in (1e-6, 1.0, 1e6):
-            assert reward(belief((error, error, error), variance), ORIGIN) >= reward.worst
-    assert reward(belief((1e6, 0.0, 0.0), 1e-6), ORIGIN) == reward.worst
+            assert pays(reward, belief((error, error, error), variance)) >= reward.worst
+    assert pays(reward, belief((1e6, 0.0, 0.0), 1e-6)) == reward.worst
 
 
 @settings(derandomize=True, deadline=None)
@@ -109,7 +117,7 @@ def test_log_score_is_the_log_density_of_the_truth(root, error, axes):
     x = np.concatenate([error, np.zeros(4)])
     at = list(axes)
     expected = multivariate_normal(x[at], P[np.ix_(at, at)]).logpdf(np.zeros(len(at)))
-    score = LogScore(worst=-1e6)(Belief(x.tolist(), P.tolist(), axes), ORIGIN)
+    score = pays(LogScore(worst=-1e6), Belief(x.tolist(), P.tolist(), axes))
     assert score == pytest.approx(expected, rel=1e-9, abs=1e-9)
 
 
@@ -162,11 +170,44 @@ def test_the_environment_pays_a_function_of_one_s_own():
         assert reward == pytest.approx(max(-info["position_error_m"], -2.0), abs=1e-12)
 
 
+DEAR = [Mode("free", sigma_v=0.3), Mode("dear", sigma_v=1.8, cost=0.25)]
+
+
 def test_the_cost_of_a_mode_is_subtracted():
-    modes = [Mode("free", sigma_v=0.3), Mode("dear", sigma_v=1.8, cost=0.25)]
-    for reward, info in steps(modes=modes):
+    for reward, info in steps(modes=DEAR):
         cost = 0.25 * info["mode"]
         assert reward == pytest.approx(tracking(info) - cost, abs=1e-9)
+
+
+def weighed(belief, truth):
+    error = belief.error(truth)
+    return {"east": -abs(error[0]), "north": -2.0 * abs(error[1])}
+
+
+@pytest.mark.parametrize("beliefs", ["shared", "per-mode"])
+def test_infos_tell_the_terms_whose_sum_is_the_reward(beliefs):
+    task = {"modes": DEAR, "reward": weighed, "beliefs": beliefs, "episode_steps": 12}
+    for infos in ("all", "fixed", "episode"):
+        env = gym.make("MmWaveLoc-v0", infos=infos, **task)
+        assert env.unwrapped.reward_terms == ("east", "north", "cost")
+        env.reset(seed=0)
+        for t in range(12):
+            action = t % env.action_space.n
+            _, reward, _, _, info = env.step(action)
+            if "reward_terms" in info:
+                east, north, cost = info["reward_terms"]
+                assert reward == pytest.approx(east + north + cost, abs=1e-12)
+                assert cost == (-0.25 if env.unwrapped.observation.actions[action] == "dear" else 0)
+        assert "reward_terms" in info and east < 0.0 and north < 0.0
+
+
+def test_the_terms_of_many_environments_are_one_array():
+    envs = gym.make_vec("MmWaveLoc-v0", num_envs=9, modes=DEAR, reward=weighed, episode_steps=12)
+    envs.reset(seed=0)
+    for t in range(10):
+        _, rewards, _, _, infos = envs.step(np.full(9, t % 2))
+        assert infos["reward_terms"].shape == (9, 3)
+        np.testing.assert_allclose(infos["reward_terms"].sum(axis=1), rewards, atol=1e-12)
 
 
 def test_the_engine_pays_the_log_score_of_its_belief():
@@ -205,6 +246,8 @@ def through_numpy(belief, truth):
         (through_numpy, "lists, mmwave_env.numerics.numbers"),
         (lambda belief, truth: None, "returned None, expected a number"),
         (lambda belief, truth: belief.distance(truth) > 1.0, r"expected where\(condition"),
+        (lambda belief, truth: {}, r"returned the terms \[\], expected one name or more"),
+        (lambda belief, truth: {"error": None}, "returned None, expected a number"),
         (lambda belief, truth: belief.speed, "failed on trial\n  File .*AttributeError"),
     ],
 )

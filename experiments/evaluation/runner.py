@@ -174,10 +174,10 @@ def _warn_of_nonfinite(contender: Contender, told: EpochResults) -> None:
 def _summary(told: EpochResults, episodes: Sequence[Episode], scoring: Scoring) -> Scores:
     rate, axes = 1.0 / step_s(episodes[0]), 2 if scoring.planar else 3
     reward = scoring.reward if isinstance(scoring.reward, TrackingReward) else TrackingReward()
-    terms = reward.terms(np.linalg.norm(told["error"], axis=-1), told["nees"], axes)
+    costs = reward.costs(np.linalg.norm(told["error"], axis=-1), told["nees"], axes)
     counted = scored(told["nees"].shape[-1])
     return summary(told["error"], told["nees"], rate, axes, told["reward"]) | {
-        name: term[..., counted].mean(axis=-1) for name, term in zip(TERMS, terms, strict=True)
+        name: cost[..., counted].mean(axis=-1) for name, cost in zip(TERMS, costs, strict=True)
     }
 
 

@@ -28,7 +28,7 @@ from mmwave_env.models.radio import radio_from
 from mmwave_env.models.scene import scene_from
 from mmwave_env.numerics.linalg import unpack
 from mmwave_env.numerics.pytree import unflatten
-from mmwave_env.reward import TrackingReward
+from mmwave_env.reward import TrackingReward, terms_of, total
 from mmwave_env.world.episode import Episode, blank_incoming
 from mmwave_env.world.simulated import SimulatedSource
 
@@ -94,7 +94,7 @@ def filterpy_episode(twin: Pipeline, episode: Episode) -> float:
     layout, memory, reward = twin.layout, initial_memory(twin.layout, 1), TrackingReward()
     site = unflatten(blank_site(layout), iter(episode.site().tolist()))
     blank = blank_incoming(layout)
-    x, P, total = site.prior_x, unpack(site.prior_P), 0.0
+    x, P, paid = site.prior_x, unpack(site.prior_P), 0.0
     for row in episode.table().tolist():
         incoming = unflatten(blank, iter(row))
         epoch = incoming.epoch(layout)
@@ -104,8 +104,8 @@ def filterpy_episode(twin: Pipeline, episode: Episode) -> float:
             prior = twin.predict(mode, x, P, noise, epoch.dt)
             posterior = twin.update(mode)(*prior, measurement, Gate(mode.gate))
         x, P = posterior.x, posterior.P
-        total += reward(Belief(x, P), incoming.truth)
-    return total
+        paid += total(terms_of(reward, Belief(x, P), incoming.truth))
+    return paid
 
 
 def single() -> Laps:

@@ -23,6 +23,7 @@ from mmwave_env.info import SMOOTHED_KEY, drawn_rows
 from mmwave_env.metrics import INFO_KEYS, ate, scored
 from mmwave_env.models.scene import Streets
 from mmwave_env.numerics.numbers import Array, Index, Mask
+from mmwave_env.reward import term_names
 from mmwave_env.task import Task
 from mmwave_env.world.keys import Streams
 
@@ -54,6 +55,7 @@ class Environment:
         """Make the engine of n environments, its replay and its baseline."""
         task, kind = self._task, self._observation_kind
         self.source, self.radio, self.reward = task.source, task.radio, task.reward
+        self.reward_terms = (*term_names(task.reward), "cost")
         self._engine = Engine(pipeline, n, task.reward, kind, task.bank, on_floats, threads)
         self.modes, self.observation = pipeline.modes, self._engine.observation
         self._replay = Replay(task.pipeline, task.bank) if self._smoothing else None

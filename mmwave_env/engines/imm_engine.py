@@ -39,7 +39,7 @@ from mmwave_env.models.measurement import Layout, Site, blank_site
 from mmwave_env.numerics.linalg import pack
 from mmwave_env.numerics.numbers import Array, Number
 from mmwave_env.numerics.pytree import flatten, select
-from mmwave_env.reward import Reward, TrackingReward
+from mmwave_env.reward import Reward, TrackingReward, terms_of, total
 from mmwave_env.world.episode import Episode, EpisodeBatch, Incoming, blank_incoming
 
 
@@ -95,7 +95,7 @@ def _program(pipeline: Pipeline, reward: Reward, acted: bool) -> Program[ImmStat
             x_predicted=x_predicted,
             P_predicted=P_predicted,
             memory=most_probable_memory(mixture),
-            reward=reward(belief, truth),
+            reward=total(terms_of(reward, belief, truth)),
             error=belief.error(truth),
             nees=belief.nees(truth),
         )

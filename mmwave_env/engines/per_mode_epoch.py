@@ -29,7 +29,7 @@ from mmwave_env.numerics.linalg import pack, unpack
 from mmwave_env.numerics.numbers import Number, where
 from mmwave_env.numerics.pytree import select, tree_at
 from mmwave_env.observation import Observation
-from mmwave_env.reward import Reward
+from mmwave_env.reward import Reward, term_names, terms_of, total
 from mmwave_env.world.episode import Incoming, blank_incoming
 
 SPREAD_MEMORIES = (0.6, 0.9, 0.97)  # weights of the past in averages of the Doppler spread
@@ -53,15 +53,16 @@ class PerModeState(NamedTuple):
     P: list[Number]
     memory: Memory  # memory of the most probable mode; its preferences cover all modes
     observation: list[Number]  # (features,)
-    # reward, truth, error, distance, nees: as in :class:`~mmwave_env.engines.shared_epoch.EnvState`
+    # reward to nees: as in :class:`~mmwave_env.engines.shared_epoch.EnvState`
     reward: Number
+    reward_terms: list[Number]
     truth: list[Number]
     error: list[Number]
     distance: Number
     nees: Number
 
 
-def _template(pipeline: Pipeline, features: int) -> PerModeState:
+def _template(pipeline: Pipeline, features: int, reward: Reward) -> PerModeState:
     layout, modes = pipeline.layout, len(pipeline.modes)
     incoming, site = blank_incoming(layout), blank_site(layout)
     return PerModeState(
@@ -79,6 +80,7 @@ def _template(pipeline: Pipeline, features: int) -> PerModeState:
         memory=initial_memory(layout, modes),
         observation=[0.0] * features,
         reward=0.0,
+        reward_terms=[0.0] * (len(term_names(reward)) + 1),
         truth=incoming.truth,
         error=[0.0] * 3,
         distance=0.0,
@@ -95,7 +97,7 @@ def epoch(
     mixture = trusting(w.mixture, w.action, dt)
     x, covariance = estimate(mixture)
     belief = Belief(x, covariance, pipeline.position_axes)
-    score = reward(belief, truth) - tree_at(w.action, costs)
+    terms, cost = terms_of(reward, belief, truth), tree_at(w.action, costs)
     probabilities = mixture.probability
     memory = most_probable_memory(mixture)._replace(preference=w.memory.preference)
 
@@ -124,7 +126,8 @@ def epoch(
         P=P,
         memory=memory,
         observation=observation.values(view),
-        reward=score,
+        reward=total(terms) - cost,
+        reward_terms=[*terms.values(), 0.0 - cost],
         truth=select(is_first, w.incoming.truth, truth),
         error=belief.error(truth),
         distance=belief.distance(truth),
@@ -143,4 +146,4 @@ def program_of(pipeline: Pipeline, kind: str, reward: Reward) -> Program[PerMode
     """
     observation = Observation(pipeline, kind, "per-mode")
     step = partial(epoch, pipeline=pipeline, observation=observation, reward=reward)
-    return Program(step, _template(pipeline, len(observation)))
+    return Program(step, _template(pipeline, len(observation), reward))

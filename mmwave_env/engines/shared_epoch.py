@@ -20,7 +20,7 @@ from mmwave_env.numerics.linalg import unpack
 from mmwave_env.numerics.numbers import Number
 from mmwave_env.numerics.pytree import select, tree_at
 from mmwave_env.observation import Observation
-from mmwave_env.reward import Reward
+from mmwave_env.reward import Reward, term_names, terms_of, total
 from mmwave_env.world.episode import Incoming, blank_incoming
 
 
@@ -50,13 +50,14 @@ class EnvState(NamedTuple):
     candidates: list[ModeResult]
     observation: list[Number]  # (features,)
     reward: Number  # reward of the last committed epoch
+    reward_terms: list[Number]  # terms of the reward, and minus the mode's cost
     truth: list[Number]  # (6,) truth of that epoch; if no epoch is committed yet, of the first
     error: list[Number]  # (3,) position error of that epoch, m
     distance: Number  # length of the error, m
     nees: Number  # NEES of that epoch
 
 
-def _template(pipeline: Pipeline, features: int) -> EnvState:
+def _template(pipeline: Pipeline, features: int, reward: Reward) -> EnvState:
     layout = pipeline.layout
     groups = [0.0] * len(layout.groups)
     incoming, site = blank_incoming(layout), blank_site(layout)
@@ -73,6 +74,7 @@ def _template(pipeline: Pipeline, features: int) -> EnvState:
         candidates=[candidate for _ in pipeline.modes],
         observation=[0.0] * features,
         reward=0.0,
+        reward_terms=[0.0] * (len(term_names(reward)) + 1),
         truth=incoming.truth,
         error=[0.0] * 3,
         distance=0.0,
@@ -87,7 +89,7 @@ def epoch(w: EnvState, pipeline: Pipeline, observation: Observation, reward: Rew
     dt, visible, truth = w.pending
     memory = memory_after(pipeline.layout, w.action, w.x, chosen, w.memory, dt, visible)
     belief = Belief(chosen.x, unpack(chosen.P, zero=pipeline.known_axes), pipeline.position_axes)
-    score = reward(belief, truth) - cost
+    terms = terms_of(reward, belief, truth)
 
     is_first = w.is_first > 0.5
     x = select(is_first, w.site.prior_x, chosen.x)
@@ -105,7 +107,8 @@ def epoch(w: EnvState, pipeline: Pipeline, observation: Observation, reward: Rew
         memory=memory,
         candidates=[one._replace(x_predicted=[], P_predicted=[]) for one in candidates],
         observation=observation.values(view),
-        reward=score,
+        reward=total(terms) - cost,
+        reward_terms=[*terms.values(), 0.0 - cost],
         truth=select(is_first, w.incoming.truth, truth),
         error=belief.error(truth),
         distance=belief.distance(truth),
@@ -118,4 +121,4 @@ def program_of(pipeline: Pipeline, kind: str, reward: Reward) -> Program[EnvStat
     """Return the program of an epoch, shared by all environments with the same arguments."""
     observation = Observation(pipeline, kind)
     step = partial(epoch, pipeline=pipeline, observation=observation, reward=reward)
-    return Program(step, _template(pipeline, len(observation)))
+    return Program(step, _template(pipeline, len(observation), reward))
