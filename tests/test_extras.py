@@ -21,14 +21,12 @@ EXTRAS = PROJECT.split("[project.optional-dependencies]\n")[1].split("\n[")[0]
         ("matplotlib", ["compare", "--policies", "fixed-ekf", "--errors"]),
         ("matplotlib", ["tables", "--out"]),
         ("filterpy", ["speed", "--json"]),
-        ("pyarrow", ["evaluate", "--epochs-parquet"]),
     ],
     ids=lambda value: value if isinstance(value, str) else " ".join(map(str, value[::-3])),
 )
 def test_a_command_names_the_extra_and_writes_nothing(package, words, tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, package, None)  # as if it were not installed
-    extra = {"matplotlib": "plot", "pyarrow": "data"}.get(package, package)
-    file = {"pyarrow": "new.parquet", "filterpy": "new.json"}.get(package, "new.png")
+    extra, file = {"matplotlib": ("plot", "new.png")}.get(package, (package, "new.json"))
     assert_one_clear_line(
         command(*words, tmp_path / file),
         rf"needs {package}: pip install 'mmwave-loc\[{extra}\]'",

@@ -77,11 +77,16 @@ def results(
     own = [name for name in names if name not in known]
     shown = {file: name for name, file in files.items()}
     everybody = [chosen[file] for file in trainings(names, runs)]
-    with watchers(args, shown, source, selection, pictures) as watched:
-        found = score_contenders(
-            everybody, source, args.radio, selection, watch=[one.add for one in watched],
-            scoring=scoring, after=[*dict.fromkeys(part for one in watched for part in one.parts)],
-        )  # fmt: skip
+    watched = watchers(args, shown, pictures)
+    found = score_contenders(
+        everybody,
+        source,
+        args.radio,
+        selection,
+        watch=[watcher.add for watcher in watched],
+        scoring=scoring,
+        after=[*dict.fromkeys(part for watcher in watched for part in watcher.parts)],
+    )
     scores = {name: found[file] for name, file in files.items()}
     if args.episodes_csv:
         write_text(args.episodes_csv, episodes_csv(scores, selection, source))

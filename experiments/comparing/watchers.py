@@ -1,20 +1,17 @@
-"""Watchers that collect every epoch of a comparison for pictures, percentiles and Parquet."""
+"""Watchers that collect every epoch of a comparison for pictures and percentiles."""
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
 from experiments.console.options import EpisodeArgs
-from experiments.evaluation import epochs_parquet, positions
+from experiments.evaluation import positions
 from experiments.evaluation.epochs import EpochErrors
 from experiments.evaluation.positions import Positions, positions_markdown
 from experiments.evaluation.runner import Watch
-from experiments.evaluation.seeds import Selection
 from experiments.figures.canvas import require_picture
 from experiments.figures.errors import draw_consistency, draw_error_cdf
 from mmwave_env.localization.position_errors import require_risk
-from mmwave_env.world.episode import EpisodeSource
 
 Made = tuple[str, dict[str, Any]]  # Markdown below the tables, and figures for JSON
 
@@ -52,24 +49,16 @@ def require_options(args: EpisodeArgs, pictures: Mapping[str, Path]) -> None:
         require_picture(option, path)
         if seen.setdefault(path, option) != option:
             raise ValueError(f"{option}: found {path}, expected another file than --{seen[path]}")
-    if args.epochs_parquet:
-        epochs_parquet.require_parquet(args.epochs_parquet)
 
 
-@contextmanager
 def watchers(
-    args: EpisodeArgs,
-    names: Mapping[str, str],
-    source: EpisodeSource,
-    selection: Selection,
-    pictures: Mapping[str, Path],
-) -> Iterator[list[Watcher]]:
-    """Yield the watchers that options ask for; at the end write the table of epochs.
+    args: EpisodeArgs, names: Mapping[str, str], pictures: Mapping[str, Path]
+) -> list[Watcher]:
+    """Return the watchers that options ask for.
 
     Args:
         args: options that the commands share.
         names: name in figures, by contender.
-        source, selection: episodes that are played.
         pictures: files of "errors" and "consistency", where asked for.
     """
     found = []
@@ -77,12 +66,7 @@ def watchers(
         found.append(_errors(args, names, pictures))
     if args.percentiles:
         found.append(_positions(args, names))
-    if not args.epochs_parquet:
-        yield found
-        return
-    what = names, selection, source, args.risk, args.planar
-    with epochs_parquet.epochs_parquet(args.epochs_parquet, *what) as add:
-        yield [*found, Watcher(add, parts=epochs_parquet.PARTS)]
+    return found
 
 
 def _errors(args: EpisodeArgs, names: Mapping[str, str], pictures: Mapping[str, Path]) -> Watcher:

@@ -26,8 +26,6 @@ class EpisodeResultArgs(JsonArgs):
 
     episodes_csv: Path | None = None
     """write every metric of every policy and episode to this table, a row each"""
-    epochs_parquet: Path | None = None
-    """write every epoch of every policy and episode to this Parquet file, a row each"""
     percentiles: bool = False
     """also show percentiles of horizontal and vertical errors, shares within a distance, and how
     often errors exceed their protection levels"""

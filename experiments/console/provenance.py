@@ -11,7 +11,6 @@ from mmwave_env import __version__
 
 OUTPUTS = (
     "json", "episodes_csv", "errors", "consistency", "plot", "docs", "out",
-    "epochs_parquet",
 )  # fmt: skip
 
 

@@ -23,8 +23,9 @@ COMMANDS = {
 OPTIONS = {
     "--alert-limit": "--percentiles tells protection levels and how often errors exceed them",
     "--clearest": "name an episode with --seed or --key",
-    "--decisions": "--epochs-parquet has what every policy chose in every epoch",
+    "--decisions": 'info["mode"] of env.step tells what was chosen in every epoch',
     "--engine": "a sweep runs on Ray, on one machine or by --address on a cluster",
+    "--epochs-parquet": "env.step and its infos tell of every epoch",
     "--false-paths": "localize --associate reads past the numbers of anchors in any log",
     "--figure": "--episodes-csv of several runs has what performance profiles are made of",
     "--format": "simulate writes a log with scene and truth, which --data and localize take",
