@@ -21,12 +21,12 @@ from mmwave_env.env import MmWaveLocEnv
 from mmwave_env.filters.bank import modes_from
 from mmwave_env.filters.modes import Mode
 from mmwave_env.filters.pipeline import Pipeline
+from mmwave_env.filters.textbook import rts
 from mmwave_env.models.radio import RADIOS
 from mmwave_env.models.scene import SCENES
 from mmwave_env.task import TaskArguments
 from mmwave_env.world.keys import keys_of
 from mmwave_env.world.simulated import SimulatedSource
-from tests.filters.textbook import rts
 from tests.filters.tracks import replay, unpacked
 from tests.vector_checker import arrays, same
 

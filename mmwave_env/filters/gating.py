@@ -31,7 +31,7 @@ class Gate(NamedTuple):
 def innovation_statistics(group: Group, V: Matrix, latents: Latents) -> tuple[Number, Number]:
     """Return NIS y' S^-1 y and determinant of S, a group's innovation covariance, at the prior.
 
-    S is V cov(eta) V' + R in latents; ``tests/filters/textbook.py`` has the form H P H' + R.
+    S is V cov(eta) V' + R in latents; :mod:`~mmwave_env.filters.textbook` has the form H P H' + R.
     """
     shift = [latents.shift(row) for row in V]
     variance = latents.variance

@@ -16,7 +16,7 @@ Only columns 0 to 2 of L move the position, so latents are kept in the order
 Source: Julier and Uhlmann 2004, Sec. IV (scaled sigma points as in van der Merwe 2004).
 The cubature filter (Arasaratnam and Haykin 2009) is alpha = 1, beta = 0, kappa = 0. The textbook
 forms, with points and weights, are ``tangent``, ``unscented`` and ``cubature`` in
-``tests/filters/textbook.py``.
+:mod:`~mmwave_env.filters.textbook`.
 """
 
 from collections.abc import Sequence

@@ -1,7 +1,7 @@
 """Rauch-Tung-Striebel smoothing, epoch by epoch, backwards (paper, Sec. III-F).
 
 Source: Särkkä, "Bayesian Filtering and Smoothing" (2013), Sec. 8.2. The book's form with matrices
-is ``rts`` in ``tests/filters/textbook.py``.
+is :func:`mmwave_env.filters.textbook.rts`.
 """
 
 from typing import NamedTuple

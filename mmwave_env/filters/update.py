@@ -1,6 +1,7 @@
 """The measurement update shared by EKF, UKF and CKF (paper, Sec. III-C).
 
-The update has a reduced form that is exact. ``tests/filters/textbook.py`` has the textbook form,
+The update has a reduced form that is exact. :mod:`~mmwave_env.filters.textbook` has the
+textbook form,
 K = P H' S^-1 with all rows at once; ``tests/filters/test_update.py`` compares the two forms.
 """
 
@@ -98,7 +99,7 @@ def update(
     the scalar rows, which are subtracted.
 
     The result equals the textbook update with all rows at once, K = P H' S^-1, x + K y,
-    P - K S K' (``update`` in ``tests/filters/textbook.py``).
+    P - K S K' (:func:`mmwave_env.filters.textbook.update`).
 
     Args:
         x, P: (7,), (7, 7) prior; P is positive definite except for structural zeros.

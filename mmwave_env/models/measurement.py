@@ -248,7 +248,7 @@ def link_group(x: Vector, anchor: Vector, z: Vector, variance: Vector) -> Group:
 
     The azimuths of arrival and departure (which differ by pi, paper Sec. II-B) both measure one
     bearing; fused, they are one row with variance ra rd / (ra + rd). Fusing drops their difference,
-    which has variance ra + rd and does not depend on the state. ``tests/filters/textbook.py``
+    which has variance ra + rd and does not depend on the state. :mod:`~mmwave_env.filters.textbook`
     (``Sensor``) has all four rows.
     """
     d = [x[i] - anchor[i] for i in range(3)]

@@ -13,7 +13,7 @@ from mmwave_env.models.measurement import Layout, blank_site
 from mmwave_env.models.radio import RADIOS
 from mmwave_env.models.scene import SCENES
 from mmwave_env.numerics.pytree import indices
-from mmwave_env.reward import LogScore, TrackingReward
+from mmwave_env.reward import LogScore, TrackingReward, terms_of, total
 from mmwave_env.world.episode import EpisodeBatch
 from mmwave_env.world.simulated import SimulatedSource
 from tests.filters.tracks import STREET, simulated, unpacked
@@ -37,7 +37,8 @@ def test_rewards_errors_and_nees_are_those_of_the_belief(reward, episodes):
         np.testing.assert_allclose(error, x[:3] - truth, atol=1e-12)
         np.testing.assert_allclose(nees, error @ np.linalg.solve(P[:3, :3], error))
         belief = Belief(x.tolist(), P.tolist())
-        assert earned == pytest.approx(reward(belief, [*truth, 0.0, 0.0, 0.0]))
+        paid = total(terms_of(reward, belief, [*truth, 0.0, 0.0, 0.0]))
+        assert earned == pytest.approx(paid)
 
 
 def test_a_transition_says_which_mode_is_likely(episodes):

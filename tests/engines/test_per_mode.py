@@ -9,12 +9,12 @@ from mmwave_env.engines.env_engine import Engine
 from mmwave_env.engines.imm_engine import ImmEngine
 from mmwave_env.engines.replay import Replay, smooth
 from mmwave_env.engines.track_engine import Tracker
+from mmwave_env.filters import textbook
 from mmwave_env.filters.bank import Bank, best_bank
 from mmwave_env.filters.modes import Mode
 from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.models.radio import RADIOS
 from mmwave_env.reward import TrackingReward
-from tests.filters import textbook
 from tests.filters.test_imm import textbook_imm
 from tests.filters.tracks import STREET, simulated, unpacked
 

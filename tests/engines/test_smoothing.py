@@ -7,13 +7,13 @@ from filterpy.kalman import KalmanFilter
 from mmwave_env.engines.imm_engine import ImmEngine
 from mmwave_env.engines.replay import smooth
 from mmwave_env.engines.track_engine import Tracker
+from mmwave_env.filters import textbook
 from mmwave_env.filters.bank import best_bank, modes_from
 from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.models.radio import RADIOS
 from mmwave_env.models.scene import SCENES
 from mmwave_env.reward import TrackingReward
 from mmwave_env.world.simulated import SimulatedSource
-from tests.filters import textbook
 from tests.filters.tracks import TRIANGLE, unpacked
 
 TOLERANCE = 1e-9

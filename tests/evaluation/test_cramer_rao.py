@@ -22,13 +22,13 @@ from experiments.evaluation.cramer_rao import (
     position_variance,
     recursion,
 )
+from mmwave_env.filters import textbook
 from mmwave_env.filters.modes import Mode
 from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.models.measurement import Layout
 from mmwave_env.models.radio import RADIOS
 from mmwave_env.models.scene import SCENES
 from mmwave_env.world.simulated import SimulatedSource
-from tests.filters import textbook
 from tests.filters.tracks import (
     HZ_PER_MPS,
     STREET,

@@ -7,8 +7,9 @@ from hypothesis import assume
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
+from mmwave_env.filters import textbook
 from mmwave_env.models.measurement import Layout, Measurement
-from tests.filters import textbook
+from tests.filters import gated_textbook
 
 HZ_PER_MPS = 93.4
 RTOL = 1e-9
@@ -35,7 +36,7 @@ class Problem(NamedTuple):
 
     def textbook(self, moments, gate, force=False):
         s = self.sensor
-        return textbook.update(
+        return gated_textbook.update(
             moments, s, s.groups, s.links, self.x, self.P, self.z, self.R, self.visible,
             gate.quantile, force, gate.robust,
         )  # fmt: skip

@@ -7,9 +7,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from mmwave_env.filters.textbook import tangent
 from mmwave_env.localization.path_tracker import NO_PATH, assign, disagreement, path_nis
 from tests.filters.problems import numbers, problems
-from tests.filters.textbook import tangent
 
 
 @settings(deadline=None, max_examples=30)

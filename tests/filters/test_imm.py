@@ -6,11 +6,12 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
+from mmwave_env.filters import textbook
 from mmwave_env.filters.bank import default_modes
 from mmwave_env.filters.modes import Mode
 from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.models.measurement import Layout
-from tests.filters import textbook
+from tests.filters import gated_textbook
 from tests.filters.tracks import (
     assert_same_beliefs,
     imm_track,
@@ -74,33 +75,20 @@ def textbook_imm(episode, modes, transitions, nis_quantile=1.0, change=None):
     out = []
     for t in range(len(episode)):
         dt = episode.time_s[t] - episode.time_s[t - 1] if t else 0.0
-        joint = transitions[t] * probability[:, None]
-        predicted = joint.sum(axis=0)
-        weights = joint / predicted
-        mixed_x = weights.T @ x
-        mixed_P = np.array(
-            [sum(weights[i, j] * (P[i] + np.outer(*2 * [x[i] - mixed_x[j]])) for i in range(M))
-             for j in range(M)]
-        )  # fmt: skip
+        predicted, mixed_x, mixed_P = textbook.mix(probability, transitions[t], x, P)
         log_likelihood = np.empty(M)
         for j, (method, Q) in enumerate(modes):
             prior = textbook.predict(mixed_x[j], mixed_P[j], Q * dt, dt)
-            step = textbook.update(
+            step = gated_textbook.update(
                 textbook.METHODS[method], sensor, sensor.groups, sensor.links, *prior,
                 episode.table()[t, 1:14], episode.sigma[t] ** 2, episode.usable[t],
             )  # fmt: skip
             x[j], P[j] = step.x, step.P
             log_likelihood[j] = step.log_likelihood + 0.5 * np.maximum(step.nis - most, 0.0).sum()
-        probability = predicted * np.exp(log_likelihood - log_likelihood.max())
-        probability /= probability.sum()
+        probability = textbook.reweigh(predicted, log_likelihood)
         if change:
             probability = change(t, probability)
-        mean = probability @ x
-        covariance = sum(
-            p * (Pj + np.outer(xj - mean, xj - mean))
-            for p, xj, Pj in zip(probability, x, P, strict=True)
-        )
-        out.append((mean, covariance, probability))
+        out.append((*textbook.combine(probability, x, P), probability))
     return [np.array(column) for column in zip(*out, strict=True)]
 
 

@@ -12,7 +12,7 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from scipy.stats import chi2, multivariate_normal
 
-from mmwave_env.filters import imm, memory, smoother
+from mmwave_env.filters import imm, memory, smoother, textbook
 from mmwave_env.filters.belief import Belief
 from mmwave_env.filters.modes import Mode
 from mmwave_env.filters.pipeline import Pipeline, measurement_of, predict_update
@@ -20,7 +20,7 @@ from mmwave_env.filters.update import ModeResult, capped_log_likelihood
 from mmwave_env.models.measurement import Epoch, Layout, Site
 from mmwave_env.models.motion import accelerate, turn
 from mmwave_env.numerics.linalg import pack
-from tests.filters import textbook
+from tests.filters import gated_textbook
 from tests.filters.problems import HZ_PER_MPS, assume_clear_of, problems
 from tests.filters.test_imm import textbook_imm
 from tests.filters.tracks import simulated, unpacked
@@ -91,7 +91,7 @@ def test_an_epoch_of_a_mode_is_the_textbooks(mode, lockout, data):
     forced = mode.recovery is not None and lockout >= mode.recovery
     residual = problem.sensor.difference(problem.z, problem.sensor.h(x))
     assume(np.all(np.abs(residual[problem.sensor.angles]) < np.pi - 1e-3))
-    expected = textbook.update(
+    expected = gated_textbook.update(
         textbook.METHODS[mode.algorithm], problem.sensor, problem.sensor.groups, 2, x, P,
         problem.z, R, problem.visible, mode.gate, forced, mode.robust,
     )  # fmt: skip
@@ -122,8 +122,8 @@ def test_on_flat_ground_height_and_climb_stay_and_the_rest_is_the_textbooks(data
     Q = noise_of(mode, 300.0, dt, 1.0)
     Q[known, :] = Q[:, known] = 0.0
     moved = textbook.predict(x, P, Q, dt)
-    expected = textbook.update(
-        textbook.tangent, textbook.Restricted(problem.sensor, moved[0], free),
+    expected = gated_textbook.update(
+        textbook.tangent, gated_textbook.Restricted(problem.sensor, moved[0], free),
         problem.sensor.groups, 3, moved[0][free], moved[1][np.ix_(free, free)], problem.z,
         problem.R, problem.visible,
     )  # fmt: skip

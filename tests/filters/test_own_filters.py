@@ -26,7 +26,7 @@ from mmwave_env.models.radio import RADIOS
 from mmwave_env.models.scene import SCENES
 from mmwave_env.reward import TrackingReward
 from mmwave_env.world.simulated import SimulatedSource
-from tests.filters import textbook
+from tests.filters import gated_textbook
 from tests.filters.problems import assert_same, assume_clear_of, problems
 from tests.filters.tracks import STREET, simulated, track
 from tests.paths import ROOT
@@ -71,7 +71,7 @@ def mine(iekf):
 def test_iekf_equals_the_textbook_s(iekf, iterations, gate, odometry, data):
     problem = data.draw(problems(odometry))
     s = problem.sensor
-    expected = textbook.iterated(
+    expected = gated_textbook.iterated(
         iterations, s, s.groups, s.links, problem.x, problem.P, problem.z, problem.R,
         problem.visible, gate.quantile, gate.force, gate.robust,
     )  # fmt: skip

@@ -6,10 +6,11 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from scipy.stats import chi2
 
+from mmwave_env.filters import textbook
 from mmwave_env.filters.gating import Gate
 from mmwave_env.filters.linearization import SigmaPoints
 from mmwave_env.filters.update import ckf, ekf, ukf, update
-from tests.filters import textbook
+from tests.filters import gated_textbook
 from tests.filters.problems import HZ_PER_MPS, Problem, assert_same, assume_clear_of, problems
 
 OURS = {"ekf": ekf, "ukf": ukf, "ckf": ckf}
@@ -78,8 +79,8 @@ def test_planar_update_is_that_of_the_five_free_states(algorithm, moments, odome
     P = problem.P.copy()
     P[known_axes, :] = P[:, known_axes] = 0.0
     s = problem.sensor
-    expected = textbook.update(
-        moments, textbook.Restricted(s, problem.x, free), s.groups, s.links, problem.x[free],
+    expected = gated_textbook.update(
+        moments, gated_textbook.Restricted(s, problem.x, free), s.groups, s.links, problem.x[free],
         P[np.ix_(free, free)], problem.z, problem.R, problem.visible, gate.quantile,
     )  # fmt: skip
     assume_clear_of(expected.nis, s, [lambda n: chi2.ppf(0.99, n)])

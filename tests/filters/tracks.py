@@ -9,6 +9,7 @@ import numpy as np
 from mmwave_env.engines.env_engine import Engine
 from mmwave_env.engines.imm_engine import ImmEngine
 from mmwave_env.engines.track_engine import Tracker
+from mmwave_env.filters import textbook
 from mmwave_env.filters.modes import Mode
 from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.models.measurement import Layout, exact_rows
@@ -18,7 +19,6 @@ from mmwave_env.reward import TrackingReward
 from mmwave_env.world.episode import Episode
 from mmwave_env.world.simulated import SimulatedSource
 from mmwave_env.world.trajectory import Trajectory
-from tests.filters import textbook
 
 STREET = Layout(3)
 TRIANGLE = np.tril_indices(7)

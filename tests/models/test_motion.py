@@ -7,6 +7,7 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
 from mmwave_env.engines.track_engine import Tracker
+from mmwave_env.filters import textbook
 from mmwave_env.models.motion import (
     ProcessNoise,
     accelerate,
@@ -15,7 +16,6 @@ from mmwave_env.models.motion import (
     turn,
     white_noise_acceleration,
 )
-from tests.filters import textbook
 from tests.filters.tracks import pipeline_of, simulated
 
 variances = hnp.arrays(float, 3, elements=st.floats(0.0, 10.0))

@@ -1,0 +1,279 @@
+"""Kalman filters as textbooks write them, on one page: plain numpy, all rows at once.
+
+Read this page first. The filters that run (:mod:`~mmwave_env.filters.update`,
+:mod:`~mmwave_env.filters.imm`, :mod:`~mmwave_env.filters.smoother`) compute the same numbers in
+forms that compile to SIMD lanes, and tests compare the two to rounding. Equation numbers are the
+paper's (Sec. III); the IMM is that of Bar-Shalom, Li and Kirubarajan 2001, Sec. 11.6.6.
+
+The state x (7,) is position (m), velocity (m/s) and oscillator bias (Hz). The rows of a
+measurement z are range (m), azimuth and elevation of arrival and azimuth of departure (rad) of
+each anchor, then the Doppler shift of anchor 1 (Hz), then, optionally, speed and heading.
+"""
+
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+from typing import NamedTuple, Protocol
+
+import numpy as np
+
+from mmwave_env.numerics.numbers import Array, Mask
+
+NEAREST_M = 1e-3  # nearer to an anchor, or to its vertical, angles tell nothing
+
+
+def F(dt: float) -> Array:
+    """Return the constant-velocity transition (7, 7) over dt seconds: eqs. (2) and (3)."""
+    return np.eye(7) + dt * np.eye(7, k=3) * (np.arange(7) < 3)[:, None]
+
+
+def predict(x: Array, P: Array, Q: Array, dt: float) -> tuple[Array, Array]:
+    """Predict the belief: F x, F P F' + Q, eqs. (10) to (12)."""
+    return F(dt) @ x, F(dt) @ P @ F(dt).T + Q
+
+
+class Model(Protocol):
+    """A measurement model."""
+
+    def h(self, x: Array) -> Array:
+        """Return the measurement that is expected in a state."""
+        ...
+
+    def jacobian(self, x: Array) -> Array:
+        """Return H = dh/dx."""
+        ...
+
+    def residual(self, a: Array, b: Array, x: Array) -> Array:
+        """Return a - b, with angles wrapped, and 0 where a row tells nothing of x."""
+        ...
+
+
+class Moments(NamedTuple):
+    """The predicted measurement: mean, covariance without noise, covariance with the state."""
+
+    mean: Array
+    S: Array
+    C: Array
+
+
+Method = Callable[[Model, Array, Array], Moments]
+
+
+def tangent(model: Model, x: Array, P: Array) -> Moments:
+    """Linearize at the mean: the extended Kalman filter, eqs. (13) to (15)."""
+    H = model.jacobian(x)
+    return Moments(model.h(x), H @ P @ H.T, P @ H.T)
+
+
+def unscented(alpha: float, beta: float, kappa: float) -> Method:
+    """Return the scaled unscented transform (van der Merwe 2004): the UKF, eq. (16)."""
+
+    def moments(model: Model, x: Array, P: Array) -> Moments:
+        n = len(x)
+        scale = alpha**2 * (n + kappa)
+        columns = np.linalg.cholesky(scale * P).T
+        points = np.vstack([x, x + columns, x - columns])
+        mean_weights = np.full(2 * n + 1, 0.5 / scale)
+        mean_weights[0] = 1.0 - n / scale
+        weights = mean_weights.copy()
+        weights[0] += 1.0 - alpha**2 + beta
+        return _weighted(model, x, points, mean_weights, weights)
+
+    return moments
+
+
+def cubature(model: Model, x: Array, P: Array) -> Moments:
+    """Use the third-degree spherical-radial rule: the CKF (Arasaratnam and Haykin 2009)."""
+    n = len(x)
+    columns = np.sqrt(n) * np.linalg.cholesky(P).T
+    weights = np.full(2 * n, 0.5 / n)
+    return _weighted(model, x, np.vstack([x + columns, x - columns]), weights, weights)
+
+
+def _weighted(
+    model: Model, x: Array, points: Array, mean_weights: Array, weights: Array
+) -> Moments:
+    center = model.h(x)
+    relative = np.array([model.residual(model.h(point), center, x) for point in points])
+    shift = mean_weights @ relative
+    spread = relative - shift
+    S = (spread.T * weights) @ spread
+    return Moments(center + shift, S, ((points - x).T * weights) @ spread)
+
+
+METHODS: dict[str, Method] = {"ekf": tangent, "ukf": unscented(1.0, 2.0, 0.0), "ckf": cubature}
+
+
+def update(
+    method: Method, model: Model, x: Array, P: Array, z: Array, R: Array, keep: Mask
+) -> tuple[Array, Array]:
+    """Condition on the rows to keep: x + K y, K = C S^-1, eqs. (13) to (16).
+
+    Args:
+        method: one of :data:`METHODS`.
+        model: measurement model.
+        x, P: predicted belief.
+        z, R: measurement (rows,) and its variances (rows,).
+        keep: (rows,) rows that are there and passed their gates.
+    """
+    mean, S, C = method(model, x, P)
+    S = (S + np.diag(R))[np.ix_(keep, keep)]
+    K = np.linalg.solve(S, C[:, keep].T).T
+    updated = x + K @ model.residual(z, mean, x)[keep]
+    if method is tangent:  # Joseph's form
+        A = np.eye(len(x)) - K @ model.jacobian(x)[keep]
+        return updated, A @ P @ A.T + (K * R[keep]) @ K.T
+    return updated, P - K @ S @ K.T
+
+
+def mix(probability: Array, transition: Array, x: Array, P: Array) -> tuple[Array, Array, Array]:
+    """Mix the beliefs of M modes before an IMM's epoch.
+
+    Args:
+        probability: (M,) probabilities of the modes.
+        transition: (M, M) probabilities from mode to mode.
+        x, P: (M, 7) and (M, 7, 7) beliefs.
+
+    Returns:
+        Predicted probabilities (M,), mixed means (M, 7) and covariances (M, 7, 7).
+    """
+    joint = transition * probability[:, None]
+    predicted = joint.sum(axis=0)
+    weights = joint / predicted
+    means = weights.T @ x
+    covariances = [combine(column, x, P)[1] for column in weights.T]
+    return predicted, means, np.array(covariances)
+
+
+def reweigh(predicted: Array, log_likelihood: Array) -> Array:
+    """Return the probabilities (M,) of modes after their updates."""
+    weights = predicted * np.exp(log_likelihood - log_likelihood.max())
+    return np.asarray(weights / weights.sum())
+
+
+def combine(probability: Array, x: Array, P: Array) -> tuple[Array, Array]:
+    """Return mean and covariance of a Gaussian mixture, an IMM's estimate."""
+    mean = probability @ x
+    away = x - mean
+    spread = P + away[:, :, None] * away[:, None, :]
+    return mean, np.einsum("m,mij->ij", probability, spread)
+
+
+def rts(
+    x: Array,
+    P: Array,
+    P_predicted: Array,
+    time_s: Array,
+    free: Sequence[int] = range(7),
+    x_predicted: Iterable[Array] | None = None,
+) -> tuple[Array, Array]:
+    """Smooth one track (T, ...) by Rauch, Tung and Striebel: eqs. (17) and (18).
+
+    Args:
+        x, P: (T, 7) and (T, 7, 7) filtered beliefs.
+        P_predicted: (T, 7, 7) predicted covariances.
+        time_s: (T,) times of the epochs.
+        free: components that are uncertain; of flat terrain five.
+        x_predicted: (T, 7) predicted means; None for F x.
+    """
+    if x_predicted is None:
+        steps = zip(np.diff(time_s, prepend=np.nan), np.roll(x, 1, axis=0), strict=True)
+        x_predicted = [F(dt) @ before for dt, before in steps]
+    means, x, P, block = list(x_predicted), x.copy(), P.copy(), np.ix_(free, free)
+    for t in reversed(range(len(x) - 1)):
+        Ft, gain = F(time_s[t + 1] - time_s[t]), np.zeros((7, 7))
+        gain[block] = (P[t] @ Ft.T)[block] @ np.linalg.inv(P_predicted[t + 1][block])
+        x[t] += gain @ (x[t + 1] - means[t + 1])
+        P[t] += gain @ (P[t + 1] - P_predicted[t + 1]) @ gain.T
+    return x, P
+
+
+@dataclass(frozen=True)
+class Sensor:
+    """The paper's measurement model: eqs. (5) to (8).
+
+    Attributes:
+        anchors: (L, 3) positions, m; the first is the base station.
+        hz_per_mps: f_c / c.
+        odometry: whether speed and heading are measured, too.
+    """
+
+    anchors: Array
+    hz_per_mps: float
+    odometry: bool = False
+
+    def h(self, x: Array) -> Array:
+        """Return the measurement (rows,) that is expected in a state."""
+        z = []
+        for anchor in self.anchors:
+            east, north, up = x[:3] - anchor
+            azimuth = np.arctan2(north, east)
+            elevation = np.arctan2(up, np.hypot(east, north))
+            z += [np.sqrt(east**2 + north**2 + up**2), azimuth, elevation, azimuth + np.pi]
+        d = x[:3] - self.anchors[0]
+        z.append(self.hz_per_mps * (d @ x[3:6]) / max(np.sqrt(d @ d), NEAREST_M) + x[6])
+        if self.odometry:
+            z += [np.sqrt(x[3:6] @ x[3:6]), np.arctan2(x[4], x[3])]
+        return np.array(z)
+
+    def jacobian(self, x: Array) -> Array:
+        """Return H (rows, 7) = dh/dx."""
+        H = []
+        for anchor in self.anchors:
+            d = x[:3] - anchor
+            east, north, up = d
+            rho = np.sqrt(east**2 + north**2)
+            i, j = _inverse(np.sqrt(d @ d)), _inverse(rho)
+            azimuth = [-north * j**2, east * j**2, 0, 0, 0, 0, 0]
+            elevation = [-east * up * i**2 * j, -north * up * i**2 * j, rho * i**2, 0, 0, 0, 0]
+            H += [[*(d * i), 0, 0, 0, 0], azimuth, elevation, azimuth]
+        d, v = x[:3] - self.anchors[0], x[3:6]
+        i = _inverse(np.sqrt(d @ d))
+        u = d * i
+        across = (np.eye(3) - np.outer(u, u)) @ v * i
+        H.append([*(self.hz_per_mps * across), *(self.hz_per_mps * u), float(i > 0.0)])
+        if self.odometry:
+            vx, vy, _ = v
+            H.append([0, 0, 0, *(v / np.sqrt(v @ v)), 0])
+            H.append([0, 0, 0, -vy / (vx**2 + vy**2), vx / (vx**2 + vy**2), 0, 0])
+        return np.array(H)
+
+    @property
+    def links(self) -> int:
+        """Return the number of anchors."""
+        return len(self.anchors)
+
+    @property
+    def groups(self) -> list[slice]:
+        """Return the rows of each link, of the Doppler shift and of the odometry."""
+        doppler = 4 * self.links
+        rows = [slice(first, first + 4) for first in range(0, doppler, 4)]
+        rows.append(slice(doppler, doppler + 1))
+        return rows + [slice(doppler + 1, doppler + 3)] * self.odometry
+
+    @property
+    def angles(self) -> Mask:
+        """Return the rows (rows,) that are angles."""
+        odometry = [False, True] * self.odometry
+        return np.array([False, True, True, True] * self.links + [False, *odometry])
+
+    def difference(self, a: Array, b: Array) -> Array:
+        """Return a - b (rows,), angles in [-pi, pi)."""
+        wrapped = (a - b + np.pi) % (2 * np.pi) - np.pi
+        return np.where(self.angles, wrapped, a - b)
+
+    def residual(self, a: Array, b: Array, x: Array) -> Array:
+        """Return a - b (rows,), and 0 where a row tells nothing of x."""
+        return np.where(self.silent(x), 0.0, self.difference(a, b))
+
+    def silent(self, x: Array) -> Mask:
+        """Return the rows (rows,) that tell nothing of a state."""
+        d = x[:3] - self.anchors
+        on_vertical = np.hypot(d[:, 0], d[:, 1]) <= NEAREST_M
+        at_anchor = np.sqrt((d * d).sum(axis=1)) <= NEAREST_M
+        never = np.zeros(self.links, bool)
+        links = np.column_stack([never, on_vertical, at_anchor, on_vertical])
+        return np.array([*links.ravel(), at_anchor[0], *[False, False] * self.odometry])
+
+
+def _inverse(length: float) -> float:
+    return 1.0 / length if length > NEAREST_M else 0.0

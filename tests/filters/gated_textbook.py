@@ -1,0 +1,100 @@
+"""The textbook's updates behind the gates of this package, and of a part of the state."""
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from scipy.stats import chi2
+
+from mmwave_env.filters import textbook
+from mmwave_env.filters.textbook import Sensor, tangent
+
+
+@dataclass(frozen=True)
+class Restricted:
+    """A sensor of some components of the state, the others being known exactly."""
+
+    sensor: Sensor
+    known: np.ndarray
+    free: list[int]
+
+    def _whole(self, x):
+        whole = self.known.copy()
+        whole[self.free] = x
+        return whole
+
+    def h(self, x):
+        return self.sensor.h(self._whole(x))
+
+    def jacobian(self, x):
+        return self.sensor.jacobian(self._whole(x))[:, self.free]
+
+    def residual(self, a, b, x):
+        return self.sensor.residual(a, b, self._whole(x))
+
+
+class Update(NamedTuple):
+    x: np.ndarray
+    P: np.ndarray
+    nis: np.ndarray
+    accepted: np.ndarray
+    log_likelihood: float
+
+
+def statistics(moments, sensor, groups, x, P, z, R):
+    """Return the innovation covariance (rows, rows), NIS and log det S of every group."""
+    mean, S, _ = moments(sensor, x, P)
+    S = S + np.diag(R)
+    y = sensor.residual(z, mean, x)
+    nis = np.array([y[g] @ np.linalg.inv(S[g, g]) @ y[g] for g in groups])
+    return S, nis, np.array([np.log(np.linalg.det(S[g, g])) for g in groups])
+
+
+class Judged(NamedTuple):
+    nis: np.ndarray
+    accepted: np.ndarray
+    R: np.ndarray
+    log_likelihood: float
+
+
+def gate_groups(
+    moments, sensor, groups, links, x, P, z, R, visible, quantile=None, force=False, robust=False
+):
+    """Gate each group at the prior; R is inflated where a robust update doubts."""
+    _, nis, log_det = statistics(moments, sensor, groups, x, P, z, R)
+    sizes = np.array([g.stop - g.start for g in groups])
+    is_link = np.arange(len(groups)) < links
+    passed = np.ones(len(groups), bool) if quantile is None else nis <= chi2.ppf(quantile, sizes)
+    if force or robust:
+        passed = passed | is_link
+    if robust:
+        doubt = np.where(is_link, np.maximum(nis / (1.5 * sizes), 1.0) ** 2, 1.0)
+        R = R * np.repeat(doubt, sizes)
+    log_likelihood = -0.5 * np.sum((nis + log_det)[visible])
+    return Judged(np.where(visible, nis, 0.0), visible & passed, R, log_likelihood)
+
+
+def update(moments, sensor, groups, links, x, P, z, R, *gate):
+    """Gate each group at the prior, then condition on all rows of those that passed."""
+    nis, accepted, R, log_likelihood = gate_groups(
+        moments, sensor, groups, links, x, P, z, R, *gate
+    )
+    keep = np.repeat(accepted, [g.stop - g.start for g in groups])
+    new_x, new_P = textbook.update(moments, sensor, x, P, z, R, keep)
+    return Update(new_x, new_P, nis, accepted, log_likelihood)
+
+
+def iterated(iterations, sensor, groups, links, x, P, z, R, *gate):
+    """Iterated extended Kalman filter (Bell and Cathey 1993, eq. for x_i+1), gated at the prior."""
+    nis, accepted, R, log_likelihood = gate_groups(
+        tangent, sensor, groups, links, x, P, z, R, *gate
+    )
+    keep = np.repeat(accepted, [g.stop - g.start for g in groups])
+    R, iterate = np.diag(R[keep]), x
+    for _ in range(iterations):
+        H = sensor.jacobian(iterate)[keep]
+        K = P @ H.T @ np.linalg.inv(H @ P @ H.T + R)
+        residual = sensor.residual(z, sensor.h(iterate), iterate)[keep]
+        iterate = x + K @ (residual - H @ (x - iterate))
+    A = np.eye(len(x)) - K @ H
+    return Update(iterate, A @ P @ A.T + K @ R @ K.T, nis, accepted, log_likelihood)
