@@ -2,7 +2,7 @@
 
 Sources: Blom and Bar-Shalom 1988; Bar-Shalom, Li and Kirubarajan 2001, Sec. 11.6.6. The modes
 are the pipelines that an agent switches between, each with its own gates and scaling. The book's
-form with matrices is ``textbook_imm`` in ``tests/filters/test_imm.py``.
+form with matrices is ``mix``, ``reweigh`` and ``combine`` of :mod:`~mmwave_env.filters.textbook`.
 """
 
 from collections.abc import Sequence

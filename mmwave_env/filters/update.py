@@ -1,8 +1,7 @@
 """The measurement update shared by EKF, UKF and CKF (paper, Sec. III-C).
 
 The update has a reduced form that is exact. :mod:`~mmwave_env.filters.textbook` has the
-textbook form,
-K = P H' S^-1 with all rows at once; ``tests/filters/test_update.py`` compares the two forms.
+textbook's, K = P H' S^-1 with all rows at once; ``tests/filters/test_update.py`` compares the two.
 """
 
 from collections.abc import Callable
