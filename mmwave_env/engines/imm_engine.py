@@ -20,6 +20,7 @@ from mmwave_env.compiler.program import (
     rows_of,
 )
 from mmwave_env.engines.batch import Batch
+from mmwave_env.engines.epoch_state import blank_track
 from mmwave_env.engines.track_engine import EpisodeFilter, untuned
 from mmwave_env.filters.bank import Bank, Transition, settings_of
 from mmwave_env.filters.belief import Belief
@@ -33,14 +34,14 @@ from mmwave_env.filters.imm import (
     prediction,
     trusting,
 )
-from mmwave_env.filters.memory import Memory, initial_memory
+from mmwave_env.filters.memory import Memory
 from mmwave_env.filters.pipeline import Pipeline
-from mmwave_env.models.measurement import Layout, Site, blank_site
+from mmwave_env.models.measurement import Layout, Site
 from mmwave_env.numerics.linalg import pack
 from mmwave_env.numerics.numbers import Array, Number
 from mmwave_env.numerics.pytree import flatten, select
 from mmwave_env.reward import Reward, TrackingReward, terms_of, total
-from mmwave_env.world.episode import Episode, EpisodeBatch, Incoming, blank_incoming
+from mmwave_env.world.episode import Episode, EpisodeBatch, Incoming
 
 
 class ImmState(NamedTuple):
@@ -100,22 +101,14 @@ def _program(pipeline: Pipeline, reward: Reward, acted: bool) -> Program[ImmStat
             nees=belief.nees(truth),
         )
 
-    site = blank_site(pipeline.layout)
+    blank = blank_track(pipeline.layout, 1)
     template = ImmState(
-        incoming=blank_incoming(pipeline.layout),
-        site=site,
-        is_first=1.0,
-        action=0.0,
         settings=settings_of(Bank(pipeline.modes), pipeline.layout),
-        mixture=begin(pipeline, site.prior_x, site.prior_P),
-        x=site.prior_x,
-        P=site.prior_P,
-        x_predicted=site.prior_x,
-        P_predicted=site.prior_P,
-        memory=initial_memory(pipeline.layout, 1),
+        mixture=begin(pipeline, blank["x"], blank["P"]),
+        x_predicted=blank["x"],
+        P_predicted=blank["P"],
         reward=0.0,
-        error=[0.0] * 3,
-        nees=0.0,
+        **blank,
     )
     return Program(function, template)
 

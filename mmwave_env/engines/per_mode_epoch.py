@@ -9,7 +9,7 @@ from functools import lru_cache, partial
 from typing import NamedTuple
 
 from mmwave_env.compiler.program import Program
-from mmwave_env.engines.shared_epoch import PendingEpoch
+from mmwave_env.engines.epoch_state import PendingEpoch, begun, blank_environment, scores
 from mmwave_env.features import MixtureView, View
 from mmwave_env.filters.bank import Bank, settings_of
 from mmwave_env.filters.belief import Belief
@@ -22,15 +22,15 @@ from mmwave_env.filters.imm import (
     most_probable_memory,
     trusting,
 )
-from mmwave_env.filters.memory import Memory, initial_memory, memory_before
+from mmwave_env.filters.memory import Memory, memory_before
 from mmwave_env.filters.pipeline import Pipeline
-from mmwave_env.models.measurement import Site, blank_site
+from mmwave_env.models.measurement import Site
 from mmwave_env.numerics.linalg import pack, unpack
 from mmwave_env.numerics.numbers import Number, where
 from mmwave_env.numerics.pytree import select, tree_at
 from mmwave_env.observation import Observation
-from mmwave_env.reward import Reward, term_names, terms_of, total
-from mmwave_env.world.episode import Incoming, blank_incoming
+from mmwave_env.reward import Reward
+from mmwave_env.world.episode import Incoming
 
 SPREAD_MEMORIES = (0.6, 0.9, 0.97)  # weights of the past in averages of the Doppler spread
 
@@ -62,32 +62,6 @@ class PerModeState(NamedTuple):
     nees: Number
 
 
-def _template(pipeline: Pipeline, features: int, reward: Reward) -> PerModeState:
-    layout, modes = pipeline.layout, len(pipeline.modes)
-    incoming, site = blank_incoming(layout), blank_site(layout)
-    return PerModeState(
-        incoming=incoming,
-        site=site,
-        is_first=1.0,
-        action=0.0,
-        settings=settings_of(Bank(pipeline.modes), layout),
-        pending=PendingEpoch(0.0, [0.0] * len(layout.groups), incoming.truth),
-        mixture=begin(pipeline, site.prior_x, site.prior_P),
-        spread_averages_hz=[0.0] * len(SPREAD_MEMORIES),
-        mode_probabilities=[1.0 / modes] * modes,
-        x=site.prior_x,
-        P=site.prior_P,
-        memory=initial_memory(layout, modes),
-        observation=[0.0] * features,
-        reward=0.0,
-        reward_terms=[0.0] * (len(term_names(reward)) + 1),
-        truth=incoming.truth,
-        error=[0.0] * 3,
-        distance=0.0,
-        nees=0.0,
-    )
-
-
 def epoch(
     w: PerModeState, pipeline: Pipeline, observation: Observation, reward: Reward
 ) -> PerModeState:
@@ -97,15 +71,13 @@ def epoch(
     mixture = trusting(w.mixture, w.action, dt)
     x, covariance = estimate(mixture)
     belief = Belief(x, covariance, pipeline.position_axes)
-    terms, cost = terms_of(reward, belief, truth), tree_at(w.action, costs)
     probabilities = mixture.probability
     memory = most_probable_memory(mixture)._replace(preference=w.memory.preference)
 
-    is_first = w.is_first > 0.5
-    x = select(is_first, w.site.prior_x, x)
-    P = select(is_first, w.site.prior_P, pack(covariance))
-    mixture = select(is_first, begin(pipeline, w.site.prior_x, w.site.prior_P), mixture)
-    memory = select(is_first, initial_memory(layout, len(pipeline.modes)), memory)
+    is_first, prior = w.is_first > 0.5, begin(pipeline, w.site.prior_x, w.site.prior_P)
+    modes, P = len(pipeline.modes), pack(covariance)
+    x, P, memory = begun(w.is_first, w.site, x, P, memory, layout, modes)
+    mixture = select(is_first, prior, mixture)
     coming = w.incoming.epoch(layout)
     mixture, predicted, _, results = imm_epoch(pipeline, w.settings, mixture, coming, w.site)
     memory = memory_before(memory, results, coming, layout)
@@ -126,12 +98,8 @@ def epoch(
         P=P,
         memory=memory,
         observation=observation.values(view),
-        reward=total(terms) - cost,
-        reward_terms=[*terms.values(), 0.0 - cost],
         truth=select(is_first, w.incoming.truth, truth),
-        error=belief.error(truth),
-        distance=belief.distance(truth),
-        nees=belief.nees(truth),
+        **scores(belief, truth, reward, tree_at(w.action, costs)),
     )
 
 
@@ -144,6 +112,14 @@ def program_of(pipeline: Pipeline, kind: str, reward: Reward) -> Program[PerMode
         kind: kind of observation.
         reward: function of (belief, truth).
     """
-    observation = Observation(pipeline, kind, "per-mode")
+    observation, modes = Observation(pipeline, kind, "per-mode"), len(pipeline.modes)
+    blank = blank_environment(pipeline.layout, modes, reward, len(observation))
+    template = PerModeState(
+        settings=settings_of(Bank(pipeline.modes), pipeline.layout),
+        mixture=begin(pipeline, blank["x"], blank["P"]),
+        spread_averages_hz=[0.0] * len(SPREAD_MEMORIES),
+        mode_probabilities=[1.0 / modes] * modes,
+        **blank,
+    )
     step = partial(epoch, pipeline=pipeline, observation=observation, reward=reward)
-    return Program(step, _template(pipeline, len(observation), reward))
+    return Program(step, template)

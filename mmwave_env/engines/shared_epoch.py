@@ -10,27 +10,19 @@ from functools import lru_cache, partial
 from typing import NamedTuple
 
 from mmwave_env.compiler.program import Program
+from mmwave_env.engines.epoch_state import PendingEpoch, begun, blank_environment, scores
 from mmwave_env.features import View
 from mmwave_env.filters.belief import Belief
-from mmwave_env.filters.memory import Memory, initial_memory, memory_after, memory_before
+from mmwave_env.filters.memory import Memory, memory_after, memory_before
 from mmwave_env.filters.pipeline import Pipeline, predict_update
 from mmwave_env.filters.update import ModeResult
-from mmwave_env.models.measurement import Site, blank_site
+from mmwave_env.models.measurement import Site
 from mmwave_env.numerics.linalg import unpack
 from mmwave_env.numerics.numbers import Number
 from mmwave_env.numerics.pytree import select, tree_at
 from mmwave_env.observation import Observation
-from mmwave_env.reward import Reward, term_names, terms_of, total
-from mmwave_env.world.episode import Incoming, blank_incoming
-
-
-class PendingEpoch(NamedTuple):
-    """The parts of an epoch that are needed after its candidates are computed."""
-
-    # dt, visible: as in :class:`~mmwave_env.models.measurement.Epoch`
-    dt: Number
-    visible: list[Number]
-    truth: list[Number]  # (6,) true position (m) and velocity (m/s)
+from mmwave_env.reward import Reward
+from mmwave_env.world.episode import Incoming
 
 
 class EnvState(NamedTuple):
@@ -57,47 +49,20 @@ class EnvState(NamedTuple):
     nees: Number  # NEES of that epoch
 
 
-def _template(pipeline: Pipeline, features: int, reward: Reward) -> EnvState:
-    layout = pipeline.layout
-    groups = [0.0] * len(layout.groups)
-    incoming, site = blank_incoming(layout), blank_site(layout)
-    candidate = ModeResult(site.prior_x, site.prior_P, [], [], groups, groups, 0.0, 0.0)
-    return EnvState(
-        incoming=incoming,
-        site=site,
-        is_first=1.0,
-        action=0.0,
-        pending=PendingEpoch(0.0, [0.0] * len(layout.groups), incoming.truth),
-        x=site.prior_x,
-        P=site.prior_P,
-        memory=initial_memory(pipeline.layout, len(pipeline.modes)),
-        candidates=[candidate for _ in pipeline.modes],
-        observation=[0.0] * features,
-        reward=0.0,
-        reward_terms=[0.0] * (len(term_names(reward)) + 1),
-        truth=incoming.truth,
-        error=[0.0] * 3,
-        distance=0.0,
-        nees=0.0,
-    )
-
-
 def epoch(w: EnvState, pipeline: Pipeline, observation: Observation, reward: Reward) -> EnvState:
     """Compute one step of an environment, on numbers."""
+    layout, modes = pipeline.layout, pipeline.modes
     chosen: ModeResult = tree_at(w.action, w.candidates)
-    cost: Number = tree_at(w.action, [mode.cost for mode in pipeline.modes])
+    cost: Number = tree_at(w.action, [mode.cost for mode in modes])
     dt, visible, truth = w.pending
-    memory = memory_after(pipeline.layout, w.action, w.x, chosen, w.memory, dt, visible)
+    memory = memory_after(layout, w.action, w.x, chosen, w.memory, dt, visible)
     belief = Belief(chosen.x, unpack(chosen.P, zero=pipeline.known_axes), pipeline.position_axes)
-    terms = terms_of(reward, belief, truth)
 
-    is_first = w.is_first > 0.5
-    x = select(is_first, w.site.prior_x, chosen.x)
-    P = select(is_first, w.site.prior_P, chosen.P)
-    memory = select(is_first, initial_memory(pipeline.layout, len(pipeline.modes)), memory)
-    coming = w.incoming.epoch(pipeline.layout)
-    candidates = [predict_update(pipeline, m, x, P, memory, coming, w.site) for m in pipeline.modes]
-    memory = memory_before(memory, candidates, coming, pipeline.layout)
+    x, P = chosen.x, chosen.P
+    x, P, memory = begun(w.is_first, w.site, x, P, memory, layout, len(modes))
+    coming = w.incoming.epoch(layout)
+    candidates = [predict_update(pipeline, m, x, P, memory, coming, w.site) for m in modes]
+    memory = memory_before(memory, candidates, coming, layout)
     view = View(x, unpack(P, zero=pipeline.known_axes), memory, candidates, coming, w.site)
     return w._replace(
         is_first=0.0,
@@ -105,20 +70,19 @@ def epoch(w: EnvState, pipeline: Pipeline, observation: Observation, reward: Rew
         x=x,
         P=P,
         memory=memory,
-        candidates=[one._replace(x_predicted=[], P_predicted=[]) for one in candidates],
+        candidates=[result._replace(x_predicted=[], P_predicted=[]) for result in candidates],
         observation=observation.values(view),
-        reward=total(terms) - cost,
-        reward_terms=[*terms.values(), 0.0 - cost],
-        truth=select(is_first, w.incoming.truth, truth),
-        error=belief.error(truth),
-        distance=belief.distance(truth),
-        nees=belief.nees(truth),
+        truth=select(w.is_first > 0.5, w.incoming.truth, truth),
+        **scores(belief, truth, reward, cost),
     )
 
 
 @lru_cache(maxsize=32)
 def program_of(pipeline: Pipeline, kind: str, reward: Reward) -> Program[EnvState]:
     """Return the program of an epoch, shared by all environments with the same arguments."""
-    observation = Observation(pipeline, kind)
+    observation, modes = Observation(pipeline, kind), len(pipeline.modes)
+    blank = blank_environment(pipeline.layout, modes, reward, len(observation))
+    groups = [0.0] * len(pipeline.layout.groups)
+    candidate = ModeResult(blank["x"], blank["P"], [], [], groups, groups, 0.0, 0.0)
     step = partial(epoch, pipeline=pipeline, observation=observation, reward=reward)
-    return Program(step, _template(pipeline, len(observation), reward))
+    return Program(step, EnvState(candidates=[candidate] * modes, **blank))

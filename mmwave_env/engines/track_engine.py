@@ -15,16 +15,17 @@ from numpy.typing import NDArray
 
 from mmwave_env.compiler.program import Program, Workspace, rows_of
 from mmwave_env.engines.batch import Batch
+from mmwave_env.engines.epoch_state import begun, blank_track
 from mmwave_env.filters.belief import Belief
-from mmwave_env.filters.memory import Memory, initial_memory, memory_after, memory_before
+from mmwave_env.filters.memory import Memory, memory_after, memory_before
 from mmwave_env.filters.modes import Tuning
 from mmwave_env.filters.pipeline import Pipeline, predict_update
 from mmwave_env.filters.update import ModeResult
-from mmwave_env.models.measurement import Epoch, Site, blank_site
+from mmwave_env.models.measurement import Epoch, Site
 from mmwave_env.numerics.linalg import unpack
 from mmwave_env.numerics.numbers import Array, Number, Vector
-from mmwave_env.numerics.pytree import flatten, select, tree_at
-from mmwave_env.world.episode import Episode, Incoming, blank_incoming
+from mmwave_env.numerics.pytree import flatten, tree_at
+from mmwave_env.world.episode import Episode, Incoming
 
 Rule = Callable[[Vector, Epoch], Number]
 
@@ -51,17 +52,17 @@ class TrackState(NamedTuple):
 
 def track_epoch(w: TrackState, pipeline: Pipeline, rule: Rule | None) -> TrackState:
     """Compute one epoch of a track, on numbers."""
-    is_first, epoch = w.is_first > 0.5, w.incoming.epoch(pipeline.layout)
-    x, P = select(is_first, w.site.prior_x, w.x), select(is_first, w.site.prior_P, w.P)
-    memory = select(is_first, initial_memory(pipeline.layout, len(pipeline.modes)), w.memory)
+    layout, epoch = pipeline.layout, w.incoming.epoch(pipeline.layout)
+    modes = len(pipeline.modes)
+    x, P, memory = begun(w.is_first, w.site, w.x, w.P, w.memory, layout, modes)
     mode = w.action if rule is None else rule(x, epoch)
     candidates = [
         predict_update(pipeline, one, x, P, memory, epoch, w.site, tuning)
         for one, tuning in zip(pipeline.modes, w.tunings, strict=True)
     ]
     chosen: ModeResult = tree_at(mode, candidates)
-    memory = memory_before(memory, candidates, epoch, pipeline.layout)
-    memory = memory_after(pipeline.layout, mode, x, chosen, memory, epoch.dt, epoch.visible)
+    memory = memory_before(memory, candidates, epoch, layout)
+    memory = memory_after(layout, mode, x, chosen, memory, epoch.dt, epoch.visible)
     covariance = unpack(chosen.P, zero=pipeline.known_axes)
     belief = Belief(chosen.x, covariance, pipeline.position_axes)
     return w._replace(
@@ -84,21 +85,13 @@ def program_of(pipeline: Pipeline, rule: Rule | None = None) -> Program[TrackSta
 
 @lru_cache(maxsize=64)
 def _program(pipeline: Pipeline, rule: Rule | None) -> Program[TrackState]:
-    site = blank_site(pipeline.layout)
+    blank = blank_track(pipeline.layout, len(pipeline.modes))
     template = TrackState(
-        incoming=blank_incoming(pipeline.layout),
-        site=site,
-        is_first=1.0,
-        action=0.0,
         tunings=[Tuning(*[0.0] * len(Tuning._fields)) for _ in pipeline.modes],
-        x=site.prior_x,
-        P=site.prior_P,
-        x_predicted=site.prior_x,
-        P_predicted=site.prior_P,
-        memory=initial_memory(pipeline.layout, len(pipeline.modes)),
+        x_predicted=blank["x"],
+        P_predicted=blank["P"],
         log_likelihood=0.0,
-        error=[0.0] * 3,
-        nees=0.0,
+        **blank,
     )
     return Program(partial(track_epoch, pipeline=pipeline, rule=rule), template)
 

@@ -1,0 +1,80 @@
+"""The parts of the state that the epochs of environments, tracks and IMMs share."""
+
+from typing import Any, NamedTuple
+
+from mmwave_env.filters.belief import Belief
+from mmwave_env.filters.memory import Memory, initial_memory
+from mmwave_env.models.measurement import Layout, Site, blank_site
+from mmwave_env.numerics.numbers import Number, Vector
+from mmwave_env.numerics.pytree import select
+from mmwave_env.reward import Reward, term_names, terms_of, total
+from mmwave_env.world.episode import blank_incoming
+
+
+class PendingEpoch(NamedTuple):
+    """The parts of an epoch that are needed after its candidates are computed."""
+
+    # dt, visible: as in :class:`~mmwave_env.models.measurement.Epoch`
+    dt: Number
+    visible: list[Number]
+    truth: list[Number]  # (6,) true position (m) and velocity (m/s)
+
+
+def blank_track(layout: Layout, modes: int) -> dict[str, Any]:
+    """Return the fields of every state, as they are before the first epoch."""
+    incoming, site = blank_incoming(layout), blank_site(layout)
+    return {
+        "incoming": incoming,
+        "site": site,
+        "is_first": 1.0,
+        "action": 0.0,
+        "x": site.prior_x,
+        "P": site.prior_P,
+        "memory": initial_memory(layout, modes),
+        "error": [0.0] * 3,
+        "nees": 0.0,
+    }
+
+
+def blank_environment(layout: Layout, modes: int, reward: Reward, features: int) -> dict[str, Any]:
+    """Return the fields of every environment's state, as they are before the first epoch."""
+    track = blank_track(layout, modes)
+    truth = track["incoming"].truth
+    return track | {
+        "pending": PendingEpoch(0.0, [0.0] * len(layout.groups), truth),
+        "observation": [0.0] * features,
+        "reward": 0.0,
+        "reward_terms": [0.0] * (len(term_names(reward)) + 1),
+        "truth": truth,
+        "distance": 0.0,
+    }
+
+
+def begun(
+    is_first: Number,
+    site: Site,
+    x: list[Number],
+    P: list[Number],
+    memory: Memory,
+    layout: Layout,
+    modes: int,
+) -> tuple[list[Number], list[Number], Memory]:
+    """Return belief (7,), (28,) and memory of a track, from the prior where it starts over."""
+    blank, first = initial_memory(layout, modes), is_first > 0.5
+    return (
+        select(first, site.prior_x, x),
+        select(first, site.prior_P, P),
+        select(first, blank, memory),
+    )
+
+
+def scores(belief: Belief, truth: Vector, reward: Reward, cost: Number) -> dict[str, Any]:
+    """Return reward and errors of an environment's belief after an epoch."""
+    terms = terms_of(reward, belief, truth)
+    return {
+        "reward": total(terms) - cost,
+        "reward_terms": [*terms.values(), 0.0 - cost],
+        "error": belief.error(truth),
+        "distance": belief.distance(truth),
+        "nees": belief.nees(truth),
+    }
