@@ -89,4 +89,4 @@ def main(args: Args) -> None:
     require_writable(args.out)
     page = page_of(args, localized)
     write_text(args.out, page)
-    say(f"{args.out}, {len(page.encode()) / 1e6:.1f} MB: open it in a browser")
+    say(f"{args.out}, {len(page.encode()) / 1e3:.0f} kB: open it in a browser")

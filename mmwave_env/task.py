@@ -158,7 +158,7 @@ def task_from(**arguments: Any) -> Task:
     worst = None
     if given.terminate_on_divergence:
         if getattr(pays, "worst", None) is None:
-            raise ValueError("terminate_on_divergence: the reward needs an attribute `worst`")
+            raise ValueError("terminate_on_divergence: the reward needs its lowest value, worst")
         worst = pays.worst - max(mode.cost for mode in pipeline.modes)  # type: ignore[attr-defined]
     return Task(source, radio, pipeline, bank, pays, baseline, worst)
 

@@ -120,7 +120,7 @@ class LearnedSwitch:
         for feature in card.features:
             column = columns.get(feature.name)
             if column != feature:
-                found = "none in the environment" if column is None else f"{column[1:]}"
+                found = f"{column[1:]}" if column else "none (has the environment fewer anchors?)"
                 raise ValueError(
                     f"{self._path}: feature {feature.name!r}: found {found}, expected unit, mean "
                     f"and deviation {feature[1:]}; make the environment as in training: "

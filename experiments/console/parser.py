@@ -161,9 +161,11 @@ def _refuse_unknown(program: str, words: Sequence[str], read: type[Any]) -> None
     names = [f"--{name.replace('_', '-')}" for name in kinds]
     negated = [f"--no-{one.name.replace('_', '-')}" for one in fields(read) if one.default is True]
     known = ["--help", *names, *negated, *aliases]
-    for word in words:
-        option = word.partition("=")[0]
-        if not option.startswith("--") or option in known:
+    given = [word.partition("=")[0] for word in words if word.startswith("--")]
+    for word, option in zip((w for w in words if w.startswith("--")), given, strict=True):
+        if given.count(option) > 1:
+            _refuse(program, f"{option}: found it {given.count(option)} times, expected once")
+        if option in known:
             continue
         if option in OPTIONS:
             _refuse(program, f"{option} is gone: {OPTIONS[option]}")
@@ -192,6 +194,8 @@ def _message(box: str, kinds: Mapping[str, Any]) -> str:
         return f"{number[1]}: found {number[2]}, expected {NUMBERS[kind]}"
     if missing := re.match("Missing value for argument '--(.*?)'", text):
         return f"{missing[1]}: found no value, expected one"
+    if text.startswith("Unrecognized options"):
+        text += "; an option takes one value, unless --help shows dots after it"
     return re.sub(r"^Missing from .*?: ", "required: ", text)
 
 

@@ -34,7 +34,7 @@ from policies import (
 )
 
 BEST_IMM = "imm-best"  # the IMM with the modes of best_bank
-OTHERS = ("a .safetensors file", "the folder of a run", "module:function")
+OTHERS = ("a .safetensors file", "the folder of a run", "module:function, without folder and .py")
 # Learned contenders, with a shipped policy for the radio (NAME-RADIO) or for all radios (NAME)
 SHIPPED = ("ppo", "guided", "guided-ppo")
 

@@ -73,7 +73,10 @@ def _player(verdicts: Sequence[Verdict], played: Sequence[Played]) -> str:
         parts = ['<div id="player"><noscript>Only this section needs JavaScript.</noscript></div>']
     for verdict, one in zip(verdicts, played, strict=True):
         missing = one.missing.items()
-        notes = [f"{who or 'no episode'} was not played again: {why}" for who, why in missing]
+        notes = [
+            f"{f'{who} was not' if who else 'no episode was'} played again: {why}"
+            for who, why in missing
+        ]
         if any(episode["cut"] for episode in one.shown):
             notes.append(f"the first {LONGEST} epochs are shown")
         parts += [element("p", f"{verdict.name}: {note}", "note") for note in notes]

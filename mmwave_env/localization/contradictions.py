@@ -143,6 +143,8 @@ def _range_per_doppler(block: LogBlock, scene: Scene, radio: Radio) -> tuple[flo
 
 def _windows(time_s: Array) -> Iterator[slice]:
     """Yield windows of consecutive epochs (T,) without gaps."""
+    if not len(time_s):
+        return
     gap = np.diff(time_s, prepend=time_s[:1]) > _MOST_APART_S
     within = np.floor((time_s - time_s[:1]) / _WINDOW_S)
     starts = np.flatnonzero(gap | (np.diff(within, prepend=-1.0) > 0.0))

@@ -38,13 +38,13 @@ _COLUMNS = {
     "azimuth of departure": ("aod_azimuth", _DEPARTURE),
     "elevation": ("aoa_elevation", _ELEVATION),
 }
-_FACTORS = {  # mistake -> factor, and the units from and to which a column is renamed
-    "1e3 times too large (ms?)": (1e-3, "s", "ms"),
-    "1e6 times too large (us?)": (1e-6, "s", "us"),
-    "1e9 times too large (ns?)": (1e-9, "s", "ns"),
-    "1e3 times too small (s?)": (1e3, "ms", "s"),
-    "1e6 times too small (s?)": (1e6, "us", "s"),
-    "1e9 times too small (s?)": (1e9, "ns", "s"),
+_FACTORS = {  # mistake -> factor, and the unit of a column in seconds, or milliseconds and so on
+    "1e3 times too large (ms?)": (1e-3, "ms"),
+    "1e6 times too large (us?)": (1e-6, "us"),
+    "1e9 times too large (ns?)": (1e-9, "ns"),
+    "1e3 times too small (s?)": (1e3, "s"),
+    "1e6 times too small (s?)": (1e6, "s"),
+    "1e9 times too small (s?)": (1e9, "s"),
 }
 _OUTLIER_QUANTILE = 1e-6  # a group's NIS beyond this quantile is an outlier, and is clipped
 
@@ -185,11 +185,10 @@ def hypotheses(scene: Scene, radio: Radio) -> dict[str, Mistake]:
     for unit, suffix, factor in (("degrees", "deg", PI / 180.0), ("radians", "rad", 180.0 / PI)):
         cure = f"name the columns of angles by their unit, such as aoa_azimuth_{suffix}"
         found[f"angles are in {unit}"] = _scaled(_ANGLES, factor), cure
-    for what, (factor, old, new) in _FACTORS.items():
-        cure = f"multiply it by {factor:g}, or rename"
-        undo = _scaled([_RANGE], factor)
-        found[f"time of flight is {what}"] = undo, f"{cure} toa_{old} to toa_{new}"
-        found[f"time is {what}"] = partial(_timed, factor), f"{cure} time_{old} to time_{new}"
+    for what, (factor, unit) in _FACTORS.items():
+        cure = f"multiply it by {factor:g}, or name the column by its true unit, such as"
+        found[f"time of flight is {what}"] = _scaled([_RANGE], factor), f"{cure} toa_{unit}"
+        found[f"time is {what}"] = partial(_timed, factor), f"{cure} time_{unit}"
     for unit, suffix, factor in (("m/s", "mps", scene.hz_per_mps), ("kHz", "khz", 1e3)):
         other = f"doppler_{suffix}"
         cure = f"rename doppler_hz to {other}"

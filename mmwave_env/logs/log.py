@@ -167,9 +167,9 @@ def _require_measurements(path: Path, blocks: Iterable[LogBlock]) -> Iterator[Lo
         measured = measured or bool(block.visible.any())
         yield block
     if not measured:
-        found = f"{rows} rows" if rows else "a header and no rows"
+        found = f"{rows} rows without a measurement" if rows else "a header and no rows"
         lost = f", and {incomplete} groups with only some of their numbers" if incomplete else ""
-        raise LogError(f"{path}: found {found} without a measurement{lost}, expected at least one")
+        raise LogError(f"{path}: found {found}{lost}, expected at least one measurement")
 
 
 def _regroup(blocks: Iterable[LogBlock], epochs: int) -> Iterator[LogBlock]:

@@ -169,10 +169,11 @@ class Scene:
             ValueError: streets are behind a wall, which the message names.
         """
         corners = [(x, y, 0.0) for x in self.streets.x_m for y in self.streets.y_m]
+        given = " (the default: say where they are)" if self.streets == Streets() else ""
         for _, wall in self.behind_walls(np.array(corners)):
             raise ValueError(
                 f"streets of scene {self.name!r}: found {self.streets.x_m} x "
-                f"{self.streets.y_m}, expected all at {wall.side_of(self.base_station_m)}, "
+                f"{self.streets.y_m}{given}, expected all at {wall.side_of(self.base_station_m)}, "
                 "where the base station is"
             )
 

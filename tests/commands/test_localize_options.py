@@ -15,6 +15,7 @@ from mmwave_env.logs.log import read_log
 from mmwave_env.logs.tum import read_tum
 from mmwave_env.models.radio import RADIOS
 from mmwave_env.models.scene import read_scene
+from tests.cli import succeed
 from tests.commands.localizing import EPOCHS, RIDE, WALK, figures, options, refused
 
 
@@ -32,12 +33,26 @@ def test_the_track_is_the_localizers(tmp_path):
     np.testing.assert_array_equal(read_tum(out).position_m, x[:, :3])
 
 
+def test_a_log_without_doppler_is_localized(tmp_path):
+    lines = (RIDE / "log.csv").read_text().splitlines()
+    names = lines[0].split(",")
+    kept = [i for i, name in enumerate(names) if not name.startswith("doppler")]
+    rows = [",".join(line.split(",")[i] for i in kept) for line in lines]
+    log = tmp_path / "log.csv"
+    log.write_text("\n".join(rows) + "\n")
+    words = ("--scene", RIDE / "scene.json", "--radio", "standard", "--json", tmp_path / "r.json")
+    succeed("localize", log, *words, "--speed", "auto", "--out", tmp_path / "track.tum")
+    groups = json.loads((tmp_path / "r.json").read_text())["groups"]
+    assert groups["Doppler"]["seen"] == 0 < groups["anchor 1"]["seen"]
+
+
 @pytest.mark.slow
 def test_every_switch_changes_the_track():
     tracks = {}
     for switch in ([], ["--no-gating"], ["--no-adaptive"], ["--no-smoothing"], ["--robust"],
                    ["--window", "20"], ["--height", "1.5"], ["--radio", "handset"]):  # fmt: skip
-        found = figures(WALK, "--speed", "1.4", "--radio", "standard", *switch)
+        radio = () if "--radio" in switch else ("--radio", "standard")
+        found = figures(WALK, "--speed", "1.4", *radio, *switch)
         tracks[" ".join(switch)] = json.dumps(found["truth"]["tracks"])
         if switch == ["--no-gating"]:
             assert found["groups"]["all"]["rejected"] == 0

@@ -145,7 +145,8 @@ MISTAKES = {
     "radio of a file": ((*NEVER, "--radio", "lab"), "'lab'.*handset"),
     "unknown option": (("evaluate", "--color", "red"), "found '--color'.*--help lists all$"),
     "mistyped option": (("evaluate", "--episode=3"), "did you mean --episodes[?].*'--episode=3'"),
-    "a word too many": (("speed", "fast"), "Unrecognized options: fast$"),
+    "an option twice": (("evaluate", "--seed", "1", "--seed=2"), "--seed: found it 2 times"),
+    "a word too many": (("speed", "fast"), "Unrecognized options: fast"),
     "no number": (("evaluate", "--seed", "one"), "seed: found 'one', expected a whole number$"),
     "no choice": (
         ("train", "--algo", "pp"),

@@ -206,7 +206,7 @@ def test_a_header_is_refused_at_once(tmp_path, name):
 @pytest.mark.parametrize(
     ("content", "message"),
     [
-        (HEADER, "found a header and no rows without a measurement, expected at least one"),
+        (HEADER, "found a header and no rows, expected at least one measurement"),
         (text([["0", "1", "", "", "", "", "", ""]] * 1), "found 1 rows without a measurement"),
         (text([[f"{t}", "1"] + ["nan"] * 6 for t in range(9)]), "found 9 rows without"),
         (text([[f"{t}", "1", "1e-7"] + [""] * 5 for t in range(9)]), "9 groups with only some"),
