@@ -45,7 +45,7 @@ class Args(TrainedArgs):
     """
 
     model: Positional[Path]
-    """file that model.save wrote (.zip), of PPO, A2C, TRPO, MaskablePPO or RecurrentPPO"""
+    """file that model.save wrote (.zip), of PPO, A2C, TRPO or MaskablePPO"""
     policy: Positional[Path]
     """file to write (.safetensors)"""
     normalize: Path | None = None
@@ -136,14 +136,10 @@ def _card(args: Args, task: "Task", table: "Observation", told: dict[str, Any]) 
 
 
 def _decided(content: bytes, shown: "NDArray[np.float32]") -> "NDArray[np.int64]":
-    """Return the actions (epochs, episodes) of a policy file for given observations."""
-    import numpy as np
-
+    """Return the actions (n,) of a policy file for given observations (n, features)."""
     from policies import LearnedSwitch
 
     with TemporaryDirectory() as folder:
         path = Path(folder) / "policy.safetensors"
         path.write_bytes(content)
-        switch = LearnedSwitch(path)
-    switch.reset(np.ones(shown.shape[1], np.bool_))
-    return np.array([switch(seen) for seen in shown])
+        return LearnedSwitch(path)(shown)

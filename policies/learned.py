@@ -11,7 +11,8 @@ from mmwave_env.filters.bank import Bank
 from mmwave_env.lookup import unknown
 from mmwave_env.models.radio import radio_from
 from mmwave_env.observation import Observation
-from policies.policy_file import Tensors, read_policy
+from policies.policy import Policy
+from policies.policy_file import read_policy
 
 Array = NDArray[np.float32]
 
@@ -22,7 +23,7 @@ def shipped_policies() -> dict[str, Path]:
     return {path.stem: path for path in sorted(folder.glob("*.safetensors"))}
 
 
-class LearnedSwitch:
+class LearnedSwitch(Policy):
     """A network that chooses the mode, or the mode to trust, by the most probable action.
 
     ```python
@@ -68,12 +69,10 @@ class LearnedSwitch:
         self._low, self._high = tensors["low"], tensors["high"]
         self._width = len(self._low)  # number of columns of the observations that it is given
         self._columns: NDArray[np.intp] | None = None  # those it reads; None for all, in order
-        self._memory = _Lstm(tensors) if "lstm.bias" in tensors else None
         layers = sum(name.startswith("layer.") for name in tensors) // 2
         self._layers = [
             (tensors[f"layer.{i}.weight"].T, tensors[f"layer.{i}.bias"]) for i in range(layers)
         ]
-        self._begins = np.empty(0, bool)
         if observation is not None:
             self.read_from(observation)
 
@@ -138,22 +137,6 @@ class LearnedSwitch:
             arguments = f'beliefs="per-mode", modes=policy.bank("{next(iter(self.card.banks))}")'
         return f'gym.make("MmWaveLoc-v0", {arguments}, observation={self.card.observation!r})'
 
-    def reset(self, mask: NDArray[np.bool_]) -> None:
-        """Forget the past of the environments (n,) in which an episode begins.
-
-        Raises:
-            ValueError: there are more or fewer environments than before, and not all begin.
-        """
-        if len(mask) == len(self._begins):
-            self._begins |= mask
-        elif mask.all():
-            self._begins = np.ones(len(mask), bool)
-        else:
-            raise ValueError(
-                f"reset: found {len(mask)} environments, expected {len(self._begins)}, or that "
-                "all of them begin"
-            )
-
     def __call__(self, observation: Array) -> NDArray[np.int64]:
         """Return actions (n,) for observations (n, features); :meth:`logits` raises the errors."""
         actions: NDArray[np.int64] = self.logits(observation).argmax(axis=1)
@@ -162,14 +145,11 @@ class LearnedSwitch:
     def logits(self, observation: Array) -> Array:
         """Compute logarithms of the actions' probabilities (n, actions), up to a constant per row.
 
-        A policy with a memory updates it with the observations, as a call does.
-
         Args:
             observation: (n, features) observations.
 
         Raises:
-            ValueError: the number of features differs, or, for a policy with a memory, the
-                number of environments differs from the last reset.
+            ValueError: the number of features differs.
         """
         if observation.ndim != 2 or observation.shape[1] != self._width:
             raise ValueError(
@@ -181,21 +161,13 @@ class LearnedSwitch:
         if self._columns is not None:
             observation = np.take(observation, self._columns, axis=1)
         x = np.minimum(np.maximum(observation, self._low), self._high)
-        if self._memory is not None:
-            if len(x) != len(self._begins):
-                raise ValueError(
-                    f"observation: found {len(x)} environments, expected {len(self._begins)}; "
-                    "call policy.reset(np.ones(n, bool)) when n episodes begin"
-                )
-            x = self._memory(x, self._begins)
-            self._begins[:] = False
         *hidden, (weight, bias) = self._layers
         for w, b in hidden:
             x = x @ w
             x += b
             np.tanh(x, out=x)
-        found: Array = x @ weight + bias
-        return found
+        logits: Array = x @ weight + bias
+        return logits
 
 
 def _located(path: str | os.PathLike[str]) -> Path:
@@ -206,33 +178,3 @@ def _located(path: str | os.PathLike[str]) -> Path:
     if path not in shipped:
         raise ValueError(unknown("policy", path, [*shipped, "a .safetensors file"]))
     return shipped[path]
-
-
-class _Lstm:
-    """A long short-term memory (Hochreiter and Schmidhuber 1997), as PyTorch writes it.
-
-    c' = sigmoid(f) c + sigmoid(i) tanh(g), h' = sigmoid(o) tanh(c'), where the gates i, f, g, o
-    are the quarters of W_ih x + W_hh h + b.
-    """
-
-    def __init__(self, tensors: Tensors) -> None:
-        self._from_input, self._from_h = tensors["lstm.weight_ih"].T, tensors["lstm.weight_hh"].T
-        self._bias = tensors["lstm.bias"]
-        self._h = self._c = np.empty((0, len(self._from_h)), np.float32)
-
-    def __call__(self, x: Array, begins: NDArray[np.bool_]) -> Array:
-        """Update the memory with inputs (n, in); return the new h (n, hidden)."""
-        if len(self._h) != len(begins):
-            self._h, self._c = np.zeros((2, len(begins), self._h.shape[1]), np.float32)
-        self._h[begins] = self._c[begins] = 0.0
-        gates = x @ self._from_input + self._h @ self._from_h + self._bias
-        i, f, g, o = gates.reshape(len(gates), 4, -1).swapaxes(0, 1)
-        self._c = _sigmoid(f) * self._c + _sigmoid(i) * np.tanh(g)
-        self._h = _sigmoid(o) * np.tanh(self._c)
-        return self._h
-
-
-def _sigmoid(x: Array) -> Array:
-    """Compute 1 / (1 + exp(-x)) in a form that does not overflow for any x."""
-    result: Array = 0.5 * np.tanh(0.5 * x) + 0.5
-    return result

@@ -6,10 +6,7 @@ The tensors are float32; the actor is the network that chooses:
   training is folded into the first weights;
 - ``layer.0.weight`` (out, in), ``layer.0.bias`` (out,), ``layer.1.weight``, ...: an MLP with
   tanh between its layers. ``in`` of the first layer is features, ``out`` of the last layer the
-  number of actions: the modes; with a belief per mode, "none" and the modes;
-- ``lstm.weight_ih`` (4 h, in), ``lstm.weight_hh`` (4 h, h) and ``lstm.bias`` (4 h,) of a
-  recurrent actor, gates in PyTorch's order (input, forget, cell, output): the LSTM comes first,
-  and the MLP takes its h.
+  number of actions: the modes; with a belief per mode, "none" and the modes.
 
 The file's metadata hold, under "policy", a JSON object with the number of this format, the
 :class:`Card` and a checksum of card and tensors.
@@ -287,12 +284,6 @@ def _shapes(tensors: Tensors, card: Card) -> dict[str, tuple[int, ...]]:
     features = size.get("low", 0)
     shapes: dict[str, tuple[int, ...]] = {"low": (features,), "high": (features,)}
     width = features
-    if any(name.startswith("lstm.") for name in tensors):
-        hidden = size.get("lstm.bias", 0) // 4
-        shapes["lstm.weight_ih"] = (4 * hidden, width)
-        shapes["lstm.weight_hh"] = (4 * hidden, hidden)
-        shapes["lstm.bias"] = (4 * hidden,)
-        width = hidden
     layers = sum(name.startswith("layer.") and name.endswith(".weight") for name in tensors)
     for i in range(max(layers, 1)):
         out = size.get(f"layer.{i}.bias", 0) if i < layers - 1 else len(card.actions)

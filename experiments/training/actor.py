@@ -26,15 +26,7 @@ def actor_tensors(policy: Any, normal: Normalization) -> Tensors:
         normal: normalization of an observation.
     """
     tensors = layer_tensors([*policy.mlp_extractor.policy_net, policy.action_net])
-    first, bias = "layer.0.weight", "layer.0.bias"
-    if lstm := getattr(policy, "lstm_actor", None):
-        first, bias = "lstm.weight_ih", "lstm.bias"
-        tensors |= {
-            first: _array(lstm.weight_ih_l0),
-            "lstm.weight_hh": _array(lstm.weight_hh_l0),
-            bias: _array(lstm.bias_ih_l0) + _array(lstm.bias_hh_l0),
-        }
-    return folded(tensors, normal, first, bias)
+    return folded(tensors, normal)
 
 
 def layer_tensors(layers: Iterable[Any]) -> dict[str, Array]:
@@ -47,19 +39,14 @@ def layer_tensors(layers: Iterable[Any]) -> dict[str, Array]:
     return tensors
 
 
-def folded(
-    tensors: dict[str, Array],
-    normal: Normalization,
-    first: str = "layer.0.weight",
-    bias: str = "layer.0.bias",
-) -> Tensors:
+def folded(tensors: dict[str, Array], normal: Normalization) -> Tensors:
     """Fold the normalization into the first weights: W / sigma, b - (W / sigma) mean.
 
     Args:
         tensors: tensors of an actor on normalized observations.
         normal: normalization of an observation; the result includes its bounds.
-        first, bias: names of the first weights and of their bias.
     """
+    first, bias = "layer.0.weight", "layer.0.bias"
     weight = tensors[first] / normal.sigma
     moved = {
         "low": normal.low,
@@ -79,10 +66,9 @@ def require_actor(policy: Any) -> None:
     if not hasattr(policy, "action_net"):
         raise ValueError(
             f"network: found {type(policy).__name__}, expected an actor beside a critic, as of "
-            "PPO, A2C, TRPO, MaskablePPO and RecurrentPPO"
+            "PPO, A2C, TRPO and MaskablePPO"
         )
     layers = [type(layer).__name__ for layer in policy.mlp_extractor.policy_net]
-    memory = getattr(policy, "lstm_actor", None)
     for what, found, expected in (
         ("observations", policy.observation_space.shape, policy.observation_space.shape[:1]),
         ("extractor of features", type(policy.features_extractor).__name__, "FlattenExtractor"),
@@ -90,7 +76,6 @@ def require_actor(policy: Any) -> None:
          ", ".join(["Linear", "Tanh"] * (len(layers) // 2))),
         ("output", type(policy.action_net).__name__, "Linear"),
         ("actions", type(policy.action_space).__name__, "Discrete"),
-        ("layers of the memory", memory.num_layers if memory else 1, 1),
     ):  # fmt: skip
         if found != expected:
             raise ValueError(f"{what}: found {found}, expected {expected}")

@@ -20,7 +20,7 @@ from experiments.evaluation.agents import in_one_line
 from experiments.training.actor import Normalization, actor_tensors, require_actor
 from mmwave_env.files import open_regular
 
-EPOCHS, EPISODES = 20, 50  # size of the sample of decisions
+DECISIONS = 1000  # size of the sample of decisions
 SHOWN, CHOSEN = "shown", "chosen"
 
 
@@ -32,9 +32,9 @@ def unzipped(model: Path, normalize: Path | None) -> tuple[dict[str, NDArray[Any
         normalize: file that ``VecNormalize.save`` wrote, if the model was trained with it.
 
     Returns:
-        The tensors of a policy file; also "shown" (epochs, episodes, features) and "chosen"
-        (epochs, episodes), observations and the actions that the model chose. The facts are the
-        model's seed, timesteps and the name of its network.
+        The tensors of a policy file; also "shown" (n, features) and "chosen" (n,), observations
+        and the actions that the model chose. The facts are the model's seed, timesteps and the
+        name of its network.
 
     Raises:
         ValueError: the model can't be loaded, or no policy file can hold it.
@@ -134,12 +134,8 @@ def _normalization(path: Path | None, box: Any) -> Normalization:
 def _decisions(policy: Any, normal: Normalization) -> dict[str, NDArray[Any]]:
     """Return random observations and the actions that the model chooses for them."""
     low, high, mean, sigma = normal
-    spread = np.random.default_rng(0).uniform(-2.0, 2.0, (EPOCHS, EPISODES, len(mean)))
+    spread = np.random.default_rng(0).uniform(-2.0, 2.0, (DECISIONS, len(mean)))
     shown = np.clip(mean + sigma * spread, low, high)
-    chosen, state, begins = [], None, np.ones(EPISODES, np.bool_)
-    for seen in shown:
-        normalized = ((seen - mean) / sigma).astype(np.float32)
-        actions, state = policy.predict(normalized, state, begins, deterministic=True)
-        chosen.append(actions)
-        begins = np.zeros(EPISODES, np.bool_)
-    return {SHOWN: shown.astype(np.float32), CHOSEN: np.array(chosen)}
+    normalized = ((shown - mean) / sigma).astype(np.float32)
+    chosen, _ = policy.predict(normalized, deterministic=True)
+    return {SHOWN: shown.astype(np.float32), CHOSEN: chosen}

@@ -1,10 +1,9 @@
-"""Learned switchers: the network as PyTorch computes it, one memory per environment."""
+"""Tests of learned switchers: the network as PyTorch computes it, and features by name."""
 
 import math
 import subprocess
 import sys
 from dataclasses import replace
-from itertools import pairwise
 
 import gymnasium as gym
 import numpy as np
@@ -31,10 +30,8 @@ from tests.training.actors import (
 KINDS = {
     "plain": {},
     "linear": {"hidden": ()},
-    "lstm": {"lstm": 6},
-    "narrow": {"lstm": 4, "hidden": (7,)},
+    "narrow": {"hidden": (7,)},
 }
-REMEMBERING = ["lstm", "narrow"]
 
 
 @pytest.fixture
@@ -62,32 +59,13 @@ def affine(weight, x, bias):
             for row, b in zip(weight.tolist(), bias.tolist(), strict=True)]  # fmt: skip
 
 
-def sigmoid(v):
-    return 1.0 / (1.0 + math.exp(-v))
-
-
-def lstm_step(tensors, x, h, c):
-    a = affine(tensors["lstm.weight_ih"], x, tensors["lstm.bias"])
-    b = affine(tensors["lstm.weight_hh"], h, np.zeros(len(a)))
-    gates, n = [p + q for p, q in zip(a, b, strict=True)], len(h)
-    c = [
-        sigmoid(gates[n + j]) * c[j] + sigmoid(gates[j]) * math.tanh(gates[2 * n + j])
-        for j in range(n)
-    ]
-    return [sigmoid(gates[3 * n + j]) * math.tanh(c[j]) for j in range(n)], c
-
-
 def logits_of_an_episode(tensors, episode):
     """(steps, modes), one number after the other in double precision."""
-    cells = len(tensors.get("lstm.bias", ())) // 4
-    h, c, result = [0.0] * cells, [0.0] * cells, []
+    result = []
     bounds = list(zip(tensors["low"].tolist(), tensors["high"].tolist(), strict=True))
     for observation in episode.tolist():
         clipped = zip(observation, bounds, strict=True)
         x = [min(max(v, low), high) for v, (low, high) in clipped]
-        if cells:
-            x, c = lstm_step(tensors, x, h, c)
-            h = x
         layers = sum(name.endswith(".bias") and name.startswith("layer") for name in tensors)
         for i in range(layers):
             x = affine(tensors[f"layer.{i}.weight"], x, tensors[f"layer.{i}.bias"])
@@ -95,15 +73,6 @@ def logits_of_an_episode(tensors, episode):
                 x = [math.tanh(v) for v in x]
         result.append(x)
     return np.array(result)
-
-
-def assert_chosen(actions, logits):
-    """Actions (...) are the largest logits (..., modes), to a rounding of single precision."""
-    assert actions.dtype == np.int64
-    chosen = np.take_along_axis(logits, actions[..., None], axis=-1)[..., 0]
-    assert (logits.max(axis=-1) - chosen < 1e-4).all()
-    assert (np.diff(np.sort(logits), axis=-1)[..., -1] > 1e-4).mean() > 0.99  # few are so close
-    assert len(np.unique(actions)) == logits.shape[-1]
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -120,56 +89,6 @@ def test_equal_logits_choose_the_first(tmp_path):
     tensors = {name: 0.0 * tensor for name, tensor in actor().items()}
     policy = LearnedSwitch(write(tmp_path / "zero.safetensors", tensors, card_of()))
     np.testing.assert_array_equal(policy(observations(4)), np.zeros(4))
-
-
-# --- memory
-
-
-@pytest.mark.parametrize("kind", KINDS)
-def test_every_environment_remembers_its_own_episode_and_no_more(make, kind):
-    """Episodes begin at random in some of the environments; each is as if it were alone."""
-    policy, tensors = make(kind)
-    n, steps = 7, 60
-    now, begins = observations(steps, n), np.random.default_rng(2).random((steps, n)) < 0.1
-    begins[0] = True
-    actions = np.empty((steps, n), np.int64)
-    for t in range(steps):
-        policy.reset(begins[t])
-        actions[t] = policy(now[t])
-    assert begins[1:].any(axis=1).sum() > 10 and not begins[1:].all(axis=1).any()
-    logits = np.empty((steps, n, 3))
-    for i in range(n):
-        edges = [*np.flatnonzero(begins[:, i]), steps]
-        for first, last in pairwise(edges):
-            episode = now[first:last, i]
-            logits[first:last, i] = logits_of_an_episode(tensors, episode)
-    assert_chosen(actions, logits)
-
-
-def test_resets_in_a_row_add_up(make):
-    policy, _ = make("lstm")
-    policy.reset(np.ones(3, bool))
-    for now in observations(5, 3):
-        policy(now)
-    for i in range(3):
-        policy.reset(np.arange(3) == i)
-    policy.reset(np.zeros(3, bool))
-    fresh, _ = make("lstm")
-    fresh.reset(np.ones(3, bool))
-    for now in observations(30, 3, seed=5):
-        np.testing.assert_array_equal(policy(now), fresh(now))
-
-
-@pytest.mark.parametrize("kind", REMEMBERING)
-def test_a_memory_must_know_its_environments(make, kind):
-    policy, _ = make(kind)
-    with pytest.raises(ValueError, match="^observation: "):
-        policy(observations(1))
-    policy.reset(np.ones(4, bool))
-    with pytest.raises(ValueError, match="found 3 environments, expected 4; call policy.reset"):
-        policy(observations(3))
-    with pytest.raises(ValueError, match="reset: found 3 environments, expected 4, or that all"):
-        policy.reset(np.array([True, False, True]))
 
 
 @pytest.mark.parametrize("shape", [(FEATURES,), (2, FEATURES - 1), (1, 2, FEATURES)])

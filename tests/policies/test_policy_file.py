@@ -41,8 +41,7 @@ READ = TABLE.columns[:3]
 KINDS = {
     "plain": (actor(**SMALL), card_of(features=READ)),
     "linear": (actor(3, hidden=()), card_of(features=READ)),
-    "lstm": (actor(**SMALL, lstm=2), card_of(features=READ)),
-    "prior": (actor(**SMALL, lstm=2), card_of(observation="prior", features=READ)),
+    "prior": (actor(**SMALL), card_of(observation="prior", features=READ)),
     "per-mode": (actor(**SMALL, actions=4), card_of(features=READ, **PER_MODE)),
     "no transition": (
         actor(**SMALL, actions=4),

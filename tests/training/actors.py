@@ -32,8 +32,8 @@ def card_of(table=TABLE, **changes):
     return Card(**told | changes)
 
 
-def actor(features=FEATURES, actions=3, hidden=(5, 4), lstm=0, seed=0):
-    """Tensors of an actor; an ``lstm`` of that many cells comes first."""
+def actor(features=FEATURES, actions=3, hidden=(5, 4), seed=0):
+    """Return the tensors of an actor."""
     rng = np.random.default_rng(seed)
 
     def draw(*shape):
@@ -43,13 +43,6 @@ def actor(features=FEATURES, actions=3, hidden=(5, 4), lstm=0, seed=0):
 
     tensors = {"low": -0.5 - draw(features) ** 2, "high": 0.5 + draw(features) ** 2}
     width = features
-    if lstm:
-        tensors |= {
-            "lstm.weight_ih": draw(4 * lstm, width),
-            "lstm.weight_hh": draw(4 * lstm, lstm),
-            "lstm.bias": draw(4 * lstm),
-        }
-        width = lstm
     for i, out in enumerate((*hidden, actions)):
         tensors |= {f"layer.{i}.weight": draw(out, width), f"layer.{i}.bias": draw(out)}
         width = out

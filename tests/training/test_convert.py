@@ -18,7 +18,7 @@ from tests.training.actors import HANDSET, MODES
 pytest.importorskip("stable_baselines3")
 
 import torch
-from sb3_contrib import MaskablePPO, RecurrentPPO
+from sb3_contrib import MaskablePPO
 from stable_baselines3 import A2C, DQN, PPO
 from stable_baselines3.common.vec_env import VecNormalize
 
@@ -36,7 +36,6 @@ ALGORITHMS = {
     "no layers": (PPO, "MlpPolicy", FEW | {"policy_kwargs": {"net_arch": []}}),
     "a2c": (A2C, "MlpPolicy", {}),
     "maskable": (MaskablePPO, "MlpPolicy", FEW),
-    "recurrent": (RecurrentPPO, "MlpLstmPolicy", FEW),
 }
 
 
@@ -95,10 +94,7 @@ def trained(kind, env):
 
 @pytest.mark.usefixtures("same_process")
 @pytest.mark.parametrize("normalized", [False, True], ids=["as they are", "normalized"])
-@pytest.mark.parametrize(
-    "kind",
-    [pytest.param(k, marks=pytest.mark.slow if k == "recurrent" else []) for k in ALGORITHMS],
-)
+@pytest.mark.parametrize("kind", ALGORITHMS)
 def test_a_converted_model_decides_as_the_model(kind, normalized, tmp_path, modes):
     """On every observation of 50 steps, ends of episodes among them."""
     env = environment(normalized)
@@ -196,9 +192,6 @@ MISTAKES = {
              "layers of the actor: found Linear, ReLU"),
     "q network": (lambda: DQN("MlpPolicy", environment(), buffer_size=100), (),
                   "network: found DQNPolicy, expected an actor beside a critic"),
-    "two memories": (
-        lambda: RecurrentPPO("MlpLstmPolicy", environment(), policy_kwargs={"n_lstm_layers": 2}),
-        (), "layers of the memory: found 2, expected 1"),
     "prior": (lambda: trained("ppo", environment()), ("--observation", "prior"),
               "expected .* features and 3 actions, as of observation='prior'"),
     "no statistics": (lambda: trained("ppo", environment(normalized=True)), (),
