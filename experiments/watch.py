@@ -1,12 +1,11 @@
 """mmwave-loc watch: an episode as contenders filter it, in a window or as a video."""
 
-import warnings
 from collections.abc import Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
-from experiments.console.options import ModeArgs, WorldArgs
+from experiments.console.options import ModeArgs
 
 if TYPE_CHECKING:
     from experiments.evaluation.contenders import Contender
@@ -25,9 +24,6 @@ class PlayArgs(ModeArgs):
     """seed of the episode (0 where none is given), the same that compare runs"""
     key: int | None = None
     """key of a simulated episode in place of a seed, as --episodes-csv of compare tells it"""
-    log: Path | None = None
-    """measurement log (.csv, .csv.gz or .parquet) to play in place of an episode, with --scene; no
-    truth is needed; as of localize, a track begins at the first line of sight"""
     begin: float | None = None
     """second of the episode to begin at; the beginning where none is given"""
     end: float | None = None
@@ -62,14 +58,13 @@ class Args(PictureArgs):
 
 MOST = 3  # most policies to show
 FASTEST = 50  # most pictures per second of a GIF
-_OF_A_LOG = ("log", "scene", "radio")  # options of the world that also apply to a log
 
 
 class Ride(NamedTuple):
     """An episode to play.
 
     Attributes:
-        episode: episode with or without truth.
+        episode: episode with its truth.
         streets: streets to draw; None where they are unknown.
         which: description of the episode.
     """
@@ -84,15 +79,12 @@ def main(args: Args) -> None:
     from experiments.console.progress import progress, say
     from experiments.evaluation.asked import contender_of, task_of
     from experiments.evaluation.histories import history_of
-    from experiments.evaluation.runner import PLAIN, Scoring
+    from experiments.evaluation.runner import Scoring
 
     _check(args)
     contenders = [contender_of(args, name) for name in args.policies]
-    if args.log is not None:
-        ride, scoring = _logged(args), PLAIN
-    else:
-        task = task_of(args)
-        scoring, ride = Scoring.of(task), _drawn(task, args.seed, args.key)
+    task = task_of(args)
+    scoring, ride = Scoring.of(task), _drawn(task, args.seed, args.key)
     with progress("filtering"):
         histories = [history_of(one, ride.episode, scoring, ride.streets) for one in contenders]
     rows = _between(histories[0].time_s, args.begin, args.end)
@@ -110,8 +102,6 @@ def _check(args: Args) -> None:
         raise ValueError(f"policies: found {len(args.policies)}, expected 1 to {MOST}")
     if not 1 <= args.fps <= FASTEST:
         raise ValueError(f"fps: found {args.fps}, expected 1 to {FASTEST}")
-    if args.log is not None:
-        _check_log(args)
     require_drawable(args.render_size, args.render_theme, "watch")
     if args.out:
         require_video("out", args.out)
@@ -119,41 +109,6 @@ def _check(args: Args) -> None:
         from mmwave_env.rendering.window import require_display
 
         require_display("window", "write a video with --out FILE.gif")
-
-
-def _check_log(args: Args) -> None:
-    """Refuse options that a log replaces or does not have."""
-    if args.scene is None:
-        raise ValueError(f"scene: found none, expected --scene with that of {args.log}")
-    world = [field for field in fields(WorldArgs) if field.name not in _OF_A_LOG]
-    own = [field for field in fields(Args) if field.name in ("seed", "key", "planar")]
-    for field in (*world, *own):
-        if (found := getattr(args, field.name)) != field.default:
-            raise ValueError(f"{field.name}: found {found} with --log, expected one of them")
-
-
-def _logged(args: Args) -> Ride:
-    """Return the first track of a log, up to the first long gap."""
-    from mmwave_env.localization.localizer import episode_from
-    from mmwave_env.localization.segments import segments
-    from mmwave_env.logs.log import LogBlock, read_log
-    from mmwave_env.models.radio import radio_from
-    from mmwave_env.models.scene import scene_from
-
-    assert args.log is not None and args.scene is not None
-    scene = scene_from(args.scene)
-    first, *others = segments([LogBlock.joined(list(read_log(args.log, scene)))])
-    begin_s, end_s = first.block.time_s[[0, -1]]
-    if others:
-        warnings.warn(
-            f"{args.log}: found a long gap after {end_s:g} s, where the track ends; what comes "
-            "after it is not played",
-            stacklevel=2,
-        )
-    episode = episode_from(first.block, scene, radio_from(args.radio))
-    streets = scene.streets if scene.streets_known else None
-    name = args.log.name
-    return Ride(replace(episode, name=name), streets, f"{name}, no truth, begun at {begin_s:g} s")
 
 
 def _drawn(task: "Task", seed: int | None, key: int | None) -> Ride:
@@ -198,16 +153,12 @@ def _between(time_s: "Array", begin: float | None, end: float | None) -> Sequenc
 def _told(
     names: Sequence[str], histories: "Sequence[History]", rows: Sequence[int], which: str
 ) -> list[str]:
-    """Return lines on the episode and the position error of each policy, or its own estimate."""
+    """Return lines on the episode and the position error of each policy."""
     import numpy as np
 
     first, last = histories[0].time_s[[rows[0], rows[-1]]]
     lines = [f"{which}, {first:g} to {last:g} s"]
     for name, history in zip(names, histories, strict=True):
-        if not history.has_truth:
-            radius = np.median(history.error_95_m[np.asarray(rows)])
-            lines.append(f"{name}: 95 % radius {radius:.1f} m by its own belief (median)")
-            continue
         error = history.error_m[np.asarray(rows)]
         lines.append(f"{name}: {error.mean():.1f} m off on average, {error.max():.1f} m at most")
     return lines

@@ -1,16 +1,15 @@
 """History of an episode filtered by a contender, epoch by epoch, for pictures."""
 
 import numpy as np
-from scipy.special import chdtri
 
 from experiments.evaluation.contenders import Contender
 from experiments.evaluation.runner import PLAIN, Scoring, run_contender
 from mmwave_env.models.scene import Streets
 from mmwave_env.numerics.numbers import Array
-from mmwave_env.rendering.history import GATE, NO_MODE, POSITION_NUMBERS, History, Scenery
+from mmwave_env.rendering.history import NO_MODE, POSITION_NUMBERS, History, Scenery
 from mmwave_env.world.episode import Episode
 
-_KEPT = ("x", "P", "memory.accepted", "memory.rejected", "memory.mode", "memory.nis")
+_KEPT = ("x", "P", "memory.accepted", "memory.rejected", "memory.mode")
 
 
 def history_of(
@@ -24,23 +23,20 @@ def history_of(
     Args:
         contender: policy, whose actions are the modes of the history, or IMM, whose most probable
             mode of an epoch gives the mode and the gates.
-        episode: episode with or without a truth.
+        episode: episode with its truth.
         scoring: same as in :func:`~experiments.evaluation.runner.run_contender`.
         streets: streets of the episode; None where they are unknown.
 
     Raises:
-        ValueError: the policy fails, or the episode is planar and has no truth.
+        ValueError: the policy fails.
     """
     policy = contender.start(episode.layout, scoring.planar)
     told = run_contender(contender, policy, [episode], scoring, after=_KEPT)
     made = {name: values[0] for name, values in told.items()}
     begun = episode.on_flat_ground() if scoring.planar else episode
     prior_P = begun.prior_covariance[np.tril_indices(3)]
-    truth, nis_share = np.full((len(episode), 6), np.nan), None
-    if episode.truth_position_m is not None and episode.truth_velocity_mps is not None:
-        truth = np.hstack([episode.truth_position_m, episode.truth_velocity_mps])
-    else:
-        nis_share = _after(np.nan, _nis_share(made["memory.nis"], episode))
+    assert episode.truth_position_m is not None and episode.truth_velocity_mps is not None
+    truth = np.hstack([episode.truth_position_m, episode.truth_velocity_mps])
     none = np.zeros_like(made["memory.accepted"][0])
     return History(
         Scenery(episode.name, episode.scene_anchors_m, streets),
@@ -53,16 +49,7 @@ def history_of(
         nees=_after(np.nan, made["nees"]),
         accepted=_after(none, made["memory.accepted"]) > 0.5,
         rejected=_after(none, made["memory.rejected"]) > 0.5,
-        nis_share=nis_share,
     )
-
-
-def _nis_share(nis: Array, episode: Episode) -> Array:
-    """Return (T,) the largest NIS of (T, groups), as a share of its chi-square quantile."""
-    rows = [group.stop - group.start for group in episode.layout.groups]
-    share = nis / chdtri(np.array(rows), 1.0 - GATE)
-    largest: Array = np.where(episode.usable, share, -np.inf).max(axis=1)
-    return np.where(episode.usable.any(axis=1), largest, np.nan)
 
 
 def _after(prior: Array | float, epochs: Array) -> Array:

@@ -49,7 +49,7 @@ def follow(history: History, frame: Rect) -> View:
     recent = history.time_s >= history.time_s[-1] - _MEMORY_S
     weights = np.exp((history.time_s[recent] - history.time_s[-1]) / _LAG_S)
     weights /= weights.sum()
-    user = history.user[recent]
+    user = history.truth[recent]
     truth, speed = user[:, :2], np.linalg.norm(user[:, 3:6], axis=1)
     estimate = np.where(
         np.isfinite(history.estimate[recent, :2]), history.estimate[recent, :2], truth

@@ -39,13 +39,11 @@ class History:
         axes: position axes that NEES covers.
         time_s: (k + 1,) time since the first epoch.
         modes: (k + 1,) number of the mode that ran; ``NO_MODE`` in the first row.
-        truth: (k + 1, 6) position (m), velocity (m/s); NaN where unknown.
+        truth: (k + 1, 6) position (m), velocity (m/s).
         estimate: (k + 1, 7) position (m), velocity (m/s), bias (Hz).
         P: (k + 1, 6) covariance of the position, packed: xx, xy, yy, xz, yz, zz, m^2.
-        nees: (k + 1,), NaN in the first row, and where the truth is unknown.
+        nees: (k + 1,), NaN in the first row.
         accepted, rejected: (k + 1, groups) links first, then the Doppler shift.
-        nis_share: (k + 1,) the largest NIS of a group, as a share of the chi-square quantile
-            :data:`GATE`; NaN without measurements. The array is None where the truth is known.
     """
 
     scenery: Scenery
@@ -58,22 +56,11 @@ class History:
     nees: Array
     accepted: NDArray[np.bool_]
     rejected: NDArray[np.bool_]
-    nis_share: Array | None = None
 
     @property
     def epochs(self) -> int:
         """Return the number of processed epochs."""
         return len(self.modes) - 1
-
-    @property
-    def has_truth(self) -> bool:
-        """Tell whether the true position is known."""
-        return bool(np.isfinite(self.truth[0, 0]))
-
-    @property
-    def user(self) -> Array:
-        """Return position and velocity (k + 1, 6): the true ones, or estimates where unknown."""
-        return self.truth if self.has_truth else self.estimate[:, :6]
 
     @cached_property
     def error_m(self) -> Array:

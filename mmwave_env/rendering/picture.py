@@ -78,17 +78,15 @@ class Picture:
     def _draw_header(self, history: History, y: float) -> None:
         """Draw the numbers of the epoch in one line."""
         canvas, theme, pad = self._canvas, self._theme, 8.0 * self._canvas.unit
-        known = history.has_truth
-        error = f"error {history.error_m[-1]:.2f} m" if known else "no truth"
-        nees = f"NEES {history.nees[-1]:.3g}   " if known else ""
+        error = f"error {history.error_m[-1]:.2f} m"
         if history.epochs == 0:
             numbers = f"prior   {error}"
         else:
             links = history.accepted.shape[1] - 1
             numbers = (
                 f"epoch {history.epochs}   {history.time_s[-1]:g} s   "
-                f"{'true ' * known}{np.linalg.norm(history.user[-1, 3:]):.1f} m/s   "
-                f"{error}   {nees}"
+                f"true {np.linalg.norm(history.truth[-1, 3:]):.1f} m/s   "
+                f"{error}   NEES {history.nees[-1]:.3g}   "
                 f"links {history.accepted[-1, :links].sum()} of {links}"
             )
         room = self._size - 3.0 * pad - canvas.width_of(numbers)
@@ -101,9 +99,8 @@ class Picture:
         canvas, theme, unit = self._canvas, self._theme, self._canvas.unit
         x = 12.0 * unit
         mode = theme.mode(int(history.modes[-1])) if history.epochs else theme.quiet
-        if history.has_truth:
-            canvas.disc((x, y), 4.0, theme.truth)
-            x = canvas.words("user", (x + 8.0 * unit, y), theme.quiet, 14).right + 16.0 * unit
+        canvas.disc((x, y), 4.0, theme.truth)
+        x = canvas.words("user", (x + 8.0 * unit, y), theme.quiet, 14).right + 16.0 * unit
         canvas.disc((x, y), 4.0, mode)
         canvas.disc((x, y), 2.0, theme.paper)
         x = canvas.words("estimate, 2σ", (x + 8.0 * unit, y), theme.quiet, 14).right

@@ -88,7 +88,7 @@ def _draw_links(canvas: Canvas, view: View, history: History, theme: Theme) -> N
     """Draw a line from the user to every anchor: accepted, rejected or missing."""
     if history.epochs == 0:
         return
-    user = _point(view, history.user[-1])
+    user = _point(view, history.truth[-1])
     for link, anchor in enumerate(view.pixels(history.scenery.anchors_m)):
         ends = clipped(user, (float(anchor[0]), float(anchor[1])), view.frame)
         if ends is None:
@@ -113,12 +113,11 @@ def _draw_ways(canvas: Canvas, view: View, history: History, theme: Theme) -> No
         )
         canvas.polygon(outline, color, 0.18)
         canvas.line(outline, color, 1.2, closed=True)
-    if history.has_truth and len(truth) > 1:
+    if len(truth) > 1:
         canvas.line(truth, theme.truth, 1.4)
     if len(track) > 1:
         draw_by_mode(canvas, track, history.modes[rows], theme, 2.2)
-    if history.has_truth:
-        canvas.disc(_point(view, history.truth[-1]), 4.0, theme.truth)
+    canvas.disc(_point(view, history.truth[-1]), 4.0, theme.truth)
     for radius, filled in ((5.0, theme.paper), (4.0, color), (2.0, theme.paper)):
         canvas.disc(_point(view, history.estimate[-1]), radius, filled)
 
@@ -154,7 +153,7 @@ def _draw_scale(canvas: Canvas, view: View, theme: Theme) -> Rect:
 def _draw_anchors(canvas: Canvas, view: View, history: History, theme: Theme) -> None:
     """Draw the scale, the anchors, and arrows at the edge to anchors outside, with distances."""
     inner = view.frame.inflate(-14.0 * canvas.unit, -14.0 * canvas.unit)
-    user, here = _point(view, history.user[-1]), history.user[-1, :3]
+    user, here = _point(view, history.truth[-1]), history.truth[-1, :3]
     around = 9.0 * canvas.unit
     names: list[tuple[str, Point]] = []
     for number, anchor in enumerate(history.scenery.anchors_m):

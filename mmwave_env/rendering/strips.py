@@ -10,7 +10,7 @@ from mmwave_env.metrics import nees_interval
 from mmwave_env.numerics.numbers import Array, Index
 from mmwave_env.rendering.camera import nice
 from mmwave_env.rendering.canvas import Canvas, Rect
-from mmwave_env.rendering.history import GATE, History
+from mmwave_env.rendering.history import History
 from mmwave_env.rendering.street_map import draw_by_mode, runs
 from mmwave_env.rendering.theme import Theme
 
@@ -70,8 +70,7 @@ def draw_strips(
     first, last = _times(history, rows)
     x = lane.left + (history.time_s[rows] - first) / (last - first) * lane.width
     modes = history.modes[rows]
-    shown = (_speed, _error, _nees) if history.has_truth else (_speed, _radius, _nis)
-    for i, make in enumerate(shown):
+    for i, make in enumerate((_speed, _error, _nees)):
         strip, *others = (make(one, rows) for one in (history, *beside))
         if not strip.ticks:  # logarithmic strips have the same scale in any case
             top = max(one.values[1] for one in (strip, *others))
@@ -95,8 +94,6 @@ def _times(history: History, rows: slice) -> tuple[float, float]:
 def _speed(history: History, rows: slice) -> Strip:
     true, estimated = (speed[rows] for speed in history.speed_mps)
     curve = (estimated, "estimate")
-    if not history.has_truth:
-        return Strip("speed, m/s", curve, (0.0, _top(estimated)))
     most = 2.0 * float(true.max(initial=1.0))  # an estimate far beyond is shown at the edge
     top = _top(np.maximum(true, np.fmin(estimated, most)))
     return Strip("speed, m/s", curve, (0.0, top), (true, "true"))
@@ -113,18 +110,6 @@ def _nees(history: History, rows: slice) -> Strip:
     band = (*nees_interval(history.axes), f"95 % of χ²({history.axes})")
     curve = (history.nees[rows], "estimate")
     return Strip("NEES", curve, _NEES, band=band, ticks=(0.1, 3.0, 100.0))
-
-
-def _radius(history: History, rows: slice) -> Strip:
-    radius = history.error_95_m[rows]
-    return Strip("uncertainty, m", (radius, "95 % radius"), (0.0, _top(radius)))
-
-
-def _nis(history: History, rows: slice) -> Strip:
-    assert history.nis_share is not None
-    band = (_NIS[0], 1.0, f"{GATE * 100:g} % gate")
-    curve = (history.nis_share[rows], "largest")
-    return Strip("NIS / gate", curve, _NIS, band=band, ticks=(0.1, 1.0, 10.0))
 
 
 def _top(values: Array) -> float:

@@ -71,42 +71,6 @@ def test_a_part_of_a_recording_and_of_a_log_is_played(tmp_path, window):
     assert before > 0 and len(window) - before == 6
 
 
-@pytest.fixture
-def log(tmp_path):
-    """A log whose truth nobody has written down, and its scene; it begins at 0 s."""
-    succeed("simulate", "--episode-steps", 40, "--out", tmp_path / "ride")
-    (tmp_path / "ride" / "truth.tum").unlink()
-    return ("--log", tmp_path / "ride" / "log.csv", "--scene", tmp_path / "ride" / "scene.json")
-
-
-def test_a_log_without_truth_is_played(log, window):
-    lines = succeed("watch", "--policies", "fixed-ukf", "imm", *log).splitlines()
-    begun = re.fullmatch(r"log[.]csv, no truth, begun at (\d+) s, 0 to (\d+) s", lines[0])
-    assert sum(map(int, begun.groups())) == 39
-    assert [line.split(":")[0] for line in lines[1:]] == ["fixed-ukf", "imm"]
-    assert all("95 % radius" in line and "off on average" not in line for line in lines[1:])
-    assert len(window) == int(begun[2]) + 2 and window[0].shape == (480, 960, 3)
-
-
-def test_what_a_log_brings_is_refused_beside_it(log):
-    for option in (("--seed", 3), ("--dt", 0.5), ("--data", "canyon28_vehicle"), ("--planar",)):
-        message = f"watch: {option[0][2:]}: found .* with --log, expected one of them"
-        assert_one_clear_line(command("watch", *log, *option), message)
-    assert_one_clear_line(command("watch", *log[:2]), "watch: scene: found none, expected --scene")
-
-
-def test_a_log_is_played_up_to_its_first_long_gap(log, window):
-    path = log[1]
-    header, *rows = path.read_text().splitlines()
-    late = [
-        row.replace(row.split(",")[0], f"{float(row.split(',')[0]) + 600:g}", 1) for row in rows
-    ]
-    path.write_text("\n".join([header, *rows, *late]))
-    done = command("watch", "--policies", "fixed-ukf", *log)
-    assert done.returncode == 0 and len(window) <= 41
-    assert re.search("found a long gap after 39 s, where the track ends", done.stderr)
-
-
 def test_a_window_is_as_wide_as_what_it_shows(window):
     succeed("watch", "--policies", "fixed-ekf", "fixed-ukf", *SHORT, "--render-size", 500)
     assert [picture.shape for picture in window] == [(500, 1000, 3)] * 13

@@ -1,7 +1,5 @@
 """What pictures are drawn from is what environments record and what comparisons score."""
 
-from dataclasses import replace
-
 import gymnasium as gym
 import numpy as np
 import pytest
@@ -69,19 +67,6 @@ def test_an_imm_s_modes_are_the_most_probable_ones():
     assert history.modes[0] == NO_MODE
     assert set(history.modes[1:]) == set(range(len(contender.actions)))
     assert (history.accepted[1:] | history.rejected[1:]).any()
-
-
-def test_without_truth_estimates_stay_and_nis_is_told():
-    blind = replace(EPISODE, truth_position_m=None, truth_velocity_mps=None)
-    for name in ("speed-rule", "imm"):
-        contender = contender_from(name, "handset")
-        known, found = history_of(contender, EPISODE), history_of(contender, blind)
-        np.testing.assert_array_equal(found.estimate, known.estimate)
-        np.testing.assert_array_equal(found.modes, known.modes)
-        assert known.has_truth and not found.has_truth and np.isnan(found.error_m).all()
-        # what a gate at 99 % rejects lies beyond it (and is accepted after many rejections)
-        rejected = found.rejected[1:].any(axis=1)
-        assert rejected.any() and (found.nis_share[1:][rejected] > 1.0).all()
 
 
 def test_a_recording_begins_at_its_prior():

@@ -3,7 +3,6 @@
 import copy
 import pickle
 import re
-from dataclasses import replace
 from itertools import pairwise
 
 import gymnasium as gym
@@ -62,21 +61,6 @@ def played(steps, seed=0, action=lambda k: k % 2, **arguments):
 
 
 # --- what is in it
-
-
-def test_without_truth_only_the_estimate_is_drawn():
-    way = [(0.0, 0.0), (10.0, 0.0), (20.0, 5.0)]
-    known = history(truth=[(x, 8.0) for x, _ in way], estimate=way, modes=(0, 0, 1))
-    blind = replace(
-        known, truth=np.full_like(known.truth, np.nan), nees=np.full(4, np.nan),
-        nis_share=np.array([np.nan, 0.5, np.nan, 40.0]),
-    )  # fmt: skip
-    with_truth, without = (Picture(["ekf", "ukf"]).draw(one) for one in (known, blind))
-    dark = [near(one, LIGHT.truth)[60:280].sum() for one in (with_truth, without)]
-    assert dark[1] < dark[0] - 100  # labels stay
-    for mode in (0, 1):
-        assert near(without, LIGHT.mode(mode))[60:280].any()  # map
-        assert near(without, LIGHT.mode(mode))[300:440, 112:450].any()  # strips
 
 
 def test_the_first_picture_shows_the_prior_and_the_user():
