@@ -19,8 +19,8 @@ BUDGET = {
     "lines of source": 31_500,
     "tokens of source": 205_000,
     "files of source": 280,
-    "lines of tests": 26_700,
-    "tokens of tests": 234_500,
+    "lines of tests": 26_000,
+    "tokens of tests": 228_000,
     "words of docs": 38_000,
     "pages of docs": 22,
     "tracked files": 620,
@@ -31,12 +31,12 @@ BUDGET = {
     "lines that ruff may not format": 300,
 }
 ROOMS = {  # lines of source; what is in no room counts for "."
-    "experiments/evaluation": 2_500,
+    "experiments/evaluation": 2_300,
     "experiments/training": 2_150,
     "experiments/webpage": 1_100,
     "mmwave_env/datasets": 1_600,
     "mmwave_env/engines": 1_900,
-    "mmwave_env/filters": 2_200,
+    "mmwave_env/filters": 2_450,
     "mmwave_env/localization": 1_850,
     "mmwave_env/world": 2_300,
 }

@@ -4,7 +4,8 @@ from typing import Any, NamedTuple
 
 from mmwave_env.filters.belief import Belief
 from mmwave_env.filters.memory import Memory, initial_memory
-from mmwave_env.models.measurement import Layout, Site, blank_site
+from mmwave_env.filters.pipeline import Pipeline
+from mmwave_env.models.measurement import Layout, blank_site
 from mmwave_env.numerics.numbers import Number, Vector
 from mmwave_env.numerics.pytree import select
 from mmwave_env.reward import Reward, term_names, terms_of, total
@@ -51,21 +52,12 @@ def blank_environment(layout: Layout, modes: int, reward: Reward, features: int)
 
 
 def begun(
-    is_first: Number,
-    site: Site,
-    x: list[Number],
-    P: list[Number],
-    memory: Memory,
-    layout: Layout,
-    modes: int,
+    w: Any, x: list[Number], P: list[Number], memory: Memory, pipeline: Pipeline
 ) -> tuple[list[Number], list[Number], Memory]:
-    """Return belief (7,), (28,) and memory of a track, from the prior where it starts over."""
-    blank, first = initial_memory(layout, modes), is_first > 0.5
-    return (
-        select(first, site.prior_x, x),
-        select(first, site.prior_P, P),
-        select(first, blank, memory),
-    )
+    """Return belief (7,), (28,) and memory in a state, from the prior where a track starts over."""
+    blank, first = initial_memory(pipeline.layout, len(pipeline.modes)), w.is_first > 0.5
+    x, P = select(first, w.site.prior_x, x), select(first, w.site.prior_P, P)
+    return x, P, select(first, blank, memory)
 
 
 def scores(belief: Belief, truth: Vector, reward: Reward, cost: Number) -> dict[str, Any]:

@@ -75,8 +75,7 @@ def epoch(
     memory = most_probable_memory(mixture)._replace(preference=w.memory.preference)
 
     is_first, prior = w.is_first > 0.5, begin(pipeline, w.site.prior_x, w.site.prior_P)
-    modes, P = len(pipeline.modes), pack(covariance)
-    x, P, memory = begun(w.is_first, w.site, x, P, memory, layout, modes)
+    x, P, memory = begun(w, x, pack(covariance), memory, pipeline)
     mixture = select(is_first, prior, mixture)
     coming = w.incoming.epoch(layout)
     mixture, predicted, _, results = imm_epoch(pipeline, w.settings, mixture, coming, w.site)

@@ -58,8 +58,7 @@ def epoch(w: EnvState, pipeline: Pipeline, observation: Observation, reward: Rew
     memory = memory_after(layout, w.action, w.x, chosen, w.memory, dt, visible)
     belief = Belief(chosen.x, unpack(chosen.P, zero=pipeline.known_axes), pipeline.position_axes)
 
-    x, P = chosen.x, chosen.P
-    x, P, memory = begun(w.is_first, w.site, x, P, memory, layout, len(modes))
+    x, P, memory = begun(w, chosen.x, chosen.P, memory, pipeline)
     coming = w.incoming.epoch(layout)
     candidates = [predict_update(pipeline, m, x, P, memory, coming, w.site) for m in modes]
     memory = memory_before(memory, candidates, coming, layout)

@@ -53,8 +53,7 @@ class TrackState(NamedTuple):
 def track_epoch(w: TrackState, pipeline: Pipeline, rule: Rule | None) -> TrackState:
     """Compute one epoch of a track, on numbers."""
     layout, epoch = pipeline.layout, w.incoming.epoch(pipeline.layout)
-    modes = len(pipeline.modes)
-    x, P, memory = begun(w.is_first, w.site, w.x, w.P, w.memory, layout, modes)
+    x, P, memory = begun(w, w.x, w.P, w.memory, pipeline)
     mode = w.action if rule is None else rule(x, epoch)
     candidates = [
         predict_update(pipeline, one, x, P, memory, epoch, w.site, tuning)

@@ -16,7 +16,6 @@ from mmwave_env.rendering.theme import Theme
 
 _WINDOW = 120  # number of epochs shown
 _NEES = (0.03, 300.0)  # range shown; other values are at the edge
-_NIS = (0.03, 30.0)
 _WORDS_SHARE = 0.235  # share of the width left of the strips
 _TICKS_SHARE = 0.06  # share of the width right of the strips
 _ROW = 13.0  # height of a line of words, in units
