@@ -42,13 +42,13 @@ def command(*words, cwd=ROOT, columns=200):
 
 
 def environment():
-    """Of a process that finds the packages of this checkout and a wide terminal."""
+    """Return the variables of a process that finds this checkout's packages and a wide terminal."""
     path = os.pathsep.join([str(ROOT), os.environ.get("PYTHONPATH", "")])
     return os.environ | {"PYTHONPATH": path, "COLUMNS": "200"}
 
 
 def succeed(*words, cwd=ROOT):
-    """What a command prints that must succeed."""
+    """Return what a command prints that must succeed."""
     done = command(*words, cwd=cwd)
     assert done.returncode == 0, done.stderr
     return done.stdout

@@ -55,7 +55,7 @@ class Block:
 
     @property
     def words(self) -> list[str]:
-        """What the mark says of it."""
+        """Return the words of the mark."""
         return self.mark.partition(":")[2].split()
 
     @property
@@ -65,7 +65,7 @@ class Block:
 
     @property
     def commands(self) -> list[str]:
-        """What follows ``mmwave-loc`` in each of its lines."""
+        """Return the words after ``mmwave-loc`` in each of its lines."""
         return re.findall(r"^mmwave-loc (.*)$", self.text.replace("\\\n", " "), re.MULTILINE)
 
 
@@ -97,7 +97,7 @@ class Session:
         (folder / "docs").symlink_to(ROOT / "docs")
 
     def printed(self, block: Block) -> str:
-        """What a block prints; "" of one that was run before."""
+        """Return the output of a block; "" of one that was run before."""
         if block.line in self._done:
             return ""
         self._done.add(block.line)
@@ -140,7 +140,7 @@ class Session:
 
 
 def made(table: re.Match[str], printed: str, folder: Path) -> str:
-    """What stands between the marks of a table by what its block printed."""
+    """Return the lines between the marks of a table, made of its block's output."""
     text = (folder / table["file"].strip()).read_text() if table["file"] else printed
     if not table["begin"]:
         return f"\n{text.partition('Written:')[0].strip()}\n\n"  # names of files

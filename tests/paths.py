@@ -1,4 +1,4 @@
-"""Where things lie in the checkout, what tables of its pages say, and which cases are slow."""
+"""Paths of the checkout, tables of its pages, and slow cases."""
 
 import re
 from pathlib import Path

@@ -29,7 +29,7 @@ NAME = {"minLength": 1, "maxLength": LONGEST, "pattern": r"^[^\x00-\x1f\x7f-\x9f
 
 
 def described(kind):
-    """What the docstring of a dataclass says of each attribute."""
+    """Return the texts of a dataclass's docstring, by attribute."""
     _, _, section = inspect.getdoc(kind).partition("Attributes:\n")
     section = section.split("\n\n")[0]
     entries = re.findall(r"^    (\w[\w, ]*): (.*(?:\n {5,}.*)*)", section, re.MULTILINE)
@@ -47,7 +47,7 @@ def bounds(bound):
 
 
 def schema_of(hint):
-    """Of a type as fields have it."""
+    """Return the schema of a field's type."""
     origin, inside = get_origin(hint), get_args(hint)
     if is_dataclass(hint):
         return object_schema(hint)
@@ -66,7 +66,7 @@ def schema_of(hint):
 
 
 def object_schema(kind, optional=(), replaced=None):
-    """Of a dataclass; some fields are optional in its file, some are not what their type says."""
+    """Return the schema of a dataclass; some fields are optional in its file, some replaced."""
     said, replaced = described(kind), replaced or {}
     properties, required = {}, []
     for field in fields(kind):
@@ -91,7 +91,7 @@ def json_of(field):
 
 
 def radio():
-    """Of a radio's file: a base, and what differs from it."""
+    """Return the schema of a radio's file: a base, and what differs from it."""
     schema = object_schema(Radio, optional=["name"])
     properties = schema["properties"]
     for name in [n for n in properties if n.endswith("_rad")]:
@@ -108,7 +108,7 @@ def radio():
 
 
 def modes():
-    """Of a mode file: a bank, and notes of how it was made, which are not looked at."""
+    """Return the schema of a mode file: a bank, and notes, which are not read."""
     mode = object_schema(Mode, replaced={"algorithm": {"enum": list(ALGORITHMS)}})
     size = {"minItems": 1, "maxItems": MOST_MODES}
     bank = object_schema(Bank, replaced={"modes": {"type": "array", "items": mode} | size})
@@ -146,7 +146,7 @@ def schemas():
 
 
 def path_of(name):
-    """Where a schema is shipped."""
+    """Return the path of a shipped schema."""
     return FOLDER / f"{name}.schema.json"
 
 

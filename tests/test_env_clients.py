@@ -1,4 +1,4 @@
-"""What planners, wrappers and other libraries ask of MmWaveLoc-v0: copies, lengths, infos."""
+"""Tests of what planners, wrappers and libraries need: copies, lengths, infos."""
 
 import copy
 import math
@@ -44,7 +44,7 @@ class Patchy:
 
 
 def go_on(env, steps, actions=0):
-    """What steps return, of this episode and of those after it; each ends in a reset."""
+    """Return the results of steps, of this episode and of those after it; each ends in a reset."""
     rng, found = np.random.default_rng(actions), []
     if isinstance(env, gym.vector.VectorEnv):
         return [env.step(rng.integers(env.single_action_space.n, size=3)) for _ in range(steps)]

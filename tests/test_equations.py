@@ -25,7 +25,7 @@ def in_backticks(cell):
 
 
 def named(dotted):
-    """What a dotted name stands for: an attribute of the longest part that is a module."""
+    """Return the object of a dotted name: an attribute of the longest part that is a module."""
     parts = dotted.split(".")
     for end in range(len(parts) - 1, 0, -1):
         try:

@@ -45,7 +45,7 @@ def test_a_world_s_example_is_short(name):
 
 
 def write_traffic(path):
-    """What `sumo --fcd-output` writes: a car, a pedestrian, a short trip, one behind the wall."""
+    """Write what `sumo --fcd-output` does: a car, a pedestrian, a short trip, one behind a wall."""
     steps = []
     for t in range(91):
         users = [f'<vehicle id="car" x="{60 + t}" y="100.0" type="car" speed="1.0"/>',
@@ -96,7 +96,7 @@ USERS = np.column_stack([np.linspace(0.0, 20.0, 21), np.full(21, -2.0), np.full(
 
 
 def sionna_paths(users_m, hidden=()):
-    """What Sionna RT's solver returns of a street with one wall, as far as the example reads it.
+    """Return Sionna RT's paths in a street with one wall, as far as the example reads them.
 
     Arrays are [receiver, transmitter, path], those of interactions have a depth in front. The line
     of sight is not the first path, and some receivers have none.

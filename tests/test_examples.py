@@ -112,7 +112,7 @@ def test_every_cell_compiles_and_has_its_words_above(name):
 
 @pytest.fixture(scope="module")
 def outputs():
-    """What the cells show when they are run in a new kernel, by the cell's id."""
+    """Return the outputs of the cells, run in a new kernel, by the cell's id."""
     nbclient, nbformat = map(pytest.importorskip, ("nbclient", "nbformat"))
     notebook = nbformat.read(PATH, as_version=4)
     nbformat.validate(notebook)

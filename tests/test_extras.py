@@ -1,4 +1,4 @@
-"""What needs an extra that is not installed says which, before any work."""
+"""Tests of commands and functions without their extra: they name it, before any work."""
 
 import re
 import sys

@@ -189,7 +189,7 @@ def test_an_error_about_another_file_stays_as_it_is(tmp_path):
 
 @pytest.fixture(params=["folder", "FIFO", "device", "socket"])
 def special(request, tmp_path):
-    """What is no file, and what messages call it."""
+    """Return a path that is no file, and its name in messages."""
     path = tmp_path / "odd.json"
     if request.param == "folder":
         path.mkdir()

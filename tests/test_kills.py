@@ -45,7 +45,7 @@ WAYS = {  # signal, how a command may end that it hits
 
 
 def contents(folder):
-    """Of all files but those that begin with a dot, which a killed command may leave."""
+    """Read all files but those that begin with a dot, which a killed command may leave."""
     return {
         str(path.relative_to(folder)): path.read_bytes()
         for path in sorted(folder.rglob("*"))
@@ -84,7 +84,7 @@ def begun(words, folder, most):
 
 @pytest.fixture(scope="module")
 def undisturbed(tmp_path_factory):
-    """What a command is given, what it writes, and for how long: found once, in this process."""
+    """Return a command's words, files and duration, measured once, in this process."""
     known = {}
 
     def find(name):

@@ -23,7 +23,7 @@ def tracks():
 
 @pytest.fixture(scope="module")
 def evo():
-    """What evo computes errors with."""
+    """Return evo's trajectory modules."""
     return pytest.importorskip("evo.core.metrics")
 
 

@@ -26,7 +26,7 @@ def prose(name: str) -> str:
 
 
 def anchors(page):
-    """What links into a page may name, as GitHub makes it of the headings."""
+    """Return the anchors of a page, as GitHub makes them of the headings."""
     headings = re.findall(r"^#+ (.*)$", BLOCK.sub("", page.read_text("utf-8")), re.MULTILINE)
     return {re.sub(r"[^\w\- ]", "", h.lower()).replace(" ", "-") for h in headings}
 

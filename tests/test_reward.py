@@ -265,7 +265,7 @@ ENDING = {"reward": "paired", "terminate_on_divergence": True} | DIVERGING
 
 
 def imm_rewards(seed, episodes, reward=REWARDS["tracking"], **task):
-    """What the IMM earns (episodes, epochs) in the episodes that follow a seed."""
+    """Return the IMM's rewards (episodes, epochs) in the episodes that follow a seed."""
     source = task_from(**task)
     imm = ImmEngine(replace(source.pipeline, modes=default_modes("handset")), reward)
     keys = keys_at(stream_of(seed), np.arange(episodes, dtype=np.uint64))

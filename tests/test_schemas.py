@@ -26,7 +26,7 @@ every_file = pytest.mark.parametrize("name", READERS)
 
 
 def values(schema):
-    """What a schema accepts."""
+    """Return values that a schema accepts."""
     if "enum" in schema:
         return st.sampled_from(schema["enum"])
     for key in ("anyOf", "oneOf"):
@@ -107,7 +107,7 @@ def damaged(draw, name):
 
 
 def refusal(name, content, folder):
-    """What the reader says against a content, which names the file and the schema; or None."""
+    """Return the reader's refusal of a content, which names file and schema; or None."""
     path = folder / f"{name}.json"
     path.write_text(json.dumps(content), encoding="utf-8")
     try:

@@ -1,4 +1,4 @@
-"""What makes the documentation site, and the description on package indexes, of the sources."""
+"""Tests of the documentation site, and of the description on package indexes."""
 
 import importlib.util
 import json

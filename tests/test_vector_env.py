@@ -301,7 +301,7 @@ def test_wrong_seeds_are_refused(seed):
 
 
 def peak_bytes(n):
-    """What numpy holds at most, through an end of all episodes at once.
+    """Return the most that numpy holds, through an end of all episodes at once.
 
     Pages resident jump by megabytes from run to run, as the kernel hands out huge ones; their slope
     over large N is the same. What compiled code holds for a while is not seen, nor does it depend

@@ -1,4 +1,4 @@
-"""What Gymnasium expects of a vector environment; its own checker covers single ones only."""
+"""Checks of a vector environment; Gymnasium's own checker covers single ones only."""
 
 import gymnasium as gym
 import numpy as np
@@ -45,7 +45,7 @@ def arrays(result):
 
 
 def forward(env, actions):
-    """What a step returns, and, where ends are left to the user, the reset after it."""
+    """Return a step's results, and, where ends are left to the user, the reset after it."""
     results = [env.step(actions)]
     over = results[0][2] | results[0][3]
     if env.metadata["autoreset_mode"] == AutoresetMode.DISABLED and over.any():
@@ -54,7 +54,7 @@ def forward(env, actions):
 
 
 def rollout(env, seed, steps=STEPS, actions=0):
-    """What ``reset`` and ``steps`` steps with random actions return; ends are reset."""
+    """Return the results of ``reset`` and of steps with random actions; ends are reset."""
     rng, n = np.random.default_rng(actions), env.single_action_space.n
     results = [env.reset(seed=seed)]
     for _ in range(steps):

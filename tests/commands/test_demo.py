@@ -1,4 +1,4 @@
-"""What the demo prints and writes."""
+"""Tests of what the demo prints and writes."""
 
 import json
 

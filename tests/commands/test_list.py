@@ -1,4 +1,4 @@
-"""What the list of names shows."""
+"""Tests of the list of names."""
 
 import pytest
 

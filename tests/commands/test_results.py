@@ -1,4 +1,4 @@
-"""What evaluate and compare leave for other programs, and the environment's options in them."""
+"""Tests of the files that compare leaves for other programs, and of its options."""
 
 import csv
 import json

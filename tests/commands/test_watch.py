@@ -16,7 +16,7 @@ SHORT = ("--episode-steps", 12)
 
 
 def frames(path):
-    """How many pictures a GIF has, and how wide and high they are."""
+    """Return the number of pictures of a GIF, and their size."""
     image = pytest.importorskip("PIL.Image")
     with image.open(path) as file:
         return file.n_frames, file.size
@@ -32,7 +32,7 @@ def picture(path, number):
 
 @pytest.fixture
 def window(monkeypatch):
-    """What a window that nobody sees was shown."""
+    """Return the pictures that a window was shown, which nobody sees."""
     monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")
     from mmwave_env.rendering.window import Window
 

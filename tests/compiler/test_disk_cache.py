@@ -61,7 +61,7 @@ def finished(process):
 
 
 def run(package, **variables):
-    """What the function returns in a new process, and how often it was found on disk."""
+    """Return the function's result in a new process, and how often it was read from disk."""
     value, hits = finished(started(package, **variables))
     return int(value), int(hits)
 

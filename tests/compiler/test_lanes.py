@@ -226,7 +226,7 @@ def outside(a):
 
 
 def test_probes_are_lanes_in_all_but_the_value():
-    """What a trial on probes accepts, lanes do, and the other way round."""
+    """Lanes do what a trial on tracers accepts, and the other way round."""
     inner = {"builder", "value", "hidden", "_call", "_negated", "_with", "as_word"}
     for ours, theirs in ((Lanes, FloatTracer), (Mask, FloatCondition)):
         assert set(dir(ours)) - inner == set(dir(theirs)) - inner

@@ -1,4 +1,4 @@
-"""What is compiled for, and what runs as plain Python."""
+"""Tests of which work is compiled, and which runs as plain Python."""
 
 import gymnasium as gym
 import numpy as np
@@ -16,13 +16,13 @@ def function(x):
 
 @pytest.fixture
 def fresh(tmp_path, monkeypatch):
-    """As another process would have it, all of them with one folder on disk."""
+    """Return functions as other processes have them, with one folder on disk."""
     monkeypatch.setattr(disk_cache, "_folder", lambda: tmp_path)
     return lambda: LazyJit(function, 5)
 
 
 def kinds(sparing, *works):
-    """What each of these works is done with."""
+    """Return what each piece of work is done with."""
     named = {sparing.plain: "plain", sparing.compiled: "compiled"}
     return [named[sparing.choice(work, 20)] for work in works]
 

@@ -96,7 +96,7 @@ def test_nothing_is_held_once_the_jobs_are_done():
 
 
 def test_draws_do_not_depend_on_the_thread():
-    """As they would if they came from numba's own generators, of which every thread has one."""
+    """They would if they came from numba's own generators, of which every thread has one."""
     source = SimulatedSource(SCENES["street"], RADIOS["handset"], epochs=20)
 
     def draw(seed):
@@ -136,7 +136,7 @@ if __name__ == "__main__":
 
 
 def process(code, tmp_path):
-    """What a program prints that goes on after some steps with two threads; it must end."""
+    """Return the output of a program that goes on after steps with two threads; it must end."""
     program = tmp_path / "program.py"  # a file, so that processes that are spawned can read it
     program.write_text(STEPPED + textwrap.indent(textwrap.dedent(code), "    "))
     path = os.pathsep.join([str(Path(mmwave_env.__file__).parents[1]), *sys.path])
@@ -207,7 +207,7 @@ def test_an_interrupt_waits_for_the_others_and_the_next_reset_starts_over(tmp_pa
 @pytest.mark.slow
 @posix
 def test_an_environment_goes_on_after_an_interrupted_step(tmp_path):
-    """What was chosen in that step counts in the metrics, as what came of it does."""
+    """The metrics count the actions of that step and their results."""
     code = """
     def interrupted(*arguments):
         stepping.share = share

@@ -52,7 +52,7 @@ def some_block(seed):
 
 
 def addresses(table):
-    """Of the rows (8, n), in an order that is not theirs in memory."""
+    """Return the addresses of rows (8, n), in another order than in memory."""
     return table.ctypes.data + table.strides[0] * np.arange(WIDTH, dtype=np.int64)[::-1]
 
 

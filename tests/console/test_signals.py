@@ -1,4 +1,4 @@
-"""What ends a command from outside cleans up as Ctrl-C does."""
+"""Tests of signals that end a command, which clean up as Ctrl-C does."""
 
 import os
 import signal

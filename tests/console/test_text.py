@@ -1,4 +1,4 @@
-"""What others named reaches no terminal unescaped: names, text, bars and tables."""
+"""Tests of names and texts of others, which reach no terminal unescaped."""
 
 import io
 import re

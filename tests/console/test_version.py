@@ -1,4 +1,4 @@
-"""What mmwave-loc --version --json tells."""
+"""Tests of mmwave-loc --version --json."""
 
 import json
 import os

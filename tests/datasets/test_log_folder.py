@@ -89,7 +89,7 @@ def test_epochs_are_matched_to_poses_by_time(folder):
 
 
 def test_a_clock_that_is_off_is_named_and_nothing_is_moved(sample):
-    """Of a truth that is written 30 times a second in place of 10."""
+    """The truth is written 30 times a second in place of 10."""
     track = read_log_folder(sample)
     time = np.arange(0.004, track.time_s[-1], 1.0 / 30.0)
     way = CubicSpline(track.time_s, track.position_m)(time)

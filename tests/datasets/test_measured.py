@@ -38,7 +38,7 @@ def links(episode, rows, seen):
 
 
 def arrays(episode):
-    """What a user has of an episode."""
+    """Return the arrays that a user has of an episode."""
     seen, doppler = episode.usable[:, :3], episode.layout.doppler
     return {
         "time_s": episode.time_s,

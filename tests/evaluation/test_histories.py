@@ -1,4 +1,4 @@
-"""What pictures are drawn from is what environments record and what comparisons score."""
+"""Tests of histories: pictures show what environments record and comparisons score."""
 
 import gymnasium as gym
 import numpy as np

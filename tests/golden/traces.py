@@ -1,4 +1,4 @@
-"""What the golden traces hold: filters, smoother and environments, a row an epoch, and costs.
+"""Golden traces of filters, smoother and environments, a row an epoch, and costs.
 
 A trace is a function that returns rows, dicts by column whose first cell names the row. Episodes
 go by keys, not by seeds: what a seed draws may change, what a key means does not.
@@ -182,7 +182,7 @@ def _scored(row: str, action: Any, reward: Any, terminated: Any, truncated: Any)
 
 
 def _of(i: int, infos: Row) -> Row:
-    """What a vector environment's infos tell of one environment."""
+    """Return the infos of one environment among those of a vector environment."""
     keys = [key for key in infos if key[0] != "_" and not key.startswith("final")]
     return {key: infos[key][i] for key in keys if infos[f"_{key}"][i]}
 

@@ -35,7 +35,7 @@ def _word(value: object) -> str:
 
 
 def differences(name: str, old: str, new: str) -> list[str]:
-    """Where two texts of a trace differ by more than rounding, one line a cell."""
+    """Return the cells where two texts of a trace differ by more than rounding, one a line."""
     before, after = ([line.split(";") for line in text.splitlines()[1:]] for text in (old, new))
     if before[:1] != after[:1] or [row[0] for row in before] != [row[0] for row in after]:
         return [f"{name}: other rows or columns"]

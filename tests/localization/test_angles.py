@@ -24,7 +24,7 @@ def between(p, q):
 
 
 def reported(anchor, user):
-    """What the receivers of the table's rows report, in their order."""
+    """Return the angles that the receivers of the table's rows report, in their order."""
     (out, elevation), (back, at_user) = between(anchor, user), between(user, anchor)
     return [
         {"arrival": back, "elevation": at_user, "departure": out},

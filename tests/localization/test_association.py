@@ -31,7 +31,7 @@ LAYOUT = Layout(3)
 
 
 def labelled(epochs, scene=SCENE, tally=None, **more):
-    """What association makes of epochs, as one block."""
+    """Return the epochs that association labels, as one block."""
     tally = tally or Association(len(scene.anchors_m))
     return LogBlock.joined(list(associate(epochs, scene, RADIO, MODES[-1], tally, **more)))
 

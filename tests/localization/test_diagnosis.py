@@ -31,7 +31,7 @@ both = pytest.mark.parametrize("folder", FOLDERS, ids=IDS)
 
 
 def doubts(blocks, scene, radio=RADIO):
-    """What localize warns of."""
+    """Return the warnings of localize."""
     blocks, groups = list(blocks), Groups()
     modes = default_modes(radio.name)
     for block in localize(blocks, scene, radio, modes, by_predicted_speed, window=None):

@@ -1,4 +1,4 @@
-"""Where segments of a log begin and end, and what lies between them."""
+"""Tests of the segments of a log: begins, ends and gaps."""
 
 import numpy as np
 import pytest

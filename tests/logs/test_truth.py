@@ -120,7 +120,7 @@ def exact_links(position_m, anchors_m):
 
 
 def log_of(time_s, position_m, rng, bias=0.0):
-    """What a receiver measures there, with noise and a bias of every row."""
+    """Return the log of a receiver at given positions, with noise and a bias of every row."""
     layout = Layout(3)
     sigma = np.tile([0.3, 0.01, 0.01, 0.02], 3)
     z = exact_links(position_m, STREET.anchors_m)

@@ -88,7 +88,7 @@ def assert_variance(values, variance):
 
 
 def changes(on):
-    """Of spells (T, L): whether each epoch spent on ends, whether each spent off is the last."""
+    """Return, of spells (T, L), the epochs on that end, and the epochs off that are the last."""
     before, after = on[:-1], on[1:]
     return ~after[before], after[~before]
 

@@ -85,7 +85,7 @@ def test_there_is_no_picture_before_a_reset_or_without_a_mode():
 
 
 def frames(path):
-    """How many pictures a video has, and their size."""
+    """Return the number of pictures of a video, and their size."""
     from moviepy import VideoFileClip
 
     with VideoFileClip(str(path)) as clip:

@@ -24,7 +24,7 @@ NOTHING = np.zeros(GROUPS, bool)
 
 
 def near(picture, color):
-    """Where a color is, but for what smoothing of edges does to it."""
+    """Return the pixels near a color, as edges are smoothed."""
     return (abs(picture.astype(int) - color) < 12).all(axis=-1)
 
 
@@ -254,7 +254,7 @@ def test_there_is_no_picture_before_a_reset():
 
 @pytest.mark.parametrize("theme", THEMES)
 def test_words_stand_out_from_the_ground(theme):
-    """As WCAG 2.2 measures contrast."""
+    """WCAG 2.2 measures contrast so."""
 
     def light(color):
         shares = np.array(color) / 255.0

@@ -22,7 +22,7 @@ PER_MODE_TABLE = Observation(Pipeline(MODES, Layout()), "full", "per-mode")
 
 
 def card_of(table=TABLE, **changes):
-    """What a trainer would tell of a policy for a table of features."""
+    """Return a card as a trainer writes it for a table of features."""
     told = {
         "modes": table.modes, "observation": table.kind, "features": table.columns,
         "scenario": "mixed", "radio": "handset", "algorithm": "PPO", "seed": 10_000_000,
@@ -37,7 +37,7 @@ def actor(features=FEATURES, actions=3, hidden=(5, 4), seed=0):
     rng = np.random.default_rng(seed)
 
     def draw(*shape):
-        """As large as lets neurons neither sleep nor saturate."""
+        """Draw weights that let neurons neither sleep nor saturate."""
         scale = 2.0 / shape[1] ** 0.5 if len(shape) > 1 else 0.2
         return rng.normal(0.0, scale, shape).astype(np.float32)
 

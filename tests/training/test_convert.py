@@ -41,7 +41,7 @@ ALGORITHMS = {
 
 @pytest.fixture(autouse=True)
 def one_thread():
-    """As in a training; also, threads would not survive the forks of other tests."""
+    """Use one thread, as in a training; threads would not survive the forks of other tests."""
     torch.set_num_threads(1)
 
 

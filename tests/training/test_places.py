@@ -69,7 +69,7 @@ def test_what_is_no_place_is_refused(words, message):
 
 @pytest.mark.parametrize("unseen", ["square", "mine"])
 def test_no_training_sees_what_the_benchmark_keeps_unseen(unseen, files, monkeypatch):
-    """By the names in the files, whatever these are called."""
+    """The names in the files count, whatever these are called."""
     monkeypatch.setattr(module, "UNSEEN", ("square-2", unseen))
     with pytest.raises(ValueError, match=f"^places: .*'{unseen}', .* square-2, {unseen} unseen"):
         place_from(":".join(map(str, files)))

@@ -168,7 +168,7 @@ def test_it_learns_which_action_is_best():
 
 
 def test_draws_follow_the_probabilities():
-    """As probable as the loss makes them: by hand, of one state."""
+    """The probabilities are computed by hand, of one state."""
     model = learner(replace(LEARNING, first_action_bias=2.0))
     one = np.repeat(states(1, 0)[0].observations, 4000, axis=0)
     x = torch.from_numpy(((one[:1] - MEAN) / SIGMA).astype(np.float32))

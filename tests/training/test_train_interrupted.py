@@ -156,7 +156,7 @@ def test_trainings_differ_by_their_seeds_alone(tmp_path, one_thread):
 
 
 def outcome(seed):
-    """What a training came to, as it writes it."""
+    """Return the outcome that a training writes."""
     best = {"reward": 0.5, "timesteps": 100}
     return {"seed": seed, "timesteps": 200, "seconds": 1.5, "beat_rule": None, "best": best}
 
@@ -228,7 +228,7 @@ def until_replaced(path, process):
 
 
 def test_an_interrupted_command_ends_at_once_and_goes_on_when_resumed(tmp_path, started):
-    """By the death of the command, by that of a training, by Ctrl-C, and by other signals."""
+    """It ends by its death, by that of a training, by Ctrl-C, and by other signals."""
     task = replace(TASK, banks={"handset": Bank(default_modes("handset"))})
     job = job_of(tmp_path / "whole", task=task)
     job = replace(

@@ -13,7 +13,7 @@ from mmwave_env.models.radio import RADIOS
 
 
 def distance(bank, planted):
-    """How far a bank is from another of the same modes, in logarithms."""
+    """Return the distance of two banks of the same modes, in logarithms."""
     pairs = [(np.array(bank.transition), np.array(planted.transition))]
     for field in ("sigma_p", "sigma_v", "acceleration_mps2"):
         values = [[getattr(mode, field) for mode in one.modes] for one in (bank, planted)]

@@ -19,7 +19,7 @@ def chromium():
 
 @pytest.fixture
 def opened(chromium, address):
-    """How to open pages below an address; nothing may go wrong there or be asked of others."""
+    """Return a function that opens pages below an address; nothing may go wrong there."""
     contexts, complaints = [], []
 
     def open_page(path="", width=1280, **options):

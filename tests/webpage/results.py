@@ -13,7 +13,7 @@ HOSTILE = "</script><img src=x onerror=alert(1)>$|`\n\x1b[31m\u202eΩ日本\"'&"
 
 
 def interval(mean, half=0.1):
-    """As results hold it."""
+    """Return an interval as results hold it."""
     return {"mean": mean, "ci95": [mean - half, mean + half]}
 
 
@@ -23,7 +23,7 @@ def metrics(mean):
 
 
 def comparison(names=("imm", "speed-rule"), **more):
-    """Of policies whose rewards are -1, -2, ..., each paired with the first."""
+    """Return a comparison of policies whose rewards are -1, -2, ..., paired with the first."""
     first, *others = names
     which = {"scenario": "mixed", "radio": "handset", "episodes": 2, "seed": 0}
     return {

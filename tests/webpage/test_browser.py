@@ -15,7 +15,7 @@ SCREEN = 844  # px, the height of a phone 390 px wide
 
 @pytest.fixture(scope="module")
 def address(tmp_path_factory):
-    """Of a page with everything on it."""
+    """Return the address of a page with everything on it."""
     folder = tmp_path_factory.mktemp("report")
     names = (HOSTILE, "imm", "speed-rule", "fixed-ekf", "fixed-ukf", "random")
     content = results.comparison(names)

@@ -30,7 +30,7 @@ STEP_S, STEPS, SEEDS = 0.1, 2000, 40
 
 
 class Bounds(NamedTuple):
-    """Of a kind of user, from the project's model: m/s, m/s^2, m/s^2, m/s^3, m."""
+    """Bounds of a kind of user, from the project's model: m/s, m/s^2, m/s^2, m/s^3, m."""
 
     speed: float
     acceleration: float

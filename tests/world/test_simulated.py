@@ -38,7 +38,7 @@ KEYS = np.random.default_rng(0).integers(0, 2**64, 20, np.uint64)
 
 
 class PlainDice:
-    """What is drawn from numpy's own SFC64."""
+    """Draws from numpy's own SFC64."""
 
     def __init__(self, key, stream):
         bits = np.random.SFC64(0)

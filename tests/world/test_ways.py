@@ -1,4 +1,4 @@
-"""Who moves: what scenario= means, and ways of several users, read, placed and drawn from."""
+"""Tests of ways: scenario=, and files of several users, read, placed and drawn from."""
 
 import json
 import warnings

@@ -1,4 +1,4 @@
-"""What paths lead to: stations, walls, the ground; several stations; what is left out."""
+"""Tests of the anchors of paths: stations and walls; several stations; paths left out."""
 
 import numpy as np
 import pytest
