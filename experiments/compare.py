@@ -38,8 +38,8 @@ PICTURES = ("errors", "consistency")
 
 def main(args: Args) -> None:
     """Run the command."""
-    from experiments.comparing.results import report, results
     from experiments.evaluation.asked import all_contenders
+    from experiments.reporting.comparison_results import report, results
 
     pictures = {name: getattr(args, name) for name in PICTURES if getattr(args, name) is not None}
     names = args.policies or all_contenders(args)

@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-    from mmwave_env.observation import Observation
+    from mmwave_env.interface.observation import Observation
     from mmwave_env.task import Task
     from policies.policy_file import Card, Tensors
 
@@ -60,8 +60,8 @@ def main(args: Args) -> None:
     """Run the command."""
     from experiments.console.progress import say
     from experiments.training.unzip import CHOSEN, SHOWN, unzipped
-    from mmwave_env.files import require_writable, write_bytes
-    from mmwave_env.observation import Observation
+    from mmwave_env.interface.observation import Observation
+    from mmwave_env.io.files import require_writable, write_bytes
     from mmwave_env.task import task_from
     from policies.policy_file import to_bytes
 

@@ -3,7 +3,7 @@
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from experiments.console.options import EpisodeArgs, JsonArgs
+from experiments.console.options import EpisodeArgs, JsonArgs, PageArgs
 
 
 @dataclass(kw_only=True)
@@ -27,15 +27,14 @@ class Args(JsonArgs):
 
 def main(args: Args) -> None:
     """Run the command."""
-    from experiments.comparing.results import results
     from experiments.console.progress import note, say
     from experiments.console.provenance import provenance
     from experiments.console.tables import show
     from experiments.evaluation.asked import all_contenders
     from experiments.evaluation.protocol import RECORDINGS
-    from experiments.report import Args as ReportArgs
-    from experiments.webpage.page import page_of
-    from mmwave_env.files import write_json, write_text
+    from experiments.reporting.comparison_results import results
+    from experiments.reporting.webpage.page import page_of
+    from mmwave_env.io.files import write_json, write_text
 
     runs = [EpisodeArgs(episodes=args.episodes, percentiles=args.percentiles)]
     runs += [
@@ -57,7 +56,7 @@ def main(args: Args) -> None:
     if args.json:
         write_json(args.json, everything)
     files = tuple(args.out / f"{scenario}.json" for scenario in everything)
-    report = ReportArgs(results=files, out=args.out / "report.html")
+    report = PageArgs(results=files, out=args.out / "report.html")
     note("the web page: some episodes again, epoch by epoch")
     write_text(report.out, page_of(report))
     say(f"All paired differences are in {args.out / 'tables.md'}, and every figure in")

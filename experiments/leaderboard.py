@@ -34,7 +34,7 @@ def _play(args: Args) -> None:
     from experiments.console.progress import note
     from experiments.console.provenance import provenance
     from experiments.evaluation.protocol import RECORDED, entry, judge, require_contenders, venues
-    from mmwave_env.files import write_json
+    from mmwave_env.io.files import write_json
 
     require_contenders(args.policies)
     judged = []
@@ -54,7 +54,7 @@ def main(args: Args) -> None:
     from experiments.console.tables import grid, show
     from experiments.evaluation.entries import by_venue, ranking, read_entry
     from experiments.evaluation.protocol import DRAWS, EPISODES
-    from mmwave_env.files import write_text
+    from mmwave_env.io.files import write_text
 
     for name in ("episodes", "draws"):
         if getattr(args, name) < 2:

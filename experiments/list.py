@@ -130,7 +130,7 @@ def copied(out: Path, only: str | None) -> int:
         FileExistsError: a file is there already.
     """
     from mmwave_env.datasets.samples import log_names, sample_folder, sample_names
-    from mmwave_env.files import require_writable, write_bytes
+    from mmwave_env.io.files import require_writable, write_bytes
 
     if only is not None:
         folders = {out: sample_folder(only, "log" if only in log_names() else "recording")}
@@ -150,7 +150,7 @@ def copied(out: Path, only: str | None) -> int:
 
 def rewards() -> dict[str, str]:
     """Return rewards with the first line of their docstrings."""
-    from mmwave_env.reward import REWARDS
+    from mmwave_env.interface.reward import REWARDS
 
     return {name: (inspect.getdoc(one) or "").partition("\n")[0] for name, one in REWARDS.items()}
 

@@ -83,6 +83,6 @@ class Args(FilterArgs, IntegrityArgs, OutputArgs):
 
 def main(args: Args) -> None:
     """Run the command."""
-    from experiments.localization.algorithm import localized
+    from experiments.reporting.log_results import localized
 
     localized(args)

@@ -39,8 +39,8 @@ def main(args: Args) -> None:
     _check(args)
     for name in _ONE_THREAD:
         os.environ.setdefault(name, "1")
-    from mmwave_env.files import write_json, write_text
-    from mmwave_env.lookup import require_extra
+    from mmwave_env.io.files import write_json, write_text
+    from mmwave_env.io.lookup import require_extra
 
     require_extra("filterpy", "filterpy", "speed")
     from experiments.console.doc_pages import page_to_renew, renewed

@@ -33,7 +33,7 @@ def main(args: Args) -> None:
         ValueError: cells failed; the rows of all others are written.
     """
     from experiments.sweeping.run import sweep
-    from mmwave_env.lookup import as_name, require_extra
+    from mmwave_env.io.lookup import as_name, require_extra
 
     if args.workers is not None and args.workers < 1:
         raise ValueError(f"workers: found {args.workers}, expected 1 or more")

@@ -57,7 +57,7 @@ def main(args: Args) -> None:
     from experiments.figures.canvas import require_picture
     from experiments.paper.bench import Bench
     from experiments.paper.figure import draw
-    from mmwave_env.files import require_writable, write_json, write_text
+    from mmwave_env.io.files import require_writable, write_json, write_text
 
     if args.episodes < 1:
         raise ValueError(f"episodes: found {args.episodes}, expected at least 1")

@@ -50,8 +50,8 @@ def _tune_bank(args: Args) -> None:
     from experiments.console.progress import say
     from experiments.console.provenance import provenance
     from experiments.evaluation.intervals import Interval
-    from experiments.tuning.banks import tuned_bank
-    from mmwave_env.files import write_json
+    from experiments.training.tune_banks import tuned_bank
+    from mmwave_env.io.files import write_json
     from mmwave_env.models.radio import radio_from
 
     for field in fields(Args):
@@ -75,10 +75,10 @@ def main(args: Args) -> None:
     from experiments.evaluation.asked import source_of
     from experiments.evaluation.intervals import bootstrap
     from experiments.evaluation.seeds import draw_episodes, require_tuning_seed
-    from experiments.tuning.modes import OBJECTIVES, RANGES, objective_of, tune
-    from mmwave_env.files import require_writable, write_json
+    from experiments.training.tune_modes import OBJECTIVES, RANGES, objective_of, tune
     from mmwave_env.filters.bank import as_written, modes_from
-    from mmwave_env.lookup import choose
+    from mmwave_env.io.files import require_writable, write_json
+    from mmwave_env.io.lookup import choose
     from mmwave_env.models.radio import radio_from
 
     require_tuning_seed(args.seed)

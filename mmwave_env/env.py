@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from mmwave_env.engines.environment import Environment
 from mmwave_env.engines.tally import count
-from mmwave_env.info import (
+from mmwave_env.interface.info import (
     INFOS,
     NONFINITE_KEY,
     STATE_KEYS,
@@ -23,9 +23,9 @@ from mmwave_env.info import (
     warn_of_nonfinite,
     worded,
 )
-from mmwave_env.lookup import choose, require_extra
+from mmwave_env.interface.observation import with_tables
+from mmwave_env.io.lookup import choose, require_extra
 from mmwave_env.metrics import DIVERGENCE_M
-from mmwave_env.observation import with_tables
 from mmwave_env.rendering.gallery import Gallery
 from mmwave_env.rendering.theme import FRAMES_PER_SECOND, SMALLEST, require_drawable
 from mmwave_env.task import task_from
@@ -93,13 +93,13 @@ class MmWaveLocEnv(Environment, gym.Env[NDArray[np.float32], np.int64]):
     `reward="tracking"` (default): -(1.0 min(error, 10 m) + 0.2 min(|ln(NEES / 3)|, 3)), with
     the position error and the position's NEES after the epoch. `reward="log-score"`: log
     density of the true position, at least -30. Any function of (belief, truth) works too, see
-    `mmwave_env.reward`. A mode's `cost` is subtracted in every epoch that runs it. The array
-    `info["reward_terms"]` holds the terms of the epoch's reward, in the order of the names
+    `mmwave_env.interface.reward`. A mode's `cost` is subtracted in every epoch that runs it. The
+    array `info["reward_terms"]` holds the terms of the epoch's reward, in the order of the names
     `env.unwrapped.reward_terms`, for users who weigh them anew; cost is the last one.
 
     `reward="paired"`: the tracking reward minus that of an IMM over the radio's two default modes,
     in the same epoch of the same episode. The agent cannot change what the IMM earns, so the best
-    policy is the same, and training sees less noise. `mmwave_env.reward.PairedReward` pairs others.
+    policy is the same, and training sees less noise. `PairedReward` pairs others.
 
     ## Starting State
 

@@ -13,13 +13,13 @@ from mmwave_env.datasets.tracks import TrackSource
 from mmwave_env.filters.bank import Bank, Modes, bank_from, modes_from
 from mmwave_env.filters.modes import Mode
 from mmwave_env.filters.pipeline import Pipeline
-from mmwave_env.lookup import choose, did_you_mean
+from mmwave_env.interface.observation import BELIEFS
+from mmwave_env.interface.reward import PairedReward, Reward, reward_from
+from mmwave_env.io.lookup import choose, did_you_mean
+from mmwave_env.io.records import require
 from mmwave_env.models.radio import Radio, radio_from
 from mmwave_env.models.random_scene import RandomScene, scenes_from
 from mmwave_env.models.scene import Scene, Streets
-from mmwave_env.observation import BELIEFS
-from mmwave_env.records import require
-from mmwave_env.reward import PairedReward, Reward, reward_from
 from mmwave_env.world.episode import Episode, EpisodeBatch, EpisodeSource
 from mmwave_env.world.keys import Keys
 from mmwave_env.world.simulated import SimulatedSource

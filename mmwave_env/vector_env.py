@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from mmwave_env.engines.environment import RestorableEnvironment
 from mmwave_env.engines.vector_step import StepBuffers, Stepper
-from mmwave_env.info import (
+from mmwave_env.interface.info import (
     INFOS,
     NONFINITE_KEY,
     STATE_KEYS,
@@ -23,10 +23,10 @@ from mmwave_env.info import (
     stepped,
     warn_of_nonfinite,
 )
-from mmwave_env.lookup import choose
+from mmwave_env.io.lookup import choose
+from mmwave_env.io.records import require
 from mmwave_env.metrics import DIVERGENCE_M
 from mmwave_env.numerics.numbers import Array, Index, Mask
-from mmwave_env.records import require
 from mmwave_env.rendering.gallery import Gallery
 from mmwave_env.rendering.theme import FRAMES_PER_SECOND, SMALLEST, require_drawable
 from mmwave_env.task import task_from

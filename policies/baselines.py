@@ -3,7 +3,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from mmwave_env.observation import Observation
+from mmwave_env.interface.observation import Observation
 from policies.policy import Policy
 
 

@@ -8,9 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mmwave_env.filters.bank import Bank
-from mmwave_env.lookup import unknown
+from mmwave_env.interface.observation import Observation
+from mmwave_env.io.lookup import unknown
 from mmwave_env.models.radio import radio_from
-from mmwave_env.observation import Observation
 from policies.policy import Policy
 from policies.policy_file import read_policy
 

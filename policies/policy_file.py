@@ -25,11 +25,11 @@ from numpy.typing import NDArray
 from safetensors import SafetensorError, safe_open
 from safetensors.numpy import save
 
-from mmwave_env.files import naming, open_regular, parse_json, told
 from mmwave_env.filters.bank import Bank, as_written, bank_as_written, bank_in
 from mmwave_env.filters.modes import Mode
-from mmwave_env.lookup import choose, quoted
-from mmwave_env.observation import BELIEFS, OBSERVATIONS, Column, action_names
+from mmwave_env.interface.observation import BELIEFS, OBSERVATIONS, Column, action_names
+from mmwave_env.io.files import naming, open_regular, parse_json, told
+from mmwave_env.io.lookup import choose, quoted
 
 FORMAT = 2
 MOST_BYTES = 128 << 20  # most bytes of a file: a thousand times our largest

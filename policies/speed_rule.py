@@ -6,10 +6,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mmwave_env.filters.modes import DESIGN_LIMIT_MPS
+from mmwave_env.interface.observation import Observation
 from mmwave_env.models.measurement import Epoch
 from mmwave_env.numerics.linalg import dot
 from mmwave_env.numerics.numbers import Number, Vector, sqrt, where
-from mmwave_env.observation import Observation
 from policies.policy import Policy
 
 SLOW_MPS = 2.0  # paper, Algorithm 1: mobility is low up to this speed

@@ -13,11 +13,11 @@ from typing import Annotated, get_args, get_origin
 
 from mmwave_env.filters.bank import MOST_MODES, NOTES, Bank
 from mmwave_env.filters.modes import ALGORITHMS, Mode
-from mmwave_env.lookup import LONGEST
+from mmwave_env.io.lookup import LONGEST
+from mmwave_env.io.records import Bound, Printable, Size, hints_of
 from mmwave_env.metrics import METRICS, TERMS
 from mmwave_env.models.radio import RADIOS, Radio
 from mmwave_env.models.scene import AnchorScene, Scene
-from mmwave_env.records import Bound, Printable, Size, hints_of
 from mmwave_env.world.mobility import Mobility
 from tests.paths import ROOT
 

@@ -18,8 +18,8 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from experiments.evaluation.runs import Run, curves_of
+from experiments.reporting.webpage.sources import read_source
 from experiments.training.hyperparameters import read_hyperparameters, shipped_hyperparameters
-from experiments.webpage.sources import read_source
 from mmwave_env.datasets.deepmimo.recording import read_deepmimo
 from mmwave_env.datasets.recorded import Recording
 from mmwave_env.filters.bank import modes_from, read_bank

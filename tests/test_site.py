@@ -40,7 +40,12 @@ def test_the_navigation_has_every_page_and_no_other(hooks):
         ("results.json", "results.md", "docs/results.md", "report.html"),
         ("../README.md#train-on-it", "data.md", "docs/data.md", "index.md#train-on-it"),
         ("../mmwave_env/env.py", "data.md", "docs/data.md", "environment.md"),
-        ("../mmwave_env/reward.py", "data.md", "docs/data.md", "api/signals.md#mmwave_env.reward"),
+        (
+            "../mmwave_env/metrics.py",
+            "data.md",
+            "docs/data.md",
+            "api/signals.md#mmwave_env.metrics",
+        ),
         ("../data.md", "api/index.md", "docs/api/index.md", "../data.md"),
         ("docs/track.png", "index.md", "README.md", "track.png"),
         (f"{FIRST}.ipynb", "data.md", "docs/data.md", f"{FIRST}.md"),
@@ -95,9 +100,9 @@ def test_every_module_of_the_reference_is_there(hooks):
 
 
 def test_roles_of_docstrings_become_links_and_figures_stay_on_one_line(hooks):
-    html = "<p>:class:<code>~mmwave_env.reward.LogScore</code> :func:<code>draw</code></p>"
+    html = "<p>:func:<code>~mmwave_env.metrics.ate</code> :func:<code>draw</code></p>"
     linked = hooks.on_page_content(html)
-    assert '<autoref optional identifier="mmwave_env.reward.LogScore"><code>LogScore' in linked
+    assert '<autoref optional identifier="mmwave_env.metrics.ate"><code>ate' in linked
     assert linked.endswith(" <code>draw</code></p>")
     cells = "<td>imm-tuned</td><td>-1.8 ± 0.1</td><td>the error</td><td><code>plot</code></td>"
     assert hooks.on_page_content(cells).count('<td class="whole">') == 3

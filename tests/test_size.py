@@ -32,8 +32,8 @@ BUDGET = {
 }
 ROOMS = {  # lines of source; what is in no room counts for "."
     "experiments/evaluation": 2_300,
-    "experiments/training": 2_150,
-    "experiments/webpage": 1_100,
+    "experiments/training": 2_500,
+    "experiments/reporting/webpage": 1_100,
     "mmwave_env/datasets": 1_600,
     "mmwave_env/engines": 1_900,
     "mmwave_env/filters": 2_450,
@@ -102,5 +102,6 @@ def test_the_project_is_within_its_budget(tracked):
 def test_rooms_are_within_their_budget(tracked):
     lines = Counter()
     for path, text in code(tracked, *SOURCE).items():
-        lines["/".join(path.parts[:2])] += text.count("\n")
+        for depth in range(2, len(path.parts)):
+            lines["/".join(path.parts[:depth])] += text.count("\n")
     assert not {room: lines[room] for room, most in ROOMS.items() if lines[room] > most}

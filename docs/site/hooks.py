@@ -29,7 +29,7 @@ NOTEBOOKS = {"notebooks/first_switcher.md": "docs/notebooks/first_switcher.ipynb
 REPORTS = {"docs/results.json": "report.html"}  # results that the site shows as a web page
 API = {  # page: title, modules and folders of modules
     "environment": ("Around the environment", ["vector_env", "sb3"]),
-    "signals": ("Rewards and observations", ["reward", "observation", "features", "metrics"]),
+    "signals": ("Rewards and observations", ["interface/", "metrics"]),
     "numerics": ("Numbers", ["numerics/numbers", "numerics/linalg"]),
     "models": ("Models", ["models/"]),
     "filters": ("Filters", ["filters/"]),
@@ -105,11 +105,11 @@ def help_page() -> str:
 
 def report_page() -> str:
     """Return the web page of the published results, with a few episodes to play."""
-    from experiments.report import Args
-    from experiments.webpage.page import page_of
+    from experiments.console.options import PageArgs
+    from experiments.reporting.webpage.page import page_of
 
     results = tuple(Path(os.path.relpath(ROOT / name)) for name in REPORTS)
-    return page_of(Args(results=results, episodes=10, watch=3))
+    return page_of(PageArgs(results=results, episodes=10, watch=3))
 
 
 def citing_page() -> str:

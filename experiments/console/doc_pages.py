@@ -4,7 +4,7 @@ import re
 from collections.abc import Mapping
 from pathlib import Path
 
-from mmwave_env.files import require_writable
+from mmwave_env.io.files import require_writable
 
 MARK = re.compile(r"<!-- table: (.*?) -->\n.*?<!-- end -->", re.DOTALL)
 

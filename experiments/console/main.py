@@ -61,7 +61,7 @@ def _show_warning(message: Warning | str, *_: Any, **__: Any) -> None:
 
 def _in_one_line(text: str) -> str:
     """Return a message in printable characters, cut where it is long."""
-    from mmwave_env.lookup import printable
+    from mmwave_env.io.lookup import printable
 
     line = printable(text)
     return line if len(line) <= LONGEST_LINE else f"{line[:LONGEST_LINE]} ..."
@@ -162,7 +162,7 @@ def _require_results_can_be_written(args: Any) -> None:
         if path.suffix != ending:
             option = name.replace("_", "-")
             raise ValueError(f"{option}: found {path}, expected a name that ends with {ending}")
-        from mmwave_env.files import require_writable
+        from mmwave_env.io.files import require_writable
 
         require_writable(path)
 
@@ -231,7 +231,7 @@ def main() -> None:
         if words[0].startswith("--tyro-"):
             _complete(words)
         from mmwave_env import __version__
-        from mmwave_env.lookup import unknown
+        from mmwave_env.io.lookup import unknown
     if words[0] in ("-V", "--version"):
         if words[1:] == ["--json"]:
             _tell_about()

@@ -8,6 +8,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
+from tyro.conf import Positional
+
 USUAL_EPISODES = 1000
 TUNING_SEED = 5_000_000  # the first seed for tuning
 
@@ -123,3 +125,17 @@ class TaskArgs:
     always is tracking minus the IMM's: of the bank, with beliefs per mode"""
     nees_weight: float = 0.2
     """weight of the NEES in the tracking reward"""
+
+
+@dataclass(kw_only=True)
+class PageArgs:
+    """Results and episodes of a web page."""
+
+    results: Positional[tuple[Path, ...]]
+    """JSON files of results, and folders of runs"""
+    out: Path = Path("report.html")
+    """file to write"""
+    episodes: int = 30
+    """of each comparison to play again, for the distributions of errors and NEES; 0 for none"""
+    watch: int = 2
+    """how many of these can be watched epoch by epoch"""

@@ -185,7 +185,7 @@ def _message(box: str, kinds: Mapping[str, Any]) -> str:
     text = " ".join(" ".join(lines).split())
     if choice := re.match(r"invalid choice '(.*?)' for argument '(?:--)?(.*?)'", text):
         value, name = choice.groups()
-        from mmwave_env.lookup import unknown
+        from mmwave_env.io.lookup import unknown
 
         return unknown(name, value, get_args(_plain(kinds[name.replace("-", "_")])))
     if number := re.match(r"Error parsing (?:--)?([\w-]+): .*?('.*?')", text):
@@ -200,7 +200,7 @@ def _message(box: str, kinds: Mapping[str, Any]) -> str:
 
 
 def _refuse(program: str, message: str) -> NoReturn:
-    from mmwave_env.lookup import printable
+    from mmwave_env.io.lookup import printable
 
     print(f"{program}: {printable(message)}", file=sys.stderr)
     sys.exit(2)

@@ -9,7 +9,7 @@ from rich.console import Console
 from rich.progress import Progress, ProgressColumn, Task, TextColumn
 from rich.text import Text
 
-from mmwave_env.lookup import printable
+from mmwave_env.io.lookup import printable
 
 T = TypeVar("T")
 

@@ -2,7 +2,7 @@
 
 import re
 
-from mmwave_env.lookup import printable
+from mmwave_env.io.lookup import printable
 
 # Markup of Markdown and HTML, which excludes an underscore in a word and < before a number.
 _READ = re.compile(
@@ -13,7 +13,7 @@ _ESCAPED = re.compile(r"\\([\\`*|$~<&\]_])")
 
 
 def printable_lines(text: str) -> str:
-    """Return text as :func:`~mmwave_env.lookup.printable` does, but keep the line breaks."""
+    """Return text as :func:`~mmwave_env.io.lookup.printable` does, but keep the line breaks."""
     return "\n".join(map(printable, text.split("\n")))
 
 

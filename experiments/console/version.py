@@ -20,9 +20,9 @@ from mmwave_env.compiler.disk_cache import kept_functions
 from mmwave_env.compiler.lanes import WIDTH
 from mmwave_env.engines.env_engine import Engine
 from mmwave_env.engines.imm_engine import ImmEngine
+from mmwave_env.interface.reward import TrackingReward
 from mmwave_env.numerics.numbers import Array
 from mmwave_env.numerics.pytree import flatten, unflatten
-from mmwave_env.reward import TrackingReward
 from mmwave_env.task import Task, task_from
 from mmwave_env.world.episode import EpisodeBatch
 

@@ -10,7 +10,7 @@ from typing import Any, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from mmwave_env.observation import Observation
+from mmwave_env.interface.observation import Observation
 from policies import Policy
 
 Act = Callable[[NDArray[np.float32]], Any]  # observations (n, features) -> actions (n,)

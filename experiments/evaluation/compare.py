@@ -15,8 +15,8 @@ from experiments.evaluation.contenders import Contender, contender_from
 from experiments.evaluation.runner import Scoring, score_contenders
 from experiments.evaluation.seeds import Selection
 from mmwave_env.filters.bank import Modes
-from mmwave_env.lookup import printable
-from mmwave_env.reward import reward_name
+from mmwave_env.interface.reward import reward_name
+from mmwave_env.io.lookup import printable
 from mmwave_env.task import task_from
 from mmwave_env.world.episode import EpisodeSource
 

@@ -13,7 +13,7 @@ from experiments.console.text import escaped
 from experiments.evaluation.intervals import Interval, bootstrap, rounded
 from experiments.evaluation.runner import Scores
 from experiments.evaluation.seeds import Selection
-from mmwave_env.lookup import as_cell
+from mmwave_env.io.lookup import as_cell
 from mmwave_env.metrics import HEADERS, METRICS, TERMS
 from mmwave_env.numerics.numbers import Array
 from mmwave_env.world.episode import EpisodeSource

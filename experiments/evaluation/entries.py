@@ -7,7 +7,7 @@ from typing import Any
 from experiments.console.tables import Table
 from experiments.evaluation.intervals import Interval
 from experiments.evaluation.protocol import KINDS, RECORDED, TRAINED, standing, venues
-from mmwave_env.files import read_json
+from mmwave_env.io.files import read_json
 
 
 def read_entry(path: Path) -> dict[str, Any]:

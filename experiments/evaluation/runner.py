@@ -16,9 +16,9 @@ from mmwave_env.engines.env_engine import Engine
 from mmwave_env.engines.imm_engine import ImmEngine
 from mmwave_env.filters.bank import Modes
 from mmwave_env.filters.pipeline import Pipeline
+from mmwave_env.interface.reward import Reward, TrackingReward
 from mmwave_env.metrics import BURN_IN, METRICS, TERMS, scored, summary
 from mmwave_env.numerics.numbers import Array
-from mmwave_env.reward import Reward, TrackingReward
 from mmwave_env.task import Task
 from mmwave_env.world.episode import Episode, EpisodeBatch, EpisodeSource
 from policies import Policy

@@ -9,7 +9,7 @@ from io import StringIO
 from pathlib import Path
 from typing import Any
 
-from mmwave_env.files import read_json, read_text, told
+from mmwave_env.io.files import read_json, read_text, told
 
 
 def is_number(value: Any) -> bool:

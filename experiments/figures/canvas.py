@@ -5,8 +5,8 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from mmwave_env.files import atomic_path, require_writable
-from mmwave_env.lookup import printable, require_extra, spelled
+from mmwave_env.io.files import atomic_path, require_writable
+from mmwave_env.io.lookup import printable, require_extra, spelled
 from mmwave_env.rendering.theme import THEMES, hex_of
 
 STYLE = Path(__file__).with_name("publication.mplstyle")

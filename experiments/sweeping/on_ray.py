@@ -12,7 +12,7 @@ from typing import Any
 
 from experiments.console.signals import ended_by_signals
 from experiments.sweeping.spec import Spec, Values
-from mmwave_env.files import told
+from mmwave_env.io.files import told
 from mmwave_env.metrics import METRICS
 
 RETRIES = 2  # repeats of a cell whose process ran out of memory, ended, or raised OSError

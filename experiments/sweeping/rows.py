@@ -3,7 +3,7 @@
 from pathlib import Path
 
 from experiments.sweeping.spec import Spec, Values, plain
-from mmwave_env.files import atomic_path, told, write_bytes
+from mmwave_env.io.files import atomic_path, told, write_bytes
 
 
 def kept(folder: Path, spec: Spec) -> set[str]:

@@ -17,8 +17,8 @@ from experiments.sweeping.on_ray import computed, connected, searched
 from experiments.sweeping.rows import keep, kept, read
 from experiments.sweeping.spec import HYPERPARAMETER, Spec, Training, Values, read_spec
 from experiments.training.hyperparameters import hyperparameters_as_written
-from mmwave_env.files import write_json
-from mmwave_env.lookup import require_extra
+from mmwave_env.io.files import write_json
+from mmwave_env.io.lookup import require_extra
 from mmwave_env.metrics import HEADERS
 
 SHOWN = ("reward", "ate_m", "rmse_m", "nees", "divergence_rate")

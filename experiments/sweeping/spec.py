@@ -15,9 +15,9 @@ from typing import Annotated, Any, get_type_hints
 from experiments.console.options import USUAL_EPISODES, ModeArgs, TaskArgs
 from experiments.training.hyperparameters import read_hyperparameters, shipped_hyperparameters
 from mmwave_env import __version__
-from mmwave_env.files import parse_json, read_text
-from mmwave_env.lookup import choose, quoted, require_extra
-from mmwave_env.records import Bound, counts, hints_of, require
+from mmwave_env.io.files import parse_json, read_text
+from mmwave_env.io.lookup import choose, quoted, require_extra
+from mmwave_env.io.records import Bound, counts, hints_of, require
 
 MOST_CELLS = 100_000  # more are a mistake: a cell should take a second or longer
 HYPERPARAMETER = "hyperparameters."  # prefix of an axis of hyperparameters

@@ -29,7 +29,7 @@ from mmwave_env.engines.env_engine import Engine
 from mmwave_env.engines.track_engine import Tracker
 from mmwave_env.filters.bank import named_modes
 from mmwave_env.filters.pipeline import Pipeline
-from mmwave_env.reward import TrackingReward
+from mmwave_env.interface.reward import TrackingReward
 from mmwave_env.world.travel import stride_of
 
 FRESH_RUNS = 3  # most runs of every process, since a run takes seconds

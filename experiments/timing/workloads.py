@@ -23,12 +23,12 @@ from mmwave_env.filters.gating import Gate
 from mmwave_env.filters.memory import initial_memory
 from mmwave_env.filters.modes import Mode
 from mmwave_env.filters.pipeline import Pipeline, measurement_of, process_noise
+from mmwave_env.interface.reward import TrackingReward, terms_of, total
 from mmwave_env.models.measurement import blank_site
 from mmwave_env.models.radio import radio_from
 from mmwave_env.models.scene import scene_from
 from mmwave_env.numerics.linalg import unpack
 from mmwave_env.numerics.pytree import unflatten
-from mmwave_env.reward import TrackingReward, terms_of, total
 from mmwave_env.world.episode import Episode, blank_incoming
 from mmwave_env.world.simulated import SimulatedSource
 

@@ -12,8 +12,8 @@ import numpy as np
 import torch
 
 from experiments.evaluation.runs import require_outcome
-from mmwave_env.files import read_bounded, told, write_bytes
-from mmwave_env.lookup import quoted
+from mmwave_env.io.files import read_bounded, told, write_bytes
+from mmwave_env.io.lookup import quoted
 
 MOST_BYTES = 1 << 30  # largest checkpoint; the memory of rollouts takes most of it
 

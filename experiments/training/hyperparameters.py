@@ -6,8 +6,8 @@ from pathlib import Path
 from typing import Annotated, Any
 
 from mmwave_env.compiler.lanes import WIDTH
-from mmwave_env.files import read_json
-from mmwave_env.records import Bound, Probability, Size, counts, object_from, require_fields
+from mmwave_env.io.files import read_json
+from mmwave_env.io.records import Bound, Probability, Size, counts, object_from, require_fields
 
 MOST = 10**15  # largest value: more is a mistake, and too much for memory and time
 Count = Annotated[int, counts(1, MOST)]

@@ -16,7 +16,7 @@ from experiments.training.hyperparameters import PpoHyperparameters, falling
 from experiments.training.job import Job, News, Tell
 from experiments.training.record import Record
 from experiments.training.vec_env import PlacesVecEnv
-from mmwave_env.info import LAST_KEYS
+from mmwave_env.interface.info import LAST_KEYS
 from policies.policy_file import Tensors
 
 # Updates between two rows of the log, and between two evaluations, before and after the policy

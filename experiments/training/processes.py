@@ -15,7 +15,7 @@ from experiments.training.hyperparameters import PpoHyperparameters
 from experiments.training.job import Job, News, Tell
 from experiments.training.ppo import PpoTraining
 from experiments.training.rollouts import RolloutTraining
-from mmwave_env.files import read_json
+from mmwave_env.io.files import read_json
 
 Outcome = dict[str, Any]
 

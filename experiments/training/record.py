@@ -15,8 +15,8 @@ from experiments.training.checkpoint import read_stand, write_checkpoint
 from experiments.training.evaluator import Evaluator
 from experiments.training.job import Job, News, Tell
 from mmwave_env import __version__
-from mmwave_env.files import write_bytes, write_json, write_text
-from mmwave_env.observation import Observation
+from mmwave_env.interface.observation import Observation
+from mmwave_env.io.files import write_bytes, write_json, write_text
 from policies.policy_file import Card, Tensors, to_bytes
 
 STEP = "timesteps"

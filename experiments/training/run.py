@@ -23,10 +23,10 @@ from experiments.training.hyperparameters import (
 )
 from experiments.training.places import Place, places_from, require_environments
 from experiments.training.training_task import TrainingTask, banks_of
-from mmwave_env.files import read_json, write_bytes, write_json
 from mmwave_env.filters.bank import Bank, bank_as_written
-from mmwave_env.lookup import choose
-from mmwave_env.reward import REWARDS, PairedReward, Reward, TrackingReward
+from mmwave_env.interface.reward import REWARDS, PairedReward, Reward, TrackingReward
+from mmwave_env.io.files import read_json, write_bytes, write_json
+from mmwave_env.io.lookup import choose
 
 if TYPE_CHECKING:
     from experiments.train import Args

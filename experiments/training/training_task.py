@@ -6,8 +6,8 @@ from typing import Any
 
 from experiments.training.places import Place
 from mmwave_env.filters.bank import Bank, bank_from, modes_from
-from mmwave_env.observation import Observation
-from mmwave_env.reward import Reward
+from mmwave_env.interface.observation import Observation
+from mmwave_env.interface.reward import Reward
 from mmwave_env.task import task_from
 
 

@@ -18,7 +18,7 @@ from safetensors.numpy import save_file
 
 from experiments.evaluation.agents import in_one_line
 from experiments.training.actor import Normalization, actor_tensors, require_actor
-from mmwave_env.files import open_regular
+from mmwave_env.io.files import open_regular
 
 DECISIONS = 1000  # size of the sample of decisions
 SHOWN, CHOSEN = "shown", "chosen"

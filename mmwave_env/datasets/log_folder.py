@@ -8,13 +8,13 @@ import numpy as np
 from mmwave_env.datasets.deepmimo.v4 import PARAMS
 from mmwave_env.datasets.log_writer import write_log
 from mmwave_env.datasets.measured import MeasuredTrack
-from mmwave_env.files import atomic_path, write_json, write_text
+from mmwave_env.io.files import atomic_path, write_json, write_text
+from mmwave_env.io.lookup import as_name
 from mmwave_env.logs.clock import clock_offset
 from mmwave_env.logs.log import LogBlock, read_log
 from mmwave_env.logs.log_tables import SUFFIXES
 from mmwave_env.logs.truth import Truth, velocity_of
 from mmwave_env.logs.tum import COLUMNS, tum_lines
-from mmwave_env.lookup import as_name
 from mmwave_env.models.prior import GAP_S
 from mmwave_env.models.scene import Scene, read_scene, scene_json
 from mmwave_env.world.episode import Episode

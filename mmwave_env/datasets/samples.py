@@ -10,7 +10,7 @@ from mmwave_env.datasets.log_folder import read_log_folder
 from mmwave_env.datasets.measured import MeasuredTrack
 from mmwave_env.datasets.recorded import Recording
 from mmwave_env.datasets.tracks import TrackSource
-from mmwave_env.lookup import choose
+from mmwave_env.io.lookup import choose
 from mmwave_env.models.radio import Radio
 
 _DATA = Path(str(resources.files("mmwave_env"))) / "data"

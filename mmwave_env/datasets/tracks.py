@@ -9,8 +9,8 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import ArrayLike
 
+from mmwave_env.io.lookup import quoted
 from mmwave_env.logs.truth import stretches, velocity_of
-from mmwave_env.lookup import quoted
 from mmwave_env.models.measurement import LINK, Layout, exact_rows, whole_groups, wrap_angles
 from mmwave_env.models.prior import GAP_S, draw_prior
 from mmwave_env.models.radio import Radio, radio_from

@@ -12,10 +12,10 @@ from mmwave_env.engines.batch import Batch
 from mmwave_env.engines.track_engine import untuned
 from mmwave_env.filters.bank import Bank, settings_of
 from mmwave_env.filters.pipeline import Pipeline
+from mmwave_env.interface.observation import Observation
+from mmwave_env.interface.reward import Reward
 from mmwave_env.numerics.numbers import Array, Index
 from mmwave_env.numerics.pytree import flatten
-from mmwave_env.observation import Observation
-from mmwave_env.reward import Reward
 from mmwave_env.task import Task
 from mmwave_env.world.episode import Episode, EpisodeBatch, columns_of
 from mmwave_env.world.keys import Keys

@@ -19,11 +19,11 @@ from mmwave_env.engines.replay import Replay
 from mmwave_env.engines.tally import Tally
 from mmwave_env.engines.vector_step import ActionHistory, Stepper
 from mmwave_env.filters.pipeline import Pipeline
-from mmwave_env.info import SMOOTHED_KEY, drawn_rows
+from mmwave_env.interface.info import SMOOTHED_KEY, drawn_rows
+from mmwave_env.interface.reward import term_names
 from mmwave_env.metrics import INFO_KEYS, ate, scored
 from mmwave_env.models.scene import Streets
 from mmwave_env.numerics.numbers import Array, Index, Mask
-from mmwave_env.reward import term_names
 from mmwave_env.task import Task
 from mmwave_env.world.keys import Streams
 

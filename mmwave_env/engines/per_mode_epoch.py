@@ -10,7 +10,6 @@ from typing import NamedTuple
 
 from mmwave_env.compiler.program import Program
 from mmwave_env.engines.epoch_state import PendingEpoch, begun, blank_environment, scores
-from mmwave_env.features import MixtureView, View
 from mmwave_env.filters.bank import Bank, settings_of
 from mmwave_env.filters.belief import Belief
 from mmwave_env.filters.imm import (
@@ -24,12 +23,13 @@ from mmwave_env.filters.imm import (
 )
 from mmwave_env.filters.memory import Memory, memory_before
 from mmwave_env.filters.pipeline import Pipeline
+from mmwave_env.interface.features import MixtureView, View
+from mmwave_env.interface.observation import Observation
+from mmwave_env.interface.reward import Reward
 from mmwave_env.models.measurement import Site
 from mmwave_env.numerics.linalg import pack, unpack
 from mmwave_env.numerics.numbers import Number, where
 from mmwave_env.numerics.pytree import select, tree_at
-from mmwave_env.observation import Observation
-from mmwave_env.reward import Reward
 from mmwave_env.world.episode import Incoming
 
 SPREAD_MEMORIES = (0.6, 0.9, 0.97)  # weights of the past in averages of the Doppler spread

@@ -29,10 +29,10 @@ from mmwave_env.filters.smoother import (
     smooth_mean,
     track_end,
 )
+from mmwave_env.interface.reward import TrackingReward
 from mmwave_env.models.measurement import STATE_SIZE
 from mmwave_env.numerics.numbers import Array, Number
 from mmwave_env.numerics.pytree import flatten
-from mmwave_env.reward import TrackingReward
 from mmwave_env.world.episode import EpisodeBatch
 
 Actions = NDArray[np.integer[Any]]

@@ -11,17 +11,17 @@ from typing import NamedTuple
 
 from mmwave_env.compiler.program import Program
 from mmwave_env.engines.epoch_state import PendingEpoch, begun, blank_environment, scores
-from mmwave_env.features import View
 from mmwave_env.filters.belief import Belief
 from mmwave_env.filters.memory import Memory, memory_after, memory_before
 from mmwave_env.filters.pipeline import Pipeline, predict_update
 from mmwave_env.filters.update import ModeResult
+from mmwave_env.interface.features import View
+from mmwave_env.interface.observation import Observation
+from mmwave_env.interface.reward import Reward
 from mmwave_env.models.measurement import Site
 from mmwave_env.numerics.linalg import unpack
 from mmwave_env.numerics.numbers import Number
 from mmwave_env.numerics.pytree import select, tree_at
-from mmwave_env.observation import Observation
-from mmwave_env.reward import Reward
 from mmwave_env.world.episode import Incoming
 
 

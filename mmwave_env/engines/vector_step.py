@@ -17,7 +17,7 @@ from mmwave_env.compiler.program import PLAIN_BLOCK_EPOCHS, rows_of
 from mmwave_env.compiler.threads import share
 from mmwave_env.engines.env_engine import Engine
 from mmwave_env.engines.tally import Tally, count
-from mmwave_env.info import (
+from mmwave_env.interface.info import (
     FLAGS,
     STATE_KEYS,
     mask_keys,

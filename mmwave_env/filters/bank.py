@@ -15,10 +15,10 @@ from typing import Annotated, Any
 
 from mmwave_env.filters.imm import ImmSettings, stay_matrix
 from mmwave_env.filters.modes import Mode, robust
-from mmwave_env.lookup import choose
+from mmwave_env.io.lookup import choose
+from mmwave_env.io.records import Bound, Probability, Size, object_from, read_object, require_fields
 from mmwave_env.models.measurement import Layout
 from mmwave_env.models.radio import RADIOS, Radio, radio_from
-from mmwave_env.records import Bound, Probability, Size, object_from, read_object, require_fields
 
 MOST_MODES = 32  # every mode is compiled and runs in every epoch
 Transition = Annotated[tuple[tuple[Probability, ...], ...], "a list of rows of probabilities"]

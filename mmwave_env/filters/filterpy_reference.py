@@ -30,7 +30,7 @@ from mmwave_env.filters.gating import ROBUST_ONSET, Gate
 from mmwave_env.filters.modes import Mode
 from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.filters.update import Algorithm, Posterior
-from mmwave_env.lookup import choose
+from mmwave_env.io.lookup import choose
 from mmwave_env.models.measurement import Layout, Measurement
 from mmwave_env.models.motion import ProcessNoise
 from mmwave_env.numerics.numbers import Array, Mask, Matrix, Vector

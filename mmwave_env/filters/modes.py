@@ -4,10 +4,10 @@ from dataclasses import dataclass, replace
 from typing import Annotated, NamedTuple
 
 from mmwave_env.filters.update import Algorithm, ckf, ekf, ukf
-from mmwave_env.lookup import choose, quoted
+from mmwave_env.io.lookup import choose, quoted
+from mmwave_env.io.records import Bound, Name, between, counts, require_fields
 from mmwave_env.models.envelope import PROCESS_NOISE
 from mmwave_env.numerics.numbers import Number
-from mmwave_env.records import Bound, Name, between, counts, require_fields
 
 ALGORITHMS: dict[str, Algorithm] = {"ekf": ekf, "ukf": ukf, "ckf": ckf}
 Noise = Annotated[float, PROCESS_NOISE]

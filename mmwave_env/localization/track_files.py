@@ -8,10 +8,10 @@ from pathlib import Path
 
 import numpy as np
 
-from mmwave_env.files import atomic_path, naming
+from mmwave_env.io.files import atomic_path, naming
+from mmwave_env.io.lookup import as_cell
 from mmwave_env.localization.localizer import TrackBlock
 from mmwave_env.logs.tum import COLUMNS, tum_lines
-from mmwave_env.lookup import as_cell
 
 TRACK_ENDINGS = (".tum", ".txt")
 _VARIANCES = [i * (i + 3) // 2 for i in range(6)]  # of positions and velocities in packed P

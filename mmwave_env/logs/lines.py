@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from mmwave_env.files import naming, open_regular
+from mmwave_env.io.files import naming, open_regular
 
 _BLOCK_BYTES = 1 << 20
 

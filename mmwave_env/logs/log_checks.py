@@ -10,10 +10,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from mmwave_env.io.records import between
 from mmwave_env.logs.log_tables import LogError, LogFile
 from mmwave_env.models import envelope
 from mmwave_env.numerics.numbers import Array, Mask
-from mmwave_env.records import between
 
 Cells = dict[str, Array]  # quantity -> (n,)
 

@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from mmwave_env.lookup import quoted
+from mmwave_env.io.lookup import quoted
 from mmwave_env.models.measurement import SPEED_OF_LIGHT
 
 

@@ -14,10 +14,10 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from mmwave_env.files import naming, open_regular
+from mmwave_env.io.files import naming, open_regular
+from mmwave_env.io.lookup import quoted
 from mmwave_env.logs.lines import DamagedFileError, line_blocks, number
 from mmwave_env.logs.log_columns import Column, columns_of
-from mmwave_env.lookup import quoted
 from mmwave_env.numerics.numbers import Array
 
 Rows = NDArray[np.int64]

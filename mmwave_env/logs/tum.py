@@ -7,8 +7,8 @@ from typing import NamedTuple, NoReturn
 
 import numpy as np
 
+from mmwave_env.io.lookup import quoted
 from mmwave_env.logs.lines import LineBlock, line_blocks, number
-from mmwave_env.lookup import quoted
 from mmwave_env.numerics.numbers import Array
 
 COLUMNS = ("t", "x", "y", "z", "qx", "qy", "qz", "qw")

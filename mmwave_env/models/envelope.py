@@ -6,7 +6,7 @@ deviation is 1e8 times the noise in one direction but not in another, the digits
 lost. The ends are far from anything a receiver gives; tests/engines/test_extremes.py tries them.
 """
 
-from mmwave_env.records import between
+from mmwave_env.io.records import between
 
 STEP_S = between(1e-6, 60.0, "s")  # between epochs
 HZ_PER_MPS = between(1e-3, 1e4, "Hz per m/s")  # a carrier of 300 kHz to 3 THz

@@ -13,12 +13,8 @@ from typing import Annotated, Any
 
 import numpy as np
 
-from mmwave_env.lookup import as_name, choose, quoted, unknown
-from mmwave_env.models import envelope
-from mmwave_env.models.measurement import SPEED_OF_LIGHT, Layout
-from mmwave_env.models.scene import Scene
-from mmwave_env.numerics.numbers import Array, Number, Vector, clip, exp, sqrt
-from mmwave_env.records import (
+from mmwave_env.io.lookup import as_name, choose, quoted, unknown
+from mmwave_env.io.records import (
     Bound,
     Name,
     Probability,
@@ -29,6 +25,10 @@ from mmwave_env.records import (
     read_object,
     require_fields,
 )
+from mmwave_env.models import envelope
+from mmwave_env.models.measurement import SPEED_OF_LIGHT, Layout
+from mmwave_env.models.scene import Scene
+from mmwave_env.numerics.numbers import Array, Number, Vector, clip, exp, sqrt
 
 SHIPPED = ("handset", "standard", "high")
 DEGREE = math.pi / 180.0

@@ -4,7 +4,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
-from mmwave_env.lookup import choose
+from mmwave_env.io.lookup import choose
+from mmwave_env.io.records import Name, between, counts, require_fields, require_ordered
 from mmwave_env.models.scene import (
     SCENES,
     Bandwidth,
@@ -17,7 +18,6 @@ from mmwave_env.models.scene import (
 )
 from mmwave_env.numerics.numbers import Number, floor, maximum, minimum, where
 from mmwave_env.numerics.random import Dice, seeded
-from mmwave_env.records import Name, between, counts, require_fields, require_ordered
 
 RANDOM = "random"
 

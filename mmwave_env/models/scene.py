@@ -12,10 +12,8 @@ from typing import Annotated, Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from mmwave_env.lookup import as_name, choose
-from mmwave_env.models.envelope import POSITION_M
-from mmwave_env.models.measurement import SPEED_OF_LIGHT
-from mmwave_env.records import (
+from mmwave_env.io.lookup import as_name, choose
+from mmwave_env.io.records import (
     Bound,
     Name,
     Size,
@@ -25,6 +23,8 @@ from mmwave_env.records import (
     require_fields,
     require_ordered,
 )
+from mmwave_env.models.envelope import POSITION_M
+from mmwave_env.models.measurement import SPEED_OF_LIGHT
 
 MOST_ANCHORS = 32  # so many anchors take a minute and a half to compile
 

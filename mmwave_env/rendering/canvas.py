@@ -79,7 +79,7 @@ class Canvas:
         """Write a line centered vertically at a point; return the part of the picture it covers.
 
         Args:
-            text: passed through :func:`~mmwave_env.lookup.printable` if it is not our own.
+            text: passed through :func:`~mmwave_env.io.lookup.printable` if it is not our own.
             at: left end of the line, or its right end with ``align`` 1, or its middle with 0.5.
             color: color of the letters.
             size: size of the font in units.

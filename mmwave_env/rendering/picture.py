@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from mmwave_env.lookup import choose, printable
+from mmwave_env.io.lookup import choose, printable
 from mmwave_env.rendering.camera import follow
 from mmwave_env.rendering.canvas import Canvas, Rect
 from mmwave_env.rendering.history import History

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from itertools import cycle
 from typing import NamedTuple
 
-from mmwave_env.lookup import choose, require_extra
+from mmwave_env.io.lookup import choose, require_extra
 
 Color = tuple[int, int, int]
 

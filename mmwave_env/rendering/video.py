@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mmwave_env.files import atomic_path, require_writable
-from mmwave_env.lookup import require_extra
+from mmwave_env.io.files import atomic_path, require_writable
+from mmwave_env.io.lookup import require_extra
 
 Draw = Callable[[int], NDArray[np.uint8]]
 Pictures = Iterator[NDArray[np.uint8]]

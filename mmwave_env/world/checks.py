@@ -6,9 +6,9 @@ from typing import Any, NoReturn
 
 import numpy as np
 
-from mmwave_env.lookup import is_name, quoted
+from mmwave_env.io.lookup import is_name, quoted
+from mmwave_env.io.records import Bound, Printable
 from mmwave_env.numerics.numbers import Array
-from mmwave_env.records import Bound, Printable
 
 
 def refuse(record: str, field: str, found: str, expected: str) -> NoReturn:

@@ -13,11 +13,11 @@ from typing import Any, NamedTuple, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from mmwave_env.io.records import Bound
 from mmwave_env.models import envelope
 from mmwave_env.models.measurement import Epoch, Layout, Site, blank_site
 from mmwave_env.numerics.numbers import Array, Index, Number, where
 from mmwave_env.numerics.pytree import flatten, indices
-from mmwave_env.records import Bound
 from mmwave_env.world.checks import refuse, require_epochs, require_finite, require_within
 
 

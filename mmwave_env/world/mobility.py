@@ -7,8 +7,8 @@ from math import inf
 from pathlib import Path
 from typing import Annotated
 
-from mmwave_env.lookup import as_name, choose, quoted
-from mmwave_env.records import (
+from mmwave_env.io.lookup import as_name, choose, quoted
+from mmwave_env.io.records import (
     Bound,
     Name,
     Probability,

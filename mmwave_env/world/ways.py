@@ -16,11 +16,11 @@ from pathlib import Path
 
 import numpy as np
 
-from mmwave_env.files import read_text
-from mmwave_env.lookup import is_name, quoted
+from mmwave_env.io.files import read_text
+from mmwave_env.io.lookup import is_name, quoted
+from mmwave_env.io.records import Printable
 from mmwave_env.models.scene import Scene
 from mmwave_env.numerics.numbers import Array, Index
-from mmwave_env.records import Printable
 from mmwave_env.world.checks import refuse_in
 from mmwave_env.world.mobility import Mobility, mobilities_of
 from mmwave_env.world.trajectory import Trajectory

@@ -5,11 +5,11 @@ import json
 import numpy as np
 
 from experiments import demo
-from experiments.comparing.results import Results
 from experiments.console.options import EpisodeArgs
 from experiments.evaluation.asked import all_contenders
 from experiments.evaluation.comparison import compare_scores
 from experiments.evaluation.seeds import Selection
+from experiments.reporting.comparison_results import Results
 from mmwave_env.metrics import METRICS, TERMS
 
 
@@ -24,13 +24,13 @@ def test_every_place_is_printed_and_written(tmp_path, monkeypatch, capsys):
         return Results(found, str(found), found.json, ())
 
     pages, asked = [], []
-    monkeypatch.setattr("experiments.comparing.results.results", results)
+    monkeypatch.setattr("experiments.reporting.comparison_results.results", results)
 
     def page_of(args):  # it has tests of its own
         pages.append(args)
         return "a page"
 
-    monkeypatch.setattr("experiments.webpage.page.page_of", page_of)
+    monkeypatch.setattr("experiments.reporting.webpage.page.page_of", page_of)
     demo.main(demo.Args(out=tmp_path, json=tmp_path / "all.json", percentiles=True))
     shown = capsys.readouterr().out
     rows = [line.split(" | ")[0][2:] for line in shown.splitlines() if "±" in line]

@@ -5,10 +5,10 @@ import pytest
 from experiments.evaluation.contenders import contenders
 from mmwave_env.datasets.samples import log_names, sample_names
 from mmwave_env.filters.bank import named_modes
+from mmwave_env.interface.reward import REWARDS
 from mmwave_env.models.radio import RADIOS
 from mmwave_env.models.random_scene import RANDOM
 from mmwave_env.models.scene import SCENES
-from mmwave_env.reward import REWARDS
 from mmwave_env.world import mobility
 from tests.cli import assert_one_clear_line, command, succeed
 

@@ -41,7 +41,7 @@ def test_a_picture_that_fails_costs_neither_file_nor_figures(tmp_path, monkeypat
     def fails(*_):
         raise ValueError("no such font")
 
-    monkeypatch.setattr("experiments.localization.algorithm.draw_trajectory", fails)
+    monkeypatch.setattr("experiments.reporting.log_results.draw_trajectory", fails)
     done = command(*SAMPLE, "--plot", tmp_path / "t.png", "--json", tmp_path / "t.json",
                    "--out", tmp_path / "t.tum")  # fmt: skip
     assert done.returncode == 2 and done.stderr == "mmwave-loc localize: no such font\n"
@@ -54,7 +54,7 @@ def test_a_picture_that_fails_costs_no_comparison_its_results(tmp_path, monkeypa
     def fails(*_):
         raise OSError(errno.ENOSPC, "No space left on device", str(tmp_path / "e.png"))
 
-    monkeypatch.setattr("experiments.comparing.watchers.draw_error_cdf", fails)
+    monkeypatch.setattr("experiments.reporting.watchers.draw_error_cdf", fails)
     done = command("compare", "--policies", "fixed-ekf", "--episodes", 1, "--episode-steps", 20,
                    "--errors", tmp_path / "e.png", "--json", tmp_path / "e.json")  # fmt: skip
     assert done.returncode == 2 and done.stderr.endswith(f"device: '{tmp_path / 'e.png'}'\n")
@@ -76,7 +76,7 @@ def test_what_cannot_be_printed_is_said():
 @pytest.mark.skipif(os.name != "posix", reason="no such things")
 @pytest.mark.parametrize("option", ["log", "--scene", "--truth", "--modes", "--radio"])
 def test_what_is_no_file_is_refused_before_it_is_read(tmp_path, option):
-    """A FIFO would wait for ever; tests/test_files.py has everything else."""
+    """A FIFO would wait for ever; tests/io/test_files.py has everything else."""
     odd = tmp_path / ("odd.csv" if option == "log" else "odd.json")
     os.mkfifo(odd)
     given = {"log": RIDE / "log.csv", "--scene": RIDE / "scene.json", option: odd}

@@ -216,9 +216,9 @@ def test_numbers_of_the_library_that_help_shows_are_those_of_the_library():
     """Help imports nothing that takes long, so these stand twice."""
     from experiments.evaluation import protocol, seeds
     from mmwave_env.filters.smoother import SMOOTHING_WINDOW
+    from mmwave_env.interface.reward import TrackingReward
     from mmwave_env.localization.position_errors import RISK
     from mmwave_env.rendering.theme import FRAMES_PER_SECOND, SMALLEST
-    from mmwave_env.reward import TrackingReward
 
     def options(name):
         return importlib.import_module(page_of(name)).Args

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from experiments.tuning.modes import likelihood, negative_mean_square, objective_of, tune
+from experiments.training.tune_modes import likelihood, negative_mean_square, objective_of, tune
 from mmwave_env.filters.bank import bank_from, read_bank
 from mmwave_env.filters.modes import Mode
 from mmwave_env.models.measurement import Layout

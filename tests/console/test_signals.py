@@ -24,7 +24,7 @@ import sys, time
 from pathlib import Path
 import experiments.list
 from experiments.console.main import run
-from mmwave_env.files import atomic_path
+from mmwave_env.io.files import atomic_path
 
 def writing(args):
     with atomic_path(Path(sys.argv[1])) as temporary:

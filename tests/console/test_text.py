@@ -18,7 +18,7 @@ from experiments.console.text import (
     printable_lines,
     unescaped,
 )
-from mmwave_env.lookup import LONGEST, as_cell, as_name, did_you_mean, is_name, printable, quoted
+from mmwave_env.io.lookup import LONGEST, as_cell, as_name, did_you_mean, is_name, printable, quoted
 
 NAMES = st.text(st.characters(codec=None), max_size=200)
 

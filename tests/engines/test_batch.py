@@ -6,8 +6,8 @@ import pytest
 from mmwave_env.engines.env_engine import Engine
 from mmwave_env.engines.tally import Tally, count
 from mmwave_env.engines.vector_step import ActionHistory
+from mmwave_env.interface.reward import TrackingReward
 from mmwave_env.metrics import summary
-from mmwave_env.reward import TrackingReward
 from tests.filters.tracks import pipeline_of, simulated
 
 N, T = 11, 12

@@ -15,11 +15,11 @@ from mmwave_env.env import MmWaveLocEnv
 from mmwave_env.filters.bank import named_modes
 from mmwave_env.filters.modes import Mode
 from mmwave_env.filters.pipeline import Pipeline
+from mmwave_env.io.records import Bound, hints_of
 from mmwave_env.models import envelope
 from mmwave_env.models.radio import RADIOS
 from mmwave_env.models.random_scene import RandomScene
 from mmwave_env.models.scene import SCENES, Wall
-from mmwave_env.records import Bound, hints_of
 from mmwave_env.world.episode import Episode
 from mmwave_env.world.mobility import MOBILITIES
 from mmwave_env.world.simulated import SimulatedSource

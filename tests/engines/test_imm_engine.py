@@ -9,11 +9,11 @@ from mmwave_env.engines.imm_engine import ImmEngine
 from mmwave_env.filters.bank import best_bank, default_modes
 from mmwave_env.filters.belief import Belief
 from mmwave_env.filters.pipeline import Pipeline
+from mmwave_env.interface.reward import LogScore, TrackingReward, terms_of, total
 from mmwave_env.models.measurement import Layout, blank_site
 from mmwave_env.models.radio import RADIOS
 from mmwave_env.models.scene import SCENES
 from mmwave_env.numerics.pytree import indices
-from mmwave_env.reward import LogScore, TrackingReward, terms_of, total
 from mmwave_env.world.episode import EpisodeBatch
 from mmwave_env.world.simulated import SimulatedSource
 from tests.filters.tracks import STREET, simulated, unpacked

@@ -13,8 +13,8 @@ from mmwave_env.filters import textbook
 from mmwave_env.filters.bank import Bank, best_bank
 from mmwave_env.filters.modes import Mode
 from mmwave_env.filters.pipeline import Pipeline
+from mmwave_env.interface.reward import TrackingReward
 from mmwave_env.models.radio import RADIOS
-from mmwave_env.reward import TrackingReward
 from tests.filters.test_imm import textbook_imm
 from tests.filters.tracks import STREET, simulated, unpacked
 

@@ -8,7 +8,7 @@ from mmwave_env.engines.replay import Replay, smooth
 from mmwave_env.engines.track_engine import Tracker
 from mmwave_env.filters.bank import default_modes
 from mmwave_env.filters.pipeline import Pipeline
-from mmwave_env.reward import TrackingReward
+from mmwave_env.interface.reward import TrackingReward
 from tests.filters.tracks import STREET, simulated
 
 N, T = 11, 60

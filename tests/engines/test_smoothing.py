@@ -10,9 +10,9 @@ from mmwave_env.engines.track_engine import Tracker
 from mmwave_env.filters import textbook
 from mmwave_env.filters.bank import best_bank, modes_from
 from mmwave_env.filters.pipeline import Pipeline
+from mmwave_env.interface.reward import TrackingReward
 from mmwave_env.models.radio import RADIOS
 from mmwave_env.models.scene import SCENES
-from mmwave_env.reward import TrackingReward
 from mmwave_env.world.simulated import SimulatedSource
 from tests.filters.tracks import TRIANGLE, unpacked
 

@@ -12,12 +12,12 @@ from mmwave_env.filters.bank import named_modes
 from mmwave_env.filters.modes import Mode
 from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.filters.update import ekf
+from mmwave_env.interface.reward import TrackingReward
 from mmwave_env.models.measurement import Layout, wrap_angles
 from mmwave_env.models.radio import RADIOS
 from mmwave_env.models.scene import scene_from
 from mmwave_env.numerics.linalg import cholesky, unpack
 from mmwave_env.numerics.numbers import where
-from mmwave_env.reward import TrackingReward
 from mmwave_env.world.mobility import MOBILITIES
 from mmwave_env.world.simulated import SimulatedSource
 

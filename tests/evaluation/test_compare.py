@@ -5,9 +5,9 @@ import warnings
 import numpy as np
 import pytest
 
-from experiments.comparing.results import results
 from experiments.console.options import EpisodeArgs
 from experiments.evaluation.compare import compare
+from experiments.reporting.comparison_results import results
 from mmwave_env.metrics import METRICS
 from mmwave_env.models.measurement import Layout
 from tests.training.actors import HANDSET

@@ -9,9 +9,9 @@ from experiments.evaluation.histories import history_of
 from experiments.evaluation.runner import Scoring, score_contenders
 from experiments.evaluation.seeds import Selection, draw_episodes
 from mmwave_env.datasets.samples import source_from
+from mmwave_env.interface.reward import TrackingReward
 from mmwave_env.metrics import BURN_IN
 from mmwave_env.rendering.history import NO_MODE
-from mmwave_env.reward import TrackingReward
 from mmwave_env.task import task_from
 from mmwave_env.world.keys import keys_of
 

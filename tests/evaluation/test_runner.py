@@ -17,11 +17,11 @@ from experiments.evaluation.seeds import Selection, draw_episodes
 from mmwave_env.engines.imm_engine import ImmEngine
 from mmwave_env.filters.bank import bank_as_written, best_bank, modes_from
 from mmwave_env.filters.pipeline import Pipeline
+from mmwave_env.interface.observation import BELIEFS
+from mmwave_env.interface.reward import TrackingReward
 from mmwave_env.metrics import BURN_IN, METRICS
 from mmwave_env.models.radio import RADIOS
 from mmwave_env.models.scene import SCENES
-from mmwave_env.observation import BELIEFS
-from mmwave_env.reward import TrackingReward
 from mmwave_env.world.simulated import SimulatedSource
 from policies import learned
 from tests.training.actors import (

@@ -14,8 +14,8 @@ from scipy.stats import binom, chi2
 from mmwave_env.engines.env_engine import Engine
 from mmwave_env.filters.modes import Mode
 from mmwave_env.filters.pipeline import Pipeline
+from mmwave_env.interface.reward import TrackingReward
 from mmwave_env.localization.position_errors import PositionErrors
-from mmwave_env.reward import TrackingReward
 from tests.filters.tracks import STREET, far_from_the_anchors, process_noise
 
 RUNS, EPOCHS, CHECKED = 1000, 40, (0, 1, 5, 10, 20, 39)

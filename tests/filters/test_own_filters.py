@@ -20,11 +20,11 @@ from mmwave_env.filters.custom import AlgorithmError
 from mmwave_env.filters.gating import Gate
 from mmwave_env.filters.modes import Mode
 from mmwave_env.filters.pipeline import Pipeline
+from mmwave_env.interface.reward import TrackingReward
 from mmwave_env.localization.localizer import localize
 from mmwave_env.logs.log import read_log
 from mmwave_env.models.radio import RADIOS
 from mmwave_env.models.scene import SCENES
-from mmwave_env.reward import TrackingReward
 from mmwave_env.world.simulated import SimulatedSource
 from tests.filters import gated_textbook
 from tests.filters.problems import assert_same, assume_clear_of, problems

@@ -6,8 +6,8 @@ import pytest
 from mmwave_env.engines.env_engine import Engine
 from mmwave_env.filters.modes import Mode
 from mmwave_env.filters.pipeline import Pipeline
+from mmwave_env.interface.reward import TrackingReward
 from mmwave_env.models.measurement import Layout
-from mmwave_env.reward import TrackingReward
 from tests.filters.tracks import simulated, unpacked
 
 MODES = (

@@ -12,10 +12,10 @@ from mmwave_env.engines.track_engine import Tracker
 from mmwave_env.filters import textbook
 from mmwave_env.filters.modes import Mode
 from mmwave_env.filters.pipeline import Pipeline
+from mmwave_env.interface.reward import TrackingReward
 from mmwave_env.models.measurement import Layout, exact_rows
 from mmwave_env.models.radio import RADIOS
 from mmwave_env.models.scene import SCENES
-from mmwave_env.reward import TrackingReward
 from mmwave_env.world.episode import Episode
 from mmwave_env.world.simulated import SimulatedSource
 from mmwave_env.world.trajectory import Trajectory

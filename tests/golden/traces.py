@@ -22,12 +22,12 @@ from mmwave_env.engines.track_engine import Tracker
 from mmwave_env.filters.bank import best_bank, default_modes, named_modes
 from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.filters.smoother import SMOOTHING_WINDOW
+from mmwave_env.interface.reward import TrackingReward
 from mmwave_env.localization.localizer import TrackBlock, localize
 from mmwave_env.logs.log import read_log
 from mmwave_env.models.prior import prior_from_fix
 from mmwave_env.models.radio import radio_from
 from mmwave_env.models.scene import read_scene, scene_from
-from mmwave_env.reward import TrackingReward
 from mmwave_env.vector_env import MmWaveLocVectorEnv
 from mmwave_env.world.episode import Episode
 from mmwave_env.world.simulated import SimulatedSource

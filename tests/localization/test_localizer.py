@@ -16,6 +16,7 @@ from mmwave_env.engines.replay import smooth
 from mmwave_env.filters.bank import Bank, best_bank, default_modes
 from mmwave_env.filters.modes import robust
 from mmwave_env.filters.pipeline import Pipeline
+from mmwave_env.interface.reward import TrackingReward
 from mmwave_env.localization.localizer import TrackBlock, localize
 from mmwave_env.logs.log import LogBlock, read_log
 from mmwave_env.logs.log_tables import LogError
@@ -23,7 +24,6 @@ from mmwave_env.models.measurement import Layout, exact_rows
 from mmwave_env.models.prior import prior_from_fix
 from mmwave_env.models.radio import RADIOS
 from mmwave_env.models.scene import SCENES, Scene
-from mmwave_env.reward import TrackingReward
 from mmwave_env.world.episode import Episode
 from mmwave_env.world.simulated import SimulatedSource
 from policies.speed_rule import by_odometry_speed, by_predicted_speed

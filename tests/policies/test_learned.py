@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from mmwave_env.filters.pipeline import Pipeline
+from mmwave_env.interface.observation import Observation
 from mmwave_env.models.measurement import Layout
-from mmwave_env.observation import Observation
 from policies import LearnedSwitch, learned, shipped_policies
 from tests.paths import ROOT
 from tests.training.actors import (

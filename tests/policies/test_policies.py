@@ -11,10 +11,10 @@ from experiments.evaluation.seeds import TUNING_SEED, draw_episodes
 from mmwave_env.filters.bank import modes_from
 from mmwave_env.filters.modes import Mode
 from mmwave_env.filters.pipeline import Pipeline
+from mmwave_env.interface.observation import Observation
 from mmwave_env.models.measurement import Layout
 from mmwave_env.models.radio import RADIOS, radio_from
 from mmwave_env.models.scene import scene_from
-from mmwave_env.observation import Observation
 from mmwave_env.world.episode import blank_incoming
 from mmwave_env.world.simulated import SimulatedSource
 from policies import FixedMode, LikelihoodRule, SpeedRule

@@ -11,9 +11,9 @@ from experiments.training import places as module
 from experiments.training.places import Place, place_from, places_from, shares
 from experiments.training.training_task import TrainingTask, banks_of
 from mmwave_env.filters.bank import Bank, bank_as_written, best_bank, default_modes
+from mmwave_env.interface.reward import TrackingReward
 from mmwave_env.models.radio import RADIOS
 from mmwave_env.models.scene import SCENES
-from mmwave_env.reward import TrackingReward
 from mmwave_env.task import task_from
 from tests.training.actors import MODES
 

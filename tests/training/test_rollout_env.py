@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from mmwave_env.filters.bank import Bank, default_modes
-from mmwave_env.reward import TrackingReward
+from mmwave_env.interface.reward import TrackingReward
 from tests.training.actors import MODES
 
 pytest.importorskip("stable_baselines3")
@@ -15,7 +15,7 @@ from experiments.training.places import Place
 from experiments.training.rollout_env import RolloutEnv
 from experiments.training.training_task import TrainingTask
 from experiments.training.vec_env import PlacesVecEnv
-from mmwave_env.reward import PairedReward
+from mmwave_env.interface.reward import PairedReward
 from mmwave_env.sb3 import SB3VecEnv
 from mmwave_env.vector_env import MmWaveLocVectorEnv
 from tests.training.test_train import HYPER

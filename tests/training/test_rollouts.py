@@ -16,7 +16,7 @@ from experiments.training.rollout_learner import RolloutLearner
 from experiments.training.rollouts import RolloutTraining
 from experiments.training.training_task import TrainingTask
 from mmwave_env.filters.bank import Bank, default_modes
-from mmwave_env.reward import TrackingReward
+from mmwave_env.interface.reward import TrackingReward
 from policies import LearnedSwitch
 from tests.training.test_rollout_env import PLACES, task
 from tests.training.test_train_interrupted import assert_same_training

@@ -33,9 +33,9 @@ from experiments.training.processes import train
 from experiments.training.run import hyperparameters, manifest_of
 from experiments.training.training_task import TrainingTask
 from experiments.training.vec_env import PlacesVecEnv
-from mmwave_env.files import write_json
 from mmwave_env.filters.bank import Bank, default_modes
-from mmwave_env.reward import TrackingReward
+from mmwave_env.interface.reward import TrackingReward
+from mmwave_env.io.files import write_json
 from policies import LearnedSwitch
 from policies.policy_file import read_policy
 from tests.cli import command, succeed

@@ -21,8 +21,8 @@ from mmwave_env.datasets.deepmimo.anchors import (
     StationPaths,
 )
 from mmwave_env.datasets.deepmimo.arrays import find_array, read_array
-from mmwave_env.files import read_json
-from mmwave_env.lookup import as_name
+from mmwave_env.io.files import read_json
+from mmwave_env.io.lookup import as_name
 from mmwave_env.numerics.numbers import Array, Mask
 from mmwave_env.world.checks import refuse_in
 

@@ -12,7 +12,7 @@ from typing import Any
 from experiments.console.tables import CELL
 from experiments.console.text import unescaped
 from experiments.figures.canvas import COLORS, NO_MODE
-from mmwave_env.lookup import printable
+from mmwave_env.io.lookup import printable
 
 SHOWN = 5  # rows that are shown at first
 VARIABLES = {  # variables of the page's style, by color in pictures

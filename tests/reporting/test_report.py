@@ -9,15 +9,15 @@ import pytest
 from experiments.console.signals import Ended
 from experiments.evaluation.intervals import Interval, rounded
 from experiments.figures.canvas import COLORS, NO_MODE
-from experiments.webpage import played
-from experiments.webpage.played import play
-from experiments.webpage.sources import read_source
-from mmwave_env.lookup import printable
+from experiments.reporting.webpage import played
+from experiments.reporting.webpage.played import play
+from experiments.reporting.webpage.sources import read_source
+from mmwave_env.io.lookup import printable
 from mmwave_env.rendering.theme import THEMES, hex_of
 from tests.cli import assert_one_clear_line, command, succeed
 from tests.paths import ROOT
-from tests.webpage import results
-from tests.webpage.results import HOSTILE, Read, write
+from tests.reporting import results
+from tests.reporting.results import HOSTILE, Read, write
 
 NONE = ("--episodes", 0)  # of them played again
 
@@ -195,9 +195,9 @@ def test_names_of_others_neither_break_the_page_nor_act_in_it(tmp_path, track):
 
 def test_all_that_a_page_is_made_of_is_in_the_wheel():
     project = (ROOT / "pyproject.toml").read_text(encoding="utf-8")
-    for path in (ROOT / "experiments" / "webpage").iterdir():
+    for path in (ROOT / "experiments" / "reporting" / "webpage").iterdir():
         if path.is_file() and path.suffix != ".py":
-            assert f'"webpage/*{path.suffix}"' in project
+            assert f'"reporting/webpage/*{path.suffix}"' in project
 
 
 # --- what is refused

@@ -16,16 +16,17 @@ from experiments.console.tables import show
 from experiments.evaluation.contenders import imm_banks
 from experiments.figures.canvas import require_picture
 from experiments.figures.trajectory import draw_trajectory
-from experiments.localization.diagnosis_report import diagnosis_figures, diagnosis_markdown
-from experiments.localization.log_facts import facts_markdown, log_facts
-from experiments.localization.track_plot import TrackSampler
-from experiments.localization.track_report import track_markdown
+from experiments.reporting.diagnosis_report import diagnosis_figures, diagnosis_markdown
+from experiments.reporting.log_facts import facts_markdown, log_facts
+from experiments.reporting.track_plot import TrackSampler
+from experiments.reporting.track_report import track_markdown
 from mmwave_env.datasets.log_folder import LOG, SCENE, TRUTH
 from mmwave_env.datasets.samples import sample_folder
 from mmwave_env.engines.track_engine import Rule
-from mmwave_env.files import require_writable, write_json
 from mmwave_env.filters.bank import Bank, bank_from, modes_from
 from mmwave_env.filters.modes import DESIGN_LIMIT_MPS, Mode, robust
+from mmwave_env.io.files import require_writable, write_json
+from mmwave_env.io.lookup import choose
 from mmwave_env.localization.association import Association, associate
 from mmwave_env.localization.contradictions import contradictions
 from mmwave_env.localization.diagnosis import diagnose
@@ -39,7 +40,6 @@ from mmwave_env.logs.log import LogBlock, read_log
 from mmwave_env.logs.log_tables import LogError
 from mmwave_env.logs.path_log import read_paths
 from mmwave_env.logs.truth import Truth
-from mmwave_env.lookup import choose
 from mmwave_env.models.radio import radio_from
 from mmwave_env.models.scene import Scene, scene_from
 from policies.speed_rule import SLOW_MPS, by_odometry_speed, by_predicted_speed, mode_at

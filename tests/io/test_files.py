@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from mmwave_env.files import (
+from mmwave_env.io.files import (
     JSON_BYTES,
     JSON_DEPTH,
     atomic_path,
@@ -130,7 +130,7 @@ def test_of_a_link_the_file_behind_it_is_written(tmp_path, there):
 @posix
 def test_a_pipe_behind_a_device_is_named():
     code = (
-        "from pathlib import Path; from mmwave_env.files import write_text\n"
+        "from pathlib import Path; from mmwave_env.io.files import write_text\n"
         "try: write_text(Path('/dev/stdout'), 'x')\n"
         "except OSError as error: print(error)"
     )

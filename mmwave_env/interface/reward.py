@@ -17,7 +17,7 @@ import numpy as np
 
 from mmwave_env.filters.belief import Belief
 from mmwave_env.filters.custom import begin_of, line_of
-from mmwave_env.lookup import choose
+from mmwave_env.io.lookup import choose
 from mmwave_env.numerics.numbers import Array, Number, Vector, log, maximum, minimum
 from mmwave_env.numerics.tracer import FloatTracer, NoValueError, Tracer, TracerCondition
 

@@ -17,8 +17,8 @@ from typing import Annotated, Any, Literal, TypeVar, Union, get_args, get_origin
 import numpy as np
 from numpy.typing import NDArray
 
-from mmwave_env.files import read_json
-from mmwave_env.lookup import LONGEST, choose, is_name, quoted
+from mmwave_env.io.files import read_json
+from mmwave_env.io.lookup import LONGEST, choose, is_name, quoted
 
 T = TypeVar("T")
 

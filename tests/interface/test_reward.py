@@ -18,10 +18,7 @@ from mmwave_env.filters.bank import default_modes
 from mmwave_env.filters.belief import Belief
 from mmwave_env.filters.modes import Mode
 from mmwave_env.filters.pipeline import Pipeline
-from mmwave_env.models.radio import radio_from
-from mmwave_env.models.scene import scene_from
-from mmwave_env.numerics.numbers import maximum
-from mmwave_env.reward import (
+from mmwave_env.interface.reward import (
     REWARDS,
     LogScore,
     PairedReward,
@@ -31,6 +28,9 @@ from mmwave_env.reward import (
     terms_of,
     total,
 )
+from mmwave_env.models.radio import radio_from
+from mmwave_env.models.scene import scene_from
+from mmwave_env.numerics.numbers import maximum
 from mmwave_env.task import task_from
 from mmwave_env.world.keys import keys_at, stream_of
 from mmwave_env.world.simulated import SimulatedSource

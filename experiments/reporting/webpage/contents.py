@@ -9,10 +9,10 @@ from experiments.evaluation.intervals import Interval, rounded
 from experiments.evaluation.positions import HEADER, KINDS, percent, row_of
 from experiments.figures.curves import draw_learning_curves
 from experiments.figures.errors import draw_consistency, draw_error_cdf
-from experiments.localization.track_report import track_markdown
-from experiments.webpage.markup import drawn, element, html_of, table
-from experiments.webpage.played import Played, ranking, watched_names
-from experiments.webpage.sources import Source
+from experiments.reporting.track_report import track_markdown
+from experiments.reporting.webpage.markup import drawn, element, html_of, table
+from experiments.reporting.webpage.played import Played, ranking, watched_names
+from experiments.reporting.webpage.sources import Source
 from mmwave_env.metrics import HEADERS, METRICS
 
 

@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from experiments.evaluation.runs import curves_of
-from mmwave_env.files import read_json
+from mmwave_env.io.files import read_json
 
 READ = "results (--json) of compare, demo or localize, or a folder of train"
 NEEDED = {  # required keys by kind of results

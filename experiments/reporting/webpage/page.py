@@ -2,30 +2,28 @@
 
 import json
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from importlib.resources import files
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+from experiments.console.options import PageArgs
 from experiments.console.provenance import command_line
-from experiments.webpage.contents import Verdict, errors_of, origin_of, results_of
-from experiments.webpage.markup import element, text
-from experiments.webpage.played import LONGEST, Played, play
-from experiments.webpage.sources import READ, Source, read_source
-from mmwave_env.files import told
+from experiments.reporting.webpage.contents import Verdict, errors_of, origin_of, results_of
+from experiments.reporting.webpage.localized_log import localized
+from experiments.reporting.webpage.markup import element, text
+from experiments.reporting.webpage.played import LONGEST, Played, play
+from experiments.reporting.webpage.sources import READ, read_source
+from mmwave_env.io.files import told
 from mmwave_env.rendering.theme import THEMES, hex_of
-
-if TYPE_CHECKING:
-    from experiments.report import Args
 
 SCRIPTS = ("drawing.js", "map.js", "player.js")
 
 
-def page_of(args: "Args", localized: Callable[[Source], Played] = lambda _: Played()) -> str:
+def page_of(args: PageArgs) -> str:
     """Return the web page of results.
 
     Args:
         args: results to read, and numbers of episodes to play again.
-        localized: returns the first epochs of a log's track for the player.
 
     Raises:
         ValueError: the results can't be read.
@@ -112,7 +110,7 @@ def _colors() -> str:
 
 
 def _file(name: str) -> str:
-    return (files("experiments.webpage") / name).read_text(encoding="utf-8")
+    return (files("experiments.reporting.webpage") / name).read_text(encoding="utf-8")
 
 
 def in_script(data: Any) -> str:

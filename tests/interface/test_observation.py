@@ -13,12 +13,12 @@ import mmwave_env  # noqa: F401  registers the environment
 from mmwave_env.engines.env_engine import Engine
 from mmwave_env.filters.bank import modes_from
 from mmwave_env.filters.pipeline import Pipeline
+from mmwave_env.interface.observation import Observation, feature_scales
+from mmwave_env.interface.reward import TrackingReward
 from mmwave_env.models.envelope import DOPPLER_SPREAD_HZ
 from mmwave_env.models.measurement import Layout
 from mmwave_env.models.radio import RADIOS
 from mmwave_env.models.scene import SCENES
-from mmwave_env.observation import Observation, feature_scales
-from mmwave_env.reward import TrackingReward
 from mmwave_env.world.simulated import SimulatedSource
 from tests.filters.tracks import replay
 

@@ -5,7 +5,6 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any, NamedTuple
 
-from experiments.comparing.watchers import require_options, watchers
 from experiments.console.options import EpisodeArgs
 from experiments.console.progress import progress
 from experiments.console.provenance import provenance
@@ -22,9 +21,10 @@ from experiments.evaluation.comparison import Comparison, compare_scores, episod
 from experiments.evaluation.runner import Scoring, score_contenders
 from experiments.evaluation.runs import trainings
 from experiments.evaluation.training_seeds import over_training_seeds, seeds_markdown
-from mmwave_env.files import write_json, write_text
+from experiments.reporting.watchers import require_options, watchers
+from mmwave_env.interface.reward import reward_name
+from mmwave_env.io.files import write_json, write_text
 from mmwave_env.models.radio import radio_from
-from mmwave_env.reward import reward_name
 
 
 class Results(NamedTuple):
@@ -63,7 +63,7 @@ def results(
         args: options that choose the episodes and the tables.
         names: contenders to run; the folder of a run stands for its median training.
         bound: whether to divide RMSEs by the posterior Cramer-Rao bounds, too.
-        pictures: files by option, as in :func:`~experiments.comparing.watchers.watchers`.
+        pictures: files by option, as in :func:`~experiments.reporting.watchers.watchers`.
     """
     require_options(args, pictures)
     task, runs = task_of(args), runs_of(args, names)

@@ -19,9 +19,9 @@ from experiments.evaluation.contenders import Contender
 from experiments.evaluation.epochs import EpochErrors
 from experiments.evaluation.positions import Positions
 from experiments.evaluation.runner import EpochResults, Scoring, score_contenders
-from experiments.webpage.sources import Source
+from experiments.reporting.webpage.sources import Source
 from mmwave_env.datasets.samples import sample_names
-from mmwave_env.lookup import printable
+from mmwave_env.io.lookup import printable
 from mmwave_env.metrics import nees_interval
 from mmwave_env.models.measurement import Layout
 from mmwave_env.models.scene import Streets

@@ -5,8 +5,8 @@ import json
 import pytest
 
 from tests.cli import succeed
-from tests.webpage import results
-from tests.webpage.results import HOSTILE, write
+from tests.reporting import results
+from tests.reporting.results import HOSTILE, write
 
 playwright = pytest.importorskip("playwright.sync_api")
 pytestmark = pytest.mark.slow

@@ -14,17 +14,17 @@ from experiments.console.progress import progress
 from experiments.evaluation.asked import source_of
 from experiments.evaluation.intervals import Interval, bootstrap
 from experiments.evaluation.seeds import draw_episodes
-from experiments.tuning.search_space import best_bank_of, search_space
+from experiments.training.search_space import best_bank_of, search_space
 from mmwave_env.engines.imm_engine import ImmEngine
 from mmwave_env.filters.bank import Bank, bank_as_written, default_modes
 from mmwave_env.filters.modes import Mode
 from mmwave_env.filters.pipeline import Pipeline
-from mmwave_env.lookup import require_extra
+from mmwave_env.interface.reward import TrackingReward
+from mmwave_env.io.lookup import require_extra
 from mmwave_env.metrics import DIVERGENCE_M, scored
 from mmwave_env.models.radio import radio_from
 from mmwave_env.models.scene import SCENES
 from mmwave_env.numerics.numbers import Array
-from mmwave_env.reward import TrackingReward
 from mmwave_env.world.episode import EpisodeBatch, EpisodeSource
 
 STEPS_S = (1.0, 0.1)  # steps between epochs

@@ -47,8 +47,8 @@ class View(NamedTuple):
 class Feature:
     """One component of the observation: (clip(value, low, high) - mean) / deviation.
 
-    Mean and deviation are those of its kind (:mod:`mmwave_env.observation`), which also limits
-    the feature to ten deviations from the mean.
+    Mean and deviation are those of its kind (:mod:`mmwave_env.interface.observation`), which also
+    limits the feature to ten deviations from the mean.
     """
 
     name: str  # unique in the table

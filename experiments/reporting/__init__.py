@@ -1,0 +1,1 @@
+"""Results of commands: tables, pictures and the web page."""

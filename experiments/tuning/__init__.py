@@ -1,1 +1,0 @@
-"""Tuning of modes by likelihood or error, and of the bank of an IMM by reward."""

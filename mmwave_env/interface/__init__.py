@@ -1,0 +1,1 @@
+"""The interface to the agent: features, observation, reward and infos."""
