@@ -9,10 +9,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from mmwave_env.datasets.tracks import Track, fields_of, numbers
-from mmwave_env.models.radio import Radio, radio_from
+from mmwave_env.datasets.tracks import Received, Track, fields_of, numbers
+from mmwave_env.models.radio import Radio
 from mmwave_env.numerics.numbers import Array
-from mmwave_env.world.episode import Episode
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -34,7 +33,7 @@ class MeasuredTrack(Track):
         super().__post_init__()
         self.warn_of_contradictions()
 
-    def _more_shapes(self, T: int, L: int) -> dict[str, tuple[int, ...]]:
+    def _own_shapes(self, T: int, L: int) -> dict[str, tuple[int, ...]]:
         return {"snr_db": (T, L), "doppler_spread_hz": (T,)}
 
     @classmethod
@@ -83,26 +82,26 @@ class MeasuredTrack(Track):
         record = f"{cls.KIND} {name!r}"
         links = (range_m, aoa_azimuth_rad, aoa_elevation_rad, aod_azimuth_rad)
         fields, snr = fields_of(
-            record, name, time_s, anchors_m, links, doppler_hz, ("snr_db", snr_db), position_m,
-            velocity_mps, carrier_hz, bandwidth_hz,
-        )  # fmt: skip
-        T = len(snr)
-        spread = np.zeros(T) if doppler_spread_hz is None else doppler_spread_hz
+            record,
+            name,
+            time_s,
+            anchors_m,
+            links,
+            ("snr_db", snr_db),
+            position_m,
+            velocity_mps,
+            (carrier_hz, bandwidth_hz),
+            doppler_hz,
+        )
+        spread = np.zeros(len(snr)) if doppler_spread_hz is None else doppler_spread_hz
         return cls(
             **fields,
             snr_db=np.where(np.isnan(snr), -np.inf, snr),
-            doppler_spread_hz=np.nan_to_num(numbers(record, "doppler_spread_hz", spread, (T,))),
+            doppler_spread_hz=np.nan_to_num(
+                numbers(record, "doppler_spread_hz", spread, (len(snr),))
+            ),
         )
 
-    def episode(
-        self, radio: str | Radio, rng: np.random.Generator, epochs: slice = slice(None)
-    ) -> Episode:
-        """Return an episode as :meth:`Track.episode`; only the prior is drawn, around the truth.
-
-        The true bias of the oscillator is unknown, so the mean of its prior is 0.
-        """
-        measured, snr = self.measurement[epochs], self.snr_db[epochs]
-        spread = self.doppler_spread_hz[epochs]
-        found = self._played(radio_from(radio), rng, epochs, measured, snr, spread, 0.0)
-        found.prior_mean[6] = 0.0
-        return found
+    def _received(self, radio: Radio, rng: np.random.Generator, epochs: slice) -> Received:
+        snr, spread = self.snr_db[epochs], self.doppler_spread_hz[epochs]
+        return Received(self.measurement[epochs], snr, spread, bias_hz=None)

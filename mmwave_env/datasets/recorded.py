@@ -12,12 +12,11 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import ArrayLike
 
-from mmwave_env.datasets.tracks import Track, fields_of
+from mmwave_env.datasets.tracks import Received, Track, fields_of
 from mmwave_env.models.measurement import range_rate, wrap_angles
-from mmwave_env.models.radio import Radio, doppler_spread, oscillator_bias, radio_from
+from mmwave_env.models.radio import Radio, doppler_spread, oscillator_bias
 from mmwave_env.numerics.numbers import Array
 from mmwave_env.world.checks import refuse, require_finite
-from mmwave_env.world.episode import Episode
 
 _NO_PATH_DB = -200.0  # gain of a missing path: negligible, but its sigmas stay finite
 
@@ -45,7 +44,7 @@ class Recording(Track):
             if not np.isfinite(values).all():
                 refuse(self.record, field, "NaN or infinity where visible", "finite numbers")
 
-    def _more_shapes(self, T: int, L: int) -> dict[str, tuple[int, ...]]:
+    def _own_shapes(self, T: int, L: int) -> dict[str, tuple[int, ...]]:
         return {"path_gain_db": (T, L)}
 
     @classmethod
@@ -77,31 +76,39 @@ class Recording(Track):
         """
         links = (range_m, aoa_azimuth_rad, aoa_elevation_rad, aod_azimuth_rad)
         fields, gain = fields_of(
-            f"{cls.KIND} {name!r}", name, time_s, anchors_m, links, None,
-            ("path_gain_db", path_gain_db), position_m, velocity_mps, carrier_hz, bandwidth_hz,
-        )  # fmt: skip
-        found = cls(**fields, path_gain_db=gain)
-        layout, away = found.layout, found.position_m - found.anchors_m[0]
-        rate = range_rate(list(away.T), list(found.velocity_mps.T))
-        found.measurement[:, layout.doppler] = found.scene.hz_per_mps * rate
-        found.visible[:, layout.anchors] = found.visible[:, 0]
-        found.warn_of_contradictions()
-        return found
-
-    def episode(
-        self, radio: str | Radio, rng: np.random.Generator, epochs: slice = slice(None)
-    ) -> Episode:
-        """Return an episode as :meth:`Track.episode`; noise, bias, spread and prior are drawn."""
-        profile, scene, layout = radio_from(radio), self.scene, self.layout
-        gain = np.where(
-            self.visible[epochs, : layout.anchors], self.path_gain_db[epochs], _NO_PATH_DB
+            f"{cls.KIND} {name!r}",
+            name,
+            time_s,
+            anchors_m,
+            links,
+            ("path_gain_db", path_gain_db),
+            position_m,
+            velocity_mps,
+            (carrier_hz, bandwidth_hz),
         )
-        snr = profile.snr_db(gain, scene.bandwidth_hz)
-        sigma = profile.sigma(snr, scene, layout)
+        recording = cls(**fields, path_gain_db=gain)
+        recording.add_doppler()
+        recording.warn_of_contradictions()
+        return recording
+
+    def add_doppler(self) -> None:
+        """Set the Doppler shift of the true velocity wherever there is a line of sight."""
+        away, layout = self.position_m - self.anchors_m[0], self.layout
+        rate = range_rate(list(away.T), list(self.velocity_mps.T))
+        self.measurement[:, layout.doppler] = self.scene.hz_per_mps * rate
+        self.visible[:, layout.anchors] = self.visible[:, 0]
+
+    def _received(self, radio: Radio, rng: np.random.Generator, epochs: slice) -> Received:
+        """Draw the noise, the oscillator's bias and the Doppler spread of some epochs."""
+        scene, layout = self.scene, self.layout
+        links = self.visible[epochs, : layout.anchors]
+        gain = np.where(links, self.path_gain_db[epochs], _NO_PATH_DB)
+        snr = radio.snr_db(gain, scene.bandwidth_hz)
+        sigma = radio.sigma(snr, scene, layout)
         measurement = self.measurement[epochs] + sigma * rng.standard_normal(sigma.shape)
-        bias = oscillator_bias(profile, scene.hz_per_mps, self.time_s[epochs], rng)
+        bias = oscillator_bias(radio, scene.hz_per_mps, self.time_s[epochs], rng)
         measurement[:, layout.doppler] += bias
         wrap_angles(measurement, layout)
         speed = np.linalg.norm(self.velocity_mps[epochs], axis=1)
-        spread_hz = doppler_spread(profile, scene.hz_per_mps, speed, rng)
-        return self._played(profile, rng, epochs, measurement, snr, spread_hz, bias[0])
+        spread_hz = doppler_spread(radio, scene.hz_per_mps, speed, rng)
+        return Received(measurement, snr, spread_hz, bias[0])

@@ -4,7 +4,7 @@ import warnings
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -17,12 +17,21 @@ from mmwave_env.models.radio import Radio, radio_from
 from mmwave_env.models.scene import Scene, scene_of_anchors
 from mmwave_env.numerics.numbers import Array, Mask, wrap
 from mmwave_env.world.checks import refuse, require_epochs, require_increasing, require_name
-from mmwave_env.world.episode import Episode
+from mmwave_env.world.episode import Episode, shapes_of
 
 # m, rad: medians beyond _FAR are wrong even with noise, medians within _NEAR are acceptable.
 _FAR, _NEAR = (50.0, 0.5, 0.5, 0.5), (5.0, 0.05, 0.05, 0.05)
 _NOISE = 0.6745 * np.sqrt(2.0)  # median absolute difference of two errors of unit deviation
 _ENOUGH = 20  # epochs for a median
+
+
+class Received(NamedTuple):
+    """The measurements of T epochs, and the oscillator's first bias, or None where unknown."""
+
+    measurement: Array  # (T, rows)
+    snr_db: Array  # (T, L)
+    doppler_spread_hz: Array  # (T,)
+    bias_hz: float | None
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -52,25 +61,30 @@ class Track(ABC):
     velocity_mps: Array
 
     def __post_init__(self) -> None:
-        T, L = len(self.time_s), self.layout.anchors
         require_name(self.record, self.name)
-        shapes: dict[str, tuple[int, ...]] = {
-            "time_s": (T,), "measurement": (T, self.layout.size),
-            "visible": (T, len(self.layout.groups)), "position_m": (T, 3), "velocity_mps": (T, 3),
-        }  # fmt: skip
-        require_epochs(self.record, self, shapes | self._more_shapes(T, L))
-        if len(self.scene.anchors_m) != L:
-            refuse(self.record, "anchors", f"{len(self.scene.anchors_m)} in the scene", f"{L}")
+        T, L = len(self.time_s), len(self.scene.anchors_m)
+        if self.layout.anchors != L:
+            refuse(self.record, "anchors", f"{L} in the scene", str(self.layout.anchors))
+        truth = {"position_m": (T, 3), "velocity_mps": (T, 3)}
+        require_epochs(
+            self.record, self, shapes_of(self.layout, T) | truth | self._own_shapes(T, L)
+        )
 
     @abstractmethod
-    def _more_shapes(self, T: int, L: int) -> dict[str, tuple[int, ...]]:
-        """Return the shapes of the arrays that this kind of track has in addition."""
+    def _own_shapes(self, T: int, L: int) -> dict[str, tuple[int, ...]]:
+        """Return the shapes of the arrays that only this kind of track has."""
 
     @abstractmethod
+    def _received(self, radio: Radio, rng: np.random.Generator, epochs: slice) -> Received:
+        """Return what a receiver measures in some epochs."""
+
     def episode(
         self, radio: str | Radio, rng: np.random.Generator, epochs: slice = slice(None)
     ) -> Episode:
         """Return an episode of the track, or of some of its epochs, in which the truth is known.
+
+        The prior is drawn around the true state. If the bias of the oscillator is unknown, the mean
+        of its prior is 0.
 
         Args:
             radio: profile of the receiver.
@@ -80,36 +94,26 @@ class Track(ABC):
         Raises:
             ValueError: the truth of an epoch is not known.
         """
-
-    def _played(
-        self,
-        radio: Radio,
-        rng: np.random.Generator,
-        epochs: slice,
-        measurement: Array,
-        snr_db: Array,
-        doppler_spread_hz: Array,
-        bias_hz: float,
-    ) -> Episode:
-        """Return an episode of some epochs as received, with a prior around the true state."""
+        radio = radio_from(radio)
+        received = self._received(radio, rng, epochs)
         position, velocity = self.position_m[epochs], self.velocity_mps[epochs]
-        state = np.concatenate([position[0], velocity[0], [bias_hz]])
+        state = np.concatenate([position[0], velocity[0], [received.bias_hz or 0.0]])
         mean, covariance = draw_prior(state, radio, self.scene, rng)
-        return Episode(
-            name=self.name,
-            scene_anchors_m=self.anchors_m,
-            hz_per_mps=self.scene.hz_per_mps,
+        if received.bias_hz is None:
+            mean[6] = 0.0
+        return Episode.measured(
+            self.name,
+            self.scene,
+            radio,
+            self.layout,
             time_s=self.time_s[epochs],
-            measurement=measurement,
-            sigma=radio.sigma(snr_db, self.scene, self.layout),
+            measurement=received.measurement,
             visible=self.visible[epochs],
-            snr_db=snr_db,
-            doppler_spread_hz=doppler_spread_hz,
-            prior_mean=mean,
-            prior_covariance=covariance,
-            truth_position_m=position,
-            truth_velocity_mps=velocity,
-            layout=self.layout,
+            snr_db=received.snr_db,
+            doppler_spread_hz=received.doppler_spread_hz,
+            prior=(mean, covariance),
+            position_m=position,
+            velocity_mps=velocity,
         )
 
     @property
@@ -136,11 +140,11 @@ class Track(ABC):
         exact = exact_rows(position, [0.0] * 3, anchors, 0.0, Layout(layout.anchors))
         known, far = np.isfinite(self.position_m).all(axis=1), []
         for a in range(layout.anchors):
-            seen = self.visible[:, a] & known
-            if seen.sum() < _ENOUGH:
+            used = self.visible[:, a] & known
+            if used.sum() < _ENOUGH:
                 continue
             for i, name in enumerate(LINK):
-                error = (self.measurement[:, 4 * a + i] - exact[4 * a + i])[seen]
+                error = (self.measurement[:, 4 * a + i] - exact[4 * a + i])[used]
                 sizes = (np.abs(wrap(e) if i else e) for e in (error, np.diff(error)))
                 median, differ = (float(np.median(size)) for size in sizes)
                 # Noise alone makes the median two thirds of its deviation.
@@ -233,11 +237,8 @@ def numbers(record: str, field: str, values: ArrayLike, shape: tuple[int | None,
         array = np.array(values, float)
     except (TypeError, ValueError) as error:
         refuse(record, field, f"{type(values).__name__} ({error})", "an array of numbers")
-    fits = array.ndim == len(shape) and all(
-        n == wanted if wanted is not None else n > 0
-        for n, wanted in zip(array.shape, shape, strict=True)
-    )
-    if not fits:
+    wanted = [n or max(m, 1) for n, m in zip(shape, array.shape, strict=False)]
+    if array.ndim != len(shape) or list(array.shape) != wanted:
         refuse(record, field, f"shape {array.shape}", f"shape {shape}".replace("None", "any"))
     return array
 
@@ -248,22 +249,21 @@ def fields_of(
     time_s: ArrayLike,
     anchors_m: ArrayLike,
     links: Sequence[ArrayLike],
-    doppler_hz: ArrayLike | None,
     strength: tuple[str, ArrayLike],
     position_m: ArrayLike,
     velocity_mps: ArrayLike | None,
-    carrier_hz: float,
-    bandwidth_hz: float,
+    signal: tuple[float, float],
+    doppler_hz: ArrayLike | None = None,
 ) -> tuple[dict[str, Any], Array]:
     """Return fields of a :class:`Track`, and the strengths of links (T, L), from a user's arrays.
 
     Args:
         record: kind and name, for messages.
-        name, time_s, anchors_m, position_m, velocity_mps, carrier_hz, bandwidth_hz: as the
-            constructors' ``from_arrays`` take them.
+        name, time_s, anchors_m, position_m, velocity_mps, doppler_hz: as the constructors'
+            ``from_arrays`` take them.
         links: (T, L) arrays in the order of ``LINK``, NaN where not measured.
-        doppler_hz: (T,) shift of the base station's link; None where it was not measured.
         strength: name and values (T, L) of the strength of links.
+        signal: carrier and bandwidth, Hz.
 
     Raises:
         ValueError: an array has another shape, or times do not increase.
@@ -287,8 +287,13 @@ def fields_of(
     strengths = numbers(record, *strength, (T, layout.anchors))
     visible, _ = whole_groups(rows, np.isfinite(strengths), layout)
     fields = {
-        "name": name, "scene": scene_of_anchors(name, anchors, carrier_hz, bandwidth_hz),
-        "layout": layout, "time_s": time, "measurement": rows, "visible": visible,
-        "position_m": position, "velocity_mps": velocity,
-    }  # fmt: skip
+        "name": name,
+        "scene": scene_of_anchors(name, anchors, *signal),
+        "layout": layout,
+        "time_s": time,
+        "measurement": rows,
+        "visible": visible,
+        "position_m": position,
+        "velocity_mps": velocity,
+    }
     return fields, strengths

@@ -166,28 +166,23 @@ def episode_from(block: LogBlock, scene: Scene, radio: Radio, begins: bool = Tru
         begins: whether a track begins here, with a prior from the link to anchor 1; this link
             is then not visible, or it would be used twice. Otherwise the prior has no meaning.
     """
-    sigma, visible = radio.sigma(block.snr_db, scene, block.layout), block.visible
-    prior = np.zeros(7), np.eye(7)
+    visible, prior = block.visible, (np.zeros(7), np.eye(7))
     if begins:
-        fix = block.measurement[0, :4], sigma[0, :4]
+        fix = block.measurement[0, :4], radio.sigma(block.snr_db, scene, block.layout)[0, :4]
         prior = prior_from_fix(scene.anchors_m[0], *fix, radio, scene)
         visible = visible.copy()
         visible[0, 0] = False
-    return Episode(
-        name="log",
-        scene_anchors_m=scene.anchors_m,
-        hz_per_mps=scene.hz_per_mps,
+    return Episode.measured(
+        "log",
+        scene,
+        radio,
+        block.layout,
         time_s=block.time_s,
         measurement=block.measurement,
-        sigma=sigma,
         visible=visible,
         snr_db=block.snr_db,
         doppler_spread_hz=block.doppler_spread_hz,
-        prior_mean=prior[0],
-        prior_covariance=prior[1],
-        truth_position_m=None,
-        truth_velocity_mps=None,
-        layout=block.layout,
+        prior=prior,
     )
 
 

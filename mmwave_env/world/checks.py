@@ -11,14 +11,14 @@ from mmwave_env.io.records import Bound, Printable
 from mmwave_env.numerics.numbers import Array
 
 
-def refuse(record: str, field: str, found: str, expected: str) -> NoReturn:
+def refuse(record: str, field: str, value: object, expected: str) -> NoReturn:
     """Refuse a field of a record, such as "episode 'jam'", by a ValueError."""
-    raise ValueError(f"{field} of {record}: found {found}, expected {expected}")
+    raise ValueError(f"{field} of {record}: found {value}, expected {expected}")
 
 
-def refuse_in(file: Path, what: str, found: object, expected: str) -> NoReturn:
+def refuse_in(file: Path, part: str, value: object, expected: str) -> NoReturn:
     """Refuse a part of a file, such as a line or a key, by a ValueError."""
-    raise ValueError(f"{file}: {what}: found {found}, expected {expected}")
+    raise ValueError(f"{file}: {part}: found {value}, expected {expected}")
 
 
 def require_name(record: str, name: object) -> None:
@@ -27,19 +27,19 @@ def require_name(record: str, name: object) -> None:
         refuse(record, "name", quoted(name), Printable.expected)
 
 
-def require_epochs(record: str, of: Any, shapes: Mapping[str, tuple[int, ...]]) -> None:
+def require_epochs(record: str, epochs: Any, shapes: Mapping[str, tuple[int, ...]]) -> None:
     """Refuse arrays of wrong shapes, and times that do not increase.
 
     Args:
         record: name of the record, for the message.
-        of: object with ``time_s`` and the arrays as attributes; None stands for an unknown array.
+        epochs: object with ``time_s`` and the arrays as attributes; an array may be None.
         shapes: expected shapes of the arrays.
     """
     for field, shape in shapes.items():
-        value = getattr(of, field)
+        value = getattr(epochs, field)
         if value is not None and value.shape != shape:
             refuse(record, field, f"shape {value.shape}", f"shape {shape}")
-    require_increasing(record, of.time_s)
+    require_increasing(record, epochs.time_s)
 
 
 def require_increasing(record: str, time_s: Array) -> None:
@@ -48,23 +48,16 @@ def require_increasing(record: str, time_s: Array) -> None:
         refuse(record, "time_s", "times that do not increase", "at least one, increasing")
 
 
-def require_within(record: str, field: str, what: str, values: Array, bound: Bound) -> None:
-    """Refuse numbers of a field outside a bound with two ends, and NaN.
-
-    Args:
-        record, field: names for the message.
-        what: words for a number, such as "a step of", where the field's name does not say it.
-        values: numbers of any shape.
-        bound: the interval that is allowed.
-    """
+def require_within(record: str, field: str, values: Array, bound: Bound) -> None:
+    """Refuse numbers of a field, of any shape, that are NaN or outside a bound with two limits."""
     wrong = bound.outside(values)
     if wrong.any():
-        refuse(record, field, f"{what} {values[wrong].flat[0]:g}".lstrip(), bound.expected)
+        refuse(record, field, f"{values[wrong].flat[0]:g}", bound.expected)
 
 
-def require_finite(record: str, of: Any, fields: Iterable[str]) -> None:
+def require_finite(record: str, epochs: Any, fields: Iterable[str]) -> None:
     """Refuse NaN and infinity in arrays; arguments are as for :func:`require_epochs`."""
     for field in fields:
-        value = getattr(of, field)
+        value = getattr(epochs, field)
         if value is not None and not np.isfinite(value).all():
             refuse(record, field, "NaN or infinity", "finite numbers")

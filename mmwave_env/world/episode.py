@@ -1,8 +1,7 @@
 """Episodes: the data of all epochs, complete before the first step.
 
 No action of an agent changes truth, measurements or noise, so an episode is data: arrays
-over epochs, drawn from a simulation or taken from a recording. All other code treats both
-alike.
+over epochs, drawn from a simulation or taken from a recording.
 """
 
 from collections.abc import Iterator, Sequence
@@ -11,12 +10,13 @@ from functools import cached_property, lru_cache
 from typing import Any, NamedTuple, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mmwave_env.io.records import Bound
 from mmwave_env.models import envelope
 from mmwave_env.models.measurement import Epoch, Layout, Site, blank_site
-from mmwave_env.numerics.numbers import Array, Index, Number, where
+from mmwave_env.models.radio import Radio
+from mmwave_env.models.scene import Scene
+from mmwave_env.numerics.numbers import Array, Index, Mask, Number, where
 from mmwave_env.numerics.pytree import flatten, indices
 from mmwave_env.world.checks import refuse, require_epochs, require_finite, require_within
 
@@ -52,7 +52,7 @@ class Episode:
     time_s: Array
     measurement: Array
     sigma: Array
-    visible: NDArray[np.bool_]
+    visible: Mask
     snr_db: Array
     doppler_spread_hz: Array
     prior_mean: Array
@@ -63,49 +63,90 @@ class Episode:
 
     def __post_init__(self) -> None:
         T, layout = len(self.time_s), self.layout
-        groups = len(layout.groups)
-        shapes: dict[str, tuple[int, ...]] = {
-            "scene_anchors_m": (layout.anchors, 3), "time_s": (T,),
-            "measurement": (T, layout.size), "sigma": (T, layout.size), "visible": (T, groups),
-            "snr_db": (T, layout.anchors), "doppler_spread_hz": (T,), "prior_mean": (7,),
-            "prior_covariance": (7, 7), "truth_position_m": (T, 3), "truth_velocity_mps": (T, 3),
-        }  # fmt: skip
+        shapes = shapes_of(layout, T) | {
+            "scene_anchors_m": (layout.anchors, 3),
+            "sigma": (T, layout.size),
+            "snr_db": (T, layout.anchors),
+            "doppler_spread_hz": (T,),
+            "prior_mean": (7,),
+            "prior_covariance": (7, 7),
+            "truth_position_m": (T, 3),
+            "truth_velocity_mps": (T, 3),
+        }
         require_epochs(self._record, self, shapes)
         if not (self.sigma > 0.0).all():
-            wrong = self.sigma[~(self.sigma > 0.0)]
-            refuse(self._record, "sigma", f"{wrong[0]}", "> 0 everywhere")
+            refuse(self._record, "sigma", self.sigma[~(self.sigma > 0.0)][0], "> 0 everywhere")
         require_finite(self._record, self, ("truth_position_m", "truth_velocity_mps"))
         P = self.prior_covariance
         if not (abs(P - P.T).max() <= 1e-8 * abs(P).max() and np.linalg.eigvalsh(P)[0] > 0.0):
-            refuse(self._record, "prior_covariance", f"{P.tolist()}", "a positive definite matrix")
-        for field, what, values, bound in self._bounded():
-            require_within(self._record, field, what, values, bound)
+            refuse(self._record, "prior_covariance", P.tolist(), "a positive definite matrix")
+        for field, values, bound in self._bounded():
+            require_within(self._record, field, values, bound)
 
-    def _bounded(self) -> Iterator[tuple[str, str, Array, Bound]]:
-        """Yield, for each bounded field: its name, words for its values, the values, the bound."""
+    def _bounded(self) -> Iterator[tuple[str, Array, Bound]]:
+        """Yield the name, the values and the bound of every bounded part."""
         mean, deviation = self.prior_mean, np.sqrt(np.diag(self.prior_covariance))
         sigma, layout = np.where(self._used, self.sigma, np.nan), self.layout
         lengths = np.setdiff1d(np.arange(layout.size), [*layout.angles, layout.doppler])
-        yield "hz_per_mps", "", np.array([self.hz_per_mps]), envelope.HZ_PER_MPS
-        yield "time_s", "a step of", np.diff(self.time_s), envelope.STEP_S
-        yield "doppler_spread_hz", "", self.doppler_spread_hz, envelope.DOPPLER_SPREAD_HZ
-        yield "scene_anchors_m", "", self.scene_anchors_m, envelope.POSITION_M
-        yield "prior_mean", "a position of", mean[:3], envelope.POSITION_M
-        yield "prior_mean", "a velocity of", mean[3:6], envelope.VELOCITY_MPS
-        yield "prior_mean", "a bias of", mean[6:], envelope.BIAS_HZ
-        for rows, bound in (
-            (slice(3), envelope.POSITION_SIGMA_M),
-            (slice(3, 6), envelope.VELOCITY_SIGMA_MPS),
-            (slice(6, 7), envelope.BIAS_SIGMA_HZ),
-        ):
-            yield "prior_covariance", "a deviation of", deviation[rows], bound
+        yield "hz_per_mps", np.array([self.hz_per_mps]), envelope.HZ_PER_MPS
+        yield "time_s, step", np.diff(self.time_s), envelope.STEP_S
+        yield "doppler_spread_hz", self.doppler_spread_hz, envelope.DOPPLER_SPREAD_HZ
+        yield "scene_anchors_m", self.scene_anchors_m, envelope.POSITION_M
+        yield "prior_mean, position", mean[:3], envelope.POSITION_M
+        yield "prior_mean, velocity", mean[3:6], envelope.VELOCITY_MPS
+        yield "prior_mean, bias", mean[6:], envelope.BIAS_HZ
+        yield "prior_covariance, position", deviation[:3], envelope.POSITION_SIGMA_M
+        yield "prior_covariance, velocity", deviation[3:6], envelope.VELOCITY_SIGMA_MPS
+        yield "prior_covariance, bias", deviation[6:], envelope.BIAS_SIGMA_HZ
         for columns, bound in (
             (lengths, envelope.RANGE_SIGMA_M),
             (layout.angles, envelope.ANGLE_SIGMA_RAD),
             ([layout.doppler], envelope.DOPPLER_SIGMA_HZ),
         ):
             used = sigma[:, columns]
-            yield "sigma", "", used[~np.isnan(used)], bound
+            yield "sigma", used[~np.isnan(used)], bound
+
+    @classmethod
+    def measured(
+        cls,
+        name: str,
+        scene: Scene,
+        radio: Radio,
+        layout: Layout,
+        *,
+        time_s: Array,
+        measurement: Array,
+        visible: Mask,
+        snr_db: Array,
+        doppler_spread_hz: Array,
+        prior: tuple[Array, Array],
+        position_m: Array | None = None,
+        velocity_mps: Array | None = None,
+    ) -> "Episode":
+        """Return the episode of measured arrays; the radio determines the standard deviations.
+
+        Args:
+            name, layout, time_s, measurement, visible, snr_db, doppler_spread_hz: attributes.
+            scene: scene whose anchors were measured.
+            radio: profile of the receiver.
+            prior: mean (7,) and covariance (7, 7) at the first epoch.
+            position_m, velocity_mps: the truth (T, 3), or None where unknown.
+        """
+        return cls(
+            name,
+            scene.anchors_m,
+            scene.hz_per_mps,
+            time_s,
+            measurement,
+            radio.sigma(snr_db, scene, layout),
+            visible,
+            snr_db,
+            doppler_spread_hz,
+            *prior,
+            position_m,
+            velocity_mps,
+            layout,
+        )
 
     @property
     def _record(self) -> str:
@@ -115,7 +156,7 @@ class Episode:
         return len(self.time_s)
 
     @cached_property
-    def usable(self) -> NDArray[np.bool_]:
+    def usable(self) -> Mask:
         """Return whether (T, groups) each group is visible and all its numbers are finite."""
         finite = np.isfinite(self.measurement) & np.isfinite(self.sigma)
         for link in range(self.layout.anchors):
@@ -124,7 +165,7 @@ class Episode:
         return self.visible & np.logical_and.reduceat(finite, starts, axis=1)  # type: ignore[no-any-return]
 
     @property
-    def _used(self) -> NDArray[np.bool_]:
+    def _used(self) -> Mask:
         """Return :attr:`usable` for every row (T, rows)."""
         return np.repeat(self.usable, self.layout.widths, axis=1)
 
@@ -133,21 +174,14 @@ class Episode:
         """Return the number of visible groups with NaN or infinity, which count as missing."""
         return int((self.visible & ~self.usable).sum())
 
-    @property
-    def has_truth(self) -> bool:
-        """Tell whether errors, rewards and metrics can be computed."""
-        return self.truth_position_m is not None and self.truth_velocity_mps is not None
-
     def require_truth(self) -> None:
         """Refuse an episode that cannot be scored.
 
         Raises:
             ValueError: the true position or velocity is unknown.
         """
-        if not self.has_truth:
-            raise ValueError(
-                f"episode {self.name!r}: found no truth, which reward and metrics need"
-            )
+        if self.truth_position_m is None or self.truth_velocity_mps is None:
+            raise ValueError(f"{self._record}: found no truth, which reward and metrics need")
 
     def on_flat_ground(self, height_m: float | None = None) -> "Episode":
         """Return the episode with vz 0 and a known height, by default the true first height."""
@@ -180,6 +214,11 @@ class Episode:
         return np.array(flatten(site))
 
 
+def shapes_of(layout: Layout, T: int) -> dict[str, tuple[int, ...]]:
+    """Return the shapes of the arrays that every record of T epochs has."""
+    return {"time_s": (T,), "measurement": (T, layout.size), "visible": (T, len(layout.groups))}
+
+
 class EpisodeBatch(NamedTuple):
     """A batch of n episodes in the form that engines load.
 
@@ -209,13 +248,13 @@ class EpisodeBatch(NamedTuple):
             ValueError: an episode has another layout.
         """
         if isinstance(episodes, EpisodeBatch):
-            found = [(name, episodes.layout) for name in episodes.names]
+            layouts = [(episodes.names[0], episodes.layout)]
         else:
-            found = [(episode.name, episode.layout) for episode in episodes]
-        layout = layout or found[0][1]
-        for name, other in found:
+            layouts = [(episode.name, episode.layout) for episode in episodes]
+        layout = layout or layouts[0][1]
+        for name, other in layouts:
             if other != layout:
-                raise ValueError(f"layout of episode {name!r}: found {other}, expected {layout}")
+                refuse(f"episode {name!r}", "layout", other, str(layout))
         if isinstance(episodes, EpisodeBatch):
             return episodes
         tables = [episode.table() for episode in episodes]

@@ -20,7 +20,7 @@ from mmwave_env.datasets.deepmimo.anchors import (
 )
 from mmwave_env.datasets.deepmimo.v4 import Scenario, open_scenario
 from mmwave_env.datasets.recorded import Recording
-from mmwave_env.models.measurement import Layout, range_rate
+from mmwave_env.models.measurement import Layout
 from mmwave_env.models.scene import scene_of_anchors
 from mmwave_env.numerics.numbers import Array
 from mmwave_env.world.checks import refuse_in
@@ -71,7 +71,6 @@ def read_deepmimo(
     scenario = open_scenario(Path(folder), receiver_set)
     receivers = scenario.epochs(users)
     way = _way_of(scenario, receivers, dt_s)
-    velocity = np.asarray(way.velocity_mps)
     stations = scenario.paths(receivers, base_station)
     links = _links(stations, way.position_m, virtual_anchors)
     anchors = np.array([station.anchors_m[k] for station, k in links])
@@ -84,11 +83,7 @@ def read_deepmimo(
         visible[:, a], strongest = station.strongest(k)
         measurement[:, layout.link(a)] = station.rows[epochs, strongest]
         gain_db[:, a] = station.paths.gain_db[epochs, strongest]
-    visible[:, layout.anchors] = visible[:, 0]  # Doppler: line of sight
-    away = way.position_m - links[0][0].paths.position_m
-    rate = range_rate(list(away.T), list(velocity.T))
-    measurement[:, layout.doppler] = scene.hz_per_mps * rate
-    return Recording(
+    recording = Recording(
         name=scenario.name,
         scene=scene,
         layout=layout,
@@ -97,8 +92,10 @@ def read_deepmimo(
         visible=visible,
         path_gain_db=gain_db,
         position_m=way.position_m,
-        velocity_mps=velocity,
+        velocity_mps=np.asarray(way.velocity_mps),
     )
+    recording.add_doppler()
+    return recording
 
 
 def _way_of(scenario: Scenario, epochs: NDArray[np.int_], dt_s: float | None) -> Trajectory:
