@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-from mmwave_env.world.ways import read_trajectory
+from mmwave_env.datasets.ways import read_trajectory
 
 RAYS, SEED, BLOCK = 10**5, 1, 200  # rays that look for walls; receivers traced at once
 INTERACTIONS = {1: 1.0, 2: 3.0, 4: 4.0, 8: 2.0}  # Sionna's reflection, ... in DeepMIMO's digits

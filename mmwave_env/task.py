@@ -10,6 +10,7 @@ from mmwave_env.datasets.measured import MeasuredTrack
 from mmwave_env.datasets.recorded import Recording
 from mmwave_env.datasets.samples import source_from
 from mmwave_env.datasets.tracks import TrackSource
+from mmwave_env.datasets.ways import scenario_from
 from mmwave_env.filters.bank import Bank, Modes, bank_from, modes_from
 from mmwave_env.filters.modes import Mode
 from mmwave_env.filters.pipeline import Pipeline
@@ -23,7 +24,7 @@ from mmwave_env.models.scene import Scene, Streets
 from mmwave_env.world.episode import Episode, EpisodeBatch, EpisodeSource
 from mmwave_env.world.keys import Keys
 from mmwave_env.world.simulated import SimulatedSource
-from mmwave_env.world.ways import Scenario
+from mmwave_env.world.trajectory import Scenario
 
 EPISODE_STEPS = 200
 
@@ -195,7 +196,7 @@ def _source(given: TaskArguments, radio: Radio) -> tuple[EpisodeSource, Radio]:
         simulated = SimulatedSource(
             scenes_from("street" if given.scene is None else given.scene),
             radio,
-            "mixed" if given.scenario is None else given.scenario,
+            scenario_from("mixed" if given.scenario is None else given.scenario),
             1.0 if given.dt is None else given.dt,
             EPISODE_STEPS if given.episode_steps is None else given.episode_steps,
             given.odometry,

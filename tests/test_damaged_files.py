@@ -22,6 +22,7 @@ from experiments.reporting.webpage.sources import read_source
 from experiments.training.hyperparameters import read_hyperparameters, shipped_hyperparameters
 from mmwave_env.datasets.deepmimo.recording import read_deepmimo
 from mmwave_env.datasets.recorded import Recording
+from mmwave_env.datasets.ways import read_ways
 from mmwave_env.filters.bank import modes_from, read_bank
 from mmwave_env.logs.log import LogBlock, read_log
 from mmwave_env.logs.path_log import read_paths
@@ -29,7 +30,6 @@ from mmwave_env.logs.tum import read_tum
 from mmwave_env.models.radio import read_radio
 from mmwave_env.models.scene import SCENES, read_scene, scene_json
 from mmwave_env.world.mobility import read_mobility
-from mmwave_env.world.ways import read_ways
 from policies.policy_file import _checksum, read_policy, save
 from tests.damage import changed, damaged
 from tests.datasets.deepmimo.scenarios import SAVE, shortened

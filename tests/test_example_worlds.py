@@ -12,10 +12,10 @@ import numpy as np
 import pytest
 
 from mmwave_env.datasets.deepmimo import read_deepmimo
+from mmwave_env.datasets.ways import read_ways
 from mmwave_env.models.measurement import SPEED_OF_LIGHT
 from mmwave_env.models.scene import SCENES
 from mmwave_env.task import task_from
-from mmwave_env.world.ways import read_ways
 from tests.paths import RECORDINGS, ROOT
 
 

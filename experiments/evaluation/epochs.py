@@ -1,6 +1,6 @@
 """Errors and NEES of contenders in every epoch, for pictures."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -9,7 +9,6 @@ from experiments.evaluation.contenders import Contender
 from experiments.evaluation.runner import EpochResults
 from mmwave_env.metrics import scored
 from mmwave_env.numerics.numbers import Array
-from mmwave_env.world.episode import Episode
 
 
 @dataclass
@@ -21,11 +20,11 @@ class EpochErrors:
     _errors: dict[str, list[Array]] = field(default_factory=dict)
     _nees: dict[str, list[Array]] = field(default_factory=dict)
 
-    def add(self, contender: Contender, episodes: Sequence[Episode], told: EpochResults) -> None:
-        """Add the epoch results of a contender on some episodes."""
+    def add(self, contender: Contender, time_s: Array, told: EpochResults) -> None:
+        """Add the epoch results of a contender on some episodes with epochs at times (T,)."""
         if contender.name in self.names:
-            name, counts = self.names[contender.name], scored(len(episodes[0]))
-            self.time_s = (episodes[0].time_s - episodes[0].time_s[0])[counts]
+            name, counts = self.names[contender.name], scored(len(time_s))
+            self.time_s = (time_s - time_s[0])[counts]
             self._errors.setdefault(name, []).append(told["error"][:, counts].astype(np.float32))
             self._nees.setdefault(name, []).append(told["nees"][:, counts])
 

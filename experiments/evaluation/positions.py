@@ -1,6 +1,6 @@
 """Position errors of contenders: percentiles, shares within distances and protection levels."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -11,7 +11,7 @@ from experiments.evaluation.contenders import Contender
 from experiments.evaluation.runner import EpochResults
 from mmwave_env.localization.position_errors import DISTANCES_M, RISK, SHARES, PositionErrors
 from mmwave_env.metrics import scored
-from mmwave_env.world.episode import Episode
+from mmwave_env.numerics.numbers import Array
 
 KINDS = ("horizontal", "vertical")
 PARTS = ("P",)  # entries of the state that are needed after every epoch
@@ -39,10 +39,10 @@ class Positions:
     planar: bool = False
     errors: dict[str, PositionErrors] = field(default_factory=dict)
 
-    def add(self, contender: Contender, episodes: Sequence[Episode], told: EpochResults) -> None:
+    def add(self, contender: Contender, time_s: Array, told: EpochResults) -> None:
         """Add a contender's epoch results on some episodes, which include :data:`PARTS`."""
         if contender.name in self.names:
-            name, counts = self.names[contender.name], scored(len(episodes[0]))
+            name, counts = self.names[contender.name], scored(len(time_s))
             errors = self.errors.setdefault(name, PositionErrors(self.risk, self.planar))
             errors.add(told["error"][:, counts], told["P"][:, counts])
 

@@ -2,7 +2,7 @@
 
 import warnings
 from collections.abc import Callable, Sequence
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,6 +21,7 @@ from mmwave_env.metrics import BURN_IN, METRICS, TERMS, scored, summary
 from mmwave_env.numerics.numbers import Array
 from mmwave_env.task import Task
 from mmwave_env.world.episode import Episode, EpisodeBatch, EpisodeSource
+from mmwave_env.world.simulated import SimulatedSource
 from policies import Policy
 
 
@@ -53,14 +54,13 @@ class Scoring(NamedTuple):
 PLAIN = Scoring()
 Scores = dict[str, Array]  # metric -> (episodes,)
 
-EpochResults = dict[
-    str, NDArray[Any]
-]  # "reward", "nees" (n, T), "error" (n, T, 3); of policies also "mode"
+# "reward", "nees" (n, T), "error" (n, T, 3); of policies also "mode"
+EpochResults = dict[str, NDArray[Any]]
 
-TOLD = ("reward", "nees", "error")
+PARTS = ("reward", "nees", "error")
 CHUNK = 1000  # episodes in memory at once
 
-Watch = Callable[[Contender, Sequence[Episode], EpochResults], None]
+Watch = Callable[[Contender, Array, EpochResults], None]
 
 
 def score(
@@ -70,8 +70,8 @@ def score(
     scoring: Scoring = PLAIN,
 ) -> Scores:
     """Return metrics per episode of a contender and its policy, on episodes of one length."""
-    told = _run(contender, policy, _packed(episodes, scoring), scoring)
-    return _summary(told, episodes, scoring)
+    results = _run(contender, policy, _packed(episodes, scoring), scoring)
+    return _summary(results, episodes[0].time_s, scoring)
 
 
 def run_contender(
@@ -118,7 +118,7 @@ def _run(
     after: Sequence[str] = (),
 ) -> EpochResults:
     """Run :func:`run_contender` on packed episodes."""
-    pipeline, names = Pipeline(contender.modes, episodes.layout, scoring.planar), (*TOLD, *after)
+    pipeline, names = Pipeline(contender.modes, episodes.layout, scoring.planar), (*PARTS, *after)
     if policy is None:
         imm = ImmEngine(pipeline, scoring.reward, contender.transition, contender.nis_quantile)
         return imm.run(episodes, *names)
@@ -128,39 +128,38 @@ def _run(
     policy.reset(np.ones(n, bool))
     program = engine.batch.program
     rows = rows_of(program.parts(names))
-    told, taken = np.empty((n, T, len(rows))), np.empty((n, T), np.int8)
+    outputs, taken = np.empty((n, T, len(rows))), np.empty((n, T), np.int8)
     states: dict[str, list[Array]] = {name: [] for name in shown}
     observations = engine.observations()
     for t in range(T):
         for name, part in zip(shown, program.parts(shown), strict=True):
             states[name].append(engine.read(part))
-        found = policy(observations)
-        actions = require_actions(contender.name, found, n, len(contender.actions))
-        taken[:, t] = actions
-        observations, told[:, t] = engine.step(actions, rows)
-    seen = {name: np.stack(parts, axis=1) for name, parts in states.items()}
-    return program.by_name(names, told) | {"mode": taken} | seen
+        choices = policy(observations)
+        taken[:, t] = actions = require_actions(contender.name, choices, n, len(contender.actions))
+        observations, outputs[:, t] = engine.step(actions, rows)
+    stacked = {name: np.stack(parts, axis=1) for name, parts in states.items()}
+    return program.by_name(names, outputs) | {"mode": taken} | stacked
 
 
-def step_s(episode: Episode) -> float:
-    """Return the time between two epochs, s; 1 for an episode of one epoch."""
-    return float(np.median(np.diff(episode.time_s))) if len(episode) > 1 else 1.0
+def _epochs_per_second(time_s: Array) -> float:
+    """Return the rate of epochs at times (T,), Hz; 1 for an episode of one epoch."""
+    return 1.0 / float(np.median(np.diff(time_s))) if len(time_s) > 1 else 1.0
 
 
-def _warn_of_short(episode: Episode) -> None:
+def _warn_of_short(time_s: Array) -> None:
     """Warn where the scored epochs are too few for RPE."""
-    counted, second = len(episode.time_s[scored(len(episode))]), round(1.0 / step_s(episode))
+    counted, second = len(time_s[scored(len(time_s))]), round(_epochs_per_second(time_s))
     if counted <= max(1, second):
         warnings.warn(
-            f"episodes of {len(episode)} epochs: metrics leave out the first {BURN_IN}; "
+            f"episodes of {len(time_s)} epochs: metrics leave out the first {BURN_IN}; "
             f"{counted} left, RPE needs more than {max(1, second)} and is 0",
             stacklevel=3,
         )
 
 
-def _warn_of_nonfinite(contender: Contender, told: EpochResults) -> None:
+def _warn_of_nonfinite(contender: Contender, results: EpochResults) -> None:
     """Warn that a contender's means will be NaN, and why; no episode is left out."""
-    finite = np.isfinite(told["error"]).all(axis=-1) & np.isfinite(told["nees"])
+    finite = np.isfinite(results["error"]).all(axis=-1) & np.isfinite(results["nees"])
     lost = np.count_nonzero(~finite.all(axis=1))
     if lost:
         warnings.warn(
@@ -171,14 +170,27 @@ def _warn_of_nonfinite(contender: Contender, told: EpochResults) -> None:
         )
 
 
-def _summary(told: EpochResults, episodes: Sequence[Episode], scoring: Scoring) -> Scores:
-    rate, axes = 1.0 / step_s(episodes[0]), 2 if scoring.planar else 3
+def _summary(results: EpochResults, time_s: Array, scoring: Scoring) -> Scores:
+    error, nees, axes = results["error"], results["nees"], 2 if scoring.planar else 3
     reward = scoring.reward if isinstance(scoring.reward, TrackingReward) else TrackingReward()
-    costs = reward.costs(np.linalg.norm(told["error"], axis=-1), told["nees"], axes)
-    counted = scored(told["nees"].shape[-1])
-    return summary(told["error"], told["nees"], rate, axes, told["reward"]) | {
+    costs = reward.costs(np.linalg.norm(error, axis=-1), nees, axes)
+    counted = scored(nees.shape[-1])
+    return summary(error, nees, _epochs_per_second(time_s), axes, results["reward"]) | {
         name: cost[..., counted].mean(axis=-1) for name, cost in zip(TERMS, costs, strict=True)
     }
+
+
+def _drawn(
+    selection: Selection, source: EpisodeSource, scoring: Scoring
+) -> tuple[EpisodeBatch, Array]:
+    """Draw episodes of one length, ready to run; also return the times (T,) of the first."""
+    keys = selection.keys(source)
+    if keys is None:
+        episodes = selection.draw(source)
+        return _packed(episodes, scoring), episodes[0].time_s
+    simulated = cast(SimulatedSource, source)
+    batch = simulated.sample_batch(keys)
+    return batch.on_flat_ground() if scoring.planar else batch, simulated.time_s
 
 
 def score_contenders(
@@ -199,7 +211,7 @@ def score_contenders(
         radio: radio profile.
         selection: episodes to run, by seeds or keys.
         modes: same as in :func:`contenders`.
-        watch: functions that take every contender, its episodes and its epoch results.
+        watch: functions that take every contender, times (T,) of epochs and its epoch results.
         scoring: scoring of all contenders.
         after: parts of the state for ``watch``, as in :func:`run_contender`.
 
@@ -207,28 +219,29 @@ def score_contenders(
         ValueError: unknown or repeated contender.
     """
     chosen = [
-        one if isinstance(one, Contender) else contender_from(one, radio, modes) for one in names
+        name if isinstance(name, Contender) else contender_from(name, radio, modes)
+        for name in names
     ]
-    found = [contender.name for contender in chosen]
-    if len(set(found)) < len(found):
-        raise ValueError(f"policies: found {', '.join(found)}, expected no name twice")
+    parts: dict[str, list[Scores]] = {contender.name: [] for contender in chosen}
+    if len(parts) < len(chosen):
+        listed = ", ".join(contender.name for contender in chosen)
+        raise ValueError(f"policies: found {listed}, expected no name twice")
     policies = [contender.start(source.layout, scoring.planar) for contender in chosen]
-    parts: dict[str, list[Scores]] = {c.name: [] for c in chosen}
     with bars() as progress:
         task = progress.add_task(source.name, total=len(selection) * (1 + len(chosen)))
         for first in range(0, len(selection), CHUNK):
-            batch = selection.part(first, CHUNK).draw(source)
-            progress.advance(task, len(batch))
+            batch, time_s = _drawn(selection.part(first, CHUNK), source, scoring)
+            count = len(batch.names)
+            progress.advance(task, count)
             if not first:
-                _warn_of_short(batch[0])
-            packed = _packed(batch, scoring)
+                _warn_of_short(time_s)
             for contender, policy in zip(chosen, policies, strict=True):
-                told = _run(contender, policy, packed, scoring, after=after)
-                _warn_of_nonfinite(contender, told)
-                parts[contender.name].append(_summary(told, batch, scoring))
-                for one in watch:
-                    one(contender, batch, told)
-                progress.advance(task, len(batch))
+                results = _run(contender, policy, batch, scoring, after=after)
+                _warn_of_nonfinite(contender, results)
+                parts[contender.name].append(_summary(results, time_s, scoring))
+                for callback in watch:
+                    callback(contender, time_s, results)
+                progress.advance(task, count)
     return {
         name: {m: np.concatenate([part[m] for part in scores]) for m in (*METRICS, *TERMS)}
         for name, scores in parts.items()

@@ -9,7 +9,7 @@ from experiments.evaluation.protocol import UNSEEN
 from mmwave_env.filters.modes import Mode
 from mmwave_env.task import task_from
 from mmwave_env.world.simulated import SimulatedSource
-from mmwave_env.world.ways import Scenario
+from mmwave_env.world.trajectory import Scenario
 
 FORM = "SCENE:RADIO or SCENE:RADIO:DT, such as street:handset or o1:standard:0.1"
 

@@ -25,10 +25,12 @@ Transition = Annotated[tuple[tuple[Probability, ...], ...], "a list of rows of p
 _ROUNDING = 1e-6  # tolerance of the sum of a row of probabilities
 # Further keys of a mode file, which record how the file was made and are not read.
 NOTES = {
-    "about": "what the modes are for", "command": "that made the file",
-    "numbers": "how many were tuned", "seconds": "that this took on one core",
+    "about": "what the modes are for",
+    "command": "that made the file",
+    "numbers": "how many were tuned",
+    "seconds": "that this took on one core",
     "held_out": "figures on episodes that were not tuned on",
-}  # fmt: skip
+}
 
 
 @dataclass(frozen=True)
@@ -56,8 +58,15 @@ class Bank:
         names = [mode.name for mode in self.modes]
         if len(set(names)) < len(names):
             raise ValueError(f"modes: found {names}, expected no name twice")
-        if self.transition is not None:
-            _require_probabilities(self.transition, len(names))
+        if self.transition is None:
+            return
+        rows, n = self.transition, len(names)
+        sound = all(len(row) == n and abs(sum(row) - 1.0) <= _ROUNDING for row in rows)
+        if len(rows) != n or not sound or not all(map(any, zip(*rows, strict=True))):
+            raise ValueError(
+                f"transition: found {[list(row) for row in rows]}, expected {n} rows of {n} "
+                "probabilities that sum to 1, and none of the modes out of reach"
+            )
 
 
 # type of a ``modes=`` argument; a mapping is the content of a mode file
@@ -68,25 +77,11 @@ def settings_of(bank: Bank, layout: Layout) -> ImmSettings:
     """Return the parameters of a bank as numbers, for measurements of a layout."""
     from scipy.special import chdtri  # imported here: describing a bank does not need it
 
-    transition = bank.transition
-    if transition is None:
-        transition = stay_matrix(len(bank.modes))
-
     return ImmSettings(
-        [list(row) for row in transition],
+        [list(row) for row in bank.transition or stay_matrix(len(bank.modes))],
         [mode.tuning for mode in bank.modes],
         [float(chdtri(k, 1.0 - bank.nis_quantile)) for k in layout.widths],
     )
-
-
-def _require_probabilities(transition: Transition, modes: int) -> None:
-    rows_sound = all(len(row) == modes and abs(sum(row) - 1.0) <= _ROUNDING for row in transition)
-    square = len(transition) == modes and rows_sound
-    if not (square and all(map(any, zip(*transition, strict=True)))):
-        raise ValueError(
-            f"transition: found {[list(row) for row in transition]}, expected {modes} rows of "
-            f"{modes} probabilities that sum to 1, and none of the modes out of reach"
-        )
 
 
 # --- files
@@ -102,7 +97,7 @@ def bank_in(content: Mapping[str, Any]) -> Bank:
         ValueError: the content is wrong; the message names the error.
     """
     if isinstance(content, Mapping):
-        content = {key: said for key, said in content.items() if key not in NOTES}
+        content = {key: value for key, value in content.items() if key not in NOTES}
     return object_from(Bank, content)
 
 
@@ -176,13 +171,10 @@ def default_modes(radio: str | Radio = "handset") -> tuple[Mode, Mode]:
 
 
 def named_modes(radio: str | Radio = "handset") -> dict[str, Mode]:
-    """Return the modes that can be asked for by name.
-
-    They are "ekf" and "ukf" (the default), "ckf" (the UKF's tuning), "ekf-robust", "ukf-robust".
-    """
+    """Return "ekf", "ukf" (the default two), "ckf" (the UKF's tuning) and the two robust modes."""
     low, high = default_modes(radio)
-    all_of_them = (low, high, replace(high, name="ckf", algorithm="ckf"), robust(low), robust(high))
-    return {mode.name: mode for mode in all_of_them}
+    modes = (low, high, replace(high, name="ckf", algorithm="ckf"), robust(low), robust(high))
+    return {mode.name: mode for mode in modes}
 
 
 def best_bank(radio: str | Radio = "handset") -> Bank:
@@ -198,7 +190,7 @@ def best_bank(radio: str | Radio = "handset") -> Bank:
 
 
 def bank_over(modes: Modes, radio: str | Radio = "handset") -> Bank:
-    """Return the bank over the modes of a ``modes=`` argument, with one mode or more.
+    """Return the bank of a ``modes=`` argument, with one mode or more.
 
     Args:
         modes: a list of names, mode files and Mode objects; a bank; one mode file, or its
@@ -213,12 +205,10 @@ def bank_over(modes: Modes, radio: str | Radio = "handset") -> Bank:
     if isinstance(modes, Mapping):
         return bank_in(modes)
     if isinstance(modes, (str, os.PathLike)):
-        if not str(modes).endswith(".json"):
-            raise ValueError(
-                f"modes: found the string {modes!r}, expected a list such as ['ekf'], or a mode "
-                "file (.json)"
-            )
-        return read_bank(modes)
+        modes, name = [modes], str(modes)  # type: ignore[list-item]
+        if not name.endswith(".json"):
+            expected = "a list such as ['ekf'], or a mode file (.json)"
+            raise ValueError(f"modes: found the string {name!r}, expected {expected}")
     if not isinstance(modes, Iterable):
         raise ValueError(f"modes: found {modes!r}, expected a list of names, mode files and Modes")
     banks = [_bank_of(mode, radio) for mode in modes]
@@ -226,7 +216,7 @@ def bank_over(modes: Modes, radio: str | Radio = "handset") -> Bank:
 
 
 def _bank_of(mode: Mode | str, radio: str | Radio) -> Bank:
-    """Return the bank of one entry in a list of modes."""
+    """Return the bank of an entry in a list of modes."""
     if isinstance(mode, Mode):
         return Bank((mode,))
     if not isinstance(mode, (str, os.PathLike)):

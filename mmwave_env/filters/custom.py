@@ -62,11 +62,7 @@ class _Trial(NamedTuple):
 
     x: list[Number]
     P: list[Number]
-    anchors: list[list[Number]]
-    hz_per_mps: Number
-    z: list[Number]
-    variance: list[Number]
-    visible: list[Number]
+    measured: list[Any]  # the fields of a Measurement before its layout
     force: Number
 
 
@@ -83,14 +79,13 @@ def _trials(layout: Layout) -> Iterator[_Trial]:
     exact = exact_rows(truth[:3], truth[3:6], anchors, hz_per_mps, layout)
     exact[layout.doppler] += truth[6]
     z = [h + 0.3 * s for h, s in zip(exact, sigma, strict=True)]
-    all_seen = [1.0] * len(layout.groups)
-    seen = _Trial(x, P, anchors, hz_per_mps, z, [s * s for s in sigma], all_seen, 0.0)
-    yield seen
+    variance = [s * s for s in sigma]
+    yield _Trial(x, P, [anchors, hz_per_mps, z, variance, [1.0] * len(layout.groups)], 0.0)
     spoiled = [z[0] + 50.0, *z[1:]]
     for group in layout.groups[1::2]:
         spoiled[group] = [0.0] * (group.stop - group.start)
-    some_seen = [float(g % 2 == 0) for g in range(len(layout.groups))]
-    yield seen._replace(z=spoiled, visible=some_seen, force=1.0)
+    visible = [float(g % 2 == 0) for g in range(len(layout.groups))]
+    yield _Trial(x, P, [anchors, hz_per_mps, spoiled, variance, visible], 1.0)
 
 
 def check_algorithm(mode: Mode, layout: Layout, known_axes: tuple[int, ...]) -> None:
@@ -114,8 +109,7 @@ def _check(mode: Mode, layout: Layout, known_axes: tuple[int, ...]) -> None:
         problems = chain(
             _wrong_shapes(layout, on_floats),
             _wrong_shapes(layout, on_lanes),
-            _unsound(trial, on_floats),
-            _differences(on_floats, on_lanes),
+            _unsound(trial, on_floats, on_lanes),
         )
         if problem := next(problems, None):
             raise _error(mode, f"returned {problem}", begin_of(mode.update))
@@ -135,12 +129,12 @@ def line_of(error: BaseException, function: Callable[..., Any]) -> Line | None:
     The line is in the function's own file, or in a file that is not part of a library.
     """
     begin = begin_of(function)
-    found = None
+    innermost = None
     for frame, number in walk_tb(error.__traceback__):
         file = frame.f_code.co_filename
         if (begin and file == begin.file) or not file.startswith(_LIBRARIES):
-            found = Line(file, number, frame.f_code.co_name)
-    return found
+            innermost = Line(file, number, frame.f_code.co_name)
+    return innermost
 
 
 def _error(mode: Mode, problem: str, line: Line | None, advice: str = "") -> AlgorithmError:
@@ -165,10 +159,10 @@ def _require_signature(mode: Mode) -> None:
 
 def _run(mode: Mode, layout: Layout, known_axes: tuple[int, ...], trial: _Trial) -> Any:
     """Run the algorithm on an epoch and return its result."""
-    _, _, anchors, hz_per_mps, z, variance, visible, force = unflatten(trial, iter(flatten(trial)))
-    measurement = Measurement(anchors, hz_per_mps, z, variance, visible, layout)
+    x, P, measured, force = unflatten(trial, iter(flatten(trial)))  # a copy
+    measurement = Measurement._make([*measured, layout])
     gate = Gate(mode.gate, 0.0 if mode.recovery is None else force, mode.robust)
-    arguments = list(trial.x), unpack(trial.P, zero=known_axes), measurement
+    arguments = x, unpack(P, zero=known_axes), measurement
     before = [flatten(argument) for argument in arguments]
     try:
         result = mode.update(*arguments, gate)
@@ -195,39 +189,45 @@ def _wrong_shapes(layout: Layout, result: Any) -> Iterator[str]:
         return
     state, groups = [0.0] * STATE_SIZE, [0.0] * len(layout.groups)
     expected = Posterior(state, [state] * STATE_SIZE, groups, groups, 0.0)
-    for field, found, like in zip(Posterior._fields, result, expected, strict=True):
-        for place, one, shape in _places(field, found, like):
-            if isinstance(shape, list):
-                things = "rows" if isinstance(shape[0], list) else "numbers"
-                yield f"{place}: {_kind(one)}, expected a list of {len(shape)} {things}"
-            elif isinstance(one, bool) or not isinstance(one, (float, int, Tracer)):
-                hint = ": where(condition, 1.0, 0.0)" if isinstance(one, bool) else ""
-                yield f"{place}: {_kind(one)}, expected a number{hint}"
+    for parts in zip(Posterior._fields, result, expected, strict=True):
+        yield from _wrong_parts(*parts)
 
 
-def _places(name: str, found: Any, like: Any) -> Iterator[tuple[str, Any, Any]]:
-    """Yield name, value and expected shape of every number, and of every list of wrong length."""
-    if not isinstance(like, list) or not isinstance(found, list) or len(found) != len(like):
-        yield name, found, like
-        return
-    for i, (one, other) in enumerate(zip(found, like, strict=True)):
-        yield from _places(f"{name}[{i}]", one, other)
+def _wrong_parts(name: str, value: Any, like: Any) -> Iterator[str]:
+    """Yield the parts of a value that differ in type or shape from lists of numbers."""
+    if isinstance(like, list):
+        if not isinstance(value, list) or len(value) != len(like):
+            parts = "rows" if isinstance(like[0], list) else "numbers"
+            yield f"{name}: {_kind(value)}, expected a list of {len(like)} {parts}"
+            return
+        for i, (part, wanted) in enumerate(zip(value, like, strict=True)):
+            yield from _wrong_parts(f"{name}[{i}]", part, wanted)
+    elif isinstance(value, bool) or not isinstance(value, (float, int, Tracer)):
+        hint = ": where(condition, 1.0, 0.0)" if isinstance(value, bool) else ""
+        yield f"{name}: {_kind(value)}, expected a number{hint}"
 
 
-def _numbers(posterior: Posterior) -> list[tuple[str, Any]]:
-    """Return the name and the value of every number of a posterior."""
-    named = [_places(*field, field[1]) for field in posterior._asdict().items()]
-    return [(place, number) for field in named for place, number, _ in field]
+def _numbers(name: str, value: Any) -> Iterator[tuple[str, Any]]:
+    """Yield the name and the value of every number of a part of a posterior."""
+    if isinstance(value, list):
+        for i, part in enumerate(value):
+            yield from _numbers(f"{name}[{i}]", part)
+    else:
+        yield name, value
 
 
-def _kind(found: Any) -> str:
-    kind = "None" if found is None else type(found).__name__
-    return f"{kind} of {len(found)}" if isinstance(found, (list, tuple)) else kind
+def _kind(value: Any) -> str:
+    kind = "None" if value is None else type(value).__name__
+    return f"{kind} of {len(value)}" if isinstance(value, (list, tuple)) else kind
 
 
-def _unsound(trial: _Trial, result: Posterior) -> Iterator[str]:
-    """Yield numbers that are not finite, asymmetric entries of P, and uses of missing groups."""
-    for place, number in _numbers(result):
+def _unsound(trial: _Trial, result: Posterior, on_lanes: Posterior) -> Iterator[str]:
+    """Yield numbers that are not finite, asymmetric entries of P, and uses of missing groups.
+
+    Yield numbers that differ on lanes, too.
+    """
+    values = [pair for field in result._asdict().items() for pair in _numbers(*field)]
+    for place, number in values:
         if not math.isfinite(number):
             yield f"{place}: {number}, expected a finite number"
     P = result.P
@@ -238,18 +238,15 @@ def _unsound(trial: _Trial, result: Posterior) -> Iterator[str]:
                     f"P[{i}][{j}]: {P[i][j]:g}, but P[{j}][{i}]: {P[j][i]:g}, expected a "
                     "symmetric matrix (mmwave_env.numerics.linalg.symmetric makes one)"
                 )
-    for g, visible in enumerate(trial.visible):
+    for g, visible in enumerate(trial.measured[-1]):
         if not visible and (result.nis[g] or result.accepted[g]):
             yield (
                 f"nis[{g}]: {result.nis[g]:g} and accepted[{g}]: {result.accepted[g]:g} of a "
                 "missing group, expected 0 (times measurement.visible)"
             )
-
-
-def _differences(on_floats: Posterior, on_lanes: Posterior) -> Iterator[str]:
-    for (place, a), (_, b) in zip(_numbers(on_floats), _numbers(on_lanes), strict=True):
-        if a != value_of(b):
+    for (place, number), other in zip(values, flatten(on_lanes), strict=True):
+        if number != value_of(other):
             yield (
-                f"{place}: {a!r} on floats and {value_of(b)!r} on lanes, expected the same: it "
-                "may ask for the type of a number, draw at random or remember calls"
+                f"{place}: {number!r} on floats and {value_of(other)!r} on lanes, expected the "
+                "same: it may ask for the type of a number, draw at random or remember calls"
             )

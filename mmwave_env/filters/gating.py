@@ -58,19 +58,6 @@ def passes(nis: Number, rows: int, quantile: float | None) -> Number:
     return where(nis <= float(chdtri(rows, 1.0 - quantile)), 1.0, 0.0)
 
 
-def _accept(nis: Number, rows: int, visible: Number, gate: Gate, is_link: bool) -> Number:
-    if gate.robust and is_link:
-        return visible
-    passed = passes(nis, rows, gate.quantile)
-    return visible * (maximum(passed, gate.force) if is_link else passed)
-
-
-def _doubt(nis: Number, rows: int) -> Number:
-    """Return the factor on the noise variance of a link with a NIS too large for its dimension."""
-    ratio = nis * (1.0 / (ROBUST_ONSET * rows))
-    return where(ratio > 1.0, ratio * ratio, 1.0)
-
-
 class GateResult(NamedTuple):
     """The decisions of the gates about each group, at the prior."""
 
@@ -91,11 +78,17 @@ def gate_groups(prior: Prior, measurement: Measurement, gate: Gate) -> GateResul
         rows, is_link = layout.widths[g], g < layout.anchors
         value, determinant = innovation_statistics(group, V[g], latents)
         nis.append(visible * value)
-        accepted.append(_accept(value, rows, visible, gate, is_link))
         density = density * where(visible > 0.5, determinant, 1.0)
         likelihood = likelihood - 0.5 * nis[-1]
         if g % _GROUPS_PER_LOG == _GROUPS_PER_LOG - 1 or g == len(groups) - 1:
             likelihood, density = likelihood - 0.5 * log(density), 1.0
-        doubt = _doubt(value, rows) if gate.robust and is_link else 1.0
-        noise.append([v * doubt for v in group.variance])
+        if gate.robust and is_link:  # inflate the noise of a NIS too large for its dimension
+            ratio = value * (1.0 / (ROBUST_ONSET * rows))
+            doubt = where(ratio > 1.0, ratio * ratio, 1.0)
+            accepted.append(visible)
+            noise.append([v * doubt for v in group.variance])
+        else:
+            passed = passes(value, rows, gate.quantile)
+            accepted.append(visible * (maximum(passed, gate.force) if is_link else passed))
+            noise.append(list(group.variance))
     return GateResult(nis, accepted, noise, likelihood)

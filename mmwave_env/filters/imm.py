@@ -7,6 +7,7 @@ form with matrices is ``mix``, ``reweigh`` and ``combine`` of :mod:`~mmwave_env.
 
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import reduce
 from typing import NamedTuple
 
 from mmwave_env.filters.memory import Memory, initial_memory, memory_after, memory_before
@@ -50,17 +51,11 @@ class Mixture(NamedTuple):
     probability: list[Number]  # (modes,) of each mode
 
 
-def single(pipeline: Pipeline) -> list[Pipeline]:
-    """Return one single-mode pipeline for each mode."""
-    return [replace(pipeline, modes=(mode,)) for mode in pipeline.modes]
-
-
 def begin(pipeline: Pipeline, x: Vector, P: Vector) -> Mixture:
     """Return a mixture with all modes at the prior (7,), (28,), equally probable."""
-    tracks = [
-        ModeTrack(list(x), list(P), initial_memory(one.layout, 1)) for one in single(pipeline)
-    ]
-    return Mixture(tracks, [1.0 / len(tracks)] * len(tracks))
+    modes = len(pipeline.modes)
+    tracks = [ModeTrack(list(x), list(P), initial_memory(pipeline.layout, 1)) for _ in range(modes)]
+    return Mixture(tracks, [1.0 / modes] * modes)
 
 
 def stay_matrix(modes: int, stay: float = DEFAULT_STAY) -> tuple[tuple[float, ...], ...]:
@@ -92,8 +87,7 @@ def mix(mixture: Mixture, transition: Matrix) -> tuple[list[Number], list[tuple[
     """Return the predicted mode probabilities and each mode's mixed initial belief."""
     modes = range(len(mixture.tracks))
     predicted = [dot([row[j] for row in transition], mixture.probability) for j in modes]
-    x = [track.x for track in mixture.tracks]
-    P = [track.P for track in mixture.tracks]
+    x, P, _ = zip(*mixture.tracks, strict=True)
     mixed: list[tuple[Vector, Vector]] = []
     for j in modes:
         weights = [transition[i][j] * mixture.probability[i] / predicted[j] for i in modes]
@@ -140,24 +134,23 @@ def imm_epoch(
     """
     predicted, mixed = mix(mixture, over_step(settings.transition, epoch.dt))
     tracks, results = [], []
-    for one, tuning, track, (x, P) in zip(
-        single(pipeline), settings.tunings, mixture.tracks, mixed, strict=True
+    layout = pipeline.layout
+    for mode, tuning, track, (x, P) in zip(
+        pipeline.modes, settings.tunings, mixture.tracks, mixed, strict=True
     ):
-        result = predict_update(one, one.modes[0], x, P, track.memory, epoch, site, tuning)
-        memory = memory_before(track.memory, [result], epoch, pipeline.layout)
-        memory = memory_after(one.layout, 0.0, x, result, memory, epoch.dt, epoch.visible)
+        alone = replace(pipeline, modes=(mode,))
+        result = predict_update(alone, mode, x, P, track.memory, epoch, site, tuning)
+        memory = memory_before(track.memory, [result], epoch, layout)
+        memory = memory_after(layout, 0.0, x, result, memory, epoch.dt, epoch.visible)
         tracks.append(ModeTrack(result.x, result.P, memory))
         results.append(result)
     likelihoods = [limited_likelihood(result, settings.limits) for result in results]
-    best = likelihoods[0]
-    for likelihood in likelihoods[1:]:
-        best = maximum(best, likelihood)
+    best = reduce(maximum, likelihoods)
     weights = [
         p * exp(likelihood - best) for p, likelihood in zip(predicted, likelihoods, strict=True)
     ]
-    return ImmEpoch(
-        Mixture(tracks, _normalized(weights)), predicted, [x for x, _ in mixed], results
-    )
+    now = Mixture(tracks, _normalized(weights))
+    return ImmEpoch(now, predicted, [x for x, _ in mixed], results)
 
 
 def trusting(mixture: Mixture, mode: Number, dt: Number) -> Mixture:
@@ -172,8 +165,7 @@ def trusting(mixture: Mixture, mode: Number, dt: Number) -> Mixture:
     weights = [
         where(abs(mode - (m + 1.0)) < 0.5, gain * p, p) for m, p in enumerate(mixture.probability)
     ]
-    trusted = _normalized(weights)
-    probability = select(mode > 0.5, trusted, mixture.probability)
+    probability = select(mode > 0.5, _normalized(weights), mixture.probability)
     return Mixture(mixture.tracks, probability)
 
 
@@ -186,12 +178,12 @@ def _normalized(weights: Sequence[Number]) -> list[Number]:
 
 def most_probable(mixture: Mixture) -> Number:
     """Return the number of the most probable mode, the first among equals."""
-    found: Number = 0.0
+    number: Number = 0.0
     best = mixture.probability[0]
-    for number, probability in enumerate(mixture.probability[1:], start=1):
-        found = where(probability > best, float(number), found)
+    for m, probability in enumerate(mixture.probability[1:], start=1):
+        number = where(probability > best, float(m), number)
         best = maximum(best, probability)
-    return found
+    return number
 
 
 def most_probable_memory(mixture: Mixture) -> Memory:
@@ -203,11 +195,8 @@ def most_probable_memory(mixture: Mixture) -> Memory:
 
 def estimate(mixture: Mixture) -> tuple[list[Number], list[list[Number]]]:
     """Return the mean (7,) and the covariance (7, 7) of the whole mixture."""
-    x, P = moments(
-        mixture.probability,
-        [track.x for track in mixture.tracks],
-        [track.P for track in mixture.tracks],
-    )
+    means, covariances, _ = zip(*mixture.tracks, strict=True)
+    x, P = moments(mixture.probability, means, covariances)
     return x, unpack(P)
 
 

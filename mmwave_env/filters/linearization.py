@@ -75,27 +75,20 @@ class SigmaPoints:
 
     def latents(self, curved: int) -> "Latents":
         """Return the moments of the latents, with one curvature latent per curved column."""
-        weight = 0.5 / self.reach**2
-        return Latents(curved, weight, self.beta - self.alpha**2)
+        return Latents(curved, 0.5 / self.reach**2, self.beta - self.alpha**2)
 
     def rows(self, group: Group, L: Matrix, latents: "Latents") -> list[list[Number]]:
         """Return V (k, 7 + curvatures) from central and second differences along columns of L."""
-        s, k = self.reach, len(group.jacobian)
-        columns = list(zip(*L, strict=True))
-        odd: list[list[Number]] = [[] for _ in range(k)]
-        even: list[list[Number]] = [[] for _ in range(k)]
-        for column in columns[: group.curved]:
-            up = group.change([s * c for c in column])
-            down = group.change([-s * c for c in column])
-            for i in range(k):
-                odd[i].append((up[i] - down[i]) * (0.5 / s))
-                even[i].append(up[i] + down[i])
+        s, columns = self.reach, list(zip(*L, strict=True))
+        curved, rest = columns[: group.curved], columns[group.curved :]
+        up = [group.change([s * c for c in column]) for column in curved]
+        down = [group.change([-s * c for c in column]) for column in curved]
+        flat = [0.0] * (latents.curvatures - group.curved)
         rows = []
-        for i in range(k):
-            linear = [dot(group.jacobian[i], column) for column in columns[group.curved :]]
-            xi = odd[i] + linear
-            flat = [0.0] * (latents.curvatures - group.curved)
-            rows.append(xi[:3] + even[i] + flat + xi[3:])
+        for i, gradient in enumerate(group.jacobian):
+            pairs = [(u[i], d[i]) for u, d in zip(up, down, strict=True)]
+            xi = [(u - d) * (0.5 / s) for u, d in pairs] + [dot(gradient, c) for c in rest]
+            rows.append(xi[:3] + [u + d for u, d in pairs] + flat + xi[3:])
         return rows
 
 

@@ -9,12 +9,13 @@ An environment runs every mode and keeps the result of the mode that the agent c
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from operator import attrgetter
 
 from mmwave_env.filters.custom import check_algorithm
 from mmwave_env.filters.gating import Gate, passes
 from mmwave_env.filters.memory import Memory
 from mmwave_env.filters.modes import Mode, Tuning
-from mmwave_env.filters.update import Algorithm, ModeResult, Posterior
+from mmwave_env.filters.update import Algorithm, ModeResult
 from mmwave_env.models.measurement import Epoch, Layout, Measurement, Site
 from mmwave_env.models.motion import (
     ProcessNoise,
@@ -40,16 +41,12 @@ def _linear_prediction(
     return move(x, dt), predict_covariance(P, noise, dt)
 
 
-def _own_update(mode: Mode) -> Algorithm:
-    return mode.update
-
-
 @dataclass(frozen=True)
 class Pipeline:
     """The parts of a filter that are fixed when a track starts.
 
     Attributes:
-        modes: the modes to choose from.
+        modes: the modes that are available.
         layout: rows of the measurement vector.
         planar: flat terrain: z and vz stay at their prior values (paper, Sec. II-A). Sigma
             points keep the spacing of seven state components.
@@ -64,7 +61,7 @@ class Pipeline:
     layout: Layout
     planar: bool = False
     predict: Predictor = _linear_prediction
-    update: Callable[[Mode], Algorithm] = _own_update
+    update: Callable[[Mode], Algorithm] = attrgetter("update")
 
     def __post_init__(self) -> None:
         for mode in self.modes:
@@ -89,10 +86,10 @@ def process_noise(
     velocity = t.sigma_v * t.sigma_v + t.spread_gain * epoch.doppler_spread_hz
     position = t.sigma_p * t.sigma_p
     drift = t.sigma_b_mps * hz_per_mps
-    vertical = (0.0, 0.0) if planar else (t.sigma_pz * t.sigma_pz, t.sigma_vz * t.sigma_vz)
+    height, climb = (0.0, 0.0) if planar else (t.sigma_pz * t.sigma_pz, t.sigma_vz * t.sigma_vz)
     return white_noise_acceleration(
-        [gamma * v for v in (position, position, vertical[0])],
-        [gamma * v for v in (velocity, velocity, vertical[1])],
+        [gamma * v for v in (position, position, height)],
+        [gamma * v for v in (velocity, velocity, climb)],
         gamma * (drift * drift),
         epoch.dt,
         t.coupling,
@@ -180,23 +177,10 @@ def predict_update(
         force = where(memory.lockout > mode.recovery - 0.5, 1.0, 0.0)
     measurement = measurement_of(mode, memory, epoch, site, pipeline.layout)
     gate = Gate(mode.gate, force, mode.robust)
-    after = pipeline.update(mode)(x_predicted, P_predicted, measurement, gate)
-    return ModeResult(
-        x=after.x,
-        P=pack(after.P),
-        x_predicted=x_predicted,
-        P_predicted=pack(P_predicted),
-        nis=after.nis,
-        accepted=after.accepted,
-        passed=_passed(mode, after, pipeline.layout),
-        log_likelihood=after.log_likelihood,
+    x, P, nis, accepted, likelihood = pipeline.update(mode)(
+        x_predicted, P_predicted, measurement, gate
     )
-
-
-def _passed(mode: Mode, after: Posterior, layout: Layout) -> Number:
-    """Return the number of links that the mode would have accepted without force."""
-    links = after.accepted[: layout.anchors]
-    if mode.robust:
-        return dot([1.0] * len(links), links)
-    within = [passes(q, k, mode.gate) for q, k in zip(after.nis, layout.widths, strict=True)]
-    return dot(within, links)
+    quantile = None if mode.robust else mode.gate
+    within = [passes(q, k, quantile) for q, k in zip(nis, pipeline.layout.widths, strict=True)]
+    passed = dot(within, accepted[: pipeline.layout.anchors])
+    return ModeResult(x, pack(P), x_predicted, pack(P_predicted), nis, accepted, passed, likelihood)

@@ -48,9 +48,15 @@ class _Row(NamedTuple):
 
 
 def _condition(
-    row: Vector, noise: Number, innovation: Number, accepted: Number, before: list[_Row],
-    C: Matrix, information: Vector, unit: Matrix,
-) -> _Row:  # fmt: skip
+    row: Vector,
+    noise: Number,
+    innovation: Number,
+    accepted: Number,
+    before: list[_Row],
+    C: Matrix,
+    information: Vector,
+    unit: Matrix,
+) -> _Row:
     """Condition on one scalar row, given the links and the rows before it."""
     n = len(information)
     white, free = forward(C, row[:n]), list(row[n:])
@@ -106,24 +112,23 @@ def update(
         linearization: tangent (EKF) or sigma points (UKF, CKF).
     """
     anchors = measurement.layout.anchors
-    prior = linearize(x, P, measurement, linearization)
-    L, latents, groups, V = prior
+    L, latents, groups, V = prior = linearize(x, P, measurement, linearization)
     n = latents.coupled
     gates = gate_groups(prior, measurement, gate)
     innovations = [
         [y - latents.shift(row) for y, row in zip(group.innovation, rows, strict=True)]
         for group, rows in zip(groups, V, strict=True)
     ]
-    seen = list(zip(V, innovations, gates.noise, gates.accepted, strict=True))
+    gated = list(zip(V, innovations, gates.noise, gates.accepted, strict=True))
     B: list[list[Number]] = latents.precision
     b: list[Number] = [0.0] * n
-    for rows, innovation, noise, accepted in seen[:anchors]:
+    for rows, innovation, noise, accepted in gated[:anchors]:
         B, b = _inform(B, rows, innovation, noise, accepted, b)
     C = cholesky(B)
     information = forward(C, b)
     unit = [forward(C, [float(i == c) for i in range(n)]) for c in range(3)]
     scalars: list[_Row] = []
-    for rows, innovation, noise, accepted in seen[anchors:]:
+    for rows, innovation, noise, accepted in gated[anchors:]:
         for row, y, variance in zip(rows, innovation, noise, strict=True):
             scalars.append(_condition(row, variance, y, accepted, scalars, C, information, unit))
     mean = [dot(u, information) for u in unit]
@@ -180,7 +185,7 @@ class ModeResult(NamedTuple):
     # x_predicted, P_predicted: (7,), (28,) belief before the update, for smoothing
     x_predicted: list[Number]
     P_predicted: list[Number]
-    # nis, accepted: (groups,) as in :class:`~mmwave_env.filters.update.Posterior`
+    # nis, accepted: (groups,) as in :class:`Posterior`
     nis: list[Number]
     accepted: list[Number]
     passed: Number  # number of links that passed their gates, without forced ones

@@ -15,7 +15,7 @@ from mmwave_env.numerics.numbers import Number, Vector, clip, exp, log, maximum,
 from mmwave_env.numerics.random import Dice
 
 
-class DisturbanceParams(NamedTuple):
+class SpellParams(NamedTuple):
     """Parameters of a link's spells (blockage or multipath) and of the biases during a spell."""
 
     end: Number  # probability that a spell ends within a step
@@ -33,8 +33,8 @@ class Channel(NamedTuple):
     shadowing_db: Number
     correlation: Number
     # blockage, multipath: parameters of their spells
-    blockage: DisturbanceParams
-    multipath: DisturbanceParams
+    blockage: SpellParams
+    multipath: SpellParams
     # blockage_scale, blockage_base, blockage_per_m, blockage_limit, blockage_loss_db: see
     # :class:`~mmwave_env.models.radio.Radio`
     blockage_scale: Number
@@ -64,18 +64,14 @@ def channel_of(radio: Radio, scene: Scene, layout: Layout, dt: float) -> Channel
     floor, bound = radio.variances(scene, layout)
     loss = 32.4 + 20.0 * math.log10(scene.carrier_hz / 1e9)  # 3GPP TR 38.901, UMi, at 1 m
     at_1_m = radio.link_budget_db - loss - radio.thermal_noise_dbm(scene.bandwidth_hz)
-    constant, mean = radio.multipath_range_m
+    blockage_end = -math.expm1(-dt / radio.blockage_mean_s)
+    multipath_end = -math.expm1(-dt / radio.multipath_mean_s)
     return Channel(
         offset_db=[at_1_m] + [at_1_m - radio.reflection_loss_db] * (layout.anchors - 1),
         shadowing_db=radio.shadowing_db,
         correlation=radio.shadowing_correlation**dt,
-        blockage=DisturbanceParams(
-            -math.expm1(-dt / radio.blockage_mean_s), 0.0, radio.blockage_range_m,
-            radio.blockage_angle_rad,
-        ),
-        multipath=DisturbanceParams(
-            -math.expm1(-dt / radio.multipath_mean_s), constant, mean, radio.multipath_angle_rad
-        ),
+        blockage=SpellParams(blockage_end, 0.0, radio.blockage_range_m, radio.blockage_angle_rad),
+        multipath=SpellParams(multipath_end, *radio.multipath_range_m, radio.multipath_angle_rad),
         blockage_scale=radio.blockage_scale,
         blockage_base=radio.blockage_base,
         blockage_per_m=radio.blockage_per_100m / 100.0,
@@ -92,10 +88,10 @@ def channel_of(radio: Radio, scene: Scene, layout: Layout, dt: float) -> Channel
         spread_sigma=radio.spread_sigma,
         spread_floor_hz=radio.spread_floor_mps * scene.hz_per_mps,
         odometry_slowest_mps=radio.odometry_slowest_mps,
-    )  # fmt: skip
+    )
 
 
-class Disturbance(NamedTuple):
+class Spell(NamedTuple):
     """A spell of blockage or multipath on one link."""
 
     on: Number  # 1 while the spell lasts
@@ -107,31 +103,33 @@ class ChannelState(NamedTuple):
 
     shadowing: list[Number]  # (L,) shadowing in standard deviations
     # blockage, multipath: (L,) spell of each link
-    blockage: list[Disturbance]
-    multipath: list[Disturbance]
+    blockage: list[Spell]
+    multipath: list[Spell]
     outage: Number  # 1 while all links are lost
 
 
 def initial_state(anchors: int) -> ChannelState:
     """Return the state of the channel before the first epoch."""
-    still = Disturbance(0.0, [0.0] * 4)
+    still = Spell(0.0, [0.0] * 4)
     return ChannelState([0.0] * anchors, [still] * anchors, [still] * anchors, 0.0)
+
+
+class SpellDraws(NamedTuple):
+    """Random numbers for a link's spell in an epoch."""
+
+    uniform: Number  # in [0, 1)
+    length: Number  # exponential of mean 1
+    angles: list[Number]  # (3,) normals
 
 
 class ChannelDraws(NamedTuple):
     """Random numbers of an epoch."""
 
     shadowing: list[Number]  # (L,) normals
-    # blockage, multipath: (L,) uniforms in [0, 1)
-    blockage: list[Number]
-    multipath: list[Number]
+    # blockage, multipath: (L,) for the spell of each link
+    blockage: list[SpellDraws]
+    multipath: list[SpellDraws]
     outage: Number  # uniform
-    # blockage_range, multipath_range: (L,) exponentials of mean 1
-    blockage_range: list[Number]
-    multipath_range: list[Number]
-    # blockage_angles, multipath_angles: (L, 3) normals
-    blockage_angles: list[list[Number]]
-    multipath_angles: list[list[Number]]
     detection: list[Number]  # (L,) uniforms
     # scatter, floor: normals for the Doppler spread
     scatter: Number
@@ -147,18 +145,14 @@ def draw_channel(dice: Dice, anchors: int) -> ChannelDraws:
     def angles() -> list[Number]:
         return [dice.normal() for _ in range(3)]
 
+    shadowing = each(dice.normal)
+    uniforms, outage = [each(dice.uniform), each(dice.uniform)], dice.uniform()
+    lengths = [each(dice.exponential), each(dice.exponential)]
+    spells = zip(uniforms, lengths, [each(angles), each(angles)], strict=True)
+    blockage, multipath = (list(map(SpellDraws, *drawn)) for drawn in spells)
+    detection = each(dice.uniform)
     return ChannelDraws(
-        shadowing=each(dice.normal),
-        blockage=each(dice.uniform),
-        multipath=each(dice.uniform),
-        outage=dice.uniform(),
-        blockage_range=each(dice.exponential),
-        multipath_range=each(dice.exponential),
-        blockage_angles=each(angles),
-        multipath_angles=each(angles),
-        detection=each(dice.uniform),
-        scatter=dice.normal(),
-        floor=dice.normal(),
+        shadowing, blockage, multipath, outage, detection, dice.normal(), dice.normal()
     )
 
 
@@ -176,20 +170,16 @@ def spell_goes_on(on: Number, uniform: Number, onset: Number, end: Number) -> Nu
     return where(on > 0.5, where(uniform < end, 0.0, 1.0), where(uniform < onset, 1.0, 0.0))
 
 
-def _disturb(
-    before: Disturbance,
-    params: DisturbanceParams,
-    onset: Number,
-    uniform: Number,
-    far: Number,
-    angles: Vector,
-) -> Disturbance:
+def _next_spell(
+    before: Spell, params: SpellParams, is_first: Number, onset: Number, draws: SpellDraws
+) -> Spell:
     """Return a spell's state one epoch later; its biases are drawn in its first epoch."""
-    on = spell_goes_on(before.on, uniform, onset, params.end)
-    drawn = [params.constant_m + params.mean_m * far, *(params.angle_rad * a for a in angles)]
-    lasts = before.on > 0.5
-    bias = [where(lasts, old, new) for old, new in zip(before.bias, drawn, strict=True)]
-    return Disturbance(on, bias)
+    was_on = where(is_first, 0.0, before.on)
+    on = spell_goes_on(was_on, draws.uniform, onset, params.end)
+    angles = [params.angle_rad * a for a in draws.angles]
+    drawn = [params.constant_m + params.mean_m * draws.length, *angles]
+    lasts = was_on > 0.5
+    return Spell(on, [where(lasts, old, new) for old, new in zip(before.bias, drawn, strict=True)])
 
 
 def channel_epoch(
@@ -213,47 +203,33 @@ def channel_epoch(
     """
     c, rho = channel, channel.correlation
     innovation = sqrt(1.0 - rho * rho)
-    shadowing, blockage, multipath, snr_db, detected, bias = [], [], [], [], [], []
-    outage_onset = where(is_first, 0.0, c.outage_onset)
-    outage = spell_goes_on(
-        where(is_first, 0.0, before.outage), draws.outage, outage_onset, c.outage_end
-    )
+    state, reception = ChannelState([], [], [], 0.0), Reception([], [], [], 0.0)
+    onset, was_out = where(is_first, 0.0, c.outage_onset), where(is_first, 0.0, before.outage)
+    outage = spell_goes_on(was_out, draws.outage, onset, c.outage_end)
     for a, d in enumerate(distance):
-        shadow = where(
-            is_first,
-            draws.shadowing[a],
-            rho * before.shadowing[a] + innovation * draws.shadowing[a],
-        )
+        moved = rho * before.shadowing[a] + innovation * draws.shadowing[a]
+        shadow = where(is_first, draws.shadowing[a], moved)
         share = c.blockage_base + c.blockage_per_m * d
         share = c.blockage_scale * where(share < c.blockage_limit, share, c.blockage_limit)
         onset = c.blockage.end * share / maximum(1.0 - share, 1e-9)
-        blocked = _disturb(
-            _unless(is_first, before.blockage[a]), c.blockage, where(is_first, share, onset),
-            draws.blockage[a], draws.blockage_range[a], draws.blockage_angles[a],
-        )  # fmt: skip
-        reflected = _disturb(
-            _unless(is_first, before.multipath[a]), c.multipath,
-            where(is_first, 0.0, c.multipath_onset),
-            draws.multipath[a], draws.multipath_range[a], draws.multipath_angles[a],
-        )  # fmt: skip
+        onset = where(is_first, share, onset)
+        blocked = _next_spell(before.blockage[a], c.blockage, is_first, onset, draws.blockage[a])
+        onset = where(is_first, 0.0, c.multipath_onset)
+        reflected = _next_spell(
+            before.multipath[a], c.multipath, is_first, onset, draws.multipath[a]
+        )
         snr = c.offset_db[a] - (2.1 / DECIBEL) * log(d) + c.shadowing_db * shadow
         snr = snr - c.blockage_loss_db * blocked.on
         odds = exp(clip((c.detection_snr_db - snr) / c.detection_slope_db, -500.0, 500.0))
-        seen = where(draws.detection[a] * (1.0 + odds) < 1.0, 1.0 - outage, 0.0)
-        shadowing.append(shadow)
-        blockage.append(blocked)
-        multipath.append(reflected)
-        snr_db.append(snr)
-        detected.append(seen)
+        state.shadowing.append(shadow)
+        state.blockage.append(blocked)
+        state.multipath.append(reflected)
+        reception.snr_db.append(snr)
+        detected = where(draws.detection[a] * (1.0 + odds) < 1.0, 1.0 - outage, 0.0)
+        reception.detected.append(detected)
         biases = zip(blocked.bias, reflected.bias, strict=True)
-        bias.append([blocked.on * u + reflected.on * v for u, v in biases])
+        reception.bias.append([blocked.on * u + reflected.on * v for u, v in biases])
     scatter = exp(c.spread_sigma * draws.scatter)
-    spread = c.spread_gain_hz * speed * scatter + c.spread_floor_hz * maximum(
-        draws.floor, -1.0 * draws.floor
-    )
-    state = ChannelState(shadowing, blockage, multipath, outage)
-    return state, Reception(snr_db, detected, bias, spread)
-
-
-def _unless(is_first: Number, before: Disturbance) -> Disturbance:
-    return before._replace(on=where(is_first, 0.0, before.on))
+    floor = c.spread_floor_hz * maximum(draws.floor, -1.0 * draws.floor)
+    spread = c.spread_gain_hz * speed * scatter + floor
+    return state._replace(outage=outage), reception._replace(doppler_spread_hz=spread)

@@ -131,11 +131,11 @@ def whole_groups(
         layout: rows and groups.
     """
     starts = [group.start for group in layout.groups]
-    there = np.isfinite(measurement)
-    whole = np.logical_and.reduceat(there, starts, axis=1)
+    finite = np.isfinite(measurement)
+    whole = np.logical_and.reduceat(finite, starts, axis=1)
     whole[:, : layout.anchors] &= heard
     whole[:, layout.anchors] &= heard[:, 0]
-    return whole, np.logical_or.reduceat(there, starts, axis=1) & ~whole
+    return whole, np.logical_or.reduceat(finite, starts, axis=1) & ~whole
 
 
 class Measurement(NamedTuple):
@@ -259,6 +259,7 @@ def link_group(x: Vector, anchor: Vector, z: Vector, variance: Vector) -> Group:
     arrival = where(aside, wrap(z[1] - azimuth), 0.0)
     departure = where(aside, wrap(wrap(z[3] - azimuth + PI)), 0.0)
     total = arrival_variance + departure_variance
+    bearing_variance = arrival_variance * departure_variance / total
     bearing = (arrival * departure_variance + departure * arrival_variance) / total
     inverse, inverse_horizontal = _inverse(distance), _inverse(horizontal)
     slope = d[2] * inverse_horizontal * inverse * inverse
@@ -278,11 +279,7 @@ def link_group(x: Vector, anchor: Vector, z: Vector, variance: Vector) -> Group:
 
     return Group(
         innovation=[z[0] - distance, bearing, where(apart, wrap(z[2] - elevation), 0.0)],
-        variance=[
-            range_variance,
-            arrival_variance * departure_variance / total,
-            elevation_variance,
-        ],
+        variance=[range_variance, bearing_variance, elevation_variance],
         jacobian=[
             [d[0] * inverse, d[1] * inverse, d[2] * inverse, *still],
             [-d[1] * across, d[0] * across, 0.0, *still],
@@ -301,21 +298,21 @@ def doppler_group(
     """Return the group of the Doppler shift (Hz) of the physical anchor, linear in v and bias."""
     d, v = [x[i] - anchor[i] for i in range(3)], x[3:6]
     distance = norms(d)[1]
-    inverse, told = _inverse(distance), where(distance > NEAREST_M, 1.0, 0.0)
+    inverse, defined = _inverse(distance), where(distance > NEAREST_M, 1.0, 0.0)
     u = [d[i] * inverse for i in range(3)]
     rate = range_rate(d, v)
 
     def change(step: Vector) -> list[Number]:
         q = [d[i] + step[i] for i in range(3)]
         velocity = [v[i] + step[3 + i] for i in range(3)]
-        return [told * (hz_per_mps * (range_rate(q, velocity) - rate) + step[6])]
+        return [defined * (hz_per_mps * (range_rate(q, velocity) - rate) + step[6])]
 
     transverse = [hz_per_mps * inverse * (v[i] - u[i] * rate) for i in range(3)]
     radial = [hz_per_mps * u[i] for i in range(3)]
     return Group(
-        innovation=[told * (z[0] - (hz_per_mps * rate + x[6]))],
+        innovation=[defined * (z[0] - (hz_per_mps * rate + x[6]))],
         variance=variance,
-        jacobian=[[*transverse, *radial, told]],
+        jacobian=[[*transverse, *radial, defined]],
         change=change,
         curved=3,
     )

@@ -82,10 +82,8 @@ def turn(x: Vector, rate: Number, dt: Number) -> list[Number]:
     divisor, (cosine, sine) = where(straight, 1.0, angle), cos_sin(angle)
     ahead = where(straight, 0.0, (sine / divisor - 1.0) * dt)
     aside = (1.0 - cosine) / divisor * dt
-    return [
-        x[0] + ahead * vx - aside * vy, x[1] + ahead * vy + aside * vx, x[2],
-        cosine * vx - sine * vy, sine * vx + cosine * vy, *x[5:],
-    ]  # fmt: skip
+    velocity = [cosine * vx - sine * vy, sine * vx + cosine * vy]
+    return [x[0] + ahead * vx - aside * vy, x[1] + ahead * vy + aside * vx, x[2], *velocity, *x[5:]]
 
 
 def transition_times(P: Matrix, dt: Number) -> list[list[Number]]:

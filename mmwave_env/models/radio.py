@@ -55,7 +55,7 @@ class Radio:
     """A radio profile.
 
     Sources: path loss of 3GPP TR 38.901, Table 7.4.1-1 (UMi, line of sight); Cramer-Rao bounds
-    of Kay 1993, Secs. 3.11 and 15.10; all other figures are this project's model.
+    of Kay 1993, Secs. 3.11 and 15.10. All other figures are this project's model.
 
     Attributes:
         name: of the profile.
@@ -162,12 +162,10 @@ class Radio:
     def variances(self, scene: Scene, layout: Layout) -> tuple[list[float], list[float]]:
         """Return every row's noise floor, and its Cramer-Rao bound at 0 dB: m^2, rad^2, Hz^2."""
         range_bound = SPEED_OF_LIGHT / (2.0 * math.pi * scene.bandwidth_hz / math.sqrt(12.0))
-        arrival, departure = (
-            self._angle_bound(self.ue_elements),
-            self._angle_bound(self.gnb_elements),
-        )
+        elements = self.ue_elements, self.gnb_elements
+        arrival, departure = (6.0 / ((max(n, 2) ** 2 - 1.0) * math.pi**2) for n in elements)
         angles = (self.aoa_floor_rad, self.elevation_floor_rad, self.aod_floor_rad)
-        floor, bound = [], []
+        floor, bound = [], []  # a single element has no aperture: angles need two at least
         for anchor in range(layout.anchors):
             floor += [self.range_floor_m[min(anchor, 1)], *angles]
             bound += [range_bound**2 / 2.0, arrival, arrival, departure]
@@ -182,11 +180,6 @@ class Radio:
         """Return the standard deviations (T, rows) of every row at SNRs (T, L): m, rad, Hz."""
         rows = deviations(*self.variances(scene, layout), list(snr_db.T), layout)
         return np.stack(rows, axis=1)
-
-    @staticmethod
-    def _angle_bound(elements: int) -> float:
-        # A single element has no aperture; at least two are needed to measure an angle.
-        return 6.0 / ((max(elements, 2) ** 2 - 1.0) * math.pi**2)
 
     def prior_covariance(self, scene: Scene) -> Array:
         """Return the covariance P0 (7, 7) of the state at the first epoch."""
@@ -233,9 +226,9 @@ def radio_from(radio: str | os.PathLike[str] | Radio) -> Radio:
     """
     if isinstance(radio, Radio):
         return radio
-    return (
-        read_radio(radio) if str(radio).endswith(".json") else choose(RADIOS, str(radio), "radio")
-    )
+    if str(radio).endswith(".json"):
+        return read_radio(radio)
+    return choose(RADIOS, str(radio), "radio")
 
 
 def read_radio(path: str | os.PathLike[str]) -> Radio:
@@ -250,28 +243,28 @@ def read_radio(path: str | os.PathLike[str]) -> Radio:
     """
 
     def make(content: dict[str, Any]) -> Radio:
-        given = {"name": as_name(Path(path).stem)} | _in_radians(content)
-        if given["name"] in list(RADIOS):
+        own = {"name": as_name(Path(path).stem)} | _in_radians(content)
+        if own["name"] in list(RADIOS):
             raise ValueError(
-                f"name: found {given['name']!r}, that of a shipped profile, expected another"
+                f"name: found {own['name']!r}, that of a shipped profile, expected another"
             )
-        base = choose(RADIOS, given.pop("base", "standard"), "base")
-        return object_from(Radio, vars(base) | given)
+        base = choose(RADIOS, own.pop("base", "standard"), "base")
+        return object_from(Radio, vars(base) | own)
 
     return read_object(path, "radio", make)
 
 
 def _in_radians(content: dict[str, Any]) -> dict[str, Any]:
     """Return the content of a radio's file, with its angles in radians."""
-    given: dict[str, Any] = {}
+    fields: dict[str, Any] = {}
     for key, value in content.items():
         angle = f"{key.removesuffix('_deg')}_rad"
         in_degrees = key.endswith("_deg") and angle in hints_of(Radio)
         name = angle if in_degrees else key
-        if name in given:
+        if name in fields:
             raise ValueError(f"{key}: found it beside the same angle in the other unit")
-        given[name] = value * DEGREE if in_degrees and type(value) in (int, float) else value
-    return given
+        fields[name] = value * DEGREE if in_degrees and type(value) in (int, float) else value
+    return fields
 
 
 def oscillator_bias(

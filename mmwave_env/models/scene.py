@@ -130,8 +130,7 @@ class Scene:
         streets: where simulated users move.
         carrier_hz: carrier frequency f_c.
         bandwidth_hz: signal bandwidth B.
-        virtual_anchors_m: more virtual anchors, given by position: surveyed, or found in a ray
-            tracing.
+        virtual_anchors_m: positions of more virtual anchors, of a survey or a ray tracing.
     """
 
     name: Name
@@ -169,11 +168,11 @@ class Scene:
             ValueError: streets are behind a wall, which the message names.
         """
         corners = [(x, y, 0.0) for x in self.streets.x_m for y in self.streets.y_m]
-        given = " (the default: say where they are)" if self.streets == Streets() else ""
+        default = " (the default: say where they are)" if self.streets == Streets() else ""
         for _, wall in self.behind_walls(np.array(corners)):
             raise ValueError(
                 f"streets of scene {self.name!r}: found {self.streets.x_m} x "
-                f"{self.streets.y_m}{given}, expected all at {wall.side_of(self.base_station_m)}, "
+                f"{self.streets.y_m}{default}, expected all at {wall.side_of(self.base_station_m)}, "
                 "where the base station is"
             )
 
@@ -188,10 +187,9 @@ class Scene:
     @property
     def numbers(self) -> SceneNumbers:
         """Return the numbers that a simulation needs."""
-        streets, anchors = self.streets, self.anchors_m.tolist()
-        (west, east), (south, north) = streets.x_m, streets.y_m
-        extent, origin = [east - west, north - south], [west, south]
-        return SceneNumbers(anchors, streets.block_m, extent, origin, streets.height_m)
+        streets, (west, east), (south, north) = self.streets, self.streets.x_m, self.streets.y_m
+        extent, anchors = [east - west, north - south], self.anchors_m.tolist()
+        return SceneNumbers(anchors, streets.block_m, extent, [west, south], streets.height_m)
 
     @property
     def hz_per_mps(self) -> float:
@@ -265,10 +263,9 @@ def scene_json(scene: Scene) -> dict[str, Any]:
     """Return the scene as :func:`read_scene` reads it: with its walls, else with its anchors."""
     if scene.walls:
         return asdict(scene)
-    anchors = tuple((x, y, z) for x, y, z in scene.anchors_m.tolist())
-    listed = asdict(AnchorScene(scene.name, anchors, scene.carrier_hz, scene.bandwidth_hz))
-    known = {"streets": asdict(scene.streets)} if scene.streets_known else {}
-    return {key: value for key, value in listed.items() if key != "streets"} | known
+    streets = {"streets": asdict(scene.streets)} if scene.streets_known else {}
+    signal = {"carrier_hz": scene.carrier_hz, "bandwidth_hz": scene.bandwidth_hz}
+    return {"name": scene.name, "anchors": scene.anchors_m.tolist()} | signal | streets
 
 
 @dataclass(frozen=True)
@@ -292,21 +289,14 @@ class AnchorScene:
 
 def _scene(content: dict[str, Any]) -> Scene:
     """Return the scene of a file's content, in one of its two forms."""
-    if "anchors" not in content:
-        if "base_station_m" not in content:
-            raise ValueError(
-                "found neither base_station_m nor anchors, expected base_station_m [x, y, z] and "
-                "walls, or anchors [[x, y, z], ...]"
-            )
-        return object_from(Scene, content)
-    mixed = [key for key in ("base_station_m", "walls", "virtual_anchors_m") if key in content]
-    if mixed:
+    keys = [k for k in ("base_station_m", "walls", "virtual_anchors_m", "anchors") if k in content]
+    if ("base_station_m" in keys) == ("anchors" in keys) or (len(keys) > 1 and "anchors" in keys):
         raise ValueError(
-            f"found anchors and {', '.join(mixed)}, expected either all anchors, the physical "
-            "gNB first, or base_station_m and walls"
+            f"found {', '.join(keys) or 'neither'}, expected either base_station_m [x, y, z] and "
+            "walls, or anchors [[x, y, z], ...], the physical gNB first"
         )
-    listed = object_from(AnchorScene, content)
-    gnb, *virtual = listed.anchors
-    return Scene(
-        listed.name, gnb, (), listed.streets, listed.carrier_hz, listed.bandwidth_hz, tuple(virtual)
-    )
+    if "anchors" not in keys:
+        return object_from(Scene, content)
+    s = object_from(AnchorScene, content)
+    gnb, *virtual = s.anchors
+    return Scene(s.name, gnb, (), s.streets, s.carrier_hz, s.bandwidth_hz, tuple(virtual))

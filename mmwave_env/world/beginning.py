@@ -1,10 +1,10 @@
 """The beginning of an episode: everything that is drawn before its first epoch.
 
-The functions of numbers run on lanes, one episode per lane; they lead from a key to a world that
-:mod:`mmwave_env.world.simulation` can step.
+The functions of numbers run on lanes, one episode per lane. They draw, from a key, the world that
+:mod:`mmwave_env.world.simulation` steps.
 """
 
-from functools import lru_cache
+from functools import lru_cache, partial
 from typing import NamedTuple
 
 from mmwave_env.compiler.program import Program
@@ -22,7 +22,7 @@ from mmwave_env.world.travel import TravelPlan, blank_plan, draw_phases, set_off
 USER, RECEIVER = 0, 1
 
 
-class Begun(NamedTuple):
+class FirstDraws(NamedTuple):
     """The draws for the beginning of an episode."""
 
     receiver: ReceiverState
@@ -41,7 +41,7 @@ class Beginning(NamedTuple):
     duration_s: Number  # duration of the episode
     prior_deviation: list[Number]  # (7,) standard deviation of the prior's mean
     first_bias_hz: Number  # standard deviation of the oscillator's first bias
-    begun: Begun
+    begun: FirstDraws
 
 
 def begin(w: Beginning, streets: RandomScene | None) -> Beginning:
@@ -52,7 +52,10 @@ def begin(w: Beginning, streets: RandomScene | None) -> Beginning:
     if w.plans:
         choice = floor(float(len(w.plans)) * dice.uniform())
         plan = tree_at(choice, w.plans)
-        net = _net(scene, plan.closer)
+        block = scene.block_m / plan.closer
+        east, north = (floor(extent / block + 0.5) for extent in scene.extent_m)
+        x, y = scene.origin_m
+        net = Net(block, east, north, x, y, scene.height_m)
         phases = draw_phases(dice, plan.phases, w.duration_s)
         user = UserState([], net, phases, set_off(dice, phases, net))
         user = user._replace(dice=dice.state)
@@ -63,15 +66,7 @@ def begin(w: Beginning, streets: RandomScene | None) -> Beginning:
     noise = [deviation * others.normal() for deviation in w.prior_deviation]
     first = [*position, user.net.height, *velocity, 0.0, bias_hz]
     receiver = w.begun.receiver._replace(dice=others.state, anchors=scene.anchors, bias_hz=bias_hz)
-    return w._replace(begun=Begun(receiver, user, choice, first, noise))
-
-
-def _net(scene: SceneNumbers, closer: Number) -> Net:
-    """Return the net of streets for a kind of user."""
-    block = scene.block_m / closer
-    east, north = (floor(extent / block + 0.5) for extent in scene.extent_m)
-    x, y = scene.origin_m
-    return Net(block, east, north, x, y, scene.height_m)
+    return w._replace(begun=FirstDraws(receiver, user, choice, first, noise))
 
 
 @lru_cache(maxsize=8)
@@ -95,10 +90,6 @@ def beginning(
         duration_s=1.0,
         prior_deviation=state,
         first_bias_hz=0.0,
-        begun=Begun(world.receiver, world.user, 0.0, state, state),
+        begun=FirstDraws(world.receiver, world.user, 0.0, state, state),
     )
-
-    def function(w: Beginning) -> Beginning:
-        return begin(w, streets)
-
-    return Program(function, template)
+    return Program(partial(begin, streets=streets), template)

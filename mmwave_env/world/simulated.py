@@ -33,7 +33,7 @@ from mmwave_env.numerics.numbers import Array, Index
 from mmwave_env.numerics.pytree import flatten, indices
 from mmwave_env.numerics.random import Dice, seeded
 from mmwave_env.world.beginning import USER, Beginning, beginning
-from mmwave_env.world.episode import Episode, EpisodeBatch, columns_of, level
+from mmwave_env.world.episode import Episode, EpisodeBatch, Incoming, columns_of, level
 from mmwave_env.world.keys import Keys, draw_key
 from mmwave_env.world.mobility import FASTEST_MPS, MIXED, plans_of
 from mmwave_env.world.simulation import (
@@ -43,8 +43,8 @@ from mmwave_env.world.simulation import (
     on_a_way,
     world_of,
 )
+from mmwave_env.world.trajectory import PlacedWays, Scenario, Users, users_of
 from mmwave_env.world.travel import TravelPlan, stride_of
-from mmwave_env.world.ways import PlacedWays, Scenario, Users, users_of
 
 RARE = 4.0  # standard deviations of a rare event
 MOST_EPOCHS = 1_000_000  # limit for an episode, since times and actions of epochs are kept
@@ -110,21 +110,17 @@ class SimulatedSource:
         snr_db = np.repeat(np.array(SNR_LIMITS_DB)[:, None], anchors, axis=1)
         rarely = math.exp(RARE * radio.spread_sigma)
         spread_mps = radio.spread_gain * FASTEST_MPS * rarely + RARE * radio.spread_floor_mps
-        Episode(
-            name=f"{radio.name} in {scene.name}",
-            scene_anchors_m=scene.anchors_m,
-            hz_per_mps=scene.hz_per_mps,
+        Episode.measured(
+            f"{radio.name} in {scene.name}",
+            scene,
+            radio,
+            self.layout,
             time_s=np.array([0.0, self.dt]),
             measurement=np.zeros((2, self.layout.size)),
-            sigma=radio.sigma(snr_db, scene, self.layout),
             visible=np.ones((2, len(self.layout.groups)), np.bool_),
             snr_db=snr_db,
             doppler_spread_hz=np.array([0.0, scene.hz_per_mps * spread_mps]),
-            prior_mean=np.zeros(STATE_SIZE),
-            prior_covariance=radio.prior_covariance(scene),
-            truth_position_m=None,
-            truth_velocity_mps=None,
-            layout=self.layout,
+            prior=(np.zeros(STATE_SIZE), radio.prior_covariance(scene)),
         )
 
     @cached_property
@@ -151,9 +147,11 @@ class SimulatedSource:
     def name(self) -> str:
         """Return the name of the scenario, and of the scene unless it is the default street."""
         users, scene = self._users, self.scene.name
-        who = users.name if not isinstance(users, tuple) else users[0].name
-        who = MIXED if isinstance(users, tuple) and len(users) > 1 else who
-        return who if scene == "street" else f"{who} on {scene}"
+        if not isinstance(users, tuple):
+            name = users.name
+        else:
+            name = users[0].name if len(users) == 1 else MIXED
+        return name if scene == "street" else f"{name} on {scene}"
 
     def sample(self, rng: np.random.Generator) -> Episode:
         """Draw one episode; only its key is drawn from ``rng``."""
@@ -166,37 +164,31 @@ class SimulatedSource:
 
     def episodes(self, keys: Keys) -> list[Episode]:
         """Return the episodes of keys (n,)."""
-        found = self.sample_batch(keys)
-        return [
-            self._as_episode(*each)
-            for each in zip(found.names, found.table, found.site, strict=True)
-        ]
-
-    def _as_episode(self, name: str, table: Array, site: Array) -> Episode:
-        """Return an episode of a batch, given its name, table and site."""
-        at, where = columns_of(self.layout), self._site[1]
-
-        def columns(of: Any) -> Array:
-            return np.ascontiguousarray(table[:, of])
-
-        signed_sigma = columns(at.signed_sigma)
+        batch, index, scene = self.sample_batch(keys), self._site[1], self._example
         starts = [group.start for group in self.layout.groups]
-        return Episode(
-            name=name,
-            scene_anchors_m=site[flatten(where.anchors)].reshape(-1, 3),
-            hz_per_mps=self._example.hz_per_mps,
-            time_s=self.time_s,
-            measurement=columns(at.z),
-            sigma=np.abs(signed_sigma),
-            visible=signed_sigma[:, starts] > 0.0,
-            snr_db=columns(at.snr_db),
-            doppler_spread_hz=columns(at.doppler_spread_hz),
-            prior_mean=site[where.prior_x],
-            prior_covariance=self.radio.prior_covariance(self._example),
-            truth_position_m=columns(at.truth[:3]),
-            truth_velocity_mps=columns(at.truth[3:]),
-            layout=self.layout,
-        )
+        episodes = []
+        for name, table, site in zip(batch.names, batch.table, batch.site, strict=True):
+            columns = [np.ascontiguousarray(table[:, c]) for c in columns_of(self.layout)]
+            rows: Any = Incoming._make(columns)
+            episodes.append(
+                Episode(
+                    name=name,
+                    scene_anchors_m=site[flatten(index.anchors)].reshape(-1, 3),
+                    hz_per_mps=scene.hz_per_mps,
+                    time_s=self.time_s,
+                    measurement=rows.z,
+                    sigma=np.abs(rows.signed_sigma),
+                    visible=rows.signed_sigma[:, starts] > 0.0,
+                    snr_db=rows.snr_db,
+                    doppler_spread_hz=rows.doppler_spread_hz,
+                    prior_mean=site[index.prior_x],
+                    prior_covariance=self.radio.prior_covariance(scene),
+                    truth_position_m=rows.truth[:, :3],
+                    truth_velocity_mps=rows.truth[:, 3:],
+                    layout=self.layout,
+                )
+            )
+        return episodes
 
     def scene_of(self, key: int) -> Scene:
         """Return the scene of the episode of a key."""
@@ -209,7 +201,7 @@ class SimulatedSource:
         """Return the episodes of keys (n,) as a batch, drawn by at most ``threads`` threads."""
         n, at = len(keys), columns_of(self.layout)
         begun = self.begin(keys)
-        program, state = self._along(begun) if self.travels else self._on_the_way(begun)
+        program, state = self._simulation(begun)
         measured = rows_of(program.index.measured)
         io = StepIO.of(n, self.epochs, output_rows=measured)
         program.on_lanes()  # else some threads would wait while another compiles
@@ -228,21 +220,21 @@ class SimulatedSource:
 
     def feed(self, worlds: Array) -> Feed:
         """Return the feed that simulates drawn users, from their first worlds (n, numbers)."""
-        kept = blocks_of(self._blank_kept, len(worlds))
+        _, _, receiver, user = self.world.template  # of an unused lane
+        kept = blocks_of(np.array(flatten([receiver, user]), float), len(worlds))
         fill(kept, np.arange(kept.shape[1]), worlds)
         timed = columns_of(self.layout).dt
         return Feed(self.world.on_lanes(), self._settings_rows, kept, timed, self.steps_s)
 
-    def _along(self, begun: Begun) -> tuple[Program[Any], BatchState]:
-        """Return the program and the initial state that simulate drawn users."""
-        program, n = as_measured(self.layout), len(begun.worlds)
-        state = BatchState.of(np.empty((n, self.epochs, 0)), blocks_of(program.start, n))
-        return program, state._replace(feed=self.feed(begun.worlds))
-
-    def _on_the_way(self, begun: Begun) -> tuple[Program[Any], BatchState]:
-        """Return the program and the initial state that simulate users on given ways."""
-        program, n = on_a_way(self.layout), len(begun.worlds)
-        rows = fill(blocks_of(program.start, n), rows_of(program.index.receiver), begun.worlds)
+    def _simulation(self, begun: Begun) -> tuple[Program[Any], BatchState]:
+        """Return the program and the initial state that simulate episodes."""
+        worlds = begun.worlds
+        if self.travels:
+            program: Program[Any] = as_measured(self.layout)
+            state = BatchState.of(begun.truth, blocks_of(program.start, len(worlds)))
+            return program, state._replace(feed=self.feed(worlds))
+        program = on_a_way(self.layout)
+        rows = fill(blocks_of(program.start, len(worlds)), rows_of(program.index.receiver), worlds)
         rows[:, rows_of(program.index.settings)] = self._settings_rows
         return program, BatchState.of(begun.truth, rows)
 
@@ -266,10 +258,10 @@ class SimulatedSource:
         if not self.travels:
             kinds, truth = self.ways.draw(choice[:, 0])
             first[:, :6] = truth[:, 0]
-        site, where = self._site
+        site, index = self._site
         sites = np.tile(site, (n, 1))
-        sites[:, where.prior_x] = first + noise
-        sites[:, flatten(where.anchors)] = anchors
+        sites[:, index.prior_x] = first + noise
+        sites[:, flatten(index.anchors)] = anchors
         return Begun(kinds, worlds, truth, first, sites)
 
     @cached_property
@@ -348,14 +340,8 @@ class SimulatedSource:
         return np.repeat(np.array(flatten(settings), float)[:, None], WIDTH, axis=1)
 
     @cached_property
-    def _blank_kept(self) -> Array:
-        """Return the kept state of the world in an unused lane."""
-        _, _, receiver, user = self.world.template
-        return np.array(flatten([receiver, user]), float)
-
-    @cached_property
     def _site(self) -> tuple[Array, Any]:
-        """Return :meth:`Episode.site` of the example, and the place of each number in it."""
+        """Return :meth:`Episode.site` of the example, and the index of each number in it."""
         scene = self._example
         covariance = self.radio.prior_covariance(scene)[np.tril_indices(STATE_SIZE)]
         site = Site(

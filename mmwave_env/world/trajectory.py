@@ -1,16 +1,21 @@
-"""Trajectories given by a user of this package, from GPS, a traffic simulator or a survey."""
+"""Trajectories of users, placed in a scene as ways from which episodes are drawn.
 
+This module also interprets a ``scenario=`` argument: kinds of users, or such ways.
+"""
+
+import os
 import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NoReturn
 
 import numpy as np
 
 from mmwave_env.models.envelope import POSITION_M
 from mmwave_env.models.prior import GAP_S
 from mmwave_env.models.scene import Scene
-from mmwave_env.numerics.numbers import Array, Mask
-from mmwave_env.world.mobility import FASTEST_MPS
+from mmwave_env.numerics.numbers import Array, Index, Mask
+from mmwave_env.world.mobility import FASTEST_MPS, Mobility, mobilities_of
 
 REACH_M = (1.0, 5000.0)  # distances at which the path loss holds (3GPP TR 38.901, UMi)
 STANDING_M, STANDING_S = 0.1, 60.0  # staying so close for so long suggests positions in degrees
@@ -18,7 +23,7 @@ STANDING_M, STANDING_S = 0.1, 60.0  # staying so close for so long suggests posi
 
 @dataclass(frozen=True, eq=False)
 class Trajectory:
-    """The positions of a user at N times, for episodes with the simulated channel.
+    """The positions of a user at N times, from GPS, a traffic simulator or a survey.
 
     Attributes:
         name: name of the trajectory, for results and messages.
@@ -72,11 +77,11 @@ class Trajectory:
         if v is not None:
             fast = np.linalg.norm(v, axis=1)
             self._require(fast <= FASTEST_MPS, v, "vx, vy, vz", most)
-            way, said = np.linalg.norm(moved, axis=1).sum(), fast[1:] @ step[1:]
-            if said > 2.0 * way + STANDING_M:
+            way, integral = np.linalg.norm(moved, axis=1).sum(), fast[1:] @ step[1:]
+            if integral > 2.0 * way + STANDING_M:
                 raise ValueError(
-                    f"{self.name}: vx, vy, vz: found a way of {said:.6g} m, expected that of the "
-                    f"positions, {way:.6g} m: are they in m/s?"
+                    f"{self.name}: vx, vy, vz: found a way of {integral:.6g} m, expected that of "
+                    f"the positions, {way:.6g} m: are they in m/s?"
                 )
         if t[-1] - t[0] >= STANDING_S and np.ptp(p, axis=0).max() < STANDING_M:
             warnings.warn(
@@ -85,18 +90,16 @@ class Trajectory:
                 stacklevel=4,
             )
 
-    def _require(self, holds: Mask, values: Array, what: str, expected: str) -> None:
+    def _require(self, holds: Mask, values: Array, part: str, expected: str) -> None:
         """Refuse the first of the rows (N, ...) in which a condition does not hold."""
         rows = holds.reshape(len(holds), -1).all(axis=1)
         if not rows.all():
-            i = int(np.argmin(rows))
-            found = ", ".join(f"{value:.6g}" for value in np.ravel(values[i]))
-            raise ValueError(
-                f"{self.name}, {self._place(i)}: {what}: found {found}, expected {expected}"
-            )
+            self._refuse(int(np.argmin(rows)), part, values[np.argmin(rows)], expected)
 
-    def _place(self, row: int) -> str:
-        return f"row {row + 1}" if self.lines is None else f"line {self.lines[row]}"
+    def _refuse(self, row: int, part: str, values: Array, expected: str) -> NoReturn:
+        place = f"row {row + 1}" if self.lines is None else f"line {self.lines[row]}"
+        shown = ", ".join(f"{value:.6g}" for value in np.ravel(values))
+        raise ValueError(f"{self.name}, {place}: {part}: found {shown}, expected {expected}")
 
     def resampled(self, dt: float) -> Array:
         """Return positions and velocities (E, 6) every ``dt`` seconds from the first time on.
@@ -123,20 +126,104 @@ class Trajectory:
 
         def refuse(epoch: int, expected: str) -> None:
             row = int(np.searchsorted(self.time_s, self.time_s[0] + epoch * dt, "right")) - 1
-            found = ", ".join(f"{value:.6g}" for value in position[epoch])
-            raise ValueError(
-                f"{self.name}, {self._place(row)}: x, y, z: found {found}, expected {expected} of "
-                f"scene {scene.name!r}"
-            )
+            self._refuse(row, "x, y, z", position[epoch], f"{expected} of scene {scene.name!r}")
 
         for epoch, wall in scene.behind_walls(position):
-            side = wall.side_of(scene.base_station_m)
-            refuse(epoch, f"{side}, where the base station is,")
+            refuse(epoch, f"{wall.side_of(scene.base_station_m)}, where the base station is,")
         for anchor in scene.anchors_m:
             distance = np.linalg.norm(position - anchor, axis=1)
             outside = (distance < REACH_M[0]) | (distance > REACH_M[1])
             if outside.any():
-                near, far = REACH_M
-                reach = f"a place {near:g} to {far:g} m from the anchor at {anchor.tolist()}"
-                refuse(int(outside.argmax()), reach)
+                reach = f"{REACH_M[0]:g} to {REACH_M[1]:g} m from the anchor at {anchor.tolist()}"
+                refuse(int(outside.argmax()), f"a position {reach}")
         return way
+
+
+@dataclass(frozen=True, eq=False)
+class Ways:
+    """Ways of one or several users, of which each episode draws one.
+
+    Attributes:
+        name: name of the ways, for results and messages.
+        trajectories: (K,) trajectories, at least one.
+    """
+
+    name: str
+    trajectories: Sequence[Trajectory]
+
+    def placed(self, scene: Scene, dt: float, epochs: int) -> "PlacedWays":
+        """Place the ways in a scene, for episodes of at most ``epochs`` epochs.
+
+        Ways shorter than an episode are left out, with a warning; if all ways are shorter,
+        episodes are as long as the longest way.
+
+        Args:
+            scene: the scene in whose frame the positions are.
+            dt: seconds between epochs.
+            epochs: greatest length of an episode.
+
+        Raises:
+            ValueError: as for :meth:`Trajectory.way`.
+        """
+        tables = [trajectory.way(scene, dt) for trajectory in self.trajectories]
+        epochs = min(epochs, max(map(len, tables)))
+        kept = [i for i, table in enumerate(tables) if len(table) >= epochs]
+        if len(kept) < len(tables):
+            warnings.warn(
+                f"{self.name}: found {len(tables) - len(kept)} of {len(tables)} ways shorter than "
+                f"{dt * (epochs - 1):g} s, an episode; they are left out (a smaller episode_steps "
+                "takes them)",
+                stacklevel=2,
+            )
+        names = [self.trajectories[i].name for i in kept]
+        return PlacedWays(names, [tables[i] for i in kept], epochs)
+
+
+@dataclass(frozen=True, eq=False)
+class PlacedWays:
+    """K ways through a scene; an episode is a window of one of them.
+
+    Attributes:
+        names: (K,) names of the ways.
+        tables: K arrays (E, 6), E >= ``epochs``: positions (m) and velocities (m/s) at epochs.
+        epochs: length of an episode.
+    """
+
+    names: Sequence[str]
+    tables: Sequence[Array]
+    epochs: int
+
+    def draw(self, choice: Array) -> tuple[Index, Array]:
+        """Draw the numbers of the ways (n,) of episodes, and their truth (n, epochs, 6).
+
+        All ways are equally likely, and so are all windows of one way.
+
+        Args:
+            choice: (n,) uniform numbers in [0, 1).
+        """
+        scaled = choice * len(self.tables)
+        numbers = scaled.astype(np.int64)
+        windows = np.array([len(table) for table in self.tables]) - self.epochs + 1
+        starts = ((scaled - numbers) * windows[numbers]).astype(np.int64)
+        pairs = zip(numbers.tolist(), starts.tolist(), strict=True)
+        truth = [self.tables[way][start : start + self.epochs] for way, start in pairs]
+        return numbers, np.array(truth).reshape(len(choice), self.epochs, 6)
+
+
+Scenario = str | os.PathLike[str] | Mobility | Trajectory | Ways
+Users = tuple[Mobility, ...] | Ways
+
+
+def users_of(scenario: Scenario) -> Users:
+    """Return the kinds of users, or the given ways, of a ``scenario=`` argument.
+
+    Raises:
+        ValueError, FileNotFoundError: as for :func:`~mmwave_env.world.mobility.mobilities_of`.
+    """
+    if isinstance(scenario, Ways):
+        return scenario
+    if isinstance(scenario, Trajectory):
+        return Ways(scenario.name, (scenario,))
+    if isinstance(scenario, Mobility):
+        return (scenario,)
+    return mobilities_of(scenario)

@@ -202,7 +202,7 @@ def test_a_policy_plays_the_same_by_name_and_by_file(file):
 
     def watch(contender, episodes, tells):
         told[contender.name] = tells
-        assert len(episodes) == 2
+        assert len(tells["error"]) == 2
 
     scores = score_contenders(names, SOURCE, "handset", Selection(range(2)), watch=[watch])
     assert list(scores) == list(told) == names

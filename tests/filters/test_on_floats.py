@@ -386,9 +386,3 @@ def test_scores_of_a_belief_are_those_of_its_gaussian(axes):
     assert belief.nees(truth) == pytest.approx(e[within] @ np.linalg.solve(block, e[within]))
     density = multivariate_normal(x[within], block).logpdf(truth[within])
     assert belief.log_density(truth) == pytest.approx(density)
-
-
-def test_a_pipeline_of_each_mode_keeps_all_else():
-    pipeline = Pipeline((MODES[0], replace(MODES[0], name="b")), Layout(2), planar=True)
-    assert [one.modes for one in imm.single(pipeline)] == [(mode,) for mode in pipeline.modes]
-    assert all(one.planar and one.layout == pipeline.layout for one in imm.single(pipeline))

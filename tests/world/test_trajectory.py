@@ -7,11 +7,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from mmwave_env.datasets.ways import read_trajectory, read_ways
 from mmwave_env.models.radio import RADIOS
 from mmwave_env.models.scene import SCENES
 from mmwave_env.world.simulated import SimulatedSource
 from mmwave_env.world.trajectory import Trajectory
-from mmwave_env.world.ways import read_trajectory
 
 STREET = SCENES["street"]
 
@@ -94,7 +94,7 @@ def test_a_file_that_no_user_went_is_refused_by_line(tmp_path, rows, message):
     if "y below" in message:
         path = write(tmp_path, [[t, x, 20.0 + 3.0 * t, z] for t, x, _, z in straight()])
     with pytest.raises(ValueError, match=f"{re.escape(str(path))}.*{message}"):
-        SimulatedSource(STREET, RADIOS["handset"], path)
+        SimulatedSource(STREET, RADIOS["handset"], read_ways(path))
 
 
 @pytest.mark.parametrize(

@@ -7,12 +7,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from mmwave_env.datasets.ways import read_trajectory, read_ways, scenario_from
 from mmwave_env.models.radio import RADIOS
 from mmwave_env.models.scene import SCENES
 from mmwave_env.world.mobility import MOBILITIES, Mobility
 from mmwave_env.world.simulated import SimulatedSource
-from mmwave_env.world.trajectory import Trajectory
-from mmwave_env.world.ways import PlacedWays, Ways, read_trajectory, read_ways, users_of
+from mmwave_env.world.trajectory import PlacedWays, Trajectory, Ways, users_of
 
 STREET, RADIO = SCENES["street"], RADIOS["handset"]
 
@@ -44,7 +44,7 @@ def test_rows_of_an_id_are_the_way_of_one_user(tmp_path):
 
 def test_each_episode_is_a_window_of_one_of_the_ways(tmp_path):
     ways = {"a": straight(30, -80.0), "b": straight(40, -70.0), "c": straight(60, -60.0)}
-    source = SimulatedSource(STREET, RADIO, write(tmp_path, ways), epochs=25)
+    source = SimulatedSource(STREET, RADIO, read_ways(write(tmp_path, ways)), epochs=25)
     seen = set()
     for episode in source.episodes(np.arange(40, dtype=np.uint64)):
         way = ways[episode.name[0]]
@@ -58,7 +58,7 @@ def test_each_episode_is_a_window_of_one_of_the_ways(tmp_path):
 def test_one_of_several_ways_is_drawn_as_it_would_be_alone(tmp_path):
     path = write(tmp_path, {"a": straight(40)})
     alone = SimulatedSource(STREET, RADIO, straight(40), epochs=20)
-    named = SimulatedSource(STREET, RADIO, path, epochs=20)
+    named = SimulatedSource(STREET, RADIO, read_ways(path), epochs=20)
     for seed in range(3):
         a, b = (s.sample(np.random.default_rng(seed)) for s in (alone, named))
         np.testing.assert_array_equal(a.truth_position_m, b.truth_position_m)
@@ -141,7 +141,7 @@ MOBILITY = {
 def test_a_file_is_what_its_ending_says(tmp_path, name, content, kind, as_given):
     path = tmp_path / name
     path.write_text(content)
-    assert isinstance(users_of(as_given(path)), kind)
+    assert isinstance(users_of(scenario_from(as_given(path))), kind)
 
 
 def test_objects_are_taken_as_they_are():

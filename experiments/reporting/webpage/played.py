@@ -28,7 +28,6 @@ from mmwave_env.models.scene import Streets
 from mmwave_env.numerics.numbers import Array
 from mmwave_env.rendering.history import GATE
 from mmwave_env.rendering.theme import THEMES, hex_of
-from mmwave_env.world.episode import Episode
 
 LONGEST = 600  # most epochs that can be watched
 ROWS = slice(LONGEST)
@@ -92,7 +91,7 @@ def play(source: Source, most: int, watched: int) -> Played:
         axes = 2 if scoring.planar else 3
         found.shown.append(scenery(name, one.layout, one.scene_anchors_m, streets, axes, truth))
 
-    def keep(contender: Contender, _: Sequence[Episode], told: EpochResults) -> None:
+    def keep(contender: Contender, _: Array, told: EpochResults) -> None:
         for i, one in enumerate(found.shown if contender.name in watched_names(names) else []):
             parts = {part: rows[i] for part, rows in told.items()}
             weighed = contender.policy is None

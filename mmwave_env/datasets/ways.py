@@ -1,0 +1,100 @@
+"""Reader of users' ways in CSV files."""
+
+import csv
+import math
+import os
+from array import array
+from collections.abc import Iterator, Sequence
+from io import StringIO
+from pathlib import Path
+
+import numpy as np
+
+from mmwave_env.io.files import read_text
+from mmwave_env.io.lookup import is_name, quoted
+from mmwave_env.io.records import Printable
+from mmwave_env.world.checks import refuse_in
+from mmwave_env.world.trajectory import Scenario, Trajectory, Ways
+
+COLUMNS = ("t", "x", "y", "z", "vx", "vy", "vz")  # either all of the last three or none
+ID = "id"
+
+
+def read_ways(path: str | os.PathLike[str]) -> Ways:
+    """Read the ways of a CSV file with columns t, x, y, z, perhaps vx, vy, vz, and perhaps id.
+
+    Units are s, m and m/s, in the frame of the scene. Rows with the same id belong to one user, in
+    the order of time; without that column all rows do. Other columns are ignored.
+
+    Raises:
+        ValueError: the file is wrong; the message names the file, the row and the error.
+        FileNotFoundError: the file does not exist.
+    """
+    name = os.fspath(path)
+    users: dict[str, tuple[list[int], array[float]]] = {}
+    for line, user, numbers in _rows(Path(path)):
+        lines, values = users.setdefault(user, ([], array("d")))
+        lines.append(line)
+        values.extend(numbers)
+    if not users:
+        raise ValueError(f"{name}: found 0 rows, expected at least 2")
+    return Ways(name, [_way(f"{id} of {name}" if id else name, *way) for id, way in users.items()])
+
+
+def read_trajectory(path: str | os.PathLike[str]) -> Trajectory:
+    """Read the only way of a CSV file, as :func:`read_ways` does.
+
+    Raises:
+        ValueError, FileNotFoundError: as for :func:`read_ways`; or there are several ways.
+    """
+    ways = read_ways(path).trajectories
+    if len(ways) > 1:
+        refuse_in(Path(path), f"column {ID}", f"{len(ways)} users", "one")
+    return ways[0]
+
+
+def _way(name: str, lines: list[int], values: Sequence[float]) -> Trajectory:
+    table = np.array(values).reshape(len(lines), -1)
+    velocity = table[:, 4:] if table.shape[1] > 4 else None
+    return Trajectory(name, table[:, 0], table[:, 1:4], velocity, lines)
+
+
+def _rows(file: Path) -> Iterator[tuple[int, str, list[float]]]:
+    """Yield line, id ("" without that column) and numbers of every row."""
+    reader = csv.DictReader(StringIO(read_text(file, "CSV"), newline=""), skipinitialspace=True)
+    try:
+        header = reader.fieldnames or ()
+        names = COLUMNS if set(COLUMNS[4:]) & set(header) else COLUMNS[:4]
+        if not set(names) <= set(header):
+            refuse_in(file, "header", quoted(",".join(header)), f"the columns {','.join(names)}")
+        for row in reader:
+            line = f"line {reader.line_num}"
+            if None in row or None in row.values():
+                refuse_in(file, line, "another number of values", f"{len(header)}, as in line 1")
+            user = row.get(ID, "")
+            if ID in row and not is_name(user):
+                refuse_in(file, f"{line}, column {ID}", quoted(user), Printable.expected)
+            numbers = [_number(file, f"{line}, column {name}", row[name]) for name in names]
+            yield reader.line_num, user, numbers
+    except csv.Error as error:
+        raise ValueError(f"{file}: found no readable CSV ({error}), expected CSV") from error
+
+
+def _number(file: Path, cell: str, text: str) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if not math.isfinite(value):
+        refuse_in(file, cell, quoted(text), "a finite number")
+    return value
+
+
+def scenario_from(scenario: Scenario) -> Scenario:
+    """Return a ``scenario=`` argument, with the ways of a CSV file in place of its name.
+
+    Raises:
+        ValueError, FileNotFoundError: as for :func:`read_ways`.
+    """
+    is_file = isinstance(scenario, str | os.PathLike) and str(scenario).lower().endswith(".csv")
+    return read_ways(scenario) if is_file else scenario  # type: ignore[arg-type]
