@@ -70,9 +70,9 @@ def log_of(folder: Path) -> Path:
     missing = [] if logs else [LOG]
     missing += [name for name in (SCENE, TRUTH) if not (folder / name).exists()]
     if missing or len(logs) > 1:
-        found = f"no {', no '.join(missing)}" if missing else " and ".join(logs)
+        files = f"no {', no '.join(missing)}" if missing else " and ".join(logs)
         raise ValueError(
-            f"{folder}: found {found}, expected a log (one of {', '.join(_LOGS)}), {SCENE} and "
+            f"{folder}: found {files}, expected a log (one of {', '.join(_LOGS)}), {SCENE} and "
             f"{TRUTH} (docs/own-log.md); or {PARAMS}, of a DeepMIMO scenario"
         )
     return folder / logs[0]

@@ -37,8 +37,8 @@ def sample_folder(name: str, kind: str = "log") -> Path:
     Raises:
         ValueError: there is no such sample; the message lists the names.
     """
-    found = _folders(choose({"log": _LOGS, "recording": _RECORDINGS}, kind, "kind"))
-    return choose(found, name, "sample")
+    folder = choose({"log": _LOGS, "recording": _RECORDINGS}, kind, "kind")
+    return choose(_folders(folder), name, "sample")
 
 
 def recording_from(name: str) -> Recording:
@@ -67,16 +67,11 @@ def source_from(
         ValueError: the name is unknown, the folder is of another kind, or no window fits.
         OSError: a file can't be read.
     """
-    if isinstance(episodes, str | os.PathLike):
-        episodes = _read(episodes)
-    return TrackSource(episodes, radio, epochs)
-
-
-def _read(name: str | os.PathLike[str]) -> Recording | MeasuredTrack:
-    """Read the track that a name or a folder stands for."""
-    if name in sample_names():
-        return recording_from(str(name))
-    folder = Path(name)
+    if not isinstance(episodes, str | os.PathLike):
+        return TrackSource(episodes, radio, epochs)
+    if episodes in sample_names():
+        return TrackSource(recording_from(str(episodes)), radio, epochs)
+    folder = Path(episodes)
     if folder.is_file():
         raise ValueError(
             f"episodes: found the file {folder}, expected its folder, {folder.parent}; a way of "
@@ -84,7 +79,8 @@ def _read(name: str | os.PathLike[str]) -> Recording | MeasuredTrack:
         )
     if not folder.is_dir():
         raise ValueError(
-            f"episodes: found {os.fspath(name)!r}, expected one of {', '.join(sample_names())}, "
+            f"episodes: found {str(folder)!r}, expected one of {', '.join(sample_names())}, "
             "or the folder of a measurement log with scene and truth, or of a DeepMIMO scenario"
         )
-    return (read_deepmimo if is_scenario(folder) else read_log_folder)(folder)
+    read = read_deepmimo if is_scenario(folder) else read_log_folder
+    return TrackSource(read(folder), radio, epochs)

@@ -70,14 +70,11 @@ def memory_before(
     memory: Memory, candidates: Sequence[ModeResult], epoch: Epoch, layout: Layout
 ) -> Memory:
     """Return the memory after taking in the coming epoch, before any mode is chosen."""
-    snr = [
-        where(
-            seen > 0.5,
-            where(mean < SNR_UNSEEN_DB + 1.0, now, SNR_MEMORY * mean + (1.0 - SNR_MEMORY) * now),
-            mean,
-        )
-        for seen, now, mean in zip(epoch.visible, epoch.snr_db, memory.snr_mean_db, strict=False)
-    ]
+    snr = []
+    for visible, now, mean in zip(epoch.visible, epoch.snr_db, memory.snr_mean_db, strict=False):
+        grown = SNR_MEMORY * mean + (1.0 - SNR_MEMORY) * now
+        grown = where(mean < SNR_UNSEEN_DB + 1.0, now, grown)
+        snr.append(where(visible > 0.5, grown, mean))
     likelihoods = [capped_log_likelihood(candidate, layout) for candidate in candidates]
     preference = []
     for past, keep in zip(memory.preference, PREFERENCE_MEMORY, strict=True):
@@ -117,10 +114,10 @@ def memory_after(
         for new, old in zip([ratio, *memory.window[:-1]], memory.window, strict=True)
     ]
     each_link = [1.0] * layout.anchors
-    seen, fixes = dot(each_link, visible), dot(each_link, chosen.accepted)
+    links, fixes = dot(each_link, visible), dot(each_link, chosen.accepted)
     # A forced update does not end a lock-out: one position, reached with a wrong velocity, is
     # no track. Links stay accepted until one of them passes its gate again.
-    lockout = where(seen > 0.5, memory.lockout + 1.0, memory.lockout)
+    lockout = where(links > 0.5, memory.lockout + 1.0, memory.lockout)
     predicted = move(before, dt)
     step = [chosen.x[i] - predicted[i] for i in range(2)]
     v = predicted[3:5]

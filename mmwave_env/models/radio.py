@@ -155,10 +155,6 @@ class Radio:
         """Return the SNR of links with the given path gain (negative, dB)."""
         return self.link_budget_db + path_gain_db - self.thermal_noise_dbm(bandwidth_hz)
 
-    def path_gain_db(self, snr_db: Array, bandwidth_hz: float) -> Array:
-        """Return the path gain (dB) of links with the given SNR, the inverse of :meth:`snr_db`."""
-        return snr_db - self.link_budget_db + self.thermal_noise_dbm(bandwidth_hz)
-
     def variances(self, scene: Scene, layout: Layout) -> tuple[list[float], list[float]]:
         """Return every row's noise floor, and its Cramer-Rao bound at 0 dB: m^2, rad^2, Hz^2."""
         range_bound = SPEED_OF_LIGHT / (2.0 * math.pi * scene.bandwidth_hz / math.sqrt(12.0))

@@ -170,10 +170,10 @@ class Scene:
         corners = [(x, y, 0.0) for x in self.streets.x_m for y in self.streets.y_m]
         default = " (the default: say where they are)" if self.streets == Streets() else ""
         for _, wall in self.behind_walls(np.array(corners)):
+            side = wall.side_of(self.base_station_m)
             raise ValueError(
-                f"streets of scene {self.name!r}: found {self.streets.x_m} x "
-                f"{self.streets.y_m}{default}, expected all at {wall.side_of(self.base_station_m)}, "
-                "where the base station is"
+                f"streets of scene {self.name!r}: found {self.streets.x_m} x {self.streets.y_m}"
+                f"{default}, expected all at {side}, where the base station is"
             )
 
     def behind_walls(self, points_m: NDArray[np.float64]) -> Iterator[tuple[int, Wall]]:

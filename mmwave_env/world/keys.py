@@ -71,13 +71,13 @@ def keys_from(keys: Any, n: int) -> Keys:
     Raises:
         ValueError: there is not one key per environment, or a key is not an integer of 64 bits.
     """
-    given = np.atleast_1d(np.asarray(keys, object))
-    if given.shape != (n,):
+    numbers = np.atleast_1d(np.asarray(keys, object))
+    if numbers.shape != (n,):
         raise ValueError(
             f"options['episode_key']: found shape {np.shape(keys)}, expected ({n},), one an "
             "environment"
         )
-    return np.array([key_from(key) for key in given], np.uint64)
+    return np.array([key_from(key) for key in numbers], np.uint64)
 
 
 def option_of(options: Any, name: str) -> Any:

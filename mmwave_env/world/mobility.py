@@ -52,9 +52,7 @@ class Gait:
     def __post_init__(self) -> None:
         require_fields(self)
         if self.low_mps > self.high_mps:
-            raise ValueError(
-                f"high_mps: found {self.high_mps}, expected >= {self.low_mps}, low_mps"
-            )
+            raise ValueError(f"high_mps: found {self.high_mps}, expected low_mps or more")
 
 
 @dataclass(frozen=True)
@@ -120,15 +118,14 @@ class Mobility:
 
     def __post_init__(self) -> None:
         require_fields(self, f" of mobility {quoted(self.name)}")
-        lasts = self.phases[-1].duration_s[0] == inf
+        last = len(self.phases) - 1
         for i, phase in enumerate(self.phases):
-            last = i == len(self.phases) - 1
-            if phase.duration_s[1] == inf and (not last or (self.ends_as_it_began and i == 0)):
+            if phase.duration_s[1] == inf and (i < last or (self.ends_as_it_began and i == 0)):
                 raise ValueError(f"phases[{i}].duration_s: found none, expected [low, high]")
-        if not lasts and not self.ends_as_it_began:
+        if self.phases[last].duration_s[0] < inf and not self.ends_as_it_began:
             raise ValueError(
-                f"phases[{len(self.phases) - 1}].duration_s: found it in the last phase, expected "
-                "none: it lasts until the episode ends"
+                f"phases[{last}].duration_s: found it in the last phase, expected none: it lasts "
+                "until the episode ends"
             )
 
 
@@ -164,9 +161,9 @@ def mobilities_of(scenario: str | os.PathLike[str]) -> tuple[Mobility, ...]:
     """
     if str(scenario).endswith(".json"):
         return (read_mobility(scenario),)
-    names = {name: (mobility,) for name, mobility in MOBILITIES.items()}
-    names[MIXED] = tuple(MOBILITIES.values())  # type: ignore[assignment]
-    return choose(names, str(scenario), "scenario")
+    mixed = {MIXED: tuple(MOBILITIES.values())}
+    each = {name: (mobility,) for name, mobility in MOBILITIES.items()}
+    return choose(each | mixed, str(scenario), "scenario")  # type: ignore[operator]
 
 
 def read_mobility(path: str | os.PathLike[str]) -> Mobility:
@@ -195,47 +192,27 @@ def plans_of(mobilities: Sequence[Mobility], block_m: float) -> list[TravelPlan]
     gaits = max(ROOM, *(len(phase.gaits) for phases in acts for phase in phases))
     plans = []
     for mobility, phases in zip(mobilities, acts, strict=True):
-        _require_room(mobility, block_m / mobility.blocks)
-        (unused,) = blank_plan(1, gaits).phases
+        apart = block_m / mobility.blocks
+        radius = max(phase.limits.corner_radius_m for phase in phases)
+        if 2.0 * radius > apart:
+            raise ValueError(
+                f"corner_radius_m of mobility {mobility.name!r}: found {radius}, expected at most "
+                f"half of the {apart:g} m between crossings"
+            )
         listed = [_phase_plan(phase, gaits) for phase in phases]
         if mobility.ends_as_it_began:
             listed[-2] = listed[-2]._replace(ends_early=1.0)
-        listed += [unused] * (room - len(listed))
-        plans.append(TravelPlan(float(mobility.blocks), listed))
+        unused = blank_plan(room - len(listed), gaits).phases
+        plans.append(TravelPlan(float(mobility.blocks), listed + unused))
     return plans
-
-
-def _require_room(mobility: Mobility, apart: float) -> None:
-    """Refuse corners that do not fit between crossings at a distance of ``apart``, m."""
-    for phase in mobility.phases:
-        if 2.0 * phase.limits.corner_radius_m > apart:
-            raise ValueError(
-                f"corner_radius_m of mobility {mobility.name!r}: found "
-                f"{phase.limits.corner_radius_m}, expected at most half of the {apart:g} m between "
-                "crossings"
-            )
 
 
 def _phase_plan(phase: Phase, gaits: int) -> PhasePlan:
     """Return a phase in numbers, with room for ``gaits`` gaits."""
-    limits = phase.limits
-    wanted = [travel.Gait(*map(_finite, astuple(gait))) for gait in phase.gaits]
+    wanted = [travel.Gait(*(min(value, FAR) for value in astuple(gait))) for gait in phase.gaits]
     wanted += [travel.Gait(0.0, 0.0, 1.0, 0.0)] * (gaits - len(wanted))
-    fixed = travel.Phase(
-        acceleration=0.0, braking=0.0, lateral=0.0, jerk=limits.jerk_mps3,
-        radius=limits.corner_radius_m, red_probability=limits.red_light_probability,
-        red_low=limits.red_light_s[0], red_high=limits.red_light_s[1], end=0.0, gaits=wanted,
-    )  # fmt: skip
-    return PhasePlan(
-        length=list(map(_finite, phase.duration_s)),
-        acceleration=list(limits.acceleration_mps2),
-        braking=list(limits.braking_mps2),
-        lateral=list(limits.lateral_mps2),
-        ends_early=0.0,
-        phase=fixed,
-    )
-
-
-def _finite(value: float) -> float:
-    """Return a value, with infinite times limited to a time that no episode reaches."""
-    return min(value, FAR)
+    length = [min(end, FAR) for end in phase.duration_s]  # FAR: no episode is so long
+    drawn, braking, lateral, jerk, radius, red_probability, red = astuple(phase.limits)
+    low, high = red
+    fixed = travel.Phase(0.0, 0.0, 0.0, jerk, radius, red_probability, low, high, 0.0, wanted)
+    return PhasePlan(length, list(drawn), list(braking), list(lateral), 0.0, fixed)

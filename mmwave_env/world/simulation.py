@@ -119,8 +119,8 @@ def measure(
 
 def _where_seen(visible: Vector, rows: Vector, otherwise: float, layout: Layout) -> list[Number]:
     """Return the rows (rows,) with a constant in place of groups (groups,) that are missing."""
-    seen = [v > 0.5 for v, k in zip(visible, layout.widths, strict=True) for _ in range(k)]
-    return [where(s, value, otherwise) for s, value in zip(seen, rows, strict=True)]
+    kept = [v > 0.5 for v, k in zip(visible, layout.widths, strict=True) for _ in range(k)]
+    return [where(keep, value, otherwise) for keep, value in zip(kept, rows, strict=True)]
 
 
 def _observe(w: WorldState, layout: Layout) -> WorldState:

@@ -104,8 +104,8 @@ def _draw_turn(dice: Dice, x: Number, y: Number, heading: Number, net: Net) -> N
     options = ahead + left + _leads_on(x, y, around(heading - 1.0), net)
     chosen = floor(options * dice.uniform())
     sideways = where((left > 0.5) & (chosen < ahead + 0.5), 1.0, -1.0)
-    found = where((ahead > 0.5) & (chosen < 0.5), 0.0, sideways)
-    return where(options > 0.5, found, 2.0)
+    turn = where((ahead > 0.5) & (chosen < 0.5), 0.0, sideways)
+    return where(options > 0.5, turn, 2.0)
 
 
 def _look_ahead(dice: Dice, t: Traveler, heading: Number, phase: Phase, net: Net) -> Traveler:
@@ -219,14 +219,18 @@ def set_off(dice: Dice, phases: Sequence[Phase], net: Net) -> Traveler:
     heading = around(heading + _draw_turn(dice, x, y, heading, net))
     first = phases[0]
     target, lasts = _draw_gait(dice, first.gaits)
-    t = Traveler(
-        due=1.0, time=0.0, x=net.origin_x + net.block * x, y=net.origin_y + net.block * y,
-        heading=heading, traveled=0.0, stretch=0.0, arc=0.0, radius=first.radius,
+    t = Traveler(*[0.0] * len(Traveler._fields))._replace(
+        due=1.0,
+        x=net.origin_x + net.block * x,
+        y=net.origin_y + net.block * y,
+        heading=heading,
+        radius=first.radius,
         v=0.6 * target * dice.uniform(),  # slow enough for the first corner
-        a=0.0, acceleration=0.0, braking=0.0, lateral=0.0, jerk=0.0, target=target,
-        gait_left=lasts, phase=0.0, phase_end=0.0, stopping=0.0, turn=0.0, red=0.0,
-        turn_after=0.0, red_after=0.0, node_x=x, node_y=y,
-    )  # fmt: skip
+        target=target,
+        gait_left=lasts,
+        node_x=x,
+        node_y=y,
+    )
     return _look_ahead(dice, _enter(t, 0.0, first), heading, first, net)
 
 

@@ -27,19 +27,20 @@ class Problem(NamedTuple):
 
     def ours(self, algorithm, gate, P=None):
         layout = Layout(self.sensor.links, self.sensor.odometry)
-        measurement = Measurement(
-            self.sensor.anchors.tolist(), HZ_PER_MPS, self.z.tolist(), self.R.tolist(),
-            self.visible.astype(float).tolist(), layout,
-        )  # fmt: skip
+        rows = self.z.tolist(), self.R.tolist(), self.visible.astype(float).tolist()
+        measurement = Measurement(self.sensor.anchors.tolist(), HZ_PER_MPS, *rows, layout)
         P = self.P if P is None else P
         return algorithm(self.x.tolist(), P.tolist(), measurement, gate)
 
-    def textbook(self, moments, gate, force=False):
+    @property
+    def update(self):
+        """Return the arguments of an update in tests.filters.gated_textbook after the sensor."""
         s = self.sensor
-        return gated_textbook.update(
-            moments, s, s.groups, s.links, self.x, self.P, self.z, self.R, self.visible,
-            gate.quantile, force, gate.robust,
-        )  # fmt: skip
+        return s.groups, s.links, self.x, self.P, self.z, self.R, self.visible
+
+    def textbook(self, moments, gate, force=False):
+        rule = gate.quantile, force, gate.robust
+        return gated_textbook.update(moments, self.sensor, *self.update, *rule)
 
 
 def numbers(low, high, shape=()):

@@ -13,6 +13,7 @@ from mmwave_env.filters.bank import (
     modes_from,
 )
 from mmwave_env.filters.modes import Mode
+from tests.refusals import refuses
 
 BANK = Bank((Mode("slow", "ckf", sigma_v=0.1 + 0.2), Mode("fast")), ((0.9, 0.1), (0.3, 0.7)), 0.99)
 
@@ -34,12 +35,9 @@ def test_what_a_mode_file_holds_is_as_good_as_the_file():
     content = bank_as_written(BANK)
     assert bank_from(content) == BANK and modes_from(content) == BANK.modes
     for read in (bank_from, modes_from):
-        with pytest.raises(
-            ValueError, match="key: found 'mode', did you mean modes[?] Expected one of modes"
-        ):
-            read({"mode": content["modes"]})
-        with pytest.raises(ValueError, match=r"modes: found none, expected one"):
-            read({})
+        for wrong, field in (({"mode": content["modes"]}, "key"), ({}, "modes")):
+            with refuses(field):
+                read(wrong)
 
 
 @pytest.mark.parametrize("read", [bank_from, modes_from])
@@ -51,13 +49,11 @@ def test_a_misspelt_key_is_refused(tmp_path, read, misspelt, key):
     content[misspelt] = content.pop(key)
     path = tmp_path / "bank.json"
     path.write_text(json.dumps(content))
-    said = f"bank.json: .*key: found '{misspelt}', did you mean {key}[?] Expected one of modes"
-    with pytest.raises(ValueError, match=said):
+    with refuses("bank.json", "key"):
         read(path)
 
 
 @pytest.mark.parametrize("number", [10**400, "p", "1", True, None, [1.0]])
-def test_a_transition_of_what_are_no_numbers_is_refused(number):
-    content = bank_as_written(BANK) | {"transition": [[number, 0.1], [0.3, 0.7]]}
-    with pytest.raises(ValueError, match="transition: found .*, expected a list of rows of prob"):
-        bank_in(content)
+def test_a_transition_that_holds_no_numbers_is_refused(number):
+    with refuses("transition"):
+        bank_in(bank_as_written(BANK) | {"transition": [[number, 0.1], [0.3, 0.7]]})

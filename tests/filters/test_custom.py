@@ -73,17 +73,14 @@ def refusal(algorithm, layout=STREET, **options):
     return error.value
 
 
-@pytest.mark.parametrize(("line", "said"), REFUSED.items(), ids=REFUSED)
-def test_what_lanes_cannot_do_is_refused_with_line_and_advice(written, line, said):
+@pytest.mark.parametrize(("line", "advice"), REFUSED.items(), ids=REFUSED)
+def test_code_that_lanes_cannot_run_is_refused_with_line_and_advice(written, line, advice):
     file, algorithm = written(line)
-    what, instead = said
     error = refusal(algorithm)
-    head, where, text, advice = str(error).splitlines()
-    assert head == "algorithm mine of mode 'own' cannot run on lanes"
+    head, where, text, shown = str(error).splitlines()
+    assert "mine of mode 'own'" in head and text.strip() == line
     assert where.startswith(f'  File "{file}", line {LINE}, in ')
-    assert text.strip() == line
-    assert advice.startswith(f"{what} needs the value of a number that stands for 8 environments: ")
-    assert instead in advice
+    assert shown.startswith(advice[0]) and advice[1] in shown
     assert error.__cause__ is None and error.__suppress_context__
 
 
@@ -126,12 +123,11 @@ def only_floats(x, P, measurement, gate):
 
 
 @pytest.mark.parametrize(
-    ("algorithm", "said"),
-    [(misspelt, "has no attribute 'numbers'"), (only_floats, "a number on lanes knows +, -, *, /")],
+    ("algorithm", "part"), [(misspelt, "numbers"), (only_floats, "mmwave_env.numerics.numbers")]
 )
-def test_other_failures_keep_their_cause_and_show_the_line(algorithm, said):
+def test_other_failures_keep_their_cause_and_show_the_line(algorithm, part):
     error, code = refusal(algorithm), algorithm.__code__
-    assert said in str(error)
+    assert part in str(error)
     assert f'File "{code.co_filename}", line {code.co_firstlineno + 1}, in' in str(error)
     assert isinstance(error.__cause__, AttributeError)
 
@@ -163,27 +159,27 @@ def too_few(x, P, gate):
 
 
 RETURNS = {
-    nothing: "returned None, expected a Posterior of mmwave_env.filters.update",
-    changed(x=tuple): "returned x: tuple of 7, expected a list of 7 numbers",
-    changed(x=lambda x: [None, *x[1:]]): "returned x[0]: None, expected a number",
-    changed(P=lambda P: P[:6]): "returned P: list of 6, expected a list of 7 rows",
-    changed(P=lambda P: [*P[:6], P[6][:2]]): "returned P[6]: list of 2, expected a list of 7",
-    changed(nis=lambda q: q[0]): "returned nis: float, expected a list of 4 numbers",
-    changed(accepted=lambda a: [*a, 1.0]): "returned accepted: list of 5, expected a list of 4",
-    changed(log_likelihood=lambda v: [v]): "returned log_likelihood: list of 1, expected a number",
-    flags: "returned accepted[0]: bool, expected a number: where(condition, 1.0, 0.0)",
-    changed(x=lambda x: [math.nan, *x[1:]]): "returned x[0]: nan, expected a finite number",
-    changed(accepted=lambda a: [1.0 for _ in a]): "accepted[1]: 1 of a missing group, expected 0",
-    changed(P=lambda P: [[P[0][0] + 1.0] * 7, *P[1:]]): "expected a symmetric matrix",
-    too_few: "takes (x, P, gate), expected (x, P, measurement, gate)",
+    nothing: "returned None",
+    changed(x=tuple): "returned x: tuple of 7",
+    changed(x=lambda x: [None, *x[1:]]): "returned x[0]: None",
+    changed(P=lambda P: P[:6]): "returned P: list of 6",
+    changed(P=lambda P: [*P[:6], P[6][:2]]): "returned P[6]: list of 2",
+    changed(nis=lambda q: q[0]): "returned nis: float",
+    changed(accepted=lambda a: [*a, 1.0]): "returned accepted: list of 5",
+    changed(log_likelihood=lambda v: [v]): "returned log_likelihood: list of 1",
+    flags: "returned accepted[0]: bool",
+    changed(x=lambda x: [math.nan, *x[1:]]): "returned x[0]: nan",
+    changed(accepted=lambda a: [1.0 for _ in a]): "accepted[1]: 1",
+    changed(P=lambda P: [[P[0][0] + 1.0] * 7, *P[1:]]): "P[1][0]",
+    too_few: "takes (x, P, gate)",
 }
 
 
-@pytest.mark.parametrize(("algorithm", "said"), RETURNS.items(), ids=RETURNS.values())
-def test_wrong_returns_and_signatures_are_refused(algorithm, said):
+@pytest.mark.parametrize(("algorithm", "problem"), RETURNS.items(), ids=RETURNS.values())
+def test_wrong_returns_and_signatures_are_refused(algorithm, problem):
     message = str(refusal(algorithm))
     assert message.startswith(f"algorithm {algorithm.__name__} of mode 'own' ")
-    assert said in message
+    assert problem in message
     code = algorithm.__code__
     assert f'File "{code.co_filename}", line {code.co_firstlineno}, in' in message
 
@@ -203,7 +199,7 @@ CHANGES = {"P": widens_the_prior, "measurement": doubts_the_noise}
 
 @pytest.mark.parametrize(("name", "algorithm"), CHANGES.items(), ids=CHANGES)
 def test_changed_arguments_are_refused(name, algorithm):
-    assert f"changed its argument {name}, expected it to be left" in str(refusal(algorithm))
+    assert f"changed its argument {name}" in str(refusal(algorithm))
 
 
 def asks_for_the_type(x, P, measurement, gate):
@@ -218,7 +214,7 @@ def draws(x, P, measurement, gate):
 @pytest.mark.parametrize("algorithm", [asks_for_the_type, draws])
 def test_other_numbers_on_lanes_than_on_floats_are_refused(algorithm):
     message = str(refusal(algorithm))
-    assert "on floats and" in message and "on lanes, expected the same" in message
+    assert "on floats" in message and "on lanes" in message
 
 
 # --- when
@@ -226,12 +222,10 @@ def test_other_numbers_on_lanes_than_on_floats_are_refused(algorithm):
 
 def test_environments_refuse_before_they_are_made(written):
     file, algorithm = written("c = max(a, b)")
-    here = f'File "{file}", line {LINE}, in mine'
-    arguments = {"modes": ["ekf", Mode("own", algorithm)]}
     for make in (gym.make, partial(gym.make_vec, num_envs=2)):
-        with pytest.raises(TypeError, match="cannot run on lanes") as error:
-            make("MmWaveLoc-v0", **arguments)
-        assert here in str(error.value) and "maximum(a, b)" in str(error.value)
+        with pytest.raises(TypeError) as error:
+            make("MmWaveLoc-v0", modes=["ekf", Mode("own", algorithm)])
+        assert f'File "{file}", line {LINE}, in mine' in str(error.value)
 
 
 @pytest.mark.parametrize("layout", [Layout(1), Layout(3), Layout(9, True)], ids=str)
@@ -245,7 +239,7 @@ def test_sound_algorithms_pass_with_any_layout(layout, planar, ours, options):
     Pipeline((Mode("own", own, **options),), layout, planar)
 
 
-def test_what_is_known_beforehand_may_be_branched_on():
+def test_branches_on_layout_and_gate_are_allowed():
     def own(x, P, measurement, gate):
         if measurement.layout.odometry and gate.robust and gate.quantile is not None:
             return ukf(x, P, measurement, gate)
@@ -260,8 +254,7 @@ def test_a_layout_of_which_a_filter_knows_nothing_is_refused():
         return Posterior(after.x, after.P, after.nis[:4], after.accepted[:4], after.log_likelihood)
 
     Pipeline((Mode("own", three_anchors),), Layout(3))
-    message = str(refusal(three_anchors, Layout(5)))
-    assert "returned nis: list of 4, expected a list of 6" in message
+    assert "returned nis: list of 4" in str(refusal(three_anchors, Layout(5)))
 
 
 def test_one_trial_serves_equal_pipelines():

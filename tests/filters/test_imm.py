@@ -79,10 +79,10 @@ def textbook_imm(episode, modes, transitions, nis_quantile=1.0, change=None):
         log_likelihood = np.empty(M)
         for j, (method, Q) in enumerate(modes):
             prior = textbook.predict(mixed_x[j], mixed_P[j], Q * dt, dt)
-            step = gated_textbook.update(
-                textbook.METHODS[method], sensor, sensor.groups, sensor.links, *prior,
-                episode.table()[t, 1:14], episode.sigma[t] ** 2, episode.usable[t],
-            )  # fmt: skip
+            measured = episode.table()[t, 1:14], episode.sigma[t] ** 2, episode.usable[t]
+            groups = sensor.groups, sensor.links
+            moments = textbook.METHODS[method]
+            step = gated_textbook.update(moments, sensor, *groups, *prior, *measured)
             x[j], P[j] = step.x, step.P
             log_likelihood[j] = step.log_likelihood + 0.5 * np.maximum(step.nis - most, 0.0).sum()
         probability = textbook.reweigh(predicted, log_likelihood)

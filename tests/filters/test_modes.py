@@ -19,6 +19,7 @@ from mmwave_env.filters.bank import (
 from mmwave_env.filters.modes import Mode
 from mmwave_env.filters.update import ekf
 from mmwave_env.models.radio import RADIOS, Radio
+from tests.refusals import refuses
 
 THREE = [
     Mode("slow", "ekf", sigma_v=0.2, gate=None, recovery=None, coupling=False),
@@ -45,8 +46,8 @@ def test_a_mode_file_is_a_list_of_modes(mode_file, as_type):
 
 def test_names_files_and_modes_mix(mode_file):
     own = Mode("own", "ckf")
-    found = modes_from(["ukf", str(mode_file), own])
-    assert [mode.name for mode in found] == ["ukf", "slow", "fast", "plain", "own"]
+    modes = modes_from(["ukf", str(mode_file), own])
+    assert [mode.name for mode in modes] == ["ukf", "slow", "fast", "plain", "own"]
 
 
 @pytest.mark.parametrize("radio", RADIOS)
@@ -61,9 +62,8 @@ def test_a_profile_that_was_not_tuned_says_so_once(recwarn):
     lab = Radio("lab", base="high")
     assert default_modes(lab) == default_modes("high") == default_modes(lab)
     assert best_bank(lab) == best_bank("high")
-    (said,) = recwarn
-    assert "'lab': found no modes tuned for it, took those of 'high'" in str(said.message)
-    assert "mmwave-loc tune --radio lab.json" in str(said.message)
+    (warning,) = recwarn
+    assert "'lab'" in str(warning.message) and "'high'" in str(warning.message)
 
 
 def test_a_radio_file_has_the_modes_and_the_bank_of_its_base(tmp_path, recwarn):
@@ -88,67 +88,60 @@ def test_robust_modes_are_the_same_tuning_without_adaptation():
     assert named["ukf-robust"].tuning == named["ukf"].tuning == named["ckf"].tuning
 
 
-def test_what_is_no_mode_is_refused():
-    with pytest.raises(ValueError, match="found {'name': 'own'}, expected a name, a mode file or"):
-        modes_from(["ekf", {"name": "own"}])
-
-
-def test_a_name_alone_is_no_list():
-    with pytest.raises(ValueError, match="found the string 'ekf', expected a list .*mode file"):
-        modes_from("ekf")
+@pytest.mark.parametrize("modes", [["ekf", {"name": "own"}], "ekf", 3, ["pf"]])
+def test_other_arguments_are_refused(modes):
+    with refuses("mode"):
+        modes_from(modes)
 
 
 @pytest.mark.parametrize(
-    ("text", "message"),
+    ("text", "field"),
     [
-        ("", "not a modes file"),
-        ("[]", "found list, expected an object"),
-        ("{}", "modes: found none"),
-        ('{"modes": [{"algorithm": "ekf"}]}', "modes.0..name: found none"),
-        ('{"modes": [{"name": "a", "sigma_q": 1}]}', "'sigma_q'.*sigma_p, sigma_v"),
-        ('{"modes": [{"name": "a", "sigma_v": -1}]}', "sigma_v of mode 'a': found -1"),
-        (
-            '{"modes": [{"name": "a", "sigma_v": "much"}]}',
-            "found 'much', expected a number of",
-        ),
-        ('{"modes": [{"name": "a", "algorithm": "pf"}]}', "'pf'.*ekf, ukf, ckf"),
-        (
-            '{"modes": [{"name": "a"}, {"name": "a"}]}',
-            "modes: found .*a.*a.*, expected no name",
-        ),
-        (
-            json.dumps({"modes": [{"name": "a"}] * 33}),
-            "modes: found 33, expected a list of 1 to",
-        ),
-        ('{"modes": 3}', "modes: found 3, expected a list of 1 to 32"),
-        ('{"modes": {"ekf": {}}}', "modes: found .*expected a list of 1 to 32"),
-        ('{"modes": [null]}', "modes.0.: found None, expected an object"),
-        ('{"modes": [{"name": 7}]}', "name of mode 7: found 7, expected 1 to 80 printable letters"),
-        (
-            '{"modes": [{"name": "a", "robust": "false"}]}',
-            "robust of mode 'a': found 'false', .*bool",
-        ),
-        ('{"modes": [{"name": "a", "coupling": 1}]}', "coupling of mode 'a': found 1, .*bool"),
-        (
-            '{"modes": [{"name": "a", "recovery": 2.5}]}',
-            "recovery .*found 2.5, expected an integer of 1 to 1000000 or None",
-        ),
-        ('{"modes": [{"name": "a", "sigma_v": true}]}', "sigma_v of mode 'a': found True"),
-        ('{"modes": [{"name": "a", "algorithm": ["ekf"]}]}', "algorithm of mode 'a': found"),
+        ("", "bad.json"),
+        ("[]", "bad.json"),
+        ("{}", "modes"),
+        ('{"modes": 3}', "modes"),
+        ('{"modes": {"ekf": {}}}', "modes"),
+        (json.dumps({"modes": [{"name": "a"}] * 33}), "modes"),
+        ('{"modes": [{"name": "a"}, {"name": "a"}]}', "modes"),
+        ('{"modes": [null]}', "modes[0]"),
+        ('{"modes": [{"algorithm": "ekf"}]}', "modes[0].name"),
     ],
 )
-def test_a_damaged_mode_file_is_named(tmp_path, text, message):
+def test_a_damaged_mode_file_is_refused_by_field(tmp_path, text, field):
     path = tmp_path / "bad.json"
     path.write_text(text)
-    with pytest.raises(ValueError, match=f"(?s)bad.json: .*{message}"):
+    with refuses("bad.json", field):
+        modes_from(path)
+
+
+@pytest.mark.parametrize(
+    ("field", "value"),
+    [
+        ("key", 1),
+        ("sigma_v", -1),
+        ("sigma_v", "much"),
+        ("sigma_v", True),
+        ("algorithm", "pf"),
+        ("algorithm", ["ekf"]),
+        ("name", 7),
+        ("robust", "false"),
+        ("coupling", 1),
+        ("recovery", 2.5),
+    ],
+)
+def test_a_damaged_mode_is_refused_by_field(tmp_path, field, value):
+    path = tmp_path / "bad.json"
+    path.write_text(json.dumps({"modes": [{"name": "a", field: value}]}))
+    with refuses("bad.json", "modes[0]", field):
         modes_from(path)
 
 
 def test_no_file_can_hold_a_function():
-    with pytest.raises(ValueError, match="algorithm of mode 'own': found a function"):
+    with refuses("algorithm of mode 'own'"):
         as_written(Mode("own", ekf))
 
 
 def test_a_missing_mode_file_is_named():
-    with pytest.raises(FileNotFoundError, match="nowhere.json"):
+    with refuses("nowhere.json", error=FileNotFoundError):
         modes_from("nowhere.json")

@@ -14,12 +14,15 @@ from scipy.stats import chi2, multivariate_normal
 
 from mmwave_env.filters import imm, memory, smoother, textbook
 from mmwave_env.filters.belief import Belief
+from mmwave_env.filters.gating import Gate
 from mmwave_env.filters.modes import Mode
 from mmwave_env.filters.pipeline import Pipeline, measurement_of, predict_update
 from mmwave_env.filters.update import ModeResult, capped_log_likelihood
 from mmwave_env.models.measurement import Epoch, Layout, Site
 from mmwave_env.models.motion import accelerate, turn
 from mmwave_env.numerics.linalg import pack
+from mmwave_env.numerics.pytree import unflatten
+from mmwave_env.world.episode import blank_incoming
 from tests.filters import gated_textbook
 from tests.filters.problems import HZ_PER_MPS, assume_clear_of, problems
 from tests.filters.test_imm import textbook_imm
@@ -29,11 +32,9 @@ few = settings(max_examples=6, deadline=None)
 
 
 def epoch_of(problem, dt=0.7, snr_db=20.0, spread_hz=300.0):
-    sensor = problem.sensor
-    return Epoch(
-        dt, problem.z.tolist(), np.sqrt(problem.R).tolist(), problem.visible.astype(float).tolist(),
-        [snr_db] * sensor.links, spread_hz,
-    )  # fmt: skip
+    visible = problem.visible.astype(float).tolist()
+    rows = problem.z.tolist(), np.sqrt(problem.R).tolist(), visible
+    return Epoch(dt, *rows, [snr_db] * problem.sensor.links, spread_hz)
 
 
 def layout_of(problem):
@@ -91,24 +92,21 @@ def test_an_epoch_of_a_mode_is_the_textbooks(mode, lockout, data):
     forced = mode.recovery is not None and lockout >= mode.recovery
     residual = problem.sensor.difference(problem.z, problem.sensor.h(x))
     assume(np.all(np.abs(residual[problem.sensor.angles]) < np.pi - 1e-3))
-    expected = gated_textbook.update(
-        textbook.METHODS[mode.algorithm], problem.sensor, problem.sensor.groups, 2, x, P,
-        problem.z, R, problem.visible, mode.gate, forced, mode.robust,
-    )  # fmt: skip
+    predicted = problem._replace(x=x, P=P, R=R)
+    gate = Gate(mode.gate, robust=mode.robust)
+    expected = predicted.textbook(textbook.METHODS[mode.algorithm], gate, forced)
     if mode.gate is not None:
         assume_clear_of(expected.nis, problem.sensor, [lambda n: chi2.ppf(mode.gate, n)])
     site = Site(problem.sensor.anchors.tolist(), HZ_PER_MPS, problem.x.tolist(), [])
-    found = predict_update(
-        Pipeline((mode,), layout), mode, problem.x.tolist(), pack(problem.P.tolist()), before,
-        epoch, site,
-    )  # fmt: skip
+    belief = problem.x.tolist(), pack(problem.P.tolist())
+    result = predict_update(Pipeline((mode,), layout), mode, *belief, before, epoch, site)
     sigma = np.sqrt(np.diag(expected.P))
-    assert_same(found, expected, sigma)
-    np.testing.assert_allclose(found.x_predicted, x, rtol=1e-12, atol=1e-12)
-    np.testing.assert_allclose(unpacked(np.array(found.P_predicted)), P, rtol=1e-9, atol=1e-9)
+    assert_same(result, expected, sigma)
+    np.testing.assert_allclose(result.x_predicted, x, rtol=1e-12, atol=1e-12)
+    np.testing.assert_allclose(unpacked(np.array(result.P_predicted)), P, rtol=1e-9, atol=1e-9)
     within = expected.nis[:2] <= (np.inf if mode.gate is None else chi2.ppf(mode.gate, 4))
     passed = problem.visible[:2] & (within | mode.robust)
-    assert found.passed == passed.sum()
+    assert result.passed == passed.sum()
 
 
 @given(data=st.data())
@@ -122,25 +120,18 @@ def test_on_flat_ground_height_and_climb_stay_and_the_rest_is_the_textbooks(data
     Q = noise_of(mode, 300.0, dt, 1.0)
     Q[known, :] = Q[:, known] = 0.0
     moved = textbook.predict(x, P, Q, dt)
-    expected = gated_textbook.update(
-        textbook.tangent, gated_textbook.Restricted(problem.sensor, moved[0], free),
-        problem.sensor.groups, 3, moved[0][free], moved[1][np.ix_(free, free)], problem.z,
-        problem.R, problem.visible,
-    )  # fmt: skip
+    restricted = gated_textbook.Restricted(problem.sensor, moved[0], free)
+    groups, links, _, _, *measured = problem.update
+    prior = moved[0][free], moved[1][np.ix_(free, free)]
+    expected = gated_textbook.update(textbook.tangent, restricted, groups, links, *prior, *measured)
     site = Site(problem.sensor.anchors.tolist(), HZ_PER_MPS, x.tolist(), [])
     pipeline, layout = Pipeline((mode,), layout_of(problem), planar=True), layout_of(problem)
-    found = predict_update(
-        pipeline, mode, x.tolist(), pack(P.tolist()), memory.initial_memory(layout, 1),
-        epoch_of(problem, dt), site,
-    )  # fmt: skip
-    whole = unpacked(np.array(found.P))
-    reduced = found._replace(
-        x=np.array(found.x)[free], P=whole[np.ix_(free, free)][np.tril_indices(5)]
-    )
-    sigma = np.sqrt(np.diag(expected.P))
-    np.testing.assert_allclose((reduced.x - expected.x) / sigma, 0.0, atol=1e-8)
+    before, epoch = memory.initial_memory(layout, 1), epoch_of(problem, dt)
+    result = predict_update(pipeline, mode, x.tolist(), pack(P.tolist()), before, epoch, site)
+    whole, sigma = unpacked(np.array(result.P)), np.sqrt(np.diag(expected.P))
+    np.testing.assert_allclose((np.array(result.x)[free] - expected.x) / sigma, 0.0, atol=1e-8)
     np.testing.assert_allclose(whole[np.ix_(free, free)], expected.P, rtol=1e-7, atol=1e-9)
-    assert [found.x[i] for i in known] == x[known].tolist() and not whole[known].any()
+    assert [result.x[i] for i in known] == x[known].tolist() and not whole[known].any()
     assert pipeline.position_axes == (0, 1)
     assert replace(pipeline, planar=False).position_axes == (0, 1, 2)
 
@@ -158,19 +149,19 @@ def test_a_link_below_its_mean_counts_less(now_db, factor):
 # --- memory
 
 
-def result(nis, accepted, passed=0.0, log_likelihood=0.0, x=(0.0,) * 7):
+def outcome(nis, accepted, passed=0.0, log_likelihood=0.0, x=(0.0,) * 7):
     return ModeResult(list(x), [], [], [], nis, accepted, passed, log_likelihood)
 
 
 def test_memory_follows_its_definition_over_many_epochs():
     rng, layout, modes, dt = np.random.default_rng(4), Layout(2), 3, 0.5
     dof, keep = np.array([4.0, 4.0, 1.0]), np.array([0.6, 0.9])
-    found = memory.initial_memory(layout, modes)
+    kept = memory.initial_memory(layout, modes)
     window, average, lockout, unfixed = np.ones(10), np.ones(2), 0.0, 0.0
     snr, spread, correction = np.full(2, -100.0), 0.0, np.zeros(2)
     preference = np.zeros((2, modes))
-    assert found.mode == 0.0 and found.gamma == 1.0 and found.unfixed_s == 0.0
-    assert [found.nis, found.accepted, found.rejected] == [[0.0] * 3] * 3
+    assert kept.mode == 0.0 and kept.gamma == 1.0 and kept.unfixed_s == 0.0
+    assert [kept.nis, kept.accepted, kept.rejected] == [[0.0] * 3] * 3
     for _ in range(60):
         visible = rng.random(3) < 0.6
         accepted = visible & (rng.random(3) < 0.6)
@@ -180,12 +171,10 @@ def test_memory_follows_its_definition_over_many_epochs():
         x, before = rng.normal(0, 5, 7), rng.normal(0, 5, 7)
         passed = float(accepted[:2].sum()) * (rng.random() < 0.5)
         epoch = Epoch(dt, [], [], visible.astype(float).tolist(), now_db.tolist(), now_hz)
-        candidates = [result([0.0] * 3, [0.0] * 3, log_likelihood=v) for v in likelihoods]
-        found = memory.memory_before(found, candidates, epoch, layout)
-        chosen = result(nis.tolist(), accepted.astype(float).tolist(), passed, x=x)
-        found = memory.memory_after(
-            layout, 2.0, before.tolist(), chosen, found, dt, visible.astype(float).tolist()
-        )
+        candidates = [outcome([0.0] * 3, [0.0] * 3, log_likelihood=v) for v in likelihoods]
+        kept = memory.memory_before(kept, candidates, epoch, layout)
+        chosen = outcome(nis.tolist(), accepted.astype(float).tolist(), passed, x=x)
+        kept = memory.memory_after(layout, 2.0, before.tolist(), chosen, kept, dt, epoch.visible)
 
         grown = np.where(snr == -100.0, now_db, 0.95 * snr + 0.05 * now_db)
         snr = np.where(visible[:2], grown, snr)
@@ -204,20 +193,17 @@ def test_memory_follows_its_definition_over_many_epochs():
         correction = 0.8 * correction + 0.2 * np.array(
             [step @ ahead, ahead[0] * step[1] - ahead[1] * step[0]]
         )
-        expected = {
-            "window": window, "gamma": np.clip(window.mean(), 0.5, 2.0), "nis_average": average,
-            "lockout": lockout, "unfixed_s": unfixed, "snr_mean_db": snr, "mode": 2.0,
-            "spread_average_hz": spread, "correction": correction, "preference": preference,
-            "nis": nis, "accepted": accepted, "rejected": visible & ~accepted,
-        }  # fmt: skip
-        for name, value in expected.items():
-            np.testing.assert_allclose(getattr(found, name), value, rtol=1e-9, err_msg=name)
+        gamma, rejected = np.clip(window.mean(), 0.5, 2.0), visible & ~accepted
+        in_epoch, averages = (nis, accepted, rejected), (average, correction, unfixed, snr, spread)
+        expected = memory.Memory(2.0, lockout, window, gamma, *in_epoch, *averages, preference)
+        for name, value in expected._asdict().items():
+            np.testing.assert_allclose(getattr(kept, name), value, rtol=1e-9, err_msg=name)
 
 
 def test_outliers_count_up_to_a_quantile_where_modes_are_compared():
     cap, nis = chi2.ppf(0.999, [4, 4, 1]), np.array([3.0, 50.0, 40.0])
-    found = capped_log_likelihood(result(nis.tolist(), [], log_likelihood=-50.0), Layout(2))
-    assert found == pytest.approx(-50.0 + 0.5 * np.maximum(nis - cap, 0.0).sum())
+    capped = capped_log_likelihood(outcome(nis.tolist(), [], log_likelihood=-50.0), Layout(2))
+    assert capped == pytest.approx(-50.0 + 0.5 * np.maximum(nis - cap, 0.0).sum())
 
 
 # --- mixtures
@@ -234,11 +220,8 @@ def run_imm(modes, episode, transition, limits=(np.inf,) * 4, rates=None):
     )
     for t in range(len(episode)):
         dt = episode.time_s[t] - episode.time_s[t - 1] if t else 0.0
-        epoch = Epoch(
-            float(dt), episode.table()[t, 1:14].tolist(), episode.sigma[t].tolist(),
-            episode.usable[t].astype(float).tolist(), episode.snr_db[t].tolist(),
-            float(episode.doppler_spread_hz[t]),
-        )  # fmt: skip
+        row = unflatten(blank_incoming(episode.layout), iter(episode.table()[t].tolist()))
+        epoch = row.epoch(episode.layout)._replace(dt=float(dt))
         now = imm.imm_epoch(pipeline, rows, mixture, epoch, site)
         mixture = now.mixture
         yield now, float(dt)

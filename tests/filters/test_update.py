@@ -12,6 +12,7 @@ from mmwave_env.filters.linearization import SigmaPoints
 from mmwave_env.filters.update import ckf, ekf, ukf, update
 from tests.filters import gated_textbook
 from tests.filters.problems import HZ_PER_MPS, Problem, assert_same, assume_clear_of, problems
+from tests.refusals import refuses
 
 OURS = {"ekf": ekf, "ukf": ukf, "ckf": ckf}
 GATES = {
@@ -79,10 +80,12 @@ def test_planar_update_is_that_of_the_five_free_states(algorithm, moments, odome
     P = problem.P.copy()
     P[known_axes, :] = P[:, known_axes] = 0.0
     s = problem.sensor
+    restricted = gated_textbook.Restricted(s, problem.x, free)
+    groups, links, _, _, *measured = problem.update
+    prior = problem.x[free], P[np.ix_(free, free)]
     expected = gated_textbook.update(
-        moments, gated_textbook.Restricted(s, problem.x, free), s.groups, s.links, problem.x[free],
-        P[np.ix_(free, free)], problem.z, problem.R, problem.visible, gate.quantile,
-    )  # fmt: skip
+        moments, restricted, groups, links, *prior, *measured, gate.quantile
+    )
     assume_clear_of(expected.nis, s, [lambda n: chi2.ppf(0.99, n)])
     ours = problem.ours(OURS[algorithm], gate, P)
     whole = np.array(ours.P)
@@ -166,10 +169,10 @@ def test_textbook_jacobian_is_the_derivative(problem):
 
 def test_sigma_points_without_reach_or_covariance_are_refused():
     for alpha, kappa in ((0.0, 0.0), (-1.0, 0.0), (1.0, -7.0)):
-        with pytest.raises(ValueError, match="alpha > 0"):
+        with refuses("alpha, kappa"):
             SigmaPoints(alpha, 2.0, kappa)
     for alpha, kappa, least in ((1.0, 7.0, -1.0), (0.5, 21.0, -0.75)):
         near = SigmaPoints(alpha, least + 0.01, kappa)
         assert near.reach == pytest.approx(alpha * np.sqrt(7.0 + kappa))
-        with pytest.raises(ValueError, match=f"beta: found .*expected at least {least:g}"):
+        with refuses("beta"):
             SigmaPoints(alpha, least - 0.01, kappa)

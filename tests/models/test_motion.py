@@ -78,22 +78,22 @@ headings = st.floats(-np.pi, np.pi)
 def test_a_fast_user_accelerates_along_the_velocity(x, heading, speed, a, dt):
     ahead = np.array([np.cos(heading), np.sin(heading)])
     x[3:5] = speed * ahead
-    found = np.array(accelerate(x.tolist(), a, dt))
+    moved = np.array(accelerate(x.tolist(), a, dt))
     a = max(a, -speed / dt) if dt else a
     expected = x.copy()
     expected[:2] += 0.5 * a * dt**2 * ahead
     expected[3:5] += a * dt * ahead
     # At rest a velocity has no direction: what is below 0.2 m/s counts less, which 5 m/s feel.
-    np.testing.assert_allclose(found, expected, atol=2e-3 * (1.0 + abs(a) * dt) * (1.0 + dt))
+    np.testing.assert_allclose(moved, expected, atol=2e-3 * (1.0 + abs(a) * dt) * (1.0 + dt))
 
 
 @given(heading=headings, speed=st.floats(0.0, 3.0), dt=st.floats(0.05, 5.0))
 def test_braking_ends_at_a_standstill(heading, speed, dt):
     v = speed * np.array([np.cos(heading), np.sin(heading)])
-    found = np.array(accelerate([0.0, 0.0, 1.5, *v, 0.1, 7.0], -100.0, dt))
-    np.testing.assert_allclose(found[3:5], 0.0, atol=1e-12)
-    np.testing.assert_allclose(found[:2], -0.5 * dt * v, atol=1e-12)  # half way back of move's dt v
-    np.testing.assert_array_equal(found[[2, 5, 6]], [1.5, 0.1, 7.0])
+    moved = np.array(accelerate([0.0, 0.0, 1.5, *v, 0.1, 7.0], -100.0, dt))
+    np.testing.assert_allclose(moved[3:5], 0.0, atol=1e-12)
+    np.testing.assert_allclose(moved[:2], -0.5 * dt * v, atol=1e-12)  # half way back of move's dt v
+    np.testing.assert_array_equal(moved[[2, 5, 6]], [1.5, 0.1, 7.0])
 
 
 @given(a=st.floats(-4.0, 4.0), dt=steps)
@@ -122,13 +122,13 @@ def test_a_turn_is_the_coordinated_turn_of_the_textbook(x, rate, dt):
 )
 def test_a_driven_mode_predicts_its_maneuver_and_nothing_else_changes(field, value, maneuver):
     """On lanes, on floats and on filterpy: one step of a mode with and without it."""
-    episodes, found = simulated(3, epochs=4), []
+    episodes, runs = simulated(3, epochs=4), []
     for driven_by in (0.0, value):
         pipeline = pipeline_of(algorithms=["ekf"], **{field: driven_by})
         tracker = Tracker(pipeline, 3)
         tracker.load(episodes)
-        found.append(tracker.run("x", "x_predicted", "P_predicted"))
-    plain, driven = found
+        runs.append(tracker.run("x", "x_predicted", "P_predicted"))
+    plain, driven = runs
     np.testing.assert_allclose(plain["P_predicted"][:, 0], driven["P_predicted"][:, 0])
     np.testing.assert_array_equal(plain["x_predicted"][:, 0], driven["x_predicted"][:, 0])  # dt 0
     for e in range(3):

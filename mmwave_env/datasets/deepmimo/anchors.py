@@ -63,10 +63,10 @@ class StationPaths:
     departure: Array
     source: Callable[[str, int], tuple[Path, int]]
 
-    def refuse(self, key: str, epoch: int, found: str, expected: str) -> NoReturn:
-        """Refuse a file by a ValueError about what it says of a receiver."""
+    def refuse(self, key: str, epoch: int, value: str, expected: str) -> NoReturn:
+        """Refuse a file by a ValueError about a value of a receiver."""
         file, receiver = self.source(key, epoch)
-        refuse_in(file, key, f"{found} of receiver {receiver}", expected)
+        refuse_in(file, key, f"{value} of receiver {receiver}", expected)
 
 
 def propagation(angles: Array, sight: Array, direct: Mask) -> Array:

@@ -54,11 +54,9 @@ def read_array(file: Path, key: str, shape: Shape, rows: NDArray[np.int_] | None
         stored = _stored(file, key)
     if stored.dtype.kind not in "fiu":
         refuse_in(file, key, f"type {stored.dtype}", "real numbers")
-    fits = len(stored.shape) == len(shape) and all(
-        isinstance(length, str) or length == found
-        for found, length in zip(stored.shape, shape, strict=True)
-    )
-    if not fits:
+    pairs = zip(shape, stored.shape, strict=False)
+    wanted = tuple(n if isinstance(length, str) else length for length, n in pairs)
+    if len(shape) != stored.ndim or stored.shape != wanted:
         refuse_in(file, key, f"shape {stored.shape}", f"shape ({', '.join(map(str, shape))})")
     count, width = len(stored if rows is None else rows), math.prod(stored.shape[1:])
     if count * width * 8 > MOST_BYTES:

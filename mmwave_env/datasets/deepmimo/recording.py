@@ -128,8 +128,8 @@ def _way_of(scenario: Scenario, epochs: NDArray[np.int_], dt_s: float | None) ->
     way = read_trajectory(file)
     rows = len(scenario.scenes) if scenario.is_dynamic else scenario.receivers
     if len(way.time_s) != rows:
-        what = "scene" if scenario.is_dynamic else "receiver in rx_pos"
-        refuse_in(file, "rows", len(way.time_s), f"{rows}, one for each {what}")
+        owner = "scene" if scenario.is_dynamic else "receiver in rx_pos"
+        refuse_in(file, "rows", len(way.time_s), f"{rows}, one for each {owner}")
     chosen = np.arange(rows) if scenario.is_dynamic else epochs[:, 1]
     velocity, lines = (np.asarray(part)[chosen] for part in (way.velocity_mps, way.lines))
     way = Trajectory(way.name, way.time_s[chosen], way.position_m[chosen], velocity, lines.tolist())
@@ -148,13 +148,12 @@ def _links(
     """Return the anchors of a recording: the links of a station, and the index of the anchor."""
     if len(stations) == 1:
         links = find_links(stations[0], position_m)
-        seen = links.epochs_seen
         images = np.flatnonzero(~links.is_ground)[1:].tolist()
-        images.sort(key=lambda k: -seen[k])
+        images.sort(key=lambda k: -links.epochs_seen[k])
         return [(links, k) for k in [0, *images[:virtual_anchors]]]
     in_sight = [s for s in stations if (s.interactions == LINE_OF_SIGHT).any()]
     if not in_sight:
-        found = "no line of sight (0) of any station at any epoch, from that"
-        stations[0].refuse("inter", 0, found, "one at least")
-    seen_by = [find_links(station, position_m) for station in in_sight]
-    return [(links, 0) for links in sorted(seen_by, key=lambda links: -links.epochs_seen[0])]
+        none = "no line of sight (0) of any station at any epoch, from that"
+        stations[0].refuse("inter", 0, none, "one at least")
+    by_station = [find_links(station, position_m) for station in in_sight]
+    return [(links, 0) for links in sorted(by_station, key=lambda links: -links.epochs_seen[0])]

@@ -100,12 +100,12 @@ class Scenario:
 
     def positions(self, epochs: NDArray[np.int_]) -> Array:
         """Return positions (E, 3), m, of the receivers of epochs, which :meth:`epochs` returns."""
-        found = []
+        parts = []
         for scene, rows in _by_scene(epochs):
             file = self.file(scene, "rx_pos", self.stations[0])
             array = read_array(file, "rx_pos", (self.receivers, 3), rows)
-            found.append(_finite(file, "rx_pos", array, rows))
-        return np.concatenate(found)
+            parts.append(_finite(file, "rx_pos", array, rows))
+        return np.concatenate(parts)
 
     @property
     def name(self) -> str:
@@ -173,14 +173,14 @@ def _read_params(file: Path) -> tuple[float, int]:
     """Read carrier frequency, Hz, and number of scenes; errors name the file and the entry."""
 
     def make(content: dict[str, Any]) -> tuple[float, int]:
-        found = []
+        numbers = []
         for part, name, most in (("rt_params", "frequency", 1e15), ("scene", "num_scenes", 1e9)):
             value = content.get(part, {}).get(name, "nothing")
             if type(value) not in (int, float) or not 1 <= value <= most:
                 expected = f"expected a number from 1 to {most:g}"
                 raise ValueError(f"{part}.{name}: found {value!r}, {expected}")
-            found.append(value)
-        return float(found[0]), found[1]
+            numbers.append(value)
+        return float(numbers[0]), numbers[1]
 
     return read_json(file, "the parameters of a scenario", make)
 
@@ -189,11 +189,11 @@ def _scenes(folder: Path, count: int) -> tuple[Path, ...]:
     """Return the folders of the scenes in order of time."""
     if count == 1:
         return (folder,)
-    found = sorted(sub for sub in folder.iterdir() if sub.is_dir() and any(sub.glob("rx_pos_*")))
-    if len(found) != count:
-        expected = f"{len(found)}, the number of sub-folders with receivers"
+    scenes = sorted(sub for sub in folder.iterdir() if sub.is_dir() and any(sub.glob("rx_pos_*")))
+    if len(scenes) != count:
+        expected = f"{len(scenes)}, the number of sub-folders with receivers"
         refuse_in(folder / PARAMS, "scene.num_scenes", count, expected)
-    return tuple(found)
+    return tuple(scenes)
 
 
 def _stations(scene: Path, receiver_set: int | None) -> tuple[str, tuple[str, ...]]:
@@ -207,9 +207,10 @@ def _stations(scene: Path, receiver_set: int | None) -> tuple[str, tuple[str, ..
     sets = sorted({number for _, number in links})
     chosen = [n for n in sets if receiver_set is None or int(n) == receiver_set]
     if len(chosen) != 1:
-        found = "all" if receiver_set is None else receiver_set
         known = ", ".join(str(int(n)) for n in sets)
-        raise ValueError(f"receiver_set: found {found}, expected one of {known} of {scene}")
+        raise ValueError(
+            f"receiver_set: found {receiver_set or 'all'}, expected one of {known} of {scene}"
+        )
     return chosen[0], tuple(station for station, number in links if number == chosen[0])
 
 
@@ -283,10 +284,9 @@ def _finite(
         array = np.where(used, array, np.nan)
     bad = ~np.isfinite(array) & (True if used is None else used)
     if bad.any():
-        at = [int(i) for i in np.argwhere(bad)[0]]
-        found = array[tuple(at)]
-        at[0] = at[0] if rows is None else int(rows[at[0]])
-        refuse_in(file, f"{key}[{', '.join(map(str, at))}]", found, "a finite number")
+        first, *rest = index = np.argwhere(bad)[0].tolist()
+        place = ", ".join(map(str, [first if rows is None else rows[first], *rest]))
+        refuse_in(file, f"{key}[{place}]", array[tuple(index)], "a finite number")
     return array
 
 

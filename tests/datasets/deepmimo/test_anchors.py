@@ -20,6 +20,7 @@ from tests.datasets.deepmimo.scenarios import (
     store,
     write_hall,
 )
+from tests.refusals import refuses
 
 OTHERS = ("t000_tx001_r001", "t002_tx000_r001")
 STATIONS = np.array([[0.0, 0.0, 8.0], [60.0, 5.0, 10.0], [20.0, -25.0, 6.0]])
@@ -78,8 +79,8 @@ def test_one_station_of_several_has_its_mirror_images(three_stations, number):
 
 
 @pytest.mark.parametrize("number", [0, 4, -1])
-def test_a_station_that_there_is_not(three_stations, number):
-    with pytest.raises(ValueError, match=f"base_station: found {number}, expected 1 to 3"):
+def test_a_station_that_does_not_exist_is_refused(three_stations, number):
+    with refuses("base_station"):
         read_deepmimo(three_stations, base_station=number)
 
 
@@ -88,7 +89,7 @@ def test_a_station_that_nobody_sees_is_no_anchor(three_stations):
     assert len(read_deepmimo(three_stations).anchors_m) == 2
     for link in OTHERS:
         hide_line_of_sight(three_stations, link, slice(None))
-    with pytest.raises(ValueError, match="no line of sight .0. of any station"):
+    with refuses("inter"):
         read_deepmimo(three_stations)
 
 
@@ -124,20 +125,16 @@ def test_two_reflections_are_left_out_whatever_stands_in_them(tmp_path):
                 np.arange(len(array))[(...,) + (None,) * (array.ndim - 1)] % 2, 1e30, np.nan
             )
             store(folder, key, np.concatenate([array, odd + 0 * np.nan_to_num(array)], axis=1))
-    found = read_deepmimo(folder)
-    np.testing.assert_array_equal(found.measurement, expected.measurement)
-    np.testing.assert_array_equal(found.visible, expected.visible)
+    recording = read_deepmimo(folder)
+    np.testing.assert_array_equal(recording.measurement, expected.measurement)
+    np.testing.assert_array_equal(recording.visible, expected.visible)
 
 
 def test_reflections_off_whatever_moves_are_many_anchors_and_none_is_met_often(tmp_path):
     users = np.column_stack([np.linspace(5.0, 55.0, 3000), np.zeros((3000, 2)) + [-8.0, 1.5]])
     write_hall(tmp_path, STATIONS[0], users, [WALL] * 4)
-    inter, bounce = load(tmp_path, "inter"), load(tmp_path, "inter_pos")
-    rng = np.random.default_rng(0)
+    bounce, rng = load(tmp_path, "inter_pos"), np.random.default_rng(0)
     bounce[:, 1:] = users[:, None, None] + rng.uniform(1.0, 30.0, bounce[:, 1:].shape)
-    (station,) = paths_of(tmp_path)
-    arrays = {field: getattr(station, field) for field in ("interactions", "bounce_m")}
-    assert arrays["interactions"].shape == inter.shape
     away = bounce[:, :, 0] - users[:, None]
     length = np.linalg.norm(away, axis=-1) + np.linalg.norm(bounce[:, :, 0] - STATIONS[0], axis=-1)
     store(tmp_path, "inter_pos", bounce)
@@ -160,6 +157,7 @@ MISTAKES = {
     "delay": lambda a: 1e9 * a,
     "aoa_az": lambda a: 90.0 - a,
     "aoa_el": lambda a: 90.0 - a,
+    "power": lambda a: 10.0 ** (a / 10.0),
 }
 
 
@@ -167,12 +165,5 @@ MISTAKES = {
 def test_a_mistake_in_a_unit_or_a_convention_is_refused(tmp_path, key):
     folder = shortened(tmp_path / "walk", 30)
     edit(folder, key, MISTAKES[key])
-    with pytest.raises(ValueError, match=f"{key}.* of receiver 0, expected .* seen from the anch"):
-        read_deepmimo(folder)
-
-
-def test_powers_that_are_no_decibels_are_refused(tmp_path):
-    folder = shortened(tmp_path / "walk", 30)
-    edit(folder, "power", lambda db: 10.0 ** (db / 10.0))
-    with pytest.raises(ValueError, match=r"power: found .* dB on path 0 of receiver 0, .* not dB"):
+    with refuses(folder, key):
         read_deepmimo(folder)

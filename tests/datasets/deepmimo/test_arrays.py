@@ -14,6 +14,7 @@ from hypothesis.extra import numpy as stn
 from mmwave_env.datasets.deepmimo import arrays
 from mmwave_env.datasets.deepmimo.arrays import find_array, read_array
 from tests.datasets.deepmimo.scenarios import SAVE
+from tests.refusals import refuses
 
 ANY = ("N", "P")
 SMALL = 2**22  # bytes: what reading a small file may take
@@ -40,9 +41,9 @@ def test_chosen_rows_are_numpys(room, array, suffix, order, data):
     SAVE[suffix](file, "delay", np.asarray(array, order=order))
     rows = data.draw(st.lists(st.integers(0, len(array) - 1), max_size=12))
     shape = tuple("NPIX"[: array.ndim])
-    found = read_array(file, "delay", shape, np.array(rows, int))
-    assert found.dtype == float
-    np.testing.assert_array_equal(found, array[rows])
+    chosen = read_array(file, "delay", shape, np.array(rows, int))
+    assert chosen.dtype == float
+    np.testing.assert_array_equal(chosen, array[rows])
     np.testing.assert_array_equal(read_array(file, "delay", shape), array)
 
 
@@ -50,11 +51,10 @@ def test_the_first_format_there_is_counts(tmp_path):
     for suffix in (".npy", ".npz"):
         SAVE[suffix](tmp_path / f"delay{suffix}", "delay", np.zeros((2, 2)))
         assert find_array(tmp_path, "delay").suffix == suffix
-    with pytest.raises(FileNotFoundError, match="power.npz: found no such file"):
-        find_array(tmp_path, "power")
-    (tmp_path / "power.mat").touch()
-    with pytest.raises(FileNotFoundError, match="power.npz: found power.mat alone"):
-        find_array(tmp_path, "power")
+    for _ in range(2):
+        with refuses("power.npz", error=FileNotFoundError):
+            find_array(tmp_path, "power")
+        (tmp_path / "power.mat").touch()  # of a version before 4
 
 
 def npy_header(shape, descr="<f4", claimed=None):
@@ -100,21 +100,20 @@ FORGED = {
 }
 
 
-@pytest.mark.parametrize("what", FORGED)
-def test_what_a_header_claims_is_refused_and_takes_no_memory(tmp_path, what):
-    suffix, content = FORGED[what]
+@pytest.mark.parametrize("name", FORGED)
+def test_a_forged_header_is_refused_and_takes_no_memory(tmp_path, name):
+    suffix, content = FORGED[name]
     file = tmp_path / f"delay{suffix}"
     SAVE[suffix](file, "delay", np.zeros((4, 3)))
     read_array(file, "delay", (4, "P"))  # imports
     file.write_bytes(content)
     tracemalloc.start()
-    with pytest.raises(ValueError, match="delay: found") as error:
+    with refuses(file, "delay"):
         read_array(file, "delay", (4, "P"))
     _, peak = tracemalloc.get_traced_memory()
     tracemalloc.stop()
-    assert str(file) in str(error.value) and "\n" not in str(error.value)
     # Of the packed one numpy asks for all the room that is claimed, and writes nothing there.
-    assert peak < SMALL or what == "1e12 rows, packed"
+    assert peak < SMALL or name == "1e12 rows, packed"
 
 
 def test_a_bomb_is_refused_by_what_it_would_take(tmp_path, monkeypatch):
@@ -124,7 +123,7 @@ def test_a_bomb_is_refused_by_what_it_would_take(tmp_path, monkeypatch):
     file = tmp_path / "delay.npz"
     SAVE[".npz"](file, "delay", zeros)
     assert file.stat().st_size < 2**13
-    with pytest.raises(ValueError, match="an .npy file may be larger"):
+    with refuses(file, "delay"):
         read_array(file, "delay", ANY)
 
 
@@ -135,12 +134,12 @@ def test_of_an_npy_file_only_the_rows_wanted_are_in_memory(tmp_path, monkeypatch
     rows[[7, 2**22 - 1]] = 3.0
     del rows
     tracemalloc.start()
-    found = read_array(file, "delay", ANY, np.array([2**22 - 1, 6, 7]))
+    chosen = read_array(file, "delay", ANY, np.array([2**22 - 1, 6, 7]))
     _, peak = tracemalloc.get_traced_memory()
     tracemalloc.stop()
-    np.testing.assert_array_equal(found[:, 0], [3.0, 0.0, 3.0])
+    np.testing.assert_array_equal(chosen[:, 0], [3.0, 0.0, 3.0])
     assert peak < SMALL
-    with pytest.raises(ValueError, match="found 4194304 rows of 25 numbers, .* choose users"):
+    with refuses(file, "delay"):
         read_array(file, "delay", ANY)
 
 
@@ -150,5 +149,5 @@ def test_a_damaged_archive_is_found_wherever_it_is_damaged(tmp_path):
     content = bytearray(file.read_bytes())
     content[-500] ^= 1  # within the last rows
     file.write_bytes(content)
-    with pytest.raises(ValueError, match="Bad CRC-32"):
+    with refuses(file, "delay"):
         read_array(file, "delay", ANY, np.array([0]))

@@ -24,14 +24,14 @@ from tests.datasets.deepmimo.scenarios import (
     set_counts,
     shortened,
 )
+from tests.refusals import refuses
 
-FIELDS = ("anchors_m", "time_s", "measurement", "visible", "path_gain_db", "position_m",
-          "velocity_mps")  # fmt: skip
+FIELDS = ("time_s", "measurement", "visible", "path_gain_db", "position_m", "velocity_mps")
 
 
-def require_same(found, expected):
-    for field in FIELDS:
-        np.testing.assert_array_equal(getattr(found, field), getattr(expected, field), field)
+def require_same(recording, expected):
+    for field in (*FIELDS, "anchors_m"):
+        np.testing.assert_array_equal(getattr(recording, field), getattr(expected, field), field)
 
 
 @pytest.fixture
@@ -73,10 +73,10 @@ def test_of_several_users_in_a_dynamic_scenario_one_is_followed(tmp_path, static
     still = read_deepmimo(busy, users=[1] * 12, dt_s=0.1)
     np.testing.assert_array_equal(still.position_m, np.tile(load(static, "rx_pos")[0], (12, 1)))
     np.testing.assert_allclose(still.velocity_mps, 0.0, atol=1e-12)
-    with pytest.raises(ValueError, match="users: found 3, expected 1 or 12, one for each scene"):
+    with refuses("users"):
         read_deepmimo(busy)
     edit_line(busy, 3, None)
-    with pytest.raises(ValueError, match="found 11, expected 12, one for each scene"):
+    with refuses(TRUTH, "rows"):
         read_deepmimo(busy, users=2)
 
 
@@ -88,9 +88,9 @@ def test_every_format_of_arrays_is_the_same_recording(tmp_path, static, suffix):
 def test_chosen_users_are_rows_of_the_whole(static):
     whole, rows = read_deepmimo(static, 1), [2, 3, 7, 11]
     part = read_deepmimo(static, 1, users=rows)
-    for field in FIELDS[1:]:
-        found, expected = getattr(part, field), getattr(whole, field)[rows]
-        np.testing.assert_allclose(found, expected, atol=1e-6, err_msg=field)
+    for field in FIELDS:
+        chosen, expected = getattr(part, field), getattr(whole, field)[rows]
+        np.testing.assert_allclose(chosen, expected, atol=1e-6, err_msg=field)
 
 
 @pytest.mark.parametrize("suffix", sorted(SAVE))
@@ -104,24 +104,19 @@ def test_users_may_come_in_any_order_and_often(tmp_path, suffix):
     np.testing.assert_allclose(part.velocity_mps, np.gradient(part.position_m, 10.0, axis=0))
 
 
-@pytest.mark.parametrize(
-    ("users", "found"),
-    [([0, 12], "12"), ([-1], "-1"), ([], "[]"), ([0.5], "[0.5]"), ([[1]], "[[1]]"), ([True], "")],
-)
-def test_users_that_there_are_not(static, users, found):
-    with pytest.raises(ValueError, match="users: found") as error:
+@pytest.mark.parametrize("users", [[0, 12], [-1], [], [0.5], [[1]], [True]])
+def test_users_that_do_not_exist_are_refused(static, users):
+    with refuses("users"):
         read_deepmimo(static, users=users)
-    assert found in str(error.value)
 
 
 def test_a_set_of_receivers_is_chosen_by_its_number(static):
     expected = read_deepmimo(static)
     for file in list(static.glob(f"*_{LINK}.npz")):
         shutil.copy(file, static / file.name.replace("_r001", "_r002"))
-    with pytest.raises(ValueError, match="receiver_set: found all, expected one of 1, 2"):
-        read_deepmimo(static)
-    with pytest.raises(ValueError, match="receiver_set: found 3, expected one of 1, 2"):
-        read_deepmimo(static, receiver_set=3)
+    for number in (None, 3):
+        with refuses("receiver_set"):
+            read_deepmimo(static, receiver_set=number)
     require_same(read_deepmimo(static, receiver_set=2), expected)
 
 
@@ -136,7 +131,7 @@ def test_a_grid_is_known_before_its_paths_are_read(static):
 def test_a_grid_without_chosen_users_is_refused_before_it_is_read(tmp_path, monkeypatch):
     static = shortened(tmp_path / "grid", 12, ".npy")
     monkeypatch.setattr(arrays, "MOST_BYTES", 12 * 4 * 8)  # all paths of a key, not bounces
-    with pytest.raises(ValueError, match=r"inter_pos: found 12 rows .* choose users"):
+    with refuses("inter_pos"):
         read_deepmimo(static)
 
 
@@ -154,67 +149,46 @@ def test_names_in_the_parameters_lead_nowhere(static):
 
 
 @pytest.mark.parametrize("scenes", [11, 13, 10**9, 10**30, 0, -1, 2.5, "12", True, None])
-def test_a_number_of_scenes_that_there_are_not(dynamic, scenes):
+def test_a_wrong_number_of_scenes_is_refused(dynamic, scenes):
     edit_params(dynamic, lambda params: params["scene"].update(num_scenes=scenes))
-    with pytest.raises(ValueError, match=r"params.json: .*scene.num_scenes: found") as error:
+    with refuses("params.json", "scene.num_scenes"):
         read_deepmimo(dynamic)
-    assert str(scenes) in str(error.value)
 
 
 def test_a_dynamic_scenario_that_says_it_is_static(dynamic):
     set_counts(dynamic, 1, 1)
-    with pytest.raises(FileNotFoundError, match="found no rx_pos"):
+    with refuses(dynamic, error=FileNotFoundError):
         read_deepmimo(dynamic)
 
 
-def in_scene(number, damage):
-    return lambda folder: damage(folder / f"scene_{number:04}")
+def array_in(number, key, change):
+    return lambda folder: edit(folder / f"scene_{number:04}", key, change)
 
 
-DAMAGE = {
-    "two receivers once": (
-        in_scene(5, lambda f: edit(f, "rx_pos", lambda a: np.tile(a, (2, 1)))),
-        ["scene_0005", "rx_pos", "shape (2, 3)", "shape (1, 3)"],
-    ),
-    "a path short": (
-        in_scene(5, lambda f: edit(f, "delay", lambda a: a[:, 1:])),
-        ["scene_0005", "delay", "shape (1, 1)", "shape (1, 2)"],
-    ),
+DAMAGE = {  # by name: the damage, and what the refusal names
+    "two receivers once": (array_in(5, "rx_pos", lambda a: np.tile(a, (2, 1))), ["0005", "rx_pos"]),
+    "a path short": (array_in(5, "delay", lambda a: a[:, 1:]), ["scene_0005", "delay"]),
     "a key missing": (
-        in_scene(6, lambda f: (f / f"delay_{LINK}.npz").unlink()),
-        ["scene_0006", "delay", "no such file"],
+        lambda f: (f / "scene_0006" / f"delay_{LINK}.npz").unlink(),
+        ["scene_0006", "delay"],
     ),
-    "a NaN": (
-        in_scene(7, lambda f: edit(f, "delay", lambda a: a * [np.nan, 1])),
-        ["scene_0007", "delay[0, 0]", "nan"],
-    ),
-    "a station that moves": (
-        in_scene(3, lambda f: edit(f, "tx_pos", lambda a: a + [1, 0, 0])),
-        ["scene_0003", "tx_pos", "[-4.0, 4.0, 6.0]", "[-5.0, 4.0, 6.0]", "a station that stays"],
-    ),
+    "a NaN": (array_in(7, "delay", lambda a: a * [np.nan, 1]), ["scene_0007", "delay[0, 0]"]),
+    "a station that moves": (array_in(3, "tx_pos", lambda a: a + [1, 0, 0]), ["0003", "tx_pos"]),
     "a scene too many": (
         lambda f: shutil.copytree(f / "scene_0003", f / "scene_0003b"),
-        ["params.json", "found 12", "expected 13"],
+        ["params.json", "scene.num_scenes"],
     ),
-    "a delay in milliseconds": (
-        in_scene(4, lambda f: edit(f, "delay", lambda a: 1e3 * a)),
-        ["scene_0004", "delay", "receiver 0"],
-    ),
-    "elsewhere": (
-        lambda f: edit_line(f, 4, "0.2,-43,-3,1.5,10,0,0"),
-        [TRUTH, "line 4, columns x, y, z", "[-43.0, -3.0, 1.5]", "receiver 0 in scene_0002"],
-    ),
+    "a delay in milliseconds": (array_in(4, "delay", lambda a: 1e3 * a), ["scene_0004", "delay"]),
+    "elsewhere": (lambda f: edit_line(f, 4, "0.2,-43,-3,1.5,10,0,0"), [TRUTH, "line 4"]),
 }
 
 
 @pytest.mark.parametrize("damage", DAMAGE)
 def test_a_scene_that_contradicts_others_is_named(dynamic, damage):
-    spoil, expected = DAMAGE[damage]
+    spoil, parts = DAMAGE[damage]
     spoil(dynamic)
-    with pytest.raises((ValueError, FileNotFoundError)) as error:
+    with refuses(dynamic, *parts, error=(ValueError, FileNotFoundError)):
         read_deepmimo(dynamic)
-    message = str(error.value)
-    assert str(dynamic) in message and all(part in message for part in expected), message
 
 
 IRREGULAR = {
@@ -226,11 +200,10 @@ IRREGULAR = {
 
 @pytest.mark.parametrize("kind", IRREGULAR)
 @pytest.mark.parametrize("name", [f"rx_pos_{LINK}.npz", f"delay_{LINK}.npz", "params.json", TRUTH])
-def test_what_is_no_regular_file_is_refused(static, kind, name):
+def test_irregular_files_are_refused(static, kind, name):
     (static / name).unlink()
     IRREGULAR[kind](static / name)
-    refused = "no regular file|no such file|found a (FIFO|folder|device), expected"
-    with pytest.raises((ValueError, OSError), match=refused):
+    with refuses(name, error=(ValueError, OSError)):
         read_deepmimo(static)
 
 
@@ -239,8 +212,8 @@ def test_the_paths_are_those_of_the_files(static):
     (station,) = scenario.paths(scenario.epochs(None))
     inter = load(static, "inter")
     np.testing.assert_array_equal(station.interactions, inter)
-    there = np.isfinite(inter)
-    np.testing.assert_array_equal(station.delay_s[there], load(static, "delay")[there])
-    zenith = np.degrees(station.arrival[there, 1])
-    np.testing.assert_allclose(zenith, load(static, "aoa_el")[there], rtol=1e-12)
+    path = np.isfinite(inter)
+    np.testing.assert_array_equal(station.delay_s[path], load(static, "delay")[path])
+    zenith = np.degrees(station.arrival[path, 1])
+    np.testing.assert_allclose(zenith, load(static, "aoa_el")[path], rtol=1e-12)
     assert station.source("power", 3) == (static / f"power_{LINK}.npz", 3)
