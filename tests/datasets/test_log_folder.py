@@ -1,6 +1,5 @@
 """A folder with a log, its scene and its truth: written and played."""
 
-import re
 import shutil
 from dataclasses import replace
 
@@ -20,6 +19,7 @@ from mmwave_env.world.keys import keys_of
 from mmwave_env.world.simulated import SimulatedSource
 from tests.cli import assert_one_clear_line, command, succeed
 from tests.paths import LOGS, RECORDINGS
+from tests.refusals import refuses
 
 STREET = SCENES["street"]
 
@@ -53,17 +53,18 @@ def test_a_simulated_log_is_the_simulated_episode(tmp_path, odometry):
     succeed("simulate", "--scenario", "vehicle", "--seed", 3, "--out", tmp_path, *options)
     true = simulated(3, odometry)
     assert read_scene(tmp_path / "scene.json") == STREET
-    found = source_from(tmp_path, "handset").sample(np.random.default_rng(0))
-    assert found.layout == true.layout and found.name == tmp_path.name
+    episode = source_from(tmp_path, "handset").sample(np.random.default_rng(0))
+    assert episode.layout == true.layout and episode.name == tmp_path.name
     for field in ("time_s", "usable", "doppler_spread_hz", "scene_anchors_m", "truth_position_m"):
-        np.testing.assert_array_equal(getattr(found, field), getattr(true, field))
+        np.testing.assert_array_equal(getattr(episode, field), getattr(true, field))
     widths = [group.stop - group.start for group in true.layout.groups]
     at, ranges = np.repeat(true.usable, widths, axis=1), np.zeros(true.layout.size, bool)
     ranges[: true.layout.doppler : 4] = True
-    np.testing.assert_array_equal(found.measurement[at & ~ranges], true.measurement[at & ~ranges])
+    z, expected = episode.measurement, true.measurement
+    np.testing.assert_array_equal(z[at & ~ranges], expected[at & ~ranges])
     # A log has times of flight: range over the speed of light and back again.
-    np.testing.assert_array_max_ulp(found.measurement[at & ranges], true.measurement[at & ranges])
-    np.testing.assert_array_max_ulp(found.sigma[at], true.sigma[at], maxulp=4)
+    np.testing.assert_array_max_ulp(z[at & ranges], expected[at & ranges])
+    np.testing.assert_array_max_ulp(episode.sigma[at], true.sigma[at], maxulp=4)
 
 
 @pytest.mark.parametrize("name", ["log.csv.gz", "log.parquet"])
@@ -82,7 +83,7 @@ def test_epochs_are_matched_to_poses_by_time(folder):
     early = slice(10, 150)
     lines = tum_lines(track.time_s[early], track.position_m[early])
     (folder / "truth.tum").write_text(lines)
-    with pytest.warns(UserWarning, match="found 200 epochs, .*, 140 epochs from 10 s on"):
+    with pytest.warns(UserWarning, match="140 epochs"):
         episode = source_from(folder, "handset").sample(np.random.default_rng(0))
     np.testing.assert_array_equal(episode.truth_position_m, track.position_m[early])
     np.testing.assert_array_equal(episode.time_s, track.time_s[early])
@@ -94,9 +95,9 @@ def test_a_clock_that_is_off_is_named_and_nothing_is_moved(sample):
     time = np.arange(0.004, track.time_s[-1], 1.0 / 30.0)
     way = CubicSpline(track.time_s, track.position_m)(time)
     (sample / "truth.tum").write_text(tum_lines(time + 0.1, way))
-    with pytest.warns(UserWarning, match=r"truth.tum: found its clock 1\d\d ± \d+ ms ahead of the"):
-        found = read_log_folder(sample).position_m
-    np.testing.assert_allclose(found[2:-1], track.position_m[1:-2], atol=1e-3)
+    with pytest.warns(UserWarning, match=r"truth.tum: found its clock 1\d\d ± \d+ ms"):
+        position = read_log_folder(sample).position_m
+    np.testing.assert_allclose(position[2:-1], track.position_m[1:-2], atol=1e-3)
 
 
 # --- which folder is which
@@ -116,42 +117,36 @@ def test_samples_are_found_by_name_and_by_folder(name):
 
 
 def test_a_recording_is_no_log():
-    with pytest.raises(ValueError, match="sample: found 'canyon28_stop_and_go', .*xpected one of"):
+    with refuses("sample"):
         sample_folder("canyon28_stop_and_go")
 
 
 @pytest.mark.parametrize(
-    ("names", "message"),
-    [
-        (["log.csv"], r"found no log.csv, expected a log \(one of log.csv, log.csv.gz, log.par"),
-        (["scene.json", "truth.tum"], "found no scene.json, no truth.tum, expected"),
-        (["log.csv", "scene.json", "truth.tum"], "found no log.csv, .*or params.json"),
-    ],
+    "names", [["log.csv"], ["scene.json", "truth.tum"], ["log.csv", "scene.json", "truth.tum"]]
 )
-def test_what_is_missing_is_named(folder, names, message):
+def test_missing_files_are_named(folder, names):
     for name in names:
         (folder / name).unlink()
-    with pytest.raises(ValueError, match=message) as error:
+    with pytest.raises(ValueError, match=f"found no {', no '.join(names)}"):
         source_from(folder, "handset")
-    assert str(error.value).startswith(f"{folder}: ")
 
 
-def test_two_logs_are_one_too_many(folder):
+def test_two_logs_are_refused(folder):
     shutil.copy(folder / "log.csv", folder / "log.parquet")
-    with pytest.raises(ValueError, match="found log.csv and log.parquet, expected a log"):
+    with refuses(folder):
         source_from(folder, "handset")
 
 
 def test_a_truth_of_another_time_is_refused(folder):
     track = read_log_folder(folder)
     (folder / "truth.tum").write_text(tum_lines(track.time_s + 1e9, track.position_m))
-    with pytest.raises(ValueError, match=r"truth.tum: found times from 1000000000.0 to .*expected"):
+    with refuses("truth.tum"):
         source_from(folder, "handset")
 
 
 def test_commands_take_the_folder(folder):
-    told = succeed("compare", "--policies", "fixed-ukf", "imm", "--data", folder, "--episodes", 3)
-    assert re.search(rf"^### {folder.name}, handset, 3 episodes", told, re.MULTILINE)
+    text = succeed("compare", "--policies", "fixed-ukf", "imm", "--data", folder, "--episodes", 3)
+    assert f"### {folder.name}, handset, 3 episodes" in text
     for words in (("evaluate", "--policy", "imm"), ("simulate", "--out", folder / "out")):
         (folder / "scene.json").unlink(missing_ok=True)
         assert_one_clear_line(
@@ -162,6 +157,6 @@ def test_commands_take_the_folder(folder):
 
 def test_a_log_is_written_again_as_it_was_read(folder):
     succeed("simulate", "--data", folder, "--out", folder / "again")
-    one, other = read_log_folder(folder), read_log_folder(folder / "again")
-    np.testing.assert_array_equal(one.visible, other.visible)
-    np.testing.assert_allclose(one.measurement, other.measurement, rtol=1e-15)
+    first, second = read_log_folder(folder), read_log_folder(folder / "again")
+    np.testing.assert_array_equal(first.visible, second.visible)
+    np.testing.assert_allclose(first.measurement, second.measurement, rtol=1e-15)
