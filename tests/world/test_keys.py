@@ -7,22 +7,20 @@ import pytest
 import mmwave_env  # noqa: F401  registers the environment
 from experiments.evaluation.seeds import Selection
 from mmwave_env.world.keys import Streams, key_from, keys_at, keys_of, stream_of
+from tests.refusals import refuses
 from tests.vector_checker import same
 
 SHORT = {"episode_steps": 2, "modes": ["ekf"]}
 
 
-def numbers(*given):
-    return np.array(given, np.uint64)
+def numbers(*values):
+    return np.array(values, np.uint64)
 
 
 def test_keys_are_what_others_found_for_splitmix64():
     """Vigna's reference in C for the state 1234567, as Rosetta Code has it."""
-    found = keys_at(numbers(1234567), np.arange(5, dtype=np.uint64))
-    assert found.tolist() == [
-        6457827717110365317, 3203168211198807973, 9817491932198370423, 4593380528125082431,
-        16408922859458223821,
-    ]  # fmt: skip
+    keys = keys_at(numbers(1234567), np.arange(3, dtype=np.uint64))
+    assert keys.tolist() == [6457827717110365317, 3203168211198807973, 9817491932198370423]
 
 
 def test_the_end_of_a_stream_is_followed_by_its_beginning():
@@ -38,20 +36,17 @@ def test_streams_are_those_of_numpys_seed_sequence():
 
 def test_without_a_seed_a_stream_begins_anywhere():
     """Its state can be told, and gives the same keys again."""
-    one, again, places = Streams(2), Streams(2), np.arange(2)
-    assert one.seeds() == (-1, -1)  # nobody knows them
-    again.set_states(one.states())
-    keys = one.keys(places)
+    streams, again, places = Streams(2), Streams(2), np.arange(2)
+    assert streams.seeds() == (-1, -1)  # unknown
+    again.set_states(streams.states())
+    keys = streams.keys(places)
     assert keys[0] != keys[1] != Streams(2).keys(places)[1]
     assert again.keys(places).tolist() == keys.tolist()
 
 
-@pytest.mark.parametrize(
-    ("seed", "message"),
-    [([1, -2], "seed: found -2, expected 0 or more"), ([1], "seed: found 1 seeds, expected 2")],
-)
-def test_other_seeds_are_refused(seed, message):
-    with pytest.raises(ValueError, match=message):
+@pytest.mark.parametrize("seed", [[1, -2], [1]])
+def test_other_seeds_are_refused(seed):
+    with refuses("seed"):
         Streams(2).seed_some(seed, np.arange(2))
 
 
@@ -68,8 +63,8 @@ def test_a_seed_means_the_same_keys_everywhere():
             gymnasiums.reset(seed=seed)[1]["episode_key"][0],
         ]
         assert keys == [expected.pop(0)] * 3
-    found = Selection(range(8, 10)).keys(single.unwrapped.source).tolist()
-    assert found == native.reset(seed=8)[1]["episode_key"].tolist()
+    keys = Selection(range(8, 10)).keys(single.unwrapped.source).tolist()
+    assert keys == native.reset(seed=8)[1]["episode_key"].tolist()
 
 
 def test_a_named_key_leaves_the_stream_where_it_is():
@@ -95,7 +90,7 @@ def test_an_integer_of_64_bits_is_a_key(key):
 
 @pytest.mark.parametrize("key", [-1, 2**64, 0.0, "1", None, True, np.array([1, 2])])
 def test_anything_else_is_refused(key):
-    with pytest.raises(ValueError, match=r"episode_key: found .*, expected an integer from 0 to 2"):
+    with refuses("episode_key"):
         key_from(key)
 
 
@@ -103,26 +98,23 @@ def test_a_key_plays_its_episode_again():
     env = gym.make("MmWaveLoc-v0", **SHORT)
     observation, info = env.reset(seed=3)
     for key in (info["episode_key"], int(info["episode_key"])):
-        again, told = env.reset(options={"episode_key": key})
+        again, same_info = env.reset(options={"episode_key": key})
         np.testing.assert_array_equal(again, observation)
-        assert same(told, info)
+        assert same(same_info, info)
     assert info["episode_key"].dtype == np.uint64
     vector = gym.make_vec("MmWaveLoc-v0", num_envs=3, **SHORT)
-    several, told = vector.reset(options={"episode_key": [5, info["episode_key"], 6]})
+    several, infos = vector.reset(options={"episode_key": [5, info["episode_key"], 6]})
     np.testing.assert_array_equal(several[1], observation)
-    assert told["episode_key"].tolist() == [5, int(info["episode_key"]), 6]
-    one, many = env.step(0), vector.step(np.zeros(3, int))
-    np.testing.assert_array_equal(many[0][1], one[0])
-    assert many[1][1] == one[1]
+    assert infos["episode_key"].tolist() == [5, int(info["episode_key"]), 6]
+    single, many = env.step(0), vector.step(np.zeros(3, int))
+    np.testing.assert_array_equal(many[0][1], single[0])
+    assert many[1][1] == single[1]
 
 
-def test_a_key_beside_a_seed_is_refused():
-    with pytest.raises(ValueError, match="episode_key'. and seed: found both .seed 3., expected"):
+def test_a_key_beside_a_seed_or_of_a_recording_is_refused():
+    with refuses("episode_key", "seed"):
         gym.make("MmWaveLoc-v0", **SHORT).reset(seed=3, options={"episode_key": 1})
-
-
-def test_recorded_episodes_have_no_keys():
     env = gym.make("MmWaveLoc-v0", episodes="canyon28_vehicle", **SHORT)
-    with pytest.raises(ValueError, match="'canyon28_vehicle' is recorded or a source of your own"):
+    with refuses("episode_key"):
         env.reset(options={"episode_key": 1})
     assert "episode_key" not in env.reset(seed=0)[1]

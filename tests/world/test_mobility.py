@@ -2,7 +2,7 @@
 
 import json
 from collections import Counter
-from dataclasses import replace
+from dataclasses import asdict, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -25,6 +25,7 @@ from mmwave_env.world.mobility import (
 )
 from mmwave_env.world.simulated import SimulatedSource
 from tests.paths import representative
+from tests.refusals import refuses
 
 STEP_S, STEPS, SEEDS = 0.1, 2000, 40
 
@@ -53,7 +54,7 @@ every_mobility = pytest.mark.parametrize("name", BOUNDS)
 every_scene = pytest.mark.parametrize("scene", representative(SCENES, "street"))
 
 
-class BatchState(NamedTuple):
+class Users(NamedTuple):
     """Many users of one kind: (SEEDS, STEPS, 2) m, m/s; (SEEDS, STEPS) m/s; height, m."""
 
     position: np.ndarray
@@ -71,7 +72,7 @@ def tracks():
             position, velocity = run(name, range(SEEDS), STEP_S, STEPS, scene)
             assert (velocity[..., 2] == 0.0).all()
             speed = np.linalg.norm(velocity, axis=-1)
-            drawn[name, scene] = BatchState(
+            drawn[name, scene] = Users(
                 position[..., :2], velocity[..., :2], speed, position[..., 2]
             )
         return drawn[name, scene]
@@ -199,18 +200,9 @@ def test_scenarios_are_the_mobilities_and_their_mixture():
     assert [m.name for m in mobilities_of("mixed")] == list(BOUNDS)
 
 
-SCOOTER = {
-    "phases": [
-        {
-            "limits": {
-                "acceleration_mps2": [0.5, 1.5], "braking_mps2": [1.0, 2.0],
-                "lateral_mps2": [1.0, 2.0], "jerk_mps3": 2, "corner_radius_m": 3,
-            },
-            "gaits": [{"low_mps": 3, "high_mps": 7}],
-        }
-    ],
-    "blocks": 2,
-}  # fmt: skip
+LIMITS = Limits((0.5, 1.5), (1.0, 2.0), (1.0, 2.0), 2.0, 3.0)
+GAIT = {"low_mps": 3, "high_mps": 7}
+SCOOTER = {"phases": [{"limits": asdict(LIMITS), "gaits": [GAIT]}], "blocks": 2}
 
 
 def write(folder, content):
@@ -226,8 +218,7 @@ def with_phase(**changes):
 
 def test_a_mobility_file_is_a_kind_of_user(tmp_path):
     (scooter,) = mobilities_of(write(tmp_path, SCOOTER))
-    limits = Limits((0.5, 1.5), (1.0, 2.0), (1.0, 2.0), 2.0, 3.0)
-    assert scooter == Mobility("scooter", (Phase(limits, (Gait(3.0, 7.0),)),), blocks=2)
+    assert scooter == Mobility("scooter", (Phase(LIMITS, (Gait(3.0, 7.0),)),), blocks=2)
 
 
 def test_a_kind_of_user_of_ones_own_keeps_to_its_limits(tmp_path):
@@ -243,27 +234,24 @@ def test_a_kind_of_user_of_ones_own_keeps_to_its_limits(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("content", "message"),
+    ("content", "field"),
     [
-        (with_phase(gaits=[{"low_mps": 3}]), "phases[0].gaits[0].high_mps: found none, expected"),
-        (with_phase(gaits=[{"low_mps": 3, "high_mps": 2}]), "gaits[0].high_mps: found 2.0"),
-        (with_phase(duration_s=[10, 20]), "phases[0].duration_s: found it in the last phase"),
-        (SCOOTER | {"ends_as_it_began": True}, "phases[0].duration_s: found none, expected [low"),
-        (SCOOTER | {"phases": SCOOTER["phases"] * 2}, "phases[0].duration_s: found none"),
+        (with_phase(gaits=[{"low_mps": 3}]), "phases[0].gaits[0].high_mps"),
+        (with_phase(gaits=[{"low_mps": 3, "high_mps": 2}]), "phases[0].gaits[0].high_mps"),
+        (with_phase(duration_s=[10, 20]), "phases[0].duration_s"),
+        (SCOOTER | {"ends_as_it_began": True}, "phases[0].duration_s"),
+        (SCOOTER | {"phases": SCOOTER["phases"] * 2}, "phases[0].duration_s"),
     ],
-    ids=lambda value: value[:40] if isinstance(value, str) else "",
 )
-def test_a_damaged_mobility_file_says_what_is_wrong(tmp_path, content, message):
+def test_a_damaged_mobility_file_is_refused_by_field(tmp_path, content, field):
     path = write(tmp_path, content)
-    with pytest.raises(ValueError, match="mobility.schema.json") as error:
+    with refuses(path, field):
         mobilities_of(path)
-    start = f"{path}: not a mobility file: "
-    assert str(error.value).startswith(start) and message in str(error.value)
 
 
 def test_corners_that_do_not_fit_between_crossings_are_refused(tmp_path):
     path = write(tmp_path, SCOOTER | {"blocks": 16})
-    with pytest.raises(ValueError, match="corner_radius_m.*'scooter': found 3.0.* of the 5 m"):
+    with refuses("corner_radius_m of mobility 'scooter'"):
         SimulatedSource(SCENES["street"], RADIOS["handset"], path)
 
 
@@ -271,15 +259,18 @@ def ranges(low, high):
     return st.lists(st.floats(low, high), min_size=2, max_size=2).map(sorted).map(tuple)
 
 
-GAITS = st.lists(st.floats(0.0, 40.0).map(lambda v: Gait(v / 2.0, v, 10.0)), min_size=1, max_size=3)
-LIMITS = st.builds(
-    Limits, ranges(0.3, 10.0), ranges(0.3, 10.0), ranges(0.3, 10.0), st.floats(0.5, 30.0),
-    st.floats(0.1, 10.0), st.floats(0.0, 1.0), ranges(0.0, 5.0),
-)  # fmt: skip
+ANY_GAITS = st.lists(st.floats(0.0, 40.0).map(lambda v: Gait(v / 2.0, v, 10.0)), min_size=1)
+RATES = [ranges(0.3, 10.0)] * 3 + [st.floats(0.5, 30.0)]
+ANY_LIMITS = st.builds(Limits, *RATES, st.floats(0.1, 10.0), st.floats(0.0, 1.0), ranges(0.0, 5.0))
 
 
 @settings(max_examples=20, deadline=None)
-@given(limits=LIMITS, gaits=GAITS, blocks=st.integers(1, 4), twice=st.booleans())
+@given(
+    limits=ANY_LIMITS,
+    gaits=ANY_GAITS.filter(lambda gaits: len(gaits) < 4),
+    blocks=st.integers(1, 4),
+    twice=st.booleans(),
+)
 def test_users_of_any_kind_stay_on_the_streets(limits, gaits, blocks, twice):
     phase = Phase(limits, tuple(gaits))
     phases = (replace(phase, duration_s=(5.0, 20.0)), phase) if twice else (phase,)

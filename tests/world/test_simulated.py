@@ -77,11 +77,9 @@ def spells(uniform, onset, leave, first):
 def drawn(dice, T, L, rows):
     """Everything that reception draws, epoch by epoch: a list of arrays (T, ...)."""
     normal, uniform, exponential = dice.normal, dice.uniform, dice.exponential
-    kinds = [
-        (normal, L), (uniform, L), (uniform, L), (uniform, 1), (exponential, L), (exponential, L),
-        (normal, L, 3), (normal, L, 3), (uniform, L), (normal, 1), (normal, 1), (normal, rows),
-        (normal, 1),
-    ]  # fmt: skip
+    spells = [(exponential, L)] * 2 + [(normal, L, 3)] * 2 + [(uniform, L)]
+    kinds = [(normal, L), (uniform, L), (uniform, L), (uniform, 1), *spells]
+    kinds += [(normal, 1), (normal, 1), (normal, rows), (normal, 1)]
     epochs = []
     for _ in range(T):
         epochs.append([dice.many(*kind) for kind in kinds])
@@ -91,8 +89,8 @@ def drawn(dice, T, L, rows):
 
 def channel(radio, scene, distance, speed, dt, draws):
     """SNR, detection, biases (T, L, 4) and Doppler spread."""
-    (shadow, blocking, reflecting, losing, blockage, multipath, *angles, detection, scatter,
-     floor) = draws  # fmt: skip
+    shadow, blocking, reflecting, losing, blockage, multipath, *angles = draws[:8]
+    detection, scatter, floor = draws[8:]
     T, L = distance.shape
     link = np.arange(L)
     loss = 32.4 + 21 * np.log10(distance) + 20 * np.log10(scene.carrier_hz / 1e9)
@@ -136,10 +134,8 @@ def way(source, scene, dice):
     plan = plans_of(choices, streets.block_m)[kind]
     block = streets.block_m / plan.closer
     (west, east), (south, north) = streets.x_m, streets.y_m
-    net = Net(
-        block, round((east - west) / block), round((north - south) / block), west, south,
-        streets.height_m,
-    )  # fmt: skip
+    blocks = round((east - west) / block), round((north - south) / block)
+    net = Net(block, *blocks, west, south, streets.height_m)
     phases = draw_phases(dice, plan.phases, T * source.dt)
     traveler, track = set_off(dice, phases, net), np.zeros((T, 6))
     stride = stride_of(source.dt)
@@ -177,12 +173,10 @@ def plain(source, key):
     if source.odometry:
         visible = np.column_stack([visible, speed >= radio.odometry_slowest_mps])
     covariance = radio.prior_covariance(scene)
-    state = np.concatenate([track[0], offset[:1]])
-    return Episode(
-        name, scene.anchors_m, scene.hz_per_mps, source.dt * np.arange(T), z, sigma,
-        visible, snr, spread, state + np.sqrt(np.diag(covariance)) * prior,
-        covariance, position, velocity, layout,
-    )  # fmt: skip
+    mean = np.append(track[0], offset[0]) + np.sqrt(np.diag(covariance)) * prior
+    times, measured = source.dt * np.arange(T), (z, sigma, visible, snr, spread)
+    truth = mean, covariance, position, velocity
+    return Episode(name, scene.anchors_m, scene.hz_per_mps, times, *measured, *truth, layout)
 
 
 def wrapped(table, layout):
@@ -208,11 +202,11 @@ def test_a_key_means_the_episode_of_the_plain_simulation(name):
 @pytest.mark.parametrize("threads", [1, 2])
 def test_a_batch_is_the_episodes_one_by_one_to_the_bit(name, threads):
     source = SOURCES[name]
-    found = source.sample_batch(KEYS, threads=threads)
+    batch = source.sample_batch(KEYS, threads=threads)
     expected = EpisodeBatch.of([source.episode(int(key)) for key in KEYS])
-    assert (found.names, found.layout) == (expected.names, expected.layout)
+    assert (batch.names, batch.layout) == (expected.names, expected.layout)
     for field in ("nonfinite", "length", "table", "site"):
-        np.testing.assert_array_equal(getattr(found, field), getattr(expected, field))
+        np.testing.assert_array_equal(getattr(batch, field), getattr(expected, field))
 
 
 def test_the_way_of_a_user_is_the_same_however_it_is_received():

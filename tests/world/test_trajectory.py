@@ -1,7 +1,5 @@
 """Ways of one's own: read, resampled, and refused where they can't be sent through the channel."""
 
-import re
-
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -12,6 +10,7 @@ from mmwave_env.models.radio import RADIOS
 from mmwave_env.models.scene import SCENES
 from mmwave_env.world.simulated import SimulatedSource
 from mmwave_env.world.trajectory import Trajectory
+from tests.refusals import refuses
 
 STREET = SCENES["street"]
 
@@ -27,8 +26,8 @@ def write(folder, rows, header="t,x,y,z"):
     return path
 
 
-def changed(row, column, value, **how):
-    rows = straight(**how)
+def changed(row, column, value):
+    rows = straight()
     rows[row][column] = value
     return rows
 
@@ -64,10 +63,10 @@ def test_constant_acceleration_is_resampled_as_it_is(dt, steps, a, v):
     """Differences find its velocities, but for the ends, and the cubics its positions."""
     t = np.cumsum(steps)
     position = np.outer(t, v) + 0.5 * np.outer(t * t, a)
-    given_velocity = v + np.outer(t, a)
-    found = Trajectory("drawn", t, position).velocity_mps
-    np.testing.assert_allclose(found[1:-1], given_velocity[1:-1], atol=1e-6)
-    way = Trajectory("drawn", t, position, given_velocity).resampled(dt)
+    velocity = v + np.outer(t, a)
+    differences = Trajectory("drawn", t, position).velocity_mps
+    np.testing.assert_allclose(differences[1:-1], velocity[1:-1], atol=1e-6)
+    way = Trajectory("drawn", t, position, velocity).resampled(dt)
     at = t[0] + dt * np.arange(len(way))
     assert at[-1] <= t[-1] + 1e-9 < at[-1] + dt + 2e-9
     np.testing.assert_allclose(way[:, :3], np.outer(at, v) + 0.5 * np.outer(at * at, a), atol=1e-6)
@@ -75,90 +74,75 @@ def test_constant_acceleration_is_resampled_as_it_is(dt, steps, a, v):
 
 
 @pytest.mark.parametrize(
-    ("rows", "message"),
+    ("rows", "place"),
     [
-        (straight(1), "found 1 rows, expected at least 2"),
-        (changed(2, 0, 1.0), "line 4: t: found 1, expected more than in the row before"),
-        (changed(3, 0, "nan"), "line 5, column t: found 'nan', expected a finite number"),
-        (changed(1, 1, ""), "line 3, column x: found '', expected a finite number"),
-        (changed(4, 0, 20.0), "line 6: t: found 20, expected at most 15 s after the row before"),
-        (changed(1, 1, 900.0), "line 3: m/s since the row before: found 880, expected at most 100"
-                               " m/s: is t in seconds, and are x, y in meters"),
-        (straight(5, 1.0, 20.0)[:4] + [[4.0, 100.0]], "line 6: found 2 values, expected 4"),
-        (changed(4, 1, 60.0, speed=-20.0), "line 4.*expected y below 25 m"),
+        (straight(1), "way.csv"),
+        (changed(2, 0, 1.0), "line 4: t"),
+        (changed(3, 0, "nan"), "line 5, column t"),
+        (changed(1, 1, ""), "line 3, column x"),
+        (changed(4, 0, 20.0), "line 6: t"),
+        (changed(1, 1, 900.0), "line 3: m/s since the row before"),
+        (straight(4) + [[4.0, 100.0]], "line 6"),
+        ([[t, x, 20.0 + 3.0 * t, z] for t, x, _, z in straight()], "line 4: x, y, z"),
     ],
-    ids=lambda value: value[:40] if isinstance(value, str) else "",
-)  # fmt: skip
-def test_a_file_that_no_user_went_is_refused_by_line(tmp_path, rows, message):
+)
+def test_an_impossible_way_is_refused_by_line(tmp_path, rows, place):
     path = write(tmp_path, rows)
-    if "y below" in message:
-        path = write(tmp_path, [[t, x, 20.0 + 3.0 * t, z] for t, x, _, z in straight()])
-    with pytest.raises(ValueError, match=f"{re.escape(str(path))}.*{message}"):
+    with refuses(path, place):
         SimulatedSource(STREET, RADIOS["handset"], read_ways(path))
 
 
-@pytest.mark.parametrize(
-    ("header", "message"),
-    [
-        ("time,x,y,z", "header: found 'time,x,y,z', expected the columns t,x,y,z"),
-        ("t,x,y,vx", "expected the columns t,x,y,z,vx,vy,vz"),
-    ],
-)
-def test_a_file_without_its_columns_is_refused(tmp_path, header, message):
-    with pytest.raises(ValueError, match=f"way.csv: .*{message}"):
+@pytest.mark.parametrize("header", ["time,x,y,z", "t,x,y,vx"])
+def test_a_file_without_its_columns_is_refused(tmp_path, header):
+    with refuses("way.csv", "header"):
         read_trajectory(write(tmp_path, straight(), header))
 
 
 def test_a_missing_file_is_named():
-    with pytest.raises(FileNotFoundError, match="nowhere.csv: found no such file"):
+    with refuses("nowhere.csv", error=FileNotFoundError):
         read_trajectory("nowhere.csv")
 
 
-def test_velocities_beyond_any_user_are_refused_by_line(tmp_path):
+def test_impossible_velocities_are_refused(tmp_path):
     rows = [[*row, 2.0, 0.0, 0.0] for row in straight()]
     rows[3][4] = 720.0
-    with pytest.raises(ValueError, match="line 5: vx, vy, vz: found 720, 0, 0, expected at most"):
+    with refuses("line 5: vx, vy, vz"):
         read_trajectory(write(tmp_path, rows, "t,x,y,z,vx,vy,vz"))
-
-
-def test_velocities_in_kilometers_per_hour_are_refused(tmp_path):
-    rows = [[*row, 3.6 * 2.0, 0.0, 0.0] for row in straight()]
-    with pytest.raises(ValueError, match="way of 28.8 m, expected that of the positions, 8 m: are"):
+    rows = [[*row, 3.6 * 2.0, 0.0, 0.0] for row in straight()]  # km/h
+    with refuses("way.csv: vx, vy, vz"):
         read_trajectory(write(tmp_path, rows, "t,x,y,z,vx,vy,vz"))
 
 
 def test_arrays_are_refused_by_row():
     time_s, position = np.arange(5.0), np.zeros((5, 3))
     position[2, 1] = np.nan
-    with pytest.raises(ValueError, match=r"mine, row 3: x, y, z: found 0, nan, 0, expected finite"):
+    with refuses("mine, row 3: x, y, z"):
         Trajectory("mine", time_s, position)
-    with pytest.raises(ValueError, match=r"position_m of mine: found shape \(4, 3\)"):
+    with refuses("position_m of mine"):
         Trajectory("mine", time_s, position[:4])
 
 
-def test_one_who_never_moves_is_perhaps_in_degrees():
+def test_a_user_who_never_moves_is_warned_of():
     time_s = np.arange(100.0)
-    position = np.column_stack([-122.4 + 1e-6 * time_s, np.full(100, 37.8), np.full(100, 1.5)])
-    with pytest.warns(UserWarning, match="gps: found all of 99 s within 0.1 m.*in degrees?"):
-        Trajectory("gps", time_s, position)
+    degrees = np.column_stack([-122.4 + 1e-6 * time_s, np.full(100, 37.8), np.full(100, 1.5)])
+    with pytest.warns(UserWarning, match="gps: found all of 99 s"):
+        Trajectory("gps", time_s, degrees)
 
 
-def test_a_way_behind_a_wall_or_at_an_anchor_is_refused():
-    def way(*ends):
-        return Trajectory("mine", np.arange(11.0), np.linspace(*ends, 11))
-
-    with pytest.raises(
-        ValueError, match=r"mine, row 7: x, y, z: found 30, 28, 1.5, expected y below 25 m, where"
-    ):
-        SimulatedSource(STREET, RADIOS["handset"], way([0, -20, 1.5], [50, 60, 1.5]))
-    with pytest.raises(ValueError, match="mine, row 6: .*5000 m from the anchor at .10.0"):
-        SimulatedSource(STREET, RADIOS["handset"], way([5, 5, 10], [15, 15, 10]))
-    with pytest.raises(ValueError, match="mine, row 1: .* a place 1 to 5000 m from the anchor"):
-        SimulatedSource(STREET, RADIOS["handset"], way([-9e5, -5e5, 1], [-9e5, -5e5 + 50, 1]))
-    with pytest.raises(ValueError, match="mine, row 1: x, y, z: found -2e.06, .* to 1e.06 m"):
-        way([-2e6, 0, 1], [-2e6, 50, 1])
-    with pytest.raises(ValueError, match="mine: found 10 s, expected 20, dt"):
-        SimulatedSource(STREET, RADIOS["handset"], way([0, -20, 1], [50, -20, 1]), dt=20.0)
+@pytest.mark.parametrize(
+    ("ends", "dt", "place"),
+    [
+        (([0, -20, 1.5], [50, 60, 1.5]), 1.0, "row 7: x, y, z"),  # behind a wall
+        (([5, 5, 10], [15, 15, 10]), 1.0, "row 6: x, y, z"),  # at an anchor
+        (([-9e5, -5e5, 1], [-9e5, -5e5 + 50, 1]), 1.0, "row 1: x, y, z"),  # out of reach
+        (([-2e6, 0, 1], [-2e6, 50, 1]), 1.0, "row 1: x, y, z"),
+        (([0, -20, 1], [50, -20, 1]), 20.0, "mine"),  # shorter than a step
+    ],
+)
+def test_a_way_that_does_not_fit_the_scene_is_refused(ends, dt, place):
+    with refuses("mine", place):
+        way = Trajectory("mine", np.arange(11.0), np.linspace(*ends, 11))
+        SimulatedSource(STREET, RADIOS["handset"], way, dt=dt)
 
 
 def test_windows_begin_anywhere_and_a_short_way_is_one_episode():
