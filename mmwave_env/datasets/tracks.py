@@ -177,6 +177,7 @@ class TrackSource:
 
     def __init__(self, track: Track, radio: str | Radio, epochs: int | None = None) -> None:
         self.track, self.radio = track, radio_from(radio)
+        self.layout, self.name, self.scene = track.layout, track.name, track.scene
         runs = stretches(track.time_s, track.position_m, GAP_S)
         if not runs:
             step = float(np.median(np.diff(track.time_s))) if len(track) > 1 else 0.0
@@ -206,21 +207,6 @@ class TrackSource:
         self._starts = np.concatenate(
             [np.arange(run.start, run.stop - self.epochs + 1) for run in whole]
         )
-
-    @property
-    def layout(self) -> Layout:
-        """Return the layout of every episode's measurements."""
-        return self.track.layout
-
-    @property
-    def name(self) -> str:
-        """Return the name of the track."""
-        return self.track.name
-
-    @property
-    def scene(self) -> Scene:
-        """Return the scene of the track."""
-        return self.track.scene
 
     def sample(self, rng: np.random.Generator) -> Episode:
         """Draw an episode; all randomness comes from ``rng``."""

@@ -204,14 +204,11 @@ def bank_over(modes: Modes, radio: str | Radio = "handset") -> Bank:
         return modes
     if isinstance(modes, Mapping):
         return bank_in(modes)
-    if isinstance(modes, (str, os.PathLike)):
-        modes, name = [modes], str(modes)  # type: ignore[list-item]
-        if not name.endswith(".json"):
-            expected = "a list such as ['ekf'], or a mode file (.json)"
-            raise ValueError(f"modes: found the string {name!r}, expected {expected}")
-    if not isinstance(modes, Iterable):
-        raise ValueError(f"modes: found {modes!r}, expected a list of names, mode files and Modes")
-    banks = [_bank_of(mode, radio) for mode in modes]
+    entries: Any = [modes] if str(modes).endswith(".json") else modes
+    if isinstance(entries, str | os.PathLike) or not isinstance(entries, Iterable):
+        expected = "a list of names, mode files and Modes, such as ['ekf']; or a mode file (.json)"
+        raise ValueError(f"modes: found {modes!r}, expected {expected}")
+    banks = [_bank_of(entry, radio) for entry in entries]
     return banks[0] if len(banks) == 1 else Bank(sum((bank.modes for bank in banks), ()))
 
 
@@ -219,8 +216,6 @@ def _bank_of(mode: Mode | str, radio: str | Radio) -> Bank:
     """Return the bank of an entry in a list of modes."""
     if isinstance(mode, Mode):
         return Bank((mode,))
-    if not isinstance(mode, (str, os.PathLike)):
-        raise ValueError(f"modes: found {mode!r}, expected a name, a mode file or a Mode")
     if str(mode).endswith(".json"):
         return read_bank(mode)
     return Bank((choose(named_modes(radio), mode, "mode"),))

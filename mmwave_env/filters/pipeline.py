@@ -135,16 +135,16 @@ def predict(
         gamma: adaptive scale of Q, which a mode that is not adaptive ignores.
         hz_per_mps: carrier frequency over the speed of light.
     """
-    scale = gamma if mode.adaptive else 1.0
-    noise = process_noise(tuning or mode.tuning, epoch, hz_per_mps, scale, pipeline.planar)
+    scale, tuning = gamma if mode.adaptive else 1.0, tuning or mode.tuning
+    noise = process_noise(tuning, epoch, hz_per_mps, scale, pipeline.planar)
     x_predicted, P_predicted = pipeline.predict(
         mode, x, unpack(P, zero=pipeline.known_axes), noise, epoch.dt
     )
     x_predicted = [x[i] if i in pipeline.known_axes else v for i, v in enumerate(x_predicted)]
     if mode.acceleration_mps2:
-        x_predicted = accelerate(x_predicted, (tuning or mode.tuning).acceleration_mps2, epoch.dt)
+        x_predicted = accelerate(x_predicted, tuning.acceleration_mps2, epoch.dt)
     if mode.turn_rate_radps:
-        x_predicted = turn(x_predicted, (tuning or mode.tuning).turn_rate_radps, epoch.dt)
+        x_predicted = turn(x_predicted, tuning.turn_rate_radps, epoch.dt)
     return x_predicted, P_predicted
 
 

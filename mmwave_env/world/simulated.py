@@ -32,14 +32,16 @@ from mmwave_env.models.scene import Scene
 from mmwave_env.numerics.numbers import Array, Index
 from mmwave_env.numerics.pytree import flatten, indices
 from mmwave_env.numerics.random import Dice, seeded
-from mmwave_env.world.beginning import USER, Beginning, beginning
 from mmwave_env.world.episode import Episode, EpisodeBatch, Incoming, columns_of, level
 from mmwave_env.world.keys import Keys, draw_key
 from mmwave_env.world.mobility import FASTEST_MPS, MIXED, plans_of
 from mmwave_env.world.simulation import (
+    USER,
+    Beginning,
     World,
     WorldSettings,
     as_measured,
+    beginning,
     on_a_way,
     world_of,
 )

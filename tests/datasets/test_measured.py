@@ -248,13 +248,10 @@ def test_a_track_without_truth_or_with_another_unit_of_time_is_refused():
 
 
 def test_the_environment_takes_a_track_or_a_recording():
-    for own, steps in ((track(), 25), (recording_from("canyon28_vehicle"), 30)):
-        env = gym.make(
-            "mmwave_env:MmWaveLoc-v0", episodes=own, radio="standard", episode_steps=steps
-        ).unwrapped
-        assert env.radio == RADIOS["standard"] and env.source.epochs == steps
-        _, info = env.reset(seed=1)
-        assert info["episode_name"] == own.name
+    for own in (track(), recording_from("canyon28_vehicle")):
+        env = gym.make("mmwave_env:MmWaveLoc-v0", episodes=own, radio="standard", episode_steps=25)
+        assert env.unwrapped.radio == RADIOS["standard"] and env.unwrapped.source.epochs == 25
+        assert env.reset(seed=1)[1]["episode_name"] == own.name
 
 
 # --- recordings from arrays

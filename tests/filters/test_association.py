@@ -21,22 +21,22 @@ def test_the_nis_of_a_path_is_the_textbooks(problem, data):
     paths = predicted.mean[np.arange(n)[:, None] % links * 4 + np.arange(4)] + offset
     paths[:, 1:] = (paths[:, 1:] + np.pi) % (2 * np.pi) - np.pi
     sigma = np.sqrt(problem.R[: 4 * links]).reshape(links, 1, 4).repeat(n, axis=1)
-    found = path_nis(
+    nis = path_nis(
         problem.x.tolist(),
         problem.P.tolist(),
         problem.sensor.anchors.tolist(),
         np.stack([paths] * links),
         sigma,
     )
-    assert found.shape == (links, n)
-    for link, path in np.ndindex(found.shape):
+    assert nis.shape == (links, n)
+    for link, path in np.ndindex(nis.shape):
         rows = slice(4 * link, 4 * link + 4)
         whole = predicted.mean.copy()
         whole[rows] = paths[path]
         innovation = problem.sensor.difference(whole, predicted.mean)[rows]
         S = predicted.S[rows, rows] + np.diag(sigma[link, path] ** 2)
         right = innovation @ np.linalg.solve(S, innovation)
-        assert found[link, path] == pytest.approx(right, rel=1e-6, abs=1e-9)
+        assert nis[link, path] == pytest.approx(right, rel=1e-6, abs=1e-9)
 
 
 @settings(deadline=None)
@@ -44,8 +44,8 @@ def test_the_nis_of_a_path_is_the_textbooks(problem, data):
 def test_no_other_assignment_is_better(data):
     anchors, n = data.draw(st.integers(1, 4)), data.draw(st.integers(0, 4))
     nis, gate = data.draw(numbers(0.0, 30.0, (anchors, n))), 13.3
-    found = assign(nis, gate)
-    taken = found[found != NO_PATH]
+    assigned = assign(nis, gate)
+    taken = assigned[assigned != NO_PATH]
     assert len(set(taken.tolist())) == len(taken)
 
     def cost(chosen):
@@ -54,7 +54,7 @@ def test_no_other_assignment_is_better(data):
         return sum(kept) + gate * (anchors - len(kept))
 
     best = min(map(cost, permutations(range(n + anchors), anchors)))
-    assert cost(np.where(found == NO_PATH, n, found)) == pytest.approx(best)
+    assert cost(np.where(assigned == NO_PATH, n, assigned)) == pytest.approx(best)
 
 
 def test_the_best_for_all_is_not_the_nearest_for_each():

@@ -37,7 +37,7 @@ def runs():
     rng, model = np.random.default_rng(0), far_from_the_anchors(process_noise(plain[0]))
     episodes = [model.draw(rng, EPOCHS) for _ in range(RUNS)]
     engine = Engine(pipeline, RUNS, TrackingReward())
-    found = {}
+    results = {}
     for m, algorithm in enumerate(ALGORITHMS):
         nees, nis, rejected, errors, P = [], [], [], [], []
         engine.reset(episodes)
@@ -49,8 +49,8 @@ def runs():
             nees.append(engine.read(engine.at.nees))
             errors.append(engine.read(engine.at.error))
             P.append(engine.read(engine.at.P))
-        found[algorithm] = tuple(map(np.array, (nees, nis, rejected, errors, P)))
-    return found
+        results[algorithm] = tuple(map(np.array, (nees, nis, rejected, errors, P)))
+    return results
 
 
 def assert_chi_square_means(means, dof):
@@ -92,7 +92,7 @@ def test_protection_levels_hold_at_the_stated_risk(runs, algorithm):
     for risk in risks:
         low, high = binom.ppf([tail, 1 - tail], RUNS, risk)
         for epoch in CHECKED:  # episodes are independent, epochs of one are not
-            found = PositionErrors(risk)
-            found.add(errors[epoch], P[epoch])
-            for kind, figures in found.figures().items():
+            levels = PositionErrors(risk)
+            levels.add(errors[epoch], P[epoch])
+            for kind, figures in levels.figures().items():
                 assert low <= figures["exceeded"] <= high, (risk, epoch, kind)

@@ -18,7 +18,6 @@ from tests.filters.tracks import (
     pipeline_of,
     simulated,
     track,
-    unpacked,
 )
 
 EPOCHS = 60
@@ -90,47 +89,3 @@ def textbook_imm(episode, modes, transitions, nis_quantile=1.0, change=None):
             probability = change(t, probability)
         out.append((*textbook.combine(probability, x, P), probability))
     return [np.array(column) for column in zip(*out, strict=True)]
-
-
-def any_transition(modes):
-    """Rows of probabilities, one of them zero where every mode can be entered without it."""
-    matrix = np.random.default_rng(modes).dirichlet(np.full(modes, 0.7), modes)
-    if modes > 2:
-        matrix[0, -1] = 0.0
-    return matrix / matrix.sum(axis=1, keepdims=True)
-
-
-THREE = [("ekf", 0.3), ("ukf", 1.8), ("ckf", 4.0)]
-EIGHT = [(a, sigma_v) for sigma_v in (0.1, 0.4, 1.6, 6.4) for a in ("ekf", "ukf")]
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    ("tunings", "nis_quantile"),
-    [
-        (THREE[:2], 0.9),
-        (THREE, 1.0),
-        (EIGHT, 1.0),
-        (EIGHT, 0.999),
-    ],
-)
-def test_equals_textbook_mixture(tunings, nis_quantile):
-    plain = {"gate": None, "adaptive": False, "coupling": False}
-    modes = tuple(Mode(f"{a} {v}", a, sigma_v=v, **plain) for a, v in tunings)
-    transition = any_transition(len(modes))
-    episodes = simulated(4, epochs=30)
-    ours = imm_track(Pipeline(modes, Layout(3)), episodes, transition, nis_quantile)
-    for e, episode in enumerate(episodes):
-        drift = modes[0].sigma_b_mps * episode.hz_per_mps
-        Q = [
-            np.diag(np.square([0.1, 0.1, 0.02, sigma_v, sigma_v, 0.03, drift]))
-            for _, sigma_v in tunings
-        ]
-        per_mode = [(name, q) for (name, _), q in zip(tunings, Q, strict=True)]
-        x, P, probability = textbook_imm(episode, per_mode, [transition] * 30, nis_quantile)
-        sigma = np.sqrt(np.einsum("...ii->...i", P))
-        np.testing.assert_allclose((ours["x"][:, e] - x) / sigma, 0.0, atol=1e-8)
-        scale = sigma[..., :, None] * sigma[..., None, :]
-        np.testing.assert_allclose((unpacked(ours["P"][:, e]) - P) / scale, 0.0, atol=1e-8)
-        # ours keep weights of 1e-12, before they are made to sum to one
-        np.testing.assert_allclose(ours["probability"][:, e], probability, rtol=1e-7, atol=1e-9)

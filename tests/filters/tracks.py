@@ -118,22 +118,12 @@ class OwnModel:
         sigma = self.sigma * np.exp(self.fading * rng.standard_normal(shape))
         z = np.array([sensor.h(state) for state in x]) + sigma * rng.standard_normal(shape)
         z[:, sensor.angles] = np.remainder(z[:, sensor.angles] + np.pi, 2 * np.pi) - np.pi
-        return Episode(
-            name="own model",
-            scene_anchors_m=sensor.anchors,
-            hz_per_mps=sensor.hz_per_mps,
-            time_s=np.arange(epochs) * 1.0,
-            measurement=z,
-            sigma=sigma,
-            visible=rng.random((epochs, len(sensor.groups))) < self.detection,
-            snr_db=np.full((epochs, sensor.links), 30.0),
-            doppler_spread_hz=np.zeros(epochs),
-            prior_mean=self.start,
-            prior_covariance=np.diag(self.prior**2),
-            truth_position_m=x[:, :3],
-            truth_velocity_mps=x[:, 3:6],
-            layout=Layout(sensor.links, sensor.odometry),
-        )
+        visible = rng.random((epochs, len(sensor.groups))) < self.detection
+        received = visible, np.full((epochs, sensor.links), 30.0), np.zeros(epochs)
+        belief, truth = (self.start, np.diag(self.prior**2)), (x[:, :3], x[:, 3:6])
+        layout, where = Layout(sensor.links, sensor.odometry), (sensor.anchors, sensor.hz_per_mps)
+        times = np.arange(epochs) * 1.0
+        return Episode("own model", *where, times, z, sigma, *received, *belief, *truth, layout)
 
 
 def far_from_the_anchors(Q, **options):
@@ -155,8 +145,8 @@ def pipeline_of(layout=STREET, algorithms=("ekf", "ukf", "ckf"), planar=False, *
     return Pipeline(tuple(modes), layout, planar)
 
 
-def track(pipeline, episodes, actions, epochs, what, on_floats=False):
-    """Run an engine; ``what`` names parts of its workspace to keep, such as "memory.gamma".
+def track(pipeline, episodes, actions, epochs, parts, on_floats=False):
+    """Run an engine; ``parts`` names parts of its workspace to keep, such as "memory.gamma".
 
     Args:
         actions: (epochs, n) or (n,) modes to commit to.
@@ -168,26 +158,26 @@ def track(pipeline, episodes, actions, epochs, what, on_floats=False):
     actions = np.broadcast_to(actions, (epochs, n))
     engine = Engine(pipeline, n, TrackingReward(), on_floats=on_floats)
     engine.reset(episodes)
-    history = {name: [] for name in what if name != "P_predicted"}
+    history = {name: [] for name in parts if name != "P_predicted"}
     for action in actions:
         engine.step(action)
         for name, values in history.items():
             values.append(engine.read(attrgetter(name)(engine.at)))
-    found = {name: np.array(values) for name, values in history.items()}
-    if "P_predicted" in what:
+    arrays = {name: np.array(values) for name, values in history.items()}
+    if "P_predicted" in parts:
         tracker = Tracker(pipeline, n, on_floats=on_floats)
         tracker.load(episodes)
-        found |= tracker.run("P_predicted", actions=actions.T)
-        found["P_predicted"] = found["P_predicted"].swapaxes(0, 1)
-    return found
+        predicted = tracker.run("P_predicted", actions=actions.T)["P_predicted"]
+        arrays["P_predicted"] = predicted.swapaxes(0, 1)
+    return arrays
 
 
 def imm_track(pipeline, episodes, transition=None, nis_quantile=1.0):
     """x, P, probabilities and NEES of the mixture at every epoch (epochs, n, ...)."""
     names = {"x": "x", "P": "P", "nees": "nees", "probability": "mixture.probability"}
     imm = ImmEngine(pipeline, TrackingReward(), transition, nis_quantile)
-    found = imm.run(episodes, *names.values())
-    return {name: found[part].swapaxes(0, 1) for name, part in names.items()}
+    results = imm.run(episodes, *names.values())
+    return {name: results[part].swapaxes(0, 1) for name, part in names.items()}
 
 
 def unpacked(P):

@@ -10,11 +10,11 @@ import pytest
 from mmwave_env.models.radio import RADIOS
 from mmwave_env.models.random_scene import RandomScene
 from mmwave_env.models.scene import SCENES
-from mmwave_env.world.beginning import RECEIVER, USER
 from mmwave_env.world.episode import Episode, EpisodeBatch
 from mmwave_env.world.kinematics import Net, move, state_of
 from mmwave_env.world.mobility import mobilities_of, plans_of
 from mmwave_env.world.simulated import SimulatedSource
+from mmwave_env.world.simulation import RECEIVER, USER
 from mmwave_env.world.trajectory import Trajectory
 from mmwave_env.world.travel import attend, draw_phases, set_off, stride_of
 from tests.filters.tracks import around_a_block, geometry

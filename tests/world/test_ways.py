@@ -24,7 +24,9 @@ def straight(seconds, y=-80.0, speed=2.0, name="way"):
 
 def write(folder, ways, header="t,id,x,y,z"):
     """A file of ways by id, in the order of time as traffic simulators write them."""
-    pairs = [(i, row) for i, way in ways.items() for row in zip(way.time_s, way.position_m)]
+    pairs = [
+        (i, row) for i, way in ways.items() for row in zip(way.time_s, way.position_m, strict=True)
+    ]
     rows = [(t, i, *position) for i, (t, position) in pairs]
     path = folder / "ways.csv"
     path.write_text("\n".join([header, *(",".join(map(str, row)) for row in sorted(rows))]) + "\n")

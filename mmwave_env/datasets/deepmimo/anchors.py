@@ -131,14 +131,18 @@ def find_links(paths: StationPaths, position_m: Array) -> StationLinks:
         position_m: (E, 3) positions of the receivers.
 
     Raises:
-        ValueError: the numbers of a path contradict the positions of receiver and anchor; the
-            message names the file.
+        ValueError: the numbers of a path contradict the positions of receiver and anchor, or it
+            receives more power than was sent; the message names the file.
     """
     anchors, member = _anchors(paths, position_m)
     with np.errstate(all="ignore"):  # numbers beyond all bounds are refused below
         rows = _measure(paths, position_m, anchors, member)
         _require_geometry(paths, position_m, anchors, member, rows)
-    _require_loss(paths, member)
+    gain = (member >= 0) & (paths.gain_db > 0.0)
+    if gain.any():
+        n, p = np.argwhere(gain)[0].tolist()
+        expected = "a gain of at most 0 dB: are the numbers powers, not dB?"
+        paths.refuse("power", n, f"{paths.gain_db[n, p]:.4g} dB on path {p}", expected)
     return StationLinks(paths, anchors, member, rows)
 
 
@@ -157,13 +161,12 @@ def _anchors(paths: StationPaths, position_m: Array) -> tuple[Array, NDArray[np.
         image = q + away * back / np.linalg.norm(back, axis=-1, keepdims=True)
     nowhere = reflected & ~np.isfinite(image).all(axis=-1)
     if nowhere.any():
-        n, p = (int(i) for i in np.argwhere(nowhere)[0])
+        n, p = np.argwhere(nowhere)[0].tolist()
         paths.refuse("inter_pos", n, f"{q[n, p]}, the place", "a point away from it")
     anchors, images = [station], image[reflected]
-    leads = np.full(len(images), -1)
-    tree = cKDTree(images) if len(images) else None
+    leads, tree = np.full(len(images), -1), cKDTree(images)
     for i in range(len(images)):
-        if leads[i] < 0 and tree is not None:
+        if leads[i] < 0:
             near = np.array(tree.query_ball_point(images[i], TOLERANCE_M))
             near = np.sort(near[leads[near] < 0])
             leads[near] = len(anchors)
@@ -201,16 +204,7 @@ def _require_geometry(
     error[..., [1, 3]] *= np.cos(elevation)[..., None]  # at the zenith azimuths are undefined
     wrong = (member >= 0)[..., None] & ~(error <= _TOLERANCES)
     if wrong.any():
-        n, p, row = (int(i) for i in np.argwhere(wrong)[0])
+        n, p, row = np.argwhere(wrong)[0].tolist()
         key, seen_from = _ROW_KEYS[row], anchors[member[n, p]].round(4)
         expected = f"{exact[n, p, row]:.4f}, seen from the anchor {seen_from}"
         paths.refuse(key, n, f"{LINK[row]} {rows[n, p, row]:.4f} on path {p}", expected)
-
-
-def _require_loss(paths: StationPaths, member: NDArray[np.int_]) -> None:
-    """Refuse paths that receive more power than was sent."""
-    wrong = (member >= 0) & (paths.gain_db > 0.0)
-    if wrong.any():
-        n, p = (int(i) for i in np.argwhere(wrong)[0])
-        expected = "a gain of at most 0 dB: are the numbers powers, not dB?"
-        paths.refuse("power", n, f"{paths.gain_db[n, p]:.4g} dB on path {p}", expected)
