@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from mmwave_env.datasets.tracks import Received, Track, fields_of, numbers
+from mmwave_env.datasets.tracks import Received, Track, numbers
 from mmwave_env.models.radio import Radio
 from mmwave_env.numerics.numbers import Array
 
@@ -81,17 +81,9 @@ class MeasuredTrack(Track):
         """
         record = f"{cls.KIND} {name!r}"
         links = (range_m, aoa_azimuth_rad, aoa_elevation_rad, aod_azimuth_rad)
-        fields, snr = fields_of(
-            record,
-            name,
-            time_s,
-            anchors_m,
-            links,
-            ("snr_db", snr_db),
-            position_m,
-            velocity_mps,
-            (carrier_hz, bandwidth_hz),
-            doppler_hz,
+        strength, signal = ("snr_db", snr_db), (carrier_hz, bandwidth_hz)
+        fields, snr = cls._fields(
+            name, time_s, anchors_m, links, strength, (position_m, velocity_mps), signal, doppler_hz
         )
         spread = np.zeros(len(snr)) if doppler_spread_hz is None else doppler_spread_hz
         return cls(

@@ -12,7 +12,7 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import ArrayLike
 
-from mmwave_env.datasets.tracks import Received, Track, fields_of
+from mmwave_env.datasets.tracks import Received, Track
 from mmwave_env.models.measurement import range_rate, wrap_angles
 from mmwave_env.models.radio import Radio, doppler_spread, oscillator_bias
 from mmwave_env.numerics.numbers import Array
@@ -75,16 +75,9 @@ class Recording(Track):
                 names the array.
         """
         links = (range_m, aoa_azimuth_rad, aoa_elevation_rad, aod_azimuth_rad)
-        fields, gain = fields_of(
-            f"{cls.KIND} {name!r}",
-            name,
-            time_s,
-            anchors_m,
-            links,
-            ("path_gain_db", path_gain_db),
-            position_m,
-            velocity_mps,
-            (carrier_hz, bandwidth_hz),
+        strength, signal = ("path_gain_db", path_gain_db), (carrier_hz, bandwidth_hz)
+        fields, gain = cls._fields(
+            name, time_s, anchors_m, links, strength, (position_m, velocity_mps), signal
         )
         recording = cls(**fields, path_gain_db=gain)
         recording.add_doppler()

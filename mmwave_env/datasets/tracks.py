@@ -116,6 +116,61 @@ class Track(ABC):
             velocity_mps=velocity,
         )
 
+    @classmethod
+    def _fields(
+        cls,
+        name: str,
+        time_s: ArrayLike,
+        anchors_m: ArrayLike,
+        links: Sequence[ArrayLike],
+        strength: tuple[str, ArrayLike],
+        truth: tuple[ArrayLike, ArrayLike | None],
+        signal: tuple[float, float],
+        doppler_hz: ArrayLike | None = None,
+    ) -> tuple[dict[str, Any], Array]:
+        """Return the fields of every track, and the strengths of links (T, L), of a user's arrays.
+
+        Args:
+            name, time_s, anchors_m, doppler_hz: as the constructors ``from_arrays`` take them.
+            links: (T, L) arrays in the order of ``LINK``, NaN where not measured.
+            strength: name and values (T, L) of the strength of links.
+            truth: positions (T, 3), and velocities (T, 3) or None.
+            signal: carrier and bandwidth, Hz.
+
+        Raises:
+            ValueError: an array has another shape, or times do not increase.
+        """
+        record = f"{cls.KIND} {name!r}"
+        time = numbers(record, "time_s", time_s, (None,))
+        require_increasing(record, time)
+        T = len(time)
+        position = numbers(record, "position_m", truth[0], (T, 3))
+        if truth[1] is None:
+            velocity = velocity_of(time, position, GAP_S)
+        else:
+            velocity = numbers(record, "velocity_mps", truth[1], (T, 3))
+        anchors = numbers(record, "anchors_m", anchors_m, (None, 3))
+        layout = Layout(len(anchors))
+        rows = np.full((T, layout.size), np.nan)
+        for i, (link, values) in enumerate(zip(LINK, links, strict=True)):
+            rows[:, i : layout.doppler : 4] = numbers(record, link, values, (T, layout.anchors))
+        if doppler_hz is not None:
+            rows[:, layout.doppler] = numbers(record, "doppler_hz", doppler_hz, (T,))
+        wrap_angles(rows, layout)
+        strengths = numbers(record, *strength, (T, layout.anchors))
+        visible, _ = whole_groups(rows, np.isfinite(strengths), layout)
+        fields = {
+            "name": name,
+            "scene": scene_of_anchors(name, anchors, *signal),
+            "layout": layout,
+            "time_s": time,
+            "measurement": rows,
+            "visible": visible,
+            "position_m": position,
+            "velocity_mps": velocity,
+        }
+        return fields, strengths
+
     @property
     def record(self) -> str:
         """Return the kind and name of the track, for messages."""
@@ -214,9 +269,6 @@ class TrackSource:
         return self.track.episode(self.radio, rng, slice(start, start + self.epochs))
 
 
-# --- from arrays that a user has
-
-
 def numbers(record: str, field: str, values: ArrayLike, shape: tuple[int | None, ...]) -> Array:
     """Return a copy as an array of numbers of a shape, in which None is any length but 0."""
     try:
@@ -227,59 +279,3 @@ def numbers(record: str, field: str, values: ArrayLike, shape: tuple[int | None,
     if array.ndim != len(shape) or list(array.shape) != wanted:
         refuse(record, field, f"shape {array.shape}", f"shape {shape}".replace("None", "any"))
     return array
-
-
-def fields_of(
-    record: str,
-    name: str,
-    time_s: ArrayLike,
-    anchors_m: ArrayLike,
-    links: Sequence[ArrayLike],
-    strength: tuple[str, ArrayLike],
-    position_m: ArrayLike,
-    velocity_mps: ArrayLike | None,
-    signal: tuple[float, float],
-    doppler_hz: ArrayLike | None = None,
-) -> tuple[dict[str, Any], Array]:
-    """Return fields of a :class:`Track`, and the strengths of links (T, L), from a user's arrays.
-
-    Args:
-        record: kind and name, for messages.
-        name, time_s, anchors_m, position_m, velocity_mps, doppler_hz: as the constructors'
-            ``from_arrays`` take them.
-        links: (T, L) arrays in the order of ``LINK``, NaN where not measured.
-        strength: name and values (T, L) of the strength of links.
-        signal: carrier and bandwidth, Hz.
-
-    Raises:
-        ValueError: an array has another shape, or times do not increase.
-    """
-    time = numbers(record, "time_s", time_s, (None,))
-    require_increasing(record, time)
-    T = len(time)
-    position = numbers(record, "position_m", position_m, (T, 3))
-    if velocity_mps is None:
-        velocity = velocity_of(time, position, GAP_S)
-    else:
-        velocity = numbers(record, "velocity_mps", velocity_mps, (T, 3))
-    anchors = numbers(record, "anchors_m", anchors_m, (None, 3))
-    layout = Layout(len(anchors))
-    rows = np.full((T, layout.size), np.nan)
-    for i, (link, values) in enumerate(zip(LINK, links, strict=True)):
-        rows[:, i : layout.doppler : 4] = numbers(record, link, values, (T, layout.anchors))
-    if doppler_hz is not None:
-        rows[:, layout.doppler] = numbers(record, "doppler_hz", doppler_hz, (T,))
-    wrap_angles(rows, layout)
-    strengths = numbers(record, *strength, (T, layout.anchors))
-    visible, _ = whole_groups(rows, np.isfinite(strengths), layout)
-    fields = {
-        "name": name,
-        "scene": scene_of_anchors(name, anchors, *signal),
-        "layout": layout,
-        "time_s": time,
-        "measurement": rows,
-        "visible": visible,
-        "position_m": position,
-        "velocity_mps": velocity,
-    }
-    return fields, strengths

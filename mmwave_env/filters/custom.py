@@ -6,7 +6,6 @@ that they hide. So a trial takes milliseconds, knows the line that asked for a v
 a function that returns other values on lanes than on floats.
 """
 
-import inspect
 import linecache
 import math
 import os
@@ -101,7 +100,6 @@ def check_algorithm(mode: Mode, layout: Layout, known_axes: tuple[int, ...]) -> 
 
 @lru_cache(maxsize=64)
 def _check(mode: Mode, layout: Layout, known_axes: tuple[int, ...]) -> None:
-    _require_signature(mode)
     for trial in _trials(layout):
         probes = unflatten(trial, map(FloatTracer, flatten(trial)))
         on_lanes = _run(mode, layout, known_axes, probes)
@@ -145,18 +143,6 @@ def _error(mode: Mode, problem: str, line: Line | None, advice: str = "") -> Alg
     return AlgorithmError("\n".join(part for part in parts if part) + "\n")
 
 
-def _require_signature(mode: Mode) -> None:
-    try:
-        signature = inspect.signature(mode.update)
-    except ValueError:  # built-in: the call will tell which arguments it takes
-        return
-    try:
-        signature.bind("x", "P", "measurement", "gate")
-    except TypeError:
-        problem = f"takes {signature}, expected (x, P, measurement, gate)"
-        raise _error(mode, problem, begin_of(mode.update)) from None
-
-
 def _run(mode: Mode, layout: Layout, known_axes: tuple[int, ...], trial: _Trial) -> Any:
     """Run the algorithm on an epoch and return its result."""
     x, P, measured, force = unflatten(trial, iter(flatten(trial)))  # a copy
@@ -173,7 +159,8 @@ def _run(mode: Mode, layout: Layout, known_axes: tuple[int, ...], trial: _Trial)
         advice = f"{type(error).__name__}: {error}"
         if isinstance(force, FloatTracer) and isinstance(error, TypeError | AttributeError):
             advice = f"{advice}\n{_LANES_KNOW}"
-        raise _error(mode, "failed on trial", line_of(error, mode.update), advice) from error
+        line = line_of(error, mode.update) or begin_of(mode.update)  # another signature
+        raise _error(mode, "failed on trial", line, advice) from error
     for name, argument, old in zip(("x", "P", "measurement"), arguments, before, strict=True):
         new = flatten(argument)
         if len(new) != len(old) or any(a is not b for a, b in zip(new, old, strict=True)):

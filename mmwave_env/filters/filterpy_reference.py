@@ -106,16 +106,22 @@ class _Ekf:
         return _Filtered(f.x, f.P, f.y, f.S)
 
 
-class _Ukf:
-    def __init__(self) -> None:
-        self._points: Any = MerweScaledSigmaPoints(_STATES, alpha=1.0, beta=2.0, kappa=0.0)
-        self._filter: Any = UnscentedKalmanFilter(_STATES, 1, 1.0, None, None, self._points)
+class _PointFilter:
+    """A filter of filterpy with sigma points, which are relative to the mean."""
+
+    _filter: Any
 
     def predict(self, x: Array, P: Array, Q: Array, dt: float) -> tuple[Array, Array]:
         f, F = self._filter, textbook.F(dt)
-        f.x, f.P, f.Q = np.zeros(_STATES), P, Q
-        f.predict(fx=lambda dx, _: F @ (x + dx) - x)
-        return x + f.x, f.P
+        f.x, f.P, f.Q, f.fx = np.zeros_like(f.x), P, Q, lambda dx, _: F @ (x + dx) - x
+        f.predict()
+        return x + f.x.ravel(), f.P
+
+
+class _Ukf(_PointFilter):
+    def __init__(self) -> None:
+        self._points: Any = MerweScaledSigmaPoints(_STATES, alpha=1.0, beta=2.0, kappa=0.0)
+        self._filter = UnscentedKalmanFilter(_STATES, 1, 1.0, None, None, self._points)
 
     def update(self, P: Array, relative: _Relative, rows: Rows, R: Array) -> _Filtered:
         f = self._filter
@@ -125,18 +131,11 @@ class _Ukf:
         return _Filtered(f.x, f.P, f.y, f.S)
 
 
-class _Ckf:
+class _Ckf(_PointFilter):
     """The CKF of filterpy, which needs columns, a fixed number of rows and points of its caller."""
 
     def __init__(self) -> None:
-        self._filter: Any = CubatureKalmanFilter(_STATES, 1, 1.0, None, None)
-
-    def predict(self, x: Array, P: Array, Q: Array, dt: float) -> tuple[Array, Array]:
-        f, F = self._filter, textbook.F(dt)
-        f.x, f.P, f.Q = np.zeros((_STATES, 1)), P, Q
-        f.fx = lambda dx, _: F @ (x + dx) - x
-        f.predict()
-        return x + f.x.ravel(), f.P
+        self._filter = CubatureKalmanFilter(_STATES, 1, 1.0, None, None)
 
     def update(self, P: Array, relative: _Relative, rows: Rows, R: Array) -> _Filtered:
         f = self._filter

@@ -172,24 +172,12 @@ class SimulatedSource:
         for name, table, site in zip(batch.names, batch.table, batch.site, strict=True):
             columns = [np.ascontiguousarray(table[:, c]) for c in columns_of(self.layout)]
             rows: Any = Incoming._make(columns)
-            episodes.append(
-                Episode(
-                    name=name,
-                    scene_anchors_m=site[flatten(index.anchors)].reshape(-1, 3),
-                    hz_per_mps=scene.hz_per_mps,
-                    time_s=self.time_s,
-                    measurement=rows.z,
-                    sigma=np.abs(rows.signed_sigma),
-                    visible=rows.signed_sigma[:, starts] > 0.0,
-                    snr_db=rows.snr_db,
-                    doppler_spread_hz=rows.doppler_spread_hz,
-                    prior_mean=site[index.prior_x],
-                    prior_covariance=self.radio.prior_covariance(scene),
-                    truth_position_m=rows.truth[:, :3],
-                    truth_velocity_mps=rows.truth[:, 3:],
-                    layout=self.layout,
-                )
-            )
+            where = site[flatten(index.anchors)].reshape(-1, 3), scene.hz_per_mps, self.time_s
+            sigma, visible = np.abs(rows.signed_sigma), rows.signed_sigma[:, starts] > 0.0
+            received = rows.z, sigma, visible, rows.snr_db, rows.doppler_spread_hz
+            prior = site[index.prior_x], self.radio.prior_covariance(scene)
+            truth = rows.truth[:, :3], rows.truth[:, 3:]
+            episodes.append(Episode(name, *where, *received, *prior, *truth, self.layout))
         return episodes
 
     def scene_of(self, key: int) -> Scene:

@@ -171,7 +171,7 @@ RETURNS = {
     changed(x=lambda x: [math.nan, *x[1:]]): "returned x[0]: nan",
     changed(accepted=lambda a: [1.0 for _ in a]): "accepted[1]: 1",
     changed(P=lambda P: [[P[0][0] + 1.0] * 7, *P[1:]]): "P[1][0]",
-    too_few: "takes (x, P, gate)",
+    too_few: "takes 3 positional arguments",
 }
 
 

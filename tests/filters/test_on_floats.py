@@ -4,7 +4,6 @@ Engines run the same functions compiled; here no compiler is in between, so each
 takes a second at most.
 """
 
-
 import numpy as np
 import pytest
 from hypothesis import assume, given, settings
