@@ -14,7 +14,6 @@ from contextlib import contextmanager, nullcontext, redirect_stdout, suppress
 from io import TextIOWrapper
 from typing import Any, NoReturn
 
-from experiments.console import removed
 from experiments.console.signals import Ended, ended_by_signals, stopped_at_once
 
 GROUPS = {
@@ -44,7 +43,7 @@ GROUPS = {
         "speed": "steps per second beside filterpy's and the core's limit",
     },
 }
-COMMANDS = {name: what for group in GROUPS.values() for name, what in group.items()}
+COMMANDS = {name: about for group in GROUPS.values() for name, about in group.items()}
 SAME = {"evaluate": "compare"}  # aliases of commands
 SHELLS = ("bash", "zsh", "fish")  # shells for which tyro completes commands and options
 LONGEST_LINE = 2000  # most letters of a message
@@ -175,12 +174,11 @@ def _help() -> str:
     ]
     for group, commands in GROUPS.items():
         lines += ["", f"{group}:"]
-        for name, what in commands.items():
-            lines.append(f"  {name:12} {what}")
+        lines += [f"  {name:12} {about}" for name, about in commands.items()]
     return "\n".join(lines)
 
 
-def _tell_about() -> NoReturn:
+def _report() -> NoReturn:
     """Print versions, threads, kernels and their self-test as JSON; exit 1 if the test fails.
 
     Raises:
@@ -190,9 +188,9 @@ def _tell_about() -> NoReturn:
 
     from experiments.console.version import about
 
-    told = about()
-    print(json.dumps(told, indent=2))
-    sys.exit(0 if all(test["passed"] for test in told["self_test"]) else 1)
+    report = about()
+    print(json.dumps(report, indent=2))
+    sys.exit(0 if all(test["passed"] for test in report["self_test"]) else 1)
 
 
 def _complete(words: Sequence[str]) -> None:
@@ -234,10 +232,8 @@ def main() -> None:
         from mmwave_env.io.lookup import unknown
     if words[0] in ("-V", "--version"):
         if words[1:] == ["--json"]:
-            _tell_about()
+            _report()
         print(f"mmwave-loc {__version__}")
         return
-    gone = removed.COMMANDS.get(words[0])
-    message = f"{words[0]} is gone: {gone}" if gone else unknown("command", words[0], COMMANDS)
-    print(f"mmwave-loc: {_in_one_line(message)}", file=sys.stderr)
+    print(f"mmwave-loc: {_in_one_line(unknown('command', words[0], COMMANDS))}", file=sys.stderr)
     sys.exit(2)
