@@ -5,11 +5,10 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import cast
 
+from experiments.console.options import WorldArgs
+from experiments.evaluation.asked import source_of
 from experiments.evaluation.protocol import UNSEEN
-from mmwave_env.filters.modes import Mode
-from mmwave_env.task import task_from
 from mmwave_env.world.simulated import SimulatedSource
-from mmwave_env.world.ways import Scenario
 
 FORM = "SCENE:RADIO or SCENE:RADIO:DT, such as street:handset or o1:standard:0.1"
 
@@ -41,10 +40,10 @@ class Place:
         return f"{self.scene}:{self.radio}{rate}"
 
     def _refuse_unseen(self, scene: str, radio: str) -> None:
-        for what, name in (("scene", scene), ("radio", radio)):
+        for argument, name in (("scene", scene), ("radio", radio)):
             if name in UNSEEN:
                 raise ValueError(
-                    f"{what}: found {name!r}, expected one to train on: the benchmark keeps "
+                    f"{argument}: found {name!r}, expected one to train on: the benchmark keeps "
                     f"{', '.join(UNSEEN)} unseen"
                 )
 
@@ -53,13 +52,10 @@ class Place:
         """Return the name of the radio, which identifies its tuned modes and IMMs."""
         return self.source("mixed").radio.name
 
-    def source(self, scenario: Scenario) -> SimulatedSource:
+    def source(self, scenario: str) -> SimulatedSource:
         """Return the source of episodes of a scenario at the place."""
-        # A dummy mode, as filters do not matter here: it saves the warning about untuned modes.
-        task = task_from(
-            scenario=scenario, scene=self.scene, radio=self.radio, dt=self.dt, modes=[Mode("none")]
-        )
-        return cast(SimulatedSource, task.source)  # no recorded episodes were given
+        world = WorldArgs(scenario=scenario, scene=self.scene, radio=self.radio, dt=self.dt)
+        return cast(SimulatedSource, source_of(world))  # no recorded episodes were asked for
 
 
 def place_from(text: str) -> Place:
@@ -74,13 +70,7 @@ def place_from(text: str) -> Place:
         raise ValueError(f"places: found {text!r}, expected {FORM}")
     radio, *rate = rest
     try:
-        dt = float(rate[0]) if rate else 1.0
-    except ValueError:
-        raise ValueError(
-            f"places: {text}: dt: found {rate[0]!r}, expected a number of seconds"
-        ) from None
-    try:
-        return Place(scene, radio, dt)
+        return Place(scene, radio, *map(float, rate))
     except ValueError as error:
         raise ValueError(f"places: {text}: {error}") from error
 

@@ -60,7 +60,7 @@ def side_by_side(
                 line = cast(Connection, ready)  # the annotation of wait allows sockets
                 job, process = running[line]
                 try:
-                    kind, *told = line.recv()
+                    kind, *content = line.recv()
                 except (EOFError, OSError):
                     process.join()
                     raise ChildProcessError(
@@ -68,11 +68,11 @@ def side_by_side(
                         "--resume goes on with the run"
                     ) from None
                 if kind == "news":
-                    tell(job, News(*told))
+                    tell(job, News(*content))
                 elif kind == "refused":
-                    raise ValueError(f"seed {job.seed}: {told[0]}")
+                    raise ValueError(f"seed {job.seed}: {content[0]}")
                 else:
-                    (outcomes[job.seed],) = told
+                    (outcomes[job.seed],) = content
                     del running[line]
                     process.join()
     finally:

@@ -6,6 +6,7 @@ maximizes the mean of sum_a pi(a | s) (Q(s, a) - Q(s, 0)), with a small entropy 
 """
 
 from copy import deepcopy
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -35,11 +36,9 @@ class RolloutLearner:
             torch.from_numpy(part.astype(np.float32)) for part in normal
         )
         layers: list[nn.Module] = []
-        width = features
-        for neurons in hyper.hidden:
+        for width, neurons in pairwise((features, *hyper.hidden)):
             layers += [nn.Linear(width, neurons), nn.Tanh()]
-            width = neurons
-        last = nn.Linear(width, actions)
+        last = nn.Linear(hyper.hidden[-1], actions)
         with torch.no_grad():
             last.weight *= 0.1
             last.bias.zero_()
@@ -61,15 +60,15 @@ class RolloutLearner:
     @torch.no_grad()
     def greedy(self, observations: Observations) -> Index:
         """Return the most probable actions (n,) for observations (n, features)."""
-        found: Index = self._logits(observations).argmax(1).numpy()
-        return found
+        actions: Index = self._logits(observations).argmax(1).numpy()
+        return actions
 
     @torch.no_grad()
     def sampled(self, observations: Observations) -> Index:
         """Draw actions (n,) by their probabilities, for observations (n, features)."""
         probabilities = torch.softmax(self._logits(observations), 1)
-        found: Index = torch.multinomial(probabilities, 1)[:, 0].numpy()
-        return found
+        actions: Index = torch.multinomial(probabilities, 1)[:, 0].numpy()
+        return actions
 
     def remember(self, tried: Tried) -> None:
         """Add states to the memory, in place of the oldest."""
@@ -93,7 +92,7 @@ class RolloutLearner:
         hyper, filled = self._hyper, min(self._seen, len(self._gains))
         for group in self._optimizer.param_groups:
             group["lr"] = hyper.learning_rate * left
-        told = np.zeros(3)
+        sums = np.zeros(3)
         for _ in range(hyper.gradient_steps):
             some = torch.randint(filled, (hyper.batch_size,))
             gains = self._gains[some]
@@ -105,16 +104,19 @@ class RolloutLearner:
             self._optimizer.zero_grad()
             loss.backward()  # type: ignore[no-untyped-call]
             self._optimizer.step()
-            told += expected.item(), gains.amax(1).mean().item(), entropy.item()
+            sums += expected.item(), gains.amax(1).mean().item(), entropy.item()
         names = ("gain/expected", "gain/possible", "entropy")
-        return dict(zip(names, (told / hyper.gradient_steps).tolist(), strict=True))
+        return dict(zip(names, (sums / hyper.gradient_steps).tolist(), strict=True))
 
     def state(self) -> dict[str, Any]:
         """Return all state that the future depends on, for :meth:`restore`."""
         return {
-            "network": self.network.state_dict(), "optimizer": self._optimizer.state_dict(),
-            "observations": self._observations, "gains": self._gains, "seen": self._seen,
-        }  # fmt: skip
+            "network": self.network.state_dict(),
+            "optimizer": self._optimizer.state_dict(),
+            "observations": self._observations,
+            "gains": self._gains,
+            "seen": self._seen,
+        }
 
     def restore(self, state: dict[str, Any]) -> None:
         """Restore the learner, bit by bit, to the :meth:`state` of another."""

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import torch
 
-from experiments.training.actor import folded, layer_tensors
+from experiments.training.actor import actor_tensors
 from experiments.training.checkpoint import going_on_from, with_arrays
 from experiments.training.hyperparameters import RolloutHyperparameters, falling
 from experiments.training.job import Job, News, Tell
@@ -60,7 +60,7 @@ class RolloutTraining:
             while stand["timesteps"] < job.timesteps:
                 figures = self._update()
                 if stand["update"] % EVALUATE == 0 or stand["timesteps"] >= job.timesteps:
-                    actor = folded(layer_tensors(self.learner.network), self._normal)
+                    actor = actor_tensors(self.learner.network, self._normal)
                     figures |= record.evaluate(actor, self.env.observation)
                 log.write(figures | {"seconds": record.seconds}, {}, stand["timesteps"])
                 if stand["update"] % job.checkpoint_every == 0:

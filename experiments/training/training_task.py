@@ -34,7 +34,8 @@ class TrainingTask:
     beliefs: str = "shared"
 
     def __post_init__(self) -> None:
-        tables = [self._table(place) for place in self.places]
+        tasks = [task_from(**self.arguments(p), reward=self.reward) for p in self.places]
+        tables = [Observation(t.pipeline, self.observation, self.beliefs) for t in tasks]
         for place, table in zip(self.places, tables, strict=True):
             if table.columns != tables[0].columns:
                 raise ValueError(
@@ -52,13 +53,13 @@ class TrainingTask:
         """Return the arguments of the environment at a place, without the reward."""
         bank = self.banks[place.profile]
         return {
-            "scenario": self.scenario, "scene": place.scene, "radio": place.radio, "dt": place.dt,
-            "beliefs": self.beliefs, "modes": bank if self.beliefs == "per-mode" else bank.modes,
-        }  # fmt: skip
-
-    def _table(self, place: Place) -> Observation:
-        task = task_from(**self.arguments(place), reward=self.reward)
-        return Observation(task.pipeline, self.observation, self.beliefs)
+            "scenario": self.scenario,
+            "scene": place.scene,
+            "radio": place.radio,
+            "dt": place.dt,
+            "beliefs": self.beliefs,
+            "modes": bank if self.beliefs == "per-mode" else bank.modes,
+        }
 
 
 def banks_of(modes: Sequence[str], places: Sequence[Place], beliefs: str) -> dict[str, Bank]:

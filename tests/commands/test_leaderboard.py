@@ -4,7 +4,7 @@ import json
 
 import pytest
 
-from experiments.evaluation.protocol import entry, judge, venues
+from experiments.evaluation.protocol import entry, judge, sites
 from experiments.leaderboard import Args
 from tests.cli import assert_one_clear_line, command, succeed
 from tests.paths import ROOT
@@ -17,7 +17,7 @@ def entries(tmp_path_factory):
     """A folder with entries of two contenders, of few episodes."""
     folder = tmp_path_factory.mktemp("entries")
     names = ["imm-best", "speed-rule"]
-    judged = [judge(names, venue, 2, 0) for venue in venues()]
+    judged = [judge(names, site, 2, 0) for site in sites()]
     for name in names:
         (folder / f"{name}.json").write_text(json.dumps(entry(name, judged)))
     return folder
@@ -32,7 +32,7 @@ def test_entries_are_ranked_and_a_page_is_renewed(entries, tmp_path):
     shown = succeed("leaderboard", "--out", entries, "--docs", page)
     best = "| imm-best | 2 / 2 (too few) | 0.000 [0.000, 0.000]"
     assert shown.index(best) < shown.index("| speed-rule | 2 / 2 (too few) | -")
-    assert all(f"| {venue.name} | " in shown for venue in venues())
+    assert all(f"| {site.name} | " in shown for site in sites())
     for line in shown.splitlines():
         assert line in page.read_text()
 
@@ -72,8 +72,8 @@ def test_an_entry_of_too_few_episodes_comes_last_and_is_marked(episodes, draws, 
     folder = ROOT / "docs" / "leaderboard"
     good, poor = (json.loads((folder / f"{name}.json").read_text()) for name in (GOOD, POOR))
     (tmp_path / "full.json").write_text(json.dumps(poor))
-    for venue in good["venues"].values():
-        venue["episodes"] = draws if venue["kind"] == "recorded" else episodes
+    for site in good["venues"].values():
+        site["episodes"] = draws if site["kind"] == "recorded" else episodes
     (tmp_path / "a-short.json").write_text(json.dumps(good | {"entry": "short"}))
     shown = succeed("leaderboard", "--out", tmp_path)
     full, short = f"| {POOR} | 2000 / 200 | ", f"| short | {episodes} / {draws} (too few) | "

@@ -5,8 +5,7 @@ from dataclasses import fields
 import numpy as np
 import pytest
 
-from experiments.training.search_space import best_bank_of, rows_as_softmax, search_space
-from experiments.training.tune_banks import START
+from experiments.training.tune_banks import START, best_bank_of, rows_as_softmax, search_space
 from mmwave_env.filters.bank import bank_as_written, bank_in, best_bank
 from mmwave_env.filters.imm import stay_matrix
 from mmwave_env.models.radio import RADIOS
