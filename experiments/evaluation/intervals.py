@@ -92,8 +92,12 @@ def bootstrap(values: Array, seed: int = 0) -> list[Interval]:
     low = high = np.full(values.shape[1], np.nan)
     if len(values) > 1:
         low, high = np.percentile(_resampled_means(values, seed), [2.5, 97.5], axis=0)
-    columns = zip(values.mean(axis=0), low, high, strict=True)
-    return [Interval(float(m), float(a), float(b)) for m, a, b in columns]
+    return _intervals(values.mean(axis=0), low, high)
+
+
+def _intervals(*columns: Array) -> list[Interval]:
+    """Return intervals of means, lower and upper ends (k,)."""
+    return [Interval(*row) for row in np.transpose(columns).tolist()]
 
 
 def bootstrap_ratio(over: Array, under: Array, seed: int = 0) -> list[Interval]:
@@ -104,14 +108,13 @@ def bootstrap_ratio(over: Array, under: Array, seed: int = 0) -> list[Interval]:
 
     def ratios(means: Array) -> Array:
         above, below = np.split(means, 2, axis=-1)
-        found = np.full(above.shape, np.nan)
-        np.divide(above, below, out=found, where=below != 0.0)
-        return found
+        quotients = np.full(above.shape, np.nan)
+        np.divide(above, below, out=quotients, where=below != 0.0)
+        return quotients
 
     both = np.concatenate([over, under], axis=1)
     low, high = np.percentile(ratios(_resampled_means(both, seed)), [2.5, 97.5], axis=0)
-    columns = zip(ratios(both.mean(axis=0)), low, high, strict=True)
-    return [Interval(float(m), float(a), float(b)) for m, a, b in columns]
+    return _intervals(ratios(both.mean(axis=0)), low, high)
 
 
 def few_seeds_factor(seeds: int) -> float:
