@@ -42,12 +42,10 @@ def main(args: Args) -> None:
         for name in RECORDINGS
     ]
     tables, everything, made = [], {}, provenance("demo", args)
-    for one in runs:
-        what = (
-            f"{one.data or 'mixed'}: {len(all_contenders(one))} policies, {one.episodes} episodes"
-        )
-        note(f"{what} each")
-        result, text, content, _ = results(one, all_contenders(one))
+    for options in runs:
+        title = f"{options.data or 'mixed'}: {len(all_contenders(options))} policies, {options.episodes} episodes"
+        note(f"{title} each")
+        result, text, content, _ = results(options, all_contenders(options))
         show(str(replace(result, paired={})))
         tables.append(text)
         everything[result.scenario] = made | content

@@ -51,7 +51,7 @@ def _play(args: Args) -> None:
 def main(args: Args) -> None:
     """Run the command."""
     from experiments.console.doc_pages import page_to_renew, renewed
-    from experiments.console.tables import grid, show
+    from experiments.console.tables import show
     from experiments.evaluation.protocol import DRAWS, EPISODES, by_site, ranking, read_entry
     from mmwave_env.io.files import write_text
 
@@ -64,8 +64,7 @@ def main(args: Args) -> None:
     entries = [read_entry(path) for path in sorted(args.out.glob("*.json"))]
     if not entries:
         raise ValueError(f"out: found no entries in {args.out}; --policies makes some")
-    ranked = ranking(entries, EPISODES, DRAWS)
-    tables = {"leaderboard": grid(*ranked), "venues": grid(*by_site(entries))}
+    tables = {"leaderboard": ranking(entries, EPISODES, DRAWS), "venues": by_site(entries)}
     show("\n\n".join(tables.values()))
     if args.docs:
         write_text(args.docs, renewed(page, tables))

@@ -45,7 +45,6 @@ GROUPS = {
 }
 COMMANDS = {name: about for group in GROUPS.values() for name, about in group.items()}
 SAME = {"evaluate": "compare"}  # aliases of commands
-SHELLS = ("bash", "zsh", "fish")  # shells for which tyro completes commands and options
 LONGEST_LINE = 2000  # most letters of a message
 
 
@@ -199,9 +198,6 @@ def _complete(words: Sequence[str]) -> None:
     Raises:
         SystemExit: always.
     """
-    if len(words) < 2 or words[1] not in SHELLS:
-        print(f"mmwave-loc: {words[0]}: expected one of {', '.join(SHELLS)}", file=sys.stderr)
-        sys.exit(2)
     import tyro
 
     from experiments.console.parser import described

@@ -71,17 +71,17 @@ def self_test() -> list[dict[str, Any]]:
         "a belief per mode": lambda: _deviation(_stepped(own, episodes, False), on_floats),
         "interacting multiple models": lambda: _deviation(_imm(own, episodes), on_floats),
     }
-    found = {name: test() for name, test in tests.items()}
+    deviations = {name: test() for name, test in tests.items()}
     return [
         {"kernel": name, "deviation": deviation, "passed": deviation <= TOLERANCE}
-        for name, deviation in found.items()
+        for name, deviation in deviations.items()
     ]
 
 
-def _deviation(found: Array, expected: Array) -> float:
+def _deviation(computed: Array, expected: Array) -> float:
     """Return the largest difference, relative to the size of the numbers in a column."""
     size = np.maximum(np.abs(expected).max(axis=tuple(range(expected.ndim - 1))), 1.0)
-    return float((np.abs(found - expected) / size).max())
+    return float((np.abs(computed - expected) / size).max())
 
 
 def _episodes(task: Task, episodes: EpisodeBatch) -> float:
@@ -89,15 +89,15 @@ def _episodes(task: Task, episodes: EpisodeBatch) -> float:
     source = task.simulated
     begun, world = source.begin(_KEYS), source.world
     settings, blank = source.feed(begun.worlds).settings[:, 0], np.zeros(world.ends[0])
-    (observed, happened, moved), found = world.parts, []
+    (observed, happened, moved), computed = world.parts, []
     for kept in begun.worlds:
         w = unflatten(world.template, iter(np.concatenate([blank, settings, kept]).tolist()))
         for dt in source.steps_s:
             w = observed(w)
             for _ in range(int(w.settings.stride)):
                 w = moved(happened(w))
-            found.append(flatten(w.measured._replace(dt=dt)))
-    return _deviation(np.array(found), episodes.table.reshape(len(found), -1))
+            computed.append(flatten(w.measured._replace(dt=dt)))
+    return _deviation(np.array(computed), episodes.table.reshape(len(computed), -1))
 
 
 def _stepped(task: Task, episodes: EpisodeBatch, on_floats: bool) -> Array:
@@ -118,5 +118,5 @@ def _imm(task: Task, episodes: EpisodeBatch) -> Array:
     bank = task.bank
     assert bank is not None
     imm = ImmEngine(task.pipeline, TrackingReward(), bank.transition, bank.nis_quantile)
-    found: Array = imm.run(episodes, "x")["x"]
-    return found.swapaxes(0, 1)
+    beliefs: Array = imm.run(episodes, "x")["x"]
+    return beliefs.swapaxes(0, 1)

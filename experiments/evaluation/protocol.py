@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from experiments.console.options import WorldArgs
-from experiments.console.tables import Table
+from experiments.console.tables import grid
 from experiments.evaluation.asked import source_of
 from experiments.evaluation.contenders import BEST_IMM, contender_from, contenders
 from experiments.evaluation.intervals import Interval, bootstrap
@@ -184,8 +184,8 @@ def standing(figures: dict[str, Any]) -> str:
     return "below" if any(high < 0.0 for _, high in intervals) else "level"
 
 
-def ranking(entries: Sequence[Mapping[str, Any]], episodes: int, draws: int) -> Table:
-    """Rank all entries by their mean gain at the sites to train in.
+def ranking(entries: Sequence[Mapping[str, Any]], episodes: int, draws: int) -> str:
+    """Return a Markdown table of all entries, ranked by their mean gain at the sites to train in.
 
     Entries with too few episodes come last and are marked, as luck would decide their rank.
 
@@ -204,16 +204,16 @@ def ranking(entries: Sequence[Mapping[str, Any]], episodes: int, draws: int) -> 
         for kind in KINDS:
             stands = [standing(site) for site in at if site["kind"] == kind]
             counts = [str(stands.count(where)) for where in ("above", "level", "below")]
-            cells += [str(Interval.of(gains[kind])), " / ".join(counts)]
+            cells += [Interval.of(gains[kind]), " / ".join(counts)]
         rows.append((short, -gains[TRAINED]["mean"], cells))
     header = ["entry", "episodes / draws"]
     for kind in KINDS:
         header += [f"{kind}: minus imm-best", "above / level / below every IMM"]
-    return Table(header, [cells for *_, cells in sorted(rows, key=lambda row: row[:2])])
+    return grid(header, [cells for *_, cells in sorted(rows, key=lambda row: row[:2])])
 
 
-def by_site(entries: Sequence[Mapping[str, Any]]) -> Table:
-    """Return the reward of entries minus that of the best IMM of each site.
+def by_site(entries: Sequence[Mapping[str, Any]]) -> str:
+    """Return a Markdown table of rewards minus that of the best IMM of each site.
 
     Files, such as the single trainings of a run, and the IMMs are left out where there are other
     entries; the ranking has them.
@@ -229,4 +229,4 @@ def by_site(entries: Sequence[Mapping[str, Any]]) -> Table:
             best = min(gains, key=lambda imm: gains[imm]["mean"])
             cells.append(f"{Interval.of(gains[best])} ({best})")
         rows.append(cells)
-    return Table(["venue", *shown], rows)
+    return grid(["venue", *shown], rows)

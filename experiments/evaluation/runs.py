@@ -13,11 +13,6 @@ from experiments.evaluation.intervals import Interval
 from mmwave_env.io.files import read_json, read_text, told
 
 
-def is_number(value: Any) -> bool:
-    """Tell whether a value is a finite number."""
-    return isinstance(value, int | float) and math.isfinite(value)
-
-
 def require_outcome(outcome: Mapping[str, Any]) -> None:
     """Refuse a value that is not the outcome of a training.
 
@@ -25,7 +20,7 @@ def require_outcome(outcome: Mapping[str, Any]) -> None:
         ValueError, KeyError, TypeError, AttributeError: a part is missing or wrong.
     """
     best, beat = outcome["best"], outcome.get("beat_rule")
-    numbers = [outcome["seed"], best["reward"], best["timesteps"]]
+    numbers = [outcome["seed"], outcome["seconds"], best["reward"], best["timesteps"]]
     if beat:
         numbers += [beat["timesteps"], beat["seconds"]]
     for key, gain in best.items():
@@ -33,7 +28,7 @@ def require_outcome(outcome: Mapping[str, Any]) -> None:
             interval = Interval.of(gain)
             numbers += [interval.mean, *((interval.low, interval.high) if gain["ci95"] else ())]
     for value in numbers:
-        if not is_number(value):
+        if not (isinstance(value, int | float) and math.isfinite(value)):
             raise ValueError(f"found {value!r}, expected a number")
 
 

@@ -9,10 +9,10 @@ from typing import Any, cast
 
 import numpy as np
 
+from experiments.console.options import TUNING_SEED
 from mmwave_env.world.episode import Episode, EpisodeSource
 from mmwave_env.world.keys import Keys, keys_of
 
-TUNING_SEED = 5_000_000
 TRAINING_SEED = 10_000_000  # first seed of the first training; each training has a million
 SEEDS_EACH = 1_000_000
 

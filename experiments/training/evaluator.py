@@ -9,10 +9,11 @@ from typing import Any
 
 import numpy as np
 
+from experiments.console.options import TUNING_SEED
 from experiments.evaluation.contenders import Contender, contender_from
 from experiments.evaluation.intervals import Interval, bootstrap
 from experiments.evaluation.runner import Scores, score
-from experiments.evaluation.seeds import TUNING_SEED, draw_episodes
+from experiments.evaluation.seeds import draw_episodes
 from experiments.training.places import Place, shares
 from experiments.training.training_task import TrainingTask
 from mmwave_env.numerics.numbers import Array

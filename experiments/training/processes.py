@@ -10,7 +10,7 @@ from multiprocessing.process import BaseProcess
 from typing import Any, cast
 
 from experiments.console.signals import ended_by_signals
-from experiments.evaluation.runs import is_number, require_outcome
+from experiments.evaluation.runs import require_outcome
 from experiments.training.hyperparameters import PpoHyperparameters
 from experiments.training.job import Job, News, Tell
 from experiments.training.ppo import PpoTraining
@@ -126,12 +126,10 @@ def _outcome(job: Job[Any]) -> Outcome:
         ValueError: the file holds something else.
     """
 
-    def checked(found: Outcome) -> Outcome:
-        require_outcome(found)
-        if found["seed"] != job.seed:
-            raise ValueError(f"seed: found {found['seed']}, expected {job.seed}")
-        if not is_number(found["seconds"]):
-            raise ValueError(f"seconds: found {found['seconds']!r}, expected a number")
-        return found
+    def checked(outcome: Outcome) -> Outcome:
+        require_outcome(outcome)
+        if outcome["seed"] != job.seed:
+            raise ValueError(f"seed: found {outcome['seed']}, expected {job.seed}")
+        return outcome
 
     return read_json(job.outcome, "the outcome of a training", checked)

@@ -59,9 +59,12 @@ def training_task(args: TaskArgs) -> TrainingTask:
     """Return the task that options describe.
 
     Raises:
-        ValueError: unknown place, mode or reward.
+        ValueError: a place, mode or reward is unknown, a place is named twice, or both a radio
+            and places are named.
     """
-    places = places_of(args)
+    places = places_from(args.places) if args.places else (Place("street", args.radio),)
+    if args.places and args.radio != TaskArgs.radio:
+        raise ValueError(f"radio: found {args.radio!r} beside places, which bring theirs")
     banks = banks_of(args.modes, places, args.beliefs)
     return TrainingTask(args.scenario, places, banks, args.observation, rewards(args), args.beliefs)
 
@@ -87,19 +90,6 @@ def hyperparameters(args: TaskArgs, places: int, path: Path | None = None) -> Hy
     if isinstance(hyper, PpoHyperparameters):
         return replace(hyper, paired=hyper.paired or args.reward == "paired")
     return hyper  # rollouts learn from differences, where the IMM's reward would cancel
-
-
-def places_of(args: TaskArgs) -> tuple[Place, ...]:
-    """Return the places to train in.
-
-    Raises:
-        ValueError: a place is unknown or named twice, or both a radio and places are given.
-    """
-    if not args.places:
-        return (Place("street", args.radio),)
-    if args.radio != TaskArgs.radio:
-        raise ValueError(f"radio: found {args.radio!r} beside places, which bring theirs")
-    return places_from(args.places)
 
 
 def manifest_of(args: "Args", banks: Mapping[str, Bank], hyper: Hyperparameters) -> dict[str, Any]:

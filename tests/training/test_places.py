@@ -30,7 +30,7 @@ def test_a_word_names_street_radio_and_rate():
 def test_the_street_is_where_the_environment_is_without_a_scene():
     """Bit for bit, or trainings on record would not come out again."""
     episode = Place("street", "handset").source("mixed").sample(np.random.default_rng(10_000_000))
-    expected = module.task_from().source.sample(np.random.default_rng(10_000_000))
+    expected = task_from().source.sample(np.random.default_rng(10_000_000))
     np.testing.assert_array_equal(episode.measurement, expected.measurement)
 
 
