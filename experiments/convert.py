@@ -65,9 +65,6 @@ def main(args: Args) -> None:
     for path, ending in ((args.model, ".zip"), (args.policy, ".safetensors")):
         if path.suffix != ending:
             raise ValueError(f"{path}: found another ending, expected {ending}")
-    for path in (args.model, *filter(None, [args.normalize])):
-        if not path.is_file():
-            raise FileNotFoundError(f"{path}: found no file, expected what Stable-Baselines3 saved")
     require_writable(args.policy)
     task = task_from(
         scenario=args.scenario, radio=args.radio, modes=args.modes or None, beliefs=args.beliefs

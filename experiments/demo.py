@@ -36,16 +36,14 @@ def main(args: Args) -> None:
     from experiments.reporting.webpage.page import page_of
     from mmwave_env.io.files import write_json, write_text
 
-    runs = [EpisodeArgs(episodes=args.episodes, percentiles=args.percentiles)]
-    runs += [
-        EpisodeArgs(data=name, episodes=args.draws, percentiles=args.percentiles)
-        for name in RECORDINGS
-    ]
+    runs = [EpisodeArgs(episodes=args.episodes)]
+    runs += [EpisodeArgs(data=name, episodes=args.draws) for name in RECORDINGS]
     tables, everything, made = [], {}, provenance("demo", args)
-    for options in runs:
-        title = f"{options.data or 'mixed'}: {len(all_contenders(options))} policies, {options.episodes} episodes"
-        note(f"{title} each")
-        result, text, content, _ = results(options, all_contenders(options))
+    for run in runs:
+        options = replace(run, percentiles=args.percentiles)
+        names = all_contenders(options)
+        note(f"{options.data or 'mixed'}: {len(names)} policies, {options.episodes} episodes each")
+        result, text, content, _ = results(options, names)
         show(str(replace(result, paired={})))
         tables.append(text)
         everything[result.scenario] = made | content

@@ -31,21 +31,18 @@ class Place:
     dt: float = 1.0
 
     def __post_init__(self) -> None:
-        self._refuse_unseen(self.scene, self.radio)
         source = self.source("mixed")
-        self._refuse_unseen(source.scene.name, source.radio.name)  # the names inside JSON files
-
-    def __str__(self) -> str:
-        rate = "" if self.dt == 1.0 else f":{self.dt:g}"
-        return f"{self.scene}:{self.radio}{rate}"
-
-    def _refuse_unseen(self, scene: str, radio: str) -> None:
-        for argument, name in (("scene", scene), ("radio", radio)):
+        # The names inside JSON files count.
+        for argument, name in (("scene", source.scene.name), ("radio", source.radio.name)):
             if name in UNSEEN:
                 raise ValueError(
                     f"{argument}: found {name!r}, expected one to train on: the benchmark keeps "
                     f"{', '.join(UNSEEN)} unseen"
                 )
+
+    def __str__(self) -> str:
+        rate = "" if self.dt == 1.0 else f":{self.dt:g}"
+        return f"{self.scene}:{self.radio}{rate}"
 
     @cached_property
     def profile(self) -> str:

@@ -5,7 +5,6 @@ import json
 import pytest
 
 from experiments.evaluation.protocol import entry, judge, sites
-from experiments.leaderboard import Args
 from tests.cli import assert_one_clear_line, command, succeed
 from tests.paths import ROOT
 
@@ -78,9 +77,3 @@ def test_an_entry_of_too_few_episodes_comes_last_and_is_marked(episodes, draws, 
     shown = succeed("leaderboard", "--out", tmp_path)
     full, short = f"| {POOR} | 2000 / 200 | ", f"| short | {episodes} / {draws} (too few) | "
     assert shown.index(full) < shown.index(short)
-
-
-def test_the_episodes_of_a_full_entry_are_those_of_the_page_and_of_the_command():
-    page = (ROOT / "docs" / "benchmark.md").read_text("utf-8")
-    said = f"{Args.episodes} a simulated street, {Args.draws} draws of receiver noise a recording"
-    assert said in page

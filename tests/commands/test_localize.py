@@ -74,11 +74,6 @@ def test_without_a_speed_the_mode_is_chosen_in_every_epoch():
     assert told.returncode == 0 and told.stdout == asked.stdout
 
 
-def test_files_are_looked_at_before_the_question():
-    done = command("localize", *options("missing.csv"))
-    assert done.returncode == 2 and "missing.csv" in done.stderr and "speed" not in done.stderr
-
-
 # --- the figures
 
 
@@ -192,14 +187,6 @@ def test_truth_is_for_scores_alone(tmp_path):
     assert scored["truth"]["risk"] == 0.2
     found = figures(RIDE, "--speed", "auto", "--out", without, truth=False)
     assert with_truth.read_bytes() == without.read_bytes() and "truth" not in found
-
-
-def test_a_truth_of_few_epochs_is_warned_of(tmp_path):
-    truth, few = read_tum(RIDE / "truth.tum"), tmp_path / "few.tum"
-    few.write_text(tum_lines(truth.time_s[:20], truth.position_m[:20]))
-    given = options(RIDE / "log.csv", "--speed", "10", "--truth", few, folder=RIDE)
-    said = command("localize", *given).stderr
-    assert "few.tum: found a true position for 20 of the log's 120 epochs" in said
 
 
 def test_epochs_before_the_first_line_of_sight_are_counted(capsys, tmp_path):

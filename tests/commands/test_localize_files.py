@@ -89,17 +89,6 @@ def test_what_is_no_file_is_refused_before_it_is_read(tmp_path, option):
 HOSTILE = "a|b `c` <img src=x> [d](http://e) $f$ *g*"
 
 
-def test_a_name_of_a_mode_is_shown_letter_by_letter_and_breaks_no_table(tmp_path):
-    modes = tmp_path / "m.json"
-    modes.write_text(json.dumps({"modes": [{"name": HOSTILE}, {"name": "ukf"}]}))
-    done = command("localize", RIDE / "log.csv", "--scene", RIDE / "scene.json", "--speed", "auto",
-                   "--modes", modes, "--plot", tmp_path / "t.svg")  # fmt: skip
-    assert done.returncode == 0, done.stderr
-    shown = r"a\|b \`c\` \<img src=x> [d\](http://e) \$f\$ \*g\*"
-    assert shown in done.stdout
-    assert (tmp_path / "t.svg").stat().st_size > 1000
-
-
 @pytest.mark.parametrize("name", ["a\nb", "e\x1b]0;owned\x07", "\ud800", "x" * 81, "", 7])
 @pytest.mark.parametrize("kind", ["modes", "scene"])
 def test_a_name_that_is_none_is_refused_by_file_and_key(tmp_path, kind, name):
@@ -116,13 +105,3 @@ def test_a_name_that_is_none_is_refused_by_file_and_key(tmp_path, kind, name):
         done, f"{kind}.json: .*name.*: found .*expected 1 to 80 printable letters"
     )
     assert len(done.stderr) < 1000
-
-
-def test_a_scene_is_called_as_its_file_whatever_that_is(tmp_path):
-    for name in ("x" * 200, "a\nb\x1b[31m"):
-        scene = tmp_path / f"{name}.json"
-        content = json.loads((RIDE / "scene.json").read_text())
-        content.pop("name", None)
-        scene.write_text(json.dumps(content))
-        done = command("localize", RIDE / "log.csv", "--scene", scene, "--speed", "9")
-        assert done.returncode == 0, done.stderr

@@ -10,7 +10,6 @@ import time
 import pytest
 
 from experiments.sweeping.on_ray import RETRIES, computed, connected
-from experiments.sweeping.spec import read_spec
 from experiments.training.hyperparameters import read_hyperparameters
 from tests.cli import assert_one_clear_line, command, environment, succeed
 from tests.paths import ROOT
@@ -148,20 +147,6 @@ def test_a_sweep_that_is_killed_or_interrupted_goes_on_and_leaves_no_process(tmp
     assert 2 <= len(there) < 8
     succeed("sweep", file, "--out", out)
     assert len(rows(out)) == 8 and {p: p.stat().st_mtime_ns for p in there} == there
-
-
-@pytest.mark.slow
-def test_the_page_is_right(tmp_path, monkeypatch, capsys):
-    page = (ROOT / "docs" / "sweep.md").read_text("utf-8")
-    example, *others = re.findall(r"^```toml\n(.*?)^```", page, re.DOTALL | re.MULTILINE)
-    (code,) = re.findall(r"^```python\n(.*?)^```", page, re.DOTALL | re.MULTILINE)
-    assert (ROOT / "examples" / "sweep.toml").read_text("utf-8").endswith(example)
-    assert [len(read_spec(written(tmp_path, text))) for text in others] == [6, 20]
-    (tmp_path / "sweep.toml").write_text(example.replace("50", "5"))
-    succeed("sweep", "sweep.toml", cwd=tmp_path)
-    monkeypatch.chdir(tmp_path)
-    exec(compile(code, "sweep.md", "exec"), {})
-    assert capsys.readouterr().out.count("nearer than the UKF") == 2
 
 
 TRAIN = """

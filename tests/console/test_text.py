@@ -83,11 +83,6 @@ def test_markdown_shows_a_name_letter_by_letter(name):
     assert not re.search(r"(?<!\\)<[a-z/]", escaped(name))
 
 
-def test_what_the_project_writes_itself_needs_no_escapes():
-    for text in ("0.635 [0.516, 0.763]", "fixed-ekf", "ekf_robust", "RMSE < ATE", "1.2 ± 0.1"):
-        assert escaped(text) == text
-
-
 @given(st.lists(NAMES, min_size=1, max_size=4))
 def test_a_table_has_a_line_a_row_whatever_its_names_are(names):
     lines = grid(["name", "reward"], [[name, "1"] for name in names]).split("\n")
@@ -124,12 +119,6 @@ def test_bars_show_names_letter_by_letter(screen):
     assert list(tracked([1, 2], AWKWARD)) == [1, 2]
     assert SPELLED in screen.getvalue()
     assert "\x1b[31m" not in screen.getvalue() and "\u202e" not in screen.getvalue()
-
-
-def test_there_are_no_bars_where_there_is_no_terminal(capsys):
-    with progress("filtering") as report:
-        report(1.0)
-    assert capsys.readouterr() == ("", "")
 
 
 # --- tables

@@ -83,12 +83,6 @@ def test_paired_differences_are_taken_episode_by_episode():
     assert paired.high - paired.low < 0.01 * (alone.high - alone.low)
 
 
-def test_the_heading_names_a_reward_that_is_not_the_usual_one():
-    result = compare_scores(scores(imm=[1, 2, 3]), **WHAT, reward="log-score")
-    title, *_ = str(result).splitlines()
-    assert title == "### mixed, handset, 3 episodes, seeds 0 and up, reward log-score"
-
-
 @pytest.mark.parametrize(
     ("share", "shown"),
     [(None, "-"), (0.0, "0.0 %"), (1.0, "100.0 %"), (0.0123, "1.2 %"), (0.00089, "0.089 %"),

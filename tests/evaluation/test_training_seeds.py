@@ -44,11 +44,6 @@ def found(scores, trained):
 RIVALS = ["fixed-ukf", "speed-rule", "imm", "imm-best"]
 
 
-def test_runs_are_compared_with_the_references(found):
-    assert [one.run for one in found] == [RUN, OTHER]
-    assert all(list(one.minus) == RIVALS and one.best_imm == "imm-best" for one in found)
-
-
 def test_differences_are_paired(found, scores, trained):
     for one in found:
         for rival, figure in one.minus.items():

@@ -24,6 +24,7 @@ from experiments.training.checkpoint import (
 from experiments.training.ppo import PpoTraining
 from experiments.training.record import ProgressLog
 from tests.damage import damaged
+from tests.refusals import refuses
 from tests.training.test_train import job_of
 
 pytestmark = pytest.mark.torch
@@ -60,7 +61,7 @@ def test_damage_is_found_wherever_it_is(tmp_path):
         damaged.append(whole[:place] + bytes([whole[place] ^ bit]) + whole[place + 1 :])
     for found in damaged:
         path.write_bytes(found)
-        with pytest.raises(ValueError, match=r"checkpoint.pt: not a checkpoint: .*; remove it"):
+        with refuses("checkpoint.pt"):
             read_checkpoint(path)
 
 
@@ -108,7 +109,7 @@ def test_a_checkpoint_unpacks_to_no_more_than_it_holds(tmp_path):
             small.writestr(name, whole.read(name))
     forge(path, packed.getvalue())
     assert path.stat().st_size < 100_000
-    with pytest.raises(ValueError, match="not a checkpoint: found compressed parts"):
+    with refuses("checkpoint.pt"):
         read_checkpoint(path)
 
 
@@ -118,17 +119,17 @@ BEGIN = {
 
 
 @pytest.mark.parametrize(
-    ("state", "message"),
+    ("state", "named"),
     [
-        (["a list"], "found list"),
-        (BEGIN | {"update": "3"}, "update: found '3', expected another type"),
-        (BEGIN | {"best": {"timesteps": 3}}, "reward"),
+        (["a list"], []),
+        (BEGIN | {"update": "3"}, ["update"]),
+        (BEGIN | {"best": {"timesteps": 3}}, ["reward"]),
     ],
 )
-def test_the_checkpoint_of_something_else_is_refused(tmp_path, state, message):
+def test_the_checkpoint_of_something_else_is_refused(tmp_path, state, named):
     path = tmp_path / "checkpoint.pt"
     write_checkpoint(path, state)
-    with pytest.raises(ValueError, match=f"checkpoint.pt: not a checkpoint: .*{message}.*remove"):
+    with refuses("checkpoint.pt", *named):
         read_stand(path, BEGIN)
 
 
@@ -136,14 +137,14 @@ def test_a_checkpoint_of_another_network_is_named(tmp_path):
     """Its checksum and its kind are right; what is in it fits no network of this training."""
     path = tmp_path / "checkpoint.pt"
     write_checkpoint(path, BEGIN | {"learner": {"timesteps": 3}, "env": {}})
-    with pytest.raises(ValueError, match="not a checkpoint: updates: found none; remove"):
+    with refuses("checkpoint.pt", "updates"):
         PpoTraining(job_of(tmp_path), lambda *_: None).run()
 
 
 def test_a_malicious_checkpoint_is_refused_and_not_executed(tmp_path):
     path, trap = tmp_path / "checkpoint.pt", tmp_path / "trap"
     write_checkpoint(path, {"update": 1, "learner": Malicious(trap)})
-    with pytest.raises(ValueError, match="not a checkpoint: Weights only load failed"):
+    with refuses("checkpoint.pt"):
         read_checkpoint(path)
     assert not trap.exists()
 
@@ -173,8 +174,8 @@ def test_the_log_of_a_training_that_fails_ends_its_thread(tmp_path):
         with ProgressLog(tmp_path, []) as log:
             log.write({"a": 1}, {}, 10)
             assert threading.active_count() > before
-            raise ValueError("a fault of its own")
+            raise ZeroDivisionError
 
-    with pytest.raises(ValueError, match="of its own"):
+    with pytest.raises(ZeroDivisionError):
         fail()
     assert threading.active_count() == before and not (tmp_path / "progress.csv").exists()

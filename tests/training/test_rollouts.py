@@ -12,8 +12,7 @@ from experiments.training.actor import Normalization
 from experiments.training.hyperparameters import RolloutHyperparameters
 from experiments.training.job import Job
 from experiments.training.rollout_env import Tried
-from experiments.training.rollout_learner import RolloutLearner
-from experiments.training.rollouts import RolloutTraining
+from experiments.training.rollouts import RolloutLearner, RolloutTraining
 from experiments.training.training_task import TrainingTask
 from mmwave_env.filters.bank import Bank, default_modes
 from mmwave_env.interface.reward import TrackingReward
@@ -70,14 +69,6 @@ def test_interrupted_it_goes_on_to_the_same_end(tmp_path):
         assert job.checkpoint.exists()
     train(job)
     assert_same_training(job.folder, whole.folder)
-
-
-def test_trainings_differ_by_their_seeds_alone(tmp_path):
-    for name, seed in (("a", 0), ("b", 0), ("c", 1)):
-        train(job_of(tmp_path / name, seed=seed))
-    assert_same_training(tmp_path / "a", tmp_path / "b")
-    a, c = ((tmp_path / name / "latest.safetensors").read_bytes() for name in "ac")
-    assert a != c
 
 
 def test_the_policy_file_acts_as_the_network(tmp_path):

@@ -47,15 +47,6 @@ def test_generations_are_numbered_and_no_more_is_asked_than_allowed():
     assert 40 - size < len(asked) <= 40
 
 
-def test_the_same_search_finds_the_same_bank():
-    space = search_space(START[1:3])
-
-    def value(bank, generation):
-        return bank.modes[0].sigma_v
-
-    assert best_bank_of(space, value, 60) == best_bank_of(space, value, 60)
-
-
 def test_softmax_rows_are_probabilities_that_stand_to_staying_as_said():
     for odds in np.random.default_rng(0).uniform(-14.0, 8.0, (20, 12)):
         found = rows_as_softmax(odds)
