@@ -7,6 +7,7 @@ import pytest
 
 from mmwave_env.datasets.samples import source_from
 from tests.cli import assert_one_clear_line, command, succeed
+from tests.commands import localizing
 from tests.logs.by_hand import hide_anchors
 from tests.paths import LOGS
 
@@ -25,10 +26,8 @@ def hidden(tmp_path_factory):
 
 
 def options(folder, *more):
-    return (
-        "localize", folder / "log.csv", "--scene", folder / "scene.json", "--truth",
-        folder / "truth.tum", "--radio", "standard", "--speed", "auto", *more,
-    )  # fmt: skip
+    truth = ("--truth", folder / "truth.tum", "--radio", "standard", "--speed", "auto")
+    return ("localize", *localizing.options(folder / "log.csv", *truth, *more, folder=folder))
 
 
 def test_the_command_says_what_was_associated(hidden, tmp_path):

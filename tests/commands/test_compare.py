@@ -122,8 +122,8 @@ def test_a_mistake_ends_with_one_clear_line(run, tmp_path, mistake):
     damage, words, message = MISTAKES[mistake]
     if damage:
         damage(run)
-    there = {"f.png": str(tmp_path / "f.png"), "RUN/": f"{run}/"}
-    words = [there.get(word, word) for word in words]
+    paths = {"f.png": str(tmp_path / "f.png"), "RUN/": f"{run}/"}
+    words = [paths.get(word, word) for word in words]
     done = command("compare", "--episodes", "1", "--policies", run, *words)
     assert_one_clear_line(done, f"^mmwave-loc compare: .*{message}")
 
@@ -131,8 +131,8 @@ def test_a_mistake_ends_with_one_clear_line(run, tmp_path, mistake):
 @pytest.mark.slow
 def test_errors_and_consistency_are_drawn_of_the_same_run(tmp_path):
     pictures = [tmp_path / "errors.svg", tmp_path / "nees.pdf"]
-    succeed("compare", "--policies", "fixed-ukf", "imm", "--episodes", 3,
-            "--errors", pictures[0], "--consistency", pictures[1])  # fmt: skip
+    files = ("--errors", pictures[0], "--consistency", pictures[1])
+    succeed("compare", "--policies", "fixed-ukf", "imm", "--episodes", 3, *files)
     assert pictures[0].read_text().startswith("<?xml")
     assert pictures[1].read_bytes().startswith(b"%PDF")
     done = command("compare", "--errors", tmp_path / "a.png", "--consistency", tmp_path / "a.png")

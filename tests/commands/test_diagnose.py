@@ -87,21 +87,3 @@ def test_a_diagnosis_tells_the_facts_of_a_log(tmp_path):
     moved = np.linalg.norm(np.diff(poses.position_m, axis=0), axis=1) / np.diff(poses.time_s)
     assert facts["speed_mps"]["max"] == pytest.approx(moved.max(), rel=0.05)
     assert "no problems found" in done.stdout and "m/s on average" in done.stdout
-
-
-def test_a_diagnosis_tells_what_is_odd_and_where_a_log_is_damaged(tmp_path):
-    columns, log = read_columns(RIDE / "log.csv"), tmp_path / "log.csv"
-    kept = columns["anchor"] != 3
-    columns = {name: values[kept] for name, values in columns.items()}
-    late = columns["time_s"] >= 6.0
-    columns["time_s"] = columns["time_s"] + 20.0 * late
-    write_columns(log, columns)
-    with log.open("a") as file:
-        file.write("text,1\n")
-    done = command("localize", *options(log, "--radio", "standard", "--diagnose", folder=RIDE))
-    for said in ("- 1 gaps of more than 15 s", "- anchor 3 was never seen"):
-        assert said in done.stdout
-    (line,) = done.stderr.splitlines()
-    assert (
-        done.returncode == 2 and f"{log}, line " in line and line.split(": ", 1)[1] in done.stdout
-    )

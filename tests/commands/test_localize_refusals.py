@@ -76,8 +76,8 @@ def test_figures_and_errors_are_told_when_nobody_reads_what_is_shown(
     log, file, (ours, theirs) = tmp_path / "log.csv", tmp_path / "figures.json", os.pipe()
     os.close(ours)
     log.write_text(with_line(602, lambda l: cell(l, 2, "far") if damaged else l))
-    done = child(options(log, "--speed", "1", "--json", file), stdout=theirs,
-                 stderr=subprocess.PIPE)  # fmt: skip
+    words = options(log, "--speed", "1", "--json", file)
+    done = child(words, stdout=theirs, stderr=subprocess.PIPE)
     os.close(theirs)
     err = done.communicate(timeout=100)[1]
     assert done.returncode == code and len(err.splitlines()) == damaged
@@ -182,8 +182,8 @@ print(next(line for line in open("/proc/self/status") if line.startswith("VmHWM"
 def test_memory_does_not_grow_with_the_log(tmp_path):
     log, truth = tmp_path / "log.csv", tmp_path / "truth.tum"
     walk, peaks = read_tum(WALK / "truth.tum").position_m, []
-    more = ("--speed", "auto", "--truth", truth, "--out", tmp_path / "track.tum",
-            "--plot", tmp_path / "track.png")  # fmt: skip
+    files = ("--out", tmp_path / "track.tum", "--plot", tmp_path / "track.png")
+    more = ("--speed", "auto", "--truth", truth, *files)
     for rows in (500_000, 2_000_000):
         long_log(log, rows)
         with truth.open("w") as file:

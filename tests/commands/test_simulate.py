@@ -103,11 +103,3 @@ def test_an_episode_that_is_there_is_replaced_only_if_asked(tmp_path, capsys, na
     assert "--overwrite" not in (tmp_path / "truth.tum").read_text()
     assert sorted(path.name for path in tmp_path.iterdir()) == FILES
     assert (tmp_path / name).read_text() != "mine"
-
-
-def test_a_folder_that_cannot_be_made_is_named(tmp_path, capsys):
-    blocked = tmp_path / "file"
-    blocked.write_text("")
-    with pytest.raises(SystemExit):
-        simulate(blocked / "out")
-    assert str(blocked) in capsys.readouterr().err

@@ -39,10 +39,9 @@ def rows(out):
 
 
 def started(*words, cwd):
-    return subprocess.Popen(
-        [sys.executable, "-m", "experiments.console", "sweep", *map(str, words)], cwd=cwd,
-        env=environment(), stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
-    )  # fmt: skip
+    words = [sys.executable, "-m", "experiments.console", "sweep", *map(str, words)]
+    pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
+    return subprocess.Popen(words, cwd=cwd, env=environment(), **pipes)
 
 
 def wait_for_rows(out, running, count=1):

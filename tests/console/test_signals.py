@@ -43,10 +43,9 @@ def writing(tmp_path):
     started = []
 
     def start(**options):
-        started.append(subprocess.Popen(
-            [sys.executable, "-c", WRITING, str(tmp_path / "result.json")], env=environment(),
-            cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, **options,
-        ))  # fmt: skip
+        words = [sys.executable, "-c", WRITING, str(tmp_path / "result.json")]
+        options |= {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
+        started.append(subprocess.Popen(words, env=environment(), cwd=ROOT, **options))
         assert started[-1].stdout.readline() == "writing\n"
         return started[-1]
 

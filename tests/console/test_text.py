@@ -72,9 +72,8 @@ def test_plain_text_comes_back_from_markdown(name):
 
 @pytest.mark.parametrize(
     "name",
-    ["a|b", "$x$ and $y$", "<script>alert(1)</script>", "*bold*", "__init__", r"back\slash",
-     "`code`", "[link](http://example.org)", "&lt;", "~~gone~~"],
-)  # fmt: skip
+    ["a|b", "$x$", "<script>", "*bold*", "__init__", r"back\slash", "`code`", "&lt;", "~~gone~~"],
+)
 def test_markdown_shows_a_name_letter_by_letter(name):
     console = Console(width=200, no_color=True)
     with console.capture() as shown:
@@ -175,9 +174,8 @@ def test_a_name_wider_than_the_terminal_is_not_cut(shown):
 
 def test_what_is_around_a_table_stays(shown):
     lines = shown(f"before\n\n{grid(['a', 'b'], [['1', '2']])}\n\n- after\n", 80)
-    assert [line.strip(" •") for line in lines if line and "─" not in line] == [
-        "before", "a  b", "1  2", "after",
-    ]  # fmt: skip
+    kept = [line.strip(" •") for line in lines if line and "─" not in line]
+    assert kept == ["before", "a  b", "1  2", "after"]
 
 
 @pytest.mark.parametrize("name", ["a|b", "\x1b[31mred", "one\ntwo", "漢字", r"a\|b\\", "$x$"])

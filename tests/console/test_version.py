@@ -49,11 +49,10 @@ def test_a_processor_without_avx_is_told_of(name, features, said, monkeypatch):
 
 @pytest.mark.slow
 def test_a_signal_ends_the_self_test_while_it_compiles(tmp_path):
-    running = subprocess.Popen(
-        [sys.executable, "-m", "experiments.console", "--version", "--json"],
-        env=environment() | {"NUMBA_CACHE_DIR": str(tmp_path)}, cwd=ROOT,
-        stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
-    )  # fmt: skip
+    words = [sys.executable, "-m", "experiments.console", "--version", "--json"]
+    cold = environment() | {"NUMBA_CACHE_DIR": str(tmp_path)}
+    nowhere = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
+    running = subprocess.Popen(words, env=cold, cwd=ROOT, **nowhere)
     while not any(path.is_file() for path in tmp_path.rglob("*")):
         assert running.poll() is None
         time.sleep(0.05)

@@ -13,7 +13,7 @@ from mmwave_env.models.measurement import Layout
 from policies import LearnedSwitch
 from tests.cli import assert_one_clear_line, command
 from tests.refusals import refuses
-from tests.training.actors import HANDSET, MODES, actor, card_of, write, write_per_mode
+from tests.training.actors import HANDSET, actor, card_of, write, write_per_mode
 
 OWN = '''
 import numpy as np
@@ -177,16 +177,6 @@ def test_the_command_line_has_beliefs_per_mode(folder, bank_file):
     assert f"| my_agents:second |{mine}" in done.stdout
 
 
-def test_beliefs_that_there_are_not_are_refused(folder, bank_file):
-    done = command("evaluate", "--policy", "imm", "--beliefs", "mine")
-    assert_one_clear_line(done, "beliefs: found 'mine', expected one of shared, per-mode")
-    done = command("evaluate", "--policy", "imm", "--beliefs", "per-mode", "--modes", "ekf")
-    assert_one_clear_line(done, "modes: found 'ekf' alone, expected two or more where every mode")
-    words = ("--beliefs", "per-mode", "--modes", bank_file)
-    done = command("evaluate", "--policy", "my_agents:many", *words, cwd=folder)
-    assert_one_clear_line(done, "my_agents:many: found 4 to 4, expected 0 to 3")
-
-
 def test_evaluate_takes_one():
     alone = evaluate("fixed-ukf", episodes=2, seed=3)
     assert list(alone.policies) == ["fixed-ukf"] and not alone.paired
@@ -196,11 +186,3 @@ def test_evaluate_takes_one():
 
     mine = evaluate(second, episodes=2, seed=3)
     assert mine.policies == {"second": alone.policies["fixed-ukf"]}
-
-
-def test_agents_of_other_modes_and_observations_meet_known_contenders():
-    def third(observations):
-        return np.full(len(observations), 2)
-
-    found = compare({"mine": third}, ("imm",), episodes=2, modes=MODES, observation="prior")
-    assert list(found.paired) == ["mine - imm"]

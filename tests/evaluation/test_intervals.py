@@ -36,10 +36,8 @@ def test_intervals_agree_with_scipy_s_bootstrap(n):
     # standard errors of the mean; 4.5 of those for the difference of two is 1 in 10^5.
     quantile_error = np.sqrt(0.025 * 0.975 / RESAMPLES) / norm.pdf(norm.ppf(0.025))
     for column, interval in zip(values.T, found, strict=True):
-        other = scipy_bootstrap(
-            (column,), np.mean, n_resamples=RESAMPLES, method="percentile",
-            rng=np.random.default_rng(0),
-        ).confidence_interval  # fmt: skip
+        same = {"n_resamples": RESAMPLES, "method": "percentile", "rng": np.random.default_rng(0)}
+        other = scipy_bootstrap((column,), np.mean, **same).confidence_interval
         margin = 4.5 * np.sqrt(2.0) * quantile_error * column.std() / np.sqrt(n)
         assert interval.mean == pytest.approx(column.mean())
         assert abs(interval.low - other.low) <= margin

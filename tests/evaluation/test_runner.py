@@ -19,7 +19,7 @@ from mmwave_env.filters.bank import bank_as_written, best_bank, modes_from
 from mmwave_env.filters.pipeline import Pipeline
 from mmwave_env.interface.observation import BELIEFS
 from mmwave_env.interface.reward import TrackingReward
-from mmwave_env.metrics import BURN_IN, METRICS
+from mmwave_env.metrics import BURN_IN, INFO_KEYS, METRICS
 from mmwave_env.models.radio import RADIOS
 from mmwave_env.models.scene import SCENES
 from mmwave_env.world.simulated import SimulatedSource
@@ -61,11 +61,8 @@ def test_the_batch_scores_what_stepping_one_environment_scores():
             action = policy(observation[None])[0]
             observation, reward, _, truncated, info = env.step(action)
             rewards.append(reward)
-        expected = {
-            "reward": np.mean(rewards[10:]), "ate_m": info["ate_m"], "rmse_m": info["rmse_m"],
-            "rpe_m": info["rpe_m"], "nees": info["mean_nees"], "in_bounds": info["in_bounds"],
-            "divergence_rate": info["divergence"],
-        }  # fmt: skip
+        expected = {metric: info[key] for metric, key in INFO_KEYS.items()}
+        expected["reward"] = np.mean(rewards[10:])
         assert set(found) == {*expected, "error_term", "nees_term"}
         assert {m: found[m][e] for m in expected} == pytest.approx(expected, rel=1e-12)
         terms = found["error_term"][e] + found["nees_term"][e]
@@ -94,10 +91,9 @@ def test_contenders_see_the_same_episodes():
 @pytest.mark.parametrize("radio", RADIOS)
 def test_every_radio_has_every_contender(radio):
     found = {name: make() for name, make in contenders(radio).items()}
-    assert list(found) == [
-        "fixed-ekf", "fixed-ukf", "fixed-ckf", "speed-rule", "likelihood-rule", "imm", "imm-best",
-        *(() if radio == "high" else ("ppo",)), "guided", "guided-ppo",
-    ]  # fmt: skip
+    plain = ["fixed-ekf", "fixed-ukf", "fixed-ckf", "speed-rule", "likelihood-rule"]
+    learned = [*(["ppo"] if radio != "high" else []), "guided", "guided-ppo"]
+    assert list(found) == [*plain, "imm", "imm-best", *learned]
     assert all(c.name == name and c.modes for name, c in found.items())
 
 
@@ -126,9 +122,8 @@ def test_an_imm_is_run_as_it_was_tuned():
 def test_own_modes_bring_their_own_contenders():
     modes = modes_from(["ekf", "ckf", "ukf-robust"])
     found = contenders("handset", modes)
-    assert list(found) == [
-        "fixed-ekf", "fixed-ckf", "fixed-ukf-robust", "likelihood-rule", "imm",
-    ]  # fmt: skip
+    fixed = [f"fixed-{mode.name}" for mode in modes]
+    assert list(found) == [*fixed, "likelihood-rule", "imm"]
     assert all(make().modes == modes for make in found.values())
     assert "speed-rule" in contenders("handset", modes[:2])
     own = score_contenders(["fixed-ckf"], SOURCE, "handset", Selection(range(2)), modes=modes)
@@ -196,11 +191,12 @@ def test_a_policy_plays_the_same_by_name_and_by_file(file):
 
 def test_what_is_watched_is_what_is_scored():
     told = {}
-    names = ["speed-rule", "imm"]
-    scores = score_contenders(
-        names, SOURCE, "handset", Selection(range(3)),
-        watch=[lambda contender, episodes, tells: told.update({contender.name: tells})],
-    )  # fmt: skip
+
+    def watch(contender, episodes, results):
+        told[contender.name] = results
+
+    names, selection = ["speed-rule", "imm"], Selection(range(3))
+    scores = score_contenders(names, SOURCE, "handset", selection, watch=[watch])
     for name in names:
         distance = np.linalg.norm(told[name]["error"], axis=-1)
         np.testing.assert_allclose(distance[:, BURN_IN:].mean(axis=1), scores[name]["ate_m"])
@@ -246,9 +242,7 @@ def test_the_imm_over_a_file_that_says_a_transition_has_it_whatever_the_beliefs(
 def test_the_best_imm_is_over_the_best_bank_of_its_radio():
     for radio in RADIOS:
         imm, bank = contender_from("imm-best", radio), best_bank(radio)
-        assert (imm.modes, imm.transition, imm.nis_quantile) == (
-            bank.modes, bank.transition, bank.nis_quantile,
-        )  # fmt: skip
+        assert replace(imm, beliefs="per-mode").bank == bank
         own = Contender.own("mine", none, radio, beliefs="per-mode")
         assert own.bank == bank
         assert imm.bank is None  # nobody chooses
@@ -256,10 +250,9 @@ def test_the_best_imm_is_over_the_best_bank_of_its_radio():
 
 def test_a_policy_scores_what_it_earns_in_an_environment_of_its_bank(trust):
     contender, told = Contender.learned(trust), {}
-    (scores,) = score_contenders(
-        [contender], SOURCE, "handset", Selection(range(2)),
-        watch=[lambda _, episodes, tells: told.update(tells)],
-    ).values()  # fmt: skip
+    watch = [lambda _, episodes, results: told.update(results)]
+    selection = Selection(range(2))
+    (scores,) = score_contenders([contender], SOURCE, "handset", selection, watch=watch).values()
     env = gym.make("MmWaveLoc-v0", beliefs="per-mode", modes=HANDSET)
     for e in range(2):
         policy = contender.policy(env.unwrapped.observation)

@@ -41,12 +41,10 @@ STATE = {
 def test_a_checkpoint_comes_back(tmp_path):
     path = tmp_path / "checkpoint.pt"
     write_checkpoint(path, STATE)
-    found = read_checkpoint(path)
-    assert {k: found[k] for k in ("words", "none", "flag", "list", "number")} == {
-        "words": "ä", "none": None, "flag": True, "list": [1, 2.5, ("a", -1)], "number": 0.1,
-    }  # fmt: skip
-    assert torch.equal(found["tensor"], STATE["tensor"])
-    for key, array in with_arrays(found["arrays"]).items():
+    state = read_checkpoint(path)
+    for key in ("words", "none", "flag", "list", "number", "tensor"):
+        assert state[key] == STATE[key]
+    for key, array in with_arrays(state["arrays"]).items():
         np.testing.assert_array_equal(array, STATE["arrays"][key])
         assert array.dtype == STATE["arrays"][key].dtype
 
@@ -75,10 +73,10 @@ class Malicious:
         return os.mkdir, (str(self.path),)
 
 
-@settings(
-    max_examples=60, deadline=None, derandomize=True,
-    suppress_health_check=[HealthCheck.function_scoped_fixture],
-)  # fmt: skip
+SCOPED = [HealthCheck.function_scoped_fixture]
+
+
+@settings(max_examples=60, deadline=None, derandomize=True, suppress_health_check=SCOPED)
 @given(data=st.data())
 def test_a_checkpoint_with_a_right_checksum_over_anything_is_read_or_refused(tmp_path, data):
     path = tmp_path / "checkpoint.pt"
@@ -113,9 +111,7 @@ def test_a_checkpoint_unpacks_to_no_more_than_it_holds(tmp_path):
         read_checkpoint(path)
 
 
-BEGIN = {
-    "update": 0, "timesteps": 0, "best": None, "beat_rule": None, "seconds": 0.0, "rows": [],
-}  # fmt: skip
+BEGIN = {"update": 0, "timesteps": 0, "best": None, "beat_rule": None, "seconds": 0.0, "rows": []}
 
 
 @pytest.mark.parametrize(

@@ -55,10 +55,9 @@ def walked(env, epochs=WALKED, seed=0):
 def by_hand(place, seed, first_episode, actions, first, act, beliefs):
     """The discounted reward of an action and what follows it, in an environment of its own."""
     bank = BANKS[place.radio]
-    env = gym.make(
-        "MmWaveLoc-v0", scene=place.scene, radio=place.radio, dt=place.dt, beliefs=beliefs,
-        modes=bank if beliefs == "per-mode" else bank.modes,
-    )  # fmt: skip
+    modes = bank if beliefs == "per-mode" else bank.modes
+    at = {"scene": place.scene, "radio": place.radio, "dt": place.dt}
+    env = gym.make("MmWaveLoc-v0", **at, beliefs=beliefs, modes=modes)
     env.reset(seed=seed)
     for action in actions[:first_episode]:
         env.step(action)
@@ -154,10 +153,7 @@ def test_the_normalization_is_that_of_observations_seen():
 
 PAIR = MODES[:2]  # quick to compile
 SLOWER = Bank(tuple(replace(mode, sigma_v=0.5 * mode.sigma_v) for mode in PAIR), None, 0.99)
-TASK = TrainingTask(
-    "mixed", PLACES, {"handset": Bank(PAIR), "standard": SLOWER}, "full", TrackingReward(),
-    "per-mode",
-)  # fmt: skip
+TASK = task(banks={"handset": Bank(PAIR), "standard": SLOWER})
 PAIRED = replace(HYPER, num_envs=5, paired=True)  # three environments and two
 
 
@@ -198,9 +194,3 @@ def test_several_places_are_what_each_of_them_is_alone():
         assert_same_ends(infos, a[3] + b[3])
         ends += [(t, i) for i in np.flatnonzero(over)]
     assert ends == [(99, 3), (99, 4), (199, 0), (199, 1), (199, 2)]
-
-
-def test_what_algorithms_ask_is_answered_for_every_environment():
-    venv = PlacesVecEnv(TASK, PAIRED)
-    assert [source.dt for source in venv.get_attr("source")] == [1.0, 1.0, 1.0, 0.5, 0.5]
-    assert [source.dt for source in venv.get_attr("source", [3, 0])] == [0.5, 1.0]

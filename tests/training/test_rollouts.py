@@ -89,10 +89,8 @@ def test_the_policy_file_acts_as_the_network(tmp_path):
 
 # --- what it learns
 
-QUICK = replace(
-    HYPER, num_envs=128, horizon=8, states=4096, memory=40_000, gradient_steps=40,
-    batch_size=1024, learning_rate=0.002, hidden=(32, 32), first_action_bias=1.0,
-)  # fmt: skip
+LARGE = replace(HYPER, num_envs=128, horizon=8, states=4096, memory=40_000, gradient_steps=40)
+QUICK = replace(LARGE, batch_size=1024, learning_rate=0.002, hidden=(32, 32), first_action_bias=1.0)
 
 
 @pytest.mark.slow
@@ -111,11 +109,9 @@ def test_a_short_training_beats_the_rule_and_the_imm_from_scratch(tmp_path):
 # --- the learner, on states whose best action is known
 
 FEATURES, ACTIONS = 4, 3
-LEARNING = RolloutHyperparameters(
-    num_envs=8, horizon=2, gamma=0.9, stride=1, states=8, memory=512, gradient_steps=200,
-    batch_size=128, learning_rate=0.01, ent_coef=0.001, final_fraction=0.1, hidden=(16,),
-    clip_observation=6.0, first_action_bias=1.0,
-)  # fmt: skip
+LEARNING = replace(
+    HYPER, memory=512, gradient_steps=200, batch_size=128, hidden=(16,), first_action_bias=1.0
+)
 MEAN, SIGMA = np.array([5.0, -3.0, 0.0, 1.0]), np.array([2.0, 0.1, 1.0, 30.0])
 NORMAL = Normalization(MEAN - 6.0 * SIGMA, MEAN + 6.0 * SIGMA, MEAN, SIGMA)
 

@@ -193,7 +193,7 @@ def test_a_bad_hyperparameter_is_refused_in_one_line(change, tmp_path):
         (("--scenario", "train"), "'train'.*pedestrian"),
         (("--places", "street"), "places: found 'street', expected SCENE:RADIO"),
         (("--radio", "high", "--places", "o1:high"), "radio: found 'high' beside places"),
-        (("--beliefs", "permode"), "beliefs: found 'permode', did you mean per-mode"),
+        (("--beliefs", "permode"), "permode.*--beliefs.*per-mode"),
         (("--beliefs", "per-mode", "--modes", "ukf"), "modes: found 'ukf' alone"),
         (("--observation", "half"), "observation: found 'half'"),
         (("--reward", "money"), "'money'.*tracking"),

@@ -40,12 +40,8 @@ pytestmark = [
 SMALL = replace(HYPER, num_envs=4, n_steps=25, batch_size=50, paired=True)
 KINDS = {"ppo": SMALL, "places": replace(SMALL, first_action_bias=1.0)}
 PLACES = places_from(["street:handset", "o1:standard:0.5"])
-TASKS = {
-    "places": replace(
-        TASK, places=PLACES, banks=dict.fromkeys(["handset", "standard"], Bank(MODES)),
-        beliefs="per-mode",
-    )
-}  # fmt: skip
+BANKS = dict.fromkeys(["handset", "standard"], Bank(MODES))
+TASKS = {"places": replace(TASK, places=PLACES, banks=BANKS, beliefs="per-mode")}
 UPDATES = 14  # episodes end after every eighth
 
 
@@ -195,10 +191,9 @@ def started():
     before = signal.signal(signal.SIGINT, signal.default_int_handler)
 
     def start(*words):
-        commands.append(subprocess.Popen(
-            [sys.executable, "-m", "experiments.console", "train", *map(str, words)], text=True,
-            stdout=subprocess.PIPE, stderr=subprocess.PIPE, cwd=ROOT, start_new_session=True,
-        ))  # fmt: skip
+        words = [sys.executable, "-m", "experiments.console", "train", *map(str, words)]
+        pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
+        commands.append(subprocess.Popen(words, cwd=ROOT, start_new_session=True, **pipes))
         return commands[-1]
 
     yield start
