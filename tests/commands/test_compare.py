@@ -52,18 +52,18 @@ def run(tmp_path):
 @pytest.mark.slow
 def test_a_run_is_compared_over_its_training_seeds(run, tmp_path):
     policies = (run, run / "seed-1" / ".." / "seed-1" / "policy.safetensors", "fixed-ukf", "imm")
-    median, one, *_ = names = [str(policy) for policy in policies]
+    median, single, *_ = names = [str(policy) for policy in policies]
     file = tmp_path / "all.json"
     shown = succeed("compare", "--policies", *policies, "--episodes", 12, "--json", file)
     result = json.loads(file.read_text())
     assert list(result["policies"]) == names
     references = ("fixed-ukf", "imm")
     pairs = [f"{n} - {r}" for r in references for n in names if n != r]
-    assert list(result["paired"]) == [*pairs, f"{one} - {median}", f"{median} - {one}"]
+    assert list(result["paired"]) == [*pairs, f"{single} - {median}", f"{median} - {single}"]
 
     (seeds,) = result["training_seeds"].values()
     assert list(result["training_seeds"]) == [median] and seeds["median"] == 0
-    for seed, name in (("0", median), ("1", one)):
+    for seed, name in (("0", median), ("1", single)):
         alone = result["policies"][name]["reward"]
         assert seeds["reward"]["seeds"][seed]["mean"] == pytest.approx(alone["mean"])
     for rival in references:

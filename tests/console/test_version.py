@@ -18,12 +18,12 @@ from tests.paths import ROOT
 @pytest.mark.slow  # it compiles five modes at once
 def test_versions_threads_kernels_and_a_self_test_are_told():
     done = command("--version", "--json")
-    told = json.loads(done.stdout)
-    assert done.returncode == 0 and told["versions"]["mmwave-loc"] == mmwave_env.__version__
-    assert {"numba", "numpy", "gymnasium", "python"} < set(told["versions"])
-    assert told["kernels"]["functions"] > 0 and os.path.isdir(told["kernels"]["place"])
-    assert len(told["self_test"]) == 4 and all(test["passed"] for test in told["self_test"])
-    assert 0.0 <= max(test["deviation"] for test in told["self_test"]) < 1e-9
+    report = json.loads(done.stdout)
+    assert done.returncode == 0 and report["versions"]["mmwave-loc"] == mmwave_env.__version__
+    assert {"numba", "numpy", "gymnasium", "python"} < set(report["versions"])
+    assert report["kernels"]["functions"] > 0 and os.path.isdir(report["kernels"]["place"])
+    assert len(report["self_test"]) == 4 and all(test["passed"] for test in report["self_test"])
+    assert 0.0 <= max(test["deviation"] for test in report["self_test"]) < 1e-9
 
 
 def test_a_kernel_that_computes_something_else_ends_with_code_1(monkeypatch):

@@ -107,8 +107,8 @@ def test_what_is_no_agent_is_refused_before_an_episode_runs(name, folder, monkey
 
 @pytest.mark.usefixtures("folder")
 def test_an_agent_says_what_it_was_trained_with():
-    found = contender_from("my_agents:looking_back", "handset")
-    assert len(found.modes) == 3 and found.observation == "prior"
+    contender = contender_from("my_agents:looking_back", "handset")
+    assert len(contender.modes) == 3 and contender.observation == "prior"
     plain = contender_from("my_agents:second", "handset", observation="prior")
     assert len(plain.modes) == 2 and plain.observation == "prior"
     per_mode = contender_from("my_agents:trusting", "handset")
@@ -138,12 +138,12 @@ def test_python_takes_what_the_command_line_takes(tmp_path):
             return np.ones(len(observations), np.uint8)
 
     mine = Begins()
-    found = compare(
+    comparison = compare(
         {"object": mine, "module": "my_agents:second", "file": file, "loaded": LearnedSwitch(file)},
         beside=("fixed-ukf",),
         episodes=2,
     )
-    rows = found.policies
+    rows = comparison.policies
     assert list(rows) == ["object", "module", "file", "loaded", "fixed-ukf"]
     assert rows["object"] == rows["module"] == rows["fixed-ukf"]
     assert rows["file"] == rows["loaded"] != rows["fixed-ukf"]

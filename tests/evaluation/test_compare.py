@@ -22,22 +22,22 @@ class Own:
 
 
 def test_always_the_second_mode_scores_exactly_what_fixed_ukf_does():
-    seen = []
+    observed = []
 
     def act(observations):
-        seen.append(observations)
+        observed.append(observations)
         return np.ones(len(observations), int)
 
-    found = compare({"mine": act}, beside=("fixed-ukf", "imm"), episodes=3, seed=4)
-    assert (found.scenario, found.radio, *found.selection.seeds) == ("mixed", "handset", 4, 5, 6)
-    assert list(found.policies) == ["mine", "fixed-ukf", "imm"]
-    assert found.policies["mine"] == found.policies["fixed-ukf"]
+    comparison = compare({"mine": act}, beside=("fixed-ukf", "imm"), episodes=3, seed=4)
+    assert (comparison.scenario, *comparison.selection.seeds) == ("mixed", 4, 5, 6)
+    assert list(comparison.policies) == ["mine", "fixed-ukf", "imm"]
+    assert comparison.policies["mine"] == comparison.policies["fixed-ukf"]
     for metric in METRICS:
-        nothing = found.paired["mine - fixed-ukf"][metric]
+        nothing = comparison.paired["mine - fixed-ukf"][metric]
         assert (nothing.mean, nothing.low, nothing.high) == (0.0, 0.0, 0.0)
-    assert all(o.shape == seen[0].shape and o.dtype == np.float32 for o in seen)
-    assert len(seen) == 201 and len(seen[0]) == 3  # it is tried once before
-    assert "| mine | -" in str(found) and "minus fixed-ukf" in str(found)
+    assert all(o.shape == observed[0].shape and o.dtype == np.float32 for o in observed)
+    assert len(observed) == 201 and len(observed[0]) == 3  # it is tried once before
+    assert "| mine | -" in str(comparison) and "minus fixed-ukf" in str(comparison)
 
 
 def test_what_is_beside_is_compared_as_by_the_command():
@@ -45,10 +45,10 @@ def test_what_is_beside_is_compared_as_by_the_command():
         return np.ones(len(observations), int)
 
     beside = ("guided", "imm-best", "speed-rule")
-    found = compare({"mine": act}, beside, episodes=1, episode_steps=20)
+    comparison = compare({"mine": act}, beside, episodes=1, episode_steps=20)
     _, _, by_command, _ = results(EpisodeArgs(episodes=1, episode_steps=20), beside)
     mine = {f"mine - {other}" for other in beside}
-    assert set(found.paired) == {*by_command["paired"], *mine}
+    assert set(comparison.paired) == {*by_command["paired"], *mine}
 
 
 @pytest.mark.parametrize(
@@ -90,9 +90,9 @@ def test_the_imm_by_name_is_over_the_bank_with_its_transition():
         return np.zeros(len(observations), int)
 
     none.beliefs, none.modes = "per-mode", HANDSET
-    found = compare({"none": none, "over it": "imm"}, (), episodes=2, modes=HANDSET)
+    comparison = compare({"none": none, "over it": "imm"}, (), episodes=2, modes=HANDSET)
     for metric in METRICS:
-        assert abs(found.paired["none - over it"][metric].mean) < 1e-9
+        assert abs(comparison.paired["none - over it"][metric].mean) < 1e-9
 
 
 @pytest.mark.slow
@@ -101,10 +101,10 @@ def test_other_places_are_arguments_of_the_environment():
         return np.ones(len(observations), int)
 
     where = {"data": "canyon28_vehicle", "episode_steps": 30, "planar": True, "reward": "log-score"}
-    found = compare({"mine": act}, beside=("fixed-ukf",), episodes=2, **where)
-    assert found.scenario == "canyon28_vehicle"
-    assert found.policies["mine"] == found.policies["fixed-ukf"]
-    assert str(found).splitlines()[0].endswith(", seeds 0 and up, reward log-score")
+    comparison = compare({"mine": act}, beside=("fixed-ukf",), episodes=2, **where)
+    assert comparison.scenario == "canyon28_vehicle"
+    assert comparison.policies["mine"] == comparison.policies["fixed-ukf"]
+    assert str(comparison).splitlines()[0].endswith(", seeds 0 and up, reward log-score")
     with refuses("reward"):
         compare({"mine": act}, reward="paired")
     with pytest.raises(TypeError, match="'odometer', expected one of .*odometry"):

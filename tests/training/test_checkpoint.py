@@ -57,8 +57,8 @@ def test_damage_is_found_wherever_it_is(tmp_path):
     for place in rng.integers(len(whole), size=60):
         bit = 1 << int(rng.integers(8))
         damaged.append(whole[:place] + bytes([whole[place] ^ bit]) + whole[place + 1 :])
-    for found in damaged:
-        path.write_bytes(found)
+    for content in damaged:
+        path.write_bytes(content)
         with refuses("checkpoint.pt"):
             read_checkpoint(path)
 

@@ -111,14 +111,14 @@ def test_a_converted_model_decides_as_the_model(kind, normalized, tmp_path, mode
     policy = LearnedSwitch(out)
     assert policy.modes == MODES and policy.card.timesteps == model.num_timesteps
     assert policy.card.command.startswith(f"mmwave-loc convert {tmp_path / 'model.zip'} {out} --")
-    seen, state, begins, taken = env.reset(), None, np.ones(4, bool), set()
+    observed, state, begins, taken = env.reset(), None, np.ones(4, bool), set()
     for _ in range(50):
-        actions, state = model.predict(seen, state, begins, deterministic=True)
+        actions, state = model.predict(observed, state, begins, deterministic=True)
         policy.reset(begins)
-        raw = env.get_original_obs() if normalized else seen
+        raw = env.get_original_obs() if normalized else observed
         np.testing.assert_array_equal(policy(raw), actions)
         taken |= set(actions.tolist())
-        seen, _, begins, _ = env.step(actions)
+        observed, _, begins, _ = env.step(actions)
     assert len(taken) > 1
 
 

@@ -89,9 +89,9 @@ def test_the_streets_and_the_radio_that_are_unseen_are_refused():
 
 @pytest.mark.parametrize(("count", "places"), [(256, 9), (9, 9), (500, 3), (7, 1)])
 def test_shares_are_as_even_as_can_be(count, places):
-    found = shares(count, places)
-    assert sum(found) == count and len(found) == places
-    assert max(found) - min(found) <= 1
+    parts = shares(count, places)
+    assert sum(parts) == count and len(parts) == places
+    assert max(parts) - min(parts) <= 1
 
 
 # --- what is learned at several places

@@ -40,7 +40,7 @@ def environment(of=None, n=16, seed=SEED):
 
 def chaotic(actions):
     """A policy whose choices hang on the last digits of what it sees."""
-    return lambda seen: (np.abs(seen[:, 1:9]).sum(1) * 1e4).astype(np.int64) % actions
+    return lambda observed: (np.abs(observed[:, 1:9]).sum(1) * 1e4).astype(np.int64) % actions
 
 
 def walked(env, epochs=WALKED, seed=0):
@@ -67,9 +67,9 @@ def by_hand(place, seed, first_episode, actions, first, act, beliefs):
             env.step(action)
     value, action = 0.0, first
     for epoch in range(HORIZON):
-        seen, reward, *_ = env.step(action)
+        observed, reward, *_ = env.step(action)
         value += DISCOUNT ** (place.dt * epoch) * reward
-        (action,) = act(seen[None])
+        (action,) = act(observed[None])
     return value
 
 
@@ -141,11 +141,11 @@ def test_the_normalization_is_that_of_observations_seen():
     env = environment(task(places=PLACES[:1], banks={"handset": Bank(default_modes("handset"))}))
     normal = env.measured_normalization(6.0)
     again = environment(task(places=PLACES[:1], banks={"handset": Bank(default_modes("handset"))}))
-    seen = []
+    observed = []
     for _ in range(200):
         again.step(np.zeros(16, np.int64))
-        seen.append(again.observations)
-    np.testing.assert_allclose(normal.mean, np.mean(seen, axis=(0, 1)), atol=1e-4)
+        observed.append(again.observations)
+    np.testing.assert_allclose(normal.mean, np.mean(observed, axis=(0, 1)), atol=1e-4)
     assert (normal.high - normal.mean) / normal.sigma == pytest.approx(6.0, rel=1e-4)
 
 
@@ -163,8 +163,8 @@ def alone(place, n):
     return SB3VecEnv(MmWaveLocVectorEnv(n, **arguments, autoreset_mode="SameStep"))
 
 
-def assert_same_ends(found, expected):
-    for x, y in zip(found, expected, strict=True):
+def assert_same_ends(infos, expected):
+    for x, y in zip(infos, expected, strict=True):
         assert x.get("episode", {}).get("r") == y.get("episode", {}).get("r")
         assert x.get("ate_m") == y.get("ate_m")
         last = (info.get("terminal_observation", 0) for info in (x, y))
@@ -179,18 +179,18 @@ def test_several_places_are_what_each_of_them_is_alone():
     together.seed(10_000_000)
     first.seed(10_000_000)
     second.seed(10_000_003)
-    seen = together.reset()
+    observed = together.reset()
     theirs = [first.reset(), second.reset()]
     for _ in range(100):
         theirs[1], *_ = second.step(np.zeros(2, int))
-    np.testing.assert_array_equal(seen, np.concatenate(theirs))
+    np.testing.assert_array_equal(observed, np.concatenate(theirs))
     rng, ends = np.random.default_rng(0), []
     for t in range(210):
         actions = rng.integers(3, size=5)
-        seen, rewards, over, infos = together.step(actions)
+        observed, rewards, over, infos = together.step(actions)
         a, b = first.step(actions[:3]), second.step(actions[3:])
-        for found, *parts in zip((seen, rewards, over), a, b, strict=False):
-            np.testing.assert_array_equal(found, np.concatenate(parts))
+        for array, *parts in zip((observed, rewards, over), a, b, strict=False):
+            np.testing.assert_array_equal(array, np.concatenate(parts))
         assert_same_ends(infos, a[3] + b[3])
         ends += [(t, i) for i in np.flatnonzero(over)]
     assert ends == [(99, 3), (99, 4), (199, 0), (199, 1), (199, 2)]

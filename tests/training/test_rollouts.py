@@ -140,27 +140,28 @@ def states(n, seed, turned=False):
 
 
 def test_before_training_the_imm_decides():
-    found, _ = states(100, 0)
-    assert (learner().greedy(found.observations) == 0).all()
+    tried, _ = states(100, 0)
+    assert (learner().greedy(tried.observations) == 0).all()
 
 
 def test_it_learns_which_action_is_best():
-    model, (found, _), (fresh, best) = learner(), states(512, 0), states(1000, 1)
-    model.remember(found)
-    told = model.improve(1.0)
+    model, (tried, _), (fresh, best) = learner(), states(512, 0), states(1000, 1)
+    model.remember(tried)
+    figures = model.improve(1.0)
     assert np.mean(model.greedy(fresh.observations) == best) > 0.95
-    assert 0.0 < told["gain/expected"] < told["gain/possible"]
+    assert 0.0 < figures["gain/expected"] < figures["gain/possible"]
     again = model.improve(0.1)
-    assert again["gain/expected"] > told["gain/expected"] and again["entropy"] < told["entropy"]
+    assert again["gain/expected"] > figures["gain/expected"]
+    assert again["entropy"] < figures["entropy"]
 
 
 def test_draws_follow_the_probabilities():
     """The probabilities are computed by hand, of one state."""
     model = learner(replace(LEARNING, first_action_bias=2.0))
-    one = np.repeat(states(1, 0)[0].observations, 4000, axis=0)
-    x = torch.from_numpy(((one[:1] - MEAN) / SIGMA).astype(np.float32))
+    state = np.repeat(states(1, 0)[0].observations, 4000, axis=0)
+    x = torch.from_numpy(((state[:1] - MEAN) / SIGMA).astype(np.float32))
     expected = torch.softmax(model.network(x), 1).detach().numpy()[0]
-    shares = np.bincount(model.sampled(one), minlength=ACTIONS) / len(one)
+    shares = np.bincount(model.sampled(state), minlength=ACTIONS) / len(state)
     np.testing.assert_allclose(shares, expected, atol=0.03)
 
 
@@ -170,9 +171,9 @@ def test_it_forgets_the_oldest_states():
     model.remember(states(512, 0)[0])
     for seed, n in enumerate((300, 200, 12), start=1):
         model.remember(states(n, seed, turned=True)[0])
-    told = model.improve(1.0)
+    figures = model.improve(1.0)
     assert np.mean(model.greedy(fresh.observations) == best) > 0.95
     ideal = np.concatenate(
         [np.ptp(states(n, s, True)[0].values, axis=1) for s, n in ((1, 300), (2, 200), (3, 12))]
     )
-    assert told["gain/possible"] == pytest.approx(ideal.mean(), rel=0.05)
+    assert figures["gain/possible"] == pytest.approx(ideal.mean(), rel=0.05)

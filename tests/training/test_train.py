@@ -99,13 +99,13 @@ def test_the_exported_actor_acts_as_the_trained_one(tmp_path):
 
 def test_a_training_tells_its_periodic_evaluations(tmp_path):
     """The best of them is what the outcome says; a search stops early by them."""
-    told = []
-    outcome = train(job_of(tmp_path), told.append)
-    rewards = {news.timesteps: news.evaluation["reward"] for news in told if news.evaluation}
+    heard = []
+    outcome = train(job_of(tmp_path), heard.append)
+    rewards = {news.timesteps: news.evaluation["reward"] for news in heard if news.evaluation}
     assert len(rewards) >= 4 and max(rewards) == outcome["timesteps"] == 1024
     best = outcome["best"]
     assert rewards[best["timesteps"]] == best["reward"] == max(rewards.values())
-    assert [news.timesteps for news in told] == sorted(news.timesteps for news in told)
+    assert [news.timesteps for news in heard] == sorted(news.timesteps for news in heard)
 
 
 # --- hyperparameters
@@ -127,8 +127,8 @@ def test_shipped_hyperparameters_are_sound():
 def test_a_bias_makes_the_first_action_likelier_at_the_start():
     env = VecNormalize(PlacesVecEnv(TASK, HYPER), norm_reward=False)
     models = [learner(env, replace(HYPER, first_action_bias=bias), seed=1) for bias in (0.0, 2.0)]
-    seen = torch.as_tensor(env.reset())
-    logits = [model.policy.get_distribution(seen).distribution.logits for model in models]
+    observed = torch.as_tensor(env.reset())
+    logits = [model.policy.get_distribution(observed).distribution.logits for model in models]
     odds = [each[:, :1] - each[:, 1:] for each in logits]
     torch.testing.assert_close(odds[1] - odds[0], torch.full_like(odds[0], 2.0))
 
@@ -278,12 +278,12 @@ def test_a_run_with_other_modes_banks_or_hyperparameters_is_not_resumed(tmp_path
     """Files may have changed, or what names mean."""
     path = written(tmp_path / "mine.json", {})
     resume = ("--resume", "--hyperparameters", path, "--out")
-    found = folder_of(tmp_path / "modes", modes=MODES, hyperparameters=path)
-    assert "modes: found [{'name': 'stand'" in refused(*resume, found)
-    found = folder_of(tmp_path / "gamma", hyper=replace(HYPER, gamma=0.5), hyperparameters=path)
-    assert "gamma: found 0.5, expected 0.95" in refused(*resume, found)
-    found = folder_of(tmp_path / "banks", beliefs="per-mode", modes=MODES)
-    line = refused("--beliefs", "per-mode", "--out", found, "--resume")
+    folder = folder_of(tmp_path / "modes", modes=MODES, hyperparameters=path)
+    assert "modes: found [{'name': 'stand'" in refused(*resume, folder)
+    folder = folder_of(tmp_path / "gamma", hyper=replace(HYPER, gamma=0.5), hyperparameters=path)
+    assert "gamma: found 0.5, expected 0.95" in refused(*resume, folder)
+    folder = folder_of(tmp_path / "banks", beliefs="per-mode", modes=MODES)
+    line = refused("--beliefs", "per-mode", "--out", folder, "--resume")
     assert "banks: found {'handset': {'modes': [{'name': 'stand'" in line
 
 
