@@ -10,9 +10,8 @@ from typing import Any
 
 import numba
 import numpy as np
-from llvmlite.binding import get_host_cpu_features, get_host_cpu_name
+from llvmlite.binding import get_host_cpu_name
 
-from experiments.console.progress import note
 from experiments.console.provenance import versions
 from experiments.console.signals import ended_by_the_system
 from mmwave_env.compiler.disk_cache import kept_functions
@@ -32,8 +31,6 @@ _EPOCHS = 25
 
 def about() -> dict[str, Any]:
     """Return the report as JSON; compiling kernels not in the cache takes about a minute."""
-    if not _has_avx():
-        note("compiling for a processor without AVX takes ten times as long: many minutes")
     with ended_by_the_system():  # Python handles no signal during the long call of the compiler
         tests = self_test()
     return {
@@ -45,16 +42,6 @@ def about() -> dict[str, Any]:
         "kernels": kept_functions(),
         "self_test": tests,
     }
-
-
-def _has_avx() -> bool:
-    """Tell whether the target has AVX or is ARM; otherwise many numbers spill to memory."""
-    if platform.machine().lower() not in ("x86_64", "amd64"):
-        return True  # ARM has more registers instead
-    name = numba.config.CPU_NAME
-    if not name:
-        return bool(get_host_cpu_features().get("avx"))
-    return name in ("x86-64-v3", "x86-64-v4") or "+avx" in (numba.config.CPU_FEATURES or "")
 
 
 def self_test() -> list[dict[str, Any]]:

@@ -147,6 +147,8 @@ MISTAKES = {
     "no value": (("evaluate", "--json"), "--json"),
     "nothing": (("simulate",), "--out PATH"),
     "no results": (("report",), "results"),
+    "no risk": (("evaluate", "--risk", "0"), "risk: found"),
+    "recorded steps": (("evaluate", *RECORDED, "--dt", "0.5"), "dt: found"),
     "mistyped name": (("evaluate", "--radio", "hand-set"), "'hand-set', did you mean handset[?]"),
 }
 
@@ -267,4 +269,4 @@ def test_a_mistake_shows_no_control_characters(word):
         done = command(*words)
         assert all(line.isprintable() for line in (done.stdout + done.stderr).splitlines())
         assert done.returncode == 2
-    assert_one_clear_line(command("evaluate", f"--no{word}"), "ound '--no")
+    assert_one_clear_line(command("evaluate", f"--no{word}"), "--no")

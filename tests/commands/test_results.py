@@ -97,23 +97,6 @@ def test_recorded_episodes_have_seeds_and_no_keys(tmp_path):
     assert content["scenario"] == "canyon28_vehicle" and list(content["policies"]) == ["fixed-ukf"]
 
 
-MANY, RECORDED = ("--episodes", 10**9), ("--data", "canyon28_vehicle")
-REFUSED = {
-    "no risk": ((*MANY, "--risk", 0), "risk: found 0, expected more than 0"),
-    "a time step": ((*RECORDED, "--dt", "0.5"), "dt: found .*, but recorded episodes bring it$"),
-    "odometry": ((*RECORDED, "--odometry"), "odometry: found .*, but recorded episodes bring it$"),
-    "scenario": ((*RECORDED, "--scenario", "jam"), "scenario: found .*, but recorded episodes b"),
-    "scene": ((*RECORDED, "--scene", "o1"), "scene: found .*, but recorded episodes bring it$"),
-}  # fmt: skip
-
-
-@pytest.mark.parametrize("mistake", REFUSED)
-def test_what_is_none_is_refused_before_the_episodes(mistake):
-    words, message = REFUSED[mistake]
-    for name in ("evaluate", "compare"):
-        assert_one_clear_line(command(name, *words), f"^mmwave-loc {name}: {message}")
-
-
 def test_a_table_that_cannot_be_written_is_refused_before_the_episodes(tmp_path):
     (tmp_path / "a.csv").mkdir()
     done = command("evaluate", "--episodes", 10**9, "--episodes-csv", tmp_path / "a.csv")

@@ -191,11 +191,3 @@ def test_what_is_no_table_is_shown_without_control_characters_too(monkeypatch, c
     monkeypatch.delenv("FORCE_COLOR", raising=False)
     show("### \x1b]0;title\x07 street\n\nnext\n")
     assert capsys.readouterr().out == "### \\x1b]0;title\\x07 street\n\nnext\n\n"
-
-
-def test_no_color_is_shown_where_none_is_wanted(monkeypatch, capsys):
-    monkeypatch.setenv("FORCE_COLOR", "1")
-    monkeypatch.setenv("NO_COLOR", "1")
-    show(f"### title\n\n`code`\n\n{grid(['a'], [['1']])}\n")
-    codes = re.findall(r"\x1b\[([0-9;]*)m", capsys.readouterr().out)
-    assert not [code for code in codes if re.search(r"(^|;)(3|4|9|10)[0-9]", code)]

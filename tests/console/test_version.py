@@ -32,21 +32,6 @@ def test_a_kernel_that_computes_something_else_ends_with_code_1(monkeypatch):
     assert done.returncode == 1 and not json.loads(done.stdout)["self_test"][0]["passed"]
 
 
-@pytest.mark.parametrize(
-    ("name", "features", "said"),
-    [("generic", "", True), ("x86-64-v2", "", True), ("x86-64-v3", "", False),
-     ("generic", "+avx,+avx2", False)],
-)  # fmt: skip
-def test_a_processor_without_avx_is_told_of(name, features, said, monkeypatch):
-    monkeypatch.setattr(version.platform, "machine", lambda: "x86_64")
-    monkeypatch.setattr(version.numba.config, "CPU_NAME", name)
-    monkeypatch.setattr(version.numba.config, "CPU_FEATURES", features)
-    monkeypatch.setattr(version, "self_test", list)
-    done = command("--version", "--json")
-    assert done.returncode == 0 and json.loads(done.stdout)["processor"] == name
-    assert ("without AVX" in done.stderr) is said
-
-
 @pytest.mark.slow
 def test_a_signal_ends_the_self_test_while_it_compiles(tmp_path):
     words = [sys.executable, "-m", "experiments.console", "--version", "--json"]

@@ -162,9 +162,3 @@ def test_intervals_hold_the_truth_as_often_as_they_say(K, spread):
     # Three standard errors of 400 trials are 0.033. A little under in small samples, and a
     # little over where the interaction of seeds and episodes counts twice (Owen 2007).
     assert 0.91 < share < 0.99
-
-
-@pytest.mark.usefixtures("fewer_resamples")
-def test_plain_percentiles_over_five_seeds_would_say_too_much(monkeypatch):
-    monkeypatch.setattr(intervals, "few_seeds_factor", lambda seeds: 1.0)
-    assert 0.80 < coverage(5, SPREADS["seeds"]) < 0.89

@@ -239,15 +239,6 @@ def test_the_imm_over_a_file_that_says_a_transition_has_it_whatever_the_beliefs(
     assert contender_from("fixed-walk", "handset", path).modes == HANDSET.modes
 
 
-def test_the_best_imm_is_over_the_best_bank_of_its_radio():
-    for radio in RADIOS:
-        imm, bank = contender_from("imm-best", radio), best_bank(radio)
-        assert replace(imm, beliefs="per-mode").bank == bank
-        own = Contender.own("mine", none, radio, beliefs="per-mode")
-        assert own.bank == bank
-        assert imm.bank is None  # nobody chooses
-
-
 def test_a_policy_scores_what_it_earns_in_an_environment_of_its_bank(trust):
     contender, watched = Contender.learned(trust), {}
     watch = [lambda _, episodes, results: watched.update(results)]
@@ -267,11 +258,3 @@ def test_a_policy_scores_what_it_earns_in_an_environment_of_its_bank(trust):
         assert scores["ate_m"][e] == pytest.approx(info["ate_m"], rel=1e-12)
         assert watched["mode"][e].tolist() == taken
     assert watched["mode"].max() == len(MODES)  # the last mode is trusted, too
-
-
-def test_a_policy_takes_the_bank_of_the_radio(trust):
-    handset, standard = (contender_from(str(trust), radio) for radio in ("handset", "standard"))
-    assert (handset.bank, standard.bank) == (HANDSET, STANDARD)
-    assert handset.at("high").bank == STANDARD and standard.at("handset").bank == HANDSET
-    imm = contender_from("imm", "handset")
-    assert imm.at("standard") is imm

@@ -145,18 +145,13 @@ def test_what_has_a_default_may_be_left_out(tmp_path):
 
 BAD = {
     "text": ("gamma: 0.9\n", "Expecting value"),
-    "list": ("[1]", "found list, expected an object"),
     "missing": ({"gamma": None}, "gamma: found none, expected one beside num_envs"),
     "unknown": ({"gama": 0.9}, "key: found 'gama', did you mean gamma"),
     "nan": ({"gamma": math.nan}, "gamma: found nan, expected a number"),
-    "infinite": ({"learning_rate": math.inf}, "learning_rate: found inf, expected a number"),
-    "negative": ({"clip_range": -0.1}, "clip_range: found -0.1, expected a number of 0 to"),
     "fraction": ({"n_steps": 1.5}, "n_steps: found 1.5, expected an integer of 1 to"),
     "number": ({"paired": 1}, "paired: found 1, expected bool"),
     "one": ({"batch_size": 1}, "batch_size: found 1, expected an integer of 2 to"),
-    "above 1": ({"gamma": 1.01}, r"gamma: found 1.01, expected a number in \[0, 1\]"),
     "no neurons": ({"hidden": [64, 0]}, r"hidden\[1\]: found 0, expected an integer of 1 to"),
-    "bias": ({"first_action_bias": "1"}, "first_action_bias: found '1', expected a number"),
 }
 
 
