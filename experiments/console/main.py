@@ -137,12 +137,9 @@ def run(name: str, words: Sequence[str] | None = None) -> None:
         print(end="", flush=True)
     except BrokenPipeError:  # the reader has seen enough
         _leave(141)  # as a shell reports a program that SIGPIPE ended
-    except (ValueError, OSError) as error:
-        _complain(program, error, debug)
-        _leave(2)
     except Exception as error:
         _complain(program, error, debug)
-        _leave(1)
+        _leave(2 if isinstance(error, (ValueError, OSError)) else 1)
     except KeyboardInterrupt:
         print(f"{program}: interrupted", file=sys.stderr)
         sys.exit(130)

@@ -82,7 +82,7 @@ def tried(name: str, agent: Act, table: Observation) -> Policy:
     shown = rng.uniform(space.low, space.high, (TRIED, len(table))).astype(np.float32)
     try:
         policy.reset(np.ones(TRIED, np.bool_))
-        actions = policy(shown)
+        actions = np.asarray(policy(shown))
     except Exception as error:  # whatever a user's code does
         raise ValueError(
             f"policy {name}: {in_one_line(error)}; it was shown observations "
@@ -104,17 +104,11 @@ def require_actions(name: str, returned: Any, n: int, count: int) -> NDArray[np.
         ValueError: they are not n integers from 0 to ``count`` - 1, one for each
             observation.
     """
-    try:
-        actions: NDArray[Any] = np.asarray(returned)
-    except ValueError:  # the parts have different shapes
-        raise ValueError(
-            f"actions of {name}: found a {type(returned).__name__} of parts that are no array, "
-            f"expected ({n},) of integers; {OF_A_MODEL} ({GUIDE})"
-        ) from None
+    actions: NDArray[Any] = np.asarray(returned)
     if actions.shape != (n,) or actions.dtype.kind not in "iu":
         raise ValueError(
             f"actions of {name}: found shape {actions.shape} of {actions.dtype}, expected ({n},) "
-            f"of integers, one for each row of the observations ({GUIDE})"
+            f"of integers, one for each row of the observations; {OF_A_MODEL} ({GUIDE})"
         )
     if actions.min() < 0 or actions.max() >= count:
         raise ValueError(

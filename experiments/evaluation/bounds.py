@@ -120,5 +120,5 @@ def bound_markdown(over: OverBound) -> str:
         "and without the biases of blockage and multipath. Pooled over episodes, 95 % intervals:"
     )
     header = ["policy", *COLUMNS.values()]
-    rows = [[name, *map(str, row.values())] for name, row in over.policies.items()]
+    rows = [[name, *row.values()] for name, row in over.policies.items()]
     return f"\n{about}\n\n{grid(header, rows)}\n"

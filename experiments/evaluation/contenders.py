@@ -253,9 +253,6 @@ def contender_from(
             f"{name}: found a model of Stable-Baselines3, expected a policy file; mmwave-loc "
             f"convert {name} {Path(name).with_suffix('.safetensors').name} makes one ({GUIDE})"
         )
-    stem = name.removesuffix(".py")
-    module = f"; {Path(stem).name}:FUNCTION names an agent in a module ({GUIDE})"
-    hint = module if Path(f"{stem}.py").is_file() else ""
     # A policy shipped for all radios is in both lists.
     everything = dict.fromkeys([*known, *shipped, *OTHERS])
-    raise ValueError(unknown("policy", name, everything) + hint)
+    raise ValueError(unknown("policy", name, everything))

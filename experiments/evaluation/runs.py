@@ -107,15 +107,14 @@ def curves_of(log: Path) -> dict[str, tuple[list[float], list[float]]]:
         ValueError: no CSV, or a value that is no number; names the line.
     """
     curves: dict[str, tuple[list[float], list[float]]] = {}
-    with StringIO(read_text(log, "the progress log of a training"), newline="") as lines:
-        rows = csv.DictReader(lines)
-        try:
-            for row in rows:
-                for name, value in row.items():
-                    if value and name.startswith("tuning/minus "):
-                        steps, values = curves.setdefault(name.split(" ", 1)[1], ([], []))
-                        steps.append(float(row["timesteps"]))
-                        values.append(float(value))
-        except (csv.Error, AttributeError, KeyError, TypeError, ValueError) as error:
-            raise ValueError(f"{log}: line {rows.line_num}: {told(error)[:300]}") from error
+    rows = csv.DictReader(StringIO(read_text(log, "the progress log of a training"), newline=""))
+    try:
+        for row in rows:
+            for name, value in row.items():
+                if value and name.startswith("tuning/minus "):
+                    steps, values = curves.setdefault(name.split(" ", 1)[1], ([], []))
+                    steps.append(float(row["timesteps"]))
+                    values.append(float(value))
+    except (csv.Error, AttributeError, KeyError, TypeError, ValueError) as error:
+        raise ValueError(f"{log}: line {rows.line_num}: {told(error)[:300]}") from error
     return curves

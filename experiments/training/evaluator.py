@@ -14,8 +14,7 @@ from experiments.evaluation.contenders import Contender, contender_from
 from experiments.evaluation.intervals import Interval, bootstrap
 from experiments.evaluation.runner import Scores, score
 from experiments.evaluation.seeds import draw_episodes
-from experiments.training.places import Place, shares
-from experiments.training.training_task import TrainingTask
+from experiments.training.training_task import Place, TrainingTask, shares
 from mmwave_env.numerics.numbers import Array
 from mmwave_env.world.episode import Episode
 

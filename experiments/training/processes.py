@@ -3,13 +3,12 @@
 import multiprocessing
 import os
 import signal
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Sequence
 from multiprocessing.connection import Connection, wait
 from multiprocessing.process import BaseProcess
 from typing import Any, cast
 
-from experiments.console.signals import ended_by_signals
+from experiments.console.signals import answered, ended_by_signals
 from experiments.evaluation.runs import require_outcome
 from experiments.training.hyperparameters import PpoHyperparameters
 from experiments.training.job import Job, News, Tell
@@ -89,19 +88,9 @@ def _started(job: Job[Any]) -> tuple[Connection, BaseProcess]:
     os.environ["OPENBLAS_NUM_THREADS"] = "1"  # else the trainings compete for cores
     ours, theirs = spawn.Pipe(duplex=False)
     process = spawn.Process(target=_train, args=(job, theirs), daemon=True)
-    with _deaf_to_interrupts(), theirs:
+    with answered([signal.SIGINT], signal.SIG_IGN), theirs:  # only the parent handles Ctrl-C
         process.start()
     return ours, process
-
-
-@contextmanager
-def _deaf_to_interrupts() -> Iterator[None]:
-    """Let processes that start in the block ignore Ctrl-C, which only the parent handles."""
-    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGINT, before)
 
 
 def _train(job: Job[Any], line: Connection) -> None:

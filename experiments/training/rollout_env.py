@@ -13,8 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from experiments.training.actor import Normalization
-from experiments.training.places import require_environments
-from experiments.training.training_task import TrainingTask
+from experiments.training.training_task import TrainingTask, require_environments
 from mmwave_env.compiler.lanes import WIDTH
 from mmwave_env.compiler.program import rows_of
 from mmwave_env.engines.env_engine import Engine

@@ -21,8 +21,13 @@ from experiments.training.hyperparameters import (
     read_hyperparameters,
     shipped_hyperparameters,
 )
-from experiments.training.places import Place, places_from, require_environments
-from experiments.training.training_task import TrainingTask, banks_of
+from experiments.training.training_task import (
+    Place,
+    TrainingTask,
+    banks_of,
+    places_from,
+    require_environments,
+)
 from mmwave_env.filters.bank import Bank, bank_as_written
 from mmwave_env.interface.reward import REWARDS, PairedReward, Reward, TrackingReward
 from mmwave_env.io.files import read_json, write_bytes, write_json

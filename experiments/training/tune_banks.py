@@ -45,9 +45,7 @@ START = (
 )
 
 
-def tuned_bank(
-    radio: str, episodes: int, seed: int, evaluations: int, start: Sequence[Mode] = START
-) -> dict[str, Any]:
+def tuned_bank(radio: str, episodes: int, seed: int, evaluations: int) -> dict[str, Any]:
     """Return the best bank of a radio that the search finds on tuning episodes, as in files.
 
     Args:
@@ -56,7 +54,6 @@ def tuned_bank(
             episodes of the following seeds measure the result.
         seed: seed of the first episode.
         evaluations: most evaluations of the search.
-        start: modes before tuning.
 
     Raises:
         ValueError: too few episodes.
@@ -69,7 +66,7 @@ def tuned_bank(
     each = episodes // len(sources)
     shares = drawn(sources, range(seed, seed + each), SHARES)
     (held_out,) = drawn(sources, range(seed + each, seed + 2 * each))
-    space = search_space(start)
+    space = search_space(START)
 
     def value(bank: Bank, generation: int) -> float:
         reward, _ = scores(bank, shares[generation % SHARES])

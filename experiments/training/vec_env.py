@@ -9,8 +9,7 @@ from numpy.typing import NDArray
 from stable_baselines3.common.vec_env import VecEnv
 
 from experiments.training.hyperparameters import PpoHyperparameters
-from experiments.training.places import require_environments, shares
-from experiments.training.training_task import TrainingTask
+from experiments.training.training_task import TrainingTask, require_environments, shares
 from mmwave_env.interface.reward import PairedReward
 from mmwave_env.sb3 import Indices, Infos, SB3VecEnv
 from mmwave_env.vector_env import MmWaveLocVectorEnv

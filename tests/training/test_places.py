@@ -7,9 +7,15 @@ import numpy as np
 import pytest
 
 from experiments.evaluation.protocol import UNSEEN_RADIOS, UNSEEN_SCENES, unseen_file
-from experiments.training import places as module
-from experiments.training.places import Place, place_from, places_from, shares
-from experiments.training.training_task import TrainingTask, banks_of
+from experiments.training import training_task as module
+from experiments.training.training_task import (
+    Place,
+    TrainingTask,
+    banks_of,
+    place_from,
+    places_from,
+    shares,
+)
 from mmwave_env.filters.bank import Bank, bank_as_written, best_bank, default_modes
 from mmwave_env.interface.reward import TrackingReward
 from mmwave_env.models.radio import RADIOS

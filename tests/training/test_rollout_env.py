@@ -12,9 +12,8 @@ from tests.refusals import refuses
 from tests.training.actors import MODES
 
 pytest.importorskip("stable_baselines3")
-from experiments.training.places import Place
 from experiments.training.rollout_env import RolloutEnv
-from experiments.training.training_task import TrainingTask
+from experiments.training.training_task import Place, TrainingTask
 from experiments.training.vec_env import PlacesVecEnv
 from mmwave_env.interface.reward import PairedReward
 from mmwave_env.sb3 import SB3VecEnv

@@ -28,11 +28,10 @@ from experiments.training.hyperparameters import (
     shipped_hyperparameters,
 )
 from experiments.training.job import Job
-from experiments.training.places import Place
 from experiments.training.ppo import PpoTraining, learner
 from experiments.training.processes import train
 from experiments.training.run import hyperparameters, manifest_of
-from experiments.training.training_task import TrainingTask
+from experiments.training.training_task import Place, TrainingTask
 from experiments.training.vec_env import PlacesVecEnv
 from mmwave_env.filters.bank import Bank, default_modes
 from mmwave_env.interface.reward import TrackingReward

@@ -24,9 +24,9 @@ import torch
 
 from experiments.training.evaluator import EPISODES
 from experiments.training.job import Job
-from experiments.training.places import places_from
 from experiments.training.ppo import PpoTraining
 from experiments.training.processes import side_by_side
+from experiments.training.training_task import places_from
 from mmwave_env.filters.bank import Bank, default_modes
 from tests.training.actors import MODES
 from tests.training.test_train import HYPER, TASK, content
