@@ -13,8 +13,8 @@ from experiments.evaluation.intervals import Interval
 from mmwave_env.io.files import read_json, read_text, told
 
 
-def require_outcome(outcome: Mapping[str, Any]) -> None:
-    """Refuse a value that is not the outcome of a training.
+def require_outcome(outcome: dict[str, Any]) -> dict[str, Any]:
+    """Return the outcome of a training; refuse anything else.
 
     Raises:
         ValueError, KeyError, TypeError, AttributeError: a part is missing or wrong.
@@ -30,6 +30,7 @@ def require_outcome(outcome: Mapping[str, Any]) -> None:
     for value in numbers:
         if not (isinstance(value, int | float) and math.isfinite(value)):
             raise ValueError(f"found {value!r}, expected a number")
+    return outcome
 
 
 def require_no_smoke(name: str, command: str) -> None:

@@ -98,7 +98,7 @@ def _train(job: Job[Any], line: Connection) -> None:
     try:
         with ended_by_signals():
             if job.outcome.is_file():
-                outcome = _outcome(job)
+                outcome = read_json(job.outcome, "the outcome of a training", require_outcome)
             else:
                 outcome = train(job, lambda news: line.send(("news", *news)))
             line.send(("done", outcome))
@@ -106,19 +106,3 @@ def _train(job: Job[Any], line: Connection) -> None:
         return
     except (ValueError, OSError) as error:
         line.send(("refused", str(error)))
-
-
-def _outcome(job: Job[Any]) -> Outcome:
-    """Read the outcome that a finished training wrote.
-
-    Raises:
-        ValueError: the file holds something else.
-    """
-
-    def checked(outcome: Outcome) -> Outcome:
-        require_outcome(outcome)
-        if outcome["seed"] != job.seed:
-            raise ValueError(f"seed: found {outcome['seed']}, expected {job.seed}")
-        return outcome
-
-    return read_json(job.outcome, "the outcome of a training", checked)
