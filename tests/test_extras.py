@@ -25,8 +25,7 @@ def test_a_command_names_the_extra_and_writes_nothing(package, words, tmp_path, 
     monkeypatch.setitem(sys.modules, package, None)  # as if it were not installed
     extra, file = {"matplotlib": ("plot", "new.png")}.get(package, (package, "new.json"))
     assert_one_clear_line(
-        command(*words, tmp_path / file),
-        rf"needs {package}: pip install 'mmwave-loc\[{extra}\]'",
+        command(*words, tmp_path / file), rf"needs {package}: pip install 'mmwave-loc\[{extra}\]'"
     )
     assert not list(tmp_path.iterdir())
 

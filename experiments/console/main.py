@@ -39,9 +39,7 @@ GROUPS = {
         "sweep": "grids of comparisons and trainings, here or on a Ray cluster",
         "convert": "a model of Stable-Baselines3 as a file without code",
     },
-    "measure": {
-        "speed": "steps per second beside filterpy's and the core's limit",
-    },
+    "measure": {"speed": "steps per second beside filterpy's and the core's limit"},
 }
 COMMANDS = {name: about for group in GROUPS.values() for name, about in group.items()}
 SAME = {"evaluate": "compare"}  # aliases of commands

@@ -24,14 +24,7 @@ from mmwave_env.io.lookup import unknown
 from mmwave_env.models.measurement import Layout
 from mmwave_env.models.radio import radio_from
 from mmwave_env.task import bank_and_modes
-from policies import (
-    FixedMode,
-    LearnedSwitch,
-    LikelihoodRule,
-    Policy,
-    SpeedRule,
-    shipped_policies,
-)
+from policies import FixedMode, LearnedSwitch, LikelihoodRule, Policy, SpeedRule, shipped_policies
 
 BEST_IMM = "imm-best"  # the IMM with the modes of best_bank
 OTHERS = ("a .safetensors file", "the folder of a run", "module:function, without folder and .py")
@@ -217,11 +210,7 @@ def contenders(radio: str, modes: Modes = None) -> dict[str, Make]:
 
 
 def contender_from(
-    name: str,
-    radio: str,
-    modes: Modes = None,
-    observation: str = "full",
-    beliefs: str = "shared",
+    name: str, radio: str, modes: Modes = None, observation: str = "full", beliefs: str = "shared"
 ) -> Contender:
     """Return a contender by name; see :func:`contenders`.
 

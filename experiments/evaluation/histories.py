@@ -17,10 +17,7 @@ _KEPT = ("x", "P", "memory.accepted", "memory.rejected", "memory.mode")
 
 
 def history_of(
-    contender: Contender,
-    episode: Episode,
-    scoring: Scoring = PLAIN,
-    streets: Streets | None = None,
+    contender: Contender, episode: Episode, scoring: Scoring = PLAIN, streets: Streets | None = None
 ) -> History:
     """Return the prior and the contender's results in every epoch.
 

@@ -27,8 +27,7 @@ def test_a_contradiction_is_a_warning_each_and_in_the_json_file(tmp_path, downli
     assert done.returncode == 0 and "NIS / dof" in done.stdout
     lines = done.stderr.splitlines()
     assert re.fullmatch(
-        r"warning: anchor 1: found .*, expected .*; --diagnose tries likely mistakes",
-        lines[0],
+        r"warning: anchor 1: found .*, expected .*; --diagnose tries likely mistakes", lines[0]
     )
     said = json.loads((tmp_path / "found.json").read_text())["contradictions"]
     assert len(said) == len(lines)

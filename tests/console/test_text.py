@@ -13,11 +13,7 @@ from rich.markdown import Markdown
 from experiments.console import progress as terminal
 from experiments.console.progress import progress, say, tracked
 from experiments.console.tables import grid, show
-from experiments.console.text import (
-    escaped,
-    printable_lines,
-    unescaped,
-)
+from experiments.console.text import escaped, printable_lines, unescaped
 from mmwave_env.io.lookup import LONGEST, as_cell, as_name, did_you_mean, is_name, printable, quoted
 
 NAMES = st.text(st.characters(codec=None), max_size=200)
@@ -144,9 +140,7 @@ def shown(monkeypatch, capsys):
     max_examples=25, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
 )
 @given(
-    names=st.lists(WORDS, max_size=5),
-    cells=st.lists(WORDS, max_size=9),
-    width=st.integers(44, 120),
+    names=st.lists(WORDS, max_size=5), cells=st.lists(WORDS, max_size=9), width=st.integers(44, 120)
 )
 def test_no_cell_of_a_table_is_cut_and_no_line_is_too_long(shown, names, cells, width):
     header = ["policy", *(f"column {i}" for i in range(len(cells)))]

@@ -54,8 +54,7 @@ def test_a_contender_meets_every_imm_on_the_same_episodes():
 
 
 @pytest.mark.parametrize(
-    ("gains", "expected"),
-    [((0.1, 0.2), "above"), ((0.1, 0.0), "level"), ((0.1, -0.2), "below")],
+    ("gains", "expected"), [((0.1, 0.2), "above"), ((0.1, 0.0), "level"), ((0.1, -0.2), "below")]
 )
 def test_an_entry_stands_above_level_with_or_below_the_imms(gains, expected):
     rng = np.random.default_rng(0)

@@ -25,15 +25,7 @@ from mmwave_env.models.scene import SCENES
 from mmwave_env.world.simulated import SimulatedSource
 from policies import learned
 from tests.refusals import refuses
-from tests.training.actors import (
-    HANDSET,
-    MODES,
-    STANDARD,
-    actor,
-    card_of,
-    write,
-    write_per_mode,
-)
+from tests.training.actors import HANDSET, MODES, STANDARD, actor, card_of, write, write_per_mode
 
 # Estimates of a lost track can be fast; the rule's own test looks at the warning.
 pytestmark = pytest.mark.filterwarnings("ignore:speed .* outside the design window")

@@ -36,8 +36,7 @@ def trained():
 @pytest.fixture(scope="module")
 def compared(scores, trained):
     return over_training_seeds(
-        {run: [{"reward": each} for each in rewards] for run, rewards in trained.items()},
-        scores,
+        {run: [{"reward": each} for each in rewards] for run, rewards in trained.items()}, scores
     )
 
 
