@@ -1,7 +1,6 @@
 """mmwave-loc convert: a model of Stable-Baselines3 as a policy file, which holds no code."""
 
 from dataclasses import dataclass
-from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -48,7 +47,6 @@ class Args(TrainedArgs):
     """file that VecNormalize.save wrote, for a model trained under it; loading it runs code, too"""
 
 
-PACKAGES = ("gymnasium", "numpy", "torch", "stable-baselines3")
 TIES = 0.001  # share of observations where rounding may change the action
 
 
@@ -113,8 +111,7 @@ def _require_trained_on(args: Args, table: "Observation", tensors: "Tensors") ->
 
 
 def _card(args: Args, task: "Task", table: "Observation", facts: dict[str, Any]) -> "Card":
-    from experiments.console.provenance import command_line
-    from mmwave_env import __version__
+    from experiments.console.provenance import command_line, versions_of
     from policies.policy_file import Card
 
     return Card(
@@ -128,7 +125,7 @@ def _card(args: Args, task: "Task", table: "Observation", facts: dict[str, Any])
         timesteps=facts["timesteps"],
         command=command_line("convert", args),
         evaluation={},
-        versions={"mmwave-loc": __version__} | {name: version(name) for name in PACKAGES},
+        versions=versions_of("gymnasium", "numpy", "torch", "stable-baselines3"),
         beliefs=table.beliefs,
         banks={task.radio.name: task.bank} if task.bank else {},
     )

@@ -55,8 +55,10 @@ def main(args: Args) -> None:
     report = PageArgs(results=files, out=args.out / "report.html")
     note("the web page: some episodes again, epoch by epoch")
     write_text(report.out, page_of(report))
-    say(f"All paired differences are in {args.out / 'tables.md'}, and every figure in")
-    say(f"{', '.join(map(str, files))}.")
-    say(f"{report.out} is a web page of them, with episodes to play: open it in a browser.")
-    say("README.md and docs/results.md say what the columns mean.")
-    say("next: mmwave-loc list policies, or mmwave-loc compare --policies ppo imm --radio standard")
+    say(
+        f"All paired differences are in {args.out / 'tables.md'}, and every figure in",
+        f"{', '.join(map(str, files))}.",
+        f"{report.out} is a web page of them, with episodes to play: open it in a browser.",
+        "README.md and docs/results.md say what the columns mean.",
+        "next: mmwave-loc list policies, or mmwave-loc compare --policies ppo imm --radio standard",
+    )

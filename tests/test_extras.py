@@ -18,12 +18,14 @@ LOG = LOGS / "canyon28_vehicle"
         ("matplotlib", ["compare", "--policies", "fixed-ekf", "--errors"]),
         ("matplotlib", ["tables", "--out"]),
         ("filterpy", ["speed", "--json"]),
+        ("pygame", ["watch", "--out"]),
     ],
     ids=lambda value: value if isinstance(value, str) else " ".join(map(str, value[::-3])),
 )
 def test_a_command_names_the_extra_and_writes_nothing(package, words, tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, package, None)  # as if it were not installed
-    extra, file = {"matplotlib": ("plot", "new.png")}.get(package, (package, "new.json"))
+    extras = {"matplotlib": ("plot", "new.png"), "pygame": ("render", "new.gif")}
+    extra, file = extras.get(package, (package, "new.json"))
     assert_one_clear_line(
         command(*words, tmp_path / file), rf"needs {package}: pip install 'mmwave-loc\[{extra}\]'"
     )

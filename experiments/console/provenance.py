@@ -39,6 +39,11 @@ def provenance(name: str, args: Any) -> dict[str, Any]:
     return {"command": command_line(name, replace(args, **outputs)), "versions": versions()}
 
 
+def versions_of(*packages: str) -> dict[str, str]:
+    """Return the versions of this package and of others, for a policy file."""
+    return {"mmwave-loc": __version__} | {name: version(name) for name in packages}
+
+
 def versions() -> dict[str, str]:
     """Return versions of the package, of Python and of the packages that numbers depend on."""
     packages = {name: version(name) for name in ("gymnasium", "numpy", "numba", "scipy")}

@@ -86,7 +86,7 @@ def tried(name: str, agent: Act, table: Observation) -> Policy:
     except Exception as error:  # whatever a user's code does
         raise ValueError(
             f"policy {name}: {in_one_line(error)}; it was shown observations "
-            f"{shown.shape} of float32: {table.made_with} ({GUIDE})"
+            f"{shown.shape} of float32: {table.made_with}; {OF_A_MODEL} ({GUIDE})"
         ) from error
     require_actions(name, actions, TRIED, len(table.actions))
     return policy

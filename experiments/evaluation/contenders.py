@@ -154,8 +154,7 @@ def _fixed(action: int) -> Callable[[Observation], Policy]:
 
 
 def _imm(name: str, bank_of: Callable[[], Bank]) -> Contender:
-    bank = bank_of()
-    return Contender(name, bank.modes, None, bank.transition, bank.nis_quantile)
+    return Contender(name, (), None)._over(bank_of())
 
 
 def imm_banks(radio: str) -> dict[str, Callable[[], Bank]]:

@@ -9,22 +9,11 @@ from typing import Any, cast
 
 import numpy as np
 
-from experiments.console.options import TUNING_SEED
 from mmwave_env.world.episode import Episode, EpisodeSource
 from mmwave_env.world.keys import Keys, keys_of
 
 TRAINING_SEED = 10_000_000  # first seed of the first training; each training has a million
 SEEDS_EACH = 1_000_000
-
-
-def require_tuning_seed(seed: int) -> None:
-    """Refuse to tune on test seeds.
-
-    Raises:
-        ValueError: names the first tuning seed.
-    """
-    if seed < TUNING_SEED:
-        raise ValueError(f"seed: found {seed}, expected a tuning seed >= {TUNING_SEED}")
 
 
 @dataclass(frozen=True)

@@ -4,17 +4,16 @@ import csv
 import io
 import time
 from contextlib import suppress
-from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
 from stable_baselines3.common.logger import KVWriter
 from torch.utils.tensorboard import SummaryWriter
 
+from experiments.console.provenance import versions_of
 from experiments.training.checkpoint import read_stand, write_checkpoint
 from experiments.training.evaluator import Evaluator
 from experiments.training.job import Job, News, Tell
-from mmwave_env import __version__
 from mmwave_env.interface.observation import Observation
 from mmwave_env.io.files import write_bytes, write_json, write_text
 from policies.policy_file import Card, Tensors, to_bytes
@@ -69,9 +68,6 @@ class ProgressLog(KVWriter):
         else:
             with suppress(OSError):  # such as a full disk, which may be the failure
                 self._events.close()
-
-
-PACKAGES = ("gymnasium", "numpy", "numba", "torch", "stable-baselines3")
 
 
 class Record:
@@ -169,7 +165,7 @@ class Record:
             timesteps=self.stand["timesteps"],
             command=job.command,
             evaluation=evaluation,
-            versions={"mmwave-loc": __version__} | {name: version(name) for name in PACKAGES},
+            versions=versions_of("gymnasium", "numpy", "numba", "torch", "stable-baselines3"),
             beliefs=task.beliefs,
             banks=dict(task.banks) if task.beliefs == "per-mode" else {},
         )

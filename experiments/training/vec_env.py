@@ -69,7 +69,6 @@ class PlacesVecEnv(VecEnv):
             for _ in range(k * cast(SimulatedSource, env.source).epochs // len(self._parts)):
                 table, *_ = part.step(np.zeros(part.num_envs, np.int64))
             observations.append(cast(NDArray[Any], table))  # arrays, since the spaces are boxes
-        self.reset_infos = [info for part in self._parts for info in part.reset_infos]
         return np.concatenate(observations)
 
     def step_async(self, actions: NDArray[Any]) -> None:

@@ -61,11 +61,6 @@ def test_a_mistake_is_refused_before_any_venue(options, message, tmp_path):
     assert_one_clear_line(command("leaderboard", *options, "--out", tmp_path), message)
 
 
-def test_a_folder_without_entries_is_named(tmp_path):
-    done = command("leaderboard", "--out", tmp_path)
-    assert_one_clear_line(done, "out: found no entries in .*; --policies makes some")
-
-
 @pytest.mark.parametrize(("episodes", "draws"), [(20, 5), (1999, 200), (2000, 199)])
 def test_an_entry_of_too_few_episodes_comes_last_and_is_marked(episodes, draws, tmp_path):
     folder = ROOT / "docs" / "leaderboard"

@@ -35,12 +35,6 @@ def test_without_a_kind_all_are_listed():
     assert succeed("list") == "".join(succeed("list", kind) for kind in NAMES)
 
 
-@pytest.mark.parametrize("radio", RADIOS)
-def test_policies_of_every_radio_have_a_line(radio):
-    _, *lines = succeed("list", "policies", "--radio", radio).splitlines()
-    assert [line.split()[0] for line in lines] == list(contenders(radio))
-
-
 def test_an_unknown_kind_or_radio_is_refused():
     assert_one_clear_line(command("list", "polices"), "polices.*what.*policies")
     assert_one_clear_line(command("list", "modes", "--radio", "lab"), "radio: found 'lab'")

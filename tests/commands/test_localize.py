@@ -36,14 +36,6 @@ def test_a_speed_chooses_the_pipeline(folder, speed, mode):
     assert smoothed["rmse_m"] < 0.1 and filtered["in_bounds"] > 0.85
 
 
-def test_above_the_design_window_the_ukf_runs_with_a_warning():
-    done = command("localize", *options(RIDE / "log.csv", "--speed", "25", folder=RIDE))
-    assert done.returncode == 0 and "ukf 100.0 %" in done.stdout
-    assert re.fullmatch(
-        r"warning: speed 25 m/s is outside the design window \(up to 20.*\n", done.stderr
-    )
-
-
 def test_above_the_design_window_the_command_may_stop(capsys, tmp_path):
     out = tmp_path / "track.tum"
     _, line = refused(

@@ -135,15 +135,6 @@ def test_a_log_without_a_track_leaves_the_output_alone(capsys, tmp_path, name):
     assert sorted(p.name for p in tmp_path.iterdir()) == ["log.csv", "track.tum"]
 
 
-def test_truth_damaged_half_way_leaves_the_output_alone(capsys, tmp_path):
-    truth, out = tmp_path / "truth.tum", tmp_path / "track.tum"
-    truth.write_text((WALK / "truth.tum").read_text().replace("\n20.0 ", "\ntwenty "))
-    out.write_text(OLD)
-    more = ("--speed", "1", "--truth", truth, "--out", out)
-    _, line = refused(capsys, options(WALK / "log.csv", *more))
-    assert "truth.tum, line 202, t: found 'twenty'" in line and out.read_text() == OLD
-
-
 def test_truth_of_another_time_is_an_error_that_names_both(capsys, tmp_path):
     truth, out = tmp_path / "truth.tum", tmp_path / "track.tum"
     truth.write_text(tum_lines(np.array([1000.0, 1002.5]), np.zeros((2, 3))))

@@ -2,13 +2,11 @@
 
 import csv
 import json
-import shlex
 
 import gymnasium
 import numpy as np
 import pytest
 
-import mmwave_env
 from mmwave_env.metrics import BURN_IN, INFO_KEYS, METRICS, TERMS
 from tests.cli import assert_one_clear_line, command, succeed
 from tests.paths import ROOT
@@ -56,16 +54,6 @@ def test_percentiles_are_in_a_table_and_in_the_file_where_they_are_asked_for(res
             assert f" {figures['percentiles_m']['95']:#.3g} |" in row
             assert figures["epochs"] == 2 * (15 - BURN_IN)
     assert "at a risk of 0.001" in shown
-
-
-def test_results_say_how_to_make_them_again(results, tmp_path):
-    made = results[0]
-    assert made["versions"]["mmwave-loc"] == mmwave_env.__version__
-    assert made["versions"]["gymnasium"] == gymnasium.__version__
-    program, *words = shlex.split(made["command"])
-    assert program == "mmwave-loc"
-    succeed(*words, "--json", tmp_path / "again.json")
-    assert json.loads((tmp_path / "again.json").read_text()) == made
 
 
 def test_the_table_of_episodes_has_a_row_for_every_policy_and_seed(results):

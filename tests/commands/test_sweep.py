@@ -66,12 +66,6 @@ def test_mistakes_end_with_one_clear_line(tmp_path, words, message):
     assert_one_clear_line(command("sweep", *words, cwd=tmp_path), message)
 
 
-def test_what_is_missing_is_said_in_one_line(tmp_path, monkeypatch):
-    monkeypatch.setattr("importlib.util.find_spec", lambda package: None)
-    done = command("sweep", written(tmp_path, SMALL))
-    assert_one_clear_line(done, r"sweep needs ray: pip install 'mmwave-loc\[ray\]'")
-
-
 def raises(values):
     raise ValueError(f"no {values['number']}\nand no more")
 

@@ -122,12 +122,6 @@ def test_without_a_display_variable_and_way_out_are_named(monkeypatch):
     )
 
 
-def test_without_pygame_the_extra_is_named(monkeypatch, tmp_path):
-    monkeypatch.setitem(sys.modules, "pygame", None)  # as if it were not installed
-    done = command("watch", "--out", tmp_path / "x.gif")
-    assert_one_clear_line(done, r"watch needs pygame: pip install 'mmwave-loc\[render\]'")
-
-
 @pytest.mark.slow
 def test_the_moving_picture_of_the_readme_is_made_by_its_command(tmp_path):
     pages = {path.name: path.read_text("utf-8") for path in (ROOT / "docs").glob("*.md")}

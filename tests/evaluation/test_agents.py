@@ -91,8 +91,7 @@ MISTAKES = {
     "my_agents:wrong": r"my_agents:wrong: found shape \(3,\) of float64, expected \(3,\) of integ",
     "my_agents:beyond": "my_agents:beyond: found 2 to 2, expected 0 to 1",
     "my_agents:stumbling": r"RuntimeError: no idea; it was shown observations \(3, 53\) of float32",
-    "my_agents": "expected one of .*, module:function.*; my_agents:FUNCTION names an",
-    "my_agents.py": "found 'my_agents.py', .*; my_agents:FUNCTION names an agent in a module",
+    "my_agents.py": "policy: found 'my_agents.py', .*module:function",
     "mine.zip": "mine.zip: found a model .*, expected .*; mmwave-loc convert mine.zip mine.safet",
 }
 

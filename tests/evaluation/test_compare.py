@@ -52,21 +52,11 @@ def test_what_is_beside_is_compared_as_by_the_command():
 
 
 @pytest.mark.parametrize(
-    ("act", "message"),
-    [
-        (lambda o: np.ones((len(o), 1), int), r"mine: found shape \(3, 1\) of int64.*\(3,\)"),
-        (
-            lambda o: (np.ones(len(o), int), None),
-            r"found a tuple of parts .*, expected \(3,\) of integers; of a model, lambda",
-        ),
-        (
-            np.ones(3),
-            r"policy mine: found array.*, expected a function .*; of a model, lambda seen",
-        ),
-    ],
+    "act",
+    [lambda o: np.ones((len(o), 1), int), lambda o: (np.ones(len(o), int), None), np.ones(3)],
 )
-def test_actions_that_are_none_are_refused(act, message):
-    with pytest.raises(ValueError, match=message):
+def test_actions_that_are_none_are_refused(act):
+    with pytest.raises(ValueError, match="mine.*model.predict"):
         compare({"mine": act}, beside=(), episodes=2)
 
 
