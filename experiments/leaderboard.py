@@ -9,8 +9,8 @@ from pathlib import Path
 class Args:
     """Judge contenders by the benchmark's protocol, and rank all entries there are.
 
-    Each of them runs in nine places to train in, in unseen ones and on recordings, beside every
-    IMM. Its entry, a JSON file, is kept in the folder; the table is made of all that lie there.
+    Each of them runs at nine sites to train in, at unseen sites and on recordings, beside every
+    IMM. Its entry, a JSON file, is kept in the folder; the table is made of all entries there.
 
     mmwave-loc leaderboard --policies imm-best --episodes 20 --draws 5
     """

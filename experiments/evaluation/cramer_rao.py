@@ -118,9 +118,8 @@ def recursion(prior: Array, time_s: Array, fisher: Array, motion: Motion) -> Arr
         predicted: Array = np.array(predict_covariance(entries, motion.noise(dt), dt))
         predicted = np.moveaxis(predicted, (0, 1), (-2, -1))
         updated = np.linalg.solve(identity + predicted @ fisher[..., k, :, :], predicted)
-        bound[..., k, :, :] = 0.5 * (
-            updated + np.swapaxes(updated, -1, -2)
-        )  # rounding errors would grow otherwise
+        # Without the symmetric part, rounding errors would grow.
+        bound[..., k, :, :] = 0.5 * (updated + np.swapaxes(updated, -1, -2))
         P = bound[..., k, :, :]
     return bound
 

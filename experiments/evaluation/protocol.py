@@ -27,7 +27,7 @@ from mmwave_env.world.episode import EpisodeSource
 TRAINED, UNSEEN_KIND, RECORDED = KINDS = ("to train in", "unseen", "recorded")
 UNSEEN_SCENES, UNSEEN_RADIOS = ("avenue", "plaza", "alley"), ("tablet",)
 UNSEEN = UNSEEN_SCENES + UNSEEN_RADIOS  # nothing is tuned or trained on them
-HEARD = ("handset", "standard")  # radios in unseen streets and on recordings
+OTHER_RADIOS = ("handset", "standard")  # radios in unseen streets and on recordings
 # Episodes and recordings of the published tables; docs/data.md lists later recordings.
 EPISODES, DRAWS = 2000, 200  # in each simulated site, and on each recording
 RECORDINGS = ("canyon28_pedestrian", "canyon28_vehicle")
@@ -68,11 +68,11 @@ def sites() -> list[Site]:
     streets = [
         Site(f"{name}:{radio}", UNSEEN_KIND, unseen[name], radio)
         for name in UNSEEN_SCENES
-        for radio in HEARD
+        for radio in OTHER_RADIOS
     ]
     radios = [Site(f"street:{r}", UNSEEN_KIND, "street", unseen[r]) for r in UNSEEN_RADIOS]
     recorded = [
-        Site(f"{r}:{radio}", RECORDED, None, radio, r) for r in RECORDINGS for radio in HEARD
+        Site(f"{r}:{radio}", RECORDED, None, radio, r) for r in RECORDINGS for radio in OTHER_RADIOS
     ]
     return [*trained, *streets, *radios, *recorded]
 
@@ -118,7 +118,7 @@ def require_contenders(names: Sequence[str]) -> None:
             :func:`~experiments.evaluation.contenders.contender_from`.
     """
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # same as in judge
+        warnings.simplefilter("ignore")  # for the reason given in judge
         for radio in dict.fromkeys(site.radio for site in sites()):
             for name in names:
                 contender_from(name, radio)
